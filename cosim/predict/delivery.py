@@ -1,9 +1,9 @@
 """Delivery of broadcast messages between equipped vehicles, from their positions and the parameters of the radio."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,7 +13,8 @@ from scipy.special import gammainc
 from cosim import rng
 from cosim.config.config import Config
 from cosim.radio import link_budget
-from cosim.radio.message_round import Stations
+from cosim.radio.medium import Medium
+from cosim.radio.message_round import Messages, Receptions, RoundKind, Stations
 from cosim.radio.params import RadioParams
 from cosim.radio.phy import CURVES, MAC_OVERHEAD_BYTES, ReceiverParams
 from cosim.radio.propagation import fading_quantiles
@@ -34,7 +35,77 @@ class Links(NamedTuple):
     sender: Int[ndarray, "p"]
     receiver: Int[ndarray, "p"]
     delivered_p: Callable[[Float[ndarray, "e"]], Float[ndarray, "p"]]
-    """From the length of each vehicle's message [B]: the probability that each link delivers it."""
+    """From the length of each vehicle's message [B]: the probability that each link delivers it on an idle channel."""
+    crowd: Int[ndarray, "p"]
+    """Class of each link by its mean power, and by the number of stations that its receiver hears."""
+    stations: Stations
+    """The vehicles as stations of the radio."""
+
+
+_POWER_DB, _POWERS, _CROWDS, _LENGTHS = 4.0, 12, 12, 4
+_CLASSES = _POWERS * _CROWDS * _LENGTHS
+_SAMPLE_EVERY, _SAMPLE_STEPS = 10, 3
+"""Of ten sensing steps, the channel is simulated in three: congestion control remembers earlier steps. All of the first
+three count, then every third."""
+_IDLE_LINKS = 30.0
+"""Weight of an idle channel in the estimate of `Load`, in links: a class with few links counts as idle."""
+
+
+@dataclass(slots=True)
+class Load:
+    """What other frames on the channel cost: messages received over messages expected on an idle channel.
+
+    It is measured with the radio alone, from stations and lengths of messages, in some of the sensing steps.
+    """
+
+    medium: Medium
+    state: Any
+    received: Float[ndarray, "2 c"] = field(default_factory=lambda: np.zeros((2, _CLASSES)))
+    expected: Float[ndarray, "2 c"] = field(default_factory=lambda: np.zeros((2, _CLASSES)))
+
+    def delivered_p(
+        self, kind: RoundKind, number: int, begin_s: float, links: Links, length_bytes: Float[ndarray, "e"]
+    ) -> Float[ndarray, "p"]:
+        """Probability that each link delivers a message of a round.
+
+        Parameters
+        ----------
+        kind
+            Round of the step.
+        number
+            Number of the sensing step.
+        begin_s
+            When the round begins [s].
+        links
+            Links of the step.
+        length_bytes
+            Expected length of each vehicle's message.
+        """
+        p, n_frames = links.delivered_p(length_bytes), segments(np.maximum(np.rint(length_bytes), 1).astype(np.int64))[0]
+        many = np.minimum(np.log2(n_frames), _LENGTHS - 1).astype(np.int64)
+        of = links.crowd * _LENGTHS + many[links.sender]
+        if number % _SAMPLE_EVERY < _SAMPLE_STEPS:
+            length = np.maximum(np.rint(length_bytes), 1).astype(np.int64)
+            self.state, happened = self.medium.broadcast(
+                self.state, kind, number, begin_s, links.stations, Messages.one_each(length)
+            )
+            if number < _SAMPLE_STEPS or number % _SAMPLE_EVERY == _SAMPLE_STEPS - 1:
+                self._count(kind, links, of, p, happened.receptions)
+        kept = (self.received[kind] + _IDLE_LINKS) / (self.expected[kind] + _IDLE_LINKS)
+        return np.minimum(p * kept[of], 1.0)
+
+    def _count(
+        self, kind: RoundKind, links: Links, of: Int[ndarray, "p"], p: Float[ndarray, "p"], got: Receptions
+    ) -> None:
+        """Add the messages that were received, and that would be on an idle channel, by class `of` the link."""
+        n = np.int64(len(links.stations))
+        key = links.sender * n + links.receiver
+        order = np.argsort(key, kind="stable")
+        there = got.message * n + got.receiver  # one message per station: message and sender are the same row
+        at = np.minimum(np.searchsorted(key[order], there), max(len(order) - 1, 0))
+        at = order[at[key[order][at] == there]] if len(order) else at[:0]
+        self.received[kind] += np.bincount(of[at], minlength=self.received.shape[1])
+        self.expected[kind] += np.bincount(of, p, self.expected.shape[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,13 +138,13 @@ class Delivery:
         if self.params.model == "unit_disk":
             sender, receiver, _ = link_budget.neighbours(stations.xyz_m[:, :2], self.params.range_m)
             p = np.full(len(sender), 1.0 - self.params.unit_disk.loss_p)
-            return Links(sender, receiver, lambda length: p)
+            return Links(sender, receiver, lambda length: p, np.zeros(len(sender), np.int64), stations)
         return self._csma(stations)
 
     def _csma(self, stations: Stations) -> Links:
         """Links of the medium `csma`: path loss, shadowing and blockage are those of the run, fading is averaged.
 
-        Other frames on the channel are neglected (assumption 8).
+        `Load` adds the effect of other frames on the channel.
         """
         p, xyz_m = self.params.propagation, stations.xyz_m
         shadowing = rng.key(self.seed, rng.Stream.SHADOWING)
@@ -95,7 +166,10 @@ class Delivery:
             frame = received_p(power_dbm, fading, each[sender] + MAC_OVERHEAD_BYTES, self.params.receiver)
             return frame ** n[sender]
 
-        return Links(sender, receiver, delivered_p)
+        heard = np.bincount(receiver, minlength=len(stations))[receiver]
+        strength = np.clip((power_dbm - self.params.receiver.detectable_dbm) / _POWER_DB + 2, 0, _POWERS - 1)
+        crowd = np.minimum(np.log2(np.maximum(heard, 1)), _CROWDS - 1).astype(np.int64)
+        return Links(sender, receiver, delivered_p, strength.astype(np.int64) * _CROWDS + crowd, stations)
 
 
 def received_p(

@@ -15,8 +15,10 @@ from cosim.execution.check import check
 from cosim.execution.drive import Advance, warm_up
 from cosim.mobility.source import TrafficEnded
 from cosim.predict import law
-from cosim.predict.delivery import Delivery, arrival_p
+from cosim.predict.delivery import Delivery, Load, arrival_p
 from cosim.predict.opportunities import Sensing, chances
+from cosim.radio.medium import Medium
+from cosim.radio.message_round import RoundKind
 from cosim.step.parts import Parts
 from cosim.step.trackers.encounters import update_encounters
 from cosim.v2x.messages import cpm_bytes, evaluation_bytes
@@ -136,7 +138,7 @@ def _predict(
     walls = parts.near_pairs.walls  # type: ignore[attr-defined]  # of `PairSearch`
     sensing = Sensing.of(config, parts.perception.detector, walls)  # type: ignore[attr-defined]  # of `Perception`
     delivery = Delivery.of(config, LosOfPlaces(walls))
-    fleets = [Fleet.of(config, servers, number) for number in range(1 + n_fleets)]
+    fleets = [Fleet.of(config, servers, parts.medium, number) for number in range(1 + n_fleets)]
     for world in worlds:
         for fleet in fleets:
             fleet.add(world, config, parts, sensing, delivery)
@@ -217,8 +219,6 @@ def left_out(config: Config) -> list[str]:
         found.append("gnss: the law takes positions for exact.")
     if config.meshes or config.vehicle_meshes:
         found.append("meshes: the law sees the prisms of buildings and vehicles only.")
-    if config.radio.model == "csma":
-        found.append("radio: frames of other vehicles that collide are neglected, which matters in dense traffic.")
     return found
 
 
@@ -229,6 +229,7 @@ class Fleet:
     number: int
     """0 for the fleet of the run itself."""
     servers: list[Server]
+    load: Load
     gates: dict[float, law.Gate]
     trackers: tuple[EncounterTracker, ...]
     arrived_p: Float[ndarray, "m"]
@@ -242,6 +243,9 @@ class Fleet:
     """Per sensing step: subject, evaluator, logarithm as above, expected evaluations."""
     looks: dict[float, list[tuple[ndarray, ...]]] = field(default_factory=dict)
     """Per period and sensing step: subject, publications, lookups that find them, lookups that find none."""
+    heard: list[tuple[ndarray, ...]] = field(default_factory=list)
+    """Per sensing step: pairs near each other (holder and subject), step, logarithm of the probability that the holder
+    does not look the subject up."""
     met: list[dict[str, ndarray]] = field(default_factory=list)
     step: int = 0
     """Number of sensing steps so far."""
@@ -249,7 +253,7 @@ class Fleet:
     inputs: dict[str, float] = field(default_factory=dict)
 
     @staticmethod
-    def of(config: Config, servers: list[Server], number: int) -> "Fleet":
+    def of(config: Config, servers: list[Server], medium: Medium, number: int) -> "Fleet":
         """A fleet before the first step."""
         n_steps = -(-config.n_steps // config.sense_every_steps)
         interval_s, server = config.sensing_interval_s, config.server.cellular
@@ -257,7 +261,7 @@ class Fleet:
         arrived_p = arrival_p(lags_s, server.uplink_loss_p, server.n_retries, server)
         m = 1 + int(np.argmax(arrived_p >= arrived_p[-1] - _ARRIVED))
         return Fleet(
-            number, servers, {s.period_s: law.Gate.of(s.period_s, interval_s, n_steps) for s in servers},
+            number, servers, Load(medium, medium.start()), {s.period_s: law.Gate.of(s.period_s, interval_s, n_steps) for s in servers},
             tuple(EncounterTracker(p, config.traffic.step_s) for p in config.encounters),
             np.append(arrived_p[: m - 1], arrived_p[-1]), law.n_followed(server.downlink_loss_p),
         )  # fmt: skip
@@ -279,6 +283,7 @@ class Fleet:
         else:
             self.evidence.append((actor, np.zeros((len(self.arrived_p), 0))))
             self.pairs.append((actor, actor, np.zeros(0), np.zeros(0)))
+            self.heard.append((np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)))
         self.step += 1
 
     def _equipped(self, world: World, config: Config) -> World:
@@ -294,11 +299,17 @@ class Fleet:
         actor, n = world.actor[row], len(row)
         views, links = sensing.views(world, row), delivery.links(world, row)
         n_self = int(config.trust.self_reports)
-        told_p = links.delivered_p(cpm_bytes(n_self + views.n_listed))  # type: ignore[arg-type]  # expected lengths
+        begin_s = self.step * config.sensing_interval_s
+        told_p = self.load.delivered_p(
+            RoundKind.CPM, self.step, begin_s, links, cpm_bytes(n_self + views.n_listed)  # type: ignore[arg-type]
+        )
         found = chances(views, links.sender, links.receiver, config.trust.self_reports)
         evaluated_p = told_p * (1.0 - found.none_p)
-        n_evaluations = n_self + views.n_listed + np.bincount(links.receiver, told_p * found.n, n)
-        heard_p = links.delivered_p(evaluation_bytes(n_evaluations))  # type: ignore[arg-type]
+        n_evaluations = n_self + views.n_listed + np.bincount(links.receiver, told_p * found.n_listed, n)
+        heard_p = self.load.delivered_p(
+            RoundKind.EVALUATION, self.step, begin_s + config.timeout_s, links,
+            evaluation_bytes(n_evaluations),  # type: ignore[arg-type]  # expected lengths
+        )  # fmt: skip
         log_none = np.array([
             np.bincount(links.sender, np.log1p(-np.minimum(evaluated_p * p, 1 - 1e-12)), n) for p in self.arrived_p
         ])  # fmt: skip
@@ -309,6 +320,12 @@ class Fleet:
             np.log1p(-np.minimum(evaluated_p[kept] * self.arrived_p[-1], 1 - 1e-12)),
             told_p[kept] * found.n[kept] * self.arrived_p[-1],
         ))  # fmt: skip
+        xy_m = world.boxes.xyz_m[row, :2]
+        apart_m = np.hypot(*(xy_m[links.sender] - xy_m[links.receiver]).T)
+        near = np.flatnonzero(apart_m <= 1.5 * config.encounters[0].radius_m)
+        pair = actor[links.receiver[near]].astype(np.int64) << 32 | actor[links.sender[near]]
+        log_missed = np.log1p(-np.minimum(heard_p[near], 1 - 1e-12))
+        self.heard.append((pair, np.full(len(near), self.step), log_missed))
         since = np.array([self.since[one] for one in actor.tolist()], np.int64)[links.receiver]
         server, at_s = config.server.cellular, 2 * config.timeout_s
         for period_s, gate in self.gates.items():
@@ -397,8 +414,14 @@ class Fleet:
         both = np.isin(a, actors) & np.isin(b, actors)
         a, b = a[both], b[both]
         start, end = (np.tile(-(-x[both] // config.sense_every_steps), 2) for x in (start, end))
-        since = np.array([self.since[one] for one in np.concatenate([a, b]).tolist()], np.int64)
-        return law.Meetings(since, np.searchsorted(actors, np.concatenate([b, a])), start, end)
+        holder, other = np.concatenate([a, b]), np.concatenate([b, a])
+        since = np.array([self.since[one] for one in holder.tolist()], np.int64)
+        keys, steps, log_missed = (np.concatenate(c) for c in zip(*self.heard, strict=True))
+        order = np.lexsort((steps, keys))
+        first, stop = (np.searchsorted(keys[order], holder << 32 | other, side) for side in ("left", "right"))
+        return law.Meetings(
+            since, np.searchsorted(actors, other), start, end, first, stop, steps[order], log_missed[order]
+        )
 
 
 def _prediction(

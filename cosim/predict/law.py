@@ -245,6 +245,13 @@ class Meetings(NamedTuple):
     """First sensing step."""
     end: Int[ndarray, "n"]
     """One past the last sensing step."""
+    first: Int[ndarray, "n"]
+    """First row of `lookup_step` that belongs to the two."""
+    stop: Int[ndarray, "n"]
+    lookup_step: Int[ndarray, "q"]
+    """Steps in which the holder may look the subject up, ascending for each two."""
+    log_missed: Float[ndarray, "q"]
+    """Logarithm of the probability that it does not."""
 
 
 def without_trust(
@@ -268,37 +275,42 @@ def without_trust(
     Returns
     -------
     The expected share; nan without encounters.
+
+    Notes
+    -----
+    Trust is known at the start, or at the first lookup after a publication that rests on an evaluation. The publication
+    before the start counts at the start, without a message.
     """
     if not len(meetings.subject):
         return float("nan")
     summed = np.concatenate([np.zeros((evidence.log_none.shape[1], 1)), np.cumsum(evidence.log_none[-1], 1)], axis=1)
-    n = _without_trust(
-        summed, gate.steps, meetings.holder_since, meetings.subject, meetings.start, meetings.end, window_steps,
-        loss_p, first_lag,
-    )  # fmt: skip
-    return float(n / len(meetings.subject))
+    return float(_without_trust(summed, gate.steps, meetings, window_steps, loss_p, first_lag) / len(meetings.subject))
 
 
 @compiled
-def _without_trust(summed, gate, since, subject, start, end, window_steps, loss_p, first_lag):
+def _without_trust(summed, gate, meetings, window_steps, loss_p, first_lag):
     total = 0.0
-    for row in range(len(subject)):
-        s = subject[row]
-        last = np.searchsorted(gate, end[row] - 1, "right") - 1
-        first = np.searchsorted(gate, start[row], "right") - 1
-        while first <= last and gate[first] < since[row]:
+    for row in range(len(meetings.subject)):
+        s, start, end = meetings.subject[row], meetings.start[row], meetings.end[row]
+        last = np.searchsorted(gate, end - 1, "right") - 1
+        first = max(np.searchsorted(gate, start, "left") - 1, 0)
+        while first <= last and gate[first] < meetings.holder_since[row]:
             first += 1
-        never, before = 1.0, 1.0  # nothing known; no evidence in any publication so far
-        if first <= last:
-            never = 0.0
+        never, before = 0.0, 1.0  # nothing known; no evidence in any publication so far
+        for k in range(first, last + 1):
             low = max(gate[first] - window_steps + 1, 0)
-            for k in range(first, last + 1):
-                high = max(gate[k] - first_lag + 1, low)
-                now = min(np.exp(summed[s, high] - summed[s, low]), before)
-                never += (before - now) * loss_p ** (last - k + 1)
-                before = now
-            never += before
-        total += never
+            high = max(gate[k] - first_lag + 1, low)
+            now = min(np.exp(summed[s, high] - summed[s, low]), before)
+            missed = loss_p
+            if gate[k] >= start:
+                log_missed = 0.0
+                for q in range(meetings.first[row], meetings.stop[row]):
+                    if gate[k] <= meetings.lookup_step[q] < end:
+                        log_missed += meetings.log_missed[q]
+                missed = np.exp(log_missed * (1.0 - loss_p))
+            never += (before - now) * missed
+            before = now
+        total += never + before
     return total
 
 

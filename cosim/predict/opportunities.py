@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.config.config import Config
@@ -38,13 +38,18 @@ class Views(NamedTuple):
     """Row of the world."""
     seen_p: Float[ndarray, "k"]
     """Probability of at least one return from the body, 0 outside the area in which the observer evaluates."""
+    inside: Bool[ndarray, "k"]
+    """Whether the body is in that area."""
     detected_p: Float[ndarray, "k"]
     """Probability that the observer's detector reports the body."""
+    n_false: float
+    """Expected false positives of one observer."""
 
     @property
     def n_listed(self) -> Float[ndarray, "e"]:
-        """Expected number of detections of each observer."""
-        return np.bincount(np.repeat(np.arange(len(self.own)), np.diff(self.ptr)), self.detected_p, len(self.own))
+        """Expected number of detections of each observer, false positives included."""
+        observer = np.repeat(np.arange(len(self.own)), np.diff(self.ptr))
+        return self.n_false + np.bincount(observer, self.detected_p, len(self.own))
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +60,8 @@ class Sensing:
     params: lidar.LidarParams
     area: AreaParams
     detected_p: DetectedP
+    n_false: float
+    """Expected false positives of one sweep."""
     walls: WallIndex
 
     @staticmethod
@@ -66,7 +73,8 @@ class Sensing:
         ValueError
             If the detector does not say how often it misses an object.
         """
-        return Sensing(lidar.beams(config.lidar), config.lidar, config.area, detected_p_of(detector), walls)
+        n_false = float(detector.model.false_positive_per_sweep) if isinstance(detector, StatisticalDetector) else 0.0
+        return Sensing(lidar.beams(config.lidar), config.lidar, config.area, detected_p_of(detector), n_false, walls)
 
     def views(self, world: World, observers: Int[ndarray, "e"]) -> Views:
         """What the vehicles in these rows of the world can see."""
@@ -78,20 +86,26 @@ class Sensing:
         returns = expected_returns(
             origin_m, yaw_rad, observers, self.beams, near, boxes, bodies, self.walls, range_m
         )
-        rows = np.flatnonzero(returns.n > 0)
-        o = np.repeat(np.arange(len(observers)), np.diff(near.ptr))[rows]
-        body, found = near.row[rows], ExpectedReturns(returns.n[rows], returns.n_unoccluded[rows])
+        o = np.repeat(np.arange(len(observers)), np.diff(near.ptr))
         nobody, fov_rad = np.zeros((0, 3)), self.beams.fov_rad
         inside = in_area(
-            pairs_of(o, origin_m, yaw_rad, boxes, body), np.zeros(0, bool), nobody, nobody,
+            pairs_of(o, origin_m, yaw_rad, boxes, near.row), np.zeros(0, bool), nobody, nobody,
             self.area.range_m + self.area.slack_m, self.area.height_m, fov_rad, edge_slope(fov_rad),
             self.area.slack_m, self.area.own_radius_m,
         )  # fmt: skip
+        rows = np.flatnonzero((returns.n > 0) | (inside & (near.row != observers[o])))
+        o, body, inside = o[rows], near.row[rows], inside[rows]
+        found = ExpectedReturns(returns.n[rows], returns.n_unoccluded[rows])
         apart_m = np.linalg.norm(boxes.xyz_m[body] - origin_m[o], axis=1)
-        ptr = np.searchsorted(o, np.arange(len(observers) + 1))
         return Views(
-            observers, ptr, body, found.seen_p * inside, self.detected_p(found, world.label[body], apart_m)
-        )  # fmt: skip
+            own=observers,
+            ptr=np.searchsorted(o, np.arange(len(observers) + 1)),
+            body=body,
+            seen_p=found.seen_p * inside,
+            inside=inside,
+            detected_p=self.detected_p(found, world.label[body], apart_m),
+            n_false=self.n_false,
+        )
 
 
 def detected_p_of(detector: Any) -> DetectedP:
@@ -125,6 +139,8 @@ class Chances(NamedTuple):
     """Probability that the evaluator evaluates no detection of the subject with visibility above 0."""
     n: Float[ndarray, "p"]
     """Expected number of such evaluations."""
+    n_listed: Float[ndarray, "p"]
+    """Expected number of all evaluations, those with visibility 0 included."""
 
 
 def chances(
@@ -147,37 +163,36 @@ def chances(
     without error), or if v sees a third body that s detects. These are taken as independent (assumption 5):
     none = (1 - V[v, s]) (1 - D[s, v]) product over bodies o of (1 - V[v, o] D[s, o]).
     """
-    none_p, n = np.empty(len(subject)), np.empty(len(subject))
-    _chances(
-        views.own, views.ptr, views.body, views.seen_p, views.detected_p, subject, evaluator, self_reports, none_p, n
-    )
-    return Chances(none_p, n)
+    found = Chances(*np.empty((3, len(subject))))
+    _chances(views, subject, evaluator, self_reports, found)
+    return found
 
 
 @compiled
-def _chances(own, ptr, body, seen_p, detected_p, subject, evaluator, self_reports, none_p, n):
+def _chances(views, subject, evaluator, self_reports, found):
+    own, ptr, body, seen_p, inside, detected_p = (
+        views.own, views.ptr, views.body, views.seen_p, views.inside, views.detected_p
+    )  # fmt: skip
     for pair in range(len(subject)):
         s, v = subject[pair], evaluator[pair]
-        none, total = 1.0, 0.0
-        k, end = ptr[v], ptr[v + 1]
-        for i in range(ptr[s], ptr[s + 1]):
-            j = body[i]
-            while k < end and body[k] < j:
+        none, n, n_listed = 1.0, 0.0, 0.0
+        k, end, i, stop = ptr[v], ptr[v + 1], ptr[s], ptr[s + 1]
+        while k < end or i < stop:
+            if i >= stop or (k < end and body[k] < body[i]):
                 if self_reports and body[k] == own[s]:
                     none *= 1.0 - seen_p[k]
-                    total += seen_p[k]
+                    n += seen_p[k]
+                    n_listed += inside[k]
                 k += 1
-            if j == own[v]:
-                p = detected_p[i] if self_reports else 0.0
-            elif k < end and body[k] == j:
-                p = detected_p[i] * seen_p[k]
-            else:
                 continue
-            none *= 1.0 - p
-            total += p
-        while k < end and self_reports:
-            if body[k] == own[s]:
-                none *= 1.0 - seen_p[k]
-                total += seen_p[k]
-            k += 1
-        none_p[pair], n[pair] = none, total
+            if self_reports and body[i] == own[v]:
+                none *= 1.0 - detected_p[i]
+                n += detected_p[i]
+                n_listed += detected_p[i]
+            elif k < end and body[k] == body[i]:
+                none *= 1.0 - detected_p[i] * seen_p[k]
+                n += detected_p[i] * seen_p[k]
+                n_listed += detected_p[i] * inside[k]
+                k += 1
+            i += 1
+        found.none_p[pair], found.n[pair], found.n_listed[pair] = none, n, n_listed
