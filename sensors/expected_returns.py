@@ -20,7 +20,7 @@ from sensors.neighbours import Neighbours
 from sensors.scene import Prisms
 
 N_LINES = 5
-"""Lines to each body, evenly spaced over its width as the sensor sees it. With 9 lines no prediction changes by 0.1 s."""
+"""Lines to each body, evenly spaced over its width as the sensor sees it."""
 
 
 class ExpectedReturns(NamedTuple):

@@ -81,11 +81,10 @@ class Load:
         length_bytes
             Expected length of each vehicle's message.
         """
-        p, n_frames = links.delivered_p(length_bytes), segments(np.maximum(np.rint(length_bytes), 1).astype(np.int64))[0]
-        many = np.minimum(np.log2(n_frames), _LENGTHS - 1).astype(np.int64)
+        p, length = links.delivered_p(length_bytes), _whole(length_bytes)
+        many = np.minimum(np.log2(segments(length)[0]), _LENGTHS - 1).astype(np.int64)
         of = links.crowd * _LENGTHS + many[links.sender]
         if number % _SAMPLE_EVERY < _SAMPLE_STEPS:
-            length = np.maximum(np.rint(length_bytes), 1).astype(np.int64)
             self.state, happened = self.medium.broadcast(
                 self.state, kind, number, begin_s, links.stations, Messages.one_each(length)
             )
@@ -155,14 +154,12 @@ class Delivery:
         apart_m = np.hypot(*(xyz_m[sender, :2] - xyz_m[links.receiver, :2]).T)
         power_dbm = 10 * np.log10(links.power_mw)
         strongest_dbm = power_dbm + 10 * np.log10(fading_quantiles()[links.fading, -1])
-        near = np.flatnonzero(
-            (apart_m <= self.params.range_m) & (strongest_dbm >= self.params.receiver.detectable_dbm)
-        )
+        near = np.flatnonzero((apart_m <= self.params.range_m) & (strongest_dbm >= self.params.receiver.detectable_dbm))
         sender, receiver = sender[near], links.receiver[near].astype(np.int64)
         power_dbm, fading = power_dbm[near], links.fading[near]
 
         def delivered_p(length_bytes: Float[ndarray, "e"]) -> Float[ndarray, "p"]:
-            n, each = segments(np.maximum(np.rint(length_bytes), 1).astype(np.int64))
+            n, each = segments(_whole(length_bytes))
             frame = received_p(power_dbm, fading, each[sender] + MAC_OVERHEAD_BYTES, self.params.receiver)
             return frame ** n[sender]
 
@@ -170,6 +167,11 @@ class Delivery:
         strength = np.clip((power_dbm - self.params.receiver.detectable_dbm) / _POWER_DB + 2, 0, _POWERS - 1)
         crowd = np.minimum(np.log2(np.maximum(heard, 1)), _CROWDS - 1).astype(np.int64)
         return Links(sender, receiver, delivered_p, strength.astype(np.int64) * _CROWDS + crowd, stations)
+
+
+def _whole(length_bytes: Float[ndarray, "e"]) -> Int[ndarray, "e"]:
+    """Expected lengths as lengths of messages [B]."""
+    return np.maximum(np.rint(length_bytes), 1).astype(np.int64)
 
 
 def received_p(

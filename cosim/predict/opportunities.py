@@ -5,6 +5,7 @@ They follow from the poses of one step. Assumptions have the numbers of the page
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,9 +84,7 @@ class Sensing:
         origin_m[:, 2] += 0.5 * boxes.lwh_m[observers, 2] + self.params.mount_above_roof_m
         near = neighbours(origin_m, boxes, range_m)
         bodies = prisms(world.shape, boxes)
-        returns = expected_returns(
-            origin_m, yaw_rad, observers, self.beams, near, boxes, bodies, self.walls, range_m
-        )
+        returns = expected_returns(origin_m, yaw_rad, observers, self.beams, near, boxes, bodies, self.walls, range_m)
         o = np.repeat(np.arange(len(observers)), np.diff(near.ptr))
         nobody, fov_rad = np.zeros((0, 3)), self.beams.fov_rad
         inside = in_area(
@@ -117,9 +116,7 @@ def detected_p_of(detector: Any) -> DetectedP:
         If the detector does not say how often it misses an object.
     """
     if isinstance(detector, StatisticalDetector):
-        return lambda found, label, _: found.seen_p * detection_p(
-            np.maximum(found.n, 1.0), found.occlusion, label, detector.model
-        )
+        return partial(_statistical_p, detector.model)
     if isinstance(detector, IdealDetector):
         return lambda found, *_: found.seen_p
     if not hasattr(detector, "recall"):
@@ -127,9 +124,16 @@ def detected_p_of(detector: Any) -> DetectedP:
             f"the detector {type(detector).__name__} has no method recall(n_points, label, range_m): how often it "
             "misses an object is not known, so nothing can be predicted. Add it (sensors.detector.KnowsRecall)."
         )
-    return lambda found, label, range_m: found.seen_p * np.asarray(
-        detector.recall(np.maximum(np.rint(found.n), 1).astype(np.int64), label, range_m), float
-    )
+    return partial(_own_p, detector)
+
+
+def _statistical_p(model: Any, found: ExpectedReturns, label: ndarray, range_m: ndarray) -> ndarray:
+    return found.seen_p * detection_p(np.maximum(found.n, 1.0), found.occlusion, label, model)  # type: ignore[arg-type]
+
+
+def _own_p(detector: Any, found: ExpectedReturns, label: ndarray, range_m: ndarray) -> ndarray:
+    n_points = np.maximum(np.rint(found.n), 1).astype(np.int64)
+    return found.seen_p * np.asarray(detector.recall(n_points, label, range_m), float)
 
 
 class Chances(NamedTuple):
@@ -143,9 +147,7 @@ class Chances(NamedTuple):
     """Expected number of all evaluations, those with visibility 0 included."""
 
 
-def chances(
-    views: Views, subject: Int[ndarray, "p"], evaluator: Int[ndarray, "p"], self_reports: bool
-) -> Chances:
+def chances(views: Views, subject: Int[ndarray, "p"], evaluator: Int[ndarray, "p"], self_reports: bool) -> Chances:
     """Chances that evaluators evaluate subjects, given that they receive their messages.
 
     Parameters
