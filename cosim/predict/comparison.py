@@ -60,7 +60,7 @@ def measured_in(folder: Path, predictions: Sequence[tuple[Mapping[str, Any], Pre
 def rows_of(
     predictions: Sequence[tuple[Mapping[str, Any], Prediction]], measured: Sequence[Mapping[str, float]] | None = None
 ) -> list[dict[str, Any]]:
-    """One row per prediction and metric: swept keys, variant, metric, label, value, low, high, and what was measured."""
+    """One row per prediction and metric: keys, variant, metric, label, value, low, high, and what was measured."""
     rows = []
     for number, (keys, p) in enumerate(predictions):
         got = {} if measured is None else measured[number]

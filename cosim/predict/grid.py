@@ -1,7 +1,7 @@
 """A grid for a study, chosen by prediction: values between which freshness changes."""
 
+import json
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,8 +25,9 @@ _STATES = ("freshness.lookup_state.share:evaluated", "freshness.lookup_state.sha
 def propose(config: Config, name: str, advance: Advance) -> tuple[Study, list[tuple[Keys, Prediction]]]:
     """Choose penetrations, server periods and windows for a study of a config.
 
-    Every combination of `PENETRATIONS`, `PERIODS_S` and `WINDOWS_S` is predicted from one replay of the traffic. On each
-    axis, a value is kept if freshness differs from the last value that was kept, at some combination of the others.
+    Every combination of `PENETRATIONS`, `PERIODS_S` and `WINDOWS_S` is predicted from one replay of the traffic. On
+    each axis, a value is kept if freshness differs from the last value that was kept, at some combination of the
+    others.
 
     Parameters
     ----------
@@ -41,7 +42,7 @@ def propose(config: Config, name: str, advance: Advance) -> tuple[Study, list[tu
     -------
     The study, and the predictions for its points.
     """
-    base = replace(config, trust_variant=()).to_dict()
+    base = json.loads(json.dumps(config.to_dict()))  # plain lists, as a file has them
     del base["trust_variant"]
     values = {
         "fleet.penetration_p": PENETRATIONS,

@@ -66,7 +66,8 @@ def with_intervals(own: Prediction, others: Sequence[Prediction]) -> Prediction:
         error = float(np.std(values, ddof=1) * np.sqrt(1 + 1 / len(values)))
         bounds = (0.0, 1.0) if ".share" in name else (0.0, np.inf)
         given = around(float(values.mean()), error, len(values) - 1, bounds)
-        low[name], high[name] = given.low, given.high
+        if np.isfinite([given.low, given.high]).all():
+            low[name], high[name] = given.low, given.high
     return replace(own, low=low, high=high)
 
 
