@@ -20,6 +20,7 @@ _SHORT = {
     "freshness.newest_evaluation_age.p90_s": "90 % [s]",
     "freshness.lookup_state.share:evaluated": "evaluated",
     "freshness.lookup_state.share:stale": "stale",
+    "freshness.lookup_state.share:unevaluated": "unevaluated",
     "freshness.lookup_state.share:no value": "no value",
     "freshness.evaluators.mean": "evaluators",
     "freshness.encounters_without_trust.share": "encounters without trust",

@@ -1,6 +1,7 @@
 """Predictions beside what runs and studies measured."""
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -69,8 +70,13 @@ def rows_of(
             row |= {"low": p.low.get(name), "high": p.high.get(name), "closed_form": p.closed.get(name)}
             if measured is not None:
                 row["measured"] = got.get(name)
-            rows.append(row)
+            rows.append(without_nan(row))
     return rows
+
+
+def without_nan(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The same values, with None for those that do not exist, as JSON knows no NaN."""
+    return {name: None if isinstance(v, float) and math.isnan(v) else v for name, v in values.items()}
 
 
 def as_json(predictions: Sequence[tuple[Mapping[str, Any], Prediction]]) -> list[dict[str, Any]]:
@@ -80,7 +86,7 @@ def as_json(predictions: Sequence[tuple[Mapping[str, Any], Prediction]]) -> list
         total, there = p.newest.sum(), p.newest > 1e-9 * max(p.newest.max(initial=0.0), 1e-300)
         found.append({
             "keys": dict(keys), "variant": p.variant, "server_period_s": p.period_s,
-            "metrics": p.metrics, "low": p.low, "high": p.high, "closed_form": p.closed,
+            "metrics": without_nan(p.metrics), "low": p.low, "high": p.high, "closed_form": without_nan(p.closed),
             "newest_evaluation_age": {
                 "age_s": [round(float(a), 6) for a in p.age_s[there]],
                 "share": [round(float(n / total), 9) for n in p.newest[there]],
