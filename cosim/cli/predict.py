@@ -82,7 +82,7 @@ def freshness(
     if out is not None:
         _write(out, {"inputs": inputs, "predictions": plain(found)})
     if picture is not None:
-        _draw(picture, found, against)
+        _draw(picture, found, against, measured)
     if as_json:
         print_json({"inputs": inputs, "neglected": neglected, "rows": rows_of(found, measured)})
         return
@@ -146,11 +146,18 @@ def _table(found: list[tuple[Any, "Prediction"]], measured: list[dict[str, float
     return table
 
 
-def _draw(path: Path, found: list[tuple[Any, "Prediction"]], against: Path | None) -> None:
+def _draw(
+    path: Path, found: list[tuple[Any, "Prediction"]], against: Path | None, measured: list[dict[str, float]] | None
+) -> None:
+    """Draw distributions, and those of a run beside; or the points of a study."""
     from results.figures import law, style
 
-    curves = [
-        law.Curve(", ".join(f"{k} = {v}" for k, v in keys.items()) or p.variant, p.age_s, p.newest) for keys, p in found
-    ]
-    figure = law.draw(curves, None if against is None else law.measured(against, found))
+    if against is not None and measured is not None and any(keys for keys, _ in found):
+        figure = law.draw([], [], [law.points_of(against.name, [p.metrics for _, p in found], measured)])
+    else:
+        curves = [
+            law.Curve(", ".join(f"{k} = {v}" for k, v in keys.items()) or p.variant, p.age_s, p.newest)
+            for keys, p in found
+        ]
+        figure = law.draw(curves, [] if against is None else law.measured(against, [p.variant for _, p in found]))
     notes.print(f"wrote {style.save(figure, path)}", soft_wrap=True)

@@ -1,7 +1,7 @@
 """A grid for a study, chosen by prediction: values between which freshness changes."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -56,7 +56,7 @@ def propose(config: Config, name: str, advance: Advance) -> tuple[Study, list[tu
     return _study(name, base, kept), chosen
 
 
-def _study(name: str, base: dict[str, Any], values: dict[str, Sequence[float]]) -> Study:
+def _study(name: str, base: dict[str, Any], values: Mapping[str, Sequence[float]]) -> Study:
     question = "Does the law of freshness hold here? cosim predict freshness chose the grid."
     return Study(
         Head(name=name, question=question), Limits(), Keep(topics=("traffic", "freshness", "radio")), Measuring(), base,
