@@ -27,6 +27,8 @@ _ARRIVED = 1e-4
 _MOST_LAGS = 20
 _LEAST_P = 1e-6
 """Chances below this are left out."""
+_MEETING = 1.5
+"""Lookups between two vehicles count for their encounter up to this part of its radius: a break ends none at once."""
 
 
 @dataclass(slots=True)
@@ -80,7 +82,6 @@ class Fleet:
         """
         walls = parts.near_pairs.walls  # type: ignore[attr-defined]  # of `PairSearch`
         detector = parts.perception.detector  # type: ignore[attr-defined]  # of `Perception`
-        n_steps = -(-config.n_steps // config.sense_every_steps)
         interval_s, server = config.sensing_interval_s, config.server.cellular
         lags_s = interval_s * np.arange(1, _MOST_LAGS + 1) - config.timeout_s
         arrived_p = arrival_p(lags_s, server.uplink_loss_p, server.n_retries, server)
@@ -93,7 +94,7 @@ class Fleet:
             number=number,
             servers=servers,
             load=Load(parts.medium, parts.medium.start()),
-            gates={s.period_s: law.Gate.of(s.period_s, interval_s, n_steps) for s in servers},
+            gates={s.period_s: law.Gate(law.period_steps(s.period_s, interval_s)) for s in servers},
             trackers=tuple(EncounterTracker(p, config.traffic.step_s) for p in config.encounters),
             arrived_p=np.append(arrived_p[: m - 1], arrived_p[-1]),
             n_followed=law.n_followed(server.downlink_loss_p),
@@ -154,13 +155,14 @@ class Fleet:
         ))  # fmt: skip
         xy_m = world.boxes.xyz_m[row, :2]
         apart_m = np.hypot(*(xy_m[links.sender] - xy_m[links.receiver]).T)
-        near = np.flatnonzero(apart_m <= 1.5 * config.encounters[0].radius_m)
+        near = np.flatnonzero(apart_m <= _MEETING * max((p.radius_m for p in config.encounters[:1]), default=0.0))
         pair = actor[links.receiver[near]].astype(np.int64) << 32 | actor[links.sender[near]]
         log_missed = np.log1p(-np.minimum(heard_p[near], 1 - 1e-12))
         self.heard.append((pair, np.full(len(near), self.step), log_missed))
         since = np.array([self.since[one] for one in actor.tolist()], np.int64)[links.receiver]
         server, at_s = config.server.cellular, 2 * config.timeout_s
         for period_s, gate in self.gates.items():
+            gate.open(self.step)
             publications = gate.before(self.step, self.n_followed)
             ages_s = (self.step - publications) * config.sensing_interval_s + at_s
             received_p = arrival_p(ages_s, server.downlink_loss_p, 0, server)
@@ -180,7 +182,18 @@ class Fleet:
             self.inputs[name] = self.inputs.get(name, 0.0) + float(value)
 
     def predictions(self) -> tuple[list[Prediction], dict[str, float]]:
-        """The predictions for all servers, and measured inputs by name."""
+        """The predictions for all servers, and measured inputs by name.
+
+        Raises
+        ------
+        ValueError
+            If there was no traffic.
+        """
+        if not self.step:
+            raise ValueError(
+                f"traffic.scenario = {self.config.traffic.scenario}: the traffic ended before the first step, so there "
+                "is nothing to predict. Shorten traffic.warmup_s."
+            )
         actors = np.array(sorted(self.since), np.int64)
         n_steps = max(self.step, 1)
         log_none = np.zeros((len(self.arrived_p), len(actors), n_steps))
@@ -234,6 +247,9 @@ class Fleet:
     def _meetings(self, actors: ndarray) -> law.Meetings:
         """Encounters by the first definition of the config, those that are still open included."""
         config = self.config
+        if not self.trackers:
+            none = np.zeros(0, np.int64)
+            return law.Meetings(none, none, none, none, none, none, none, np.zeros(0))
         rows = self.met + [tracker.close(self.last_step + 1) for tracker in self.trackers[:1]]
         a, b, start, end, departed = (
             np.concatenate([np.zeros(0, np.int64), *(one[name] for one in rows)]).astype(np.int64)

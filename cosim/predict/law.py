@@ -4,7 +4,8 @@ The derivation, with numbered equations and assumptions, is the page `models/fre
 steps of length D. A step has two rounds of messages of length r.
 """
 
-from dataclasses import dataclass
+from bisect import bisect_right
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -18,24 +19,36 @@ _REST = 1e-3
 _MOST_BROADCASTS = 10
 
 
-class Gate(NamedTuple):
-    """The steps in which a server publishes."""
+def period_steps(period_s: float, interval_s: float) -> int:
+    """Number of sensing steps between two publications: the first that is a server period or more after the last."""
+    return max(1, int(np.ceil(period_s / interval_s - 1e-9)))
 
-    steps: Int[ndarray, "b"]
 
-    @staticmethod
-    def of(period_s: float, interval_s: float, n_steps: int) -> "Gate":
-        """The steps, from step 0 on, that are a server period or more after the one before."""
-        every = max(1, int(np.ceil(period_s / interval_s - 1e-9)))
-        return Gate(np.arange(0, n_steps, every))
+@dataclass(slots=True)
+class Gate:
+    """The steps in which a server publishes: the first one, and each that is a period or more after the last.
+
+    A step without equipped vehicles is none: the server then publishes in the next one.
+    """
+
+    period_steps: int
+    published: list[int] = field(default_factory=list)
+
+    def open(self, step: int) -> None:
+        """A step with equipped vehicles begins."""
+        if not self.published or step - self.published[-1] >= self.period_steps:
+            self.published.append(step)
+
+    @property
+    def steps(self) -> Int[ndarray, "b"]:
+        """Steps of the publications so far."""
+        return np.array(self.published, np.int64)
 
     def before(self, step: int, n: int) -> Int[ndarray, "n"]:
         """The `n` newest publications at a step, newest first; -1 where there are fewer."""
-        last = int(np.searchsorted(self.steps, step, "right"))
-        found = np.full(n, -1)
-        newest = self.steps[max(0, last - n) : last][::-1]
-        found[: len(newest)] = newest
-        return found
+        last = bisect_right(self.published, step)
+        newest = self.published[max(0, last - n) : last][::-1]
+        return np.array(newest + [-1] * (n - len(newest)), np.int64)
 
 
 def n_followed(loss_p: float) -> int:

@@ -136,8 +136,7 @@ def predicted(server: Server, config: Config, found: Found, gate: law.Gate, look
         ),
     }
     window = min(server.window_steps, n_steps)
-    period = int(gate.steps[1] - gate.steps[0]) if len(gate.steps) > 1 else n_steps
-    closed = law.closed_form(found.evaluated_p, period, window, loss_p, at_s / 2, interval_s, n_steps + 1)
+    closed = law.closed_form(found.evaluated_p, gate.period_steps, window, loss_p, at_s / 2, interval_s, n_steps + 1)
     names = list(METRICS)[:2]
     return Prediction(
         variant=server.name, period_s=server.period_s, window_s=server.window_s, age_s=age_s, newest=counts.newest,

@@ -17,8 +17,8 @@ SHORT = {"attacks": [], "traffic": {"duration_s": 8, "warmup_s": 30}, "fleet": {
 CONFIG = """
 attacks = []
 [traffic]
-duration_s = 40
-warmup_s = 200
+duration_s = 30
+warmup_s = 150
 [fleet]
 penetration_p = 0.5
 [trust]

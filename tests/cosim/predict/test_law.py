@@ -19,9 +19,11 @@ def looks(subject, step, publication, n, none=0.0):
 def test_gate_by_hand():
     # Sensing every 0.5 s, a period of 1.2 s: publications are 3 steps apart, because the third step is the first that
     # is 1.2 s or more after the last publication.
-    gate = law.Gate.of(1.2, 0.5, 10)
-    assert gate.steps.tolist() == [0, 3, 6, 9]
-    assert gate.before(7, 3).tolist() == [6, 3, 0] and gate.before(2, 3).tolist() == [0, -1, -1]
+    gate = law.Gate(law.period_steps(1.2, 0.5))
+    for step in (1, 2, 3, 4, 8, 9, 10, 11):  # no equipped vehicle is there in the steps 0 and 5 to 7
+        gate.open(step)
+    assert gate.steps.tolist() == [1, 4, 8, 11]
+    assert gate.before(9, 3).tolist() == [8, 4, 1] and gate.before(3, 3).tolist() == [1, -1, -1]
 
 
 def test_age_by_hand():
@@ -103,7 +105,7 @@ def test_encounters_without_trust_by_hand():
     # encounter lasts steps 5 to 9; each lookup is missed with probability 1/2; no publication is lost.
     log_none = np.log(np.append(1.0, np.full(7, 0.5)))
     evidence = law.Evidence(np.append(log_none, np.zeros(4))[None, None])
-    gate = law.Gate.of(4.0, 1.0, 12)
+    gate = law.Gate(4, [0, 4, 8])
     steps = [5, 6, 7, 8, 9]
     # The publication of step 4 (steps 1 to 3) counts at the start: known with 7/8. That of step 8 adds steps 4 to 7: it
     # brings the first evidence with 1/8 (1 - 1/16); then the lookups of steps 8 and 9 are missed with 1/4.
