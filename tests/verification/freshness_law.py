@@ -5,6 +5,9 @@ assumptions [CONFIG] [KEY=VALUE ...]: simulates a config in memory and prints ea
 
 points FOLDER STUDY...: for each study in `tests/verification/law`, the predictions that were written before its
 simulation beside the study that `cosim sweep` left in FOLDER/sweep-STUDY: by point, and how many are within the bounds.
+
+picture OUT RUN PREDICTIONS FOLDER STUDY...: draws the points, and the ages that a run measured beside those that
+`cosim predict freshness --out PREDICTIONS` predicted for its config.
 """
 
 import json
@@ -22,6 +25,7 @@ from cosim.predict.delivery import Delivery, Load
 from cosim.predict.opportunities import Sensing, chances
 from cosim.radio.message_round import RoundKind
 from cosim.v2x.messages import cpm_bytes, evaluation_bytes
+from results.figures import law, style
 from results.study import open_study
 from sensors.line_of_sight import LosOfPlaces
 
@@ -132,12 +136,30 @@ def points(folder: Path, names: list[str]) -> Iterator[dict]:
             yield row
 
 
+def picture(out: Path, run: Path, predictions: Path, folder: Path, names: list[str]) -> None:
+    """Draw distributions of a run and points of studies, law and simulation over each other."""
+    kept = json.loads(predictions.read_text())["predictions"]
+    curves = []
+    for one in kept:
+        ages = one["newest_evaluation_age"]
+        curves.append(law.Curve(one["variant"], np.array(ages["age_s"]), np.array(ages["share"])))
+    frame = pd.DataFrame(points(folder, names))
+    groups = [
+        law.Points(name, part[["median", "p90"]].to_numpy(), part[["median_sim", "p90_sim"]].to_numpy())
+        for name, part in frame.groupby("study", sort=False)
+    ]
+    style.save(law.draw(curves, law.measured(run, [one["variant"] for one in kept]), groups), out)
+
+
 def main(words: list[str]) -> None:
     """As the module says."""
     pd.set_option("display.width", 250, "display.max_columns", 40, "display.max_rows", 500)
     if words[0] == "assumptions":
         path = Path(words[1]) if len(words) > 1 and "=" not in words[1] else None
         print(assumptions(load(path, [word for word in words[1:] if "=" in word])).to_string(index=False))
+        return
+    if words[0] == "picture":
+        picture(*(Path(word) for word in words[1:5]), words[5:])
         return
     frame = pd.DataFrame(points(Path(words[1]), words[2:]))
     print(frame.round(3).to_string(index=False))
