@@ -139,16 +139,18 @@ def points(folder: Path, names: list[str]) -> Iterator[dict]:
 def picture(out: Path, run: Path, predictions: Path, folder: Path, names: list[str]) -> None:
     """Draw distributions of a run and points of studies, law and simulation over each other."""
     kept = json.loads(predictions.read_text())["predictions"]
+    names_of = {one["variant"]: f"server period {one['server_period_s']:g} s" for one in kept}
     curves = []
     for one in kept:
         ages = one["newest_evaluation_age"]
-        curves.append(law.Curve(one["variant"], np.array(ages["age_s"]), np.array(ages["share"])))
+        curves.append(law.Curve(names_of[one["variant"]], np.array(ages["age_s"]), np.array(ages["share"])))
+    simulated = [curve._replace(name=names_of[curve.name]) for curve in law.measured(run, list(names_of))]
     frame = pd.DataFrame(points(folder, names))
     groups = [
         law.Points(name, part[["median", "p90"]].to_numpy(), part[["median_sim", "p90_sim"]].to_numpy())
         for name, part in frame.groupby("study", sort=False)
     ]
-    style.save(law.draw(curves, law.measured(run, [one["variant"] for one in kept]), groups), out)
+    style.save(law.draw(curves, simulated, groups), out)
 
 
 def main(words: list[str]) -> None:
