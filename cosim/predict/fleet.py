@@ -204,7 +204,8 @@ class Fleet:
         meetings = self._meetings(actors)
         inputs = self._inputs()
         looks = {period_s: self._looks_of(rows, actors) for period_s, rows in self.looks.items()}
-        found = Found(evidence, pair_steps, pair_subject, meetings, self.first_lag, inputs["evaluated_p"])
+        since = np.array([self.since[one] for one in actors.tolist()], np.int64)
+        found = Found(evidence, since, pair_steps, pair_subject, meetings, self.first_lag, inputs["evaluated_p"])
         made = [
             predicted(server, self.config, found, self.gates[server.period_s], looks.get(server.period_s))
             for server in self.servers

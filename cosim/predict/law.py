@@ -133,9 +133,11 @@ class AgeCounts(NamedTuple):
     oldest: Float[ndarray, "t"]
     n_unknown: float
     """Lookups that find a publication in which no evaluation of the subject counts."""
+    n_unseen: float
+    """Those of them whose subject was on the road in a step whose evidence counts: it had sent detections."""
 
 
-def ages(evidence: Evidence, looks: Looks, window_steps: int) -> AgeCounts:
+def ages(evidence: Evidence, looks: Looks, window_steps: int, since: Int[ndarray, "s"]) -> AgeCounts:
     """Ages that lookups find, equations (4) to (6).
 
     Parameters
@@ -146,6 +148,8 @@ def ages(evidence: Evidence, looks: Looks, window_steps: int) -> AgeCounts:
         Expected lookups.
     window_steps
         Evidence of this age, or older, does not count when the server publishes.
+    since
+        Step in which each subject came on the road.
 
     Notes
     -----
@@ -156,41 +160,43 @@ def ages(evidence: Evidence, looks: Looks, window_steps: int) -> AgeCounts:
     out = np.zeros((3, n_steps + 1))
     none_p = np.exp(evidence.log_none)
     unknown = _ages(
-        none_p, evidence.lag_class(min(window_steps, n_steps + 1)), looks.subject, looks.step, looks.publication,
-        looks.n, out,
+        none_p, evidence.lag_class(min(window_steps, n_steps + 1)), since, looks.subject, looks.step,
+        looks.publication, looks.n, out,
     )  # fmt: skip
-    return AgeCounts(out[0], out[1], out[2], unknown)
+    return AgeCounts(out[0], out[1], out[2], *unknown)
 
 
 @compiled
-def _ages(none_p, lag_class, subject, step, publication, n, out):
-    unknown = 0.0
+def _ages(none_p, lag_class, since, subject, step, publication, n, out):
+    unknown = unseen = 0.0
     for row in range(len(subject)):
         s = subject[row]
         for i in range(publication.shape[1]):
             b, weight = publication[row, i], n[row, i]
             if weight <= 0.0 or b < 0:
                 continue
-            since = step[row] - b
+            passed = step[row] - b
             oldest = min(len(lag_class) - 1, b)
             left = 1.0
             for j in range(1, oldest + 1):
                 u = none_p[lag_class[j], s, b - j]
-                out[1, since + j] += weight * left * (1.0 - u)
+                out[1, passed + j] += weight * left * (1.0 - u)
                 left *= u
                 if left < 1e-9:
                     left = 0.0
                     break
             unknown += weight * left
-            out[0, since] += weight * (1.0 - left)
+            if since[s] < b:
+                unseen += weight * left
+            out[0, passed] += weight * (1.0 - left)
             left = 1.0
             for j in range(oldest, 0, -1):
                 u = none_p[lag_class[j], s, b - j]
-                out[2, since + j] += weight * left * (1.0 - u)
+                out[2, passed + j] += weight * left * (1.0 - u)
                 left *= u
                 if left < 1e-9:
                     break
-    return unknown
+    return unknown, unseen
 
 
 class PairSteps(NamedTuple):

@@ -75,6 +75,8 @@ class Found(NamedTuple):
     """What a replay of the traffic has found about one fleet."""
 
     evidence: law.Evidence
+    since: Int[ndarray, "s"]
+    """Sensing step in which each subject came on the road."""
     pair_steps: law.PairSteps
     pair_subject: Int[ndarray, "k"]
     """Subject of each pair of `pair_steps`."""
@@ -107,14 +109,14 @@ def predicted(server: Server, config: Config, found: Found, gate: law.Gate, look
     age_s = at_s + interval_s * np.arange(n_steps + 1)
     if looks is None:
         none = np.zeros(n_steps + 1)
-        counts, total, evaluators, evaluations = law.AgeCounts(none, none, none, 0.0), 0.0, 0.0, 0.0
+        counts, total, evaluators, evaluations = law.AgeCounts(none, none, none, 0.0, 0.0), 0.0, 0.0, 0.0
     else:
-        counts, total = law.ages(evidence, looks, server.window_steps), looks.total
+        counts, total = law.ages(evidence, looks, server.window_steps, found.since), looks.total
         evaluators, evaluations = law.behind(
             found.pair_steps, found.pair_subject, looks, server.window_steps, first_lag
         )
     known, fresh = counts.newest.sum(), counts.newest[age_s < server.window_s].sum()
-    unevaluated = counts.n_unknown if server.zero else 0.0
+    unevaluated = counts.n_unseen if server.zero else 0.0
 
     def share(n: float) -> float:
         return n / total if total > 0 else float("nan")

@@ -147,3 +147,29 @@ def test_a_grid_is_a_study_that_can_be_swept(run):
     assert done.returncode == 0, done.stderr
     done = cosim("sweep", "grid.toml", "--out", "swept", "--dry-run", cwd=run)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize(
+    "sets",
+    [
+        ["sensing_interval_s=2", "trust.freshness_s=21", "server.cellular.downlink_loss_p=0.3"],
+        ["server.cellular.delay_mean_s=1.5", "server.cellular.uplink_loss_p=0.3", "trust.unseen=zero"],
+        ["radio.model=unit_disk", "radio.range_m=150", "lidar.profile=vlp16", "detector.model=ideal"],
+    ],
+)
+def test_other_sensors_delays_and_losses(tmp_path, sets):
+    (tmp_path / "law.toml").write_text(CONFIG.replace("30", "90"))
+    words = [word for one in sets for word in ("--set", one)]
+    drive(tmp_path / "run", *sets, config=tmp_path / "law.toml")
+    done = cosim(
+        "predict", "freshness", "law.toml", *words, "--against", "run", "--fleets", "0", "--json", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    for row in json.loads(done.stdout)["rows"]:
+        if "newest" in row["metric"] and "mean" in row["metric"]:
+            assert row["value"] == pytest.approx(row["measured"], rel=0.06), row
+        if "lookup_state" in row["metric"]:
+            assert row["value"] == pytest.approx(row["measured"], abs=0.03), row
+        if "evaluators" in row["metric"]:
+            assert row["value"] == pytest.approx(row["measured"], rel=0.08), row
