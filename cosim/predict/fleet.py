@@ -166,7 +166,7 @@ class Fleet:
             publications = gate.before(self.step, self.n_followed)
             ages_s = (self.step - publications) * config.sensing_interval_s + at_s
             received_p = arrival_p(ages_s, server.downlink_loss_p, 0, server)
-            looks, none = law.looks_at(links.sender, since, heard_p, n, publications, received_p)
+            looks, none = law.expected_lookups(links.sender, since, heard_p, n, publications, received_p)
             self.looks.setdefault(period_s, []).append((np.full(n, self.step), actor, publications, looks, none))
         self._count(told_p, heard_p, evaluated_p, log_none[-1], np.bincount(links.sender, heard_p, n), n)
 
@@ -230,11 +230,11 @@ class Fleet:
             "lookups": got.get("lookups", 0.0),
         }
 
-    def _looks_of(self, rows: list[tuple[ndarray, ...]], actors: ndarray) -> law.Looks:
+    def _looks_of(self, rows: list[tuple[ndarray, ...]], actors: ndarray) -> law.ExpectedLookups:
         step, actor, publications, n, none = zip(*rows, strict=True)
         repeated = [np.tile(p, (len(a), 1)) for p, a in zip(publications, actor, strict=True)]
         subject = np.searchsorted(actors, np.concatenate(actor))
-        return law.Looks(
+        return law.ExpectedLookups(
             subject, np.concatenate(step), np.concatenate(repeated), np.concatenate(n), np.concatenate(none)
         )
 
@@ -245,12 +245,12 @@ class Fleet:
         subjects = np.searchsorted(actors, keys >> 32)
         return law.PairSteps(step, subjects[pair], pair.reshape(-1), log_none, n), subjects
 
-    def _meetings(self, actors: ndarray) -> law.Meetings:
+    def _meetings(self, actors: ndarray) -> law.Encounters:
         """Encounters by the first definition of the config, those that are still open included."""
         config = self.config
         if not self.trackers:
             none = np.zeros(0, np.int64)
-            return law.Meetings(none, none, none, none, none, none, none, np.zeros(0))
+            return law.Encounters(none, none, none, none, none, none, none, np.zeros(0))
         rows = self.met + [tracker.close(self.last_step + 1) for tracker in self.trackers[:1]]
         a, b, start, end, departed = (
             np.concatenate([np.zeros(0, np.int64), *(one[name] for one in rows)]).astype(np.int64)
@@ -267,6 +267,6 @@ class Fleet:
         keys, steps, log_missed = (np.concatenate(c) for c in zip(*self.heard, strict=True))
         order = np.lexsort((steps, keys))
         first, stop = (np.searchsorted(keys[order], holder << 32 | other, side) for side in ("left", "right"))
-        return law.Meetings(
+        return law.Encounters(
             since, np.searchsorted(actors, other), start, end, first, stop, steps[order], log_missed[order]
         )

@@ -58,7 +58,7 @@ def n_followed(loss_p: float) -> int:
     return min(_MOST_BROADCASTS, 1 + int(np.ceil(np.log(_REST) / np.log(loss_p))))
 
 
-class Looks(NamedTuple):
+class ExpectedLookups(NamedTuple):
     """Expected lookups by subject and step, and the publication whose value they find."""
 
     subject: Int[ndarray, "r"]
@@ -77,7 +77,7 @@ class Looks(NamedTuple):
         return float(self.n.sum() + self.n_none.sum())
 
 
-def looks_at(
+def expected_lookups(
     subject: Int[ndarray, "p"], holder_since: Int[ndarray, "p"], looked_up_p: Float[ndarray, "p"], n_subjects: int,
     publications: Int[ndarray, "i"], received_p: Float[ndarray, "i"],
 ) -> tuple[Float[ndarray, "s i"], Float[ndarray, "s"]]:  # fmt: skip
@@ -137,7 +137,7 @@ class AgeCounts(NamedTuple):
     """Those of them whose subject was on the road in a step whose evidence counts: it had sent detections."""
 
 
-def ages(evidence: Evidence, looks: Looks, window_steps: int, since: Int[ndarray, "s"]) -> AgeCounts:
+def ages(evidence: Evidence, looks: ExpectedLookups, window_steps: int, since: Int[ndarray, "s"]) -> AgeCounts:
     """Ages that lookups find, equations (4) to (6).
 
     Parameters
@@ -213,7 +213,7 @@ class PairSteps(NamedTuple):
 
 
 def behind(
-    found: PairSteps, pair_subject: Int[ndarray, "k"], looks: Looks, window_steps: int, first_lag: int
+    found: PairSteps, pair_subject: Int[ndarray, "k"], looks: ExpectedLookups, window_steps: int, first_lag: int
 ) -> tuple[float, float]:
     """Expected evaluators and evaluations behind values, summed over lookups, equation (7).
 
@@ -255,7 +255,7 @@ def behind(
     return evaluators, evaluations
 
 
-class Meetings(NamedTuple):
+class Encounters(NamedTuple):
     """Encounters of equipped vehicles in one direction: the holder would know trust in the subject."""
 
     holder_since: Int[ndarray, "n"]
@@ -274,7 +274,7 @@ class Meetings(NamedTuple):
 
 
 def without_trust(
-    evidence: Evidence, meetings: Meetings, gate: Gate, window_steps: int, loss_p: float, first_lag: int
+    evidence: Evidence, meetings: Encounters, gate: Gate, window_steps: int, loss_p: float, first_lag: int
 ) -> float:
     """Share of encounters that end before the holder knows trust in the other, equation (8).
 

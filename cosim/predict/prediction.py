@@ -80,14 +80,16 @@ class Found(NamedTuple):
     pair_steps: law.PairSteps
     pair_subject: Int[ndarray, "k"]
     """Subject of each pair of `pair_steps`."""
-    meetings: law.Meetings
+    meetings: law.Encounters
     first_lag: int
     """Age in sensing steps from which on most reports are at the server."""
     evaluated_p: float
     """Chance that the subject of a lookup is evaluated in a step."""
 
 
-def predicted(server: Server, config: Config, found: Found, gate: law.Gate, looks: law.Looks | None) -> Prediction:
+def predicted(
+    server: Server, config: Config, found: Found, gate: law.Gate, looks: law.ExpectedLookups | None
+) -> Prediction:
     """The prediction for one server.
 
     Parameters

@@ -10,7 +10,7 @@ from cosim.predict import law
 
 def looks(subject, step, publication, n, none=0.0):
     rows = len(subject)
-    return law.Looks(
+    return law.ExpectedLookups(
         np.array(subject), np.array(step), np.array(publication).reshape(rows, -1),
         np.array(n, float).reshape(rows, -1), np.full(rows, none),
     )  # fmt: skip
@@ -80,7 +80,7 @@ def test_ages_and_evaluators_as_by_enumeration(seed):
 def test_lookups_by_hand():
     # Two holders; the second came in step 4. Publications of steps 5 and 3; a vehicle has received them with
     # probabilities 0.5 and 0.8. Of the first, 0.5 find 5, 0.4 find 3, 0.1 find none; of the second, half find none.
-    found, none = law.looks_at(
+    found, none = law.expected_lookups(
         np.array([0, 0]), np.array([0, 4]), np.array([1.0, 1.0]), 1, np.array([5, 3]), np.array([0.5, 0.8])
     )
     assert found == pytest.approx(np.array([[1.0, 0.4]])) and none == pytest.approx([0.6])
@@ -95,7 +95,7 @@ def test_evaluations_that_arrive_late_are_behind_later_publications():
 
 
 def meetings(start, end, steps, missed, since=0):
-    return law.Meetings(
+    return law.Encounters(
         np.array([since]), np.array([0]), np.array([start]), np.array([end]), np.array([0]), np.array([len(steps)]),
         np.array(steps, np.int64), np.log(np.array(missed, float)),
     )  # fmt: skip
