@@ -31,6 +31,7 @@ from cosim.cli.console import (
     table_of,
 )  # fmt: skip
 from cosim.cli.nets import nets
+from cosim.cli.predict import predict
 from cosim.door.blame import ExtensionError
 from cosim.door.permission import CodeNotTrusted
 from cosim.execution.stop import Failed, Stopped
@@ -47,6 +48,7 @@ app = typer.Typer(
     help="Co-simulation of cooperative perception under trust at city scale.",
 )
 app.add_typer(nets, name="nets")
+app.add_typer(predict, name="predict")
 studies.add_to(app)
 reproductions.add_to(app)
 validation.add_to(app)

@@ -1,0 +1,111 @@
+"""The law of freshness and simulations over each other: distributions of ages, and points of studies."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy import ndarray
+
+from results.archive import open_run
+from results.figures import style
+from results.metrics import freshness
+
+_MOST = 6
+"""Curves, or groups of points, of one panel."""
+
+
+class Curve(NamedTuple):
+    """A distribution of ages."""
+
+    name: str
+    age_s: Float[ndarray, "n"]
+    weight: Float[ndarray, "n"]
+    """Weight of each age, in any unit."""
+
+
+class Points(NamedTuple):
+    """Predicted and measured ages of points of a study."""
+
+    name: str
+    law_s: Float[ndarray, "n 2"]
+    """Median and 90th percentile."""
+    measured_s: Float[ndarray, "n 2"]
+
+
+def measured(folder: Path, variants: Sequence[str]) -> list[Curve]:
+    """What a run measured, for those of these trust variants that it has."""
+    run = open_run(folder)
+    curves = []
+    for variant in variants:
+        if variant in run.variants:
+            given = freshness.distribution(run.as_variant(variant))
+            curves.append(Curve(variant, given.age_s.to_numpy()[1:], np.diff(given.share.to_numpy())))
+    return curves
+
+
+@style.styled
+def draw(law: Sequence[Curve], simulation: Sequence[Curve] = (), points: Sequence[Points] = ()) -> Figure:
+    """Cumulative shares of lookups by age, the law as lines and the simulation as marks; and points of studies, the
+    law over the simulation."""
+    n = bool(law) + bool(points)
+    figure, panels = style.sheet(columns=max(n, 1), width=7.2 if n < 2 else 9.5, height=4.2)
+    if law:
+        _curves(panels[0], law, simulation)
+    if points:
+        _points(panels[-1], points)
+    return figure
+
+
+def _curves(axes: Axes, law: Sequence[Curve], simulation: Sequence[Curve]) -> None:
+    longest_s = 1.0
+    for i, curve in enumerate(law[:_MOST]):
+        share = np.cumsum(curve.weight) / max(float(curve.weight.sum()), 1e-300)
+        axes.step(curve.age_s, share, where="post", color=style.ink(i), label=f"{curve.name}: law")
+        longest_s = max(longest_s, float(curve.age_s[min(int(np.searchsorted(share, 0.99)), len(share) - 1)]))
+        for one in simulation:
+            if one.name == curve.name:
+                axes.plot(
+                    one.age_s, np.cumsum(one.weight) / one.weight.sum(), linestyle="none", marker=style.marker(i),
+                    markerfacecolor="none", color=style.ink(i), label=f"{curve.name}: simulation",
+                )  # fmt: skip
+    style.panel(axes, "Age of the newest evaluation at lookup", "Age [s]", "Share of values at most this old")
+    style.share_axis(axes)
+    axes.set_xlim(0, 1.05 * longest_s)
+    axes.legend(loc="lower right")
+
+
+def _points(axes: Axes, points: Sequence[Points]) -> None:
+    every = np.concatenate([np.concatenate([p.law_s, p.measured_s]).ravel() for p in points])
+    every = every[np.isfinite(every) & (every > 0)]
+    ends = np.array([0.8 * every.min(initial=1.0), 1.25 * every.max(initial=10.0)])
+    for share, dash in ((0.0, "-"), (0.1, style.dash(1)), (0.2, style.dash(2))):
+        for sign in (1, -1) if share else (1,):
+            axes.plot(ends, ends * (1 + sign * share), color=style.PALE, linestyle=dash, linewidth=0.9)
+    for i, p in enumerate(points[:_MOST]):
+        for k, what in enumerate(("median", "90th percentile")):
+            axes.plot(
+                p.measured_s[:, k], p.law_s[:, k], linestyle="none", marker=style.marker(i), color=style.ink(i),
+                markerfacecolor=style.ink(i) if k == 0 else "none", label=f"{p.name}, {what}",
+            )  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlim(*ends)
+    axes.set_ylim(*ends)
+    style.panel(
+        axes, "Points: law over simulation (dashes: 10 and 20 %)", "Age by simulation [s]", "Age by the law [s]"
+    )
+    axes.legend(loc="upper left", fontsize=7.5)
+
+
+def points_of(name: str, law: Sequence[dict[str, Any]], measured: Sequence[dict[str, Any]]) -> Points:
+    """Points from the metrics of each, for those that were measured."""
+    metrics = [f"freshness.newest_evaluation_age.{what}" for what in ("median_s", "p90_s")]
+    both = [(p, m) for p, m in zip(law, measured, strict=True) if metrics[0] in m]
+    return Points(name, *(
+        np.array([[one[metric] for metric in metrics] for one in column], float).reshape(-1, 2)
+        for column in (zip(*both, strict=True) if both else ((), ()))
+    ))  # fmt: skip

@@ -1,0 +1,192 @@
+"""Expected returns from the bodies around a sensor, by a few lines to each body instead of a whole sweep.
+
+It needs poses alone: where bodies and buildings stand, and the beams of the sensor. Nothing is cast and nothing is
+drawn.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from sensors.boxes import Boxes
+from sensors.kernel import compiled, kernel
+from sensors.lidar import Beams
+from sensors.line_of_sight import WallIndex
+from sensors.neighbours import Neighbours
+from sensors.scene import Prisms
+
+N_LINES = 5
+"""Lines to each body, evenly spaced over its width as the sensor sees it."""
+
+
+class ExpectedReturns(NamedTuple):
+    """Expected returns of sensor o from body b, one row per pair of the `Neighbours` that were given."""
+
+    n: Float[ndarray, "k"]
+    """With everything that stands in front; may be below 1."""
+    n_unoccluded: Float[ndarray, "k"]
+    """If nothing stood in front."""
+
+    @property
+    def seen_p(self) -> Float[ndarray, "k"]:
+        """Probability of at least one return, for rays whose place relative to the body is uniformly distributed."""
+        return np.minimum(self.n, 1.0)
+
+    @property
+    def occlusion(self) -> Float[ndarray, "k"]:
+        """Share of the unoccluded returns that are missing, in [0, 1]; 0 where there are none."""
+        return 1.0 - np.divide(self.n, self.n_unoccluded, out=np.ones_like(self.n), where=self.n_unoccluded > 0)
+
+
+def expected_returns(
+    origin_m: Float[ndarray, "m 3"], yaw_rad: Float[ndarray, "m"], own: Int[ndarray, "m"], beams: Beams,
+    near: Neighbours, boxes: Boxes, bodies: Prisms, walls: WallIndex, range_m: float,
+) -> ExpectedReturns:  # fmt: skip
+    """Expected returns of every sensor from every body near it.
+
+    Parameters
+    ----------
+    origin_m, yaw_rad
+        Poses of the sensors, world frame.
+    own
+        Row of the body that carries each sensor; it neither blocks nor is seen.
+    beams
+        Rays of the sensors.
+    near
+        Bodies near each sensor, by sensor.
+    boxes, bodies
+        Boxes and bodies, by row; world frame.
+    walls
+        Buildings.
+    range_m
+        Farthest return.
+
+    Returns
+    -------
+    One row per row of `near`.
+
+    Notes
+    -----
+    A body fills an interval of azimuth. Each of `N_LINES` lines, in the middle of equal parts of the interval, stands
+    for the columns of its part. On a line, the body fills an interval of slopes, from the road side of its nearest edge
+    to its highest edge. The nearer bodies on the line hide the slopes below their own highest edge, because bodies
+    stand on the road. A building between the sensor and the body hides all of it. What remains are the rows of beams
+    between two slopes.   Deviations from a sweep: no gap under a trailer, no range noise, no dropouts; the road hides
+    nothing.
+    """
+    line = np.empty((len(near.row), N_LINES, 2))  # of each pair and line: expected returns, unoccluded
+    ends = np.empty((len(near.row), N_LINES, 3))
+    _lines(
+        origin_m, yaw_rad, own, near.ptr, near.row, boxes.xyz_m, boxes.circumradius_m, bodies, beams.tan_el,
+        beams.fov_rad, len(beams.azimuth_rad) / beams.fov_rad, range_m, line, ends,
+    )  # fmt: skip
+    o = np.repeat(np.arange(len(origin_m)), np.diff(near.ptr))
+    pair, number = np.nonzero(line[:, :, 0] > 0)
+    points = np.concatenate([origin_m, ends[pair, number]])
+    hidden = ~walls.has_los(points, o[pair], len(origin_m) + np.arange(len(pair)))
+    line[pair[hidden], number[hidden], 0] = 0.0
+    return ExpectedReturns(line[:, :, 0].sum(axis=1), line[:, :, 1].sum(axis=1))
+
+
+@kernel
+def _crossed(bodies, k, x, y, cos, sin):
+    """Distances at which a horizontal line from (x, y) enters and leaves prism k; the second is not above the first
+    where it misses."""
+    c, s = bodies.cos[k], bodies.sin[k]
+    dx, dy = x - bodies.x_m[k], y - bodies.y_m[k]
+    p, q = c * dx + s * dy, c * dy - s * dx
+    u, v = c * cos + s * sin, c * sin - s * cos
+    enter, leave = -np.inf, np.inf
+    for at, along, half in ((p, u, bodies.half_l_m[k]), (q, v, bodies.half_w_m[k])):
+        if abs(along) < 1e-12:
+            if abs(at) > half:
+                return 1.0, 0.0
+        else:
+            one, other = (-half - at) / along, (half - at) / along
+            enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
+    return max(enter, 0.0), leave
+
+
+@kernel
+def _width(bodies, j, x, y, middle):
+    """Least and greatest bearing of the corners of body j from (x, y), relative to the bearing `middle`."""
+    low, high = np.inf, -np.inf
+    for k in range(bodies.ptr[j], bodies.ptr[j + 1]):
+        for a in (-1.0, 1.0):
+            for b in (-1.0, 1.0):
+                along, across = a * bodies.half_l_m[k], b * bodies.half_w_m[k]
+                dx = bodies.x_m[k] + bodies.cos[k] * along - bodies.sin[k] * across - x
+                dy = bodies.y_m[k] + bodies.sin[k] * along + bodies.cos[k] * across - y
+                turn = np.arctan2(dy, dx) - middle
+                turn -= 2 * np.pi * np.rint(turn / (2 * np.pi))
+                low, high = min(low, turn), max(high, turn)
+    return low, high
+
+
+@kernel
+def _rows_between(slopes, low, high):
+    """Number of ascending slopes in [low, high)."""
+    n = 0
+    for slope in slopes:
+        if low <= slope < high:
+            n += 1
+    return n
+
+
+@compiled
+def _lines(
+    origin, yaw, own, ptr, row, xyz, radius, bodies, slopes, fov_rad, columns_per_rad, range_m, line, ends
+):  # fmt: skip
+    """Write the expected returns of each line, and where it meets the body."""
+    n_lines = line.shape[1]
+    for o in range(len(origin)):
+        x, y, z = origin[o, 0], origin[o, 1], origin[o, 2]
+        for pair in range(ptr[o], ptr[o + 1]):
+            j = row[pair]
+            line[pair] = 0.0
+            ends[pair] = 0.0
+            apart = np.hypot(xyz[j, 0] - x, xyz[j, 1] - y)
+            if j == own[o] or apart - radius[j] > range_m:
+                continue
+            middle = np.arctan2(xyz[j, 1] - y, xyz[j, 0] - x)
+            low, high = _width(bodies, j, x, y, middle)
+            n_columns = (high - low) * columns_per_rad / n_lines
+            for i in range(n_lines):
+                bearing = middle + low + (i + 0.5) * (high - low) / n_lines
+                turn = bearing - yaw[o]
+                turn -= 2 * np.pi * np.rint(turn / (2 * np.pi))
+                if abs(turn) > 0.5 * fov_rad:
+                    continue
+                cos, sin = np.cos(bearing), np.sin(bearing)
+                first, bottom, top = np.inf, np.inf, -np.inf
+                for k in range(bodies.ptr[j], bodies.ptr[j + 1]):
+                    enter, leave = _crossed(bodies, k, x, y, cos, sin)
+                    if enter < leave and enter <= range_m:
+                        near = max(enter, 0.01)
+                        first = min(first, near)
+                        bottom = min(bottom, (bodies.bottom_m[k] - z) / near, (bodies.bottom_m[k] - z) / leave)
+                        top = max(top, (bodies.top_m[k] - z) / near, (bodies.top_m[k] - z) / leave)
+                if not first < np.inf:
+                    continue
+                line[pair, i, 1] = n_columns * _rows_between(slopes, bottom, top)
+                hidden = bottom
+                for other in range(ptr[o], ptr[o + 1]):
+                    b = row[other]
+                    if b == j or b == own[o]:
+                        continue
+                    # Bodies away from the line, or behind the body, hide nothing.
+                    dx, dy = xyz[b, 0] - x, xyz[b, 1] - y
+                    if abs(cos * dy - sin * dx) > radius[b] or cos * dx + sin * dy - radius[b] > first:
+                        continue
+                    for k in range(bodies.ptr[b], bodies.ptr[b + 1]):
+                        enter, leave = _crossed(bodies, k, x, y, cos, sin)
+                        if enter < leave and enter < first:
+                            near = max(enter, 0.01)
+                            hidden = max(hidden, (bodies.top_m[k] - z) / near, (bodies.top_m[k] - z) / leave)
+                line[pair, i, 0] = n_columns * _rows_between(slopes, hidden, top)
+                ends[pair, i, 0], ends[pair, i, 1] = x + first * cos, y + first * sin
+                ends[pair, i, 2] = max(z + 0.5 * (max(hidden, bottom) + top) * first, 0.1)
