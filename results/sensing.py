@@ -47,7 +47,8 @@ def _schedule(run: Run) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
 def _read(run: Run) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
     names = ["sensing_interval_steps", "sensing_phase_steps"]
     vehicles = run.table("vehicles", ["vehicle", *names])
-    every = max(1, int(run.manifest.get("sense_every_steps", 1)))
+    interval_s = run.config.get("sensing_interval_s", run.dt_s)
+    every = max(1, int(run.manifest.get("sense_every_steps", round(interval_s / run.dt_s))))
     size = 1 + int(vehicles.vehicle.max()) if len(vehicles) else 1
     columns = np.full(size, every), np.zeros(size, np.int64)
     for column, name in zip(columns, names, strict=True):

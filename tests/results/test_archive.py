@@ -15,7 +15,7 @@ from tests.results.synthetic import write
 
 EMPTY = (
     "encounter_trust", "reactions", "dropped_detections", "evidence", "fused_evidence", "transmitted_evaluations",
-    "transmitted_scores", "attack_outcomes", "lookup_totals", "position_errors", "tracks",
+    "transmitted_scores", "attack_outcomes", "lookup_totals", "position_errors", "tracks", "cpm_content",
 )  # fmt: skip
 """Tables without rows in a run with one trust variant, no driver and no tracking."""
 
