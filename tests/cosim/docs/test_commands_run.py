@@ -23,6 +23,7 @@ INSTEAD = {
     "make test": "true",  # this is it
     "source .venv/bin/activate": "true",
     "python3 -m venv": "true",
+    "cosim validate --full": "cosim validate --list",
 }
 """What stands for a command that sets up an environment, or takes minutes."""
 
