@@ -43,6 +43,7 @@ def draw(runs: Sequence[Run], radius_m: float | None = None, pairs: str | None =
             if axes.lines:
                 axes.set_xscale(scale)
                 axes.set_yscale("log")
+                axes.minorticks_off()
             else:
                 axes.text(0.5, 0.5, "too few", transform=axes.transAxes, ha="center", color="#666666")
     figure.suptitle(" / ".join(dict.fromkeys(titles)), fontsize=9)

@@ -491,13 +491,14 @@ def radio(of):
 
 
 def detection(of):
-    """Environmental awareness on the steps that `cosim measure` samples: evenly, about 4,000 frames."""
+    """Environmental awareness on the steps that `cosim measure` samples: sweeps, evenly, about 4,000 frames."""
     who, boxes = vehicles(of), of.table("detections")
     if not len(boxes):
         return
     equipped = who[who.equipped]
-    stride = max(1, -(-int((equipped.last_step - equipped.first_step + 1).sum()) // 4000))
-    steps = np.arange(stride // 2, of.steps, stride)
+    every = round(of.sensing_s / of.dt_s)
+    stride = max(1, -(-int(((equipped.last_step - equipped.first_step + 1) / every).sum()) // 4000))
+    steps = np.arange(0, of.steps, every)[stride // 2 :: stride]
     poses = of.table("actors")
     poses = poses[poses.step.isin(steps)]
     fused = of.table("fused").merge(
