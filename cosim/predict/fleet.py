@@ -187,12 +187,17 @@ class Fleet:
         Raises
         ------
         ValueError
-            If there was no traffic.
+            If there was no traffic, or no equipped vehicle.
         """
         if not self.step:
             raise ValueError(
                 f"traffic.scenario = {self.config.traffic.scenario}: the traffic ended before the first step, so there "
                 "is nothing to predict. Shorten traffic.warmup_s."
+            )
+        if not self.inputs.get("equipped"):
+            raise ValueError(
+                f"fleet.penetration_p = {self.config.fleet.penetration_p:g}: no equipped vehicle was on the road, so "
+                "there is nothing to predict. Raise it, or traffic.duration_s."
             )
         actors = np.array(sorted(self.since), np.int64)
         n_steps = max(self.step, 1)

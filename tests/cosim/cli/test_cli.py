@@ -110,6 +110,7 @@ FOOTPATH = NET + (
         (["frobnicate"], "No such command"),
         (["measure", "nowhere"], "nowhere is not a folder"),
         (["plot", "trust", "full"], "is not a run"),
+        (["resume", "study"], "study is a study. Continue it with: cosim sweep"),
         (["plot", "love", "full"], "love"),
     ],
 )
@@ -122,7 +123,7 @@ def test_a_mistake_gets_one_line_and_status_2(tmp_path, words, says):
         "refused.sumocfg": '<configuration><input><net-file value="car.net.xml"/></input></configuration>',
         "car.net.xml": FOOTPATH.replace('allow="pedestrian" ', "").replace('to="b"', 'to="missing"'),
         "bomb.sumocfg": '<!DOCTYPE x [<!ENTITY a "b">]><configuration>&a;</configuration>',
-        "file": "", "full/something": "", "taken/manifest.json": "{}",
+        "file": "", "full/something": "", "study/index.parquet": "", "taken/manifest.json": "{}",
     }.items():  # fmt: skip
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)

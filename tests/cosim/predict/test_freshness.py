@@ -133,6 +133,7 @@ def test_a_short_run_is_as_predicted(run):
         (["law.toml", "--set", "trust.host=local"], 'host = "local": the law of freshness covers'),
         (["freshness", "--grid", "x.toml"], "--set and --grid go with a config"),
         (["nothing.toml"], "nothing.toml"),
+        (["law.toml", "--set", "fleet.penetration_p=0"], "no equipped vehicle was on the road"),
     ],
 )
 def test_mistakes_are_one_line(run, words, message):
