@@ -1,4 +1,4 @@
-"""Libraries that not everybody needs: they come with an extra of the package."""
+"""Libraries that only some features need; they come with an extra of the package."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

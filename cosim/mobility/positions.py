@@ -1,4 +1,4 @@
-"""Positions of vehicles in traces that nobody simulated: tables with columns, taxi logs, trajectories from drones."""
+"""Positions of vehicles in traces from elsewhere: tables with columns, taxi logs, trajectories from drones."""
 
 import re
 import zlib

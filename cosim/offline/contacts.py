@@ -1,4 +1,4 @@
-"""Encounters of traces that nobody simulated here, and of runs with other definitions: a run folder without sensing."""
+"""Encounters of traces from elsewhere, and of runs with other definitions: a run folder without sensing."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence

@@ -73,7 +73,7 @@ def of_run(run: Run, what: What, definition: pd.Series, departure: Departure = "
         Values of the columns of `DEFINITION`, as a row of `definitions`.
     departure
         Whether an actor that leaves ends its encounters, or censors them. Between encounters a departure always
-        censors: nobody knows when the two would have met again.
+        censors: it is not known when the two would have met again.
 
     Notes
     -----
