@@ -8,10 +8,10 @@ arrive before t + 2 timeout. Then every vehicle fuses with the trust that it kno
 evaluations that have reached it by t, and broadcasts trust at t. Roadside units pass this broadcast on during the round
 of evaluations.
 
-Not all vehicles need to sense in a step (`cosim.mobility.schedule`). Those that do perceive, send, evaluate, look up and
-fuse; all receive. The inbox then keeps messages for vehicles that sense later.
+Not all vehicles need to sense in a step (`cosim.mobility.schedule`). Those that do perceive, send, evaluate, look up
+and fuse; all receive. The inbox then keeps messages for vehicles that sense later.
 
-Piggybacked evaluations wait for the detection messages of the sender's next step. They are too late for fusion, so each vehicle
+Piggybacked evaluations wait for the sender's next detection message. They are too late for fusion, so each vehicle
 fuses with its own evaluations only. They are in time for trust.
 """
 
