@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
-from itertools import repeat
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy import ndarray
 from cosim.mobility.actors import ActorRegistry
 from cosim.mobility.fcd import Timestep, timesteps
 from cosim.mobility.frame import Frame, TrafficError
+from cosim.mobility.interpolation import LONGEST_S, interpolated
 from cosim.mobility.objects import PREFIX
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.remarks import FlowCounts
@@ -59,6 +60,8 @@ class TraceReplay(_Replay):
     Step 0 is the world before the trace's first timestep, as in a run with SUMO. Step s is the timestep at
     `begin + warm-up + (s - 1) * step_s`, because SUMO labels a step with the time at which it began.
 
+    If the trace's timesteps are longer than `step_s`, actors are interpolated between them (`interpolation`).
+
     Sizes and classes come from the vehicle types that `files` define. For other types they are guessed from the name.
     """
 
@@ -75,6 +78,11 @@ class TraceReplay(_Replay):
         self._shape_of = cache(partial(_shape_of, self._types))
         self._number: dict[tuple[str, bool], int] = {}
         self._left_out: dict[str, str] = {}
+        self._rows_of: tuple[list[str], Int[ndarray, "m"], Int[ndarray, "m"]] | tuple[None, None, None] = (
+            None,
+            None,
+            None,
+        )
         self._timesteps = timesteps(path)
         self._ahead = [timestep for _, timestep in zip(range(_N_PROBED), self._timesteps, strict=False)]
         if not any(timestep.names for timestep in self._ahead) and len(self._ahead) < _N_PROBED:
@@ -83,11 +91,20 @@ class TraceReplay(_Replay):
         times_s = np.array([timestep.time_s for timestep in self._ahead])
         every_s = np.diff(times_s).min() if len(times_s) > 1 else self._dt_s
         steps = self._dt_s / every_s
-        if abs(steps - round(steps)) > 1e-3 or steps < 1 - 1e-3:
+        if steps > 1 - 1e-3:
+            fits, self._interpolated_s = abs(steps - round(steps)) < 1e-3, None
+        else:
+            fits = abs(1 / steps - round(1 / steps)) < 1e-3 and every_s < LONGEST_S + 1e-3
+            self._interpolated_s = float(every_s)
+        if not fits:
             raise TrafficError(
                 f"{path} has a timestep every {every_s:g} s, and traffic.step_s = {self._dt_s:g} s is no multiple of "
-                "it. Set traffic.step_s to a multiple, or record the trace with shorter timesteps."
+                f"it, and no fraction of it either{'' if every_s < LONGEST_S + 1e-3 else ' that is interpolated'}. Set "
+                "traffic.step_s to a multiple, or record the trace with shorter timesteps."
             )
+        if self._interpolated_s is not None:
+            self._timesteps = interpolated(chain(self._ahead, self._timesteps), every_s, round(1 / steps))
+            self._ahead = []
         self._begin_s = float(times_s[0]) if params.begin_s is None else params.begin_s
         self._last_s = self._begin_s
 
@@ -96,20 +113,9 @@ class TraceReplay(_Replay):
         step, self._step = self._step, self._step + 1
         timestep = self._at(self._begin_s + (self._n_skipped + step - 1) * self._dt_s)
         self._frame = self._frame.around(timestep.front_m)
-        shape = np.fromiter(map(self._shape_of, timestep.types), np.int16, len(timestep.types))
-        for row in np.flatnonzero(shape == _LEFT_OUT).tolist():
-            self._left_out.setdefault(timestep.names[row], self._types(timestep.types[row]).vclass)
-        rows = np.flatnonzero((shape != _LEFT_OUT) & ~_inside_vehicle(timestep, shape))
-        is_person = (shape == Shape.PEDESTRIAN)[rows].tolist()
-        keys = list(zip([timestep.names[row] for row in rows.tolist()], is_person, strict=True))
-        number = self._numbers(keys)
-        if (new := np.flatnonzero(number == _UNKNOWN)).size:
-            self._register(timestep, rows[new], shape, step)
-            number = self._numbers(keys)
-        values, n = np.unique(number, return_counts=True)
-        if len(values) < len(number):
-            name = keys[int(np.flatnonzero(number == values[n > 1][0])[0])][0]
-            raise TrafficError(f"{self._source}: {name!r} occurs twice at {timestep.time_s:g} s. Remove the copies.")
+        if timestep.names is not self._rows_of[0]:  # between two timesteps of the trace, the actors are the same
+            self._rows_of = timestep.names, *self._on_road(timestep, step)
+        _, rows, number = self._rows_of
         world = world_from_bumpers(
             step, number, timestep.front_m[rows], timestep.compass_deg[rows], timestep.speed_mps[rows],
             self._registry, self._frame,
@@ -119,6 +125,8 @@ class TraceReplay(_Replay):
     def report(self) -> dict[str, Any]:
         report: dict[str, Any] = {"actors_left_out": dict(sorted(Counter(self._left_out.values()).items()))}
         report |= self._counts.report()
+        if self._interpolated_s is not None:
+            report["trace_interpolated_s"] = self._interpolated_s
         return report | ({"origin_m": list(self._frame.origin_m)} if self._frame.is_around else {})
 
     def close(self) -> None:
@@ -137,6 +145,24 @@ class TraceReplay(_Replay):
             self._last_s = first.time_s
             if first.time_s > time_s - _TOLERANCE_S:
                 return first
+
+    def _on_road(self, timestep: Timestep, step: int) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"]]:
+        """Rows of the timestep that are on the road, and their actor numbers. New actors are registered."""
+        shape = np.fromiter(map(self._shape_of, timestep.types), np.int16, len(timestep.types))
+        for row in np.flatnonzero(shape == _LEFT_OUT).tolist():
+            self._left_out.setdefault(timestep.names[row], self._types(timestep.types[row]).vclass)
+        rows = np.flatnonzero((shape != _LEFT_OUT) & ~_inside_vehicle(timestep, shape))
+        is_person = (shape == Shape.PEDESTRIAN)[rows].tolist()
+        keys = list(zip([timestep.names[row] for row in rows.tolist()], is_person, strict=True))
+        number = self._numbers(keys)
+        if (new := np.flatnonzero(number == _UNKNOWN)).size:
+            self._register(timestep, rows[new], shape, step)
+            number = self._numbers(keys)
+        values, n = np.unique(number, return_counts=True)
+        if len(values) < len(number):
+            name = keys[int(np.flatnonzero(number == values[n > 1][0])[0])][0]
+            raise TrafficError(f"{self._source}: {name!r} occurs twice at {timestep.time_s:g} s. Remove the copies.")
+        return rows, number
 
     def _numbers(self, keys: list[tuple[str, bool]]) -> Int[ndarray, "n"]:
         return np.fromiter(map(self._number.get, keys, repeat(_UNKNOWN)), np.int32, len(keys))

@@ -11,6 +11,7 @@ import pyarrow.csv as pcsv
 import pyarrow.parquet as pq
 import pytest
 
+from cosim.mobility.interpolation import curve
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.scenario import find
 from cosim.mobility.source import TrafficError
@@ -198,3 +199,75 @@ def test_a_bad_trace_gets_one_line(tmp_path, name):
         while True:
             traffic.advance()
     assert says in str(caught.value) and name in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_between_the_timesteps_of_a_trace_actors_are_where_sumo_had_them(tmp_path):
+    """Every tenth timestep of a trace of 0.1 s, replayed at 0.1 s, beside the whole trace."""
+    record(catalogue.find("helsinki").sumocfg_path, tmp_path / "fcd.parquet", 90, **{"step-length": 0.1})
+    trace = pq.read_table(tmp_path / "fcd.parquet")
+    tenth = np.round(trace.column("timestep_time").to_numpy() * 10).astype(int) % 10 == 0
+    pq.write_table(trace.filter(pa.array(tenth)), tmp_path / "coarse.parquet")
+    params, off_m, off_mps = TrafficParams(step_s=0.1), [], []
+    worlds = [
+        collect(find("helsinki", str(tmp_path / name)).traffic(params, registry()), 80, 95)
+        for name in ("fcd.parquet", "coarse.parquet")
+    ]
+    for step, (true, between) in enumerate(zip(*worlds, strict=False)):
+        if (step - 1) % 10 == 0:
+            assert len(true["actor"]) == len(between["actor"])
+        keys = [dict(zip(w["name_key"].tolist(), range(len(w["actor"])), strict=True)) for w in (true, between)]
+        assert keys[1].keys() <= keys[0].keys()
+        rows = np.array([(keys[0][key], keys[1][key]) for key in keys[1]]).T
+        off_m += np.hypot(*(true["xyz_m"][rows[0]] - between["xyz_m"][rows[1]])[:, :2].T).tolist()
+        off_mps += np.abs(true["speed_mps"][rows[0]] - between["speed_mps"][rows[1]]).tolist()
+    assert len(off_m) > 3000
+    assert np.quantile(off_m, 0.9) < 0.1 and np.quantile(off_mps, 0.9) < 0.2
+
+
+def test_curves_between_two_poses():
+    """By hand: constant speed on a straight line; constant acceleration; a quarter of a circle of 5 m, within 8 cm."""
+    begin, north = np.zeros((1, 3)), (np.zeros(1), np.zeros(1))
+    straight = curve(begin, np.array([[0.0, 10.0, 2.0]]), north, (np.full(1, 10.0), np.full(1, 10.0)), 0.3)
+    np.testing.assert_allclose(straight, [[0.0, 3.0, 0.6]], atol=1e-12)
+    braking = curve(begin, np.array([[0.0, 5.0, 0.0]]), north, (np.full(1, 10.0), np.zeros(1)), 0.5)
+    np.testing.assert_allclose(braking[0, 1], 10 * 0.5 - 10 * 0.5**2 / 2)  # 10 m/s, -10 m/s2, half a second
+    arc = np.full(1, 5 * np.pi / 2)  # radius 5 m, from north to east
+    middle = curve(begin, np.array([[5.0, 5.0, 0.0]]), (np.zeros(1), np.full(1, 90.0)), (arc, arc), 0.5)
+    np.testing.assert_allclose(middle[0, :2], [5 - 5 * np.sqrt(0.5), 5 * np.sqrt(0.5)], atol=0.055)
+
+
+def test_actors_that_appear_leave_or_are_put_elsewhere_are_not_interpolated(tmp_path):
+    """`jump` is put 500 m away; `ends` and `comes` are at one timestep only; a person rides in `car`."""
+
+    def row(kind: str, name: str, x: float, angle: float = 90.0) -> str:
+        type_ = "DEFAULT_PEDTYPE" if kind == "person" else "t"
+        return f'<{kind} id="{name}" x="{x}" y="0" angle="{angle}" type="{type_}" speed="10"/>'
+
+    first = (
+        row("vehicle", "car", 0)
+        + row("person", "rider", 0, 80)
+        + row("vehicle", "ends", 50)
+        + row("vehicle", "jump", 100)
+    )
+    second = (
+        row("vehicle", "car", 10)
+        + row("person", "rider", 10, 80)
+        + row("vehicle", "comes", 50)
+        + row("vehicle", "jump", 600)
+    )
+    (tmp_path / "a.xml").write_text(
+        f'<fcd-export><timestep time="0">{first}</timestep><timestep time="1">{second}</timestep></fcd-export>'
+    )
+    traffic = find(str(tmp_path / "a.xml")).traffic(TrafficParams(step_s=0.25), registry())
+    worlds = collect(traffic, 0, 99)
+    assert [len(world["actor"]) for world in worlds] == [0, 3, 1, 1, 1, 3]
+    np.testing.assert_allclose([world["xyz_m"][0, 0] for world in worlds[1:]], [-2.5, 0.0, 2.5, 5.0, 7.5], atol=0.01)
+    assert traffic.report()["trace_interpolated_s"] == 1.0
+
+
+def test_a_trace_that_is_too_coarse_is_not_interpolated(tmp_path):
+    rows = "".join(f'<timestep time="{5 * t}"><vehicle id="a" x="{t}" y="0" angle="90" type="t" speed="2"/></timestep>'
+                   for t in range(4))  # fmt: skip
+    (tmp_path / "a.xml").write_text(f"<fcd-export>{rows}</fcd-export>")
+    with pytest.raises(TrafficError, match=r"every 5 s, and traffic.step_s = 1 s"):
+        find(str(tmp_path / "a.xml")).traffic(TrafficParams(), registry())
