@@ -238,12 +238,13 @@ TABLES: Mapping[str, Table] = {
     ),
     "position_errors": Table(
         "standard",
-        "Position errors of equipped vehicles, if the config has [gnss]. A vehicle's error displaces all boxes of its detections, its self report included, and of its fused objects.",
+        "Errors of the estimated poses of equipped vehicles, if the config has [gnss]. They displace and turn all boxes of a vehicle's detections, its self report included, and of its fused objects.",
         {
             "step": _STEP,
             "vehicle": _key("Vehicle (actor number)."),
             "error_x_m": Column("float32", unit="m", truth=True, bits=10, meaning="Position error, east: estimated minus true position."),
             "error_y_m": Column("float32", unit="m", truth=True, bits=10, meaning="Position error, north: estimated minus true position."),
+            "error_yaw_rad": Column("float32", unit="rad", truth=True, bits=18, absent="zero", meaning="Error of the heading, counter-clockwise: estimated minus true heading."),
         },
     ),
     "tracks": Table(

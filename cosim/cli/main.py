@@ -116,6 +116,9 @@ def options(
 def run(
     config: ConfigPath = None,
     overrides: Overrides = None,
+    preset: Annotated[
+        str | None, typer.Option(help="Start from these keys: paper, modern or v0.2. The same as --set preset=NAME.")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Run folder to write. The default is the next runs/<city>-N.")
     ] = None,
@@ -134,7 +137,8 @@ def run(
     from cosim.execution import run as running
     from cosim.execution.check import changed_since
 
-    experiment = load(config, overrides, trust_code)
+    chosen = [] if preset is None else [f"preset={preset}"]
+    experiment = load(config, chosen + (overrides or []), trust_code)
     for remark in changed_since(config, experiment):
         notes.print(remark, soft_wrap=True)
     if watch and watch_file is not None:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Le
 
 from cosim.adversary.params import PAPER, AttackParams, check_attacks
+from cosim.config import preset
 from cosim.config.data import check_finite, check_keys, is_plain, override, read_toml, validated
 from cosim.door.blame import at_load, definition_line
 from cosim.door.kinds import SECTIONS
@@ -84,6 +85,9 @@ class TrustVariant:
 class Config:
     """One experiment."""
 
+    preset: str = preset.DEFAULT
+    """Set of keys that the config starts from: `paper`, `modern` or `v0.2`. Keys of the config come before those of the
+    preset. See `cosim/config/presets`."""
     seed: Annotated[int, Ge(0), Le(2**63 - 1)] = 4
     """Seed of all random numbers except SUMO's."""
     sensing_interval_s: Annotated[float, Ge(0.1), Le(3600)] = 1.0
@@ -274,6 +278,8 @@ def with_defaults(data: dict[str, Any]) -> dict[str, Any]:
 def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Config:
     """Build a config from plain data. Relative paths are relative to `folder`. The function modifies `data`."""
     variants = data.pop("trust_variant", [])
+    has_step = bool({"step_s", "trace"} & _section_of(data, "traffic").keys())
+    preset.under(data, where)
     _rename(data, [data.get("trust"), *(variants if isinstance(variants, list) else [])], where)
     own: dict[str, dict[str, Any]] = {}
     types = {f.name: f.type for f in fields(Config)}
@@ -298,19 +304,25 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
         if isinstance(mesh.get("file"), str):
             mesh["file"] = str(((folder or Path()) / mesh["file"]).resolve())
     traffic = data.get("traffic", {})
-    if isinstance(traffic.get("scenario"), str) and not {"step_s", "trace"} & traffic.keys():
+    if isinstance(traffic.get("scenario"), str) and not has_step:
         if (own_s := _own_step_s(traffic["scenario"])) is not None:
-            traffic["step_s"] = own_s
+            traffic["step_s"] = min(own_s, traffic.get("step_s", own_s))
     config = validated(Config, data, "", where)
     stated = data["trust"] | own.get("trust", {})
     config = replace(config, own={section: values for section, values in own.items() if values})
     return replace(config, trust_variant=_variants(variants, stated, config, where, folder))
 
 
+def _section_of(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    section = data.get(name, {})
+    return section if isinstance(section, Mapping) else {}
+
+
 def of_run(recorded: Mapping[str, Any], folder: Path, trust_code: bool = False) -> Config:
     """The config in the manifest of a run folder. Python files that it names are loaded only with `trust_code`."""
     with loading_code(folder, trust_code):
-        return resolve_data(copy.deepcopy(dict(recorded)), f"{folder}/manifest.json", None)
+        data = {"preset": "v0.2"} | copy.deepcopy(dict(recorded))  # runs of earlier versions name no preset
+        return resolve_data(data, f"{folder}/manifest.json", None)
 
 
 def of_run_without_code(recorded: Mapping[str, Any], folder: Path) -> Config:

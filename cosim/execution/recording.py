@@ -157,10 +157,11 @@ def _detections(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     seen = sensed.positioned.observed.observability
     pseudonym = sensed.senders.pseudonym[sensed.listed.detections.message]
     recorder.append("detections", world.step, detection_columns(world, sensed.listed, pseudonym))
-    if sensed.positioned.error_m is not None:
-        x, y = sensed.positioned.error_m.T
+    if sensed.positioned.error is not None:
+        x, y, heading = sensed.positioned.error.T
         recorder.append("position_errors", world.step, {
             "vehicle": sensed.vehicles.actor, "error_x_m": x, "error_y_m": y,
+            **({"error_yaw_rad": heading} if heading.any() else {}),  # a draw is never exactly 0
         })  # fmt: skip
     n_dropped = sensed.listed.n_dropped
     faults = np.flatnonzero(n_dropped)

@@ -133,7 +133,7 @@ def _cycle(
     beliefs, reaction_truth = None, s.reaction_truth
     if c.driver.model != "none":
         with watch("driver"):
-            beliefs = stages.beliefs_of(fused[0], exchange, known, positioned.error_m)
+            beliefs = stages.beliefs_of(fused[0], exchange, known, world, positioned.error)
             reaction_truth = reaction_truth.next(exchange, listed, c.traffic.step_s)
     with watch("track"):
         attack_start = tracking.track_attacks(s.attack_start, exchange, listed, evaluated)

@@ -1,4 +1,4 @@
-"""Effects of position errors (estimated minus true) on what a vehicle perceives and transmits."""
+"""Effects of positioning errors (estimated minus true) on what a vehicle perceives and transmits."""
 
 from dataclasses import replace
 
@@ -8,35 +8,81 @@ from numpy import ndarray
 
 from cosim.step.perception import Observed
 from cosim.world import World
+from sensors.boxes import Boxes
+from sensors.statistical_detector import wrap
 
 
-def as_believed(observed: Observed, rows: Int[ndarray, "e"], error_m: Float[ndarray, "e 2"]) -> Observed:
-    """Displace sensors, self-reports and detections by the position error of their vehicle.
+def as_estimated(
+    boxes: Boxes,
+    rows: Int[ndarray, "n"],
+    true_m: Float[ndarray, "e 3"],
+    error: Float[ndarray, "e 3"],
+    back: bool = False,
+) -> Boxes:
+    """Boxes that a vehicle measured relative to itself, placed where it estimates them to be.
+
+    Parameters
+    ----------
+    boxes
+        Boxes in the world frame, relative to the vehicles' true poses.
+    rows
+        For each box, the row of its vehicle in `true_m` and `error`.
+    true_m
+        True positions of the vehicles.
+    error
+        Errors east [m], north [m], and of the heading [rad]: estimated minus true.
+    back
+        Do the opposite: place boxes of the estimated frame where they are relative to the true poses.
+
+    Returns
+    -------
+    The boxes, turned around their vehicles by the error of the heading and displaced by that of the position.
+    """
+    xyz_m, yaw_rad = boxes.xyz_m.copy(), boxes.yaw_rad
+    shift_m, turn_rad = error[rows, :2], error[rows, 2]
+    if back:
+        xyz_m[:, :2] -= shift_m
+    if turn_rad.any():
+        turn_rad = -turn_rad if back else turn_rad
+        dx, dy = (xyz_m[:, :2] - true_m[rows, :2]).T
+        cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+        xyz_m[:, :2] = true_m[rows, :2] + np.column_stack([cos * dx - sin * dy, sin * dx + cos * dy])
+        yaw_rad = wrap(yaw_rad + turn_rad)
+    if not back:
+        xyz_m[:, :2] += shift_m
+    return replace(boxes, xyz_m=xyz_m, yaw_rad=yaw_rad)
+
+
+def as_believed(observed: Observed, world: World, rows: Int[ndarray, "e"], error: Float[ndarray, "e 3"]) -> Observed:
+    """Displace and turn sensors, self-reports and detections by the errors of their vehicle.
 
     The surroundings keep their position relative to the vehicle. Received objects are displaced relative to them by
-    the difference of two position errors.
+    the difference of two errors.
 
     Parameters
     ----------
     observed
         What vehicles perceived at their true positions.
+    world
+        All actors at their true positions.
     rows
         The vehicles' rows of the world.
-    error_m
-        Position errors east and north, estimated minus true.
+    error
+        As in `as_estimated`.
     """
     sweeps, detections = observed.sweeps, observed.detections
-    origin_m, xyz_m = sweeps.poses.origin_m.copy(), detections.boxes.xyz_m.copy()
-    origin_m[:, :2] += error_m
-    xyz_m[:, :2] += error_m[np.searchsorted(rows, detections.observer)]
+    true_m, of = world.boxes.xyz_m[rows], np.searchsorted(rows, detections.observer)
+    origin_m = sweeps.poses.origin_m.copy()
+    origin_m[:, :2] += error[:, :2]  # sensors stand above the centres of their vehicles
+    yaw_rad = wrap(sweeps.poses.yaw_rad + error[:, 2]) if error[:, 2].any() else sweeps.poses.yaw_rad
     return replace(
-        observed, sweeps=replace(sweeps, poses=replace(sweeps.poses, origin_m=origin_m)),
-        detections=replace(detections, boxes=replace(detections.boxes, xyz_m=xyz_m)),
+        observed, sweeps=replace(sweeps, poses=replace(sweeps.poses, origin_m=origin_m, yaw_rad=yaw_rad)),
+        detections=replace(detections, boxes=as_estimated(detections.boxes, of, true_m, error)),
     )  # fmt: skip
 
 
-def believed_world(world: World, rows: Int[ndarray, "e"], error_m: Float[ndarray, "e 2"]) -> World:
-    """The world with equipped vehicles at their estimated positions. They compare received boxes with it.
+def believed_world(world: World, rows: Int[ndarray, "e"], error: Float[ndarray, "e 3"]) -> World:
+    """The world with equipped vehicles at their estimated poses. They compare received boxes with it.
 
     Parameters
     ----------
@@ -44,9 +90,12 @@ def believed_world(world: World, rows: Int[ndarray, "e"], error_m: Float[ndarray
         All actors at their true positions.
     rows
         Rows of the equipped vehicles.
-    error_m
-        Position errors east and north, estimated minus true.
+    error
+        As in `as_estimated`.
     """
-    xyz_m = world.boxes.xyz_m.copy()
-    xyz_m[rows, :2] += error_m
-    return replace(world, boxes=replace(world.boxes, xyz_m=xyz_m))
+    xyz_m, yaw_rad = world.boxes.xyz_m.copy(), world.boxes.yaw_rad
+    xyz_m[rows, :2] += error[:, :2]
+    if error[:, 2].any():
+        yaw_rad = yaw_rad.copy()
+        yaw_rad[rows] = wrap(yaw_rad[rows] + error[:, 2])
+    return replace(world, boxes=replace(world.boxes, xyz_m=xyz_m, yaw_rad=yaw_rad))

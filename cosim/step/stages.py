@@ -23,7 +23,7 @@ from cosim.step.known import Known, Pairs
 from cosim.step.object_lists import messages_of, questions_of, received_lists, subset
 from cosim.step.parts import Parts
 from cosim.step.perception import Observed
-from cosim.step.positioning import as_believed, believed_world
+from cosim.step.positioning import as_believed, as_estimated, believed_world
 from cosim.step.precomputed import Precomputed
 from cosim.v2x.cpm_generation import CpmContent, CpmState, Generators, generate
 from cosim.v2x.messages import (
@@ -105,9 +105,9 @@ class Positioned:
 
     observed: Observed
     world: World
-    """The world with every vehicle at its estimated position; the true world without `[gnss]`."""
-    error_m: Float[ndarray, "e 2"] | None
-    """Position error of each vehicle, estimated minus true, east and north; None without `[gnss]`."""
+    """The world with every vehicle at its estimated pose; the true world without `[gnss]`."""
+    error: Float[ndarray, "e 3"] | None
+    """Errors of each vehicle, estimated minus true: east [m], north [m], heading [rad]; None without `[gnss]`."""
     objects: ObjectStates | None = None
     """What tracking says about the detector's reports, in the order of the detections; None without tracking."""
 
@@ -117,11 +117,11 @@ def position(
 ) -> tuple[PositionErrors, Positioned]:
     """Apply position errors to what vehicles perceive; return the new state of the errors and the result."""
     c = config
-    if c.gnss.std_m <= 0:
+    if c.gnss.is_exact:
         return errors, Positioned(observed, world, None)
-    errors, error_m = errors.next(world.step, vehicles.actor, vehicles.name_key, c.gnss, c.traffic.step_s, c.seed)
-    observed = as_believed(observed, vehicles.row[vehicles.senses], error_m[vehicles.senses])
-    return errors, Positioned(observed, believed_world(world, vehicles.row, error_m), error_m)
+    errors, error = errors.next(world.step, vehicles.actor, vehicles.name_key, c.gnss, c.traffic.step_s, c.seed)
+    observed = as_believed(observed, world, vehicles.row[vehicles.senses], error[vehicles.senses])
+    return errors, Positioned(observed, believed_world(world, vehicles.row, error), error)
 
 
 def senders_among(world: World, vehicles: Vehicles) -> Bool[ndarray, "n"] | None:
@@ -574,9 +574,9 @@ def evaluate_objects(
 
 
 def beliefs_of(
-    fused: Fused | None, exchange: Exchange, messages: Known, position_error_m: Float[ndarray, "e 2"] | None
+    fused: Fused | None, exchange: Exchange, messages: Known, world: World, error: Float[ndarray, "e 3"] | None
 ) -> Beliefs:
-    """Fused objects for the drivers, moved from the estimated to the true positions of the vehicles.
+    """Fused objects for the drivers, moved from the estimated to the true poses of the vehicles.
 
     Parameters
     ----------
@@ -584,17 +584,18 @@ def beliefs_of(
         Fused objects of the acting variant.
     exchange, messages
         Vehicles of the step, and the detections that they know.
-    position_error_m
-        As `Positioned.error_m`.
+    world
+        All actors at their true positions.
+    error
+        As `Positioned.error`.
     """
     assert fused is not None, "the acting variant is always fused"
     objects, message = messages.objects, messages.detections.message[fused.seed]
     boxes, pose = objects.boxes.take(fused.seed), objects.boxes.take(fused.pose)
     boxes = replace(boxes, xyz_m=pose.xyz_m, yaw_rad=pose.yaw_rad)
-    if position_error_m is not None:
-        error_m = position_error_m[exchange.vehicles.senses[fused.ego]]
-        apart_m = np.column_stack([error_m, np.zeros(len(fused.ego))])
-        boxes = replace(boxes, xyz_m=boxes.xyz_m - apart_m)
+    if error is not None:
+        of = exchange.vehicles.senses
+        boxes = as_estimated(boxes, fused.ego, world.boxes.xyz_m[exchange.vehicles.row[of]], error[of], back=True)
     return Beliefs(
         known_s=exchange.now.fused_s,
         ego=exchange.sensing.row[fused.ego],

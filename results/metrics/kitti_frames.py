@@ -181,7 +181,7 @@ def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m
 
     Returns
     -------
-    Boxes by frame, within a frame in the order of the list. The error of the observer's own position is subtracted.
+    Boxes by frame, within a frame in the order of the list. The errors of the observer's own pose are undone.
     """
     index = "fused_index" if which == "fused" else "detection_index"
     columns = ["step", "observer", index, "class", *BOX, "score"]
@@ -196,7 +196,7 @@ def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m
     order = np.lexsort([boxes[index], at])
     boxes, at = boxes.iloc[order], at[order]
     world = boxes[[*BOX]].to_numpy(np.float64, copy=True)
-    world[:, :2] -= position_errors(run, poses)[at]
+    world = in_true_frame(world, poses, at, position_errors(run, poses))
     box, ahead, height_px = ahead_of(poses, at, world, range_m)
     n = int(ahead.sum())
     return Objects(
@@ -206,17 +206,48 @@ def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m
 
 
 def position_errors(run: Run, poses: Poses) -> np.ndarray:
-    """Error of each observer's estimate of its own position: estimated minus true. Its boxes are displaced by it.
+    """Errors of each observer's estimate of its own pose: estimated minus true. Its boxes are displaced by them.
 
     Returns
     -------
-    East and north component [m], one row per row of `poses`; 0 where the run has no errors.
+    East [m], north [m] and heading [rad], one row per row of `poses`; 0 where the run has no errors.
     """
     if "position_errors" not in run.tables:
-        return np.zeros((len(poses), 2))
+        return np.zeros((len(poses), 3))
     found = run.table("position_errors", where=at_steps(poses.step.unique())).set_index(["step", "vehicle"])
     found = found.reindex(pd.MultiIndex.from_frame(poses[["step", "observer"]]))
-    return found[["error_x_m", "error_y_m"]].fillna(0.0).to_numpy(np.float64)
+    return found[["error_x_m", "error_y_m", "error_yaw_rad"]].fillna(0.0).to_numpy(np.float64)
+
+
+def in_true_frame(boxes: np.ndarray, poses: Poses, i: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """Boxes of the observers' estimated frames, placed where they are relative to the observers' true poses.
+
+    Parameters
+    ----------
+    boxes
+        x, y, z of the centre, length, width, height, yaw [n, 7].
+    poses
+        Observers.
+    i
+        Row of `poses` of each box's observer.
+    errors
+        As `position_errors` returns them.
+
+    Returns
+    -------
+    The boxes [n, 7].
+    """
+    placed, true_m, turn = boxes.copy(), poses[["x_m", "y_m"]].to_numpy(np.float64)[i], errors[i, 2]
+    dx, dy = (boxes[:, :2] - errors[i, :2] - true_m).T
+    cos, sin = np.cos(turn), np.sin(turn)
+    turned = turn != 0  # without an error of the heading, boxes keep every bit
+    placed[:, :2] = np.where(
+        turned[:, None],
+        true_m + np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx]),
+        boxes[:, :2] - errors[i, :2],
+    )
+    placed[:, 6] = np.where(turned, np.pi - np.mod(np.pi - (boxes[:, 6] - turn), 2 * np.pi), boxes[:, 6])
+    return placed
 
 
 def ahead_of(poses: Poses, i: np.ndarray, box: np.ndarray, range_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -71,7 +71,7 @@ def test_steps():
     ("override", "words"),
     [
         ("radio.raneg_m=3", "unknown key .* Did you mean radio.range_m"),
-        ("nonsense=3", "unknown key .* Known: seed"),
+        ("nonsense=3", "unknown key .* Known: preset, seed"),
         ("radio.range_m=-3", r"radio.range_m = -3 should be greater than 0. Set radio.range_m in"),
         ("radio.range_m=0.3", "Metres, not kilometres"),
         ("radio.range_m='far'", "valid number"),

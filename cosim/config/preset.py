@@ -1,0 +1,49 @@
+"""Presets: named sets of keys that a config starts from."""
+
+import difflib
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from cosim.config.data import read_toml
+
+DEFAULT = "v0.2"
+"""The preset of a config that names none."""
+_FOLDER = Path(__file__).parent / "presets"
+
+
+def names() -> list[str]:
+    """Names of all presets."""
+    return sorted(path.name.removesuffix(".toml") for path in _FOLDER.glob("*.toml"))
+
+
+def under(data: dict[str, Any], where: str) -> None:
+    """Add the keys of the preset that `data` names, unless `data` sets them itself. `data` is modified.
+
+    Raises
+    ------
+    ValueError
+        There is no preset of that name; the message is one line.
+    """
+    name = data.setdefault("preset", DEFAULT)
+    if not isinstance(name, str) or name not in names():
+        near = difflib.get_close_matches(str(name), names(), 1)
+        hint = f'Did you mean "{near[0]}"?' if near else f"Known: {', '.join(names())}."
+        raise ValueError(f"preset = {name!r}: there is no such preset in {where}. {hint}")
+    _add(data, _preset(name))
+
+
+@cache
+def _preset(name: str) -> dict[str, Any]:
+    return read_toml(_FOLDER / f"{name}.toml", "preset")
+
+
+def _add(data: dict[str, Any], more: Mapping[str, Any]) -> None:
+    for key, value in more.items():
+        if isinstance(value, Mapping):
+            inner = data.setdefault(key, {})
+            if isinstance(inner, dict):  # otherwise validation reports the wrong type
+                _add(inner, value)
+        else:
+            data.setdefault(key, list(value) if isinstance(value, list) else value)

@@ -1,0 +1,81 @@
+"""Presets: what they set, what comes before them, and what is said of a name that is none."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cosim.config import preset
+from cosim.config.config import Config, of_run, resolve_data
+from cosim.config.data import read_toml
+from cosim.studies import study
+from tests.drive import cosim
+
+
+def config(**data):
+    return resolve_data({"attacks": [], "encounters": [{}]} | data, "a test", None)
+
+
+def recorded(config):
+    """The config as a manifest has it."""
+    return json.loads(json.dumps(config.to_dict()))
+
+
+def test_version_0_2_is_every_keys_default():
+    assert config(preset="v0.2") == replace(Config(), preset="v0.2", attacks=())
+
+
+@pytest.mark.parametrize("name", preset.names())
+def test_a_presets_keys_hold_unless_the_config_sets_them(name):
+    """Every key of the file is in the config; and a key of the user's own comes first."""
+    found, told = config(preset=name).to_dict(), read_toml(preset._FOLDER / f"{name}.toml", "preset")
+    for key, value in flat(told).items():
+        assert flat(found)[key] == value, key
+    own = config(preset=name, lidar={"profile": "vlp16"}, trust={"unseen": "skip"}, sensing_interval_s=2.0)
+    assert (own.preset, own.lidar.profile, own.trust.unseen, own.sensing_interval_s) == (name, "vlp16", "skip", 2.0)
+
+
+def flat(data, prefix=""):
+    pairs = {}
+    for key, value in data.items():
+        value = list(value) if isinstance(value, tuple) else value
+        pairs |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return pairs
+
+
+def test_resolving_a_resolved_config_changes_nothing():
+    once = config(preset="modern")
+    assert resolve_data(recorded(once), "a test", None) == once
+
+
+def test_a_run_of_an_earlier_version_has_no_preset():
+    manifest = recorded(Config())
+    del manifest["preset"], manifest["sensing_phase"], manifest["gnss"]
+    of = of_run(manifest, Path("runs/old"))
+    assert (of.preset, of.sensing_phase, of.gnss.std_m) == ("v0.2", "common", 0.0)
+
+
+def test_the_step_of_the_users_own_scenario_is_kept_if_it_is_shorter(tmp_path):
+    for step, wanted in ((0.1, 0.1), (1.0, 0.2)):
+        file = tmp_path / f"of_{step}.sumocfg"
+        file.write_text(f'<configuration><time><step-length value="{step}"/></time></configuration>')
+        assert config(preset="modern", traffic={"scenario": str(file)}).traffic.step_s == wanted
+    assert config(preset="modern", traffic={"step_s": 0.5}).traffic.step_s == 0.5
+
+
+def test_a_study_can_sweep_presets(tmp_path):
+    file = tmp_path / "worlds.toml"
+    file.write_text('[study]\nname = "worlds"\n[grid]\npreset = ["v0.2", "modern"]\n')
+    found = study.load(file)
+    phases = [study.config_at(found, keys, 0, "a test").sensing_phase for keys in found.combinations()]
+    assert phases == ["common", "random"]
+
+
+@pytest.mark.parametrize(
+    "words", [("run", "--preset", "moder"), ("check", "--set", "preset=moder"), ("check", "--set", "preset=7")]
+)
+def test_a_name_that_is_none(words):
+    done = cosim(*words)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "preset" in done.stderr
+    assert "modern" in done.stderr
