@@ -167,7 +167,7 @@ def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
         ("whitewashing", 20, 20),
         ("revocation", 16, 16),
         ("busy_channel", 8, 8),
-        ("redundancy", 60, 60),
+        ("redundancy", 40, 40),
         ("asynchrony", 135, 54),
         ("access", 36, 36),
         pytest.param("cities", 8, 8, marks=pytest.mark.verify),  # builds two cities
