@@ -55,7 +55,10 @@ def export(
 
 def view(
     folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
-    out: Annotated[Path, typer.Option(help="File to write (.rrd). `rerun FILE.rrd` opens it.")],
+    out: Annotated[Path | None, typer.Option(help="File to write (.rrd). `rerun FILE.rrd` opens it.")] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Follow a run that is computed now, in the viewer, or in the file of --out.")
+    ] = False,
     vehicles: Annotated[
         list[int] | None,
         typer.Option(
@@ -68,9 +71,21 @@ def view(
     as_json: AsJson = False,
 ) -> None:
     """Write a run as a recording for the Rerun viewer, with a map, the city in 3D and trust over time."""
+    from cosim.offline.view import follow
     from cosim.offline.view import view as write
     from results.archive import open_run
 
+    if live:
+        if from_s or to_s is not None:
+            raise ValueError("--from and --to go with a run that has ended. Leave them out, or leave --live out.")
+        with progress() as advance:
+            done = follow(
+                folder, out, tuple(vehicles or ()), progress=lambda what, n, total: advance(what, n, total, "")
+            )
+        print_done(done, f"showed {done['steps']} steps of {folder}, status {done['status']}", as_json)
+        return
+    if out is None:
+        raise ValueError("Say where the recording goes: --out FILE.rrd. A run that is computed now: --live.")
     with progress() as advance:
         done = write(
             open_run(folder), out, tuple(vehicles or ()), from_s, to_s, clouds,

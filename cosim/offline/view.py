@@ -15,6 +15,7 @@ No server is started, and only the file is written. The viewer itself collects u
 import errno
 import os
 import shutil
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -29,6 +30,7 @@ from cosim.config.config import Config
 from cosim.mobility.scenario import find
 from cosim.offline.export import Sweeper
 from cosim.offline.replay_lidar import city_of, config_of
+from results.archive import open_run
 from results.durable import PARTIAL
 from results.export.moments import BOX
 from results.extras import needed
@@ -81,8 +83,7 @@ def view(
         In one line: the file cannot be written, a vehicle has no LiDAR, no step is in the time span, or the viewer's
         package is not installed.
     """
-    if out.suffix != ".rrd":
-        raise ValueError(f"--out {out}: a recording ends in .rrd.")
+    _check_name(out)
     run.require("actors", "vehicles", "detections", "trust", "encounters")
     end_s = int(run.manifest["steps"]) * run.dt_s if to_s is None else to_s
     steps = np.arange(int(run.manifest["steps"]))
@@ -114,6 +115,83 @@ def view(
     return {"out": str(out), "steps": len(steps), "bytes": out.stat().st_size}
 
 
+def follow(
+    folder: Path, out: Path | None = None, vehicles: Sequence[int] = (), every_s: float = 1.0,
+    progress: Progress = lambda what, done, total: None,
+) -> dict[str, Any]:  # fmt: skip
+    """Show a run while another process computes it, block by block, until it ends.
+
+    Parameters
+    ----------
+    folder
+        The run folder. A run that has ended is shown to its end.
+    out
+        Recording to write; None opens the viewer.
+    vehicles
+        Vehicles whose detections and beliefs are shown.
+    every_s
+        Time between two looks into the folder [s].
+
+    Raises
+    ------
+    ValueError
+        In one line: the folder holds no run, the file cannot be written, or the viewer does not start.
+    """
+    if out is not None:
+        _check_name(out)
+    shown, known = 0, dict[int, float]()
+    recording = None
+    while True:
+        run = open_run(folder, unfinished=True)
+        n_steps, has_ended = int(run.manifest["steps"]), run.status != "running"
+        if n_steps > shown:
+            steps, config = np.arange(shown, n_steps), config_of(run)
+            if recording is None:
+                look_m = first_look(run, steps, vehicles)
+                recording = _spawned(look_m) if out is None else _open(out, look_m)
+                surroundings(recording, config, city_of(config))
+            encounters, trust = _encounters(run), _trust(run)
+            for at in range(0, len(steps), BLOCK_STEPS):
+                _block(recording, run, config, steps[at : at + BLOCK_STEPS], trust, known, encounters, vehicles, None)
+            _over_time(recording, run, trust, steps, vehicles)
+            shown = n_steps
+            progress("view", shown, int(run.config["traffic"]["duration_s"] / run.dt_s))
+        if has_ended:
+            break
+        time.sleep(every_s)
+    if recording is None:
+        raise ValueError(f"{folder}: the run ended before its first step was on disk, so there is nothing to show.")
+    recording.flush(timeout_sec=_PATIENCE_S)
+    recording.disconnect()
+    if out is not None:
+        _partial(out).replace(out)
+    return {"out": None if out is None else str(out), "steps": shown, "status": run.status}
+
+
+def _check_name(out: Path) -> None:
+    if out.suffix != ".rrd":
+        raise ValueError(f"--out {out}: a recording ends in .rrd.")
+
+
+def _spawned(look_m: Float[ndarray, "3"]):  # type: ignore[no-untyped-def]
+    """The viewer, with a blueprint that shows map, city and trust."""
+    sdk()
+    import rerun
+
+    recording = rerun.RecordingStream("cosim")
+    try:
+        recording.spawn(hide_welcome_screen=True)
+    except (RuntimeError, OSError) as error:
+        raise ValueError(f"--live: the Rerun viewer does not start: {error}. Write a file with --out.") from None
+    send_layout(recording, look_m)
+    return recording
+
+
+def _encounters(run: Run) -> pd.DataFrame:
+    found = run.table("encounters", ["a", "b", "start_step", "end_step", "pairs"])
+    return found[found.pairs != "all"]
+
+
 def _write(  # type: ignore[no-untyped-def]
     recording, out: Path, run: Run, config: Config, city: Scene, steps: Int[ndarray, "s"], vehicles: Sequence[int],
     clouds: bool, progress: Progress,
@@ -122,9 +200,7 @@ def _write(  # type: ignore[no-untyped-def]
     _require_space(out)
     surroundings(recording, config, city)
     sweeper = Sweeper(run, config, city, steps)
-    encounters = run.table("encounters", ["a", "b", "start_step", "end_step", "pairs"])
-    encounters = encounters[encounters.pairs != "all"]
-    trust = _trust(run)
+    encounters, trust = _encounters(run), _trust(run)
     known: dict[int, float] = {}
     for at in range(0, len(steps), BLOCK_STEPS):
         block = steps[at : at + BLOCK_STEPS]

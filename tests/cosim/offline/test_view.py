@@ -2,6 +2,8 @@
 
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 from PIL import Image
 
 from cosim.offline.replay_lidar import film
-from cosim.offline.view import colours, first_look, role_colours, view
+from cosim.offline.view import colours, first_look, follow, role_colours, view
 from results.archive import open_run
 from tests.drive import cosim, drive
 
@@ -126,3 +128,31 @@ def test_movie(folder, tmp_path):
     ):  # fmt: skip
         with pytest.raises(ValueError, match=says):
             film(run, number, tmp_path / name)
+
+
+def test_a_run_is_followed_while_it_is_computed(tmp_path):
+    """Blocks of two steps appear meanwhile; the recording has every step, and the run is as it would have been."""
+    target, out = tmp_path / "run", tmp_path / "live.rrd"
+    words = ("run", "--set", "traffic.duration_s=12", "--set", "record.block_steps=2", "--out", str(target))
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(cosim, *words)
+        while not (target / "manifest.json").exists():
+            assert not running.done(), running.result().stderr
+            time.sleep(0.05)
+        done = follow(target, out, every_s=0.1)
+        assert running.result().returncode == 0
+    assert done == {"out": str(out), "steps": 12, "status": "finished"}
+    assert rerun("verify", str(out)).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ((), "--out FILE.rrd"),
+        (("--live", "--from", "3"), "--from and --to"),
+        (("--live", "--out", "a.txt"), "ends in .rrd"),
+    ],
+)
+def test_mistakes_of_following(folder, words, says):
+    done = cosim("view", str(folder), *words)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and says in done.stderr
