@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.mobility.actors import ActorRegistry
-from cosim.mobility.car_following import calibrated
+from cosim.mobility.car_following import YELLOW_MPS2, calibrated
 from cosim.mobility.frame import Frame, TrafficError
 from cosim.mobility.lane_lines import LaneLines
 from cosim.mobility.params import TrafficParams
@@ -371,6 +371,7 @@ def _options(params: TrafficParams, config: sumocfg.Sumocfg, scratch: Path, has_
         "device.rerouting.threads": 0,
         "output-prefix": _prefix(scratch),
         **({"collision.action": "warn", "collision.check-junctions": "true"} if has_driver else {}),
+        **({"tls.yellow.min-decel": YELLOW_MPS2} if params.car_following == "calibrated" else {}),
         **({} if params.begin_s is None else {"begin": params.begin_s}),
         **({} if params.scale == 1 else {"scale": params.scale}),
     }

@@ -39,10 +39,11 @@ def test_only_types_change_and_only_what_is_calibrated(tmp_path):
     defaults, types = after.additional
     assert types.read_text() == TYPES.replace(
         '<vType id="car" sigma="0.5" note="a > b" decel=\'4.5\'>',
-        '<vType carFollowModel="EIDM" accel="1.5" decel="1.5" tau="1.0" minGap="2.0" id="car" note="a > b">',
+        '<vType carFollowModel="EIDM" decel="1.5" jerkmax="5" accel="1.5" tau="1.0" minGap="2.0" id="car" '
+        'note="a > b">',
     ).replace(
         '<vType decel="4.0" vClass="truck" id="lorry" length="9"/>',
-        '<vType carFollowModel="EIDM" accel="0.8" decel="1.5" tau="1.5" vClass="truck" id="lorry" length="9"/>',
+        '<vType carFollowModel="EIDM" decel="1.5" jerkmax="5" tau="1.5" vClass="truck" id="lorry" length="9"/>',
     )
     assert defaults.read_text().count("DEFAULT_") == 2
     assert before.additional[0].read_text() == TYPES
