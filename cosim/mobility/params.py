@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
@@ -30,6 +30,10 @@ class TrafficParams:
     used."""
     duration_s: Annotated[float, Gt(0), Le(1e8)] = 300.0
     """Recorded duration after the warm-up [s]. The run is shorter if the traffic ends earlier."""
+    car_following: Literal["scenario", "calibrated"] = "scenario"
+    """How vehicles accelerate, follow and brake. `scenario`: as the scenario's vehicle types say. `calibrated`: by the
+    Intelligent Driver Model with published parameters of city traffic, which brakes hard about as often as measured
+    drivers. Sizes, speeds and routes stay. Traces are not changed."""
     step_s: Annotated[float, Ge(0.02), Le(60)] = 1.0
     """Length of one traffic step [s]. If it is not set, the step length of the .sumocfg is used; for a trace, 1 s."""
 

@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.mobility.actors import ActorRegistry
+from cosim.mobility.car_following import YELLOW_MPS2, calibrated
 from cosim.mobility.frame import Frame, TrafficError
 from cosim.mobility.lane_lines import LaneLines
 from cosim.mobility.params import TrafficParams
@@ -106,7 +107,10 @@ class SumoTraffic:
         self._scratch = Scratch()
         try:
             with self._one_line_errors("refuses it"):
-                options = _options(params, sumocfg.read(config), self._scratch.path, has_driver)
+                files = sumocfg.read(config)
+                if params.car_following == "calibrated":
+                    files = calibrated(files, self._scratch.path)
+                options = _options(params, files, self._scratch.path, has_driver)
                 libsumo.start(["sumo", *options])
         except Exception:
             self._clean()
@@ -367,6 +371,7 @@ def _options(params: TrafficParams, config: sumocfg.Sumocfg, scratch: Path, has_
         "device.rerouting.threads": 0,
         "output-prefix": _prefix(scratch),
         **({"collision.action": "warn", "collision.check-junctions": "true"} if has_driver else {}),
+        **({"tls.yellow.min-decel": YELLOW_MPS2} if params.car_following == "calibrated" else {}),
         **({} if params.begin_s is None else {"begin": params.begin_s}),
         **({} if params.scale == 1 else {"scale": params.scale}),
     }

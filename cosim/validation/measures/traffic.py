@@ -10,7 +10,7 @@ from scipy import stats
 
 from cosim.mobility.position_errors import GnssParams
 from cosim.validation.facts import Measured
-from results.metrics.conflicts import tracks
+from results.metrics.conflicts import begins, following, overlaps, tracks
 from results.metrics.safety import stops
 from results.run import Run
 
@@ -53,14 +53,92 @@ def braking_limit(runs: Sequence[Run], *, limit_mps2: float) -> Measured:
     return Measured.of_replicates([[float((_peaks(run) <= limit_mps2).mean())] for run in runs])
 
 
+def sudden_slowing(runs: Sequence[Run], *, drop_mps: float) -> Measured:
+    """Times per 1,000 km that a car slows by this much within one second. The next time counts after it has not."""
+    rows = []
+    for run in runs:
+        poses = _cars(run)
+        lag = round(1.0 / run.dt_s)
+        speed, actor = poses.speed_mps.to_numpy(float), poses.actor.to_numpy()
+        drop = np.zeros(len(poses))
+        same = (actor[lag:] == actor[:-lag]) & (poses.step.diff(lag).to_numpy()[lag:] == lag)
+        drop[lag:] = np.where(same, speed[:-lag] - speed[lag:], 0.0)
+        n = begins(drop >= drop_mps, drop < drop_mps / 2, actor).sum()
+        rows.append([1000 * n / _km(poses, run)])
+    return Measured.of_replicates(rows)
+
+
+def mild_braking(runs: Sequence[Run], *, begin_mps2: float, limit_mps2: float) -> Measured:
+    """Share of the decelerations of cars beyond one limit that stay below another."""
+    rows = []
+    for run in runs:
+        poses = _cars(run)
+        down = -poses.acceleration_mps2.fillna(0.0).to_numpy()
+        actor = poses.actor.to_numpy()
+        event = np.cumsum(begins(down >= begin_mps2, down < begin_mps2, actor))
+        peak = pd.Series(down).groupby(event).max()
+        rows.append([float((peak[peak >= begin_mps2] < limit_mps2).mean())])
+    return Measured.of_replicates(rows)
+
+
+def mean_speed(runs: Sequence[Run]) -> Measured:
+    """Distance over time of all cars on the road, standing ones included [km/h]."""
+    return Measured.of_replicates([[3.6 * float(_cars(run).speed_mps.astype(float).mean())] for run in runs])
+
+
+def steady_headway(
+    runs: Sequence[Run], *, closing_mps: float, acceleration_mps2: float, slowest_mps: float
+) -> Measured:
+    """Mean time from a leader's front to a follower's front of cars that follow steadily [s].
+
+    Steady means: speeds differ by no more than `closing_mps`, the follower's acceleration is no larger than
+    `acceleration_mps2`, and it drives with `slowest_mps` or more. Leaders are those of `results.metrics.conflicts`.
+    """
+    rows = []
+    for run in runs:
+        poses = tracks(run)
+        pairs = following(run, poses).merge(
+            poses[["step", "actor", "speed_mps", "acceleration_mps2"]], on=["step", "actor"]
+        )
+        length_m = run.table("vehicles", ["vehicle", "length_m"]).set_index("vehicle").length_m
+        steady = (pairs.closing_mps.abs() <= closing_mps) & (pairs.acceleration_mps2.abs() <= acceleration_mps2)
+        pairs = pairs[steady & (pairs.speed_mps >= slowest_mps) & pairs.actor.isin(_cars_of(run))]
+        if pairs.empty:
+            raise ValueError(f"{run.path.name}: no car followed another steadily. Run longer.")
+        rows.append([float(((pairs.gap_m + pairs.leader.map(length_m)) / pairs.speed_mps).astype(float).mean())])
+    return Measured.of_replicates(rows)
+
+
+def overlapping(runs: Sequence[Run]) -> Measured:
+    """Pairs of vehicles that overlap by more than 0.3 m, per million km of all vehicles."""
+    rows = []
+    for run in runs:
+        poses = tracks(run)
+        rows.append([1e6 * len(overlaps(run, poses)) / _km(poses, run)])
+    return Measured.of_replicates(rows)
+
+
+def _cars_of(run: Run) -> "pd.Series[int]":
+    kinds = run.table("vehicles", ["vehicle", "vehicle_class"])
+    return kinds.vehicle[kinds.vehicle_class == "car"]
+
+
+def _cars(run: Run) -> pd.DataFrame:
+    """Poses of cars, by actor, then step."""
+    poses = tracks(run)
+    poses = poses[poses.actor.isin(_cars_of(run))].sort_values(["actor", "step"], kind="stable")
+    return poses.reset_index(drop=True)
+
+
+def _km(poses: pd.DataFrame, run: Run) -> float:
+    return float(poses.speed_mps.astype(float).sum()) * run.dt_s / 1000
+
+
 def _peaks(run: Run) -> Float[ndarray, "s"]:
     """Largest deceleration of cars within some seconds before each of their stops [m/s2]."""
-    poses = tracks(run)
-    kinds = run.table("vehicles", ["vehicle", "vehicle_class"])
-    poses = poses[poses.actor.isin(kinds.vehicle[kinds.vehicle_class == "car"])]
+    poses = _cars(run)
     stopped = stops(run, poses)
     before = round(_APPROACH_S / run.dt_s)
-    poses = poses.sort_values(["actor", "step"], kind="stable")
     down = (-poses.acceleration_mps2.fillna(0.0)).groupby(poses.actor).rolling(before, min_periods=1).max()
     peak = pd.Series(down.to_numpy(), pd.MultiIndex.from_frame(poses[["actor", "step"]]))
     found = peak.reindex(pd.MultiIndex.from_frame(stopped[["actor", "step"]])).to_numpy(np.float64)
