@@ -16,7 +16,7 @@ from cosim.radio.params import RadioParams, RelayParams
 from cosim.radio.propagation import PropagationParams
 from cosim.radio.sidelink import log_of, memory_of, room_of
 from cosim.radio.sidelink_params import LteParams, NrParams, SidelinkParams
-from cosim.radio.sidelink_phy import lte_carrier, nr_block_bits, nr_carrier
+from cosim.radio.sidelink_phy import LTE_CURVES, lte_carrier, nr_block_bits, nr_carrier
 
 SIDELINKS = ("nr_mode2", "lte_mode4")
 HIGHWAY = PropagationParams(model="highway")
@@ -340,6 +340,20 @@ def test_transport_blocks():
     lte = lte_carrier(10, 10, 7)
     assert lte.block_bits[0] == 968  # I_TBS 7 on 10 - 2 = 8 resource blocks: table 7.1.7.2.1-1 of TS 36.213
     assert lte.block_bits[1] == 2216  # on 18
+
+
+def test_block_errors_of_lte():
+    """Tables of ns-3 for 2,560 bits: QPSK of rate 0.44 needs 0.5205 bits per bit, where QPSK carries 0.5205 at 0.45 dB.
+
+    MCS 7 on 8 resource blocks: (968 + 24) / (8 x 9 x 12 x 2) = 0.574, between 1.35 dB (0.51) and 2.50 dB (0.60).
+    """
+    x, weight = np.polynomial.hermite_e.hermegauss(60)  # a normal variable
+    for _, at_db, needs in ((0.37, -0.55, 0.4458), (0.44, 0.45, 0.5205), (0.51, 1.35, 0.5902)):
+        s = np.sqrt(10 ** (at_db / 10))  # each bit is a sign of amplitude s in noise of variance 1 [per dimension]
+        bits = 1 - weight @ np.log2(1 + np.exp(-2 * s * (s + x))) / weight.sum()
+        assert bits == pytest.approx(needs, abs=1e-3)
+    assert lte_carrier(10, 10, 7).sinr_db[0] == pytest.approx(1.35 + (0.574 - 0.51) / 0.09 * 1.15, abs=0.01)
+    assert all((np.diff(np.array(rows)[:, 1]) > 0).all() for rows in LTE_CURVES.values())
 
 
 def test_in_band_emission():

@@ -169,7 +169,8 @@ def simulate(s: Setting, seed: int, raw_m: tuple[float, ...]) -> tuple[ndarray, 
     unit["sinr_db"], unit["spread_db"], unit["clear_sinr"], unit["dead_sinr"] = gamma_db, 1e-3, *2 * [from_db(gamma_db)]
     process = np.zeros(n, slots.PROCESS)
     process["key"], process["station"] = rng.keys(np.uint64(7), stations.key), stations.key
-    process["next_slot"], process["generated"] = NEVER, NONE
+    process["generated"] = NONE
+    reserve_at_random(process, np.floor(first).astype(np.int64), s, carrier.n_subchannels, g)
     station = np.zeros(n, slots.STATION)
     station["key"] = stations.key
     memory = memory_of(process, station, np.zeros(n + 1, np.int64), np.zeros(0, slots.ENTRY), unit, links, rules)
@@ -193,6 +194,23 @@ def simulate(s: Setting, seed: int, raw_m: tuple[float, ...]) -> tuple[ndarray, 
         due = (unit["generated"][arrival] >= piece * PIECE) & (unit["generated"][arrival] < (piece + 1) * PIECE)
         slots.run_slots(0, piece * PIECE, (piece + 1) * PIECE, arrival[due], air, memory, log, room, rules)
     return figures(unit, log, apart, range_m, raw_m, n)
+
+
+def reserve_at_random(process, first, s: Setting, n_subchannels: int, g) -> None:
+    """Reserve a random resource for each vehicle, as WiLabV2Xsim does at its start, before anything is sensed.
+
+    The counter is drawn at the start too. It falls when the resource passes, also if the first message comes after it.
+    """
+    n = len(process)
+    resource = g.integers(0, s.period, n)
+    process["next_slot"] = first + 1 + (resource - first - 1) % s.period
+    process["period"], process["width"], process["n_sent"] = s.period, 1, s.n_sent
+    process["counter"] = g.integers(5, 16, n) - (resource <= first)
+    process["sub"][:, : s.n_sent] = g.integers(0, n_subchannels, (n, s.n_sent))
+    if s.n_sent == 2:
+        other = (resource + g.integers(1, s.period, n)) % s.period
+        slot = np.sort(np.column_stack([process["next_slot"], first + 1 + (other - first - 1) % s.period]), axis=1)
+        process["next_slot"], process["gap"][:, 1] = slot[:, 0], slot[:, 1] - slot[:, 0]
 
 
 def figures(unit, log, apart, range_m, raw_m, n):
