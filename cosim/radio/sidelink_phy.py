@@ -7,8 +7,8 @@ References
 .. [3] 3GPP TS 38.101-1 V17.0, clause 6.4F.2.3; TS 36.101 V15.0, clause 6.5.2G.3: in-band emission.
 .. [4] S. Lagen, K. Wanuga, H. Elkotby, S. Goyal, N. Patriciello, L. Giupponi, "New radio physical layer abstraction for
    system-level simulations of 5G networks", ICC 2020; its tables are those of 5G-LENA (`nr-eesm-t1`).
-.. [5] M. Mezzavilla, M. Miozzo, M. Rossi, N. Baldo, M. Zorzi, "A lightweight and accurate link abstraction model for the
-   simulation of LTE networks in ns-3", MSWiM 2012; its tables are those of ns-3 (`lte-mi-error-model.cc`, commit
+.. [5] M. Mezzavilla, M. Miozzo, M. Rossi, N. Baldo, M. Zorzi, "A lightweight and accurate link abstraction model for
+   the simulation of LTE networks in ns-3", MSWiM 2012; its tables are those of ns-3 (`lte-mi-error-model.cc`, commit
    1406466), from link simulations with the Vienna LTE simulator.
 .. [6] 3GPP TR 36.885 V14.0, annex A.2.1.1: in-band emission of LTE-V2X.
 """
@@ -83,11 +83,11 @@ LTE_CURVES: dict[int, tuple[tuple[float, float, float], ...]] = {
 
 Notes
 -----
-From the tables `bEcrTable` and `cEcrTable` of [5]_ for code blocks of 2,560 bits: the block error ratio in AWGN is a normal
-distribution of the mutual information per bit, which its tables `MI_map` convert to SINR.   Deviations: blocks of 1,024
-to 6,144 bits differ by up to 0.13 dB. The source ends at a code rate of 0.51 (QPSK) and 0.60 (16-QAM), and the sidelink
-has fewer symbols for data than the downlink. Rows above keep the last row's distance to the mutual information of the
-modulation, in dB.
+From the tables `bEcrTable` and `cEcrTable` of [5]_ for code blocks of 2,560 bits: the block error ratio in AWGN is a
+normal distribution of the mutual information per bit, which its tables `MI_map` convert to SINR.   Deviations: blocks
+of 1,024 to 6,144 bits differ by up to 0.13 dB. The source ends at a code rate of 0.51 (QPSK) and 0.60 (16-QAM), and the
+sidelink has fewer symbols for data than the downlink. Rows above keep the last row's distance to the mutual information
+of the modulation, in dB.
 """
 
 

@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 
 from cosim import rng
-from cosim.radio import sidelink_slots as slots
+from cosim.radio import sidelink_records as records
 from cosim.radio.channel import Links
 from cosim.radio.dtypes import HALF_DUPLEX, NEVER, NONE, RECEIVED
 from cosim.radio.medium import MEDIA
 from cosim.radio.message_round import ChannelAbuse, Messages, Outcome, RoundKind, Stations
 from cosim.radio.params import RadioParams, RelayParams
 from cosim.radio.propagation import PropagationParams
-from cosim.radio.sidelink import log_of, memory_of, room_of
+from cosim.radio.sidelink_memory import log_of, memory_of, room_of
 from cosim.radio.sidelink_params import LteParams, NrParams, SidelinkParams
 from cosim.radio.sidelink_phy import LTE_CURVES, lte_carrier, nr_block_bits, nr_carrier
+from cosim.radio.sidelink_slots import run_slots
 
 SIDELINKS = ("nr_mode2", "lte_mode4")
 HIGHWAY = PropagationParams(model="highway")
@@ -43,26 +44,26 @@ def parts_of(n, n_messages, *, seed, power_mw=0.0, window=100, n_subchannels=5, 
     power = np.full(len(receiver), power_mw)
     links = Links(key, (n - 1) * np.arange(n + 1), receiver, power, np.zeros(len(receiver), np.uint8))
     stations = Stations(key, np.zeros((n, 3)), n)
-    unit = np.zeros(n * n_messages, slots.UNIT)
+    unit = np.zeros(n * n_messages, records.UNIT)
     unit["station"] = unit["process"] = np.repeat(np.arange(n), n_messages)
     unit["generated"] = np.tile(100 * np.arange(n_messages), n)
     unit["key"] = rng.keys(np.uint64(3), key[unit["station"]], unit["generated"])
     unit["width"] = unit["n_sent"] = 1
     unit["slot"], n_slots = NEVER, 100 * n_messages + 101
     unit["deadline"], unit["clear_sinr"], unit["spread_db"] = n_slots - 1, 1e-9, 1.0
-    process, station = np.zeros(n, slots.PROCESS), np.zeros(n, slots.STATION)
+    process, station = np.zeros(n, records.PROCESS), np.zeros(n, records.STATION)
     process["key"], process["station"], station["key"] = key, key, key
     process["next_slot"], process["generated"] = NEVER, NONE
     if counters is not None:  # all hold the same resource
         process["next_slot"], process["counter"], process["period"] = 50, counters, 100
         process["width"] = process["n_sent"] = 1
-    memory = memory_of(process, station, np.zeros(n + 1, np.int64), np.zeros(0, slots.ENTRY), unit, links, rules)
+    memory = memory_of(process, station, np.zeros(n + 1, np.int64), np.zeros(0, records.ENTRY), unit, links, rules)
     log, air = log_of(unit, links, n_slots), medium.air(links, stations)
     arrival = np.lexsort((unit["key"], unit["generated"]))
 
     def run(first, end):
         due = (unit["generated"][arrival] >= first) & (unit["generated"][arrival] < end)
-        slots.run_slots(0, first, end, arrival[due], air, memory, log, room_of(rules), rules)
+        run_slots(0, first, end, arrival[due], air, memory, log, room_of(rules), rules)
 
     return run, unit, log, memory, n_subchannels
 
@@ -109,7 +110,7 @@ def test_half_duplex_loss():
     n, lost = 12, []
     for seed in range(60):
         _, _, log = alone(n, 1, seed=seed, power_mw=1e-6, window=25)
-        blocks = log.reception.reshape(n, slots.MAX_SENT, n - 1)[:, 0]
+        blocks = log.reception.reshape(n, records.MAX_SENT, n - 1)[:, 0]
         lost.append(np.mean(blocks == HALF_DUPLEX))
     within_three_errors(lost, 1 / 25)
 
@@ -161,7 +162,7 @@ def test_stations_that_hear_each_other_do_not_collide():
     resource, _, log = alone(30, 60, seed=2, power_mw=1e-5, keep_p=0.0, n_subchannels=1)
     late = resource[:, 45:]
     assert all(len(set(column)) >= 28 for column in late.T)
-    assert (log.reception.reshape(30, 60, slots.MAX_SENT, 29)[:, 45:, 0] == RECEIVED).mean() > 0.97
+    assert (log.reception.reshape(30, 60, records.MAX_SENT, 29)[:, 45:, 0] == RECEIVED).mean() > 0.97
 
 
 def stations_of(n, seed=1, length_m=1500.0):
