@@ -265,6 +265,32 @@ def test_times_and_halves_of_a_round(model):
         assert (frames.cbr >= 0).all() and (frames.cbr <= 1).all() and (frames.n_transmissions <= 2).all()
 
 
+@pytest.mark.verify
+def test_losses_come_in_bursts_at_the_same_delivery():
+    """Links with a delivery ratio of 0.7 to 0.8: with `csma` losses are independent, with the sidelink they are not."""
+    after, far = {}, {}
+    for model in ("csma", *SIDELINKS):
+        found = []
+        for seed in (1, 2, 3):
+            stations, medium = stations_of(150, seed, 1000.0), medium_of(model)
+            state, got = medium.start(), np.full((200, 150, 150), -1, np.int8)
+            for k in range(200):
+                state, happened = medium.broadcast(
+                    state, RoundKind.CPM, k, 0.1 * k, stations, Messages.one_each(np.full(150, 350))
+                )
+                frames = happened.frames
+                got[k, happened.station[frames.message], frames.receiver] = frames.outcome == Outcome.RECEIVED
+            found.append(got[50:, (got[50:] >= 0).all(0)].astype(bool))
+        links = np.concatenate(found, axis=1)
+        links = links[:, (links.mean(0) >= 0.7) & (links.mean(0) < 0.8)]
+        lost = ~links
+        after[model] = (lost[1:] & lost[:-1]).sum() / lost[:-1].sum() / lost.mean()
+        far[model] = np.mean(np.concatenate([np.diff(np.flatnonzero(link)) for link in links.T]) > 5)
+    print(after, far)
+    assert after["csma"] == pytest.approx(1.0, abs=0.1)
+    assert all(after[model] > 1.5 and far[model] > 3 * far["csma"] for model in SIDELINKS)
+
+
 def test_repetitions_help_on_an_empty_channel():
     """A station at the edge of the range is heard more often if each message is sent twice."""
     stations = Stations(rng.keys(np.uint64(1), np.arange(2)), np.array([[0.0, 0, 1.6], [900.0, 0, 1.6]]), 2)
