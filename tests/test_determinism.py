@@ -28,6 +28,15 @@ def test_threads_and_blocks_change_nothing(base, tmp_path):
     assert set(fingerprint(base)) == set(TABLES)
 
 
+@pytest.mark.verify
+@pytest.mark.parametrize("medium", ["nr_mode2", "lte_mode4"])
+def test_threads_and_blocks_change_nothing_over_the_sidelink(medium, tmp_path):
+    sidelink = (FULL, f"radio.model={medium}", "traffic.duration_s=10", "traffic.warmup_s=60")
+    one = drive(tmp_path / "one", *sidelink, "compute.threads=1")
+    other = drive(tmp_path / "other", *sidelink, "compute.threads=2", "record.block_steps=3")
+    assert fingerprint(one) == fingerprint(other)
+
+
 def test_seed_changes_what_is_seen_but_not_the_traffic(base, tmp_path):
     other = drive(tmp_path / "seed", FULL, "seed=2")
     was, now = fingerprint(base), fingerprint(other)

@@ -2,10 +2,10 @@
 
 Each station selects its own resources by sensing, and reserves them for its next messages (semi-persistent
 scheduling). A message longer than the largest transport block is segmented. A message is received when all its segments
-are received. `sidelink_slots` carries out the slots.
+are received. `sidelink_slots` carries out the slots; `sidelink_memory` keeps what lasts.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +13,6 @@ from jaxtyping import Int, UInt64
 from numpy import ndarray
 
 from cosim import rng
-from cosim.radio import sidelink_slots as slots
 from cosim.radio.channel import Links
 from cosim.radio.dtypes import NEVER, NONE, RECEIVED
 from cosim.radio.link_budget import from_db
@@ -23,9 +22,11 @@ from cosim.radio.params import RadioParams
 from cosim.radio.propagation import fading_quantiles
 from cosim.radio.receptions import ReceptionAttempts, Transmissions, complete_messages
 from cosim.radio.segmentation import FRAME_BYTES
+from cosim.radio.sidelink_memory import SidelinkState, kept_of, log_of, memory_of, processes_of, room_of, stations_of
 from cosim.radio.sidelink_params import allowed_ms
 from cosim.radio.sidelink_phy import MAC_OVERHEAD_BYTES, Carrier
-from cosim.radio.sidelink_slots import MAX_SENT, Air, Log, Memory, Room, Rules
+from cosim.radio.sidelink_records import MAX_SENT, N_USED, UNIT, Air, Log, Rules
+from cosim.radio.sidelink_slots import next_period, run_slots
 from cosim.ragged import offsets, ranges
 from sensors.kernel import compiled
 from sensors.line_of_sight import LosOfPlaces
@@ -35,22 +36,6 @@ _PROCESSING_SLOTS = {1: 3, 2: 5, 4: 9}
 
 TAIL = 6.0
 """Standard deviations beyond which a block is decoded or lost without a draw."""
-
-
-@dataclass(frozen=True, slots=True)
-class SidelinkState:
-    """All that lasts from one round to the next. Callers only pass it on."""
-
-    process: ndarray = field(default_factory=lambda: np.zeros(0, slots.PROCESS))
-    """Processes of the stations, sorted by key."""
-    station: ndarray = field(default_factory=lambda: np.zeros(0, slots.STATION))
-    ptr: ndarray = field(default_factory=lambda: np.zeros(1, np.int64))
-    """Where each station's entries begin."""
-    entry: ndarray = field(default_factory=lambda: np.zeros(0, slots.ENTRY))
-    """Reservations that stations have decoded."""
-    until: int = 0
-    """First slot that has not been carried out."""
-    cache: LinkCache | None = None
 
 
 @dataclass(frozen=True)
@@ -170,7 +155,7 @@ class SidelinkMedium:
         if messages.delay_s is not None:
             offset_ns += np.rint(1e9 * messages.delay_s).astype(np.int64)
         generated_ns = begin_ns + offset_ns[message]
-        unit = np.zeros(len(message), slots.UNIT)
+        unit = np.zeros(len(message), UNIT)
         unit["key"] = rng.keys(np.uint64(number), keys[message], segment)
         unit["generated"] = generated_ns // self._slot_ns
         unit["deadline"] = end_ns // self._slot_ns - 1
@@ -190,20 +175,20 @@ class SidelinkMedium:
     ) -> tuple[SidelinkState, Log, Int[ndarray, "n"]]:
         """Carry out the slots of a round; returns the next state, the log and the busy subchannels of each station."""
         rules, begin, end = self.rules, begin_ns // self._slot_ns, end_ns // self._slot_ns
-        station, ptr, entry = _stations_of(state, stations)
-        process = _processes_of(state.process, plan, stations)
-        silent = min(begin // rules.busy_slots - (state.until - 1) // rules.busy_slots, slots.N_USED + 1)
+        station, ptr, entry = stations_of(state, stations)
+        process = processes_of(state.process, plan.unit, plan.process, stations)
+        silent = min(begin // rules.busy_slots - (state.until - 1) // rules.busy_slots, N_USED + 1)
         if begin % rules.busy_slots == 0:
             silent -= 1
         for _ in range(silent if state.until > 0 else 0):
-            slots.next_period(station, rules)
+            next_period(station, rules)
         memory = memory_of(process, station, ptr, entry, plan.unit, links, rules)
         log = log_of(plan.unit, links, end - begin)
         air = self.air(links, stations)
         room = room_of(rules)
         arrival = np.lexsort((plan.unit["key"], plan.unit["generated"]))
-        slots.run_slots(begin, begin, end, arrival, air, memory, log, room, rules)
-        ptr, entry = _kept(memory, end)
+        run_slots(begin, begin, end, arrival, air, memory, log, room, rules)
+        ptr, entry = kept_of(memory, end)
         after = SidelinkState(process, station, ptr, entry, end)
         return after, log, air.busy_round
 
@@ -293,108 +278,6 @@ class _RoundPlan:
     payload_bytes: Int[ndarray, "u"]
     process: UInt64[ndarray, "u"]
     """Key of the process that sends each unit."""
-
-
-def _stations_of(state: SidelinkState, stations: Stations) -> tuple[ndarray, ndarray, ndarray]:
-    """Records of these stations, in this order, and their entries; new stations have sensed nothing."""
-    old = state.station["key"]
-    station = np.zeros(len(stations), slots.STATION)
-    if np.array_equal(old, stations.key):
-        station[:] = state.station
-        ptr, entry = state.ptr, state.entry
-    else:
-        _, was, now = np.intersect1d(old, stations.key, assume_unique=True, return_indices=True)
-        station[now] = state.station[was]
-        count = np.zeros(len(stations), np.int64)
-        begin = np.zeros(len(stations), np.int64)
-        count[now], begin[now] = np.diff(state.ptr)[was], state.ptr[was]
-        ptr, entry = offsets(count), state.entry[ranges(begin, count)]
-    station["key"] = stations.key
-    station["ignores"] = 0 if stations.abuse is None else stations.abuse.ignores_dcc
-    return station, ptr, entry
-
-
-def _processes_of(process: ndarray, plan: _RoundPlan, stations: Stations) -> ndarray:
-    """Processes of the stations that are there, sorted by key, with those of the units; names them in the units."""
-    present = np.sort(stations.key)
-    at = np.minimum(np.searchsorted(present, process["station"]), len(present) - 1)
-    process = process[present[at] == process["station"]]
-    at = np.searchsorted(process["key"], plan.process)
-    known = at < len(process)
-    known[known] = process["key"][at[known]] == plan.process[known]
-    new = np.flatnonzero(~known)
-    if len(new):
-        more = np.zeros(len(new), slots.PROCESS)
-        more["key"], more["station"] = plan.process[new], stations.key[plan.unit["station"][new]]
-        more["next_slot"], more["generated"] = NEVER, NONE
-        process = np.concatenate([process, more])
-        process = process[np.argsort(process["key"])]
-        at = np.searchsorted(process["key"], plan.process)
-    plan.unit["process"] = at
-    return process
-
-
-def memory_of(
-    process: ndarray, station: ndarray, ptr: ndarray, entry: ndarray, unit: ndarray, links: Links, rules: Rules
-) -> Memory:
-    """Linked lists of each station's processes and entries, with room for the entries of the round."""
-    order = np.argsort(station["key"])
-    of = order[np.searchsorted(station["key"][order], process["station"])]
-    own, next_own = _lists(of, len(station))
-    per_link = np.array([0, 1, 4, 9])[unit["n_sent"]] if rules.with_repeats else unit["n_sent"].astype(np.int64)
-    n_new = int((np.diff(links.ptr)[unit["station"]] * per_link).sum())
-    table = np.empty(len(entry) + n_new, slots.ENTRY)
-    table[: len(entry)] = entry
-    head = np.full(len(station), NONE, np.int64)
-    holds = np.flatnonzero(np.diff(ptr))
-    head[holds] = ptr[holds]
-    table["station"][: len(entry)] = np.repeat(np.arange(len(station)), np.diff(ptr))
-    table["next"][: len(entry)] = np.arange(1, len(entry) + 1)
-    table["next"][ptr[holds + 1] - 1] = NONE
-    return Memory(process, own, next_own, station, head, table, np.array([len(entry)]))
-
-
-def _lists(of: Int[ndarray, "p"], n: int) -> tuple[ndarray, ndarray]:
-    """The rows of each owner as linked lists: the first row of each owner, and the row after each row."""
-    first, after = np.full(n, NONE, np.int64), np.full(len(of), NONE, np.int64)
-    order = np.argsort(of, kind="stable")
-    same = of[order][1:] == of[order][:-1]
-    after[order[:-1][same]] = order[1:][same]
-    begins = np.ones(len(of), bool)
-    begins[1:] = ~same
-    first[of[order][begins]] = order[begins]
-    return first, after
-
-
-def log_of(unit: ndarray, links: Links, n_slots: int) -> Log:
-    """Room for the outcomes of these units at their receivers."""
-    degree = np.diff(links.ptr)[unit["station"]]
-    begins = offsets(degree)
-    unit["rows"] = MAX_SENT * begins[:-1]
-    return Log(
-        unit=unit,
-        reception=np.zeros(MAX_SENT * begins[-1], np.uint8),
-        sinr=np.zeros(begins[-1]),
-        head_sent=np.full(n_slots, NONE, np.int64),
-        next_sent=np.full(MAX_SENT * len(unit), NONE, np.int64),
-        head_check=np.full(n_slots, NONE, np.int64),
-        next_check=np.full(len(unit), NONE, np.int64),
-    )
-
-
-def room_of(rules: Rules) -> Room:
-    """Room for one choice of resources."""
-    n = (rules.last + 1) * rules.n_subchannels
-    return Room(np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.uint64))
-
-
-def _kept(memory: Memory, now: int) -> tuple[Int[ndarray, "n+1"], ndarray]:
-    """The entries that still reserve something, by station, and where those of each station begin."""
-    ptr, n = np.empty(len(memory.head) + 1, np.int64), memory.at[0]
-    slots.count_kept(memory.entry, n, now, ptr)
-    kept = np.empty(ptr[-1], slots.ENTRY)
-    slots.copy_kept(memory.entry, n, now, ptr[:-1].copy(), kept)
-    return ptr, kept
 
 
 def _receptions_of(

@@ -16,6 +16,7 @@ MEASURES: Mapping[str, Callable[..., Measured]] = {
     "blockage": radio.blockage,
     "delivery_of_one_sender": radio.delivery_of_one_sender,
     "reception_around_corner": radio.reception_around_corner,
+    "range_around_corner": radio.range_around_corner,
     "sight_past_buildings": radio.sight_past_buildings,
     "actor_size": traffic.actor_size,
     "walking_speed": traffic.walking_speed,

@@ -67,13 +67,45 @@ def reception_around_corner(
     corners
         Junctions over which shadowing is averaged.
     """
-    draws = np.random.default_rng(1).normal(size=(len(sender_m), corners))
     away = np.hypot(np.array(sender_m, float), receiver_m)
-    nlos = np.ones(len(away), bool)
-    loss = (tr37885_db(away, nlos, "urban") + loss_db)[:, None] + 4.0 * draws  # 4 dB: shadowing of TR 37.885
     receiver = ReceiverParams(rate_mbps=rate_mbps)
-    received = _received(loss.ravel(), np.repeat(away, corners), payload_bytes, receiver, power_dbm, 200)
-    return _of_shares(received.reshape(len(away), corners))
+    return _of_shares(_behind_corners(away, corners, payload_bytes, receiver, power_dbm, loss_db))
+
+
+def range_around_corner(
+    runs: Sequence[Run], *, sender_m: Sequence[float], least: float, payload_bytes: int, corners: int = 100
+) -> Measured:
+    """Distance to the centre of a junction up to which a vehicle in a side street receives the least share [m].
+
+    Parameters
+    ----------
+    sender_m
+        Distance of the sender to the centre.
+    least
+        Share of frames that must be received, with the default power and receiver.
+    corners
+        Junctions of one of the four replicates.
+    """
+    receiver_m, rows = np.arange(10.0, 151.0, 5.0), []
+    for sender in sender_m:
+        away = np.hypot(sender, receiver_m)
+        share = _behind_corners(away, 4 * corners, payload_bytes, ReceiverParams(), 23.0, 0.0)
+        mean = share.reshape(len(away), 4, corners).mean(axis=2)
+        below = np.argmax(mean < least, axis=0)  # the first distance that is too far
+        near, far = mean[below - 1, np.arange(4)], mean[below, np.arange(4)]
+        rows.append(receiver_m[below] - 5.0 * (least - far) / (near - far))
+    return Measured.of_replicates(list(np.array(rows).T))
+
+
+def _behind_corners(
+    away_m: Float[ndarray, "k"], corners: int, payload_bytes: int, receiver: ReceiverParams, power_dbm: float,
+    loss_db: float,
+) -> Float[ndarray, "k c"]:  # fmt: skip
+    """Share of frames received without line of sight at each distance, behind each of many corners."""
+    draws = np.random.default_rng(1).normal(size=(len(away_m), corners))
+    loss = (tr37885_db(away_m, np.ones(len(away_m), bool), "urban") + loss_db)[:, None] + 4.0 * draws  # dB, TR 37.885
+    received = _received(loss.ravel(), np.repeat(away_m, corners), payload_bytes, receiver, power_dbm, 200)
+    return received.reshape(len(away_m), corners)
 
 
 def _received(

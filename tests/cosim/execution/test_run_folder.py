@@ -67,12 +67,17 @@ SHORT = [
 
 
 @pytest.mark.verify
-@pytest.mark.parametrize("signum", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_a_resumed_run_has_the_tables_of_one_never_interrupted(tmp_path, signum):
-    assert cosim("run", *SHORT, "--out", "whole", cwd=tmp_path).returncode == 0
+@pytest.mark.parametrize(
+    ("signum", "medium"),
+    [(signal.SIGKILL, "csma"), (signal.SIGTERM, "csma"), (signal.SIGINT, "csma"), (signal.SIGKILL, "nr_mode2"),
+     (signal.SIGKILL, "lte_mode4")],
+)  # fmt: skip
+def test_a_resumed_run_has_the_tables_of_one_never_interrupted(tmp_path, signum, medium):
+    words = [*SHORT, "--set", f"radio.model={medium}"]
+    assert cosim("run", *words, "--out", "whole", cwd=tmp_path).returncode == 0
     out = tmp_path / "broken"
     run = subprocess.Popen(
-        [sys.executable, "-m", "cosim", "run", *SHORT, "--out", str(out)], stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "cosim", "run", *words, "--out", str(out)], stderr=subprocess.PIPE, text=True
     )
     while run.poll() is None and not (out / "inventory.jsonl").exists():
         time.sleep(0.02)

@@ -1,15 +1,22 @@
-"""The sidelink against WiLabV2Xsim, at the same positions and with its channel model; nothing is tuned per curve.
+"""The sidelink and 802.11p against WiLabV2Xsim, at the same positions and with its channel model; nothing is tuned.
 
-Each reference curve is one run of 15 s. Vehicles of one lane keep their link's shadowing, and a pair that reserved the
-same resource loses many messages, so that such runs differ: two runs of this medium with different seeds differ from
-its mean by a root mean square of 0.010 to 0.030. The reference is compared with the mean of several runs.
+A reference curve is the mean of the runs of 15 s at hand, one to three. Vehicles of one lane keep their link's
+shadowing, and a pair that reserved the same resource loses many messages, so that such runs differ. What chance does to
+the reference is taken from our own runs: as many of them as the reference has are compared with the others.
+
+The bounds are those of the issue that asked for this comparison: a root mean square of 0.02 in reception and 10 % in
+the gaps. Where chance alone exceeds them, its 95 % quantile (reception) or three standard errors (gaps) count.
 """
+
+from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pandas as pd
 import pytest
+from numpy import ndarray
 
-from tests.cosim.radio import wilab
+from tests.cosim.radio import wilab, wilab_11p
 from tests.cosim.radio.wilab import Setting
 
 verify = pytest.mark.verify
@@ -29,59 +36,149 @@ SETTINGS = {
     "nr80flat": Setting(True, 80, 7, 350, sigma_db=0.0),
     "lte80mcs7flat": Setting(False, 80, 7, 300, sigma_db=0.0),
 }
-"""Settings by the name of the reference run; `nr` and `lte` are those of the shared folder."""
-RMSE = {
-    "nr": 0.020, "lte": 0.020, "nr40": 0.028, "lte40": 0.028, "nr80mcs11": 0.020, "lte80mcs7": 0.020, "nr80slow": 0.028,
-    "lte80slow": 0.030, "nr40flat": 0.020, "lte40flat": 0.026, "nr40mcs11flat": 0.020, "nr40harqflat": 0.020,
-    "nr80flat": 0.020, "lte80mcs7flat": 0.026,
-}  # fmt: skip
-"""Allowed root mean square of the difference in the packet reception ratio. Where it is above 0.02, it is within what
-single runs of this medium differ by."""
+"""Settings by the name of the reference run; the first runs of `nr` and `lte` are those of the shared folder."""
+N_SEEDS = 24
+RANGES_M = (100, 300)
+BOUNDS_MS = (105, 150, 205, 305, 405)
 
 
-def reference(name: str) -> tuple[np.ndarray, pd.DataFrame]:
-    """Reception ratio in bins of 10 m, and numbers of gaps [ms] within 100 and 300 m."""
-    if name in ("nr", "lte"):
-        prr, gaps = wilab.SHARED / f"{name}-prr.tsv", wilab.SHARED / f"{name}-update_delay.tsv"
+@dataclass(frozen=True)
+class Runs:
+    """R runs: packets received and all [R, bin], and numbers of gaps by length [R, range, ms]."""
+
+    received: ndarray
+    all: ndarray
+    gaps: ndarray
+
+    def ratio(self) -> ndarray:
+        """Reception in bins of 10 m, all runs together."""
+        return self.received.sum(0) / self.all.sum(0)
+
+    def longer(self, within: int, bound_ms: int) -> ndarray:
+        """Share of the gaps within a range that are longer, for each run."""
+        return self.gaps[:, within, bound_ms + 1 :].sum(1) / self.gaps[:, within].sum(1)
+
+
+@cache
+def reference(name: str) -> Runs:
+    """The runs of WiLabV2Xsim: those here and, for three of the names, that of the shared folder."""
+    received, total, gaps = [], [], []
+    if name in ("nr", "lte", "11p"):
+        prr, delays = (wilab.SHARED / f"{name}-{what}.tsv" for what in ("prr", "update_delay"))
         if not prr.exists():
             pytest.skip(f"no reference data: {prr} is absent")
-        rows, delays = np.loadtxt(prr), np.loadtxt(gaps)
-        near, far = delays[:, 1], delays[:, 1] + delays[:, 3]
-        counts = {"gap_ms": np.rint(1000 * delays[:, 0]), "within_100_m": near, "within_300_m": far}
-        return rows[:, 1] / rows[:, 4], pd.DataFrame(counts)
-    frame = pd.read_csv(wilab.HERE / f"{name}-prr.csv")
-    return (frame.received / frame["all"]).to_numpy(), pd.read_csv(wilab.HERE / f"{name}-gaps.csv")
+        rows, found = np.loadtxt(prr), np.loadtxt(delays)
+        received.append(rows[:, 1])
+        total.append(rows[:, 4])
+        if name != "11p":
+            gaps.append(_by_length(1000 * found[:, 0], np.array([found[:, 1], found[:, 1] + found[:, 3]])))
+    here = wilab.HERE / f"{name}-prr.csv"
+    for _, frame in pd.read_csv(here).groupby("seed") if here.exists() else ():
+        received.append(frame.received.to_numpy())
+        total.append(frame["all"].to_numpy())
+    here = wilab.HERE / f"{name}-gaps.csv"
+    for _, frame in pd.read_csv(here).groupby("seed") if here.exists() else ():
+        counts = np.array([frame.get(f"within_{m}_m", np.zeros(len(frame))) for m in RANGES_M])
+        gaps.append(_by_length(frame.gap_ms.to_numpy(), counts))
+    n = min(map(len, total))
+    return Runs(*(np.array([row[:n] for row in rows]) for rows in (received, total)), np.array(gaps))
 
 
-def compare(name: str, n_seeds: int) -> tuple[float, list[tuple[float, float, float]]]:
-    """Root mean square of the difference in reception, and (time [s], their share of longer gaps, ours)."""
-    prr, gaps = reference(name)
-    runs = [wilab.simulate(SETTINGS[name], seed, (100.0, 300.0)) for seed in range(n_seeds)]
-    good, total = sum(run[0] for run in runs), sum(run[1] for run in runs)
-    n = min(len(prr), len(total))
-    assert n >= len(prr) - 1
-    rmse = float(np.sqrt(np.mean((good[:n] / total[:n] - prr[:n]) ** 2)))
-    longer = []
-    for column, which in (("within_100_m", 0), ("within_300_m", 1)):
-        if column in gaps:
-            ours = np.concatenate([run[2][which] for run in runs])
-            for bound_s in (0.095, 0.105, 0.15, 0.195, 0.205, 0.305, 0.405):
-                theirs = float(gaps[column][gaps.gap_ms > 1000 * bound_s].sum() / gaps[column].sum())
-                longer.append((bound_s, theirs, float(np.mean(ours > bound_s))))
-    return rmse, longer
+def _by_length(gap_ms: ndarray, counts: ndarray) -> ndarray:
+    """Numbers of gaps in bins of 1 ms; the reference names a bin by its upper end."""
+    at = np.minimum(np.rint(gap_ms).astype(int), 2999)
+    return np.array([np.bincount(at, row, 3000) for row in counts])
+
+
+@cache
+def ours(name: str, n_seeds: int = N_SEEDS) -> Runs:
+    """As many runs of this medium."""
+    runs = [wilab.simulate(SETTINGS[name], seed, RANGES_M) for seed in range(n_seeds)]
+    gaps = [[np.bincount(np.minimum(np.rint(1000 * g).astype(int), 2999), minlength=3000) for g in run[2]]
+            for run in runs]  # fmt: skip
+    return Runs(np.array([run[0] for run in runs]), np.array([run[1] for run in runs]), np.array(gaps))
+
+
+def rms(difference: ndarray) -> float:
+    return float(np.sqrt(np.mean(difference**2)))
+
+
+def compare(theirs: Runs, mine: Runs) -> tuple[float, float, float, float]:
+    """RMSE of reception, the 95 % quantile of what chance makes of it, mean difference, and its standard error."""
+    n, k, s = min(theirs.all.shape[1], mine.all.shape[1]), len(theirs.all), len(mine.all)
+    assert n >= theirs.all.shape[1] - 1
+    difference = (mine.ratio()[:n] - theirs.ratio()[:n]).copy()
+    each, g, chance = mine.received[:, :n] / mine.all[:, :n], np.random.default_rng(1), []
+    for _ in range(400):
+        order = g.permutation(s)
+        chance.append(each[order[:k]].mean(0) - each[order[k:]].mean(0))
+    return (
+        rms(difference), float(np.quantile([rms(c) for c in chance], 0.95)), float(difference.mean()),
+        float(np.std([c.mean() for c in chance])),
+    )  # fmt: skip
 
 
 def test_one_configuration_in_short():
-    assert compare("nr40flat", 2)[0] <= 0.04
+    rmse, _, _, _ = compare(reference("nr40flat"), ours("nr40flat", 3))
+    assert rmse <= 0.04  # chance: 0.036 for one run against many
 
 
 @verify
 @pytest.mark.parametrize("name", SETTINGS)
-def test_reception_and_gaps(name):
-    rmse, longer = compare(name, 8)
-    print(f"{name}: RMSE {rmse:.4f}; " + ", ".join(f"{t}: {a:.4f} {b:.4f}" for t, a, b in longer if a >= 0.01))
-    assert rmse <= RMSE[name]
-    tolerance = 0.16 if SETTINGS[name].n_vehicles == 80 else 0.25  # fewer vehicles make fewer gaps
-    for bound_s, theirs, ours in longer:
-        if theirs >= 0.01:
-            assert ours == pytest.approx(theirs, rel=tolerance), bound_s
+def test_reception(name):
+    rmse, chance, mean, error = compare(reference(name), ours(name))
+    runs = len(reference(name).all)
+    print(f"{name}: {runs} runs, RMSE {rmse:.4f}, chance {chance:.4f}, mean {mean:+.4f} +- {error:.4f}")
+    assert rmse <= max(0.02, chance)
+    assert abs(mean) <= 3 * error
+
+
+@verify
+def test_at_least_ten_configurations_are_within_two_hundredths():
+    rmse = {name: compare(reference(name), ours(name))[0] for name in SETTINGS}
+    assert sum(value <= 0.02 for value in rmse.values()) >= 10, rmse
+
+
+@verify
+@pytest.mark.parametrize("name", SETTINGS)
+def test_gaps(name):
+    """Beyond one interval, gaps come from selections of another slot: some 240 in a run, which all receivers share."""
+    theirs, mine = reference(name), ours(name)
+    for within in range(2):
+        if not theirs.gaps[:, within].any():
+            continue
+        for bound_ms in BOUNDS_MS:
+            b, a = theirs.longer(within, bound_ms).mean(), mine.longer(within, bound_ms)
+            if b < 0.01 or b > 0.5:
+                continue
+            error = np.std(a, ddof=1) * np.sqrt(1 / len(theirs.gaps) + 1 / len(a))
+            print(f"{name}, {RANGES_M[within]} m, {bound_ms} ms: {b:.4f} there, {a.mean():.4f} +- {error:.4f}")
+            assert abs(a.mean() - b) <= max(0.1 * b, 3 * error)
+
+
+@verify
+def test_gaps_of_all_configurations_together():
+    """Selections do not depend on the channel, so that the configurations at 10 Hz have the same share of long gaps."""
+    names = [name for name in SETTINGS if "slow" not in name]
+    theirs = np.concatenate([reference(name).longer(0, 105) for name in names])
+    mine = np.concatenate([ours(name).longer(0, 105) for name in names])
+    print(f"{len(theirs)} runs: {theirs.mean():.5f} +- {np.std(theirs) / np.sqrt(len(theirs)):.5f}, {mine.mean():.5f}")
+    assert mine.mean() == pytest.approx(theirs.mean(), rel=0.1)
+
+
+def mine_and_theirs_11p(n_seeds: int) -> tuple[Runs, Runs, Runs]:
+    """The reference of 802.11p, our runs, and our transmissions as its receiver would receive them."""
+    theirs = reference("11p")
+    runs = [wilab_11p.simulate(seed, theirs.all.shape[1]) for seed in range(n_seeds)]
+    ours_, as_theirs, total = (np.array([run[k] for run in runs]) for k in range(3))
+    return theirs, Runs(ours_, total, np.zeros(0)), Runs(as_theirs, total, np.zeros(0))
+
+
+@verify
+def test_reception_of_11p():
+    theirs, mine, as_theirs = mine_and_theirs_11p(N_SEEDS)
+    for what, runs in (("our receiver", mine), ("their receiver", as_theirs)):
+        rmse, chance, mean, error = compare(theirs, runs)
+        print(f"11p, {what}: RMSE {rmse:.4f}, chance {chance:.4f}, mean {mean:+.4f} +- {error:.4f}")
+        assert rmse <= 0.02
+        assert abs(mean) <= 3 * error

@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 
 from cosim import rng
-from cosim.radio import sidelink_slots as slots
+from cosim.radio import sidelink_records as records
 from cosim.radio.channel import Links
 from cosim.radio.dtypes import HALF_DUPLEX, NEVER, NONE, RECEIVED
 from cosim.radio.medium import MEDIA
 from cosim.radio.message_round import ChannelAbuse, Messages, Outcome, RoundKind, Stations
 from cosim.radio.params import RadioParams, RelayParams
 from cosim.radio.propagation import PropagationParams
-from cosim.radio.sidelink import log_of, memory_of, room_of
+from cosim.radio.sidelink_memory import log_of, memory_of, room_of
 from cosim.radio.sidelink_params import LteParams, NrParams, SidelinkParams
-from cosim.radio.sidelink_phy import lte_carrier, nr_block_bits, nr_carrier
+from cosim.radio.sidelink_phy import LTE_CURVES, lte_carrier, nr_block_bits, nr_carrier
+from cosim.radio.sidelink_slots import run_slots
 
 SIDELINKS = ("nr_mode2", "lte_mode4")
 HIGHWAY = PropagationParams(model="highway")
@@ -43,26 +44,26 @@ def parts_of(n, n_messages, *, seed, power_mw=0.0, window=100, n_subchannels=5, 
     power = np.full(len(receiver), power_mw)
     links = Links(key, (n - 1) * np.arange(n + 1), receiver, power, np.zeros(len(receiver), np.uint8))
     stations = Stations(key, np.zeros((n, 3)), n)
-    unit = np.zeros(n * n_messages, slots.UNIT)
+    unit = np.zeros(n * n_messages, records.UNIT)
     unit["station"] = unit["process"] = np.repeat(np.arange(n), n_messages)
     unit["generated"] = np.tile(100 * np.arange(n_messages), n)
     unit["key"] = rng.keys(np.uint64(3), key[unit["station"]], unit["generated"])
     unit["width"] = unit["n_sent"] = 1
     unit["slot"], n_slots = NEVER, 100 * n_messages + 101
     unit["deadline"], unit["clear_sinr"], unit["spread_db"] = n_slots - 1, 1e-9, 1.0
-    process, station = np.zeros(n, slots.PROCESS), np.zeros(n, slots.STATION)
+    process, station = np.zeros(n, records.PROCESS), np.zeros(n, records.STATION)
     process["key"], process["station"], station["key"] = key, key, key
     process["next_slot"], process["generated"] = NEVER, NONE
     if counters is not None:  # all hold the same resource
         process["next_slot"], process["counter"], process["period"] = 50, counters, 100
         process["width"] = process["n_sent"] = 1
-    memory = memory_of(process, station, np.zeros(n + 1, np.int64), np.zeros(0, slots.ENTRY), unit, links, rules)
+    memory = memory_of(process, station, np.zeros(n + 1, np.int64), np.zeros(0, records.ENTRY), unit, links, rules)
     log, air = log_of(unit, links, n_slots), medium.air(links, stations)
     arrival = np.lexsort((unit["key"], unit["generated"]))
 
     def run(first, end):
         due = (unit["generated"][arrival] >= first) & (unit["generated"][arrival] < end)
-        slots.run_slots(0, first, end, arrival[due], air, memory, log, room_of(rules), rules)
+        run_slots(0, first, end, arrival[due], air, memory, log, room_of(rules), rules)
 
     return run, unit, log, memory, n_subchannels
 
@@ -109,7 +110,7 @@ def test_half_duplex_loss():
     n, lost = 12, []
     for seed in range(60):
         _, _, log = alone(n, 1, seed=seed, power_mw=1e-6, window=25)
-        blocks = log.reception.reshape(n, slots.MAX_SENT, n - 1)[:, 0]
+        blocks = log.reception.reshape(n, records.MAX_SENT, n - 1)[:, 0]
         lost.append(np.mean(blocks == HALF_DUPLEX))
     within_three_errors(lost, 1 / 25)
 
@@ -161,7 +162,7 @@ def test_stations_that_hear_each_other_do_not_collide():
     resource, _, log = alone(30, 60, seed=2, power_mw=1e-5, keep_p=0.0, n_subchannels=1)
     late = resource[:, 45:]
     assert all(len(set(column)) >= 28 for column in late.T)
-    assert (log.reception.reshape(30, 60, slots.MAX_SENT, 29)[:, 45:, 0] == RECEIVED).mean() > 0.97
+    assert (log.reception.reshape(30, 60, records.MAX_SENT, 29)[:, 45:, 0] == RECEIVED).mean() > 0.97
 
 
 def stations_of(n, seed=1, length_m=1500.0):
@@ -264,6 +265,32 @@ def test_times_and_halves_of_a_round(model):
         assert (frames.cbr >= 0).all() and (frames.cbr <= 1).all() and (frames.n_transmissions <= 2).all()
 
 
+@pytest.mark.verify
+def test_losses_come_in_bursts_at_the_same_delivery():
+    """Links with a delivery ratio of 0.7 to 0.8: with `csma` losses are independent, with the sidelink they are not."""
+    after, far = {}, {}
+    for model in ("csma", *SIDELINKS):
+        found = []
+        for seed in (1, 2, 3):
+            stations, medium = stations_of(150, seed, 1000.0), medium_of(model)
+            state, got = medium.start(), np.full((200, 150, 150), -1, np.int8)
+            for k in range(200):
+                state, happened = medium.broadcast(
+                    state, RoundKind.CPM, k, 0.1 * k, stations, Messages.one_each(np.full(150, 350))
+                )
+                frames = happened.frames
+                got[k, happened.station[frames.message], frames.receiver] = frames.outcome == Outcome.RECEIVED
+            found.append(got[50:, (got[50:] >= 0).all(0)].astype(bool))
+        links = np.concatenate(found, axis=1)
+        links = links[:, (links.mean(0) >= 0.7) & (links.mean(0) < 0.8)]
+        lost = ~links
+        after[model] = (lost[1:] & lost[:-1]).sum() / lost[:-1].sum() / lost.mean()
+        far[model] = np.mean(np.concatenate([np.diff(np.flatnonzero(link)) for link in links.T]) > 5)
+    print(after, far)
+    assert after["csma"] == pytest.approx(1.0, abs=0.1)
+    assert all(after[model] > 1.5 and far[model] > 3 * far["csma"] for model in SIDELINKS)
+
+
 def test_repetitions_help_on_an_empty_channel():
     """A station at the edge of the range is heard more often if each message is sent twice."""
     stations = Stations(rng.keys(np.uint64(1), np.arange(2)), np.array([[0.0, 0, 1.6], [900.0, 0, 1.6]]), 2)
@@ -340,6 +367,20 @@ def test_transport_blocks():
     lte = lte_carrier(10, 10, 7)
     assert lte.block_bits[0] == 968  # I_TBS 7 on 10 - 2 = 8 resource blocks: table 7.1.7.2.1-1 of TS 36.213
     assert lte.block_bits[1] == 2216  # on 18
+
+
+def test_block_errors_of_lte():
+    """Tables of ns-3 for 2,560 bits: QPSK of rate 0.44 needs 0.5205 bits per bit, where QPSK carries 0.5205 at 0.45 dB.
+
+    MCS 7 on 8 resource blocks: (968 + 24) / (8 x 9 x 12 x 2) = 0.574, between 1.35 dB (0.51) and 2.50 dB (0.60).
+    """
+    x, weight = np.polynomial.hermite_e.hermegauss(60)  # a normal variable
+    for _, at_db, needs in ((0.37, -0.55, 0.4458), (0.44, 0.45, 0.5205), (0.51, 1.35, 0.5902)):
+        s = np.sqrt(10 ** (at_db / 10))  # each bit is a sign of amplitude s in noise of variance 1 [per dimension]
+        bits = 1 - weight @ np.log2(1 + np.exp(-2 * s * (s + x))) / weight.sum()
+        assert bits == pytest.approx(needs, abs=1e-3)
+    assert lte_carrier(10, 10, 7).sinr_db[0] == pytest.approx(1.35 + (0.574 - 0.51) / 0.09 * 1.15, abs=0.01)
+    assert all((np.diff(np.array(rows)[:, 1]) > 0).all() for rows in LTE_CURVES.values())
 
 
 def test_in_band_emission():

@@ -13,7 +13,7 @@ import pytest
 from numpy import ndarray
 
 from cosim import rng
-from cosim.radio import sidelink_slots as slots
+from cosim.radio import sidelink_records as records
 from cosim.radio.channel import Links
 from cosim.radio.dtypes import NEVER, NONE, RECEIVED
 from cosim.radio.link_budget import from_db
@@ -21,9 +21,10 @@ from cosim.radio.medium import MEDIA
 from cosim.radio.message_round import Stations
 from cosim.radio.params import RadioParams
 from cosim.radio.phy import ReceiverParams
-from cosim.radio.sidelink import log_of, memory_of, room_of
+from cosim.radio.sidelink_memory import log_of, memory_of, room_of
 from cosim.radio.sidelink_params import LteParams, NrParams, SidelinkParams
 from cosim.radio.sidelink_phy import NR_MCS, Carrier, lte_block_sizes, nr_block_bits
+from cosim.radio.sidelink_slots import run_slots
 
 SHARED = Path(__file__).parents[4] / "shared" / "reference" / "wilab"
 HERE = Path(__file__).parent / "wilab"
@@ -157,22 +158,23 @@ def simulate(s: Setting, seed: int, raw_m: tuple[float, ...]) -> tuple[ndarray, 
     n_pieces = len(xy_m)
     n_slots = n_pieces * PIECE
     first = g.uniform(0, s.period, n)
-    unit = np.zeros(0, slots.UNIT)
+    unit = np.zeros(0, records.UNIT)
     for k in range(n_slots // s.period + 1):
         at = np.floor(first + k * s.period).astype(np.int64)
-        more = np.zeros(n, slots.UNIT)
+        more = np.zeros(n, records.UNIT)
         more["key"], more["generated"] = rng.keys(np.uint64(k), stations.key), at
         more["station"], more["process"], more["width"] = np.arange(n), np.arange(n), 1
         unit = np.concatenate([unit, more[at < n_slots - 101]])
     unit = unit[np.lexsort((unit["generated"], unit["station"]))]
     unit["deadline"], unit["n_sent"], unit["slot"] = n_slots - 1, s.n_sent, NEVER
     unit["sinr_db"], unit["spread_db"], unit["clear_sinr"], unit["dead_sinr"] = gamma_db, 1e-3, *2 * [from_db(gamma_db)]
-    process = np.zeros(n, slots.PROCESS)
+    process = np.zeros(n, records.PROCESS)
     process["key"], process["station"] = rng.keys(np.uint64(7), stations.key), stations.key
-    process["next_slot"], process["generated"] = NEVER, NONE
-    station = np.zeros(n, slots.STATION)
+    process["generated"] = NONE
+    reserve_at_random(process, np.floor(first).astype(np.int64), s, carrier.n_subchannels, g)
+    station = np.zeros(n, records.STATION)
     station["key"] = stations.key
-    memory = memory_of(process, station, np.zeros(n + 1, np.int64), np.zeros(0, slots.ENTRY), unit, links, rules)
+    memory = memory_of(process, station, np.zeros(n + 1, np.int64), np.zeros(0, records.ENTRY), unit, links, rules)
     log = log_of(unit, links, n_slots)
     room = room_of(rules)
     arrival = np.lexsort((unit["key"], unit["generated"]))
@@ -191,8 +193,25 @@ def simulate(s: Setting, seed: int, raw_m: tuple[float, ...]) -> tuple[ndarray, 
         db = np.maximum(loss_db(apart[piece]) - shadow - shadow.T, 0.0)
         air.mean_mw[:] = (power_mw * from_db(-db))[off]
         due = (unit["generated"][arrival] >= piece * PIECE) & (unit["generated"][arrival] < (piece + 1) * PIECE)
-        slots.run_slots(0, piece * PIECE, (piece + 1) * PIECE, arrival[due], air, memory, log, room, rules)
+        run_slots(0, piece * PIECE, (piece + 1) * PIECE, arrival[due], air, memory, log, room, rules)
     return figures(unit, log, apart, range_m, raw_m, n)
+
+
+def reserve_at_random(process, first, s: Setting, n_subchannels: int, g) -> None:
+    """Reserve a random resource for each vehicle, as WiLabV2Xsim does at its start, before anything is sensed.
+
+    The counter is drawn at the start too. It falls when the resource passes, also if the first message comes after it.
+    """
+    n = len(process)
+    resource = g.integers(0, s.period, n)
+    process["next_slot"] = first + 1 + (resource - first - 1) % s.period
+    process["period"], process["width"], process["n_sent"] = s.period, 1, s.n_sent
+    process["counter"] = g.integers(5, 16, n) - (resource <= first)
+    process["sub"][:, : s.n_sent] = g.integers(0, n_subchannels, (n, s.n_sent))
+    if s.n_sent == 2:
+        other = (resource + g.integers(1, s.period, n)) % s.period
+        slot = np.sort(np.column_stack([process["next_slot"], first + 1 + (other - first - 1) % s.period]), axis=1)
+        process["next_slot"], process["gap"][:, 1] = slot[:, 0], slot[:, 1] - slot[:, 0]
 
 
 def figures(unit, log, apart, range_m, raw_m, n):
@@ -201,10 +220,10 @@ def figures(unit, log, apart, range_m, raw_m, n):
     rows = np.flatnonzero(sent)
     degree = n - 1
     got = np.zeros((len(unit), degree), bool)
-    block = log.reception.reshape(len(unit), slots.MAX_SENT, degree)
+    block = log.reception.reshape(len(unit), records.MAX_SENT, degree)
     last = unit["slot"][np.arange(len(unit)), np.maximum(unit["n_sent"] - 1, 0)]
     when = np.full((len(unit), degree), -1, np.int64)
-    for a in range(slots.MAX_SENT):
+    for a in range(records.MAX_SENT):
         ok = (block[:, a] == RECEIVED) & (unit["n_sent"] > a)[:, None] & ~got
         got |= ok
         when[ok] = np.broadcast_to(unit["slot"][:, a : a + 1], ok.shape)[ok]

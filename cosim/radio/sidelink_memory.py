@@ -1,0 +1,133 @@
+"""What lasts from slot to slot and from round to round of the sidelink, and room for the results of a round."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Int, UInt64
+from numpy import ndarray
+
+from cosim.radio.channel import Links
+from cosim.radio.dtypes import NEVER, NONE
+from cosim.radio.link_cache import LinkCache
+from cosim.radio.message_round import Stations
+from cosim.radio.sidelink_records import ENTRY, MAX_SENT, PROCESS, STATION, Log, Memory, Room, Rules
+from cosim.radio.sidelink_slots import copy_kept, count_kept
+from cosim.ragged import offsets, ranges
+
+
+@dataclass(frozen=True, slots=True)
+class SidelinkState:
+    """All that lasts from one round to the next. Callers only pass it on."""
+
+    process: ndarray = field(default_factory=lambda: np.zeros(0, PROCESS))
+    """Processes of the stations, sorted by key."""
+    station: ndarray = field(default_factory=lambda: np.zeros(0, STATION))
+    ptr: ndarray = field(default_factory=lambda: np.zeros(1, np.int64))
+    """Where each station's entries begin."""
+    entry: ndarray = field(default_factory=lambda: np.zeros(0, ENTRY))
+    """Reservations that stations have decoded."""
+    until: int = 0
+    """First slot that has not been carried out."""
+    cache: LinkCache | None = None
+
+
+def stations_of(state: SidelinkState, stations: Stations) -> tuple[ndarray, ndarray, ndarray]:
+    """Records of these stations, in this order, and their entries; new stations have sensed nothing."""
+    old = state.station["key"]
+    station = np.zeros(len(stations), STATION)
+    if np.array_equal(old, stations.key):
+        station[:] = state.station
+        ptr, entry = state.ptr, state.entry
+    else:
+        _, was, now = np.intersect1d(old, stations.key, assume_unique=True, return_indices=True)
+        station[now] = state.station[was]
+        count = np.zeros(len(stations), np.int64)
+        begin = np.zeros(len(stations), np.int64)
+        count[now], begin[now] = np.diff(state.ptr)[was], state.ptr[was]
+        ptr, entry = offsets(count), state.entry[ranges(begin, count)]
+    station["key"] = stations.key
+    station["ignores"] = 0 if stations.abuse is None else stations.abuse.ignores_dcc
+    return station, ptr, entry
+
+
+def processes_of(process: ndarray, unit: ndarray, key: UInt64[ndarray, "u"], stations: Stations) -> ndarray:
+    """Processes of the stations that are there, sorted by key, with those of the units; names them in the units."""
+    present = np.sort(stations.key)
+    at = np.minimum(np.searchsorted(present, process["station"]), len(present) - 1)
+    process = process[present[at] == process["station"]]
+    at = np.searchsorted(process["key"], key)
+    known = at < len(process)
+    known[known] = process["key"][at[known]] == key[known]
+    new = np.flatnonzero(~known)
+    if len(new):
+        more = np.zeros(len(new), PROCESS)
+        more["key"], more["station"] = key[new], stations.key[unit["station"][new]]
+        more["next_slot"], more["generated"] = NEVER, NONE
+        process = np.concatenate([process, more])
+        process = process[np.argsort(process["key"])]
+        at = np.searchsorted(process["key"], key)
+    unit["process"] = at
+    return process
+
+
+def memory_of(
+    process: ndarray, station: ndarray, ptr: ndarray, entry: ndarray, unit: ndarray, links: Links, rules: Rules
+) -> Memory:
+    """Linked lists of each station's processes and entries, with room for the entries of the round."""
+    order = np.argsort(station["key"])
+    of = order[np.searchsorted(station["key"][order], process["station"])]
+    own, next_own = _lists(of, len(station))
+    per_link = np.array([0, 1, 4, 9])[unit["n_sent"]] if rules.with_repeats else unit["n_sent"].astype(np.int64)
+    n_new = int((np.diff(links.ptr)[unit["station"]] * per_link).sum())
+    table = np.empty(len(entry) + n_new, ENTRY)
+    table[: len(entry)] = entry
+    head = np.full(len(station), NONE, np.int64)
+    holds = np.flatnonzero(np.diff(ptr))
+    head[holds] = ptr[holds]
+    table["station"][: len(entry)] = np.repeat(np.arange(len(station)), np.diff(ptr))
+    table["next"][: len(entry)] = np.arange(1, len(entry) + 1)
+    table["next"][ptr[holds + 1] - 1] = NONE
+    return Memory(process, own, next_own, station, head, table, np.array([len(entry)]))
+
+
+def _lists(of: Int[ndarray, "p"], n: int) -> tuple[ndarray, ndarray]:
+    """The rows of each owner as linked lists: the first row of each owner, and the row after each row."""
+    first, after = np.full(n, NONE, np.int64), np.full(len(of), NONE, np.int64)
+    order = np.argsort(of, kind="stable")
+    same = of[order][1:] == of[order][:-1]
+    after[order[:-1][same]] = order[1:][same]
+    begins = np.ones(len(of), bool)
+    begins[1:] = ~same
+    first[of[order][begins]] = order[begins]
+    return first, after
+
+
+def log_of(unit: ndarray, links: Links, n_slots: int) -> Log:
+    """Room for the outcomes of these units at their receivers."""
+    degree = np.diff(links.ptr)[unit["station"]]
+    begins = offsets(degree)
+    unit["rows"] = MAX_SENT * begins[:-1]
+    return Log(
+        unit=unit,
+        reception=np.zeros(MAX_SENT * begins[-1], np.uint8),
+        sinr=np.zeros(begins[-1]),
+        head_sent=np.full(n_slots, NONE, np.int64),
+        next_sent=np.full(MAX_SENT * len(unit), NONE, np.int64),
+        head_check=np.full(n_slots, NONE, np.int64),
+        next_check=np.full(len(unit), NONE, np.int64),
+    )
+
+
+def room_of(rules: Rules) -> Room:
+    """Room for one choice of resources."""
+    n = (rules.last + 1) * rules.n_subchannels
+    return Room(np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.uint64))
+
+
+def kept_of(memory: Memory, now: int) -> tuple[Int[ndarray, "n+1"], ndarray]:
+    """The entries that still reserve something, by station, and where those of each station begin."""
+    ptr, n = np.empty(len(memory.head) + 1, np.int64), memory.at[0]
+    count_kept(memory.entry, n, now, ptr)
+    kept = np.empty(ptr[-1], ENTRY)
+    copy_kept(memory.entry, n, now, ptr[:-1].copy(), kept)
+    return ptr, kept
