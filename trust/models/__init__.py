@@ -4,7 +4,8 @@ from trust.models.announcement import Announcement
 from trust.models.belief_graph import BeliefGraph
 from trust.models.beta import Beta
 from trust.models.beta_discounted import BetaDiscounted
-from trust.models.dawid_skene import DawidSkene, DawidSkeneOnline
+from trust.models.dawid_skene import DawidSkene
+from trust.models.dawid_skene_online import DawidSkeneOnline
 from trust.models.eigentrust import EigenTrust
 from trust.models.evaluator_trust import EvaluatorTrust
 from trust.models.interface import ScoresObjects, TrustModel, params_of

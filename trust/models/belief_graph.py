@@ -64,9 +64,7 @@ LARGEST = 20.0
 """Bound of the size of the logarithm of a likelihood ratio, so that no single edge decides alone."""
 
 
-def log_ratio(
-    pos: Float[ndarray, "n"], neg: Float[ndarray, "n"], shape: tuple[float, float]
-) -> Float[ndarray, "n"]:
+def log_ratio(pos: Float[ndarray, "n"], neg: Float[ndarray, "n"], shape: tuple[float, float]) -> Float[ndarray, "n"]:
     """Logarithm of the likelihood ratio of "both honest" to "anything", for shares that vary from pair to pair.
 
     Parameters

@@ -11,22 +11,25 @@ from scipy.special import expit
 
 from trust.evaluation_log import StepRows, exact_sums
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
-from trust.pair_index import with_rows
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DawidSkeneParams(StepwiseParams):
-    """Parameters of the models `dawid_skene` and `dawid_skene_online`; the defaults are ours."""
+class TruthInferenceParams(StepwiseParams):
+    """What `dawid_skene` and `dawid_skene_online` have in common; the defaults are ours."""
 
     reliable: Annotated[float, Gt(1)] = 4.0
     """a: prior evidence that an evaluator says what is true, and that a sender's detections are true, against 1 of the
     opposite. It must be above 1: this is what tells truth from its reverse."""
     n_iterations: Annotated[int, Interval(ge=1, le=1000)] = 8
     """Iterations of expectation and maximisation: the bound of the work."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DawidSkeneParams(TruthInferenceParams):
+    """Parameters of the model `dawid_skene`."""
+
     window_s: Annotated[float, Interval(ge=0.001, le=1e4)] = 20.0
-    """`dawid_skene`: age at which evidence is forgotten [s]."""
-    decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.95
-    """`dawid_skene_online`: share of the evidence that is left after 1 s."""
+    """Age at which evidence is forgotten [s]; the default is ours."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +106,7 @@ def trust_from(counts: Float[ndarray, "p 6"], reliable: float) -> Float[ndarray,
     counts
         As `expected_counts` returns them.
     reliable
-        As in `DawidSkeneParams`.
+        As in `TruthInferenceParams`.
 
     Returns
     -------
@@ -117,10 +120,11 @@ def trust_from(counts: Float[ndarray, "p 6"], reliable: float) -> Float[ndarray,
 class DawidSkene(Stepwise):
     """Two-coin model of Dawid and Skene [15]_, by EM over a window of steps.
 
-    It should stop bad-mouthing, random evaluations, collusion of a minority, and the senders of false content: whoever
-    answers against the truth that the others' answers make likely is unreliable, and an evaluator that always says
-    "false" says nothing. It cannot stop a colluding majority about the same detections, which makes its own truth, or
-    Sybil vehicles where few others look; it does not see removal, false speeds, or confirmations of true detections.
+    It should stop bad-mouthing, random evaluations, and the senders of false content: whoever answers against the truth
+    that the others' answers make likely is unreliable, and an evaluator that always says "false" says nothing. It
+    cannot stop colluders who make their own truth. This needs no majority: three of ten that never contradict one
+    another look more reliable than honest vehicles that miss a quarter. For the same reason Sybil vehicles win where
+    few others look. It does not see removal, false speeds, or confirmations of true detections.
 
     Notes
     -----
@@ -158,38 +162,3 @@ class DawidSkene(Stepwise):
 
     def _recent(self, state: tuple[tuple[int, Answers], ...], now: int) -> tuple[tuple[int, Answers], ...]:
         return tuple(one for one in state if (now - one[0]) * self.dt_s < self.params.window_s)
-
-
-class DawidSkeneOnline(Stepwise):
-    """`dawid_skene` with a bounded cost per step: online EM [16]_.
-
-    The E-step covers the detections of one step, with the counts of all earlier steps, which decay. Stops and fails as
-    `dawid_skene`, but a verdict on a past detection is final: later evidence about an evaluator does not revise it.
-
-    Notes
-    -----
-    Equations of `dawid_skene`; the counts decay by `decay_per_s`.
-
-    Deviations: [16]_ has one E-step per observation; here the iterations repeat on the detections of the step.
-
-    [16] Cappé, Moulines: On-line Expectation-Maximization Algorithm for Latent Data Models. Journal of the Royal
-    Statistical Society B, 2009.
-    """
-
-    Params: ClassVar[type] = DawidSkeneParams
-
-    def start(self) -> Float[ndarray, "p 6"]:
-        """Counts of each pair; no pairs yet."""
-        return np.zeros((0, 6))
-
-    def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
-        """Counts after a step."""
-        p = self.params
-        new = with_rows(state * self.decay(p.decay_per_s, n_steps), n_pairs)
-        return new + expected_counts(Answers.of(rows), new, p.reliable, p.n_iterations)
-
-    def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
-        """Trust from the decayed counts."""
-        p = self.params
-        counts = state * self.decay(p.decay_per_s, n_steps)
-        return Reading(trust_from(counts, p.reliable), counts[:, 4:].sum(axis=1), None, self.horizon_s(p.decay_per_s))

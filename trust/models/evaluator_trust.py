@@ -78,7 +78,7 @@ class EvaluatorTrust(Stepwise):
         claim = exact(self.params.claim_weight * weight)[rows.observer_of_objects()]
         others = (rows.per_object(signed) + claim)[rows.object] - signed
         agrees = (others > 0) == (pos > neg)
-        judged = (others != 0) & ~rows.is_own[row]
+        judged = others != 0
         by = rows.evaluator[row]
         added = [
             rows.per_observer(vote * rows.pos, len(new)),

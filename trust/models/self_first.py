@@ -23,8 +23,8 @@ class SelfFirstParams(EvaluatorTrustParams):
 class SelfFirst(EvaluatorTrust):
     """As `evaluator_trust`, with the holder's own evaluations as the anchor of truth.
 
-    The holder's own evaluations have `own_weight` and are not judged: whoever contradicts what the holder sees is not
-    believed about what the holder does not see. This is the private experience of [12]_.
+    The holder's own evaluations have `own_weight`: whoever contradicts what the holder sees is not believed about what
+    the holder does not see. This is the private experience of [12]_.
 
     With `trust.host = "local"` it should stop what `evaluator_trust` stops, and also colluding majorities and Sybil
     vehicles, for every holder that sees some of what they talk about. It cannot help a holder that sees nothing of it,
@@ -33,7 +33,7 @@ class SelfFirst(EvaluatorTrust):
 
     Notes
     -----
-    Equations of `evaluator_trust` with w = `own_weight` for the holder's own rows, whose A and D do not grow.
+    Equations of `evaluator_trust` with w = `own_weight` for the holder's own rows.
 
     Deviations: as `evaluator_trust`; [12]_ weighs private and public reputation by a share that depends on the number
     of ratings, and here the own evaluation of the same detection outweighs all others.
