@@ -165,7 +165,7 @@ def log_ratio(pos, neg, a, b):
     return min(max(value, -20.0), 20.0)
 
 
-def belief_graph(steps, now, dt, sent, prior=0.8, coupling=1.0, share=0.5, n_sweeps=12, decay=0.95):
+def belief_graph(steps, now, dt, sent, prior=0.8, coupling=1.0, n_sweeps=12, decay=0.95):
     edge, form = defaultdict(lambda: [0.0] * 4), defaultdict(lambda: [0.0] * 6)
     for step, rows in steps.items():
         left, certain, detects = decay ** ((now - step) * dt), defaultdict(int), set()
@@ -187,12 +187,12 @@ def belief_graph(steps, now, dt, sent, prior=0.8, coupling=1.0, share=0.5, n_swe
         alone[v, "sends"] = alone[v, "evaluates"] = math.log(prior / (1 - prior))
         f = form[v]
         alone[v, "evaluates"] += min(log_ratio(f[0], f[1], 20.0, 0.2), 0) + min(log_ratio(f[2], f[3], 20.0, 0.2), 0)
-        k, n = share * f[4], share * (f[4] + f[5])
+        k, n = f[4], f[4] + f[5]
         chance = log_beta(8 + k, 3.5 + n - k) - log_beta(8, 3.5) + n * math.log(2)
         alone[v, "evaluates"] += min(max(chance, -20.0), 0.0)
     factors = [((v, "evaluates"), (v, "sends"), coupling) for v in nodes]
     for (v, i), sums in edge.items():
-        r, s, of_self, against = (share * x for x in sums)
+        r, s, of_self, against = sums
         factors.append(
             ((v, "evaluates"), (i, "sends"), log_ratio(r, s, 7.0, 2.0) + log_ratio(of_self, against, 2.0, 0.8))
         )
@@ -210,4 +210,13 @@ def belief_graph(steps, now, dt, sent, prior=0.8, coupling=1.0, share=0.5, n_swe
                 q = sigmoid(message[f, 1 - e] - at[ends[1 - e]])
                 new[f, e] = (message[f, e] + math.log(q + p * math.exp(ratio))) / 2
         message = new
-    return {i: sigmoid(belief((i, "evaluates"))) * sigmoid(belief((i, "sends"))) for i in known(steps)}
+    honest = {node: sigmoid(belief(node)) for node in alone}
+    out = {}
+    for i in known(steps):
+        pos, neg = 20.0, 6.0
+        for (v, j), (r, s, of_self, against) in edge.items():
+            if j == i:
+                pos += honest[v, "evaluates"] * (r + of_self)
+                neg += honest[v, "evaluates"] * (s + against)
+        out[i] = honest[i, "evaluates"] * honest[i, "sends"] * pos / (pos + neg)
+    return out

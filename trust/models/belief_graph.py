@@ -34,15 +34,15 @@ class BeliefGraphParams(StepwiseParams):
     """The same for the share of an honest vehicle's evaluations with pos + neg above 1/2."""
     same_role: Annotated[float, Interval(ge=0, le=20)] = 1.0
     """Logarithm of the factor by which it is more likely that both roles of a vehicle are honest."""
-    look_share: Annotated[float, Interval(gt=0, le=1)] = 0.5
-    """Independent looks per evaluation: the same evaluator sees the same object in successive steps."""
+    share_shape: tuple[float, float] = (20.0, 6.0)
+    """Prior evidence for and against what a sender says, in the share of it that is confirmed."""
     n_sweeps: Annotated[int, Interval(ge=1, le=1000)] = 12
     """Updates of all messages per reading: the bound of the iteration."""
     decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.95
     """Share of the evidence that is left after 1 s."""
 
     def __post_init__(self) -> None:
-        for name in ("detections_shape", "self_shape", "form_shape", "decided_shape"):
+        for name in ("detections_shape", "self_shape", "form_shape", "decided_shape", "share_shape"):
             shape = getattr(self, name)
             if not all(0 < x <= 1e6 for x in shape):
                 raise ValueError(
@@ -145,11 +145,12 @@ class BeliefGraph(Stepwise):
 
     Notes
     -----
-    Edge (evaluator v, sender i): L = ln [B(a + k r, b + k s) / B(a, b)] - ln B(1 + k r, 1 + k s) of the decayed sums
-    r, s of pos and neg, k = `look_share`, for detections and for self reports, added. The roles of one vehicle share an
-    edge with L = `same_role`. Every role has the log-odds of `prior_honest`; that of the evaluator has such ratios of
-    the three properties too, where they are negative, the third against the Binomial distribution of 1/2. Trust is the
-    product of the beliefs in both roles after `n_sweeps`, weight the sum of evidence about the sender.
+    Edge (evaluator v, sender i): L = ln [B(a + r, b + s) / B(a, b)] - ln B(1 + r, 1 + s) of the decayed sums r, s of
+    pos and neg, for detections and for self reports, added. The roles of one vehicle share an edge with L =
+    `same_role`. Every role has the log-odds of `prior_honest`; that of the evaluator has such ratios of the three
+    properties too, where they are negative, the third against the Binomial distribution of 1/2. Trust is the product of
+    the beliefs in both roles after `n_sweeps` and of the share of the sender's evidence that is positive, each
+    evaluator weighted by its belief. Weight is the sum of evidence about the sender.
 
     Deviations: the factors are ours; [11]_ gives the algorithm. Messages are damped by half and rounded to 2^-32.
 
@@ -196,15 +197,17 @@ class BeliefGraph(Stepwise):
         known = edge < len(state.edges)
         source, target = source[known], target[known]
         about, form, n = state.edges[edge[known]] * kept, state.vehicles * kept, len(state.vehicles)
-        looks, decided = about * p.look_share, form[:, 4:] * p.look_share
-        ratio = log_ratio(looks[:, 0], looks[:, 1], p.detections_shape)
-        ratio += log_ratio(looks[:, 2], looks[:, 3], p.self_shape)
+        ratio = log_ratio(about[:, 0], about[:, 1], p.detections_shape)
+        ratio += log_ratio(about[:, 2], about[:, 3], p.self_shape)
         alone = np.full(2 * n, np.log(p.prior_honest) - np.log1p(-p.prior_honest))  # evaluators, then senders
         alone[:n] += np.minimum(log_ratio(form[:, 0], form[:, 1], p.form_shape), 0.0)
         alone[:n] += np.minimum(log_ratio(form[:, 2], form[:, 3], p.form_shape), 0.0)
-        alone[:n] += against_chance(decided[:, 0], decided[:, 1], p.decided_shape)
+        alone[:n] += against_chance(form[:, 4], form[:, 5], p.decided_shape)
         both = np.column_stack([np.arange(n), n + np.arange(n)])
         ends = np.concatenate([np.column_stack([source, n + target]), both])
         belief = expit(propagated(ends, np.concatenate([ratio, np.full(n, p.same_role)]), alone, p.n_sweeps))
         weight = exact_sums(target, about.sum(axis=1), n)
-        return Reading(belief[:n] * belief[n:], weight, None, self.horizon_s(p.decay_per_s))
+        pos = p.share_shape[0] + exact_sums(target, belief[source] * (about[:, 0] + about[:, 2]), n)
+        neg = p.share_shape[1] + exact_sums(target, belief[source] * (about[:, 1] + about[:, 3]), n)
+        trust = belief[:n] * belief[n:] * pos / (pos + neg)
+        return Reading(trust, weight, None, self.horizon_s(p.decay_per_s))
