@@ -14,7 +14,7 @@ from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TruthInferenceParams(StepwiseParams):
+class InferenceParams(StepwiseParams):
     """What `dawid_skene` and `dawid_skene_online` have in common; the defaults are ours."""
 
     reliable: Annotated[float, Gt(1)] = 4.0
@@ -25,7 +25,7 @@ class TruthInferenceParams(StepwiseParams):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DawidSkeneParams(TruthInferenceParams):
+class DawidSkeneParams(InferenceParams):
     """Parameters of the model `dawid_skene`."""
 
     window_s: Annotated[float, Interval(ge=0.001, le=1e4)] = 20.0
@@ -106,7 +106,7 @@ def trust_from(counts: Float[ndarray, "p 6"], reliable: float) -> Float[ndarray,
     counts
         As `expected_counts` returns them.
     reliable
-        As in `TruthInferenceParams`.
+        As in `InferenceParams`.
 
     Returns
     -------

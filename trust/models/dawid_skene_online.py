@@ -9,13 +9,13 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from trust.evaluation_log import StepRows
-from trust.models.dawid_skene import Answers, TruthInferenceParams, expected_counts, trust_from
+from trust.models.dawid_skene import Answers, InferenceParams, expected_counts, trust_from
 from trust.models.stepwise import Reading, Stepwise
 from trust.pair_index import with_rows
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DawidSkeneOnlineParams(TruthInferenceParams):
+class DawidSkeneOnlineParams(InferenceParams):
     """Parameters of the model `dawid_skene_online`."""
 
     decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.95
