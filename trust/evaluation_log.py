@@ -3,12 +3,12 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from trust.open_steps import OpenSteps
-from trust.pair_index import PairIndex
-from trust.tables import DetectionRows, ObserverRows, ReceivedEvaluations
+from trust.pair_index import PairIndex, find
+from trust.tables import DetectionRows, ObserverRows, ReceivedEvaluations, int64
 
 _QUANTUM = float(1 << 32)
 
@@ -59,6 +59,9 @@ class StepRows:
     object_pos: Float[ndarray, "k"]
     object_neg: Float[ndarray, "k"]
     n_objects: int
+    is_self: Bool[ndarray, "k"]  # of every single evaluation: whether it is of the observer's report of itself
+    n_sent: Int[ndarray, "n"]  # detections that the evaluator transmitted in the step, its self report included
+    is_own: Bool[ndarray, "n"]  # whether the holder itself is the evaluator
 
     def per_observer(self, values: Float[ndarray, "n"], n_pairs: int) -> Float[ndarray, "n_pairs"]:
         """Sums over the rows of each (holder, observer), rounded as in `exact_sums`.
@@ -104,9 +107,12 @@ class StepRows:
 
 @dataclass(slots=True)
 class _Step:
-    """What has been received of one step so far."""
+    """What has been transmitted and received of one step so far."""
 
+    pseudonyms: Int[ndarray, "n"]  # present in the step, ascending
+    n_sent: Int[ndarray, "n"]  # detections of each
     parts: list[tuple[ObserverRows, DetectionRows]] = field(default_factory=list)
+    own: list[bool] = field(default_factory=list)  # of each part: whether its holders made it
     rows: StepRows | None = None
     n_additions: int = 0
 
@@ -131,7 +137,8 @@ class EvaluationLog:
             return
         self.advance(step)
         self.steps.open(step, pseudonyms, observer_row, detection_index, score)
-        self._open[step] = _Step()
+        n_sent = np.bincount(observer_row, minlength=len(pseudonyms)).astype(np.int64)
+        self._open[step] = _Step(int64(pseudonyms), n_sent)
 
     def advance(self, now_step: int) -> None:
         """Close the steps that are too old.
@@ -162,6 +169,7 @@ class EvaluationLog:
         if accepted is not None and len(accepted):
             step = self._open[received.messages.step]
             step.parts.append(accepted.both())
+            step.own.append(received.is_own)
             step.n_additions, step.rows = step.n_additions + 1, None
 
     def versions(self) -> dict[int, int]:
@@ -176,19 +184,21 @@ class EvaluationLog:
         """Evaluations of a step that have been accepted so far."""
         of_step = self._open[step]
         if of_step.rows is None:
-            of_step.rows = self._merged(of_step.parts)
+            of_step.rows = self._merged(of_step)
         return of_step.rows
 
-    def _merged(self, parts: list[tuple[ObserverRows, DetectionRows]]) -> StepRows:
+    def _merged(self, step: _Step) -> StepRows:
+        parts, own = step.parts, step.own
         if not parts:
             row, real = np.zeros(0, np.int64), np.zeros(0)
-            parts = [(ObserverRows(row, row, row, real, real, row), DetectionRows(row, row, real, real))]
+            parts, own = [(ObserverRows(row, row, row, real, real, row), DetectionRows(row, row, real, real))], [False]
         first = np.cumsum([0, *(len(observers.n) for observers, _ in parts)])
         holder, evaluator, observer, pos, neg, n = (np.concatenate(c) for c in zip(*(o for o, _ in parts), strict=True))
         row = np.concatenate([d.row + begin for (_, d), begin in zip(parts, first, strict=False)])
         index, object_pos, object_neg = (
             np.concatenate([d[column] for _, d in parts]) for column in range(1, 4)
         )  # fmt: skip
+        n_sent = step.n_sent[find(evaluator, step.pseudonyms)[0]]
         evaluator, observer = self.pairs.rows(holder, evaluator), self.pairs.rows(holder, observer)
         used = np.zeros(len(self.pairs), np.int64)
         used[observer] = 1
@@ -199,4 +209,5 @@ class EvaluationLog:
         return StepRows(
             evaluator, observer, self.edges.rows(evaluator, observer), pos, neg, n,
             row, (np.cumsum(taken) - taken)[number], object_pos, object_neg, int(taken.sum()),
+            index == 0, n_sent, np.repeat(own, np.diff(first)),
         )  # fmt: skip

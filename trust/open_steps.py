@@ -205,4 +205,4 @@ class OpenSteps:
             evaluation=messages.evaluation[part.kept],
             visibility=messages.visibility[part.kept],
         )
-        return ReceivedEvaluations(valid, part.holder, part.message_row, received.eta)
+        return ReceivedEvaluations(valid, part.holder, part.message_row, received.eta, received.is_own)

@@ -284,6 +284,8 @@ class ReceivedEvaluations:
     message_row: Int[ndarray, "m"]  # row of `messages.evaluator`
     eta: float = -1.0
     """Evaluation of an unmatched detection in this run (`params.eta_of`): tells `neg` from `evaluation`."""
+    is_own: bool = False
+    """Whether the holders made these evaluations themselves, by their own sweeps."""
 
     def __len__(self) -> int:
         """Number of received evaluations, including those without effect."""

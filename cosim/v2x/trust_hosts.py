@@ -321,7 +321,7 @@ class TrustHosts:
         -------
         The state with the new evidence.
         """
-        received = ReceivedEvaluations(messages, vehicle, message, self.eta)
+        received = ReceivedEvaluations(messages, vehicle, message, self.eta, is_own=not of_others)
         hosts = [h for h in self._hosts("local") if not of_others or self.params[h].local_evidence == "received"]
         self._add(state, hosts, received)
         return state

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.trust.histories import add, histories, open_step, play, trust_of
+from tests.trust.test_judged_evaluators import JUDGING
 from tests.verification import trust_models as literal
 from trust import opinions
 from trust.models import MODELS, params_of
@@ -40,7 +41,7 @@ def build(name, dt_s=1.0, **own):
 
 def test_every_model_has_a_twin():
     scorers = {name for name in MODELS if name.startswith("raya_")}
-    assert set(SETTINGS) | scorers | {"trupercept"} == set(MODELS)
+    assert set(SETTINGS) | set(JUDGING) | scorers | {"trupercept"} == set(MODELS)
 
 
 @pytest.mark.parametrize(("name", "ours", "theirs"), CASES)

@@ -1,0 +1,141 @@
+"""Trust models that judge evaluators: equal to their literal transcriptions, and what liars do to them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.trust.histories import add, history, open_step, received_by, trust_of
+from tests.verification import judged_evaluators as literal
+from trust.models import MODELS, params_of
+from trust.params import TrustParams
+from trust.tables import SERVER, ReceivedEvaluations
+
+CASES = [
+    ("dawid_skene", {}, {}),
+    ("dawid_skene", {"window_s": 2.0, "n_iterations": 3}, {"window_s": 2.0, "n_iterations": 3}),
+    ("dawid_skene_online", {}, {}),
+    ("evaluator_trust", {}, {}),
+    ("evaluator_trust", {"claim_weight": 2.0, "decay_per_s": 0.5}, {"claim": 2.0, "decay": 0.5}),
+    ("self_first", {}, {}),
+    ("median_groups", {}, {}),
+    ("miso_v", {}, {}),
+    ("miso_v", {"n_sources": 3}, {"n_sources": 3}),
+    ("belief_graph", {}, {}),
+    ("belief_graph", {"n_sweeps": 3, "prior_honest": 0.6}, {"n_sweeps": 3, "prior": 0.6}),
+]
+"""Parameters by model: ours, and those of the transcription."""
+JUDGING = sorted({name for name, *_ in CASES})
+
+
+def build(name, dt_s=1.0, **own):
+    return MODELS[name](params_of(MODELS[name], TrustParams(), own), dt_s)
+
+
+def given(model, step, rows, own):
+    """The evaluations of a step; those of the vehicle `own` are the holder's."""
+    received = received_by(step, rows)
+    is_own = received.messages.evaluator == own
+    for mine in (True, False):
+        which = np.flatnonzero(is_own == mine)
+        part = ReceivedEvaluations(received.messages, np.full(which.size, SERVER), which, is_own=mine)
+        model.add_evaluations(part)
+
+
+@pytest.mark.parametrize(("name", "ours", "theirs"), CASES)
+def test_twin(name, ours, theirs):
+    """Fifty random streams, with and without evaluations of the holder's own."""
+    for seed in range(50):
+        frames, rows = history(seed, 1 + seed % 6, 2 + seed % 4)
+        own = min(frames[0]) if seed % 2 else None
+        dt_s = 1.0 if seed % 3 else 0.5
+        model = build(name, dt_s, grace_s=float(1 + seed % 5), **ours)
+        for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
+            open_step(model, step, frame)
+            given(model, step, evaluated, own)
+        more = {"own": own} if name == "self_first" else {}
+        if name == "belief_graph":
+            more = {"sent": [{v: len(scores) for v, scores in frame.items()} for frame in frames]}
+        expected = getattr(literal, name)(dict(enumerate(rows)), len(rows) - 1, dt_s, **theirs, **more)
+        scores = model.scores()
+        mine = dict(zip(scores.subject.tolist(), scores.trust.tolist(), strict=True))
+        if name == "dawid_skene":  # what has left the window has no row
+            expected = {i: x for i, x in expected.items() if i in mine}
+        assert mine == pytest.approx(expected, abs=2e-6), (name, seed)
+
+
+def town(name, liars, about, own=None, miss_p=0.25):
+    """Trust by vehicle in a town of ten that all see one another; honest ones miss detections by chance.
+
+    `about(liar, subject)` is what a liar says of each detection of a subject.
+    """
+    model = build(name)
+    rng = np.random.default_rng(5)
+    vehicles = range(1, 11)
+    for step in range(12):
+        open_step(model, step, {v: [1.0, 0.9, 0.8] for v in vehicles})
+        rows = []
+        for v in vehicles:
+            for i in vehicles:
+                for k in range(3 if v != i else 0):
+                    honest = 0.9 if rng.random() >= miss_p else -1.0
+                    rows.append((v, i, k, about(v, i) if v in liars else honest, 1.0))
+        given(model, step, rows, own)
+    return {v: trust_of(model, v) for v in vehicles}
+
+
+@pytest.mark.parametrize("name", JUDGING)
+def test_who_denies_everybody_is_trusted_less_than_its_victims(name):
+    found = town(name, {1, 2}, lambda liar, subject: -1.0)
+    assert max(found[1], found[2]) < min(found[v] for v in range(3, 11))
+
+
+@pytest.mark.parametrize("name", ["belief_graph", "evaluator_trust", "miso_v", "self_first"])
+def test_a_ring_of_three_gains_nothing(name):
+    """Truth inference fails here: a ring that never errs looks more reliable than honest vehicles that err."""
+    found = town(name, {1, 2, 3}, lambda liar, subject: 1.0 if subject <= 3 else -1.0)
+    assert max(found[v] for v in (1, 2, 3)) < min(found[v] for v in range(4, 11))
+
+
+def test_an_own_sweep_bounds_what_a_colluding_majority_gains():
+    """Six of ten collude. By the votes of others the three victims are liars; the holder's own eyes tell otherwise."""
+
+    def about(liar, subject):
+        return 0.9 if subject <= 6 else -1.0
+
+    votes = town("evaluator_trust", set(range(1, 7)), about, own=10, miss_p=0.1)
+    eyes = town("self_first", set(range(1, 7)), about, own=10, miss_p=0.1)
+    assert max(votes[v] for v in (7, 8, 9)) < 0.2 and min(votes[v] for v in range(1, 7)) > 0.9
+    assert min(eyes[v] for v in (7, 8, 9)) > 0.45 and max(eyes[v] for v in range(1, 7)) < 0.65
+    assert town("self_first", set(range(1, 7)), about, miss_p=0.1) == votes, "a server has no sweep"
+
+
+def test_withheld_detections_are_a_contradiction():
+    """Vehicle 1 confirms with detections of its own, and sends only its self report."""
+    model = build("belief_graph")
+    for step in range(10):
+        open_step(model, step, {1: [1.0], 2: [1.0, 0.9], 3: [1.0, 0.9]})
+        add(model, step, [(v, i, k, 0.9, 1.0) for v in (1, 2, 3) for i in (2, 3) for k in (0, 1) if v != i])
+        add(model, step, [])
+    # vehicle 1 has no evaluations about itself, hence no row; ask the state of the evaluators instead
+    assert trust_of(model, 1) == 0.5
+    open_step(model, 10, {1: [1.0], 2: [1.0, 0.9], 3: [1.0, 0.9]})
+    add(model, 10, [(v, 1, 0, 0.9, 1.0) for v in (2, 3)])
+    assert trust_of(model, 1) < 0.2 < 0.7 < trust_of(model, 2)
+
+
+def test_the_holders_own_evaluations_are_marked_in_the_log():
+    model = build("self_first")
+    open_step(model, 0, {1: [1.0, 0.5], 2: [1.0], 3: [1.0]})
+    given(model, 0, [(1, 2, 0, 1.0, 1.0), (3, 1, 0, 1.0, 1.0), (3, 1, 1, -1.0, 1.0)], own=1)
+    rows = model.log.rows(0)
+    named = dict(zip(rows.evaluator.tolist(), rows.is_own.tolist(), strict=True))
+    assert sorted(named.values()) == [False, True]
+    assert sorted(rows.n_sent.tolist()) == [1, 2]
+    assert rows.is_self.tolist().count(True) == 2
+
+
+def test_a_shape_that_is_none_is_refused():
+    good = MODELS["belief_graph"].Params()
+    with pytest.raises(ValueError, match=r"trust.self_shape = \[0.0, 1.0\]: both shapes"):
+        replace(good, self_shape=(0.0, 1.0))

@@ -1,0 +1,164 @@
+"""Truth inference: the truth of detections and the reliability of evaluators, estimated together."""
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from annotated_types import Gt, Interval
+from jaxtyping import Float, Int
+from numpy import ndarray
+from scipy.special import expit
+
+from trust.evaluation_log import StepRows, exact_sums
+from trust.models.stepwise import Reading, Stepwise, StepwiseParams
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class InferenceParams(StepwiseParams):
+    """What `dawid_skene` and `dawid_skene_online` have in common; the defaults are ours."""
+
+    reliable: Annotated[float, Gt(1)] = 4.0
+    """a: prior evidence that an evaluator says what is true, and that a sender's detections are true, against 1 of the
+    opposite. It must be above 1: this is what tells truth from its reverse."""
+    n_iterations: Annotated[int, Interval(ge=1, le=1000)] = 8
+    """Iterations of expectation and maximisation: the bound of the work."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DawidSkeneParams(InferenceParams):
+    """Parameters of the model `dawid_skene`."""
+
+    window_s: Annotated[float, Interval(ge=0.001, le=1e4)] = 20.0
+    """Age at which evidence is forgotten [s]; the default is ours."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """Evaluations of detections, as answers to the question whether each is true."""
+
+    by: Int[ndarray, "k"]  # pair of each answer's evaluator
+    object: Int[ndarray, "k"]  # detection, numbered from 0
+    pos: Float[ndarray, "k"]
+    neg: Float[ndarray, "k"]
+    sender: Int[ndarray, "o"]  # pair of each detection's sender
+
+    @staticmethod
+    def of(rows: StepRows) -> "Answers":
+        """The evaluations of one step."""
+        return Answers(
+            rows.evaluator[rows.row], rows.object, rows.object_pos, rows.object_neg, rows.observer_of_objects()
+        )
+
+    @staticmethod
+    def joined(parts: tuple["Answers", ...]) -> "Answers":
+        """The evaluations of several steps, whose detections are different ones."""
+        first = np.cumsum([0, *(p.sender.size for p in parts)])
+        return Answers(
+            np.concatenate([p.by for p in parts]),
+            np.concatenate([p.object + n for p, n in zip(parts, first, strict=False)]),
+            np.concatenate([p.pos for p in parts]),
+            np.concatenate([p.neg for p in parts]),
+            np.concatenate([p.sender for p in parts]),
+        )
+
+
+def expected_counts(
+    answers: Answers, before: Float[ndarray, "p 6"], reliable: float, n_iterations: int
+) -> Float[ndarray, "p 6"]:
+    """What the evaluators got right and wrong, by expectation over the unknown truth.
+
+    Parameters
+    ----------
+    answers
+        Evaluations of the detections whose truth is unknown.
+    before
+        Counts of other detections, in the columns of the result.
+    reliable
+        Prior evidence that answers and detections are right.
+    n_iterations
+        Iterations of expectation and maximisation.
+
+    Returns
+    -------
+    Confirmations and denials of true detections, denials and confirmations of false ones, by evaluator; then true and
+    false detections, by sender.
+    """
+    by, to, n, n_objects = answers.by, answers.object, len(before), answers.sender.size
+    counts = np.zeros((n, 6))
+    for _ in range(n_iterations):
+        known = before + counts + np.tile([reliable, 1.0], 3)
+        log = np.log(known) - np.log((known[:, 0::2] + known[:, 1::2]).repeat(2, axis=1))
+        weight = answers.pos * (log[by, 0] - log[by, 3]) + answers.neg * (log[by, 1] - log[by, 2])
+        prior = log[answers.sender, 4] - log[answers.sender, 5]
+        true = expit(prior + exact_sums(to, weight, n_objects))
+        q = true[to]
+        parts = [(by, q * answers.pos), (by, q * answers.neg), (by, (1 - q) * answers.neg), (by, (1 - q) * answers.pos)]
+        parts += [(answers.sender, true), (answers.sender, 1 - true)]
+        counts = np.stack([exact_sums(who, what, n) for who, what in parts], axis=1)
+    return counts
+
+
+def trust_from(counts: Float[ndarray, "p 6"], reliable: float) -> Float[ndarray, "p"]:
+    """Share of true detections, times what the evaluator's word is worth.
+
+    Parameters
+    ----------
+    counts
+        As `expected_counts` returns them.
+    reliable
+        As in `InferenceParams`.
+
+    Returns
+    -------
+    pi times max(0, alpha + beta - 1) (Youden's index) of each pair, in [0, 1].
+    """
+    known = counts + np.tile([reliable, 1.0], 3)
+    share = known[:, 0::2] / (known[:, 0::2] + known[:, 1::2])
+    return share[:, 2] * np.maximum(share[:, 0] + share[:, 1] - 1.0, 0.0)
+
+
+class DawidSkene(Stepwise):
+    """Two-coin model of Dawid and Skene [15]_, by EM over a window of steps.
+
+    It should stop bad-mouthing, random evaluations, and the senders of false content: whoever answers against the truth
+    that the others' answers make likely is unreliable, and an evaluator that always says "false" says nothing. It
+    cannot stop colluders who make their own truth. This needs no majority: three of ten that never contradict one
+    another look more reliable than honest vehicles that miss a quarter. For the same reason Sybil vehicles win where
+    few others look. It does not see removal, false speeds, or confirmations of true detections.
+
+    Notes
+    -----
+    Detection d of sender i is true with probability pi_i. Evaluator v confirms a true one with probability alpha_v and
+    denies a false one with beta_v; an evaluation counts pos confirmations and neg denials. E: logit q_d = logit pi_i +
+    sum of pos ln(alpha / (1 - beta)) + neg ln((1 - alpha) / beta). M: means with prior counts a and 1. Trust is pi
+    max(0, alpha + beta - 1).
+
+    Deviations: priors, because without them truth and falsehood may be exchanged (honest majority); fractional answers;
+    a fixed number of iterations.
+
+    [15] Dawid, Skene: Maximum Likelihood Estimation of Observer Error-Rates Using the EM Algorithm. Applied Statistics,
+    1979.
+    """
+
+    Params: ClassVar[type] = DawidSkeneParams
+
+    def start(self) -> tuple[tuple[int, Answers], ...]:
+        """Answers by step; none yet."""
+        return ()
+
+    def advance(
+        self, state: tuple[tuple[int, Answers], ...], n_steps: int, step: int, rows: StepRows, n_pairs: int
+    ) -> tuple[tuple[int, Answers], ...]:
+        """The answers of the window after a step."""
+        return (*self._recent(state, step), (step, Answers.of(rows)))
+
+    def read(self, state: tuple[tuple[int, Answers], ...], n_steps: int, now: int) -> Reading:
+        """Trust from the counts of the window."""
+        p, n = self.params, len(self.log.pairs)
+        counts = np.zeros((n, 6))
+        if recent := tuple(answers for _, answers in self._recent(state, now)):
+            counts = expected_counts(Answers.joined(recent), counts, p.reliable, p.n_iterations)
+        return Reading(trust_from(counts, p.reliable), counts[:, 4:].sum(axis=1), None, p.window_s)
+
+    def _recent(self, state: tuple[tuple[int, Answers], ...], now: int) -> tuple[tuple[int, Answers], ...]:
+        return tuple(one for one in state if (now - one[0]) * self.dt_s < self.params.window_s)
