@@ -42,9 +42,9 @@ ATTACKS = (
     "ballot_stuffing", "collusion", "random_evaluations",
 )  # fmt: skip
 """The attacks of the study `attacks`, with their default parameters."""
-CITIES = ("helsinki", "koenigs-wusterhausen", "braunschweig")
+CITIES = ("helsinki", "koenigs-wusterhausen", "adlershof")
 PLACES = tuple(
-    Place(city, penetration_p, seed) for city in CITIES for penetration_p in (0.15, 0.3) for seed in (1001, 1002, 1003)
+    Place(city, penetration_p, seed) for city in CITIES for penetration_p in (0.15, 0.3) for seed in range(1001, 1006)
 )
 """Worlds of the shipped set. The seeds are beyond those of all studies."""
 SHARE_P = 0.1
@@ -66,10 +66,18 @@ class Tape:
         self.step = -1
         self.arrived: list[tuple[int, int, ndarray]] = []
         """Step of arrival, step of the messages, and their evaluators."""
+        self.opened: list[Rows] = []
+        """By step: what was transmitted."""
 
-    def open_step(self, step: int, *_: ndarray) -> None:
-        """Keep the step."""
+    def open_step(
+        self, step: int, pseudonyms: ndarray, observer_row: ndarray, detection_index: ndarray, score: ndarray
+    ) -> None:
+        """Keep what was transmitted."""
         self.step = step
+        self.opened.append({
+            "step": np.full(len(score), step), "observer": pseudonyms[observer_row],
+            "detection_index": detection_index, "score": _percent(score),
+        })  # fmt: skip
 
     def add_evaluations(self, received: ReceivedEvaluations) -> None:
         """Keep who evaluated. The server processes messages before the step begins."""
@@ -115,23 +123,24 @@ class _Case:
 
     parts: Parts
     state: State
-    rows: dict[str, list[Rows]] = field(default_factory=lambda: {name: [] for name in TABLES})
+    rows: dict[str, list[Rows]] = field(default_factory=dict)
 
     def record(self, world: World) -> None:
         """Simulate a step and keep its rows."""
         self.state, result = step(world, self.state, self.parts)
         if result.sensed is not None:
             for name, rows in _rows(result.sensed, world, self.state.trust.hosts[0].downlink.last).items():
-                self.rows[name].append(rows)
+                self.rows.setdefault(name, []).append(rows)
 
     def tables(self) -> dict[str, Rows]:
         """All rows of the case, with pseudonyms as in the simulation."""
-        found = {name: {c: np.concatenate([rows[c] for rows in of]) for c in of[0]} for name, of in self.rows.items()}
+        tape = self.state.trust.hosts[0].model
+        assert isinstance(tape, Tape)
+        parts = {**self.rows, "detections": tape.opened}
+        found = {name: {c: np.concatenate([rows[c] for rows in of]) for c in of[0]} for name, of in parts.items()}
         pseudonyms = found["pseudonyms"]
         _, first = np.unique(pseudonyms["pseudonym"], return_index=True)
         found["pseudonyms"] = {c: values[first] for c, values in pseudonyms.items()}
-        tape = self.state.trust.hosts[0].model
-        assert isinstance(tape, Tape)
         reports = found["reports"]
         arrival = np.full(len(reports["step"]), -1)
         key = reports["step"] << 32 | reports["evaluator"]
@@ -143,19 +152,13 @@ class _Case:
 
 def _rows(sensed: Sensed, world: World, broadcast: Int[ndarray, "capacity"]) -> dict[str, Rows]:
     """The rows of a step. `broadcast` is the newest broadcast of each vehicle, by actor number."""
-    listed, senders, sent, used = sensed.listed, sensed.senders, sensed.evaluated.sent, sensed.looked_up.messages
-    out = np.flatnonzero(listed.objects.transmitted)
+    senders, sent, used = sensed.senders, sensed.evaluated.sent, sensed.looked_up.messages
     says = np.flatnonzero(sent.visibility > 0)
     by = np.repeat(sent.evaluator, np.diff(sent.ptr))[says]
     receiver, evaluator, actor = sensed.sensing.actor[used.receiver], np.unique(by), sensed.vehicles.actor
     attack = np.zeros(int(world.actor.max()) + 1, bool)
     attack[world.actor] = world.attack > 0
     found = {
-        "detections": {
-            "observer": senders.pseudonym[listed.detections.message[out]],
-            "detection_index": listed.detections.detection_index[out],
-            "score": _percent(listed.detections.score[out]),
-        },
         "reports": {"evaluator": evaluator},
         "evaluations": {
             "evaluator": by, "observer": sent.observer[says], "detection_index": sent.detection_index[says],
