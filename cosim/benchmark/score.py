@@ -21,6 +21,8 @@ from results.metrics.survival import kaplan_meier, median, median_band
 
 FALSE_POSITIVES = 0.05
 """Largest share of look-ups that a model's threshold may exclude where nobody attacks."""
+ON_EVALUATIONS = ("bad_mouthing", "ballot_stuffing", "collusion", "random_evaluations")
+"""Attacks whose vehicles send true detections and false evaluations."""
 
 Advance = Callable[[str, int, int, str], None]
 
@@ -42,7 +44,7 @@ class Figures:
     """Mean age of the newest evaluation behind a value at look-up."""
     harm: Estimate
     """Mean of two shares, averaged over worlds: honest vehicle-seconds that are excluded, and received messages of
-    attackers that lie and are believed."""
+    attackers that have false detections and are believed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +57,9 @@ class Counts:
     wrong_s: float
     honest_s: float
     believed: float
-    lies: float
+    lies_believed: float
     messages: float
-    """Received messages of attackers: believed lies, lies, all."""
+    """Received messages of attackers: believed ones, those with false detections of these, and all."""
     age_s: float
     n_aged: float
     delay_s: Float[ndarray, "a"]
@@ -66,7 +68,7 @@ class Counts:
 
 
 def counts(
-    stream: Stream, answers: Answers, threshold: float, rules: Rules, lying: Bool[ndarray, "n"] | None = None
+    stream: Stream, answers: Answers, threshold: float, rules: Rules, lying: Bool[ndarray, "n"]
 ) -> Counts:
     """What one world says about a model.
 
@@ -75,14 +77,14 @@ def counts(
     threshold
         Trust below which a sender is excluded.
     lying
-        Whether the sender, if it attacks, lies in each looked-up message; in all of them by default.
+        Whether each looked-up message has false detections if its sender attacks.
     """
     asked, attacks = stream.lookups, stream.attackers()
     counted = np.flatnonzero(~attacks[asked["receiver"]] & (asked["step"] >= rules.start_step))
     step, sender = asked["step"][counted].astype(np.int64), asked["sender"][counted].astype(np.int64)
     trust, age_s = answers.trust[counted], answers.age_s[counted]
     rated, is_attacker = ~np.isnan(trust), attacks[sender]
-    lies = is_attacker if lying is None else is_attacker & lying[counted]
+    lies = is_attacker & lying[counted]
     excluded = rated & (trust < threshold)
     honest = np.sort(trust[rated & ~is_attacker])
     other = trust[rated & is_attacker]
@@ -90,12 +92,12 @@ def counts(
         np.searchsorted(honest, other, "left").sum() + np.searchsorted(honest, other, "right").sum()
     ) / 2
     seconds, of = np.unique((step << 16 | sender)[~is_attacker], return_inverse=True)
-    share = np.bincount(of, excluded[~is_attacker], len(seconds)) / np.maximum(np.bincount(of, minlength=len(seconds)), 1)
+    share = np.bincount(of, excluded[~is_attacker], len(seconds)) / np.bincount(of, minlength=len(seconds))
     delay_s, found = _delays(step[is_attacker], sender[is_attacker], excluded[is_attacker], rules.dt_s)
     return Counts(
         above=float(above), pairs=float(len(honest) * len(other)), wrong_s=float(share.sum()),
-        honest_s=float(len(seconds)), believed=float((lies & ~excluded).sum()), lies=float(lies.sum()),
-        messages=float(is_attacker.sum()), age_s=float(age_s[rated].sum()), n_aged=float(rated.sum()),
+        honest_s=float(len(seconds)), believed=float((is_attacker & ~excluded).sum()),
+        lies_believed=float((lies & ~excluded).sum()), messages=float(is_attacker.sum()), age_s=float(age_s[rated].sum()), n_aged=float(rated.sum()),
         delay_s=delay_s, found=found,
     )  # fmt: skip
 
@@ -120,13 +122,13 @@ def figures(of_worlds: list[Counts]) -> Figures:
     attacked = column["messages"] > 0
     harm = (
         column["wrong_s"][attacked] / np.maximum(column["honest_s"][attacked], 1)
-        + column["believed"][attacked] / column["messages"][attacked]
+        + column["lies_believed"][attacked] / column["messages"][attacked]
     ) / 2
     return Figures(
         auc=ratio(column["above"], column["pairs"]),
         exclusion_s=wait,
         wrong_p=ratio(column["wrong_s"], column["honest_s"]),
-        believed_p=ratio(column["believed"], column["lies"]),
+        believed_p=ratio(column["believed"], column["messages"]),
         age_s=ratio(column["age_s"], column["n_aged"]),
         harm=ratio(harm, np.ones(len(harm))),
     )
@@ -180,7 +182,8 @@ def score(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> Scor
             stream = evidence.stream(world, case)
             answers = play(Script.of(stream, rules), candidate)
             cost_s, n_evaluations = cost_s + answers.cost_s, n_evaluations + answers.n_evaluations
-            of_worlds.append(counts(stream, answers, threshold, rules))
+            lying = np.full(len(answers.trust), name not in ON_EVALUATIONS)
+            of_worlds.append(counts(stream, answers, threshold, rules, lying))
             advance(f"{candidate.name}: attacks", case * n_worlds + world + 1, len(rules.cases) * n_worlds, name)
         if case:
             found[name] = figures(of_worlds)
