@@ -1,4 +1,4 @@
-"""An adversary that knows a trust model and adapts to it: it searches the mix and the schedule of attacks that harm most.
+"""An adversary that knows a trust model: it searches the mix and the schedule of attacks that harm it most.
 
 Nothing is simulated again. A policy chooses, for every attacker and step, between the messages of the world without
 attack and those of the world with an attack, together with all evaluations about them, and which evaluations its
@@ -55,7 +55,8 @@ class Policy:
     def lies(self, step: Int[ndarray, "n"], rules: Rules) -> Bool[ndarray, "n"]:
         """Whether attackers send false detections in these steps."""
         since_s = (step - rules.start_step) * rules.dt_s - self.sleep_s
-        return (self.attack != HONEST) & (since_s >= 0) & (np.mod(since_s, self.period_s) < self.lie_p * self.period_s - 1e-9)
+        is_on = np.mod(since_s, self.period_s) < self.lie_p * self.period_s - 1e-9
+        return (since_s >= 0) & is_on & (self.attack != HONEST)
 
 
 _PERIODS_S, _SLEEPS_S = (2.0, 30.0), (0.0, 30.0)

@@ -103,7 +103,7 @@ TABLES: Mapping[str, Table] = {
         1,
     ),
 }  # fmt: skip
-_DTYPES = {"int8": np.int8, "int16": np.int16}
+_DTYPES: Mapping[str, type] = {"int8": np.int8, "int16": np.int16}
 _BITS = {"step": 12, "detection_index": 12}
 """Bits of a key column in a packed key; the others are pseudonyms and have `_PSEUDONYM_BITS`."""
 _PSEUDONYM_BITS = 13
@@ -280,9 +280,9 @@ def load(folder: Path = SHIPPED) -> EvidenceSet:
         found = EvidenceSet(head["version"], rules, worlds, tables)
         checksum, expected = found.checksum, head["sha256"]
     except FileNotFoundError as error:
-        raise ValueError(f"{error.filename}: no such file. cosim benchmark --make --set FOLDER records a set.") from None
+        raise ValueError(f"{error.filename}: no such file. Record a set: cosim benchmark --make.") from None
     except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
-        raise ValueError(f"{folder}: this is no evidence set, or it is damaged ({error}).".replace("\n", " ")) from None
+        raise ValueError(f"{folder}: this is no evidence set, or it is damaged ({error}).") from None
     if checksum != expected:
         raise ValueError(
             f"{folder}: this evidence set was altered: its content has the checksum {checksum[:12]}, and "
@@ -293,7 +293,7 @@ def load(folder: Path = SHIPPED) -> EvidenceSet:
 
 def _read(folder: Path, name: str) -> Rows:
     table = pq.read_table(folder / f"{name}.parquet")
-    wanted = {"world": np.int8, "case": np.int8, "gone": np.int8}
+    wanted: dict[str, type] = {"world": np.int8, "case": np.int8, "gone": np.int8}
     wanted |= {c: _DTYPES[column.type] for c, column in TABLES[name].columns.items()}
     rows = {column: table[column].to_numpy() for column in wanted}
     for column, dtype in wanted.items():

@@ -58,7 +58,7 @@ def candidate(name: str, sets: Sequence[str], rules: Rules) -> Candidate:
     variant = variants(config)[0]
     known = {f.name for f in fields(getattr(variant.model, "Params", None) or type(config.trust))} | {"host"}
     if strange := sorted(data.keys() - known):
-        raise ValueError(f"--set {strange[0]}: the benchmark plays recorded evidence, and this key has no effect on it.")
+        raise ValueError(f"--set {strange[0]}: this key has no effect on recorded evidence. Leave it out.")
     if variant.trust.host == "none":
         raise ValueError('--set host=none: nobody would keep trust. Set "central" or "local".')
     return Candidate(name, variant, sources(config)["trust.model"].sha256)
@@ -136,8 +136,8 @@ def _messages(stream: Stream, rules: Rules) -> list[EvaluationMessages]:
         evaluator = reports["evaluator"][of[step] : of[step + 1]].astype(np.int64)
         by = rows["evaluator"][here].astype(np.int64)
         found.append(EvaluationMessages(
-            step, evaluator, np.append(np.searchsorted(by, evaluator), len(by)), rows["observer"][here].astype(np.int64),
-            rows["detection_index"][here].astype(np.int64), rows["evaluation"][here] / 100,
+            step, evaluator, np.append(np.searchsorted(by, evaluator), len(by)),
+            rows["observer"][here].astype(np.int64), rows["detection_index"][here].astype(np.int64), rows["evaluation"][here] / 100,
             rows["visibility"][here] / 100,
         ))  # fmt: skip
     return found

@@ -11,7 +11,6 @@ from numpy import ndarray
 from cosim.benchmark.evidence import (
     HONEST,
     MOST_PSEUDONYMS,
-    TABLES,
     EvidenceSet,
     Place,
     Rows,
@@ -216,7 +215,8 @@ def recorded(place: Place, rules: Rules, advance: Advance) -> list[Stream]:
     scenario = check(config)
     base, _, traffic = running.load_parts(config, scenario)
     shared = _Shared(base.perception)
-    parts = [replace(base, adversary=replace(base.adversary, attacks=(_Harmless(),)))]
+    harmless: Any = (_Harmless(),)  # an attack may leave any hook out
+    parts = [replace(base, adversary=replace(base.adversary, attacks=harmless))]
     parts += [Parts.of(config_of(place, rules, attack), base.city, base.rsus) for attack in attacks]
     cases = [_Case(of, State.start(of)) for of in (replace(one, perception=shared) for one in parts)]
     try:

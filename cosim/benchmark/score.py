@@ -59,7 +59,7 @@ class Counts:
     believed: float
     lies_believed: float
     messages: float
-    """Received messages of attackers: believed ones, those with false detections of these, and all."""
+    """Received messages of attackers: the believed ones, those of them with false detections, and all."""
     age_s: float
     n_aged: float
     delay_s: Float[ndarray, "a"]
@@ -67,9 +67,7 @@ class Counts:
     """Time to exclusion of each attacker, and whether it was excluded at all."""
 
 
-def counts(
-    stream: Stream, answers: Answers, threshold: float, rules: Rules, lying: Bool[ndarray, "n"]
-) -> Counts:
+def counts(stream: Stream, answers: Answers, threshold: float, rules: Rules, lying: Bool[ndarray, "n"]) -> Counts:
     """What one world says about a model.
 
     Parameters
@@ -88,15 +86,17 @@ def counts(
     excluded = rated & (trust < threshold)
     honest = np.sort(trust[rated & ~is_attacker])
     other = trust[rated & is_attacker]
-    above = len(honest) * len(other) - (
-        np.searchsorted(honest, other, "left").sum() + np.searchsorted(honest, other, "right").sum()
-    ) / 2
+    above = (
+        len(honest) * len(other)
+        - (np.searchsorted(honest, other, "left").sum() + np.searchsorted(honest, other, "right").sum()) / 2
+    )
     seconds, of = np.unique((step << 16 | sender)[~is_attacker], return_inverse=True)
     share = np.bincount(of, excluded[~is_attacker], len(seconds)) / np.bincount(of, minlength=len(seconds))
     delay_s, found = _delays(step[is_attacker], sender[is_attacker], excluded[is_attacker], rules.dt_s)
     return Counts(
-        above=float(above), pairs=float(len(honest) * len(other)), wrong_s=float(share.sum()),
-        honest_s=float(len(seconds)), believed=float((is_attacker & ~excluded).sum()),
+        above=float(above), pairs=float(len(honest) * len(other)),
+        wrong_s=float(share.sum()), honest_s=float(len(seconds)),
+        believed=float((is_attacker & ~excluded).sum()),
         lies_believed=float((lies & ~excluded).sum()), messages=float(is_attacker.sum()), age_s=float(age_s[rated].sum()), n_aged=float(rated.sum()),
         delay_s=delay_s, found=found,
     )  # fmt: skip
