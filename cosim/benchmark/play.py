@@ -137,8 +137,8 @@ def _messages(stream: Stream, rules: Rules) -> list[EvaluationMessages]:
         by = rows["evaluator"][here].astype(np.int64)
         found.append(EvaluationMessages(
             step, evaluator, np.append(np.searchsorted(by, evaluator), len(by)),
-            rows["observer"][here].astype(np.int64), rows["detection_index"][here].astype(np.int64), rows["evaluation"][here] / 100,
-            rows["visibility"][here] / 100,
+            rows["observer"][here].astype(np.int64), rows["detection_index"][here].astype(np.int64),
+            rows["evaluation"][here] / 100, rows["visibility"][here] / 100,
         ))  # fmt: skip
     return found
 

@@ -96,8 +96,8 @@ def counts(stream: Stream, answers: Answers, threshold: float, rules: Rules, lyi
     return Counts(
         above=float(above), pairs=float(len(honest) * len(other)),
         wrong_s=float(share.sum()), honest_s=float(len(seconds)),
-        believed=float((is_attacker & ~excluded).sum()),
-        lies_believed=float((lies & ~excluded).sum()), messages=float(is_attacker.sum()), age_s=float(age_s[rated].sum()), n_aged=float(rated.sum()),
+        believed=float((is_attacker & ~excluded).sum()), lies_believed=float((lies & ~excluded).sum()),
+        messages=float(is_attacker.sum()), age_s=float(age_s[rated].sum()), n_aged=float(rated.sum()),
         delay_s=delay_s, found=found,
     )  # fmt: skip
 
