@@ -216,10 +216,10 @@ class Search:
         return WorstCase(policy, figures(found), len(tried), len(worlds), seed)
 
     def first(self, attacks: Sequence[str]) -> Float[ndarray, "p 6"]:
-        """The first policies: each attack on detections alone and in all messages, and the truth with false
-        evaluations, about all and about every third vehicle."""
-        whole = [[float(n), 1.0, _PERIODS_S[1], 0.0, 0.0, 0.0] for n in range(1, len(attacks))]
-        return np.array([*whole, [0, 1.0, _PERIODS_S[1], 0, 1, 1], [0, 1.0, _PERIODS_S[1], 0, 0.3, 1]], float)
+        """The first policies: each attack on detections, in all messages, alone and with collusion; and true detections
+        with collusion against all vehicles and against some."""
+        deny_p = [(n, p) for n in range(1, len(attacks)) for p in (0.0, 1.0)] + [(0, p) for p in (1.0, 0.6, 0.3)]
+        return np.array([[n, 1.0, _PERIODS_S[1], 0.0, p, p > 0] for n, p in deny_p], float)
 
     def _counts(self, world: int, policy: Policy, rules: Rules) -> Counts:
         def stream(case: str) -> Stream:

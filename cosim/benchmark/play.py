@@ -94,7 +94,7 @@ class Script:
         begins = np.searchsorted(reports["step"], steps)
         for made, messages in enumerate(sent):
             arrival = reports["arrival_step"][begins[made] : begins[made + 1]]
-            for step in np.unique(arrival[arrival >= 0]).tolist():
+            for step in np.unique(arrival[(arrival >= 0) & (arrival < rules.n_steps)]).tolist():
                 row = np.flatnonzero(arrival == step)
                 arrived[step].append(ReceivedEvaluations(messages, np.full(len(row), SERVER), row, rules.eta))
         received = []
