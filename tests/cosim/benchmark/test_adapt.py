@@ -6,7 +6,7 @@ import pytest
 from cosim.benchmark.adapt import Evidence, Policy, Search
 from cosim.benchmark.evidence import TABLES, load
 from cosim.benchmark.play import candidate
-from tests.cosim.benchmark.worlds import ATTACKERS, N, RULES, stream, tiny_set
+from tests.cosim.benchmark.worlds import ATTACKERS, RULES, N, stream, tiny_set
 
 HONEST = Policy("none", 1.0, 10.0, 0.0, 0.0, False)
 
@@ -83,6 +83,8 @@ def test_on_the_shipped_set_a_policy_without_schedule_is_almost_the_recorded_att
                 policy, rules
             )
             for name in ("detections", "evaluations", "lookups"):
-                one, other = ({*zip(*(v.tolist() for v in getattr(s, name).values()), strict=True)} for s in (made, case))
+                one, other = (
+                    {*zip(*(v.tolist() for v in getattr(s, name).values()), strict=True)} for s in (made, case)
+                )
                 of.append(len(one ^ other) / len(other))
     assert max(of) < 0.01, f"{max(of):.4f}"

@@ -41,7 +41,8 @@ def test_an_altered_set_is_refused_in_one_line(tmp_path, name):
     column = list(TABLES[name].columns)[-1]
     values = table[column].to_numpy().copy()
     values[len(values) // 2] ^= 1
-    pq.write_table(table.set_column(table.schema.get_field_index(column), column, [values]), tmp_path / f"{name}.parquet")
+    altered = table.set_column(table.schema.get_field_index(column), column, [values])
+    pq.write_table(altered, tmp_path / f"{name}.parquet")
     with pytest.raises(ValueError, match="was altered") as error:
         load(tmp_path)
     assert "\n" not in str(error.value)

@@ -64,7 +64,7 @@ def test_parameters_reach_the_model_and_others_are_refused():
 @pytest.mark.verify
 @pytest.mark.parametrize("attack", ["sybil", "collusion"])
 def test_a_played_recording_equals_the_simulation(attack):
-    """The evidence is recorded in percent. All else is the simulation's: who received what, when, and which broadcast."""
+    """Evidence is recorded in percent. All else is the simulation's: receptions, arrivals, broadcasts."""
     rules = replace(record.RULES, n_steps=30, start_step=8, cases=("none", attack))
     place = Place("helsinki", 0.2, 77)
     of = record.recorded(place, rules, lambda *_: None)[1]

@@ -48,7 +48,8 @@ def stream(case: str, seed: int) -> Stream:
                     elif case == "bad_mouthing" and false and not friend:
                         rows["evaluations"].append((step, receiver, observer, index, -100, 100))
                     elif not unseen:
-                        rows["evaluations"].append((step, receiver, observer, index, -100 if denied else int(e), int(phi)))
+                        value = -100 if denied else int(e)
+                        rows["evaluations"].append((step, receiver, observer, index, value, int(phi)))
     rows["pseudonyms"] = [(n, n, int(n in ATTACKERS)) for n in range(N)]
     return Stream(**{
         name: merged(name, dict(zip(TABLES[name].columns, np.array(of, np.int64).T, strict=True)))

@@ -100,7 +100,7 @@ def test_the_model_of_the_page_is_scored_beside_stored_rows(folder):
 )
 def test_wrong_use_is_told_in_one_line(folder, words, told):
     _, error = call(*words)
-    assert isinstance(error, ValueError) and not isinstance(error, ExtensionError), error  # the program ends with status 2
+    assert isinstance(error, ValueError) and not isinstance(error, ExtensionError), error  # exit status 2
     assert told in str(error) and "\n" not in str(error)
 
 
