@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from cosim.benchmark.evidence import EvidenceSet, Rules, Stream
+from cosim.benchmark.evidence import HONEST, EvidenceSet, Rules, Stream
 from cosim.benchmark.play import Answers, Candidate, Script, play
 from results.metrics.intervals import UNKNOWN, Estimate, ratio
 from results.metrics.misbehaviour import threshold_at
@@ -148,19 +148,27 @@ class Score:
     """By attack, worst AUC first."""
     cost_us: float
     """Processor time per received evaluation."""
-    seconds: float
-    """Processor time of the model on the whole set."""
 
 
-def threshold_of(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> float:
-    """The model's threshold: the largest that excludes at most 5 % of the look-ups in the worlds without attack."""
-    rules, values = evidence.rules, []
-    for world in range(len(evidence.worlds)):
+def threshold_of(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> tuple[float, list[Answers]]:
+    """The model's threshold, and its answers in the worlds without attack, from which it follows.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the model rates no vehicle at all.
+    """
+    rules, n_worlds, found, values = evidence.rules, len(evidence.worlds), [], []
+    for world in range(n_worlds):
         stream = evidence.stream(world, 0)
-        answers = play(Script.of(stream, rules), candidate)
-        values.append(answers.trust[(stream.lookups["step"] >= rules.start_step) & ~np.isnan(answers.trust)])
-        advance(f"{candidate.name}: threshold", world + 1, len(evidence.worlds), "worlds")
-    return threshold_at(np.concatenate(values), FALSE_POSITIVES)
+        found.append(play(Script.of(stream, rules), candidate))
+        counted = (stream.lookups["step"] >= rules.start_step) & ~np.isnan(found[-1].trust)
+        values.append(found[-1].trust[counted])
+        advance(f"{candidate.name}: threshold", world + 1, n_worlds, "worlds")
+    threshold = threshold_at(np.concatenate(values), FALSE_POSITIVES)
+    if np.isnan(threshold):
+        raise ValueError(f"{candidate.name}: it rates no vehicle. Give scores of subjects with evaluations.")
+    return threshold, found
 
 
 def score(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> Score:
@@ -172,24 +180,20 @@ def score(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> Scor
         In one line, if the model fails, or rates no vehicle at all.
     """
     rules, n_worlds = evidence.rules, len(evidence.worlds)
-    threshold = threshold_of(evidence, candidate, advance)
-    if np.isnan(threshold):
-        raise ValueError(f"{candidate.name}: it rates no vehicle. Give scores of subjects with evaluations.")
-    found, cost_s, n_evaluations, quiet = {}, 0.0, 0, UNKNOWN
+    threshold, quiet = threshold_of(evidence, candidate, advance)
+    found: dict[str, Figures] = {}
+    played = list(quiet)
     for case, name in enumerate(rules.cases):
         of_worlds = []
         for world in range(n_worlds):
             stream = evidence.stream(world, case)
-            answers = play(Script.of(stream, rules), candidate)
-            cost_s, n_evaluations = cost_s + answers.cost_s, n_evaluations + answers.n_evaluations
+            answers = quiet[world] if case == 0 else play(Script.of(stream, rules), candidate)
             lying = np.full(len(answers.trust), name not in ON_EVALUATIONS)
             of_worlds.append(counts(stream, answers, threshold, rules, lying))
+            played += [answers] if case else []
             advance(f"{candidate.name}: attacks", case * n_worlds + world + 1, len(rules.cases) * n_worlds, name)
-        if case:
-            found[name] = figures(of_worlds)
-        else:
-            quiet = figures(of_worlds).wrong_p
+        found[name] = figures(of_worlds)
+    quiet_p = found.pop(HONEST).wrong_p.value
     ordered = dict(sorted(found.items(), key=lambda one: (np.isfinite(one[1].auc.value), one[1].auc.value)))
-    return Score(
-        candidate.name, candidate.sha256, threshold, quiet.value, ordered, 1e6 * cost_s / max(n_evaluations, 1), cost_s
-    )
+    cost_s, n_evaluations = sum(one.cost_s for one in played), sum(one.n_evaluations for one in played)
+    return Score(candidate.name, candidate.sha256, threshold, quiet_p, ordered, 1e6 * cost_s / max(n_evaluations, 1))

@@ -18,7 +18,7 @@ from trust.models import MODELS
 from trust.models.raya import Raya
 
 TABLE = "table.json"
-BUDGET = 90
+BUDGET = 34
 """Policies that the adversary tries for each row of the stored table."""
 
 Row = dict[str, Any]
@@ -80,15 +80,18 @@ def head(evidence: EvidenceSet) -> dict[str, str]:
     return {"set": evidence.version, "sha256": evidence.checksum, "cosim": __version__, "code": code_digest()}
 
 
-def make(evidence: EvidenceSet, folder: Path, advance: score.Advance) -> dict[str, Any]:
-    """Score all models that ship, and store the table in the folder of the set.
+def make(evidence: EvidenceSet, folder: Path, advance: score.Advance) -> None:
+    """Score all models that ship, and store each row in the folder of the set. Rows of this set and code are kept.
 
     The models `raya_*` have the trust in vehicles of `beta`: they differ in how they score objects, and are left out.
     """
-    rows = [row_of(evidence, name, (), advance, BUDGET) for name, of in MODELS.items() if not issubclass(of, Raya)]
-    table = {**head(evidence), "rows": rows}
-    write_output(folder / TABLE, (json.dumps(table, indent=1) + "\n").encode())
-    return table
+    about = head(evidence)
+    known, remark = stored(evidence, folder)
+    rows = [] if remark else list(known)
+    for name in (name for name, of in MODELS.items() if not issubclass(of, Raya)):
+        if name not in {row["model"] for row in rows}:
+            rows.append(row_of(evidence, name, (), advance, BUDGET))
+            write_output(folder / TABLE, (json.dumps({**about, "rows": rows}, indent=1) + "\n").encode())
 
 
 def stored(evidence: EvidenceSet, folder: Path = SHIPPED) -> tuple[list[Row], str]:

@@ -28,7 +28,7 @@ def benchmark(
     adapt: Annotated[
         bool, typer.Option("--adapt", help="Also let an adversary that knows the model search its worst case.")
     ] = False,
-    budget: Annotated[int, typer.Option(min=1, max=100_000, help="With --adapt: policies to try.")] = 90,
+    budget: Annotated[int, typer.Option(min=1, max=100_000, help="With --adapt: policies to try.")] = 34,
     seed: Annotated[int, typer.Option(min=0, help="With --adapt: seed of the search.")] = 0,
     evidence: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Another evidence set. The default ships with cosim.")
