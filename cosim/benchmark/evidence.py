@@ -107,7 +107,7 @@ _DTYPES: Mapping[str, type] = {"int8": np.int8, "int16": np.int16}
 _BITS = {"step": 12, "detection_index": 12}
 """Bits of a key column in a packed key; the others are pseudonyms and have `_PSEUDONYM_BITS`."""
 _PSEUDONYM_BITS = 13
-MOST_PSEUDONYMS, MOST_STEPS = 1 << _PSEUDONYM_BITS, 1 << 12
+MOST_PSEUDONYMS = 1 << _PSEUDONYM_BITS
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,6 +224,9 @@ def packed(name: str, rows: Rows) -> Int[ndarray, "n"]:
 
 def merged(name: str, rows: Rows) -> Rows:
     """The rows of a table, sorted by key, in the dtypes of the table."""
+    for c in TABLES[name].keys:
+        most = 1 << _BITS.get(c, _PSEUDONYM_BITS)
+        assert not len(rows[c]) or 0 <= rows[c].min() <= rows[c].max() < most, f"{name}.{c} has more than {most} values"
     order = np.argsort(packed(name, rows), kind="stable")
     return {c: rows[c][order].astype(_DTYPES[column.type]) for c, column in TABLES[name].columns.items()}
 

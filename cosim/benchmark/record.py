@@ -42,10 +42,10 @@ ATTACKS = (
 )  # fmt: skip
 """The attacks of the study `attacks`, with their default parameters."""
 CITIES = ("helsinki", "koenigs-wusterhausen", "adlershof")
-PLACES = tuple(
-    Place(city, penetration_p, seed) for city in CITIES for penetration_p in (0.15, 0.3) for seed in (1001,)
-)
-"""Worlds of the shipped set. The seeds are beyond those of all studies."""
+SEEDS = (1001,)
+"""Beyond those of all studies."""
+PLACES = tuple(Place(city, penetration_p, seed) for city in CITIES for penetration_p in (0.15, 0.3) for seed in SEEDS)
+"""Worlds of the shipped set."""
 SHARE_P = 0.1
 """Share of attackers among the equipped vehicles."""
 _TRUST = TrustParams(freshness_s=30.0)
