@@ -79,23 +79,24 @@ class Evidence:
     def under(self, policy: Policy, rules: Rules) -> Stream:
         """The evidence under a policy.
 
-        Detections of attackers, and what others evaluate about them, are those under the attack in steps in which the
-        policy lies, and otherwise those of the world without attack. Attackers evaluate denied vehicles, and
+        Messages of attackers, and what others evaluate about their detections, are those under the attack in steps in
+        which the policy lies, and otherwise those of the world without attack. Attackers evaluate denied vehicles, and
         accomplices if they praise, as under `collusion`, from the end of their sleep on. What they evaluate of
         accomplices' false detections is confirmed with full visibility if they praise.
         """
         attacks = self.attacked.attackers()
         awake = rules.start_step + policy.sleep_s / rules.dt_s
 
-        def chosen(name: str, who: str) -> list[Rows]:
-            """Rows without attack, and those that the attack replaces, by the pseudonym that may attack."""
+        def chosen(name: str, *who: str) -> list[Rows]:
+            """Rows without attack, and those that the attack replaces, by the pseudonyms that may attack."""
             plain, false = getattr(self.honest, name), getattr(self.attacked, name)
-            return [
-                _take(plain, ~(attacks[plain[who]] & policy.lies(plain["step"], rules))),
-                _take(false, attacks[false[who]] & policy.lies(false["step"], rules)),
-            ]
+            of_plain, of_false = (
+                np.any([attacks[rows[column]] for column in who], axis=0) & policy.lies(rows["step"], rules)
+                for rows in (plain, false)
+            )
+            return [_take(plain, ~of_plain), _take(false, of_false)]
 
-        evaluations = _union("evaluations", chosen("evaluations", "observer"))
+        evaluations = _union("evaluations", chosen("evaluations", "observer", "evaluator"))
         by, of, step = (evaluations[c] for c in ("evaluator", "observer", "step"))
         active = attacks[by] & (step >= awake)
         falsified = active & ~attacks[of] & self._denied(of, policy)

@@ -69,9 +69,8 @@ def test_a_played_recording_equals_the_simulation(attack):
     place = Place("helsinki", 0.2, 77)
     of = record.recorded(place, rules, lambda *_: None)[1]
     answers = play(Script.of(of, rules), candidate("beta", [], rules))
-    config = record.config_of(place, rules, attack).to_dict()
-    config["trust"]["model"] = "beta"
-    with Simulation(config) as simulation:
+    config = record.config_of(place, rules, attack)
+    with Simulation(replace(config, trust=replace(config.trust, model="beta"))) as simulation:
         simulated = np.concatenate([
             np.where(step.trust_lookups.state == "evaluated", step.trust_lookups.trust, np.nan) for step in simulation
         ])  # fmt: skip
