@@ -72,11 +72,11 @@ def test_the_search_finds_more_harm_than_it_begins_with_and_the_same_again():
 
 @pytest.mark.verify
 def test_on_the_shipped_set_a_policy_without_schedule_is_almost_the_recorded_attack():
-    """What differs are receptions, because other messages change the load of the channel: less than 1 % of rows."""
+    """What differs are receptions, because other messages change the load of the channel: less than 0.5 % of rows."""
     found = load()
     rules, of = found.rules, []
     for world in range(len(found.worlds)):
-        for attack in ("ghost_insertion", "offset", "removal"):
+        for attack in rules.cases[1:9]:
             case = found.stream(world, rules.cases.index(attack))
             policy = replace(HONEST, attack=attack)
             made = Evidence(found.stream(world, 0), found.stream(world, rules.cases.index("collusion")), case).under(
@@ -87,4 +87,4 @@ def test_on_the_shipped_set_a_policy_without_schedule_is_almost_the_recorded_att
                     {*zip(*(v.tolist() for v in getattr(s, name).values()), strict=True)} for s in (made, case)
                 )
                 of.append(len(one ^ other) / len(other))
-    assert max(of) < 0.01, f"{max(of):.4f}"
+    assert max(of) < 0.005, f"{max(of):.4f}"

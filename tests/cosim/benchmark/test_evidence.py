@@ -76,6 +76,7 @@ def test_the_shipped_set_is_whole_small_and_described():
 
 
 @pytest.mark.verify
+@pytest.mark.filterwarnings("ignore")
 def test_the_card_is_read_by_the_reader_of_mlcommons(tmp_path):
     mlcroissant = pytest.importorskip("mlcroissant")
     tiny_set().write(tmp_path)
