@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -80,7 +80,10 @@ def head(evidence: EvidenceSet) -> dict[str, str]:
     return {"set": evidence.version, "sha256": evidence.checksum, "cosim": __version__, "code": code_digest()}
 
 
-def make(evidence: EvidenceSet, folder: Path, advance: score.Advance) -> None:
+def make(
+    evidence: EvidenceSet, folder: Path, advance: score.Advance, models: Mapping[str, type] = MODELS,
+    budget: int = BUDGET,
+) -> None:  # fmt: skip
     """Score all models that ship, and store each row in the folder of the set. Rows of this set and code are kept.
 
     The models `raya_*` have the trust in vehicles of `beta`: they differ in how they score objects, and are left out.
@@ -88,9 +91,9 @@ def make(evidence: EvidenceSet, folder: Path, advance: score.Advance) -> None:
     about = head(evidence)
     known, remark = stored(evidence, folder)
     rows = [] if remark else list(known)
-    for name in (name for name, of in MODELS.items() if not issubclass(of, Raya)):
+    for name in (name for name, of in models.items() if not issubclass(of, Raya)):
         if name not in {row["model"] for row in rows}:
-            rows.append(row_of(evidence, name, (), advance, BUDGET))
+            rows.append(row_of(evidence, name, (), advance, budget))
             write_output(folder / TABLE, (json.dumps({**about, "rows": rows}, indent=1) + "\n").encode())
 
 

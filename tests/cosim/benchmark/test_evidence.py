@@ -1,11 +1,12 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from cosim.benchmark import card
-from cosim.benchmark.evidence import MANIFEST, SHIPPED, TABLES, load
+from cosim.benchmark import card, record
+from cosim.benchmark.evidence import MANIFEST, SHIPPED, TABLES, Place, load
 from tests.cosim.benchmark.worlds import RULES, stream, tiny_set
 
 
@@ -73,6 +74,16 @@ def test_the_shipped_set_is_whole_small_and_described():
     described = json.loads((SHIPPED / "croissant.json").read_text())
     assert described["citeAs"].startswith("cosim trust benchmark") and found.checksum in described["url"]
     assert {one["name"] for one in described["recordSet"]} == set(TABLES)
+
+
+@pytest.mark.verify
+def test_a_set_is_recorded_the_same_again(tmp_path):
+    rules = replace(record.RULES, n_steps=12, start_step=4, cases=("none", "sybil", "offset"))
+    place = Place("koenigs-wusterhausen", 0.1, 5)
+    one, other = (record.make(lambda *_: None, (place,), rules, "0") for _ in range(2))
+    assert one.checksum == other.checksum
+    one.write(tmp_path)
+    assert load(tmp_path).checksum == one.checksum and len(one.stream(0, 0).evaluations["step"]) > 100
 
 
 @pytest.mark.verify

@@ -12,6 +12,7 @@ from cosim.benchmark import table
 from cosim.benchmark.evidence import MANIFEST, load
 from cosim.cli.main import app
 from cosim.door.blame import ExtensionError
+from trust.models import MODELS
 from tests.cosim.benchmark.worlds import RULES, tiny_set
 from tests.cosim.docs import fences
 
@@ -114,13 +115,21 @@ def test_an_altered_set_ends_with_exit_status_2(folder):
     assert done.stderr.count("\n") == 1 and "was altered" in done.stderr
 
 
-def test_all_stores_rows_with_the_set(folder, monkeypatch):
-    monkeypatch.setattr(table, "MODELS", {name: table.MODELS[name] for name in ("beta", "raya_bayes")})
-    monkeypatch.setattr(table, "BUDGET", 6)
-    _, error = call("--all")
-    assert error is None
-    rows, remark = table.stored(tiny_set(), folder / "set")
+def test_rows_are_stored_with_the_set_and_kept(folder):
+    def make(*names):
+        table.make(tiny_set(), folder / "set", lambda *_: None, {name: MODELS[name] for name in names}, 6)
+        return table.stored(tiny_set(), folder / "set")
+
+    rows, remark = make("beta", "raya_bayes")
     assert [row["model"] for row in rows] == ["beta"] and not remark and rows[0]["worst_case"]["budget"] == 6
+    more, _ = make("beta", "mate")
+    assert [row["model"] for row in more] == ["beta", "mate"] and more[0] == rows[0]
+    text = (folder / "set" / table.TABLE).read_text()
+    (folder / "set" / table.TABLE).write_text(text.replace(table.code_digest(), "0" * 12))
+    assert "computed by other code" in table.stored(tiny_set(), folder / "set")[1]
+    (folder / "set" / table.TABLE).write_text("{")
+    assert table.stored(tiny_set(), folder / "set")[0] == []
+    assert call("beta")[1] is None, "a damaged table does not keep a model from being scored"
 
 
 @pytest.mark.verify
