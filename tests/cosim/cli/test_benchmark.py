@@ -12,9 +12,9 @@ from cosim.benchmark import table
 from cosim.benchmark.evidence import MANIFEST, load
 from cosim.cli.main import app
 from cosim.door.blame import ExtensionError
-from trust.models import MODELS
 from tests.cosim.benchmark.worlds import RULES, tiny_set
 from tests.cosim.docs import fences
+from trust.models import MODELS
 
 (MODEL,) = [
     block.text for block in fences.blocks((fences.PAGES / "howto" / "benchmark.md").read_text(encoding="utf-8"))
