@@ -49,8 +49,8 @@ ONE_FILE = {
 
 ORDER = (
     "rng", "ragged", "world", "mobility", "radio", "v2x", "adversary", "driver", "door", "extend", "config", "step",
-    "execution", "offline", "tryout", "studies", "predict", "reproduce", "validation", "bench", "cli", "docs",
-    "__main__",
+    "execution", "offline", "tryout", "studies", "predict", "reproduce", "validation", "bench", "benchmark", "cli",
+    "docs", "__main__",
 )  # fmt: skip
 """The rooms of `cosim`, from foundation to roof: each may import those before it."""
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from cosim import __version__
-from cosim.cli import contacts, extend, interchange, studies
+from cosim.cli import benchmark, contacts, extend, interchange, studies
 from cosim.cli import reproduce as reproductions
 from cosim.cli import validate as validation
 from cosim.cli.console import (
@@ -55,6 +55,7 @@ validation.add_to(app)
 interchange.add_to(app)
 contacts.add_to(app)
 extend.add_to(app)
+benchmark.add_to(app)
 
 ConfigPath = Annotated[Path | None, typer.Argument(help="Config file (TOML). Without one, the default city is used.")]
 Overrides = Annotated[

@@ -1,0 +1,305 @@
+"""The evidence set of the benchmark: what trust models receive in recorded worlds, without and under each attack.
+
+A *world* is a city, a penetration and a seed. A *case* of a world is the same traffic and the same honest detections
+under one attack; case 0 is without attack. The set stores case 0 completely, and of every other case the rows that
+differ. Scores, evaluations and visibilities are stored in percent, the resolution of the confidences of a collective
+perception message (ETSI TS 103 324).
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from jaxtyping import Bool, Int
+from numpy import ndarray
+
+HONEST = "none"
+"""Name of case 0."""
+MANIFEST = "benchmark.json"
+SHIPPED = Path(__file__).parent / "set"
+"""Folder of the set that ships with this package."""
+
+Rows = Mapping[str, ndarray]
+"""Columns of a table, sorted by its key."""
+
+
+class Column(NamedTuple):
+    """A column of a table."""
+
+    type: str
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of the set."""
+
+    meaning: str
+    columns: Mapping[str, Column]
+    n_keys: int
+    """Number of columns, from the first one on, that identify a row of one case."""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Names of these columns."""
+        return tuple(self.columns)[: self.n_keys]
+
+
+def _key(meaning: str) -> Column:
+    return Column("int16", "", meaning)
+
+
+_STEP, _PSEUDONYM = "Step of the message.", "Pseudonym, numbered within the world."
+TABLES: Mapping[str, Table] = {
+    "detections": Table(
+        "Detections as transmitted.",
+        {
+            "step": _key(_STEP), "observer": _key(_PSEUDONYM), "detection_index": _key("Number within the message."),
+            "score": Column("int8", "%", "Score of the detection."),
+        },
+        3,
+    ),
+    "reports": Table(
+        "Messages with evaluations.",
+        {
+            "step": _key(_STEP), "evaluator": _key(_PSEUDONYM),
+            "arrival_step": _key("Step at whose beginning the trust server has it; -1 if it is lost."),
+        },
+        2,
+    ),
+    "evaluations": Table(
+        "Evaluations as transmitted, of detections that the evaluator could see or claims to.",
+        {
+            "step": _key(_STEP), "evaluator": _key(_PSEUDONYM), "observer": _key("Sender of the detection."),
+            "detection_index": _key("Number within the observer's message."),
+            "evaluation": Column("int8", "%", "-100 denies, up to 100 confirms."),
+            "visibility": Column("int8", "%", "How well the evaluator could see the place."),
+        },
+        4,
+    ),
+    "lookups": Table(
+        "Messages with evaluations that vehicles received, and for whose senders they look up trust.",
+        {
+            "step": _key(_STEP), "receiver": _key("Pseudonym of the vehicle that looks up."),
+            "sender": _key("Pseudonym whose trust is looked up."),
+            "broadcast_step": _key("Step of the newest broadcast that the receiver has; -1 for none."),
+        },
+        3,
+    ),
+    "pseudonyms": Table(
+        "Ground truth, which no trust model gets.",
+        {
+            "pseudonym": _key(_PSEUDONYM),
+            "vehicle": _key("First pseudonym of its vehicle."),
+            "attacks": Column("int8", "", "1 if its vehicle attacks in all cases but case 0."),
+        },
+        1,
+    ),
+}  # fmt: skip
+_DTYPES: Mapping[str, type] = {"int8": np.int8, "int16": np.int16}
+_BITS = {"step": 12, "detection_index": 12}
+"""Bits of a key column in a packed key; the others are pseudonyms and have `_PSEUDONYM_BITS`."""
+_PSEUDONYM_BITS = 13
+MOST_PSEUDONYMS = 1 << _PSEUDONYM_BITS
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where evidence was recorded."""
+
+    city: str
+    penetration_p: float
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """What holds for all worlds of a set."""
+
+    dt_s: float
+    n_steps: int
+    start_step: int
+    """First step of every attack."""
+    server_period_s: float
+    eta: float
+    """As `trust.params.eta_of`."""
+    freshness_s: float
+    """`trust.freshness_s` of all models."""
+    cases: tuple[str, ...]
+    """Names of the attacks; the first is `HONEST`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """The evidence of one case of one world: a table of rows for each of `TABLES`."""
+
+    detections: Rows
+    reports: Rows
+    evaluations: Rows
+    lookups: Rows
+    pseudonyms: Rows
+
+    def attackers(self) -> Bool[ndarray, "p"]:
+        """Ground truth: whether the vehicle of each pseudonym attacks, by pseudonym."""
+        found = np.zeros(MOST_PSEUDONYMS, bool)
+        found[self.pseudonyms["pseudonym"]] = self.pseudonyms["attacks"] > 0
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class EvidenceSet:
+    """All worlds and cases of a version of the benchmark."""
+
+    version: str
+    rules: Rules
+    worlds: tuple[Place, ...]
+    tables: Mapping[str, Rows]
+    """Each table with the columns world, case and gone before its own; sorted by world, case and key. Of case 0 all
+    rows; of the others rows that replace or join those of case 0, or, if `gone` is 1, take them away."""
+
+    def stream(self, world: int, case: int) -> Stream:
+        """The evidence of a case of a world, by their numbers."""
+        return Stream(**{name: self._rows(name, world, case) for name in TABLES})
+
+    def _rows(self, name: str, world: int, case: int) -> Rows:
+        table, rows = TABLES[name], self.tables[name]
+        base, change = (_slice(rows, world, c) for c in (0, case))
+        columns = {column: rows[column][base] for column in table.columns}
+        if not case:
+            return columns
+        changed = {column: rows[column][change] for column in table.columns}
+        stays = ~np.isin(packed(name, columns), packed(name, changed))
+        new = rows["gone"][change] == 0
+        return merged(name, {c: np.concatenate([columns[c][stays], changed[c][new]]) for c in columns})
+
+    @property
+    def checksum(self) -> str:
+        """SHA-256 over the content: rules, worlds and every column of every table."""
+        digest = hashlib.sha256(json.dumps(self._head(), sort_keys=True).encode())
+        for name, table in TABLES.items():
+            for column in ("world", "case", "gone", *table.columns):
+                values = self.tables[name][column]
+                digest.update(f"{name}.{column}:{len(values)}:".encode())
+                digest.update(np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes())
+        return digest.hexdigest()
+
+    def _head(self) -> dict[str, Any]:
+        rules = {name: getattr(self.rules, name) for name in Rules.__slots__}
+        worlds = [[w.city, w.penetration_p, w.seed] for w in self.worlds]
+        return {"version": self.version, "rules": rules | {"cases": list(self.rules.cases)}, "worlds": worlds}
+
+    def write(self, folder: Path) -> None:
+        """Write the set into a folder: one Parquet file per table, and the manifest with the checksum."""
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in TABLES:
+            pq.write_table(
+                pa.table(dict(self.tables[name])), folder / f"{name}.parquet", compression="zstd",
+                compression_level=19, use_dictionary=False, column_encoding="DELTA_BINARY_PACKED",
+            )  # fmt: skip
+        text = json.dumps(self._head() | {"sha256": self.checksum}, indent=1)
+        (folder / MANIFEST).write_text(text + "\n", encoding="utf-8")
+
+
+def _slice(rows: Rows, world: int, case: int) -> slice:
+    """Rows of a case of a world; they are sorted by (world, case)."""
+    of_world = slice(*np.searchsorted(rows["world"], [world, world + 1]))
+    begin, end = np.searchsorted(rows["case"][of_world], [case, case + 1])
+    return slice(of_world.start + begin, of_world.start + end)
+
+
+def packed(name: str, rows: Rows) -> Int[ndarray, "n"]:
+    """The key of each row of a table as one integer, whose order is that of the keys."""
+    found = np.zeros(len(next(iter(rows.values()))), np.int64)
+    for column in TABLES[name].keys:
+        found = found << _BITS.get(column, _PSEUDONYM_BITS) | rows[column]
+    return found
+
+
+def merged(name: str, rows: Rows) -> Rows:
+    """The rows of a table, sorted by key, in the dtypes of the table."""
+    for c in TABLES[name].keys:
+        most = 1 << _BITS.get(c, _PSEUDONYM_BITS)
+        assert not len(rows[c]) or 0 <= rows[c].min() <= rows[c].max() < most, f"{name}.{c} has more than {most} values"
+    order = np.argsort(packed(name, rows), kind="stable")
+    return {c: rows[c][order].astype(_DTYPES[column.type]) for c, column in TABLES[name].columns.items()}
+
+
+def difference(name: str, base: Rows, case: Rows) -> Rows:
+    """The rows of a case that differ from those of case 0, with the column `gone`."""
+    old, new = packed(name, base), packed(name, case)
+    at = np.minimum(np.searchsorted(old, new), max(len(old) - 1, 0))
+    same = np.isin(new, old)
+    for column in TABLES[name].columns:
+        same[same] = base[column][at[same]] == case[column][same]
+    gone = ~np.isin(old, new)
+    columns = {c: np.concatenate([case[c][~same], base[c][gone]]) for c in TABLES[name].columns}
+    order = np.argsort(packed(name, columns), kind="stable")
+    flag = np.concatenate([np.zeros((~same).sum(), np.int8), np.ones(gone.sum(), np.int8)])
+    return {"gone": flag[order]} | {c: values[order] for c, values in columns.items()}
+
+
+def assembled(
+    version: str, rules: Rules, worlds: tuple[Place, ...], streams: Iterator[tuple[int, int, Stream]]
+) -> EvidenceSet:
+    """A set from the streams of all (world, case), in their order."""
+    parts: dict[str, list[Rows]] = {name: [] for name in TABLES}
+    base: Stream | None = None
+    for world, case, stream in streams:
+        base = stream if case == 0 else base
+        for name in TABLES:
+            rows: Rows = getattr(stream, name)
+            n = len(next(iter(rows.values())))
+            changed = {"gone": np.zeros(n, np.int8), **rows} if case == 0 else difference(
+                name, getattr(base, name), rows
+            )  # fmt: skip
+            n = len(changed["gone"])
+            parts[name].append({"world": np.full(n, world, np.int8), "case": np.full(n, case, np.int8), **changed})
+    tables = {
+        name: {column: np.concatenate([rows[column] for rows in of]) for column in of[0]} for name, of in parts.items()
+    }
+    return EvidenceSet(version, rules, worlds, tables)
+
+
+def load(folder: Path = SHIPPED) -> EvidenceSet:
+    """Read a set and check it.
+
+    Raises
+    ------
+    ValueError
+        In one line, if there is no set, or it is not what was written.
+    """
+    try:
+        head = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        rules = Rules(**{**head["rules"], "cases": tuple(head["rules"]["cases"])})
+        worlds = tuple(Place(*one) for one in head["worlds"])
+        tables = {name: _read(folder, name) for name in TABLES}
+        found = EvidenceSet(head["version"], rules, worlds, tables)
+        checksum, expected = found.checksum, head["sha256"]
+    except FileNotFoundError as error:
+        raise ValueError(f"{error.filename}: no such file. Record a set: cosim benchmark --make.") from None
+    except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
+        raise ValueError(f"{folder}: this is no evidence set, or it is damaged ({error}).") from None
+    if checksum != expected:
+        raise ValueError(
+            f"{folder}: this evidence set was altered: its content has the checksum {checksum[:12]}, and "
+            f"{MANIFEST} says {str(expected)[:12]}. Install cosim again, or record the set with cosim benchmark --make."
+        )
+    return found
+
+
+def _read(folder: Path, name: str) -> Rows:
+    table = pq.read_table(folder / f"{name}.parquet")
+    wanted: dict[str, type] = {"world": np.int8, "case": np.int8, "gone": np.int8}
+    wanted |= {c: _DTYPES[column.type] for c, column in TABLES[name].columns.items()}
+    rows = {column: table[column].to_numpy() for column in wanted}
+    for column, dtype in wanted.items():
+        if rows[column].dtype != dtype:
+            raise ValueError(f"{name}.{column} has the type {rows[column].dtype}")
+    return rows
