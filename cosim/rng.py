@@ -51,6 +51,10 @@ class Stream(IntEnum):
     POSITIONING = 25
     OWN = 26
     SENSING = 27
+    PARKED = 28
+    TREES = 29
+    REFLECTIVITY = 30
+    DIRT = 31
 
 
 @compiled

@@ -23,6 +23,7 @@ from cosim.mobility.meshes import MeshParams, VehicleMeshParams, check_vehicle_m
 from cosim.mobility.objects import ObjectParams
 from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.mobility.position_errors import GnssParams
+from cosim.mobility.roadside import ParkedParams, TreeParams
 from cosim.mobility.schedule import Schedule, SensingGroup
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams
@@ -107,6 +108,8 @@ class Config:
     lidar: LidarParams = field(default_factory=LidarParams)
     gnss: GnssParams = field(default_factory=GnssParams)
     objects: tuple[ObjectParams, ...] = ()
+    parked: ParkedParams = field(default_factory=ParkedParams)
+    trees: TreeParams = field(default_factory=TreeParams)
     meshes: tuple[MeshParams, ...] = ()
     vehicle_meshes: tuple[VehicleMeshParams, ...] = ()
     area: AreaParams = field(default_factory=AreaParams)

@@ -48,8 +48,8 @@ def config_of(run: Run) -> Config:
 
 
 def city_of(config: Config) -> Scene:
-    """The buildings of the config's scenario, and the config's meshes."""
-    city = find(config.traffic.scenario, config.traffic.trace).city()
+    """The buildings of the config's scenario, and the config's trees and meshes."""
+    city = find(config.traffic.scenario, config.traffic.trace).city(config.trees, config.seed)
     return with_meshes(city, config.meshes, config.vehicle_meshes)
 
 

@@ -73,7 +73,7 @@ class Parts:
             config=c,
             schedule=c.schedule,
             city=city,
-            near_pairs=PairSearch.of(c.encounters, walls, c.lidar.mount_above_roof_m),
+            near_pairs=PairSearch.of(c.encounters, walls, c.lidar.mount_above_roof_m, city),
             rsus=rsus,
             perception=perception_of(c, city),
             adversary=Adversary.of(
