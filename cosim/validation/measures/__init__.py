@@ -17,6 +17,7 @@ MEASURES: Mapping[str, Callable[..., Measured]] = {
     "delivery_of_one_sender": radio.delivery_of_one_sender,
     "reception_around_corner": radio.reception_around_corner,
     "sight_past_buildings": radio.sight_past_buildings,
+    "sight_past_everything": radio.sight_past_everything,
     "actor_size": traffic.actor_size,
     "walking_speed": traffic.walking_speed,
     "braking_to_a_stop": traffic.braking_to_a_stop,
