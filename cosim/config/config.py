@@ -37,6 +37,7 @@ from sensors.evidence import AreaParams
 from sensors.lidar import LidarParams
 from sensors.statistical_detector import DetectorParams
 from sensors.tracking import TrackingParams
+from sensors.weather import WeatherParams, check_weather
 from sumo_nets import catalogue, sumocfg
 from trust.params import TrustParams, differing_evidence_key
 
@@ -106,6 +107,7 @@ class Config:
     traffic: TrafficParams = field(default_factory=TrafficParams)
     fleet: FleetParams = field(default_factory=FleetParams)
     lidar: LidarParams = field(default_factory=LidarParams)
+    weather: WeatherParams = field(default_factory=WeatherParams)
     gnss: GnssParams = field(default_factory=GnssParams)
     objects: tuple[ObjectParams, ...] = ()
     parked: ParkedParams = field(default_factory=ParkedParams)
@@ -157,6 +159,7 @@ class Config:
             )
         check_definitions(self.encounters)
         check_vehicle_meshes(self.vehicle_meshes)
+        check_weather(self.weather, self.lidar.max_range_m)
         if (self.meshes or self.vehicle_meshes) and self.lidar.engine == "columnar":
             which = "meshes" if self.meshes else "vehicle_meshes"
             raise ValueError(

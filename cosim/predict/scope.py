@@ -44,6 +44,7 @@ def servers_of(config: Config) -> list[Server]:
         ("server.uplink", config.server.uplink, ("cellular",)),
         ("server.outages", config.server.outages, ((),)),
         ("objects", config.objects, ((),)),
+        ("weather", "clear" if config.weather.is_clear else "set", ("clear",)),
         ("parked.per_100_m", config.parked.per_100_m, (0.0,)),
         ("pseudonyms.policy", config.pseudonyms.policy, ("none",)),
         ("pseudonyms.revocation", config.pseudonyms.revocation, ("none",)),
