@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from cosim.validation.facts import Measured
-from cosim.validation.measures import cooperation, detection, encounters, messages, radio, traffic
+from cosim.validation.measures import cooperation, detection, early_fusion, encounters, messages, radio, traffic
 from results.run import Run
 
 Measure = Callable[..., Measured]
@@ -35,6 +35,12 @@ MEASURES: Mapping[str, Callable[..., Measured]] = {
     "share_with_returns": detection.share_with_returns,
     "late_gain": cooperation.late_gain,
     "change_of_late": cooperation.change_of_late,
+    "precision_of_early": cooperation.precision_of_early,
+    "early_gain": cooperation.early_gain,
+    "early_over_late": cooperation.early_over_late,
+    "change_of_early": cooperation.change_of_early,
+    "cloud_bytes": early_fusion.cloud_bytes,
+    "cloud_airtime": early_fusion.cloud_airtime,
 }
 
 
