@@ -10,7 +10,7 @@ References
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -184,24 +184,28 @@ def _keys(run: Run, actor: Int[ndarray, "n"]) -> ndarray:
     return np.array([actor_key(name, person) for name, person in pairs], np.uint64)
 
 
-def cloud_bytes(runs: Sequence[Run], *, sweeps: int = 40) -> Measured:
-    """Mean length of the raw cloud of one sweep [MB], at 16 bytes per return."""
-    return Measured.of_replicates([[_returns(run, sweeps) * POINT_BYTES / 1e6] for run in runs])
+def cloud_bytes(runs: Sequence[Run], *, profile: str | None = None, sweeps: int = 40) -> Measured:
+    """Mean length of the raw cloud of one sweep [MB], at 16 bytes per return; `profile` as in `lidar.profile`."""
+    return Measured.of_replicates([[_returns(run, sweeps, profile) * POINT_BYTES / 1e6] for run in runs])
 
 
-def cloud_airtime(runs: Sequence[Run], *, rate_mbps: float, sweeps_per_s: float, sweeps: int = 40) -> Measured:
+def cloud_airtime(
+    runs: Sequence[Run], *, rate_mbps: float, sweeps_per_s: float, profile: str | None = None, sweeps: int = 40
+) -> Measured:
     """Time that the raw clouds of one vehicle need on the channel [seconds per second], in frames of 1,400 bytes.
 
-    Nothing of a frame's contention is in it: a channel has less than one second per second.
+    Nothing of a frame's contention is in it. A channel has less than one second per second.
     """
     frame_s = float(airtime_ns(np.array([_FRAME_BYTES]), rate_mbps)[0]) * 1e-9
-    found = [[np.ceil(_returns(r, sweeps) * POINT_BYTES / _FRAME_BYTES) * frame_s * sweeps_per_s] for r in runs]
-    return Measured.of_replicates(found)
+    frames = [np.ceil(_returns(run, sweeps, profile) * POINT_BYTES / _FRAME_BYTES) for run in runs]
+    return Measured.of_replicates([[n * frame_s * sweeps_per_s] for n in frames])
 
 
-def _returns(run: Run, sweeps: int) -> float:
+def _returns(run: Run, sweeps: int, profile: str | None) -> float:
     """Mean number of returns of some sweeps, computed again."""
     config = config_of(run)
+    if profile is not None:
+        config = replace(config, lidar=replace(config.lidar, profile=profile))
     city, counts = city_of(config), []
     steps = np.linspace(0, int(run.manifest["steps"]) - 1, 4).astype(int)
     for world in worlds(run, config, steps):
