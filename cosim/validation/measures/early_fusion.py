@@ -80,7 +80,7 @@ def early_boxes(run: Run, poses: Poses, actors: pd.DataFrame, beside: pd.DataFra
         raise ValueError(f'{run.path.name}: detector.model = "ideal" finds all; early fusion needs a statistical one.')
     detector = StatisticalDetector(config.detector)
     views = _views(run, poses, actors, beside, wrong)
-    merged = _merged(views, actors)
+    merged = merged_views(views, actors)
     found = []
     for step, rows in merged.groupby("step"):
         egos, here = poses[poses.step == step], actors[actors.step == step].reset_index(drop=True)
@@ -122,7 +122,7 @@ def _views(run: Run, poses: Poses, actors: pd.DataFrame, beside: pd.DataFrame, w
     return views[np.isfinite(off).all(axis=1)]
 
 
-def _merged(views: pd.DataFrame, actors: pd.DataFrame) -> pd.DataFrame:
+def merged_views(views: pd.DataFrame, actors: pd.DataFrame) -> pd.DataFrame:
     """One row per frame and object: returns, occlusion, mean distance, and displacement along the object's axes."""
     yaw = actors.set_index(["step", "actor"]).yaw_rad
     yaw = yaw.reindex(pd.MultiIndex.from_frame(views[["step", "actor"]])).to_numpy(np.float64)
