@@ -50,7 +50,7 @@ NEAREST_M = 1.5
 """A drop that is nearer returns nothing: transmitter and receiver look past each other there [1]_."""
 
 _OF_RAIN, _OF_LOSS = np.uint64(3 * int(GOLDEN) % 2**64), np.uint64(4 * int(GOLDEN) % 2**64)
-_NOTHING = np.int64(Hit.NOTHING)
+_NOTHING, _NO_RETURN = np.int64(Hit.NOTHING), np.int64(NO_RETURN)
 _S54, _LOW = np.uint64(54), np.uint64(0xFFFFFFFF)
 
 Percentage = Annotated[float, Ge(0), Le(1)]
@@ -228,7 +228,7 @@ def _weaken(range_steps, hits, step_m, keys, limit_m, power, rain, lost_p):
                 steps, code = np.int64(range_steps[o, c, r]), np.int64(hits[o, c, r])
                 d = steps * step_m
                 if steps != NO_RETURN and d > limit_m[code]:
-                    steps = NO_RETURN
+                    steps = _NO_RETURN
                 drop = splitmix64(of_rain + (c * m + r) * GOLDEN)
                 u = unit(drop)
                 if u < most:
@@ -244,6 +244,6 @@ def _weaken(range_steps, hits, step_m, keys, limit_m, power, rain, lost_p):
                             steps, code = np.int64(near / step_m + 0.5), _NOTHING
                 if lost_p[o, c] > 0.0 and steps != NO_RETURN:
                     if unit(splitmix64(of_loss + (c * m + r) * GOLDEN)) < lost_p[o, c]:
-                        steps = NO_RETURN
+                        steps = _NO_RETURN
                 range_steps[o, c, r] = steps
                 hits[o, c, r] = _NOTHING if steps == NO_RETURN else code

@@ -42,7 +42,8 @@ def street_space(net_path: Path | str) -> tuple[list[Kerb], ndarray]:
     """
     kerbs: list[Kerb] = []
     areas: list[shapely.Geometry] = []
-    edge, tags = "", {}
+    edge = ""
+    tags: Attributes = {}
     lanes: list[tuple[Attributes, ndarray, float]] = []
 
     def start(name: str, attributes: Attributes) -> None:

@@ -124,8 +124,8 @@ def _views(run: Run, poses: Poses, actors: pd.DataFrame, beside: pd.DataFrame, w
 
 def merged_views(views: pd.DataFrame, actors: pd.DataFrame) -> pd.DataFrame:
     """One row per frame and object: returns, occlusion, mean distance, and displacement along the object's axes."""
-    yaw = actors.set_index(["step", "actor"]).yaw_rad
-    yaw = yaw.reindex(pd.MultiIndex.from_frame(views[["step", "actor"]])).to_numpy(np.float64)
+    headings = actors.set_index(["step", "actor"]).yaw_rad
+    yaw = headings.reindex(pd.MultiIndex.from_frame(views[["step", "actor"]])).to_numpy(np.float64)
     n = views.n_points.to_numpy(np.float64)
     along = np.cos(yaw) * views.east.to_numpy() + np.sin(yaw) * views.north.to_numpy()
     across = np.cos(yaw) * views.north.to_numpy() - np.sin(yaw) * views.east.to_numpy()
@@ -205,7 +205,7 @@ def _returns(run: Run, sweeps: int, profile: str | None) -> float:
     """Mean number of returns of some sweeps, computed again."""
     config = config_of(run)
     if profile is not None:
-        config = replace(config, lidar=replace(config.lidar, profile=profile))
+        config = replace(config, lidar=replace(config.lidar, profile=profile))  # type: ignore[arg-type]
     city, counts = city_of(config), []
     steps = np.linspace(0, int(run.manifest["steps"]) - 1, 4).astype(int)
     for world in worlds(run, config, steps):
