@@ -23,7 +23,7 @@ from cosim.mobility.meshes import MeshParams, VehicleMeshParams, check_vehicle_m
 from cosim.mobility.objects import ObjectParams
 from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.mobility.position_errors import GnssParams
-from cosim.mobility.roadside import ParkedParams, TreeParams
+from cosim.mobility.streetside import ParkedParams, TreeParams
 from cosim.mobility.schedule import Schedule, SensingGroup
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams

@@ -17,7 +17,7 @@ from cosim.mobility.frame import Frame, TrafficError
 from cosim.mobility.objects import PREFIX
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.remarks import FlowCounts
-from cosim.mobility.roadside import PARKED
+from cosim.mobility.streetside import PARKED
 from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpers, world_of
 from cosim.world import World
 from results.archive import open_run

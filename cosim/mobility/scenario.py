@@ -12,7 +12,7 @@ from cosim.mobility.frame import Bounds, Frame, origin_of
 from cosim.mobility.objects import ObjectParams, Placed, WithObjects
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.replay import RunReplay, TraceReplay
-from cosim.mobility.roadside import NO_TREES, ParkedParams, Streetside, TreeParams, with_trees
+from cosim.mobility.streetside import NO_TREES, ParkedParams, Streetside, TreeParams, with_trees
 from cosim.mobility.source import TrafficSource
 from results.archive import open_run
 from results.durable import sha256

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from cosim.mobility.roadside import PARKED
+from cosim.mobility.streetside import PARKED
 from cosim.offline.replay_lidar import city_of, config_of, worlds
 from cosim.radio.bodies import Bodies, tallest_blocker_m
 from cosim.radio.channel import AccessParams, ChannelRules, ChannelState, Links, Packets, PhyOutcome, run_window

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from sumo_nets.roadside import read_trees, street_space
+from sumo_nets.streetside import read_trees, street_space
 
 NET = """<net version="1.20"><location convBoundary="0,0,100,0"/>
 <edge id=":j_0" function="internal"><lane id=":j_0_0" index="0" length="8" shape="100,-1.6 108,-1.6"/></edge>

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import shapely
 
-from cosim.mobility.roadside import PARKED, ParkedParams, Streetside, TreeParams
+from cosim.mobility.streetside import PARKED, ParkedParams, Streetside, TreeParams
 from cosim.mobility.scenario import find
 from results.archive import open_run
 from sensors.scene import Scene
-from sumo_nets.roadside import Kerb
+from sumo_nets.streetside import Kerb
 from tests.drive import drive
 
 

@@ -19,7 +19,7 @@ from cosim.mobility.objects import TYPICAL_M, ObjectParams
 from cosim.rng import Stream, key, name_key, uniforms
 from sensors.scene import Scene
 from sensors.trees import tree_prisms
-from sumo_nets.roadside import Kerb, read_trees, street_space
+from sumo_nets.streetside import Kerb, read_trees, street_space
 
 PARKED = "parked/"
 """Prefix of the names of parked cars; the edge and the number of the place follow it."""
