@@ -51,7 +51,12 @@ class Stream(IntEnum):
     POSITIONING = 25
     OWN = 26
     SENSING = 27
-    HEADING = 28
+    PARKED = 28
+    TREES = 29
+    REFLECTIVITY = 30
+    DIRT = 31
+    PLACEMENT = 32
+    HEADING = 33
 
 
 @compiled

@@ -16,7 +16,8 @@ from sensors import line_of_sight_kernels as kernels
 from sensors.boxes import Boxes
 from sensors.line_of_sight_kernels import FilledCells, Grid, Walls
 from sensors.neighbours import neighbours
-from sensors.scene import Buildings, prisms
+from sensors.scene import Buildings, Scene, prisms
+from sensors.trees import trees_near
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,6 +300,7 @@ def los_between_actors(
     b: Int[ndarray, "k"],
     above_roof_m: float = 0.23,
     bodies: bool = True,
+    city: Scene | None = None,
 ) -> Bool[ndarray, "k"]:
     """Whether there is line of sight between points above the roofs of actors a[k] and b[k].
 
@@ -314,6 +316,8 @@ def los_between_actors(
         Height of both ends over the centre of the roof [m].
     bodies
         Whether the bodies of third actors block too, besides the buildings.
+    city
+        The scene whose trees block. By default none do.
 
     Returns
     -------
@@ -326,6 +330,8 @@ def los_between_actors(
     top = boxes.xyz_m.copy()
     top[:, 2] = roof_m + above_roof_m
     clear = los.has_los(top, a, b)
+    if city is not None and len(city.trees.shape):
+        _block_by_trees(clear, top, a, b, city)
     if not bodies or not clear.any():
         return clear
     line = np.flatnonzero(clear)
@@ -337,3 +343,16 @@ def los_between_actors(
     ptr, row = neighbours(top[places], boxes.take(tall), longest_m)
     clear[line] = ~kernels.cut_by_body(start, end, a, b, place, ptr, tall[row], prisms(shape, boxes))
     return clear
+
+
+def _block_by_trees(
+    clear: Bool[ndarray, "k"], xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "k"], b: Int[ndarray, "k"], city: Scene
+) -> None:
+    """Mark the lines between points that a tree blocks as not clear."""
+    line = np.flatnonzero(clear)
+    start, end = xyz_m[a[line]], xyz_m[b[line]]
+    places, place = np.unique(a[line], return_inverse=True)
+    longest_m = float(np.hypot(end[:, 0] - start[:, 0], end[:, 1] - start[:, 1]).max(initial=0.0))
+    ptr, row = trees_near(xyz_m[places], city, longest_m)
+    nobody = np.full(len(line), -1)
+    clear[line] = ~kernels.cut_by_body(start, end, nobody, nobody, place, ptr, row, city.trees)

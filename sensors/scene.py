@@ -167,6 +167,10 @@ def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes, speed_mps: Float[ndarray, "
     )
 
 
+def _no_prisms() -> Prisms:
+    return prisms(np.zeros(0, np.uint8), Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)))
+
+
 class Buildings(NamedTuple):
     """Building walls, grouped by building; world frame."""
 
@@ -203,6 +207,8 @@ class Scene:
     bodies_m: Mapping[int, Float[ndarray, "t 3 3"]] = field(default_factory=dict)
     """Closed meshes that replace the prisms of actors of a `Shape`. A mesh is 1 m long, wide and high around the origin
     and faces along +x; it is stretched to each actor's box. The same engines cast it."""
+    trees: Prisms = field(default_factory=_no_prisms)
+    """Trees (`sensors.trees`), whose returns have the code of buildings. All engines cast them."""
 
     @staticmethod
     def empty() -> Scene:

@@ -24,6 +24,7 @@ from cosim.mobility.meshes import MeshParams, VehicleMeshParams, check_vehicle_m
 from cosim.mobility.objects import ObjectParams
 from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.mobility.position_errors import GnssParams
+from cosim.mobility.streetside import ParkedParams, TreeParams
 from cosim.mobility.schedule import Schedule, SensingGroup
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams
@@ -37,6 +38,7 @@ from sensors.evidence import AreaParams
 from sensors.lidar import LidarParams
 from sensors.statistical_detector import DetectorParams
 from sensors.tracking import TrackingParams
+from sensors.weather import WeatherParams, check_weather
 from sumo_nets import catalogue, sumocfg
 from trust.params import TrustParams, differing_evidence_key
 
@@ -109,8 +111,11 @@ class Config:
     traffic: TrafficParams = field(default_factory=TrafficParams)
     fleet: FleetParams = field(default_factory=FleetParams)
     lidar: LidarParams = field(default_factory=LidarParams)
+    weather: WeatherParams = field(default_factory=WeatherParams)
     gnss: GnssParams = field(default_factory=GnssParams)
     objects: tuple[ObjectParams, ...] = ()
+    parked: ParkedParams = field(default_factory=ParkedParams)
+    trees: TreeParams = field(default_factory=TreeParams)
     meshes: tuple[MeshParams, ...] = ()
     vehicle_meshes: tuple[VehicleMeshParams, ...] = ()
     area: AreaParams = field(default_factory=AreaParams)
@@ -158,6 +163,7 @@ class Config:
             )
         check_definitions(self.encounters)
         check_vehicle_meshes(self.vehicle_meshes)
+        check_weather(self.weather, self.lidar.max_range_m)
         if (self.meshes or self.vehicle_meshes) and self.lidar.engine == "columnar":
             which = "meshes" if self.meshes else "vehicle_meshes"
             raise ValueError(

@@ -247,12 +247,13 @@ def load_parts(
     """The components of a run, its actors and its traffic; arguments as in `run`. The caller closes the traffic."""
     watch = Stopwatch()
     with watch("city"):
-        city = with_meshes(scenario.city(), config.meshes, config.vehicle_meshes)
+        city = with_meshes(scenario.city(config.trees, config.seed), config.meshes, config.vehicle_meshes)
+        parked = scenario.parked(config.parked, city, config.seed)
     parts = Parts.of(config, city, roadside_units(config, scenario), watch)
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
     recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
     params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)
-    return parts, registry, recorded.traffic(params, registry, config.driver.model != "none", config.objects)
+    return parts, registry, recorded.traffic(params, registry, config.driver.model != "none", config.objects, parked)
 
 
 def _recorder(folder: Path, parts: Parts, resume_at: int) -> Recorder:

@@ -1,6 +1,6 @@
 """Real objects that stand still: parked vehicles, obstacles, dummies. They are not part of the SUMO simulation."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -79,9 +79,13 @@ class Placed:
     """One past the last step."""
 
     @staticmethod
-    def of(objects: Sequence[ObjectParams], frame: Frame, step_s: float) -> "Placed":
-        """Convert the objects to arrays. An object far outside the network raises a TrafficError."""
-        names = [f"{PREFIX}{i}" for i in range(len(objects))]
+    def of(
+        objects: Sequence[ObjectParams], frame: Frame, step_s: float, parked: Mapping[str, ObjectParams] | None = None
+    ) -> "Placed":
+        """Convert the objects, and parked cars by name, to arrays. One far outside the network is a TrafficError."""
+        parked = parked or {}
+        names = [*(f"{PREFIX}{i}" for i in range(len(objects))), *parked]
+        objects = [*objects, *parked.values()]
         shape = np.array([Shape[o.vehicle_class.upper()] for o in objects], np.uint8)
         lwh_m = np.array([o.lwh_m for o in objects]).reshape(-1, 3).astype(np.float32).astype(float)
         xyz_m = np.array([(*(o.at_m or ()), o.ground_m) for o in objects]).reshape(-1, 3)

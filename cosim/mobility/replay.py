@@ -18,6 +18,7 @@ from cosim.mobility.interpolation import LONGEST_S, interpolated
 from cosim.mobility.objects import PREFIX
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.remarks import FlowCounts
+from cosim.mobility.streetside import PARKED
 from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpers, world_of
 from cosim.world import World
 from results.archive import open_run
@@ -221,6 +222,8 @@ class RunReplay(_Replay):
         self._names = vehicles.sumo_id.tolist()
         placed = [f"{PREFIX}{i}" for i in range(len(run.manifest["config"].get("objects", ())))]
         self._is_traffic = ~vehicles.sumo_id.isin(placed).to_numpy(bool)  # the new config has its own objects
+        if run.manifest["config"].get("parked", {}).get("per_100_m"):
+            self._is_traffic &= ~vehicles.sumo_id.str.startswith(PARKED).to_numpy(bool)
         self._shape = np.array([Shape[k.upper()] for k in vehicles.vehicle_class], np.uint8)
         self._lwh_m = vehicles[["length_m", "width_m", "height_m"]].to_numpy(float)
         for name, sizes in zip(self._names, self._lwh_m.tolist(), strict=True):

@@ -1,6 +1,6 @@
 """Network, buildings and traffic: a city by name, the user's own SUMO scenario, or recorded traffic."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from cosim.mobility.frame import Bounds, Frame, origin_of
 from cosim.mobility.objects import ObjectParams, Placed, WithObjects
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.replay import RunReplay, TraceReplay
+from cosim.mobility.streetside import NO_TREES, ParkedParams, Streetside, TreeParams, with_trees
 from cosim.mobility.source import TrafficSource
 from results.archive import open_run
 from results.durable import sha256
@@ -53,9 +54,9 @@ class Scenario:
 
     def traffic(
         self, params: TrafficParams, registry: ActorRegistry, has_driver: bool = False,
-        objects: Sequence[ObjectParams] = (),
+        objects: Sequence[ObjectParams] = (), parked: Mapping[str, ObjectParams] | None = None,
     ) -> TrafficSource:  # fmt: skip
-        """Open the traffic source, and add the objects of the config.
+        """Open the traffic source, and add the objects of the config and parked cars.
 
         Parameters
         ----------
@@ -69,9 +70,9 @@ class Scenario:
         """
         source = f"traffic.scenario = {params.scenario}" if self.trace is None else f"traffic.trace = {self.trace}"
         frame = Frame(source, self.origin_m, self.bounds_m)
-        placed = Placed.of(objects, frame, params.step_s)
+        placed = Placed.of(objects, frame, params.step_s, parked)
         found = self._moving(params, registry, frame, has_driver)
-        return WithObjects(found, placed, registry, frame) if objects else found
+        return WithObjects(found, placed, registry, frame) if placed.names else found
 
     def _moving(
         self, params: TrafficParams, registry: ActorRegistry, frame: Frame, has_driver: bool
@@ -86,14 +87,23 @@ class Scenario:
             return RunReplay(params, self.trace, registry, frame, changed)
         return TraceReplay(params, self.trace, registry, self.types, frame)
 
-    def city(self) -> Scene:
-        """The buildings, as a scene for ray casting."""
+    def parked(self, params: ParkedParams, city: Scene, seed: int) -> dict[str, ObjectParams]:
+        """Parked cars by name. A ValueError of one line is raised if there are no streets."""
+        if not params.per_100_m:
+            return {}
+        return Streetside.of(self.net, self.origin_m, seed, "parked").parked(city, params)
+
+    def city(self, trees: TreeParams = NO_TREES, seed: int = 0) -> Scene:
+        """The buildings and trees, as a scene for ray casting. Trees need streets; see `parked`."""
         footprints = [f for path in self.buildings for f in read_footprints(path, self.net)]
         if self.net is not None:
             footprints = standing_on(footprints, self.net)
         origin = np.array(self.origin_m)
         rings = [[ring - origin for ring in (f.outer, *f.holes)] for f in footprints]
-        return Scene.from_footprints(rings, [f.base_z_m for f in footprints], [f.top_z_m for f in footprints])
+        city = Scene.from_footprints(rings, [f.base_z_m for f in footprints], [f.top_z_m for f in footprints])
+        if not (trees.per_100_m or trees.from_map):
+            return city
+        return with_trees(city, Streetside.of(self.net, self.origin_m, seed, "trees"), self.buildings, trees)
 
     def provenance(self) -> dict[str, str]:
         """Name, licence and attribution of the data, and the SHA-256 of every file that is read."""

@@ -20,12 +20,12 @@ from cosim.execution.inputs import changed_inputs
 from cosim.mobility.actors import actor_key
 from cosim.mobility.meshes import with_meshes
 from cosim.mobility.scenario import find
-from cosim.step.perception import sweep_keys
+from cosim.step.perception import swept
 from cosim.world import World
 from results.figures import movie, scene, style
 from results.figures.sweep import draw
 from results.run import Run
-from sensors import cloud, lidar
+from sensors import cloud
 from sensors.boxes import Boxes
 from sensors.lidar import Sweeps
 from sensors.scene import Scene, Shape
@@ -48,8 +48,8 @@ def config_of(run: Run) -> Config:
 
 
 def city_of(config: Config) -> Scene:
-    """The buildings of the config's scenario, and the config's meshes."""
-    city = find(config.traffic.scenario, config.traffic.trace).city()
+    """The buildings of the config's scenario, and the config's trees and meshes."""
+    city = find(config.traffic.scenario, config.traffic.trace).city(config.trees, config.seed)
     return with_meshes(city, config.meshes, config.vehicle_meshes)
 
 
@@ -85,10 +85,7 @@ def worlds(run: Run, config: Config, steps: Int[ndarray, "s"] | None = None) -> 
 
 def sweep(config: Config, city: Scene, world: World, rows: Int[ndarray, "e"]) -> Sweeps:
     """Sweeps of the vehicles in these rows of the world, in new memory."""
-    return lidar.scan(
-        world.boxes, world.shape, rows, city, config.lidar, sweep_keys(config.seed, world, rows),
-        speed_mps=world.speed_mps,
-    )  # fmt: skip
+    return swept(world, rows, city, config.lidar, config.weather, config.seed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,6 +44,8 @@ def servers_of(config: Config) -> list[Server]:
         ("server.uplink", config.server.uplink, ("cellular",)),
         ("server.outages", config.server.outages, ((),)),
         ("objects", config.objects, ((),)),
+        ("weather", "clear" if config.weather.is_clear else "set", ("clear",)),
+        ("parked.per_100_m", config.parked.per_100_m, (0.0,)),
         ("pseudonyms.policy", config.pseudonyms.policy, ("none",)),
         ("pseudonyms.revocation", config.pseudonyms.revocation, ("none",)),
     ):
@@ -82,6 +84,8 @@ def left_out(config: Config) -> list[str]:
         found.append("attacks: the law takes all vehicles for honest; ghosts and lies add evaluations.")
     if config.gnss.std_m > 0:
         found.append("gnss: the law takes positions for exact.")
+    if config.trees.per_100_m or config.trees.from_map:
+        found.append("trees: the law sees the prisms of buildings and vehicles only.")
     if config.meshes or config.vehicle_meshes:
         found.append("meshes: the law sees the prisms of buildings and vehicles only.")
     return found

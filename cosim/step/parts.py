@@ -73,7 +73,7 @@ class Parts:
             config=c,
             schedule=c.schedule,
             city=city,
-            near_pairs=PairSearch.of(c.encounters, walls, c.lidar.mount_above_roof_m),
+            near_pairs=PairSearch.of(c.encounters, walls, c.lidar.mount_above_roof_m, city),
             rsus=rsus,
             perception=perception_of(c, city),
             adversary=Adversary.of(
@@ -109,7 +109,7 @@ class Parts:
 def perception_of(experiment: Config, city: Scene) -> Perception:
     """The LiDAR and the detector that a config names."""
     c = experiment
-    return Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, c.traffic.step_s)
+    return Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, c.traffic.step_s, c.weather)
 
 
 def recall_of(experiment: Config) -> Callable[[ndarray, ndarray, ndarray], ndarray] | None:

@@ -25,6 +25,7 @@ from sensors.kernel import threads_may_meet
 from sensors.lidar import NO_MEMORY, SweepMemory
 from sensors.neighbours import neighbours
 from sensors.scene import Scene, prisms
+from sensors.weather import CLEAR, WeatherParams, weaken
 
 _Rows = TypeVar("_Rows", evidence.Observability, detector.DetectedBoxes)
 
@@ -107,6 +108,7 @@ class Perception:
     """Whether every vehicle also reports itself."""
     seed: int
     dt_s: float
+    weather: WeatherParams = CLEAR
     _range_steps: UInt16[ndarray, "n a e"] | None = field(default=None, repr=False)
     """Memory of the range images; every step overwrites it."""
     _groups: list[SweepMemory] = field(default_factory=list, repr=False)
@@ -171,10 +173,7 @@ class Perception:
 
     def sweep(self, world: World, observers: Int[ndarray, "e"], memory: SweepMemory = NO_MEMORY) -> lidar.Sweeps:
         """Sweeps of the vehicles in these rows of the world, with what each ray hit, in new memory if none is given."""
-        keys = sweep_keys(self.seed, world, observers)
-        return lidar.scan(
-            world.boxes, world.shape, observers, self.city, self.lidar, keys, memory, speed_mps=world.speed_mps
-        )
+        return swept(world, observers, self.city, self.lidar, self.weather, self.seed, memory)
 
     def observed(
         self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.RangeImages, parts: Sequence[Seen]
@@ -225,6 +224,19 @@ def _concat(parts: list[_Rows]) -> _Rows:
         values = [getattr(part, column.name) for part in parts]
         joined[column.name] = Boxes.concat(values) if isinstance(values[0], Boxes) else np.concatenate(values)
     return replace(parts[0], **joined)
+
+
+def swept(
+    world: World, observers: Int[ndarray, "e"], city: Scene, params: lidar.LidarParams, weather: WeatherParams,
+    seed: int, memory: SweepMemory = NO_MEMORY,
+) -> lidar.Sweeps:  # fmt: skip
+    """Sweeps of the vehicles in these rows of the world, in this weather."""
+    keys = sweep_keys(seed, world, observers)
+    sweeps = lidar.scan(world.boxes, world.shape, observers, city, params, keys, memory, speed_mps=world.speed_mps)
+    if not weather.is_clear:
+        reflectivity, dirt = rng.key(seed, rng.Stream.REFLECTIVITY), rng.key(seed, rng.Stream.DIRT)
+        weaken(sweeps, weather, keys, world.name_key, reflectivity, dirt)
+    return sweeps
 
 
 def sweep_keys(seed: int, world: World, observers: Int[ndarray, "e"]) -> UInt64[ndarray, "e"]:

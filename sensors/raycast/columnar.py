@@ -31,7 +31,8 @@ from sensors.raycast.column import (
     rectangle_columns,
     slopes_of,
 )
-from sensors.scene import Hit, Prisms, Scene
+from sensors.scene import Buildings, Hit, Prisms, Scene
+from sensors.trees import radius_m, trees_near
 
 
 def cast(sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise, near: Neighbours) -> None:
@@ -45,7 +46,7 @@ def cast(sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise, 
     boxes, bodies
         All actors and their prisms, world frame.
     scene
-        Buildings.
+        Buildings and trees.
     noise
         Range noise and dropouts, with one key per observer.
     near
@@ -70,9 +71,11 @@ def cast(sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise, 
         sweeps.observers,
         near,
         buildings_near(origin_m, scene, limit_m),
+        trees_near(origin_m, scene, limit_m),
     )
+    still = _Still(scene.buildings, scene.trees, radius_m(scene.trees))
     out = _Swept(sweeps.range_steps, np.float32(1.0 / sweeps.step_m), sweeps.hit, sweeps.unrounded_m)
-    _cast(sensors, sweeps.beams, limit_m, boxes.xyz_m, boxes.circumradius_m, bodies, scene.buildings, noise, out)
+    _cast(sensors, sweeps.beams, limit_m, boxes.xyz_m, boxes.circumradius_m, bodies, still, noise, out)
 
 
 class _Sensors(NamedTuple):
@@ -84,6 +87,15 @@ class _Sensors(NamedTuple):
     own: ndarray
     actors: Neighbours
     buildings: Neighbours
+    trees: Neighbours
+
+
+class _Still(NamedTuple):
+    """What never moves."""
+
+    buildings: Buildings
+    trees: Prisms
+    tree_radius_m: float
 
 
 class _Swept(NamedTuple):
@@ -96,19 +108,23 @@ class _Swept(NamedTuple):
 
 
 @compiled
-def _cast(sensors, beams, limit, xyz, radius, bodies, city, noise, out):
+def _cast(sensors, beams, limit, xyz, radius, bodies, still, noise, out):
     """Sweep by sweep, so that each is finished while it is in the cache of its core."""
-    origin, near, standing = sensors.origin_m, sensors.actors, sensors.buildings
+    origin, near, standing, wood = sensors.origin_m, sensors.actors, sensors.buildings, sensors.trees
     for o in range(len(origin)):
         hits, view = out.hit[o], (beams, columns_of(beams), slopes_of(beams), limit)
         pose = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(sensors.yaw_rad[o]), np.sin(sensors.yaw_rad[o])
         ranges = np.empty(hits.shape, np.float32)
         nearest = np.full(len(beams.azimuth_rad), 1.0 / limit)
         found = standing.row[standing.ptr[o] : standing.ptr[o + 1]]
-        _city(ranges, hits, pose, sensors.ground_m[o], view, nearest, city, found)
+        _city(ranges, hits, pose, sensors.ground_m[o], view, nearest, still.buildings, found)
         for a in near.row[near.ptr[o] : near.ptr[o + 1]]:
             if a != sensors.own[o]:
-                _actor(ranges, hits, a, xyz[a, 0], xyz[a, 1], radius[a], pose, view, nearest, bodies)
+                _body(ranges, hits, a, Hit.ACTOR + a, (xyz[a, 0], xyz[a, 1]), radius[a], pose, view, nearest, bodies)
+        for k in wood.row[wood.ptr[o] : wood.ptr[o + 1]]:
+            at = still.trees.x_m[still.trees.ptr[k]], still.trees.y_m[still.trees.ptr[k]]
+            code = np.int64(Hit.BUILDING)
+            _body(ranges, hits, k, code, at, still.tree_radius_m, pose, view, nearest, still.trees)
         add_noise(ranges, hits, noise.key[o], noise)
         count_steps(ranges, out.range_steps[o], out.per_metre)
         if o < len(out.unrounded_m):  # in loops: Numba compiles the words of an error, for 3 s, to assign arrays
@@ -201,10 +217,10 @@ def _level(ranges, hits, height, inside, beams, limit, toggled):
 
 
 @kernel
-def _actor(ranges, hits, a, at_x, at_y, radius, pose, view, nearest, bodies):
-    """Paint one actor's prisms over the city; the actor is at (at_x, at_y) when the sensor looks straight ahead."""
+def _body(ranges, hits, a, code, at, radius, pose, view, nearest, bodies):
+    """Paint the prisms of body a over the city; an actor is at `at` when the sensor looks straight ahead."""
     (x, y, z, cos, sin), (beams, columns, slopes, limit) = pose, view
-    dx, dy = at_x - x, at_y - y
+    dx, dy = at[0] - x, at[1] - y
     per_rad = bodies.speed_mps[a] * beams.s_per_rad  # how far the actor moves while the sensor turns by one radian
     farthest = 0.5 * beams.fov_rad * abs(per_rad)
     radius += farthest
@@ -228,7 +244,7 @@ def _actor(ranges, hits, a, at_x, at_y, radius, pose, view, nearest, bodies):
                 if leave <= max(enter, 0.0) or enter * nearest[c] >= 1.0:
                     continue
                 first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, slopes)
-                column, code = np.uint64(c), Hit.ACTOR + a
+                column = np.uint64(c)
                 for r in range(np.uint64(first), np.uint64(s0)):
                     _paint(ranges, hits, column, r, np.float32(low / beams.sin_el[r]), limit, code)
                 for r in range(np.uint64(s0), np.uint64(s1)):

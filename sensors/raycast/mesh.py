@@ -127,7 +127,7 @@ def city_triangles(scene: Scene) -> Float[ndarray, "t 3 3"]:
 
     Returns
     -------
-    Corners in the world frame [m]: walls, undersides and roofs of all buildings, then the meshes of the scene.
+    Corners in the world frame [m]: walls, undersides and roofs of all buildings, then trees and meshes of the scene.
     """
     city = scene.buildings
     building = np.repeat(np.arange(len(city.base_m)), np.diff(city.ptr))
@@ -147,7 +147,8 @@ def city_triangles(scene: Scene) -> Float[ndarray, "t 3 3"]:
         np.concatenate([flat, np.broadcast_to(z[owner, None, None], (len(flat), 3, 1))], axis=2)
         for z in (city.base_m, city.top_m)
     ]
-    return np.concatenate([walls, *levels, *([] if scene.triangles_m is None else [scene.triangles_m])])
+    trees = body_triangles(scene.trees)
+    return np.concatenate([walls, *levels, trees, *([] if scene.triangles_m is None else [scene.triangles_m])])
 
 
 def _bodies(bodies: Prisms, boxes: Boxes, scene: Scene) -> tuple[Float[ndarray, "t 3 3"], Int[ndarray, "t"]]:

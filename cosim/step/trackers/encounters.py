@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from cosim.world import World
 from results.encounters import EncounterParams, EncounterTracker, Rows
 from sensors.line_of_sight import WallIndex, los_between_actors
-from sensors.scene import Shape
+from sensors.scene import Scene, Shape
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +43,13 @@ class PairSearch:
     """Kinds of blockers for which lines of sight are computed, as `EncounterParams.los`."""
     pedestrians: bool
     mount_above_roof_m: float
+    city: Scene | None = None
+    """The scene whose trees block lines of sight."""
 
     @staticmethod
-    def of(params: Sequence[EncounterParams], walls: WallIndex, mount_above_roof_m: float) -> "PairSearch":
+    def of(
+        params: Sequence[EncounterParams], walls: WallIndex, mount_above_roof_m: float, city: Scene | None = None
+    ) -> "PairSearch":
         """The search that all these definitions need."""
         return PairSearch(
             walls,
@@ -54,6 +58,7 @@ class PairSearch:
             tuple(sorted({p.los for p in params})),
             any(p.pedestrians for p in params),
             mount_above_roof_m,
+            city,
         )
 
     def __call__(self, world: World) -> NearPairs:
@@ -74,7 +79,7 @@ class PairSearch:
             los={
                 what: los_between_actors(
                     self.walls, world.boxes, world.shape, a, b, self.mount_above_roof_m,
-                    bodies=what == "buildings_and_vehicles",
+                    bodies=what == "buildings_and_vehicles", city=self.city,
                 )
                 for what in self.blockers
             },

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from cosim.validation.facts import Measured
-from cosim.validation.measures import cooperation, detection, encounters, messages, radio, traffic
+from cosim.validation.measures import cooperation, detection, early_fusion, encounters, messages, radio, traffic
 from results.run import Run
 
 Measure = Callable[..., Measured]
@@ -18,6 +18,7 @@ MEASURES: Mapping[str, Callable[..., Measured]] = {
     "reception_around_corner": radio.reception_around_corner,
     "range_around_corner": radio.range_around_corner,
     "sight_past_buildings": radio.sight_past_buildings,
+    "sight_past_everything": radio.sight_past_everything,
     "actor_size": traffic.actor_size,
     "walking_speed": traffic.walking_speed,
     "braking_to_a_stop": traffic.braking_to_a_stop,
@@ -40,6 +41,12 @@ MEASURES: Mapping[str, Callable[..., Measured]] = {
     "share_with_returns": detection.share_with_returns,
     "late_gain": cooperation.late_gain,
     "change_of_late": cooperation.change_of_late,
+    "precision_of_early": cooperation.precision_of_early,
+    "early_gain": cooperation.early_gain,
+    "early_over_late": cooperation.early_over_late,
+    "change_of_early": cooperation.change_of_early,
+    "cloud_bytes": early_fusion.cloud_bytes,
+    "cloud_airtime": early_fusion.cloud_airtime,
 }
 
 

@@ -1,12 +1,13 @@
 """What cooperation adds to average precision, and what delays and errors take from it, by the rules of data sets.
 
 The detections of a run go through late fusion as OpenCOOD does it: boxes of the ego and of its partners in one frame,
-then non-maximum suppression. So one run answers with and without partners, with and without delay and errors, on the
-same sweeps.
+then non-maximum suppression. In early fusion the detector looks at the merged clouds. So one run answers with and
+without partners, early and late, with and without delay and errors, on the same sweeps.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -15,6 +16,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.validation.facts import Measured
+from cosim.validation.measures.early_fusion import Disturbance, early_boxes
 from results.metrics.kitti_frames import (
     BOX,
     Poses,
@@ -30,6 +32,7 @@ from results.metrics.matched import Found, Truth, precision_and_recall
 from results.run import Run
 
 _FRAMES = 1500
+Fusion = Literal["none", "late", "early"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,15 +61,41 @@ def late_gain(runs: Sequence[Run], **options: object) -> Measured:
 
     Options are those of `Setting`. Objects count that the ego or one of its partners has a return of.
     """
-    setting = _setting(options)
-    return Measured.of_replicates([_precision(run, setting, True) - _precision(run, setting, False) for run in runs])
+    return _difference(runs, (_setting(options), "late"), (_setting(options), "none"))
 
 
 def change_of_late(runs: Sequence[Run], **options: object) -> Measured:
     """Average precision with disturbed partners minus that with undisturbed ones [points]; options as `late_gain`."""
-    setting = _setting(options)
-    exact = _setting(dict(options) | {"delay_steps": 0, "position_m": 0.0, "heading_deg": 0.0})
-    return Measured.of_replicates([_precision(run, setting, True) - _precision(run, exact, True) for run in runs])
+    return _difference(runs, (_setting(options), "late"), (_exact(options), "late"))
+
+
+def precision_of_early(runs: Sequence[Run], **options: object) -> Measured:
+    """Average precision of early fusion [%]; options as `late_gain`."""
+    return Measured.of_replicates([_precision(run, _setting(options), "early") for run in runs])
+
+
+def early_gain(runs: Sequence[Run], **options: object) -> Measured:
+    """Average precision of early fusion minus that of the ego alone [points]; options as `late_gain`."""
+    return _difference(runs, (_setting(options), "early"), (_setting(options), "none"))
+
+
+def early_over_late(runs: Sequence[Run], **options: object) -> Measured:
+    """Average precision of early fusion minus that of late fusion [points]; options as `late_gain`."""
+    return _difference(runs, (_setting(options), "early"), (_setting(options), "late"))
+
+
+def change_of_early(runs: Sequence[Run], **options: object) -> Measured:
+    """Average precision of early fusion with disturbed partners minus that with undisturbed ones [points]."""
+    return _difference(runs, (_setting(options), "early"), (_exact(options), "early"))
+
+
+def _difference(runs: Sequence[Run], one: tuple["Setting", Fusion], other: tuple["Setting", Fusion]) -> Measured:
+    return Measured.of_replicates([_precision(run, *one) - _precision(run, *other) for run in runs])
+
+
+def _exact(options: object) -> Setting:
+    """The setting without disturbance."""
+    return _setting(dict(options) | {"delay_steps": 0, "position_m": 0.0, "heading_deg": 0.0})  # type: ignore[call-overload]
 
 
 def _setting(options: object) -> Setting:
@@ -74,7 +103,7 @@ def _setting(options: object) -> Setting:
     return Setting(**given | {"overlaps": tuple(given["overlaps"])})
 
 
-def _precision(run: Run, setting: Setting, cooperating: bool) -> Float[ndarray, "o"]:
+def _precision(run: Run, setting: Setting, fusion: Fusion) -> Float[ndarray, "o"]:
     """Average precision by overlap [%]."""
     steps = sampled_steps(run, _FRAMES)
     steps = steps[steps >= setting.delay_steps]
@@ -85,7 +114,7 @@ def _precision(run: Run, setting: Setting, cooperating: bool) -> Float[ndarray, 
     poses = poses.assign(frame=np.arange(len(poses)))
     beside = pd.DataFrame({"frame": renumbered.loc[frame].to_numpy(), "observer": partner})
     truth = _truth(run, steps, poses, actors, beside, setting)
-    found = _found(run, steps, poses, beside if cooperating else beside.iloc[:0], setting)
+    found = _found(run, steps, poses, actors, beside, setting, fusion)
     return np.array([100 * precision_and_recall(truth, found, one)[0] for one in setting.overlaps])
 
 
@@ -123,8 +152,11 @@ def _truth(
     return i, box
 
 
-def _found(run: Run, steps: ndarray, poses: Poses, beside: pd.DataFrame, setting: Setting) -> Found:
-    """Boxes of the egos, and those of partners as they were and with their errors, after suppression."""
+def _found(
+    run: Run, steps: ndarray, poses: Poses, actors: pd.DataFrame, beside: pd.DataFrame, setting: Setting, fusion: Fusion
+) -> Found:
+    """Boxes after suppression: of the egos; of them and of partners as they were and with their errors; or of merged
+    clouds, with the false positives of the egos."""
     old = np.unique(np.concatenate([steps, steps - setting.delay_steps]))
     where = at_steps(old) & (pc.field("origin") == "sensed")
     columns = ["step", "observer", "class", *BOX, "score", "truth_actor"]
@@ -134,10 +166,18 @@ def _found(run: Run, steps: ndarray, poses: Poses, beside: pd.DataFrame, setting
         of = boxes.truth_actor.astype("Int64").fillna(-1).to_numpy(np.int64)
         boxes = boxes[~(_speed(run, boxes.step.to_numpy(), of) >= setting.slower_mps)]
     own = poses[["frame", "step", "observer"]].merge(boxes, on=["step", "observer"])
-    theirs = beside.merge(poses[["frame", "step"]], on="frame")
-    theirs = theirs.assign(step=theirs.step - setting.delay_steps, sender=np.arange(len(theirs)))
-    theirs = _disturbed(theirs.merge(boxes, on=["step", "observer"]), run, setting)
-    every = pd.concat([own, theirs], ignore_index=True)
+    every = own
+    if fusion == "late":
+        theirs = beside.merge(poses[["frame", "step"]], on="frame")
+        theirs = theirs.assign(step=theirs.step - setting.delay_steps, sender=np.arange(len(theirs)))
+        theirs = _disturbed(theirs.merge(boxes, on=["step", "observer"]), run, setting)
+        every = pd.concat([own, theirs], ignore_index=True)
+    if fusion == "early":
+        std = np.array([setting.position_m, setting.position_m, np.radians(setting.heading_deg)])
+        error = std * np.random.default_rng(7).normal(size=(len(beside), 3))
+        merged = early_boxes(run, poses, actors, beside, Disturbance(delay_steps=setting.delay_steps, error=error))
+        merged = merged[merged["class"] == setting.label]
+        every = pd.concat([own[own.truth_actor.isna()], merged], ignore_index=True)
     frame = every.frame.to_numpy(np.int64)
     box, _, _ = ahead_of(poses, frame, every[[*BOX]].to_numpy(np.float64), setting.range_m)
     rows = np.flatnonzero(np.hypot(box[:, 0], box[:, 1]) <= setting.range_m)

@@ -1,0 +1,125 @@
+"""Space beside streets, and what OpenStreetMap says about it: kerbs, areas that others use, trees."""
+
+from __future__ import annotations
+
+from math import isfinite
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from numpy import ndarray
+
+from sumo_nets.network import LANE_M, LARGEST_WIDTH_M, admits_motors
+from sumo_nets.xml import Attributes, stream
+
+_SIDES = ("parking:lane:right", "parking:lane:both", "parking:right", "parking:both")
+_NO_PARKING = frozenset(("no", "none", "no_parking", "no_stopping", "no_standing", "fire_lane", "separate"))
+_ROW_M = 10.0
+"""Distance between the trees of a row that OpenStreetMap has as a line [m]."""
+
+
+class Kerb(NamedTuple):
+    """The outer edge of a street on its right, in driving direction; network coordinates."""
+
+    edge: str
+    line_m: Float[ndarray, "k 3"]
+    """Middle of the outermost lane."""
+    half_width_m: float
+    """From there to the outer edge."""
+    parking: bool | None
+    """What OpenStreetMap's tags say of parking on this side; None without tags."""
+
+
+def street_space(net_path: Path | str) -> tuple[list[Kerb], ndarray]:
+    """Kerbs of the streets of a network, and the areas of its lanes and junctions.
+
+    Returns
+    -------
+    One kerb per edge that motor vehicles use, and Shapely polygons, network coordinates. Tags of parking count
+    if the network has them as parameters of its edges (netconvert with --osm.all-attributes).
+    """
+    kerbs: list[Kerb] = []
+    areas: list[shapely.Geometry] = []
+    edge = ""
+    tags: Attributes = {}
+    lanes: list[tuple[Attributes, ndarray, float]] = []
+
+    def start(name: str, attributes: Attributes) -> None:
+        nonlocal edge, tags
+        if name == "edge":
+            edge, tags = "" if "function" in attributes else attributes["id"], {}
+            lanes.clear()
+        elif name == "lane" and edge:
+            width_m = float(attributes.get("width", LANE_M))
+            lanes.append((attributes, _line(attributes), min(width_m, LARGEST_WIDTH_M)))
+        elif name == "param" and edge:
+            tags[attributes.get("key", "")] = attributes.get("value", "")
+        elif name == "junction" and len(ring := _points(attributes.get("shape", ""))) > 2:
+            areas.append(shapely.make_valid(shapely.Polygon(ring[:, :2])))
+
+    def end(name: str) -> None:
+        nonlocal edge
+        if name == "edge" and edge and lanes:
+            areas.extend(shapely.LineString(line[:, :2]).buffer(w / 2, cap_style="flat") for _, line, w in lanes)
+            if any(admits_motors(lane) for lane, _, _ in lanes):
+                said = [tags[side] not in _NO_PARKING for side in _SIDES if side in tags]
+                _, line_m, width_m = lanes[0]
+                kerbs.append(Kerb(edge, line_m, width_m / 2, any(said) if said else None))
+            edge = ""
+
+    stream(net_path, start, end)
+    return kerbs, np.array(areas, dtype=object)
+
+
+def read_trees(path: Path | str) -> Float[ndarray, "n 2"]:
+    """Positions of the trees in a file of polygons and points of interest, as polyconvert writes it.
+
+    A point counts if its type ends with "tree" or it has the parameter `natural=tree`; a line with the type or the
+    parameter `tree_row` counts as trees 10 m apart.
+
+    Returns
+    -------
+    Network coordinates. Trees without finite coordinates, or in longitude and latitude, are left out.
+    """
+    found: list[ndarray] = []
+    here: Attributes = {}
+    kind = ""
+
+    def start(name: str, attributes: Attributes) -> None:
+        nonlocal here, kind
+        if name in ("poi", "poly"):
+            here, kind = attributes, attributes.get("type", "")
+        elif name == "param" and attributes.get("key") == "natural":
+            kind = attributes.get("value", "")
+
+    def end(name: str) -> None:
+        if name == "poi" and kind.endswith("tree"):
+            found.append(_points(f"{here.get('x', '')},{here.get('y', '')}")[:, :2])
+        elif name == "poly" and kind.endswith("tree_row") and here.get("geo", "false") not in ("true", "1"):
+            row = _points(here.get("shape", ""))[:, :2]
+            if len(row) > 1:
+                line = shapely.LineString(row)
+                at = np.arange(0.0, line.length, _ROW_M)
+                found.append(shapely.get_coordinates(shapely.line_interpolate_point(line, at)))
+
+    stream(path, start, end)
+    return np.concatenate([np.zeros((0, 2)), *found])
+
+
+def _line(lane: Attributes) -> Float[ndarray, "k 3"]:
+    points = _points(lane.get("shape", ""))
+    if len(points) < 2:
+        raise ValueError(f"lane {lane.get('id', '?')!r} has no line of finite points")
+    return points
+
+
+def _points(shape: str) -> Float[ndarray, "k 3"]:
+    """Points of a SUMO shape, with z = 0 where it has none; empty if one is not finite."""
+    try:
+        rows = [[float(value) for value in (*point.split(","), "0")[:3]] for point in shape.split()]
+    except ValueError:
+        return np.zeros((0, 3))
+    good = all(len(row) == 3 and all(map(isfinite, row)) for row in rows)
+    return np.array(rows).reshape(-1, 3) if good else np.zeros((0, 3))

@@ -1,0 +1,97 @@
+"""Parked cars and trees: where they stand, how many there are, and what a run makes of them."""
+
+import numpy as np
+import pytest
+import shapely
+
+from cosim.mobility.streetside import PARKED, ParkedParams, Streetside, TreeParams
+from cosim.mobility.scenario import find
+from results.archive import open_run
+from sensors.scene import Scene
+from sumo_nets.streetside import Kerb
+from tests.drive import drive
+
+
+def street(n=100, length_m=616.0, parking=None) -> Streetside:
+    """Straight streets 50 m apart, each a lane of 3.2 m; 100 places for a car each: 8 m free at either end."""
+    lines = [np.array([[0.0, 50.0 * k, 0.0], [length_m, 50.0 * k, 0.0]]) for k in range(n)]
+    areas = np.array([shapely.LineString(line[:, :2]).buffer(1.6, cap_style="flat") for line in lines])
+    kerbs = [Kerb(f"e{k}", line, 1.6, parking) for k, line in enumerate(lines)]
+    return Streetside(kerbs, areas, (0.0, 0.0), 3)
+
+
+def test_numbers_are_those_of_the_rates():
+    """10,000 places of 6 m, of which 0.6 are taken at 10 per 100 m in half of the streets: 3,000, give or take the
+    spread of 100 streets; one in ten is a van."""
+    found = street().parked(Scene.empty(), ParkedParams(per_100_m=10, streets_p=0.5))
+    assert len(found) == pytest.approx(3000, rel=0.25)
+    edges = {name.split("/")[1] for name in found}
+    assert len(found) / len(edges) == pytest.approx(60, rel=0.03)
+    assert np.mean([one.vehicle_class == "van" for one in found.values()]) == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_higher_rate_adds_cars_and_moves_none():
+    few, many = (
+        street(20).parked(Scene.empty(), ParkedParams(per_100_m=r, streets_p=p)) for r, p in ((4, 0.5), (9, 1))
+    )
+    assert len(few) < len(many) and all(many[name] == few[name] for name in few)
+
+
+def test_cars_stand_beside_the_lane_by_hand():
+    """South of a street that leads east: lane 1.6 m, gap 0.3 m, half of the car 0.925 m. The first place is from 8 m
+    to 14 m."""
+    found = street(1).parked(Scene.empty(), ParkedParams(per_100_m=16, vans_p=0.0))
+    at = np.array([one.at_m for one in found.values()])
+    assert (at[:, 1] == pytest.approx(-2.825)) and np.allclose((at[:, 0] - 11) % 6 % 6, 0, atol=1e-9)
+    assert at[:, 0].min() >= 11 and at[:, 0].max() <= 616 - 11
+    assert {one.yaw_deg for one in found.values()} == {0.0}
+
+
+def test_tags_decide_before_chance():
+    assert not street(5, parking=False).parked(Scene.empty(), ParkedParams(per_100_m=9))
+    assert street(5, parking=True).parked(Scene.empty(), ParkedParams(per_100_m=9, streets_p=0.0))
+
+
+def test_nothing_stands_on_lanes_in_junctions_in_buildings_or_in_each_other():
+    helsinki = find("helsinki")
+    city = helsinki.city(TreeParams(per_100_m=8), 4)
+    cars = helsinki.parked(ParkedParams(per_100_m=14), city, 4)
+    beside = Streetside.of(helsinki.net, helsinki.origin_m, 4, "parked")
+    x, y = np.array([one.at_m for one in cars.values()]).T
+    length, width = np.array([one.lwh_m[:2] for one in cars.values()]).T
+    yaw = np.radians([one.yaw_deg for one in cars.values()])
+    east = np.array([1, -1, -1, 1]) * length[:, None] / 2, np.array([1, 1, -1, -1]) * width[:, None] / 2
+    corner = x[:, None] + np.cos(yaw)[:, None] * east[0] - np.sin(yaw)[:, None] * east[1]
+    other = y[:, None] + np.sin(yaw)[:, None] * east[0] + np.cos(yaw)[:, None] * east[1]
+    body = shapely.polygons(np.stack([corner, other], axis=-1))
+    first = city.trees.ptr[:-1]
+    trunk = shapely.points(city.trees.x_m[first], city.trees.y_m[first])
+    streets = shapely.transform(beside.areas, lambda xy: xy - np.array(helsinki.origin_m))
+    assert len(body) > 1000 and len(trunk) > 1000
+    for taken in (streets, city.footprints):
+        tree = shapely.STRtree(taken)
+        assert not tree.query(body, predicate="intersects").size and not tree.query(trunk, predicate="within").size
+    tree = shapely.STRtree(body)
+    one, another = tree.query(body, predicate="intersects")
+    assert (one == another).all() and not tree.query(trunk, predicate="intersects").size
+    assert helsinki.parked(ParkedParams(), city, 4) == {}
+
+
+@pytest.mark.verify
+def test_a_run_with_parked_cars(tmp_path):
+    """They are actors that never move and are never equipped, and a replay of the run has its own."""
+    common = ("traffic.duration_s=2", "traffic.warmup_s=0", "attacks=[]", "sensing=false")
+    run = open_run(drive(tmp_path / "a", *common, "parked.per_100_m=4", "trees.per_100_m=4"))
+    cars = run.vehicles[run.vehicles.sumo_id.str.startswith(PARKED)]
+    assert len(cars) > 200 and not cars.equipped.any()
+    poses = run.actors[run.actors.actor.isin(cars.vehicle)]
+    assert (poses.speed_mps == 0).all() and (poses.groupby("actor").x_m.nunique() == 1).all()
+    again = open_run(drive(tmp_path / "b", *common, f"traffic.trace={run.path}"))
+    assert set(again.vehicles.sumo_id) == set(run.vehicles.sumo_id) - set(cars.sumo_id)
+
+
+def test_what_cannot_be():
+    with pytest.raises(ValueError, match=r"trees.height_m = 2 m is not above trees.crown_base_m = 3 m"):
+        TreeParams(height_m=2)
+    with pytest.raises(ValueError, match=r"parked.per_100_m: a trace without streets has no kerbs"):
+        Streetside.of(None, (0.0, 0.0), 1, "parked")
