@@ -1,7 +1,9 @@
 """Builds the lists that vehicles evaluate from sent and received detections, and the evaluation messages."""
 
+from dataclasses import replace
+
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Int, UInt8
 from numpy import ndarray
 
 from cosim.adversary.adversary import Active
@@ -13,6 +15,7 @@ from cosim.v2x.messages import SELF, Detections
 from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
 from trust import tables
+from trust.claims import claim_number
 from trust.tables import EvaluationMessages, Evaluations, ObjectLists
 
 
@@ -112,8 +115,9 @@ def questions_of(
 
 
 def as_reported(
-    active: Active, evaluated: Evaluations, lists: ObjectLists, listed: Detections, observers: ndarray
-) -> Evaluations:
+    active: Active, evaluated: Evaluations, lists: ObjectLists, listed: Detections, observers: ndarray,
+    kind: UInt8[ndarray, "m"] | None = None,
+) -> Evaluations:  # fmt: skip
     """Evaluations as they will be sent.
 
     Parameters
@@ -126,12 +130,14 @@ def as_reported(
         Detections of this step.
     observers
         Row of the world of the vehicle of each list.
+    kind
+        What each evaluation is about, as in `trust.claims`; None if all are about detections.
 
     Returns
     -------
     `evaluated` itself if no active attack has the method `evaluations`.
     """
-    rows = EvaluationRows(observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility)
+    rows = EvaluationRows(observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility, kind)
     evaluation, visibility = active.evaluations(rows, listed)
     if evaluation is rows.evaluation and visibility is rows.visibility:
         return evaluated
@@ -139,8 +145,9 @@ def as_reported(
 
 
 def messages_of(
-    step: int, messages: Known, lists: ObjectLists, evaluations: Evaluations, keep: Bool[ndarray, "k"]
-) -> EvaluationMessages:
+    step: int, messages: Known, lists: ObjectLists, evaluations: Evaluations, keep: Bool[ndarray, "k"],
+    kind: UInt8[ndarray, "k"] | None = None,
+) -> EvaluationMessages:  # fmt: skip
     """Evaluation messages, one per list.
 
     Parameters
@@ -153,8 +160,14 @@ def messages_of(
         One per member of `lists`.
     keep
         Members whose evaluations are in the messages.
+    kind
+        What each evaluation is about, as in `trust.claims`; None if all are about detections. If it is given, messages
+        carry the numbers of claims in place of those of detections.
     """
     kept, sent = Evaluations(evaluations.evaluation[keep], evaluations.visibility[keep]), subset(lists, keep)
-    return tables.as_messages(
+    made = tables.as_messages(
         step, messages.pseudonym, sent, messages.detections, kept, messages.detection_step(sent.member)
     )
+    if kind is None:
+        return made
+    return replace(made, detection_index=claim_number(made.detection_index, kind[keep]))
