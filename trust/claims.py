@@ -66,7 +66,7 @@ def completeness(
 
 def velocity_support(
     difference_mps: Float[ndarray, "n 2"], variance: Float[ndarray, "n 2"], prior_variance: Float[ndarray, "n 2"],
-    wrong_p: float = 0.05,
+    wrong_p: float = 0.1,
 ) -> Float[ndarray, "n"]:  # fmt: skip
     """How much an evaluator's track says for or against a claimed velocity.
 
