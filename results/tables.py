@@ -85,7 +85,7 @@ _LOST = {
     "n_lost_late": _count("Received after the time-out of the round and therefore dropped."),
 }
 
-_KIND = Column("category", key=True, categories=labels(EvaluationKind), absent="zero", meaning="What the evaluation is about: the detection itself; that the message lacks no object that its sender should have detected (missing; the detection is the self report); or that the velocity of the detection is right (speed). The column exists if `trust.evidence` names more than detections.")
+_KIND = Column("category", key=True, categories=labels(EvaluationKind), absent="zero", meaning="What the evaluation is about: the detection itself; that the message does not withhold an object that the evaluator detects (missing; `detection_index` is then that of the evaluator's own detection, and 0 for the evaluator itself); or that the velocity of the detection is right (speed). The column exists if `trust.evidence` names more than detections.")
 _DETECTION_STEP = Column("int32", absent="step", meaning="Step of the detection; before `step` if it was in an earlier message. The column exists if not all vehicles sense at the same time.")
 
 TABLES: Mapping[str, Table] = {

@@ -1,4 +1,4 @@
-"""What a message claims beyond its boxes: that it leaves nothing out, and that its velocities are right.
+"""What a message claims beyond its boxes: that it withholds no object, and that its velocities are right.
 
 An evaluator answers such a claim with an evaluation of its own kind (`KINDS`). To a trust model it is the evaluation of
 one more detection, whose number `claim_number` gives.
@@ -12,31 +12,48 @@ from trust.params import KINDS, TrustParams, eta_of
 from trust.tables import Evaluations
 
 DETECTION, MISSING, SPEED = range(len(KINDS))
-"""A detection; that a message lacks nothing; that the velocity of a detection is right."""
+"""A detection; that an object is not withheld; that the velocity of a detection is right."""
+
+N_OBJECTS = 16
+"""An evaluator asks for the first objects of its own list in the messages of others: its surest ones."""
 
 
-def claim_number(detection_index: Int[ndarray, "n"], kind: UInt8[ndarray, "n"]) -> Int[ndarray, "n"]:
+def claim_number(number: Int[ndarray, "n"], kind: UInt8[ndarray, "n"] | int) -> Int[ndarray, "n"]:
     """The number by which trust models know a claim; `divmod` by the number of `KINDS` inverts it.
 
     Parameters
     ----------
-    detection_index
-        Number of the detection in its message; that of the self report for the claim that the message lacks nothing.
+    number
+        Number of the detection in its message. For `MISSING`, that of the object in the message of the evaluator.
     kind
         Position in `KINDS`.
     """
-    return detection_index.astype(np.int64) * len(KINDS) + kind
+    return number.astype(np.int64) * len(KINDS) + kind
 
 
-def completeness(
-    pair: Int[ndarray, "n"], expected_p: Float[ndarray, "n"], reported: Bool[ndarray, "n"], n_pairs: int
-) -> Float[ndarray, "p"]:
-    """How much the objects that an evaluator sees say for or against the completeness of a message.
+def claims_of_messages(
+    message: Int[ndarray, "d"], detection_index: Int[ndarray, "d"], score: Float[ndarray, "d"]
+) -> tuple[Int[ndarray, "c"], Int[ndarray, "c"], Float[ndarray, "c"]]:
+    """Message, number and score of all claims of some messages with these detections.
+
+    A detection and its velocity have the detector's score. A message claims with score 1 that it withholds nothing.
+    """
+    senders = np.unique(message)
+    return (
+        np.concatenate([message, message, np.repeat(senders, N_OBJECTS)]),
+        np.concatenate([
+            claim_number(detection_index, DETECTION), claim_number(detection_index, SPEED),
+            claim_number(np.tile(np.arange(N_OBJECTS), len(senders)), MISSING),
+        ]),
+        np.concatenate([score, score, np.ones(len(senders) * N_OBJECTS)]),
+    )  # fmt: skip
+
+
+def presence_support(expected_p: Float[ndarray, "n"], reported: Bool[ndarray, "n"]) -> Float[ndarray, "n"]:
+    """How much an object that an evaluator sees says for or against the honesty of a message.
 
     Parameters
     ----------
-    pair
-        Pair of evaluator and message of each of N objects, from 0 to `n_pairs` - 1.
     expected_p
         Probability that an honest sender reports the object: that it exists, times the recall of the sender's detector
         at its range and visibility.
@@ -45,23 +62,20 @@ def completeness(
 
     Returns
     -------
-    Support in (-1, 1) per pair: the evaluation that is expected if withholding and honesty are equally likely before; 0
-    for a pair without objects.
+    Support in (-1, 1): 1/3 for a reported object, -a / (4 - 3 a) for a missing one with a = `expected_p`; 0 where none
+    can be expected.
 
     Notes
     -----
     Two hypotheses: the sender withholds nothing, or it withholds each detection with probability 1/2. It then reports
-    an object with probability a, or a / 2. The logarithm of their likelihood ratio is a sum over the objects, of log 2
-    for a reported one and log((1 - a) / (1 - a / 2)) for a missing one. With even prior odds and the sum L, the
-    posterior probability of honesty less that of withholding is tanh(L / 2).
+    the object with probability a, or a / 2. The likelihood ratio of the first to the second is 2 for a reported object
+    and (1 - a) / (1 - a / 2) for a missing one. With even prior odds and the ratio R, the posterior probability of
+    honesty less that of withholding is (R - 1) / (R + 1).
 
-    Deviations: ours. [1]_ has no evidence about objects that a message lacks. Misses are taken as independent; those of
-    a real detector persist.
+    Deviations: ours. [1]_ has no evidence about objects that a message lacks.
     """
-    a = np.minimum(expected_p, 1.0 - 1e-6)
-    log_ratio = np.where(reported, np.log(2.0), np.log1p(-a) - np.log1p(-0.5 * a))
-    counts = a > 0  # an object that cannot be expected says nothing, reported or not
-    return np.tanh(0.5 * np.bincount(pair[counts], log_ratio[counts], n_pairs))
+    a = expected_p
+    return np.where(a > 0, np.where(reported, 1.0 / 3.0, -a / (4.0 - 3.0 * a)), 0.0)
 
 
 def velocity_support(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8, UInt64
+from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
 from cosim import rng
@@ -20,7 +20,6 @@ from cosim.v2x.messages import FABRICATED, Detections
 from cosim.world import World
 from sensors.boxes import Boxes
 from sensors.line_of_sight import WallIndex
-from trust.claims import claim_number
 
 P = TypeVar("P")
 
@@ -103,13 +102,15 @@ class EvaluationRows:
     """In [-1, 1]."""
     visibility: Float[ndarray, "m"]
     """In [0, 1]."""
-    kind: UInt8[ndarray, "m"] | None = None
-    """What the evaluation is about, as a position in `trust.params.KINDS`; None if all are of detections."""
+    number: Int[ndarray, "m"] | None = None
+    """Number of what the evaluation is about (`trust.claims.claim_number`); None if all are about detections."""
 
     @property
-    def claim(self) -> Int[ndarray, "m"]:
-        """A number for what each row is about; the row of the detection if all rows are about detections."""
-        return self.detection if self.kind is None else claim_number(self.detection, self.kind)
+    def about(self) -> Int[ndarray, "m"]:
+        """Rows about the same have the same number, from 0; the row of the detection if all are about detections."""
+        if self.number is None:
+            return self.detection
+        return np.unique(self.detection.astype(np.int64) << 32 | self.number, return_inverse=True)[1].reshape(-1)
 
 
 LOUDEST_DBM = 33.0

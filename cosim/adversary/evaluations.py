@@ -147,7 +147,8 @@ class MajorityCopying(_WithIdentities[IdentitiesParams]):
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
         """The rows, replaced by the mean of other vehicles. If there is none, visibility is 0."""
         chosen, _ = _of_others(rows, detections, context)
-        at, n = rows.claim, int(rows.claim.max(initial=-1)) + 1
+        at = rows.about
+        n = int(at.max(initial=-1)) + 1
         honest = ~context.attacker[rows.evaluator] & (rows.evaluator != detections.observer[rows.detection])
         weight = np.where(honest, rows.visibility, 0.0)
         total = np.bincount(at, weight, n)
@@ -186,9 +187,8 @@ class ReplayedEvaluations(_WithIdentities[ReplayedEvaluationsParams]):
         chosen, observer = _of_others(rows, detections, context)
         at, name = np.flatnonzero(chosen), context.name_key
         detection = rows.detection[at]
-        index = detections.identity[detection] << 20 | detections.detection_index[detection]
-        if rows.kind is not None:
-            index = index | rows.kind[at].astype(np.int64) << 32
+        number = detections.detection_index[detection] if rows.number is None else rows.number[at]
+        index = detections.identity[detection] << 20 | number
         key = np.column_stack([name(rows.evaluator[at]), name(observer[at]), index.astype(np.uint64)])
         seen = np.flatnonzero(rows.visibility[at] > 0)
         seen = seen[np.lexsort(key[seen].T[::-1])]  # a draw picks the same evaluation whatever the order of the rows

@@ -276,9 +276,9 @@ def _evaluations(recorder: TakesRows, at: int, sensed: Sensed) -> None:
         "plausible__valid": ~evaluated.matched, "matched": evaluated.matched, "lied": evaluated.lied,
         **_steps(sensed, "detection_step", member),
     }  # fmt: skip
-    if evaluated.kind is not None:
-        is_about_detection = evaluated.kind == EvaluationKind.DETECTION
-        rows |= {"kind": evaluated.kind, "plausible__valid": is_about_detection & ~evaluated.matched}
+    if evaluated.number is not None:
+        rows["detection_index"], rows["kind"] = np.divmod(evaluated.number, len(EvaluationKind))
+        rows["plausible__valid"] = (rows["kind"] == EvaluationKind.DETECTION) & ~evaluated.matched
     is_new = known.is_new(sensed.senders.source[lists.owner[by]], member)
     recorder.append("evaluations", at, rows if is_new is None else {name: c[is_new] for name, c in rows.items()})
     if "transmitted_evaluations" in recorder.tables:
@@ -288,7 +288,7 @@ def _evaluations(recorder: TakesRows, at: int, sensed: Sensed) -> None:
 def _transmitted(recorder: TakesRows, at: int, sensed: Sensed) -> None:
     sent, own = sensed.evaluated.sent, sensed.evaluated.kept_messages
     number: Rows = {"detection_index": sent.detection_index}
-    if sensed.evaluated.kind is not None:
+    if sensed.evaluated.number is not None:
         number["detection_index"], number["kind"] = np.divmod(sent.detection_index, len(EvaluationKind))
     recorder.append("transmitted_evaluations", at, {
         "evaluator": np.repeat(sent.evaluator, np.diff(sent.ptr)), "observer": sent.observer, **number,

@@ -1,4 +1,4 @@
-"""Evaluations of what messages claim beyond their boxes: completeness, and velocities (`trust.claims`).
+"""Evaluations of what messages claim beyond their boxes: that they withhold nothing, and velocities (`trust.claims`).
 
 An evaluator uses what it knows: its own detections and tracks, the messages that it has received, a map of the
 buildings, and the sensor that all vehicles have. It compares a message with its own sweep of the same step only.
@@ -7,7 +7,7 @@ buildings, and the sensor that all vehicles have. It compares a message with its
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.ragged import expand, ptr_of
@@ -19,7 +19,7 @@ from cosim.v2x.messages import SENSED, velocities
 from sensors.coverage import at_place
 from sensors.neighbours import Neighbours
 from sensors.tracking import confirmed_variance
-from trust.claims import MISSING, SPEED, completeness, velocity_support
+from trust.claims import MISSING, N_OBJECTS, SPEED, claim_number, presence_support, velocity_support
 
 _LEAST_VARIANCE = 0.01
 """Of a velocity that a vehicle knows of itself [m2/s2]."""
@@ -48,17 +48,17 @@ def claims_of(
     ]  # fmt: skip
     if not parts_of:
         return None
-    list_, member, kind, support = (np.concatenate(columns) for columns in zip(*parts_of, strict=True))
-    order = np.lexsort((member, kind, list_))
-    return Claims(list_[order], member[order], kind[order], support[order])
+    list_, member, number, support = (np.concatenate(columns) for columns in zip(*parts_of, strict=True))
+    order = np.lexsort((number, member, list_))
+    return Claims(list_[order], member[order], number[order], support[order])
 
 
-_Found = tuple[Int[ndarray, "c"], Int[ndarray, "c"], UInt8[ndarray, "c"], Float[ndarray, "c"]]
-"""List, member, kind and support of each claim."""
+_Found = tuple[Int[ndarray, "c"], Int[ndarray, "c"], Int[ndarray, "c"], Float[ndarray, "c"]]
+"""List, member, number and support of each claim."""
 
 
 def _missing(exchange: Exchange, messages: Known, matched: Matched, positioned: Positioned, parts: Parts) -> _Found:
-    """Whether messages lack objects that their senders should have detected.
+    """Whether messages have the objects that the evaluator sees and their senders should have detected.
 
     A message with as many objects as `cpm.max_objects` allows may lack some for that reason, and is left out.
     """
@@ -67,14 +67,13 @@ def _missing(exchange: Exchange, messages: Known, matched: Matched, positioned: 
     boxes, label = messages.objects.boxes, messages.detections.label
     near = Neighbours(ptr_of(asked.question, len(asked.carrier)), asked.body)
     recall = parts.coverage.expected_recall(asked.carrier, near, boxes, label)
-    rows = np.flatnonzero(asked.is_target)
+    is_target = asked.is_target & (messages.detections.detection_index[asked.body] < N_OBJECTS)
+    rows = np.flatnonzero(is_target & (recall > 0))
     question, body = asked.question[rows], asked.body[rows]
-    expected_p = messages.detections.score[body] * recall[rows]
     reported = _reported(messages, messages.detections.message[asked.carrier[question]], body)
-    support = completeness(question, expected_p, reported, len(asked.carrier))
-    answered = np.flatnonzero(support)
-    kind = np.full(len(answered), MISSING, np.uint8)
-    return asked.list[answered], asked.carrier[answered], kind, support[answered]
+    support = presence_support(messages.detections.score[body] * recall[rows], reported)
+    number = claim_number(messages.detections.detection_index[body], MISSING)
+    return asked.list[question], asked.carrier[question], number, support
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +138,9 @@ def _speed(exchange: Exchange, messages: Known, matched: Matched, positioned: Po
     apart = np.column_stack([axis[:, 0] * x + axis[:, 1] * y, axis[:, 0] * y - axis[:, 1] * x])
     tracked = np.flatnonzero(~np.isnan(apart).any(axis=1))
     support = velocity_support(apart[tracked], (variance + of_claim)[tracked], prior[tracked])
-    return of[at[tracked]], claim[tracked], np.full(len(tracked), SPEED, np.uint8), support
+    of_detection = claim[tracked]
+    number = claim_number(messages.detections.detection_index[of_detection], SPEED)
+    return of[at[tracked]], of_detection, number, support
 
 
 def _own_velocities(

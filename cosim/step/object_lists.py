@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Int, UInt8
+from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim.adversary.adversary import Active
@@ -15,7 +15,6 @@ from cosim.v2x.messages import SELF, Detections
 from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
 from trust import tables
-from trust.claims import claim_number
 from trust.tables import EvaluationMessages, Evaluations, ObjectLists
 
 
@@ -116,7 +115,7 @@ def questions_of(
 
 def as_reported(
     active: Active, evaluated: Evaluations, lists: ObjectLists, listed: Detections, observers: ndarray,
-    kind: UInt8[ndarray, "m"] | None = None,
+    number: Int[ndarray, "m"] | None = None,
 ) -> Evaluations:  # fmt: skip
     """Evaluations as they will be sent.
 
@@ -130,14 +129,14 @@ def as_reported(
         Detections of this step.
     observers
         Row of the world of the vehicle of each list.
-    kind
-        What each evaluation is about, as in `trust.claims`; None if all are about detections.
+    number
+        Number of what each evaluation is about (`trust.claims.claim_number`); None if all are about detections.
 
     Returns
     -------
     `evaluated` itself if no active attack has the method `evaluations`.
     """
-    rows = EvaluationRows(observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility, kind)
+    rows = EvaluationRows(observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility, number)
     evaluation, visibility = active.evaluations(rows, listed)
     if evaluation is rows.evaluation and visibility is rows.visibility:
         return evaluated
@@ -146,7 +145,7 @@ def as_reported(
 
 def messages_of(
     step: int, messages: Known, lists: ObjectLists, evaluations: Evaluations, keep: Bool[ndarray, "k"],
-    kind: UInt8[ndarray, "k"] | None = None,
+    number: Int[ndarray, "k"] | None = None,
 ) -> EvaluationMessages:  # fmt: skip
     """Evaluation messages, one per list.
 
@@ -160,14 +159,11 @@ def messages_of(
         One per member of `lists`.
     keep
         Members whose evaluations are in the messages.
-    kind
-        What each evaluation is about, as in `trust.claims`; None if all are about detections. If it is given, messages
-        carry the numbers of claims in place of those of detections.
+    number
+        Number of what each evaluation is about, in place of that of the detection; None if all are about detections.
     """
     kept, sent = Evaluations(evaluations.evaluation[keep], evaluations.visibility[keep]), subset(lists, keep)
     made = tables.as_messages(
         step, messages.pseudonym, sent, messages.detections, kept, messages.detection_step(sent.member)
     )
-    if kind is None:
-        return made
-    return replace(made, detection_index=claim_number(made.detection_index, kind[keep]))
+    return made if number is None else replace(made, detection_index=number[keep])

@@ -7,7 +7,7 @@ returns its new value before the result.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.adversary.adversary import Active
@@ -47,10 +47,11 @@ from sensors.boxes import overlapping_pairs, pairs_between
 from sensors.evidence import in_evaluation_area
 from sensors.tracking import Found, ObjectStates, Observers, TrackMemory, track
 from trust import tables
-from trust.claims import DETECTION, answers
+from trust.claims import DETECTION, answers, claim_number
 from trust.evaluation import evaluate
 from trust.fusion import Fused, SensorEvidence
 from trust.matching import match
+from trust.params import KINDS
 from trust.tables import EvaluationMessages, Evaluations, Groups, ObjectLists
 from trust.threads import threads_for
 
@@ -508,14 +509,14 @@ def _recall(
 
 @dataclass(frozen=True, slots=True)
 class Claims:
-    """What vehicles find about C claims of the messages in their lists, sorted by list, kind and member."""
+    """What vehicles find about C claims of the messages in their lists, sorted by list, member and number."""
 
     list: Int[ndarray, "c"]
     """Row of the vehicles that sense."""
     member: Int[ndarray, "c"]
-    """Detection that makes the claim, a row of `Known`; the self report claims that the message lacks nothing."""
-    kind: UInt8[ndarray, "c"]
-    """As in `trust.claims`."""
+    """Detection that makes the claim, a row of `Known`; the self report claims that the message withholds nothing."""
+    number: Int[ndarray, "c"]
+    """As `trust.claims.claim_number` gives it."""
     support: Float[ndarray, "c"]
     """Expected evaluation, in [-1, 1]."""
 
@@ -549,16 +550,17 @@ class Evaluated:
     """The reported evaluations, one message per row of `Senders`."""
     kept_messages: EvaluationMessages
     """The own evaluations in the rows of `sent`."""
-    kind: UInt8[ndarray, "v"] | None = None
-    """What each evaluation is about, as in `trust.claims`; None if all are about detections."""
+    number: Int[ndarray, "v"] | None = None
+    """Number of what each evaluation is about (`trust.claims.claim_number`); None if all are about detections."""
 
     def of_detections(self) -> tuple[ObjectLists, Evaluations, Evaluations]:
         """`lists`, `own` and `reported` without what is not about detections."""
-        if self.kind is None:
+        if self.number is None:
             return self.lists, self.own, self.reported
-        at = np.flatnonzero(self.kind == DETECTION)
+        is_detection = self.number % len(KINDS) == DETECTION
+        at = np.flatnonzero(is_detection)
         own, reported = (Evaluations(e.evaluation[at], e.visibility[at]) for e in (self.own, self.reported))
-        return subset(self.lists, self.kind == DETECTION), own, reported
+        return subset(self.lists, is_detection), own, reported
 
 
 def evaluate_objects(
@@ -570,7 +572,7 @@ def evaluate_objects(
     """
     groups, lists, senders = matched.lists_groups, matched.lists, exchange.senders
     n_points, plausible = answered.n_points[matched.inside], answered.plausible[matched.inside]
-    ego_detected, kind = groups.ego_detected, None
+    ego_detected, number = groups.ego_detected, None
     own = evaluate(lists, groups, messages.detections, n_points, plausible, config.trust, answered.recall)
     if claims is not None:
         of = np.concatenate([lists.of_member(), claims.list])
@@ -585,22 +587,23 @@ def evaluate_objects(
             with_claims(own.evaluation, found.evaluation), with_claims(own.visibility, found.visibility)
         )
         n_points, plausible, ego_detected = (with_claims(a, 0) for a in (n_points, plausible, ego_detected))
-        kind = with_claims(np.full(len(of) - n, DETECTION, np.uint8), claims.kind)
-    reported = object_lists.as_reported(exchange.attacks, own, lists, messages.objects, exchange.sensing.row, kind)
+        index = messages.detections.detection_index[matched.lists.member]
+        number = with_claims(claim_number(index, DETECTION), claims.number)
+    reported = object_lists.as_reported(exchange.attacks, own, lists, messages.objects, exchange.sensing.row, number)
     lied = lies_in_evaluations(own, reported)
     sendable = messages.objects.transmitted[lists.member]
     is_new = messages.is_new(lists.of_member(), lists.member)
     sendable = sendable if is_new is None else sendable & is_new
 
     def carried(by: ObjectLists, values: Evaluations, sendable: Bool[ndarray, "v"]) -> EvaluationMessages:
-        return messages_of(exchange.now.step, messages, by, values, sendable, kind)
+        return messages_of(exchange.now.step, messages, by, values, sendable, number)
 
     own_messages = carried(lists, own, sendable)
     lists, at = lists_of_identities(lists, senders)
     if at is not None:
         n_points, plausible, ego_detected, lied = n_points[at], plausible[at], ego_detected[at], lied[at]
         own, reported = (Evaluations(e.evaluation[at], e.visibility[at]) for e in (own, reported))
-        sendable, kind = sendable[at], None if kind is None else kind[at]
+        sendable, number = sendable[at], None if number is None else number[at]
     return Evaluated(
         lists=lists,
         n_points=n_points,
@@ -612,7 +615,7 @@ def evaluate_objects(
         own_messages=own_messages,
         sent=carried(lists, reported, sendable),
         kept_messages=own_messages if at is None else carried(lists, own, sendable),
-        kind=kind,
+        number=number,
     )
 
 

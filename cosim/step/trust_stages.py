@@ -23,9 +23,8 @@ from cosim.v2x.trust_server import LinkStats, TrustBroadcast
 from cosim.world import World
 from results.codes import TrustSource
 from results.encounters import Rows
-from trust.claims import claim_number
+from trust.claims import claims_of_messages
 from trust.fusion import Fused, fuse, votes_of
-from trust.params import KINDS
 from trust.tables import Evaluations, FusionInput, ObjectLists, SenderTrust, TrustScores
 
 
@@ -193,9 +192,7 @@ def _open_step(
     message, index = detections.message[transmitted], detections.detection_index[transmitted]
     score = detections.score[transmitted]
     if len(parts.config.trust.evidence) > 1:
-        n, kind = len(index), np.arange(len(KINDS))
-        message, score, index = (np.repeat(column, len(kind)) for column in (message, score, index))
-        index = claim_number(index, np.tile(kind, n))
+        message, index, score = claims_of_messages(message, index, score)
     subject = linkage.subjects(pseudonyms, pseudonym)
     _, index = linkage.keys(pseudonyms, pseudonym[message], index)
     if linkage.renames:
