@@ -36,7 +36,8 @@ def claims_of_messages(
 ) -> tuple[Int[ndarray, "c"], Int[ndarray, "c"], Float[ndarray, "c"]]:
     """Message, number and score of all claims of some messages with these detections.
 
-    A detection and its velocity have the detector's score. A message claims with score 1 that it withholds nothing.
+    A detection and its velocity have the detector's score. That an object is not withheld has the score 1/2, about the
+    mean of detections: all objects together weigh as much as the detections of a message.
     """
     senders = np.unique(message)
     return (
@@ -45,7 +46,7 @@ def claims_of_messages(
             claim_number(detection_index, DETECTION), claim_number(detection_index, SPEED),
             claim_number(np.tile(np.arange(N_OBJECTS), len(senders)), MISSING),
         ]),
-        np.concatenate([score, score, np.ones(len(senders) * N_OBJECTS)]),
+        np.concatenate([score, score, np.full(len(senders) * N_OBJECTS, 0.5)]),
     )  # fmt: skip
 
 

@@ -121,7 +121,11 @@ def _reported(messages: Known, message: Int[ndarray, "k"], body: Int[ndarray, "k
 
 
 def _speed(exchange: Exchange, messages: Known, matched: Matched, positioned: Positioned, parts: Parts) -> _Found:
-    """Whether the velocities that messages claim are those of the evaluators' own tracks."""
+    """Whether the velocities that messages claim are those of the evaluators' own tracks.
+
+    Velocities of self reports are confirmed or denied. Those of other objects are denied only: the evaluations of the
+    detections confirm the objects already, and one false speed would be lost among many right ones.
+    """
     lists, groups, of = matched.lists, matched.lists_groups, matched.lists.of_member()
     objects, by, p = messages.objects, messages.detections.message[matched.lists.member], parts.config.tracking
     claimed_mps = velocities(objects)
@@ -138,6 +142,8 @@ def _speed(exchange: Exchange, messages: Known, matched: Matched, positioned: Po
     apart = np.column_stack([axis[:, 0] * x + axis[:, 1] * y, axis[:, 0] * y - axis[:, 1] * x])
     tracked = np.flatnonzero(~np.isnan(apart).any(axis=1))
     support = velocity_support(apart[tracked], (variance + of_claim)[tracked], prior[tracked])
+    kept = np.flatnonzero(messages.detections.is_self[claim[tracked]] | (support < 0))
+    tracked, support = tracked[kept], support[kept]
     of_detection = claim[tracked]
     number = claim_number(messages.detections.detection_index[of_detection], SPEED)
     return of[at[tracked]], of_detection, number, support

@@ -32,6 +32,12 @@ SHOWN: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Metrics that a topic shows unless others are asked for."""
 
+BOUNDS: Mapping[str, str] = {
+    "misbehaviour.auc": "evidence.auc_bound",
+    "misbehaviour.at_lookup.auc": "evidence.auc_bound",
+}
+"""What no value of another metric can exceed by much: the first row of its heat map of trust models."""
+
 INSTEAD: Mapping[str, str] = {
     "misbehaviour.at_lookup.auc:malicious": "misbehaviour.auc:malicious",
     "misbehaviour.at_lookup.time_to_detection.median_s:malicious": "misbehaviour.time_to_detection.median_s:malicious",
@@ -162,6 +168,8 @@ def _draw(
 def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Figure:
     """A map per metric, where both keys are words: mean and 95 % interval written into each cell."""
     rows, columns = list(dict.fromkeys(frame[y])), list(dict.fromkeys(frame[x]))
+    bounded = y == "trust.model" and any(BOUNDS.get(name.partition(":")[0]) in set(frame.metric) for name in asked)
+    rows = ["ideal observer", *rows] if bounded else rows
     size = max(6.4, 2.2 + 0.62 * len(columns)), (1.5 + 0.36 * len(rows)) * len(asked)
     figure, panels = style.sheet(1, *size, rows=len(asked))
     for axes, name in zip(panels, asked, strict=True):
@@ -169,6 +177,10 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
         cells = of_metric.drop_duplicates([y, x]).set_index([y, x])
         if len(cells) < len(of_metric):
             raise ValueError(f"{name} has several groups. Choose one as {name}:GROUP.")
+        if bounded:
+            metric, _, group = name.partition(":")
+            bound = chosen(frame, [f"{BOUNDS[metric]}:{group}"]).drop_duplicates(x)
+            cells = pd.concat([bound.assign(**{y: "ideal observer"}).set_index([y, x]), cells])
         grid = cells.reindex(pd.MultiIndex.from_product([rows, columns]))
         mean, low, high, n_seeds = (
             grid[k].to_numpy(float).reshape(len(rows), -1) for k in ("mean", "low", "high", "n")

@@ -4,8 +4,6 @@ The observer knows how often honest vehicles and attackers receive and make each
 the true roles of all vehicles but the one that it judges.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
@@ -24,72 +22,61 @@ _N_OTHERS = 3
 """What others say about the same: nothing, against, for."""
 _MOST_ROWS = 5_000_000
 _PRIOR = 0.5
-"""Added to the count of every cell in the mean, so that none has probability 0 (Jeffreys)."""
+"""Added to the count of every kind in the mean, so that none has probability 0 (Jeffreys)."""
 
 
-class Clues(NamedTuple):
-    """N pieces of evidence in the order of time."""
-
-    subject: Int[ndarray, "n"]
-    """Number of the subject, from 0."""
-    step: Int[ndarray, "n"]
-    cell: Int[ndarray, "n"]
-    """What kind of evidence it is."""
-
-
-def log_ratios(clues: Clues, attacks: Bool[ndarray, "s"]) -> Float[ndarray, "n"]:
-    """Logarithm of the likelihood ratio, attacker to honest, of each clue.
+def area(counts: Int[ndarray, "s c"], attacks: Bool[ndarray, "s"]) -> intervals.Estimate:
+    """Probability that an attacker's likelihood ratio is above an honest subject's; ties count half.
 
     Parameters
     ----------
-    clues
-        The evidence.
+    counts
+        How many clues of each of C kinds there are about each of S subjects.
     attacks
         Whether each subject is an attacker.
 
+    Returns
+    -------
+    The larger of the areas of two statistics: the sum of the logarithms of the likelihood ratios of a subject's clues,
+    and their mean. NaN without two subjects of each role.
+
     Notes
     -----
-    The probability of a cell, given a role, is its share of the clues about all other subjects of this role and about
-    one more subject, which has the mean of all other subjects' clues. Clues about one subject resemble each other: the
-    number of subjects, not of clues, says how well a share is known. No subject's own clues and role are used for its
-    own ratios.
+    If clues are independent given the role, the sum is the statistic of Neyman and Pearson, and no observer of these
+    kinds has a larger area. If the clues about a subject depend on each other, their sum is too confident where there
+    are many, and the mean can be better; then more can be known.
+
+    The probability of a kind given a role is its share of the clues about the subjects of this role, plus one more
+    subject that has the mean of all others' clues: clues about one subject resemble each other, so the number of
+    subjects says how well a share is known. A pair of an attacker and an honest subject is compared with shares from
+    which both are left out [1]_; leaving out one would favour the other.
+
+    References
+    ----------
+    .. [1] Airola et al., "An experimental comparison of cross-validation techniques for estimating the area under the
+       ROC curve", Computational Statistics and Data Analysis 55(4), 2011.
     """
-    n = int(clues.cell.max(initial=0)) + 1
-    own = np.bincount(clues.subject * n + clues.cell, minlength=len(attacks) * n).reshape(-1, n)
-    mean = (own.sum(axis=0) + _PRIOR - own) / max(len(attacks) - 1, 1)
+    logs = [_log_shares(counts, attacks == role)[attacks == role] for role in (True, False)]
+    attacker, honest = counts[attacks].astype(float), counts[~attacks].astype(float)
+    if min(len(attacker), len(honest)) < 2:
+        return intervals.UNKNOWN
+    of_attacker = (attacker * logs[0]).sum(axis=1)[:, None] - attacker @ logs[1].T
+    of_honest = logs[0] @ honest.T - (honest * logs[1]).sum(axis=1)
+    n, m = (np.maximum(one.sum(axis=1), 1.0) for one in (attacker, honest))
     found = []
-    for role in (True, False):
-        count = own[attacks == role].sum(axis=0) - own * (attacks == role)[:, None] + mean
-        p = count / count.sum(axis=1, keepdims=True)
-        found.append(np.log(p)[clues.subject, clues.cell])
-    return found[0] - found[1]
+    for above in (of_attacker - of_honest, of_attacker / n[:, None] - of_honest / m):
+        wins = 0.5 * (1.0 + np.sign(np.round(above, 9)))
+        means = wins.mean(axis=1), wins.mean(axis=0)
+        error = np.sqrt(sum(one.var(ddof=1) / len(one) for one in means))
+        found.append(intervals.around(float(wins.mean()), float(error), min(wins.shape), (0.0, 1.0)))
+    return max(found, key=lambda one: one.value)
 
 
-def area(clues: Clues, attacks: Bool[ndarray, "s"]) -> intervals.Estimate:
-    """Probability that an attacker's likelihood ratio is above an honest subject's; ties count half.
-
-    Ratios are compared after every step in which a subject has new clues, with all clues up to then: their sum, and
-    their mean per clue. The larger of the two areas is returned, with its interval clustered by subject.
-
-    Notes
-    -----
-    If clues are independent given the role, the sum is the statistic of Neyman and Pearson, and no observer of the
-    cells has a larger area. If the clues about a subject depend on each other, their sum is too confident where there
-    are many, and the mean can be better.
-    """
-    order = np.lexsort((clues.step, clues.subject))
-    subject, step = clues.subject[order], clues.step[order]
-    total = np.cumsum(log_ratios(clues, attacks)[order])
-    last = np.flatnonzero(np.append((np.diff(subject) != 0) | (np.diff(step) != 0), True)[: len(order)])
-    first = np.searchsorted(subject, subject[last])
-    before = np.where(first > 0, total[np.maximum(first, 1) - 1], 0.0)
-    total, who = np.round(total[last] - before, 9), subject[last]
-    lies = attacks[who]
-    both = [
-        intervals.auc(values[lies], who[lies], values[~lies], who[~lies])
-        for values in (total, np.round(total / (last - first + 1), 9))
-    ]
-    return max(both, key=lambda one: one.value)
+def _log_shares(counts: Int[ndarray, "s c"], of_role: Bool[ndarray, "s"]) -> Float[ndarray, "s c"]:
+    """Logarithm of each kind's share of the clues about a role's subjects, for each subject without its own clues."""
+    mean = (counts.sum(axis=0) - counts + _PRIOR) / max(len(counts) - 1, 1)
+    others = counts[of_role].sum(axis=0) - counts * of_role[:, None] + mean
+    return np.log(others / others.sum(axis=1, keepdims=True))
 
 
 def bounds(run: Run) -> pd.DataFrame:
@@ -98,13 +85,13 @@ def bounds(run: Run) -> pd.DataFrame:
     Returns
     -------
     role; known: the observer also knows the roles of all other vehicles; alone: it does not. Both with intervals
-    clustered by subject.
+    clustered by subject. Of few attackers, more cells say less, so `known` is at least `alone`.
 
     Notes
     -----
     The clues about a subject are the evaluations of its messages by others, and the evaluations that it makes itself.
-    The cell of the former is the kind of evaluation, evaluation times visibility in eight bins, and, if known, whether
-    the evaluator attacks. The latter also have what the others say on average about the same detection.
+    The kind of the former is that of the evaluation, evaluation times visibility in eight bins, and, if known, whether
+    the evaluator attacks. That of the latter has also what the others say on average about the same detection.
     """
     who = watched(run)
     role = who.role.astype(str).to_numpy()
@@ -113,22 +100,24 @@ def bounds(run: Run) -> pd.DataFrame:
         mine = np.flatnonzero((role == HONEST) | (role == one))
         if one == HONEST or not (role == one).any():
             continue
-        clues = [_clues(run, who.iloc[mine], known) for known in (True, False)]
-        found = [area(some, role[mine] == one) for some in clues]
-        rows.append({"role": one} | intervals.columns(found[0], "known") | intervals.columns(found[1], "alone"))
+        known, alone = (area(_counts(run, who.iloc[mine], roles), role[mine] == one) for roles in (True, False))
+        known = max(known, alone, key=lambda one: one.value)  # one can leave out what one knows
+        rows.append({"role": one} | intervals.columns(known, "known") | intervals.columns(alone, "alone"))
     return pd.DataFrame(rows)
 
 
-def _clues(run: Run, who: pd.DataFrame, known: bool) -> Clues:
-    """The clues about these subjects while they are watched."""
+def _counts(run: Run, who: pd.DataFrame, known: bool) -> Int[ndarray, "s c"]:
+    """The clues about these subjects while they are watched, by kind."""
     run.require("evaluations")
     stride = max(1, -(-run.n_rows("evaluations") // _MOST_ROWS))
     since, attacks = who.since.to_numpy(), (run.subjects.role != HONEST).to_numpy()
-    parts = []
+    n_received = len(EvaluationKind) * _N_BINS * 2
+    n_kinds = n_received * (1 + _N_OTHERS)
+    counts = np.zeros(len(who) * n_kinds, np.int64)
     names = ["step", "evaluator", "observer", "detection_index", "detection_step", "kind", "evaluation", "visibility"]
     for part in run.parts("evaluations", names, pc.field("visibility") > 0):
         part = part[(part.step % stride == 0) & (part.evaluator != part.observer)]
-        said = (part.evaluation * part.visibility).to_numpy(float)
+        said = part.evaluation.to_numpy(float) * part.visibility.to_numpy(float)
         kind = part.kind.cat.codes.to_numpy(np.int64)
         value = kind * _N_BINS + np.searchsorted(_EDGES, said)
         same = [part.detection_step.to_numpy(), part.observer.to_numpy(), part.detection_index.to_numpy(), kind]
@@ -139,12 +128,12 @@ def _clues(run: Run, who: pd.DataFrame, known: bool) -> Clues:
         by, of = (run.subjects.index.get_indexer(part[name]) for name in ("evaluator", "observer"))
         cells = (
             value * 2 + (attacks[by] & known),
-            len(EvaluationKind) * _N_BINS * 2 + (value * _N_OTHERS + others) * 2 + (attacks[of] & known),
+            n_received + (value * _N_OTHERS + others) * 2 + (attacks[of] & known),
         )
         step = part.step.to_numpy()
         for name, cell in zip(("observer", "evaluator"), cells, strict=True):
             subject = who.index.get_indexer(part[name])
             rows = np.flatnonzero((subject >= 0) & (since[subject] <= step))
-            parts.append((subject[rows], step[rows], cell[rows]))
-    columns = [np.concatenate(column) for column in zip(*parts, strict=True)] if parts else [np.zeros(0, int)] * 3
-    return Clues(*columns)
+            counts += np.bincount(subject[rows] * n_kinds + cell[rows], minlength=len(counts))
+    counts = counts.reshape(len(who), n_kinds)
+    return counts[:, counts.any(axis=0)]

@@ -78,18 +78,19 @@ def test_answers_have_the_support_as_expectation():
 
 
 def test_every_claim_has_a_number_of_its_own_and_a_model_takes_it():
-    """Three evaluators find all that message 5 claims missing or wrong; its detection is right."""
+    """One evaluator of three claims of message 5: of a detection, its velocity, and an object that is not withheld."""
     message, index, score = claims_of_messages(np.array([0, 0, 1]), np.array([0, 3, 0]), np.array([1.0, 0.6, 1.0]))
     assert len(np.unique(np.column_stack([message, index]), axis=0)) == len(index) == 3 + 3 + 2 * N_OBJECTS
     assert score[(index == claim_number(np.array([3]), SPEED))].tolist() == [0.6]
     model = TruPercept(TrustParams(), 1.0)
     model.open_step(0, np.array([5, 6]), message, index, score)
     claims = [claim_number(np.array([3]), DETECTION), claim_number(np.array([0]), MISSING), claim_number(np.array([3]), SPEED)]
-    sent = messages_from_rows(0, [6] * 3, [5] * 3, np.concatenate(claims), [0.9, -1.0, -1.0], [1.0] * 3)
+    sent = messages_from_rows(0, [6] * 3, [5] * 3, np.concatenate(claims), [0.9, 1.0, -0.5], [1.0] * 3)
     model.add_evaluations(ReceivedEvaluations(sent, np.array([SERVER]), np.array([0]), -1.0))
-    # weights 0.6, 1 and 0.6 of the values 0.9, -1 and -1: (0.54 - 1.6) / 2.2 is below 0
+    # weights 0.6, 0.5 and 0.6 of the values 0.9, 1 and -0.5: (0.54 + 0.5 - 0.3) / 1.7
     found = model.scores(0)
-    assert found.subject.tolist() == [5] and found.trust.tolist() == [0.0] and found.n_evaluations.tolist() == [3]
+    assert found.subject.tolist() == [5] and found.n_evaluations.tolist() == [3]
+    assert found.trust[0] == pytest.approx(0.74 / 1.7)
 
 
 @pytest.mark.parametrize("evidence", [(), ("missing",), ("detections", "speed", "speed"), ("speed", "detections")])
