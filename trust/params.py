@@ -126,8 +126,8 @@ class TrustParams(TruPerceptParams):
                 )
         if self.evidence[:1] != ("detections",) or len(set(self.evidence)) < len(self.evidence):
             raise ValueError(
-                f"trust.evidence = {list(self.evidence)}: the list begins with \"detections\", and names each kind "
-                "once. Further kinds are \"missing\" and \"speed\"."
+                f'trust.evidence = {list(self.evidence)}: the list begins with "detections", and names each kind '
+                'once. Further kinds are "missing" and "speed".'
             )
 
 

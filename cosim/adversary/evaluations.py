@@ -153,9 +153,7 @@ class MajorityCopying(_WithIdentities[IdentitiesParams]):
         weight = np.where(honest, rows.visibility, 0.0)
         total = np.bincount(at, weight, n)
         voters = np.bincount(at, weight > 0, n)
-        mean = np.divide(
-            np.bincount(at, weight * rows.evaluation, n), total, out=np.zeros(n), where=total > 0
-        )
+        mean = np.divide(np.bincount(at, weight * rows.evaluation, n), total, out=np.zeros(n), where=total > 0)
         loud = np.divide(total, voters, out=np.zeros(n), where=voters > 0)
         return np.where(chosen, mean[at], rows.evaluation), np.where(chosen, loud[at], rows.visibility)
 

@@ -136,7 +136,9 @@ def as_reported(
     -------
     `evaluated` itself if no active attack has the method `evaluations`.
     """
-    rows = EvaluationRows(observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility, number)
+    rows = EvaluationRows(
+        observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility, number
+    )
     evaluation, visibility = active.evaluations(rows, listed)
     if evaluation is rows.evaluation and visibility is rows.visibility:
         return evaluated

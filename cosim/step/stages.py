@@ -583,9 +583,7 @@ def evaluate_objects(
             return np.concatenate([of_detections, np.full(n, of_claims, of_detections.dtype)])[order]
 
         lists = ObjectLists(ptr_of(of[order], len(lists.owner)), with_claims(lists.member, claims.member), lists.owner)
-        own = Evaluations(
-            with_claims(own.evaluation, found.evaluation), with_claims(own.visibility, found.visibility)
-        )
+        own = Evaluations(with_claims(own.evaluation, found.evaluation), with_claims(own.visibility, found.visibility))
         n_points, plausible, ego_detected = (with_claims(a, 0) for a in (n_points, plausible, ego_detected))
         index = messages.detections.detection_index[matched.lists.member]
         number = with_claims(claim_number(index, DETECTION), claims.number)

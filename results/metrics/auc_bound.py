@@ -102,7 +102,8 @@ def bounds(run: Run) -> pd.DataFrame:
             continue
         known, alone = (area(_counts(run, who.iloc[mine], roles), role[mine] == one) for roles in (True, False))
         known = max(known, alone, key=lambda one: one.value)  # one can leave out what one knows
-        rows.append({"role": one} | intervals.columns(known, "known") | intervals.columns(alone, "alone"))
+        row: dict[str, object] = {"role": one}
+        rows.append(row | intervals.columns(known, "known") | intervals.columns(alone, "alone"))
     return pd.DataFrame(rows)
 
 
@@ -125,15 +126,15 @@ def _counts(run: Run, who: pd.DataFrame, known: bool) -> Int[ndarray, "s c"]:
         claim = claim.reshape(-1)
         n, total = np.bincount(claim)[claim] - 1, np.bincount(claim, said)[claim] - said
         others = np.where(n == 0, 0, np.where(total < 0, 1, 2))
-        by, of = (run.subjects.index.get_indexer(part[name]) for name in ("evaluator", "observer"))
+        by, of = (run.subjects.index.get_indexer(pd.Index(part[name])) for name in ("evaluator", "observer"))
         cells = (
             value * 2 + (attacks[by] & known),
             n_received + (value * _N_OTHERS + others) * 2 + (attacks[of] & known),
         )
         step = part.step.to_numpy()
         for name, cell in zip(("observer", "evaluator"), cells, strict=True):
-            subject = who.index.get_indexer(part[name])
+            subject = who.index.get_indexer(pd.Index(part[name]))
             rows = np.flatnonzero((subject >= 0) & (since[subject] <= step))
             counts += np.bincount(subject[rows] * n_kinds + cell[rows], minlength=len(counts))
-    counts = counts.reshape(len(who), n_kinds)
-    return counts[:, counts.any(axis=0)]
+    by_subject = counts.reshape(len(who), n_kinds)
+    return by_subject[:, by_subject.any(axis=0)]

@@ -12,7 +12,10 @@ N = 500
 def exact(kinds):
     """Area of the likelihood ratio of independent binomial counts: (n, p of attackers, p of honest) per kind."""
     grids = np.meshgrid(*(np.arange(n + 1) for n, *_ in kinds), indexing="ij")
-    p = [np.prod([binom.pmf(k, n, of[role]) for k, (n, *of) in zip(grids, kinds, strict=True)], axis=0) for role in (0, 1)]
+    p = [
+        np.prod([binom.pmf(k, n, of[role]) for k, (n, *of) in zip(grids, kinds, strict=True)], axis=0)
+        for role in (0, 1)
+    ]
     ratio = np.round(np.log(p[0]) - np.log(p[1]), 9).ravel()
     value, at = np.unique(ratio, return_inverse=True)
     attacker, honest = (np.bincount(at, one.ravel(), len(value)) for one in p)

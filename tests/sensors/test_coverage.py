@@ -70,4 +70,7 @@ def test_the_place_of_an_object(away_m, expected):
 
 def test_the_place_of_a_long_object_is_longer():
     where, _ = boxes((TRUCK, 0, 0))  # half of 9 m
-    assert at_place(np.array([[4.4, 0.0, 1.0], [4.6, 0.0, 1.0]]), where.take(np.zeros(2, int))).tolist() == [True, False]
+    assert at_place(np.array([[4.4, 0.0, 1.0], [4.6, 0.0, 1.0]]), where.take(np.zeros(2, int))).tolist() == [
+        True,
+        False,
+    ]

@@ -51,7 +51,11 @@ def test_honest_senders_gain_on_average():
 
 def test_support_of_velocity_is_bayes_rule():
     rng, w = np.random.default_rng(1), 0.1
-    difference, variance, prior = rng.normal(0, 2, (200, 2)), rng.uniform(0.05, 2, (200, 2)), rng.uniform(0.2, 30, (200, 2))
+    difference, variance, prior = (
+        rng.normal(0, 2, (200, 2)),
+        rng.uniform(0.05, 2, (200, 2)),
+        rng.uniform(0.2, 30, (200, 2)),
+    )
     found = velocity_support(difference, variance, prior)
     for d, v, b, support in zip(difference, variance, prior, found, strict=True):
         narrow, wide = (multivariate_normal([0, 0], np.diag(of)).pdf(d) for of in (v, v + b))
@@ -84,7 +88,11 @@ def test_every_claim_has_a_number_of_its_own_and_a_model_takes_it():
     assert score[(index == claim_number(np.array([3]), SPEED))].tolist() == [0.6]
     model = TruPercept(TrustParams(), 1.0)
     model.open_step(0, np.array([5, 6]), message, index, score)
-    claims = [claim_number(np.array([3]), DETECTION), claim_number(np.array([0]), MISSING), claim_number(np.array([3]), SPEED)]
+    claims = [
+        claim_number(np.array([3]), DETECTION),
+        claim_number(np.array([0]), MISSING),
+        claim_number(np.array([3]), SPEED),
+    ]
     sent = messages_from_rows(0, [6] * 3, [5] * 3, np.concatenate(claims), [0.9, 1.0, -0.5], [1.0] * 3)
     model.add_evaluations(ReceivedEvaluations(sent, np.array([SERVER]), np.array([0]), -1.0))
     # weights 0.6, 0.5 and 0.6 of the values 0.9, 1 and -0.5: (0.54 + 0.5 - 0.3) / 1.7
@@ -95,5 +103,5 @@ def test_every_claim_has_a_number_of_its_own_and_a_model_takes_it():
 
 @pytest.mark.parametrize("evidence", [(), ("missing",), ("detections", "speed", "speed"), ("speed", "detections")])
 def test_lists_of_evidence_that_are_refused(evidence):
-    with pytest.raises(ValueError, match="trust.evidence"):
+    with pytest.raises(ValueError, match=r"trust\.evidence"):
         TrustParams(evidence=evidence)

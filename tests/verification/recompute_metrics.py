@@ -376,7 +376,9 @@ def ideal_observer(of, made):
     who, roles = watched(of), subjects(of).role
     made = made[(made.visibility > 0) & (made.evaluator != made.observer)].copy()
     made["x"] = made.evaluation.astype(float) * made.visibility.astype(float)
-    made["bin"] = [next(i for i, end in enumerate((-0.95, -0.5, -0.1, 0, 0.1, 0.5, 0.95, 1)) if x <= end) for x in made.x]
+    made["bin"] = [
+        next(i for i, end in enumerate((-0.95, -0.5, -0.1, 0, 0.1, 0.5, 0.95, 1)) if x <= end) for x in made.x
+    ]
     kinds = {"detection": 0, "missing": 1, "speed": 2}
     made["kind_number"] = made.kind.map(kinds) if "kind" in made else 0
     step = made.detection_step if "detection_step" in made else made.step

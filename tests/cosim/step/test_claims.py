@@ -30,7 +30,9 @@ class Scene:
         message = np.repeat(np.arange(n + 1), size)  # the last one is of an earlier step
         index = np.arange(len(message)) - np.searchsorted(message, message)
         is_self, d = index == 0, len(message)
-        boxes = Boxes(np.column_stack([rng.uniform(0, 25, (d, 2)), np.zeros(d)]), np.tile([4.0, 2, 2], (d, 1)), np.zeros(d))
+        boxes = Boxes(
+            np.column_stack([rng.uniform(0, 25, (d, 2)), np.zeros(d)]), np.tile([4.0, 2, 2], (d, 1)), np.zeros(d)
+        )
         speed = np.where(is_self, rng.uniform(0, 20, d), np.nan)
         velocity = np.where((~is_self & (rng.random(d) < 0.7))[:, None], rng.normal(0, 5, (d, 2)), np.nan)
         objects = SimpleNamespace(
@@ -81,9 +83,11 @@ class Scene:
         """Parts of a run in which every body has the recall of its row, in hundredths."""
         recall = SimpleNamespace(expected_recall=lambda carrier, near, boxes, label: (near.row % 100) / 100)
         config = SimpleNamespace(
-            trust=SimpleNamespace(evidence=("detections", *evidence)), cpm=SimpleNamespace(max_objects=self.max_objects),
-            tracking=TrackingParams(model="constant_velocity"), sensing_interval_s=1.0,
-        )  # fmt: skip
+            trust=SimpleNamespace(evidence=("detections", *evidence)),
+            cpm=SimpleNamespace(max_objects=self.max_objects),
+            tracking=TrackingParams(model="constant_velocity"),
+            sensing_interval_s=1.0,
+        )
         return SimpleNamespace(coverage=recall, config=config)
 
     def claims(self, *evidence):
@@ -223,4 +227,3 @@ def test_what_is_refused_at_the_door(sections, reason):
     with pytest.raises(ValueError, match=reason) as error:
         check_choices(resolve_data({"trust": EVIDENCE} | sections, "a test", None))
     assert "\n" not in str(error.value)
-
