@@ -62,8 +62,7 @@ class Coverage:
         Notes
         -----
         The recall is that of the whole number of expected returns behind the other bodies and the buildings
-        (`expected_returns`). Bodies that the evaluator does not know hide nothing, so the recall is too high where there
-        are such bodies.
+        (`expected_returns`). Bodies that the evaluator does not know hide nothing; behind them, the recall is too high.
         """
         poses = mount(boxes, carrier, self.lidar)
         found = expected_returns(

@@ -58,6 +58,7 @@ class StepRows:
     object: Int[ndarray, "k"]  # of every single evaluation: the detection, numbered by holder, observer and index
     object_pos: Float[ndarray, "k"]
     object_neg: Float[ndarray, "k"]
+    index: Int[ndarray, "k"]  # of every single evaluation: detection_index, the number of its detection or claim
     n_objects: int
 
     def per_observer(self, values: Float[ndarray, "n"], n_pairs: int) -> Float[ndarray, "n_pairs"]:
@@ -198,5 +199,6 @@ class EvaluationLog:
         taken[number] = 1
         return StepRows(
             evaluator, observer, self.edges.rows(evaluator, observer), pos, neg, n,
-            row, (np.cumsum(taken) - taken)[number], object_pos, object_neg, int(taken.sum()),
+            row, (np.cumsum(taken) - taken)[number], object_pos, object_neg, index,
+            int(taken.sum()),
         )  # fmt: skip

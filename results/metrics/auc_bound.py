@@ -68,7 +68,8 @@ def area(counts: Int[ndarray, "s c"], attacks: Bool[ndarray, "s"]) -> intervals.
         wins = 0.5 * (1.0 + np.sign(np.round(above, 9)))
         means = wins.mean(axis=1), wins.mean(axis=0)
         error = np.sqrt(sum(one.var(ddof=1) / len(one) for one in means))
-        found.append(intervals.around(float(wins.mean()), float(error), min(wins.shape), (0.0, 1.0)))
+        about = intervals.around(float(wins.mean()), float(error), min(wins.shape) - 1, (0.0, 1.0))
+        found.append(about._replace(n_units=min(wins.shape)))
     return max(found, key=lambda one: one.value)
 
 

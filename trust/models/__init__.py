@@ -2,6 +2,7 @@
 
 from trust.models.announcement import Announcement
 from trust.models.beta import Beta
+from trust.models.beta_by_kind import BetaByKind
 from trust.models.beta_discounted import BetaDiscounted
 from trust.models.eigentrust import EigenTrust
 from trust.models.interface import ScoresObjects, TrustModel, params_of
@@ -17,6 +18,7 @@ MODELS: dict[str, type[TrustModel]] = {
     "trupercept": TruPercept,
     "beta": Beta,
     "beta_discounted": BetaDiscounted,
+    "beta_by_kind": BetaByKind,
     "subjective_logic": SubjectiveLogic,
     "mate": Mate,
     "raya_majority": Raya,
