@@ -92,6 +92,14 @@ class MessageType(IntEnum):
     EVALUATION = 1
 
 
+class EvaluationKind(IntEnum):
+    """What an evaluation is about: a detection, objects that a message lacks, or a claimed velocity."""
+
+    DETECTION = 0
+    MISSING = 1
+    SPEED = 2
+
+
 class LosState(IntEnum):
     """Line of sight between the two ends of a link: no building, a building, or not modelled."""
 

@@ -57,19 +57,21 @@ def of_table(run: Run, name: str, columns: Sequence[str] | None = None) -> "xarr
     wanted = [c for c, column in table.columns.items() if column.type != "string" and c not in table.key]
     wanted = wanted if columns is None else [c for c in columns if c not in table.key]
     rows = run.table(name, [*table.key, *wanted])
-    coordinate, place = zip(*(_coordinate(rows[c]) for c in table.key), strict=True)
+    # a key that only some runs have is a dimension only where there is more than one value
+    keys = [c for c in table.key if not table.columns[c].absent or rows[c].nunique() > 1]
+    coordinate, place = zip(*(_coordinate(rows[c]) for c in keys), strict=True)
     shape = tuple(len(values) for values in coordinate)
     if (n := int(np.prod(shape, dtype=np.float64))) > MOST_CELLS:
-        sizes = " x ".join(f"{size} {c}" for c, size in zip(table.key, shape, strict=True))
+        sizes = " x ".join(f"{size} {c}" for c, size in zip(keys, shape, strict=True))
         raise ValueError(
             f"Table {name} would be arrays of {sizes}, {n / 1e6:,.0f} million values each; {MOST_CELLS / 1e6:,.0f} "
             f"million is the most. Use run.table({name!r}, columns, where)."
         )
-    dims = ("time", *table.key[1:])
+    dims = ("time", *keys[1:])
     coords: dict[str, Any] = {
         "time": ("time", coordinate[0] * run.dt_s, {"units": "s", "long_name": "Time in the run"})
     }
-    for key, values in zip(table.key[1:], coordinate[1:], strict=True):
+    for key, values in zip(keys[1:], coordinate[1:], strict=True):
         coords[key] = (key, values, {"long_name": table.columns[key].meaning})
     arrays = {}
     for c in wanted:

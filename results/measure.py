@@ -14,6 +14,7 @@ from results.codes import BASE_VARIANT
 from results.durable import Damaged
 from results.metrics import (
     attack,
+    auc_bound,
     contact_graph,
     detection,
     durations,
@@ -322,6 +323,8 @@ def _evidence(run: Run) -> Iterator[Row]:
         yield Row("fused.evaluators.mean", "", evidence.evaluators_per_object(run))
     if "evaluations" not in run.tables or "actors" not in run.tables or not run.n_rows("evaluations"):
         return
+    if run.subjects.attack_start_step.notna().any():
+        yield from _rows(auc_bound.bounds(run), "{role}", {"known": "auc_bound", "alone": "auc_bound_alone"})
     found = evaluations.rates(run)
     found["group"] = [
         kind if by == "all" else f"{kind}, {by} {value}"

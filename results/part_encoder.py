@@ -108,11 +108,12 @@ class PartEncoder:
         """Write one row group, sorted by key, after the one before."""
         table, stored = self._table, TABLES[self._table].stored
         columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
-        order, tied = _order(columns, TABLES[table].key)
+        key = tuple(name for name in TABLES[table].key if name in columns)
+        order, tied = _order(columns, key)
         if order is not None:
             columns = {name: values[order] for name, values in columns.items()}
         if len(tied):
-            named = ", ".join(f"{name} = {columns[name][tied[0]]}" for name in TABLES[table].key)
+            named = ", ".join(f"{name} = {columns[name][tied[0]]}" for name in key)
             raise ValueError(f"Table {table} has two rows with {named}.")
         arrays = []
         for name, column in stored.items():

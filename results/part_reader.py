@@ -130,6 +130,9 @@ def _value_of_absent(path: Path, name: str, rows: pa.Table | pa.RecordBatch) -> 
         return rows.column("step")
     if column.absent == "null":
         return pa.nulls(rows.num_rows, column.arrow_type)
+    if column.type == "category":
+        zeros = pa.array(np.zeros(rows.num_rows, np.int8))
+        return pa.DictionaryArray.from_arrays(zeros, pa.array(column.categories))
     return pa.array(np.zeros(rows.num_rows), column.arrow_type)
 
 

@@ -13,6 +13,7 @@ from results.codes import (
     AttackEffect,
     DetectionFault,
     EncounterPairs,
+    EvaluationKind,
     LookupState,
     LosBlockers,
     LosState,
@@ -84,6 +85,7 @@ _LOST = {
     "n_lost_late": _count("Received after the time-out of the round and therefore dropped."),
 }
 
+_KIND = Column("category", key=True, categories=labels(EvaluationKind), absent="zero", meaning="What the evaluation is about: the detection itself; that the message does not withhold an object that the evaluator detects (missing; `detection_index` is then that of the evaluator's own detection, and 0 for the evaluator itself); or that the velocity of the detection is right (speed). The column exists if `trust.evidence` names more than detections.")
 _DETECTION_STEP = Column("int32", absent="step", meaning="Step of the detection; before `step` if it was in an earlier message. The column exists if not all vehicles sense at the same time.")
 
 TABLES: Mapping[str, Table] = {
@@ -382,12 +384,13 @@ TABLES: Mapping[str, Table] = {
             "evaluator": _key("Pseudonym of the vehicle that evaluates."),
             "observer": _key("Pseudonym of the vehicle that made the detection.", layout="plain"),
             "detection_index": _key("Number of the detection in its list.", "int16"),
+            "kind": _KIND,
             "detection_step": _DETECTION_STEP,
             "evaluation": Column("float32", unit="1", bits=12, meaning="Score of the evaluator's matching detection; negative if the evaluator denies the detection."),
             "visibility": Column("float32", unit="1", bits=12, meaning="How well the evaluator could have seen the object, in [0, 1]: the weight of the evaluation."),
             "n_points": _count("Returns of the evaluator's own sweep inside the box."),
             "plausible": Column("bool", null=True, meaning="Result of the free-space test in the evaluator's own sweep; null if the test was not made."),
-            "matched": Column("bool", meaning="The detection matched a detection of the evaluator's own."),
+            "matched": Column("bool", meaning="The detection matched a detection of the evaluator's own; false if `kind` is not detection."),
             "lied": Column("bool", truth=True, meaning="The evaluation is a lie: evaluation times visibility, as sent, differs by more than 0.1 from what the evaluator found."),
         },
     ),
@@ -399,6 +402,7 @@ TABLES: Mapping[str, Table] = {
             "evaluator": _key("Pseudonym of the vehicle that evaluates."),
             "observer": _key("Pseudonym of the vehicle that made the detection."),
             "detection_index": _key("Number of the detection in its list.", "int16"),
+            "kind": _KIND,
             "detection_step": _DETECTION_STEP,
             "evaluation": Column("float64", layout="plain", unit="1", meaning="As in `evaluations`, as transmitted."),
             "visibility": Column("float64", unit="1", meaning="As in `evaluations`, as transmitted."),

@@ -192,6 +192,10 @@ class ObjectStates:
     """Velocity along x and y; NaN until the object has been detected `confirm_hits` times."""
     existence_p: Float[ndarray, "d"]
     """Probability that there is an object."""
+    axis: Float[ndarray, "d 2"]
+    """As in `Tracks`."""
+    variance: Float[ndarray, "d 2"]
+    """Variance of the velocity, along and across `axis` [m2/s2]."""
 
 
 def track(
@@ -263,6 +267,8 @@ def track(
         age_s=age_s,
         velocity_mps=velocity_mps,
         existence_p=expit(joined.existence[of_detection]),
+        axis=joined.axis[of_detection],
+        variance=joined.covariance[of_detection, :, 2],
     )
 
 
@@ -375,6 +381,21 @@ def begun(
         covariance=covariance,
         existence=params.existence_new + _of_score(found.score, params),
     )
+
+
+def confirmed_variance(params: TrackingParams, interval_s: float) -> Float[ndarray, "4 2"]:
+    """Variance of the velocity along and across the axis, by class, when a track first has a velocity [m2/s2].
+
+    It is that after `confirm_hits` detections `interval_s` apart. The covariances of a Kalman filter do not depend on
+    what is detected.
+    """
+    n, label = len(params.position_sigma_m), np.arange(len(params.position_sigma_m), dtype=np.uint8)
+    number, zero = np.arange(n), np.zeros(n)
+    found = Found(number, label, np.zeros((n, 2)), zero, np.full(n, 0.5))
+    tracks = begun(found, number, Observers(number, zero, zero), number, params)
+    for hit in range(1, params.confirm_hits):
+        tracks = updated(predicted(tracks, np.full(n, hit * interval_s), params), found, params)
+    return tracks.covariance[:, :, 2]
 
 
 def existence_gain(

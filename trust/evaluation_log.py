@@ -58,6 +58,7 @@ class StepRows:
     object: Int[ndarray, "k"]  # of every single evaluation: the detection, numbered by holder, observer and index
     object_pos: Float[ndarray, "k"]
     object_neg: Float[ndarray, "k"]
+    index: Int[ndarray, "k"]  # of every single evaluation: detection_index, the number of its detection or claim
     n_objects: int
     is_self: Bool[ndarray, "k"]  # of every single evaluation: whether it is of the observer's report of itself
     n_sent: Int[ndarray, "n"]  # detections that the evaluator transmitted in the step, its self report included
@@ -208,6 +209,6 @@ class EvaluationLog:
         taken[number] = 1
         return StepRows(
             evaluator, observer, self.edges.rows(evaluator, observer), pos, neg, n,
-            row, (np.cumsum(taken) - taken)[number], object_pos, object_neg, int(taken.sum()),
+            row, (np.cumsum(taken) - taken)[number], object_pos, object_neg, index, int(taken.sum()),
             index == 0, n_sent, np.repeat(own, np.diff(first)),
         )  # fmt: skip

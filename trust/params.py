@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from annotated_types import Ge, Gt, Interval, Le
 
@@ -23,6 +23,11 @@ Method = Literal[
     "half_additive",
 ]
 """Final aggregation by name; `trust/README.md` gives each one's formula."""
+
+
+Kind = Literal["detections", "missing", "speed"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+"""Kinds of evaluations: of detections, of objects that a message lacks, of claimed velocities."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -90,6 +95,10 @@ class TrustParams(TruPerceptParams):
     denials: Literal["visibility", "recall"] = "visibility"
     """Weight of the evaluation of an unmatched, plausible detection. `visibility`: its visibility (the paper's rule).
     `recall`: its visibility, reduced if the evaluator's detector often misses such objects."""
+    evidence: tuple[Kind, ...] = ("detections",)
+    """Kinds of evaluations that are made, sent and counted. `detections`: of received detections. `missing`: of the
+    completeness of a message, by the objects that the sender should have detected too. `speed`: of claimed
+    velocities, by the evaluator's own tracks."""
 
     # final aggregation
     method: Method = "trupercept_3"
@@ -115,6 +124,11 @@ class TrustParams(TruPerceptParams):
                     f"trust.gamma_lower_points = {low:g} and trust.gamma_upper_points = {high:g} returns of a {label}: "
                     "visibility needs 0 <= lower <= upper <= 1e6."
                 )
+        if self.evidence[:1] != ("detections",) or len(set(self.evidence)) < len(self.evidence):
+            raise ValueError(
+                f'trust.evidence = {list(self.evidence)}: the list begins with "detections", and names each kind '
+                'once. Further kinds are "missing" and "speed".'
+            )
 
 
 _LABELS = ("car", "pedestrian", "cyclist", "truck")
@@ -139,6 +153,7 @@ EVIDENCE_KEYS: tuple[str, ...] = (
     "self_reports",
     "plausibility_in_evaluation",
     "denials",
+    "evidence",
 )
 """Parameters that change evaluations: trust variants that share evidence have them in common. `eta` is that of
 `eta_of`, so that `method` counts where it decides on it."""

@@ -90,7 +90,7 @@ class Active:
         """
         evaluation, visibility = rows.evaluation, rows.visibility
         for attack, context in self._with("evaluations"):
-            now = EvaluationRows(rows.evaluator, rows.detection, evaluation, visibility)
+            now = replace(rows, evaluation=evaluation, visibility=visibility)
             evaluation, visibility = attack.evaluations(now, detections, context)
         return evaluation, visibility
 

@@ -102,6 +102,15 @@ class EvaluationRows:
     """In [-1, 1]."""
     visibility: Float[ndarray, "m"]
     """In [0, 1]."""
+    number: Int[ndarray, "m"] | None = None
+    """Number of what the evaluation is about (`trust.claims.claim_number`); None if all are about detections."""
+
+    @property
+    def about(self) -> Int[ndarray, "m"]:
+        """Rows about the same have the same number, from 0; the row of the detection if all are about detections."""
+        if self.number is None:
+            return self.detection
+        return np.unique(self.detection.astype(np.int64) << 32 | self.number, return_inverse=True)[1].reshape(-1)
 
 
 LOUDEST_DBM = 33.0

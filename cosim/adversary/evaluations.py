@@ -147,16 +147,14 @@ class MajorityCopying(_WithIdentities[IdentitiesParams]):
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
         """The rows, replaced by the mean of other vehicles. If there is none, visibility is 0."""
         chosen, _ = _of_others(rows, detections, context)
-        n = len(detections)
+        at = rows.about
+        n = int(at.max(initial=-1)) + 1
         honest = ~context.attacker[rows.evaluator] & (rows.evaluator != detections.observer[rows.detection])
         weight = np.where(honest, rows.visibility, 0.0)
-        total = np.bincount(rows.detection, weight, n)
-        voters = np.bincount(rows.detection, weight > 0, n)
-        mean = np.divide(
-            np.bincount(rows.detection, weight * rows.evaluation, n), total, out=np.zeros(n), where=total > 0
-        )
+        total = np.bincount(at, weight, n)
+        voters = np.bincount(at, weight > 0, n)
+        mean = np.divide(np.bincount(at, weight * rows.evaluation, n), total, out=np.zeros(n), where=total > 0)
         loud = np.divide(total, voters, out=np.zeros(n), where=voters > 0)
-        at = rows.detection
         return np.where(chosen, mean[at], rows.evaluation), np.where(chosen, loud[at], rows.visibility)
 
 
@@ -187,7 +185,8 @@ class ReplayedEvaluations(_WithIdentities[ReplayedEvaluationsParams]):
         chosen, observer = _of_others(rows, detections, context)
         at, name = np.flatnonzero(chosen), context.name_key
         detection = rows.detection[at]
-        index = detections.identity[detection] << 20 | detections.detection_index[detection]
+        number = detections.detection_index[detection] if rows.number is None else rows.number[at]
+        index = detections.identity[detection] << 20 | number
         key = np.column_stack([name(rows.evaluator[at]), name(observer[at]), index.astype(np.uint64)])
         seen = np.flatnonzero(rows.visibility[at] > 0)
         seen = seen[np.lexsort(key[seen].T[::-1])]  # a draw picks the same evaluation whatever the order of the rows

@@ -177,6 +177,7 @@ class Config:
                 f'attacks.{jammers[0]}.attack = "jamming" has no effect with radio.model = "unit_disk", which does not '
                 'model interference. Set radio.model = "csma", "nr_mode2" or "lte_mode4".'
             )
+        check_evidence(self)
         check_server(
             self.pseudonyms, self.attacks, [t.host for t in (self.trust, *(v.trust for v in self.trust_variant))]
         )
@@ -212,6 +213,30 @@ class Config:
             section, _, number = where.partition(".")
             (data[section][int(number)] if number else data[section]).update(values)
         return data
+
+
+def check_evidence(config: Config) -> None:
+    """Raise ValueError, in one line, if the config lacks what `trust.evidence` needs."""
+    asked = config.trust.evidence
+    if "speed" in asked and config.tracking.model == "none":
+        raise ValueError(
+            'trust.evidence names "speed", but vehicles do not track objects, so they know no velocities. Set '
+            'tracking.model = "constant_velocity", or remove "speed".'
+        )
+    if "missing" not in asked:
+        return
+    if not config.trust.self_reports:
+        raise ValueError(
+            'trust.evidence names "missing", but trust.self_reports = false: where the sender of a message stands is '
+            'not known. Set trust.self_reports = true, or remove "missing".'
+        )
+    if config.cpm.rules != "all" or config.cpm.redundancy != "none":
+        key = "rules" if config.cpm.rules != "all" else "redundancy"
+        raise ValueError(
+            f'trust.evidence names "missing", but cpm.{key} = "{getattr(config.cpm, key)}" leaves objects out of '
+            "messages, which cannot be told from withheld ones. Set "
+            f'cpm.{key} = "{"all" if key == "rules" else "none"}", or remove "missing".'
+        )
 
 
 def chosen(config: Config, section: str, number: int | None = None) -> tuple[Choice, Any]:

@@ -28,7 +28,7 @@ from cosim.v2x.messages import FABRICATED, SELF, SENSED
 from cosim.v2x.pseudonyms import PseudonymUse
 from cosim.v2x.trust_hosts import Lookups, ServerTraffic
 from cosim.world import World
-from results.codes import LookupState, MessageType
+from results.codes import EvaluationKind, LookupState, MessageType
 from results.encounters import Rows, by_variant
 from sensors.boxes import Boxes
 from trust.tables import TrustScores
@@ -277,6 +277,9 @@ def _evaluations(recorder: TakesRows, at: int, sensed: Sensed) -> None:
         "plausible__valid": ~evaluated.matched, "matched": evaluated.matched, "lied": evaluated.lied,
         **_steps(sensed, "detection_step", member),
     }  # fmt: skip
+    if evaluated.number is not None:
+        rows["detection_index"], rows["kind"] = np.divmod(evaluated.number, len(EvaluationKind))
+        rows["plausible__valid"] = (rows["kind"] == EvaluationKind.DETECTION) & ~evaluated.matched
     is_new = known.is_new(sensed.senders.source[lists.owner[by]], member)
     recorder.append("evaluations", at, rows if is_new is None else {name: c[is_new] for name, c in rows.items()})
     if "transmitted_evaluations" in recorder.tables:
@@ -285,9 +288,12 @@ def _evaluations(recorder: TakesRows, at: int, sensed: Sensed) -> None:
 
 def _transmitted(recorder: TakesRows, at: int, sensed: Sensed) -> None:
     sent, own = sensed.evaluated.sent, sensed.evaluated.kept_messages
+    number: Rows = {"detection_index": sent.detection_index}
+    if sensed.evaluated.number is not None:
+        number["detection_index"], number["kind"] = np.divmod(sent.detection_index, len(EvaluationKind))
     recorder.append("transmitted_evaluations", at, {
-        "evaluator": np.repeat(sent.evaluator, np.diff(sent.ptr)), "observer": sent.observer,
-        "detection_index": sent.detection_index, "evaluation": sent.evaluation, "visibility": sent.visibility,
+        "evaluator": np.repeat(sent.evaluator, np.diff(sent.ptr)), "observer": sent.observer, **number,
+        "evaluation": sent.evaluation, "visibility": sent.visibility,
         "own_evaluation": own.evaluation, "own_visibility": own.visibility,
         **({} if sent.detection_step is None else {"detection_step": sent.detection_step}),
     })  # fmt: skip
@@ -299,7 +305,7 @@ def _transmitted(recorder: TakesRows, at: int, sensed: Sensed) -> None:
 
 
 def _evidence(recorder: TakesRows, world: World, sensed: Sensed) -> None:
-    known, lists, reported = sensed.known, sensed.evaluated.lists, sensed.evaluated.reported
+    known, (lists, _, reported) = sensed.known, sensed.evaluated.of_detections()
     evaluator = lists.owner[lists.of_member()]
     is_new = known.is_new(sensed.senders.source[evaluator], lists.member)
     rows = slice(None) if is_new is None else np.flatnonzero(is_new)

@@ -23,6 +23,7 @@ from numpy import ndarray
 from cosim.driver.driver import Beliefs
 from cosim.step import stages, tracking, trust_stages
 from cosim.step.attack_outcomes import attack_outcomes
+from cosim.step.claims import claims_of
 from cosim.step.exchange import Exchange, Times, Vehicles, stations_of
 from cosim.step.parts import Parts
 from cosim.step.precomputed import NOTHING_PRECOMPUTED, Precomputed
@@ -113,7 +114,8 @@ def _cycle(
         answers = stages.ask_sweeps(exchange, known, matched, positioned.observed, parts)
         if precomputed.sweeps_are_read is not None:
             precomputed.sweeps_are_read()
-        evaluated = stages.evaluate_objects(exchange, known, matched, answers, c)
+        claims = claims_of(exchange, known, matched, positioned, parts)
+        evaluated = stages.evaluate_objects(exchange, known, matched, answers, claims, c)
     with watch("radio"):
         trust, on_rsus = parts.trust.pending_rsu_broadcast(trust, now.evaluated_s)
         medium, reports = stages.broadcast_evaluations(exchange, evaluated, on_rsus, medium, parts)

@@ -150,7 +150,7 @@ class Inbox:
         One list per message of `Known`. The own values of earlier messages are those that were sent; no vehicle uses
         them.
         """
-        lists, own, sent = evaluated.lists, evaluated.own, evaluated.reported
+        lists, own, sent = evaluated.of_detections()
         if not len(self.step):
             return lists, own, sent
         joined = ObjectLists(
@@ -198,7 +198,7 @@ class Inbox:
             )
             for held, now in zip((self.cpms, self.reports), receptions, strict=True)
         )
-        sent = evaluated.reported
+        lists, _, sent = evaluated.of_detections()
         return Inbox(
             step=np.concatenate([self.step, np.full(len(senders), world.step)]),
             sender=np.concatenate([self.sender, exchange.sender]),
@@ -211,8 +211,8 @@ class Inbox:
             from_own_m=np.concatenate([self.from_own_m, answers.from_own_m[:n_now]]),
             pairs=(moved(i), moved(j), iou),
             evaluated=ObjectLists(
-                np.concatenate([old.ptr, old.ptr[-1] + evaluated.lists.ptr[1:]]),
-                np.concatenate([old.member, moved(evaluated.lists.member)]),
+                np.concatenate([old.ptr, old.ptr[-1] + lists.ptr[1:]]),
+                np.concatenate([old.member, moved(lists.member)]),
                 np.arange(n + len(senders)),
             ),
             evaluations=Evaluations(

@@ -1,5 +1,7 @@
 """Builds the lists that vehicles evaluate from sent and received detections, and the evaluation messages."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
@@ -112,8 +114,9 @@ def questions_of(
 
 
 def as_reported(
-    active: Active, evaluated: Evaluations, lists: ObjectLists, listed: Detections, observers: ndarray
-) -> Evaluations:
+    active: Active, evaluated: Evaluations, lists: ObjectLists, listed: Detections, observers: ndarray,
+    number: Int[ndarray, "m"] | None = None,
+) -> Evaluations:  # fmt: skip
     """Evaluations as they will be sent.
 
     Parameters
@@ -126,12 +129,16 @@ def as_reported(
         Detections of this step.
     observers
         Row of the world of the vehicle of each list.
+    number
+        Number of what each evaluation is about (`trust.claims.claim_number`); None if all are about detections.
 
     Returns
     -------
     `evaluated` itself if no active attack has the method `evaluations`.
     """
-    rows = EvaluationRows(observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility)
+    rows = EvaluationRows(
+        observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility, number
+    )
     evaluation, visibility = active.evaluations(rows, listed)
     if evaluation is rows.evaluation and visibility is rows.visibility:
         return evaluated
@@ -139,8 +146,9 @@ def as_reported(
 
 
 def messages_of(
-    step: int, messages: Known, lists: ObjectLists, evaluations: Evaluations, keep: Bool[ndarray, "k"]
-) -> EvaluationMessages:
+    step: int, messages: Known, lists: ObjectLists, evaluations: Evaluations, keep: Bool[ndarray, "k"],
+    number: Int[ndarray, "k"] | None = None,
+) -> EvaluationMessages:  # fmt: skip
     """Evaluation messages, one per list.
 
     Parameters
@@ -153,8 +161,11 @@ def messages_of(
         One per member of `lists`.
     keep
         Members whose evaluations are in the messages.
+    number
+        Number of what each evaluation is about, in place of that of the detection; None if all are about detections.
     """
     kept, sent = Evaluations(evaluations.evaluation[keep], evaluations.visibility[keep]), subset(lists, keep)
-    return tables.as_messages(
+    made = tables.as_messages(
         step, messages.pseudonym, sent, messages.detections, kept, messages.detection_step(sent.member)
     )
+    return made if number is None else replace(made, detection_index=number[keep])

@@ -27,6 +27,7 @@ from cosim.v2x.pseudonyms import Pseudonyms
 from cosim.v2x.trust_hosts import TrustHosts, Variant
 from cosim.world import World
 from results.codes import BASE_VARIANT
+from sensors.coverage import Coverage
 from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.scene import Scene
 from trust.params import TrustParams
@@ -52,6 +53,8 @@ class Parts:
     driver: Driver
     recall: Callable[[ndarray, ndarray, ndarray], ndarray] | None = None
     """Recall of the detector (`sensors.detector.KnowsRecall`); None unless denials are weighted by it."""
+    coverage: Coverage | None = None
+    """What a detector should find from another place; None unless evaluations are about missing objects."""
     watch: Stopwatch = field(default_factory=Stopwatch)
     """Measures how long each stage takes."""
 
@@ -90,7 +93,8 @@ class Parts:
             revocation=Revocation(c.pseudonyms, linkage),
             trust=TrustHosts.of(variants(c), c.server, c.seed, c.schedule.exchange_interval_s, dt_s),
             driver=_make(c, "driver"),
-            recall=recall_of(c),
+            recall=recall_of(c) if c.trust.denials == "recall" else None,
+            coverage=Coverage.of(c.lidar, walls, recall_of(c)) if "missing" in c.trust.evidence else None,
             watch=Stopwatch() if watch is None else watch,
         )
 
@@ -112,28 +116,30 @@ def perception_of(experiment: Config, city: Scene) -> Perception:
     return Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, c.traffic.step_s, c.weather)
 
 
-def recall_of(experiment: Config) -> Callable[[ndarray, ndarray, ndarray], ndarray] | None:
-    """The detector's recall function if denials are weighted by it, otherwise None.
+def recall_of(experiment: Config) -> Callable[[ndarray, ndarray, ndarray], ndarray]:
+    """The detector's recall function.
 
     Raises
     ------
     ValueError
         If the detector has no method `recall`.
     """
-    if experiment.trust.denials != "recall":
-        return None
     detector = _make(experiment, "detector")
     if not hasattr(detector, "recall"):
+        asks, instead = ('trust.denials = "recall"', 'set trust.denials = "visibility"')
+        if experiment.trust.denials != "recall":
+            asks, instead = ('trust.evidence names "missing"', 'remove "missing" from trust.evidence')
         raise ValueError(
-            f'trust.denials = "recall", but the detector {type(detector).__name__} has no method recall(n_points, '
-            'label, range_m): how often it misses an object is not known. Add it, or set trust.denials = "visibility".'
+            f"{asks}, but the detector {type(detector).__name__} has no method recall(n_points, label, range_m): how "
+            f"often it misses an object is not known. Add it, or {instead}."
         )
     return detector.recall
 
 
 def check_choices(experiment: Config) -> None:
     """Raise ValueError, in one line, if a component that the config names cannot be built."""
-    recall_of(experiment)
+    if experiment.trust.denials == "recall" or "missing" in experiment.trust.evidence:
+        recall_of(experiment)
     for section in ("detector", "pseudonyms", "driver"):
         _make(experiment, section)
     for number in range(len(experiment.attacks)):

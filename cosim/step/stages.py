@@ -16,6 +16,7 @@ from cosim.driver.driver import Beliefs
 from cosim.mobility.position_errors import PositionErrors
 from cosim.radio.medium import gap_s
 from cosim.radio.message_round import LinkReceptions, MessageRound, RoundKind
+from cosim.ragged import ptr_of
 from cosim.step import object_lists
 from cosim.step.exchange import Exchange, OnAir, Senders, Times, Vehicles, lists_of_identities
 from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections, lies_in_evaluations
@@ -46,9 +47,11 @@ from sensors.boxes import overlapping_pairs, pairs_between
 from sensors.evidence import in_evaluation_area
 from sensors.tracking import Found, ObjectStates, Observers, TrackMemory, track
 from trust import tables
+from trust.claims import DETECTION, answers, claim_number
 from trust.evaluation import evaluate
 from trust.fusion import Fused, SensorEvidence
 from trust.matching import match
+from trust.params import KINDS
 from trust.tables import EvaluationMessages, Evaluations, Groups, ObjectLists
 from trust.threads import threads_for
 
@@ -505,8 +508,24 @@ def _recall(
 
 
 @dataclass(frozen=True, slots=True)
+class Claims:
+    """What vehicles find about C claims of the messages in their lists, sorted by list, member and number."""
+
+    list: Int[ndarray, "c"]
+    """Row of the vehicles that sense."""
+    member: Int[ndarray, "c"]
+    """Detection that makes the claim, a row of `Known`; the self report claims that the message withholds nothing."""
+    number: Int[ndarray, "c"]
+    """As `trust.claims.claim_number` gives it."""
+    support: Float[ndarray, "c"]
+    """Expected evaluation, in [-1, 1]."""
+
+
+@dataclass(frozen=True, slots=True)
 class Evaluated:
     """Evaluations of detections by every vehicle's own sweep; `v` is the number of members of `lists`.
+
+    Where there are claims, `lists` has a member for each of them too, after the detections of the list.
 
     All identities of a vehicle evaluate the same detections.
     """
@@ -531,34 +550,58 @@ class Evaluated:
     """The reported evaluations, one message per row of `Senders`."""
     kept_messages: EvaluationMessages
     """The own evaluations in the rows of `sent`."""
+    number: Int[ndarray, "v"] | None = None
+    """Number of what each evaluation is about (`trust.claims.claim_number`); None if all are about detections."""
+
+    def of_detections(self) -> tuple[ObjectLists, Evaluations, Evaluations]:
+        """`lists`, `own` and `reported` without what is not about detections."""
+        if self.number is None:
+            return self.lists, self.own, self.reported
+        is_detection = self.number % len(KINDS) == DETECTION
+        at = np.flatnonzero(is_detection)
+        own, reported = (Evaluations(e.evaluation[at], e.visibility[at]) for e in (self.own, self.reported))
+        return subset(self.lists, is_detection), own, reported
 
 
 def evaluate_objects(
-    exchange: Exchange, messages: Known, matched: Matched, answers: SweepAnswers, config: Config
+    exchange: Exchange, messages: Known, matched: Matched, answered: SweepAnswers, claims: Claims | None, config: Config
 ) -> Evaluated:
-    """Evaluate the detections in each vehicle's list, and make the evaluation messages.
+    """Evaluate the detections in each vehicle's list and the claims of messages, and make the evaluation messages.
 
     A message contains the evaluations of the detections that are new since the vehicle last sensed.
     """
     groups, lists, senders = matched.lists_groups, matched.lists, exchange.senders
-    n_points, plausible = answers.n_points[matched.inside], answers.plausible[matched.inside]
-    ego_detected = groups.ego_detected
-    own = evaluate(lists, groups, messages.detections, n_points, plausible, config.trust, answers.recall)
-    reported = object_lists.as_reported(exchange.attacks, own, lists, messages.objects, exchange.sensing.row)
+    n_points, plausible = answered.n_points[matched.inside], answered.plausible[matched.inside]
+    ego_detected, number = groups.ego_detected, None
+    own = evaluate(lists, groups, messages.detections, n_points, plausible, config.trust, answered.recall)
+    if claims is not None:
+        of = np.concatenate([lists.of_member(), claims.list])
+        order, n = np.argsort(of, kind="stable"), len(claims.list)
+        found = answers(claims.support, config.trust)
+
+        def with_claims(of_detections: ndarray, of_claims: ndarray | int) -> ndarray:
+            return np.concatenate([of_detections, np.full(n, of_claims, of_detections.dtype)])[order]
+
+        lists = ObjectLists(ptr_of(of[order], len(lists.owner)), with_claims(lists.member, claims.member), lists.owner)
+        own = Evaluations(with_claims(own.evaluation, found.evaluation), with_claims(own.visibility, found.visibility))
+        n_points, plausible, ego_detected = (with_claims(a, 0) for a in (n_points, plausible, ego_detected))
+        index = messages.detections.detection_index[matched.lists.member]
+        number = with_claims(claim_number(index, DETECTION), claims.number)
+    reported = object_lists.as_reported(exchange.attacks, own, lists, messages.objects, exchange.sensing.row, number)
     lied = lies_in_evaluations(own, reported)
     sendable = messages.objects.transmitted[lists.member]
     is_new = messages.is_new(lists.of_member(), lists.member)
     sendable = sendable if is_new is None else sendable & is_new
 
     def carried(by: ObjectLists, values: Evaluations, sendable: Bool[ndarray, "v"]) -> EvaluationMessages:
-        return messages_of(exchange.now.step, messages, by, values, sendable)
+        return messages_of(exchange.now.step, messages, by, values, sendable, number)
 
     own_messages = carried(lists, own, sendable)
     lists, at = lists_of_identities(lists, senders)
     if at is not None:
         n_points, plausible, ego_detected, lied = n_points[at], plausible[at], ego_detected[at], lied[at]
         own, reported = (Evaluations(e.evaluation[at], e.visibility[at]) for e in (own, reported))
-        sendable = sendable[at]
+        sendable, number = sendable[at], None if number is None else number[at]
     return Evaluated(
         lists=lists,
         n_points=n_points,
@@ -570,6 +613,7 @@ def evaluate_objects(
         own_messages=own_messages,
         sent=carried(lists, reported, sendable),
         kept_messages=own_messages if at is None else carried(lists, own, sendable),
+        number=number,
     )
 
 

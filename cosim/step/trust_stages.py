@@ -23,6 +23,7 @@ from cosim.v2x.trust_server import LinkStats, TrustBroadcast
 from cosim.world import World
 from results.codes import TrustSource
 from results.encounters import Rows
+from trust.claims import claims_of_messages
 from trust.fusion import Fused, fuse, votes_of
 from trust.tables import Evaluations, FusionInput, ObjectLists, SenderTrust, TrustScores
 
@@ -179,7 +180,7 @@ def update_trust(
 def _open_step(
     trust: TrustState, exchange: Exchange, listed: Listed, pseudonyms: PseudonymState, parts: Parts
 ) -> TrustState:
-    """Give the hosts the transmitted detections, by subject of trust.
+    """Give the hosts the transmitted detections, by subject of trust, and the claims that they make.
 
     Vehicles that only listen in this step can evaluate its detections later, so the hosts get their pseudonyms too.
     """
@@ -189,11 +190,14 @@ def _open_step(
         listens = np.setdiff1d(vehicles.pseudonym, pseudonym)
         pseudonym = np.concatenate([pseudonym, listens[listens >= 0]])
     message, index = detections.message[transmitted], detections.detection_index[transmitted]
+    score = detections.score[transmitted]
+    if len(parts.config.trust.evidence) > 1:
+        message, index, score = claims_of_messages(message, index, score)
     subject = linkage.subjects(pseudonyms, pseudonym)
     _, index = linkage.keys(pseudonyms, pseudonym[message], index)
     if linkage.renames:
         subject, message = distinct(subject, message)
-    return parts.trust.open_step(trust, exchange.now.step, subject, message, index, detections.score[transmitted])
+    return parts.trust.open_step(trust, exchange.now.step, subject, message, index, score)
 
 
 def _deliver(

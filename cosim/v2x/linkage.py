@@ -19,7 +19,7 @@ from numpy import ndarray
 from cosim.v2x.pseudonyms import PseudonymParams, Pseudonyms, PseudonymState
 from trust.tables import EvaluationMessages, TrustScores
 
-PER_IDENTITY = 512
+PER_IDENTITY = 1024
 """Detection indices of the n-th further identity of a linked vehicle begin at n times this."""
 _UNKNOWN = (1 << 31) - 1
 """Subject number of pseudonyms that were never issued."""

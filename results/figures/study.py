@@ -32,6 +32,12 @@ SHOWN: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Metrics that a topic shows unless others are asked for."""
 
+BOUNDS: Mapping[str, str] = {
+    "misbehaviour.auc": "evidence.auc_bound",
+    "misbehaviour.at_lookup.auc": "evidence.auc_bound",
+}
+"""What no value of another metric can exceed by much: the first row of its heat map of trust models."""
+
 INSTEAD: Mapping[str, str] = {
     "misbehaviour.at_lookup.auc:malicious": "misbehaviour.auc:malicious",
     "misbehaviour.at_lookup.time_to_detection.median_s:malicious": "misbehaviour.time_to_detection.median_s:malicious",
@@ -169,9 +175,12 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
         cells = of_metric.drop_duplicates([y, x]).set_index([y, x])
         if len(cells) < len(of_metric):
             raise ValueError(f"{name} has several groups. Choose one as {name}:GROUP.")
-        grid = cells.reindex(pd.MultiIndex.from_product([rows, columns]))
+        bound = _bound(frame, name).drop_duplicates(x) if y == "trust.model" else frame[:0]
+        shown_rows = ["ideal observer", *rows] if len(bound) else rows
+        cells = pd.concat([bound.assign(**{y: "ideal observer"}).set_index([y, x]), cells]) if len(bound) else cells
+        grid = cells.reindex(pd.MultiIndex.from_product([shown_rows, columns]))
         mean, low, high, n_seeds = (
-            grid[k].to_numpy(float).reshape(len(rows), -1) for k in ("mean", "low", "high", "n")
+            grid[k].to_numpy(float).reshape(len(shown_rows), -1) for k in ("mean", "low", "high", "n")
         )
         first = of_metric.iloc[0]
         top = 1.0 if first.unit == "1" else float(np.nanmax(mean)) or 1.0
@@ -183,7 +192,7 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
             ink = "black" if mean[i, j] > 0.55 * top else "white"
             axes.text(j, i, text, ha="center", va="center", fontsize=5.5, color=ink)
         axes.set_xticks(range(len(columns)), [_said(v) for v in columns], rotation=40, ha="right")
-        axes.set_yticks(range(len(rows)), [_said(v) for v in rows])
+        axes.set_yticks(range(len(shown_rows)), [_said(v) for v in shown_rows])
         axes.grid(visible=False)
         group = f", {first.group}" if ":" in name and first.group else ""
         few, many = int(of_metric.n.min()), int(of_metric.n.max())
@@ -194,6 +203,12 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
         style.panel(axes, title, label_of(x), label_of(y))
         figure.colorbar(image, ax=axes, fraction=0.03, pad=0.02, label="" if first.unit == "1" else f"[{first.unit}]")
     return figure
+
+
+def _bound(frame: pd.DataFrame, name: str) -> pd.DataFrame:
+    """The rows of the metric that bounds another one, for the same group; none if it was not measured."""
+    metric, _, group = name.partition(":")
+    return frame[(frame.metric == BOUNDS.get(metric, "")) & ((frame.group == group) | (group == ""))]
 
 
 def _line(axes: Axes, part: pd.DataFrame, values: pd.Series, i: int, n: int) -> None:

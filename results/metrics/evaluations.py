@@ -92,7 +92,7 @@ def _blocks(run: Run, stride: int) -> Iterator[pd.DataFrame]:
     """Evaluations that count, block by block: vehicle, evaluator, kind, class, visibility, distance, role, denied,
     confirmed, missed."""
     who = run.subjects
-    seen = (pc.field("visibility") > 0) & ~pc.field("lied")
+    seen = (pc.field("visibility") > 0) & ~pc.field("lied") & (pc.field("kind") == "detection")
     wanted = ["step", "evaluator", "observer", "detection_index", "detection_step", "evaluation", "visibility"]
     for part in run.parts("evaluations", wanted, seen):
         part = part[(part.step % stride == 0) & (part.evaluator.map(who.role) == HONEST)]

@@ -172,6 +172,29 @@ def test_heat_map_of_attacks_and_models(tmp_path):
     assert "2 to 3 seeds" in axes.get_title(loc="left")
 
 
+def test_the_ideal_observer_is_the_first_row_of_a_heat_map_of_models(tmp_path):
+    """One bound per attack, the same for both models; a metric without a bound has no such row."""
+    keys = [("ghosts", "beta"), ("ghosts", "mate"), ("replay", "beta"), ("replay", "mate")]
+    points = pd.DataFrame([
+        {"point": str(i), "run": "all", "variant": "base", "replicate": 0, "attack": a, "trust.model": m}
+        for i, (a, m) in enumerate(keys)
+    ])  # fmt: skip
+    (tmp_path / "jobs" / "all").mkdir(parents=True)
+    values = {"misbehaviour.auc": [0.2, 0.3, 0.4, 0.5], "evidence.auc_bound": [0.9, 0.9, 0.8, 0.8],
+              "misbehaviour.recall_at_fpr": [0.1, 0.1, 0.1, 0.1]}  # fmt: skip
+    pd.concat([
+        pd.DataFrame(
+            {"point": points.point, "metric": name, "group": "malicious", "value": v, "unit": "1", "label": name}
+        ) for name, v in values.items()
+    ]).to_parquet(tmp_path / "jobs" / "all" / "measures.parquet")  # fmt: skip
+    study = Study(tmp_path, {"name": "s", "question": "", "keys": ["attack", "trust.model"], "baseline": {}}, points)
+    asked = ["misbehaviour.auc:malicious", "misbehaviour.recall_at_fpr:malicious"]
+    first, second, *_ = study_figure.draw(study, "misbehaviour", asked).axes
+    assert [text.get_text() for text in first.texts] == ["0.90", "0.80", "0.20", "0.40", "0.30", "0.50"]
+    assert [label.get_text() for label in first.get_yticklabels()] == ["ideal observer", "beta", "mate"]
+    assert [label.get_text() for label in second.get_yticklabels()] == ["beta", "mate"]
+
+
 def test_encounters_of_a_study_over_radius_and_kind_of_pairs(tmp_path):
     """The groups of encounter metrics are keys: two radii on the axis, two kinds of pairs as lines."""
     groups = [f"{pairs}, {radius} m" for pairs in ("equipped", "los") for radius in (50, 100)]

@@ -170,7 +170,7 @@ def test_rigid_motion_of_the_world(seed, turn, east):
     matrix = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])  # of row vectors
     moved = [(o, replace(s, xy_m=s.xy_m @ matrix + [east, -77.0], yaw_rad=s.yaw_rad + turn)) for o, s in moments]
     for a, b in zip(played(moments)[1], played(moved)[1], strict=True):
-        agree(replace(a, velocity_mps=a.velocity_mps @ matrix), b, 1e-6)
+        agree(replace(a, velocity_mps=a.velocity_mps @ matrix, axis=a.axis @ matrix), b, 1e-6)
 
 
 @settings(max_examples=15, deadline=None)

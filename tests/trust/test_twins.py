@@ -19,6 +19,10 @@ from trust.params import TrustParams
 SETTINGS = {
     "beta": [({}, {}), ({"decay_per_s": 0.5}, {"decay": 0.5})],
     "beta_discounted": [({}, {}), ({"decay_per_s": 0.5}, {"decay": 0.5})],
+    "beta_by_kind": [
+        ({}, {}), *(({"evidence": kinds}, {"evidence_of": kinds})
+                    for kinds in (("detections", "speed"), ("detections", "missing", "speed")))
+    ],
     "subjective_logic": [
         ({}, {}), *(({"discounting": how}, {"discounting": how}) for how in ("opposite", "none"))
     ],

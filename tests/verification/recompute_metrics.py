@@ -333,6 +333,8 @@ def evidence(of):
     made, boxes = of.table("evaluations"), of.table("detections")
     if not len(made) or not len(boxes):
         return
+    yield from ideal_observer(of, made)
+    made = made[made.kind == "detection"] if "kind" in made else made
     who = subjects(of)
     own = boxes[(boxes.origin == "sensed") & boxes.transmitted & ~boxes.lied]
     own = own[own.observer.map(who.role) == "honest"]
@@ -367,6 +369,59 @@ def evidence(of):
     for by, column in (("class", "class"), ("visibility", "seen"), ("distance", "distance"), ("role", "role")):
         for (kind, value), some in others[others.kind != "fabricated"].groupby(["kind", column]):
             yield "denied.share", f"{kind}, {by} {value}", (some.evaluation < 0).mean()
+
+
+def ideal_observer(of, made):
+    """Clues are counted with dictionaries, subject by subject."""
+    who, roles = watched(of), subjects(of).role
+    made = made[(made.visibility > 0) & (made.evaluator != made.observer)].copy()
+    made["x"] = made.evaluation.astype(float) * made.visibility.astype(float)
+    made["bin"] = [
+        next(i for i, end in enumerate((-0.95, -0.5, -0.1, 0, 0.1, 0.5, 0.95, 1)) if x <= end) for x in made.x
+    ]
+    kinds = {"detection": 0, "missing": 1, "speed": 2}
+    made["kind_number"] = made.kind.map(kinds) if "kind" in made else 0
+    step = made.detection_step if "detection_step" in made else made.step
+    of_claim = made.groupby([made.step, step.rename("of"), "observer", "detection_index", "kind_number"]).x
+    total, n = of_claim.transform("sum") - made.x, of_claim.transform("size") - 1
+    made["others"] = np.where(n == 0, 0, np.where(total < 0, 1, 2))
+    for role in sorted(set(who.role) - {"honest"}):
+        some = who[who.role.isin(["honest", role])]
+        best = 0.0
+        for name, known in (("auc_bound_alone", False), ("auc_bound", True)):
+            clues = {subject: [] for subject in some.index}
+            for row in made.itertuples():
+                value = row.kind_number * 8 + row.bin
+                if row.observer in clues and row.step >= some.since[row.observer]:
+                    clues[row.observer].append(value * 2 + (known and roles[row.evaluator] != "honest"))
+                if row.evaluator in clues and row.step >= some.since[row.evaluator]:
+                    cell = 48 + (value * 3 + row.others) * 2 + (known and roles[row.observer] != "honest")
+                    clues[row.evaluator].append(cell)
+            best = max(best, separated(clues, {subject: some.role[subject] == role for subject in clues}))
+            yield name, role, best
+
+
+def separated(clues, attacks):
+    """Pair by pair: likelihood ratios with shares of the clues of all others."""
+    cells = sorted({cell for listed in clues.values() for cell in listed})
+    counts = {one: np.array([listed.count(cell) for cell in cells], float) for one, listed in clues.items()}
+    roles = {role: [one for one in clues if attacks[one] == role] for role in (True, False)}
+    if min(map(len, roles.values())) < 2:
+        return np.nan
+
+    def logs(one):
+        mean = (sum(counts[other] for other in clues if other != one) + 0.5) / (len(clues) - 1)
+        count = mean + sum(counts[other] for other in roles[attacks[one]] if other != one)
+        return np.log(count / count.sum())
+
+    log, n = {one: logs(one) for one in clues}, {one: max(len(listed), 1) for one, listed in clues.items()}
+    wins = {"sum": [], "mean": []}
+    for a in roles[True]:
+        for h in roles[False]:
+            of_a, of_h = (float(counts[one] @ (log[a] - log[h])) for one in (a, h))
+            for name, above in (("sum", of_a - of_h), ("mean", of_a / n[a] - of_h / n[h])):
+                wins[name].append((1 + np.sign(np.round(above, 9))) / 2)
+    return max(float(np.mean(each)) for each in wins.values())
 
 
 def unseen(denials, boxes):

@@ -38,6 +38,19 @@ def beta(steps, now, dt, decay=0.98):
     return {i: (r[i] + 1) / (r[i] + s[i] + 2) for i in known(steps)}
 
 
+def beta_by_kind(steps, now, dt, decay=0.98, evidence_of=("detections",)):
+    kinds = ("detections", "missing", "speed")
+    sums = defaultdict(lambda: [0.0, 0.0])
+    for step, rows in steps.items():
+        for _, i, k, pos, neg in evidence(rows):
+            kind = kinds[k % 3] if len(evidence_of) > 1 else "detections"
+            sums[i, kind][0] += decay ** ((now - step) * dt) * pos
+            sums[i, kind][1] += decay ** ((now - step) * dt) * neg
+    return {
+        i: min((sums[i, kind][0] + 1) / (sum(sums[i, kind]) + 2) for kind in evidence_of) for i in known(steps)
+    }  # fmt: skip
+
+
 def beta_discounted(steps, now, dt, decay=0.98):
     r, s, last = defaultdict(float), defaultdict(float), None
     for step in [*sorted(steps), now]:

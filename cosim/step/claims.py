@@ -1,0 +1,170 @@
+"""Evaluations of what messages claim beyond their boxes: that they withhold nothing, and velocities (`trust.claims`).
+
+An evaluator uses what it knows: its own detections and tracks, the messages that it has received, a map of the
+buildings, and the sensor that all vehicles have. It compares a message with its own sweep of the same step only.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from cosim.ragged import expand, ptr_of
+from cosim.step.exchange import Exchange
+from cosim.step.known import Known
+from cosim.step.parts import Parts
+from cosim.step.stages import Claims, Matched, Positioned
+from cosim.v2x.messages import SENSED, velocities
+from sensors.coverage import at_place
+from sensors.neighbours import Neighbours
+from sensors.tracking import confirmed_variance
+from trust.claims import MISSING, N_OBJECTS, SPEED, claim_number, presence_support, velocity_support
+
+_LEAST_VARIANCE = 0.01
+"""Of a velocity that a vehicle knows of itself [m2/s2]."""
+
+
+def claims_of(
+    exchange: Exchange, messages: Known, matched: Matched, positioned: Positioned, parts: Parts
+) -> Claims | None:
+    """What every vehicle that senses finds about the claims of the messages in its list; None if it does not ask.
+
+    Parameters
+    ----------
+    exchange
+        Vehicles of the step.
+    messages, matched
+        Messages that the vehicles use, and their object lists.
+    positioned
+        What vehicles perceive: whether they track objects.
+    parts
+        Components of the run.
+    """
+    evidence = parts.config.trust.evidence
+    parts_of = [
+        find(exchange, messages, matched, positioned, parts)
+        for kind, find in (("missing", _missing), ("speed", _speed)) if kind in evidence
+    ]  # fmt: skip
+    if not parts_of:
+        return None
+    list_, member, number, support = (np.concatenate(columns) for columns in zip(*parts_of, strict=True))
+    order = np.lexsort((number, member, list_))
+    return Claims(list_[order], member[order], number[order], support[order])
+
+
+_Found = tuple[Int[ndarray, "c"], Int[ndarray, "c"], Int[ndarray, "c"], Float[ndarray, "c"]]
+"""List, member, number and support of each claim."""
+
+
+def _missing(exchange: Exchange, messages: Known, matched: Matched, positioned: Positioned, parts: Parts) -> _Found:
+    """Whether messages have the objects that the evaluator sees and their senders should have detected.
+
+    A message with as many objects as `cpm.max_objects` allows may lack some for that reason, and is left out.
+    """
+    assert parts.coverage is not None
+    asked = absences_asked(exchange, messages, matched, parts.config.cpm.max_objects)
+    boxes, label = messages.objects.boxes, messages.detections.label
+    near = Neighbours(ptr_of(asked.question, len(asked.carrier)), asked.body)
+    recall = parts.coverage.expected_recall(asked.carrier, near, boxes, label)
+    is_target = asked.is_target & (messages.detections.detection_index[asked.body] < N_OBJECTS)
+    rows = np.flatnonzero(is_target & (recall > 0))
+    question, body = asked.question[rows], asked.body[rows]
+    reported = _reported(messages, messages.detections.message[asked.carrier[question]], body)
+    support = presence_support(messages.detections.score[body] * recall[rows], reported)
+    number = claim_number(messages.detections.detection_index[body], MISSING)
+    return asked.list[question], asked.carrier[question], number, support
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Q questions: does this message, in this list, lack an object? And the bodies that the evaluator knows, if any."""
+
+    list: Int[ndarray, "q"]
+    """List of the evaluator."""
+    carrier: Int[ndarray, "q"]
+    """Self report of the message."""
+    question: Int[ndarray, "k"]
+    """Ascending."""
+    body: Int[ndarray, "k"]
+    """Detection that stands for an object of the list, but not for the sender of the message."""
+    is_target: Bool[ndarray, "k"]
+    """Whether the evaluator itself detected the object, or is the object."""
+
+
+def absences_asked(exchange: Exchange, messages: Known, matched: Matched, max_objects: int) -> Asked:
+    """The questions about missing objects that the lists of a step raise."""
+    lists, groups, of = matched.lists, matched.lists_groups, matched.lists.of_member()
+    message, is_self = messages.detections.message, messages.detections.is_self
+    is_object = messages.objects.transmitted & ~is_self
+    is_full = np.bincount(message[is_object], minlength=len(messages.step)) >= max_objects
+    by = message[lists.member]
+    foreign = messages.vehicle[by] != exchange.vehicles.senses[of]
+    at = np.flatnonzero(is_self[lists.member] & foreign & (messages.step[by] == exchange.now.step) & ~is_full[by])
+    seeds = groups.seeds()
+    begins = np.searchsorted(seeds, lists.ptr)
+    row, question = expand(begins[of[at]], begins[of[at] + 1])
+    body = seeds[row]
+    others = np.flatnonzero(body != groups.seed[at[question]])
+    question, body = question[others], body[others]
+    return Asked(of[at], lists.member[at], question, lists.member[body], groups.ego_detected[body])
+
+
+def _reported(messages: Known, message: Int[ndarray, "k"], body: Int[ndarray, "k"]) -> Bool[ndarray, "k"]:
+    """Whether each message has a detection at the place of the body in the same row."""
+    objects = messages.objects
+    row, of = expand(messages.ptr[message], messages.ptr[message + 1])
+    some = np.flatnonzero(objects.transmitted[row] & ~messages.detections.is_self[row])
+    row, of = row[some], of[some]
+    there = at_place(objects.boxes.xyz_m[row], objects.boxes.take(body[of]))
+    return np.bincount(of[there], minlength=len(body)) > 0
+
+
+def _speed(exchange: Exchange, messages: Known, matched: Matched, positioned: Positioned, parts: Parts) -> _Found:
+    """Whether the velocities that messages claim are those of the evaluators' own tracks.
+
+    Velocities of self reports are confirmed or denied. Those of other objects are denied only: the evaluations of the
+    detections confirm the objects already, and one false speed would be lost among many right ones.
+    """
+    lists, groups, of = matched.lists, matched.lists_groups, matched.lists.of_member()
+    objects, by, p = messages.objects, messages.detections.message[matched.lists.member], parts.config.tracking
+    claimed_mps = velocities(objects)
+    foreign = messages.vehicle[by] != exchange.vehicles.senses[of]
+    claims = groups.ego_detected & foreign & (messages.step[by] == exchange.now.step)
+    at = np.flatnonzero(claims & ~np.isnan(claimed_mps[lists.member]).any(axis=1))
+    own, claim = lists.member[groups.seed[at]], lists.member[at]
+    known_mps, axis, variance = _own_velocities(exchange, messages, positioned, own, of[at])
+    label = messages.detections.label[own]
+    of_claim = confirmed_variance(p, parts.config.sensing_interval_s)[label]
+    of_claim[messages.detections.is_self[claim]] = 0.0
+    prior = np.column_stack([np.square(sigma)[label] for sigma in (p.along_sigma_mps, p.across_sigma_mps)])
+    x, y = (claimed_mps[claim] - known_mps).T
+    apart = np.column_stack([axis[:, 0] * x + axis[:, 1] * y, axis[:, 0] * y - axis[:, 1] * x])
+    tracked = np.flatnonzero(~np.isnan(apart).any(axis=1))
+    support = velocity_support(apart[tracked], (variance + of_claim)[tracked], prior[tracked])
+    kept = np.flatnonzero(messages.detections.is_self[claim[tracked]] | (support < 0))
+    tracked, support = tracked[kept], support[kept]
+    of_detection = claim[tracked]
+    number = claim_number(messages.detections.detection_index[of_detection], SPEED)
+    return of[at[tracked]], of_detection, number, support
+
+
+def _own_velocities(
+    exchange: Exchange, messages: Known, positioned: Positioned, own: Int[ndarray, "c"], list_: Int[ndarray, "c"]
+) -> tuple[Float[ndarray, "c 2"], Float[ndarray, "c 2"], Float[ndarray, "c 2"]]:
+    """Velocity of each object as the evaluator knows it, NaN if it does not; axis and variances along and across it.
+
+    `own` are the evaluator's own detections of the objects, or its self report, and `list_` its list.
+    """
+    states, is_sensed = positioned.objects, messages.objects.origin == SENSED
+    assert states is not None, "velocities are held against tracks"
+    state = (np.cumsum(is_sensed) - 1)[own]  # of this step's detections, which are the first ones
+    tracked = np.flatnonzero(is_sensed[own])
+    yaw = exchange.world.boxes.yaw_rad[exchange.sensing.row[list_]]
+    axis = np.column_stack([np.cos(yaw), np.sin(yaw)])
+    known_mps = exchange.world.speed_mps[exchange.sensing.row[list_], None] * axis
+    known_mps[~(is_sensed | messages.detections.is_self)[own]] = np.nan
+    variance = np.full((len(own), 2), _LEAST_VARIANCE)
+    for column, of_state in ((known_mps, states.velocity_mps), (axis, states.axis), (variance, states.variance)):
+        column[tracked] = of_state[state[tracked]]
+    return known_mps, axis, np.maximum(variance, _LEAST_VARIANCE)

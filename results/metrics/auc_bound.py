@@ -1,0 +1,141 @@
+"""How well an ideal observer of the recorded evaluations tells attackers from honest vehicles.
+
+The observer knows how often honest vehicles and attackers receive and make each kind of evaluation. It learns this from
+the true roles of all vehicles but the one that it judges.
+"""
+
+import numpy as np
+import pandas as pd
+import pyarrow.compute as pc
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from results.codes import EvaluationKind
+from results.metrics import intervals
+from results.metrics.trust import HONEST, watched
+from results.run import Run
+
+_EDGES = np.array([-0.95, -0.5, -0.1, 0.0, 0.1, 0.5, 0.95])
+"""Evaluation times visibility: edges of its bins; each belongs to the bin below."""
+_N_BINS = len(_EDGES) + 1
+_N_OTHERS = 3
+"""What others say about the same: nothing, against, for."""
+_MOST_ROWS = 5_000_000
+_PRIOR = 0.5
+"""Added to the count of every kind in the mean, so that none has probability 0 (Jeffreys)."""
+
+
+def area(counts: Int[ndarray, "s c"], attacks: Bool[ndarray, "s"]) -> intervals.Estimate:
+    """Probability that an attacker's likelihood ratio is above an honest subject's; ties count half.
+
+    Parameters
+    ----------
+    counts
+        How many clues of each of C kinds there are about each of S subjects.
+    attacks
+        Whether each subject is an attacker.
+
+    Returns
+    -------
+    The larger of the areas of two statistics: the sum of the logarithms of the likelihood ratios of a subject's clues,
+    and their mean. NaN without two subjects of each role.
+
+    Notes
+    -----
+    If clues are independent given the role, the sum is the statistic of Neyman and Pearson, and no observer of these
+    kinds has a larger area. If the clues about a subject depend on each other, their sum is too confident where there
+    are many, and the mean can be better; then more can be known.
+
+    The probability of a kind given a role is its share of the clues about the subjects of this role, plus one more
+    subject that has the mean of all others' clues: clues about one subject resemble each other, so the number of
+    subjects says how well a share is known. A pair of an attacker and an honest subject is compared with shares from
+    which both are left out [1]_; leaving out one would favour the other.
+
+    References
+    ----------
+    .. [1] Airola et al., "An experimental comparison of cross-validation techniques for estimating the area under the
+       ROC curve", Computational Statistics and Data Analysis 55(4), 2011.
+    """
+    logs = [_log_shares(counts, attacks == role)[attacks == role] for role in (True, False)]
+    attacker, honest = counts[attacks].astype(float), counts[~attacks].astype(float)
+    if min(len(attacker), len(honest)) < 2:
+        return intervals.UNKNOWN
+    of_attacker = (attacker * logs[0]).sum(axis=1)[:, None] - attacker @ logs[1].T
+    of_honest = logs[0] @ honest.T - (honest * logs[1]).sum(axis=1)
+    n, m = (np.maximum(one.sum(axis=1), 1.0) for one in (attacker, honest))
+    found = []
+    for above in (of_attacker - of_honest, of_attacker / n[:, None] - of_honest / m):
+        wins = 0.5 * (1.0 + np.sign(np.round(above, 9)))
+        means = wins.mean(axis=1), wins.mean(axis=0)
+        error = np.sqrt(sum(one.var(ddof=1) / len(one) for one in means))
+        about = intervals.around(float(wins.mean()), float(error), min(wins.shape) - 1, (0.0, 1.0))
+        found.append(about._replace(n_units=min(wins.shape)))
+    return max(found, key=lambda one: one.value)
+
+
+def _log_shares(counts: Int[ndarray, "s c"], of_role: Bool[ndarray, "s"]) -> Float[ndarray, "s c"]:
+    """Logarithm of each kind's share of the clues about a role's subjects, for each subject without its own clues."""
+    mean = (counts.sum(axis=0) - counts + _PRIOR) / max(len(counts) - 1, 1)
+    others = counts[of_role].sum(axis=0) - counts * of_role[:, None] + mean
+    return np.log(others / others.sum(axis=1, keepdims=True))
+
+
+def bounds(run: Run) -> pd.DataFrame:
+    """The bound for the attackers of each role.
+
+    Returns
+    -------
+    role; known: the observer also knows the roles of all other vehicles; alone: it does not. Both with intervals
+    clustered by subject. Of few attackers, more cells say less, so `known` is at least `alone`.
+
+    Notes
+    -----
+    The clues about a subject are the evaluations of its messages by others, and the evaluations that it makes itself.
+    The kind of the former is that of the evaluation, evaluation times visibility in eight bins, and, if known, whether
+    the evaluator attacks. That of the latter has also what the others say on average about the same detection.
+    """
+    who = watched(run)
+    role = who.role.astype(str).to_numpy()
+    rows = []
+    for one in run.role_labels:
+        mine = np.flatnonzero((role == HONEST) | (role == one))
+        if one == HONEST or not (role == one).any():
+            continue
+        known, alone = (area(_counts(run, who.iloc[mine], roles), role[mine] == one) for roles in (True, False))
+        known = max(known, alone, key=lambda one: one.value)  # one can leave out what one knows
+        row: dict[str, object] = {"role": one}
+        rows.append(row | intervals.columns(known, "known") | intervals.columns(alone, "alone"))
+    return pd.DataFrame(rows)
+
+
+def _counts(run: Run, who: pd.DataFrame, known: bool) -> Int[ndarray, "s c"]:
+    """The clues about these subjects while they are watched, by kind."""
+    run.require("evaluations")
+    stride = max(1, -(-run.n_rows("evaluations") // _MOST_ROWS))
+    since, attacks = who.since.to_numpy(), (run.subjects.role != HONEST).to_numpy()
+    n_received = len(EvaluationKind) * _N_BINS * 2
+    n_kinds = n_received * (1 + _N_OTHERS)
+    counts = np.zeros(len(who) * n_kinds, np.int64)
+    names = ["step", "evaluator", "observer", "detection_index", "detection_step", "kind", "evaluation", "visibility"]
+    for part in run.parts("evaluations", names, pc.field("visibility") > 0):
+        part = part[(part.step % stride == 0) & (part.evaluator != part.observer)]
+        said = part.evaluation.to_numpy(float) * part.visibility.to_numpy(float)
+        kind = part.kind.cat.codes.to_numpy(np.int64)
+        value = kind * _N_BINS + np.searchsorted(_EDGES, said)
+        same = [part.detection_step.to_numpy(), part.observer.to_numpy(), part.detection_index.to_numpy(), kind]
+        _, claim = np.unique(np.column_stack(same), axis=0, return_inverse=True)
+        claim = claim.reshape(-1)
+        n, total = np.bincount(claim)[claim] - 1, np.bincount(claim, said)[claim] - said
+        others = np.where(n == 0, 0, np.where(total < 0, 1, 2))
+        by, of = (run.subjects.index.get_indexer(pd.Index(part[name])) for name in ("evaluator", "observer"))
+        cells = (
+            value * 2 + (attacks[by] & known),
+            n_received + (value * _N_OTHERS + others) * 2 + (attacks[of] & known),
+        )
+        step = part.step.to_numpy()
+        for name, cell in zip(("observer", "evaluator"), cells, strict=True):
+            subject = who.index.get_indexer(pd.Index(part[name]))
+            rows = np.flatnonzero((subject >= 0) & (since[subject] <= step))
+            counts += np.bincount(subject[rows] * n_kinds + cell[rows], minlength=len(counts))
+    by_subject = counts.reshape(len(who), n_kinds)
+    return by_subject[:, by_subject.any(axis=0)]

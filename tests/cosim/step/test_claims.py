@@ -1,0 +1,229 @@
+"""Which messages raise which questions, against literal loops; and what the answers do to liars and others."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cosim.config.config import resolve_data
+from cosim.step.claims import absences_asked, claims_of
+from cosim.step.parts import check_choices
+from cosim.v2x.messages import SELF, SENSED
+from sensors.boxes import Boxes
+from sensors.tracking import ObjectStates, TrackingParams, confirmed_variance
+from tests.cosim.adversary.plain import play
+from trust.claims import MISSING, SPEED, velocity_support
+from trust.params import KINDS
+from trust.tables import Groups, ObjectLists
+
+EVIDENCE = {"evidence": ["detections", "missing", "speed"]}
+TRACKS = {"model": "constant_velocity"}
+
+
+class Scene:
+    """Messages with random content in random lists, as the stages of a step hand them over."""
+
+    def __init__(self, seed, n_vehicles=4, max_objects=4):
+        rng = np.random.default_rng(seed)
+        self.max_objects, n = max_objects, n_vehicles
+        size = rng.integers(1, 7, n + 1)
+        message = np.repeat(np.arange(n + 1), size)  # the last one is of an earlier step
+        index = np.arange(len(message)) - np.searchsorted(message, message)
+        is_self, d = index == 0, len(message)
+        boxes = Boxes(
+            np.column_stack([rng.uniform(0, 25, (d, 2)), np.zeros(d)]), np.tile([4.0, 2, 2], (d, 1)), np.zeros(d)
+        )
+        speed = np.where(is_self, rng.uniform(0, 20, d), np.nan)
+        velocity = np.where((~is_self & (rng.random(d) < 0.7))[:, None], rng.normal(0, 5, (d, 2)), np.nan)
+        objects = SimpleNamespace(
+            boxes=boxes, transmitted=is_self | (rng.random(d) < 0.8), speed_mps=speed, velocity_mps=velocity,
+            origin=np.where(is_self, SELF, SENSED),
+        )  # fmt: skip
+        detections = SimpleNamespace(
+            message=message, detection_index=index, label=rng.integers(0, 4, d).astype(np.uint8),
+            score=np.where(is_self, 1.0, rng.random(d)), is_self=is_self,
+        )  # fmt: skip
+        vehicle = np.append(np.arange(n), 0)
+        self.messages = SimpleNamespace(
+            objects=objects, detections=detections, ptr=np.append(0, np.cumsum(size)), vehicle=vehicle,
+            step=np.append(np.full(n, 7), 6),
+        )  # fmt: skip
+        self.exchange = SimpleNamespace(
+            now=SimpleNamespace(step=7), vehicles=SimpleNamespace(senses=np.arange(n)),
+            sensing=SimpleNamespace(row=np.arange(n)),
+            world=SimpleNamespace(boxes=Boxes(np.zeros((n, 3)), np.ones((n, 3)), rng.uniform(-3, 3, n)),
+                                  speed_mps=rng.uniform(0, 20, n)),
+        )  # fmt: skip
+        lists, seeds, mine = [], [], []
+        for v in range(n):
+            foreign = np.flatnonzero((message != v) & objects.transmitted & (rng.random(d) < 0.8))
+            members = np.concatenate([np.flatnonzero(message == v), foreign])
+            at = sum(map(len, lists))
+            seed = np.arange(len(members))
+            for k in range(size[v], len(members)):
+                if rng.random() < 0.6:
+                    seed[k] = seed[rng.integers(0, k)]
+            lists.append(members)
+            seeds.append(at + seed)
+            mine.append(seed < size[v])
+        ptr = np.append(0, np.cumsum([len(one) for one in lists]))
+        self.matched = SimpleNamespace(
+            lists=ObjectLists(ptr, np.concatenate(lists), np.arange(n)),
+            lists_groups=Groups(np.concatenate(seeds), np.concatenate(mine)),
+        )  # fmt: skip
+        s = int((objects.origin == SENSED).sum())
+        angle = rng.uniform(-3, 3, s)
+        self.states = ObjectStates(
+            object_id=np.arange(s), age_s=np.zeros(s), existence_p=np.ones(s),
+            velocity_mps=np.where(rng.random((s, 1)) < 0.8, rng.normal(0, 5, (s, 2)), np.nan),
+            axis=np.column_stack([np.cos(angle), np.sin(angle)]), variance=rng.uniform(0.02, 2, (s, 2)),
+        )  # fmt: skip
+
+    def parts(self, *evidence):
+        """Parts of a run in which every body has the recall of its row, in hundredths."""
+        recall = SimpleNamespace(expected_recall=lambda carrier, near, boxes, label: (near.row % 100) / 100)
+        config = SimpleNamespace(
+            trust=SimpleNamespace(evidence=("detections", *evidence)),
+            cpm=SimpleNamespace(max_objects=self.max_objects),
+            tracking=TrackingParams(model="constant_velocity"),
+            sensing_interval_s=1.0,
+        )
+        return SimpleNamespace(coverage=recall, config=config)
+
+    def claims(self, *evidence):
+        """(list, member, number) of every claim, with its support."""
+        positioned = SimpleNamespace(objects=self.states)
+        found = claims_of(self.exchange, self.messages, self.matched, positioned, self.parts(*evidence))
+        keys = list(zip(found.list.tolist(), found.member.tolist(), found.number.tolist(), strict=True))
+        assert keys == sorted(keys)
+        return dict(zip(keys, found.support.tolist(), strict=True))
+
+    def in_lists(self):
+        """List, position and member of every member of the lists."""
+        ptr, member = self.matched.lists.ptr, self.matched.lists.member
+        return [(v, p, member[p]) for v in range(len(ptr) - 1) for p in range(ptr[v], ptr[v + 1])]
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_missing_objects_against_literal_loops(seed):
+    scene = Scene(seed)
+    m, d, o = scene.messages, scene.messages.detections, scene.messages.objects
+    member, seed_of = scene.matched.lists.member, scene.matched.lists_groups.seed
+    expected = {}
+    for v, p, own in scene.in_lists():
+        sender = d.message[own]
+        inside = [k for k in range(m.ptr[sender], m.ptr[sender + 1]) if o.transmitted[k] and not d.is_self[k]]
+        if not d.is_self[own] or m.vehicle[sender] == v or m.step[sender] != 7 or len(inside) >= scene.max_objects:
+            continue
+        for w, q, body in scene.in_lists():
+            is_seed_of_own = w == v and seed_of[q] == q and d.message[body] == v
+            if not is_seed_of_own or seed_of[p] == q or body % 100 == 0:
+                continue  # of another list, not the evaluator's, the sender itself, or not to be expected
+            a = d.score[body] * (body % 100) / 100
+            near = any(np.hypot(*(o.boxes.xyz_m[k] - o.boxes.xyz_m[body])[:2]) <= 4.0 for k in inside)
+            number = d.detection_index[body] * len(KINDS) + MISSING
+            expected[v, own, number] = 1 / 3 if near else -a / (4 - 3 * a)
+    found = scene.claims("missing")
+    assert found.keys() == expected.keys() and len(member)
+    assert all(found[key] == pytest.approx(expected[key], abs=1e-12) for key in found)
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_velocities_against_literal_loops(seed):
+    scene = Scene(seed)
+    m, d, o, states = scene.messages, scene.messages.detections, scene.messages.objects, scene.states
+    member, groups = scene.matched.lists.member, scene.matched.lists_groups
+    p, confirmed = TrackingParams(), confirmed_variance(TrackingParams(), 1.0)
+    expected = {}
+    for v, at, claim in scene.in_lists():
+        sender, own = d.message[claim], member[groups.seed[at]]
+        if d.message[own] != v or m.vehicle[sender] == v or m.step[sender] != 7:
+            continue
+        said = o.velocity_mps[claim] if not d.is_self[claim] else o.speed_mps[claim] * np.array([1.0, 0.0])
+        if d.is_self[own]:  # the evaluator's own speed, along its heading
+            yaw = scene.exchange.world.boxes.yaw_rad[v]
+            axis, variance = np.array([np.cos(yaw), np.sin(yaw)]), np.full(2, 0.01)
+            known = scene.exchange.world.speed_mps[v] * axis
+        else:
+            k = sum(o.origin[:own] == SENSED)
+            known, axis, variance = states.velocity_mps[k], states.axis[k], states.variance[k]
+        if np.isnan(said).any() or np.isnan(known).any():
+            continue
+        label, (x, y), (c, s) = d.label[own], said - known, axis
+        variance = variance + (0.0 if d.is_self[claim] else confirmed[label])
+        prior = [p.along_sigma_mps[label] ** 2, p.across_sigma_mps[label] ** 2]
+        apart = np.array([[c * x + s * y, c * y - s * x]])
+        support = velocity_support(apart, variance[None], np.array([prior]))[0]
+        if d.is_self[claim] or support < 0:  # right velocities of other objects are no evidence
+            expected[v, claim, d.detection_index[claim] * len(KINDS) + SPEED] = support
+    found = scene.claims("speed")
+    assert found.keys() == expected.keys()
+    assert all(found[key] == pytest.approx(expected[key], abs=1e-9) for key in found)
+
+
+def test_a_full_message_raises_no_question():
+    scene = Scene(3)
+    n = len(absences_asked(scene.exchange, scene.messages, scene.matched, 255).list)
+    assert n > len(absences_asked(scene.exchange, scene.messages, scene.matched, 2).list)
+    assert len(absences_asked(scene.exchange, scene.messages, scene.matched, 0).list) == 0
+
+
+def of_kind(tables, kind, n_before=0):
+    """Evaluations of a kind by others, with the role of the sender: evaluation times visibility."""
+    rows = tables["evaluations"]
+    rows = rows[(rows.kind == kind) & (rows.evaluator != rows.observer) & (rows["at"] >= n_before)]
+    return rows.assign(support=rows.evaluation * rows.visibility)
+
+
+def test_who_withholds_all_loses_and_the_honest_win():
+    tables = play([{"attack": "removal", "share_p": 0.25}], n_steps=2, trust=EVIDENCE, tracking=TRACKS)
+    rows = of_kind(tables, MISSING)
+    attacks = rows.observer.isin(np.flatnonzero(tables.registry.attack > 0))
+    assert rows.support[attacks].max() < 0 and attacks.sum() > 20
+    honest = rows.support[~attacks]
+    assert honest.mean() > 0.1 and (honest > 0).mean() > 0.75
+    seen = tables["evaluations"][tables["evaluations"].kind == 0]
+    assert len(seen) > len(rows) and (tables["evaluations"].lied == 0).all()
+
+
+def test_false_speeds_are_found_once_there_are_tracks():
+    tables = play([{"attack": "speed", "share_p": 0.25, "min_mps": 4.0}], n_steps=6, trust=EVIDENCE, tracking=TRACKS)
+    rows = of_kind(tables, SPEED, 4)
+    rows = rows[rows.detection_index == 0]
+    attacks = rows.observer.isin(np.flatnonzero(tables.registry.attack > 0))
+    assert attacks.sum() > 10 and rows.support[attacks].max() < 0 and (rows.support[~attacks] > 0).mean() > 0.95
+
+
+def test_bad_mouthing_denies_every_kind():
+    tables = play([{"attack": "bad_mouthing", "share_p": 0.25}], n_steps=4, trust=EVIDENCE, tracking=TRACKS)
+    rows = tables["evaluations"]
+    lies = rows[rows.evaluator.isin(np.flatnonzero(tables.registry.attack > 0)) & (rows.evaluator != rows.observer)]
+    assert set(lies.kind) == {0, MISSING, SPEED} and (lies.lied == 1).mean() > 0.3
+
+
+def test_other_evaluations_are_the_same_without_claims():
+    """Claims add rows. What is fused and what is said about detections do not change."""
+    with_claims, without = (play(n_steps=3, tracking=TRACKS, trust=trust) for trust in (EVIDENCE, {}))
+    rows = with_claims["evaluations"]
+    assert "kind" not in without["evaluations"] and set(rows.kind) == {0, MISSING, SPEED}
+    same = rows[rows.kind == 0].drop(columns="kind").reset_index(drop=True)
+    assert same.astype(float).equals(without["evaluations"].astype(float))
+    assert with_claims["evidence"].equals(without["evidence"])
+    keys = ["at", "evaluator", "observer", "detection_index", "kind"]
+    assert not rows.duplicated(keys).any() and len(with_claims["transmitted_evaluations"][keys].drop_duplicates())
+
+
+@pytest.mark.parametrize(
+    ("sections", "reason"),
+    [
+        ({}, 'names "speed", but vehicles do not track'),
+        ({"tracking": TRACKS, "trust": {**EVIDENCE, "self_reports": False}}, "trust.self_reports = false"),
+        ({"tracking": TRACKS, "cpm": {"rules": "etsi"}}, 'cpm.rules = "etsi" leaves objects out'),
+        ({"tracking": TRACKS, "cpm": {"redundancy": "distance"}}, 'cpm.redundancy = "distance" leaves objects out'),
+        ({"tracking": TRACKS, "detector": {"model": "tests.parts:MixedActors"}}, "has no method recall"),
+    ],
+)
+def test_what_is_refused_at_the_door(sections, reason):
+    with pytest.raises(ValueError, match=reason) as error:
+        check_choices(resolve_data({"trust": EVIDENCE} | sections, "a test", None))
+    assert "\n" not in str(error.value)
