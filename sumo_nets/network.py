@@ -100,6 +100,8 @@ class Junction:
     xyz_m: tuple[float, float, float]
     n_lanes: int
     """Lanes for vehicles that lead into it."""
+    name: str = ""
+    """Its id in SUMO."""
 
 
 def junctions(net_path: Path | str) -> tuple[list[Junction], tuple[float, float, float, float]]:
@@ -117,7 +119,7 @@ def junctions(net_path: Path | str) -> tuple[list[Junction], tuple[float, float,
             lanes = [lane for lane in attributes.get("incLanes", "").split() if lane[0] != ":" and lane not in walks]
             if lanes:
                 xyz = (float(attributes["x"]), float(attributes["y"]), float(attributes.get("z", 0.0)))
-                found.append(Junction(xyz, len(lanes)))
+                found.append(Junction(xyz, len(lanes), attributes.get("id", "")))
 
     stream(net_path, start)
     if len(bounds) != 4:

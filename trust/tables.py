@@ -1,6 +1,6 @@
 """Tables that the functions of this package exchange: detections, object lists, groups, evaluations, trust scores."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -458,6 +458,11 @@ class TrustScores:
             is_evaluated=counts > 0,
             n_evaluators=None if n_evaluators is None else n_evaluators[order],
         )
+
+    def take(self, rows: Int[ndarray, "k"]) -> "TrustScores":
+        """These rows, in this order."""
+        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "step"}
+        return replace(self, **{name: None if column is None else column[rows] for name, column in columns.items()})
 
     def rows_of(
         self, holder: Int[ndarray, "q"], subject: Int[ndarray, "q"]

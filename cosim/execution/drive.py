@@ -110,7 +110,7 @@ class Drive:
                 self.stop.at_once = False
             if (world := self._world()) is None:
                 break
-            self.n_on_road += int((world.shape != Shape.PEDESTRIAN).sum())
+            self.n_on_road += int(((world.shape != Shape.PEDESTRIAN) & ~world.is_roadside).sum())
             self.n_senders += int(world.equipped.sum()) if self.parts.senses(number) else 0
             if number < first:
                 commands = self.commands.get(number, NO_COMMANDS)

@@ -12,6 +12,7 @@ from cosim.mobility.frame import Bounds, Frame, origin_of
 from cosim.mobility.objects import ObjectParams, Placed, WithObjects
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.replay import RunReplay, TraceReplay
+from cosim.mobility.roadside import NO_UNITS, RoadsideUnits
 from cosim.mobility.source import TrafficSource
 from results.archive import open_run
 from results.durable import sha256
@@ -53,9 +54,9 @@ class Scenario:
 
     def traffic(
         self, params: TrafficParams, registry: ActorRegistry, has_driver: bool = False,
-        objects: Sequence[ObjectParams] = (),
+        objects: Sequence[ObjectParams] = (), units: RoadsideUnits = NO_UNITS,
     ) -> TrafficSource:  # fmt: skip
-        """Open the traffic source, and add the objects of the config.
+        """Open the traffic source, and add the objects and the roadside units of the config.
 
         Parameters
         ----------
@@ -69,9 +70,9 @@ class Scenario:
         """
         source = f"traffic.scenario = {params.scenario}" if self.trace is None else f"traffic.trace = {self.trace}"
         frame = Frame(source, self.origin_m, self.bounds_m)
-        placed = Placed.of(objects, frame, params.step_s)
+        placed = Placed.of(objects, frame, params.step_s, units)
         found = self._moving(params, registry, frame, has_driver)
-        return WithObjects(found, placed, registry, frame) if objects else found
+        return WithObjects(found, placed, registry, frame) if placed.names else found
 
     def _moving(
         self, params: TrafficParams, registry: ActorRegistry, frame: Frame, has_driver: bool

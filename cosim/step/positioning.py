@@ -25,12 +25,11 @@ def as_believed(observed: Observed, rows: Int[ndarray, "e"], error_m: Float[ndar
     error_m
         Position errors east and north, estimated minus true.
     """
-    sweeps, detections = observed.sweeps, observed.detections
-    origin_m, xyz_m = sweeps.poses.origin_m.copy(), detections.boxes.xyz_m.copy()
-    origin_m[:, :2] += error_m
+    detections = observed.detections
+    xyz_m = detections.boxes.xyz_m.copy()
     xyz_m[:, :2] += error_m[np.searchsorted(rows, detections.observer)]
     return replace(
-        observed, sweeps=replace(sweeps, poses=replace(sweeps.poses, origin_m=origin_m)),
+        observed, sweeps=observed.sweeps.displaced(error_m),
         detections=replace(detections, boxes=replace(detections.boxes, xyz_m=xyz_m)),
     )  # fmt: skip
 

@@ -1,0 +1,185 @@
+"""Roadside units with a LiDAR: stations that stand still, sense, send, receive and evaluate, and are no traffic.
+
+They are not the antennas of `[rsu]`, which are the trust server's radio links: those have no sensor, no identity and no
+message of their own. Who wants both at one place gives both sections.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple, Protocol
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Bool, Float, UInt64
+from numpy import ndarray
+
+from cosim.mobility.actors import actor_key
+from sensors.lidar import ProfileName
+
+PREFIX = "roadside/"
+"""Prefix of their names; east and north in the network follow, so that a unit has one name wherever it is listed."""
+MAST_M = 0.1
+"""Length and width of a unit's box. It serves for reports only: the body of a unit meets no ray."""
+APART_M = 100.0
+"""Least distance between two units that are placed at junctions [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RoadsideParams:
+    """A `[[roadside]]` section: a unit with a LiDAR and a radio at the side of the road, or several at junctions.
+
+    It detects with the detector of the vehicles, sends its detections, and evaluates those of others. It does not
+    report itself, keeps its pseudonym, and has no position error.
+    """
+
+    at: tuple[float, float] | None = None
+    """East and north in the network [m]."""
+    junction: str | None = None
+    """In place of `at`: the SUMO id of a junction."""
+    junctions: Annotated[int, Ge(1), Le(10_000)] | None = None
+    """In place of `at`: so many units, one at each of the junctions with the most incoming lanes, which are at least
+    100 m from each other."""
+    heading_deg: Annotated[float, Ge(-360), Le(360)] = 0.0
+    """Direction in which the sensor looks, counter-clockwise from east [deg]. It matters for a field of view below 360
+    degrees."""
+    height_m: Annotated[float, Gt(0), Le(100)] = 6.0
+    """Height of the sensor above the street [m]."""
+    sensor: ProfileName = "os1_128"
+    """Product whose beams are used. Everything else is as in [lidar]. The sensor is level: its lowest beams meet the
+    street at height_m / tan(elevation)."""
+    trusted: bool = True
+    """Whether others know by the class of its certificate that it belongs to a road authority. If so, whoever looks up
+    trust in it finds 1, and nobody evaluates it. Where it could see a detection (visibility above 0), the trust server
+    drops what all others say about this detection. If not, it is a sender like any other."""
+
+    def __post_init__(self) -> None:
+        given = [name for name in ("at", "junction", "junctions") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(
+                f"roadside: {' and '.join(given) or 'no place'} given. Say where the unit stands by one of at = "
+                '[east, north], junction = "id", junctions = 3.'
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class RoadsideUnits:
+    """U roadside units, in the order of the config; world frame."""
+
+    names: tuple[str, ...]
+    ground_m: Float[ndarray, "u 3"]
+    """Point of the street below each sensor."""
+    height_m: Float[ndarray, "u"]
+    yaw_rad: Float[ndarray, "u"]
+    sensor: tuple[str, ...]
+    trusted: Bool[ndarray, "u"]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def name_key(self) -> UInt64[ndarray, "u"]:
+        """The key of each unit in random draws."""
+        return np.array([actor_key(name, False) for name in self.names], np.uint64)
+
+
+NO_UNITS = RoadsideUnits((), np.zeros((0, 3)), np.zeros(0), np.zeros(0), (), np.zeros(0, bool))
+
+
+class Junction(Protocol):
+    """A junction as a possible site."""
+
+    @property
+    def xyz_m(self) -> tuple[float, float, float]: ...
+    @property
+    def n_lanes(self) -> int: ...
+    @property
+    def name(self) -> str: ...
+
+
+class Streets(NamedTuple):
+    """Junctions of the network, in any order, and its west, south, east and north end; network coordinates [m]."""
+
+    junctions: Sequence[Junction]
+    bounds_m: tuple[float, float, float, float]
+
+    def check_inside(self, x: float, y: float, key: str) -> None:
+        """Raise ValueError unless a place is within the network."""
+        west, south, east, north = self.bounds_m
+        if not (west <= x <= east and south <= y <= north):
+            raise ValueError(
+                f"{key} = [{x:g}, {y:g}] m lies outside the network, which reaches from [{west:g}, {south:g}] "
+                f"to [{east:g}, {north:g}]. Longitude and latitude, not metres? Set {key} within it."
+            )
+
+    def street_m(self, x: float, y: float) -> float:
+        """Height of the nearest junction [m]."""
+        if not self.junctions:
+            return 0.0
+        near = min(self.junctions, key=lambda j: (j.xyz_m[0] - x) ** 2 + (j.xyz_m[1] - y) ** 2)
+        return near.xyz_m[2]
+
+    def busiest(self, n: int, apart_m: float) -> list[Junction]:
+        """Junctions with the most incoming lanes; fewer than `n` if no more are `apart_m` from each other.
+
+        Of two junctions with the same number of lanes, the one farther west, then farther south, comes first.
+        """
+        taken: list[Junction] = []
+        for site in sorted(self.junctions, key=lambda j: (-j.n_lanes, *j.xyz_m)):
+            if len(taken) == n:
+                break
+            if all(np.hypot(site.xyz_m[0] - t.xyz_m[0], site.xyz_m[1] - t.xyz_m[1]) >= apart_m for t in taken):
+                taken.append(site)
+        return taken
+
+
+def place(sections: Sequence[RoadsideParams], streets: Streets, origin_m: tuple[float, float]) -> RoadsideUnits:
+    """The units of these sections.
+
+    Parameters
+    ----------
+    sections
+        The `[[roadside]]` sections.
+    streets
+        The network.
+    origin_m
+        The world's origin in the network's coordinates.
+
+    Raises
+    ------
+    ValueError
+        In one line, if a place does not fit.
+    """
+    sites: list[tuple[RoadsideParams, tuple[float, float, float]]] = []
+    by_name = {junction.name: junction for junction in streets.junctions}
+    for i, section in enumerate(sections):
+        if section.junctions is not None:
+            busiest = streets.busiest(section.junctions, APART_M)
+            if len(busiest) < section.junctions:
+                raise ValueError(
+                    f"roadside.{i}.junctions = {section.junctions}: the network has no more than {len(busiest)} "
+                    f"junctions that are {APART_M:g} m from each other. Set it lower."
+                )
+            sites += [(section, junction.xyz_m) for junction in busiest]
+        elif section.at is not None:
+            streets.check_inside(*section.at, f"roadside.{i}.at")
+            sites.append((section, (*section.at, streets.street_m(*section.at))))
+        elif section.junction in by_name:
+            sites.append((section, by_name[section.junction].xyz_m))
+        else:
+            raise ValueError(
+                f'roadside.{i}.junction = "{section.junction}": the network has no such junction that vehicles drive '
+                "into. Take an id from its .net.xml, or give at = [east, north]."
+            )
+    names = tuple(f"{PREFIX}{x:.2f}/{y:.2f}" for _, (x, y, _) in sites)
+    if len(set(names)) < len(names):
+        twice = next(name for i, name in enumerate(names) if name in names[:i])
+        raise ValueError(f"two [[roadside]] units stand at {twice.removeprefix(PREFIX)} m. Leave one of them out.")
+    yaw = np.radians([section.heading_deg for section, _ in sites])
+    return RoadsideUnits(
+        names,
+        np.array([site for _, site in sites]).reshape(-1, 3) - [*origin_m, 0.0],
+        np.array([section.height_m for section, _ in sites], float),
+        np.pi - np.mod(np.pi - yaw, 2 * np.pi),
+        tuple(section.sensor for section, _ in sites),
+        np.array([section.trusted for section, _ in sites], bool),
+    )
