@@ -21,7 +21,6 @@ from sensors.raycast import columnar, embree, mesh, open3d
 from sensors.raycast.column import cells_of_slopes
 from sensors.scene import Hit, Prisms, Scene, prisms
 
-
 ProfileName = Literal["hdl64e_front", "hdl64e", "vlp16", "vlp32c", "os1_64", "os1_128", "pandar64"]
 
 

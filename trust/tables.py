@@ -1,7 +1,7 @@
 """Tables that the functions of this package exchange: detections, object lists, groups, evaluations, trust scores."""
 
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -461,8 +461,11 @@ class TrustScores:
 
     def take(self, rows: Int[ndarray, "k"]) -> "TrustScores":
         """These rows, in this order."""
-        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "step"}
-        return replace(self, **{name: None if column is None else column[rows] for name, column in columns.items()})
+        columns: dict[str, Any] = {
+            f.name: None if (column := getattr(self, f.name)) is None else column[rows]
+            for f in fields(self) if f.name != "step"
+        }  # fmt: skip
+        return replace(self, **columns)
 
     def rows_of(
         self, holder: Int[ndarray, "q"], subject: Int[ndarray, "q"]

@@ -10,7 +10,7 @@ from cosim.config.config import Config, chosen
 from cosim.driver.driver import largest_step_s
 from cosim.execution.inputs import changed_inputs
 from cosim.mobility.meshes import with_meshes
-from cosim.mobility.roadside import NO_UNITS, RoadsideUnits, Streets, place
+from cosim.mobility.roadside import NO_UNITS, RoadsideUnits, place
 from cosim.mobility.scenario import Scenario, find
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.step import mixed_perception
@@ -78,7 +78,7 @@ def rsu_antennas(config: Config, scenario: Scenario) -> RsuAntennas:
             "rsu.at, rsu.n_at_junctions: a trace without streets has no network to stand in. "
             "Leave the roadside units out, or name the city in traffic.scenario and the trace in traffic.trace."
         )
-    sites = place_rsus(config.rsu, Streets(*junctions(scenario.net)))
+    sites = place_rsus(config.rsu, junctions(scenario.net))
     return replace(sites, xyz_m=sites.xyz_m - np.array([*scenario.origin_m, 0.0]))
 
 
@@ -97,7 +97,7 @@ def roadside_units(config: Config, scenario: Scenario) -> RoadsideUnits:
             "[[roadside]]: a trace without streets has no network to stand in. Leave the units out, or name the city "
             "in traffic.scenario and the trace in traffic.trace."
         )
-    return place(config.roadside, Streets(*junctions(scenario.net)), scenario.origin_m)
+    return place(config.roadside, junctions(scenario.net), scenario.origin_m)
 
 
 def changed_since(path: Path | None, config: Config) -> list[str]:

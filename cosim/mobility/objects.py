@@ -70,7 +70,7 @@ class ObjectParams:
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """Objects and roadside units of a config as arrays, in the world frame, rounded to the resolution of the table `actors`."""
+    """Objects and roadside units as arrays, in the world frame, rounded to the resolution of the table `actors`."""
 
     names: list[str]
     shape: UInt8[ndarray, "o"]
@@ -82,9 +82,7 @@ class Placed:
     """Whether it is a roadside unit. Units are equipped."""
 
     @staticmethod
-    def of(
-        objects: Sequence[ObjectParams], frame: Frame, step_s: float, units: RoadsideUnits = NO_UNITS
-    ) -> "Placed":
+    def of(objects: Sequence[ObjectParams], frame: Frame, step_s: float, units: RoadsideUnits = NO_UNITS) -> "Placed":
         """Convert the objects and units to arrays. An object far outside the network raises a TrafficError."""
         n_units = len(units)
         names = [*(f"{PREFIX}{i}" for i in range(len(objects))), *units.names]
@@ -103,7 +101,8 @@ class Placed:
         times = np.array([(o.from_s, o.to_s) for o in objects] + [(0.0, np.inf)] * n_units).reshape(-1, 2) / step_s
         frame = replace(frame, source="objects.at_m" if objects else "roadside.at")
         frame.check(0, names, np.arange(len(names)), boxes.xyz_m, boxes.yaw_rad, np.zeros(len(names)))
-        return Placed(names, shape, boxes, *np.ceil(times - 1e-9).T, is_unit)
+        from_step, to_step = np.ceil(times - 1e-9).T
+        return Placed(names, shape, boxes, from_step, to_step, is_unit)
 
 
 class WithObjects:

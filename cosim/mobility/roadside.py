@@ -6,7 +6,7 @@ message of their own. Who wants both at one place gives both sections.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple, Protocol
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -15,6 +15,7 @@ from numpy import ndarray
 
 from cosim.mobility.actors import actor_key
 from sensors.lidar import ProfileName
+from sumo_nets.network import Junction, Streets
 
 PREFIX = "roadside/"
 """Prefix of their names; east and north in the network follow, so that a unit has one name wherever it is listed."""
@@ -70,7 +71,7 @@ class RoadsideUnits:
     """Point of the street below each sensor."""
     height_m: Float[ndarray, "u"]
     yaw_rad: Float[ndarray, "u"]
-    sensor: tuple[str, ...]
+    sensor: tuple[ProfileName, ...]
     trusted: Bool[ndarray, "u"]
 
     def __len__(self) -> int:
@@ -83,53 +84,6 @@ class RoadsideUnits:
 
 
 NO_UNITS = RoadsideUnits((), np.zeros((0, 3)), np.zeros(0), np.zeros(0), (), np.zeros(0, bool))
-
-
-class Junction(Protocol):
-    """A junction as a possible site."""
-
-    @property
-    def xyz_m(self) -> tuple[float, float, float]: ...
-    @property
-    def n_lanes(self) -> int: ...
-    @property
-    def name(self) -> str: ...
-
-
-class Streets(NamedTuple):
-    """Junctions of the network, in any order, and its west, south, east and north end; network coordinates [m]."""
-
-    junctions: Sequence[Junction]
-    bounds_m: tuple[float, float, float, float]
-
-    def check_inside(self, x: float, y: float, key: str) -> None:
-        """Raise ValueError unless a place is within the network."""
-        west, south, east, north = self.bounds_m
-        if not (west <= x <= east and south <= y <= north):
-            raise ValueError(
-                f"{key} = [{x:g}, {y:g}] m lies outside the network, which reaches from [{west:g}, {south:g}] "
-                f"to [{east:g}, {north:g}]. Longitude and latitude, not metres? Set {key} within it."
-            )
-
-    def street_m(self, x: float, y: float) -> float:
-        """Height of the nearest junction [m]."""
-        if not self.junctions:
-            return 0.0
-        near = min(self.junctions, key=lambda j: (j.xyz_m[0] - x) ** 2 + (j.xyz_m[1] - y) ** 2)
-        return near.xyz_m[2]
-
-    def busiest(self, n: int, apart_m: float) -> list[Junction]:
-        """Junctions with the most incoming lanes; fewer than `n` if no more are `apart_m` from each other.
-
-        Of two junctions with the same number of lanes, the one farther west, then farther south, comes first.
-        """
-        taken: list[Junction] = []
-        for site in sorted(self.junctions, key=lambda j: (-j.n_lanes, *j.xyz_m)):
-            if len(taken) == n:
-                break
-            if all(np.hypot(site.xyz_m[0] - t.xyz_m[0], site.xyz_m[1] - t.xyz_m[1]) >= apart_m for t in taken):
-                taken.append(site)
-        return taken
 
 
 def place(sections: Sequence[RoadsideParams], streets: Streets, origin_m: tuple[float, float]) -> RoadsideUnits:
@@ -150,7 +104,7 @@ def place(sections: Sequence[RoadsideParams], streets: Streets, origin_m: tuple[
         In one line, if a place does not fit.
     """
     sites: list[tuple[RoadsideParams, tuple[float, float, float]]] = []
-    by_name = {junction.name: junction for junction in streets.junctions}
+    by_name: dict[str | None, Junction] = {junction.name: junction for junction in streets.junctions}
     for i, section in enumerate(sections):
         if section.junctions is not None:
             busiest = streets.busiest(section.junctions, APART_M)

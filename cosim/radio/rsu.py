@@ -3,8 +3,9 @@
 Roadside units that sense are those of `cosim.mobility.roadside`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -12,12 +13,11 @@ from jaxtyping import Float, UInt64
 from numpy import ndarray
 
 from cosim import rng
-from cosim.mobility.roadside import Streets
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RsuParams:
-    """Positions of roadside antennas of the trust server. They share the vehicles' channel, power and rules of access."""
+    """Positions of the trust server's antennas. They share the vehicles' channel, power and rules of access."""
 
     at: tuple[tuple[float, float, float], ...] = ()
     """East and north in the network, and height of the antenna above the street, of each unit [m]."""
@@ -52,6 +52,14 @@ class RsuAntennas:
 
 NO_RSUS = RsuAntennas(np.zeros((0, 3)), np.zeros(0, np.uint64), np.zeros(0))
 """No roadside units."""
+
+
+class Streets(Protocol):
+    """The network, as far as it matters for sites of antennas (`sumo_nets.network.Streets`)."""
+
+    def check_inside(self, x: float, y: float, key: str) -> None: ...
+    def street_m(self, x: float, y: float) -> float: ...
+    def busiest(self, n: int, apart_m: float) -> Sequence[Any]: ...
 
 
 def place_rsus(params: RsuParams, streets: Streets) -> RsuAntennas:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
@@ -14,7 +15,7 @@ from cosim.world import World
 from sensors import evidence, lidar
 from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
-from sensors.lidar import LidarParams, RangeImages
+from sensors.lidar import LidarParams, ProfileName, RangeImages
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,14 +120,13 @@ class MixedPerception:
         return replace(area, height_m=area.height_m + self.height_m[number])
 
 
-def lidar_of(vehicles: LidarParams, sensor: str) -> LidarParams:
+def lidar_of(vehicles: LidarParams, sensor: ProfileName) -> LidarParams:
     """The LiDAR of a unit: another product on top of a mast, otherwise as on vehicles."""
-    return replace(
-        vehicles, profile=sensor, elevation_deg=None, n_azimuths=None, fov_deg=None, mount_above_roof_m=0.0,
-    )  # type: ignore[arg-type]  # fmt: skip
+    beams: dict[str, Any] = dict.fromkeys(("elevation_deg", "n_azimuths", "fov_deg"))
+    return replace(vehicles, profile=sensor, mount_above_roof_m=0.0, **beams)
 
 
-def check_lidars(vehicles: LidarParams, sensors: Sequence[str]) -> None:
+def check_lidars(vehicles: LidarParams, sensors: Sequence[ProfileName]) -> None:
     """Raise ValueError if a unit's LiDAR cannot be cast."""
     for sensor in sensors:
         lidar.beams(lidar_of(vehicles, sensor))

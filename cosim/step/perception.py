@@ -37,7 +37,8 @@ class Observed:
     """What all equipped vehicles perceived in one step; `e` is their number."""
 
     sweeps: Any
-    """`RangeImages`, or `cosim.step.mixed_perception.MixedImages` where LiDARs differ. Valid until the next step, which overwrites their memory."""
+    """`RangeImages`, or `cosim.step.mixed_perception.MixedImages` where LiDARs differ. Valid until the next step, which
+    overwrites their memory."""
     observability: evidence.Observability
     detections: Detections
     """Self-reports and the detector's reports."""
@@ -219,7 +220,7 @@ class Perception:
         """
         seen, found = _concat([part.observability for part in parts]), _concat([part.reports for part in parts])
         if sort:
-            seen, found = (_sorted(rows) for rows in (seen, found))
+            seen, found = _sorted(seen), _sorted(found)
         n = len(found.observer)
         sensed = Detections.perceived(
             observer=observers[found.observer],
@@ -260,7 +261,7 @@ def _concat(parts: list[_Rows]) -> _Rows:
 def _sorted(rows: _Rows) -> _Rows:
     """The rows by observer; those of one observer stay in their order."""
     order = np.argsort(rows.observer, kind="stable")
-    values = {column.name: getattr(rows, column.name) for column in fields(rows)}
+    values: dict[str, Any] = {column.name: getattr(rows, column.name) for column in fields(rows)}
     return replace(rows, **{name: v.take(order) for name, v in values.items()})
 
 
