@@ -51,6 +51,7 @@ class Stream(IntEnum):
     POSITIONING = 25
     OWN = 26
     SENSING = 27
+    PLACEMENT = 28
 
 
 @compiled

@@ -97,7 +97,7 @@ def roadside_units(config: Config, scenario: Scenario) -> RoadsideUnits:
             "[[roadside]]: a trace without streets has no network to stand in. Leave the units out, or name the city "
             "in traffic.scenario and the trace in traffic.trace."
         )
-    return place(config.roadside, junctions(scenario.net), scenario.origin_m)
+    return place(config.roadside, junctions(scenario.net), scenario.origin_m, config.seed)
 
 
 def changed_since(path: Path | None, config: Config) -> list[str]:

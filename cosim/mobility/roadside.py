@@ -6,7 +6,7 @@ message of their own. Who wants both at one place gives both sections.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, UInt64
 from numpy import ndarray
 
 from cosim.mobility.actors import actor_key
+from cosim.rng import Stream, key, name_key, uniforms
 from sensors.lidar import ProfileName
 from sumo_nets.network import Junction, Streets
 
@@ -37,9 +38,13 @@ class RoadsideParams:
     """East and north in the network [m]."""
     junction: str | None = None
     """In place of `at`: the SUMO id of a junction."""
-    junctions: Annotated[int, Ge(1), Le(10_000)] | None = None
-    """In place of `at`: so many units, one at each of the junctions with the most incoming lanes, which are at least
-    100 m from each other."""
+    junctions: Annotated[int, Ge(0), Le(10_000)] | None = None
+    """In place of `at`: so many units, one at each of the junctions that `choose` takes."""
+    choose: Literal["busiest", "random", "listed"] = "busiest"
+    """With `junctions`: those with the most incoming lanes that are at least 100 m from each other; those that are
+    drawn from their names by `seed`, where more units only add to fewer; or the first ones of `listed`."""
+    listed: tuple[str, ...] = ()
+    """SUMO ids of junctions, the best one first, such as `cosim place roadside` prints."""
     heading_deg: Annotated[float, Ge(-360), Le(360)] = 0.0
     """Direction in which the sensor looks, counter-clockwise from east [deg]. It matters for a field of view below 360
     degrees."""
@@ -59,6 +64,11 @@ class RoadsideParams:
             raise ValueError(
                 f"roadside: {' and '.join(given) or 'no place'} given. Say where the unit stands by one of at = "
                 '[east, north], junction = "id", junctions = 3.'
+            )
+        if (self.choose == "listed") != bool(self.listed) or (self.listed and self.junctions is None):
+            raise ValueError(
+                'roadside: choose = "listed" takes the first of the junctions in listed = ["id", ...], and nothing '
+                "else reads that list. Give both with junctions, or neither."
             )
 
 
@@ -86,7 +96,9 @@ class RoadsideUnits:
 NO_UNITS = RoadsideUnits((), np.zeros((0, 3)), np.zeros(0), np.zeros(0), (), np.zeros(0, bool))
 
 
-def place(sections: Sequence[RoadsideParams], streets: Streets, origin_m: tuple[float, float]) -> RoadsideUnits:
+def place(
+    sections: Sequence[RoadsideParams], streets: Streets, origin_m: tuple[float, float], seed: int
+) -> RoadsideUnits:
     """The units of these sections.
 
     Parameters
@@ -97,6 +109,8 @@ def place(sections: Sequence[RoadsideParams], streets: Streets, origin_m: tuple[
         The network.
     origin_m
         The world's origin in the network's coordinates.
+    seed
+        Decides what `choose = "random"` draws.
 
     Raises
     ------
@@ -104,26 +118,12 @@ def place(sections: Sequence[RoadsideParams], streets: Streets, origin_m: tuple[
         In one line, if a place does not fit.
     """
     sites: list[tuple[RoadsideParams, tuple[float, float, float]]] = []
-    by_name: dict[str | None, Junction] = {junction.name: junction for junction in streets.junctions}
     for i, section in enumerate(sections):
-        if section.junctions is not None:
-            busiest = streets.busiest(section.junctions, APART_M)
-            if len(busiest) < section.junctions:
-                raise ValueError(
-                    f"roadside.{i}.junctions = {section.junctions}: the network has no more than {len(busiest)} "
-                    f"junctions that are {APART_M:g} m from each other. Set it lower."
-                )
-            sites += [(section, junction.xyz_m) for junction in busiest]
-        elif section.at is not None:
+        if section.at is not None:
             streets.check_inside(*section.at, f"roadside.{i}.at")
             sites.append((section, (*section.at, streets.street_m(*section.at))))
-        elif section.junction in by_name:
-            sites.append((section, by_name[section.junction].xyz_m))
         else:
-            raise ValueError(
-                f'roadside.{i}.junction = "{section.junction}": the network has no such junction that vehicles drive '
-                "into. Take an id from its .net.xml, or give at = [east, north]."
-            )
+            sites += [(section, junction.xyz_m) for junction in _chosen(section, f"roadside.{i}", streets, seed)]
     names = tuple(f"{PREFIX}{x:.2f}/{y:.2f}" for _, (x, y, _) in sites)
     if len(set(names)) < len(names):
         twice = next(name for i, name in enumerate(names) if name in names[:i])
@@ -137,3 +137,35 @@ def place(sections: Sequence[RoadsideParams], streets: Streets, origin_m: tuple[
         tuple(section.sensor for section, _ in sites),
         np.array([section.trusted for section, _ in sites], bool),
     )
+
+
+def drawn(streets: Streets, seed: int) -> list[Junction]:
+    """All junctions in a random order, which depends on their names and the seed."""
+    junctions = sorted(streets.junctions, key=lambda junction: junction.name)
+    names = np.array([name_key("junction/" + junction.name) for junction in junctions], np.uint64)
+    draw = uniforms(key(seed, Stream.PLACEMENT), names)[:, 0]
+    return [junctions[i] for i in np.argsort(draw, kind="stable").tolist()]
+
+
+def _chosen(section: RoadsideParams, where: str, streets: Streets, seed: int) -> list[Junction]:
+    """The junctions of a section."""
+    names = section.listed if section.junction is None else (section.junction,)
+    by_name = {junction.name: junction for junction in streets.junctions}
+    if unknown := next((name for name in names if name not in by_name), None):
+        raise ValueError(
+            f'{where}: the network has no junction "{unknown}" that vehicles drive into. Take an id from its '
+            ".net.xml, or give at = [east, north]."
+        )
+    if section.junctions is None:
+        return [by_name[name] for name in names]
+    if section.choose == "busiest":
+        found, why = streets.busiest(section.junctions, APART_M), f" that are {APART_M:g} m from each other"
+    elif section.choose == "random":
+        found, why = drawn(streets, seed)[: section.junctions], ""
+    else:
+        found, why = [by_name[name] for name in names[: section.junctions]], f" in {where}.listed"
+    if len(found) < section.junctions:
+        raise ValueError(
+            f"{where}.junctions = {section.junctions}: there are only {len(found)} junctions{why}. Set it lower."
+        )
+    return found

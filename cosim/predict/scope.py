@@ -44,6 +44,7 @@ def servers_of(config: Config) -> list[Server]:
         ("server.uplink", config.server.uplink, ("cellular",)),
         ("server.outages", config.server.outages, ((),)),
         ("objects", config.objects, ((),)),
+        ("roadside", config.roadside, ((),)),
         ("pseudonyms.policy", config.pseudonyms.policy, ("none",)),
         ("pseudonyms.revocation", config.pseudonyms.revocation, ("none",)),
     ):
