@@ -65,10 +65,10 @@ class RoadsideParams:
                 f"roadside: {' and '.join(given) or 'no place'} given. Say where the unit stands by one of at = "
                 '[east, north], junction = "id", junctions = 3.'
             )
-        if (self.choose == "listed") != bool(self.listed) or (self.listed and self.junctions is None):
+        if self.choose == "listed" and not (self.listed and self.junctions is not None):
             raise ValueError(
-                'roadside: choose = "listed" takes the first of the junctions in listed = ["id", ...], and nothing '
-                "else reads that list. Give both with junctions, or neither."
+                'roadside: choose = "listed" takes the first of the junctions in listed = ["id", ...]. Set listed and '
+                "junctions, such as `cosim place roadside` prints them."
             )
 
 

@@ -100,6 +100,8 @@ class MixedPerception:
             area = self._area(asked.area, number)
             mine = BoxQuestions(asked.boxes, area, counting, asked.counted[p], testing, asked.tested[t])
             n_points[p], plausible[t] = perception.answers(sweeps.of_lidar[number], mine)
+            if number:
+                plausible[t] |= _below_the_beams(sweeps.of_lidar[number], testing, asked.boxes, asked.tested[t])
         return n_points, plausible
 
     def in_area(
@@ -118,6 +120,18 @@ class MixedPerception:
     def _area(self, area: AreaParams, number: int) -> AreaParams:
         """The evaluation area of a LiDAR: what stands on the street is below a mast, not beside it."""
         return replace(area, height_m=area.height_m + self.height_m[number])
+
+
+def _below_the_beams(
+    images: RangeImages, o: Int[ndarray, "t"], boxes: Boxes, b: Int[ndarray, "t"]
+) -> Bool[ndarray, "t"]:
+    """Whether the middle of each box is lower than the lowest beam.
+
+    The free-space test takes a box without returns before it or in it for implausible. On a mast, the blind cone below
+    the beams is many metres wide, and nothing in it is tested.
+    """
+    away_m = boxes.xyz_m[b] - images.poses.origin_m[o]
+    return away_m[:, 2] < np.hypot(away_m[:, 0], away_m[:, 1]) * images.beams.tan_el[0]
 
 
 def lidar_of(vehicles: LidarParams, sensor: ProfileName) -> LidarParams:
