@@ -58,13 +58,13 @@ def draw(found: pd.DataFrame, path: Path) -> None:
         axes.errorbar(
             of.ratio, x, xerr=[of.ratio - of.low, of.high - of.ratio], fmt="o", capsize=3, label=f"{label} of the age"
         )  # fmt: skip
-    axes.set_yticks(np.arange(len(of)), [f"{r.units} units, {r.attack.replace('_', '-')}" for r in of.itertuples()])
+    axes.set_yticks(np.arange(len(of)), [f"{r.units:g} units, {r.attack.replace('_', '-')}" for r in of.itertuples()])
     axes.set_ylim(-0.6, len(of) - 0.4)
     axes.axvline(1.0, color="0.4", lw=0.8)
     axes.axvline(0.5, color="0.4", lw=0.8, ls=":")
     axes.set_xlim(0, 1.5)
-    axes.set_xlabel("age with units at chosen junctions / at drawn ones")
-    axes.legend(loc="upper right", frameon=False)
+    axes.set_xlabel("age: chosen junctions / drawn ones")
+    axes.legend(loc="upper left", frameon=False, fontsize=8)
     figure.savefig(path, dpi=150)
 
 
