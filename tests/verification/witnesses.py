@@ -1,4 +1,4 @@
-"""Age of trust with witnesses at chosen and at drawn junctions: `python -m tests.verification.witnesses STUDY [PICTURE]`.
+"""Age of trust with witnesses at chosen and drawn junctions: `python -m tests.verification.witnesses STUDY [PICTURE]`.
 
 STUDY is a folder of the study `witnesses`. For each number of units and attack, the table has means over replicates,
 and the ratio of `listed` to `random` within each replicate (same traffic, same vehicles): geometric mean, and its 95 %
@@ -41,7 +41,9 @@ def table(path: Path) -> pd.DataFrame:
             wide = of.pivot(index="replicate", columns=CHOOSE, values="value").dropna()
             row = {"units": count, "attack": attack, "metric": metric, "n": len(wide)} | wide.mean().to_dict()
             if len(wide):
-                row |= dict(zip(("ratio", "low", "high"), ratio(wide.listed.to_numpy(), wide.random.to_numpy()), strict=True))
+                row |= dict(
+                    zip(("ratio", "low", "high"), ratio(wide.listed.to_numpy(), wide.random.to_numpy()), strict=True)
+                )
             rows.append(row)
     return pd.DataFrame(rows)
 
