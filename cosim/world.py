@@ -7,7 +7,7 @@ from numpy import ndarray
 
 from results.codes import labels
 from sensors.boxes import Boxes
-from sensors.scene import LABEL_OF_SHAPE, ObjectClass
+from sensors.scene import LABEL_OF_SHAPE, ObjectClass, Shape
 
 LABELS = labels(ObjectClass)
 """Object classes that a detector distinguishes, by code."""
@@ -57,3 +57,8 @@ class World:
     def label(self) -> UInt8[ndarray, "n"]:
         """Object class code of each actor."""
         return LABEL_OF_SHAPE[self.shape]
+
+    @property
+    def is_roadside(self) -> Bool[ndarray, "n"]:
+        """Whether each actor is a roadside unit, which senses, sends and evaluates but is no traffic."""
+        return self.shape == Shape.ROADSIDE_UNIT

@@ -6,7 +6,7 @@ import numpy as np
 
 
 class VehicleClass(IntEnum):
-    """Classes of actors: SUMO's vehicle classes, some of them merged, and pedestrians."""
+    """Classes of actors: SUMO's vehicle classes, some of them merged, pedestrians, and units at the roadside."""
 
     CAR = 0
     VAN = 1
@@ -15,6 +15,7 @@ class VehicleClass(IntEnum):
     MOTORCYCLE = 4
     BICYCLE = 5
     PEDESTRIAN = 6
+    ROADSIDE_UNIT = 7
 
 
 class Role(IntEnum):

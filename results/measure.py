@@ -224,7 +224,7 @@ def _named(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def _traffic(run: Run) -> Iterator[Row]:
-    vehicles = run.vehicles
+    vehicles = run.vehicles[run.vehicles.vehicle_class != "roadside_unit"]
     time_s = run.manifest["steps"] * run.dt_s
     on_road = (vehicles.last_step - vehicles.first_step + 1) * run.dt_s / time_s
     yield Row("duration_s", "", time_s)

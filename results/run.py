@@ -392,7 +392,8 @@ class Run:
 
     def _subjects(self) -> pd.DataFrame:
         vehicles = self.table("vehicles", ["vehicle", "role", "attack_start_step"]).set_index("vehicle")
-        return self.table("pseudonyms").set_index("pseudonym").join(vehicles, on="vehicle")
+        found = self.table("pseudonyms").set_index("pseudonym").join(vehicles, on="vehicle")
+        return found[found.role.notna()]  # roadside units are no subjects
 
     @property
     def role_labels(self) -> tuple[str, ...]:

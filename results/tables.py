@@ -95,11 +95,11 @@ TABLES: Mapping[str, Table] = {
         {
             "vehicle": _key("Actor number, the true identity of the actor; unique in the run and never reused."),
             "sumo_id": Column("string", meaning="Name in SUMO."),
-            "vehicle_class": Column("category", meaning="Class of vehicle, or pedestrian.", categories=labels(VehicleClass)),
+            "vehicle_class": Column("category", meaning="Class of vehicle, pedestrian, or unit of `[[roadside]]`, which is no traffic.", categories=labels(VehicleClass)),
             "length_m": Column("float32", unit="m", meaning="Extent along the heading."),
             "width_m": Column("float32", unit="m", meaning="Extent across the heading."),
             "height_m": Column("float32", unit="m", meaning="Vertical extent."),
-            "equipped": Column("bool", meaning="Carries a LiDAR and a radio."),
+            "equipped": Column("bool", meaning="A vehicle that carries a LiDAR and a radio; false for roadside units, which carry them too."),
             "role": Column("category", meaning="How an equipped vehicle behaves; null if not equipped.", categories=labels(Role), labels_of_run="roles", null=True),
             "attack": Column("int16", null=True, meaning="Section of `attacks` in the config, counted from 0, that the vehicle belongs to; null if honest or not equipped."),
             "first_step": Column("int32", meaning="First step on the road."),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated, Literal, NamedTuple
 
@@ -20,6 +20,8 @@ from sensors.range_steps import NO_RETURN, metres, step_m
 from sensors.raycast import columnar, embree, mesh, open3d
 from sensors.raycast.column import cells_of_slopes
 from sensors.scene import Hit, Prisms, Scene, prisms
+
+ProfileName = Literal["hdl64e_front", "hdl64e", "vlp16", "vlp32c", "os1_64", "os1_128", "pandar64"]
 
 
 class Profile(NamedTuple):
@@ -74,7 +76,7 @@ _MOST_RAYS = 2_000_000
 class LidarParams:
     """The LiDAR that every equipped vehicle carries."""
 
-    profile: Literal["hdl64e_front", "hdl64e", "vlp16", "vlp32c", "os1_64", "os1_128", "pandar64"] = "hdl64e_front"
+    profile: ProfileName = "hdl64e_front"
     """Product whose beams are used; the next three keys replace parts of it."""
     elevation_deg: tuple[float, ...] | None = None
     """Elevation of each beam, ascending [deg]; none means that of the profile."""
@@ -266,6 +268,20 @@ class RangeImages:
     range_steps: UInt16[ndarray, "m a e"]
     """Range that the sensor reports, in steps of `step_m`; `NO_RETURN` if the ray has no return."""
     step_m: float
+
+    def displaced(self, error: Float[ndarray, "m 3"]) -> RangeImages:
+        """The same images, taken for those of sensors with other poses.
+
+        Parameters
+        ----------
+        error
+            How far the other poses are east [m] and north [m], and by how much they are turned [rad].
+        """
+        origin_m, yaw_rad = self.poses.origin_m.copy(), self.poses.yaw_rad
+        origin_m[:, :2] += error[:, :2]
+        if error[:, 2].any():
+            yaw_rad = np.pi - (np.pi - yaw_rad - error[:, 2]) % (2.0 * np.pi)  # (-pi, pi]
+        return replace(self, poses=replace(self.poses, origin_m=origin_m, yaw_rad=yaw_rad))
 
     @property
     def range_m(self) -> Float32[ndarray, "m a e"]:

@@ -44,6 +44,8 @@ class Shape(IntEnum):
     MOTORCYCLE = 4
     BICYCLE = 5
     PEDESTRIAN = 6
+    ROADSIDE_UNIT = 7
+    """A sensor at the roadside. Its body is not modelled, so no ray meets it."""
 
 
 _CLASS_OF = {
@@ -54,6 +56,7 @@ _CLASS_OF = {
     Shape.MOTORCYCLE: ObjectClass.CYCLIST,
     Shape.BICYCLE: ObjectClass.CYCLIST,
     Shape.PEDESTRIAN: ObjectClass.PEDESTRIAN,
+    Shape.ROADSIDE_UNIT: ObjectClass.CAR,  # never detected and never listed
 }
 
 LABEL_OF_SHAPE: UInt8[ndarray, "shape"] = np.array([_CLASS_OF[shape] for shape in Shape], np.uint8)
@@ -84,6 +87,7 @@ _STACKS: dict[Shape, dict[float, tuple[tuple[float, float, float, float, float],
     Shape.MOTORCYCLE: {0.0: ((-0.48, 0.48, 0.40, 0.0, 0.55), (-0.25, 0.12, 0.80, 0.40, 0.98))},
     Shape.BICYCLE: {0.0: ((-0.48, 0.48, 0.20, 0.0, 0.50), (-0.22, 0.12, 0.80, 0.40, 0.98))},
     Shape.PEDESTRIAN: {0.0: ((-0.30, 0.30, 0.90, 0.0, 0.82), (-0.22, 0.22, 0.40, 0.82, 0.98))},
+    Shape.ROADSIDE_UNIT: {0.0: ()},
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -100,10 +101,48 @@ class Junction:
     xyz_m: tuple[float, float, float]
     n_lanes: int
     """Lanes for vehicles that lead into it."""
+    name: str = ""
+    """Its id in SUMO."""
 
 
-def junctions(net_path: Path | str) -> tuple[list[Junction], tuple[float, float, float, float]]:
-    """All junctions that vehicles drive into, and the network's bounds: west, south, east, north [m]."""
+class Streets(NamedTuple):
+    """Junctions that vehicles drive into, in any order, and the network's bounds: west, south, east, north [m]."""
+
+    junctions: Sequence[Junction]
+    bounds_m: tuple[float, float, float, float]
+
+    def check_inside(self, x: float, y: float, key: str) -> None:
+        """Raise ValueError unless a place is within the network."""
+        west, south, east, north = self.bounds_m
+        if not (west <= x <= east and south <= y <= north):
+            raise ValueError(
+                f"{key} = [{x:g}, {y:g}] m lies outside the network, which reaches from [{west:g}, {south:g}] "
+                f"to [{east:g}, {north:g}]. Longitude and latitude, not metres? Set {key} within it."
+            )
+
+    def street_m(self, x: float, y: float) -> float:
+        """Height of the nearest junction [m]."""
+        if not self.junctions:
+            return 0.0
+        near = min(self.junctions, key=lambda j: (j.xyz_m[0] - x) ** 2 + (j.xyz_m[1] - y) ** 2)
+        return near.xyz_m[2]
+
+    def busiest(self, n: int, apart_m: float) -> list[Junction]:
+        """Junctions with the most incoming lanes; fewer than `n` if no more are `apart_m` from each other.
+
+        Of two junctions with the same number of lanes, the one farther west, then farther south, comes first.
+        """
+        taken: list[Junction] = []
+        for site in sorted(self.junctions, key=lambda j: (-j.n_lanes, *j.xyz_m)):
+            if len(taken) == n:
+                break
+            if all(np.hypot(site.xyz_m[0] - t.xyz_m[0], site.xyz_m[1] - t.xyz_m[1]) >= apart_m for t in taken):
+                taken.append(site)
+        return taken
+
+
+def junctions(net_path: Path | str) -> Streets:
+    """All junctions that vehicles drive into, and the network's bounds."""
     found: list[Junction] = []
     walks: set[str] = set()
     bounds: list[float] = []
@@ -117,12 +156,12 @@ def junctions(net_path: Path | str) -> tuple[list[Junction], tuple[float, float,
             lanes = [lane for lane in attributes.get("incLanes", "").split() if lane[0] != ":" and lane not in walks]
             if lanes:
                 xyz = (float(attributes["x"]), float(attributes["y"]), float(attributes.get("z", 0.0)))
-                found.append(Junction(xyz, len(lanes)))
+                found.append(Junction(xyz, len(lanes), attributes.get("id", "")))
 
     stream(net_path, start)
     if len(bounds) != 4:
         raise ValueError(f"{net_path}: does not say how far it reaches (<location convBoundary=...>). Rebuild it.")
-    return found, (bounds[0], bounds[1], bounds[2], bounds[3])
+    return Streets(found, (bounds[0], bounds[1], bounds[2], bounds[3]))
 
 
 def projection(net_path: Path | str) -> tuple[str, tuple[float, float]]:

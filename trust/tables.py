@@ -1,7 +1,7 @@
 """Tables that the functions of this package exchange: detections, object lists, groups, evaluations, trust scores."""
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -460,6 +460,14 @@ class TrustScores:
             is_evaluated=counts > 0,
             n_evaluators=None if n_evaluators is None else n_evaluators[order],
         )
+
+    def take(self, rows: Int[ndarray, "k"]) -> "TrustScores":
+        """These rows, in this order."""
+        columns: dict[str, Any] = {
+            f.name: None if (column := getattr(self, f.name)) is None else column[rows]
+            for f in fields(self) if f.name != "step"
+        }  # fmt: skip
+        return replace(self, **columns)
 
     def rows_of(
         self, holder: Int[ndarray, "q"], subject: Int[ndarray, "q"]

@@ -59,7 +59,7 @@ def designated(seed: int, name_key: UInt64[ndarray, "n"], victim_p: float) -> Bo
 
 def _eligible(world: World, params: AttackParams, seed: int) -> Int[ndarray, "v"]:
     """Equipped vehicles that may be victims, as ascending rows of the world."""
-    equipped = np.flatnonzero(world.equipped)
+    equipped = np.flatnonzero(world.equipped & ~world.is_roadside)
     if params.victim == "one":
         return equipped[world.name_key[equipped] == rng.name_key("vehicle/" + params.victim_id)]
     if params.victim == "designated":

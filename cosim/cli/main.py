@@ -31,6 +31,7 @@ from cosim.cli.console import (
     table_of,
 )  # fmt: skip
 from cosim.cli.nets import nets
+from cosim.cli.place import place
 from cosim.cli.predict import predict
 from cosim.door.blame import ExtensionError
 from cosim.door.permission import CodeNotTrusted
@@ -49,6 +50,7 @@ app = typer.Typer(
 )
 app.add_typer(nets, name="nets")
 app.add_typer(predict, name="predict")
+app.add_typer(place, name="place")
 studies.add_to(app)
 reproductions.add_to(app)
 validation.add_to(app)

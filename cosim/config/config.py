@@ -24,8 +24,9 @@ from cosim.mobility.meshes import MeshParams, VehicleMeshParams, check_vehicle_m
 from cosim.mobility.objects import ObjectParams
 from cosim.mobility.params import TrafficParams, resolved_input
 from cosim.mobility.position_errors import GnssParams
-from cosim.mobility.streetside import ParkedParams, TreeParams
+from cosim.mobility.roadside import RoadsideParams
 from cosim.mobility.schedule import Schedule, SensingGroup
+from cosim.mobility.streetside import ParkedParams, TreeParams
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams
 from cosim.v2x.cpm_params import CpmParams
@@ -125,6 +126,7 @@ class Config:
     cpm: CpmParams = field(default_factory=CpmParams)
     radio: RadioParams = field(default_factory=RadioParams)
     rsu: RsuParams = field(default_factory=RsuParams)
+    roadside: tuple[RoadsideParams, ...] = ()
     server: ServerParams = field(default_factory=ServerParams)
     pseudonyms: PseudonymParams = field(default_factory=PseudonymParams)
     trust: TrustParams = field(default_factory=TrustParams)

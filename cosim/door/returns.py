@@ -130,7 +130,7 @@ def speed_commands(call: Call, returned: Any) -> tuple[Any, SpeedCommands]:
     n = _length("actor", commands.actor)
     _columns("", commands, n, "one for each actor", {"actor": ("iu",), "speed_mps": ("f", 0, FASTEST_MPS)})
     _ascending("actor", commands.actor.astype(np.int64))
-    lost = ~np.isin(commands.actor, world.actor[world.shape != Shape.PEDESTRIAN])
+    lost = ~np.isin(commands.actor, world.actor[(world.shape != Shape.PEDESTRIAN) & ~world.is_roadside])
     _none("actor", commands.actor, lost, "a vehicle of this step by its number in world.actor, not its row,")
     if commands.reasons is not None:
         _typed("reasons", commands.reasons, Reasons, "or None")

@@ -10,8 +10,10 @@ from cosim.config.config import Config, chosen
 from cosim.driver.driver import largest_step_s
 from cosim.execution.inputs import changed_inputs
 from cosim.mobility.meshes import with_meshes
+from cosim.mobility.roadside import NO_UNITS, RoadsideUnits, place
 from cosim.mobility.scenario import Scenario, find
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
+from cosim.step import mixed_perception
 from cosim.step.parts import check_choices
 from results.archive import read_manifest
 from sensors import lidar
@@ -29,10 +31,12 @@ def check(config: Config) -> Scenario:
         In one line, if the config cannot run.
     """
     scenario = find(config.traffic.scenario, config.traffic.trace)
+    rsu_antennas(config, scenario)
     roadside_units(config, scenario)
     check_choices(config)
     _check_driver(config, scenario)
     lidar.beams(config.lidar)
+    mixed_perception.check_lidars(config.lidar, [unit.sensor for unit in config.roadside])
     with_meshes(Scene.empty(), config.meshes, config.vehicle_meshes)
     if config.lidar.engine != "columnar":  # the other engines are libraries that may not be installed
         one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
@@ -59,8 +63,8 @@ def _check_driver(config: Config, scenario: Scenario) -> None:
         )
 
 
-def roadside_units(config: Config, scenario: Scenario) -> RsuAntennas:
-    """Antennas of the config's roadside units in the scenario's network.
+def rsu_antennas(config: Config, scenario: Scenario) -> RsuAntennas:
+    """The trust server's antennas in the scenario's network.
 
     Raises
     ------
@@ -74,8 +78,26 @@ def roadside_units(config: Config, scenario: Scenario) -> RsuAntennas:
             "rsu.at, rsu.n_at_junctions: a trace without streets has no network to stand in. "
             "Leave the roadside units out, or name the city in traffic.scenario and the trace in traffic.trace."
         )
-    sites = place_rsus(config.rsu, *junctions(scenario.net))
+    sites = place_rsus(config.rsu, junctions(scenario.net))
     return replace(sites, xyz_m=sites.xyz_m - np.array([*scenario.origin_m, 0.0]))
+
+
+def roadside_units(config: Config, scenario: Scenario) -> RoadsideUnits:
+    """The config's roadside units with a LiDAR, in the scenario's network.
+
+    Raises
+    ------
+    ValueError
+        If the scenario has no street network, or a position does not fit.
+    """
+    if not config.roadside:
+        return NO_UNITS
+    if scenario.net is None:
+        raise ValueError(
+            "[[roadside]]: a trace without streets has no network to stand in. Leave the units out, or name the city "
+            "in traffic.scenario and the trace in traffic.trace."
+        )
+    return place(config.roadside, junctions(scenario.net), scenario.origin_m, config.seed)
 
 
 def changed_since(path: Path | None, config: Config) -> list[str]:

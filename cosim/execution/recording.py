@@ -31,6 +31,7 @@ from cosim.world import World
 from results.codes import EvaluationKind, LookupState, MessageType
 from results.encounters import Rows, by_variant
 from sensors.boxes import Boxes
+from sensors.scene import Shape
 from trust.tables import TrustScores
 
 Columns = Mapping[str, ndarray | None]
@@ -91,24 +92,33 @@ def step(recorder: TakesRows, result: StepResult, dt_s: float) -> None:
         return
     _detections(recorder, result.world, sensed)
     _tracks(recorder, at, sensed)
-    _cpm_content(recorder, at, sensed)
-    _channel(recorder, at, sensed)
+    _cpm_content(recorder, result.world, sensed)
+    _channel(recorder, result.world, sensed)
     _receptions(recorder, at, sensed)
     _evaluations(recorder, at, sensed)
     _evidence(recorder, result.world, sensed)
-    _trust(recorder, at, sensed, dt_s)
-    _fused(recorder, at, sensed)
+    _trust(recorder, result.world, sensed, dt_s)
+    _fused(recorder, result.world, sensed)
+    units = result.world.actor[result.world.is_roadside]
     for rows in sensed.attack_outcomes:
-        recorder.append("attack_outcomes", at, rows)
+        recorder.append("attack_outcomes", at, _without(np.isin(rows["receiver"], units), rows))
 
 
 def actors(recorder: TakesRows, world: World) -> None:
-    """Append the poses of all actors."""
+    """Append the poses of all actors on the road."""
     xyz, yaw = world.boxes.xyz_m, world.boxes.yaw_rad
-    recorder.append("actors", world.step, {
+    rows = {
         "actor": world.actor, "x_m": xyz[:, 0], "y_m": xyz[:, 1], "z_m": xyz[:, 2], "yaw_rad": yaw,
         "speed_mps": world.speed_mps,
-    })  # fmt: skip
+    }  # fmt: skip
+    recorder.append("actors", world.step, _without(world.is_roadside, rows))
+
+
+def _without(left_out: Bool[ndarray, "n"], rows: Columns) -> Columns:
+    """The rows that are not left out."""
+    if not left_out.any():
+        return rows
+    return {name: None if column is None else column[~left_out] for name, column in rows.items()}
 
 
 def _reactions(recorder: TakesRows, at: int, found: Reactions) -> None:
@@ -214,23 +224,24 @@ def _tracks(recorder: TakesRows, at: int, sensed: Sensed) -> None:
     })  # fmt: skip
 
 
-def _cpm_content(recorder: TakesRows, at: int, sensed: Sensed) -> None:
+def _cpm_content(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     listed, content, n = sensed.listed, sensed.listed.content, len(sensed.senders)
     message, is_self, length = listed.detections.message, listed.objects.origin == SELF, sensed.rounds[0].length_bytes
     counts = np.bincount(
         (message * len(Inclusion) + content.inclusion)[~is_self], minlength=n * len(Inclusion)
     ).reshape(n, len(Inclusion))  # fmt: skip
-    recorder.append("cpm_content", at, {
+    is_unit = world.is_roadside[sensed.vehicles.row[sensed.senders.vehicle]]
+    recorder.append("cpm_content", world.step, _without(is_unit, {
         "sender": sensed.senders.pseudonym, "length_bytes": length,
         "n_objects": counts.sum(axis=1) - counts[:, Inclusion.WITHHELD],
         **{column: counts[:, inclusion] for column, inclusion in INCLUSIONS.items()},
         "self_report": np.bincount(message[is_self & content.included], minlength=n) > 0,
         "sensors": content.has_sensors & (length > 0),
-    })  # fmt: skip
+    }))  # fmt: skip
 
 
-def _channel(recorder: TakesRows, at: int, sensed: Sensed) -> None:
-    n = len(sensed.vehicles)
+def _channel(recorder: TakesRows, world: World, sensed: Sensed) -> None:
+    n, at = len(sensed.vehicles), world.step
     for message_type, broadcast, reach in zip(MessageType, sensed.rounds, sensed.reach, strict=True):
         frames = broadcast.round.frames
         by_distance, total = pdr_by_distance(frames.distance_m, frames.los_state, frames.outcome, OUTCOMES)
@@ -244,11 +255,12 @@ def _channel(recorder: TakesRows, at: int, sensed: Sensed) -> None:
             "latency_histogram", at, _of(message_type, latency_histogram(broadcast.links.vehicles.latency_s))
         )
         recorder.append("packet_inter_reception", at, _of(message_type, reach.inter_reception))
-    recorder.append("vehicle_channel", at, {"vehicle": sensed.vehicles.actor} | vehicle_channel(
+    rows = {"vehicle": sensed.vehicles.actor} | vehicle_channel(
         n, [reach.in_range for reach in sensed.reach],
         [broadcast.links.vehicles.receiver for broadcast in sensed.rounds],
         [broadcast.round.frames.cbr for broadcast in sensed.rounds],
-    ))  # fmt: skip
+    )  # fmt: skip
+    recorder.append("vehicle_channel", at, _without(world.is_roadside[sensed.vehicles.row], rows))
 
 
 def _of(message_type: MessageType, rows: Mapping[str, ndarray | None]) -> dict[str, ndarray | None]:
@@ -326,14 +338,20 @@ def _evidence(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     recorder.append("evidence", world.step, evidence_audit.audit(evaluations, detections, attacks, n_copies))
 
 
-def _trust(recorder: TakesRows, at: int, sensed: Sensed, dt_s: float) -> None:
+def _trust(recorder: TakesRows, world: World, sensed: Sensed, dt_s: float) -> None:
     used = sensed.looked_up.messages
     receiver, subject = sensed.sensing.actor[used.receiver], sensed.known.pseudonym[used.message]
     lookups = sensed.looked_up.lookups
     if not sensed.known.is_lock_step:  # several messages of one sender may be in use; its trust is looked up once
         _, once = np.unique(receiver.astype(np.int64) << 32 | subject, return_index=True)
         receiver, subject, lookups = receiver[once], subject[once], [found.take(once) for found in lookups]
-    trust(recorder, at, dt_s, sensed.published, sensed.servers, receiver, subject, lookups)
+    published, units = list(sensed.published), world.is_roadside[sensed.vehicles.row]
+    if units.any():  # the tables of trust are about vehicles
+        actor, own = sensed.vehicles.actor[units], sensed.vehicles.pseudonym[units]
+        between = np.flatnonzero(~np.isin(receiver, actor) & ~np.isin(subject, own))
+        receiver, subject, lookups = receiver[between], subject[between], [found.take(between) for found in lookups]
+        published = [None if s is None else s.take(np.flatnonzero(~np.isin(s.subject, own))) for s in published]
+    trust(recorder, world.step, dt_s, published, sensed.servers, receiver, subject, lookups)
 
 
 def trust(
@@ -458,18 +476,18 @@ def _evaluations_behind(
     }  # fmt: skip
 
 
-def _fused(recorder: TakesRows, at: int, sensed: Sensed) -> None:
+def _fused(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     known = sensed.known
     listed, pseudonym = known.objects, known.pseudonym[known.detections.message]
     for variant, fused in enumerate(sensed.fused):
         if fused is None:
             continue
         ego, moved = fused.ego, fused.pose != fused.seed
-        recorder.append("fused_evidence", at, {
+        recorder.append("fused_evidence", world.step, {
             "variant": np.array([variant]), "n_evaluations": np.array([fused.n_evaluations.sum()]),
             "n_evaluators": np.array([fused.n_evaluators.sum()]),
         })  # fmt: skip
-        recorder.append("fused", at, {
+        rows: Rows = {
             "variant": np.full(len(ego), variant), "observer": sensed.sensing.actor[ego],
             "fused_index": np.arange(len(ego)) - ptr_of(ego, len(sensed.sensing))[ego],
             "score": fused.score, "n_sources": fused.n_sources, "ego_detected": fused.ego_detected,
@@ -479,7 +497,8 @@ def _fused(recorder: TakesRows, at: int, sensed: Sensed) -> None:
             "fabricated": listed.origin[fused.seed] == FABRICATED,
             **_steps(sensed, "source_step", fused.seed), **_steps(sensed, "pose_step", fused.pose),
             **_moved(sensed, fused.pose),
-        })  # fmt: skip
+        }  # fmt: skip
+        recorder.append("fused", world.step, _without(world.is_roadside[sensed.sensing.row[ego]], rows))
 
 
 def _moved(sensed: Sensed, detection: Int[ndarray, "k"]) -> Rows:
@@ -536,20 +555,20 @@ def vehicle_rows(
     schedule
         When each vehicle senses.
     """
-    lwh = registry.lwh_m
+    lwh, equipped = registry.lwh_m, registry.equipped & (registry.shape != Shape.ROADSIDE_UNIT)
     attack_start_step, attacked = attack_start.first_steps(len(registry))
     sensing: Rows = {}
     if not schedule.is_lock_step:
         interval, phase = schedule.of_vehicles(registry.name_key)
         sensing = {
-            "sensing_interval_steps": interval, "sensing_interval_steps__valid": registry.equipped,
-            "sensing_phase_steps": phase, "sensing_phase_steps__valid": registry.equipped,
+            "sensing_interval_steps": interval, "sensing_interval_steps__valid": equipped,
+            "sensing_phase_steps": phase, "sensing_phase_steps__valid": equipped,
         }  # fmt: skip
     return {
         "vehicle": np.arange(len(registry), dtype=np.int32), "sumo_id": np.array(registry.names, object),
         "vehicle_class": registry.shape, "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2],
-        "equipped": registry.equipped, "role": role_of_attack[registry.attack], "role__valid": registry.equipped,
-        "attack": registry.attack.astype(np.int16) - 1, "attack__valid": registry.equipped & (registry.attack > 0),
+        "equipped": equipped, "role": role_of_attack[registry.attack], "role__valid": equipped,
+        "attack": registry.attack.astype(np.int16) - 1, "attack__valid": equipped & (registry.attack > 0),
         "first_step": registry.first_step, "last_step": registry.last_step,
         "attack_start_step": attack_start_step, "attack_start_step__valid": attacked, **sensing,
     }  # fmt: skip

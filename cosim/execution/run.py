@@ -17,7 +17,7 @@ from cosim.config.config import Config, of_run
 from cosim.door.blame import ExtensionError
 from cosim.execution import checkpoint, recording
 from cosim.execution import folder as run_folder
-from cosim.execution.check import check, roadside_units
+from cosim.execution.check import check, roadside_units, rsu_antennas
 from cosim.execution.drive import STATE_VERSION, Advance, Commands, Drive, OnStep, own_modules, warm_up
 from cosim.execution.folder import RunFolder
 from cosim.execution.inputs import provenance
@@ -249,11 +249,13 @@ def load_parts(
     with watch("city"):
         city = with_meshes(scenario.city(config.trees, config.seed), config.meshes, config.vehicle_meshes)
         parked = scenario.parked(config.parked, city, config.seed)
-    parts = Parts.of(config, city, roadside_units(config, scenario), watch)
+    units = roadside_units(config, scenario)
+    parts = Parts.of(config, city, rsu_antennas(config, scenario), watch, units)
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
     recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
     params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)
-    return parts, registry, recorded.traffic(params, registry, config.driver.model != "none", config.objects, parked)
+    has_driver = config.driver.model != "none"
+    return parts, registry, recorded.traffic(params, registry, has_driver, config.objects, parked, units)
 
 
 def _recorder(folder: Path, parts: Parts, resume_at: int) -> Recorder:

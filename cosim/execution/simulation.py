@@ -26,6 +26,7 @@ from cosim.execution.check import check
 from cosim.execution.drive import warm_up
 from cosim.mobility.source import TrafficEnded, TrafficSource
 from cosim.step.cycle import step
+from cosim.step.mixed_perception import MixedImages
 from cosim.step.parts import Parts
 from cosim.step.result import StepResult
 from cosim.step.state import State
@@ -199,9 +200,10 @@ class SimulatedStep:
             raise ValueError(f"vehicle {vehicle} has no sweep in step {self.step}: name one of result.vehicles in a "
                              "step in which vehicles sense.")  # fmt: skip
         sweeps = sensed.positioned.observed.sweeps
-        assert isinstance(sweeps, RangeImages), "this process holds the range images"
-        xyz_m = sweeps.xyz(int(row[0]))
-        return xyz_m if frame == "sensor" else sweeps.poses.to_world(int(row[0]), xyz_m)
+        images, o = sweeps.image(int(row[0])) if isinstance(sweeps, MixedImages) else (sweeps, int(row[0]))
+        assert isinstance(images, RangeImages), "this process holds the range images"
+        xyz_m = images.xyz(o)
+        return xyz_m if frame == "sensor" else images.poses.to_world(o, xyz_m)
 
     def table(self, name: str) -> pd.DataFrame:
         """Rows of this step for one table of a run; empty if the step has no rows for it.

@@ -47,7 +47,7 @@ class ActorRegistry:
 
     def register(
         self, names: list[str], shape: UInt8[ndarray, "n"], lwh_m: Float[ndarray, "n 3"], step: int,
-        may_be_equipped: bool = True,
+        equipped: bool | None = None,
     ) -> Int[ndarray, "n"]:  # fmt: skip
         """Give numbers to new actors, and decide their equipment and attacks.
 
@@ -62,8 +62,8 @@ class ActorRegistry:
             Codes of `sensors.scene.Shape`.
         lwh_m
             Length, width and height [m].
-        may_be_equipped
-            Whether these actors can be equipped at all.
+        equipped
+            Whether these actors are equipped. If it is given, nothing is drawn, and none of them attacks.
 
         Returns
         -------
@@ -82,16 +82,12 @@ class ActorRegistry:
             [actor_key(name, person) for name, person in zip(names, is_person, strict=True)],
             np.uint64,
         )
-        equipped = self._can_be_equipped[shape] & (uniforms(self._equipped_key, keys)[:, 0] < self.params.penetration_p)
-        equipped &= may_be_equipped
-        self._equipped[rows] = equipped
-        if equipped.any() and self.attack_shares:
-            draw = uniforms(self._attack_key, keys)[:, 0]
-            number = 1 + np.searchsorted(np.cumsum(self.attack_shares), draw, "right")
-            self._attack[rows] = np.where(equipped & (number <= len(self.attack_shares)), number, 0)
-        for row in np.flatnonzero(equipped).tolist() if self.attack_of else ():
-            if names[row] in self.attack_of:
-                self._attack[first + row] = 1 + self.attack_of[names[row]]
+        if equipped is not None:
+            self._equipped[rows] = equipped
+        else:
+            drawn = uniforms(self._equipped_key, keys)[:, 0] < self.params.penetration_p
+            self._equipped[rows] = self._can_be_equipped[shape] & drawn
+            self._assign_attacks(names, keys, first)
 
         self.names.extend(names)
         self._name_key[rows], self._shape[rows], self._lwh_m[rows] = keys, shape, lwh_m.astype(np.float32)
@@ -100,6 +96,18 @@ class ActorRegistry:
         numbers = np.empty(n, np.int32)
         numbers[order] = np.arange(first, self._n, dtype=np.int32)
         return numbers
+
+    def _assign_attacks(self, names: list[str], keys: UInt64[ndarray, "n"], first: int) -> None:
+        """Decide which of these new actors attack. Their numbers begin at `first`."""
+        rows = slice(first, first + len(names))
+        equipped = self._equipped[rows]
+        if equipped.any() and self.attack_shares:
+            draw = uniforms(self._attack_key, keys)[:, 0]
+            number = 1 + np.searchsorted(np.cumsum(self.attack_shares), draw, "right")
+            self._attack[rows] = np.where(equipped & (number <= len(self.attack_shares)), number, 0)
+        for row in np.flatnonzero(equipped).tolist() if self.attack_of else ():
+            if names[row] in self.attack_of:
+                self._attack[first + row] = 1 + self.attack_of[names[row]]
 
     def mark_present(self, actor: Int[ndarray, "n"], step: int) -> None:
         """Record that these actors are on the road in this step."""

@@ -1,4 +1,4 @@
-"""Real objects that stand still: parked vehicles, obstacles, dummies. They are not part of the SUMO simulation."""
+"""What stands still and is not part of the SUMO simulation: parked vehicles, obstacles, dummies, roadside units."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -6,12 +6,13 @@ from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.mobility.actors import ActorRegistry
 from cosim.mobility.fleet import ActorClass
 from cosim.mobility.frame import Frame
+from cosim.mobility.roadside import MAST_M, NO_UNITS, RoadsideUnits
 from cosim.mobility.source import PER_M, PER_RAD, TrafficSource, world_of
 from cosim.world import World
 from sensors.boxes import Boxes
@@ -69,7 +70,7 @@ class ObjectParams:
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """Objects of a config as arrays, in the world frame, rounded to the resolution of the table `actors`."""
+    """Objects and roadside units as arrays, in the world frame, rounded to the resolution of the table `actors`."""
 
     names: list[str]
     shape: UInt8[ndarray, "o"]
@@ -77,31 +78,45 @@ class Placed:
     from_step: Float[ndarray, "o"]
     to_step: Float[ndarray, "o"]
     """One past the last step."""
+    is_unit: Bool[ndarray, "o"]
+    """Whether it is a roadside unit. Units are equipped."""
 
     @staticmethod
     def of(
-        objects: Sequence[ObjectParams], frame: Frame, step_s: float, parked: Mapping[str, ObjectParams] | None = None
-    ) -> "Placed":
-        """Convert the objects, and parked cars by name, to arrays. One far outside the network is a TrafficError."""
-        parked = parked or {}
-        names = [*(f"{PREFIX}{i}" for i in range(len(objects))), *parked]
+        objects: Sequence[ObjectParams], frame: Frame, step_s: float, parked: Mapping[str, ObjectParams] | None = None,
+        units: RoadsideUnits = NO_UNITS,
+    ) -> "Placed":  # fmt: skip
+        """Convert the objects, parked cars by name, and units to arrays.
+
+        Raises
+        ------
+        TrafficError
+            One of them is far outside the network.
+        """
+        n_units, parked = len(units), parked or {}
+        names = [*(f"{PREFIX}{i}" for i in range(len(objects))), *parked, *units.names]
         objects = [*objects, *parked.values()]
-        shape = np.array([Shape[o.vehicle_class.upper()] for o in objects], np.uint8)
-        lwh_m = np.array([o.lwh_m for o in objects]).reshape(-1, 3).astype(np.float32).astype(float)
+        kinds = [*(Shape[o.vehicle_class.upper()] for o in objects), *[Shape.ROADSIDE_UNIT] * n_units]
+        shape, is_unit = np.array(kinds, np.uint8), np.array([kind == Shape.ROADSIDE_UNIT for kind in kinds], bool)
+        masts_m = np.column_stack([np.full((n_units, 2), MAST_M), units.height_m])
+        lwh_m = np.concatenate([np.array([o.lwh_m for o in objects]).reshape(-1, 3), masts_m])
+        lwh_m = lwh_m.astype(np.float32).astype(float)
         xyz_m = np.array([(*(o.at_m or ()), o.ground_m) for o in objects]).reshape(-1, 3)
+        xyz_m = np.concatenate([xyz_m, units.ground_m])
         xyz_m[:, 2] += lwh_m[:, 2] / 2
-        yaw = np.radians([o.yaw_deg for o in objects])
+        yaw = np.concatenate([np.radians([o.yaw_deg for o in objects]), units.yaw_rad])
         boxes = Boxes(
             np.rint(xyz_m * PER_M) / PER_M, lwh_m, np.rint((np.pi - np.mod(np.pi - yaw, 2 * np.pi)) * PER_RAD) / PER_RAD
         )
-        times = np.array([(o.from_s, o.to_s) for o in objects]).reshape(-1, 2) / step_s
-        frame = replace(frame, source="objects.at_m")
-        frame.check(0, names, np.arange(len(objects)), boxes.xyz_m, boxes.yaw_rad, np.zeros(len(objects)))
-        return Placed(names, shape, boxes, *np.ceil(times - 1e-9).T)
+        times = np.array([(o.from_s, o.to_s) for o in objects] + [(0.0, np.inf)] * n_units).reshape(-1, 2) / step_s
+        frame = replace(frame, source="objects.at_m" if objects else "roadside.at")
+        frame.check(0, names, np.arange(len(names)), boxes.xyz_m, boxes.yaw_rad, np.zeros(len(names)))
+        from_step, to_step = np.ceil(times - 1e-9).T
+        return Placed(names, shape, boxes, from_step, to_step, is_unit)
 
 
 class WithObjects:
-    """A `TrafficSource` that adds objects to the worlds of another traffic source."""
+    """A `TrafficSource` that adds objects and roadside units to the worlds of another traffic source."""
 
     def __init__(self, traffic: TrafficSource, placed: Placed, registry: ActorRegistry, frame: Frame) -> None:
         self._traffic, self._placed, self._registry, self._frame = traffic, placed, registry, frame
@@ -117,10 +132,11 @@ class WithObjects:
         if not len(here):
             return world
         if len(new := here[self._number[here] < 0]):
-            names = [p.names[i] for i in new.tolist()]
-            self._number[new] = self._registry.register(
-                names, p.shape[new], p.boxes.lwh_m[new], world.step, may_be_equipped=False
-            )
+            for kind in (new[~p.is_unit[new]], new[p.is_unit[new]]):
+                self._number[kind] = self._registry.register(
+                    [p.names[i] for i in kind.tolist()], p.shape[kind], p.boxes.lwh_m[kind], world.step,
+                    equipped=bool(p.is_unit[kind].any()),
+                )  # fmt: skip
         here = here[np.argsort(self._number[here])]
         boxes = p.boxes.take(here)
         objects = world_of(
@@ -133,8 +149,11 @@ class WithObjects:
         self._traffic.command(actor, speed_mps)
 
     def report(self) -> dict[str, Any]:
-        """Counts of the traffic source, and the number of objects that were present."""
-        return self._traffic.report() | {"objects": int((self._number >= 0).sum())}
+        """Counts of the traffic source, the number of objects that were present, and the roadside units."""
+        p, present = self._placed, self._number >= 0
+        report = self._traffic.report() | {"objects": int((present & ~p.is_unit).sum())}
+        units = [p.names[i] for i in np.flatnonzero(p.is_unit).tolist()]
+        return report | ({"roadside": units} if units else {})
 
     def close(self) -> None:
         self._traffic.close()

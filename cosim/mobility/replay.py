@@ -18,8 +18,8 @@ from cosim.mobility.interpolation import LONGEST_S, interpolated
 from cosim.mobility.objects import PREFIX
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.remarks import FlowCounts
-from cosim.mobility.streetside import PARKED
 from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpers, world_of
+from cosim.mobility.streetside import PARKED
 from cosim.world import World
 from results.archive import open_run
 from results.run import Run

@@ -12,8 +12,9 @@ from cosim.mobility.frame import Bounds, Frame, origin_of
 from cosim.mobility.objects import ObjectParams, Placed, WithObjects
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.replay import RunReplay, TraceReplay
-from cosim.mobility.streetside import NO_TREES, ParkedParams, Streetside, TreeParams, with_trees
+from cosim.mobility.roadside import NO_UNITS, RoadsideUnits
 from cosim.mobility.source import TrafficSource
+from cosim.mobility.streetside import NO_TREES, ParkedParams, Streetside, TreeParams, with_trees
 from results.archive import open_run
 from results.durable import sha256
 from sensors.scene import Scene
@@ -55,8 +56,9 @@ class Scenario:
     def traffic(
         self, params: TrafficParams, registry: ActorRegistry, has_driver: bool = False,
         objects: Sequence[ObjectParams] = (), parked: Mapping[str, ObjectParams] | None = None,
+        units: RoadsideUnits = NO_UNITS,
     ) -> TrafficSource:  # fmt: skip
-        """Open the traffic source, and add the objects of the config and parked cars.
+        """Open the traffic source, and add the objects and the roadside units of the config, and parked cars.
 
         Parameters
         ----------
@@ -70,7 +72,7 @@ class Scenario:
         """
         source = f"traffic.scenario = {params.scenario}" if self.trace is None else f"traffic.trace = {self.trace}"
         frame = Frame(source, self.origin_m, self.bounds_m)
-        placed = Placed.of(objects, frame, params.step_s, parked)
+        placed = Placed.of(objects, frame, params.step_s, parked, units)
         found = self._moving(params, registry, frame, has_driver)
         return WithObjects(found, placed, registry, frame) if placed.names else found
 

@@ -46,6 +46,7 @@ def servers_of(config: Config) -> list[Server]:
         ("objects", config.objects, ((),)),
         ("weather", "clear" if config.weather.is_clear else "set", ("clear",)),
         ("parked.per_100_m", config.parked.per_100_m, (0.0,)),
+        ("roadside", "set" if config.roadside else "none", ("none",)),
         ("pseudonyms.policy", config.pseudonyms.policy, ("none",)),
         ("pseudonyms.revocation", config.pseudonyms.revocation, ("none",)),
     ):

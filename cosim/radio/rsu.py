@@ -1,8 +1,11 @@
-"""Roadside units: stations with fixed antennas, which receive, forward and broadcast, and have no sensors."""
+"""Antennas of the trust server at the roadside: stations that receive, forward and broadcast, and have no sensors.
+
+Roadside units that sense are those of `cosim.mobility.roadside`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -14,7 +17,7 @@ from cosim import rng
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RsuParams:
-    """Positions of roadside units. They share the vehicles' channel, power and rules of access."""
+    """Positions of the trust server's antennas. They share the vehicles' channel, power and rules of access."""
 
     at: tuple[tuple[float, float, float], ...] = ()
     """East and north in the network, and height of the antenna above the street, of each unit [m]."""
@@ -51,29 +54,23 @@ NO_RSUS = RsuAntennas(np.zeros((0, 3)), np.zeros(0, np.uint64), np.zeros(0))
 """No roadside units."""
 
 
-class Junction(Protocol):
-    """A junction as a possible site of a unit."""
+class Streets(Protocol):
+    """The network, as far as it matters for sites of antennas (`sumo_nets.network.Streets`)."""
 
-    @property
-    def xyz_m(self) -> tuple[float, float, float]: ...
-    @property
-    def n_lanes(self) -> int: ...
+    def check_inside(self, x: float, y: float, key: str) -> None: ...
+    def street_m(self, x: float, y: float) -> float: ...
+    def busiest(self, n: int, apart_m: float) -> Sequence[Any]: ...
 
 
-def place_rsus(
-    params: RsuParams, junctions: Sequence[Junction], bounds_m: tuple[float, float, float, float]
-) -> RsuAntennas:
+def place_rsus(params: RsuParams, streets: Streets) -> RsuAntennas:
     """Antennas of all roadside units.
 
     Parameters
     ----------
     params
         Where units stand.
-    junctions
-        Junctions of the network, in any order. Of two junctions with the same number of incoming lanes, the one
-        farther west, then farther south, is chosen first.
-    bounds_m
-        West, south, east and north end of the network [m].
+    streets
+        The network.
 
     Returns
     -------
@@ -86,36 +83,19 @@ def place_rsus(
     """
     if not params.at and not params.n_at_junctions:
         return NO_RSUS
-    west, south, east, north = bounds_m
     for i, (x, y, _) in enumerate(params.at):
-        if not (west <= x <= east and south <= y <= north):
-            raise ValueError(
-                f"rsu.at[{i}] = [{x:g}, {y:g}] m lies outside the network, which reaches from [{west:g}, {south:g}] "
-                f"to [{east:g}, {north:g}]. Longitude and latitude, not metres? Set rsu.at within it."
-            )
-    ground = np.array([j.xyz_m for j in junctions]).reshape(-1, 3)
-    ranked = sorted(range(len(junctions)), key=lambda i: (-junctions[i].n_lanes, *junctions[i].xyz_m))
-    taken: list[int] = []
-    for i in ranked:
-        if len(taken) == params.n_at_junctions:
-            break
-        if all(np.linalg.norm(ground[i, :2] - ground[j, :2]) >= params.apart_m for j in taken):
-            taken.append(i)
+        streets.check_inside(x, y, f"rsu.at[{i}]")
+    taken = streets.busiest(params.n_at_junctions, params.apart_m)
     if len(taken) < params.n_at_junctions:
         raise ValueError(
             f"rsu.n_at_junctions = {params.n_at_junctions}: the network has no more than {len(taken)} junctions that "
             f"are rsu.apart_m = {params.apart_m:g} m from each other. Set one of the two lower."
         )
-    xyz = [(x, y, _street_m(ground, x, y) + height) for x, y, height in params.at]
-    xyz += [(*ground[i, :2], ground[i, 2] + params.height_m) for i in taken]
+    xyz = [(x, y, streets.street_m(x, y) + height) for x, y, height in params.at]
+    xyz += [(j.xyz_m[0], j.xyz_m[1], j.xyz_m[2] + params.height_m) for j in taken]
     names = [f"rsu/{x:.2f}/{y:.2f}" for x, y, _ in xyz]  # a unit has the same key wherever it is listed
     if len(set(names)) < len(names):
         x, y, _ = next(xyz[i] for i, name in enumerate(names) if name in names[:i])
         raise ValueError(f"two roadside units stand at [{x:.2f}, {y:.2f}] m. Leave one of them out of rsu.at.")
     above_street_m = np.array([height for _, _, height in params.at] + [params.height_m] * len(taken))
     return RsuAntennas(np.array(xyz), np.array([rng.name_key(name) for name in names], np.uint64), above_street_m)
-
-
-def _street_m(ground: Float[ndarray, "j 3"], x: float, y: float) -> float:
-    """Height of the nearest junction [m]."""
-    return float(ground[np.argmin(np.hypot(ground[:, 0] - x, ground[:, 1] - y)), 2]) if len(ground) else 0.0

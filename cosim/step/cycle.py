@@ -109,7 +109,7 @@ def _cycle(
         cpm = stages.hear(cpm, exchange, positioned, listed, cpms, c)
     with watch("match"):
         inbox, known = s.inbox.known(exchange, listed, cpms, parts)
-        matched = stages.match_objects(exchange, known, positioned, c)
+        matched = stages.match_objects(exchange, known, positioned, parts)
     with watch("evaluate"):
         answers = stages.ask_sweeps(exchange, known, matched, positioned.observed, parts)
         if precomputed.sweeps_are_read is not None:

@@ -175,7 +175,10 @@ def stations_of(world: World, row: Int[ndarray, "v"], rsus: RsuAntennas, above_r
     xyz_m[: len(row), 2] += world.boxes.lwh_m[row, 2] / 2 + above_roof_m
     above_street_m = np.concatenate([world.boxes.lwh_m[row, 2] + above_roof_m, rsus.above_street_m])
     own = np.concatenate([row, np.full(len(rsus.key), -1)])
-    bodies = Bodies(world.boxes.xyz_m, world.boxes.lwh_m, world.boxes.yaw_rad, own)
+    lwh_m = world.boxes.lwh_m
+    if world.is_roadside.any():  # a mast obstructs no link
+        lwh_m = np.where(world.is_roadside[:, None], 0.0, lwh_m)
+    bodies = Bodies(world.boxes.xyz_m, lwh_m, world.boxes.yaw_rad, own)
     return Stations(key, xyz_m, len(row), above_street_m, bodies=bodies)
 
 

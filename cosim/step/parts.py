@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Int, UInt64
 from numpy import ndarray
 
 from cosim.adversary.adversary import Adversary
@@ -16,9 +16,11 @@ from cosim.door.guard import Guarded, construct, make
 from cosim.door.kinds import SECTIONS
 from cosim.door.load import Choice, Source
 from cosim.driver.driver import Driver
+from cosim.mobility.roadside import NO_UNITS, RoadsideUnits
 from cosim.mobility.schedule import Schedule
 from cosim.radio.medium import Medium
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
+from cosim.step.mixed_perception import MixedPerception
 from cosim.step.perception import Perceives, Perception
 from cosim.step.stopwatch import Stopwatch
 from cosim.step.trackers.encounters import NearPairs, PairSearch
@@ -55,11 +57,16 @@ class Parts:
     """Recall of the detector (`sensors.detector.KnowsRecall`); None unless denials are weighted by it."""
     coverage: Coverage | None = None
     """What a detector should find from another place; None unless evaluations are about missing objects."""
+    certified: UInt64[ndarray, "c"] = field(default_factory=lambda: np.zeros(0, np.uint64))
+    """Keys of the names of roadside units that are trusted by the class of their certificate."""
     watch: Stopwatch = field(default_factory=Stopwatch)
     """Measures how long each stage takes."""
 
     @staticmethod
-    def of(experiment: Config, city: Scene, rsus: RsuAntennas = NO_RSUS, watch: Stopwatch | None = None) -> "Parts":
+    def of(
+        experiment: Config, city: Scene, rsus: RsuAntennas = NO_RSUS, watch: Stopwatch | None = None,
+        units: RoadsideUnits = NO_UNITS,
+    ) -> "Parts":  # fmt: skip
         """Build the components that a config names.
 
         Raises
@@ -71,14 +78,14 @@ class Parts:
         dt_s = c.traffic.step_s
         walls = WallIndex.of(city.buildings)
         pseudonyms = Pseudonyms(_make(c, "pseudonyms"), c.seed, dt_s)
-        linkage = Linkage(c.pseudonyms, pseudonyms)
+        linkage, perception = Linkage(c.pseudonyms, pseudonyms), perception_of(c, city)
         return Parts(
             config=c,
             schedule=c.schedule,
             city=city,
             near_pairs=PairSearch.of(c.encounters, walls, c.lidar.mount_above_roof_m, city),
             rsus=rsus,
-            perception=perception_of(c, city),
+            perception=MixedPerception.of(perception, units) if len(units) else perception,
             adversary=Adversary.of(
                 c.attacks,
                 [_make(c, "attacks", n) for n in range(len(c.attacks))],
@@ -95,6 +102,7 @@ class Parts:
             driver=_make(c, "driver"),
             recall=recall_of(c) if c.trust.denials == "recall" else None,
             coverage=Coverage.of(c.lidar, walls, recall_of(c)) if "missing" in c.trust.evidence else None,
+            certified=units.name_key[units.trusted],
             watch=Stopwatch() if watch is None else watch,
         )
 

@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeVar
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Int, Int32, UInt16, UInt64
+from jaxtyping import Bool, Int, Int32, UInt8, UInt16, UInt64
 from numpy import ndarray
 
 from cosim import rng
@@ -37,8 +37,9 @@ GROUP, FEW = 128, 64
 class Observed:
     """What all equipped vehicles perceived in one step; `e` is their number."""
 
-    sweeps: lidar.RangeImages
-    """Valid until the next step, which overwrites their memory."""
+    sweeps: Any
+    """`RangeImages`, or `cosim.step.mixed_perception.MixedImages` where LiDARs differ. Valid until the next step, which
+    overwrites their memory."""
     observability: evidence.Observability
     detections: Detections
     """Self-reports and the detector's reports."""
@@ -61,6 +62,11 @@ class Seen:
         return Seen(
             replace(here, observer=here.observer + np.int32(n)), replace(found, observer=found.observer + np.int32(n))
         )
+
+    def renumbered(self, number: Int32[ndarray, "e"]) -> "Seen":
+        """The same with these numbers of the observers."""
+        here, found = self.observability, self.reports
+        return Seen(replace(here, observer=number[here.observer]), replace(found, observer=number[found.observer]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +94,15 @@ class Perceives(Protocol):
         """What the vehicles in these rows of the world perceive."""
         ...
 
-    def answers(self, sweeps: lidar.RangeImages, asked: BoxQuestions) -> BoxAnswers:
+    def answers(self, sweeps: Any, asked: BoxQuestions) -> BoxAnswers:
         """Answers of this step's sweeps about boxes; `sweeps` at their true or estimated positions."""
+        ...
+
+    def in_area(
+        self, sweeps: Any, o: Int[ndarray, "n"], boxes: Boxes, area: AreaParams, b: Int[ndarray, "n"],
+        label: UInt8[ndarray, "boxes"], own: Boxes,
+    ) -> Bool[ndarray, "n"]:  # fmt: skip
+        """As `sensors.evidence.in_evaluation_area`."""
         ...
 
 
@@ -116,6 +129,14 @@ class Perception:
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
         """What the vehicles in these rows of the world perceive."""
+        images, seen = self.perceive(world, observers, watch)
+        with watch("detect"):
+            return self.observed(world, observers, images, seen)
+
+    def perceive(
+        self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch
+    ) -> tuple[lidar.RangeImages, list[Seen]]:
+        """Range images of the vehicles in these rows of the world, and what groups of them saw."""
         rays = lidar.n_rays(self.lidar)
         range_steps = self._range_steps = lidar.buffer((len(observers), *rays), np.uint16, self._range_steps)
         with watch("sweep"):
@@ -143,10 +164,8 @@ class Perception:
                 found = list(threads.map(sense, begins[:-1], begins[1:]))
             for _, own in found:
                 watch.add(own, n_threads)
-        seen = [here for here, _ in found]
-        with watch("detect"):
-            images = lidar.range_images(world.boxes, observers, self.lidar, range_steps)
-            return self.observed(world, observers, images, seen)
+        images = lidar.range_images(world.boxes, observers, self.lidar, range_steps)
+        return images, [here for here, _ in found]
 
     def sense(
         self,
@@ -171,12 +190,19 @@ class Perception:
             evidence.plausible(sweeps, asked.testing, asked.boxes, asked.tested, asked.area),
         )
 
+    def in_area(
+        self, sweeps: lidar.RangeImages, o: Int[ndarray, "n"], boxes: Boxes, area: AreaParams, b: Int[ndarray, "n"],
+        label: UInt8[ndarray, "boxes"], own: Boxes,
+    ) -> Bool[ndarray, "n"]:  # fmt: skip
+        """As in `Perceives`."""
+        return evidence.in_evaluation_area(sweeps, o, boxes, area, b, label, own)
+
     def sweep(self, world: World, observers: Int[ndarray, "e"], memory: SweepMemory = NO_MEMORY) -> lidar.Sweeps:
         """Sweeps of the vehicles in these rows of the world, with what each ray hit, in new memory if none is given."""
         return swept(world, observers, self.city, self.lidar, self.weather, self.seed, memory)
 
     def observed(
-        self, world: World, observers: Int[ndarray, "e"], sweeps: lidar.RangeImages, parts: Sequence[Seen]
+        self, world: World, observers: Int[ndarray, "e"], sweeps: Any, parts: Sequence[Seen], sort: bool = False
     ) -> Observed:
         """Join the groups of observers. Detections do not contain the true actor; it is kept separately.
 
@@ -188,8 +214,12 @@ class Perception:
             Range images of all observers.
         parts
             What the groups saw, in the order of `observers`. Observers are numbered as rows of `observers`.
+        sort
+            Whether the groups are not in this order.
         """
         seen, found = _concat([part.observability for part in parts]), _concat([part.reports for part in parts])
+        if sort:
+            seen, found = _sorted(seen), _sorted(found)
         n = len(found.observer)
         sensed = Detections.perceived(
             observer=observers[found.observer],
@@ -200,7 +230,8 @@ class Perception:
             n_points=found.n_points,
             origin=np.full(n, SENSED, np.uint8),
         )
-        listed = [self_reports(world, observers), sensed] if self.self_reports else [sensed]
+        vehicles = observers[~world.is_roadside[observers]]
+        listed = [self_reports(world, vehicles), sensed] if self.self_reports else [sensed]
         return Observed(sweeps, seen, Detections.concat(listed), ~found.is_false_positive, found.actor)
 
     def draws(self, world: World, observers: Int[ndarray, "e"]) -> DetectorDraws:
@@ -237,6 +268,13 @@ def swept(
         reflectivity, dirt = rng.key(seed, rng.Stream.REFLECTIVITY), rng.key(seed, rng.Stream.DIRT)
         weaken(sweeps, weather, keys, world.name_key, reflectivity, dirt)
     return sweeps
+
+
+def _sorted(rows: _Rows) -> _Rows:
+    """The rows by observer; those of one observer stay in their order."""
+    order = np.argsort(rows.observer, kind="stable")
+    values: dict[str, Any] = {column.name: getattr(rows, column.name) for column in fields(rows)}
+    return replace(rows, **{name: v.take(order) for name, v in values.items()})
 
 
 def sweep_keys(seed: int, world: World, observers: Int[ndarray, "e"]) -> UInt64[ndarray, "e"]:

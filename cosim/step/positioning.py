@@ -70,13 +70,10 @@ def as_believed(observed: Observed, world: World, rows: Int[ndarray, "e"], error
     error
         As in `as_estimated`.
     """
-    sweeps, detections = observed.sweeps, observed.detections
+    detections = observed.detections
     true_m, of = world.boxes.xyz_m[rows], np.searchsorted(rows, detections.observer)
-    origin_m = sweeps.poses.origin_m.copy()
-    origin_m[:, :2] += error[:, :2]  # sensors stand above the centres of their vehicles
-    yaw_rad = wrap(sweeps.poses.yaw_rad + error[:, 2]) if error[:, 2].any() else sweeps.poses.yaw_rad
     return replace(
-        observed, sweeps=replace(sweeps, poses=replace(sweeps.poses, origin_m=origin_m, yaw_rad=yaw_rad)),
+        observed, sweeps=observed.sweeps.displaced(error),
         detections=replace(detections, boxes=as_estimated(detections.boxes, of, true_m, error)),
     )  # fmt: skip
 

@@ -44,7 +44,6 @@ from cosim.v2x.redundancy import Reports
 from cosim.v2x.trust_server import TrustBroadcast
 from cosim.world import World
 from sensors.boxes import overlapping_pairs, pairs_between
-from sensors.evidence import in_evaluation_area
 from sensors.tracking import Found, ObjectStates, Observers, TrackMemory, track
 from trust import tables
 from trust.claims import DETECTION, answers, claim_number
@@ -123,6 +122,8 @@ def position(
     if c.gnss.is_exact:
         return errors, Positioned(observed, world, None)
     errors, error = errors.next(world.step, vehicles.actor, vehicles.name_key, c.gnss, c.traffic.step_s, c.seed)
+    if c.roadside:  # where a unit stands is known
+        error = np.where(world.is_roadside[vehicles.row, None], 0.0, error)
     observed = as_believed(observed, world, vehicles.row[vehicles.senses], error[vehicles.senses])
     return errors, Positioned(observed, believed_world(world, vehicles.row, error), error)
 
@@ -429,12 +430,12 @@ class Matched:
     """Overlapping detections; rows of `Known`."""
 
 
-def match_objects(exchange: Exchange, messages: Known, positioned: Positioned, c: Config) -> Matched:
+def match_objects(exchange: Exchange, messages: Known, positioned: Positioned, parts: Parts) -> Matched:
     """Group the detections that each vehicle knows by overlap, so that each group is one object."""
-    objects, senders = messages.objects, exchange.senders
+    objects, senders, c = messages.objects, exchange.senders, parts.config
     pairs = _pairs(messages, int(messages.ptr[len(senders)]))
     known = received_lists(messages.received, messages.ptr, objects.transmitted, senders.source, senders.own)
-    inside = in_evaluation_area(
+    inside = parts.perception.in_area(
         positioned.observed.sweeps, known.of_member(), objects.boxes, c.area, known.member, objects.label,
         positioned.world.boxes.take(exchange.sensing.row),
     )  # fmt: skip
@@ -634,6 +635,9 @@ def beliefs_of(
         As `Positioned.error`.
     """
     assert fused is not None, "the acting variant is always fused"
+    driven = ~exchange.world.is_roadside[exchange.sensing.row[fused.ego]]
+    if not driven.all():  # roadside units do not drive
+        fused = fused.take(np.flatnonzero(driven))
     objects, message = messages.objects, messages.detections.message[fused.seed]
     boxes, pose = objects.boxes.take(fused.seed), objects.boxes.take(fused.pose)
     boxes = replace(boxes, xyz_m=pose.xyz_m, yaw_rad=pose.yaw_rad)

@@ -3,10 +3,10 @@
 As in `cosim.step.stages`, a stage returns the parts of the state that it changes before its result.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.radio.message_round import LinkReceptions, Receptions
@@ -23,9 +23,10 @@ from cosim.v2x.trust_server import LinkStats, TrustBroadcast
 from cosim.world import World
 from results.codes import TrustSource
 from results.encounters import Rows
+from trust.certified import upheld
 from trust.claims import claims_of_messages
 from trust.fusion import Fused, fuse, votes_of
-from trust.tables import Evaluations, FusionInput, ObjectLists, SenderTrust, TrustScores
+from trust.tables import EvaluationMessages, Evaluations, FusionInput, ObjectLists, SenderTrust, TrustScores
 
 
 def own_trust_of(
@@ -161,6 +162,7 @@ def update_trust(
     The state of trust, and counts of the reports to the server.
     """
     hosts, linkage, senders = parts.trust, parts.linkage, exchange.senders
+    to_server = _upheld(evaluated.sent, exchange.sender, exchange, parts)
     trust = _open_step(trust, exchange, listed, pseudonyms, parts)
     own, vehicle = linkage.messages(pseudonyms, evaluated.own_messages), exchange.sensing.actor
     trust = hosts.add_local(trust, own, vehicle, np.arange(len(vehicle)), of_others=False)
@@ -170,11 +172,25 @@ def update_trust(
     if parts.config.server.uplink == "cellular":
         xy_m = exchange.world.boxes.xyz_m[exchange.vehicles.row[senders.vehicle], :2]
         n_copies = None if exchange.sending is None else exchange.sending.n_reports[senders.vehicle]
-        sent = linkage.messages(pseudonyms, evaluated.sent)
+        sent = linkage.messages(pseudonyms, to_server)
         trust, up = hosts.report_by_cellular(
             trust, sent, senders.key, xy_m, exchange.now.evaluated_s, senders.is_valid, n_copies
         )
     return trust, up
+
+
+def _upheld(
+    messages: EvaluationMessages, sender: Int[ndarray, "v"], exchange: Exchange, parts: Parts
+) -> EvaluationMessages:
+    """What the server uses of these evaluations, each message with its `Exchange.sender`.
+
+    Roadside units are at the server's wire: it knows what they saw before it uses what others say of the same step.
+    """
+    if not len(parts.certified):
+        return messages
+    units = np.isin(exchange.vehicles.name_key, parts.certified)
+    is_certified = np.isin(sender >> 16, exchange.vehicles.actor[units])
+    return upheld(messages, is_certified, exchange.vehicles.pseudonym[units])
 
 
 def _open_step(
@@ -213,6 +229,7 @@ def _deliver(
     got = links.vehicles.take(row[links.vehicles.message] >= 0)
     trust = parts.trust.add_local(trust, sent, vehicles.actor[got.receiver], row[got.message])
     up = links.uplink.take(row[links.uplink.message] >= 0)
+    sent = parts.linkage.messages(pseudonyms, _upheld(carried.messages, carried.sender, exchange, parts))
     return parts.trust.report_by_rsu(trust, sent, row[up.message], carrier.begin_s + up.received_s)
 
 
@@ -251,6 +268,10 @@ def look_up(
     trust = parts.trust.receive(trust, exchange.vehicles.actor, now.fused_s)
     subject = parts.linkage.subjects(pseudonyms, messages.pseudonym)[used.message]
     found = parts.trust.lookup(trust, exchange.sensing.actor[used.receiver], subject, now.fused_s)
+    if len(parts.certified):
+        units = exchange.vehicles.pseudonym[np.isin(exchange.vehicles.name_key, parts.certified)]
+        is_unit = np.isin(messages.pseudonym[used.message], units)
+        found = [replace(of_host, trust=np.where(is_unit, 1.0, of_host.trust)) for of_host in found]
     if parts.config.pseudonyms.linkage == "own":
         received = _received_senders(exchange, listed, cpms.accepted.vehicles)
         known_senders = update_senders(

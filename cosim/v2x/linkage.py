@@ -9,7 +9,7 @@ References
 """
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -86,9 +86,7 @@ class Linkage:
         order = np.lexsort((subject, scores.holder))
         if (np.diff(order) == 1).all():
             return renamed
-        columns = {f.name: getattr(renamed, f.name) for f in fields(TrustScores) if f.name != "step"}
-        columns = {name: None if column is None else column[order] for name, column in columns.items()}
-        return replace(renamed, **columns)
+        return renamed.take(order)
 
     def accused(self, state: PseudonymState, reports: list[EvaluationMessages]) -> PseudonymState:
         """Count the accusations that have reached the server. Vehicles with enough of them are linked from then on.

@@ -376,6 +376,7 @@ class Pseudonyms:
         )
         changes = np.asarray(self.policy.changes(ages), bool)
         changes = ~new & (changes if wants is None else changes | wants)
+        changes &= ~world.is_roadside[observers]  # their certificates say who they are
         given_up = actor[changes]
         ended = PseudonymUse.of(
             state, state.current[given_up], given_up, state.since_step[given_up], state.seen_step[given_up]

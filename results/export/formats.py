@@ -11,6 +11,7 @@ from results.export.nuscenes import NuScenes
 from results.export.opv2v import Opv2v
 from results.export.osi import Osi
 from results.export.pcap import Pcap
+from results.export.reports import MisbehaviourReports
 from results.export.ros2 import Ros2Bag
 from results.export.trupercept import TruPerceptData
 from results.export.veremi import Veremi
@@ -39,5 +40,6 @@ class Exporter(Protocol):
 EXPORTERS: Mapping[str, Callable[[], Exporter]] = {
     "kitti": Kitti, "trupercept": TruPerceptData, "opv2v": Opv2v, "veremi": Veremi, "veremi-nextgen": VeremiNextGen,
     "pcap": Pcap, "mcap": Ros2Bag, "omega-prime": Osi, "nuscenes": NuScenes, "geoparquet": GeoParquet, "fcd": Fcd,
+    "reports": MisbehaviourReports,
 }  # fmt: skip
 """Exporters by name."""

@@ -73,15 +73,21 @@ BLOCK_STEPS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class Params:
-    """Which messages are written, and where the world's origin is, if the network has no projection."""
+class Place:
+    """Where the world's origin is, if the network has no projection."""
 
-    received: bool = False
-    """Whether one file per receiver is written instead of one file of all that was sent."""
     latitude: Annotated[float, Ge(-85), Le(85)] | None = None
     """Latitude of the world's origin [degrees]. If it is not set, the projection of the network is used."""
     longitude: Annotated[float, Ge(-180), Le(180)] | None = None
     """Longitude of the world's origin [degrees]. Set it together with `latitude`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Params(Place):
+    """Which messages are written, and where the world's origin is, if the network has no projection."""
+
+    received: bool = False
+    """Whether one file per receiver is written instead of one file of all that was sent."""
 
 
 class Pcap:
@@ -105,7 +111,7 @@ class Pcap:
         ValueError
             In one line: it is not known where on Earth the run is.
         """
-        packets = Packets(selection, self._projection(selection))
+        packets = Packets(selection, projection_of(self._params, selection))
         names = Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))]))
         if not self._params.received:
             sent = Unit("sent", lambda clouds: iter([File("sent.pcap", packets.sent)]))
@@ -115,21 +121,28 @@ class Pcap:
         units = [Unit(f"receivers {b[0]} to {b[-1]}", partial(packets.received, b)) for b in blocks]
         return Plan((*units, names), 0, 0, 2.0 * PACKET_BYTES * selection.run.n_rows("receptions"))
 
-    def _projection(self, selection: Selection) -> Projection:
-        at = (self._params.latitude, self._params.longitude)
-        if at[0] is not None and at[1] is not None:
-            return Projection(at[0], at[1])
-        if at != (None, None):
-            raise ValueError(
-                "pcap needs the latitude and the longitude of the origin: --set latitude=60.17 --set longitude=24.94"
-            )
-        try:
-            return selection.projection()
-        except ValueError as error:
-            raise ValueError(
-                f"{str(error).rstrip('.')}. Say where the world's origin is, as in "
-                "--set latitude=60.17 --set longitude=24.94"
-            ) from None
+
+def projection_of(at: Place, selection: Selection) -> Projection:
+    """The projection with the origin that is given, or that of the network.
+
+    Raises
+    ------
+    ValueError
+        In one line: it is not known where on Earth the run is.
+    """
+    if at.latitude is not None and at.longitude is not None:
+        return Projection(at.latitude, at.longitude)
+    if (at.latitude, at.longitude) != (None, None):
+        raise ValueError(
+            "packets need the latitude and the longitude of the origin: --set latitude=60.17 --set longitude=24.94"
+        )
+    try:
+        return selection.projection()
+    except ValueError as error:
+        raise ValueError(
+            f"{str(error).rstrip('.')}. Say where the world's origin is, as in "
+            "--set latitude=60.17 --set longitude=24.94"
+        ) from None
 
 
 @dataclass(frozen=True)
@@ -145,7 +158,7 @@ class Packets:
         mine = of[of.isin(list(self.selection.vehicles))].index.tolist()
         records = [pcap_header()]
         for at in range(0, len(self.selection.steps), BLOCK_STEPS):
-            for (step, _), frames in self._frames(self.selection.steps[at : at + BLOCK_STEPS], mine).items():
+            for (step, _), frames in self.frames(self.selection.steps[at : at + BLOCK_STEPS], mine).items():
                 time_s = START_S + step * self.selection.run.dt_s
                 records += [record(time_s, frame) for frame in frames]
         return b"".join(records)
@@ -166,16 +179,17 @@ class Packets:
         steps = self.selection.steps
         found: dict[tuple[int, int], list[bytes]] = {}
         for at in range(0, len(steps), BLOCK_STEPS):
-            found |= self._frames(steps[at : at + BLOCK_STEPS], None)
+            found |= self.frames(steps[at : at + BLOCK_STEPS], None)
         return found
 
-    def _frames(self, steps: Int[ndarray, "b"], observers: list[int] | None) -> dict[tuple[int, int], list[bytes]]:
+    def frames(self, steps: Int[ndarray, "b"], observers: list[int] | None) -> dict[tuple[int, int], list[bytes]]:
         """Frames of the messages of these pseudonyms (None: all) in these steps, by step and pseudonym."""
         where = pc.field("step").isin(steps.tolist())
         mine = where if observers is None else where & pc.field("observer").isin(observers)
         columns, key = [*BOX, "class", "score", "transmitted", "speed_mps", "acceleration_mps2"], list(KEY)
         listed = self.selection.run.table("detections", [*key, *columns], mine)
-        listed = listed[listed.transmitted].sort_values(key, ignore_index=True)
+        listed = listed[listed.transmitted & listed.observer.isin(self.selection.run.subjects.index)]
+        listed = listed.sort_values(key, ignore_index=True)
         if listed.empty:
             return {}
         if "tracks" in self.selection.run.tables:

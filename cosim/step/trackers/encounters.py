@@ -64,6 +64,7 @@ class PairSearch:
     def __call__(self, world: World) -> NearPairs:
         """Pairs of actors within the radius; pedestrians only if a definition includes them."""
         searched = np.full(len(world), self.pedestrians) | (world.shape != Shape.PEDESTRIAN)
+        searched &= ~world.is_roadside
         if self.equipped_only:
             searched &= world.equipped
         rows = np.flatnonzero(searched)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import shapely
 
-from cosim.mobility.streetside import PARKED, ParkedParams, Streetside, TreeParams
 from cosim.mobility.scenario import find
+from cosim.mobility.streetside import PARKED, ParkedParams, Streetside, TreeParams
 from results.archive import open_run
 from sensors.scene import Scene
 from sumo_nets.streetside import Kerb

@@ -29,8 +29,11 @@ def box(xyz, lwh, yaw):
     )
 
 
-def make(folder):
-    """Four steps: the car 0 and the truck 1 in all of them, the pedestrian 2 in the last two; 3 is a car behind."""
+def make(folder, **more):
+    """Four steps: the car 0 and the truck 1 in all of them, the pedestrian 2 in the last two; 3 is a car behind.
+
+    `more` are rows of further tables.
+    """
     car, truck, walker = (4.5, 1.8, 1.5), (10, 2.5, 3.5), (0.5, 0.5, 1.75)
     vehicles = [
         body(0, "car", car, "a/../../b"), body(1, "truck", truck, "<script>alert(1)</script>", role="malicious",
@@ -69,7 +72,7 @@ def make(folder):
     folder.mkdir(parents=True)
     return tiny.make(
         folder, 4, CONFIG, vehicles=vehicles, actors=actors, observability=observability, detections=detections,
-        receptions=receptions, trust=trust,
+        receptions=receptions, trust=trust, **more,
     )  # fmt: skip
 
 

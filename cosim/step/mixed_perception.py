@@ -1,0 +1,146 @@
+"""Perception of observers with different LiDARs: vehicles, and roadside units with sensors of their own."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8, UInt64
+from numpy import ndarray
+
+from cosim.mobility.roadside import RoadsideUnits
+from cosim.step.perception import BoxAnswers, BoxQuestions, Observed, Perception, Seen
+from cosim.step.stopwatch import Stopwatch
+from cosim.world import World
+from sensors import evidence, lidar
+from sensors.boxes import Boxes
+from sensors.evidence import AreaParams
+from sensors.lidar import LidarParams, ProfileName, RangeImages
+
+
+@dataclass(frozen=True, slots=True)
+class MixedImages:
+    """Range images of observers with different LiDARs."""
+
+    of_lidar: tuple[RangeImages, ...]
+    """Of the vehicles, then of the units of each sensor and height."""
+    lidar: Int[ndarray, "m"]
+    """LiDAR of each observer."""
+    row: Int[ndarray, "m"]
+    """Row of each observer among the images of its LiDAR."""
+
+    @property
+    def poses(self) -> lidar.Poses:
+        """Poses of the sensors of all observers."""
+        origin_m, yaw_rad = np.empty((len(self.lidar), 3)), np.empty(len(self.lidar))
+        for number, images in enumerate(self.of_lidar):
+            mine = self.lidar == number
+            origin_m[mine], yaw_rad[mine] = images.poses.origin_m, images.poses.yaw_rad
+        return lidar.Poses(origin_m, yaw_rad)
+
+    def displaced(self, error: Float[ndarray, "m 3"]) -> "MixedImages":
+        """As `RangeImages.displaced`."""
+        moved = [images.displaced(error[self.lidar == n]) for n, images in enumerate(self.of_lidar)]
+        return replace(self, of_lidar=tuple(moved))
+
+    def image(self, o: int) -> tuple[RangeImages, int]:
+        """The images in which that of observer o is, and its row among them."""
+        return self.of_lidar[int(self.lidar[o])], int(self.row[o])
+
+
+@dataclass(frozen=True, slots=True)
+class MixedPerception:
+    """The perception of the vehicles, and one for each sensor and height of roadside units."""
+
+    of_lidar: tuple[Perception, ...]
+    unit_key: UInt64[ndarray, "u"]
+    """Keys of the names of the units, ascending."""
+    lidar_of_unit: Int[ndarray, "u"]
+    """LiDAR of each unit, from 1 on."""
+    height_m: tuple[float, ...]
+    """Height of each LiDAR by which its evaluation area reaches farther down than a vehicle's; 0 for vehicles."""
+
+    @staticmethod
+    def of(vehicles: Perception, units: RoadsideUnits) -> "MixedPerception":
+        """The perception of vehicles and units."""
+        kinds = sorted(set(zip(units.sensor, units.height_m.tolist(), strict=True)))
+        order, keys = np.argsort(units.name_key), units.name_key
+        number = [1 + kinds.index(kind) for kind in zip(units.sensor, units.height_m.tolist(), strict=True)]
+        v = vehicles
+        made = [
+            Perception(v.city, lidar_of(v.lidar, sensor), v.detector, v.self_reports, v.seed, v.dt_s, v.weather)
+            for sensor, _ in kinds
+        ]
+        return MixedPerception(
+            (vehicles, *made), keys[order], np.array(number)[order], (0.0, *(height for _, height in kinds))
+        )
+
+    def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
+        """As in `Perceives`."""
+        of, row = np.zeros(len(observers), np.int64), np.zeros(len(observers), np.int64)
+        units = np.flatnonzero(world.is_roadside[observers])
+        of[units] = self.lidar_of_unit[np.searchsorted(self.unit_key, world.name_key[observers[units]])]
+        images: list[RangeImages] = []
+        seen: list[Seen] = []
+        for number, perception in enumerate(self.of_lidar):
+            mine = np.flatnonzero(of == number)
+            row[mine] = np.arange(len(mine))
+            found, parts = perception.perceive(world, observers[mine], watch)
+            images.append(found)
+            seen += [part.renumbered(mine.astype(np.int32)) for part in parts]
+        mixed = MixedImages(tuple(images), of, row)
+        return self.of_lidar[0].observed(world, observers, mixed, seen, sort=True)
+
+    def answers(self, sweeps: MixedImages, asked: BoxQuestions) -> BoxAnswers:
+        """As in `Perceives`."""
+        n_points, plausible = np.zeros(len(asked.counting), np.int32), np.ones(len(asked.testing), bool)
+        for number, perception in enumerate(self.of_lidar):
+            p, t = (np.flatnonzero(sweeps.lidar[by] == number) for by in (asked.counting, asked.testing))
+            counting, testing = (sweeps.row[by].astype(np.int32) for by in (asked.counting[p], asked.testing[t]))
+            area = self._area(asked.area, number)
+            mine = BoxQuestions(asked.boxes, area, counting, asked.counted[p], testing, asked.tested[t])
+            n_points[p], plausible[t] = perception.answers(sweeps.of_lidar[number], mine)
+            if number:
+                plausible[t] |= _below_the_beams(sweeps.of_lidar[number], testing, asked.boxes, asked.tested[t])
+        return n_points, plausible
+
+    def in_area(
+        self, sweeps: MixedImages, o: Int[ndarray, "n"], boxes: Boxes, area: AreaParams, b: Int[ndarray, "n"],
+        label: UInt8[ndarray, "boxes"], own: Boxes,
+    ) -> Bool[ndarray, "n"]:  # fmt: skip
+        """As in `Perceives`."""
+        inside = np.zeros(len(o), bool)
+        for number, images in enumerate(sweeps.of_lidar):
+            k, bodies = np.flatnonzero(sweeps.lidar[o] == number), own.take(np.flatnonzero(sweeps.lidar == number))
+            inside[k] = evidence.in_evaluation_area(
+                images, sweeps.row[o[k]], boxes, self._area(area, number), b[k], label, bodies
+            )
+        return inside
+
+    def _area(self, area: AreaParams, number: int) -> AreaParams:
+        """The evaluation area of a LiDAR: what stands on the street is below a mast, not beside it."""
+        return replace(area, height_m=area.height_m + self.height_m[number])
+
+
+def _below_the_beams(
+    images: RangeImages, o: Int[ndarray, "t"], boxes: Boxes, b: Int[ndarray, "t"]
+) -> Bool[ndarray, "t"]:
+    """Whether the middle of each box is lower than the lowest beam.
+
+    The free-space test takes a box without returns before it or in it for implausible. On a mast, the blind cone below
+    the beams is many metres wide, and nothing in it is tested.
+    """
+    away_m = boxes.xyz_m[b] - images.poses.origin_m[o]
+    return away_m[:, 2] < np.hypot(away_m[:, 0], away_m[:, 1]) * images.beams.tan_el[0]
+
+
+def lidar_of(vehicles: LidarParams, sensor: ProfileName) -> LidarParams:
+    """The LiDAR of a unit: another product on top of a mast, otherwise as on vehicles."""
+    beams: dict[str, Any] = dict.fromkeys(("elevation_deg", "n_azimuths", "fov_deg"))
+    return replace(vehicles, profile=sensor, mount_above_roof_m=0.0, **beams)
+
+
+def check_lidars(vehicles: LidarParams, sensors: Sequence[ProfileName]) -> None:
+    """Raise ValueError if a unit's LiDAR cannot be cast."""
+    for sensor in sensors:
+        lidar.beams(lidar_of(vehicles, sensor))

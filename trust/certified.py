@@ -1,0 +1,45 @@
+"""Evaluations by observers whose certificates say that they belong to an authority."""
+
+import numpy as np
+from jaxtyping import Bool, Int
+from numpy import ndarray
+
+from trust.open_steps import MAX_DETECTIONS
+from trust.tables import EvaluationMessages
+
+
+def upheld(
+    messages: EvaluationMessages, is_certified: Bool[ndarray, "v"], certified: Int[ndarray, "c"]
+) -> EvaluationMessages:
+    """The evaluations that count beside those of certified observers.
+
+    Parameters
+    ----------
+    messages
+        Evaluations of one step.
+    is_certified
+        Whether each message is of a certified observer.
+    certified
+        Pseudonyms of all certified observers.
+
+    Returns
+    -------
+    The messages without two kinds of evaluations: those of detections of certified observers, because their word is
+    taken; and those by others of a detection that a certified observer could see (visibility above 0) and evaluates
+    itself. What one certified observer says does not replace what another one says.
+
+    Notes
+    -----
+    The rule is ours. It is the hardest form of "known class of certificate": whoever can turn a server that adds up
+    evaluations cannot turn it where a certified observer looks. It says nothing about what none of them sees.
+    """
+    if not len(certified):
+        return messages
+    by_certified = np.repeat(is_certified, np.diff(messages.ptr))
+    key = messages.observer.astype(np.int64) * MAX_DETECTIONS + messages.detection_index
+    if messages.detection_step is not None:
+        _, step = np.unique(messages.detection_step, return_inverse=True)
+        key = np.unique(np.column_stack([step.reshape(-1), key]), axis=0, return_inverse=True)[1].reshape(-1)
+    decided = np.unique(key[by_certified & (messages.visibility > 0)])
+    keep = (by_certified | ~np.isin(key, decided)) & ~np.isin(messages.observer, certified)
+    return messages if keep.all() else messages.rows(keep)
