@@ -76,15 +76,15 @@ class Found(NamedTuple):
 
     evidence: law.Evidence
     since: Int[ndarray, "s"]
-    """Sensing step in which each subject came on the road."""
+    """Step in which each subject sensed first."""
     pair_steps: law.PairSteps
     pair_subject: Int[ndarray, "k"]
     """Subject of each pair of `pair_steps`."""
     meetings: law.Encounters
     first_lag: int
-    """Age in sensing steps from which on most reports are at the server."""
+    """Steps from an evaluation on after which most reports are at the server."""
     evaluated_p: float
-    """Chance that the subject of a lookup is evaluated in a step."""
+    """Chance that the newest detections of the subject of a lookup are evaluated."""
 
 
 def predicted(
@@ -107,7 +107,8 @@ def predicted(
     """
     evidence, first_lag = found.evidence, found.first_lag
     n_steps = evidence.log_none.shape[2]
-    interval_s, at_s, loss_p = config.sensing_interval_s, 2 * config.timeout_s, config.server.cellular.downlink_loss_p
+    schedule, at_s, loss_p = config.schedule, 2 * config.timeout_s, config.server.cellular.downlink_loss_p
+    interval_s, every = schedule.exchange_interval_s, schedule.longest_steps // schedule.exchange_every_steps
     age_s = at_s + interval_s * np.arange(n_steps + 1)
     if looks is None:
         none = np.zeros(n_steps + 1)
@@ -136,11 +137,11 @@ def predicted(
         "freshness.evaluators.mean": evaluators / known if known > 0 else float("nan"),
         "freshness.evaluations.mean": evaluations / known if known > 0 else float("nan"),
         "freshness.encounters_without_trust.share": law.without_trust(
-            evidence, found.meetings, gate, server.window_steps, loss_p, first_lag
+            evidence, found.meetings, gate, server.window_steps, loss_p
         ),
     }
     window = min(server.window_steps, n_steps)
-    closed = law.closed_form(found.evaluated_p, gate.period_steps, window, loss_p, at_s / 2, interval_s, n_steps + 1)
+    closed = law.closed_form(found.evaluated_p, gate.period_steps, window, loss_p, n_steps + 1, every)
     names = list(METRICS)[:2]
     return Prediction(
         variant=server.name, period_s=server.period_s, window_s=server.window_s, age_s=age_s, newest=counts.newest,

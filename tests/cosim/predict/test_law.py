@@ -71,7 +71,7 @@ def test_ages_and_evaluators_as_by_enumeration(seed):
     )
     assert found.n_unknown == pytest.approx(none, abs=1e-12)
     pair, at = (x.ravel() for x in np.meshgrid(np.arange(n_pairs), np.arange(n_steps)))
-    pairs = law.PairSteps(at, np.zeros(len(at), int), pair, log_none[pair, at], p[pair, at])
+    pairs = law.PairSteps(at, at, np.zeros(len(at), int), pair, log_none[pair, at], p[pair, at])
     got, n = law.behind(pairs, np.zeros(n_pairs, int), asked, window, 1)
     assert got == pytest.approx(evaluators) and n == pytest.approx(p.sum())
     assert got / found.newest.sum() == pytest.approx(evaluators / known)
@@ -111,12 +111,12 @@ def test_encounters_without_trust_by_hand():
     # The publication of step 4 (steps 1 to 3) counts at the start: known with 7/8. That of step 8 adds steps 4 to 7: it
     # brings the first evidence with 1/8 (1 - 1/16); then the lookups of steps 8 and 9 are missed with 1/4.
     want = 1 / 8 * (1 - 1 / 16) / 4 + 1 / 8 / 16
-    assert law.without_trust(evidence, meetings(5, 10, steps, [0.5] * 5), gate, 4, 0.0, 1) == pytest.approx(want)
+    assert law.without_trust(evidence, meetings(5, 10, steps, [0.5] * 5), gate, 4, 0.0) == pytest.approx(want)
     # A holder that came in step 5 has the publication of step 8 alone, with steps 5 to 7.
     want = (1 - 1 / 8) / 4 + 1 / 8
-    assert law.without_trust(evidence, meetings(5, 10, steps, [0.5] * 5, 5), gate, 4, 0.0, 1) == pytest.approx(want)
+    assert law.without_trust(evidence, meetings(5, 10, steps, [0.5] * 5, 5), gate, 4, 0.0) == pytest.approx(want)
     # No publication in the encounter of a holder that came with it.
-    assert law.without_trust(evidence, meetings(5, 8, steps[:3], [0.5] * 3, 5), gate, 4, 0.0, 1) == 1
+    assert law.without_trust(evidence, meetings(5, 8, steps[:3], [0.5] * 3, 5), gate, 4, 0.0) == 1
 
 
 @pytest.mark.parametrize(("q", "period", "loss_p"), [(1.0, 5, 0.0), (0.6, 1, 0.0), (0.3, 7, 0.2)])
@@ -133,7 +133,7 @@ def test_closed_form_as_simulated(q, period, loss_p):
         if held > 0 and held - last[held - 1] < window:
             ages.append(step - last[held - 1])
     want = np.bincount(ages, minlength=200)[:200] / len(ages)
-    got = law.closed_form(q, period, window, loss_p, 0.4, 1.0, 200)
+    got = law.closed_form(q, period, window, loss_p, 200)
     assert np.abs(np.cumsum(got) - np.cumsum(want)).max() < 0.01
     assert got.sum() == pytest.approx(1)
 
@@ -145,7 +145,7 @@ def test_closed_form_is_the_law_of_a_constant_chance():
     found = law.ages(
         evidence, looks(np.zeros(100, int), steps, steps - steps % period, np.ones(100)), window, np.zeros(1, int)
     )
-    got = law.closed_form(q, period, window, 0.0, 0.4, 1.0, n_steps + 1)
+    got = law.closed_form(q, period, window, 0.0, n_steps + 1)
     assert found.newest / found.newest.sum() == pytest.approx(got, abs=1e-7)
 
 
