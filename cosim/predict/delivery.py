@@ -157,9 +157,7 @@ class Delivery:
         power_dbm = 10 * np.log10(links.power_mw)
         strongest_dbm = power_dbm + 10 * np.log10(fading_quantiles()[links.fading, -1])
         near = np.flatnonzero(
-            sends[sender]
-            & (apart_m <= self.params.range_m)
-            & (strongest_dbm >= self.params.receiver.detectable_dbm)
+            sends[sender] & (apart_m <= self.params.range_m) & (strongest_dbm >= self.params.receiver.detectable_dbm)
         )
         sender, receiver = sender[near], links.receiver[near].astype(np.int64)
         power_dbm, fading = power_dbm[near], links.fading[near]

@@ -11,9 +11,10 @@ from cosim.config.config import Config
 from cosim.mobility.schedule import Schedule
 from cosim.predict import law
 from cosim.predict.delivery import Delivery, Links, Load, arrival_p
+from cosim.predict.draws import drawn
 from cosim.predict.newest import Received, Sweeps
 from cosim.predict.opportunities import Sensing, chances
-from cosim.predict.prediction import Found, Prediction, predicted
+from cosim.predict.prediction import Found, Prediction, counted, predicted
 from cosim.predict.scope import Server
 from cosim.radio.message_round import RoundKind
 from cosim.step.parts import Parts
@@ -117,7 +118,7 @@ class Fleet:
 
     def add(self, world: World) -> None:
         """Add one step of traffic."""
-        config, parts = self.config, self.parts
+        parts = self.parts
         world = self._equipped(world)
         closed, _, _ = update_encounters(self.trackers, world.step, parts.near_pairs(world))
         self.met += closed[:1]
@@ -184,10 +185,10 @@ class Fleet:
         late = self.step - subject_step[s]  # the evaluation is as much later than the detections
         n_late = (self.schedule.longest_steps - 1) // self.schedule.exchange_every_steps
         in_time_p = np.concatenate([np.zeros(n_late), self.arrived_p, np.full(n_late, self.arrived_p[-1])])
-        log_none = np.array([
-            np.bincount(s, np.log1p(-np.minimum(evaluated_p * in_time_p[n_late + lag - late], 1 - 1e-12)), len(subjects))
-            for lag in range(len(self.arrived_p) + n_late)
-        ])  # fmt: skip
+        log_none = np.zeros((len(self.arrived_p) + n_late, len(subjects)))
+        for lag, row in enumerate(log_none):
+            known_p = evaluated_p * in_time_p[n_late + lag - late]
+            row += np.bincount(s, np.log1p(-np.minimum(known_p, 1 - 1e-12)), len(subjects))
         self.evidence.append((subjects, subject_step, log_none))
         kept = np.flatnonzero(evaluated_p > _LEAST_P)
         self.pairs.append((
@@ -200,9 +201,7 @@ class Fleet:
         config, step, n = self.config, self.step, len(subjects)
         subject = np.searchsorted(subjects, heard.sender)
         self.asked.append((subjects, subject_step, np.bincount(subject, heard.p, n)))
-        near = np.flatnonzero(
-            heard.apart_m <= _MEETING * max((p.radius_m for p in config.encounters[:1]), default=0.0)
-        )
+        near = np.flatnonzero(heard.apart_m <= _MEETING * max((p.radius_m for p in config.encounters[:1]), default=0.0))
         pair = heard.receiver[near].astype(np.int64) << 32 | heard.sender[near]
         self.heard.append((pair, np.full(len(near), step), np.log1p(-np.minimum(heard.p[near], 1 - 1e-12))))
         since = np.array([self.since[one] for one in heard.receiver.tolist()], np.int64)
@@ -215,8 +214,8 @@ class Fleet:
             looks, none = law.expected_lookups(subject, since, heard.p, n, publications, received_p)
             self.looks.setdefault(period_s, []).append((np.full(n, step), subjects, publications, looks, none))
 
-    def predictions(self) -> tuple[list[Prediction], dict[str, float]]:
-        """The predictions for all servers, and measured inputs by name.
+    def predictions(self, n_draws: int) -> tuple[list[Prediction], list[list[dict[str, float]]], dict[str, float]]:
+        """The predictions for all servers, the metrics of runs drawn from them, and measured inputs by name.
 
         Raises
         ------
@@ -246,11 +245,15 @@ class Fleet:
         inputs = self._inputs(actors, log_none[-1])
         looks = {period_s: self._looks_of(rows, actors) for period_s, rows in self.looks.items()}
         found = Found(evidence, since, pair_steps, pair_subject, meetings, self.first_lag, inputs["evaluated_p"])
-        made = [
-            predicted(server, self.config, found, self.gates[server.period_s], looks.get(server.period_s))
-            for server in self.servers
-        ]
-        return made, inputs
+        gates, loss_p = self.gates, self.config.server.cellular.downlink_loss_p
+        made = [predicted(of, self.config, found, gates[of.period_s], looks.get(of.period_s)) for of in self.servers]
+        runs: list[list[dict[str, float]]] = [[] for _ in self.servers]
+        random = np.random.default_rng(self.config.seed)
+        for _ in range(n_draws):
+            run = drawn(found, self.arrived_p, random)
+            for of, p, rows in zip(self.servers, made, runs, strict=True):
+                rows.append(counted(of, run, gates[of.period_s], looks.get(of.period_s), p.age_s, loss_p)[1])
+        return made, runs, inputs
 
     @property
     def first_lag(self) -> int:

@@ -234,29 +234,25 @@ def behind(
         Steps from an evaluation on after which it is at the server.
     """
     n_subjects = int(pair_subject.max(initial=-1)) + 1
-    by_publication: dict[int, ndarray] = {}
-    for i in range(looks.publication.shape[1]):
-        for b in np.unique(looks.publication[:, i]):
-            if b >= 0:
-                rows = looks.publication[:, i] == b
-                known = rows & (looks.subject < n_subjects)
-                weight = np.bincount(looks.subject[known], looks.n[known, i], n_subjects)
-                by_publication[int(b)] = by_publication.get(int(b), 0.0) + weight
+    publications, which = np.unique(looks.publication, return_inverse=True)
+    known = (looks.publication >= 0) & (looks.subject < n_subjects)[:, None]
+    cell = which.reshape(looks.publication.shape) * n_subjects + looks.subject[:, None]
+    weights = np.bincount(cell[known], looks.n[known], len(publications) * n_subjects).reshape(-1, n_subjects)
     log_none, n = np.zeros(len(pair_subject)), np.zeros(n_subjects)
     in_time = np.flatnonzero(found.made + first_lag < found.step + window_steps)
     orders = [in_time[np.argsort(step[in_time], kind="stable")] for step in (found.made + first_lag, found.step)]
     arrives, expires = (found.made + first_lag)[orders[0]], found.step[orders[1]] + window_steps
     done = [0, 0]
     evaluators = evaluations = 0.0
-    for b in sorted(by_publication):
+    for b, weight in zip(publications.tolist(), weights, strict=True):
         for k, (sign, when) in enumerate(((1.0, arrives), (-1.0, expires))):
             until = int(np.searchsorted(when, b, "right"))
             rows, done[k] = orders[k][done[k] : until], until
             np.add.at(log_none, found.pair[rows], sign * found.log_none[rows])
             n += sign * np.bincount(found.subject[rows], found.n[rows], n_subjects)
         each = np.bincount(pair_subject, -np.expm1(np.minimum(log_none, 0.0)), n_subjects)
-        evaluators += float(by_publication[b] @ each)
-        evaluations += float(by_publication[b] @ n)
+        evaluators += float(weight @ each)
+        evaluations += float(weight @ n)
     return evaluators, evaluations
 
 
@@ -278,9 +274,7 @@ class Encounters(NamedTuple):
     """Logarithm of the probability that it does not."""
 
 
-def without_trust(
-    evidence: Evidence, meetings: Encounters, gate: Gate, window_steps: int, loss_p: float
-) -> float:
+def without_trust(evidence: Evidence, meetings: Encounters, gate: Gate, window_steps: int, loss_p: float) -> float:
     """Share of encounters that end before the holder knows trust in the other, equation (8).
 
     Parameters
