@@ -16,7 +16,7 @@ _CERTAIN = -50.0
 
 
 def drawn(found: Found, arrived_p: Float[ndarray, "m"], random: np.random.Generator) -> Found:
-    """The evaluations of one run: each pair of evaluator and subject is drawn in each step, and when its report arrives.
+    """The evaluations of one run: draws of each pair of evaluator and subject in each step, and of delays.
 
     Parameters
     ----------

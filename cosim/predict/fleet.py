@@ -158,9 +158,8 @@ class Fleet:
         s, v = np.searchsorted(subjects, told.sender), np.searchsorted(subjects, told.receiver)
         found = chances(self.sweeps.views, s, v, config.trust.self_reports)
         evaluated_p = told.p * (1.0 - found.none_p)
-        n_listed = np.bincount(np.searchsorted(actor, told.receiver), told.p * found.n_listed, n)[mine]
-        n_listed += n_self + views.n_listed
-        length_bytes[mine] = evaluation_bytes(n_listed)  # type: ignore[arg-type]  # expected lengths
+        n_received = np.bincount(np.searchsorted(actor, told.receiver), told.p * found.n_listed, n)[mine]
+        length_bytes[mine] = evaluation_bytes(n_self + views.n_listed + n_received)  # type: ignore[arg-type]  # expected lengths
         begin_s += config.timeout_s
         heard_p = self.load.delivered_p(RoundKind.EVALUATION, step, begin_s, links, length_bytes)
         self.reports = self.reports.then(self._received(world, row, links, heard_p), actor[mine], actor)
