@@ -10,6 +10,7 @@ from cosim import rng
 from cosim.config.config import Config
 from cosim.mobility.schedule import Schedule
 from cosim.predict import law
+from cosim.predict.closed_form import Company
 from cosim.predict.delivery import Delivery, Links, Load, arrival_p
 from cosim.predict.draws import drawn
 from cosim.predict.newest import Received, Sweeps
@@ -233,17 +234,22 @@ class Fleet:
             )
         actors = np.array(sorted(self.since), np.int64)
         log_none = np.zeros((len(self.evidence[0][2]), len(actors), self.step))
-        since = np.full(len(actors), self.step)
+        sent, asked = np.zeros((2, len(actors), self.step))
         for actor, step, values in self.evidence:
             row = np.searchsorted(actors, actor)
             log_none[:, row, step] += values
-            since[row] = np.minimum(since[row], step)
+            sent[row, step] = 1
+        for actor, step, n in self.asked:
+            asked[np.searchsorted(actors, actor), step] += n
+        since = np.where(sent.any(axis=1), sent.argmax(axis=1), self.step)
+        subject, step = np.nonzero(sent)
+        company = Company.measured(-np.expm1(log_none[-1, subject, step]), subject, asked[subject, step])
         evidence = law.Evidence(log_none)
         pair_steps, pair_subject = self._pair_steps(actors)
         meetings = self._meetings(actors)
-        inputs = self._inputs(actors, log_none[-1])
+        inputs = self._inputs(company, float(asked.sum()))
         looks = {period_s: self._looks_of(rows, actors) for period_s, rows in self.looks.items()}
-        found = Found(evidence, since, pair_steps, pair_subject, meetings, self.first_lag, inputs["evaluated_p"])
+        found = Found(evidence, since, pair_steps, pair_subject, meetings, self.first_lag, company)
         gates, loss_p = self.gates, self.config.server.cellular.downlink_loss_p
         made = [predicted(of, self.config, found, gates[of.period_s], looks.get(of.period_s)) for of in self.servers]
         runs: list[list[dict[str, float]]] = [[] for _ in self.servers]
@@ -259,21 +265,21 @@ class Fleet:
         """Steps from an evaluation's sweep after which most reports are at the server."""
         return 1 + int(np.argmax(self.arrived_p >= 0.5 * self.arrived_p[-1]))
 
-    def _inputs(self, actors: Int[ndarray, "s"], log_none: Float[ndarray, "s t"]) -> dict[str, float]:
+    def _inputs(self, company: Company, lookups: float) -> dict[str, float]:
         got = self.inputs
         sweeps, links = max(got["sweeps"], 1e-12), max(got["links"], 1e-12)
-        lookups = evaluated = 0.0
-        for actor, step, n in self.asked:
-            lookups += n.sum()
-            evaluated -= n @ np.expm1(log_none[np.searchsorted(actors, actor), step])
         return {
             "equipped.mean": got["equipped"] / self.step,
             "links_per_vehicle.mean": got["links"] / sweeps,
             "delivery.mean": got["delivered"] / links,
             "evaluators_per_step.mean": got["evaluators"] / sweeps,
-            "evaluated_p": float(evaluated / max(lookups, 1e-12)),
-            "evaluated_p.unweighted": float(-np.expm1(log_none).sum() / sweeps),
-            "lookups": float(lookups),
+            "evaluated_p": company.mean_p,
+            "in_company.share": company.looked_up,
+            "in_company.evaluated_p": company.p[0],
+            "in_company.ends_p": company.ends_p[0],
+            "alone.evaluated_p": company.p[1],
+            "alone.ends_p": company.ends_p[1],
+            "lookups": lookups,
         }
 
     def _looks_of(self, rows: list[tuple[ndarray, ...]], actors: ndarray) -> law.ExpectedLookups:

@@ -9,6 +9,7 @@ from numpy import ndarray
 
 from cosim.config.config import Config
 from cosim.predict import law
+from cosim.predict.closed_form import Company, closed_form
 from cosim.predict.scope import Server
 
 
@@ -75,8 +76,8 @@ class Found:
     meetings: law.Encounters
     first_lag: int
     """Steps from an evaluation on after which most reports are at the server."""
-    evaluated_p: float
-    """Chance that the newest detections of the subject of a lookup are evaluated."""
+    company: Company
+    """Chances of evaluation in the words of the closed form."""
 
 
 def predicted(
@@ -103,7 +104,7 @@ def predicted(
     age_s = at_s + interval_s * np.arange(n_steps + 1)
     counts, metrics = counted(server, found, gate, looks, age_s, loss_p)
     window = min(server.window_steps, n_steps)
-    closed = law.closed_form(found.evaluated_p, gate.period_steps, window, loss_p, n_steps + 1, every)
+    closed = closed_form(found.company, gate.period_steps, window, loss_p, n_steps + 1, every)
     names = list(METRICS)[:2]
     return Prediction(
         variant=server.name, period_s=server.period_s, window_s=server.window_s, age_s=age_s, newest=counts.newest,

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.predict import law
+from cosim.predict.closed_form import Company, closed_form
 
 
 def looks(subject, step, publication, n, none=0.0):
@@ -133,7 +134,7 @@ def test_closed_form_as_simulated(q, period, loss_p):
         if held > 0 and held - last[held - 1] < window:
             ages.append(step - last[held - 1])
     want = np.bincount(ages, minlength=200)[:200] / len(ages)
-    got = law.closed_form(q, period, window, loss_p, 200)
+    got = closed_form(Company.constant(q), period, window, loss_p, 200)
     assert np.abs(np.cumsum(got) - np.cumsum(want)).max() < 0.01
     assert got.sum() == pytest.approx(1)
 
@@ -145,7 +146,7 @@ def test_closed_form_is_the_law_of_a_constant_chance():
     found = law.ages(
         evidence, looks(np.zeros(100, int), steps, steps - steps % period, np.ones(100)), window, np.zeros(1, int)
     )
-    got = law.closed_form(q, period, window, 0.0, n_steps + 1)
+    got = closed_form(Company.constant(q), period, window, 0.0, n_steps + 1)
     assert found.newest / found.newest.sum() == pytest.approx(got, abs=1e-7)
 
 
