@@ -97,7 +97,7 @@ def closed_form(
             shift = phase + lost * period_steps
             if shift >= n_ages:
                 break
-            there = company.in_company(shift / sense_every_steps)
+            there = company.in_company((shift + (sense_every_steps + 1) / 2) / sense_every_steps)
             age[shift : shift + gaps.shape[1]] += (
                 (1 - loss_p) * loss_p**lost * (there * gaps[0] + (1 - there) * gaps[1])
             )
@@ -106,7 +106,7 @@ def closed_form(
 
 
 def _gaps(company: Company, state: int, window_steps: int, every: int) -> Float[ndarray, "w"]:
-    """Probability of W + n G for a subject in this state at the publication. What the window cuts is missing."""
+    """Probability of W + n G for a subject in this state at its last sweep. What the window cuts is missing."""
     p, ends = np.array(company.p), company.ends_p
     moves = np.array([[1 - ends[0], ends[0]], [ends[1], 1 - ends[1]]])
     gap = np.zeros(max(window_steps, every + 1))

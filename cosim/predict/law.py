@@ -296,40 +296,42 @@ def without_trust(evidence: Evidence, meetings: Encounters, gate: Gate, window_s
 
     Notes
     -----
-    Trust is known at the start, or at the first lookup after a publication that rests on an evaluation. The publication
-    before the start counts at the start, without a message.
+    Trust is known at the start, or at the first lookup after a publication that rests on an evaluation. Publications
+    before the start count at the start, without a message: the newest that was not lost.
     """
     if not len(meetings.subject):
         return float("nan")
     summed = np.concatenate([np.zeros((evidence.log_none.shape[1], 1)), np.cumsum(evidence.log_none[-1], 1)], axis=1)
-    total = _without_trust(evidence.log_none, summed, gate.steps, meetings, window_steps, loss_p)
+    total = _without_trust(evidence.log_none, summed, gate.steps, meetings, window_steps, loss_p, n_followed(loss_p))
     return float(total / len(meetings.subject))
 
 
 @compiled
-def _without_trust(log_none, summed, gate, meetings, window_steps, loss_p):
+def _without_trust(log_none, summed, gate, meetings, window_steps, loss_p, n_followed):
     total = 0.0
     for row in range(len(meetings.subject)):
         s, start, end = meetings.subject[row], meetings.start[row], meetings.end[row]
         last = np.searchsorted(gate, end - 1, "right") - 1
-        first = max(np.searchsorted(gate, start, "left") - 1, 0)
+        last_before = np.searchsorted(gate, start, "left") - 1
+        first = max(last_before - n_followed + 1, 0)
         while first <= last and gate[first] < meetings.holder_since[row]:
             first += 1
+        low = max(gate[min(max(first, last_before), len(gate) - 1)] - window_steps + 1, 0)
         never, before = 0.0, 1.0  # nothing known; no evidence in any publication so far
         for k in range(first, last + 1):
-            low = max(gate[first] - window_steps + 1, 0)
             high = max(gate[k] - len(log_none) + 1, low)  # what was sent before has arrived, or never will
             log_now = summed[s, high] - summed[s, low]
             for step in range(high, gate[k]):
                 log_now += log_none[gate[k] - step - 1, s, step]
             now = min(np.exp(log_now), before)
-            missed = loss_p
-            if gate[k] >= start:
+            missed = 1.0 if k > last_before else loss_p ** (last_before - k + 1)
+            since = max(k, last_before + 1)  # lookups from this publication on tell
+            if since <= last:
                 log_missed = 0.0
                 for q in range(meetings.first[row], meetings.stop[row]):
-                    if gate[k] <= meetings.lookup_step[q] < end:
+                    if gate[since] <= meetings.lookup_step[q] < end:
                         log_missed += meetings.log_missed[q]
-                missed = np.exp(log_missed * (1.0 - loss_p))
+                missed *= np.exp(log_missed * (1.0 - loss_p))
             never += (before - now) * missed
             before = now
         total += never + before
