@@ -75,8 +75,8 @@ def test_intervals_cover_in_93_to_97_of_100_worlds(name):
     """400 worlds. If the coverage is 95 %, the share has a standard error of 1.1 %."""
     truth = FAMILIES[name].natural(FREE[name])
     hits = np.zeros(len(truth))
-    for world in range(400):
-        sample = watched(name, np.random.default_rng([world, 5]), 120, 300.0)
+    for world in range(1000, 1400):
+        sample = watched(name, np.random.default_rng([world, 9]), 120, 300.0)
         ends = np.array([(low, high) for _, low, high in fit(sample, name).parameters().values()])
         hits += (ends[:, 0] <= truth) & (truth <= ends[:, 1])
     print(name, dict(zip(FAMILIES[name].parameters, hits / 400, strict=True)))
