@@ -38,9 +38,9 @@ def freshness(
         list[str] | None, typer.Option("--set", help="Change one key of the config, e.g. fleet.penetration_p=0.2.")
     ] = None,
     fleets: Annotated[
-        int | None,
-        typer.Option(min=0, max=100, help="Other fleets for the intervals. 4 by default; none for a study."),
-    ] = None,
+        int,
+        typer.Option(min=0, max=100, help="Other fleets, for intervals of a run with another seed."),
+    ] = 0,
     out: Annotated[Path | None, typer.Option(help="File to write: the predictions as JSON, with their date.")] = None,
     grid: Annotated[
         Path | None, typer.Option(help="Study file to write: a grid that the prediction chooses, for `cosim sweep`.")
@@ -69,14 +69,14 @@ def freshness(
     found: list[tuple[Any, Prediction]]
     with progress() as advance:
         if study is not None:
-            found = list(predict_study(study, str(config), advance, fleets or 0))
+            found = list(predict_study(study, str(config), advance, fleets))
             neglected: list[str] = []
         else:
             experiment = load(config, overrides, trust_code)
             if grid is not None:
                 _write_grid(experiment, grid, advance)
                 return
-            of, inputs = predicted(experiment, advance, 4 if fleets is None else fleets)
+            of, inputs = predicted(experiment, advance, fleets)
             found, neglected = [({}, p) for p in of], left_out(experiment)
     measured = None if against is None else measured_in(against, found)
     if out is not None:

@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.special import gammainc
 
@@ -79,9 +79,9 @@ class Load:
         links
             Links of the step.
         length_bytes
-            Expected length of each vehicle's message.
+            Expected length of each vehicle's message; 0 for those that send none.
         """
-        p, length = links.delivered_p(length_bytes), _whole(length_bytes)
+        p, length = links.delivered_p(length_bytes), np.where(length_bytes > 0, _whole(length_bytes), 0)
         many = np.minimum(np.log2(segments(length)[0]), _LENGTHS - 1).astype(np.int64)
         of = links.crowd * _LENGTHS + many[links.sender]
         if number % _SAMPLE_EVERY < _SAMPLE_STEPS:
@@ -131,16 +131,18 @@ class Delivery:
             )
         return Delivery(config.radio, config.seed, los)
 
-    def links(self, world: World, row: Int[ndarray, "e"]) -> Links:
-        """Links between the vehicles in these rows of the world."""
+    def links(self, world: World, row: Int[ndarray, "e"], sends: Bool[ndarray, "e"] | None = None) -> Links:
+        """Links between the vehicles in these rows of the world, from those that send; None if all do."""
         stations = stations_of(world, row, NO_RSUS, self.params.antenna_above_roof_m)
+        sends = np.ones(len(row), bool) if sends is None else sends
         if self.params.model == "unit_disk":
             sender, receiver, _ = link_budget.neighbours(stations.xyz_m[:, :2], self.params.range_m)
+            sender, receiver = sender[sends[sender]], receiver[sends[sender]]
             p = np.full(len(sender), 1.0 - self.params.unit_disk.loss_p)
             return Links(sender, receiver, lambda length: p, np.zeros(len(sender), np.int64), stations)
-        return self._csma(stations)
+        return self._csma(stations, sends)
 
-    def _csma(self, stations: Stations) -> Links:
+    def _csma(self, stations: Stations, sends: Bool[ndarray, "e"]) -> Links:
         """Links of the medium `csma`: path loss, shadowing and blockage are those of the run, fading is averaged.
 
         `Load` adds the effect of other frames on the channel.
@@ -154,7 +156,9 @@ class Delivery:
         apart_m = np.hypot(*(xyz_m[sender, :2] - xyz_m[links.receiver, :2]).T)
         power_dbm = 10 * np.log10(links.power_mw)
         strongest_dbm = power_dbm + 10 * np.log10(fading_quantiles()[links.fading, -1])
-        near = np.flatnonzero((apart_m <= self.params.range_m) & (strongest_dbm >= self.params.receiver.detectable_dbm))
+        near = np.flatnonzero(
+            sends[sender] & (apart_m <= self.params.range_m) & (strongest_dbm >= self.params.receiver.detectable_dbm)
+        )
         sender, receiver = sender[near], links.receiver[near].astype(np.int64)
         power_dbm, fading = power_dbm[near], links.fading[near]
 

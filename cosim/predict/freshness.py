@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any, NamedTuple
 
 from cosim.config.config import Config
@@ -9,6 +10,7 @@ from cosim.execution import run as running
 from cosim.execution.check import check
 from cosim.execution.drive import Advance, warm_up
 from cosim.mobility.source import TrafficEnded
+from cosim.predict.draws import N_DRAWS
 from cosim.predict.fleet import Fleet
 from cosim.predict.prediction import Prediction, with_intervals
 from cosim.predict.scope import Server, server_of, servers_of
@@ -34,7 +36,7 @@ class Predicted(NamedTuple):
     """Measured inputs of the law, by name."""
 
 
-def predict(config: Config, advance: Advance, n_fleets: int = 4) -> Predicted:
+def predict(config: Config, advance: Advance, n_fleets: int = 0) -> Predicted:
     """Predict freshness for every trust variant of a config.
 
     Parameters
@@ -44,7 +46,8 @@ def predict(config: Config, advance: Advance, n_fleets: int = 4) -> Predicted:
     advance
         Called with progress.
     n_fleets
-        Number of further fleets, drawn with other seeds from the same traffic, for the intervals.
+        Number of further fleets, drawn with other seeds from the same traffic. The intervals are those of a run with
+        another seed then, and otherwise of a run with this one.
 
     Raises
     ------
@@ -116,13 +119,17 @@ def _of_traffic(experiments: Sequence[Experiment], advance: Advance, n_fleets: i
                 fleet.add(world)
     finally:
         traffic.close()
-    return [_joined([fleet.predictions() for fleet in of_experiment]) for of_experiment in fleets]
+    return [_joined(of_experiment) for of_experiment in fleets]
 
 
-def _joined(found: Sequence[tuple[list[Prediction], dict[str, float]]]) -> Predicted:
-    """The predictions of the first fleet, with intervals from all."""
-    by_server = zip(*(predictions for predictions, _ in found), strict=True)
-    return Predicted([with_intervals(of[0], of[1:]) for of in by_server], found[0][1])
+def _joined(fleets: Sequence[Fleet]) -> Predicted:
+    """The predictions of the first fleet, with intervals from runs of all fleets in turn."""
+    found = [fleet.predictions(len(range(k, N_DRAWS, len(fleets)))) for k, fleet in enumerate(fleets)]
+    made, _, inputs = found[0]
+    by_server = zip(*(runs for _, runs, _ in found), strict=True)
+    return Predicted(
+        [with_intervals(p, list(chain.from_iterable(runs))) for p, runs in zip(made, by_server, strict=True)], inputs
+    )
 
 
 def _worlds(config: Config, parts: Parts, scenario: Any, traffic: Any, advance: Advance) -> Iterator[World]:

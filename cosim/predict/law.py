@@ -1,7 +1,8 @@
 """The law of freshness: from chances of evaluation to the ages and states that lookups find.
 
-The derivation, with numbered equations and assumptions, is the page `models/freshness-law`. Time is counted in sensing
-steps of length D. A step has two rounds of messages of length r.
+The derivation, with numbered equations and assumptions, is the page `models/freshness-law`. Time is counted in
+steps of length D, those in which any vehicle may sense. A step has two rounds of messages of length r. Vehicles that
+sense at random phases do so in every n-th step; evidence has the step of the detections that were evaluated.
 """
 
 from bisect import bisect_right
@@ -134,7 +135,7 @@ class AgeCounts(NamedTuple):
     n_unknown: float
     """Lookups that find a publication in which no evaluation of the subject counts."""
     n_unseen: float
-    """Those of them whose subject was on the road in a step whose evidence counts: it had sent detections."""
+    """Those of them whose subject had sent detections in a step whose evidence counts."""
 
 
 def ages(evidence: Evidence, looks: ExpectedLookups, window_steps: int, since: Int[ndarray, "s"]) -> AgeCounts:
@@ -149,7 +150,7 @@ def ages(evidence: Evidence, looks: ExpectedLookups, window_steps: int, since: I
     window_steps
         Evidence of this age, or older, does not count when the server publishes.
     since
-        Step in which each subject came on the road.
+        Step in which each subject sensed first.
 
     Notes
     -----
@@ -200,10 +201,12 @@ def _ages(none_p, lag_class, since, subject, step, publication, n, out):
 
 
 class PairSteps(NamedTuple):
-    """Chances that an evaluator evaluates a subject in a step, and the evaluation reaches the server."""
+    """Chances that an evaluator evaluates the detections of a subject, and the evaluation reaches the server."""
 
     step: Int[ndarray, "q"]
-    """Ascending."""
+    """Step of the detections."""
+    made: Int[ndarray, "q"]
+    """Step of the evaluation."""
     subject: Int[ndarray, "q"]
     pair: Int[ndarray, "q"]
     """Number of the pair of evaluator and subject."""
@@ -228,30 +231,28 @@ def behind(
     window_steps
         As for `ages`.
     first_lag
-        Age in steps from which on evaluations are at the server.
+        Steps from an evaluation on after which it is at the server.
     """
     n_subjects = int(pair_subject.max(initial=-1)) + 1
-    by_publication: dict[int, ndarray] = {}
-    for i in range(looks.publication.shape[1]):
-        for b in np.unique(looks.publication[:, i]):
-            if b >= 0:
-                rows = looks.publication[:, i] == b
-                known = rows & (looks.subject < n_subjects)
-                weight = np.bincount(looks.subject[known], looks.n[known, i], n_subjects)
-                by_publication[int(b)] = by_publication.get(int(b), 0.0) + weight
+    publications, which = np.unique(looks.publication, return_inverse=True)
+    known = (looks.publication >= 0) & (looks.subject < n_subjects)[:, None]
+    cell = which.reshape(looks.publication.shape) * n_subjects + looks.subject[:, None]
+    weights = np.bincount(cell[known], looks.n[known], len(publications) * n_subjects).reshape(-1, n_subjects)
     log_none, n = np.zeros(len(pair_subject)), np.zeros(n_subjects)
-    begin = end = 0
+    in_time = np.flatnonzero(found.made + first_lag < found.step + window_steps)
+    orders = [in_time[np.argsort(step[in_time], kind="stable")] for step in (found.made + first_lag, found.step)]
+    arrives, expires = (found.made + first_lag)[orders[0]], found.step[orders[1]] + window_steps
+    done = [0, 0]
     evaluators = evaluations = 0.0
-    for b in sorted(by_publication):
-        stop = int(np.searchsorted(found.step, b - first_lag, "right"))
-        start = int(np.searchsorted(found.step, b - window_steps, "right"))
-        for sign, rows in ((1.0, slice(end, stop)), (-1.0, slice(begin, min(start, stop)))):
+    for b, weight in zip(publications.tolist(), weights, strict=True):
+        for k, (sign, when) in enumerate(((1.0, arrives), (-1.0, expires))):
+            until = int(np.searchsorted(when, b, "right"))
+            rows, done[k] = orders[k][done[k] : until], until
             np.add.at(log_none, found.pair[rows], sign * found.log_none[rows])
             n += sign * np.bincount(found.subject[rows], found.n[rows], n_subjects)
-        begin, end = min(start, stop), max(end, stop)
         each = np.bincount(pair_subject, -np.expm1(np.minimum(log_none, 0.0)), n_subjects)
-        evaluators += float(by_publication[b] @ each)
-        evaluations += float(by_publication[b] @ n)
+        evaluators += float(weight @ each)
+        evaluations += float(weight @ n)
     return evaluators, evaluations
 
 
@@ -261,9 +262,9 @@ class Encounters(NamedTuple):
     holder_since: Int[ndarray, "n"]
     subject: Int[ndarray, "n"]
     start: Int[ndarray, "n"]
-    """First sensing step."""
+    """First step."""
     end: Int[ndarray, "n"]
-    """One past the last sensing step."""
+    """One past the last step."""
     first: Int[ndarray, "n"]
     """First row of `lookup_step` that belongs to the two."""
     stop: Int[ndarray, "n"]
@@ -273,9 +274,7 @@ class Encounters(NamedTuple):
     """Logarithm of the probability that it does not."""
 
 
-def without_trust(
-    evidence: Evidence, meetings: Encounters, gate: Gate, window_steps: int, loss_p: float, first_lag: int
-) -> float:
+def without_trust(evidence: Evidence, meetings: Encounters, gate: Gate, window_steps: int, loss_p: float) -> float:
     """Share of encounters that end before the holder knows trust in the other, equation (8).
 
     Parameters
@@ -286,8 +285,8 @@ def without_trust(
         Encounters.
     gate
         When the server publishes.
-    window_steps, first_lag
-        As for `behind`.
+    window_steps
+        As for `ages`.
     loss_p
         Probability that a vehicle misses a publication.
 
@@ -297,36 +296,42 @@ def without_trust(
 
     Notes
     -----
-    Trust is known at the start, or at the first lookup after a publication that rests on an evaluation. The publication
-    before the start counts at the start, without a message.
+    Trust is known at the start, or at the first lookup after a publication that rests on an evaluation. Publications
+    before the start count at the start, without a message: the newest that was not lost.
     """
     if not len(meetings.subject):
         return float("nan")
     summed = np.concatenate([np.zeros((evidence.log_none.shape[1], 1)), np.cumsum(evidence.log_none[-1], 1)], axis=1)
-    return float(_without_trust(summed, gate.steps, meetings, window_steps, loss_p, first_lag) / len(meetings.subject))
+    total = _without_trust(evidence.log_none, summed, gate.steps, meetings, window_steps, loss_p, n_followed(loss_p))
+    return float(total / len(meetings.subject))
 
 
 @compiled
-def _without_trust(summed, gate, meetings, window_steps, loss_p, first_lag):
+def _without_trust(log_none, summed, gate, meetings, window_steps, loss_p, n_followed):
     total = 0.0
     for row in range(len(meetings.subject)):
         s, start, end = meetings.subject[row], meetings.start[row], meetings.end[row]
         last = np.searchsorted(gate, end - 1, "right") - 1
-        first = max(np.searchsorted(gate, start, "left") - 1, 0)
+        last_before = np.searchsorted(gate, start, "left") - 1
+        first = max(last_before - n_followed + 1, 0)
         while first <= last and gate[first] < meetings.holder_since[row]:
             first += 1
+        low = max(gate[min(max(first, last_before), len(gate) - 1)] - window_steps + 1, 0)
         never, before = 0.0, 1.0  # nothing known; no evidence in any publication so far
         for k in range(first, last + 1):
-            low = max(gate[first] - window_steps + 1, 0)
-            high = max(gate[k] - first_lag + 1, low)
-            now = min(np.exp(summed[s, high] - summed[s, low]), before)
-            missed = loss_p
-            if gate[k] >= start:
+            high = max(gate[k] - len(log_none) + 1, low)  # what was sent before has arrived, or never will
+            log_now = summed[s, high] - summed[s, low]
+            for step in range(high, gate[k]):
+                log_now += log_none[gate[k] - step - 1, s, step]
+            now = min(np.exp(log_now), before)
+            missed = 1.0 if k > last_before else loss_p ** (last_before - k + 1)
+            since = max(k, last_before + 1)  # lookups from this publication on tell
+            if since <= last:
                 log_missed = 0.0
                 for q in range(meetings.first[row], meetings.stop[row]):
-                    if gate[k] <= meetings.lookup_step[q] < end:
+                    if gate[since] <= meetings.lookup_step[q] < end:
                         log_missed += meetings.log_missed[q]
-                missed = np.exp(log_missed * (1.0 - loss_p))
+                missed *= np.exp(log_missed * (1.0 - loss_p))
             never += (before - now) * missed
             before = now
         total += never + before
@@ -339,50 +344,3 @@ def quantile(age_s: Float[ndarray, "n"], weight: Float[ndarray, "n"], share: flo
     if not len(total) or total[-1] <= 0:
         return float("nan")
     return float(age_s[min(int(np.searchsorted(total, share * total[-1] * (1 - 1e-12))), len(age_s) - 1)])
-
-
-def closed_form(
-    evaluated_p: float, period_steps: int, window_steps: int, loss_p: float, round_s: float, interval_s: float,
-    n_ages: int,
-) -> Float[ndarray, "n"]:  # fmt: skip
-    """Distribution of the age of the newest evaluation for one constant chance of evaluation, equation (9).
-
-    Parameters
-    ----------
-    evaluated_p
-        Probability q that a subject is evaluated in a step and the evaluation reaches the server by the next one.
-    period_steps
-        Server period, in steps.
-    window_steps
-        Window, in steps.
-    loss_p
-        Probability that a vehicle misses a publication.
-    round_s, interval_s
-        Length of a round and of a step [s]; they give the ages, 2 r + a D for a = 0, 1, ...
-    n_ages
-        Number of ages.
-
-    Returns
-    -------
-    Probability of the age 2 r + a D, by a, given that there is an evaluation in the window.
-
-    Notes
-    -----
-    The age is 2 r + D (U + M L + 1 + G): U is uniform on 0 ... M - 1, the phase of the server period of M steps; L is
-    geometric, publications lost in a row; G is geometric, steps without evaluation, cut off at the window.
-    """
-    miss = 1.0 - evaluated_p
-    lag = np.arange(max(1, window_steps - 1))
-    gap = evaluated_p * miss**lag
-    if gap.sum() <= 0:
-        return np.zeros(n_ages)
-    age = np.zeros(n_ages)
-    phase = np.full(period_steps, 1.0 / period_steps)
-    both = np.convolve(phase, gap / gap.sum())
-    n_lost = n_followed(loss_p)
-    for lost in range(n_lost):
-        weight = (1 - loss_p) * loss_p**lost
-        at = 1 + lost * period_steps + np.arange(len(both))
-        keep = at < n_ages
-        age[at[keep]] += weight * both[keep]
-    return age / age.sum() if age.sum() > 0 else age

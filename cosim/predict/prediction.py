@@ -1,8 +1,7 @@
 """The predicted metrics of one trust server, from what a replay of the traffic has found."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -10,8 +9,8 @@ from numpy import ndarray
 
 from cosim.config.config import Config
 from cosim.predict import law
+from cosim.predict.closed_form import Company, closed_form
 from cosim.predict.scope import Server
-from results.metrics.intervals import around
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +29,7 @@ class Prediction:
     metrics: dict[str, float]
     """Values by the identifier of the metric of a run (`cosim measure`), with the state after a colon."""
     low: dict[str, float] = field(default_factory=dict)
-    """Lower end of the interval for a run with another fleet; empty if no other fleet was drawn."""
+    """Lower end of the 95 % interval for one run."""
     high: dict[str, float] = field(default_factory=dict)
     closed: dict[str, float] = field(default_factory=dict)
     """Median and 90th percentile by the closed form."""
@@ -53,44 +52,38 @@ METRICS = {
 """Predicted metrics and their labels."""
 
 
-def with_intervals(own: Prediction, others: Sequence[Prediction]) -> Prediction:
-    """Intervals that a run with another fleet falls into with 95 %, from the spread over fleets."""
-    if not others:
-        return own
+def with_intervals(own: Prediction, runs: Sequence[Mapping[str, float]]) -> Prediction:
+    """The prediction with the range of drawn runs, given the metrics of each."""
     low, high = {}, {}
     for name, value in own.metrics.items():
-        values = np.array([value, *(other.metrics[name] for other in others)])
+        values = np.array([run[name] for run in runs])
         values = values[np.isfinite(values)]
-        if len(values) < 2 or not np.isfinite(value):
-            continue
-        error = float(np.std(values, ddof=1) * np.sqrt(1 + 1 / len(values)))
-        bounds = (0.0, 1.0) if ".share" in name else (0.0, np.inf)
-        given = around(float(values.mean()), error, len(values) - 1, bounds)
-        if np.isfinite([given.low, given.high]).all():
-            low[name], high[name] = given.low, given.high
+        if len(values) and np.isfinite(value):
+            low[name], high[name] = float(values.min()), float(values.max())
     return replace(own, low=low, high=high)
 
 
-class Found(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Found:
     """What a replay of the traffic has found about one fleet."""
 
     evidence: law.Evidence
     since: Int[ndarray, "s"]
-    """Sensing step in which each subject came on the road."""
+    """Step in which each subject sensed first."""
     pair_steps: law.PairSteps
     pair_subject: Int[ndarray, "k"]
     """Subject of each pair of `pair_steps`."""
     meetings: law.Encounters
     first_lag: int
-    """Age in sensing steps from which on most reports are at the server."""
-    evaluated_p: float
-    """Chance that the subject of a lookup is evaluated in a step."""
+    """Steps from an evaluation on after which most reports are at the server."""
+    company: Company
+    """Chances of evaluation in the words of the closed form."""
 
 
 def predicted(
     server: Server, config: Config, found: Found, gate: law.Gate, looks: law.ExpectedLookups | None
 ) -> Prediction:
-    """The prediction for one server.
+    """The prediction for one server, without intervals.
 
     Parameters
     ----------
@@ -105,17 +98,44 @@ def predicted(
     looks
         Expected lookups; None if there are no equipped vehicles.
     """
-    evidence, first_lag = found.evidence, found.first_lag
-    n_steps = evidence.log_none.shape[2]
-    interval_s, at_s, loss_p = config.sensing_interval_s, 2 * config.timeout_s, config.server.cellular.downlink_loss_p
+    n_steps = found.evidence.log_none.shape[2]
+    schedule, at_s, loss_p = config.schedule, 2 * config.timeout_s, config.server.cellular.downlink_loss_p
+    interval_s, every = schedule.exchange_interval_s, schedule.longest_steps // schedule.exchange_every_steps
     age_s = at_s + interval_s * np.arange(n_steps + 1)
+    counts, metrics = counted(server, found, gate, looks, age_s, loss_p)
+    window = min(server.window_steps, n_steps)
+    closed = closed_form(found.company, gate.period_steps, window, loss_p, n_steps + 1, every)
+    names = list(METRICS)[:2]
+    return Prediction(
+        variant=server.name, period_s=server.period_s, window_s=server.window_s, age_s=age_s, newest=counts.newest,
+        oldest=counts.oldest, value=counts.value, metrics=metrics,
+        closed={name: law.quantile(age_s, closed, share) for name, share in zip(names, (0.5, 0.9), strict=True)},
+    )  # fmt: skip
+
+
+def counted(
+    server: Server, found: Found, gate: law.Gate, looks: law.ExpectedLookups | None, age_s: Float[ndarray, "a"],
+    loss_p: float,
+) -> tuple[law.AgeCounts, dict[str, float]]:  # fmt: skip
+    """Expected lookups by age, and the metrics.
+
+    Parameters
+    ----------
+    server, found, gate, looks
+        As for `predicted`.
+    age_s
+        Ages that lookups can find [s].
+    loss_p
+        Probability that a vehicle misses a publication.
+    """
+    evidence = found.evidence
     if looks is None:
-        none = np.zeros(n_steps + 1)
+        none = np.zeros(len(age_s))
         counts, total, evaluators, evaluations = law.AgeCounts(none, none, none, 0.0, 0.0), 0.0, 0.0, 0.0
     else:
         counts, total = law.ages(evidence, looks, server.window_steps, found.since), looks.total
         evaluators, evaluations = law.behind(
-            found.pair_steps, found.pair_subject, looks, server.window_steps, first_lag
+            found.pair_steps, found.pair_subject, looks, server.window_steps, found.first_lag
         )
     known, fresh = counts.newest.sum(), counts.newest[age_s < server.window_s].sum()
     unevaluated = counts.n_unseen if server.zero else 0.0
@@ -123,7 +143,7 @@ def predicted(
     def share(n: float) -> float:
         return n / total if total > 0 else float("nan")
 
-    metrics = {
+    return counts, {
         "freshness.newest_evaluation_age.median_s": law.quantile(age_s, counts.newest, 0.5),
         "freshness.newest_evaluation_age.p90_s": law.quantile(age_s, counts.newest, 0.9),
         "freshness.newest_evaluation_age.mean_s": float(counts.newest @ age_s / known) if known > 0 else float("nan"),
@@ -136,14 +156,6 @@ def predicted(
         "freshness.evaluators.mean": evaluators / known if known > 0 else float("nan"),
         "freshness.evaluations.mean": evaluations / known if known > 0 else float("nan"),
         "freshness.encounters_without_trust.share": law.without_trust(
-            evidence, found.meetings, gate, server.window_steps, loss_p, first_lag
+            evidence, found.meetings, gate, server.window_steps, loss_p
         ),
     }
-    window = min(server.window_steps, n_steps)
-    closed = law.closed_form(found.evaluated_p, gate.period_steps, window, loss_p, at_s / 2, interval_s, n_steps + 1)
-    names = list(METRICS)[:2]
-    return Prediction(
-        variant=server.name, period_s=server.period_s, window_s=server.window_s, age_s=age_s, newest=counts.newest,
-        oldest=counts.oldest, value=counts.value, metrics=metrics,
-        closed={name: law.quantile(age_s, closed, share) for name, share in zip(names, (0.5, 0.9), strict=True)},
-    )  # fmt: skip

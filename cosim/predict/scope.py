@@ -17,7 +17,7 @@ class Server(NamedTuple):
     window_s: float
     """Evidence of this age or older does not count [s]; inf if it never expires."""
     window_steps: int
-    """The same in sensing steps."""
+    """The same in steps of the law."""
     zero: bool
     """Whether detections that no other vehicle could see are evidence (`trust.unseen = "zero"`)."""
 
@@ -35,7 +35,7 @@ def servers_of(config: Config) -> list[Server]:
         ("driver.model", config.driver.model, ("none",)),
         ("radio.evaluations", config.radio.evaluations, ("alone",)),
         ("radio.propagation.blockage", config.radio.propagation.blockage, ("probabilistic", "none")),
-        ("sensing_phase", config.sensing_phase, ("common",)),
+        ("sensing_phase", config.sensing_phase, ("common", "random")),
         ("sensing_groups", config.sensing_groups, ((),)),
         ("cpm.rules", config.cpm.rules, ("all",)),
         ("cpm.length", config.cpm.length, ("linear",)),
@@ -71,7 +71,7 @@ def server_of(name: str, trust: TrustParams, config: Config) -> Server:
             f'{where}.model = "{trust.model}": the law of freshness covers model = "trupercept" only. Change it, or '
             "simulate."
         )
-    every = config.sense_every_steps
+    every = config.schedule.exchange_every_steps
     if trust.freshness_s == "off":
         return Server(name, trust.server_period_s, np.inf, 2**31, trust.unseen == "zero")
     steps = -(-open_window_steps(trust, config.traffic.step_s) // every)

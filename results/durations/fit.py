@@ -1,7 +1,7 @@
 """Fits families to durations that are censored and truncated, by maximum likelihood."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,6 +20,29 @@ _STEP = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
+class _Distinct:
+    """The different rows of a sample, and how often each occurs."""
+
+    low_s: Float[ndarray, "m"]
+    high_s: Float[ndarray, "m"]
+    entry_s: Float[ndarray, "m"]
+    n: Float[ndarray, "m"]
+    row: Int[ndarray, "n"]
+    """Which of them each row of the sample is."""
+    edges_s: Float[ndarray, "e"]
+    """The different ends and entries."""
+    at: Int[ndarray, "3 m"]
+    """Where among them the lower end, the upper end and the entry of each row are."""
+
+    @staticmethod
+    def of(sample: Durations) -> "_Distinct":
+        rows = np.column_stack([sample.low_s, sample.high_s, sample.entry_s])
+        rows, row, n = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
+        edges_s, at = np.unique(rows.T, return_inverse=True)
+        return _Distinct(rows[:, 0], rows[:, 1], rows[:, 2], n.astype(float), row.ravel(), edges_s, at.reshape(3, -1))
+
+
+@dataclass(frozen=True, slots=True)
 class Fit:
     """A family with its most likely parameters."""
 
@@ -28,6 +51,10 @@ class Fit:
     free: Free
     covariance: Float[ndarray, "k k"]
     """Of the free parameters; NaN where the likelihood has no maximum inside."""
+    independent: Float[ndarray, "k k"]
+    """The same, if durations were independent."""
+    rows: _Distinct = field(repr=False)
+    """The sample."""
     log_likelihood: float
     n: int
     n_ended: int
@@ -54,41 +81,65 @@ class Fit:
         return len(self.free) * math.log(self.n_ended) - 2 * self.log_likelihood
 
     def parameters(self, level: float = LEVEL) -> dict[str, tuple[float, float, float]]:
-        """Value, lower and upper end of the interval of each parameter, by name."""
-        half = stats.t.ppf((1 + level) / 2, max(1, self.n_units - 1)) * np.sqrt(np.diag(self.covariance))
-        ends = [self.family.natural(self.free), *(self.family.natural(self.free + sign * half) for sign in (-1, 1))]
+        """Value, lower and upper end of the interval of each parameter, by name.
+
+        Notes
+        -----
+        The interval holds the values whose profile likelihood is near the maximum: twice the difference of logarithms
+        is at most t^2, after it is scaled to the covariance of dependent durations [1]_. n actors make n / 2 pairs that
+        share none, at least, so Student's t has n / 2 - k degrees of freedom, for k parameters. The covariance is taken
+        larger by n / (n - 2 k), because the scores were fitted to the sample.
+
+        References
+        ----------
+        .. [1] Chandler, Bate, "Inference for clustered data using the independence loglikelihood", Biometrika 94(1),
+           2007.
+        """
         return {
-            name: (float(ends[0][i]), float(ends[1][i]), float(ends[2][i]))
+            name: (float(self.family.natural(self.free)[i]), self._end(i, -1, level), self._end(i, 1, level))
             for i, name in enumerate(self.family.parameters)
         }
+
+    def _end(self, i: int, sign: int, level: float) -> float:
+        """End of the interval of a parameter on one side; NaN if it is not known, infinite if there is none."""
+        variance, pairs, k = self.covariance[i, i], self.n_units / 2, len(self.free)
+        if not variance > 0 or pairs <= k:
+            return float("nan")
+        others = np.delete(np.arange(k), i)
+        slope = self.independent[others, i] / self.independent[i, i]  # of the others along the profile
+        half = stats.t.ppf((1 + level) / 2, pairs - k) * math.sqrt(variance * pairs / (pairs - k))
+        fall = half**2 / self.independent[i, i] / 2
+
+        def beyond(away: float) -> float:
+            """How far the profile likelihood is below the end of the interval."""
+            free = self.free.copy()
+            free[i] += sign * away
+
+            def minus(rest: Free) -> float:
+                free[others] = rest
+                value = float(self.rows.n @ _log_likelihoods(self.family, self.rows, free))
+                return -value if np.isfinite(value) else 1e12
+
+            guess = self.free[others] + sign * away * slope
+            least = minus(guess)
+            if len(others):
+                found = optimize.minimize(minus, guess, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-5})
+                least = float(found.fun)
+            return least + self.log_likelihood - fall
+
+        far = half
+        while beyond(far) < 0:
+            far *= 1.5
+            if far > 20 * half:
+                return sign * math.inf
+        free = self.free.copy()
+        free[i] += sign * optimize.brentq(beyond, 0.0, far, xtol=1e-3 * half)
+        return float(self.family.natural(free)[i])
 
     def survival(self, x_s: Float[ndarray, "n"], entry_s: float = 0.0) -> Float[ndarray, "n"]:
         """Share that lasts longer than `x_s`, of those that last longer than `entry_s`."""
         given = self.family.log_sf(np.array([entry_s]), self.free)[0]
         return np.exp(np.minimum(self.family.log_sf(np.maximum(x_s, entry_s), self.free) - given, 0.0))
-
-
-@dataclass(frozen=True, slots=True)
-class _Distinct:
-    """The different rows of a sample, and how often each occurs."""
-
-    low_s: Float[ndarray, "m"]
-    high_s: Float[ndarray, "m"]
-    entry_s: Float[ndarray, "m"]
-    n: Float[ndarray, "m"]
-    row: Int[ndarray, "n"]
-    """Which of them each row of the sample is."""
-    edges_s: Float[ndarray, "e"]
-    """The different ends and entries."""
-    at: Int[ndarray, "3 m"]
-    """Where among them the lower end, the upper end and the entry of each row are."""
-
-    @staticmethod
-    def of(sample: Durations) -> "_Distinct":
-        rows = np.column_stack([sample.low_s, sample.high_s, sample.entry_s])
-        rows, row, n = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
-        edges_s, at = np.unique(rows.T, return_inverse=True)
-        return _Distinct(rows[:, 0], rows[:, 1], rows[:, 2], n.astype(float), row.ravel(), edges_s, at.reshape(3, -1))
 
 
 def fit(sample: Durations, name: str) -> Fit:
@@ -137,9 +188,10 @@ def fit(sample: Durations, name: str) -> Fit:
     mean_s = float(distinct.n @ (middle - distinct.entry_s)) / n_ended
     starts = family.starts(max(median_s, 1e-9), max(mean_s, 1e-9))
     best = min((_climb(minus, start) for start in starts), key=minus)
+    covariance, independent = _covariances(family, distinct, sample, best)
     return Fit(
-        name, best, _covariance(family, distinct, sample, best), -minus(best), len(sample), n_ended,
-        len(np.unique(np.r_[sample.a, sample.b])),
+        name=name, free=best, covariance=covariance, independent=independent, rows=distinct,
+        log_likelihood=-minus(best), n=len(sample), n_ended=n_ended, n_units=len(np.unique(np.r_[sample.a, sample.b])),
     )  # fmt: skip
 
 
@@ -164,8 +216,11 @@ def _log_likelihoods(family: Family, rows: _Distinct, free: Free) -> Float[ndarr
         return low + np.log1p(-np.exp(high - low)) - entry
 
 
-def _covariance(family: Family, rows: _Distinct, sample: Durations, free: Free) -> Float[ndarray, "k k"]:
-    """Sandwich covariance of the free parameters; NaN where the likelihood is flat or has no maximum."""
+def _covariances(
+    family: Family, rows: _Distinct, sample: Durations, free: Free
+) -> tuple[Float[ndarray, "k k"], Float[ndarray, "k k"]]:
+    """Sandwich covariance of the free parameters, and that of independent durations; NaN where the likelihood is flat
+    or has no maximum."""
     k = len(free)
     unknown = np.full((k, k), np.nan)
     steps = np.eye(k) * _STEP
@@ -184,9 +239,9 @@ def _covariance(family: Family, rows: _Distinct, sample: Durations, free: Free) 
     # Where a parameter says nothing (two equal means), its curvature is the rounding of a sum of logarithms.
     noise = 1e-15 * abs(float(rows.n @ at(np.zeros(k)))) / _STEP**2
     if not np.isfinite(hessian).all() or not np.isfinite(scores).all():
-        return unknown
+        return unknown, unknown
     if np.linalg.eigvalsh(-hessian).min() <= max(1e-3, noise):
-        return unknown
+        return unknown, unknown
     inverse = np.linalg.inv(-hessian)
     meat = sum_of_products(scores[rows.row], sample.a, sample.b)
-    return inverse @ meat @ inverse
+    return inverse @ meat @ inverse, inverse

@@ -4,7 +4,10 @@ assumptions [CONFIG] [KEY=VALUE ...]: simulates a config in memory and prints ea
 `models/freshness-law` beside what happened.
 
 points FOLDER STUDY...: for each study in `tests/verification/law`, the predictions that were written before its
-simulation beside the study that `cosim sweep` left in FOLDER/sweep-STUDY: by point, and how many are within the bounds.
+simulation beside the study that `cosim sweep` left in FOLDER/sweep-STUDY: by point, how many are within the bounds, and
+how many intervals hold what was simulated, up to 1 %.
+
+errors OUT FOLDER STUDY...: draws the errors of these points by the number of evaluators.
 
 picture OUT RUN PREDICTIONS FOLDER STUDY...: draws the points, and the ages that a run measured beside those that
 `cosim predict freshness --out PREDICTIONS` predicted for its config.
@@ -12,17 +15,19 @@ picture OUT RUN PREDICTIONS FOLDER STUDY...: draws the points, and the ages that
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
 from cosim import Simulation
 from cosim.config.config import Config, load
 from cosim.predict.comparison import measured_by
 from cosim.predict.delivery import Delivery, Load
 from cosim.predict.opportunities import Sensing, chances
+from cosim.predict.prediction import METRICS
 from cosim.radio.message_round import RoundKind
 from cosim.v2x.messages import cpm_bytes, evaluation_bytes
 from results.figures import law, style
@@ -96,6 +101,10 @@ def assumptions(config: Config) -> pd.DataFrame:
             add("3 vehicle-steps evaluated by false positives alone", 0, (of_evidence & ~without).sum())
             log_none = np.bincount(links.sender, np.log1p(-np.minimum(none_p, 1 - 1e-12)), n)
             add("6 vehicle-steps evaluated", -np.expm1(log_none).sum(), of_evidence.sum())
+            of_lookup = sensed.rounds[1].accepted.vehicles.message  # one message per vehicle: its row is the sender's
+            for name, chosen in (("evaluated", of_evidence), ("not evaluated", ~of_evidence)):
+                add(f"8 lookups of subjects that were {name} in the step", heard_p[chosen[links.sender]].sum(),
+                    chosen[of_lookup].sum())  # fmt: skip
             for one, u, got in zip(actor.tolist(), np.exp(log_none).tolist(), of_evidence.tolist(), strict=True):
                 silent.setdefault(one, []).append((result.step, u, got))
     for length in (2, 3, 5, 10):
@@ -133,7 +142,39 @@ def points(folder: Path, names: list[str]) -> Iterator[dict]:
             )
             for label, metric in OTHERS.items():
                 row |= {label: p["metrics"][metric], f"{label}_sim": got.get(metric, np.nan)}
-            yield row
+            held = {
+                m: p["low"][m] * 0.99 <= got[m] <= p["high"][m] * 1.01 for m in METRICS if m in p["low"] and m in got
+            }
+            yield row | {f"held {metric}": is_held for metric, is_held in held.items()}
+
+
+@style.styled
+def errors_picture(studies: Sequence[tuple[str, pd.DataFrame]]) -> Figure:
+    """Errors of the law by the number of evaluators behind a value.
+
+    Parameters
+    ----------
+    studies
+        Name and points: evaluators_sim, and each of median, p90 and no_value as predicted and with `_sim`.
+    """
+    figure, panels = style.sheet(columns=3, width=11.0, height=3.6)
+    for axes, column, title, within in (
+        (panels[0], "median", "Median age", 0.1),
+        (panels[1], "p90", "90th percentile of the age", 0.2),
+        (panels[2], "no_value", "Lookups without a value", None),
+    ):
+        for i, (name, part) in enumerate(studies):
+            predicted, simulated = part[column], part[f"{column}_sim"]
+            error = 100 * (predicted - simulated if within is None else predicted / simulated - 1)
+            axes.plot(part.evaluators_sim, error, linestyle="none", marker=style.marker(i), color=style.ink(i),
+                      markerfacecolor="none", label=name)  # fmt: skip
+        for bound in (0.0,) if within is None else (-within, 0.0, within):
+            axes.axhline(100 * bound, color=style.PALE, linewidth=0.9, linestyle=style.dash(1) if bound else "-")
+        axes.set_xscale("log")
+        unit = "points of per cent" if within is None else "%"
+        style.panel(axes, title, "Evaluators behind a value", f"Law minus simulation [{unit}]")
+    panels[0].legend(loc="lower right", fontsize=7.5)
+    return figure
 
 
 def picture(out: Path, run: Path, predictions: Path, folder: Path, names: list[str]) -> None:
@@ -160,11 +201,15 @@ def main(words: list[str]) -> None:
         path = Path(words[1]) if len(words) > 1 and "=" not in words[1] else None
         print(assumptions(load(path, [word for word in words[1:] if "=" in word])).to_string(index=False))
         return
+    if words[0] == "errors":
+        frame = pd.DataFrame(points(Path(words[2]), words[3:]))
+        style.save(errors_picture([(name, part) for name, part in frame.groupby("study", sort=False)]), Path(words[1]))
+        return
     if words[0] == "picture":
         picture(*(Path(word) for word in words[1:5]), words[5:])
         return
     frame = pd.DataFrame(points(Path(words[1]), words[2:]))
-    print(frame.round(3).to_string(index=False))
+    print(frame[[column for column in frame if not column.startswith("held ")]].round(3).to_string(index=False))
     for name, part in frame.groupby("study", sort=False):
         errors = [(part[x] / part[f"{x}_sim"] - 1).abs().mean() for x in ("median", "p90", "evaluators")]
         errors += [(part[x] - part[f"{x}_sim"]).abs().mean() for x in ("no_value", "without")]
@@ -172,6 +217,8 @@ def main(words: list[str]) -> None:
             f"{name}: {part.within.sum()} of {len(part)} points within 10 % (median) and 20 % (90th percentile). Mean"
         )
         print("  errors of median, p90, evaluators, no value, encounters: " + ", ".join(f"{e:.3f}" for e in errors))
+        for metric in [column for column in part if column.startswith("held ")]:
+            print(f"  interval of {metric[5:]}: {part[metric].sum():g} of {part[metric].count()}")
     print(f"all: {frame.within.sum()} of {len(frame)}")
 
 

@@ -62,15 +62,11 @@ def test_servers_by_hand():
 
 
 def test_intervals_by_hand():
-    # Values 2, 3 and 4 of three fleets: the logarithms have the mean log(24) / 3 and a standard deviation; that of a
-    # further value is sqrt(1 + 1/3) times as large. The interval is Student's with 2 degrees of freedom around it.
-    def of(value):
-        none = np.zeros(1)
-        return Prediction("base", 1.0, 50.0, none, none, none, none, {"freshness.evaluators.mean": value})
-
-    found = with_intervals(of(2.0), [of(3.0), of(4.0)])
-    assert 0 < found.low["freshness.evaluators.mean"] < 2 and found.high["freshness.evaluators.mean"] > 4
-    assert with_intervals(of(2.0), []).low == {}
+    # The smallest and the largest of the runs; one without a value says nothing, and neither do all if there is none.
+    none, names = np.zeros(1), ("freshness.evaluators.mean", "freshness.value_age.median_s")
+    own = Prediction("base", 1.0, 50.0, none, none, none, none, {names[0]: 2.0, names[1]: np.nan})
+    found = with_intervals(own, [{names[0]: value, names[1]: 1.0} for value in (3.0, 1.5, np.nan, 2.5)])
+    assert found.low == {names[0]: 1.5} and found.high == {names[0]: 3.0}
 
 
 def test_points_that_differ_in_their_server_share_one_replay(tmp_path, monkeypatch):

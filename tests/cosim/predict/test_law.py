@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.predict import law
+from cosim.predict.closed_form import Company, closed_form
 
 
 def looks(subject, step, publication, n, none=0.0):
@@ -71,7 +72,7 @@ def test_ages_and_evaluators_as_by_enumeration(seed):
     )
     assert found.n_unknown == pytest.approx(none, abs=1e-12)
     pair, at = (x.ravel() for x in np.meshgrid(np.arange(n_pairs), np.arange(n_steps)))
-    pairs = law.PairSteps(at, np.zeros(len(at), int), pair, log_none[pair, at], p[pair, at])
+    pairs = law.PairSteps(at, at, np.zeros(len(at), int), pair, log_none[pair, at], p[pair, at])
     got, n = law.behind(pairs, np.zeros(n_pairs, int), asked, window, 1)
     assert got == pytest.approx(evaluators) and n == pytest.approx(p.sum())
     assert got / found.newest.sum() == pytest.approx(evaluators / known)
@@ -111,12 +112,16 @@ def test_encounters_without_trust_by_hand():
     # The publication of step 4 (steps 1 to 3) counts at the start: known with 7/8. That of step 8 adds steps 4 to 7: it
     # brings the first evidence with 1/8 (1 - 1/16); then the lookups of steps 8 and 9 are missed with 1/4.
     want = 1 / 8 * (1 - 1 / 16) / 4 + 1 / 8 / 16
-    assert law.without_trust(evidence, meetings(5, 10, steps, [0.5] * 5), gate, 4, 0.0, 1) == pytest.approx(want)
+    assert law.without_trust(evidence, meetings(5, 10, steps, [0.5] * 5), gate, 4, 0.0) == pytest.approx(want)
     # A holder that came in step 5 has the publication of step 8 alone, with steps 5 to 7.
     want = (1 - 1 / 8) / 4 + 1 / 8
-    assert law.without_trust(evidence, meetings(5, 10, steps, [0.5] * 5, 5), gate, 4, 0.0, 1) == pytest.approx(want)
+    assert law.without_trust(evidence, meetings(5, 10, steps, [0.5] * 5, 5), gate, 4, 0.0) == pytest.approx(want)
+    # Half of the publications are lost. In an encounter of one step, between publications, the evidence of steps 1 to 3
+    # is known if that of step 4 arrived; that of step 0 had none.
+    want = 1 / 8 + 7 / 8 / 2
+    assert law.without_trust(evidence, meetings(5, 6, steps[:1], [0.5]), gate, 4, 0.5) == pytest.approx(want)
     # No publication in the encounter of a holder that came with it.
-    assert law.without_trust(evidence, meetings(5, 8, steps[:3], [0.5] * 3, 5), gate, 4, 0.0, 1) == 1
+    assert law.without_trust(evidence, meetings(5, 8, steps[:3], [0.5] * 3, 5), gate, 4, 0.0) == 1
 
 
 @pytest.mark.parametrize(("q", "period", "loss_p"), [(1.0, 5, 0.0), (0.6, 1, 0.0), (0.3, 7, 0.2)])
@@ -133,7 +138,7 @@ def test_closed_form_as_simulated(q, period, loss_p):
         if held > 0 and held - last[held - 1] < window:
             ages.append(step - last[held - 1])
     want = np.bincount(ages, minlength=200)[:200] / len(ages)
-    got = law.closed_form(q, period, window, loss_p, 0.4, 1.0, 200)
+    got = closed_form(Company.constant(q), period, window, loss_p, 200)
     assert np.abs(np.cumsum(got) - np.cumsum(want)).max() < 0.01
     assert got.sum() == pytest.approx(1)
 
@@ -145,8 +150,60 @@ def test_closed_form_is_the_law_of_a_constant_chance():
     found = law.ages(
         evidence, looks(np.zeros(100, int), steps, steps - steps % period, np.ones(100)), window, np.zeros(1, int)
     )
-    got = law.closed_form(q, period, window, 0.0, 0.4, 1.0, n_steps + 1)
+    got = closed_form(Company.constant(q), period, window, 0.0, n_steps + 1)
     assert found.newest / found.newest.sum() == pytest.approx(got, abs=1e-7)
+
+
+def test_closed_form_of_company_and_solitude_as_simulated():
+    """A literal chain: in company evaluated with 0.8 for 20 sweeps on average, alone hardly ever for 50."""
+    rng = np.random.default_rng(6)
+    n, window, period, p, ends = 400_000, 60, 5, (0.8, 0.02), (0.05, 0.02)
+    change, alone, state = rng.random(n), np.zeros(n, bool), 0
+    for step in range(n):
+        state = 1 - state if change[step] < ends[state] else state
+        alone[step] = state
+    last = np.maximum.accumulate(np.where(rng.random(n) < np.where(alone, p[1], p[0]), np.arange(n), -1000))
+    step = np.flatnonzero(~alone)[100:]  # lookups happen in company
+    held = step - step % period
+    age = step - last[held - 1]
+    ages = age[held - last[held - 1] < window]
+    want = np.bincount(ages, minlength=200)[:200] / len(ages)
+    got = closed_form(Company(p, 1.0, ends), period, window, 0.0, 200)
+    assert np.abs(np.cumsum(got) - np.cumsum(want)).max() < 0.015
+    # One mean chance would have the tail far too short.
+    one = closed_form(Company.constant(0.8), period, window, 0.0, 200)
+    tail = [law.quantile(np.arange(200.0), x, 0.97) for x in (got, want, one)]
+    assert tail[0] == pytest.approx(tail[1], rel=0.1) and tail[2] < 0.6 * tail[1]
+
+
+def test_closed_form_of_random_phases_as_simulated():
+    """Many evaluators at phases of their own, each unlikely: the subject sends every n steps."""
+    rng = np.random.default_rng(7)
+    every, n_evaluators, q, window, n_sweeps = 5, 40, 0.6, 60, 20_000
+    p = 1 - (1 - q) ** (1 / n_evaluators)
+    late = np.arange(n_evaluators) % every  # steps from the subject's sweep to that of each evaluator
+    arrival = np.where(rng.random((n_sweeps, n_evaluators)) < p, late, 10**6).min(axis=1)  # of its first evaluation
+    ages = []
+    for b in rng.integers(100, n_sweeps * every - 100, 20_000):
+        newest = (b - 1) // every
+        for sweep in range(newest, newest - window // every - 1, -1):
+            if sweep * every + arrival[sweep] < b:
+                if b - sweep * every < window:
+                    ages.append(b - sweep * every)
+                break
+    want = np.bincount(ages, minlength=100)[:100] / len(ages)
+    got = closed_form(Company.constant(q), 1, window, 0.0, 100, every)
+    assert np.abs(np.cumsum(got) - np.cumsum(want)).max() < 0.03
+
+
+def test_company_by_hand():
+    # Two subjects, four sweeps each: in company, in company, alone, alone; and alone, then in company thrice.
+    p, subject = np.array([0.9, 0.7, 0.1, 0.1, 0.3, 0.5, 0.9, 0.9]), np.repeat([0, 1], 4)
+    found = Company.measured(p, subject, np.array([1.0, 1, 1, 0, 0, 1, 1, 0]))
+    # Lookups: four in company, with chances 0.9, 0.7, 0.5, 0.9; one alone, with 0.1.
+    assert found.p == pytest.approx((0.75, 0.1)) and found.looked_up == pytest.approx(0.8)
+    assert found.ends_p == pytest.approx((1 / 4, 1 / 2)) and found.mean_p == pytest.approx(0.62)
+    assert found.in_company(0) == pytest.approx(0.8) and found.in_company(1e4) == pytest.approx(2 / 3)
 
 
 def test_quantile_is_on_the_ages():
