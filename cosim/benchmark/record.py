@@ -30,6 +30,8 @@ from cosim.step.result import Sensed
 from cosim.step.state import State
 from cosim.step.stopwatch import Stopwatch
 from cosim.world import World
+from sensors.boxes import Boxes
+from sensors.evidence import AreaParams
 from sensors.lidar import RangeImages
 from trust.params import TrustParams, eta_of
 from trust.tables import ReceivedEvaluations, TrustScores
@@ -114,6 +116,12 @@ class _Shared:
     def answers(self, sweeps: RangeImages, asked: BoxQuestions) -> BoxAnswers:
         """As in `Perceives`."""
         return self.behind.answers(sweeps, asked)
+
+    def in_area(
+        self, sweeps: RangeImages, o: ndarray, boxes: Boxes, area: AreaParams, b: ndarray, label: ndarray, own: Boxes
+    ) -> ndarray:
+        """As in `Perceives`."""
+        return self.behind.in_area(sweeps, o, boxes, area, b, label, own)
 
 
 @dataclass(slots=True)
