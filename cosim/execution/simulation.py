@@ -276,7 +276,8 @@ class SimulatedStep:
             if values is None and (name == "step" or column.absent == "step"):
                 values = np.full(n, self.step)
             elif values is None:
-                values, valid = np.zeros(n), np.full(n, column.absent == "zero")
+                zeros = np.zeros(n, np.int64 if column.type == "category" else np.float64)
+                values, valid = zeros, np.full(n, column.absent == "zero")
             if column.type == "category" and values.dtype.kind in "iu":
                 codes = (values if valid is None else np.where(valid, values, -1)).astype(np.int64)
                 made[name] = pd.Categorical.from_codes(codes, pd.Index(column.labels(self._labels)))

@@ -31,6 +31,7 @@ from tests.hostile import shared
 
 CALLS = {
     "bench": [],  # opens no folder of a run
+    "benchmark": ["benchmark beta --evidence {run}"],
     "cache": [],
     "check": ["check {run}/config.toml", "check {part}/config.toml --json"],
     "export": [
@@ -52,6 +53,7 @@ CALLS = {
         "plot trust {run}", "plot map {part}", "plot sweep {run} --vehicle 0 --step 2", "plot trust {study}",
         "plot scene {run} --step 2", "plot movie {run} --out {out}/movie.gif",
     ],
+    "place roadside": ["place roadside {run}/config.toml --count 1"],
     "predict freshness": ["predict freshness {run}/config.toml", "predict freshness --against {run}"],
     "report": ["report {run} --out {out}/report.html", "report {study}"],
     "reproduce": ["reproduce tables --out {study}", "reproduce trust-levels --out {run}"],
@@ -95,6 +97,7 @@ FUNCTIONS = {
     "cosim.offline.replay_lidar.write": lambda f, at: f(open_run(at["run"]), 0, 2, at["out"] / "api.ply"),
     "cosim.offline.view.first_look": None,  # these two are given a run that `view` has opened
     "cosim.offline.view.role_colours": None,
+    "cosim.offline.view.follow": lambda f, at: f(at["run"], at["out"] / "followed.rrd"),
     "cosim.offline.view.view": lambda f, at: f(open_run(at["run"]), at["out"] / "api.rrd"),
     "cosim.studies.folder.status_of": lambda f, at: f(at["run"]),
     "cosim.studies.retrust.retrust": lambda f, at: f(

@@ -17,7 +17,7 @@ README = (Path(trust.__file__).parent / "README.md").read_text()
 def table_after(heading):
     """Rows of the first table after a heading, by the name in the first column."""
     text = README.split(heading, 1)[1]
-    rows = re.findall(r"^\| (.*) \|$", text.split("\n\n## ")[0], re.M)
+    rows = re.findall(r"^\| (.*) \|$", re.split(r"\n\n#{2,3} ", text)[0], re.M)
     return {cells[0].strip("` "): cells for cells in (re.split(r" +\| +", row) for row in rows) if "`" in cells[0]}
 
 

@@ -74,7 +74,7 @@ def test_units_are_equipped_never_attack_and_leave_the_fleet_alone():
     for penetration, expected in ((0.0, [False, False, True]), (1.0, [True, False, True])):
         registry = ActorRegistry(FleetParams(penetration_p=penetration), 1, (1.0,), {"roadside/100.00/100.00": 0})
         units = place([RoadsideParams(junction="a", height_m=5.0)], TOWN, (0, 0), 4)
-        placed = Placed.of([ObjectParams(at_m=(50.0, 50.0))], FRAME, 1.0, units)
+        placed = Placed.of([ObjectParams(at_m=(50.0, 50.0))], FRAME, 1.0, units=units)
         world = WithObjects(Parade(registry), placed, registry, FRAME).advance()
         assert world.equipped.tolist() == expected and world.is_roadside.tolist() == [False, False, True]
         assert world.attack.tolist() == [int(penetration), 0, 0]

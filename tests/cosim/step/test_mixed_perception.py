@@ -113,6 +113,7 @@ def test_what_is_below_the_beams_is_not_denied(observed):
 
 def test_displaced(observed):
     _, _, after = observed[1]
-    error_m = np.arange(20.0).reshape(10, 2)
-    moved = after.sweeps.displaced(error_m).poses.origin_m - after.sweeps.poses.origin_m
-    np.testing.assert_allclose(moved, np.column_stack([error_m, np.zeros(10)]), atol=1e-12)
+    error = np.column_stack([np.arange(20.0).reshape(10, 2), np.linspace(-1, 1, 10)])
+    there, here = after.sweeps.displaced(error).poses, after.sweeps.poses
+    np.testing.assert_allclose(there.origin_m - here.origin_m, error * [1, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(np.exp(1j * (there.yaw_rad - here.yaw_rad)), np.exp(1j * error[:, 2]))

@@ -170,7 +170,7 @@ def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
         ("redundancy", 40, 40),
         ("asynchrony", 135, 54),
         ("weather", 45, 45),
-        ("access", 36, 36),
+        ("access", 48, 48),
         ("presets", 9, 9),
         pytest.param("cities", 8, 8, marks=pytest.mark.verify),  # builds two cities
         ("strangers", 32, 8),
