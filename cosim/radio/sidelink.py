@@ -5,7 +5,7 @@ scheduling). A message longer than the largest transport block is segmented. A m
 are received. `sidelink_slots` carries out the slots; `sidelink_memory` keeps what lasts.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -53,6 +53,8 @@ class SidelinkMedium:
     los: LosOfPlaces | None
     """Lines of sight in the city; None without buildings."""
     is_nr: bool
+    _tables: list[ndarray] = field(default_factory=list, init=False, repr=False, compare=False)
+    """Memory for the entries of a round; every round overwrites it."""
 
     def __post_init__(self) -> None:
         if self.round_s / 2 < 0.004:
@@ -175,14 +177,14 @@ class SidelinkMedium:
     ) -> tuple[SidelinkState, Log, Int[ndarray, "n"]]:
         """Carry out the slots of a round; returns the next state, the log and the busy subchannels of each station."""
         rules, begin, end = self.rules, begin_ns // self._slot_ns, end_ns // self._slot_ns
-        station, ptr, entry = stations_of(state, stations)
+        station, was = stations_of(state, stations)
         process = processes_of(state.process, plan.unit, plan.process, stations)
         silent = min(begin // rules.busy_slots - (state.until - 1) // rules.busy_slots, N_USED + 1)
         if begin % rules.busy_slots == 0:
             silent -= 1
         for _ in range(silent if state.until > 0 else 0):
             next_period(station, rules)
-        memory = memory_of(process, station, ptr, entry, plan.unit, links, rules)
+        memory = memory_of(process, station, was, state, plan.unit, links, rules, self._tables)
         log = log_of(plan.unit, links, end - begin)
         air = self.air(links, stations)
         room = room_of(rules)

@@ -11,8 +11,8 @@ from cosim.radio.dtypes import NEVER, NONE
 from cosim.radio.link_cache import LinkCache
 from cosim.radio.message_round import Stations
 from cosim.radio.sidelink_records import ENTRY, MAX_SENT, PROCESS, STATION, Log, Memory, Room, Rules
-from cosim.radio.sidelink_slots import copy_kept, count_kept
-from cosim.ragged import offsets, ranges
+from cosim.radio.sidelink_slots import copy_kept, count_kept, load_entries
+from cosim.ragged import offsets
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,23 +31,19 @@ class SidelinkState:
     cache: LinkCache | None = None
 
 
-def stations_of(state: SidelinkState, stations: Stations) -> tuple[ndarray, ndarray, ndarray]:
-    """Records of these stations, in this order, and their entries; new stations have sensed nothing."""
+def stations_of(state: SidelinkState, stations: Stations) -> tuple[ndarray, Int[ndarray, "n"]]:
+    """Records of these stations, in this order, and their rows in the state; new stations have sensed nothing."""
     old = state.station["key"]
-    station = np.zeros(len(stations), STATION)
+    station, was = np.zeros(len(stations), STATION), np.full(len(stations), NONE, np.int64)
     if np.array_equal(old, stations.key):
-        station[:] = state.station
-        ptr, entry = state.ptr, state.entry
+        was = np.arange(len(stations))
     else:
-        _, was, now = np.intersect1d(old, stations.key, assume_unique=True, return_indices=True)
-        station[now] = state.station[was]
-        count = np.zeros(len(stations), np.int64)
-        begin = np.zeros(len(stations), np.int64)
-        count[now], begin[now] = np.diff(state.ptr)[was], state.ptr[was]
-        ptr, entry = offsets(count), state.entry[ranges(begin, count)]
+        _, rows, now = np.intersect1d(old, stations.key, assume_unique=True, return_indices=True)
+        was[now] = rows
+    station[was != NONE] = state.station[was[was != NONE]]
     station["key"] = stations.key
     station["ignores"] = 0 if stations.abuse is None else stations.abuse.ignores_dcc
-    return station, ptr, entry
+    return station, was
 
 
 def processes_of(process: ndarray, unit: ndarray, key: UInt64[ndarray, "u"], stations: Stations) -> ndarray:
@@ -71,23 +67,25 @@ def processes_of(process: ndarray, unit: ndarray, key: UInt64[ndarray, "u"], sta
 
 
 def memory_of(
-    process: ndarray, station: ndarray, ptr: ndarray, entry: ndarray, unit: ndarray, links: Links, rules: Rules
-) -> Memory:
-    """Linked lists of each station's processes and entries, with room for the entries of the round."""
+    process: ndarray, station: ndarray, was: Int[ndarray, "n"], state: SidelinkState, unit: ndarray, links: Links,
+    rules: Rules, tables: list[ndarray],
+) -> Memory:  # fmt: skip
+    """Linked lists of each station's processes and entries, with room for the entries of the round.
+
+    `tables` holds the memory of an earlier round, or nothing. It is used again, and replaced if it is too small.
+    """
     order = np.argsort(station["key"])
     of = order[np.searchsorted(station["key"][order], process["station"])]
     own, next_own = _lists(of, len(station))
     per_link = np.array([0, 1, 4, 9])[unit["n_sent"]] if rules.with_repeats else unit["n_sent"].astype(np.int64)
     n_new = int((np.diff(links.ptr)[unit["station"]] * per_link).sum())
-    table = np.empty(len(entry) + n_new, ENTRY)
-    table[: len(entry)] = entry
+    most = len(state.entry) + n_new
+    if not tables or len(tables[0]) < most:
+        tables[:] = [np.empty(most + most // 8, ENTRY)]
+    table = tables[0]
     head = np.full(len(station), NONE, np.int64)
-    holds = np.flatnonzero(np.diff(ptr))
-    head[holds] = ptr[holds]
-    table["station"][: len(entry)] = np.repeat(np.arange(len(station)), np.diff(ptr))
-    table["next"][: len(entry)] = np.arange(1, len(entry) + 1)
-    table["next"][ptr[holds + 1] - 1] = NONE
-    return Memory(process, own, next_own, station, head, table, np.array([len(entry)]))
+    n = load_entries(state.entry, state.ptr, was, table, head)
+    return Memory(process, own, next_own, station, head, table, np.array([n]))
 
 
 def _lists(of: Int[ndarray, "p"], n: int) -> tuple[ndarray, ndarray]:

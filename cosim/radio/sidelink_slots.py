@@ -160,6 +160,37 @@ def _count_busy(s, n_touched, air, memory, rules):
 
 
 @kernel
+def load_entries(entry, ptr, was, table, head):
+    """Copy the entries of stations into linked lists.
+
+    Parameters
+    ----------
+    entry, ptr
+        Entries by station, and where those of each station begin.
+    was
+        Station of `ptr` for each list, or NONE.
+    table, head
+        Results: the entries, and the first one of each list.
+
+    Returns
+    -------
+    Number of entries.
+    """
+    n = 0
+    for j in range(len(was)):
+        if was[j] == NONE or ptr[was[j]] == ptr[was[j] + 1]:
+            continue
+        head[j] = n
+        for e in range(ptr[was[j]], ptr[was[j] + 1]):
+            table[n] = entry[e]
+            table[n].station = j
+            table[n].next = n + 1
+            n += 1
+        table[n - 1].next = NONE
+    return n
+
+
+@kernel
 def count_kept(entry, n, now, ptr):
     """Write where each station's entries begin, of the first n that still reserve something at the slot `now`."""
     ptr[:] = 0

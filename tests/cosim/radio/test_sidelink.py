@@ -14,7 +14,7 @@ from cosim.radio.medium import MEDIA
 from cosim.radio.message_round import ChannelAbuse, Messages, Outcome, RoundKind, Stations
 from cosim.radio.params import RadioParams, RelayParams
 from cosim.radio.propagation import PropagationParams
-from cosim.radio.sidelink_memory import log_of, memory_of, room_of
+from cosim.radio.sidelink_memory import SidelinkState, log_of, memory_of, room_of
 from cosim.radio.sidelink_params import LteParams, NrParams, SidelinkParams
 from cosim.radio.sidelink_phy import LTE_CURVES, lte_carrier, nr_block_bits, nr_carrier
 from cosim.radio.sidelink_slots import run_slots
@@ -57,7 +57,7 @@ def parts_of(n, n_messages, *, seed, power_mw=0.0, window=100, n_subchannels=5, 
     if counters is not None:  # all hold the same resource
         process["next_slot"], process["counter"], process["period"] = 50, counters, 100
         process["width"] = process["n_sent"] = 1
-    memory = memory_of(process, station, np.zeros(n + 1, np.int64), np.zeros(0, records.ENTRY), unit, links, rules)
+    memory = memory_of(process, station, np.full(n, NONE), SidelinkState(), unit, links, rules, [])
     log, air = log_of(unit, links, n_slots), medium.air(links, stations)
     arrival = np.lexsort((unit["key"], unit["generated"]))
 
