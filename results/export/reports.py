@@ -34,7 +34,7 @@ from results.export.moments import Clouds, File, Plan, Selection, Unit
 TABLES = ("actors", "vehicles", "pseudonyms", "detections", "evaluations")
 VERSION, CPM_AID, GN_PDU = 3, 639, 1
 TARGET, NOT_DETECTED, FREE_SPACE = 200, 1, 2
-"""Private target and observations; the numbers of the standard's targets are below 10."""
+"""Private target and observations; the targets that second sources quote from the standard are below 10."""
 ETHERNET_BYTES = 14
 REPORT_BYTES = 2500
 """Of one report, roughly."""

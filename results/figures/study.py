@@ -36,7 +36,7 @@ BOUNDS: Mapping[str, str] = {
     "misbehaviour.auc": "evidence.auc_bound",
     "misbehaviour.at_lookup.auc": "evidence.auc_bound",
 }
-"""What no value of another metric can exceed by much: the first row of its heat map of trust models."""
+"""The ideal observer that stands beside another metric: the first row of its heat map of trust models."""
 
 INSTEAD: Mapping[str, str] = {
     "misbehaviour.at_lookup.auc:malicious": "misbehaviour.auc:malicious",

@@ -18,8 +18,9 @@ from trust.pair_index import with_rows
 class BeliefGraphParams(StepwiseParams):
     """Parameters of the model `belief_graph`.
 
-    The shapes were fitted by moments to what honest vehicles say of honest vehicles (Helsinki, 30 % equipped, seeds 101
-    to 103). The other defaults are ours.
+    The shapes of detections and self reports were set by percentiles of what honest vehicles say of honest vehicles
+    (Helsinki, 30 % equipped, seeds 101 to 103). The other defaults are ours. They were chosen by the area under the ROC
+    curve on seeds 101 to 104, so that figures on these seeds are too good.
     """
 
     prior_honest: Annotated[float, Interval(gt=0.5, lt=1)] = 0.8
@@ -141,7 +142,9 @@ class BeliefGraph(Stepwise):
     It should stop false content (ghosts, replays, offsets), bad-mouthing, collusion, Sybil vehicles whose places others
     can see, and the removal of all detections. It cannot stop a colluding majority among the vehicles that see each
     other, accomplices that confirm true detections, liars that nobody else checks, partial removal, or values that
-    nobody evaluates (speed). Whoever draws evaluations from the values of an honest detector evades the third check.
+    nobody evaluates (speed). Two of the three checks can be
+    evaded by an attacker that knows them: the second by values that a detector can give, the third by values drawn from
+    those of an honest detector.
 
     Notes
     -----
