@@ -71,7 +71,7 @@ def test_parameters_are_recovered_within_five_per_cent(name):
 
 
 LOW_HERE = pytest.mark.xfail(
-    reason="The shape of Weibull is covered in 91.5 % of these worlds, and in 94.1 % of 1,000 further ones; 93.4 % of all."
+    reason="Weibull: the shape is covered in 91.5 % of these worlds, in 94.1 % of 1,000 further ones, in 93.4 % of all."
 )
 """The seeds were chosen when the coverage of the generalised Pareto distribution on them was known."""
 
