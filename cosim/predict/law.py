@@ -237,7 +237,8 @@ def behind(
     publications, which = np.unique(looks.publication, return_inverse=True)
     known = (looks.publication >= 0) & (looks.subject < n_subjects)[:, None]
     cell = which.reshape(looks.publication.shape) * n_subjects + looks.subject[:, None]
-    weights = np.bincount(cell[known], looks.n[known], len(publications) * n_subjects).reshape(-1, n_subjects)
+    weights = np.bincount(cell[known], looks.n[known], len(publications) * n_subjects)
+    weights = weights.reshape(len(publications), n_subjects)
     log_none, n = np.zeros(len(pair_subject)), np.zeros(n_subjects)
     in_time = np.flatnonzero(found.made + first_lag < found.step + window_steps)
     orders = [in_time[np.argsort(step[in_time], kind="stable")] for step in (found.made + first_lag, found.step)]
