@@ -72,7 +72,7 @@ def test_the_model_of_the_page_is_scored_beside_stored_rows(folder):
     plain = " ".join(said.split())  # columns wrap where the terminal is narrow
     assert error is None and "adapts" in plain, said
     models = plain.split("all models")[1]
-    assert "mine.py:Share" in models and "beta" in models and "evidence set 0" in models
+    assert "beta" in models and "evidence set 0" in models
     whole = json.loads(call("mine.py:Share", "--json")[0])
     assert whole["rows"] == [row] and whole["sha256"] == tiny_set().checksum
     assert set(whole["row"]["attacks"]) == set(RULES.cases[1:]) and len(whole["row"]["sha256"]) == 64
