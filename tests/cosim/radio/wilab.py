@@ -21,7 +21,7 @@ from cosim.radio.medium import MEDIA
 from cosim.radio.message_round import Stations
 from cosim.radio.params import RadioParams
 from cosim.radio.phy import ReceiverParams
-from cosim.radio.sidelink_memory import log_of, memory_of, room_of
+from cosim.radio.sidelink_memory import SidelinkState, log_of, memory_of, room_of
 from cosim.radio.sidelink_params import LteParams, NrParams, SidelinkParams
 from cosim.radio.sidelink_phy import NR_MCS, Carrier, lte_block_sizes, nr_block_bits
 from cosim.radio.sidelink_slots import run_slots
@@ -174,7 +174,7 @@ def simulate(s: Setting, seed: int, raw_m: tuple[float, ...]) -> tuple[ndarray, 
     reserve_at_random(process, np.floor(first).astype(np.int64), s, carrier.n_subchannels, g)
     station = np.zeros(n, records.STATION)
     station["key"] = stations.key
-    memory = memory_of(process, station, np.zeros(n + 1, np.int64), np.zeros(0, records.ENTRY), unit, links, rules)
+    memory = memory_of(process, station, np.full(n, NONE), SidelinkState(), unit, links, rules, [])
     log = log_of(unit, links, n_slots)
     room = room_of(rules)
     arrival = np.lexsort((unit["key"], unit["generated"]))
