@@ -3,6 +3,7 @@
 The library Bokeh makes them. Its script is part of the page, so the page needs no server and no network.
 """
 
+import re
 from typing import Any
 
 import numpy as np
@@ -95,7 +96,14 @@ def trust_figure(run: Run) -> str:
     text = (
         f"Trust in every pseudonym over time. Point at a value to read it; the buttons choose roles and attacks.{note}"
     )
-    return f"<figure>{element}{script}<figcaption>{text}</figcaption></figure>"
+    return _with_fixed_ids(f"<figure>{element}{script}<figcaption>{text}</figcaption></figure>")
+
+
+def _with_fixed_ids(html: str) -> str:
+    """The elements with numbers in place of random identifiers, so that a run has one report, byte by byte."""
+    found = dict.fromkeys(re.findall(r"[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}", html))
+    number = {name: f"trust-{n}" for n, name in enumerate(found)}
+    return re.sub("|".join(number), lambda name: number[name[0]], html) if number else html
 
 
 def _drawn(run: Run, rows: pd.DataFrame) -> Any:

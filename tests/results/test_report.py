@@ -99,4 +99,7 @@ def test_the_figure_with_filters(tiny):
     text = interactive.trust_figure(run)
     assert text.count("</script>") == 1 and "</script><b>" not in text
     assert "0: ghost_insertion" in text and "malicious" in text
+    element, script = text.split("<script", 1)
+    assert not re.search(r"[0-9a-f]{8}-[0-9a-f]{4}-", text), "nothing in a report is random"
+    assert all(name in script for name in re.findall(r'id="(trust-\d+)"', element)) and 'id="trust-' in element
     assert interactive.thinned(rows, 2).subject.tolist() == [0, 0, 1, 1], "the first of each role"

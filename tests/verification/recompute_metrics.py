@@ -387,7 +387,7 @@ def ideal_observer(of, made):
     made["others"] = np.where(n == 0, 0, np.where(total < 0, 1, 2))
     for role in sorted(set(who.role) - {"honest"}):
         some = who[who.role.isin(["honest", role])]
-        best = 0.0
+        best = np.nan
         for name, known in (("auc_bound_alone", False), ("auc_bound", True)):
             clues = {subject: [] for subject in some.index}
             for row in made.itertuples():
@@ -397,7 +397,7 @@ def ideal_observer(of, made):
                 if row.evaluator in clues and row.step >= some.since[row.evaluator]:
                     cell = 48 + (value * 3 + row.others) * 2 + (known and roles[row.observer] != "honest")
                     clues[row.evaluator].append(cell)
-            best = max(best, separated(clues, {subject: some.role[subject] == role for subject in clues}))
+            best = np.fmax(best, separated(clues, {subject: some.role[subject] == role for subject in clues}))
             yield name, role, best
 
 
