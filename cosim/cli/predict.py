@@ -119,6 +119,8 @@ def _write_grid(experiment: Any, path: Path, advance: Any) -> None:
     from cosim.predict.grid import propose
     from results.durable import write_output
 
+    if path.suffix != ".toml":
+        raise ValueError(f"--grid {path}: the name of a study file to write, which ends in .toml.")
     study, found = propose(experiment, path.stem, advance)
     head = ["# Chosen by `cosim predict freshness`. Predicted median and 90th percentile of the age of the newest",
             "# evaluation at lookup [s], and share of lookups without a value:"]  # fmt: skip
