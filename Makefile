@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: run test types bounds lint verify docs bench extra lock clean
+.PHONY: run test types bounds lint verify pages docs bench extra lock clean
 
 run: $(READY)  ## Simulate the shipped city and print a summary
 	$(BIN)/cosim run
@@ -24,11 +24,14 @@ lint: $(READY)  ## Style and types
 	$(BIN)/ruff format --check --quiet .
 	$(BIN)/mypy
 
-verify: $(READY)  ## All checks and tests, including the slow ones
+verify: $(READY) $(VENV)/.readers  ## All checks and tests, including the slow ones
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check --quiet .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q -n 2 -m ""
+
+pages: $(READY)  ## Run the commands of the pages that show output, and record anew what they print
+	$(BIN)/python -m pytest -q -n 2 -m verify tests/cosim/docs/test_commands_run.py -k test_a_page --update-golden
 
 docs: $(READY) $(VENV)/.docs  ## The documentation site, in build/site; warnings are errors
 	$(BIN)/python -m cosim.docs.site build/site
@@ -58,3 +61,9 @@ $(READY): requirements.lock pyproject.toml
 $(VENV)/.docs: $(READY) cosim/docs/requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r cosim/docs/requirements.lock
 	@touch $(VENV)/.docs
+
+# The last two ask for NumPy 1, and for OpenCV with a screen, and need neither.
+$(VENV)/.readers: $(READY) pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable ".[readers]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps nuscenes-devkit==1.2.0 trackeval==1.3.0
+	@touch $(VENV)/.readers

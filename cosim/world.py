@@ -62,3 +62,10 @@ class World:
     def is_roadside(self) -> Bool[ndarray, "n"]:
         """Whether each actor is a roadside unit, which senses, sends and evaluates but is no traffic."""
         return self.shape == Shape.ROADSIDE_UNIT
+
+    def take(self, rows: Int[ndarray, "k"]) -> "World":
+        """The actors in these rows, ascending, without the lanes ahead of them."""
+        return World(
+            self.step, self.actor[rows], self.name_key[rows], self.shape[rows], self.boxes.take(rows),
+            self.speed_mps[rows], self.equipped[rows], self.attack[rows],
+        )  # fmt: skip

@@ -93,9 +93,9 @@ class LidarParams:
     """Standard deviation of one range [m]: HDL-64E S2 data sheet, < 2 cm."""
     dropout_p: Annotated[float, Ge(0), Lt(1)] = 0.0
     """Probability that a return is lost."""
-    rotation_hz: Annotated[float, Gt(0), Le(1000)] | None = None
+    rotation_hz: Annotated[float, Gt(0), Le(1000)] | Literal["off"] | None = None
     """Turns per second. During a sweep the sensor turns counter-clockwise and looks straight ahead at the time of the
-    sweep; other actors move meanwhile. none: the whole sweep happens at one instant."""
+    sweep; other actors move meanwhile. With "off", or unset, the whole sweep happens at one instant."""
     engine: Literal["columnar", "embree", "open3d"] = "columnar"
     """Ray caster; all give the same sweep up to rays that graze an edge. `open3d` must be installed:
     pip install 'cosim-perception[open3d]'."""
@@ -150,15 +150,16 @@ def beams(params: LidarParams) -> Beams:
             f"lidar.fov_deg = {fov} degrees in {n} columns is no sweep: set lidar.fov_deg in (0, 360] and "
             "lidar.n_azimuths to 1 or more."
         )
-    if params.rotation_hz is not None and params.engine != "columnar":
+    rotation_hz = None if params.rotation_hz == "off" else params.rotation_hz
+    if rotation_hz is not None and params.engine != "columnar":
         raise ValueError(
-            f'lidar.rotation_hz = {params.rotation_hz:g} needs lidar.engine = "columnar": "{params.engine}" casts a '
-            "whole sweep at one instant. Change lidar.engine, or leave lidar.rotation_hz out."
+            f'lidar.rotation_hz = {rotation_hz:g} needs lidar.engine = "columnar": "{params.engine}" casts a whole '
+            'sweep at one instant. Set lidar.rotation_hz = "off", or change lidar.engine.'
         )
     el = np.radians(elevation)
     az = np.radians(fov) * ((np.arange(n) + 0.5) / n - 0.5)
     tan, turn = np.tan(el), float(np.radians(fov))
-    s_per_rad = 0.0 if params.rotation_hz is None else 1.0 / (2.0 * np.pi * params.rotation_hz)
+    s_per_rad = 0.0 if rotation_hz is None else 1.0 / (2.0 * np.pi * rotation_hz)
     return Beams(
         az, np.cos(az), np.sin(az), el, tan, np.cos(el), np.sin(el), turn, s_per_rad, *cells_of_slopes(tan)[1:]
     )
@@ -170,6 +171,14 @@ class Poses:
 
     origin_m: Float[ndarray, "m 3"]
     yaw_rad: Float[ndarray, "m"]
+
+    def displaced(self, error: Float[ndarray, "m 3"]) -> Poses:
+        """Other poses: how far they are east [m] and north [m], and by how much they are turned [rad]."""
+        origin_m, yaw_rad = self.origin_m.copy(), self.yaw_rad
+        origin_m[:, :2] += error[:, :2]
+        if error[:, 2].any():
+            yaw_rad = np.pi - (np.pi - yaw_rad - error[:, 2]) % (2.0 * np.pi)  # (-pi, pi]
+        return Poses(origin_m, yaw_rad)
 
     def pairs(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> Pairs:
         """Pairs of a sensor and a box.
@@ -277,11 +286,7 @@ class RangeImages:
         error
             How far the other poses are east [m] and north [m], and by how much they are turned [rad].
         """
-        origin_m, yaw_rad = self.poses.origin_m.copy(), self.poses.yaw_rad
-        origin_m[:, :2] += error[:, :2]
-        if error[:, 2].any():
-            yaw_rad = np.pi - (np.pi - yaw_rad - error[:, 2]) % (2.0 * np.pi)  # (-pi, pi]
-        return replace(self, poses=replace(self.poses, origin_m=origin_m, yaw_rad=yaw_rad))
+        return replace(self, poses=self.poses.displaced(error))
 
     @property
     def range_m(self) -> Float32[ndarray, "m a e"]:

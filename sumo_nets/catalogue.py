@@ -114,12 +114,17 @@ def _opened(folder: Path, recipe: dict[str, Any]) -> Net:
         buildings_path=folder / "buildings.poly.xml.gz",
         warm_up_s=float(recipe["warm_up_s"]),
         end_s=float(demand["end_s"]),
-        vehicles_per_hour=float(
-            sum(demand.get(kind, {"per_hour": 0})["per_hour"] for kind in ("car", "van", "truck", "bicycle", "gates"))
-        ),
+        vehicles_per_hour=_vehicles_per_hour(recipe),
         pedestrians_per_hour=float(demand["pedestrian"]["per_hour"]),
         bounds_m=bounds_m(net_path),
     )
+
+
+def _vehicles_per_hour(recipe: dict[str, Any]) -> float:
+    if "counts" in recipe:  # written by `cosim nets counts`
+        return float(recipe["counts"]["vehicles_per_hour"])
+    kinds, demand = ("car", "van", "truck", "bicycle", "gates"), recipe["demand"]
+    return float(sum(demand.get(kind, {"per_hour": 0})["per_hour"] for kind in kinds))
 
 
 def bounds_m(net_path: Path | str) -> tuple[float, float, float, float]:

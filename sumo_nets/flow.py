@@ -55,20 +55,31 @@ class Flow:
 
 def measure(net: Net, seconds: float = 1200.0) -> Flow:
     """Simulate a network's demand for its warm-up and `seconds` more."""
-    begin, end = net.warm_up_s, net.warm_up_s + seconds
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as name:
         work = Path(name)
-        wanted = f'<edgeData id="e" file="edges.xml" begin="{begin}" end="{end}" excludeEmpty="true"/>'
-        (work / "edges.add.xml").write_text(f"<additional>{wanted}</additional>", encoding="utf-8")
-        additional = [net.folder / "vtypes.add.xml", net.folder / "stops.add.xml", work / "edges.add.xml"]
-        options = {
-            "configuration-file": net.sumocfg_path.resolve(),
-            "additional-files": ",".join(str(path.resolve()) for path in additional),
-            "end": end, "statistic-output": work / "statistic.xml", "summary-output": work / "summary.xml",
-            "no-step-log": True, "no-warnings": True, "duration-log.statistics": True, "verbose": False,
-        }  # fmt: skip
-        sumotools.run("sumo", options, work)
-        return _flow(work, begin, seconds, _free_mps(net.net_path))
+        simulate(net, seconds, work)
+        return _flow(work, net.warm_up_s, seconds, _free_mps(net.net_path))
+
+
+def simulate(net: Net, seconds: float, work: Path) -> Path:
+    """Simulate a network's demand for its warm-up and `seconds` more, with SUMO's outputs in the folder `work`.
+
+    Returns
+    -------
+    The file with what happened on each street after the warm-up.
+    """
+    begin, end = net.warm_up_s, net.warm_up_s + seconds
+    wanted = f'<edgeData id="e" file="edges.xml" begin="{begin}" end="{end}" excludeEmpty="true"/>'
+    (work / "edges.add.xml").write_text(f"<additional>{wanted}</additional>", encoding="utf-8")
+    additional = [net.folder / "vtypes.add.xml", net.folder / "stops.add.xml", work / "edges.add.xml"]
+    options = {
+        "configuration-file": net.sumocfg_path.resolve(),
+        "additional-files": ",".join(str(path.resolve()) for path in additional),
+        "end": end, "statistic-output": work / "statistic.xml", "summary-output": work / "summary.xml",
+        "no-step-log": True, "no-warnings": True, "duration-log.statistics": True, "verbose": False,
+    }  # fmt: skip
+    sumotools.run("sumo", options, work)
+    return work / "edges.xml"
 
 
 def _flow(work: Path, begin_s: float, seconds: float, free_mps: dict[str, float]) -> Flow:

@@ -71,24 +71,26 @@ class Lane(NamedTuple):
     for_cars: bool
     across: bool
     """Within a junction."""
+    edge: str
+    """Id of its street."""
 
 
 def lanes(net_path: Path | str) -> list[Lane]:
     """Every lane but those of railways and waterways, and the pedestrians' within junctions."""
     found: list[Lane] = []
-    function = ""
+    function = edge = ""
 
     def start(name: str, attributes: Attributes) -> None:
-        nonlocal function
+        nonlocal function, edge
         if name == "edge":
-            function = attributes.get("function", "normal")
+            function, edge = attributes.get("function", "normal"), attributes.get("id", "")
         elif name == "lane" and function not in ("crossing", "walkingarea") and _admits(attributes, MOTORS | OTHERS):
             points = [(*point.split(","), "0")[:3] for point in attributes["shape"].split()]
             width_m = float(attributes.get("width", LANE_M))
             line_m = np.array(points, float) if {len(point) for point in points} == {3} else np.zeros((0, 3))
             if len(line_m) < 2 or not np.isfinite(line_m).all() or not 0 < width_m < LARGEST_WIDTH_M:
                 raise ValueError(f"lane {attributes.get('id', '?')!r} has no line of finite points, or no width")
-            found.append(Lane(line_m, width_m, _admits(attributes, MOTORS), function == "internal"))
+            found.append(Lane(line_m, width_m, _admits(attributes, MOTORS), function == "internal", edge))
 
     stream(net_path, start)
     return found

@@ -143,7 +143,7 @@ def _serve(folder: Path) -> None:
 def sets_of_trace(path: Path) -> list[str]:
     """Words of a short run of a trace with everything on."""
     keys = (
-        f"traffic.scenario={path}", "fleet.penetration_p=1", "record.level=full", "record.block_steps=3",
+        "preset=v0.2", f"traffic.scenario={path}", "fleet.penetration_p=1", "record.level=full", "record.block_steps=3",
         "attacks.0.start_s=0", "attacks.0.share_p=0.3", "attacks.1.start_s=0", "attacks.1.share_p=0.2",
         "lidar.n_azimuths=300", "trust.server_period_s=2", "traffic.duration_s=6",
     )  # fmt: skip

@@ -20,11 +20,14 @@ from cosim.execution import recording
 from cosim.mobility.actors import ActorRegistry
 from cosim.mobility.scenario import Scenario, find
 from cosim.mobility.source import TrafficEnded
+from cosim.offline.live import SUFFIXES, Live
 from cosim.step.cycle import step
 from cosim.step.parts import Parts
+from cosim.step.result import StepResult
 from cosim.step.state import State
 from cosim.world import World
 from results.recorder import Recorder
+from sensors.scene import Scene
 
 Row = tuple[str, float, str]
 """A description, the figure and its unit."""
@@ -35,6 +38,8 @@ WARM_UP_STEPS = 3
 _NEAR_M = 100.0
 _N_CENTRES, _N_INSTANTS = 100, 4
 """Number of candidate centres of a crop, and number of times at which its neighbours are counted."""
+_N_SHOWN = 10
+"""Number of times that a step is shown to a viewer."""
 
 
 class CpuStopwatch:
@@ -88,6 +93,7 @@ def bench(
         Further keys of the config, as for `cosim run --set`.
     """
     config = load(None, [
+        "preset=v0.2",
         f"traffic.scenario={scenario}", *([f"traffic.trace={trace}"] if trace else []), "fleet.penetration_p=1",
         'fleet.equipped_kinds=["car","van","truck","bus","motorcycle"]', "trust_variant=[]",
         *overrides,
@@ -134,10 +140,12 @@ def _measured(name: str, worlds: list[World], parts: Parts, registry: ActorRegis
                 watch.processor_s.clear()
             else:
                 n_equipped += int(world.equipped.sum())
-            del result  # as in a run
+            if number + 1 < len(worlds):
+                del result  # as in a run
         with watch("record"):
             recorder.flush(recording.open_rows(state, parts, registry, worlds[-1].step + 1))
         wall_s, processor_s = perf_counter() - begin[0], process_time() - begin[1]
+        shown = dict(_shown(parts.config, parts.city, result, Path(folder)))
         n_bytes = sum(path.stat().st_size for path in Path(folder).rglob("*.parquet"))
         n_sensed = sum(int(world.equipped.sum()) for world in worlds)
     n, simulated_s = len(worlds) - WARM_UP_STEPS, (len(worlds) - WARM_UP_STEPS) * config.traffic.step_s
@@ -150,7 +158,24 @@ def _measured(name: str, worlds: list[World], parts: Parts, registry: ActorRegis
     for stage, seconds in sorted(watch.processor_s.items(), key=lambda item: -item[1]):
         yield f"{name}: {stage}, wall time", 1e3 * watch.wall_s[stage] / simulated_s, "ms per simulated second"
         yield f"{name}: {stage}, processor time", 1e6 * seconds / n_equipped, "µs per equipped vehicle and step"
+    for suffix, shown_s in shown.items():
+        figure = 1e6 * shown_s * n / n_equipped
+        yield f"{name}: watched as {suffix}, processor time", figure, "µs per equipped vehicle and step"
     yield f"{name}: tables", n_bytes / (n_sensed * config.traffic.step_s), "bytes per vehicle-second"
+
+
+def _shown(config: Config, city: Scene, result: StepResult, folder: Path) -> Iterator[tuple[str, float]]:
+    """Processor time of all threads that showing a step takes, by the kind of file [s]; the city was shown before."""
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    for suffix in SUFFIXES:
+        with Live(config, str(folder / f"live{suffix}")) as live:
+            live(result, scenario, city)
+            live.flush()
+            begin = process_time()
+            for _ in range(_N_SHOWN):
+                live(result, scenario, city)
+            live.flush()
+            yield suffix, (process_time() - begin) / _N_SHOWN
 
 
 def _worlds(config: Config, scenario: Scenario, n: int) -> tuple[list[World], ActorRegistry]:

@@ -1,6 +1,6 @@
 """Records the evidence set of the benchmark: every world is simulated once, with all attacks beside each other."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -125,7 +125,7 @@ class _Shared:
 
 
 @dataclass(slots=True)
-class _Case:
+class Case:
     """The recording of one case."""
 
     parts: Parts
@@ -189,7 +189,7 @@ def _percent(values: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
     return np.rint(100 * values).astype(np.int64)
 
 
-def _numbered(tables: list[dict[str, Rows]]) -> list[Stream]:
+def numbered(tables: list[dict[str, Rows]]) -> list[Stream]:
     """The cases of a world with pseudonyms numbered from 0 in ascending order: one numbering for all cases."""
     known = np.unique(np.concatenate([of["pseudonyms"]["pseudonym"] for of in tables]))
     if len(known) > MOST_PSEUDONYMS:
@@ -207,7 +207,7 @@ def config_of(place: Place, rules: Rules, attack: str) -> Config:
     """The config of a case of a world."""
     section = {"attack": attack, "share_p": SHARE_P, "start_s": rules.start_step * rules.dt_s}
     return resolve_data({
-        "seed": place.seed, "traffic": {
+        "preset": "v0.2", "seed": place.seed, "traffic": {
             "scenario": place.city, "seed": place.seed, "step_s": rules.dt_s, "duration_s": rules.n_steps * rules.dt_s,
         },
         "fleet": {"penetration_p": place.penetration_p}, "encounters": [{}], "attacks": [section],
@@ -216,27 +216,43 @@ def config_of(place: Place, rules: Rules, attack: str) -> Config:
     }, "the benchmark", None)  # fmt: skip
 
 
-def recorded(place: Place, rules: Rules, advance: Advance) -> list[Stream]:
-    """The evidence of all cases of a world, simulated beside each other over the same traffic and sweeps."""
-    attacks = rules.cases[1:]
-    config = config_of(place, rules, attacks[0])
-    scenario = check(config)
+def simulated(configs: Sequence[Config], label: str, advance: Advance) -> list[Case]:
+    """The same world without attack, and with the attacks of each config, beside each other.
+
+    Parameters
+    ----------
+    configs
+        They differ in their attacks only, and each has a `Tape` as its trust model.
+    label
+        Name of the world for `advance`.
+    advance
+        Called with progress.
+    """
+    config = configs[0]
+    scenario, n_steps = check(config), round(config.traffic.duration_s / config.traffic.step_s)
     base, _, traffic = running.load_parts(config, scenario)
     shared = _Shared(base.perception)
     harmless: Any = (_Harmless(),)  # an attack may leave any hook out
     parts = [replace(base, adversary=replace(base.adversary, attacks=harmless))]
-    parts += [Parts.of(config_of(place, rules, attack), base.city, base.rsus) for attack in attacks]
-    cases = [_Case(of, State.start(of)) for of in (replace(one, perception=shared) for one in parts)]
+    parts += [Parts.of(one, base.city, base.rsus) for one in configs]
+    cases = [Case(of, State.start(of)) for of in (replace(one, perception=shared) for one in parts)]
     try:
         warm_up(running.warmup_of(config, scenario), traffic, base.watch, lambda *_: None)
-        for number in range(rules.n_steps):
+        for number in range(n_steps):
             world = traffic.advance()
             for case in cases:
                 case.record(world)
-            advance(f"{place.city}, {place.penetration_p:g}, seed {place.seed}", number + 1, rules.n_steps, "steps")
+            advance(label, number + 1, n_steps, "steps")
     finally:
         traffic.close()
-    return _numbered([case.tables() for case in cases])
+    return cases
+
+
+def recorded(place: Place, rules: Rules, advance: Advance) -> list[Stream]:
+    """The evidence of all cases of a world, simulated beside each other over the same traffic and sweeps."""
+    configs = [config_of(place, rules, attack) for attack in rules.cases[1:]]
+    label = f"{place.city}, {place.penetration_p:g}, seed {place.seed}"
+    return numbered([case.tables() for case in simulated(configs, label, advance)])
 
 
 def make(

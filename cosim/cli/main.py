@@ -63,6 +63,10 @@ ConfigPath = Annotated[Path | None, typer.Argument(help="Config file (TOML). Wit
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="Change one key of the config, e.g. radio.range_m=150. Repeatable.")
 ]
+Cells = Annotated[
+    int,
+    typer.Option(help="Cut the city into so many cells, each with a process that senses for its vehicles.", min=0),
+]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
 Picture = Literal[
     "trust",
@@ -132,6 +136,7 @@ def run(
         str | None,
         typer.Option(help="Write the same into a file meanwhile: .rrd for Rerun, or .mcap for Foxglove and ROS 2."),
     ] = None,
+    cells: Cells = 0,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
@@ -149,18 +154,19 @@ def run(
     target = "viewer" if watch else watch_file
     if target is None:
         with progress() as advance:
-            folder = running.run(experiment, out, advance)
+            folder = running.run(experiment, out, advance, n_cells=cells)
     else:
         from cosim.offline.live import Live
 
         with progress() as advance, Live(experiment, target) as live:
-            folder = running.run(experiment, out, advance, on_step=live)
+            folder = running.run(experiment, out, advance, on_step=live, n_cells=cells)
     _conclude(folder, as_json)
 
 
 @app.command()
 def resume(
     folder: Annotated[Path, typer.Argument(help="Folder of a run that was interrupted or killed.")],
+    cells: Cells = 0,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
@@ -171,7 +177,7 @@ def resume(
     if is_study(folder):
         raise ValueError(f"{folder} is a study. Continue it with: cosim sweep {folder}/study.toml --out {folder}")
     with progress() as advance:
-        running.resume(folder, advance, trust_code=trust_code)
+        running.resume(folder, advance, trust_code=trust_code, n_cells=cells)
     _conclude(folder, as_json)
 
 

@@ -1,4 +1,4 @@
-"""The commands for cities: list, show and build."""
+"""The commands for cities: list, show, build, and fit to counts."""
 
 from __future__ import annotations
 
@@ -179,6 +179,46 @@ def build(
     _print_facts(facts, as_json)
 
 
+@nets.command()
+def counts(
+    city: Annotated[str, typer.Argument(help="Name of a city, or folder that `nets build` wrote.")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="CSV file: per_hour, and edge or lon, lat, heading_deg. One hour of a day; lanes are added."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder to write. `--set traffic.scenario=FOLDER` then simulates it.")],
+    hold_out: Annotated[
+        float, typer.Option(min=0, max=0.9, help="Share of the places that are kept back, to judge the fit.")
+    ] = 0.2,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the draw of routes and places.")] = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Fit the demand of a city to traffic counts, and say how well it agrees, also where it was not fitted."""
+    from sumo_nets import catalogue, counts
+
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
+    net = catalogue.find(city) if city in catalogue.names() else catalogue.open_folder(Path(city))
+    counted = counts.read(file, net.net_path)
+    back = counts.kept_back(counted, hold_out, seed)
+    fitted = {edge: value for edge, value in counted.items() if edge not in back}
+    with notes.status("drawing routes ..."):
+        drawn = counts.fit(net, fitted, out, seed)
+    with notes.status("driving the old and the new demand ..."):
+        before, after = (counts.driven(one, counted) for one in (net, catalogue.open_folder(out)))
+    groups = {
+        "fitted_drawn": (drawn, fitted), "fitted_before": (before, fitted), "fitted_driven": (after, fitted),
+        "kept_back_before": (before, back), "kept_back_driven": (after, back),
+    }  # fmt: skip
+    facts: dict[str, Any] = {"name": str(out), "vehicles_per_hour": catalogue.open_folder(out).vehicles_per_hour}
+    for name, (model, of) in groups.items():
+        found = counts.agreement(model, of)
+        facts[name] = asdict(found) if as_json else found.text
+    _print_facts(facts, as_json)
+
+
 def _summary(net: Net | PackageNet) -> dict[str, Any]:
     """Facts about a city, also about one that is generated when it is first used."""
     folder = getattr(net, "folder", None)
@@ -228,7 +268,7 @@ LABELS = {
     "km2": ("area", "{:.2f} km²"),
     "lane_km": ("streets", "{:,.1f} km of lanes"),
     "buildings": ("buildings", "{:,}"),
-    "vehicles_per_hour": ("vehicles", "{:,} per hour"),
+    "vehicles_per_hour": ("vehicles", "{:,.0f} per hour"),
     "pedestrians_per_hour": ("pedestrians", "{:,} per hour"),
     "MB": ("size", "{:.2f} MB"),
     "on_disk": ("files", "{}"),
@@ -243,6 +283,11 @@ LABELS = {
     "jammed": ("jammed streets", "{:,}"),
     "jammed_p": ("time spent there", "{:.1%}"),
     "assessment": ("assessment", "{}"),
+    "fitted_drawn": ("fitted counts, as drawn", "{}"),
+    "fitted_before": ("fitted counts, old demand", "{}"),
+    "fitted_driven": ("fitted counts, new demand", "{}"),
+    "kept_back_before": ("other counts, old demand", "{}"),
+    "kept_back_driven": ("other counts, new demand", "{}"),
 }
 """Labels and formats of the facts, in the order of the terminal's table. JSON uses the keys."""
 

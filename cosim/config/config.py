@@ -88,9 +88,10 @@ class TrustVariant:
 class Config:
     """One experiment."""
 
-    preset: str = preset.DEFAULT
+    preset: str = "v0.2"
     """Set of keys that the config starts from: `paper`, `modern` or `v0.2`. Keys of the config come before those of the
-    preset. See `cosim/config/presets`."""
+    preset. See `cosim/config/presets`. The default of a file and of `cosim run` is `modern`; an object of this class
+    has the keys of `v0.2`."""
     seed: Annotated[int, Ge(0), Le(2**63 - 1)] = 4
     """Seed of all random numbers except SUMO's."""
     sensing_interval_s: Annotated[float, Ge(0.1), Le(3600)] = 1.0

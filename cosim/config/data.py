@@ -4,6 +4,7 @@ import difflib
 import json
 import math
 import tomllib
+from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -84,14 +85,29 @@ def validated(model: Any, data: Any, prefix: str, where: str) -> Any:
     try:
         return _adapter(model).validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join([*([prefix] if prefix else []), *(str(p) for p in first["loc"])])
+        first, *more = error.errors()
+        keys = _keys(first["loc"], data)
+        name = ".".join([*([prefix] if prefix else []), *keys])
         if first["type"] == "value_error":
             raise ValueError(first["msg"].removeprefix("Value error, ")) from None
         if first["type"] == "missing":
             raise ValueError(f"{name}: missing. Set {name} in {where}.") from None
-        reason = first["msg"].removeprefix("Input should be ")
+        alternatives = [first, *(one for one in more if _keys(one["loc"], data) == keys)]
+        reason = " or ".join(dict.fromkeys(one["msg"].removeprefix("Input should be ") for one in alternatives))
         raise ValueError(f"{name} = {first['input']!r} should be {reason}. Set {name} in {where}.") from None
+
+
+def _keys(loc: Sequence[Any], data: Any) -> list[str]:
+    """The keys of a place in the data, without pydantic's names of the alternatives that a value can be."""
+    found = []
+    for number, part in enumerate(loc, 1):
+        fits = isinstance(data, dict) or (isinstance(data, list) and isinstance(part, int))
+        if fits and (part in data if isinstance(data, dict) else part < len(data)):
+            data = data[part]
+        elif not (fits and number == len(loc)):  # only the last one can be missing
+            continue
+        found.append(str(part))
+    return found
 
 
 @cache

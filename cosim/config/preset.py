@@ -8,8 +8,8 @@ from typing import Any
 
 from cosim.config.data import read_toml
 
-DEFAULT = "v0.2"
-"""The preset of a config that names none."""
+DEFAULT = "modern"
+"""The preset of a config file that names none."""
 _FOLDER = Path(__file__).parent / "presets"
 
 
@@ -32,6 +32,14 @@ def under(data: dict[str, Any], where: str) -> None:
         hint = f'Did you mean "{near[0]}"?' if near else f"Known: {', '.join(names())}."
         raise ValueError(f"preset = {name!r}: there is no such preset in {where}. {hint}")
     _add(data, _preset(name))
+
+
+def default_of(key: str) -> Any:
+    """What the default preset sets a key such as `lidar.profile` to; None if it leaves the key alone."""
+    found: Any = {"preset": DEFAULT} | _preset(DEFAULT)
+    for part in key.split("."):
+        found = found.get(part) if isinstance(found, Mapping) else None
+    return found
 
 
 @cache

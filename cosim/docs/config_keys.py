@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 import annotated_types as at
 
+from cosim.config import preset
 from cosim.config.config import Config, TrustVariant
 from cosim.door.kinds import SECTIONS
 from trust.params import TrustParams
@@ -25,7 +26,8 @@ def markdown() -> str:
         "",
         "A config is a TOML file. A dot in a key separates section and key: `radio.range_m` is `range_m` in `[radio]`.",
         "`--set KEY=VALUE` changes a key on the command line. Items of lists have numbers: `attacks.0.share_p`.",
-        "A key that you leave out has its default. An unknown key is an error. `cosim check FILE` prints all values.",
+        f"A key that you leave out has its default, that of the preset `{preset.DEFAULT}`. Another `preset` has other",
+        "defaults. An unknown key is an error. `cosim check FILE` prints all values.",
         "",
     ]
     parts: list[tuple[str, Any]] = []
@@ -110,7 +112,7 @@ def _is_section(params: Any, section: str) -> bool:
 
 def _row(name: str, one: Field[Any], meaning: str, hint: Any) -> str:
     kind, bounds = _kind(hint)
-    cells = [f"`{name}`", "; ".join(x for x in (kind, bounds) if x), _default(one), meaning]
+    cells = [f"`{name}`", "; ".join(x for x in (kind, bounds) if x), _default(name, one), meaning]
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
@@ -150,19 +152,27 @@ def _figure(bound: float) -> str:
     return str(int(bound)) if bound == int(bound) else f"{bound:g}"
 
 
-def _default(one: Field[Any]) -> str:
-    value = one.default if one.default is not MISSING else None
-    if one.default is MISSING and one.default_factory is MISSING:
-        return "required"
-    if one.default is MISSING and one.default_factory is not MISSING:
-        value = one.default_factory()
+def _default(name: str, one: Field[Any]) -> str:
+    """The default of a key: that of the preset which holds if a config names none, else that of the class."""
+    value = preset.default_of(name)
+    if value is None:
+        if one.default is MISSING and one.default_factory is MISSING:
+            return "required"
+        value = one.default if one.default_factory is MISSING else one.default_factory()
     if value is None:
         return "unset"
     if isinstance(value, bool):
         return f"`{str(value).lower()}`"
     if isinstance(value, tuple):
-        return "`[" + ", ".join(f'"{x}"' if isinstance(x, str) else f"{x:g}" for x in value) + "]`"
+        return f"`{_written(value)}`"
     return f'`"{value}"`' if isinstance(value, str) else f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
+
+
+def _written(value: Any) -> str:
+    """A list, also one of lists, as TOML."""
+    if isinstance(value, tuple):
+        return "[" + ", ".join(map(_written, value)) + "]"
+    return f'"{value}"' if isinstance(value, str) else f"{value:g}"
 
 
 def _section_of(kind: Any) -> Any:

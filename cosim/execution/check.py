@@ -35,6 +35,7 @@ def check(config: Config) -> Scenario:
     roadside_units(config, scenario)
     check_choices(config)
     _check_driver(config, scenario)
+    _check_hosts(config)
     lidar.beams(config.lidar)
     mixed_perception.check_lidars(config.lidar, [unit.sensor for unit in config.roadside])
     with_meshes(Scene.empty(), config.meshes, config.vehicle_meshes)
@@ -43,6 +44,17 @@ def check(config: Config) -> Scenario:
         car, first = np.array([Shape.CAR], np.uint8), np.zeros(1, np.int64)
         lidar.scan(one, car, first, Scene.empty(), config.lidar, np.zeros(1, np.uint64))
     return scenario
+
+
+def _check_hosts(config: Config) -> None:
+    """Raise ValueError if a trust model needs what its host does not have."""
+    named = [("trust", config.trust), *((f'trust_variant "{v.name}"', v.trust) for v in config.trust_variant)]
+    for where, trust in named:
+        if trust.model == "self_first" and trust.host == "central":
+            raise ValueError(
+                f'{where}: model = "self_first" puts the holder\'s own sweep first, and with host = "central" the '
+                'holder is a server, which has none. Set host = "local", or model = "evaluator_trust".'
+            )
 
 
 def _check_driver(config: Config, scenario: Scenario) -> None:

@@ -13,6 +13,7 @@ from numpy import ndarray
 from cosim.adversary.params import rings_too_large
 from cosim.config.config import Config
 from cosim.execution import checkpoint, recording
+from cosim.execution.cells.perception import CellPerception
 from cosim.execution.checkpoint import CannotCheckpoint
 from cosim.execution.folder import RunFolder
 from cosim.execution.manifest import Manifest
@@ -32,15 +33,15 @@ from cosim.step.stopwatch import Stopwatch
 from cosim.world import World
 from results.codes import DetectionFault, labels
 from results.recorder import Recorder
-from sensors.scene import Shape
+from sensors.scene import Scene, Shape
 
 _log = logging.getLogger(__name__)
 
 Advance = Callable[[str, int, int, str], None]
 """Callback for progress. Its arguments are the phase, the work done, the total and a note."""
 
-OnStep = Callable[[StepResult], None]
-"""Sees the result of every recorded step, and must not change it."""
+OnStep = Callable[[StepResult, Scenario, Scene], None]
+"""Sees the result of every recorded step, the scenario and its city, and must not change them."""
 
 Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
 """Actors and their commanded speeds [m/s]."""
@@ -89,12 +90,13 @@ class Drive:
         """Warm up, repeat the traffic of the recorded steps, and continue until the end or a signal."""
         keep_freed_memory()
         give_back_freed_memory()  # memory that reading the city took
-        c = self.parts.config
-        alone = c.driver.model != "none" or c.compute.threads == 1 or _CORES == 1
-        if alone or not isinstance(self.parts.perception, Perception):
+        c, perception = self.parts.config, self.parts.perception
+        in_cells = isinstance(perception, CellPerception)
+        has_room = isinstance(perception, Perception) and c.compute.threads != 1 and _CORES > 1
+        if c.driver.model != "none" or not (in_cells or has_room):
             self._run(None)  # the next world depends on the present step, or there is no second core
             return
-        with Ahead(self.parts) as ahead:
+        with Ahead(self.parts, in_cells) as ahead:
             self.manifest.timings_ahead_s = ahead.watch.seconds
             self._run(ahead)
 
@@ -122,7 +124,7 @@ class Drive:
                     self._check_repeated(world)
                 self.advance("repeat traffic", number + 1, first, "steps")
                 continue
-            numba.set_num_threads(_threads(config, int(world.equipped.sum())))
+            numba.set_num_threads(_threads(self.parts, int(world.equipped.sum())))
             self._look_ahead(number, ahead)
             precomputed = NOTHING_PRECOMPUTED if ahead is None else ahead.of(world)
             state, result = step(world, state, self.parts, precomputed)
@@ -139,7 +141,7 @@ class Drive:
                     self._commit(state)
             if self.on_step is not None:
                 with self.parts.watch("show"):
-                    self.on_step(result)
+                    self.on_step(result, self.scenario, self.parts.city)
             del result, precomputed  # up to 100 MB for many vehicles, which would exist beside those of the next step
             self.traffic.command(*commands)
             self.advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
@@ -298,6 +300,11 @@ def _pseudonym_summary(config: Config, state: State, n_messages: int) -> dict[st
     return found
 
 
-def _threads(config: Config, n_equipped: int) -> int:
-    """Threads for one step: the number in the config, or one per `_EQUIPPED_PER_THREAD` equipped vehicles."""
-    return min(config.compute.threads or max(1, n_equipped // _EQUIPPED_PER_THREAD), _CORES)
+def _threads(parts: Parts, n_equipped: int) -> int:
+    """Threads for one step: the number in the config, or one per `_EQUIPPED_PER_THREAD` equipped vehicles.
+
+    The workers of cells take one core each.
+    """
+    n, perception = parts.config.compute.threads, parts.perception
+    free = max(1, _CORES - perception.crew.n_cells) if isinstance(perception, CellPerception) else _CORES
+    return min(n or max(1, n_equipped // _EQUIPPED_PER_THREAD), free)

@@ -68,6 +68,8 @@ class Manifest:
     timings_s: dict[str, float] = field(default_factory=dict)
     timings_ahead_s: dict[str, float] = field(default_factory=dict)
     """Seconds per stage that a second thread computed ahead, in parallel with `timings_s`."""
+    cells: dict[str, Any] = field(default_factory=dict)
+    """What the cells of the city cost; empty without cells."""
     summary: dict[str, Any] = field(default_factory=dict)
     error: str = ""
     """Why the run failed."""
@@ -124,6 +126,7 @@ class Manifest:
             "timings_ahead_s": _rounded(self.timings_ahead_s),
             "summary": self.summary,
             "inventory": inventory.summary(kept(self.config.record.level)),
+            **({"cells": self.cells} if self.cells else {}),
             **({"lidar_engine": GRAZING} if self.config.lidar.engine != "columnar" else {}),
             **({"error": self.error} if self.error else {}),
             **({"resumed_at": self.resumed_at} if self.resumed_at else {}),

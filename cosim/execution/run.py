@@ -3,7 +3,7 @@
 import hashlib
 import shutil
 from collections.abc import Collection
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,8 @@ from cosim.config.config import Config, of_run
 from cosim.door.blame import ExtensionError
 from cosim.execution import checkpoint, recording
 from cosim.execution import folder as run_folder
+from cosim.execution.cells.perception import CellPerception
+from cosim.execution.cells.start import in_cells
 from cosim.execution.check import check, roadside_units, rsu_antennas
 from cosim.execution.drive import STATE_VERSION, Advance, Commands, Drive, OnStep, own_modules, warm_up
 from cosim.execution.folder import RunFolder
@@ -43,7 +45,8 @@ from results.verify import links
 
 
 def run(
-    config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None, on_step: OnStep | None = None
+    config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None,
+    on_step: OnStep | None = None, n_cells: int = 0,
 ) -> Path:  # fmt: skip
     """Run an experiment into a folder.
 
@@ -62,6 +65,9 @@ def run(
         are the same.
     on_step
         Called with the result of every recorded step, for example to show it.
+    n_cells
+        Number of worker processes, each of which senses for the vehicles of one part of the city; 0 for none. The
+        tables are the same.
 
     Returns
     -------
@@ -78,7 +84,7 @@ def run(
     scenario = check(config)
     with StopRequest() as stop:
         parts, registry, traffic = load_parts(config, scenario, traffic_from)
-        try:
+        with closing(traffic), in_cells(parts, scenario, n_cells) as parts:
             folder = run_folder.create(out, scenario.name)
             try:
                 manifest = Manifest(folder.path, config, provenance(config, scenario), sources(config))
@@ -94,12 +100,12 @@ def run(
                     raise Failed(f"{folder.path}: {error.strerror or error}. Nothing was written.") from None
                 raise
             _carry_out(drive, folder)
-        finally:
-            traffic.close()
     return folder.path
 
 
-def resume(path: Path, advance: Advance, traffic_from: Path | None = None, trust_code: bool = False) -> Path:
+def resume(
+    path: Path, advance: Advance, traffic_from: Path | None = None, trust_code: bool = False, n_cells: int = 0
+) -> Path:
     """Continue a run that was killed or interrupted, from its last complete block.
 
     The tables equal those of a run without interruption. The traffic is simulated again from its beginning, because
@@ -116,6 +122,8 @@ def resume(path: Path, advance: Advance, traffic_from: Path | None = None, trust
     trust_code
         Load the user's own classes that the run's config names. Without it, the run is refused, because the author of
         a folder can compute its checksums again after a change. Nothing else in the folder can name code.
+    n_cells
+        As in `run`. It need not be that of the run so far.
 
     Returns
     -------
@@ -145,7 +153,7 @@ def resume(path: Path, advance: Advance, traffic_from: Path | None = None, trust
             if problem := next((p for part in closed if (p := content_problem(path, part))), ""):
                 raise Damaged(f"{path} is damaged: {problem}. Run again.")
             parts, registry, traffic = load_parts(config, scenario, traffic_from)
-            try:
+            with closing(traffic), in_cells(parts, scenario, n_cells) as parts:
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
                 went.keep_config(manifest)
                 recorder = _recorder(path, parts, found.end_step)
@@ -157,8 +165,6 @@ def resume(path: Path, advance: Advance, traffic_from: Path | None = None, trust
                 drive.commands = _kept_commands(path, found)
                 went.write("running")
                 _carry_out(drive, folder)
-            finally:
-                traffic.close()
         except BaseException:
             folder.release()
             raise
@@ -348,7 +354,7 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
             raise Stopped(drive.stop.signum, NOTHING_WRITTEN) from None
         _fail(drive, folder, f"{type(error).__name__}: {error}")
         raise RuntimeError(f"{folder.path}: the run failed at step {manifest.steps}") from error
-    manifest.timings_s = drive.parts.watch.seconds
+    _measured(drive)
     if not drive.is_over:
         manifest.write("interrupted", recorder.inventory)
         folder.release()
@@ -372,7 +378,8 @@ def _fail(drive: Drive, folder: RunFolder, message: str) -> bool:
         with suppress(OSError):
             folder.remove()
         return False
-    manifest.error, manifest.timings_s = message, drive.parts.watch.seconds
+    manifest.error = message
+    _measured(drive)
     with suppress(OSError):  # on a full disk the manifest stays "running"; without a lock this means the same
         for leftover in folder.path.rglob("*" + PARTIAL):
             leftover.unlink()
@@ -380,6 +387,13 @@ def _fail(drive: Drive, folder: RunFolder, message: str) -> bool:
     with suppress(OSError):
         folder.release()
     return True
+
+
+def _measured(drive: Drive) -> None:
+    """Note in the manifest what the run cost."""
+    drive.manifest.timings_s, perception = drive.parts.watch.seconds, drive.parts.perception
+    if isinstance(perception, CellPerception):
+        drive.manifest.cells = perception.report()
 
 
 _FEWEST_MESSAGES = 3.0

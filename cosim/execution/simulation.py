@@ -169,6 +169,11 @@ class SimulatedStep:
         """Actor numbers of the equipped vehicles on the road, ascending."""
         return self.world.actor[self.world.equipped]
 
+    @property
+    def sensing(self) -> Int[ndarray, "s"]:
+        """Actor numbers of the vehicles that sense in this step, ascending. They have a point cloud."""
+        return self.result.sensed.sensing.actor if self.result.sensed is not None else np.zeros(0, np.int64)
+
     def cloud(self, vehicle: int, frame: Literal["world", "sensor"] = "world") -> Float[ndarray, "n 3"]:
         """Point cloud of one vehicle's sweep.
 
@@ -177,7 +182,7 @@ class SimulatedStep:
         Parameters
         ----------
         vehicle
-            Actor number, one of `vehicles`.
+            Actor number, one of `sensing`.
         frame
             `world`: x east, y north, z up, at the vehicle's estimated position. `sensor`: x forward, y left, z up.
 
@@ -197,8 +202,8 @@ class SimulatedStep:
         sensed = self.result.sensed
         row = np.flatnonzero(sensed.sensing.actor == vehicle) if sensed is not None else np.zeros(0, np.int64)
         if sensed is None or not len(row):
-            raise ValueError(f"vehicle {vehicle} has no sweep in step {self.step}: name one of result.vehicles in a "
-                             "step in which vehicles sense.")  # fmt: skip
+            raise ValueError(f"vehicle {vehicle} has no sweep in step {self.step}: name one of step.sensing, "
+                             "where there are any.")  # fmt: skip
         sweeps = sensed.positioned.observed.sweeps
         images, o = sweeps.image(int(row[0])) if isinstance(sweeps, MixedImages) else (sweeps, int(row[0]))
         assert isinstance(images, RangeImages), "this process holds the range images"

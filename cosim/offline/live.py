@@ -17,8 +17,8 @@ from numpy import ndarray
 
 from cosim.adversary.params import roles_of
 from cosim.config.config import Config
+from cosim.mobility.scenario import Scenario
 from cosim.offline import view
-from cosim.offline.replay_lidar import city_of
 from cosim.step.result import Sensed, StepResult
 from cosim.world import World
 from results.codes import Role, labels
@@ -28,6 +28,7 @@ from results.export.pcap import START_S
 from results.figures import style
 from sensors.boxes import Boxes
 from sensors.raycast.mesh import city_triangles
+from sensors.scene import Scene
 
 _LOG = logging.getLogger(__name__)
 
@@ -49,11 +50,14 @@ RATED = np.dtype([*ros2.POINT.descr, ("trust", "<f4"), ("newest_evaluation_age_s
 class Shown(Protocol):
     """Where a run is shown."""
 
-    def begin(self, look_m: Float[ndarray, "3"]) -> None:
+    def begin(self, look_m: Float[ndarray, "3"], scenario: Scenario, city: Scene) -> None:
         """Show the city; the first view is around this point [m]."""
 
     def step(self, now: "Now") -> None:
         """Show a step."""
+
+    def flush(self) -> None:
+        """Wait until what was shown is sent or written."""
 
     def end(self, keep: bool) -> None:
         """Close the connection, or the file, which is removed unless it is to be kept."""
@@ -79,12 +83,12 @@ class Now:
     def _look_up(self, sensed: Sensed, known: Known) -> None:
         used, lookups = sensed.looked_up.messages, sensed.looked_up.lookups[0]
         there = ~lookups.is_default
-        row = sensed.senders.vehicle[used.message][there]
+        row = sensed.known.vehicle[used.message][there]
         n = np.bincount(row, minlength=len(sensed.vehicles.actor))
         total = np.bincount(row, lookups.trust[there], minlength=len(n))
         heard = np.flatnonzero(n)
         aged = lookups.is_known
-        row = sensed.senders.vehicle[used.message][aged]
+        row = sensed.known.vehicle[used.message][aged]
         n_aged = np.bincount(row, minlength=len(n))
         ages = np.bincount(row, lookups.newest_evaluation_age_s[aged], minlength=len(n))
         mean = np.where(n_aged > 0, ages / np.maximum(n_aged, 1), np.nan)
@@ -133,7 +137,7 @@ class Live:
         self._begun = False
         self._stopped = ""
         """Why nothing is shown any more."""
-        self._shown: Shown = _Mcap(config, Path(target)) if target.endswith(".mcap") else _Rerun(config, target)
+        self._shown: Shown = _Mcap(Path(target)) if target.endswith(".mcap") else _Rerun(target)
 
     def __enter__(self) -> Self:
         return self
@@ -148,17 +152,21 @@ class Live:
         if self._stopped:
             _LOG.warning("the run was not shown to its end: %s", self._stopped)
 
-    def __call__(self, result: StepResult) -> None:
+    def __call__(self, result: StepResult, scenario: Scenario, city: Scene) -> None:
         if self._stopped:
             return
         now = Now(self._config, result, self._role, self._known)
         try:
             if not self._begun:
                 self._begun = True
-                self._shown.begin(first_look(now.world))
+                self._shown.begin(first_look(now.world), scenario, city)
             self._shown.step(now)
         except (OSError, RuntimeError) as failure:  # a full disk, a viewer that was closed
             self._stopped = str(failure) or type(failure).__name__
+
+    def flush(self) -> None:
+        """Wait until what was shown is sent or written."""
+        self._shown.flush()
 
 
 def first_look(world: World) -> Float[ndarray, "3"]:
@@ -188,11 +196,10 @@ def _finish(path: Path, keep: bool) -> None:
 class _Rerun:
     """The Rerun viewer, or a recording for it."""
 
-    def __init__(self, config: Config, target: str) -> None:
+    def __init__(self, target: str) -> None:
         view.sdk()
         import rerun
 
-        self._config = config
         self._path = None if target == VIEWER else Path(target)
         self._recording = rerun.RecordingStream("cosim")
         if self._path is None:
@@ -204,9 +211,9 @@ class _Rerun:
             _opened(self._path).close()
             self._recording.save(self._path.with_name(self._path.name + PARTIAL))
 
-    def begin(self, look_m: Float[ndarray, "3"]) -> None:
+    def begin(self, look_m: Float[ndarray, "3"], scenario: Scenario, city: Scene) -> None:
         view.send_layout(self._recording, look_m, ages=True)
-        view.surroundings(self._recording, self._config, city_of(self._config))
+        view.surroundings(self._recording, scenario, city)
 
     def step(self, now: Now) -> None:
         import rerun
@@ -227,9 +234,12 @@ class _Rerun:
         if not np.isnan(now.age_s):
             recording.log("ages/newest_evaluation", rerun.Scalars(now.age_s))
 
+    def flush(self) -> None:
+        self._recording.flush(timeout_sec=60.0)
+
     def end(self, keep: bool) -> None:
         with suppress(RuntimeError):  # the viewer was closed meanwhile
-            self._recording.flush(timeout_sec=60.0)
+            self.flush()
         self._recording.disconnect()
         if self._path is not None:
             _finish(self._path, keep)
@@ -238,8 +248,8 @@ class _Rerun:
 class _Mcap:
     """An MCAP file for Foxglove, with messages of ROS 2."""
 
-    def __init__(self, config: Config, path: Path) -> None:
-        self._config, self._path = config, path
+    def __init__(self, path: Path) -> None:
+        self._path = path
         self._file = _opened(path)
         try:
             self._writing = ros2.Writing(self._file)
@@ -250,9 +260,9 @@ class _Mcap:
         for topic, kind in TOPICS.items():
             self._writing.register(topic, kind)
 
-    def begin(self, look_m: Float[ndarray, "3"]) -> None:
+    def begin(self, look_m: Float[ndarray, "3"], scenario: Scenario, city: Scene) -> None:
         nanos = START_S * 10**9
-        self._writing.add(nanos, "/buildings", ros2.buildings(nanos, city_triangles(city_of(self._config))))
+        self._writing.add(nanos, "/buildings", ros2.buildings(nanos, city_triangles(city)))
 
     def step(self, now: Now) -> None:
         nanos = START_S * 10**9 + round(now.time_s * 1e9)
@@ -267,6 +277,9 @@ class _Mcap:
         rows["trust"], rows["vehicle"] = now.trust[rated], now.world.actor[rated]
         rows["newest_evaluation_age_s"] = now.age_of[rated]
         self._writing.add(nanos, "/trust", ros2.points(nanos, "map", rows))
+
+    def flush(self) -> None:
+        self._file.flush()
 
     def end(self, keep: bool) -> None:
         try:

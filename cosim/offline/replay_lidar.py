@@ -190,7 +190,7 @@ def portrait(run: Run, vehicles: list[int], step: int, out: Path | None) -> Path
         chosen = senses[np.argsort(away[middle], kind="stable")[:3]]
     city = city_of(config)
     sweeps = sweep(config, city, world, chosen)
-    clouds = [sweeps.poses.to_world(o, sweeps.xyz(o)) for o in range(len(chosen))]
+    clouds = {int(world.actor[o]): sweeps.poses.to_world(n, sweeps.xyz(n)) for n, o in enumerate(chosen)}
     scenario = find(config.traffic.scenario, config.traffic.trace)
     lanes = [] if scenario.net is None else [lane for lane in network.lanes(scenario.net) if lane.for_cars]
     of = run.subjects.vehicle
@@ -217,13 +217,7 @@ def portrait(run: Run, vehicles: list[int], step: int, out: Path | None) -> Path
         attacks=(started.reindex(world.actor).astype("Float64").fillna(np.inf) <= step).to_numpy(bool),
         ghosts=lies[columns].to_numpy(float),
     )
-    return style.save(
-        scene.draw(moment, f"{step * run.dt_s:g} s: clouds of vehicles {_named(world.actor[chosen])}"), out
-    )
-
-
-def _named(numbers: Int[ndarray, "n"]) -> str:
-    return ", ".join(map(str, numbers.tolist()))
+    return style.save(scene.draw(moment, f"{step * run.dt_s:g} s: point clouds and trust"), out)
 
 
 def film(

@@ -23,11 +23,12 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
+import shapely
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.config.config import Config
-from cosim.mobility.scenario import find
+from cosim.mobility.scenario import Scenario, find
 from cosim.offline.export import Sweeper
 from cosim.offline.replay_lidar import city_of, config_of
 from results.archive import open_run
@@ -149,7 +150,7 @@ def follow(
             if recording is None:
                 look_m = first_look(run, steps, vehicles)
                 recording = _spawned(look_m) if out is None else _open(out, look_m)
-                surroundings(recording, config, city_of(config))
+                surroundings(recording, find(config.traffic.scenario, config.traffic.trace), city_of(config))
             encounters, trust = _encounters(run), _trust(run)
             for at in range(0, len(steps), BLOCK_STEPS):
                 _block(recording, run, config, steps[at : at + BLOCK_STEPS], trust, known, encounters, vehicles, None)
@@ -198,7 +199,7 @@ def _write(  # type: ignore[no-untyped-def]
 ) -> None:  # fmt: skip
     """Write the whole recording. An OSError is raised if the disk is nearly full, because the SDK might then hang."""
     _require_space(out)
-    surroundings(recording, config, city)
+    surroundings(recording, find(config.traffic.scenario, config.traffic.trace), city)
     sweeper = Sweeper(run, config, city, steps)
     encounters, trust = _encounters(run), _trust(run)
     known: dict[int, float] = {}
@@ -281,7 +282,7 @@ def send_layout(recording, look_m: Float[ndarray, "3"], ages: bool = False) -> N
     recording.send_blueprint(b.Blueprint(views, collapse_panels=True))
 
 
-def surroundings(recording, config: Config, city: Scene) -> None:  # type: ignore[no-untyped-def]
+def surroundings(recording, scenario: Scenario, city: Scene) -> None:  # type: ignore[no-untyped-def]
     """Buildings and streets."""
     import rerun
 
@@ -296,11 +297,9 @@ def surroundings(recording, config: Config, city: Scene) -> None:  # type: ignor
             vertex_normals=np.repeat(normal, 3, axis=0),  # without them there is no shading
         )  # fmt: skip
         recording.log("city/buildings", mesh, static=True)
-        walls = city.buildings
-        ends = ((walls.ax_m, walls.ay_m), (walls.bx_m, walls.by_m))
-        lines = np.stack([np.column_stack([x, -y]) for x, y in ends], axis=1)
-        recording.log("map/buildings", rerun.LineStrips2D(lines, colors=[170, 170, 165], radii=0.4), static=True)
-    scenario = find(config.traffic.scenario, config.traffic.trace)
+        rings = shapely.get_rings(city.footprints)  # a strip per ring: strips are converted one by one
+        outlines = [shapely.get_coordinates(ring) * [1.0, -1.0] for ring in rings]
+        recording.log("map/buildings", rerun.LineStrips2D(outlines, colors=[170, 170, 165], radii=0.4), static=True)
     if scenario.net is not None:
         lanes = [lane.line_m[:, :2] - scenario.origin_m for lane in network.lanes(scenario.net)]
         flat = [line * [1.0, -1.0] for line in lanes]

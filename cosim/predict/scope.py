@@ -38,7 +38,6 @@ def servers_of(config: Config) -> list[Server]:
         ("sensing_phase", config.sensing_phase, ("common", "random")),
         ("sensing_groups", config.sensing_groups, ((),)),
         ("cpm.rules", config.cpm.rules, ("all",)),
-        ("cpm.length", config.cpm.length, ("linear",)),
         ("cpm.redundancy", config.cpm.redundancy, ("none",)),
         ("radio.relay.max_hops", config.radio.relay.max_hops, (1,)),
         ("server.uplink", config.server.uplink, ("cellular",)),
@@ -83,6 +82,8 @@ def left_out(config: Config) -> list[str]:
     found = []
     if config.attacks:
         found.append("attacks: the law takes all vehicles for honest; ghosts and lies add evaluations.")
+    if config.cpm.length != "linear":
+        found.append('cpm.length: the law takes messages for as long as with cpm.length = "linear".')
     if config.gnss.std_m > 0:
         found.append("gnss: the law takes positions for exact.")
     if config.trees.per_100_m or config.trees.from_map:

@@ -77,6 +77,17 @@ class MixedPerception:
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
         """As in `Perceives`."""
+        images, seen = self.perceive(world, observers, watch)
+        return self.observed(world, observers, images, seen, sort=True)
+
+    def observed(
+        self, world: World, observers: Int[ndarray, "e"], sweeps: Any, parts: Sequence[Seen], sort: bool = False
+    ) -> Observed:
+        """As in `Perception`."""
+        return self.of_lidar[0].observed(world, observers, sweeps, parts, sort)
+
+    def perceive(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> tuple[MixedImages, list[Seen]]:
+        """Images of the observers in these rows of the world, and what those of each LiDAR saw."""
         of, row = np.zeros(len(observers), np.int64), np.zeros(len(observers), np.int64)
         units = np.flatnonzero(world.is_roadside[observers])
         of[units] = self.lidar_of_unit[np.searchsorted(self.unit_key, world.name_key[observers[units]])]
@@ -88,20 +99,17 @@ class MixedPerception:
             found, parts = perception.perceive(world, observers[mine], watch)
             images.append(found)
             seen += [part.renumbered(mine.astype(np.int32)) for part in parts]
-        mixed = MixedImages(tuple(images), of, row)
-        return self.of_lidar[0].observed(world, observers, mixed, seen, sort=True)
+        return MixedImages(tuple(images), of, row), seen
 
     def answers(self, sweeps: MixedImages, asked: BoxQuestions) -> BoxAnswers:
         """As in `Perceives`."""
         n_points, plausible = np.zeros(len(asked.counting), np.int32), np.ones(len(asked.testing), bool)
         for number, perception in enumerate(self.of_lidar):
-            p, t = (np.flatnonzero(sweeps.lidar[by] == number) for by in (asked.counting, asked.testing))
-            counting, testing = (sweeps.row[by].astype(np.int32) for by in (asked.counting[p], asked.testing[t]))
-            area = self._area(asked.area, number)
-            mine = BoxQuestions(asked.boxes, area, counting, asked.counted[p], testing, asked.tested[t])
+            p, t, mine = asked.of_group(number, sweeps.lidar, sweeps.row)
+            mine = replace(mine, area=self._area(asked.area, number))
             n_points[p], plausible[t] = perception.answers(sweeps.of_lidar[number], mine)
             if number:
-                plausible[t] |= _below_the_beams(sweeps.of_lidar[number], testing, asked.boxes, asked.tested[t])
+                plausible[t] |= _below_the_beams(sweeps.of_lidar[number], mine.testing, mine.boxes, mine.tested)
         return n_points, plausible
 
     def in_area(

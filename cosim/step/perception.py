@@ -68,6 +68,18 @@ class Seen:
         here, found = self.observability, self.reports
         return Seen(replace(here, observer=number[here.observer]), replace(found, observer=number[found.observer]))
 
+    def of_actors(self, row: Int32[ndarray, "n"]) -> "Seen":
+        """The same with these rows of the actors."""
+        here, found = self.observability, self.reports
+        actor = found.actor.copy()
+        actor[~found.is_false_positive] = row[found.actor[~found.is_false_positive]]
+        return Seen(replace(here, actor=row[here.actor]), replace(found, actor=actor))
+
+    @staticmethod
+    def joined(parts: Sequence["Seen"]) -> "Seen":
+        """What all groups saw, in order."""
+        return Seen(_concat([part.observability for part in parts]), _concat([part.reports for part in parts]))
+
 
 @dataclass(frozen=True, slots=True)
 class BoxQuestions:
@@ -81,6 +93,19 @@ class BoxQuestions:
     testing: Int[ndarray, "t"]
     tested: Int[ndarray, "t"]
     """Boxes that the sweeps of `testing` test: can an object stand there, or did rays pass through?"""
+
+    def of_group(
+        self, number: int, group: Int[ndarray, "m"], row: Int[ndarray, "m"]
+    ) -> tuple[Int[ndarray, "k"], Int[ndarray, "l"], "BoxQuestions"]:
+        """The questions of one group of sweeps, whose rows within the group are `row`.
+
+        Returns
+        -------
+        Which of the counting and of the testing questions they are, and the questions.
+        """
+        p, t = (np.flatnonzero(group[by] == number) for by in (self.counting, self.testing))
+        counting, testing = (row[by].astype(np.int32) for by in (self.counting[p], self.testing[t]))
+        return p, t, BoxQuestions(self.boxes, self.area, counting, self.counted[p], testing, self.tested[t])
 
 
 BoxAnswers = tuple[Int32[ndarray, "p"], Bool[ndarray, "t"]]
@@ -217,7 +242,8 @@ class Perception:
         sort
             Whether the groups are not in this order.
         """
-        seen, found = _concat([part.observability for part in parts]), _concat([part.reports for part in parts])
+        joined = Seen.joined(parts)
+        seen, found = joined.observability, joined.reports
         if sort:
             seen, found = _sorted(seen), _sorted(found)
         n = len(found.observer)

@@ -25,6 +25,7 @@ Table = dict[str, Row]
 """Results of one step: numbers by column. The key of a row is the beginning of a sentence that names its owner."""
 
 BASE = (
+    "preset=v0.2",
     f"traffic.step_s={STEP_S}", f"traffic.duration_s={N_STEPS * STEP_S}", "sensing_interval_s=1.0", "seed=4",
     "lidar.n_azimuths=180", "radio.model=unit_disk", "server.cellular.delay_min_s=0.001",
     "server.cellular.delay_mean_s=0.002", "server.backhaul_s=0.005", "trust.server_period_s=1.0", "compute.threads=1",

@@ -49,4 +49,4 @@ def config_of(plan: RunPlan, replicate: int, is_full: bool) -> Config:
     """The config of one replicate. Replicates differ in both seeds."""
     _, duration_s = plan.full if is_full else plan.quick
     seeds = [f"seed={FIRST_SEED + replicate}", f"traffic.seed={FIRST_SEED + replicate}"]
-    return load(None, [f"traffic.duration_s={duration_s:g}", *seeds, *plan.sets])
+    return load(None, ["preset=v0.2", f"traffic.duration_s={duration_s:g}", *seeds, *plan.sets])

@@ -166,7 +166,7 @@ def _left(curve: pd.DataFrame, x_s: float) -> float:
 def _beyond(sample: Durations, from_s: float) -> Durations:
     """Durations longer than `from_s`, of which shorter ones are not in the sample."""
     keep = sample.low_s >= from_s - 1e-9
-    cut = Durations(sample.low_s[keep], sample.high_s[keep], sample.entry_s[keep], sample.a[keep], sample.b[keep])
+    cut = sample.take(keep)
     return replace(cut, entry_s=np.minimum(np.maximum(cut.entry_s, from_s), cut.low_s))
 
 
@@ -295,7 +295,7 @@ def _buses_power_law(contacts: Contacts) -> Figure:
     vehicles = contacts.run.table("vehicles", ["vehicle", "vehicle_class"])
     buses = vehicles.vehicle[vehicles.vehicle_class == "bus"].to_numpy()
     keep = np.isin(sample.a, buses) & np.isin(sample.b, buses)
-    of_buses = Durations(sample.low_s[keep], sample.high_s[keep], sample.entry_s[keep], sample.a[keep], sample.b[keep])
+    of_buses = sample.take(keep)
     try:
         exponential, pareto = (fit(of_buses, name) for name in _DECAYS)
     except ValueError as error:

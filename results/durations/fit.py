@@ -17,6 +17,9 @@ FEWEST_ENDED = 20
 """With fewer observed ends, nothing is fitted."""
 _STEP = 1e-4
 """Step of the numerical derivatives, in free parameters."""
+_TEN, _TWO = np.polynomial.legendre.leggauss(10), np.polynomial.legendre.leggauss(2)
+_NEAR_STEPS = 10
+"""Below so many steps, the mean of a survival function over a step is computed with more points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,13 +36,17 @@ class _Distinct:
     """The different ends and entries."""
     at: Int[ndarray, "3 m"]
     """Where among them the lower end, the upper end and the entry of each row are."""
+    step_s: float
 
     @staticmethod
     def of(sample: Durations) -> "_Distinct":
         rows = np.column_stack([sample.low_s, sample.high_s, sample.entry_s])
         rows, row, n = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
         edges_s, at = np.unique(rows.T, return_inverse=True)
-        return _Distinct(rows[:, 0], rows[:, 1], rows[:, 2], n.astype(float), row.ravel(), edges_s, at.reshape(3, -1))
+        return _Distinct(
+            low_s=rows[:, 0], high_s=rows[:, 1], entry_s=rows[:, 2], n=n.astype(float), row=row.ravel(),
+            edges_s=edges_s, at=at.reshape(3, -1), step_s=sample.step_s,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,9 +144,38 @@ class Fit:
         return float(self.family.natural(free)[i])
 
     def survival(self, x_s: Float[ndarray, "n"], entry_s: float = 0.0) -> Float[ndarray, "n"]:
-        """Share that lasts longer than `x_s`, of those that last longer than `entry_s`."""
-        given = self.family.log_sf(np.array([entry_s]), self.free)[0]
-        return np.exp(np.minimum(self.family.log_sf(np.maximum(x_s, entry_s), self.free) - given, 0.0))
+        """Share that lasts longer than `x_s`, of those that last longer than `entry_s`, as the sample counts them."""
+        given, *logs = log_counted(self.family, self.free, np.r_[entry_s, np.maximum(x_s, entry_s)], self.rows.step_s)
+        return np.exp(np.minimum(np.array(logs) - given, 0.0))
+
+
+def log_counted(family: Family, free: Free, edges_s: Float[ndarray, "e"], step_s: float) -> Float[ndarray, "e"]:
+    """Logarithm of the probability that a duration is counted as longer than each edge.
+
+    Parameters
+    ----------
+    edges_s
+        Edges of intervals, ascending from the first that is not below half a step.
+    step_s
+        Length of the steps in which durations are counted. With 0 this is the survival function.
+
+    Notes
+    -----
+    Steps that fall anywhere add to a duration a time that is uniform between minus and plus half a step, so the
+    probability is the mean of the survival function over one step around the edge. Gauss-Legendre quadrature with two
+    points has an error of h^4 S'''' / 4320; ten points serve near 0, where derivatives may be infinite.
+    """
+    if step_s == 0.0:
+        return family.log_sf(edges_s, free)
+    near = edges_s < _NEAR_STEPS * step_s
+    at = [np.maximum(edges_s[rows] + x[:, None] * step_s / 2, 0.0) for rows, (x, _) in ((near, _TEN), (~near, _TWO))]
+    each = np.split(family.log_sf(np.concatenate([points.ravel() for points in at]), free), [at[0].size])
+    logs = np.empty(len(edges_s))
+    for rows, points, values, (_, weight) in zip((near, ~near), at, each, (_TEN, _TWO), strict=True):
+        values = values.reshape(points.shape)
+        most = np.where(np.isfinite(values[0]), values[0], 0.0)  # at the first point, beyond which fewer are left
+        logs[rows] = most + np.log(weight / 2 @ np.exp(values - most))
+    return logs
 
 
 def fit(sample: Durations, name: str) -> Fit:
@@ -211,7 +247,7 @@ def _climb(minus, start: Free) -> Free:
 
 def _log_likelihoods(family: Family, rows: _Distinct, free: Free) -> Float[ndarray, "m"]:
     with np.errstate(all="ignore"):
-        values = family.log_sf(rows.edges_s, free)
+        values = log_counted(family, free, rows.edges_s, rows.step_s)
         low, high, entry = values[rows.at]
         return low + np.log1p(-np.exp(high - low)) - entry
 

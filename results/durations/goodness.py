@@ -9,7 +9,6 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy import stats
 
-from results.durations.families import FAMILIES
 from results.durations.fit import Fit, fit
 from results.durations.samples import Durations
 
@@ -113,9 +112,13 @@ def _like(sample: Durations, found: Fit, random: np.random.Generator) -> Duratio
     n = len(sample)
     ended = sample.ended
     step_s = float(np.median((sample.high_s - sample.low_s)[ended]))
-    alive = np.exp(FAMILIES[found.name].log_sf(sample.entry_s, found.free))
-    lasted_s = FAMILIES[found.name].draw(found.free, alive * random.uniform(size=n))
-    edge = sample.entry_s + np.floor((lasted_s - sample.entry_s) / step_s) * step_s
+    edge = np.full(n, -np.inf)
+    while (early := edge < sample.entry_s - _SEEN).any():  # a step may begin too late to see a duration
+        entry_s = sample.entry_s[early]
+        first = np.exp(found.family.log_sf(np.maximum(entry_s - sample.step_s / 2, 0.0), found.free))
+        counted_s = found.family.draw(found.free, first * random.uniform(size=len(entry_s)))
+        counted_s = counted_s + sample.step_s * random.uniform(-0.5, 0.5, len(entry_s))
+        edge[early] = entry_s + np.floor((counted_s - entry_s) / step_s) * step_s
     # When each would be cut off: where it was, or, if it ended before, by the curve of the times of cutting.
     cutting = Durations(
         sample.low_s, np.where(ended, np.inf, sample.low_s + step_s), np.minimum(sample.entry_s, sample.low_s),

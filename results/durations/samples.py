@@ -1,6 +1,6 @@
 """Durations of a run as they were observed: in intervals of a step, cut off at both ends of the observation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -34,6 +34,8 @@ class Durations:
     a: Int[ndarray, "n"]
     b: Int[ndarray, "n"]
     """The two actors, on which others in the sample may depend."""
+    step_s: float = 0.0
+    """Length of the steps in which they were counted; 0 if they were timed."""
 
     def __post_init__(self) -> None:
         assert (self.low_s < self.high_s).all() and (self.entry_s <= self.low_s).all() and (self.entry_s >= 0).all()
@@ -46,12 +48,20 @@ class Durations:
         """Whether the end was observed."""
         return np.isfinite(self.high_s)
 
+    def take(self, rows: Bool[ndarray, "n"]) -> "Durations":
+        """Some of them."""
+        kept = {name: getattr(self, name)[rows] for name in ("low_s", "high_s", "entry_s", "a", "b")}
+        return replace(self, **kept)
+
     @staticmethod
-    def independent(low_s: ndarray, high_s: ndarray, entry_s: ndarray | float = 0.0) -> "Durations":
+    def independent(
+        low_s: ndarray, high_s: ndarray, entry_s: ndarray | float = 0.0, step_s: float = 0.0
+    ) -> "Durations":  # fmt: skip
         """Durations that share no actors."""
         n = len(low_s)
         entry = np.broadcast_to(np.asarray(entry_s, float), n).copy()
-        return Durations(np.asarray(low_s, float), np.asarray(high_s, float), entry, np.arange(n), np.arange(n) + n)
+        low, high = np.asarray(low_s, float), np.asarray(high_s, float)
+        return Durations(low, high, entry, np.arange(n), np.arange(n) + n, step_s)
 
 
 def definitions(run: Run) -> pd.DataFrame:
@@ -78,11 +88,10 @@ def of_run(run: Run, what: What, definition: pd.Series, departure: Departure = "
     Notes
     -----
     A pair in contact in n steps of length d was so for between (n - 1) d and (n + 1) d. If steps fall anywhere in the
-    contact with equal probability, and G is the integral of the survival function, n steps have the probability
-    (2 G(n d) - G(n d - d) - G(n d + d)) / d. It equals S(n d - d/2) - S(n d + d/2) but for terms of the order
-    d^3 S''', so a duration of n steps lies in the interval of one step around n d, and contacts shorter than d/2
-    are not seen. Times between encounters are shorter than the hysteresis only if they were bridged, so they begin
-    there.
+    contact with equal probability, a contact of length x has n steps or more with the probability that x + v is above
+    n d - d/2, where v is uniform between -d/2 and d/2. So n steps stand for the interval of one step around n d, in
+    which not x but x + v lies (`step_s`). Times between encounters are shorter than the hysteresis only if they were
+    bridged, so they begin there.
 
     Encounters whose start was not observed are left out: of what lasted before, nothing is known.
     """
@@ -125,4 +134,4 @@ def _in_steps(
 ) -> Durations:  # fmt: skip
     """Durations of n steps, of which fewer than `fewest` are not seen."""
     entry = np.full(len(n), (fewest - 0.5) * dt_s)
-    return Durations((n - 0.5) * dt_s, np.where(ended, (n + 0.5) * dt_s, np.inf), entry, a, b)
+    return Durations((n - 0.5) * dt_s, np.where(ended, (n + 0.5) * dt_s, np.inf), entry, a, b, dt_s)

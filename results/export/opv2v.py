@@ -11,6 +11,7 @@ the middle of their underside, `center` leads from there to the middle of the bo
 `predicted_ego_pos` is what the vehicle reports of itself, if it does. Time stamps are numbers of sweeps, whatever their
 interval; readers assume 10 Hz. On request, `%06d_pred.npy` holds the corners of the detected vehicles that the vehicle
 transmitted [n, 8, 3], in the frame of its LiDAR, as OpenCOOD saves predictions, and `%06d_score.npy` their scores.
+Vehicles with other phases of sensing (`sensing_phase = "random"`) never share a time stamp.
 Deviations: intensity, the red channel, is 0; no cameras; no planned trajectory.
 """
 
@@ -81,7 +82,8 @@ class Opv2v:
         found = scenarios_of(selection)
         if not found:
             raise ValueError(
-                "no two of these vehicles are on the road together, and a scenario needs two. Choose others."
+                "no two of these vehicles sense in the same steps, and a scenario needs two. Choose others, or run "
+                'with sensing_phase = "common".'
             )
         units = [Unit(s.name, partial(_scenario, selection, s, self._params.detections)) for s in found]
         units.append(Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))])))

@@ -53,6 +53,6 @@ def draw(
     if attribution:
         axes.annotate(
             attribution, (1, 0), xycoords="axes fraction", xytext=(-3, 3), textcoords="offset points", ha="right",
-            fontsize=6.5, color="#444444", bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1},
+            fontsize=7, color="#444444", bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1},
         )  # fmt: skip
     return figure

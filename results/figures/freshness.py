@@ -146,7 +146,7 @@ def _over(runs: Sequence[Run], key: str, threshold: float) -> Figure:
         panel.set_xscale("log")
         panel.set_xticks(list(ticks), list(ticks.values()), minor=False)
         panel.minorticks_off()
-        panel.legend(fontsize=7.5, handlelength=2.2)
+        panel.legend(handlelength=2.2)
         panel.set_ylim(bottom=0)
     style.legend(figure, style.dash_entries([", ".join(f"{k} = {v}" for k, v in group) for group in groups]))
     return figure

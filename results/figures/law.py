@@ -52,7 +52,7 @@ def draw(law: Sequence[Curve], simulation: Sequence[Curve] = (), points: Sequenc
     """Cumulative shares of lookups by age, the law as lines and the simulation as marks; and points of studies, the
     law over the simulation."""
     n = bool(law) + bool(points)
-    figure, panels = style.sheet(columns=max(n, 1), width=7.2 if n < 2 else 9.5, height=4.2)
+    figure, panels = style.sheet(columns=max(n, 1), width=7.2 if n < 2 else 8.6, height=4.2)
     if law:
         _curves(panels[0], law, simulation)
     if points:
@@ -95,9 +95,7 @@ def _points(axes: Axes, points: Sequence[Points]) -> None:
     axes.set_yscale("log")
     axes.set_xlim(*ends)
     axes.set_ylim(*ends)
-    style.panel(
-        axes, "Points: law over simulation (dashes: 10 and 20 %)", "Age by simulation [s]", "Age by the law [s]"
-    )
+    style.panel(axes, "Law over simulation (dashes: 10, 20 %)", "Age by simulation [s]", "Age by the law [s]")
     axes.legend(loc="upper left", fontsize=7.5)
 
 

@@ -44,13 +44,13 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
     for axes, run, run_name, street, rate, (_, x, y) in each:
         axes.scatter(street[:, 0], street[:, 1], s=1.2, color=style.PALE, linewidths=0, rasterized=True)
         mesh = axes.pcolormesh(x, y, np.ma.masked_equal(rate, 0).T, norm=norm, cmap="viridis_r", rasterized=True)
-        title = f"{run_name}\n{_definition(run)}" if len(runs) > 1 else f"Where encounters begin: {_definition(run)}"
-        style.map_panel(axes, title)
+        title = run_name if len(runs) > 1 else "Where encounters begin"
+        style.map_panel(axes, f"{title}\n{_definition(run)}")
     credits = sorted({credit for run in runs if (credit := run.manifest.get("net", {}).get("attribution"))})
     if credits:
         panels[-1].annotate(
             ", ".join(credits), (1, 0), xycoords="axes fraction", xytext=(-3, 3), textcoords="offset points",
-            ha="right", fontsize=6.5, color="#444444",
+            ha="right", fontsize=6.6, color="#444444",
         )  # fmt: skip
     bar = figure.colorbar(mesh, ax=panels, label=f"Encounters begun per hour in {cell_m:g} m cells", shrink=0.8)
     ticks = [d * 10.0**e for e in range(-3, 7) for d in (1, 2, 5) if lowest <= d * 10.0**e <= top]

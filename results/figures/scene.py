@@ -1,6 +1,6 @@
 """The city at one moment, seen obliquely from the south: buildings, point clouds, and trust in vehicles."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ TRUST = colormaps["RdYlBu"]
 WALL, ROOF, ROAD, UNKNOWN, PLAIN = "#b9bec8", "#dcdfe5", "#eceef1", "#ffffff", "#8a8f98"
 LIE = style.ROLE_INKS["malicious"]
 MOST_POINTS = 120_000
-CLOUDS = ("#0b5c8c", "#2f8f6b", "#8c4a9e", "#a86a12", "#4a4a4a")
+CLOUDS = tuple(style.INKS[i] for i in (0, 2, 4, 1, 5))
 """A colour per point cloud."""
 
 
@@ -35,7 +35,8 @@ class Moment:
     streets: Sequence[Float[ndarray, "k 2"]]
     buildings: Sequence[tuple[Float[ndarray, "k 2"], float, float]]
     """Outer ring counter-clockwise, base and top."""
-    clouds: Sequence[Float[ndarray, "k 3"]]
+    clouds: Mapping[int, Float[ndarray, "k 3"]]
+    """By the number of the vehicle."""
     boxes: Float[ndarray, "n 7"]
     equipped: Bool[ndarray, "n"]
     trust: Float[ndarray, "n"]
@@ -49,6 +50,7 @@ def draw(moment: Moment, title: str) -> Figure:
     """The part of the city around the centre."""
     moment = _in_frame(moment)
     figure, (axes,) = style.sheet(width=7.6, height=5.0)
+    figure.set_layout_engine("compressed")
     _ground(axes, moment)
     low, high = moment.centre_m - [HALF_WIDTH_M, HALF_DEPTH_M], moment.centre_m + [HALF_WIDTH_M, HALF_DEPTH_M]
     near = [b for b in moment.buildings if (b[0].max(axis=0) > low - 60).all() and (b[0].min(axis=0) < high + 60).all()]
@@ -60,7 +62,7 @@ def draw(moment: Moment, title: str) -> Figure:
     axes.add_collection(
         PolyCollection(walls, facecolors=fills, edgecolors="#9aa0ab", linewidths=0.25, alpha=0.72, zorder=2)
     )
-    for i, cloud in enumerate(moment.clouds):
+    for i, cloud in enumerate(moment.clouds.values()):
         thin = cloud[:: max(1, len(cloud) * len(moment.clouds) // MOST_POINTS)]
         axes.plot(*_flat(thin).T, ",", color=CLOUDS[i % len(CLOUDS)], alpha=0.5, zorder=3, rasterized=True)
     _vehicles(axes, moment)
@@ -153,8 +155,8 @@ def _entries(moment: Moment) -> list[Line2D]:
         ("s", "#efc9cb", LIE, 6.0, "fabricated", len(moment.ghosts) > 0),
     ]
     clouds = [
-        Line2D([], [], linestyle="", marker=".", color=CLOUDS[i % len(CLOUDS)], label=f"cloud {i + 1}")
-        for i in range(len(moment.clouds))
+        Line2D([], [], linestyle="", marker=".", color=CLOUDS[i % len(CLOUDS)], label=f"cloud of {vehicle}")
+        for i, vehicle in enumerate(moment.clouds)
     ]
     return [
         Line2D([], [], linestyle="", marker=m, markersize=size, markerfacecolor=face, markeredgecolor=edge, label=text)

@@ -25,6 +25,7 @@ def draw(runs: Sequence[Run], cell_m: float = 50.0, fresh_s: float = FRESH_S) ->
     """
     runs = style.arranged(runs, most=3)
     figure, panels = style.sheet(columns=2, rows=len(runs), width=7.2, height=3.7 * len(runs))
+    figure.set_layout_engine("compressed")
     for i, (run, name) in enumerate(zip(runs, style.names(runs), strict=True)):
         found = stale.placed(run, fresh_s)
         n, n_stale = found.n.to_numpy(), found.n_stale.to_numpy()
@@ -40,7 +41,7 @@ def draw(runs: Sequence[Run], cell_m: float = 50.0, fresh_s: float = FRESH_S) ->
         panels[2 * i + 1].grid(visible=False)
     label = f"Share of lookups without an evaluation of the last {fresh_s:g} s"
     bar = figure.colorbar(mesh, ax=panels, location="bottom", shrink=0.8, aspect=40)
-    bar.set_label(label)
+    bar.set_label(style.fitted(label))
     return figure
 
 

@@ -139,7 +139,7 @@ def _draw(
     for row, name in enumerate(asked):
         of_metric = chosen(frame, [name])
         in_row = panels[row * len(columns) : (row + 1) * len(columns)]
-        for axes, value in zip(in_row, columns, strict=True):
+        for n, (axes, value) in enumerate(zip(in_row, columns, strict=True)):
             part = of_metric if value is None else of_metric[of_metric[column] == value]
             for i, hue in enumerate(colours):
                 _line(axes, part if hue is None else part[part[colour] == hue], frame[x], i, len(colours))
@@ -148,7 +148,7 @@ def _draw(
             group = f", {first.group}" if ":" in name and first.group else ""
             title = f"{label_of(column)} = {_said(value)}" if value is not None else first.label + group
             y = f"{first.label}{group}{unit}"
-            style.panel(axes, title, label_of(x), _wrapped(y) if axes is in_row[0] else "")
+            style.panel(axes, title, label_of(x), _wrapped(y) if style.leads(n) else "")
             if first.unit == "1":
                 style.share_axis(axes, min(1.0, max(0.05, 1.04 * float(of_metric[["mean", "high"]].max().max()))))
             else:
@@ -166,10 +166,14 @@ def _draw(
 
 
 def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Figure:
-    """A map per metric, where both keys are words: mean and 95 % interval written into each cell."""
+    """A map per metric, where both keys are words: mean and 95 % interval written into each cell.
+
+    In a column of a paper, the intervals are left out, and of many columns the means as well.
+    """
     rows, columns = list(dict.fromkeys(frame[y])), list(dict.fromkeys(frame[x]))
     size = max(6.4, 2.2 + 0.62 * len(columns)), (1.5 + 0.36 * len(rows)) * len(asked)
     figure, panels = style.sheet(1, *size, rows=len(asked))
+    most, size_pt = (8, 6.6) if style.is_for_paper() else (99, 0.85 * max(7.2, size[0]))  # 6 pt on a page
     for axes, name in zip(panels, asked, strict=True):
         of_metric = chosen(frame, [name])
         cells = of_metric.drop_duplicates([y, x]).set_index([y, x])
@@ -185,24 +189,32 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
         first = of_metric.iloc[0]
         top = 1.0 if first.unit == "1" else float(np.nanmax(mean)) or 1.0
         image = axes.imshow(mean, cmap="cividis", vmin=0, vmax=top, aspect="auto")
-        for i, j in np.argwhere(~np.isnan(mean)):
-            middle, *ends = (f"{v:.2f}" if top == 1.0 else f"{v:.3g}" for v in (mean[i, j], low[i, j], high[i, j]))
+        for i, j in np.argwhere(~np.isnan(mean)) if len(columns) <= most else ():
+            middle, *ends = (_short(v, top) for v in (mean[i, j], low[i, j], high[i, j]))
             # The interval of two seeds reaches 13 standard errors to each side: it says nothing and fills the map.
-            text = f"{middle}\n{' to '.join(ends)}" if n_seeds[i, j] > 2 and low[i, j] == low[i, j] else middle
+            is_told = n_seeds[i, j] > 2 and low[i, j] == low[i, j] and not style.is_for_paper()
+            text = f"{middle}\n{'–'.join(ends)}" if is_told else middle
             ink = "black" if mean[i, j] > 0.55 * top else "white"
-            axes.text(j, i, text, ha="center", va="center", fontsize=5.5, color=ink)
+            axes.text(j, i, text, ha="center", va="center", fontsize=size_pt, color=ink)
         axes.set_xticks(range(len(columns)), [_said(v) for v in columns], rotation=40, ha="right")
         axes.set_yticks(range(len(shown_rows)), [_said(v) for v in shown_rows])
         axes.grid(visible=False)
         group = f", {first.group}" if ":" in name and first.group else ""
         few, many = int(of_metric.n.min()), int(of_metric.n.max())
         n = f"{many} seeds" if few == many else f"{few} to {many} seeds"
-        told = "" if many < 2 else f": mean and 95 % interval, {n}"
+        told = "" if many < 2 or style.is_for_paper() else f": mean and 95 % interval, {n}"
         told += "; blank: no value" if np.isnan(mean).any() else ""
-        title = _wrapped(f"{first.label}{group}{told}", int(9 * size[0]))
+        title = _wrapped(f"{first.label}{group}{told}", 32 if style.is_for_paper() else int(9 * size[0]))
         style.panel(axes, title, label_of(x), label_of(y))
         figure.colorbar(image, ax=axes, fraction=0.03, pad=0.02, label="" if first.unit == "1" else f"[{first.unit}]")
     return figure
+
+
+def _short(value: float, top: float) -> str:
+    """A number in few letters: two digits, of shares without the zero before the point."""
+    if top == 1.0:
+        return f"{value:.2f}".removeprefix("0")
+    return f"{value:.0f}" if abs(value) >= 10 else f"{value:.2g}"
 
 
 def _bound(frame: pd.DataFrame, name: str) -> pd.DataFrame:

@@ -24,8 +24,9 @@ from results.metrics import compare
 from results.run import Run
 
 TIME = "Time [s]"
-INKS = ("#16325c", "#c4502e", "#63b0a2", "#ecb938", "#8c6bb1", "#6f6f6f")
-"""Colours of what is compared within a run; dark to light, so that grey tells them apart too."""
+INKS = ("#16325c", "#c4502e", "#63b0a2", "#ecb938", "#8c6bb1", "#1a1a1a")
+"""Colours of what is compared within a run. The first four go from dark to light, so that grey tells them apart too.
+All differ for people who lack a cone."""
 MARKERS = ("o", "^", "s", "D", "v", "P")
 ROLE_INKS: Mapping[str, str] = {"honest": INKS[0], "unreliable": INKS[3], "malicious": "#c1272d"}
 """One colour per role in every picture; malicious is red."""
@@ -139,6 +140,11 @@ def sheet(columns: int = 1, width: float = 7.2, height: float = 3.6, rows: int =
     return figure, list(np.ravel(figure.subplots(rows, columns)))
 
 
+def leads(i: int) -> bool:
+    """Whether panel `i` of a row has the labels that the row shares: the first, or each where they are stacked."""
+    return i == 0 or _for_paper.get()
+
+
 def panel(axes: Axes, title: str, x: str, y: str) -> None:
     axes.set_title(fitted(title))
     axes.set_xlabel(fitted(x))
@@ -165,7 +171,8 @@ def shares_bar(axes: Axes, at: float, shares: Sequence[float], fills: Sequence[s
         axes.barh(at, share, 0.6, left, color=fills[code], hatch=HATCHES[code], edgecolor="#333333", linewidth=0.6)
         if share > 0.08:
             axes.text(
-                left + share / 2, at, f"{100 * share:.0f} %", ha="center", va="center", fontsize=8,
+                left + share / 2, at, f"{100 * share:.0f} %", ha="center", va="center",
+                fontsize=_rc()["legend.fontsize"],
                 color="white" if code == 0 else "black",
                 bbox={"facecolor": fills[code], "edgecolor": "none", "pad": 1.2},
             )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -38,7 +39,7 @@ class Panel:
 def draw(panels: Sequence[Panel]) -> Figure:
     """A figure with one panel per fact, three in a row."""
     n_rows = -(-len(panels) // _COLUMNS)
-    figure, axes = style.sheet(_COLUMNS, width=10.5, height=2.6 * n_rows + 0.5, rows=n_rows)
+    figure, axes = style.sheet(_COLUMNS, width=8.7, height=2.6 * n_rows + 0.5, rows=n_rows)
     for one, ax in zip(panels, axes, strict=False):
         _draw(ax, one)
     for ax in axes[len(panels) :]:
@@ -67,7 +68,7 @@ def _draw(ax: Axes, one: Panel) -> None:
     ])  # fmt: skip
     colour = _OUR_INK.get(one.verdict, _OFF)
     ax.errorbar(place[there], ours[there], whiskers[:, there], fmt="o", color=colour, capsize=3, linewidth=1.2)
-    style.panel(ax, one.title, "", one.unit)
+    style.panel(ax, fill(one.title, 28), "", one.unit)
     ax.set_xticks(place, [at.replace(", ", ",\n") for at in one.at], fontsize=7.5)
     ax.set_xlim(-0.6, len(place) - 0.4)
     ax.set_ylim(bottom, top)

@@ -45,6 +45,7 @@ CALLS = {
     "judge streets": ["judge streets {run}"],
     "measure": ["measure {run}", "measure {part} --json", "measure {run} --csv {out}/x.csv", "measure {study}"],
     "nets build": ["nets build --out {run}"],
+    "nets counts": ["nets counts {run} counts.csv --out {out}/counted"],
     "nets example": ["nets example {out}/town.osm"],
     "nets list": ["nets list {run} {study}"],
     "nets show": ["nets show {run}"],

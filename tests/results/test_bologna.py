@@ -21,6 +21,7 @@ def hour(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hour")
     shutil.copytree(BOLOGNA, folder / "bologna", copy_function=shutil.copyfile)
     changes = [
+        "preset=v0.2",
         f"traffic.scenario={folder}/bologna/run.sumocfg", "traffic.warmup_s=600", "traffic.duration_s=3600",
         "fleet.penetration_p=0", 'encounters=[{radius_m=100, pairs="all", hysteresis_s=0.0}]', "record.level=summary",
     ]  # fmt: skip

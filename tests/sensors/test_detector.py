@@ -1,13 +1,10 @@
 """The choice of a detector: a detector of one's own, canonical order, points in boxes, and refused reports."""
 
-import inspect
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import sensors
 from sensors.boxes import Boxes, iou_3d
 from sensors.detector import DETECTORS, detect
 from sensors.evidence import observability, points_in_boxes
@@ -98,12 +95,6 @@ def test_a_detector_of_ones_own(street):
     found, n = detect(Bernoulli(BernoulliParams()), *street, draws(street)), (street[1].n_returns > 0).sum()
     assert len(found.score) == pytest.approx(0.8 * n, abs=4 * np.sqrt(0.16 * n))
     assert (found.boxes.xyz_m - street[2].take(found.actor).xyz_m).std(axis=0) == pytest.approx([0.3] * 3, rel=0.1)
-
-
-def test_the_readme_shows_this_detector():
-    text = (Path(sensors.__file__).parent / "README.md").read_text()
-    source = inspect.getsource(BernoulliParams) + inspect.getsource(Bernoulli)
-    assert [line for line in source.splitlines() if line not in text] == []
 
 
 def test_keys_of_the_wrong_number_are_refused(street):

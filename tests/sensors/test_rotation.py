@@ -155,3 +155,5 @@ def test_a_sweep_that_takes_time_needs_speeds():
 def test_other_ray_casters_refuse():
     with pytest.raises(ValueError, match=r"lidar\.rotation_hz = 10 needs lidar\.engine"):
         lidar.beams(LidarParams(rotation_hz=10.0, engine="embree"))
+    off = lidar.beams(LidarParams(rotation_hz="off", engine="embree"))
+    assert off.s_per_rad == lidar.beams(LidarParams()).s_per_rad == 0.0

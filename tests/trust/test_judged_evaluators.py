@@ -8,7 +8,7 @@ import pytest
 from tests.trust.histories import add, history, open_step, received_by, trust_of
 from tests.verification import judged_evaluators as literal
 from trust.models import MODELS, params_of
-from trust.params import TrustParams
+from trust.params import KINDS, TrustParams
 from trust.tables import SERVER, ReceivedEvaluations
 
 CASES = [
@@ -22,6 +22,7 @@ CASES = [
     ("miso_v", {}, {}),
     ("miso_v", {"n_sources": 3}, {"n_sources": 3}),
     ("belief_graph", {}, {}),
+    ("belief_graph", {"evidence": KINDS}, {"kinds": KINDS}),
     ("belief_graph", {"n_sweeps": 3, "prior_honest": 0.6}, {"n_sweeps": 3, "prior": 0.6}),
 ]
 """Parameters by model: ours, and those of the transcription."""
@@ -121,7 +122,7 @@ def test_withheld_detections_are_a_contradiction():
     assert trust_of(model, 1) == 0.5
     open_step(model, 10, {1: [1.0], 2: [1.0, 0.9], 3: [1.0, 0.9]})
     add(model, 10, [(v, 1, 0, 0.9, 1.0) for v in (2, 3)])
-    assert trust_of(model, 1) < 0.2 < 0.7 < trust_of(model, 2)
+    assert trust_of(model, 1) < 0.2 < 0.6 < trust_of(model, 2)
 
 
 def test_the_holders_own_evaluations_are_marked_in_the_log():
@@ -137,5 +138,7 @@ def test_the_holders_own_evaluations_are_marked_in_the_log():
 
 def test_a_shape_that_is_none_is_refused():
     good = MODELS["belief_graph"].Params()
-    with pytest.raises(ValueError, match=r"trust.self_shape = \[0.0, 1.0\]: both shapes"):
-        replace(good, self_shape=(0.0, 1.0))
+    with pytest.raises(ValueError, match=r"trust.share_shape = \[0.0, 1.0\]: the shapes"):
+        replace(good, share_shape=(0.0, 1.0))
+    with pytest.raises(ValueError, match=r"trust.missing_shapes = \[1.0\]: the shapes"):
+        replace(good, missing_shapes=((1.0,), (1.0, 1.0), (1.0, 1.0)))

@@ -21,6 +21,10 @@ def table_after(heading):
     return {cells[0].strip("` "): cells for cells in (re.split(r" +\| +", row) for row in rows) if "`" in cells[0]}
 
 
+def flat(default):
+    return [value for part in default for value in flat(part)] if isinstance(default, tuple) else [default]
+
+
 def test_every_model_and_every_default_is_documented():
     rows = table_after("## Trust models")
     for name, model in MODELS.items():
@@ -31,8 +35,7 @@ def test_every_model_and_every_default_is_documented():
             if name == "trupercept" or field.name == "grace_s":
                 continue
             assert field.name in stated, (name, field.name)
-            default = field.default
-            for value in default if isinstance(default, tuple) else [default]:
+            for value in flat(field.default):
                 text = f"{value:g}" if isinstance(value, float) else str(value)
                 assert text in stated.replace(",", ""), (name, field.name, text)
         assert "Deviations:" in (model.__doc__ if key != "raya_*" else model.__mro__[1].__doc__)

@@ -165,58 +165,104 @@ def log_ratio(pos, neg, a, b):
     return min(max(value, -20.0), 20.0)
 
 
-def belief_graph(steps, now, dt, sent, prior=0.8, coupling=1.0, n_sweeps=12, decay=0.95):
-    edge, form = defaultdict(lambda: [0.0] * 4), defaultdict(lambda: [0.0] * 6)
+def dirichlet(counts, shape):
+    value = math.lgamma(sum(shape)) - math.lgamma(sum(shape) + sum(counts))
+    return value + sum(math.lgamma(a + n) - math.lgamma(a) for n, a in zip(counts, shape, strict=True))
+
+
+def add_exp(x, y):
+    return max(x, y) + math.log1p(math.exp(-abs(x - y)))
+
+
+SHAPES = {
+    "detections": ((21.0, 5.0, 1.7, 1.7), (2.0, 0.7, 1.1, 0.8), (0.6, 1.1, 0.5, 0.5)),
+    "missing": ((30.0, 6.0), (0.3, 1.0), (0.3, 0.8)),
+    "speed": ((20.0, 1.0), (2.0, 3.0), (1.3, 2.8)),
+}
+
+
+def edges_and_forms(steps, now, dt, sent, n_kinds, decay):
+    """By (v, i): outcomes of each kind, and further detections not certain and certain. By v: counts of form."""
+    edge, form = {}, defaultdict(lambda: [0.0] * 5)
     for step, rows in steps.items():
-        left, certain, detects = decay ** ((now - step) * dt), defaultdict(int), set()
+        left, said = decay ** ((now - step) * dt), defaultdict(list)
+        made, certain, detects = defaultdict(int), defaultdict(int), set()
         for v, i, k, pos, neg in evidence(rows):
-            pos, neg = rounded(pos), rounded(neg)
-            edge[v, i][0 if k else 2] += left * pos
-            edge[v, i][1 if k else 3] += left * neg
-            certain[v, i] += pos == 1
-            if 0 < pos < 1:
-                detects.add(v)
-            form[v][5 - (pos + neg > 0.5)] += left
-        for (v, _), n in certain.items():
-            form[v][3 if n > 1 else 2] += left
+            said[i, k].append((v, rounded(pos), rounded(neg)))
+        for (i, k), answers in said.items():
+            kind = k % n_kinds
+            for v, pos, neg in answers:
+                nothing = {name: [0.0] * len(x[0]) for name, x in SHAPES.items()} | {"certain": [0.0] * 2}
+                of = edge.setdefault((v, i), nothing)
+                made[v, i] += kind == 0
+                if kind == 0:
+                    others = [(p, n) for w, p, n in answers if w != v]
+                    denied = 1 if any(p > 0 for p, _ in others) else 2 if any(n > 0 for _, n in others) else 3
+                    of["detections"][0] += left * pos
+                    of["detections"][denied] += left * neg
+                    certain[v, i] += pos == 1
+                    form[v][2 if pos + neg > 0.5 else 3] += left
+                    if 0 < pos < 1:
+                        detects.add(v)
+                else:
+                    if kind == 1 or k == 2:
+                        of[("missing", "speed")[kind - 1]][0] += left * pos
+                        of[("missing", "speed")[kind - 1]][1] += left * neg
+                    if pos + neg >= 0.99 or (kind == 1 and pos > 0.34):
+                        form[v][4] += left
+        for v, i in made:
+            further = max(certain[v, i] - 1, 0)
+            edge[v, i]["certain"][0] += left * (max(made[v, i] - 1, 0) - further)
+            edge[v, i]["certain"][1] += left * further
         for v in detects:
-            form[v][1 if sent[step][v] <= 1 else 0] += left
+            n_sent = sent[step][v] if n_kinds == 1 else (sent[step][v] - 16) // 2
+            form[v][1 if n_sent <= 1 else 0] += left
+    return edge, form
+
+
+def bounded(x):
+    return min(max(x, -20.0), 20.0)
+
+
+def belief_graph(steps, now, dt, sent, kinds=("detections",), prior=0.8, coupling=0.5, n_sweeps=12, decay=0.95):
+    edge, form = edges_and_forms(steps, now, dt, sent, 3 if len(kinds) > 1 else 1, decay)
     nodes = sorted({x for pair in edge for x in pair})
-    alone = {}
+    odds = {(v, role): math.log(prior / (1 - prior)) for v in nodes for role in ("evaluator", *kinds)}
     for v in nodes:
-        alone[v, "sends"] = alone[v, "evaluates"] = math.log(prior / (1 - prior))
         f = form[v]
-        alone[v, "evaluates"] += min(log_ratio(f[0], f[1], 20.0, 0.2), 0) + min(log_ratio(f[2], f[3], 20.0, 0.2), 0)
-        k, n = f[4], f[4] + f[5]
-        chance = log_beta(8 + k, 3.5 + n - k) - log_beta(8, 3.5) + n * math.log(2)
-        alone[v, "evaluates"] += min(max(chance, -20.0), 0.0)
-    factors = [((v, "evaluates"), (v, "sends"), coupling) for v in nodes]
-    for (v, i), sums in edge.items():
-        r, s, of_self, against = sums
-        factors.append(
-            ((v, "evaluates"), (i, "sends"), log_ratio(r, s, 7.0, 2.0) + log_ratio(of_self, against, 2.0, 0.8))
-        )
+        odds[v, "evaluator"] += min(log_ratio(f[0], f[1], 20.0, 0.2), 0)
+        drawn = log_beta(8 + f[2], 3.5 + f[3]) - log_beta(8, 3.5) + (f[2] + f[3]) * math.log(2)
+        odds[v, "evaluator"] += min(max(drawn, -20.0), 0.0) - min(10 * f[4], 200)
+    factors = [((v, "evaluator"), (v, kind), coupling, 0.0) for v in nodes for kind in kinds]
+    for (v, i), of in edge.items():
+        honest, liar = dirichlet(of["certain"], (60.0, 1.5)), dirichlet(of["certain"], (0.5, 0.1))
+        certain = min(max(honest - add_exp(honest, liar) + math.log(2), -20.0), 0.0)
+        for kind in kinds:
+            both, sender, evaluator = (dirichlet([0.5 * x for x in of[kind]], shape) for shape in SHAPES[kind])
+            lies = add_exp(math.log(0.8) + both, math.log(0.2) + evaluator)
+            more = certain if kind == "detections" else 0.0
+            factors.append(((v, "evaluator"), (i, kind), bounded(both - lies) + more, bounded(sender - lies) + more))
     message = {(f, end): 0.0 for f in range(len(factors)) for end in (0, 1)}
-
-    def belief(node):
-        return alone[node] + sum(message[f, e] for f, ends in enumerate(factors) for e in (0, 1) if ends[e] == node)
-
+    at = dict(odds)
     for _ in range(n_sweeps):
-        at = {node: belief(node) for node in alone}
-        new = {}
-        for f, (*ends, ratio) in enumerate(factors):
-            for e in (0, 1):
-                p = sigmoid(at[ends[1 - e]] - message[f, 1 - e])
-                q = sigmoid(message[f, 1 - e] - at[ends[1 - e]])
-                new[f, e] = (message[f, e] + math.log(q + p * math.exp(ratio))) / 2
-        message = new
-    honest = {node: sigmoid(belief(node)) for node in alone}
+        for f, (v, i, both, first) in enumerate(factors):
+            to_v, to_i = message[f, 0], message[f, 1]
+            of_v, of_i = at[v] - to_v, at[i] - to_i
+            message[f, 0] = (to_v + add_exp(first, of_i + both) - add_exp(0, of_i)) / 2
+            message[f, 1] = (to_i + add_exp(0, of_v + both) - add_exp(0, of_v + first)) / 2
+        at = dict(odds)
+        for (f, end), x in message.items():
+            at[factors[f][end]] += x
     out = {}
     for i in known(steps):
-        pos, neg = 20.0, 6.0
-        for (v, j), (r, s, of_self, against) in edge.items():
-            if j == i:
-                pos += honest[v, "evaluates"] * (r + of_self)
-                neg += honest[v, "evaluates"] * (s + against)
-        out[i] = honest[i, "evaluates"] * honest[i, "sends"] * pos / (pos + neg)
+        total = {kind: [0.0] * len(SHAPES[kind][0]) for kind in kinds}
+        for (v, j), of in edge.items():
+            for kind in kinds if j == i else ():
+                believed = sigmoid(at[v, "evaluator"])
+                total[kind] = [x + believed * 0.5 * y for x, y in zip(total[kind], of[kind], strict=True)]
+        confirmed, _, jointly, single = total["detections"]
+        out[i] = sigmoid(at[i, "evaluator"]) * ((30 + confirmed) / (35 + confirmed + jointly + single)) ** 2
+        for kind in kinds[1:]:
+            gain = dirichlet(total[kind], SHAPES[kind][0]) - dirichlet(total[kind], SHAPES[kind][1])
+            out[i] *= sigmoid(math.log(9) + min(gain, 1.0))
     return out

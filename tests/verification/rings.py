@@ -21,7 +21,8 @@ MODELS = (
     "beta", "beta_discounted", "subjective_logic", "mate", "minhas", "announcement", "eigentrust", "report_count",
     "majority_ban",
 )  # fmt: skip
-BASE = f"""sensing_interval_s = 1.0
+BASE = f"""preset = "v0.2"
+sensing_interval_s = 1.0
 [traffic]
 duration_s = {DURATION_S:g}
 [fleet]

@@ -46,12 +46,13 @@ class Ahead:
     """A thread that computes ahead for the steps of a run. It is a context manager; the thread ends with it.
 
     `expect` names the next world, and `of` returns what has been computed for a world. Only one thread may use it.
+    `senses_elsewhere` says that other processes compute the sweeps, so that this thread only waits for them.
     """
 
-    def __init__(self, parts: Parts) -> None:
+    def __init__(self, parts: Parts, senses_elsewhere: bool = False) -> None:
         self.watch = Stopwatch()
         """Seconds per stage that this thread has computed ahead."""
-        self._parts = parts
+        self._parts, self._senses_elsewhere = parts, senses_elsewhere
         self._thread = ThreadPoolExecutor(1, "ahead")
         self._begun: list[_Begun] = []
         """For the present step and the expected one at most."""
@@ -71,9 +72,12 @@ class Ahead:
             Begin its sweeps now, because the present step senses nothing. Otherwise they begin when the present step
             has read its own range images.
         """
-        if not world.equipped.any() or not threads_may_meet():
+        may_meet = threads_may_meet()
+        if not world.equipped.any() or not (may_meet or self._senses_elsewhere):
             return
-        if numba.get_num_threads() > 1:  # for few vehicles this is mostly Python code, which delays the present step
+        if (
+            may_meet and numba.get_num_threads() > 1
+        ):  # for few vehicles this is mostly Python code, which delays the present step
             medium, links = self._parts.medium, None
             if isinstance(medium, CsmaMedium | SidelinkMedium):
                 links = self._thread.submit(self._links, medium, self._stations(world))

@@ -7,12 +7,12 @@ without partners, early and late, with and without delay and errors, on the same
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from cosim.validation.facts import Measured
@@ -51,6 +51,16 @@ class Setting:
     """Standard deviation of the error of a partner's position, for east and for north."""
     heading_deg: float = 0.0
     """Standard deviation of the error of its heading."""
+    seeded_error: tuple[float, float, float] | None = None
+    """One error of every partner in every frame instead: east [m], north [m] and heading [deg]."""
+    area_m: tuple[float, float] = (np.inf, np.inf)
+    """Objects and boxes count that far ahead or behind the ego, and to its sides."""
+    sensed_m: tuple[float, float] = (np.inf, np.inf)
+    """A vehicle's own boxes are that far ahead or behind it, and to its sides."""
+    min_score: float = 0.0
+    """Boxes with a lower score are left out."""
+    ranked: Literal["all", "by frame"] = "all"
+    """Whether the boxes of all frames are ranked together, or those of one frame and then those of the next."""
     label: str = "car"
     slower_mps: float = np.inf
     """Only objects slower than this count; the boxes of others are no false positives."""
@@ -65,8 +75,11 @@ def late_gain(runs: Sequence[Run], **options: object) -> Measured:
 
 
 def change_of_late(runs: Sequence[Run], **options: object) -> Measured:
-    """Average precision with disturbed partners minus that with undisturbed ones [points]; options as `late_gain`."""
-    return _difference(runs, (_setting(options), "late"), (_exact(options), "late"))
+    """Average precision with old boxes of partners minus that with new ones [points]; options as `late_gain`.
+
+    Errors of pose are in both.
+    """
+    return _difference(runs, (_setting(options), "late"), (_in_time(options), "late"))
 
 
 def precision_of_early(runs: Sequence[Run], **options: object) -> Measured:
@@ -85,22 +98,23 @@ def early_over_late(runs: Sequence[Run], **options: object) -> Measured:
 
 
 def change_of_early(runs: Sequence[Run], **options: object) -> Measured:
-    """Average precision of early fusion with disturbed partners minus that with undisturbed ones [points]."""
-    return _difference(runs, (_setting(options), "early"), (_exact(options), "early"))
+    """Average precision of early fusion with old clouds of partners minus that with new ones [points]."""
+    return _difference(runs, (_setting(options), "early"), (_in_time(options), "early"))
 
 
 def _difference(runs: Sequence[Run], one: tuple["Setting", Fusion], other: tuple["Setting", Fusion]) -> Measured:
     return Measured.of_replicates([_precision(run, *one) - _precision(run, *other) for run in runs])
 
 
-def _exact(options: object) -> Setting:
-    """The setting without disturbance."""
-    return _setting(dict(options) | {"delay_steps": 0, "position_m": 0.0, "heading_deg": 0.0})  # type: ignore[call-overload]
+def _in_time(options: object) -> Setting:
+    """The setting without delay."""
+    return _setting(dict(options) | {"delay_steps": 0})  # type: ignore[call-overload]
 
 
 def _setting(options: object) -> Setting:
-    given = dict(options)  # type: ignore[call-overload]
-    return Setting(**given | {"overlaps": tuple(given["overlaps"])})
+    given: dict[str, Any] = dict(options)  # type: ignore[call-overload]
+    given |= {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
+    return Setting(**given)
 
 
 def _precision(run: Run, setting: Setting, fusion: Fusion) -> Float[ndarray, "o"]:
@@ -149,7 +163,8 @@ def _truth(
         slow = _speed(run, now.step.to_numpy(), now.actor.to_numpy()) < setting.slower_mps
         i, j = i[slow], j[slow]
     box, _, _ = ahead_of(poses, i, actors[[*BOX]].to_numpy(np.float64)[j], setting.range_m)
-    return i, box
+    inside = _within(box, setting.area_m)
+    return i[inside], box[inside]
 
 
 def _found(
@@ -161,7 +176,7 @@ def _found(
     where = at_steps(old) & (pc.field("origin") == "sensed")
     columns = ["step", "observer", "class", *BOX, "score", "truth_actor"]
     boxes = observed_by_vehicle(run, "local", columns, where)
-    boxes = boxes[boxes["class"] == setting.label]
+    boxes = _sensed(boxes[(boxes["class"] == setting.label) & (boxes.score >= setting.min_score)], run, setting)
     if np.isfinite(setting.slower_mps):
         of = boxes.truth_actor.astype("Int64").fillna(-1).to_numpy(np.int64)
         boxes = boxes[~(_speed(run, boxes.step.to_numpy(), of) >= setting.slower_mps)]
@@ -180,10 +195,31 @@ def _found(
         every = pd.concat([own[own.truth_actor.isna()], merged], ignore_index=True)
     frame = every.frame.to_numpy(np.int64)
     box, _, _ = ahead_of(poses, frame, every[[*BOX]].to_numpy(np.float64), setting.range_m)
-    rows = np.flatnonzero(np.hypot(box[:, 0], box[:, 1]) <= setting.range_m)
+    rows = np.flatnonzero((np.hypot(box[:, 0], box[:, 1]) <= setting.range_m) & _within(box, setting.area_m))
     score = every.score.to_numpy(np.float64)
     rows = rows[kept(frame[rows], box[rows], score[rows])]
-    return frame[rows], box[rows], score[rows]
+    frame, box, score = frame[rows], box[rows], score[rows]
+    if setting.ranked == "by frame":
+        rank = np.lexsort([-score, frame])
+        frame, box, score = frame[rank], box[rank], -np.arange(len(rank), dtype=np.float64)
+    return frame, box, score
+
+
+def _within(box: Float[ndarray, "n 7"], area_m: tuple[float, float]) -> Bool[ndarray, "n"]:
+    """Whether boxes in the frame of a vehicle lie in an area around it."""
+    return (np.abs(box[:, :2]) <= area_m).all(axis=1)
+
+
+def _sensed(boxes: pd.DataFrame, run: Run, setting: Setting) -> pd.DataFrame:
+    """Boxes in the area in which their own observers look for objects."""
+    if not np.isfinite(setting.sensed_m).any() or boxes.empty:
+        return boxes
+    poses, _ = posed(run, np.unique(boxes.step))
+    of = pd.MultiIndex.from_frame(poses[["step", "observer"]]).get_indexer(
+        pd.MultiIndex.from_frame(boxes[["step", "observer"]])
+    )
+    box, _, _ = ahead_of(poses, of, boxes[[*BOX]].to_numpy(np.float64), setting.range_m)
+    return boxes[_within(box, setting.sensed_m)]
 
 
 def _speed(run: Run, step: ndarray, actor: ndarray) -> Float[ndarray, "n"]:
@@ -195,16 +231,19 @@ def _speed(run: Run, step: ndarray, actor: ndarray) -> Float[ndarray, "n"]:
 
 def _disturbed(boxes: pd.DataFrame, run: Run, setting: Setting) -> pd.DataFrame:
     """Boxes of partners moved and turned with the errors of their senders' poses."""
-    if not (setting.position_m or setting.heading_deg) or boxes.empty:
+    std = np.array([setting.position_m, setting.position_m, setting.heading_deg])
+    if not (std.any() or setting.seeded_error) or boxes.empty:
         return boxes
     n = int(boxes.sender.max()) + 1
-    error = np.random.default_rng(7).normal(size=(n, 3))[boxes.sender.to_numpy()]
+    error = std * np.random.default_rng(7).normal(size=(n, 3))[boxes.sender.to_numpy()]
+    if setting.seeded_error is not None:
+        error = np.broadcast_to(setting.seeded_error, error.shape)
     poses = run.table("actors", ["step", "actor", "x_m", "y_m"], at_steps(np.unique(boxes.step)))
     at = poses.set_index(["step", "actor"]).reindex(pd.MultiIndex.from_frame(boxes[["step", "observer"]]))
-    turn = np.radians(setting.heading_deg) * error[:, 2]
+    turn = np.radians(error[:, 2])
     east, north = boxes.x_m.to_numpy() - at.x_m.to_numpy(), boxes.y_m.to_numpy() - at.y_m.to_numpy()
     return boxes.assign(
-        x_m=at.x_m.to_numpy() + np.cos(turn) * east - np.sin(turn) * north + setting.position_m * error[:, 0],
-        y_m=at.y_m.to_numpy() + np.sin(turn) * east + np.cos(turn) * north + setting.position_m * error[:, 1],
+        x_m=at.x_m.to_numpy() + np.cos(turn) * east - np.sin(turn) * north + error[:, 0],
+        y_m=at.y_m.to_numpy() + np.sin(turn) * east + np.cos(turn) * north + error[:, 1],
         yaw_rad=boxes.yaw_rad + turn,
     )

@@ -8,6 +8,14 @@ import pytest
 from cosim.cli.main import main
 
 
+@pytest.fixture(autouse=True)
+def interruptible():
+    """A shell without job control starts what it puts into the background with interrupts ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def turned(standalone_mode):
     """Compiled code that takes an interrupt for a wrong type of argument."""
     try:

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from sumo_nets.counts import _edges as read_edges
 from tests.cosim.mobility import mixed_scenario
 from tests.drive import cosim
 from tests.sumo_nets.test_build_from_osm import grid_town
@@ -82,9 +83,27 @@ def test_show(built, tmp_path):
     assert "lanes" in cosim("nets", "show", str(folder / "town"), cwd=tmp_path).stdout
 
 
+def test_the_demand_of_a_built_city_is_fitted_to_counts(built):
+    folder, _ = built
+    edge = next(iter(read_edges(folder / "town" / "net.net.xml.gz")))
+    (folder / "counts.csv").write_text(f"edge,per_hour\n{edge},80\n")
+    words = ("nets", "counts", "town", "counts.csv", "--out", "counted", "--hold-out", "0")
+    done = cosim(*words, "--json", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert said["fitted_drawn"]["places"] == 1 and said["kept_back_driven"]["places"] == 0
+    done = cosim(*words, cwd=folder)
+    assert done.returncode == 2 and "is not empty" in done.stderr and done.stderr.count("\n") == 1
+    done = cosim("run", "--set", "traffic.scenario=counted", "--set", "traffic.duration_s=2", "--out", "r", cwd=folder)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
+        (["counts", "helsinki", "gone.csv", "--out", "x"], "gone.csv: not a CSV file that can be read"),
+        (["counts", "atlantis", "bad.osm", "--out", "x"], "atlantis: not a city"),
+        (["counts", "helsinki", "bad.osm", "--out", "x"], "bad.osm has no rows"),
         (["show", "atlantis"], "no city of that name"),
         (["build", "--out", "x"], "needs --osm FILE, --bbox west"),
         (["build", "--out", "x", "--osm", "gone.osm"], "gone.osm: no such file"),

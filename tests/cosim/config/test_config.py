@@ -83,6 +83,8 @@ def test_steps():
         ("radio.access.lifetime_s=0.0001", "shorter than the transmission"),
         ("radio.timeout_s=0.001", "no time for more than a few frames"),
         ("radio=3", r"section \[radio\]"),
+        ("trust.freshness_s='never'", r"^trust\.freshness_s = 'never' should be a valid number or 'off'\. Set trust\."),
+        ("lidar.rotation_hz=-3", r"^lidar\.rotation_hz = -3 should be greater than 0 or 'off'\. Set lidar\."),
         ("seed.x=1", "unknown key|section|valid"),
         ("fleet.equipped_kinds=['tank']", "fleet.equipped_kinds"),
         ("attacks.0.share_p=0.95", "more than all equipped"),

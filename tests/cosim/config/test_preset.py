@@ -1,6 +1,9 @@
 """Presets: what they set, what comes before them, and what is said of a name that is none."""
 
 import json
+import subprocess
+import sys
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +12,7 @@ import pytest
 from cosim.config import preset
 from cosim.config.config import Config, of_run, resolve_data
 from cosim.config.data import read_toml
+from cosim.docs import config_keys
 from cosim.studies import study
 from tests.drive import cosim
 
@@ -24,6 +28,23 @@ def recorded(config):
 
 def test_version_0_2_is_every_keys_default():
     assert config(preset="v0.2") == replace(Config(), preset="v0.2", attacks=())
+
+
+def test_a_file_that_names_no_preset_is_modern(tmp_path):
+    """In a process of its own: the tests' own default is another one."""
+    (tmp_path / "mine.toml").write_text("seed = 1\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "cosim", "check", "mine.toml"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    said = tomllib.loads(done.stdout)
+    assert (said["preset"], said["lidar"]["profile"], said["detector"]["model"]) == ("modern", "pandar64", "pv_rcnn")
+
+
+def test_the_page_of_keys_has_the_defaults_of_a_file(monkeypatch):
+    monkeypatch.setattr(preset, "DEFAULT", "modern")
+    text = config_keys.markdown()
+    assert "| `lidar.max_range_m` | number; > 0, ≤ 1000 | `100` |" in text
+    assert '| `"modern"` |' in text and "| `extrapolate` | true or false | `true` |" in text
 
 
 @pytest.mark.parametrize("name", preset.names())

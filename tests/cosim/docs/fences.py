@@ -1,4 +1,8 @@
-"""Fenced blocks of a page: what is shown is what is run."""
+"""Fenced blocks of a page: what is shown is what is run.
+
+A block without a reason before it, `<!-- not run: it needs a scheduler -->`, is run, written to its file, read as a
+config or compared with what the block before printed. Blocks of the languages in `SHOWN` are for the eye alone.
+"""
 
 import re
 from pathlib import Path
@@ -6,13 +10,25 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[3]
 PAGES = ROOT / "cosim" / "docs" / "pages"
+SOURCES = {
+    path.relative_to(ROOT).as_posix(): path
+    for path in sorted(
+        [*ROOT.glob("*.md"), *(p for room in ("cosim", "results", "sensors", "sumo_nets", "trust")
+                               for p in (ROOT / room).rglob("*.md"))]
+    )
+}  # fmt: skip
+"""All pages, wherever they are in the repository."""
+SHOWN = ("text", "math")
 
-_FENCE = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', flags=re.DOTALL | re.MULTILINE)
+_FENCE = re.compile(
+    r'(?:^<!-- not run: ([^\n]+) -->\n\n?)?^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', flags=re.DOTALL | re.MULTILINE
+)
 
 
 class Block(NamedTuple):
-    """A fenced block: its language, the file that it is the content of, its text."""
+    """A fenced block: why it is not run, its language, the file that it is the content of, its text."""
 
+    excuse: str
     language: str
     title: str
     text: str
@@ -23,8 +39,16 @@ def blocks(text: str) -> list[Block]:
     return [Block(*found.groups(default="")) for found in _FENCE.finditer(text)]
 
 
+def with_texts(text: str, texts: dict[int, str]) -> str:
+    """The page with other texts in the blocks of these numbers."""
+    for number, found in reversed(list(enumerate(_FENCE.finditer(text)))):
+        if number in texts:
+            text = text[: found.start(4)] + texts[number] + text[found.end(4) :]
+    return text
+
+
 def commands(text: str) -> list[str]:
-    """Commands of the sh blocks of a page, one line each, comments and what follows a pipe left out."""
+    """Commands of the sh blocks of a page, also of those that are not run, one line each, without comments."""
     found = []
     for block in blocks(text):
         if block.language == "sh":
@@ -46,6 +70,26 @@ def is_printed(shown: str, printed: str) -> bool:
         if line.strip() == "...":
             pattern += r"(?:.*\n)*?"
         else:
-            parts = (re.sub(r"(?:\\ |\s)+", r"[ \\t]+", re.escape(part.strip())) for part in line.split("..."))
-            pattern += r"[ \t]*" + r"[^\n]*".join(parts) + r"[ \t]*\n"
+            pattern += _line(line) + r"\n"
     return re.fullmatch(pattern, printed.strip("\n") + "\n") is not None
+
+
+def _line(shown: str) -> str:
+    parts = (re.sub(r"(?:\\ |\s)+", r"[ \\t]+", re.escape(part.strip())) for part in shown.split("..."))
+    return r"[ \t]*" + r"[^\n]*".join(parts) + r"[ \t]*"
+
+
+def recorded(shown: str, printed: str) -> str:
+    """What a block `output` shows after its command has printed something else.
+
+    A line with `...` stays if it still fits a printed line. One `...` alone on its line keeps as many lines before and
+    after it as it had.
+    """
+    old, new = shown.strip("\n").splitlines(), [line.rstrip() for line in printed.strip("\n").splitlines()]
+    holes = [line for line in old if "..." in line and line.strip() != "..."]
+    kept = [next((hole for hole in holes if re.fullmatch(_line(hole), line)), line) for line in new]
+    alone = [n for n, line in enumerate(old) if line.strip() == "..."]
+    if alone and len(kept) > len(old) - 1:
+        after = len(old) - 1 - alone[0]
+        kept = [*kept[: alone[0]], old[alone[0]], *kept[len(kept) - after :]]
+    return "\n".join(kept) + "\n"

@@ -10,16 +10,11 @@ import pytest
 from tests.cosim.docs import fences
 from tests.cosim.docs.fences import PAGES, ROOT
 
-RUNNABLE = {
-    path.relative_to(ROOT).as_posix(): path
-    for path in [ROOT / "README.md", *sorted(PAGES.rglob("*.md"))]
-    if fences.commands(path.read_text(encoding="utf-8"))
-}
-
 SHORT = "--set traffic.duration_s=30 --set attacks.0.start_s=10 --set attacks.1.start_s=10"
+FIRST_RUN = f"cosim run {SHORT} --set traffic.warmup_s=120 --set record.level=full"
 
 INSTEAD = {
-    "make run": f"cosim run {SHORT} --set traffic.warmup_s=120 --set record.level=full",
+    "make run": FIRST_RUN,
     "make test": "true",  # this is it
     "source .venv/bin/activate": "true",
     "python3 -m venv": "true",
@@ -27,7 +22,31 @@ INSTEAD = {
 }
 """What stands for a command that sets up an environment, or takes minutes."""
 
+SOLID = "from trimesh.creation import box; box(({})).export('{}.obj')"
+BEFORE = {
+    "cosim/docs/pages/howto/meshes.md": f"""
+        python -c "{SOLID.format("12, 2, 5", "arch")}"
+        python -c "{SOLID.format("4, 2, 1.5", "wedge")}"
+    """,
+    "results/README.md": FIRST_RUN,
+}
+"""What makes the files that a page's commands take from its reader."""
+
 QUICK = ("cosim nets list", "cosim --version", "cosim measure --explain", "cosim sweep freshness --out fresh --dry-run")
+
+OFFLINE = dict.fromkeys(("http_proxy", "https_proxy", "all_proxy"), "http://127.0.0.1:9") | {"PIP_NO_INDEX": "1"}
+"""Nothing can be fetched with these."""
+
+
+def _is_run(block):
+    return not block.excuse and block.language in ("sh", "python") and not block.title
+
+
+PAGES_THAT_RUN = [
+    name for name, path in fences.SOURCES.items() if any(map(_is_run, fences.blocks(path.read_text(encoding="utf-8"))))
+]
+
+SHOWN = [line for path in fences.SOURCES.values() for line in fences.commands(path.read_text(encoding="utf-8"))]
 
 
 @pytest.fixture
@@ -43,7 +62,7 @@ def folder(tmp_path):
 
 
 def run(folder: Path, script: str):
-    env = os.environ | {"PATH": f"{folder / 'bin'}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    env = os.environ | OFFLINE | {"PATH": f"{folder / 'bin'}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
         ["bash", "-euc", script], cwd=folder / "work", env=env, capture_output=True, text=True, timeout=1200
     )
@@ -52,25 +71,30 @@ def run(folder: Path, script: str):
 
 
 @pytest.mark.verify
-@pytest.mark.parametrize("page", RUNNABLE)
-def test_a_page(folder, page):
-    """All of a page in the order in which a reader meets it."""
-    if page.endswith("meshes.md"):
-        trimesh = pytest.importorskip("trimesh")
-        trimesh.creation.box((12, 2, 5)).export(folder / "work" / "arch.obj")
-        trimesh.creation.box((4, 2, 1.5)).export(folder / "work" / "wedge.obj")
-    if page.endswith("look.md"):
-        pytest.importorskip("rerun")
-    for block in fences.blocks(RUNNABLE[page].read_text(encoding="utf-8")):
+@pytest.mark.parametrize("page", PAGES_THAT_RUN)
+def test_a_page(folder, page, update_golden):
+    """All of a page in the order in which a reader meets it; `make pages` records its blocks `output` anew."""
+    source = fences.SOURCES[page]
+    text = source.read_text(encoding="utf-8")
+    found = fences.blocks(text)
+    if update_golden and not any(block.language == "output" for block in found):
+        pytest.skip("it shows no output")
+    said, records, script, printed = run(folder, BEFORE.get(page, "true")), {}, "", ""
+    for number, block in enumerate(found):
         if block.title:
             (folder / "work" / block.title).write_text(block.text)
-        elif block.language == "sh":
+        elif _is_run(block) and block.language == "sh":
             said = run(folder, "\n".join(_instead(line) for line in block.text.replace("\\\n", " ").splitlines()))
-        elif block.language == "python" and "open_run" in block.text:
-            (folder / "script.py").write_text(block.text)
-            said = run(folder, f"python {folder / 'script.py'}")
-        elif block.language == "output":
-            assert fences.is_printed(block.text, said), f"{page} shows\n{block.text}\nbut this is printed:\n{said}"
+        elif _is_run(block):
+            script += block.text  # a block goes on from those before it
+            (folder / "script.py").write_text(script)
+            whole = run(folder, f"python {folder / 'script.py'}")
+            said, printed = whole.removeprefix(printed), whole
+        elif block.language == "output" and not fences.is_printed(block.text, said):
+            records[number] = fences.recorded(block.text, said)
+            assert update_golden, f"{page} shows\n{block.text}\nbut this is printed:\n{said}"
+    if records:
+        source.write_text(fences.with_texts(text, records), encoding="utf-8")
 
 
 def _instead(line: str) -> str:
@@ -101,6 +125,9 @@ def test_the_notebook_of_the_tutorial(folder, monkeypatch):
 
 @pytest.mark.parametrize("command", QUICK)
 def test_a_quick_command(folder, command):
-    shown = [line for path in RUNNABLE.values() for line in fences.commands(path.read_text(encoding="utf-8"))]
-    assert command in shown
+    assert command in SHOWN
     assert run(folder, command)
+
+
+def test_what_stands_for_a_command_stands_for_one_that_is_shown():
+    assert all(any(line.startswith(old) for line in SHOWN) for old in INSTEAD) and BEFORE.keys() <= set(PAGES_THAT_RUN)

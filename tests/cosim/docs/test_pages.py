@@ -5,7 +5,6 @@ import re
 import shlex
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -21,11 +20,9 @@ from results.tables import TABLES
 from tests.cosim.docs import fences
 from tests.cosim.docs.fences import ROOT
 
-SOURCES = {
-    **{path.relative_to(ROOT).as_posix(): path for path in sorted(fences.PAGES.rglob("*.md"))},
-    **{name: ROOT / name for name in ("README.md", *site.TAKEN)},
-}
+SOURCES = fences.SOURCES
 PAGES = site.pages()
+COMMAND = typer.main.get_command(app)
 
 
 def test_every_page_is_in_the_navigation():
@@ -75,7 +72,7 @@ def every_command(words, command):
 
 def test_every_command_and_option_is_there():
     text = PAGES["reference/cli.md"]
-    found = dict(every_command("cosim", typer.main.get_command(app)))
+    found = dict(every_command("cosim", COMMAND))
     assert {"cosim run", "cosim nets build", "cosim export", "cosim sweep"} <= found.keys()
     for words, command in found.items():
         section = text.split(f"# `{words}`\n")[1].split("\n##")[0]
@@ -92,7 +89,8 @@ def test_every_table_and_metric_is_there():
 @pytest.mark.parametrize("source", SOURCES)
 def test_commands_are_accepted(source):
     """Every command of every page is one of the program's, with options that it has and values that they take."""
-    for line in fences.commands(SOURCES[source].read_text(encoding="utf-8")):
+    text = SOURCES[source].read_text(encoding="utf-8")
+    for line in fences.commands(text):
         words = shlex.split(line.split(" || ")[0].split(" && ")[0])
         if "cosim" in words:
             words = words[words.index("cosim") :]
@@ -100,20 +98,27 @@ def test_commands_are_accepted(source):
             done = subprocess.run(["make", "-n", *words[1:]], cwd=ROOT, capture_output=True, text=True)
             assert done.returncode == 0, done.stderr
         elif words[0] == "cosim":
-            _accepted(words[1:])
+            command, name, words = _found(words[1:])
+            try:
+                command.make_context(name, list(words))
+            except typer.Exit:  # --version, --help
+                assert words[0] in ("--version", "--help")
         else:
-            assert words[0] in ("source", "pip", "dask", "rerun", "python", "python3", "netedit"), line
+            assert words[0] in ("source", "pip", "dask", "rerun", "python", "python3", "netedit", "timeout"), line
+    for inline in re.findall(r"`cosim ([^`\n]+)`", re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)):
+        command, name, words = _found(shlex.split(inline))
+        options = {option for one in command.params for option in one.opts} | {"--help"}
+        assert {word for word in words if word.startswith("--")} <= options, f"{source}: cosim {inline}"
+        is_place = not words or not hasattr(command, "commands") or words[0].startswith("--")
+        assert is_place, f"{source}: cosim {inline}"
 
 
-def _accepted(words):
-    command, name = typer.main.get_command(app), "cosim"
-    while hasattr(command, "commands") and words and not words[0].startswith("-"):
-        name, words = f"{name} {words[0]}", words[1:]
-        command = command.commands[name.rpartition(" ")[2]]
-    try:
-        command.make_context(name, list(words))
-    except typer.Exit:  # --version, --help
-        assert words[0] in ("--version", "--help")
+def _found(words):
+    """The command that these words name, its name and the words that remain."""
+    command, name = COMMAND, "cosim"
+    while hasattr(command, "commands") and words and words[0] in command.commands:
+        name, command, words = f"{name} {words[0]}", command.commands[words[0]], words[1:]
+    return command, name, list(words)
 
 
 def test_output_is_compared_with_what_is_printed():
@@ -133,27 +138,51 @@ def test_shown_output_follows_a_command(source):
         before = block.language
 
 
-@pytest.mark.parametrize("source", SOURCES)
-def test_configs_are_toml(source):
-    for block in fences.blocks(SOURCES[source].read_text(encoding="utf-8")):
-        if block.language == "toml":
-            assert tomllib.loads(block.text), block.text
-        if block.language == "python" and block.title:
-            assert compile(block.text, block.title, "exec").co_names, block.title
+N_EXCUSED = 5
+"""Blocks of all pages that say why they are not run."""
+
+
+def test_no_block_escapes():
+    """A block is run, written to a file, read as a config, compared, for the eye alone, or says why not."""
+    found = {name: fences.blocks(path.read_text(encoding="utf-8")) for name, path in SOURCES.items()}
+    for name, path in SOURCES.items():
+        n_fences = len(re.findall(r"^\s*(?:```|~~~)", path.read_text(encoding="utf-8"), re.MULTILINE))
+        assert n_fences == 2 * len(found[name]), f"{name}: a block has no language, or is indented"
+        for block in found[name]:
+            known = block.title or block.language in ("sh", "python", "toml", "output", *fences.SHOWN)
+            assert known, f"{name}: nothing is done with a block {block.language}"
+            if block.language in fences.SHOWN:
+                assert not block.excuse and not re.search(r"^(cosim|make|python) ", block.text, re.MULTILINE), name
+    excused = [(name, block.excuse) for name in found for block in found[name] if block.excuse]
+    assert len(excused) == N_EXCUSED, f"another number of blocks is not run: {excused}"
+
+
+def test_a_reason_is_read_and_a_block_is_recorded():
+    page = "a\n<!-- not run: it needs a scheduler -->\n```sh\nrun\n```\nb\n\n```output\nold 1 in ... s\n```\n"
+    first, second = fences.blocks(page)
+    assert (first.excuse, first.language) == ("it needs a scheduler", "sh")
+    assert (second.excuse, second.text) == ("", "old 1 in ... s\n")
+    new = fences.recorded(second.text, "old 2 in 7 s\n")
+    assert new == "old 2 in 7 s\n" and fences.with_texts(page, {1: new}) == page.replace("1 in ...", "2 in 7")
+    assert fences.recorded("n 1\n... s\n", "n 2\n9 s\n") == "n 2\n... s\n"
+    assert fences.recorded("n 1\n...\nend\n", "n 2\na\nb\nend\n") == "n 2\n...\nend\n"
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_files_to_write_are_accepted(source, tmp_path):
-    """Every config and study that a reader is told to write is one that the program takes."""
-    files = [block for block in fences.blocks(SOURCES[source].read_text(encoding="utf-8")) if block.title]
-    for block in files:
-        (tmp_path / block.title).write_text(block.text)
-    for block in files:
-        if block.title.endswith(".toml") and "[study]" in block.text:
-            found = study.load(tmp_path / block.title)
-            assert points_of(found, block.title)
-        elif block.title.endswith(".toml"):
-            assert load(tmp_path / block.title)
+def test_files_and_configs_are_accepted(source, tmp_path, monkeypatch):
+    """Every config and study, and every file that a reader is told to write, is one that the program takes."""
+    monkeypatch.chdir(tmp_path)
+    found = fences.blocks(SOURCES[source].read_text(encoding="utf-8"))
+    for block in found:
+        if block.title:
+            Path(block.title).write_text(block.text)
+        if block.language == "python":
+            assert compile(block.text, block.title or source, "exec").co_names, block.text
+    for number, block in enumerate(found):
+        if block.language == "toml" and not block.excuse:
+            path = Path(block.title or f"{number}.toml")
+            path.write_text(block.text)
+            assert points_of(study.load(path), path.name) if "[study]" in block.text else load(path)
 
 
 def test_the_site_is_built_without_a_warning(tmp_path):

@@ -13,7 +13,7 @@ from results.verify import verify
 from tests.drive import cosim
 
 KEYS = (
-    "traffic.step_s=0.5", "sensing_interval_s=0.5", "traffic.duration_s=20", "traffic.warmup_s=100",
+    "preset=v0.2", "traffic.step_s=0.5", "sensing_interval_s=0.5", "traffic.duration_s=20", "traffic.warmup_s=100",
     "attacks.0.start_s=1", "attacks.0.share_p=0.3", "fleet.penetration_p=0.5", "record.block_steps=5",
     "driver.model=cautious", "trust.method=any",
 )  # fmt: skip

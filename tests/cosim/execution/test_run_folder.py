@@ -61,7 +61,7 @@ def test_twelve_into_one_folder_are_one_run_and_refusals(tmp_path):
 
 
 SHORT = [
-    word for key in ("traffic.duration_s=12", "traffic.warmup_s=60", "record.block_steps=4",
+    word for key in ("preset=v0.2", "traffic.duration_s=12", "traffic.warmup_s=60", "record.block_steps=4",
                      "tracking.model=constant_velocity") for word in ("--set", key)
 ]  # fmt: skip
 
@@ -126,3 +126,11 @@ def test_a_config_that_is_another_by_now_is_not_gone_on_with(tmp_path):
     (tmp_path / "run" / "config.toml").write_text("seed = 4")
     with pytest.raises(ValueError, match="was changed since"):
         resume(tmp_path / "run", lambda *_: None)
+
+
+@pytest.mark.parametrize("section", [["trust.model=self_first"], ["trust_variant=[{name='own', model='self_first'}]"]])
+def test_a_model_that_needs_an_own_sweep_is_not_run_on_a_server(section):
+    with pytest.raises(ValueError, match=r'"self_first" .* host = "central" .* which has none') as error:
+        check(load(None, section))
+    assert "\n" not in str(error.value)
+    check(load(None, [*section, "trust.host=local"]))

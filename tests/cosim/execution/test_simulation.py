@@ -61,6 +61,20 @@ def test_clouds(steps):
         np.testing.assert_allclose(apart, np.linalg.norm(np.diff(world[:100], axis=0), axis=1), atol=1e-6)
 
 
+def test_with_random_phases_each_vehicle_senses_once_per_interval():
+    """Five steps are an interval. Whoever senses has a cloud; whoever does not is told so."""
+    with Simulation({"preset": "modern", "traffic": {"duration_s": 1, "warmup_s": 120}}) as simulation:
+        sensed = []
+        for step in simulation:
+            sensed += step.sensing.tolist()
+            assert len(step.cloud(step.sensing[0])) > 1000
+            (silent, *_) = np.setdiff1d(step.vehicles, step.sensing)
+            with pytest.raises(ValueError, match=r"has no sweep in step \d: name one of step\.sensing"):
+                step.cloud(silent)
+    assert len(sensed) == len(set(sensed))
+    assert 0.8 < len(sensed) / len(step.vehicles) < 1.2
+
+
 def test_a_class_in_place_of_a_part_and_clouds_of_the_past():
     data = {"traffic": {"duration_s": 2}, "trust": {"server_period_s": 1}, "attacks": []}
     with Simulation(data, trust=Halved) as simulation:

@@ -37,6 +37,16 @@ def test_rerun(plain, tmp_path):
 
 
 @pytest.mark.verify
+def test_vehicles_that_use_earlier_messages_are_watched(tmp_path):
+    """With random phases, a value is looked up for the sender of a message of an earlier step, too."""
+    words = "run", "--preset", "modern", "--set", "traffic.duration_s=3", "--set", "traffic.warmup_s=120"
+    for folder, more in (("plain", ()), ("seen", ("--watch-file", str(tmp_path / "live.mcap")))):
+        done = cosim(*words, "--out", str(tmp_path / folder), *more)
+        assert done.returncode == 0, done.stderr
+    assert fingerprint(tmp_path / "seen") == fingerprint(tmp_path / "plain")
+
+
+@pytest.mark.verify
 @pytest.mark.filterwarnings("ignore")
 def test_mcap(plain, tmp_path):
     """Its boxes and colours are the run's; trust is the mean of what receivers look up."""

@@ -24,6 +24,7 @@ STUDY = """
 name = "small"
 replicates = 1
 [base]
+preset = "v0.2"
 traffic.duration_s = 40
 traffic.warmup_s = 60
 compute.threads = 1

@@ -1,4 +1,4 @@
-"""Exports as readers of other projects take them, where these are installed: pypcd4, pykitti, TrackEval, PyYAML."""
+"""Exports as readers of other projects take them, which `make verify` installs: pypcd4, pykitti, TrackEval, PyYAML."""
 
 import shutil
 

@@ -83,9 +83,9 @@ save(run.measure.trust.plot(), Path("trust.svg"))
 # %%
 with Simulation({"traffic": {"duration_s": 3}}) as simulation:
     for result in simulation:
-        vehicle = result.vehicles[0]
+        vehicle = result.sensing[0]
         cloud = result.cloud(vehicle)
-        print(f"{result.time_s:.0f} s: {len(result.world)} actors, {len(cloud)} points of vehicle {vehicle},")
+        print(f"{result.time_s:.1f} s: {len(result.world)} actors, {len(cloud)} points of vehicle {vehicle},")
         print(
             f"  {len(result.detections)} detections, {len(result.messages)} messages, {len(result.fused)} fused objects"
         )

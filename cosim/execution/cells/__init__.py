@@ -1,0 +1,1 @@
+"""Cells: parts of the city whose vehicles sense in worker processes."""

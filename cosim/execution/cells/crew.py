@@ -1,0 +1,204 @@
+"""The workers of a run: starts them, asks them, and replaces those that die."""
+
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from types import TracebackType
+from typing import Any
+
+from cosim.execution.cells.channel import Channel
+from cosim.execution.cells.worker import Reply
+from cosim.step.mixed_perception import MixedPerception
+from cosim.step.perception import Perception
+
+_MOST_DEATHS = 3
+"""A worker that dies so many times over one request will not live through it."""
+_ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+"""Of a worker; the processes are the threads."""
+
+
+class CellLost(OSError):
+    """The worker of a cell died again and again. The message is one line."""
+
+
+class Crew:
+    """One worker process per cell; a context manager, with which the workers end.
+
+    A worker keeps nothing from step to step. If one dies, another one repeats the request that made what the worker
+    kept within the step, then the request that it died over. The results are the same.
+
+    Parameters
+    ----------
+    n_cells
+        Number of workers.
+    perception
+        The perception of the run.
+    own
+        Names of the user's own classes in it, as a config has them.
+    """
+
+    def __init__(self, n_cells: int, perception: Perception | MixedPerception, own: Sequence[str] = ()) -> None:
+        self.n_cells = n_cells
+        self.n_replaced = 0
+        """Workers that died and were replaced."""
+        self.n_bytes = 0
+        """Bytes sent to and received from workers that are no longer there."""
+        self.cpu_s = [0.0] * n_cells
+        """Processor time of the work of each cell."""
+        self.stages_s: dict[str, float] = {}
+        """Seconds per stage, summed over the cells."""
+        self.pids: list[int] = []
+        """Process of each worker."""
+        self._perception, self._own = perception, list(own)
+        self._nursery: subprocess.Popen[bytes] | None = None
+        self._control: socket.socket | None = None
+        self._to_nursery: Channel | None = None
+        self._workers: list[Channel] = []
+        self._made_with: list[tuple[str, Any] | None] = [None] * n_cells
+        """The request after which each worker keeps something."""
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> "Crew":
+        try:
+            for _ in range(self.n_cells):
+                worker, pid = self._new_worker()
+                self._workers.append(worker)
+                self.pids.append(pid)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        self.close()
+
+    def ask(self, service: str, given: Sequence[tuple[Any, ...] | None], keeps: bool = False) -> list[Any]:
+        """Ask all cells at once.
+
+        Parameters
+        ----------
+        service
+            Method of `cosim.execution.cells.worker.Worker`.
+        given
+            Arguments per cell; None if a cell has nothing to do.
+        keeps
+            Whether later requests of the step need what the workers keep of this one.
+
+        Returns
+        -------
+        Results per cell, None where nothing was asked. The next request overwrites their arrays.
+
+        Raises
+        ------
+        CellLost
+            If a worker dies again and again.
+        """
+        with self._lock:
+            for cell, arguments in enumerate(given):
+                if arguments is not None:
+                    with suppress(OSError):  # a worker that has died is noticed when its answer is read
+                        self._workers[cell].send((service, arguments))
+            asked = [cell for cell, arguments in enumerate(given) if arguments is not None]
+            results: list[Any] = [None] * self.n_cells
+            for cell in asked:
+                reply = self._reply(cell, (service, given[cell]))
+                self.cpu_s[cell] += reply.cpu_s
+                for stage, seconds in reply.stages_s.items():
+                    self.stages_s[stage] = self.stages_s.get(stage, 0.0) + seconds
+                if keeps:
+                    self._made_with[cell] = (service, given[cell])
+                results[cell] = reply.result
+            if failed := next((result for result in results if isinstance(result, Exception)), None):
+                raise failed
+            return results
+
+    def _reply(self, cell: int, request: tuple[str, Any]) -> Reply:
+        """The reply to a request that was sent; from another worker if the one that was asked has died."""
+        for _ in range(_MOST_DEATHS):
+            try:
+                found: Reply = self._workers[cell].receive()
+                return found
+            except (EOFError, OSError):
+                self._replace(cell)
+            with suppress(EOFError, OSError):
+                if (before := self._made_with[cell]) is not None:
+                    self._workers[cell].send(before)
+                    self._workers[cell].receive()
+                self._workers[cell].send(request)
+        raise CellLost(f"the worker of cell {cell} died {_MOST_DEATHS} times over one request (out of memory?)")
+
+    def _replace(self, cell: int) -> None:
+        """Another worker in the place of one that has died."""
+        self.n_replaced += 1
+        self.n_bytes += self._workers[cell].n_bytes
+        self._workers[cell].close()
+        self._workers[cell], self.pids[cell] = self._new_worker()
+
+    def _new_worker(self) -> tuple[Channel, int]:
+        """A worker that has begun, and its process."""
+        for _ in range(_MOST_DEATHS):
+            channel, files = Channel.pair()
+            try:
+                if self._nursery is None or self._nursery.poll() is not None:
+                    self._start_nursery()
+                assert self._control is not None
+                socket.send_fds(self._control, [b"w"], files)
+                channel.send(("pid", ()))
+                return channel, int(channel.receive().result)
+            except (EOFError, OSError):
+                channel.close()
+                self._stop_nursery()
+            finally:
+                for fd in files:
+                    os.close(fd)
+        raise CellLost("the workers of the cells cannot be started")
+
+    def _start_nursery(self) -> None:
+        """Start the process that forks the workers."""
+        self._stop_nursery()
+        channel, files = Channel.pair()
+        self._to_nursery = channel
+        self._control = socket.socket(fileno=os.dup(channel.fileno()))
+        try:
+            self._nursery = subprocess.Popen(
+                [sys.executable, "-m", "cosim.execution.cells", *map(str, files)], pass_fds=files,
+                stdin=subprocess.DEVNULL, env=os.environ | _ONE_THREAD,
+            )  # fmt: skip
+        finally:
+            for fd in files:
+                os.close(fd)
+        channel.send(self._own)
+        channel.send(self._perception)
+        channel.receive()
+
+    def _stop_nursery(self) -> None:
+        if self._control is not None:
+            self._control.close()
+        if self._to_nursery is not None:
+            self._to_nursery.close()
+        if self._nursery is not None:
+            self._nursery.wait()
+        self._control = self._to_nursery = self._nursery = None
+
+    def close(self) -> None:
+        """End the workers."""
+        for worker in self._workers:
+            self.n_bytes += worker.n_bytes
+            worker.close()
+        self._workers = []
+        self._stop_nursery()
+
+    def report(self, n_steps: int) -> dict[str, Any]:
+        """Figures of the cells for the manifest."""
+        n_bytes = self.n_bytes + sum(worker.n_bytes for worker in self._workers)
+        return {
+            "cells": self.n_cells,
+            "replaced": self.n_replaced,
+            "cpu_s": [round(s, 3) for s in self.cpu_s],
+            "stages_s": {stage: round(s, 3) for stage, s in self.stages_s.items()},
+            "bytes_per_step": n_bytes // max(n_steps, 1),
+        }

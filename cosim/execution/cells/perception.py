@@ -1,0 +1,142 @@
+"""The perception of a run whose vehicles sense in cells."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+
+from cosim.execution.cells.border import cells_of, within_reach
+from cosim.execution.cells.crew import Crew
+from cosim.execution.cells.worker import AreaQuestions
+from cosim.step.mixed_perception import MixedPerception
+from cosim.step.perception import BoxAnswers, BoxQuestions, Observed, Perception, Seen
+from cosim.step.stopwatch import Stopwatch
+from cosim.world import World
+from sensors.boxes import Boxes
+from sensors.evidence import AreaParams
+from sensors.lidar import Poses
+
+
+@dataclass(frozen=True, slots=True)
+class CellImages:
+    """Range images of M observers, which the workers of the cells hold."""
+
+    poses: Poses
+    observers: tuple[Int[ndarray, "k"], ...]
+    """Observers of each cell, ascending."""
+    cell: Int[ndarray, "m"]
+    row: Int[ndarray, "m"]
+    """Row of each observer within its cell."""
+    error: Float[ndarray, "m 3"] | None = None
+    """Errors of the poses, as in `displaced`; None if they are exact."""
+
+    def displaced(self, error: Float[ndarray, "m 3"]) -> "CellImages":
+        """As `RangeImages.displaced`."""
+        return replace(self, poses=self.poses.displaced(error), error=error)
+
+    def error_in(self, cell: int) -> Float[ndarray, "k 3"] | None:
+        """Errors of the poses of a cell's observers."""
+        return None if self.error is None else self.error[self.observers[cell]]
+
+
+@dataclass(slots=True)
+class CellPerception:
+    """Perception of which every cell computes that of its own vehicles.
+
+    A cell gets the actors within the reach of its vehicles' sensors. What one vehicle perceives does not depend on who
+    else is computed with it, so the results equal those of one process in every bit.
+    """
+
+    inside: Perception | MixedPerception
+    crew: Crew
+    reach_m: float
+    """Range of the sensors."""
+    n_steps: int = 0
+    n_observers: int = 0
+    """Vehicles that have sensed, summed over the steps."""
+    n_beyond: int = 0
+    """Actors that cells got besides their own vehicles, summed over cells and steps."""
+
+    def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
+        """As in `Perceives`."""
+        with watch("wait for cells"):
+            images, seen = self._perceive(world, observers)
+        with watch("detect"):
+            return self.inside.observed(world, observers, images, seen, sort=True)
+
+    def _perceive(self, world: World, observers: Int[ndarray, "e"]) -> tuple[CellImages, list[Seen]]:
+        n, xy_m = self.crew.n_cells, world.boxes.xyz_m[:, :2]
+        cell = cells_of(xy_m[observers], np.ones(len(observers)), n)
+        mine = tuple(np.flatnonzero(cell == number) for number in range(n))
+        radius_m = world.boxes.circumradius_m
+        largest = int(np.argmax(radius_m))  # each cell gets it, because it says how far neighbours are looked for
+        rows = [
+            np.union1d(within_reach(xy_m, observers[own], self.reach_m + radius_m[largest]), largest)
+            if len(own) else own for own in mine
+        ]  # fmt: skip
+        self.n_steps += 1
+        self.n_observers += len(observers)
+        self.n_beyond += sum(map(len, rows)) - len(observers)
+        found = self.crew.ask("perceive", [
+            (world.take(there), np.searchsorted(there, observers[own])) if len(own) else None
+            for there, own in zip(rows, mine, strict=True)
+        ], keeps=True)  # fmt: skip
+        row, seen = np.zeros(len(observers), np.int64), []
+        poses = Poses(np.zeros((len(observers), 3)), np.zeros(len(observers)))
+        for there, own, result in zip(rows, mine, found, strict=True):
+            if result is None:
+                continue
+            of_cell, here = result
+            row[own] = np.arange(len(own))
+            poses.origin_m[own], poses.yaw_rad[own] = of_cell.origin_m, of_cell.yaw_rad
+            seen.append(here.of_actors(there.astype(np.int32)).renumbered(own.astype(np.int32)))
+        return CellImages(poses, mine, cell, row), seen
+
+    def report(self) -> dict[str, Any]:
+        """Figures of the cells for the manifest."""
+        n_steps, n_observers = max(self.n_steps, 1), max(self.n_observers, 1)
+        return self.crew.report(n_steps) | {"actors_beyond_per_vehicle": round(self.n_beyond / n_observers, 4)}
+
+    def answers(self, sweeps: CellImages, asked: BoxQuestions) -> BoxAnswers:
+        """As in `Perceives`."""
+        n_points, plausible = np.zeros(len(asked.counting), np.int32), np.ones(len(asked.testing), bool)
+        parts: list[tuple[Any, ...]] = []
+        for number in range(self.crew.n_cells):
+            p, t, mine = asked.of_group(number, sweeps.cell, sweeps.row)
+            rows, (counted, tested) = _only(mine.boxes, mine.counted, mine.tested)
+            mine = replace(mine, boxes=mine.boxes.take(rows), counted=counted, tested=tested)
+            parts.append((p, t, (sweeps.error_in(number), mine)))
+        found = self.crew.ask("answers", [given if len(p) + len(t) else None for p, t, given in parts])
+        for (p, t, _), result in zip(parts, found, strict=True):
+            if result is not None:
+                n_points[p], plausible[t] = result
+        return n_points, plausible
+
+    def in_area(
+        self, sweeps: CellImages, o: Int[ndarray, "n"], boxes: Boxes, area: AreaParams, b: Int[ndarray, "n"],
+        label: UInt8[ndarray, "boxes"], own: Boxes,
+    ) -> Bool[ndarray, "n"]:  # fmt: skip
+        """As in `Perceives`."""
+        inside = np.zeros(len(o), bool)
+        parts: list[tuple[Any, ...]] = []
+        for number, observers in enumerate(sweeps.observers):
+            k = np.flatnonzero(sweeps.cell[o] == number)
+            rows, (about,) = _only(boxes, b[k])
+            asked = AreaQuestions(sweeps.row[o[k]], boxes.take(rows), area, about, label[rows], own.take(observers))
+            parts.append((k, (sweeps.error_in(number), asked)))
+        found = self.crew.ask("in_area", [given if len(k) else None for k, given in parts])
+        for (k, _), result in zip(parts, found, strict=True):
+            if result is not None:
+                inside[k] = result
+        return inside
+
+
+def _only(boxes: Boxes, *of: Int[ndarray, "_"]) -> tuple[Int[ndarray, "k"], list[Int[ndarray, "_"]]]:
+    """Rows of the boxes that occur in some arrays, ascending, and the arrays with rows of these."""
+    occurs = np.zeros(len(boxes), bool)
+    for rows in of:
+        occurs[rows] = True
+    number = np.cumsum(occurs) - 1
+    return np.flatnonzero(occurs), [number[rows].astype(rows.dtype) for rows in of]

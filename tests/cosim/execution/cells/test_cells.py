@@ -1,0 +1,161 @@
+"""Cells compute what one process computes, in every bit, whoever dies meanwhile."""
+
+import os
+import signal
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.config.config import load
+from cosim.execution.cells.border import cells_of, within_reach
+from cosim.execution.cells.channel import Channel
+from cosim.execution.cells.crew import CellLost, Crew
+from cosim.execution.cells.perception import CellPerception
+from cosim.execution.cells.start import in_cells
+from cosim.execution.checkpoint import encode
+from cosim.mobility.scenario import find
+from cosim.reproduce.scenarios import ScriptedScene
+from cosim.step.cycle import step
+from cosim.step.parts import perception_of
+from cosim.step.state import State
+from results.archive import read_manifest
+from results.recorder import fingerprint
+from tests.drive import cosim, simulate
+from tests.scene import assert_same, parts_of
+
+N = 3
+NOT_EXACT = ("gnss.std_m=0.5", "gnss.heading_std_deg=1.0")
+
+
+@pytest.mark.parametrize("n_cells", [1, 2, 3, 5, 8])
+def test_cells_cost_the_same_and_are_rectangles_apart(n_cells):
+    rng = np.random.default_rng(n_cells)
+    xy_m, cost = rng.uniform(0, 1000, (400, 2)), rng.uniform(0.5, 1.5, 400)
+    cell = cells_of(xy_m, cost, n_cells)
+    of_cell = np.bincount(cell, cost, n_cells)
+    assert np.abs(of_cell / of_cell.mean() - 1).max() < 0.05
+    for a in range(n_cells):
+        for b in range(a):
+            low, high = (np.stack([f(xy_m[cell == c], axis=0) for c in (a, b)]) for f in (np.min, np.max))
+            assert ((low[0] > high[1]) | (low[1] > high[0])).any(), "the rectangles of two cells do not overlap"
+
+
+def test_few_vehicles_take_a_cell_each_and_the_others_are_empty():
+    assert sorted(cells_of(np.array([[0.0, 0], [9, 0], [5, 3]]), np.ones(3), 3)) == [0, 1, 2]
+    assert len(set(cells_of(np.array([[0.0, 0], [9, 0]]), np.ones(2), 8))) == 2
+    assert len(cells_of(np.zeros((0, 2)), np.zeros(0), 4)) == 0
+    together = cells_of(np.zeros((8, 2)), np.ones(8), 4)  # in one place
+    assert np.array_equal(np.bincount(together), [2, 2, 2, 2])
+
+
+def test_all_within_reach_of_a_cell_are_there():
+    xy_m = np.random.default_rng(1).uniform(0, 1000, (300, 2))
+    of = np.flatnonzero((xy_m < 300).all(axis=1))
+    found = within_reach(xy_m, of, 80.0)
+    near = np.linalg.norm(xy_m[:, None] - xy_m[of], axis=2).min(axis=1) <= 80.0
+    assert np.isin(np.flatnonzero(near), found).all() and len(found) < 300
+
+
+def test_a_channel_carries_arrays_of_every_kind_and_grows():
+    here, files = Channel.pair()
+    there = Channel(files)
+    for size in (0, 7, 100_000):
+        sent = {"a": np.arange(size), "b": np.asfortranarray(np.ones((size, 3), np.float32)), "c": None, "d": "text"}
+        here.send(sent)
+        got = there.receive()
+        assert_same(got, sent)
+        assert got["a"].flags.writeable and got["a"].flags.aligned and got["b"].flags.f_contiguous
+    here.close()
+    with pytest.raises(EOFError):
+        there.receive()
+    there.close()
+
+
+def sensed(parts, at_step=lambda number: None):
+    """What happens in the scene with these parts, and the state at the end."""
+    scene, state, found = ScriptedScene.load(), State.start(parts), []
+    for number in range(N):
+        at_step(number)
+        state, result = step(scene.world(number), state, parts)
+        found.append(result.sensed)
+    return found, state
+
+
+def kill(pid):
+    os.kill(pid, signal.SIGKILL)
+    status = Path(f"/proc/{pid}/status")
+    while status.exists() and "State:\tZ" not in status.read_text():
+        time.sleep(0.001)
+
+
+def test_a_scene_in_cells_is_the_scene_and_deaths_change_nothing():
+    parts = parts_of(ScriptedScene.load(), *NOT_EXACT)
+    parts = replace(parts, perception=perception_of(parts.config, parts.city))  # that of the scene speaks for all
+    crew = Crew(3, parts.perception)
+
+    def deaths(number):
+        if number == 1:
+            kill(crew.pids[0])
+        if number == 2:
+            kill(crew._nursery.pid)  # and the process that forks workers
+            kill(crew.pids[1])
+
+    with crew:
+        apart = replace(parts, perception=CellPerception(parts.perception, crew, parts.config.lidar.max_range_m))
+        found, state = sensed(apart, deaths)
+    want, want_state = sensed(parts)
+    assert_same(found, want)
+    assert list(map(bytes, encode(state))) == list(map(bytes, encode(want_state)))
+    assert crew.n_replaced == 2 and not crew._workers
+
+
+class Dies:
+    """Perception that ends its process."""
+
+    def perceive(self, *_):
+        os._exit(9)
+
+
+def test_mistakes_of_workers_end_in_one_line():
+    with Crew(1, Dies()) as crew:
+        with pytest.raises(AttributeError, match="no attribute 'sing'"):
+            crew.ask("sing", [()])
+        assert crew.ask("pid", [()]) == crew.pids, "the worker lives on"
+        with pytest.raises(CellLost, match=r"cell 0 died 3 times over one request \(out of memory\?\)$"):
+            crew.ask("perceive", [(None, np.zeros(0))])
+
+
+def test_too_many_cells_end_in_one_line_and_write_nothing(tmp_path):
+    ended = cosim("run", "--cells", "68", "--out", str(tmp_path / "run"))
+    assert ended.returncode == 2 and ended.stderr.count("\n") == 1 and not list(tmp_path.iterdir())
+    assert "helsinki is too small: 1039 m x 1663 m, and a LiDAR reaches 80 m" in ended.stderr
+
+
+@pytest.mark.parametrize(("n_cells", "key", "says"), [(400, "seed=1", "1 to 256"), (2, "sensing=false", "nothing to")])
+def test_wrong_numbers_of_cells(n_cells, key, says):
+    parts = parts_of(ScriptedScene.load())
+    parts = replace(parts, config=load(None, [key]))
+    with pytest.raises(ValueError, match=says), in_cells(parts, find("helsinki", None), n_cells):
+        pass
+
+
+SHORT = ("traffic.duration_s=6", "traffic.warmup_s=60", "record.level=full")
+ALL_ON = (
+    "preset=modern", *SHORT, "record.block_steps=4", "attacks.0.start_s=0", "attacks.0.share_p=0.3",
+    "attacks.1.start_s=0", "attacks.1.share_p=0.2", "trust.host=local", "pseudonyms.policy=c2c",
+    "driver.model=cautious", "fleet.penetration_p=1", "gnss.std_m=0.5",
+)  # fmt: skip
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("settings", [("preset=v0.2", *SHORT), ALL_ON], ids=["v0.2", "all on"])
+@pytest.mark.parametrize("n_cells", [1, 2, 4, 8])
+def test_a_run_in_cells_has_the_same_tables(n_cells, settings, tmp_path):
+    words = [word for key in settings for word in ("--set", key)]
+    ended = cosim("run", *words, "--cells", str(n_cells), "--out", str(tmp_path / "cells"))
+    assert ended.returncode == 0, ended.stderr
+    assert fingerprint(tmp_path / "cells") == fingerprint(simulate(tmp_path / "one", *settings))
+    assert read_manifest(tmp_path / "cells")["cells"]["cells"] == n_cells
