@@ -307,8 +307,8 @@ class BeliefGraph(Stepwise):
 def _outcomes(rows: StepRows, kind: Int[ndarray, "k"]) -> list[Float[ndarray, "k"]]:
     """Evidence of every single evaluation for each of the first eight columns of `Graph.edges`."""
     pos, neg = rows.object_pos, rows.object_neg
-    others_confirm = rows.per_object(pos > 0)[rows.object] > (pos > 0)
-    others_deny = rows.per_object(neg > 0)[rows.object] > (neg > 0)
+    others_confirm = rows.per_object((pos > 0).astype(float))[rows.object] > (pos > 0)
+    others_deny = rows.per_object((neg > 0).astype(float))[rows.object] > (neg > 0)
     is_detection, missing, speed = kind == DETECTION, kind == MISSING, rows.index == SPEED  # of the sender itself
     denied = np.where(is_detection, neg, 0.0)
     return [
