@@ -57,8 +57,8 @@ def test_ages_by_hand():
 
     Positions 0, 40, 80, 120, 160, 200. Site 0 sees steps 0 and 1: ages 0 0 1 2 - -. Site 1 sees 80 and 120: steps 2
     and 3, ages - - 0 0 1 2. A second car stands at (0, 60), within 70 m of the first at step 0 and at step 1: hypot(40,
-    60) = 72 m is too far, so each has one within radio range in step 0 alone, and the second is never seen. They are 60 m
-    apart then, farther than vehicles see.
+    60) = 72 m is too far, so each has one within radio range in step 0 alone, and the second is never seen. They are
+    60 m apart then, farther than vehicles see.
     """
     sites = np.array([[0.0, 0.0, 6.0], [100.0, 0.0, 6.0]])
     sights = _Sights(sites, WallIndex.of(Scene.empty().buildings), 50.0, 70.0, 3)
