@@ -1,9 +1,9 @@
 """Age of trust with witnesses at chosen and drawn junctions.
 
 `python -m tests.verification.witnesses STUDY [STUDY ...] [PICTURE.png]`. Each STUDY is a folder of the study
-`witnesses`, or of a part of it. For each penetration, number of units and attack, the table has means over replicates,
-and the ratio of `listed` to `random` within each replicate (same traffic, same vehicles): geometric mean, and its 95 %
-interval by bootstrap over replicates.
+`witnesses`, or of a part of it, such as some of its seeds. For each penetration, number of units and attack, the table
+has means over seeds, and the ratio of `listed` to `random` within each seed (same traffic, same vehicles): geometric
+mean, and its 95 % interval by bootstrap over seeds.
 """
 
 import sys
@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from results.study import Study, open_study
+from results.study import open_study
 
 COUNT, CHOOSE, ATTACK = "roadside.0.junctions", "roadside.0.choose", "attacks.0.attack"
 EQUIPPED = "fleet.penetration_p"
+KEYS = (COUNT, CHOOSE, ATTACK, EQUIPPED)
 CAPPED, EVALUATED_AGE = "freshness.capped_age", "freshness.newest_evaluation_age"
 METRICS = (
     (f"{CAPPED}.mean_s", "all"), (f"{CAPPED}.median_s", "all"), (f"{CAPPED}.p90_s", "all"),
@@ -34,17 +35,31 @@ def ratio(chosen: np.ndarray, drawn: np.ndarray, n: int = 10_000) -> tuple[float
     return tuple(np.exp([logs.mean(), low, high]).tolist())
 
 
-def table(path: Path) -> pd.DataFrame:
-    """A row per metric, penetration, number of units and attack."""
-    study, rows = open_study(path), []
-    measures = study.measures
-    for key in (COUNT, CHOOSE, ATTACK, EQUIPPED):
+def measures_of(path: Path) -> pd.DataFrame:
+    """The measures of a study, with its number of units, choice, attack and penetration, and the seed of each point."""
+    study = open_study(path)
+    first, found = study.points.iloc[0], study.measures
+    config = study.run(first.point).config
+    for key in KEYS:
         if key not in study.keys:
-            measures[key] = _of_all(study, key)
+            found[key] = _value(config, key)
+    return found.assign(seed=config["seed"] + found.replicate - first.replicate)
+
+
+def _value(found: Any, key: str) -> Any:
+    """The value of a dotted key of a config."""
+    for part in key.split("."):
+        found = found[int(part) if isinstance(found, list) else part]
+    return found
+
+
+def table(measures: pd.DataFrame) -> pd.DataFrame:
+    """A row per metric, penetration, number of units and attack."""
+    rows = []
     for metric, group in METRICS:
         mine = measures[(measures.metric == metric) & (measures.group == group)]
         for (equipped_p, count, attack), of in mine.groupby([EQUIPPED, COUNT, ATTACK]):
-            wide = of.pivot(index="replicate", columns=CHOOSE, values="value").dropna()
+            wide = of.pivot(index="seed", columns=CHOOSE, values="value").dropna()
             row = {"equipped": equipped_p, "units": count, "attack": attack, "metric": metric, "n": len(wide)}
             row |= wide.mean().to_dict()
             if len(wide):
@@ -53,14 +68,6 @@ def table(path: Path) -> pd.DataFrame:
                 )
             rows.append(row)
     return pd.DataFrame(rows)
-
-
-def _of_all(study: Study, key: str) -> Any:
-    """A key of the config that has one value in the whole study."""
-    found: Any = study.run(study.points.point.iloc[0]).config
-    for part in key.split("."):
-        found = found[int(part) if isinstance(found, list) else part]
-    return found
 
 
 def draw(found: pd.DataFrame, path: Path) -> None:
@@ -92,7 +99,7 @@ def draw(found: pd.DataFrame, path: Path) -> None:
 
 def main(*paths: str) -> None:
     studies = [path for path in paths if not path.endswith(".png")]
-    found = pd.concat([table(Path(path)) for path in studies], ignore_index=True)
+    found = table(pd.concat([measures_of(Path(path)) for path in studies], ignore_index=True))
     print(found.round(3).to_string(index=False))
     for path in paths[len(studies) :]:
         draw(found, Path(path))
