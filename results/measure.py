@@ -356,6 +356,9 @@ def _freshness(run: Run, fresh_s: float) -> Iterator[Row]:
     if "trust_lookups" not in run.tables:
         return
     yield from _rows(freshness.within(run, fresh_s), "{role}", {"share": "evaluation_within.share"}, "share")
+    yield from _rows(freshness.capped_ages(run), "{role}", {
+        name: f"capped_age.{name}" for name in ("mean_s", "median_s", "p90_s")
+    })  # fmt: skip
     for peak in freshness.peaks(run).to_dict("records"):
         name = peak["what"].replace(" ", "_")
         yield Row(f"{name}_age.peak_s", "", peak["mean_s"], peak["low"], peak["high"], peak["n_units"])

@@ -20,7 +20,7 @@ def export(
         typer.Argument(
             metavar="FORMAT",
             help="kitti, trupercept, opv2v, veremi, veremi-nextgen, pcap, mcap, omega-prime, nuscenes, geoparquet, "
-            "fcd, or your own, mine.py:Name.",
+            "fcd, reports, or your own, mine.py:Name.",
         ),
     ],
     folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],

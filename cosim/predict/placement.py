@@ -2,9 +2,9 @@
 
 A unit at a junction sees a vehicle within the range in which it evaluates, if no building cuts the line. In the
 element (vehicle, step), the age of the newest sight by the units S is a, at most the cap A. The objective is the sum of
-w (A - a) over all elements, w being the vehicles near enough to look up trust in it. For each element this is a maximum
-over S, so the objective is monotone and submodular (a facility location), and the greedy choice reaches at least
-1 - 1/e of the best [1]_.
+w (A - a) over all elements. The weight w is the number of others within radio range that do not see the vehicle: they
+look up trust in it, and have no evaluation of their own. For each element this is a maximum over S, so the objective is
+monotone and submodular (a facility location), and the greedy choice reaches at least 1 - 1/e of the best [1]_.
 
 References
 ----------
@@ -100,7 +100,9 @@ class _Sights:
     site_m: Float[ndarray, "c 3"]
     walls: WallIndex
     range_m: float
-    near_m: float
+    """A unit or a vehicle sees vehicles up to here."""
+    radio_m: float
+    """Vehicles up to here receive a vehicle's messages, and look up trust in it."""
     cap: int
     last: Int[ndarray, "c v"] = field(init=False)
     """Step in which each site last saw each vehicle, by actor number."""
@@ -126,8 +128,15 @@ class _Sights:
         age = step - self.last[:, actor]
         c, v = np.nonzero(age < self.cap)
         self.rows.append((c.astype(np.int32), self.n + v, (self.cap - age[c, v]).astype(np.uint16)))
-        self.weight.append(tree.query_ball_point(roof_m[:, :2], self.near_m, return_length=True) - 1.0)
+        self.weight.append(self._unseen_by(tree, roof_m))
         self.n += len(actor)
+
+    def _unseen_by(self, tree: cKDTree, roof_m: Float[ndarray, "v 3"]) -> Float[ndarray, "v"]:
+        """For each vehicle, how many others within radio range do not see it."""
+        within = tree.query_ball_point(roof_m[:, :2], self.radio_m, return_length=True) - 1.0
+        a, b = tree.query_pairs(min(self.range_m, self.radio_m), output_type="ndarray").T
+        clear = self.walls.has_los(roof_m, a, b)
+        return within - np.bincount(np.concatenate([a[clear], b[clear]]), minlength=len(roof_m))
 
     def coverage(self) -> Coverage:
         """All of it, by site."""
@@ -144,8 +153,8 @@ def observe(config: Config, height_m: float, advance: Advance) -> tuple[list[Jun
     ----------
     config
         The experiment. All vehicles that can be equipped count, whatever the penetration. The largest age that counts
-        is its `trust.freshness_s`, or the whole run if evidence does not expire; lookups are made within the largest
-        radius of its encounters.
+        is its `trust.freshness_s`, or the whole run if evidence does not expire; lookups are made within
+        `radio.range_m`.
     height_m
         Height of the sensors above the street.
     advance
@@ -170,7 +179,7 @@ def observe(config: Config, height_m: float, advance: Advance) -> tuple[list[Jun
     parts, _, traffic = running.load_parts(config, scenario)
     sights = _Sights(
         site_m, WallIndex.of(parts.city.buildings), min(config.area.range_m, config.lidar.max_range_m),
-        max((e.radius_m for e in config.encounters), default=config.area.range_m), min(cap, 65_000),
+        config.radio.range_m, min(cap, 65_000),
     )  # fmt: skip
     try:
         warm_up(running.warmup_of(config, scenario), traffic, parts.watch, advance)

@@ -97,6 +97,31 @@ def ages(run: Run) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def capped_ages(run: Run) -> pd.DataFrame:
+    """Age of the newest evaluation over all lookups, those without one included, and at most the window.
+
+    A lookup without an evaluation within the window `trust.freshness_s` counts as the window, as its evidence is at
+    least as old or there is none. If evidence does not expire, the recorded time takes the place of the window. A
+    quantile that equals the window says only that the age is at least that.
+
+    Returns
+    -------
+    role ("all" first), n (lookups), mean_s, median_s, p90_s.
+    """
+    found, freshness_s = lookups.sums(run), run.config["trust"].get("freshness_s", "off")
+    window_s = int(run.manifest["steps"]) * run.dt_s if freshness_s == "off" else float(freshness_s)
+    age_s = np.append(np.minimum(lookups.ages_s(run), window_s), window_s)
+    n_known, rows = found.age_counts[:, list(AGES).index("newest evaluation")], []
+    n_known = np.concatenate([n_known.sum(axis=0, keepdims=True), n_known])
+    for known, (role, of_role) in zip(n_known, _with_every(run, found.states), strict=True):
+        if n := int(of_role.sum()):
+            counts = np.append(known, n - known.sum())
+            median_s, p90_s = quantiles(age_s, counts, (0.5, 0.9))
+            mean_s = float(counts @ age_s) / n
+            rows.append({"role": role, "n": n, "mean_s": mean_s, "median_s": median_s, "p90_s": p90_s})
+    return pd.DataFrame(rows)
+
+
 def peaks(run: Run) -> pd.DataFrame:
     """Peak age at use: the age at the last lookup before a receiver finds that its knowledge of a subject is renewed.
 
@@ -258,10 +283,16 @@ def _ages_of_totals(run: Run) -> pd.DataFrame:
 
 def _with_all(run: Run, counts: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     """Counts by receiver and code: of all subjects, then of each role that occurs."""
+    for role, of_role in _with_every(run, counts):
+        if role == "all" or of_role.any():
+            yield role, of_role
+
+
+def _with_every(run: Run, counts: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """The same, with roles that do not occur."""
     yield "all", counts.sum(axis=1)
     for code, role in enumerate(run.role_labels):
-        if counts[:, code].any():
-            yield role, counts[:, code]
+        yield role, counts[:, code]
 
 
 def quantiles(values: np.ndarray, counts: np.ndarray, shares: tuple[float, ...]) -> list[float]:
@@ -270,9 +301,9 @@ def quantiles(values: np.ndarray, counts: np.ndarray, shares: tuple[float, ...])
     Parameters
     ----------
     values
-        Different values, ascending.
+        Values, ascending.
     counts
-        How often each value occurs; at least one value occurs.
+        How often each value occurs; at least one occurs.
     shares
         Probabilities of the quantiles, in [0, 1].
 

@@ -66,6 +66,7 @@ _IN_WORDS = "description in words"
 _RATE = "what is evaluated: self report, true detection (a box of the detector that belongs to an actor), false positive (a box that belongs to no actor), fabricated; alone, or with the evaluator, class, visibility, distance, or role of the sender"
 _KM = "Kaplan-Meier estimate: subjects without such a value are censored at the end of the time in which they are watched. The value is missing if the curve does not fall to one half"
 _AGED = "over all lookups that have this age, pooled"
+_CAPPED = "over all lookups, with W for each lookup whose `newest_evaluation_age_s` is null. W is the window `trust.freshness_s` of the run's variant, or `steps` of the manifest times `dt_s` if that is off. A value of W means at least W."
 _EXACT = "Interpolated linearly between two order statistics, as numpy.quantile does; exact."
 
 # fmt: off
@@ -140,6 +141,9 @@ METRICS: Mapping[str, Metric] = {
     "freshness.wait_in_encounter.median_s": Metric("wait for trust in an encounter, median", "s", "Median of the same columns over the directions in which they are above 0. In these directions there was no such value at the start of the encounter, and one came later.", _DEFINITION),
     "freshness.lookup_state.share": Metric("what stands behind a value looked up", "1", "Share of all lookups in each state. Evaluated: there is an evaluation within the window by a vehicle other than the subject that could see. Stale: there are such evaluations, but all are older than the window. Unevaluated: there is a value without such an evaluation. No value: none arrived or was computed, and the default is used.", "state, role of the subject or all", _RECEIVERS),
     "freshness.evaluation_within.share": Metric("evaluation at most fresh_s old", "1", "Share of all lookups with `newest_evaluation_age_s` not null and at most fresh_s (10 s by default), whatever the window.", _ROLE_ALL, _RECEIVERS),
+    "freshness.capped_age.mean_s": Metric("age of trust over all lookups, mean", "s", f"Mean of min(`newest_evaluation_age_s`, W) {_CAPPED}", _ROLE_ALL),
+    "freshness.capped_age.median_s": Metric("age of trust over all lookups, median", "s", f"Median of min(`newest_evaluation_age_s`, W) {_CAPPED} {_EXACT}", _ROLE_ALL),
+    "freshness.capped_age.p90_s": Metric("age of trust over all lookups, 90th percentile", "s", f"90th percentile of min(`newest_evaluation_age_s`, W) {_CAPPED} {_EXACT}", _ROLE_ALL),
     "freshness.value_age.mean_s": Metric("age of the value at lookup, mean", "s", f"Mean of `age_s` {_AGED}: lookup time minus the time when the value was computed. It is 0 for own values, which are computed when they are looked up. Lookups without a value are left out.", _ROLE_ALL, _RECEIVERS),
     "freshness.value_age.median_s": Metric("age of the value at lookup, median", "s", f"Median of the same ages. {_EXACT}", _ROLE_ALL),
     "freshness.value_age.p90_s": Metric("age of the value at lookup, 90th percentile", "s", f"90th percentile of the same ages. {_EXACT}", _ROLE_ALL),

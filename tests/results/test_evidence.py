@@ -25,10 +25,10 @@ def test_by_hand():
     assert count_looks(evaluator[:0], detection[:0], detections) == 0
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("evidence") / "run"
-    return open_run(drive(folder, "record.level=full", "traffic.duration_s=15"))
+@pytest.fixture(scope="module", params=[1, 3], ids=["one hop", "relays"])
+def run(request, tmp_path_factory):
+    folder, hops = tmp_path_factory.mktemp("evidence") / "run", f"radio.relay.max_hops={request.param}"
+    return open_run(drive(folder, "record.level=full", "traffic.duration_s=15", hops))
 
 
 def test_against_the_tables(run):
@@ -48,6 +48,7 @@ def test_against_the_tables(run):
     lying = (seen.origin == "fabricated") & (seen.evaluation > 0) & (seen.evaluator.map(roles) != "honest")
     assert found.n_echoes.sum() == lying.sum()
     assert found.n_copies.sum() == run.radio.n_duplicate.sum()
+    assert (found.n_copies.sum() > 0) == (run.config["radio"]["relay"]["max_hops"] > 1)
     value = measure(run, topics=("evidence",)).set_index("metric").value
     assert value["evidence.trust.multiplicity"] == pytest.approx(n.sum() / n_looks)
     assert value["evidence.fused.multiplicity"] > 1.2  # every member of a group is evaluated with the same look

@@ -16,6 +16,7 @@ from tests.results.tiny import columns, fleet
 
 VARIANTS = ("base", "other")
 STEPS, VEHICLES = 24, 60
+WINDOW_S = {"base": 50.0, "other": "off"}
 ROLES = ["honest"] * 50 + ["malicious"] * 10
 
 
@@ -59,7 +60,8 @@ def made(tmp_path_factory):
         for name, rows in (("vehicles", vehicles), ("pseudonyms", used)):
             record.append(name, step, columns(name, rows))
     finish(folder, {"dt_s": 1.0, "steps": STEPS, "variants": VARIANTS, "config": {
-        "trust": {}, "trust_variant": [{"name": "other"}],
+        "trust": {"freshness_s": WINDOW_S["base"]},
+        "trust_variant": [{"name": "other", "freshness_s": WINDOW_S["other"]}],
     }})  # fmt: skip
     return open_run(folder)
 
@@ -118,6 +120,19 @@ def test_ages_at_use_are_exact(variant):
             age_s = of[column].dropna().astype(float)
             mine = found.loc[(what, role)]
             assert (mine.median_s, mine.p90_s) == (np.quantile(age_s, 0.5), np.quantile(age_s, 0.9))
+
+
+def test_capped_ages_count_every_lookup(variant):
+    """A lookup without an evaluation counts as the window; without a window, as the recorded time."""
+    run, rows = variant
+    cap_s = STEPS if WINDOW_S[run.variant] == "off" else WINDOW_S[run.variant]
+    found = freshness.capped_ages(run).set_index("role")
+    for role in ("all", "honest", "malicious"):
+        of = rows if role == "all" else rows[rows.role == run.role_labels.index(role)]
+        age_s = of.newest_evaluation_age_s.astype(float).fillna(np.inf).clip(upper=cap_s)
+        mine = found.loc[role]
+        assert (mine.n, mine.median_s, mine.p90_s) == (len(of), np.quantile(age_s, 0.5), np.quantile(age_s, 0.9))
+        assert mine.mean_s == pytest.approx(age_s.mean())
 
 
 def test_peaks_and_ages_over_time(variant):

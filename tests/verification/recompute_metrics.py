@@ -459,6 +459,10 @@ def freshness(of):
             yield "lookup_state.share", f"{state}, {role}", (some.state == stored).mean()
         newest_s = some.newest_evaluation_age_s.astype(float)
         yield "evaluation_within.share", role, (newest_s <= FRESH_S).mean()
+        capped_s = np.clip(newest_s.fillna(np.inf), None, window_s(of))
+        yield "capped_age.mean_s", role, capped_s.mean()
+        yield "capped_age.median_s", role, np.quantile(capped_s, 0.5)
+        yield "capped_age.p90_s", role, np.quantile(capped_s, 0.9)
         for name, column in AGES.items():
             age_s = some[column].dropna().astype(float)
             if len(age_s):
@@ -475,6 +479,14 @@ def freshness(of):
 AGES = {
     "value": "age_s", "newest_evaluation": "newest_evaluation_age_s", "oldest_evaluation": "oldest_evaluation_age_s",
 }  # fmt: skip
+
+
+def window_s(of):
+    """How long evidence counts in the variant; the recorded time if for ever."""
+    trust = of.config["trust"]
+    if of.variant != "base":
+        trust = trust | next(one for one in of.config["trust_variant"] if one["name"] == of.variant)
+    return of.manifest["steps"] * of.dt_s if trust["freshness_s"] == "off" else float(trust["freshness_s"])
 
 
 def sawtooth(of, looked, name):

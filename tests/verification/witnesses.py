@@ -1,12 +1,14 @@
-"""Age of trust with witnesses at chosen and drawn junctions: `python -m tests.verification.witnesses STUDY [PICTURE]`.
+"""Age of trust with witnesses at chosen and drawn junctions.
 
-STUDY is a folder of the study `witnesses`. For each number of units and attack, the table has means over replicates,
-and the ratio of `listed` to `random` within each replicate (same traffic, same vehicles): geometric mean, and its 95 %
-interval by bootstrap over replicates.
+`python -m tests.verification.witnesses STUDY [STUDY ...] [PICTURE.png]`. Each STUDY is a folder of the study
+`witnesses`, or of a part of it, such as some of its seeds. For each penetration, number of units and attack, the table
+has means over seeds, and the ratio of `listed` to `random` within each seed (same traffic, same vehicles): geometric
+mean, and its 95 % interval by bootstrap over seeds.
 """
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,10 +16,15 @@ import pandas as pd
 from results.study import open_study
 
 COUNT, CHOOSE, ATTACK = "roadside.0.junctions", "roadside.0.choose", "attacks.0.attack"
+EQUIPPED = "fleet.penetration_p"
+KEYS = (COUNT, CHOOSE, ATTACK, EQUIPPED)
+CAPPED, EVALUATED_AGE = "freshness.capped_age", "freshness.newest_evaluation_age"
 METRICS = (
-    ("freshness.newest_evaluation_age.median_s", "all"), ("freshness.newest_evaluation_age.p90_s", "all"),
+    (f"{CAPPED}.mean_s", "all"), (f"{CAPPED}.median_s", "all"), (f"{CAPPED}.p90_s", "all"),
+    (f"{EVALUATED_AGE}.median_s", "all"), (f"{EVALUATED_AGE}.p90_s", "all"),
     ("freshness.lookup_state.share", "evaluated, all"), ("misbehaviour.at_lookup.auc", "malicious"),
 )  # fmt: skip
+LABELS = {f"{CAPPED}.p90_s": "of all lookups", f"{EVALUATED_AGE}.p90_s": "of lookups with an evaluation"}
 
 
 def ratio(chosen: np.ndarray, drawn: np.ndarray, n: int = 10_000) -> tuple[float, float, float]:
@@ -28,18 +35,33 @@ def ratio(chosen: np.ndarray, drawn: np.ndarray, n: int = 10_000) -> tuple[float
     return tuple(np.exp([logs.mean(), low, high]).tolist())
 
 
-def table(path: Path) -> pd.DataFrame:
-    """A row per number of units, attack and metric."""
-    study, rows = open_study(path), []
-    measures = study.measures
-    for keys in (COUNT, CHOOSE, ATTACK):
-        if keys not in study.keys:
-            measures[keys] = "-"
+def measures_of(path: Path) -> pd.DataFrame:
+    """The measures of a study, with its number of units, choice, attack and penetration, and the seed of each point."""
+    study = open_study(path)
+    first, found = study.points.iloc[0], study.measures
+    config = study.run(first.point).config
+    for key in KEYS:
+        if key not in study.keys:
+            found[key] = _value(config, key)
+    return found.assign(seed=config["seed"] + found.replicate - first.replicate)
+
+
+def _value(found: Any, key: str) -> Any:
+    """The value of a dotted key of a config."""
+    for part in key.split("."):
+        found = found[int(part) if isinstance(found, list) else part]
+    return found
+
+
+def table(measures: pd.DataFrame) -> pd.DataFrame:
+    """A row per metric, penetration, number of units and attack."""
+    rows = []
     for metric, group in METRICS:
         mine = measures[(measures.metric == metric) & (measures.group == group)]
-        for (count, attack), of in mine.groupby([COUNT, ATTACK]):
-            wide = of.pivot(index="replicate", columns=CHOOSE, values="value").dropna()
-            row = {"units": count, "attack": attack, "metric": metric, "n": len(wide)} | wide.mean().to_dict()
+        for (equipped_p, count, attack), of in mine.groupby([EQUIPPED, COUNT, ATTACK]):
+            wide = of.pivot(index="seed", columns=CHOOSE, values="value").dropna()
+            row = {"equipped": equipped_p, "units": count, "attack": attack, "metric": metric, "n": len(wide)}
+            row |= wide.mean().to_dict()
             if len(wide):
                 row |= dict(
                     zip(("ratio", "low", "high"), ratio(wide.listed.to_numpy(), wide.random.to_numpy()), strict=True)
@@ -49,32 +71,38 @@ def table(path: Path) -> pd.DataFrame:
 
 
 def draw(found: pd.DataFrame, path: Path) -> None:
-    """Ratio of the ages against the number of units."""
+    """Ratios of the 90th percentiles of the ages, by number of units and penetration."""
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(5, 3.2), layout="constrained")
-    ages = found[found.metric.str.startswith("freshness.newest")]
-    for offset, (metric, of) in enumerate(ages.groupby("metric", sort=False)):
-        label = "median" if "median" in metric else "90th percentile"
-        x = np.arange(len(of)) + 0.15 * (offset - 0.5)
+    cases = found[["equipped", "units", "attack"]].drop_duplicates().sort_values(["equipped", "units", "attack"])
+    has_attacks = cases.attack.nunique() > 1
+    for offset, (metric, label) in enumerate(LABELS.items()):
+        of = cases.merge(found[found.metric == metric], how="left")
+        y = np.arange(len(of)) + 0.2 * (offset - 0.5)
         axes.errorbar(
-            of.ratio, x, xerr=[of.ratio - of.low, of.high - of.ratio], fmt="o", capsize=3, label=f"{label} of the age"
+            of.ratio, y, xerr=[of.ratio - of.low, of.high - of.ratio], fmt="os"[offset], capsize=3, label=label
         )  # fmt: skip
-    axes.set_yticks(np.arange(len(of)), [f"{r.units:g} units, {r.attack.replace('_', '-')}" for r in of.itertuples()])
-    axes.set_ylim(-0.6, len(of) - 0.4)
+    names = [
+        f"{r.units:g} units, {r.equipped:.0%}" + f", {r.attack.replace('_', '-')}" * has_attacks
+        for r in cases.itertuples()
+    ]
+    axes.set_yticks(np.arange(len(cases)), names)
+    axes.set_ylim(len(cases) - 0.4, -0.6)
     axes.axvline(1.0, color="0.4", lw=0.8)
     axes.axvline(0.5, color="0.4", lw=0.8, ls=":")
-    axes.set_xlim(0, 1.5)
-    axes.set_xlabel("age: chosen junctions / drawn ones")
-    axes.legend(loc="upper left", frameon=False, fontsize=8)
+    axes.set_xlim(left=0)
+    axes.set_xlabel("90th percentile of the age, chosen / drawn junctions")
+    figure.legend(loc="outside upper center", ncols=2, frameon=False)
     figure.savefig(path, dpi=150)
 
 
-def main(folder: str, picture: str = "") -> None:
-    found = table(Path(folder))
+def main(*paths: str) -> None:
+    studies = [path for path in paths if not path.endswith(".png")]
+    found = table(pd.concat([measures_of(Path(path)) for path in studies], ignore_index=True))
     print(found.round(3).to_string(index=False))
-    if picture:
-        draw(found, Path(picture))
+    for path in paths[len(studies) :]:
+        draw(found, Path(path))
 
 
 if __name__ == "__main__":

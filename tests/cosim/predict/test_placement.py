@@ -57,7 +57,8 @@ def test_ages_by_hand():
 
     Positions 0, 40, 80, 120, 160, 200. Site 0 sees steps 0 and 1: ages 0 0 1 2 - -. Site 1 sees 80 and 120: steps 2
     and 3, ages - - 0 0 1 2. A second car stands at (0, 60), within 70 m of the first at step 0 and at step 1: hypot(40,
-    20 + 40) = 72 m is too far, so the first has a neighbour in step 0 alone, and the second is never seen.
+    60) = 72 m is too far, so each has one within radio range in step 0 alone, and the second is never seen. They are
+    60 m apart then, farther than vehicles see.
     """
     sites = np.array([[0.0, 0.0, 6.0], [100.0, 0.0, 6.0]])
     sights = _Sights(sites, WallIndex.of(Scene.empty().buildings), 50.0, 70.0, 3)
@@ -79,3 +80,16 @@ def test_a_building_hides_a_vehicle():
     sights = _Sights(np.array([[0.0, 0.0, 6.0]]), WallIndex.of(wall.buildings), 70.0, 70.0, 3)
     sights.add(0, np.array([0, 1]), np.array([[40.0, 0.0, 1.5], [0.0, 40.0, 1.5]]))
     assert sights.coverage().element.tolist() == [1]
+
+
+def test_weight_counts_those_in_radio_range_that_do_not_see_the_vehicle():
+    """Radio 100 m, sight 50 m, and a wall between the first and the third; the fifth is out of reach of all others.
+
+    The first and second see each other, as do the second and third; the first and third (40 m) do not. The fourth hears
+    the first three from 60 to 80 m and sees none.
+    """
+    wall = Scene.from_footprints([[np.array([[18.0, -5.0], [22.0, -5.0], [22.0, 5.0], [18.0, 5.0]])]], [0.0], [20.0])
+    sights = _Sights(np.zeros((1, 3)), WallIndex.of(wall.buildings), 50.0, 100.0, 3)
+    xy_m = np.array([[0.0, 0.0], [20.0, 20.0], [40.0, 0.0], [20.0, 80.0], [500.0, 0.0]])
+    sights.add(0, np.arange(5), np.column_stack([xy_m, np.full(5, 1.5)]))
+    assert sights.coverage().weight.tolist() == [2, 1, 2, 3, 0]
