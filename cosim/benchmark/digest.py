@@ -26,7 +26,7 @@ def code_digest(files: Iterable[Path]) -> str:
 
 
 def _words(of: object) -> Iterator[str]:
-    """The tree as a sequence of words. A constant that stands alone, such as a docstring, does nothing and is left out."""
+    """The tree as a sequence of words, without statements that are only a constant, as docstrings are."""
     if isinstance(of, ast.Constant):
         yield f"{type(of.value).__name__} {of.value!r}"
     elif isinstance(of, ast.AST):
