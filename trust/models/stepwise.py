@@ -48,7 +48,7 @@ class Replay(Generic[S]):
 
     def fold(self, log: EvaluationLog, advance: Advance) -> None:
         """Keep only one state of the steps that are closed. Later states are computed once they are asked for."""
-        closed = [g for g in log.versions() if g > self._before_step and log.is_closed(g)]
+        closed = [g for g in log.closed if g > self._before_step]
         if closed:
             self._before_step, self._before = self.state(log, advance, closed[-1])
             self._after = {g: known for g, known in self._after.items() if g > closed[-1]}
