@@ -25,14 +25,19 @@ def auc(rows: pd.DataFrame, *by: str) -> pd.DataFrame:
 @style.styled
 def heat_map(rows: pd.DataFrame):
     """Models from the largest of their smallest AUC downwards, under the ideal observer."""
-    found = auc(rows, "model", "attack").rename(columns={"model": MODEL, "attack": ATTACK})
-    is_bound = found[MODEL] == "bound"
-    worst = found[~is_bound].groupby(MODEL)["mean"].min().sort_values(ascending=False)
-    found = found.assign(
-        metric=is_bound.map({True: "evidence.auc_bound", False: "misbehaviour.auc"}), group="malicious", unit="1",
-        label="honest above attacker (AUC)", rank=found[MODEL].map({m: i for i, m in enumerate(worst.index)}),
-    ).sort_values("rank", kind="stable", na_position="first")  # fmt: skip
-    return _heat_maps(found, ["misbehaviour.auc:malicious"], ATTACK, MODEL)
+    of_models = rows[rows.model != "bound"]
+    found = auc(of_models, "model", "attack").assign(metric="misbehaviour.auc")
+    worst = found.groupby("model")["mean"].min().sort_values(ascending=False)
+    found = found.sort_values("model", key=lambda of: of.map(worst), ascending=False, kind="stable")
+    ideal = auc(rows[rows.model == "bound"], "model", "attack").assign(
+        metric="evidence.auc_bound", model=worst.index[0]
+    )
+    frame = pd.concat([found, ideal]).rename(columns={"model": MODEL, "attack": ATTACK})
+    frame = frame.assign(group="malicious", unit="1", label="AUC")
+    figure = _heat_maps(frame, ["misbehaviour.auc:malicious"], ATTACK, MODEL)
+    n = rows.world.nunique()
+    figure.axes[0].set_title(f"honest above attacker (AUC), mean and 95 % interval over {n} worlds")
+    return figure
 
 
 @style.styled
