@@ -129,6 +129,8 @@ class EvaluationLog:
         self.steps = OpenSteps(n_steps)
         self.pairs = PairIndex()
         self.edges = PairIndex()
+        self.closed: list[int] = []
+        """Steps for which nothing is accepted any more, and whose rows can still be read, ascending."""
         self._open: dict[int, _Step] = {}
         self._n_added = 0
 
@@ -152,6 +154,7 @@ class EvaluationLog:
         for step in [s for s in self._open if s <= self.steps.now - self.steps.n_steps]:
             del self._open[step]
         self.steps.advance(now_step)
+        self.closed = sorted(step for step in self._open if step <= now_step - self.steps.n_steps)
 
     def add(self, number: int, received: ReceivedEvaluations) -> None:
         """Add received evaluations, unless another model has added them already.
@@ -176,10 +179,6 @@ class EvaluationLog:
     def versions(self) -> dict[int, int]:
         """Steps whose rows can be read, ascending, with the number of additions to each."""
         return {step: self._open[step].n_additions for step in sorted(self._open)}
-
-    def is_closed(self, step: int) -> bool:
-        """Whether nothing is accepted for the step any more."""
-        return step <= self.steps.now - self.steps.n_steps
 
     def rows(self, step: int) -> StepRows:
         """Evaluations of a step that have been accepted so far."""

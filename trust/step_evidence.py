@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from numba import njit
 from numpy import ndarray
-from scipy.sparse import csr_array
 
 from trust.open_steps import AcceptedEvaluations, OpenStep
 from trust.tables import EvaluationMessages, pair_key, ranges, unpaired
@@ -37,6 +36,30 @@ def _add(receptions, pairs, block, messages, subject, index, terms, counts, sums
                 for k in range(2):
                     sums[slot, k] += terms[p, k]
                     n_evaluations[slot, k] += counts[p, k]
+
+
+@njit(cache=True, nogil=True)
+def _distinct(group_ptr, message, ptr, subject, counts, n_subjects):
+    """Compressed rows of the subjects that the messages of each group evaluate, each once; `counts` chooses among the
+    evaluations. Counted first and filled then: a bound of the size would be gigabytes in a large city."""
+    mark = np.full(n_subjects, -1, np.int64)
+    n_groups = group_ptr.size - 1
+    found_ptr = np.zeros(n_groups + 1, np.int64)
+    found = np.empty(0, np.int64)
+    for fills in range(2):
+        n = 0
+        for group in range(n_groups):
+            for r in range(group_ptr[group], group_ptr[group + 1]):
+                for p in range(ptr[message[r]], ptr[message[r] + 1]):
+                    if counts[p] and mark[subject[p]] != group + fills * n_groups:
+                        mark[subject[p]] = group + fills * n_groups
+                        if fills:
+                            found[n] = subject[p]
+                        n += 1
+            found_ptr[group + 1] = n
+        if not fills:
+            found = np.empty(n, np.int64)
+    return found_ptr, found
 
 
 class StepEvidence:
@@ -71,27 +94,26 @@ class StepEvidence:
         terms = np.rint(np.column_stack([phi * ONE, phi * e * ONE]) * ~is_own[:, None]).astype(np.int64)
         counts = np.column_stack([np.ones(e.size, np.int32), could_see]).astype(np.int32)
 
-        shape = accepted.evaluator.size, self.sent.pseudonyms.size
-        subjects = _rows(np.ones(observer.size, np.int32), observer, ptr, shape)
+        n_messages, n_subjects = accepted.evaluator.size, self.sent.pseudonyms.size
         holders, holder_row = np.unique(accepted.holder, return_inverse=True)
-        receptions = csr_array(
-            (np.ones(holder_row.size, np.int32), (holder_row, accepted.message_row)), (holders.size, shape[0])
-        )
-        pairs = receptions @ subjects  # who holds evaluations of whom
-        pairs.sort_indices()
-        keys = pair_key(np.repeat(holders, np.diff(pairs.indptr)), self.sent.pseudonyms[pairs.indices])
+        received_ptr = np.append(0, np.cumsum(np.bincount(holder_row, minlength=holders.size)))
+        message = accepted.message_row[np.argsort(holder_row, kind="stable")]
+        every = np.ones(observer.size, bool)
+        pair_ptr, subject = _distinct(received_ptr, message, ptr, observer, every, n_subjects)
+        keys = pair_key(np.repeat(holders, np.diff(pair_ptr)), self.sent.pseudonyms[subject])  # who holds what of whom
         if keys.size:
             self._make_room(keys)
             _add(
-                (receptions.indptr, receptions.indices), (pairs.indptr, pairs.indices),
+                (received_ptr, message), (pair_ptr, subject),
                 self.block[np.searchsorted(self.pairs, keys)], ptr, observer,
                 accepted.detection - self.sent.first[observer], terms, counts, self.sums, self.n_evaluations,
             )  # fmt: skip
             self._of_pairs = None
 
-        seen = _rows(could_see[could_see], observer[could_see], np.searchsorted(np.flatnonzero(could_see), ptr), shape)
-        n = np.diff(seen.indptr)[accepted.message_row]
-        subject = self.sent.pseudonyms[seen.indices[ranges(seen.indptr[accepted.message_row], n)]]
+        each = np.arange(n_messages + 1)
+        seen_ptr, seen = _distinct(each, each, ptr, observer, could_see, n_subjects)
+        n = np.diff(seen_ptr)[accepted.message_row]
+        subject = self.sent.pseudonyms[seen[ranges(seen_ptr[accepted.message_row], n)]]
         evaluator = self.sent.pseudonyms[accepted.evaluator[accepted.message_row]]
         return pair_key(np.repeat(accepted.holder, n), subject), np.repeat(evaluator, n)
 
@@ -138,10 +160,3 @@ class StepEvidence:
     def _subjects(self, pairs: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
         """Row of each pair's subject among the pseudonyms."""
         return np.searchsorted(self.sent.pseudonyms, unpaired(pairs)[1])
-
-
-def _rows(values: ndarray, column: Int[ndarray, "k"], ptr: Int[ndarray, "v+1"], shape: tuple[int, int]) -> csr_array:
-    """Compressed rows whose columns are ascending, each once."""
-    rows = csr_array((values, column, ptr), shape, copy=True)
-    rows.sum_duplicates()
-    return rows

@@ -15,6 +15,7 @@ from cosim.bench.scale import bench as grown
 BENCHES: dict[str, str] = {
     "sensors": "cosim.bench.sensors",
     "trust": "cosim.bench.trust",
+    "models": "cosim.bench.models",
     "radio": "cosim.bench.radio",
     "mobility": "cosim.bench.mobility",
     "cycle": "cosim.bench.cycle",

@@ -41,6 +41,9 @@ class Policy:
     attackers."""
     praises: bool
     """Whether attackers confirm each other's detections."""
+    disguised: bool = False
+    """Whether falsified evaluations have the values of honest ones: each is drawn from the confirmations or the denials
+    of the world without attack. Otherwise they are 1 or -1 with full visibility, as under `collusion`."""
 
     @property
     def words(self) -> str:
@@ -50,7 +53,8 @@ class Policy:
         )  # fmt: skip
         denies = f", denies {self.deny_p:.0%} of the honest" if self.deny_p > 0 else ""
         sleeps = f", from {self.sleep_s:.0f} s on" if self.sleep_s >= 1 else ""
-        return lies + denies + (", praises accomplices" if self.praises else "") + sleeps
+        praises = ", praises accomplices" if self.praises else ""
+        return lies + denies + praises + (" in disguise" if self.disguised and (denies or praises) else "") + sleeps
 
     def lies(self, step: Int[ndarray, "n"], rules: Rules) -> Bool[ndarray, "n"]:
         """Whether attackers send false detections in these steps."""
@@ -62,9 +66,11 @@ class Policy:
 _PERIODS_S, _SLEEPS_S = (2.0, 30.0), (0.0, 30.0)
 
 
-def _policy(x: Float[ndarray, "6"], attacks: Sequence[str]) -> Policy:
+def _policy(x: Float[ndarray, "7"], attacks: Sequence[str]) -> Policy:
     """The policy of a point of the search."""
-    return Policy(attacks[round(x[0])], float(x[1]), float(x[2]), float(x[3]), float(x[4]), bool(round(x[5])))
+    return Policy(
+        attacks[round(x[0])], float(x[1]), float(x[2]), float(x[3]), float(x[4]), bool(round(x[5])), bool(round(x[6]))
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +88,8 @@ class Evidence:
         Messages of attackers, and what others evaluate about their detections, are those under the attack in steps in
         which the policy lies, and otherwise those of the world without attack. Attackers evaluate denied vehicles, and
         accomplices if they praise, as under `collusion`, from the end of their sleep on. What they evaluate of
-        accomplices' false detections is confirmed with full visibility if they praise.
+        accomplices' false detections is confirmed with full visibility if they praise. A disguised policy then draws
+        other values for all that they falsify.
         """
         attacks = self.attacked.attackers()
         awake = rules.start_step + policy.sleep_s / rules.dt_s
@@ -112,7 +119,10 @@ class Evidence:
             self._denied(told["observer"], policy),
         )  # fmt: skip
         keeps = ~(falsified | (praised & ~is_false))
-        evaluations = _union("evaluations", [_take(told, wanted), _take(evaluations, keeps)])
+        false = [_take(told, wanted), _take(evaluations, is_false)]
+        if policy.disguised:
+            false = [self._disguised(rows) for rows in false]
+        evaluations = _union("evaluations", [*false, _take(evaluations, keeps & ~is_false)])
         reports = [self.honest.reports, *chosen("reports", "evaluator")[1:]]
         reports.append(_take(self.colluding.reports, attacks[self.colluding.reports["evaluator"]]))
         lookups = [self.honest.lookups, *chosen("lookups", "sender")[1:]]
@@ -120,6 +130,20 @@ class Evidence:
             _union("detections", chosen("detections", "observer")), _union("reports", reports), evaluations,
             _union("lookups", lookups), self.attacked.pseudonyms,
         )  # fmt: skip
+
+    def _disguised(self, rows: Rows) -> Rows:
+        """Falsified evaluations with values of honest ones of the same sign about others' objects, drawn per row."""
+        plain = self.honest.evaluations
+        drawn = rng.uniforms(rng.key(1, rng.Stream.ATTACK_TIME), packed("evaluations", rows).astype(np.uint64))[:, 0]
+        found = {**rows, **{name: rows[name].copy() for name in ("evaluation", "visibility")}}
+        for sign in (1, -1):
+            mine = np.flatnonzero(np.sign(rows["evaluation"]) == sign)
+            pool = np.flatnonzero((np.sign(plain["evaluation"]) == sign) & (plain["detection_index"] > 0))
+            if len(pool):
+                at = pool[(drawn[mine] * len(pool)).astype(np.int64)]
+                for name in ("evaluation", "visibility"):
+                    found[name][mine] = plain[name][at]
+        return found
 
     def _denied(self, pseudonym: Int[ndarray, "n"], policy: Policy) -> Bool[ndarray, "n"]:
         key = rng.key(0, rng.Stream.ATTACK_TIME)
@@ -204,10 +228,10 @@ class Search:
             self.advance(f"{self.candidate.name}: adversary", len(tried), budget, policy.words)
             return -harm
 
-        bounds = [(0, len(attacks) - 1), (0.05, 1.0), _PERIODS_S, _SLEEPS_S, (0.0, 1.0), (0, 1)]
+        bounds = [(0, len(attacks) - 1), (0.05, 1.0), _PERIODS_S, _SLEEPS_S, (0.0, 1.0), (0, 1), (0, 1)]
         differential_evolution(
             loss, bounds, init=first, maxiter=-(-budget // len(first)), tol=0.0, atol=0.0, polish=False, rng=seed,
-            integrality=[True, False, False, False, False, True],
+            integrality=[True, False, False, False, False, True, True],
         )  # fmt: skip
         _, policy = max(tried, key=lambda one: one[0])
         found = []
@@ -216,11 +240,12 @@ class Search:
             self.advance(f"{self.candidate.name}: worst policy", world + 1, len(self.evidence.worlds), "worlds")
         return WorstCase(policy, figures(found), len(tried), len(worlds), seed)
 
-    def first(self, attacks: Sequence[str]) -> Float[ndarray, "p 6"]:
-        """The first policies: each attack on detections, in all messages, alone and with collusion; and true detections
-        with collusion against all vehicles and against some."""
-        deny_p = [(n, p) for n in range(1, len(attacks)) for p in (0.0, 1.0)] + [(0, p) for p in (1.0, 0.6, 0.3)]
-        return np.array([[n, 1.0, _PERIODS_S[1], 0.0, p, p > 0] for n, p in deny_p], float)
+    def first(self, attacks: Sequence[str]) -> Float[ndarray, "p 7"]:
+        """The first policies: each attack on detections, in all messages, alone, with collusion, and with collusion in
+        disguise; and true detections with collusion against all vehicles and against some."""
+        begin = [(n, p, hidden) for n in range(1, len(attacks)) for p, hidden in ((0.0, 0), (1.0, 0), (1.0, 1))]
+        begin += [(0, 1.0, 0), (0, 0.6, 1), (0, 0.3, 0)]
+        return np.array([[n, 1.0, _PERIODS_S[1], 0.0, p, p > 0, hidden] for n, p, hidden in begin], float)
 
     def _counts(self, world: int, policy: Policy, rules: Rules) -> Counts:
         def stream(case: str) -> Stream:

@@ -1,6 +1,5 @@
 """Rows of the benchmark's table: computed for a user's model, stored with the set for the models that ship."""
 
-import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -11,6 +10,7 @@ from typing import Any
 import trust
 from cosim import __version__
 from cosim.benchmark import adapt, play, score
+from cosim.benchmark.digest import code_digest
 from cosim.benchmark.evidence import SHIPPED, EvidenceSet
 from cosim.door.blame import ExtensionError
 from results.durable import write_output
@@ -24,13 +24,10 @@ BUDGET = 34
 Row = dict[str, Any]
 
 
-def code_digest() -> str:
-    """Hash of the code on which a row depends: trust models, playing and scoring; twelve digits."""
-    found = hashlib.sha256()
+def digest() -> str:
+    """Hash of the code on which a row depends: trust models, playing and scoring."""
     room = Path(str(trust.__file__)).parent
-    for path in (*sorted(room.rglob("*.py")), *(Path(str(module.__file__)) for module in (play, score, adapt))):
-        found.update(path.name.encode() + path.read_bytes())
-    return found.hexdigest()[:12]
+    return code_digest((*sorted(room.rglob("*.py")), *(Path(str(module.__file__)) for module in (play, score, adapt))))
 
 
 def row_of(
@@ -77,7 +74,7 @@ def _plain(value: float) -> float | None:
 
 def head(evidence: EvidenceSet) -> dict[str, str]:
     """What a table belongs to: version and checksum of the set, version and hash of the code."""
-    return {"set": evidence.version, "sha256": evidence.checksum, "cosim": __version__, "code": code_digest()}
+    return {"set": evidence.version, "sha256": evidence.checksum, "cosim": __version__, "code": digest()}
 
 
 def make(

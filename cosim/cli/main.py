@@ -426,7 +426,7 @@ def bench(
     only: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Components to measure: sensors, trust, radio, mobility, cycle, studies. Without any, all "
+            help="Components to measure: sensors, trust, models, radio, mobility, cycle, studies. Without any, all "
             "of them. `scale` alone measures how the cost grows with the number of vehicles."
         ),
     ] = None,

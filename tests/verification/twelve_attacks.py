@@ -5,8 +5,8 @@ thresholds and the files (`.pickle`) for figures, prints these, and writes the c
 
 For each case and model: the area under the ROC curve of the server's evaluated values at its broadcasts, of honest
 subjects from the first attack on against attackers from their own first attack on, within each world
-(`misbehaviour.auc`), and the shares of honest and of attacking values below a threshold. A threshold excludes 5 % of
-the values without attack in the development worlds. Intervals are 95 % intervals of the bootstrap over worlds. The
+(`misbehaviour.auc`), and the shares of honest and of attacking values below a threshold: the one with a margin of
+`thresholds_of`, from the development worlds. Intervals are 95 % intervals of the bootstrap over worlds. The
 bound is that of `evidence.auc_bound` on the evaluations that the server received, as vehicles are counted, not values.
 """
 
@@ -97,7 +97,7 @@ def bound(stream: Stream, since: np.ndarray) -> tuple[float, float]:
     return best if best[1] else (0.0, 0.0)
 
 
-def table(files: list[Path], thresholds: dict[str, float], models: tuple[str, ...]) -> pd.DataFrame:
+def table(files: list[Path], thresholds: dict[str, tuple[float, float]], models: tuple[str, ...]) -> pd.DataFrame:
     """A row per file, case and model: pairs won, pairs, and honest and attacking values, all and excluded."""
     rows, received, cost_s = [], 0, defaultdict(float)
     for path in files:
@@ -115,9 +115,10 @@ def table(files: list[Path], thresholds: dict[str, float], models: tuple[str, ..
                 cost_s[name] += found[-1]
                 honest, other = split(found, since)
                 won, pairs = above(honest, other)
-                low = thresholds.get(name, np.nan)
+                plain, low = thresholds.get(name, (np.nan, np.nan))
                 rows.append(world | {
-                    "model": name, "won": won, "pairs": pairs, "honest": len(honest), "low": (honest < low).sum(),
+                    "model": name, "won": won, "pairs": pairs, "honest": len(honest),
+                    "low_plain": (honest < plain).sum(), "low": (honest < low).sum(),
                     "attacking": len(other), "found": (other < low).sum(), "n_attackers": (since < NEVER).sum(),
                 })  # fmt: skip
     print({name: f"{1e6 * s / received:.2f} us per received evaluation" for name, s in cost_s.items()})
@@ -129,16 +130,36 @@ def estimate(of: pd.DataFrame, top: str, below: str) -> Estimate:
     return ratio(of[top].to_numpy(float), of[below].to_numpy(float))
 
 
-def thresholds_of(files: list[Path], models: tuple[str, ...]) -> dict[str, float]:
-    """The threshold of each model: 5 % of its values without attack are below it."""
-    found = defaultdict(list)
+def thresholds_of(files: list[Path], models: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    """Two thresholds of each model: 5 % of its values without attack are below the first, and that with a margin.
+
+    The second is the largest of the smallest values without attack for which, in every recorded case, the upper end of
+    the 95 % interval over worlds of the excluded honest share is at most 5 %.
+    """
+    found: dict[str, dict[str, list[np.ndarray]]] = {name: defaultdict(list) for name in models}
     for path in files:
         n_steps, cases = pickle.loads(path.read_bytes())
-        _, stream, since = cases[0]
-        script = Script.of(stream, rules_of(n_steps))
-        for name in models:
-            found[name].append(split(values(name, script), since)[0])
-    return {name: float(np.quantile(np.concatenate(of), 0.05)) for name, of in found.items()}
+        for case, stream, since in cases:
+            script = Script.of(stream, rules_of(n_steps))
+            for name in models:
+                found[name][case].append(split(values(name, script), since)[0])
+    return {name: (plain_of(of[HONEST]), margin_of(of)) for name, of in found.items()}
+
+
+def plain_of(worlds: list[np.ndarray]) -> float:
+    """The value below which 5 % of all values are."""
+    return float(np.quantile(np.concatenate(worlds), 0.05))
+
+
+def margin_of(cases: dict[str, list[np.ndarray]]) -> float:
+    """The threshold with a margin, from the honest values of each case and world."""
+    tried = np.unique(np.quantile(np.concatenate(cases[HONEST]), np.linspace(0.0, 0.05, 101)))
+    n = {case: np.array([len(of) for of in worlds], float) for case, worlds in cases.items()}
+    for low in tried[::-1]:
+        below = {case: np.array([(of < low).sum() for of in worlds], float) for case, worlds in cases.items()}
+        if all(ratio(below[case], n[case]).high <= 0.05 for case in cases):
+            return float(low)
+    return float(tried[0])
 
 
 if __name__ == "__main__":
@@ -146,15 +167,14 @@ if __name__ == "__main__":
     developed = sorted(Path(development).glob("*.pickle"))
     models = tuple(name for name in names if name in MODELS) or SHOWN
     files = [Path(name) for name in names if name not in MODELS]
-    thresholds = thresholds_of(developed, models)
-    print({name: round(low, 4) for name, low in thresholds.items()})
-    rows = table(files, thresholds, models)
+    both = thresholds_of(developed, models)
+    print({name: [round(low, 4) for low in lows] for name, lows in both.items()})
+    rows = table(files, both, models)
     rows.to_csv(out, index=False)
     for (share, attack, model), of in rows.groupby(["share_p", "attack", "model"], sort=False):
         auc = estimate(of, "won", "pairs") if attack != HONEST else None
-        low, hit = (
-            estimate(of, a, b) if model != "bound" else None for a, b in (("low", "honest"), ("found", "attacking"))
-        )
+        shares = (("low_plain", "honest"), ("low", "honest"), ("found", "attacking"))
+        plain, low, hit = (estimate(of, a, b) if model != "bound" else None for a, b in shares)
         print(f"{share:g}", attack, model, *(
-            "-" if e is None else f"{e.value:.3f} ({e.low:.3f} to {e.high:.3f})" for e in (auc, low, hit)
+            "-" if e is None else f"{e.value:.3f} ({e.low:.3f} to {e.high:.3f})" for e in (auc, plain, low, hit)
         ), len(of))  # fmt: skip

@@ -26,13 +26,15 @@ class Replay(Generic[S]):
         self._before, self._before_step = start, -1
         self._after: dict[int, tuple[int, S]] = {}  # by step: number of additions that it rests on, state
 
-    def state(self, log: EvaluationLog, advance: Advance) -> tuple[int, S]:
-        """Newest step, and the state after it."""
+    def state(self, log: EvaluationLog, advance: Advance, until: float = np.inf) -> tuple[int, S]:
+        """Newest step, at most `until`, and the state after it."""
         step, state = self._before_step, self._before
         changed = False
         for g, n_additions in log.versions().items():
             if g <= self._before_step:
                 continue
+            if g > until:
+                break
             known = self._after.get(g)
             if changed or known is None or known[0] != n_additions:
                 rows = log.rows(g)
@@ -40,14 +42,15 @@ class Replay(Generic[S]):
                 self._after[g] = n_additions, advance(state, n_steps, g, rows, len(log.pairs))
                 changed = True
             step, state = g, self._after[g][1]
+        if changed:  # later states rest on others
+            self._after = {g: known for g, known in self._after.items() if g <= step}
         return step, state
 
     def fold(self, log: EvaluationLog, advance: Advance) -> None:
-        """Keep only one state of the steps that are closed."""
-        closed = [g for g in log.versions() if g > self._before_step and log.is_closed(g)]
+        """Keep only one state of the steps that are closed. Later states are computed once they are asked for."""
+        closed = [g for g in log.closed if g > self._before_step]
         if closed:
-            self.state(log, advance)
-            self._before_step, self._before = closed[-1], self._after[closed[-1]][1]
+            self._before_step, self._before = self.state(log, advance, closed[-1])
             self._after = {g: known for g, known in self._after.items() if g > closed[-1]}
 
 

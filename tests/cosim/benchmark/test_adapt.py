@@ -58,13 +58,28 @@ def test_only_chosen_vehicles_are_denied_and_only_after_the_sleep():
     assert np.array_equal(rows["visibility"][others[0]], plain["visibility"][others[1]])
 
 
+def test_in_disguise_falsified_evaluations_have_values_of_honest_ones():
+    """The same rows are falsified, with the same signs; no honest evaluation here is 1 with full visibility."""
+    policy = replace(HONEST, attack="ghost_insertion", deny_p=1.0, praises=True)
+    plain, hidden = under(policy).evaluations, under(replace(policy, disguised=True)).evaluations
+    keys = ("step", "evaluator", "observer", "detection_index")
+    assert all(np.array_equal(plain[c], hidden[c]) for c in keys)
+    assert np.array_equal(np.sign(plain["evaluation"]), np.sign(hidden["evaluation"]))
+    false = np.isin(plain["evaluator"], ATTACKERS) & (plain["step"] >= RULES.start_step)
+    assert (plain["visibility"][false] == 100).all() and (hidden["visibility"][false] < 100).all()
+    assert len(np.unique(hidden["evaluation"][false])) > 10, "confirmed with many values"
+    for name in ("evaluation", "visibility"):
+        assert np.array_equal(plain[name][~false], hidden[name][~false]), "those of honest vehicles stay"
+    assert "in disguise" in replace(policy, disguised=True).words
+
+
 def test_the_search_finds_more_harm_than_it_begins_with_and_the_same_again():
     search = Search(tiny_set(), candidate("beta", [], RULES), 0.5, lambda *_: None)
     assert search.attacks() == ["none", "ghost_insertion"], "speed leaves no trace in the evidence"
     assert search.worlds() == [0, 2], "of each city the first with the highest penetration"
-    harm = {n: search.run(n, seed=1) for n in (5, 20)}
-    assert [found.budget for found in harm.values()] == [5, 20]
-    assert harm[20].figures.harm.value >= harm[5].figures.harm.value
+    harm = {n: search.run(n, seed=1) for n in (6, 20)}
+    assert [found.budget for found in harm.values()] == [6, 20]
+    assert harm[20].figures.harm.value >= harm[6].figures.harm.value
     assert repr(search.run(20, seed=1)) == repr(harm[20])
     with pytest.raises(ValueError, match="--budget 4"):
         search.run(4)

@@ -14,6 +14,7 @@ from cosim.cli.main import app
 from cosim.door.blame import ExtensionError
 from tests.cosim.benchmark.worlds import RULES, tiny_set
 from tests.cosim.docs import fences
+from tests.verification.benchmark_page import tables
 from trust.models import MODELS
 
 (MODEL,) = [
@@ -126,11 +127,16 @@ def test_rows_are_stored_with_the_set_and_kept(folder):
     more, _ = make("beta", "mate")
     assert [row["model"] for row in more] == ["beta", "mate"] and more[0] == rows[0]
     text = (folder / "set" / table.TABLE).read_text()
-    (folder / "set" / table.TABLE).write_text(text.replace(table.code_digest(), "0" * 12))
+    (folder / "set" / table.TABLE).write_text(text.replace(table.digest(), "0" * 12))
     assert "computed by other code" in table.stored(tiny_set(), folder / "set")[1]
     (folder / "set" / table.TABLE).write_text("{")
     assert table.stored(tiny_set(), folder / "set")[0] == []
     assert call("beta")[1] is None, "a damaged table does not keep a model from being scored"
+
+
+def test_the_page_shows_the_stored_table():
+    text = (fences.PAGES / "howto" / "benchmark.md").read_text(encoding="utf-8")
+    assert tables() in text, "python -m tests.verification.benchmark_page"
 
 
 @pytest.mark.verify
