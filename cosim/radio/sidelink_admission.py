@@ -119,16 +119,17 @@ def _is_taken(u, memory, log):
     while e != NONE:
         entry = memory.entry[e]
         if entry.rsrp_mw > me.threshold_mw:
+            held = memory.reservation[entry.reservation]
             for a in range(me.n_sent):
-                if entry.sub < me.sub[a] + me.width and me.sub[a] < entry.sub + entry.width:
-                    slot = entry.slot
-                    while slot <= entry.last:
+                if held.sub < me.sub[a] + me.width and me.sub[a] < held.sub + held.width:
+                    slot = held.slot
+                    while slot <= held.last:
                         ahead = slot - me.slot[a]
                         if ahead == 0 or (period > 0 and ahead > 0 and ahead % period == 0):
                             return True
-                        if entry.period <= 0:
+                        if held.period <= 0:
                             break
-                        slot += entry.period
+                        slot += held.period
         e = entry.next
     return False
 

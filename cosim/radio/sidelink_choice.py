@@ -112,14 +112,15 @@ def _announced(block_mw, memory, i, period, above_mw, first, n_slots, n_places, 
     while e != NONE:
         entry = memory.entry[e]
         if entry.rsrp_mw > above_mw:
-            slot = entry.slot
-            while slot <= entry.last:
+            held = memory.reservation[entry.reservation]
+            slot = held.slot
+            while slot <= held.last:
                 if slot >= first:
                     _mark_periodic(
                         block_mw,
                         slot,
-                        entry.sub,
-                        entry.width,
+                        held.sub,
+                        held.width,
                         np.float64(entry.rsrp_mw),
                         period,
                         first,
@@ -128,9 +129,9 @@ def _announced(block_mw, memory, i, period, above_mw, first, n_slots, n_places, 
                         stride,
                         width,
                     )
-                if entry.period <= 0:
+                if held.period <= 0:
                     break
-                slot += entry.period
+                slot += held.period
         e = entry.next
 
 

@@ -17,7 +17,7 @@ from cosim.radio.sidelink_admission import admit, check
 from cosim.radio.sidelink_choice import draw, draw_counter
 from cosim.radio.sidelink_records import MAX_SENT, N_HISTORY, N_USED
 from sensors.hash_rng import mix, unit
-from sensors.kernel import kernel
+from sensors.kernel import compiled, kernel
 
 _TO_QUANTILE = np.uint64(52)
 _KEEP, _PAYLOAD = np.uint64(0x51DF), np.uint64(0x51E0)
@@ -35,31 +35,37 @@ def _succeeds(sinr, me, h):
 
 
 @kernel
-def _announce(receiver, s, u, a, rsrp_mw, memory, log, rules):
-    """Remember at a receiver which resources a transmission reserves."""
-    me = log.unit[u]
+def _announce(u, a, memory, log, rules):
+    """Write down which resources a transmission reserves; returns the row of the first one."""
+    me, begin = log.unit[u], memory.at[1]
     process = memory.process[me.process]
     count = me.n_sent - a if rules.with_repeats else 1
     for k in range(count):
         slot, sub = me.slot[a + k], me.sub[a + k]
         if k > 0:
-            _remember(receiver, slot, slot, 0, sub, me.width, rsrp_mw, memory)
+            _reserved(slot, slot, 0, sub, me.width, memory)
         if me.announces:
             times = max(1, -(-rules.last // process.period)) if process.period < rules.last else 1
-            _remember(
-                receiver, slot + process.period, slot + times * process.period, process.period, sub, me.width, rsrp_mw,
-                memory,
-            )  # fmt: skip
+            _reserved(slot + process.period, slot + times * process.period, process.period, sub, me.width, memory)
+    return begin
 
 
 @kernel
-def _remember(receiver, slot, last, period, sub, width, rsrp_mw, memory):
-    e = memory.at[0]
-    entry = memory.entry[e]
-    entry.slot, entry.last, entry.period, entry.sub, entry.width = slot, last, period, sub, width
-    entry.rsrp_mw, entry.station, entry.next = rsrp_mw, receiver, memory.head[receiver]
-    memory.head[receiver] = e
-    memory.at[0] = e + 1
+def _reserved(slot, last, period, sub, width, memory):
+    row = memory.reservation[memory.at[1]]
+    row.slot, row.last, row.period, row.sub, row.width = slot, last, period, sub, width
+    memory.at[1] += 1
+
+
+@kernel
+def _remember(receiver, begin, rsrp_mw, memory):
+    """Remember at a receiver the reservations from row `begin` on."""
+    for row in range(begin, memory.at[1]):
+        e = memory.at[0]
+        entry = memory.entry[e]
+        entry.reservation, entry.rsrp_mw, entry.station, entry.next = row, rsrp_mw, receiver, memory.head[receiver]
+        memory.head[receiver] = e
+        memory.at[0] = e + 1
 
 
 @kernel
@@ -114,6 +120,7 @@ def _receive(u, a, s, air, memory, log, rules):
     prefix = mix(mix(mix(rules.rng_key, _PAYLOAD), me.key), np.uint64(s))
     per_rb = leak[width, sub, sub]
     scale = 1.0 / 12.0  # resource elements of a resource block
+    announced = _announce(u, a, memory, log, rules)
     for k in range(degree):
         j = air.receiver[first + k]
         row = me.rows + a * degree + k
@@ -140,8 +147,8 @@ def _receive(u, a, s, air, memory, log, rules):
             log.reception[row] = RECEIVED
         else:
             log.reception[row] = COLLISION if _succeeds(power / noise, me, h) else FADING
-        if power * scale > rules.rsrp_mw and (me.announces or rules.with_repeats):
-            _announce(j, s, u, a, np.float32(power * scale), memory, log, rules)
+        if power * scale > rules.rsrp_mw:
+            _remember(j, announced, np.float32(power * scale), memory)
 
 
 @kernel
@@ -159,55 +166,39 @@ def _count_busy(s, n_touched, air, memory, rules):
         air.busy_round[j] += n
 
 
-@kernel
-def load_entries(entry, ptr, was, table, head):
-    """Copy the entries of stations into linked lists.
+@compiled
+def load_entries(entry, now, number, table, head):
+    """Copy the entries of earlier rounds into linked lists.
 
     Parameters
     ----------
-    entry, ptr
-        Entries by station, and where those of each station begin.
-    was
-        Station of `ptr` for each list, or NONE.
+    entry
+        Entries of earlier rounds.
+    now, number
+        Present row of each station and of each reservation of these rounds, or NONE.
     table, head
-        Results: the entries, and the first one of each list.
+        Results: the entries, station by station, and the first one of each list.
 
     Returns
     -------
     Number of entries.
     """
-    n = 0
-    for j in range(len(was)):
-        if was[j] == NONE or ptr[was[j]] == ptr[was[j] + 1]:
-            continue
-        head[j] = n
-        for e in range(ptr[was[j]], ptr[was[j] + 1]):
-            table[n] = entry[e]
-            table[n].station = j
-            table[n].next = n + 1
-            n += 1
-        table[n - 1].next = NONE
-    return n
-
-
-@kernel
-def count_kept(entry, n, now, ptr):
-    """Write where each station's entries begin, of the first n that still reserve something at the slot `now`."""
-    ptr[:] = 0
-    for e in range(n):
-        if entry[e].last >= now:
-            ptr[entry[e].station + 1] += 1
-    for j in range(len(ptr) - 1):
-        ptr[j + 1] += ptr[j]
-
-
-@kernel
-def copy_kept(entry, n, now, at, kept):
-    """Copy these entries, station by station; `at` is where the next one of each station goes."""
-    for e in range(n):
-        if entry[e].last >= now:
-            kept[at[entry[e].station]] = entry[e]
-            at[entry[e].station] += 1
+    at = np.zeros(len(head) + 1, np.int64)
+    for e in range(len(entry)):
+        j = now[entry[e].station]
+        if j != NONE and number[entry[e].reservation] != NONE:
+            at[j + 1] += 1
+    for j in range(len(head)):
+        at[j + 1] += at[j]
+    for e in range(len(entry)):
+        j = now[entry[e].station]
+        if j != NONE and number[entry[e].reservation] != NONE:
+            mine = table[at[j]]
+            mine.reservation, mine.station = number[entry[e].reservation], j
+            mine.rsrp_mw, mine.next = entry[e].rsrp_mw, head[j]
+            head[j] = at[j]
+            at[j] += 1
+    return at[len(head)]
 
 
 @kernel
