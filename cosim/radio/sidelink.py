@@ -188,8 +188,8 @@ class SidelinkMedium:
         room = room_of(rules)
         arrival = np.lexsort((plan.unit["key"], plan.unit["generated"]))
         run_slots(begin, begin, end, arrival, air, memory, log, room, rules)
-        n_entries, n_reservations = memory.at
-        after = SidelinkState(process, station, memory.entry[:n_entries], memory.reservation[:n_reservations], end)
+        reservation = memory.reservation[: memory.n_reservations[0]]
+        after = SidelinkState(process, station, memory.entry, memory.ptr, memory.n_entries, reservation, end)
         return after, log, air.busy_round
 
     def air(self, links: Links, stations: Stations) -> Air:

@@ -115,8 +115,7 @@ def _is_taken(u, memory, log):
     """Whether another station has announced a resource that was chosen for a unit."""
     me = log.unit[u]
     period = memory.process[me.process].period
-    e = memory.head[me.station]
-    while e != NONE:
+    for e in range(memory.ptr[me.station], memory.ptr[me.station] + memory.n_entries[me.station]):
         entry = memory.entry[e]
         if entry.rsrp_mw > me.threshold_mw:
             held = memory.reservation[entry.reservation]
@@ -130,7 +129,6 @@ def _is_taken(u, memory, log):
                         if held.period <= 0:
                             break
                         slot += held.period
-        e = entry.next
     return False
 
 

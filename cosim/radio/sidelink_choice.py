@@ -108,8 +108,7 @@ def _pending(block_mw, u, log, memory, period, first, n_slots, n_places, stride,
 @kernel
 def _announced(block_mw, memory, i, period, above_mw, first, n_slots, n_places, stride, width):
     """Mark the candidates that other stations have reserved with the power of their announcements."""
-    e = memory.head[i]
-    while e != NONE:
+    for e in range(memory.ptr[i], memory.ptr[i] + memory.n_entries[i]):
         entry = memory.entry[e]
         if entry.rsrp_mw > above_mw:
             held = memory.reservation[entry.reservation]
@@ -132,7 +131,6 @@ def _announced(block_mw, memory, i, period, above_mw, first, n_slots, n_places, 
                 if held.period <= 0:
                     break
                 slot += held.period
-        e = entry.next
 
 
 @kernel

@@ -11,7 +11,7 @@ from cosim.radio.dtypes import NEVER, NONE
 from cosim.radio.link_cache import LinkCache
 from cosim.radio.message_round import Stations
 from cosim.radio.sidelink_records import ENTRY, MAX_SENT, PROCESS, RESERVATION, STATION, Log, Memory, Room, Rules
-from cosim.radio.sidelink_slots import load_entries
+from cosim.radio.sidelink_slots import count_entries, load_entries
 from cosim.ragged import offsets
 
 
@@ -23,7 +23,11 @@ class SidelinkState:
     """Processes of the stations, sorted by key."""
     station: ndarray = field(default_factory=lambda: np.zeros(0, STATION))
     entry: ndarray = field(default_factory=lambda: np.zeros(0, ENTRY))
-    """Which stations have decoded which reservations."""
+    """Which stations have decoded which reservations, by station, with gaps."""
+    ptr: ndarray = field(default_factory=lambda: np.zeros(1, np.int64))
+    """Where each station's entries begin."""
+    n_entries: ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Of each station."""
     reservation: ndarray = field(default_factory=lambda: np.zeros(0, RESERVATION))
     """All that were announced in the latest round, and earlier ones that lasted until then."""
     until: int = 0
@@ -70,24 +74,26 @@ def memory_of(
     process: ndarray, station: ndarray, was: Int[ndarray, "n"], state: SidelinkState, unit: ndarray, links: Links,
     rules: Rules, begin: int,
 ) -> Memory:  # fmt: skip
-    """Linked lists of each station's processes and entries, with room for the entries of the round.
+    """Linked lists of each station's processes; its entries and the reservations, with room for those of the round.
 
     Reservations that end before the slot `begin` are left out.
     """
     order = np.argsort(station["key"])
     of = order[np.searchsorted(station["key"][order], process["station"])]
     own, next_own = _lists(of, len(station))
-    per_link = np.array([0, 1, 4, 9])[unit["n_sent"]] if rules.with_repeats else unit["n_sent"].astype(np.int64)
-    n_new = int((np.diff(links.ptr)[unit["station"]] * per_link).sum())
-    now, number = np.full(len(state.station), NONE, np.int64), np.full(len(state.reservation), NONE, np.int64)
-    now[was[was != NONE]] = np.flatnonzero(was != NONE)
+    n_announced = np.array([0, 1, 4, 9])[unit["n_sent"]] if rules.with_repeats else unit["n_sent"].astype(np.int64)
+    room = np.zeros(len(station), np.int64)
+    room[was != NONE] = state.n_entries[was[was != NONE]]
+    count_entries(links.ptr, links.receiver, unit, n_announced, room)
+    ptr, n_entries = offsets(room), np.zeros(len(station), np.int64)
+    entry = np.zeros(ptr[-1], ENTRY)
     lasting = np.flatnonzero(state.reservation["last"] >= begin)
+    number = np.full(len(state.reservation), NONE, np.int64)
     number[lasting] = np.arange(len(lasting))
-    reservation = np.empty(len(lasting) + int(per_link.sum()), RESERVATION)
+    load_entries((state.entry, state.ptr, state.n_entries), was, number, entry, ptr, n_entries)
+    reservation = np.zeros(len(lasting) + int(n_announced.sum()), RESERVATION)
     reservation[: len(lasting)] = state.reservation[lasting]
-    entry, head = np.empty(len(state.entry) + n_new, ENTRY), np.full(len(station), NONE, np.int64)
-    n = load_entries(state.entry, now, number, entry, head)
-    return Memory(process, own, next_own, station, head, entry, reservation, np.array([n, len(lasting)]))
+    return Memory(process, own, next_own, station, entry, ptr, n_entries, reservation, np.array([len(lasting)]))
 
 
 def _lists(of: Int[ndarray, "p"], n: int) -> tuple[ndarray, ndarray]:

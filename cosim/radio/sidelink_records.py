@@ -39,7 +39,7 @@ STATION = np.dtype([
 RESERVATION = np.dtype([("slot", "i8"), ("last", "i8"), ("period", "i4"), ("sub", "i2"), ("width", "i2")])
 """A reservation that a transmission announces: the reserved slot, and its repetitions up to `last`."""
 
-ENTRY = np.dtype([("reservation", "i4"), ("station", "i4"), ("rsrp_mw", "f4"), ("next", "i4")])
+ENTRY = np.dtype([("reservation", "i4"), ("rsrp_mw", "f4")])
 """A reservation that a station has decoded: the row of the reservation, and the received power."""
 
 UNIT = np.dtype([
@@ -111,10 +111,11 @@ class Memory(NamedTuple):
     own: ndarray  # first process of each station
     next_own: ndarray  # next process of the same station
     station: ndarray
-    head: ndarray  # first entry of each station
-    entry: ndarray
+    entry: ndarray  # by station, with room for those of the round
+    ptr: ndarray  # where each station's entries begin
+    n_entries: ndarray  # of each station
     reservation: ndarray
-    at: ndarray  # number of entries, number of reservations
+    n_reservations: ndarray  # one number
 
 
 class Log(NamedTuple):

@@ -17,7 +17,7 @@ from cosim.radio.sidelink_admission import admit, check
 from cosim.radio.sidelink_choice import draw, draw_counter
 from cosim.radio.sidelink_records import MAX_SENT, N_HISTORY, N_USED
 from sensors.hash_rng import mix, unit
-from sensors.kernel import compiled, kernel
+from sensors.kernel import kernel
 
 _TO_QUANTILE = np.uint64(52)
 _KEEP, _PAYLOAD = np.uint64(0x51DF), np.uint64(0x51E0)
@@ -37,7 +37,7 @@ def _succeeds(sinr, me, h):
 @kernel
 def _announce(u, a, memory, log, rules):
     """Write down which resources a transmission reserves; returns the row of the first one."""
-    me, begin = log.unit[u], memory.at[1]
+    me, begin = log.unit[u], memory.n_reservations[0]
     process = memory.process[me.process]
     count = me.n_sent - a if rules.with_repeats else 1
     for k in range(count):
@@ -52,20 +52,18 @@ def _announce(u, a, memory, log, rules):
 
 @kernel
 def _reserved(slot, last, period, sub, width, memory):
-    row = memory.reservation[memory.at[1]]
+    row = memory.reservation[memory.n_reservations[0]]
     row.slot, row.last, row.period, row.sub, row.width = slot, last, period, sub, width
-    memory.at[1] += 1
+    memory.n_reservations[0] += 1
 
 
 @kernel
 def _remember(receiver, begin, rsrp_mw, memory):
     """Remember at a receiver the reservations from row `begin` on."""
-    for row in range(begin, memory.at[1]):
-        e = memory.at[0]
-        entry = memory.entry[e]
-        entry.reservation, entry.rsrp_mw, entry.station, entry.next = row, rsrp_mw, receiver, memory.head[receiver]
-        memory.head[receiver] = e
-        memory.at[0] = e + 1
+    for row in range(begin, memory.n_reservations[0]):
+        entry = memory.entry[memory.ptr[receiver] + memory.n_entries[receiver]]
+        entry.reservation, entry.rsrp_mw = row, rsrp_mw
+        memory.n_entries[receiver] += 1
 
 
 @kernel
@@ -166,39 +164,38 @@ def _count_busy(s, n_touched, air, memory, rules):
         air.busy_round[j] += n
 
 
-@compiled
-def load_entries(entry, now, number, table, head):
-    """Copy the entries of earlier rounds into linked lists.
+@kernel
+def count_entries(ptr, receiver, unit, n_announced, room):
+    """Add the largest number of entries that each station gets in a round to `room`."""
+    for u in range(len(unit)):
+        i = unit[u].station
+        for edge in range(ptr[i], ptr[i + 1]):
+            room[receiver[edge]] += n_announced[u]
+
+
+@kernel
+def load_entries(old, was, number, entry, ptr, n):
+    """Copy the entries of earlier rounds.
 
     Parameters
     ----------
-    entry
-        Entries of earlier rounds.
-    now, number
-        Present row of each station and of each reservation of these rounds, or NONE.
-    table, head
-        Results: the entries, station by station, and the first one of each list.
-
-    Returns
-    -------
-    Number of entries.
+    old
+        State after the round before: `entry`, `ptr`, `n_entries`.
+    was, number
+        Row of each station in `old`, and present row of each of its reservations, or NONE.
+    entry, ptr, n
+        Result: the entries, where those of each station begin, and their number.
     """
-    at = np.zeros(len(head) + 1, np.int64)
-    for e in range(len(entry)):
-        j = now[entry[e].station]
-        if j != NONE and number[entry[e].reservation] != NONE:
-            at[j + 1] += 1
-    for j in range(len(head)):
-        at[j + 1] += at[j]
-    for e in range(len(entry)):
-        j = now[entry[e].station]
-        if j != NONE and number[entry[e].reservation] != NONE:
-            mine = table[at[j]]
-            mine.reservation, mine.station = number[entry[e].reservation], j
-            mine.rsrp_mw, mine.next = entry[e].rsrp_mw, head[j]
-            head[j] = at[j]
-            at[j] += 1
-    return at[len(head)]
+    before, before_ptr, before_n = old
+    for j in range(len(was)):
+        if was[j] == NONE:
+            continue
+        for e in range(before_ptr[was[j]], before_ptr[was[j]] + before_n[was[j]]):
+            row = number[before[e].reservation]
+            if row != NONE:
+                entry[ptr[j] + n[j]].reservation = row
+                entry[ptr[j] + n[j]].rsrp_mw = before[e].rsrp_mw
+                n[j] += 1
 
 
 @kernel
