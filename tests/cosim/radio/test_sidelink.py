@@ -146,9 +146,9 @@ def test_re_evaluation_leaves_a_resource_that_another_station_announced(lead):
         run, unit, _, memory, _ = parts_of(2, 1, seed=seed, lead=lead)
         run(0, 1)
         chosen, sub = unit["slot"][0, 0], unit["sub"][0, 0]
-        memory.reservation[0] = (chosen, chosen, 0, sub, 1)
-        memory.entry[0] = (0, 1.0)
-        memory.n_entries[0] = memory.n_reservations[0] = 1
+        memory.reservation[1] = (chosen, chosen, 0, sub, 1)  # row 0 is for the first announcement of the round
+        memory.entry[0] = (1, 1.0)
+        memory.n_entries[0] = 1
         run(1, 201)
         moved += unit["slot"][0, 0] != chosen or unit["sub"][0, 0] != sub
         if chosen <= 3:  # too late for a check
