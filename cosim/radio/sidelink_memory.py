@@ -54,7 +54,7 @@ def processes_of(process: ndarray, unit: ndarray, key: UInt64[ndarray, "u"], sta
     """Processes of the stations that are there, sorted by key, with those of the units; names them in the units."""
     present = np.sort(stations.key)
     at = np.minimum(np.searchsorted(present, process["station"]), len(present) - 1)
-    process = process[present[at] == process["station"]]
+    process = process[np.flatnonzero(present[at] == process["station"])]
     at = np.searchsorted(process["key"], key)
     known = at < len(process)
     known[known] = process["key"][at[known]] == key[known]
