@@ -5,7 +5,7 @@ scheduling). A message longer than the largest transport block is segmented. A m
 are received. `sidelink_slots` carries out the slots; `sidelink_memory` keeps what lasts.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,7 +22,7 @@ from cosim.radio.params import RadioParams
 from cosim.radio.propagation import fading_quantiles
 from cosim.radio.receptions import ReceptionAttempts, Transmissions, complete_messages
 from cosim.radio.segmentation import FRAME_BYTES
-from cosim.radio.sidelink_memory import SidelinkState, kept_of, log_of, memory_of, processes_of, room_of, stations_of
+from cosim.radio.sidelink_memory import SidelinkState, log_of, memory_of, processes_of, room_of, stations_of
 from cosim.radio.sidelink_params import allowed_ms
 from cosim.radio.sidelink_phy import MAC_OVERHEAD_BYTES, Carrier
 from cosim.radio.sidelink_records import MAX_SENT, N_USED, UNIT, Air, Log, Rules
@@ -53,8 +53,6 @@ class SidelinkMedium:
     los: LosOfPlaces | None
     """Lines of sight in the city; None without buildings."""
     is_nr: bool
-    _tables: list[ndarray] = field(default_factory=list, init=False, repr=False, compare=False)
-    """Memory for the entries of a round; every round overwrites it."""
 
     def __post_init__(self) -> None:
         if self.round_s / 2 < 0.004:
@@ -184,14 +182,14 @@ class SidelinkMedium:
             silent -= 1
         for _ in range(silent if state.until > 0 else 0):
             next_period(station, rules)
-        memory = memory_of(process, station, was, state, plan.unit, links, rules, self._tables)
+        memory = memory_of(process, station, was, state, plan.unit, links, rules, begin)
         log = log_of(plan.unit, links, end - begin)
         air = self.air(links, stations)
         room = room_of(rules)
         arrival = np.lexsort((plan.unit["key"], plan.unit["generated"]))
         run_slots(begin, begin, end, arrival, air, memory, log, room, rules)
-        ptr, entry = kept_of(memory, end)
-        after = SidelinkState(process, station, ptr, entry, end)
+        reservation = memory.reservation[: memory.n_reservations[0]]
+        after = SidelinkState(process, station, memory.entry, memory.ptr, memory.n_entries, reservation, end)
         return after, log, air.busy_round
 
     def air(self, links: Links, stations: Stations) -> Air:

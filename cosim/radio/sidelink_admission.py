@@ -115,21 +115,20 @@ def _is_taken(u, memory, log):
     """Whether another station has announced a resource that was chosen for a unit."""
     me = log.unit[u]
     period = memory.process[me.process].period
-    e = memory.head[me.station]
-    while e != NONE:
+    for e in range(memory.ptr[me.station], memory.ptr[me.station] + memory.n_entries[me.station]):
         entry = memory.entry[e]
         if entry.rsrp_mw > me.threshold_mw:
+            held = memory.reservation[entry.reservation]
             for a in range(me.n_sent):
-                if entry.sub < me.sub[a] + me.width and me.sub[a] < entry.sub + entry.width:
-                    slot = entry.slot
-                    while slot <= entry.last:
+                if held.sub < me.sub[a] + me.width and me.sub[a] < held.sub + held.width:
+                    slot = held.slot
+                    while slot <= held.last:
                         ahead = slot - me.slot[a]
                         if ahead == 0 or (period > 0 and ahead > 0 and ahead % period == 0):
                             return True
-                        if entry.period <= 0:
+                        if held.period <= 0:
                             break
-                        slot += entry.period
-        e = entry.next
+                        slot += held.period
     return False
 
 

@@ -108,18 +108,18 @@ def _pending(block_mw, u, log, memory, period, first, n_slots, n_places, stride,
 @kernel
 def _announced(block_mw, memory, i, period, above_mw, first, n_slots, n_places, stride, width):
     """Mark the candidates that other stations have reserved with the power of their announcements."""
-    e = memory.head[i]
-    while e != NONE:
+    for e in range(memory.ptr[i], memory.ptr[i] + memory.n_entries[i]):
         entry = memory.entry[e]
         if entry.rsrp_mw > above_mw:
-            slot = entry.slot
-            while slot <= entry.last:
+            held = memory.reservation[entry.reservation]
+            slot = held.slot
+            while slot <= held.last:
                 if slot >= first:
                     _mark_periodic(
                         block_mw,
                         slot,
-                        entry.sub,
-                        entry.width,
+                        held.sub,
+                        held.width,
                         np.float64(entry.rsrp_mw),
                         period,
                         first,
@@ -128,10 +128,9 @@ def _announced(block_mw, memory, i, period, above_mw, first, n_slots, n_places, 
                         stride,
                         width,
                     )
-                if entry.period <= 0:
+                if held.period <= 0:
                     break
-                slot += entry.period
-        e = entry.next
+                slot += held.period
 
 
 @kernel

@@ -10,8 +10,8 @@ from cosim.radio.channel import Links
 from cosim.radio.dtypes import NEVER, NONE
 from cosim.radio.link_cache import LinkCache
 from cosim.radio.message_round import Stations
-from cosim.radio.sidelink_records import ENTRY, MAX_SENT, PROCESS, STATION, Log, Memory, Room, Rules
-from cosim.radio.sidelink_slots import copy_kept, count_kept, load_entries
+from cosim.radio.sidelink_records import ENTRY, MAX_SENT, PROCESS, RESERVATION, STATION, Log, Memory, Room, Rules
+from cosim.radio.sidelink_slots import count_entries, load_entries
 from cosim.ragged import offsets
 
 
@@ -22,10 +22,14 @@ class SidelinkState:
     process: ndarray = field(default_factory=lambda: np.zeros(0, PROCESS))
     """Processes of the stations, sorted by key."""
     station: ndarray = field(default_factory=lambda: np.zeros(0, STATION))
+    entry: ndarray = field(default_factory=lambda: np.zeros(0, ENTRY))
+    """Which stations have decoded which reservations, by station, with gaps."""
     ptr: ndarray = field(default_factory=lambda: np.zeros(1, np.int64))
     """Where each station's entries begin."""
-    entry: ndarray = field(default_factory=lambda: np.zeros(0, ENTRY))
-    """Reservations that stations have decoded."""
+    n_entries: ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Of each station."""
+    reservation: ndarray = field(default_factory=lambda: np.zeros(0, RESERVATION))
+    """All that were announced in the latest round, and earlier ones that lasted until then."""
     until: int = 0
     """First slot that has not been carried out."""
     cache: LinkCache | None = None
@@ -50,7 +54,7 @@ def processes_of(process: ndarray, unit: ndarray, key: UInt64[ndarray, "u"], sta
     """Processes of the stations that are there, sorted by key, with those of the units; names them in the units."""
     present = np.sort(stations.key)
     at = np.minimum(np.searchsorted(present, process["station"]), len(present) - 1)
-    process = process[present[at] == process["station"]]
+    process = process[np.flatnonzero(present[at] == process["station"])]
     at = np.searchsorted(process["key"], key)
     known = at < len(process)
     known[known] = process["key"][at[known]] == key[known]
@@ -68,24 +72,28 @@ def processes_of(process: ndarray, unit: ndarray, key: UInt64[ndarray, "u"], sta
 
 def memory_of(
     process: ndarray, station: ndarray, was: Int[ndarray, "n"], state: SidelinkState, unit: ndarray, links: Links,
-    rules: Rules, tables: list[ndarray],
+    rules: Rules, begin: int,
 ) -> Memory:  # fmt: skip
-    """Linked lists of each station's processes and entries, with room for the entries of the round.
+    """Linked lists of each station's processes; its entries and the reservations, with room for those of the round.
 
-    `tables` holds the memory of an earlier round, or nothing. It is used again, and replaced if it is too small.
+    Reservations that end before the slot `begin` are left out.
     """
     order = np.argsort(station["key"])
     of = order[np.searchsorted(station["key"][order], process["station"])]
     own, next_own = _lists(of, len(station))
-    per_link = np.array([0, 1, 4, 9])[unit["n_sent"]] if rules.with_repeats else unit["n_sent"].astype(np.int64)
-    n_new = int((np.diff(links.ptr)[unit["station"]] * per_link).sum())
-    most = len(state.entry) + n_new
-    if not tables or len(tables[0]) < most:
-        tables[:] = [np.empty(most + most // 8, ENTRY)]
-    table = tables[0]
-    head = np.full(len(station), NONE, np.int64)
-    n = load_entries(state.entry, state.ptr, was, table, head)
-    return Memory(process, own, next_own, station, head, table, np.array([n]))
+    n_announced = np.array([0, 1, 4, 9])[unit["n_sent"]] if rules.with_repeats else unit["n_sent"].astype(np.int64)
+    room = np.zeros(len(station), np.int64)
+    room[was != NONE] = state.n_entries[was[was != NONE]]
+    count_entries(links.ptr, links.receiver, unit, n_announced, room)
+    ptr, n_entries = offsets(room), np.zeros(len(station), np.int64)
+    entry = np.zeros(ptr[-1], ENTRY)
+    lasting = np.flatnonzero(state.reservation["last"] >= begin)
+    number = np.full(len(state.reservation), NONE, np.int64)
+    number[lasting] = np.arange(len(lasting))
+    load_entries((state.entry, state.ptr, state.n_entries), was, number, entry, ptr, n_entries)
+    reservation = np.zeros(len(lasting) + int(n_announced.sum()), RESERVATION)
+    reservation[: len(lasting)] = state.reservation[lasting]
+    return Memory(process, own, next_own, station, entry, ptr, n_entries, reservation, np.array([len(lasting)]))
 
 
 def _lists(of: Int[ndarray, "p"], n: int) -> tuple[ndarray, ndarray]:
@@ -120,12 +128,3 @@ def room_of(rules: Rules) -> Room:
     """Room for one choice of resources."""
     n = (rules.last + 1) * rules.n_subchannels
     return Room(np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.uint64))
-
-
-def kept_of(memory: Memory, now: int) -> tuple[Int[ndarray, "n+1"], ndarray]:
-    """The entries that still reserve something, by station, and where those of each station begin."""
-    ptr, n = np.empty(len(memory.head) + 1, np.int64), memory.at[0]
-    count_kept(memory.entry, n, now, ptr)
-    kept = np.empty(ptr[-1], ENTRY)
-    copy_kept(memory.entry, n, now, ptr[:-1].copy(), kept)
-    return ptr, kept

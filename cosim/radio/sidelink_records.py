@@ -36,11 +36,11 @@ STATION = np.dtype([
 ])  # fmt: skip
 """A station: busy subchannels of the present period, busy ratio of the period before, subchannels it has used."""
 
-ENTRY = np.dtype([
-    ("slot", "i8"), ("last", "i8"), ("period", "i4"), ("sub", "i2"), ("width", "i2"), ("rsrp_mw", "f4"),
-    ("station", "i4"), ("next", "i4"),
-])  # fmt: skip
-"""A reservation that a station has decoded: the reserved slot, and its repetitions up to `last`."""
+RESERVATION = np.dtype([("slot", "i8"), ("last", "i8"), ("period", "i4"), ("sub", "i2"), ("width", "i2")])
+"""A reservation that a transmission announces: the reserved slot, and its repetitions up to `last`."""
+
+ENTRY = np.dtype([("reservation", "i4"), ("rsrp_mw", "f4")])
+"""A reservation that a station has decoded: the row of the reservation, and the received power."""
 
 UNIT = np.dtype([
     ("key", "u8"), ("generated", "i8"), ("deadline", "i8"), ("process", "i4"), ("station", "i4"), ("width", "i2"),
@@ -111,9 +111,11 @@ class Memory(NamedTuple):
     own: ndarray  # first process of each station
     next_own: ndarray  # next process of the same station
     station: ndarray
-    head: ndarray  # first entry of each station
-    entry: ndarray
-    at: ndarray  # number of entries
+    entry: ndarray  # by station, with room for those of the round
+    ptr: ndarray  # where each station's entries begin
+    n_entries: ndarray  # of each station
+    reservation: ndarray
+    n_reservations: ndarray  # one number
 
 
 class Log(NamedTuple):

@@ -35,31 +35,35 @@ def _succeeds(sinr, me, h):
 
 
 @kernel
-def _announce(receiver, s, u, a, rsrp_mw, memory, log, rules):
-    """Remember at a receiver which resources a transmission reserves."""
-    me = log.unit[u]
+def _announce(u, a, memory, log, rules):
+    """Write down which resources a transmission reserves; returns the row of the first one."""
+    me, begin = log.unit[u], memory.n_reservations[0]
     process = memory.process[me.process]
     count = me.n_sent - a if rules.with_repeats else 1
     for k in range(count):
         slot, sub = me.slot[a + k], me.sub[a + k]
         if k > 0:
-            _remember(receiver, slot, slot, 0, sub, me.width, rsrp_mw, memory)
+            _reserved(slot, slot, 0, sub, me.width, memory)
         if me.announces:
             times = max(1, -(-rules.last // process.period)) if process.period < rules.last else 1
-            _remember(
-                receiver, slot + process.period, slot + times * process.period, process.period, sub, me.width, rsrp_mw,
-                memory,
-            )  # fmt: skip
+            _reserved(slot + process.period, slot + times * process.period, process.period, sub, me.width, memory)
+    return begin
 
 
 @kernel
-def _remember(receiver, slot, last, period, sub, width, rsrp_mw, memory):
-    e = memory.at[0]
-    entry = memory.entry[e]
-    entry.slot, entry.last, entry.period, entry.sub, entry.width = slot, last, period, sub, width
-    entry.rsrp_mw, entry.station, entry.next = rsrp_mw, receiver, memory.head[receiver]
-    memory.head[receiver] = e
-    memory.at[0] = e + 1
+def _reserved(slot, last, period, sub, width, memory):
+    row = memory.reservation[memory.n_reservations[0]]
+    row.slot, row.last, row.period, row.sub, row.width = slot, last, period, sub, width
+    memory.n_reservations[0] += 1
+
+
+@kernel
+def _remember(receiver, begin, rsrp_mw, memory):
+    """Remember at a receiver the reservations from row `begin` on."""
+    for row in range(begin, memory.n_reservations[0]):
+        entry = memory.entry[memory.ptr[receiver] + memory.n_entries[receiver]]
+        entry.reservation, entry.rsrp_mw = row, rsrp_mw
+        memory.n_entries[receiver] += 1
 
 
 @kernel
@@ -114,6 +118,7 @@ def _receive(u, a, s, air, memory, log, rules):
     prefix = mix(mix(mix(rules.rng_key, _PAYLOAD), me.key), np.uint64(s))
     per_rb = leak[width, sub, sub]
     scale = 1.0 / 12.0  # resource elements of a resource block
+    announced = _announce(u, a, memory, log, rules)
     for k in range(degree):
         j = air.receiver[first + k]
         row = me.rows + a * degree + k
@@ -140,8 +145,8 @@ def _receive(u, a, s, air, memory, log, rules):
             log.reception[row] = RECEIVED
         else:
             log.reception[row] = COLLISION if _succeeds(power / noise, me, h) else FADING
-        if power * scale > rules.rsrp_mw and (me.announces or rules.with_repeats):
-            _announce(j, s, u, a, np.float32(power * scale), memory, log, rules)
+        if power * scale > rules.rsrp_mw:
+            _remember(j, announced, np.float32(power * scale), memory)
 
 
 @kernel
@@ -160,54 +165,37 @@ def _count_busy(s, n_touched, air, memory, rules):
 
 
 @kernel
-def load_entries(entry, ptr, was, table, head):
-    """Copy the entries of stations into linked lists.
+def count_entries(ptr, receiver, unit, n_announced, room):
+    """Add the largest number of entries that each station gets in a round to `room`."""
+    for u in range(len(unit)):
+        i = unit[u].station
+        for edge in range(ptr[i], ptr[i + 1]):
+            room[receiver[edge]] += n_announced[u]
+
+
+@kernel
+def load_entries(old, was, number, entry, ptr, n):
+    """Copy the entries of earlier rounds.
 
     Parameters
     ----------
-    entry, ptr
-        Entries by station, and where those of each station begin.
-    was
-        Station of `ptr` for each list, or NONE.
-    table, head
-        Results: the entries, and the first one of each list.
-
-    Returns
-    -------
-    Number of entries.
+    old
+        State after the round before: `entry`, `ptr`, `n_entries`.
+    was, number
+        Row of each station in `old`, and present row of each of its reservations, or NONE.
+    entry, ptr, n
+        Result: the entries, where those of each station begin, and their number.
     """
-    n = 0
+    before, before_ptr, before_n = old
     for j in range(len(was)):
-        if was[j] == NONE or ptr[was[j]] == ptr[was[j] + 1]:
+        if was[j] == NONE:
             continue
-        head[j] = n
-        for e in range(ptr[was[j]], ptr[was[j] + 1]):
-            table[n] = entry[e]
-            table[n].station = j
-            table[n].next = n + 1
-            n += 1
-        table[n - 1].next = NONE
-    return n
-
-
-@kernel
-def count_kept(entry, n, now, ptr):
-    """Write where each station's entries begin, of the first n that still reserve something at the slot `now`."""
-    ptr[:] = 0
-    for e in range(n):
-        if entry[e].last >= now:
-            ptr[entry[e].station + 1] += 1
-    for j in range(len(ptr) - 1):
-        ptr[j + 1] += ptr[j]
-
-
-@kernel
-def copy_kept(entry, n, now, at, kept):
-    """Copy these entries, station by station; `at` is where the next one of each station goes."""
-    for e in range(n):
-        if entry[e].last >= now:
-            kept[at[entry[e].station]] = entry[e]
-            at[entry[e].station] += 1
+        for e in range(before_ptr[was[j]], before_ptr[was[j]] + before_n[was[j]]):
+            row = number[before[e].reservation]
+            if row != NONE:
+                entry[ptr[j] + n[j]].reservation = row
+                entry[ptr[j] + n[j]].rsrp_mw = before[e].rsrp_mw
+                n[j] += 1
 
 
 @kernel

@@ -57,7 +57,7 @@ def parts_of(n, n_messages, *, seed, power_mw=0.0, window=100, n_subchannels=5, 
     if counters is not None:  # all hold the same resource
         process["next_slot"], process["counter"], process["period"] = 50, counters, 100
         process["width"] = process["n_sent"] = 1
-    memory = memory_of(process, station, np.full(n, NONE), SidelinkState(), unit, links, rules, [])
+    memory = memory_of(process, station, np.full(n, NONE), SidelinkState(), unit, links, rules, 0)
     log, air = log_of(unit, links, n_slots), medium.air(links, stations)
     arrival = np.lexsort((unit["key"], unit["generated"]))
 
@@ -146,9 +146,9 @@ def test_re_evaluation_leaves_a_resource_that_another_station_announced(lead):
         run, unit, _, memory, _ = parts_of(2, 1, seed=seed, lead=lead)
         run(0, 1)
         chosen, sub = unit["slot"][0, 0], unit["sub"][0, 0]
-        memory.entry[0] = (chosen, chosen, 0, sub, 1, 1.0, 0, NONE)
-        memory.head[0] = 0
-        memory.at[0] = 1
+        memory.reservation[1] = (chosen, chosen, 0, sub, 1)  # row 0 is for the first announcement of the round
+        memory.entry[0] = (1, 1.0)
+        memory.n_entries[0] = 1
         run(1, 201)
         moved += unit["slot"][0, 0] != chosen or unit["sub"][0, 0] != sub
         if chosen <= 3:  # too late for a check

@@ -174,7 +174,7 @@ def simulate(s: Setting, seed: int, raw_m: tuple[float, ...]) -> tuple[ndarray, 
     reserve_at_random(process, np.floor(first).astype(np.int64), s, carrier.n_subchannels, g)
     station = np.zeros(n, records.STATION)
     station["key"] = stations.key
-    memory = memory_of(process, station, np.full(n, NONE), SidelinkState(), unit, links, rules, [])
+    memory = memory_of(process, station, np.full(n, NONE), SidelinkState(), unit, links, rules, 0)
     log = log_of(unit, links, n_slots)
     room = room_of(rules)
     arrival = np.lexsort((unit["key"], unit["generated"]))
