@@ -55,7 +55,9 @@ def draw(panels: Sequence[Panel]) -> Figure:
 def _draw(ax: Axes, one: Panel) -> None:
     place = np.arange(len(one.at))
     published, ours = np.array(one.published, float), np.array(one.ours, float)
-    ends = np.concatenate([published, *(np.array(v, float) for v in (one.band_low, one.band_high, one.ours))])
+    ends = np.concatenate(
+        [published, *(np.array(v, float) for v in (one.band_low, one.band_high, one.ours, one.low, one.high))]
+    )
     ends = ends[np.isfinite(ends)]
     room = 0.15 * max(np.ptp(ends), 0.1 * np.abs(ends).max(), 1e-9)
     bottom, top = ends.min() - room, ends.max() + room

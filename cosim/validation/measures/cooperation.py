@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from cosim.validation.facts import Measured
+from cosim.validation.measures.displaced import ERROR, displaced, seen_by_senders, with_errors, with_larger_errors
 from cosim.validation.measures.early_fusion import Disturbance, early_boxes
 from results.metrics.kitti_frames import (
     BOX,
@@ -59,11 +60,15 @@ class Setting:
     """A vehicle's own boxes are that far ahead or behind it, and to its sides."""
     min_score: float = 0.0
     """Boxes with a lower score are left out."""
+    box_errors: float = 1.0
+    """Factor on the errors of boxes against their objects, to be as accurate as another detector."""
     ranked: Literal["all", "by frame"] = "all"
     """Whether the boxes of all frames are ranked together, or those of one frame and then those of the next."""
     label: str = "car"
     slower_mps: float = np.inf
     """Only objects slower than this count; the boxes of others are no false positives."""
+    truth: Literal["exact", "of senders"] = "exact"
+    """Where an object is of which only partners have a return: where it is, or where OpenCOOD takes it to be."""
 
 
 def late_gain(runs: Sequence[Run], **options: object) -> Measured:
@@ -127,6 +132,7 @@ def _precision(run: Run, setting: Setting, fusion: Fusion) -> Float[ndarray, "o"
     renumbered = pd.Series(np.arange(len(poses)), poses.frame.to_numpy())
     poses = poses.assign(frame=np.arange(len(poses)))
     beside = pd.DataFrame({"frame": renumbered.loc[frame].to_numpy(), "observer": partner})
+    beside = with_errors(beside, (setting.position_m, setting.heading_deg), setting.seeded_error)
     truth = _truth(run, steps, poses, actors, beside, setting)
     found = _found(run, steps, poses, actors, beside, setting, fusion)
     return np.array([100 * precision_and_recall(truth, found, one)[0] for one in setting.overlaps])
@@ -154,15 +160,20 @@ def _truth(
     keep = (poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]) & (actors.label.to_numpy()[j] == setting.label)
     i, j = i[keep], j[keep]
     seen = run.table("observability", ["step", "observer", "actor", "n_points"], at_steps(steps))
-    watching = pd.concat([poses[["frame", "step", "observer"]], beside.merge(poses[["frame", "step"]], on="frame")])
-    pairs = watching.merge(seen[seen.n_points > 0], on=["step", "observer"])[["frame", "actor"]]
+    seen = seen[seen.n_points > 0]
+    own = poses[["frame", "step", "observer"]].merge(seen, on=["step", "observer"])
+    theirs = beside.merge(poses[["frame", "step"]], on="frame").merge(seen, on=["step", "observer"])
+    pairs = pd.concat([own, theirs])[["frame", "actor"]]
     known = pd.MultiIndex.from_arrays([i, actors.actor.to_numpy()[j]]).isin(pd.MultiIndex.from_frame(pairs))
     i, j = i[known], j[known]
     if np.isfinite(setting.slower_mps):
         now = actors[["step", "actor"]].iloc[j]
         slow = _speed(run, now.step.to_numpy(), now.actor.to_numpy()) < setting.slower_mps
         i, j = i[slow], j[slow]
-    box, _, _ = ahead_of(poses, i, actors[[*BOX]].to_numpy(np.float64)[j], setting.range_m)
+    world = actors[[*BOX]].to_numpy(np.float64)[j]
+    if setting.truth == "of senders":
+        world = seen_by_senders(run, world, (i, actors.actor.to_numpy()[j]), own, theirs, setting.delay_steps)
+    box, _, _ = ahead_of(poses, i, world, setting.range_m)
     inside = _within(box, setting.area_m)
     return i[inside], box[inside]
 
@@ -180,17 +191,19 @@ def _found(
     if np.isfinite(setting.slower_mps):
         of = boxes.truth_actor.astype("Int64").fillna(-1).to_numpy(np.int64)
         boxes = boxes[~(_speed(run, boxes.step.to_numpy(), of) >= setting.slower_mps)]
+    if setting.box_errors != 1:
+        boxes = with_larger_errors(boxes, run, setting.box_errors)
     own = poses[["frame", "step", "observer"]].merge(boxes, on=["step", "observer"])
     every = own
     if fusion == "late":
         theirs = beside.merge(poses[["frame", "step"]], on="frame")
-        theirs = theirs.assign(step=theirs.step - setting.delay_steps, sender=np.arange(len(theirs)))
-        theirs = _disturbed(theirs.merge(boxes, on=["step", "observer"]), run, setting)
+        theirs = theirs.assign(step=theirs.step - setting.delay_steps)
+        theirs = displaced(theirs.merge(boxes, on=["step", "observer"]), run)
         every = pd.concat([own, theirs], ignore_index=True)
     if fusion == "early":
-        std = np.array([setting.position_m, setting.position_m, np.radians(setting.heading_deg)])
-        error = std * np.random.default_rng(7).normal(size=(len(beside), 3))
-        merged = early_boxes(run, poses, actors, beside, Disturbance(delay_steps=setting.delay_steps, error=error))
+        error = beside[[*ERROR]].to_numpy(np.float64)
+        wrong = Disturbance(delay_steps=setting.delay_steps, error=error)
+        merged = early_boxes(run, poses, actors, beside[["frame", "observer"]], wrong)
         merged = merged[merged["class"] == setting.label]
         every = pd.concat([own[own.truth_actor.isna()], merged], ignore_index=True)
     frame = every.frame.to_numpy(np.int64)
@@ -227,23 +240,3 @@ def _speed(run: Run, step: ndarray, actor: ndarray) -> Float[ndarray, "n"]:
     table = run.table("actors", ["step", "actor", "speed_mps"], at_steps(np.unique(step)))
     speed = table.set_index(["step", "actor"]).speed_mps
     return speed.reindex(pd.MultiIndex.from_arrays([step, actor])).to_numpy(np.float64)
-
-
-def _disturbed(boxes: pd.DataFrame, run: Run, setting: Setting) -> pd.DataFrame:
-    """Boxes of partners moved and turned with the errors of their senders' poses."""
-    std = np.array([setting.position_m, setting.position_m, setting.heading_deg])
-    if not (std.any() or setting.seeded_error) or boxes.empty:
-        return boxes
-    n = int(boxes.sender.max()) + 1
-    error = std * np.random.default_rng(7).normal(size=(n, 3))[boxes.sender.to_numpy()]
-    if setting.seeded_error is not None:
-        error = np.broadcast_to(setting.seeded_error, error.shape)
-    poses = run.table("actors", ["step", "actor", "x_m", "y_m"], at_steps(np.unique(boxes.step)))
-    at = poses.set_index(["step", "actor"]).reindex(pd.MultiIndex.from_frame(boxes[["step", "observer"]]))
-    turn = np.radians(error[:, 2])
-    east, north = boxes.x_m.to_numpy() - at.x_m.to_numpy(), boxes.y_m.to_numpy() - at.y_m.to_numpy()
-    return boxes.assign(
-        x_m=at.x_m.to_numpy() + np.cos(turn) * east - np.sin(turn) * north + error[:, 0],
-        y_m=at.y_m.to_numpy() + np.sin(turn) * east + np.cos(turn) * north + error[:, 1],
-        yaw_rad=boxes.yaw_rad + turn,
-    )

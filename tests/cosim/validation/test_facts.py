@@ -11,6 +11,7 @@ from cosim.validation import report
 from cosim.validation.facts import Fact, Judged, Measured, chosen, load
 from cosim.validation.measures import MEASURES, measured
 from cosim.validation.runs import Runs, config_of
+from results.figures import validation as pictures
 from tests.drive import cosim
 
 FACTS, PLANS = load()
@@ -130,3 +131,9 @@ def test_command_line(tmp_path):
     }  # fmt: skip
     ended = cosim("validate", "nothing", "--out", out)
     assert ended.returncode == 2 and ended.stderr.count("\n") == 1
+
+
+def test_a_picture_has_room_for_intervals():
+    one = pictures.Panel("x", "m", ["here"], [10.0], [8.0], [math.inf], [11.0], [-30.0], [52.0], "undecided")
+    low, high = pictures.draw([one]).axes[0].get_ylim()
+    assert low < -30 and high > 52
