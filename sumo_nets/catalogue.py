@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 _HERE = Path(__file__).parent
 
-EXAMPLE_OSM = _HERE / "common" / "town.osm"
-"""A small town in the format of OpenStreetMap. It is made up."""
+EXAMPLE_OSM = _HERE / "common" / "kotka.osm.pbf"
+"""A square kilometre of OpenStreetMap; `README.md` says where it comes from."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,6 +91,8 @@ def lanes(net_path: Path | str) -> list[Lane]:
             if len(line_m) < 2 or not np.isfinite(line_m).all() or not 0 < width_m < LARGEST_WIDTH_M:
                 raise ValueError(f"lane {attributes.get('id', '?')!r} has no line of finite points, or no width")
             found.append(Lane(line_m, width_m, _admits(attributes, MOTORS), function == "internal", edge))
+        elif name == "connection":  # a third of the elements; SUMO writes them after all lanes
+            raise Enough
 
     stream(net_path, start)
     return found

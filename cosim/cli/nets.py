@@ -29,20 +29,21 @@ PICTURE = "city.png"
 
 @nets.command()
 def example(
-    out: Annotated[Path, typer.Argument(help="File to write (.osm).")] = Path("town.osm"), as_json: AsJson = False
+    out: Annotated[Path, typer.Argument(help="File to write (.osm.pbf).")] = Path("kotka.osm.pbf"),
+    as_json: AsJson = False,
 ) -> None:
-    """Write a small map in OpenStreetMap's format, to try `nets build` without a download. The town is made up."""
+    """Write a small extract of OpenStreetMap, a part of Kotka in Finland, to try `nets build` without a download."""
     from sumo_nets.catalogue import EXAMPLE_OSM
 
-    if out.suffix != ".osm":
-        raise ValueError(f"{out}: a map in this format ends in .osm.")
+    if not out.name.endswith(".osm.pbf"):
+        raise ValueError(f"{out}: a map in this format ends in .osm.pbf.")
     if out.exists():
         raise ValueError(f"{out} exists. Give the name of a new file.")
     try:
         out.write_bytes(EXAMPLE_OSM.read_bytes())
     except OSError as error:
         raise ValueError(f"{out} cannot be written: {error.strerror or error}.") from None
-    print_done({"out": str(out)}, f"wrote {out}", as_json)
+    print_done({"out": str(out)}, f"wrote {out} (© OpenStreetMap contributors, ODbL 1.0)", as_json)
 
 
 @nets.command("list")

@@ -6,6 +6,7 @@ it. Colours are those of `cosim.offline.view`.
 """
 
 import logging
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -202,6 +203,9 @@ class _Rerun:
 
         self._path = None if target == VIEWER else Path(target)
         self._recording = rerun.RecordingStream("cosim")
+        self._thread, self._city = ThreadPoolExecutor(1), Future[None]()
+        """Draws the city while the run computes its first step; time does not matter to what is static."""
+        self._city.set_result(None)
         if self._path is None:
             try:
                 self._recording.spawn(hide_welcome_screen=True)
@@ -213,7 +217,7 @@ class _Rerun:
 
     def begin(self, look_m: Float[ndarray, "3"], scenario: Scenario, city: Scene) -> None:
         view.send_layout(self._recording, look_m, ages=True)
-        view.surroundings(self._recording, scenario, city)
+        self._city = self._thread.submit(view.surroundings, self._recording, scenario, city)
 
     def step(self, now: Now) -> None:
         import rerun
@@ -235,14 +239,19 @@ class _Rerun:
             recording.log("ages/newest_evaluation", rerun.Scalars(now.age_s))
 
     def flush(self) -> None:
+        self._city.result()
         self._recording.flush(timeout_sec=60.0)
 
     def end(self, keep: bool) -> None:
+        self._thread.shutdown()
+        failure = self._city.exception()
         with suppress(RuntimeError):  # the viewer was closed meanwhile
-            self.flush()
+            self._recording.flush(timeout_sec=60.0)
         self._recording.disconnect()
         if self._path is not None:
-            _finish(self._path, keep)
+            _finish(self._path, keep and failure is None)
+        if failure is not None:
+            raise failure
 
 
 class _Mcap:

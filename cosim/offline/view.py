@@ -22,6 +22,7 @@ from typing import Any, cast
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.compute as pc
 import shapely
 from jaxtyping import Float, Int, UInt8
@@ -297,15 +298,28 @@ def surroundings(recording, scenario: Scenario, city: Scene) -> None:  # type: i
             vertex_normals=np.repeat(normal, 3, axis=0),  # without them there is no shading
         )  # fmt: skip
         recording.log("city/buildings", mesh, static=True)
-        rings = shapely.get_rings(city.footprints)  # a strip per ring: strips are converted one by one
-        outlines = [shapely.get_coordinates(ring) * [1.0, -1.0] for ring in rings]
+        xy, ring = shapely.get_coordinates(shapely.get_rings(city.footprints), return_index=True)
+        outlines = strips(xy * [1.0, -1.0], np.bincount(ring))
         recording.log("map/buildings", rerun.LineStrips2D(outlines, colors=[170, 170, 165], radii=0.4), static=True)
     if scenario.net is not None:
-        lanes = [lane.line_m[:, :2] - scenario.origin_m for lane in network.lanes(scenario.net)]
-        flat = [line * [1.0, -1.0] for line in lanes]
+        lanes = [lane.line_m[:, :2] for lane in network.lanes(scenario.net)]
+        xy, n_points = np.concatenate([np.zeros((0, 2)), *lanes]) - scenario.origin_m, list(map(len, lanes))
+        flat = strips(xy * [1.0, -1.0], n_points)
         recording.log("map/streets", rerun.LineStrips2D(flat, colors=[150, 150, 156], radii=0.6), static=True)
-        high = [np.column_stack([line, np.full(len(line), 0.02)]) for line in lanes]
+        high = strips(np.column_stack([xy, np.full(len(xy), 0.02)]), n_points)
         recording.log("city/streets", rerun.LineStrips3D(high, colors=[150, 150, 156], radii=0.15), static=True)
+
+
+def strips(points_m: Float[ndarray, "p d"], n_points: Sequence[int] | Int[ndarray, "s"]) -> Any:
+    """Strips of these numbers of points, in 2 or 3 dimensions, as an Arrow array of lists.
+
+    Rerun's SDK takes it as it is. It would convert a list of arrays one by one, in a second for a city.
+    """
+    points = pa.array(np.ascontiguousarray(points_m, np.float32).ravel())
+    item = pa.field("item", pa.float32(), nullable=False)
+    vector = pa.FixedSizeListArray.from_arrays(points, type=pa.list_(item, points_m.shape[1]))
+    kind = pa.list_(pa.field("item", vector.type, nullable=False))
+    return pa.ListArray.from_arrays(pa.array(np.cumsum([0, *n_points]), pa.int32()), vector, type=kind)
 
 
 def _trust(run: Run) -> pd.DataFrame:

@@ -46,7 +46,7 @@ CALLS = {
     "measure": ["measure {run}", "measure {part} --json", "measure {run} --csv {out}/x.csv", "measure {study}"],
     "nets build": ["nets build --out {run}"],
     "nets counts": ["nets counts {run} counts.csv --out {out}/counted"],
-    "nets example": ["nets example {out}/town.osm"],
+    "nets example": ["nets example {out}/kotka.osm.pbf"],
     "nets list": ["nets list {run} {study}"],
     "nets show": ["nets show {run}"],
     "new": [],  # it writes a file of its own

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from sumo_nets.counts import _edges as read_edges
+from sumo_nets.osm import read
 from tests.cosim.mobility import mixed_scenario
 from tests.drive import cosim
 from tests.sumo_nets.test_build_from_osm import grid_town
@@ -20,14 +21,16 @@ def built(tmp_path_factory):
     return folder, json.loads(done.stdout)
 
 
-def test_the_map_that_ships(tmp_path):
-    """It is the town of the tests; an existing file is not replaced."""
-    done = cosim("nets", "example", "town.osm", cwd=tmp_path)
-    assert done.returncode == 0 and (tmp_path / "town.osm").read_text(encoding="utf-8") == grid_town()
-    for name in ("town.osm", "town.pbf", "no/folder.osm"):
+def test_the_extract_that_ships(tmp_path):
+    """It has streets and buildings; an existing file is not replaced."""
+    done = cosim("nets", "example", "kotka.osm.pbf", cwd=tmp_path)
+    assert done.returncode == 0 and "OpenStreetMap contributors" in done.stdout
+    ways = read(tmp_path / "kotka.osm.pbf").ways.values()
+    assert [sum(key in way.tags for way in ways) for key in ("highway", "building")] == [144, 747]
+    for name in ("kotka.osm.pbf", "kotka.osm", "no/folder.osm.pbf"):
         done = cosim("nets", "example", name, cwd=tmp_path)
         assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1, name
-    assert [path.name for path in tmp_path.iterdir()] == ["town.osm"]
+    assert [path.name for path in tmp_path.iterdir()] == ["kotka.osm.pbf"]
 
 
 def test_build_reports_and_draws(built):
