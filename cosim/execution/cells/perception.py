@@ -1,6 +1,7 @@
 """The perception of a run whose vehicles sense in cells."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,8 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.execution.cells.border import cells_of, within_reach
-from cosim.execution.cells.crew import Crew
-from cosim.execution.cells.worker import AreaQuestions
+from cosim.execution.cells.crew import CellCost, Crew
+from cosim.execution.cells.worker import AreaQuestions, peak_bytes
 from cosim.step.mixed_perception import MixedPerception
 from cosim.step.perception import BoxAnswers, BoxQuestions, Observed, Perception, Seen
 from cosim.step.stopwatch import Stopwatch
@@ -41,6 +42,38 @@ class CellImages:
         return None if self.error is None else self.error[self.observers[cell]]
 
 
+_UNCOUNTED = 2
+"""Steps that load kernels."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Mark:
+    """What a run took until the cells had answered all questions of a step."""
+
+    n_steps: int
+    run_cpu_s: float
+    at_s: float
+    cost: CellCost
+
+
+def _per_step(first: _Mark, last: _Mark) -> dict[str, Any]:
+    """Means per step between two marks."""
+    n, a, b = last.n_steps - first.n_steps, first.cost, last.cost
+    cells_s = (b.cpu_s - a.cpu_s) / n
+    means = {
+        "wall_s": (last.at_s - first.at_s) / n,
+        "run_cpu_s": (last.run_cpu_s - first.run_cpu_s) / n,
+        "cells_cpu_s": float(cells_s.sum()),
+        "busiest_sense_s": (b.busiest_sense_s - a.busiest_sense_s) / n,
+        "busiest_answer_s": (b.busiest_answer_s - a.busiest_answer_s) / n,
+        "wait_s": (b.wait_s - a.wait_s) / n,
+        "imbalance": (b.busiest_sense_s - a.busiest_sense_s + b.busiest_answer_s - a.busiest_answer_s)
+        / max((b.cpu_s - a.cpu_s).mean(), 1e-9),
+    }
+    rounded = {name: round(value, 4) for name, value in means.items()}
+    return {"steps": n, **rounded, "bytes": (b.n_bytes - a.n_bytes) // n, "cell_cpu_s": cells_s.round(4).tolist()}
+
+
 @dataclass(slots=True)
 class CellPerception:
     """Perception of which every cell computes that of its own vehicles.
@@ -58,6 +91,7 @@ class CellPerception:
     """Vehicles that have sensed, summed over the steps."""
     n_beyond: int = 0
     """Actors that cells got besides their own vehicles, summed over cells and steps."""
+    _marks: list["_Mark"] = field(default_factory=list)
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
         """As in `Perceives`."""
@@ -95,9 +129,28 @@ class CellPerception:
         return CellImages(poses, mine, cell, row), seen
 
     def report(self) -> dict[str, Any]:
-        """Figures of the cells for the manifest."""
-        n_steps, n_observers = max(self.n_steps, 1), max(self.n_observers, 1)
-        return self.crew.report(n_steps) | {"actors_beyond_per_vehicle": round(self.n_beyond / n_observers, 4)}
+        """Figures of the cells for the manifest. Costs are means per step, from the third step with messages on."""
+        crew, n_observers = self.crew, max(self.n_observers, 1)
+        found: dict[str, Any] = {
+            "cells": crew.n_cells,
+            "replaced": crew.n_replaced,
+            "vehicles": round(self.n_observers / max(self.n_steps, 1), 1),
+            "actors_beyond_per_vehicle": round(self.n_beyond / n_observers, 4),
+            "stages_s": {stage: round(s, 3) for stage, s in crew.stages_s.items()},
+            "peak_mb": {"run": round(peak_bytes() / 1e6), "cell": round(crew.peak_bytes / 1e6)},
+        }
+        if len(self._marks) == 2:
+            found["per_step"] = _per_step(*self._marks)
+        return found
+
+    def _mark(self) -> None:
+        """Note what the steps so far took, at the same point of each step, and keep the first and the last note.
+
+        The first steps load kernels, so they do not count.
+        """
+        if self.n_steps > _UNCOUNTED:
+            mark = _Mark(self.n_steps, process_time(), perf_counter(), self.crew.cost)
+            self._marks = [*self._marks[:1], mark]
 
     def answers(self, sweeps: CellImages, asked: BoxQuestions) -> BoxAnswers:
         """As in `Perceives`."""
@@ -112,6 +165,7 @@ class CellPerception:
         for (p, t, _), result in zip(parts, found, strict=True):
             if result is not None:
                 n_points[p], plausible[t] = result
+        self._mark()
         return n_points, plausible
 
     def in_area(
