@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from cosim import __version__
-from cosim.cli import benchmark, contacts, extend, interchange, studies
+from cosim.cli import benchmark, cells, contacts, extend, interchange, studies
 from cosim.cli import reproduce as reproductions
 from cosim.cli import validate as validation
 from cosim.cli.console import (
@@ -58,6 +58,7 @@ interchange.add_to(app)
 contacts.add_to(app)
 extend.add_to(app)
 benchmark.add_to(app)
+cells.add_to(app)
 
 ConfigPath = Annotated[Path | None, typer.Argument(help="Config file (TOML). Without one, the default city is used.")]
 Overrides = Annotated[
@@ -66,6 +67,7 @@ Overrides = Annotated[
 Cells = Annotated[
     str,
     typer.Option(
+        "--cells",
         metavar="N|auto",
         help="Cut the city into N cells, each with a process that senses for its vehicles; auto: one per free core.",
     ),
@@ -139,7 +141,7 @@ def run(
         str | None,
         typer.Option(help="Write the same into a file meanwhile: .rrd for Rerun, or .mcap for Foxglove and ROS 2."),
     ] = None,
-    cells: Cells = "0",
+    n_cells: Cells = "0",
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
@@ -149,7 +151,7 @@ def run(
     from cosim.execution.cells.start import number_of
     from cosim.execution.check import changed_since
 
-    n_cells = number_of(cells)
+    wanted = number_of(n_cells)
     chosen = [] if preset is None else [f"preset={preset}"]
     experiment = load(config, chosen + (overrides or []), trust_code)
     for remark in changed_since(config, experiment):
@@ -159,19 +161,19 @@ def run(
     target = "viewer" if watch else watch_file
     if target is None:
         with progress() as advance:
-            folder = running.run(experiment, out, advance, n_cells=n_cells)
+            folder = running.run(experiment, out, advance, n_cells=wanted)
     else:
         from cosim.offline.live import Live
 
         with progress() as advance, Live(experiment, target) as live:
-            folder = running.run(experiment, out, advance, on_step=live, n_cells=n_cells)
+            folder = running.run(experiment, out, advance, on_step=live, n_cells=wanted)
     _conclude(folder, as_json)
 
 
 @app.command()
 def resume(
     folder: Annotated[Path, typer.Argument(help="Folder of a run that was interrupted or killed.")],
-    cells: Cells = "0",
+    n_cells: Cells = "0",
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
@@ -183,7 +185,7 @@ def resume(
     if is_study(folder):
         raise ValueError(f"{folder} is a study. Continue it with: cosim sweep {folder}/study.toml --out {folder}")
     with progress() as advance:
-        running.resume(folder, advance, trust_code=trust_code, n_cells=number_of(cells))
+        running.resume(folder, advance, trust_code=trust_code, n_cells=number_of(n_cells))
     _conclude(folder, as_json)
 
 

@@ -27,7 +27,7 @@ class CellImages:
     poses: Poses
     observers: tuple[Int[ndarray, "k"], ...]
     """Observers of each cell, ascending."""
-    cell: Int[ndarray, "m"]
+    cell: UInt8[ndarray, "m"]
     row: Int[ndarray, "m"]
     """Row of each observer within its cell."""
     error: Float[ndarray, "m 3"] | None = None
@@ -36,6 +36,13 @@ class CellImages:
     def displaced(self, error: Float[ndarray, "m 3"]) -> "CellImages":
         """As `RangeImages.displaced`."""
         return replace(self, poses=self.poses.displaced(error), error=error)
+
+    def by_cell(self, observer: Int[ndarray, "n"]) -> list[Int[ndarray, "k"]]:
+        """Of questions to these observers, those of each cell, in their order."""
+        cell = self.cell[observer]
+        order = np.argsort(cell, kind="stable")  # of bytes: a radix sort, whose cost does not grow with the cells
+        n_asked = np.bincount(cell, minlength=len(self.observers))
+        return np.split(order, np.cumsum(n_asked)[:-1])
 
     def error_in(self, cell: int) -> Float[ndarray, "k 3"] | None:
         """Errors of the poses of a cell's observers."""
@@ -126,7 +133,7 @@ class CellPerception:
             row[own] = np.arange(len(own))
             poses.origin_m[own], poses.yaw_rad[own] = of_cell.origin_m, of_cell.yaw_rad
             seen.append(here.of_actors(there.astype(np.int32)).renumbered(own.astype(np.int32)))
-        return CellImages(poses, mine, cell, row), seen
+        return CellImages(poses, mine, cell.astype(np.uint8), row), seen
 
     def report(self) -> dict[str, Any]:
         """Figures of the cells for the manifest. Costs are means per step, from the third step with messages on."""
@@ -156,10 +163,11 @@ class CellPerception:
         """As in `Perceives`."""
         n_points, plausible = np.zeros(len(asked.counting), np.int32), np.ones(len(asked.testing), bool)
         parts: list[tuple[Any, ...]] = []
-        for number in range(self.crew.n_cells):
-            p, t, mine = asked.of_group(number, sweeps.cell, sweeps.row)
-            rows, (counted, tested) = _only(mine.boxes, mine.counted, mine.tested)
-            mine = replace(mine, boxes=mine.boxes.take(rows), counted=counted, tested=tested)
+        of_cells = zip(sweeps.by_cell(asked.counting), sweeps.by_cell(asked.testing), strict=True)
+        for number, (p, t) in enumerate(of_cells):
+            rows, (counted, tested) = _only(asked.boxes, asked.counted[p], asked.tested[t])
+            counting, testing = (sweeps.row[by].astype(np.int32) for by in (asked.counting[p], asked.testing[t]))
+            mine = BoxQuestions(asked.boxes.take(rows), asked.area, counting, counted, testing, tested)
             parts.append((p, t, (sweeps.error_in(number), mine)))
         found = self.crew.ask("answers", [given if len(p) + len(t) else None for p, t, given in parts])
         for (p, t, _), result in zip(parts, found, strict=True):
@@ -175,8 +183,7 @@ class CellPerception:
         """As in `Perceives`."""
         inside = np.zeros(len(o), bool)
         parts: list[tuple[Any, ...]] = []
-        for number, observers in enumerate(sweeps.observers):
-            k = np.flatnonzero(sweeps.cell[o] == number)
+        for number, (observers, k) in enumerate(zip(sweeps.observers, sweeps.by_cell(o), strict=True)):
             rows, (about,) = _only(boxes, b[k])
             asked = AreaQuestions(sweeps.row[o[k]], boxes.take(rows), area, about, label[rows], own.take(observers))
             parts.append((k, (sweeps.error_in(number), asked)))
@@ -192,5 +199,5 @@ def _only(boxes: Boxes, *of: Int[ndarray, "_"]) -> tuple[Int[ndarray, "k"], list
     occurs = np.zeros(len(boxes), bool)
     for rows in of:
         occurs[rows] = True
-    number = np.cumsum(occurs) - 1
+    number = np.cumsum(occurs, dtype=np.int32) - 1
     return np.flatnonzero(occurs), [number[rows].astype(rows.dtype) for rows in of]

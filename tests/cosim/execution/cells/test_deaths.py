@@ -67,7 +67,7 @@ class Run:
 
 
 def test_twenty_kills_at_random_times_change_no_table(tmp_path):
-    """Every fifth time, the process that forks workers dies as well, and is given the seconds that it takes to begin."""
+    """Every fifth time the process that forks workers dies as well, and has time to begin again."""
     rng, shared = random.Random(37), set(SHARED.iterdir())
     run, n_kills = Run(tmp_path / "cells", *SHORT), 0
     there = run.begun()
@@ -99,3 +99,27 @@ def test_nothing_is_left_of_a_run_that_ends(signum, after_s, tmp_path):
     assert run.process.returncode == (-9 if signum == signal.SIGKILL else 128 + signum), said
     assert signum == signal.SIGKILL or said.count("\n") == 1
     assert not run.left() and set(SHARED.iterdir()) <= shared
+
+
+RAISES = """
+from cosim.extend import Reports
+
+
+class Mine:
+    def detect(self, sweeps, seen, boxes, label, draws):
+        if draws.time_s > 25:
+            raise RuntimeError("no light")
+        found = (seen.n_returns >= 20).nonzero()[0]
+        actor = seen.actor[found]
+        return Reports.of_actors(seen, found, label[actor], boxes.take(actor), 0.5 + 0.0 * actor)
+"""
+
+
+def test_an_error_in_a_worker_ends_the_run_in_one_line_and_keeps_what_is_complete(tmp_path):
+    (tmp_path / "mine.py").write_text(RAISES)
+    run = Run(tmp_path / "run", *SHORT, f"detector.model={tmp_path / 'mine.py'}:Mine")
+    _, said = run.process.communicate()
+    assert run.process.returncode == 1 and said.count("\n") == 1, said
+    assert "no light" in said and "cosim resume" in said
+    assert read_manifest(tmp_path / "run")["steps"] == 20
+    assert not run.left()
