@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from cosim import __version__
-from cosim.cli import benchmark, contacts, extend, interchange, studies
+from cosim.cli import benchmark, cells, contacts, extend, interchange, studies
 from cosim.cli import reproduce as reproductions
 from cosim.cli import validate as validation
 from cosim.cli.console import (
@@ -58,14 +58,19 @@ interchange.add_to(app)
 contacts.add_to(app)
 extend.add_to(app)
 benchmark.add_to(app)
+cells.add_to(app)
 
 ConfigPath = Annotated[Path | None, typer.Argument(help="Config file (TOML). Without one, the default city is used.")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="Change one key of the config, e.g. radio.range_m=150. Repeatable.")
 ]
 Cells = Annotated[
-    int,
-    typer.Option(help="Cut the city into so many cells, each with a process that senses for its vehicles.", min=0),
+    str,
+    typer.Option(
+        "--cells",
+        metavar="N|auto",
+        help="Cut the city into N cells, each with a process that senses for its vehicles; auto: one per free core.",
+    ),
 ]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
 Picture = Literal[
@@ -136,15 +141,17 @@ def run(
         str | None,
         typer.Option(help="Write the same into a file meanwhile: .rrd for Rerun, or .mcap for Foxglove and ROS 2."),
     ] = None,
-    cells: Cells = 0,
+    n_cells: Cells = "0",
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
     """Simulate traffic, sensors, messages and trust, and write a run folder."""
     from cosim.config.config import load
     from cosim.execution import run as running
+    from cosim.execution.cells.start import number_of
     from cosim.execution.check import changed_since
 
+    wanted = number_of(n_cells)
     chosen = [] if preset is None else [f"preset={preset}"]
     experiment = load(config, chosen + (overrides or []), trust_code)
     for remark in changed_since(config, experiment):
@@ -154,30 +161,31 @@ def run(
     target = "viewer" if watch else watch_file
     if target is None:
         with progress() as advance:
-            folder = running.run(experiment, out, advance, n_cells=cells)
+            folder = running.run(experiment, out, advance, n_cells=wanted)
     else:
         from cosim.offline.live import Live
 
         with progress() as advance, Live(experiment, target) as live:
-            folder = running.run(experiment, out, advance, on_step=live, n_cells=cells)
+            folder = running.run(experiment, out, advance, on_step=live, n_cells=wanted)
     _conclude(folder, as_json)
 
 
 @app.command()
 def resume(
     folder: Annotated[Path, typer.Argument(help="Folder of a run that was interrupted or killed.")],
-    cells: Cells = 0,
+    n_cells: Cells = "0",
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
     """Continue a run from its last complete block. The tables equal those of a run without interruption."""
     from cosim.execution import run as running
+    from cosim.execution.cells.start import number_of
     from results.study import is_study
 
     if is_study(folder):
         raise ValueError(f"{folder} is a study. Continue it with: cosim sweep {folder}/study.toml --out {folder}")
     with progress() as advance:
-        running.resume(folder, advance, trust_code=trust_code, n_cells=cells)
+        running.resume(folder, advance, trust_code=trust_code, n_cells=number_of(n_cells))
     _conclude(folder, as_json)
 
 

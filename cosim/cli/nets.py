@@ -220,6 +220,30 @@ def counts(
     _print_facts(facts, as_json)
 
 
+@nets.command()
+def tile(
+    city: Annotated[str, typer.Argument(help="Name of a city, its folder, or a .sumocfg.")],
+    trace: Annotated[Path, typer.Option(help="Trace that SUMO wrote with --fcd-output in that city.")],
+    out: Annotated[Path, typer.Option(help="Folder to write.")],
+    tiles: Annotated[str, typer.Option(help="Copies from west to east x from south to north.")] = "2x2",
+    as_json: AsJson = False,
+) -> None:
+    """Put copies of a city and of its recorded traffic side by side, to see what a metropolis takes."""
+    from cosim.mobility.scenario import find
+    from cosim.mobility.tiling import tile as tiled
+
+    words = tiles.lower().split("x")
+    if len(words) != 2 or not all(word.isdecimal() and len(word) < 4 for word in words):
+        raise ValueError(f"--tiles {tiles}: give two numbers, for example 2x2.")
+    with notes.status("copying streets, buildings and traffic ..."):
+        n_most = tiled(find(city, str(trace)), int(words[0]), int(words[1]), out)
+    text = (
+        f"wrote {out}: at most {n_most:,} actors at one time. Run it with: cosim run --set traffic.scenario={out} "
+        f"--set traffic.trace={out / 'fcd.parquet'}"
+    )
+    print_done({"out": str(out), "most_actors": n_most}, text, as_json)
+
+
 def _summary(net: Net | PackageNet) -> dict[str, Any]:
     """Facts about a city, also about one that is generated when it is first used."""
     folder = getattr(net, "folder", None)

@@ -46,7 +46,7 @@ from results.verify import links
 
 def run(
     config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None,
-    on_step: OnStep | None = None, n_cells: int = 0,
+    on_step: OnStep | None = None, n_cells: int | str = 0,
 ) -> Path:  # fmt: skip
     """Run an experiment into a folder.
 
@@ -66,8 +66,8 @@ def run(
     on_step
         Called with the result of every recorded step, for example to show it.
     n_cells
-        Number of worker processes, each of which senses for the vehicles of one part of the city; 0 for none. The
-        tables are the same.
+        Number of worker processes, each of which senses for the vehicles of one part of the city; 0 for none,
+        "auto" for as many as this machine and the city have use for. The tables are the same.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def run(
 
 
 def resume(
-    path: Path, advance: Advance, traffic_from: Path | None = None, trust_code: bool = False, n_cells: int = 0
+    path: Path, advance: Advance, traffic_from: Path | None = None, trust_code: bool = False, n_cells: int | str = 0
 ) -> Path:
     """Continue a run that was killed or interrupted, from its last complete block.
 

@@ -75,7 +75,7 @@ class TraceReplay(_Replay):
         frame: Frame | None = None,
     ) -> None:
         super().__init__(path, registry, params.step_s, frame or Frame(str(path)))
-        self._types = _types_of(files)
+        self._types = types_of(files)
         self._shape_of = cache(partial(_shape_of, self._types))
         self._number: dict[tuple[str, bool], int] = {}
         self._left_out: dict[str, str] = {}
@@ -293,7 +293,7 @@ def _steps_of(run: Run) -> Iterator[tuple[int, dict[str, ndarray]]]:
             yield int(step[begin]), {name: column[begin:end] for name, column in columns.items()}
 
 
-def _types_of(files: tuple[Path, ...]):
+def types_of(files: tuple[Path, ...]):
     """A function that finds vehicle types by name. It reads the next file only if a type is not known yet."""
     known: dict[str, vtypes.VehicleType] = {}
     left = list(files)

@@ -26,7 +26,7 @@ class _Memory:
         """The first `size` bytes. Earlier views stay valid after the memory has grown."""
         if len(self._map) < size:
             if os.fstat(self.fd).st_size < size:
-                os.ftruncate(self.fd, size + size // 4)
+                _reserve(self.fd, size + size // 4)
             self._map = mmap.mmap(self.fd, os.fstat(self.fd).st_size)
         return memoryview(self._map)[:size]
 
@@ -88,9 +88,18 @@ class Channel:
 
     def close(self) -> None:
         """Close this end. The process at the other end notices it when it next waits for a message."""
-        self._socket.close()
-        for memory in (self._out, self._in):
-            os.close(memory.fd)
+        if not self._socket.closed:
+            self._socket.close()
+            for memory in (self._out, self._in):
+                os.close(memory.fd)
+
+
+def _reserve(fd: int, size: int) -> None:
+    """Let a file have this size. If there is no room, this is an error now, and no fault when the bytes are written."""
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(fd, 0, size)
+    else:
+        os.ftruncate(fd, size)
 
 
 def _unnamed() -> int:

@@ -7,11 +7,18 @@ import sys
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from time import perf_counter
 from types import TracebackType
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
 from cosim.execution.cells.channel import Channel
 from cosim.execution.cells.worker import Reply
+from cosim.execution.stop import Failed
 from cosim.step.mixed_perception import MixedPerception
 from cosim.step.perception import Perception
 
@@ -23,6 +30,38 @@ _ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_N
 
 class CellLost(OSError):
     """The worker of a cell died again and again. The message is one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class CellCost:
+    """What the work of the cells took, summed over their answers."""
+
+    cpu_s: Float[ndarray, "cells"]
+    """Processor time of each cell."""
+    busiest_sense_s: float
+    """Processor time of the busiest cell in each request to sense."""
+    busiest_answer_s: float
+    """The same for all other requests."""
+    wait_s: float
+    """Time from the last question of a request to its last answer."""
+    n_bytes: int
+    """Bytes sent and received."""
+
+    @staticmethod
+    def none(n_cells: int) -> "CellCost":
+        """Before the first request."""
+        return CellCost(np.zeros(n_cells), 0.0, 0.0, 0.0, 0)
+
+    def after(self, senses: bool, spent_s: Float[ndarray, "cells"], wait_s: float, n_bytes: int) -> "CellCost":
+        """The same with one more request."""
+        busiest_s = float(spent_s.max())
+        return CellCost(
+            cpu_s=self.cpu_s + spent_s,
+            busiest_sense_s=self.busiest_sense_s + busiest_s * senses,
+            busiest_answer_s=self.busiest_answer_s + busiest_s * (not senses),
+            wait_s=self.wait_s + wait_s,
+            n_bytes=n_bytes,
+        )
 
 
 class Crew:
@@ -47,8 +86,10 @@ class Crew:
         """Workers that died and were replaced."""
         self.n_bytes = 0
         """Bytes sent to and received from workers that are no longer there."""
-        self.cpu_s = [0.0] * n_cells
-        """Processor time of the work of each cell."""
+        self.cost = CellCost.none(n_cells)
+        """What the answers so far took."""
+        self.peak_bytes = 0
+        """Largest memory of a worker, with the program and the city, which the workers share."""
         self.stages_s: dict[str, float] = {}
         """Seconds per stage, summed over the cells."""
         self.pids: list[int] = []
@@ -68,6 +109,9 @@ class Crew:
                 worker, pid = self._new_worker()
                 self._workers.append(worker)
                 self.pids.append(pid)
+        except CellLost as error:
+            self.close()
+            raise Failed(f"{error} (out of memory or processes?). Nothing was written.") from None
         except BaseException:
             self.close()
             raise
@@ -100,18 +144,21 @@ class Crew:
         with self._lock:
             for cell, arguments in enumerate(given):
                 if arguments is not None:
-                    with suppress(OSError):  # a worker that has died is noticed when its answer is read
+                    with suppress(ConnectionError):  # a worker that has died is noticed when its answer is read
                         self._workers[cell].send((service, arguments))
             asked = [cell for cell, arguments in enumerate(given) if arguments is not None]
             results: list[Any] = [None] * self.n_cells
+            spent_s, asked_at_s = np.zeros(self.n_cells), perf_counter()
             for cell in asked:
                 reply = self._reply(cell, (service, given[cell]))
-                self.cpu_s[cell] += reply.cpu_s
+                spent_s[cell] = reply.cpu_s
+                self.peak_bytes = max(self.peak_bytes, reply.peak_bytes)
                 for stage, seconds in reply.stages_s.items():
                     self.stages_s[stage] = self.stages_s.get(stage, 0.0) + seconds
                 if keeps:
                     self._made_with[cell] = (service, given[cell])
                 results[cell] = reply.result
+            self.cost = self.cost.after(service == "perceive", spent_s, perf_counter() - asked_at_s, self._n_bytes())
             if failed := next((result for result in results if isinstance(result, Exception)), None):
                 raise failed
             return results
@@ -124,7 +171,7 @@ class Crew:
                 return found
             except (EOFError, OSError):
                 self._replace(cell)
-            with suppress(EOFError, OSError):
+            with suppress(EOFError, ConnectionError):
                 if (before := self._made_with[cell]) is not None:
                     self._workers[cell].send(before)
                     self._workers[cell].receive()
@@ -192,13 +239,5 @@ class Crew:
         self._workers = []
         self._stop_nursery()
 
-    def report(self, n_steps: int) -> dict[str, Any]:
-        """Figures of the cells for the manifest."""
-        n_bytes = self.n_bytes + sum(worker.n_bytes for worker in self._workers)
-        return {
-            "cells": self.n_cells,
-            "replaced": self.n_replaced,
-            "cpu_s": [round(s, 3) for s in self.cpu_s],
-            "stages_s": {stage: round(s, 3) for stage, s in self.stages_s.items()},
-            "bytes_per_step": n_bytes // max(n_steps, 1),
-        }
+    def _n_bytes(self) -> int:
+        return self.n_bytes + sum(worker.n_bytes for worker in self._workers)

@@ -6,6 +6,7 @@ keeps the range images of its vehicles until the next step, and nothing else.
 """
 
 import os
+import resource
 import signal
 import socket
 import sys
@@ -38,6 +39,8 @@ class Reply:
     """Processor time since the reply before."""
     stages_s: dict[str, float]
     """Seconds per stage of this request."""
+    peak_bytes: int
+    """Largest memory of the worker so far."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,13 +104,19 @@ def serve(channel: Channel, worker: Worker) -> None:
             error.add_note(traceback.format_exc())
             result = error
         now_s = process_time()
-        reply, before_s = Reply(result, now_s - before_s, worker.watch.seconds), now_s
+        reply, before_s = Reply(result, now_s - before_s, worker.watch.seconds, peak_bytes()), now_s
         try:
             channel.send(reply)
         except OSError:
             return
         except Exception as error:  # the exception of a user's own class may hold anything
             channel.send(replace(reply, result=RuntimeError(f"{type(result).__name__}: {result} ({error})")))
+
+
+def peak_bytes() -> int:
+    """Largest memory of this process so far."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
 
 
 def main() -> None:

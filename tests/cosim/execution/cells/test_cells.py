@@ -1,6 +1,7 @@
 """Cells compute what one process computes, in every bit, whoever dies meanwhile."""
 
 import os
+import resource
 import signal
 import time
 from dataclasses import replace
@@ -14,8 +15,9 @@ from cosim.execution.cells.border import cells_of, within_reach
 from cosim.execution.cells.channel import Channel
 from cosim.execution.cells.crew import CellLost, Crew
 from cosim.execution.cells.perception import CellPerception
-from cosim.execution.cells.start import in_cells
+from cosim.execution.cells.start import in_cells, number_of
 from cosim.execution.checkpoint import encode
+from cosim.execution.stop import Failed
 from cosim.mobility.scenario import find
 from cosim.reproduce.scenarios import ScriptedScene
 from cosim.step.cycle import step
@@ -140,6 +142,46 @@ def test_wrong_numbers_of_cells(n_cells, key, says):
     parts = replace(parts, config=load(None, [key]))
     with pytest.raises(ValueError, match=says), in_cells(parts, find("helsinki", None), n_cells):
         pass
+
+
+@pytest.mark.parametrize("text", ["-1", "257", "1.5", "many", "", "²"])
+def test_what_is_no_number_of_cells(text):
+    with pytest.raises(ValueError, match="give a number from 1 to 256, auto, or 0 for none"):
+        number_of(text)
+
+
+def test_auto_takes_no_cells_where_nothing_is_sensed():
+    parts = parts_of(ScriptedScene.load())
+    parts = replace(parts, config=load(None, ["sensing=false"]))
+    with in_cells(parts, find("helsinki", None), number_of("auto")) as same:
+        assert same is parts
+    assert number_of("3") == 3 and number_of("0") == 0
+
+
+def test_no_memory_for_a_message_is_an_error_of_the_run_and_no_death():
+    """A limit on the size of files stands for memory that is full: the run hears of it before it writes a byte."""
+    with Crew(1, Dies()) as crew:
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, hard))
+        try:
+            with pytest.raises(OSError, match="too large"):
+                crew.ask("pid", [(np.zeros(1 << 16),)])
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        assert crew.n_replaced == 0
+
+
+class NeverArrives:
+    """Perception that ends the process that unpacks it."""
+
+    def __reduce__(self):
+        return os._exit, (9,)
+
+
+@pytest.mark.verify
+def test_workers_that_cannot_be_started_end_in_one_line():
+    with pytest.raises(Failed, match=r"cannot be started \(out of memory or processes\?\). Nothing was written"):
+        Crew(2, NeverArrives()).__enter__()
 
 
 SHORT = ("traffic.duration_s=6", "traffic.warmup_s=60", "record.level=full")
