@@ -101,20 +101,7 @@ def points_in_boxes(
 ) -> Int32[ndarray, "n"]:
     """Number of returns of observer o[k] strictly inside box b[k].
 
-    Parameters
-    ----------
-    sweeps
-        Range images of all observers.
-    o
-        Row of the sweep, for each pair k.
-    boxes
-        Boxes in the world frame.
-    b
-        Row of `boxes`, for each pair k; by default all rows in order.
-
-    Returns
-    -------
-    One count per pair.
+    The arguments are those of `in_evaluation_area`.
 
     Notes
     -----
@@ -137,22 +124,7 @@ def plausible(
 ) -> Bool[ndarray, "n"]:
     """Whether the sweep of observer o[k] allows that an object stands in box b[k].
 
-    Parameters
-    ----------
-    sweeps
-        Range images of all observers.
-    o
-        Row of the sweep, for each pair k.
-    boxes
-        Boxes in the world frame.
-    b
-        Row of `boxes`, for each pair k; by default all rows in order.
-    area, params
-        Size of the evaluation area, and limits of the test.
-
-    Returns
-    -------
-    One boolean per pair.
+    The arguments are those of `in_evaluation_area`; `params` are the limits of the test.
 
     Notes
     -----

@@ -194,38 +194,15 @@ class Poses:
         """
         return pairs_of(o, self.origin_m, self.yaw_rad, boxes, b)
 
-    def to_sensor(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> Boxes:
-        """Boxes in the frames of sensors.
+    def to_sensor(self, o: Int[ndarray, "n"], boxes: Boxes) -> Boxes:
+        """Box k of the world frame in the frame of sensor o[k]: x forward, y left, z up.
 
-        Parameters
-        ----------
-        o
-            Sensor of each pair.
-        boxes
-            Boxes in the world frame.
-        b
-            Row of `boxes` of each pair; by default all rows in order.
-
-        Returns
-        -------
-        Box b[k] in the frame of sensor o[k]: x forward, y left, z up. Headings are not wrapped to one turn.
+        Headings are not wrapped to one turn.
         """
-        return turned(self.pairs(o, boxes, b))
+        return turned(self.pairs(o, boxes))
 
     def to_world(self, o: int, xyz: Float[ndarray, "k 3"]) -> Float[ndarray, "k 3"]:
-        """Points of one sensor in the world frame.
-
-        Parameters
-        ----------
-        o
-            The sensor.
-        xyz
-            Points in its frame [m].
-
-        Returns
-        -------
-        The points in the world frame [m], in the same order.
-        """
+        """Points [m] in the frame of sensor `o`, in the world frame."""
         cos, sin = np.cos(self.yaw_rad[o]), np.sin(self.yaw_rad[o])
         turned = np.column_stack([cos * xyz[:, 0] - sin * xyz[:, 1], sin * xyz[:, 0] + cos * xyz[:, 1], xyz[:, 2]])
         return turned + self.origin_m[o]

@@ -19,6 +19,8 @@ import pyarrow.parquet as pq
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
+from results.durable import open_regular
+
 HONEST = "none"
 """Name of case 0."""
 MANIFEST = "benchmark.json"
@@ -108,6 +110,8 @@ _BITS = {"step": 12, "detection_index": 12}
 """Bits of a key column in a packed key; the others are pseudonyms and have `_PSEUDONYM_BITS`."""
 _PSEUDONYM_BITS = 13
 MOST_PSEUDONYMS = 1 << _PSEUDONYM_BITS
+_MOST_BYTES, _MOST_ROWS = 1_000_000, 20_000_000
+"""Largest manifest and table that are read: the folder may be a stranger's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,8 +280,11 @@ def load(folder: Path = SHIPPED) -> EvidenceSet:
         In one line, if there is no set, or it is not what was written.
     """
     try:
-        head = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        with open_regular(folder / MANIFEST) as file:
+            head = json.loads(file.read(_MOST_BYTES))
         rules = Rules(**{**head["rules"], "cases": tuple(head["rules"]["cases"])})
+        if not 0 < rules.n_steps <= 1 << _BITS["step"]:
+            raise ValueError(f"a world of {rules.n_steps} steps")
         worlds = tuple(Place(*one) for one in head["worlds"])
         tables = {name: _read(folder, name) for name in TABLES}
         found = EvidenceSet(head["version"], rules, worlds, tables)
@@ -295,7 +302,10 @@ def load(folder: Path = SHIPPED) -> EvidenceSet:
 
 
 def _read(folder: Path, name: str) -> Rows:
-    table = pq.read_table(folder / f"{name}.parquet")
+    with open_regular(path := folder / f"{name}.parquet"):
+        if (n := pq.read_metadata(path).num_rows) > _MOST_ROWS:
+            raise ValueError(f"{name} has {n:,} rows, more than {_MOST_ROWS:,}")
+    table = pq.read_table(path)
     wanted: dict[str, type] = {"world": np.int8, "case": np.int8, "gone": np.int8}
     wanted |= {c: _DTYPES[column.type] for c, column in TABLES[name].columns.items()}
     rows = {column: table[column].to_numpy() for column in wanted}

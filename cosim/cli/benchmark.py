@@ -28,8 +28,10 @@ def benchmark(
     adapt: Annotated[
         bool, typer.Option("--adapt", help="Also let an adversary that knows the model search its worst case.")
     ] = False,
-    budget: Annotated[int, typer.Option(min=1, max=100_000, help="With --adapt: policies to try.")] = 34,
-    seed: Annotated[int, typer.Option(min=0, help="With --adapt: seed of the search.")] = 0,
+    budget: Annotated[
+        int | None, typer.Option(min=1, max=100_000, help="With --adapt: policies to try. The default is 34.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="With --adapt: seed of the search. The default is 0.")] = None,
     evidence: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Another evidence set. The default ships with cosim.")
     ] = None,
@@ -49,6 +51,8 @@ def benchmark(
         return
     if model is None and (sets or adapt):
         raise ValueError(f"{'--adapt' if adapt else '--set'} goes with a model. Name one, such as mine.py:Beta.")
+    if not adapt and (budget is not None or seed is not None):
+        raise ValueError(f"{'--seed' if budget is None else '--budget'} goes with --adapt. Add it.")
     if every and model is not None:
         raise ValueError(f"--all scores the models that ship. Leave {model} out, or leave --all out.")
     found, mine = load(folder), None
@@ -56,7 +60,7 @@ def benchmark(
         if every:
             table.make(found, folder, advance)
         if model is not None:
-            mine = table.row_of(found, model, sets or [], advance, budget if adapt else 0, seed)
+            mine = table.row_of(found, model, sets or [], advance, (budget or 34) if adapt else 0, seed or 0)
     rows, remark = table.stored(found, folder)
     if as_json:
         print_json({**table.head(found), "citation": card.citation(found), "row": mine, "rows": rows})

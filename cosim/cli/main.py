@@ -149,12 +149,12 @@ def run(
     from cosim.config.config import load
     from cosim.execution import run as running
     from cosim.execution.cells.start import number_of
-    from cosim.execution.check import changed_since
+    from cosim.execution.check import remarks_on
 
     wanted = number_of(n_cells)
     chosen = [] if preset is None else [f"preset={preset}"]
     experiment = load(config, chosen + (overrides or []), trust_code)
-    for remark in changed_since(config, experiment):
+    for remark in remarks_on(experiment, config):
         notes.print(remark, soft_wrap=True)
     if watch and watch_file is not None:
         raise ValueError("--watch shows the run in the viewer, and --watch-file writes a file. Choose one.")
@@ -251,7 +251,7 @@ def check(
 
     experiment = load(config, overrides, trust_code)
     checking.check(experiment)
-    for remark in checking.changed_since(config, experiment):
+    for remark in checking.remarks_on(experiment, config):
         notes.print(remark, soft_wrap=True)
     if as_json:
         print_json(experiment.to_dict())
@@ -529,12 +529,16 @@ def _place_for_kernels() -> Scratch | None:
 
 
 def _say(message: str, status: int, error: BaseException | None = None) -> int:
-    """Print an error in one line, after its traceback if the user gave --debug; return the exit status."""
+    """Print an error in one line, after its traceback if the user gave --debug; return the exit status.
+
+    Control characters, for example from the first line of a strange file, would act on the terminal.
+    """
     if error is not None and _debug.is_on:
         traceback.print_exception(error)
     if message:
         with suppress(OSError):
-            notes.print(f"error: {' '.join(message.split())}", soft_wrap=True)
+            line = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in " ".join(message.split()))
+            notes.print(f"error: {line}", soft_wrap=True)
     return status
 
 

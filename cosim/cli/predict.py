@@ -55,16 +55,23 @@ def freshness(
     as_json: AsJson = False,
 ) -> None:
     """Predict the age of trust at lookup, and what lookups find, without sensing, messages or trust."""
+    from cosim.cli.studies import is_study
     from cosim.config.config import load
     from cosim.predict.comparison import as_json as plain
     from cosim.predict.comparison import measured_in, rows_of
     from cosim.predict.freshness import predict as predicted
     from cosim.predict.freshness import predict_study
     from cosim.predict.scope import left_out
+    from results.archive import open_run
+    from results.study import open_study
 
     study = _study_of(config)
     if study is not None and (overrides or grid):
         raise ValueError("--set and --grid go with a config, and this is a study. Change its file.")
+    if grid is not None and (out or against or picture or fleets):
+        raise ValueError("--grid writes a study file alone. Leave --out, --against, --picture and --fleets out.")
+    if against is not None:
+        open_study(against) if is_study([against]) else open_run(against)  # before minutes of computing
     inputs: dict[str, float] = {}
     found: list[tuple[Any, Prediction]]
     with progress() as advance:

@@ -7,6 +7,7 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
@@ -59,8 +60,8 @@ def override(data: Any, text: str) -> None:
 def assign(data: Any, name: str, value: Any, said: str) -> None:
     """Set the key `name` in plain data. `said` is the user's text, for error messages."""
     *sections, last = name.split(".")
-    for section in sections:
-        data = _item(data, section, said)
+    for section, inner in pairwise([*sections, last]):
+        data = _item(data, section, said, inner.isdecimal())
         if not isinstance(data, dict | list):
             raise ValueError(f"{said}: {section} is a value, not a section.")
     if isinstance(data, list):
@@ -68,11 +69,10 @@ def assign(data: Any, name: str, value: Any, said: str) -> None:
     data[last] = value
 
 
-def _item(data: Any, name: str, said: str) -> Any:
-    """The section of this name. It is created if it does not exist."""
+def _item(data: Any, name: str, said: str, is_list: bool) -> Any:
+    """The section of this name, or the list of sections. It is created if it does not exist."""
     if isinstance(data, dict):
-        lists = name == "trust_variant"
-        return data.setdefault(name, [] if lists else {})
+        return data.setdefault(name, [] if is_list else {})
     if not name.isdecimal() or int(name) > len(data):
         raise ValueError(f"{said}: the list has {len(data)} items, numbered from 0, and {name} is not one of them.")
     if int(name) == len(data):

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from cosim.config.config import Config, chosen
+from cosim.config.effect import without_effect
 from cosim.driver.driver import largest_step_s
 from cosim.execution.inputs import changed_inputs
 from cosim.mobility.meshes import with_meshes
 from cosim.mobility.roadside import NO_UNITS, RoadsideUnits, place
 from cosim.mobility.scenario import Scenario, find
+from cosim.mobility.streetside import check_streets
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.step import mixed_perception
 from cosim.step.parts import check_choices
@@ -20,6 +22,7 @@ from sensors import lidar
 from sensors.boxes import Boxes
 from sensors.scene import Scene, Shape
 from sumo_nets.network import junctions
+from sumo_nets.streetside import read_trees
 
 
 def check(config: Config) -> Scenario:
@@ -33,6 +36,7 @@ def check(config: Config) -> Scenario:
     scenario = find(config.traffic.scenario, config.traffic.trace)
     rsu_antennas(config, scenario)
     roadside_units(config, scenario)
+    _check_streetside(config, scenario)
     check_choices(config)
     _check_driver(config, scenario)
     _check_hosts(config)
@@ -44,6 +48,24 @@ def check(config: Config) -> Scenario:
         car, first = np.array([Shape.CAR], np.uint8), np.zeros(1, np.int64)
         lidar.scan(one, car, first, Scene.empty(), config.lidar, np.zeros(1, np.uint64))
     return scenario
+
+
+def _check_streetside(config: Config, scenario: Scenario) -> None:
+    """Raise ValueError if parked cars or trees have no streets or no map to stand along."""
+    if config.parked.per_100_m > 0:
+        check_streets(scenario.net, "parked")
+    if config.trees.per_100_m > 0 or config.trees.from_map:
+        check_streets(scenario.net, "trees")
+    if not config.trees.per_100_m and _lacks_trees(config, scenario):
+        raise ValueError(
+            f"trees.from_map = true: the polygon files of {scenario.name} contain no trees. Set trees.per_100_m, or "
+            "build the city from a map with trees."
+        )
+
+
+def _lacks_trees(config: Config, scenario: Scenario) -> bool:
+    """Whether the trees of the map are wanted, and there are none."""
+    return config.trees.from_map and not any(len(read_trees(path)) for path in scenario.buildings)
 
 
 def _check_hosts(config: Config) -> None:
@@ -110,6 +132,15 @@ def roadside_units(config: Config, scenario: Scenario) -> RoadsideUnits:
             "in traffic.scenario and the trace in traffic.trace."
         )
     return place(config.roadside, junctions(scenario.net), scenario.origin_m, config.seed)
+
+
+def remarks_on(config: Config, path: Path | None) -> list[str]:
+    """Notes on a config that was read from `path`: keys without effect, and inputs that have changed."""
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    lines = without_effect(config, scenario.trace is not None)
+    if _lacks_trees(config, scenario):
+        lines.append(f"trees.from_map has no effect: the polygon files of {scenario.name} contain no trees.")
+    return [f"note: {line}" for line in lines] + changed_since(path, config)
 
 
 def changed_since(path: Path | None, config: Config) -> list[str]:

@@ -140,6 +140,8 @@ def read(
         if parts and found.is_degrees != degrees:
             raise TrafficError(f"{path}: not in the units of {paths[0]}. Count contacts of each in its own command.")
         degrees = found.is_degrees
+        if frame_hz is not None and not found.is_frame:
+            raise TrafficError(f"{path}: its times are no frame numbers, so --frame-hz has no effect. Leave it out.")
         good = _good(path, actors, time_s, xy, repair)
         repaired["missing"] += int((~good).sum())
         texts = actors[good]

@@ -81,6 +81,16 @@ class TreeParams:
 NO_PARKED, NO_TREES = ParkedParams(), TreeParams()
 
 
+def check_streets(net: Path | None, section: str) -> Path:
+    """The network. A ValueError of one line is raised if there is none, along which this section places anything."""
+    if net is None:
+        raise ValueError(
+            f"[{section}]: a trace without streets has no kerbs. Leave the section out, or name the city in "
+            "traffic.scenario and the trace in traffic.trace."
+        )
+    return net
+
+
 class _Places(NamedTuple):
     """Places along kerbs; network coordinates."""
 
@@ -107,12 +117,7 @@ class Streetside:
     @staticmethod
     def of(net: Path | None, origin_m: tuple[float, float], seed: int, section: str) -> "Streetside":
         """Read a network. Without one, a ValueError names the section of the config that needs it."""
-        if net is None:
-            raise ValueError(
-                f"{section}.per_100_m: a trace without streets has no kerbs. Set it to 0, or name the city in "
-                "traffic.scenario and the trace in traffic.trace."
-            )
-        return Streetside(*street_space(net), origin_m, seed)
+        return Streetside(*street_space(check_streets(net, section)), origin_m, seed)
 
     def planted(self, city: Scene, params: TreeParams) -> Float[ndarray, "t 3"]:
         """Feet of the trees, world frame. No trunk stands in a building, on a lane or in a junction."""

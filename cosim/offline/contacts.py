@@ -140,10 +140,22 @@ def contacts(paths: Sequence[Path], params: ContactParams, out: Path | None, adv
         if not path.exists():
             raise ValueError(f"{path}: no such file or folder. Give a trace or a run folder.")
     if paths[0].is_dir():
+        _check_of_positions(params, f"{paths[0]} is a run")
         return _of_run(paths, params, out, advance)
     if params.columns is None and positions.is_sumo(paths[0]):
+        _check_of_positions(params, f"{paths[0]} is a trace that SUMO wrote")
         return _of_sumo(paths, params, out, advance)
     return _of_positions(paths, params, out, advance)
+
+
+def _check_of_positions(params: ContactParams, what: str) -> None:
+    """Raise ValueError if options are set that only positions from elsewhere can obey."""
+    if params.columns is not None:
+        raise ValueError(f"{what}: its columns are known. Leave out --id, --time, --x, --y, --lat and --lon.")
+    usual = ContactParams()
+    for name in ("max_gap_s", "max_speed_mps", "frame_hz", "repair"):
+        if getattr(params, name) != getattr(usual, name):
+            raise ValueError(f"--{name.replace('_', '-')}: {what}, with a position in every step. Leave it out.")
 
 
 def _of_run(paths: Sequence[Path], params: ContactParams, out: Path | None, advance: Advance) -> Path:
@@ -310,7 +322,7 @@ def _cut(fixes: Fixes, params: ContactParams, path: Path) -> Fixes:
     keep = (fixes.time_s >= from_s) & (fixes.time_s <= (math.inf if params.to_s is None else params.to_s - begin))
     if not keep.any():
         raise TrafficError(
-            f"{path}: no position from {params.from_s} to {params.to_s} s; the trace goes from {fixes.begin} to "
+            f"{path}: no position in the span of --from and --to; the trace goes from {fixes.begin} to "
             f"{begin + float(fixes.time_s.max()):.10g} s."
         )
     return Fixes(

@@ -104,6 +104,8 @@ def _exported(
 ) -> dict[str, Any]:  # fmt: skip
     vehicles, steps, sets = wanted
     run.require(*fmt.TABLES)
+    if vehicles is not None and getattr(fmt, "ALL_VEHICLES", False):
+        raise ValueError(f"--vehicles {vehicles}: {choice.source.name} always has all vehicles. Leave it out.")
     config = config_of(run)
     chosen = Selection(
         run, _vehicles(run, vehicles), _steps(run, config, steps), _road_edge_m(config), partial(_projection, config),

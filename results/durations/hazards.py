@@ -15,23 +15,21 @@ MISSING = (
 )
 
 
-def proportional_hazards(frame: pd.DataFrame, covariates: Sequence[str], strata: str = "city") -> pd.DataFrame:
+def proportional_hazards(frame: pd.DataFrame, covariates: Sequence[str]) -> pd.DataFrame:
     """Hazard ratios of the end of encounters, per standard deviation of each covariate.
 
     Parameters
     ----------
     frame
         One row per encounter: `lasted_steps`, `ended` (whether the end was observed), `a` and `b` (numbers of the two
-        actors, unique over all strata), the covariates and the column of strata.
+        actors, unique over all cities), the covariates, and `city`. Each city has a baseline hazard of its own.
     covariates
-        Columns that may change the hazard. A column that does not vary within any stratum is refused.
-    strata
-        Column whose values have baseline hazards of their own.
+        Columns that may change the hazard. A column that does not vary within any city is refused.
 
     Returns
     -------
     covariate, mean, sd, hazard_ratio with low and high (95 %), p. A ratio below 1 makes encounters longer. The standard
-    deviation is that within strata.
+    deviation is that within cities.
 
     Raises
     ------
@@ -47,7 +45,7 @@ def proportional_hazards(frame: pd.DataFrame, covariates: Sequence[str], strata:
         from statsmodels.duration.hazard_regression import PHReg
     except ImportError:
         raise ValueError(MISSING) from None
-    centred = frame[[*covariates]] - frame.groupby(strata)[[*covariates]].transform("mean")
+    centred = frame[[*covariates]] - frame.groupby("city")[[*covariates]].transform("mean")
     sd = centred.std()
     if (flat := [name for name in covariates if not sd[name] > 1e-12]) or len(frame) < 10 * len(covariates):
         raise ValueError(
@@ -56,7 +54,7 @@ def proportional_hazards(frame: pd.DataFrame, covariates: Sequence[str], strata:
         )
     model = PHReg(
         frame.lasted_steps.to_numpy(float), (centred / sd).to_numpy(float), status=frame.ended.to_numpy(int),
-        strata=pd.factorize(frame[strata])[0], ties="efron",
+        strata=pd.factorize(frame.city)[0], ties="efron",
     )  # fmt: skip
     found = model.fit(disp=0)
     inverse = np.asarray(found.cov_params())

@@ -292,7 +292,7 @@ def object_bits(members: Collection[str] = FILLED) -> Int[ndarray, "4"]:
 
 
 def cpm_bytes(
-    n_objects: Int[ndarray, "m 4"], members: Collection[str] = FILLED, is_segment: bool = False, *,
+    n_objects: Int[ndarray, "m 4"], is_segment: bool = False, *,
     n_moving: Int[ndarray, "m 4"] | int = 0, has_sensors: Bool[ndarray, "m"] | bool = True,
 ) -> Int[ndarray, "m"]:  # fmt: skip
     """Length of CPMs with a vehicle container, without headers of the network and security [B].
@@ -301,25 +301,23 @@ def cpm_bytes(
     ----------
     n_objects
         Number of objects without velocity in each message, by `ObjectClass`; at most 255 objects in a message.
-    members
-        As in `object_bits`; all objects have the same.
     is_segment
         Whether the messages state that they are segments.
     n_moving
-        Number of further objects, which have the same members and a velocity.
+        Number of further objects, which have a velocity.
     has_sensors
         Whether each message describes a LiDAR.
 
     Raises
     ------
     ValueError
-        In one line: more than 255 objects in a message, or no such member.
+        In one line: more than 255 objects in a message.
     """
     n_objects = np.asarray(n_objects, np.int64)
     n_moving = np.broadcast_to(np.asarray(n_moving, np.int64), n_objects.shape)
     if (n_objects < 0).any() or (n_moving < 0).any() or ((n_objects + n_moving).sum(axis=1) > 255).any():
         raise ValueError("n_objects: a message has 0 to 255 objects. Split what is longer into segments.")
-    still, moving = _object_bits(frozenset(members)), _object_bits(frozenset(members) | {"velocity"})
+    still, moving = _object_bits(frozenset(FILLED)), _object_bits(frozenset(FILLED) | {"velocity"})
     n_empty, without, with_sensors = _frame_bits(is_segment)
     content = -(-(n_empty + n_objects @ still + n_moving @ moving) // 8)
     return -(-(np.where(has_sensors, with_sensors, without) + 8 * (1 + (content > 127) + content)) // 8)

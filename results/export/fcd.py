@@ -4,7 +4,7 @@ Notes
 -----
 `fcd.xml.gz`: a `<timestep>` per step in which vehicles sense, `time` in seconds of the run. `x` and `y` are the centre
 of the front bumper in the coordinates of the network [m], `angle` is in degrees clockwise from north, `type` is the
-class of the actor, and names are SUMO's. All actors are written, whatever vehicles are chosen.   Deviations: `z` is the
+class of the actor, and names are SUMO's. All actors are written.   Deviations: `z` is the
 underside of the box; lane, position on it and slope are left out, because the tables do not have them.
 """
 
@@ -28,6 +28,7 @@ class Fcd:
     """SUMO's floating car data."""
 
     TABLES = TABLES
+    ALL_VEHICLES = True
 
     def plan(self, selection: Selection) -> Plan:
         """One file."""

@@ -7,7 +7,7 @@ trust in every pseudonym at the true position of its vehicle. The columns are th
 in the run, and `geometry` is a point (well-known binary). Where the network has a projection, points are longitude and
 latitude on WGS84 (the default of GeoParquet, OGC:CRS84); otherwise they are x and y of the world frame [m], and the
 coordinate reference system is null. Heights stay in `z_m`. Units and meanings are in the metadata of the fields. All
-actors, detections and fused objects of the chosen steps are written, whatever vehicles are chosen.   Deviations: none.
+actors, detections and fused objects of the chosen steps are written.   Deviations: none.
 """
 
 import io
@@ -44,6 +44,7 @@ class GeoParquet:
     """GeoParquet."""
 
     TABLES = TABLES
+    ALL_VEHICLES = True
 
     def plan(self, selection: Selection) -> Plan:
         """A file for each table with positions, and one for trust."""

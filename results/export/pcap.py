@@ -45,9 +45,6 @@ START_S = 1_735_689_600
 LONGEST_BYTES = 1398
 """Longest BTP packet: itsGnMaxSduSize of EN 302 636-4-1."""
 
-HEADERS_BYTES = 14 + 4 + 8 + 28 + 4
-"""Of Ethernet, GeoNetworking and BTP."""
-
 PORTS = {"cam": 2001, "cpm": 2009}
 """BTP ports: TS 103 248."""
 

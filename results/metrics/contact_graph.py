@@ -151,19 +151,6 @@ def _instants(
         yield float(time * every_s), len(now), actors, member
 
 
-def reception_graph(run: Run, start_s: float = 0.0, end_s: float = np.inf) -> "nx.DiGraph":
-    """Receptions in a time span: edges from sender to receiver with `n` messages and mean `hops`, `latency_s`."""
-    frame = run.table("receptions", ["step", "sender", "receiver", "hops", "latency_s"])
-    frame = frame[(frame.step * run.dt_s >= start_s) & (frame.step * run.dt_s < end_s)]
-    frame = frame.assign(sender=frame.sender.map(run.subjects.vehicle))
-    edges = frame.groupby(["sender", "receiver"]).agg(
-        n=("hops", "size"), hops=("hops", "mean"), latency_s=("latency_s", "mean")
-    )
-    import networkx as nx
-
-    return nx.from_pandas_edgelist(edges.reset_index(), "sender", "receiver", True, create_using=nx.DiGraph)
-
-
 def arrivals(
     run: Run, actor: int, start_s: float = 0.0, radius_m: float | None = None, pairs: str | None = None
 ) -> pd.DataFrame:

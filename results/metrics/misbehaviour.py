@@ -86,25 +86,30 @@ def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
     Values are pooled over subjects and time. `auc` is the area under the curve of `roc`, and Mann and Whitney's U
     over the number of pairs (1947): 1 separates all, 0.5 none.
     """
-    rows = _classified(run, scored(run), false_positives, None)
+    found = scored(run)
+    is_honest, has_trust = _of_role(run, found, HONEST), ~np.isnan(found.trust)
+    honest = _rated(run, found, HONEST)
+    limit = threshold_at(honest, false_positives)
+    rows: list[dict[str, float | str]] = []
+    for role, mine in trust.by_role(run, found.role):
+        if role == HONEST:
+            continue
+        attacking = found.take(mine & found.rated)
+        suspected = found.rated[mine] & (found.trust[mine] < limit)
+        of_time = intervals.of_units(suspected, found.subject[mine])
+        if np.isnan(limit):
+            of_time = intervals.UNKNOWN
+        rows.append({
+            "role": role, "n": len(np.unique(found.subject[mine])),
+            "evaluated": len(attacking.step) / int(mine.sum()), "evaluated_honest": _share(found.rated[is_honest]),
+            **intervals.columns(_auc(found, is_honest & found.rated, mine & found.rated), "auc"),
+            **intervals.columns(_auc(found, is_honest & has_trust, mine & has_trust), "auc_unevaluated"),
+            "threshold": limit,
+            **intervals.columns(intervals.of_units(attacking.trust < limit, attacking.subject), "true_positives"),
+            "false_positives": _share(honest < limit), **intervals.columns(of_time, "suspected"),
+        })  # fmt: skip
     if not rows:
         raise ValueError(f"{run.path} {_NONE_RATED}")
-    return pd.DataFrame(rows)
-
-
-def recall_over_time(run: Run, every_s: float = 10.0, false_positives: float = 0.05) -> pd.DataFrame:
-    """Classification in windows of time: time_s (start of the window) and the columns of `classification`.
-
-    All windows have the threshold of the whole time. The share of false positives therefore differs from window to
-    window.
-    """
-    threshold = float(classification(run, false_positives).threshold.iloc[0])
-    found = scored(run)
-    slot = np.floor(found.step * run.dt_s / every_s).astype(int)
-    rows = [
-        {"time_s": one * every_s} | row
-        for one in np.unique(slot) for row in _classified(run, found.take(slot == one), false_positives, threshold)
-    ]  # fmt: skip
     return pd.DataFrame(rows)
 
 
@@ -385,34 +390,6 @@ def _of_role(run: Run, found: Scored, role: str) -> Bool[ndarray, "n"]:
 
 def _rated(run: Run, found: Scored, role: str) -> Float[ndarray, "n"]:
     return found.trust[_of_role(run, found, role) & found.rated].astype(np.float64)
-
-
-def _classified(
-    run: Run, found: Scored, false_positives: float, threshold: float | None
-) -> list[dict[str, float | str]]:
-    """Rows of `classification`; the threshold is found where none is given."""
-    is_honest, has_trust = _of_role(run, found, HONEST), ~np.isnan(found.trust)
-    honest = _rated(run, found, HONEST)
-    limit = threshold_at(honest, false_positives) if threshold is None else threshold
-    rows: list[dict[str, float | str]] = []
-    for role, mine in trust.by_role(run, found.role):
-        if role == HONEST:
-            continue
-        attacking = found.take(mine & found.rated)
-        suspected = found.rated[mine] & (found.trust[mine] < limit)
-        of_time = intervals.of_units(suspected, found.subject[mine])
-        if np.isnan(limit):
-            of_time = intervals.UNKNOWN
-        rows.append({
-            "role": role, "n": len(np.unique(found.subject[mine])),
-            "evaluated": len(attacking.step) / int(mine.sum()), "evaluated_honest": _share(found.rated[is_honest]),
-            **intervals.columns(_auc(found, is_honest & found.rated, mine & found.rated), "auc"),
-            **intervals.columns(_auc(found, is_honest & has_trust, mine & has_trust), "auc_unevaluated"),
-            "threshold": limit,
-            **intervals.columns(intervals.of_units(attacking.trust < limit, attacking.subject), "true_positives"),
-            "false_positives": _share(honest < limit), **intervals.columns(of_time, "suspected"),
-        })  # fmt: skip
-    return rows
 
 
 def _auc(found: Scored, honest: Bool[ndarray, "n"], attacking: Bool[ndarray, "n"]) -> intervals.Estimate:

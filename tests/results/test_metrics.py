@@ -250,12 +250,6 @@ def test_message_reachability_by_hand(tiny):
     assert frame.time_s.to_dict() == pytest.approx({0: 0, 1: 0.1, 2: 1.2, 3: 2.1}, abs=1e-5)
     assert frame.n_messages.to_dict() == {0: 0, 1: 1, 2: 2, 3: 3}
     assert sorted(contact_graph.message_reachability(run, 0, 3.0).vehicle) == [0, 3]
-    assert sorted(contact_graph.reception_graph(run, 1, 3).edges) == [(1, 2), (2, 3)]
-
-
-def test_relays(run):
-    graph = contact_graph.reception_graph(run)
-    assert sum(n for _, _, n in graph.edges(data="n")) == len(run.receptions)
 
 
 def test_measure_is_tidy(run):

@@ -56,8 +56,6 @@ def test_classification_by_hand(town):
     (row,) = misbehaviour.classification(town).to_dict("records")
     assert row["threshold"] == pytest.approx(0.2) and (row["true_positives"], row["false_positives"]) == (1 / 5, 0)
     assert misbehaviour.separation(town).value == 5 / 6  # last values: 0.2, 0.4, 0.9 above 0.1, and 0.4, 0.9 above 0.3
-    late = misbehaviour.recall_over_time(town, 5.0, 0.15).set_index("time_s")
-    assert late.auc.to_dict() == pytest.approx({0: 1, 5: 14 / 20})  # above 0.3, 0.7, 0.1, 0.3: 4 + 1 + 5 + 4
 
 
 def test_curve_by_hand(town):
@@ -153,7 +151,7 @@ def test_none_rated(tiny):
 
 def test_an_attack_after_the_last_computation(tiny):
     run = tiny(20, vehicles=attacking(["honest", "malicious"], {1: 9}), trust=values({5: [0.5, 0.5]}))
-    for ask in (misbehaviour.classification, misbehaviour.recall_over_time, misbehaviour.roc):
+    for ask in (misbehaviour.classification, misbehaviour.roc):
         with pytest.raises(ValueError, match="no evaluations of attackers"):
             ask(run)
 

@@ -1,4 +1,5 @@
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -58,6 +59,14 @@ def test_what_is_no_set_is_refused_in_one_line(tmp_path):
         (tmp_path / MANIFEST).write_text(broken)
         with pytest.raises(ValueError, match="no evidence set, or it is damaged"):
             load(tmp_path)
+    (tmp_path / MANIFEST).write_text(json.dumps({**head, "rules": {**head["rules"], "n_steps": 10**9}}))
+    with pytest.raises(ValueError, match="a world of 1000000000 steps"):
+        load(tmp_path)
+    (tmp_path / MANIFEST).unlink()
+    os.mkfifo(tmp_path / MANIFEST)
+    with pytest.raises(ValueError, match="no regular file"):
+        load(tmp_path)
+    (tmp_path / MANIFEST).unlink()
     (tmp_path / MANIFEST).write_text(json.dumps({**head, "version": "9"}))
     with pytest.raises(ValueError, match="was altered"):
         load(tmp_path)

@@ -95,6 +95,7 @@ def test_the_model_of_the_page_is_scored_beside_stored_rows(folder):
         (["betta"], "no such choice"),
         (["beta", "--set", "tau=0.2"], "no effect"),
         (["beta", "--adapt", "--budget", "2"], "--budget 2"),
+        (["beta", "--budget", "2"], "--budget goes with --adapt"),
         (["--adapt"], "goes with a model"),
         (["beta", "--all"], "Leave beta out"),
         (["--make"], "is there already"),

@@ -25,6 +25,13 @@ def test_file_then_overrides(tmp_path):
     assert [e.radius_m for e in config.encounters] == [50, 250]
 
 
+def test_the_first_item_of_a_list_of_sections_can_be_set():
+    sets = ["roadside.0.junctions=3", "sensing_groups.0.share_p=0.5", "sensing_groups.0.interval_s=2"]
+    config = load(None, [*sets, "trust_variant.0.name=other", "trust_variant.0.freshness_s=5"])
+    assert config.roadside[0].junctions == 3 and config.sensing_groups[0].interval_s == 2
+    assert config.trust_variant[0].trust.freshness_s == 5
+
+
 def test_a_scenario_is_found_beside_the_file_that_names_it(tmp_path):
     (tmp_path / "city.sumocfg").touch()
     path = tmp_path / "mine.toml"

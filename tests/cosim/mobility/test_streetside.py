@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 import shapely
 
+from cosim.config.config import load
+from cosim.execution.check import check, remarks_on
 from cosim.mobility.scenario import find
 from cosim.mobility.streetside import PARKED, ParkedParams, Streetside, TreeParams
 from results.archive import open_run
 from sensors.scene import Scene
 from sumo_nets.streetside import Kerb
 from tests.drive import drive
+from tests.hostile.scenes import write_trace
 
 
 def street(n=100, length_m=616.0, parking=None) -> Streetside:
@@ -93,5 +96,19 @@ def test_a_run_with_parked_cars(tmp_path):
 def test_what_cannot_be():
     with pytest.raises(ValueError, match=r"trees.height_m = 2 m is not above trees.crown_base_m = 3 m"):
         TreeParams(height_m=2)
-    with pytest.raises(ValueError, match=r"parked.per_100_m: a trace without streets has no kerbs"):
+    with pytest.raises(ValueError, match=r"\[parked\]: a trace without streets has no kerbs"):
         Streetside.of(None, (0.0, 0.0), 1, "parked")
+
+
+@pytest.mark.parametrize("sets", [["parked.per_100_m=3"], ["trees.per_100_m=3"], ["trees.from_map=true"]])
+def test_the_check_of_a_config_refuses_what_has_no_place(tmp_path, sets):
+    words = [f"traffic.scenario={write_trace(tmp_path)}", *sets]
+    with pytest.raises(ValueError, match="a trace without streets has no kerbs"):
+        check(load(None, words))
+
+
+def test_a_map_without_trees_is_refused_or_said():
+    with pytest.raises(ValueError, match=r"trees.from_map = true: the polygon files of helsinki contain no trees"):
+        check(load(None, ["trees.from_map=true"]))
+    (note,) = remarks_on(load(None, ["trees.from_map=true", "trees.per_100_m=3"]), None)
+    assert note == "note: trees.from_map has no effect: the polygon files of helsinki contain no trees."

@@ -151,6 +151,10 @@ BAD = {
     "later": (["t.csv", "--from", "900"], "the trace goes from 0 to 9"),
     "backwards": (["t.csv", "--from", "9", "--to", "2"], "from a time to a later one"),
     "two of SUMO's": (["a.xml", "b.xml"], "one trace of SUMO's at a time"),
+    "repair of SUMO's": (["a.xml", "--repair"], "--repair: a.xml is a trace that SUMO wrote"),
+    "gap of SUMO's": (["a.xml", "--max-gap-s", "5"], "--max-gap-s: a.xml is a trace that SUMO wrote"),
+    "frames that are times": (["t.csv", "--frame-hz", "25"], "no frame numbers"),
+    "control characters": (["e.csv"], "columns \N{REPLACEMENT CHARACTER}[31mred)"),
     "no such attribute": (["a.xml"], "no angle of its vehicles"),
     "degrees of SUMO's": (["g.xml"], "look like degrees"),
     "a folder": (["."], "not a run"),
@@ -162,6 +166,7 @@ def test_misuse_ends_in_one_line_and_nothing_written(tmp_path, what):
     words, said = BAD[what]
     trace(tmp_path, [("a", t, t, 0) for t in range(10)])
     (tmp_path / "c.toml").write_text("[[encounters]]\n")
+    (tmp_path / "e.csv").write_text("\x1b[31mred\n")
     bare = "".join(f'<timestep time="{t}"><vehicle id="a" x="{t}" y="0"/></timestep>' for t in range(3))
     for name in ("a.xml", "b.xml"):
         (tmp_path / name).write_text(f"<fcd-export>{bare}</fcd-export>")

@@ -68,6 +68,8 @@ def test_interrupted_and_taken_up_again(folder, vehicles, tmp_path):
     [
         ("waymo", {}, "no such choice. There are kitti"),
         ("kitti", {"vehicles": "99999"}, "there was never such a vehicle"),
+        ("fcd", {"vehicles": "0"}, "fcd always has all vehicles"),
+        ("geoparquet", {"vehicles": "0"}, "geoparquet always has all vehicles"),
         ("kitti", {"vehicles": "../3"}, "numbers and spans"),
         ("kitti", {"vehicles": "5-3"}, "numbers and spans"),
         ("kitti", {"steps": "900-901"}, "no vehicle senses then"),

@@ -1,0 +1,83 @@
+"""A key without effect is said to have none, and nothing else is."""
+
+from dataclasses import fields
+
+import pytest
+
+from cosim.adversary.params import AttackParams
+from cosim.config.config import Config, load
+from cosim.config.effect import _OF_ATTACK, _OF_UNIT, NEEDS, without_effect
+from cosim.config.preset import names
+from cosim.mobility.roadside import RoadsideParams
+
+
+def said(*sets, is_replayed=False):
+    return without_effect(load(None, ["preset=modern", *sets]), is_replayed)
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_preset_has_no_key_in_vain(name):
+    assert without_effect(load(None, [f"preset={name}"]), True) == []
+
+
+@pytest.mark.parametrize(
+    ("sets", "line"),
+    [
+        (["parked.vans_p=0.5"], "parked.vans_p has no effect without parked.per_100_m above 0."),
+        (["trees.height_m=5"], "trees.height_m has no effect without trees.per_100_m or trees.from_map."),
+        (["weather.dirty_p=0.5"], "weather.dirty_p has no effect without weather.dirt."),
+        (["radio.nr.mcs=5"], 'radio.nr.mcs has no effect without radio.model = "nr_mode2".'),
+        (["radio.model=nr_mode2", "radio.dcc.period_s=0.2"],
+         'radio.dcc.period_s has no effect without radio.model = "csma".'),
+        (["tracking.model=none", "tracking.keep_s=9", "tracking.gate_p=0.9"],
+         'tracking.gate_p, tracking.keep_s have no effect without tracking.model = "constant_velocity".'),
+        (["preset=v0.2", "extrapolate=true"],
+         "extrapolate has no effect without vehicles that sense at different times."),
+        (["sensing=false", "trust.tau=0.3"], "trust.tau has no effect without sensing = true."),
+        (["attacks.0.active_p=0.3"], 'attacks.0.active_p has no effect without when = "sporadic".'),
+        (["roadside.0.at=[500,500]", "roadside.0.choose=random"],
+         "roadside.0.choose has no effect without junctions = N."),
+    ],
+)  # fmt: skip
+def test_keys_in_vain(sets, line):
+    assert said(*sets) == [line]
+
+
+def test_traffic_that_is_replayed_has_its_own_demand():
+    assert said("traffic.scale=2") == []
+    assert said("traffic.scale=2", is_replayed=True) == [
+        "traffic.scale has no effect without SUMO (traffic is replayed)."
+    ]
+
+
+@pytest.mark.parametrize(
+    "sets",
+    [
+        ["parked.per_100_m=3", "parked.vans_p=0.5"], ["radio.model=nr_mode2", "radio.nr.mcs=5"],
+        ["radio.model=lte_mode4", "radio.sidelink.reselect_after=2", "radio.lte.mcs=5"],
+        ["cpm.rules=etsi", "cpm.interval_s=0.5"],
+        ["attacks.0.when=on_off", "attacks.0.duty_p=0.2"], ["extrapolate=false"], ["trust.server_period_s=3"],
+        ["trust.host=local", "trust.local_evidence=own"], ["roadside.0.junctions=2", "roadside.0.choose=random"],
+    ],
+)  # fmt: skip
+def test_keys_with_an_effect(sets):
+    assert said(*sets) == []
+
+
+def test_the_table_names_keys_that_exist():
+    known = set(_names(Config, ""))
+    for keys, _, _ in NEEDS:
+        for key in keys:
+            assert any(name == key or (key.endswith("*") and name.startswith(key[:-1])) for name in known), key
+    for needs, of in ((_OF_ATTACK, AttackParams), (_OF_UNIT, RoadsideParams)):
+        assert {key for keys, _, _ in needs for key in keys} <= {f.name for f in fields(of)}
+
+
+def _names(of, prefix):
+    for f in fields(of):
+        yield prefix + f.name
+        inner = f.type if hasattr(f.type, "__dataclass_fields__") else None
+        if inner is None and f.name in ("attacks", "roadside", "sensing_groups"):
+            yield f"{prefix}{f.name}."
+        if inner is not None:
+            yield from _names(inner, f"{prefix}{f.name}.")
