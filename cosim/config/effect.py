@@ -76,10 +76,6 @@ NEEDS: tuple[tuple[tuple[str, ...], str, Callable[[Config], bool]], ...] = (
 """Keys, what they need, and whether a config has it. The first need that a config lacks is named."""
 
 
-def _is_drawn(attack: AttackParams) -> bool:
-    return not attack.ids and attack.together_with is None
-
-
 _OF_ATTACK: tuple[tuple[tuple[str, ...], str, Callable[[AttackParams], bool]], ...] = (
     (
         ("share_p",),
