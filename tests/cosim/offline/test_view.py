@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from cosim.offline.replay_lidar import film
-from cosim.offline.view import colours, first_look, follow, role_colours, view
+from cosim.offline.view import colours, first_look, follow, role_colours, strips, view
 from results.archive import open_run
 from tests.drive import cosim, drive
 
@@ -156,3 +156,14 @@ def test_a_run_is_followed_while_it_is_computed(tmp_path):
 def test_mistakes_of_following(folder, words, says):
     done = cosim("view", str(folder), *words)
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and says in done.stderr
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_strips_are_what_the_sdk_makes_of_a_list(d):
+    from rerun.components import LineStrip2DBatch, LineStrip3DBatch
+
+    points = np.random.default_rng(0).normal(size=(9, d))
+    batch = {2: LineStrip2DBatch, 3: LineStrip3DBatch}[d]
+    made = strips(points, [4, 0, 5])
+    assert batch(made).as_arrow_array() is made, "taken as it is"
+    assert made.equals(batch([points[:4], points[:0], points[4:]]).as_arrow_array())
