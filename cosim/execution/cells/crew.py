@@ -22,7 +22,7 @@ from cosim.execution.stop import Failed
 from cosim.step.mixed_perception import MixedPerception
 from cosim.step.perception import Perception
 
-_MOST_DEATHS = 3
+_MOST_DEATHS = 8
 """A worker that dies so many times over one request will not live through it."""
 _ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 """Of a worker; the processes are the threads."""
@@ -194,14 +194,19 @@ class Crew:
                     self._start_nursery()
                 assert self._control is not None
                 socket.send_fds(self._control, [b"w"], files)
+            except (EOFError, OSError):
+                channel.close()
+                self._stop_nursery()
+                continue
+            finally:  # before the wait: as long as this process holds the other end, it does not hear that it has ended
+                for fd in files:
+                    os.close(fd)
+            try:
                 channel.send(("pid", ()))
                 return channel, int(channel.receive().result)
             except (EOFError, OSError):
                 channel.close()
                 self._stop_nursery()
-            finally:
-                for fd in files:
-                    os.close(fd)
         raise CellLost("the workers of the cells cannot be started")
 
     def _start_nursery(self) -> None:

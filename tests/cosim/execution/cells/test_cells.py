@@ -126,7 +126,7 @@ def test_mistakes_of_workers_end_in_one_line():
         with pytest.raises(AttributeError, match="no attribute 'sing'"):
             crew.ask("sing", [()])
         assert crew.ask("pid", [()]) == crew.pids, "the worker lives on"
-        with pytest.raises(CellLost, match=r"cell 0 died 3 times over one request \(out of memory\?\)$"):
+        with pytest.raises(CellLost, match=r"cell 0 died 8 times over one request \(out of memory\?\)$"):
             crew.ask("perceive", [(None, np.zeros(0))])
 
 
