@@ -33,6 +33,7 @@ CALLS = {
     "bench": [],  # opens no folder of a run
     "benchmark": ["benchmark beta --evidence {run}"],
     "cache": [],
+    "cells": ["cells {run}", "cells {run} {run} --check {run}"],
     "check": ["check {run}/config.toml", "check {part}/config.toml --json"],
     "export": [
         "export veremi {run} --out {out}/veremi", "export kitti {run} --out {out}/kitti --vehicles 0 --steps 1-2",
@@ -49,6 +50,7 @@ CALLS = {
     "nets example": ["nets example {out}/kotka.osm.pbf"],
     "nets list": ["nets list {run} {study}"],
     "nets show": ["nets show {run}"],
+    "nets tile": ["nets tile {run} --trace {run} --tiles 2x1 --out {out}/tiled"],
     "new": [],  # it writes a file of its own
     "plot": [
         "plot trust {run}", "plot map {part}", "plot sweep {run} --vehicle 0 --step 2", "plot trust {study}",
