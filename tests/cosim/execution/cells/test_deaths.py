@@ -23,6 +23,11 @@ SHORT = ("preset=v0.2", "traffic.duration_s=150", "traffic.warmup_s=60", "record
 SHARED = Path("/dev/shm")
 
 
+def shared_now() -> set[Path]:
+    """Files in shared memory, without the semaphores of other programs' Python processes."""
+    return {path for path in SHARED.iterdir() if not path.name.startswith("sem.mp-")}
+
+
 class Run:
     """`cosim run` in cells; its processes carry a mark in their environment, by which they are found."""
 
@@ -68,7 +73,7 @@ class Run:
 
 def test_twenty_kills_at_random_times_change_no_table(tmp_path):
     """One dies some time after the last was replaced. Every fifth time, the process that forks workers dies too."""
-    rng, shared = random.Random(37), set(SHARED.iterdir())
+    rng, shared = random.Random(37), shared_now()
     run, n_kills = Run(tmp_path / "cells", *SHORT), 0
     there = run.begun()
     while n_kills < N_KILLS and run.process.poll() is None:
@@ -84,13 +89,13 @@ def test_twenty_kills_at_random_times_change_no_table(tmp_path):
     assert n_kills == N_KILLS, "the run ended before all kills"
     assert fingerprint(tmp_path / "cells") == fingerprint(simulate(tmp_path / "one", *SHORT))
     assert read_manifest(tmp_path / "cells")["cells"]["replaced"] >= N_KILLS / 2
-    assert not run.left() and set(SHARED.iterdir()) <= shared
+    assert not run.left() and shared_now() <= shared
 
 
 @pytest.mark.parametrize("signum", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("after_s", [0.0, 3.0], ids=["at the start", "in a step"])
 def test_nothing_is_left_of_a_run_that_ends(signum, after_s, tmp_path):
-    shared = set(SHARED.iterdir())
+    shared = shared_now()
     run = Run(tmp_path / "run", *SHORT, "traffic.duration_s=400")
     run.begun()
     time.sleep(after_s)
@@ -98,7 +103,7 @@ def test_nothing_is_left_of_a_run_that_ends(signum, after_s, tmp_path):
     _, said = run.process.communicate()
     assert run.process.returncode == (-9 if signum == signal.SIGKILL else 128 + signum), said
     assert signum == signal.SIGKILL or said.count("\n") == 1
-    assert not run.left() and set(SHARED.iterdir()) <= shared
+    assert not run.left() and shared_now() <= shared
 
 
 RAISES = """
