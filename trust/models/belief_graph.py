@@ -185,7 +185,7 @@ class BeliefGraph(Stepwise):
 
     Every vehicle has several roles, each honest or not: evaluator, sender of detections, and, with these kinds of
     evidence, sender of all that it sees, and of its velocity. An evaluator and a sender share an edge. Denials that
-    others contradict speak against the evaluator, denials that nobody contradicts against the sender, and a lone
+    others contradict speak against the evaluator, denials that no other contradicts against the sender, and a lone
     denial says little. A liar about honest vehicles contradicts many of them at once, and each of its victims is
     contradicted by few: the evaluator is what is wrong. Four properties concern the form of evaluations. A vehicle
     that confirms with its own detections and sends none withholds them. A vehicle that is certain of several
@@ -195,7 +195,7 @@ class BeliefGraph(Stepwise):
 
     It should stop false content (ghosts, replays, offsets), bad-mouthing, collusion, Sybil vehicles whose places
     others can see; with the further kinds of evidence also removal and false speeds. It cannot stop a colluding
-    majority among the vehicles that see each other, liars that nobody else checks, or accomplices that confirm true
+    majority among the vehicles that see each other, liars that no other checks, or accomplices that confirm true
     detections with values that a detector can give: such praise is true. An attacker that knows the checks of form
     can evade them.
 
