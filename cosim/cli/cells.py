@@ -53,8 +53,9 @@ def _measured(run: Path) -> Measured:
     from cosim.execution.cells.model import Measured
     from results.archive import read_manifest
 
+    manifest = read_manifest(run)
     try:
-        return Measured.of(read_manifest(run))
+        return Measured.of(manifest)
     except ValueError as error:
         raise ValueError(f"{run}: {error}") from None
 
