@@ -68,7 +68,7 @@ class WeatherParams:
     clear_range_m: Annotated[float, Gt(0), Le(10_000)] | None = None
     """Range at which a surface of reflectivity 0.1 falls to the noise floor in clear air [m], at least
     lidar.max_range_m. none: lidar.max_range_m."""
-    sun: tuple[Degrees, Annotated[float, Ge(0), Le(180)], Percentage] | None = None
+    sun: tuple[Degrees, Annotated[float, Gt(0), Le(180)], Percentage] | None = None
     """Glare: direction of the sun, counter-clockwise from east [deg]; half width of the sector around it in which
     returns are lost [deg]; probability that one is lost."""
     dirt: tuple[tuple[Degrees, Degrees, Percentage], ...] = ()

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from cosim.cli.console import AsJson, TrustCode, print_done, print_json, progress, screen
+from cosim.cli.console import AsJson, TrustCode, notes, print_done, print_json, progress, screen
 
 
 def add_to(app: typer.Typer) -> None:
@@ -37,6 +37,8 @@ def sweep(
     from cosim.studies import sweep as sweeping
 
     task = sweeping.prepare(study, out, not separate, trust_code)
+    for note in sweeping.keys_in_vain(task.points):
+        notes.print(note, soft_wrap=True)
     if dry_run:
         _print_plan(task, as_json)
         return

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import MISSING, fields
 from fnmatch import fnmatchcase
+from functools import cache
 from typing import Any
 
 from cosim.adversary.params import AttackParams
@@ -104,8 +105,7 @@ def without_effect(config: Config, is_replayed: bool) -> list[str]:
     A key counts as set if its value is neither that of the preset nor the default. `is_replayed` says whether the
     traffic is that of a trace.
     """
-    usual = [dict(_leaves(resolve_data(data, "", None).to_dict())) for data in ({"preset": config.preset}, {})]
-    usual.append(dict(_leaves(Config().to_dict())))
+    usual = _usual(config.preset)
     lists = ("attacks.", "roadside.", "encounters.", "trust_variant.", "objects.", "meshes.", "vehicle_meshes.")
     stated = [
         name for name, value in _leaves(config.to_dict())
@@ -123,6 +123,13 @@ def without_effect(config: Config, is_replayed: bool) -> list[str]:
             held = [(tuple(f"{section}.{number}.{key}" for key in keys), need, has(one)) for keys, need, has in needs]
             found += _vain([f"{section}.{number}.{name}" for name in of], held)
     return found
+
+
+@cache
+def _usual(preset: str) -> tuple[dict[str, Any], ...]:
+    """Keys and values of this preset, of the default preset, and of a config without one."""
+    made = (resolve_data({"preset": preset}, "", None), resolve_data({}, "", None), Config())
+    return tuple(dict(_leaves(config.to_dict())) for config in made)
 
 
 def _vain(stated: list[str], needs: list[tuple[tuple[str, ...], str, bool]]) -> list[str]:

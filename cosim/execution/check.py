@@ -137,10 +137,15 @@ def roadside_units(config: Config, scenario: Scenario) -> RoadsideUnits:
 def remarks_on(config: Config, path: Path | None) -> list[str]:
     """Notes on a config that was read from `path`: keys without effect, and inputs that have changed."""
     scenario = find(config.traffic.scenario, config.traffic.trace)
+    return keys_in_vain(config, scenario) + changed_since(path, config)
+
+
+def keys_in_vain(config: Config, scenario: Scenario) -> list[str]:
+    """Notes on keys that the config sets and that change nothing in its scenario."""
     lines = without_effect(config, scenario.trace is not None)
     if _lacks_trees(config, scenario):
         lines.append(f"trees.from_map has no effect: the polygon files of {scenario.name} contain no trees.")
-    return [f"note: {line}" for line in lines] + changed_since(path, config)
+    return [f"note: {line}" for line in lines]
 
 
 def changed_since(path: Path | None, config: Config) -> list[str]:

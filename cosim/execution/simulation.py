@@ -8,6 +8,7 @@ with Simulation({"traffic": {"duration_s": 20}}) as simulation:
 """
 
 import copy
+import logging
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -22,8 +23,9 @@ from cosim.config.config import Config, load, resolve_data, with_defaults
 from cosim.door.kinds import SECTIONS
 from cosim.execution import recording
 from cosim.execution import run as running
-from cosim.execution.check import check
+from cosim.execution.check import check, keys_in_vain
 from cosim.execution.drive import warm_up
+from cosim.mobility.scenario import Scenario
 from cosim.mobility.source import TrafficEnded, TrafficSource
 from cosim.step.cycle import step
 from cosim.step.mixed_perception import MixedImages
@@ -61,8 +63,9 @@ def run(config: AnyConfig = None, out: str | Path | None = None, **parts: type |
     ValueError
         In one line, if the config cannot run.
     """
-    folder = running.run(_resolved(config, parts), None if out is None else Path(out), lambda *_: None)
-    return open_run(folder)
+    resolved = _resolved(config, parts)
+    _warn(resolved, check(resolved))
+    return open_run(running.run(resolved, None if out is None else Path(out), lambda *_: None))
 
 
 class Simulation:
@@ -90,6 +93,7 @@ class Simulation:
     def __init__(self, config: AnyConfig = None, **parts: type | str) -> None:
         self.config = _resolved(config, parts)
         self._scenario = check(self.config)
+        _warn(self.config, self._scenario)
         self._parts: Parts | None = None
         self._traffic: TrafficSource | None = None
         self._state: State | None = None
@@ -321,6 +325,12 @@ def _resolved(config: AnyConfig, parts: Mapping[str, type | str]) -> Config:
     for section, name in named.items():
         data.setdefault(section, {})[SECTIONS[section].key] = name
     return resolve_data(data, "the config", None)
+
+
+def _warn(config: Config, scenario: Scenario) -> None:
+    """Log keys that the config sets and that change nothing."""
+    for note in keys_in_vain(config, scenario):
+        logging.getLogger(__name__).warning(note)
 
 
 def _name_of(section: str, part: type | str) -> str:

@@ -2,13 +2,17 @@
 
 import json
 import statistics
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 
 import numba
 
 from cosim.door.permission import is_of_a_folder, loading_code
+from cosim.execution import check as checking
+from cosim.mobility.scenario import find
 from cosim.studies.engine import Work, connected, execute
 from cosim.studies.estimate import Estimate, estimate
 from cosim.studies.folder import Attempt, StudyFolder, write_whole
@@ -78,6 +82,17 @@ def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Ta
     return Task(
         study, folder, points, made, len(there), cache, estimate(missing, made, cache.names("traffic"), typical_s)
     )
+
+
+def keys_in_vain(points: Sequence[Point]) -> list[str]:
+    """Notes on keys that change nothing, with the number of points if this is so in some of them only."""
+    scenario = cache(find)
+    found = Counter(
+        note
+        for config in (point.config for point in points)
+        for note in checking.keys_in_vain(config, scenario(config.traffic.scenario, config.traffic.trace))
+    )
+    return [note if n == len(points) else f"{note[:-1]}, in {n} of {len(points)} points." for note, n in found.items()]
 
 
 def separate(points: Sequence[Point]) -> Plan:

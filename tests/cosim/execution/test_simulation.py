@@ -98,6 +98,11 @@ def test_mistakes(parts, message):
         Simulation(None, **parts)
 
 
+def test_keys_without_effect_are_named(caplog):
+    Simulation({"parked": {"vans_p": 0.5}})
+    assert "parked.vans_p has no effect without parked.per_100_m above 0." in caplog.text
+
+
 def test_one_enters_before_one_iterates():
     with pytest.raises(RuntimeError, match="entered before"):
         next(Simulation(load()))

@@ -87,6 +87,17 @@ def test_finished_points_are_skipped(swept):
     assert (plan["points"], plan["finished"], plan["runs"]) == (12, 8, 4)
 
 
+def test_keys_without_effect_are_named(swept):
+    """The parked vans in all points, the server's period in those whose trust is local."""
+    study = STUDY.replace("[base]", "[base]\nparked.vans_p = 0.5\ntrust.server_period_s = 7")
+    (swept / "vain.toml").write_text(study)
+    done = cosim(swept, "sweep", "vain.toml", "--out", "vain", "--dry-run", "--json")
+    assert done.stderr.splitlines() == [
+        "note: parked.vans_p has no effect without parked.per_100_m above 0.",
+        'note: trust.server_period_s has no effect without trust.host = "central", in 4 of 8 points.',
+    ]
+
+
 @pytest.mark.verify
 @pytest.mark.filterwarnings("ignore")
 def test_described_for_search_engines_and_archives(swept, tmp_path):
