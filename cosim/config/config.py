@@ -180,6 +180,11 @@ class Config:
                 f'attacks.{jammers[0]}.attack = "jamming" has no effect with radio.model = "unit_disk", which does not '
                 'model interference. Set radio.model = "csma", "nr_mode2" or "lte_mode4".'
             )
+        if self.radio.relay.min_trust and self.radio.relay.max_hops > 1 and self.trust.host == "none":
+            raise ValueError(
+                f'radio.relay.min_trust = {self.radio.relay.min_trust:g}, but trust.host = "none": nobody has trust in '
+                'anyone. Set trust.host = "central" or "local", or radio.relay.min_trust = 0.'
+            )
         check_evidence(self)
         check_server(
             self.pseudonyms, self.attacks, [t.host for t in (self.trust, *(v.trust for v in self.trust_variant))]

@@ -62,7 +62,7 @@ class CsmaMedium:
             cache = self.links(stations)
         links = jammed(cache.links, stations, self.params)
         plan = self._plan(len(RoundKind) * step + kind, begin_s, stations, messages, state.n_frames)
-        forwarding = self._forwarding(plan, stations)
+        forwarding = self._forwarding(plan, stations, messages.refused)
         before = state
         if state.channel.now_ns < plan.begin_ns:
             before = self._idle(state, links, plan.begin_ns)
@@ -101,7 +101,9 @@ class CsmaMedium:
             first_tag=n_frames,
         )
 
-    def _forwarding(self, plan: "_RoundPlan", stations: Stations) -> Forwarding | None:
+    def _forwarding(
+        self, plan: "_RoundPlan", stations: Stations, refused: Int[ndarray, "p"] | None
+    ) -> Forwarding | None:
         """Forwarding in this round; None where every message has one hop."""
         relay = self.params.relay
         if relay.max_hops <= 1:
@@ -121,7 +123,7 @@ class CsmaMedium:
             first_tag=plan.first_tag,
             rng_key=rng.key(self.seed, rng.Stream.RELAY, plan.number),
         )
-        return Forwarding.of(rules, plan.units, stations.key, stations.xyz_m[:, :2])
+        return Forwarding.of(rules, plan.units, stations.key, stations.xyz_m[:, :2], refused)
 
     def _transmit(
         self, state: ChannelContext, plan: "_RoundPlan", links: Links, stations: Stations, forwarding: Forwarding | None

@@ -1,9 +1,9 @@
 """Contention-based forwarding inside the event loop.
 
 A unit is the content of one frame: a message or a segment of it. A copy is a unit at a station other than its source.
-A station that receives a unit for the first time starts a timer. If it receives a second copy before the timer expires,
-it cancels the timer. Otherwise it puts the unit into its own queue as a new frame. Computing time and memory grow with
-the number of frames and copies. They do not depend on the length of windows.
+A station that receives a unit for the first time starts a timer, unless it refuses the message. If it receives a
+second copy before the timer expires, it cancels the timer. Otherwise it puts the unit into its own queue as a new
+frame. Computing time and memory grow with the number of frames and copies. They do not depend on the length of windows.
 
 References
 ----------
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt64
+from jaxtyping import Float, Int, UInt64
 from numpy import ndarray
 
 from cosim.radio.dtypes import NONE, WAITING
@@ -65,6 +65,7 @@ class ForwardingState(NamedTuple):
     copies: ndarray
     slot: ndarray  # open addressing: rows of `copies` by (unit, station), at most half full
     used: ndarray  # frames and copies so far
+    refused: ndarray  # `Messages.refused`
 
 
 @dataclass(slots=True)
@@ -75,8 +76,9 @@ class Forwarding:
 
     @staticmethod
     def of(
-        rules: ForwardingRules, units: ndarray, key: UInt64[ndarray, "n"], xy_m: Float[ndarray, "n 2"]
-    ) -> "Forwarding":
+        rules: ForwardingRules, units: ndarray, key: UInt64[ndarray, "n"], xy_m: Float[ndarray, "n 2"],
+        refused: Int[ndarray, "p"] | None = None,
+    ) -> "Forwarding":  # fmt: skip
         """The beginning of a round: frame u is the frame in which the source sends unit u.
 
         Parameters
@@ -85,12 +87,14 @@ class Forwarding:
             Records of `UNIT`.
         key, xy_m
             Keys and horizontal positions of all stations.
+        refused
+            As `Messages.refused`.
         """
         n = len(units)
         copies = np.zeros(N_COPIES * n + 1, COPY)
         return Forwarding(ForwardingState(
             rules, np.ascontiguousarray(xy_m), np.ascontiguousarray(key), units, grown(own_frames(units), n + 1),
-            copies, _empty_slots(len(copies)), np.array([n, 0]),
+            copies, _empty_slots(len(copies)), np.array([n, 0]), np.zeros(0, np.int64) if refused is None else refused,
         ))  # fmt: skip
 
     def grow(self, n_receivers: int) -> None:
@@ -164,6 +168,18 @@ def schedule_timers(p, times, codes, n):
 
 
 @kernel
+def _is_refused(refused, code):
+    low, high = 0, len(refused)
+    while low < high:
+        middle = (low + high) >> 1
+        if refused[middle] < code:
+            low = middle + 1
+        else:
+            high = middle
+    return low < len(refused) and refused[low] == code
+
+
+@kernel
 def on_receive(p, frame, to, t, times, codes, n):
     """A station receives a frame: a first copy may start a timer, a second copy cancels it."""
     rules, u = p.rules, p.units[frame.unit]
@@ -185,6 +201,7 @@ def on_receive(p, frame, to, t, times, codes, n):
     if (
         frame.hop >= rules.max_hops
         or away_x * away_x + away_y * away_y > rules.forward_range_m * rules.forward_range_m
+        or _is_refused(p.refused, np.int64(u.message) << 32 | to)
     ):  # fmt: skip
         return n
     share = min(np.sqrt(square) / rules.timer_distance_m, 1.0)

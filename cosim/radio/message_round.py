@@ -94,6 +94,9 @@ class Messages:
     """Added to the time of generation [s]. A message that is too late for the round is not sent or not received."""
     envelope_bytes: Int[ndarray, "m"] | None = None
     """What every segment of a long message repeats. None: `segmentation.ENVELOPE_BYTES`."""
+    refused: Int[ndarray, "p"] | None = None
+    """Messages that stations receive and do not forward: row of the message << 32 | row of the station, ascending.
+    None: there are none."""
 
     def __post_init__(self) -> None:
         assert (np.diff(self.station) >= 0).all() and (self.length_bytes >= 0).all()

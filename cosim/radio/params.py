@@ -47,6 +47,9 @@ class RelayParams:
     `unit_disk` all forward). `probability`: each station forwards with probability `forward_p`."""
     forward_p: Annotated[float, Ge(0), Le(1)] = 0.5
     """With `probability`: probability that a station forwards a message."""
+    min_trust: Annotated[float, Ge(0), Le(1)] = 0.0
+    """A vehicle forwards a message only if its trust in the sender is at least this, as it knew it when the step
+    began. An unknown sender has `trust.default_trust`. With 0 trust has no effect on forwarding."""
     timer_min_s: Annotated[float, Gt(0), Le(10)] = 0.001
     """Contention timer at `timer_distance_m` from the previous hop, and beyond [s]."""
     timer_max_s: Annotated[float, Gt(0), Le(10)] = 0.1

@@ -44,8 +44,8 @@ class UnitDiskMedium:
         """One round of messages, all generated at its beginning, over at most `relay.max_hops` hops.
 
         Each hop of each message is lost at each receiver with a draw of its own. A station that already has a message
-        ignores copies. A station that receives a message for the first time forwards it, if hops remain and if the
-        message's sender is within the forwarding range.
+        ignores copies. A station that receives a message for the first time forwards it, if hops remain, if the
+        message's sender is within the forwarding range, and if it does not refuse it.
         """
         p, relay, disk = self.params, self.params.relay, self.params.unit_disk
         rng_key = rng.key(self.seed, (rng.Stream.RADIO_DETECTIONS, rng.Stream.RADIO_EVALUATIONS)[kind], step)
@@ -65,6 +65,8 @@ class UnitDiskMedium:
                 if relay.rule == "probability":
                     draw_key = rng.keys(rng_key, np.array([rng.Stream.RELAY]))[0]
                     forwards &= rng.uniforms(draw_key, message_key[message], key[transmitter])[:, 0] < relay.forward_p
+                if messages.refused is not None:
+                    forwards &= ~np.isin(message << 32 | transmitter, messages.refused)
                 message, transmitter, age_s = message[forwards], transmitter[forwards], age_s[forwards]
                 n_relayed += len(message)
             n_transmissions += np.bincount(message, minlength=n_messages)

@@ -103,6 +103,8 @@ def _cycle(
         stations = stations_of(world, vehicles.row, parts.rsus, c.radio.antenna_above_roof_m)
         exchange = Exchange.of(world, now, vehicles, senders, stations, attacks)
         cpm, listed = stages.list_objects(exchange, positioned, acceleration_mps2, s.cpm, s.medium, parts)
+    with watch("trust"):
+        exchange = trust_stages.control_relays(trust, s.known_senders, exchange, pseudonyms, parts)
     with watch("radio"):
         medium = s.medium if precomputed.with_links is None else precomputed.with_links(s.medium)
         medium, cpms = stages.broadcast_detections(exchange, listed, s.piggybacked, medium, parts)

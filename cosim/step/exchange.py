@@ -148,6 +148,8 @@ class Exchange:
     """Attacks that are carried out in this step."""
     sending: Sending | None
     """Which vehicles delay, copy, flood or jam, by row of `vehicles`; None if no vehicle does."""
+    refused: tuple[Int[ndarray, "p"], Int[ndarray, "p"]] | None = None
+    """Rows of `senders` and of `vehicles`: messages that a vehicle does not forward. None without relay control."""
 
     @staticmethod
     def of(
@@ -239,6 +241,16 @@ class OnAir:
         return OnAir(
             Messages(station[row], length[row], delay_s[row], envelope if envelope is None else envelope[row]), row
         )
+
+    def without(self, refused: tuple[Int[ndarray, "p"], Int[ndarray, "p"]] | None) -> "OnAir":
+        """The same frames, without the forwarding that vehicles refuse, as in `Exchange.refused`."""
+        if refused is None:
+            return self
+        order = np.argsort(self.message, kind="stable")
+        begin, end = (np.searchsorted(self.message[order], refused[0], side) for side in ("left", "right"))
+        at, which = expand(begin, end)
+        pairs = np.sort(order[at] << 32 | refused[1][which])
+        return replace(self, messages=replace(self.messages, refused=pairs))
 
     def links(self, found: MessageRound, n_vehicles: int) -> LinkReceptions:
         """Receptions by kind of link, with messages as rows of `Senders`. The first copy to arrive counts."""

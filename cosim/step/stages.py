@@ -343,7 +343,8 @@ def _broadcast(
     exchange: Exchange, kind: RoundKind, on_air: OnAir, begin_s: float, length_bytes: Int[ndarray, "m"],
     medium: object, parts: Parts,
 ) -> tuple[object, Broadcast]:  # fmt: skip
-    medium, found = parts.medium.broadcast(medium, kind, exchange.now.step, begin_s, exchange.stations, on_air.messages)
+    messages = on_air.without(exchange.refused).messages
+    medium, found = parts.medium.broadcast(medium, kind, exchange.now.step, begin_s, exchange.stations, messages)
     links = on_air.links(found, len(exchange.vehicles))
     return medium, Broadcast(found, links, _accepted(links, exchange.senders), length_bytes)
 

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.radio.link_budget import neighbours
 from cosim.radio.message_round import LinkReceptions, Receptions
-from cosim.ragged import ptr_of
+from cosim.ragged import expand, ptr_of
 from cosim.step.exchange import Exchange, Times, Vehicles, distinct
 from cosim.step.known import Known, Uses
 from cosim.step.parts import Parts
@@ -108,6 +109,45 @@ def receive_from_rsus(
     )
     acting = parts.trust.host_of[0]
     return trust, [by_rsus if host == acting else found for host, found in enumerate(informed)]
+
+
+def control_relays(
+    trust: TrustState, known_senders: KnownSenders, exchange: Exchange, pseudonyms: PseudonymState, parts: Parts
+) -> Exchange:
+    """The exchange with the messages that vehicles will not forward: those of senders whom they trust too little.
+
+    A vehicle uses the trust that it has when the step begins. Vehicles that attack forward everything, and so do
+    roadside units without a sensor, which hold no trust.
+    """
+    relay, vehicles, senders = parts.config.radio.relay, exchange.vehicles, exchange.senders
+    if relay.min_trust == 0 or relay.max_hops == 1:
+        return exchange
+    reach_m = min(relay.forward_range_m, (relay.max_hops - 1) * parts.config.radio.range_m) + 1.0  # a little too far
+    source, near, _ = neighbours(exchange.stations.xyz_m[: len(vehicles), :2], reach_m)
+    ptr = ptr_of(source, len(vehicles))
+    at, message = expand(ptr[senders.vehicle], ptr[senders.vehicle + 1])
+    station, begin_s = near[at], exchange.now.begin_s
+    holder, asked = vehicles.actor[station], senders.pseudonym
+    found = _trust_in(trust, holder, asked, message, begin_s, exchange, pseudonyms, parts)
+    if parts.config.pseudonyms.linkage == "own":
+        _, found = _of_old_pseudonyms(trust, known_senders, holder, asked[message], begin_s, found, parts)
+    refuses = found[parts.trust.host_of[0]].trust < relay.min_trust
+    refuses &= ~exchange.attacks.malicious(len(exchange.world))[vehicles.row[station]]
+    return replace(exchange, refused=(message[refuses], station[refuses]))
+
+
+def _trust_in(
+    trust: TrustState, holder: Int[ndarray, "n"], pseudonym: Int[ndarray, "m"], message: Int[ndarray, "n"],
+    time_s: float, exchange: Exchange, pseudonyms: PseudonymState, parts: Parts,
+) -> list[Lookups]:  # fmt: skip
+    """For each host, the trust of vehicles (actor numbers) in the senders of messages at `time_s`."""
+    subject = parts.linkage.subjects(pseudonyms, pseudonym)[message]
+    found = parts.trust.lookup(trust, holder, subject, time_s)
+    if len(parts.certified):
+        units = exchange.vehicles.pseudonym[np.isin(exchange.vehicles.name_key, parts.certified)]
+        is_unit = np.isin(pseudonym[message], units)
+        found = [replace(of_host, trust=np.where(is_unit, 1.0, of_host.trust)) for of_host in found]
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,21 +304,18 @@ def look_up(
     parts
         Components of the run.
     """
-    now = exchange.now
+    now, holder, asked = exchange.now, exchange.sensing.actor[used.receiver], messages.pseudonym
     trust = parts.trust.receive(trust, exchange.vehicles.actor, now.fused_s)
-    subject = parts.linkage.subjects(pseudonyms, messages.pseudonym)[used.message]
-    found = parts.trust.lookup(trust, exchange.sensing.actor[used.receiver], subject, now.fused_s)
-    if len(parts.certified):
-        units = exchange.vehicles.pseudonym[np.isin(exchange.vehicles.name_key, parts.certified)]
-        is_unit = np.isin(messages.pseudonym[used.message], units)
-        found = [replace(of_host, trust=np.where(is_unit, 1.0, of_host.trust)) for of_host in found]
+    found = _trust_in(trust, holder, asked, used.message, now.fused_s, exchange, pseudonyms, parts)
     if parts.config.pseudonyms.linkage == "own":
         received = _received_senders(exchange, listed, cpms.accepted.vehicles)
         known_senders = update_senders(
             known_senders, received, now.begin_s,
             lambda pseudonym: parts.pseudonyms.owners(pseudonyms, pseudonym)[0], parts.config.pseudonyms,
         )  # fmt: skip
-        known_senders, found = _of_old_pseudonyms(trust, known_senders, exchange, messages, used, found, parts)
+        known_senders, found = _of_old_pseudonyms(
+            trust, known_senders, holder, asked[used.message], now.fused_s, found, parts
+        )
     return trust, known_senders, LookedUp(used, parts.trust.per_variant(found))
 
 
@@ -300,14 +337,13 @@ def _received_senders(exchange: Exchange, listed: Listed, received: Receptions) 
 
 
 def _of_old_pseudonyms(
-    trust: TrustState, known: KnownSenders, exchange: Exchange, messages: Known, used: Uses, found: list[Lookups],
-    parts: Parts,
+    trust: TrustState, known: KnownSenders, holder: Int[ndarray, "n"], asked: Int[ndarray, "n"], time_s: float,
+    found: list[Lookups], parts: Parts,
 ) -> tuple[KnownSenders, list[Lookups]]:  # fmt: skip
     """Look-ups of receivers that link pseudonyms themselves.
 
     If a receiver has no trust value for the new pseudonym, it uses that of the old one.
     """
-    holder, asked = exchange.sensing.actor[used.receiver], messages.pseudonym[used.message]
     old = np.full(len(asked), -1)
     if len(known.receiver):
         at = np.minimum(known.rows_of(holder, asked), len(known.receiver) - 1)
@@ -319,7 +355,7 @@ def _of_old_pseudonyms(
     for host, one in enumerate(found):
         rows = np.flatnonzero((one.source == TrustSource.DEFAULT) & (old >= 0))
         if len(rows):
-            of_old = parts.trust.lookup(trust, holder[rows], old[rows], exchange.now.fused_s)[host]
+            of_old = parts.trust.lookup(trust, holder[rows], old[rows], time_s)[host]
             one = fallen_back(one, rows, of_old)
         results.append(one)
     return known, results

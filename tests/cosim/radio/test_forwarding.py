@@ -1,6 +1,7 @@
 """Forwarding inside the event loop against a slow literal twin that stops the channel at every timer."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -112,6 +113,8 @@ def literal(stations, messages, medium, state, i):
                         timers.pop((u, to), None)
                     continue
                 copies[u, to] = hop, int(out.end_ns[p])
+                if messages.refused is not None and (source << 32) + to in messages.refused:
+                    continue
                 if hop == relay.max_hops or np.hypot(*(xyz[to] - xyz[source])[:2]) > relay.forward_range_m:
                     continue
                 share = min(apart / relay.timer_distance_m, 1.0)
@@ -142,14 +145,18 @@ def literal(stations, messages, medium, state, i):
     }, n_relayed, n_duplicate, attempts  # fmt: skip
 
 
+@pytest.mark.parametrize("refused_p", [None, 0.4])
 @pytest.mark.parametrize("relay", [
     RelayParams(max_hops=3, timer_distance_m=200.0),
     RelayParams(max_hops=2, rule="probability", forward_p=0.4),
 ], ids=lambda p: p.rule)  # fmt: skip
-def test_forwarding_equals_the_literal_twin(relay):
+def test_forwarding_equals_the_literal_twin(relay, refused_p):
     """Two rounds of messages of one and of two segments: hops, times to the nanosecond, copies, outcomes of frames."""
     stations = town(45, 700.0)
     messages = Messages.one_each(np.where(np.arange(45) % 3 == 0, 1900, 400))
+    if refused_p is not None:
+        message, station = np.nonzero(np.random.default_rng(1).random((45, 45)) < refused_p)
+        messages = replace(messages, refused=message << 32 | station)
     medium = medium_of(relay)
     state = medium.start()
     for i in range(2):

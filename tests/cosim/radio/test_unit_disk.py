@@ -68,6 +68,18 @@ def test_forwarding_stops_beyond_its_range():
     assert found.receiver.tolist() == [1, 2, 3]  # the one 300 m away receives, and does not forward
 
 
+def test_who_refuses_a_message_receives_it_and_does_not_forward_it():
+    """On the line, 3 refuses the message of 0 and forwards that of 1."""
+    xy = np.stack([np.arange(10) * 100.0, np.zeros(10)], axis=1)
+    messages = Messages(np.array([0, 1]), np.array([300, 300]), refused=np.array([(0 << 32) + 3, (1 << 32) + 9]))
+    found, _ = send(
+        xy, np.arange(10, dtype=np.uint64), messages=messages,
+        range_m=150.0, loss_p=0.0, max_hops=4, forward_range_m=1e4,
+    )  # fmt: skip
+    assert found.receiver[found.message == 0].tolist() == [1, 2, 3]
+    assert found.receiver[found.message == 1].tolist() == [0, 2, 3, 4, 5]
+
+
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 1000), hops=st.integers(1, 3))
 def test_laws(seed, hops):

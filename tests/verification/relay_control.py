@@ -1,0 +1,92 @@
+"""What relay control (`radio.relay.min_trust`) does to the messages of liars and of honest vehicles.
+
+`python -m tests.verification.relay_control FOLDER [SEED ...]` simulates the runs of these seeds that FOLDER lacks, and
+prints the table of all seeds there. Central Helsinki, 60 s, 30 % of the vehicles equipped, a fifth of them attack from
+second 10 on, three hops. Counted from second 20 on: receptions over more than one hop, frames on the air, busy ratio,
+and the seconds for which ghosts are believed. A column with control is compared with none within each seed (same
+traffic, same vehicles, same attackers): ratio of the sums, with the smallest and largest ratio of a seed.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from results.archive import open_run
+
+ATTACKS = ("ghost_insertion", "bad_mouthing")
+CONTROLS = {"none": ("trupercept", 0.0), "trupercept": ("trupercept", 0.25), "belief_graph": ("belief_graph", 0.48)}
+"""Trust model and `radio.relay.min_trust`. Without control, the run carries `belief_graph` as a variant."""
+FROM_S = 20.0
+
+
+def simulate(folder: Path, seed: int) -> None:
+    """The runs of a seed that are not in `folder`."""
+    for attack in ATTACKS:
+        for name, (model, min_trust) in CONTROLS.items():
+            out = folder / f"{attack}-{name}-{seed}"
+            if out.exists():
+                continue
+            keys = {
+                "seed": seed, "traffic.seed": seed, "traffic.duration_s": 60, "fleet.penetration_p": 0.3,
+                "radio.relay.max_hops": 3, "radio.relay.min_trust": min_trust, "trust.model": model,
+                "attacks": f'[{{attack="{attack}", share_p=0.2, start_s=10}}]', "record.level": "full",
+                "compute.threads": 1,
+            }  # fmt: skip
+            if name == "none":
+                keys["trust_variant"] = '[{name="belief_graph", model="belief_graph"}]'
+            sets = [word for key, value in keys.items() for word in ("--set", f"{key}={value}")]
+            subprocess.run([sys.executable, "-m", "cosim", "run", *sets, "--out", str(out)], check=True)
+
+
+def counts(path: Path, variant: str = "base") -> dict[str, float]:
+    """What one run counts from `FROM_S` on; damage is that of a variant."""
+    run = open_run(path)
+    since = int(np.ceil(FROM_S / run.dt_s))
+    got = run.table("receptions", ["step", "sender", "hops"])
+    got = got[got.step >= since]
+    role, far = got.sender.map(run.subjects.role), got.hops > 1
+    radio = run.table("radio")
+    radio = radio[radio.step >= since]
+    found = run.table("attack_outcomes")
+    found = found[(found.variant == variant) & (found.step >= since) & (found.effect == "inserted")]
+    honest = found.receiver.map(run.table("vehicles").set_index("actor").role) == "honest"
+    return {
+        "liars, beyond one hop": int((far & (role == "malicious")).sum()),
+        "honest, beyond one hop": int((far & (role == "honest")).sum()),
+        "liars, all": int((role == "malicious").sum()),
+        "honest, all": int((role == "honest").sum()),
+        "frames": int(radio.n_sent.sum()),
+        "busy ratio": float(radio.cbr.mean()),
+        "believed ghosts [s]": float((found.score[honest] >= 0.5).sum() * run.config["sensing_interval_s"]),
+    }
+
+
+def table(folder: Path) -> pd.DataFrame:
+    """A row per attack, control and measure: without and with control, and the ratio with its range over seeds."""
+    rows = []
+    for attack in ATTACKS:
+        seeds = sorted(int(path.name.rsplit("-", 1)[1]) for path in folder.glob(f"{attack}-belief_graph-*"))
+        for name in tuple(CONTROLS)[1:]:
+            variant = "base" if name == "trupercept" else name
+            without = pd.DataFrame([counts(folder / f"{attack}-none-{seed}", variant) for seed in seeds])
+            controlled = pd.DataFrame([counts(folder / f"{attack}-{name}-{seed}") for seed in seeds])
+            with np.errstate(invalid="ignore", divide="ignore"):
+                ratios = controlled / without
+            for measure in without:
+                rows.append({
+                    "attack": attack, "by": name, "measure": measure, "seeds": len(seeds),
+                    "without": without[measure].mean(), "with": controlled[measure].mean(),
+                    "ratio": controlled[measure].sum() / max(without[measure].sum(), 1e-12),
+                    "low": ratios[measure].min(), "high": ratios[measure].max(),
+                })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+if __name__ == "__main__":
+    for number in sys.argv[2:]:
+        simulate(Path(sys.argv[1]), int(number))
+    with pd.option_context("display.width", 200, "display.max_rows", None):
+        print(table(Path(sys.argv[1])).round(3).to_string(index=False))
