@@ -25,7 +25,7 @@ from cosim.execution.check import check
 from cosim.execution.drive import warm_up
 from cosim.step.cycle import step
 from cosim.step.parts import Parts
-from cosim.step.perception import BoxAnswers, BoxQuestions, Observed, Perceives
+from cosim.step.perception import BoxAnswers, BoxQuestions, Observed, Perception
 from cosim.step.result import Sensed
 from cosim.step.state import State
 from cosim.step.stopwatch import Stopwatch
@@ -103,7 +103,7 @@ class _Harmless:
 class _Shared:
     """Perception that all cases of a world share: the last step's result is kept."""
 
-    behind: Perceives
+    behind: Perception
     _step: int = -1
     _found: Observed | None = None
 
@@ -114,13 +114,13 @@ class _Shared:
         return self._found
 
     def answers(self, sweeps: RangeImages, asked: BoxQuestions) -> BoxAnswers:
-        """As in `Perceives`."""
+        """As in `AsksSweeps`."""
         return self.behind.answers(sweeps, asked)
 
     def in_area(
         self, sweeps: RangeImages, o: ndarray, boxes: Boxes, area: AreaParams, b: ndarray, label: ndarray, own: Boxes
     ) -> ndarray:
-        """As in `Perceives`."""
+        """As in `AsksSweeps`."""
         return self.behind.in_area(sweeps, o, boxes, area, b, label, own)
 
 
@@ -231,6 +231,7 @@ def simulated(configs: Sequence[Config], label: str, advance: Advance) -> list[C
     config = configs[0]
     scenario, n_steps = check(config), round(config.traffic.duration_s / config.traffic.step_s)
     base, _, traffic = running.load_parts(config, scenario)
+    assert isinstance(base.perception, Perception)
     shared = _Shared(base.perception)
     harmless: Any = (_Harmless(),)  # an attack may leave any hook out
     parts = [replace(base, adversary=replace(base.adversary, attacks=harmless))]

@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.ragged import expand, stable_order
+from cosim.step.comparing import Compared
 from cosim.step.exchange import Exchange
 from cosim.step.ground_truth import GroundTruth
 from cosim.step.known import Known
-from cosim.step.stages import Matched
 from cosim.v2x.messages import FABRICATED, Detections
 from cosim.world import World
 from results.codes import AttackEffect
@@ -49,7 +49,7 @@ class Removed:
 
 
 def attack_outcomes(
-    exchange: Exchange, believed: World, messages: Known, matched: Matched, fused: Sequence[Fused | None]
+    exchange: Exchange, believed: World, messages: Known, compared: Compared, fused: Sequence[Fused | None]
 ) -> list[Rows]:
     """Rows of the table `attack_outcomes`.
 
@@ -61,8 +61,8 @@ def attack_outcomes(
         The world with vehicles at their estimated positions.
     messages
         The detections that vehicles know.
-    matched
-        Result of the matching.
+    compared
+        What vehicles found about these.
     fused
         Fused objects per trust variant; None for a variant that does not fuse.
 
@@ -71,7 +71,7 @@ def attack_outcomes(
     Columns of the table, one item per trust variant that fuses; empty if no attack reached a vehicle.
     """
     vehicles, objects, truth, n = exchange.sensing, messages.objects, messages.truth, len(believed)
-    inserted, removed = _inserted(exchange, messages, matched), _removed(exchange, messages)
+    inserted, removed = _inserted(exchange, messages, compared), _removed(exchange, messages)
     detection = np.concatenate([inserted.detection, removed.detection])
     receiver = np.concatenate([inserted.receiver, removed.receiver])
     if not len(detection):
@@ -122,13 +122,10 @@ def _scores_of_removed(
     return _best(key, fused.score[real], removed.receiver * n + truth.actor_row[removed.detection])
 
 
-def _inserted(exchange: Exchange, messages: Known, matched: Matched) -> Inserted:
-    known, message = matched.known, messages.detections.message
-    at = np.flatnonzero((messages.objects.origin == FABRICATED)[known.member])
-    of_list = known.of(at)
-    foreign = messages.vehicle[message[known.member[at]]] != exchange.vehicles.senses[of_list]
-    at, of_list = at[foreign], of_list[foreign]
-    return Inserted(known.member[at], of_list, known.member[matched.groups.seed[at]])
+def _inserted(exchange: Exchange, messages: Known, compared: Compared) -> Inserted:
+    receiver, detection, seed = compared.traced
+    foreign = messages.vehicle[messages.detections.message[detection]] != exchange.vehicles.senses[receiver]
+    return Inserted(detection[foreign], receiver[foreign], seed[foreign])
 
 
 def _removed(exchange: Exchange, messages: Known) -> Removed:

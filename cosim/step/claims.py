@@ -11,10 +11,11 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.ragged import expand, ptr_of
+from cosim.step.comparing import Compared
 from cosim.step.exchange import Exchange
 from cosim.step.known import Known
 from cosim.step.parts import Parts
-from cosim.step.stages import Claims, Matched, Positioned
+from cosim.step.stages import Claims, Positioned
 from cosim.v2x.messages import SENSED, velocities
 from sensors.coverage import at_place
 from sensors.neighbours import Neighbours
@@ -26,7 +27,7 @@ _LEAST_VARIANCE = 0.01
 
 
 def claims_of(
-    exchange: Exchange, messages: Known, matched: Matched, positioned: Positioned, parts: Parts
+    exchange: Exchange, messages: Known, compared: Compared, positioned: Positioned, parts: Parts
 ) -> Claims | None:
     """What every vehicle that senses finds about the claims of the messages in its list; None if it does not ask.
 
@@ -34,7 +35,7 @@ def claims_of(
     ----------
     exchange
         Vehicles of the step.
-    messages, matched
+    messages, compared
         Messages that the vehicles use, and their object lists.
     positioned
         What vehicles perceive: whether they track objects.
@@ -43,7 +44,7 @@ def claims_of(
     """
     evidence = parts.config.trust.evidence
     parts_of = [
-        find(exchange, messages, matched, positioned, parts)
+        find(exchange, messages, compared, positioned, parts)
         for kind, find in (("missing", _missing), ("speed", _speed)) if kind in evidence
     ]  # fmt: skip
     if not parts_of:
@@ -57,13 +58,13 @@ _Found = tuple[Int[ndarray, "c"], Int[ndarray, "c"], Int[ndarray, "c"], Float[nd
 """List, member, number and support of each claim."""
 
 
-def _missing(exchange: Exchange, messages: Known, matched: Matched, positioned: Positioned, parts: Parts) -> _Found:
+def _missing(exchange: Exchange, messages: Known, compared: Compared, positioned: Positioned, parts: Parts) -> _Found:
     """Whether messages have the objects that the evaluator sees and their senders should have detected.
 
     A message with as many objects as `cpm.max_objects` allows may lack some for that reason, and is left out.
     """
     assert parts.coverage is not None
-    asked = absences_asked(exchange, messages, matched, parts.config.cpm.max_objects)
+    asked = absences_asked(exchange, messages, compared, parts.config.cpm.max_objects)
     boxes, label = messages.objects.boxes, messages.detections.label
     near = Neighbours(ptr_of(asked.question, len(asked.carrier)), asked.body)
     recall = parts.coverage.expected_recall(asked.carrier, near, boxes, label)
@@ -92,9 +93,9 @@ class Asked:
     """Whether the evaluator itself detected the object, or is the object."""
 
 
-def absences_asked(exchange: Exchange, messages: Known, matched: Matched, max_objects: int) -> Asked:
+def absences_asked(exchange: Exchange, messages: Known, compared: Compared, max_objects: int) -> Asked:
     """The questions about missing objects that the lists of a step raise."""
-    lists, groups, of = matched.lists, matched.lists_groups, matched.lists.of_member()
+    lists, groups, of = compared.lists, compared.groups, compared.lists.of_member()
     message, is_self = messages.detections.message, messages.detections.is_self
     is_object = messages.objects.transmitted & ~is_self
     is_full = np.bincount(message[is_object], minlength=len(messages.step)) >= max_objects
@@ -120,14 +121,14 @@ def _reported(messages: Known, message: Int[ndarray, "k"], body: Int[ndarray, "k
     return np.bincount(of[there], minlength=len(body)) > 0
 
 
-def _speed(exchange: Exchange, messages: Known, matched: Matched, positioned: Positioned, parts: Parts) -> _Found:
+def _speed(exchange: Exchange, messages: Known, compared: Compared, positioned: Positioned, parts: Parts) -> _Found:
     """Whether the velocities that messages claim are those of the evaluators' own tracks.
 
     Velocities of self reports are confirmed or denied. Those of other objects are denied only: the evaluations of the
     detections confirm the objects already, and one false speed would be lost among many right ones.
     """
-    lists, groups, of = matched.lists, matched.lists_groups, matched.lists.of_member()
-    objects, by, p = messages.objects, messages.detections.message[matched.lists.member], parts.config.tracking
+    lists, groups, of = compared.lists, compared.groups, compared.lists.of_member()
+    objects, by, p = messages.objects, messages.detections.message[compared.lists.member], parts.config.tracking
     claimed_mps = velocities(objects)
     foreign = messages.vehicle[by] != exchange.vehicles.senses[of]
     claims = groups.ego_detected & foreign & (messages.step[by] == exchange.now.step)

@@ -111,13 +111,12 @@ def _cycle(
         cpm = stages.hear(cpm, exchange, positioned, listed, cpms, c)
     with watch("match"):
         inbox, known = s.inbox.known(exchange, listed, cpms, parts)
-        matched = stages.match_objects(exchange, known, positioned, parts)
+    compared, matched = stages.compare_objects(exchange, known, positioned, parts)
+    if precomputed.sweeps_are_read is not None:
+        precomputed.sweeps_are_read()
     with watch("evaluate"):
-        answers = stages.ask_sweeps(exchange, known, matched, positioned.observed, parts)
-        if precomputed.sweeps_are_read is not None:
-            precomputed.sweeps_are_read()
-        claims = claims_of(exchange, known, matched, positioned, parts)
-        evaluated = stages.evaluate_objects(exchange, known, matched, answers, claims, c)
+        claims = claims_of(exchange, known, compared, positioned, parts)
+        evaluated = stages.evaluate_objects(exchange, known, compared, claims, c)
     with watch("radio"):
         trust, on_rsus = parts.trust.pending_rsu_broadcast(trust, now.evaluated_s)
         medium, reports = stages.broadcast_evaluations(exchange, evaluated, on_rsus, medium, parts)
@@ -131,9 +130,9 @@ def _cycle(
         )
     with watch("fuse"):
         evaluations = inbox.evaluations_used(exchange, evaluated, len(listed.objects))
-        fused = trust_stages.fuse_objects(trust, known, matched, answers, evaluations, looked_up, parts)
+        fused = trust_stages.fuse_objects(trust, matched, evaluations, looked_up, parts)
         received = cpms.accepted.vehicles, carrier.receptions.vehicles
-        inbox = inbox.next(exchange, listed, matched, answers, evaluated, received, parts.schedule)
+        inbox = inbox.next(exchange, listed, matched, evaluated, received, parts.schedule)
     beliefs, reaction_truth = None, s.reaction_truth
     if c.driver.model != "none":
         with watch("driver"):
@@ -142,8 +141,8 @@ def _cycle(
     with watch("track"):
         attack_start = tracking.track_attacks(s.attack_start, exchange, listed, evaluated)
         inter_reception, reach = tracking.track_receptions(s.inter_reception, exchange, (cpms, reports))
-        encounters = tracking.count_in_encounters(s.encounters, exchange, (cpms, reports), looked_up, known, matched)
-        outcomes = attack_outcomes(exchange, positioned.world, known, matched, fused)
+        encounters = tracking.count_in_encounters(s.encounters, exchange, (cpms, reports), looked_up, known, compared)
+        outcomes = attack_outcomes(exchange, positioned.world, known, compared, fused)
     s = replace(
         s, trust=trust, pseudonyms=pseudonyms, position_errors=position_errors, tracks=tracks, cpm=cpm,
         medium=medium, inbox=inbox, piggybacked=piggybacked, known_senders=known_senders,

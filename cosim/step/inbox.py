@@ -18,7 +18,7 @@ from cosim.step.ground_truth import GroundTruth
 from cosim.step.known import Known, Pairs, Uses
 from cosim.step.object_lists import for_trust
 from cosim.step.parts import Parts
-from cosim.step.stages import Broadcast, Evaluated, Listed, Matched, SweepAnswers
+from cosim.step.stages import Broadcast, Evaluated, Listed, Matched
 from cosim.v2x.messages import Detections, velocities
 from sensors.boxes import Boxes, extrapolated
 from trust.tables import Evaluations, ObjectLists
@@ -172,7 +172,7 @@ class Inbox:
         return _of_sensing(exchange, self.reports, received)
 
     def next(
-        self, exchange: Exchange, listed: Listed, matched: Matched, answers: SweepAnswers, evaluated: Evaluated,
+        self, exchange: Exchange, listed: Listed, matched: Matched, evaluated: Evaluated,
         receptions: tuple[Receptions, Receptions], schedule: Schedule,
     ) -> "Inbox":  # fmt: skip
         """Add the messages of this step. `receptions` are those of detection messages and of evaluation messages."""
@@ -208,7 +208,7 @@ class Inbox:
             truth=GroundTruth(*(np.concatenate([getattr(self.truth, name), getattr(truth, name)])
                                 for name in GroundTruth.__dataclass_fields__)),
             withheld=np.concatenate([self.withheld, listed.withheld]),
-            from_own_m=np.concatenate([self.from_own_m, answers.from_own_m[:n_now]]),
+            from_own_m=np.concatenate([self.from_own_m, matched.from_own_m[:n_now]]),
             pairs=(moved(i), moved(j), iou),
             evaluated=ObjectLists(
                 np.concatenate([old.ptr, old.ptr[-1] + lists.ptr[1:]]),

@@ -38,29 +38,23 @@ def for_trust(
 
 
 def received_lists(
-    received: Uses, ptr: Int[ndarray, "m+1"], transmitted: Bool[ndarray, "d"], source: Int[ndarray, "k"],
-    own: Int[ndarray, "s"],
-) -> ObjectLists:  # fmt: skip
+    received: Uses, ptr: Int[ndarray, "m+1"], transmitted: Bool[ndarray, "d"], own: Int[ndarray, "s"]
+) -> ObjectLists:
     """The detections that each vehicle knows: its own ones, then the received ones, by (message, detection index).
-
-    Detections that a vehicle sends under further identities count as received.
 
     Parameters
     ----------
     received
-        Detection messages of others that the vehicles use.
+        Detection messages that the vehicles use beside their own ones, in any order.
     ptr
         Row at which the detections of each message begin.
     transmitted
         Whether each detection is transmitted.
-    source
-        Vehicle that sends each of the K messages of this step, which are the first ones.
     own
         Each vehicle's message under its own identity.
     """
-    receives, further = np.arange(len(own)), np.setdiff1d(np.arange(len(source)), own)
-    of = np.concatenate([receives, source[further], received.receiver])
-    message = np.concatenate([own, further, received.message])
+    of = np.concatenate([np.arange(len(own)), received.receiver])
+    message = np.concatenate([own, received.message])
     is_own = np.arange(len(of)) < len(own)
     order = np.argsort(of * len(ptr) + np.where(is_own, 0, message + 1), kind="stable")
     of, message, is_own = of[order], message[order], is_own[order]

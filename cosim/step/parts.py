@@ -20,6 +20,7 @@ from cosim.mobility.roadside import NO_UNITS, RoadsideUnits
 from cosim.mobility.schedule import Schedule
 from cosim.radio.medium import Medium
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
+from cosim.step.comparing import Compares, Recall, compare
 from cosim.step.mixed_perception import MixedPerception
 from cosim.step.perception import Perceives, Perception
 from cosim.step.stopwatch import Stopwatch
@@ -53,10 +54,12 @@ class Parts:
     revocation: Revocation
     trust: TrustHosts
     driver: Driver
-    recall: Callable[[ndarray, ndarray, ndarray], ndarray] | None = None
+    recall: Recall | None = None
     """Recall of the detector (`sensors.detector.KnowsRecall`); None unless denials are weighted by it."""
     coverage: Coverage | None = None
     """What a detector should find from another place; None unless evaluations are about missing objects."""
+    compare: Compares = compare
+    """Compares the detections that vehicles know with their sweeps."""
     certified: UInt64[ndarray, "c"] = field(default_factory=lambda: np.zeros(0, np.uint64))
     """Keys of the names of roadside units that are trusted by the class of their certificate."""
     watch: Stopwatch = field(default_factory=Stopwatch)
@@ -124,7 +127,7 @@ def perception_of(experiment: Config, city: Scene) -> Perception:
     return Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, c.traffic.step_s, c.weather)
 
 
-def recall_of(experiment: Config) -> Callable[[ndarray, ndarray, ndarray], ndarray]:
+def recall_of(experiment: Config) -> Recall:
     """The detector's recall function.
 
     Raises

@@ -119,6 +119,10 @@ class Perceives(Protocol):
         """What the vehicles in these rows of the world perceive."""
         ...
 
+
+class AsksSweeps(Protocol):
+    """Answers questions to the range images that it keeps."""
+
     def answers(self, sweeps: Any, asked: BoxQuestions) -> BoxAnswers:
         """Answers of this step's sweeps about boxes; `sweeps` at their true or estimated positions."""
         ...
@@ -209,7 +213,7 @@ class Perception:
         return sweeps, Seen(here, reports)
 
     def answers(self, sweeps: lidar.RangeImages, asked: BoxQuestions) -> BoxAnswers:
-        """As in `Perceives`."""
+        """As in `AsksSweeps`."""
         return (
             evidence.points_in_boxes(sweeps, asked.counting, asked.boxes, asked.counted),
             evidence.plausible(sweeps, asked.testing, asked.boxes, asked.tested, asked.area),

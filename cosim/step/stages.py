@@ -18,16 +18,18 @@ from cosim.radio.medium import gap_s
 from cosim.radio.message_round import LinkReceptions, MessageRound, RoundKind
 from cosim.ragged import ptr_of
 from cosim.step import object_lists
+from cosim.step.comparing import Compared, Fuses, KnownObjects, distance_m
 from cosim.step.exchange import Exchange, OnAir, Senders, Times, Vehicles, lists_of_identities
 from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections, lies_in_evaluations
-from cosim.step.known import Known, Pairs
-from cosim.step.object_lists import messages_of, questions_of, received_lists, subset
+from cosim.step.known import Known, Pairs, Uses
+from cosim.step.object_lists import messages_of, subset
 from cosim.step.parts import Parts
 from cosim.step.perception import Observed
 from cosim.step.positioning import as_believed, as_estimated, believed_world
 from cosim.step.precomputed import Precomputed
 from cosim.v2x.cpm_generation import CpmContent, CpmState, Generators, generate
 from cosim.v2x.messages import (
+    FABRICATED,
     SELF,
     SENSED,
     Detections,
@@ -47,11 +49,9 @@ from sensors.boxes import overlapping_pairs, pairs_between
 from sensors.tracking import Found, ObjectStates, Observers, TrackMemory, track
 from trust import tables
 from trust.claims import DETECTION, answers, claim_number
-from trust.evaluation import evaluate
-from trust.fusion import Fused, SensorEvidence
-from trust.matching import match
+from trust.fusion import Fused
 from trust.params import KINDS
-from trust.tables import EvaluationMessages, Evaluations, Groups, ObjectLists
+from trust.tables import EvaluationMessages, Evaluations, ObjectLists
 from trust.threads import threads_for
 
 _ROWS_PER_BOX = 10
@@ -415,34 +415,40 @@ def hear(
 
 @dataclass(frozen=True, slots=True)
 class Matched:
-    """Object lists, and their members grouped into objects."""
+    """What later stages need of the comparison."""
 
-    known: ObjectLists
-    """All detections that each vehicle knows, its own and received ones. It fuses these."""
-    groups: Groups
-    """Groups of `known`."""
-    inside: Bool[ndarray, "k"]
-    """Whether each member of `known` is in the area that the vehicle evaluates."""
-    lists: ObjectLists
-    """Only the members inside: what each vehicle evaluates."""
-    lists_groups: Groups
-    """Groups of `lists`."""
+    objects: Fuses
+    """The groups of detections that each vehicle knows."""
     pairs: Pairs
     """Overlapping detections; rows of `Known`."""
+    from_own_m: Float[ndarray, "d"]
+    """Distance of each detection from the sensor of the vehicle that sends it."""
 
 
-def match_objects(exchange: Exchange, messages: Known, positioned: Positioned, parts: Parts) -> Matched:
-    """Group the detections that each vehicle knows by overlap, so that each group is one object."""
-    objects, senders, c = messages.objects, exchange.senders, parts.config
-    pairs = _pairs(messages, int(messages.ptr[len(senders)]))
-    known = received_lists(messages.received, messages.ptr, objects.transmitted, senders.source, senders.own)
-    inside = parts.perception.in_area(
-        positioned.observed.sweeps, known.of_member(), objects.boxes, c.area, known.member, objects.label,
-        positioned.world.boxes.take(exchange.sensing.row),
+def compare_objects(
+    exchange: Exchange, messages: Known, positioned: Positioned, parts: Parts
+) -> tuple[Compared, Matched]:
+    """Group the detections that each vehicle knows, ask its own sweep about them, and evaluate them.
+
+    Sweeps are not read again in this step.
+    """
+    objects, senders, sweeps, c = messages.objects, exchange.senders, positioned.observed.sweeps, parts.config
+    n_now, received = int(messages.ptr[len(senders)]), messages.received
+    with parts.watch("match"):
+        pairs = _pairs(messages, n_now)
+    further = np.flatnonzero(senders.identity)
+    if len(further):
+        sources, rows = (senders.source[further], received.receiver), (further, received.message)
+        received = Uses(np.concatenate(sources), np.concatenate(rows))
+    known = KnownObjects(
+        detections=messages.detections, boxes=objects.boxes, transmitted=objects.transmitted, ptr=messages.ptr,
+        traced=objects.origin == FABRICATED, pairs=pairs, own=senders.own, received=received,
+        bodies=positioned.world.boxes.take(exchange.sensing.row),
     )  # fmt: skip
-    lists = subset(known, inside)
-    groups, lists_groups = (match(x, messages.detections, pairs, c.trust) for x in (known, lists))
-    return Matched(known=known, groups=groups, inside=inside, lists=lists, lists_groups=lists_groups, pairs=pairs)
+    compared, grouped = parts.compare(parts.perception, sweeps, known, c.area, c.trust, parts.recall, parts.watch)
+    observer = senders.source[messages.detections.message[:n_now]]
+    from_own_m = distance_m(objects.boxes.xyz_m, np.arange(n_now), sweeps.poses.origin_m, observer)
+    return compared, Matched(grouped, pairs, np.concatenate([from_own_m, messages.earlier_m]))
 
 
 def _pairs(messages: Known, n_now: int) -> Pairs:
@@ -457,56 +463,6 @@ def _pairs(messages: Known, n_now: int) -> Pairs:
     columns = zip(pairs, (i, n_now + j, iou), messages.earlier_pairs, strict=True)
     one, other, overlap = (np.concatenate(column) for column in columns)
     return one, other, overlap
-
-
-@dataclass(frozen=True, slots=True)
-class SweepAnswers:
-    """Answers of the vehicles' own sweeps about the boxes in their lists; `k` as in `Matched`."""
-
-    n_points: Int[ndarray, "k"]
-    """Number of returns inside the box."""
-    plausible: Bool[ndarray, "k"]
-    """Whether an object can stand there by the sweep; tested for objects that the vehicle did not detect itself."""
-    of_seeds: SensorEvidence
-    """The answers for the detection whose box represents each group, for fusion."""
-    from_own_m: Float[ndarray, "d"]
-    """Distance of each detection from the sensor of the vehicle that sends it."""
-    recall: Float[ndarray, "v"] | None
-    """Recall of the evaluator's detector for each member of `lists`; None unless denials are weighted by it."""
-
-
-def ask_sweeps(exchange: Exchange, messages: Known, matched: Matched, observed: Observed, parts: Parts) -> SweepAnswers:
-    """Ask every vehicle's own sweep about the boxes in its list. Sweeps are not read again in this step."""
-    known, groups, boxes, c = matched.known, matched.lists_groups, messages.objects.boxes, parts.config
-    foreign = np.zeros(len(known.member), bool)  # members whose plausibility is tested
-    foreign[matched.groups.seeds()] = True
-    foreign &= ~matched.groups.ego_detected
-    foreign[np.flatnonzero(matched.inside)[~groups.ego_detected]] = True
-    asked, counted, tested = questions_of(known, matched.inside, foreign, boxes, messages.detections, c.area)
-    n_points, plausible = np.zeros(len(known.member), np.int32), np.ones(len(known.member), bool)
-    n_points[counted], plausible[tested] = parts.perception.answers(observed.sweeps, asked)
-    origin_m, seeds = observed.sweeps.poses.origin_m, matched.groups.seeds()
-    away_m = _distance_m(boxes.xyz_m, known.member[seeds], origin_m, known.of(seeds))
-    n_now = len(boxes) - len(messages.earlier_m)
-    observer = exchange.senders.source[messages.detections.message[:n_now]]
-    return SweepAnswers(
-        n_points=n_points,
-        plausible=plausible,
-        of_seeds=SensorEvidence(n_points[seeds], plausible[seeds], away_m < c.area.range_m),
-        from_own_m=np.concatenate([_distance_m(boxes.xyz_m, np.arange(n_now), origin_m, observer), messages.earlier_m]),
-        recall=_recall(messages, matched, n_points[matched.inside], origin_m, parts),
-    )
-
-
-def _recall(
-    messages: Known, matched: Matched, n_points: Int[ndarray, "v"], origin_m: Float[ndarray, "e 3"], parts: Parts
-) -> Float[ndarray, "v"] | None:
-    """Recall of each vehicle's detector for each object that it evaluates; None unless denials are weighted by it."""
-    if parts.recall is None:
-        return None
-    lists, boxes = matched.lists, messages.objects.boxes
-    range_m = _distance_m(boxes.xyz_m, lists.member, origin_m, lists.of_member())
-    return parts.recall(n_points, messages.detections.label[lists.member], range_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -533,7 +489,7 @@ class Evaluated:
     """
 
     lists: ObjectLists
-    """What is evaluated under each identity; the list of `Matched` itself if no vehicle has a second identity."""
+    """What is evaluated under each identity; the list of `Compared` itself if no vehicle has a second identity."""
     n_points: Int[ndarray, "v"]
     """Number of returns of the vehicle's own sweep inside the box."""
     plausible: Bool[ndarray, "v"]
@@ -566,16 +522,15 @@ class Evaluated:
 
 
 def evaluate_objects(
-    exchange: Exchange, messages: Known, matched: Matched, answered: SweepAnswers, claims: Claims | None, config: Config
+    exchange: Exchange, messages: Known, compared: Compared, claims: Claims | None, config: Config
 ) -> Evaluated:
-    """Evaluate the detections in each vehicle's list and the claims of messages, and make the evaluation messages.
+    """Add evaluations of the claims of messages to those of detections, and make the evaluation messages.
 
     A message contains the evaluations of the detections that are new since the vehicle last sensed.
     """
-    groups, lists, senders = matched.lists_groups, matched.lists, exchange.senders
-    n_points, plausible = answered.n_points[matched.inside], answered.plausible[matched.inside]
-    ego_detected, number = groups.ego_detected, None
-    own = evaluate(lists, groups, messages.detections, n_points, plausible, config.trust, answered.recall)
+    lists, own, senders = compared.lists, compared.own, exchange.senders
+    n_points, plausible, ego_detected = compared.n_points, compared.plausible, compared.groups.ego_detected
+    number = None
     if claims is not None:
         of = np.concatenate([lists.of_member(), claims.list])
         order, n = np.argsort(of, kind="stable"), len(claims.list)
@@ -587,7 +542,7 @@ def evaluate_objects(
         lists = ObjectLists(ptr_of(of[order], len(lists.owner)), with_claims(lists.member, claims.member), lists.owner)
         own = Evaluations(with_claims(own.evaluation, found.evaluation), with_claims(own.visibility, found.visibility))
         n_points, plausible, ego_detected = (with_claims(a, 0) for a in (n_points, plausible, ego_detected))
-        index = messages.detections.detection_index[matched.lists.member]
+        index = messages.detections.detection_index[compared.lists.member]
         number = with_claims(claim_number(index, DETECTION), claims.number)
     reported = object_lists.as_reported(exchange.attacks, own, lists, messages.objects, exchange.sensing.row, number)
     lied = lies_in_evaluations(own, reported)
@@ -656,11 +611,3 @@ def beliefs_of(
         source_step=messages.step[message],
         source_index=objects.detection_index[fused.seed],
     )
-
-
-def _distance_m(
-    a_m: Float[ndarray, "a 3"], i: Int[ndarray, "n"], b_m: Float[ndarray, "b 3"], j: Int[ndarray, "n"]
-) -> Float[ndarray, "n"]:
-    """Distance of each row i of `a_m` from the row j of `b_m`."""
-    x, y, z = (a_m[i] - b_m[j]).T
-    return np.sqrt(x * x + y * y + z * z)

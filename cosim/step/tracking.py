@@ -8,9 +8,10 @@ from numpy import ndarray
 
 from cosim.radio.message_round import MessageRound
 from cosim.ragged import distinct, stable_order
+from cosim.step.comparing import Compared
 from cosim.step.exchange import Exchange
 from cosim.step.known import Known
-from cosim.step.stages import Broadcast, Evaluated, Listed, Matched
+from cosim.step.stages import Broadcast, Evaluated, Listed
 from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.step.trackers.encounters import Encounters
 from cosim.step.trackers.inter_reception import InterReceptionTracker, unique_pairs
@@ -84,11 +85,11 @@ def pairs_in_range(found: MessageRound, n: int) -> tuple[Int[ndarray, "p"], Int[
 
 def count_in_encounters(
     encounters: Encounters, exchange: Exchange, rounds: Rounds, looked_up: LookedUp, messages: Known,
-    matched: Matched,
+    compared: Compared,
 ) -> Encounters:  # fmt: skip
     """Add a step's messages, look-ups and evaluations to the open encounters."""
     actor, vehicle = exchange.vehicles.actor, messages.vehicle
-    used, lists, row = looked_up.messages, matched.lists, exchange.vehicles.senses
+    used, lists, row = looked_up.messages, compared.lists, exchange.vehicles.senses
     is_known = np.stack([found.is_known for found in looked_up.lookups], axis=1)
     by, observer = row[lists.of_member()], vehicle[messages.detections.message[lists.member]]
     if (is_new := messages.is_new(lists.of_member(), lists.member)) is not None:

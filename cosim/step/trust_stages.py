@@ -12,10 +12,11 @@ from numpy import ndarray
 from cosim.radio.link_budget import neighbours
 from cosim.radio.message_round import LinkReceptions, Receptions
 from cosim.ragged import expand, ptr_of
+from cosim.step.comparing import FusionOf, Used
 from cosim.step.exchange import Exchange, Times, Vehicles, distinct
 from cosim.step.known import Known, Uses
 from cosim.step.parts import Parts
-from cosim.step.stages import Broadcast, Evaluated, Listed, Matched, SentEvaluations, SweepAnswers
+from cosim.step.stages import Broadcast, Evaluated, Listed, Matched, SentEvaluations
 from cosim.step.trackers.encounters import Encounters, NearPairs, update_encounters
 from cosim.v2x.pseudonyms import PseudonymState
 from cosim.v2x.relinking import KnownSenders, ReceivedSenders, fallen_back, noted, update_senders
@@ -26,8 +27,8 @@ from results.codes import TrustSource
 from results.encounters import Rows
 from trust.certified import upheld
 from trust.claims import claims_of_messages
-from trust.fusion import Fused, fuse, votes_of
-from trust.tables import EvaluationMessages, Evaluations, FusionInput, ObjectLists, SenderTrust, TrustScores
+from trust.fusion import Fused
+from trust.tables import EvaluationMessages, Evaluations, ObjectLists, TrustScores
 
 
 def own_trust_of(
@@ -362,28 +363,20 @@ def _of_old_pseudonyms(
 
 
 def fuse_objects(
-    trust: TrustState, messages: Known, matched: Matched, answers: SweepAnswers,
-    evaluations: tuple[ObjectLists, Evaluations, Evaluations], looked_up: LookedUp, parts: Parts,
+    trust: TrustState, matched: Matched, evaluations: tuple[ObjectLists, Evaluations, Evaluations],
+    looked_up: LookedUp, parts: Parts,
 ) -> list[Fused | None]:  # fmt: skip
     """Fused objects of every vehicle that senses, per trust variant; None if they are not requested.
 
     `evaluations` are those that the vehicles can use, as `Inbox.evaluations_used` returns them.
     """
-    used, (lists, own, reported) = looked_up.messages, evaluations
-    ptr = ptr_of(used.receiver, len(matched.known.owner))
-    in_time = np.full(len(used.message), parts.config.radio.evaluations == "alone")
-    given = FusionInput(matched.known, matched.groups, messages.detections, lists, own, reported)
-    fused: list[Fused | None] = []
-    votes = None
-    hosts = parts.trust
-    for variant, found, scorer in zip(hosts.variants, looked_up.lookups, hosts.scorers(trust), strict=True):
-        if not variant.fused:
-            fused.append(None)
-            continue
-        sender_trust, params = SenderTrust(ptr, used.message, found.trust, in_time), variant.trust
-        if scorer is not None and votes is None:
-            votes = votes_of(given, sender_trust)
-        fused.append(fuse(
-            given, sender_trust, answers.of_seeds, answers.from_own_m, params, scorer, votes, params.min_score
-        ))  # fmt: skip
-    return fused
+    hosts, in_time = parts.trust, parts.config.radio.evaluations == "alone"
+    variants = {
+        number: FusionOf(found.trust, variant.trust, scorer)
+        for number, (variant, found, scorer) in enumerate(
+            zip(hosts.variants, looked_up.lookups, hosts.scorers(trust), strict=True)
+        ) if variant.fused
+    }  # fmt: skip
+    used = Used(looked_up.messages, in_time, *evaluations, matched.from_own_m)
+    found = dict(zip(variants, matched.objects.fuse(used, list(variants.values())), strict=True))
+    return [found.get(number) for number in range(len(hosts.variants))]

@@ -67,7 +67,7 @@ class CellCost:
 class Crew:
     """One worker process per cell; a context manager, with which the workers end.
 
-    A worker keeps nothing from step to step. If one dies, another one repeats the request that made what the worker
+    A worker keeps nothing from step to step. If one dies, another one repeats the requests that made what the worker
     kept within the step, then the request that it died over. The results are the same.
 
     Parameters
@@ -99,8 +99,8 @@ class Crew:
         self._control: socket.socket | None = None
         self._to_nursery: Channel | None = None
         self._workers: list[Channel] = []
-        self._made_with: list[tuple[str, Any] | None] = [None] * n_cells
-        """The request after which each worker keeps something."""
+        self._made_with: list[list[tuple[str, Any]]] = [[] for _ in range(n_cells)]
+        """The requests after which each worker keeps something."""
         self._lock = threading.Lock()
 
     def __enter__(self) -> "Crew":
@@ -156,12 +156,24 @@ class Crew:
                 for stage, seconds in reply.stages_s.items():
                     self.stages_s[stage] = self.stages_s.get(stage, 0.0) + seconds
                 if keeps:
-                    self._made_with[cell] = (service, given[cell])
+                    self._note(cell, (service, given[cell]))
                 results[cell] = reply.result
             self.cost = self.cost.after(service == "perceive", spent_s, perf_counter() - asked_at_s, self._n_bytes())
             if failed := next((result for result in results if isinstance(result, Exception)), None):
                 raise failed
             return results
+
+    def _note(self, cell: int, request: tuple[str, Any]) -> None:
+        """A request whose worker keeps something. What came before the last comparison is not needed after the next.
+
+        A comparison needs the sweeps before it, and those of the next step may begin while it is still needed.
+        """
+        made, service = self._made_with[cell], request[0]
+        if service == "compare":
+            made = made[1 + max((k for k, (name, _) in enumerate(made) if name == service), default=-1) :]
+        elif made and made[-1][0] == service:
+            made = made[:-1]
+        self._made_with[cell] = [*made, request]
 
     def _reply(self, cell: int, request: tuple[str, Any]) -> Reply:
         """The reply to a request that was sent; from another worker if the one that was asked has died."""
@@ -172,7 +184,7 @@ class Crew:
             except (EOFError, OSError):
                 self._replace(cell)
             with suppress(EOFError, ConnectionError):
-                if (before := self._made_with[cell]) is not None:
+                for before in self._made_with[cell]:
                     self._workers[cell].send(before)
                     self._workers[cell].receive()
                 self._workers[cell].send(request)

@@ -1,23 +1,39 @@
 """The perception of a run whose vehicles sense in cells."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.execution.cells.border import cells_of, within_reach
 from cosim.execution.cells.crew import CellCost, Crew
-from cosim.execution.cells.worker import AreaQuestions, peak_bytes
+from cosim.execution.cells.worker import peak_bytes
+from cosim.ragged import offsets, ranges
+from cosim.step.comparing import (
+    Compared,
+    FusionOf,
+    Grouped,
+    KnownObjects,
+    PartRows,
+    Recall,
+    Traced,
+    Used,
+    numbers,
+)
+from cosim.step.known import Uses
 from cosim.step.mixed_perception import MixedPerception
-from cosim.step.perception import BoxAnswers, BoxQuestions, Observed, Perception, Seen
+from cosim.step.perception import Observed, Perception, Seen
 from cosim.step.stopwatch import Stopwatch
 from cosim.world import World
-from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
 from sensors.lidar import Poses
+from trust.fusion import Fused, SensorEvidence
+from trust.params import TrustParams
+from trust.tables import Evaluations, Groups, ObjectLists
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +44,6 @@ class CellImages:
     observers: tuple[Int[ndarray, "k"], ...]
     """Observers of each cell, ascending."""
     cell: UInt8[ndarray, "m"]
-    row: Int[ndarray, "m"]
-    """Row of each observer within its cell."""
     error: Float[ndarray, "m 3"] | None = None
     """Errors of the poses, as in `displaced`; None if they are exact."""
 
@@ -38,7 +52,7 @@ class CellImages:
         return replace(self, poses=self.poses.displaced(error), error=error)
 
     def by_cell(self, observer: Int[ndarray, "n"]) -> list[Int[ndarray, "k"]]:
-        """Of questions to these observers, those of each cell, in their order."""
+        """Rows of these observers, for each cell, in their order."""
         cell = self.cell[observer]
         order = np.argsort(cell, kind="stable")  # of bytes: a radix sort, whose cost does not grow with the cells
         n_asked = np.bincount(cell, minlength=len(self.observers))
@@ -124,16 +138,15 @@ class CellPerception:
             (world.take(there), np.searchsorted(there, observers[own])) if len(own) else None
             for there, own in zip(rows, mine, strict=True)
         ], keeps=True)  # fmt: skip
-        row, seen = np.zeros(len(observers), np.int64), []
+        seen = []
         poses = Poses(np.zeros((len(observers), 3)), np.zeros(len(observers)))
         for there, own, result in zip(rows, mine, found, strict=True):
             if result is None:
                 continue
             of_cell, here = result
-            row[own] = np.arange(len(own))
             poses.origin_m[own], poses.yaw_rad[own] = of_cell.origin_m, of_cell.yaw_rad
             seen.append(here.of_actors(there.astype(np.int32)).renumbered(own.astype(np.int32)))
-        return CellImages(poses, mine, cell.astype(np.uint8), row), seen
+        return CellImages(poses, mine, cell.astype(np.uint8)), seen
 
     def report(self) -> dict[str, Any]:
         """Figures of the cells for the manifest. Costs are means per step, from the third step with messages on."""
@@ -159,45 +172,162 @@ class CellPerception:
             mark = _Mark(self.n_steps, process_time(), perf_counter(), self.crew.cost)
             self._marks = [*self._marks[:1], mark]
 
-    def answers(self, sweeps: CellImages, asked: BoxQuestions) -> BoxAnswers:
-        """As in `Perceives`."""
-        n_points, plausible = np.zeros(len(asked.counting), np.int32), np.ones(len(asked.testing), bool)
-        parts: list[tuple[Any, ...]] = []
-        of_cells = zip(sweeps.by_cell(asked.counting), sweeps.by_cell(asked.testing), strict=True)
-        for number, (p, t) in enumerate(of_cells):
-            rows, (counted, tested) = _only(asked.boxes, asked.counted[p], asked.tested[t])
-            counting, testing = (sweeps.row[by].astype(np.int32) for by in (asked.counting[p], asked.testing[t]))
-            mine = BoxQuestions(asked.boxes.take(rows), asked.area, counting, counted, testing, tested)
-            parts.append((p, t, (sweeps.error_in(number), mine)))
-        found = self.crew.ask("answers", [given if len(p) + len(t) else None for p, t, given in parts])
-        for (p, t, _), result in zip(parts, found, strict=True):
-            if result is not None:
-                n_points[p], plausible[t] = result
-        self._mark()
-        return n_points, plausible
-
-    def in_area(
-        self, sweeps: CellImages, o: Int[ndarray, "n"], boxes: Boxes, area: AreaParams, b: Int[ndarray, "n"],
-        label: UInt8[ndarray, "boxes"], own: Boxes,
-    ) -> Bool[ndarray, "n"]:  # fmt: skip
-        """As in `Perceives`."""
-        inside = np.zeros(len(o), bool)
-        parts: list[tuple[Any, ...]] = []
-        for number, (observers, k) in enumerate(zip(sweeps.observers, sweeps.by_cell(o), strict=True)):
-            rows, (about,) = _only(boxes, b[k])
-            asked = AreaQuestions(sweeps.row[o[k]], boxes.take(rows), area, about, label[rows], own.take(observers))
-            parts.append((k, (sweeps.error_in(number), asked)))
-        found = self.crew.ask("in_area", [given if len(k) else None for k, given in parts])
-        for (k, _), result in zip(parts, found, strict=True):
-            if result is not None:
-                inside[k] = result
-        return inside
+    def compare(
+        self, _: object, sweeps: CellImages, known: KnownObjects, area: AreaParams, params: TrustParams,
+        recall: Recall | None, watch: Stopwatch,
+    ) -> tuple[Compared, "CellGroups"]:  # fmt: skip
+        """As `cosim.step.comparing.compare`; the detector that the workers have tells its recall."""
+        with watch("match"):
+            parts = [
+                known.part(own, received) if len(own) else None
+                for own, received in zip(sweeps.observers, sweeps.by_cell(known.received.receiver), strict=True)
+            ]
+        with watch("evaluate"):
+            found = self.crew.ask("compare", [
+                None if part is None else (sweeps.error_in(cell), *part, area, params)
+                for cell, part in enumerate(parts)
+            ], keeps=True)  # fmt: skip
+            self._mark()
+            rows = [None if part is None else part[1] for part in parts]
+            compared = _joined(known, sweeps.observers, rows, found)
+        return compared, CellGroups(self.crew, sweeps, known, rows)
 
 
-def _only(boxes: Boxes, *of: Int[ndarray, "_"]) -> tuple[Int[ndarray, "k"], list[Int[ndarray, "_"]]]:
-    """Rows of the boxes that occur in some arrays, ascending, and the arrays with rows of these."""
-    occurs = np.zeros(len(boxes), bool)
-    for rows in of:
-        occurs[rows] = True
-    number = np.cumsum(occurs, dtype=np.int32) - 1
-    return np.flatnonzero(occurs), [number[rows].astype(rows.dtype) for rows in of]
+@dataclass(frozen=True, slots=True)
+class CellGroups:
+    """Groups of detections that the workers of the cells hold; as `Fuses`."""
+
+    crew: Crew
+    sweeps: CellImages
+    known: KnownObjects
+    rows: list[PartRows | None]
+    """What each cell knows."""
+
+    def fuse(self, used: Used, variants: Sequence[FusionOf]) -> list[Fused]:
+        """As in `Fuses`. A trust model that scores objects keeps its state, so its objects are fused here."""
+        if any(variant.scorer is not None for variant in variants):
+            return self._grouped().fuse(used, variants)
+        found = self.crew.ask("fuse", [
+            None if rows is None else self._given(own, rows, received, used, variants)
+            for own, rows, received in zip(
+                self.sweeps.observers, self.rows, self.sweeps.by_cell(used.messages.receiver), strict=True
+            )
+        ])  # fmt: skip
+        return [self._fused([None if f is None else f[number] for f in found]) for number in range(len(variants))]
+
+    def _given(
+        self, own: Int[ndarray, "k"], rows: PartRows, received: Int[ndarray, "n"], used: Used,
+        variants: Sequence[FusionOf],
+    ) -> tuple[Used, list[FusionOf]]:  # fmt: skip
+        """What a cell needs to fuse: evaluations of its detections in the messages that it uses."""
+        receiver, message = used.messages.receiver[received], used.messages.message[received]
+        there = np.zeros(len(self.known.ptr) - 1, bool)
+        there[message] = True
+        there[self.known.own[own]] = True
+        chosen = np.flatnonzero(there[used.lists.owner])
+        n = np.diff(used.lists.ptr)[chosen]
+        at = ranges(used.lists.ptr[chosen], n)
+        member = rows.number[used.lists.member[at]]
+        kept = np.flatnonzero(member >= 0)
+        at = at[kept]
+        own_values, reported = (
+            Evaluations(values.evaluation[at], values.visibility[at]) for values in (used.own, used.reported)
+        )
+        of_cell = Used(
+            messages=Uses(numbers(own, len(self.sweeps.cell))[receiver], message),
+            in_time=used.in_time,
+            lists=ObjectLists(np.searchsorted(kept, offsets(n)), member[kept], used.lists.owner[chosen]),
+            own=own_values,
+            reported=own_values if used.own is used.reported else reported,
+            from_own_m=used.from_own_m[rows.detections],
+        )
+        return of_cell, [replace(variant, trust=variant.trust[received]) for variant in variants]
+
+    def _fused(self, found: Sequence[Fused | None]) -> Fused:
+        """Fused objects of all cells, by vehicle."""
+        vehicles = self.sweeps.observers
+        n_objects = [
+            None if f is None else np.bincount(f.ego, minlength=len(own))
+            for f, own in zip(found, vehicles, strict=True)
+        ]
+        _, places = _by_vehicle(vehicles, n_objects)
+        n = sum(map(len, places))
+        columns: dict[str, ndarray] = {name: np.empty(n, np.int64) for name in Fused.__dataclass_fields__}
+        columns |= {"score": np.empty(n), "ego_detected": np.empty(n, bool)}
+        for own, rows, place, f in zip(vehicles, self.rows, places, found, strict=True):
+            if rows is not None and f is not None:
+                of_all = replace(f, ego=own[f.ego], seed=rows.detections[f.seed], pose=rows.detections[f.pose])
+                for name, column in columns.items():
+                    column[place] = getattr(of_all, name)
+        return Fused(**columns)
+
+    def _grouped(self) -> Grouped:
+        """The groups of all cells, by vehicle."""
+        found = self.crew.ask("grouped", [None if rows is None else () for rows in self.rows])
+        vehicles = self.sweeps.observers
+        of_lists = [None if g is None else np.diff(g.lists.ptr) for g in found]
+        ptr, places = _by_vehicle(vehicles, of_lists)
+        seeds = [np.zeros(0, np.int64) if g is None else g.groups.seeds() for g in found]
+        _, of_seed = _by_vehicle(vehicles, [
+            None if g is None else np.diff(np.searchsorted(s, g.lists.ptr)) for g, s in zip(found, seeds, strict=True)
+        ])  # fmt: skip
+        n, n_seeds = int(ptr[-1]), sum(map(len, seeds))
+        member, seed, ego_detected = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, bool)
+        evidence = SensorEvidence(np.empty(n_seeds, np.int32), np.empty(n_seeds, bool), np.empty(n_seeds, bool))
+        for rows, place, to, g in zip(self.rows, places, of_seed, found, strict=True):
+            if rows is not None:
+                member[place], seed[place] = rows.detections[g.lists.member], place[g.groups.seed]
+                ego_detected[place] = g.groups.ego_detected
+                for name in SensorEvidence.__dataclass_fields__:
+                    getattr(evidence, name)[to] = getattr(g.of_seeds, name)
+        lists = ObjectLists(ptr, member, self.known.own)
+        return Grouped(lists, Groups(seed, ego_detected), self.known.detections, evidence)
+
+
+def _joined(
+    known: KnownObjects, vehicles: Sequence[Int[ndarray, "_"]], rows: Sequence[PartRows | None],
+    found: Sequence[Compared | None],
+) -> Compared:  # fmt: skip
+    """What the vehicles of all cells found, by vehicle."""
+    ptr, places = _by_vehicle(vehicles, [None if c is None else np.diff(c.lists.ptr) for c in found])
+    n, traced = int(ptr[-1]), []
+    joined = Compared(
+        lists=ObjectLists(ptr, np.empty(n, np.int64), known.own),
+        groups=Groups(np.empty(n, np.int64), np.empty(n, bool)),
+        n_points=np.empty(n, np.int32),
+        plausible=np.empty(n, bool),
+        own=Evaluations(np.empty(n), np.empty(n)),
+        traced=Traced(*(np.zeros(0, np.int64),) * 3),
+    )
+    for own, of_part, place, c in zip(vehicles, rows, places, found, strict=True):
+        if of_part is None or c is None:
+            continue
+        joined.lists.member[place] = of_part.detections[c.lists.member]
+        joined.groups.seed[place], joined.groups.ego_detected[place] = place[c.groups.seed], c.groups.ego_detected
+        joined.n_points[place], joined.plausible[place] = c.n_points, c.plausible
+        joined.own.evaluation[place], joined.own.visibility[place] = c.own.evaluation, c.own.visibility
+        t = c.traced
+        traced.append(Traced(own[t.list], of_part.detections[t.detection], of_part.detections[t.seed]))
+    if traced:
+        columns = [np.concatenate(column) for column in zip(*traced, strict=True)]
+        order = np.argsort(columns[0], kind="stable")
+        joined = replace(joined, traced=Traced(*(column[order] for column in columns)))
+    return joined
+
+
+def _by_vehicle(
+    vehicles: Sequence[Int[ndarray, "_"]], counts: Sequence[Int[ndarray, "_"] | None]
+) -> tuple[Int[ndarray, "n+1"], list[Int[ndarray, "_"]]]:
+    """Where the rows of each vehicle begin if those of all cells are sorted by vehicle, and the place of each row.
+
+    `counts` has the number of rows of each vehicle of each cell.
+    """
+    n = np.zeros(sum(map(len, vehicles)), np.int64)
+    for own, of_cell in zip(vehicles, counts, strict=True):
+        if of_cell is not None:
+            n[own] = of_cell
+    ptr = offsets(n)
+    return ptr, [
+        np.zeros(0, np.int64) if of_cell is None else ranges(ptr[own], of_cell)
+        for own, of_cell in zip(vehicles, counts, strict=True)
+    ]

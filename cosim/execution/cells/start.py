@@ -51,7 +51,8 @@ def in_cells(parts: Parts, scenario: Scenario, wanted: int | str) -> Iterator[Pa
     inside, choice = parts.perception, chosen(parts.config, "detector")[0]
     assert isinstance(inside, Perception | MixedPerception)
     with Crew(n_cells, inside, [choice.source.name] if choice.is_own else ()) as crew:
-        yield replace(parts, perception=CellPerception(inside, crew, parts.config.lidar.max_range_m))
+        cells = CellPerception(inside, crew, parts.config.lidar.max_range_m)
+        yield replace(parts, perception=cells, compare=cells.compare)
 
 
 def check(parts: Parts, scenario: Scenario, n_cells: int) -> None:

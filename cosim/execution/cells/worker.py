@@ -2,7 +2,8 @@
 
 The first process imports the program and gets the perception of the run. It forks a worker for every cell, and another
 one when a worker has died. So workers share the memory of the program and of the city, and begin at once. A worker
-keeps the range images of its vehicles until the next step, and nothing else.
+keeps the range images of its vehicles and the groups of the detections that they know until the next step, and nothing
+else.
 """
 
 import os
@@ -11,22 +12,25 @@ import signal
 import socket
 import sys
 import traceback
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from time import process_time
 from typing import Any
 
-from jaxtyping import Bool, Float, Int, Int32, UInt8
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.door.load import load_own
 from cosim.execution.cells.channel import Channel
+from cosim.step.comparing import Compared, FusionOf, Grouped, KnownObjects, PartRows, Used, compare
 from cosim.step.mixed_perception import MixedPerception
-from cosim.step.perception import BoxAnswers, BoxQuestions, Perception, Seen
+from cosim.step.perception import Perception, Seen
 from cosim.step.stopwatch import Stopwatch
 from cosim.world import World
-from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
 from sensors.lidar import Poses
+from trust.fusion import Fused
+from trust.params import TrustParams
+from trust.tables import Detections
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,24 +47,15 @@ class Reply:
     """Largest memory of the worker so far."""
 
 
-@dataclass(frozen=True, slots=True)
-class AreaQuestions:
-    """Which boxes lie in the area that a vehicle of the cell evaluates; arguments as of `Perceives.in_area`."""
-
-    o: Int[ndarray, "n"]
-    boxes: Boxes
-    area: AreaParams
-    b: Int32[ndarray, "n"]
-    label: UInt8[ndarray, "boxes"]
-    own: Boxes
-
-
 class Worker:
     """The services of a worker. Observers are numbered within the cell."""
 
     def __init__(self, perception: Perception | MixedPerception) -> None:
         self.perception, self.watch = perception, Stopwatch()
+        of_vehicles = perception.of_lidar[0] if isinstance(perception, MixedPerception) else perception
+        self._recall = getattr(getattr(of_vehicles, "detector", None), "recall", None)
         self._images: Any = None
+        self._grouped: Any = None
 
     def pid(self) -> int:
         """This process."""
@@ -72,20 +67,27 @@ class Worker:
         self._images = images
         return images.poses, Seen.joined(seen)
 
-    def in_area(self, error: Float[ndarray, "e 3"] | None, asked: AreaQuestions) -> Bool[ndarray, "n"]:
-        """As in `Perceives`, with the errors of the vehicles' positions."""
-        with self.watch("match"):
-            return self.perception.in_area(
-                self._at(error), asked.o, asked.boxes, asked.area, asked.b, asked.label, asked.own
-            )
+    def compare(
+        self, error: Float[ndarray, "e 3"] | None, known: KnownObjects, rows: PartRows, area: AreaParams,
+        params: TrustParams,
+    ) -> Compared:  # fmt: skip
+        """As `cosim.step.comparing.compare`, with the errors of the vehicles' positions."""
+        images = self._images if error is None else self._images.displaced(error)
+        recall = self._recall if params.denials == "recall" else None
+        columns = (getattr(known.detections, column.name).copy() for column in fields(known.detections))
+        known = replace(known, detections=Detections(*columns), own=known.own.copy())  # the next message overwrites it
+        compared, grouped = compare(self.perception, images, known, area, params, recall, self.watch)
+        self._grouped = grouped.renumbered(rows.messages)
+        return compared
 
-    def answers(self, error: Float[ndarray, "e 3"] | None, asked: BoxQuestions) -> BoxAnswers:
-        """As in `Perceives`, with the errors of the vehicles' positions."""
-        with self.watch("evaluate"):
-            return self.perception.answers(self._at(error), asked)
+    def fuse(self, used: Used, variants: list[FusionOf]) -> list[Fused]:
+        """As in `Fuses`."""
+        with self.watch("fuse"):
+            return self._grouped.fuse(used, variants)
 
-    def _at(self, error: Float[ndarray, "e 3"] | None) -> Any:
-        return self._images if error is None else self._images.displaced(error)
+    def grouped(self) -> Grouped:
+        """What fusion needs of the comparison."""
+        return self._grouped
 
 
 def serve(channel: Channel, worker: Worker) -> None:

@@ -69,7 +69,7 @@ class Scene:
         ptr = np.append(0, np.cumsum([len(one) for one in lists]))
         self.matched = SimpleNamespace(
             lists=ObjectLists(ptr, np.concatenate(lists), np.arange(n)),
-            lists_groups=Groups(np.concatenate(seeds), np.concatenate(mine)),
+            groups=Groups(np.concatenate(seeds), np.concatenate(mine)),
         )  # fmt: skip
         s = int((objects.origin == SENSED).sum())
         angle = rng.uniform(-3, 3, s)
@@ -108,7 +108,7 @@ class Scene:
 def test_missing_objects_against_literal_loops(seed):
     scene = Scene(seed)
     m, d, o = scene.messages, scene.messages.detections, scene.messages.objects
-    member, seed_of = scene.matched.lists.member, scene.matched.lists_groups.seed
+    member, seed_of = scene.matched.lists.member, scene.matched.groups.seed
     expected = {}
     for v, p, own in scene.in_lists():
         sender = d.message[own]
@@ -132,7 +132,7 @@ def test_missing_objects_against_literal_loops(seed):
 def test_velocities_against_literal_loops(seed):
     scene = Scene(seed)
     m, d, o, states = scene.messages, scene.messages.detections, scene.messages.objects, scene.states
-    member, groups = scene.matched.lists.member, scene.matched.lists_groups
+    member, groups = scene.matched.lists.member, scene.matched.groups
     p, confirmed = TrackingParams(), confirmed_variance(TrackingParams(), 1.0)
     expected = {}
     for v, at, claim in scene.in_lists():

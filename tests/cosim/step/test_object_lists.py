@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.radio.message_round import Receptions
+from cosim.step.known import Uses
 from cosim.step.object_lists import received_lists, subset
 from trust.tables import ObjectLists
 
@@ -19,11 +19,9 @@ def test_received_lists(seed, n):
     transmitted = rng.random(ptr[-1]) < 0.7
     pairs = [(v, m) for v in range(n) for m in range(len(vehicle)) if vehicle[m] != v and rng.random() < 0.5]
     receiver, message = np.array(pairs, np.int64).reshape(-1, 2).T
-    real = np.zeros(len(receiver))
-    lists = received_lists(
-        Receptions(receiver, message, np.ones(len(receiver), np.int32), real, real, real, real),
-        ptr, transmitted, vehicle, own,
-    )  # fmt: skip
+    further = np.setdiff1d(np.arange(len(vehicle)), own)
+    known = Uses(np.concatenate([receiver, vehicle[further]]), np.concatenate([message, further]))
+    lists = received_lists(known, ptr, transmitted, own)
     assert (lists.owner == own).all()
     for v in range(n):
         others = [m for m in range(len(vehicle)) if m != own[v] and (vehicle[m] == v or (v, m) in pairs)]

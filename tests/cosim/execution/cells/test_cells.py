@@ -106,7 +106,8 @@ def test_a_scene_in_cells_is_the_scene_and_deaths_change_nothing():
             kill(crew.pids[1])
 
     with crew:
-        apart = replace(parts, perception=CellPerception(parts.perception, crew, parts.config.lidar.max_range_m))
+        cells = CellPerception(parts.perception, crew, parts.config.lidar.max_range_m)
+        apart = replace(parts, perception=cells, compare=cells.compare)
         found, state = sensed(apart, deaths)
     want, want_state = sensed(parts)
     assert_same(found, want)

@@ -1,0 +1,268 @@
+"""What every vehicle finds by itself about the detections that it knows: it groups, evaluates and fuses them.
+
+A vehicle uses the messages that it knows and its own sweep. So parts of the vehicles can be computed in any place
+(`KnownObjects.part`), and the result does not depend on it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from cosim.ragged import ptr_of, ranges
+from cosim.step.known import Pairs, Uses
+from cosim.step.object_lists import questions_of, received_lists, subset
+from cosim.step.perception import AsksSweeps
+from cosim.step.stopwatch import Stopwatch
+from sensors.boxes import Boxes
+from sensors.evidence import AreaParams
+from trust import tables
+from trust.evaluation import evaluate
+from trust.fusion import Fused, SensorEvidence, fuse, votes_of
+from trust.matching import match
+from trust.object_reports import ObjectReports
+from trust.params import TrustParams
+from trust.tables import Evaluations, FusionInput, Groups, ObjectLists, SenderTrust
+
+Recall = Callable[[ndarray, ndarray, ndarray], ndarray]
+"""Recall of a detector, from number of returns, class and distance."""
+
+
+@dataclass(frozen=True, slots=True)
+class KnownObjects:
+    """D detections in M messages, and the R vehicles that know them."""
+
+    detections: tables.Detections
+    boxes: Boxes
+    transmitted: Bool[ndarray, "d"]
+    ptr: Int[ndarray, "m+1"]
+    """Row at which the detections of each message begin."""
+    traced: Bool[ndarray, "d"]
+    """Detections of which `Compared` says what they were grouped with."""
+    pairs: Pairs
+    """Detections that overlap."""
+    own: Int[ndarray, "r"]
+    """Message of each vehicle under its own identity, ascending."""
+    received: Uses
+    """Messages that vehicles know besides, from others or under further identities of their own."""
+    bodies: Boxes
+    """Where each vehicle believes itself to be."""
+
+    def part(self, vehicles: Int[ndarray, "k"], received: Int[ndarray, "n"]) -> tuple["KnownObjects", "PartRows"]:
+        """The same for some of the vehicles, which are numbered anew.
+
+        Parameters
+        ----------
+        vehicles
+            Their rows, ascending.
+        received
+            Rows of what they received, ascending.
+
+        Returns
+        -------
+        What they know, and the rows of the messages and detections of it in these.
+        """
+        receiver, message = self.received.receiver[received], self.received.message[received]
+        there = np.zeros(len(self.ptr) - 1, bool)
+        there[self.own[vehicles]] = True
+        there[message] = True
+        messages = np.flatnonzero(there)
+        of_message = np.cumsum(there) - 1
+        n = np.diff(self.ptr)[messages]
+        detections = ranges(self.ptr[messages], n)
+        number = numbers(detections, len(self.boxes))
+        i, j, iou = self.pairs
+        i, j = number[i], number[j]
+        both = np.flatnonzero((i >= 0) & (j >= 0))
+        all_ = self.detections
+        part = KnownObjects(
+            detections=tables.Detections(
+                of_message[all_.message[detections]],
+                *(getattr(all_, name)[detections] for name in ("detection_index", "label", "score", "is_self")),
+            ),
+            boxes=self.boxes.take(detections),
+            transmitted=self.transmitted[detections],
+            ptr=np.concatenate([[0], np.cumsum(n)]),
+            traced=self.traced[detections],
+            pairs=(i[both], j[both], iou[both]),
+            own=of_message[self.own[vehicles]],
+            received=Uses(numbers(vehicles, len(self.own))[receiver], of_message[message]),
+            bodies=self.bodies.take(vehicles),
+        )
+        return part, PartRows(messages, detections, number)
+
+
+class PartRows(NamedTuple):
+    """Rows of messages and detections of a part among all, and the row of every detection in the part, or -1."""
+
+    messages: Int[ndarray, "m"]
+    detections: Int[ndarray, "d"]
+    number: Int[ndarray, "all"]
+
+
+def numbers(rows: Int[ndarray, "k"], n: int) -> Int[ndarray, "n"]:
+    """Position of each of n rows among some of them; -1 if it is not there."""
+    number = np.full(n, -1, np.int32)
+    number[rows] = np.arange(len(rows), dtype=np.int32)
+    return number
+
+
+class Traced(NamedTuple):
+    """Traced detections in the lists of what vehicles know."""
+
+    list: Int[ndarray, "k"]
+    detection: Int[ndarray, "k"]
+    seed: Int[ndarray, "k"]
+    """The detection whose box represents the group."""
+
+
+@dataclass(frozen=True, slots=True)
+class FusionOf:
+    """A trust variant that fuses."""
+
+    trust: Float[ndarray, "h"]
+    """Trust of the vehicle in the sender of each message in use."""
+    params: TrustParams
+    scorer: Callable[[ObjectReports], Float[ndarray, "g"]] | None
+    """Method of a trust model that scores objects."""
+
+
+@dataclass(frozen=True, slots=True)
+class Used:
+    """The evaluations that vehicles use in fusion. Messages have the rows of all `Known`."""
+
+    messages: Uses
+    """Messages whose evaluations the vehicles use, by vehicle."""
+    in_time: bool
+    """Whether these evaluations have arrived."""
+    lists: ObjectLists
+    """What was evaluated, one list per message."""
+    own: Evaluations
+    reported: Evaluations
+    """As transmitted; `own` itself if no attack changed any."""
+    from_own_m: Float[ndarray, "d"]
+    """Distance of each detection from the sensor of its sender."""
+
+
+class Fuses(Protocol):
+    """What fusion needs of the comparison."""
+
+    def fuse(self, used: Used, variants: Sequence[FusionOf]) -> list[Fused]:
+        """Fused objects of every vehicle, per trust variant."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Grouped:
+    """All detections that each vehicle knows, in groups, one per object."""
+
+    lists: ObjectLists
+    groups: Groups
+    detections: tables.Detections
+    of_seeds: SensorEvidence
+    """What the sweeps say about the detection whose box represents each group."""
+
+    def renumbered(self, messages: Int[ndarray, "m"]) -> "Grouped":
+        """The same with these rows of the messages."""
+        detections = replace(self.detections, message=messages[self.detections.message])
+        return replace(self, lists=replace(self.lists, owner=messages[self.lists.owner]), detections=detections)
+
+    def fuse(self, used: Used, variants: Sequence[FusionOf]) -> list[Fused]:
+        """As in `Fuses`."""
+        ptr = ptr_of(used.messages.receiver, len(self.lists.owner))
+        in_time = np.full(len(used.messages.message), used.in_time)
+        given = FusionInput(self.lists, self.groups, self.detections, used.lists, used.own, used.reported)
+        fused, votes = [], None
+        for variant in variants:
+            sender_trust = SenderTrust(ptr, used.messages.message, variant.trust, in_time)
+            if variant.scorer is not None and votes is None:
+                votes = votes_of(given, sender_trust)
+            fused.append(fuse(
+                given, sender_trust, self.of_seeds, used.from_own_m, variant.params, variant.scorer, votes,
+                variant.params.min_score,
+            ))  # fmt: skip
+        return fused
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """What R vehicles find about the detections in the area that they evaluate; `v` is their number."""
+
+    lists: ObjectLists
+    groups: Groups
+    n_points: Int[ndarray, "v"]
+    """Number of returns of the vehicle's own sweep inside the box."""
+    plausible: Bool[ndarray, "v"]
+    """Whether an object can stand there by the vehicle's own sweep; tested if it did not detect the object itself."""
+    own: Evaluations
+    """Evaluations as each vehicle makes them."""
+    traced: Traced
+    """By list."""
+
+
+Compares = Callable[..., tuple[Compared, Fuses]]
+"""A function as `compare`."""
+
+
+def compare(
+    perception: AsksSweeps, sweeps: Any, known: KnownObjects, area: AreaParams, params: TrustParams,
+    recall: Recall | None, watch: Stopwatch,
+) -> tuple[Compared, Grouped]:  # fmt: skip
+    """Group what each vehicle knows, ask its own sweep about it, and evaluate it.
+
+    Parameters
+    ----------
+    perception
+        Answers questions to the sweeps.
+    sweeps
+        Range images of the vehicles at their estimated positions.
+    known
+        What the vehicles know.
+    area
+        Where vehicles evaluate.
+    params
+        How they match and evaluate.
+    recall
+        Recall of their detector; None unless denials are weighted by it.
+    watch
+        Measures the stages.
+    """
+    boxes, detections = known.boxes, known.detections
+    with watch("match"):
+        lists = received_lists(known.received, known.ptr, known.transmitted, known.own)
+        inside = perception.in_area(
+            sweeps, lists.of_member(), boxes, area, lists.member, detections.label, known.bodies
+        )
+        near = subset(lists, inside)
+        groups, near_groups = (match(x, detections, known.pairs, params) for x in (lists, near))
+    with watch("evaluate"):
+        seeds, origin_m = groups.seeds(), sweeps.poses.origin_m
+        foreign = np.zeros(len(lists.member), bool)  # members whose plausibility is tested
+        foreign[seeds] = True
+        foreign &= ~groups.ego_detected
+        foreign[np.flatnonzero(inside)[~near_groups.ego_detected]] = True
+        asked, counted, tested = questions_of(lists, inside, foreign, boxes, detections, area)
+        n_points, plausible = np.zeros(len(lists.member), np.int32), np.ones(len(lists.member), bool)
+        n_points[counted], plausible[tested] = perception.answers(sweeps, asked)
+        away_m = distance_m(boxes.xyz_m, lists.member[seeds], origin_m, lists.of(seeds))
+        of_seeds = SensorEvidence(n_points[seeds], plausible[seeds], away_m < area.range_m)
+        n_points, plausible, of_near = n_points[inside], plausible[inside], None
+        if recall is not None:
+            range_m = distance_m(boxes.xyz_m, near.member, origin_m, near.of_member())
+            of_near = recall(n_points, detections.label[near.member], range_m)
+        own = evaluate(near, near_groups, detections, n_points, plausible, params, of_near)
+        at = np.flatnonzero(known.traced[lists.member]) if known.traced.any() else np.zeros(0, np.int64)
+        traced = Traced(lists.of(at), lists.member[at], lists.member[groups.seed[at]])
+    compared = Compared(near, near_groups, n_points, plausible, own, traced)
+    return compared, Grouped(lists, groups, detections, of_seeds)
+
+
+def distance_m(
+    a_m: Float[ndarray, "a 3"], i: Int[ndarray, "n"], b_m: Float[ndarray, "b 3"], j: Int[ndarray, "n"]
+) -> Float[ndarray, "n"]:
+    """Distance of each row i of `a_m` from the row j of `b_m`."""
+    x, y, z = (a_m[i] - b_m[j]).T
+    return np.sqrt(x * x + y * y + z * z)
