@@ -20,6 +20,7 @@ from cosim.mobility.roadside import NO_UNITS, RoadsideUnits
 from cosim.mobility.schedule import Schedule
 from cosim.radio.medium import Medium
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
+from cosim.step.early_fusion import EarlyFusion
 from cosim.step.mixed_perception import MixedPerception
 from cosim.step.perception import Perceives, Perception
 from cosim.step.stopwatch import Stopwatch
@@ -53,6 +54,8 @@ class Parts:
     revocation: Revocation
     trust: TrustHosts
     driver: Driver
+    early: EarlyFusion | None = None
+    """Shares and merges point clouds; None if none are shared."""
     recall: Callable[[ndarray, ndarray, ndarray], ndarray] | None = None
     """Recall of the detector (`sensors.detector.KnowsRecall`); None unless denials are weighted by it."""
     coverage: Coverage | None = None
@@ -100,6 +103,7 @@ class Parts:
             revocation=Revocation(c.pseudonyms, linkage),
             trust=TrustHosts.of(variants(c), c.server, c.seed, c.schedule.exchange_interval_s, dt_s),
             driver=_make(c, "driver"),
+            early=EarlyFusion.of(c),
             recall=recall_of(c) if c.trust.denials == "recall" else None,
             coverage=Coverage.of(c.lidar, walls, recall_of(c)) if "missing" in c.trust.evidence else None,
             certified=units.name_key[units.trusted],
