@@ -1,7 +1,7 @@
 """Compressed rows: ranges of integers, offsets of groups, and stable orders by counting."""
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from sensors.kernel import compiled
@@ -42,6 +42,12 @@ def ranges(start: Int[ndarray, "r"], count: Int[ndarray, "r"]) -> Int[ndarray, "
 def offsets(count: Int[ndarray, "r"]) -> Int[ndarray, "r+1"]:
     """Where each group begins if groups of these counts lie one after another, and where the last one ends."""
     return np.concatenate([[0], np.cumsum(count, dtype=np.int64)])
+
+
+def rows_of(number: Int[ndarray, "k"], numbers: Int[ndarray, "n"]) -> tuple[Int[ndarray, "k"], Bool[ndarray, "k"]]:
+    """Row of each number among ascending ones, and whether it is there. Where it is not, the row means nothing."""
+    row = np.minimum(np.searchsorted(numbers, number), max(len(numbers) - 1, 0))
+    return row, numbers[row] == number if len(numbers) else np.zeros(len(number), bool)
 
 
 def distinct(value: Int[ndarray, "m"]) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"]]:

@@ -313,25 +313,35 @@ class Sweeps(RangeImages):
     """Ground truth: speed of each actor along its heading."""
 
     def moved_m(self, o: Int[ndarray, "k"], boxes: Boxes, a: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:
-        """How far actors had moved when the sensor looked at them, from their position at the time of the sweep.
+        """How far actors had moved when the sensor looked at them, as the function `moved_m`."""
+        return moved_m(self.poses, self.beams.s_per_rad, o, boxes, a, self.speed_mps)
 
-        Parameters
-        ----------
-        o, a
-            Observer and row of the actor, for each pair.
-        boxes
-            Boxes of all actors at the time of the sweep, world frame.
 
-        Returns
-        -------
-        Displacement in the world frame [m]; 0 if the sweep takes no time.
-        """
-        if self.beams.s_per_rad == 0.0:
-            return np.zeros((len(a), 3))
-        away_m, yaw = boxes.xyz_m[a] - self.poses.origin_m[o], boxes.yaw_rad[a]
-        azimuth = np.angle(np.exp(1j * (np.arctan2(away_m[:, 1], away_m[:, 0]) - self.poses.yaw_rad[o])))
-        along_m = self.speed_mps[a] * self.beams.s_per_rad * azimuth
-        return along_m[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(a))])
+def moved_m(
+    poses: Poses, s_per_rad: float, o: Int[ndarray, "k"], boxes: Boxes, a: Int[ndarray, "k"],
+    speed_mps: Float[ndarray, "n"],
+) -> Float[ndarray, "k 3"]:  # fmt: skip
+    """How far actors had moved when a sensor looked at them, from their position at the time of the sweep.
+
+    Parameters
+    ----------
+    poses, s_per_rad
+        True poses of the sensors, and the time in which they turn by one radian, as in `Beams`.
+    o, a
+        Sensor and row of the actor, for each pair.
+    boxes, speed_mps
+        Boxes of all actors at the time of the sweep, world frame, and their speeds along their headings.
+
+    Returns
+    -------
+    Displacement in the world frame [m]; 0 if the sweep takes no time.
+    """
+    if s_per_rad == 0.0:
+        return np.zeros((len(a), 3))
+    away_m, yaw = boxes.xyz_m[a] - poses.origin_m[o], boxes.yaw_rad[a]
+    azimuth = np.angle(np.exp(1j * (np.arctan2(away_m[:, 1], away_m[:, 0]) - poses.yaw_rad[o])))
+    along_m = speed_mps[a] * s_per_rad * azimuth
+    return along_m[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(a))])
 
 
 class SweepMemory(NamedTuple):

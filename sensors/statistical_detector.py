@@ -172,12 +172,19 @@ class StatisticalDetector:
         draws: DetectorDraws,
     ) -> Reports:
         """See `sensors.detector.Detector`."""
-        detected = _detected(seen.take(np.flatnonzero(seen.n_returns > 0)), label, draws, self.model)
-        z = pair_normals(detected, draws, self.model)
-        found = reports_of_actors(detected, boxes, label, sweeps.poses.origin_m, z, self.model)
+        found = self.of_actors(seen, boxes, label, sweeps.poses.origin_m, draws)
         found = found.moved(sweeps.moved_m(found.observer, boxes, found.actor))
         every = Reports.concat([found, false_positives(sweeps, seen, draws, self.model)])
         return every.take(np.flatnonzero(every.score >= self.model.min_score))
+
+    def of_actors(
+        self, seen: Observability, boxes: Boxes, label: UInt8[ndarray, "n"], origin_m: Float[ndarray, "m 3"],
+        draws: DetectorDraws,
+    ) -> Reports:  # fmt: skip
+        """Reports of actors by what is seen of them, at any score; `origin_m` is the position of each sensor."""
+        detected = _detected(seen.take(np.flatnonzero(seen.n_returns > 0)), label, draws, self.model)
+        z = pair_normals(detected, draws, self.model)
+        return reports_of_actors(detected, boxes, label, origin_m, z, self.model)
 
     def recall(
         self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]

@@ -29,6 +29,7 @@ from cosim.mobility.schedule import Schedule, SensingGroup
 from cosim.mobility.streetside import ParkedParams, TreeParams
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams
+from cosim.v2x.cloud_params import EarlyFusionParams
 from cosim.v2x.cpm_params import CpmParams
 from cosim.v2x.linkage import check_server
 from cosim.v2x.pseudonyms import PseudonymParams
@@ -125,6 +126,7 @@ class Config:
     tracking: TrackingParams = field(default_factory=TrackingParams)
     attacks: tuple[AttackParams, ...] = ()
     cpm: CpmParams = field(default_factory=CpmParams)
+    early_fusion: EarlyFusionParams = field(default_factory=EarlyFusionParams)
     radio: RadioParams = field(default_factory=RadioParams)
     rsu: RsuParams = field(default_factory=RsuParams)
     roadside: tuple[RoadsideParams, ...] = ()
@@ -186,6 +188,7 @@ class Config:
                 'anyone. Set trust.host = "central" or "local", or radio.relay.min_trust = 0.'
             )
         check_evidence(self)
+        check_early_fusion(self)
         check_server(
             self.pseudonyms, self.attacks, [t.host for t in (self.trust, *(v.trust for v in self.trust_variant))]
         )
@@ -244,6 +247,23 @@ def check_evidence(config: Config) -> None:
             f'trust.evidence names "missing", but cpm.{key} = "{getattr(config.cpm, key)}" leaves objects out of '
             "messages, which cannot be told from withheld ones. Set "
             f'cpm.{key} = "{"all" if key == "rules" else "none"}", or remove "missing".'
+        )
+
+
+def check_early_fusion(config: Config) -> None:
+    """Raise ValueError, in one line, if the clouds that vehicles share cannot be sent or merged."""
+    early, model = config.early_fusion, config.detector.model
+    if early.share == "none":
+        return
+    if model == "ideal" or is_own(model):
+        raise ValueError(
+            f'early_fusion.share = "{early.share}" needs a detector that can be asked about numbers of returns; '
+            f'detector.model = "{model}" cannot. Set it to "avod", "pointpillars" or "pv_rcnn".'
+        )
+    if early.medium == "radio" and config.radio.relay.max_hops > 1:
+        raise ValueError(
+            f'early_fusion.share = "{early.share}" with radio.relay.max_hops = {config.radio.relay.max_hops}: point '
+            'clouds are not forwarded. Set radio.relay.max_hops = 1, or early_fusion.medium = "unlimited".'
         )
 
 

@@ -13,7 +13,7 @@ from cosim.mobility.roadside import RoadsideParams
 
 _SENSING = (
     "sensing_*", "extrapolate", "lidar.*", "weather.*", "gnss.*", "detector.*", "tracking.*", "attacks.*", "cpm.*",
-    "radio.*", "rsu.*", "roadside.*", "server.*", "pseudonyms.*", "trust.*", "driver.*",
+    "early_fusion.*", "radio.*", "rsu.*", "roadside.*", "server.*", "pseudonyms.*", "trust.*", "driver.*",
 )  # fmt: skip
 _SIDELINK = ("nr_mode2", "lte_mode4")
 
@@ -43,6 +43,7 @@ NEEDS: tuple[tuple[tuple[str, ...], str, Callable[[Config], bool]], ...] = (
         lambda c: c.cpm.redundancy == "dynamics",
     ),
     (("cpm.redundancy_sender_m",), 'cpm.redundancy = "distance"', lambda c: c.cpm.redundancy == "distance"),
+    (("early_fusion.*",), "early_fusion.share", lambda c: c.early_fusion.share != "none"),
     (("radio.unit_disk.*",), 'radio.model = "unit_disk"', lambda c: _radio(c, "unit_disk")),
     (
         ("radio.propagation.*", "radio.receiver.*"), 'another radio.model than "unit_disk"',

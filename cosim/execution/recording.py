@@ -99,6 +99,7 @@ def step(recorder: TakesRows, result: StepResult, dt_s: float) -> None:
     _evidence(recorder, result.world, sensed)
     _trust(recorder, result.world, sensed, dt_s)
     _fused(recorder, result.world, sensed)
+    _early(recorder, result.world, sensed)
     units = result.world.actor[result.world.is_roadside]
     for rows in sensed.attack_outcomes:
         recorder.append("attack_outcomes", at, _without(np.isin(rows["receiver"], units), rows))
@@ -499,6 +500,23 @@ def _fused(recorder: TakesRows, world: World, sensed: Sensed) -> None:
             **_moved(sensed, fused.pose),
         }  # fmt: skip
         recorder.append("fused", world.step, _without(world.is_roadside[sensed.sensing.row[ego]], rows))
+
+
+def _early(recorder: TakesRows, world: World, sensed: Sensed) -> None:
+    early = sensed.early
+    if early is None:
+        return
+    ego, actor, is_unit = early.ego, sensed.sensing.actor, world.is_roadside[sensed.sensing.row]
+    recorder.append("early_fused", world.step, _without(is_unit[ego], {
+        "observer": actor[ego], "early_index": np.arange(len(ego)) - ptr_of(ego, len(actor))[ego],
+        "class": early.label, **_box_columns(early.boxes), "score": early.score, "n_points": early.n_points,
+        "n_sweeps": early.n_sweeps, "truth_actor": world.actor[early.actor_row], "truth_actor__valid": early.is_real,
+        "truth_iou": early.iou, "truth_iou__valid": early.is_real,
+    }))  # fmt: skip
+    recorder.append("clouds", world.step, {
+        "sender": actor, "n_points": early.offered.n_points, "length_bytes": early.offered.length_bytes,
+        "n_sent": early.n_frames, "n_in_range": early.n_in_range, "n_received": early.n_received,
+    })  # fmt: skip
 
 
 def _moved(sensed: Sensed, detection: Int[ndarray, "k"]) -> Rows:

@@ -109,6 +109,21 @@ class Messages:
         envelope = ENVELOPE_BYTES if self.envelope_bytes is None else self.envelope_bytes[sent]
         return segments(self.length_bytes[sent], envelope, frame_bytes)
 
+    def followed_by(self, other: "Messages") -> tuple["Messages", Bool[ndarray, "k"]]:
+        """Behind the messages of each station, those that it has among the others; and which messages are others.
+
+        Keys of the first messages stay as they are. The others have no delay, and the usual envelope.
+        """
+        station = np.concatenate([self.station, other.station])
+        order = np.argsort(station, kind="stable")
+
+        def joined(mine: ndarray | None, usual: float) -> ndarray | None:
+            return None if mine is None else np.append(mine, np.full(len(other), usual, mine.dtype))[order]
+
+        length = np.concatenate([self.length_bytes, other.length_bytes])[order]
+        delay_s, envelope = joined(self.delay_s, 0.0), joined(self.envelope_bytes, ENVELOPE_BYTES)
+        return Messages(station[order], length, delay_s, envelope), order >= len(self)
+
     @staticmethod
     def one_each(length_bytes: Int[ndarray, "n"]) -> "Messages":
         """One message per station: message row and station row are the same."""
@@ -198,6 +213,10 @@ class FrameOutcomes:
     """Channel busy ratio of the round at each station; None where the medium does not model it."""
 
 
+_OF_FRAMES = ("receiver", "hop", "distance_m", "los_state", "outcome")
+"""Columns of `FrameOutcomes` with a row for each frame and station, besides `message`."""
+
+
 @dataclass(frozen=True, slots=True)
 class MessageRound:
     """One round of messages."""
@@ -264,6 +283,20 @@ class MessageRound:
             cbr=cbr,
         )
         return MessageRound(messages.station, receptions, frames)
+
+    def only(self, chosen: Bool[ndarray, "m"]) -> "MessageRound":
+        """The round of these messages alone, renumbered. Sums and the channel busy ratio stay those of all messages."""
+        number, found, frames = np.cumsum(chosen) - 1, self.receptions, self.frames
+        found = found.take(chosen[found.message])
+        mine = chosen[frames.message]
+        columns = {name: getattr(frames, name)[mine] for name in _OF_FRAMES}
+        return MessageRound(
+            self.station[chosen],
+            replace(found, message=number[found.message]),
+            replace(
+                frames, message=number[frames.message[mine]], n_transmissions=frames.n_transmissions[chosen], **columns
+            ),
+        )
 
     @staticmethod
     def silent(n_stations: int = 0) -> "MessageRound":

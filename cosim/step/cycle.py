@@ -107,7 +107,9 @@ def _cycle(
         exchange = trust_stages.control_relays(trust, s.known_senders, exchange, pseudonyms, parts)
     with watch("radio"):
         medium = s.medium if precomputed.with_links is None else precomputed.with_links(s.medium)
-        medium, cpms = stages.broadcast_detections(exchange, listed, s.piggybacked, medium, parts)
+        offered = None if parts.early is None else parts.early.offered(observed, parts.perception, c.lidar.max_range_m)
+        on_air = offered.length_bytes if offered is not None and c.early_fusion.medium == "radio" else None
+        medium, cpms = stages.broadcast_detections(exchange, listed, s.piggybacked, on_air, medium, parts)
         cpm = stages.hear(cpm, exchange, positioned, listed, cpms, c)
     with watch("match"):
         inbox, known = s.inbox.known(exchange, listed, cpms, parts)
@@ -133,6 +135,9 @@ def _cycle(
         fused = trust_stages.fuse_objects(trust, matched, evaluations, looked_up, parts)
         received = cpms.accepted.vehicles, carrier.receptions.vehicles
         inbox = inbox.next(exchange, listed, matched, evaluated, received, parts.schedule)
+        clouds, early = s.clouds, None
+        if parts.early is not None and offered is not None:
+            clouds, early = parts.early.fuse(clouds, exchange, observed, positioned.error, offered, cpms.clouds)
     beliefs, reaction_truth = None, s.reaction_truth
     if c.driver.model != "none":
         with watch("driver"):
@@ -145,12 +150,12 @@ def _cycle(
         outcomes = attack_outcomes(exchange, positioned.world, known, compared, fused)
     s = replace(
         s, trust=trust, pseudonyms=pseudonyms, position_errors=position_errors, tracks=tracks, cpm=cpm,
-        medium=medium, inbox=inbox, piggybacked=piggybacked, known_senders=known_senders,
+        medium=medium, inbox=inbox, clouds=clouds, piggybacked=piggybacked, known_senders=known_senders,
         reaction_truth=reaction_truth, attack_start=attack_start, inter_reception=inter_reception,
         encounters=encounters, n_dropped=s.n_dropped + listed.n_dropped,
     )  # fmt: skip
     return s, Sensed(
         vehicles=vehicles, sensing=exchange.sensing, senders=senders, positioned=positioned, listed=listed, known=known,
-        rounds=(cpms, reports), reach=reach, evaluated=evaluated, looked_up=looked_up, fused=fused,
+        rounds=(cpms, reports), reach=reach, evaluated=evaluated, looked_up=looked_up, fused=fused, early=early,
         published=published.scores, servers=parts.trust.traffic(up, informed), attack_outcomes=outcomes,
     ), beliefs  # fmt: skip

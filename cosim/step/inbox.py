@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from cosim.mobility.schedule import Schedule
 from cosim.radio.message_round import Receptions
-from cosim.ragged import offsets, ranges
+from cosim.ragged import offsets, ranges, rows_of
 from cosim.step.exchange import Exchange
 from cosim.step.ground_truth import GroundTruth
 from cosim.step.known import Known, Pairs, Uses
@@ -101,9 +101,9 @@ class Inbox:
         If the ages of the messages are given, their objects are moved by their velocities to the time of the step.
         """
         world, n, d = exchange.world, len(exchange.senders), len(now.objects)
-        row, _ = _rows_of(self.objects.observer, world.actor)
-        target, there = _rows_of(self.objects.target, world.actor)
-        actor_row, exists = _rows_of(self.truth.actor_row, world.actor)
+        row, _ = rows_of(self.objects.observer, world.actor)
+        target, there = rows_of(self.objects.target, world.actor)
+        actor_row, exists = rows_of(self.truth.actor_row, world.actor)
         boxes, moved_m = self.objects.boxes, None
         if age_s is not None:
             boxes = extrapolated(boxes, velocities(self.objects), np.repeat(age_s, np.diff(self.ptr)))
@@ -124,7 +124,7 @@ class Inbox:
             detections=type(ours)(*columns),
             ptr=np.concatenate([now.ptr, d + self.ptr[1:]]),
             withheld=np.concatenate([now.withheld, self.withheld]),
-            vehicle=np.concatenate([now.vehicle, _rows_of(self.sender >> 16, exchange.vehicles.actor)[0]]),
+            vehicle=np.concatenate([now.vehicle, rows_of(self.sender >> 16, exchange.vehicles.actor)[0]]),
             pseudonym=pseudonym,
             received=_newest(now.received, pseudonym, step),
             step=step,
@@ -259,12 +259,6 @@ class Inbox:
         )  # fmt: skip
 
 
-def _rows_of(number: Int[ndarray, "k"], numbers: Int[ndarray, "n"]) -> tuple[Int[ndarray, "k"], Bool[ndarray, "k"]]:
-    """Row of each number among ascending ones, and whether it is there. Where it is not, the row means nothing."""
-    row = np.minimum(np.searchsorted(numbers, number), max(len(numbers) - 1, 0))
-    return row, numbers[row] == number if len(numbers) else np.zeros(len(number), bool)
-
-
 def _of_sensing(exchange: Exchange, held: Uses, received: Receptions) -> Uses:
     """Receptions of this step and held ones, by those vehicles that sense in this step."""
     vehicles, sensing, n = exchange.vehicles, exchange.sensing, len(exchange.senders)
@@ -272,7 +266,7 @@ def _of_sensing(exchange: Exchange, held: Uses, received: Receptions) -> Uses:
         return Uses(received.receiver, received.message)
     row = np.full(len(vehicles), -1)
     row[vehicles.senses] = np.arange(len(sensing))
-    old, there = _rows_of(held.receiver, sensing.actor)
+    old, there = rows_of(held.receiver, sensing.actor)
     receiver = np.concatenate([row[received.receiver], np.where(there, old, -1)])
     message = np.concatenate([received.message, n + held.message])
     mine = np.flatnonzero(receiver >= 0)

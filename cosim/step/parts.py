@@ -21,6 +21,7 @@ from cosim.mobility.schedule import Schedule
 from cosim.radio.medium import Medium
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
 from cosim.step.comparing import Compares, Recall, compare
+from cosim.step.early_fusion import EarlyFusion
 from cosim.step.mixed_perception import MixedPerception
 from cosim.step.perception import Perceives, Perception
 from cosim.step.stopwatch import Stopwatch
@@ -54,6 +55,8 @@ class Parts:
     revocation: Revocation
     trust: TrustHosts
     driver: Driver
+    early: EarlyFusion | None = None
+    """Shares and merges point clouds; None if none are shared."""
     recall: Recall | None = None
     """Recall of the detector (`sensors.detector.KnowsRecall`); None unless denials are weighted by it."""
     coverage: Coverage | None = None
@@ -103,6 +106,7 @@ class Parts:
             revocation=Revocation(c.pseudonyms, linkage),
             trust=TrustHosts.of(variants(c), c.server, c.seed, c.schedule.exchange_interval_s, dt_s),
             driver=_make(c, "driver"),
+            early=EarlyFusion.of(c),
             recall=recall_of(c) if c.trust.denials == "recall" else None,
             coverage=Coverage.of(c.lidar, walls, recall_of(c)) if "missing" in c.trust.evidence else None,
             certified=units.name_key[units.trusted],

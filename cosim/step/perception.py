@@ -266,16 +266,23 @@ class Perception:
 
     def draws(self, world: World, observers: Int[ndarray, "e"]) -> DetectorDraws:
         """Random keys of the detector for the vehicles in these rows of the world."""
-        names, step, site = world.name_key, world.step, rng.key(self.seed, rng.Stream.CLUTTER_MEMORY)
-        return DetectorDraws(
-            time_s=step * self.dt_s,
-            actor=names,
-            observer_step=rng.keys(rng.key(self.seed, rng.Stream.DETECTION, step), names[observers]),
-            observer=rng.keys(rng.key(self.seed, rng.Stream.DETECTION_MEMORY), names[observers]),
-            site=site,
-            site_step=rng.keys(rng.key(self.seed, rng.Stream.CLUTTER, step), names[observers]),
-            site_observer=rng.keys(site, names[observers]),
-        )
+        return detector_draws(self.seed, self.dt_s, world.step, world.name_key, world.name_key[observers])
+
+
+def detector_draws(
+    seed: int, dt_s: float, step: int, names: UInt64[ndarray, "n"], own: UInt64[ndarray, "e"]
+) -> DetectorDraws:
+    """Random keys of the detector in a step; `names` are the keys of all actors, `own` those of the observers."""
+    site = rng.key(seed, rng.Stream.CLUTTER_MEMORY)
+    return DetectorDraws(
+        time_s=step * dt_s,
+        actor=names,
+        observer_step=rng.keys(rng.key(seed, rng.Stream.DETECTION, step), own),
+        observer=rng.keys(rng.key(seed, rng.Stream.DETECTION_MEMORY), own),
+        site=site,
+        site_step=rng.keys(rng.key(seed, rng.Stream.CLUTTER, step), own),
+        site_observer=rng.keys(site, own),
+    )
 
 
 def _concat(parts: list[_Rows]) -> _Rows:

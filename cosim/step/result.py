@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from cosim.driver.driver import SpeedCommands
+from cosim.step.early_fusion import Early
 from cosim.step.exchange import Senders, Vehicles
 from cosim.step.known import Known
 from cosim.step.reactions import Reactions
@@ -39,6 +40,8 @@ class Sensed:
     looked_up: LookedUp
     fused: list[Fused | None]
     """Fused objects per trust variant; None if they were not requested."""
+    early: Early | None
+    """What vehicles detect in merged point clouds; None without `[early_fusion]`."""
     published: list[TrustScores | None]
     """Per trust variant, the values that its server computed in this step."""
     servers: list[ServerTraffic | None]

@@ -15,7 +15,7 @@ from cosim.config.config import Config
 from cosim.driver.driver import Beliefs
 from cosim.mobility.position_errors import PositionErrors
 from cosim.radio.medium import gap_s
-from cosim.radio.message_round import LinkReceptions, MessageRound, RoundKind
+from cosim.radio.message_round import LinkReceptions, MessageRound, Messages, RoundKind
 from cosim.ragged import ptr_of
 from cosim.step import object_lists
 from cosim.step.comparing import Compared, Fuses, KnownObjects, distance_m
@@ -311,18 +311,24 @@ class Broadcast:
     """Receptions without those from revoked senders."""
     length_bytes: Int[ndarray, "m"]
     """Length of each vehicle's message; 0 if it is not sent."""
+    clouds: MessageRound | None = None
+    """Point clouds that were sent in the same round, one per vehicle that senses; None if none are."""
 
 
 def broadcast_detections(
-    exchange: Exchange, listed: Listed, piggybacked: SentEvaluations | None, medium: object, parts: Parts
-) -> tuple[object, Broadcast]:
-    """Broadcast detection messages, with piggybacked evaluations of the step before; return the medium's new state."""
+    exchange: Exchange, listed: Listed, piggybacked: SentEvaluations | None, cloud_bytes: Int[ndarray, "s"] | None,
+    medium: object, parts: Parts,
+) -> tuple[object, Broadcast]:  # fmt: skip
+    """Broadcast detection messages, with piggybacked evaluations of the step before; return the medium's new state.
+
+    Behind its detection message, a vehicle sends its point cloud, if `cloud_bytes` has the lengths.
+    """
     lengths, envelopes = _cpm_lengths(exchange, listed, piggybacked, parts.config)
     on_air = OnAir.of(
         exchange.senders, lengths, len(exchange.vehicles), len(parts.rsus), sending=exchange.sending,
         envelope_bytes=envelopes,
     )  # fmt: skip
-    return _broadcast(exchange, RoundKind.CPM, on_air, exchange.now.begin_s, lengths, medium, parts)
+    return _broadcast(exchange, RoundKind.CPM, on_air, exchange.now.begin_s, lengths, medium, parts, cloud_bytes)
 
 
 def broadcast_evaluations(
@@ -341,12 +347,16 @@ def broadcast_evaluations(
 
 def _broadcast(
     exchange: Exchange, kind: RoundKind, on_air: OnAir, begin_s: float, length_bytes: Int[ndarray, "m"],
-    medium: object, parts: Parts,
+    medium: object, parts: Parts, cloud_bytes: Int[ndarray, "s"] | None = None,
 ) -> tuple[object, Broadcast]:  # fmt: skip
-    messages = on_air.without(exchange.refused).messages
+    messages, clouds = on_air.without(exchange.refused).messages, None
+    if cloud_bytes is not None:
+        messages, is_cloud = messages.followed_by(Messages(exchange.vehicles.senses, cloud_bytes))
     medium, found = parts.medium.broadcast(medium, kind, exchange.now.step, begin_s, exchange.stations, messages)
+    if cloud_bytes is not None:
+        found, clouds = found.only(~is_cloud), found.only(is_cloud)
     links = on_air.links(found, len(exchange.vehicles))
-    return medium, Broadcast(found, links, _accepted(links, exchange.senders), length_bytes)
+    return medium, Broadcast(found, links, _accepted(links, exchange.senders), length_bytes, clouds)
 
 
 def _accepted(links: LinkReceptions, senders: Senders) -> LinkReceptions:

@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from cosim.adversary.adversary import AttackState
 from cosim.mobility.position_errors import PositionErrors
+from cosim.step.early_fusion import Clouds
 from cosim.step.inbox import Inbox
 from cosim.step.parts import Parts
 from cosim.step.reactions import ReactionTruth
@@ -48,6 +49,8 @@ class State:
     piggybacked: SentEvaluations | None = None
     inbox: Inbox = field(default_factory=Inbox)
     """Earlier messages that vehicles still use; empty if all vehicles sense in the same steps."""
+    clouds: Clouds = field(default_factory=Clouds)
+    """Point clouds that vehicles still use; empty without `[early_fusion]`."""
     inter_reception: ReceptionTrackers = field(
         default_factory=lambda: (InterReceptionTracker(), InterReceptionTracker())
     )

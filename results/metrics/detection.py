@@ -25,7 +25,7 @@ CLASSES = labels(ObjectClass)
 
 def precision(
     run: Run,
-    lists: tuple[Lists, ...] = ("local", "fused"),
+    lists: tuple[Lists, ...] = tuple(TABLE_OF),
     overlap: Overlap = "3d",
     loose: bool = False,
     range_m: float = 140.0,
@@ -53,11 +53,12 @@ def precision(
     reach is 3 and counts only at level "all". Truncation is not modelled: an object is in the picture with its
     centre or not at all.
     """
+    lists = with_boxes(run, lists)
     run.require("actors", "observability", *(TABLE_OF[which] for which in lists))
     steps = sampled_steps(run, max_frames)
     truth, poses = actors_ahead(run, steps, range_m)
     rows = []
-    for which in with_boxes(run, lists):
+    for which in lists:
         found = boxes_ahead(run, which, steps, poses, range_m)
         for label in CLASSES:
             limit = (LOOSE if loose else STRICT)[label]

@@ -13,10 +13,11 @@ from results.metrics.overlap import corners
 from results.run import Run
 from results.sensing import interval_steps, senses, sensing_steps
 
-Lists = Literal["local", "fused"]
-"""Detections of a vehicle's own sensor, or its fused objects."""
+Lists = Literal["local", "fused", "early"]
+"""Detections of a vehicle's own sensor, its fused objects, or what it detects in merged point clouds."""
 
-TABLE_OF: dict[Lists, str] = {"local": "detections", "fused": "fused"}
+TABLE_OF: dict[Lists, str] = {"local": "detections", "fused": "fused", "early": "early_fused"}
+_INDEX_OF: dict[Lists, str] = {"local": "detection_index", "fused": "fused_index", "early": "early_index"}
 
 BOX = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad")
 _OBJECT_CLASS = {
@@ -47,10 +48,15 @@ def sampled_steps(run: Run, max_frames: int) -> np.ndarray:
 
 
 def with_boxes(run: Run, lists: tuple[Lists, ...]) -> tuple[Lists, ...]:
-    """The lists that the run's variant has: only the base variant and variants that ask for it have fused objects."""
+    """The lists that the run's variant has.
+
+    Only the base variant and variants that ask for it have fused objects. Only runs with `[early_fusion]` have early
+    ones.
+    """
     sections = run.config.get("trust_variant", [])
     fuses = run.variant == BASE_VARIANT or any(v["name"] == run.variant and v.get("fused") for v in sections)
-    return tuple(which for which in lists if which != "fused" or fuses)
+    merges = "early_fused" in run.tables and run.n_rows("early_fused") > 0
+    return tuple(which for which in lists if {"fused": fuses, "early": merges}.get(which, True))
 
 
 def at_steps(steps: np.ndarray) -> pc.Expression:
@@ -87,7 +93,7 @@ def posed(run: Run, steps: np.ndarray, observers: np.ndarray | None = None) -> t
 
 
 def observed_by_vehicle(run: Run, which: Lists, columns: list[str], where: pc.Expression) -> pd.DataFrame:
-    """Rows of `detections` or `fused`, with the actor number of the observer in place of its pseudonym."""
+    """Rows of the table of a list, with the actor number of the observer in place of its pseudonym."""
     frame = run.variant_table(TABLE_OF[which], columns, where)
     if which == "local" and len(frame):
         frame = frame.assign(observer=frame.observer.map(run.subjects.vehicle))
@@ -173,7 +179,7 @@ def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m
     Parameters
     ----------
     which
-        The detections of its own sensor, or its fused objects.
+        The detections of its own sensor, its fused objects, or those in merged point clouds.
     steps
         Steps that are read.
     poses
@@ -183,9 +189,9 @@ def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m
     -------
     Boxes by frame, within a frame in the order of the list. The errors of the observer's own pose are undone.
     """
-    index = "fused_index" if which == "fused" else "detection_index"
+    index = _INDEX_OF[which]
     columns = ["step", "observer", index, "class", *BOX, "score"]
-    if which == "fused":
+    if which != "local":
         where = at_steps(steps) & pc.field("observer").isin(poses.observer.unique().tolist())
     else:
         where = at_steps(steps) & (pc.field("origin") == "sensed")

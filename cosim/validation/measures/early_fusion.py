@@ -1,7 +1,7 @@
 """Early fusion: the detector looks at the merged clouds of an ego and its partners, as in Cooper [1]_.
 
-It is computed from the recorded numbers of returns, not within the cycle: the detector of a run is asked again with the
-returns of all vehicles on an object counted together.
+It is computed from the recorded numbers of returns, for any partners, delay and errors on the same sweeps. With
+`[early_fusion]`, a run does the same within its cycle (`cosim.step.early_fusion`).
 
 References
 ----------
@@ -17,20 +17,17 @@ import pandas as pd
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from cosim import rng
-from cosim.config.config import Config
 from cosim.mobility.actors import actor_key
 from cosim.offline.replay_lidar import city_of, config_of, sweep, worlds
 from cosim.radio.phy import airtime_ns
+from cosim.step.perception import detector_draws
 from cosim.validation.facts import Measured
 from results.metrics.kitti_frames import BOX, Poses, at_steps
 from results.run import Run
 from sensors.boxes import Boxes
-from sensors.detector import DetectorDraws
-from sensors.evidence import Observability
-from sensors.reports import Reports
+from sensors.merged_clouds import Views, detect
 from sensors.scene import ObjectClass
-from sensors.statistical_detector import StatisticalDetector, pair_normals, reports_of_actors
+from sensors.statistical_detector import StatisticalDetector
 
 POINT_BYTES = 16
 """A point as data sets store it: x, y, z and intensity in single precision."""
@@ -49,7 +46,7 @@ class Disturbance:
 
 
 def early_boxes(run: Run, poses: Poses, actors: pd.DataFrame, beside: pd.DataFrame, wrong: Disturbance) -> pd.DataFrame:
-    """What the run's detector finds in merged clouds.
+    """What the run's detector finds in merged clouds, as `sensors.merged_clouds.detect`.
 
     Parameters
     ----------
@@ -60,15 +57,8 @@ def early_boxes(run: Run, poses: Poses, actors: pd.DataFrame, beside: pd.DataFra
 
     Returns
     -------
-    Boxes: frame, class, box in the world frame, score, and the actor.
-
-    Notes
-    -----
-    An object has the returns of all vehicles together, the occlusion of the vehicle that sees most of it, and the mean
-    distance of its returns. Points that a partner has displaced, by the error of its pose or because the object moved
-    since, displace the box by their share of the points, and lengthen and widen it by twice their standard deviation.
-    Draws are those of the ego's own sensor.   Deviations from [1]_: no network looks at points; false positives are
-    those of the ego's own sweep, since one pass over the merged cloud makes those of one sweep.
+    Boxes: frame, class, box in the world frame, score, and the actor. False positives, which are those of the ego's own
+    sweep, are not among them.
 
     Raises
     ------
@@ -78,18 +68,31 @@ def early_boxes(run: Run, poses: Poses, actors: pd.DataFrame, beside: pd.DataFra
     config = config_of(run)
     if config.detector.model == "ideal":
         raise ValueError(f'{run.path.name}: detector.model = "ideal" finds all; early fusion needs a statistical one.')
-    detector = StatisticalDetector(config.detector)
-    views = _views(run, poses, actors, beside, wrong)
-    merged = merged_views(views, actors)
-    found = []
-    for step, rows in merged.groupby("step"):
-        egos, here = poses[poses.step == step], actors[actors.step == step].reset_index(drop=True)
-        reports, boxes = _detected(config, run, rows, egos, here, detector)
+    detector, found = StatisticalDetector(config.detector), []
+    for step, views in _views(run, poses, actors, beside, wrong).groupby("step"):
+        egos, here = poses[poses.step == step], actors[actors.step == step]
+        names, actor = _keys(run, here.actor.to_numpy()), here.actor.to_numpy()
+        true = here[[*BOX]].to_numpy(np.float64)
+        early = detect(
+            detector,
+            Views(
+                np.searchsorted(egos.frame.to_numpy(), views.frame.to_numpy()),
+                np.searchsorted(actor, views.actor.to_numpy()), views.n_points.to_numpy(np.int64),
+                views.n_unoccluded.to_numpy(np.int64), views.away_m.to_numpy(), views[["east", "north"]].to_numpy(),
+            ),
+            Boxes(true[:, :3], true[:, 3:6], true[:, 6]),
+            np.array([ObjectClass[name.upper()] for name in here.label], np.uint8),
+            egos[["x_m", "y_m", "z_m"]].to_numpy(np.float64),
+            detector_draws(
+                config.seed, run.dt_s, int(step), names, names[np.searchsorted(actor, egos.observer.to_numpy())]
+            ),
+        ).reports  # fmt: skip
+        boxes = early.boxes
         found.append(pd.DataFrame({
-            "frame": egos.frame.to_numpy()[reports.observer],
-            "class": np.array([c.name.lower() for c in ObjectClass], object)[reports.label],
-            "score": reports.score,
-            "truth_actor": here.actor.to_numpy()[reports.actor],
+            "frame": egos.frame.to_numpy()[early.observer],
+            "class": np.array([c.name.lower() for c in ObjectClass], object)[early.label],
+            "score": early.score,
+            "truth_actor": actor[early.actor],
             **dict(zip(BOX, np.column_stack([boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad]).T, strict=True)),
         }))  # fmt: skip
     return pd.concat(found, ignore_index=True)
@@ -120,60 +123,6 @@ def _views(run: Run, poses: Poses, actors: pd.DataFrame, beside: pd.DataFrame, w
     off = there - here + turned - arm + error[:, :2]
     views = views.assign(east=off[:, 0], north=off[:, 1], away_m=np.hypot(*arm.T))
     return views[np.isfinite(off).all(axis=1)]
-
-
-def merged_views(views: pd.DataFrame, actors: pd.DataFrame) -> pd.DataFrame:
-    """One row per frame and object: returns, occlusion, mean distance, and displacement along the object's axes."""
-    headings = actors.set_index(["step", "actor"]).yaw_rad
-    yaw = headings.reindex(pd.MultiIndex.from_frame(views[["step", "actor"]])).to_numpy(np.float64)
-    n = views.n_points.to_numpy(np.float64)
-    along = np.cos(yaw) * views.east.to_numpy() + np.sin(yaw) * views.north.to_numpy()
-    across = np.cos(yaw) * views.north.to_numpy() - np.sin(yaw) * views.east.to_numpy()
-    sums = views.assign(
-        hidden=1 - n / views.n_unoccluded, n=n, away_m=n * views.away_m, along=n * along, across=n * across,
-        along2=n * along**2, across2=n * across**2,
-    ).groupby(["frame", "step", "actor"])  # fmt: skip
-    every = sums[["n", "away_m", "along", "across", "along2", "across2"]].sum().assign(hidden=sums.hidden.min())
-    for name in ("away_m", "along", "across", "along2", "across2"):
-        every[name] /= every.n
-    for name in ("along", "across"):
-        every[f"{name}2"] = 2 * np.sqrt(np.maximum(every[f"{name}2"] - every[name] ** 2, 0))
-    return every.reset_index()
-
-
-def _detected(
-    config: Config, run: Run, rows: pd.DataFrame, egos: Poses, here: pd.DataFrame, detector: StatisticalDetector
-) -> tuple[Reports, Boxes]:
-    """Reports of one step, observers numbered as `egos`, and their displaced boxes."""
-    step = int(egos.step.iloc[0])
-    observer = np.searchsorted(egos.frame.to_numpy(), rows.frame.to_numpy())
-    actor = np.searchsorted(here.actor.to_numpy(), rows.actor.to_numpy())
-    n = rows.n.to_numpy(np.int64)
-    seen = Observability(observer, actor, n, np.rint(n / (1 - rows.hidden.to_numpy())), rows.away_m.to_numpy())
-    names = _keys(run, here.actor.to_numpy())
-    own = names[np.searchsorted(here.actor.to_numpy(), egos.observer.to_numpy())]
-    stream, site = rng.Stream, rng.key(config.seed, rng.Stream.CLUTTER_MEMORY)
-    draws = DetectorDraws(
-        time_s=step * run.dt_s, actor=names, site=site, site_step=own, site_observer=own,
-        observer_step=rng.keys(rng.key(config.seed, stream.DETECTION, step), own),
-        observer=rng.keys(rng.key(config.seed, stream.DETECTION_MEMORY), own),
-    )  # fmt: skip
-    true = here[[*BOX]].to_numpy(np.float64)
-    label = np.array([ObjectClass[name.upper()] for name in here.label], np.uint8)
-    origin = egos[["x_m", "y_m", "z_m"]].to_numpy(np.float64)
-    z = pair_normals(seen, draws, detector.model)
-    reports = reports_of_actors(seen, Boxes(true[:, :3], true[:, 3:6], true[:, 6]), label, origin, z, detector.model)
-    reports = reports.take(np.flatnonzero(reports.score >= detector.model.min_score))
-    of = pd.MultiIndex.from_arrays([observer, actor]).get_indexer(
-        pd.MultiIndex.from_arrays([reports.observer, reports.actor])
-    )
-    by = rows[["along", "across", "along2", "across2"]].to_numpy(np.float64)[of]
-    yaw = true[reports.actor, 6]
-    xyz, lwh = reports.boxes.xyz_m.copy(), reports.boxes.lwh_m.copy()
-    xyz[:, 0] += np.cos(yaw) * by[:, 0] - np.sin(yaw) * by[:, 1]
-    xyz[:, 1] += np.sin(yaw) * by[:, 0] + np.cos(yaw) * by[:, 1]
-    lwh[:, :2] += by[:, 2:]
-    return reports, Boxes(xyz, lwh, reports.boxes.yaw_rad)
 
 
 def _keys(run: Run, actor: Int[ndarray, "n"]) -> ndarray:

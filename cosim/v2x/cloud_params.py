@@ -1,0 +1,25 @@
+"""Parameters of the point clouds that vehicles broadcast for early fusion."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from annotated_types import Ge, Gt, Le
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EarlyFusionParams:
+    """Whether vehicles broadcast their point clouds, and who merges them with their own before detection."""
+
+    share: Literal["none", "objects", "sweep"] = "none"
+    """What a vehicle broadcasts of each sweep, behind its detection message. `none`: nothing, and there is no early
+    fusion. `objects`: the returns from road users, as if all others could be left out. `sweep`: all returns."""
+    medium: Literal["radio", "unlimited"] = "radio"
+    """`radio`: clouds are sent as frames over the medium of `[radio]`, among the detection messages. `unlimited`: every
+    vehicle within `range_m` receives them, and the channel carries nothing; for studies of perception alone."""
+    range_m: Annotated[float, Gt(0), Le(1000)] = 70.0
+    """Largest distance of a partner whose cloud is merged [m]. The default is that of OPV2V (Xu et al., ICRA 2022)."""
+    partners: Annotated[int, Ge(0), Le(1000)] = 4
+    """Largest number of partners, the nearest ones. OPV2V has up to five vehicles, the ego among them."""
+    bytes_per_return: Annotated[float, Gt(0), Le(1000)] = 16.0
+    """Length of one return [B]: x, y, z and intensity in single precision, as data sets store it. The Velodyne VLP-16
+    itself sends 384 returns in 1,206 bytes, 3.1 each."""
