@@ -1,13 +1,14 @@
 """Evaluations that holders have received of the recent steps: one log for all models that read it."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from trust.open_steps import OpenSteps
-from trust.pair_index import PairIndex, find
+from trust.open_steps import LARGE, OpenSteps
+from trust.pair_index import PairIndex, find, with_rows
 from trust.tables import DetectionRows, ObserverRows, ReceivedEvaluations, int64
 
 _QUANTUM = float(1 << 32)
@@ -112,10 +113,11 @@ class _Step:
 
     pseudonyms: Int[ndarray, "n"]  # present in the step, ascending
     n_sent: Int[ndarray, "n"]  # detections of each
+    waiting: list[ReceivedEvaluations] = field(default_factory=list)  # not yet checked
     parts: list[tuple[ObserverRows, DetectionRows]] = field(default_factory=list)
     own: list[bool] = field(default_factory=list)  # of each part: whether its holders made it
-    rows: StepRows | None = None
-    n_additions: int = 0
+    rows: StepRows | None = None  # of all parts
+    n_counted: int = 0  # rows that are in `EvaluationLog.counted`
 
 
 class EvaluationLog:
@@ -123,6 +125,9 @@ class EvaluationLog:
 
     Several models may share one log. Each model passes every call that it gets on to the log, and the log acts on the
     first of these equal calls. All models must therefore have got a call before any of them is asked for scores.
+
+    Evaluations wait until somebody reads the log or their step closes. Many small batches of one step are then checked
+    and added as one.
     """
 
     def __init__(self, n_steps: int) -> None:
@@ -131,7 +136,9 @@ class EvaluationLog:
         self.edges = PairIndex()
         self.closed: list[int] = []
         """Steps for which nothing is accepted any more, and whose rows can still be read, ascending."""
-        self._open: dict[int, _Step] = {}
+        self.counted = np.zeros((0, 3), np.int64)
+        """Of each row of `pairs`, over the steps whose rows have been read: evaluations, newest and oldest step."""
+        self._open: dict[int, _Step] = {}  # ascending
         self._n_added = 0
 
     def open(self, step: int, pseudonyms, observer_row, detection_index, score) -> None:
@@ -151,10 +158,12 @@ class EvaluationLog:
         """
         if now_step <= self.steps.now:
             return
-        for step in [s for s in self._open if s <= self.steps.now - self.steps.n_steps]:
+        for step in self.closed:
             del self._open[step]
+        self.closed = [step for step in self._open if step <= now_step - self.steps.n_steps]
+        for step in self.closed:
+            self._settle(step)
         self.steps.advance(now_step)
-        self.closed = sorted(step for step in self._open if step <= now_step - self.steps.n_steps)
 
     def add(self, number: int, received: ReceivedEvaluations) -> None:
         """Add received evaluations, unless another model has added them already.
@@ -169,23 +178,56 @@ class EvaluationLog:
         if number < self._n_added:
             return
         self._n_added += 1
-        accepted = self.steps.accepted(received)
-        if accepted is not None and len(accepted):
-            step = self._open[received.messages.step]
-            step.parts.append(accepted.both())
-            step.own.append(received.is_own)
-            step.n_additions, step.rows = step.n_additions + 1, None
+        step = received.messages.step
+        if step not in self.steps:
+            self.steps.accepted(received)  # counts them as late, or of the future
+            return
+        self._open[step].waiting.append(received)
+        if received.messages.observer.size >= LARGE:
+            self._settle(step)
 
-    def versions(self) -> dict[int, int]:
-        """Steps whose rows can be read, ascending, with the number of additions to each."""
-        return {step: self._open[step].n_additions for step in sorted(self._open)}
+    def rejected(self) -> Int[ndarray, "reasons"]:
+        """Evaluations rejected so far, by `RejectReason`."""
+        for step in self._open:
+            self._settle(step)
+        return self.steps.rejected
+
+    def versions(self, until: float = np.inf) -> Iterator[tuple[int, int]]:
+        """Steps up to `until` whose rows can be read, ascending, with a number that grows with each addition."""
+        for step, of_step in self._open.items():
+            if step > until:
+                return
+            self._settle(step)
+            yield step, len(of_step.parts)
 
     def rows(self, step: int) -> StepRows:
         """Evaluations of a step that have been accepted so far."""
         of_step = self._open[step]
+        self._settle(step)
         if of_step.rows is None:
-            of_step.rows = self._merged(of_step)
+            rows = of_step.rows = self._merged(of_step)
+            self._count(step, rows.observer[of_step.n_counted :], rows.n[of_step.n_counted :])
+            of_step.n_counted = rows.n.size
         return of_step.rows
+
+    def _settle(self, step: int) -> None:
+        """Check and add the evaluations of a step that wait."""
+        of_step = self._open[step]
+        waiting, of_step.waiting = of_step.waiting, []
+        for received in ReceivedEvaluations.joined(waiting):
+            accepted = self.steps.accepted(received)
+            if accepted is not None and len(accepted):
+                of_step.parts.append(accepted.both())
+                of_step.own.append(received.is_own)
+                of_step.rows = None
+
+    def _count(self, step: int, pair: Int[ndarray, "n"], n: Int[ndarray, "n"]) -> None:
+        """Add evaluations of a step about each pair to `counted`."""
+        self.counted = with_rows(self.counted, len(self.pairs))
+        before, newest, oldest = self.counted[pair].T
+        self.counted[pair, 1] = np.maximum(newest, step)
+        self.counted[pair, 2] = np.where(before > 0, np.minimum(oldest, step), step)
+        np.add.at(self.counted[:, 0], pair, n)
 
     def _merged(self, step: _Step) -> StepRows:
         parts, own = step.parts, step.own

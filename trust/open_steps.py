@@ -13,6 +13,9 @@ from trust.tables import EvaluationMessages, ReceivedEvaluations, int64, pair_ke
 MAX_DETECTIONS = 1 << 18
 """Detection indices are below this."""
 
+LARGE = 10_000
+"""Evaluations in a batch that is checked at once. Smaller batches of a step may wait for others, to be checked as one."""
+
 
 class RejectReason(IntEnum):
     """Why an evaluation has no effect."""
@@ -164,6 +167,10 @@ class OpenSteps:
         self.n_received = 0
         """Evaluations received so far, rejected ones included."""
         self._steps: dict[int, OpenStep] = {}
+
+    def __contains__(self, step: int) -> bool:
+        """Whether evaluations of the step are accepted."""
+        return step in self._steps
 
     def open(self, step: int, pseudonyms, observer_row, detection_index, score) -> None:
         """Begin a step; the arguments are those of `TrustModel.open_step`."""

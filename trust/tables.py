@@ -1,6 +1,8 @@
 """Tables that the functions of this package exchange: detections, object lists, groups, evaluations, trust scores."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -168,12 +170,17 @@ class EvaluationMessages:
             np.full(one.observer.size, one.step) if one.detection_step is None else one.detection_step
             for one in (self, earlier)
         ]
+        return replace(EvaluationMessages.joined([self, earlier]), detection_step=np.concatenate(steps))
+
+    @staticmethod
+    def joined(parts: "Sequence[EvaluationMessages]") -> "EvaluationMessages":
+        """The messages of all parts, one part after another, as messages of the step of the first part."""
         columns = {
-            name: np.concatenate([getattr(self, name), getattr(earlier, name)])
+            name: np.concatenate([getattr(part, name) for part in parts])
             for name in ("evaluator", "observer", "detection_index", "evaluation", "visibility")
         }
-        ptr = np.concatenate([self.ptr, self.ptr[-1] + earlier.ptr[1:]])
-        return EvaluationMessages(step=self.step, ptr=ptr, detection_step=np.concatenate(steps), **columns)
+        n = np.concatenate([np.diff(part.ptr) for part in parts])
+        return EvaluationMessages(step=parts[0].step, ptr=np.concatenate([[0], np.cumsum(n)]), **columns)
 
     def of_one_step(self) -> "list[EvaluationMessages]":
         """The same messages once for each step of which they evaluate detections, oldest first.
@@ -290,6 +297,32 @@ class ReceivedEvaluations:
     def __len__(self) -> int:
         """Number of received evaluations, including those without effect."""
         return int(np.diff(self.messages.ptr)[self.message_row].sum())
+
+    @staticmethod
+    def joined(parts: "Sequence[ReceivedEvaluations]") -> "list[ReceivedEvaluations]":
+        """The same receptions in the same order, with as few objects as possible.
+
+        Parameters
+        ----------
+        parts
+            Evaluations of the detections of one step. Those of successive parts that have `eta` and `is_own` in common
+            are joined.
+        """
+        return [
+            ReceivedEvaluations._as_one(list(some)) for _, some in groupby(parts, lambda part: (part.eta, part.is_own))
+        ]
+
+    @staticmethod
+    def _as_one(parts: "list[ReceivedEvaluations]") -> "ReceivedEvaluations":
+        if len(parts) == 1:
+            return parts[0]
+        first = np.cumsum([0, *(part.messages.evaluator.size for part in parts)])
+        return replace(
+            parts[0],
+            messages=EvaluationMessages.joined([part.messages for part in parts]),
+            holder=np.concatenate([part.holder for part in parts]),
+            message_row=np.concatenate([part.message_row + n for part, n in zip(parts, first, strict=False)]),
+        )
 
     def rows(self) -> EvaluationRows:
         """The evaluations that are evidence, flat.

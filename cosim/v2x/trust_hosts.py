@@ -444,8 +444,9 @@ class TrustHosts:
     def _add(self, state: TrustState, hosts: Sequence[int], received: ReceivedEvaluations) -> None:
         """Add evaluations to the evidence of hosts. A model gets those of the detections of one step at a time."""
         for messages in received.messages.of_one_step() if hosts else ():
+            of_step = replace(received, messages=messages)
             for h in hosts:
-                self._model(state, h).add_evaluations(replace(received, messages=messages))
+                self._model(state, h).add_evaluations(of_step)
 
     def _model(self, state: TrustState, h: int, latest_step: int | None = None) -> TrustModel:
         """The model of a host, guarded if it is a user's own. `latest_step` is the step of a call without that
