@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numba import njit
 from numpy import ndarray
 
 from trust.open_steps import LARGE, OpenSteps
@@ -24,6 +25,20 @@ def exact(values: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
     return np.rint(values * _QUANTUM) / _QUANTUM
 
 
+@njit(cache=True, nogil=True, inline="always")
+def rounded(value):
+    """One value as `exact` rounds it, for kernels."""
+    return np.rint(value * _QUANTUM) / _QUANTUM
+
+
+@njit(cache=True, nogil=True)
+def _sums(group, values, n_groups):
+    sums = np.zeros(n_groups)
+    for i in range(group.size):
+        sums[group[i]] += rounded(values[i])
+    return sums
+
+
 def exact_sums(group: Int[ndarray, "n"], values: Float[ndarray, "n"], n_groups: int) -> Float[ndarray, "n_groups"]:
     """Sums by group that do not depend on the order of the rows.
 
@@ -38,7 +53,7 @@ def exact_sums(group: Int[ndarray, "n"], values: Float[ndarray, "n"], n_groups: 
     -------
     Sum of each group; 0 for a group without values.
     """
-    return np.bincount(group, exact(values), n_groups).astype(float)
+    return _sums(int64(group), np.ascontiguousarray(values, float), n_groups)
 
 
 @dataclass(slots=True)
