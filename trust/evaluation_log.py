@@ -71,11 +71,13 @@ class StepRows:
     neg: Float[ndarray, "n"]  # sum of the negative evidence
     n: Int[ndarray, "n"]  # evaluations
     row: Int[ndarray, "k"]  # of every single evaluation: its row above
+    by: Int[ndarray, "k"]  # of every single evaluation: row of (holder, evaluator)
+    about: Int[ndarray, "k"]  # of every single evaluation: row of (holder, observer)
     object: Int[ndarray, "k"]  # of every single evaluation: the detection, numbered by holder, observer and index
     object_pos: Float[ndarray, "k"]
     object_neg: Float[ndarray, "k"]
     index: Int[ndarray, "k"]  # of every single evaluation: detection_index, the number of its detection or claim
-    n_objects: int
+    sender: Int[ndarray, "o"]  # of each detection: row of (holder, observer)
     is_self: Bool[ndarray, "k"]  # of every single evaluation: whether it is of the observer's report of itself
     n_sent: Int[ndarray, "n"]  # detections that the evaluator transmitted in the step, its self report included
     is_own: Bool[ndarray, "n"]  # whether the holder itself is the evaluator
@@ -96,7 +98,7 @@ class StepRows:
         """
         return exact_sums(self.observer, values, n_pairs)
 
-    def per_object(self, values: Float[ndarray, "k"]) -> Float[ndarray, "n_objects"]:
+    def per_object(self, values: Float[ndarray, "k"]) -> Float[ndarray, "o"]:
         """Sums over the evaluations of each detection, rounded as in `exact_sums`.
 
         Parameters
@@ -108,18 +110,7 @@ class StepRows:
         -------
         Sum for each detection, numbered as in `object`.
         """
-        return exact_sums(self.object, values, self.n_objects)
-
-    def observer_of_objects(self) -> Int[ndarray, "n_objects"]:
-        """Who sent each detection.
-
-        Returns
-        -------
-        Row of (holder, observer) in `EvaluationLog.pairs` for each detection, numbered as in `object`.
-        """
-        observer = np.zeros(self.n_objects, np.int64)
-        observer[self.object] = self.observer[self.row]
-        return observer
+        return exact_sums(self.object, values, self.sender.size)
 
 
 @dataclass(slots=True)
@@ -228,6 +219,8 @@ class EvaluationLog:
     def _settle(self, step: int) -> None:
         """Check and add the evaluations of a step that wait."""
         of_step = self._open[step]
+        if not of_step.waiting:
+            return
         waiting, of_step.waiting = of_step.waiting, []
         for received in ReceivedEvaluations.joined(waiting):
             accepted = self.steps.accepted(received)
@@ -260,11 +253,14 @@ class EvaluationLog:
         used = np.zeros(len(self.pairs), np.int64)
         used[observer] = 1
         width = int(index.max(initial=0)) + 1
-        number = (np.cumsum(used) - used)[observer[row]] * width + index
+        about = observer[row]
+        number = (np.cumsum(used) - used)[about] * width + index
         taken = np.zeros(int(used.sum()) * width, np.int64)
         taken[number] = 1
+        one = (np.cumsum(taken) - taken)[number]
+        sender = np.zeros(int(taken.sum()), np.int64)
+        sender[one] = about
         return StepRows(
-            evaluator, observer, self.edges.rows(evaluator, observer), pos, neg, n,
-            row, (np.cumsum(taken) - taken)[number], object_pos, object_neg, index, int(taken.sum()),
-            index == 0, n_sent, np.repeat(own, np.diff(first)),
+            evaluator, observer, self.edges.rows(evaluator, observer), pos, neg, n, row, evaluator[row], about, one,
+            object_pos, object_neg, index, sender, index == 0, n_sent, np.repeat(own, np.diff(first)),
         )  # fmt: skip

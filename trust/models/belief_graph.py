@@ -226,7 +226,7 @@ class BeliefGraph(Stepwise):
         kept, has_claims = self.decay(self.params.decay_per_s, n_steps), len(self.params.evidence) > 1
         edges = with_rows(state.edges * kept, len(self.log.edges))
         vehicles = with_rows(state.vehicles * kept, n_pairs)
-        row, by, n_rows = rows.row, rows.evaluator[rows.row], rows.n.size
+        row, by, n_rows = rows.row, rows.by, rows.n.size
         kind = rows.index % len(KINDS) if has_claims else np.full(rows.index.size, DETECTION)
         is_detection = kind == DETECTION
         for column, values in enumerate(_outcomes(rows, kind)):

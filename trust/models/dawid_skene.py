@@ -46,9 +46,7 @@ class Answers:
     @staticmethod
     def of(rows: StepRows) -> "Answers":
         """The evaluations of one step."""
-        return Answers(
-            rows.evaluator[rows.row], rows.object, rows.object_pos, rows.object_neg, rows.observer_of_objects()
-        )
+        return Answers(rows.by, rows.object, rows.object_pos, rows.object_neg, rows.sender)
 
     @staticmethod
     def joined(parts: tuple["Answers", ...]) -> "Answers":
