@@ -109,9 +109,9 @@ def expected_counts(
     false detections, by sender.
     """
     given, sender = (answers.by, answers.object, answers.pos, answers.neg), answers.sender
-    counts = np.zeros((len(before), 6))
+    counts, prior_counts = np.zeros((len(before), 6)), np.tile([reliable, 1.0], 3)
     for _ in range(n_iterations):
-        known = before + counts + np.tile([reliable, 1.0], 3)
+        known = before + counts + prior_counts
         log = np.log(known) - np.log((known[:, 0::2] + known[:, 1::2]).repeat(2, axis=1))
         confirms, denies, prior = log[:, 0] - log[:, 3], log[:, 1] - log[:, 2], log[:, 4] - log[:, 5]
         true = expit(_log_odds(*given, confirms, denies, prior[sender]))
