@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from trust.open_steps import LARGE, OpenSteps
 from trust.pair_index import PairIndex, find, with_rows
-from trust.tables import DetectionRows, ObserverRows, ReceivedEvaluations, int64
+from trust.tables import DetectionRows, ObserverRows, ReceivedEvaluations, float64, int64
 
 _QUANTUM = float(1 << 32)
 
@@ -53,7 +53,7 @@ def exact_sums(group: Int[ndarray, "n"], values: Float[ndarray, "n"], n_groups: 
     -------
     Sum of each group; 0 for a group without values.
     """
-    return _sums(int64(group), np.ascontiguousarray(values, float), n_groups)
+    return _sums(int64(group), float64(values), n_groups)
 
 
 @dataclass(slots=True)

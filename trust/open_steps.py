@@ -9,7 +9,7 @@ from numba import njit
 from numpy import ndarray
 
 from trust.pair_index import find, merged
-from trust.tables import EvaluationMessages, ReceivedEvaluations, int64, pair_key
+from trust.tables import EvaluationMessages, ReceivedEvaluations, float64, int64, pair_key
 
 MAX_DETECTIONS = 1 << 18
 """Detection indices are below this."""
@@ -82,6 +82,23 @@ def _checked(messages, observer, index, evaluation, visibility, first, score):
     return reason, detection
 
 
+@njit(cache=True, nogil=True)
+def _opened(n, row, index, score):
+    """`OpenStep.first` and `score` of n pseudonyms, and how many detections are left out."""
+    valid = (score >= 0.0) & (score <= 1.0) & (index >= 0) & (index < MAX_DETECTIONS)
+    first = np.zeros(n + 1, np.int64)
+    for d in np.flatnonzero(valid):
+        first[row[d] + 1] = max(first[row[d] + 1], index[d] + 1)
+    first = np.cumsum(first)
+    of_detection, n_bad = np.full(first[-1], np.nan), score.size
+    for d in np.flatnonzero(valid):
+        at = first[row[d]] + index[d]
+        if np.isnan(of_detection[at]):
+            of_detection[at] = score[d]
+            n_bad -= 1
+    return first, of_detection, n_bad
+
+
 class OpenStep:
     """What was transmitted in one step, and which messages of evaluations about it holders have received.
 
@@ -98,19 +115,16 @@ class OpenStep:
     ) -> None:
         """Begin a step; the arguments are those of `TrustModel.open_step`."""
         assert np.all(pseudonyms[1:] > pseudonyms[:-1]), "pseudonyms are ascending"
-        valid = (score >= 0) & (score <= 1) & (detection_index >= 0) & (detection_index < MAX_DETECTIONS)
-        row, index = observer_row[valid], detection_index[valid]
-        n_indices = np.zeros(pseudonyms.size, np.int64)
-        np.maximum.at(n_indices, row, index + 1)
+        first, of_detection, n_bad = _opened(
+            pseudonyms.size, int64(observer_row), int64(detection_index), float64(score)
+        )
         self.pseudonyms = int64(pseudonyms)
         """Present in the step, ascending."""
-        self.first = np.concatenate([np.zeros(1, np.int64), np.cumsum(n_indices)])
+        self.first: Int[ndarray, "n+1"] = first
         """Detections of pseudonym row r are first[r]:first[r + 1], in the order of detection_index."""
-        detection, rows = np.unique(self.first[row] + index, return_index=True)
-        self.score = np.full(self.first[-1], np.nan)
+        self.score: Float[ndarray, "s"] = of_detection
         """Of each detection; NaN where a detection_index was not transmitted."""
-        self.score[detection] = score[valid][rows]
-        self.n_bad_detections = score.size - detection.size
+        self.n_bad_detections: int = n_bad
         """Detections left out: score outside [0, 1], index out of range or given twice."""
         self._received = np.empty(0, np.int64)  # `pair_key` of holder and evaluator row, ascending
 
@@ -130,7 +144,7 @@ class OpenStep:
         evaluator, is_known = find(int64(messages.evaluator), self.pseudonyms)
         receptions = self._new_receptions(received, evaluator, is_known)
         observer, is_present = find(int64(messages.observer), self.pseudonyms)
-        e, phi = (np.ascontiguousarray(a, float) for a in (messages.evaluation, messages.visibility))
+        e, phi = float64(messages.evaluation), float64(messages.visibility)
         reason, detection = _checked(
             (int64(messages.ptr), is_known), (observer, is_present), int64(messages.detection_index), e, phi,
             self.first, self.score,

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from numba import njit
 from numpy import ndarray
 
 SERVER = 1 << 30
@@ -16,6 +17,11 @@ SERVER = 1 << 30
 def int64(a: ndarray) -> Int[ndarray, "..."]:
     """The same integers as contiguous int64, so that each kernel is compiled once."""
     return np.ascontiguousarray(a, np.int64)
+
+
+def float64(a: ndarray) -> Float[ndarray, "..."]:
+    """The same numbers as contiguous float64."""
+    return np.ascontiguousarray(a, np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,6 +288,28 @@ class ObserverRows(NamedTuple):
 _QUANTUM = float(1 << 32)
 
 
+@njit(cache=True, nogil=True)
+def _counting(ptr, evaluator, observer, evaluation, visibility, eta):
+    """Rows of the messages that are evidence, their message, pos and neg."""
+    kept, sent_by = np.empty(observer.size, np.int64), np.empty(observer.size, np.int64)
+    pos, neg = np.empty(observer.size), np.empty(observer.size)
+    n = 0
+    for message in range(evaluator.size):
+        for k in range(ptr[message], ptr[message + 1]):
+            e, phi = evaluation[k], visibility[k]
+            if abs(e) <= 1.0 and 0.0 < phi <= 1.0 and observer[k] != evaluator[message]:
+                if eta == 0.0:
+                    denies = 1.0 if e <= 0.0 else 0.0
+                else:
+                    denies = min(max(e / eta, 0.0), 1.0)
+                pos[n] = np.rint(phi * max(e, 0.0) * _QUANTUM) / _QUANTUM
+                neg[n] = np.rint(phi * denies * _QUANTUM) / _QUANTUM
+                if pos[n] > 0.0 or neg[n] > 0.0:
+                    kept[n], sent_by[n] = k, message
+                    n += 1
+    return kept[:n], sent_by[:n], pos[:n], neg[:n]
+
+
 @dataclass(frozen=True)
 class ReceivedEvaluations:
     """Messages as they were received: message `message_row[i]` reached the holder `holder[i]`."""
@@ -391,19 +419,11 @@ class ReceivedEvaluations:
         )
 
     def _counting(self) -> tuple[ndarray, ndarray, ndarray, ndarray]:
-        """Rows of the messages that are evidence, their message, pos and neg."""
         t = self.messages
-        sent_by = np.repeat(np.arange(t.evaluator.size), np.diff(t.ptr))
-        e, phi = t.evaluation, t.visibility
-        with np.errstate(invalid="ignore"):
-            counts = (np.abs(e) <= 1.0) & (phi > 0.0) & (phi <= 1.0) & (t.observer != t.evaluator[sent_by])
-        kept = np.flatnonzero(counts)
-        e, phi = e[kept], phi[kept]
-        pos = phi * np.maximum(e, 0.0)
-        neg = phi * (e <= 0.0) if self.eta == 0 else phi * np.clip(e / self.eta, 0.0, 1.0)
-        pos, neg = np.rint(pos * _QUANTUM) / _QUANTUM, np.rint(neg * _QUANTUM) / _QUANTUM
-        says = (pos > 0) | (neg > 0)
-        return kept[says], sent_by[kept[says]], pos[says], neg[says]
+        return _counting(
+            int64(t.ptr), int64(t.evaluator), int64(t.observer), float64(t.evaluation), float64(t.visibility),
+            float(self.eta),
+        )  # fmt: skip
 
     def _expanded(self, ptr: Int[ndarray, "v+1"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "m"]]:
         """Rows of every received message, given the first row of each message, and their number."""
