@@ -1,14 +1,16 @@
 """Evaluations that holders have received of the recent steps: one log for all models that read it."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numba import njit
 from numpy import ndarray
 
-from trust.open_steps import OpenSteps
-from trust.pair_index import PairIndex, find
-from trust.tables import DetectionRows, ObserverRows, ReceivedEvaluations, int64
+from trust.open_steps import LARGE, OpenSteps
+from trust.pair_index import PairIndex, find, with_rows
+from trust.tables import DetectionRows, ObserverRows, ReceivedEvaluations, float64, int64
 
 _QUANTUM = float(1 << 32)
 
@@ -21,6 +23,20 @@ def exact(values: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
     The values as multiples of 2^-32. Sums of them are exact as long as they do not exceed 2^20 in size.
     """
     return np.rint(values * _QUANTUM) / _QUANTUM
+
+
+@njit(cache=True, nogil=True, inline="always")
+def rounded(value):
+    """One value as `exact` rounds it, for kernels."""
+    return np.rint(value * _QUANTUM) / _QUANTUM
+
+
+@njit(cache=True, nogil=True)
+def _sums(group, values, n_groups):
+    sums = np.zeros(n_groups)
+    for i in range(group.size):
+        sums[group[i]] += rounded(values[i])
+    return sums
 
 
 def exact_sums(group: Int[ndarray, "n"], values: Float[ndarray, "n"], n_groups: int) -> Float[ndarray, "n_groups"]:
@@ -37,7 +53,7 @@ def exact_sums(group: Int[ndarray, "n"], values: Float[ndarray, "n"], n_groups: 
     -------
     Sum of each group; 0 for a group without values.
     """
-    return np.bincount(group, exact(values), n_groups).astype(float)
+    return _sums(int64(group), float64(values), n_groups)
 
 
 @dataclass(slots=True)
@@ -55,11 +71,13 @@ class StepRows:
     neg: Float[ndarray, "n"]  # sum of the negative evidence
     n: Int[ndarray, "n"]  # evaluations
     row: Int[ndarray, "k"]  # of every single evaluation: its row above
+    by: Int[ndarray, "k"]  # of every single evaluation: row of (holder, evaluator)
+    about: Int[ndarray, "k"]  # of every single evaluation: row of (holder, observer)
     object: Int[ndarray, "k"]  # of every single evaluation: the detection, numbered by holder, observer and index
     object_pos: Float[ndarray, "k"]
     object_neg: Float[ndarray, "k"]
     index: Int[ndarray, "k"]  # of every single evaluation: detection_index, the number of its detection or claim
-    n_objects: int
+    sender: Int[ndarray, "o"]  # of each detection: row of (holder, observer)
     is_self: Bool[ndarray, "k"]  # of every single evaluation: whether it is of the observer's report of itself
     n_sent: Int[ndarray, "n"]  # detections that the evaluator transmitted in the step, its self report included
     is_own: Bool[ndarray, "n"]  # whether the holder itself is the evaluator
@@ -80,7 +98,7 @@ class StepRows:
         """
         return exact_sums(self.observer, values, n_pairs)
 
-    def per_object(self, values: Float[ndarray, "k"]) -> Float[ndarray, "n_objects"]:
+    def per_object(self, values: Float[ndarray, "k"]) -> Float[ndarray, "o"]:
         """Sums over the evaluations of each detection, rounded as in `exact_sums`.
 
         Parameters
@@ -92,18 +110,7 @@ class StepRows:
         -------
         Sum for each detection, numbered as in `object`.
         """
-        return exact_sums(self.object, values, self.n_objects)
-
-    def observer_of_objects(self) -> Int[ndarray, "n_objects"]:
-        """Who sent each detection.
-
-        Returns
-        -------
-        Row of (holder, observer) in `EvaluationLog.pairs` for each detection, numbered as in `object`.
-        """
-        observer = np.zeros(self.n_objects, np.int64)
-        observer[self.object] = self.observer[self.row]
-        return observer
+        return exact_sums(self.object, values, self.sender.size)
 
 
 @dataclass(slots=True)
@@ -112,10 +119,11 @@ class _Step:
 
     pseudonyms: Int[ndarray, "n"]  # present in the step, ascending
     n_sent: Int[ndarray, "n"]  # detections of each
+    waiting: list[ReceivedEvaluations] = field(default_factory=list)  # not yet checked
     parts: list[tuple[ObserverRows, DetectionRows]] = field(default_factory=list)
     own: list[bool] = field(default_factory=list)  # of each part: whether its holders made it
-    rows: StepRows | None = None
-    n_additions: int = 0
+    rows: StepRows | None = None  # of all parts
+    n_counted: int = 0  # rows that are in `EvaluationLog.counted`
 
 
 class EvaluationLog:
@@ -123,6 +131,9 @@ class EvaluationLog:
 
     Several models may share one log. Each model passes every call that it gets on to the log, and the log acts on the
     first of these equal calls. All models must therefore have got a call before any of them is asked for scores.
+
+    Evaluations wait until somebody reads the log or their step closes. Many small batches of one step are then checked
+    and added as one.
     """
 
     def __init__(self, n_steps: int) -> None:
@@ -131,7 +142,9 @@ class EvaluationLog:
         self.edges = PairIndex()
         self.closed: list[int] = []
         """Steps for which nothing is accepted any more, and whose rows can still be read, ascending."""
-        self._open: dict[int, _Step] = {}
+        self.counted = np.zeros((0, 3), np.int64)
+        """Of each row of `pairs`, over the steps whose rows have been read: evaluations, newest and oldest step."""
+        self._open: dict[int, _Step] = {}  # ascending
         self._n_added = 0
 
     def open(self, step: int, pseudonyms, observer_row, detection_index, score) -> None:
@@ -151,10 +164,12 @@ class EvaluationLog:
         """
         if now_step <= self.steps.now:
             return
-        for step in [s for s in self._open if s <= self.steps.now - self.steps.n_steps]:
+        for step in self.closed:
             del self._open[step]
+        self.closed = [step for step in self._open if step <= now_step - self.steps.n_steps]
+        for step in self.closed:
+            self._settle(step)
         self.steps.advance(now_step)
-        self.closed = sorted(step for step in self._open if step <= now_step - self.steps.n_steps)
 
     def add(self, number: int, received: ReceivedEvaluations) -> None:
         """Add received evaluations, unless another model has added them already.
@@ -169,23 +184,58 @@ class EvaluationLog:
         if number < self._n_added:
             return
         self._n_added += 1
-        accepted = self.steps.accepted(received)
-        if accepted is not None and len(accepted):
-            step = self._open[received.messages.step]
-            step.parts.append(accepted.both())
-            step.own.append(received.is_own)
-            step.n_additions, step.rows = step.n_additions + 1, None
+        step = received.messages.step
+        if step not in self.steps:
+            self.steps.accepted(received)  # counts them as late, or of the future
+            return
+        self._open[step].waiting.append(received)
+        if received.messages.observer.size >= LARGE:
+            self._settle(step)
 
-    def versions(self) -> dict[int, int]:
-        """Steps whose rows can be read, ascending, with the number of additions to each."""
-        return {step: self._open[step].n_additions for step in sorted(self._open)}
+    def rejected(self) -> Int[ndarray, "reasons"]:
+        """Evaluations rejected so far, by `RejectReason`."""
+        for step in self._open:
+            self._settle(step)
+        return self.steps.rejected
+
+    def versions(self, until: float = np.inf) -> Iterator[tuple[int, int]]:
+        """Steps up to `until` whose rows can be read, ascending, with a number that grows with each addition."""
+        for step, of_step in self._open.items():
+            if step > until:
+                return
+            self._settle(step)
+            yield step, len(of_step.parts)
 
     def rows(self, step: int) -> StepRows:
         """Evaluations of a step that have been accepted so far."""
         of_step = self._open[step]
+        self._settle(step)
         if of_step.rows is None:
-            of_step.rows = self._merged(of_step)
+            rows = of_step.rows = self._merged(of_step)
+            self._count(step, rows.observer[of_step.n_counted :], rows.n[of_step.n_counted :])
+            of_step.n_counted = rows.n.size
         return of_step.rows
+
+    def _settle(self, step: int) -> None:
+        """Check and add the evaluations of a step that wait."""
+        of_step = self._open[step]
+        if not of_step.waiting:
+            return
+        waiting, of_step.waiting = of_step.waiting, []
+        for received in ReceivedEvaluations.joined(waiting):
+            accepted = self.steps.accepted(received)
+            if accepted is not None and len(accepted):
+                of_step.parts.append(accepted.both())
+                of_step.own.append(received.is_own)
+                of_step.rows = None
+
+    def _count(self, step: int, pair: Int[ndarray, "n"], n: Int[ndarray, "n"]) -> None:
+        """Add evaluations of a step about each pair to `counted`."""
+        self.counted = with_rows(self.counted, len(self.pairs))
+        before, newest, oldest = self.counted[pair].T
+        self.counted[pair, 1] = np.maximum(newest, step)
+        self.counted[pair, 2] = np.where(before > 0, np.minimum(oldest, step), step)
+        np.add.at(self.counted[:, 0], pair, n)
 
     def _merged(self, step: _Step) -> StepRows:
         parts, own = step.parts, step.own
@@ -203,11 +253,14 @@ class EvaluationLog:
         used = np.zeros(len(self.pairs), np.int64)
         used[observer] = 1
         width = int(index.max(initial=0)) + 1
-        number = (np.cumsum(used) - used)[observer[row]] * width + index
+        about = observer[row]
+        number = (np.cumsum(used) - used)[about] * width + index
         taken = np.zeros(int(used.sum()) * width, np.int64)
         taken[number] = 1
+        one = (np.cumsum(taken) - taken)[number]
+        sender = np.zeros(int(taken.sum()), np.int64)
+        sender[one] = about
         return StepRows(
-            evaluator, observer, self.edges.rows(evaluator, observer), pos, neg, n,
-            row, (np.cumsum(taken) - taken)[number], object_pos, object_neg, index, int(taken.sum()),
-            index == 0, n_sent, np.repeat(own, np.diff(first)),
+            evaluator, observer, self.edges.rows(evaluator, observer), pos, neg, n, row, evaluator[row], about, one,
+            object_pos, object_neg, index, sender, index == 0, n_sent, np.repeat(own, np.diff(first)),
         )  # fmt: skip

@@ -1,5 +1,6 @@
 """Evidence of the recent steps, shared by the models that differ only in how long they use it."""
 
+from collections import defaultdict
 from typing import Protocol
 
 import numpy as np
@@ -7,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from trust.evaluator_counts import NEVER, EvaluatorTable
-from trust.open_steps import OpenStep
+from trust.open_steps import LARGE, OpenStep
 from trust.pair_index import PairIndex, with_rows
 from trust.step_evidence import StepEvidence
 from trust.tables import ReceivedEvaluations, unpaired
@@ -20,6 +21,8 @@ class View(Protocol):
     """Newest step that the model has opened."""
     window: int
     """Steps, the present one included, whose evidence may still change in the model."""
+    n_rejected: Int[ndarray, "reasons"]
+    """Evaluations rejected so far, by `RejectReason`: the store adds those of the window."""
 
 
 class EvidenceStore:
@@ -27,6 +30,8 @@ class EvidenceStore:
 
     Every model that reads the store passes each of its calls on to the store, and the store acts on the first of these
     equal calls. All models must have received the same evaluations before any of them computes scores.
+
+    Evaluations wait until `settle`. Many small batches of one step are then checked and added as one.
     """
 
     def __init__(self, by_score: bool, skip_unseen: bool, expires: bool = True) -> None:
@@ -38,7 +43,7 @@ class EvidenceStore:
         self._n_uses = np.zeros(0, np.int64)  # of each row: steps that use it, and models that keep it
         self._opened, self._n_bad = -1, 0
         self._n_added = 0
-        self._rejected: dict[int, tuple[ndarray | None, int]] = {}  # by addition; models yet to ask
+        self._waiting: dict[int, list[ReceivedEvaluations]] = defaultdict(list)  # by step
 
     def open(
         self,
@@ -65,7 +70,7 @@ class EvidenceStore:
             self._opened, self._n_bad = step, sent.n_bad_detections
         return self._n_bad
 
-    def add(self, number: int, received: ReceivedEvaluations) -> Int[ndarray, "reasons"] | None:
+    def add(self, number: int, received: ReceivedEvaluations) -> bool:
         """Add received evaluations, unless another model has added them already.
 
         Parameters
@@ -77,20 +82,33 @@ class EvidenceStore:
 
         Returns
         -------
-        Rejected evaluations by `RejectReason`; None if the step has expired.
+        Whether the step is in the store.
         """
+        step = received.messages.step
         if number == self._n_added:
             self._n_added += 1
-            self._rejected[number] = self._add(received), len(self.views)
-        rejected, n_models = self._rejected.pop(number)
-        if n_models > 1:
-            self._rejected[number] = rejected, n_models - 1
-        return rejected
+            if step in self.steps:
+                self._waiting[step].append(received)
+                if received.messages.observer.size >= LARGE:
+                    self._settle(step)
+        return step in self.steps
 
-    def _add(self, received: ReceivedEvaluations) -> Int[ndarray, "reasons"] | None:
-        evidence = self.steps.get(received.messages.step)
-        if evidence is None:
-            return None
+    def settle(self, until: float = np.inf) -> None:
+        """Add the evaluations of steps up to `until` that wait.
+
+        Models call it before they read the store, and before a step leaves their window.
+        """
+        for step in [step for step in self._waiting if step <= until]:
+            self._settle(step)
+
+    def _settle(self, step: int) -> None:
+        for received in ReceivedEvaluations.joined(self._waiting.pop(step)):
+            n_rejected = self._add(self.steps[step], received)
+            for view in self.views:
+                if step > view.now - view.window:
+                    view.n_rejected += n_rejected
+
+    def _add(self, evidence: StepEvidence, received: ReceivedEvaluations) -> Int[ndarray, "reasons"]:
         accepted = evidence.sent.accept(received)
         pairs, evaluators = evidence.add(received.messages, accepted)
         if evidence.row.size < evidence.pairs.size:
@@ -119,6 +137,8 @@ class EvidenceStore:
         for step in old:
             self._use(self.steps.pop(step).row, -1)
         if old:
+            if not self._expires:
+                self.settle()  # else a pair that only waiting evaluations use would lose its evaluators
             unused = self._n_uses[: len(self.pairs)] == 0
             self.evaluators.forget(horizon if self._expires else NEVER, unused)
             self.pairs.drop(unused)

@@ -4,14 +4,18 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int
+from numba import njit
 from numpy import ndarray
 
 from trust.pair_index import find, merged
-from trust.tables import EvaluationMessages, ReceivedEvaluations, int64, pair_key
+from trust.tables import EvaluationMessages, ReceivedEvaluations, float64, int64, pair_key
 
 MAX_DETECTIONS = 1 << 18
 """Detection indices are below this."""
+
+LARGE = 10_000
+"""Evaluations in a batch that is checked at once. Smaller batches of a step may wait, to be checked as one."""
 
 
 class RejectReason(IntEnum):
@@ -41,6 +45,60 @@ class AcceptedEvaluations:
     n_rejected: Int[ndarray, "reasons"]  # received evaluations without effect, by `RejectReason`
 
 
+_ACCEPTED, _BAD_VALUE, _UNKNOWN_EVALUATOR, _UNKNOWN_OBSERVER, _UNKNOWN_DETECTION, _DUPLICATE = (
+    int(RejectReason[name]) for name in (
+        "ACCEPTED", "BAD_VALUE", "UNKNOWN_EVALUATOR", "UNKNOWN_OBSERVER", "UNKNOWN_DETECTION", "DUPLICATE"
+    )
+)  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _checked(messages, observer, index, evaluation, visibility, first, score):
+    """`RejectReason` and detection row of each evaluation; no row where it is rejected.
+
+    `messages` is the first row of each message, and whether its evaluator is known; `observer` is the row of each
+    observer, and whether it was present.
+    """
+    ptr, is_known = messages
+    row, is_present = observer
+    reason, detection = np.zeros(row.size, np.uint8), np.zeros(row.size, np.int64)
+    mark = np.full(score.size, -1, np.int64)  # of each detection: the last message that evaluates it
+    for message in range(is_known.size):
+        for k in range(ptr[message], ptr[message + 1]):
+            at = first[row[k]] + index[k]
+            if not is_known[message]:
+                reason[k] = _UNKNOWN_EVALUATOR
+            elif not is_present[k]:
+                reason[k] = _UNKNOWN_OBSERVER
+            elif index[k] < 0 or index[k] >= first[row[k] + 1] - first[row[k]] or not score[at] >= 0.0:
+                reason[k] = _UNKNOWN_DETECTION
+            elif not (abs(evaluation[k]) <= 1.0 and 0.0 <= visibility[k] <= 1.0):
+                reason[k] = _BAD_VALUE
+            elif mark[at] == message:
+                reason[k] = _DUPLICATE
+            else:
+                mark[at] = message
+                detection[k] = at
+    return reason, detection
+
+
+@njit(cache=True, nogil=True)
+def _opened(n, row, index, score):
+    """`OpenStep.first` and `score` of n pseudonyms, and how many detections are left out."""
+    valid = (score >= 0.0) & (score <= 1.0) & (index >= 0) & (index < MAX_DETECTIONS)
+    first = np.zeros(n + 1, np.int64)
+    for d in np.flatnonzero(valid):
+        first[row[d] + 1] = max(first[row[d] + 1], index[d] + 1)
+    first = np.cumsum(first)
+    of_detection, n_bad = np.full(first[-1], np.nan), score.size
+    for d in np.flatnonzero(valid):
+        at = first[row[d]] + index[d]
+        if np.isnan(of_detection[at]):
+            of_detection[at] = score[d]
+            n_bad -= 1
+    return first, of_detection, n_bad
+
+
 class OpenStep:
     """What was transmitted in one step, and which messages of evaluations about it holders have received.
 
@@ -57,19 +115,16 @@ class OpenStep:
     ) -> None:
         """Begin a step; the arguments are those of `TrustModel.open_step`."""
         assert np.all(pseudonyms[1:] > pseudonyms[:-1]), "pseudonyms are ascending"
-        valid = (score >= 0) & (score <= 1) & (detection_index >= 0) & (detection_index < MAX_DETECTIONS)
-        row, index = observer_row[valid], detection_index[valid]
-        n_indices = np.zeros(pseudonyms.size, np.int64)
-        np.maximum.at(n_indices, row, index + 1)
+        first, of_detection, n_bad = _opened(
+            pseudonyms.size, int64(observer_row), int64(detection_index), float64(score)
+        )
         self.pseudonyms = int64(pseudonyms)
         """Present in the step, ascending."""
-        self.first = np.concatenate([np.zeros(1, np.int64), np.cumsum(n_indices)])
+        self.first: Int[ndarray, "n+1"] = first
         """Detections of pseudonym row r are first[r]:first[r + 1], in the order of detection_index."""
-        detection, rows = np.unique(self.first[row] + index, return_index=True)
-        self.score = np.full(self.first[-1], np.nan)
+        self.score: Float[ndarray, "s"] = of_detection
         """Of each detection; NaN where a detection_index was not transmitted."""
-        self.score[detection] = score[valid][rows]
-        self.n_bad_detections = score.size - detection.size
+        self.n_bad_detections: int = n_bad
         """Detections left out: score outside [0, 1], index out of range or given twice."""
         self._received = np.empty(0, np.int64)  # `pair_key` of holder and evaluator row, ascending
 
@@ -88,7 +143,12 @@ class OpenStep:
         messages = received.messages
         evaluator, is_known = find(int64(messages.evaluator), self.pseudonyms)
         receptions = self._new_receptions(received, evaluator, is_known)
-        reason, observer, detection = self._reasons(messages, is_known)
+        observer, is_present = find(int64(messages.observer), self.pseudonyms)
+        e, phi = float64(messages.evaluation), float64(messages.visibility)
+        reason, detection = _checked(
+            (int64(messages.ptr), is_known), (observer, is_present), int64(messages.detection_index), e, phi,
+            self.first, self.score,
+        )  # fmt: skip
         holder, message_row = int64(received.holder)[receptions], int64(received.message_row)[receptions]
 
         n_receptions = np.repeat(np.bincount(message_row, minlength=evaluator.size), np.diff(messages.ptr))
@@ -96,7 +156,7 @@ class OpenStep:
         n_rejected[RejectReason.ACCEPTED] = 0
         n_rejected[RejectReason.DUPLICATE] += len(received) - int(n_receptions.sum())
 
-        kept = np.flatnonzero(reason == RejectReason.ACCEPTED)
+        kept = np.flatnonzero(reason == _ACCEPTED)
         return AcceptedEvaluations(
             holder=holder,
             message_row=message_row,
@@ -125,32 +185,6 @@ class OpenStep:
         self._received = merged(self._received, keys[new])
         return np.sort(np.concatenate([rows[first[new]], np.flatnonzero(~known)]))
 
-    def _reasons(
-        self, messages: EvaluationMessages, is_known: Bool[ndarray, "v"]
-    ) -> tuple[UInt8[ndarray, "n"], Int[ndarray, "n"], Int[ndarray, "n"]]:
-        """`RejectReason`, observer row and detection row of each evaluation; no rows of rejected evaluations."""
-        sent_by = np.repeat(np.arange(is_known.size), np.diff(messages.ptr))
-        index, e, phi = int64(messages.detection_index), messages.evaluation, messages.visibility
-        observer, is_present = find(int64(messages.observer), self.pseudonyms)
-        is_transmitted = is_present & (index >= 0)
-        is_transmitted[is_transmitted] = index[is_transmitted] < np.diff(self.first)[observer[is_transmitted]]
-        detection = np.zeros(index.size, np.int64)
-        detection[is_transmitted] = self.first[observer[is_transmitted]] + index[is_transmitted]
-        is_transmitted[is_transmitted] = self.score[detection[is_transmitted]] >= 0.0
-
-        with np.errstate(invalid="ignore"):
-            is_valid = (np.abs(e) <= 1.0) & (phi >= 0.0) & (phi <= 1.0)
-        reason = np.zeros(index.size, np.uint8)
-        reason[~is_valid] = RejectReason.BAD_VALUE
-        reason[~is_transmitted] = RejectReason.UNKNOWN_DETECTION
-        reason[~is_present] = RejectReason.UNKNOWN_OBSERVER
-        reason[~is_known[sent_by]] = RejectReason.UNKNOWN_EVALUATOR
-        good = np.flatnonzero(reason == RejectReason.ACCEPTED)
-        keys = pair_key(sent_by[good], detection[good])
-        order = np.argsort(keys, kind="stable")  # in time proportional to their number where lists are by observer
-        reason[good[order[1:][keys[order[1:]] == keys[order[:-1]]]]] = RejectReason.DUPLICATE
-        return reason, observer, detection
-
 
 class OpenSteps:
     """The recent steps, and counters of what was received about them: for trust models that are written in NumPy."""
@@ -164,6 +198,10 @@ class OpenSteps:
         self.n_received = 0
         """Evaluations received so far, rejected ones included."""
         self._steps: dict[int, OpenStep] = {}
+
+    def __contains__(self, step: int) -> bool:
+        """Whether evaluations of the step are accepted."""
+        return step in self._steps
 
     def open(self, step: int, pseudonyms, observer_row, detection_index, score) -> None:
         """Begin a step; the arguments are those of `TrustModel.open_step`."""

@@ -11,10 +11,24 @@ from numba import njit
 from numpy import ndarray
 
 from trust.open_steps import AcceptedEvaluations, OpenStep
-from trust.tables import EvaluationMessages, pair_key, ranges, unpaired
+from trust.tables import EvaluationMessages, float64, pair_key, ranges, unpaired
 
 ONE = float(1 << 44)
 """Fixed point of the sums: the error is 3e-14 per evaluation, and there is room for half a million of them."""
+
+
+@njit(cache=True, nogil=True)
+def _terms(ptr, evaluator, observer, evaluation, visibility):
+    """What each evaluation adds to `StepEvidence.sums` and `n_evaluations`."""
+    terms, counts = np.zeros((observer.size, 2), np.int64), np.zeros((observer.size, 2), np.int32)
+    for message in range(evaluator.size):
+        for k in range(ptr[message], ptr[message + 1]):
+            counts[k, 0] = 1
+            if observer[k] != evaluator[message]:
+                terms[k, 0] = np.int64(np.rint(visibility[k] * ONE))
+                terms[k, 1] = np.int64(np.rint(visibility[k] * evaluation[k] * ONE))
+                counts[k, 1] = terms[k, 0] > 0
+    return terms, counts
 
 
 @njit(cache=True, nogil=True)
@@ -88,12 +102,8 @@ class StepEvidence:
         subject. None is there twice.
         """
         ptr, observer = accepted.ptr, accepted.observer
-        e, phi = messages.evaluation[accepted.kept], messages.visibility[accepted.kept]
-        is_own = observer == np.repeat(accepted.evaluator, np.diff(ptr))
-        could_see = ~is_own & (np.rint(phi * ONE) > 0)
-        terms = np.rint(np.column_stack([phi * ONE, phi * e * ONE]) * ~is_own[:, None]).astype(np.int64)
-        counts = np.column_stack([np.ones(e.size, np.int32), could_see]).astype(np.int32)
-
+        e, phi = (float64(a[accepted.kept]) for a in (messages.evaluation, messages.visibility))
+        terms, counts = _terms(ptr, accepted.evaluator, observer, e, phi)
         n_messages, n_subjects = accepted.evaluator.size, self.sent.pseudonyms.size
         holders, holder_row = np.unique(accepted.holder, return_inverse=True)
         received_ptr = np.append(0, np.cumsum(np.bincount(holder_row, minlength=holders.size)))
@@ -111,7 +121,7 @@ class StepEvidence:
             self._of_pairs = None
 
         each = np.arange(n_messages + 1)
-        seen_ptr, seen = _distinct(each, each, ptr, observer, could_see, n_subjects)
+        seen_ptr, seen = _distinct(each, each, ptr, observer, counts[:, 1] > 0, n_subjects)
         n = np.diff(seen_ptr)[accepted.message_row]
         subject = self.sent.pseudonyms[seen[ranges(seen_ptr[accepted.message_row], n)]]
         evaluator = self.sent.pseudonyms[accepted.evaluator[accepted.message_row]]

@@ -1,10 +1,13 @@
 """Tables that the functions of this package exchange: detections, object lists, groups, evaluations, trust scores."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from numba import njit
 from numpy import ndarray
 
 SERVER = 1 << 30
@@ -14,6 +17,11 @@ SERVER = 1 << 30
 def int64(a: ndarray) -> Int[ndarray, "..."]:
     """The same integers as contiguous int64, so that each kernel is compiled once."""
     return np.ascontiguousarray(a, np.int64)
+
+
+def float64(a: ndarray) -> Float[ndarray, "..."]:
+    """The same numbers as contiguous float64."""
+    return np.ascontiguousarray(a, np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,12 +176,17 @@ class EvaluationMessages:
             np.full(one.observer.size, one.step) if one.detection_step is None else one.detection_step
             for one in (self, earlier)
         ]
+        return replace(EvaluationMessages.joined([self, earlier]), detection_step=np.concatenate(steps))
+
+    @staticmethod
+    def joined(parts: "Sequence[EvaluationMessages]") -> "EvaluationMessages":
+        """The messages of all parts, one part after another, as messages of the step of the first part."""
         columns = {
-            name: np.concatenate([getattr(self, name), getattr(earlier, name)])
+            name: np.concatenate([getattr(part, name) for part in parts])
             for name in ("evaluator", "observer", "detection_index", "evaluation", "visibility")
         }
-        ptr = np.concatenate([self.ptr, self.ptr[-1] + earlier.ptr[1:]])
-        return EvaluationMessages(step=self.step, ptr=ptr, detection_step=np.concatenate(steps), **columns)
+        n = np.concatenate([np.diff(part.ptr) for part in parts])
+        return EvaluationMessages(step=parts[0].step, ptr=np.concatenate([[0], np.cumsum(n)]), **columns)
 
     def of_one_step(self) -> "list[EvaluationMessages]":
         """The same messages once for each step of which they evaluate detections, oldest first.
@@ -275,6 +288,28 @@ class ObserverRows(NamedTuple):
 _QUANTUM = float(1 << 32)
 
 
+@njit(cache=True, nogil=True)
+def _counting(ptr, evaluator, observer, evaluation, visibility, eta):
+    """Rows of the messages that are evidence, their message, pos and neg."""
+    kept, sent_by = np.empty(observer.size, np.int64), np.empty(observer.size, np.int64)
+    pos, neg = np.empty(observer.size), np.empty(observer.size)
+    n = 0
+    for message in range(evaluator.size):
+        for k in range(ptr[message], ptr[message + 1]):
+            e, phi = evaluation[k], visibility[k]
+            if abs(e) <= 1.0 and 0.0 < phi <= 1.0 and observer[k] != evaluator[message]:
+                if eta == 0.0:
+                    denies = 1.0 if e <= 0.0 else 0.0
+                else:
+                    denies = min(max(e / eta, 0.0), 1.0)
+                pos[n] = np.rint(phi * max(e, 0.0) * _QUANTUM) / _QUANTUM
+                neg[n] = np.rint(phi * denies * _QUANTUM) / _QUANTUM
+                if pos[n] > 0.0 or neg[n] > 0.0:
+                    kept[n], sent_by[n] = k, message
+                    n += 1
+    return kept[:n], sent_by[:n], pos[:n], neg[:n]
+
+
 @dataclass(frozen=True)
 class ReceivedEvaluations:
     """Messages as they were received: message `message_row[i]` reached the holder `holder[i]`."""
@@ -290,6 +325,32 @@ class ReceivedEvaluations:
     def __len__(self) -> int:
         """Number of received evaluations, including those without effect."""
         return int(np.diff(self.messages.ptr)[self.message_row].sum())
+
+    @staticmethod
+    def joined(parts: "Sequence[ReceivedEvaluations]") -> "list[ReceivedEvaluations]":
+        """The same receptions in the same order, with as few objects as possible.
+
+        Parameters
+        ----------
+        parts
+            Evaluations of the detections of one step. Those of successive parts that have `eta` and `is_own` in common
+            are joined.
+        """
+        return [
+            ReceivedEvaluations._as_one(list(some)) for _, some in groupby(parts, lambda part: (part.eta, part.is_own))
+        ]
+
+    @staticmethod
+    def _as_one(parts: "list[ReceivedEvaluations]") -> "ReceivedEvaluations":
+        if len(parts) == 1:
+            return parts[0]
+        first = np.cumsum([0, *(part.messages.evaluator.size for part in parts)])
+        return replace(
+            parts[0],
+            messages=EvaluationMessages.joined([part.messages for part in parts]),
+            holder=np.concatenate([part.holder for part in parts]),
+            message_row=np.concatenate([part.message_row + n for part, n in zip(parts, first, strict=False)]),
+        )
 
     def rows(self) -> EvaluationRows:
         """The evaluations that are evidence, flat.
@@ -358,19 +419,11 @@ class ReceivedEvaluations:
         )
 
     def _counting(self) -> tuple[ndarray, ndarray, ndarray, ndarray]:
-        """Rows of the messages that are evidence, their message, pos and neg."""
         t = self.messages
-        sent_by = np.repeat(np.arange(t.evaluator.size), np.diff(t.ptr))
-        e, phi = t.evaluation, t.visibility
-        with np.errstate(invalid="ignore"):
-            counts = (np.abs(e) <= 1.0) & (phi > 0.0) & (phi <= 1.0) & (t.observer != t.evaluator[sent_by])
-        kept = np.flatnonzero(counts)
-        e, phi = e[kept], phi[kept]
-        pos = phi * np.maximum(e, 0.0)
-        neg = phi * (e <= 0.0) if self.eta == 0 else phi * np.clip(e / self.eta, 0.0, 1.0)
-        pos, neg = np.rint(pos * _QUANTUM) / _QUANTUM, np.rint(neg * _QUANTUM) / _QUANTUM
-        says = (pos > 0) | (neg > 0)
-        return kept[says], sent_by[kept[says]], pos[says], neg[says]
+        return _counting(
+            int64(t.ptr), int64(t.evaluator), int64(t.observer), float64(t.evaluation), float64(t.visibility),
+            float(self.eta),
+        )  # fmt: skip
 
     def _expanded(self, ptr: Int[ndarray, "v+1"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "m"]]:
         """Rows of every received message, given the first row of each message, and their number."""

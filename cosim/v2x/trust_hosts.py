@@ -393,25 +393,26 @@ class TrustHosts:
         if not n:
             return found
         if params.host == "central":
-            for broadcast, at in self.downlink.lookup(state.hosts[h].downlink, vehicle, subject):
-                counted &= self._fill(found, broadcast.scores, at, h, time_s, time_s - broadcast.time_s)
+            for broadcast, rows, at in self.downlink.lookup(state.hosts[h].downlink, vehicle, subject):
+                counted &= self._fill(found, broadcast.scores, rows, at, h, time_s, time_s - broadcast.time_s)
         elif params.host == "local":
             scores = self._model(state, h, int(time_s / self.dt_s + 1e-6)).scores(None)
             at, known = scores.rows_of(vehicle, subject)
-            counted &= self._fill(found, scores, np.where(known, at, -1), h, time_s, 0.0)
+            counted &= self._fill(found, scores, np.flatnonzero(known), at[known], h, time_s, 0.0)
         return found if counted else replace(found, n_evaluators=None)
 
     def _fill(
-        self, found: Lookups, scores: TrustScores, at: Int[ndarray, "n"], h: int, time_s: float, age_s: float
-    ) -> bool:
-        """Write the values of a host, of age `age_s`, into the look-ups for which `at` is a row of the scores.
+        self, found: Lookups, scores: TrustScores, rows: Int[ndarray, "k"], at: Int[ndarray, "k"], h: int,
+        time_s: float, age_s: float,
+    ) -> bool:  # fmt: skip
+        """Write the values of a host, of age `age_s`, into some rows of the look-ups; `at` are rows of the scores.
 
         Returns whether the model counts evaluators.
         """
         params = self.params[h]
         window_s = window_of(params) if _has_window(self.models[h].model) else np.inf
-        rows = np.flatnonzero(at >= 0)
-        at = at[rows]
+        if not len(rows):
+            return True
         evaluated = scores.is_evaluated[at]
         valued = evaluated if params.unevaluated == "default" else np.ones(len(at), bool)
         found.trust[rows[valued]] = scores.trust[at[valued]]
@@ -422,7 +423,7 @@ class TrustHosts:
         found.state[rows] = np.where(evaluated, np.where(newest_age_s < window_s, _EVALUATED, _STALE), _UNEVALUATED)
         found.n_evaluations[rows] = scores.n_evaluations[at]
         if scores.n_evaluators is None:
-            return not len(rows)
+            return False
         assert found.n_evaluators is not None
         found.n_evaluators[rows] = scores.n_evaluators[at]
         return True
@@ -444,8 +445,9 @@ class TrustHosts:
     def _add(self, state: TrustState, hosts: Sequence[int], received: ReceivedEvaluations) -> None:
         """Add evaluations to the evidence of hosts. A model gets those of the detections of one step at a time."""
         for messages in received.messages.of_one_step() if hosts else ():
+            of_step = replace(received, messages=messages)
             for h in hosts:
-                self._model(state, h).add_evaluations(replace(received, messages=messages))
+                self._model(state, h).add_evaluations(of_step)
 
     def _model(self, state: TrustState, h: int, latest_step: int | None = None) -> TrustModel:
         """The model of a host, guarded if it is a user's own. `latest_step` is the step of a call without that

@@ -302,7 +302,7 @@ class Downlink:
 
     def lookup(
         self, state: DownlinkState, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"]
-    ) -> Iterator[tuple[TrustBroadcast, Int[ndarray, "n"]]]:
+    ) -> Iterator[tuple[TrustBroadcast, Int[ndarray, "k"], Int[ndarray, "k"]]]:
         """Trust values about subjects in the newest broadcast that each vehicle has received.
 
         Parameters
@@ -314,12 +314,13 @@ class Downlink:
 
         Yields
         ------
-        Every broadcast in use, and for each look-up the row of its scores. The row is -1 if the vehicle's newest
-        broadcast is another one or has no value of the subject.
+        Every broadcast in use; the look-ups that it answers, because it is the vehicle's newest one and has a value of
+        the subject; and the row of its scores for each of them.
         """
         newest = np.full(len(vehicle), -1)
         listens = vehicle < len(state.last)
         newest[listens] = state.last[vehicle[listens]]
         for number, broadcast in state.broadcasts.items():
-            at, known = broadcast.scores.rows_of(np.full(len(subject), SERVER), subject)
-            yield broadcast, np.where(known & (newest == number), at, -1)
+            rows = np.flatnonzero(newest == number)
+            at, known = broadcast.scores.rows_of(np.full(len(rows), SERVER), subject[rows])
+            yield broadcast, rows[known], at[known]

@@ -1,5 +1,6 @@
 """Belief propagation on the graph of who evaluates whom: honest or not, for evaluators and each kind of claim."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -226,10 +227,11 @@ class BeliefGraph(Stepwise):
         kept, has_claims = self.decay(self.params.decay_per_s, n_steps), len(self.params.evidence) > 1
         edges = with_rows(state.edges * kept, len(self.log.edges))
         vehicles = with_rows(state.vehicles * kept, n_pairs)
-        row, by, n_rows = rows.row, rows.evaluator[rows.row], rows.n.size
+        row, by, n_rows = rows.row, rows.by, rows.n.size
         kind = rows.index % len(KINDS) if has_claims else np.full(rows.index.size, DETECTION)
         is_detection = kind == DETECTION
-        for column, values in enumerate(_outcomes(rows, kind)):
+        columns = range(_SPEED.stop if has_claims else _DETECTIONS.stop)
+        for column, values in zip(columns, _outcomes(rows, kind), strict=False):
             edges[rows.edge, column] += exact_sums(row, values, n_rows)
 
         def counted(of: Int[ndarray, "k"], which: Bool[ndarray, "k"], n: int = len(vehicles)) -> ndarray:
@@ -304,16 +306,17 @@ class BeliefGraph(Stepwise):
         return found - np.minimum(_IMPOSSIBLE * impossible, _MOST_IMPOSSIBLE)
 
 
-def _outcomes(rows: StepRows, kind: Int[ndarray, "k"]) -> list[Float[ndarray, "k"]]:
+def _outcomes(rows: StepRows, kind: Int[ndarray, "k"]) -> Iterator[Float[ndarray, "k"]]:
     """Evidence of every single evaluation for each of the first eight columns of `Graph.edges`."""
     pos, neg = rows.object_pos, rows.object_neg
     others_confirm = rows.per_object((pos > 0).astype(float))[rows.object] > (pos > 0)
     others_deny = rows.per_object((neg > 0).astype(float))[rows.object] > (neg > 0)
-    is_detection, missing, speed = kind == DETECTION, kind == MISSING, rows.index == SPEED  # of the sender itself
+    is_detection = kind == DETECTION
     denied = np.where(is_detection, neg, 0.0)
-    return [
-        np.where(is_detection, pos, 0.0), np.where(others_confirm, denied, 0.0),
-        np.where(~others_confirm & others_deny, denied, 0.0), np.where(~others_confirm & ~others_deny, denied, 0.0),
-        np.where(missing, pos, 0.0), np.where(missing, neg, 0.0),
-        np.where((kind == SPEED) & speed, pos, 0.0), np.where((kind == SPEED) & speed, neg, 0.0),
-    ]  # fmt: skip
+    yield np.where(is_detection, pos, 0.0)
+    yield np.where(others_confirm, denied, 0.0)
+    yield np.where(~others_confirm & others_deny, denied, 0.0)
+    yield np.where(~others_confirm & ~others_deny, denied, 0.0)
+    for of_kind in (kind == MISSING, (kind == SPEED) & (rows.index == SPEED)):  # the speed of the sender itself
+        yield np.where(of_kind, pos, 0.0)
+        yield np.where(of_kind, neg, 0.0)

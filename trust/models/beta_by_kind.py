@@ -48,11 +48,10 @@ class BetaByKind(Stepwise):
         """r and s of each pair and kind after a step."""
         new = with_rows(state * self.decay(self.params.decay_per_s, n_steps), n_pairs)
         kind = rows.index % len(KINDS) if len(self.params.evidence) > 1 else np.zeros(len(rows.index), np.int64)
-        observer = rows.observer[rows.row]
         for k in range(len(KINDS)):
             some = kind == k
             for column, values in enumerate((rows.object_pos, rows.object_neg)):
-                new[:, 2 * k + column] += exact_sums(observer[some], values[some], len(new))
+                new[:, 2 * k + column] += exact_sums(rows.about[some], values[some], len(new))
         return new
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:

@@ -6,10 +6,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 from annotated_types import Gt, Interval
 from jaxtyping import Float, Int
+from numba import njit
 from numpy import ndarray
 from scipy.special import expit
 
-from trust.evaluation_log import StepRows, exact_sums
+from trust.evaluation_log import StepRows, rounded
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 
 
@@ -45,9 +46,7 @@ class Answers:
     @staticmethod
     def of(rows: StepRows) -> "Answers":
         """The evaluations of one step."""
-        return Answers(
-            rows.evaluator[rows.row], rows.object, rows.object_pos, rows.object_neg, rows.observer_of_objects()
-        )
+        return Answers(rows.by, rows.object, rows.object_pos, rows.object_neg, rows.sender)
 
     @staticmethod
     def joined(parts: tuple["Answers", ...]) -> "Answers":
@@ -60,6 +59,32 @@ class Answers:
             np.concatenate([p.neg for p in parts]),
             np.concatenate([p.sender for p in parts]),
         )
+
+
+@njit(cache=True, nogil=True)
+def _log_odds(by, to, pos, neg, confirms, denies, prior):
+    """Log-odds that each detection is true; `confirms` and `denies` are the weights of each evaluator's answers."""
+    odds = np.zeros(prior.size)
+    for k in range(by.size):
+        odds[to[k]] += rounded(pos[k] * confirms[by[k]] + neg[k] * denies[by[k]])
+    return prior + odds
+
+
+@njit(cache=True, nogil=True)
+def _counts(by, to, pos, neg, sender, true, n):
+    """The result of `expected_counts`, if the detections are true with these probabilities."""
+    counts = np.zeros((n, 6))
+    for k in range(by.size):
+        q = true[to[k]]
+        of = counts[by[k]]
+        of[0] += rounded(q * pos[k])
+        of[1] += rounded(q * neg[k])
+        of[2] += rounded((1 - q) * neg[k])
+        of[3] += rounded((1 - q) * pos[k])
+    for k in range(sender.size):
+        counts[sender[k], 4] += rounded(true[k])
+        counts[sender[k], 5] += rounded(1 - true[k])
+    return counts
 
 
 def expected_counts(
@@ -83,18 +108,14 @@ def expected_counts(
     Confirmations and denials of true detections, denials and confirmations of false ones, by evaluator; then true and
     false detections, by sender.
     """
-    by, to, n, n_objects = answers.by, answers.object, len(before), answers.sender.size
-    counts = np.zeros((n, 6))
+    given, sender = (answers.by, answers.object, answers.pos, answers.neg), answers.sender
+    counts, prior_counts = np.zeros((len(before), 6)), np.tile([reliable, 1.0], 3)
     for _ in range(n_iterations):
-        known = before + counts + np.tile([reliable, 1.0], 3)
+        known = before + counts + prior_counts
         log = np.log(known) - np.log((known[:, 0::2] + known[:, 1::2]).repeat(2, axis=1))
-        weight = answers.pos * (log[by, 0] - log[by, 3]) + answers.neg * (log[by, 1] - log[by, 2])
-        prior = log[answers.sender, 4] - log[answers.sender, 5]
-        true = expit(prior + exact_sums(to, weight, n_objects))
-        q = true[to]
-        parts = [(by, q * answers.pos), (by, q * answers.neg), (by, (1 - q) * answers.neg), (by, (1 - q) * answers.pos)]
-        parts += [(answers.sender, true), (answers.sender, 1 - true)]
-        counts = np.stack([exact_sums(who, what, n) for who, what in parts], axis=1)
+        confirms, denies, prior = log[:, 0] - log[:, 3], log[:, 1] - log[:, 2], log[:, 4] - log[:, 5]
+        true = expit(_log_odds(*given, confirms, denies, prior[sender]))
+        counts = _counts(*given, sender, true, len(before))
     return counts
 
 

@@ -75,16 +75,15 @@ class EvaluatorTrust(Stepwise):
         vote = self.weight(weight, rows)
         pos, neg, row = rows.object_pos, rows.object_neg, rows.row
         signed = exact(vote[row] * (pos - neg))
-        claim = exact(self.params.claim_weight * weight)[rows.observer_of_objects()]
+        claim = exact(self.params.claim_weight * weight)[rows.sender]
         others = (rows.per_object(signed) + claim)[rows.object] - signed
         agrees = (others > 0) == (pos > neg)
         judged = others != 0
-        by = rows.evaluator[row]
         added = [
             rows.per_observer(vote * rows.pos, len(new)),
             rows.per_observer(vote * rows.neg, len(new)),
-            exact_sums(by, np.where(judged & agrees, pos + neg, 0.0), len(new)),
-            exact_sums(by, np.where(judged & ~agrees, pos + neg, 0.0), len(new)),
+            exact_sums(rows.by, np.where(judged & agrees, pos + neg, 0.0), len(new)),
+            exact_sums(rows.by, np.where(judged & ~agrees, pos + neg, 0.0), len(new)),
         ]
         return new + np.stack(added, axis=1)
 

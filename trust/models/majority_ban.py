@@ -79,7 +79,7 @@ class MajorityBan(Stepwise):
 
     def _strikes(self, rows: StepRows, banned: Bool[ndarray, "p"]) -> Int[ndarray, "p"]:
         """Strikes of one step."""
-        by, of = rows.evaluator[rows.row], rows.observer_of_objects()
+        by, of = rows.by, rows.sender
         may = ~banned[by]
         agrees, denies = (rows.object_pos > 0) & may, (rows.object_neg > 0) & may
         in_favour = ~banned[of] + rows.per_object(agrees.astype(float))

@@ -85,14 +85,14 @@ class Mate(Stepwise):
         """alpha and beta of each pair after a step, less the prior."""
         new = with_rows(self._pulled(state, n_steps), n_pairs)
         trusted = mean(new + PRIOR)
-        by, of = rows.evaluator[rows.row], rows.observer_of_objects()
+        by, of = rows.by, rows.sender
         matched, missed = rows.object_pos > 0, rows.object_neg > 0
         source = np.column_stack([
             trusted[of] + rows.per_object(trusted[by] * matched), rows.per_object(trusted[by] * missed)
         ])  # fmt: skip
         objects = PRIOR + 0.5 * source
         v, c = mean(objects), confidence(objects)
-        evaluated = np.bincount(rows.object[matched | missed], minlength=rows.n_objects) > 0
+        evaluated = np.bincount(rows.object[matched | missed], minlength=of.size) > 0
         self._measured(new, of[evaluated], v[evaluated], c[evaluated])
         for agrees, value in ((matched, v), (missed, 1 - v)):
             at = rows.object[agrees]

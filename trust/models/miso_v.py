@@ -60,10 +60,9 @@ class MisoV(Stepwise):
         n_for, n_against = 1 + rows.per_object(confirms.astype(float)), rows.per_object(denies.astype(float))
         true = (n_for >= self.params.n_sources) & (n_for > n_against)
         false = (n_against >= self.params.n_sources) & (n_against > n_for)
-        sender, by = rows.observer_of_objects(), rows.evaluator[rows.row]
         good = (confirms & true[rows.object]) | (denies & false[rows.object])
         bad = (confirms & false[rows.object]) | (denies & true[rows.object])
-        counts = [(sender, true), (sender, false), (by, good), (by, bad)]
+        counts = [(rows.sender, true), (rows.sender, false), (rows.by, good), (rows.by, bad)]
         return new + np.stack([exact_sums(who, which.astype(float), len(new)) for who, which in counts], axis=1)
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:

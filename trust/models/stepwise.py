@@ -30,11 +30,9 @@ class Replay(Generic[S]):
         """Newest step, at most `until`, and the state after it."""
         step, state = self._before_step, self._before
         changed = False
-        for g, n_additions in log.versions().items():
+        for g, n_additions in log.versions(until):
             if g <= self._before_step:
                 continue
-            if g > until:
-                break
             known = self._after.get(g)
             if changed or known is None or known[0] != n_additions:
                 rows = log.rows(g)
@@ -48,10 +46,10 @@ class Replay(Generic[S]):
 
     def fold(self, log: EvaluationLog, advance: Advance) -> None:
         """Keep only one state of the steps that are closed. Later states are computed once they are asked for."""
-        closed = [g for g in log.closed if g > self._before_step]
-        if closed:
-            self._before_step, self._before = self.state(log, advance, closed[-1])
-            self._after = {g: known for g, known in self._after.items() if g > closed[-1]}
+        if log.closed and log.closed[-1] > self._before_step:
+            self._before_step, self._before = self.state(log, advance, log.closed[-1])
+            for g in log.closed:
+                self._after.pop(g, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,17 +61,6 @@ class Reading:
     uncertainty: Float[ndarray, "p"] | None = None
     horizon_s: float = np.inf
     """Age from which evaluations do not count any more. A pair without a newer evaluation has no row."""
-
-
-def _counted(state: Int[ndarray, "p 3"], _: int, step: int, rows: StepRows, n_pairs: int) -> Int[ndarray, "q 3"]:
-    """Evaluations, newest and oldest step of each pair, with those of one more step."""
-    new = with_rows(state, n_pairs).copy()
-    n = np.bincount(rows.observer, rows.n, len(new)).astype(np.int64)
-    seen = n > 0
-    new[seen, 2] = np.where(new[seen, 0] == 0, step, new[seen, 2])
-    new[seen, 1] = step
-    new[:, 0] += n
-    return new
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -98,7 +85,6 @@ class Stepwise:
         """The log of evaluations; `share_logs` gives several models the same one."""
         self._n_added = 0
         self._replay: Replay[Any] = Replay(self.start())
-        self._counts: Replay[ndarray] = Replay(np.zeros((0, 3), np.int64))
 
     def start(self) -> Any:
         """State before any evidence."""
@@ -146,7 +132,7 @@ class Stepwise:
     ) -> None:
         """Begin a step; see `TrustModel.open_step`."""
         self.log.open(step, pseudonyms, observer_row, detection_index, score)
-        self._fold()
+        self._replay.fold(self.log, self.advance)
 
     def add_evaluations(self, received: ReceivedEvaluations) -> None:
         """Add received evaluations; see `TrustModel.add_evaluations`."""
@@ -157,12 +143,11 @@ class Stepwise:
         """Trust of every subject with evidence; see `TrustModel.scores`."""
         now = self.log.steps.now if now_step is None else now_step
         self.log.advance(now)
-        self._fold()
+        self._replay.fold(self.log, self.advance)
         step, state = self._replay.state(self.log, self.advance)
-        counts = with_rows(self._counts.state(self.log, _counted)[1], len(self.log.pairs))
         reading = self.read(state, now - step if step >= 0 else 0, now)
         holder, subject, row = self.log.pairs.sorted()
-        n, newest, oldest = counts[row].T
+        n, newest, oldest = with_rows(self.log.counted, len(self.log.pairs))[row].T
         known = (n > 0) & ((now - newest) * self.dt_s < reading.horizon_s)
         holder, subject, row, n, newest, oldest = (a[known] for a in (holder, subject, row, n, newest, oldest))
         uncertainty = np.full(row.size, np.nan) if reading.uncertainty is None else reading.uncertainty[row]
@@ -174,7 +159,7 @@ class Stepwise:
     @property
     def rejected(self) -> Int[ndarray, "reasons"]:
         """Evaluations rejected so far, by `RejectReason`."""
-        return self.log.steps.rejected
+        return self.log.rejected()
 
     def decay(self, per_s: float, n_steps: int) -> float:
         """Share that is left after `n_steps` of decay; `per_s` is the share left after one second."""
@@ -183,10 +168,6 @@ class Stepwise:
     def horizon_s(self, per_s: float) -> float:
         """Age at which decay leaves less than 2^-40; `per_s` is the share left after one second."""
         return np.inf if per_s == 1 else 40 / -np.log2(per_s)
-
-    def _fold(self) -> None:
-        self._replay.fold(self.log, self.advance)
-        self._counts.fold(self.log, _counted)
 
 
 def share_logs(models: Sequence[object]) -> None:

@@ -56,14 +56,12 @@ class SubjectiveLogic(Stepwise):
         new = with_rows(state * self.decay(p.decay_per_s, n_steps), n_pairs)
         source = opinions.of_evidence(new)
         opinion = opinions.of_check(rows.object_pos, rows.object_neg, p.check_base)
-        by = rows.evaluator[rows.row]
         if p.discounting == "probability":
-            opinion = opinions.discounted(cast(ndarray, opinions.projected(source))[by], opinion)
+            opinion = opinions.discounted(cast(ndarray, opinions.projected(source))[rows.by], opinion)
         elif p.discounting == "opposite":
-            opinion = opinions.discounted_opposite(source[by], opinion)
-        about = rows.observer[rows.row]
+            opinion = opinions.discounted_opposite(source[rows.by], opinion)
         for column, evidence in enumerate(opinions.evidence_of(opinion).T):
-            new[:, column] += exact_sums(about, evidence, len(new))
+            new[:, column] += exact_sums(rows.about, evidence, len(new))
         return new
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:

@@ -70,8 +70,8 @@ class TruPercept:
         self.params = params
         self.window = open_window_steps(params, dt_s)
         self.now = -1
-        self.rejected = np.zeros(len(RejectReason), np.int64)
-        """Evaluations rejected so far, by `RejectReason`."""
+        self.n_rejected = np.zeros(len(RejectReason), np.int64)
+        """As `rejected`, without the evaluations that wait in the store."""
         self.n_received = 0
         """Evaluations received so far, rejected ones included."""
         self.n_bad_detections = 0
@@ -123,6 +123,7 @@ class TruPercept:
 
     def expire(self, now_step: int) -> None:
         """Advance to a step: drop, or with `freshness_s = "off"` fold, the evidence that leaves the window."""
+        self.store.settle(now_step - self.window)
         self.now = max(self.now, now_step)
         if self._folded is not None:
             self._fold(self._folded)
@@ -132,17 +133,16 @@ class TruPercept:
         """Add received evaluations, however late; those without effect are counted in `rejected`."""
         n, step = len(received), received.messages.step
         self.n_received += n
-        rejected = self.store.add(self._n_added, received)
+        is_open = self.store.add(self._n_added, received)
         self._n_added += 1
         if step > self.now:
-            self.rejected[RejectReason.FUTURE] += n
-        elif rejected is None or step <= self.now - self.window:
-            self.rejected[RejectReason.LATE] += n
-        else:
-            self.rejected += rejected
+            self.n_rejected[RejectReason.FUTURE] += n
+        elif not is_open or step <= self.now - self.window:
+            self.n_rejected[RejectReason.LATE] += n
 
     def scores(self, now_step: int | None = None) -> TrustScores:
         """Trust of every subject with evidence in the window, at step `now_step` (default: the newest one)."""
+        self.store.settle()
         if now_step is not None:
             assert now_step >= self.now, "evidence that has expired cannot be restored"
             self.expire(now_step)
@@ -171,6 +171,12 @@ class TruPercept:
             is_evaluated=n_evaluations > 0,
             n_evaluators=n_evaluators[row],
         )
+
+    @property
+    def rejected(self) -> Int[ndarray, "reasons"]:
+        """Evaluations rejected so far, by `RejectReason`."""
+        self.store.settle()
+        return self.n_rejected
 
     @property
     def nbytes(self) -> int:

@@ -131,8 +131,8 @@ def broadcast(time_s, value=0.3):
 def known(down, state, vehicle, subject):
     """Trust of each subject as its vehicle knows it, NaN for none, and when it was computed."""
     value, computed_s = np.full(len(vehicle), np.nan), np.full(len(vehicle), np.nan)
-    for sent, at in down.lookup(state, vehicle, subject):
-        value[at >= 0], computed_s[at >= 0] = sent.scores.trust[at[at >= 0]], sent.time_s
+    for sent, rows, at in down.lookup(state, vehicle, subject):
+        value[rows], computed_s[rows] = sent.scores.trust[at], sent.time_s
     return value, computed_s
 
 

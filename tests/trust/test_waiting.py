@@ -1,0 +1,65 @@
+"""Evaluations wait until somebody reads the model. When they are added changes nothing."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.trust.histories import assert_same, histories, open_step
+from trust.models import MODELS, params_of
+from trust.models.trupercept import TruPercept
+from trust.open_steps import LARGE
+from trust.params import TrustParams
+from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, messages_from_rows
+
+WINDOWS = [TrustParams(freshness_s=2.0), TrustParams(freshness_s=5.0), TrustParams(freshness_s="off", grace_s=3.0)]
+
+
+def models(name):
+    if name == "trupercept":
+        return TruPercept.build_shared(WINDOWS, 1.0)
+    return [MODELS[name](params_of(MODELS[name], TrustParams(), {"grace_s": 3.0}), 1.0)]
+
+
+@pytest.mark.parametrize("name", [name for name in MODELS if not name.startswith("raya_")])
+@given(world=histories, seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=15, deadline=None)
+def test_when_evaluations_are_added_changes_nothing(name, world, seed):
+    """A model that is read after each batch, and so adds each batch alone, against one that is read now and then."""
+    frames, rows = world
+    rng = np.random.default_rng(seed)
+    watched, idle = models(name), models(name)
+    under_way = []
+    for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
+        for model in (*watched, *idle):
+            open_step(model, step, frame)
+        strange = [(2000, 1, 0, 1.0, 1.0), *((row[0], row[1], 7, *row[3:]) for row in evaluated[:2])]
+        messages = messages_from_rows(step, *np.array([*evaluated, *strange], float).T)
+        for i in range(messages.evaluator.size):
+            one = ReceivedEvaluations(
+                messages, rng.integers(0, 3, 2), np.array([i, i]), is_own=bool(rng.random() < 0.3)
+            )
+            under_way += [(step + rng.integers(0, 7), one)] * (1 + (rng.random() < 0.3))
+        for _, one in (x for x in under_way if x[0] <= step):
+            for model in (*watched, *idle):
+                model.add_evaluations(one)
+            for model in watched:
+                assert model.rejected.sum() >= 0
+        under_way = [x for x in under_way if x[0] > step]
+        if rng.random() < 0.2:
+            for a, b in zip(watched, idle, strict=True):
+                assert_same(a.scores(), b.scores())
+    for a, b in zip(watched, idle, strict=True):
+        assert_same(a.scores(len(rows)), b.scores(len(rows)))
+        np.testing.assert_array_equal(a.rejected, b.rejected)
+
+
+def test_large_batches_do_not_wait():
+    """What waits is kept as it came, so that only small batches may wait."""
+    model = models("trupercept")[0]
+    open_step(model, 0, {1: [1.0], 2: [1.0]})
+    for n, size in ((1, 0), (LARGE, 1)):
+        ones = np.ones(n)
+        many = EvaluationMessages(0, np.array([1 + size]), np.array([0, n]), np.full(n, 2 - size), 0 * ones, ones, ones)
+        model.add_evaluations(ReceivedEvaluations(many, np.array([SERVER]), np.array([0])))
+        assert model.store.steps[0].pairs.size == 2 * size, "the small one waits for the large one"
