@@ -16,6 +16,8 @@ from cosim.docs import config_keys
 from cosim.studies import study
 from tests.drive import cosim
 
+GOLDEN = Path(__file__).parents[2] / "golden"
+
 
 def config(**data):
     return resolve_data({"attacks": [], "encounters": [{}]} | data, "a test", None)
@@ -28,6 +30,13 @@ def recorded(config):
 
 def test_version_0_2_is_every_keys_default():
     assert config(preset="v0.2") == replace(Config(), preset="v0.2", attacks=())
+
+
+def test_version_0_2_keeps_the_values_from_before_there_were_presets():
+    """238 keys as the last state without presets resolved them. Keys that are newer are not in the file."""
+    before = json.loads((GOLDEN / "preset_v0.2.json").read_text())
+    now = flat(recorded(resolve_data({"preset": "v0.2"}, "a test", None)))
+    assert {key: now.get(key) for key in before} == before
 
 
 def test_a_file_that_names_no_preset_is_modern(tmp_path):
