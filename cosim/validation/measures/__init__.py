@@ -40,6 +40,7 @@ MEASURES: Mapping[str, Callable[..., Measured]] = {
     "recall_when_near": detection.recall_when_near,
     "share_with_returns": detection.share_with_returns,
     "late_gain": cooperation.late_gain,
+    "late_gain_at_speed": cooperation.late_gain_at_speed,
     "change_of_late": cooperation.change_of_late,
     "precision_of_early": cooperation.precision_of_early,
     "early_gain": cooperation.early_gain,

@@ -12,12 +12,13 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.validation.facts import Measured
 from cosim.validation.measures.displaced import ERROR, displaced, seen_by_senders, with_errors, with_larger_errors
 from cosim.validation.measures.early_fusion import Disturbance, early_boxes
+from cosim.validation.measures.mixed import frames_at_speed, in_turn
 from results.metrics.kitti_frames import (
     BOX,
     Poses,
@@ -79,6 +80,27 @@ def late_gain(runs: Sequence[Run], **options: object) -> Measured:
     return _difference(runs, (_setting(options), "late"), (_setting(options), "none"))
 
 
+def late_gain_at_speed(runs: Sequence[Run], *, mean_speed_mps: float, **options: object) -> Measured:
+    """`late_gain` over frames of two worlds, in the shares in which the egos have a mean speed.
+
+    Parameters
+    ----------
+    runs
+        Those of the slow world, then as many of the fast one; they are paired in this order.
+    mean_speed_mps
+        Mean speed of the egos over all frames.
+    options
+        As `late_gain`.
+    """
+    setting, half = _setting(options), len(runs) // 2
+    found = []
+    for pair in zip(runs[:half], runs[half:], strict=True):
+        late, alone = ([_evaluated(run, setting, fusion) for run in pair] for fusion in ("late", "none"))
+        chosen = frames_at_speed(alone[0].ego_mps, alone[1].ego_mps, mean_speed_mps)
+        found.append(_precision_of(late, chosen, setting) - _precision_of(alone, chosen, setting))
+    return Measured.of_replicates(found)
+
+
 def change_of_late(runs: Sequence[Run], **options: object) -> Measured:
     """Average precision with old boxes of partners minus that with new ones [points]; options as `late_gain`.
 
@@ -122,8 +144,36 @@ def _setting(options: object) -> Setting:
     return Setting(**given)
 
 
+@dataclass(frozen=True, slots=True)
+class Evaluated:
+    """Objects and boxes of a run by frame."""
+
+    truth: Truth
+    found: Found
+    ego_mps: Float[ndarray, "f"]
+    """Speed of the ego in each frame."""
+
+
 def _precision(run: Run, setting: Setting, fusion: Fusion) -> Float[ndarray, "o"]:
     """Average precision by overlap [%]."""
+    one = _evaluated(run, setting, fusion)
+    return _areas(one.truth, one.found, setting)
+
+
+def _precision_of(
+    parts: Sequence[Evaluated], chosen: Sequence[Int[ndarray, "c"]], setting: Setting
+) -> Float[ndarray, "o"]:
+    """Average precision of some frames of several runs together, by overlap [%]."""
+    rows = [(frames, one.truth, one.found) for frames, one in zip(chosen, parts, strict=True)]
+    truth, found = in_turn(rows)
+    return _areas(truth, _ranked(found, setting), setting)
+
+
+def _areas(truth: Truth, found: Found, setting: Setting) -> Float[ndarray, "o"]:
+    return np.array([100 * precision_and_recall(truth, found, one)[0] for one in setting.overlaps])
+
+
+def _evaluated(run: Run, setting: Setting, fusion: Fusion) -> Evaluated:
     steps = sampled_steps(run, _FRAMES)
     steps = steps[steps >= setting.delay_steps]
     poses, actors = posed(run, steps)
@@ -135,7 +185,7 @@ def _precision(run: Run, setting: Setting, fusion: Fusion) -> Float[ndarray, "o"
     beside = with_errors(beside, (setting.position_m, setting.heading_deg), setting.seeded_error)
     truth = _truth(run, steps, poses, actors, beside, setting)
     found = _found(run, steps, poses, actors, beside, setting, fusion)
-    return np.array([100 * precision_and_recall(truth, found, one)[0] for one in setting.overlaps])
+    return Evaluated(truth, found, _speed(run, poses.step.to_numpy(), poses.observer.to_numpy()))
 
 
 def _partners(poses: Poses, actors: pd.DataFrame, setting: Setting) -> tuple[ndarray, ndarray]:
@@ -211,11 +261,16 @@ def _found(
     rows = np.flatnonzero((np.hypot(box[:, 0], box[:, 1]) <= setting.range_m) & _within(box, setting.area_m))
     score = every.score.to_numpy(np.float64)
     rows = rows[kept(frame[rows], box[rows], score[rows])]
-    frame, box, score = frame[rows], box[rows], score[rows]
-    if setting.ranked == "by frame":
-        rank = np.lexsort([-score, frame])
-        frame, box, score = frame[rank], box[rank], -np.arange(len(rank), dtype=np.float64)
-    return frame, box, score
+    return _ranked((frame[rows], box[rows], score[rows]), setting)
+
+
+def _ranked(found: Found, setting: Setting) -> Found:
+    """Boxes in the order in which the data set ranks them."""
+    if setting.ranked == "all":
+        return found
+    frame, box, score = found
+    rank = np.lexsort([-score, frame])
+    return frame[rank], box[rank], -np.arange(len(rank), dtype=np.float64)
 
 
 def _within(box: Float[ndarray, "n 7"], area_m: tuple[float, float]) -> Bool[ndarray, "n"]:

@@ -10,11 +10,13 @@ from pathlib import Path
 import pytest
 
 from cosim.config import preset
-from cosim.config.config import Config, of_run, resolve_data
+from cosim.config.config import Config, load, of_run, resolve_data
 from cosim.config.data import read_toml
 from cosim.docs import config_keys
 from cosim.studies import study
 from tests.drive import cosim
+
+GOLDEN = Path(__file__).parents[2] / "golden"
 
 
 def config(**data):
@@ -28,6 +30,13 @@ def recorded(config):
 
 def test_version_0_2_is_every_keys_default():
     assert config(preset="v0.2") == replace(Config(), preset="v0.2", attacks=())
+
+
+def test_version_0_2_keeps_the_values_from_before_there_were_presets():
+    """238 keys as the last state without presets resolved them. Keys that are newer are not in the file."""
+    before = json.loads((GOLDEN / "preset_v0.2.json").read_text())
+    now = flat(recorded(load(None, ["preset=v0.2"])))
+    assert {key: now.get(key) for key in before} == before
 
 
 def test_a_file_that_names_no_preset_is_modern(tmp_path):
