@@ -6,8 +6,8 @@ independent observation: a witness keeps its line of sight, its detector and its
 
 References
 ----------
-.. [1] "Sample size and design effect" in Stata Technical Bulletin 60 (sts18), 2001, after Kish 1965: m observations of
-   a cluster with intraclass correlation k count as m / (1 + (m - 1) k) independent ones.
+.. [1] Stata Technical Bulletin 60, insert sts18, 2001, after Kish 1965: with intraclass correlation k, the variance of m
+   observations of a cluster is 1 + (m - 1) k times as large, so that they count as m / (1 + (m - 1) k) independent ones.
 """
 
 from typing import NamedTuple

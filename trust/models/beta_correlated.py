@@ -42,7 +42,7 @@ class BetaCorrelated(MedianGroups):
     `beta`.
 
     [2] Jøsang, Ismail: The Beta Reputation System. 15th Bled Electronic Commerce Conference, 2002.
-    [17] Sample size and design effect. Stata Technical Bulletin 60, sts18, 2001, after Kish 1965.
+    [17] Stata Technical Bulletin 60, insert sts18, 2001: the correction of Kish (1965) for intraclass correlation.
     """
 
     Params: ClassVar[type] = BetaCorrelatedParams
