@@ -2,12 +2,13 @@
 
 Evaluations count that are sent with visibility above 0, of detections of another vehicle that belong to an actor. One
 *witness* is a vehicle that evaluates, under any of its pseudonyms, one object of one subject. What it says again is no
-independent observation: a witness keeps its line of sight, its detector and its errors from step to step.
+independent observation: a witness keeps its line of sight, its detector and its errors from step to step. Not all
+agreement is error: everybody denies a box that its sender has displaced, in every step.
 
 References
 ----------
-.. [1] Stata Technical Bulletin 60, insert sts18, 2001, after Kish 1965: with intraclass correlation k, the variance of m
-   observations of a cluster is 1 + (m - 1) k times as large, so that they count as m / (1 + (m - 1) k) independent ones.
+.. [1] Stata Technical Bulletin 60, insert sts18, 2001, after Kish 1965: with intraclass correlation k, the variance of
+   m observations of a cluster is 1 + (m - 1) k times as large: they count as m / (1 + (m - 1) k) independent ones.
 """
 
 from typing import NamedTuple
@@ -54,10 +55,13 @@ def of_evaluations(said: Said, dt_s: float) -> pd.DataFrame:
             ("step", look), (f"{WINDOW_S:g} s", np.unique(_numbers(witness, slot))), ("run", np.unique(witness)),
         )
     ]  # fmt: skip
-    same_object = _numbers(said.subject[first], said.actor[first], said.step[first])
-    for name, group in (("same evaluator", witness[first]), ("other evaluators", same_object)):
+    step, evaluator, subject, actor, denies = (column[first] for column in said)
+    for name, group in (
+        ("same evaluator, object", witness[first]), ("same evaluator", _numbers(evaluator, subject)),
+        ("same object, step", _numbers(subject, actor, step)),
+    ):  # fmt: skip
         _, group = np.unique(group, return_inverse=True)
-        n, denied = np.bincount(group), np.bincount(group, said.denies[first])
+        n, denied = np.bincount(group), np.bincount(group, denies)
         kappa = agreement(n, denied)
         alike = np.clip(kappa, 0, 1)
         effective = np.sum(n / (1 + (n - 1) * alike)) / n.sum() if len(n) else np.nan

@@ -30,19 +30,21 @@ def test_by_hand():
     # first members, 3 x 3 of 14 deny.
     chance = (9 / 14) ** 2 + (5 / 14) ** 2
     kappa = (8 / 14 - chance) / (1 - chance)
-    assert value["same evaluator", "kappa"] == pytest.approx(kappa)
+    assert value["same evaluator, object", "kappa"] == pytest.approx(kappa)
     expected = (4 / (1 + 3 * kappa) + 2 / (1 + kappa) + 1) / 7 if kappa > 0 else 1
-    assert value["same evaluator", "effective"] == pytest.approx(expected)
-    # Other evaluators: steps 0 and 9 have one of each verdict: no pair agrees, half deny.
-    assert value["other evaluators", "kappa"] == -1
-    assert value["other evaluators", "effective"] == 1
+    assert value["same evaluator, object", "effective"] == pytest.approx(expected)
+    # Same evaluator: groups of 4 (3 deny) and 3 (none). Of 12 + 6 ordered pairs, 6 + 6 agree; 9 are of denials.
+    assert value["same evaluator", "kappa"] == pytest.approx((12 / 18 - 0.5) / 0.5)
+    # Same object and step: steps 0 and 9 have one of each verdict: no pair agrees, half deny.
+    assert value["same object, step", "kappa"] == -1
+    assert value["same object, step", "effective"] == 1
 
 
 def test_one_voice_and_many():
     """One vehicle that says the same ten times is one observation; ten that draw lots are ten."""
     steps = np.arange(10)
     once = found([(step, who, 1, 7, who % 2) for who in (2, 3) for step in steps])
-    assert once["same evaluator", "kappa"] == 1
+    assert once["same evaluator, object", "kappa"] == once["same evaluator", "kappa"] == 1
     assert once["same evaluator", "effective"] == pytest.approx(once["run", "distinct"]) == 0.1
     lots = np.random.default_rng(1).random((10, 400)) < 0.3
     many = found([(step, who + 2, 1, 7, lots[step, who]) for step in steps for who in range(400)])

@@ -382,7 +382,7 @@ def repeated(of, made, boxes):
     }  # fmt: skip
     age = made.detection_step if "detection_step" in made else made.step
     kind = made.kind if "kind" in made else ["detection"] * len(made)
-    n, looks, spans, witnesses, verdicts = 0, set(), set(), {}, {}
+    n, looks, spans, witnesses, pairs_of, verdicts = 0, set(), set(), {}, {}, {}
     for step, sensed, by, subject, index, e, seen, what in zip(
         made.step, age, made.evaluator, made.observer, made.detection_index, made.evaluation, made.visibility, kind,
         strict=True,
@@ -396,10 +396,13 @@ def repeated(of, made, boxes):
         if (one, step) not in looks:
             looks.add((one, step))
             witnesses.setdefault(one, []).append(e < 0)
+            pairs_of.setdefault(one[:2], []).append(e < 0)
             verdicts.setdefault((step, subject, who), []).append(e < 0)
     for span, distinct in (("step", looks), ("10 s", spans), ("run", witnesses)):
         yield "repeats.distinct.share", span, ratio(len(distinct), n)
-    for name, groups in (("same evaluator", witnesses), ("other evaluators", verdicts)):
+    for name, groups in (
+        ("same evaluator, object", witnesses), ("same evaluator", pairs_of), ("same object, step", verdicts),
+    ):  # fmt: skip
         sizes = [len(said) for said in groups.values()]
         pairs = sum(m * (m - 1) for m in sizes)
         if not pairs:

@@ -19,7 +19,8 @@ class BetaCorrelatedParams(StepwiseParams):
 
     correlation: Annotated[float, Interval(ge=0, le=1)] = 0.5
     """k: correlation of two evaluations that one evaluator makes of one sender. With 0 the model is `beta`; with 1 an
-    evaluator counts as one evaluation, however often it speaks. `evidence.repeats.agreement.kappa` measures it."""
+    evaluator counts as one evaluation, however often it speaks. `evidence.repeats.agreement.kappa` measures it (group
+    same evaluator)."""
     decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
     """lambda: share of the evidence that is left after 1 s."""
 
