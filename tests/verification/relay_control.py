@@ -4,7 +4,7 @@
 prints the table of all seeds there. Central Helsinki, 45 s, 30 % of the vehicles equipped, a fifth of them attack from
 second 5 on, three hops. Counted from second 15 on: receptions over more than one hop, frames on the air, busy ratio,
 and the seconds for which ghosts are believed. A column with control is compared with none within each seed (same
-traffic, same vehicles, same attackers): ratio of the sums, with the smallest and largest ratio of a seed.
+traffic, same vehicles, same attackers): geometric mean of the ratios, and its 95 % interval (Student, of their logs).
 """
 
 import json
@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.stats import t as student
 
 from results.archive import open_run
 
@@ -72,15 +73,14 @@ def table(folder: Path) -> pd.DataFrame:
             variant = "base" if name == "trupercept" else name
             without = pd.DataFrame([counts(folder / f"{attack}-none-{seed}", variant) for seed in seeds])
             controlled = pd.DataFrame([counts(folder / f"{attack}-{name}-{seed}") for seed in seeds])
-            with np.errstate(invalid="ignore", divide="ignore"):
-                ratios = controlled / without
             for measure in without:
-                rows.append({
-                    "attack": attack, "by": name, "measure": measure, "seeds": len(seeds),
-                    "without": without[measure].mean(), "with": controlled[measure].mean(),
-                    "ratio": controlled[measure].sum() / max(without[measure].sum(), 1e-12),
-                    "low": ratios[measure].min(), "high": ratios[measure].max(),
-                })  # fmt: skip
+                row = {"attack": attack, "by": name, "measure": measure, "seeds": len(seeds),
+                       "without": without[measure].mean(), "with": controlled[measure].mean()}  # fmt: skip
+                if without[measure].all() and controlled[measure].all():
+                    logs = np.log(controlled[measure] / without[measure])
+                    half = student.ppf(0.975, len(logs) - 1) * logs.std(ddof=1) / np.sqrt(len(logs))
+                    row |= dict(zip(("ratio", "low", "high"), np.exp(logs.mean() + [0, -half, half]), strict=True))
+                rows.append(row)
     return pd.DataFrame(rows)
 
 
