@@ -1,10 +1,11 @@
 """What relay control (`radio.relay.min_trust`) does to the messages of liars and of honest vehicles.
 
 `python -m tests.verification.relay_control FOLDER [SEED ...]` simulates the runs of these seeds that FOLDER lacks, and
-prints the table of all seeds there. Central Helsinki, 45 s, 30 % of the vehicles equipped, a fifth of them attack from
-second 5 on, three hops. Counted from second 15 on: receptions over more than one hop, frames on the air, busy ratio,
-and the seconds for which ghosts are believed. A column with control is compared with none within each seed (same
-traffic, same vehicles, same attackers): geometric mean of the ratios, and its 95 % interval (Student, of their logs).
+prints the table of all seeds there. Central Helsinki with the preset v0.2, 45 s, 30 % of the vehicles equipped, a fifth
+of them attack from second 5 on, three hops. Counted from second 15 on: receptions over more than one hop, frames on the
+air, busy ratio, and the seconds for which ghosts are believed. A column with control is compared with none within each
+seed (same traffic, same vehicles, same attackers): geometric mean of the ratios, and its 95 % interval (Student, of
+their logarithms).
 """
 
 import json
@@ -32,7 +33,7 @@ def simulate(folder: Path, seed: int) -> None:
             if out.exists():
                 continue
             keys = {
-                "seed": seed, "traffic": {"seed": seed, "duration_s": 45}, "fleet": {"penetration_p": 0.3},
+                "preset": "v0.2", "seed": seed, "traffic": {"seed": seed, "duration_s": 45}, "fleet": {"penetration_p": 0.3},
                 "radio": {"relay": {"max_hops": 3, "min_trust": min_trust}}, "trust": {"model": model},
                 "attacks": [{"attack": attack, "share_p": 0.2, "start_s": 5}], "record": {"level": "full"},
                 "trust_variant": [{"name": "belief_graph", "model": "belief_graph"}] if name == "none" else [],
