@@ -33,7 +33,8 @@ def simulate(folder: Path, seed: int) -> None:
             if out.exists():
                 continue
             keys = {
-                "preset": "v0.2", "seed": seed, "traffic": {"seed": seed, "duration_s": 45}, "fleet": {"penetration_p": 0.3},
+                "preset": "v0.2", "seed": seed, "traffic": {"seed": seed, "duration_s": 45},
+                "fleet": {"penetration_p": 0.3},
                 "radio": {"relay": {"max_hops": 3, "min_trust": min_trust}}, "trust": {"model": model},
                 "attacks": [{"attack": attack, "share_p": 0.2, "start_s": 5}], "record": {"level": "full"},
                 "trust_variant": [{"name": "belief_graph", "model": "belief_graph"}] if name == "none" else [],
