@@ -51,7 +51,7 @@ def beta_by_kind(steps, now, dt, decay=0.98, evidence_of=("detections",)):
     }  # fmt: skip
 
 
-def beta_correlated(steps, now, dt, decay=0.98, k=0.5):
+def beta_correlated(steps, now, dt, decay=0.98, k=0.05):
     r, s = defaultdict(float), defaultdict(float)
     for step, rows in steps.items():
         for v, i, _, pos, neg in evidence(rows):

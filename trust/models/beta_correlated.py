@@ -17,10 +17,10 @@ from trust.models.stepwise import Reading, StepwiseParams
 class BetaCorrelatedParams(StepwiseParams):
     """Parameters of the model `beta_correlated`; the defaults are ours."""
 
-    correlation: Annotated[float, Interval(ge=0, le=1)] = 0.5
+    correlation: Annotated[float, Interval(ge=0, le=1)] = 0.05
     """k: correlation of two evaluations that one evaluator makes of one sender. With 0 the model is `beta`; with 1 an
     evaluator counts as one evaluation, however often it speaks. `evidence.repeats.agreement.kappa` measures it (group
-    same evaluator)."""
+    same evaluator): 0.02 to 0.05 in Helsinki."""
     decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
     """lambda: share of the evidence that is left after 1 s."""
 
