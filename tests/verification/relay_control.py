@@ -54,7 +54,7 @@ def counts(path: Path, variant: str = "base") -> dict[str, float]:
     radio = radio[radio.step >= since]
     found = run.table("attack_outcomes")
     found = found[(found.variant == variant) & (found.step >= since) & (found.effect == "inserted")]
-    honest = found.receiver.map(run.table("vehicles").set_index("actor").role) == "honest"
+    honest = found.receiver.map(run.roles) == "honest"
     return {
         "liars, beyond one hop": int((far & (role == "malicious")).sum()),
         "honest, beyond one hop": int((far & (role == "honest")).sum()),
