@@ -25,6 +25,7 @@ from results.metrics import (
     misbehaviour,
     radio,
     registry,
+    repeats,
     safety,
     security,
     trust,
@@ -325,6 +326,10 @@ def _evidence(run: Run) -> Iterator[Row]:
         return
     if run.subjects.attack_start_step.notna().any():
         yield from _rows(auc_bound.bounds(run), "{role}", {"known": "auc_bound", "alone": "auc_bound_alone"})
+    yield from _rows(repeats.repeats(run), "{group}", {
+        "distinct": "repeats.distinct.share", "kappa": "repeats.agreement.kappa",
+        "effective": "repeats.effective.share",
+    })  # fmt: skip
     found = evaluations.rates(run)
     found["group"] = [
         kind if by == "all" else f"{kind}, {by} {value}"

@@ -42,7 +42,7 @@ class Medium(Protocol):
         stations
             Present stations. Their rows may differ from round to round, but a station keeps its key.
         messages
-            Messages of the round. Those of length 0 are not sent.
+            Messages of the round. Those of length 0 are not sent. A medium that forwards leaves out `refused`.
 
         Returns
         -------

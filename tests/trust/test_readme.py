@@ -56,6 +56,31 @@ def audited(name, n_repeated=1, n_echoes=0):
     return trust_of(model, 1)
 
 
+def said(name, n_deniers, n_times):
+    """Trust in vehicle 1, whose detection four vehicles confirm in ten steps, if others deny it in the last steps."""
+    model = MODELS[name](params_of(MODELS[name], TrustParams()), 1.0)
+    for step in range(10):
+        open_step(model, step, {v: [1.0] for v in range(1, 16)})
+        about = [(v, i, 0, 1.0, 1.0) for v in range(2, 16) for i in range(2, 16) if v != i]
+        about += [(v, 1, 0, 1.0, 1.0) for v in range(2, 6)]
+        about += [(6 + k, 1, 0, -1.0, 1.0) for k in range(n_deniers)] * (step >= 10 - n_times)
+        add(model, step, about)
+    return trust_of(model, 1)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_what_each_model_makes_of_one_voice_and_of_many(name):
+    rows = table_after("### The same evaluator again")
+    cells = rows["raya_*" if name.startswith("raya_") else name][1:]
+    found = [said(name, *case) for case in ((0, 0), (1, 1), (1, 10), (10, 1))]
+    assert [float(cell) for cell in cells[:4]] == pytest.approx(found, abs=0.006)
+    _, once, again, many = found
+    if once - many < 0.006:
+        assert cells[4] == "-"
+    else:
+        assert cells[4] == "all" if abs(again - once) < 0.006 else "some" if again - many > 0.05 else "none"
+
+
 @pytest.mark.parametrize("name", MODELS)
 def test_what_each_model_makes_of_a_look_that_counts_several_times(name):
     rows = table_after("## Audit of evidence")

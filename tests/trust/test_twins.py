@@ -23,6 +23,7 @@ SETTINGS = {
         ({}, {}), *(({"evidence": kinds}, {"evidence_of": kinds})
                     for kinds in (("detections", "speed"), ("detections", "missing", "speed")))
     ],
+    "beta_correlated": [({}, {}), ({"correlation": 0.9, "decay_per_s": 0.5}, {"k": 0.9, "decay": 0.5})],
     "subjective_logic": [
         ({}, {}), *(({"discounting": how}, {"discounting": how}) for how in ("opposite", "none"))
     ],

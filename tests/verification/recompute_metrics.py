@@ -334,6 +334,7 @@ def evidence(of):
     if not len(made) or not len(boxes):
         return
     yield from ideal_observer(of, made)
+    yield from repeated(of, made, boxes)
     made = made[made.kind == "detection"] if "kind" in made else made
     who = subjects(of)
     own = boxes[(boxes.origin == "sensed") & boxes.transmitted & ~boxes.lied]
@@ -369,6 +370,51 @@ def evidence(of):
     for by, column in (("class", "class"), ("visibility", "seen"), ("distance", "distance"), ("role", "role")):
         for (kind, value), some in others[others.kind != "fabricated"].groupby(["kind", column]):
             yield "denied.share", f"{kind}, {by} {value}", (some.evaluation < 0).mean()
+
+
+def repeated(of, made, boxes):
+    """What the same vehicle says again, counted with sets and lists of verdicts."""
+    vehicle = of.table("pseudonyms").set_index("pseudonym").vehicle.to_dict()
+    actor = {
+        (step, by, index): int(who)
+        for step, by, index, sent, who in boxes[["step", "observer", "detection_index", "transmitted", "truth_actor"]]
+        .itertuples(index=False) if sent and who == who
+    }  # fmt: skip
+    age = made.detection_step if "detection_step" in made else made.step
+    kind = made.kind if "kind" in made else ["detection"] * len(made)
+    n, looks, spans, witnesses, pairs_of, verdicts = 0, set(), set(), {}, {}, {}
+    for step, sensed, by, subject, index, e, seen, what in zip(
+        made.step, age, made.evaluator, made.observer, made.detection_index, made.evaluation, made.visibility, kind,
+        strict=True,
+    ):  # fmt: skip
+        who = actor.get((sensed, subject, index))
+        if what != "detection" or seen <= 0 or who is None or vehicle[by] == vehicle[subject]:
+            continue
+        n += 1
+        one = vehicle[by], subject, who
+        spans.add((one, int(step * of.dt_s / 10 + 1e-9)))
+        if (one, step) not in looks:
+            looks.add((one, step))
+            witnesses.setdefault(one, []).append(e < 0)
+            pairs_of.setdefault(one[:2], []).append(e < 0)
+            verdicts.setdefault((step, subject, who), []).append(e < 0)
+    for span, distinct in (("step", looks), ("10 s", spans), ("run", witnesses)):
+        yield "repeats.distinct.share", span, ratio(len(distinct), n)
+    for name, groups in (
+        ("same evaluator, object", witnesses), ("same evaluator", pairs_of), ("same object, step", verdicts),
+    ):  # fmt: skip
+        sizes = [len(said) for said in groups.values()]
+        pairs = sum(m * (m - 1) for m in sizes)
+        if not pairs:
+            continue
+        agree = sum(said.count(one) - 1 for said in groups.values() for one in said) / pairs
+        denied = sum(sum(said) * (len(said) - 1) for said in groups.values()) / pairs
+        chance = denied**2 + (1 - denied) ** 2
+        if chance == 1:
+            continue
+        kappa = (agree - chance) / (1 - chance)
+        yield "repeats.agreement.kappa", name, kappa
+        yield "repeats.effective.share", name, sum(m / (1 + (m - 1) * max(kappa, 0)) for m in sizes) / sum(sizes)
 
 
 def ideal_observer(of, made):

@@ -1,25 +1,28 @@
 """What relay control (`radio.relay.min_trust`) does to the messages of liars and of honest vehicles.
 
 `python -m tests.verification.relay_control FOLDER [SEED ...]` simulates the runs of these seeds that FOLDER lacks, and
-prints the table of all seeds there. Central Helsinki, 60 s, 30 % of the vehicles equipped, a fifth of them attack from
-second 10 on, three hops. Counted from second 20 on: receptions over more than one hop, frames on the air, busy ratio,
-and the seconds for which ghosts are believed. A column with control is compared with none within each seed (same
-traffic, same vehicles, same attackers): ratio of the sums, with the smallest and largest ratio of a seed.
+prints the table of all seeds there. Central Helsinki with the preset v0.2, 45 s, 30 % of the vehicles equipped, a fifth
+of them attack from second 5 on, three hops. Counted from second 15 on: receptions over more than one hop, frames on the
+air, busy ratio, and the seconds for which ghosts are believed. A column with control is compared with none within each
+seed (same traffic, same vehicles, same attackers): geometric mean of the ratios, and its 95 % interval (Student, of
+their logarithms).
 """
 
+import json
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.stats import t as student
 
 from results.archive import open_run
 
 ATTACKS = ("ghost_insertion", "bad_mouthing")
 CONTROLS = {"none": ("trupercept", 0.0), "trupercept": ("trupercept", 0.25), "belief_graph": ("belief_graph", 0.48)}
 """Trust model and `radio.relay.min_trust`. Without control, the run carries `belief_graph` as a variant."""
-FROM_S = 20.0
+FROM_S = 15.0
 
 
 def simulate(folder: Path, seed: int) -> None:
@@ -30,15 +33,14 @@ def simulate(folder: Path, seed: int) -> None:
             if out.exists():
                 continue
             keys = {
-                "seed": seed, "traffic.seed": seed, "traffic.duration_s": 60, "fleet.penetration_p": 0.3,
-                "radio.relay.max_hops": 3, "radio.relay.min_trust": min_trust, "trust.model": model,
-                "attacks": f'[{{attack="{attack}", share_p=0.2, start_s=10}}]', "record.level": "full",
-                "compute.threads": 1,
+                "preset": "v0.2", "seed": seed, "traffic": {"seed": seed, "duration_s": 45},
+                "fleet": {"penetration_p": 0.3},
+                "radio": {"relay": {"max_hops": 3, "min_trust": min_trust}}, "trust": {"model": model},
+                "attacks": [{"attack": attack, "share_p": 0.2, "start_s": 5}], "record": {"level": "full"},
+                "trust_variant": [{"name": "belief_graph", "model": "belief_graph"}] if name == "none" else [],
             }  # fmt: skip
-            if name == "none":
-                keys["trust_variant"] = '[{name="belief_graph", model="belief_graph"}]'
-            sets = [word for key, value in keys.items() for word in ("--set", f"{key}={value}")]
-            subprocess.run([sys.executable, "-m", "cosim", "run", *sets, "--out", str(out)], check=True)
+            code = "import json, sys, cosim; cosim.run(json.loads(sys.argv[1]), sys.argv[2])"
+            subprocess.run([sys.executable, "-c", code, json.dumps(keys), str(out)], check=True)
 
 
 def counts(path: Path, variant: str = "base") -> dict[str, float]:
@@ -52,7 +54,7 @@ def counts(path: Path, variant: str = "base") -> dict[str, float]:
     radio = radio[radio.step >= since]
     found = run.table("attack_outcomes")
     found = found[(found.variant == variant) & (found.step >= since) & (found.effect == "inserted")]
-    honest = found.receiver.map(run.table("vehicles").set_index("actor").role) == "honest"
+    honest = found.receiver.map(run.roles) == "honest"
     return {
         "liars, beyond one hop": int((far & (role == "malicious")).sum()),
         "honest, beyond one hop": int((far & (role == "honest")).sum()),
@@ -73,15 +75,14 @@ def table(folder: Path) -> pd.DataFrame:
             variant = "base" if name == "trupercept" else name
             without = pd.DataFrame([counts(folder / f"{attack}-none-{seed}", variant) for seed in seeds])
             controlled = pd.DataFrame([counts(folder / f"{attack}-{name}-{seed}") for seed in seeds])
-            with np.errstate(invalid="ignore", divide="ignore"):
-                ratios = controlled / without
             for measure in without:
-                rows.append({
-                    "attack": attack, "by": name, "measure": measure, "seeds": len(seeds),
-                    "without": without[measure].mean(), "with": controlled[measure].mean(),
-                    "ratio": controlled[measure].sum() / max(without[measure].sum(), 1e-12),
-                    "low": ratios[measure].min(), "high": ratios[measure].max(),
-                })  # fmt: skip
+                row = {"attack": attack, "by": name, "measure": measure, "seeds": len(seeds),
+                       "without": without[measure].mean(), "with": controlled[measure].mean()}  # fmt: skip
+                if without[measure].all() and controlled[measure].all():
+                    logs = np.log(controlled[measure] / without[measure])
+                    half = student.ppf(0.975, len(logs) - 1) * logs.std(ddof=1) / np.sqrt(len(logs))
+                    row |= dict(zip(("ratio", "low", "high"), np.exp(logs.mean() + [0, -half, half]), strict=True))
+                rows.append(row)
     return pd.DataFrame(rows)
 
 

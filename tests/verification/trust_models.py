@@ -51,6 +51,23 @@ def beta_by_kind(steps, now, dt, decay=0.98, evidence_of=("detections",)):
     }  # fmt: skip
 
 
+def beta_correlated(steps, now, dt, decay=0.98, k=0.05):
+    r, s = defaultdict(float), defaultdict(float)
+    for step, rows in steps.items():
+        for v, i, _, pos, neg in evidence(rows):
+            r[v, i] += decay ** ((now - step) * dt) * pos
+            s[v, i] += decay ** ((now - step) * dt) * neg
+    trust = {}
+    for i in known(steps):
+        good = bad = 0.0
+        for v in {v for v, subject in r if subject == i}:
+            m = r[v, i] + s[v, i]
+            share = 1.0 if m <= 1 else 1 / (1 + (m - 1) * k)
+            good, bad = good + share * r[v, i], bad + share * s[v, i]
+        trust[i] = (good + 1) / (good + bad + 2)
+    return trust
+
+
 def beta_discounted(steps, now, dt, decay=0.98):
     r, s, last = defaultdict(float), defaultdict(float), None
     for step in [*sorted(steps), now]:

@@ -4,6 +4,7 @@ from trust.models.announcement import Announcement
 from trust.models.belief_graph import BeliefGraph
 from trust.models.beta import Beta
 from trust.models.beta_by_kind import BetaByKind
+from trust.models.beta_correlated import BetaCorrelated
 from trust.models.beta_discounted import BetaDiscounted
 from trust.models.dawid_skene import DawidSkene
 from trust.models.dawid_skene_online import DawidSkeneOnline
@@ -26,6 +27,7 @@ MODELS: dict[str, type[TrustModel]] = {
     "beta": Beta,
     "beta_discounted": BetaDiscounted,
     "beta_by_kind": BetaByKind,
+    "beta_correlated": BetaCorrelated,
     "subjective_logic": SubjectiveLogic,
     "mate": Mate,
     "raya_majority": Raya,
