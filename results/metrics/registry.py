@@ -55,7 +55,11 @@ TOPICS: Mapping[str, str] = {
     "safety": "Traffic safety, and the reactions of drivers to objects that their vehicles believe in. The metrics use the table `actors` without pedestrians. Conflicts are defined in `results/metrics/conflicts.py` and verified against SUMO's SSM device.",
 }
 
-_ROLE, _DEFINITION, _LIST = "role of the subject", "definition of an encounter", "own sensor (local) or fused"
+_ROLE, _DEFINITION, _LIST = (
+    "role of the subject",
+    "definition of an encounter",
+    "own sensor (local), fused, or early (merged point clouds)",
+)
 _KIND = "what is reacted to: ghost, false positive, real"
 _ROLE_ALL = "role of the subject, or all"
 _OBSERVER = "What an observer who knows how each role evaluates and is evaluated can tell, to stand beside `misbehaviour.auc`. It is no strict bound: it takes clues for independent, and models that do not add up evaluations can exceed it. Clues are the rows of the table `evaluations` with `visibility` above 0 whose evaluator is not the observer. Each counts for both, if watched at its step (see `misbehaviour`). x is `evaluation` times `visibility`, with bins that end at -0.95, -0.5, -0.1, 0, 0.1, 0.5, 0.95 and 1 (ends included). The cell of a clue is, for its observer: received, `kind`, bin of x, role of the evaluator (honest or not). For its evaluator: made, `kind`, bin of x, role of the observer, and whether the mean x of the other rows about the same detection and kind in this step is below 0, 0 or above, or there is none. Only honest subjects and those of the group's role count. Each attacker is compared with each honest subject, by the sum over its clues of log(p / q). Here p is the share of the clue's cell in the clues of the attackers but this one plus m, and q that of the honest subjects but this one plus m; m, per cell that occurs, is the count over all subjects but this attacker (for q, this honest subject), plus 1/2, over their number. The value is the share of pairs in which the attacker's sum is above, ties counting half, or that of the means per clue, whichever is larger. There is no value with fewer than two subjects of either. In a run with more than 5 million evaluations, only every n-th step counts."
@@ -197,6 +201,9 @@ METRICS: Mapping[str, Metric] = {
     "radio.cpm_objects.mean": Metric("objects per detection message, mean", "", "Mean of `n_included` over the rows of `cpm_content` with `length_bytes` above 0. Self reports are not counted."),
     "radio.cpm_length.mean_bytes": Metric("length of detection messages, mean", "B", "Mean of `length_bytes` over the same rows: with headers, and with evaluations where messages carry them."),
     "radio.cpm_left_out.share": Metric("objects left out of detection messages", "1", "Sum of `n_waiting`, `n_not_due`, `n_redundant` or `n_over_limit` over sum of `n_objects`, over all rows of `cpm_content`.", "reason: waiting, not due, redundant, over limit"),
+    "radio.clouds_offered.mean_mbps": Metric("point clouds offered", "Mb/s", "Sum of `length_bytes` of the table `clouds` times 8e-6, over the time that equipped vehicles are on the road, as for `radio.cpm_rate.mean_hz`: what one vehicle would send. Only with [early_fusion]."),
+    "radio.clouds_delivered.mean_mbps": Metric("point clouds delivered", "Mb/s", "Sum of `length_bytes` times `n_received` times 8e-6, over the same time: what one vehicle receives in whole sweeps from within `early_fusion.range_m`."),
+    "radio.clouds_complete.share": Metric("sweeps that arrive whole", "1", "Sum of `n_received` over sum of `n_in_range` of the table `clouds`."),
     "radio.server_reports.reached.share": Metric("reports that reach the server", "1", "Sum of `n_reached` over sum of `n_reports` of the table `server`."),
     "radio.server_reports.lost.share": Metric("reports lost", "1", "Sum of `n_lost` over sum of `n_reports`: lost on the way, or received by no roadside unit."),
     "radio.server_reports.over_capacity.share": Metric("reports over capacity", "1", "Sum of `n_over_capacity` over sum of `n_reports`: dropped because the capacity of their cell was used up."),
