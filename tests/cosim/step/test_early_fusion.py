@@ -5,6 +5,7 @@ import pytest
 
 from cosim.config.config import load
 from cosim.config.effect import without_effect
+from cosim.execution.checkpoint import decode, encode
 from cosim.radio.message_round import MessageRound, Messages, Stations
 from cosim.reproduce.scenarios import FOLDER, ScriptedScene
 from cosim.step.cycle import step
@@ -15,19 +16,19 @@ from cosim.v2x.messages import SENSED
 from results.archive import open_run
 from results.recorder import fingerprint
 from tests.drive import drive
-from tests.scene import QUIET
+from tests.scene import QUIET, assert_same
 
 WRONG = ("gnss.std_m=0.3", "gnss.heading_std_deg=1", "lidar.rotation_hz=10")
 
 
-def played(n, *overrides):
-    """Steps of the paper's scene with the detector of the config."""
+def played(n, *overrides, kept=lambda state: state):
+    """Steps of the paper's scene with the detector of the config; `kept` is done with each state between two steps."""
     overrides = ("early_fusion.medium=unlimited", "early_fusion.share=objects", *overrides)
     scene = ScriptedScene.load()
     parts = Parts.of(load(FOLDER / "scenario-2.toml", [*QUIET, *overrides]), scene.city)
     state, sensed = State.start(parts), []
     for number in range(n):
-        state, result = step(scene.world(number), state, parts)
+        state, result = step(scene.world(number), kept(state), parts)
         sensed.append(result.sensed)
     return sensed
 
@@ -63,6 +64,15 @@ def test_returns_of_all_in_range_count_together():
         assert (early.n_received == early.n_in_range).all() and early.n_in_range.sum() > 0
         assert early.offered.n_points.tolist() == np.bincount(seen.observer, seen.n_returns, len(row)).tolist()
     assert n_more > 3
+
+
+def test_a_checkpoint_keeps_the_clouds():
+    """Each state is written and read again; clouds of up to two steps ago are still used."""
+    sets = ("early_fusion.max_age_s=2", *WRONG)
+    whole, resumed = (
+        played(4, *sets, kept=kept) for kept in (lambda s: s, lambda s: decode(b"".join(map(bytes, encode(s)))))
+    )
+    assert_same([s.early for s in whole], [s.early for s in resumed])
 
 
 def test_errors_of_partners_displace_and_lengthen_boxes():
