@@ -136,9 +136,7 @@ class EarlyFusion:
             return None
         detector, s_per_rad = StatisticalDetector(c.detector), lidar.beams(c.lidar).s_per_rad
         oldest_steps = math.floor(c.early_fusion.max_age_s / c.traffic.step_s + 1e-9)
-        return EarlyFusion(
-            c.early_fusion, detector, s_per_rad, c.seed, c.traffic.step_s, oldest_steps
-        )  # fmt: skip
+        return EarlyFusion(c.early_fusion, detector, s_per_rad, c.seed, c.traffic.step_s, oldest_steps)
 
     def offered(self, observed: Observed, perception: Perceives, max_range_m: float) -> Offered:
         """The clouds that the vehicles broadcast that sense in this step."""

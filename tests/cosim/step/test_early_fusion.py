@@ -66,6 +66,19 @@ def test_returns_of_all_in_range_count_together():
     assert n_more > 3
 
 
+def test_with_exact_poses_nothing_is_lost_and_some_is_won():
+    """A draw finds an object if it is below a probability that grows with returns and falls with occlusion."""
+    won = 0
+    for alone, together in zip(played(5, "early_fusion.partners=0"), played(5), strict=True):
+        found = [
+            set(zip(e.ego[e.is_real].tolist(), e.actor_row[e.is_real].tolist(), strict=True))
+            for e in (alone.early, together.early)
+        ]
+        assert found[0] <= found[1]
+        won += len(found[1] - found[0])
+    assert won > 0
+
+
 def test_a_checkpoint_keeps_the_clouds():
     """Each state is written and read again; clouds of up to two steps ago are still used."""
     sets = ("early_fusion.max_age_s=2", *WRONG)
