@@ -94,6 +94,8 @@ class Messages:
     """Added to the time of generation [s]. A message that is too late for the round is not sent or not received."""
     envelope_bytes: Int[ndarray, "m"] | None = None
     """What every segment of a long message repeats. None: `segmentation.ENVELOPE_BYTES`."""
+    is_background: Bool[ndarray, "m"] | None = None
+    """Messages that wait in a queue of their own, behind all others of the station (`csma`). None: there are none."""
 
     def __post_init__(self) -> None:
         assert (np.diff(self.station) >= 0).all() and (self.length_bytes >= 0).all()
@@ -109,7 +111,7 @@ class Messages:
     def followed_by(self, other: "Messages") -> tuple["Messages", Bool[ndarray, "k"]]:
         """Behind the messages of each station, those that it has among the others; and which messages are others.
 
-        Keys of the first messages stay as they are. The others have no delay, and the usual envelope.
+        Keys of the first messages stay as they are. The others are background, without delay, of the usual envelope.
         """
         station = np.concatenate([self.station, other.station])
         order = np.argsort(station, kind="stable")
@@ -119,7 +121,7 @@ class Messages:
 
         length = np.concatenate([self.length_bytes, other.length_bytes])[order]
         delay_s, envelope = joined(self.delay_s, 0.0), joined(self.envelope_bytes, ENVELOPE_BYTES)
-        return Messages(station[order], length, delay_s, envelope), order >= len(self)
+        return Messages(station[order], length, delay_s, envelope, order >= len(self)), order >= len(self)
 
     @staticmethod
     def one_each(length_bytes: Int[ndarray, "n"]) -> "Messages":
