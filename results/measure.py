@@ -403,6 +403,11 @@ def _radio(run: Run) -> Iterator[Row]:
         yield from _rows(cpm, "", {"length_bytes": "cpm_length.mean_bytes"})
         for name in radio.LEFT_OUT:
             yield from _rows(cpm, name.removeprefix("n_").replace("_", " "), {name: "cpm_left_out.share"})
+    if "clouds" in run.tables and run.n_rows("clouds"):
+        yield from _rows(radio.clouds(run), "", {
+            "offered_mbps": "clouds_offered.mean_mbps", "delivered_mbps": "clouds_delivered.mean_mbps",
+            "complete": "clouds_complete.share",
+        })  # fmt: skip
     if "server" in run.tables and len(run.variant_table("server", ["step"])):
         links = radio.to_server(run)
         for name in ("reached", "lost", "over_capacity", "outage"):

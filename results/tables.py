@@ -311,7 +311,7 @@ TABLES: Mapping[str, Table] = {
             "n_delivered": _DELIVERED,
             "n_duplicate": _count("Number of received frames with a message that the receiver already had."),
             **_LOST,
-            "sent_bytes": Column("float32", unit="B", meaning="Bytes sent on the air, forwarded copies included."),
+            "sent_bytes": Column("float32", unit="B", meaning="Bytes sent on the air, forwarded copies and, with detection messages, point clouds included."),
             "cbr": Column("float32", unit="1", null=True, meaning="Channel busy ratio: share of the time in which a vehicle senses the channel busy, mean over vehicles; null if the medium does not model it."),
         },
     ),

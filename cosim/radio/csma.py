@@ -7,7 +7,7 @@ received when all its segments are received.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int, UInt64
+from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
 from cosim import rng
@@ -99,6 +99,7 @@ class CsmaMedium:
             generated_ns=begin_ns + offset_ns[units["message"]],
             lifetime_ns=round(self.params.access.lifetime_s * 1e9),
             first_tag=n_frames,
+            is_background=np.zeros(len(messages), bool) if messages.is_background is None else messages.is_background,
         )
 
     def _forwarding(
@@ -198,6 +199,7 @@ class _RoundPlan:
     """Longest wait of a segment in its sender's queue."""
     first_tag: int
     """Number of the first frame of the round, counted over the whole run."""
+    is_background: Bool[ndarray, "m"]
 
     def packets(self, due: Int[ndarray, "p"]) -> Packets:
         """These segments as packets of their senders."""
@@ -207,7 +209,7 @@ class _RoundPlan:
             seq=self.units["seq"][due],
             generated_ns=own_ns,
             payload_bytes=self.units["payload_bytes"][due],
-            access=np.full(len(due), Access.BE, np.uint8),
+            access=np.where(self.is_background[self.units["message"][due]], Access.BK, Access.BE).astype(np.uint8),
             lifetime_ns=np.minimum(self.lifetime_ns, self.end_ns - own_ns),
             tag=self.first_tag + due,
         )

@@ -97,6 +97,8 @@ class Messages:
     refused: Int[ndarray, "p"] | None = None
     """Messages that stations receive and do not forward: row of the message << 32 | row of the station, ascending.
     None: there are none."""
+    is_background: Bool[ndarray, "m"] | None = None
+    """Messages that wait in a queue of their own, behind all others of the station (`csma`). None: there are none."""
 
     def __post_init__(self) -> None:
         assert (np.diff(self.station) >= 0).all() and (self.length_bytes >= 0).all()
@@ -112,7 +114,7 @@ class Messages:
     def followed_by(self, other: "Messages") -> tuple["Messages", Bool[ndarray, "k"]]:
         """Behind the messages of each station, those that it has among the others; and which messages are others.
 
-        Keys of the first messages stay as they are. The others have no delay, and the usual envelope.
+        Keys of the first messages stay as they are. The others are background, without delay, of the usual envelope.
         """
         station = np.concatenate([self.station, other.station])
         order = np.argsort(station, kind="stable")
@@ -122,7 +124,7 @@ class Messages:
 
         length = np.concatenate([self.length_bytes, other.length_bytes])[order]
         delay_s, envelope = joined(self.delay_s, 0.0), joined(self.envelope_bytes, ENVELOPE_BYTES)
-        return Messages(station[order], length, delay_s, envelope), order >= len(self)
+        return Messages(station[order], length, delay_s, envelope, order >= len(self)), order >= len(self)
 
     @staticmethod
     def one_each(length_bytes: Int[ndarray, "n"]) -> "Messages":

@@ -1,10 +1,12 @@
 """Early fusion: vehicles broadcast their point clouds, and each asks its detector again about all that it has.
 
-A vehicle uses the newest cloud of each partner that is younger than the longest sensing interval. What it detects in
-the merged clouds stands beside its own detections and its fused objects. Nothing else in the simulation uses it.
+A vehicle uses the newest cloud of each partner. What it detects in the merged clouds stands beside its own detections
+and its fused objects. Nothing else in the simulation uses it.
 """
 
+import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -124,8 +126,8 @@ class EarlyFusion:
     """As `sensors.lidar.Beams`."""
     seed: int
     dt_s: float
-    longest_steps: int
-    """Longest sensing interval."""
+    oldest_steps: int
+    """Largest age of a cloud that is merged."""
 
     @staticmethod
     def of(c: Config) -> "EarlyFusion | None":
@@ -133,9 +135,8 @@ class EarlyFusion:
         if c.early_fusion.share == "none":
             return None
         detector, s_per_rad = StatisticalDetector(c.detector), lidar.beams(c.lidar).s_per_rad
-        return EarlyFusion(
-            c.early_fusion, detector, s_per_rad, c.seed, c.traffic.step_s, c.schedule.longest_steps
-        )  # fmt: skip
+        oldest_steps = math.floor(c.early_fusion.max_age_s / c.traffic.step_s + 1e-9)
+        return EarlyFusion(c.early_fusion, detector, s_per_rad, c.seed, c.traffic.step_s, oldest_steps)
 
     def offered(self, observed: Observed, perception: Perceives, max_range_m: float) -> Offered:
         """The clouds that the vehicles broadcast that sense in this step."""
@@ -194,7 +195,7 @@ class EarlyFusion:
             n_unoccluded=views.n_unoccluded, range_m=views.range_m, at_m=at_m,
             receiver=vehicles.actor[receiver[got]].astype(np.int64), received=sender[got],
         )  # fmt: skip
-        clouds = kept.since(world.step - self.longest_steps + 1).and_also(now)
+        clouds = kept.since(world.step - self.oldest_steps).and_also(now)
         theirs = self._received_views(clouds, world, sensing.row, own_xy_m, of_senses)
         views = Views(*(np.concatenate([getattr(v, f) for v in (views, theirs)]) for f in Views.__dataclass_fields__))
         n = len(sensing)
@@ -252,7 +253,7 @@ class EarlyFusion:
 
     def _detected(
         self, views: Views, world: World, row: Int[ndarray, "s"], observed: Observed, error: Error
-    ) -> dict[str, ndarray | Boxes]:
+    ) -> dict[str, Any]:
         """Detections in the merged clouds, and the false positives of the own sweeps, at the estimated poses."""
         draws = detector_draws(self.seed, self.dt_s, world.step, world.name_key, world.name_key[row])
         found = detect(self.detector, views, world.boxes, world.label, observed.sweeps.poses.origin_m, draws)

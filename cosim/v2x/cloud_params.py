@@ -17,9 +17,12 @@ class EarlyFusionParams:
     """`radio`: clouds are sent as frames over the medium of `[radio]`, among the detection messages. `unlimited`: every
     vehicle within `range_m` receives them, and the channel carries nothing; for studies of perception alone."""
     range_m: Annotated[float, Gt(0), Le(1000)] = 70.0
-    """Largest distance of a partner whose cloud is merged [m]. The default is that of OPV2V (Xu et al., ICRA 2022)."""
+    """Largest distance of a partner whose cloud is merged [m]. The default is `COM_RANGE` of OpenCOOD."""
     partners: Annotated[int, Ge(0), Le(1000)] = 4
-    """Largest number of partners, the nearest ones. OPV2V has up to five vehicles, the ego among them."""
+    """Largest number of partners, the nearest ones. OpenCOOD has `max_cav: 5`, the ego among them."""
+    max_age_s: Annotated[float, Ge(0), Le(3600)] = 0.1
+    """Largest age of a cloud that is merged [s]: one turn of a LiDAR at 10 Hz. Where an object moves, older returns lie
+    behind it; they cannot be extrapolated."""
     bytes_per_return: Annotated[float, Gt(0), Le(1000)] = 16.0
-    """Length of one return [B]: x, y, z and intensity in single precision, as data sets store it. The Velodyne VLP-16
-    itself sends 384 returns in 1,206 bytes, 3.1 each."""
+    """Length of one return [B]: x, y, z and intensity in single precision, as data sets store it. An HDL-64E itself
+    sends 384 of them in a packet of 1,206 bytes (manual of the S3, appendix E), 3.1 each."""

@@ -134,6 +134,27 @@ def cpm(run: Run) -> pd.DataFrame:
     }])  # fmt: skip
 
 
+def clouds(run: Run) -> pd.DataFrame:
+    """One row: what `[early_fusion]` asks of the channel, and what arrives.
+
+    Returns
+    -------
+    offered_mbps and delivered_mbps (sent by, and received in whole sweeps by, one equipped vehicle on the road, mean),
+    and complete (share of the sweeps that a vehicle within range receives whole).
+    """
+    run.require("clouds")
+    if not run.n_rows("clouds"):
+        raise ValueError(f'{run.path} holds no point clouds. Set early_fusion.share to "objects" or "sweep".')
+    sent = run.table("clouds", ["length_bytes", "n_in_range", "n_received"]).astype(np.float64)
+    vehicles = run.vehicles[run.vehicles.equipped]
+    road_s = (vehicles.last_step - vehicles.first_step + 1).sum() * run.dt_s
+    return pd.DataFrame([{
+        "offered_mbps": 8e-6 * sent.length_bytes.sum() / road_s,
+        "delivered_mbps": 8e-6 * (sent.length_bytes * sent.n_received).sum() / road_s,
+        "complete": sent.n_received.sum() / sent.n_in_range.sum() if sent.n_in_range.any() else np.nan,
+    }])  # fmt: skip
+
+
 def by_place(run: Run, cell_m: float = 50.0) -> pd.DataFrame:
     """The channel by place of the receiver: x_m, y_m (middle of the cell), n, cbr, pdr."""
     sums: list[pd.DataFrame] = []

@@ -55,7 +55,11 @@ TOPICS: Mapping[str, str] = {
     "safety": "Traffic safety, and the reactions of drivers to objects that their vehicles believe in. The metrics use the table `actors` without pedestrians. Conflicts are defined in `results/metrics/conflicts.py` and verified against SUMO's SSM device.",
 }
 
-_ROLE, _DEFINITION, _LIST = "role of the subject", "definition of an encounter", "own sensor (local) or fused"
+_ROLE, _DEFINITION, _LIST = (
+    "role of the subject",
+    "definition of an encounter",
+    "own sensor (local), fused, or early (merged point clouds)",
+)
 _SAID = "Evaluations of kind detection count, with visibility above 0, of transmitted detections of other vehicles that have a `truth_actor`; in a run with more than 5 million evaluations, those whose `observer` is divisible by n."
 _SHARED = "what the evaluations of a group share, beside the `observer`"
 _KIND = "what is reacted to: ghost, false positive, real"
@@ -202,6 +206,9 @@ METRICS: Mapping[str, Metric] = {
     "radio.cpm_objects.mean": Metric("objects per detection message, mean", "", "Mean of `n_included` over the rows of `cpm_content` with `length_bytes` above 0. Self reports are not counted."),
     "radio.cpm_length.mean_bytes": Metric("length of detection messages, mean", "B", "Mean of `length_bytes` over the same rows: with headers, and with evaluations where messages carry them."),
     "radio.cpm_left_out.share": Metric("objects left out of detection messages", "1", "Sum of `n_waiting`, `n_not_due`, `n_redundant` or `n_over_limit` over sum of `n_objects`, over all rows of `cpm_content`.", "reason: waiting, not due, redundant, over limit"),
+    "radio.clouds_offered.mean_mbps": Metric("point clouds offered", "Mb/s", "Sum of `length_bytes` of the table `clouds` times 8e-6, over the time that equipped vehicles are on the road, as for `radio.cpm_rate.mean_hz`: what one vehicle would send. Only with [early_fusion]."),
+    "radio.clouds_delivered.mean_mbps": Metric("point clouds delivered", "Mb/s", "Sum of `length_bytes` times `n_received` times 8e-6, over the same time: what one vehicle receives in whole sweeps from within `early_fusion.range_m`."),
+    "radio.clouds_complete.share": Metric("sweeps that arrive whole", "1", "Sum of `n_received` over sum of `n_in_range` of the table `clouds`."),
     "radio.server_reports.reached.share": Metric("reports that reach the server", "1", "Sum of `n_reached` over sum of `n_reports` of the table `server`."),
     "radio.server_reports.lost.share": Metric("reports lost", "1", "Sum of `n_lost` over sum of `n_reports`: lost on the way, or received by no roadside unit."),
     "radio.server_reports.over_capacity.share": Metric("reports over capacity", "1", "Sum of `n_over_capacity` over sum of `n_reports`: dropped because the capacity of their cell was used up."),

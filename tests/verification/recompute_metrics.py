@@ -595,6 +595,12 @@ def radio(of):
         for reason in ("waiting", "not_due", "redundant", "over_limit"):
             share = ratio(sent[f"n_{reason}"].sum(), sent.n_objects.sum())
             yield "cpm_left_out.share", reason.replace("_", " "), share
+    clouds = of.table("clouds") if (of.path / "clouds").is_dir() else ()
+    if len(clouds):
+        bits, got = 8e-6 * clouds.length_bytes.to_numpy(float), clouds.n_received.to_numpy(float)
+        yield "clouds_offered.mean_mbps", "", bits.sum() / road_s
+        yield "clouds_delivered.mean_mbps", "", bits @ got / road_s
+        yield "clouds_complete.share", "", ratio(got.sum(), clouds.n_in_range.sum())
     server = of.table("server")
     if len(server) and server.n_reports.sum():
         total = server.sum(numeric_only=True)
@@ -620,7 +626,8 @@ def detection(of):
         suffixes=("", "_box"),
     ) if (of.path / "fused").is_dir() else pd.DataFrame()  # fmt: skip
     own = boxes[boxes.origin == "sensed"].assign(observer=boxes.observer.map(subjects(of).vehicle))
-    for name, known in (("local", own), ("fused", fused)):
+    early = of.table("early_fused") if (of.path / "early_fused").is_dir() else ()
+    for name, known in (("local", own), ("fused", fused), ("early", early)):
         if not len(known):
             continue
         known = known[(known.score >= 0.5) & known.truth_actor.notna()]

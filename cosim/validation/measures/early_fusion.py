@@ -69,7 +69,9 @@ def early_boxes(run: Run, poses: Poses, actors: pd.DataFrame, beside: pd.DataFra
     if config.detector.model == "ideal":
         raise ValueError(f'{run.path.name}: detector.model = "ideal" finds all; early fusion needs a statistical one.')
     detector, found = StatisticalDetector(config.detector), []
-    for step, views in _views(run, poses, actors, beside, wrong).groupby("step"):
+    every = _views(run, poses, actors, beside, wrong)
+    for step in np.unique(every.step):
+        views = every[every.step == step]
         egos, here = poses[poses.step == step], actors[actors.step == step]
         names, actor = _keys(run, here.actor.to_numpy()), here.actor.to_numpy()
         true = here[[*BOX]].to_numpy(np.float64)

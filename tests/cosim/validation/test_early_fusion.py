@@ -1,30 +1,16 @@
-"""Merged clouds by hand, and early fusion without partners against the detections that the run recorded."""
+"""Early fusion without partners against the detections that the run recorded."""
 
 import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
 import pytest
 
-from cosim.validation.measures.early_fusion import Disturbance, cloud_airtime, cloud_bytes, early_boxes, merged_views
+from cosim.validation.measures.early_fusion import Disturbance, cloud_airtime, cloud_bytes, early_boxes
 from results.archive import open_run
 from results.metrics.kitti_frames import BOX, at_steps, observed_by_vehicle, posed
 from tests.drive import drive
 
 ALONE = pd.DataFrame({"frame": np.zeros(0, int), "observer": np.zeros(0, int)})
-
-
-def test_two_views_by_hand():
-    """The ego has 30 of 100 returns, the partner 70 of 70 and sees the object 1 m too far north. The object heads
-    north: 0.7 m along, and twice the standard deviation sqrt(0.7 - 0.49) longer. Nothing of it is hidden."""
-    views = pd.DataFrame({
-        "frame": 0, "step": 3, "actor": 5, "n_points": [30, 70], "n_unoccluded": [100, 70], "away_m": [10.0, 20.0],
-        "east": 0.0, "north": [0.0, 1.0],
-    })  # fmt: skip
-    actors = pd.DataFrame({"step": [3], "actor": [5], "yaw_rad": [np.pi / 2]})
-    (row,) = merged_views(views, actors).itertuples()
-    assert (row.n, row.hidden, row.away_m) == (100, 0, 17)
-    assert row.along == pytest.approx(0.7) and row.across == pytest.approx(0)
-    assert row.along2 == pytest.approx(2 * np.sqrt(0.21)) and row.across2 == pytest.approx(0)
 
 
 @pytest.fixture(scope="module")
