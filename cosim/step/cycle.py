@@ -130,7 +130,7 @@ def _cycle(
         evaluations = inbox.evaluations_used(exchange, evaluated, len(listed.objects))
         fused = trust_stages.fuse_objects(trust, matched, evaluations, looked_up, parts)
         received = cpms.accepted.vehicles, carrier.receptions.vehicles
-        inbox = inbox.next(exchange, listed, matched, evaluated, received, parts.schedule)
+        inbox = inbox.next(exchange, listed, matched, evaluated, received)
     beliefs, reaction_truth = None, s.reaction_truth
     if c.driver.model != "none":
         with watch("driver"):

@@ -75,9 +75,8 @@ class Ahead:
         may_meet = threads_may_meet()
         if not world.equipped.any() or not (may_meet or self._senses_elsewhere):
             return
-        if (
-            may_meet and numba.get_num_threads() > 1
-        ):  # for few vehicles this is mostly Python code, which delays the present step
+        # For few vehicles this is mostly Python code, which delays the present step. A step in cells waits for them.
+        if may_meet and (self._senses_elsewhere or numba.get_num_threads() > 1):
             medium, links = self._parts.medium, None
             if isinstance(medium, CsmaMedium | SidelinkMedium):
                 links = self._thread.submit(self._links, medium, self._stations(world))
