@@ -129,6 +129,8 @@ def _cycle(
     with watch("fuse"):
         evaluations = inbox.evaluations_used(exchange, evaluated, len(listed.objects))
         fused = trust_stages.fuse_objects(trust, matched, evaluations, looked_up, parts)
+        if precomputed.objects_are_fused is not None:
+            precomputed.objects_are_fused()
         received = cpms.accepted.vehicles, carrier.receptions.vehicles
         inbox = inbox.next(exchange, listed, matched, evaluated, received)
     beliefs, reaction_truth = None, s.reaction_truth

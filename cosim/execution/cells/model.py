@@ -23,10 +23,9 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.optimize import nnls
 
-_BETWEEN = ("trust",)
-_OTHER = ("server", "attack", "match", "track objects", "track", "record", "encounters", "driver")
-"""Stages of the process of the run: between the cells' comparisons and their fusion, and at other times. One of its two
-rounds of messages comes between them."""
+_AFTER = ("track", "record", "encounters", "server", "driver")
+_OTHER = ("attack", "match", "track objects", "radio", "trust")
+"""Stages of the process of the run: while the cells sense for the next step, and at other times."""
 _AHEAD = ("links", "pairs")
 """Stages of its second thread."""
 
@@ -45,8 +44,8 @@ class Measured:
     """Processor time of the busiest cell in each request."""
     sensing_p: float
     """Share of this that is sensing."""
-    between_p: float
-    """Share of the first thread's own time between the cells' comparisons and their fusion."""
+    after_p: float
+    """Share of the first thread's own time after the objects are fused, in which cells sense for the next step."""
     ahead_p: float
     """Share of the run's own time in its second thread."""
     n_bytes: float
@@ -66,16 +65,15 @@ class Measured:
             raise ValueError(
                 "it has no cost per step of cells: run it with --cells N, for 5 steps with messages or more."
             )
-        radio_s = spent_s.get("radio", 0.0) / 2
-        between_s = radio_s + sum(spent_s.get(stage, 0.0) for stage in _BETWEEN)
-        first_s = between_s + radio_s + sum(spent_s.get(stage, 0.0) for stage in _OTHER)
+        after_s = sum(spent_s.get(stage, 0.0) for stage in _AFTER)
+        first_s = after_s + sum(spent_s.get(stage, 0.0) for stage in _OTHER)
         ahead_s = sum(manifest.get("timings_ahead_s", {}).get(stage, 0.0) for stage in _AHEAD)
         busiest_s = step["busiest_sense_s"] + step["busiest_answer_s"]
         return Measured(
             n_vehicles=cells["vehicles"], n_cells=cells["cells"], run_s=step["run_cpu_s"],
             cells_s=step["cells_cpu_s"], busiest_s=busiest_s,
             sensing_p=step["busiest_sense_s"] / max(busiest_s, 1e-9),
-            between_p=between_s / max(first_s, 1e-9), ahead_p=ahead_s / max(ahead_s + first_s, 1e-9),
+            after_p=after_s / max(first_s, 1e-9), ahead_p=ahead_s / max(ahead_s + first_s, 1e-9),
             n_bytes=step["bytes"], wall_s=step["wall_s"],
         )  # fmt: skip
 
@@ -104,7 +102,7 @@ class CostModel:
     imbalance: float
     """More work in the busiest cell, per doubling of the cells."""
     sensing_p: float
-    between_p: float
+    after_p: float
     ahead_p: float
     n_bytes: float
     """Per vehicle."""
@@ -124,7 +122,7 @@ class CostModel:
             cells_s=_linear(n_vehicles, n_cells, np.array([run.cells_s for run in runs])),
             imbalance=max(0.0, float((doublings * more).sum() / (doublings**2).sum())),
             sensing_p=float(np.mean([run.sensing_p for run in runs])),
-            between_p=float(np.mean([run.between_p for run in runs])),
+            after_p=float(np.mean([run.after_p for run in runs])),
             ahead_p=float(np.mean([run.ahead_p for run in runs])),
             n_bytes=float(np.mean([run.n_bytes / run.n_vehicles for run in runs])),
         )
@@ -135,8 +133,8 @@ class CostModel:
         cells_s = self.cells_s[0] * n_vehicles + self.cells_s[1] * n_cells
         busiest_s = (1 + self.imbalance * float(np.log2(n_cells))) * cells_s / n_cells
         first_s = (1 - self.ahead_p) * run_s
-        while_sensing_s = max(self.between_p * first_s, self.sensing_p * busiest_s)
-        longest_s = (1 - self.between_p) * first_s + while_sensing_s + (1 - self.sensing_p) * busiest_s
+        while_sensing_s = max(self.after_p * first_s, self.sensing_p * busiest_s)
+        longest_s = (1 - self.after_p) * first_s + while_sensing_s + (1 - self.sensing_p) * busiest_s
         return Predicted(
             run_s, cells_s, busiest_s, max(longest_s, (run_s + cells_s) / n_cores), self.n_bytes * n_vehicles
         )
