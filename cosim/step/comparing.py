@@ -17,7 +17,7 @@ from cosim.step.known import Pairs, Uses
 from cosim.step.object_lists import questions_of, received_lists, subset
 from cosim.step.perception import AsksSweeps
 from cosim.step.stopwatch import Stopwatch
-from sensors.boxes import Boxes
+from sensors.boxes import Boxes, overlapping_pairs
 from sensors.evidence import AreaParams
 from trust import tables
 from trust.evaluation import evaluate
@@ -26,6 +26,10 @@ from trust.matching import match
 from trust.object_reports import ObjectReports
 from trust.params import TrustParams
 from trust.tables import Evaluations, FusionInput, Groups, ObjectLists, SenderTrust
+from trust.threads import threads_for
+
+ROWS_PER_BOX = 10
+"""Finding the boxes that overlap one box costs as much as this number of rows of a table."""
 
 Recall = Callable[[ndarray, ndarray, ndarray], ndarray]
 """Recall of a detector, from number of returns, class and distance."""
@@ -42,8 +46,8 @@ class KnownObjects:
     """Row at which the detections of each message begin."""
     traced: Bool[ndarray, "d"]
     """Detections of which `Compared` says what they were grouped with."""
-    pairs: Pairs
-    """Detections that overlap."""
+    pairs: Pairs | None
+    """Detections that overlap; None if `compare` finds them."""
     own: Int[ndarray, "r"]
     """Message of each vehicle under its own identity, ascending."""
     received: Uses
@@ -74,9 +78,11 @@ class KnownObjects:
         n = np.diff(self.ptr)[messages]
         detections = ranges(self.ptr[messages], n)
         number = numbers(detections, len(self.boxes))
-        i, j, iou = self.pairs
-        i, j = number[i], number[j]
-        both = np.flatnonzero((i >= 0) & (j >= 0))
+        pairs = self.pairs
+        if pairs is not None:
+            i, j = number[pairs[0]], number[pairs[1]]
+            both = np.flatnonzero((i >= 0) & (j >= 0))
+            pairs = i[both], j[both], pairs[2][both]
         all_ = self.detections
         part = KnownObjects(
             detections=tables.Detections(
@@ -87,7 +93,7 @@ class KnownObjects:
             transmitted=self.transmitted[detections],
             ptr=np.concatenate([[0], np.cumsum(n)]),
             traced=self.traced[detections],
-            pairs=(i[both], j[both], iou[both]),
+            pairs=pairs,
             own=of_message[self.own[vehicles]],
             received=Uses(numbers(vehicles, len(self.own))[receiver], of_message[message]),
             bodies=self.bodies.take(vehicles),
@@ -232,12 +238,16 @@ def compare(
     """
     boxes, detections = known.boxes, known.detections
     with watch("match"):
+        pairs = known.pairs
+        if pairs is None:
+            with threads_for(ROWS_PER_BOX * len(boxes)):
+                pairs = overlapping_pairs(boxes, detections.label, detections.message)
         lists = received_lists(known.received, known.ptr, known.transmitted, known.own)
         inside = perception.in_area(
             sweeps, lists.of_member(), boxes, area, lists.member, detections.label, known.bodies
         )
         near = subset(lists, inside)
-        groups, near_groups = (match(x, detections, known.pairs, params) for x in (lists, near))
+        groups, near_groups = (match(x, detections, pairs, params) for x in (lists, near))
     with watch("evaluate"):
         seeds, origin_m = groups.seeds(), sweeps.poses.origin_m
         foreign = np.zeros(len(lists.member), bool)  # members whose plausibility is tested

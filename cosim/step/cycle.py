@@ -133,8 +133,10 @@ def _cycle(
     with watch("fuse"):
         evaluations = inbox.evaluations_used(exchange, evaluated, len(listed.objects))
         fused = trust_stages.fuse_objects(trust, matched, evaluations, looked_up, parts)
+        if precomputed.objects_are_fused is not None:
+            precomputed.objects_are_fused()
         received = cpms.accepted.vehicles, carrier.receptions.vehicles
-        inbox = inbox.next(exchange, listed, matched, evaluated, received, parts.schedule)
+        inbox = inbox.next(exchange, listed, matched, evaluated, received)
         clouds, early = s.clouds, None
         if parts.early is not None and offered is not None:
             clouds, early = parts.early.fuse(clouds, exchange, observed, positioned.error, offered, cpms.clouds)

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.mobility.schedule import Schedule
 from cosim.radio.message_round import Receptions
 from cosim.ragged import offsets, ranges, rows_of
 from cosim.step.exchange import Exchange
@@ -173,10 +172,10 @@ class Inbox:
 
     def next(
         self, exchange: Exchange, listed: Listed, matched: Matched, evaluated: Evaluated,
-        receptions: tuple[Receptions, Receptions], schedule: Schedule,
+        receptions: tuple[Receptions, Receptions],
     ) -> "Inbox":  # fmt: skip
         """Add the messages of this step. `receptions` are those of detection messages and of evaluation messages."""
-        if schedule.is_lock_step:
+        if matched.pairs is None:
             return self
         world, senders, n, d = exchange.world, exchange.senders, len(self.step), len(self.objects)
         n_now = len(listed.objects)

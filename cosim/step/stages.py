@@ -18,7 +18,7 @@ from cosim.radio.medium import gap_s
 from cosim.radio.message_round import LinkReceptions, MessageRound, Messages, RoundKind
 from cosim.ragged import ptr_of
 from cosim.step import object_lists
-from cosim.step.comparing import Compared, Fuses, KnownObjects, distance_m
+from cosim.step.comparing import ROWS_PER_BOX, Compared, Fuses, KnownObjects, distance_m
 from cosim.step.exchange import Exchange, OnAir, Senders, Times, Vehicles, lists_of_identities
 from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections, lies_in_evaluations
 from cosim.step.known import Known, Pairs, Uses
@@ -53,9 +53,6 @@ from trust.fusion import Fused
 from trust.params import KINDS
 from trust.tables import EvaluationMessages, Evaluations, ObjectLists
 from trust.threads import threads_for
-
-_ROWS_PER_BOX = 10
-"""Finding the boxes that overlap one box costs as much as this number of rows of a table."""
 
 
 def identify(
@@ -429,8 +426,8 @@ class Matched:
 
     objects: Fuses
     """The groups of detections that each vehicle knows."""
-    pairs: Pairs
-    """Overlapping detections; rows of `Known`."""
+    pairs: Pairs | None
+    """Overlapping detections, as rows of `Known`; None if all vehicles sense together."""
     from_own_m: Float[ndarray, "d"]
     """Distance of each detection from the sensor of the vehicle that sends it."""
 
@@ -444,8 +441,10 @@ def compare_objects(
     """
     objects, senders, sweeps, c = messages.objects, exchange.senders, positioned.observed.sweeps, parts.config
     n_now, received = int(messages.ptr[len(senders)]), messages.received
-    with parts.watch("match"):
-        pairs = _pairs(messages, n_now)
+    pairs = None
+    if not messages.is_lock_step:  # the inbox keeps them
+        with parts.watch("match"):
+            pairs = _pairs(messages, n_now)
     further = np.flatnonzero(senders.identity)
     if len(further):
         sources, rows = (senders.source[further], received.receiver), (further, received.message)
@@ -465,7 +464,7 @@ def _pairs(messages: Known, n_now: int) -> Pairs:
     """Overlapping detections; `n_now` of them are of this step. Pairs of earlier ones are known."""
     boxes, label, message = messages.objects.boxes, messages.objects.label, messages.detections.message
     now, earlier = slice(0, n_now), slice(n_now, None)
-    with threads_for(_ROWS_PER_BOX * n_now):
+    with threads_for(ROWS_PER_BOX * n_now):
         pairs = overlapping_pairs(boxes.take(now), label[now], message[now])
         if n_now == len(boxes):
             return pairs

@@ -156,24 +156,13 @@ class Crew:
                 for stage, seconds in reply.stages_s.items():
                     self.stages_s[stage] = self.stages_s.get(stage, 0.0) + seconds
                 if keeps:
-                    self._note(cell, (service, given[cell]))
+                    before = [] if service == "perceive" else self._made_with[cell]
+                    self._made_with[cell] = [*before, (service, given[cell])]
                 results[cell] = reply.result
             self.cost = self.cost.after(service == "perceive", spent_s, perf_counter() - asked_at_s, self._n_bytes())
             if failed := next((result for result in results if isinstance(result, Exception)), None):
                 raise failed
             return results
-
-    def _note(self, cell: int, request: tuple[str, Any]) -> None:
-        """A request whose worker keeps something. What came before the last comparison is not needed after the next.
-
-        A comparison needs the sweeps before it, and those of the next step may begin while it is still needed.
-        """
-        made, service = self._made_with[cell], request[0]
-        if service == "compare":
-            made = made[1 + max((k for k, (name, _) in enumerate(made) if name == service), default=-1) :]
-        elif made and made[-1][0] == service:
-            made = made[:-1]
-        self._made_with[cell] = [*made, request]
 
     def _reply(self, cell: int, request: tuple[str, Any]) -> Reply:
         """The reply to a request that was sent; from another worker if the one that was asked has died."""

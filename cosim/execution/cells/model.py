@@ -4,13 +4,14 @@ Notes
 -----
 With V vehicles that sense and N cells, the processor time of a step is R = r V + q N in the process of the run, and
 C = c V + d N in the cells. The busiest cell takes I C / N with I = 1 + i log2(N): a share s of it to sense, and the
-rest to answer questions. The process of the run spends a share a of its time while cells sense for the next step. So
+rest to compare and fuse. A second thread of the process of the run takes the share l of R, for radio links and near
+pairs of the next step. The first thread takes M = (1 - l) R, the share a of it while cells sense for the next step. So
 a step takes
 
-    T = (1 - a) R + max(a R, s I C / N) + (1 - s) I C / N
+    T = (1 - a) M + max(a M, s I C / N) + (1 - s) I C / N
 
-with a core for each process, and never less than (R + C) / K with K cores. r, q, c and d are 0 or more. They are fitted
-by least squares of the relative errors, so runs need to differ in N.
+with a core for each process and one more, and never less than (R + C) / K with K cores. r, q, c and d are 0 or more.
+They are fitted by least squares of the relative errors, so runs need to differ in N.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,9 +23,11 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.optimize import nnls
 
-_AFTER_ANSWERS = ("server", "trust", "fuse", "track", "record", "encounters", "driver")
-_BEFORE = ("attack", "match", "track objects")
-"""Stages of the process of the run. Of its two rounds of messages, one comes before the answers and one after them."""
+_AFTER = ("track", "record", "encounters", "server", "driver")
+_OTHER = ("attack", "match", "track objects", "radio", "trust")
+"""Stages of the process of the run: while the cells sense for the next step, and at other times."""
+_AHEAD = ("links", "pairs")
+"""Stages of its second thread."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +45,9 @@ class Measured:
     sensing_p: float
     """Share of this that is sensing."""
     after_p: float
-    """Share of the run's own time after the answers of the cells."""
+    """Share of the first thread's own time after the objects are fused, in which cells sense for the next step."""
+    ahead_p: float
+    """Share of the run's own time in its second thread."""
     n_bytes: float
     wall_s: float
 
@@ -60,15 +65,16 @@ class Measured:
             raise ValueError(
                 "it has no cost per step of cells: run it with --cells N, for 5 steps with messages or more."
             )
-        radio_s = spent_s.get("radio", 0.0) / 2
-        after_s = radio_s + sum(spent_s.get(stage, 0.0) for stage in _AFTER_ANSWERS)
-        before_s = radio_s + sum(spent_s.get(stage, 0.0) for stage in _BEFORE)
+        after_s = sum(spent_s.get(stage, 0.0) for stage in _AFTER)
+        first_s = after_s + sum(spent_s.get(stage, 0.0) for stage in _OTHER)
+        ahead_s = sum(manifest.get("timings_ahead_s", {}).get(stage, 0.0) for stage in _AHEAD)
         busiest_s = step["busiest_sense_s"] + step["busiest_answer_s"]
         return Measured(
             n_vehicles=cells["vehicles"], n_cells=cells["cells"], run_s=step["run_cpu_s"],
             cells_s=step["cells_cpu_s"], busiest_s=busiest_s,
             sensing_p=step["busiest_sense_s"] / max(busiest_s, 1e-9),
-            after_p=after_s / max(after_s + before_s, 1e-9), n_bytes=step["bytes"], wall_s=step["wall_s"],
+            after_p=after_s / max(first_s, 1e-9), ahead_p=ahead_s / max(ahead_s + first_s, 1e-9),
+            n_bytes=step["bytes"], wall_s=step["wall_s"],
         )  # fmt: skip
 
 
@@ -97,6 +103,7 @@ class CostModel:
     """More work in the busiest cell, per doubling of the cells."""
     sensing_p: float
     after_p: float
+    ahead_p: float
     n_bytes: float
     """Per vehicle."""
 
@@ -116,6 +123,7 @@ class CostModel:
             imbalance=max(0.0, float((doublings * more).sum() / (doublings**2).sum())),
             sensing_p=float(np.mean([run.sensing_p for run in runs])),
             after_p=float(np.mean([run.after_p for run in runs])),
+            ahead_p=float(np.mean([run.ahead_p for run in runs])),
             n_bytes=float(np.mean([run.n_bytes / run.n_vehicles for run in runs])),
         )
 
@@ -124,8 +132,9 @@ class CostModel:
         run_s = self.run_s[0] * n_vehicles + self.run_s[1] * n_cells
         cells_s = self.cells_s[0] * n_vehicles + self.cells_s[1] * n_cells
         busiest_s = (1 + self.imbalance * float(np.log2(n_cells))) * cells_s / n_cells
-        ahead_s = max(self.after_p * run_s, self.sensing_p * busiest_s)
-        longest_s = (1 - self.after_p) * run_s + ahead_s + (1 - self.sensing_p) * busiest_s
+        first_s = (1 - self.ahead_p) * run_s
+        while_sensing_s = max(self.after_p * first_s, self.sensing_p * busiest_s)
+        longest_s = (1 - self.after_p) * first_s + while_sensing_s + (1 - self.sensing_p) * busiest_s
         return Predicted(
             run_s, cells_s, busiest_s, max(longest_s, (run_s + cells_s) / n_cores), self.n_bytes * n_vehicles
         )

@@ -3,7 +3,8 @@
 Sweeps, radio links and near pairs depend on positions and on random draws with keys from names. They do not depend on
 earlier steps. If no driver commands the traffic, the next world is known early. The second thread then computes the
 radio links and near pairs of the next world while the present step sends, evaluates and records. It begins with the
-sweeps when the present step has read its own range images for the last time, because both use the same memory. Compiled
+sweeps when the present step has read its own range images for the last time, because both use the same memory. Cells
+begin with them when they have fused the objects of the present step. Compiled
 kernels run in parallel with Python code (`nogil`).
 
 The step gets these values as `cosim.step.precomputed.Precomputed`. A step of another world computes all of them itself.
@@ -75,9 +76,8 @@ class Ahead:
         may_meet = threads_may_meet()
         if not world.equipped.any() or not (may_meet or self._senses_elsewhere):
             return
-        if (
-            may_meet and numba.get_num_threads() > 1
-        ):  # for few vehicles this is mostly Python code, which delays the present step
+        # For few vehicles this is mostly Python code, which delays the present step. A step in cells waits for them.
+        if may_meet and (self._senses_elsewhere or numba.get_num_threads() > 1):
             medium, links = self._parts.medium, None
             if isinstance(medium, CsmaMedium | SidelinkMedium):
                 links = self._thread.submit(self._links, medium, self._stations(world))
@@ -95,7 +95,8 @@ class Ahead:
             near_pairs=None if found is None else found.near_pairs.result,
             observed=None if self._sensing is None else partial(self._observed, world, self._sensing),
             with_links=None if links is None else partial(_with_links, links),
-            sweeps_are_read=self._begin_sensing,
+            sweeps_are_read=None if self._senses_elsewhere else self._begin_sensing,
+            objects_are_fused=self._begin_sensing if self._senses_elsewhere else None,
         )
 
     def _begin_sensing(self) -> None:

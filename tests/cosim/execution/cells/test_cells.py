@@ -93,26 +93,41 @@ def kill(pid):
         time.sleep(0.001)
 
 
-def test_a_scene_in_cells_is_the_scene_and_deaths_change_nothing():
-    parts = parts_of(ScriptedScene.load(), *NOT_EXACT)
+class Dying(Crew):
+    """Workers of which the first dies before some requests."""
+
+    before = ()
+
+    def ask(self, service, given, keeps=False):
+        if service in self.before:
+            kill(self.pids[0])
+        return super().ask(service, given, keeps)
+
+
+SCORES_OBJECTS = ("trust.model=raya_majority", "trust.host=local", "radio.evaluations=piggybacked")
+
+
+@pytest.mark.parametrize("settings", [NOT_EXACT, SCORES_OBJECTS], ids=["not exact", "scores objects"])
+def test_a_scene_in_cells_is_the_scene_and_deaths_change_nothing(settings):
+    parts = parts_of(ScriptedScene.load(), *settings)
     parts = replace(parts, perception=perception_of(parts.config, parts.city))  # that of the scene speaks for all
-    crew = Crew(3, parts.perception)
+    crew = Dying(3, parts.perception)
 
     def deaths(number):
+        crew.before = ((), ("compare",), ("fuse", "grouped"))[number]
         if number == 1:
-            kill(crew.pids[0])
+            kill(crew.pids[1])
         if number == 2:
             kill(crew._nursery.pid)  # and the process that forks workers
             kill(crew.pids[1])
 
     with crew:
         cells = CellPerception(parts.perception, crew, parts.config.lidar.max_range_m)
-        apart = replace(parts, perception=cells, compare=cells.compare)
-        found, state = sensed(apart, deaths)
+        found, state = sensed(replace(parts, perception=cells, compare=cells.compare), deaths)
     want, want_state = sensed(parts)
     assert_same(found, want)
     assert list(map(bytes, encode(state))) == list(map(bytes, encode(want_state)))
-    assert crew.n_replaced == 2 and not crew._workers
+    assert crew.n_replaced == 4 and not crew._workers
 
 
 class Dies:
