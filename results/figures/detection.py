@@ -28,7 +28,7 @@ def draw(runs: Sequence[Run], max_frames: int = 4000, range_m: float = 70.0) -> 
     known = [detection.awareness(run, range_m, max_frames=max_frames) for run in runs]
     met = {row for frame in precisions for row in zip(frame["class"], frame.level, strict=True)}
     rows = [(label, level) for label in detection.CLASSES for level in LEVELS if (label, level) in met]
-    figure, (left, right) = style.sheet(columns=2, height=1.6 + 0.21 * len(rows))
+    figure, (left, right) = style.sheet(2, max(2.2, 0.8 + 0.15 * len(rows)))
     for i, (precision, aware) in enumerate(zip(precisions, known, strict=True)):
         offset = 0.0 if len(runs) == 1 else 0.5 * (i / (len(runs) - 1) - 0.5)
         for which, filled in (("local", False), ("fused", True)):

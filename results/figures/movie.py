@@ -61,7 +61,7 @@ def write(
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         partial.unlink(missing_ok=True)  # were it a link, the pictures would go where it leads
-        with writer.saving(film.figure, str(partial), dpi=90):
+        with writer.saving(film.figure, str(partial), dpi=167):
             for number, step in enumerate(steps.tolist()):
                 film.show(step)
                 writer.grab_frame()
@@ -96,7 +96,7 @@ class _Film:
 
     @style.styled
     def _begin(self, streets, buildings):  # type: ignore[no-untyped-def]
-        self.figure, (self._axes,) = style.sheet(width=6.4, height=6.4)
+        self.figure, (self._axes,) = style.sheet(height=3.7)
         axes = self._axes
         axes.add_collection(PolyCollection(buildings, facecolor=style.PALE, edgecolor="none", zorder=1))
         axes.add_collection(LineCollection(streets, colors="#e2e5ea", linewidths=2.0, zorder=0))

@@ -26,7 +26,7 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
     busy ratio; maps of a single run."""
     runs = style.arranged(runs)
     alone = len(runs) == 1 and "vehicle_channel" in runs[0].tables and "actors" in runs[0].tables
-    figure, panels = style.sheet(columns=4 if alone else 3, rows=2, width=10.0 if alone else 8.8, height=5.8)
+    figure, panels = style.sheet(8 if alone else 6, 1.7)
     if alone:
         distance, losses, late, gaps, timed, busy, *maps = panels
     else:

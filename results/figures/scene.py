@@ -49,7 +49,7 @@ class Moment:
 def draw(moment: Moment, title: str) -> Figure:
     """The part of the city around the centre."""
     moment = _in_frame(moment)
-    figure, (axes,) = style.sheet(width=7.6, height=5.0)
+    figure, (axes,) = style.sheet(height=2.7)
     figure.set_layout_engine("compressed")
     _ground(axes, moment)
     low, high = moment.centre_m - [HALF_WIDTH_M, HALF_DEPTH_M], moment.centre_m + [HALF_WIDTH_M, HALF_DEPTH_M]
@@ -92,7 +92,9 @@ def _scale(axes, corner: Float[ndarray, "2 2"]) -> None:  # type: ignore[no-unty
     """A bar of 50 m, east to west: lengths to the north are shortened by the view."""
     x, y = corner[0] + 0.03 * (corner[1] - corner[0])
     axes.plot([x, x + 50], [y, y], color="black", linewidth=2.0, solid_capstyle="butt", zorder=7)
-    axes.annotate("50 m", (x + 25, y), xytext=(0, 3), textcoords="offset points", ha="center", fontsize=8, zorder=7)
+    axes.annotate(
+        "50 m", (x + 25, y), xytext=(0, 3), textcoords="offset points", ha="center", fontsize=style.SMALL, zorder=7
+    )
 
 
 def _flat(xyz: Float[ndarray, "... 3"]) -> Float[ndarray, "... 2"]:

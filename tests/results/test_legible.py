@@ -1,4 +1,4 @@
-"""Every picture that the program draws, on a page and in a column: nothing is cut off, overlaps, or is too small."""
+"""Every picture at a width of 8 cm: nothing is cut off, overlaps, or is too small. All that ship are of this style."""
 
 from itertools import combinations
 
@@ -13,8 +13,8 @@ from results.figures import city, law, paper, scenario, scene, study, style, swe
 from results.figures.catalogue import FIGURES
 from results.study import Study
 
-COLUMN_CM, PAGE_CM = 8.0, 18.3
-"""Width at which a picture is printed: in a column, and on a page."""
+WIDTH_CM = 8.0
+"""Width at which a picture is printed."""
 LEAST_PT = 6.0
 
 
@@ -127,16 +127,13 @@ def _paper_rows():
     return frame
 
 
-BY_PLOT = {"scene": _scene, "sweep": _sweep}
-OTHERS = BY_PLOT | {
-    "city": _city, "law": _law, "validation": _validation, "scenario from above": _scenario_above,
-    "scenario trust": _scenario_trust, "paper tables": lambda: paper.draw_tables(_paper_rows()),
+OTHERS = {
+    "scene": _scene, "sweep": _sweep, "city": _city, "law": _law, "validation": _validation,
+    "scenario from above": _scenario_above, "scenario trust": _scenario_trust,
+    "paper tables": lambda: paper.draw_tables(_paper_rows()),
     "paper trust levels": lambda: paper.draw_trust_levels(_paper_rows()),
 }  # fmt: skip
-"""By commands that have no `--style`, but for the first two."""
 OF_STUDIES = {"study": _study_lines, "study heat map": _study_map}
-DRAWN = [("screen", name) for name in (*OTHERS, *OF_STUDIES, *FIGURES)]
-DRAWN += [("paper", name) for name in (*BY_PLOT, *OF_STUDIES, *FIGURES)]
 
 
 def drawn(name, runs, folder):
@@ -146,19 +143,19 @@ def drawn(name, runs, folder):
 
 
 @pytest.mark.verify
-@pytest.mark.parametrize(("look", "name"), DRAWN)
-def test_every_text_is_legible(run, other, look, name, tmp_path):
+@pytest.mark.parametrize("name", [*OTHERS, *OF_STUDIES, *FIGURES])
+def test_every_text_is_legible(run, other, name, tmp_path):
     for i, runs in enumerate(([run], [run, other])[: 2 if name in FIGURES else 1]):
-        with style.chosen(look), rc_context(style._rc()):  # ticks are made when they are asked for
+        with rc_context(style._STYLE):  # ticks are made when they are asked for
             figure = drawn(name, runs, tmp_path)
-            said = mistakes(figure, COLUMN_CM if look == "paper" else PAGE_CM)
+            said = mistakes(figure)
         assert not said, f"{name} of {i + 1} run(s): {said}"
 
 
-def mistakes(figure, width_cm):
-    """What is wrong with the texts of a picture that is printed at this width, if it is not narrower itself."""
+def mistakes(figure):
+    """What is wrong with the texts of a picture that is printed at this width."""
     renderer, page = figure.canvas.get_renderer(), figure.bbox
-    shrink = min(1.0, width_cm / 2.54 / figure.get_size_inches()[0])
+    shrink = WIDTH_CM / 2.54 / figure.get_size_inches()[0]
     found = []
     texts = list(shown_texts(figure))
     boxes = [text.get_window_extent(renderer) for text in texts]
@@ -237,5 +234,5 @@ def test_a_mistake_is_seen():
     for x, y, text, size in ((0.5, 0.5, "one", 9), (0.5, 0.5, "two", 9), (1.3, 0.2, "out", 9), (0.1, 0.1, "small", 4)):
         axes.text(x, y, text, fontsize=size)
     figure.canvas.draw()
-    said = mistakes(figure, PAGE_CM)
-    assert sorted(said) == ["'one' overlaps 'two'", "'out' is cut off", "'small' is 4.0 pt"], said
+    said = mistakes(figure)
+    assert sorted(said) == ["'one' overlaps 'two'", "'out' is cut off", "'small' is 3.7 pt"], said
