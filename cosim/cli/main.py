@@ -25,10 +25,10 @@ from cosim.cli.console import (
     notes,
     print_json,
     print_metrics,
+    print_rows,
     print_run_summary,
     progress,
     screen,
-    table_of,
 )  # fmt: skip
 from cosim.cli.nets import nets
 from cosim.cli.place import place
@@ -452,7 +452,7 @@ def bench(
     if as_json:
         print_json({"machine": machine(), "figures": rows})
     else:
-        screen.print(table_of(machine(), rows))
+        print_rows(machine(), rows)
 
 
 def main(command: Callable[..., int | None] = app) -> None:

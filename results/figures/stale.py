@@ -25,7 +25,6 @@ def draw(runs: Sequence[Run], cell_m: float = 50.0, fresh_s: float = FRESH_S) ->
     """
     runs = style.arranged(runs, most=3)
     figure, panels = style.sheet(2 * len(runs), 2.6)
-    figure.set_layout_engine("compressed")
     for i, (run, name) in enumerate(zip(runs, style.names(runs), strict=True)):
         found = stale.placed(run, fresh_s)
         n, n_stale = found.n.to_numpy(), found.n_stale.to_numpy()
