@@ -22,6 +22,7 @@ MOST_FRAMES = 120
 HALF_WIDTH_M = 110.0
 """Of the square that is shown around a vehicle."""
 PICTURES_PER_S = 6
+DPI = 167
 TRUST = colormaps["RdYlBu"].with_extremes(bad="white")
 """Colours of trust; white has no evaluation yet."""
 SEEN, BELIEVED, LIE = style.INKS[2], style.INKS[4], style.ROLE_INKS["malicious"]
@@ -61,7 +62,7 @@ def write(
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         partial.unlink(missing_ok=True)  # were it a link, the pictures would go where it leads
-        with writer.saving(film.figure, str(partial), dpi=167):
+        with writer.saving(film.figure, str(partial), dpi=DPI):
             for number, step in enumerate(steps.tolist()):
                 film.show(step)
                 writer.grab_frame()

@@ -30,8 +30,10 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
     maps: list[Axes] = []
     for axes in last:
         axes.set_axis_off()
-        axes.get_gridspec().set_height_ratios([1, 1, 1, 1, 1, 1, 2])
-        halves = axes.get_subplotspec().subgridspec(1, 2)
+        place = axes.get_subplotspec()
+        assert place is not None
+        place.get_gridspec().set_height_ratios([1, 1, 1, 1, 1, 1, 2])
+        halves = place.subgridspec(1, 2)
         maps = [figure.add_subplot(halves[0, i]) for i in range(2)]
     lines = [_line(i, colour) for i, colour in enumerate(style.inks(runs))]
     found = {state for run in runs for state in run.pdr_by_distance.los_state.unique()}

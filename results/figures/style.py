@@ -108,7 +108,7 @@ def panel(axes: Axes, title: str, x: str, y: str) -> None:
     wide = int((WIDTH / columns - 0.45) * _LETTERS)
     axes.set_title(fitted(title, wide))
     axes.set_xlabel(fitted(x, wide))
-    axes.set_ylabel(fitted(y, int(axes.figure.get_figheight() / rows * _LETTERS)))
+    axes.set_ylabel(fitted(y, int(axes.figure.bbox.height / DPI / rows * _LETTERS)))
 
 
 _LETTERS = 15

@@ -21,7 +21,7 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
     """
     runs = style.arranged(runs, most=4)
     roles = style.roles_of(runs)
-    figure, (axes,) = style.sheet()
+    figure, (axes,) = style.sheet(height=2.8)
     shown, tops = set(), 0.0
     for i, run in enumerate(runs):
         for role, quartiles in trust.over_time(run).groupby("role", observed=True):

@@ -1,6 +1,7 @@
 """Every picture at a width of 8 cm: nothing is cut off, overlaps, or is too small. All that ship are of this style."""
 
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -8,9 +9,11 @@ import pytest
 from matplotlib import rc_context
 from matplotlib.colors import to_rgb
 from matplotlib.text import Text
+from PIL import Image
 
 from results.figures import city, law, paper, scenario, scene, study, style, sweep, validation
 from results.figures.catalogue import FIGURES
+from results.figures.movie import DPI
 from results.study import Study
 
 WIDTH_CM = 8.0
@@ -150,6 +153,28 @@ def test_every_text_is_legible(run, other, name, tmp_path):
             figure = drawn(name, runs, tmp_path)
             said = mistakes(figure)
         assert not said, f"{name} of {i + 1} run(s): {said}"
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_pictures_that_ship_are_in_this_style():
+    """Their width at their resolution is that of the style, and the program wrote them."""
+    tops = ("results", "sensors", "cosim", "trust", "sumo_nets")
+    shipped = [path for top in tops for path in (ROOT / top).rglob("*.png")]
+    assert len(shipped) > 15
+    for path in shipped:
+        with Image.open(path) as picture:
+            width_cm = 2.54 * picture.width / picture.info.get("dpi", (1, 1))[0]
+            assert width_cm == pytest.approx(2.54 * style.WIDTH, rel=0.01), f"{path} is drawn for {width_cm:.1f} cm"
+            assert picture.info.get("Software") == style.SOFTWARE, f"{path} is not written by results.figures.style"
+    with Image.open(ROOT / "results/pictures/movie.gif") as movie:
+        assert movie.width == int(style.WIDTH * DPI), "drawn by cosim plot movie"
+
+
+def test_no_picture_lies_in_the_root():
+    """`cosim nets show CITY` writes into the current folder: a test that calls it names another."""
+    assert not [*ROOT.glob("*.png")]
 
 
 def mistakes(figure):
