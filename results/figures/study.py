@@ -156,7 +156,7 @@ def _draw(
                 style.share_axis(axes, min(1.0, max(0.05, 1.04 * float(of_metric[["mean", "high"]].max().max()))))
             else:
                 axes.set_ylim(0, 1.06 * float(of_metric[["mean", "high"]].max().max()) or 1.0)
-            _ticks(axes, frame[x])
+            _ticks(axes, frame[x], 5 if len(columns) < 3 else 3)
     entries = [
         Line2D(
             [], [], color=style.ink(i), marker=style.marker(i), linestyle=style.dash(i),
@@ -215,7 +215,7 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
 def _short(value: float, top: float) -> str:
     """A number in few letters: two digits, of shares without the zero before the point."""
     if top == 1.0:
-        return f"{value:.2f}".removeprefix("0")
+        return f"{value:.2f}".removeprefix("0").replace("1.00", "1")
     return f"{value:.0f}" if abs(value) >= 10 else f"{value:.2g}"
 
 
@@ -256,8 +256,8 @@ def _is_wide(found: np.ndarray) -> bool:
     return bool(found[0] > 0 and found[-1] / found[0] >= 10)
 
 
-def _ticks(axes: Axes, values: pd.Series) -> None:
-    """The swept values themselves; on a logarithmic axis where they span a factor of ten."""
+def _ticks(axes: Axes, values: pd.Series, most: int) -> None:
+    """The swept values themselves; on a logarithmic axis where they span a factor of ten. Of many, every second."""
     found = np.sort(values.unique())
     if values.dtype.kind != "f":
         axes.set_xticks(range(len(found)), [_said(v) for v in found])
@@ -265,7 +265,8 @@ def _ticks(axes: Axes, values: pd.Series) -> None:
     if _is_wide(found):
         axes.set_xscale("log")
         axes.minorticks_off()
-    axes.set_xticks(found, [_said(v) for v in found])
+    few = found[(len(found) - 1) % 2 :: 2] if len(found) > most else found
+    axes.set_xticks(few, [_said(v) for v in few])
 
 
 def label_of(key: str) -> str:

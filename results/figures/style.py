@@ -41,7 +41,7 @@ WIDTH = 3.45
 SMALL, SMALLEST = 7.0, 6.6
 """Sizes of text beside the data, and of text that fits into a cell [points]. The second is 6 pt at a width of 8 cm."""
 _TEXT = 7.5
-DPI = 300
+DPI = 200
 SOFTWARE = "cosim"
 """What a PNG of this style says of itself."""
 
@@ -117,7 +117,7 @@ _LETTERS = 15
 
 def fitted(text: str, letters: int = 45) -> str:
     """Text in lines of so many letters; left out, as many as a whole width takes."""
-    return "\n".join(part for line in text.split("\n") for part in textwrap.wrap(line, letters))
+    return "\n".join(part for line in text.split("\n") for part in textwrap.wrap(line, letters, break_long_words=False))
 
 
 def share_axis(axes: Axes, top: float = 1.0) -> None:
