@@ -30,7 +30,8 @@ nav a { color: var(--accent); margin-right: 18px; }
 .facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)); gap: 10px; margin: 18px 0; }
 .facts div { background: var(--tint); border-left: 3px solid var(--accent); padding: 8px 12px; }
 .facts b { display: block; font-size: 19px; } .facts span { color: var(--soft); font-size: 13px; }
-figure { margin: 20px 0; } figure img { max-width: 100%; height: auto; display: block; }
+.figures { columns: 440px 2; column-gap: 36px; } figure { margin: 0; padding: 12px 0; break-inside: avoid; }
+figure img { width: 100%; max-width: 640px; height: auto; display: block; }
 figcaption { color: var(--soft); font-size: 13.5px; max-width: 76ch; }
 table { border-collapse: collapse; width: 100%; font-size: 13.5px; }
 th, td { text-align: left; padding: 3px 10px 3px 0; border-bottom: 1px solid var(--line); vertical-align: top; }
@@ -70,7 +71,7 @@ def page(run: Run) -> str:
         _facts(run, numbers),
         '<h2 id="figures">Figures</h2>',
         answering,
-        *(_figure(name, run) for name in FIGURES),
+        f'<div class="figures">{"".join(_figure(name, run) for name in FIGURES)}</div>',
         '<h2 id="numbers">Numbers</h2>',
         *(_topic(topic, numbers[numbers.metric.str.startswith(topic + ".")]) for topic in TOPICS),
         '<h2 id="tables">Tables</h2>',

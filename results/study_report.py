@@ -29,7 +29,9 @@ def page(study: Study) -> str:
         f'<p class="soft">{len(study.points)} points ({states}) of {study.points["run"].nunique()} runs; '
         f"swept: {escape(', '.join(study.keys))}; {study.points.replicate.nunique()} replicates.</p>",
         '<h2 id="figures">Figures</h2>',
+        '<div class="figures">',
         *(_figure(study, topic) for topic in figure.SHOWN if _measured(study, topic)),
+        "</div>",
         '<h2 id="numbers">Means over replicates</h2>',
         "<p>With 95 % intervals: Student's t, in the logit or logarithm of quantities with bounds.</p>",
         _table(study, study.summary),
@@ -58,7 +60,7 @@ def _figure(study: Study, topic: str) -> str:
     except ValueError as reason:
         return f'<h3>{escape(topic)}</h3><p class="missing">{escape(str(reason))}</p>'
     url = image_url(drawn)
-    return f'<h3>{escape(topic)}</h3><figure><img src="{url}" alt="{escape(topic)} by swept key"></figure>'
+    return f'<figure><h3>{escape(topic)}</h3><img src="{url}" alt="{escape(topic)} by swept key"></figure>'
 
 
 def _table(study: Study, frame: pd.DataFrame) -> str:

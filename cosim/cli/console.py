@@ -5,16 +5,16 @@ import math
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping
+import textwrap
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.box import SIMPLE
 from rich.console import Console
-from rich.table import Column, Table
 from rich.text import Text
 
 if TYPE_CHECKING:
@@ -129,10 +129,21 @@ def print_run_summary(folder: Path, as_json: bool) -> "Run":
         "picture": [picture],
         "next": [f"cosim report {given}   cosim measure {given}" + _pictures(rows, given)],
     }
-    for name, sentences in lines.items():
-        for i, sentence in enumerate(sentences):
-            screen.print(Text.assemble((f"{name if i == 0 else '':<12}", "bold"), sentence), soft_wrap=True)
+    print_facts(lines)
     return run
+
+
+def print_facts(facts: Mapping[str, Sequence[str]]) -> None:
+    """Sentences under names. On a terminal their further lines are indented as the first."""
+    for name, sentences in facts.items():
+        for i, sentence in enumerate(sentences):
+            lines = [sentence]
+            if screen.is_terminal:
+                lines = textwrap.wrap(
+                    sentence, max(screen.width - 12, 30), break_long_words=False, break_on_hyphens=False
+                )
+            for k, line in enumerate(lines):
+                screen.print(Text.assemble((f"{name if i == k == 0 else '':<12}", "bold"), line), soft_wrap=True)
 
 
 def _pictures(rows: GetRows, given: str) -> str:
@@ -307,20 +318,34 @@ def _interval(row: Mapping[str, Any]) -> str:
     return f"{plain(low)} or more" if high is None else f"{plain(low)} to {plain(high)}"
 
 
-def table_of(title: str, rows: list[dict]) -> Table:
-    """Metrics as a table for the terminal."""
-    name_column, value_column = Column("metric", no_wrap=True), Column("value", justify="right")
-    noted = any(row.get("note") or _interval(row) for row in rows)
-    more = (Column("95 %", justify="right"), "note") if noted else ()
-    table = Table(name_column, "group", value_column, "unit", *more, title=title, box=SIMPLE)
-    table.title_justify = "left"
+def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Metrics on the terminal: the name, and below it a line per group with value, unit, 95 % interval and note.
+
+    A short metric without groups takes one line. The lines fit into 80 columns, but for long notes.
+    """
+    n_rows = Counter(row["metric"] for row in rows)
+    cells: list[tuple[str, ...]] = []
     last = ""
     for row in rows:
-        metric, value = str(row["metric"]), row["value"]
+        metric, group = str(row["metric"]), str(row["group"] or "")
+        is_alone = not group and n_rows[metric] == 1 and len(metric) <= _LABEL
         if last and metric.split(".")[0] != last.split(".")[0]:
-            table.add_section()
-        number, unit = "" if value is None else plain(value), "" if row["unit"] == "1" else row["unit"]
-        extra = (_interval(row), str(row.get("note") or "")) if noted else ()
-        table.add_row(metric if metric != last else "", row["group"], number, unit, *extra)
+            cells.append(("",))
+        if metric != last and not is_alone:
+            cells.append((metric,))
+        value, unit = row["value"], "" if row["unit"] == "1" else str(row["unit"])
+        label = metric if is_alone else f"  {group}"
+        cells.append((label, "" if value is None else plain(value), unit, _interval(row), str(row.get("note") or "")))
         last = metric
-    return table
+    widths = [max((len(row[i]) for row in cells if len(row) > 1), default=0) for i in range(4)]
+    lines = [
+        f"{row[0]:<{widths[0]}}  {row[1]:>{widths[1]}} {row[2]:<{widths[2]}}  {row[3]:<{widths[3]}}  {row[4]}".rstrip()
+        if len(row) > 1 else row[0] for row in cells
+    ]  # fmt: skip
+    head = [Text(title, style="bold"), Text("value, unit, 95 % interval", style="dim"), Text()]
+    for line in (*head, *map(Text, lines)):
+        screen.print(line, soft_wrap=True)
+
+
+_LABEL = 40
+"""Letters of the longest metric that shares a line with its value."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from rich.text import Text
 
-from cosim.cli.console import AsJson, notes, plain, print_json, progress, rows_of, screen
+from cosim.cli.console import AsJson, notes, plain, print_facts, print_json, progress, rows_of, screen
 
 if TYPE_CHECKING:
     from cosim.mobility.positions import Columns
@@ -165,9 +165,7 @@ def _print_counted(folder: Path, as_json: bool) -> None:
         "tables": [str(folder)],
         "next": [f"cosim measure {given}   cosim plot encounters {given}   cosim judge contacts {given}"],
     }
-    for name, sentences in lines.items():
-        for i, sentence in enumerate(sentences):
-            screen.print(Text.assemble((f"{name if i == 0 else '':<12}", "bold"), sentence), soft_wrap=True)
+    print_facts(lines)
     if repaired := run.manifest["summary"].get("repaired"):
         said = ", ".join(f"{n:,} {reason}" for reason, n in repaired.items())
         notes.print(f"note: rows left out or sorted: {said}.", soft_wrap=True)

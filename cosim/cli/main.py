@@ -25,10 +25,10 @@ from cosim.cli.console import (
     notes,
     print_json,
     print_metrics,
+    print_rows,
     print_run_summary,
     progress,
     screen,
-    table_of,
 )  # fmt: skip
 from cosim.cli.nets import nets
 from cosim.cli.place import place
@@ -357,59 +357,58 @@ def plot(
         str | None, typer.Option(help="map, contacts, durations: pairs of the encounters, as encounters.pairs.")
     ] = None,
     look: Annotated[
-        Literal["screen", "paper"],
-        typer.Option("--style", help="`paper` is for a column of a two-column page: 8.8 cm wide, panels stacked."),
-    ] = "screen",
+        Literal["paper"],
+        typer.Option("--style", help="The one style: 8.8 cm wide, for a column of a two-column page."),
+    ] = "paper",
 ) -> None:
     """Draw a figure of one run, of several runs, or of a study over a swept key."""
     from results.figures import style
 
-    with style.chosen(look):
-        if studies.is_study(runs):
-            studies.plot(what, runs[0], out, over, by, metrics or [], where or [])
-            return
-        if by or metrics or where:
-            raise ValueError("--by, --metric and --where go with a study, and this is a run. Leave them out.")
-        from inspect import signature
+    if studies.is_study(runs):
+        studies.plot(what, runs[0], out, over, by, metrics or [], where or [])
+        return
+    if by or metrics or where:
+        raise ValueError("--by, --metric and --where go with a study, and this is a run. Leave them out.")
+    from inspect import signature
 
-        from cosim.cli.side_by_side import of_variants
-        from results.figures.catalogue import FIGURES
+    from cosim.cli.side_by_side import of_variants
+    from results.figures.catalogue import FIGURES
 
-        chosen: list[Run] = []
-        if what == "sweep":
-            from cosim.offline.replay_lidar import write
+    chosen: list[Run] = []
+    if what == "sweep":
+        from cosim.offline.replay_lidar import write
 
-            if len(runs) != 1 or step is None or not vehicles or len(vehicles) != 1:
-                raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
-            path = write(_opened(runs[0]), vehicles[0], step, out)
-        elif what == "scene":
-            from cosim.offline.replay_lidar import portrait
+        if len(runs) != 1 or step is None or not vehicles or len(vehicles) != 1:
+            raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
+        path = write(_opened(runs[0]), vehicles[0], step, out)
+    elif what == "scene":
+        from cosim.offline.replay_lidar import portrait
 
-            if len(runs) != 1 or step is None:
-                raise ValueError("cosim plot scene shows one moment: cosim plot scene RUN --step S [--vehicle V]")
-            path = portrait(_opened(runs[0]), vehicles or [], step, out)
-        elif what == "movie":
-            from cosim.offline.replay_lidar import film
+        if len(runs) != 1 or step is None:
+            raise ValueError("cosim plot scene shows one moment: cosim plot scene RUN --step S [--vehicle V]")
+        path = portrait(_opened(runs[0]), vehicles or [], step, out)
+    elif what == "movie":
+        from cosim.offline.replay_lidar import film
 
-            if len(runs) != 1 or len(vehicles or ()) > 1:
-                raise ValueError("cosim plot movie films one run: cosim plot movie RUN [--vehicle V]")
-            path = film(_opened(runs[0]), vehicles[0] if vehicles else None, out)
-        else:
-            if step is not None:
-                raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
-            options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
-            given = {name: value for name, value in options.items() if value}
-            for name in given:
-                takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]
-                if what not in takers:
-                    flag = "vehicle" if name == "vehicles" else name.replace("_", "-")
-                    raise ValueError(
-                        f"--{flag} goes with `cosim plot {' or '.join(takers)}`, not with {what}. Leave it out."
-                    )
-            chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
-            path = style.save(FIGURES[what](chosen, **given), out or runs[0] / f"{what}.png")
-        screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
-        _say_damage(chosen)
+        if len(runs) != 1 or len(vehicles or ()) > 1:
+            raise ValueError("cosim plot movie films one run: cosim plot movie RUN [--vehicle V]")
+        path = film(_opened(runs[0]), vehicles[0] if vehicles else None, out)
+    else:
+        if step is not None:
+            raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
+        options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
+        given = {name: value for name, value in options.items() if value}
+        for name in given:
+            takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]
+            if what not in takers:
+                flag = "vehicle" if name == "vehicles" else name.replace("_", "-")
+                raise ValueError(
+                    f"--{flag} goes with `cosim plot {' or '.join(takers)}`, not with {what}. Leave it out."
+                )
+        chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
+        path = style.save(FIGURES[what](chosen, **given), out or runs[0] / f"{what}.png")
+    screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+    _say_damage(chosen)
 
 
 @app.command()
@@ -453,7 +452,7 @@ def bench(
     if as_json:
         print_json({"machine": machine(), "figures": rows})
     else:
-        screen.print(table_of(machine(), rows))
+        print_rows(machine(), rows)
 
 
 def main(command: Callable[..., int | None] = app) -> None:

@@ -7,7 +7,7 @@ import pandas as pd
 from rich.box import SIMPLE
 from rich.table import Column, Table
 
-from cosim.cli.console import plain, print_json, rows_of, screen, table_of
+from cosim.cli.console import plain, print_json, print_rows, rows_of, screen
 from results import durable
 from results.figures.style import names
 from results.metrics.compare import differing
@@ -63,7 +63,7 @@ def print_measures(runs: list[Run], tables: list[pd.DataFrame], as_json: bool, c
             for run, table in zip(runs, tables, strict=True)
         })  # fmt: skip
     elif len(runs) == 1:
-        screen.print(table_of(str(runs[0].path), rows_of(tables[0])))
+        print_rows(str(runs[0].path), rows_of(tables[0]))
     else:
         screen.print(_side_by_side(labels, tables, keys))
 

@@ -23,18 +23,16 @@ def draw(runs: Sequence[Run]) -> Figure:
     Attacks are told apart by the keys in which their sections differ; the dashed line is the first attack.
     """
     variants, titles = style.variants_of(runs)
-    columns = min(4, len(variants))
-    rows = -(-len(variants) // columns)
-    figure, panels = style.sheet(columns, 2.6 * columns + 0.4, 0.7 + 2.0 * rows, rows)
+    columns = min(2, len(variants))
+    figure, panels = style.sheet(len(variants), 1.4 if len(variants) > 4 else 2.0, columns)
     names = labels(runs[0])
     if any(labels(run) != names for run in runs[1:]):
         raise ValueError("The runs have different attacks. Draw them one by one.")
-    for i, (axes, run, title) in enumerate(zip(panels, variants, titles, strict=False)):
+    for i, (axes, run, title) in enumerate(zip(panels, variants, titles, strict=True)):
         _panel(axes, run)
         is_last, is_first = i >= len(variants) - columns, i % columns == 0
         style.panel(axes, title, style.TIME if is_last else "", "Trust (median)" if is_first else "")
-    for axes in panels[len(variants) :]:
-        axes.set_axis_off()
+        axes.tick_params(labelleft=is_first)
     entries = [Line2D([], [], color=style.ROLE_INKS[_HONEST], label=_HONEST)]
     style.legend(figure, [*entries, *(Line2D([], [], label=name, **_look(i)) for i, name in enumerate(names))])
     return figure

@@ -30,7 +30,7 @@ def draw(
     n_frames
         Frames that the scores were counted in.
     """
-    figure, panels = style.sheet(len(curves), width=3.6 * len(curves), height=5.2, rows=2)
+    figure, panels = style.sheet(2 * len(curves), 1.7, across=len(curves))
     entries: list[Line2D | Patch] = []
     for column, (label, levels) in enumerate(curves.items()):
         top, bottom = panels[column], panels[len(curves) + column]

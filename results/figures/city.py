@@ -39,12 +39,12 @@ def draw(
     corners = np.concatenate([np.asarray(street)[:, :2] for street in streets])
     low, high = corners.min(axis=0), corners.max(axis=0)
     span = np.maximum(high - low, 1.0)
-    side = 6.4
-    height = float(np.clip(side * span[1] / span[0] + 0.8, 2.4, 9.0))
-    figure, (axes,) = style.sheet(width=side + 0.8, height=height)
+    side = style.WIDTH - 0.5
+    height = float(np.clip(side * span[1] / span[0] + 0.6, 1.4, 5.0))
+    figure, (axes,) = style.sheet(height=height)
     scale = 72 * min(side / span[0], height / span[1])  # points per metre
     axes.add_collection(PolyCollection([b[:, :2] for b in buildings], facecolor=style.PALE, edgecolor="none"))
-    thick = np.maximum(np.asarray(widths_m) * scale, 0.25)
+    thick = np.maximum(np.asarray(widths_m) * scale, 0.15)
     axes.add_collection(LineCollection([s[:, :2] for s in streets], colors=style.INKS[0], linewidths=thick))
     margin = 0.02 * span.max()
     axes.set_xlim(low[0] - margin, high[0] + margin)
@@ -53,6 +53,7 @@ def draw(
     if attribution:
         axes.annotate(
             attribution, (1, 0), xycoords="axes fraction", xytext=(-3, 3), textcoords="offset points", ha="right",
-            fontsize=7, color="#444444", bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1},
+            fontsize=style.SMALLEST, color="#444444",
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1},
         )  # fmt: skip
     return figure

@@ -20,7 +20,7 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, radius_m: float | None = No
     Long runs are drawn as means of a sixtieth of their time, a single one with their range.
     """
     runs = style.arranged(runs)
-    figure, (degree, largest, reached) = style.sheet(columns=3, width=8.8, height=3.0)
+    figure, (degree, largest, reached) = style.sheet(3, 1.9)
     for i, run in enumerate(runs):
         frame = contact_graph.over_time(run, every_s, radius_m, pairs)
         ink = style.inks(runs)[i]

@@ -29,12 +29,12 @@ def draw(runs: Sequence[Run], threshold: float = 0.25) -> Figure:
         ]
     if revoking := [(i, security.exclusion_delay(run)) for i, run in enumerate(variants) if _revokes(run)]:
         panels["Revoked"] = revoking
-    figure, all_axes = style.sheet(columns=len(panels), width=0.5 + 3.4 * len(panels), height=3.9)
+    figure, all_axes = style.sheet(len(panels))
     colours = style.inks(variants)
-    for n, (axes, (title, curves)) in enumerate(zip(all_axes, panels.items(), strict=True)):
+    for axes, (title, curves) in zip(all_axes, panels.items(), strict=True):
         for i, delays in curves:
             _curve(axes, delays, colours[i], i)
-        style.panel(axes, title, "Time since the first attack [s]", "Share of attackers" if style.leads(n) else "")
+        style.panel(axes, title, "Time since the first attack [s]", "Share of attackers")
         style.share_axis(axes)
         axes.set_xlim(left=0)
     style.legend(figure, [

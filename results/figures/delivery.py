@@ -40,7 +40,7 @@ def draw(runs: Sequence[Run], radius_m: float | None = None) -> Figure:
         axes.plot(delivered.age_s, delivered.share, linestyle=style.dash(1), markerfacecolor="white", **look)
     if without:
         text = 'no delivery: record.level = "full" is needed'
-        axes.text(0.98, 0.95, text, ha="right", va="top", transform=axes.transAxes, fontsize=7.5)
+        axes.text(0.98, 0.95, text, ha="right", va="top", transform=axes.transAxes, fontsize=style.SMALL)
     chosen = contact_delivery.definition(runs[0], radius_m)
     title = f"Contacts within {chosen['radius_m']:g} m, and messages in them"
     style.panel(axes, title, "Time since the contact began [s]", "Share")

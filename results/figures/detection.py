@@ -33,7 +33,7 @@ def draw(runs: Sequence[Run], max_frames: int = 4000, range_m: float = 70.0) -> 
     met = {row for frame in precisions for row in zip(frame["class"], frame.level, strict=True)}
     rows = [(label, level) for label in detection.CLASSES for level in LEVELS if (label, level) in met]
     lists = {which: kind for which, kind in _LISTS.items() if any((aware.boxes == which).any() for aware in known)}
-    figure, (left, right) = style.sheet(columns=2, height=1.6 + 0.21 * len(rows))
+    figure, (left, right) = style.sheet(2, max(2.2, 0.8 + 0.15 * len(rows)))
     for i, (precision, aware) in enumerate(zip(precisions, known, strict=True)):
         offset = 0.0 if len(runs) == 1 else 0.5 * (i / (len(runs) - 1) - 0.5)
         for which, (_, face, line) in lists.items():

@@ -27,7 +27,7 @@ def draw(runs: Sequence[Run], radius_m: float | None = None, pairs: str | None =
     One run is drawn with all families. Of several runs, each is drawn with its best family by AIC.
     """
     runs = style.arranged(runs, most=len(style.INKS))
-    figure, panels = style.sheet(2, height=6.4, rows=2)
+    figure, panels = style.sheet(4, 1.9, across=2)
     whats: tuple[What, ...] = ("duration", "inter_contact")
     shown: list[str] = []
     titles = []
@@ -50,7 +50,7 @@ def draw(runs: Sequence[Run], radius_m: float | None = None, pairs: str | None =
                     _numbered(axis)
             else:
                 axes.text(0.5, 0.5, "too few", transform=axes.transAxes, ha="center", color="#666666")
-    figure.suptitle(" / ".join(dict.fromkeys(titles)), fontsize=9)
+    figure.suptitle(" / ".join(dict.fromkeys(titles)), fontsize=style.SMALL)
     names = list(FAMILIES)
     entries = [
         Line2D([], [], color=style.ink(i + 1), linestyle=style.dash(i), label=FAMILIES[name].label)

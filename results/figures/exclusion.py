@@ -21,7 +21,7 @@ def draw(runs: Sequence[Run]) -> Figure:
     A curve is a run, or a trust variant of one. Marked are thresholds of 0.1, 0.25 and 0.5.
     """
     runs = style.arranged(runs, most=6)
-    figure, (axes,) = style.sheet(width=5.4, height=4.2)
+    figure, (axes,) = style.sheet(height=2.8)
     curves = [exclusion.curve(run) for run in runs]
     points = [curve.dropna() for curve in curves]
     recall, precision = (np.concatenate([c[name].to_numpy() for c in points]) for name in ("recall", "precision"))

@@ -29,7 +29,7 @@ def draw(runs: Sequence[Run], over: str | None = None, threshold: float = 0.5) -
     if len(runs) == 1:
         roles = freshness.states(runs[0]).role.unique()
         bars, labels = [_shares(runs[0], role) for role in roles], list(roles)
-    figure, (ages, shares) = style.sheet(columns=2, height=max(3.2, 1.6 + 0.36 * len(bars)))
+    figure, (ages, shares) = style.sheet(2, max(2.2, 0.8 + 0.2 * len(bars)))
     longest_s = 0.0
     for i, run in enumerate(runs):
         for what, dash in (("newest evaluation", style.dash(0)), ("value", style.dash(2))):
@@ -129,7 +129,7 @@ def _over(runs: Sequence[Run], key: str, threshold: float) -> Figure:
     asked = {name: question for panel in panels.values() for name, question in panel.items()}
     frame = compare.tabulate(runs, key, asked)
     panels = {title: names for title, names in panels.items() if frame[list(names)].notna().any(axis=None)}
-    figure, axes = style.sheet(columns=len(panels), width=3.2 * len(panels), height=3.7)
+    figure, axes = style.sheet(len(panels))
     frame["group"] = [groups.index(tuple((name, values[i].get(name)) for name in beside)) for i in frame["row"]]
     at, ticks = _positions(frame[key])
     for panel, (title, names) in zip(axes, panels.items(), strict=True):

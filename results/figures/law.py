@@ -51,8 +51,7 @@ def measured(folder: Path, variants: Sequence[str]) -> list[Curve]:
 def draw(law: Sequence[Curve], simulation: Sequence[Curve] = (), points: Sequence[Points] = ()) -> Figure:
     """Cumulative shares of lookups by age, the law as lines and the simulation as marks; and points of studies, the
     law over the simulation."""
-    n = bool(law) + bool(points)
-    figure, panels = style.sheet(columns=max(n, 1), width=7.2 if n < 2 else 8.6, height=4.2)
+    figure, panels = style.sheet(max(bool(law) + bool(points), 1), 3.0)
     if law:
         _curves(panels[0], law, simulation)
     if points:
@@ -96,7 +95,7 @@ def _points(axes: Axes, points: Sequence[Points]) -> None:
     axes.set_xlim(*ends)
     axes.set_ylim(*ends)
     style.panel(axes, "Law over simulation (dashes: 10, 20 %)", "Age by simulation [s]", "Age by the law [s]")
-    axes.legend(loc="upper left", fontsize=7.5)
+    axes.legend(loc="upper left", fontsize=style.SMALLEST)
 
 
 def points_of(name: str, law: Sequence[dict[str, Any]], measured: Sequence[dict[str, Any]]) -> Points:

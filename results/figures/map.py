@@ -26,8 +26,8 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
     streets = [_streets(run) for run in runs]
     spans = [np.ptp(street, axis=0) for street in streets]
     tallest = max(span[1] / max(span[0], 1) for span in spans)
-    side = 4.6 if len(runs) == 1 else 3.6
-    figure, panels = style.sheet(len(runs), width=side * len(runs) + 1.2, height=min((side - 0.7) * tallest + 0.9, 9))
+    height = min((style.WIDTH - 1) * tallest + 0.6, 5.0 if len(runs) == 1 else 3.2)
+    figure, panels = style.sheet(len(runs), height)
     figure.set_layout_engine("compressed")
     counts = [_cells(points, street, cell_m) for points, street in zip(begun, streets, strict=True)]
     rates = [count / (run.manifest["steps"] * run.dt_s / 3600) for (count, _, _), run in zip(counts, runs, strict=True)]
@@ -50,9 +50,10 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
     if credits:
         panels[-1].annotate(
             ", ".join(credits), (1, 0), xycoords="axes fraction", xytext=(-3, 3), textcoords="offset points",
-            ha="right", fontsize=6.6, color="#444444",
+            ha="right", fontsize=style.SMALLEST, color="#444444",
         )  # fmt: skip
-    bar = figure.colorbar(mesh, ax=panels, label=f"Encounters begun per hour in {cell_m:g} m cells", shrink=0.8)
+    label = f"Encounters begun per hour in {cell_m:g} m cells"
+    bar = figure.colorbar(mesh, ax=panels, label=label, location="bottom", shrink=0.8, aspect=30)
     ticks = [d * 10.0**e for e in range(-3, 7) for d in (1, 2, 5) if lowest <= d * 10.0**e <= top]
     bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
     bar.ax.minorticks_off()

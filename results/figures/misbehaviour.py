@@ -22,7 +22,7 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     """
     runs = style.arranged(runs, most=4)
     roles = style.roles_of(runs)
-    figure, (curves, delays) = style.sheet(columns=2, height=3.9)
+    figure, (curves, delays) = style.sheet(2)
     curves.plot([0, 1], [0, 1], color="#777777", linewidth=0.9, linestyle=(0, (2, 2)))
     shown: set[str] = set()
     limits = []

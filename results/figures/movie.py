@@ -22,6 +22,7 @@ MOST_FRAMES = 120
 HALF_WIDTH_M = 110.0
 """Of the square that is shown around a vehicle."""
 PICTURES_PER_S = 6
+DPI = 167
 TRUST = colormaps["RdYlBu"].with_extremes(bad="white")
 """Colours of trust; white has no evaluation yet."""
 SEEN, BELIEVED, LIE = style.INKS[2], style.INKS[4], style.ROLE_INKS["malicious"]
@@ -61,7 +62,7 @@ def write(
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         partial.unlink(missing_ok=True)  # were it a link, the pictures would go where it leads
-        with writer.saving(film.figure, str(partial), dpi=90):
+        with writer.saving(film.figure, str(partial), dpi=DPI):
             for number, step in enumerate(steps.tolist()):
                 film.show(step)
                 writer.grab_frame()
@@ -96,28 +97,29 @@ class _Film:
 
     @style.styled
     def _begin(self, streets, buildings):  # type: ignore[no-untyped-def]
-        self.figure, (self._axes,) = style.sheet(width=6.4, height=6.4)
+        self.figure, (self._axes,) = style.sheet(height=3.7)
         axes = self._axes
         axes.add_collection(PolyCollection(buildings, facecolor=style.PALE, edgecolor="none", zorder=1))
-        axes.add_collection(LineCollection(streets, colors="#e2e5ea", linewidths=2.0, zorder=0))
+        axes.add_collection(LineCollection(streets, colors="#e2e5ea", linewidths=1.2, zorder=0))
         style.map_panel(axes, "")
+        self._clock = axes.set_title(" ")
         if self.vehicle is None and len(streets):
             corner = np.concatenate(streets)
             axes.set_xlim(corner[:, 0].min(), corner[:, 0].max())
             axes.set_ylim(corner[:, 1].min(), corner[:, 1].max())
         none = np.zeros(0)
-        size = 42 if self.vehicle is not None else 14
+        size = 14 if self.vehicle is not None else 5
         self._others = axes.scatter(none, none, s=0.4 * size, color="#8a8f98", zorder=2)
         self._equipped = axes.scatter(
-            none, none, c=[], s=size, cmap=TRUST, vmin=0, vmax=1, edgecolors="#333333", linewidths=0.6, zorder=4
+            none, none, c=[], s=size, cmap=TRUST, vmin=0, vmax=1, edgecolors="#333333", linewidths=0.4, zorder=4
         )
         self._liars = axes.scatter(
-            none, none, s=3.2 * size, facecolors="none", edgecolors=LIE, linewidths=1.3, zorder=4
+            none, none, s=3.2 * size, facecolors="none", edgecolors=LIE, linewidths=0.8, zorder=4
         )
-        self._ghosts = axes.scatter(none, none, s=1.6 * size, marker="x", color=LIE, linewidths=1.6, zorder=5)
+        self._ghosts = axes.scatter(none, none, s=1.6 * size, marker="x", color=LIE, linewidths=1.0, zorder=5)
         squares: dict[str, Any] = {"marker": "s", "facecolors": "none", "zorder": 3}
-        self._finds = axes.scatter(none, none, s=2.6 * size, edgecolors=SEEN, linewidths=1.5, **squares)
-        self._beliefs = axes.scatter(none, none, s=5.0 * size, edgecolors=BELIEVED, linewidths=1.1, **squares)
+        self._finds = axes.scatter(none, none, s=2.6 * size, edgecolors=SEEN, linewidths=0.9, **squares)
+        self._beliefs = axes.scatter(none, none, s=5.0 * size, edgecolors=BELIEVED, linewidths=0.7, **squares)
         self._me = axes.scatter(none, none, s=5 * size, marker="*", color="black", zorder=6)
         self.figure.colorbar(self._equipped, ax=axes, shrink=0.6, label="Trust")
         marks = [
@@ -133,7 +135,7 @@ class _Film:
             Line2D([], [], linestyle="", marker=m, color=c, label=text, markerfacecolor=c if full else "none")
             for m, c, text, full in marks
         ]
-        axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3)
+        style.legend(self.figure, handles)
         layout = self.figure.get_layout_engine()
         assert isinstance(layout, ConstrainedLayoutEngine)
         layout.set(rect=(0.04, 0.0, 0.92, 1.0))  # room for coordinates that get longer as the picture moves
@@ -159,4 +161,4 @@ class _Film:
             self._me.set_offsets(at)
             self._axes.set_xlim(at[0, 0] - HALF_WIDTH_M, at[0, 0] + HALF_WIDTH_M)
             self._axes.set_ylim(at[0, 1] - HALF_WIDTH_M, at[0, 1] + HALF_WIDTH_M)
-        self._axes.set_title(f"{step * self._dt_s:g} s")
+        self._clock.set_text(f"{step * self._dt_s:g} s")

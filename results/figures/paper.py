@@ -29,7 +29,7 @@ def draw_tables(rows: pd.DataFrame) -> Figure:
     rows = rows[rows.what == "average precision"]
     cities = list(dict.fromkeys(rows.city))
     kinds = [kind for kind in (True, False) if (rows.self_reports == kind).any()]
-    figure, panels = style.sheet(2, width=9.5, height=0.6 + 2.9 * len(kinds), rows=len(kinds))
+    figure, panels = style.sheet(2 * len(kinds), 1.9)
     for row, kind in enumerate(kinds):
         for column, label in enumerate(CLASSES):
             axes = panels[2 * row + column]
@@ -79,7 +79,7 @@ def _city_entries(cities: list[str]) -> list[Line2D]:
 def draw_trust_levels(rows: pd.DataFrame) -> Figure:
     """Mean trust at the end by setting, and the change of average precision that attackers cause, by method."""
     cities = list(dict.fromkeys(rows[rows.what == "average precision"].city))
-    figure, (left, middle, right) = style.sheet(3, width=9.5, height=3.6)
+    figure, (left, middle, right) = style.sheet(3, 1.9)
     trusted = rows[rows.what.str.startswith("mean trust at the end") & (rows.method == "local")]
     for at, setting in enumerate(SETTINGS):
         for i, who in enumerate(("all others", "drawn as attackers")):

@@ -26,11 +26,15 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
     busy ratio; maps of a single run."""
     runs = style.arranged(runs)
     alone = len(runs) == 1 and "vehicle_channel" in runs[0].tables and "actors" in runs[0].tables
-    figure, panels = style.sheet(columns=4 if alone else 3, rows=2, width=10.0 if alone else 8.8, height=5.8)
-    if alone:
-        distance, losses, late, gaps, timed, busy, *maps = panels
-    else:
-        (distance, losses, late, gaps, timed, busy), maps = panels, []
+    figure, (distance, losses, late, gaps, timed, busy, *last) = style.sheet(7 if alone else 6, 1.8)
+    maps: list[Axes] = []
+    for axes in last:
+        axes.set_axis_off()
+        place = axes.get_subplotspec()
+        assert place is not None
+        place.get_gridspec().set_height_ratios([1, 1, 1, 1, 1, 1, 2])
+        halves = place.subgridspec(1, 2)
+        maps = [figure.add_subplot(halves[0, i]) for i in range(2)]
     lines = [_line(i, colour) for i, colour in enumerate(style.inks(runs))]
     found = {state for run in runs for state in run.pdr_by_distance.los_state.unique()}
     states = sorted(found, key=list(_LOS_STATES).index)
@@ -136,7 +140,7 @@ def _maps(figure: Figure, panels: Sequence[Axes], run: Run, cell_m: float) -> No
     """Channel busy ratio and share of frames lost by place of the receiver; dark is more in both."""
     cells = radio.by_place(run, cell_m)
     cells = cells.assign(lost=1 - cells.pdr)
-    for axes, (column, title) in zip(panels, (("cbr", "Channel busy ratio"), ("lost", "Frames lost")), strict=True):
+    for axes, (column, title) in zip(panels, (("cbr", "Busy ratio"), ("lost", "Frames lost")), strict=True):
         x, y, values = _grid(cells, column, cell_m)
         most = 1 if column == "lost" else None
         mesh = axes.pcolormesh(x, y, values, cmap="viridis_r", rasterized=True, vmin=0, vmax=most)
@@ -144,7 +148,7 @@ def _maps(figure: Figure, panels: Sequence[Axes], run: Run, cell_m: float) -> No
         if np.isnan(values).all():
             axes.text(0.5, 0.5, "not modelled", transform=axes.transAxes, ha="center", color="#666666")
         else:
-            figure.colorbar(mesh, ax=axes, shrink=0.8)
+            figure.colorbar(mesh, ax=axes, shrink=0.5)
 
 
 def _grid(cells: pd.DataFrame, column: str, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -30,8 +30,7 @@ def draw(runs: Sequence[Run]) -> Figure:
     """
     style.need(runs)
     reacts = any("reactions" in run.tables and run.n_rows("reactions") for run in runs)
-    columns = 3 if reacts else 2
-    figure, (events, over_time, *causes) = style.sheet(columns=columns, width=3.5 * columns, height=3.8)
+    figure, (events, over_time, *causes) = style.sheet(3 if reacts else 2, 2.2)
     width = 0.8 / len(runs)
     for i, run in enumerate(runs):
         found = safety.summary(run)

@@ -42,7 +42,7 @@ def from_above(
     window_m
         What is shown: x min, x max, y min, y max.
     """
-    figure, axes = style.sheet(len(panels), width=1.95 * len(panels), height=4.9)
+    figure, axes = style.sheet(len(panels), 3.2, across=2)
     for i, (axis, panel) in enumerate(zip(axes, panels, strict=True)):
         axis.plot(*panel.points_m.T, ".", color=style.PALE, markersize=1.3, markeredgewidth=0, zorder=0.5)
         for corners in _corners(truth):
@@ -57,8 +57,8 @@ def from_above(
             nose = corners[[0, 1]].mean(axis=0)
             axis.plot(*np.transpose([corners.mean(axis=0), nose]), color=ink, linewidth=1.0)
             _beside(axis, corners, caption, ink, left=false)
-        style.map_panel(axis, panel.title, "North [m]" if i == 0 else "")
-        axis.tick_params(labelleft=i == 0)
+        style.map_panel(axis, panel.title, "North [m]" if i % 2 == 0 else "")
+        axis.tick_params(labelleft=i % 2 == 0)
         axis.set(xlim=window_m[:2], ylim=window_m[2:])
     style.legend(figure, [
         Line2D([], [], color=TRUTH, linewidth=2.2, label="really there"),
@@ -80,8 +80,8 @@ def _corners(footprints: Float[ndarray, "n 5"]) -> Float[ndarray, "n 4 2"]:
 def _beside(axis: Axes, corners: Float[ndarray, "4 2"], text: str, ink: str, left: bool = False) -> None:
     x = corners[:, 0].min() if left else corners[:, 0].max()
     axis.annotate(
-        text, (x, corners[:, 1].mean()), xytext=(-3 if left else 3, 0), textcoords="offset points", fontsize=7.5,
-        color=ink, ha="right" if left else "left", va="center",
+        text, (x, corners[:, 1].mean()), xytext=(-3 if left else 3, 0), textcoords="offset points",
+        fontsize=style.SMALLEST, color=ink, ha="right" if left else "left", va="center",
         bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
     )  # fmt: skip
 
@@ -100,10 +100,15 @@ def trust_over_frames(
     curves: Mapping[str, Curve], printed: Sequence[tuple[float, float]], attack_start: int, expected_from: str
 ) -> Figure:
     """Trust after each frame: obtained, expected, and the values that the paper prints (frame, trust)."""
-    figure, (axis,) = style.sheet(height=4.2)
+    figure, (axis,) = style.sheet(height=2.8)
     axis.axvline(attack_start, color=style.PALE, linewidth=0.9)
     axis.annotate(
-        "attack begins", (attack_start, 0.02), xytext=(-4, 0), textcoords="offset points", ha="right", fontsize=8
+        "attack begins",
+        (attack_start, 0.02),
+        xytext=(-4, 0),
+        textcoords="offset points",
+        ha="right",
+        fontsize=style.SMALL,
     )
     entries = []
     for i, (name, curve) in enumerate(curves.items()):

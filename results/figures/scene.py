@@ -49,7 +49,7 @@ class Moment:
 def draw(moment: Moment, title: str) -> Figure:
     """The part of the city around the centre."""
     moment = _in_frame(moment)
-    figure, (axes,) = style.sheet(width=7.6, height=5.0)
+    figure, (axes,) = style.sheet(height=2.5)
     figure.set_layout_engine("compressed")
     _ground(axes, moment)
     low, high = moment.centre_m - [HALF_WIDTH_M, HALF_DEPTH_M], moment.centre_m + [HALF_WIDTH_M, HALF_DEPTH_M]
@@ -92,7 +92,9 @@ def _scale(axes, corner: Float[ndarray, "2 2"]) -> None:  # type: ignore[no-unty
     """A bar of 50 m, east to west: lengths to the north are shortened by the view."""
     x, y = corner[0] + 0.03 * (corner[1] - corner[0])
     axes.plot([x, x + 50], [y, y], color="black", linewidth=2.0, solid_capstyle="butt", zorder=7)
-    axes.annotate("50 m", (x + 25, y), xytext=(0, 3), textcoords="offset points", ha="center", fontsize=8, zorder=7)
+    axes.annotate(
+        "50 m", (x + 25, y), xytext=(0, 3), textcoords="offset points", ha="center", fontsize=style.SMALL, zorder=7
+    )
 
 
 def _flat(xyz: Float[ndarray, "... 3"]) -> Float[ndarray, "... 2"]:
@@ -128,14 +130,14 @@ def _vehicles(axes, moment: Moment) -> None:  # type: ignore[no-untyped-def]
         fills += [fill] * len(kinds)
         edges += [LIE if moment.attacks[i] else "#222222"] * len(kinds)
     if faces:
-        axes.add_collection(PolyCollection(faces, facecolors=fills, edgecolors=edges, linewidths=0.5, zorder=4))
+        axes.add_collection(PolyCollection(faces, facecolors=fills, edgecolors=edges, linewidths=0.35, zorder=4))
     for box in moment.ghosts:
         made, _ = _prism(*_outline(box))
         axes.add_collection(
-            PolyCollection(made, facecolors=(0.76, 0.15, 0.18, 0.25), edgecolors=LIE, linewidths=0.9, zorder=5)
+            PolyCollection(made, facecolors=(0.76, 0.15, 0.18, 0.25), edgecolors=LIE, linewidths=0.6, zorder=5)
         )
     ring = _flat(moment.boxes[moment.attacks, :3])
-    axes.scatter(*ring.T, s=160, facecolors="none", edgecolors=LIE, linewidths=1.3, zorder=6)
+    axes.scatter(*ring.T, s=50, facecolors="none", edgecolors=LIE, linewidths=1.0, zorder=6)
 
 
 def _outline(box: Float[ndarray, "7"]) -> tuple[Float[ndarray, "4 2"], float, float]:
@@ -149,10 +151,10 @@ def _entries(moment: Moment) -> list[Line2D]:
     """Legend: what the marks are, of those that occur."""
     unknown = moment.equipped & ~np.isfinite(moment.trust)
     marks = [
-        ("s", PLAIN, "#222222", 6.0, "not equipped", not moment.equipped.all()),
-        ("s", UNKNOWN, "#222222", 6.0, "equipped, no evaluation yet", unknown.any()),
-        ("o", "none", LIE, 11.0, "ringed: attacker", moment.attacks.any()),
-        ("s", "#efc9cb", LIE, 6.0, "fabricated", len(moment.ghosts) > 0),
+        ("s", PLAIN, "#222222", 4.5, "not equipped", not moment.equipped.all()),
+        ("s", UNKNOWN, "#222222", 4.5, "equipped, no evaluation yet", unknown.any()),
+        ("o", "none", LIE, 7.0, "ringed: attacker", moment.attacks.any()),
+        ("s", "#efc9cb", LIE, 4.5, "fabricated", len(moment.ghosts) > 0),
     ]
     clouds = [
         Line2D([], [], linestyle="", marker=".", color=CLOUDS[i % len(CLOUDS)], label=f"cloud of {vehicle}")

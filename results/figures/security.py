@@ -24,8 +24,7 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     variants, labels = style.variants_of(runs)
     for run in variants:
         run.require("trust_lookups")
-    height = 1.6 + 0.24 * len(variants)
-    figure, panels = style.sheet(columns=3, width=10.0, height=height)
+    figure, panels = style.sheet(3, 0.7 + 0.15 * len(variants))
     few = f"{100 * false_positives:g} %"
     for i, run in enumerate(variants):
         found = misbehaviour.compared_at_lookup(run, false_positives)
@@ -37,9 +36,9 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
         (f"Suspected at {few} false positives", "Share of lookups of attackers"),
         ("Honest vehicles suspected", "Share of (receiver, honest sender) pairs"),
     )
-    for n, (axes, (title, x)) in enumerate(zip(panels, titles, strict=True)):
+    for axes, (title, x) in zip(panels, titles, strict=True):
         style.panel(axes, title, x, "")
-        axes.set_yticks(range(len(labels)), labels if style.leads(n) else [""] * len(labels))
+        axes.set_yticks(range(len(labels)), labels)
         axes.set_ylim(len(labels) - 0.4, -0.6)
         axes.set_xlim(-0.02, 1.03)
     return figure

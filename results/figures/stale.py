@@ -24,8 +24,7 @@ def draw(runs: Sequence[Run], cell_m: float = 50.0, fresh_s: float = FRESH_S) ->
     The place over time is the direction in which the city is longer. There is a row of panels for each run.
     """
     runs = style.arranged(runs, most=3)
-    figure, panels = style.sheet(columns=2, rows=len(runs), width=7.2, height=3.7 * len(runs))
-    figure.set_layout_engine("compressed")
+    figure, panels = style.sheet(2 * len(runs), 2.6)
     for i, (run, name) in enumerate(zip(runs, style.names(runs), strict=True)):
         found = stale.placed(run, fresh_s)
         n, n_stale = found.n.to_numpy(), found.n_stale.to_numpy()

@@ -55,6 +55,8 @@ LABELS: Mapping[str, str] = {
 """Keys whose last word says too little on an axis."""
 
 _MOST_PANELS = 4
+_MOST_CELLS = 14
+"""Cells of a row that numbers fit into."""
 
 
 @style.styled
@@ -133,8 +135,8 @@ def shown(study: Study, topic: str) -> list[str]:
 def _draw(
     frame: pd.DataFrame, asked: Sequence[str], x: str, colour: str, column: str, columns: Sequence[Any]
 ) -> Figure:
-    width = 7.2 if len(columns) < 3 else 2.6 * len(columns)
-    figure, panels = style.sheet(len(columns), width, 0.4 + 2.5 * len(asked), len(asked))
+    height = 2.4 if len(asked) == len(columns) == 1 else 1.7 if len(columns) == 1 else 1.5
+    figure, panels = style.sheet(len(asked) * len(columns), height, len(columns))
     colours = sorted(frame[colour].unique()) if colour else [None]
     for row, name in enumerate(asked):
         of_metric = chosen(frame, [name])
@@ -146,14 +148,15 @@ def _draw(
             first = of_metric.iloc[0]
             unit = "" if first.unit in ("", "1") else f" [{first.unit}]"
             group = f", {first.group}" if ":" in name and first.group else ""
-            title = f"{label_of(column)} = {_said(value)}" if value is not None else first.label + group
-            y = f"{first.label}{group}{unit}"
-            style.panel(axes, title, label_of(x), _wrapped(y) if style.leads(n) else "")
+            title = f"{label_of(column)} = {_said(value)}" if value is not None and row == 0 else ""
+            y = f"{first.label}{group}{unit}" if n == 0 else ""
+            style.panel(axes, title, label_of(x) if row == len(asked) - 1 else "", y)
+            axes.tick_params(labelleft=n == 0)
             if first.unit == "1":
                 style.share_axis(axes, min(1.0, max(0.05, 1.04 * float(of_metric[["mean", "high"]].max().max()))))
             else:
                 axes.set_ylim(0, 1.06 * float(of_metric[["mean", "high"]].max().max()) or 1.0)
-            _ticks(axes, frame[x])
+            _ticks(axes, frame[x], 5 if len(columns) < 3 else 3)
     entries = [
         Line2D(
             [], [], color=style.ink(i), marker=style.marker(i), linestyle=style.dash(i),
@@ -166,14 +169,13 @@ def _draw(
 
 
 def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Figure:
-    """A map per metric, where both keys are words: mean and 95 % interval written into each cell.
+    """A map per metric, where both keys are words: the mean written into each cell, or a scale where they are many.
 
-    In a column of a paper, the intervals are left out, and of many columns the means as well.
+    The title has the half width of the widest 95 % interval.
     """
     rows, columns = list(dict.fromkeys(frame[y])), list(dict.fromkeys(frame[x]))
-    size = max(6.4, 2.2 + 0.62 * len(columns)), (1.5 + 0.36 * len(rows)) * len(asked)
-    figure, panels = style.sheet(1, *size, rows=len(asked))
-    most, size_pt = (8, 6.6) if style.is_for_paper() else (99, 0.85 * max(7.2, size[0]))  # 6 pt on a page
+    figure, panels = style.sheet(len(asked), 1.6 + 0.16 * len(rows))
+    has_room = len(columns) <= _MOST_CELLS
     for axes, name in zip(panels, asked, strict=True):
         of_metric = chosen(frame, [name])
         cells = of_metric.drop_duplicates([y, x]).set_index([y, x])
@@ -183,37 +185,37 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
         shown_rows = ["ideal observer", *rows] if len(bound) else rows
         cells = pd.concat([bound.assign(**{y: "ideal observer"}).set_index([y, x]), cells]) if len(bound) else cells
         grid = cells.reindex(pd.MultiIndex.from_product([shown_rows, columns]))
-        mean, low, high, n_seeds = (
-            grid[k].to_numpy(float).reshape(len(shown_rows), -1) for k in ("mean", "low", "high", "n")
-        )
+        mean = grid["mean"].to_numpy(float).reshape(len(shown_rows), -1)
         first = of_metric.iloc[0]
         top = 1.0 if first.unit == "1" else float(np.nanmax(mean)) or 1.0
         image = axes.imshow(mean, cmap="cividis", vmin=0, vmax=top, aspect="auto")
-        for i, j in np.argwhere(~np.isnan(mean)) if len(columns) <= most else ():
-            middle, *ends = (_short(v, top) for v in (mean[i, j], low[i, j], high[i, j]))
-            # The interval of two seeds reaches 13 standard errors to each side: it says nothing and fills the map.
-            is_told = n_seeds[i, j] > 2 and low[i, j] == low[i, j] and not style.is_for_paper()
-            text = f"{middle}\n{'–'.join(ends)}" if is_told else middle
+        for i, j in np.argwhere(~np.isnan(mean)) if has_room else ():
             ink = "black" if mean[i, j] > 0.55 * top else "white"
-            axes.text(j, i, text, ha="center", va="center", fontsize=size_pt, color=ink)
-        axes.set_xticks(range(len(columns)), [_said(v) for v in columns], rotation=40, ha="right")
+            told = _short(mean[i, j], top)
+            axes.text(j, i, told, ha="center", va="center", fontsize=style.SMALLEST, color=ink)
+        axes.set_xticks(
+            range(len(columns)), [_said(v) for v in columns], rotation=45, ha="right", rotation_mode="anchor"
+        )
         axes.set_yticks(range(len(shown_rows)), [_said(v) for v in shown_rows])
         axes.grid(visible=False)
         group = f", {first.group}" if ":" in name and first.group else ""
         few, many = int(of_metric.n.min()), int(of_metric.n.max())
         n = f"{many} seeds" if few == many else f"{few} to {many} seeds"
-        told = "" if many < 2 or style.is_for_paper() else f": mean and 95 % interval, {n}"
+        half = float(((cells.high - cells.low) / 2)[cells.n > 2].max())  # that of two seeds says nothing
+        told = "" if many < 2 else f": mean of {n}"
+        told += f", 95 % intervals up to ±{_short(half, top)}" if half == half else ""
         told += "; blank: no value" if np.isnan(mean).any() else ""
-        title = _wrapped(f"{first.label}{group}{told}", 32 if style.is_for_paper() else int(9 * size[0]))
-        style.panel(axes, title, label_of(x), label_of(y))
-        figure.colorbar(image, ax=axes, fraction=0.03, pad=0.02, label="" if first.unit == "1" else f"[{first.unit}]")
+        unit = "" if first.unit in ("", "1") else f" [{first.unit}]"
+        style.panel(axes, style.fitted(f"{first.label}{group}{unit}{told}", 32), label_of(x), label_of(y))
+        if not has_room:
+            figure.colorbar(image, ax=axes, fraction=0.03, pad=0.02)
     return figure
 
 
 def _short(value: float, top: float) -> str:
     """A number in few letters: two digits, of shares without the zero before the point."""
     if top == 1.0:
-        return f"{value:.2f}".removeprefix("0")
+        return f"{value:.2f}".removeprefix("0").replace("1.00", "1")
     return f"{value:.0f}" if abs(value) >= 10 else f"{value:.2g}"
 
 
@@ -244,8 +246,8 @@ def _line(axes: Axes, part: pd.DataFrame, values: pd.Series, i: int, n: int) -> 
         color=style.ink(i),
         marker=style.marker(i),
         linestyle=style.dash(i),
-        capsize=2.5,
-        elinewidth=1.0,
+        capsize=1.5,
+        elinewidth=0.8,
     )
 
 
@@ -254,8 +256,8 @@ def _is_wide(found: np.ndarray) -> bool:
     return bool(found[0] > 0 and found[-1] / found[0] >= 10)
 
 
-def _ticks(axes: Axes, values: pd.Series) -> None:
-    """The swept values themselves; on a logarithmic axis where they span a factor of ten."""
+def _ticks(axes: Axes, values: pd.Series, most: int) -> None:
+    """The swept values themselves; on a logarithmic axis where they span a factor of ten. Of many, every second."""
     found = np.sort(values.unique())
     if values.dtype.kind != "f":
         axes.set_xticks(range(len(found)), [_said(v) for v in found])
@@ -263,7 +265,8 @@ def _ticks(axes: Axes, values: pd.Series) -> None:
     if _is_wide(found):
         axes.set_xscale("log")
         axes.minorticks_off()
-    axes.set_xticks(found, [_said(v) for v in found])
+    few = found[(len(found) - 1) % 2 :: 2] if len(found) > most else found
+    axes.set_xticks(few, [_said(v) for v in few])
 
 
 def label_of(key: str) -> str:
@@ -280,12 +283,3 @@ def label_of(key: str) -> str:
 
 def _said(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float | np.floating) and not math.isnan(value) else str(value)
-
-
-def _wrapped(text: str, width: int = 32) -> str:
-    words, lines = text.split(), [""]
-    for word in words:
-        if len(lines[-1]) + len(word) > width:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
-    return "\n".join(lines)

@@ -1,14 +1,12 @@
-"""The style of all pictures: legible in print, in greyscale, and side by side."""
+"""The style of all pictures: legible in a column of 8 cm, in greyscale, and side by side."""
 
 import base64
 import io
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, ParamSpec
+from typing import Any, BinaryIO, ParamSpec
 
 import matplotlib as mpl
 import numpy as np
@@ -38,80 +36,43 @@ HATCHES = ("", "///", "...", "xx", "\\\\", "++")
 PALE = "#b4bac4"
 FORMATS = (".png", ".svg", ".pdf")
 
+WIDTH = 3.45
+"""Width of every picture [inches]: that of a column of a two-column page, 8.8 cm."""
+SMALL, SMALLEST = 7.0, 6.6
+"""Sizes of text beside the data, and of text that fits into a cell [points]. The second is 6 pt at a width of 8 cm."""
+_TEXT = 7.5
+DPI = 200
+SOFTWARE = "cosim"
+"""What a PNG of this style says of itself."""
+
 _STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "axes.titlesize": 9.5,
+    "font.size": _TEXT,
+    "axes.titlesize": _TEXT,
     "axes.titlelocation": "left",
     "axes.titleweight": "bold",
-    "axes.labelsize": 9,
+    "axes.labelsize": _TEXT,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
     "axes.edgecolor": "#444444",
-    "axes.linewidth": 0.8,
+    "axes.linewidth": 0.6,
     "grid.color": "#e6e6e6",
-    "grid.linewidth": 0.7,
-    "lines.linewidth": 1.6,
-    "lines.markersize": 4.5,
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 3.2,
     "legend.frameon": False,
-    "legend.fontsize": 8.5,
-    "legend.handlelength": 2.8,
-    "xtick.labelsize": 8.5,
-    "ytick.labelsize": 8.5,
+    "legend.fontsize": SMALL,
+    "legend.handlelength": 2.4,
+    "legend.columnspacing": 1.2,
+    "xtick.labelsize": SMALL,
+    "ytick.labelsize": SMALL,
     "hatch.linewidth": 0.6,
     "svg.hashsalt": "cosim",  # the same picture is the same file
     "svg.fonttype": "path",
     "pdf.fonttype": 42,
 }
-
-
-PAPER_WIDTH = 3.45
-"""Width of a column of a two-column page [inches]."""
-_TALLEST, _LOWEST = 3.1, 2.4
-"""Limits of the height of a panel in such a column [inches]."""
-
-_LETTERS = 46
-"""Letters of a title that fit into its width."""
-
-_PAPER: dict[Any, Any] = _STYLE | {
-    "font.size": 7.5,
-    "axes.titlesize": 7.5,
-    "axes.labelsize": 7.5,
-    "axes.linewidth": 0.6,
-    "grid.linewidth": 0.5,
-    "lines.linewidth": 1.1,
-    "lines.markersize": 3.2,
-    "legend.fontsize": 7,
-    "legend.handlelength": 2.4,
-    "legend.columnspacing": 1.2,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-}
-"""For one column of a paper: panels stand below one another."""
-
-_for_paper: ContextVar[bool] = ContextVar("for_paper", default=False)
-
-
-@contextmanager
-def chosen(name: Literal["screen", "paper"]) -> Iterator[None]:
-    """Draw and save pictures in this style inside: `screen`, or `paper` for a column of a two-column page."""
-    before = _for_paper.set(name == "paper")
-    try:
-        yield
-    finally:
-        _for_paper.reset(before)
-
-
-def is_for_paper() -> bool:
-    """Whether pictures are for a column of a paper: what belongs in a caption is left out."""
-    return _for_paper.get()
-
-
-def _rc() -> dict[Any, Any]:
-    return _PAPER if _for_paper.get() else _STYLE
-
 
 P = ParamSpec("P")
 
@@ -121,7 +82,7 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with mpl.rc_context(_rc()):
+        with mpl.rc_context(_STYLE):
             figure = draw(*args, **kwargs)
             figure.canvas.draw()  # settles the layout while the style holds
         return figure
@@ -129,33 +90,34 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     return drawn
 
 
-def sheet(columns: int = 1, width: float = 7.2, height: float = 3.6, rows: int = 1) -> tuple[Figure, list[Axes]]:
-    """An empty figure (inches) and its panels, row by row. For a paper, the panels stand below one another."""
-    if _for_paper.get():
-        aspect = (width / columns) / (height / rows)
-        columns, rows = 1, rows * columns
-        width, height = PAPER_WIDTH, rows * min(max(PAPER_WIDTH / aspect, _LOWEST), _TALLEST)
-    figure = Figure(figsize=(width, height), layout="constrained", dpi=150)
+def sheet(panels: int = 1, height: float = 2.4, across: int = 1) -> tuple[Figure, list[Axes]]:
+    """An empty figure and its panels of this height [inches], `across` of them beside one another."""
+    rows = -(-panels // across)
+    figure = Figure(figsize=(WIDTH, rows * height), layout="constrained", dpi=DPI)
     FigureCanvasAgg(figure)
-    return figure, list(np.ravel(figure.subplots(rows, columns)))
-
-
-def leads(i: int) -> bool:
-    """Whether panel `i` of a row has the labels that the row shares: the first, or each where they are stacked."""
-    return i == 0 or _for_paper.get()
+    axes = list(np.ravel(figure.subplots(rows, across)))
+    for empty in axes[panels:]:
+        empty.remove()
+    return figure, axes[:panels]
 
 
 def panel(axes: Axes, title: str, x: str, y: str) -> None:
-    axes.set_title(fitted(title))
-    axes.set_xlabel(fitted(x))
-    axes.set_ylabel(y)
+    """Title and labels, in lines that are no longer than the panel."""
+    grid = axes.get_gridspec()
+    rows, columns = (grid.nrows, grid.ncols) if grid is not None else (1, 1)
+    wide = int((WIDTH / columns - 0.45) * _LETTERS)
+    axes.set_title(fitted(title, wide))
+    axes.set_xlabel(fitted(x, wide))
+    axes.set_ylabel(fitted(y, int(axes.figure.bbox.height / DPI / rows * _LETTERS)))
 
 
-def fitted(text: str) -> str:
-    """Text in lines that are no longer than a column of a paper is wide; unchanged on a screen."""
-    if not _for_paper.get():
-        return text
-    return "\n".join(part for line in text.split("\n") for part in textwrap.wrap(line, _LETTERS))
+_LETTERS = 15
+"""Letters of a label per inch."""
+
+
+def fitted(text: str, letters: int = 45) -> str:
+    """Text in lines of so many letters; left out, as many as a whole width takes."""
+    return "\n".join(part for line in text.split("\n") for part in textwrap.wrap(line, letters, break_long_words=False))
 
 
 def share_axis(axes: Axes, top: float = 1.0) -> None:
@@ -172,7 +134,7 @@ def shares_bar(axes: Axes, at: float, shares: Sequence[float], fills: Sequence[s
         if share > 0.08:
             axes.text(
                 left + share / 2, at, f"{100 * share:.0f} %", ha="center", va="center",
-                fontsize=_rc()["legend.fontsize"],
+                fontsize=SMALL,
                 color="white" if code == 0 else "black",
                 bbox={"facecolor": fills[code], "edgecolor": "none", "pad": 1.2},
             )  # fmt: skip
@@ -354,9 +316,9 @@ def save(figure: Figure, path: str | Path) -> Path:
 
 def write(figure: Figure, target: str | Path | BinaryIO, kind: str) -> None:
     """Write a picture as `png`, `svg` or `pdf`; the same picture gives the same bytes."""
-    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind, {})
-    with mpl.rc_context(_rc()):
-        figure.savefig(target, format=kind, metadata=metadata)
+    metadata: Any = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": SOFTWARE}}
+    with mpl.rc_context(_STYLE):
+        figure.savefig(target, format=kind, metadata=metadata[kind])
 
 
 def data_url(figure: Figure) -> str:

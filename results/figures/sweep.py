@@ -29,7 +29,7 @@ def draw(xyz: ndarray, hit: ndarray, boxes: Mapping[str, ndarray], title: str) -
     """
     far_m = float(np.hypot(xyz[:, 0], xyz[:, 1]).max(initial=10.0))
     ahead = float(xyz[:, 0].min(initial=0.0)) > -0.1 * far_m
-    figure, (panel,) = style.sheet(1, width=7.2, height=5.2 if ahead else 7.4)
+    figure, (panel,) = style.sheet(height=2.4 if ahead else 3.7)
     entries: list[Line2D] = []
     for code, (name, colour) in SURFACES.items():
         rows = np.minimum(hit, 3) == code

@@ -1,7 +1,6 @@
 """Trust over time: median and quartiles over the vehicles of each role."""
 
 from collections.abc import Sequence
-from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,7 +21,7 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
     """
     runs = style.arranged(runs, most=4)
     roles = style.roles_of(runs)
-    figure, (axes,) = style.sheet()
+    figure, (axes,) = style.sheet(height=2.8)
     shown, tops = set(), 0.0
     for i, run in enumerate(runs):
         for role, quartiles in trust.over_time(run).groupby("role", observed=True):
@@ -45,7 +44,7 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
         axes.axvline(begin_s, color="#444444", linewidth=0.8, linestyle=(0, (2, 2)))
         axes.annotate(
             "attacks begin", (begin_s, 1), xycoords=("data", "axes fraction"), xytext=(4, -3), va="top",
-            textcoords="offset points", fontsize=8,
+            textcoords="offset points", fontsize=style.SMALL,
         )  # fmt: skip
     what = "median and quartiles" if len(runs) == 1 else "medians"
     places = {"server": "at the server", "vehicles": "at those who receive their messages"}
@@ -56,8 +55,8 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
         top = max(top, tops)
     style.share_axis(axes, min(1.0, 1.15 * float(top)))
     axes.set_xlim(left=0)
-    if len(runs) == 1 and not style.is_for_paper() and (before := _before(runs[0])):
-        axes.set_xlabel(f"{style.TIME}\n{before}", fontsize=7.5, linespacing=1.5)
+    if len(runs) == 1 and (before := _before(runs[0])):
+        axes.set_xlabel(f"{style.TIME}\n{before}", fontsize=style.SMALLEST, linespacing=1.3)
     style.legend(figure, style.role_entries(shown, roles), style.run_entries(runs))
     return figure
 
@@ -75,17 +74,15 @@ def _before(run: Run) -> str:
     known = {role: x for role, x in found.items() if x.low == x.low}
     if len(known) < 2 or "honest" not in known:
         return ""
-    text = "; ".join(
-        f"{role} {x.value:.2f} [{x.low:.2f}, {x.high:.2f}], {x.n_units} vehicles" for role, x in known.items()
-    )
+    text = "; ".join(f"{role} {x.value:.2f} [{x.low:.2f}, {x.high:.2f}]" for role, x in known.items())
     honest = known["honest"]
     apart = [role for role, x in known.items() if role != "honest" and (x.low > honest.high or x.high < honest.low)]
     reason = (
         f"{' and '.join(apart)} differ from honest: by where they drive, not what they do"
         if apart
-        else "All behave as honest vehicles until then: the difference is chance, within the intervals"
+        else "all behave alike, and the difference is chance"
     )
-    return fill(f"Before any attack, mean [95 %]: {text}. {reason[0].upper()}{reason[1:]}.", 120)
+    return style.fitted(f"Before any attack, mean [95 %]: {text}; {reason}.", 62)
 
 
 def _single(axes: Axes, run: Run, vehicles: Sequence[int], roles: Sequence[str]) -> None:
@@ -99,5 +96,5 @@ def _single(axes: Axes, run: Run, vehicles: Sequence[int], roles: Sequence[str])
             axes.plot(one.time_s, one.trust, color=color, linewidth=0.7)
             axes.annotate(
                 str(vehicle), (one.time_s.iloc[-1], one.trust.iloc[-1]), xytext=(3, 0), textcoords="offset points",
-                fontsize=7, va="center", annotation_clip=False,
+                fontsize=style.SMALLEST, va="center", annotation_clip=False,
             )  # fmt: skip

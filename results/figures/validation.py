@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +12,6 @@ from numpy import ndarray
 
 from results.figures import style
 
-_COLUMNS = 3
 _OUR_INK = {"agrees": style.INKS[0], "undecided": style.INKS[3]}
 """Colour of our values by verdict; that of all other verdicts is `_OFF`."""
 _OFF = style.INKS[1]
@@ -37,13 +35,10 @@ class Panel:
 
 @style.styled
 def draw(panels: Sequence[Panel]) -> Figure:
-    """A figure with one panel per fact, three in a row."""
-    n_rows = -(-len(panels) // _COLUMNS)
-    figure, axes = style.sheet(_COLUMNS, width=8.7, height=2.6 * n_rows + 0.5, rows=n_rows)
-    for one, ax in zip(panels, axes, strict=False):
+    """A figure with one panel per fact."""
+    figure, axes = style.sheet(len(panels), 1.4)
+    for one, ax in zip(panels, axes, strict=True):
         _draw(ax, one)
-    for ax in axes[len(panels) :]:
-        ax.set_axis_off()
     style.legend(figure, [
         Patch(facecolor=style.PALE, alpha=0.6, label="published, with its band"),
         *(Line2D([], [], color=_OUR_INK.get(verdict, _OFF), marker="o", linestyle="", label=f"ours: {verdict}")
@@ -70,7 +65,7 @@ def _draw(ax: Axes, one: Panel) -> None:
     ])  # fmt: skip
     colour = _OUR_INK.get(one.verdict, _OFF)
     ax.errorbar(place[there], ours[there], whiskers[:, there], fmt="o", color=colour, capsize=3, linewidth=1.2)
-    style.panel(ax, fill(one.title, 28), "", one.unit)
-    ax.set_xticks(place, [at.replace(", ", ",\n") for at in one.at], fontsize=7.5)
+    style.panel(ax, one.title, "", one.unit)
+    ax.set_xticks(place, [at.replace(", ", ",\n") for at in one.at], fontsize=style.SMALLEST)
     ax.set_xlim(-0.6, len(place) - 0.4)
     ax.set_ylim(bottom, top)

@@ -9,14 +9,18 @@ probability of existence is said to be so.
 
 import argparse
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from cosim.world import LABELS
 from results.archive import open_run
+from results.figures import style
 from sensors.tracking import Found, Observers, TrackingParams, TrackMemory, track
 from tests.sensors.one_track_at_a_time import StoneSoup
 
@@ -156,26 +160,30 @@ def reliability(rows: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def draw(path: Path, all_rows: dict[float, pd.DataFrame]) -> None:
+@style.styled
+def draw(all_rows: Mapping[float, pd.DataFrame]) -> Figure:
     """Distribution of the velocity error by rate, and reliability of the probability of existence."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-    for rate_hz, rows in sorted(all_rows.items(), reverse=True):
+    figure, (errors, existence) = style.sheet(2, 2.2)
+    rates = sorted(all_rows, reverse=True)
+    for i, rate_hz in enumerate(rates):
+        look = {"color": style.ink(i), "linestyle": style.dash(i)}
+        rows = all_rows[rate_hz]
         error = np.sort(rows.velocity_error[rows.is_real].dropna())
-        left.plot(error, np.arange(1, len(error) + 1) / len(error), label=f"{rate_hz:g} Hz")
+        errors.plot(error, np.arange(1, len(error) + 1) / len(error), **look)
         bins = reliability(rows)
-        right.plot(bins.said, bins.real, "o-", label=f"{rate_hz:g} Hz")
-    left.set(xscale="log", xlim=(0.02, 20), ylim=(0, 1), xlabel="Velocity error [m/s]", ylabel="Share of objects")
-    right.plot([0, 1], [0, 1], color="0.6", linestyle="--", label="said = true")
-    right.set(xlim=(0, 1), ylim=(0, 1), xlabel="Probability of existence", ylabel="Share of real objects")
-    for axes in (left, right):
-        axes.grid(alpha=0.3)
-        axes.legend(frameon=False)
-    figure.savefig(path, dpi=110)
+        existence.plot(bins.said, bins.real, marker=style.marker(i), **look)
+    style.panel(errors, "Error of the velocity", "Error at most [m/s]", "Share of objects")
+    errors.set(xscale="log", xlim=(0.02, 20))
+    style.share_axis(errors)
+    existence.plot([0, 1], [0, 1], color="#777777", linewidth=0.8)
+    style.panel(existence, "Probability of existence (grey: said is true)", "Probability said", "Share of real objects")
+    existence.set_xlim(-0.02, 1.03)
+    style.share_axis(existence)
+    style.legend(figure, [
+        Line2D([], [], color=style.ink(i), linestyle=style.dash(i), marker=style.marker(i), label=f"{rate_hz:g} Hz")
+        for i, rate_hz in enumerate(rates)
+    ])  # fmt: skip
+    return figure
 
 
 def table(title: str, rows: list[dict]) -> None:
@@ -229,7 +237,7 @@ def main() -> None:
         bins = reliability(pd.concat(parts)).reset_index(names="bin")
         table(f"Existence at {rate:g} Hz", bins.to_dict("records"))
     if asked.picture:
-        draw(asked.picture, {rate: pd.concat(parts) for rate, parts in pooled.items()})
+        style.save(draw({rate: pd.concat(parts) for rate, parts in pooled.items()}), asked.picture)
 
 
 if __name__ == "__main__":

@@ -65,7 +65,7 @@ def test_page_of_a_summary_with_a_name_of_markup(tmp_path):
 
 def test_a_dense_panel_is_a_bitmap_and_the_rest_stays_vector():
     """A circle of 20,001 points, and 100 points."""
-    figure, (dense, sparse) = style.sheet(columns=2, width=4, height=2)
+    figure, (dense, sparse) = style.sheet(2)
     angle = np.linspace(0, 2 * np.pi, report.DENSE + 1)
     dense.plot(np.cos(angle), np.sin(angle))
     sparse.plot(angle[:100], angle[:100])

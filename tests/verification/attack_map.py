@@ -33,10 +33,10 @@ def heat_map(rows: pd.DataFrame):
         metric="evidence.auc_bound", model=worst.index[0]
     )
     frame = pd.concat([found, ideal]).rename(columns={"model": MODEL, "attack": ATTACK})
-    frame = frame.assign(group="malicious", unit="1", label="AUC")
+    frame = frame.assign(group="malicious", unit="1", label="honest above attacker (AUC)")
     figure = _heat_maps(frame, ["misbehaviour.auc:malicious"], ATTACK, MODEL)
-    n = rows.world.nunique()
-    figure.axes[0].set_title(f"honest above attacker (AUC), mean and 95 % interval over {n} worlds")
+    axes = figure.axes[0]
+    axes.set_title(axes.get_title(loc="left").replace("seeds", "worlds"))
     return figure
 
 
@@ -45,19 +45,19 @@ def curves(rows: pd.DataFrame):
     """AUC over the share of attackers, a panel for each attack, a line for each model."""
     found = auc(rows[rows.model != "bound"], "attack", "model", SHARE)
     attacks, models = found.attack.unique(), found.model.unique()
-    figure, panels = style.sheet(len(attacks), 6.4, 3.4)
+    figure, panels = style.sheet(len(attacks), 2.2, across=2)
     for axes, attack in zip(panels, attacks, strict=True):
         for i, model in enumerate(models):
             of = found[(found.attack == attack) & (found.model == model)].sort_values(SHARE)
             ends = [of["mean"] - of.low, of.high - of["mean"]]
             axes.errorbar(
                 of[SHARE] + 0.004 * (i - 1), of["mean"], ends, label=model if axes is panels[0] else None,
-                color=style.ink(i), marker=style.marker(i), linestyle=style.dash(i), capsize=2.5, elinewidth=1.0,
+                color=style.ink(i), marker=style.marker(i), linestyle=style.dash(i), capsize=1.5, elinewidth=0.8,
             )  # fmt: skip
         axes.axhline(0.5, color="grey", linewidth=0.8)
         axes.set_ylim(0, 1)
         axes.set_xticks(sorted(found[SHARE].unique()))
-        style.panel(axes, attack, "share of attackers among the equipped", "AUC")
+        style.panel(axes, attack, "share of attackers among the equipped", "AUC" if axes is panels[0] else "")
     style.legend(figure, panels[0].get_legend_handles_labels()[0])
     return figure
 
@@ -65,4 +65,5 @@ def curves(rows: pd.DataFrame):
 if __name__ == "__main__":
     table, picture = sys.argv[1:]
     known = pd.read_csv(table)
-    (curves if known.loc[known.attack != "none", SHARE].nunique() > 1 else heat_map)(known).savefig(picture, dpi=160)
+    draw = curves if known.loc[known.attack != "none", SHARE].nunique() > 1 else heat_map
+    style.save(draw(known), picture)

@@ -157,7 +157,7 @@ def errors_picture(studies: Sequence[tuple[str, pd.DataFrame]]) -> Figure:
     studies
         Name and points: evaluators_sim, and each of median, p90 and no_value as predicted and with `_sim`.
     """
-    figure, panels = style.sheet(columns=3, width=11.0, height=3.6)
+    figure, panels = style.sheet(3, 2.0)
     for axes, column, title, within in (
         (panels[0], "median", "Median age", 0.1),
         (panels[1], "p90", "90th percentile of the age", 0.2),
@@ -173,7 +173,7 @@ def errors_picture(studies: Sequence[tuple[str, pd.DataFrame]]) -> Figure:
         axes.set_xscale("log")
         unit = "points of per cent" if within is None else "%"
         style.panel(axes, title, "Evaluators behind a value", f"Law minus simulation [{unit}]")
-    panels[0].legend(loc="lower right", fontsize=7.5)
+    style.legend(figure, panels[0].get_legend_handles_labels()[0])
     return figure
 
 

@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
+from results.figures import style
 from results.study import open_study
 
 COUNT, CHOOSE, ATTACK = "roadside.0.junctions", "roadside.0.choose", "attacks.0.attack"
@@ -70,21 +72,21 @@ def table(measures: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def draw(found: pd.DataFrame, path: Path) -> None:
+@style.styled
+def draw(found: pd.DataFrame) -> Figure:
     """Ratios of the 90th percentiles of the ages, by number of units and penetration."""
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(5, 3.2), layout="constrained")
+    figure, (axes,) = style.sheet(height=2.0)
     cases = found[["equipped", "units", "attack"]].drop_duplicates().sort_values(["equipped", "units", "attack"])
     has_attacks = cases.attack.nunique() > 1
     for offset, (metric, label) in enumerate(LABELS.items()):
         of = cases.merge(found[found.metric == metric], how="left")
         y = np.arange(len(of)) + 0.2 * (offset - 0.5)
         axes.errorbar(
-            of.ratio, y, xerr=[of.ratio - of.low, of.high - of.ratio], fmt="os"[offset], capsize=3, label=label
+            of.ratio, y, xerr=[of.ratio - of.low, of.high - of.ratio], color=style.ink(offset), linestyle="",
+            marker=style.marker(offset), capsize=2, label=label,
         )  # fmt: skip
     names = [
-        f"{r.units:g} units, {r.equipped:.0%}" + f", {r.attack.replace('_', '-')}" * has_attacks
+        f"{r.units:g} units, {100 * r.equipped:.0f} %" + f", {r.attack.replace('_', '-')}" * has_attacks
         for r in cases.itertuples()
     ]
     axes.set_yticks(np.arange(len(cases)), names)
@@ -92,9 +94,9 @@ def draw(found: pd.DataFrame, path: Path) -> None:
     axes.axvline(1.0, color="0.4", lw=0.8)
     axes.axvline(0.5, color="0.4", lw=0.8, ls=":")
     axes.set_xlim(left=0)
-    axes.set_xlabel("90th percentile of the age, chosen / drawn junctions")
-    figure.legend(loc="outside upper center", ncols=2, frameon=False)
-    figure.savefig(path, dpi=150)
+    style.panel(axes, "Chosen against drawn junctions", "Ratio of the 90th percentiles of the age", "")
+    style.legend(figure, axes.get_legend_handles_labels()[0])
+    return figure
 
 
 def main(*paths: str) -> None:
@@ -102,7 +104,7 @@ def main(*paths: str) -> None:
     found = table(pd.concat([measures_of(Path(path)) for path in studies], ignore_index=True))
     print(found.round(3).to_string(index=False))
     for path in paths[len(studies) :]:
-        draw(found, Path(path))
+        style.save(draw(found), path)
 
 
 if __name__ == "__main__":
