@@ -1,6 +1,5 @@
 """Evidence of the recent steps, shared by the models that differ only in how long they use it."""
 
-from collections import defaultdict
 from typing import Protocol
 
 import numpy as np
@@ -43,7 +42,7 @@ class EvidenceStore:
         self._n_uses = np.zeros(0, np.int64)  # of each row: steps that use it, and models that keep it
         self._opened, self._n_bad = -1, 0
         self._n_added = 0
-        self._waiting: dict[int, list[ReceivedEvaluations]] = defaultdict(list)  # by step
+        self._waiting: dict[int, list[ReceivedEvaluations]] = {}  # by step
 
     def open(
         self,
@@ -88,7 +87,7 @@ class EvidenceStore:
         if number == self._n_added:
             self._n_added += 1
             if step in self.steps:
-                self._waiting[step].append(received)
+                self._waiting.setdefault(step, []).append(received)
                 if received.messages.observer.size >= LARGE:
                     self._settle(step)
         return step in self.steps
