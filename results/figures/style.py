@@ -117,7 +117,11 @@ _LETTERS = 15
 
 def fitted(text: str, letters: int = 45) -> str:
     """Text in lines of so many letters; left out, as many as a whole width takes."""
-    return "\n".join(part for line in text.split("\n") for part in textwrap.wrap(line, letters, break_long_words=False))
+    return "\n".join(
+        part
+        for line in text.split("\n")
+        for part in textwrap.wrap(line, letters, break_long_words=False, break_on_hyphens=False)
+    )
 
 
 def share_axis(axes: Axes, top: float = 1.0) -> None:
