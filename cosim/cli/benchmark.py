@@ -1,5 +1,6 @@
 """The command that scores trust models on recorded evidence."""
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -66,9 +67,9 @@ def benchmark(
         print_json({**table.head(found), "citation": card.citation(found), "row": mine, "rows": rows})
         return
     if mine is not None:
-        screen.print(_of_attacks(mine))
+        screen.print(*_of_attacks(mine), sep="\n")
     if rows or mine:
-        screen.print(_of_models(rows, mine))
+        screen.print(*_of_models(rows, mine), sep="\n")
     screen.print(_about(found), soft_wrap=True)
     if remark:
         notes.print(f"note: {remark}", soft_wrap=True)
@@ -98,43 +99,55 @@ def _about(found: "EvidenceSet") -> str:
     )
 
 
-def _of_attacks(row: dict[str, Any]) -> Table:
+def _of_attacks(row: dict[str, Any]) -> Iterator[Table | str]:
     """The figures of a model under each attack, worst first."""
     names = {
         "auc": "AUC", "exclusion_s": "excluded after [s]", "wrong_p": "honest excluded", "believed_p": "believed",
         "age_s": "age [s]", "harm": "harm",
     }  # fmt: skip
-    head = [Column(name, justify="right") for name in names.values()]
-    table = Table(Column("attack"), *head, title=row["model"], title_justify="left", box=SIMPLE)
-    for attack, of in row["attacks"].items():
-        table.add_row(attack, *(_cell(of[name]) for name in names))
     worst = row["worst_case"]
+    attacks = list(row["attacks"].items())
     if worst is not None:
-        table.add_section()
-        table.add_row(f"adapts ({worst['budget']} policies)", *(_cell(worst[name]) for name in names))
-        table.caption, table.caption_justify = f"worst case: {worst['words']}", "left"
-    return table
+        attacks.append((f"adapts ({worst['budget']} policies)", worst))
+    cells = [[attack, *(_cell(of[name]) for name in names)] for attack, of in attacks]
+    yield from _fitted(row["model"], ["attack", *names.values()], cells)
+    if worst is not None:
+        yield f"worst case: {worst['words']}"
 
 
-def _of_models(rows: list[dict[str, Any]], mine: dict[str, Any] | None) -> Table:
+def _of_models(rows: list[dict[str, Any]], mine: dict[str, Any] | None) -> Iterator[Table]:
     """One line per model, the best worst case first."""
     from cosim.benchmark.table import ranked, summary, worst_attack
 
-    names = ("worst AUC", "under", "mean AUC", "honest excluded", "believed", "age [s]", "us per evaluation",
-             "worst harm", "worst case: harm", "worst case: AUC")  # fmt: skip
-    table = Table(
-        Column("model"), *(Column(name, justify="left" if name == "under" else "right") for name in names), box=SIMPLE,
-        title="all models", title_justify="left",
-    )  # fmt: skip
+    names = ["model", "worst AUC", "under", "mean AUC", "honest excluded", "believed", "age [s]", "us per evaluation",
+             "worst harm", "worst case: harm", "worst case: AUC"]  # fmt: skip
+    cells = []
     for row in ranked([*rows, *([] if mine is None else [mine])]):
         of, worst, under = summary(row), row["worst_case"], worst_attack(row)
-        table.add_row(
+        cells.append([
             row["model"], _cell(row["attacks"][under]["auc"]), under, *(_number(of[name]) for name in (
                 "auc_mean", "wrong_worst", "believed_mean", "age_mean_s")), _number(row["cost_us"]),
             _number(of["harm_worst"]), *(("", "") if worst is None else (_cell(worst["harm"]), _cell(worst["auc"]))),
-            style="bold" if row is mine else None,
-        )  # fmt: skip
-    return table
+        ])  # fmt: skip
+    return _fitted("all models", names, cells, "" if mine is None else mine["model"])
+
+
+def _fitted(title: str, names: Sequence[str], rows: Sequence[Sequence[str]], bold: str = "") -> Iterator[Table]:
+    """Tables of columns as wide as the screen allows: each begins with the first column, and none is cut."""
+    widths = [max(len(name), *(len(row[i]) for row in rows)) + 3 for i, name in enumerate(names)]
+    columns: list[list[int]] = [[]]
+    for i in range(1, len(names)):
+        if columns[-1] and widths[0] + sum(widths[k] for k in columns[-1]) + widths[i] + 2 > screen.width:
+            columns.append([])
+        columns[-1].append(i)
+    for n, chosen in enumerate(columns):
+        head = [Column(names[i], justify="left" if names[i] == "under" else "right") for i in chosen]
+        table = Table(
+            Column(names[0], no_wrap=True), *head, box=SIMPLE, title=None if n else title, title_justify="left"
+        )
+        for row in rows:
+            table.add_row(row[0], *(row[i] for i in chosen), style="bold" if row[0] == bold else None)
+        yield table
 
 
 def _cell(of: list[float | None]) -> str:

@@ -29,9 +29,9 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
     figure, (distance, losses, late, gaps, timed, busy, *last) = style.sheet(7 if alone else 6, 1.8)
     maps: list[Axes] = []
     for axes in last:
-        axes.set_axis_off()
         place = axes.get_subplotspec()
         assert place is not None
+        axes.remove()
         place.get_gridspec().set_height_ratios([1, 1, 1, 1, 1, 1, 2])
         halves = place.subgridspec(1, 2)
         maps = [figure.add_subplot(halves[0, i]) for i in range(2)]

@@ -39,7 +39,7 @@ def draw(runs: Sequence[Run], cell_m: float = 50.0, fresh_s: float = FRESH_S) ->
         style.panel(panels[2 * i + 1], f"{prefix} over time", style.TIME, label)
         panels[2 * i + 1].grid(visible=False)
     label = f"Share of lookups without an evaluation of the last {fresh_s:g} s"
-    bar = figure.colorbar(mesh, ax=panels, location="bottom", shrink=0.8, aspect=40)
+    bar = figure.colorbar(mesh, ax=panels[-1], location="bottom", shrink=0.8, aspect=40)
     bar.set_label(style.fitted(label))
     return figure
 

@@ -135,7 +135,7 @@ def shown(study: Study, topic: str) -> list[str]:
 def _draw(
     frame: pd.DataFrame, asked: Sequence[str], x: str, colour: str, column: str, columns: Sequence[Any]
 ) -> Figure:
-    height = 2.4 if len(asked) == len(columns) == 1 else 1.7 if len(columns) == 1 else 1.5
+    height = (2.4 if len(asked) == 1 else 1.8) - (0.0 if len(columns) == 1 else 0.3)
     figure, panels = style.sheet(len(asked) * len(columns), height, len(columns))
     colours = sorted(frame[colour].unique()) if colour else [None]
     for row, name in enumerate(asked):

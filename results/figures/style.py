@@ -105,10 +105,10 @@ def panel(axes: Axes, title: str, x: str, y: str) -> None:
     """Title and labels, in lines that are no longer than the panel."""
     grid = axes.get_gridspec()
     rows, columns = (grid.nrows, grid.ncols) if grid is not None else (1, 1)
-    wide = int((WIDTH / columns - 0.45) * _LETTERS)
+    wide = int((WIDTH / columns - (0.45 if columns == 1 else 0.3)) * _LETTERS)
     axes.set_title(fitted(title, wide))
     axes.set_xlabel(fitted(x, wide))
-    axes.set_ylabel(fitted(y, int(axes.figure.bbox.height / DPI / rows * _LETTERS)))
+    axes.set_ylabel(fitted(y, int((axes.figure.bbox.height / DPI / rows - 0.3) * _LETTERS)))
 
 
 _LETTERS = 15
@@ -117,7 +117,11 @@ _LETTERS = 15
 
 def fitted(text: str, letters: int = 45) -> str:
     """Text in lines of so many letters; left out, as many as a whole width takes."""
-    return "\n".join(part for line in text.split("\n") for part in textwrap.wrap(line, letters, break_long_words=False))
+    return "\n".join(
+        part
+        for line in text.split("\n")
+        for part in textwrap.wrap(line, letters, break_long_words=False, break_on_hyphens=False)
+    )
 
 
 def share_axis(axes: Axes, top: float = 1.0) -> None:

@@ -159,7 +159,7 @@ ROOT = Path(__file__).parents[2]
 
 
 STILL_WIDE = {
-    "law.png", "law-errors.png", "paper-tables.png", "paper-trust-levels.png", "study-asynchrony.png",
+    "law.png", "law-errors.png", "paper-tables.png", "paper-trust-levels.png",
     "study-redundancy.png",
 }  # fmt: skip
 """Pictures in an earlier, wider style. Their studies take hours; who runs one again draws its picture in this style."""

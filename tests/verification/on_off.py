@@ -18,7 +18,8 @@ from tests.verification.rings import MODELS, drive
 PERIODS = (0.5, 1.0, 1.5, 2.0)
 """In windows."""
 WINDOW_S, START_S, DURATION_S = 12.0, 16.0, 80.0
-BASE = f"""sensing_interval_s = 1.0
+BASE = f"""preset = "v0.2"
+sensing_interval_s = 1.0
 [traffic]
 duration_s = {DURATION_S:g}
 [fleet]
