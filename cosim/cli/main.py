@@ -69,7 +69,7 @@ Cells = Annotated[
     typer.Option(
         "--cells",
         metavar="N|auto",
-        help="Cut the city into N cells, each with a process that senses for its vehicles; auto: one per free core.",
+        help="Cut the city into N cells, each with a process that senses and fuses there; auto: one per free core.",
     ),
 ]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
