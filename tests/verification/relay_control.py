@@ -44,7 +44,7 @@ def simulate(folder: Path, seed: int) -> None:
 
 
 def counts(path: Path, variant: str = "base") -> dict[str, float]:
-    """What one run counts from `FROM_S` on; damage is that of a variant."""
+    """What one run counts from `FROM_S` on; ghosts are those of a variant whose objects are fused, else NaN."""
     run = open_run(path)
     since = int(np.ceil(FROM_S / run.dt_s))
     got = run.table("receptions", ["step", "sender", "hops"])
@@ -54,7 +54,7 @@ def counts(path: Path, variant: str = "base") -> dict[str, float]:
     radio = radio[radio.step >= since]
     found = run.table("attack_outcomes")
     found = found[(found.variant == variant) & (found.step >= since) & (found.effect == "inserted")]
-    honest = found.receiver.map(run.roles) == "honest"
+    believed = (found.receiver.map(run.roles) == "honest") & (found.score >= 0.5)
     return {
         "liars, beyond one hop": int((far & (role == "malicious")).sum()),
         "honest, beyond one hop": int((far & (role == "honest")).sum()),
@@ -62,7 +62,7 @@ def counts(path: Path, variant: str = "base") -> dict[str, float]:
         "honest, all": int((role == "honest").sum()),
         "frames": int(radio.n_sent.sum()),
         "busy ratio": float(radio.cbr.mean()),
-        "believed ghosts [s]": float((found.score[honest] >= 0.5).sum() * run.config["sensing_interval_s"]),
+        "believed ghosts [s]": float(believed.sum() * run.config["sensing_interval_s"]) if len(found) else np.nan,
     }
 
 
@@ -78,7 +78,7 @@ def table(folder: Path) -> pd.DataFrame:
             for measure in without:
                 row = {"attack": attack, "by": name, "measure": measure, "seeds": len(seeds),
                        "without": without[measure].mean(), "with": controlled[measure].mean()}  # fmt: skip
-                if without[measure].all() and controlled[measure].all():
+                if (without[measure] > 0).all() and (controlled[measure] > 0).all():
                     logs = np.log(controlled[measure] / without[measure])
                     half = student.ppf(0.975, len(logs) - 1) * logs.std(ddof=1) / np.sqrt(len(logs))
                     row |= dict(zip(("ratio", "low", "high"), np.exp(logs.mean() + [0, -half, half]), strict=True))
