@@ -270,6 +270,10 @@ class RangeImages:
         """Range [m]; inf if the ray has no return. It is computed whenever it is read."""
         return metres(self.range_steps, self.step_m)
 
+    def n_returns(self) -> Int[ndarray, "m"]:
+        """Number of returns of each sweep."""
+        return np.count_nonzero(self.range_steps != NO_RETURN, axis=(1, 2))
+
     def has_return(self, o: int) -> Bool[ndarray, "a e"]:
         """Which rays of observer o have a return."""
         return self.range_steps[o] != NO_RETURN

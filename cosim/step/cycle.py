@@ -107,7 +107,7 @@ def _cycle(
         exchange = trust_stages.control_relays(trust, s.known_senders, exchange, pseudonyms, parts)
     with watch("radio"):
         medium = s.medium if precomputed.with_links is None else precomputed.with_links(s.medium)
-        offered = None if parts.early is None else parts.early.offered(observed, parts.perception, c.lidar.max_range_m)
+        offered = None if parts.early is None else parts.early.offered(observed)
         on_air = offered.length_bytes if offered is not None and c.early_fusion.medium == "radio" else None
         medium, cpms = stages.broadcast_detections(exchange, listed, s.piggybacked, on_air, medium, parts)
         cpm = stages.hear(cpm, exchange, positioned, listed, cpms, c)

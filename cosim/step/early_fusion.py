@@ -18,14 +18,13 @@ from cosim.radio.message_round import MessageRound
 from cosim.radio.segmentation import ENVELOPE_BYTES
 from cosim.ragged import expand, ptr_of, rows_of
 from cosim.step.exchange import Exchange
-from cosim.step.perception import BoxQuestions, Observed, Perceives, detector_draws
+from cosim.step.perception import Observed, detector_draws
 from cosim.step.positioning import as_estimated
 from cosim.v2x.cloud_params import EarlyFusionParams
 from cosim.v2x.messages import SENSED
 from cosim.world import World
 from sensors import lidar
 from sensors.boxes import Boxes, iou_3d
-from sensors.evidence import AreaParams
 from sensors.merged_clouds import Views, detect
 from sensors.statistical_detector import StatisticalDetector
 
@@ -138,16 +137,13 @@ class EarlyFusion:
         oldest_steps = math.floor(c.early_fusion.max_age_s / c.traffic.step_s + 1e-9)
         return EarlyFusion(c.early_fusion, detector, s_per_rad, c.seed, c.traffic.step_s, oldest_steps)
 
-    def offered(self, observed: Observed, perception: Perceives, max_range_m: float) -> Offered:
+    def offered(self, observed: Observed) -> Offered:
         """The clouds that the vehicles broadcast that sense in this step."""
-        seen, origin_m = observed.observability, observed.sweeps.poses.origin_m
-        n, rows = len(origin_m), np.arange(len(origin_m))
+        seen, sweeps = observed.observability, observed.sweeps
         if self.params.share == "objects":
-            n_points = np.bincount(seen.observer, seen.n_returns, n).astype(np.int64)
-        else:  # all returns are in a box around the sensor
-            around = Boxes(origin_m, np.full((n, 3), 4.0 * max_range_m), np.zeros(n))
-            asked = BoxQuestions(around, AreaParams(), rows.astype(np.int32), rows, _rows().astype(np.int32), _rows())
-            n_points = perception.answers(observed.sweeps, asked)[0].astype(np.int64)
+            n_points = np.bincount(seen.observer, seen.n_returns, len(sweeps.poses.origin_m)).astype(np.int64)
+        else:
+            n_points = sweeps.n_returns()
         content = np.ceil(n_points * self.params.bytes_per_return).astype(np.int64)
         return Offered(n_points, np.where(n_points > 0, ENVELOPE_BYTES + content, 0))
 

@@ -43,6 +43,13 @@ class MixedImages:
         moved = [images.displaced(error[self.lidar == n]) for n, images in enumerate(self.of_lidar)]
         return replace(self, of_lidar=tuple(moved))
 
+    def n_returns(self) -> Int[ndarray, "m"]:
+        """As `RangeImages.n_returns`."""
+        n = np.zeros(len(self.lidar), np.int64)
+        for number, images in enumerate(self.of_lidar):
+            n[self.lidar == number] = images.n_returns()
+        return n
+
     def image(self, o: int) -> tuple[RangeImages, int]:
         """The images in which that of observer o is, and its row among them."""
         return self.of_lidar[int(self.lidar[o])], int(self.row[o])

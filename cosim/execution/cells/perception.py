@@ -44,12 +44,21 @@ class CellImages:
     observers: tuple[Int[ndarray, "k"], ...]
     """Observers of each cell, ascending."""
     cell: UInt8[ndarray, "m"]
+    crew: Crew
     error: Float[ndarray, "m 3"] | None = None
     """Errors of the poses, as in `displaced`; None if they are exact."""
 
     def displaced(self, error: Float[ndarray, "m 3"]) -> "CellImages":
         """As `RangeImages.displaced`."""
         return replace(self, poses=self.poses.displaced(error), error=error)
+
+    def n_returns(self) -> Int[ndarray, "m"]:
+        """As `RangeImages.n_returns`."""
+        n = np.zeros(len(self.cell), np.int64)
+        found = self.crew.ask("n_returns", [() if len(own) else None for own in self.observers])
+        for own, of_cell in zip(self.observers, found, strict=True):
+            n[own] = of_cell if len(own) else 0
+        return n
 
     def by_cell(self, observer: Int[ndarray, "n"]) -> list[Int[ndarray, "k"]]:
         """Rows of these observers, for each cell, in their order."""
@@ -146,7 +155,7 @@ class CellPerception:
             of_cell, here = result
             poses.origin_m[own], poses.yaw_rad[own] = of_cell.origin_m, of_cell.yaw_rad
             seen.append(here.of_actors(there.astype(np.int32)).renumbered(own.astype(np.int32)))
-        return CellImages(poses, mine, cell.astype(np.uint8)), seen
+        return CellImages(poses, mine, cell.astype(np.uint8), self.crew), seen
 
     def report(self) -> dict[str, Any]:
         """Figures of the cells for the manifest. Costs are means per step, from the third step with messages on."""

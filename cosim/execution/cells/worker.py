@@ -67,6 +67,10 @@ class Worker:
         self._images = images
         return images.poses, Seen.joined(seen)
 
+    def n_returns(self) -> Int[ndarray, "e"]:
+        """As `RangeImages.n_returns`."""
+        return self._images.n_returns()
+
     def compare(
         self, error: Float[ndarray, "e 3"] | None, known: KnownObjects, rows: PartRows, area: AreaParams,
         params: TrustParams,
