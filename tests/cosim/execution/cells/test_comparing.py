@@ -99,7 +99,8 @@ def test_each_vehicle_finds_in_its_cell_what_it_finds_among_all(seed, denials, s
     for worker, rows in zip(workers, observers, strict=True):
         worker._images = SimpleNamespace(poses=Poses(poses.origin_m[rows], poses.yaw_rad[rows]))
     cells = CellPerception(None, Here(workers), 80.0)
-    found, groups = cells.compare(None, CellImages(poses, observers, cell), known, area, params, recall, watch)
+    images = CellImages(poses, observers, cell, cells.crew)
+    found, groups = cells.compare(None, images, known, area, params, recall, watch)
     assert_same(found, want)
     assert len(want.lists.member) > R and len(want.traced.list) and want.groups.ego_detected.any()
 
