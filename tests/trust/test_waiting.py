@@ -60,6 +60,7 @@ def test_large_batches_do_not_wait():
     open_step(model, 0, {1: [1.0], 2: [1.0]})
     for n, size in ((1, 0), (LARGE, 1)):
         ones = np.ones(n)
-        many = EvaluationMessages(0, np.array([1 + size]), np.array([0, n]), np.full(n, 2 - size), np.zeros(n, np.int64), ones, ones)
+        by, ptr, subject = np.array([1 + size]), np.array([0, n]), np.full(n, 2 - size)
+        many = EvaluationMessages(0, by, ptr, subject, np.zeros(n, np.int64), ones, ones)
         model.add_evaluations(ReceivedEvaluations(many, np.array([SERVER]), np.array([0])))
         assert model.store.steps[0].pairs.size == 2 * size, "the small one waits for the large one"
