@@ -23,7 +23,9 @@ def test_a_timed_model_answers_as_the_model_and_adds_up_its_time():
 
 
 @pytest.mark.verify
-@pytest.mark.xfail(reason="9.1 % in the study and 7.9 % in the default run on idle cores; a loaded machine may pass 10 %")
+@pytest.mark.xfail(
+    reason="9.1 % in the study and 7.9 % in the default run on idle cores; a loaded machine may pass 10 %"
+)
 def test_all_models_together_cost_less_than_a_tenth_of_a_run():
     figures = {name: value for name, value, _ in bench()}
     shares = [figures[f"{run}: trust models, share of the rest"] for run in models.RUNS]
