@@ -25,7 +25,7 @@ from cosim.execution import recording
 from cosim.execution import run as running
 from cosim.execution.check import check, keys_in_vain
 from cosim.execution.drive import warm_up
-from cosim.mobility.scenario import Scenario
+from cosim.mobility.scenario import Scenario, find
 from cosim.mobility.source import TrafficEnded, TrafficSource
 from cosim.step.cycle import step
 from cosim.step.mixed_perception import MixedImages
@@ -64,7 +64,7 @@ def run(config: AnyConfig = None, out: str | Path | None = None, **parts: type |
         In one line, if the config cannot run.
     """
     resolved = _resolved(config, parts)
-    _warn(resolved, check(resolved))
+    _warn(resolved, find(resolved.traffic.scenario, resolved.traffic.trace))
     return open_run(running.run(resolved, None if out is None else Path(out), lambda *_: None))
 
 

@@ -122,7 +122,8 @@ def _counts(run: Run, who: pd.DataFrame, known: bool) -> Int[ndarray, "s c"]:
         said = part.evaluation.to_numpy(float) * part.visibility.to_numpy(float)
         kind = part.kind.cat.codes.to_numpy(np.int64)
         value = kind * _N_BINS + np.searchsorted(_EDGES, said)
-        same = [part.detection_step.to_numpy(), part.observer.to_numpy(), part.detection_index.to_numpy(), kind]
+        about = ("step", "detection_step", "observer", "detection_index")
+        same = [*(part[column].to_numpy() for column in about), kind]
         _, claim = np.unique(np.column_stack(same), axis=0, return_inverse=True)
         claim = claim.reshape(-1)
         n, total = np.bincount(claim)[claim] - 1, np.bincount(claim, said)[claim] - said

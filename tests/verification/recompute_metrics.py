@@ -619,14 +619,20 @@ def detection(of):
     equipped = who[who.equipped]
     every = round(of.sensing_s / of.dt_s)
     stride = max(1, -(-int(((equipped.last_step - equipped.first_step + 1) / every).sum()) // 4000))
-    steps = np.arange(0, of.steps, every)[stride // 2 :: stride]
+    first = (equipped.sensing_phase_steps if "sensing_phase_steps" in equipped else 0 * equipped.first_step).to_dict()
+    steps = sorted({step for phase in set(first.values()) for step in range(int(phase), of.steps, every)})
+    steps = steps[stride // 2 :: stride]
     poses = of.table("actors")
     poses = poses[poses.step.isin(steps)]
-    fused = of.table("fused").merge(
-        boxes[["step", "observer", "detection_index", "truth_actor"]], "left",
-        left_on=["step", "source", "source_index"], right_on=["step", "observer", "detection_index"],
-        suffixes=("", "_box"),
-    ) if (of.path / "fused").is_dir() else pd.DataFrame()  # fmt: skip
+    fused = of.table("fused") if (of.path / "fused").is_dir() else pd.DataFrame()
+    if len(fused):
+        fused = fused.assign(of_step=fused.source_step if "source_step" in fused else fused.step).merge(
+            boxes[["step", "observer", "detection_index", "truth_actor"]].rename(columns={"step": "of_step"}),
+            "left",
+            left_on=["of_step", "source", "source_index"],
+            right_on=["of_step", "observer", "detection_index"],
+            suffixes=("", "_box"),
+        )
     own = boxes[boxes.origin == "sensed"].assign(observer=boxes.observer.map(subjects(of).vehicle))
     early = of.table("early_fused") if (of.path / "early_fused").is_dir() else ()
     for name, known in (("local", own), ("fused", fused), ("early", early)):
@@ -639,6 +645,8 @@ def detection(of):
             xy = at[["x_m", "y_m"]].to_numpy(float)
             for i in np.flatnonzero(at.actor.isin(equipped.index)):
                 me = at.actor.iloc[i]
+                if (step - first[me]) % every:
+                    continue
                 near = np.hypot(*(xy - xy[i]).T) <= 70
                 around = [a for a in at.actor.to_numpy()[near] if a != me]
                 n += len(around)
@@ -682,7 +690,8 @@ def attack(of):
             yield "false_in_path.share", among, (n > 0).mean()
             yield "false_in_path.boxes_mean", among, n.mean()
     for attacker, some in frame[frame.effect == "inserted"].groupby("role"):
-        best = some.groupby(["step", "observer", "detection_index"]).score.max()
+        of_step = "detection_step" if "detection_step" in some else "step"
+        best = some.groupby([of_step, "observer", "detection_index"]).score.max()
         for limit in (0.1, 0.3, 0.5, 0.7):
             yield "believed_by_any.share", f"{limit:g}, {attacker}", (best >= limit).mean()
 

@@ -1,4 +1,4 @@
-"""All metrics of six runs of three cities, central and local trust, against a script that shares no code."""
+"""All metrics of seven runs of three cities, central and local trust, against a script that shares no code."""
 
 import pytest
 
@@ -16,6 +16,7 @@ RUNS = {
     "helsinki, messages as standardised": (
         "traffic.step_s=0.5", "cpm.rules=etsi", "cpm.length=uper", "cpm.redundancy=dynamics", "cpm.max_objects=3",
     ),
+    "helsinki, vehicles that sense at different times": ("preset=modern", "record.level=full", "traffic.step_s=0.2"),
     "adlershof": ("traffic.scenario=adlershof", "seed=3"),
 }  # fmt: skip
 
