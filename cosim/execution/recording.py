@@ -257,7 +257,7 @@ def _channel(recorder: TakesRows, world: World, sensed: Sensed) -> None:
         )
         recorder.append("packet_inter_reception", at, _of(message_type, reach.inter_reception))
     rows = {"vehicle": sensed.vehicles.actor} | vehicle_channel(
-        n, [reach.in_range for reach in sensed.reach],
+        n, [reach.n_in_range for reach in sensed.reach],
         [broadcast.links.vehicles.receiver for broadcast in sensed.rounds],
         [broadcast.round.frames.cbr for broadcast in sensed.rounds],
     )  # fmt: skip

@@ -6,15 +6,14 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
-from cosim.radio.message_round import MessageRound
-from cosim.ragged import distinct, stable_order
+from cosim.ragged import distinct
 from cosim.step.comparing import Compared
 from cosim.step.exchange import Exchange
 from cosim.step.known import Known
 from cosim.step.stages import Broadcast, Evaluated, Listed
 from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.step.trackers.encounters import Encounters
-from cosim.step.trackers.inter_reception import InterReceptionTracker, unique_pairs
+from cosim.step.trackers.inter_reception import InterReceptionTracker, pairs_within_range
 from cosim.step.trust_stages import LookedUp
 from results.encounters import Rows
 
@@ -26,12 +25,10 @@ ReceptionTrackers = tuple[InterReceptionTracker, InterReceptionTracker]
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """Pairs of vehicles within range in one round, and the inter-reception times that ended."""
+    """Vehicles within range in one round, and the inter-reception times that ended."""
 
-    sender: Int[ndarray, "p"]
-    """Row of `Vehicles`. The pairs (sender, in_range) are sorted, each once."""
-    in_range: Int[ndarray, "p"]
-    """Row of `Vehicles` of a vehicle within range of the sender."""
+    n_in_range: Int[ndarray, "n"]
+    """For each of `Vehicles`, the vehicles within whose range it is, of those that sent."""
     inter_reception: Rows
     """Columns of the table `packet_inter_reception`."""
 
@@ -48,39 +45,14 @@ def track_receptions(
 def _track_round(
     tracker: InterReceptionTracker, exchange: Exchange, broadcast: Broadcast
 ) -> tuple[InterReceptionTracker, Reach]:
-    actor, received = exchange.vehicles.actor, broadcast.links.vehicles
-    sender, in_range = pairs_in_range(broadcast.round, len(actor))
-    n, sent_by = len(actor), exchange.senders.vehicle[received.message]
-    pair, arrived = sender * n + in_range, (sent_by * n + received.receiver)[stable_order(sent_by)]
-    at = np.searchsorted(pair, arrived)
-    # A relay also carries a message beyond the range of its sender.
-    known = at < len(pair)
-    known[known] = pair[at[known]] == arrived[known]
-    got = np.zeros(len(pair), bool)
-    got[at[known]] = True
+    actor, received, found = exchange.vehicles.actor, broadcast.links.vehicles, broadcast.round
+    pair, got, n_in_range = pairs_within_range(
+        found.station, found.frames.message, found.frames.receiver, found.frames.hop,
+        exchange.senders.vehicle, received.message, received.receiver, actor,
+    )  # fmt: skip
     silent = None if exchange.sensing is exchange.vehicles else np.setdiff1d(actor, exchange.sensing.actor)
-    tracker, rows = tracker.next(exchange.now.step, actor[sender], actor[in_range], got, silent)
-    return tracker, Reach(sender, in_range, rows)
-
-
-def pairs_in_range(found: MessageRound, n: int) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
-    """Pairs of a sender and another vehicle within its range, each once, sorted.
-
-    Parameters
-    ----------
-    found
-        One round of messages.
-    n
-        Number of vehicles; stations with higher numbers are roadside units.
-
-    Returns
-    -------
-    Station rows of the senders, and of the vehicles in range.
-    """
-    frames = found.frames
-    sender = found.station[frames.message]
-    rows = np.flatnonzero((frames.hop == 1) & (sender < n) & (frames.receiver < n))
-    return unique_pairs(sender[rows], frames.receiver[rows], n)
+    tracker, rows = tracker.next(exchange.now.step, pair, got, silent)
+    return tracker, Reach(n_in_range, rows)
 
 
 def count_in_encounters(

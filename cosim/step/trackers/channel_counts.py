@@ -66,7 +66,7 @@ def latency_histogram(latency_s: Float[ndarray, "m"]) -> Rows:
 
 def vehicle_channel(
     n: int,
-    in_range: Sequence[Int[ndarray, "p"]],
+    in_range: Sequence[Int[ndarray, "n"]],
     received: Sequence[Int[ndarray, "m"]],
     busy: Sequence[Float[ndarray, "n"] | None],
 ) -> Rows:
@@ -77,15 +77,15 @@ def vehicle_channel(
     n
         Number of receivers.
     in_range
-        Per round, the receiver (0 to n - 1) of every message whose author is within communication range.
+        Per round and receiver, the number of authors of messages within communication range.
     received
-        Per round, the receiver of every message that was received.
+        Per round, the receiver (0 to n - 1) of every message that was received.
     busy
         Per round, the share of the time in which each receiver senses the channel busy; None if not modelled.
     """
     n_in_range, n_received, cbr = np.zeros(n, int), np.zeros(n, int), np.zeros(n)
-    for rows in in_range:
-        n_in_range += np.bincount(rows, minlength=n)
+    for counts in in_range:
+        n_in_range += counts
     for rows in received:
         n_received += np.bincount(rows, minlength=n)
     for share in busy:

@@ -1,4 +1,8 @@
-"""Packet inter-reception times: between successive messages of one vehicle at another vehicle within range."""
+"""Packet inter-reception times: between successive messages of one vehicle at another vehicle within range.
+
+In a city with 50,000 vehicles that send, some eight million pairs are within range. So both functions pass over the
+pairs once, and make no arrays of pairs besides their results.
+"""
 
 from dataclasses import dataclass, field
 
@@ -6,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
-from cosim.ragged import distinct
+from sensors.kernel import compiled
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,64 +18,145 @@ class InterReceptionTracker:
     """Pairs within communication range and their last receptions, for one message type."""
 
     pair: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Sender and receiver in one number, ascending; all pairs within range when the sender last had a message."""
-    last: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Step of the last reception since they came within range; meaningful only if `received`."""
-    received: Bool[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, bool))
-    """Whether there was a reception since they came within range."""
-    step: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Actor number of the sender x 2**32 + that of the receiver, ascending; all pairs within range when the sender last
+    had a message."""
+    last: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int32))
+    """Step of the last reception since they came within range; -1 if there was none."""
+    step: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int32))
     """Step in which the sender last had a message."""
 
     def next(
-        self, step: int, sender: Int[ndarray, "p"], receiver: Int[ndarray, "p"], received: Bool[ndarray, "p"],
-        silent: Int[ndarray, "v"] | None = None,
-    ) -> tuple["InterReceptionTracker", dict[str, ndarray]]:  # fmt: skip
+        self, step: int, pair: Int[ndarray, "p"], received: Bool[ndarray, "p"], silent: Int[ndarray, "v"] | None = None
+    ) -> tuple["InterReceptionTracker", dict[str, ndarray]]:
         """Add one round of messages.
 
         Parameters
         ----------
         step
             Number of the step.
-        sender, receiver
-            Actor numbers of the pairs within communication range in which the sender had a message, each once, sorted.
+        pair
+            The pairs within communication range in which the sender had a message, as `InterReceptionTracker.pair`.
         received
             Whether the receiver got the message, over any number of hops.
         silent
-            Actor numbers of the vehicles on the road that have no message in this step; their pairs stay as they are.
-            None if there are no such vehicles.
+            Actor numbers, ascending, of the vehicles on the road that have no message in this step; their pairs stay as
+            they are. None if there are no such vehicles.
 
         Returns
         -------
         The new tracker, and the columns pir_steps, n_received, n_censored of the table `packet_inter_reception`.
         """
-        pair = (sender.astype(np.int64) << 32) | receiver
-        _, before, now = np.intersect1d(self.pair, pair, assume_unique=True, return_indices=True)
-        last, had_one = np.zeros(len(pair), np.int64), np.zeros(len(pair), bool)
-        last[now], had_one[now] = self.last[before], self.received[before]
-        lost = self.received.copy()
-        lost[before] = False
-        stay = np.zeros(len(self.pair), bool) if silent is None else np.isin(self.pair >> 32, silent)
-        lost &= ~stay
-        ended, cut = step - last[received & had_one], self.step[lost] - self.last[lost]
-        size = 1 + max(int(ended.max(initial=0)), int(cut.max(initial=0)))
-        n_received, n_censored = np.bincount(ended, minlength=size), np.bincount(cut, minlength=size)
+        silent = np.zeros(0, np.int64) if silent is None else silent
+        *now, n_received, n_censored = _next(step, self.pair, self.last, self.step, pair, received, silent)
         lengths = np.flatnonzero(n_received + n_censored)
         rows = {"pir_steps": lengths, "n_received": n_received[lengths], "n_censored": n_censored[lengths]}
-        last, received, seen = np.where(received, step, last), received | had_one, np.full(len(pair), step)
-        if stay.any():
-            order = np.argsort(np.concatenate([pair, self.pair[stay]]), kind="stable")
-            pair, last, received, seen = (
-                np.concatenate([now, earlier[stay]])[order]
-                for now, earlier in (
-                    (pair, self.pair), (last, self.last), (received, self.received), (seen, self.step)
-                )
-            )  # fmt: skip
-        return InterReceptionTracker(pair, last, received, seen), rows
+        return InterReceptionTracker(*now), rows
 
 
-def unique_pairs(
-    one: Int[ndarray, "m"], other: Int[ndarray, "m"], n: int
-) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"]]:
-    """Distinct pairs of numbers from 0 to n - 1, sorted by the first, then by the second number."""
-    first, second = np.divmod(distinct(one.astype(np.int64) * n + other)[0], max(n, 1))
-    return first, second
+@compiled
+def _next(step, before, last, seen, pair, received, silent):
+    """Pairs, their last receptions and steps after a round, and how many intervals of each length ended or were cut."""
+    n_received, n_censored = np.zeros(step + 2, np.int64), np.zeros(step + 2, np.int64)
+    n_more = (
+        len(before) if len(silent) else 0
+    )  # a pair whose sender is silent stays though it is not among the new ones
+    size = len(pair) + n_more
+    new_pair, new_last, new_seen = np.empty(size, np.int64), np.empty(size, np.int32), np.empty(size, np.int32)
+    m, i, s = 0, 0, 0
+    for row in range(len(pair) + 1):
+        is_end = row == len(pair)
+        while i < len(before) and (is_end or before[i] < pair[row]):  # a pair that is no longer within range, or waits
+            sender = before[i] >> 32
+            while s < len(silent) and silent[s] < sender:
+                s += 1
+            if s < len(silent) and silent[s] == sender:
+                new_pair[m], new_last[m], new_seen[m] = before[i], last[i], seen[i]
+                m += 1
+            elif last[i] >= 0:
+                n_censored[seen[i] - last[i]] += 1
+            i += 1
+        if is_end:
+            break
+        earlier = -1
+        if i < len(before) and before[i] == pair[row]:
+            earlier = last[i]
+            i += 1
+        if received[row]:
+            if earlier >= 0:
+                n_received[step - earlier] += 1
+            earlier = step
+        new_pair[m], new_last[m], new_seen[m] = pair[row], earlier, step
+        m += 1
+    return new_pair[:m], new_last[:m], new_seen[:m], n_received, n_censored
+
+
+@compiled
+def pairs_within_range(station, message, receiver, hop, author, heard, heard_by, actor):
+    """Pairs of vehicles within range in one round, each once, sorted.
+
+    Parameters
+    ----------
+    station
+        Station that sends each message. Vehicles have the numbers below len(actor); other stations are left out.
+    message, receiver, hop
+        Of every frame and every station within its range, in any order. Only the first hop counts.
+    author
+        Vehicle of each message that a vehicle received.
+    heard, heard_by
+        Message and vehicle of every reception, over any number of hops.
+    actor
+        Actor number of each vehicle, ascending.
+
+    Returns
+    -------
+    The pairs as `InterReceptionTracker.pair`, whether the receiver got a message of the sender, and the number of pairs
+    in which each vehicle is the receiver.
+    """
+    n = len(actor)
+    ptr, near = _by_sender(station, message, receiver, hop, n)
+    heard_ptr, listener = _by_sender(author, heard, heard_by, hop[:0], n)
+    m = 0
+    stamp = np.full(n, -1, np.int64)
+    for i in range(n):  # the receivers of each sender once, in place, ascending
+        first, before, is_sorted = m, -1, True
+        for k in range(ptr[i], ptr[i + 1]):
+            j = near[k]
+            if stamp[j] != i:
+                stamp[j] = i
+                is_sorted &= j > before
+                before = j
+                near[m] = j
+                m += 1
+        ptr[i] = first
+        if not is_sorted:
+            near[first:m].sort()
+    ptr[n] = m
+    pair, got, n_in_range = np.empty(m, np.int64), np.empty(m, np.bool_), np.zeros(n, np.int64)
+    stamp[:] = -1
+    for i in range(n):
+        for k in range(heard_ptr[i], heard_ptr[i + 1]):
+            stamp[listener[k]] = i
+        for k in range(ptr[i], ptr[i + 1]):
+            j = near[k]
+            pair[k], got[k] = (actor[i] << 32) | actor[j], stamp[j] == i
+            n_in_range[j] += 1
+    return pair, got, n_in_range
+
+
+@compiled
+def _by_sender(station, message, receiver, hop, n):
+    """The receivers of each sender, compressed rows, in their order. Later hops, if `hop` has any, are left out."""
+    ptr = np.zeros(n + 1, np.int64)
+    for row in range(len(message)):
+        sender = station[message[row]]
+        if sender < n and receiver[row] < n and (len(hop) == 0 or hop[row] == 1):
+            ptr[sender + 1] += 1
+    for i in range(n):
+        ptr[i + 1] += ptr[i]
+    of_sender, at = np.empty(ptr[n], np.int32), ptr.copy()
+    for row in range(len(message)):
+        sender = station[message[row]]
+        if sender < n and receiver[row] < n and (len(hop) == 0 or hop[row] == 1):
+            of_sender[at[sender]] = receiver[row]
+            at[sender] += 1
+    return ptr, of_sender

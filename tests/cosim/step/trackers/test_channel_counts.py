@@ -48,8 +48,8 @@ receivers = st.lists(st.integers(0, 4), max_size=30)
 @given(st.tuples(receivers, receivers), st.tuples(receivers, receivers), st.booleans())
 def test_vehicle_channel_twin(in_range, received, modelled):
     busy = [np.linspace(0, 1, 7), np.full(7, 0.5) if modelled else None]  # two roadside units behind five vehicles
-    arrays = [[np.array(rows, np.int64) for rows in which] for which in (in_range, received)]
-    found = vehicle_channel(5, *arrays, busy)
+    counts = [np.bincount(np.array(rows, np.int64), minlength=5) for rows in in_range]
+    found = vehicle_channel(5, counts, [np.array(rows, np.int64) for rows in received], busy)
     assert found["n_in_range"].tolist() == [sum(rows.count(v) for rows in in_range) for v in range(5)]
     assert found["n_received"].tolist() == [sum(rows.count(v) for rows in received) for v in range(5)]
     assert found["cbr__valid"].tolist() == [modelled] * 5
