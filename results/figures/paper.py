@@ -36,7 +36,7 @@ def draw_tables(rows: pd.DataFrame) -> Figure:
             some = rows[(rows.self_reports == kind) & (rows["class"] == label)]
             _levels(axes, some, cities)
             said = "with self-reports" if kind else "without self-reports"
-            style.panel(axes, f"{label}, {said}", "", "AP 3D, 11 points [%]" if column == 0 else "")
+            style.panel(axes, f"{label}, {said}", "", "AP 3D, 11 points [%]")
     entries = [Line2D([], [], color=style.ink(i), lw=4, label=name) for i, name in enumerate(METHODS.values())]
     style.legend(figure, [*entries, Line2D([], [], **_PAPER, label="paper"), *_city_entries(cities)])
     return figure

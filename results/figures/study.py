@@ -55,6 +55,8 @@ LABELS: Mapping[str, str] = {
 """Keys whose last word says too little on an axis."""
 
 _MOST_PANELS = 4
+_MOST_LETTERS = 32
+"""Of the words under an axis; more of them are slanted."""
 _MOST_CELLS = 14
 """Cells of a row that numbers fit into."""
 
@@ -149,9 +151,9 @@ def _draw(
             unit = "" if first.unit in ("", "1") else f" [{first.unit}]"
             group = f", {first.group}" if ":" in name and first.group else ""
             title = f"{label_of(column)} = {_said(value)}" if value is not None and row == 0 else ""
-            y = f"{first.label}{group}{unit}" if n == 0 else ""
-            style.panel(axes, title, label_of(x) if row == len(asked) - 1 else "", y)
-            axes.tick_params(labelleft=n == 0)
+            y, is_last = f"{first.label}{group}{unit}" if n == 0 else "", row == len(asked) - 1
+            style.panel(axes, title, label_of(x) if is_last else "", y)
+            axes.tick_params(labelleft=n == 0, labelbottom=is_last or not _are_words(frame[x]))
             if first.unit == "1":
                 style.share_axis(axes, min(1.0, max(0.05, 1.04 * float(of_metric[["mean", "high"]].max().max()))))
             else:
@@ -159,8 +161,8 @@ def _draw(
             _ticks(axes, frame[x], 5 if len(columns) < 3 else 3)
     entries = [
         Line2D(
-            [], [], color=style.ink(i), marker=style.marker(i), linestyle=style.dash(i),
-            label=f"{label_of(colour)} = {_said(hue)}",
+            [], [], color=style.ink(i), marker=style.marker(i),
+            linestyle="none" if _are_words(frame[x]) else style.dash(i), label=f"{label_of(colour)} = {_said(hue)}",
         )
         for i, hue in enumerate(colours) if hue is not None
     ]  # fmt: skip
@@ -227,11 +229,11 @@ def _bound(frame: pd.DataFrame, name: str) -> pd.DataFrame:
 
 def _line(axes: Axes, part: pd.DataFrame, values: pd.Series, i: int, n: int) -> None:
     """Line `i` of `n`, a little aside of the others so that their intervals can be told apart."""
-    found = np.sort(values.unique())
+    found = _distinct(values)
     aside = 0.012 * (i - (n - 1) / 2)
     x = part[values.name].to_numpy()
     if values.dtype.kind != "f":
-        at = np.searchsorted(found, x) + aside * max(1, len(found) - 1)
+        at = pd.Index(found).get_indexer(x) + aside * max(1, len(found) - 1) * (3 if _are_words(values) else 1)
     elif _is_wide(found):
         at = x * (found[-1] / found[0]) ** aside
     else:
@@ -245,10 +247,21 @@ def _line(axes: Axes, part: pd.DataFrame, values: pd.Series, i: int, n: int) -> 
         np.nan_to_num(ends),
         color=style.ink(i),
         marker=style.marker(i),
-        linestyle=style.dash(i),
+        linestyle="none" if _are_words(values) else style.dash(i),
         capsize=1.5,
         elinewidth=0.8,
     )
+
+
+def _are_words(values: pd.Series) -> bool:
+    """Whether a key has words as values: nothing lies between them, so no line joins them."""
+    return bool(values.dtype.kind not in "fiub")
+
+
+def _distinct(values: pd.Series) -> np.ndarray:
+    """The swept values: numbers ascending, words in the order of the study."""
+    found: np.ndarray = values.unique()
+    return found if _are_words(values) else np.sort(found)
 
 
 def _is_wide(found: np.ndarray) -> bool:
@@ -258,9 +271,12 @@ def _is_wide(found: np.ndarray) -> bool:
 
 def _ticks(axes: Axes, values: pd.Series, most: int) -> None:
     """The swept values themselves; on a logarithmic axis where they span a factor of ten. Of many, every second."""
-    found = np.sort(values.unique())
+    found = _distinct(values)
     if values.dtype.kind != "f":
-        axes.set_xticks(range(len(found)), [_said(v) for v in found])
+        said = [_said(v) for v in found]
+        is_long = sum(map(len, said)) > _MOST_LETTERS
+        slanted = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if is_long else {}
+        axes.set_xticks(range(len(found)), said, **slanted)
         return
     if _is_wide(found):
         axes.set_xscale("log")
