@@ -26,8 +26,8 @@ from cosim.radio.propagation import (
     link_field,
     mean_loss_db,
 )
-from cosim.ragged import counting_order, order_by_two, ptr_of
-from sensors.kernel import kernel
+from cosim.ragged import order_by_two
+from sensors.kernel import compiled, kernel
 from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.line_of_sight_kernels import FilledCells, crosses_filled_cell
 from sensors.scene import Scene
@@ -325,12 +325,32 @@ def links_between(
     losses = pairs(xyz_m, params, rng_key, los, found, above_street_m, bodies)
     n = len(xyz_m)
     power_dbm = np.full(n, params.tx_power_dbm) if tx_power_dbm is None else np.asarray(tx_power_dbm, float)
-    sender = np.column_stack([losses.a, losses.b]).ravel()
-    receiver = np.column_stack([losses.b, losses.a]).ravel()
-    pair = np.repeat(np.arange(len(losses.a)), 2)
-    power_mw = from_db(power_dbm)[sender] * from_db(-losses.loss_db)[pair]
-    rows = np.flatnonzero(power_mw >= from_db(params.cutoff_dbm))
-    rows = rows[counting_order(sender[rows].astype(np.int64), n)]
-    fading = fading_class(losses.distance_m, params.fading)[pair[rows]]
-    links = Links(key, ptr_of(sender[rows], n), receiver[rows], power_mw[rows], fading)
-    return links, losses, pair[rows]
+    fading = fading_class(losses.distance_m, params.fading)
+    ptr, receiver, power_mw, pair = _directed(
+        losses.a, losses.b, from_db(-losses.loss_db), from_db(power_dbm), from_db(params.cutoff_dbm)
+    )
+    return Links(key, ptr, receiver, power_mw, fading[pair]), losses, pair
+
+
+@compiled
+def _directed(a, b, gain, power_mw, cutoff_mw):
+    """Links above the cut-off in both directions of each pair, by sender: where each sender's begin, receiver, mean
+    received power, and row of the pair.
+    """
+    n = len(power_mw)
+    ptr = np.zeros(n + 1, np.int64)
+    for pair in range(len(a)):
+        ptr[a[pair] + 1] += power_mw[a[pair]] * gain[pair] >= cutoff_mw
+        ptr[b[pair] + 1] += power_mw[b[pair]] * gain[pair] >= cutoff_mw
+    for i in range(n):
+        ptr[i + 1] += ptr[i]
+    at, m = ptr.copy(), ptr[n]
+    receiver, received_mw, of_pair = np.empty(m, np.int32), np.empty(m, np.float32), np.empty(m, np.int64)
+    for pair in range(len(a)):
+        for sender, other in ((a[pair], b[pair]), (b[pair], a[pair])):
+            mw = power_mw[sender] * gain[pair]
+            if mw >= cutoff_mw:
+                row = at[sender]
+                receiver[row], received_mw[row], of_pair[row] = other, mw, pair
+                at[sender] = row + 1
+    return ptr, receiver, received_mw, of_pair

@@ -12,7 +12,7 @@ from numpy import ndarray
 from cosim.radio.channel import PhyOutcome, WindowResult
 from cosim.radio.link_budget import PairLos
 from cosim.radio.message_round import LosState, Messages, Outcome, Receptions
-from cosim.ragged import counting_order, order_by_two, ptr_of
+from cosim.ragged import counting_order
 from sensors.kernel import compiled
 
 _OUTCOME_OF = np.full(max(PhyOutcome) + 1, Outcome.PROPAGATION, np.int8)
@@ -53,18 +53,46 @@ class NeighbourList(NamedTuple):
         knows_walls
             Whether `found` contains lines of sight. If not, `los_state` is UNKNOWN.
         """
-        near = np.flatnonzero(found.distance_m <= slant_m(xyz_m, range_m))
-        dx, dy = (xyz_m[found.a[near], axis] - xyz_m[found.b[near], axis] for axis in (0, 1))
-        square = dx * dx + dy * dy
-        near, square = near[square <= range_m * range_m], square[square <= range_m * range_m]
-        los_state = np.where(found.nlos[near], LosState.NLOS, LosState.LOS).astype(np.uint8)
+        ptr, station, length_m, is_nlos = _neighbours(
+            xyz_m, range_m, slant_m(xyz_m, range_m), found.a, found.b, found.distance_m, found.nlos
+        )
+        los_state = np.where(is_nlos, LosState.NLOS, LosState.LOS).astype(np.uint8)
         if not knows_walls:
             los_state[:] = LosState.UNKNOWN
-        a, b = found.a[near], found.b[near]
-        one, other, pair = np.concatenate([a, b]), np.concatenate([b, a]), np.tile(np.arange(len(near)), 2)
-        order = order_by_two(one, other, len(xyz_m))
-        pair = pair[order]
-        return NeighbourList(ptr_of(one[order], len(xyz_m)), other[order], np.sqrt(square)[pair], los_state[pair])
+        return NeighbourList(ptr, station, length_m, los_state)
+
+
+@compiled
+def _neighbours(xyz_m, range_m, slant_m, a, b, distance_m, nlos):
+    """Where the neighbours of each station begin, the neighbours ascending, and length and blockage of each line."""
+    n = len(xyz_m)
+    ptr, square_m2 = np.zeros(n + 1, np.int64), np.empty(len(a))
+    for pair in range(len(a)):
+        i, j = a[pair], b[pair]
+        dx, dy = xyz_m[i, 0] - xyz_m[j, 0], xyz_m[i, 1] - xyz_m[j, 1]
+        square_m2[pair] = dx * dx + dy * dy if distance_m[pair] <= slant_m else np.inf
+        if square_m2[pair] <= range_m * range_m:
+            ptr[i + 1] += 1
+            ptr[j + 1] += 1
+    for i in range(n):
+        ptr[i + 1] += ptr[i]
+    m = ptr[n]
+    at, other, pair_of = ptr.copy(), np.empty(m, np.int32), np.empty(m, np.int32)
+    for pair in range(len(a)):
+        if square_m2[pair] <= range_m * range_m:
+            for i, j in ((a[pair], b[pair]), (b[pair], a[pair])):
+                other[at[i]], pair_of[at[i]] = j, pair
+                at[i] += 1
+    # Each station is noted at its neighbours, in ascending order. As neighbours are mutual, all lists are then sorted.
+    at[:] = ptr
+    station, length_m, is_nlos = np.empty(m, np.int32), np.empty(m), np.empty(m, np.bool_)
+    for i in range(n):
+        for k in range(ptr[i], ptr[i + 1]):
+            row = at[other[k]]
+            station[row] = i
+            length_m[row], is_nlos[row] = np.sqrt(square_m2[pair_of[k]]), nlos[pair_of[k]]
+            at[other[k]] += 1
+    return ptr, station, length_m, is_nlos
 
 
 def slant_m(xyz_m: Float[ndarray, "n 3"], range_m: float) -> float:
