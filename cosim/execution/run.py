@@ -18,7 +18,7 @@ from cosim.door.blame import ExtensionError
 from cosim.execution import checkpoint, recording
 from cosim.execution import folder as run_folder
 from cosim.execution.cells.perception import CellPerception
-from cosim.execution.cells.start import in_cells
+from cosim.execution.cells.start import in_cells, nursery_for
 from cosim.execution.check import check, roadside_units, rsu_antennas
 from cosim.execution.drive import STATE_VERSION, Advance, Commands, Drive, OnStep, own_modules, warm_up
 from cosim.execution.folder import RunFolder
@@ -82,9 +82,9 @@ def run(
     """
     run_folder.check(out)
     scenario = check(config)
-    with StopRequest() as stop:
+    with StopRequest() as stop, nursery_for(n_cells) as nursery:
         parts, registry, traffic = load_parts(config, scenario, traffic_from)
-        with closing(traffic), in_cells(parts, scenario, n_cells) as parts:
+        with closing(traffic), in_cells(parts, scenario, n_cells, nursery) as parts:
             folder = run_folder.create(out, scenario.name)
             try:
                 manifest = Manifest(folder.path, config, provenance(config, scenario), sources(config))
@@ -142,7 +142,7 @@ def resume(
     if (now := provenance(config, scenario)) != manifest["net"]:
         changed = sorted(key for key in now.keys() | manifest["net"].keys() if now.get(key) != manifest["net"].get(key))
         raise ValueError(f"{path}: its inputs have changed since: {', '.join(changed)}. Run again.")
-    with StopRequest() as stop:
+    with StopRequest() as stop, nursery_for(n_cells) as nursery:
         folder = run_folder.reopen(path)
         try:
             if read_manifest(path)["status"] == "finished":
@@ -153,7 +153,7 @@ def resume(
             if problem := next((p for part in closed if (p := content_problem(path, part))), ""):
                 raise Damaged(f"{path} is damaged: {problem}. Run again.")
             parts, registry, traffic = load_parts(config, scenario, traffic_from)
-            with closing(traffic), in_cells(parts, scenario, n_cells) as parts:
+            with closing(traffic), in_cells(parts, scenario, n_cells, nursery) as parts:
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
                 went.keep_config(manifest)
                 recorder = _recorder(path, parts, found.end_step)

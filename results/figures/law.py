@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FormatStrFormatter
 from numpy import ndarray
 
 from results.archive import open_run
@@ -95,7 +97,16 @@ def _points(axes: Axes, points: Sequence[Points]) -> None:
     axes.set_xlim(*ends)
     axes.set_ylim(*ends)
     style.panel(axes, "Law over simulation (dashes: 10, 20 %)", "Age by simulation [s]", "Age by the law [s]")
-    axes.legend(loc="upper left", fontsize=style.SMALLEST)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(FormatStrFormatter("%g"))
+    entries = [
+        Line2D([], [], linestyle="none", marker=style.marker(i), color=style.ink(i), label=p.name)
+        for i, p in enumerate(points[:_MOST])
+    ] + [
+        Line2D([], [], linestyle="none", marker="o", color="grey", markerfacecolor=fill, label=what)
+        for fill, what in (("grey", "median"), ("none", "90th percentile"))
+    ]  # fmt: skip
+    axes.legend(handles=entries, loc="upper left", fontsize=style.SMALLEST)
 
 
 def points_of(name: str, law: Sequence[dict[str, Any]], measured: Sequence[dict[str, Any]]) -> Points:

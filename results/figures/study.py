@@ -275,7 +275,7 @@ def _ticks(axes: Axes, values: pd.Series, most: int) -> None:
     if values.dtype.kind != "f":
         said = [_said(v) for v in found]
         is_long = sum(map(len, said)) > _MOST_LETTERS
-        slanted = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if is_long else {}
+        slanted: dict[str, Any] = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if is_long else {}
         axes.set_xticks(range(len(found)), said, **slanted)
         return
     if _is_wide(found):

@@ -158,13 +158,6 @@ def test_every_text_is_legible(run, other, name, tmp_path):
 ROOT = Path(__file__).parents[2]
 
 
-STILL_WIDE = {
-    "law.png", "law-errors.png", "paper-tables.png", "paper-trust-levels.png",
-    "study-redundancy.png",
-}  # fmt: skip
-"""Pictures in an earlier, wider style. Their studies take hours; who runs one again draws its picture in this style."""
-
-
 def test_pictures_that_ship_are_in_this_style():
     """Their width at their resolution is that of the style, and the program wrote them."""
     tops = ("results", "sensors", "cosim", "trust", "sumo_nets")
@@ -172,9 +165,6 @@ def test_pictures_that_ship_are_in_this_style():
     assert len(shipped) > 15
     for path in shipped:
         with Image.open(path) as picture:
-            if path.name in STILL_WIDE:
-                assert picture.info.get("Software") != style.SOFTWARE, f"{path} is drawn anew: take it off the list"
-                continue
             width_cm = 2.54 * picture.width / picture.info.get("dpi", (1, 1))[0]
             assert width_cm == pytest.approx(2.54 * style.WIDTH, rel=0.01), f"{path} is drawn for {width_cm:.1f} cm"
             assert picture.info.get("Software") == style.SOFTWARE, f"{path} is not written by results.figures.style"

@@ -1,9 +1,6 @@
 """The workers of a run: starts them, asks them, and replaces those that die."""
 
 import os
-import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
@@ -17,6 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.execution.cells.channel import Channel
+from cosim.execution.cells.nursery import Nursery
 from cosim.execution.cells.worker import Reply
 from cosim.execution.stop import Failed
 from cosim.step.mixed_perception import MixedPerception
@@ -24,8 +22,6 @@ from cosim.step.perception import Perception
 
 _MOST_DEATHS = 8
 """A worker that dies so many times over one request will not live through it."""
-_ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-"""Of a worker; the processes are the threads."""
 
 
 class CellLost(OSError):
@@ -78,9 +74,14 @@ class Crew:
         The perception of the run.
     own
         Names of the user's own classes in it, as a config has them.
+    nursery
+        A process that will fork the workers, if one has been started already. It ends with the crew.
     """
 
-    def __init__(self, n_cells: int, perception: Perception | MixedPerception, own: Sequence[str] = ()) -> None:
+    def __init__(
+        self, n_cells: int, perception: Perception | MixedPerception, own: Sequence[str] = (),
+        nursery: Nursery | None = None,
+    ) -> None:  # fmt: skip
         self.n_cells = n_cells
         self.n_replaced = 0
         """Workers that died and were replaced."""
@@ -95,9 +96,7 @@ class Crew:
         self.pids: list[int] = []
         """Process of each worker."""
         self._perception, self._own = perception, list(own)
-        self._nursery: subprocess.Popen[bytes] | None = None
-        self._control: socket.socket | None = None
-        self._to_nursery: Channel | None = None
+        self._nursery = nursery
         self._workers: list[Channel] = []
         self._made_with: list[list[tuple[str, Any]]] = [[] for _ in range(n_cells)]
         """The requests after which each worker keeps something."""
@@ -191,10 +190,12 @@ class Crew:
         for _ in range(_MOST_DEATHS):
             channel, files = Channel.pair()
             try:
-                if self._nursery is None or self._nursery.poll() is not None:
-                    self._start_nursery()
-                assert self._control is not None
-                socket.send_fds(self._control, [b"w"], files)
+                if self._nursery is None or not self._nursery.is_alive():
+                    self._stop_nursery()
+                    self._nursery = Nursery()
+                if not self._nursery.knows_perception:
+                    self._nursery.teach(self._own, self._perception)
+                self._nursery.fork(files)
             except (EOFError, OSError):
                 channel.close()
                 self._stop_nursery()
@@ -210,32 +211,10 @@ class Crew:
                 self._stop_nursery()
         raise CellLost("the workers of the cells cannot be started")
 
-    def _start_nursery(self) -> None:
-        """Start the process that forks the workers."""
-        self._stop_nursery()
-        channel, files = Channel.pair()
-        self._to_nursery = channel
-        self._control = socket.socket(fileno=os.dup(channel.fileno()))
-        try:
-            self._nursery = subprocess.Popen(
-                [sys.executable, "-m", "cosim.execution.cells", *map(str, files)], pass_fds=files,
-                stdin=subprocess.DEVNULL, env=os.environ | _ONE_THREAD,
-            )  # fmt: skip
-        finally:
-            for fd in files:
-                os.close(fd)
-        channel.send(self._own)
-        channel.send(self._perception)
-        channel.receive()
-
     def _stop_nursery(self) -> None:
-        if self._control is not None:
-            self._control.close()
-        if self._to_nursery is not None:
-            self._to_nursery.close()
         if self._nursery is not None:
-            self._nursery.wait()
-        self._control = self._to_nursery = self._nursery = None
+            self._nursery.close()
+        self._nursery = None
 
     def close(self) -> None:
         """End the workers."""

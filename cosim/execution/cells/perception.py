@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
-from cosim.execution.cells.border import cells_of, within_reach
+from cosim.execution.cells.border import cells_of, costs, within_reach
 from cosim.execution.cells.crew import CellCost, Crew
 from cosim.execution.cells.worker import peak_bytes
 from cosim.ragged import offsets, ranges
@@ -132,7 +132,7 @@ class CellPerception:
 
     def _perceive(self, world: World, observers: Int[ndarray, "e"]) -> tuple[CellImages, list[Seen]]:
         n, xy_m = self.crew.n_cells, world.boxes.xyz_m[:, :2]
-        cell = cells_of(xy_m[observers], np.ones(len(observers)), n)
+        cell = cells_of(xy_m[observers], costs(xy_m, observers, self.reach_m), n)
         mine = tuple(np.flatnonzero(cell == number) for number in range(n))
         radius_m = world.boxes.circumradius_m
         largest = int(np.argmax(radius_m))  # each cell gets it, because it says how far neighbours are looked for

@@ -2,11 +2,12 @@
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 from cosim.config.config import chosen
 from cosim.execution.cells.crew import Crew
+from cosim.execution.cells.nursery import Nursery
 from cosim.execution.cells.perception import CellPerception
 from cosim.mobility.scenario import Scenario
 from cosim.step.mixed_perception import MixedPerception
@@ -33,10 +34,27 @@ def number_of(text: str) -> int | str:
 
 
 @contextmanager
-def in_cells(parts: Parts, scenario: Scenario, wanted: int | str) -> Iterator[Parts]:
+def nursery_for(wanted: int | str) -> Iterator[Nursery | None]:
+    """The process that forks the workers of so many cells, which starts while the city is read; None for no cells."""
+    nursery = None
+    if wanted != 0 and (wanted != AUTO or _n_cores() >= _FEWEST_CORES):
+        with suppress(OSError):  # the crew tries again, and says what is missing
+            nursery = Nursery()
+    try:
+        yield nursery
+    finally:
+        if nursery is not None:
+            nursery.close()
+
+
+@contextmanager
+def in_cells(
+    parts: Parts, scenario: Scenario, wanted: int | str, nursery: Nursery | None = None
+) -> Iterator[Parts]:  # fmt: skip
     """The components of a run whose vehicles sense in this number of cells; 0 for none. The workers end with it.
 
-    `AUTO` takes a core for the process of the run and each other core for a cell, as far as the city has room for them.
+    `nursery` is what `nursery_for` has started. `AUTO` takes a core for the process of the run and each other core for
+    a cell, as far as the city has room for them.
 
     Raises
     ------
@@ -50,7 +68,7 @@ def in_cells(parts: Parts, scenario: Scenario, wanted: int | str) -> Iterator[Pa
     check(parts, scenario, n_cells)
     inside, choice = parts.perception, chosen(parts.config, "detector")[0]
     assert isinstance(inside, Perception | MixedPerception)
-    with Crew(n_cells, inside, [choice.source.name] if choice.is_own else ()) as crew:
+    with Crew(n_cells, inside, [choice.source.name] if choice.is_own else (), nursery) as crew:
         cells = CellPerception(inside, crew, parts.config.lidar.max_range_m)
         yield replace(parts, perception=cells, compare=cells.compare)
 
@@ -83,7 +101,11 @@ def _most(parts: Parts, scenario: Scenario) -> int:
 
 def _fitting(parts: Parts, scenario: Scenario) -> int:
     """Cells for this machine and city; 0 where they gain nothing."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = _n_cores()
     if cores < _FEWEST_CORES or not parts.config.sensing:
         return 0
     return min(cores - 1, _most(parts, scenario))
+
+
+def _n_cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cosim.config.config import load
-from cosim.execution.cells.border import cells_of, within_reach
+from cosim.execution.cells.border import cells_of, costs, within_reach
 from cosim.execution.cells.channel import Channel
 from cosim.execution.cells.crew import CellLost, Crew
 from cosim.execution.cells.perception import CellPerception
@@ -43,6 +43,17 @@ def test_cells_cost_the_same_and_are_rectangles_apart(n_cells):
         for b in range(a):
             low, high = (np.stack([f(xy_m[cell == c], axis=0) for c in (a, b)]) for f in (np.min, np.max))
             assert ((low[0] > high[1]) | (low[1] > high[0])).any(), "the rectangles of two cells do not overlap"
+
+
+def test_an_observer_costs_more_the_more_actors_are_around_it():
+    rng = np.random.default_rng(3)
+    xy_m, observers = rng.uniform(0, 1000, (400, 2)), np.arange(0, 400, 3)
+    place = np.floor((xy_m - xy_m.min(axis=0)) / 80.0)
+    around = np.array([(np.abs(place - place[i]).max(axis=1) <= 1).sum() for i in observers])
+    own, per_actor = np.polynomial.Polynomial.fit(around, costs(xy_m, observers, 80.0), 1).convert().coef
+    assert own == pytest.approx(1.0) and 0.01 < per_actor < 0.2
+    far = np.array([[0.0, 0.0], [3e7, 1e7]])  # a grid of their extent would not fit into memory
+    assert costs(far, np.array([0, 1]), 80.0) == pytest.approx(1.0 + per_actor)
 
 
 def test_few_vehicles_take_a_cell_each_and_the_others_are_empty():
