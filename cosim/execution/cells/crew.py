@@ -63,8 +63,8 @@ class CellCost:
 class Crew:
     """One worker process per cell; a context manager, with which the workers end.
 
-    A worker keeps nothing from step to step. If one dies, another one repeats the requests that made what the worker
-    kept within the step, then the request that it died over. The results are the same.
+    If a worker dies, another one repeats the requests that made what the worker kept for this step (and for the next
+    one, if its sweeps have begun), then the request that it died over. The results are the same.
 
     Parameters
     ----------
@@ -155,10 +155,12 @@ class Crew:
                 for stage, seconds in reply.stages_s.items():
                     self.stages_s[stage] = self.stages_s.get(stage, 0.0) + seconds
                 if keeps:
-                    before = [] if service == "perceive" else self._made_with[cell]
+                    before = self._made_with[cell]
+                    before = before[-1:] if service == "perceived" else before  # the rest is of the step before
                     self._made_with[cell] = [*before, (service, given[cell])]
                 results[cell] = reply.result
-            self.cost = self.cost.after(service == "perceive", spent_s, perf_counter() - asked_at_s, self._n_bytes())
+            senses = service in ("perceive", "perceived")
+            self.cost = self.cost.after(senses, spent_s, perf_counter() - asked_at_s, self._n_bytes())
             if failed := next((result for result in results if isinstance(result, Exception)), None):
                 raise failed
             return results

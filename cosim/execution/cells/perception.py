@@ -104,6 +104,19 @@ def _per_step(first: _Mark, last: _Mark) -> dict[str, Any]:
     return {"steps": n, **rounded, "bytes": (b.n_bytes - a.n_bytes) // n, "cell_cpu_s": cells_s.round(4).tolist()}
 
 
+@dataclass(frozen=True, slots=True)
+class _Begun:
+    """Sweeps that the cells have begun."""
+
+    world: World
+    cell: UInt8[ndarray, "e"]
+    """Of each observer."""
+    observers: tuple[Int[ndarray, "k"], ...]
+    """Observers of each cell, ascending."""
+    rows: tuple[Int[ndarray, "h"], ...]
+    """Rows of the world that each cell has got."""
+
+
 @dataclass(slots=True)
 class CellPerception:
     """Perception of which every cell computes that of its own vehicles.
@@ -122,40 +135,50 @@ class CellPerception:
     n_beyond: int = 0
     """Actors that cells got besides their own vehicles, summed over cells and steps."""
     _marks: list["_Mark"] = field(default_factory=list)
+    _begun: "_Begun | None" = None
 
-    def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
-        """As in `Perceives`."""
-        with watch("wait for cells"):
-            images, seen = self._perceive(world, observers)
-        with watch("detect"):
-            return self.inside.observed(world, observers, images, seen, sort=True)
-
-    def _perceive(self, world: World, observers: Int[ndarray, "e"]) -> tuple[CellImages, list[Seen]]:
+    def begin(self, world: World, observers: Int[ndarray, "e"]) -> None:
+        """Begin the sweeps of a world, for which the next call waits. Those of the step before must have been read."""
         n, xy_m = self.crew.n_cells, world.boxes.xyz_m[:, :2]
         cell = cells_of(xy_m[observers], costs(xy_m, observers, self.reach_m), n)
         mine = tuple(np.flatnonzero(cell == number) for number in range(n))
         radius_m = world.boxes.circumradius_m
         largest = int(np.argmax(radius_m))  # each cell gets it, because it says how far neighbours are looked for
-        rows = [
+        rows = tuple(
             np.union1d(within_reach(xy_m, observers[own], self.reach_m + radius_m[largest]), largest)
             if len(own) else own for own in mine
-        ]  # fmt: skip
-        self.n_steps += 1
-        self.n_observers += len(observers)
-        self.n_beyond += sum(map(len, rows)) - len(observers)
-        found = self.crew.ask("perceive", [
+        )  # fmt: skip
+        self.crew.ask("perceive", [
             (world.take(there), np.searchsorted(there, observers[own])) if len(own) else None
             for there, own in zip(rows, mine, strict=True)
         ], keeps=True)  # fmt: skip
+        self._begun = _Begun(world, cell.astype(np.uint8), mine, rows)
+
+    def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
+        """As in `Perceives`."""
+        with watch("wait for cells"):
+            if self._begun is None or self._begun.world is not world:
+                self.begin(world, observers)
+            images, seen = self._perceived(observers)
+        with watch("detect"):
+            return self.inside.observed(world, observers, images, seen, sort=True)
+
+    def _perceived(self, observers: Int[ndarray, "e"]) -> tuple[CellImages, list[Seen]]:
+        assert self._begun is not None
+        begun, self._begun = self._begun, None
+        self.n_steps += 1
+        self.n_observers += len(observers)
+        self.n_beyond += sum(map(len, begun.rows)) - len(observers)
+        found = self.crew.ask("perceived", [() if len(own) else None for own in begun.observers], keeps=True)
         seen = []
         poses = Poses(np.zeros((len(observers), 3)), np.zeros(len(observers)))
-        for there, own, result in zip(rows, mine, found, strict=True):
+        for there, own, result in zip(begun.rows, begun.observers, found, strict=True):
             if result is None:
                 continue
             of_cell, here = result
             poses.origin_m[own], poses.yaw_rad[own] = of_cell.origin_m, of_cell.yaw_rad
             seen.append(here.of_actors(there.astype(np.int32)).renumbered(own.astype(np.int32)))
-        return CellImages(poses, mine, cell.astype(np.uint8), self.crew), seen
+        return CellImages(poses, begun.observers, begun.cell, self.crew), seen
 
     def report(self) -> dict[str, Any]:
         """Figures of the cells for the manifest. Costs are means per step, from the third step with messages on."""

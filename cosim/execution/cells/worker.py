@@ -6,14 +6,16 @@ keeps the range images of its vehicles and the groups of the detections that the
 else.
 """
 
+import copy
 import os
 import resource
 import signal
 import socket
 import sys
 import traceback
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
-from time import process_time
+from time import thread_time
 from typing import Any
 
 from jaxtyping import Float, Int
@@ -27,6 +29,7 @@ from cosim.step.perception import Perception, Seen
 from cosim.step.stopwatch import Stopwatch
 from cosim.world import World
 from sensors.evidence import AreaParams
+from sensors.kernel import threads_may_meet
 from sensors.lidar import Poses
 from trust.fusion import Fused
 from trust.params import TrustParams
@@ -40,15 +43,28 @@ class Reply:
     result: Any
     """An exception if the work failed."""
     cpu_s: float
-    """Processor time since the reply before."""
+    """Processor time of the thread that answers since the reply before, and of the sweeps that it brings."""
     stages_s: dict[str, float]
     """Seconds per stage of this request."""
     peak_bytes: int
     """Largest memory of the worker so far."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Sensed:
+    """The sweeps of a cell's vehicles."""
+
+    images: Any
+    seen: Seen
+    watch: Stopwatch
+    cpu_s: float
+
+
 class Worker:
-    """The services of a worker. Observers are numbered within the cell."""
+    """The services of a worker. Observers are numbered within the cell.
+
+    A second thread computes the sweeps, so that the worker can fuse meanwhile.
+    """
 
     def __init__(self, perception: Perception | MixedPerception) -> None:
         self.perception, self.watch = perception, Stopwatch()
@@ -56,16 +72,46 @@ class Worker:
         self._recall = getattr(getattr(of_vehicles, "detector", None), "recall", None)
         self._images: Any = None
         self._grouped: Any = None
+        self._thread: ThreadPoolExecutor | None = None  # a thread that exists would not live through a fork
+        self._perceived: Future[_Sensed] | None = None
+        self.sense_cpu_s = 0.0
+        """Processor time of the sweeps that `perceived` has returned last."""
 
     def pid(self) -> int:
         """This process."""
         return os.getpid()
 
-    def perceive(self, world: World, observers: Int[ndarray, "e"]) -> tuple[Poses, Seen]:
-        """Poses of the sensors, and what they see; `world` is the cell and what is within reach of it."""
-        images, seen = self.perception.perceive(world, observers.copy(), self.watch)
-        self._images = images
-        return images.poses, Seen.joined(seen)
+    def perceive(self, world: World, observers: Int[ndarray, "e"]) -> None:
+        """Begin the sweeps of these observers; `world` is the cell and what is within reach of it.
+
+        Their memory is that of the sweeps before, which must have been read.
+        """
+        if self._perceived is not None:  # of a step that did not come
+            self._perceived.exception()
+        world, observers = copy.deepcopy((world, observers))  # the next message overwrites them
+        if threads_may_meet():
+            self._thread = self._thread or ThreadPoolExecutor(1, "sweeps")
+            self._perceived = self._thread.submit(self._sense, world, observers)
+        else:
+            self._perceived = Future()
+            try:
+                self._perceived.set_result(self._sense(world, observers))
+            except Exception as error:
+                self._perceived.set_exception(error)
+
+    def _sense(self, world: World, observers: Int[ndarray, "e"]) -> "_Sensed":
+        watch, begin_s = Stopwatch(), thread_time()
+        images, seen = self.perception.perceive(world, observers, watch)
+        return _Sensed(images, Seen.joined(seen), watch, thread_time() - begin_s)
+
+    def perceived(self) -> tuple[Poses, Seen]:
+        """Poses of the sensors, and what they see, when the sweeps that have begun are complete."""
+        assert self._perceived is not None
+        found, self._perceived = self._perceived, None
+        sensed = found.result()
+        self.watch.add(sensed.watch, 1)
+        self._images, self.sense_cpu_s = sensed.images, sensed.cpu_s
+        return sensed.images.poses, sensed.seen
 
     def n_returns(self) -> Int[ndarray, "e"]:
         """As `RangeImages.n_returns`."""
@@ -109,8 +155,8 @@ def serve(channel: Channel, worker: Worker) -> None:
         except Exception as error:
             error.add_note(traceback.format_exc())
             result = error
-        now_s = process_time()
-        reply, before_s = Reply(result, now_s - before_s, worker.watch.seconds, peak_bytes()), now_s
+        now_s, sense_s, worker.sense_cpu_s = thread_time(), worker.sense_cpu_s, 0.0
+        reply, before_s = Reply(result, now_s - before_s + sense_s, worker.watch.seconds, peak_bytes()), now_s
         try:
             channel.send(reply)
         except OSError:

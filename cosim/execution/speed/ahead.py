@@ -19,6 +19,7 @@ from types import TracebackType
 import numba
 import numpy as np
 
+from cosim.execution.cells.perception import CellPerception
 from cosim.radio.csma import ChannelContext, CsmaMedium
 from cosim.radio.link_cache import LinkCache
 from cosim.radio.message_round import Stations
@@ -95,7 +96,7 @@ class Ahead:
             near_pairs=None if found is None else found.near_pairs.result,
             observed=None if self._sensing is None else partial(self._observed, world, self._sensing),
             with_links=None if links is None else partial(_with_links, links),
-            sweeps_are_read=None if self._senses_elsewhere else self._begin_sensing,
+            sweeps_are_read=self._begin_in_cells if self._senses_elsewhere else self._begin_sensing,
             objects_are_fused=self._begin_sensing if self._senses_elsewhere else None,
         )
 
@@ -104,6 +105,11 @@ class Ahead:
         if self._to_sense is not None:
             world, self._to_sense = self._to_sense, None
             self._sensing = world, self._thread.submit(self._sense, world, numba.get_num_threads())
+
+    def _begin_in_cells(self) -> None:
+        """Let the cells begin with the sweeps of the expected world; they fuse the present step's objects meanwhile."""
+        if (world := self._to_sense) is not None and isinstance(perception := self._parts.perception, CellPerception):
+            self._thread.submit(perception.begin, world, self._parts.sensing(world))
 
     def _observed(self, world: World, sensing: tuple[World, Future[Observed]]) -> Observed:
         """What vehicles perceive, when their sweeps are complete. Sweeps of another world are dropped."""
