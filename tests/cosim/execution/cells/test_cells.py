@@ -5,6 +5,7 @@ import resource
 import signal
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from cosim.mobility.scenario import find
 from cosim.reproduce.scenarios import ScriptedScene
 from cosim.step.cycle import step
 from cosim.step.parts import perception_of
+from cosim.step.precomputed import Precomputed
 from cosim.step.state import State
 from results.archive import read_manifest
 from results.recorder import fingerprint
@@ -87,12 +89,18 @@ def test_a_channel_carries_arrays_of_every_kind_and_grows():
     there.close()
 
 
-def sensed(parts, at_step=lambda number: None):
-    """What happens in the scene with these parts, and the state at the end."""
+def sensed(parts, at_step=lambda number: None, ahead=False):
+    """What happens in the scene with these parts, and the state at the end; `ahead`: sweeps begin a step earlier."""
     scene, state, found = ScriptedScene.load(), State.start(parts), []
-    for number in range(N):
+    worlds = [scene.world(number) for number in range(N)]
+
+    def begin(number):
+        if ahead and number < N:
+            parts.perception.begin(worlds[number], parts.sensing(worlds[number]))
+
+    for number, world in enumerate(worlds):
         at_step(number)
-        state, result = step(scene.world(number), state, parts)
+        state, result = step(world, state, parts, Precomputed(sweeps_are_read=partial(begin, number + 1)))
         found.append(result.sensed)
     return found, state
 
@@ -118,14 +126,15 @@ class Dying(Crew):
 SCORES_OBJECTS = ("trust.model=raya_majority", "trust.host=local", "radio.evaluations=piggybacked")
 
 
+@pytest.mark.parametrize("ahead", [False, True], ids=["in turn", "ahead"])
 @pytest.mark.parametrize("settings", [NOT_EXACT, SCORES_OBJECTS], ids=["not exact", "scores objects"])
-def test_a_scene_in_cells_is_the_scene_and_deaths_change_nothing(settings):
+def test_a_scene_in_cells_is_the_scene_and_deaths_change_nothing(settings, ahead):
     parts = parts_of(ScriptedScene.load(), *settings)
     parts = replace(parts, perception=perception_of(parts.config, parts.city))  # that of the scene speaks for all
     crew = Dying(3, parts.perception)
 
     def deaths(number):
-        crew.before = ((), ("compare",), ("fuse", "grouped"))[number]
+        crew.before = ((), ("compare", "fuse", "grouped"), ("perceived", "fuse", "grouped"))[number]
         if number == 1:
             kill(crew.pids[1])
         if number == 2:
@@ -134,11 +143,11 @@ def test_a_scene_in_cells_is_the_scene_and_deaths_change_nothing(settings):
 
     with crew:
         cells = CellPerception(parts.perception, crew, parts.config.lidar.max_range_m)
-        found, state = sensed(replace(parts, perception=cells, compare=cells.compare), deaths)
+        found, state = sensed(replace(parts, perception=cells, compare=cells.compare), deaths, ahead)
     want, want_state = sensed(parts)
     assert_same(found, want)
     assert list(map(bytes, encode(state))) == list(map(bytes, encode(want_state)))
-    assert crew.n_replaced == 4 and not crew._workers
+    assert crew.n_replaced == 6 and not crew._workers
 
 
 class Dies:
