@@ -23,9 +23,11 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.optimize import nnls
 
-_AFTER = ("track", "record", "encounters", "server", "driver")
-_OTHER = ("attack", "match", "track objects", "radio", "trust")
-"""Stages of the process of the run: while the cells sense for the next step, and at other times."""
+_AFTER = {"trust": 1.0, "radio": 0.5, "track": 1.0, "record": 1.0, "encounters": 1.0, "server": 1.0, "driver": 1.0}
+"""Stages of the process of the run while the cells sense for the next step, and their share then: one of two rounds of
+messages."""
+_OTHER = {"radio": 0.5, "attack": 1.0, "match": 1.0, "track objects": 1.0}
+"""The same for other times."""
 _AHEAD = ("links", "pairs")
 """Stages of its second thread."""
 
@@ -45,7 +47,7 @@ class Measured:
     sensing_p: float
     """Share of this that is sensing."""
     after_p: float
-    """Share of the first thread's own time after the objects are fused, in which cells sense for the next step."""
+    """Share of the first thread's own time after the evaluation, in which cells sense for the next step."""
     ahead_p: float
     """Share of the run's own time in its second thread."""
     n_bytes: float
@@ -65,8 +67,10 @@ class Measured:
             raise ValueError(
                 "it has no cost per step of cells: run it with --cells N, for 5 steps with messages or more."
             )
-        after_s = sum(spent_s.get(stage, 0.0) for stage in _AFTER)
-        first_s = after_s + sum(spent_s.get(stage, 0.0) for stage in _OTHER)
+        after_s, other_s = (
+            sum(share * spent_s.get(stage, 0.0) for stage, share in stages.items()) for stages in (_AFTER, _OTHER)
+        )
+        first_s = after_s + other_s
         ahead_s = sum(manifest.get("timings_ahead_s", {}).get(stage, 0.0) for stage in _AHEAD)
         busiest_s = step["busiest_sense_s"] + step["busiest_answer_s"]
         return Measured(
