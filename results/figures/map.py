@@ -25,8 +25,8 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
     begun = [_begun(run, radius_m, pairs) for run in runs]
     streets = [_streets(run) for run in runs]
     spans = [np.ptp(street, axis=0) for street in streets]
-    tallest = max(span[1] / max(span[0], 1) for span in spans)
-    height = min((style.WIDTH - 1) * tallest + 0.6, 5.0 if len(runs) == 1 else 3.2)
+    tallest = max(style.FLATTEST, *(span[1] / max(span[0], 1) for span in spans))
+    height = min((style.WIDTH - 1) * tallest + 1.5, 5.0 if len(runs) == 1 else 3.2)
     figure, panels = style.sheet(len(runs), height)
     figure.set_layout_engine("compressed")
     counts = [_cells(points, street, cell_m) for points, street in zip(begun, streets, strict=True)]

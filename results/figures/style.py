@@ -295,10 +295,20 @@ def variants_of(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
     return variants, [run.variant if len(runs) == 1 else f"{run.path.name}, {run.variant}" for run in variants]
 
 
+FLATTEST = 0.3
+"""Least ratio of the sides of a map: with equal scales, a narrower one would have no room for its labels."""
+
+
 def map_panel(axes: Axes, title: str, y: str = "North [m]") -> None:
-    """A panel that shows places from above, in metres."""
+    """A panel that shows places from above, in metres; of a single street, more than the street."""
     panel(axes, title, "East [m]", y)
     axes.set_aspect("equal")
+    for get, change, length in (
+        (axes.get_xlim, axes.set_xlim, np.ptp(axes.get_ylim())), (axes.get_ylim, axes.set_ylim, np.ptp(axes.get_xlim()))
+    ):  # fmt: skip
+        low, high = get()
+        more = max(0.0, (length * FLATTEST - (high - low)) / 2)
+        change(low - more, high + more)
     axes.grid(visible=False)
 
 

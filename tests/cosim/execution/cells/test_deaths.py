@@ -19,7 +19,7 @@ from tests.drive import simulate
 pytestmark = [pytest.mark.verify, pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")]
 
 N_CELLS, N_KILLS = 3, 20
-SHORT = ("preset=v0.2", "traffic.duration_s=150", "traffic.warmup_s=60", "record.block_steps=10", "seed=37")
+SHORT = ("preset=v0.2", "traffic.duration_s=240", "traffic.warmup_s=60", "record.block_steps=10", "seed=37")
 SHARED = Path("/dev/shm")
 
 
