@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import IO, Protocol, Self
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.adversary.params import roles_of
@@ -42,8 +42,27 @@ TOPICS = {
 }  # fmt: skip
 
 
-Known = dict[int, tuple[float, float]]
-"""By actor: trust in it and the mean age of the newest evaluation [s], when it was last looked up."""
+class Known:
+    """By actor: trust in it and the mean age of the newest evaluation [s], when it was last looked up; NaN before."""
+
+    def __init__(self) -> None:
+        self._values = np.full((0, 2), np.nan)
+
+    def of(self, actor: Int[ndarray, "n"]) -> Float[ndarray, "n 2"]:
+        """The values of these actors."""
+        self._grow(actor)
+        return self._values[actor]
+
+    def note(self, actor: Int[ndarray, "n"], values: Float[ndarray, "n 2"]) -> None:
+        """Keep the values of these actors, each of which is there once."""
+        self._grow(actor)
+        self._values[actor] = values
+
+    def _grow(self, actor: Int[ndarray, "n"]) -> None:
+        more = int(actor.max(initial=-1)) + 1 - len(self._values)
+        if more > 0:
+            self._values = np.concatenate([self._values, np.full((2 * more, 2), np.nan)])
+
 
 RATED = np.dtype([*ros2.POINT.descr, ("trust", "<f4"), ("newest_evaluation_age_s", "<f4"), ("vehicle", "<i4")])
 
@@ -76,8 +95,7 @@ class Now:
         """Mean age of the newest evaluation behind the values that are looked up."""
         if result.sensed is not None:
             self._look_up(result.sensed, known)
-        found = [known.get(number, (np.nan, np.nan)) for number in self.world.actor.tolist()]
-        self.trust, self.age_of = np.array(found, float).reshape(-1, 2).T
+        self.trust, self.age_of = known.of(self.world.actor).T
         """Trust in each actor, and the mean age of the newest evaluation behind it [s]; NaN where there is none."""
         self.is_rated = result.sensed is not None
 
@@ -93,8 +111,7 @@ class Now:
         n_aged = np.bincount(row, minlength=len(n))
         ages = np.bincount(row, lookups.newest_evaluation_age_s[aged], minlength=len(n))
         mean = np.where(n_aged > 0, ages / np.maximum(n_aged, 1), np.nan)
-        values = zip((total[heard] / n[heard]).tolist(), mean[heard].tolist(), strict=True)
-        known.update(zip(sensed.vehicles.actor[heard].tolist(), values, strict=True))
+        known.note(sensed.vehicles.actor[heard], np.column_stack([total[heard] / n[heard], mean[heard]]))
         if aged.any():
             self.age_s = float(ages.sum() / n_aged.sum())
 
@@ -134,7 +151,7 @@ class Live:
             raise ValueError(f"--watch-file {target}: it must end in {' or '.join(SUFFIXES)}.")
         self._config = config
         self._role = roles_of(config.attacks)
-        self._known: Known = {}
+        self._known = Known()
         self._begun = False
         self._stopped = ""
         """Why nothing is shown any more."""
