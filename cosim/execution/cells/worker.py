@@ -2,8 +2,8 @@
 
 The first process imports the program and gets the perception of the run. It forks a worker for every cell, and another
 one when a worker has died. So workers share the memory of the program and of the city, and begin at once. A worker
-keeps the range images of its vehicles and the groups of the detections that they know until the next step, and nothing
-else.
+keeps the range images of its vehicles until the next sweeps begin, the groups of the detections that they know until it
+has fused them, and nothing else.
 """
 
 import copy

@@ -4,7 +4,7 @@ Sweeps, radio links and near pairs depend on positions and on random draws with 
 earlier steps. If no driver commands the traffic, the next world is known early. The second thread then computes the
 radio links and near pairs of the next world while the present step sends, evaluates and records. It begins with the
 sweeps when the present step has read its own range images for the last time, because both use the same memory. Cells
-begin with them when they have fused the objects of the present step. Compiled
+begin with them then, too, and fuse the objects of the present step meanwhile; this thread only waits for them. Compiled
 kernels run in parallel with Python code (`nogil`).
 
 The step gets these values as `cosim.step.precomputed.Precomputed`. A step of another world computes all of them itself.
