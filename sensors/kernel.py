@@ -9,9 +9,11 @@ instead of 6 ms for 1,000 stations with 60 receivers each): arrays are passed fr
 of stations.
 """
 
+import gc
 from typing import Any
 
 from numba import njit, threading_layer
+from numba.core.registry import CPUDispatcher
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 _COUNTLESS: dict[str, Any] = _OPTIONS | {"_nrt": False}
@@ -34,3 +36,20 @@ def threads_may_meet() -> bool:
         return threading_layer() != "workqueue"
     except ValueError:  # no parallel kernel has run yet
         return False
+
+
+def load_cached() -> int:
+    """Load every compiled function of the imported modules that lies in the cache; return how many.
+
+    Otherwise each is loaded when it is first called. Functions with `prange` are left out, because loading one starts
+    OpenMP, and a process with OpenMP must not fork.
+    """
+    n_loaded = 0
+    for function in [known for known in gc.get_objects() if isinstance(known, CPUDispatcher)]:
+        cache = function._cache  # private API of Numba, which has no other list of what is cached
+        if hasattr(cache, "_cache_file") and not function.targetoptions.get("parallel"):
+            for key in cache._cache_file._load_index():
+                if key == cache._index_key(key[0], function.targetctx.codegen()):  # not of another processor
+                    function.compile(key[0])
+                    n_loaded += 1
+    return n_loaded

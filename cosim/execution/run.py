@@ -81,8 +81,8 @@ def run(
         If a signal interrupted the run; the complete steps are written.
     """
     run_folder.check(out)
-    scenario = check(config)
     with StopRequest() as stop, nursery_for(n_cells) as nursery:
+        scenario = check(config)
         parts, registry, traffic = load_parts(config, scenario, traffic_from)
         with closing(traffic), in_cells(parts, scenario, n_cells, nursery) as parts:
             folder = run_folder.create(out, scenario.name)

@@ -1,9 +1,9 @@
 """The processes of cells: `python -m cosim.execution.cells FD FD FD`.
 
-The first process imports the program and gets the perception of the run. It forks a worker for every cell, and another
-one when a worker has died. So workers share the memory of the program and of the city, and begin at once. A worker
-keeps the range images of its vehicles until the next sweeps begin, the groups of the detections that they know until it
-has fused them, and nothing else.
+The first process imports the program, loads its compiled functions, and gets the perception of the run. It forks a
+worker for every cell, and another one when a worker has died. So workers share the memory of the program and of the
+city, and begin at once. A worker keeps the range images of its vehicles until the next sweeps begin, the groups of the
+detections that they know until it has fused them, and nothing else.
 """
 
 import copy
@@ -29,7 +29,7 @@ from cosim.step.perception import Perception, Seen
 from cosim.step.stopwatch import Stopwatch
 from cosim.world import World
 from sensors.evidence import AreaParams
-from sensors.kernel import threads_may_meet
+from sensors.kernel import load_cached, threads_may_meet
 from sensors.lidar import Poses
 from trust.fusion import Fused
 from trust.params import TrustParams
@@ -178,6 +178,7 @@ def main() -> None:
     files = [int(word) for word in sys.argv[1:]]
     control = socket.socket(fileno=os.dup(files[0]))
     channel = Channel(files)
+    load_cached()
     try:
         for name in channel.receive():
             load_own(name)
