@@ -44,8 +44,9 @@ def load_cached() -> int:
     Otherwise each is loaded when it is first called. Functions with `prange` are left out, because loading one starts
     OpenMP, and a process with OpenMP must not fork.
     """
+    functions: list[Any] = [known for known in gc.get_objects() if isinstance(known, CPUDispatcher)]
     n_loaded = 0
-    for function in [known for known in gc.get_objects() if isinstance(known, CPUDispatcher)]:
+    for function in functions:
         cache = function._cache  # private API of Numba, which has no other list of what is cached
         if hasattr(cache, "_cache_file") and not function.targetoptions.get("parallel"):
             for key in cache._cache_file._load_index():

@@ -156,7 +156,8 @@ class Crew:
                     self.stages_s[stage] = self.stages_s.get(stage, 0.0) + seconds
                 if keeps:
                     before = self._made_with[cell]
-                    before = before[-1:] if service == "perceived" else before  # the rest is of the step before
+                    if service == "perceived":  # of the rest, only the sweeps are of this step
+                        before = [made for made in before if made[0] == "perceive"][-1:]
                     self._made_with[cell] = [*before, (service, given[cell])]
                 results[cell] = reply.result
             senses = service in ("perceive", "perceived")

@@ -16,7 +16,8 @@ _ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_N
 class Nursery:
     """A process that imports the program, gets the perception of a run, and then forks a worker whenever it is asked.
 
-    The import and loading its compiled functions take two or three seconds. Who starts the process early reads the city meanwhile.
+    The import takes two or three seconds, with that of compiled functions. Who starts the process early reads the city
+    meanwhile.
 
     Raises
     ------

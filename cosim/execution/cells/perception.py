@@ -106,7 +106,7 @@ def _per_step(first: _Mark, last: _Mark) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class _Begun:
-    """Sweeps that the cells have begun."""
+    """Sweeps that the cells make next."""
 
     world: World
     cell: UInt8[ndarray, "e"]
@@ -138,7 +138,12 @@ class CellPerception:
     _begun: "_Begun | None" = None
 
     def begin(self, world: World, observers: Int[ndarray, "e"]) -> None:
-        """Begin the sweeps of a world, for which the next call waits. Those of the step before must have been read."""
+        """Let the cells sense this world next; the next call waits for it.
+
+        A cell begins when it has compared what it sensed before. To tell them once more changes nothing.
+        """
+        if self._begun is not None and self._begun.world is world:
+            return
         n, xy_m = self.crew.n_cells, world.boxes.xyz_m[:, :2]
         cell = cells_of(xy_m[observers], costs(xy_m, observers, self.reach_m), n)
         mine = tuple(np.flatnonzero(cell == number) for number in range(n))
@@ -157,8 +162,7 @@ class CellPerception:
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
         """As in `Perceives`."""
         with watch("wait for cells"):
-            if self._begun is None or self._begun.world is not world:
-                self.begin(world, observers)
+            self.begin(world, observers)
             images, seen = self._perceived(observers)
         with watch("detect"):
             return self.inside.observed(world, observers, images, seen, sort=True)

@@ -63,7 +63,8 @@ class _Sensed:
 class Worker:
     """The services of a worker. Observers are numbered within the cell.
 
-    A second thread computes the sweeps, so that the worker can fuse meanwhile.
+    A second thread computes the sweeps, so that the worker can fuse meanwhile. Sweeps use the memory of those before,
+    so they begin when these have been read: when the worker has answered what it has compared.
     """
 
     def __init__(self, perception: Perception | MixedPerception) -> None:
@@ -73,7 +74,9 @@ class Worker:
         self._images: Any = None
         self._grouped: Any = None
         self._thread: ThreadPoolExecutor | None = None  # a thread that exists would not live through a fork
+        self._to_sense: tuple[World, Int[ndarray, "e"]] | None = None
         self._perceived: Future[_Sensed] | None = None
+        self._are_read = True
         self.sense_cpu_s = 0.0
         """Processor time of the sweeps that `perceived` has returned last."""
 
@@ -82,20 +85,26 @@ class Worker:
         return os.getpid()
 
     def perceive(self, world: World, observers: Int[ndarray, "e"]) -> None:
-        """Begin the sweeps of these observers; `world` is the cell and what is within reach of it.
+        """Compute the sweeps of these observers next; `world` is the cell and what is within reach of it."""
+        self._to_sense = copy.deepcopy((world, observers))  # the next message overwrites them
+        if self._are_read:
+            self.sweeps_are_read()
 
-        Their memory is that of the sweeps before, which must have been read.
-        """
+    def sweeps_are_read(self) -> None:
+        """Begin with the next sweeps, if there are any; the last ones are not needed any more."""
+        self._are_read = True
+        if self._to_sense is None:
+            return
         if self._perceived is not None:  # of a step that did not come
             self._perceived.exception()
-        world, observers = copy.deepcopy((world, observers))  # the next message overwrites them
+        given, self._to_sense = self._to_sense, None
         if threads_may_meet():
             self._thread = self._thread or ThreadPoolExecutor(1, "sweeps")
-            self._perceived = self._thread.submit(self._sense, world, observers)
+            self._perceived = self._thread.submit(self._sense, *given)
         else:
             self._perceived = Future()
             try:
-                self._perceived.set_result(self._sense(world, observers))
+                self._perceived.set_result(self._sense(*given))
             except Exception as error:
                 self._perceived.set_exception(error)
 
@@ -105,8 +114,10 @@ class Worker:
         return _Sensed(images, Seen.joined(seen), watch, thread_time() - begin_s)
 
     def perceived(self) -> tuple[Poses, Seen]:
-        """Poses of the sensors, and what they see, when the sweeps that have begun are complete."""
+        """Poses of the sensors, and what they see, when the next sweeps are complete."""
+        self.sweeps_are_read()
         assert self._perceived is not None
+        self._are_read = False
         found, self._perceived = self._perceived, None
         sensed = found.result()
         self.watch.add(sensed.watch, 1)
@@ -163,6 +174,8 @@ def serve(channel: Channel, worker: Worker) -> None:
             return
         except Exception as error:  # the exception of a user's own class may hold anything
             channel.send(replace(reply, result=RuntimeError(f"{type(result).__name__}: {result} ({error})")))
+        if service == "compare":
+            worker.sweeps_are_read()
 
 
 def peak_bytes() -> int:

@@ -3,9 +3,9 @@
 Sweeps, radio links and near pairs depend on positions and on random draws with keys from names. They do not depend on
 earlier steps. If no driver commands the traffic, the next world is known early. The second thread then computes the
 radio links and near pairs of the next world while the present step sends, evaluates and records. It begins with the
-sweeps when the present step has read its own range images for the last time, because both use the same memory. Cells
-begin with them then, too, and fuse the objects of the present step meanwhile; this thread only waits for them. Compiled
-kernels run in parallel with Python code (`nogil`).
+sweeps when the present step has read its own range images for the last time, because both use the same memory. So does
+each cell, as soon as it has compared. It fuses the objects of the present step meanwhile; this thread only waits for
+the sweeps. Compiled kernels run in parallel with Python code (`nogil`).
 
 The step gets these values as `cosim.step.precomputed.Precomputed`. A step of another world computes all of them itself.
 The values do not depend on the order in which the threads run.
@@ -77,6 +77,9 @@ class Ahead:
         may_meet = threads_may_meet()
         if not world.equipped.any() or not (may_meet or self._senses_elsewhere):
             return
+        self._to_sense = world
+        if self._sensing is not None:
+            self._tell_cells()  # this thread collects the present sweeps before
         # For few vehicles this is mostly Python code, which delays the present step. A step in cells waits for them.
         if may_meet and (self._senses_elsewhere or numba.get_num_threads() > 1):
             medium, links = self._parts.medium, None
@@ -84,7 +87,6 @@ class Ahead:
                 links = self._thread.submit(self._links, medium, self._stations(world))
             near_pairs = self._thread.submit(self._near_pairs, world)
             self._begun = [*self._begun[-1:], _Begun(world, near_pairs, links)]
-        self._to_sense = world
         if at_once:
             self._begin_sensing()
 
@@ -96,7 +98,7 @@ class Ahead:
             near_pairs=None if found is None else found.near_pairs.result,
             observed=None if self._sensing is None else partial(self._observed, world, self._sensing),
             with_links=None if links is None else partial(_with_links, links),
-            sweeps_are_read=self._begin_in_cells if self._senses_elsewhere else self._begin_sensing,
+            sweeps_are_read=self._tell_cells if self._senses_elsewhere else self._begin_sensing,
             objects_are_fused=self._begin_sensing if self._senses_elsewhere else None,
         )
 
@@ -106,8 +108,8 @@ class Ahead:
             world, self._to_sense = self._to_sense, None
             self._sensing = world, self._thread.submit(self._sense, world, numba.get_num_threads())
 
-    def _begin_in_cells(self) -> None:
-        """Let the cells begin with the sweeps of the expected world; they fuse the present step's objects meanwhile."""
+    def _tell_cells(self) -> None:
+        """Tell the cells the expected world. Each begins with its sweeps when it has compared, and fuses meanwhile."""
         if (world := self._to_sense) is not None and isinstance(perception := self._parts.perception, CellPerception):
             self._thread.submit(perception.begin, world, self._parts.sensing(world))
 

@@ -7,6 +7,7 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from cosim.execution.cells.channel import Channel
 from cosim.execution.cells.crew import CellLost, Crew
 from cosim.execution.cells.perception import CellPerception
 from cosim.execution.cells.start import in_cells, number_of
+from cosim.execution.cells.worker import Worker
 from cosim.execution.checkpoint import encode
 from cosim.execution.stop import Failed
 from cosim.mobility.scenario import find
@@ -25,6 +27,7 @@ from cosim.step.cycle import step
 from cosim.step.parts import perception_of
 from cosim.step.precomputed import Precomputed
 from cosim.step.state import State
+from cosim.step.stopwatch import Stopwatch
 from results.archive import read_manifest
 from results.recorder import fingerprint
 from tests.drive import cosim, simulate
@@ -148,6 +151,24 @@ def test_a_scene_in_cells_is_the_scene_and_deaths_change_nothing(settings, ahead
     assert_same(found, want)
     assert list(map(bytes, encode(state))) == list(map(bytes, encode(want_state)))
     assert crew.n_replaced == 6 and not crew._workers
+
+
+def test_a_cell_senses_next_as_soon_as_it_has_compared():
+    class Counts(Worker):
+        def _sense(self, world, _):
+            sensed.append(world)
+            return SimpleNamespace(images=SimpleNamespace(poses=world), seen=None, watch=Stopwatch(), cpu_s=0.0)
+
+    sensed, worker = [], Counts(None)
+    worker.perceive("first", np.arange(1))
+    assert worker.perceived()[0] == "first"
+    worker.perceive("second", np.arange(1))
+    assert sensed == ["first"], "the first sweeps have not been read"
+    worker.sweeps_are_read()
+    worker._perceived.result()
+    assert sensed == ["first", "second"] and worker.perceived()[0] == "second"
+    worker.perceive("third", np.arange(1))
+    assert worker.perceived()[0] == "third", "who asks for the next sweeps has read those before"
 
 
 class Dies:
