@@ -4,6 +4,7 @@ import os
 import resource
 import signal
 import time
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -110,9 +111,9 @@ def sensed(parts, at_step=lambda number: None, ahead=False):
 
 def kill(pid):
     os.kill(pid, signal.SIGKILL)
-    status = Path(f"/proc/{pid}/status")
-    while status.exists() and "State:\tZ" not in status.read_text():
-        time.sleep(0.001)
+    with suppress(FileNotFoundError):  # nobody waits for it, and it is gone
+        while "State:\tZ" not in Path(f"/proc/{pid}/status").read_text():
+            time.sleep(0.001)
 
 
 class Dying(Crew):
