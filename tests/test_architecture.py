@@ -40,7 +40,11 @@ ONE_FILE = {
     "betterosi": {"results/export/osi.py"},
     "mcap": {"results/export/ros2.py"},
     "osmium": {"sumo_nets/osm.py"},
-    "distributed": {"cosim/studies/engine.py"},
+    "distributed": {
+        "cosim/execution/cluster.py",
+        "cosim/execution/cells/placed.py",
+        "cosim/studies/engine.py",
+    },
     "psutil": {"cosim/studies/engine.py"},
     "latex2mathml": {"cosim/docs/equations.py"},
     "yaml": {"results/datasets/opv2v.py"},

@@ -26,6 +26,10 @@ def cells(
     check: Annotated[list[Path] | None, typer.Option(help="A run to compare with the prediction. Repeatable.")] = None,
     vehicles: Annotated[list[int] | None, typer.Option(help="Vehicles of a city to predict. Repeatable.")] = None,
     cores: Annotated[list[int] | None, typer.Option(help="Cores to predict for. Repeatable.")] = None,
+    gbit: Annotated[
+        float | None,
+        typer.Option(help="Network of the machine of the run [Gbit/s], if the cells are on other machines."),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Predict the time of a step in cells: fit runs with --cells, check others, and print larger cities."""
@@ -33,10 +37,14 @@ def cells(
 
     if any(n < 1 for n in (*(vehicles or ()), *(cores or ()))):
         raise ValueError("--vehicles and --cores: give numbers from 1.")
+    if gbit is not None and not gbit > 0:
+        raise ValueError(f"--gbit {gbit:g}: give a number above 0.")
     model = CostModel.fit([_measured(run) for run in runs])
     compared = [_compared(run, model) for run in check or ()]
     predicted = [
-        _predicted(model, n, k) for n in vehicles or (5_000, 20_000, 100_000, 1_000_000) for k in cores or (2, 16, 64)
+        _predicted(model, n, k, float("inf") if gbit is None else 1e9 * gbit)
+        for n in vehicles or (5_000, 20_000, 100_000, 1_000_000)
+        for k in cores or (2, 16, 64)
     ]
     if as_json:
         print_json({"check": compared, "predicted": predicted})
@@ -74,9 +82,9 @@ def _compared(run: Path, model: CostModel) -> dict[str, Any]:
     return {"run": str(run), "vehicles": found.n_vehicles, "cells": found.n_cells, **ratios}
 
 
-def _predicted(model: CostModel, n_vehicles: int, n_cores: int) -> dict[str, Any]:
+def _predicted(model: CostModel, n_vehicles: int, n_cores: int, wire_bps: float) -> dict[str, Any]:
     n_cells = max(1, n_cores - 1)
-    step = model.predict(n_vehicles, n_cells, n_cores)
+    step = model.predict(n_vehicles, n_cells, n_cores, wire_bps)
     return {
         "vehicles": n_vehicles, "cores": n_cores, "cells": n_cells, "step [s]": step.step_s, "run [s]": step.run_s,
         "cells [s]": step.cells_s, "MB per step": step.n_bytes / 1e6,

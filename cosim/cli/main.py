@@ -72,6 +72,9 @@ Cells = Annotated[
         help="Cut the city into N cells, each with a process that senses and fuses there; auto: one per free core.",
     ),
 ]
+Scheduler = Annotated[
+    str | None, typer.Option(help="With --cells: address of a running Dask scheduler whose workers compute the cells.")
+]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
 Picture = Literal[
     "trust",
@@ -141,17 +144,18 @@ def run(
         str | None,
         typer.Option(help="Write the same into a file meanwhile: .rrd for Rerun, or .mcap for Foxglove and ROS 2."),
     ] = None,
-    n_cells: Cells = "0",
+    cells: Cells = "0",
+    scheduler: Scheduler = None,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
     """Simulate traffic, sensors, messages and trust, and write a run folder."""
     from cosim.config.config import load
     from cosim.execution import run as running
-    from cosim.execution.cells.start import number_of
+    from cosim.execution.cells.start import Cells as Wanted
     from cosim.execution.check import remarks_on
 
-    wanted = number_of(n_cells)
+    wanted = Wanted.of(cells, scheduler)
     chosen = [] if preset is None else [f"preset={preset}"]
     experiment = load(config, chosen + (overrides or []), trust_code)
     for remark in remarks_on(experiment, config):
@@ -161,31 +165,32 @@ def run(
     target = "viewer" if watch else watch_file
     if target is None:
         with progress() as advance:
-            folder = running.run(experiment, out, advance, n_cells=wanted)
+            folder = running.run(experiment, out, advance, cells=wanted)
     else:
         from cosim.offline.live import Live
 
         with progress() as advance, Live(experiment, target) as live:
-            folder = running.run(experiment, out, advance, on_step=live, n_cells=wanted)
+            folder = running.run(experiment, out, advance, on_step=live, cells=wanted)
     _conclude(folder, as_json)
 
 
 @app.command()
 def resume(
     folder: Annotated[Path, typer.Argument(help="Folder of a run that was interrupted or killed.")],
-    n_cells: Cells = "0",
+    cells: Cells = "0",
+    scheduler: Scheduler = None,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
     """Continue a run from its last complete block. The tables equal those of a run without interruption."""
     from cosim.execution import run as running
-    from cosim.execution.cells.start import number_of
+    from cosim.execution.cells.start import Cells as Wanted
     from results.study import is_study
 
     if is_study(folder):
         raise ValueError(f"{folder} is a study. Continue it with: cosim sweep {folder}/study.toml --out {folder}")
     with progress() as advance:
-        running.resume(folder, advance, trust_code=trust_code, n_cells=number_of(n_cells))
+        running.resume(folder, advance, trust_code=trust_code, cells=Wanted.of(cells, scheduler))
     _conclude(folder, as_json)
 
 

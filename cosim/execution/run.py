@@ -18,7 +18,7 @@ from cosim.door.blame import ExtensionError
 from cosim.execution import checkpoint, recording
 from cosim.execution import folder as run_folder
 from cosim.execution.cells.perception import CellPerception
-from cosim.execution.cells.start import in_cells, nursery_for
+from cosim.execution.cells.start import NO_CELLS, Cells, in_cells, workers_for
 from cosim.execution.check import check, roadside_units, rsu_antennas
 from cosim.execution.drive import STATE_VERSION, Advance, Commands, Drive, OnStep, own_modules, warm_up
 from cosim.execution.folder import RunFolder
@@ -46,7 +46,7 @@ from results.verify import links
 
 def run(
     config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None,
-    on_step: OnStep | None = None, n_cells: int | str = 0,
+    on_step: OnStep | None = None, cells: Cells = NO_CELLS,
 ) -> Path:  # fmt: skip
     """Run an experiment into a folder.
 
@@ -65,9 +65,8 @@ def run(
         are the same.
     on_step
         Called with the result of every recorded step, for example to show it.
-    n_cells
-        Number of worker processes, each of which senses for the vehicles of one part of the city; 0 for none,
-        "auto" for as many as this machine and the city have use for. The tables are the same.
+    cells
+        Worker processes, each of which senses for the vehicles of one part of the city. The tables are the same.
 
     Returns
     -------
@@ -81,10 +80,10 @@ def run(
         If a signal interrupted the run; the complete steps are written.
     """
     run_folder.check(out)
-    with StopRequest() as stop, nursery_for(n_cells) as nursery:
+    with StopRequest() as stop, workers_for(cells) as workers:
         scenario = check(config)
         parts, registry, traffic = load_parts(config, scenario, traffic_from)
-        with closing(traffic), in_cells(parts, scenario, n_cells, nursery) as parts:
+        with closing(traffic), in_cells(parts, scenario, cells, workers) as parts:
             folder = run_folder.create(out, scenario.name)
             try:
                 manifest = Manifest(folder.path, config, provenance(config, scenario), sources(config))
@@ -104,7 +103,7 @@ def run(
 
 
 def resume(
-    path: Path, advance: Advance, traffic_from: Path | None = None, trust_code: bool = False, n_cells: int | str = 0
+    path: Path, advance: Advance, traffic_from: Path | None = None, trust_code: bool = False, cells: Cells = NO_CELLS
 ) -> Path:
     """Continue a run that was killed or interrupted, from its last complete block.
 
@@ -122,8 +121,8 @@ def resume(
     trust_code
         Load the user's own classes that the run's config names. Without it, the run is refused, because the author of
         a folder can compute its checksums again after a change. Nothing else in the folder can name code.
-    n_cells
-        As in `run`. It need not be that of the run so far.
+    cells
+        As in `run`. They need not be those of the run so far.
 
     Returns
     -------
@@ -142,7 +141,7 @@ def resume(
     if (now := provenance(config, scenario)) != manifest["net"]:
         changed = sorted(key for key in now.keys() | manifest["net"].keys() if now.get(key) != manifest["net"].get(key))
         raise ValueError(f"{path}: its inputs have changed since: {', '.join(changed)}. Run again.")
-    with StopRequest() as stop, nursery_for(n_cells) as nursery:
+    with StopRequest() as stop, workers_for(cells) as workers:
         folder = run_folder.reopen(path)
         try:
             if read_manifest(path)["status"] == "finished":
@@ -153,7 +152,7 @@ def resume(
             if problem := next((p for part in closed if (p := content_problem(path, part))), ""):
                 raise Damaged(f"{path} is damaged: {problem}. Run again.")
             parts, registry, traffic = load_parts(config, scenario, traffic_from)
-            with closing(traffic), in_cells(parts, scenario, n_cells, nursery) as parts:
+            with closing(traffic), in_cells(parts, scenario, cells, workers) as parts:
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
                 went.keep_config(manifest)
                 recorder = _recorder(path, parts, found.end_step)

@@ -1,25 +1,21 @@
-"""Runs on Dask distributed: on this machine, or on the workers of a scheduler.
+"""Runs of a study on Dask distributed.
 
 Every run is a subprocess of a worker, so a crash is a failed run and not a lost worker. Results stay on disk. Only
 paths are sent between processes.
 """
 
-import logging
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import psutil
-from distributed import Client, Future, LocalCluster, as_completed
-from distributed.comm import CommClosedError
+from distributed import Client, Future, as_completed
 
-from cosim.execution.source import code_digest
 from cosim.studies.folder import Attempt, StudyFolder
 from cosim.studies.study import Limits
 
@@ -36,96 +32,6 @@ class Work:
     traffic: Mapping[str, Path]
     """By name, a file with a config whose traffic is simulated first."""
     cache: Path
-
-
-@contextmanager
-def connected(scheduler: str | None, workers: int, needed: Path) -> Iterator[Client]:
-    """A client of the scheduler, or of a cluster on this machine.
-
-    Without a scheduler the workers are threads of this process, which start subprocesses.
-
-    Parameters
-    ----------
-    scheduler
-        Address of a scheduler; None for this machine.
-    workers
-        Number of parallel runs on this machine.
-    needed
-        A file or folder that every worker must see.
-
-    Raises
-    ------
-    ValueError
-        If the scheduler or its workers cannot do the work.
-    """
-    if scheduler is None:
-        with (
-            closing_quietly(),
-            LocalCluster(
-                n_workers=1, threads_per_worker=workers, processes=False, memory_limit=0,
-                dashboard_address="127.0.0.1:0",
-            ) as cluster,
-            Client(cluster) as client,
-        ):  # fmt: skip
-            yield client
-        return
-    try:
-        client = Client(scheduler, timeout=5)
-    except (OSError, ValueError, TimeoutError) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise ValueError(
-            f"--scheduler {scheduler}: no scheduler answers there ({reason}). Start one: dask scheduler"
-        ) from None
-    with client:
-        _check(client, scheduler, needed)
-        yield client
-
-
-@contextmanager
-def closing_quietly() -> Iterator[None]:
-    """Suppress log messages about connections that a cluster closes when it ends; they are not errors."""
-
-    def is_news(record: logging.LogRecord) -> bool:
-        error = record.exc_info[1] if record.exc_info else None
-        return not (isinstance(error, CommClosedError) or "CommClosedError" in record.getMessage())
-
-    loggers = [logging.getLogger(name) for name in ("distributed", "tornado.application", "asyncio")]
-    filtered = [*loggers, *(handler for logger in loggers for handler in logger.handlers)]
-    for one in filtered:
-        one.addFilter(is_news)
-    try:
-        yield
-    finally:
-        for one in filtered:
-            one.removeFilter(is_news)
-
-
-def _check(client: Client, scheduler: str, needed: Path) -> None:
-    """Raise ValueError if workers run another version of cosim or do not see the study's folder."""
-    if not client.scheduler_info()["workers"]:
-        raise ValueError(
-            f"--scheduler {scheduler}: it has no workers. Start some: dask worker {scheduler} --nthreads 1"
-        )
-    try:
-        seen = client.run(_look, str(needed))
-    except Exception as error:  # a worker without this code can answer with any error
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:120]
-        raise ValueError(
-            f"--scheduler {scheduler}: its workers cannot run cosim ({reason}). Install it there."
-        ) from None
-    mine = code_digest()
-    for worker, (digest, is_there) in seen.items():
-        if digest != mine:
-            raise ValueError(
-                f"--scheduler {scheduler}: worker {worker} runs another version of cosim ({digest}, here {mine}). "
-                "Install the same one, and start the workers again."
-            )
-        if not is_there:
-            raise ValueError(f"--scheduler {scheduler}: worker {worker} does not see {needed}. Use a shared folder.")
-
-
-def _look(needed: str) -> tuple[str, bool]:
-    return code_digest(), Path(needed).exists()
 
 
 def execute(client: Client, study: StudyFolder, work: Work, limits: Limits) -> Iterator[tuple[str, Attempt]]:

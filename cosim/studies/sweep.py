@@ -12,8 +12,9 @@ import numba
 
 from cosim.door.permission import is_of_a_folder, loading_code
 from cosim.execution import check as checking
+from cosim.execution.cluster import connected, local
 from cosim.mobility.scenario import find
-from cosim.studies.engine import Work, connected, execute
+from cosim.studies.engine import Work, execute
 from cosim.studies.estimate import Estimate, estimate
 from cosim.studies.folder import Attempt, StudyFolder, write_whole
 from cosim.studies.plan import Plan, PlannedRun, plan
@@ -125,7 +126,8 @@ def sweep(
         try:
             if n_points:
                 n_workers = workers or max(1, numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
-                with connected(scheduler, n_workers, folder.path.resolve() / "study.toml") as client:
+                seen_by_all = folder.path.resolve() / "study.toml"
+                with local(n_workers) if scheduler is None else connected(scheduler, seen_by_all) as client:
                     try:
                         for id, attempt in execute(client, StudyFolder(folder.path.resolve()), work, study.limits):
                             if id in work.runs:

@@ -1,6 +1,11 @@
-"""`python -m cosim.execution.cells FD FD FD`: the process that forks the workers of a run, which starts it."""
+"""A process of cells: the one that forks workers, or a worker of another machine (`connect HOST PORT`)."""
 
-from cosim.execution.cells.worker import main
+import sys
+
+from cosim.execution.cells.worker import connect, main
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1] == "connect":
+        connect(sys.argv[2], int(sys.argv[3]))
+    else:
+        main()

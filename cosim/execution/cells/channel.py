@@ -1,7 +1,8 @@
-"""Messages between two processes of one machine: arrays through shared memory, all else through a socket.
+"""Messages between two processes.
 
-The memory belongs to no name in the file system. The kernel frees it when the last process that holds it has ended, in
-whatever way it ended.
+Between those of one machine, arrays go through shared memory and all else through a socket. The memory belongs to no
+name in the file system. The kernel frees it when the last process that holds it has ended, in whatever way it ended.
+Between two machines, all goes through a socket.
 """
 
 import mmap
@@ -10,10 +11,40 @@ import pickle
 import socket
 import tempfile
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, Protocol
+
+import numpy as np
 
 _ALIGNED = 64
 """Arrays begin at multiples of this number of bytes, as NumPy's own arrays do."""
+
+
+class Channel(Protocol):
+    """One end of a channel. One message is under way in each direction at most."""
+
+    n_bytes: int
+    """Bytes sent and received so far."""
+
+    def send(self, what: Any) -> None:
+        """Send an object. It may change afterwards.
+
+        Raises
+        ------
+        OSError
+            If the process at the other end has ended (ConnectionError), or if there is no memory for the message.
+        """
+
+    def receive(self) -> Any:
+        """Wait for the next object. The next message may overwrite its arrays.
+
+        Raises
+        ------
+        EOFError, OSError
+            If the process at the other end has ended.
+        """
+
+    def close(self) -> None:
+        """Close this end. The process at the other end notices it when it next waits for a message."""
 
 
 class _Memory:
@@ -31,32 +62,24 @@ class _Memory:
         return memoryview(self._map)[:size]
 
 
-class Channel:
-    """One end of a channel. One message is under way in each direction at most."""
+class SharedChannel:
+    """As `Channel`, between two processes of one machine."""
 
     def __init__(self, fds: list[int]) -> None:
         """From the socket of this end, the memory of what it sends, and the memory of what it receives."""
         self._socket, self._out, self._in = Connection(fds[0]), _Memory(fds[1]), _Memory(fds[2])
         self.n_bytes = 0
-        """Bytes sent and received so far."""
 
     @staticmethod
-    def pair() -> tuple["Channel", list[int]]:
+    def pair() -> tuple["SharedChannel", list[int]]:
         """One end, and the files from which another process makes the other end. The caller closes the files."""
         here, there = socket.socketpair()
         out, back = _unnamed(), _unnamed()
-        return Channel([here.detach(), out, back]), [there.detach(), os.dup(back), os.dup(out)]
+        return SharedChannel([here.detach(), out, back]), [there.detach(), os.dup(back), os.dup(out)]
 
     def send(self, what: Any) -> None:
-        """Send an object. It may change afterwards.
-
-        Raises
-        ------
-        OSError
-            If the process at the other end has ended.
-        """
-        arrays: list[pickle.PickleBuffer] = []
-        content = pickle.dumps(what, 5, buffer_callback=arrays.append)
+        """As in `Channel`."""
+        content, arrays = _pickled(what)
         places, end = [], 0
         for array in arrays:
             size = array.raw().nbytes
@@ -69,13 +92,7 @@ class Channel:
         self._socket.send_bytes(pickle.dumps((content, places)))
 
     def receive(self) -> Any:
-        """Wait for the next object. Its arrays are in shared memory, which the next message overwrites.
-
-        Raises
-        ------
-        EOFError, OSError
-            If the process at the other end has ended.
-        """
+        """As in `Channel`. The arrays are in shared memory, which the next message overwrites."""
         content, places = pickle.loads(self._socket.recv_bytes())
         end = max((begin + size for begin, size in places), default=0)
         memory = self._in.of_size(end)
@@ -87,11 +104,67 @@ class Channel:
         return self._socket.fileno()
 
     def close(self) -> None:
-        """Close this end. The process at the other end notices it when it next waits for a message."""
+        """As in `Channel`."""
         if not self._socket.closed:
             self._socket.close()
             for memory in (self._out, self._in):
                 os.close(memory.fd)
+
+
+class NetworkChannel:
+    """As `Channel`, between two machines, over a connection of TCP.
+
+    A connection over which nothing comes for about a minute, not even the system's own probes, has ended.
+    """
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._socket = connection
+        self.n_bytes = 0
+        connection.settimeout(None)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in (("TCP_KEEPIDLE", 30), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 3)):
+            if hasattr(socket, name):
+                connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+    def send(self, what: Any) -> None:
+        """As in `Channel`."""
+        content, arrays = _pickled(what)
+        head = pickle.dumps((content, [array.raw().nbytes for array in arrays]))
+        try:
+            self._socket.sendall(len(head).to_bytes(8, "little") + head)
+            for array in arrays:
+                self._socket.sendall(array.raw())
+        except OSError as error:
+            raise ConnectionError(str(error)) from None
+        self.n_bytes += 8 + len(head) + sum(array.raw().nbytes for array in arrays)
+
+    def receive(self) -> Any:
+        """As in `Channel`."""
+        n_head = int.from_bytes(self._exactly(8), "little")
+        content, sizes = pickle.loads(self._exactly(n_head))
+        arrays = [self._exactly(size) for size in sizes]
+        self.n_bytes += 8 + n_head + sum(sizes)
+        return pickle.loads(content, buffers=arrays)
+
+    def _exactly(self, size: int) -> memoryview:
+        found = np.empty(size, np.uint8).data
+        n = 0
+        while n < size:
+            if not (more := self._socket.recv_into(found[n:])):
+                raise EOFError
+            n += more
+        return found
+
+    def close(self) -> None:
+        """As in `Channel`."""
+        self._socket.close()
+
+
+def _pickled(what: Any) -> tuple[bytes, list[pickle.PickleBuffer]]:
+    """An object without its arrays, and these."""
+    arrays: list[pickle.PickleBuffer] = []
+    return pickle.dumps(what, 5, buffer_callback=arrays.append), arrays
 
 
 def _reserve(fd: int, size: int) -> None:

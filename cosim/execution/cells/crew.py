@@ -1,20 +1,19 @@
 """The workers of a run: starts them, asks them, and replaces those that die."""
 
-import os
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from time import perf_counter
 from types import TracebackType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.execution.cells.channel import Channel
-from cosim.execution.cells.nursery import Nursery
+from cosim.execution.cells.nursery import Forked
 from cosim.execution.cells.worker import Reply
 from cosim.execution.stop import Failed
 from cosim.step.mixed_perception import MixedPerception
@@ -34,10 +33,8 @@ class CellCost:
 
     cpu_s: Float[ndarray, "cells"]
     """Processor time of each cell."""
-    busiest_sense_s: float
-    """Processor time of the busiest cell in each request to sense."""
-    busiest_answer_s: float
-    """The same for all other requests."""
+    sense_s: float
+    """Of this, requests to sense."""
     wait_s: float
     """Time from the last question of a request to its last answer."""
     n_bytes: int
@@ -46,18 +43,39 @@ class CellCost:
     @staticmethod
     def none(n_cells: int) -> "CellCost":
         """Before the first request."""
-        return CellCost(np.zeros(n_cells), 0.0, 0.0, 0.0, 0)
+        return CellCost(np.zeros(n_cells), 0.0, 0.0, 0)
 
     def after(self, senses: bool, spent_s: Float[ndarray, "cells"], wait_s: float, n_bytes: int) -> "CellCost":
         """The same with one more request."""
-        busiest_s = float(spent_s.max())
         return CellCost(
             cpu_s=self.cpu_s + spent_s,
-            busiest_sense_s=self.busiest_sense_s + busiest_s * senses,
-            busiest_answer_s=self.busiest_answer_s + busiest_s * (not senses),
+            sense_s=self.sense_s + float(spent_s.sum()) * senses,
             wait_s=self.wait_s + wait_s,
             n_bytes=n_bytes,
         )
+
+
+class Workers(Protocol):
+    """Where the workers of cells come from."""
+
+    room: int
+    """So many can compute at once, beside the process of the run."""
+
+    def new(self, own: Sequence[str], perception: Any) -> Channel:
+        """A channel to a worker that has this perception, or is about to get it.
+
+        `own` names the user's own classes in it.
+
+        Raises
+        ------
+        EOFError, OSError
+            If it has not begun. Another try may succeed.
+        CellLost
+            If no other try can.
+        """
+
+    def close(self) -> None:
+        """Start no more workers. Those that have begun end with their channels."""
 
 
 class Crew:
@@ -74,13 +92,13 @@ class Crew:
         The perception of the run.
     own
         Names of the user's own classes in it, as a config has them.
-    nursery
-        A process that will fork the workers, if one has been started already. It ends with the crew.
+    source
+        Where the workers come from; None for this machine. It is closed with the crew.
     """
 
     def __init__(
         self, n_cells: int, perception: Perception | MixedPerception, own: Sequence[str] = (),
-        nursery: Nursery | None = None,
+        source: Workers | None = None,
     ) -> None:  # fmt: skip
         self.n_cells = n_cells
         self.n_replaced = 0
@@ -96,7 +114,7 @@ class Crew:
         self.pids: list[int] = []
         """Process of each worker."""
         self._perception, self._own = perception, list(own)
-        self._nursery = nursery
+        self._source = Forked() if source is None else source
         self._workers: list[Channel] = []
         self._made_with: list[list[tuple[str, Any]]] = [[] for _ in range(n_cells)]
         """The requests after which each worker keeps something."""
@@ -110,7 +128,7 @@ class Crew:
                 self.pids.append(pid)
         except CellLost as error:
             self.close()
-            raise Failed(f"{error} (out of memory or processes?). Nothing was written.") from None
+            raise Failed(f"{error}. Nothing was written.") from None
         except BaseException:
             self.close()
             raise
@@ -191,33 +209,18 @@ class Crew:
     def _new_worker(self) -> tuple[Channel, int]:
         """A worker that has begun, and its process."""
         for _ in range(_MOST_DEATHS):
-            channel, files = Channel.pair()
             try:
-                if self._nursery is None or not self._nursery.is_alive():
-                    self._stop_nursery()
-                    self._nursery = Nursery()
-                if not self._nursery.knows_perception:
-                    self._nursery.teach(self._own, self._perception)
-                self._nursery.fork(files)
+                channel = self._source.new(self._own, self._perception)
+            except CellLost:
+                raise
             except (EOFError, OSError):
-                channel.close()
-                self._stop_nursery()
                 continue
-            finally:  # before the wait: as long as this process holds the other end, it does not hear that it has ended
-                for fd in files:
-                    os.close(fd)
             try:
                 channel.send(("pid", ()))
                 return channel, int(channel.receive().result)
             except (EOFError, OSError):
                 channel.close()
-                self._stop_nursery()
-        raise CellLost("the workers of the cells cannot be started")
-
-    def _stop_nursery(self) -> None:
-        if self._nursery is not None:
-            self._nursery.close()
-        self._nursery = None
+        raise CellLost("the workers of the cells cannot be started (out of memory or processes?)")
 
     def close(self) -> None:
         """End the workers."""
@@ -225,7 +228,7 @@ class Crew:
             self.n_bytes += worker.n_bytes
             worker.close()
         self._workers = []
-        self._stop_nursery()
+        self._source.close()
 
     def _n_bytes(self) -> int:
         return self.n_bytes + sum(worker.n_bytes for worker in self._workers)

@@ -10,8 +10,10 @@ a step takes
 
     T = (1 - a) M + max(a M, s I C / N) + (1 - s) I C / N
 
-with a core for each process and one more, and never less than (R + C) / K with K cores. r, q, c and d are 0 or more.
-They are fitted by least squares of the relative errors, so runs need to differ in N.
+with a core for each process and one more, and never less than (R + C) / K with K cores. If the cells are on other
+machines, all that they exchange with the run passes its network port, which adds B / W for B bits and W bits per
+second. r, q, c and d are 0 or more. They are fitted by least squares of the relative errors, so runs need to differ in
+N.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,9 +45,9 @@ class Measured:
     cells_s: float
     """Processor time of all cells."""
     busiest_s: float
-    """Processor time of the busiest cell in each request."""
+    """Processor time of the busiest cell in each step."""
     sensing_p: float
-    """Share of this that is sensing."""
+    """Share of the cells' time that is sensing."""
     after_p: float
     """Share of the first thread's own time after the evaluation, in which cells sense for the next step."""
     ahead_p: float
@@ -72,11 +74,10 @@ class Measured:
         )
         first_s = after_s + other_s
         ahead_s = sum(manifest.get("timings_ahead_s", {}).get(stage, 0.0) for stage in _AHEAD)
-        busiest_s = step["busiest_sense_s"] + step["busiest_answer_s"]
         return Measured(
             n_vehicles=cells["vehicles"], n_cells=cells["cells"], run_s=step["run_cpu_s"],
-            cells_s=step["cells_cpu_s"], busiest_s=busiest_s,
-            sensing_p=step["busiest_sense_s"] / max(busiest_s, 1e-9),
+            cells_s=step["cells_cpu_s"], busiest_s=step["busiest_s"],
+            sensing_p=step["sense_cpu_s"] / max(step["cells_cpu_s"], 1e-9),
             after_p=after_s / max(first_s, 1e-9), ahead_p=ahead_s / max(ahead_s + first_s, 1e-9),
             n_bytes=step["bytes"], wall_s=step["wall_s"],
         )  # fmt: skip
@@ -131,17 +132,20 @@ class CostModel:
             n_bytes=float(np.mean([run.n_bytes / run.n_vehicles for run in runs])),
         )
 
-    def predict(self, n_vehicles: float, n_cells: int, n_cores: int) -> Predicted:
-        """A step of a city with so many vehicles that sense, in so many cells, on so many cores."""
+    def predict(self, n_vehicles: float, n_cells: int, n_cores: int, wire_bps: float = np.inf) -> Predicted:
+        """A step of a city with so many vehicles that sense, in so many cells, on so many cores.
+
+        `wire_bps` is what the network carries from and to the machine of the run [bit/s], if the cells are elsewhere.
+        """
         run_s = self.run_s[0] * n_vehicles + self.run_s[1] * n_cells
         cells_s = self.cells_s[0] * n_vehicles + self.cells_s[1] * n_cells
         busiest_s = (1 + self.imbalance * float(np.log2(n_cells))) * cells_s / n_cells
         first_s = (1 - self.ahead_p) * run_s
         while_sensing_s = max(self.after_p * first_s, self.sensing_p * busiest_s)
         longest_s = (1 - self.after_p) * first_s + while_sensing_s + (1 - self.sensing_p) * busiest_s
-        return Predicted(
-            run_s, cells_s, busiest_s, max(longest_s, (run_s + cells_s) / n_cores), self.n_bytes * n_vehicles
-        )
+        n_bytes = self.n_bytes * n_vehicles
+        step_s = max(longest_s, (run_s + cells_s) / n_cores) + 8 * n_bytes / wire_bps
+        return Predicted(run_s, cells_s, busiest_s, step_s, n_bytes)
 
 
 def _linear(

@@ -84,6 +84,8 @@ class _Mark:
     run_cpu_s: float
     at_s: float
     cost: CellCost
+    busiest_s: float
+    """Processor time of the busiest cell in each step, summed over the steps since the first mark."""
 
 
 def _per_step(first: _Mark, last: _Mark) -> dict[str, Any]:
@@ -94,11 +96,10 @@ def _per_step(first: _Mark, last: _Mark) -> dict[str, Any]:
         "wall_s": (last.at_s - first.at_s) / n,
         "run_cpu_s": (last.run_cpu_s - first.run_cpu_s) / n,
         "cells_cpu_s": float(cells_s.sum()),
-        "busiest_sense_s": (b.busiest_sense_s - a.busiest_sense_s) / n,
-        "busiest_answer_s": (b.busiest_answer_s - a.busiest_answer_s) / n,
+        "sense_cpu_s": (b.sense_s - a.sense_s) / n,
+        "busiest_s": last.busiest_s / n,
         "wait_s": (b.wait_s - a.wait_s) / n,
-        "imbalance": (b.busiest_sense_s - a.busiest_sense_s + b.busiest_answer_s - a.busiest_answer_s)
-        / max((b.cpu_s - a.cpu_s).mean(), 1e-9),
+        "imbalance": last.busiest_s / max((b.cpu_s - a.cpu_s).mean(), 1e-9),
     }
     rounded = {name: round(value, 4) for name, value in means.items()}
     return {"steps": n, **rounded, "bytes": (b.n_bytes - a.n_bytes) // n, "cell_cpu_s": cells_s.round(4).tolist()}
@@ -205,7 +206,11 @@ class CellPerception:
         The first steps load kernels, so they do not count.
         """
         if self.n_steps > _UNCOUNTED:
-            mark = _Mark(self.n_steps, process_time(), perf_counter(), self.crew.cost)
+            cost, busiest_s = self.crew.cost, 0.0
+            if self._marks:
+                before = self._marks[-1]
+                busiest_s = before.busiest_s + float((cost.cpu_s - before.cost.cpu_s).max())
+            mark = _Mark(self.n_steps, process_time(), perf_counter(), cost, busiest_s)
             self._marks = [*self._marks[:1], mark]
 
     def compare(

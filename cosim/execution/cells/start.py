@@ -1,22 +1,17 @@
 """Starts the cells of a run."""
 
-import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import replace
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
 
 from cosim.config.config import chosen
-from cosim.execution.cells.crew import Crew
-from cosim.execution.cells.nursery import Nursery
+from cosim.execution.cells.crew import Crew, Workers
+from cosim.execution.cells.nursery import MOST, Forked, n_cores
 from cosim.execution.cells.perception import CellPerception
 from cosim.mobility.scenario import Scenario
 from cosim.step.mixed_perception import MixedPerception
 from cosim.step.parts import Parts
 from cosim.step.perception import Perception
-
-MOST = 256
-"""Workers of a run."""
-
 
 AUTO = "auto"
 """As many cells as this machine has use for."""
@@ -24,51 +19,74 @@ _FEWEST_CORES = 4
 """With fewer cores than this, threads of one process serve as well."""
 
 
-def number_of(text: str) -> int | str:
-    """The value of `--cells`: a number, or `AUTO`. A ValueError of one line is raised for anything else."""
-    if text == AUTO:
-        return AUTO
-    if not (text.removeprefix("-").isascii() and text.removeprefix("-").isdecimal()) or not 0 <= int(text) <= MOST:
-        raise ValueError(f"--cells {text}: give a number from 1 to {MOST}, {AUTO}, or 0 for none.")
-    return int(text)
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """The cells that a user wants."""
+
+    number: int | str = 0
+    """`AUTO`, or a number; 0 for none."""
+    scheduler: str | None = None
+    """Address of the Dask scheduler that places them; None for this machine."""
+
+    @staticmethod
+    def of(text: str, scheduler: str | None = None) -> "Cells":
+        """From the values of `--cells` and `--scheduler`. A ValueError of one line is raised for wrong ones."""
+        if text != AUTO and (
+            not (text.removeprefix("-").isascii() and text.removeprefix("-").isdecimal()) or not 0 <= int(text) <= MOST
+        ):
+            raise ValueError(f"--cells {text}: give a number from 1 to {MOST}, {AUTO}, or 0 for none.")
+        cells = Cells(AUTO if text == AUTO else int(text), scheduler)
+        if scheduler is not None and cells.number == 0:
+            raise ValueError(f"--scheduler {scheduler} is for cells: give --cells N, or --cells {AUTO}.")
+        return cells
+
+
+NO_CELLS = Cells()
 
 
 @contextmanager
-def nursery_for(wanted: int | str) -> Iterator[Nursery | None]:
-    """The process that forks the workers of so many cells, which starts while the city is read; None for no cells."""
-    nursery = None
-    if wanted != 0 and (wanted != AUTO or _n_cores() >= _FEWEST_CORES):
-        with suppress(OSError):  # the crew tries again, and says what is missing
-            nursery = Nursery()
-    try:
-        yield nursery
-    finally:
-        if nursery is not None:
-            nursery.close()
+def workers_for(wanted: Cells) -> Iterator[Workers | None]:
+    """Workers of cells, which start while the city is read; None for no cells.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the scheduler cannot place them.
+    """
+    if wanted.scheduler is not None:
+        from cosim.execution.cells.placed import placed  # imports Dask, which takes a second
+
+        with placed(wanted.scheduler, None if isinstance(wanted.number, str) else wanted.number) as workers:
+            yield workers
+    elif wanted.number == 0 or (wanted.number == AUTO and n_cores() < _FEWEST_CORES):
+        yield None
+    else:
+        with closing(Forked()) as forked:
+            yield forked
 
 
 @contextmanager
 def in_cells(
-    parts: Parts, scenario: Scenario, wanted: int | str, nursery: Nursery | None = None
+    parts: Parts, scenario: Scenario, wanted: Cells, workers: Workers | None = None
 ) -> Iterator[Parts]:  # fmt: skip
-    """The components of a run whose vehicles sense in this number of cells; 0 for none. The workers end with it.
+    """The components of a run whose vehicles sense in cells. The workers end with it.
 
-    `nursery` is what `nursery_for` has started. `AUTO` takes a core for the process of the run and each other core for
-    a cell, as far as the city has room for them.
+    `workers` is what `workers_for` has yielded. `AUTO` takes a core of this machine for the process of the run and each
+    other core for a cell; with a scheduler, each thread of its workers for a cell; as far as the city has room.
 
     Raises
     ------
     ValueError
         In one line, if the city cannot be cut into so many cells.
     """
-    n_cells = _fitting(parts, scenario) if isinstance(wanted, str) else wanted
+    n_cells = _fitting(parts, scenario, workers) if isinstance(wanted.number, str) else wanted.number
     if not n_cells:
         yield parts
         return
     check(parts, scenario, n_cells)
     inside, choice = parts.perception, chosen(parts.config, "detector")[0]
     assert isinstance(inside, Perception | MixedPerception)
-    with Crew(n_cells, inside, [choice.source.name] if choice.is_own else (), nursery) as crew:
+    with Crew(n_cells, inside, [choice.source.name] if choice.is_own else (), workers) as crew:
         cells = CellPerception(inside, crew, parts.config.lidar.max_range_m)
         yield replace(parts, perception=cells, compare=cells.compare)
 
@@ -99,13 +117,8 @@ def _most(parts: Parts, scenario: Scenario) -> int:
     return max(1, min(MOST, int((east - west) * (north - south) / (2 * parts.config.lidar.max_range_m) ** 2)))
 
 
-def _fitting(parts: Parts, scenario: Scenario) -> int:
-    """Cells for this machine and city; 0 where they gain nothing."""
-    cores = _n_cores()
-    if cores < _FEWEST_CORES or not parts.config.sensing:
+def _fitting(parts: Parts, scenario: Scenario, workers: Workers | None) -> int:
+    """Cells for these workers and this city; 0 where they gain nothing."""
+    if workers is None or not parts.config.sensing:
         return 0
-    return min(cores - 1, _most(parts, scenario))
-
-
-def _n_cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(workers.room, _most(parts, scenario))

@@ -1,9 +1,12 @@
-"""The processes of cells: `python -m cosim.execution.cells FD FD FD`.
+"""The processes of cells.
 
-The first process imports the program, loads its compiled functions, and gets the perception of the run. It forks a
-worker for every cell, and another one when a worker has died. So workers share the memory of the program and of the
-city, and begin at once. A worker keeps the range images of its vehicles until the next sweeps begin, the groups of the
-detections that they know until it has fused them, and nothing else.
+On the machine of the run, `python -m cosim.execution.cells FD FD FD` imports the program, loads its compiled functions,
+and gets the perception of the run. It forks a worker for every cell, and another one when a worker has died. So workers
+share the memory of the program and of the city, and begin at once. On other machines, each worker is a process
+`python -m cosim.execution.cells connect HOST PORT` that reads a secret from standard input.
+
+A worker keeps the range images of its vehicles until the next sweeps begin, the groups of the detections that they know
+until it has fused them, and nothing else.
 """
 
 import copy
@@ -12,6 +15,7 @@ import resource
 import signal
 import socket
 import sys
+import threading
 import traceback
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
@@ -22,7 +26,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.door.load import load_own
-from cosim.execution.cells.channel import Channel
+from cosim.execution.cells.channel import Channel, NetworkChannel, SharedChannel
 from cosim.step.comparing import Compared, FusionOf, Grouped, KnownObjects, PartRows, Used, compare
 from cosim.step.mixed_perception import MixedPerception
 from cosim.step.perception import Perception, Seen
@@ -34,6 +38,10 @@ from sensors.lidar import Poses
 from trust.fusion import Fused
 from trust.params import TrustParams
 from trust.tables import Detections
+
+SECRET_BYTES = 32
+"""Of what a worker of another machine says first."""
+_CONNECT_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,13 +192,43 @@ def peak_bytes() -> int:
     return peak if sys.platform == "darwin" else 1024 * peak
 
 
+def connect(host: str, port: int) -> None:
+    """Be the worker of a cell of a run on another machine, until the run or who has started this process has ended."""
+    secret = os.read(0, SECRET_BYTES)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    load_cached()
+    connection = socket.create_connection((host, port), timeout=_CONNECT_S)
+    connection.sendall(secret)
+    channel = NetworkChannel(connection)
+    try:
+        names = channel.receive()
+        try:
+            for name in names:
+                load_own(name)
+        except Exception as error:
+            channel.send(error)
+            return
+        channel.send("ready")
+        perception = channel.receive()
+    except (EOFError, OSError):
+        return  # the run has ended
+    serve(channel, Worker(perception))
+    os._exit(0)
+
+
+def _end_with_parent() -> None:
+    while os.read(0, 4096):
+        pass
+    os._exit(3)
+
+
 def main() -> None:
     """Fork a worker for every three files that arrive, until the run has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the run, which then ends its workers
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     files = [int(word) for word in sys.argv[1:]]
     control = socket.socket(fileno=os.dup(files[0]))
-    channel = Channel(files)
+    channel = SharedChannel(files)
     load_cached()
     try:
         for name in channel.receive():
@@ -204,7 +242,7 @@ def main() -> None:
             if os.fork() == 0:
                 control.close()
                 channel.close()
-                serve(Channel(fds), Worker(perception))
+                serve(SharedChannel(fds), Worker(perception))
                 os._exit(0)
             for fd in fds:
                 os.close(fd)

@@ -15,10 +15,10 @@ import pytest
 
 from cosim.config.config import load
 from cosim.execution.cells.border import cells_of, costs, within_reach
-from cosim.execution.cells.channel import Channel
+from cosim.execution.cells.channel import SharedChannel
 from cosim.execution.cells.crew import CellLost, Crew
 from cosim.execution.cells.perception import CellPerception
-from cosim.execution.cells.start import in_cells, number_of
+from cosim.execution.cells.start import NO_CELLS, Cells, in_cells
 from cosim.execution.cells.worker import Worker
 from cosim.execution.checkpoint import encode
 from cosim.execution.stop import Failed
@@ -79,8 +79,8 @@ def test_all_within_reach_of_a_cell_are_there():
 
 
 def test_a_channel_carries_arrays_of_every_kind_and_grows():
-    here, files = Channel.pair()
-    there = Channel(files)
+    here, files = SharedChannel.pair()
+    there = SharedChannel(files)
     for size in (0, 7, 100_000):
         sent = {"a": np.arange(size), "b": np.asfortranarray(np.ones((size, 3), np.float32)), "c": None, "d": "text"}
         here.send(sent)
@@ -142,7 +142,7 @@ def test_a_scene_in_cells_is_the_scene_and_deaths_change_nothing(settings, ahead
         if number == 1:
             kill(crew.pids[1])
         if number == 2:
-            kill(crew._nursery.pid)  # and the process that forks workers
+            kill(crew._source.nursery.pid)  # and the process that forks workers
             kill(crew.pids[1])
 
     with crew:
@@ -198,22 +198,22 @@ def test_too_many_cells_end_in_one_line_and_write_nothing(tmp_path):
 def test_wrong_numbers_of_cells(n_cells, key, says):
     parts = parts_of(ScriptedScene.load())
     parts = replace(parts, config=load(None, [key]))
-    with pytest.raises(ValueError, match=says), in_cells(parts, find("helsinki", None), n_cells):
+    with pytest.raises(ValueError, match=says), in_cells(parts, find("helsinki", None), Cells(n_cells)):
         pass
 
 
 @pytest.mark.parametrize("text", ["-1", "257", "1.5", "many", "", "²"])
 def test_what_is_no_number_of_cells(text):
     with pytest.raises(ValueError, match="give a number from 1 to 256, auto, or 0 for none"):
-        number_of(text)
+        Cells.of(text)
 
 
 def test_auto_takes_no_cells_where_nothing_is_sensed():
     parts = parts_of(ScriptedScene.load())
     parts = replace(parts, config=load(None, ["sensing=false"]))
-    with in_cells(parts, find("helsinki", None), number_of("auto")) as same:
+    with in_cells(parts, find("helsinki", None), Cells("auto")) as same:
         assert same is parts
-    assert number_of("3") == 3 and number_of("0") == 0
+    assert Cells.of("3") == Cells(3) and Cells.of("0") == NO_CELLS
 
 
 def test_no_memory_for_a_message_is_an_error_of_the_run_and_no_death():

@@ -4,7 +4,7 @@ import logging
 
 from distributed.comm import CommClosedError
 
-from cosim.studies.engine import closing_quietly
+from cosim.execution.cluster import closing_quietly
 
 
 def test_connections_that_a_cluster_closes_itself_are_not_told(caplog):
