@@ -80,11 +80,7 @@ class SharedChannel:
     def send(self, what: Any) -> None:
         """As in `Channel`."""
         content, arrays = _pickled(what)
-        places, end = [], 0
-        for array in arrays:
-            size = array.raw().nbytes
-            places.append((end, size))
-            end = -(-(end + size) // _ALIGNED) * _ALIGNED
+        places, end = _places([array.raw().nbytes for array in arrays])
         memory = self._out.of_size(end)
         for (begin, size), array in zip(places, arrays, strict=True):
             memory[begin : begin + size] = array.raw()
@@ -118,7 +114,7 @@ class NetworkChannel:
     """
 
     def __init__(self, connection: socket.socket) -> None:
-        self._socket = connection
+        self._socket, self._memory = connection, memoryview(bytearray())
         self.n_bytes = 0
         connection.settimeout(None)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -141,20 +137,26 @@ class NetworkChannel:
 
     def receive(self) -> Any:
         """As in `Channel`."""
-        n_head = int.from_bytes(self._exactly(8), "little")
-        content, sizes = pickle.loads(self._exactly(n_head))
-        arrays = [self._exactly(size) for size in sizes]
+        n_head = int.from_bytes(self._into(memoryview(bytearray(8))), "little")
+        content, sizes = pickle.loads(self._into(memoryview(bytearray(n_head))))
+        places, end = _places(sizes)
+        if len(self._memory) < end:
+            self._memory = np.empty(end + end // 4, np.uint8).data  # used again: new memory takes longer than the copy
+        arrays = [self._into(self._memory[begin : begin + size]) for begin, size in places]
         self.n_bytes += 8 + n_head + sum(sizes)
         return pickle.loads(content, buffers=arrays)
 
-    def _exactly(self, size: int) -> memoryview:
-        found = np.empty(size, np.uint8).data
+    def keep_last(self) -> None:
+        """Let the next messages not overwrite the arrays of the last one."""
+        self._memory = memoryview(bytearray())
+
+    def _into(self, place: memoryview) -> memoryview:
         n = 0
-        while n < size:
-            if not (more := self._socket.recv_into(found[n:])):
+        while n < len(place):
+            if not (more := self._socket.recv_into(place[n:])):
                 raise EOFError
             n += more
-        return found
+        return place
 
     def close(self) -> None:
         """As in `Channel`."""
@@ -165,6 +167,15 @@ def _pickled(what: Any) -> tuple[bytes, list[pickle.PickleBuffer]]:
     """An object without its arrays, and these."""
     arrays: list[pickle.PickleBuffer] = []
     return pickle.dumps(what, 5, buffer_callback=arrays.append), arrays
+
+
+def _places(sizes: list[int]) -> tuple[list[tuple[int, int]], int]:
+    """Where arrays of these sizes lie one after the other, as begin and size, and the end of all."""
+    places, end = [], 0
+    for size in sizes:
+        places.append((end, size))
+        end = -(-(end + size) // _ALIGNED) * _ALIGNED
+    return places, end
 
 
 def _reserve(fd: int, size: int) -> None:

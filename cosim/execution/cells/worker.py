@@ -210,6 +210,7 @@ def connect(host: str, port: int) -> None:
             return
         channel.send("ready")
         perception = channel.receive()
+        channel.keep_last()
     except (EOFError, OSError):
         return  # the run has ended
     serve(channel, Worker(perception))
