@@ -1,14 +1,19 @@
 """Clusters of Dask distributed: that of a scheduler, or one on this machine."""
 
 import logging
+from asyncio import CancelledError
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from distributed import Client, LocalCluster
 from distributed.comm import CommClosedError
 
 from cosim.execution.source import code_digest
+
+_ANSWER_S = 5
+"""Longest wait for a scheduler."""
+_TRIES = 10
 
 
 @contextmanager
@@ -28,7 +33,7 @@ def connected(scheduler: str, needed: Path | None = None) -> Iterator[Client]:
         In one line, if the scheduler or its workers cannot do the work.
     """
     try:
-        client = Client(scheduler, timeout=5)
+        client = _client(scheduler)
     except (OSError, ValueError, TimeoutError) as error:
         reason = " ".join(str(error).split())[:120]
         raise ValueError(
@@ -55,11 +60,15 @@ def local(n_threads: int) -> Iterator[Client]:
 
 @contextmanager
 def closing_quietly() -> Iterator[None]:
-    """Suppress log messages about connections that a cluster closes when it ends; they are not errors."""
+    """Suppress log messages about connections that are closed: by a cluster that ends, or by a scheduler that is lost.
+
+    They are not errors, or whoever uses the cluster says it in one line.
+    """
 
     def is_news(record: logging.LogRecord) -> bool:
         error = record.exc_info[1] if record.exc_info else None
-        return not (isinstance(error, CommClosedError) or "CommClosedError" in record.getMessage())
+        is_closed = any(words in record.getMessage() for words in ("CommClosedError", "Failed to reconnect"))
+        return not (is_closed or isinstance(error, CommClosedError | CancelledError))
 
     loggers = [logging.getLogger(name) for name in ("distributed", "tornado.application", "asyncio")]
     filtered = [*loggers, *(handler for logger in loggers for handler in logger.handlers)]
@@ -70,6 +79,13 @@ def closing_quietly() -> Iterator[None]:
     finally:
         for one in filtered:
             one.removeFilter(is_news)
+
+
+def _client(scheduler: str) -> Client:
+    for _ in range(_TRIES):
+        with suppress(AssertionError):  # Dask's client does not expect that a worker registers at the same moment
+            return Client(scheduler, timeout=_ANSWER_S)
+    raise TimeoutError("workers were registering all the time")
 
 
 def _check(client: Client, scheduler: str, needed: Path | None) -> None:

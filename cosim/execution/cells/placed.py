@@ -135,7 +135,7 @@ class Placed:
         """As in `Workers`."""
         self._door.close()
         for future in self._awaited.values():
-            future.cancel()
+            _cancel(future)
         self._awaited = {}
 
 
@@ -149,7 +149,12 @@ class _Channel(NetworkChannel):
     def close(self) -> None:
         """As in `Channel`. Dask does not start the worker again."""
         super().close()
-        self._future.cancel()
+        _cancel(self._future)
+
+
+def _cancel(future: Future) -> None:
+    with suppress(Exception):  # the scheduler is lost, and with it the task
+        future.cancel()
 
 
 def hold(host: str, port: int, secret: bytes) -> int:

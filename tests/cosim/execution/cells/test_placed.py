@@ -151,7 +151,8 @@ def test_kills_of_cells_and_of_dask_workers_change_no_table(tmp_path):
 
 
 @pytest.mark.verify
-def test_a_lost_scheduler_ends_the_run_in_one_line_and_resume_continues(tmp_path):
+def test_a_cell_that_dies_without_a_scheduler_ends_the_run_in_one_line_and_resume_continues(tmp_path):
+    """While the cells live, the run does without the scheduler."""
     out = tmp_path / "cells"
     with loopback(tmp_path, 2) as (address, workers):
         wait_for(lambda: n_threads(address) == 2)
@@ -159,10 +160,12 @@ def test_a_lost_scheduler_ends_the_run_in_one_line_and_resume_continues(tmp_path
         wait_for(lambda: list(out.glob("checkpoint/*")) or run.process.poll() is not None)
         (scheduler,) = (p for p in psutil.process_iter() if address.rpartition(":")[2] in ports_of(p))
         scheduler.kill()
+        time.sleep(2)
+        os.kill(next(pid for worker in workers for pid in cells_of(worker)), signal.SIGKILL)
         status, said = run.ended()
         assert status == 1 and said.count("\n") == 1, said
         assert "the scheduler is lost" in said and f"cosim resume {out}" in said
-        wait_for(lambda: not any(cells_of(worker) for worker in workers))
+        wait_for(lambda: not any(map(cells_of, workers)))
     assert cosim("resume", str(out)).returncode == 0
     assert fingerprint(out) == fingerprint(simulate(tmp_path / "one", *SHORT))
 
