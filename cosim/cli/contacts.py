@@ -17,6 +17,29 @@ if TYPE_CHECKING:
 
 Pairs = Literal["all", "equipped", "los", "all_los"]
 
+Actor = Annotated[str | None, typer.Option("--id", help="Column with the names of the vehicles.")]
+Time = Annotated[str | None, typer.Option("--time", help="Column with times: seconds, or dates.")]
+X = Annotated[str | None, typer.Option("--x", help="Column with metres east.")]
+Y = Annotated[str | None, typer.Option("--y", help="Column with metres north.")]
+Lat = Annotated[str | None, typer.Option("--lat", help="Column with latitudes, in degrees.")]
+Lon = Annotated[str | None, typer.Option("--lon", help="Column with longitudes, in degrees.")]
+FrameHz = Annotated[float | None, typer.Option("--frame-hz", help="Frames per second, if the times are frame numbers.")]
+StepS = Annotated[
+    float | None, typer.Option("--step-s", help="Length of a step. The default is the interval of the trace.")
+]
+MaxGapS = Annotated[
+    float,
+    typer.Option(
+        "--max-gap-s", help="Positions farther apart in time are not joined: observation ends and begins anew."
+    ),
+]
+MaxSpeedMps = Annotated[
+    float, typer.Option("--max-speed-mps", help="Positions that ask for a faster motion are not joined either.")
+]
+Repair = Annotated[
+    bool, typer.Option("--repair", help="Sort rows, and leave out rows with missing values and repeated rows.")
+]
+
 judges = typer.Typer(no_args_is_help=True, help="Put figures of runs beside what others have published.")
 
 
@@ -51,27 +74,16 @@ def contacts(
         str | None,
         typer.Option(help="City or .sumocfg of a trace of SUMO's: sizes of vehicles, and buildings."),
     ] = None,
-    actor: Annotated[str | None, typer.Option("--id", help="Column with the names of the vehicles.")] = None,
-    time: Annotated[str | None, typer.Option("--time", help="Column with times: seconds, or dates.")] = None,
-    x: Annotated[str | None, typer.Option("--x", help="Column with metres east.")] = None,
-    y: Annotated[str | None, typer.Option("--y", help="Column with metres north.")] = None,
-    lat: Annotated[str | None, typer.Option("--lat", help="Column with latitudes, in degrees.")] = None,
-    lon: Annotated[str | None, typer.Option("--lon", help="Column with longitudes, in degrees.")] = None,
-    frame_hz: Annotated[
-        float | None, typer.Option("--frame-hz", help="Frames per second, if the times are frame numbers.")
-    ] = None,
-    step_s: Annotated[
-        float | None, typer.Option("--step-s", help="Length of a step. The default is the interval of the trace.")
-    ] = None,
-    max_gap_s: Annotated[
-        float,
-        typer.Option(
-            "--max-gap-s", help="Positions farther apart in time are not joined: observation ends and begins anew."
-        ),
-    ] = 30.0,
-    max_speed_mps: Annotated[
-        float, typer.Option("--max-speed-mps", help="Positions that ask for a faster motion are not joined either.")
-    ] = 70.0,
+    actor: Actor = None,
+    time: Time = None,
+    x: X = None,
+    y: Y = None,
+    lat: Lat = None,
+    lon: Lon = None,
+    frame_hz: FrameHz = None,
+    step_s: StepS = None,
+    max_gap_s: MaxGapS = 30.0,
+    max_speed_mps: MaxSpeedMps = 70.0,
     appearance: Annotated[
         Literal["ends", "censors"] | None,
         typer.Option(
@@ -81,9 +93,7 @@ def contacts(
     ] = None,
     from_s: Annotated[float | None, typer.Option("--from", help="Count from this time of the trace on.")] = None,
     to_s: Annotated[float | None, typer.Option("--to", help="Count up to this time of the trace.")] = None,
-    repair: Annotated[
-        bool, typer.Option("--repair", help="Sort rows, and leave out rows with missing values and repeated rows.")
-    ] = False,
+    repair: Repair = False,
     as_json: AsJson = False,
 ) -> None:
     """Count encounters in a trace, into a folder that `measure`, `plot encounters` and `judge` read."""
@@ -92,7 +102,7 @@ def contacts(
 
     params = ContactParams(
         scenario=scenario, step_s=step_s, max_gap_s=max_gap_s, max_speed_mps=max_speed_mps, appearance=appearance,
-        from_s=from_s, to_s=to_s, columns=_columns(actor, time, (x, y), (lat, lon), frame_hz), frame_hz=frame_hz,
+        from_s=from_s, to_s=to_s, columns=columns_of(actor, time, (x, y), (lat, lon), frame_hz), frame_hz=frame_hz,
         repair=repair,
     )  # fmt: skip
     params = _with_definitions(params, config, radius_m, hysteresis_s, pairs)
@@ -130,7 +140,7 @@ def _with_definitions(
     return replace(params, encounters=tuple(checked))
 
 
-def _columns(
+def columns_of(
     actor: str | None, time: str | None, metres: tuple[str | None, str | None],
     degrees: tuple[str | None, str | None], frame_hz: float | None,
 ) -> "Columns | None":  # fmt: skip

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from cosim import __version__
-from cosim.cli import benchmark, cells, contacts, extend, interchange, studies
+from cosim.cli import benchmark, cells, contacts, extend, interchange, studies, trace
 from cosim.cli import reproduce as reproductions
 from cosim.cli import validate as validation
 from cosim.cli.console import (
@@ -56,6 +56,7 @@ reproductions.add_to(app)
 validation.add_to(app)
 interchange.add_to(app)
 contacts.add_to(app)
+trace.add_to(app)
 extend.add_to(app)
 benchmark.add_to(app)
 cells.add_to(app)

@@ -1,5 +1,6 @@
 """Tracks of actors on the steps of a run, interpolated between positions at any times; gaps cut a track in two."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -55,6 +56,15 @@ class Positions:
     step: int
     track: Int[ndarray, "n"]
     xy_m: Float[ndarray, "n 2"]
+
+
+def check_options(step_s: float | None, max_gap_s: float, max_speed_mps: float, frame_hz: float | None) -> None:
+    """Raise ValueError, in one line, if a value of the command line is not a possible one."""
+    given = {"step_s": (step_s, 1e-3), "max_gap_s": (max_gap_s, 0.0), "max_speed_mps": (max_speed_mps, 0.0),
+             "frame_hz": (frame_hz, 1e-3)}  # fmt: skip
+    for name, (value, least) in given.items():
+        if value is not None and not (least < value < math.inf):
+            raise ValueError(f"--{name.replace('_', '-')} {value:g}: a finite number above {least:g} is needed.")
 
 
 def own_step_s(fixes: Fixes) -> float:

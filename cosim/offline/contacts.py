@@ -79,10 +79,7 @@ class ContactParams:
 
     def __post_init__(self) -> None:
         check_definitions(self.encounters)
-        for name, least in (("step_s", 1e-3), ("max_gap_s", 0.0), ("max_speed_mps", 0.0), ("frame_hz", 1e-3)):
-            value = getattr(self, name)
-            if value is not None and not (least < value < math.inf):
-                raise ValueError(f"--{name.replace('_', '-')} {value:g}: a finite number above {least:g} is needed.")
+        tracks.check_options(self.step_s, self.max_gap_s, self.max_speed_mps, self.frame_hz)
         given = [s for s in (self.from_s, self.to_s) if s is not None]
         if not all(map(math.isfinite, given)) or sorted(given) != given:
             raise ValueError(f"--from {self.from_s} --to {self.to_s}: the trace is counted from a time to a later one.")

@@ -1,0 +1,134 @@
+"""Makes a trace that a run can drive from positions of vehicles: logs, drone recordings, output of other simulators."""
+
+from collections.abc import Iterator
+from itertools import chain, pairwise
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from jaxtyping import Float
+from numpy import ndarray
+
+from cosim.mobility.fcd import Timestep
+from cosim.mobility.frame import TrafficError
+from cosim.mobility.positions import Fixes
+from cosim.mobility.tracks import Positions, TrackParams, Tracks, steps, tracks
+from sumo_nets import vtypes
+
+_TURNS_M = 0.2
+"""A vehicle that moves less within two steps keeps its direction: noise would turn one that stands."""
+_ROWS_AT_ONCE = 1 << 16
+
+
+def write_trace(fixes: Fixes, params: TrackParams, out: Path) -> dict[str, float]:
+    """Write a trace in Parquet, with the columns of SUMO's floating car data.
+
+    Parameters
+    ----------
+    fixes
+        Positions of the centres of vehicles.
+    params
+        Steps of the trace, and where a track is cut.
+    out
+        File to write, which must not exist.
+
+    Returns
+    -------
+    How much is interpolated, as `Tracks.report`, and the numbers `actors`, `tracks` and `steps`.
+
+    Raises
+    ------
+    TrafficError
+        In one line, if no position falls on a step, or if the file cannot be written.
+    """
+    try:
+        found = tracks(fixes, params)
+    except ValueError as error:
+        raise TrafficError(str(error)) from None
+    partial = out.with_name(out.name + ".partial")
+    try:
+        _write(timesteps(fixes, found, params.step_s), partial)
+        partial.rename(out)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise TrafficError(f"{out} cannot be written: {error.strerror or error}.") from None
+    counts = {"actors": len(set(found.actor.tolist())), "tracks": len(found.names), "steps": found.n_steps}
+    return counts | found.report
+
+
+def timesteps(fixes: Fixes, found: Tracks, step_s: float) -> Iterator[Timestep]:
+    """All tracks, step by step, with directions and speeds from the positions of the steps before and after.
+
+    A vehicle that stands keeps its direction; one that has not moved yet has that of its first motion, and north if it
+    never moves. Sizes follow from the classes of the trace, as in a run (`sumo_nets.vtypes.guess`).
+    """
+    names, kinds = np.array(found.names, object), np.array(fixes.kinds, object)[found.actor]
+    length_m = np.array([vtypes.guess(kind).lwh_m[0] for kind in fixes.kinds])[found.actor]
+    direction = _first_direction(fixes, found)
+    before_m = np.full((len(kinds), 2), np.nan)
+    after_m = before_m.copy()
+    last = np.zeros(0, np.int64)
+    nobody = Positions(found.n_steps, np.zeros(0, np.int64), np.zeros((0, 2)))
+    for here, then in pairwise(chain(steps(fixes, found, step_s), [nobody])):
+        after_m[then.track] = then.xy_m
+        a_m, b_m = before_m[here.track], after_m[here.track]
+        has_before, has_after = np.isfinite(a_m[:, :1]), np.isfinite(b_m[:, :1])
+        moved_m = np.where(has_after, b_m, here.xy_m) - np.where(has_before, a_m, here.xy_m)
+        distance_m = np.hypot(*moved_m.T)
+        took_s = step_s * (has_before.sum(axis=1) + has_after.sum(axis=1))
+        turns = distance_m > _TURNS_M
+        direction[here.track[turns]] = moved_m[turns] / distance_m[turns, None]
+        ahead = direction[here.track]
+        front_m = here.xy_m + ahead * length_m[here.track, None] / 2
+        yield Timestep(
+            here.step * step_s,
+            names[here.track].tolist(),
+            kinds[here.track].tolist(),
+            np.column_stack([front_m, np.zeros(len(front_m))]),
+            np.degrees(np.arctan2(ahead[:, 0], ahead[:, 1])) % 360.0,
+            np.divide(distance_m, took_s, out=np.zeros(len(took_s)), where=took_s > 0),
+        )
+        after_m[then.track], before_m[last] = np.nan, np.nan
+        before_m[here.track] = here.xy_m
+        last = here.track
+
+
+def _first_direction(fixes: Fixes, found: Tracks) -> Float[ndarray, "s 2"]:
+    """Unit vector of the first motion of each track; north where there is none."""
+    fix = found.link_fix
+    after = np.minimum(fix + 1, len(fixes.time_s) - 1)
+    moved_m = np.where((fixes.actor[after] == fixes.actor[fix])[:, None], fixes.xy_m[after] - fixes.xy_m[fix], 0.0)
+    distance_m = np.hypot(*moved_m.T)
+    moves = np.flatnonzero(distance_m > _TURNS_M)[::-1]  # the first of each track is written last
+    direction = np.tile([0.0, 1.0], (len(found.names), 1))
+    direction[found.link_track[moves]] = moved_m[moves] / distance_m[moves, None]
+    return direction
+
+
+def _write(of: Iterator[Timestep], path: Path) -> None:
+    writer, rows, n_rows = None, list[pa.Table](), 0
+    try:
+        for timestep in chain(of, [None]):
+            if timestep is not None and timestep.names:
+                rows.append(_table(timestep))
+                n_rows += len(timestep.names)
+            if rows and (timestep is None or n_rows > _ROWS_AT_ONCE):
+                writer = writer or pq.ParquetWriter(path, rows[0].schema, compression="zstd")
+                writer.write_table(pa.concat_tables(rows))
+                rows, n_rows = [], 0
+    finally:
+        if writer is not None:
+            writer.close()
+
+
+def _table(timestep: Timestep) -> pa.Table:
+    return pa.table({
+        "timestep_time": np.full(len(timestep.names), timestep.time_s),
+        "vehicle_id": pa.array(timestep.names, pa.string()),
+        "vehicle_x": timestep.front_m[:, 0],
+        "vehicle_y": timestep.front_m[:, 1],
+        "vehicle_angle": timestep.compass_deg,
+        "vehicle_type": pa.array(timestep.types, pa.string()),
+        "vehicle_speed": timestep.speed_mps,
+    })  # fmt: skip
