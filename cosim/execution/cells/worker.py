@@ -194,6 +194,7 @@ def peak_bytes() -> int:
 
 def connect(host: str, port: int) -> None:
     """Be the worker of a cell of a run on another machine, until the run or who has started this process has ended."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who has started this process
     secret = os.read(0, SECRET_BYTES)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     load_cached()
