@@ -74,6 +74,8 @@ class Simulation:
     Use it as a context manager, which ends SUMO. A process can hold one simulation at a time, because SUMO holds one
     world.
 
+    The first simulation of a process always has the same traffic. SUMO that is loaded again does not always repeat it.
+
     Parameters
     ----------
     config

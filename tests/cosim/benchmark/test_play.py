@@ -1,5 +1,7 @@
 """Playing against a literal twin, and against the simulation that was recorded."""
 
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +13,8 @@ from cosim.benchmark import record
 from cosim.benchmark.evidence import Place
 from cosim.benchmark.play import Script, candidate, play
 from tests.cosim.benchmark.worlds import RULES, stream
+
+PLACE = Place("helsinki", 0.2, 77)
 
 
 def literal_beta(of, host, decay_per_s=0.98):
@@ -62,18 +66,36 @@ def test_parameters_reach_the_model_and_others_are_refused():
             candidate("beta", [wrong], RULES)
 
 
+def recorded(attack):
+    """The evidence of a case."""
+    rules = rules_of(attack)
+    return record.recorded(PLACE, rules, lambda *_: None)[1]
+
+
+def simulated(attack):
+    """All look-ups of the same world."""
+    config = record.config_of(PLACE, rules_of(attack), attack)
+    with Simulation(replace(config, trust=replace(config.trust, model="beta"))) as simulation:
+        return pd.concat([step.trust_lookups for step in simulation])  # of each step by subject and receiver
+
+
+def rules_of(attack):
+    return replace(record.RULES, n_steps=30, start_step=8, cases=("none", attack))
+
+
 @pytest.mark.verify
 @pytest.mark.parametrize("attack", ["sybil", "collusion"])
 def test_a_played_recording_equals_the_simulation(attack):
-    """Evidence is recorded in percent. All else is the simulation's: receptions, arrivals, broadcasts."""
-    rules = replace(record.RULES, n_steps=30, start_step=8, cases=("none", attack))
-    place = Place("helsinki", 0.2, 77)
-    of = record.recorded(place, rules, lambda *_: None)[1]
+    """Evidence is recorded in percent. All else is the simulation's: receptions, arrivals, broadcasts.
+
+    Each is made in a process of its own: where SUMO is loaded again and again, one of 25 loads drives otherwise.
+    """
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as processes:
+        of, rows = (processes.submit(made, attack) for made in (recorded, simulated))
+        of, rows = of.result(), rows.result()
+    rules = rules_of(attack)
     answers = play(Script.of(of, rules), candidate("beta", [], rules))
-    config = record.config_of(place, rules, attack)
-    with Simulation(replace(config, trust=replace(config.trust, model="beta"))) as simulation:
-        rows = pd.concat([step.trust_lookups for step in simulation])  # of each step by subject and receiver
-    simulated = np.where(rows.state == "evaluated", rows.trust, np.nan)
+    known = np.where(rows.state == "evaluated", rows.trust, np.nan)
     order = np.lexsort([of.lookups[column] for column in ("receiver", "sender", "step")])
-    assert len(order) == len(simulated) > 1000
-    np.testing.assert_allclose(answers.trust[order], simulated, atol=0.002)
+    assert len(order) == len(known) > 1000
+    np.testing.assert_allclose(answers.trust[order], known, atol=0.002)

@@ -19,7 +19,7 @@ from tests.drive import simulate
 pytestmark = [pytest.mark.verify, pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")]
 
 N_CELLS, N_KILLS = 3, 20
-SHORT = ("preset=v0.2", "traffic.duration_s=240", "traffic.warmup_s=60", "record.block_steps=10", "seed=37")
+SHORT = ("preset=v0.2", "traffic.duration_s=480", "traffic.warmup_s=60", "record.block_steps=10", "seed=37")
 SHARED = Path("/dev/shm")
 
 
@@ -96,7 +96,7 @@ def test_twenty_kills_at_random_times_change_no_table(tmp_path):
 @pytest.mark.parametrize("after_s", [0.0, 3.0], ids=["at the start", "in a step"])
 def test_nothing_is_left_of_a_run_that_ends(signum, after_s, tmp_path):
     shared = shared_now()
-    run = Run(tmp_path / "run", *SHORT, "traffic.duration_s=400")
+    run = Run(tmp_path / "run", *SHORT, "traffic.duration_s=600")
     run.begun()
     time.sleep(after_s)
     run.process.send_signal(signum)
