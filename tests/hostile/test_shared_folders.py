@@ -68,6 +68,7 @@ CALLS = {
     ],
     "status": ["status {run}", "status {part} --json", "status {study}"],
     "sweep": ["sweep {study}/study.toml --out {study}", "sweep {study}/study.toml --out {out}/other --dry-run"],
+    "trace": ["trace {run} --out {out}/traffic.parquet"],
     "try": [],  # of code that the user names, it opens no folder
     "validate": [],  # it opens no folder
     "verify": ["verify {run} {part} {study}/runs/*"],
