@@ -70,7 +70,7 @@ def trace(
         columns = replace(columns, kind=kind)
     for path in files:
         if positions.is_sumo(path):
-            raise ValueError(f"{path} is a trace of SUMO's already. Drive it with --set traffic.trace={path}.")
+            raise ValueError(f"{path} is a trace of SUMO's already. Drive it with --set traffic.scenario={path}.")
     fixes = positions.read(files, columns, frame_hz, repair)
     step_s = step_s or tracks.own_step_s(fixes)
     report = write_trace(fixes, tracks.TrackParams(step_s, max_gap_s, max_speed_mps), out)

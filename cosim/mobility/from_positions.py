@@ -14,6 +14,7 @@ from cosim.mobility.fcd import Timestep
 from cosim.mobility.frame import TrafficError
 from cosim.mobility.positions import Fixes
 from cosim.mobility.tracks import Positions, TrackParams, Tracks, steps, tracks
+from results.durable import PARTIAL
 from sumo_nets import vtypes
 
 _TURNS_M = 0.2
@@ -46,13 +47,14 @@ def write_trace(fixes: Fixes, params: TrackParams, out: Path) -> dict[str, float
         found = tracks(fixes, params)
     except ValueError as error:
         raise TrafficError(str(error)) from None
-    partial = out.with_name(out.name + ".partial")
+    partial = out.with_name(out.name + PARTIAL)
     try:
         _write(timesteps(fixes, found, params.step_s), partial)
         partial.rename(out)
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise TrafficError(f"{out} cannot be written: {error.strerror or error}.") from None
+    finally:
+        partial.unlink(missing_ok=True)
     counts = {"actors": len(set(found.actor.tolist())), "tracks": len(found.names), "steps": found.n_steps}
     return counts | found.report
 
@@ -69,8 +71,8 @@ def timesteps(fixes: Fixes, found: Tracks, step_s: float) -> Iterator[Timestep]:
     before_m = np.full((len(kinds), 2), np.nan)
     after_m = before_m.copy()
     last = np.zeros(0, np.int64)
-    nobody = Positions(found.n_steps, np.zeros(0, np.int64), np.zeros((0, 2)))
-    for here, then in pairwise(chain(steps(fixes, found, step_s), [nobody])):
+    empty = Positions(found.n_steps, np.zeros(0, np.int64), np.zeros((0, 2)))
+    for here, then in pairwise(chain(steps(fixes, found, step_s), [empty])):
         after_m[then.track] = then.xy_m
         a_m, b_m = before_m[here.track], after_m[here.track]
         has_before, has_after = np.isfinite(a_m[:, :1]), np.isfinite(b_m[:, :1])

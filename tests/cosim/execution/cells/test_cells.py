@@ -111,7 +111,7 @@ def sensed(parts, at_step=lambda number: None, ahead=False):
 
 def kill(pid):
     os.kill(pid, signal.SIGKILL)
-    with suppress(FileNotFoundError):  # nobody waits for it, and it is gone
+    with suppress(FileNotFoundError):  # it has no parent that waits for it, and is gone
         while "State:\tZ" not in Path(f"/proc/{pid}/status").read_text():
             time.sleep(0.001)
 
