@@ -267,7 +267,8 @@ TABLES: Mapping[str, Table] = {
         "full",
         "Messages that were received.",
         {
-            "step": _key("Step in which the message was sent."),
+            "step": _key("Step in which the message was received."),
+            "message_step": Column("int32", absent="step", meaning="Step in which the message was sent; before `step` if its frames waited for the channel. The column exists if not all vehicles sense at the same time."),
             "message_type": _MESSAGE_TYPE,
             "sender": _key("Pseudonym that the message carries."),
             "receiver": _key("Vehicle that received it (actor number)."),

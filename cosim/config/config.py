@@ -149,10 +149,10 @@ class Config:
                 f"{self.traffic.step_s:g} s. Set it to traffic.step_s or more."
             )
         schedule = self.schedule  # checks the intervals
-        if self.radio.timeout_s is not None and 2 * self.radio.timeout_s > schedule.exchange_interval_s:
+        if self.radio.timeout_s is not None and 2 * self.radio.timeout_s > schedule.shortest_s:
             raise ValueError(
-                f"radio.timeout_s = {self.radio.timeout_s:g} s: two rounds of messages do not fit between two times of "
-                f"sensing, {schedule.exchange_interval_s:g} s apart. Set it to half of that, or less."
+                f"radio.timeout_s = {self.radio.timeout_s:g} s: the two messages of a sweep do not fit between two "
+                f"sweeps of a vehicle, {schedule.shortest_s:g} s apart. Set it to half of that, or less."
             )
         longest_s = schedule.longest_steps * self.traffic.step_s
         if self.tracking.model != "none" and self.tracking.keep_s < longest_s - 1e-9:
@@ -210,9 +210,19 @@ class Config:
         return max(1, math.floor(self.traffic.duration_s / self.traffic.step_s + 1e-9))
 
     @property
-    def timeout_s(self) -> float:
-        """Length of one round of messages [s]."""
-        return self.radio.round_s(self.schedule.exchange_interval_s)
+    def message_lifetime_s(self) -> float:
+        """Longest time that the detection messages of a step may take [s]; evaluation messages have twice that."""
+        return self.radio.lifetime_s(self.schedule.shortest_s)
+
+    @property
+    def round_s(self) -> float:
+        """Length of one round of messages [s]: two rounds fit between two steps in which vehicles sense.
+
+        It is the lifetime of messages where all vehicles sense together. Otherwise it is shorter, and messages go on in
+        the rounds that follow.
+        """
+        between_s = self.schedule.exchange_interval_s
+        return self.message_lifetime_s if 2 * self.message_lifetime_s <= between_s else 0.4 * between_s
 
     def to_dict(self) -> dict[str, Any]:
         """The resolved config as plain data, with the keys that a config file has."""

@@ -12,7 +12,7 @@ from numpy import ndarray
 from cosim.adversary.params import roles_of
 from cosim.mobility.actors import ActorRegistry
 from cosim.mobility.schedule import Schedule
-from cosim.radio.message_round import Outcome
+from cosim.radio.message_round import FrameOutcomes, Outcome, Receptions, RoundKind
 from cosim.ragged import ptr_of, stable_order
 from cosim.step.known import Known
 from cosim.step.parts import Parts
@@ -23,6 +23,8 @@ from cosim.step.state import State
 from cosim.step.trackers import evidence_audit
 from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.step.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
+from cosim.step.tracking import late_of
+from cosim.step.trust_stages import late_pseudonyms
 from cosim.v2x.cpm_generation import Inclusion
 from cosim.v2x.messages import FABRICATED, SELF, SENSED
 from cosim.v2x.pseudonyms import PseudonymUse
@@ -243,22 +245,31 @@ def _cpm_content(recorder: TakesRows, world: World, sensed: Sensed) -> None:
 
 def _channel(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     n, at = len(sensed.vehicles), world.step
-    for message_type, broadcast, reach in zip(MessageType, sensed.rounds, sensed.reach, strict=True):
-        frames = broadcast.round.frames
-        by_distance, total = pdr_by_distance(frames.distance_m, frames.los_state, frames.outcome, OUTCOMES)
+    received = []
+    for message_type, kind, reach in zip(MessageType, RoundKind, sensed.reach, strict=True):
+        broadcast, late = sensed.rounds[kind], late_of(sensed.rounds, kind)
+        cbr = broadcast.round.frames.cbr
+        frames = [broadcast.round.frames, *(messages.round.frames for messages in late)]
+        outcomes = _joined(frames, ("distance_m", "los_state", "outcome"))
+        decided = outcomes["outcome"] != Outcome.WAITING  # a frame counts when it is sent or expires
+        if not decided.all():
+            outcomes = {name: column[decided] for name, column in outcomes.items()}
+        by_distance, total = pdr_by_distance(**outcomes, columns=OUTCOMES)
         recorder.append("radio", at, _of(message_type, {
-            "n_sent": np.array([frames.n_transmissions.sum()]), "n_relayed": np.array([frames.n_relayed]),
-            "n_duplicate": np.array([frames.n_duplicate]), "sent_bytes": np.array([frames.sent_bytes]), **total,
-            "cbr": None if frames.cbr is None else np.array([frames.cbr[:n].mean()]),
+            "n_sent": np.array([sum(one.n_transmissions.sum() for one in frames)]),
+            "n_relayed": np.array([sum(one.n_relayed for one in frames)]),
+            "n_duplicate": np.array([sum(one.n_duplicate for one in frames)]),
+            "sent_bytes": np.array([sum(one.sent_bytes for one in frames)]), **total,
+            "cbr": None if cbr is None else np.array([cbr[:n].mean()]),
         }))  # fmt: skip
+        found = [broadcast.links.vehicles, *(messages.links.vehicles for messages in late)]
+        received += [one.receiver for one in found]
+        latency_s = np.concatenate([one.latency_s for one in found])
         recorder.append("pdr_by_distance", at, _of(message_type, by_distance))
-        recorder.append(
-            "latency_histogram", at, _of(message_type, latency_histogram(broadcast.links.vehicles.latency_s))
-        )
+        recorder.append("latency_histogram", at, _of(message_type, latency_histogram(latency_s)))
         recorder.append("packet_inter_reception", at, _of(message_type, reach.inter_reception))
     rows = {"vehicle": sensed.vehicles.actor} | vehicle_channel(
-        n, [reach.n_in_range for reach in sensed.reach],
-        [broadcast.links.vehicles.receiver for broadcast in sensed.rounds],
+        n, [reach.n_in_range for reach in sensed.reach], received,
         [broadcast.round.frames.cbr for broadcast in sensed.rounds],
     )  # fmt: skip
     recorder.append("vehicle_channel", at, _without(world.is_roadside[sensed.vehicles.row], rows))
@@ -269,11 +280,29 @@ def _of(message_type: MessageType, rows: Mapping[str, ndarray | None]) -> dict[s
     return {"message_type": np.full(n, message_type), **rows}
 
 
+def _joined(parts: Sequence[FrameOutcomes], names: Sequence[str]) -> dict[str, ndarray]:
+    """These columns of several rounds, one after another."""
+    if len(parts) == 1:
+        return {name: getattr(parts[0], name) for name in names}
+    return {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+
+
 def _receptions(recorder: TakesRows, at: int, sensed: Sensed) -> None:
-    for message_type, broadcast in zip(MessageType, sensed.rounds, strict=True):
-        found = broadcast.links.vehicles
+    for message_type, kind in zip(MessageType, RoundKind, strict=True):
+        found = sensed.rounds[kind].links.vehicles
+        senders = [sensed.senders.pseudonym[found.message]]
+        steps, parts = [np.full(len(found.message), at)], [found]
+        for late in late_of(sensed.rounds, kind):
+            pseudonym = late_pseudonyms(late, sensed.carried)
+            known = late.links.vehicles.take(pseudonym[late.links.vehicles.message] >= 0)
+            senders.append(pseudonym[known.message])
+            steps.append(late.step[known.message])
+            parts.append(known)
+        columns = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Receptions)}
+        found = Receptions(**columns)
         recorder.append("receptions", at, _of(message_type, {
-            "sender": sensed.senders.pseudonym[found.message], "receiver": sensed.vehicles.actor[found.receiver],
+            "sender": np.concatenate(senders), "receiver": sensed.vehicles.actor[found.receiver],
+            **({} if sensed.known.is_lock_step else {"message_step": np.concatenate(steps)}),
             "hops": found.hops, "generation_offset_s": found.generation_offset_s,
             "access_delay_s": found.access_delay_s, "latency_s": found.latency_s, "distance_m": found.distance_m,
         }))  # fmt: skip

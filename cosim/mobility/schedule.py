@@ -74,6 +74,11 @@ class Schedule:
         return max(self.interval_steps)
 
     @property
+    def shortest_s(self) -> float:
+        """Shortest interval [s]. The messages of a sweep arrive or expire before the next one."""
+        return min(self.interval_steps) * self.step_s
+
+    @property
     def exchange_every_steps(self) -> int:
         """Steps between two steps in which any vehicle can sense."""
         return 1 if self.is_random else math.gcd(*self.interval_steps)

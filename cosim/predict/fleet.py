@@ -100,7 +100,7 @@ class Fleet:
         schedule, server = config.schedule, config.server.cellular
         interval_s = schedule.exchange_interval_s
         n_lags = _MOST_LAGS * schedule.longest_steps // schedule.exchange_every_steps
-        lags_s = interval_s * np.arange(1, n_lags + 1) - config.timeout_s
+        lags_s = interval_s * np.arange(1, n_lags + 1) - config.round_s
         arrived_p = arrival_p(lags_s, server.uplink_loss_p, server.n_retries, server)
         m = 1 + int(np.argmax(arrived_p >= arrived_p[-1] - _ARRIVED))
         return Fleet(
@@ -161,7 +161,7 @@ class Fleet:
         evaluated_p = told.p * (1.0 - found.none_p)
         n_received = np.bincount(np.searchsorted(actor, told.receiver), told.p * found.n_listed, n)[mine]
         length_bytes[mine] = evaluation_bytes(n_self + views.n_listed + n_received)  # type: ignore[arg-type]  # expected lengths
-        begin_s += config.timeout_s
+        begin_s += config.round_s
         heard_p = self.load.delivered_p(RoundKind.EVALUATION, step, begin_s, links, length_bytes)
         self.reports = self.reports.then(self._received(world, row, links, heard_p), actor[mine], actor)
         self._evaluate(subjects, subject_step, s, told.receiver, evaluated_p, told.p * found.n)
@@ -205,7 +205,7 @@ class Fleet:
         pair = heard.receiver[near].astype(np.int64) << 32 | heard.sender[near]
         self.heard.append((pair, np.full(len(near), step), np.log1p(-np.minimum(heard.p[near], 1 - 1e-12))))
         since = np.array([self.since[one] for one in heard.receiver.tolist()], np.int64)
-        server, at_s = config.server.cellular, 2 * config.timeout_s
+        server, at_s = config.server.cellular, 2 * config.round_s
         for period_s, gate in self.gates.items():
             gate.open(step)
             publications = gate.before(step, self.n_followed)

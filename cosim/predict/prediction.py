@@ -99,7 +99,7 @@ def predicted(
         Expected lookups; None if there are no equipped vehicles.
     """
     n_steps = found.evidence.log_none.shape[2]
-    schedule, at_s, loss_p = config.schedule, 2 * config.timeout_s, config.server.cellular.downlink_loss_p
+    schedule, at_s, loss_p = config.schedule, 2 * config.round_s, config.server.cellular.downlink_loss_p
     interval_s, every = schedule.exchange_interval_s, schedule.longest_steps // schedule.exchange_every_steps
     age_s = at_s + interval_s * np.arange(n_steps + 1)
     counts, metrics = counted(server, found, gate, looks, age_s, loss_p)

@@ -5,23 +5,36 @@ received when all its segments are received.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt64
+from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
 from cosim import rng
 from cosim.radio import channel, dcc
 from cosim.radio.channel import Access, ChannelRules, Links, Packets, WindowResult
 from cosim.radio.channel_state import ChannelState
-from cosim.radio.dcc import DccState
-from cosim.radio.forwarding import UNIT, Forwarding, ForwardingRules, own_frames
+from cosim.radio.dcc import BusyMeasurement, DccState
+from cosim.radio.dtypes import NONE
+from cosim.radio.forwarding import COPY, FRAME, UNIT, Forwarding, ForwardingRules, own_frames
 from cosim.radio.link_cache import LinkCache, jammed
-from cosim.radio.message_round import FrameOutcomes, MessageRound, Messages, RoundKind, Stations
+from cosim.radio.message_round import (
+    EarlierMessages,
+    FrameOutcomes,
+    MessageRound,
+    Messages,
+    Outcome,
+    Receptions,
+    RoundKind,
+    Stations,
+)
 from cosim.radio.params import RadioParams
 from cosim.radio.phy import MAC_OVERHEAD_BYTES, airtime_ns
-from cosim.radio.receptions import NeighbourList, ReceptionAttempts, Transmissions, complete_messages
+from cosim.radio.receptions import FrameState, NeighbourList, ReceptionAttempts, Transmissions, complete_messages
 from cosim.radio.segmentation import FRAME_BYTES
+from cosim.radio.underway import MESSAGE, SENT_FRAME, Underway, rows_of_keys
+from cosim.ragged import ptr_of
 from sensors.line_of_sight import LosOfPlaces
 
 
@@ -31,14 +44,19 @@ class ChannelContext:
 
     channel: ChannelState
     dcc: DccState
-    n_frames: int = 0
-    """Frames handed to the channel so far: the number of the next one."""
+    measured: BusyMeasurement
+    underway: Underway
+    """Messages that go on in the next round."""
     cache: LinkCache | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class CsmaMedium:
-    """CSMA/CA broadcast, packet by packet, with path loss, blockage, shadowing and fading."""
+    """CSMA/CA broadcast, packet by packet, with path loss, blockage, shadowing and fading.
+
+    A message that is not sent by the end of its round goes on in the rounds after it, until it is too old: detection
+    messages `radio.timeout_s` after the beginning of their step, evaluation messages twice that.
+    """
 
     params: RadioParams
     round_s: float
@@ -49,7 +67,7 @@ class CsmaMedium:
 
     def start(self) -> ChannelContext:
         """An idle channel without stations."""
-        return ChannelContext(ChannelState.start(), DccState.start())
+        return ChannelContext(ChannelState.start(), DccState.start(), BusyMeasurement.start(), Underway())
 
     def broadcast(
         self, state: ChannelContext, kind: RoundKind, step: int, begin_s: float, stations: Stations, messages: Messages
@@ -61,16 +79,20 @@ class CsmaMedium:
         if cache is None or not cache.serves(stations):
             cache = self.links(stations)
         links = jammed(cache.links, stations, self.params)
-        plan = self._plan(len(RoundKind) * step + kind, begin_s, stations, messages, state.n_frames)
-        forwarding = self._forwarding(plan, stations, messages.refused)
-        before = state
-        if state.channel.now_ns < plan.begin_ns:
-            before = self._idle(state, links, plan.begin_ns)
-        after, windows, busy = self._transmit(before, plan, links, stations, forwarding)
-        frames = own_frames(plan.units) if forwarding is None else forwarding.frames
-        sent = Transmissions.of(frames, plan.units, windows, plan.first_tag)
-        happened = _happened(plan, sent, cache.neighbours, stations, messages, busy)
-        return replace(after, n_frames=state.n_frames + len(frames), cache=cache), happened
+        plan, channel_now = self._plan(kind, step, begin_s, stations, messages, state)
+        forwarding = self._forwarding(plan, stations)
+        before = replace(state, channel=channel_now)
+        idle: list[WindowResult] = []
+        if channel_now.now_ns < plan.begin_ns:  # what is underway goes on between two rounds
+            before, idle, _ = self._transmit(before, plan, links, stations, forwarding, plan.begin_ns)
+        after, windows, busy = self._transmit(before, plan, links, stations, forwarding, plan.end_ns)
+        frames = plan.frames if forwarding is None else forwarding.frames
+        sent = Transmissions.of(frames, plan.units, [*idle, *windows], plan.sent)
+        ending = _RoundEnd.of(plan, sent, after.channel, forwarding)
+        happened, attempts = _happened(plan, sent, ending, cache.neighbours, stations, channel_now.now_ns, busy)
+        underway, frame_number = ending.underway(plan, sent, attempts, stations, forwarding)
+        channel_after = _with_tags(after.channel, frame_number)
+        return replace(after, channel=channel_after, underway=underway, cache=cache), happened
 
     def gap_s(self, state: ChannelContext, stations: Stations) -> Float[ndarray, "n"]:
         """Least time between two frames of each station that congestion control allows now [s]."""
@@ -81,8 +103,25 @@ class CsmaMedium:
     def _rules(self) -> ChannelRules:
         return ChannelRules(rng.key(self.seed, rng.Stream.CHANNEL), self.params.receiver, self.params.access)
 
-    def _plan(self, number: int, begin_s: float, stations: Stations, messages: Messages, n_frames: int) -> "_RoundPlan":
-        """Segments of all messages, and the random times at which they are generated."""
+    def _lasts_s(self, kind: RoundKind) -> float:
+        """How long a message may take, from the beginning of its round [s].
+
+        A step has a detection round and then an evaluation round. A detection message is too old `timeout_s` after the
+        step has begun, an evaluation message twice that, however short the rounds are.
+        """
+        timeout_s = self.round_s if self.params.timeout_s is None else max(self.params.timeout_s, self.round_s)
+        return timeout_s + kind * (timeout_s - self.round_s)
+
+    def _plan(
+        self, kind: RoundKind, step: int, begin_s: float, stations: Stations, messages: Messages, state: ChannelContext
+    ) -> tuple["_RoundPlan", ChannelState]:
+        """What is to be sent: the segments of new messages at random times, and those of messages underway.
+
+        Returns
+        -------
+        The plan, and the channel with packets that carry the plan's numbers of frames.
+        """
+        number = len(RoundKind) * step + kind
         begin_ns, end_ns = round(begin_s * 1e9), round((begin_s + self.round_s) * 1e9)
         keys = messages.keys(stations)
         units, n_segments = _units(messages, keys, number, self.params.receiver.rate_mbps)
@@ -90,21 +129,21 @@ class CsmaMedium:
         offset_ns = np.floor(phase * (end_ns - begin_ns) / 2).astype(np.int64)
         if messages.delay_s is not None:
             offset_ns += np.rint(1e9 * messages.delay_s).astype(np.int64)
-        return _RoundPlan(
-            number=number,
-            begin_ns=begin_ns,
-            end_ns=end_ns,
-            units=units,
-            n_segments=n_segments,
-            generated_ns=begin_ns + offset_ns[units["message"]],
-            lifetime_ns=round(self.params.access.lifetime_s * 1e9),
-            first_tag=n_frames,
-            is_background=np.zeros(len(messages), bool) if messages.is_background is None else messages.is_background,
-        )
+        units["generated_ns"] = begin_ns + offset_ns[units["message"]]
+        units["end_ns"] = round((begin_s + self._lasts_s(kind)) * 1e9)
+        new = np.zeros(len(messages), MESSAGE)
+        new["sender_key"] = stations.key[messages.station]
+        new["name"] = -1 if messages.name is None else messages.name
+        new["step"], new["kind"], new["begin_ns"] = step, kind, begin_ns
+        new["end_ns"] = round((begin_s + self._lasts_s(kind)) * 1e9)
+        new["n_segments"], new["station"] = n_segments, messages.station
+        new["is_background"] = False if messages.is_background is None else messages.is_background
+        earlier, frame_number = state.underway.among(stations.key)
+        plan = _RoundPlan.of(number, begin_ns, end_ns, new, units, messages.refused, earlier, stations)
+        frame_number = np.where(frame_number == NONE, NONE, frame_number + len(units))
+        return plan, _with_tags(state.channel, frame_number)
 
-    def _forwarding(
-        self, plan: "_RoundPlan", stations: Stations, refused: Int[ndarray, "p"] | None
-    ) -> Forwarding | None:
+    def _forwarding(self, plan: "_RoundPlan", stations: Stations) -> Forwarding | None:
         """Forwarding in this round; None where every message has one hop."""
         relay = self.params.relay
         if relay.max_hops <= 1:
@@ -118,127 +157,294 @@ class CsmaMedium:
             timer_min_s=relay.timer_min_s,
             timer_max_s=relay.timer_max_s,
             timer_distance_m=relay.timer_distance_m,
-            end_ns=plan.end_ns,
-            lifetime_ns=plan.lifetime_ns,
+            lifetime_ns=round(self.params.access.lifetime_s * 1e9),
             access=int(Access.BE),
-            first_tag=plan.first_tag,
             rng_key=rng.key(self.seed, rng.Stream.RELAY, plan.number),
         )
-        return Forwarding.of(rules, plan.units, stations.key, stations.xyz_m[:, :2], refused)
+        xy_m = stations.xyz_m[:, :2]
+        return Forwarding.of(rules, plan.units, stations.key, xy_m, plan.refused, plan.frames, plan.copies)
 
     def _transmit(
-        self, state: ChannelContext, plan: "_RoundPlan", links: Links, stations: Stations, forwarding: Forwarding | None
-    ) -> tuple[ChannelContext, list[WindowResult], Float[ndarray, "n"]]:
-        """The round window by window; congestion control is updated in between.
+        self, state: ChannelContext, plan: "_RoundPlan", links: Links, stations: Stations,
+        forwarding: Forwarding | None, until_ns: int,
+    ) -> tuple[ChannelContext, list[WindowResult], Float[ndarray, "n"]]:  # fmt: skip
+        """The channel until a time, window by window; congestion control is updated in between.
 
         Returns
         -------
-        The state after the round, the results of all windows, and the share of the round in which each station sensed
-        the medium busy.
+        The state at that time, the results of all windows, and the share of the time in which each station sensed the
+        medium busy.
         """
         now, control, rules, params = state.channel, state.dcc, self._rules, self.params.dcc
-        units, own_ns, end_ns, period_ns = plan.units, plan.generated_ns, plan.end_ns, round(params.period_s * 1e9)
-        waits = own_ns + units["airtime_ns"] <= end_ns
+        measured = state.measured.of(stations.key)
+        units, own_ns, period_ns = plan.units, plan.units["generated_ns"], round(params.period_s * 1e9)
+        lifetime_ns = round(self.params.access.lifetime_s * 1e9)
+        waits = (own_ns >= now.now_ns) & (own_ns + units["airtime_ns"] <= units["end_ns"])
         airtime_ns = np.zeros(len(stations), np.int64)
         np.maximum.at(airtime_ns, units["source"], units["airtime_ns"])
         windows: list[WindowResult] = []
-        busy = np.zeros(len(stations))
-        measured, strong = 0, np.zeros(len(stations))  # since the last update of congestion control
-        while now.now_ns < end_ns:
+        busy, begin_ns = np.zeros(len(stations)), now.now_ns
+        while now.now_ns < until_ns:
             start_ns = stop_ns = now.now_ns
             if not len(now.packets):  # an idle channel until the next generation or timer
-                timer_ns = end_ns if forwarding is None else forwarding.next_ns
-                stop_ns = min(int(own_ns[waits].min(initial=end_ns)), timer_ns, end_ns - period_ns)
-            stop_ns = min(max(start_ns, stop_ns) + period_ns, end_ns)
+                timer_ns = until_ns if forwarding is None else forwarding.next_ns
+                stop_ns = min(int(own_ns[waits].min(initial=until_ns)), timer_ns, until_ns - period_ns)
+            stop_ns = min(max(start_ns, stop_ns) + period_ns, until_ns)
             due = np.flatnonzero(waits & (own_ns < stop_ns))
             waits[due] = False
             gap_ns = dcc.gap_ns(control, stations.key, params, airtime_ns)
             if stations.abuse is not None:
                 gap_ns = np.where(stations.abuse.ignores_dcc, 0, gap_ns)
-            now, out = channel.run_window(now, links, plan.packets(due), stop_ns, rules, gap_ns, forwarding)
+            packets = plan.packets(due, lifetime_ns)
+            now, out = channel.run_window(now, links, packets, stop_ns, rules, gap_ns, forwarding)
             windows.append(out)
             span = stop_ns - start_ns
             busy += out.busy * span
-            strong, measured = strong + out.busy_strong * span, measured + span
-            while measured >= params.period_s * 1e9 - 1:
-                control = dcc.update(control, stations.key, np.minimum(strong / measured, 1.0), params)
-                strong *= max(0.0, 1 - params.period_s * 1e9 / measured)
-                measured -= period_ns
-        return replace(state, channel=now, dcc=control), windows, busy / (end_ns - plan.begin_ns)
+            control, measured = measured.after(out.busy_strong, span).updated(control, params)
+        return replace(state, channel=now, dcc=control, measured=measured), windows, busy / (until_ns - begin_ns)
 
     def links(self, stations: Stations) -> LinkCache:
         """Links and neighbours of these stations."""
         return LinkCache.of(stations, self.params, self.seed, self.los)
 
-    def _idle(self, state: ChannelContext, links: Links, until_ns: int) -> ChannelContext:
-        """The state after the time between two rounds, in which nothing is generated."""
-        control, params, since_ns = state.dcc, self.params.dcc, state.channel.now_ns
-        none = np.zeros(0, np.int64)
-        nothing = Packets(none, none.astype(np.uint64), none, none, none.astype(np.uint8), none, none)
-        now, out = channel.run_window(state.channel, links, nothing, until_ns, self._rules)
-        for _ in range(min(int((until_ns - since_ns) * 1e-9 / params.period_s), 10)):
-            control = dcc.update(control, links.key, np.minimum(out.busy_strong, 1.0), params)
-        return replace(state, channel=now, dcc=control)
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _RoundPlan:
-    """What stations send in one round, and when: U segments of M messages."""
+    """What is sent in one round: the messages of the round, then those that are underway from earlier rounds."""
 
     number: int
     """Of the round, counted over the whole run."""
     begin_ns: int
     end_ns: int
+    messages: ndarray
+    """Records of `MESSAGE`."""
+    n_new: int
+    """Number of messages of this round."""
     units: ndarray
     """Segments, as `forwarding.UNIT`."""
-    n_segments: Int[ndarray, "m"]
-    """Of each message."""
-    generated_ns: Int[ndarray, "u"]
-    """When each segment is generated."""
-    lifetime_ns: int
-    """Longest wait of a segment in its sender's queue."""
-    first_tag: int
-    """Number of the first frame of the round, counted over the whole run."""
-    is_background: Bool[ndarray, "m"]
+    frames: ndarray
+    """Frames so far, as `forwarding.FRAME`: that of each segment's sender, then forwarded ones."""
+    sent: ndarray
+    """What is known of these frames, as `underway.SENT_FRAME`."""
+    copies: ndarray
+    """Segments at other stations, as `forwarding.COPY`."""
+    got_ptr: Int[ndarray, "f+1"]
+    """Where the stations begin that have received each frame in earlier rounds."""
+    got_by: Int[ndarray, "g"]
+    """Rows of these stations."""
+    refused: Int[ndarray, "p"] | None
+    """As `Messages.refused`."""
 
-    def packets(self, due: Int[ndarray, "p"]) -> Packets:
-        """These segments as packets of their senders."""
-        own_ns = self.generated_ns[due]
+    @staticmethod
+    def of(
+        number: int, begin_ns: int, end_ns: int, messages: ndarray, units: ndarray, refused: Int[ndarray, "p"] | None,
+        earlier: Underway, stations: Stations,
+    ) -> "_RoundPlan":  # fmt: skip
+        """The plan of new messages and of earlier ones, whose stations have rows."""
+        n_new, n_units = len(messages), len(units)
+        own = own_frames(units)
+        sent = np.zeros(n_units, SENT_FRAME)
+        sent["unit"], sent["transmitter"], sent["hop"] = own["unit"], own["transmitter"], own["hop"]
+        sent["transmitter_key"] = stations.key[own["transmitter"]]
+        got_ptr, got_by = np.zeros(n_units + 1, np.int64), np.zeros(0, np.int64)
+        copies = np.zeros(0, COPY)
+        if len(earlier):
+            older_units, older, copies = earlier.units.copy(), earlier.frames.copy(), earlier.copies.copy()
+            older_units["message"] += n_new
+            older["unit"] += n_units
+            copies["unit"] += n_units
+            messages = np.concatenate([messages, earlier.messages])
+            units, sent = np.concatenate([units, older_units]), np.concatenate([sent, older])
+            got_ptr = ptr_of(n_units + earlier.got_frame, len(sent))
+            got_by = rows_of_keys(stations.key, earlier.got_key)
+            if len(earlier.refused_message):
+                by = rows_of_keys(stations.key, earlier.refused_key)
+                more = n_new + earlier.refused_message << 32 | by
+                refused = np.sort(np.concatenate([more[:0] if refused is None else refused, more]))
+        frames = np.empty(len(sent), FRAME)
+        for name in ("unit", "transmitter", "hop"):
+            frames[name] = sent[name]
+        return _RoundPlan(
+            number=number,
+            begin_ns=begin_ns,
+            end_ns=end_ns,
+            messages=messages,
+            n_new=n_new,
+            units=units,
+            frames=frames,
+            sent=sent,
+            copies=copies,
+            got_ptr=got_ptr,
+            got_by=got_by,
+            refused=refused,
+        )
+
+    def packets(self, due: Int[ndarray, "p"], lifetime_ns: int) -> Packets:
+        """These segments as packets of their senders, with a longest wait in the queue."""
+        units = self.units[due]
+        is_background = self.messages["is_background"][units["message"]]
         return Packets(
-            sender=self.units["source"][due],
-            seq=self.units["seq"][due],
-            generated_ns=own_ns,
-            payload_bytes=self.units["payload_bytes"][due],
-            access=np.where(self.is_background[self.units["message"][due]], Access.BK, Access.BE).astype(np.uint8),
-            lifetime_ns=np.minimum(self.lifetime_ns, self.end_ns - own_ns),
-            tag=self.first_tag + due,
+            sender=units["source"],
+            seq=units["seq"],
+            generated_ns=units["generated_ns"],
+            payload_bytes=units["payload_bytes"],
+            access=np.where(is_background, Access.BK, Access.BE).astype(np.uint8),
+            lifetime_ns=np.minimum(lifetime_ns, units["end_ns"] - units["generated_ns"]),
+            tag=due,
         )
 
 
+@dataclass(frozen=True, slots=True)
+class _RoundEnd:
+    """What goes on after the end of a round."""
+
+    goes_on: Bool[ndarray, "m"]
+    """Messages that go on in the next round."""
+    waits: Bool[ndarray, "f"]
+    """Their frames that are neither sent nor lost."""
+
+    @staticmethod
+    def of(plan: _RoundPlan, sent: Transmissions, now: ChannelState, forwarding: Forwarding | None) -> "_RoundEnd":
+        """At the time of the channel `now`."""
+        waits = np.zeros(len(sent.unit), bool)
+        n_messages = len(plan.messages)
+        is_young = plan.messages["end_ns"] > now.now_ns
+        if not is_young.any():
+            return _RoundEnd(np.zeros(n_messages, bool), waits)
+        tag = now.packets["tag"]
+        waits[tag[tag != NONE]] = True
+        units = plan.units
+        unborn = (units["generated_ns"] >= now.now_ns) & (
+            units["generated_ns"] + units["airtime_ns"] <= units["end_ns"]
+        )
+        waits[: len(units)] |= unborn
+        goes_on = np.zeros(n_messages, bool)
+        goes_on[sent.message[waits]] = True
+        if forwarding is not None:
+            timers = forwarding.copies["unit"][forwarding.copies["waits"] > 0]
+            goes_on[units["message"][timers]] = True
+        goes_on &= is_young
+        return _RoundEnd(goes_on, waits & goes_on[sent.message])
+
+    def underway(
+        self, plan: _RoundPlan, sent: Transmissions, attempts: ReceptionAttempts, stations: Stations,
+        forwarding: Forwarding | None,
+    ) -> tuple[Underway, Int[ndarray, "f"]]:  # fmt: skip
+        """The messages that go on, and the number that each frame has from now on; NONE if its message does not."""
+        if not self.goes_on.any():
+            return Underway(), np.full(len(sent.unit), NONE)
+        frames = np.zeros(len(sent.unit), SENT_FRAME)
+        for name in ("unit", "transmitter", "hop", "on_air", "start_ns", "end_ns"):
+            frames[name] = getattr(sent, name)
+        frames["is_decided"] = ~self.waits
+        frames["transmitter_key"] = np.where(sent.transmitter == NONE, 0, stations.key[sent.transmitter])
+        received = np.flatnonzero((attempts.outcome == Outcome.RECEIVED) & self.goes_on[attempts.message])
+        refused = np.zeros(0, np.int64) if plan.refused is None else plan.refused
+        copies = plan.copies if forwarding is None else forwarding.copies
+        everything = Underway(
+            messages=plan.messages,
+            units=plan.units,
+            frames=frames,
+            copies=copies,
+            copy_key=stations.key[copies["station"]],
+            got_frame=np.searchsorted(attempts.first, received, side="right") - 1,
+            got_key=stations.key[attempts.receiver[received]],
+            refused_message=refused >> 32,
+            refused_key=stations.key[refused & 0xFFFFFFFF],
+        )
+        return everything.only(self.goes_on)
+
+
 def _happened(
-    plan: _RoundPlan, sent: Transmissions, neighbours: NeighbourList, stations: Stations, messages: Messages,
-    busy: Float[ndarray, "n"],
-) -> MessageRound:  # fmt: skip
-    """Receptions of a round, and the outcome of each frame at every station in range."""
-    attempts = ReceptionAttempts.of(sent, neighbours)
+    plan: _RoundPlan, sent: Transmissions, ending: _RoundEnd, neighbours: NeighbourList, stations: Stations,
+    since_ns: int, busy: Float[ndarray, "n"],
+) -> tuple[MessageRound, ReceptionAttempts]:  # fmt: skip
+    """Receptions since `since_ns`, and the outcome of each frame at every station in range."""
+    state = _frame_states(plan, sent, ending)
+    attempts = ReceptionAttempts.of(sent, neighbours, state, plan.got_ptr, plan.got_by)
     receptions, n_duplicate = complete_messages(
-        sent, attempts, plan.generated_ns, plan.n_segments, plan.begin_ns, messages, stations.xyz_m[:, :2]
-    )
-    on_air = sent.on_air
-    outcomes = FrameOutcomes(
-        message=attempts.message,
-        receiver=attempts.receiver,
-        hop=attempts.hop,
-        distance_m=attempts.distance_m,
-        los_state=attempts.los_state,
-        outcome=attempts.outcome,
-        n_transmissions=np.bincount(sent.message[on_air], minlength=len(messages)),
-        n_relayed=int((sent.hop[on_air] > 1).sum()),
-        n_duplicate=n_duplicate,
-        sent_bytes=float(np.sum(plan.units["payload_bytes"][sent.unit[on_air]] + MAC_OVERHEAD_BYTES)),
-        cbr=busy,
-    )
-    return MessageRound(messages.station, receptions, outcomes)
+        sent, attempts, plan.units["generated_ns"], plan.messages["n_segments"], plan.messages["begin_ns"],
+        plan.messages["station"], stations.xyz_m[:, :2], since_ns,
+    )  # fmt: skip
+    is_reported = state == FrameState.REPORTED
+    everything = _Outcomes(plan, sent, attempts, receptions, is_reported)
+    n_older = len(plan.messages) - plan.n_new
+    happened = everything.of_messages(None if n_older == 0 else np.arange(plan.n_new), busy, n_duplicate)
+    older, earlier = plan.messages[plan.n_new :], []
+    for kind in RoundKind:
+        rows = np.flatnonzero(older["kind"] == kind)
+        if len(rows):
+            of_kind = everything.of_messages(plan.n_new + rows, None, 0)
+            earlier.append(EarlierMessages(kind, older["step"][rows], older["name"][rows], of_kind))
+    return replace(happened, earlier=tuple(earlier)), attempts
+
+
+def _frame_states(plan: _RoundPlan, sent: Transmissions, ending: _RoundEnd) -> UInt8[ndarray, "f"]:
+    """The `FrameState` of each frame: what was told in an earlier round is not told again."""
+    state = np.where(ending.waits, FrameState.WAITS, FrameState.DECIDED).astype(np.uint8)
+    n_new_frames = int(np.searchsorted(plan.units["message"], plan.n_new))
+    older = slice(n_new_frames, len(plan.sent))
+    is_told = plan.sent["is_decided"] | ending.waits[: len(plan.sent)] | (plan.sent["transmitter"] == NONE)
+    state[older][is_told[older]] = FrameState.REPORTED
+    return state
+
+
+class _Outcomes(NamedTuple):
+    """What happened to all messages of a round, those of earlier rounds included."""
+
+    plan: _RoundPlan
+    sent: Transmissions
+    attempts: ReceptionAttempts
+    receptions: Receptions
+    is_reported: Bool[ndarray, "f"]
+    """Frames whose outcomes belong to an earlier round."""
+
+    def of_messages(
+        self, chosen: Int[ndarray, "m"] | None, busy: Float[ndarray, "n"] | None, n_duplicate: int
+    ) -> MessageRound:
+        """What happened to these messages, renumbered; None: to all.
+
+        `busy` is the channel busy ratio of the stations, `n_duplicate` the number of repeated segments.
+        """
+        plan, sent, attempts, receptions = self.plan, self.sent, self.attempts, self.receptions
+        station = plan.messages["station"].astype(np.int64)
+        of_attempt, of_frame, on_air = attempts.message, sent.message, sent.on_air & ~self.is_reported
+        columns = {name: getattr(attempts, name) for name in _OF_ATTEMPTS}
+        if chosen is not None:
+            row = np.full(len(plan.messages), NONE)
+            row[chosen] = np.arange(len(chosen))
+            station = station[chosen]
+            receptions = receptions.take(row[receptions.message] != NONE)
+            receptions = replace(receptions, message=row[receptions.message])
+            shown = row[of_attempt] != NONE
+            shown &= ~np.repeat(self.is_reported, np.diff(attempts.first))
+            of_attempt = row[of_attempt[shown]]
+            columns = {name: column[shown] for name, column in columns.items()}
+            of_frame = row[of_frame]
+            on_air &= of_frame != NONE
+        outcomes = FrameOutcomes(
+            message=of_attempt,
+            **columns,
+            n_transmissions=np.bincount(of_frame[on_air], minlength=len(station)),
+            n_relayed=int((sent.hop[on_air] > 1).sum()),
+            n_duplicate=n_duplicate,
+            sent_bytes=float(np.sum(plan.units["payload_bytes"][sent.unit[on_air]] + MAC_OVERHEAD_BYTES)),
+            cbr=busy,
+        )
+        return MessageRound(station, receptions, outcomes)
+
+
+_OF_ATTEMPTS = ("receiver", "hop", "distance_m", "los_state", "outcome")
+"""Columns of `ReceptionAttempts` with a row for each frame and station, besides `message`."""
+
+
+def _with_tags(now: ChannelState, number: Int[ndarray, "f"]) -> ChannelState:
+    """The channel with the numbers of frames that its packets carry replaced; `number` has NONE for dropped frames."""
+    if not len(now.packets):
+        return now
+    packets, tag = now.packets.copy(), now.packets["tag"]
+    packets["tag"] = np.append(number, NONE)[tag]  # NONE, the last row, stays NONE
+    return replace(now, packets=packets)
 
 
 def without_cache(state: ChannelContext) -> ChannelContext:

@@ -266,7 +266,7 @@ def _end(air, log, heap, n, s, t, forwarding):
     phys, macs, c, outcome = air.phys, air.macs, air.c, log.outcome
     sender, sender_mac = phys[s], macs[s]
     frame = log.packets[sender.packet]
-    number = frame.tag - forwarding.rules.first_tag if forwarding.rules.max_hops > 1 else NONE
+    number = frame.tag if forwarding.rules.max_hops > 1 else NONE
     prefix = mix(mix(air.rng_key, sender.key), frame.seq)
     first, slot = frame.edge, frame.slot
     for k in range(frame.degree):

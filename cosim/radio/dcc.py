@@ -93,6 +93,42 @@ class DccState:
         return DccState(key, cbr, level, share, before, self.n_periods)
 
 
+@dataclass(frozen=True, slots=True)
+class BusyMeasurement:
+    """The busy time of stations since congestion control was last updated. It goes on from round to round."""
+
+    key: UInt64[ndarray, "n"]
+    busy_ns: Float[ndarray, "n"]
+    span_ns: float
+
+    @staticmethod
+    def start() -> "BusyMeasurement":
+        """Nothing is measured yet."""
+        return BusyMeasurement(np.zeros(0, np.uint64), np.zeros(0), 0.0)
+
+    def of(self, key: UInt64[ndarray, "n"]) -> "BusyMeasurement":
+        """The measurement of these stations (each once), in this order. New stations have sensed nothing so far."""
+        if np.array_equal(self.key, key):
+            return self
+        _, was, now = np.intersect1d(self.key, key, assume_unique=True, return_indices=True)
+        busy_ns = np.zeros(len(key))
+        busy_ns[now] = self.busy_ns[was]
+        return BusyMeasurement(key, busy_ns, self.span_ns)
+
+    def after(self, busy: Float[ndarray, "n"], span_ns: int) -> "BusyMeasurement":
+        """After `span_ns` more, of which each station sensed this share as busy."""
+        return BusyMeasurement(self.key, self.busy_ns + busy * span_ns, self.span_ns + span_ns)
+
+    def updated(self, state: DccState, params: DccParams) -> tuple[DccState, "BusyMeasurement"]:
+        """Congestion control after all periods that are complete, and what is left of the measurement."""
+        busy_ns, span_ns, period_ns = self.busy_ns, self.span_ns, params.period_s * 1e9
+        while span_ns >= period_ns - 1:
+            state = update(state, self.key, np.minimum(busy_ns / span_ns, 1.0), params)
+            busy_ns = busy_ns * max(0.0, 1 - period_ns / span_ns)
+            span_ns -= round(period_ns)
+        return state, BusyMeasurement(self.key, busy_ns, span_ns)
+
+
 def update(state: DccState, key: UInt64[ndarray, "n"], busy: Float[ndarray, "n"], params: DccParams) -> DccState:
     """The state of stations after one more period.
 

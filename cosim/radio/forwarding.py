@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt64
 from numpy import ndarray
 
-from cosim.radio.dtypes import NONE, WAITING
+from cosim.radio.dtypes import NEVER, NONE, WAITING
 from cosim.radio.event_heap import push
 from sensors.hash_rng import mix, unit
 from sensors.kernel import kernel
@@ -27,8 +27,9 @@ TIMER = 4
 
 UNIT = np.dtype([
     ("seq", "u8"), ("airtime_ns", "i8"), ("key", "u8"), ("message", "i4"), ("source", "i4"), ("number", "i4"),
-    ("payload_bytes", "i4"),
+    ("payload_bytes", "i4"), ("generated_ns", "i8"), ("end_ns", "i8"),
 ])  # fmt: skip
+"""A segment of a message. What cannot be transmitted by `end_ns` is neither sent nor forwarded."""
 FRAME = np.dtype([("unit", "i4"), ("transmitter", "i4"), ("hop", "i4")])
 COPY = np.dtype([("due_ns", "i8"), ("unit", "i4"), ("station", "i4"), ("hop", "i4"), ("waits", "u1")])
 _FRAMES, _COPIES = range(2)
@@ -47,10 +48,8 @@ class ForwardingRules(NamedTuple):
     timer_min_s: float
     timer_max_s: float
     timer_distance_m: float
-    end_ns: int  # of the round: what cannot be transmitted by then is not forwarded
     lifetime_ns: int
     access: int
-    first_tag: int  # of frame 0; smaller ones belong to an earlier round
     rng_key: np.uint64
 
 
@@ -77,7 +76,7 @@ class Forwarding:
     @staticmethod
     def of(
         rules: ForwardingRules, units: ndarray, key: UInt64[ndarray, "n"], xy_m: Float[ndarray, "n 2"],
-        refused: Int[ndarray, "p"] | None = None,
+        refused: Int[ndarray, "p"] | None = None, frames: ndarray | None = None, copies: ndarray | None = None,
     ) -> "Forwarding":  # fmt: skip
         """The beginning of a round: frame u is the frame in which the source sends unit u.
 
@@ -89,12 +88,26 @@ class Forwarding:
             Keys and horizontal positions of all stations.
         refused
             As `Messages.refused`.
+        frames, copies
+            Records of `FRAME` and `COPY` of messages that have been underway since an earlier round. The frames of
+            the sources come first. None: nothing has been forwarded yet.
         """
+        frames = own_frames(units) if frames is None else frames
+        earlier = np.zeros(0, COPY) if copies is None else copies
         n = len(units)
-        copies = np.zeros(N_COPIES * n + 1, COPY)
+        copies = grown(earlier, N_COPIES * n + 1)
+        slot = _empty_slots(len(copies))
+        _fill_slots(copies, len(earlier), slot)
         return Forwarding(ForwardingState(
-            rules, np.ascontiguousarray(xy_m), np.ascontiguousarray(key), units, grown(own_frames(units), n + 1),
-            copies, _empty_slots(len(copies)), np.array([n, 0]), np.zeros(0, np.int64) if refused is None else refused,
+            rules=rules,
+            xy_m=np.ascontiguousarray(xy_m),
+            key=np.ascontiguousarray(key),
+            units=units,
+            frames=grown(frames, n + 1),
+            copies=copies,
+            slot=slot,
+            used=np.array([len(frames), len(earlier)]),
+            refused=np.zeros(0, np.int64) if refused is None else refused,
         ))  # fmt: skip
 
     def grow(self, n_receivers: int) -> None:
@@ -114,10 +127,14 @@ class Forwarding:
         return self.state.frames[: self.state.used[_FRAMES]]
 
     @property
+    def copies(self) -> ndarray:
+        """All copies so far."""
+        return self.state.copies[: self.state.used[_COPIES]]
+
+    @property
     def next_ns(self) -> int:
-        """When the next timer expires; the end of the round if none runs."""
-        copies = self.state.copies[: self.state.used[_COPIES]]
-        return int(copies["due_ns"][copies["waits"] > 0].min(initial=self.state.rules.end_ns))
+        """When the next timer expires; `NEVER` if none runs."""
+        return int(self.copies["due_ns"][self.copies["waits"] > 0].min(initial=NEVER))
 
 
 def own_frames(units: ndarray) -> ndarray:
@@ -211,7 +228,7 @@ def on_receive(p, frame, to, t, times, codes, n):
             return n
         share = unit(mix(h, np.uint64(1)))
     copy.due_ns = t + round((rules.timer_max_s + (rules.timer_min_s - rules.timer_max_s) * share) * 1e9)
-    if copy.due_ns + u.airtime_ns <= rules.end_ns:
+    if copy.due_ns + u.airtime_ns <= u.end_ns:
         copy.waits = 1
         n = push(times, codes, n, copy.due_ns, (TIMER << 32) | row)
     return n
@@ -226,13 +243,13 @@ def enqueue_forward(p, row, packet, key, ptr, slot, t):
     frame = p.frames[number]
     frame.unit, frame.transmitter, frame.hop = copy.unit, j, copy.hop + 1
     copy.waits = 0
-    packet.key, packet.sender, packet.tag = key, j, rules.first_tag + number
+    packet.key, packet.sender, packet.tag = key, j, number
     packet.seq, packet.airtime_ns, packet.payload_bytes = u.seq, u.airtime_ns, u.payload_bytes
-    packet.generated_ns, packet.expires_ns = t, t + min(rules.lifetime_ns, rules.end_ns - t)
+    packet.generated_ns, packet.expires_ns = t, t + min(rules.lifetime_ns, u.end_ns - t)
     packet.edge, packet.degree, packet.slot = ptr[j], ptr[j + 1] - ptr[j], slot
     packet.access, packet.next, packet.outcome = rules.access, NONE, WAITING
 
 
-_NEVER = ForwardingRules(1, False, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0, 0, 0, 0, np.uint64(0))
+_NEVER = ForwardingRules(1, False, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0, 0, np.uint64(0))
 NO_FORWARDING = Forwarding.of(_NEVER, np.zeros(0, UNIT), np.zeros(0, np.uint64), np.zeros((0, 2))).state
 """A round in which nothing is forwarded."""

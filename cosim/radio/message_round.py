@@ -35,6 +35,8 @@ class Outcome(IntEnum):
     """Never sent: too old, or no room in the queue."""
     LATE = 5
     """Received after the end of the round."""
+    WAITING = 6
+    """Not sent by the end of the round. The frame has its outcome in the round in which it is sent or expires."""
 
 
 class LosState(IntEnum):
@@ -99,6 +101,8 @@ class Messages:
     None: there are none."""
     is_background: Bool[ndarray, "m"] | None = None
     """Messages that wait in a queue of their own, behind all others of the station (`csma`). None: there are none."""
+    name: Int[ndarray, "m"] | None = None
+    """The caller's name for each message. A later round in which the message goes on returns it. None: all are -1."""
 
     def __post_init__(self) -> None:
         assert (np.diff(self.station) >= 0).all() and (self.length_bytes >= 0).all()
@@ -123,8 +127,21 @@ class Messages:
             return None if mine is None else np.append(mine, np.full(len(other), usual, mine.dtype))[order]
 
         length = np.concatenate([self.length_bytes, other.length_bytes])[order]
-        delay_s, envelope = joined(self.delay_s, 0.0), joined(self.envelope_bytes, ENVELOPE_BYTES)
-        return Messages(station[order], length, delay_s, envelope, order >= len(self)), order >= len(self)
+        is_other = order >= len(self)
+        refused = self.refused
+        if refused is not None:  # the messages keep their order, so the pairs stay sorted
+            row = np.flatnonzero(~is_other)[refused >> 32]
+            refused = row << 32 | refused & 0xFFFFFFFF
+        both = Messages(
+            station[order],
+            length,
+            joined(self.delay_s, 0.0),
+            joined(self.envelope_bytes, ENVELOPE_BYTES),
+            refused=refused,
+            is_background=is_other,
+            name=joined(self.name, -1),
+        )
+        return both, is_other
 
     @staticmethod
     def one_each(length_bytes: Int[ndarray, "n"]) -> "Messages":
@@ -227,6 +244,8 @@ class MessageRound:
     """Sender of each message."""
     receptions: Receptions
     frames: FrameOutcomes
+    earlier: tuple["EarlierMessages", ...] = ()
+    """What happened in this round to messages of earlier ones, by kind of round."""
 
     @staticmethod
     def of(
@@ -298,6 +317,7 @@ class MessageRound:
             replace(
                 frames, message=number[frames.message[mine]], n_transmissions=frames.n_transmissions[chosen], **columns
             ),
+            self.earlier,
         )
 
     @staticmethod
@@ -306,6 +326,19 @@ class MessageRound:
         row, real, code = np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.uint8)
         frames = FrameOutcomes(row, row, row, real, code, row, row, 0, 0, 0.0, None)
         return MessageRound(row, Receptions.none(), frames)
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierMessages:
+    """Messages of earlier rounds that went on in this one."""
+
+    kind: RoundKind
+    step: Int[ndarray, "m"]
+    """Step of the round of each message."""
+    name: Int[ndarray, "m"]
+    """As `Messages.name`."""
+    round: MessageRound
+    """What was sent, received and lost in this round. `generation_offset_s` counts from the message's own round."""
 
 
 class LinkReceptions(NamedTuple):

@@ -78,8 +78,9 @@ class RadioParams:
     """Communication range: largest horizontal distance of one hop [m]. Frames from farther away are not received. With
     `csma` they still interfere."""
     timeout_s: Annotated[float, Gt(0), Le(3600)] | None = None
-    """Duration of one round of messages [s]. A step has two rounds. If it is not set, it is two fifths of the sensing
-    interval."""
+    """Longest time from the beginning of a step until its detection messages have arrived [s]; its evaluation messages
+    have twice that. A message that is not sent by then expires. If it is not set, it is two fifths of the shortest
+    sensing interval."""
     antenna_above_roof_m: Annotated[float, Ge(0), Le(100)] = 0.1
     """Height of the antenna above the roof [m]."""
     evaluations: Literal["alone", "piggybacked"] = "alone"
@@ -115,6 +116,6 @@ class RadioParams:
 
         sidelink_params.check(self.model, self.sidelink, self.nr, self.lte, self.relay.max_hops)
 
-    def round_s(self, sensing_interval_s: float) -> float:
-        """Duration of one round of messages [s]."""
+    def lifetime_s(self, sensing_interval_s: float) -> float:
+        """Longest time that the detection messages of a step may take [s]."""
         return 0.4 * sensing_interval_s if self.timeout_s is None else self.timeout_s

@@ -3,6 +3,7 @@
 The functions pass once over the frames and once over their receptions. They sort by counting.
 """
 
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy import ndarray
 
 from cosim.radio.channel import PhyOutcome, WindowResult
 from cosim.radio.link_budget import PairLos
-from cosim.radio.message_round import LosState, Messages, Outcome, Receptions
+from cosim.radio.message_round import LosState, Outcome, Receptions
 from cosim.ragged import counting_order
 from sensors.kernel import compiled
 
@@ -27,6 +28,21 @@ for _phy, _outcome in {
 }.items():
     _OUTCOME_OF[_phy] = _outcome
 _RECEIVED, _PROPAGATION, _EXPIRED = int(Outcome.RECEIVED), int(Outcome.PROPAGATION), int(Outcome.EXPIRED)
+_WAITING = int(Outcome.WAITING)
+
+
+class FrameState(IntEnum):
+    """What a round knows of a frame."""
+
+    DECIDED = 0
+    """It was sent in this round, or it never will be."""
+    WAITS = 1
+    """It waits for a later round."""
+    REPORTED = 2
+    """An earlier round has reported it. Only the stations that received it are listed."""
+
+
+_WAITS, _REPORTED = int(FrameState.WAITS), int(FrameState.REPORTED)
 
 
 class NeighbourList(NamedTuple):
@@ -121,7 +137,7 @@ class Transmissions(NamedTuple):
     """As `PhyOutcome`."""
 
     @staticmethod
-    def of(frames: ndarray, units: ndarray, windows: list[WindowResult], first_tag: int) -> "Transmissions":
+    def of(frames: ndarray, units: ndarray, windows: list[WindowResult], earlier: ndarray) -> "Transmissions":
         """The frames of a round, from the results of its windows.
 
         Parameters
@@ -129,17 +145,19 @@ class Transmissions(NamedTuple):
         frames, units
             Records of `FRAME` and `UNIT` of the round.
         windows
-            Results of all windows of the round.
-        first_tag
-            Tag of frame 0. Frames of smaller tags belong to an earlier round and are left out.
+            Results of all windows of the round. Packets carry the row of their frame; those below 0 are left out.
+        earlier
+            What earlier rounds know of the first frames: records of `underway.SENT_FRAME`.
         """
         n = len(frames)
         start_ns, end_ns, begin, count = (np.zeros(n, np.int64) for _ in range(4))
         on_air = np.zeros(n, bool)
+        for name, column in (("start_ns", start_ns), ("end_ns", end_ns), ("on_air", on_air)):
+            column[: len(earlier)] = earlier[name]
         before = 0
         for out in windows:
-            ours = np.flatnonzero((out.tag >= first_tag) & (out.outcome == PhyOutcome.RECEIVED))
-            frame = out.tag[ours] - first_tag
+            ours = np.flatnonzero((out.tag >= 0) & (out.outcome == PhyOutcome.RECEIVED))
+            frame = out.tag[ours]
             on_air[frame] = True
             start_ns[frame], end_ns[frame] = out.start_ns[ours], out.end_ns[ours]
             begin[frame], count[frame] = before + out.ptr[ours], out.ptr[ours + 1] - out.ptr[ours]
@@ -174,43 +192,67 @@ class ReceptionAttempts(NamedTuple):
     outcome: Int[ndarray, "m"]
 
     @staticmethod
-    def of(sent: Transmissions, near: NeighbourList) -> "ReceptionAttempts":
-        """Of all frames of a round."""
-        return ReceptionAttempts(*_attempts(sent, near, _OUTCOME_OF))
+    def of(
+        sent: Transmissions, near: NeighbourList, state: UInt8[ndarray, "f"] | None = None,
+        got_ptr: Int[ndarray, "g+1"] | None = None, got_by: Int[ndarray, "r"] | None = None,
+    ) -> "ReceptionAttempts":  # fmt: skip
+        """Of all frames of a round.
+
+        Parameters
+        ----------
+        state
+            `FrameState` of each frame. None: all are decided.
+        got_ptr, got_by
+            The stations that received each of the first g frames in earlier rounds, compressed rows. None: there are
+            no such frames.
+        """
+        if state is None:
+            state = np.zeros(len(sent.unit), np.uint8)
+        none = np.zeros(0, np.int64)
+        got_ptr, got_by = np.zeros(1, np.int64) if got_ptr is None else got_ptr, none if got_by is None else got_by
+        return ReceptionAttempts(*_attempts(sent, near, _OUTCOME_OF, state, got_ptr, got_by))
 
 
 @compiled
-def _attempts(sent, near, outcome_of):
+def _attempts(sent, near, outcome_of, state, got_ptr, got_by):
     """Columns of `ReceptionAttempts`."""
     ptr, transmitter, begin, count, receiver = near.ptr, sent.transmitter, sent.begin, sent.n_receptions, sent.receiver
-    room = 0
+    room = len(got_by)
     for f in range(len(transmitter)):
-        room += ptr[transmitter[f] + 1] - ptr[transmitter[f]]
+        if state[f] != _REPORTED:
+            room += ptr[transmitter[f] + 1] - ptr[transmitter[f]]
     first = np.empty(len(transmitter) + 1, np.int64)
     of, to, hops = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int8)
-    apart_m, state, outcome = np.empty(room), np.empty(room, np.uint8), np.empty(room, np.int8)
+    apart_m, los, outcome = np.empty(room), np.empty(room, np.uint8), np.empty(room, np.int8)
     here = np.full(len(ptr) - 1, _PROPAGATION, np.int8)  # below the cut-off power of links
     m = 0
     for f in range(len(transmitter)):
         first[f] = m
+        if state[f] == _REPORTED:
+            if f < len(got_ptr) - 1:
+                for k in range(got_ptr[f], got_ptr[f + 1]):
+                    of[m], to[m], hops[m] = sent.message[f], got_by[k], sent.hop[f]
+                    apart_m[m], los[m], outcome[m] = 0.0, 0, _RECEIVED
+                    m += 1
+            continue
         for k in range(begin[f], begin[f] + count[f]):
             here[receiver[k]] = outcome_of[sent.reception[k]]
         for row in range(ptr[transmitter[f]], ptr[transmitter[f] + 1]):
             r = near.station[row]
             if r != sent.source[f]:
                 of[m], to[m], hops[m] = sent.message[f], r, sent.hop[f]
-                apart_m[m], state[m] = near.length_m[row], near.los_state[row]
-                outcome[m] = here[r] if sent.on_air[f] else _EXPIRED
+                apart_m[m], los[m] = near.length_m[row], near.los_state[row]
+                outcome[m] = here[r] if sent.on_air[f] else _WAITING if state[f] == _WAITS else _EXPIRED
                 m += 1
         for k in range(begin[f], begin[f] + count[f]):
             here[receiver[k]] = _PROPAGATION
     first[len(transmitter)] = m
-    return first, of[:m], to[:m], hops[:m], apart_m[:m], state[:m], outcome[:m]
+    return first, of[:m], to[:m], hops[:m], apart_m[:m], los[:m], outcome[:m]
 
 
 def complete_messages(
     sent: Transmissions, attempts: ReceptionAttempts, own_ns: Int[ndarray, "u"], n_segments: Int[ndarray, "m"],
-    begin_ns: int, messages: Messages, xy_m: Float[ndarray, "n 2"],
+    begin_ns: Int[ndarray, "m"], station: Int[ndarray, "m"], xy_m: Float[ndarray, "n 2"], since_ns: int,
 ) -> tuple[Receptions, int]:  # fmt: skip
     """Messages of which all segments are received, and the number of frames that repeated a received segment.
 
@@ -221,21 +263,27 @@ def complete_messages(
     n_segments
         Number of segments of each message.
     begin_ns
-        Beginning of the round [ns].
+        Beginning of the round of each message [ns].
+    station
+        Sender of each message.
     xy_m
         Horizontal positions of the stations [m].
+    since_ns
+        What was complete or repeated before this time is left out [ns].
 
     Returns
     -------
     Receptions sorted by receiver, then message; and the number of repeated segments.
     """
     by_unit = counting_order(np.ascontiguousarray(sent.unit, np.int64), len(own_ns))
-    n_duplicate, columns = _complete(xy_m, messages.station, attempts, sent, by_unit, own_ns, n_segments, begin_ns)
+    own_ns, n_segments, begin_ns = (np.ascontiguousarray(a, np.int64) for a in (own_ns, n_segments, begin_ns))
+    station = np.ascontiguousarray(station, np.int64)
+    n_duplicate, columns = _complete(xy_m, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns, since_ns)
     return Receptions(*columns), n_duplicate
 
 
 @compiled
-def _complete(xy, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns):
+def _complete(xy, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns, since_ns):
     """Repeated segments, and the columns of `Receptions`; `by_unit` are the frames sorted by unit."""
     to, outcome, first = attempts.receiver, attempts.outcome, attempts.first
     message_of, transmitter, unit, end_ns = sent.message, sent.transmitter, sent.unit, sent.end_ns
@@ -259,7 +307,7 @@ def _complete(xy, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns
     for r in range(n):
         k = at[r]
         while k < at[r + 1]:
-            s, n_received, hop_of, access_ns, last_ns = message_of[got[k]], 0, 0, 0, 0
+            s, n_received, hop_of, access_ns, last_ns, is_new = message_of[got[k]], 0, 0, 0, 0, False
             while k < at[r + 1] and message_of[got[k]] == s:
                 best = got[k]
                 k += 1
@@ -267,17 +315,22 @@ def _complete(xy, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns
                     f = got[k]
                     if end_ns[f] < end_ns[best] or (end_ns[f] == end_ns[best] and transmitter[f] < transmitter[best]):
                         best = f
-                    n_duplicate += 1
+                    n_duplicate += end_ns[f] >= since_ns
                     k += 1
                 u = unit[best]
                 n_received += 1
                 hop_of = max(hop_of, sent.hop[best])
                 access_ns = max(access_ns, sent.start_ns[u] - own_ns[u])
                 last_ns = max(last_ns, end_ns[best] - own_ns[u])
-            if n_received == n_segments[s]:
+                is_new |= end_ns[best] >= since_ns
+            if is_new and n_received == n_segments[s]:
                 dx, dy = xy[r, 0] - xy[station[s], 0], xy[r, 1] - xy[station[s], 1]
                 receiver[m], message[m], hops[m], apart_m[m] = r, s, hop_of, np.sqrt(dx * dx + dy * dy)
-                offset_s[m], access_s[m], latency_s[m] = 1e-9 * (own_ns[u] - begin_ns), 1e-9 * access_ns, 1e-9 * last_ns
+                offset_s[m], access_s[m], latency_s[m] = (
+                    1e-9 * (own_ns[u] - begin_ns[s]),
+                    1e-9 * access_ns,
+                    1e-9 * last_ns,
+                )
                 m += 1
     return n_duplicate, (
         receiver[:m], message[:m], hops[:m], offset_s[:m], access_s[:m], latency_s[:m], apart_m[:m],

@@ -229,8 +229,9 @@ class SidelinkMedium:
         attempts_of = _transmissions(plan, log, links, messages, slot_ns)
         attempts = ReceptionAttempts.of(attempts_of, cache.neighbours)
         receptions, n_duplicate = complete_messages(
-            attempts_of, attempts, plan.generated_ns, plan.n_segments, begin_ns, messages, stations.xyz_m[:, :2]
-        )
+            attempts_of, attempts, plan.generated_ns, plan.n_segments, np.full(len(messages), begin_ns),
+            messages.station, stations.xyz_m[:, :2], begin_ns,
+        )  # fmt: skip
         n_sent = unit["n_sent"].astype(np.int64)
         if self.params.sidelink.n_transmissions > 1:
             _merge(log.reception, unit, np.diff(links.ptr))

@@ -2,11 +2,15 @@
 
 This is the detection and decision cycle of TruPercept (section "Summary"), for all vehicles at once.
 
-In a step that begins at time t, vehicles sweep and detect at t. Detection messages are sent from t on, and count if
-they arrive before t + timeout (`radio.timeout_s`). Evaluation messages are sent from t + timeout on, and count if they
-arrive before t + 2 timeout. Then every vehicle fuses with the trust that it knows. The trust server uses the
-evaluations that have reached it by t, and broadcasts trust at t. Roadside units pass this broadcast on during the round
-of evaluations.
+In a step that begins at time t, vehicles sweep and detect at t. Detection messages are sent from t on, in a round that
+lasts `Config.round_s`. Vehicles evaluate what has arrived by its end. Evaluation messages are sent from then on, in a
+second round of this length. Then every vehicle fuses with the trust that it knows. The trust server uses the
+evaluations that have reached it by t, and broadcasts trust at t. Roadside units pass this broadcast on during the
+round of evaluations.
+
+A message may outlast its round: its frames wait for the channel. It then arrives in a round of a later step
+(`cosim.step.late`). A detection message is too old at t + timeout (`radio.timeout_s`), an evaluation message at
+t + 2 timeout.
 
 Not all vehicles need to sense in a step (`cosim.mobility.schedule`). Those that do perceive, send, evaluate, look up
 and fuse; all receive. The inbox then keeps messages for vehicles that sense later.
@@ -21,10 +25,12 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.driver.driver import Beliefs
+from cosim.radio.message_round import RoundKind
 from cosim.step import stages, tracking, trust_stages
 from cosim.step.attack_outcomes import attack_outcomes
 from cosim.step.claims import claims_of
 from cosim.step.exchange import Exchange, Times, Vehicles, stations_of
+from cosim.step.late import joined, of_this_step
 from cosim.step.parts import Parts
 from cosim.step.precomputed import NOTHING_PRECOMPUTED, Precomputed
 from cosim.step.result import Sensed, StepResult
@@ -111,8 +117,10 @@ def _cycle(
         on_air = offered.length_bytes if offered is not None and c.early_fusion.medium == "radio" else None
         medium, cpms = stages.broadcast_detections(exchange, listed, s.piggybacked, on_air, medium, parts)
         cpm = stages.hear(cpm, exchange, positioned, listed, cpms, c)
+    carries = RoundKind.EVALUATION if c.radio.evaluations == "alone" else RoundKind.CPM
     with watch("match"):
-        inbox, known = s.inbox.known(exchange, listed, cpms, parts)
+        inbox = s.inbox.with_late(exchange, cpms.late, carries)
+        inbox, known = inbox.known(exchange, listed, cpms, parts)
     compared, matched = stages.compare_objects(exchange, known, positioned, parts)
     if precomputed.sweeps_are_read is not None:
         precomputed.sweeps_are_read()
@@ -126,6 +134,9 @@ def _cycle(
         trust, informed = trust_stages.receive_from_rsus(trust, exchange, on_rsus, reports, published.informed, parts)
         piggybacked, carrier = trust_stages.carrier_of(exchange, evaluated, s.piggybacked, (cpms, reports), parts)
         trust, up = trust_stages.update_trust(trust, exchange, listed, evaluated, carrier, pseudonyms, parts)
+        late = [messages for messages in (*cpms.late, *reports.late) if messages.kind == carries]
+        trust, late_up = trust_stages.deliver_late(trust, exchange, s.carried, late, pseudonyms, parts)
+        inbox = inbox.with_late(exchange, reports.late, carries)
         used = inbox.reports_used(exchange, carrier.receptions.vehicles)
         trust, known_senders, looked_up = trust_stages.look_up(
             trust, s.known_senders, exchange, listed, known, used, cpms, pseudonyms, parts
@@ -135,7 +146,8 @@ def _cycle(
         fused = trust_stages.fuse_objects(trust, matched, evaluations, looked_up, parts)
         if precomputed.objects_are_fused is not None:
             precomputed.objects_are_fused()
-        received = cpms.accepted.vehicles, carrier.receptions.vehicles
+        received_cpms = joined([cpms.accepted.vehicles, *of_this_step(exchange, reports.late, RoundKind.CPM)])
+        received = received_cpms, received_cpms if carries == RoundKind.CPM else carrier.receptions.vehicles
         inbox = inbox.next(exchange, listed, matched, evaluated, received)
         clouds, early = s.clouds, None
         if parts.early is not None and offered is not None:
@@ -150,14 +162,41 @@ def _cycle(
         inter_reception, reach = tracking.track_receptions(s.inter_reception, exchange, (cpms, reports))
         encounters = tracking.count_in_encounters(s.encounters, exchange, (cpms, reports), looked_up, known, compared)
         outcomes = attack_outcomes(exchange, positioned.world, known, compared, fused)
+    sensed = Sensed(
+        vehicles=vehicles,
+        sensing=exchange.sensing,
+        senders=senders,
+        positioned=positioned,
+        listed=listed,
+        known=known,
+        rounds=(cpms, reports),
+        carried=(*s.carried, carrier),
+        reach=reach,
+        evaluated=evaluated,
+        looked_up=looked_up,
+        fused=fused,
+        early=early,
+        published=published.scores,
+        servers=parts.trust.traffic(up.plus_late(late_up), informed),
+        attack_outcomes=outcomes,
+    )
     s = replace(
-        s, trust=trust, pseudonyms=pseudonyms, position_errors=position_errors, tracks=tracks, cpm=cpm,
-        medium=medium, inbox=inbox, clouds=clouds, piggybacked=piggybacked, known_senders=known_senders,
-        reaction_truth=reaction_truth, attack_start=attack_start, inter_reception=inter_reception,
-        encounters=encounters, n_dropped=s.n_dropped + listed.n_dropped,
-    )  # fmt: skip
-    return s, Sensed(
-        vehicles=vehicles, sensing=exchange.sensing, senders=senders, positioned=positioned, listed=listed, known=known,
-        rounds=(cpms, reports), reach=reach, evaluated=evaluated, looked_up=looked_up, fused=fused, early=early,
-        published=published.scores, servers=parts.trust.traffic(up, informed), attack_outcomes=outcomes,
-    ), beliefs  # fmt: skip
+        s,
+        trust=trust,
+        pseudonyms=pseudonyms,
+        position_errors=position_errors,
+        tracks=tracks,
+        cpm=cpm,
+        medium=medium,
+        inbox=inbox,
+        clouds=clouds,
+        piggybacked=piggybacked,
+        carried=trust_stages.next_carried(s.carried, carrier, now, c),
+        known_senders=known_senders,
+        reaction_truth=reaction_truth,
+        attack_start=attack_start,
+        inter_reception=inter_reception,
+        encounters=encounters,
+        n_dropped=s.n_dropped + listed.n_dropped,
+    )
+    return s, sensed, beliefs

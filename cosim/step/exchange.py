@@ -43,7 +43,7 @@ class Times:
     def of(step: int, config: Config) -> "Times":
         """Times of the step with this number."""
         begin_s = step * config.traffic.step_s
-        return Times(step, begin_s, begin_s + config.timeout_s, begin_s + 2 * config.timeout_s)
+        return Times(step, begin_s, begin_s + config.round_s, begin_s + 2 * config.round_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,17 +4,19 @@ A vehicle that senses uses the newest detection message of each sender that is y
 interval, and the evaluation messages of the same time. If all vehicles sense in the same steps, the inbox is empty.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.radio.message_round import Receptions
+from cosim.radio.message_round import Receptions, RoundKind
 from cosim.ragged import offsets, ranges, rows_of
 from cosim.step.exchange import Exchange
 from cosim.step.ground_truth import GroundTruth
 from cosim.step.known import Known, Pairs, Uses
+from cosim.step.late import LateMessages
 from cosim.step.object_lists import for_trust
 from cosim.step.parts import Parts
 from cosim.step.stages import Broadcast, Evaluated, Listed, Matched
@@ -64,6 +66,31 @@ class Inbox:
     """Receptions of the detection messages: actor number of the receiver, and row of the message."""
     reports: Uses = field(default_factory=lambda: Uses(_rows(), _rows()))
     """Receptions of the evaluation messages."""
+
+    def with_late(self, exchange: Exchange, late: Iterable[LateMessages], carry_evaluations: RoundKind) -> "Inbox":
+        """Add receptions of messages of earlier steps that arrived in a round of this step.
+
+        A message that has left the inbox, or that the receiver has already, is left out. `carry_evaluations` is the
+        kind of messages that carry evaluations.
+        """
+        inbox = self
+        for messages in late:
+            row, is_there = self._rows(messages.step, messages.sender)
+            found = messages.links.vehicles
+            mine = is_there[found.message]
+            more = Uses(exchange.vehicles.actor[found.receiver[mine]], row[found.message[mine]])
+            if messages.kind == RoundKind.CPM:
+                inbox = replace(inbox, cpms=_with_new(inbox.cpms, more))
+            if messages.kind == carry_evaluations:
+                inbox = replace(inbox, reports=_with_new(inbox.reports, more))
+        return inbox
+
+    def _rows(self, step: Int[ndarray, "m"], sender: Int[ndarray, "m"]) -> tuple[Int[ndarray, "m"], Bool[ndarray, "m"]]:
+        """Rows of messages by their steps and senders, and which of them are there."""
+        oldest = int(self.step[0]) if len(self.step) else 0
+        held, asked = (self.step - oldest << 48) + self.sender, (step - oldest << 48) + sender
+        row, is_there = rows_of(asked, held)
+        return row, is_there & (sender >= 0) & (step >= oldest)
 
     def known(self, exchange: Exchange, listed: Listed, cpms: Broadcast, parts: Parts) -> tuple["Inbox", Known]:
         """The messages of this step, and those of the inbox that can still be used.
@@ -256,6 +283,13 @@ class Inbox:
             evaluations=Evaluations(self.evaluations.evaluation[rows], self.evaluations.visibility[rows]),
             cpms=cpms, reports=reports,
         )  # fmt: skip
+
+
+def _with_new(held: Uses, more: Uses) -> Uses:
+    """Held receptions and those of the others that are not held yet, each once."""
+    have, found = (uses.receiver.astype(np.int64) << 32 | uses.message for uses in (held, more))
+    new = np.setdiff1d(found, have)
+    return Uses(np.concatenate([held.receiver, new >> 32]), np.concatenate([held.message, new & 0xFFFFFFFF]))
 
 
 def _of_sensing(exchange: Exchange, held: Uses, received: Receptions) -> Uses:

@@ -1,7 +1,7 @@
 """The components of a step: perception, adversary, medium, trust, pseudonyms, driver. They are built once per run."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -19,6 +19,7 @@ from cosim.driver.driver import Driver
 from cosim.mobility.roadside import NO_UNITS, RoadsideUnits
 from cosim.mobility.schedule import Schedule
 from cosim.radio.medium import Medium
+from cosim.radio.params import RadioParams
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
 from cosim.step.comparing import Compares, Recall, compare
 from cosim.step.early_fusion import EarlyFusion
@@ -204,4 +205,6 @@ def _make(experiment: Config, section: str, number: int | None = None) -> Any:
 def _make_medium(experiment: Config, los: LosOfPlaces | None) -> Medium:
     choice, own = config.chosen(experiment, "radio")
     params = experiment.radio if own is None else own
-    return make(choice, params, experiment.timeout_s, experiment.seed, los)
+    if isinstance(params, RadioParams):
+        params = replace(params, timeout_s=experiment.message_lifetime_s)
+    return make(choice, params, experiment.round_s, experiment.seed, los)

@@ -9,7 +9,7 @@ from cosim.step.known import Known
 from cosim.step.reactions import Reactions
 from cosim.step.stages import Evaluated, Listed, Positioned
 from cosim.step.tracking import Reach, Rounds
-from cosim.step.trust_stages import LookedUp
+from cosim.step.trust_stages import Carrier, LookedUp
 from cosim.v2x.pseudonyms import PseudonymUse
 from cosim.v2x.trust_hosts import ServerTraffic
 from cosim.world import World
@@ -34,6 +34,8 @@ class Sensed:
     """The detections of this step and those of earlier messages that vehicles use."""
     rounds: Rounds
     """The rounds of detection messages and of evaluation messages."""
+    carried: tuple[Carrier, ...]
+    """The messages that carried evaluations, of this step and of earlier ones whose messages may still arrive."""
     reach: tuple[Reach, Reach]
     """Vehicles in range, for the same two rounds."""
     evaluated: Evaluated

@@ -22,6 +22,7 @@ from cosim.step.comparing import ROWS_PER_BOX, Compared, Fuses, KnownObjects, di
 from cosim.step.exchange import Exchange, OnAir, Senders, Times, Vehicles, lists_of_identities
 from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections, lies_in_evaluations
 from cosim.step.known import Known, Pairs, Uses
+from cosim.step.late import LateMessages
 from cosim.step.object_lists import messages_of, subset
 from cosim.step.parts import Parts
 from cosim.step.perception import Observed
@@ -310,6 +311,8 @@ class Broadcast:
     """Length of each vehicle's message; 0 if it is not sent."""
     clouds: MessageRound | None = None
     """Point clouds that were sent in the same round, one per vehicle that senses; None if none are."""
+    late: tuple[LateMessages, ...] = ()
+    """Messages of earlier rounds that went on in this one."""
 
 
 def broadcast_detections(
@@ -347,13 +350,26 @@ def _broadcast(
     medium: object, parts: Parts, cloud_bytes: Int[ndarray, "s"] | None = None,
 ) -> tuple[object, Broadcast]:  # fmt: skip
     messages, clouds = on_air.without(exchange.refused).messages, None
+    messages = replace(messages, name=_names(exchange)[on_air.message])
     if cloud_bytes is not None:
         messages, is_cloud = messages.followed_by(Messages(exchange.vehicles.senses, cloud_bytes))
     medium, found = parts.medium.broadcast(medium, kind, exchange.now.step, begin_s, exchange.stations, messages)
     if cloud_bytes is not None:
         found, clouds = found.only(~is_cloud), found.only(is_cloud)
-    links = on_air.links(found, len(exchange.vehicles))
-    return medium, Broadcast(found, links, _accepted(links, exchange.senders), length_bytes, clouds)
+    n_vehicles = len(exchange.vehicles)
+    links = on_air.links(found, n_vehicles)
+    late = tuple(LateMessages.of(earlier, n_vehicles) for earlier in found.earlier)
+    return medium, Broadcast(found, links, _accepted(links, exchange.senders), length_bytes, clouds, late)
+
+
+def _names(exchange: Exchange) -> Int[ndarray, "m"]:
+    """The sender of each message, by which it is known if it arrives late; -1 for those that are not accepted.
+
+    Messages of roadside units follow.
+    """
+    n_units = len(exchange.stations) - len(exchange.vehicles)
+    accepted = np.where(exchange.senders.is_valid, exchange.sender, -1)
+    return np.append(accepted, np.full(n_units, -1))
 
 
 def _accepted(links: LinkReceptions, senders: Senders) -> LinkReceptions:

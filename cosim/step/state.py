@@ -20,6 +20,7 @@ from cosim.step.trackers.encounters import Encounters
 from cosim.step.trackers.inter_reception import InterReceptionTracker
 from cosim.step.trackers.motion import LastSpeeds
 from cosim.step.tracking import ReceptionTrackers
+from cosim.step.trust_stages import Carrier
 from cosim.v2x.cpm_generation import CpmState
 from cosim.v2x.pseudonyms import PseudonymState
 from cosim.v2x.relinking import KnownSenders
@@ -47,6 +48,8 @@ class State:
     pseudonyms: PseudonymState = field(default_factory=PseudonymState)
     cpm: CpmState = field(default_factory=CpmState)
     piggybacked: SentEvaluations | None = None
+    carried: tuple[Carrier, ...] = ()
+    """Evaluations of earlier steps whose messages may still arrive."""
     inbox: Inbox = field(default_factory=Inbox)
     """Earlier messages that vehicles still use; empty if all vehicles sense in the same steps."""
     clouds: Clouds = field(default_factory=Clouds)

@@ -6,10 +6,12 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
+from cosim.radio.message_round import RoundKind
 from cosim.ragged import distinct
 from cosim.step.comparing import Compared
 from cosim.step.exchange import Exchange
 from cosim.step.known import Known
+from cosim.step.late import LateMessages
 from cosim.step.stages import Broadcast, Evaluated, Listed
 from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.step.trackers.encounters import Encounters
@@ -37,22 +39,42 @@ def track_receptions(
     trackers: ReceptionTrackers, exchange: Exchange, rounds: Rounds
 ) -> tuple[ReceptionTrackers, tuple[Reach, Reach]]:
     """Update the inter-reception times with both rounds; return the vehicles in range and the ended intervals."""
-    first, cpms = _track_round(trackers[0], exchange, rounds[0])
-    second, reports = _track_round(trackers[1], exchange, rounds[1])
+    first, cpms = _track_round(trackers[0], exchange, rounds, RoundKind.CPM)
+    second, reports = _track_round(trackers[1], exchange, rounds, RoundKind.EVALUATION)
     return (first, second), (cpms, reports)
 
 
 def _track_round(
-    tracker: InterReceptionTracker, exchange: Exchange, broadcast: Broadcast
+    tracker: InterReceptionTracker, exchange: Exchange, rounds: Rounds, kind: RoundKind
 ) -> tuple[InterReceptionTracker, Reach]:
+    broadcast = rounds[kind]
     actor, received, found = exchange.vehicles.actor, broadcast.links.vehicles, broadcast.round
     pair, got, n_in_range = pairs_within_range(
         found.station, found.frames.message, found.frames.receiver, found.frames.hop,
         exchange.senders.vehicle, received.message, received.receiver, actor,
     )  # fmt: skip
+    late = [_codes(actor, messages) for messages in late_of(rounds, kind)]
+    if late:  # a message that arrives late counts in the step in which it arrives
+        arrived = np.concatenate(late)
+        everything = np.union1d(pair, arrived)
+        was_received = np.zeros(len(everything), bool)
+        was_received[np.searchsorted(everything, pair[got])] = True
+        was_received[np.searchsorted(everything, arrived)] = True
+        pair, got = everything, was_received
     silent = None if exchange.sensing is exchange.vehicles else np.setdiff1d(actor, exchange.sensing.actor)
     tracker, rows = tracker.next(exchange.now.step, pair, got, silent)
     return tracker, Reach(n_in_range, rows)
+
+
+def _codes(actor: Int[ndarray, "n"], messages: LateMessages) -> Int[ndarray, "r"]:
+    """Pairs of sender and receiver of messages that arrived late, as `InterReceptionTracker.pair`."""
+    sender, receiver = messages.pairs()
+    return sender << 32 | actor[receiver]
+
+
+def late_of(rounds: Rounds, kind: RoundKind) -> list[LateMessages]:
+    """Messages of one kind that went on in a round of this step."""
+    return [messages for broadcast in rounds for messages in broadcast.late if messages.kind == kind]
 
 
 def count_in_encounters(
@@ -72,6 +94,9 @@ def count_in_encounters(
         for broadcast in rounds:
             found = broadcast.links.vehicles
             tracker.count_messages(actor[vehicle[found.message]], actor[found.receiver])
+            for late in broadcast.late:
+                sender, receiver = late.pairs()
+                tracker.count_messages(sender, actor[receiver])
         tracker.note_trust(actor[row[used.receiver]], actor[vehicle[used.message]], is_known)
         tracker.count_evaluations(actor[evaluator], actor[observer], n)
     return encounters

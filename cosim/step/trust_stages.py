@@ -3,18 +3,21 @@
 As in `cosim.step.stages`, a stage returns the parts of the state that it changes before its result.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.config.config import Config
 from cosim.radio.link_budget import neighbours
 from cosim.radio.message_round import LinkReceptions, Receptions
-from cosim.ragged import expand, ptr_of
+from cosim.ragged import expand, ptr_of, rows_of
 from cosim.step.comparing import FusionOf, Used
 from cosim.step.exchange import Exchange, Times, Vehicles, distinct
 from cosim.step.known import Known, Uses
+from cosim.step.late import LateMessages
 from cosim.step.parts import Parts
 from cosim.step.stages import Broadcast, Evaluated, Listed, Matched, SentEvaluations
 from cosim.step.trackers.encounters import Encounters, NearPairs, update_encounters
@@ -103,6 +106,11 @@ def receive_from_rsus(
     The state of trust, and per host the vehicles that it has informed by now.
     """
     if sent is None:
+        for messages in reports.late:  # the broadcast before this step may still arrive
+            down = messages.links.downlink
+            if len(down.receiver):
+                arrived_s = np.full(len(down.receiver), exchange.now.fused_s)
+                trust, _ = parts.trust.receive_from_rsu(trust, exchange.vehicles.actor, down.receiver, arrived_s)
         return trust, informed
     down = reports.links.downlink
     trust, by_rsus = parts.trust.receive_from_rsu(
@@ -155,6 +163,11 @@ def _trust_in(
 class Carrier:
     """The messages that carried evaluations in a step."""
 
+    step: int
+    sender: Int[ndarray, "m"]
+    """As `Exchange.sender`."""
+    pseudonym: Int[ndarray, "m"]
+    """Pseudonym that each message carried."""
     evaluations: SentEvaluations | None
     """None if there were no evaluations to carry."""
     receptions: LinkReceptions
@@ -183,9 +196,17 @@ def carrier_of(
     """
     cpms, reports = rounds
     sent = SentEvaluations(evaluated.sent, exchange.sender)
-    if parts.config.radio.evaluations == "alone":
-        return None, Carrier(sent, reports.accepted, exchange.now.evaluated_s)
-    carrier = Carrier(waiting, cpms.accepted, exchange.now.begin_s)
+    alone, now = parts.config.radio.evaluations == "alone", exchange.now
+    carrier = Carrier(
+        step=now.step,
+        sender=exchange.sender,
+        pseudonym=exchange.senders.pseudonym,
+        evaluations=sent if alone else waiting,
+        receptions=(reports if alone else cpms).accepted,
+        begin_s=now.evaluated_s if alone else now.begin_s,
+    )
+    if alone:
+        return None, carrier
     if waiting is None or parts.schedule.is_lock_step:
         return sent, carrier
     is_there = np.isin(waiting.sender >> 16, exchange.vehicles.actor)
@@ -272,6 +293,55 @@ def _deliver(
     up = links.uplink.take(row[links.uplink.message] >= 0)
     sent = parts.linkage.messages(pseudonyms, _upheld(carried.messages, carried.sender, exchange, parts))
     return parts.trust.report_by_rsu(trust, sent, row[up.message], carrier.begin_s + up.received_s)
+
+
+def deliver_late(
+    trust: TrustState, exchange: Exchange, carried: Sequence[Carrier], late: Sequence[LateMessages],
+    pseudonyms: PseudonymState, parts: Parts,
+) -> tuple[TrustState, LinkStats]:  # fmt: skip
+    """Deliver the evaluations of messages that arrived later than the round in which they were sent.
+
+    Returns
+    -------
+    The state of trust, and counts of the reports that have now reached the server.
+    """
+    stats = LinkStats()
+    for messages in late:
+        for carrier in carried:
+            sent = carrier.evaluations
+            if sent is None:
+                continue
+            row, is_there = rows_of(messages.sender, sent.sender)
+            is_there &= (messages.step == carrier.step) & (messages.sender >= 0)
+            links = messages.links
+            got = links.vehicles.take(is_there[links.vehicles.message])
+            named = parts.linkage.messages(pseudonyms, sent.messages)
+            trust = parts.trust.add_local(trust, named, exchange.vehicles.actor[got.receiver], row[got.message])
+            up = links.uplink.take(is_there[links.uplink.message])
+            if len(up.message):
+                named = parts.linkage.messages(pseudonyms, _upheld(sent.messages, sent.sender, exchange, parts))
+                trust, now = parts.trust.report_by_rsu(trust, named, row[up.message], carrier.begin_s + up.received_s)
+                stats = replace(stats, n_reached=stats.n_reached + now.n_reached)
+    return trust, stats
+
+
+def late_pseudonyms(late: LateMessages, carried: Sequence[Carrier]) -> Int[ndarray, "m"]:
+    """Pseudonym that each of these messages carries; -1 for those of roadside units and of senders not accepted."""
+    pseudonym = np.full(len(late.sender), -1)
+    for carrier in carried:
+        row, is_there = rows_of(late.sender, carrier.sender)
+        is_there &= late.step == carrier.step
+        pseudonym[is_there] = carrier.pseudonym[row[is_there]]
+    return pseudonym
+
+
+def next_carried(carried: tuple[Carrier, ...], carrier: Carrier, now: Times, config: Config) -> tuple[Carrier, ...]:
+    """The evaluations whose messages may still arrive after this step."""
+    if config.round_s >= config.message_lifetime_s:  # no message outlasts its round
+        return ()
+    oldest_s = now.begin_s - 2 * config.message_lifetime_s
+    nothing = LinkReceptions(Receptions.none(), Receptions.none(), Receptions.none())
+    return (*(one for one in carried if one.begin_s > oldest_s), replace(carrier, receptions=nothing))
 
 
 @dataclass(frozen=True, slots=True)

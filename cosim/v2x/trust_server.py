@@ -1,7 +1,7 @@
 """Links between vehicles and the trust server: uplink of evaluations and downlink of trust values."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -60,6 +60,10 @@ class LinkStats:
     n_outage: int = 0
     uplink_bytes: int = 0
     """Bytes of all reports on the cellular link."""
+
+    def plus_late(self, late: "LinkStats") -> "LinkStats":
+        """With reports that reach the server only now; the step in which they were sent counted them as lost."""
+        return replace(self, n_reached=self.n_reached + late.n_reached, n_lost=self.n_lost - late.n_reached)
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,7 +298,7 @@ class Downlink:
             last[vehicle[here]] = np.maximum(last[vehicle[here]], number)
             if not here.all():
                 waiting.append((arrival[~here], vehicle[~here], number))
-        in_use = set(last[present].tolist()) | {number for _, _, number in waiting}
+        in_use = {*last[present].tolist(), state.on_air, *(number for _, _, number in waiting)}
         if state.pending_rsu is not None:
             in_use.add(state.pending_rsu[1])
         broadcasts = {n: b for n, b in state.broadcasts.items() if n in in_use}

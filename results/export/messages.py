@@ -86,9 +86,10 @@ class Messages:
 
     def received(self, receivers: list[int]) -> Received:
         """What these vehicles received."""
-        columns = ["step", "sender", "receiver", "generation_offset_s", "latency_s"]
+        columns = ["step", "message_step", "sender", "receiver", "generation_offset_s", "latency_s"]
         where = self._in_steps & pc.field("receiver").isin(receivers) & (pc.field("message_type") == "cpm")
         got = self._run.table("receptions", columns, where)
+        got = got.drop(columns="step").rename(columns={"message_step": "step"})
         sent = self.sent.rename(columns={"observer": "sender"})
         got = got.merge(sent, on=["step", "sender"])
         got["send_s"] = got.step * self._run.dt_s + got.generation_offset_s

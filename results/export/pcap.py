@@ -162,10 +162,11 @@ class Packets:
 
     def received(self, receivers: list[int], clouds: Clouds) -> Iterator[File]:
         """One file for each of these receivers."""
-        columns = ["step", "sender", "receiver", "generation_offset_s", "latency_s"]
+        columns = ["step", "message_step", "sender", "receiver", "generation_offset_s", "latency_s"]
         steps = pc.field("step").isin(self.selection.steps.tolist())
         where = steps & pc.field("receiver").isin(receivers) & (pc.field("message_type") == "cpm")
         got = self.selection.run.table("receptions", columns, where)
+        got = got.drop(columns="step").rename(columns={"message_step": "step"})
         got["time_s"] = got.step * self.selection.run.dt_s + got.generation_offset_s + got.latency_s
         for receiver, mine in got.sort_values(["receiver", "time_s", "sender"]).groupby("receiver"):
             yield File(f"veh_{receiver}.pcap", partial(_capture, mine, self._all))

@@ -73,7 +73,8 @@ def by_age(run: Run, radius_m: float | None = None, every_s: float = 5.0) -> pd.
         "bin": np.floor(np.r_[age, age] * run.dt_s / every_s).astype(np.int64),
     })  # fmt: skip
     got = [both[["step", "sender", "receiver"]].iloc[:0]]
-    for part in run.parts("receptions", ["step", "sender", "receiver"], pc.field("message_type") == "cpm"):
+    for part in run.parts("receptions", ["message_step", "sender", "receiver"], pc.field("message_type") == "cpm"):
+        part = part.rename(columns={"message_step": "step"})
         got.append(part.assign(sender=part.sender.map(run.subjects.vehicle)).drop_duplicates())
     arrived = pd.concat(got).astype(np.int64).drop_duplicates().assign(arrived=True)
     both = both.merge(arrived, on=["step", "sender", "receiver"], how="left")

@@ -184,11 +184,11 @@ def message_reachability(run: Run, vehicle: int, start_s: float = 0.0) -> pd.Dat
     `n_messages` is the length of the chain that came first.
     """
     time_s, length = {vehicle: start_s}, {vehicle: 0}
-    for part in run.parts("receptions", ["step", "sender", "receiver", "latency_s"]):
+    for part in run.parts("receptions", ["step", "message_step", "sender", "receiver", "latency_s"]):
         part = part.assign(sender=part.sender.map(run.subjects.vehicle))
         for _, now in part[part.step * run.dt_s >= start_s].groupby("step"):
             now = now[now.sender.isin(list(time_s)) & ~now.receiver.isin(list(time_s))].sort_values("latency_s")
             now = now.drop_duplicates("receiver")
-            time_s.update(zip(now.receiver, now.step * run.dt_s + now.latency_s, strict=True))
+            time_s.update(zip(now.receiver, now.message_step * run.dt_s + now.latency_s, strict=True))
             length.update(zip(now.receiver, now.sender.map(length) + 1, strict=True))
     return pd.DataFrame({"vehicle": time_s.keys(), "time_s": time_s.values(), "n_messages": length.values()})

@@ -1,0 +1,71 @@
+"""Messages that arrive later than the round in which they were sent: what they are, and who received them."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+
+from cosim.radio.message_round import EarlierMessages, LinkReceptions, MessageRound, Receptions, RoundKind, by_link
+from cosim.ragged import rows_of
+from cosim.step.exchange import Exchange
+
+
+@dataclass(frozen=True, slots=True)
+class LateMessages:
+    """M messages of one kind that went on after their own round, and what happened to them in a round of this step.
+
+    Copies of one message are messages of their own here.
+    """
+
+    kind: RoundKind
+    step: Int[ndarray, "m"]
+    """Step in which each message was sent."""
+    sender: Int[ndarray, "m"]
+    """As `Exchange.sender`; -1 for roadside units and for senders whose messages are not accepted."""
+    round: MessageRound
+    links: LinkReceptions
+
+    @staticmethod
+    def of(earlier: EarlierMessages, n_vehicles: int) -> "LateMessages":
+        """From the result of a round; the first `n_vehicles` stations are vehicles."""
+        return LateMessages(earlier.kind, earlier.step, earlier.name, earlier.round, by_link(earlier.round, n_vehicles))
+
+    def pairs(self) -> tuple[Int[ndarray, "r"], Int[ndarray, "r"]]:
+        """For each reception by a vehicle of an accepted message: actor number of the sender, row of the receiver."""
+        found = self.links.vehicles
+        accepted = self.sender[found.message] >= 0
+        return self.sender[found.message[accepted]] >> 16, found.receiver[accepted]
+
+
+def of_this_step(exchange: Exchange, late: Iterable[LateMessages], kind: RoundKind) -> list[Receptions]:
+    """Receptions of detection messages of this step that arrived during the round of evaluation messages.
+
+    Messages are rows of `Senders`, as in the receptions of their own round.
+    """
+    found = []
+    for messages in late:
+        if messages.kind == kind:
+            row, is_there = rows_of(messages.sender, exchange.sender)
+            is_there &= messages.step == exchange.now.step
+            got = messages.links.vehicles.take(is_there[messages.links.vehicles.message])
+            found.append(Receptions(got.receiver, row[got.message], *_times(got)))
+    return found
+
+
+def _times(found: Receptions) -> tuple[ndarray, ...]:
+    names = ("hops", "generation_offset_s", "access_delay_s", "latency_s", "distance_m")
+    return tuple(getattr(found, name) for name in names)
+
+
+def joined(parts: list[Receptions]) -> Receptions:
+    """All receptions, each pair of receiver and message once, sorted by receiver, then message."""
+    if len(parts) == 1:
+        return parts[0]
+    columns = (np.concatenate([getattr(part, name) for part in parts]) for name in Receptions.__dataclass_fields__)
+    everything = Receptions(*columns)
+    order = np.lexsort((everything.received_s, everything.message, everything.receiver))
+    everything = everything.take(order)
+    pair = everything.receiver << 32 | everything.message
+    return everything.take(np.append(True, pair[1:] != pair[:-1])[: len(pair)])
