@@ -197,6 +197,10 @@ class ObjectStates:
     variance: Float[ndarray, "d 2"]
     """Variance of the velocity, along and across `axis` [m2/s2]."""
 
+    def take(self, rows: Int[ndarray, "k"]) -> ObjectStates:
+        """These rows, in this order."""
+        return ObjectStates(*(getattr(self, field.name)[rows] for field in fields(ObjectStates)))
+
 
 def track(
     memory: TrackMemory, observers: Observers, found: Found, params: TrackingParams

@@ -227,7 +227,8 @@ class Vouched(WithParams[P]):
 def fabricated(
     listed: Detections, observer: Int[ndarray, "c"], label: ndarray, boxes: Boxes, score: Float[ndarray, "c"],
     target: Int[ndarray, "c"] | None = None, identity: Int[ndarray, "c"] | None = None,
-    speed_mps: Float[ndarray, "c"] | None = None,
+    speed_mps: Float[ndarray, "c"] | None = None, n_points: Int[ndarray, "c"] | None = None,
+    velocity_mps: Float[ndarray, "c 2"] | None = None,
 ) -> Detections:  # fmt: skip
     """Add fabricated detections to the lists. Their indices continue those of each observer and identity.
 
@@ -248,15 +249,20 @@ def fabricated(
         another identity has index 0 and is the self report of that identity.
     speed_mps
         Speed that such a self report claims. If it is left out, there is none.
+    n_points, velocity_mps
+        Returns inside the box, and velocity east and north of the object, as the detector and the tracking report them
+        of real objects. If they are left out, there are none.
     """
     n = len(observer)
     identity = np.zeros(n, np.int64) if identity is None else identity
     absent = np.full(n, np.nan)
+    n_points = np.zeros(n, np.int32) if n_points is None else n_points.astype(np.int32)
     added = Detections(
         observer=observer, detection_index=np.arange(n), label=label.astype(np.uint8), boxes=boxes, score=score,
-        n_points=np.zeros(n, np.int32), origin=np.full(n, FABRICATED, np.uint8), transmitted=np.ones(n, bool),
+        n_points=n_points, origin=np.full(n, FABRICATED, np.uint8), transmitted=np.ones(n, bool),
         target=observer if target is None else target,
         identity=identity, speed_mps=absent if speed_mps is None else speed_mps, acceleration_mps2=absent,
+        velocity_mps=np.full((n, 2), np.nan) if velocity_mps is None else velocity_mps,
     )  # fmt: skip
     added = added.take(np.lexsort((identity, observer)))
     most = 1 + max(int(listed.identity.max(initial=0)), int(identity.max(initial=0)))

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Gt, Le
 
-from cosim.adversary.attack import AttackContext, Vouched, fabricated, placed
+from cosim.adversary.attack import AttackContext, Vouched, placed
+from cosim.adversary.disguise import ghosts
 from cosim.v2x.messages import Detections
 from cosim.world import LABELS
 from sensors.boxes import Boxes
@@ -35,12 +36,13 @@ class GhostInsertionParams:
 class GhostInsertion(Vouched[GhostInsertionParams]):
     """Inserts a car (and a pedestrian, or two more cars) in front of a victim in every message [1]_.
 
-    A ghost car is oncoming, has the size of the attacker's own car, and has score 1. The attacker confirms its ghosts
-    with evaluation 1 and visibility 1.
+    A ghost car is oncoming. The attacker confirms its ghosts with evaluation 1 and visibility 1.
 
     Notes
     -----
-    Deviations: ghosts have detection indices of their own, while the published code re-used those of real detections.
+    Deviations: ghosts have scores, sizes and speeds like those of real detections (`disguise.ghosts`), while in the
+    paper their score is 1, which marks them. They have detection indices of their own, while the published code re-used
+    those of real detections.
     In the paper all attackers aim at one ego vehicle. In a city each aims at its nearest neighbour by default.
 
     References
@@ -54,13 +56,13 @@ class GhostInsertion(Vouched[GhostInsertionParams]):
         """The lists, with the ghosts added."""
         p, world = self.params, context.world
         attacker, victim = context.victims()
-        ghosts = GHOSTS[p.ghosts]
-        label = np.tile([g[0] for g in ghosts], len(attacker)).astype(np.uint8)
-        ahead_m = p.ahead_m + np.tile([g[1] for g in ghosts], len(attacker))
-        left_m = np.tile([g[2] for g in ghosts], len(attacker))
-        attacker, victim = np.repeat(attacker, len(ghosts)), np.repeat(victim, len(ghosts))
+        objects = GHOSTS[p.ghosts]
+        label = np.tile([g[0] for g in objects], len(attacker)).astype(np.uint8)
+        ahead_m = p.ahead_m + np.tile([g[1] for g in objects], len(attacker))
+        left_m = np.tile([g[2] for g in objects], len(attacker))
+        attacker, victim = np.repeat(attacker, len(objects)), np.repeat(victim, len(objects))
         xyz, yaw = placed(world, victim, ahead_m, left_m, np.full(len(victim), np.pi))
         lwh = np.where((label == CAR)[:, None], world.boxes.lwh_m[attacker], PEDESTRIAN_LWH_M)
         ground = world.boxes.xyz_m[victim, 2] - world.boxes.lwh_m[victim, 2] / 2
         xyz[:, 2] = ground + lwh[:, 2] / 2
-        return fabricated(listed, attacker, label, Boxes(xyz, lwh, yaw), np.ones(len(attacker)), victim)
+        return ghosts(listed, attacker, label, Boxes(xyz, lwh, yaw), context, victim)

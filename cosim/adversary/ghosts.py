@@ -10,6 +10,7 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from cosim.adversary.attack import AttackContext, Vouched, fabricated, placed
+from cosim.adversary.disguise import ghosts
 from cosim.adversary.ghost_insertion import CAR
 from cosim.v2x.messages import FABRICATED, SELF, Detections
 from sensors.boxes import Boxes
@@ -41,8 +42,8 @@ class ApproachingGhost(Vouched[ApproachingGhostParams]):
 
     Notes
     -----
-    Deviations: the distance is measured from the victim's position at the time of the message. The car measures
-    4.5 x 2 x 1.6 m, as in AdvCP.
+    Deviations: the distance is measured from the victim's position at the time of the message. The car has the size of
+    a real detection (`disguise.ghosts`).
     """
 
     Params = ApproachingGhostParams
@@ -57,7 +58,7 @@ class ApproachingGhost(Vouched[ApproachingGhostParams]):
         lwh = np.tile(CAR_LWH_M, (n, 1))
         xyz, yaw = placed(world, victim, ahead_m, np.zeros(n), np.full(n, np.pi))
         xyz[:, 2] = world.boxes.xyz_m[victim, 2] - world.boxes.lwh_m[victim, 2] / 2 + lwh[:, 2] / 2
-        return fabricated(listed, attacker, np.full(n, CAR), Boxes(xyz, lwh, yaw), np.ones(n), victim)
+        return ghosts(listed, attacker, np.full(n, CAR, np.uint8), Boxes(xyz, lwh, yaw), context, victim)
 
 
 CAR_LWH_M = (4.5, 2.0, 1.6)
@@ -99,8 +100,8 @@ class GhostInShadow(Vouched[GhostInShadowParams]):
     Notes
     -----
     Deviations: this attack has no source. The attacker knows the positions of all equipped vehicles from their self
-    reports, and the buildings from a map. It does not use the sensors' fields of view. The car measures
-    4.5 x 2 x 1.6 m, as in AdvCP.
+    reports, and the buildings from a map. It does not use the sensors' fields of view. The car has the size of a real
+    detection (`disguise.ghosts`).
     """
 
     Params = GhostInShadowParams
@@ -120,7 +121,7 @@ class GhostInShadow(Vouched[GhostInShadowParams]):
         finds = np.flatnonzero(hidden.any(axis=1))
         at = finds * n_places + hidden[finds].argmax(axis=1)
         boxes = Boxes(xyz[at], np.tile(CAR_LWH_M, (len(at), 1)), yaw[at])
-        return fabricated(listed, row[at], np.full(len(at), CAR), boxes, np.ones(len(at)))
+        return ghosts(listed, row[at], np.full(len(at), CAR, np.uint8), boxes, context)
 
     def _hidden(
         self, context: AttackContext, row: Int[ndarray, "c"], xyz_m: Float[ndarray, "c 3"]
@@ -208,7 +209,15 @@ class Replay(Vouched[ReplayParams]):
         _, once = np.unique(has * np.int64(len(by)) + source, return_index=True)
         once = np.sort(once)  # as drawn, not by actor numbers
         again = said.take(source[once])
-        return fabricated(listed, attackers[has[once]], again.label, again.boxes, again.score)
+        return fabricated(
+            listed,
+            attackers[has[once]],
+            again.label,
+            again.boxes,
+            again.score,
+            n_points=again.n_points,
+            velocity_mps=again.velocity_mps,
+        )
 
 
 def _scaled(draw: Float[ndarray, "n"], below: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
@@ -261,7 +270,15 @@ class Stale(Vouched[StaleParams]):
         kept = replace(kept, boxes=replace(kept.boxes, xyz_m=xyz, yaw_rad=yaw), speed_mps=speed)
         again = np.flatnonzero((old.origin != SELF) & (observer >= 0))
         said = old.take(again)
-        return fabricated(kept, observer[again], said.label, said.boxes, said.score)
+        return fabricated(
+            kept,
+            observer[again],
+            said.label,
+            said.boxes,
+            said.score,
+            n_points=said.n_points,
+            velocity_mps=said.velocity_mps,
+        )
 
 
 def _oldest(past: list, actor: ndarray) -> tuple[Detections, ndarray] | None:

@@ -55,4 +55,12 @@ class Unreliable(Vouched[UnreliableParams]):
         transmitted = listed.transmitted.copy()
         transmitted[faulty[omitted]] = False
         kept = replace(listed, transmitted=transmitted)
-        return fabricated(kept, source.observer, source.label, Boxes(xyz, source.boxes.lwh_m, yaw), source.score)
+        return fabricated(
+            kept,
+            source.observer,
+            source.label,
+            Boxes(xyz, source.boxes.lwh_m, yaw),
+            source.score,
+            n_points=source.n_points,
+            velocity_mps=source.velocity_mps,
+        )

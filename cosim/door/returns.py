@@ -147,6 +147,10 @@ def message_round(call: Call, returned: Any) -> tuple[Any, MessageRound]:
     state, happened = _with_state(returned, MessageRound)
     if not isinstance(happened.station, ndarray) or not np.array_equal(happened.station, messages.station):
         raise Wrong(f"returned station as {described(happened.station)}", "the given messages.station")
+    if happened.earlier != ():
+        raise Wrong(
+            "returned messages of earlier rounds", "none: a message of a medium of your own ends with its round"
+        )
     got, frames, at, last_s = happened.receptions, happened.frames, "receptions.", round_s + 1e-9
     _typed("receptions", got, Receptions, "build it by MessageRound.of")
     _columns(at, got, _length(f"{at}receiver", got.receiver), "one for each reception", {

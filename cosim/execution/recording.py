@@ -204,7 +204,7 @@ def detection_columns(world: World, listed: Listed | Known, pseudonym: Int[ndarr
 
 
 def _tracks(recorder: TakesRows, at: int, sensed: Sensed) -> None:
-    states, listed = sensed.positioned.objects, sensed.listed.objects
+    states, listed = sensed.listed.tracks, sensed.listed.objects
     if states is None:
         return
     moves = ~np.isnan(listed.velocity_mps).any(axis=1)

@@ -15,11 +15,11 @@ from cosim.step.comparing import Compared
 from cosim.step.exchange import Exchange
 from cosim.step.known import Known
 from cosim.step.parts import Parts
-from cosim.step.stages import Claims, Positioned
+from cosim.step.stages import Claims
 from cosim.v2x.messages import SENSED, velocities
 from sensors.coverage import at_place
 from sensors.neighbours import Neighbours
-from sensors.tracking import confirmed_variance
+from sensors.tracking import ObjectStates, confirmed_variance
 from trust.claims import MISSING, N_OBJECTS, SPEED, claim_number, presence_support, velocity_support
 
 _LEAST_VARIANCE = 0.01
@@ -27,7 +27,7 @@ _LEAST_VARIANCE = 0.01
 
 
 def claims_of(
-    exchange: Exchange, messages: Known, compared: Compared, positioned: Positioned, parts: Parts
+    exchange: Exchange, messages: Known, compared: Compared, tracks: ObjectStates | None, parts: Parts
 ) -> Claims | None:
     """What every vehicle that senses finds about the claims of the messages in its list; None if it does not ask.
 
@@ -37,14 +37,14 @@ def claims_of(
         Vehicles of the step.
     messages, compared
         Messages that the vehicles use, and their object lists.
-    positioned
-        What vehicles perceive: whether they track objects.
+    tracks
+        What tracking says about the sensed detections of this step; None without tracking.
     parts
         Components of the run.
     """
     evidence = parts.config.trust.evidence
     parts_of = [
-        find(exchange, messages, compared, positioned, parts)
+        find(exchange, messages, compared, tracks, parts)
         for kind, find in (("missing", _missing), ("speed", _speed)) if kind in evidence
     ]  # fmt: skip
     if not parts_of:
@@ -58,7 +58,9 @@ _Found = tuple[Int[ndarray, "c"], Int[ndarray, "c"], Int[ndarray, "c"], Float[nd
 """List, member, number and support of each claim."""
 
 
-def _missing(exchange: Exchange, messages: Known, compared: Compared, positioned: Positioned, parts: Parts) -> _Found:
+def _missing(
+    exchange: Exchange, messages: Known, compared: Compared, tracks: ObjectStates | None, parts: Parts
+) -> _Found:
     """Whether messages have the objects that the evaluator sees and their senders should have detected.
 
     A message with as many objects as `cpm.max_objects` allows may lack some for that reason, and is left out.
@@ -121,7 +123,9 @@ def _reported(messages: Known, message: Int[ndarray, "k"], body: Int[ndarray, "k
     return np.bincount(of[there], minlength=len(body)) > 0
 
 
-def _speed(exchange: Exchange, messages: Known, compared: Compared, positioned: Positioned, parts: Parts) -> _Found:
+def _speed(
+    exchange: Exchange, messages: Known, compared: Compared, tracks: ObjectStates | None, parts: Parts
+) -> _Found:
     """Whether the velocities that messages claim are those of the evaluators' own tracks.
 
     Velocities of self reports are confirmed or denied. Those of other objects are denied only: the evaluations of the
@@ -134,7 +138,7 @@ def _speed(exchange: Exchange, messages: Known, compared: Compared, positioned: 
     claims = groups.ego_detected & foreign & (messages.step[by] == exchange.now.step)
     at = np.flatnonzero(claims & ~np.isnan(claimed_mps[lists.member]).any(axis=1))
     own, claim = lists.member[groups.seed[at]], lists.member[at]
-    known_mps, axis, variance = _own_velocities(exchange, messages, positioned, own, of[at])
+    known_mps, axis, variance = _own_velocities(exchange, messages, tracks, own, of[at])
     label = messages.detections.label[own]
     of_claim = confirmed_variance(p, parts.config.sensing_interval_s)[label]
     of_claim[messages.detections.is_self[claim]] = 0.0
@@ -151,14 +155,14 @@ def _speed(exchange: Exchange, messages: Known, compared: Compared, positioned: 
 
 
 def _own_velocities(
-    exchange: Exchange, messages: Known, positioned: Positioned, own: Int[ndarray, "c"], list_: Int[ndarray, "c"]
+    exchange: Exchange, messages: Known, tracks: ObjectStates | None, own: Int[ndarray, "c"], list_: Int[ndarray, "c"]
 ) -> tuple[Float[ndarray, "c 2"], Float[ndarray, "c 2"], Float[ndarray, "c 2"]]:
     """Velocity of each object as the evaluator knows it, NaN if it does not; axis and variances along and across it.
 
     `own` are the evaluator's own detections of the objects, or its self report, and `list_` its list.
     """
-    states, is_sensed = positioned.objects, messages.objects.origin == SENSED
-    assert states is not None, "velocities are held against tracks"
+    is_sensed = messages.objects.origin == SENSED
+    assert tracks is not None, "velocities are held against tracks"
     state = (np.cumsum(is_sensed) - 1)[own]  # of this step's detections, which are the first ones
     tracked = np.flatnonzero(is_sensed[own])
     yaw = exchange.world.boxes.yaw_rad[exchange.sensing.row[list_]]
@@ -166,6 +170,6 @@ def _own_velocities(
     known_mps = exchange.world.speed_mps[exchange.sensing.row[list_], None] * axis
     known_mps[~(is_sensed | messages.detections.is_self)[own]] = np.nan
     variance = np.full((len(own), 2), _LEAST_VARIANCE)
-    for column, of_state in ((known_mps, states.velocity_mps), (axis, states.axis), (variance, states.variance)):
+    for column, of_state in ((known_mps, tracks.velocity_mps), (axis, tracks.axis), (variance, tracks.variance)):
         column[tracked] = of_state[state[tracked]]
     return known_mps, axis, np.maximum(variance, _LEAST_VARIANCE)

@@ -125,7 +125,7 @@ def _cycle(
     if precomputed.sweeps_are_read is not None:
         precomputed.sweeps_are_read()
     with watch("evaluate"):
-        claims = claims_of(exchange, known, compared, positioned, parts)
+        claims = claims_of(exchange, known, compared, listed.tracks, parts)
         evaluated = stages.evaluate_objects(exchange, known, compared, claims, c)
     with watch("radio"):
         trust, on_rsus = parts.trust.pending_rsu_broadcast(trust, now.evaluated_s)

@@ -24,6 +24,10 @@ class GroundTruth:
     is_sensed: Bool[ndarray, "d"]
     lied: Bool[ndarray, "d"]  # the sent detection differs from the perceived one by more than noise
 
+    def take(self, rows: Int[ndarray, "k"]) -> "GroundTruth":
+        """These rows, in this order."""
+        return GroundTruth(*(getattr(self, name)[rows] for name in GroundTruth.__dataclass_fields__))
+
 
 def ground_truth_of(
     said: Detections,

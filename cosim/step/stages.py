@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.adversary.adversary import Active
+from cosim.adversary.disguise import shuffled
 from cosim.config.config import Config
 from cosim.driver.driver import Beliefs
 from cosim.mobility.position_errors import PositionErrors
@@ -213,6 +214,8 @@ class Listed:
     """Whether an attack withholds a detection that the detector made."""
     n_dropped: Int[ndarray, "f"]
     """Number of detections that cannot be sent, by `DetectionFault`."""
+    tracks: ObjectStates | None
+    """What tracking says about the sensed detections, in their order; None without tracking."""
     content: CpmContent
     """What each message contains."""
 
@@ -257,17 +260,22 @@ def list_objects(
     )
     cpm, content = generate(cpm, objects, message, generators, exchange.now.begin_s, parts.config.cpm)
     objects = replace(objects, transmitted=content.included)
+    truth = ground_truth_of(
+        objects, world, observed.observability, sensing.row, observed.is_real, observed.actor_row, lied
+    )
+    was_sensed = np.cumsum(objects.origin == SENSED) - 1
+    objects, order = shuffled(objects, world.name_key, parts.config.seed, world.step)
     detections, ptr = object_lists.for_trust(objects, message, len(senders))
+    tracks = positioned.objects
     return cpm, Listed(
         objects=objects,
-        truth=ground_truth_of(
-            objects, world, observed.observability, sensing.row, observed.is_real, observed.actor_row, lied
-        ),
+        truth=truth.take(order),
         detections=detections,
         ptr=ptr,
-        withheld=withheld,
+        withheld=withheld[order],
         n_dropped=n_dropped,
-        content=content,
+        content=replace(content, inclusion=content.inclusion[order]),
+        tracks=None if tracks is None else tracks.take(was_sensed[order[objects.origin == SENSED]]),
     )
 
 

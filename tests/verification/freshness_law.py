@@ -74,7 +74,7 @@ def assumptions(config: Config) -> pd.DataFrame:
             found = chances(views, links.sender, links.receiver, config.trust.self_reports)
             listed = 1 + views.n_listed + np.bincount(links.receiver, told_p * found.n_listed, n)
             lengths = evaluation_bytes(listed)
-            heard_p = heavy.delivered_p(RoundKind.EVALUATION, result.step, begin_s + config.timeout_s, links, lengths)
+            heard_p = heavy.delivered_p(RoundKind.EVALUATION, result.step, begin_s + config.round_s, links, lengths)
 
             seen = sensed.positioned.observed.observability
             key = np.repeat(np.arange(n), np.diff(views.ptr)) * np.int64(len(world)) + views.body

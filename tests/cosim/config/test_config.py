@@ -86,7 +86,7 @@ def test_steps():
         ("radio.range_m=inf", "not a finite number"),
         ("radio.range_m=nan", "not a finite number"),
         ("radio.relay.max_hops=1.5", "valid integer"),
-        ("radio.timeout_s=0.6", "two rounds of messages do not fit"),
+        ("radio.timeout_s=0.6", "two messages of a sweep do not fit"),
         ("radio.access.lifetime_s=0.0001", "shorter than the transmission"),
         ("radio.timeout_s=0.001", "no time for more than a few frames"),
         ("radio=3", r"section \[radio\]"),

@@ -136,7 +136,7 @@ def test_extrapolated_boxes_are_moved_by_the_velocity_of_the_message(tmp_path):
     (["sensing_phase=late"], "sensing_phase"),
     (["sensing_groups=[{share_p=0.7,interval_s=1},{share_p=0.6,interval_s=2}]"], "add up to 1.3"),
     (["sensing_groups=[{share_p=0.7,interval_s=1.5}]"], r"sensing_groups.0.interval_s = 1.5 s is not a multiple"),
-    (["traffic.step_s=0.2", "sensing_phase=random", "radio.timeout_s=0.2"], "0.2 s apart"),
+    (["traffic.step_s=0.2", "sensing_phase=random", "radio.timeout_s=0.6"], "1 s apart"),
 ])  # fmt: skip
 def test_mistakes_are_one_line(wrong, says):
     with pytest.raises(ValueError, match=says) as error:

@@ -32,7 +32,7 @@ def controlled(n, *overrides):
     """Steps 0 to n - 1, and for each the refused pairs (row of the message, row of the vehicle) of both rounds."""
     scene = ScriptedScene.load()
     parts = parts_of(scene, *SCENE, *overrides)
-    medium = Listening(parts.config.radio, parts.config.timeout_s, 1)
+    medium = Listening(parts.config.radio, parts.config.round_s, 1)
     parts, sensed = replace(parts, medium=medium), []
     state = State.start(parts)
     for number in range(n):

@@ -80,7 +80,7 @@ def test_a_forwarded_evaluation_counts_once():
     model = state.trust.hosts[0].model
     assert not model.rejected.any()
     config = load(FOLDER / "scenario-2.toml", [*QUIET, *local])
-    steps, state = play(5, *local, medium=DuplicatingMedium(config.radio, config.timeout_s, config.seed))
+    steps, state = play(5, *local, medium=DuplicatingMedium(config.radio, config.round_s, config.seed))
     again = state.trust.hosts[0].model
     n = sum(
         int((t.evaluated.lists.of_member() != t.listed.detections.message[t.evaluated.lists.member]).sum())
