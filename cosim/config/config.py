@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,6 +15,7 @@ from annotated_types import Ge, Le
 from cosim.adversary.params import PAPER, AttackParams, check_attacks
 from cosim.config import preset
 from cosim.config.data import check_finite, check_keys, is_plain, override, read_toml, validated
+from cosim.config.preset import default_of, default_section
 from cosim.door.blame import at_load, definition_line
 from cosim.door.kinds import SECTIONS
 from cosim.door.load import Choice, is_own, resolve
@@ -89,20 +91,19 @@ class TrustVariant:
 class Config:
     """One experiment."""
 
-    preset: str = "v0.2"
+    preset: str = field(default_factory=lambda: preset.DEFAULT)
     """Set of keys that the config starts from: `paper`, `modern` or `v0.2`. Keys of the config come before those of the
-    preset. See `cosim/config/presets`. The default of a file and of `cosim run` is `modern`; an object of this class
-    has the keys of `v0.2`."""
+    preset. See `cosim/config/presets`."""
     seed: Annotated[int, Ge(0), Le(2**63 - 1)] = 4
     """Seed of all random numbers except SUMO's."""
     sensing_interval_s: Annotated[float, Ge(0.1), Le(3600)] = 1.0
     """Time between two LiDAR sweeps of a vehicle, and between two of its messages [s]. It must be a multiple of
     traffic.step_s."""
-    sensing_phase: Literal["common", "random"] = "common"
+    sensing_phase: Literal["common", "random"] = field(default_factory=partial(default_of, "sensing_phase"))
     """When vehicles sense within their intervals. `common`: all at the same time. `random`: each at a time of its own,
     drawn from its name, which is one of the traffic steps in an interval. Messages are then up to one interval old when
     they are used. `random` needs a traffic.step_s below the interval."""
-    extrapolate: bool = False
+    extrapolate: bool = field(default_factory=partial(default_of, "extrapolate"))
     """Whether a vehicle moves the objects of earlier messages by their velocities to the time of its own sweep, before
     it matches and evaluates them. Self reports have a speed; other objects have a velocity with [tracking]. Without it,
     a box is taken to be where its message says."""
@@ -111,21 +112,21 @@ class Config:
     sensing: bool = True
     """Whether vehicles sense, exchange messages and compute trust. If false, only traffic and encounters are simulated,
     which is faster."""
-    traffic: TrafficParams = field(default_factory=TrafficParams)
+    traffic: TrafficParams = field(default_factory=partial(default_section, TrafficParams, "traffic"))
     fleet: FleetParams = field(default_factory=FleetParams)
-    lidar: LidarParams = field(default_factory=LidarParams)
+    lidar: LidarParams = field(default_factory=partial(default_section, LidarParams, "lidar"))
     weather: WeatherParams = field(default_factory=WeatherParams)
-    gnss: GnssParams = field(default_factory=GnssParams)
+    gnss: GnssParams = field(default_factory=partial(default_section, GnssParams, "gnss"))
     objects: tuple[ObjectParams, ...] = ()
     parked: ParkedParams = field(default_factory=ParkedParams)
     trees: TreeParams = field(default_factory=TreeParams)
     meshes: tuple[MeshParams, ...] = ()
     vehicle_meshes: tuple[VehicleMeshParams, ...] = ()
     area: AreaParams = field(default_factory=AreaParams)
-    detector: DetectorParams = field(default_factory=DetectorParams)
-    tracking: TrackingParams = field(default_factory=TrackingParams)
+    detector: DetectorParams = field(default_factory=partial(default_section, DetectorParams, "detector"))
+    tracking: TrackingParams = field(default_factory=partial(default_section, TrackingParams, "tracking"))
     attacks: tuple[AttackParams, ...] = ()
-    cpm: CpmParams = field(default_factory=CpmParams)
+    cpm: CpmParams = field(default_factory=partial(default_section, CpmParams, "cpm"))
     early_fusion: EarlyFusionParams = field(default_factory=EarlyFusionParams)
     radio: RadioParams = field(default_factory=RadioParams)
     rsu: RsuParams = field(default_factory=RsuParams)

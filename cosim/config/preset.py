@@ -1,15 +1,16 @@
 """Presets: named sets of keys that a config starts from."""
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from cosim.config.data import read_toml
 
 DEFAULT = "modern"
 """The preset of a config file that names none."""
+S = TypeVar("S")
 _FOLDER = Path(__file__).parent / "presets"
 
 
@@ -27,6 +28,9 @@ def under(data: dict[str, Any], where: str) -> None:
         There is no preset of that name; the message is one line.
     """
     name = data.setdefault("preset", DEFAULT)
+    for key, value in _preset(DEFAULT).items():
+        if isinstance(value, Mapping):  # a section that another preset leaves out has the defaults of its keys
+            data.setdefault(key, {})
     if not isinstance(name, str) or name not in names():
         near = difflib.get_close_matches(str(name), names(), 1)
         hint = f'Did you mean "{near[0]}"?' if near else f"Known: {', '.join(names())}."
@@ -40,6 +44,11 @@ def default_of(key: str) -> Any:
     for part in key.split("."):
         found = found.get(part) if isinstance(found, Mapping) else None
     return found
+
+
+def default_section(params: Callable[..., S], name: str) -> S:
+    """A section of a config as the default preset sets it."""
+    return params(**_preset(DEFAULT).get(name, {}))
 
 
 @cache

@@ -258,7 +258,10 @@ def list_objects(
         xy_m=positioned.world.boxes.xyz_m[vehicles.row[senders.vehicle], :2],
         gap_s=_gaps_s(parts, medium, exchange)[senders.vehicle],
     )
-    cpm, content = generate(cpm, objects, message, generators, exchange.now.begin_s, parts.config.cpm)
+    track = np.full(len(objects), -1)
+    if positioned.objects is not None:
+        track[objects.origin == SENSED] = positioned.objects.object_id
+    cpm, content = generate(cpm, objects, message, generators, exchange.now.begin_s, parts.config.cpm, track)
     objects = replace(objects, transmitted=content.included)
     truth = ground_truth_of(
         objects, world, observed.observability, sensing.row, observed.is_real, observed.actor_row, lied

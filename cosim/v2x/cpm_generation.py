@@ -71,6 +71,8 @@ class InclusionMemory:
     """NaN where it was unknown."""
     velocity_mps: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
     """NaN where it was unknown."""
+    track: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Number of the sender's track of the object; -1 where it tracks none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +140,7 @@ class CpmContent:
 
 def generate(
     state: CpmState, listed: Detections, message: Int[ndarray, "d"], generators: Generators, time_s: float,
-    params: CpmParams,
+    params: CpmParams, track: Int[ndarray, "d"] | None = None,
 ) -> tuple[CpmState, CpmContent]:  # fmt: skip
     """Put together the detection messages of a step.
 
@@ -156,6 +158,8 @@ def generate(
         Time of the step.
     params
         The choices.
+    track
+        Number of its vehicle's track of each detection; -1 where it has none. None: nothing is tracked.
 
     Returns
     -------
@@ -178,7 +182,8 @@ def generate(
         generated = generated.noted(generators.sender[may], time_s)
         inclusion[listed.transmitted & ~may[message]] = Inclusion.WAITING
     if params.selects:
-        inclusion, included = _select(state, listed, inclusion, message, generators, time_s, params)
+        track = np.full(len(listed), -1) if track is None else track
+        inclusion, included = _select(state, listed, inclusion, message, generators, time_s, params, track)
     if params.length == "uper":
         is_sent = np.ones(len(has_sensors), bool)
         if params.rules == "etsi":
@@ -190,13 +195,13 @@ def generate(
 
 def _select(
     state: CpmState, listed: Detections, inclusion: UInt8[ndarray, "d"], message: Int[ndarray, "d"],
-    generators: Generators, time_s: float, params: CpmParams,
+    generators: Generators, time_s: float, params: CpmParams, track: Int[ndarray, "d"],
 ) -> tuple[UInt8[ndarray, "d"], InclusionMemory]:  # fmt: skip
     """What becomes of the detections that are included so far, and the memory after the step."""
     inclusion, rows = inclusion.copy(), np.flatnonzero(inclusion == Inclusion.INCLUDED)
     seen = listed.take(rows)
     sender = generators.sender[message[rows]]
-    now = Remembered.beside(state.included, seen, sender, time_s)
+    now = Remembered.beside(state.included, seen, sender, track[rows], time_s)
     if params.rules == "etsi":
         inclusion[rows[~due(now, seen.label, sender)]] = Inclusion.NOT_DUE
     others = np.flatnonzero((inclusion[rows] == Inclusion.INCLUDED) & (seen.origin != SELF))
@@ -227,21 +232,29 @@ class Remembered:
     yaw_rad: Float[ndarray, "r"]
     speed_mps: Float[ndarray, "r"]
     velocity_mps: Float[ndarray, "r 2"]
+    track: Int[ndarray, "r"]
+    """As `InclusionMemory.track`."""
     near: Int[ndarray, "r"]
     """Row of the same object in the memory; -1 if it is new."""
 
     @staticmethod
-    def beside(memory: InclusionMemory, seen: Detections, sender: Int[ndarray, "r"], time_s: float) -> "Remembered":
+    def beside(
+        memory: InclusionMemory, seen: Detections, sender: Int[ndarray, "r"], track: Int[ndarray, "r"], time_s: float
+    ) -> "Remembered":
         """Associate candidates with the memory.
 
-        A remembered object is expected where its velocity has brought it, if that is known. The same object is the
-        nearest one of the same class within 4 m of that place.
+        A tracked object is the remembered one of its track. Of the others, the same object is the nearest one of the
+        same class within 4 m of its place. A remembered object is expected where its velocity has brought it, if that
+        is known.
         """
         is_self = seen.origin == SELF
         of = (sender.astype(np.int64) * len(LABELS) + seen.label) * 2 + is_self
         xy_m, yaw, velocity = seen.boxes.xyz_m[:, :2], seen.boxes.yaw_rad, velocities(seen)
-        near = _nearest(memory, of, xy_m, time_s)
-        return Remembered(memory, time_s, of, xy_m, yaw, speeds(seen), velocity, near)
+        near = _same_track(memory, sender.astype(np.int64), track)
+        untracked, without = np.flatnonzero(track < 0), np.flatnonzero(memory.track < 0)
+        at = _nearest(memory, without, of[untracked], xy_m[untracked], time_s)
+        near[untracked] = at
+        return Remembered(memory, time_s, of, xy_m, yaw, speeds(seen), velocity, track, near)
 
     def changes(self) -> tuple[ndarray, ndarray, ndarray, ndarray]:
         """Distance [m], change of speed [m/s], angle [rad] and time [s] since then.
@@ -269,6 +282,7 @@ class Remembered:
             np.concatenate([memory.time_s[old], np.full(int(included.sum()), now)]),
             np.concatenate([memory.speed_mps[old], self.speed_mps[included]]),
             np.concatenate([memory.velocity_mps[old], self.velocity_mps[included]]),
+            np.concatenate([memory.track[old], self.track[included]]),
         )
         order = np.lexsort((parts[3], parts[1][:, 1], parts[1][:, 0], parts[0]))
         return InclusionMemory(*(part[order] for part in parts))
@@ -294,8 +308,8 @@ def due(now: Remembered, label: UInt8[ndarray, "r"], sender: Int[ndarray, "r"]) 
     Vehicles (type B) are included if they are new, if they have moved by more than 4 m, changed their speed by more
     than 0.5 m/s or turned by more than 4 degrees, or after 1 s [1]_. People (type A) are included if they are new. If
     one of them was last included 0.5 s ago or longer, all are included. Self reports follow the same rules [2]_.
-    Deviations: objects are associated by place, not by track. The angle is that of the box, not of the velocity. There
-    is no rule on speed where it is unknown, and no threshold of quality.
+    Deviations: without tracking, objects are associated by place. The angle is that of the box, not of the velocity.
+    There is no rule on speed where it is unknown, and no threshold of quality.
     """
     moved_m, faster_mps, turned_rad, elapsed_s = now.changes()
     is_new, person = now.near < 0, _VULNERABLE[label]
@@ -353,19 +367,41 @@ def beyond_limit(
     return over
 
 
+def _same_track(memory: InclusionMemory, sender: Int[ndarray, "r"], track: Int[ndarray, "r"]) -> Int[ndarray, "r"]:
+    """Row of the object of the same track of the same sender; -1 if it is not remembered, or is not tracked."""
+    near = np.full(len(sender), -1)
+    rows, held = np.flatnonzero(track >= 0), np.flatnonzero(memory.track >= 0)
+    if not len(rows) or not len(held):
+        return near
+    of_sender = memory.of[held] // (2 * len(LABELS))
+    remembered = np.column_stack([of_sender, memory.track[held]])
+    asked = np.column_stack([sender[rows], track[rows]])
+    _, number = np.unique(np.concatenate([remembered, asked]), axis=0, return_inverse=True)
+    number = number.reshape(-1)
+    row_of = np.full(int(number.max()) + 1, -1)
+    row_of[number[: len(held)]] = held
+    near[rows] = row_of[number[len(held) :]]
+    return near
+
+
 def _nearest(
-    memory: InclusionMemory, of: Int[ndarray, "r"], xy_m: Float[ndarray, "r 2"], time_s: float
+    memory: InclusionMemory, held: Int[ndarray, "k"], of: Int[ndarray, "r"], xy_m: Float[ndarray, "r 2"], time_s: float
 ) -> Int[ndarray, "r"]:
-    """Row of the nearest object of the same `of` within `MOVED_M` of its expected place; -1 if there is none."""
-    if not len(memory.of) or not len(of):
+    """Row of the nearest object of the same `of` within `MOVED_M` of its expected place; -1 if there is none.
+
+    Only the rows `held` of the memory are compared.
+    """
+    if not len(held) or not len(of):
         return np.full(len(of), -1)
-    kinds = np.unique(memory.of)
+    of_held = memory.of[held]
+    kinds = np.unique(of_held)
     floor = np.searchsorted(kinds, of)
     there = np.isin(of, kinds)
-    expected_m = memory.xy_m + np.nan_to_num(memory.velocity_mps) * (time_s - memory.time_s)[:, None]
-    tree = cKDTree(np.column_stack([expected_m, _FAR_M * np.searchsorted(kinds, memory.of)]))
+    moved_m = np.nan_to_num(memory.velocity_mps[held]) * (time_s - memory.time_s[held])[:, None]
+    tree = cKDTree(np.column_stack([memory.xy_m[held] + moved_m, _FAR_M * np.searchsorted(kinds, of_held)]))
     _, near = tree.query(np.column_stack([xy_m, _FAR_M * floor]), distance_upper_bound=MOVED_M + 1e-9)
-    return np.where(there & (near < len(memory.of)), near, -1)
+    there &= near < len(held)
+    return np.where(there, held[np.minimum(near, len(held) - 1)], -1)
 
 
 def _wrapped(angle_rad: Float[ndarray, "n"]) -> Float[ndarray, "n"]:

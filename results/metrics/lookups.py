@@ -233,9 +233,17 @@ def _added(run: Run, asked: _Asked) -> _All:
     left[vehicles.vehicle] = vehicles.last_step
     every_s = float(run.config.get("sensing_interval_s", run.dt_s))
     adding = _Adding(
-        known, role_of, _watched_since(run, known), left, (len(run.variants), len(run.role_labels)),
-        int(run.manifest["steps"]), run.dt_s, max(REACH_S, 2 * every_s), asked,
-    )  # fmt: skip
+        known=known,
+        role_of=role_of,
+        since=_watched_since(run, known),
+        until=_used_until(run, known),
+        left=left,
+        n=(len(run.variants), len(run.role_labels)),
+        n_steps=int(run.manifest["steps"]),
+        dt_s=run.dt_s,
+        reach_s=max(REACH_S, 2 * every_s),
+        asked=asked,
+    )
     return adding.result(run.pieces("trust_lookups", list(_DTYPES), _PIECE_ROWS))
 
 
@@ -247,12 +255,13 @@ class _Adding:
     """
 
     def __init__(
-        self, known: Int[ndarray, "p"], role_of: Int[ndarray, "p"], since: Int[ndarray, "p"], left: Int[ndarray, "r"],
-        n: tuple[int, int], n_steps: int, dt_s: float, reach_s: float, asked: _Asked,
+        self, known: Int[ndarray, "p"], role_of: Int[ndarray, "p"], since: Int[ndarray, "p"],
+        until: Int[ndarray, "p"], left: Int[ndarray, "r"], n: tuple[int, int], n_steps: int, dt_s: float,
+        reach_s: float, asked: _Asked,
     ) -> None:  # fmt: skip
-        """Of each pseudonym the role, and the step since which it is watched; of each vehicle the last step; how many
-        variants and roles there are."""
-        self.known, self.role_of, self.since, self.left = known, role_of, since, left
+        """Of each pseudonym the role, the step since which it is watched, and the last step in which it is in use; of
+        each vehicle the last step; how many variants and roles there are."""
+        self.known, self.role_of, self.since, self.until, self.left = known, role_of, since, until, left
         self.dt_s, self.reach_s, self.asked = dt_s, reach_s, asked
         self.n_variants, self.n_roles = n
         pairs = ("behind", "behind_sum", "renewed", "peak_sum_s", "observed_s", "area_s2", "sawtooth_peaks")
@@ -334,6 +343,10 @@ class _Adding:
             pairs["last_s"], of["renewed"], of["peak_sum_s"], of["observed_s"], of["area_s2"], of["sawtooth_peaks"],
             of["sawtooth_peak_sum_s"],
         )  # fmt: skip
+        in_use = rows["step"] <= self.until[who]  # a message can still be used after its pseudonym has ended
+        if not in_use.all():
+            rows = {name: _read_only(column[in_use], _DTYPES[name]) for name, column in rows.items()}
+            variant, who, pair = _read_only(variant[in_use], np.int16), who[in_use], pair[in_use]
         lookup_sums.add_watched(
             variant, rows["step"], who, pair, rows["trust"], rows["n_evaluations"], self.since, self.asked.threshold,
             mine["n_watched"], mine["n_evaluated"], mine["n_low"], pairs["first_step"], pairs["low_step"],
@@ -410,3 +423,8 @@ def _watched_since(run: Run, known: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
         who = watched(run)
         since[np.searchsorted(known, who.index)] = who.since
     return since
+
+
+def _used_until(run: Run, known: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
+    """Last step in which each pseudonym is in use."""
+    return run.subjects.to_step.reindex(known).to_numpy(np.int64)
