@@ -49,7 +49,7 @@ SUMMARY_METRICS = (
     "misbehaviour.time_to_detection.median_s", "freshness.lookup_state.share",
     "freshness.newest_evaluation_age.mean_s", "freshness.newest_evaluation_age.p90_s",
     "freshness.encounters_without_trust.share", "radio.pdr.all", "radio.pdr.cpm", "radio.pdr.evaluation",
-    "radio.cbr.mean", "radio.pir.mean_s",
+    "radio.lost.expired", "radio.cbr.mean", "radio.pir.mean_s",
 )  # fmt: skip
 """Metrics that the summary at the end of a run uses."""
 
@@ -264,6 +264,9 @@ def _radio(get: Get) -> list[str]:
         for name, metric in (("CPM", "radio.pdr.cpm"), ("evaluations", "radio.pdr.evaluation")) if "" in get(metric)
     ]  # fmt: skip
     parts[0] += f" ({', '.join(by_type)})" if by_type else ""
+    expired = get("radio.lost.expired").get("", 0.0)
+    if expired > 0.01:
+        parts.append(f"{expired:.0%} expired before they could be sent")
     if "" in get("radio.cbr.mean"):
         parts.append(f"channel busy {get('radio.cbr.mean')['']:.1%} of the time")
     if "" in get("radio.pir.mean_s"):

@@ -51,6 +51,20 @@ def test_what_stands_is_sent_once_a_second():
     assert story(*((t / 10, parked) for t in range(12))) == [[t in (0, 10)] * 2 for t in range(12)]
 
 
+def test_tracks_tell_people_apart_that_stand_together():
+    """A second pedestrian 1 m beside one that was just sent is new: by place it would be the same one."""
+    one = list_of((0, CAR, 0, 0), (0, PEDESTRIAN, 20, 0))
+    two = list_of((0, CAR, 0, 0), (0, PEDESTRIAN, 20, 0), (0, PEDESTRIAN, 21, 0))
+    at = Generators(np.array([0]), np.array([0]), np.zeros((1, 2)), np.zeros(1))
+    found = []
+    for tracks in (None, ([-1, 7], [-1, 7, 9])):
+        of_one, of_two = (None, None) if tracks is None else (np.array(t) for t in tracks)
+        state, _ = generate(CpmState(), one, one.observer, at, 0.0, ETSI, of_one)
+        state, content = generate(state, two, two.observer, at, 0.2, ETSI, of_two)
+        found.append(content.included.tolist())
+    assert found == [[False, False, False], [False, False, True]]
+
+
 def test_moved_turned_and_new():
     def at(x, yaw=0.0):
         return list_of((0, CAR, 0, 0), (0, CAR, x, yaw))

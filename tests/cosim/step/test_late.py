@@ -1,0 +1,49 @@
+"""Messages that arrive in a later step than that in which they were sent, in a run over `csma`."""
+
+import numpy as np
+import pytest
+
+from results.archive import open_run
+from tests.drive import drive
+
+SETTINGS = (
+    "traffic.step_s=0.2", "sensing_phase=random", "traffic.duration_s=8", "traffic.warmup_s=120", "record.level=full",
+    "fleet.penetration_p=1", "radio.dcc.t_off_s=[0.2,0.21,0.22,0.25,1.0]", "trust.host=local", "record.block_steps=10",
+)  # fmt: skip
+LIFETIME_S = 0.4
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return open_run(drive(tmp_path_factory.mktemp("late") / "run", *SETTINGS))
+
+
+def test_long_messages_arrive_in_later_steps(run):
+    """An evaluation message waits until 0.2 s after the detection message, and both rounds end after 0.16 s."""
+    got = run.receptions
+    late = got[got.message_step < got.step]
+    assert len(late) > 100 and "evaluation" in set(late.message_type)
+    assert not got.duplicated(["message_step", "message_type", "sender", "receiver"]).any()
+    assert not (got.message_step > got.step).any()
+
+
+def test_no_message_lasts_longer_than_it_may(run):
+    """From the beginning of a step, detection messages have 0.4 s and evaluation messages 0.8 s; the evaluation round
+    begins 0.08 s after the step."""
+    got = run.receptions
+    since_s = got.generation_offset_s + got.latency_s
+    assert (since_s[got.message_type == "cpm"] <= LIFETIME_S + 1e-3).all()
+    assert (since_s[got.message_type == "evaluation"] <= 2 * LIFETIME_S - 0.08 + 1e-3).all()
+    in_steps = (got.step - got.message_step) * 0.2
+    begin_s = np.where(got.message_type == "evaluation", 0.08, 0.0)
+    assert (begin_s + since_s <= in_steps + 0.16 + 1e-3).all()  # in a round of the step in which it is written
+
+
+def test_every_frame_has_one_outcome(run):
+    """In the sums of the table, as in the histogram by distance: received and lost frames are all in range."""
+    radio = run.radio
+    lost = radio.filter(like="n_lost_").sum(axis=1)
+    assert (radio.n_delivered + lost == radio.n_in_range).all()
+    assert radio.n_lost_late.sum() == 0
+    n_late = len(run.receptions[run.receptions.message_step < run.receptions.step])
+    assert n_late and radio.n_delivered.sum() >= len(run.receptions)
