@@ -72,6 +72,15 @@ class KnowsRecall(Protocol):
         """
 
 
+class KnowsAccuracy(Protocol):
+    """A detector that knows how accurate its boxes are. Vehicles state it in their messages."""
+
+    def position_sigma_m(
+        self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]
+    ) -> Float[ndarray, "n"]:
+        """Standard deviation of the position of a detection along each axis [m]; arguments as `KnowsRecall.recall`."""
+
+
 DETECTORS: dict[str, Callable[[Any], Detector]] = {
     "avod": StatisticalDetector,
     "pointpillars": StatisticalDetector,

@@ -202,6 +202,14 @@ class StatisticalDetector:
         found = detection_p(n_points, np.zeros(len(n_points)), label, self.model)
         return found * (1.0 - confused.sum(axis=1)[label])
 
+    def position_sigma_m(
+        self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]
+    ) -> Float[ndarray, "n"]:
+        """See `sensors.detector.KnowsAccuracy`."""
+        sparse = 1.0 / np.sqrt(np.maximum(n_points, 1))
+        by_returns = self.model.xy_sigma_m[label] + self.model.xy_sigma_sparse_m[label] * sparse
+        return by_returns + self.model.xy_sigma_per_m * range_m
+
 
 class IdealDetector:
     """Reports every actor with at least one return exactly and with score 1, and nothing else."""
@@ -230,6 +238,12 @@ class IdealDetector:
     ) -> Float[ndarray, "n"]:
         """See `sensors.detector.KnowsRecall`: 1 with a return, 0 without."""
         return (n_points > 0).astype(float)
+
+    def position_sigma_m(
+        self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]
+    ) -> Float[ndarray, "n"]:
+        """See `sensors.detector.KnowsAccuracy`: detections are exact."""
+        return np.zeros(len(n_points))
 
 
 def _detected(

@@ -66,7 +66,7 @@ def evaluate(
     groups: Groups,
     detections: Detections,
     n_points: Int[ndarray, "m"],
-    plausible: Bool[ndarray, "m"],
+    plausible: Bool[ndarray, "m"] | Float[ndarray, "m"],
     params: TrustParams,
     recall: Float[ndarray, "m"] | None = None,
 ) -> Evaluations:
@@ -79,7 +79,8 @@ def evaluate(
     n_points
         Returns of the owner's own sweep inside each member's box.
     plausible
-        Whether free space in the owner's own sweep permits the box; read only where `groups.ego_detected` is false.
+        Whether free space in the owner's own sweep permits the box; of a box whose place is uncertain, the share of its
+        places that it permits. Read only where `groups.ego_detected` is false.
     params
         Parameters of the evaluation.
     recall
@@ -93,10 +94,11 @@ def evaluate(
     Notes
     -----
     e is the score of the owner's detection that matched, else eta. Phi is `visibility`, and 1 for an implausible
-    unmatched detection. A match with the owner itself (its self report) is certain: e = Phi = 1. With `recall`, Phi of
-    a plausible unmatched detection is multiplied by `denial_weight`.
+    unmatched detection. Where the place of the box is uncertain, Phi is the mean of both over its places. A match with
+    the owner itself (its self report) is certain: e = Phi = 1. With `recall`, Phi of a plausible unmatched detection is
+    multiplied by `denial_weight`.
 
-    Deviations: the paper has no self reports, and does not know how often a detector misses.
+    Deviations: the paper has no self reports, does not know how often a detector misses, and takes boxes to be exact.
     """
     assert (recall is None) == (params.denials == "visibility"), "recall is given where denials are weighed by it"
     member = lists.member
@@ -106,7 +108,8 @@ def evaluate(
     if recall is not None:
         phi[~groups.ego_detected] *= denial_weight(recall[~groups.ego_detected])
     if params.plausibility_in_evaluation:
-        phi[~groups.ego_detected & ~plausible] = 1.0
+        denied = ~groups.ego_detected
+        phi[denied] += (1.0 - plausible[denied]) * (1.0 - phi[denied])
     certain = groups.ego_detected & detections.is_self[seed]
     e[certain] = 1.0
     phi[certain] = 1.0

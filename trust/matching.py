@@ -117,7 +117,8 @@ def match(
     lists
         A message appears at most once in a list: its detections are contiguous.
     pairs
-        (i, j, IoU) of the detections of one class and different messages that overlap, each pair once.
+        (i, j, IoU) of the detections of one class and different messages that overlap, each pair once. With
+        `matching = "gates"`: those that may be of one object, and how well they agree.
 
     Notes
     -----
@@ -130,7 +131,8 @@ def match(
     Deviations: the paper matches against the ego's detections only and one per vehicle; here detections that
     the ego lacks form groups too, which its later sections need, and one per vehicle is an option.
     """
-    i, j, iou = (column[pairs[2] > params.tau] for column in pairs)  # False for a NaN
+    least = params.tau if params.matching == "iou" else 0.0  # pairs within gates are no others
+    i, j, iou = (column[pairs[2] > least] for column in pairs)  # False for a NaN
     ends = np.concatenate([i, j]), np.concatenate([j, i])
     both = coo_array((np.tile(iou, 2), ends), (len(detections), len(detections)))
     both.has_canonical_format = True  # each pair is there once: its rows need not be sorted to see that

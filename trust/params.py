@@ -77,8 +77,13 @@ class TrustParams(TruPerceptParams):
     """Source of that weight. `fixed`: `ego_trust`. `computed`: the ego's vehicle trust, as the ego knows it."""
 
     # matching and evaluation
+    matching: Literal["iou", "gates"] = "iou"
+    """When two detections may be of one object. `iou`: if their boxes overlap (the paper's rule). `gates`: if they are
+    as close as the accuracies that their vehicles state allow, or if their boxes overlap."""
     tau: Annotated[float, Interval(ge=0, lt=1)] = 0.1
     """Two detections of one class match if their IoU is strictly greater."""
+    gate_p: Annotated[float, Interval(ge=0.5, lt=1)] = 0.99
+    """With `gates`: probability that two detections of one object are close enough, if stated accuracies are true."""
     one_per_vehicle: bool = False
     """Whether a group contains at most one detection of each vehicle, the one with the largest IoU, as the paper
     says."""
@@ -145,7 +150,9 @@ def eta_of(params: TrustParams) -> float:
 
 
 EVIDENCE_KEYS: tuple[str, ...] = (
+    "matching",
     "tau",
+    "gate_p",
     "one_per_vehicle",
     "eta",
     "gamma_lower_points",

@@ -15,7 +15,7 @@ from numpy import ndarray
 from cosim.ragged import ptr_of, ranges
 from cosim.step.known import Pairs, Uses
 from cosim.step.object_lists import questions_of, received_lists, subset
-from cosim.step.perception import AsksSweeps
+from cosim.step.perception import AsksSweeps, BoxQuestions
 from cosim.step.stopwatch import Stopwatch
 from sensors.boxes import Boxes, overlapping_pairs
 from sensors.evidence import AreaParams
@@ -54,6 +54,9 @@ class KnownObjects:
     """Messages that vehicles know besides, from others or under further identities of their own."""
     bodies: Boxes
     """Where each vehicle believes itself to be."""
+    variance_m2: Float[ndarray, "d 3"] | None = None
+    """Variance of each detection's position, as stated, and of the position of a vehicle that compares it with its own
+    sweep. None where boxes are taken to be exact."""
 
     def part(self, vehicles: Int[ndarray, "k"], received: Int[ndarray, "n"]) -> tuple["KnownObjects", "PartRows"]:
         """The same for some of the vehicles, which are numbered anew.
@@ -97,6 +100,7 @@ class KnownObjects:
             own=of_message[self.own[vehicles]],
             received=Uses(numbers(vehicles, len(self.own))[receiver], of_message[message]),
             bodies=self.bodies.take(vehicles),
+            variance_m2=None if self.variance_m2 is None else self.variance_m2[detections],
         )
         return part, PartRows(messages, detections, number)
 
@@ -257,17 +261,60 @@ def compare(
         asked, counted, tested = questions_of(lists, inside, foreign, boxes, detections, area)
         n_points, plausible = np.zeros(len(lists.member), np.int32), np.ones(len(lists.member), bool)
         n_points[counted], plausible[tested] = perception.answers(sweeps, asked)
+        permitted = plausible.astype(float)
+        if known.variance_m2 is not None:
+            permitted = _permitted_share(perception, sweeps, lists, plausible, known, area)
+            plausible = permitted >= 0.5
         away_m = distance_m(boxes.xyz_m, lists.member[seeds], origin_m, lists.of(seeds))
         of_seeds = SensorEvidence(n_points[seeds], plausible[seeds], away_m < area.range_m)
         n_points, plausible, of_near = n_points[inside], plausible[inside], None
         if recall is not None:
             range_m = distance_m(boxes.xyz_m, near.member, origin_m, near.of_member())
             of_near = recall(n_points, detections.label[near.member], range_m)
-        own = evaluate(near, near_groups, detections, n_points, plausible, params, of_near)
+        own = evaluate(near, near_groups, detections, n_points, permitted[inside], params, of_near)
         at = np.flatnonzero(known.traced[lists.member]) if known.traced.any() else np.zeros(0, np.int64)
         traced = Traced(lists.of(at), lists.member[at], lists.member[groups.seed[at]])
     compared = Compared(near, near_groups, n_points, plausible, own, traced)
     return compared, Grouped(lists, groups, detections, of_seeds)
+
+
+_SIGMA_POINTS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * np.sqrt(2.0)
+"""Places around a box along the axes of its variance, in standard deviations. Their mean and their variance are those
+of the position: the points of third-degree cubature."""
+
+
+def _permitted_share(
+    perception: AsksSweeps, sweeps: Any, lists: ObjectLists, plausible: Bool[ndarray, "m"], known: KnownObjects,
+    area: AreaParams,
+) -> Float[ndarray, "m"]:  # fmt: skip
+    """Share of the places where a box may be that free space in the vehicle's own sweep permits.
+
+    A box that is permitted where its message says has the share 1. For the others, the sweep is asked about four places
+    around it, too.
+    """
+    assert known.variance_m2 is not None
+    share = plausible.astype(float)
+    rows = np.flatnonzero(~plausible)
+    if not len(rows):
+        return share
+    b, o = lists.member[rows], lists.of_member()[rows].astype(np.int32)
+    xx, xy, yy = known.variance_m2[b].T
+    # The lower triangle of the Cholesky factor turns standard deviations into metres.
+    a = np.sqrt(xx)
+    c = xy / a
+    d = np.sqrt(np.maximum(yy - c * c, 0.0))
+    n = len(_SIGMA_POINTS)
+    boxes = known.boxes.take(np.tile(b, n))
+    u, v = np.repeat(_SIGMA_POINTS, len(rows), axis=0).T
+    xyz_m = boxes.xyz_m.copy()
+    xyz_m[:, 0] += np.tile(a, n) * u
+    xyz_m[:, 1] += np.tile(c, n) * u + np.tile(d, n) * v
+    none = np.zeros(0, np.int32)
+    at = np.arange(n * len(rows))
+    asked = BoxQuestions(replace(boxes, xyz_m=xyz_m), area, none, at[:0], np.tile(o, n), at)
+    _, around = perception.answers(sweeps, asked)
+    share[rows] = around.reshape(n, -1).sum(axis=0) / (1.0 + n)
+    return share
 
 
 def distance_m(

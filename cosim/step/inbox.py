@@ -13,6 +13,7 @@ from numpy import ndarray
 
 from cosim.radio.message_round import Receptions, RoundKind
 from cosim.ragged import offsets, ranges, rows_of
+from cosim.step.accuracy import aged
 from cosim.step.exchange import Exchange
 from cosim.step.ground_truth import GroundTruth
 from cosim.step.known import Known, Pairs, Uses
@@ -119,14 +120,15 @@ class Inbox:
         if not len(inbox.step):
             return inbox, known
         age_s = (now - inbox.step) * schedule.step_s if parts.config.extrapolate else None
-        return inbox, inbox._added(exchange, known, age_s)
+        return inbox, inbox._added(exchange, known, age_s, parts)
 
-    def _added(self, exchange: Exchange, now: Known, age_s: Float[ndarray, "m"] | None) -> Known:
+    def _added(self, exchange: Exchange, now: Known, age_s: Float[ndarray, "m"] | None, parts: Parts) -> Known:
         """This step's messages with those of the inbox behind them.
 
         If the ages of the messages are given, their objects are moved by their velocities to the time of the step.
         """
         world, n, d = exchange.world, len(exchange.senders), len(now.objects)
+        now_step = exchange.now.step
         row, _ = rows_of(self.objects.observer, world.actor)
         target, there = rows_of(self.objects.target, world.actor)
         actor_row, exists = rows_of(self.truth.actor_row, world.actor)
@@ -135,6 +137,9 @@ class Inbox:
             boxes = extrapolated(boxes, velocities(self.objects), np.repeat(age_s, np.diff(self.ptr)))
             moved_m = np.concatenate([np.zeros((d, 2)), boxes.xyz_m[:, :2] - self.objects.boxes.xyz_m[:, :2]])
         objects = replace(self.objects, observer=row, target=np.where(there, target, row), boxes=boxes)
+        if parts.config.trust.matching == "gates":
+            since_s = (now_step - self.step) * parts.schedule.step_s
+            objects = aged(objects, np.repeat(since_s, np.diff(self.ptr)), parts.config.tracking)
         truth = replace(self.truth, actor_row=actor_row, is_real=self.truth.is_real & exists)
         message = n + np.repeat(np.arange(len(self.step)), np.diff(self.ptr))
         ours, _ = for_trust(objects, message, n + len(self.step))

@@ -21,6 +21,7 @@ from cosim.mobility.schedule import Schedule
 from cosim.radio.medium import Medium
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
+from cosim.step.accuracy import SigmaOf
 from cosim.step.comparing import Compares, Recall, compare
 from cosim.step.early_fusion import EarlyFusion
 from cosim.step.mixed_perception import MixedPerception
@@ -58,6 +59,8 @@ class Parts:
     driver: Driver
     early: EarlyFusion | None = None
     """Shares and merges point clouds; None if none are shared."""
+    position_sigma_m: SigmaOf | None = None
+    """Accuracy of the detector (`sensors.detector.KnowsAccuracy`); None if it does not know it."""
     recall: Recall | None = None
     """Recall of the detector (`sensors.detector.KnowsRecall`); None unless denials are weighted by it."""
     coverage: Coverage | None = None
@@ -108,6 +111,7 @@ class Parts:
             trust=TrustHosts.of(variants(c), c.server, c.seed, c.schedule.exchange_interval_s, dt_s),
             driver=_make(c, "driver"),
             early=EarlyFusion.of(c),
+            position_sigma_m=getattr(_make(c, "detector"), "position_sigma_m", None),
             recall=recall_of(c) if c.trust.denials == "recall" else None,
             coverage=Coverage.of(c.lidar, walls, recall_of(c)) if "missing" in c.trust.evidence else None,
             certified=units.name_key[units.trusted],

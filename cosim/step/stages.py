@@ -19,6 +19,7 @@ from cosim.radio.medium import gap_s
 from cosim.radio.message_round import LinkReceptions, MessageRound, Messages, RoundKind
 from cosim.ragged import ptr_of
 from cosim.step import object_lists
+from cosim.step.accuracy import sensors_of, stated
 from cosim.step.comparing import ROWS_PER_BOX, Compared, Fuses, KnownObjects, distance_m
 from cosim.step.exchange import Exchange, OnAir, Senders, Times, Vehicles, lists_of_identities
 from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections, lies_in_evaluations
@@ -47,12 +48,13 @@ from cosim.v2x.pseudonyms import PseudonymState, PseudonymUse
 from cosim.v2x.redundancy import Reports
 from cosim.v2x.trust_server import TrustBroadcast
 from cosim.world import World
+from sensors.association import Gate, pairs_across, pairs_within
 from sensors.boxes import overlapping_pairs, pairs_between
 from sensors.tracking import Found, ObjectStates, Observers, TrackMemory, track
 from trust import tables
 from trust.claims import DETECTION, answers, claim_number
 from trust.fusion import Fused
-from trust.params import KINDS
+from trust.params import KINDS, TrustParams
 from trust.tables import EvaluationMessages, Evaluations, ObjectLists
 from trust.threads import threads_for
 
@@ -268,8 +270,13 @@ def list_objects(
     )
     was_sensed = np.cumsum(objects.origin == SENSED) - 1
     objects, order = shuffled(objects, world.name_key, parts.config.seed, world.step)
-    detections, ptr = object_lists.for_trust(objects, message, len(senders))
     tracks = positioned.objects
+    if tracks is not None:
+        tracks = tracks.take(was_sensed[order[objects.origin == SENSED]])
+    if parts.config.trust.matching == "gates":
+        origin_m = sensors_of(objects.observer, sensing.row, observed.sweeps.poses.origin_m)
+        objects = stated(objects, tracks, origin_m, parts.position_sigma_m, parts.config)
+    detections, ptr = object_lists.for_trust(objects, message, len(senders))
     return cpm, Listed(
         objects=objects,
         truth=truth.take(order),
@@ -278,7 +285,7 @@ def list_objects(
         withheld=withheld[order],
         n_dropped=n_dropped,
         content=replace(content, inclusion=content.inclusion[order]),
-        tracks=None if tracks is None else tracks.take(was_sensed[order[objects.origin == SENSED]]),
+        tracks=tracks,
     )
 
 
@@ -469,33 +476,48 @@ def compare_objects(
     objects, senders, sweeps, c = messages.objects, exchange.senders, positioned.observed.sweeps, parts.config
     n_now, received = int(messages.ptr[len(senders)]), messages.received
     pairs = None
-    if not messages.is_lock_step:  # the inbox keeps them
+    if not messages.is_lock_step or c.trust.matching == "gates":
         with parts.watch("match"):
-            pairs = _pairs(messages, n_now)
+            pairs = _pairs(messages, n_now, c.trust)
     further = np.flatnonzero(senders.identity)
     if len(further):
         sources, rows = (senders.source[further], received.receiver), (further, received.message)
         received = Uses(np.concatenate(sources), np.concatenate(rows))
+    variance_m2 = None
+    if c.trust.matching == "gates":  # of a box beside the evaluator's own sweep
+        variance_m2 = objects.variance_m2 + c.gnss.std_m**2 * np.array([1.0, 0.0, 1.0])
     known = KnownObjects(
         detections=messages.detections, boxes=objects.boxes, transmitted=objects.transmitted, ptr=messages.ptr,
         traced=objects.origin == FABRICATED, pairs=pairs, own=senders.own, received=received,
         bodies=positioned.world.boxes.take(exchange.sensing.row),
+        variance_m2=variance_m2,
     )  # fmt: skip
     compared, grouped = parts.compare(parts.perception, sweeps, known, c.area, c.trust, parts.recall, parts.watch)
     observer = senders.source[messages.detections.message[:n_now]]
     from_own_m = distance_m(objects.boxes.xyz_m, np.arange(n_now), sweeps.poses.origin_m, observer)
-    return compared, Matched(grouped, pairs, np.concatenate([from_own_m, messages.earlier_m]))
+    kept = None if messages.is_lock_step else pairs  # the inbox keeps them
+    return compared, Matched(grouped, kept, np.concatenate([from_own_m, messages.earlier_m]))
 
 
-def _pairs(messages: Known, n_now: int) -> Pairs:
-    """Overlapping detections; `n_now` of them are of this step. Pairs of earlier ones are known."""
+def _pairs(messages: Known, n_now: int, params: TrustParams) -> Pairs:
+    """Detections that may be of one object; `n_now` of them are of this step. Pairs of earlier ones are known."""
     boxes, label, message = messages.objects.boxes, messages.objects.label, messages.detections.message
-    now, earlier = slice(0, n_now), slice(n_now, None)
+    now, earlier, variance_m2 = slice(0, n_now), slice(n_now, None), messages.objects.variance_m2
+    gate = None if params.matching == "iou" else Gate(1.0 - params.gate_p, params.tau)
     with threads_for(ROWS_PER_BOX * n_now):
-        pairs = overlapping_pairs(boxes.take(now), label[now], message[now])
+        if gate is None:
+            pairs = overlapping_pairs(boxes.take(now), label[now], message[now])
+        else:
+            pairs = pairs_within(boxes.take(now), label[now], variance_m2[now], message[now], gate)
         if n_now == len(boxes):
             return pairs
-        i, j, iou = pairs_between(boxes.take(now), label[now], boxes.take(earlier), label[earlier])
+        if gate is None:
+            i, j, iou = pairs_between(boxes.take(now), label[now], boxes.take(earlier), label[earlier])
+        else:
+            i, j, iou = pairs_across(
+                boxes.take(now), label[now], variance_m2[now],
+                boxes.take(earlier), label[earlier], variance_m2[earlier], gate,
+            )  # fmt: skip
     columns = zip(pairs, (i, n_now + j, iou), messages.earlier_pairs, strict=True)
     one, other, overlap = (np.concatenate(column) for column in columns)
     return one, other, overlap

@@ -54,6 +54,10 @@ class Detections:
     """Acceleration along the heading."""
     velocity_mps: Float[ndarray, "d 2"] = field(default=None)  # type: ignore[arg-type]  # left out: absent
     """Velocity east and north of an object that the observer tracks."""
+    variance_m2: Float[ndarray, "d 3"] = field(default=None)  # type: ignore[arg-type]  # left out: exact
+    """Stated variance of the position: east, east and north, north."""
+    velocity_variance: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: exact
+    """Stated variance of the velocity along each axis [m2/s2], by which the position becomes less certain."""
 
     def __post_init__(self) -> None:
         n = len(self.observer)
@@ -66,6 +70,10 @@ class Detections:
                 object.__setattr__(self, name, np.full(n, np.nan))
         if self.velocity_mps is None:
             object.__setattr__(self, "velocity_mps", np.full((n, 2), np.nan))
+        if self.variance_m2 is None:
+            object.__setattr__(self, "variance_m2", np.zeros((n, 3)))
+        if self.velocity_variance is None:
+            object.__setattr__(self, "velocity_variance", np.zeros(n))
 
     def __len__(self) -> int:
         return len(self.observer)

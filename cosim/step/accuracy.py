@@ -1,0 +1,105 @@
+"""What vehicles state of the accuracy of their detections, and how it decreases with the age of a message."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.config.config import Config
+from cosim.v2x.messages import SELF, SENSED, Detections, velocities
+from sensors.association import bounded
+from sensors.tracking import ObjectStates, TrackingParams
+
+SigmaOf = Callable[[ndarray, ndarray, ndarray], ndarray]
+"""Standard deviation of positions, from number of returns, class and distance."""
+_OWN_SPEED_SIGMA_MPS = 0.1
+"""Standard deviation of the speed that a vehicle measures of itself."""
+_PLAIN_SIGMA_M = 0.3
+"""Standard deviation of positions that is stated where the detector does not know its own."""
+
+
+def stated(
+    listed: Detections, tracks: ObjectStates | None, origin_m: Float[ndarray, "d 3"], position_sigma_m: SigmaOf | None,
+    c: Config,
+) -> Detections:  # fmt: skip
+    """The lists with the accuracy that their vehicles state.
+
+    Parameters
+    ----------
+    listed
+        Detections as vehicles list them.
+    tracks
+        What tracking says of the sensed ones, in their order; None without tracking.
+    origin_m
+        Sensor of the vehicle of each detection, where it believes it to be.
+    position_sigma_m
+        As `sensors.detector.KnowsAccuracy`; None where the detector does not know it.
+    c
+        The config.
+
+    Notes
+    -----
+    The variance of a position is a sum of four parts: the detector's, by class, number of returns and range; that of
+    the vehicle's own position; that of its heading, across the line of sight, times the square of the range; and, if a
+    sweep takes the time T, that of a motion of speed v in it, (v T)^2 / 12 along the velocity. A self report has the
+    second part alone. A detection without a track has the variance of the speeds of its class. Vehicles that attack
+    state the same of what they fabricate: nothing else is believed.
+    """
+    is_self = listed.origin == SELF
+    away_m = listed.boxes.xyz_m[:, :2] - origin_m[:, :2]
+    range_m = np.hypot(*away_m.T)
+    sigma_m = np.full(len(listed), _PLAIN_SIGMA_M)
+    if position_sigma_m is not None:
+        sigma_m = position_sigma_m(listed.n_points, listed.label, range_m)
+    variance = np.where(is_self, 0.0, sigma_m**2) + c.gnss.std_m**2
+    across = np.where(is_self, 0.0, np.deg2rad(c.gnss.heading_std_deg) ** 2)
+    x, y = away_m.T
+    moves = velocities(listed)
+    known = np.isfinite(moves).all(axis=1)
+    of_class = _speed_variance(listed, c.tracking)
+    sweep_s = 0.0 if not isinstance(c.lidar.rotation_hz, float) else 1.0 / c.lidar.rotation_hz
+    of_sweep = np.where(is_self, 0.0, sweep_s**2 / 12.0)
+    vx, vy = np.where(known[:, None], moves, 0.0).T
+    anywhere = np.where(known, 0.0, of_class)
+    full = np.column_stack([
+        variance + across * y * y + of_sweep * (vx * vx + anywhere),
+        -across * x * y + of_sweep * vx * vy,
+        variance + across * x * x + of_sweep * (vy * vy + anywhere),
+    ])  # fmt: skip
+    speed = np.where(known, _OWN_SPEED_SIGMA_MPS**2, of_class)
+    if tracks is not None:
+        rows = np.flatnonzero(listed.origin == SENSED)
+        speed[rows] = np.where(known[rows], tracks.variance.mean(axis=1), speed[rows])
+    if not c.extrapolate:  # the box stays where it was said to be
+        speed += 0.5 * (vx * vx + vy * vy)
+    return replace(listed, variance_m2=bounded(full), velocity_variance=speed)
+
+
+def aged(listed: Detections, age_s: Float[ndarray, "d"], params: TrackingParams) -> Detections:
+    """Detections whose messages are so old: their positions are less certain.
+
+    Notes
+    -----
+    The variance grows by that of the velocity times the square of the age, and by the random acceleration of the class,
+    with the spectral density q: q age^3 / 3.
+    """
+    acceleration = np.asarray(params.acceleration_noise)[listed.label]
+    more = listed.velocity_variance * age_s**2 + acceleration * age_s**3 / 3.0
+    variance = listed.variance_m2 + more[:, None] * np.array([1.0, 0.0, 1.0])
+    return replace(listed, variance_m2=bounded(variance))
+
+
+def _speed_variance(listed: Detections, params: TrackingParams) -> Float[ndarray, "d"]:
+    """Variance of the velocity along each axis of an object of which only the class is known."""
+    mean, along, across = (
+        np.asarray(values)[listed.label]
+        for values in (params.along_mean_mps, params.along_sigma_mps, params.across_sigma_mps)
+    )
+    return 0.5 * (mean**2 + along**2 + across**2)
+
+
+def sensors_of(observer: Int[ndarray, "d"], rows: Int[ndarray, "s"], origin_m: Float[ndarray, "s 3"]) -> ndarray:
+    """Sensor of the observer of each detection; `rows` are the observers' rows of the world, ascending."""
+    return origin_m[np.searchsorted(rows, observer)]
