@@ -59,6 +59,18 @@ def bounded(variance_m2: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
     return np.column_stack([mean + spread * turn_x, spread * turn_y, mean - spread * turn_x])
 
 
+def certainty(variance_m2: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
+    """How much of the region in which each detection may be is inside the bounds, in (0, 1].
+
+    It is the ratio of the areas of two ellipses: of the bounded variance, and of the variance itself.
+    """
+    xx, xy, yy = variance_m2.T
+    b_xx, b_xy, b_yy = bounded(variance_m2).T
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.sqrt((b_xx * b_yy - b_xy * b_xy) / (xx * yy - xy * xy))
+    return np.where(np.isfinite(share), np.minimum(share, 1.0), 1.0)
+
+
 def pairs_within(
     boxes: Boxes, label: UInt8[ndarray, "n"], variance_m2: Float[ndarray, "n 3"], owner: Int[ndarray, "n"], gate: Gate
 ) -> Pairs:
@@ -79,7 +91,8 @@ def pairs_within(
     -----
     The agreement of a pair is the probability that two detections of one object are at least as far apart, exp(-d^2/2)
     with the squared Mahalanobis distance d^2 of their centres under the sum of both variances [1]_. If the boxes
-    overlap by more than `least_iou`, it is at least their IoU.
+    overlap by more than `least_iou`, it is at least their IoU. Where one box is longer or wider, half the difference is
+    not counted as distance: a truck of which a vehicle sees the rear as a car is where that car is.
     """
     i, j = _near(boxes, label, variance_m2, boxes, label, variance_m2, gate, is_same=True)
     kept = owner[i] != owner[j]
@@ -134,15 +147,30 @@ def _agreeing(
 ) -> Pairs:  # fmt: skip
     """Those of the pairs that pass the gate, and how well they agree."""
     x, y = (a.xyz_m[i, :2] - b.xyz_m[j, :2]).T
+    apart_m2 = x * x + y * y
+    x, y = _beyond_size(a, b, i, j, x, y)
     xx, xy, yy = (a_variance_m2[i] + b_variance_m2[j]).T
     square = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
     agreement = np.exp(-0.5 * square)
     agreement[agreement <= gate.miss_p] = 0.0
     reach_m = a.circumradius_m[i] + b.circumradius_m[j]
-    may_overlap = np.flatnonzero(x * x + y * y < reach_m * reach_m)
+    may_overlap = np.flatnonzero(apart_m2 < reach_m * reach_m)
     iou = iou_3d(a.take(i[may_overlap]), b.take(j[may_overlap]))
     iou[iou <= gate.least_iou] = 0.0
     agreement[may_overlap] = np.maximum(agreement[may_overlap], iou)
     kept = np.flatnonzero(agreement > 0.0)
     kept = kept[np.lexsort((j[kept], i[kept]))]
     return i[kept].astype(np.int32), j[kept].astype(np.int32), agreement[kept]
+
+
+def _beyond_size(
+    a: Boxes, b: Boxes, i: Int[ndarray, "k"], j: Int[ndarray, "k"], x: Float[ndarray, "k"], y: Float[ndarray, "k"]
+) -> tuple[Float[ndarray, "k"], Float[ndarray, "k"]]:
+    """Distances of centres, without what different sizes of the boxes explain, along the axes of the longer box."""
+    slack_m = 0.5 * np.abs(a.lwh_m[i, :2] - b.lwh_m[j, :2])
+    yaw = np.where(a.lwh_m[i, 0] >= b.lwh_m[j, 0], a.yaw_rad[i], b.yaw_rad[j])
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    along, across = cos * x + sin * y, cos * y - sin * x
+    along = np.sign(along) * np.maximum(np.abs(along) - slack_m[:, 0], 0.0)
+    across = np.sign(across) * np.maximum(np.abs(across) - slack_m[:, 1], 0.0)
+    return cos * along - sin * across, sin * along + cos * across

@@ -69,6 +69,7 @@ def evaluate(
     plausible: Bool[ndarray, "m"] | Float[ndarray, "m"],
     params: TrustParams,
     recall: Float[ndarray, "m"] | None = None,
+    certainty: Float[ndarray, "m"] | None = None,
 ) -> Evaluations:
     """Evaluation and visibility of every detection in the object lists, by the list's owner.
 
@@ -87,6 +88,10 @@ def evaluate(
         Probability that the owner's detector reports an object with so many returns, if it is there, in [0, 1]. It is
         given only with `params.denials = "recall"`, and read only where `groups.ego_detected` is false.
 
+    certainty
+        Share of the region in which each box may be that the owner has compared, in [0, 1]; read only where
+        `groups.ego_detected` is false. None: boxes are exact.
+
     Returns
     -------
     One row per position of `lists.member`.
@@ -96,7 +101,7 @@ def evaluate(
     e is the score of the owner's detection that matched, else eta. Phi is `visibility`, and 1 for an implausible
     unmatched detection. Where the place of the box is uncertain, Phi is the mean of both over its places. A match with
     the owner itself (its self report) is certain: e = Phi = 1. With `recall`, Phi of a plausible unmatched detection is
-    multiplied by `denial_weight`.
+    multiplied by `denial_weight`. A denial counts by `certainty`: the object may be where the owner did not look.
 
     Deviations: the paper has no self reports, does not know how often a detector misses, and takes boxes to be exact.
     """
@@ -110,6 +115,8 @@ def evaluate(
     if params.plausibility_in_evaluation:
         denied = ~groups.ego_detected
         phi[denied] += (1.0 - plausible[denied]) * (1.0 - phi[denied])
+    if certainty is not None:
+        phi[~groups.ego_detected] *= certainty[~groups.ego_detected]
     certain = groups.ego_detected & detections.is_self[seed]
     e[certain] = 1.0
     phi[certain] = 1.0

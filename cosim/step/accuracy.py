@@ -88,7 +88,7 @@ def aged(listed: Detections, age_s: Float[ndarray, "d"], params: TrackingParams)
     acceleration = np.asarray(params.acceleration_noise)[listed.label]
     more = listed.velocity_variance * age_s**2 + acceleration * age_s**3 / 3.0
     variance = listed.variance_m2 + more[:, None] * np.array([1.0, 0.0, 1.0])
-    return replace(listed, variance_m2=bounded(variance))
+    return replace(listed, variance_m2=variance)
 
 
 def _speed_variance(listed: Detections, params: TrackingParams) -> Float[ndarray, "d"]:

@@ -17,6 +17,7 @@ from cosim.step.known import Pairs, Uses
 from cosim.step.object_lists import questions_of, received_lists, subset
 from cosim.step.perception import AsksSweeps, BoxQuestions
 from cosim.step.stopwatch import Stopwatch
+from sensors.association import bounded, certainty
 from sensors.boxes import Boxes, overlapping_pairs
 from sensors.evidence import AreaParams
 from trust import tables
@@ -271,7 +272,8 @@ def compare(
         if recall is not None:
             range_m = distance_m(boxes.xyz_m, near.member, origin_m, near.of_member())
             of_near = recall(n_points, detections.label[near.member], range_m)
-        own = evaluate(near, near_groups, detections, n_points, permitted[inside], params, of_near)
+        sure = None if known.variance_m2 is None else certainty(known.variance_m2)[near.member]
+        own = evaluate(near, near_groups, detections, n_points, permitted[inside], params, of_near, sure)
         at = np.flatnonzero(known.traced[lists.member]) if known.traced.any() else np.zeros(0, np.int64)
         traced = Traced(lists.of(at), lists.member[at], lists.member[groups.seed[at]])
     compared = Compared(near, near_groups, n_points, plausible, own, traced)
@@ -298,7 +300,7 @@ def _permitted_share(
     if not len(rows):
         return share
     b, o = lists.member[rows], lists.of_member()[rows].astype(np.int32)
-    xx, xy, yy = known.variance_m2[b].T
+    xx, xy, yy = bounded(known.variance_m2[b]).T
     # The lower triangle of the Cholesky factor turns standard deviations into metres.
     a = np.sqrt(xx)
     c = xy / a

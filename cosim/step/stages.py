@@ -48,7 +48,7 @@ from cosim.v2x.pseudonyms import PseudonymState, PseudonymUse
 from cosim.v2x.redundancy import Reports
 from cosim.v2x.trust_server import TrustBroadcast
 from cosim.world import World
-from sensors.association import Gate, pairs_across, pairs_within
+from sensors.association import Gate, bounded, pairs_across, pairs_within
 from sensors.boxes import overlapping_pairs, pairs_between
 from sensors.tracking import Found, ObjectStates, Observers, TrackMemory, track
 from trust import tables
@@ -502,7 +502,7 @@ def compare_objects(
 def _pairs(messages: Known, n_now: int, params: TrustParams) -> Pairs:
     """Detections that may be of one object; `n_now` of them are of this step. Pairs of earlier ones are known."""
     boxes, label, message = messages.objects.boxes, messages.objects.label, messages.detections.message
-    now, earlier, variance_m2 = slice(0, n_now), slice(n_now, None), messages.objects.variance_m2
+    now, earlier, variance_m2 = slice(0, n_now), slice(n_now, None), bounded(messages.objects.variance_m2)
     gate = None if params.matching == "iou" else Gate(1.0 - params.gate_p, params.tau)
     with threads_for(ROWS_PER_BOX * n_now):
         if gate is None:
