@@ -133,7 +133,7 @@ class Config:
     roadside: tuple[RoadsideParams, ...] = ()
     server: ServerParams = field(default_factory=ServerParams)
     pseudonyms: PseudonymParams = field(default_factory=PseudonymParams)
-    trust: TrustParams = field(default_factory=TrustParams)
+    trust: TrustParams = field(default_factory=partial(default_section, TrustParams, "trust"))
     trust_variant: tuple[TrustVariant, ...] = ()
     driver: DriverParams = field(default_factory=DriverParams)
     encounters: tuple[EncounterParams, ...] = (EncounterParams(),)
