@@ -33,12 +33,13 @@ class EvidenceStore:
     Evaluations wait until `settle`. Many small batches of one step are then checked and added as one.
     """
 
-    def __init__(self, by_score: bool, skip_unseen: bool, expires: bool = True) -> None:
+    def __init__(self, by_score: bool, skip_unseen: bool, expires: bool = True, least_score: float = 0.0) -> None:
         self.steps: dict[int, StepEvidence] = {}
         self.views: list[View] = []
         self.pairs = PairIndex()
         self.evaluators = EvaluatorTable()
         self._by_score, self._skip_unseen, self._expires = by_score, skip_unseen, expires
+        self._least_score = least_score
         self._n_uses = np.zeros(0, np.int64)  # of each row: steps that use it, and models that keep it
         self._opened, self._n_bad = -1, 0
         self._n_added = 0
@@ -127,7 +128,7 @@ class EvidenceStore:
         evaluations.
         """
         evidence = self.steps[step]
-        return evidence.row, *evidence.of_pairs(self._by_score, self._skip_unseen)
+        return evidence.row, *evidence.of_pairs(self._by_score, self._skip_unseen, self._least_score)
 
     def expire(self) -> None:
         """Drop the steps that have left the windows of all models, and the pairs that no step uses any more."""

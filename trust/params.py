@@ -47,6 +47,9 @@ class TruPerceptParams:
     evidence."""
     weighting: Literal["score", "one"] = "score"
     """Weight of a detection in the trust of its vehicle: its score (equation 4), or 1."""
+    least_score: Annotated[float, Interval(ge=0, le=1)] = 0.0
+    """A detection with a lower score is no evidence: its own sender thinks that it may be nothing. Self reports have
+    score 1."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -127,7 +127,9 @@ class StepEvidence:
         evaluator = self.sent.pseudonyms[accepted.evaluator[accepted.message_row]]
         return pair_key(np.repeat(accepted.holder, n), subject), np.repeat(evaluator, n)
 
-    def of_pairs(self, by_score: bool, skip_unseen: bool) -> tuple[Float[ndarray, "p 2"], Int[ndarray, "p"]]:
+    def of_pairs(
+        self, by_score: bool, skip_unseen: bool, least_score: float
+    ) -> tuple[Float[ndarray, "p 2"], Int[ndarray, "p"]]:
         """Equations 3 and 4 within the step, and how many evaluations are behind them; both are kept until `add`.
 
         Returns
@@ -138,8 +140,8 @@ class StepEvidence:
             n, n_slots = self.pairs.size, np.diff(self.block)
             pair = np.repeat(np.arange(n), n_slots)
             phi = self.sums[:, 0]
-            counts = (self.n_evaluations[:, 0] > 0) & ~(skip_unseen & (phi == 0))
             score = self.sent.score[ranges(self.sent.first[self._subjects(self.pairs)], n_slots)]
+            counts = (self.n_evaluations[:, 0] > 0) & ~(skip_unseen & (phi == 0)) & (score >= least_score)
             weight = np.where(counts, score if by_score else 1.0, 0.0)
             trust = np.divide(self.sums[:, 1], phi, out=np.zeros(phi.size), where=phi > 0)
             sums = [np.bincount(pair, x, n) for x in (weight * trust, weight, self.n_evaluations[:, 1] * counts)]

@@ -46,9 +46,11 @@ from sensors.weather import WeatherParams, check_weather
 from sumo_nets import catalogue, sumocfg
 from trust.params import TrustParams, differing_evidence_key
 
-PAPER_RULE: dict[str, Any] = {"name": "paper", "fused": True, "unseen": "zero", "unevaluated": "value"}
-"""Trust variant that a run without a config file computes in addition: a detection that no other vehicle could see
-counts as 0, as in Hurl et al., TruPercept, 2020."""
+PAPER_RULE: dict[str, Any] = {
+    "name": "paper", "fused": True, "unseen": "zero", "unevaluated": "value", "least_score": 0.0,
+}  # fmt: skip
+"""Trust variant that a run without a config file computes in addition: every detection is evidence, and one that no
+other vehicle could see counts as 0, as in Hurl et al., TruPercept, 2020."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -46,6 +46,16 @@ def test_unseen(unseen, expected):
     assert trust_of(model, 1) == pytest.approx(expected, abs=1e-12)
 
 
+def test_what_its_own_sender_doubts_is_no_evidence():
+    # s = 1 and 0.5 are confirmed by 0.8 and 0.6, s = 0.4 is denied: (0.8 + 0.5 x 0.6) / 1.5; all three: 0.7 / 1.9
+    for least, expected, n in ((0.5, 1.1 / 1.5, 2), (0.0, (1.1 - 0.4) / 1.9, 3)):
+        model = TruPercept(TrustParams(least_score=least), 1.0)
+        open_step(model, 0, {1: [1.0, 0.5, 0.4], 2: []})
+        add(model, 0, [(2, 1, 0, 0.8, 1), (2, 1, 1, 0.6, 1), (2, 1, 2, -1, 1)])
+        assert trust_of(model, 1) == pytest.approx(expected, abs=1e-12)
+        assert model.scores().n_evaluations.tolist() == [n]
+
+
 def test_weighting():
     # T = 1 with s = 0.9 and T = 0 with s = 0.1: 0.9 weighted, 0.5 not
     for weighting, expected in (("score", 0.9), ("one", 0.5)):

@@ -78,13 +78,15 @@ class TruPercept:
         """Transmitted detections rejected so far: score outside [0, 1], or an index given twice."""
         self._folded = _Sums(0) if params.freshness_s == "off" else None
         self._folded_until = -1
-        self.store = store or EvidenceStore(params.weighting == "score", params.unseen == "skip", self._folded is None)
+        self.store = store or EvidenceStore(
+            params.weighting == "score", params.unseen == "skip", self._folded is None, params.least_score
+        )
         self.store.views.append(self)
         self._opened, self._n_added = -1, 0
 
     @classmethod
     def build_shared(cls, params: list[TruPerceptParams], dt_s: float) -> list["TruPercept"]:
-        """Models with one store of evidence for each (weighting, unseen) among them.
+        """Models with one store of evidence for each (weighting, unseen, least_score) among them.
 
         Models whose evidence never expires share a store if they stop to accept evaluations at the same age. Each
         model has the scores and counters of a model of its own, bit for bit, provided that all of them are given the
@@ -93,7 +95,7 @@ class TruPercept:
         stores: dict[tuple, EvidenceStore] = {}
         models = []
         for p in params:
-            key = p.weighting, p.unseen, p.grace_s if p.freshness_s == "off" else None
+            key = p.weighting, p.unseen, p.least_score, p.grace_s if p.freshness_s == "off" else None
             model = cls(p, dt_s, stores.get(key))
             stores[key] = model.store
             models.append(model)
