@@ -185,7 +185,8 @@ def fuse(
     evidence
         One row per row of `given.groups.seeds()`.
     distance_m
-        Distance of each detection from the sensor of its detector [m].
+        Distance of each detection from the sensor of its detector [m]. With `matching = "gates"`: standard deviation of
+        its position.
     params
         Method of the fusion and its parameters.
     score_objects
@@ -222,6 +223,8 @@ def fuse(
     pose = row
     if params.method in CORRECTED and not params.code_parity:
         pose = np.where(score > 0, _closest(given, distance_m, params.self_report_poses), row)
+    elif params.matching == "gates":  # an own detection stays: it has no error of another vehicle's position
+        pose = np.where(ego_detected | (score <= 0), row, _closest(given, distance_m, self_reports=True))
     fused = Fused(
         ego=lists.of(seeds),
         seed=row,

@@ -463,7 +463,8 @@ class Matched:
     pairs: Pairs | None
     """Overlapping detections, as rows of `Known`; None if all vehicles sense together."""
     from_own_m: Float[ndarray, "d"]
-    """Distance of each detection from the sensor of the vehicle that sends it."""
+    """Distance of each detection from the sensor of the vehicle that sends it. With `trust.matching = "gates"`:
+    standard deviation of its position."""
 
 
 def compare_objects(
@@ -495,8 +496,11 @@ def compare_objects(
     compared, grouped = parts.compare(parts.perception, sweeps, known, c.area, c.trust, parts.recall, parts.watch)
     observer = senders.source[messages.detections.message[:n_now]]
     from_own_m = distance_m(objects.boxes.xyz_m, np.arange(n_now), sweeps.poses.origin_m, observer)
+    from_own_m = np.concatenate([from_own_m, messages.earlier_m])
+    if c.trust.matching == "gates":  # the most accurate detection of an object gives its box
+        from_own_m = np.sqrt(0.5 * objects.variance_m2[:, [0, 2]].sum(axis=1))
     kept = None if messages.is_lock_step else pairs  # the inbox keeps them
-    return compared, Matched(grouped, kept, np.concatenate([from_own_m, messages.earlier_m]))
+    return compared, Matched(grouped, kept, from_own_m)
 
 
 def _pairs(messages: Known, n_now: int, params: TrustParams) -> Pairs:
