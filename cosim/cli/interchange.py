@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from cosim.cli.console import AsJson, print_done, print_json, progress, screen
+from cosim.cli.console import AsJson, notes, print_done, print_json, progress, screen
 
 
 def add_to(app: typer.Typer) -> None:
@@ -51,6 +51,8 @@ def export(
             lambda what, n, total: advance(f"{form}, {what}", n, total, ""),
         )  # fmt: skip
     print_done(done, f"wrote {done['files']:,} files, {done['bytes'] / 1e6:,.1f} MB, in {done['out']}", as_json)
+    for remark in done["remarks"]:
+        notes.print(f"note: {remark}", soft_wrap=True)
 
 
 def view(
