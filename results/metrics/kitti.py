@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from results.metrics.overlap import iou_3d, iou_bev
+from results.metrics.overlap import in_blocks, iou_3d, iou_bev
 
 LEVELS = ("easy", "moderate", "hard", "all")
 MIN_HEIGHT_PX = (40, 25, 25, 0)
@@ -187,4 +187,4 @@ def _candidates(truth: Objects, found: Objects, overlap: Overlap) -> tuple[ndarr
     ]
     near = trees[0].sparse_distance_matrix(trees[1], reach, output_type="ndarray")
     i, j = real[near["i"]], near["j"]
-    return i, j, (iou_3d if overlap == "3d" else iou_bev)(truth.box[i], found.box[j])
+    return i, j, in_blocks(iou_3d if overlap == "3d" else iou_bev, truth.box[i], found.box[j])
