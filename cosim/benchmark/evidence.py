@@ -142,7 +142,8 @@ class Rules:
 
 _RULES: Mapping[str, tuple[type | tuple[type, ...], float, float]] = {
     "dt_s": ((int, float), 1e-3, 3600), "n_steps": (int, 1, 1 << _BITS["step"]), "start_step": (int, 0, np.inf),
-    "server_period_s": ((int, float), 1e-3, 1e6), "eta": ((int, float), -1, 1), "freshness_s": ((int, float), 1e-3, 1e9),
+    "server_period_s": ((int, float), 1e-3, 1e6), "eta": ((int, float), -1, 1),
+    "freshness_s": ((int, float), 1e-3, 1e9),
 }  # fmt: skip
 """Type, smallest and largest value of each rule that is a number."""
 
@@ -346,7 +347,8 @@ def _rules(about: Any) -> Rules:
         raise ValueError(f"cases should be {HONEST!r} and up to {_MOST_NUMBERS - 1} attacks, each once")
     for name, (kind, least, most) in _RULES.items():
         value = about[name]
-        if not isinstance(value, kind) or isinstance(value, bool) or not least <= value <= most:
+        is_number = isinstance(value, kind) and not isinstance(value, bool)
+        if not is_number or not least <= value <= most:
             raise ValueError(f"{name} = {str(value)[:40]!r} should be a number from {least:g} to {most:g}")
     return Rules(**{**about, "cases": tuple(cases)})
 

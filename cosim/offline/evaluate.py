@@ -16,7 +16,7 @@ from results.datasets import dair, kitti_folder, opv2v
 from results.datasets.opv2v import ObjectFrame
 from results.datasets.plausibility import remarks
 from results.datasets.recorded import Boxes, Recorded, listed
-from results.metrics.kitti import LEVELS, LOOSE, STRICT, Objects, average_precision
+from results.metrics.kitti import LEVELS, LOOSE, STRICT, average_precision
 from results.metrics.late_fusion import NMS_OVERLAP, kept
 from results.metrics.matched import precision_and_recall
 from results.metrics.overlap import in_blocks, iou_bev, near_pairs
@@ -212,8 +212,8 @@ def _check_density(frames: Sequence[str], truth: Boxes, found: Boxes) -> None:
     if pairs > _MOST_PAIRS + _PAIRS_PER_BOX * len(both):
         frame = int(np.bincount(both.frame).argmax())
         raise ValueError(
-            f"frame {frames[frame]} has {int((both.frame == frame).sum()):,} boxes that lie on each other: {pairs:,} pairs "
-            "are near in all frames. Suppress boxes of the same object before (non-maximum suppression)."
+            f"frame {frames[frame]} has {int((both.frame == frame).sum()):,} boxes that lie on each other: {pairs:,} "
+            "pairs are near in all frames. Suppress boxes of the same object before (non-maximum suppression)."
         )
 
 

@@ -64,9 +64,9 @@ _SAME_M, _APART_M = 2.0, 4.0
 second: clocks and poses of agents differ a little."""
 _FAR_M = 300.0
 """No LiDAR sees objects beyond."""
-_ON_AGENT_M = 5.0
-"""An annotation is of an agent itself if it has its name, and is this near to its LiDAR."""
-_MOST_YAML = 4_000_000
+_FEWEST = 3
+"""Detections that show a frame which the form of the poses does not suggest."""
+_MOST_YAML = 2_000_000
 """Largest YAML file [B]: its reader is slow, and annotations have a few hundred kilobytes."""
 
 
@@ -177,7 +177,7 @@ def _moments(folder: Path, ego: str | None) -> tuple[list[_Moment], list[str]]:
         raise ValueError(f"--ego {ego}: there is no such agent in {folder}. There are: {', '.join(some[:20])}.")
     for scenario, of in sorted(everybody.items()):
         order = sorted(agents_of[scenario], key=lambda name: (name != ego, is_roadside(name), name))
-        for number, files in sorted(of.items()):
+        for _, files in sorted(of.items()):
             if order[0] not in files or ego not in (None, order[0]):
                 n_without += 1
                 continue
@@ -233,9 +233,14 @@ def _holds_objects(value: Any) -> bool:
 
 
 def _number_of(one: dict[str, Any], key: Any, path: Path) -> str:
-    """The number that an object has for all agents; a number of its own if nobody associated it."""
+    """What names an object for all agents: its key, or `object N` if it has a number of association besides.
+
+    The key may be the name of an agent, and is then this agent. A number of association is none.
+    """
     same = one.get("ass_id", key)
-    return f"{path.parent.name}:{key}" if isinstance(same, int) and same < 0 else str(same)
+    if isinstance(same, int) and same < 0:
+        return f"{path.parent.name}:{key}"
+    return str(key) if str(same) == str(key) else f"object {same}"
 
 
 def _box(one: dict[str, Any], key: Any, path: Path) -> Float[ndarray, "7"]:
@@ -272,7 +277,7 @@ def _frame(
         )
     evidence: tuple[tuple[Callable[[], Votes], str], ...] = (
         (lambda: agreed, "{:,} objects that two agents annotate are at one place only then"),
-        (lambda: _on_objects(every, local), "{:,} detections lie on objects only then"),
+        (lambda: _on_objects(every, local, usual), "{:,} detections lie on objects only then"),
         (lambda: _within_reach(every), "otherwise most objects are beyond the reach of a LiDAR"),
     )
     for count, words in evidence:
@@ -283,8 +288,8 @@ def _frame(
     differs = max((np.abs(agent.seen("lidar") - agent.box).max(initial=0.0) for agent in every), default=0.0)
     if is_matrix and differs > 0.1:
         raise ValueError(
-            f"{every[0].path.parents[1]}: nothing tells whether the objects are in the frame of the world, or in that of "
-            "the agent's LiDAR as in V2V4Real. Name it: --objects world or --objects lidar."
+            f"{every[0].path.parents[1]}: nothing tells whether the objects are in the frame of the world, or in that "
+            "of the agent's LiDAR as in V2V4Real. Name it: --objects world or --objects lidar."
         )
     return usual, ""
 
@@ -309,7 +314,9 @@ def _agreements(moments: Sequence[_Moment]) -> Votes:
     }
 
 
-def _on_objects(every: Sequence[_Agent], local: dict[Path, tuple[ndarray, ndarray] | None]) -> Votes:
+def _on_objects(
+    every: Sequence[_Agent], local: dict[Path, tuple[ndarray, ndarray] | None], usual: ObjectFrame
+) -> Votes:  # fmt: skip
     """By frame, number of detections that lie on an object in it; nothing if the difference is small."""
     votes: Votes = {"world": 0, "lidar": 0}
     for agent in every:
@@ -320,7 +327,9 @@ def _on_objects(every: Sequence[_Agent], local: dict[Path, tuple[ndarray, ndarra
         for frame in votes:
             away, _ = cKDTree(agent.seen(frame)[:, :2]).query(boxes[:, :2])
             votes[frame] += int((away < _SAME_M).sum())
-    return votes if 3 * min(votes.values()) < max(votes.values()) else {"world": 0, "lidar": 0}
+    most = max(votes, key=lambda one: votes[one])
+    is_clear = 3 * min(votes.values()) < votes[most] and (most == usual or votes[most] >= _FEWEST)
+    return votes if is_clear else {"world": 0, "lidar": 0}
 
 
 def _within_reach(every: Sequence[_Agent]) -> Votes:
@@ -337,10 +346,10 @@ def _objects_of(moments: Sequence[_Moment], frame: ObjectFrame) -> tuple[Boxes, 
     truth, aside, n_elsewhere = [], [], 0
     for number, moment in enumerate(moments):
         known: dict[str, ndarray] = {}
-        at = {agent.name: agent.world_from[:2, 3] for agent in moment.agents}
+        agents = {agent.name for agent in moment.agents}
         for agent in moment.agents:
             for key, kind, box in zip(agent.key, agent.kind, agent.seen(frame), strict=True):
-                if key in at and np.linalg.norm(box[:2] - at[key]) < _ON_AGENT_M:
+                if key in agents:
                     aside.append((number, -1, "agent", box, 1.0))
                     continue
                 if key in known:

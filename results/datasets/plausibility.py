@@ -55,8 +55,8 @@ def _frames(data: Recorded) -> Iterator[str]:
         n = _n_near(data.truth, frame, places)
         if n >= _FEWEST and n > 3 * n_right:
             yield (
-                f"{n_right:,} of {len(frame):,} detections lie on an object; {words} {n:,} would. The frame that is read "
-                "is that of the agent's LiDAR, x ahead and y to the left."
+                f"{n_right:,} of {len(frame):,} detections lie on an object; {words} {n:,} would. The frame that is "
+                "read is that of the agent's LiDAR, x ahead and y to the left."
             )
 
 

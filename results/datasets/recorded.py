@@ -224,7 +224,8 @@ def upright(box: Float[ndarray, "n 7"], path: Path) -> Float[ndarray, "n 7"]:
     if odd.any():
         sides = ", ".join(f"{side:g}" for side in box[odd][0, 3:6])
         raise ValueError(
-            f"{path}: the sides of box {int(np.argmax(odd))} are {sides} m; above 0 and up to {_LARGEST_M:g} m are right."
+            f"{path}: the sides of box {int(np.argmax(odd))} are {sides} m; above 0 and up to {_LARGEST_M:g} m are "
+            "right."
         )
     return box
 

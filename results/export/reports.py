@@ -7,12 +7,12 @@ their order and their meaning are those of the ASN.1 modules of TS 103 759 V2.2.
 `EtsiTs103759Data` with a plaintext report; generation time, observation location, and a report for an ITS-AID (639,
 CPM) with observations by target, V2X PDUs as evidence, and other evidence. Deviations: the encoding is JSON, not ASN.1,
 and nothing is signed. A report is about one message, which may be of an earlier step (`sensing_phase = "random"`). What
-`LEFT_OUT` names is left out, and the export says how much of it there was. The standard has no observations about perceived
-objects, so target and observations are private ones: target 200 "perceived object" with the observations 1 "not
-detected where visible" and 2 "contradicted by free space". The standard has no scores: evaluation and visibility stand
-in `nonV2xPduEvidence`. Evidence is the sender's CPM as an unsecured GeoNetworking packet (PDU type 1), as `cosim export
-pcap` writes it. The reporter is told by the signature in the standard; here `reporter` names its pseudonym, beside the
-report.
+`LEFT_OUT` names is left out, and the export says how much of it there was. The standard has no observations about
+perceived objects, so target and observations are private ones: target 200 "perceived object" with the observations 1
+"not detected where visible" and 2 "contradicted by free space". The standard has no scores: evaluation and visibility
+stand in `nonV2xPduEvidence`. Evidence is the sender's CPM as an unsecured GeoNetworking packet (PDU type 1), as `cosim
+export pcap` writes it. The reporter is told by the signature in the standard; here `reporter` names its pseudonym,
+beside the report.
 """
 
 import json
@@ -108,7 +108,7 @@ class _Reports:
         )
         sent = messages[messages.transmitted].drop_duplicates()
         message = pd.MultiIndex.from_frame(low[["detection_step", "observer"]])
-        reasons = [
+        reasons: list[Any] = [
             low.kind != "detection",
             low.vehicle.isna(),
             ~low.vehicle.isin(list(self.selection.vehicles)),

@@ -61,7 +61,7 @@ def test_what_is_no_set_is_refused_in_one_line(tmp_path):
         with pytest.raises(ValueError, match="no evidence set, or it is damaged"):
             load(tmp_path)
     (tmp_path / MANIFEST).write_text(json.dumps({**head, "rules": {**head["rules"], "n_steps": 10**9}}))
-    with pytest.raises(ValueError, match="n_steps = .1000000000. should be a number from 1 to 4096"):
+    with pytest.raises(ValueError, match=r"n_steps = .1000000000. should be a number from 1 to 4096"):
         load(tmp_path)
     (tmp_path / MANIFEST).unlink()
     os.mkfifo(tmp_path / MANIFEST)
@@ -109,12 +109,12 @@ def test_what_cannot_be_true_is_refused_in_one_line(tmp_path, table, column, val
 
 def test_equal_keys_are_refused(tmp_path):
     """Every evaluation about the same detection would count several times."""
-    with pytest.raises(ValueError, match="evaluations has a row .*: it should come after the row before it"):
+    with pytest.raises(ValueError, match=r"evaluations has a row .*: it should come after the row before it"):
         load(altered(tmp_path, "evaluations", "detection_index", 0, row=slice(None)))
 
 
 def test_reports_arrive_after_they_are_sent(tmp_path):
-    with pytest.raises(ValueError, match="reports has a row .*: it arrives before it is sent"):
+    with pytest.raises(ValueError, match=r"reports has a row .*: it arrives before it is sent"):
         load(altered(tmp_path, "reports", "arrival_step", 2, row=7 * 5))
 
 
@@ -148,7 +148,7 @@ def test_a_column_that_nobody_asked_for_is_not_read(tmp_path):
     assert load(tmp_path).checksum == tiny_set().checksum
     text = table.set_column(table.schema.get_field_index("score"), "score", [table["score"].cast(pa.string())])
     pq.write_table(text, tmp_path / "detections.parquet")
-    with pytest.raises(ValueError, match="detections.score has the type string"):
+    with pytest.raises(ValueError, match=r"detections\.score has the type string"):
         load(tmp_path)
 
 

@@ -45,6 +45,7 @@ def test_by_hand(tmp_path):
     about.pop("trust")
     assert about == {
         "layout": "opv2v", "frames": 1, "agents": 2, "objects": 3, "boxes": 5, "frames_without_clouds": 1,
+        "egos": {"0": 1}, "classes": {"car": {"Car": 6}}, "remarks": [], "boxes_left_out": 0,
     }  # fmt: skip
     # B of the ego is 1.2 m off: IoU 3.2 / 5.6 = 0.571. Alone at 0.5: A and B right, the ghost last: 2 of 3 objects
     assert by_method(table, 0.5)["ego"] == pytest.approx(100 * 2 / 3)
@@ -151,7 +152,8 @@ def test_opv2v_export_reads_back(run, tmp_path):
 def test_kitti_export_reads_back(run, tmp_path):
     few = sorted(run.vehicles.vehicle[run.vehicles.equipped].tolist())[:5]
     export(run, "kitti", tmp_path / "k", ",".join(map(str, few)), None, ["images=false"], lambda *_: None)
-    truth, found = kitti_folder.read(tmp_path / "k")
+    data = kitti_folder.read(tmp_path / "k")
+    truth, found = data.truth, data.found
     about, table = evaluate(tmp_path / "k")
     assert about["objects"] == len(truth) > 20 and about["boxes"] == len(found) > 10
     answer = average_precision(truth, found, "car")

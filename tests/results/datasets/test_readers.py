@@ -52,9 +52,9 @@ def test_v2v4real_objects_are_in_the_frame_of_the_lidar(tmp_path):
     for agent in ("0", "1"):
         opv2v_file(tmp_path / f"t/{agent}/000000.yaml", WORLD.tolist(), {
             "3": vehicle(CAR, ass_id=9, obj_type="Truck"), "4": vehicle(CAR, ass_id=-1),
-            "5": vehicle(CAR, obj_type="Pedestrian"),
         })  # fmt: skip
-    data = opv2v.read(tmp_path)
+    assert "nothing tells whether the objects are in the frame" in one_line(opv2v.read, tmp_path)
+    data = opv2v.read(tmp_path, objects="lidar")
     assert len(data.truth) == 1 + 2  # number 9 once; what has no common number, once per agent
     assert data.truth.box == pytest.approx(np.repeat(moved(np.array([CAR]), WORLD), 3, axis=0))
     assert data.truth.box[0, 6] == pytest.approx(0.4 + math.pi / 6)
@@ -107,7 +107,8 @@ def test_kitti(tmp_path):
     (tmp_path / "training/label_2/000000.txt").write_text(f"{line}\n{region}\n")
     (tmp_path / "results").mkdir()
     (tmp_path / "results/000000.txt").write_text(f"{line.replace('0.10 1', '-1 -1')} 0.9\n")
-    truth, found = kitti_folder.read(tmp_path)
+    data = kitti_folder.read(tmp_path)
+    truth, found = data.truth, data.found
     assert truth.label.tolist() == ["car", "dontcare"] and found.score.tolist() == [0.9]
     assert truth.box[0] == pytest.approx([20, 3, -1.7 + 0.75, 4.4, 1.8, 1.5, 0], abs=1e-4)
     assert (truth.height_px[0], truth.occlusion[0], truth.truncation[0]) == (60, 1, 0.1)
@@ -227,11 +228,18 @@ def test_clouds(tmp_path):
     assert points_of(path).tolist() == [[1, 2, 3], [4, 5, 6]]
     path.write_text(head.replace("3\nH", "1\nH").replace("POINTS 3", "POINTS 1") + "DATA ascii\n1 2 3 0\n")
     assert points_of(path).tolist() == [[1, 2, 3]]
-    for bad in (b"DATA binary_compressed\n\0\0", b"DATA binary\n\0", b"DATA ascii\n1 2", b"", b"DATA binary\n"):
+    few = b"DATA ascii\n" + 3 * b"1 2\n"
+    for bad, said in (
+        (b"DATA binary_compressed\n\0\0", "no point cloud"), (b"DATA binary\n\0", "and has 0"), (b"", "no point cloud"),
+        (b"DATA ascii\n1 2", "and has 1"), (few, "no point cloud"), (b"DATA binary\n", "and has 0"),
+    ):  # fmt: skip
         path.write_bytes(head.encode() + bad)
-        assert "no point cloud" in one_line(points_of, path)
-    path.write_bytes(head.replace("POINTS 3", "POINTS 99999999999999").encode() + b"DATA binary\n" + points.tobytes())
-    assert "no point cloud" in one_line(points_of, path)
+        assert said in one_line(points_of, path)
+    for n in ("99999999999999", "1", "-1", "9" * 30):  # beside three points
+        path.write_bytes(head.replace("POINTS 3", f"POINTS {n}").encode() + b"DATA binary\n" + points.tobytes())
+        assert f"says that it has {n[:20]}" in one_line(points_of, path)
+    path.write_bytes(head.encode() + b"DATA binary\n" + np.full((3, 4), 1e30, "<f4").tobytes())
+    assert "beyond 1000 km" in one_line(points_of, path)
 
 
 def test_points_in_a_turned_box():
