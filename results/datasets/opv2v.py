@@ -62,10 +62,12 @@ Votes = dict[ObjectFrame, int]
 _SAME_M, _APART_M = 2.0, 4.0
 """Annotations of one object by two agents are nearer than the first, and those of different ones farther apart than the
 second: clocks and poses of agents differ a little."""
+_ON_AGENT_M = 5.0
+"""An annotation with the name of an agent is this agent if it is so near to its LiDAR, and else an object."""
 _FAR_M = 300.0
 """No LiDAR sees objects beyond."""
 _FEWEST = 3
-"""Detections that show a frame which the form of the poses does not suggest."""
+"""Detections that show that objects beside poses of six numbers are not in the world."""
 _MOST_YAML = 2_000_000
 """Largest YAML file [B]: its reader is slow, and annotations have a few hundred kilobytes."""
 
@@ -235,7 +237,7 @@ def _holds_objects(value: Any) -> bool:
 def _number_of(one: dict[str, Any], key: Any, path: Path) -> str:
     """What names an object for all agents: its key, or `object N` if it has a number of association besides.
 
-    The key may be the name of an agent, and is then this agent. A number of association is none.
+    The key may be the name of an agent; a number of association is not.
     """
     same = one.get("ass_id", key)
     if isinstance(same, int) and same < 0:
@@ -277,7 +279,10 @@ def _frame(
         )
     evidence: tuple[tuple[Callable[[], Votes], str], ...] = (
         (lambda: agreed, "{:,} objects that two agents annotate are at one place only then"),
-        (lambda: _on_objects(every, local, usual), "{:,} detections lie on objects only then"),
+        (
+            lambda: _on_objects(every, local, usual, 1 if is_matrix else _FEWEST),
+            "{:,} detections lie on objects only then",
+        ),
         (lambda: _within_reach(every), "otherwise most objects are beyond the reach of a LiDAR"),
     )
     for count, words in evidence:
@@ -315,9 +320,12 @@ def _agreements(moments: Sequence[_Moment]) -> Votes:
 
 
 def _on_objects(
-    every: Sequence[_Agent], local: dict[Path, tuple[ndarray, ndarray] | None], usual: ObjectFrame
-) -> Votes:  # fmt: skip
-    """By frame, number of detections that lie on an object in it; nothing if the difference is small."""
+    every: Sequence[_Agent], local: dict[Path, tuple[ndarray, ndarray] | None], usual: ObjectFrame, fewest: int
+) -> Votes:
+    """By frame, number of detections that lie on an object in it; nothing if the difference is small.
+
+    At least `fewest` speak for another frame than the usual one.
+    """
     votes: Votes = {"world": 0, "lidar": 0}
     for agent in every:
         given = local[agent.path]
@@ -328,7 +336,7 @@ def _on_objects(
             away, _ = cKDTree(agent.seen(frame)[:, :2]).query(boxes[:, :2])
             votes[frame] += int((away < _SAME_M).sum())
     most = max(votes, key=lambda one: votes[one])
-    is_clear = 3 * min(votes.values()) < votes[most] and (most == usual or votes[most] >= _FEWEST)
+    is_clear = 3 * min(votes.values()) < votes[most] and (most == usual or votes[most] >= fewest)
     return votes if is_clear else {"world": 0, "lidar": 0}
 
 
@@ -346,10 +354,10 @@ def _objects_of(moments: Sequence[_Moment], frame: ObjectFrame) -> tuple[Boxes, 
     truth, aside, n_elsewhere = [], [], 0
     for number, moment in enumerate(moments):
         known: dict[str, ndarray] = {}
-        agents = {agent.name for agent in moment.agents}
+        at = {agent.name: agent.world_from[:2, 3] for agent in moment.agents}
         for agent in moment.agents:
             for key, kind, box in zip(agent.key, agent.kind, agent.seen(frame), strict=True):
-                if key in agents:
+                if key in at and np.linalg.norm(box[:2] - at[key]) < _ON_AGENT_M:
                     aside.append((number, -1, "agent", box, 1.0))
                     continue
                 if key in known:
@@ -459,21 +467,22 @@ class _Plain(yaml.SafeLoader):
         return found
 
 
+_FLOAT = r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"
+
+
 def _number(loader: _Plain, node: Any) -> int | float | str:
     """A number of YAML 1.2, or the text if it is none of these."""
     text = node.value
     if re.fullmatch(r"[-+]?[0-9]{1,19}", text):
         return int(text)
-    if re.fullmatch(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?", text):
+    if re.fullmatch(_FLOAT, text):
         return float(text)
     return float(text.lower().replace(".", "")) if re.fullmatch(r"[-+]?\.(inf|nan)", text.lower()) else text
 
 
 for _tag in ("int", "float"):
     _Plain.add_constructor(f"tag:yaml.org,2002:{_tag}", _number)
-_Plain.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
-)
+_Plain.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(rf"^{_FLOAT}$"), list("-+.0123456789"))
 
 
 def _pose(about: dict[str, Any], path: Path) -> tuple[Float[ndarray, "4 4"], bool]:

@@ -31,10 +31,10 @@ def _sizes(truth: Boxes) -> Iterator[str]:
     if len(cars) < _FEWEST:
         return
     length, width = np.median(cars[:, 3:5], axis=0).tolist()
-    if not _CAR_M[0] <= length <= _CAR_M[1]:
-        yield f"the annotated cars are {length:.1f} m long (median). Are these half, or twice, their lengths?"
     if length < width:
-        yield f"the annotated cars are {length:.1f} m long and {width:.1f} m wide. Are both exchanged?"
+        yield f"the annotated cars are {length:.1f} m long and {width:.1f} m wide (median). Are both exchanged?"
+    elif not _CAR_M[0] <= length <= _CAR_M[1]:
+        yield f"the annotated cars are {length:.1f} m long (median). Are these half, or twice, their lengths?"
 
 
 def _frames(data: Recorded) -> Iterator[str]:
