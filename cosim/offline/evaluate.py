@@ -133,9 +133,8 @@ def _evaluated(
     elif not len(truth):
         about["missing"] = f"No object is within {range_m:g} m of the ego. A larger distance: --range-m."
     elif not counts.any():
-        about["missing"] = (
-            f"The detections have no class, so they count as cars, and of {len(truth):,} objects none is."
-        )
+        others = listed(Counter(truth.label.tolist()))
+        about["missing"] = f"The detections have no class, so they count as cars, and no object is one: {others}."
     if "missing" in about:
         return about, pd.DataFrame()
     _check_density(data.frames, data.truth, data.found)

@@ -4,6 +4,7 @@ A data set can state sizes as halves, exchange length and width, or have its box
 of a file being wrong. Each sign is a sentence for the reader of the figures; nothing is corrected.
 """
 
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,10 +12,12 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from results.datasets.recorded import Boxes, Recorded
+from results.datasets.recorded import Boxes, Recorded, listed
 
 _FEWEST = 3
 """Boxes below which nothing is said."""
+_MANY, _HARDLY = 10, 0.1
+"""Detections of an agent beyond which a share below the second of them on objects is a sign."""
 _NEAR_M = 2.0
 """A box within this distance from the middle of an object is of this object."""
 _CAR_M = (2.6, 8.0)
@@ -23,7 +26,9 @@ _CAR_M = (2.6, 8.0)
 
 def remarks(data: Recorded) -> tuple[str, ...]:
     """Signs that sizes, angles or frames mean something else, one sentence each."""
-    return (*_sizes(data.truth), *_frames(data), *_differences(data.truth, data.found))
+    return (
+        *_sizes(data.truth), *_frames(data), *_agents(data), *_classes(data), *_differences(data.truth, data.found)
+    )  # fmt: skip
 
 
 def _sizes(truth: Boxes) -> Iterator[str]:
@@ -58,6 +63,30 @@ def _frames(data: Recorded) -> Iterator[str]:
                 f"{n_right:,} of {len(frame):,} detections lie on an object; {words} {n:,} would. The frame that is "
                 "read is that of the agent's LiDAR, x ahead and y to the left."
             )
+
+
+def _agents(data: Recorded) -> Iterator[str]:
+    """Agents hardly any of whose detections lie on an object, as if their poses were wrong."""
+    if not len(data.truth) or not len(data.found):
+        return
+    away, _ = _nearest(data.truth, data.found.frame, data.found.box[:, :2])
+    rows = zip(data.found.frame.tolist(), data.found.agent.tolist(), strict=True)
+    names = np.array([data.agents[frame][agent] for frame, agent in rows], object)
+    for name in sorted(set(names)):
+        mine = away[names == name] < _NEAR_M
+        if len(mine) >= _MANY and mine.mean() < _HARDLY:
+            yield (
+                f"{int(mine.sum()):,} of {len(mine):,} detections of agent {name} lie within {_NEAR_M:g} m of an object. "
+                "Is its pose right?"
+            )
+
+
+def _classes(data: Recorded) -> Iterator[str]:
+    """Detections of classes that no object has."""
+    known = set(data.truth.label.tolist())
+    counts = Counter(label for label in data.found.label.tolist() if label not in known)
+    if data.has_classes and counts:
+        yield f"detections of these classes count nowhere, because no object has them: {listed(counts)}."
 
 
 def _n_near(truth: Boxes, frame: Int[ndarray, "n"], xy_m: Float[ndarray, "n 2"]) -> int:

@@ -74,6 +74,21 @@ def test_annotations(data, change, said):
     assert said in remarks(replace(data, truth=changed(data.truth, change)))[0]
 
 
+def test_an_agent_with_a_wrong_pose(data):
+    """Twelve detections of an agent lie 200 m beside the objects."""
+    box = np.concatenate([data.found.box, data.found.box]) + [200, 0, 0, 0, 0, 0, 0]
+    zeros = np.zeros(12, int)
+    found = Boxes(zeros, zeros, np.full(12, "car", object), box, np.full(12, 0.5))
+    assert "0 of 12 detections of agent 0 lie within 2 m of an object" in remarks(replace(data, found=found))[0]
+
+
+def test_classes_that_no_object_has(data):
+    found = replace(data.found, label=np.array(["car"] * 4 + ["lorry"] * 2, object))
+    assert remarks(replace(data, found=found)) == ()  # detections of OPV2V have none
+    (said,) = remarks(replace(data, found=found, has_classes=True))
+    assert said.endswith("no object has them: 2 lorry.")
+
+
 def test_detections_in_another_frame(data):
     motion = data.world_from[0][0]
     twice = moved(data.found.box, motion)  # boxes of the world that were taken for those of the LiDAR
