@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from cosim.offline.recorded_trust import Trusted, trusted
 from results.datasets import dair, kitti_folder, opv2v
 from results.datasets.opv2v import ObjectFrame
-from results.datasets.plausibility import remarks
+from results.datasets.plausibility import of_boxes, remarks
 from results.datasets.recorded import Boxes, Recorded, listed
 from results.metrics.kitti import LEVELS, LOOSE, STRICT, average_precision
 from results.metrics.late_fusion import NMS_OVERLAP, kept
@@ -177,11 +177,12 @@ def _kitti(data: kitti_folder.KittiFolder) -> tuple[dict[str, Any], pd.DataFrame
     if "missing" in about:
         return about, pd.DataFrame(columns=list(_KITTI_COLUMNS))
     names = tuple(str(n) for n in range(data.n_frames))
-    is_box = truth.box[:, 3] > 0
-    _check_density(names, *(
+    boxes = [
         Boxes(of.frame[keep], of.frame[keep], of.label[keep], of.box[keep], of.score[keep])
-        for of, keep in ((truth, is_box), (found, found.box[:, 3] > 0))
-    ))  # fmt: skip
+        for of in (truth, found) for keep in [of.box[:, 3] > 0]
+    ]  # fmt: skip
+    _check_density(names, *boxes)
+    about["remarks"] += of_boxes(*boxes)
     for label in labels:
         n_boxes = int((found.label == label).sum())
         for overlap in dict.fromkeys((STRICT[label], LOOSE[label])):

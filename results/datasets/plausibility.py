@@ -4,6 +4,7 @@ A data set can state sizes as halves, exchange length and width, or have its box
 of a file being wrong. Each sign is a sentence for the reader of the figures; nothing is corrected.
 """
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 
@@ -20,15 +21,22 @@ _MANY, _HARDLY = 10, 0.1
 """Detections of an agent beyond which a share below the second of them on objects is a sign."""
 _NEAR_M = 2.0
 """A box within this distance from the middle of an object is of this object."""
+_OTHER_SIZE = math.log(1.6)
+"""Median ratio of two lengths that are not of one object."""
+_TURNED_DEG = 20.0
+"""Median angle between boxes that are not of one object: detectors are right to a few degrees."""
 _CAR_M = (2.6, 8.0)
 """Lengths between which the median car is: the shortest car is 2.7 m long, the longest van 7 m."""
 
 
 def remarks(data: Recorded) -> tuple[str, ...]:
-    """Signs that sizes, angles or frames mean something else, one sentence each."""
-    return (
-        *_sizes(data.truth), *_frames(data), *_agents(data), *_classes(data), *_differences(data.truth, data.found)
-    )  # fmt: skip
+    """Signs that sizes, angles, poses or frames mean something else, one sentence each."""
+    return (*_frames(data), *_agents(data), *_classes(data), *of_boxes(data.truth, data.found))
+
+
+def of_boxes(truth: Boxes, found: Boxes) -> tuple[str, ...]:
+    """Signs that sizes or angles of boxes mean something else, one sentence each."""
+    return (*_sizes(truth), *_differences(truth, found))
 
 
 def _sizes(truth: Boxes) -> Iterator[str]:
@@ -76,8 +84,8 @@ def _agents(data: Recorded) -> Iterator[str]:
         mine = away[names == name] < _NEAR_M
         if len(mine) >= _MANY and mine.mean() < _HARDLY:
             yield (
-                f"{int(mine.sum()):,} of {len(mine):,} detections of agent {name} lie within {_NEAR_M:g} m of an object. "
-                "Is its pose right?"
+                f"{int(mine.sum()):,} of {len(mine):,} detections of agent {name} lie within {_NEAR_M:g} m of an "
+                "object. Is its pose right?"
             )
 
 
@@ -113,15 +121,20 @@ def _differences(truth: Boxes, found: Boxes) -> Iterator[str]:
         return
     ratio = np.median(ours[:, 3:6] / theirs[:, 3:6], axis=0)
     crossed = np.median(ours[:, [4, 3]] / theirs[:, 3:5], axis=0)
-    turned_deg = np.degrees(np.median(np.abs((ours[:, 6] - theirs[:, 6] + np.pi / 2) % np.pi - np.pi / 2)))
+    turned_rad = np.abs((ours[:, 6] - theirs[:, 6] + np.pi / 2) % np.pi - np.pi / 2)
+    is_long = np.abs(np.log(theirs[:, 3] / theirs[:, 4])) > _OTHER_SIZE  # nobody knows the heading of a square
+    turned_deg = np.degrees(np.median(turned_rad[is_long])) if is_long.sum() >= _FEWEST else 0.0
     lower = np.median((ours[:, 2] - theirs[:, 2]) / theirs[:, 5])
-    is_exchanged = (np.abs(crossed - 1) < 0.15).all() and not (np.abs(ratio[:2] - 1) < 0.3).all()
-    if (np.abs(ratio - 0.5) < 0.06).all() or (np.abs(ratio - 2.0) < 0.25).all():
-        yield f"detections are {ratio[0]:.2g} times as large as the objects on which they lie. Are these half sizes?"
-    elif is_exchanged and turned_deg < 45:
-        yield "detections have length and width exchanged against the objects on which they lie."
-    elif turned_deg > 60 and not is_exchanged:
-        yield f"detections are turned by {turned_deg:.0f} degrees against the objects on which they lie."
+    is_crossed = (np.abs(crossed - 1) < 0.15).all()
+    if np.abs(np.log(ratio)).max() > _OTHER_SIZE and not (is_crossed and turned_deg > 45):
+        times = ", ".join(f"{one:.2g}" for one in ratio)
+        why = "Are length and width exchanged?" if is_crossed else "Are these half sizes, or in another order?"
+        yield f"length, width and height of detections are {times} times those of the objects on which they lie. {why}"
+    elif turned_deg > _TURNED_DEG and not is_crossed:
+        yield (
+            f"detections are turned by {turned_deg:.0f} degrees (median) against the objects on which they lie. Are "
+            "angles of another direction, or another unit?"
+        )
     if 0.35 < abs(lower) < 0.65:
         side = "below" if lower < 0 else "above"
         yield (

@@ -255,7 +255,8 @@ def test_opv2v_export_reads_back(run, tmp_path):
     assert farthest(data.found.box[:, :6], rows[columns].to_numpy(float)) < 1e-4
     poses = run.actors.merge(run.vehicles[["vehicle", *columns[3:]]], left_on="actor", right_on="vehicle")
     assert farthest(data.truth.box[:, :6], poses[columns].to_numpy(float)) < 1e-4
-    _, table = evaluate(tmp_path / "o")
+    about, table = evaluate(tmp_path / "o")
+    assert about["remarks"] == []
     assert (table.ap.between(0, 100)).all() and by_method(table, 0.5)["ego"] > 5
 
 
@@ -265,6 +266,7 @@ def test_kitti_export_reads_back(run, tmp_path):
     data = kitti_folder.read(tmp_path / "k")
     truth, found = data.truth, data.found
     about, table = evaluate(tmp_path / "k")
+    assert about["remarks"] == []
     assert about["objects"] == len(truth) > 20 and about["boxes"] == len(found) > 10
     answer = average_precision(truth, found, "car")
     assert table[(table["class"] == "car") & (table.overlap == 0.7)].ap40.tolist() == [

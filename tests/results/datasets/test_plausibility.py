@@ -45,6 +45,14 @@ def turned(box):
     box[:, 6] += math.pi / 2
 
 
+def mirrored(box):
+    box[:, 6] *= -1
+
+
+def other_order(box):
+    box[:, [3, 4, 5]] = box[:, [5, 4, 3]]
+
+
 def lowered(box):
     box[:, 2] -= 0.75
 
@@ -57,7 +65,8 @@ def test_a_right_set_has_none(data):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (scaled(0.5), "times as large"), (scaled(2), "times as large"), (exchanged, "length and width exchanged"),
+        (scaled(0.5), "are 0.5, 0.5,"), (scaled(2), "are 2, 2,"), (exchanged, "length and width exchanged"),
+            (mirrored, "are turned by"), (other_order, "in another order"),
         (turned, "are turned by"), (lowered, "half of a height below"),
     ],
 )  # fmt: skip
