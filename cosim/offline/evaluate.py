@@ -117,19 +117,20 @@ def evaluate(
 def _evaluated(
     data: Recorded, range_m: float, partners_m: float, overlaps: Sequence[float]
 ) -> tuple[dict[str, Any], pd.DataFrame]:
+    _check_density(data.frames, data.truth, data.found)
+    truth, agents = _without_agents(data)
     about: dict[str, Any] = {
         "layout": data.layout, "frames": len(data.frames), "agents": sum(map(len, data.agents)),
-        "objects": len(data.truth), "boxes": len(data.found), "egos": Counter(names[0] for names in data.agents),
+        "objects": len(truth), "boxes": len(data.found), "egos": Counter(names[0] for names in data.agents),
         "classes": _by_class(data.classes), "remarks": list(data.remarks),
     }  # fmt: skip
-    truth = _take(data.truth, _within(data, data.truth, range_m))
+    n_objects = len(truth)
+    truth = _take(truth, _within(data, truth, range_m))
     counts = truth.label == "car" if not data.has_classes else np.ones(len(truth), bool)
-    if not len(data.truth):
+    if not n_objects:
         about["missing"] = "No object is annotated in any frame."
     elif not len(data.found):
-        about["missing"] = (
-            f"There are no detections beside {len(data.truth):,} objects. Name their folder: --detections."
-        )
+        about["missing"] = f"There are no detections beside {n_objects:,} objects. Name their folder: --detections."
     elif not len(truth):
         about["missing"] = f"No object is within {range_m:g} m of the ego. A larger distance: --range-m."
     elif not counts.any():
@@ -137,7 +138,6 @@ def _evaluated(
         about["missing"] = f"The detections have no class, so they count as cars, and no object is one: {others}."
     if "missing" in about:
         return about, pd.DataFrame()
-    _check_density(data.frames, data.truth, data.found)
     about["remarks"] += [*remarks(data), *_twice(truth)]
     if not counts.all():
         others = listed(Counter(truth.label[~counts].tolist()))
@@ -145,8 +145,8 @@ def _evaluated(
             f"detections of this layout have no class: they count as cars. Objects of other classes are left out, and "
             f"boxes on them: {others}."
         )
-    ignored = _joined(data.aside, _unannotated_agents(data, truth), _take(truth, ~counts))
-    table, judged = _cooperative(data, _take(truth, counts), ignored, partners_m, range_m, overlaps)
+    truth, ignored = _take(truth, counts), _joined(agents, _take(truth, ~counts))
+    table, judged = _cooperative(data, truth, ignored, partners_m, range_m, overlaps)
     about["boxes_left_out"] = int(_on(data.found, ignored, truth).sum())
     about["frames_without_clouds"] = judged.n_unread
     if judged.why_unread:
@@ -217,15 +217,26 @@ def _check_density(frames: Sequence[str], truth: Boxes, found: Boxes) -> None:
         )
 
 
-def _unannotated_agents(data: Recorded, truth: Boxes) -> Boxes:
-    """A box around the LiDAR of each vehicle that is neither annotated as an agent nor as an object."""
-    rows = [
+def _without_agents(data: Recorded) -> tuple[Boxes, Boxes]:
+    """The objects that are no cooperating vehicle, and a box of each cooperating vehicle.
+
+    An object in whose footprint the LiDAR of such a vehicle stands is this vehicle, whatever its number. A vehicle that
+    nobody has annotated gets a box around its LiDAR.
+    """
+    agents = Boxes.of([
         (frame, -1, "agent", np.array([*pose[:3], *_AGENT_M, pose[3]]), 1.0)
         for frame, (names, poses) in enumerate(zip(data.agents, data.pose, strict=True))
         for name, pose in zip(names, poses, strict=True) if not opv2v.is_roadside(name) and name != dair.AGENTS[1]
-    ]  # fmt: skip
-    boxes = Boxes.of(rows)
-    return _take(boxes, _best_overlap(boxes, _joined(data.aside, truth)) <= NMS_OVERLAP)
+    ])  # fmt: skip
+    i, j = near_pairs(data.truth.frame, data.truth.box, agents.frame, agents.box)
+    box, away = data.truth.box[i], agents.box[j, :2] - data.truth.box[i, :2]
+    cos, sin = np.cos(box[:, 6]), np.sin(box[:, 6])
+    along, across = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
+    is_agent = np.zeros(len(data.truth), bool)
+    is_agent[i[(np.abs(along) < box[:, 3] / 2) & (np.abs(across) < box[:, 4] / 2)]] = True
+    truth, annotated = _take(data.truth, ~is_agent), _joined(data.aside, _take(data.truth, is_agent))
+    is_unknown = _best_overlap(agents, _joined(annotated, truth)) <= NMS_OVERLAP
+    return truth, _joined(annotated, _take(agents, is_unknown))
 
 
 def _on(boxes: Boxes, ignored: Boxes, truth: Boxes) -> Bool[ndarray, "n"]:

@@ -137,6 +137,15 @@ def test_a_box_on_an_agent_that_nobody_annotates_counts_in_no_method(tmp_path):
     assert (table.ap.round(9) == 100).all() and about["boxes_left_out"] == 2
 
 
+def test_an_agent_is_one_whatever_its_number(tmp_path):
+    """V2V4Real numbers the other vehicle as any object: the LiDAR of an agent stands on it."""
+    two_cars_and_agents(tmp_path)
+    for path in tmp_path.rglob("*.yaml"):
+        path.write_text(path.read_text().replace('"650"', '"12"').replace('"641"', '"13"'))
+    about, table = evaluate(tmp_path)
+    assert (table.ap.round(9) == 100).all() and (table.n_truth == 2).all() and about["objects"] == 2
+
+
 def test_a_false_box_beside_an_agent_is_false(tmp_path):
     """0.4 m of its width of 1.8 m stand on the partner: an intersection over union of 0.4 / 3.2."""
     two_cars_and_agents(tmp_path)
