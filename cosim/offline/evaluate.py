@@ -205,6 +205,8 @@ def _check_density(frames: Sequence[str], truth: Boxes, found: Boxes) -> None:
     if (n := len(set(found.label.tolist()))) > _MOST_CLASSES:
         raise ValueError(f"the detections have {n:,} classes, more than {_MOST_CLASSES}.")
     both = _joined(truth, found)
+    if not len(both):
+        return
     reach = float(np.hypot(both.box[:, 3], both.box[:, 4]).max(initial=0.0))
     apart = 2.0 * reach + 1.0 + np.ptp(both.box[:, :2], axis=0).max()
     tree = cKDTree(np.column_stack([both.box[:, :2], both.frame * apart]))

@@ -180,6 +180,9 @@ def test_what_is_missing_is_named(tmp_path):
     for agent, x in ((641, 0), (650, 20)):
         opv2v_file(folder / f"s/{agent}/000069.yaml", [x, 0, 1.9, 0, 0, 0], {})
     assert evaluate(folder)[0]["missing"] == "No object is annotated in any frame."
+    for path in folder.rglob("*_pred.npy"):
+        path.unlink()
+    assert evaluate(folder)[0]["missing"] == "No object is annotated in any frame."
 
 
 @pytest.mark.parametrize("n", [300, 9000])
