@@ -110,8 +110,8 @@ _BITS = {"step": 12, "detection_index": 12}
 """Bits of a key column in a packed key; the others are pseudonyms and have `_PSEUDONYM_BITS`."""
 _PSEUDONYM_BITS = 13
 MOST_PSEUDONYMS = 1 << _PSEUDONYM_BITS
-_MOST_BYTES, _MOST_ROWS, _MOST_BYTES_OF_ROW = 1_000_000, 20_000_000, 100
-"""Largest manifest and table that are read, and bytes of a column per row: the folder may be a stranger's."""
+_MOST_BYTES, _MOST_FILE_BYTES, _MOST_ROWS, _MOST_BYTES_OF_ROW = 1_000_000, 1_000_000_000, 20_000_000, 100
+"""Largest manifest, file and table that are read, and bytes of a column per row: the folder may be a stranger's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -367,7 +367,10 @@ def _read(folder: Path, name: str) -> Rows:
     wanted: dict[str, type] = {"world": np.int8, "case": np.int8, "gone": np.int8}
     wanted |= {c: _DTYPES[column.type] for c, column in TABLES[name].columns.items()}
     with open_regular(folder / f"{name}.parquet") as opened:
-        file = pq.ParquetFile(opened)
+        content = opened.read(_MOST_FILE_BYTES + 1)
+    if len(content) > _MOST_FILE_BYTES:
+        raise ValueError(f"{name} has more than {_MOST_FILE_BYTES:,} bytes")
+    with pq.ParquetFile(pa.BufferReader(content)) as file:  # threads that read a Python file may outlive a refusal
         about, schema = file.metadata, file.schema_arrow
         if about.num_rows > _MOST_ROWS:
             raise ValueError(f"{name} has {about.num_rows:,} rows, more than {_MOST_ROWS:,}")
@@ -380,7 +383,7 @@ def _read(folder: Path, name: str) -> Rows:
         n_bytes = sum(chunk.total_uncompressed_size for chunk in chunks if chunk.path_in_schema in wanted)
         if n_bytes > len(wanted) * (about.num_rows + 1000) * _MOST_BYTES_OF_ROW:
             raise ValueError(f"{name} has {n_bytes:,} bytes for {about.num_rows:,} rows")
-        table = file.read(columns=list(wanted))
+        table = file.read(columns=list(wanted), use_threads=False)
     rows = {column: table[column].to_numpy() for column in wanted}
     for column, dtype in wanted.items():
         if rows[column].dtype != dtype:
