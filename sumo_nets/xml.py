@@ -20,6 +20,10 @@ FREE_BYTES = 100_000_000
 """Size up to which a compressed file may expand at any ratio."""
 
 
+LONGEST_TAG_BYTES = 8_000_000
+"""Longest tag with its attributes. The parser reads an unfinished one again with every chunk."""
+
+
 class Enough(Exception):
     """Raised by a handler to end the reading."""
 
@@ -98,9 +102,13 @@ def feed(
     parser.EndElementHandler = end
     if text is not None:
         parser.CharacterDataHandler = text
+    n_bytes = 0
     try:
         for chunk in chunks(path):
             parser.Parse(chunk, False)
+            n_bytes += len(chunk)
+            if n_bytes - parser.CurrentByteIndex > LONGEST_TAG_BYTES:
+                raise ValueError(f"a tag with its attributes is longer than {LONGEST_TAG_BYTES:,} bytes")
             yield
         parser.Parse(b"", True)
     except Enough:

@@ -8,7 +8,7 @@ perception message (ETSI TS 103 324).
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -110,8 +110,8 @@ _BITS = {"step": 12, "detection_index": 12}
 """Bits of a key column in a packed key; the others are pseudonyms and have `_PSEUDONYM_BITS`."""
 _PSEUDONYM_BITS = 13
 MOST_PSEUDONYMS = 1 << _PSEUDONYM_BITS
-_MOST_BYTES, _MOST_ROWS = 1_000_000, 20_000_000
-"""Largest manifest and table that are read: the folder may be a stranger's."""
+_MOST_BYTES, _MOST_FILE_BYTES, _MOST_ROWS, _MOST_BYTES_OF_ROW = 1_000_000, 1_000_000_000, 20_000_000, 100
+"""Largest manifest, file and table that are read, and bytes of a column per row: the folder may be a stranger's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +138,36 @@ class Rules:
     """`trust.freshness_s` of all models."""
     cases: tuple[str, ...]
     """Names of the attacks; the first is `HONEST`."""
+
+
+_RULES: Mapping[str, tuple[type | tuple[type, ...], float, float]] = {
+    "dt_s": ((int, float), 1e-3, 3600), "n_steps": (int, 1, 1 << _BITS["step"]), "start_step": (int, 0, np.inf),
+    "server_period_s": ((int, float), 1e-3, 1e6), "eta": ((int, float), -1, 1),
+    "freshness_s": ((int, float), 1e-3, 1e9),
+}  # fmt: skip
+"""Type, smallest and largest value of each rule that is a number."""
+
+
+def _limits(rules: Rules, n_worlds: int) -> Mapping[str, tuple[int, int]]:
+    """Smallest and largest value of each column that is no pseudonym; a column means the same in every table."""
+    return {
+        "world": (0, n_worlds - 1), "case": (0, len(rules.cases) - 1), "gone": (0, 1), "attacks": (0, 1),
+        "step": (0, rules.n_steps - 1), "broadcast_step": (-1, rules.n_steps - 1), "arrival_step": (-1, (1 << 15) - 1),
+        "detection_index": (0, (1 << _BITS["detection_index"]) - 1), "score": (0, 100), "evaluation": (-100, 100),
+        "visibility": (0, 100),
+    }  # fmt: skip
+
+
+_REFERENCES: Sequence[tuple[str, tuple[str, ...], str]] = (
+    ("detections", ("observer",), "pseudonyms"),
+    ("reports", ("evaluator",), "pseudonyms"),
+    ("pseudonyms", ("vehicle",), "pseudonyms"),
+    ("lookups", ("receiver",), "pseudonyms"),
+    ("lookups", ("step", "sender"), "reports"),
+    ("evaluations", ("step", "evaluator"), "reports"),
+    ("evaluations", ("step", "observer", "detection_index"), "detections"),
+)
+"""Columns of a table that name a row of another table: table, columns, and the table that has their values as keys."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,10 +312,9 @@ def load(folder: Path = SHIPPED) -> EvidenceSet:
     try:
         with open_regular(folder / MANIFEST) as file:
             head = json.loads(file.read(_MOST_BYTES))
-        rules = Rules(**{**head["rules"], "cases": tuple(head["rules"]["cases"])})
-        if not 0 < rules.n_steps <= 1 << _BITS["step"]:
-            raise ValueError(f"a world of {rules.n_steps} steps")
-        worlds = tuple(Place(*one) for one in head["worlds"])
+        rules, worlds = _rules(head["rules"]), tuple(_place(number, one) for number, one in enumerate(head["worlds"]))
+        if not isinstance(head["version"], str) or not 1 <= len(worlds) <= _MOST_NUMBERS:
+            raise ValueError(f"version should be a text, and worlds 1 to {_MOST_NUMBERS} places")
         tables = {name: _read(folder, name) for name in TABLES}
         found = EvidenceSet(head["version"], rules, worlds, tables)
         checksum, expected = found.checksum, head["sha256"]
@@ -298,18 +327,115 @@ def load(folder: Path = SHIPPED) -> EvidenceSet:
             f"{folder}: this evidence set was altered: its content has the checksum {checksum[:12]}, and "
             f"{MANIFEST} says {str(expected)[:12]}. Install cosim again, or record the set with cosim benchmark --make."
         )
+    try:
+        _check(found)
+    except ValueError as error:
+        raise ValueError(f"{folder}: this evidence set cannot be true: {error}.") from None
     return found
 
 
+_MOST_NUMBERS = 1 << 7
+"""Worlds, and cases, whose numbers fit into a column."""
+
+
+def _rules(about: Any) -> Rules:
+    """The rules in a manifest; ValueError if one cannot be."""
+    cases = about["cases"]
+    if not isinstance(cases, list) or not all(isinstance(name, str) and name for name in cases):
+        raise ValueError("cases should be names of attacks")
+    if cases[:1] != [HONEST] or len(set(cases)) < len(cases) or len(cases) > _MOST_NUMBERS:
+        raise ValueError(f"cases should be {HONEST!r} and up to {_MOST_NUMBERS - 1} attacks, each once")
+    for name, (kind, least, most) in _RULES.items():
+        value = about[name]
+        is_number = isinstance(value, kind) and not isinstance(value, bool)
+        if not is_number or not least <= value <= most:
+            raise ValueError(f"{name} = {str(value)[:40]!r} should be a number from {least:g} to {most:g}")
+    return Rules(**{**about, "cases": tuple(cases)})
+
+
+def _place(number: int, about: Any) -> Place:
+    """A world in a manifest; ValueError if it cannot be."""
+    place = Place(*about)
+    is_share = isinstance(place.penetration_p, int | float) and 0 <= place.penetration_p <= 1
+    if not isinstance(place.city, str) or not is_share or not isinstance(place.seed, int):
+        raise ValueError(f"world {number} should be a city, a penetration from 0 to 1 and a seed")
+    return place
+
+
 def _read(folder: Path, name: str) -> Rows:
-    with open_regular(path := folder / f"{name}.parquet"):
-        if (n := pq.read_metadata(path).num_rows) > _MOST_ROWS:
-            raise ValueError(f"{name} has {n:,} rows, more than {_MOST_ROWS:,}")
-    table = pq.read_table(path)
+    """The columns of a table, and no others. What a file says of its size is checked before it is read."""
     wanted: dict[str, type] = {"world": np.int8, "case": np.int8, "gone": np.int8}
     wanted |= {c: _DTYPES[column.type] for c, column in TABLES[name].columns.items()}
+    with open_regular(folder / f"{name}.parquet") as opened:
+        content = opened.read(_MOST_FILE_BYTES + 1)
+    if len(content) > _MOST_FILE_BYTES:
+        raise ValueError(f"{name} has more than {_MOST_FILE_BYTES:,} bytes")
+    with pq.ParquetFile(pa.BufferReader(content)) as file:  # threads that read a Python file may outlive a refusal
+        about, schema = file.metadata, file.schema_arrow
+        if about.num_rows > _MOST_ROWS:
+            raise ValueError(f"{name} has {about.num_rows:,} rows, more than {_MOST_ROWS:,}")
+        for column, dtype in wanted.items():
+            if schema.field(column).type != pa.from_numpy_dtype(dtype):
+                raise ValueError(f"{name}.{column} has the type {schema.field(column).type}")
+        chunks = (
+            about.row_group(g).column(c) for g in range(about.num_row_groups) for c in range(about.num_columns)
+        )  # fmt: skip
+        n_bytes = sum(chunk.total_uncompressed_size for chunk in chunks if chunk.path_in_schema in wanted)
+        if n_bytes > len(wanted) * (about.num_rows + 1000) * _MOST_BYTES_OF_ROW:
+            raise ValueError(f"{name} has {n_bytes:,} bytes for {about.num_rows:,} rows")
+        table = file.read(columns=list(wanted), use_threads=False)
     rows = {column: table[column].to_numpy() for column in wanted}
     for column, dtype in wanted.items():
         if rows[column].dtype != dtype:
-            raise ValueError(f"{name}.{column} has the type {rows[column].dtype}")
+            raise ValueError(f"{name}.{column} has empty cells")
     return rows
+
+
+def _check(found: EvidenceSet) -> None:
+    """Check every value of a set against its meaning, and the rows of every stream against each other.
+
+    Raises
+    ------
+    ValueError
+        In part of a line: which value of which table cannot be, and why.
+    """
+    rules, limits = found.rules, _limits(found.rules, len(found.worlds))
+    if rules.start_step >= rules.n_steps:
+        raise ValueError(f"attacks start in step {rules.start_step} of {rules.n_steps}")
+    for name, rows in found.tables.items():
+        for column, values in rows.items():
+            least, most = limits.get(column, (0, MOST_PSEUDONYMS - 1))
+            _refuse(name, rows, (values < least) | (values > most), f"{column} should be {least} to {most}")
+        of = rows["world"].astype(np.int64) << 8 | rows["case"]
+        key, same = packed(name, rows), np.diff(of) == 0
+        unsorted = (np.diff(of) < 0) | (same & (np.diff(key) <= 0))
+        _refuse(name, rows, np.append(False, unsorted), "it should come after the row before it, and be there once")
+        _refuse(name, rows, (rows["gone"] > 0) & (rows["case"] == 0), "gone goes with another case than 0")
+    for world in range(len(found.worlds)):
+        for case in range(len(rules.cases)):
+            _check_stream(found.stream(world, case))
+
+
+def _check_stream(stream: Stream) -> None:
+    """Check the rows of a stream against each other."""
+    for name, columns, of in _REFERENCES:
+        rows, named = getattr(stream, name), getattr(stream, of)
+        keys = TABLES[of].keys
+        given = {key: rows[column] for key, column in zip(keys, columns, strict=True)}
+        strange = ~np.isin(packed(of, given), packed(of, named))
+        _refuse(name, rows, strange, f"{' and '.join(columns)} should name a row of {of}")
+    reports, asked, who = stream.reports, stream.lookups, stream.pseudonyms
+    early = (reports["arrival_step"] >= 0) & (reports["arrival_step"] < reports["step"])
+    _refuse("reports", reports, early, "it arrives before it is sent")
+    _refuse("lookups", asked, asked["broadcast_step"] > asked["step"], "the broadcast is of a later step")
+    _refuse("lookups", asked, asked["receiver"] == asked["sender"], "a vehicle looks itself up")
+    differs = stream.attackers()[who["vehicle"]] != (who["attacks"] > 0)
+    _refuse("pseudonyms", who, differs, "pseudonyms of one vehicle should attack together")
+
+
+def _refuse(name: str, rows: Rows, wrong: Bool[ndarray, "n"], why: str) -> None:
+    """ValueError about the first row that is wrong, if there is one."""
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        said = ", ".join(f"{column} {values[row]}" for column, values in rows.items())
+        raise ValueError(f"{name} has a row with {said}: {why}")

@@ -101,16 +101,30 @@ def stored(evidence: EvidenceSet, folder: Path = SHIPPED) -> tuple[list[Row], st
     """
     try:
         table = json.loads((folder / TABLE).read_text(encoding="utf-8"))
-        rows, now = list(table["rows"]), head(evidence)
+        rows, now = [_checked(row) for row in table["rows"]], head(evidence)
     except FileNotFoundError:
         return [], "no rows of the models that ship are stored with this set; --all computes them."
-    except (OSError, KeyError, TypeError, ValueError):
+    except (OSError, KeyError, TypeError, ValueError, AttributeError):
         return [], f"{folder / TABLE} is damaged, so it is left out; --all computes it anew."
     if table.get("sha256") != now["sha256"]:
         return [], f"{folder / TABLE} belongs to another set, so it is left out; --all computes it anew."
     if table.get("code") != now["code"]:
         return rows, f"the rows of the models that ship were computed by other code, cosim {table.get('cosim')}."
     return rows, ""
+
+
+def _checked(row: Row) -> Row:
+    """A stored row; KeyError, TypeError or ValueError if it is none."""
+    worst = row["worst_case"]
+    for of in (*row["attacks"].values(), *([] if worst is None else [worst])):
+        for name in (f.name for f in fields(score.Figures)):
+            if len(of[name]) != 3 or not all(x is None or isinstance(x, int | float) for x in of[name]):
+                raise ValueError(name)
+    if not row["attacks"] or not isinstance(row["model"], str):
+        raise ValueError("model, attacks")
+    if not isinstance(row["cost_us"], int | float | None):
+        raise ValueError("cost_us")
+    return row
 
 
 def worst_attack(row: Row) -> str:

@@ -6,15 +6,17 @@ import os
 import shlex
 import sys
 import textwrap
+import unicodedata
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.text import Text
 
 if TYPE_CHECKING:
@@ -22,11 +24,39 @@ if TYPE_CHECKING:
 
 _PIPED_WIDTH = 160
 """Width of tables, in characters, when standard output is not a terminal."""
-screen = Console(  # without markup, so that names from the user are shown unchanged
+
+
+def clean(text: str) -> str:
+    """Text of others as a terminal may get it.
+
+    What a terminal or a reader's eye would obey becomes a replacement character: escape sequences, both sets of control
+    characters, and marks that turn the direction of the text. Line breaks and blanks stay.
+    """
+    return "".join(c if _is_harmless(c) else "\N{REPLACEMENT CHARACTER}" for c in text)
+
+
+def _is_harmless(c: str) -> bool:
+    return c.isprintable() or c == "\n" or unicodedata.category(c) == "Zs"
+
+
+class _CleanConsole(Console):
+    """A console that shows text of others without obeying it. All that the commands print goes through `render`."""
+
+    def render_str(self, text: str, **how: Any) -> Text:  # type: ignore[override]
+        """A string before it is measured, so that a table has room for what it shows."""
+        return super().render_str(clean(text), **how)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """The segments of what is printed; those of the console itself, such as the movements of a bar, are kept."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(clean(segment.text), segment.style)
+
+
+screen = _CleanConsole(  # without markup, so that names from the user are shown unchanged
     markup=False, highlight=False, emoji=False,
     width=None if (sys.stdout is not None and sys.stdout.isatty()) or "COLUMNS" in os.environ else _PIPED_WIDTH,
 )  # fmt: skip
-notes = Console(stderr=True, markup=False, highlight=False, emoji=False)
+notes = _CleanConsole(stderr=True, markup=False, highlight=False, emoji=False)
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 TrustCode = Annotated[
@@ -85,8 +115,9 @@ def progress() -> Iterator[Callable[[str, int, int, str], None]]:
 
 
 def print_json(content: object) -> None:
-    """JSON on standard output."""
-    sys.stdout.write(json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n")
+    """JSON on standard output. What a terminal would obey is escaped, so that a program reads it unchanged."""
+    text = json.dumps(content, indent=1, ensure_ascii=False, default=str)
+    sys.stdout.write("".join(c if _is_harmless(c) else json.dumps(c)[1:-1] for c in text) + "\n")
 
 
 def print_run_summary(folder: Path, as_json: bool) -> "Run":

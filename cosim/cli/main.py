@@ -534,16 +534,12 @@ def _place_for_kernels() -> Scratch | None:
 
 
 def _say(message: str, status: int, error: BaseException | None = None) -> int:
-    """Print an error in one line, after its traceback if the user gave --debug; return the exit status.
-
-    Control characters, for example from the first line of a strange file, would act on the terminal.
-    """
-    if error is not None and _debug.is_on:
-        traceback.print_exception(error)
-    if message:
-        with suppress(OSError):
-            line = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in " ".join(message.split()))
-            notes.print(f"error: {line}", soft_wrap=True)
+    """Print an error in one line, after its traceback if the user gave --debug; return the exit status."""
+    with suppress(OSError):
+        if error is not None and _debug.is_on:
+            notes.print("".join(traceback.format_exception(error)), soft_wrap=True, end="")
+        if message:
+            notes.print(f"error: {' '.join(message.split())}", soft_wrap=True)
     return status
 
 

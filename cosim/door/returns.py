@@ -315,6 +315,8 @@ def plan(call: Call, returned: Any) -> Plan:
             raise Wrong(f"returned files of unit {unit.name!r} as {described(unit.files)}", "a function")
     for name in ("n_sweeps", "bytes_per_point", "text_bytes"):
         _positive(name, getattr(returned, name))
+    if not isinstance(returned.remarks, tuple) or not all(isinstance(one, str) for one in returned.remarks):
+        raise Wrong(f"returned remarks as {described(returned.remarks)}", "a tuple of texts")
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise Wrong(f"returned several units called {twice[0]!r}", "a name of its own for each")
     return returned

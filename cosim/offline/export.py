@@ -83,7 +83,7 @@ def export(
 
     Returns
     -------
-    What was written: frames or files, bytes, and what was estimated before.
+    What was written: frames or files, bytes, what was estimated before, and remarks on what is not written.
 
     Raises
     ------
@@ -149,6 +149,7 @@ def _write(plan: Plan, chosen: Selection, folder: Folder, sweeper: Sweeper, prog
     return {
         "out": str(folder.path), "files": n_files, "bytes": written, "sweeps": plan.n_sweeps,
         "estimated_bytes": round(n_bytes), "resumed": len(left) < len(plan.units),
+        "remarks": list(plan.remarks),
     }  # fmt: skip
 
 

@@ -37,7 +37,9 @@ class Trusted:
     """agent, n_frames, n_evaluations of its boxes by others, trust."""
     fused: Boxes
     n_unread: int
-    """Frames left out, because the cloud of an agent is missing or of a kind that is not read."""
+    """Frames left out, because the cloud of an agent is missing or cannot be read."""
+    why_unread: str
+    """A sentence on the first of them, if its cloud is there and cannot be read."""
 
 
 def trusted(data: Recorded, boxes: Boxes) -> Trusted:
@@ -59,14 +61,15 @@ def trusted(data: Recorded, boxes: Boxes) -> Trusted:
     kinds = sorted(set(boxes.label.tolist()))
     label = np.array([kinds.index(name) for name in boxes.label], np.uint8)
     model, parts, unread, present = TruPercept(PARAMS, 1.0), [], 0, dict.fromkeys(numbers, 0)
+    why_unread = ""
     begin, end = (np.searchsorted(boxes.frame, np.arange(len(data.frames)), side) for side in ("left", "right"))
     for frame, names in enumerate(data.agents):
         rows = np.arange(begin[frame], end[frame])
         if not len(rows):
             continue
         clouds = _clouds(data.clouds[frame])
-        if clouds is None:
-            unread += 1
+        if isinstance(clouds, str):
+            unread, why_unread = unread + 1, why_unread or clouds
             continue
         known = model.scores(frame) if frame else None
         scene = _Frame.of(boxes, rows, label, len(names))
@@ -101,17 +104,17 @@ def trusted(data: Recorded, boxes: Boxes) -> Trusted:
         ],
         columns=["agent", "n_frames", "n_evaluations", "trust"],
     )  # fmt: skip
-    return Trusted(table, fused, unread)
+    return Trusted(table, fused, unread, why_unread)
 
 
-def _clouds(paths: tuple[Path, ...]) -> list[Float[ndarray, "n 3"]] | None:
-    """The clouds of all agents of a frame, if all can be read."""
+def _clouds(paths: tuple[Path, ...]) -> list[Float[ndarray, "n 3"]] | str:
+    """The clouds of all agents of a frame; or why one cannot be read, which is empty if it is missing."""
     if not all(path.is_file() for path in paths):
-        return None
+        return ""
     try:
         return [points_of(path) for path in paths]
-    except ValueError:
-        return None
+    except ValueError as error:
+        return str(error)
 
 
 @dataclass(frozen=True, slots=True)

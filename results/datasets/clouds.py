@@ -12,6 +12,8 @@ from results.datasets.recorded import read_bytes
 _TYPES = {("F", 4): "<f4", ("F", 8): "<f8", ("U", 1): "<u1", ("U", 2): "<u2", ("U", 4): "<u4", ("I", 1): "<i1",
           ("I", 2): "<i2", ("I", 4): "<i4"}  # fmt: skip
 _LONGEST_HEAD = 4096
+_FARTHEST_M = 1e6
+"""Largest coordinate of a point."""
 
 
 def points_of(path: Path) -> Float[ndarray, "n 3"]:
@@ -20,7 +22,8 @@ def points_of(path: Path) -> Float[ndarray, "n 3"]:
     Raises
     ------
     ValueError
-        In one line, if the file is wrong, or compressed, which is not read.
+        In one line, if the file is wrong, or compressed, which is not read. A file with another number of points than
+        it says is wrong.
     """
     content = read_bytes(path)
     head, sign, _ = content[:_LONGEST_HEAD].partition(b"\nDATA ")
@@ -39,15 +42,27 @@ def points_of(path: Path) -> Float[ndarray, "n 3"]:
         )  # fmt: skip
         axes = [f"{names.index(axis)}{axis}" for axis in "xyz"]
         if kind == "binary":
-            values = np.frombuffer(body, layout, n)
-            xyz = np.column_stack([values[axis][:, 0] for axis in axes]).astype(float)
+            there = len(body) // layout.itemsize
         elif kind == "ascii":
-            table = np.array(body.split(), dtype=float).reshape(n, -1)
-            xyz = table[:, [names.index(axis) for axis in "xyz"]]
+            rows_of_text = [line for line in body.splitlines() if line.strip()]
+            there = len(rows_of_text)
         else:
             raise ValueError(kind)
-    except (KeyError, ValueError, IndexError, MemoryError):
+    except (KeyError, ValueError, IndexError, MemoryError, OverflowError, ZeroDivisionError):
         raise ValueError(f"{path} is no point cloud of kind ascii or binary with x, y and z.") from None
+    if n != there:
+        raise ValueError(f"{path} says that it has {str(n)[:20]} points, and has {there:,}.")
+    try:
+        if kind == "binary":
+            values = np.frombuffer(body, layout, n)
+            xyz = np.column_stack([values[axis][:, 0] for axis in axes]).astype(float)
+        else:
+            at = [sum(counts[: names.index(axis)]) for axis in "xyz"]
+            xyz = np.array(b" ".join(rows_of_text).split(), dtype=float).reshape(n, sum(counts))[:, at]
+    except (ValueError, IndexError, MemoryError):
+        raise ValueError(f"{path} is no point cloud of kind ascii or binary with x, y and z.") from None
+    if (np.abs(xyz[np.isfinite(xyz)]) > _FARTHEST_M).any():
+        raise ValueError(f"{path} has a point beyond {_FARTHEST_M / 1000:g} km.")
     return xyz[np.isfinite(xyz).all(axis=1)]
 
 
@@ -57,8 +72,9 @@ def points_in(points: Float[ndarray, "n 3"], box: Float[ndarray, "b 7"]) -> Int[
     if not len(points) or not len(box):
         return found
     tree = cKDTree(points[:, :2])
-    near = tree.query_ball_point(box[:, :2], 0.5 * np.hypot(box[:, 3], box[:, 4]))
-    for k, rows in enumerate(near):
+    reach_m = 0.5 * np.hypot(box[:, 3], box[:, 4])
+    for k in range(len(box)):  # one after another, because large boxes may share most of the points
+        rows = tree.query_ball_point(box[k, :2], reach_m[k])
         away = points[rows] - box[k, :3]
         cos, sin = np.cos(box[k, 6]), np.sin(box[k, 6])
         along, aside = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]

@@ -7,12 +7,15 @@ or in the folder of detections. Boxes are in the camera's frame: x right, y down
 up.
 """
 
+import math
+from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy import ndarray
 
-from results.datasets.recorded import MOST_BOXES, MOST_FRAMES, class_of, number, read_text
+from results.datasets.recorded import MOST_BOXES, MOST_FRAMES, class_of, number, once, read_text
 from results.metrics.kitti import Objects
 
 _COLUMNS = 15
@@ -26,8 +29,21 @@ def labels_in(folder: Path) -> Path | None:
     return None
 
 
-def read(folder: Path, detections: Path | None = None) -> tuple[Objects, Objects]:
-    """Labels and results of all frames, as KITTI's metric takes them; frames are those of the label files.
+@dataclass(frozen=True, slots=True)
+class KittiFolder:
+    """Labels and results of all frames, as KITTI's metric takes them; frames are those of the label files."""
+
+    truth: Objects
+    found: Objects
+    n_frames: int
+    classes: Counter[tuple[str, str]]
+    """Number of labels by the class that the files say, and ours."""
+    remarks: tuple[str, ...]
+    """What a reader of the figures should know, one sentence each."""
+
+
+def read(folder: Path, detections: Path | None = None) -> KittiFolder:
+    """Labels and results of a folder.
 
     Raises
     ------
@@ -35,25 +51,32 @@ def read(folder: Path, detections: Path | None = None) -> tuple[Objects, Objects
         In one line, if there are no label files or a line is wrong.
     """
     place = labels_in(folder)
-    files = [] if place is None else sorted(path for path in place.glob("*.txt") if path.stem.isdigit())
+    files = [] if place is None else list(
+        once(path for path in place.glob("*.txt") if path.stem.isascii() and path.stem.isdigit()).values()
+    )  # fmt: skip
     if place is None or not files:
         raise ValueError(f"{folder} holds no label files training/label_2/000000.txt.")
     if len(files) > MOST_FRAMES:
         raise ValueError(f"{place} has {len(files):,} files, more than {MOST_FRAMES:,}.")
     results = detections or place.parents[1] / "results"
-    truth = [_file(path, frame, False) for frame, path in enumerate(files)]
-    found = [
-        _file(results / path.name, frame, True) for frame, path in enumerate(files) if (results / path.name).exists()
-    ]
-    return _joined(truth), _joined(found)
+    classes: Counter[tuple[str, str]] = Counter()
+    truth = [_file(path, frame, False, classes) for frame, path in enumerate(files)]
+    there = [(frame, path) for frame, path in enumerate(files) if (results / path.name).exists()]
+    found = [_file(results / path.name, frame, True, Counter()) for frame, path in there]
+    missing = len(files) - len(there)
+    remark = f"{missing:,} of {len(files):,} frames have no file in {results}: they count as if nothing was detected."
+    return KittiFolder(
+        _joined(truth), _joined(found), len(files), classes, (remark,) * (0 < missing < len(files))
+    )  # fmt: skip
 
 
-def _file(path: Path, frame: int, scored: bool) -> Objects:
+def _file(path: Path, frame: int, scored: bool, classes: Counter[tuple[str, str]]) -> Objects:
     lines = read_text(path).splitlines()
     if len(lines) > MOST_BOXES:
         raise ValueError(f"{path} has {len(lines):,} lines, more than {MOST_BOXES:,}.")
     rows = [_line(line.split(), f"{path}, line {n}", scored) for n, line in enumerate(lines, 1) if line.strip()]
     values = np.array([row[1] for row in rows], float).reshape(-1, 15)
+    classes.update((row[2], row[0]) for row in rows)
     height, width, length = values[:, 7], values[:, 8], values[:, 9]
     right, down, forward, turn = values[:, 10], values[:, 11], values[:, 12], values[:, 13]
     yaw = np.pi - (1.5 * np.pi + turn) % (2 * np.pi)  # wraps -turn - pi / 2
@@ -66,12 +89,15 @@ def _file(path: Path, frame: int, scored: bool) -> Objects:
     )  # fmt: skip
 
 
-def _line(words: list[str], where: str, scored: bool) -> tuple[str, list[float]]:
+def _line(words: list[str], where: str, scored: bool) -> tuple[str, list[float], str]:
+    """Our class, the numbers, and the class that the line says."""
     if len(words) < _COLUMNS + scored:
         raise ValueError(f"{where} has {len(words)} columns and should have {_COLUMNS + scored}.")
     values = [number(word, f"column {n}", Path(where)) for n, word in enumerate(words[1 : _COLUMNS + scored], 2)]
-    name = words[0].lower()
-    return name if name in ("van", "dontcare") else class_of(name), values + [1.0] * (not scored)
+    if values[9] > 0 and abs(values[13]) > 2 * math.pi + 0.1:
+        raise ValueError(f"{where}: rotation_y is {values[13]:g}; radians are right, from -3.14 to 3.14.")
+    name = words[0][:40].lower()
+    return name if name == "van" else class_of(name), values + [1.0] * (not scored), words[0][:40]
 
 
 def _joined(parts: list[Objects]) -> Objects:

@@ -2,8 +2,10 @@
 
 import json
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +20,21 @@ MOST_FRAMES, MOST_BOXES = 200_000, 10_000
 _FARTHEST_M = 1e7
 """Largest coordinate: DAIR-V2X's world has coordinates of some thousand metres, UTM of millions."""
 
+_LARGEST_M = 200.0
+"""Largest side of a box."""
+_RIGID = 0.01
+"""By how much the columns of a rotation may differ from unit vectors at right angles."""
+_STEEPEST = math.cos(math.radians(60.0))
+"""Cosine of the largest tilt of a LiDAR: all boxes are upright."""
+
 CLASS_OF = {
-    "car": "car", "van": "car", "vehicle": "car", "truck": "truck", "bus": "truck", "tram": "truck",
-    "pedestrian": "pedestrian", "person_sitting": "person_sitting", "cyclist": "cyclist", "bicycle": "cyclist",
-    "motorcyclist": "cyclist", "motorcycle": "cyclist", "tricyclist": "cyclist", "barrowlist": "cyclist",
+    "car": "car", "van": "car", "vehicle": "car", "policecar": "car", "truck": "truck", "bus": "truck", "tram": "truck",
+    "longvehicle": "truck", "pedestrian": "pedestrian", "person": "pedestrian", "roadworker": "pedestrian",
+    "personsitting": "person_sitting", "cyclist": "cyclist", "bicycle": "cyclist", "motorcyclist": "cyclist",
+    "motorcycle": "cyclist", "tricyclist": "cyclist", "barrowlist": "cyclist", "scooterrider": "cyclist",
+    "bicyclerider": "cyclist", "motorcyclerider": "cyclist", "dontcare": "dontcare",
 }  # fmt: skip
-"""Our class by a data set's name of it, in lower case; other names keep their own."""
+"""Our class by a data set's name of it, in lower case without blanks and signs; other names keep their own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +76,16 @@ class Recorded:
     pose: tuple[Float[ndarray, "k 4"], ...]
     """Per frame, x, y, z and yaw of each agent's LiDAR, world frame."""
     truth: Boxes
+    aside: Boxes
+    """The cooperating vehicles themselves, where they are annotated. They are no objects, and boxes on them count
+    neither as right nor as false."""
     found: Boxes
+    has_classes: bool
+    """Whether detections have a class. If not, all are of the class car."""
+    classes: Mapping[tuple[str, str], int]
+    """Number of annotations by the class that the files say, and ours."""
+    remarks: tuple[str, ...]
+    """What a reader of the figures should know, one sentence each."""
     world_from: tuple[Float[ndarray, "k 4 4"], ...]
     """Per frame, transformation from each agent's LiDAR to the world."""
     clouds: tuple[tuple[Path, ...], ...]
@@ -99,13 +119,26 @@ def read_text(path: Path) -> str:
 
 
 def read_json(path: Path) -> Any:
-    """A JSON file of bounded size."""
+    """A JSON file of bounded size, in which no object has a key twice."""
     try:
-        return json.loads(read_text(path))
+        return json.loads(read_text(path), parse_int=_integer, object_pairs_hook=partial(_once, path))
     except json.JSONDecodeError as error:
         raise ValueError(f"{path} is no JSON: {error.msg} in line {error.lineno}.") from None
     except RecursionError:
         raise ValueError(f"{path} is nested too deeply.") from None
+
+
+def _once(path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        twice = next(key for n, (key, _) in enumerate(pairs) if key in dict(pairs[:n]))
+        raise ValueError(f"{path} has the key {twice[:40]!r} twice in one place.")
+    return found
+
+
+def _integer(digits: str) -> int | float:
+    """A whole number; one of many digits is a float, because Python refuses to read it."""
+    return int(digits) if len(digits) < 20 else float(digits)
 
 
 def numbers(value: Any, n: int, what: str, path: Path) -> Float[ndarray, "n"]:
@@ -139,6 +172,64 @@ def matrix(value: Any, rows: int, columns: int, what: str, path: Path) -> Float[
     return np.array([numbers(row, columns, what, path) for row in value])
 
 
+def rigid(motion: Float[ndarray, "4 4"], what: str, path: Path) -> Float[ndarray, "4 4"]:
+    """A transformation from a LiDAR to the world, if it is a rotation and a shift that keep up what is up.
+
+    Raises
+    ------
+    ValueError
+        In one line: it scales, mirrors, is transposed, or tips over.
+    """
+    turn = motion[:3, :3]
+    if np.abs(motion[3] - [0, 0, 0, 1]).max() > 1e-6:
+        raise ValueError(f"{path}: the last row of {what} should be 0, 0, 0, 1. Is the matrix transposed?")
+    if np.abs(turn.T @ turn - np.eye(3)).max() > _RIGID or np.linalg.det(turn) < 0:
+        raise ValueError(
+            f"{path}: {what} is no rigid motion (determinant {np.linalg.det(turn):.3g}, should be 1): it scales or "
+            "mirrors."
+        )
+    if turn[2, 2] < _STEEPEST:
+        raise ValueError(
+            f"{path}: {what} tilts the LiDAR by {math.degrees(math.acos(max(turn[2, 2], -1.0))):.0f} degrees. Of six "
+            "numbers, the last three are roll, yaw and pitch in degrees."
+        )
+    return motion
+
+
+def scores(values: Float[ndarray, "n"], path: Path) -> Float[ndarray, "n"]:
+    """Scores of detections, in [0, 1].
+
+    Raises
+    ------
+    ValueError
+        In one line, if one is something else.
+    """
+    odd = (values < -1e-6) | (values > 1 + 1e-6)
+    if odd.any():
+        raise ValueError(
+            f"{path} has the score {values[odd][0]:g}; scores should be from 0 to 1. Are they percent, or logits?"
+        )
+    return np.clip(values, 0.0, 1.0)
+
+
+def upright(box: Float[ndarray, "n 7"], path: Path) -> Float[ndarray, "n 7"]:
+    """Boxes, if none has a side that no object on a road has.
+
+    Raises
+    ------
+    ValueError
+        In one line, if one has.
+    """
+    odd = ~((box[:, 3:6] > 0) & (box[:, 3:6] <= _LARGEST_M)).all(axis=1)
+    if odd.any():
+        sides = ", ".join(f"{side:g}" for side in box[odd][0, 3:6])
+        raise ValueError(
+            f"{path}: the sides of box {int(np.argmax(odd))} are {sides} m; above 0 and up to {_LARGEST_M:g} m are "
+            "right."
+        )
+    return box
+
+
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _FARTHEST_M
 
@@ -155,7 +246,7 @@ def array_of(path: Path, shape: tuple[int | None, ...]) -> Float[ndarray, "..."]
         raise ValueError(f"{path} is no array of numbers in NumPy's format.")
     try:
         found = np.load(path, allow_pickle=False, mmap_mode="r")
-    except (OSError, ValueError, EOFError, SyntaxError, TypeError, MemoryError):
+    except (OSError, ValueError, EOFError, SyntaxError, TypeError, MemoryError, OverflowError, RecursionError):
         raise ValueError(f"{path} is no array of numbers in NumPy's format.") from None
     fits = isinstance(found, np.ndarray) and found.ndim == len(shape) and found.dtype.kind in "fiu"
     if not fits or any(
@@ -252,6 +343,28 @@ def pose_of(world_from_agent: Float[ndarray, "4 4"]) -> Float[ndarray, "4"]:
 
 
 def class_of(name: Any) -> str:
-    """Our class for a data set's name of one."""
-    plain = str(name)[:40].lower()
-    return CLASS_OF.get(plain, plain)
+    """Our class for a data set's name of one, such as `Bus`, `LongVehicle` or `vehicle.car`."""
+    parts = [re.sub(r"[^a-z0-9]", "", part) for part in str(name)[:40].lower().split(".")]
+    known = [CLASS_OF[part] for part in (*parts[1:], parts[0]) if part in CLASS_OF]
+    return known[0] if known else str(name)[:40].lower()
+
+
+def listed(counts: Mapping[Any, int]) -> str:
+    """Numbers of things as a text: `3 Car, 1 Van`."""
+    return ", ".join(f"{n:,} {name}" for name, n in counts.items())
+
+
+def once(paths: Iterable[Path]) -> dict[int, Path]:
+    """Files of one folder by the number that is their name, in ascending order.
+
+    Raises
+    ------
+    ValueError
+        In one line, if two files have one number.
+    """
+    found: dict[int, Path] = {}
+    for path in sorted(paths):
+        if (number := int(path.stem)) in found:
+            raise ValueError(f"{path} and {found[number].name} beside it are of one frame. Remove one of them.")
+        found[number] = path
+    return dict(sorted(found.items()))

@@ -66,6 +66,8 @@ class Plan:
     bytes_per_point: int = 0
     text_bytes: float = 0.0
     """Estimated length of all that is no point cloud [B]."""
+    remarks: tuple[str, ...] = ()
+    """What the user should know of what is not written, one sentence each."""
 
     @staticmethod
     def of_files(files: Iterable[File]) -> "Plan":
@@ -222,6 +224,7 @@ def _visible(rows: pd.DataFrame) -> dict[int, dict[int, Visible]]:
     columns = [rows[name].to_numpy(np.int64) for name in ("actor", "n_points", "n_unoccluded")]
     cuts = np.flatnonzero((np.diff(step, prepend=-1) != 0) | (np.diff(observer, prepend=-1) != 0))
     found: dict[int, dict[int, Visible]] = {}
-    for begin, end in zip(cuts.tolist(), [*cuts[1:].tolist(), len(step)], strict=True):
+    ends = np.append(cuts, len(step))[1:]  # none of an empty table, as there are no cuts
+    for begin, end in zip(cuts.tolist(), ends.tolist(), strict=True):
         found.setdefault(int(step[begin]), {})[int(observer[begin])] = Visible(*(c[begin:end] for c in columns))
     return found

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from results.metrics.overlap import iou_3d, iou_bev
+from results.metrics.overlap import in_blocks, iou_3d, iou_bev
 
 LEVELS = ("easy", "moderate", "hard", "all")
 MIN_HEIGHT_PX = (40, 25, 25, 0)
@@ -145,17 +145,17 @@ def _match(
     used = np.zeros_like(allowed)
     first = np.flatnonzero(np.diff(i, prepend=-1))
     group = np.cumsum(np.diff(i, prepend=-1) != 0) - 1  # ground truths that have candidates
-    choice = np.arange(len(i)) - first[group]
     frames = frame[i[first]]
-    turn = np.arange(len(first)) - np.searchsorted(frames, frames)
-    rank = turn[group] * (choice.max(initial=0) + 1) + choice
-    served = np.zeros((len(allowed), len(first)), bool)
-    order = np.argsort(rank, kind="stable")
-    for pairs in np.split(order, np.flatnonzero(np.diff(rank[order])) + 1):
-        takes = allowed[:, j[pairs]] & ~used[:, j[pairs]] & ~served[:, group[pairs]]
+    turn = (np.arange(len(first)) - np.searchsorted(frames, frames))[group]
+    order = np.argsort(turn, kind="stable")
+    for pairs in np.split(order, np.flatnonzero(np.diff(turn[order])) + 1):
+        free = allowed[:, j[pairs]] & ~used[:, j[pairs]]
+        begins = np.flatnonzero(np.diff(group[pairs], prepend=-1))
+        n_free = np.cumsum(free, axis=1, dtype=np.int32)
+        n_before = (n_free - free)[:, begins][:, np.searchsorted(begins, np.arange(len(pairs)), "right") - 1]
+        takes = free & (n_free - n_before == 1)  # the first free candidate of each ground truth
         taken[:, pairs] = takes
         used[:, j[pairs]] |= takes
-        served[:, group[pairs]] |= takes
     return taken, used
 
 
@@ -187,4 +187,4 @@ def _candidates(truth: Objects, found: Objects, overlap: Overlap) -> tuple[ndarr
     ]
     near = trees[0].sparse_distance_matrix(trees[1], reach, output_type="ndarray")
     i, j = real[near["i"]], near["j"]
-    return i, j, (iou_3d if overlap == "3d" else iou_bev)(truth.box[i], found.box[j])
+    return i, j, in_blocks(iou_3d if overlap == "3d" else iou_bev, truth.box[i], found.box[j])

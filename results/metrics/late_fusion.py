@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from results.metrics.overlap import iou_bev
+from results.metrics.overlap import in_blocks, iou_bev
 
 NMS_OVERLAP = 0.15
 """Boxes that overlap by more than this from above are of one object: `nms_thresh` of OpenCOOD's configurations."""
@@ -64,5 +64,5 @@ def _overlapping(
     _, number = np.unique(frame, return_inverse=True)
     pairs = cKDTree(np.column_stack([box[:, :2], number * apart])).query_pairs(reach, output_type="ndarray")
     i, j = pairs[:, 0], pairs[:, 1]
-    near = iou_bev(box[i], box[j]) > overlap
+    near = in_blocks(iou_bev, box[i], box[j]) > overlap
     return i[near], j[near]

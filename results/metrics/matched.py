@@ -7,10 +7,9 @@ OpenCOOD with `global_sort_detections`, with the overlap from above, and of Pasc
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
-from scipy.spatial import cKDTree
 
 from results.metrics.kitti import Overlap
-from results.metrics.overlap import iou_3d, iou_bev
+from results.metrics.overlap import in_blocks, iou_3d, iou_bev, near_pairs
 
 Truth = tuple[Int[ndarray, "t"], Float[ndarray, "t 7"]]
 """Frame and box of each object."""
@@ -60,15 +59,5 @@ def _overlapping(
     frame: ndarray, box: Float[ndarray, "t 7"], of: ndarray, boxes: Float[ndarray, "n 7"], kind: Overlap
 ) -> tuple[ndarray, ndarray, Float[ndarray, "p"]]:
     """Pairs of an object and a detection of the same frame that may overlap, and by how much."""
-    if not len(of):
-        return np.zeros(0, int), np.zeros(0, int), np.zeros(0)
-    reach = (np.hypot(box[:, 3], box[:, 4]).max() + np.hypot(boxes[:, 3], boxes[:, 4]).max()) / 2
-    both = np.concatenate([box[:, :2], boxes[:, :2]])
-    apart = np.ptp(both, axis=0).max() + 2.0 * reach + 1.0
-    frames = np.unique(np.concatenate([frame, of]))
-    trees = [
-        cKDTree(np.column_stack([b[:, :2], np.searchsorted(frames, f) * apart])) for f, b in ((frame, box), (of, boxes))
-    ]
-    pairs = trees[0].sparse_distance_matrix(trees[1], reach, output_type="ndarray")
-    i, j = pairs["i"], pairs["j"]
-    return i, j, (iou_3d if kind == "3d" else iou_bev)(box[i], boxes[j])
+    i, j = near_pairs(frame, box, of, boxes)
+    return i, j, in_blocks(iou_3d if kind == "3d" else iou_bev, box[i], boxes[j])

@@ -4,9 +4,15 @@ A box is x, y, z of its centre, length, width, height and yaw, as in the tables;
 one frame.
 """
 
+from collections.abc import Callable
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
+from scipy.spatial import cKDTree
+
+_BLOCK = 200_000
+"""Pairs whose polygons are in memory together: a few hundred bytes each."""
 
 
 def corners(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 4 2"]:
@@ -70,3 +76,28 @@ def iou_3d(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray,
     bottom = np.maximum(a[:, 2] - a[:, 5] / 2, b[:, 2] - b[:, 5] / 2)
     common = footprint_overlap(a, b) * np.maximum(top - bottom, 0)
     return common / (a[:, 3:6].prod(axis=1) + b[:, 3:6].prod(axis=1) - common)
+
+
+def in_blocks(
+    overlap: Callable[[ndarray, ndarray], ndarray], a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]
+) -> Float[ndarray, "n"]:
+    """An overlap of many pairs, in memory that does not grow with them."""
+    cuts = range(0, len(a), _BLOCK)
+    return np.concatenate([np.zeros(0), *(overlap(a[k : k + _BLOCK], b[k : k + _BLOCK]) for k in cuts)])
+
+
+def near_pairs(
+    a_frame: Int[ndarray, "n"], a: Float[ndarray, "n 7"], b_frame: Int[ndarray, "m"], b: Float[ndarray, "m 7"]
+) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
+    """Rows of two sets of boxes of the same frame whose footprints may overlap."""
+    if not len(a) or not len(b):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    reach = (np.hypot(a[:, 3], a[:, 4]).max() + np.hypot(b[:, 3], b[:, 4]).max()) / 2
+    apart = np.ptp(np.concatenate([a[:, :2], b[:, :2]]), axis=0).max() + 2.0 * reach + 1.0
+    frames = np.unique(np.concatenate([a_frame, b_frame]))
+    trees = [
+        cKDTree(np.column_stack([boxes[:, :2], np.searchsorted(frames, frame) * apart]))
+        for frame, boxes in ((a_frame, a), (b_frame, b))
+    ]
+    pairs = trees[0].sparse_distance_matrix(trees[1], reach, output_type="ndarray")
+    return pairs["i"], pairs["j"]

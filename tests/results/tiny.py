@@ -27,7 +27,8 @@ def make(folder, steps, config=None, **tables):
             for name, rows in tables.items():
                 if now := [row for row in rows if row.get("step", 0) == step]:
                     record.append(name, step, columns(name, now))
-        record.append("actors", steps - 1, columns("actors", []))  # the run ends with its last step, rows or not
+        for name in {"actors"} | {name for name, rows in tables.items() if not rows}:
+            record.append(name, steps - 1, columns(name, []))  # the run ends with its last step, rows or not
     finish(folder, {"dt_s": 1.0, "steps": steps, "config": config or {}})
     return open_run(folder)
 

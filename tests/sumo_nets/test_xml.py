@@ -57,3 +57,15 @@ def test_rubbish_is_refused(tmp_path, text):
     path.write_text(text)
     with pytest.raises(ValueError, match=r"rubbish\.xml, line 1: not well-formed XML"):
         stream(path, lambda name, attributes: None)
+
+
+def test_one_huge_attribute_is_refused_at_once(tmp_path):
+    """The parser reads an unfinished tag again with every chunk: 99 MB of one attribute would take minutes."""
+    path = tmp_path / "x.xml"
+    path.write_text(f'<a b="{"x" * 30_000_000}"/>')
+    with pytest.raises(ValueError, match="a tag with its attributes is longer than 8,000,000 bytes"):
+        stream(path, lambda name, attributes: None)
+    path.write_text(f'<r><a b="{"x" * 2_000_000}"/>{"<b/>" * 2_500_000}</r>')  # a long file of short tags
+    found = []
+    stream(path, lambda name, attributes: found.append(len(attributes.get("b", ""))) if name == "a" else None)
+    assert found == [2_000_000]

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 
 from results.export import pcap, reports
@@ -78,6 +79,48 @@ def test_threshold(run, tmp_path):
     assert sorted(written(run, tmp_path / "more", threshold=-0.3)) == [
         "reports/step-000001.json", "reports/step-000002.json"
     ]  # fmt: skip
+
+
+def test_reports_and_what_is_left_out_are_all_denials(tmp_path):
+    """Of seven denials, three are reported: of this step's message, and of two earlier ones."""
+    rows = [
+        evaluation(2, 1, -1.0, 1.0, True),
+        evaluation(2, 1, -1.0, 1.0, True, detection_index=0, detection_step=1),
+        evaluation(3, 3, -1.0, 1.0, True, detection_step=0),
+        evaluation(3, 9, -1.0, 1.0, True, detection_step=0),  # 9 is a roadside unit
+        evaluation(3, 1, -1.0, 1.0, True, observer=9),
+        evaluation(3, 1, -1.0, 1.0, True, observer=3, detection_step=0),  # 3 comes in step 1
+        evaluation(3, 1, -1.0, 1.0, True, kind="speed"),
+        evaluation(3, 1, -0.2, 1.0, True, detection_step=2),  # is no denial
+    ]
+    rows = [{"kind": "detection", "detection_step": row["step"]} | row for row in rows]
+    run = truck.make(tmp_path / "run", evaluations=rows)
+    table = run.table("evaluations")
+    n_denials = int((table.evaluation * table.visibility < -0.5).sum())
+    of = replace(truck.selection(run), projection=lambda: NORTH)
+    plan = reports.MisbehaviourReports().plan(of)
+    made = truck.written(plan, tmp_path / "out")
+    found = [report for path, content in made.items() if path.endswith(".json") for report in json.loads(content)]
+    jsonschema.validate(found, SCHEMA)
+    evidence = [report["data"]["content"]["plaintext"]["report"]["content"]["nonV2xPduEvidence"] for report in found]
+    assert sum(map(len, evidence)) == 3 and n_denials == 7
+    assert plan.remarks == (
+        "4 of 7 denials are in no report: 1 of an object that a message lacks or of a velocity, for which there is no "
+        "observation here; 1 by roadside units, which the table actors does not place; 1 about messages of roadside "
+        "units; 1 about messages that the table detections does not hold.",
+    )
+    fewer = reports.MisbehaviourReports().plan(replace(of, vehicles=(0, 3)))
+    assert "4 by vehicles that were not chosen" in fewer.remarks[0]
+
+
+def test_the_evidence_is_the_message_of_the_earlier_step(tmp_path):
+    """In step 3 the car behind denies what the first car said in step 1: the packet is that of step 1."""
+    run = truck.make(tmp_path / "run", evaluations=[evaluation(3, 3, -1.0, 1.0, True, detection_step=1)])
+    ((report,),) = written(run, tmp_path).values()
+    (stream,) = report["data"]["content"]["plaintext"]["report"]["content"]["v2xPduEvidence"]
+    packets = pcap.Packets(replace(truck.selection(run), projection=lambda: NORTH), NORTH)
+    sent = packets.frames(np.array([1]), [0])[1, 0]
+    assert stream["v2xPdus"] == [packet[reports.ETHERNET_BYTES :].hex() for packet in sent]
 
 
 def test_the_schema_refuses_a_report_without_evidence(run, tmp_path):

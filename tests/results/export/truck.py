@@ -29,10 +29,11 @@ def box(xyz, lwh, yaw):
     )
 
 
-def make(folder, **more):
+def make(folder, keep=lambda table, row: True, **more):
     """Four steps: the car 0 and the truck 1 in all of them, the pedestrian 2 in the last two; 3 is a car behind.
 
-    `more` are rows of further tables.
+    `keep` says of which rows of `observability`, `detections` and `receptions` the run has; `more` are rows of further
+    tables.
     """
     car, truck, walker = (4.5, 1.8, 1.5), (10, 2.5, 3.5), (0.5, 0.5, 1.75)
     vehicles = [
@@ -68,6 +69,11 @@ def make(folder, **more):
          "latency_s": 0.5, "distance_m": 20.0}
         for s, a in equipped for b in (0, 1, 3) if a != b and (s, b) in there
     ]  # fmt: skip
+    observability, detections, receptions = (
+        [row for row in rows if keep(name, row)] for name, rows in (
+            ("observability", observability), ("detections", detections), ("receptions", receptions),
+        )
+    )  # fmt: skip
     trust = [{"step": 2, "variant": "base", "subject": a, "trust": 0.25 * a, "state": "evaluated"} for a in (0, 1)]
     folder.mkdir(parents=True)
     return tiny.make(
