@@ -30,6 +30,14 @@ def digest() -> str:
     return code_digest((*sorted(room.rglob("*.py")), *(Path(str(module.__file__)) for module in (play, score, adapt))))
 
 
+def citation(evidence: EvidenceSet) -> str:
+    """How to cite the set."""
+    return (
+        f"cosim trust benchmark, evidence set {evidence.version}, sha256 {evidence.checksum[:16]}, "
+        f"made with cosim {__version__}"
+    )
+
+
 def row_of(
     evidence: EvidenceSet, name: str, sets: Sequence[str], advance: score.Advance, budget: int = 0, seed: int = 0
 ) -> Row:

@@ -43,7 +43,7 @@ def benchmark(
     as_json: AsJson = False,
 ) -> None:
     """Score a trust model on recorded evidence, beside all models that ship. Without a model, print the table."""
-    from cosim.benchmark import card, table
+    from cosim.benchmark import table
     from cosim.benchmark.evidence import SHIPPED, load
 
     folder = evidence or SHIPPED
@@ -64,7 +64,7 @@ def benchmark(
             mine = table.row_of(found, model, sets or [], advance, (budget or 34) if adapt else 0, seed or 0)
     rows, remark = table.stored(found, folder)
     if as_json:
-        print_json({**table.head(found), "citation": card.citation(found), "row": mine, "rows": rows})
+        print_json({**table.head(found), "citation": table.citation(found), "row": mine, "rows": rows})
         return
     if mine is not None:
         screen.print(*_of_attacks(mine), sep="\n")
@@ -76,7 +76,7 @@ def benchmark(
 
 
 def _make(folder: Path | None, model: str | None) -> None:
-    from cosim.benchmark import card, record
+    from cosim.benchmark import record
 
     if folder is None or model is not None:
         raise ValueError(
@@ -87,7 +87,6 @@ def _make(folder: Path | None, model: str | None) -> None:
     with progress() as advance:
         made = record.make(advance)
     made.write(folder)
-    card.write(made, folder)
     screen.print(f"wrote {folder}: {_about(made)}", soft_wrap=True)
 
 

@@ -10,8 +10,8 @@ from cosim.cli.console import AsJson, notes, print_done, print_json, progress, s
 
 
 def add_to(app: typer.Typer) -> None:
-    """Add the commands `export`, `view`, `describe` and `evaluate`."""
-    for command in (export, view, describe, evaluate):
+    """Add the commands `export`, `view` and `evaluate`."""
+    for command in (export, view, evaluate):
         app.command()(command)
 
 
@@ -95,26 +95,6 @@ def view(
             lambda what, n, total: advance(what, n, total, ""),
         )  # fmt: skip
     print_done(done, f"wrote {out}, {done['bytes'] / 1e6:,.1f} MB; open it with: rerun {out}", as_json)
-
-
-def describe(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run or a study.")],
-    out: Annotated[Path | None, typer.Option(help="Folder to write. The default is the run or study itself.")] = None,
-    authors: Annotated[list[str] | None, typer.Option("--author", help="Name of an author. Repeatable.")] = None,
-    licence: Annotated[
-        str | None, typer.Option(help="Address of the data's licence, e.g. https://spdx.org/licenses/CC-BY-4.0.")
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Write a Croissant card and an RO-Crate, by which data are found and archived."""
-    from cosim.cli.studies import is_study
-    from results.archive import open_run
-    from results.cards import write
-    from results.study import open_study
-
-    source = open_study(folder) if is_study([folder]) else open_run(folder)
-    card, crate = write(source, out or folder, authors or (), licence)
-    print_done({"croissant": str(card), "ro_crate": str(crate)}, f"wrote {card} and {crate}", as_json)
 
 
 def evaluate(

@@ -40,7 +40,6 @@ CALLS = {
         "export veremi-nextgen {run} --out {out}/nextgen", "export pcap {run} --out {out}/packets",
     ],
     "contacts": ["contacts {run} --out {out}/contacts"],
-    "describe": ["describe {run} --out {out}", "describe {study} --out {out}"],
     "evaluate": ["evaluate {run}"],
     "judge contacts": ["judge contacts {run}"],
     "judge streets": ["judge streets {run}"],

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from cosim.benchmark import card, record
+from cosim.benchmark import record
 from cosim.benchmark.evidence import MANIFEST, SHIPPED, TABLES, Place, load
 from tests.cosim.benchmark.worlds import RULES, stream, tiny_set
 
@@ -152,13 +152,11 @@ def test_a_column_that_nobody_asked_for_is_not_read(tmp_path):
         load(tmp_path)
 
 
-def test_the_shipped_set_is_whole_small_and_described():
+def test_the_shipped_set_is_whole_and_small():
     found = load()
     assert sum(path.stat().st_size for path in SHIPPED.iterdir()) < 8e6
     assert len({place.city for place in found.worlds}) == 3 and len(found.rules.cases) == 13
-    described = json.loads((SHIPPED / "croissant.json").read_text())
-    assert described["citeAs"].startswith("cosim trust benchmark") and found.checksum in described["url"]
-    assert {one["name"] for one in described["recordSet"]} == set(TABLES)
+
 
 
 @pytest.mark.verify
@@ -169,13 +167,3 @@ def test_a_set_is_recorded_the_same_again(tmp_path):
     assert one.checksum == other.checksum
     one.write(tmp_path)
     assert load(tmp_path).checksum == one.checksum and len(one.stream(0, 0).evaluations["step"]) > 100
-
-
-@pytest.mark.verify
-@pytest.mark.filterwarnings("ignore")
-def test_the_card_is_read_by_the_reader_of_mlcommons(tmp_path):
-    mlcroissant = pytest.importorskip("mlcroissant")
-    tiny_set().write(tmp_path)
-    described = mlcroissant.Dataset(jsonld=str(card.write(tiny_set(), tmp_path)))
-    rows = list(described.records("pseudonyms"))
-    assert len(rows) == len(tiny_set().tables["pseudonyms"]["pseudonym"])

@@ -1,7 +1,6 @@
 """Studies that run: what is shared changes no value, and nothing that goes wrong is lost."""
 
 import json
-import shutil
 
 import numpy as np
 import pytest
@@ -96,22 +95,6 @@ def test_keys_without_effect_are_named(swept):
         "note: parked.vans_p has no effect without parked.per_100_m above 0.",
         'note: trust.server_period_s has no effect without trust.host = "central", in 4 of 8 points.',
     ]
-
-
-@pytest.mark.verify
-@pytest.mark.filterwarnings("ignore")
-def test_described_for_search_engines_and_archives(swept, tmp_path):
-    mlcroissant, rocrate = pytest.importorskip("mlcroissant"), pytest.importorskip("rocrate.rocrate")
-    shutil.copytree(swept / "out", tmp_path / "out")
-    done = cosim(tmp_path, "describe", "out", "--author", "A. Author", "--json")
-    told = json.loads(done.stdout)
-    card = mlcroissant.Dataset(jsonld=tmp_path / told["croissant"])
-    assert not card.metadata.ctx.issues.errors
-    study = open_study(swept / "out")
-    n = sum(len(study.run(str(p.point.iloc[0])).trust) for _, p in study.points.groupby("run"))
-    assert len(list(card.records("trust"))) == n > 0
-    crate = rocrate.ROCrate(tmp_path / "out")
-    assert sum(e.id.endswith("manifest.json") for e in crate.get_entities()) == study.points["run"].nunique()
 
 
 def test_answers(swept):
