@@ -13,7 +13,7 @@ def needed(library: str, purpose: str, extra: str) -> Iterator[None]:
     library
         Name of the package.
     purpose
-        What it does here, as the subject and verb of a sentence: "writes recordings of OSI".
+        What it does here, as the subject and verb of a sentence: "writes MCAP files".
     extra
         Extra of this package that brings it.
 

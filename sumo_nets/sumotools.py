@@ -50,20 +50,6 @@ def without_header(path: Path) -> str:
     return re.sub(r"<!-- generated on .*?-->\s*", "", path.read_text(encoding="utf-8"), count=1, flags=re.DOTALL)
 
 
-def open_drive(net_path: Path) -> bytes:
-    """A network as OpenDRIVE, by netconvert, in the network's own coordinates.
-
-    Raises
-    ------
-    ValueError
-        If netconvert fails.
-    """
-    with tempfile.TemporaryDirectory(prefix="sumo_nets.") as folder:
-        target = Path(folder) / "net.xodr"
-        run("netconvert", {"sumo-net-file": net_path.resolve(), "opendrive-output": target.name}, Path(folder))
-        return re.sub(r' date="[^"]*"', "", without_header(target), count=1).encode()
-
-
 def projected(rings: list[Ring], net_path: Path) -> list[Ring]:
     """Rings of longitudes and latitudes in the coordinates of a network, by polyconvert.
 

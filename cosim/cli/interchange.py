@@ -20,8 +20,8 @@ def export(
         str,
         typer.Argument(
             metavar="FORMAT",
-            help="kitti, trupercept, opv2v, veremi, veremi-nextgen, pcap, mcap, omega-prime, nuscenes, geoparquet, "
-            "fcd, reports, or your own, mine.py:Name.",
+            help="kitti, trupercept, opv2v, veremi-nextgen, pcap, mcap, nuscenes, fcd, reports, or your own, "
+            "mine.py:Name.",
         ),
     ],
     folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],

@@ -30,7 +30,7 @@ from results.run import Run
 from results.sensing import sensing_steps
 from sensors.raycast.mesh import city_triangles
 from sensors.scene import Scene
-from sumo_nets import network, sumotools
+from sumo_nets import network
 
 Progress = Callable[[str, int, int], None]
 """Callback for progress. Its arguments are the phase, the work done and the total."""
@@ -254,17 +254,7 @@ def _place(config: Config) -> Place:
     """The surroundings of the run's traffic."""
     scenario = find(config.traffic.scenario, config.traffic.trace)
 
-    def map_projection() -> tuple[str, tuple[float, float]] | None:
-        try:
-            text, (east_m, north_m) = network.projection(scenario.net or "")
-        except (ValueError, OSError):
-            return None
-        return text, (-east_m, -north_m)
-
-    def open_drive() -> bytes | None:
-        return None if scenario.net is None else sumotools.open_drive(scenario.net)
-
-    return Place(scenario.origin_m, map_projection, open_drive, lambda: city_triangles(city_of(config)))
+    return Place(scenario.origin_m, lambda: city_triangles(city_of(config)))
 
 
 def _projection(config: Config) -> Projection:

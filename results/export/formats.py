@@ -4,17 +4,14 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from results.export.fcd import Fcd
-from results.export.geoparquet import GeoParquet
 from results.export.kitti import Kitti
 from results.export.moments import Plan, Selection
 from results.export.nuscenes import NuScenes
 from results.export.opv2v import Opv2v
-from results.export.osi import Osi
 from results.export.pcap import Pcap
 from results.export.reports import MisbehaviourReports
 from results.export.ros2 import Ros2Bag
 from results.export.trupercept import TruPerceptData
-from results.export.veremi import Veremi
 from results.export.veremi_nextgen import VeremiNextGen
 
 
@@ -38,8 +35,7 @@ class Exporter(Protocol):
 
 
 EXPORTERS: Mapping[str, Callable[[], Exporter]] = {
-    "kitti": Kitti, "trupercept": TruPerceptData, "opv2v": Opv2v, "veremi": Veremi, "veremi-nextgen": VeremiNextGen,
-    "pcap": Pcap, "mcap": Ros2Bag, "omega-prime": Osi, "nuscenes": NuScenes, "geoparquet": GeoParquet, "fcd": Fcd,
-    "reports": MisbehaviourReports,
+    "kitti": Kitti, "trupercept": TruPerceptData, "opv2v": Opv2v, "veremi-nextgen": VeremiNextGen, "pcap": Pcap,
+    "mcap": Ros2Bag, "nuscenes": NuScenes, "fcd": Fcd, "reports": MisbehaviourReports,
 }  # fmt: skip
 """Exporters by name."""

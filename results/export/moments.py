@@ -107,10 +107,6 @@ class Place:
 
     origin_m: tuple[float, float] = (0.0, 0.0)
     """The world's origin in the coordinates of the network [m]."""
-    map_projection: Callable[[], tuple[str, tuple[float, float]] | None] = lambda: None
-    """The map that the network lies on as a text of PROJ, and the network's origin on it: east, north [m]."""
-    open_drive: Callable[[], bytes | None] = lambda: None
-    """The network as OpenDRIVE, in its own coordinates; None if the traffic has no network."""
     buildings: Callable[[], Float[ndarray, "t 3 3"]] = lambda: np.zeros((0, 3, 3))
     """Triangles of all buildings, world frame [m]."""
 

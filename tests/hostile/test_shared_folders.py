@@ -36,7 +36,7 @@ CALLS = {
     "cells": ["cells {run}", "cells {run} {run} --check {run}"],
     "check": ["check {run}/config.toml", "check {part}/config.toml --json"],
     "export": [
-        "export veremi {run} --out {out}/veremi", "export kitti {run} --out {out}/kitti --vehicles 0 --steps 1-2",
+        "export kitti {run} --out {out}/kitti --vehicles 0 --steps 1-2",
         "export veremi-nextgen {run} --out {out}/nextgen", "export pcap {run} --out {out}/packets",
     ],
     "contacts": ["contacts {run} --out {out}/contacts"],
@@ -91,7 +91,7 @@ FUNCTIONS = {
     "cosim.offline.evaluate.evaluate": lambda f, at: f(at["run"]),
     "cosim.offline.evaluate.layout_of": lambda f, at: f(at["run"]),
     "cosim.offline.streets.encounters_with_streets": lambda f, at: f(open_run(at["run"])),
-    "cosim.offline.export.export": lambda f, at: f(open_run(at["run"]), "veremi", at["out"] / "api"),
+    "cosim.offline.export.export": lambda f, at: f(open_run(at["run"]), "veremi-nextgen", at["out"] / "api"),
     "cosim.offline.replay_lidar.config_of": lambda f, at: f(open_run(at["run"])),
     "cosim.offline.replay_lidar.film": lambda f, at: f(open_run(at["run"]), 0, at["out"] / "api.gif"),
     "cosim.offline.replay_lidar.portrait": lambda f, at: f(open_run(at["run"]), [0], 2, at["out"] / "scene.png"),

@@ -158,7 +158,6 @@ def test_the_shipped_set_is_whole_and_small():
     assert len({place.city for place in found.worlds}) == 3 and len(found.rules.cases) == 13
 
 
-
 @pytest.mark.verify
 def test_a_set_is_recorded_the_same_again(tmp_path):
     rules = replace(record.RULES, n_steps=12, start_step=4, cases=("none", "sybil", "offset"))

@@ -69,11 +69,10 @@ def test_interrupted_and_taken_up_again(folder, vehicles, tmp_path):
         ("waymo", {}, "no such choice. There are kitti"),
         ("kitti", {"vehicles": "99999"}, "there was never such a vehicle"),
         ("fcd", {"vehicles": "0"}, "fcd always has all vehicles"),
-        ("geoparquet", {"vehicles": "0"}, "geoparquet always has all vehicles"),
         ("kitti", {"vehicles": "../3"}, "numbers and spans"),
         ("kitti", {"vehicles": "5-3"}, "numbers and spans"),
         ("kitti", {"steps": "900-901"}, "no vehicle senses then"),
-        ("veremi", {}, 'holds no table receptions: it is kept at record.level = "full"'),
+        ("veremi-nextgen", {}, 'holds no table receptions: it is kept at record.level = "full"'),
         ("pcap", {"sets": ["received=true"]}, 'holds no table receptions: it is kept at record.level = "full"'),
         ("pcap", {"sets": ["latitude=60"]}, "the latitude and the longitude of the origin"),
         ("pcap", {"sets": ["latitude=99", "longitude=20"]}, "latitude"),
@@ -109,27 +108,13 @@ def test_packets_are_in_helsinki(folder, vehicles, tmp_path):
 
 
 @pytest.mark.verify
-@pytest.mark.filterwarnings("ignore")
-def test_omega_prime_of_helsinki(folder, tmp_path):
-    """Its validator passes, its map parses, and objects keep their places on the map after both projections."""
-    omega_prime = pytest.importorskip("omega_prime")
-    run = open_run(folder)
-    export(run, "omega-prime", tmp_path / "out")
-    found = omega_prime.Recording.from_file(str(tmp_path / "out/omega-prime.mcap"), validate=True)
-    assert type(found.map).__name__ == "MapOdr" and len(found.map.lanes) > 1000
-    rows = found.df.sort(["total_nanos", "idx"])
-    assert np.abs(rows["x"].to_numpy() - run.actors.x_m.to_numpy()).max() < 1e-3
-    assert np.abs(rows["y"].to_numpy() - run.actors.y_m.to_numpy()).max() < 1e-3
-
-
-@pytest.mark.verify
-@pytest.mark.parametrize("form", ["mcap", "geoparquet", "fcd", "nuscenes", "omega-prime"])
+@pytest.mark.parametrize("form", ["mcap", "fcd", "nuscenes"])
 def test_the_same_bytes_again(folder, vehicles, tmp_path, form):
     run = open_run(folder)
-    named = None if form in ("geoparquet", "fcd") else ",".join(map(str, vehicles[:1]))  # these have all vehicles
+    named = None if form == "fcd" else ",".join(map(str, vehicles[:1]))  # it has all vehicles
     for where in ("a", "b"):
-        if form in ("mcap", "omega-prime"):
-            pytest.importorskip("betterosi")
+        if form == "mcap":
+            pytest.importorskip("mcap")
         assert export(run, form, tmp_path / where, named, "1-2")["files"]
     first, second = (
         {p.relative_to(tmp_path / w): p.read_bytes() for p in sorted((tmp_path / w).rglob("*")) if p.is_file()}
@@ -144,7 +129,7 @@ def test_a_mistake_is_one_line(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words", [("waymo",), ("kitti", "--vehicles", "99999"), ("kitti", "--vehicles", "../<b>x</b>"), ("veremi",)]
+    "words", [("waymo",), ("kitti", "--vehicles", "99999"), ("kitti", "--vehicles", "../<b>x</b>"), ("veremi-nextgen",)]
 )
 def test_mistakes_on_the_command_line(folder, tmp_path, words):
     """One line, exit status 2, nothing written."""

@@ -127,11 +127,6 @@ def trupercept_to_world(label: dict, position: Path) -> np.ndarray:
     return np.array([*at, math.atan2(along[1], along[0])])
 
 
-def json_lines(path: Path) -> list[dict]:
-    """One object per line."""
-    return [json.loads(line) for line in path.read_text().splitlines()]
-
-
 class Bits:
     """Numbers one after another in bytes."""
 

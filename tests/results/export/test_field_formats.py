@@ -1,4 +1,4 @@
-"""MCAP, omega-prime, nuScenes, GeoParquet and floating car data: the truck by hand, and each field's own reader."""
+"""MCAP, nuScenes and floating car data: the truck by hand, and each field's own reader."""
 
 import gzip
 import json
@@ -7,12 +7,10 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
-import shapely
 
 from cosim.mobility.fcd import timesteps
-from results.export import fcd, frames, geoparquet, nuscenes, osi, ros2
+from results.export import fcd, nuscenes, ros2
 from results.export.earth import Projection
 from results.export.moments import Place
 from results.export.pcap import START_S
@@ -68,34 +66,6 @@ def test_fcd_is_read_by_the_trace_reader(run, of, tmp_path):
             assert middle == pytest.approx([actor.x_m, actor.y_m], abs=1e-4) and speed == actor.speed_mps
             n += 1
     assert n == len(run.actors)
-
-
-def test_geoparquet_by_hand(run, of, tmp_path):
-    truck.written(geoparquet.GeoParquet().plan(of), tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} >= {"actors.parquet", "detections.parquet", "trust.parquet"}
-    table = pq.read_table(tmp_path / "actors.parquet")
-    about = json.loads(pq.read_metadata(tmp_path / "actors.parquet").metadata[b"geo"])
-    column = about["columns"][about["primary_column"]]
-    assert about["version"] == "1.1.0" and column["encoding"] == "WKB" and column["geometry_types"] == ["Point"]
-    assert "crs" not in column, "longitude and latitude on WGS84 are the default"
-    xy = shapely.get_coordinates(shapely.from_wkb(table["geometry"].to_pylist()))
-    assert column["bbox"] == [*xy.min(axis=0), *xy.max(axis=0)]
-    # near the equator a degree of longitude is 111,319.49 m, and one of latitude 110,574.28 m; UTM shrinks by 0.9996
-    rows = table.to_pandas()
-    assert xy[:, 0] == pytest.approx(3 + rows.x_m.astype(float) / 0.9996 / 111_319.49, abs=1e-8)
-    assert xy[:, 1] == pytest.approx(rows.y_m.astype(float) / 0.9996 / 110_574.28, abs=1e-8)
-    assert rows.time_s.tolist() == rows.step.tolist()
-    assert len(rows) == len(run.actors) and table.schema.field("x_m").metadata[b"unit"] == b"m"
-
-
-def test_geoparquet_without_a_projection(run, tmp_path):
-    truck.written(geoparquet.GeoParquet().plan(truck.selection(run)), tmp_path)
-    table = pq.read_table(tmp_path / "actors.parquet")
-    assert (
-        json.loads(pq.read_metadata(tmp_path / "actors.parquet").metadata[b"geo"])["columns"]["geometry"]["crs"] is None
-    )
-    xy = shapely.get_coordinates(shapely.from_wkb(table["geometry"].to_pylist()))
-    assert xy.tolist() == table.select(["x_m", "y_m"]).to_pandas().to_numpy().tolist()
 
 
 def turned(quaternion, xyz):
@@ -237,24 +207,6 @@ def test_bag_of_no_vehicle_in_particular(of, tmp_path):
     assert {topic for topic, _, _ in decoded(tmp_path)} == {"/actors", "/buildings", "/fabricated", "/trust"}
 
 
-def test_osi_is_read_by_betterosi(run, of, tmp_path):
-    betterosi = pytest.importorskip("betterosi")
-    road = b"<OpenDRIVE/>"
-    place = replace(HERE, map_projection=lambda: ("+proj=utm +zone=35", (5.0, 6.0)), open_drive=lambda: road)
-    made = truck.written(osi.Osi().plan(replace(of, place=place)), tmp_path)
-    assert made == truck.written(osi.Osi().plan(replace(of, place=place)), tmp_path), "the same bytes again"
-    truths = list(betterosi.read(tmp_path / "omega-prime.mcap", return_ground_truth=True))
-    assert [t.timestamp.seconds for t in truths] == [0, 1, 2, 3] and truths[0].proj_frame_offset.position.y == 6
-    lorry = {o.id.value: o for o in truths[1].moving_object}[1]
-    assert lorry.base.position.x == 1097 and lorry.base.position.y == 2070 and lorry.base.position.z == 1.75
-    assert lorry.base.dimension.length == 10 and lorry.vehicle_classification.type.name == "HEAVY_TRUCK"
-    # from 5 m/s to 6 m/s in a second, to the north-west
-    assert lorry.base.acceleration.x == pytest.approx(-np.sqrt(0.5), abs=2e-3)
-    assert frames.wrapped(np.array([lorry.base.orientation.yaw]))[0] == pytest.approx(np.radians(135), abs=2e-3)
-    maps = [m for m in betterosi.read(tmp_path / "omega-prime.mcap") if type(m).__name__ == "MapAsamOpenDrive"]
-    assert [m.open_drive_xml_content for m in maps] == [road.decode()]
-
-
 def test_a_missing_library_is_one_line():
     with pytest.raises(ValueError, match="pip install 'cosim-perception\\[formats\\]'"), needed("x", "does", "formats"):
         import no_such_library  # noqa: F401
@@ -290,27 +242,6 @@ def test_bag_by_rosbags(of, tmp_path):
         found = [(c.topic, opened.deserialize(raw, c.msgtype)) for c, _, raw in opened.messages()]
         assert sum(counted.values()) == len(found) == opened.message_count
     assert [m.markers[1].scale.z for topic, m in found if topic == "/actors"] == [1.5] * 4
-
-
-@pytest.mark.verify
-@pytest.mark.filterwarnings("ignore")
-def test_osi_by_the_validator_of_omega_prime(run, of, tmp_path):
-    omega_prime = pytest.importorskip("omega_prime")
-    truck.written(osi.Osi().plan(of), tmp_path)
-    found = omega_prime.Recording.from_file(str(tmp_path / "omega-prime.mcap"), validate=True)
-    assert len(found.df) == len(run.actors) and set(found.moving_objects) == set(run.actors.actor)
-
-
-@pytest.mark.verify
-@pytest.mark.filterwarnings("ignore")
-def test_geoparquet_by_geopandas(run, of, tmp_path):
-    geopandas = pytest.importorskip("geopandas")
-    truck.written(geoparquet.GeoParquet().plan(of), tmp_path)
-    found = geopandas.read_parquet(tmp_path / "actors.parquet")
-    assert found.crs.to_epsg() == 4326 or found.crs.to_string() == "OGC:CRS84"
-    back = found.to_crs("EPSG:32631")
-    assert back.geometry.x.to_numpy() - 5e5 == pytest.approx(run.actors.x_m.to_numpy(), abs=1e-3)
-    assert back.geometry.y.to_numpy() == pytest.approx(run.actors.y_m.to_numpy(), abs=1e-3)
 
 
 @pytest.mark.verify
