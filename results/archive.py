@@ -1,6 +1,5 @@
 """Open a run: its tables and the metrics computed from them."""
 
-from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,8 +11,6 @@ from results.run import Run
 from results.tables import SCHEMA_VERSION
 
 if TYPE_CHECKING:
-    import xarray
-
     from results.measure import Measures
 
 
@@ -26,15 +23,6 @@ class OpenRun(Run):
         from results.measure import Measures  # here, because SciPy and NetworkX take their time
 
         return Measures(self)
-
-    def to_xarray(self, name: str, columns: Sequence[str] | None = None) -> "xarray.Dataset":
-        """A table as labelled arrays, whose dimensions are the columns of its key; see `results.labelled_arrays`.
-
-        `run.to_xarray("trust")` has the dimensions time [s], variant and subject.
-        """
-        from results.labelled_arrays import of_table
-
-        return of_table(self, name, columns)
 
 
 def open_run(path: str | Path, unfinished: bool = False) -> OpenRun:

@@ -16,7 +16,7 @@ FOREIGN = {
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba", "scipy"},
     "results": {
         "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib",
-        "betterosi", "bokeh", "mcap", "statsmodels", "xarray", "yaml",
+        "bokeh", "mcap", "statsmodels", "yaml",
     },
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "scipy", "shapely", "osmium", "sumo", "sumolib"},
     "cosim": {
@@ -37,7 +37,6 @@ ONE_FILE = {
     "statsmodels": {"results/durations/hazards.py"},
     "trimesh": {"cosim/mobility/meshes.py"},
     "bokeh": {"results/interactive.py"},
-    "betterosi": {"results/export/osi.py"},
     "mcap": {"results/export/ros2.py"},
     "osmium": {"sumo_nets/osm.py"},
     "distributed": {

@@ -60,12 +60,6 @@ print(lookups.groupby("state", observed=True).newest_evaluation_age_s.describe()
 print(lookups.state.value_counts(normalize=True).round(3).to_dict())
 
 # %% [markdown]
-# ## As labelled arrays
-#
-# With the extra `formats`, `run.to_xarray("trust")` gives a table as an xarray dataset over time, subject and variant,
-# with units in the attributes. `to_zarr("trust.zarr", zarr_format=2)` writes it.
-
-# %% [markdown]
 # ## Everything at once, and a figure
 
 # %%
