@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from results import durable, interactive
+from results import durable
 from results.columns import Column
 from results.figures import style
 from results.figures.catalogue import FIGURES
@@ -63,14 +63,12 @@ def write(run: Run, path: str | Path | None = None) -> Path:
 def page(run: Run) -> str:
     """The page as HTML."""
     numbers = measure(run)
-    head, answering = _answering(run)
     parts = [
         f"<h1>{escape(run.name)}</h1>",
         f'<p class="soft">{escape(_span(run))}</p>',
         "<nav>" + "".join(f'<a href="#{name.lower()}">{name}</a>' for name in _SECTIONS) + "</nav>",
         _facts(run, numbers),
         '<h2 id="figures">Figures</h2>',
-        answering,
         f'<div class="figures">{"".join(_figure(name, run) for name in FIGURES)}</div>',
         '<h2 id="numbers">Numbers</h2>',
         *(_topic(topic, numbers[numbers.metric.str.startswith(topic + ".")]) for topic in TOPICS),
@@ -83,7 +81,7 @@ def page(run: Run) -> str:
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(run.name)}</title><style>{STYLE}</style>{head}</head>\n<body>\n{body}\n</body></html>\n"
+        f"<title>{escape(run.name)}</title><style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
     )
 
 
@@ -118,15 +116,6 @@ def _facts(run: Run, numbers: pd.DataFrame) -> str:
             where += ", no better than chance" if metric.endswith("auc") and row.low <= 0.5 <= row.high else ""
             boxes.append(f"<div><b>{_number(row.value, row.unit)}</b><span>{escape(text + where)}</span></div>")
     return f'<div class="facts">{"".join(boxes)}</div>'
-
-
-def _answering(run: Run) -> tuple[str, str]:
-    """The figure with filters: elements for the head and for the body of the page."""
-    try:
-        body = interactive.trust_figure(run)
-        return interactive.scripts(), body
-    except ValueError as reason:
-        return "", f'<p class="missing">No figure with filters: {escape(str(reason))}</p>'
 
 
 def _figure(name: str, run: Run) -> str:

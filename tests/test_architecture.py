@@ -16,7 +16,7 @@ FOREIGN = {
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba", "scipy"},
     "results": {
         "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib",
-        "bokeh", "mcap", "statsmodels", "yaml",
+        "mcap", "statsmodels", "yaml",
     },
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "scipy", "shapely", "osmium", "sumo", "sumolib"},
     "cosim": {
@@ -36,7 +36,6 @@ ONE_FILE = {
     "rerun": {"cosim/offline/view.py", "cosim/offline/live.py"},
     "statsmodels": {"results/durations/hazards.py"},
     "trimesh": {"cosim/mobility/meshes.py"},
-    "bokeh": {"results/interactive.py"},
     "mcap": {"results/export/ros2.py"},
     "osmium": {"sumo_nets/osm.py"},
     "distributed": {

@@ -7,13 +7,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from results import interactive, report
+from results import report
 from results.archive import open_run
 from results.figures import style
 from results.figures.catalogue import FIGURES
 from results.tables import TABLES
 from tests.results.synthetic import write
-from tests.results.tiny import fleet
 
 VOID = {"meta", "img", "br"}
 
@@ -79,27 +78,3 @@ def test_below_a_file_no_folder_is_made(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match=r"Not a directory|File exists"):
         report.write(run, tmp_path / "file" / "report.html")
-
-
-def test_the_figure_with_filters(tiny):
-    """Every value is in the page, with its role and its attack; names cannot leave the script that holds them."""
-    pytest.importorskip("bokeh")
-    name = "</script><b>x.py:Shift"
-    vehicles = fleet("honest", "malicious", "malicious")
-    for number, attack in ((1, 0), (2, 1)):
-        vehicles[number]["attack"] = attack
-    rated = {"variant": "base", "newest_evaluation_age_s": 1.5}
-    trust = [
-        rated | {"step": s, "subject": v, "trust": 0.25 * v, "n_evaluations": v} for s in (1, 4) for v in range(3)
-    ]  # fmt: skip
-    run = tiny(6, {"attacks": [{"attack": "ghost_insertion"}, {"attack": name}]}, vehicles=vehicles, trust=trust)
-    rows = interactive.trust_values(run)
-    assert rows.groupby("subject").attack.first().tolist() == ["none", "0: ghost_insertion", f"1: {name}"]
-    assert rows.time_s.tolist() == [1, 4] * 3 and rows.trust.tolist() == [0, 0, 0.25, 0.25, 0.5, 0.5]
-    text = interactive.trust_figure(run)
-    assert text.count("</script>") == 1 and "</script><b>" not in text
-    assert "0: ghost_insertion" in text and "malicious" in text
-    element, script = text.split("<script", 1)
-    assert not re.search(r"[0-9a-f]{8}-[0-9a-f]{4}-", text), "nothing in a report is random"
-    assert all(name in script for name in re.findall(r'id="(trust-\d+)"', element)) and 'id="trust-' in element
-    assert interactive.thinned(rows, 2).subject.tolist() == [0, 0, 1, 1], "the first of each role"
