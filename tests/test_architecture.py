@@ -16,7 +16,7 @@ FOREIGN = {
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba", "scipy"},
     "results": {
         "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib",
-        "mcap", "statsmodels", "yaml",
+        "mcap", "yaml",
     },
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "scipy", "shapely", "osmium", "sumo", "sumolib"},
     "cosim": {
@@ -34,7 +34,6 @@ ONE_FILE = {
     "open3d": {"sensors/raycast/open3d.py"},
     "pydantic": {"cosim/config/data.py"},
     "rerun": {"cosim/offline/view.py", "cosim/offline/live.py"},
-    "statsmodels": {"results/durations/hazards.py"},
     "trimesh": {"cosim/mobility/meshes.py"},
     "mcap": {"results/export/ros2.py"},
     "osmium": {"sumo_nets/osm.py"},

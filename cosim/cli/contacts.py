@@ -256,37 +256,3 @@ def judge_contacts(
         for row in ranks.itertuples():
             screen.print(f"  {row.ranking}" if row.ranking else f"  {row.what}", soft_wrap=True)
             screen.print(f"    {row.sentence}", soft_wrap=True)
-
-
-@judges.command("streets")
-def judge_streets_of(
-    runs: Annotated[list[Path], typer.Argument(help="Folders of runs with the table `actors`, one per city.")],
-    radius_m: Annotated[
-        float | None, typer.Option("--radius-m", help="Radius of the encounters. The default is the smallest one.")
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Say which property of the streets makes encounters long: hazard ratios of a proportional hazards model."""
-    from cosim.offline.streets import judge_streets
-
-    cities, streets, both = judge_streets(runs, radius_m)
-    if as_json:
-        tables = {"cities": cities, "streets": streets, "streets_and_headings": both}
-        print_json({name: rows_of(table) for name, table in tables.items()})
-        return
-    _print_frame("cities: means at the places where encounters begin", cities)
-    _print_frame("hazard of the end, per standard deviation within a city; below 1 makes encounters longer", streets)
-    _print_frame("the same, beside the directions of the two vehicles", both)
-
-
-def _print_frame(title: str, frame: Any) -> None:
-    """Print a table of figures."""
-    from rich.box import SIMPLE
-    from rich.table import Column, Table
-
-    first, *others = frame.columns
-    table = Table(first, *(Column(name, justify="right") for name in others), title=title, box=SIMPLE)
-    table.title_justify = "left"
-    for row in frame.itertuples(index=False):
-        table.add_row(str(row[0]), *(plain(float(value)) for value in row[1:]))
-    screen.print(table)

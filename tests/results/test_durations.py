@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,7 +13,6 @@ from results.durations.dyads import sum_of_products
 from results.durations.families import FAMILIES
 from results.durations.fit import fit, fits, log_counted
 from results.durations.goodness import kolmogorov_smirnov, product_limit
-from results.durations.hazards import proportional_hazards
 from results.durations.samples import Durations, definitions, of_run
 from results.figures import durations as figure
 from results.metrics.survival import kaplan_meier
@@ -240,21 +238,3 @@ def test_a_picture_of_tails(run, tiny):
     assert len(drawn.axes) == 4 and "Kaplan-Meier, 95 %" in labels and len(labels) == 6
     with pytest.raises(ValueError, match="has no encounters with these options"):
         figure.draw([run], radius_m=7.0)
-
-
-def test_hazards_of_made_up_cities():
-    """Hazard of the end e^0.5 per unit of a covariate, two cities with baselines 1 : 3, a third of them cut off."""
-    pytest.importorskip("statsmodels", reason="statsmodels is not installed")
-    random = np.random.default_rng(0)
-    n = 2000
-    city, x, noise = np.repeat(["one", "other"], n // 2), random.normal(size=n), random.normal(size=n)
-    rate = np.where(city == "one", 1.0, 3.0) * np.exp(0.5 * x) / 30
-    lasted = np.ceil(random.exponential(1 / rate))
-    cut = np.ceil(random.exponential(40.0, n))
-    frame = pd.DataFrame({"lasted_steps": np.minimum(lasted, cut), "ended": lasted <= cut, "a": np.arange(n),
-                          "b": np.arange(n) + n, "x": x, "noise": noise, "city": city})  # fmt: skip
-    found = proportional_hazards(frame, ["x", "noise"]).set_index("covariate")
-    assert found.low["x"] < math.exp(0.5 * found.sd["x"]) < found.high["x"] and found.p["x"] < 1e-9
-    assert found.low["noise"] < 1 < found.high["noise"]
-    with pytest.raises(ValueError, match="flat cannot be estimated"):
-        proportional_hazards(frame.assign(flat=1.0), ["x", "flat"])
