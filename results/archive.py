@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 from results import durable
 from results.durable import Damaged
-from results.manifest import problems, read_manifest
+from results.manifest import check_schema, problems, read_manifest
 from results.run import Run
-from results.tables import SCHEMA_VERSION
 
 if TYPE_CHECKING:
     from results.measure import Measures
@@ -46,12 +45,8 @@ def open_run(path: str | Path, unfinished: bool = False) -> OpenRun:
     is_live, manifest = durable.is_locked(path), read_manifest(path)
     if manifest["status"] == "running" and not is_live:
         manifest = read_manifest(path)  # it may have ended meanwhile
-    version, status = manifest["schema_version"], manifest["status"]
-    if version != SCHEMA_VERSION:
-        raise ValueError(
-            f"{path} was written with schema version {version} (other names of tables and columns); this cosim reads "
-            f"version {SCHEMA_VERSION}. Run again with this cosim, or read it with the one in its manifest.json."
-        )
+    check_schema(path, manifest)
+    status = manifest["status"]
     run = OpenRun(path, manifest)
     is_live = is_live and status != "finished"
     if is_live and unfinished:

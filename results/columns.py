@@ -35,7 +35,7 @@ class Column:
     layout: Layout | None = None
     """How Parquet lays out the values; None for the layout that `Table.layouts` chooses."""
     absent: Literal["", "step", "zero", "null"] = ""
-    """Not in every run if given: what rows have in runs that do not need the column, or were made before there was one.
+    """Not in every run if given: what rows have in runs that do not need the column.
     It is the row's `step`, 0 or null."""
     via: Literal["", "source", "pose"] = ""
     """Not stored if given: `open_run` reads the column from the detection that `<via>` and `<via>_index` name."""

@@ -45,6 +45,29 @@ def read_manifest(path: str | Path) -> dict[str, Any]:
     return manifest
 
 
+def check_schema(path: Path, manifest: Mapping[str, Any]) -> None:
+    """Raise ValueError, with a one-line message, if the tables of a run have another schema than this cosim's."""
+    version = manifest["schema_version"]
+    if version == SCHEMA_VERSION:
+        return
+    source = manifest.get("source")
+    said = source if isinstance(source, Mapping) else {}
+    named = {"version": "cosim", "commit": "commit"}
+    reader = ", ".join(f"{what} {said[key]}" for key, what in named.items() if _is_name(said.get(key)))
+    raise ValueError(
+        f"{path} was written with schema version {version} of the tables, and this cosim reads {SCHEMA_VERSION}. "
+        f"Read it with {reader or 'the cosim that wrote it'}, or run again."
+    )
+
+
+def _is_name(value: Any) -> bool:
+    """Whether a value of a manifest can be shown as part of a line."""
+    return isinstance(value, str) and value.isprintable() and 0 < len(value) <= _LONGEST_NAME
+
+
+_LONGEST_NAME = 60
+
+
 def _check_kinds(manifest: Mapping[str, Any]) -> None:
     """ValueError where an entry is no such thing as is written there: a checksum can be made anew by anybody."""
     if not (isinstance(manifest["status"], str) and manifest["status"] in STATUSES):

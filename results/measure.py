@@ -1,6 +1,5 @@
 """The metrics of a run in one tidy table."""
 
-import logging
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from inspect import isfunction, signature
@@ -32,7 +31,7 @@ from results.metrics import (
 )
 from results.metrics.intervals import FEW
 from results.metrics.kitti import FEWEST
-from results.metrics.registry import METRICS, RENAMED
+from results.metrics.registry import METRICS
 from results.own_metrics import COLUMNS
 from results.run import Run
 
@@ -160,9 +159,6 @@ class Measures:
 
     def value(self, metric: str, group: str = "", **options: Any) -> float:
         """One metric: `run.measure.value("trust.final.median", "malicious")`; NaN if it is not defined."""
-        if metric in RENAMED:
-            logging.getLogger(__name__).warning("The metric %s is now called %s.", metric, RENAMED[metric])
-            metric = RENAMED[metric]
         if metric not in METRICS:
             raise ValueError(f"There is no metric {metric!r}. `cosim measure --explain` lists them.")
         found = measure(self._run, topics=(metric.split(".")[0],), **options)

@@ -1,10 +1,8 @@
 """Part files read back: columns, rows, pieces."""
 
-import logging
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -33,14 +31,23 @@ def plain(column: pa.Array, labels: Sequence[str]) -> np.ndarray:
     Raises
     ------
     ValueError
-        If the column has a label that is not in `labels`.
+        In one line, if the column has a label that is not in `labels`.
     """
     if not pa.types.is_dictionary(column.type):
         return column.to_numpy(zero_copy_only=False)
-    if "evaluated" in labels:
-        column = _present(column)
-    code = np.array([*map(list(labels).index, column.dictionary.to_pylist()), -1], np.int16)
+    found = column.dictionary.to_pylist()
+    check_labels(found, labels)
+    code = np.array([*map(list(labels).index, found), -1], np.int16)
     return code[column.indices.fill_null(-1).to_numpy(zero_copy_only=False)]
+
+
+def check_labels(found: Sequence[str], known: Sequence[str]) -> None:
+    """Raise ValueError, with a one-line message, if a column has labels that this cosim does not know."""
+    if unknown := [label for label in found if label not in known]:
+        raise ValueError(
+            f"the run has the labels {', '.join(map(repr, unknown))}, and this cosim knows {', '.join(known)}: another "
+            "version of cosim wrote it. Run again."
+        )
 
 
 def write_apart(file: Path, rows: pa.Table, variants: Sequence[str]) -> None:
@@ -56,10 +63,6 @@ def write_apart(file: Path, rows: pa.Table, variants: Sequence[str]) -> None:
             out.write_batch(ordered.slice(begin, end - begin))
 
 
-EARLIER_LABELS: Mapping[str, str] = {"judged": "evaluated", "unjudged": "unevaluated", "default": "no_value"}
-"""Present labels of columns named `state`, by the labels that runs of earlier versions have."""
-
-
 def read(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
     """Columns and rows of a part. ValueError or `Damaged`, in one line, if it cannot be read."""
     if absent := _absent(path, names, where):
@@ -71,29 +74,7 @@ def read(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Ta
             rows = rows.append_column(schema(path.parent.name).field(name), _value_of_absent(path, name, rows))
         return (rows if late is None else rows.filter(late)).select(list(names))
     with _readable(path, names):
-        rows = pq.read_table(path, columns=list(names), filters=where, partitioning=None)
-    for number, field in enumerate(rows.schema):
-        if field.name.startswith("state") and pa.types.is_dictionary(field.type):
-            chunks = [_present(chunk) for chunk in rows.column(number).chunks]
-            rows = rows.set_column(number, field, pa.chunked_array(chunks, field.type))
-    return rows
-
-
-def _present(column: pa.DictionaryArray) -> pa.DictionaryArray:
-    """A column of states with the present labels. It says once that a run has earlier ones."""
-    labels = column.dictionary.to_pylist()
-    if not EARLIER_LABELS.keys() & set(labels):
-        return column
-    _say_earlier_labels()
-    return pa.DictionaryArray.from_arrays(
-        column.indices, pa.array([EARLIER_LABELS.get(label, label) for label in labels], column.dictionary.type)
-    )
-
-
-@cache
-def _say_earlier_labels() -> None:
-    now = ", ".join(f"{old} is now {new}" for old, new in EARLIER_LABELS.items())
-    logging.getLogger(__name__).warning("The run has states under the names of an earlier version: %s.", now)
+        return pq.read_table(path, columns=list(names), filters=where, partitioning=None)
 
 
 def read_pieces(path: Path, names: Sequence[str], n_rows: int) -> Iterator[pa.RecordBatch]:

@@ -360,6 +360,7 @@ class Run:
         for field in table.schema:
             categories = TABLES[name].columns[field.name].labels(self.manifest)
             if categories:
+                part_reader.check_labels(frame[field.name].cat.categories, categories)
                 frame[field.name] = frame[field.name].cat.set_categories(list(categories))
             elif field.nullable and field.type in nullable:
                 frame[field.name] = table.column(field.name).to_pandas(types_mapper=nullable.get)

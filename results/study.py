@@ -1,7 +1,6 @@
 """A study on disk: its points, their runs, and every metric by swept key with its interval."""
 
 import json
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -14,10 +13,8 @@ import pyarrow.parquet as pq
 from results import durable
 from results.archive import OpenRun, open_run
 from results.metrics.intervals import FREE, Bounds, around
-from results.metrics.registry import TOPICS, bounds_of, present_names
+from results.metrics.registry import TOPICS, bounds_of
 from results.spreadsheet import csv_of
-
-_log = logging.getLogger(__name__)
 
 
 class Study:
@@ -55,11 +52,7 @@ class Study:
             raise ValueError(f"{self.path} has no finished run yet. Run `cosim sweep` on.")
         columns = ["point", "replicate", *self.keys]
         found = self.points[columns].merge(pd.concat(frames, ignore_index=True), on="point", how="inner")
-        found = found[~found.metric.str.endswith(".not_measured")].reset_index(drop=True)
-        found, old = present_names(found)
-        if old:
-            _log.warning("%s was measured when these had other names: %s.", self.path, "; ".join(old))
-        return found
+        return found[~found.metric.str.endswith(".not_measured")].reset_index(drop=True)
 
     @cached_property
     def summary(self) -> pd.DataFrame:

@@ -2,9 +2,8 @@
 
 import copy
 import difflib
-import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
@@ -352,7 +351,6 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
     variants = data.pop("trust_variant", [])
     has_step = bool({"step_s", "trace"} & _section_of(data, "traffic").keys())
     preset.under(data, where)
-    _rename(data, [data.get("trust"), *(variants if isinstance(variants, list) else [])], where)
     own: dict[str, dict[str, Any]] = {}
     types = {f.name: f.type for f in fields(Config)}
     for section in SECTIONS:
@@ -392,9 +390,10 @@ def _section_of(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 def of_run(recorded: Mapping[str, Any], folder: Path, trust_code: bool = False) -> Config:
     """The config in the manifest of a run folder. Python files that it names are loaded only with `trust_code`."""
+    if "preset" not in recorded:
+        raise ValueError(f"{folder}/manifest.json names no preset: an earlier cosim wrote the run. Run again.")
     with loading_code(folder, trust_code):
-        data = {"preset": "v0.2"} | copy.deepcopy(dict(recorded))  # runs of earlier versions name no preset
-        return resolve_data(data, f"{folder}/manifest.json", None)
+        return resolve_data(copy.deepcopy(dict(recorded)), f"{folder}/manifest.json", None)
 
 
 def of_run_without_code(recorded: Mapping[str, Any], folder: Path) -> Config:
@@ -412,29 +411,6 @@ def of_run_without_code(recorded: Mapping[str, Any], folder: Path) -> Config:
     if "trust" not in data or any(_names_code(variant, "model") for variant in data.get("trust_variant") or ()):
         data["trust_variant"] = []
     return of_run(data, folder)
-
-
-def _rename(data: dict[str, Any], of_trust: Iterable[Any], where: str) -> None:
-    """Read the earlier names of keys as their present names, and say so.
-
-    Parameters
-    ----------
-    data
-        The whole config.
-    of_trust
-        The section [trust] and those of the trust variants.
-    where
-        The file, for the note.
-    """
-    note = logging.getLogger(__name__).warning
-    for section in of_trust:
-        if isinstance(section, dict) and "unjudged" in section and "unevaluated" not in section:
-            section["unevaluated"] = section.pop("unjudged")
-            note("trust.unjudged in %s is now called trust.unevaluated.", where)
-    radio, cpm = data.get("radio"), data.get("cpm", {})
-    if isinstance(radio, dict) and "cpm_rules" in radio and isinstance(cpm, dict) and "rules" not in cpm:
-        data["cpm"] = cpm | {"rules": radio.pop("cpm_rules")}
-        note("radio.cpm_rules in %s is now called cpm.rules.", where)
 
 
 def _names_code(section: Any, key: str) -> bool:

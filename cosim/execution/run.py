@@ -37,10 +37,9 @@ from cosim.step.trackers.attack_start import AttackStartTracker
 from results import inventory
 from results.durable import PARTIAL, Damaged, open_regular
 from results.inventory import CHECKPOINT, Inventory
-from results.manifest import problems, read_manifest
+from results.manifest import check_schema, problems, read_manifest
 from results.recorder import Recorder, is_state
 from results.run import content_problem
-from results.tables import SCHEMA_VERSION
 from results.verify import links
 
 
@@ -219,11 +218,7 @@ def resumable(path: Path, trust_code: bool = False) -> Config:
         If the folder contradicts its manifest.
     """
     manifest = read_manifest(path)
-    if manifest["schema_version"] != SCHEMA_VERSION:
-        raise ValueError(
-            f"{path} was written with schema version {manifest['schema_version']}, this cosim writes {SCHEMA_VERSION}. "
-            "Run again."
-        )
+    check_schema(path, manifest)
     now = versions()
     begun_with = manifest.get("versions", {})
     if other := [f"{p} {v} (now {now.get(p)})" for p, v in begun_with.items() if now.get(p) != v]:

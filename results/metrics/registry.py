@@ -9,8 +9,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import pandas as pd
-
 from results.metrics.radio import LOST
 
 
@@ -245,34 +243,3 @@ METRICS: Mapping[str, Metric] = {
     **{f"{topic}.not_measured": Metric("not measured", "", "The run does not contain the data; the group gives the reason.", "reason") for topic in TOPICS},
 }
 # fmt: on
-
-RENAMED: Mapping[str, str] = {
-    "misbehaviour.rated.share": "misbehaviour.evaluated.share",
-    "misbehaviour.auc_unrated": "misbehaviour.auc_unevaluated",
-    "misbehaviour.below_threshold.rated_share": "misbehaviour.below_threshold.evaluated_share",
-    "freshness.server_unjudged.share": "freshness.server_unevaluated.share",
-}
-"""Present identifiers of metrics, by the identifier that they had in studies of earlier versions."""
-RENAMED_STATES: Mapping[str, str] = {"judged": "evaluated", "unjudged": "unevaluated", "default": "no value"}
-"""Present names of the states in groups of `freshness.lookup_state.share`, by their earlier names."""
-
-
-def present_names(frame: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
-    """Replace earlier names of metrics and states by the present ones.
-
-    Parameters
-    ----------
-    frame
-        Measures, with columns metric and group.
-
-    Returns
-    -------
-    The measures with present names, and the earlier names that were replaced.
-    """
-    states = (frame.metric == "freshness.lookup_state.share") & frame.group.str.split(",").str[0].isin(RENAMED_STATES)
-    old = sorted(set(frame.metric) & set(RENAMED)) + sorted(set(frame.group[states]))
-    group = frame.group.copy()
-    group[states] = [
-        ",".join((RENAMED_STATES[first], *rest)) for first, *rest in frame.group[states].str.split(",")
-    ]  # fmt: skip
-    return frame.assign(metric=frame.metric.replace(dict(RENAMED)), group=group), old

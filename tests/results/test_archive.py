@@ -76,8 +76,20 @@ def test_unfinished_and_foreign_runs(broken):
     write_manifest(broken, manifest | {"status": "running"})
     assert "cosim resume" in complaint(broken) and '"killed"' in complaint(broken)
     assert len(open_run(broken, unfinished=True).actors)
-    write_manifest(broken, manifest | {"schema_version": 99})
-    assert "schema version 99" in complaint(broken)
+
+
+@pytest.mark.parametrize(
+    ("source", "reader"),
+    [
+        ({"version": "0.2.0", "commit": "0123abcd"}, "Read it with cosim 0.2.0, commit 0123abcd, or run again."),
+        ({"version": "0.2.0\n", "commit": 3}, "Read it with the cosim that wrote it, or run again."),
+        ([], "Read it with the cosim that wrote it, or run again."),
+    ],
+)
+def test_a_run_of_another_schema_names_its_reader(broken, source, reader):
+    write_manifest(broken, read_manifest(broken) | {"schema_version": 7, "source": source})
+    found = complaint(broken)
+    assert "schema version 7" in found and found.endswith(reader)
 
 
 def test_an_edited_manifest_is_found(broken):

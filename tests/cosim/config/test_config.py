@@ -155,17 +155,6 @@ def test_encounters_that_are_equal_in_32_bits_are_refused(first, second):
     assert len(load(None, ["encounters.0.radius_m=100", "encounters.1.radius_m=100.00001"]).encounters) == 2
 
 
-def test_the_earlier_name_of_a_key_is_read_with_a_note(tmp_path, caplog):
-    path = tmp_path / "old.toml"
-    path.write_text('[trust]\nunjudged = "value"\n[[trust_variant]]\nname = "other"\nunjudged = "default"\n')
-    config = load(path)
-    assert (config.trust.unevaluated, config.trust_variant[0].trust.unevaluated) == ("value", "default")
-    assert f"trust.unjudged in {path.name} is now called trust.unevaluated" in caplog.text
-    path.write_text('[trust]\nunjudged = "value"\nunevaluated = "value"\n')
-    with pytest.raises(ValueError, match="unjudged: unknown key"):
-        load(path)
-
-
 def test_an_own_default_counts_where_a_key_of_the_same_name_is_not_set(tmp_path):
     """`detector.half_returns` has no value unless it is given; `pseudonyms.own_gap_s` has one."""
     head = "from dataclasses import dataclass\n\n@dataclass(frozen=True)\nclass Params:\n    {}\n\n"
@@ -180,16 +169,12 @@ def test_an_own_default_counts_where_a_key_of_the_same_name_is_not_set(tmp_path)
     assert chosen(load(tmp_path / "mine.toml"), "pseudonyms")[1].own_gap_s == 1.5
 
 
-def test_the_rules_of_messages_have_moved_to_a_section_of_their_own(tmp_path, caplog):
+def test_earlier_names_of_keys_are_unknown_keys(tmp_path):
     path = tmp_path / "old.toml"
-    path.write_text('[radio]\nrange_m = 150\ncpm_rules = "etsi"\n[cpm]\nlength = "uper"\n')
-    config = load(path)
-    assert (config.cpm.rules, config.cpm.length, config.radio.range_m) == ("etsi", "uper", 150)
-    assert f"radio.cpm_rules in {path.name} is now called cpm.rules" in caplog.text
-    assert load(None, ["radio.cpm_rules=etsi"]).cpm.rules == "etsi"
-    path.write_text('[radio]\ncpm_rules = "etsi"\n[cpm]\nrules = "all"\n')
-    with pytest.raises(ValueError, match=r"radio\.cpm_rules: unknown key"):
-        load(path)
+    for text in ('[radio]\ncpm_rules = "etsi"\n', '[trust]\nunjudged = "value"\n'):
+        path.write_text(text)
+        with pytest.raises(ValueError, match="unknown key"):
+            load(path)
 
 
 @pytest.mark.parametrize(

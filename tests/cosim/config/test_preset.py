@@ -79,11 +79,12 @@ def test_resolving_a_resolved_config_changes_nothing():
     assert resolve_data(recorded(once), "a test", None) == once
 
 
-def test_a_run_of_an_earlier_version_has_no_preset():
+def test_a_run_of_an_earlier_version_has_no_preset_and_is_refused():
     manifest = recorded(Config())
-    del manifest["preset"], manifest["sensing_phase"], manifest["gnss"]
-    of = of_run(manifest, Path("runs/old"))
-    assert (of.preset, of.sensing_phase, of.gnss.std_m) == ("v0.2", "common", 0.0)
+    assert of_run(manifest, Path("runs/new")) == Config()
+    del manifest["preset"]
+    with pytest.raises(ValueError, match=r"runs/old/manifest\.json names no preset: an earlier cosim wrote the run"):
+        of_run(manifest, Path("runs/old"))
 
 
 def test_the_step_of_the_users_own_scenario_is_kept_if_it_is_shorter(tmp_path):
