@@ -15,7 +15,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.mobility.fcd import Timestep, timesteps
-from cosim.mobility.replay import types_of
+from cosim.mobility.identity import TypeTable
 from cosim.mobility.scenario import Scenario
 from sumo_nets import sumotools
 from sumo_nets.footprints import read_footprints, write_footprints
@@ -97,7 +97,7 @@ def _trace(scenario: Scenario, shifts_m: Float[ndarray, "k 2"], out: Path) -> in
     finally:
         if writer is not None:
             writer.close()
-    look_up = types_of(scenario.types)
+    look_up = TypeTable(scenario.types)
     lines = []
     for name in sorted(types):
         vclass, size_m = look_up(name)
