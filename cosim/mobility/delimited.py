@@ -78,7 +78,7 @@ def check_header(path: Path, found: Header, wanted: Collection[str]) -> None:
         raise TrafficError(f"{path}: its header has the column {twice[0]} twice. Remove one of them.")
 
 
-def blocks(path: Path, found: Header, wanted: Collection[str]) -> Iterator[pa.Table]:
+def blocks(path: Path, found: Header, wanted: Collection[str], has_header: bool = True) -> Iterator[pa.Table]:
     """Columns as text, without blanks around the values, a few megabytes of the file at a time.
 
     The file is cut into whole lines here, and not by Arrow, whose threads outlive an error and then abort the process.
@@ -89,7 +89,7 @@ def blocks(path: Path, found: Header, wanted: Collection[str]) -> Iterator[pa.Ta
         The file is damaged, or a row has more or fewer values than the header has names.
     """
     n_rows = 0
-    for lines, is_torn in _whole_lines(path):
+    for lines, is_torn in _whole_lines(path, has_header):
         try:
             table = pcsv.read_csv(
                 pa.BufferReader(lines),
@@ -106,11 +106,12 @@ def blocks(path: Path, found: Header, wanted: Collection[str]) -> Iterator[pa.Ta
         n_rows += table.num_rows
 
 
-def _whole_lines(path: Path) -> Iterator[tuple[bytes, bool]]:
-    """The lines after the first one, in blocks that end at the end of a line, and whether a line lacks its end."""
+def _whole_lines(path: Path, has_header: bool) -> Iterator[tuple[bytes, bool]]:
+    """The lines after the header, in blocks that end at the end of a line, and whether a line lacks its end."""
     try:
         with open_input(path) as source:
-            source.readline(_HEAD_BYTES)
+            if has_header:
+                source.readline(_HEAD_BYTES)
             left = b""
             while chunk := source.read(_BLOCK_BYTES):
                 whole, end, rest = (left + chunk).rpartition(b"\n")
