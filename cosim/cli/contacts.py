@@ -224,9 +224,9 @@ def found_lines(about: dict[str, Any]) -> list[str]:
     if "speed_median_mps" in about:
         classes = ", ".join(f"{n:,} {name}" for name, n in about["classes"].items())
         lines.append(
-            f"{classes}; speeds {plain(about['speed_median_mps'])} m/s (median) and {plain(about['speed_p95_mps'])} m/s "
-            f"(95 %); {plain(about['extent_east_m'])} m from west to east, {plain(about['extent_north_m'])} m from south "
-            "to north"
+            f"{classes}; speeds {plain(about['speed_median_mps'])} m/s (median) and {plain(about['speed_p95_mps'])} "
+            f"m/s (95 %); {plain(about['extent_east_m'])} m from west to east, {plain(about['extent_north_m'])} m from "
+            "south to north"
         )
     if read_as := about.get("read_as"):
         lines.append("read as: " + "; ".join(read_as))

@@ -137,8 +137,8 @@ def _unreadable(said: str, is_torn: bool) -> str:
     if is_torn:
         return f"its last row is not complete ({row}): the file ends early. {ENDS_EARLY}."
     return (
-        f"a row has {got} values and the header has {n} names ({row}): rows of any length are not read. Write a row per "
-        f"vehicle and time, each with {n} values."
+        f"a row has {got} values and the header has {n} names ({row}): rows of any length are not read. Write a row "
+        f"per vehicle and time, each with {n} values."
     )
 
 

@@ -140,7 +140,8 @@ def _xml(path: Path) -> Iterator[Timestep]:
     except TrafficError:
         raise
     except ValueError as error:
-        if root == "fcd-export" and last != root and any(words in str(error) for words in _AT_THE_END):
+        is_open = not root or (root == "fcd-export" and last != root)
+        if is_open and any(words in str(error) for words in _AT_THE_END):
             at = f" after {time_s:g} s" if np.isfinite(time_s) else ""
             raise TrafficError(f"{path} ends{at}, before </fcd-export>: {delimited.ENDS_EARLY}.") from None
         raise TrafficError(str(error)) from None

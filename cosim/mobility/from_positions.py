@@ -1,6 +1,5 @@
 """Makes a trace that a run can drive from positions of vehicles: logs, drone recordings, output of other simulators."""
 
-from collections import Counter
 from collections.abc import Iterator
 from itertools import chain, pairwise
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy import ndarray
 from cosim.mobility.fcd import PROJECTION, Timestep
 from cosim.mobility.frame import TrafficError
 from cosim.mobility.positions import Fixes
+from cosim.mobility.source import class_counts
 from cosim.mobility.tracks import Positions, TrackParams, Tracks, steps, tracks
 from results.durable import PARTIAL
 
@@ -57,10 +57,9 @@ def write_trace(fixes: Fixes, params: TrackParams, out: Path) -> dict[str, Any]:
     finally:
         partial.unlink(missing_ok=True)
     actors = sorted(set(found.actor.tolist()))
-    kinds = fixes.types
     return {
         "actors": len(actors), "tracks": len(found.names), "steps": found.n_steps, **found.report,
-        "classes": dict(Counter(kinds[actor].vclass for actor in actors)), "read_as": list(fixes.read_as),
+        "classes": class_counts(fixes.shape[actors]), "read_as": list(fixes.read_as),
     }  # fmt: skip
 
 

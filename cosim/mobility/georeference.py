@@ -18,11 +18,12 @@ _MARGIN_M = 500.0
 _MOST_P, _HALF_P = 0.9, 0.5
 """Shares of positions within the network that speak for a meaning, and against another one."""
 _MOVING_MPS = 2.0
-_TRAVEL_M = 20.0
-"""Way that the speeds must ask for, before it is compared with the positions [m]."""
-_DEGREES_P, _LEAST_P, _MOST_RATIO = 1e-3, 0.02, 50.0
-"""Ways over what the speeds say: below the first, coordinates are degrees; outside the others, nothing is right."""
-_ODD = (0.4, 2.5)
+_FEWEST, _ENOUGH = 3, 200
+"""Moves of actors that are compared with their speeds."""
+_DEGREES_RATIO = 1e-4
+"""If all moves are shorter than this part of what the speeds say, coordinates are degrees."""
+_POSSIBLE, _ODD = (0.02, 50.0), (0.4, 2.5)
+"""Ways over what the speeds say: a median outside the first is refused, and one outside the second is noted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +77,18 @@ def conversion(
                 "metres. Give the trace in metres of the network."
             )
         return _moved(own, net.projection), "longitudes and latitudes, placed by the projection of the network"
-    if net.projection is not None and _in_degrees(xy) and net.holds(net.projection.to_world(xy[:, 1], xy[:, 0])) > _MOST_P:
+    if (
+        net.projection is not None
+        and _in_degrees(xy)
+        and net.holds(net.projection.to_world(xy[:, 1], xy[:, 0])) > _MOST_P
+    ):
         to_net = net.projection
 
         def placed(timestep: Timestep) -> Timestep:
             if not _in_degrees(timestep.front_m[:, :2]):
-                raise TrafficError(f"{source}: at {timestep.time_s:g} s, x and y are no longer degrees. Record it again.")
+                raise TrafficError(
+                    f"{source}: at {timestep.time_s:g} s, x and y are no longer degrees. Record it again."
+                )
             there = to_net.to_world(timestep.front_m[:, 1], timestep.front_m[:, 0])
             return replace(timestep, front_m=np.column_stack([there, timestep.front_m[:, 2]]))
 
@@ -122,13 +129,15 @@ class TravelCheck:
     def __init__(self, source: str) -> None:
         self._source = source
         self._before: Timestep | None = None
-        self._gone_m = self._asked_m = 0.0
-        self.is_done = False
+        self._ratios: list[float] = []
+        """Way over what the speeds say, of each actor that moves between two timesteps."""
 
     def add(self, timestep: Timestep) -> None:
         """Look at the next timestep. A TrafficError is raised if positions or times cannot be metres and seconds."""
+        if len(self._ratios) > _ENOUGH:
+            return
         before, self._before = self._before, timestep
-        if self.is_done or before is None:
+        if before is None:
             return
         row_of = {name: row for row, name in enumerate(timestep.names)}
         after = np.fromiter((row_of.get(name, -1) for name in before.names), np.int64, len(before.names))
@@ -139,28 +148,26 @@ class TravelCheck:
         took_s = timestep.time_s - before.time_s
         asked_m = (before.speed_mps[rows] + timestep.speed_mps[after]) / 2 * took_s
         gone_m = np.hypot(*(timestep.front_m[after] - before.front_m[rows])[:, :2].T)
-        self._gone_m += float(gone_m.sum())
-        self._asked_m += float(asked_m.sum())
-        if self._asked_m > _TRAVEL_M:
+        self._ratios += (gone_m / asked_m).tolist()
+        if self._ratios:
             self._judge(timestep)
-            self.is_done = self._asked_m > 10 * _TRAVEL_M
 
     @property
     def odd_ratio(self) -> float | None:
         """Ways over what the speeds say, if that is far from 1."""
-        ratio = self._gone_m / self._asked_m if self._asked_m > _TRAVEL_M else 1.0
+        ratio = float(np.median(self._ratios)) if len(self._ratios) >= _FEWEST else 1.0
         return None if _ODD[0] < ratio < _ODD[1] else ratio
 
     def _judge(self, timestep: Timestep) -> None:
-        ratio = self._gone_m / self._asked_m
-        if _LEAST_P <= ratio <= _MOST_RATIO:
-            return
-        said = f"{self._source}: vehicles move {ratio:.3g} times as far as their speeds say, so "
-        if ratio < _DEGREES_P / 10 and _in_degrees(timestep.front_m[:, :2]):
+        said = f"{self._source}: vehicles move {np.median(self._ratios):.3g} times as far as their speeds say, so "
+        if max(self._ratios) < _DEGREES_RATIO and _in_degrees(timestep.front_m[:, :2]):
             raise TrafficError(
                 f"{said}x and y look like degrees. Record the trace without --fcd-output.geo, or name the city that it "
                 "comes from, whose network has a projection."
             )
+        ratio = float(np.median(self._ratios))
+        if len(self._ratios) < _FEWEST or _POSSIBLE[0] <= ratio <= _POSSIBLE[1]:
+            return
         if ratio < 1:
             raise TrafficError(
                 f"{said}its times look like milliseconds, or x and y like kilometres. Write seconds and metres."

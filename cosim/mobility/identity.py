@@ -22,7 +22,10 @@ _TELEPORT_M = 1000.0
 
 
 class TypeTable:
-    """Vehicle types by name: those of files, and guesses for others. The next file is read only if a type is unknown."""
+    """Vehicle types by name: those of files, and guesses for others.
+
+    The next file is read only if a type is not known yet.
+    """
 
     def __init__(self, files: Sequence[Path] = ()) -> None:
         self._left = list(files)
@@ -60,8 +63,12 @@ class TypeTable:
     def _found(self, name: str, is_person: bool, vclass: str) -> VehicleType:
         defined = self._of_files(name)
         if vclass in vtypes.SIZES_M:
-            return VehicleType(vclass, defined.lwh_m if defined and defined.vclass == vclass else vtypes.SIZES_M[vclass])
-        if defined is not None and not (is_person and SHAPE_OF_CLASS.get(defined.vclass) not in (None, Shape.PEDESTRIAN)):
+            return VehicleType(
+                vclass, defined.lwh_m if defined and defined.vclass == vclass else vtypes.SIZES_M[vclass]
+            )
+        if defined is not None and not (
+            is_person and SHAPE_OF_CLASS.get(defined.vclass) not in (None, Shape.PEDESTRIAN)
+        ):
             return defined
         if is_person and vtypes.guess(name).vclass not in ("container", "wheelchair"):
             return VehicleType("pedestrian", vtypes.SIZES_M["pedestrian"])

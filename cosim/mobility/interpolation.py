@@ -107,9 +107,9 @@ class Timeline:
         took_s, n = after.time_s - before.time_s, len(before.names)
         if took_s > self._longest_s and n and len(way) >= _GOES_ON_P * n:
             raise TrafficError(
-                f"{self._source}: no timestep between {before.time_s:g} s and {after.time_s:g} s, although {len(way)} of "
-                f"{n} actors are there before and after: the recording has a gap, or its interval, {self._every_s:g} s, "
-                "changes there. Record it again, or cut it into two traces at the gap."
+                f"{self._source}: no timestep between {before.time_s:g} s and {after.time_s:g} s, although {len(way)} "
+                f"of {n} actors are there before and after: the recording has a gap, or its interval of "
+                f"{self._every_s:g} s changes there. Record it again, or cut it into two traces at the gap."
             )
 
 

@@ -10,12 +10,14 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.mobility import delimited, units
 from cosim.mobility.frame import LARGEST_COORDINATE_M, TrafficError
+from cosim.mobility.source import SHAPE_OF_CLASS
 from results.export.earth import Projection
+from sensors.scene import Shape
 from sumo_nets import vtypes
 from sumo_nets.xml import check_regular, open_input
 
@@ -117,6 +119,13 @@ class Fixes:
             ))
             for t, (length, width) in zip(found, self.own_lw_m.tolist(), strict=True)
         ]  # fmt: skip
+
+    @property
+    def shape(self) -> UInt8[ndarray, "a"]:
+        """Shape code of each actor; a car where its class is not on the road."""
+        return np.array(
+            [int(SHAPE_OF_CLASS.get(vtypes.guess(kind).vclass, Shape.CAR)) for kind in self.kinds], np.uint8
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,6 +255,9 @@ def read(
     if not degrees:
         _check_metres(where, actor, time_s, xy_m)
     units.check_speeds(where, actor, time_s, xy_m, speed, time_unit_s is not None and length_unit_m is not None)
+    if guessed := sorted({kind for kind in kinds if kind and not vtypes.is_plain(kind)}):
+        few = ", ".join(f"{kind} as {vtypes.guess(kind).vclass}" for kind in guessed[:5])
+        read_as[f"classes guessed from their names: {few}"] = None
     begin = float(time_s.min())
     lw_m = np.array(sizes).reshape(-1, 2)
     return Fixes(
@@ -279,7 +291,9 @@ def _rows(
             )
         columns = LAYOUTS[layout]
         columns = replace(
-            columns, time_unit_s=time_unit_s or columns.time_unit_s, length_unit_m=length_unit_m or columns.length_unit_m
+            columns,
+            time_unit_s=time_unit_s or columns.time_unit_s,
+            length_unit_m=length_unit_m or columns.length_unit_m,
         )
     names = _parquet_names(path) if is_parquet else found.names
     if not layout and columns.kind and columns.kind not in names:
@@ -411,8 +425,8 @@ def _pneuma(path: Path) -> _Rows:
             tables.append(np.array(values[4:], float).reshape(-1, 6))
         except ValueError:
             raise TrafficError(
-                f"{path}: row {n - 1} has {len(values)} values, which are not 4 of a vehicle and 6 for each instant, or "
-                "one is not a number. Correct it."
+                f"{path}: row {n - 1} has {len(values)} values, which are not 4 of a vehicle and 6 for each instant, "
+                "or one is not a number. Correct it."
             ) from None
         names.append(values[0].strip())
         kinds.append(values[1].strip())
@@ -528,8 +542,8 @@ def _check_metres(where: str, actor: ndarray, time_s: ndarray, xy_m: Float[ndarr
         is_small = np.abs(xy_m).max() <= _MOST_DEGREES[1]
         said = "x and y look like degrees or kilometres" if is_small else "x and y look like kilometres"
         raise TrafficError(
-            f"{where}: nothing is faster than {fastest:.2g} m/s, so {said}, or the times like milliseconds. Name degrees "
-            "with --lat and --lon, or set --length-unit or --time-unit."
+            f"{where}: nothing is faster than {fastest:.2g} m/s, so {said}, or the times like milliseconds. Name "
+            "degrees with --lat and --lon, or set --length-unit or --time-unit."
         )
 
 

@@ -91,8 +91,8 @@ def trace_remarks(summary: dict[str, Any]) -> list[str]:
         few = [f"{name} ({vclass})" for name, vclass in guessed.items()]
         more = f" and {len(few) - _NAMED} more" if len(few) > _NAMED else ""
         found.append(
-            f"note: no file defines the types {', '.join(few[:_NAMED])}{more}: their classes are guessed from the names. "
-            "Name the .sumocfg or the city that defines them as the scenario."
+            f"note: no file defines the types {', '.join(few[:_NAMED])}{more}: their classes are guessed from the "
+            "names. Name the .sumocfg or the city that defines them as the scenario."
         )
     if n := summary.get("vehicles_without_type"):
         found.append(

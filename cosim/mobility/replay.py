@@ -19,7 +19,7 @@ from cosim.mobility.interpolation import LONGEST_S, Timeline, interval_s
 from cosim.mobility.objects import PREFIX
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.remarks import FlowCounts
-from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpers, world_of
+from cosim.mobility.source import TrafficEnded, world_from_bumpers, world_of
 from cosim.mobility.streetside import PARKED
 from cosim.world import World
 from results.archive import open_run
@@ -94,15 +94,14 @@ class TraceReplay(_Replay):
             raise TrafficError(f"{path}: an empty trace: no actor is ever on the road.")
         self._convert, self._placed = conversion(str(path), ahead, net, projection_of(path))
         self._travel = TravelCheck(str(path))
-        for timestep in ahead:
-            self._travel.add(self._convert(timestep) if self._convert and timestep.names else timestep)
-        self._frame = self._frame.around(np.concatenate([timestep.front_m for timestep in ahead]))
+        placed = list(self._placed_of(ahead))
+        self._frame = self._frame.around(np.concatenate([timestep.front_m for timestep in placed]))
         every_s = interval_s(np.array([timestep.time_s for timestep in ahead])) or self._dt_s
         if every_s > max(LONGEST_S, self._dt_s) * (1 + 1e-3):
             raise TrafficError(
                 f"{path} has a timestep every {every_s:g} s, and traffic.step_s = {self._dt_s:g} s is shorter. At most "
-                f"{LONGEST_S:g} s are interpolated. Set traffic.step_s to a multiple of {every_s:g}, or record the trace "
-                "with shorter timesteps."
+                f"{LONGEST_S:g} s are interpolated. Set traffic.step_s to a multiple of {every_s:g}, or record the "
+                "trace with shorter timesteps."
             )
         self._travel = TravelCheck(str(path))
         self._timeline = Timeline(str(path), self._placed_of(chain(ahead, self._read)), every_s, self._dt_s)
@@ -174,12 +173,22 @@ class TraceReplay(_Replay):
         if len(set(keys)) < len(keys):
             name = Counter(keys).most_common(1)[0][0][0]
             hint = "" if any(types) else " A vehicle and a person of one name need the column type."
-            raise TrafficError(f"{self._source}: {name!r} occurs twice at {timestep.time_s:g} s. Remove the copies.{hint}")
-        xy_m = timestep.front_m[rows, :2]
+            raise TrafficError(
+                f"{self._source}: {name!r} occurs twice at {timestep.time_s:g} s. Remove the copies.{hint}"
+            )
+        front_m = timestep.front_m[rows]
+        self._check_frame(step, names, front_m)
+        xy_m = front_m[:, :2]
         number = self._identities.numbers(keys, types, xy_m, step)
         if (new := np.flatnonzero(number == UNKNOWN)).size:
             number[new] = self._register(timestep, rows[new], shape[rows[new]], step)
         return rows, number
+
+    def _check_frame(self, step: int, names: list[str], front_m: Float[ndarray, "n 3"]) -> None:
+        """Refuse positions far outside before they could be those of another actor of the name."""
+        zero = np.zeros(len(names))
+        xyz_m = front_m - np.array([*self._frame.origin_m, 0.0])
+        self._frame.check(step, names, np.arange(len(names)), xyz_m, zero, zero)
 
     def _register(
         self, timestep: Timestep, rows: Int[ndarray, "k"], shape: Int[ndarray, "k"], step: int

@@ -159,8 +159,8 @@ def _check_links(
     with np.errstate(divide="ignore"):
         fast_mps = np.median(gone_m / took_s)
     raise ValueError(
-        f"{said}they ask for {fast_mps:,.4g} m/s (median), and --max-speed-mps is {params.max_speed_mps:g}. Are times or "
-        "positions in another unit? Set --time-unit, --length-unit or --frame-hz, or raise --max-speed-mps."
+        f"{said}they ask for {fast_mps:,.4g} m/s (median), and --max-speed-mps is {params.max_speed_mps:g}. Are times "
+        "or positions in another unit? Set --time-unit, --length-unit or --frame-hz, or raise --max-speed-mps."
     )
 
 

@@ -27,7 +27,7 @@ from cosim.mobility.objects import ObjectParams
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.positions import Columns, Fixes
 from cosim.mobility.scenario import Scenario, find
-from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, TrafficError
+from cosim.mobility.source import TrafficEnded, TrafficError, class_counts
 from cosim.mobility.tracks import TrackParams
 from cosim.step.trackers.encounters import PairSearch, update_encounters
 from cosim.world import World
@@ -266,14 +266,8 @@ class _Extent:
         east_m, north_m = (self.high_m - self.low_m).tolist() if self.n_of_speed.any() else (0.0, 0.0)
         return {
             "speed_median_mps": median, "speed_p95_mps": p95, "extent_east_m": east_m, "extent_north_m": north_m,
-            "classes": _class_counts(registry.shape),
+            "classes": class_counts(registry.shape),
         }  # fmt: skip
-
-
-def _class_counts(shape: ndarray) -> dict[str, int]:
-    """Number of actors of each class."""
-    codes, n = np.unique(shape, return_counts=True)
-    return {Shape(code).name.lower(): count for code, count in zip(codes.tolist(), n.tolist(), strict=True)}
 
 
 def _steps_asked(params: ContactParams, step_s: float) -> int:
@@ -323,7 +317,7 @@ def _of_positions(paths: Sequence[Path], params: ContactParams, out: Path | None
                 advance("contacts", here.step + 1, found.n_steps, f"{len(here.track)} vehicles")
         counted.report |= found.report | ({"repaired": fixes.repaired} if fixes.repaired else {})
         counted.report |= {"actors": len(set(found.actor.tolist())), "tracks": len(found.names)}
-        counted.report |= {"read_as": list(fixes.read_as), "classes": _class_counts(rows["vehicle_class"])}
+        counted.report |= {"read_as": list(fixes.read_as), "classes": class_counts(rows["vehicle_class"])}
         counted.close(rows)
         layout = "columns" if params.columns else positions.layout_of(paths[0])
         about = {"layout": layout, "appearance": appearance, "begin": fixes.begin}
@@ -398,11 +392,9 @@ def _vehicles(registry: ActorRegistry) -> dict[str, ndarray | None]:
 
 def _track_rows(fixes: Fixes, found: tracks.Tracks) -> dict[str, Any]:
     """The same for tracks."""
-    types = fixes.types
-    shape = np.array([int(SHAPE_OF_CLASS.get(t.vclass, Shape.CAR)) for t in types], np.uint8)
-    lwh_m = np.array([t.lwh_m for t in types])
+    lwh_m = np.array([kind.lwh_m for kind in fixes.types])
     return _vehicle_columns(
-        found.names, shape[found.actor], lwh_m[found.actor], np.zeros(len(found.names), bool), found.first_step,
+        found.names, fixes.shape[found.actor], lwh_m[found.actor], np.zeros(len(found.names), bool), found.first_step,
         found.last_step,
     )  # fmt: skip
 

@@ -6,8 +6,8 @@ Notes
 of the front bumper in the coordinates of the network [m], `angle` is in degrees clockwise from north, `type` is the
 class of the actor, and names are SUMO's. All actors are written.   Deviations: `z` is the
 underside of the box; lane, position on it and slope are left out, because the tables do not have them. SUMO's class and
-the size of each actor are written as `vClass`, `length`, `width` and `height`, which SUMO's own files leave to its types:
-a run that replays the file has the same boxes.
+the size of each actor are written as `vClass`, `length`, `width` and `height`, which SUMO's own files leave to its
+types: a run that replays the file has the same boxes.
 """
 
 import gzip
@@ -48,7 +48,7 @@ def _files(selection: Selection, clouds: Clouds) -> Iterator[File]:
 
 def _packed(selection: Selection) -> bytes:
     columns = ["vehicle", "sumo_id", "vehicle_class", "length_m", "width_m", "height_m"]
-    fixed = {row.vehicle: _fixed(row) for row in selection.run.table("vehicles", columns).itertuples()}
+    fixed = {int(row.vehicle): _fixed(row) for row in selection.run.table("vehicles", columns).itertuples()}
     packed = io.BytesIO()
     with gzip.GzipFile(fileobj=packed, mode="wb", mtime=0) as file:
         file.write(b'<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n')

@@ -38,7 +38,7 @@ def test_taxis_of_crawdad(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "text", "layout", "time_s", "xy_m"),
-    [("t.csv", HIGHD, "highd", [0, 0.04], [[102, 21], [103.2, 21]]),  # the corner, and half of 4 m x 2 m
+    [("t.csv", HIGHD, "highd", [0, 0.04], [[102, -21], [103.2, -21]]),  # the corner, and half of 4 m x 2 m; y is down
      ("03_tracks.csv", IND, "ind", [0, 1.0], [[5, 6], [7, 6]]),
      ("d.csv", OPENDD, "opendd", [0, 0.5], [[600000, 5700000], [600005, 5700000]]),
      ("i.csv", INTERACTION, "interaction", [0, 0.1], [[1000, 900], [1001, 900]])],
@@ -87,7 +87,7 @@ BAD = {
     "degrees as metres": (HEAD + "a,0,12.4877,41.8836\na,10,12.4879,41.8838\n", "so x and y look like degrees"),
     "no place": (HEAD + "a,0,1e12,2\n", "no place on Earth"),
     "column twice": ("id,time,x,x,y\na,0,1,1,2\n", "column x twice"),
-    "ragged": (HEAD + "a,0,1,2\na,1,2\n", "cannot be read as a table"),
+    "ragged": (HEAD + "a,0,1,2\na,1,2\n", "a row has 3 values and the header has 4 names"),
     "taxi without a place": ("1;2014-02-01 00:00:00+01;POINT(41.8 12.4)\n1;2014-02-01 00:00:09+01;POINT()\n",
                              "line 2 has no POINT"),
     "frames of unknown length": (HIGHD, "Set --frame-hz"),
