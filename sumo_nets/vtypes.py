@@ -54,7 +54,7 @@ _WORDS = {
     "person": "pedestrian", "walk": "pedestrian", "walker": "pedestrian",
 }  # fmt: skip
 """Word of a type's name, and the class that it suggests; the first match is used."""
-_PLAIN = frozenset(name.lower() for name in (*SIZES_M, *_DEFAULT, *_NAMED, "car", "van"))
+_PLAIN = frozenset(name.lower() for name in (*SIZES_M, *_DEFAULT, *_NAMED, *_WORDS, "car"))
 
 
 def is_plain(name: str) -> bool:
