@@ -23,7 +23,7 @@ _FEWEST, _ENOUGH = 3, 200
 _DEGREES_RATIO = 1e-4
 """If all moves are shorter than this part of what the speeds say, coordinates are degrees."""
 _POSSIBLE, _ODD = (0.02, 50.0), (0.4, 2.5)
-"""Ways over what the speeds say: a median outside the first is refused, and one outside the second is noted."""
+"""Ways over what the speeds say: outside the first they are refused, and outside the second they are noted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,22 +154,29 @@ class TravelCheck:
 
     @property
     def odd_ratio(self) -> float | None:
-        """Ways over what the speeds say, if that is far from 1."""
-        ratio = float(np.median(self._ratios)) if len(self._ratios) >= _FEWEST else 1.0
-        return None if _ODD[0] < ratio < _ODD[1] else ratio
+        """Ways over what the speeds say, if both the median and the mean are far from 1 on the same side.
+
+        The median is deaf to a few vehicles that are put elsewhere, and the mean to mesoscopic traffic, whose vehicles
+        stand and then leap.
+        """
+        if len(self._ratios) < _FEWEST:
+            return None
+        low, high = sorted((float(np.median(self._ratios)), float(np.mean(self._ratios))))
+        return high if high < _ODD[0] else low if low > _ODD[1] else None
 
     def _judge(self, timestep: Timestep) -> None:
-        said = f"{self._source}: vehicles move {np.median(self._ratios):.3g} times as far as their speeds say, so "
-        if max(self._ratios) < _DEGREES_RATIO and _in_degrees(timestep.front_m[:, :2]):
+        moves = [ratio for ratio in self._ratios if ratio > 0]
+        if moves and max(moves) < _DEGREES_RATIO and _in_degrees(timestep.front_m[:, :2]):
             raise TrafficError(
-                f"{said}x and y look like degrees. Record the trace without --fcd-output.geo, or name the city that it "
-                "comes from, whose network has a projection."
+                f"{self._source}: vehicles move {max(moves):.2g} times as far as their speeds say, so x and y look like "
+                "degrees. Record the trace without --fcd-output.geo, or name the city that it comes from, whose network "
+                "has a projection."
             )
-        ratio = float(np.median(self._ratios))
-        if len(self._ratios) < _FEWEST or _POSSIBLE[0] <= ratio <= _POSSIBLE[1]:
+        ratio = self.odd_ratio
+        if not moves or ratio is None or _POSSIBLE[0] <= ratio <= _POSSIBLE[1]:
             return
-        if ratio < 1:
-            raise TrafficError(
-                f"{said}its times look like milliseconds, or x and y like kilometres. Write seconds and metres."
-            )
-        raise TrafficError(f"{said}its times look like minutes, or x and y like millimetres. Write seconds and metres.")
+        looks = ("milliseconds", "kilometres") if ratio < 1 else ("minutes", "millimetres")
+        raise TrafficError(
+            f"{self._source}: vehicles move {ratio:.3g} times as far as their speeds say, so its times look like "
+            f"{looks[0]}, or x and y like {looks[1]}. Write seconds and metres."
+        )

@@ -168,6 +168,14 @@ def test_feet_are_noted(tmp_path):
     assert replay(write(tmp_path, rows))[1]["trace_travel_ratio"] == pytest.approx(3.28, abs=0.01)
 
 
+def test_mesoscopic_traffic_and_a_single_leap_are_no_other_units(tmp_path):
+    """Vehicles of SUMO's mesoscopic model stand at the begin of a segment and then leap; the mean way is right."""
+    meso = [(t, n, 50 * (x // 50), y, *rest) for t, n, x, y, *rest in file_of_cars(range(30))]
+    assert "trace_travel_ratio" not in replay(write(tmp_path, meso))[1]
+    leap = [(t, n, x + (900 if (t, n) == (4, "c2") else 0), y, *rest) for t, n, x, y, *rest in file_of_cars(range(9))]
+    assert "trace_travel_ratio" not in replay(write(tmp_path, leap))[1]
+
+
 @pytest.mark.parametrize("form", FORMATS)
 @pytest.mark.parametrize("kind", ["another type", "far away", "a person"])
 def test_a_name_that_comes_back_elsewhere_is_another_actor(tmp_path, kind, form):
