@@ -155,6 +155,14 @@ def is_text(kind: pa.DataType) -> bool:
     return pa.types.is_string(kind) or pa.types.is_large_string(kind)
 
 
+def texts(path: Path, name: str, column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """A column as text. Raises TrafficError."""
+    try:
+        return column.cast(pa.string())
+    except pa.ArrowException:
+        raise TrafficError(f"{path}: column {name} holds something that is no text and no number.") from None
+
+
 def numbers(path: Path, name: str, column: pa.ChunkedArray, first_row: int = 0) -> Float[ndarray, "n"]:
     """Numbers of a column; not a number where one is missing. Decimal commas are read.
 
@@ -189,7 +197,7 @@ def numbers(path: Path, name: str, column: pa.ChunkedArray, first_row: int = 0) 
 def _first_bad(column: pa.ChunkedArray, first_row: int) -> str:
     """The first value of a column that is no number, with its place."""
     if not is_text(column.type):
-        return f", but {column.type}"
+        return ", but dates, times or lists"
     for row, text in enumerate(column.to_pylist()):
         if text is not None and text not in _NOTHING and (not re.match(_NUMBER, text) or "," in text):
             hint = ""

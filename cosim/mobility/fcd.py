@@ -231,7 +231,7 @@ def _needed(path: Path, block: pa.Table, first_row: int) -> pa.Table:
             continue
         columns = [block.column(spelling) for spelling in spellings]
         if name in _TEXTS:
-            columns = [column.cast(pa.string()) for column in columns]
+            columns = [delimited.texts(path, name, column) for column in columns]
         elif name == "time":
             columns = [pa.array(delimited.seconds(path, name, column, 1.0, first_row)) for column in columns]
         else:

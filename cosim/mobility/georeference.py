@@ -17,7 +17,7 @@ _MARGIN_M = 500.0
 """Actors may be this far outside the bounds of the network."""
 _MOST_P, _HALF_P = 0.9, 0.5
 """Shares of positions within the network that speak for a meaning, and against another one."""
-_MOVING_MPS = 2.0
+_MOVING_MPS = 0.5
 _FEWEST, _ENOUGH = 3, 200
 """Moves of actors that are compared with their speeds."""
 _DEGREES_RATIO = 1e-4
@@ -168,9 +168,9 @@ class TravelCheck:
         moves = [ratio for ratio in self._ratios if ratio > 0]
         if moves and max(moves) < _DEGREES_RATIO and _in_degrees(timestep.front_m[:, :2]):
             raise TrafficError(
-                f"{self._source}: vehicles move {max(moves):.2g} times as far as their speeds say, so x and y look like "
-                "degrees. Record the trace without --fcd-output.geo, or name the city that it comes from, whose network "
-                "has a projection."
+                f"{self._source}: vehicles move {max(moves):.2g} times as far as their speeds say, so x and y look "
+                "like degrees. Record the trace without --fcd-output.geo, or name the city that it comes from, whose "
+                "network has a projection."
             )
         ratio = self.odd_ratio
         if not moves or ratio is None or _POSSIBLE[0] <= ratio <= _POSSIBLE[1]:

@@ -322,7 +322,7 @@ def _rows(
         time_s = raw * unit_s
     else:
         time_s = delimited.seconds(path, columns.time, time)
-    actors = table.column(columns.actor).cast(pa.string()).to_numpy(zero_copy_only=False)
+    actors = delimited.texts(path, columns.actor, table.column(columns.actor)).to_numpy()
     kinds, lw_m = _kinds_and_sizes(path, table, columns, actors, unit_m)
     speed = units.speeds(path, table)
     return _Rows(actors, time_s, xy, columns.is_degrees, columns.is_frame, kinds, lw_m, speed, tuple(read_as))
@@ -362,7 +362,7 @@ def _kinds_and_sizes(
     """Class, length and width of each row, from the table or from the `tracksMeta` file beside."""
     kinds = lw_m = None
     if columns.kind:
-        kinds = table.column(columns.kind).cast(pa.string()).fill_null("").to_numpy(zero_copy_only=False)
+        kinds = pc.fill_null(delimited.texts(path, columns.kind, table.column(columns.kind)), "").to_numpy()
         if columns.kind == "v_Class":
             kinds = np.array([_NGSIM_CLASS.get(kind, kind) for kind in kinds.tolist()], object)
     if all(columns.size):

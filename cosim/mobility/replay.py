@@ -129,6 +129,8 @@ class TraceReplay(_Replay):
     def report(self) -> dict[str, Any]:
         report: dict[str, Any] = {"actors_left_out": dict(sorted(Counter(self._left_out.values()).items()))}
         report |= self._counts.report() | self._timeline.report() | self._identities.report()
+        if not (self._counts.n_vehicles or self._counts.n_pedestrians) and self._begin_s < self._first_s:
+            report |= {"first_departure_s": self._first_s, "warmup_s": self._n_skipped * self._dt_s}
         if self._types.guessed:
             report["types_guessed"] = dict(sorted(self._types.guessed.items()))
         if self._untyped:

@@ -12,7 +12,7 @@ types: a run that replays the file has the same boxes.
 
 import gzip
 import io
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from functools import partial
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -48,7 +48,8 @@ def _files(selection: Selection, clouds: Clouds) -> Iterator[File]:
 
 def _packed(selection: Selection) -> bytes:
     columns = ["vehicle", "sumo_id", "vehicle_class", "length_m", "width_m", "height_m"]
-    fixed = {int(row.vehicle): _fixed(row) for row in selection.run.table("vehicles", columns).itertuples()}
+    rows = selection.run.table("vehicles", columns).to_dict("records")
+    fixed = {int(row["vehicle"]): _fixed(row) for row in rows}
     packed = io.BytesIO()
     with gzip.GzipFile(fileobj=packed, mode="wb", mtime=0) as file:
         file.write(b'<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n')
@@ -60,12 +61,12 @@ def _packed(selection: Selection) -> bytes:
     return packed.getvalue()
 
 
-def _fixed(actor: Any) -> str:
+def _fixed(actor: dict[Hashable, Any]) -> str:
     """Element, name, class and size of an actor."""
-    element = "person" if actor.vehicle_class == "pedestrian" else "vehicle"
-    size = f'length="{actor.length_m:.9g}" width="{actor.width_m:.9g}" height="{actor.height_m:.9g}"'
-    vclass = SUMO_CLASS.get(actor.vehicle_class, actor.vehicle_class)
-    return f'{element} id={quoteattr(actor.sumo_id)} type="{actor.vehicle_class}" vClass="{vclass}" {size}'
+    kind = actor["vehicle_class"]
+    element = "person" if kind == "pedestrian" else "vehicle"
+    size = " ".join(f'{what}="{actor[f"{what}_m"]:.9g}"' for what in ("length", "width", "height"))
+    return f'{element} id={quoteattr(actor["sumo_id"])} type="{kind}" vClass="{SUMO_CLASS.get(kind, kind)}" {size}'
 
 
 def _timestep(
