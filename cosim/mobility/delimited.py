@@ -62,9 +62,12 @@ def first_line(path: Path) -> str:
 def header(path: Path) -> Header:
     """Names and separator of a text table. Raises TrafficError."""
     line = first_line(path)
-    separator = next((s for s in _SEPARATORS if s in line), ",")
-    names = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
-    return Header([name.strip().strip('"') for name in names], separator)
+    separator = next((s for s in _SEPARATORS if s in line), " " if " " in line else ",")
+    names = (
+        line.split() if separator == " " else next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    )
+    names = [name.strip().strip('"') for name in names]
+    return Header(names[:-1] if len(names) > 1 and not names[-1] else names, separator)
 
 
 def check_header(path: Path, found: Header, wanted: Collection[str]) -> None:
@@ -88,22 +91,30 @@ def blocks(path: Path, found: Header, wanted: Collection[str], has_header: bool 
     TrafficError
         The file is damaged, or a row has more or fewer values than the header has names.
     """
-    n_rows = 0
+    separator = re.escape(found.separator.encode())
     for lines, is_torn in _whole_lines(path, has_header):
+        if found.separator == " ":
+            lines = re.sub(rb"(?m)^ +| +(?=\r?$)| (?= )", b"", lines)
         try:
-            table = pcsv.read_csv(
-                pa.BufferReader(lines),
-                pcsv.ReadOptions(column_names=found.names, use_threads=False, block_size=len(lines) + 1),
-                pcsv.ParseOptions(delimiter=found.separator),
-                pcsv.ConvertOptions(
-                    include_columns=list(wanted), column_types=dict.fromkeys(wanted, pa.string()),
-                    strings_can_be_null=True, quoted_strings_can_be_null=False, null_values=[""],
-                ),
-            )  # fmt: skip
+            try:
+                table = _parsed(lines, found, wanted)
+            except pa.ArrowInvalid:  # a separator at the end of each row as well
+                table = _parsed(re.sub(rb"(?m)" + separator + rb"[ \t]*(?=\r?$)", b"", lines), found, wanted)
         except pa.ArrowException as error:
             raise TrafficError(f"{path}: {_unreadable(str(error), is_torn)}") from None
         yield pa.table({name: _plain(table.column(name)) for name in wanted})
-        n_rows += table.num_rows
+
+
+def _parsed(lines: bytes, found: Header, wanted: Collection[str]) -> pa.Table:
+    return pcsv.read_csv(
+        pa.BufferReader(lines),
+        pcsv.ReadOptions(column_names=found.names, use_threads=False, block_size=len(lines) + 1),
+        pcsv.ParseOptions(delimiter=found.separator),
+        pcsv.ConvertOptions(
+            include_columns=list(wanted), column_types=dict.fromkeys(wanted, pa.string()), strings_can_be_null=True,
+            quoted_strings_can_be_null=False, null_values=[""],
+        ),
+    )  # fmt: skip
 
 
 def _whole_lines(path: Path, has_header: bool) -> Iterator[tuple[bytes, bool]]:

@@ -47,7 +47,7 @@ def write_trace(fixes: Fixes, params: TrackParams, out: Path) -> dict[str, Any]:
     try:
         found = tracks(fixes, params)
     except ValueError as error:
-        raise TrafficError(str(error)) from None
+        raise TrafficError(f"{fixes.source}: {error}" if fixes.source else str(error)) from None
     partial = out.with_name(out.name + PARTIAL)
     try:
         _write(timesteps(fixes, found, params.step_s), partial, fixes)

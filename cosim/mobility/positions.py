@@ -105,6 +105,8 @@ class Fixes:
     """From degrees to the metres. None if positions were metres, or if the projection is that of a network."""
     read_as: tuple[str, ...] = ()
     """How the numbers of the trace were understood, where that is not metres and seconds."""
+    source: str = ""
+    """Its files, for error messages."""
 
     @property
     def types(self) -> list[vtypes.VehicleType]:
@@ -263,7 +265,7 @@ def read(
     return Fixes(
         list(names), kinds, actor, time_s - begin, xy_m, f"{begin:.6f}".rstrip("0").rstrip("."),
         {reason: n for reason, n in repaired.items() if n}, None if np.isnan(lw_m).all() else lw_m,
-        projection if degrees and to_net is None else None, tuple(read_as),
+        projection if degrees and to_net is None else None, tuple(read_as), where,
     )  # fmt: skip
 
 
@@ -556,6 +558,8 @@ def _parquet_names(path: Path) -> list[str]:
         check_regular(path)
         return list(pq.read_schema(path).names)
     except (pa.ArrowException, OSError) as error:
+        if "magic bytes" in str(error):
+            raise TrafficError(f"{path}: it lacks the end of a Parquet file. {delimited.ENDS_EARLY}.") from None
         raise TrafficError(f"{path}: not a Parquet file: {str(error).splitlines()[0]}.") from None
 
 

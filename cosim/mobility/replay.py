@@ -156,7 +156,7 @@ class TraceReplay(_Replay):
         said = f"{self._source} goes from {self._first_s:g} s to {self._timeline.last_s:g} s"
         skipped_s = self._n_skipped * self._dt_s
         if self._asked_begin and self._begin_s > self._first_s:
-            said += f", and traffic.begin_s = {self._begin_s:g} s begins within or after it"
+            said += f", and traffic.begin_s = {self._begin_s:g} s"
         if skipped_s > self._dt_s:
             said += (
                 f", and the warm-up skips {skipped_s:g} s of it: traffic.warmup_s, which a city sets itself. Set "

@@ -296,7 +296,7 @@ def _of_positions(paths: Sequence[Path], params: ContactParams, out: Path | None
     try:
         found = tracks.tracks(fixes, track_params)
     except ValueError as error:
-        raise TrafficError(f"{paths[0]}: {error}") from None
+        raise TrafficError(f"{fixes.source}: {error}") from None
     appearance = params.appearance or "censors"
     # Without buildings and bodies nothing is between two vehicles: what `los = "buildings"` finds in a run without a
     # city.

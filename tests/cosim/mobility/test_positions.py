@@ -119,6 +119,9 @@ def test_texts_of_tables_by_hand(tmp_path):
         '"id";"time";"x";"y"\n"a";0;"1,5";2,0\n"a";1;"3,5";2,0\n"b";0;50;0\n',
         "\ufeffid\ttime\tx\ty\r\na\t0\t1,5\t2\r\na\t1\t3,5\t2\r\nb\t0\t50\t0",
         "id|time|x|y\na|00:00:00|1.5|2\na|00:00:01|3.5|2\nb|00:00:00|50|0\n",
+        "id,time,x,y\na,0,1.5,2,\na,1,3.5,2,\nb,0,50,0,\n",
+        "id,time,x,y,\na,0,1.5,2,\na,1,3.5,2,\nb,0,50,0,\n",
+        "id time  x y\n a 0   1.5 2 \na 1 3.5 2\nb 0 50 0\n",
         "id,time,x,y\na,1163065600000,1.5,2\na,1163065601000,3.5,2\nb,1163065600000,50,0\n",
     ]
     for n, text in enumerate(texts):
