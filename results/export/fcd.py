@@ -2,7 +2,7 @@
 
 Notes
 -----
-`fcd.xml.gz`: a `<timestep>` per step in which vehicles sense, `time` in seconds of the run. `x` and `y` are the centre
+`fcd.xml.gz`: a `<timestep>` per step, `time` in seconds of the run. `x` and `y` are the centre
 of the front bumper in the coordinates of the network [m], `angle` is in degrees clockwise from north, `type` is the
 class of the actor, and names are SUMO's. All actors are written.   Deviations: `z` is the
 underside of the box; lane, position on it and slope are left out, because the tables do not have them. SUMO's class and
@@ -35,6 +35,7 @@ class Fcd:
 
     TABLES = TABLES
     ALL_VEHICLES = True
+    ALL_STEPS = True
 
     def plan(self, selection: Selection) -> Plan:
         """One file."""
