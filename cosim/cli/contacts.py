@@ -164,8 +164,8 @@ def columns_of(
         raise ValueError("--x and --y are metres, --lat and --lon are degrees: a trace has one of the two. Name two.")
     if not all(place := degrees if any(degrees) else metres):
         raise ValueError("--x and --y go together, and so do --lat and --lon. Name both columns.")
-    x, y = (str(name) for name in place)
-    return Columns(actor or "id", time or "time", x, y, is_degrees=any(degrees), is_frame=frame_hz is not None)
+    x, y = (str(name).strip() for name in place)
+    return Columns((actor or "id").strip(), (time or "time").strip(), x, y, is_degrees=any(degrees), is_frame=frame_hz is not None)
 
 
 def _print_counted(folder: Path, as_json: bool) -> None:

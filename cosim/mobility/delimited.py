@@ -50,7 +50,9 @@ def first_line(path: Path) -> str:
     try:
         with open_input(path) as source:
             head = source.read(_HEAD_BYTES)
-    except (OSError, EOFError, zlib.error) as error:
+    except EOFError:
+        raise TrafficError(f"{path}: the gzip file ends early. {ENDS_EARLY}.") from None
+    except (OSError, zlib.error) as error:
         raise TrafficError(f"{path}: cannot be read ({error}).") from None
     except ValueError as error:
         raise TrafficError(str(error)) from None

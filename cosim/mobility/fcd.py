@@ -254,8 +254,9 @@ def _persons(path: Path, block: pa.Table, found: dict[str, pa.ChunkedArray]) -> 
         vehicle, person = (block.column(f"{kind}_id").is_null().to_numpy() for kind in ("vehicle", "person"))
         return vehicle & ~person
     if "lane" in found and "edge" in found:
-        lane, edge = (np.asarray(pc.fill_null(pc.equal(found[k], ""), True)) for k in ("lane", "edge"))
-        return lane & ~edge
+        no_lane, no_edge = (np.asarray(pc.fill_null(pc.equal(found[k], ""), True)) for k in ("lane", "edge"))
+        if not no_lane.all():  # vehicles of mesoscopic traffic have no lane either
+            return no_lane & ~no_edge
     if "type" in found or "person_id" not in block.column_names:
         return np.zeros(n, bool)
     speed = np.nan_to_num(np.asarray(pc.fill_null(found["speed"], 0.0)))

@@ -237,12 +237,15 @@ def test_persons_without_a_type_are_persons_and_riders_are_left_out(tmp_path):
 
 @pytest.mark.parametrize(
     ("head", "rows", "shapes"),
-    [  # columns of each kind, as xml2csv writes them; a person is on an edge and on no lane, as SUMO writes it
+    [  # columns of each kind, as xml2csv writes them; a person is on an edge and on no lane, as SUMO writes it,
+        # and in mesoscopic traffic vehicles are so, too
         ("timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_speed;person_id;person_x;person_y;"
          "person_angle;person_speed", ["{t};v;{x};0;90;8;;;;;", "{t};;;;;;p;3;{t};0;1"], {"v": 0, "p": 6}),
         ("timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_speed;vehicle_lane;vehicle_edge",
          ["{t};v;{x};0;90;8;ab_0;", "{t};p;3;{t};0;1;;ab"], {"v": 0, "p": 6}),
         ("timestep_time;person_id;person_x;person_y;person_angle;person_speed", ["{t};p;3;{t};0;1"], {"p": 6}),
+        ("timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_speed;vehicle_type;vehicle_lane;"
+         "vehicle_edge", ["{t};v;{x};0;90;8;car;;ab", "{t};p;3;{t};0;1;DEFAULT_PEDTYPE;;ab"], {"v": 0, "p": 6}),
     ],
 )  # fmt: skip
 def test_persons_in_tables(tmp_path, head, rows, shapes):
