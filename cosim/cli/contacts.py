@@ -165,7 +165,8 @@ def columns_of(
     if not all(place := degrees if any(degrees) else metres):
         raise ValueError("--x and --y go together, and so do --lat and --lon. Name both columns.")
     x, y = (str(name).strip() for name in place)
-    return Columns((actor or "id").strip(), (time or "time").strip(), x, y, is_degrees=any(degrees), is_frame=frame_hz is not None)
+    actor, time = (actor or "id").strip(), (time or "time").strip()
+    return Columns(actor, time, x, y, is_degrees=any(degrees), is_frame=frame_hz is not None)
 
 
 def _print_counted(folder: Path, as_json: bool) -> None:
