@@ -101,6 +101,8 @@ class Identities:
         self._number: dict[tuple[str, bool], int] = {}
         self._used: set[tuple[str, bool]] = set()
         self._type: list[str] = []
+        self._turn = 0
+        self._last_turn = np.zeros(0, np.int64)
         self._last_step = np.zeros(0, np.int64)
         self._last_m = np.zeros((0, 2))
         self._n_again, self._first_again = 0, ""
@@ -109,6 +111,8 @@ class Identities:
         self, keys: list[tuple[str, bool]], types: list[str], xy_m: Float[ndarray, "n 2"], step: int
     ) -> Int[ndarray, "n"]:
         """The number of each actor, or `UNKNOWN` for a new one, which `add` then numbers.
+
+        It is asked whenever the actors on the road can have changed. One that is missing in between was absent.
 
         Parameters
         ----------
@@ -123,9 +127,10 @@ class Identities:
         steps_gone = step - self._last_step[who]
         way_m = np.hypot(*(xy_m[seen] - self._last_m[who]).T)
         is_other = way_m > _FASTEST_MPS * steps_gone * self._step_s + _TELEPORT_M
-        for i in np.flatnonzero((steps_gone > 1) & ~is_other).tolist():  # few come back
+        self._turn += 1
+        for i in np.flatnonzero((self._turn - self._last_turn[who] > 1) & ~is_other).tolist():  # few come back
             is_other[i] = self._type[who[i]] != types[seen[i]].partition("@")[0]
-        self._last_step[who], self._last_m[who] = step, xy_m[seen]
+        self._last_turn[who], self._last_step[who], self._last_m[who] = self._turn, step, xy_m[seen]
         number[seen[is_other]] = UNKNOWN
         return number
 
@@ -152,12 +157,14 @@ class Identities:
         self._number.update(zip(keys, number.tolist(), strict=True))
         n = len(self._type) + len(keys)
         if n > len(self._last_step):
-            self._last_step = np.concatenate([self._last_step, np.zeros(n, np.int64)])
+            self._last_turn, self._last_step = (
+                np.concatenate([old, np.zeros(n, np.int64)]) for old in (self._last_turn, self._last_step)
+            )
             self._last_m = np.concatenate([self._last_m, np.zeros((n, 2))])
         self._type += [""] * len(keys)
         for row, of in zip(number.tolist(), types, strict=True):
             self._type[row] = of.partition("@")[0]
-        self._last_step[number], self._last_m[number] = step, xy_m
+        self._last_turn[number], self._last_step[number], self._last_m[number] = self._turn, step, xy_m
 
     def report(self) -> dict[str, Any]:
         """How many names came back as another actor, and the first of these actors."""

@@ -378,6 +378,12 @@ def _kinds_and_sizes(
             rows = pa.concat_tables(delimited.blocks(meta, found, (actor, "class")))
             of = dict(zip(rows.column(actor).to_pylist(), rows.column("class").to_pylist(), strict=True))
             kinds = np.array([of.get(name) or "" for name in actors.tolist()], object)
+    if lw_m is not None and (large := np.argwhere(lw_m > (vtypes.LARGEST_M["length"], vtypes.LARGEST_M["width"]))).size:
+        row, axis = large[0].tolist()
+        raise TrafficError(
+            f"{path}: {actors[row]!r} has {columns.size[axis]} = {lw_m[row, axis]:g} m, which no vehicle has. Correct "
+            "it."
+        )
     return kinds, lw_m
 
 

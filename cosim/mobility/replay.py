@@ -26,7 +26,7 @@ from results.archive import open_run
 from results.run import Run
 from sensors.scene import Shape
 from sumo_nets import vtypes
-from sumo_nets.vtypes import check_size
+from sumo_nets.vtypes import LARGEST_M, SMALLEST_M, check_size
 
 _N_PROBED = 10
 """Timesteps from which the interval of a trace is measured."""
@@ -93,7 +93,7 @@ class TraceReplay(_Replay):
         if not any(timestep.names for timestep in ahead) and len(ahead) < _N_PROBED:
             raise TrafficError(f"{path}: an empty trace: no actor is ever on the road.")
         self._convert, self._placed = conversion(str(path), ahead, net, projection_of(path))
-        self._travel = TravelCheck(str(path))
+        self._travel = TravelCheck(str(path))  # before the interval is judged, whose unit may be wrong
         placed = list(self._placed_of(ahead))
         self._frame = self._frame.around(np.concatenate([timestep.front_m for timestep in placed]))
         every_s = interval_s(np.array([timestep.time_s for timestep in ahead])) or self._dt_s
@@ -115,7 +115,7 @@ class TraceReplay(_Replay):
         time_s = self._begin_s + (self._n_skipped + step - 1) * self._dt_s
         timestep = self._timeline.at(time_s)
         if timestep is None:
-            raise TrafficEnded(self._end(step))
+            raise TrafficEnded(self._end())
         self._frame = self._frame.around(timestep.front_m)
         if timestep.names is not self._rows_of[0]:  # between two timesteps of the trace, the actors are the same
             self._rows_of = timestep.names, *self._on_road(timestep, step)
@@ -151,7 +151,7 @@ class TraceReplay(_Replay):
             self._travel.add(placed)
             yield placed
 
-    def _end(self, step: int) -> str:
+    def _end(self) -> str:
         """Why the traffic ends, with what was skipped of it."""
         said = f"{self._source} goes from {self._first_s:g} s to {self._timeline.last_s:g} s"
         skipped_s = self._n_skipped * self._dt_s
@@ -200,7 +200,14 @@ class TraceReplay(_Replay):
         lwh_m = np.array([self._type_of(timestep, row).lwh_m for row in rows.tolist()], float).reshape(-1, 3)
         if timestep.lwh_m is not None:
             own_m = timestep.lwh_m[rows]
-            lwh_m = np.where(own_m > 0, own_m, lwh_m)
+            if (large := np.argwhere(own_m > tuple(LARGEST_M.values()))).size:
+                row, axis = large[0].tolist()
+                what = tuple(LARGEST_M)[axis]
+                raise TrafficError(
+                    f"{self._source}: {keys[row][0]!r} has {what} = {own_m[row, axis]:g} m; at most "
+                    f"{LARGEST_M[what]:g} m are possible. Correct the trace."
+                )
+            lwh_m = np.where(own_m >= SMALLEST_M, own_m, lwh_m)
         if timestep.vclasses is None:
             untyped = (name for (name, is_person), of in zip(keys, types, strict=True) if not of and not is_person)
             self._untyped.update(untyped)

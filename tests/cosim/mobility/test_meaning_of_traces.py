@@ -282,3 +282,12 @@ def test_sizes_and_classes_that_a_trace_states(tmp_path):
     _, report, who = replay(tmp_path / "t.xml")
     assert who.lwh_m[0] == pytest.approx([2.5, 1.4, 1.3]) and who.shape.tolist() == [0]
     assert "types_guessed" not in report and "vehicles_without_type" not in report
+    (tmp_path / "t.xml").write_text(f"<fcd-export>{rows.replace('2.5', '2500')}</fcd-export>")
+    with pytest.raises(TrafficError, match="'a' has length = 2500 m"):
+        replay(tmp_path / "t.xml")
+
+
+def test_a_type_that_traci_changes_makes_no_other_vehicle_between_timesteps(tmp_path):
+    """The type changes without an absence, and steps are shorter than the trace's."""
+    rows = [(t, "5", 8 * t, 5, 90, "car" if t < 4 else "slow_car", 8) for t in range(8)]
+    assert replay(write(tmp_path, rows), step_s=0.25)[2].names == ["5"]
