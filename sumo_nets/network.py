@@ -168,13 +168,10 @@ def junctions(net_path: Path | str) -> Streets:
     return Streets(found, (bounds[0], bounds[1], bounds[2], bounds[3]))
 
 
-def projection(net_path: Path | str) -> tuple[str, tuple[float, float]]:
+def location(net_path: Path | str) -> tuple[str, tuple[float, float]]:
     """The projection of a network as a text of PROJ, and what was added to projected coordinates: east, north [m].
 
-    Raises
-    ------
-    ValueError
-        In one line: the network has no projection.
+    The text is `!` without a projection.
     """
     found: list[tuple[str, tuple[float, float]]] = []
 
@@ -182,12 +179,25 @@ def projection(net_path: Path | str) -> tuple[str, tuple[float, float]]:
         if name == "location":
             x, y = (float(value) for value in attributes.get("netOffset", "0,0").split(","))
             found.append((attributes.get("projParameter", "!"), (x, y)))
+        if name != "net":
             raise Enough
 
     stream(net_path, start)
-    if not found or found[0][0] in ("!", "-", ""):
+    return found[0] if found else ("!", (0.0, 0.0))
+
+
+def projection(net_path: Path | str) -> tuple[str, tuple[float, float]]:
+    """The same for a network that must have a projection.
+
+    Raises
+    ------
+    ValueError
+        In one line: the network has no projection.
+    """
+    text, offset_m = location(net_path)
+    if text in ("!", "-", ""):
         raise ValueError(f"{net_path} has no projection.")
-    return found[0]
+    return text, offset_m
 
 
 def admits_motors(lane: Attributes) -> bool:

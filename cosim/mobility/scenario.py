@@ -9,6 +9,7 @@ import numpy as np
 from cosim.mobility import fcd
 from cosim.mobility.actors import ActorRegistry
 from cosim.mobility.frame import Bounds, Frame, origin_of
+from cosim.mobility.georeference import NetLocation
 from cosim.mobility.objects import ObjectParams, Placed, WithObjects
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.replay import RunReplay, TraceReplay
@@ -17,8 +18,9 @@ from cosim.mobility.source import TrafficSource
 from cosim.mobility.streetside import NO_TREES, ParkedParams, Streetside, TreeParams, with_trees
 from results.archive import open_run
 from results.durable import sha256
+from results.export.earth import Projection
 from sensors.scene import Scene
-from sumo_nets import catalogue, sumocfg
+from sumo_nets import catalogue, network, sumocfg
 from sumo_nets.catalogue import Net
 from sumo_nets.footprints import read_footprints
 from sumo_nets.ground import standing_on
@@ -87,7 +89,18 @@ class Scenario:
         if self.trace.is_dir():
             changed = self.changed_inputs(open_run(self.trace).manifest.get("net", {}))
             return RunReplay(params, self.trace, registry, frame, changed)
-        return TraceReplay(params, self.trace, registry, self.types, frame)
+        return TraceReplay(params, self.trace, registry, self.types, frame, self.location())
+
+    def location(self) -> NetLocation | None:
+        """Where the network is, and its projection; None without a network."""
+        if self.net is None or self.bounds_m is None:
+            return None
+        text, offset_m = network.location(self.net)
+        try:
+            projection = Projection.of(text, -offset_m[0], -offset_m[1])
+        except ValueError:
+            projection = None
+        return NetLocation(self.bounds_m, projection, offset_m)
 
     def parked(self, params: ParkedParams, city: Scene, seed: int) -> dict[str, ObjectParams]:
         """Parked cars by name. A ValueError of one line is raised if there are no streets."""

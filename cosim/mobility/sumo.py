@@ -203,8 +203,10 @@ class SumoTraffic:
         }
 
     def _first_departure(self) -> dict[str, float]:
-        """The first departure of the demand, if no vehicle was ever on the road."""
-        if self._counts.n_vehicles or (first_s := first_departure_s(sumocfg.read(self._config).routes)) is None:
+        """The first departure of the demand, if nobody was ever on the road."""
+        if self._counts.n_vehicles or self._counts.n_pedestrians:
+            return {}
+        if (first_s := first_departure_s(sumocfg.read(self._config).routes)) is None:
             return {}
         return {"first_departure_s": first_s, "warmup_s": self._warmup_s}
 

@@ -237,6 +237,19 @@ def test_remarks_on_standing_and_waiting_vehicles():
     first, second = traffic_remarks(summary)
     assert first.startswith("note: 52 % of the vehicles stand") and "457 vehicles wait to enter" in second
     assert traffic_remarks(summary | {"vehicles_standing_p": 0.49, "vehicles_waiting_to_enter_at_end": 90}) == []
+    two_buses_at_a_stop = {"vehicles_standing_p": 0.6, "vehicles_on_road_mean": 5.0}
+    assert traffic_remarks(two_buses_at_a_stop) == []
+
+
+def test_only_pedestrians_is_said_and_no_departure_is_advised(scenario, tmp_path):
+    def walks(text):
+        return '<routes><person id="w" depart="2"><walk edges="ab"/></person></routes>'
+
+    config = edited(scenario, tmp_path, "odd.rou.xml", walks)
+    sets = (f"traffic.scenario={config}", "traffic.duration_s=9", "sensing=false")
+    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"))
+    assert done.returncode == 0 and "only pedestrians were on the road" in done.stderr, done.stderr
+    assert "begin_s" not in done.stderr
 
 
 def test_standing_vehicles_are_counted_by_hand():
