@@ -1,5 +1,6 @@
 """Makes a trace that a run can drive from positions of vehicles: logs, drone recordings, output of other simulators."""
 
+import os
 from collections.abc import Iterator
 from itertools import chain, pairwise
 from pathlib import Path
@@ -14,6 +15,7 @@ from cosim.mobility.fcd import Timestep
 from cosim.mobility.frame import TrafficError
 from cosim.mobility.positions import Fixes
 from cosim.mobility.tracks import Positions, TrackParams, Tracks, steps, tracks
+from results import durable
 from results.durable import PARTIAL
 from sumo_nets import vtypes
 
@@ -49,6 +51,7 @@ def write_trace(fixes: Fixes, params: TrackParams, out: Path) -> dict[str, float
         raise TrafficError(str(error)) from None
     partial = out.with_name(out.name + PARTIAL)
     try:
+        os.close(durable.new_file(partial))
         _write(timesteps(fixes, found, params.step_s), partial)
         partial.rename(out)
     except OSError as error:

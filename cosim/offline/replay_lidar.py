@@ -22,6 +22,7 @@ from cosim.mobility.meshes import with_meshes
 from cosim.mobility.scenario import find
 from cosim.step.perception import swept
 from cosim.world import World
+from results import durable
 from results.figures import movie, scene, style
 from results.figures.sweep import draw
 from results.run import Run
@@ -146,8 +147,7 @@ def write(run: Run, vehicle: int, step: int, out: Path | None) -> Path:
     out = out or run.path / f"sweep-{vehicle}-{step}.png"
     form = next((end for end in sorted(cloud.FORMATS, key=len, reverse=True) if out.name.endswith(end)), None)
     if form is not None:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_bytes(cloud.FORMATS[form](points))
+        durable.write_output(out, cloud.FORMATS[form](points))
         return out
     if out.suffix not in style.FORMATS:
         raise ValueError(

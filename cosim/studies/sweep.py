@@ -70,6 +70,7 @@ def prepare(file: Path, out: Path, merge: bool = True, trust_code: bool = False)
 def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Task:
     """Plan a sweep of a study that was read from the file `where`."""
     folder = StudyFolder(out)
+    folder.check()
     points = points_of(study, where)
     answers = folder.answers()
     there = {point.id for point in points if point.id in answers and folder.is_finished(answers[point.id][0])}
@@ -177,6 +178,7 @@ def status(
         raise ValueError(
             f"{folder.path} holds no run and no study. Give the folder of a `cosim run` or a `cosim sweep`."
         )
+    folder.check()
     study = load(file, trust_code)
     points = points_of(study, str(file))
     states = folder.write_index(study, points)
