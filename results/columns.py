@@ -39,8 +39,8 @@ class Column:
     """Not in every run if given: what rows have in runs that do not need the column, or were made before there was one.
     It is the row's `step`, 0 or null."""
     of: Of = ""
-    """What a whole number names: a row of `vehicles` by its number, a row of `pseudonyms`, or a step of the run. Reading
-    checks it, because the number may be used as an index. All whole numbers are 0 or more."""
+    """What a whole number names: a row of `vehicles` by its number, a row of `pseudonyms`, or a step of the run.
+    Reading checks it, because the number may be used as an index. All whole numbers are 0 or more."""
     via: Literal["", "source", "pose"] = ""
     """Not stored if given: `open_run` reads the column from the detection that `<via>` and `<via>_index` name."""
 

@@ -362,7 +362,9 @@ class Run:
                 named = values.drop_null().to_numpy()
                 wrong = named[~np.isin(named, self._pseudonyms())].tolist()
             if wrong:
-                what = f"which is no number of the table {column.of}" if column.of in TABLES else "which is out of bounds"
+                what = (
+                    f"which is no number of the table {column.of}" if column.of in TABLES else "which is out of bounds"
+                )
                 self._found_damaged(f"{table}/{path.name} has {name} = {wrong[0]}, {what}", "Run again.")
         return rows
 

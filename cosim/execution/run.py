@@ -79,6 +79,7 @@ def run(
     Stopped
         If a signal interrupted the run; the complete steps are written.
     """
+    out = None if out is None else out.expanduser()
     run_folder.check(out)
     with StopRequest() as stop, workers_for(cells) as workers:
         scenario = check(config)

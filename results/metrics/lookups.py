@@ -221,9 +221,8 @@ def _places(known: Int[ndarray, "p"], pseudonym: Int[ndarray, "n"], path: Path) 
     place = np.searchsorted(known, pseudonym)
     there = np.append(known, -1)[place] == pseudonym
     if not there.all():
-        raise Damaged(
-            f"{path} is damaged: it has values for the pseudonym {pseudonym[~there][0]}, which no vehicle with a role used."
-        )
+        name = pseudonym[~there][0]
+        raise Damaged(f"{path} is damaged: it has values for the pseudonym {name}, which no vehicle with a role used.")
     return place
 
 

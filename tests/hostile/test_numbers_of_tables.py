@@ -100,7 +100,7 @@ def test_numbers(run, tmp_path):
 @pytest.mark.parametrize(
     "table, column, value, words",
     [
-        ("pseudonyms", "vehicle", 255, "pseudonyms/part-00000.parquet has vehicle = 255, which is no number of the table"),
+        ("pseudonyms", "vehicle", 255, "has vehicle = 255, which is no number of the table vehicles"),
         ("pseudonyms", "vehicle", -5, "has vehicle = -5"),
         ("trust_lookups", "receiver", 2**31 - 1, "has receiver = 2147483647"),
         ("trust_lookups", "subject", 4000, "has subject = 4000, which is no number of the table pseudonyms"),
