@@ -362,10 +362,8 @@ class Run:
                 named = values.drop_null().to_numpy()
                 wrong = named[~np.isin(named, self._pseudonyms())].tolist()
             if wrong:
-                what = (
-                    f"which is no number of the table {column.of}" if column.of in TABLES else "which is out of bounds"
-                )
-                self._found_damaged(f"{table}/{path.name} has {name} = {wrong[0]}, {what}", "Run again.")
+                what = f"no number of the table {column.of}" if column.of in TABLES else "out of bounds"
+                self._found_damaged(f"{table}/{path.name} has {name} = {wrong[0]}, which is {what}", "Run again.")
         return rows
 
     def _n_named(self, of: Of) -> int:

@@ -43,9 +43,9 @@ def ignore_settings_here() -> None:
         config._config_fname = os.devnull  # it has no other switch
         config.reload_config()
     if os.path.lexists("matplotlibrc"):
-        import matplotlib
+        from results.figures.style import forget_settings
 
-        matplotlib.rcdefaults()
+        forget_settings()
 
 
 if __name__ == "__main__":
