@@ -38,8 +38,9 @@ th, td { text-align: left; padding: 3px 10px 3px 0; border-bottom: 1px solid var
 th { color: var(--soft); font-weight: 600; } td.number { text-align: right; font-variant-numeric: tabular-nums; }
 th.number { text-align: right; } .wide { overflow-x: auto; }
 .numbers { table-layout: fixed; overflow-wrap: anywhere; } .numbers th:nth-child(1) { width: 21%; }
-.numbers th:nth-child(2) { width: 27%; } .numbers th:nth-child(3) { width: 15%; } .numbers th:nth-child(4) { width: 9%; }
-.numbers th:nth-child(5) { width: 14%; } .numbers td { border-top: 1px solid var(--line); border-bottom: 0; }
+.numbers th:nth-child(2) { width: 27%; } .numbers th:nth-child(3) { width: 15%; }
+.numbers th:nth-child(4) { width: 9%; } .numbers th:nth-child(5) { width: 14%; }
+.numbers td { border-top: 1px solid var(--line); border-bottom: 0; }
 .numbers .more td { border-top: 0; padding-top: 0; }
 details { margin: 8px 0; } summary { cursor: pointer; font-weight: 600; }
 pre { background: var(--tint); padding: 12px; overflow-x: auto; font-size: 12.5px; }

@@ -2,8 +2,8 @@
 
 import json
 import logging
-from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -204,6 +204,63 @@ def _there(frame: pd.DataFrame, metric: str) -> str:
     names = sorted(frame.metric.unique())
     alike = [name for name in names if name.startswith(metric.partition(".")[0] + ".")]
     return f"It has {', '.join(alike or names)}."
+
+
+def short_names(values: Iterable[Any]) -> dict[Any, str]:
+    """Values of a swept key as figures and tables say them: files by the shortest names that tell them apart."""
+    texts = {value: said(value) for value in dict.fromkeys(values)}
+    files = [value for value, text in texts.items() if isinstance(value, str) and text.startswith("/")]
+    longest = max((text.count("/") for text in texts.values()), default=0)
+    for name in (_stem, *(partial(_end, n) for n in range(1, longest + 1))):
+        short = texts | {value: name(value) for value in files}
+        if len(set(short.values())) == len(short):
+            return short
+    return texts
+
+
+def said(value: Any) -> str:
+    """A value of a swept key as text: numbers without digits that say nothing."""
+    return f"{value:g}" if isinstance(value, float | np.floating) and not np.isnan(value) else str(value)
+
+
+def _stem(path: str) -> str:
+    """The name of a file without its endings, or that of a class."""
+    name = path.rsplit("/", 1)[-1]
+    return name if ":" in name else name.split(".")[0] or name
+
+
+def _end(n: int, path: str) -> str:
+    return "/".join(path.split("/")[-n:])
+
+
+def with_short_names(frame: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
+    """The same rows with short names in place of the files that swept keys name."""
+    words = [key for key in keys if frame[key].dtype.kind not in "fiub"]
+    return frame.assign(**{key: frame[key].map(short_names(frame[key])) for key in words})
+
+
+def held_at(frame: pd.DataFrame, key: str, text: str) -> pd.DataFrame:
+    """Rows in which a swept key has the value that a text says: a number, a word, a file or its short name.
+
+    Raises
+    ------
+    ValueError
+        In one line, with the values that there are.
+    """
+    short = short_names(frame[key])
+    wanted = [value for value, name in short.items() if _is_said(value, name, text)]
+    if not wanted:
+        raise ValueError(f"no point has {key} = {text}. There are {', '.join(map(str, short.values()))}.")
+    return frame[frame[key].isin(wanted)]
+
+
+def _is_said(value: Any, name: str, text: str) -> bool:
+    if text in (str(value), name) or text.lower() == str(value).lower() in ("true", "false"):
+        return True
+    try:
+        return not isinstance(value, bool | np.bool_) and float(value) == float(text)
+    except ValueError:
+        return False
 
 
 def _as_column(column: pd.Series, value: Any) -> Any:

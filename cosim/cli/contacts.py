@@ -68,7 +68,7 @@ def contacts(
     pairs: Annotated[Pairs | None, typer.Option(help="Pairs that count, as encounters.pairs.")] = None,
     config: Annotated[
         Path | None,
-        typer.Option(help="Config whose [[encounters]], [fleet] and seed are used instead."),
+        typer.Option(help="Config whose encounters, fleet and seed are used instead."),
     ] = None,
     scenario: Annotated[
         str | None,
