@@ -195,11 +195,15 @@ def _spawned(look_m: Float[ndarray, "3"]):  # type: ignore[no-untyped-def]
     return recording
 
 
-def show(recording, option: str, instead: str) -> None:  # type: ignore[no-untyped-def]
+def show(recording, option: str, instead: str) -> subprocess.Popen[bytes]:  # type: ignore[no-untyped-def]
     """Open the viewer for a recording.
 
     It is the viewer of this installation, and it listens to this machine alone. The SDK would start the first `rerun`
     in PATH, which listens to all of the network.
+
+    Returns
+    -------
+    Its process, which goes on when this one ends.
 
     Raises
     ------
@@ -216,12 +220,12 @@ def show(recording, option: str, instead: str) -> None:  # type: ignore[no-untyp
     while time.monotonic() < end_s and viewer.poll() is None:
         with suppress(OSError), socket.create_connection((_HERE, port), timeout=1.0):
             recording.connect_grpc(f"rerun+http://{_HERE}:{port}/proxy")
-            return
+            return viewer
         time.sleep(0.1)
     with suppress(OSError):
         os.killpg(viewer.pid, signal.SIGKILL)
-    status = viewer.wait()
-    raise ValueError(f"{option}: the Rerun viewer does not start (status {status}; no screen?). {instead}.")
+    viewer.wait()
+    raise ValueError(f"{option}: the Rerun viewer does not start; it needs a screen. {instead}.")
 
 
 def _encounters(run: Run) -> pd.DataFrame:

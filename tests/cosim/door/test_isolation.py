@@ -50,7 +50,7 @@ def test_a_class_leaves_the_current_folder(tmp_path, monkeypatch):
     with pytest.raises(ExtensionError, match=r"mine.py:\d+: trust model Mine: scores\(\) changed the current folder"):
         tiny.play(path, "trust")
     path.write_text("import os\nos.chdir('/')\n" + source(GOOD["trust"]))
-    with pytest.raises(Refused, match="mine.py:.*changed the current folder"):
+    with pytest.raises(Refused, match=r"mine.py:.*changed the current folder"):
         load_own(f"{path}:Mine", KINDS["trust"])
     assert str(tmp_path) == isolation._folder()
 
