@@ -71,7 +71,7 @@ class Active:
         """
         attacks, perceived = self._with("detections"), listed
         listed, n_dropped = without_faults(listed, self.xyz_m)
-        n_identities = self.identities(len(self.xyz_m)) if attacks else None
+        n_identities = self.identities(len(self.xyz_m)) if attacks else np.zeros(0, np.int64)
         for attack, context in attacks:
             listed = attack.detections(listed, replace(context, n_identities=n_identities))
             listed, n = without_faults(listed, self.xyz_m)

@@ -61,7 +61,8 @@ def test_points_are_chosen_by_numbers_words_and_short_names():
     })  # fmt: skip
     for key, text, rows in (
         ("freshness", "20", [1, 2]), ("freshness", "20.0", [1, 2]), ("freshness", "2e1", [1, 2]),
-        ("mixed", "20.0", [1]), ("mixed", "off", [0]), ("mixed", "5.5", [2]), ("scenario", "helsinki", [0]), ("scenario", CITIES[2], [2]),
+        ("mixed", "20.0", [1]),
+        ("mixed", "off", [0]), ("mixed", "5.5", [2]), ("scenario", "helsinki", [0]), ("scenario", CITIES[2], [2]),
         ("scenario", "beta/street.sumocfg", [2]), ("on", "true", [0, 2]), ("on", "False", [1]),
     ):  # fmt: skip
         assert held_at(frame, key, text).index.tolist() == rows, (key, text)
