@@ -211,7 +211,8 @@ def short_names(values: Iterable[Any]) -> dict[Any, str]:
     texts = {value: said(value) for value in dict.fromkeys(values)}
     files = [value for value, text in texts.items() if isinstance(value, str) and text.startswith("/")]
     longest = max((text.count("/") for text in texts.values()), default=0)
-    for name in (_stem, *(partial(_end, n) for n in range(1, longest + 1))):
+    ways: list[Callable[[str], str]] = [_stem, *(partial(_end, n) for n in range(1, longest + 1))]
+    for name in ways:
         short = texts | {value: name(value) for value in files}
         if len(set(short.values())) == len(short):
             return short

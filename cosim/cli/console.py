@@ -19,10 +19,14 @@ from rich.console import Console
 from rich.text import Text
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from results.run import Run
 
 _PIPED_WIDTH = 160
 """Width of tables, in characters, when standard output is not a terminal."""
+_WHOLE = 10_000
+"""The same of tables that need not fit anything."""
 screen = Console(  # without markup, so that names from the user are shown unchanged
     markup=False, highlight=False, emoji=False,
     width=None if (sys.stdout is not None and sys.stdout.isatty()) or "COLUMNS" in os.environ else _PIPED_WIDTH,
@@ -147,6 +151,11 @@ def print_run_summary(folder: Path, as_json: bool) -> "Run":
     }
     print_facts(lines)
     return run
+
+
+def print_table(table: "Table") -> None:
+    """A table with names from the user, which are not cut where standard output is no terminal."""
+    screen.print(table, width=None if screen.is_terminal else _WHOLE, crop=screen.is_terminal)
 
 
 def print_facts(facts: Mapping[str, Sequence[str]]) -> None:

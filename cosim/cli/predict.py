@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from cosim.cli.console import AsJson, TrustCode, notes, print_json, progress, screen
+from cosim.cli.console import AsJson, TrustCode, notes, print_json, print_table, progress, screen
 
 if TYPE_CHECKING:
     from cosim.predict.prediction import Prediction
@@ -95,7 +95,7 @@ def freshness(
         return
     for line in neglected:
         notes.print(f"note: neglected: {line}", soft_wrap=True)
-    screen.print(_table(found, measured))
+    print_table(_table(found, measured))
     if inputs:
         said = ", ".join(f"{name} {value:.3g}" for name, value in inputs.items())
         screen.print(f"measured from traffic: {said}", soft_wrap=True)

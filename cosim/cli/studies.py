@@ -6,11 +6,7 @@ from typing import Annotated
 import typer
 from rich.table import Column, Table
 
-from cosim.cli.console import AsJson, TrustCode, notes, print_done, print_json, progress, screen
-
-_WHOLE = 10_000
-"""Width of tables of a study, in characters, when standard output is not a terminal: no name is cut."""
-
+from cosim.cli.console import AsJson, TrustCode, notes, print_done, print_json, print_table, progress, screen
 
 def add_to(app: typer.Typer) -> None:
     """Add the commands `sweep`, `status`, `retrust` and `cache`."""
@@ -165,7 +161,7 @@ def measure(folder: Path, metrics: list[str], as_json: bool) -> None:
         table = Table(*names, title=f"{study.name}: {of}", title_justify="left", box=None)
         for row in with_short_names(chosen(frame, asked), study.keys)[columns].itertuples(index=False):
             table.add_row(*("" if v != v else f"{v:.4g}" if isinstance(v, float) else str(v) for v in row))
-        screen.print(table, width=None if screen.is_terminal else _WHOLE, crop=screen.is_terminal)
+        print_table(table)
     screen.print("written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
 
 

@@ -84,9 +84,9 @@ class Guarded:
         try:
             with isolation.kept():
                 returned = method(*(_shown(name, one) for name, one in zip(hook.parameters, given, strict=True)))
-        except isolation.FolderChanged as changed:
+        except isolation.FolderChanged as moved:
             raise blame.ExtensionError(
-                f"{file}:{blame.definition_line(choice.of, name, file)}: {what} {changed}."
+                f"{file}:{blame.definition_line(choice.of, name, file)}: {what} {moved}."
             ) from None
         except BaseException as error:  # whatever a user's class does
             if blame.is_interrupt(error):
