@@ -31,9 +31,7 @@ SCHEMA_VERSION = 8
 """Raised whenever a table or column changes its name, type, unit or meaning."""
 
 
-def _key(
-    meaning: str, type: Literal["int32", "int16"] = "int32", layout: Layout | None = None, of: Of = ""
-) -> Column:
+def _key(meaning: str, type: Literal["int32", "int16"] = "int32", layout: Layout | None = None, of: Of = "") -> Column:
     return Column(type, meaning=meaning, key=True, layout=layout, of=of)
 
 

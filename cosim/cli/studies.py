@@ -8,6 +8,7 @@ from rich.table import Column, Table
 
 from cosim.cli.console import AsJson, TrustCode, notes, print_done, print_json, print_table, progress, screen
 
+
 def add_to(app: typer.Typer) -> None:
     """Add the commands `sweep`, `status`, `retrust` and `cache`."""
     for command in (sweep, status, retrust, cache):
