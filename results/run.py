@@ -358,7 +358,7 @@ class Run:
                 continue
             ends = pc.min_max(values).as_py()
             wrong = [end for end in ends.values() if end is not None and not 0 <= end < self._n_named(column.of)]
-            if not wrong and column.of == "pseudonyms" and "pseudonyms" in self.tables:
+            if not wrong and column.of == "pseudonyms" and len(self._pseudonyms()):
                 named = values.drop_null().to_numpy()
                 wrong = named[~np.isin(named, self._pseudonyms())].tolist()
             if wrong:
@@ -368,12 +368,14 @@ class Run:
 
     def _n_named(self, of: Of) -> int:
         """One more than the largest number that a column of this kind may have."""
-        if of == "vehicles" and "vehicles" in self.tables:
-            return self.n_rows("vehicles")
+        if of == "vehicles" and "vehicles" in self.tables and (n := self.n_rows("vehicles")):
+            return n
         return int(self.manifest["steps"]) + 1 if of == "steps" else 2**31
 
     def _pseudonyms(self) -> np.ndarray:
-        """All pseudonyms of the run."""
+        """All pseudonyms of the run; none if it does not say."""
+        if "pseudonyms" not in self.tables:
+            return np.zeros(0, np.int32)
         return self.once_for_all(
             "pseudonyms by number", lambda: self.table("pseudonyms", ["pseudonym"]).pseudonym.to_numpy()
         )

@@ -50,7 +50,7 @@ class Study:
         for run in self.points["run"].unique():
             path = self.path / "jobs" / str(run) / "measures.parquet"
             if path.is_file():
-                frames.append(pd.read_parquet(path))
+                frames.append(_measures(path))
         if not frames:
             raise ValueError(f"{self.path} has no finished run yet. Run `cosim sweep` on.")
         columns = ["point", "replicate", *self.keys]
@@ -159,14 +159,53 @@ def open_study(path: str | Path) -> Study:
     if not is_study(path):
         raise ValueError(f"{path} is not a study: it holds no index.parquet. Give the folder of a `cosim sweep`.")
     try:
-        table = pq.read_table(path / "index.parquet")
+        table = pq.read_table(path / "index.parquet", partitioning=None)
         head = json.loads((table.schema.metadata or {})[b"study"])
-        return Study(path, head, table.to_pandas())
-    except (OSError, ValueError, KeyError) as error:
-        reason = str(error).splitlines()[0]
+        points = table.to_pandas()
+        _check(head, points)
+        return Study(path, head, points)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ValueError(
             f"{path}/index.parquet is damaged ({reason}). `cosim status {path}` writes it anew."
         ) from error
+
+
+def _check(head: Mapping[str, Any], points: pd.DataFrame) -> None:
+    """Raise ValueError if an index is not what a sweep writes: anybody can have changed it."""
+    kinds = {"name": str, "question": str, "keys": list, "baseline": dict}
+    if wrong := [name for name, kind in kinds.items() if not isinstance(head[name], kind)]:
+        raise ValueError(f"{wrong[0]} is of another kind")
+    if lacking := [str(name) for name in (*_POINTS, *head["keys"], *head["baseline"]) if name not in points.columns]:
+        raise ValueError(f"it has no column {lacking[0]}")
+    if len(points.columns) != len(set(points.columns)):
+        raise ValueError("it has a column twice")
+    for name in ("point", "run", "variant", "state"):
+        if not points[name].map(lambda text: isinstance(text, str) and Path(text).name == text).all():
+            raise ValueError(f"{name} holds something else than names")
+    if points.replicate.dtype.kind not in "iu" or not points.point.is_unique:
+        raise ValueError("replicate holds something else than numbers, or a point is there twice")
+
+
+def _measures(path: Path) -> pd.DataFrame:
+    """Metrics of a run's points. Damaged, in one line, if the file holds something else."""
+    columns = {"point": "O", "metric": "O", "group": "O", "value": "fiu", "unit": "O", "label": "O"}
+    try:
+        found = pq.read_table(path, partitioning=None).to_pandas()
+        for name, kinds in columns.items():
+            texts = kinds == "O"
+            if not (
+                found[name].map(lambda text: isinstance(text, str)).all() if texts else found[name].dtype.kind in kinds
+            ):
+                raise ValueError(f"{name} is of another kind")
+        return found
+    except (OSError, ValueError, KeyError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise durable.Damaged(f"{path} is damaged ({reason}). Sweep the study in another --out.") from None
+
+
+_POINTS = ("point", "run", "variant", "replicate", "state")
+"""Columns of an index that say what a point is."""
 
 
 def is_study(path: Path) -> bool:

@@ -118,7 +118,7 @@ class StudyFolder:
         found: dict[str, tuple[str, str]] = {}
         jobs = sorted(path.parent.name for path in (self.path / "jobs").glob("*/job.json"))
         for id in sorted(jobs, key=lambda id: not self.is_finished(id)):
-            for point, variant in json.loads(durable.read(self.job(id) / "job.json"))["members"].items():
+            for point, variant in _members(self.job(id) / "job.json").items():
                 found.setdefault(point, (id, variant))
         return found
 
@@ -134,7 +134,7 @@ class StudyFolder:
     def attempts(self, id: str) -> list[Attempt]:
         """Attempts at a run until now."""
         path = self.job(id) / "attempts.json"
-        return [Attempt(**row) for row in json.loads(durable.read(path))] if path.is_file() else []
+        return _attempts(path) if path.is_file() else []
 
     def add_attempt(self, id: str, attempt: Attempt) -> None:
         rows = [asdict(a) for a in (*self.attempts(id), attempt)]
@@ -177,8 +177,36 @@ def status_of(run: Path) -> str:
     """Status in a run's manifest; empty if there is none."""
     try:
         return str(json.loads(durable.read(run / "manifest.json"))["status"])
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return ""
+
+
+def _members(job: Path) -> dict[str, str]:
+    """Trust variant of each point of a job. Damaged, in one line, if the file says no such thing."""
+    try:
+        members = dict(json.loads(durable.read(job))["members"])
+        if not all(isinstance(text, str) for item in members.items() for text in item):
+            raise ValueError("members are no names")
+        return members
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise _damaged(job, error) from None
+
+
+def _attempts(path: Path) -> list[Attempt]:
+    """Attempts as a file has them. Damaged, in one line, if it has something else."""
+    kinds = {"outcome": str, "error": str, "wall_s": (int, float), "cpu_s": (int, float), "memory_bytes": int}
+    try:
+        found = [Attempt(**row) for row in json.loads(durable.read(path))]
+        if wrong := [name for one in found for name, kind in kinds.items() if not isinstance(getattr(one, name), kind)]:
+            raise ValueError(f"{wrong[0]} is of another kind")
+        return found
+    except (OSError, ValueError, TypeError, RecursionError) as error:
+        raise _damaged(path, error) from None
+
+
+def _damaged(path: Path, error: Exception) -> durable.Damaged:
+    reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+    return durable.Damaged(f"{path} is damaged ({reason}). Sweep the study in another --out.")
 
 
 def write_whole(path: Path, content: bytes) -> None:

@@ -329,6 +329,8 @@ class _Adding:
         age_number = self.ages.of(keys.astype(np.int64).ravel()).reshape(keys.shape)
         self.age_counts = _widened(self.age_counts, 3, len(self.ages.keys))
         n_receivers = int(receiver.max(initial=-1)) + 1
+        if n_receivers > len(self.left):
+            raise Damaged(f"{self.path} is damaged: vehicle {n_receivers - 1} looks up trust, and there is none.")
         self.of_receivers = {name: _widened(table, 1, n_receivers) for name, table in self.of_receivers.items()}
         of, mine = self.of_receivers, self.of_subjects
         lookup_sums.add(
