@@ -75,7 +75,6 @@ class Mine(MODELS["beta"]):
     [
         ("found = replace(found, subject=found.subject + 10**6)", "returned a score of subject 1000"),
         ("found = replace(found, holder=0 * found.holder + 7)", "returned a score for holder 7, but SERVER"),
-        ("found = replace(found, step=found.step - 3)", "but the step of the call"),
         ("sys.stdout.close()", "standard output is cosim's and stays open"),
     ],
 )
