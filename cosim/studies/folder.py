@@ -194,7 +194,8 @@ def _members(job: Path) -> dict[str, str]:
 
 def _attempts(path: Path) -> list[Attempt]:
     """Attempts as a file has them. Damaged, in one line, if it has something else."""
-    kinds = {"outcome": str, "error": str, "wall_s": (int, float), "cpu_s": (int, float), "memory_bytes": int}
+    kinds: dict[str, Any] = {"outcome": str, "error": str, "wall_s": (int, float), "cpu_s": (int, float)}
+    kinds["memory_bytes"] = int
     try:
         found = [Attempt(**row) for row in json.loads(durable.read(path))]
         if wrong := [name for one in found for name, kind in kinds.items() if not isinstance(getattr(one, name), kind)]:
