@@ -110,7 +110,8 @@ def write(
     try:
         out.mkdir(parents=True, exist_ok=True)
         for path, made in zip(paths, (croissant, ro_crate), strict=True):
-            path.write_text(json.dumps(made(about, authors, licence), indent=1, ensure_ascii=False) + "\n", "utf-8")
+            text = json.dumps(made(about, authors, licence), indent=1, ensure_ascii=False) + "\n"
+            durable.write_output(path, text.encode())
     except OSError as error:
         raise ValueError(f"--out {out} cannot be written: {error.strerror or error}.") from None
     return paths

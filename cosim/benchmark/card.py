@@ -40,7 +40,7 @@ def write(evidence: EvidenceSet, folder: Path) -> Path:
         "recordSet": [_record_set(name) for name in TABLES],
     }  # fmt: skip
     path = folder / CROISSANT
-    path.write_text(json.dumps(card, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    durable.write_output(path, (json.dumps(card, indent=1, ensure_ascii=False) + "\n").encode())
     return path
 
 

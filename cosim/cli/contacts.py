@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from rich.text import Text
 
-from cosim.cli.console import AsJson, notes, plain, print_facts, print_json, progress, rows_of, screen
+from cosim.cli.console import AsJson, TrustCode, notes, plain, print_facts, print_json, progress, rows_of, screen
 
 if TYPE_CHECKING:
     from cosim.mobility.positions import Columns
@@ -76,7 +76,7 @@ def contacts(
     pairs: Annotated[Pairs | None, typer.Option(help="Pairs that count, as encounters.pairs.")] = None,
     config: Annotated[
         Path | None,
-        typer.Option(help="Config whose [[encounters]], [fleet] and seed are used instead."),
+        typer.Option(help="Config whose encounters, fleet and seed are used instead."),
     ] = None,
     scenario: Annotated[
         str | None,
@@ -104,6 +104,7 @@ def contacts(
     from_s: Annotated[float | None, typer.Option("--from", help="Count from this time of the trace on.")] = None,
     to_s: Annotated[float | None, typer.Option("--to", help="Count up to this time of the trace.")] = None,
     repair: Repair = False,
+    trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
     """Count encounters in a trace, into a folder that `measure`, `plot encounters` and `judge` read."""
@@ -116,7 +117,7 @@ def contacts(
         from_s=from_s, to_s=to_s, columns=columns_of(actor, time, (x, y), (lat, lon), frame_hz), frame_hz=frame_hz,
         repair=repair, time_unit_s=TIME_S.get(time_unit or ""), length_unit_m=LENGTH_M.get(length_unit or ""),
     )  # fmt: skip
-    params = _with_definitions(params, config, radius_m, hysteresis_s, pairs)
+    params = _with_definitions(params, config, radius_m, hysteresis_s, pairs, trust_code)
     with progress() as advance:
         folder = count(files, params, out, advance)
     _print_counted(folder, as_json)
@@ -124,7 +125,7 @@ def contacts(
 
 def _with_definitions(
     params: "ContactParams", config: Path | None, radius_m: list[float] | None, hysteresis_s: float | None,
-    pairs: Pairs | None,
+    pairs: Pairs | None, trust_code: bool,
 ) -> "ContactParams":  # fmt: skip
     """What is counted, by the config or by the options."""
     from cosim.config.config import load
@@ -134,7 +135,7 @@ def _with_definitions(
     if config is not None:
         if radius_m or hysteresis_s is not None or pairs:
             raise ValueError("--config says what is counted. Leave out --radius-m, --hysteresis-s and --pairs.")
-        loaded = load(config)
+        loaded = load(config, trust_code=trust_code)
         if not loaded.encounters:
             raise ValueError(f"{config} has no [[encounters]]: there is nothing to count. Add a section.")
         return replace(

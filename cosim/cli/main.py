@@ -2,6 +2,7 @@
 
 import gc
 import os
+import re
 import shlex
 import signal
 import sys
@@ -464,6 +465,7 @@ def bench(
 def main(command: Callable[..., int | None] = app) -> None:
     """Run the command line. A mistake of the user ends in one line on standard error and exit status 2."""
     _open_standard_streams()
+    sys.argv[1:] = map(_of_home, sys.argv[1:])
     status: int | None
     kernels = None
     try:
@@ -496,6 +498,12 @@ def main(command: Callable[..., int | None] = app) -> None:
     if kernels is not None:
         kernels.remove()
     sys.exit(status)
+
+
+def _of_home(word: str) -> str:
+    """A word of the command line, with the user's folder in place of `~`: shells do not replace it after `=`."""
+    before, sign, path = word.rpartition("=") if re.match(r"[\w.-]+=~", word) else ("", "", word)
+    return before + sign + os.path.expanduser(path) if path == "~" or path.startswith("~/") else word
 
 
 def _carry_out(command: Callable[..., int | None]) -> int | None:

@@ -19,7 +19,7 @@ from cosim.config.preset import default_of, default_section
 from cosim.door.blame import at_load, definition_line
 from cosim.door.kinds import SECTIONS
 from cosim.door.load import Choice, is_own, resolve
-from cosim.door.permission import is_of_a_folder, loading_code
+from cosim.door.permission import loading_code, loading_code_of
 from cosim.driver.driver import DriverParams
 from cosim.mobility.fleet import FleetParams
 from cosim.mobility.meshes import MeshParams, VehicleMeshParams, check_vehicle_meshes
@@ -345,7 +345,7 @@ def load(path: Path | None = None, overrides: list[str] | None = None, trust_cod
         data.setdefault("trust_variant", [copy.deepcopy(PAPER_RULE)])
     if path is None:
         return resolve_data(data, "the config", None)
-    with loading_code(path, trust_code or not is_of_a_folder(path)):
+    with loading_code_of(path, trust_code):
         return resolve_data(data, path.name, path.parent)
 
 

@@ -79,6 +79,7 @@ def run(
     Stopped
         If a signal interrupted the run; the complete steps are written.
     """
+    out = None if out is None else out.expanduser()
     run_folder.check(out)
     with StopRequest() as stop, workers_for(cells) as workers:
         scenario = check(config)
@@ -224,9 +225,10 @@ def resumable(path: Path, trust_code: bool = False) -> Config:
             f"{path} was written with schema version {manifest['schema_version']}, this cosim writes {SCHEMA_VERSION}. "
             "Run again."
         )
-    now = versions()
+    lidar = manifest["config"].get("lidar")
+    now = versions(str(lidar.get("engine")) if isinstance(lidar, dict) else "")
     begun_with = manifest.get("versions", {})
-    if other := [f"{p} {v} (now {now.get(p)})" for p, v in begun_with.items() if now.get(p) != v]:
+    if other := [f"{p} {begun_with.get(p)} (now {v})" for p, v in now.items() if begun_with.get(p) != v]:
         raise ValueError(f"{path} was begun with {', '.join(other)}: the tables would be of two kinds. Run again.")
     if linked := links(path):
         raise ValueError(f"{path}: {linked[0]} is a symbolic link, through which nothing is written.")

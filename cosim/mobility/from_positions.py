@@ -1,5 +1,6 @@
 """Makes a trace that a run can drive from positions of vehicles: logs, drone recordings, output of other simulators."""
 
+import os
 from collections.abc import Iterator
 from itertools import chain, pairwise
 from pathlib import Path
@@ -16,6 +17,7 @@ from cosim.mobility.frame import TrafficError
 from cosim.mobility.positions import Fixes
 from cosim.mobility.source import class_counts
 from cosim.mobility.tracks import Positions, TrackParams, Tracks, steps, tracks
+from results import durable
 from results.durable import PARTIAL
 
 _TURNS_M = 0.2
@@ -50,6 +52,7 @@ def write_trace(fixes: Fixes, params: TrackParams, out: Path) -> dict[str, Any]:
         raise TrafficError(f"{fixes.source}: {error}" if fixes.source else str(error)) from None
     partial = out.with_name(out.name + PARTIAL)
     try:
+        os.close(durable.new_file(partial))
         _write(timesteps(fixes, found, params.step_s), partial, fixes)
         partial.rename(out)
     except OSError as error:

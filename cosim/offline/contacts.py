@@ -429,8 +429,8 @@ def _finish(
     }
     summary = counted.report | {"actors_per_step_mean": round(counted.n_present / counted.n_steps, 3)}
     finish(counted.folder, {
-        "dt_s": step_s, "steps": counted.n_steps, "config": config, "versions": versions(), "source": source(),
-        "net": net, "timings_s": {}, "summary": summary,
+        "dt_s": step_s, "steps": counted.n_steps, "config": config, "versions": versions("columnar"),
+        "source": source(), "net": net, "timings_s": {}, "summary": summary,
     })  # fmt: skip
 
 

@@ -18,7 +18,9 @@ def run(tmp_path_factory):
     ]  # fmt: skip
     folder = tmp_path_factory.mktemp("arrays") / "run"
     folder.mkdir()
-    return tiny.make(folder, 6, vehicles=tiny.fleet("honest", "malicious"), trust=trust)
+    pseudonyms = [{"pseudonym": 5, "vehicle": 0, "to_step": 5}, {"pseudonym": 9, "vehicle": 1, "to_step": 5}]
+    fleet = tiny.fleet("honest", "malicious")
+    return tiny.make(folder, 6, vehicles=fleet, pseudonyms=pseudonyms, trust=trust)
 
 
 def test_trust_by_hand(run):
