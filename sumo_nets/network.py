@@ -98,6 +98,16 @@ def lanes(net_path: Path | str) -> list[Lane]:
     return found
 
 
+def lane_bounds_m(net_path: Path | str) -> tuple[float, float, float, float]:
+    """Least x, least y, greatest x, greatest y of the lanes of a network."""
+    lines = [lane.line_m[:, :2] for lane in lanes(net_path)]
+    if not lines:
+        raise ValueError(f"{net_path}: not a SUMO network: it has no lane.")
+    points = np.concatenate(lines)
+    (x0, y0), (x1, y1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return x0, y0, x1, y1
+
+
 @dataclass(frozen=True, slots=True)
 class Junction:
     """A junction; network coordinates."""
@@ -164,7 +174,7 @@ def junctions(net_path: Path | str) -> Streets:
 
     stream(net_path, start)
     if len(bounds) != 4:
-        raise ValueError(f"{net_path}: does not say how far it reaches (<location convBoundary=...>). Rebuild it.")
+        bounds[:] = lane_bounds_m(net_path)
     return Streets(found, (bounds[0], bounds[1], bounds[2], bounds[3]))
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import gzip
 import io
+import re
 import stat
 import zlib
 from collections.abc import Callable, Iterator
@@ -42,6 +44,21 @@ def check_prolog(path: Path | str) -> None:
         raise Enough
 
     stream(path, start)
+
+
+def root_of(path: Path | str) -> str:
+    """Name of the first element of an XML file; empty if the file is no XML, or is empty."""
+    found: list[str] = []
+
+    def start(name: str, attributes: Attributes) -> None:
+        found.append(name)
+        raise Enough
+
+    try:
+        stream(path, start)
+    except ValueError:
+        return ""
+    return found[0]
 
 
 def contains(path: Path, text: bytes) -> bool:
@@ -133,6 +150,35 @@ def exists(path: Path) -> bool:
         return path.exists()
     except (OSError, ValueError):
         return False
+
+
+def meant(folder: Path, name: str) -> Path:
+    """The file of a name that an input gives. On Windows, \\ separates folders; here, it is part of a name."""
+    given, other = folder / name, folder / name.replace("\\", "/")
+    return other if not exists(given) and exists(other) else given
+
+
+def spelling(path: Path) -> str:
+    """What may be wrong with the name of a file that does not exist: a sentence with a blank before it, or nothing."""
+    text = str(path)
+    if re.search(r"(^|/)[A-Za-z]:[\\/]", text):
+        return " It is a path of Windows. Give one of this machine, with / between folders."
+    if "\\" in text:
+        return " Windows separates folders by \\, this system by /, which works on both."
+    folder = Path(path.anchor)
+    rest = list(path.parts[1:] if path.anchor else path.parts)
+    while rest:
+        part = rest.pop(0)
+        if not exists(folder / part):
+            try:
+                names = sorted(entry.name for entry in folder.iterdir())
+            except OSError:
+                return ""
+            alike = [name for name in names if name.strip().casefold() == part.strip().casefold()]
+            near = alike or difflib.get_close_matches(part, names, 1, 0.85)
+            return f" Did you mean {Path(folder / near[0], *rest)}?" if near else ""
+        folder = folder / part
+    return ""
 
 
 def open_input(path: Path | str) -> BinaryIO:

@@ -23,6 +23,7 @@ from sumo_nets.catalogue import Net
 from sumo_nets.footprints import read_footprints
 from sumo_nets.ground import standing_on
 from sumo_nets.network import check_for_cars
+from sumo_nets.xml import spelling
 
 COMMON_STEMS = frozenset((
     "osm", "run", "sim", "simulation", "scenario", "sumo", "config", "configuration", "main", "test", "default", "net",
@@ -144,7 +145,8 @@ def find(scenario: str, trace: str | None = None) -> Scenario:
         return found
     path = Path(trace)
     if not path.exists():
-        raise ValueError(f"traffic.trace = {trace}: no such file or folder. Give a trace of SUMO's or a run folder.")
+        cure = spelling(path) or " Give a trace of SUMO's or a run folder."
+        raise ValueError(f"traffic.trace = {trace}: no such file or folder.{cure}")
     if not (_is_trace(path) or (path / "manifest.json").is_file()):
         raise ValueError(
             f"traffic.trace = {trace}: neither a run folder nor a trace. Give a folder that `cosim run` wrote, or what "
@@ -159,9 +161,10 @@ def _find(scenario: str) -> Scenario:
     path = Path(scenario)
     if path.is_dir():
         return _in_folder(path)
-    if path.name.endswith(".sumocfg") and not path.is_file():
-        raise ValueError(f"traffic.scenario = {scenario}: no such file. Give the path of a .sumocfg.")
-    if path.is_file() and path.name.endswith(".sumocfg"):
+    if path.name.endswith(sumocfg.SUFFIXES) and not path.is_file():
+        cure = spelling(path) or " Give the path of a .sumocfg."
+        raise ValueError(f"traffic.scenario = {scenario}: no such file.{cure}")
+    if sumocfg.is_sumocfg(path):
         return _of_sumocfg(path)
     if path.is_file() and _is_trace(path):
         name = path.name
@@ -172,6 +175,7 @@ def _find(scenario: str) -> Scenario:
     raise ValueError(
         f"traffic.scenario = {scenario}: there is no city of that name, and it is no .sumocfg, folder or trace. "
         f"Set it to one of {', '.join(catalogue.names())}, or to the path of a .sumocfg."
+        + (spelling(path) if not path.exists() and {"/", "\\"} & set(scenario) else "")
     )
 
 
@@ -193,7 +197,7 @@ def _in_folder(folder: Path) -> Scenario:
                 f'Or set traffic.scenario to that city, and traffic.trace = "{folder}".'
             ) from None
         return replace(streets, trace=folder, warmup_s=0.0)
-    found = sorted(folder.glob("*.sumocfg"))
+    found = sorted(folder.glob("*.sumocfg")) or sorted(filter(sumocfg.is_sumocfg, folder.glob("*.cfg")))
     if len(found) == 1:
         return _of_sumocfg(found[0])
     raise ValueError(
@@ -223,5 +227,5 @@ def _of_sumocfg(path: Path) -> Scenario:
 
 def _name_of(path: Path) -> str:
     """Name of a scenario for its runs: the file's stem, or its folder's name if the stem is a common word."""
-    folder = path.resolve().parent.name
-    return folder if path.stem.lower() in COMMON_STEMS and folder else path.stem
+    folder, stem = path.resolve().parent.name, path.stem.removesuffix(".sumo")
+    return folder if stem.lower() in COMMON_STEMS and folder else stem
