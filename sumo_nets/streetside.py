@@ -11,11 +11,11 @@ import shapely
 from jaxtyping import Float
 from numpy import ndarray
 
-from sumo_nets.network import LANE_M, LARGEST_WIDTH_M, admits_motors
+from sumo_nets.network import LANE_M, LARGEST_WIDTH_M, admits_motors, is_left_hand
 from sumo_nets.xml import Attributes, stream
 
 _PARKING = ("parking:lane:{}", "parking:lane:both", "parking:{}", "parking:both")
-"""OpenStreetMap's tags of parking on one side of a way, `left` or `right` in the direction in which the way is drawn."""
+"""OpenStreetMap's tags of parking on the `left` or `right` of a way, in the direction in which the way is drawn."""
 _NO_PARKING = frozenset(("no", "none", "no_parking", "no_stopping", "no_standing", "fire_lane", "separate"))
 _ROW_M = 10.0
 """Distance between the trees of a row that OpenStreetMap has as a line [m]."""
@@ -49,15 +49,13 @@ def street_space(net_path: Path | str) -> tuple[list[Kerb], ndarray]:
     kerbs: list[Kerb] = []
     areas: list[shapely.Geometry] = []
     edge = ""
-    is_left = False
+    is_left = is_left_hand(net_path)
     tags: Attributes = {}
     lanes: list[tuple[Attributes, ndarray, float]] = []
 
     def start(name: str, attributes: Attributes) -> None:
-        nonlocal edge, tags, is_left
-        if name == "net":
-            is_left = attributes.get("lefthand") in ("true", "1", "yes", "on", "True")
-        elif name == "edge":
+        nonlocal edge, tags
+        if name == "edge":
             edge, tags = "" if "function" in attributes else attributes["id"], {}
             lanes.clear()
         elif name == "lane" and edge:

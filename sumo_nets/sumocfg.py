@@ -21,6 +21,8 @@ ROOTS = frozenset(("configuration", "sumoConfiguration"))
 
 _REQUIRED = ("net-file", "route-files", "additional-files")
 """Options whose files are checked for existence; SUMO itself reports others."""
+_POLY = ["<poly".encode(encoding) for encoding in ("utf-8", "utf-16-le", "utf-16-be")]
+_YES = ("true", "1", "yes", "on", "x", "t")
 _TABLES = ("astar.all-distances", "astar.landmark-distances")
 """Options whose files SUMO reads as tables, and not as XML."""
 
@@ -51,8 +53,14 @@ class Sumocfg:
 
     @property
     def buildings(self) -> tuple[Path, ...]:
-        """The additional files that contain polygons."""
-        return tuple(path for path in self.additional if contains(path, b"<poly"))
+        """The additional files, and the files that files include, that contain polygons."""
+        files = dict.fromkeys((*self.additional, *self.included))
+        return tuple(path for path in files if any(contains(path, text) for text in _POLY))
+
+    @property
+    def switches(self) -> frozenset[str]:
+        """The options that are switched on."""
+        return frozenset(name for name, value in self.options.items() if value.lower() in _YES)
 
     @property
     def inputs(self) -> tuple[Path, ...]:

@@ -4,8 +4,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+from scipy.spatial import cKDTree
 
 from cosim.world import World
+from sensors.boxes import Boxes
 from sensors.scene import Shape
 
 STANDING_MPS = 0.1
@@ -16,14 +20,32 @@ MOST_WAITING_P = 0.1
 """If the vehicles that wait to enter are more than this share of those on the road, and more than ten, the run gets a
 note."""
 
+MOST_AT_ONE_POINT_P = 0.01
+"""If the share of vehicles at the exact position of another one is larger, the run gets a note."""
+MOST_OVERLAPPING_P = 0.001
+"""If the share of vehicles inside another one is larger, the run gets a note. SUMO's junctions reach a sixth of it."""
+FEWEST = 5
+"""Fewer such vehicles, summed over the steps, get no note."""
+INSIDE_M = 1.0
+"""Vehicles overlap if one reaches farther than this into the other [m]."""
+_APART_M = 8.0
+"""Vehicles whose centres are farther apart do not count as overlapping [m]."""
+
 
 @dataclass(slots=True)
 class FlowCounts:
-    """Numbers of vehicles on the road and of standing vehicles, summed over steps. Pedestrians do not count."""
+    """Numbers of vehicles, summed over steps: on the road, standing, and where no two vehicles can be.
+
+    Pedestrians do not count.
+    """
 
     n_steps: int = 0
     n_vehicles: int = 0
     n_standing: int = 0
+    n_at_one_point: int = 0
+    """At the exact position of another vehicle."""
+    n_overlapping: int = 0
+    """Inside another vehicle, and not at its exact position."""
 
     def add(self, world: World) -> World:
         """Count the vehicles of a step, and return its world."""
@@ -31,11 +53,42 @@ class FlowCounts:
         self.n_steps += 1
         self.n_vehicles += int(np.count_nonzero(vehicle))
         self.n_standing += int(np.count_nonzero(vehicle & (world.speed_mps < STANDING_MPS)))
+        boxes = world.boxes.take(np.flatnonzero(vehicle))
+        _, row, n = np.unique(boxes.xyz_m, axis=0, return_index=True, return_counts=True)
+        self.n_at_one_point += int(n[n > 1].sum())
+        self.n_overlapping += len(overlapping(boxes.take(row)))
         return world
 
     def report(self) -> dict[str, Any]:
-        """The share of standing vehicles over all steps. Empty if there were no vehicles."""
-        return {"vehicles_standing_p": round(self.n_standing / self.n_vehicles, 3)} if self.n_vehicles else {}
+        """Shares of vehicles over all steps. Empty if there were no vehicles."""
+        if not self.n_vehicles:
+            return {}
+        found = {"vehicles_standing_p": round(self.n_standing / self.n_vehicles, 3)}
+        if self.n_at_one_point >= FEWEST:
+            found["vehicles_at_one_point_p"] = round(self.n_at_one_point / self.n_vehicles, 5)
+        if self.n_overlapping >= FEWEST:
+            found["vehicles_overlapping_p"] = round(self.n_overlapping / self.n_vehicles, 5)
+        return found
+
+
+def overlapping(boxes: Boxes) -> Int[ndarray, "n"]:
+    """Rows of the boxes that reach farther than `INSIDE_M` into another one."""
+    if len(boxes) < 2:
+        return np.zeros(0, np.int64)
+    a, b = cKDTree(boxes.xyz_m[:, :2]).query_pairs(_APART_M, output_type="ndarray").T
+    height_m = boxes.lwh_m[:, 2]
+    apart = np.abs(boxes.xyz_m[a, 2] - boxes.xyz_m[b, 2]) > (height_m[a] + height_m[b]) / 2 - INSIDE_M / 2
+    between = boxes.xyz_m[b, :2] - boxes.xyz_m[a, :2]
+    half = boxes.lwh_m[:, :2] / 2
+    for axis_rad in (yaw + turn for yaw in (boxes.yaw_rad[a], boxes.yaw_rad[b]) for turn in (0.0, np.pi / 2)):
+        axis = np.column_stack([np.cos(axis_rad), np.sin(axis_rad)])
+        reach = sum(
+            half[row, 0] * np.abs(np.cos(boxes.yaw_rad[row] - axis_rad))
+            + half[row, 1] * np.abs(np.sin(boxes.yaw_rad[row] - axis_rad))
+            for row in (a, b)
+        )
+        apart |= np.abs((between * axis).sum(axis=1)) > reach - INSIDE_M
+    return np.unique(np.concatenate([a[~apart], b[~apart]]))
 
 
 def traffic_remarks(summary: dict[str, Any]) -> list[str]:
@@ -55,6 +108,17 @@ def traffic_remarks(summary: dict[str, Any]) -> list[str]:
         found.append(
             f"note: {100 * standing_p:.0f} % of the vehicles stand, averaged over the run: the traffic is jammed. "
             "Lower traffic.scale, or change the demand."
+        )
+    if (share := summary.get("vehicles_at_one_point_p", 0.0)) > MOST_AT_ONE_POINT_P:
+        found.append(
+            f"note: {share:.0%} of the vehicles are at the exact position of another one, averaged over the run, as in "
+            "SUMO's mesoscopic model, where a vehicle has no place. Encounters are not those of a road. Record the "
+            "traffic without mesosim."
+        )
+    if (share := summary.get("vehicles_overlapping_p", 0.0)) > MOST_OVERLAPPING_P:
+        found.append(
+            f"note: {share:.1%} of the vehicles overlap another one by more than {INSIDE_M:g} m, averaged over the "
+            "run: they drive through one another. Do streets cross at one height, without bridges or tunnels?"
         )
     waiting, on_road = summary.get("vehicles_waiting_to_enter_at_end", 0), summary.get("vehicles_on_road_mean", 0.0)
     if waiting > max(10.0, MOST_WAITING_P * on_road):

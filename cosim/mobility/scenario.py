@@ -14,7 +14,7 @@ from cosim.mobility.params import TrafficParams
 from cosim.mobility.replay import RunReplay, TraceReplay
 from cosim.mobility.roadside import NO_UNITS, RoadsideUnits
 from cosim.mobility.source import TrafficSource
-from cosim.mobility.streetside import NO_TREES, ParkedParams, Streetside, TreeParams, with_trees
+from cosim.mobility.streetside import NO_TREES, ParkedParams, Streetside, TreeParams, check_streets, with_trees
 from results.archive import open_run
 from results.durable import sha256
 from sensors.scene import Scene
@@ -22,7 +22,7 @@ from sumo_nets import catalogue, sumocfg
 from sumo_nets.catalogue import Net
 from sumo_nets.footprints import read_footprints
 from sumo_nets.ground import standing_on
-from sumo_nets.network import check_for_cars
+from sumo_nets.network import check_for_cars, lanes
 from sumo_nets.xml import spelling
 
 COMMON_STEMS = frozenset((
@@ -53,6 +53,8 @@ class Scenario:
     """Bounds of the network in its coordinates."""
     inputs: tuple[Path, ...] = ()
     """All files that SUMO reads."""
+    switches: frozenset[str] = frozenset()
+    """Options of SUMO that the configuration switches on."""
 
     def traffic(
         self, params: TrafficParams, registry: ActorRegistry, has_driver: bool = False,
@@ -100,13 +102,14 @@ class Scenario:
         """The buildings and trees, as a scene for ray casting. Trees need streets; see `parked`."""
         footprints = [f for path in self.buildings for f in read_footprints(path, self.net)]
         if self.net is not None:
-            footprints = standing_on(footprints, self.net)
+            footprints = standing_on(footprints, lanes(self.net))
         origin = np.array(self.origin_m)
         rings = [[ring - origin for ring in (f.outer, *f.holes)] for f in footprints]
         city = Scene.from_footprints(rings, [f.base_z_m for f in footprints], [f.top_z_m for f in footprints])
         if not (trees.per_100_m or trees.from_map):
             return city
-        return with_trees(city, Streetside.of(self.net, self.origin_m, seed, "trees"), self.buildings, trees)
+        net = check_streets(self.net, "trees")
+        return with_trees(city, Streetside.of(net, self.origin_m, seed, "trees"), net, self.buildings, trees)
 
     def provenance(self) -> dict[str, str]:
         """Name, licence and attribution of the data, and the SHA-256 of every file that is read."""
@@ -207,11 +210,11 @@ def _in_folder(folder: Path) -> Scenario:
 
 
 def _of_net(net: Net) -> Scenario:
-    types = (net.folder / "vtypes.add.xml",)
+    types, config = (net.folder / "vtypes.add.xml",), sumocfg.read(net.sumocfg_path)
     return Scenario(
         net.name, net.sumocfg_path, net.net_path, (net.buildings_path,), types, net.warm_up_s, net.licence,
         net.attribution, origin_m=origin_of(net.bounds_m), bounds_m=net.bounds_m,
-        inputs=sumocfg.read(net.sumocfg_path).inputs,
+        inputs=config.inputs, switches=config.switches,
     )  # fmt: skip
 
 
@@ -220,8 +223,9 @@ def _of_sumocfg(path: Path) -> Scenario:
     check_for_cars(config.net)
     bounds_m = catalogue.bounds_m(config.net)
     return Scenario(
-        _name_of(path), path, config.net, config.buildings, (*config.additional, *config.routes),
+        _name_of(path), path, config.net, config.buildings, (*config.additional, *config.routes, *config.included),
         origin_m=origin_of(bounds_m), bounds_m=bounds_m, inputs=config.inputs,
+        switches=config.switches,
     )  # fmt: skip
 
 

@@ -19,6 +19,8 @@ from cosim.mobility.objects import TYPICAL_M, ObjectParams
 from cosim.rng import Stream, key, name_key, uniforms
 from sensors.scene import Scene
 from sensors.trees import tree_prisms
+from sumo_nets.ground import StreetHeights
+from sumo_nets.network import lanes
 from sumo_nets.streetside import Kerb, read_trees, street_space
 
 PARKED = "parked/"
@@ -45,7 +47,7 @@ class ParkedParams:
     per_100_m: Annotated[float, Ge(0), Le(16)] = 0.0
     """Parked cars per 100 m of kerb, where there is parking. 0: none."""
     streets_p: Probability = 1.0
-    """Share of the edges that have parking on their outer side: the right, or the left where traffic drives on the left.
+    """Share of the edges that have parking on their outer side: the right one, or with left-hand traffic the left one.
     Where the network has OpenStreetMap's tags of parking, these decide."""
     vans_p: Probability = 0.1
     """Share of vans among them."""
@@ -208,10 +210,11 @@ def _along(kerb: Kerb, place_m: float) -> tuple[Int[ndarray, "p"], Float[ndarray
     return number, np.column_stack([x + away * np.sin(yaw), y - away * np.cos(yaw), z, yaw, side])
 
 
-def with_trees(city: Scene, beside: Streetside, files: Sequence[Path], params: TreeParams) -> Scene:
-    """A city with the trees of a config; those of a map (`from_map`, the polygon files) stand at height 0."""
+def with_trees(city: Scene, beside: Streetside, net: Path, files: Sequence[Path], params: TreeParams) -> Scene:
+    """A city with the trees of a config; those of a map (`from_map`) are in the polygon files."""
     feet = beside.planted(city, params)
     if params.from_map:
-        known = np.concatenate([np.zeros((0, 2)), *(read_trees(path) for path in files)]) - np.array(beside.origin_m)
-        feet = np.concatenate([feet, np.column_stack([known, np.zeros(len(known))])])
+        known = np.concatenate([np.zeros((0, 2)), *(read_trees(path) for path in files)])
+        ground_m = StreetHeights(lanes(net)).ground_m(shapely.points(known)) if len(known) else np.zeros(0)
+        feet = np.concatenate([feet, np.column_stack([known - np.array(beside.origin_m), ground_m])])
     return replace(city, trees=tree_prisms(feet, params.trunk_m, params.crown_base_m, params.crown_m, params.height_m))
