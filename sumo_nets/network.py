@@ -112,6 +112,18 @@ def lane_bounds_m(net_path: Path | str) -> tuple[float, float, float, float]:
     return x0, y0, x1, y1
 
 
+def original_names(net_path: Path | str) -> set[str]:
+    """Ids of the ways of OpenStreetMap that the lanes of a network came from (netconvert --output.original-names)."""
+    found: set[str] = set()
+
+    def start(name: str, attributes: Attributes) -> None:
+        if name == "param" and attributes.get("key") == "origId":
+            found.update(attributes.get("value", "").split())
+
+    stream(net_path, start)
+    return found
+
+
 def is_left_hand(net_path: Path | str) -> bool:
     """Whether traffic drives on the left."""
     found: list[str] = []

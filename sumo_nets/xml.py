@@ -1,7 +1,8 @@
-"""Streaming reader of untrusted XML, gzip'ed or not; elements and text only."""
+"""Streaming reader of untrusted XML, packed by gzip or bzip2 or not; elements and text only."""
 
 from __future__ import annotations
 
+import bz2
 import difflib
 import gzip
 import io
@@ -78,7 +79,8 @@ def chunks(path: Path) -> Iterator[bytes]:
             while chunk := file.read(_CHUNK_BYTES):
                 yield chunk
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise ValueError(f"{path}: damaged gzip file ({error})") from None
+        kind = "bzip2" if Path(path).name.endswith(".bz2") else "gzip"
+        raise ValueError(f"{path}: damaged {kind} file ({error})") from None
     except OSError as error:
         raise ValueError(f"{path}: cannot be read ({error.strerror or error})") from None
 
@@ -182,26 +184,31 @@ def spelling(path: Path) -> str:
 
 
 def open_input(path: Path | str) -> BinaryIO:
-    """A regular file for reading, decompressed if gzip'ed."""
+    """A regular file for reading, decompressed if it is packed by gzip or bzip2."""
     check_regular(path)
     file = Path(path).open("rb")  # noqa: SIM115
-    zipped = file.read(2) == b"\x1f\x8b"
+    magic = file.read(3)
     file.seek(0)
-    return cast("BinaryIO", io.BufferedReader(_Gunzip(path, file), _CHUNK_BYTES)) if zipped else file
+    unpacked: Any = gzip.GzipFile(fileobj=file) if magic[:2] == b"\x1f\x8b" else None
+    if magic == b"BZh":
+        unpacked = bz2.BZ2File(file)
+    if unpacked is None:
+        return file
+    return cast("BinaryIO", io.BufferedReader(_Unpacked(path, file, unpacked), _CHUNK_BYTES))
 
 
-class _Gunzip(io.RawIOBase):
-    """A gzip'ed file that refuses to expand beyond what text can be compressed to."""
+class _Unpacked(io.RawIOBase):
+    """A packed file that refuses to expand beyond what text can be compressed to."""
 
-    def __init__(self, path: Path | str, file: BinaryIO) -> None:
-        self._path, self._file, self._gzip = path, file, gzip.GzipFile(fileobj=file)
+    def __init__(self, path: Path | str, file: BinaryIO, unpacked: Any) -> None:
+        self._path, self._file, self._unpacked = path, file, unpacked
         self._n_bytes = 0
 
     def readable(self) -> bool:
         return True
 
     def readinto(self, buffer: Any) -> int:
-        content = self._gzip.read(len(buffer))
+        content = self._unpacked.read(len(buffer))
         buffer[: len(content)] = content
         self._n_bytes += len(content)
         if self._n_bytes > max(FREE_BYTES, LARGEST_RATIO * self._file.tell()):
@@ -211,6 +218,6 @@ class _Gunzip(io.RawIOBase):
         return len(content)
 
     def close(self) -> None:
-        self._gzip.close()
+        self._unpacked.close()
         self._file.close()
         super().close()
