@@ -106,16 +106,20 @@ class StreetHeights:
     def ground_m(self, places: ndarray) -> Float[ndarray, "n"]:
         """Height of the ground at each place (Shapely geometries): that of the lowest street beside it.
 
-        A street is beside a place if it is at most `BESIDE_M` farther away than the nearest one. Bridges do not count.
+        A street is beside a place if it is at most `BESIDE_M` farther away than the nearest one. Bridges do not count,
+        and streets that cross the place only if no other one is beside it: they may be tunnels.
         """
         if self.is_flat:
             return np.zeros(len(places))
         tree = shapely.STRtree(self._segments[self._grounded])
         _, nearest_m = tree.query_nearest(places, return_distance=True, all_matches=False)
         place, row = tree.query(places, predicate="dwithin", distance=nearest_m + BESIDE_M)
-        ground_m = np.full(len(places), np.inf)
-        np.minimum.at(ground_m, place, self._height_m(self._grounded[row], places[place]))
-        return ground_m
+        row = self._grounded[row]
+        height_m, crosses = self._height_m(row, places[place]), shapely.intersects(self._segments[row], places[place])
+        beside_m, any_m = np.full((2, len(places)), np.inf)
+        np.minimum.at(any_m, place, height_m)
+        np.minimum.at(beside_m, place[~crosses], height_m[~crosses])
+        return np.where(np.isfinite(beside_m), beside_m, any_m)
 
     def lowest_m(self, places: ndarray) -> Float[ndarray, "n"]:
         """Height of the lowest street within about `AROUND_M` of each place."""
