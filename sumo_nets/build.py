@@ -15,7 +15,7 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-from sumo_nets import buildings, buses, demand, osm, streets, sumotools
+from sumo_nets import buildings, buses, demand, osm, osm_files, streets, sumotools
 from sumo_nets.footprints import write_footprints
 from sumo_nets.gate_flows import GateFlow, gate_flows, gate_trips
 from sumo_nets.ground import ground_of
@@ -76,7 +76,7 @@ def build(recipe_path: Path, source: Path | None, out: Path) -> None:
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as name:
         work = Path(name)
         box = recipe["source"].get("box")
-        extract = osm.read(_source(recipe["source"], source, work), tuple(box) if box else None)
+        extract = osm_files.read(_source(recipe["source"], source, work), tuple(box) if box else None)
         make(recipe, text, extract, work, out)
 
 

@@ -12,7 +12,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sumo_nets import build, demand, osm, overpass
+from sumo_nets import build, demand, osm_files, overpass
 from sumo_nets.density import Density, trips_per_hour
 from sumo_nets.gate_flows import gate_flows, rates_at
 from sumo_nets.osm_xml import check_form
@@ -85,7 +85,7 @@ def from_osm(
         name = re.sub(r"[^\w-]+", "-", out.resolve().name).strip("-") or "town"
     elif not re.fullmatch(r"[\w-]+", name):
         raise ValueError(f"--name {name}: files are named after it. Use letters, digits, - and _ only.")
-    extract = osm.read(path, box)
+    extract = osm_files.read(path, box)
     about = {
         "name": name,
         "description": f"{name}, from {path.name}",

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 Tags = dict[str, str]
 
-MOST_INCOMPLETE_P = 0.2
-"""A file with a larger share of ways without places is refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,38 +43,6 @@ class Extract:
     """West, south, east, north of what was asked for, if the file says so [degrees]; ways may reach beyond."""
     n_incomplete: int = 0
     """Ways that are left out because the file has the place of none of their nodes."""
-
-
-def read(path: Path, box: tuple[float, float, float, float] | None = None) -> Extract:
-    """Read a .osm.pbf, .osm, .osm.gz, .osm.xml.gz or .osm.bz2 file.
-
-    With `box` (west, south, east, north in degrees), only what has a node in it: ways are kept whole, as an Overpass
-    service sends them, and so are relations with a member that is kept.
-
-    The order of the elements means nothing. Of several copies of an element, one with tags counts. Elements that an
-    editor has marked as deleted are left out (`osm_xml`).
-
-    Raises
-    ------
-    ValueError
-        Where osmium is needed and not installed, the file is not OpenStreetMap data, or the box holds no street.
-    """
-    from sumo_nets import osm_pbf, osm_xml
-
-    whole, extract = (osm_pbf if path.name.endswith(".pbf") else osm_xml).read(path, box)
-    extract = replace(extract, box=box or whole)
-    if not extract.ways:
-        where = "" if box is None else " in the box {:g},{:g},{:g},{:g}".format(*box)
-        reach = "" if whole is None else " The file reaches over {:g},{:g},{:g},{:g}.".format(*whole)
-        raise ValueError(f"{path} has no ways{where}: there is no street to build.{reach if box else ''}")
-    placed = {way.id: way for way in extract.ways.values() if not extract.place.keys().isdisjoint(way.nodes)}
-    n = len(extract.ways) - len(placed)
-    if n > MOST_INCOMPLETE_P * len(extract.ways):
-        raise ValueError(
-            f"{path} has {n:,} ways without the places of their nodes, of {len(extract.ways):,}. Ask Overpass for the "
-            "nodes too: out body; >; out skel qt;"
-        )
-    return replace(extract, ways=placed, n_incomplete=n)
 
 
 def is_within(lon: float, lat: float, box: tuple[float, float, float, float]) -> bool:

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from sumo_nets import osm
+from sumo_nets import osm_files
 from sumo_nets.build_from_osm import from_osm
 from sumo_nets.density import Density
 from tests.sumo_nets.test_build_from_osm import grid_town
@@ -18,7 +18,7 @@ BOX = (8.9999, 49.9999, 9.0037, 50.0024)
 def read(folder, text, name="a.osm", box=None):
     path = folder / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return osm.read(path, box)
+    return osm_files.read(path, box)
 
 
 def ways_of(extract):
