@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.mobility.remarks import FlowCounts, traffic_remarks
+from cosim.mobility.remarks import FlowCounts, overlapping, traffic_remarks
 from cosim.mobility.scenario import find
 from cosim.world import World
 from results.verify import verify
 from sensors.boxes import Boxes
 from sensors.scene import Shape
 from tests.cosim.mobility import mixed_scenario
+from tests.cosim.mobility.worlds import live, same
 from tests.drive import cosim
 
 BOLOGNA = Path(__file__).parents[4] / "shared" / "nets" / "bologna"
@@ -203,6 +204,41 @@ def test_traffic_that_begins_later_is_named_with_its_time(scenario, tmp_path):
     assert "the first of the scenario departs at 10800 s. Set traffic.begin_s = 10770." in done.stderr
 
 
+@pytest.mark.parametrize("name", ["odd.sumo.cfg", "odd.cfg", "a,b/odd.sumocfg", "a,b/odd.sumo.cfg"])
+@pytest.mark.parametrize("by_folder", [False, True])
+def test_what_sumo_opens_is_opened(scenario, tmp_path, name, by_folder):
+    """A configuration by its content, and in a folder whose name has a comma, at which SUMO splits lists of files."""
+    folder = (tmp_path / name).parent
+    folder.mkdir(exist_ok=True)
+    edited(scenario, folder, "odd.sumocfg", lambda t: t).rename(tmp_path / name)
+    given = str(folder if by_folder else tmp_path / name)
+    assert find(given).name == "odd"
+    worlds, report = live(given, tmp_path / "worlds", 0, 8)
+    same(worlds, live(str(scenario), tmp_path / "plain", 0, 8)[0])
+    assert "sumo_errors" not in report
+
+
+@pytest.mark.parametrize("location", ["", '<location netOffset="0,0" convBoundary="0,0,0,0" origBoundary="0,0,0,0"/>'])
+def test_a_network_that_does_not_say_how_far_it_reaches(scenario, tmp_path, location):
+    """Its bounds are those of its lanes: within a road's width of those that netconvert wrote."""
+    config = edited(scenario, tmp_path, "odd net.net.xml", lambda t: re.sub(r"<location [^>]*/>", location, t))
+    found, told = find(str(config)), find(str(scenario))
+    np.testing.assert_allclose(found.bounds_m, told.bounds_m, atol=15)
+    worlds, _ = live(str(config), tmp_path / "worlds", 0, 8)
+    assert len(worlds[-1]) > 0
+
+
+@pytest.mark.parametrize("file", ["stdout", "-", "STDOUT", "stderr", "STDERR"])
+def test_standard_output_belongs_to_the_command(scenario, tmp_path, file):
+    """Additional files may name it as the place of their outputs."""
+    edge_data = f'<additional><edgeData id="e" file="{file}" period="1"/></additional>'
+    config = edited(scenario, tmp_path, "odd.add.xml", lambda _: edge_data)
+    sets = (f"traffic.scenario={config}", "traffic.duration_s=5", "fleet.penetration_p=0", "sensing=false")
+    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"), "--json")
+    assert done.returncode == 0 and json.loads(done.stdout)["summary"]["streets"], done.stdout[:200]
+    assert "interval" not in done.stderr
+
+
 def test_provenance_names_every_file_and_notices_a_change(scenario, tmp_path):
     config = edited(scenario, tmp_path, "odd.sumocfg", lambda t: t)
     before = find(str(config)).provenance()
@@ -240,7 +276,10 @@ def test_remarks_on_standing_and_waiting_vehicles():
 
 
 def test_standing_vehicles_are_counted_by_hand():
-    """Two cars and a pedestrian over two steps: 0.05, 5 and 0 m/s, then 0, 0 and 0: three of four stand."""
+    """Two cars and a pedestrian over two steps: 0.05, 5 and 0 m/s, then 0, 0 and 0: three of four stand.
+
+    Both cars are at one point, four times in all: too few for a word.
+    """
     counts = FlowCounts()
     for speeds in ([0.05, 5.0, 0.0], [0.0, 0.0, 0.0]):
         boxes = Boxes(np.zeros((3, 3)), np.ones((3, 3)), np.zeros(3))
@@ -248,3 +287,40 @@ def test_standing_vehicles_are_counted_by_hand():
         nobody, n = np.zeros(3, bool), np.arange(3)
         counts.add(World(0, n, n.astype(np.uint64), shape, boxes, np.array(speeds), nobody, nobody.astype(np.uint8)))
     assert counts.report() == {"vehicles_standing_p": 0.75}
+
+
+def cars_at(*poses, length_m=4.0):
+    """Cars of 2 m width at x, y, height of the road, heading in degrees."""
+    x, y, z, yaw = np.array(poses, float).T
+    return Boxes(np.column_stack([x, y, z + 0.75]), np.tile([length_m, 2.0, 1.5], (len(x), 1)), np.radians(yaw))
+
+
+@pytest.mark.parametrize(
+    ("other", "n"),
+    [
+        ((0.0, 0.9, 0, 0), 2),  # beside it, 1.1 m inside
+        ((0.0, 1.1, 0, 0), 0),  # 0.9 m inside
+        ((2.9, 0.0, 0, 0), 2),  # behind it, 1.1 m inside
+        ((1.9, 0.0, 0, 90), 2),  # across: half a length and half a width reach 3 m
+        ((2.1, 0.0, 0, 90), 0),
+        ((0.0, 0.0, 4.5, 90), 0),  # on a bridge
+        ((0.0, 0.0, 0.9, 90), 2),  # on a ramp: 0.6 m of height in common
+    ],
+)
+def test_overlapping_vehicles_by_hand(other, n):
+    assert overlapping(cars_at((0, 0, 0, 0), other, (50, 0, 0, 0))).tolist() == [0, 1][:n]
+
+
+def test_traffic_that_no_vehicle_can_drive_is_noted():
+    """Ten cars in each of two steps: four at two points, two that overlap, four apart."""
+    apart = [(100.0 * k, 0, 0, 0) for k in range(1, 5)]
+    boxes = cars_at((0, 0, 0, 0), (0, 0, 0, 90), (0, 50, 0, 0), (0, 50, 0, 0), (0, 80, 0, 0), (0.5, 80, 0, 90), *apart)
+    counts, n, nobody = FlowCounts(), np.arange(10), np.zeros(10, bool)
+    shape = np.full(10, Shape.CAR, np.uint8)
+    for _ in range(3):
+        counts.add(World(0, n, n.astype(np.uint64), shape, boxes, np.full(10, 9.0), nobody, nobody.astype(np.uint8)))
+    told = counts.report()
+    assert told == {"vehicles_standing_p": 0.0, "vehicles_at_one_point_p": 0.4, "vehicles_overlapping_p": 0.2}
+    one, other = traffic_remarks(told)
+    assert "40% of the vehicles are at the exact position" in one and "20.0% of the vehicles overlap" in other
+    assert traffic_remarks(told | {"vehicles_at_one_point_p": 0.01, "vehicles_overlapping_p": 0.001}) == []
