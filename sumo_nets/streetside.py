@@ -85,7 +85,8 @@ def _parking(edge: str, tags: Attributes, is_left: bool) -> bool | None:
     Netconvert gives the tags of a way to the edges of both directions. The name of an edge against the direction of its
     way begins with a minus sign.
     """
-    side = "left" if is_left != edge.startswith("-") else "right"
+    is_against = edge.rpartition(".")[2].startswith("-")  # `cosim nets tile` puts a number and a point before names
+    side = "left" if is_left != is_against else "right"
     said = [tags[key] not in _NO_PARKING for name in _PARKING if (key := name.format(side)) in tags]
     return any(said) if said else None
 
