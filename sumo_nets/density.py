@@ -50,7 +50,7 @@ def trips_per_hour(streets: list[Street], density: Density) -> dict[str, float]:
     drawn = [(where(), where()) for _ in range(2000)]
     away_m = [dist(origin.middle_m, target.middle_m) for origin, target in drawn if origin.piece == target.piece]
     far_m = [metres for metres in away_m if metres >= at_least_m]
-    if not far_m:
+    if not sum(far_m):
         raise NoTraffic(f"no two streets are {at_least_m:g} m apart, the least for a trip")
     seconds = DETOUR * sum(far_m) / len(far_m) / DRIVE_MPS
     per_hour = BY_HOUR[density.hour] * density.per_km * km * 3600.0 / seconds

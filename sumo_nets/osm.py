@@ -11,7 +11,6 @@ from xml.sax.saxutils import quoteattr
 Tags = dict[str, str]
 
 
-
 @dataclass(frozen=True, slots=True)
 class Way:
     """A chain of nodes with its tags."""
