@@ -22,8 +22,8 @@ note."""
 
 MOST_AT_ONE_POINT_P = 0.01
 """If the share of vehicles at the exact position of another one is larger, the run gets a note."""
-MOST_OVERLAPPING_P = 0.001
-"""If the share of vehicles inside another one is larger, the run gets a note. SUMO's junctions reach a sixth of it."""
+MOST_OVERLAPPING_P = 0.0005
+"""If the share of vehicles inside another one is larger, the run gets a note. SUMO's junctions reach a third of it."""
 FEWEST = 5
 """Fewer such vehicles, summed over the steps, get no note."""
 INSIDE_M = 1.0
@@ -117,7 +117,7 @@ def traffic_remarks(summary: dict[str, Any]) -> list[str]:
         )
     if (share := summary.get("vehicles_overlapping_p", 0.0)) > MOST_OVERLAPPING_P:
         found.append(
-            f"note: {share:.1%} of the vehicles overlap another one by more than {INSIDE_M:g} m, averaged over the "
+            f"note: {share:.2%} of the vehicles overlap another one by more than {INSIDE_M:g} m, averaged over the "
             "run: they drive through one another. Do streets cross at one height, without bridges or tunnels?"
         )
     waiting, on_road = summary.get("vehicles_waiting_to_enter_at_end", 0), summary.get("vehicles_on_road_mean", 0.0)

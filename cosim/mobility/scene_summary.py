@@ -17,8 +17,9 @@ from sumo_nets.network import Lane, is_left_hand, lanes, n_jumps
 
 MOST_COVERED_P = 0.01
 """If buildings cover more of the length of the lanes, the scenario gets a note. A tunnel may lie below a building."""
-MOST_CROSSING_P = 0.3
-"""If more of the lanes cross another one at the same height outside junctions, the scenario gets a note."""
+MOST_CROSSING_P = 0.1
+"""If more of the lanes cross another one at the same height outside junctions, the scenario gets a note. A city without
+heights of its bridges has 5 %."""
 NEAR_M = 1000.0
 """Buildings farther from the network hide nobody [m]."""
 _NO_BUILDINGS = frozenset((
