@@ -26,7 +26,10 @@ AROUND_M = 300.0
 CAR_M = 1.5
 """Height of a car [m]."""
 _CELL_M = 50.0
+_MOST_CELLS = 4000
+"""Cells along a side of a network; a larger network has larger cells."""
 _SAMPLE_M = 5.0
+_MOST_SAMPLES = 5_000_000
 
 
 class Ground(NamedTuple):
@@ -71,8 +74,12 @@ def segments(found: Sequence[Lane]) -> tuple[Float[ndarray, "s 3"], Float[ndarra
 def sampled(
     begin: Float[ndarray, "s 3"], end: Float[ndarray, "s 3"], step_m: float
 ) -> tuple[Float[ndarray, "p 3"], Float[ndarray, "p"]]:
-    """Points on segments, at most this far apart, and the length that each stands for [m]."""
+    """Points on segments, at most this far apart, and the length that each stands for [m].
+
+    On segments of an impossible length, the points are farther apart, so that they fit into memory.
+    """
     length_m = np.hypot(*(end - begin)[:, :2].T)
+    step_m = max(step_m, float(length_m.sum()) / _MOST_SAMPLES)
     n_parts = np.maximum(np.ceil(length_m / step_m).astype(int), 1)
     row = np.repeat(np.arange(len(begin)), n_parts)
     part = np.arange(len(row)) - np.repeat(np.cumsum(n_parts) - n_parts, n_parts) + 0.5
@@ -123,13 +130,16 @@ class StreetHeights:
 
     def lowest_m(self, places: ndarray) -> Float[ndarray, "n"]:
         """Height of the lowest street within about `AROUND_M` of each place."""
-        points, _ = sampled(self._begin, self._end, _CELL_M / 2)
+        extent_m = float(np.ptp(np.concatenate([self._begin, self._end])[:, :2], axis=0).max())
+        cell_m = max(_CELL_M, extent_m / _MOST_CELLS)
+        points, _ = sampled(self._begin, self._end, cell_m / 2)
         low = points[:, :2].min(axis=0) - 2 * AROUND_M
-        cell = ((points[:, :2] - low) // _CELL_M).astype(int)
-        lowest = np.full(cell.max(axis=0) + 1 + int(3 * AROUND_M // _CELL_M), np.inf)
+        cell = ((points[:, :2] - low) // cell_m).astype(int)
+        around = int(np.ceil(AROUND_M / cell_m))
+        lowest = np.full(cell.max(axis=0) + 1 + 3 * around, np.inf)
         np.minimum.at(lowest, tuple(cell.T), points[:, 2])
-        lowest = minimum_filter(lowest, size=2 * int(AROUND_M // _CELL_M) + 1, mode="constant", cval=np.inf)
-        at = ((shapely.get_coordinates(shapely.centroid(places)) - low) // _CELL_M).astype(int)
+        lowest = minimum_filter(lowest, size=2 * around + 1, mode="constant", cval=np.inf)
+        at = ((shapely.get_coordinates(shapely.centroid(places)) - low) // cell_m).astype(int)
         return lowest[tuple(np.clip(at, 0, np.array(lowest.shape) - 1).T)]
 
     def below_m(self, places: ndarray) -> Float[ndarray, "n"]:

@@ -20,6 +20,10 @@ _BRIDGE_M = 150.0
 """A lane that passes over another one is a bridge up to this distance from there, where it is as high [m]."""
 
 
+_MOST_PAIRS = 200_000
+"""More pairs of lanes than any network has; a file with more is not looked through to its end."""
+
+
 class Crossings(NamedTuple):
     """Places where two lanes cross, each pair of lanes once; network coordinates."""
 
@@ -46,7 +50,7 @@ def crossings(lanes: Sequence[Lane]) -> Crossings:
     one, other = shapely.STRtree(lines).query(lines, predicate="crosses")
     edge = np.array([lanes[k].edge for k in row])
     kept = (one < other) & (edge[one] != edge[other])
-    one, other = one[kept], other[kept]
+    one, other = one[kept][:_MOST_PAIRS], other[kept][:_MOST_PAIRS]
     place = shapely.point_on_surface(shapely.intersection(lines[one], lines[other]))
     along = [shapely.line_locate_point(lines[rows], place) for rows in (one, other)]
     z_m = np.array([

@@ -10,6 +10,7 @@ import re
 import stat
 import zlib
 from collections.abc import Callable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 from xml.parsers import expat
@@ -19,6 +20,8 @@ Attributes = dict[str, str]
 _CHUNK_BYTES = 1 << 16
 LARGEST_RATIO = 200
 """Times its size that a compressed file may expand to; SUMO's files reach 30."""
+_MOST_NAMES = 2000
+"""Names of a folder among which a similar one is searched."""
 FREE_BYTES = 100_000_000
 """Size up to which a compressed file may expand at any ratio."""
 
@@ -173,7 +176,7 @@ def spelling(path: Path) -> str:
         part = rest.pop(0)
         if not exists(folder / part):
             try:
-                names = sorted(entry.name for entry in folder.iterdir())
+                names = sorted(entry.name for entry in islice(folder.iterdir(), _MOST_NAMES))
             except OSError:
                 return ""
             alike = [name for name in names if name.strip().casefold() == part.strip().casefold()]
