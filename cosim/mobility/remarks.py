@@ -24,6 +24,10 @@ MOST_AT_ONE_POINT_P = 0.01
 """If the share of vehicles at the exact position of another one is larger, the run gets a note."""
 MOST_OVERLAPPING_P = 0.0005
 """If the share of vehicles inside another one is larger, the run gets a note. SUMO's junctions reach a third of it."""
+MOST_JUMPING_P = 0.001
+"""If the share of vehicles that move farther than their speed allows is larger, the run gets a note."""
+JUMP_M = 5.0
+"""Vehicles jump if they move this much farther between two steps than at the larger of their two speeds [m]."""
 FEWEST = 5
 """Fewer such vehicles, summed over the steps, get no note."""
 INSIDE_M = 1.0
@@ -39,6 +43,8 @@ class FlowCounts:
     Pedestrians do not count.
     """
 
+    dt_s: float = 0.0
+    """Length of a step. Jumps are not counted if it is 0."""
     n_steps: int = 0
     n_vehicles: int = 0
     n_standing: int = 0
@@ -46,6 +52,9 @@ class FlowCounts:
     """At the exact position of another vehicle."""
     n_overlapping: int = 0
     """Inside another vehicle, and not at its exact position."""
+    n_jumping: int = 0
+    """Vehicles that have moved farther since the step before than their speed allows."""
+    _before: World | None = None
 
     def add(self, world: World) -> World:
         """Count the vehicles of a step, and return its world."""
@@ -53,6 +62,9 @@ class FlowCounts:
         self.n_steps += 1
         self.n_vehicles += int(np.count_nonzero(vehicle))
         self.n_standing += int(np.count_nonzero(vehicle & (world.speed_mps < STANDING_MPS)))
+        if self._before is not None and self.dt_s:
+            self.n_jumping += len(jumping(self._before, world, self.dt_s))
+        self._before = world
         boxes = world.boxes.take(np.flatnonzero(vehicle))
         _, row, n = np.unique(boxes.xyz_m, axis=0, return_index=True, return_counts=True)
         self.n_at_one_point += int(n[n > 1].sum())
@@ -68,7 +80,17 @@ class FlowCounts:
             found["vehicles_at_one_point_p"] = round(self.n_at_one_point / self.n_vehicles, 5)
         if self.n_overlapping >= FEWEST:
             found["vehicles_overlapping_p"] = round(self.n_overlapping / self.n_vehicles, 5)
+        if self.n_jumping >= FEWEST:
+            found["vehicles_jumping_p"] = round(self.n_jumping / self.n_vehicles, 5)
         return found
+
+
+def jumping(before: World, now: World, dt_s: float) -> Int[ndarray, "n"]:
+    """Rows of `now` of the vehicles that have moved farther than they can at the larger of their two speeds."""
+    _, was, row = np.intersect1d(before.actor, now.actor, assume_unique=True, return_indices=True)
+    moved_m = np.hypot(*(now.boxes.xyz_m[row, :2] - before.boxes.xyz_m[was, :2]).T)
+    most_m = np.maximum(np.abs(before.speed_mps[was]), np.abs(now.speed_mps[row])) * dt_s + JUMP_M
+    return row[(moved_m > most_m) & (now.shape[row] != Shape.PEDESTRIAN)]
 
 
 def overlapping(boxes: Boxes) -> Int[ndarray, "n"]:
@@ -119,6 +141,11 @@ def traffic_remarks(summary: dict[str, Any]) -> list[str]:
         found.append(
             f"note: {share:.2%} of the vehicles overlap another one by more than {INSIDE_M:g} m, averaged over the "
             "run: they drive through one another. Do streets cross at one height, without bridges or tunnels?"
+        )
+    if (share := summary.get("vehicles_jumping_p", 0.0)) > MOST_JUMPING_P:
+        found.append(
+            f"note: {share:.2%} of the vehicles move farther within a step than their speed allows, averaged over the "
+            "run: they jump, as in a network without ways through its junctions, or where SUMO teleports out of a jam."
         )
     waiting, on_road = summary.get("vehicles_waiting_to_enter_at_end", 0), summary.get("vehicles_on_road_mean", 0.0)
     if waiting > max(10.0, MOST_WAITING_P * on_road):

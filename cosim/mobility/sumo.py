@@ -98,7 +98,7 @@ class SumoTraffic:
         self._collisions: set[tuple[str, ...]] = set()
         self._domains = (_Domain("vehicle"), _Domain("person"))
         self._step = 0
-        self._counts = FlowCounts()
+        self._counts = FlowCounts(params.step_s)
         self._warmup_s = 0.0
         self._left_out: Counter[str] = Counter()
         self.n_teleports = 0

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.mobility.remarks import FlowCounts, overlapping, traffic_remarks
+from cosim.mobility.remarks import FlowCounts, jumping, overlapping, traffic_remarks
 from cosim.mobility.scenario import find
 from cosim.world import World
 from results.verify import verify
@@ -324,3 +324,23 @@ def test_traffic_that_no_vehicle_can_drive_is_noted():
     one, other = traffic_remarks(told)
     assert "40% of the vehicles are at the exact position" in one and "20.00% of the vehicles overlap" in other
     assert traffic_remarks(told | {"vehicles_at_one_point_p": 0.01, "vehicles_overlapping_p": 0.0005}) == []
+
+
+def test_jumping_vehicles_by_hand():
+    """At 10 and 20 m/s over 0.5 s a vehicle moves 10 m at most, and 5 m are granted: 14 m are possible, 16 m are not.
+
+    The second car is new, and the last actor is a pedestrian.
+    """
+
+    def world(actors, x_m, speeds):
+        n, nobody = np.array(actors), np.zeros(len(actors), bool)
+        shape = np.where(n == 9, Shape.PEDESTRIAN, Shape.CAR).astype(np.uint8)
+        boxes = cars_at(*((x, 0, 0, 0) for x in x_m))
+        return World(0, n, n.astype(np.uint64), shape, boxes, np.array(speeds), nobody, nobody.astype(np.uint8))
+
+    before = world([1, 3, 4, 9], [0.0, 50.0, 0.0, 0.0], [10.0, 20.0, 10.0, 1.0])
+    now = world([1, 2, 3, 9], [14.0, 300.0, 66.0, 90.0], [20.0, 0.0, 10.0, 1.0])
+    assert now.actor[jumping(before, now, 0.5)].tolist() == [3]
+    (note,) = traffic_remarks({"vehicles_jumping_p": 0.007})
+    assert "0.70% of the vehicles move farther within a step than their speed allows" in note
+    assert traffic_remarks({"vehicles_jumping_p": 0.001}) == []
