@@ -22,7 +22,7 @@ note."""
 
 MOST_AT_ONE_POINT_P = 0.01
 """If the share of vehicles at the exact position of another one is larger, the run gets a note."""
-MOST_OVERLAPPING_P = 0.0005
+MOST_OVERLAPPING_P = 0.002
 """If the share of vehicles inside another one is larger, the run gets a note. SUMO's junctions reach a third of it."""
 MOST_JUMPING_P = 0.001
 """If the share of vehicles that move farther than their speed allows is larger, the run gets a note."""

@@ -220,10 +220,9 @@ def test_what_sumo_opens_is_opened(scenario, tmp_path, name, by_folder):
 
 @pytest.mark.parametrize("location", ["", '<location netOffset="0,0" convBoundary="0,0,0,0" origBoundary="0,0,0,0"/>'])
 def test_a_network_that_does_not_say_how_far_it_reaches(scenario, tmp_path, location):
-    """Its bounds are those of its lanes: within a road's width of those that netconvert wrote."""
+    """Its bounds are those of its streets, of a road's width around the outermost nodes a, c and d."""
     config = edited(scenario, tmp_path, "odd net.net.xml", lambda t: re.sub(r"<location [^>]*/>", location, t))
-    found, told = find(str(config)), find(str(scenario))
-    np.testing.assert_allclose(found.bounds_m, told.bounds_m, atol=15)
+    np.testing.assert_allclose(find(str(config)).bounds_m, (-9_000_000, 100, -8_999_200, 400), atol=15)
     worlds, _ = live(str(config), tmp_path / "worlds", 0, 8)
     assert len(worlds[-1]) > 0
 
@@ -323,7 +322,7 @@ def test_traffic_that_no_vehicle_can_drive_is_noted():
     assert told == {"vehicles_standing_p": 0.0, "vehicles_at_one_point_p": 0.4, "vehicles_overlapping_p": 0.2}
     one, other = traffic_remarks(told)
     assert "40% of the vehicles are at the exact position" in one and "20.00% of the vehicles overlap" in other
-    assert traffic_remarks(told | {"vehicles_at_one_point_p": 0.01, "vehicles_overlapping_p": 0.0005}) == []
+    assert traffic_remarks(told | {"vehicles_at_one_point_p": 0.01, "vehicles_overlapping_p": 0.002}) == []
 
 
 def test_jumping_vehicles_by_hand():
