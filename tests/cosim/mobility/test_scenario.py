@@ -218,7 +218,9 @@ def test_what_sumo_opens_is_opened(scenario, tmp_path, name, by_folder):
     assert "sumo_errors" not in report
 
 
-@pytest.mark.parametrize("location", ["", '<location netOffset="0,0" convBoundary="0,0,0,0" origBoundary="0,0,0,0"/>'])
+@pytest.mark.parametrize(
+    "location", ["", '<location netOffset="0,0" convBoundary="0,0,0,0" origBoundary="0,0,0,0" projParameter="!"/>']
+)
 def test_a_network_that_does_not_say_how_far_it_reaches(scenario, tmp_path, location):
     """Its bounds are those of its streets, of a road's width around the outermost nodes a, c and d."""
     config = edited(scenario, tmp_path, "odd net.net.xml", lambda t: re.sub(r"<location [^>]*/>", location, t))
