@@ -39,7 +39,7 @@ ONE_FILE = {
     "bokeh": {"results/interactive.py"},
     "betterosi": {"results/export/osi.py"},
     "mcap": {"results/export/ros2.py"},
-    "osmium": {"sumo_nets/osm.py"},
+    "osmium": {"sumo_nets/osm_pbf.py"},
     "distributed": {
         "cosim/execution/cluster.py",
         "cosim/execution/cells/placed.py",

@@ -174,12 +174,17 @@ def print_run_summary(folder: Path, as_json: bool) -> "Run":
 
     speed = plain(manifest["steps"] * run.dt_s / spent_s)
     given = shlex.quote(str(folder))
-    lines = _summary(rows, manifest.get("net", {}).get("name", "the network")) | {
-        "time": [f"{spent_s:.1f} s of computing, {speed} times real time"],
-        "tables": [str(folder)],
-        "picture": [picture],
-        "next": [f"cosim report {given}   cosim measure {given}" + _pictures(rows, given)],
-    }
+    loaded = {topic: [manifest["summary"][topic]] for topic in ("streets", "buildings") if topic in manifest["summary"]}
+    lines = (
+        loaded
+        | _summary(rows, manifest.get("net", {}).get("name", "the network"))
+        | {
+            "time": [f"{spent_s:.1f} s of computing, {speed} times real time"],
+            "tables": [str(folder)],
+            "picture": [picture],
+            "next": [f"cosim report {given}   cosim measure {given}" + _pictures(rows, given)],
+        }
+    )
     print_facts(lines)
     return run
 

@@ -255,15 +255,17 @@ def check(
     from cosim.config.config import load
     from cosim.execution import check as checking
     from cosim.execution.manifest import toml_text
+    from cosim.mobility.scene_summary import scene_summary
 
     experiment = load(config, overrides, trust_code)
-    checking.check(experiment)
+    scenario = checking.check(experiment)
     for remark in checking.remarks_on(experiment, config):
         notes.print(remark, soft_wrap=True)
     if as_json:
         print_json(experiment.to_dict())
     else:
-        screen.print(toml_text(experiment.to_dict()), soft_wrap=True)
+        loaded = "".join(f"# {topic}: {line}\n" for topic, line in scene_summary(scenario).lines.items())
+        screen.print(loaded + toml_text(experiment.to_dict()), soft_wrap=True)
 
 
 @app.command()

@@ -37,7 +37,7 @@ def sweep(
     from cosim.studies import sweep as sweeping
 
     task = sweeping.prepare(study, out, not separate, trust_code)
-    for note in sweeping.keys_in_vain(task.points):
+    for note in sweeping.keys_in_vain(task.points) + sweeping.scene_notes(task.points):
         notes.print(note, soft_wrap=True)
     if dry_run:
         _print_plan(task, as_json)

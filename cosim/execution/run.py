@@ -29,6 +29,7 @@ from cosim.mobility.actors import ActorRegistry
 from cosim.mobility.meshes import with_meshes
 from cosim.mobility.remarks import traffic_remarks
 from cosim.mobility.scenario import Scenario
+from cosim.mobility.scene_summary import scene_summary
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.step.parts import Parts, sources
 from cosim.step.state import State
@@ -88,6 +89,7 @@ def run(
             folder = run_folder.create(out, scenario.name)
             try:
                 manifest = Manifest(folder.path, config, provenance(config, scenario), sources(config))
+                manifest.summary = scene_summary(scenario).lines
                 manifest.begin()
                 recorder = _recorder(folder.path, parts, 0)
                 warmup_s = 0.0 if traffic_from is not None else warmup_of(config, scenario)
@@ -156,6 +158,7 @@ def resume(
             with closing(traffic), in_cells(parts, scenario, cells, workers) as parts:
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
                 went.keep_config(manifest)
+                went.summary = scene_summary(scenario).lines
                 recorder = _recorder(path, parts, found.end_step)
                 went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
                 warmup_s = 0.0 if traffic_from is not None else warmup_of(config, scenario)

@@ -38,7 +38,7 @@ class _Replay:
     def __init__(self, source: Path, registry: ActorRegistry, dt_s: float, frame: Frame) -> None:
         self._source, self._registry, self._dt_s, self._frame = source, registry, dt_s, frame
         self._n_skipped = self._step = 0
-        self._counts = FlowCounts()
+        self._counts = FlowCounts(dt_s)
 
     def warm_up(self, seconds: float) -> Iterator[float]:
         """Skip the first `seconds`; yields the seconds done."""

@@ -13,6 +13,7 @@ import numba
 from cosim.execution import check as checking
 from cosim.execution.cluster import connected, local
 from cosim.mobility.scenario import find
+from cosim.mobility.scene_summary import scene_summary
 from cosim.studies.engine import Work, execute
 from cosim.studies.estimate import Estimate, estimate
 from cosim.studies.folder import Attempt, StudyFolder, write_whole
@@ -93,6 +94,13 @@ def keys_in_vain(points: Sequence[Point]) -> list[str]:
         for note in checking.keys_in_vain(config, scenario(config.traffic.scenario, config.traffic.trace))
     )
     return [note if n == len(points) else f"{note[:-1]}, in {n} of {len(points)} points." for note, n in found.items()]
+
+
+def scene_notes(points: Sequence[Point]) -> list[str]:
+    """Notes on the streets and buildings of the scenarios of a study, each scenario once."""
+    traffic = (point.config.traffic for point in points)
+    scenarios = [find(*named) for named in dict.fromkeys((one.scenario, one.trace) for one in traffic)]
+    return [note for scenario in scenarios for note in scene_summary(scenario).notes]
 
 
 def separate(points: Sequence[Point]) -> Plan:
