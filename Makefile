@@ -41,7 +41,7 @@ bench: $(READY)  ## Measure speed, with other implementations in the same run
 	$(BIN)/cosim bench
 
 extra: $(READY)  ## Install one of the extras of pyproject.toml: make extra NAME=open3d
-	@test -n "$(NAME)" || { echo "say which: make extra NAME=open3d (or view, mesh, build)"; exit 2; }
+	@test -n "$(NAME)" || { echo "say which: make extra NAME=open3d (or embree, view, mesh, build)"; exit 2; }
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[$(NAME)]"
 
 lock:  ## Pin the dependencies again (needs uv)

@@ -10,6 +10,7 @@ Level = Literal["summary", "standard", "full"]
 Layout = Literal["dictionary", "bytes", "differences", "plain"]
 """How Parquet lays out the values of a column: as numbers of a dictionary, split into their bytes, as differences from
 one value to the next, or as they are."""
+Of = Literal["", "vehicles", "pseudonyms", "steps"]
 LEVELS: tuple[Level, ...] = ("summary", "standard", "full")
 
 
@@ -37,6 +38,9 @@ class Column:
     absent: Literal["", "step", "zero", "null"] = ""
     """Not in every run if given: what rows have in runs that do not need the column.
     It is the row's `step`, 0 or null."""
+    of: Of = ""
+    """What a whole number names: a row of `vehicles` by its number, a row of `pseudonyms`, or a step of the run.
+    Reading checks it, because the number may be used as an index. All whole numbers are 0 or more."""
     via: Literal["", "source", "pose"] = ""
     """Not stored if given: `open_run` reads the column from the detection that `<via>` and `<via>_index` name."""
 
@@ -85,10 +89,11 @@ class Table:
         first = next((name for name in self.key if name != "step" and self.columns[name].type == "int32"), None)
         return {
             name: column.layout or (
-                "differences" if name == first else "bytes" if column.type in _WHOLE else "dictionary"
+                "differences" if name == first else "bytes" if column.type in WHOLE else "dictionary"
             )
             for name, column in self.stored.items()
         }  # fmt: skip
 
 
-_WHOLE = ("int32", "int16", "uint8")
+WHOLE = ("int32", "int16", "uint8")
+"""Types of whole numbers."""

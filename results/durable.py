@@ -1,5 +1,6 @@
 """Write files completely or not at all, even in a crash: write under another name, sync, rename."""
 
+import errno
 import fcntl
 import hashlib
 import io
@@ -21,14 +22,23 @@ class Damaged(ValueError):
     """A run folder differs from its inventory. Commands end with exit status 1."""
 
 
+def new_file(path: Path) -> int:
+    """Create an empty file, open for writing; return its descriptor.
+
+    What has its name is removed and not opened: a link of somebody else could lead anywhere, and a pipe would wait for
+    a reader.
+    """
+    path.unlink(missing_ok=True)
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+
+
 class Growing(io.RawIOBase):
     """A file that is written piece by piece and gets its name when it is complete; counts bytes and checksum."""
 
     def __init__(self, partial: Path) -> None:
         """`partial` is the name until then. An existing file of that name is replaced."""
         self._partial = partial
-        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW
-        self._file, self._sha256 = io.BufferedWriter(io.FileIO(os.open(partial, flags, 0o666), "w")), hashlib.sha256()
+        self._file, self._sha256 = io.BufferedWriter(io.FileIO(new_file(partial), "w")), hashlib.sha256()
         self.n_bytes = 0
 
     def writable(self) -> bool:
@@ -119,6 +129,27 @@ def sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
+def open_lock(path: Path) -> int:
+    """Open a file to lock it, which is made if there is none; return its descriptor.
+
+    Raises
+    ------
+    OSError
+        If it is a link or no regular file, or cannot be made.
+    """
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise OSError(errno.EINVAL, "no regular file", str(path))
+    return handle
+
+
+def read(path: Path) -> bytes:
+    """Content of a regular file. Raises ValueError for others."""
+    with open_regular(path) as file:
+        return file.read()
+
+
 def open_regular(path: Path) -> BufferedReader:
     """Open a regular file for reading. Raises ValueError for others: a device or a pipe may never end."""
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
@@ -158,7 +189,7 @@ class Lock:
         """Take the lock. Raises BlockingIOError if another process has it."""
         self._path = folder / _LOCK
         while True:
-            self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+            self._handle = open_lock(self._path)
             try:
                 fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 if self._path.exists() and self._path.stat().st_ino == os.fstat(self._handle).st_ino:

@@ -37,9 +37,10 @@ table { border-collapse: collapse; width: 100%; font-size: 13.5px; }
 th, td { text-align: left; padding: 3px 10px 3px 0; border-bottom: 1px solid var(--line); vertical-align: top; }
 th { color: var(--soft); font-weight: 600; } td.number { text-align: right; font-variant-numeric: tabular-nums; }
 th.number { text-align: right; } .wide { overflow-x: auto; }
-.numbers { table-layout: fixed; } .numbers th:nth-child(1) { width: 32%; }
-.numbers th:nth-child(2) { width: 36%; } .numbers th:nth-child(3) { width: 20%; }
-.numbers code { overflow-wrap: anywhere; } .numbers td { border-top: 1px solid var(--line); border-bottom: 0; }
+.numbers { table-layout: fixed; overflow-wrap: anywhere; } .numbers th:nth-child(1) { width: 21%; }
+.numbers th:nth-child(2) { width: 27%; } .numbers th:nth-child(3) { width: 15%; }
+.numbers th:nth-child(4) { width: 9%; } .numbers th:nth-child(5) { width: 14%; }
+.numbers td { border-top: 1px solid var(--line); border-bottom: 0; }
 .numbers .more td { border-top: 0; padding-top: 0; }
 details { margin: 8px 0; } summary { cursor: pointer; font-weight: 600; }
 pre { background: var(--tint); padding: 12px; overflow-x: auto; font-size: 12.5px; }
@@ -149,7 +150,7 @@ def _n_points(artist: Any) -> int:
 
 def _topic(topic: str, frame: pd.DataFrame) -> str:
     is_lost = frame.metric == f"{topic}.not_measured"
-    head = f"<h3>{escape(topic)}</h3><p class='soft'>{escape(TOPICS[topic])}</p>"
+    head = f"<h3>{escape(topic)}</h3><p class='soft'>{_code(TOPICS[topic])}</p>"
     gap = "".join(f'<p class="missing">Not measured: {escape(reason)}</p>' for reason in frame.group[is_lost])
     frame = frame[~is_lost]
     if frame.empty:

@@ -18,13 +18,14 @@ import pyarrow.parquet as pq
 
 from results import durable, inventory, part_reader, virtual_columns
 from results.codes import BASE_VARIANT
-from results.columns import LEVELS
+from results.columns import LEVELS, WHOLE, Of
 from results.durable import Damaged
 from results.inventory import Inventory, Part
 from results.manifest import status_of
 from results.tables import TABLES, kept, schema
 
 T = TypeVar("T")
+R = TypeVar("R", pa.Table, pa.RecordBatch)
 
 OVER = ("finished", "interrupted")
 """Statuses of a run that ended with everything written."""
@@ -263,6 +264,7 @@ class Run:
         for number, path in enumerate(self._paths(name)):
             self._check(path)
             for rows in part_reader.read_pieces(path, columns, n_rows):
+                self._in_bounds(path, rows)
                 yield number, {c: part_reader.plain(rows.column(c), labels[c]) for c in columns}
 
     def _of_variant(self, name: str, where: pc.Expression | None) -> tuple[pc.Expression | None, virtual_columns.Read]:
@@ -336,7 +338,7 @@ class Run:
     def _part(self, path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
         """Columns of a part, after its checksum was verified."""
         self._check(path)
-        return part_reader.read(path, names, where)
+        return self._in_bounds(path, part_reader.read(path, names, where))
 
     def _check(self, path: Path) -> None:
         """Raise Damaged if the checksum of a part is wrong; each part is checked once."""
@@ -347,8 +349,40 @@ class Run:
                 self._found_damaged(problem if part is not None else f"{name} is not in the inventory")
             self._sound.add(name)
 
-    def _found_damaged(self, problem: str) -> None:
-        message = f"{self.path} is damaged: {problem}. `cosim verify {self.path}` lists all that is wrong."
+    def _in_bounds(self, path: Path, rows: R) -> R:
+        """The same rows. Raises Damaged if a whole number names what the run does not have: it may become an index."""
+        table = path.parent.name
+        for name in rows.schema.names:
+            column, values = TABLES[table].columns[name], rows.column(name)
+            if column.type not in WHOLE or not len(values):
+                continue
+            ends = pc.min_max(values).as_py()
+            wrong = [end for end in ends.values() if end is not None and not 0 <= end < self._n_named(column.of)]
+            if not wrong and column.of == "pseudonyms" and len(self._pseudonyms()):
+                named = values.drop_null().to_numpy()
+                wrong = named[~np.isin(named, self._pseudonyms())].tolist()
+            if wrong:
+                what = f"no number of the table {column.of}" if column.of in TABLES else "out of bounds"
+                self._found_damaged(f"{table}/{path.name} has {name} = {wrong[0]}, which is {what}", "Run again.")
+        return rows
+
+    def _n_named(self, of: Of) -> int:
+        """One more than the largest number that a column of this kind may have."""
+        if of == "vehicles" and "vehicles" in self.tables and (n := self.n_rows("vehicles")):
+            return n
+        return int(self.manifest["steps"]) + 1 if of == "steps" else 2**31
+
+    def _pseudonyms(self) -> np.ndarray:
+        """All pseudonyms of the run; none if it does not say."""
+        if "pseudonyms" not in self.tables:
+            return np.zeros(0, np.int32)
+        return self.once_for_all(
+            "pseudonyms by number", lambda: self.table("pseudonyms", ["pseudonym"]).pseudonym.to_numpy()
+        )
+
+    def _found_damaged(self, problem: str, then: str = "") -> None:
+        then = then or f"`cosim verify {self.path}` lists all that is wrong."
+        message = f"{self.path} is damaged: {problem}. {then}"
         if message not in self.damage:
             self.damage.append(message)
         raise Damaged(message)

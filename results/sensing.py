@@ -47,7 +47,8 @@ def _schedule(run: Run) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
 def _read(run: Run) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
     names = ["sensing_interval_steps", "sensing_phase_steps"]
     vehicles = run.table("vehicles", ["vehicle", *names])
-    interval_s = run.config.get("sensing_interval_s", run.dt_s)
+    senses = run.config.get("sensing", True)
+    interval_s = run.config.get("sensing_interval_s", run.dt_s) if senses else run.dt_s
     every = max(1, int(run.manifest.get("sense_every_steps", round(interval_s / run.dt_s))))
     size = 1 + int(vehicles.vehicle.max()) if len(vehicles) else 1
     columns = np.full(size, every), np.zeros(size, np.int64)

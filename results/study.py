@@ -1,8 +1,8 @@
 """A study on disk: its points, their runs, and every metric by swept key with its interval."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,7 @@ class Study:
         for run in self.points["run"].unique():
             path = self.path / "jobs" / str(run) / "measures.parquet"
             if path.is_file():
-                frames.append(pd.read_parquet(path))
+                frames.append(_measures(path))
         if not frames:
             raise ValueError(f"{self.path} has no finished run yet. Run `cosim sweep` on.")
         columns = ["point", "replicate", *self.keys]
@@ -152,14 +152,53 @@ def open_study(path: str | Path) -> Study:
     if not is_study(path):
         raise ValueError(f"{path} is not a study: it holds no index.parquet. Give the folder of a `cosim sweep`.")
     try:
-        table = pq.read_table(path / "index.parquet")
+        table = pq.read_table(path / "index.parquet", partitioning=None)
         head = json.loads((table.schema.metadata or {})[b"study"])
-        return Study(path, head, table.to_pandas())
-    except (OSError, ValueError, KeyError) as error:
-        reason = str(error).splitlines()[0]
+        points = table.to_pandas()
+        _check(head, points)
+        return Study(path, head, points)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ValueError(
             f"{path}/index.parquet is damaged ({reason}). `cosim status {path}` writes it anew."
         ) from error
+
+
+def _check(head: Mapping[str, Any], points: pd.DataFrame) -> None:
+    """Raise ValueError if an index is not what a sweep writes: anybody can have changed it."""
+    kinds = {"name": str, "question": str, "keys": list, "baseline": dict}
+    if wrong := [name for name, kind in kinds.items() if not isinstance(head[name], kind)]:
+        raise ValueError(f"{wrong[0]} is of another kind")
+    if lacking := [str(name) for name in (*_POINTS, *head["keys"], *head["baseline"]) if name not in points.columns]:
+        raise ValueError(f"it has no column {lacking[0]}")
+    if len(points.columns) != len(set(points.columns)):
+        raise ValueError("it has a column twice")
+    for name in ("point", "run", "variant", "state"):
+        if not points[name].map(lambda text: isinstance(text, str) and Path(text).name == text).all():
+            raise ValueError(f"{name} holds something else than names")
+    if points.replicate.dtype.kind not in "iu" or not points.point.is_unique:
+        raise ValueError("replicate holds something else than numbers, or a point is there twice")
+
+
+def _measures(path: Path) -> pd.DataFrame:
+    """Metrics of a run's points. Damaged, in one line, if the file holds something else."""
+    columns = {"point": "O", "metric": "O", "group": "O", "value": "fiu", "unit": "O", "label": "O"}
+    try:
+        found = pq.read_table(path, partitioning=None).to_pandas()
+        for name, kinds in columns.items():
+            texts = kinds == "O"
+            if not (
+                found[name].map(lambda text: isinstance(text, str)).all() if texts else found[name].dtype.kind in kinds
+            ):
+                raise ValueError(f"{name} is of another kind")
+        return found
+    except (OSError, ValueError, KeyError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise durable.Damaged(f"{path} is damaged ({reason}). Sweep the study in another --out.") from None
+
+
+_POINTS = ("point", "run", "variant", "replicate", "state")
+"""Columns of an index that say what a point is."""
 
 
 def is_study(path: Path) -> bool:
@@ -197,6 +236,64 @@ def _there(frame: pd.DataFrame, metric: str) -> str:
     names = sorted(frame.metric.unique())
     alike = [name for name in names if name.startswith(metric.partition(".")[0] + ".")]
     return f"It has {', '.join(alike or names)}."
+
+
+def short_names(values: Iterable[Any]) -> dict[Any, str]:
+    """Values of a swept key as figures and tables say them: files by the shortest names that tell them apart."""
+    texts = {value: said(value) for value in dict.fromkeys(values)}
+    files = [value for value, text in texts.items() if isinstance(value, str) and text.startswith("/")]
+    longest = max((text.count("/") for text in texts.values()), default=0)
+    ways: list[Callable[[str], str]] = [_stem, *(partial(_end, n) for n in range(1, longest + 1))]
+    for name in ways:
+        short = texts | {value: name(value) for value in files}
+        if len(set(short.values())) == len(short):
+            return short
+    return texts
+
+
+def said(value: Any) -> str:
+    """A value of a swept key as text: numbers without digits that say nothing."""
+    return f"{value:g}" if isinstance(value, float | np.floating) and not np.isnan(value) else str(value)
+
+
+def _stem(path: str) -> str:
+    """The name of a file without its endings, or that of a class."""
+    name = path.rsplit("/", 1)[-1]
+    return name if ":" in name else name.split(".")[0] or name
+
+
+def _end(n: int, path: str) -> str:
+    return "/".join(path.split("/")[-n:])
+
+
+def with_short_names(frame: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
+    """The same rows with short names in place of the files that swept keys name."""
+    words = [key for key in keys if frame[key].dtype.kind not in "fiub"]
+    return frame.assign(**{key: frame[key].map(short_names(frame[key])) for key in words})
+
+
+def held_at(frame: pd.DataFrame, key: str, text: str) -> pd.DataFrame:
+    """Rows in which a swept key has the value that a text says: a number, a word, a file or its short name.
+
+    Raises
+    ------
+    ValueError
+        In one line, with the values that there are.
+    """
+    short = short_names(frame[key])
+    wanted = [value for value, name in short.items() if _is_said(value, name, text)]
+    if not wanted:
+        raise ValueError(f"no point has {key} = {text}. There are {', '.join(map(str, short.values()))}.")
+    return frame[frame[key].isin(wanted)]
+
+
+def _is_said(value: Any, name: str, text: str) -> bool:
+    if text in (str(value), name) or text.lower() == str(value).lower() in ("true", "false"):
+        return True
+    try:
+        return not isinstance(value, bool | np.bool_) and float(value) == float(text)
+    except ValueError:
+        return False
 
 
 def _as_column(column: pd.Series, value: Any) -> Any:

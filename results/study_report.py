@@ -8,7 +8,7 @@ import pandas as pd
 from results import durable
 from results.figures import study as figure
 from results.report import STYLE, image_url
-from results.study import Study
+from results.study import Study, with_short_names
 
 _MOST_ROWS = 400
 
@@ -64,7 +64,7 @@ def _figure(study: Study, topic: str) -> str:
 
 
 def _table(study: Study, frame: pd.DataFrame) -> str:
-    shown = frame.head(_MOST_ROWS)
+    shown = with_short_names(frame.head(_MOST_ROWS), study.keys)
     names = [*study.keys, "metric", "group", "n", "mean", "low", "high", "unit", "note"]
     head = "".join(f"<th>{escape(name)}</th>" for name in names)
     rows = "".join(

@@ -25,14 +25,14 @@ from results.codes import (
     VehicleClass,
     labels,
 )
-from results.columns import LEVELS, Column, Layout, Level, Table
+from results.columns import LEVELS, Column, Layout, Level, Of, Table
 
 SCHEMA_VERSION = 8
 """Raised whenever a table or column changes its name, type, unit or meaning."""
 
 
-def _key(meaning: str, type: Literal["int32", "int16"] = "int32", layout: Layout | None = None) -> Column:
-    return Column(type, meaning=meaning, key=True, layout=layout)
+def _key(meaning: str, type: Literal["int32", "int16"] = "int32", layout: Layout | None = None, of: Of = "") -> Column:
+    return Column(type, meaning=meaning, key=True, layout=layout, of=of)
 
 
 def _count(meaning: str) -> Column:
@@ -40,7 +40,7 @@ def _count(meaning: str) -> Column:
 
 
 # fmt: off
-_STEP = _key("Time step; seconds are step * dt_s of the manifest.")
+_STEP = _key("Time step; seconds are step * dt_s of the manifest.", of="steps")
 _VARIANT = Column("category", key=True, categories=(BASE_VARIANT,), labels_of_run="variants", meaning="Trust variant of the run; `base` is the one that acts in the simulation.")
 _CLASS = Column("category", meaning="Class of the object.", categories=labels(ObjectClass))
 _SCORE = Column("float32", meaning="Confidence in [0, 1].", unit="1", bits=12)
@@ -54,7 +54,7 @@ _BOX = {
     "yaw_rad": Column("float32", unit="rad", bits=9, meaning="Heading, counter-clockwise from +x (east), in (-pi, pi]."),
 }
 _POSE = ("x_m", "y_m", "z_m", "yaw_rad")
-_TRUTH_ACTOR = Column("int32", null=True, truth=True, meaning="Actor that the box really belongs to; null if it belongs to none (false positive of the detector, or fabricated).")
+_TRUTH_ACTOR = Column("int32", of="vehicles", null=True, truth=True, meaning="Actor that the box really belongs to; null if it belongs to none (false positive of the detector, or fabricated).")
 _TRUTH_IOU = Column("float32", unit="1", null=True, truth=True, bits=10, meaning="3D intersection over union with that actor's true box.")
 
 
@@ -86,14 +86,14 @@ _LOST = {
 }
 
 _KIND = Column("category", key=True, categories=labels(EvaluationKind), absent="zero", meaning="What the evaluation is about: the detection itself; that the message does not withhold an object that the evaluator detects (missing; `detection_index` is then that of the evaluator's own detection, and 0 for the evaluator itself); or that the velocity of the detection is right (speed). The column exists if `trust.evidence` names more than detections.")
-_DETECTION_STEP = Column("int32", absent="step", meaning="Step of the detection; before `step` if it was in an earlier message. The column exists if not all vehicles sense at the same time.")
+_DETECTION_STEP = Column("int32", of="steps", absent="step", meaning="Step of the detection; before `step` if it was in an earlier message. The column exists if not all vehicles sense at the same time.")
 
 TABLES: Mapping[str, Table] = {
     "vehicles": Table(
         "summary",
         "Every actor of the run, one row each. The table is written at the end of the run.",
         {
-            "vehicle": _key("Actor number, the true identity of the actor; unique in the run and never reused."),
+            "vehicle": _key("Actor number, the true identity of the actor; unique in the run and never reused.", of="vehicles"),
             "sumo_id": Column("string", meaning="Name in SUMO."),
             "vehicle_class": Column("category", meaning="Class of vehicle, pedestrian, or unit of `[[roadside]]`, which is no traffic.", categories=labels(VehicleClass)),
             "length_m": Column("float32", unit="m", meaning="Extent along the heading."),
@@ -102,11 +102,11 @@ TABLES: Mapping[str, Table] = {
             "equipped": Column("bool", meaning="A vehicle that carries a LiDAR and a radio; false for roadside units, which carry them too."),
             "role": Column("category", meaning="How an equipped vehicle behaves; null if not equipped.", categories=labels(Role), labels_of_run="roles", null=True),
             "attack": Column("int16", null=True, meaning="Section of `attacks` in the config, counted from 0, that the vehicle belongs to; null if honest or not equipped."),
-            "first_step": Column("int32", meaning="First step on the road."),
-            "last_step": Column("int32", meaning="Last step on the road."),
+            "first_step": Column("int32", of="steps", meaning="First step on the road."),
+            "last_step": Column("int32", of="steps", meaning="Last step on the road."),
             "sensing_interval_steps": Column("int32", null=True, absent="null", meaning="Steps from one sweep of the vehicle to the next; null if not equipped. The column exists if not all vehicles sense at the same time."),
             "sensing_phase_steps": Column("int32", null=True, absent="null", meaning="First step in which the vehicle would sense; later ones follow after every interval. Null if not equipped."),
-            "attack_start_step": Column("int32", null=True, meaning="First step in which the vehicle lied in a detection or an evaluation, or attacked the channel or the server; null if it never did."),
+            "attack_start_step": Column("int32", of="steps", null=True, meaning="First step in which the vehicle lied in a detection or an evaluation, or attacked the channel or the server; null if it never did."),
         },
     ),
     "pseudonyms": Table(
@@ -114,11 +114,11 @@ TABLES: Mapping[str, Table] = {
         "Which vehicle used which pseudonym, and when. The table is written at the end of the run.",
         {
             "pseudonym": _key("Identity that messages carry. Receivers, trust models and the trust server know a sender only by it. One pseudonym is used by one vehicle only. With pseudonyms.policy = \"none\" it is the vehicle's actor number."),
-            "vehicle": Column("int32", truth=True, meaning="Vehicle that used it, as in `vehicles`."),
+            "vehicle": Column("int32", of="vehicles", truth=True, meaning="Vehicle that used it, as in `vehicles`."),
             "identity": Column("int16", truth=True, meaning="0 for the vehicle's own identity; 1 and above for the additional identities of a Sybil attacker."),
-            "from_step": Column("int32", truth=True, meaning="First step in use."),
-            "to_step": Column("int32", truth=True, meaning="Last step in use."),
-            "refused_step": Column("int32", null=True, truth=True, meaning="First step in which receivers dropped messages with this pseudonym because it was revoked; null if they never did."),
+            "from_step": Column("int32", of="steps", truth=True, meaning="First step in use."),
+            "to_step": Column("int32", of="steps", truth=True, meaning="Last step in use."),
+            "refused_step": Column("int32", of="steps", null=True, truth=True, meaning="First step in which receivers dropped messages with this pseudonym because it was revoked; null if they never did."),
         },
     ),
     "actors": Table(
@@ -126,7 +126,7 @@ TABLES: Mapping[str, Table] = {
         "Poses of all actors, pedestrians included. They suffice to replay the traffic without SUMO.",
         {
             "step": _STEP,
-            "actor": _key("Actor number, as `vehicle` in `vehicles`."),
+            "actor": _key("Actor number, as `vehicle` in `vehicles`.", of="vehicles"),
             **{name: replace(_BOX[name], bits=bits) for name, bits in (("x_m", 8), ("y_m", 8), ("z_m", 8), ("yaw_rad", 9))},
             "speed_mps": Column("float32", unit="m/s", meaning="Speed along the heading.", bits=8, layout="bytes"),
         },
@@ -135,15 +135,15 @@ TABLES: Mapping[str, Table] = {
         "summary",
         "Encounters of two actors: periods in which they are within a radius of each other.",
         {
-            "a": _key("The smaller of the two actor numbers."),
-            "b": _key("The larger of the two actor numbers."),
-            "start_step": _key("First step in contact."),
+            "a": _key("The smaller of the two actor numbers.", of="vehicles"),
+            "b": _key("The larger of the two actor numbers.", of="vehicles"),
+            "start_step": _key("First step in contact.", of="steps"),
             "radius_m": Column("float32", unit="m", key=True, meaning="Largest distance that counts as contact."),
             "pairs": Column("category", key=True, categories=labels(EncounterPairs), meaning="Which pairs count: all, pairs of equipped vehicles, equipped pairs with line of sight (los), or all with line of sight (all_los)."),
             "hysteresis_s": Column("float32", unit="s", key=True, meaning="A break in contact shorter than this does not end the encounter."),
             "los": Column("category", key=True, categories=labels(LosBlockers), meaning="What cuts a line of sight, from 0.23 m (lidar.mount_above_roof_m) above one roof to the other: buildings, or the bodies of other actors too."),
             "pedestrians": Column("bool", key=True, meaning="Whether pedestrians count as actors; vehicles alone do otherwise."),
-            "end_step": Column("int32", meaning="First step no longer in contact."),
+            "end_step": Column("int32", of="steps", meaning="First step no longer in contact."),
             "duration_s": Column("float32", unit="s", meaning="(end_step - start_step) * dt_s, bridged breaks included."),
             "censored_left": Column("bool", meaning="The two were in contact when recording began, so the encounter lasted longer than recorded."),
             "censored_right": Column("bool", meaning="The encounter had not ended when recording ended, so it lasted longer than recorded."),
@@ -166,9 +166,9 @@ TABLES: Mapping[str, Table] = {
         "The trust columns of `encounters` for the trust variants that do not act in the simulation; one row per encounter and variant.",
         {
             "variant": _VARIANT,
-            "a": _key("The smaller of the two actor numbers."),
-            "b": _key("The larger of the two actor numbers."),
-            "start_step": _key("First step in contact."),
+            "a": _key("The smaller of the two actor numbers.", of="vehicles"),
+            "b": _key("The larger of the two actor numbers.", of="vehicles"),
+            "start_step": _key("First step in contact.", of="steps"),
             "radius_m": Column("float32", unit="m", key=True, meaning="Largest distance that counts as contact."),
             "pairs": Column("category", key=True, categories=labels(EncounterPairs), meaning="Which pairs count, as in `encounters`."),
             "hysteresis_s": Column("float32", unit="s", key=True, meaning="A break in contact shorter than this does not end the encounter."),
@@ -183,8 +183,8 @@ TABLES: Mapping[str, Table] = {
         "Actors that each LiDAR could have detected: one row per actor that at least one ray would hit if nothing stood in between.",
         {
             "step": _STEP,
-            "observer": _key("Vehicle that carries the LiDAR (actor number)."),
-            "actor": _key("Actor in its field of view."),
+            "observer": _key("Vehicle that carries the LiDAR (actor number).", of="vehicles"),
+            "actor": _key("Actor in its field of view.", of="vehicles"),
             "n_points": Column("int32", truth=True, meaning="Returns from this actor."),
             "n_unoccluded": Column("int32", truth=True, meaning="Returns that the actor would have if nothing stood in between."),
         },
@@ -194,7 +194,7 @@ TABLES: Mapping[str, Table] = {
         "Boxes in the vehicles' detection lists before they are sent. In all tables, (step, observer, detection_index) identifies a detection.",
         {
             "step": _STEP,
-            "observer": _key("Pseudonym of the vehicle that made the detection."),
+            "observer": _key("Pseudonym of the vehicle that made the detection.", of="pseudonyms"),
             "detection_index": _key("Number in the observer's list; 0 is the self report.", "int16"),
             "class": _CLASS,
             **_BOX,
@@ -206,7 +206,7 @@ TABLES: Mapping[str, Table] = {
             "transmitted": Column("bool", truth=True, meaning="The detection is in the message that was sent. An attack may withhold detections."),
             "lied": Column("bool", truth=True, meaning="The detection is a lie: it is fabricated, withheld by a malicious vehicle, or sent with values that differ from the perceived ones by more than noise (0.5 m, 10 degrees, 20 % of the size, 0.1 of the score, another class, 0.5 m/s or m/s2)."),
             "withheld": Column("bool", truth=True, meaning="An attack removed the detection from the message."),
-            "target": Column("int32", null=True, truth=True, meaning="Vehicle that an attack aims at with this detection (actor number); null if there is no target."),
+            "target": Column("int32", of="vehicles", null=True, truth=True, meaning="Vehicle that an attack aims at with this detection (actor number); null if there is no target."),
             "truth_actor": _TRUTH_ACTOR,
             "truth_iou": _TRUTH_IOU,
             "truth_occlusion": Column("float32", unit="1", null=True, truth=True, bits=8, meaning="Share of that actor hidden from the observer."),
@@ -217,7 +217,7 @@ TABLES: Mapping[str, Table] = {
         "What detection messages (collective perception messages) contain, and why they leave out other objects. One row per pseudonym that may send a message. Self reports are not counted as objects.",
         {
             "step": _STEP,
-            "sender": _key("Pseudonym that the message carries."),
+            "sender": _key("Pseudonym that the message carries.", of="pseudonyms"),
             "length_bytes": Column("int32", unit="B", meaning="Length of the message with all headers; 0 if it was not sent."),
             "n_objects": _count("Objects that the vehicle would report: those in its list that no attack or fault withholds."),
             "n_included": _count("Number of these objects in the message."),
@@ -243,7 +243,7 @@ TABLES: Mapping[str, Table] = {
         "Errors of the estimated poses of equipped vehicles, if the config has [gnss]. They displace and turn all boxes of a vehicle's detections, its self report included, and of its fused objects.",
         {
             "step": _STEP,
-            "vehicle": _key("Vehicle (actor number)."),
+            "vehicle": _key("Vehicle (actor number).", of="vehicles"),
             "error_x_m": Column("float32", unit="m", truth=True, bits=10, meaning="Position error, east: estimated minus true position."),
             "error_y_m": Column("float32", unit="m", truth=True, bits=10, meaning="Position error, north: estimated minus true position."),
             "error_yaw_rad": Column("float32", unit="rad", truth=True, bits=18, absent="zero", meaning="Error of the heading, counter-clockwise: estimated minus true heading."),
@@ -254,7 +254,7 @@ TABLES: Mapping[str, Table] = {
         "What vehicles know about the motion of the objects in their detection lists, if the config has [tracking]: one row per detection of the detector, and per fabricated one with a velocity.",
         {
             "step": _STEP,
-            "observer": _key("Pseudonym of the vehicle that made the detection, as in `detections`."),
+            "observer": _key("Pseudonym of the vehicle that made the detection, as in `detections`.", of="pseudonyms"),
             "detection_index": _key("Number in the observer's list, as in `detections`.", "int16"),
             "object_id": Column("int32", null=True, meaning="Number of the object among those that the vehicle has tracked, from 0. It stays the same as long as the vehicle tracks the object, also when the vehicle changes its pseudonym; null if an attack fabricated the detection."),
             "age_s": Column("float32", unit="s", null=True, bits=10, meaning="Time since the vehicle first detected the object; null as for `object_id`."),
@@ -267,11 +267,11 @@ TABLES: Mapping[str, Table] = {
         "full",
         "Messages that were received.",
         {
-            "step": _key("Step in which the message was received."),
-            "message_step": Column("int32", absent="step", meaning="Step in which the message was sent; before `step` if its frames waited for the channel. The column exists if not all vehicles sense at the same time."),
+            "step": _key("Step in which the message was received.", of="steps"),
+            "message_step": Column("int32", absent="step", of="steps", meaning="Step in which the message was sent; before `step` if its frames waited for the channel. The column exists if not all vehicles sense at the same time."),
             "message_type": _MESSAGE_TYPE,
-            "sender": _key("Pseudonym that the message carries."),
-            "receiver": _key("Vehicle that received it (actor number)."),
+            "sender": _key("Pseudonym that the message carries.", of="pseudonyms"),
+            "receiver": _key("Vehicle that received it (actor number).", of="vehicles"),
             "hops": Column("uint8", meaning="Number of radio hops; 1 means received directly."),
             "generation_offset_s": Column("float32", layout="plain", unit="s", bits=20, meaning="Time from the beginning of the round to the generation of the message."),
             "access_delay_s": Column("float32", layout="plain", unit="s", bits=20, meaning="Time from generation until the (last) frame of the message's author was on the air."),
@@ -343,7 +343,7 @@ TABLES: Mapping[str, Table] = {
         "summary",
         "Packet inter-reception time: time between successive messages of one vehicle at another, while the two are within communication range of each other. Long times show several losses in a row.",
         {
-            "step": _key("Time step in which the interval ended; seconds are step * dt_s of the manifest."),
+            "step": _key("Time step in which the interval ended; seconds are step * dt_s of the manifest.", of="steps"),
             "message_type": _MESSAGE_TYPE,
             "pir_steps": _key("Steps from one reception to the next, or to the last step within range. It is one sensing interval if nothing was lost."),
             "n_received": _count("Intervals that ended with a reception."),
@@ -355,7 +355,7 @@ TABLES: Mapping[str, Table] = {
         "The radio channel at each equipped vehicle, for both rounds of messages together.",
         {
             "step": _STEP,
-            "vehicle": _key("Vehicle that receives (actor number)."),
+            "vehicle": _key("Vehicle that receives (actor number).", of="vehicles"),
             "cbr": Column("float32", unit="1", null=True, bits=8, meaning="Channel busy ratio: share of the time in which the vehicle senses the channel busy; null if the medium does not model it."),
             "n_in_range": Column("int16", meaning="Messages sent by vehicles within communication range."),
             "n_received": Column("int16", meaning="Messages of vehicles that this vehicle received, forwarded ones included."),
@@ -381,9 +381,9 @@ TABLES: Mapping[str, Table] = {
         "standard",
         "Evaluations that vehicles make of each other's detections, each once.",
         {
-            "step": _key("Step of the evaluation."),
-            "evaluator": _key("Pseudonym of the vehicle that evaluates."),
-            "observer": _key("Pseudonym of the vehicle that made the detection.", layout="plain"),
+            "step": _key("Step of the evaluation.", of="steps"),
+            "evaluator": _key("Pseudonym of the vehicle that evaluates.", of="pseudonyms"),
+            "observer": _key("Pseudonym of the vehicle that made the detection.", layout="plain", of="pseudonyms"),
             "detection_index": _key("Number of the detection in its list.", "int16"),
             "kind": _KIND,
             "detection_step": _DETECTION_STEP,
@@ -399,9 +399,9 @@ TABLES: Mapping[str, Table] = {
         "full",
         "Evaluations from which trust is computed: as they were transmitted, and as the evaluator keeps them for itself, both without rounding.",
         {
-            "step": _key("Step of the evaluation."),
-            "evaluator": _key("Pseudonym of the vehicle that evaluates."),
-            "observer": _key("Pseudonym of the vehicle that made the detection."),
+            "step": _key("Step of the evaluation.", of="steps"),
+            "evaluator": _key("Pseudonym of the vehicle that evaluates.", of="pseudonyms"),
+            "observer": _key("Pseudonym of the vehicle that made the detection.", of="pseudonyms"),
             "detection_index": _key("Number of the detection in its list.", "int16"),
             "kind": _KIND,
             "detection_step": _DETECTION_STEP,
@@ -416,7 +416,7 @@ TABLES: Mapping[str, Table] = {
         "Scores of the detections that were transmitted, without rounding.",
         {
             "step": _STEP,
-            "observer": _key("Pseudonym of the vehicle that made the detection."),
+            "observer": _key("Pseudonym of the vehicle that made the detection.", of="pseudonyms"),
             "detection_index": _key("Number of the detection in its list.", "int16"),
             "score": Column("float64", unit="1", meaning="Confidence in [0, 1].", layout="bytes"),
         },
@@ -427,7 +427,7 @@ TABLES: Mapping[str, Table] = {
         {
             "step": _STEP,
             "variant": _VARIANT,
-            "subject": _key("Pseudonym that the trust is in."),
+            "subject": _key("Pseudonym that the trust is in.", of="pseudonyms"),
             "trust": Column("float32", unit="1", meaning="Trust in [0, 1], an expected value.", layout="bytes"),
             "uncertainty": Column("float32", unit="1", null=True, meaning="Uncertainty of the trust in [0, 1]; null if the trust model has none."),
             "weight": Column("float32", unit="1", meaning="Sum of the weights of the detections that the trust rests on.", layout="bytes"),
@@ -441,8 +441,8 @@ TABLES: Mapping[str, Table] = {
         {
             "step": _STEP,
             "variant": _VARIANT,
-            "subject": _key("Pseudonym that the value is about. Rows are sorted by it before the receiver, because receivers have nearly the same values."),
-            "receiver": _key("Vehicle that looks the value up (actor number)."),
+            "subject": _key("Pseudonym that the value is about. Rows are sorted by it before the receiver, because receivers have nearly the same values.", of="pseudonyms"),
+            "receiver": _key("Vehicle that looks the value up (actor number).", of="vehicles"),
             "trust": Column("float32", layout="bytes", unit="1", meaning="Value that is used, in [0, 1]."),
             "source": Column("category", categories=labels(TrustSource), meaning="Source of the value: the server, own evidence, or the default. The default also replaces an unevaluated value if trust.unevaluated = \"default\"."),
             "state": Column("category", categories=labels(LookupState), meaning="What the value rests on: an evaluation within the window (evaluated), only older evaluations (stale), a value without any evaluation (unevaluated), or no value (no_value)."),
@@ -471,10 +471,10 @@ TABLES: Mapping[str, Table] = {
             "step": _STEP,
             "variant": _VARIANT,
             "effect": Column("category", key=True, categories=labels(AttackEffect), truth=True, meaning="Fabricated (inserted) or withheld (removed)."),
-            "observer": _key("Pseudonym of the attacker: with detection_index it names the detection."),
+            "observer": _key("Pseudonym of the attacker: with detection_index it names the detection.", of="pseudonyms"),
             "detection_index": _key("Number of the detection in the attacker's list.", "int16"),
             "detection_step": _DETECTION_STEP,
-            "receiver": _key("Vehicle that received the message (actor number), never the attacker itself."),
+            "receiver": _key("Vehicle that received the message (actor number), never the attacker itself.", of="vehicles"),
             "intended": Column("bool", truth=True, meaning="The receiver is a target of the attack."),
             "in_path": Column("bool", truth=True, meaning="The box is in the receiver's path: the straight strip of its width, 50 m ahead of its centre."),
             "ego_detected": Column("bool", truth=True, meaning="The receiver detected the withheld actor itself."),
@@ -487,17 +487,17 @@ TABLES: Mapping[str, Table] = {
         {
             "step": _STEP,
             "variant": _VARIANT,
-            "observer": _key("Vehicle whose list it is (actor number)."),
+            "observer": _key("Vehicle whose list it is (actor number).", of="vehicles"),
             "fused_index": _key("Number in its list.", "int16"),
             "class": replace(_CLASS, via="source"),
             **{name: replace(column, via="pose" if name in _POSE else "source") for name, column in _BOX.items()},
             "score": _SCORE,
             "n_sources": Column("int16", meaning="Number of vehicles with a detection of the object, the observer included."),
             "ego_detected": Column("bool", meaning="The observer itself detected the object."),
-            "source": Column("int32", meaning="Pseudonym of the vehicle whose detection gave the box."),
+            "source": Column("int32", of="pseudonyms", meaning="Pseudonym of the vehicle whose detection gave the box."),
             "source_index": Column("int16", meaning="Number of that detection in its list."),
             "source_step": replace(_DETECTION_STEP, meaning="Step of that detection; before `step` if it was in an earlier message."),
-            "pose": Column("int32", null=True, meaning="Pseudonym of the vehicle whose detection gave position and heading, if it is not the source."),
+            "pose": Column("int32", of="pseudonyms", null=True, meaning="Pseudonym of the vehicle whose detection gave position and heading, if it is not the source."),
             "pose_index": Column("int16", null=True, meaning="Number of that detection in its list."),
             "pose_step": replace(_DETECTION_STEP, meaning="Step of the detection that gave position and heading."),
             "moved_x_m": Column("float32", unit="m", absent="zero", bits=7, meaning="How far the observer moved the box east, by its velocity, since it was sent. The columns exist with extrapolate = true."),
@@ -512,7 +512,7 @@ TABLES: Mapping[str, Table] = {
         "What each vehicle detects in its own point cloud merged with those of its partners, if the config has [early_fusion]; beside `detections` (own sweep alone) and `fused` (lists).",
         {
             "step": _STEP,
-            "observer": _key("Vehicle whose list it is (actor number)."),
+            "observer": _key("Vehicle whose list it is (actor number).", of="vehicles"),
             "early_index": _key("Number in its list.", "int16"),
             "class": _CLASS,
             **_BOX,
@@ -528,7 +528,7 @@ TABLES: Mapping[str, Table] = {
         "Point clouds that vehicles broadcast for early fusion, if the config has [early_fusion]. One row per sweep.",
         {
             "step": _STEP,
-            "sender": _key("Vehicle that broadcasts it (actor number), roadside units included."),
+            "sender": _key("Vehicle that broadcasts it (actor number), roadside units included.", of="vehicles"),
             "n_points": _count("Returns in it."),
             "length_bytes": Column("int32", unit="B", meaning="Length with headers, before it is cut into frames; 0 without returns."),
             "n_sent": Column("int32", null=True, meaning="Frames of it that were on the air; null with early_fusion.medium = \"unlimited\"."),
@@ -541,9 +541,9 @@ TABLES: Mapping[str, Table] = {
         "Speeds that drivers command because of objects that their vehicles believe in, in the step before the speeds are driven. The table is empty without such a driver.",
         {
             "step": _STEP,
-            "vehicle": _key("Vehicle that reacts (actor number)."),
-            "source_step": Column("int32", meaning="Step of the detection that it reacts to."),
-            "source": Column("int32", meaning="Pseudonym of the vehicle whose detection it is."),
+            "vehicle": _key("Vehicle that reacts (actor number).", of="vehicles"),
+            "source_step": Column("int32", of="steps", meaning="Step of the detection that it reacts to."),
+            "source": Column("int32", of="pseudonyms", meaning="Pseudonym of the vehicle whose detection it is."),
             "source_index": Column("int16", meaning="Number of that detection in its list."),
             "gap_m": Column("float32", unit="m", bits=7, meaning="Distance from the front bumper to the object along the lane."),
             "speed_mps": Column("float32", unit="m/s", bits=8, meaning="Speed commanded for the next step; SUMO's own rules may keep the vehicle slower."),

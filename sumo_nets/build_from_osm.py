@@ -10,15 +10,36 @@ import shutil
 import tempfile
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from sumo_nets import build, demand, osm, overpass
+from sumo_nets import build, demand, osm_files, overpass
 from sumo_nets.density import Density, trips_per_hour
 from sumo_nets.gate_flows import gate_flows, rates_at
+from sumo_nets.osm_xml import check_form
+from sumo_nets.streets import LeftOut
 from sumo_nets.xml import check_prolog
 
 _HERE = Path(__file__).parent
 _LOG = logging.getLogger("sumo_nets.build_from_osm")
+
+
+SMALLEST_LEFT_M = 50.0
+"""Less is not worth a word: streets within junctions become a part of them [m]."""
+
+
+class Losses(NamedTuple):
+    """What of an extract is not in the city."""
+
+    streets: dict[str, LeftOut]
+    """By class."""
+    n_incomplete: int
+    """Ways without the places of their nodes."""
+
+    @property
+    def text(self) -> str:
+        """One line; empty if nothing is left out."""
+        parts = [f"{kind} {of.text}" for kind, of in self.streets.items() if of.left_m > SMALLEST_LEFT_M]
+        return "; ".join(parts + [f"{self.n_incomplete:,} ways without places"] * bool(self.n_incomplete))
 
 
 def from_osm(
@@ -28,7 +49,7 @@ def from_osm(
     name: str | None = None,
     left_hand: bool = False,
     box: overpass.Box | None = None,
-) -> None:
+) -> Losses:
     """Build streets, buildings and demand from an OpenStreetMap file into the folder `out`.
 
     Parameters
@@ -46,6 +67,10 @@ def from_osm(
     box
         Region (west, south, east, north in degrees) to cut out of a larger extract.
 
+    Returns
+    -------
+    What is left out.
+
     Raises
     ------
     ValueError
@@ -54,12 +79,13 @@ def from_osm(
     if not path.is_file():
         raise ValueError(f"--osm {path}: no such file. Give an extract: .osm, .osm.gz, .osm.xml.gz or .osm.pbf.")
     if not path.name.endswith(".pbf"):
-        _refuse_doctype(path)
+        check_form(path)
+        check_prolog(path)
     if name is None:
         name = re.sub(r"[^\w-]+", "-", out.resolve().name).strip("-") or "town"
     elif not re.fullmatch(r"[\w-]+", name):
         raise ValueError(f"--name {name}: files are named after it. Use letters, digits, - and _ only.")
-    extract = osm.read(path, box)
+    extract = osm_files.read(path, box)
     about = {
         "name": name,
         "description": f"{name}, from {path.name}",
@@ -75,19 +101,24 @@ def from_osm(
         work = Path(folder)
         recipe = tomllib.loads(_filled(template, about, density, {}))
         try:
-            gates = build.network(recipe, extract, work)
+            gates, left_out = build.network(recipe, extract, work)
         except ValueError as error:
             raise ValueError(f"--osm {path}: {error}") from None
         _LOG.info("network made")
-        text = _recipe(template, about, density, work / "net.net.xml", gates)
-        recipe = tomllib.loads(text)
-        build.furnish(recipe, extract, gates, work)
+        try:
+            text = _recipe(template, about, density, work / "net.net.xml", gates)
+            recipe = tomllib.loads(text)
+            build.furnish(recipe, extract, gates, work)
+        except demand.NoTraffic as error:
+            cause = f"the extract is too small for traffic: {error}. Take a larger one."
+            raise ValueError(f"--osm {path}: {cause}") from None
         build.pack(recipe, text, work, out)
+    return Losses(left_out, extract.n_incomplete)
 
 
 def from_box(
     box: str, out: Path, density: Density, name: str | None = None, left_hand: bool = False, server: str | None = None
-) -> None:
+) -> Losses:
     """Like `from_osm`, for the box "west,south,east,north" [degrees], fetched from OpenStreetMap's Overpass service.
 
     The extract is kept in `out`, so that the build can be repeated; see `overpass.fetch`.
@@ -97,7 +128,7 @@ def from_box(
         extract = Path(folder) / "box_{:g}_{:g}_{:g}_{:g}.osm.xml.gz".format(*edges)
         try:
             extract.write_bytes(gzip.compress(overpass.fetch(edges, server), mtime=0))
-            from_osm(extract, out, density, name, left_hand)
+            losses = from_osm(extract, out, density, name, left_hand)
         except ValueError as error:
             said = str(error).removeprefix("--osm ").replace(str(extract), "what the Overpass service sent")
             raise ValueError(
@@ -106,11 +137,7 @@ def from_box(
             ) from None
         shutil.copyfile(extract, out / extract.name)
     build.write_checksums(out)
-
-
-def _refuse_doctype(path: Path) -> None:
-    if not path.name.endswith(".bz2"):
-        check_prolog(path)
+    return losses
 
 
 def _filled(template: str, about: dict[str, str], density: Density, figures: dict[str, float]) -> str:

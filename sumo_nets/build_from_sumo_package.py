@@ -116,7 +116,7 @@ def _make(net: PackageNet, source: Path, work: Path, out: Path) -> None:
 
     sumotools.run("netconvert", {"sumo-net-file": source, "output-file": "net.net.xml", **REBUILD}, work)
     read = sumolib.net.readNet(str(work / "net.net.xml"))
-    streets = demand.streets_of(read, _boundary_nodes(read))
+    streets = demand.streets_of(read, _boundary_nodes(read), is_one_piece=True)
     figures: dict[str, Any] = {**trips_per_hour(streets, net.density), **rates_at(net.density.hour), "through": 0}
 
     def filled() -> str:

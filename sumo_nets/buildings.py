@@ -44,7 +44,7 @@ def rings_of(extract: Extract) -> Rings:
     """Outer and inner rings (node ids) and tags of every building and building part, by name."""
     found: Rings = {}
     for way in extract.ways.values():
-        if _is_building(way.tags) and way.nodes[0] == way.nodes[-1]:
+        if _is_building(way.tags) and way.nodes and way.nodes[0] == way.nodes[-1]:
             ring = [node for node in way.nodes[:-1] if node in extract.place]
             if len(ring) > 2:
                 found[f"w{way.id}"] = ([ring], [], way.tags)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sumo_nets import sumo_package_nets
+from sumo_nets.network import lane_bounds_m
 from sumo_nets.xml import Attributes, Enough, stream
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ def _vehicles_per_hour(recipe: dict[str, Any]) -> float:
 
 
 def bounds_m(net_path: Path | str) -> tuple[float, float, float, float]:
-    """Least x, least y, greatest x, greatest y of a SUMO network, from its own header."""
+    """Least x, least y, greatest x, greatest y of a SUMO network: from its own header, else from its lanes."""
     found: list[tuple[float, float, float, float]] = []
 
     def start(name: str, attributes: Attributes) -> None:
@@ -138,6 +139,6 @@ def bounds_m(net_path: Path | str) -> tuple[float, float, float, float]:
             raise Enough
 
     stream(net_path, start)
-    if not found:
-        raise ValueError(f"{net_path}: not a SUMO network: it has no <location>")
+    if not found or found[0][:2] == found[0][2:]:  # a network that was not written by SUMO's own tools
+        return lane_bounds_m(net_path)
     return found[0]

@@ -25,6 +25,10 @@ MOST_TRIES = 10_000
 """Draws of origin and destination before a recipe is refused."""
 
 
+class NoTraffic(ValueError):
+    """The network has no streets for the traffic that is wanted. The message is one line."""
+
+
 @dataclass(frozen=True, slots=True)
 class Street:
     """Properties of one directed edge of the network that the demand needs."""
@@ -40,6 +44,8 @@ class Street:
     is_exit: bool
     walkable: bool
     cyclable: bool
+    piece: int = 0
+    """Number of the connected piece of the network that it belongs to."""
 
 
 class Draw:
@@ -60,15 +66,16 @@ class Draw:
 
         def choose() -> Street:
             if not chosen:
-                raise ValueError("the network has no street at which this traffic could start or end")
+                raise NoTraffic("the network has no street at which this traffic could start or end")
             return chosen[min(bisect_right(sums, self.uniform() * sums[-1]), len(chosen) - 1)]
 
         return choose
 
 
-def streets_of(net: Any, gates: frozenset[str]) -> list[Street]:
-    """The edges of a sumolib network that a car may use, sorted by id."""
+def streets_of(net: Any, gates: frozenset[str], is_one_piece: bool = False) -> list[Street]:
+    """The edges of a sumolib network that a car may use, sorted by id; `is_one_piece`: as if all were connected."""
     streets = []
+    piece = {} if is_one_piece else _pieces(net)
     for edge in sorted(net.getEdges(), key=lambda edge: edge.getID()):
         if not edge.allows("passenger"):
             continue
@@ -81,10 +88,23 @@ def streets_of(net: Any, gates: frozenset[str]) -> list[Street]:
                 sum(lane.allows("passenger") for lane in edge.getLanes()),
                 start.getID() in gates and _turns_only(edge.getIncoming(), end) and edge.getLength() >= ENTRY_M,
                 end.getID() in gates and _turns_only(edge.getOutgoing(), start),
-                edge.allows("pedestrian"), edge.allows("bicycle"),
+                edge.allows("pedestrian"), edge.allows("bicycle"), piece.get(edge.getID(), 0),
             )
         )  # fmt: skip
     return streets
+
+
+def _pieces(net: Any) -> dict[str, int]:
+    """Number of the connected piece of each edge."""
+    found: dict[str, int] = {}
+    for n, first in enumerate(net.getEdges()):
+        left = [first]
+        while left:
+            edge = left.pop()
+            if edge.getID() not in found:
+                found[edge.getID()] = n
+                left += [*edge.getOutgoing(), *edge.getIncoming()]
+    return found
 
 
 def _turns_only(neighbours: Any, other_end: Any) -> bool:
@@ -119,10 +139,11 @@ def vehicle_trips(streets: list[Street], kind: str, recipe: dict[str, Any], seed
             starts_inside, ends_inside = draw.uniform() < from_inside, draw.uniform() < to_inside
             origin = kerb() if starts_inside else enter()
             target = kerb() if ends_inside else leave()
-            if recipe["at_least_m"] <= dist(origin.middle_m, target.middle_m) <= recipe.get("at_most_m", inf):
+            away_m = dist(origin.middle_m, target.middle_m)
+            if origin.piece == target.piece and recipe["at_least_m"] <= away_m <= recipe.get("at_most_m", inf):
                 break
         else:
-            raise ValueError(f"demand.{kind}.at_least_m = {recipe['at_least_m']} m: no two streets are that far apart")
+            raise NoTraffic(f"no two streets are {recipe['at_least_m']:g} m apart, the least for a trip ({kind})")
         place = 'departPos="random_free" departSpeed="0"' if starts_inside else 'departPos="base" departSpeed="max"'
         goal = ' arrivalPos="random"' if ends_inside else ""
         trips.append(
@@ -142,10 +163,12 @@ def walks(streets: list[Street], recipe: dict[str, Any], seed: int, end_s: float
     while (now := now + draw.gap_s(recipe["per_hour"])) < end_s:
         for _ in range(MOST_TRIES):
             origin, target = door(), door()
-            if recipe["at_least_m"] <= dist(origin.middle_m, target.middle_m) <= recipe["at_most_m"]:
+            away_m = dist(origin.middle_m, target.middle_m)
+            if origin.piece == target.piece and recipe["at_least_m"] <= away_m <= recipe["at_most_m"]:
                 break
         else:
-            raise ValueError("demand.pedestrian: no two pavements lie between at_least_m and at_most_m apart")
+            least, most = recipe["at_least_m"], recipe["at_most_m"]
+            raise NoTraffic(f"no two pavements are {least:g} to {most:g} m apart, as far as people walk")
         lines.append(
             f'<person id="pedestrian{len(lines)}" type="pedestrian" depart="{now:.1f}" departPos="random">'
             f'<personTrip from="{origin.id}" to="{target.id}" arrivalPos="random"/></person>'

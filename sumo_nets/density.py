@@ -8,7 +8,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 
-from sumo_nets.demand import Draw, Street
+from sumo_nets.demand import Draw, NoTraffic, Street
 
 BY_HOUR = (
     0.12, 0.07, 0.05, 0.06, 0.12, 0.35, 0.70, 0.98, 0.92, 0.75, 0.70, 0.74,
@@ -39,14 +39,19 @@ class Density:
 
 def trips_per_hour(streets: list[Street], density: Density) -> dict[str, float]:
     """Trips per hour of each vehicle class, and their least length, for a density of vehicles (Little's law)."""
+    if not streets:
+        raise NoTraffic("no street that a car can enter and leave remains")
     km = sum(street.length_m for street in streets) / 1000.0
     xs, ys = zip(*(street.middle_m for street in streets), strict=True)
     across_m = hypot(max(xs) - min(xs), max(ys) - min(ys))
     at_least_m = round(min(600.0, 0.2 * across_m), -1)
     draw = Draw(density.seed, "lengths")
     where = draw.chooser(streets, lambda street: street.length_m)
-    drawn = [dist(where().middle_m, where().middle_m) for _ in range(2000)]
-    far_m = [metres for metres in drawn if metres >= at_least_m]
+    drawn = [(where(), where()) for _ in range(2000)]
+    away_m = [dist(origin.middle_m, target.middle_m) for origin, target in drawn if origin.piece == target.piece]
+    far_m = [metres for metres in away_m if metres >= at_least_m]
+    if not sum(far_m):
+        raise NoTraffic(f"no two streets are {at_least_m:g} m apart, the least for a trip")
     seconds = DETOUR * sum(far_m) / len(far_m) / DRIVE_MPS
     per_hour = BY_HOUR[density.hour] * density.per_km * km * 3600.0 / seconds
     trips = {kind: float(max(1, round(per_hour * share))) for kind, share in SHARES.items()}

@@ -22,6 +22,9 @@ from sumo_nets import sumotools
 from sumo_nets.heights import height_of
 from sumo_nets.xml import Attributes, stream
 
+_HEIGHTS = frozenset(("height", "building:height", "building:levels", "top_z_m", "levels", "min_height"))
+"""Parameters of a polygon that only something of a height has."""
+
 
 class Footprint(NamedTuple):
     """One building's outline and vertical extent, in the network's coordinates.
@@ -33,6 +36,8 @@ class Footprint(NamedTuple):
     holes: list[Float[ndarray, "h 2"]]
     base_z_m: float
     top_z_m: float
+    height_from: str = "given"
+    """Where the height comes from: "given" as such, or as in `heights.Height`."""
 
     @property
     def polygon(self) -> Polygon:
@@ -40,8 +45,23 @@ class Footprint(NamedTuple):
         return Polygon(self.outer, self.holes)
 
 
+class OtherPolygons(NamedTuple):
+    """Polygons of one type that are no buildings."""
+
+    n: int
+    n_high: int
+    """Those with a height or a number of storeys, as buildings have."""
+
+
 def read_footprints(path: Path | str, net_path: Path | None = None) -> list[Footprint]:
-    """Buildings of a SUMO polygon file (.poly.xml, gzip'ed or not), in the file's order.
+    """The buildings of a SUMO polygon file; see `read_polygons`."""
+    return read_polygons(path, net_path)[0]
+
+
+def read_polygons(
+    path: Path | str, net_path: Path | None = None
+) -> tuple[list[Footprint], dict[str, OtherPolygons]]:  # fmt: skip
+    """Buildings of a SUMO polygon file (.poly.xml, gzip'ed or not), in the file's order, and the others by type.
 
     Polygons count as buildings if their type starts with "building" or they carry a `building` or
     `building:part` parameter. Heights come from `base_z_m` and `top_z_m`, else from OpenStreetMap's tags
@@ -55,6 +75,7 @@ def read_footprints(path: Path | str, net_path: Path | None = None) -> list[Foot
         Names the file, the polygon and the cause.
     """
     found: list[tuple[Attributes, Attributes]] = []
+    others: dict[str, OtherPolygons] = {}
     poly: Attributes | None = None
     params: Attributes = {}
 
@@ -69,8 +90,11 @@ def read_footprints(path: Path | str, net_path: Path | None = None) -> list[Foot
         nonlocal poly
         if name == "poly" and poly is not None:
             kind = poly.get("type", "")
-            if kind.startswith("building") or "building" in params or "building:part" in params:
+            if kind.lower().startswith("building") or "building" in params or "building:part" in params:
                 found.append((poly, params))
+            else:
+                n, n_high = others.get(kind, (0, 0))
+                others[kind] = OtherPolygons(n + 1, n_high + bool(_HEIGHTS & params.keys()))
             poly = None
 
     stream(path, start, end)
@@ -80,7 +104,7 @@ def read_footprints(path: Path | str, net_path: Path | None = None) -> list[Foot
     if geo:
         for k, ring in zip(geo, _projected([outer[k] for k in geo], net_path, where[geo[0]]), strict=True):
             outer[k] = ring
-    return _footprints(outer, found, where)
+    return _footprints(outer, found, where), others
 
 
 def pieces_of(shape: shapely.Geometry, least_area_m2: float = 1.0) -> list[Polygon]:
@@ -119,7 +143,7 @@ def write_footprints(path: Path, footprints: Iterable[tuple[str, Footprint]]) ->
     """Write (id, footprint) pairs as a SUMO polygon file with centimetre coordinates."""
     with path.open("w", encoding="utf-8", newline="\n") as out:
         out.write('<?xml version="1.0" encoding="UTF-8"?>\n<additional>\n')
-        for name, (outer, holes, base, top) in footprints:
+        for name, (outer, holes, base, top, _) in footprints:
             out.write(
                 f'    <poly id="{name}" type="building" color="0.72,0.66,0.58" fill="1" layer="-1"'
                 f' shape="{_shape(outer)}">\n'
@@ -173,16 +197,16 @@ def _footprints(
     ]
 
 
-def _extent(poly: Attributes, params: Attributes, area_m2: float, where: str) -> tuple[float, float]:
-    """Base and top of a building [m]."""
+def _extent(poly: Attributes, params: Attributes, area_m2: float, where: str) -> tuple[float, float, str]:
+    """Base and top of a building [m], and where its height comes from."""
     tags = dict(params)
-    tags.setdefault("building", poly.get("type", "").removeprefix("building").lstrip(".") or "yes")
+    tags.setdefault("building", poly.get("type", "").lower().removeprefix("building").lstrip(".") or "yes")
     height = height_of(tags, area_m2)
     base = _metres(params.get("base_z_m"), height.base_z_m, where)
     top = _metres(params.get("top_z_m"), height.top_z_m, where)
     if not 0.0 <= base < top:
         raise ValueError(f"{where}: reaches from {base} m to {top} m; a building's top must lie above its base")
-    return base, top
+    return base, top, "given" if "top_z_m" in params else height.source
 
 
 def _ring(text: str, where: str) -> Float[ndarray, "k 2"]:

@@ -73,29 +73,80 @@ class Lane(NamedTuple):
     """Within a junction."""
     edge: str
     """Id of its street."""
+    ends: tuple[str, str] = ("", "")
+    """Ids of the junctions at which its street begins and ends; empty within a junction."""
 
 
 def lanes(net_path: Path | str) -> list[Lane]:
     """Every lane but those of railways and waterways, and the pedestrians' within junctions."""
     found: list[Lane] = []
     function = edge = ""
+    ends = ("", "")
 
     def start(name: str, attributes: Attributes) -> None:
-        nonlocal function, edge
+        nonlocal function, edge, ends
         if name == "edge":
             function, edge = attributes.get("function", "normal"), attributes.get("id", "")
+            ends = attributes.get("from", ""), attributes.get("to", "")
         elif name == "lane" and function not in ("crossing", "walkingarea") and _admits(attributes, MOTORS | OTHERS):
             points = [(*point.split(","), "0")[:3] for point in attributes["shape"].split()]
             width_m = float(attributes.get("width", LANE_M))
             line_m = np.array(points, float) if {len(point) for point in points} == {3} else np.zeros((0, 3))
             if len(line_m) < 2 or not np.isfinite(line_m).all() or not 0 < width_m < LARGEST_WIDTH_M:
                 raise ValueError(f"lane {attributes.get('id', '?')!r} has no line of finite points, or no width")
-            found.append(Lane(line_m, width_m, _admits(attributes, MOTORS), function == "internal", edge))
+            found.append(Lane(line_m, width_m, _admits(attributes, MOTORS), function == "internal", edge, ends))
         elif name == "connection":  # a third of the elements; SUMO writes them after all lanes
             raise Enough
 
     stream(net_path, start)
     return found
+
+
+def lane_bounds_m(net_path: Path | str) -> tuple[float, float, float, float]:
+    """Least x, least y, greatest x, greatest y of the lanes of a network."""
+    lines = [lane.line_m[:, :2] for lane in lanes(net_path)]
+    if not lines:
+        raise ValueError(f"{net_path}: not a SUMO network: it has no lane.")
+    points = np.concatenate(lines)
+    (x0, y0), (x1, y1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return x0, y0, x1, y1
+
+
+def original_names(net_path: Path | str) -> set[str]:
+    """Ids of the ways of OpenStreetMap that the lanes of a network came from (netconvert --output.original-names)."""
+    found: set[str] = set()
+
+    def start(name: str, attributes: Attributes) -> None:
+        if name == "param" and attributes.get("key") == "origId":
+            found.update(attributes.get("value", "").split())
+
+    stream(net_path, start)
+    return found
+
+
+def is_left_hand(net_path: Path | str) -> bool:
+    """Whether traffic drives on the left."""
+    found: list[str] = []
+
+    def start(name: str, attributes: Attributes) -> None:
+        found.append(attributes.get("lefthand", "false"))
+        raise Enough
+
+    stream(net_path, start)
+    return found[0] in ("true", "1", "yes", "on", "True")
+
+
+def n_jumps(net_path: Path | str) -> int:
+    """Number of connections between streets that have no lane within the junction: vehicles jump across it."""
+    n = 0
+
+    def start(name: str, attributes: Attributes) -> None:
+        nonlocal n
+        if name == "connection" and not attributes.get("from", ":").startswith(":") and "via" not in attributes:
+            n += 1
+
+    stream(net_path, start)
+    return n
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,17 +215,14 @@ def junctions(net_path: Path | str) -> Streets:
 
     stream(net_path, start)
     if len(bounds) != 4:
-        raise ValueError(f"{net_path}: does not say how far it reaches (<location convBoundary=...>). Rebuild it.")
+        bounds[:] = lane_bounds_m(net_path)
     return Streets(found, (bounds[0], bounds[1], bounds[2], bounds[3]))
 
 
-def projection(net_path: Path | str) -> tuple[str, tuple[float, float]]:
+def location(net_path: Path | str) -> tuple[str, tuple[float, float]]:
     """The projection of a network as a text of PROJ, and what was added to projected coordinates: east, north [m].
 
-    Raises
-    ------
-    ValueError
-        In one line: the network has no projection.
+    The text is `!` without a projection.
     """
     found: list[tuple[str, tuple[float, float]]] = []
 
@@ -182,12 +230,25 @@ def projection(net_path: Path | str) -> tuple[str, tuple[float, float]]:
         if name == "location":
             x, y = (float(value) for value in attributes.get("netOffset", "0,0").split(","))
             found.append((attributes.get("projParameter", "!"), (x, y)))
+        if name != "net":
             raise Enough
 
     stream(net_path, start)
-    if not found or found[0][0] in ("!", "-", ""):
+    return found[0] if found else ("!", (0.0, 0.0))
+
+
+def projection(net_path: Path | str) -> tuple[str, tuple[float, float]]:
+    """The same for a network that must have a projection.
+
+    Raises
+    ------
+    ValueError
+        In one line: the network has no projection.
+    """
+    text, offset_m = location(net_path)
+    if text in ("!", "-", ""):
         raise ValueError(f"{net_path} has no projection.")
-    return found[0]
+    return text, offset_m
 
 
 def admits_motors(lane: Attributes) -> bool:

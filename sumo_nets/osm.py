@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -40,66 +40,11 @@ class Extract:
     relations: dict[int, Relation] = field(default_factory=dict)
     box: tuple[float, float, float, float] | None = None
     """West, south, east, north of what was asked for, if the file says so [degrees]; ways may reach beyond."""
+    n_incomplete: int = 0
+    """Ways that are left out because the file has the place of none of their nodes."""
 
 
-def read(path: Path, box: tuple[float, float, float, float] | None = None) -> Extract:
-    """Read a .osm.pbf, .osm, .osm.gz, .osm.xml.gz or .osm.bz2 file.
-
-    With `box` (west, south, east, north in degrees), only what has a node in it: ways are kept whole, as an Overpass
-    service sends them, and so are relations with a member that is kept.
-
-    Raises
-    ------
-    ValueError
-        Where osmium is not installed, the file is not OpenStreetMap data, or the box holds no street.
-    """
-    try:
-        import osmium
-    except ImportError as error:
-        raise ValueError(
-            "building a network from OpenStreetMap needs osmium, which is not installed. "
-            "Install it: make extra NAME=build in a checkout, else pip install 'cosim-perception[build]'."
-        ) from error
-    try:
-        header = osmium.io.Reader(str(path)).header().box()
-        low, high = header.bottom_left, header.top_right
-        whole = (low.lon, low.lat, high.lon, high.lat) if header.valid() else None
-        extract = Extract(box=box or whole)
-        missing: set[int] = set()
-        for item in osmium.FileProcessor(str(path)):
-            if isinstance(item, osmium.osm.Node):
-                if box is not None and not _within(item.location.lon, item.location.lat, box):
-                    continue
-                extract.place[item.id] = (item.location.lon, item.location.lat)
-                if tags := {tag.k: tag.v for tag in item.tags}:
-                    extract.node_tags[item.id] = tags
-            elif isinstance(item, osmium.osm.Way):
-                nodes = tuple(node.ref for node in item.nodes)
-                outside = [node for node in nodes if node not in extract.place] if box is not None else []
-                if box is not None and len(outside) == len(nodes):
-                    continue
-                missing.update(outside)
-                extract.ways[item.id] = Way(item.id, nodes, {tag.k: tag.v for tag in item.tags})
-            elif isinstance(item, osmium.osm.Relation):
-                members = tuple((member.type, member.ref, member.role) for member in item.members)
-                kept: dict[str, Container[int]] = {"n": extract.place, "w": extract.ways}
-                if box is None or any(ref in kept.get(kind, ()) for kind, ref, _ in members):
-                    tags = {tag.k: tag.v for tag in item.tags}
-                    extract.relations[item.id] = Relation(item.id, members, tags)
-        if missing:
-            for item in osmium.FileProcessor(str(path), osmium.osm.NODE):
-                if isinstance(item, osmium.osm.Node) and item.id in missing:
-                    extract.place[item.id] = (item.location.lon, item.location.lat)
-    except (RuntimeError, osmium.InvalidLocationError) as error:
-        raise ValueError(f"{path} is not an OpenStreetMap file that osmium can read: {error}") from None
-    if not extract.ways:
-        where = "" if box is None else " in the box {:g},{:g},{:g},{:g}".format(*box)
-        reach = "" if whole is None else " The file reaches over {:g},{:g},{:g},{:g}.".format(*whole)
-        raise ValueError(f"{path} has no ways{where}: there is no street to build.{reach if box else ''}")
-    return extract
-
-
-def _within(lon: float, lat: float, box: tuple[float, float, float, float]) -> bool:
+def is_within(lon: float, lat: float, box: tuple[float, float, float, float]) -> bool:
     west, south, east, north = box
     return west <= lon <= east and south <= lat <= north
 

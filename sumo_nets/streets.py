@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 
 import numpy as np
@@ -21,8 +22,27 @@ class Streets:
     ways: list[Way]
     gates: frozenset[int]
     """Nodes at which traffic enters and leaves."""
-    dropped_m: float
-    """Length of street left out because a car could not leave (or reach) it [m]."""
+    left_out: dict[str, LeftOut]
+    """Streets of the wanted classes that are left out, by class."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """Streets of a class that are not in the network."""
+
+    left_m: float
+    """Length left out [m]."""
+    all_m: float
+    """Length in the extract [m]."""
+
+    @property
+    def text(self) -> str:
+        """Length and share."""
+        return f"{self.left_m / 1000:,.1f} of {self.all_m / 1000:,.1f} km ({self.left_m / max(self.all_m, 1e-9):.0%})"
+
+
+SMALLEST_M = 300.0
+"""A piece of the network that hangs together only with the outside stays if it extends at least this far [m]."""
 
 
 def drivable(
@@ -32,7 +52,8 @@ def drivable(
 
     A street stays if a car can come from every other street that stays, drive through it and go on to every
     other, without turning round on the spot. Streets cut off by the extract, or ending within `edge_m` of its
-    edge, are gates: beyond them the outside joins them all.
+    edge, are gates: beyond them the outside joins them all. With `dead_ends`, the largest connected piece stays, and
+    every other one with a gate that extends `SMALLEST_M`, such as a motorway without a ramp in the extract.
 
     Raises
     ------
@@ -54,7 +75,7 @@ def drivable(
         way, run = runs[index]
         forward, backward = _directions(way)
         arcs += [(index, a, b, True)] * forward + [(index, a, b, False)] * backward
-    alive = [True] * len(arcs) if dead_ends else _driven(runs, arcs, gates)
+    alive = _joined_outside(extract, runs, arcs, gates) if dead_ends else _driven(runs, arcs, gates)
     kept: dict[int, list[tuple[int, int, bool, bool]]] = defaultdict(list)
     both: dict[tuple[int, int, int], list[bool]] = defaultdict(list)
     for (index, a, b, forward), is_alive in zip(arcs, alive, strict=True):
@@ -64,7 +85,21 @@ def drivable(
         kept[index].append((a, b, True in ways_round, False in ways_round))
     if not kept:
         raise ValueError(f"the extract has no connected network of streets of the classes {', '.join(sorted(classes))}")
-    return _assemble(extract, runs, stubs, kept, gates, ignored_tags)
+    streets = _assemble(extract, runs, kept, gates, ignored_tags)
+    return replace(streets, left_out=left_out(extract, classes, streets.ways))
+
+
+def left_out(extract: Extract, classes: frozenset[str], kept: Sequence[Way]) -> dict[str, LeftOut]:
+    """Length by class of the streets of an extract that are not among those kept; what is all kept has no entry."""
+    all_m: dict[str, float] = defaultdict(float)
+    for way in extract.ways.values():
+        if way.tags.get("highway") in classes and way.tags.get("area") != "yes":
+            all_m[way.tags["highway"]] += sum(length_m(extract, run) for run in pieces(way, extract.place))
+    kept_m: dict[str, float] = defaultdict(float)
+    for way in kept:
+        kept_m[way.tags["highway"]] += length_m(extract, way.nodes)
+    found = {kind: LeftOut(length - kept_m[kind], length) for kind, length in sorted(all_m.items())}
+    return {kind: of for kind, of in found.items() if of.left_m >= 1.0}
 
 
 def length_m(extract: Extract, nodes: tuple[int, ...]) -> float:
@@ -136,6 +171,32 @@ def _driven(runs, arcs, gates: frozenset[int]) -> list[bool]:
     return _largest_component(links)[1:].tolist()
 
 
+def _joined_outside(extract: Extract, runs, arcs, gates: frozenset[int]) -> list[bool]:
+    """Which arcs belong to the largest connected piece, or to one with a gate that is not too small."""
+    if not arcs:
+        return []
+    row: dict[int, int] = {}
+    ends = []
+    for index, a, b, _ in arcs:
+        run = runs[index][1]
+        ends.append([row.setdefault(node, len(row)) for node in (run[a], run[b])])
+    tail, head = np.array(ends).reshape(-1, 2).T
+    graph = coo_array((np.ones(len(tail)), (tail, head)), shape=(len(row), len(row)))
+    piece = connected_components(graph, directed=False)[1]
+    length = np.zeros(len(row))
+    np.add.at(length, piece[tail], [length_m(extract, runs[index][1][a : b + 1]) for index, a, b, _ in arcs])
+    lon, lat = np.radians([extract.place[node] for node in row]).T
+    xy_m = 6_371_000.0 * np.column_stack([lon * np.cos(lat.mean()), lat])
+    low, high = np.full((len(row), 2), np.inf), np.full((len(row), 2), -np.inf)
+    np.minimum.at(low, piece, xy_m)
+    np.maximum.at(high, piece, xy_m)
+    kept = np.zeros(len(row), bool)
+    kept[[piece[row[node]] for node in gates if node in row]] = True
+    kept &= np.hypot(*(high - low).T) >= SMALLEST_M
+    kept[length.argmax()] = True
+    return kept[piece[tail]].tolist()
+
+
 def _largest_component(links: list[list[int]]) -> ndarray:
     """Whether each node is in the largest set of nodes of which each can reach every other."""
     tail = np.repeat(np.arange(len(links)), [len(ends) for ends in links])
@@ -145,11 +206,8 @@ def _largest_component(links: list[list[int]]) -> ndarray:
     return label == label[np.bincount(label)[label].argmax()]
 
 
-def _assemble(extract: Extract, runs, stubs, kept, gates: frozenset[int], ignored_tags: frozenset[str]) -> Streets:
-    ways, dropped = [], 0.0
-    for index, a, b in stubs:
-        if not any(stub[:2] == (a, b) for stub in kept.get(index, ())):
-            dropped += length_m(extract, runs[index][1][a : b + 1])
+def _assemble(extract: Extract, runs, kept, gates: frozenset[int], ignored_tags: frozenset[str]) -> Streets:
+    ways = []
     taken: set[int] = set()
     for index, stubs_kept in sorted(kept.items()):
         way, run = runs[index]
@@ -168,4 +226,4 @@ def _assemble(extract: Extract, runs, stubs, kept, gates: frozenset[int], ignore
                 name += 10**12
             taken.add(name)
             ways.append(Way(name, run[a : b + 1], tags))
-    return Streets(ways, gates, dropped)
+    return Streets(ways, gates, {})

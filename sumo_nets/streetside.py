@@ -11,17 +11,21 @@ import shapely
 from jaxtyping import Float
 from numpy import ndarray
 
-from sumo_nets.network import LANE_M, LARGEST_WIDTH_M, admits_motors
+from sumo_nets.network import LANE_M, LARGEST_WIDTH_M, admits_motors, is_left_hand
 from sumo_nets.xml import Attributes, stream
 
-_SIDES = ("parking:lane:right", "parking:lane:both", "parking:right", "parking:both")
+_PARKING = ("parking:lane:{}", "parking:lane:both", "parking:{}", "parking:both")
+"""OpenStreetMap's tags of parking on the `left` or `right` of a way, in the direction in which the way is drawn."""
 _NO_PARKING = frozenset(("no", "none", "no_parking", "no_stopping", "no_standing", "fire_lane", "separate"))
 _ROW_M = 10.0
 """Distance between the trees of a row that OpenStreetMap has as a line [m]."""
 
 
 class Kerb(NamedTuple):
-    """The outer edge of a street on its right, in driving direction; network coordinates."""
+    """The outer edge of a street in driving direction: on its right, or with left-hand traffic on its left.
+
+    Network coordinates.
+    """
 
     edge: str
     line_m: Float[ndarray, "k 3"]
@@ -30,6 +34,8 @@ class Kerb(NamedTuple):
     """From there to the outer edge."""
     parking: bool | None
     """What OpenStreetMap's tags say of parking on this side; None without tags."""
+    is_left: bool = False
+    """Whether it is on the left."""
 
 
 def street_space(net_path: Path | str) -> tuple[list[Kerb], ndarray]:
@@ -43,6 +49,7 @@ def street_space(net_path: Path | str) -> tuple[list[Kerb], ndarray]:
     kerbs: list[Kerb] = []
     areas: list[shapely.Geometry] = []
     edge = ""
+    is_left = is_left_hand(net_path)
     tags: Attributes = {}
     lanes: list[tuple[Attributes, ndarray, float]] = []
 
@@ -64,13 +71,24 @@ def street_space(net_path: Path | str) -> tuple[list[Kerb], ndarray]:
         if name == "edge" and edge and lanes:
             areas.extend(shapely.LineString(line[:, :2]).buffer(w / 2, cap_style="flat") for _, line, w in lanes)
             if any(admits_motors(lane) for lane, _, _ in lanes):
-                said = [tags[side] not in _NO_PARKING for side in _SIDES if side in tags]
-                _, line_m, width_m = lanes[0]
-                kerbs.append(Kerb(edge, line_m, width_m / 2, any(said) if said else None))
+                _, line_m, width_m = lanes[0]  # SUMO numbers lanes from the outer side
+                kerbs.append(Kerb(edge, line_m, width_m / 2, _parking(edge, tags, is_left), is_left))
             edge = ""
 
     stream(net_path, start, end)
     return kerbs, np.array(areas, dtype=object)
+
+
+def _parking(edge: str, tags: Attributes, is_left: bool) -> bool | None:
+    """Whether tags say that vehicles park on the outer side of an edge. None if they say nothing of it.
+
+    Netconvert gives the tags of a way to the edges of both directions. The name of an edge against the direction of its
+    way begins with a minus sign.
+    """
+    is_against = edge.rpartition(".")[2].startswith("-")  # `cosim nets tile` puts a number and a point before names
+    side = "left" if is_left != is_against else "right"
+    said = [tags[key] not in _NO_PARKING for name in _PARKING if (key := name.format(side)) in tags]
+    return any(said) if said else None
 
 
 def read_trees(path: Path | str) -> Float[ndarray, "n 2"]:

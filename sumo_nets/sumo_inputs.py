@@ -13,13 +13,16 @@ import re
 from pathlib import Path
 
 from sumo_nets.vtypes import SMALLEST_M, check_size
-from sumo_nets.xml import Attributes, check_prolog, chunks, exists, stream
+from sumo_nets.xml import Attributes, check_prolog, chunks, exists, spelling, stream
 
 _WRITES = re.compile(rb"file|dest|output")
 _FILE = re.compile(rb"(?:file|dest|output)\s*=\s*[\"']([^\"'\0]+)")
 _TYPE = re.compile(rb"<vType\b[^<]*")
 _NUMBER = re.compile(rb"[\s\"'](length|width|height|minGap|maxSpeed|accel|decel|tau)\s*=\s*[\"']\s*([^\"']*)")
 _ASCII = re.compile(rb"\s*<\?xml[^>]*encoding\s*=\s*[\"'](?i:utf-8|us-ascii|iso-8859-1|windows-1252)[\"']")
+_READERS = ("rerouter", "variableSpeedSign", "calibrator")
+"""Elements whose attribute `file` names a file that SUMO reads."""
+_READING = re.compile(rb"<(?:%b)\b" % b"|".join(name.encode() for name in _READERS))
 _LONGEST_TAG = 32768
 _TEXTS = frozenset(("id", "vClass", "color", "guiShape", "imgFile", "osgFile", "emissionClass", "carFollowModel",
                     "laneChangeModel", "latAlignment", "speedFactor", "parkingBadges", "key", "value"))  # fmt: skip
@@ -38,8 +41,6 @@ def check_input(path: Path) -> list[Path]:
     left = [path]
     while left:
         file = left.pop()
-        if file.name.endswith((".csv", ".csv.gz", ".parquet")):
-            continue
         check_prolog(file)
         if _is_suspicious(file):
             new = [p for p in _checked(file) if p != path and p not in included]
@@ -62,7 +63,8 @@ def _is_suspicious(path: Path) -> bool:
             begin, end = max(text.rfind(b"<", 0, match.start()), 0), text.find(b"<", match.end())
             end = len(text) if end < 0 else end
             tag = text[begin:end]
-            if len(tag) > _LONGEST_TAG or b":" in tag or any(_is_special(path, name) for name in _FILE.findall(tag)):
+            is_read = len(tag) > _LONGEST_TAG or bool(_READING.match(tag))
+            if is_read or b":" in tag or any(_is_special(path, name) for name in _FILE.findall(tag)):
                 return True
         for tag in _TYPE.findall(text):
             if len(tag) > _LONGEST_TAG or any(_is_odd(value) for _, value in _NUMBER.findall(tag)):
@@ -91,7 +93,10 @@ def _checked(path: Path) -> list[Path]:
         if name == "include":
             target = path.parent / attributes.get("href", "")
             if not (exists(target) and target.is_file()):
-                raise ValueError(f"{path}: includes {target}, which is no file. Correct the path.")
+                cure = spelling(target) or " Correct the path."
+                raise ValueError(f"{path}: includes {target}, which is no file.{cure}")
+            found.append(target)
+        if name in _READERS and exists(target := path.parent / attributes.get("file", "")) and target.is_file():
             found.append(target)
         if name == "vType":
             check_type(path, attributes)

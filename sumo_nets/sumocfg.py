@@ -5,17 +5,26 @@ from __future__ import annotations
 import difflib
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from urllib.parse import quote, unquote
 from xml.sax.saxutils import quoteattr
 
 from sumo_nets.sumo_inputs import check_input
 from sumo_nets.sumo_options import IGNORED, PASSED, READS, REFUSED, SYNONYMS
-from sumo_nets.xml import Attributes, Enough, contains, exists, stream
+from sumo_nets.xml import Attributes, Enough, check_regular, contains, exists, meant, root_of, spelling, stream
+
+SUFFIXES = (".sumocfg", ".sumo.cfg")
+"""File name endings of configurations that SUMO's users write."""
+ROOTS = frozenset(("configuration", "sumoConfiguration"))
+"""First elements of a configuration of SUMO."""
 
 _REQUIRED = ("net-file", "route-files", "additional-files")
 """Options whose files are checked for existence; SUMO itself reports others."""
+_POLY = ["<poly".encode(encoding) for encoding in ("utf-8", "utf-16-le", "utf-16-be")]
+_YES = ("true", "1", "yes", "on", "x", "t")
+_TABLES = ("astar.all-distances", "astar.landmark-distances")
+"""Options whose files SUMO reads as tables, and not as XML."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +53,14 @@ class Sumocfg:
 
     @property
     def buildings(self) -> tuple[Path, ...]:
-        """The additional files that contain polygons."""
-        return tuple(path for path in self.additional if contains(path, b"<poly"))
+        """The additional files, and the files that files include, that contain polygons."""
+        files = dict.fromkeys((*self.additional, *self.included))
+        return tuple(path for path in files if any(contains(path, text) for text in _POLY))
+
+    @property
+    def switches(self) -> frozenset[str]:
+        """The options that are switched on."""
+        return frozenset(name for name, value in self.options.items() if value.lower() in _YES)
 
     @property
     def inputs(self) -> tuple[Path, ...]:
@@ -54,7 +69,7 @@ class Sumocfg:
 
     def text(self) -> str:
         """A configuration with these files, by absolute path, and these options, and nothing else."""
-        paths = {name: ",".join(quote(str(p.resolve())) for p in paths) for name, paths in self.files.items() if paths}
+        paths = {name: ",".join(quote(str(p.absolute())) for p in paths) for name, paths in self.files.items() if paths}
         lines = [f"    <{name} value={quoteattr(value)}/>\n" for name, value in (paths | self.options).items()]
         return "<configuration>\n" + "".join(lines) + "</configuration>\n"
 
@@ -86,11 +101,38 @@ def read(path: Path) -> Sumocfg:
     for option, named in files.items():
         for file in named:
             if not exists(file):
-                if option not in _REQUIRED:
-                    raise ValueError(f"{path}: {option} names {file}, which does not exist. Correct the path.")
-                raise ValueError(f"{path}: names {file}, which does not exist. Correct the path in the .sumocfg.")
-            included += check_input(file)
+                what = "names" if option in _REQUIRED else f"{option} names"
+                cure = spelling(file) or " Correct the path in the .sumocfg."
+                raise ValueError(f"{path}: {what} {file}, which does not exist.{cure}")
+            if option in _TABLES:
+                check_regular(file)
+            else:
+                included += check_input(file)
     return Sumocfg(path, files, options, tuple(included))
+
+
+def is_sumocfg(path: Path) -> bool:
+    """Whether a file is a configuration of SUMO, whatever its name: `*.sumo.cfg` is as usual as `*.sumocfg`."""
+    return path.is_file() and (path.name.endswith(SUFFIXES) or root_of(path) in ROOTS)
+
+
+def without_commas(config: Sumocfg, folder: Path) -> Sumocfg:
+    """The configuration with its files by way of links in `folder`, where the name of their own folder has a comma.
+
+    SUMO splits every list of files at commas, and knows no way to write one.
+    """
+    links: dict[Path, Path] = {}
+
+    def linked(path: Path) -> Path:
+        own = path.absolute().parent
+        if "," not in str(own):
+            return path
+        if own not in links:
+            links[own] = folder / f"inputs-{len(links)}"
+            links[own].symlink_to(own, target_is_directory=True)
+        return links[own] / path.name
+
+    return replace(config, files={option: tuple(map(linked, paths)) for option, paths in config.files.items()})
 
 
 def step_s(path: Path) -> float:
@@ -139,4 +181,4 @@ def _values(path: Path) -> dict[str, str]:
 
 def _files(folder: Path, value: str) -> tuple[Path, ...]:
     parts = (unquote(os.path.expandvars(part.strip())) for part in value.replace(";", ",").split(","))
-    return tuple(folder / part for part in parts if part)
+    return tuple(meant(folder, part) for part in parts if part)

@@ -41,7 +41,8 @@ def run(tool: str, options: dict[str, Any], folder: Path) -> str:
     environment = {**os.environ, "SUMO_HOME": str(home())}
     done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        raise ValueError(f"{tool} failed in {folder}: {done.stderr.strip()[-2000:]}")
+        errors = [line.removeprefix("Error: ") for line in done.stderr.splitlines() if line.startswith("Error: ")]
+        raise ValueError(f"{tool} failed: {' '.join(errors) or ' '.join(done.stderr.split())[-2000:]}")
     return done.stderr
 
 

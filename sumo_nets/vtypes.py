@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
+from itertools import pairwise
 from math import nan
 from pathlib import Path
 from typing import NamedTuple
@@ -38,14 +40,26 @@ _DEFAULT = {
     "DEFAULT_VEHTYPE": "passenger", "DEFAULT_PEDTYPE": "pedestrian", "DEFAULT_BIKETYPE": "bicycle",
     "DEFAULT_CONTAINERTYPE": "container", "DEFAULT_TAXITYPE": "taxi", "DEFAULT_RAILTYPE": "rail",
 }  # fmt: skip
-_HINTS = {
-    "motorcycle": "motorcycle", "moped": "moped", "bicycle": "bicycle", "bike": "bicycle", "cyclist": "bicycle",
-    "ped": "pedestrian", "person": "pedestrian", "walk": "pedestrian", "coach": "coach", "bus": "bus",
-    "trailer": "trailer", "truck": "truck", "lorry": "truck", "hgv": "truck", "delivery": "delivery",
-    "van": "delivery", "emergency": "emergency", "tram": "tram", "subway": "subway", "rail": "rail",
-    "train": "rail", "ship": "ship", "container": "container", "taxi": "taxi",
+_NAMED = {
+    "truck_bus": "truck", "heavy vehicle": "truck", "medium vehicle": "delivery", "power two wheeler": "motorcycle",
+    "pedestrian/bicycle": "bicycle",
 }  # fmt: skip
-"""Substring of a type's name, and the class that it suggests; the first match is used."""
+"""Classes of recorded data sets (inD, pNEUMA, openDD, INTERACTION) whose words alone would say something else."""
+_WORDS = {
+    "motorcycle": "motorcycle", "motorbike": "motorcycle", "motorcyclist": "motorcycle", "moped": "moped",
+    "bicycle": "bicycle", "bike": "bicycle", "ebike": "bicycle", "cyclist": "bicycle", "coach": "coach", "bus": "bus",
+    "trailer": "trailer", "truck": "truck", "lorry": "truck", "hgv": "truck", "lkw": "truck", "delivery": "delivery",
+    "van": "delivery", "emergency": "emergency", "tram": "tram", "subway": "subway", "rail": "rail", "train": "rail",
+    "ship": "ship", "container": "container", "taxi": "taxi", "ped": "pedestrian", "pedestrian": "pedestrian",
+    "person": "pedestrian", "walk": "pedestrian", "walker": "pedestrian",
+}  # fmt: skip
+"""Word of a type's name, and the class that it suggests; the first match is used."""
+_PLAIN = frozenset(name.lower() for name in (*SIZES_M, *_DEFAULT, *_NAMED, *_WORDS, "car"))
+
+
+def is_plain(name: str) -> bool:
+    """Whether the name of a type is that of a class. For any other name, the class is a guess."""
+    return name.partition("@")[0].lower() in _PLAIN
 
 
 LARGEST_M = {"length": 1000.0, "width": 100.0, "height": 100.0}
@@ -84,6 +98,22 @@ def read(paths: Iterable[Path]) -> dict[str, VehicleType]:
 
 
 def guess(name: str) -> VehicleType:
-    """The most likely class of a type that no file defines, by its name; a passenger car without a match."""
-    vclass = _DEFAULT.get(name) or next((c for hint, c in _HINTS.items() if hint in name.lower()), "passenger")
+    """The class of a type that no file defines, by the whole words of its name; a passenger car without a match.
+
+    Words are separated by anything but letters, and by changes of case. What follows `@` is the name of the one vehicle
+    for which SUMO copied the type.
+    """
+    name = name.partition("@")[0]
+    vclass = _DEFAULT.get(name) or _NAMED.get(name.lower()) or (name if name in SIZES_M else None)
+    if vclass is None:
+        words = _words(name)
+        vclass = next((c for word, c in _WORDS.items() if word in words), "passenger")
     return VehicleType(vclass, SIZES_M[vclass])
+
+
+def _words(name: str) -> set[str]:
+    """The words of a name in lower case, also without the ending of a plural, and any two neighbours as one word."""
+    apart = re.sub(r"(?<=[^\W\d_A-Z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
+    words = [word.lower() for word in re.findall(r"[^\W\d_]+", apart)]
+    words += [a + b for a, b in pairwise(words)]
+    return {form for word in words for form in (word, word.removesuffix("s"), word.removesuffix("es"))}

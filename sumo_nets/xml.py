@@ -1,12 +1,16 @@
-"""Streaming reader of untrusted XML, gzip'ed or not; elements and text only."""
+"""Streaming reader of untrusted XML, packed by gzip or bzip2 or not; elements and text only."""
 
 from __future__ import annotations
 
+import bz2
+import difflib
 import gzip
 import io
+import re
 import stat
 import zlib
 from collections.abc import Callable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 from xml.parsers import expat
@@ -16,6 +20,8 @@ Attributes = dict[str, str]
 _CHUNK_BYTES = 1 << 16
 LARGEST_RATIO = 200
 """Times its size that a compressed file may expand to; SUMO's files reach 30."""
+_MOST_NAMES = 2000
+"""Names of a folder among which a similar one is searched."""
 FREE_BYTES = 100_000_000
 """Size up to which a compressed file may expand at any ratio."""
 
@@ -48,6 +54,21 @@ def check_prolog(path: Path | str) -> None:
     stream(path, start)
 
 
+def root_of(path: Path | str) -> str:
+    """Name of the first element of an XML file; empty if the file is no XML, or is empty."""
+    found: list[str] = []
+
+    def start(name: str, attributes: Attributes) -> None:
+        found.append(name)
+        raise Enough
+
+    try:
+        stream(path, start)
+    except ValueError:
+        return ""
+    return found[0]
+
+
 def contains(path: Path, text: bytes) -> bool:
     """Whether a file, gzip'ed or not, contains these bytes; much faster than parsing XML."""
     tail = b""
@@ -65,7 +86,8 @@ def chunks(path: Path) -> Iterator[bytes]:
             while chunk := file.read(_CHUNK_BYTES):
                 yield chunk
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise ValueError(f"{path}: damaged gzip file ({error})") from None
+        kind = "bzip2" if Path(path).name.endswith(".bz2") else "gzip"
+        raise ValueError(f"{path}: damaged {kind} file ({error})") from None
     except OSError as error:
         raise ValueError(f"{path}: cannot be read ({error.strerror or error})") from None
 
@@ -143,27 +165,61 @@ def exists(path: Path) -> bool:
         return False
 
 
+def meant(folder: Path, name: str) -> Path:
+    """The file of a name that an input gives. On Windows, \\ separates folders; here, it is part of a name."""
+    given, other = folder / name, folder / name.replace("\\", "/")
+    return other if not exists(given) and exists(other) else given
+
+
+def spelling(path: Path) -> str:
+    """What may be wrong with the name of a file that does not exist: a sentence with a blank before it, or nothing."""
+    text = str(path)
+    if re.search(r"(^|/)[A-Za-z]:[\\/]", text):
+        return " It is a path of Windows. Give one of this machine, with / between folders."
+    if "\\" in text:
+        return " Windows separates folders by \\, this system by /, which works on both."
+    folder = Path(path.anchor)
+    rest = list(path.parts[1:] if path.anchor else path.parts)
+    while rest:
+        part = rest.pop(0)
+        if not exists(folder / part):
+            try:
+                names = sorted(entry.name for entry in islice(folder.iterdir(), _MOST_NAMES))
+            except OSError:
+                return ""
+            alike = [name for name in names if name.strip().casefold() == part.strip().casefold()]
+            near = alike or difflib.get_close_matches(part, names, 1, 0.85)
+            return f" Did you mean {Path(folder / near[0], *rest)}?" if near else ""
+        folder = folder / part
+    return ""
+
+
 def open_input(path: Path | str) -> BinaryIO:
-    """A regular file for reading, decompressed if gzip'ed."""
+    """A regular file for reading, decompressed if it is packed by gzip or bzip2."""
     check_regular(path)
     file = Path(path).open("rb")  # noqa: SIM115
-    zipped = file.read(2) == b"\x1f\x8b"
+    magic = file.read(3)
     file.seek(0)
-    return cast("BinaryIO", io.BufferedReader(_Gunzip(path, file), _CHUNK_BYTES)) if zipped else file
+    unpacked: Any = gzip.GzipFile(fileobj=file) if magic[:2] == b"\x1f\x8b" else None
+    if magic == b"BZh":
+        unpacked = bz2.BZ2File(file)
+    if unpacked is None:
+        return file
+    return cast("BinaryIO", io.BufferedReader(_Unpacked(path, file, unpacked), _CHUNK_BYTES))
 
 
-class _Gunzip(io.RawIOBase):
-    """A gzip'ed file that refuses to expand beyond what text can be compressed to."""
+class _Unpacked(io.RawIOBase):
+    """A packed file that refuses to expand beyond what text can be compressed to."""
 
-    def __init__(self, path: Path | str, file: BinaryIO) -> None:
-        self._path, self._file, self._gzip = path, file, gzip.GzipFile(fileobj=file)
+    def __init__(self, path: Path | str, file: BinaryIO, unpacked: Any) -> None:
+        self._path, self._file, self._unpacked = path, file, unpacked
         self._n_bytes = 0
 
     def readable(self) -> bool:
         return True
 
     def readinto(self, buffer: Any) -> int:
-        content = self._gzip.read(len(buffer))
+        content = self._unpacked.read(len(buffer))
         buffer[: len(content)] = content
         self._n_bytes += len(content)
         if self._n_bytes > max(FREE_BYTES, LARGEST_RATIO * self._file.tell()):
@@ -173,6 +229,6 @@ class _Gunzip(io.RawIOBase):
         return len(content)
 
     def close(self) -> None:
-        self._gzip.close()
+        self._unpacked.close()
         self._file.close()
         super().close()

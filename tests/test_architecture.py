@@ -36,7 +36,7 @@ ONE_FILE = {
     "rerun": {"cosim/offline/view.py", "cosim/offline/live.py"},
     "trimesh": {"cosim/mobility/meshes.py"},
     "mcap": {"results/export/ros2.py"},
-    "osmium": {"sumo_nets/osm.py"},
+    "osmium": {"sumo_nets/osm_pbf.py"},
     "distributed": {
         "cosim/execution/cluster.py",
         "cosim/execution/cells/placed.py",

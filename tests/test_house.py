@@ -34,8 +34,10 @@ def test_ratchets_only_fall(today, name):
 
 def test_a_line_by_hand():
     """`x = 1` is Assign, Name, Store and Constant; the module counts for the first line; a docstring for none."""
-    assert house.nodes_of_lines(ast.parse('"""Text."""\nx = 1\n')) == {1: 1, 2: 4}
-    assert house.nodes_of_lines(ast.parse("x = 1; x = 1")).total() == house.nodes_of_lines(ast.parse("x = 1\nx = 1")).total()
+    found = house.with_lines(ast.parse('"""Text."""\nx = 1\n'))
+    assert house.per_line(found) == {1: 1, 2: 4}
+    apart, joined = (list(house.with_lines(ast.parse(text))) for text in ("x = 1\nx = 1", "x = 1; x = 1"))
+    assert len(apart) == len(joined) == 9
 
 
 def test_a_function_is_wide_from_nine_parameters_on_unless_it_is_compiled():
@@ -50,7 +52,13 @@ def test_a_limit_holds_from_three_per_cent_below_it_on(found, is_right):
 
 
 def test_rooms_and_rounding():
-    paths = ("cosim/rng.py", "cosim/radio/csma.py", "results/export/uper.py", "tests/cosim/radio/ns3.py", "tests/scene.py")
+    paths = (
+        "cosim/rng.py",
+        "cosim/radio/csma.py",
+        "results/export/uper.py",
+        "tests/cosim/radio/ns3.py",
+        "tests/scene.py",
+    )
     rooms = [house.room_of(house.Path(path)) for path in paths]
     assert rooms == ["cosim", "cosim/radio", "results", "tests/cosim", "tests"]
     assert [house.rounded_up(n) for n in (7, 999, 1000, 1001, 12_345)] == [7, 999, 1000, 1010, 12_400]

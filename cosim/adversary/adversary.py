@@ -11,7 +11,7 @@ from numpy import ndarray
 from cosim import rng
 from cosim.adversary.attack import Attack, AttackContext, EvaluationRows, Sending
 from cosim.adversary.params import AttackParams, owners
-from cosim.v2x.messages import Detections, faults
+from cosim.v2x.messages import FABRICATED, Detections, faults
 from cosim.world import World
 from results.codes import DetectionFault, Role
 from sensors.line_of_sight import WallIndex
@@ -69,15 +69,14 @@ class Active:
         -------
         The lists as they will be sent, and the numbers of detections that cannot be sent, by `DetectionFault`.
         """
-        attacks, n_dropped = self._with("detections"), np.zeros(len(DetectionFault), np.int64)
-        if not attacks:
-            return without_faults(listed, self.xyz_m)
-        n_identities = self.identities(len(self.xyz_m))
+        attacks, perceived = self._with("detections"), listed
+        listed, n_dropped = without_faults(listed, self.xyz_m)
+        n_identities = self.identities(len(self.xyz_m)) if attacks else np.zeros(0, np.int64)
         for attack, context in attacks:
             listed = attack.detections(listed, replace(context, n_identities=n_identities))
             listed, n = without_faults(listed, self.xyz_m)
             n_dropped += n
-        return listed, n_dropped
+        return with_perceived(listed, perceived), n_dropped
 
     def evaluations(
         self, rows: EvaluationRows, detections: Detections
@@ -256,6 +255,27 @@ class Adversary:
             return trust > p.keep_above
         state.awake[number, world.actor] |= trust >= p.wake_trust
         return state.awake[number, world.actor]
+
+
+def with_perceived(listed: Detections, perceived: Detections) -> Detections:
+    """The lists, with every detection that a vehicle has really made, once.
+
+    What an attack made impossible to send, or gave another number, its vehicle has still perceived: it is in the list
+    and not transmitted. A detection under a number that the vehicle has not perceived is fabricated.
+    """
+    key, real = (d.observer.astype(np.int64) << 32 | d.detection_index for d in (listed, perceived))
+    says = listed.origin != FABRICATED
+    if np.array_equal(key[says], real) and np.array_equal(listed.origin[says], perceived.origin):
+        return listed
+    at = np.searchsorted(real, key)
+    found = (listed.identity == 0) & (np.append(real, -1)[at] == key)
+    origin = np.full(len(listed), FABRICATED, np.uint8)
+    origin[found] = perceived.origin[at[found]]
+    left_out = np.ones(len(real), bool)
+    left_out[at[found]] = False
+    rest = perceived.take(np.flatnonzero(left_out))
+    rest = replace(rest, transmitted=np.zeros(len(rest), bool))
+    return Detections.concat([replace(listed, origin=origin), rest])
 
 
 def without_faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> tuple[Detections, Int[ndarray, "f"]]:

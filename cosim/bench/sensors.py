@@ -137,7 +137,7 @@ def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str
     noisy = least_s(lambda: scan(boxes, shape, observers, scene, LidarParams(), keys, sweeps), runs)
     references = {}
     for name, tracer_of in (("embree", embree.tracer_of), ("open3d", open3d.tracer_of)):
-        if name == "open3d" and not find_spec("open3d"):
+        if not find_spec({"embree": "embreex"}.get(name, name)):
             continue
         reference = LidarParams(range_sigma_m=0.0, engine=name)  # type: ignore[arg-type]
         references[name] = least_s(partial(scan, boxes, shape, observers, scene, reference, keys, sweeps), min(runs, 3))

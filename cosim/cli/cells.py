@@ -28,7 +28,7 @@ def cells(
     cores: Annotated[list[int] | None, typer.Option(help="Cores to predict for. Repeatable.")] = None,
     gbit: Annotated[
         float | None,
-        typer.Option(help="Network of the machine of the run [Gbit/s], if the cells are on other machines."),
+        typer.Option(help="Network of the machine of the run, in Gbit/s, if the cells are on other machines."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -20,10 +21,14 @@ from rich.segment import Segment
 from rich.text import Text
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from results.run import Run
 
 _PIPED_WIDTH = 160
 """Width of tables, in characters, when standard output is not a terminal."""
+_WHOLE = 10_000
+"""The same of tables that need not fit anything."""
 
 
 def clean(text: str) -> str:
@@ -96,22 +101,37 @@ def progress() -> Iterator[Callable[[str, int, int, str], None]]:
         Progress,
         SpinnerColumn,
         TextColumn,
-        TimeRemainingColumn,
     )
 
     bar = Progress(
         SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-        TimeRemainingColumn(), TextColumn("{task.fields[note]}"), console=notes, disable=not notes.is_terminal,
+        TextColumn("{task.fields[left]}"), TextColumn("{task.fields[note]}"), console=notes,
+        disable=not notes.is_terminal,
     )  # fmt: skip
     tasks: dict[str, Any] = {}
+    begun: dict[str, tuple[int, float]] = {}
 
     def advance(phase: str, done: int, total: int, note: str = "") -> None:
         if phase not in tasks:
-            tasks[phase] = bar.add_task(phase, total=total, note=note)
-        bar.update(tasks[phase], completed=done, total=total, note=note)
+            tasks[phase] = bar.add_task(phase, total=total, note=note, left="")
+            begun[phase] = done, monotonic()
+        left = time_left(begun[phase], done, total, monotonic())
+        bar.update(tasks[phase], completed=done, total=total, note=note, left=left)
 
     with bar:
         yield advance
+
+
+def time_left(begun: tuple[int, float], done: int, total: int, now_s: float) -> str:
+    """How long the rest of some work takes if it goes on as it went since it began; empty as long as nothing is done.
+
+    Runs of a study end several at a time, so the time between the last of them says nothing.
+    """
+    first, begun_s = begun
+    if done <= first:
+        return ""
+    seconds = round((now_s - begun_s) * (total - done) / (done - first))
+    return f"{seconds // 3600}:{seconds // 60 % 60:02}:{seconds % 60:02}"
 
 
 def print_json(content: object) -> None:
@@ -154,14 +174,24 @@ def print_run_summary(folder: Path, as_json: bool) -> "Run":
 
     speed = plain(manifest["steps"] * run.dt_s / spent_s)
     given = shlex.quote(str(folder))
-    lines = _summary(rows, manifest.get("net", {}).get("name", "the network")) | {
-        "time": [f"{spent_s:.1f} s of computing, {speed} times real time"],
-        "tables": [str(folder)],
-        "picture": [picture],
-        "next": [f"cosim report {given}   cosim measure {given}" + _pictures(rows, given)],
-    }
+    loaded = {topic: [manifest["summary"][topic]] for topic in ("streets", "buildings") if topic in manifest["summary"]}
+    lines = (
+        loaded
+        | _summary(rows, manifest.get("net", {}).get("name", "the network"))
+        | {
+            "time": [f"{spent_s:.1f} s of computing, {speed} times real time"],
+            "tables": [str(folder)],
+            "picture": [picture],
+            "next": [f"cosim report {given}   cosim measure {given}" + _pictures(rows, given)],
+        }
+    )
     print_facts(lines)
     return run
+
+
+def print_table(table: "Table") -> None:
+    """A table with names from the user, which are not cut where standard output is no terminal."""
+    screen.print(table, width=None if screen.is_terminal else _WHOLE, crop=screen.is_terminal)
 
 
 def print_facts(facts: Mapping[str, Sequence[str]]) -> None:

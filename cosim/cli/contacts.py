@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from rich.text import Text
 
-from cosim.cli.console import AsJson, notes, plain, print_facts, print_json, progress, rows_of, screen
+from cosim.cli.console import AsJson, TrustCode, notes, plain, print_facts, print_json, progress, rows_of, screen
 
 if TYPE_CHECKING:
     from cosim.mobility.positions import Columns
@@ -24,6 +24,14 @@ Y = Annotated[str | None, typer.Option("--y", help="Column with metres north.")]
 Lat = Annotated[str | None, typer.Option("--lat", help="Column with latitudes, in degrees.")]
 Lon = Annotated[str | None, typer.Option("--lon", help="Column with longitudes, in degrees.")]
 FrameHz = Annotated[float | None, typer.Option("--frame-hz", help="Frames per second, if the times are frame numbers.")]
+TimeUnit = Annotated[
+    Literal["s", "ms", "us", "ns", "min", "h"] | None,
+    typer.Option("--time-unit", help="Unit of times that are numbers. The default is s, or what the trace says."),
+]
+LengthUnit = Annotated[
+    Literal["m", "ft", "km", "cm", "mm"] | None,
+    typer.Option("--length-unit", help="Unit of positions that are no degrees. The default is m."),
+]
 StepS = Annotated[
     float | None, typer.Option("--step-s", help="Length of a step. The default is the interval of the trace.")
 ]
@@ -68,7 +76,7 @@ def contacts(
     pairs: Annotated[Pairs | None, typer.Option(help="Pairs that count, as encounters.pairs.")] = None,
     config: Annotated[
         Path | None,
-        typer.Option(help="Config whose [[encounters]], [fleet] and seed are used instead."),
+        typer.Option(help="Config whose encounters, fleet and seed are used instead."),
     ] = None,
     scenario: Annotated[
         str | None,
@@ -81,6 +89,8 @@ def contacts(
     lat: Lat = None,
     lon: Lon = None,
     frame_hz: FrameHz = None,
+    time_unit: TimeUnit = None,
+    length_unit: LengthUnit = None,
     step_s: StepS = None,
     max_gap_s: MaxGapS = 30.0,
     max_speed_mps: MaxSpeedMps = 70.0,
@@ -94,18 +104,20 @@ def contacts(
     from_s: Annotated[float | None, typer.Option("--from", help="Count from this time of the trace on.")] = None,
     to_s: Annotated[float | None, typer.Option("--to", help="Count up to this time of the trace.")] = None,
     repair: Repair = False,
+    trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
     """Count encounters in a trace, into a folder that `measure`, `plot encounters` and `judge` read."""
+    from cosim.mobility.units import LENGTH_M, TIME_S
     from cosim.offline.contacts import ContactParams
     from cosim.offline.contacts import contacts as count
 
     params = ContactParams(
         scenario=scenario, step_s=step_s, max_gap_s=max_gap_s, max_speed_mps=max_speed_mps, appearance=appearance,
         from_s=from_s, to_s=to_s, columns=columns_of(actor, time, (x, y), (lat, lon), frame_hz), frame_hz=frame_hz,
-        repair=repair,
+        repair=repair, time_unit_s=TIME_S.get(time_unit or ""), length_unit_m=LENGTH_M.get(length_unit or ""),
     )  # fmt: skip
-    params = _with_definitions(params, config, radius_m, hysteresis_s, pairs)
+    params = _with_definitions(params, config, radius_m, hysteresis_s, pairs, trust_code)
     with progress() as advance:
         folder = count(files, params, out, advance)
     _print_counted(folder, as_json)
@@ -113,7 +125,7 @@ def contacts(
 
 def _with_definitions(
     params: "ContactParams", config: Path | None, radius_m: list[float] | None, hysteresis_s: float | None,
-    pairs: Pairs | None,
+    pairs: Pairs | None, trust_code: bool,
 ) -> "ContactParams":  # fmt: skip
     """What is counted, by the config or by the options."""
     from cosim.config.config import load
@@ -123,7 +135,7 @@ def _with_definitions(
     if config is not None:
         if radius_m or hysteresis_s is not None or pairs:
             raise ValueError("--config says what is counted. Leave out --radius-m, --hysteresis-s and --pairs.")
-        loaded = load(config)
+        loaded = load(config, trust_code=trust_code)
         if not loaded.encounters:
             raise ValueError(f"{config} has no [[encounters]]: there is nothing to count. Add a section.")
         return replace(
@@ -153,16 +165,20 @@ def columns_of(
         raise ValueError("--x and --y are metres, --lat and --lon are degrees: a trace has one of the two. Name two.")
     if not all(place := degrees if any(degrees) else metres):
         raise ValueError("--x and --y go together, and so do --lat and --lon. Name both columns.")
-    x, y = (str(name) for name in place)
-    return Columns(actor or "id", time or "time", x, y, is_degrees=any(degrees), is_frame=frame_hz is not None)
+    x, y = (str(name).strip() for name in place)
+    actor, time = (actor or "id").strip(), (time or "time").strip()
+    return Columns(actor, time, x, y, is_degrees=any(degrees), is_frame=frame_hz is not None)
 
 
 def _print_counted(folder: Path, as_json: bool) -> None:
     """Print what was counted in a few lines."""
+    from cosim.mobility.remarks import trace_remarks
     from results.archive import open_run
     from results.measure import measure
 
     run = open_run(folder)
+    for remark in trace_remarks(run.manifest["summary"]):
+        notes.print(remark, soft_wrap=True)
     measures = measure(run, topics=("traffic", "encounters"))
     if as_json:
         print_json({"run": str(folder), "summary": run.manifest["summary"], "measures": rows_of(measures)})
@@ -198,8 +214,24 @@ def _trace(run: "OpenRun", values: dict[tuple[str, str], float]) -> list[str]:
             f"{plain(about['error_bound_median_m'])} m (median) and {plain(about['error_bound_p95_m'])} m (95 %) at up "
             "to 20 m/s"
         )
+    lines += found_lines(about)
     if run.manifest["config"]["contacts"]["appearance"] == "censors":
         lines.append("the first and the last position of a track begin and end its observation (censoring)")
+    return lines
+
+
+def found_lines(about: dict[str, Any]) -> list[str]:
+    """Sentences on what the numbers of a trace were taken for: classes, speeds, extent, and units."""
+    lines = []
+    if "speed_median_mps" in about:
+        classes = ", ".join(f"{n:,} {name}" for name, n in about["classes"].items())
+        lines.append(
+            f"{classes}; speeds {plain(about['speed_median_mps'])} m/s (median) and {plain(about['speed_p95_mps'])} "
+            f"m/s (95 %); {plain(about['extent_east_m'])} m from west to east, {plain(about['extent_north_m'])} m from "
+            "south to north"
+        )
+    if read_as := about.get("read_as"):
+        lines.append("read as: " + "; ".join(read_as))
     return lines
 
 

@@ -2,6 +2,7 @@
 
 import gc
 import os
+import re
 import shlex
 import signal
 import sys
@@ -254,15 +255,17 @@ def check(
     from cosim.config.config import load
     from cosim.execution import check as checking
     from cosim.execution.manifest import toml_text
+    from cosim.mobility.scene_summary import scene_summary
 
     experiment = load(config, overrides, trust_code)
-    checking.check(experiment)
+    scenario = checking.check(experiment)
     for remark in checking.remarks_on(experiment, config):
         notes.print(remark, soft_wrap=True)
     if as_json:
         print_json(experiment.to_dict())
     else:
-        screen.print(toml_text(experiment.to_dict()), soft_wrap=True)
+        loaded = "".join(f"# {topic}: {line}\n" for topic, line in scene_summary(scenario).lines.items())
+        screen.print(loaded + toml_text(experiment.to_dict()), soft_wrap=True)
 
 
 @app.command()
@@ -464,6 +467,7 @@ def bench(
 def main(command: Callable[..., int | None] = app) -> None:
     """Run the command line. A mistake of the user ends in one line on standard error and exit status 2."""
     _open_standard_streams()
+    sys.argv[1:] = map(_of_home, sys.argv[1:])
     status: int | None
     kernels = None
     try:
@@ -496,6 +500,12 @@ def main(command: Callable[..., int | None] = app) -> None:
     if kernels is not None:
         kernels.remove()
     sys.exit(status)
+
+
+def _of_home(word: str) -> str:
+    """A word of the command line, with the user's folder in place of `~`: shells do not replace it after `=`."""
+    before, sign, path = word.rpartition("=") if re.match(r"[\w.-]+=~", word) else ("", "", word)
+    return before + sign + os.path.expanduser(path) if path == "~" or path.startswith("~/") else word
 
 
 def _carry_out(command: Callable[..., int | None]) -> int | None:

@@ -167,12 +167,14 @@ def build(
     with notes.status("building streets, buildings and demand ..."):
         if osm is not None:
             box = None if bbox is None else degrees(bbox)
-            build_from_osm.from_osm(osm, out, wanted, name, left_hand, box)
+            losses = build_from_osm.from_osm(osm, out, wanted, name, left_hand, box)
         else:
-            build_from_osm.from_box(bbox or "", out, wanted, name, left_hand, overpass)
+            losses = build_from_osm.from_box(bbox or "", out, wanted, name, left_hand, overpass)
     net = catalogue.open_folder(out)
     picture = _draw(find(str(out)), out / PICTURE)
     facts = _summary(net) | {"buildings": len(net.footprints()), "picture": str(picture)}
+    in_json = {kind: asdict(of) for kind, of in losses.streets.items()} | {"incomplete_ways": losses.n_incomplete}
+    facts["left_out"] = in_json if as_json else losses.text
     if check:
         with notes.status("driving it for half an hour ..."):
             flows = flow.measure(net)
@@ -292,6 +294,7 @@ LABELS = {
     "attribution": ("attribution", "{}"),
     "km2": ("area", "{:.2f} km²"),
     "lane_km": ("streets", "{:,.1f} km of lanes"),
+    "left_out": ("left out", "{}"),
     "buildings": ("buildings", "{:,}"),
     "vehicles_per_hour": ("vehicles", "{:,.0f} per hour"),
     "pedestrians_per_hour": ("pedestrians", "{:,} per hour"),

@@ -21,7 +21,9 @@ def roadside(
         Path | None, typer.Argument(help="Config file (TOML). Without one, the default city is used.")
     ] = None,
     count: Annotated[int, typer.Option(min=1, max=10_000, help="Number of units.")] = 5,
-    height: Annotated[float, typer.Option(min=0.1, max=100, help="Height of the sensors above the street [m].")] = 6.0,
+    height: Annotated[
+        float, typer.Option(min=0.1, max=100, help="Height of the sensors above the street, in metres.")
+    ] = 6.0,
     random: Annotated[
         bool, typer.Option("--random", help="Draw the junctions by the config's seed, for comparison.")
     ] = False,
@@ -31,7 +33,7 @@ def roadside(
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
-    """Choose junctions from which vehicles are seen as recently as possible, and print a [[roadside]] section."""
+    """Choose junctions from which vehicles are seen as recently as possible, and print a section of a config."""
     from cosim.config.config import load
     from cosim.mobility.roadside import drawn
     from cosim.predict.placement import greedy, observe

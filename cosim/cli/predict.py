@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from cosim.cli.console import AsJson, TrustCode, notes, print_json, progress, screen
+from cosim.cli.console import AsJson, TrustCode, notes, print_json, print_table, progress, screen
 
 if TYPE_CHECKING:
     from cosim.predict.prediction import Prediction
@@ -65,7 +65,7 @@ def freshness(
     from results.archive import open_run
     from results.study import open_study
 
-    study = _study_of(config)
+    study = _study_of(config, trust_code)
     if study is not None and (overrides or grid):
         raise ValueError("--set and --grid go with a config, and this is a study. Change its file.")
     if grid is not None and (out or against or picture or fleets):
@@ -95,13 +95,13 @@ def freshness(
         return
     for line in neglected:
         notes.print(f"note: neglected: {line}", soft_wrap=True)
-    screen.print(_table(found, measured))
+    print_table(_table(found, measured))
     if inputs:
         said = ", ".join(f"{name} {value:.3g}" for name, value in inputs.items())
         screen.print(f"measured from traffic: {said}", soft_wrap=True)
 
 
-def _study_of(path: Path | None) -> Any:
+def _study_of(path: Path | None, trust_code: bool) -> Any:
     """The study that a path names; None if it names a config."""
     from cosim.config.data import read_toml
     from cosim.studies.study import SHIPPED, load
@@ -109,7 +109,7 @@ def _study_of(path: Path | None) -> Any:
     if path is None:
         return None
     if path.is_file():
-        return load(path) if {"study", "grid", "zip"} & read_toml(path, "file").keys() else None
+        return load(path, trust_code) if {"study", "grid", "zip"} & read_toml(path, "file").keys() else None
     return load(path) if (SHIPPED / f"{path}.toml").is_file() else None
 
 

@@ -7,7 +7,7 @@ import pandas as pd
 from rich.box import SIMPLE
 from rich.table import Column, Table
 
-from cosim.cli.console import plain, print_json, print_rows, rows_of, screen
+from cosim.cli.console import plain, print_json, print_rows, print_table, rows_of, screen
 from results import durable
 from results.figures.style import names
 from results.metrics.compare import differing
@@ -65,7 +65,7 @@ def print_measures(runs: list[Run], tables: list[pd.DataFrame], as_json: bool, c
     elif len(runs) == 1:
         print_rows(str(runs[0].path), rows_of(tables[0]))
     else:
-        screen.print(_side_by_side(labels, tables, keys))
+        print_table(_side_by_side(labels, tables, keys))
 
 
 def engines_remark(runs: list[Run]) -> str:

@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 
-from cosim.cli.console import AsJson, TrustCode, notes, print_done, print_json, progress, screen
+from cosim.cli.console import AsJson, TrustCode, notes, print_done, print_json, print_table, progress, screen
 
 
 def add_to(app: typer.Typer) -> None:
@@ -37,7 +37,7 @@ def sweep(
     from cosim.studies import sweep as sweeping
 
     task = sweeping.prepare(study, out, not separate, trust_code)
-    for note in sweeping.keys_in_vain(task.points):
+    for note in sweeping.keys_in_vain(task.points) + sweeping.scene_notes(task.points):
         notes.print(note, soft_wrap=True)
     if dry_run:
         _print_plan(task, as_json)
@@ -140,7 +140,7 @@ def is_study(folders: list[Path]) -> bool:
 def measure(folder: Path, metrics: list[str], as_json: bool) -> None:
     """Print means, intervals and paired differences of a study, and write them to files."""
     from results.figures.study import SHOWN, shown
-    from results.study import chosen, open_study
+    from results.study import chosen, open_study, with_short_names
 
     study = open_study(folder)
     written = study.write()
@@ -158,10 +158,11 @@ def measure(folder: Path, metrics: list[str], as_json: bool) -> None:
         if name == "differences":
             of = f"paired differences against {study.baseline}, 95 % interval"
         heads = [key.rsplit(".", 1)[-1] for key in study.keys]
-        table = Table(*heads, *columns[len(heads) :], title=f"{study.name}: {of}", title_justify="left", box=None)
-        for row in chosen(frame, asked)[columns].itertuples(index=False):
+        names = [Column(head, overflow="fold") for head in (*heads, *columns[len(heads) :])]
+        table = Table(*names, title=f"{study.name}: {of}", title_justify="left", box=None)
+        for row in with_short_names(chosen(frame, asked), study.keys)[columns].itertuples(index=False):
             table.add_row(*("" if v != v else f"{v:.4g}" if isinstance(v, float) else str(v) for v in row))
-        screen.print(table)
+        print_table(table)
     screen.print("written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
 
 

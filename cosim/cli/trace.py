@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,16 +12,22 @@ from cosim.cli.contacts import (
     Actor,
     FrameHz,
     Lat,
+    LengthUnit,
     Lon,
     MaxGapS,
     MaxSpeedMps,
     Repair,
     StepS,
     Time,
+    TimeUnit,
     X,
     Y,
     columns_of,
+    found_lines,
 )
+
+if TYPE_CHECKING:
+    from results.export.earth import Projection
 
 
 def add_to(app: typer.Typer) -> None:
@@ -46,6 +52,12 @@ def trace(
     lat: Lat = None,
     lon: Lon = None,
     frame_hz: FrameHz = None,
+    time_unit: TimeUnit = None,
+    length_unit: LengthUnit = None,
+    scenario: Annotated[
+        str | None,
+        typer.Option(help="City or .sumocfg whose projection places degrees. The default is around their median."),
+    ] = None,
     step_s: StepS = None,
     max_gap_s: MaxGapS = 30.0,
     max_speed_mps: MaxSpeedMps = 70.0,
@@ -57,6 +69,7 @@ def trace(
 
     from cosim.mobility import positions, tracks
     from cosim.mobility.from_positions import write_trace
+    from cosim.mobility.units import LENGTH_M, TIME_S
 
     if out.suffix != ".parquet":
         raise ValueError(f"--out {out}: the trace is a Parquet file. Give a name that ends in .parquet.")
@@ -71,7 +84,10 @@ def trace(
     for path in files:
         if positions.is_sumo(path):
             raise ValueError(f"{path} is a trace of SUMO's already. Drive it with --set traffic.scenario={path}.")
-    fixes = positions.read(files, columns, frame_hz, repair)
+    fixes = positions.read(
+        files, columns, frame_hz, repair, TIME_S.get(time_unit or ""), LENGTH_M.get(length_unit or ""),
+        _projection(scenario),
+    )  # fmt: skip
     step_s = step_s or tracks.own_step_s(fixes)
     report = write_trace(fixes, tracks.TrackParams(step_s, max_gap_s, max_speed_mps), out)
     if fixes.repaired:
@@ -79,7 +95,20 @@ def trace(
         notes.print(f"note: rows left out or sorted: {said}.", soft_wrap=True)
     text = (
         f"wrote {out}: {report['actors']:,} vehicles, {report['steps']:,} steps of {step_s:g} s, "
-        f"{100 * report['interpolated_share']:.0f} % of the positions interpolated. Run it with: cosim run "
-        f"--set traffic.scenario={out} --set traffic.step_s={step_s:g}"
+        f"{100 * report['interpolated_share']:.0f} % of the positions interpolated; {report['tracks']:,} tracks after "
+        f"{report['gaps']:,} gaps and {report['jumps']:,} jumps; {'; '.join(found_lines(report))}. Run it with: cosim "
+        f"run --set traffic.scenario={out} --set traffic.step_s={step_s:g}"
     )
     print_done({"out": str(out), "step_s": step_s, **report}, text, as_json)
+
+
+def _projection(scenario: str | None) -> Projection | None:
+    """The projection of a city, which must have one."""
+    from cosim.mobility.scenario import find
+
+    if scenario is None:
+        return None
+    location = find(scenario).location()
+    if location is None or location.projection is None:
+        raise ValueError(f"--scenario {scenario}: its network has no projection that places degrees. Leave it out.")
+    return location.projection

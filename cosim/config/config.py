@@ -18,7 +18,7 @@ from cosim.config.preset import default_of, default_section
 from cosim.door.blame import at_load, definition_line
 from cosim.door.kinds import SECTIONS
 from cosim.door.load import Choice, is_own, resolve
-from cosim.door.permission import is_of_a_folder, loading_code
+from cosim.door.permission import loading_code, loading_code_of
 from cosim.driver.driver import DriverParams
 from cosim.mobility.fleet import FleetParams
 from cosim.mobility.meshes import MeshParams, VehicleMeshParams, check_vehicle_meshes
@@ -150,6 +150,12 @@ class Config:
                 f"traffic.duration_s = {self.traffic.duration_s:g} s is shorter than one step of "
                 f"{self.traffic.step_s:g} s. Set it to traffic.step_s or more."
             )
+        check_definitions(self.encounters)
+        if self.sensing:
+            self._check_sensing()
+
+    def _check_sensing(self) -> None:
+        """Raise ValueError if what vehicles sense, exchange and compute cannot be. Without sensing it has no effect."""
         schedule = self.schedule  # checks the intervals
         if self.radio.timeout_s is not None and 2 * self.radio.timeout_s > schedule.shortest_s:
             raise ValueError(
@@ -168,7 +174,6 @@ class Config:
                 'server.uplink = "rsu", but there are no roadside units, so no evaluation could reach the server. '
                 "Set rsu.at or rsu.n_at_junctions."
             )
-        check_definitions(self.encounters)
         check_vehicle_meshes(self.vehicle_meshes)
         check_weather(self.weather, self.lidar.max_range_m)
         if (self.meshes or self.vehicle_meshes) and self.lidar.engine == "columnar":
@@ -197,7 +202,9 @@ class Config:
 
     @property
     def schedule(self) -> Schedule:
-        """When each equipped vehicle senses."""
+        """When each equipped vehicle senses. Without sensing, the keys that say so have no effect."""
+        if not self.sensing:
+            return Schedule.of(self.traffic.step_s, "common", (), self.traffic.step_s, self.seed)
         return Schedule.of(
             self.sensing_interval_s, self.sensing_phase, self.sensing_groups, self.traffic.step_s, self.seed
         )
@@ -337,7 +344,7 @@ def load(path: Path | None = None, overrides: list[str] | None = None, trust_cod
         data.setdefault("trust_variant", [copy.deepcopy(PAPER_RULE)])
     if path is None:
         return resolve_data(data, "the config", None)
-    with loading_code(path, trust_code or not is_of_a_folder(path)):
+    with loading_code_of(path, trust_code):
         return resolve_data(data, path.name, path.parent)
 
 

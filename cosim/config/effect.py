@@ -3,11 +3,11 @@
 from collections.abc import Callable, Iterator
 from dataclasses import MISSING, fields
 from fnmatch import fnmatchcase
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 from cosim.adversary.params import AttackParams
-from cosim.config.config import Config, resolve_data
+from cosim.config.config import Config, chosen, chosen_model, resolve_data
 from cosim.door.load import is_own
 from cosim.mobility.roadside import RoadsideParams
 
@@ -24,6 +24,17 @@ def _hosts(config: Config) -> set[str]:
 
 def _radio(config: Config, *models: str) -> bool:
     return config.radio.model in models or is_own(config.radio.model)
+
+
+_OF_MODELS = ("freshness_s", "window", "unseen", "weighting")
+"""Keys of [trust] that only some trust models read."""
+
+
+def _is_read(key: str, config: Config) -> bool:
+    """Whether any trust model of a config reads a key of [trust]. Attacks may count their periods in windows."""
+    choices = [chosen(config, "trust")[0], *(chosen_model(variant)[0] for variant in config.trust_variant)]
+    reads = any(one.params is None or key in {f.name for f in fields(one.params)} for one in choices)
+    return reads or (key == "freshness_s" and any(a.period_windows is not None for a in config.attacks))
 
 
 NEEDS: tuple[tuple[tuple[str, ...], str, Callable[[Config], bool]], ...] = (
@@ -65,6 +76,10 @@ NEEDS: tuple[tuple[tuple[str, ...], str, Callable[[Config], bool]], ...] = (
     (("server.backhaul_s",), 'server.uplink = "rsu"', lambda c: c.server.uplink == "rsu"),
     (("server.cellular.*",), 'server.uplink = "cellular"', lambda c: c.server.uplink == "cellular"),
     (("trust.local_evidence",), 'trust.host = "local"', lambda c: "local" in _hosts(c)),
+    *(
+        ((f"trust.{key}",), 'a trust.model that reads it, such as "trupercept"', partial(_is_read, key))
+        for key in _OF_MODELS
+    ),
     (("trust.ego_trust",), 'trust.ego_trust_from = "fixed"', lambda c: c.trust.ego_trust_from == "fixed"),
     (("trust.code_aggregate",), "trust.code_parity = true", lambda c: c.trust.code_parity),
     (("pseudonyms.n_accusations",), 'pseudonyms.linkage = "on_demand"', lambda c: c.pseudonyms.linkage == "on_demand"),

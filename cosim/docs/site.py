@@ -67,7 +67,7 @@ def build(out: Path) -> None:
     shutil.copy(HERE / CONFIG, work / CONFIG)
     for name in ("site.css", "iframe-worker.js"):
         shutil.copy(HERE / name, work / "docs" / name)
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-f", str(work / CONFIG)]
+    command = [sys.executable, "-P", "-m", "mkdocs", "build", "--strict", "--quiet", "-f", str(work / CONFIG)]
     command += ["-d", str(out.resolve())]
     if subprocess.run(command, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}).returncode:
         sys.exit("error: the site has warnings, see above; where MkDocs is not installed: make docs")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from cosim.door import blame, shape
+from cosim.door import blame, isolation, shape
 from cosim.door.load import Choice
 from cosim.door.returns import Call, Wrong
 
@@ -82,7 +82,12 @@ class Guarded:
         hook = choice.kind.hooks[name]
         before = _content(hook.parameters, given)
         try:
-            returned = method(*given)
+            with isolation.kept():
+                returned = method(*(_shown(name, one) for name, one in zip(hook.parameters, given, strict=True)))
+        except isolation.FolderChanged as moved:
+            raise blame.ExtensionError(
+                f"{file}:{blame.definition_line(choice.of, name, file)}: {what} {moved}."
+            ) from None
         except BaseException as error:  # whatever a user's class does
             if blame.is_interrupt(error):
                 raise
@@ -107,6 +112,35 @@ class Guarded:
 
 _UNWATCHED = frozenset({"state", "sweeps"})
 """Parameters without checksums: a class's own state, and range images, which are too large to be read twice."""
+_READ_ONLY = frozenset({"sweeps"})
+"""Parameters whose arrays cannot be written to."""
+
+
+def refuse(own: Any, name: str, what: str) -> None:
+    """Raise `ExtensionError` for what a method of a guarded instance returned."""
+    choice = own._choice
+    file = choice.source.file
+    line = blame.definition_line(choice.of, name, file)
+    raise blame.ExtensionError(f"{file}:{line}: {choice.kind.title} {choice.of.__name__}: {name}() {what}.")
+
+
+def _shown(name: str, value: Any) -> Any:
+    """An argument as a user's class gets it."""
+    return _read_only(value) if name in _READ_ONLY else value
+
+
+def _read_only(value: Any) -> Any:
+    """An array, or a dataclass of arrays, with the same content, which cannot be written to."""
+    if isinstance(value, ndarray):
+        view = value.view()
+        view.flags.writeable = False
+        return view
+    if is_dataclass(value) and not isinstance(value, type):
+        made = object.__new__(type(value))
+        for field in fields(value):
+            object.__setattr__(made, field.name, _read_only(getattr(value, field.name)))
+        return made
+    return value
 
 
 def _content(names: tuple[str, ...], given: tuple[Any, ...]) -> dict[str, int]:

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from cosim.door import blame, shape
+from cosim.door import blame, isolation, shape
 from cosim.door.kinds import KINDS, Kind
 from cosim.door.permission import check_code
 
@@ -133,7 +133,7 @@ def _module(place: str, where: str, class_name: str, folder: Path | None) -> tup
             with blame.at_load(where, place, "cannot be imported"):
                 found = importlib.util.find_spec(where)
             file = (found.origin if found is not None and found.has_location else None) or where
-        with blame.at_load(file, place, "cannot be imported"):
+        with blame.at_load(file, place, "cannot be imported"), isolation.kept():
             module = importlib.import_module(where)
         digest = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file != where else ""
         return module, Source(f"{where}:{class_name}", file if file != where else "", digest)
@@ -151,7 +151,8 @@ def _module(place: str, where: str, class_name: str, folder: Path | None) -> tup
             module = importlib.util.module_from_spec(spec)
             sys.modules[name] = module
             try:
-                spec.loader.exec_module(module)
+                with isolation.kept():
+                    spec.loader.exec_module(module)
             except BaseException:
                 del sys.modules[name]
                 raise

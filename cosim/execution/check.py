@@ -13,6 +13,7 @@ from cosim.execution.inputs import changed_inputs
 from cosim.mobility.meshes import with_meshes
 from cosim.mobility.roadside import NO_UNITS, RoadsideUnits, place
 from cosim.mobility.scenario import Scenario, find
+from cosim.mobility.scene_summary import scene_summary
 from cosim.mobility.streetside import check_streets
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.step import mixed_perception
@@ -137,7 +138,19 @@ def roadside_units(config: Config, scenario: Scenario) -> RoadsideUnits:
 def remarks_on(config: Config, path: Path | None) -> list[str]:
     """Notes on a config that was read from `path`: keys without effect, and inputs that have changed."""
     scenario = find(config.traffic.scenario, config.traffic.trace)
-    return keys_in_vain(config, scenario) + changed_since(path, config)
+    return notes_on(config, scenario) + changed_since(path, config)
+
+
+def notes_on(config: Config, scenario: Scenario) -> list[str]:
+    """Notes on keys that change nothing, and on streets, buildings and what stands beside streets."""
+    notes = keys_in_vain(config, scenario) + list(scene_summary(scenario).notes)
+    if config.parked.per_100_m or config.trees.per_100_m:
+        city = scenario.city(config.trees, config.seed)
+        if config.parked.per_100_m and not scenario.parked(config.parked, city, config.seed):
+            notes.append("note: [parked] places no car: no place along the streets is free, or tags say so.")
+        if config.trees.per_100_m and not len(city.trees.shape):
+            notes.append("note: [trees] places no tree: no place along the streets is free.")
+    return notes
 
 
 def keys_in_vain(config: Config, scenario: Scenario) -> list[str]:

@@ -25,7 +25,8 @@ from results.inventory import Inventory
 from results.manifest import write_manifest
 from results.tables import SCHEMA_VERSION, kept
 
-PACKAGES = ("eclipse-sumo", "libsumo", "numpy", "scipy", "numba", "pyarrow", "pandas", "embreex")
+PACKAGES = ("eclipse-sumo", "libsumo", "numpy", "scipy", "numba", "pyarrow", "pandas")
+_OF_ENGINES = {"embree": "embreex"}
 CONFIG = "config.toml"
 GRAZING = "not columnar: where rays graze edges, tables differ from those of the columnar caster"
 _RESERVE = ".reserve"
@@ -33,9 +34,10 @@ _RESERVE_BYTES = 1 << 16
 
 
 @cache
-def versions() -> dict[str, str]:
-    """Versions of Python, of cosim, and of the packages on which results depend."""
-    return {"python": platform.python_version(), "cosim": __version__} | {p: version(p) for p in PACKAGES}
+def versions(engine: str) -> dict[str, str]:
+    """Versions of Python, of cosim, and of the packages on which results with this ray caster depend."""
+    packages = [*PACKAGES, *(package for name, package in _OF_ENGINES.items() if name == engine)]
+    return {"python": platform.python_version(), "cosim": __version__} | {p: version(p) for p in packages}
 
 
 _UNSET = "\0"
@@ -118,7 +120,7 @@ class Manifest:
             "roles": labels(Role),
             "config": self.config.to_dict(),
             "config_sha256": self.config_sha256,
-            "versions": versions(),
+            "versions": versions(self.config.lidar.engine),
             "source": source(),
             "net": self.net,
             "choices": {key: asdict(source) for key, source in self.choices.items()},

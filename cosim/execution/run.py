@@ -29,6 +29,7 @@ from cosim.mobility.actors import ActorRegistry
 from cosim.mobility.meshes import with_meshes
 from cosim.mobility.remarks import traffic_remarks
 from cosim.mobility.scenario import Scenario
+from cosim.mobility.scene_summary import scene_summary
 from cosim.mobility.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.step.parts import Parts, sources
 from cosim.step.state import State
@@ -78,6 +79,7 @@ def run(
     Stopped
         If a signal interrupted the run; the complete steps are written.
     """
+    out = None if out is None else out.expanduser()
     run_folder.check(out)
     with StopRequest() as stop, workers_for(cells) as workers:
         scenario = check(config)
@@ -86,6 +88,7 @@ def run(
             folder = run_folder.create(out, scenario.name)
             try:
                 manifest = Manifest(folder.path, config, provenance(config, scenario), sources(config))
+                manifest.summary = scene_summary(scenario).lines
                 manifest.begin()
                 recorder = _recorder(folder.path, parts, 0)
                 warmup_s = 0.0 if traffic_from is not None else warmup_of(config, scenario)
@@ -154,6 +157,7 @@ def resume(
             with closing(traffic), in_cells(parts, scenario, cells, workers) as parts:
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
                 went.keep_config(manifest)
+                went.summary = scene_summary(scenario).lines
                 recorder = _recorder(path, parts, found.end_step)
                 went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
                 warmup_s = 0.0 if traffic_from is not None else warmup_of(config, scenario)
@@ -219,9 +223,10 @@ def resumable(path: Path, trust_code: bool = False) -> Config:
     """
     manifest = read_manifest(path)
     check_schema(path, manifest)
-    now = versions()
+    lidar = manifest["config"].get("lidar")
+    now = versions(str(lidar.get("engine")) if isinstance(lidar, dict) else "")
     begun_with = manifest.get("versions", {})
-    if other := [f"{p} {v} (now {now.get(p)})" for p, v in begun_with.items() if now.get(p) != v]:
+    if other := [f"{p} {begun_with.get(p)} (now {v})" for p, v in now.items() if begun_with.get(p) != v]:
         raise ValueError(f"{path} was begun with {', '.join(other)}: the tables would be of two kinds. Run again.")
     if linked := links(path):
         raise ValueError(f"{path}: {linked[0]} is a symbolic link, through which nothing is written.")

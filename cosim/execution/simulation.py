@@ -23,7 +23,7 @@ from cosim.config.config import Config, load, resolve_data, with_defaults
 from cosim.door.kinds import SECTIONS
 from cosim.execution import recording
 from cosim.execution import run as running
-from cosim.execution.check import check, keys_in_vain
+from cosim.execution.check import check, notes_on
 from cosim.execution.drive import warm_up
 from cosim.mobility.scenario import Scenario, find
 from cosim.mobility.source import TrafficEnded, TrafficSource
@@ -330,8 +330,8 @@ def _resolved(config: AnyConfig, parts: Mapping[str, type | str]) -> Config:
 
 
 def _warn(config: Config, scenario: Scenario) -> None:
-    """Log keys that the config sets and that change nothing."""
-    for note in keys_in_vain(config, scenario):
+    """Log keys that the config sets and that change nothing, and what looks like a mistake in the scenario."""
+    for note in notes_on(config, scenario):
         logging.getLogger(__name__).warning(note)
 
 

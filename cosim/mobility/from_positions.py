@@ -1,8 +1,10 @@
 """Makes a trace that a run can drive from positions of vehicles: logs, drone recordings, output of other simulators."""
 
+import os
 from collections.abc import Iterator
 from itertools import chain, pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -10,19 +12,20 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 from numpy import ndarray
 
-from cosim.mobility.fcd import Timestep
+from cosim.mobility.fcd import PROJECTION, Timestep
 from cosim.mobility.frame import TrafficError
 from cosim.mobility.positions import Fixes
+from cosim.mobility.source import class_counts
 from cosim.mobility.tracks import Positions, TrackParams, Tracks, steps, tracks
+from results import durable
 from results.durable import PARTIAL
-from sumo_nets import vtypes
 
 _TURNS_M = 0.2
 """A vehicle that moves less within two steps keeps its direction: noise would turn one that stands."""
 _ROWS_AT_ONCE = 1 << 16
 
 
-def write_trace(fixes: Fixes, params: TrackParams, out: Path) -> dict[str, float]:
+def write_trace(fixes: Fixes, params: TrackParams, out: Path) -> dict[str, Any]:
     """Write a trace in Parquet, with the columns of SUMO's floating car data.
 
     Parameters
@@ -36,7 +39,7 @@ def write_trace(fixes: Fixes, params: TrackParams, out: Path) -> dict[str, float
 
     Returns
     -------
-    How much is interpolated, as `Tracks.report`, and the numbers `actors`, `tracks` and `steps`.
+    What was found, as `Tracks.report`, and `actors`, `tracks`, `steps`, `classes` and `read_as`.
 
     Raises
     ------
@@ -46,27 +49,33 @@ def write_trace(fixes: Fixes, params: TrackParams, out: Path) -> dict[str, float
     try:
         found = tracks(fixes, params)
     except ValueError as error:
-        raise TrafficError(str(error)) from None
+        raise TrafficError(f"{fixes.source}: {error}" if fixes.source else str(error)) from None
     partial = out.with_name(out.name + PARTIAL)
     try:
-        _write(timesteps(fixes, found, params.step_s), partial)
+        os.close(durable.new_file(partial))
+        _write(timesteps(fixes, found, params.step_s), partial, fixes)
         partial.rename(out)
     except OSError as error:
         raise TrafficError(f"{out} cannot be written: {error.strerror or error}.") from None
     finally:
         partial.unlink(missing_ok=True)
-    counts = {"actors": len(set(found.actor.tolist())), "tracks": len(found.names), "steps": found.n_steps}
-    return counts | found.report
+    actors = sorted(set(found.actor.tolist()))
+    return {
+        "actors": len(actors), "tracks": len(found.names), "steps": found.n_steps, **found.report,
+        "classes": class_counts(fixes.shape[actors]), "read_as": list(fixes.read_as),
+    }  # fmt: skip
 
 
 def timesteps(fixes: Fixes, found: Tracks, step_s: float) -> Iterator[Timestep]:
     """All tracks, step by step, with directions and speeds from the positions of the steps before and after.
 
     A vehicle that stands keeps its direction; one that has not moved yet has that of its first motion, and north if it
-    never moves. Sizes follow from the classes of the trace, as in a run (`sumo_nets.vtypes.guess`).
+    never moves. Sizes are those of the positions, or those of the class.
     """
     names, kinds = np.array(found.names, object), np.array(fixes.kinds, object)[found.actor]
-    length_m = np.array([vtypes.guess(kind).lwh_m[0] for kind in fixes.kinds])[found.actor]
+    lwh_m = np.array([kind.lwh_m for kind in fixes.types])[found.actor]
+    vclass = np.array([kind.vclass for kind in fixes.types], object)[found.actor]
+    is_person = vclass == "pedestrian"
     direction = _first_direction(fixes, found)
     before_m = np.full((len(kinds), 2), np.nan)
     after_m = before_m.copy()
@@ -82,7 +91,7 @@ def timesteps(fixes: Fixes, found: Tracks, step_s: float) -> Iterator[Timestep]:
         turns = distance_m > _TURNS_M
         direction[here.track[turns]] = moved_m[turns] / distance_m[turns, None]
         ahead = direction[here.track]
-        front_m = here.xy_m + ahead * length_m[here.track, None] / 2
+        front_m = here.xy_m + ahead * lwh_m[here.track, :1] / 2
         yield Timestep(
             here.step * step_s,
             names[here.track].tolist(),
@@ -90,6 +99,9 @@ def timesteps(fixes: Fixes, found: Tracks, step_s: float) -> Iterator[Timestep]:
             np.column_stack([front_m, np.zeros(len(front_m))]),
             np.degrees(np.arctan2(ahead[:, 0], ahead[:, 1])) % 360.0,
             np.divide(distance_m, took_s, out=np.zeros(len(took_s)), where=took_s > 0),
+            is_person[here.track],
+            vclass[here.track].tolist(),
+            lwh_m[here.track],
         )
         after_m[then.track], before_m[last] = np.nan, np.nan
         before_m[here.track] = here.xy_m
@@ -108,16 +120,19 @@ def _first_direction(fixes: Fixes, found: Tracks) -> Float[ndarray, "s 2"]:
     return direction
 
 
-def _write(of: Iterator[Timestep], path: Path) -> None:
+def _write(of: Iterator[Timestep], path: Path, fixes: Fixes) -> None:
     writer, rows, n_rows = None, list[pa.Table](), 0
+    at = fixes.projection
+    about = None if at is None else {PROJECTION: f"{at.latitude_deg!r} {at.longitude_deg!r}".encode()}
     try:
         for timestep in chain(of, [None]):
             if timestep is not None and timestep.names:
                 rows.append(_table(timestep))
                 n_rows += len(timestep.names)
             if rows and (timestep is None or n_rows > _ROWS_AT_ONCE):
-                writer = writer or pq.ParquetWriter(path, rows[0].schema, compression="zstd")
-                writer.write_table(pa.concat_tables(rows))
+                schema = rows[0].schema.with_metadata(about)
+                writer = writer or pq.ParquetWriter(path, schema, compression="zstd")
+                writer.write_table(pa.concat_tables(rows).cast(schema))
                 rows, n_rows = [], 0
     finally:
         if writer is not None:
@@ -125,6 +140,7 @@ def _write(of: Iterator[Timestep], path: Path) -> None:
 
 
 def _table(timestep: Timestep) -> pa.Table:
+    assert timestep.lwh_m is not None and timestep.vclasses is not None
     return pa.table({
         "timestep_time": np.full(len(timestep.names), timestep.time_s),
         "vehicle_id": pa.array(timestep.names, pa.string()),
@@ -133,4 +149,8 @@ def _table(timestep: Timestep) -> pa.Table:
         "vehicle_angle": timestep.compass_deg,
         "vehicle_type": pa.array(timestep.types, pa.string()),
         "vehicle_speed": timestep.speed_mps,
+        "vehicle_vClass": pa.array(timestep.vclasses, pa.string()),
+        "vehicle_length": timestep.lwh_m[:, 0],
+        "vehicle_width": timestep.lwh_m[:, 1],
+        "vehicle_height": timestep.lwh_m[:, 2],
     })  # fmt: skip

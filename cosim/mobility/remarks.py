@@ -4,38 +4,119 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+from scipy.spatial import cKDTree
 
 from cosim.world import World
+from sensors.boxes import Boxes
 from sensors.scene import Shape
 
 STANDING_MPS = 0.1
 """A vehicle below this speed counts as standing, as in SUMO."""
 MOST_STANDING_P = 0.5
 """If the share of standing vehicles is larger, the run gets a note."""
+MOST_STANDING = 10.0
+"""If fewer vehicles stand on average, they wait at a light or a stop."""
 MOST_WAITING_P = 0.1
 """If the vehicles that wait to enter are more than this share of those on the road, and more than ten, the run gets a
 note."""
 
+_NAMED = 5
+"""Types that a note names."""
+MOST_AT_ONE_POINT_P = 0.01
+"""If the share of vehicles at the exact position of another one is larger, the run gets a note."""
+MOST_OVERLAPPING_P = 0.002
+"""If the share of vehicles inside another one is larger, the run gets a note. SUMO's junctions reach a third of it."""
+MOST_JUMPING_P = 0.001
+"""If the share of vehicles that move farther than their speed allows is larger, the run gets a note."""
+JUMP_M = 5.0
+"""Vehicles jump if they move this much farther between two steps than at the larger of their two speeds [m]."""
+FEWEST = 5
+"""Fewer such vehicles, summed over the steps, get no note."""
+INSIDE_M = 1.0
+"""Vehicles overlap if one reaches farther than this into the other [m]."""
+_APART_M = 8.0
+"""Vehicles whose centres are farther apart do not count as overlapping [m]."""
+
 
 @dataclass(slots=True)
 class FlowCounts:
-    """Numbers of vehicles on the road and of standing vehicles, summed over steps. Pedestrians do not count."""
+    """Numbers of vehicles, summed over steps: on the road, standing, and where no two vehicles can be.
 
+    Pedestrians do not count.
+    """
+
+    dt_s: float = 0.0
+    """Length of a step. Jumps are not counted if it is 0."""
     n_steps: int = 0
     n_vehicles: int = 0
     n_standing: int = 0
+    n_pedestrians: int = 0
+    n_at_one_point: int = 0
+    """At the exact position of another vehicle."""
+    n_overlapping: int = 0
+    """Inside another vehicle, and not at its exact position."""
+    n_jumping: int = 0
+    """Vehicles that have moved farther since the step before than their speed allows."""
+    _before: World | None = None
 
     def add(self, world: World) -> World:
         """Count the vehicles of a step, and return its world."""
         vehicle = world.shape != Shape.PEDESTRIAN
         self.n_steps += 1
         self.n_vehicles += int(np.count_nonzero(vehicle))
+        self.n_pedestrians += int(np.count_nonzero(~vehicle))
         self.n_standing += int(np.count_nonzero(vehicle & (world.speed_mps < STANDING_MPS)))
+        if self._before is not None and self.dt_s:
+            self.n_jumping += len(jumping(self._before, world, self.dt_s))
+        self._before = world
+        boxes = world.boxes.take(np.flatnonzero(vehicle))
+        _, row, n = np.unique(boxes.xyz_m, axis=0, return_index=True, return_counts=True)
+        self.n_at_one_point += int(n[n > 1].sum())
+        self.n_overlapping += len(overlapping(boxes.take(row)))
         return world
 
     def report(self) -> dict[str, Any]:
-        """The share of standing vehicles over all steps. Empty if there were no vehicles."""
-        return {"vehicles_standing_p": round(self.n_standing / self.n_vehicles, 3)} if self.n_vehicles else {}
+        """Shares of vehicles over all steps, or that only pedestrians were on the road."""
+        if not self.n_vehicles:
+            return {"pedestrians_only": True} if self.n_pedestrians else {}
+        found = {"vehicles_standing_p": round(self.n_standing / self.n_vehicles, 3)}
+        if self.n_at_one_point >= FEWEST:
+            found["vehicles_at_one_point_p"] = round(self.n_at_one_point / self.n_vehicles, 5)
+        if self.n_overlapping >= FEWEST:
+            found["vehicles_overlapping_p"] = round(self.n_overlapping / self.n_vehicles, 5)
+        if self.n_jumping >= FEWEST:
+            found["vehicles_jumping_p"] = round(self.n_jumping / self.n_vehicles, 5)
+        return found
+
+
+def jumping(before: World, now: World, dt_s: float) -> Int[ndarray, "n"]:
+    """Rows of `now` of the vehicles that have moved farther than they can at the larger of their two speeds."""
+    _, was, row = np.intersect1d(before.actor, now.actor, assume_unique=True, return_indices=True)
+    moved_m = np.hypot(*(now.boxes.xyz_m[row, :2] - before.boxes.xyz_m[was, :2]).T)
+    most_m = np.maximum(np.abs(before.speed_mps[was]), np.abs(now.speed_mps[row])) * dt_s + JUMP_M
+    return row[(moved_m > most_m) & (now.shape[row] != Shape.PEDESTRIAN)]
+
+
+def overlapping(boxes: Boxes) -> Int[ndarray, "n"]:
+    """Rows of the boxes that reach farther than `INSIDE_M` into another one."""
+    if len(boxes) < 2:
+        return np.zeros(0, np.int64)
+    a, b = cKDTree(boxes.xyz_m[:, :2]).query_pairs(_APART_M, output_type="ndarray").T
+    height_m = boxes.lwh_m[:, 2]
+    apart = np.abs(boxes.xyz_m[a, 2] - boxes.xyz_m[b, 2]) > (height_m[a] + height_m[b]) / 2 - INSIDE_M / 2
+    between = boxes.xyz_m[b, :2] - boxes.xyz_m[a, :2]
+    half = boxes.lwh_m[:, :2] / 2
+    for axis_rad in (yaw + turn for yaw in (boxes.yaw_rad[a], boxes.yaw_rad[b]) for turn in (0.0, np.pi / 2)):
+        axis = np.column_stack([np.cos(axis_rad), np.sin(axis_rad)])
+        reach = sum(
+            half[row, 0] * np.abs(np.cos(boxes.yaw_rad[row] - axis_rad))
+            + half[row, 1] * np.abs(np.sin(boxes.yaw_rad[row] - axis_rad))
+            for row in (a, b)
+        )
+        apart |= np.abs((between * axis).sum(axis=1)) > reach - INSIDE_M
+    return np.unique(np.concatenate([a[~apart], b[~apart]]))
 
 
 def traffic_remarks(summary: dict[str, Any]) -> list[str]:
@@ -48,15 +129,32 @@ def traffic_remarks(summary: dict[str, Any]) -> list[str]:
             f"note: no vehicle was on the road: the first of the scenario departs at {first_s:g} s. "
             f"Set traffic.begin_s = {max(0.0, first_s - summary.get('warmup_s', 0.0)):g}."
         )
-    if left_out := summary.get("actors_left_out"):
-        counts = ", ".join(f"{n} {vehicle_class}" for vehicle_class, n in left_out.items())
-        found.append(f"note: left out, because they are not on the road: {counts}.")
-    if (standing_p := summary.get("vehicles_standing_p", 0.0)) >= MOST_STANDING_P:
+    if summary.get("pedestrians_only"):
+        found.append("note: only pedestrians were on the road, and no vehicle.")
+    found += trace_remarks(summary)
+    waiting, on_road = summary.get("vehicles_waiting_to_enter_at_end", 0), summary.get("vehicles_on_road_mean", 0.0)
+    standing_p = summary.get("vehicles_standing_p", 0.0)
+    if standing_p >= MOST_STANDING_P and standing_p * on_road >= MOST_STANDING:
         found.append(
             f"note: {100 * standing_p:.0f} % of the vehicles stand, averaged over the run: the traffic is jammed. "
             "Lower traffic.scale, or change the demand."
         )
-    waiting, on_road = summary.get("vehicles_waiting_to_enter_at_end", 0), summary.get("vehicles_on_road_mean", 0.0)
+    if (share := summary.get("vehicles_at_one_point_p", 0.0)) > MOST_AT_ONE_POINT_P:
+        found.append(
+            f"note: {share:.0%} of the vehicles are at the exact position of another one, averaged over the run, as in "
+            "SUMO's mesoscopic model, where a vehicle has no place. Encounters are not those of a road. Record the "
+            "traffic without mesosim."
+        )
+    if (share := summary.get("vehicles_overlapping_p", 0.0)) > MOST_OVERLAPPING_P:
+        found.append(
+            f"note: {share:.2%} of the vehicles overlap another one by more than {INSIDE_M:g} m, averaged over the "
+            "run: they drive through one another. Do streets cross at one height, without bridges or tunnels?"
+        )
+    if (share := summary.get("vehicles_jumping_p", 0.0)) > MOST_JUMPING_P:
+        found.append(
+            f"note: {share:.2%} of the vehicles move farther within a step than their speed allows, averaged over the "
+            "run: they jump, as in a network without ways through its junctions, or where SUMO teleports out of a jam."
+        )
     if waiting > max(10.0, MOST_WAITING_P * on_road):
         found.append(
             f"note: {waiting} vehicles wait to enter at the end, while {on_road:.0f} are on the road: the demand "
@@ -68,4 +166,42 @@ def traffic_remarks(summary: dict[str, Any]) -> list[str]:
             "Buildings and streets may differ from that run's."
         )
     found += [f"note: SUMO continued after this error: {error}" for error in summary.get("sumo_errors", [])]
+    return found
+
+
+def trace_remarks(summary: dict[str, Any]) -> list[str]:
+    """Notes about actors and about a replayed trace. Each note is one line."""
+    found = []
+    if left_out := summary.get("actors_left_out"):
+        counts = ", ".join(f"{n} {vehicle_class}" for vehicle_class, n in left_out.items())
+        found.append(f"note: left out, because they are not on the road: {counts}.")
+    if guessed := summary.get("types_guessed"):
+        few = [f"{name} ({vclass})" for name, vclass in guessed.items()]
+        more = f" and {len(few) - _NAMED} more" if len(few) > _NAMED else ""
+        found.append(
+            f"note: no file defines the types {', '.join(few[:_NAMED])}{more}: their classes are guessed from the "
+            "names. Name the .sumocfg or the city that defines them as the scenario."
+        )
+    if n := summary.get("vehicles_without_type"):
+        found.append(
+            f"note: the trace says no type of {n} vehicles: they are taken for cars of 5 m. Record it with "
+            "--fcd-output.attributes x,y,z,angle,type,speed, or without that option."
+        )
+    if placed := summary.get("trace_placed"):
+        found.append(f"note: the positions of the trace are {placed}.")
+    if lost := summary.get("trace_lost"):
+        found.append(
+            f"note: the trace lacks timesteps, at {lost['first_s']:g} s for the first time: {lost['steps']} steps are "
+            "interpolated."
+        )
+    if again := summary.get("names_again"):
+        found.append(
+            f"note: {again['n']} names come back as another type, or farther away than a vehicle can have driven. "
+            f"They are actors of their own, the first of them {again['first']}."
+        )
+    if ratio := summary.get("trace_travel_ratio"):
+        found.append(
+            f"note: vehicles of the trace move {ratio:.2g} times as far as their speeds say. Are positions in metres, "
+            "times in seconds and speeds in m/s?"
+        )
     return found

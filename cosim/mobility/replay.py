@@ -1,9 +1,8 @@
 """Replayed traffic: a trace that SUMO wrote, or the tables of an earlier run."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from functools import cache, partial
-from itertools import chain, repeat
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -12,23 +11,23 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.mobility.actors import ActorRegistry
-from cosim.mobility.fcd import Timestep, timesteps
+from cosim.mobility.fcd import Timestep, projection_of, timesteps
 from cosim.mobility.frame import Frame, TrafficError
-from cosim.mobility.interpolation import LONGEST_S, interpolated
+from cosim.mobility.georeference import NetLocation, TravelCheck, conversion
+from cosim.mobility.identity import LEFT_OUT, UNKNOWN, Identities, TypeTable
+from cosim.mobility.interpolation import LONGEST_S, Timeline, interval_s
 from cosim.mobility.objects import PREFIX
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.remarks import FlowCounts
-from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpers, world_of
+from cosim.mobility.source import TrafficEnded, world_from_bumpers, world_of
 from cosim.mobility.streetside import PARKED
 from cosim.world import World
 from results.archive import open_run
 from results.run import Run
 from sensors.scene import Shape
 from sumo_nets import vtypes
-from sumo_nets.vtypes import check_size
+from sumo_nets.vtypes import LARGEST_M, SMALLEST_M, check_size
 
-_UNKNOWN, _LEFT_OUT = -2, -1
-_TOLERANCE_S = 1e-4
 _N_PROBED = 10
 """Timesteps from which the interval of a trace is measured."""
 
@@ -39,7 +38,7 @@ class _Replay:
     def __init__(self, source: Path, registry: ActorRegistry, dt_s: float, frame: Frame) -> None:
         self._source, self._registry, self._dt_s, self._frame = source, registry, dt_s, frame
         self._n_skipped = self._step = 0
-        self._counts = FlowCounts()
+        self._counts = FlowCounts(dt_s)
 
     def warm_up(self, seconds: float) -> Iterator[float]:
         """Skip the first `seconds`; yields the seconds done."""
@@ -61,9 +60,13 @@ class TraceReplay(_Replay):
     Step 0 is the world before the trace's first timestep, as in a run with SUMO. Step s is the timestep at
     `begin + warm-up + (s - 1) * step_s`, because SUMO labels a step with the time at which it began.
 
-    If the trace's timesteps are longer than `step_s`, actors are interpolated between them (`interpolation`).
+    Between two timesteps of the trace, actors are interpolated (`interpolation`).
 
-    Sizes and classes come from the vehicle types that `files` define. For other types they are guessed from the name.
+    Sizes and classes are those that the trace states, or those of the vehicle types that `files` define. For other
+    types they are guessed from the name. Positions in degrees, and those of the map before the network's offset, become
+    the network's (`georeference`).
+
+    A name is one actor until it comes back as another type after an absence, or farther away than it can have driven.
     """
 
     def __init__(
@@ -73,46 +76,46 @@ class TraceReplay(_Replay):
         registry: ActorRegistry,
         files: tuple[Path, ...] = (),
         frame: Frame | None = None,
+        net: NetLocation | None = None,
     ) -> None:
         super().__init__(path, registry, params.step_s, frame or Frame(str(path)))
-        self._types = types_of(files)
-        self._shape_of = cache(partial(_shape_of, self._types))
-        self._number: dict[tuple[str, bool], int] = {}
+        self._types = TypeTable(files)
+        self._identities = Identities(params.step_s)
         self._left_out: dict[str, str] = {}
+        self._untyped: set[str] = set()
         self._rows_of: tuple[list[str], Int[ndarray, "m"], Int[ndarray, "m"]] | tuple[None, None, None] = (
             None,
             None,
             None,
         )
-        self._timesteps = timesteps(path)
-        self._ahead = [timestep for _, timestep in zip(range(_N_PROBED), self._timesteps, strict=False)]
-        if not any(timestep.names for timestep in self._ahead) and len(self._ahead) < _N_PROBED:
+        self._read = timesteps(path)
+        ahead = [timestep for _, timestep in zip(range(_N_PROBED), self._read, strict=False)]
+        if not any(timestep.names for timestep in ahead) and len(ahead) < _N_PROBED:
             raise TrafficError(f"{path}: an empty trace: no actor is ever on the road.")
-        self._frame = self._frame.around(np.concatenate([timestep.front_m for timestep in self._ahead]))
-        times_s = np.array([timestep.time_s for timestep in self._ahead])
-        every_s = np.diff(times_s).min() if len(times_s) > 1 else self._dt_s
-        steps = self._dt_s / every_s
-        if steps > 1 - 1e-3:
-            fits, self._interpolated_s = abs(steps - round(steps)) < 1e-3, None
-        else:
-            fits = abs(1 / steps - round(1 / steps)) < 1e-3 and every_s < LONGEST_S + 1e-3
-            self._interpolated_s = float(every_s)
-        if not fits:
+        self._convert, self._placed = conversion(str(path), ahead, net, projection_of(path))
+        self._travel = TravelCheck(str(path))  # before the interval is judged, whose unit may be wrong
+        placed = list(self._placed_of(ahead))
+        self._frame = self._frame.around(np.concatenate([timestep.front_m for timestep in placed]))
+        every_s = interval_s(np.array([timestep.time_s for timestep in ahead])) or self._dt_s
+        if every_s > max(LONGEST_S, self._dt_s) * (1 + 1e-3):
             raise TrafficError(
-                f"{path} has a timestep every {every_s:g} s, and traffic.step_s = {self._dt_s:g} s is no multiple of "
-                f"it, and no fraction of it either{'' if every_s < LONGEST_S + 1e-3 else ' that is interpolated'}. Set "
-                "traffic.step_s to a multiple, or record the trace with shorter timesteps."
+                f"{path} has a timestep every {every_s:g} s, and traffic.step_s = {self._dt_s:g} s is shorter. At most "
+                f"{LONGEST_S:g} s are interpolated. Set traffic.step_s to a multiple of {every_s:g}, or record the "
+                "trace with shorter timesteps."
             )
-        if self._interpolated_s is not None:
-            self._timesteps = interpolated(chain(self._ahead, self._timesteps), every_s, round(1 / steps))
-            self._ahead = []
-        self._begin_s = float(times_s[0]) if params.begin_s is None else params.begin_s
-        self._last_s = self._begin_s
+        self._travel = TravelCheck(str(path))
+        self._timeline = Timeline(str(path), self._placed_of(chain(ahead, self._read)), every_s, self._dt_s)
+        self._first_s = ahead[0].time_s
+        self._begin_s = self._first_s if params.begin_s is None else params.begin_s
+        self._asked_begin = params.begin_s is not None
 
     def advance(self) -> World:
         """The world of the next step."""
         step, self._step = self._step, self._step + 1
-        timestep = self._at(self._begin_s + (self._n_skipped + step - 1) * self._dt_s)
+        time_s = self._begin_s + (self._n_skipped + step - 1) * self._dt_s
+        timestep = self._timeline.at(time_s)
+        if timestep is None:
+            raise TrafficEnded(self._end())
         self._frame = self._frame.around(timestep.front_m)
         if timestep.names is not self._rows_of[0]:  # between two timesteps of the trace, the actors are the same
             self._rows_of = timestep.names, *self._on_road(timestep, step)
@@ -125,61 +128,96 @@ class TraceReplay(_Replay):
 
     def report(self) -> dict[str, Any]:
         report: dict[str, Any] = {"actors_left_out": dict(sorted(Counter(self._left_out.values()).items()))}
-        report |= self._counts.report()
-        if self._interpolated_s is not None:
-            report["trace_interpolated_s"] = self._interpolated_s
+        report |= self._counts.report() | self._timeline.report() | self._identities.report()
+        if not (self._counts.n_vehicles or self._counts.n_pedestrians) and self._begin_s < self._first_s:
+            report |= {"first_departure_s": self._first_s, "warmup_s": self._n_skipped * self._dt_s}
+        if self._types.guessed:
+            report["types_guessed"] = dict(sorted(self._types.guessed.items()))
+        if self._untyped:
+            report["vehicles_without_type"] = len(self._untyped)
+        if self._placed:
+            report["trace_placed"] = self._placed
+        if (ratio := self._travel.odd_ratio) is not None:
+            report["trace_travel_ratio"] = round(ratio, 4)
         return report | ({"origin_m": list(self._frame.origin_m)} if self._frame.is_around else {})
 
     def close(self) -> None:
-        self._timesteps.close()  # type: ignore[attr-defined]
+        self._read.close()  # type: ignore[attr-defined]
 
-    def _at(self, time_s: float) -> Timestep:
-        while True:
-            if not self._ahead and (timestep := next(self._timesteps, None)) is not None:
-                self._ahead.append(timestep)
-            if not self._ahead:
-                raise TrafficEnded(f"{self._source} ends at {self._last_s:g} s")
-            first = self._ahead[0]
-            if first.time_s > time_s + _TOLERANCE_S:  # the road was empty, and a timestep without actors has no row
-                return Timestep(time_s, [], [], np.zeros((0, 3)), np.zeros(0), np.zeros(0))
-            self._ahead.pop(0)
-            self._last_s = first.time_s
-            if first.time_s > time_s - _TOLERANCE_S:
-                return first
+    def _placed_of(self, read: Iterable[Timestep]) -> Iterator[Timestep]:
+        """Timesteps with positions of the network."""
+        for timestep in read:
+            placed = timestep if self._convert is None or not timestep.names else self._convert(timestep)
+            self._travel.add(placed)
+            yield placed
+
+    def _end(self) -> str:
+        """Why the traffic ends, with what was skipped of it."""
+        said = f"{self._source} goes from {self._first_s:g} s to {self._timeline.last_s:g} s"
+        skipped_s = self._n_skipped * self._dt_s
+        if self._asked_begin and self._begin_s > self._first_s:
+            said += f", and traffic.begin_s = {self._begin_s:g} s"
+        if skipped_s > self._dt_s:
+            said += (
+                f", and the warm-up skips {skipped_s:g} s of it: traffic.warmup_s, which a city sets itself. Set "
+                "traffic.warmup_s = 0 to replay the trace from its begin"
+            )
+        return said
 
     def _on_road(self, timestep: Timestep, step: int) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"]]:
         """Rows of the timestep that are on the road, and their actor numbers. New actors are registered."""
-        shape = np.fromiter(map(self._shape_of, timestep.types), np.int16, len(timestep.types))
-        for row in np.flatnonzero(shape == _LEFT_OUT).tolist():
-            self._left_out.setdefault(timestep.names[row], self._types(timestep.types[row]).vclass)
-        rows = np.flatnonzero((shape != _LEFT_OUT) & ~_inside_vehicle(timestep, shape))
-        is_person = (shape == Shape.PEDESTRIAN)[rows].tolist()
-        keys = list(zip([timestep.names[row] for row in rows.tolist()], is_person, strict=True))
-        number = self._numbers(keys)
-        if (new := np.flatnonzero(number == _UNKNOWN)).size:
-            self._register(timestep, rows[new], shape, step)
-            number = self._numbers(keys)
-        values, n = np.unique(number, return_counts=True)
-        if len(values) < len(number):
-            name = keys[int(np.flatnonzero(number == values[n > 1][0])[0])][0]
-            raise TrafficError(f"{self._source}: {name!r} occurs twice at {timestep.time_s:g} s. Remove the copies.")
+        shape = self._types.shapes(timestep.types, timestep.is_person, timestep.vclasses)
+        for row in np.flatnonzero(shape == LEFT_OUT).tolist():
+            self._left_out.setdefault(timestep.names[row], self._type_of(timestep, row).vclass)
+        rows = np.flatnonzero((shape != LEFT_OUT) & ~_inside_vehicle(timestep, shape))
+        names, types = ([of[row] for row in rows.tolist()] for of in (timestep.names, timestep.types))
+        keys = list(zip(names, (shape == Shape.PEDESTRIAN)[rows].tolist(), strict=True))
+        if len(set(keys)) < len(keys):
+            name = Counter(keys).most_common(1)[0][0][0]
+            hint = "" if any(types) else " A vehicle and a person of one name need the column type."
+            raise TrafficError(
+                f"{self._source}: {name!r} occurs twice at {timestep.time_s:g} s. Remove the copies.{hint}"
+            )
+        front_m = timestep.front_m[rows]
+        self._check_frame(step, names, front_m)
+        xy_m = front_m[:, :2]
+        number = self._identities.numbers(keys, types, xy_m, step)
+        if (new := np.flatnonzero(number == UNKNOWN)).size:
+            number[new] = self._register(timestep, rows[new], shape[rows[new]], step)
         return rows, number
 
-    def _numbers(self, keys: list[tuple[str, bool]]) -> Int[ndarray, "n"]:
-        return np.fromiter(map(self._number.get, keys, repeat(_UNKNOWN)), np.int32, len(keys))
+    def _check_frame(self, step: int, names: list[str], front_m: Float[ndarray, "n 3"]) -> None:
+        """Refuse positions far outside before they could be those of another actor of the name."""
+        zero = np.zeros(len(names))
+        xyz_m = front_m - np.array([*self._frame.origin_m, 0.0])
+        self._frame.check(step, names, np.arange(len(names)), xyz_m, zero, zero)
 
-    def _register(self, timestep: Timestep, rows: Int[ndarray, "k"], shape: Int[ndarray, "n"], step: int) -> None:
-        names = {(timestep.names[row], bool(shape[row] == Shape.PEDESTRIAN)): row for row in rows.tolist()}
-        lwh_m = np.array([self._types(timestep.types[row]).lwh_m for row in names.values()], float).reshape(-1, 3)
-        shapes = shape[list(names.values())].astype(np.uint8)
-        numbers = self._registry.register([name for name, _ in names], shapes, lwh_m, step)
-        self._number.update(zip(names, numbers.tolist(), strict=True))
+    def _register(
+        self, timestep: Timestep, rows: Int[ndarray, "k"], shape: Int[ndarray, "k"], step: int
+    ) -> Int[ndarray, "k"]:
+        keys = [(timestep.names[row], bool(code == Shape.PEDESTRIAN)) for row, code in zip(rows, shape, strict=True)]
+        types = [timestep.types[row] for row in rows.tolist()]
+        lwh_m = np.array([self._type_of(timestep, row).lwh_m for row in rows.tolist()], float).reshape(-1, 3)
+        if timestep.lwh_m is not None:
+            own_m = timestep.lwh_m[rows]
+            if (large := np.argwhere(own_m > tuple(LARGEST_M.values()))).size:
+                row, axis = large[0].tolist()
+                what = tuple(LARGEST_M)[axis]
+                raise TrafficError(
+                    f"{self._source}: {keys[row][0]!r} has {what} = {own_m[row, axis]:g} m; at most "
+                    f"{LARGEST_M[what]:g} m are possible. Correct the trace."
+                )
+            lwh_m = np.where(own_m >= SMALLEST_M, own_m, lwh_m)
+        if timestep.vclasses is None:
+            untyped = (name for (name, is_person), of in zip(keys, types, strict=True) if not of and not is_person)
+            self._untyped.update(untyped)
+        number = self._registry.register(self._identities.names(keys), shape.astype(np.uint8), lwh_m, step)
+        self._identities.add(keys, types, timestep.front_m[rows, :2], number, step)
+        return number
 
-
-def _shape_of(types: Callable[[str], vtypes.VehicleType], name: str) -> int:
-    """The shape code of a vehicle type, or `_LEFT_OUT` if its vehicles are not on the road."""
-    shape = SHAPE_OF_CLASS.get(types(name).vclass)
-    return _LEFT_OUT if shape is None else int(shape)
+    def _type_of(self, timestep: Timestep, row: int) -> vtypes.VehicleType:
+        vclass = "" if timestep.vclasses is None else timestep.vclasses[row]
+        return self._types(timestep.types[row], bool(timestep.is_person[row]), vclass)
 
 
 def _inside_vehicle(timestep: Timestep, shape: Int[ndarray, "n"]) -> Bool[ndarray, "n"]:
@@ -229,7 +267,7 @@ class RunReplay(_Replay):
         for name, sizes in zip(self._names, self._lwh_m.tolist(), strict=True):
             for what, size in zip(("length", "width", "height"), sizes, strict=True):
                 check_size(f"{folder}: vehicle {name!r}", what, size)
-        self._number = np.full(len(vehicles), _UNKNOWN, np.int32)
+        self._number = np.full(len(vehicles), UNKNOWN, np.int32)
         self._run = run
         self._every = round(every)
         self._steps = _steps_of(run)
@@ -246,7 +284,7 @@ class RunReplay(_Replay):
         if not self._is_traffic.all():
             rows = {name: column[self._is_traffic[actor]] for name, column in rows.items()}
             actor = rows["actor"]
-        new = actor[self._number[actor] == _UNKNOWN]
+        new = actor[self._number[actor] == UNKNOWN]
         if len(new):
             names = [self._names[i] for i in new.tolist()]
             self._number[new] = self._registry.register(names, self._shape[new], self._lwh_m[new], step)
@@ -291,17 +329,3 @@ def _steps_of(run: Run) -> Iterator[tuple[int, dict[str, ndarray]]]:
         begins, ends = np.append(0, cuts), np.append(cuts, len(step))
         for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
             yield int(step[begin]), {name: column[begin:end] for name, column in columns.items()}
-
-
-def types_of(files: tuple[Path, ...]):
-    """A function that finds vehicle types by name. It reads the next file only if a type is not known yet."""
-    known: dict[str, vtypes.VehicleType] = {}
-    left = list(files)
-
-    @cache
-    def look_up(name: str) -> vtypes.VehicleType:
-        while name not in known and left:
-            known.update(vtypes.read([left.pop(0)]))
-        return known.get(name) or vtypes.guess(name)
-
-    return look_up

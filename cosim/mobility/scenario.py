@@ -9,20 +9,23 @@ import numpy as np
 from cosim.mobility import fcd
 from cosim.mobility.actors import ActorRegistry
 from cosim.mobility.frame import Bounds, Frame, origin_of
+from cosim.mobility.georeference import NetLocation
 from cosim.mobility.objects import ObjectParams, Placed, WithObjects
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.replay import RunReplay, TraceReplay
 from cosim.mobility.roadside import NO_UNITS, RoadsideUnits
 from cosim.mobility.source import TrafficSource
-from cosim.mobility.streetside import NO_TREES, ParkedParams, Streetside, TreeParams, with_trees
+from cosim.mobility.streetside import NO_TREES, ParkedParams, Streetside, TreeParams, check_streets, with_trees
 from results.archive import open_run
 from results.durable import sha256
+from results.export.earth import Projection
 from sensors.scene import Scene
-from sumo_nets import catalogue, sumocfg
+from sumo_nets import catalogue, network, sumocfg
 from sumo_nets.catalogue import Net
 from sumo_nets.footprints import read_footprints
 from sumo_nets.ground import standing_on
-from sumo_nets.network import check_for_cars
+from sumo_nets.network import check_for_cars, lanes
+from sumo_nets.xml import spelling
 
 COMMON_STEMS = frozenset((
     "osm", "run", "sim", "simulation", "scenario", "sumo", "config", "configuration", "main", "test", "default", "net",
@@ -52,6 +55,8 @@ class Scenario:
     """Bounds of the network in its coordinates."""
     inputs: tuple[Path, ...] = ()
     """All files that SUMO reads."""
+    switches: frozenset[str] = frozenset()
+    """Options of SUMO that the configuration switches on."""
 
     def traffic(
         self, params: TrafficParams, registry: ActorRegistry, has_driver: bool = False,
@@ -87,7 +92,18 @@ class Scenario:
         if self.trace.is_dir():
             changed = self.changed_inputs(open_run(self.trace).manifest.get("net", {}))
             return RunReplay(params, self.trace, registry, frame, changed)
-        return TraceReplay(params, self.trace, registry, self.types, frame)
+        return TraceReplay(params, self.trace, registry, self.types, frame, self.location())
+
+    def location(self) -> NetLocation | None:
+        """Where the network is, and its projection; None without a network."""
+        if self.net is None or self.bounds_m is None:
+            return None
+        text, offset_m = network.location(self.net)
+        try:
+            projection = Projection.of(text, -offset_m[0], -offset_m[1])
+        except ValueError:
+            projection = None
+        return NetLocation(self.bounds_m, projection, offset_m)
 
     def parked(self, params: ParkedParams, city: Scene, seed: int) -> dict[str, ObjectParams]:
         """Parked cars by name. A ValueError of one line is raised if there are no streets."""
@@ -99,13 +115,14 @@ class Scenario:
         """The buildings and trees, as a scene for ray casting. Trees need streets; see `parked`."""
         footprints = [f for path in self.buildings for f in read_footprints(path, self.net)]
         if self.net is not None:
-            footprints = standing_on(footprints, self.net)
+            footprints = standing_on(footprints, lanes(self.net))
         origin = np.array(self.origin_m)
         rings = [[ring - origin for ring in (f.outer, *f.holes)] for f in footprints]
         city = Scene.from_footprints(rings, [f.base_z_m for f in footprints], [f.top_z_m for f in footprints])
         if not (trees.per_100_m or trees.from_map):
             return city
-        return with_trees(city, Streetside.of(self.net, self.origin_m, seed, "trees"), self.buildings, trees)
+        net = check_streets(self.net, "trees")
+        return with_trees(city, Streetside.of(net, self.origin_m, seed, "trees"), net, self.buildings, trees)
 
     def provenance(self) -> dict[str, str]:
         """Name, licence and attribution of the data, and the SHA-256 of every file that is read."""
@@ -144,7 +161,8 @@ def find(scenario: str, trace: str | None = None) -> Scenario:
         return found
     path = Path(trace)
     if not path.exists():
-        raise ValueError(f"traffic.trace = {trace}: no such file or folder. Give a trace of SUMO's or a run folder.")
+        cure = spelling(path) or " Give a trace of SUMO's or a run folder."
+        raise ValueError(f"traffic.trace = {trace}: no such file or folder.{cure}")
     if not (_is_trace(path) or (path / "manifest.json").is_file()):
         raise ValueError(
             f"traffic.trace = {trace}: neither a run folder nor a trace. Give a folder that `cosim run` wrote, or what "
@@ -159,9 +177,10 @@ def _find(scenario: str) -> Scenario:
     path = Path(scenario)
     if path.is_dir():
         return _in_folder(path)
-    if path.name.endswith(".sumocfg") and not path.is_file():
-        raise ValueError(f"traffic.scenario = {scenario}: no such file. Give the path of a .sumocfg.")
-    if path.is_file() and path.name.endswith(".sumocfg"):
+    if path.name.endswith(sumocfg.SUFFIXES) and not path.is_file():
+        cure = spelling(path) or " Give the path of a .sumocfg."
+        raise ValueError(f"traffic.scenario = {scenario}: no such file.{cure}")
+    if sumocfg.is_sumocfg(path):
         return _of_sumocfg(path)
     if path.is_file() and _is_trace(path):
         name = path.name
@@ -172,6 +191,7 @@ def _find(scenario: str) -> Scenario:
     raise ValueError(
         f"traffic.scenario = {scenario}: there is no city of that name, and it is no .sumocfg, folder or trace. "
         f"Set it to one of {', '.join(catalogue.names())}, or to the path of a .sumocfg."
+        + (spelling(path) if not path.exists() and {"/", "\\"} & set(scenario) else "")
     )
 
 
@@ -193,7 +213,7 @@ def _in_folder(folder: Path) -> Scenario:
                 f'Or set traffic.scenario to that city, and traffic.trace = "{folder}".'
             ) from None
         return replace(streets, trace=folder, warmup_s=0.0)
-    found = sorted(folder.glob("*.sumocfg"))
+    found = sorted(folder.glob("*.sumocfg")) or sorted(filter(sumocfg.is_sumocfg, folder.glob("*.cfg")))
     if len(found) == 1:
         return _of_sumocfg(found[0])
     raise ValueError(
@@ -203,11 +223,11 @@ def _in_folder(folder: Path) -> Scenario:
 
 
 def _of_net(net: Net) -> Scenario:
-    types = (net.folder / "vtypes.add.xml",)
+    types, config = (net.folder / "vtypes.add.xml",), sumocfg.read(net.sumocfg_path)
     return Scenario(
         net.name, net.sumocfg_path, net.net_path, (net.buildings_path,), types, net.warm_up_s, net.licence,
         net.attribution, origin_m=origin_of(net.bounds_m), bounds_m=net.bounds_m,
-        inputs=sumocfg.read(net.sumocfg_path).inputs,
+        inputs=config.inputs, switches=config.switches,
     )  # fmt: skip
 
 
@@ -216,12 +236,13 @@ def _of_sumocfg(path: Path) -> Scenario:
     check_for_cars(config.net)
     bounds_m = catalogue.bounds_m(config.net)
     return Scenario(
-        _name_of(path), path, config.net, config.buildings, (*config.additional, *config.routes),
+        _name_of(path), path, config.net, config.buildings, (*config.additional, *config.routes, *config.included),
         origin_m=origin_of(bounds_m), bounds_m=bounds_m, inputs=config.inputs,
+        switches=config.switches,
     )  # fmt: skip
 
 
 def _name_of(path: Path) -> str:
     """Name of a scenario for its runs: the file's stem, or its folder's name if the stem is a common word."""
-    folder = path.resolve().parent.name
-    return folder if path.stem.lower() in COMMON_STEMS and folder else path.stem
+    folder, stem = path.resolve().parent.name, path.stem.removesuffix(".sumo")
+    return folder if stem.lower() in COMMON_STEMS and folder else stem

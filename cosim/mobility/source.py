@@ -34,6 +34,12 @@ SHAPE_OF_CLASS = {
 """Shape of each SUMO vehicle class. Trains, ships, aircraft and containers are not on the road and have no shape."""
 
 
+def class_counts(shape: Int[ndarray, "n"]) -> dict[str, int]:
+    """Number of actors of each class."""
+    codes, n = np.unique(shape, return_counts=True)
+    return {Shape(code).name.lower(): count for code, count in zip(codes.tolist(), n.tolist(), strict=True)}
+
+
 PER_M, PER_RAD, PER_MPS = (
     2.0 ** (TABLES["actors"].columns[name].bits or 0) for name in ("x_m", "yaw_rad", "speed_mps")
 )

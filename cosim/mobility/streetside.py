@@ -19,6 +19,8 @@ from cosim.mobility.objects import TYPICAL_M, ObjectParams
 from cosim.rng import Stream, key, name_key, uniforms
 from sensors.scene import Scene
 from sensors.trees import tree_prisms
+from sumo_nets.ground import StreetHeights
+from sumo_nets.network import lanes
 from sumo_nets.streetside import Kerb, read_trees, street_space
 
 PARKED = "parked/"
@@ -45,8 +47,8 @@ class ParkedParams:
     per_100_m: Annotated[float, Ge(0), Le(16)] = 0.0
     """Parked cars per 100 m of kerb, where there is parking. 0: none."""
     streets_p: Probability = 1.0
-    """Share of the edges that have parking on their right. Where the network has OpenStreetMap's tags of parking, these
-    decide."""
+    """Share of the edges that have parking on their outer side: the right one, or with left-hand traffic the left one.
+    Where the network has OpenStreetMap's tags of parking, these decide."""
     vans_p: Probability = 0.1
     """Share of vans among them."""
 
@@ -58,7 +60,7 @@ class TreeParams:
     per_100_m: Annotated[float, Ge(0), Le(20)] = 0.0
     """Trees per 100 m of kerb, where there are trees. 0: none."""
     streets_p: Probability = 1.0
-    """Share of the edges that have trees on their right."""
+    """Share of the edges that have trees on their outer side."""
     from_map: bool = False
     """Whether trees and rows of trees in the scenario's polygon files stand there too."""
     trunk_m: Annotated[float, Gt(0), Le(5)] = 0.35
@@ -99,6 +101,8 @@ class _Places(NamedTuple):
     """Ground on the outer edge of the outermost lane."""
     yaw_rad: Float[ndarray, "p"]
     """Driving direction."""
+    side: Float[ndarray, "p"]
+    """1 to the right of the driving direction, -1 to its left."""
     draw: Float[ndarray, "p"]
     """A uniform draw of each place, for its kind of vehicle."""
 
@@ -157,7 +161,7 @@ class Streetside:
         """The places that are taken, of all places along the kerbs."""
         share = per_100_m * PLACE_M[section] / 100
         names: list[str] = []
-        where, draws = [np.zeros((0, 4))], [np.zeros(0)]
+        where, draws = [np.zeros((0, 5))], [np.zeros(0)]
         for kerb in self.kerbs if share > 0 else ():
             prefix = key(self.seed, stream)
             edge = np.array([name_key(kerb.edge)], np.uint64)
@@ -171,12 +175,12 @@ class Streetside:
             where.append(place[taken])
             draws.append(draw[taken, 1])
         at = np.concatenate(where)
-        return _Places(names, at[:, :3], at[:, 3], np.concatenate(draws))
+        return _Places(names, at[:, :3], at[:, 3], at[:, 4], np.concatenate(draws))
 
     def _beside(self, places: _Places, half_m: Float[ndarray, "p"] | float) -> Float[ndarray, "p 3"]:
         """Middles of what stands at places, half as wide as given; world frame."""
         at = places.xyz_m - np.array([*self.origin_m, 0.0])
-        away = GAP_M + half_m
+        away = places.side * (GAP_M + half_m)
         at[:, 0] += away * np.sin(places.yaw_rad)
         at[:, 1] -= away * np.cos(places.yaw_rad)
         return at
@@ -191,8 +195,8 @@ class Streetside:
         return free
 
 
-def _along(kerb: Kerb, place_m: float) -> tuple[Int[ndarray, "p"], Float[ndarray, "p 4"]]:
-    """Numbers of the places along a kerb, and of each x, y, z on the outer edge of the lane, and the heading."""
+def _along(kerb: Kerb, place_m: float) -> tuple[Int[ndarray, "p"], Float[ndarray, "p 5"]]:
+    """Numbers of the places along a kerb, and of each x, y, z on the outer edge of the lane, heading and side."""
     step = np.diff(kerb.line_m[:, :2], axis=0)
     length = np.hypot(*step.T)
     end = np.concatenate([[0.0], np.cumsum(length)])
@@ -201,13 +205,16 @@ def _along(kerb: Kerb, place_m: float) -> tuple[Int[ndarray, "p"], Float[ndarray
     part = np.clip(np.searchsorted(end, at, "right") - 1, 0, len(step) - 1)
     x, y, z = (np.interp(at, end, kerb.line_m[:, k]) for k in range(3))
     yaw = np.arctan2(step[part, 1], step[part, 0])
-    return number, np.column_stack([x + kerb.half_width_m * np.sin(yaw), y - kerb.half_width_m * np.cos(yaw), z, yaw])
+    side = np.full(len(number), -1.0 if kerb.is_left else 1.0)
+    away = side * kerb.half_width_m
+    return number, np.column_stack([x + away * np.sin(yaw), y - away * np.cos(yaw), z, yaw, side])
 
 
-def with_trees(city: Scene, beside: Streetside, files: Sequence[Path], params: TreeParams) -> Scene:
-    """A city with the trees of a config; those of a map (`from_map`, the polygon files) stand at height 0."""
+def with_trees(city: Scene, beside: Streetside, net: Path, files: Sequence[Path], params: TreeParams) -> Scene:
+    """A city with the trees of a config; those of a map (`from_map`) are in the polygon files."""
     feet = beside.planted(city, params)
     if params.from_map:
-        known = np.concatenate([np.zeros((0, 2)), *(read_trees(path) for path in files)]) - np.array(beside.origin_m)
-        feet = np.concatenate([feet, np.column_stack([known, np.zeros(len(known))])])
+        known = np.concatenate([np.zeros((0, 2)), *(read_trees(path) for path in files)])
+        ground_m = StreetHeights(lanes(net)).ground_m(shapely.points(known)) if len(known) else np.zeros(0)
+        feet = np.concatenate([feet, np.column_stack([known - np.array(beside.origin_m), ground_m])])
     return replace(city, trees=tree_prisms(feet, params.trunk_m, params.crown_base_m, params.crown_m, params.height_m))

@@ -98,18 +98,20 @@ class SumoTraffic:
         self._collisions: set[tuple[str, ...]] = set()
         self._domains = (_Domain("vehicle"), _Domain("person"))
         self._step = 0
-        self._counts = FlowCounts()
+        self._counts = FlowCounts(params.step_s)
         self._warmup_s = 0.0
         self._left_out: Counter[str] = Counter()
         self.n_teleports = 0
         """Number of vehicles that SUMO has teleported since recording began."""
         self._stderr = tempfile.TemporaryFile("w+b")  # noqa: SIM115
+        self._nothing = open(os.devnull, "wb")  # noqa: SIM115
         self._scratch = Scratch()
         try:
             with self._one_line_errors("refuses it"):
                 files = sumocfg.read(config)
                 if params.car_following == "calibrated":
                     files = calibrated(files, self._scratch.path)
+                files = sumocfg.without_commas(files, self._scratch.path)
                 options = _options(params, files, self._scratch.path, has_driver)
                 libsumo.start(["sumo", *options])
         except Exception:
@@ -203,8 +205,10 @@ class SumoTraffic:
         }
 
     def _first_departure(self) -> dict[str, float]:
-        """The first departure of the demand, if no vehicle was ever on the road."""
-        if self._counts.n_vehicles or (first_s := first_departure_s(sumocfg.read(self._config).routes)) is None:
+        """The first departure of the demand, if nobody was ever on the road."""
+        if self._counts.n_vehicles or self._counts.n_pedestrians:
+            return {}
+        if (first_s := first_departure_s(sumocfg.read(self._config).routes)) is None:
             return {}
         return {"first_departure_s": first_s, "warmup_s": self._warmup_s}
 
@@ -213,11 +217,13 @@ class SumoTraffic:
             self.command(np.zeros(0, np.int64), np.zeros(0))
         except (libsumo.TraCIException, libsumo.FatalTraCIError):  # SUMO has given up: no vehicle is left
             self._commanded.clear()
-        libsumo.close()
+        with self._one_line_errors("ends with an error"):
+            libsumo.close()
         self._clean()
 
     def _clean(self) -> None:
         self._stderr.close()
+        self._nothing.close()
         self._scratch.remove()
 
     def _register(self, present: list[tuple[_Domain, Any, ndarray]], step: int) -> None:
@@ -263,9 +269,14 @@ class SumoTraffic:
 
     @contextmanager
     def _one_line_errors(self, what: str) -> Iterator[None]:
-        """Turn SUMO's exceptions into one line with the reason that SUMO writes to standard error."""
+        """Turn SUMO's exceptions into one line with the reason that SUMO writes to standard error.
+
+        What its additional files write to `stdout` or `-` is dropped: standard output belongs to the command.
+        """
+        sys.stdout.flush()
         sys.stderr.flush()
-        terminal, begin = os.dup(2), self._stderr.seek(0, os.SEEK_END)
+        output, terminal, begin = os.dup(1), os.dup(2), self._stderr.seek(0, os.SEEK_END)
+        os.dup2(self._nothing.fileno(), 1)
         os.dup2(self._stderr.fileno(), 2)
         try:
             yield
@@ -273,8 +284,9 @@ class SumoTraffic:
             reason = " ".join(self._errors_since(begin)) or str(error)
             raise TrafficError(f"traffic.scenario = {self._config}: SUMO {what}: {reason}") from None
         finally:
-            os.dup2(terminal, 2)
-            os.close(terminal)
+            for stream, kept in ((1, output), (2, terminal)):
+                os.dup2(kept, stream)
+                os.close(kept)
 
 
 def _read(domain: _Domain, names: tuple[str, ...] | list[str], number: ndarray) -> tuple[ndarray, ...]:

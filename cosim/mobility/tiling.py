@@ -3,6 +3,7 @@
 import gzip
 import re
 import tempfile
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -15,7 +16,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.mobility.fcd import Timestep, timesteps
-from cosim.mobility.replay import types_of
+from cosim.mobility.identity import TypeTable
 from cosim.mobility.scenario import Scenario
 from sumo_nets import sumotools
 from sumo_nets.footprints import read_footprints, write_footprints
@@ -88,7 +89,7 @@ def _trace(scenario: Scenario, shifts_m: Float[ndarray, "k 2"], out: Path) -> in
     types: set[str] = set()
     n_most, writer = 0, None
     try:
-        for timestep in timesteps(scenario.trace):
+        for timestep in map(_typed, timesteps(scenario.trace)):
             types.update(timestep.types)
             n_most = max(n_most, len(timestep.names) * len(shifts_m))
             table = pa.table(_columns(timestep, shifts_m))
@@ -97,7 +98,7 @@ def _trace(scenario: Scenario, shifts_m: Float[ndarray, "k 2"], out: Path) -> in
     finally:
         if writer is not None:
             writer.close()
-    look_up = types_of(scenario.types)
+    look_up = TypeTable(scenario.types)
     lines = []
     for name in sorted(types):
         vclass, size_m = look_up(name)
@@ -110,13 +111,28 @@ def _trace(scenario: Scenario, shifts_m: Float[ndarray, "k 2"], out: Path) -> in
     return n_most
 
 
+def _typed(timestep: Timestep) -> Timestep:
+    """The timestep with a type for persons that have none: the columns that are written do not say who is a person."""
+    types = [
+        kind or ("DEFAULT_PEDTYPE" if is_person else "")
+        for kind, is_person in zip(timestep.types, timestep.is_person.tolist(), strict=True)
+    ]
+    return replace(timestep, types=types)
+
+
 def _columns(timestep: Timestep, shifts_m: Float[ndarray, "k 2"]) -> dict[str, ndarray | pa.Array]:
     """The rows of all copies of a timestep, with the columns that SUMO writes."""
     n, k = len(timestep.names), len(shifts_m)
     copies = pa.array(np.repeat(np.arange(k), n)).cast(pa.string())
     xy_m = (shifts_m[:, None] + timestep.front_m[:, :2]).reshape(-1, 2)
     names = pa.array(timestep.names * k, pa.string())
-    return {
+    stated: dict[str, ndarray | pa.Array] = {}
+    if timestep.vclasses is not None:
+        stated["vehicle_vClass"] = pa.array(timestep.vclasses * k, pa.string())
+    if timestep.lwh_m is not None:
+        sizes = zip(("length", "width", "height"), timestep.lwh_m.T, strict=True)
+        stated |= {f"vehicle_{what}": np.tile(values, k) for what, values in sizes}
+    return stated | {
         "timestep_time": np.full(n * k, timestep.time_s),
         "vehicle_id": pc.binary_join_element_wise(copies, names, "."),
         "vehicle_x": xy_m[:, 0],

@@ -13,6 +13,8 @@ from cosim.mobility.positions import Fixes
 _ROWS_AT_ONCE = 1_000_000
 _TOLERANCE = 1e-6
 """Part of a step by which a time may miss it."""
+_FEWEST_LINKS, _LEAST_JOINED_P = 3, 0.1
+"""If there are fewer pairs, or a larger share of them is joined, units are not doubted."""
 COMMON_STEP_S = 1.0
 """Step for traces whose times have no common interval [s]."""
 
@@ -84,7 +86,7 @@ def tracks(fixes: Fixes, params: TrackParams) -> Tracks:
     Raises
     ------
     ValueError
-        In one line, if no track reaches a step.
+        In one line, if no track reaches a step, or if almost no position can be joined to the next one.
 
     Notes
     -----
@@ -100,6 +102,7 @@ def tracks(fixes: Fixes, params: TrackParams) -> Tracks:
     with np.errstate(divide="ignore", invalid="ignore"):
         is_jump = follows & (took_s > 0) & (gone_m > params.max_speed_mps * took_s + 1e-9)
     is_gap = follows & (took_s > params.max_gap_s * (1 + 1e-9))
+    _check_links(params, took_s[follows], gone_m[follows], is_gap[follows], is_jump[follows])
     linked = np.r_[follows & ~is_gap & ~is_jump, False] if n else np.zeros(0, bool)
     track = np.cumsum(~np.r_[False, linked[:-1]]) - 1 if n else np.zeros(0, np.int64)
     # Steps s with time_s[i] <= s * step_s < time_s[i + 1]; the last position of a track has its own step, if on one.
@@ -140,6 +143,27 @@ def tracks(fixes: Fixes, params: TrackParams) -> Tracks:
     )
 
 
+def _check_links(
+    params: TrackParams, took_s: ndarray, gone_m: ndarray, is_gap: Bool[ndarray, "f"], is_jump: Bool[ndarray, "f"]
+) -> None:
+    """Refuse positions of which almost none is joined to the next one of its actor: their units are wrong."""
+    n, n_joined = len(took_s), int((~is_gap & ~is_jump).sum())
+    if n < _FEWEST_LINKS or n_joined >= _LEAST_JOINED_P * n:
+        return
+    said = f"of {n:,} pairs of positions that follow each other, only {n_joined:,} are joined: "
+    if 2 * is_gap.sum() >= n:
+        raise ValueError(
+            f"{said}they are {np.median(took_s):g} s apart (median), and --max-gap-s is {params.max_gap_s:g}. Are the "
+            "times in another unit, such as milliseconds? Set --time-unit, or raise --max-gap-s."
+        )
+    with np.errstate(divide="ignore"):
+        fast_mps = np.median(gone_m / took_s)
+    raise ValueError(
+        f"{said}they ask for {fast_mps:,.4g} m/s (median), and --max-speed-mps is {params.max_speed_mps:g}. Are times "
+        "or positions in another unit? Set --time-unit, --length-unit or --frame-hz, or raise --max-speed-mps."
+    )
+
+
 def _report(
     fixes: Fixes, params: TrackParams, linked: Bool[ndarray, "n"], took_s: ndarray, gone_m: ndarray, is_gap: ndarray,
     is_jump: ndarray, links: ndarray, first: ndarray, end: ndarray,
@@ -154,6 +178,8 @@ def _report(
     ends = np.array([0.5, 0.95])
     bounds = _weighted_quantiles(bound_m, n_between, ends) if n_between.sum() else np.zeros(2)
     between = took_s[linked[:-1]] if len(linked) > 1 else np.zeros(0)
+    speeds = gone_m[linked[:-1]] / between if len(between) else np.zeros(1)
+    width_m, height_m = np.ptp(fixes.xy_m, axis=0).tolist()
     return {
         "positions": len(fixes.time_s),
         "interval_median_s": float(np.median(between)) if len(between) else 0.0,
@@ -162,6 +188,10 @@ def _report(
         "interpolated_share": float(n_between.sum() / n_all),
         "error_bound_median_m": float(bounds[0]),
         "error_bound_p95_m": float(bounds[1]),
+        "speed_median_mps": float(np.median(speeds)),
+        "speed_p95_mps": float(np.quantile(speeds, 0.95)),
+        "extent_east_m": width_m,
+        "extent_north_m": height_m,
     }
 
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,14 @@ from cosim.execution.manifest import versions
 from cosim.execution.source import source
 from cosim.mobility import positions, tracks
 from cosim.mobility.actors import ActorRegistry
+from cosim.mobility.fcd import timesteps
 from cosim.mobility.fleet import FleetParams
+from cosim.mobility.interpolation import interval_s
 from cosim.mobility.objects import ObjectParams
 from cosim.mobility.params import TrafficParams
 from cosim.mobility.positions import Columns, Fixes
 from cosim.mobility.scenario import Scenario, find
-from cosim.mobility.source import SHAPE_OF_CLASS, TrafficEnded, TrafficError
+from cosim.mobility.source import TrafficEnded, TrafficError, class_counts
 from cosim.mobility.tracks import TrackParams
 from cosim.step.trackers.encounters import PairSearch, update_encounters
 from cosim.world import World
@@ -36,11 +39,8 @@ from results.recorder import Recorder
 from sensors.lidar import LidarParams
 from sensors.line_of_sight import WallIndex
 from sensors.scene import Shape
-from sumo_nets import vtypes
 
 _BLOCK_STEPS = 600
-_PROBED = 50
-"""Moving actors from which the unit of SUMO's coordinates is judged."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -68,6 +68,10 @@ class ContactParams:
     """Columns of a table. None recognises the layout."""
     frame_hz: float | None = None
     """Video frames per second, for times that are frame numbers."""
+    time_unit_s: float | None = None
+    """Seconds per unit of times that are numbers. None asks the layout and the numbers."""
+    length_unit_m: float | None = None
+    """Metres per unit of positions. None asks the layout and the names of columns."""
     repair: bool = False
     """Whether bad rows are left out and rows are sorted, instead of refused."""
     fleet: FleetParams = field(default_factory=FleetParams)
@@ -150,9 +154,10 @@ def _check_of_positions(params: ContactParams, what: str) -> None:
     if params.columns is not None:
         raise ValueError(f"{what}: its columns are known. Leave out --id, --time, --x, --y, --lat and --lon.")
     usual = ContactParams()
-    for name in ("max_gap_s", "max_speed_mps", "frame_hz", "repair"):
+    for name in ("max_gap_s", "max_speed_mps", "frame_hz", "time_unit_s", "length_unit_m", "repair"):
         if getattr(params, name) != getattr(usual, name):
-            raise ValueError(f"--{name.replace('_', '-')}: {what}, with a position in every step. Leave it out.")
+            option = name.replace("unit_s", "unit").replace("unit_m", "unit").replace("_", "-")
+            raise ValueError(f"--{option}: {what}, with a position in every step. Leave it out.")
 
 
 def _of_run(paths: Sequence[Path], params: ContactParams, out: Path | None, advance: Advance) -> Path:
@@ -182,12 +187,10 @@ def _of_sumo(paths: Sequence[Path], params: ContactParams, out: Path | None, adv
 
 def _sumo_step_s(path: Path) -> float:
     """Interval of the first timesteps of a trace."""
-    from cosim.mobility.fcd import timesteps
-
     read = timesteps(path)
     times_s = [timestep.time_s for timestep, _ in zip(read, range(10), strict=False)]
     read.close()  # type: ignore[attr-defined]
-    return round(float(np.diff(times_s).min()), 6) if len(times_s) > 1 else 1.0
+    return interval_s(np.array(times_s)) or 1.0
 
 
 def _of_traffic(
@@ -206,17 +209,19 @@ def _of_traffic(
         for _ in replayed.warm_up(skipped_s):
             pass
         search = PairSearch.of(params.encounters, WallIndex.of(scenario.city().buildings), params.mount_above_roof_m)
-        worlds = _worlds(replayed, traffic, params, skipped_s > 0)
+        worlds = _worlds(replayed, _steps_asked(params, traffic.step_s) or math.inf)
+        extent = _Extent()
         first = next(worlds, None)
         if first is None:
             raise TrafficError(f"{paths[0]}: there is nothing to count: no actor is on the road in the time given.")
         with _Folder(out, scenario.name, params, traffic.step_s, params.appearance or "ends") as counted:
-            for step, world in enumerate(_again(first, worlds)):
+            for step, world in enumerate(chain([first], worlds)):
                 near = search(world)
+                extent.add(world)
                 closed, _, _ = update_encounters(counted.trackers, step, near)
                 counted.add(step, closed, len(near.present))
                 advance("contacts", step + 1, max(step + 1, _steps_asked(params, traffic.step_s)), f"{len(world)}")
-            counted.report |= replayed.report()
+            counted.report |= replayed.report() | extent.report(registry)
             counted.close(_vehicles(registry))
             about = {"layout": "run" if paths[0].is_dir() else "sumo", "appearance": params.appearance or "ends"}
             _finish(counted, scenario.name, paths, params, traffic.step_s, about, scenario.provenance())
@@ -225,41 +230,44 @@ def _of_traffic(
     return counted.folder
 
 
-def _worlds(replayed: Any, traffic: TrafficParams, params: ContactParams, is_trace: bool) -> Iterator[World]:
-    """The worlds to count, checked for coordinates in degrees."""
-    most = _steps_asked(params, traffic.step_s) or math.inf
-    before: World | None = None
-    shares: list[float] = []
+def _worlds(replayed: Any, most: float) -> Iterator[World]:
+    """The worlds to count."""
     n = 0
     while n < most:
         try:
             world = replayed.advance()
         except TrafficEnded:
             return
-        if is_trace and before is not None and len(shares) < _PROBED:
-            shares += _travelled(before, world, traffic.step_s)
-            if len(shares) >= _PROBED and float(np.median(shares)) < 0.05:
-                raise TrafficError(
-                    f"{traffic.trace}: vehicles move {float(np.median(shares)):.2%} of what their speeds say, so x and "
-                    "y look like degrees. Record the trace without --fcd-output.geo."
-                )
-        before = world
         n += 1
         yield world
 
 
-def _travelled(before: World, now: World, dt_s: float) -> list[float]:
-    """Distance that moving actors covered, over that which their speed asks for."""
-    _, i, j = np.intersect1d(before.actor, now.actor, return_indices=True)
-    speed = now.speed_mps[j]
-    moving = (speed > 2.0) & (before.speed_mps[i] > 2.0)
-    gone_m = np.hypot(*(now.boxes.xyz_m[j, :2] - before.boxes.xyz_m[i, :2])[moving].T)
-    return (gone_m / (speed[moving] * dt_s)).tolist()
+@dataclass(slots=True)
+class _Extent:
+    """Speeds of vehicles, and the rectangle that they are in, over the worlds of a trace."""
 
+    low_m: ndarray = field(default_factory=lambda: np.full(2, np.inf))
+    high_m: ndarray = field(default_factory=lambda: np.full(2, -np.inf))
+    n_of_speed: ndarray = field(default_factory=lambda: np.zeros(1001, np.int64))
+    """Vehicles in steps by speed, in tenths of m/s."""
 
-def _again(first: World, rest: Iterator[World]) -> Iterator[World]:
-    yield first
-    yield from rest
+    def add(self, world: World) -> None:
+        if len(world):
+            xy_m = world.boxes.xyz_m[:, :2]
+            self.low_m = np.minimum(self.low_m, xy_m.min(axis=0))
+            self.high_m = np.maximum(self.high_m, xy_m.max(axis=0))
+            tenths = np.clip(np.rint(world.speed_mps * 10), 0, 1000).astype(np.int64)
+            self.n_of_speed += np.bincount(tenths, minlength=1001)
+
+    def report(self, registry: ActorRegistry) -> dict[str, Any]:
+        """For the summary of the trace, with the number of actors of each class."""
+        share = np.cumsum(self.n_of_speed) / max(1, self.n_of_speed.sum())
+        median, p95 = (float(np.searchsorted(share, at)) / 10 for at in (0.5, 0.95))
+        east_m, north_m = (self.high_m - self.low_m).tolist() if self.n_of_speed.any() else (0.0, 0.0)
+        return {
+            "speed_median_mps": median, "speed_p95_mps": p95, "extent_east_m": east_m, "extent_north_m": north_m,
+            "classes": class_counts(registry.shape),
+        }  # fmt: skip
 
 
 def _steps_asked(params: ContactParams, step_s: float) -> int:
@@ -274,35 +282,43 @@ def _of_positions(paths: Sequence[Path], params: ContactParams, out: Path | None
     if params.scenario is not None:
         raise ValueError(f"--scenario goes with a trace that SUMO wrote, and {paths[0]} is none. Leave it out.")
     for p in params.encounters:
-        if p.pairs != "all" or p.pedestrians:
+        if p.pairs != "all":
             raise ValueError(
-                f'{paths[0]}: a trace of positions says nothing of equipment, buildings or pedestrians: pairs = "all" '
-                "is counted alone. Change the definition."
+                f'{paths[0]}: a trace of positions says nothing of equipment or buildings: pairs = "all" is counted '
+                "alone. Change the definition."
             )
-    fixes = _cut(positions.read(paths, params.columns, params.frame_hz, params.repair), params, paths[0])
+    read = positions.read(
+        paths, params.columns, params.frame_hz, params.repair, params.time_unit_s, params.length_unit_m
+    )
+    fixes = _cut(read, params, paths[0])
     step_s = params.step_s or tracks.own_step_s(fixes)
     track_params = TrackParams(step_s, params.max_gap_s, params.max_speed_mps)
     try:
         found = tracks.tracks(fixes, track_params)
     except ValueError as error:
-        raise TrafficError(f"{paths[0]}: {error}") from None
+        raise TrafficError(f"{fixes.source}: {error}") from None
     appearance = params.appearance or "censors"
     # Without buildings and bodies nothing is between two vehicles: what `los = "buildings"` finds in a run without a
     # city.
     params = replace(params, encounters=tuple(replace(p, los="buildings") for p in params.encounters))
-    radius_m = max(p.radius_m for p in params.encounters)
     name = _plain_name(paths[0])
+    rows = _track_rows(fixes, found)
+    on_foot = rows["vehicle_class"] == Shape.PEDESTRIAN
     with _Folder(out, name, params, step_s, appearance, max(_BLOCK_STEPS, found.n_steps // 200)) as counted:
         for here in tracks.steps(fixes, found, step_s):
-            a, b, distance_m = _near(here.track, here.xy_m, radius_m)
-            los = np.ones(len(a), bool)
-            closed = [t.update(here.step, a, b, distance_m, los, here.track)[0] for t in counted.trackers]
+            closed = []
+            for tracker, p in zip(counted.trackers, params.encounters, strict=True):
+                use = slice(None) if p.pedestrians else ~on_foot[here.track]
+                track = here.track[use]
+                a, b, distance_m = _near(track, here.xy_m[use], p.radius_m)
+                closed.append(tracker.update(here.step, a, b, distance_m, np.ones(len(a), bool), track)[0])
             counted.add(here.step, closed, len(here.track))
             if here.step % 100 == 99 or here.step + 1 == found.n_steps:
                 advance("contacts", here.step + 1, found.n_steps, f"{len(here.track)} vehicles")
         counted.report |= found.report | ({"repaired": fixes.repaired} if fixes.repaired else {})
         counted.report |= {"actors": len(set(found.actor.tolist())), "tracks": len(found.names)}
-        counted.close(_track_rows(fixes, found))
+        counted.report |= {"read_as": list(fixes.read_as), "classes": class_counts(rows["vehicle_class"])}
+        counted.close(rows)
         layout = "columns" if params.columns else positions.layout_of(paths[0])
         about = {"layout": layout, "appearance": appearance, "begin": fixes.begin}
         checked = {f"sha256 {path.name}": sha256(path) for path in paths}
@@ -322,9 +338,9 @@ def _cut(fixes: Fixes, params: ContactParams, path: Path) -> Fixes:
             f"{path}: no position in the span of --from and --to; the trace goes from {fixes.begin} to "
             f"{begin + float(fixes.time_s.max()):.10g} s."
         )
-    return Fixes(
-        fixes.names, fixes.kinds, fixes.actor[keep], fixes.time_s[keep] - from_s, fixes.xy_m[keep],
-        f"{begin + from_s:.10g}", fixes.repaired,
+    return replace(
+        fixes, actor=fixes.actor[keep], time_s=fixes.time_s[keep] - from_s, xy_m=fixes.xy_m[keep],
+        begin=f"{begin + from_s:.10g}",
     )  # fmt: skip
 
 
@@ -374,13 +390,11 @@ def _vehicles(registry: ActorRegistry) -> dict[str, ndarray | None]:
     )
 
 
-def _track_rows(fixes: Fixes, found: tracks.Tracks) -> dict[str, ndarray | None]:
-    """The same for tracks, whose sizes are those of their class; a car where the trace says nothing."""
-    types = [vtypes.guess(kind) for kind in fixes.kinds]
-    shape = np.array([int(SHAPE_OF_CLASS.get(t.vclass, Shape.CAR)) for t in types], np.uint8)
-    lwh_m = np.array([t.lwh_m for t in types])
+def _track_rows(fixes: Fixes, found: tracks.Tracks) -> dict[str, Any]:
+    """The same for tracks."""
+    lwh_m = np.array([kind.lwh_m for kind in fixes.types])
     return _vehicle_columns(
-        found.names, shape[found.actor], lwh_m[found.actor], np.zeros(len(found.names), bool), found.first_step,
+        found.names, fixes.shape[found.actor], lwh_m[found.actor], np.zeros(len(found.names), bool), found.first_step,
         found.last_step,
     )  # fmt: skip
 
@@ -403,7 +417,9 @@ def _finish(
     net: dict[str, str],
 ) -> None:  # fmt: skip
     """Write the manifest."""
-    given = {key: getattr(params, key) for key in ("max_gap_s", "max_speed_mps", "from_s", "to_s", "repair")}
+    given = {key: getattr(params, key) for key in (
+        "max_gap_s", "max_speed_mps", "from_s", "to_s", "time_unit_s", "length_unit_m", "repair",
+    )}  # fmt: skip
     given["columns"] = None if params.columns is None else asdict(params.columns)
     config = {
         "sensing": False,
@@ -413,8 +429,8 @@ def _finish(
     }
     summary = counted.report | {"actors_per_step_mean": round(counted.n_present / counted.n_steps, 3)}
     finish(counted.folder, {
-        "dt_s": step_s, "steps": counted.n_steps, "config": config, "versions": versions(), "source": source(),
-        "net": net, "timings_s": {}, "summary": summary,
+        "dt_s": step_s, "steps": counted.n_steps, "config": config, "versions": versions("columnar"),
+        "source": source(), "net": net, "timings_s": {}, "summary": summary,
     })  # fmt: skip
 
 

@@ -106,12 +106,12 @@ def _exported(
     run.require(*fmt.TABLES)
     if vehicles is not None and getattr(fmt, "ALL_VEHICLES", False):
         raise ValueError(f"--vehicles {vehicles}: {choice.source.name} always has all vehicles. Leave it out.")
-    config = config_of(run)
+    config, of_traffic = config_of(run), getattr(fmt, "ALL_STEPS", False)
     chosen = Selection(
-        run, _vehicles(run, vehicles), _steps(run, config, steps), _road_edge_m(config), partial(_projection, config),
-        _place(config), vehicles is not None,
+        run, _vehicles(run, vehicles), _steps(run, steps, of_traffic), _road_edge_m(config),
+        partial(_projection, config), _place(config), vehicles is not None,
     )  # fmt: skip
-    if chosen.presence.empty:
+    if chosen.presence.empty and not of_traffic:
         raise ValueError("none of these vehicles is on the road in any of these steps. Choose others.")
     about = {
         "format": choice.source.name, "run": str(run.path.resolve()), "vehicles": list(chosen.vehicles),
@@ -184,9 +184,9 @@ def _vehicles(run: Run, text: str | None) -> tuple[int, ...]:
     return tuple(chosen)
 
 
-def _steps(run: Run, config: Config, text: str | None) -> Int[ndarray, "s"]:
-    """Steps in which vehicles sense, from a text such as `0-59`. None: all such steps."""
-    every = sensing_steps(run)
+def _steps(run: Run, text: str | None, of_traffic: bool) -> Int[ndarray, "s"]:
+    """Steps in which vehicles sense, or all steps `of_traffic`, from a text such as `0-59`. None: all such steps."""
+    every = np.arange(int(run.manifest["steps"])) if of_traffic else sensing_steps(run)
     if text is None:
         return every
     keep = np.zeros(len(every), bool)

@@ -22,6 +22,7 @@ from cosim.mobility.scenario import Scenario
 from cosim.offline import view
 from cosim.step.result import Sensed, StepResult
 from cosim.world import World
+from results import durable
 from results.codes import Role, labels
 from results.durable import PARTIAL
 from results.export import ros2
@@ -198,7 +199,7 @@ def first_look(world: World) -> Float[ndarray, "3"]:
 def _opened(path: Path) -> IO[bytes]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        return path.with_name(path.name + PARTIAL).open("wb")
+        return open(durable.new_file(path.with_name(path.name + PARTIAL)), "wb")
     except OSError as error:
         raise ValueError(f"--watch-file {path} cannot be written: {error.strerror or error}.") from None
 
@@ -224,10 +225,7 @@ class _Rerun:
         """Draws the city while the run computes its first step; time does not matter to what is static."""
         self._city.set_result(None)
         if self._path is None:
-            try:
-                self._recording.spawn(hide_welcome_screen=True)
-            except (RuntimeError, OSError) as error:
-                raise ValueError(f"--watch: the Rerun viewer does not start: {error}. Use --watch-file.") from None
+            view.show(self._recording, "--watch", "Use --watch-file")
         else:
             _opened(self._path).close()
             self._recording.save(self._path.with_name(self._path.name + PARTIAL))

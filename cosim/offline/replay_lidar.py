@@ -22,6 +22,7 @@ from cosim.mobility.meshes import with_meshes
 from cosim.mobility.scenario import find
 from cosim.step.perception import swept
 from cosim.world import World
+from results import durable
 from results.figures import movie, scene, style
 from results.figures.sweep import draw
 from results.run import Run
@@ -146,8 +147,7 @@ def write(run: Run, vehicle: int, step: int, out: Path | None) -> Path:
     out = out or run.path / f"sweep-{vehicle}-{step}.png"
     form = next((end for end in sorted(cloud.FORMATS, key=len, reverse=True) if out.name.endswith(end)), None)
     if form is not None:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_bytes(cloud.FORMATS[form](points))
+        durable.write_output(out, cloud.FORMATS[form](points))
         return out
     if out.suffix not in style.FORMATS:
         raise ValueError(
@@ -217,7 +217,19 @@ def portrait(run: Run, vehicles: list[int], step: int, out: Path | None) -> Path
         attacks=(started.reindex(world.actor).astype("Float64").fillna(np.inf) <= step).to_numpy(bool),
         ghosts=lies[columns].to_numpy(float),
     )
-    return style.save(scene.draw(moment, f"{step * run.dt_s:g} s: point clouds and trust"), out)
+    title = f"{step * run.dt_s:g} s: point clouds and trust"
+    if np.isnan(moment.trust).all():
+        title = f"{step * run.dt_s:g} s: point clouds, no trust yet"
+        _LOG.warning("--step %d: %s", step, _first_trust(run))
+    return style.save(scene.draw(moment, title), out)
+
+
+def _first_trust(run: Run) -> str:
+    """When a run has its first trust values that rest on an evaluation, in words."""
+    known = run.variant_table("trust", ["step"], pc.field("n_evaluations") > 0)
+    if known.empty:
+        return "the run has no trust values of a server that rest on an evaluation, so none are drawn."
+    return f"no vehicle on the road has a trust value yet; the first of the run are of step {known.step.min()}."
 
 
 def film(

@@ -15,8 +15,13 @@ No server is started, and only the file is written. The viewer itself collects u
 import errno
 import os
 import shutil
+import signal
+import socket
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -32,6 +37,7 @@ from cosim.config.config import Config
 from cosim.mobility.scenario import Scenario, find
 from cosim.offline.export import Sweeper
 from cosim.offline.replay_lidar import city_of, config_of
+from results import durable
 from results.archive import open_run
 from results.durable import PARTIAL
 from results.export.moments import BOX
@@ -66,6 +72,9 @@ _LEAST_FREE_BYTES = 4_000_000
 """Free disk space that each block needs. On a full disk the SDK's writer ends, and a flush may never return."""
 _PATIENCE_S = 600.0
 """Longest wait for the SDK's writer at the end."""
+_HERE = "127.0.0.1"
+_START_S = 60.0
+"""Longest wait for the viewer to start."""
 
 
 def view(
@@ -181,12 +190,42 @@ def _spawned(look_m: Float[ndarray, "3"]):  # type: ignore[no-untyped-def]
     import rerun
 
     recording = rerun.RecordingStream("cosim")
-    try:
-        recording.spawn(hide_welcome_screen=True)
-    except (RuntimeError, OSError) as error:
-        raise ValueError(f"--live: the Rerun viewer does not start: {error}. Write a file with --out.") from None
+    show(recording, "--live", "Write a file with --out")
     send_layout(recording, look_m)
     return recording
+
+
+def show(recording, option: str, instead: str) -> subprocess.Popen[bytes]:  # type: ignore[no-untyped-def]
+    """Open the viewer for a recording.
+
+    It is the viewer of this installation, and it listens to this machine alone. The SDK would start the first `rerun`
+    in PATH, which listens to all of the network.
+
+    Returns
+    -------
+    Its process, which goes on when this one ends.
+
+    Raises
+    ------
+    ValueError
+        In one line, if it does not start; `instead` says what to do.
+    """
+    with socket.create_server((_HERE, 0)) as free:
+        port = int(free.getsockname()[1])
+    viewer = subprocess.Popen(
+        [sys.executable, "-P", "-m", "rerun_cli", "--bind", _HERE, "--port", str(port), "--hide-welcome-screen"],
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+    end_s = time.monotonic() + _START_S
+    while time.monotonic() < end_s and viewer.poll() is None:
+        with suppress(OSError), socket.create_connection((_HERE, port), timeout=1.0):
+            recording.connect_grpc(f"rerun+http://{_HERE}:{port}/proxy")
+            return viewer
+        time.sleep(0.1)
+    with suppress(OSError):
+        os.killpg(viewer.pid, signal.SIGKILL)
+    viewer.wait()
+    raise ValueError(f"{option}: the Rerun viewer does not start; it needs a screen. {instead}.")
 
 
 def _encounters(run: Run) -> pd.DataFrame:
@@ -248,7 +287,7 @@ def _open(out: Path, look_m: Float[ndarray, "3"]):  # type: ignore[no-untyped-de
 
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        _partial(out).write_bytes(b"")
+        os.close(durable.new_file(_partial(out)))
     except OSError as error:
         raise ValueError(f"--out {out} cannot be written: {error.strerror or error}.") from None
     recording = rerun.RecordingStream("cosim")

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.config.config import Config
+from cosim.door.guard import refuse
 from cosim.radio.link_budget import neighbours
 from cosim.radio.message_round import LinkReceptions, Receptions
 from cosim.ragged import expand, ptr_of, rows_of
@@ -31,7 +32,8 @@ from results.encounters import Rows
 from trust.certified import upheld
 from trust.claims import claims_of_messages
 from trust.fusion import Fused
-from trust.tables import EvaluationMessages, Evaluations, ObjectLists, TrustScores
+from trust.models import TrustModel
+from trust.tables import SERVER, EvaluationMessages, Evaluations, ObjectLists, TrustScores
 
 
 def own_trust_of(
@@ -89,10 +91,21 @@ def publish(
     """Trust servers process arrived evaluations, compute and broadcast trust, and accuse and revoke vehicles."""
     c, hosts = parts.config, parts.trust
     trust, scores, informed = hosts.publish(trust, now.step, now.begin_s, vehicles.actor, vehicles.name_key)
+    for h, of_host in enumerate(scores):
+        if of_host is not None and hosts.models[h].guard is not None:
+            _check_names(hosts.model_of(trust, h), of_host, parts.pseudonyms.owners(pseudonyms, of_host.subject)[0])
     pseudonyms = parts.linkage.accused(pseudonyms, trust.arrived)
     pseudonyms = parts.revocation.decided(pseudonyms, scores[hosts.host_of[0]], now.step, c.traffic.step_s)
     named = [None if of_host is None else parts.linkage.scores(pseudonyms, of_host) for of_host in scores]
     return trust, pseudonyms, Published(hosts.per_variant(named), informed)
+
+
+def _check_names(model: TrustModel, scores: TrustScores, owner: Int[ndarray, "n"]) -> None:
+    """Raise `ExtensionError` if the server's model, which is a user's own, has scores of nobody or for nobody."""
+    if (nobody := scores.subject[owner < 0]).size:
+        refuse(model, "scores", f"returned a score of subject {nobody[0]}, but no vehicle has this pseudonym")
+    if (strange := scores.holder[scores.holder != SERVER]).size:
+        refuse(model, "scores", f"returned a score for holder {strange[0]}, but SERVER, {SERVER}, is expected")
 
 
 def receive_from_rsus(

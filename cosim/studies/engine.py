@@ -4,9 +4,7 @@ Every run is a subprocess of a worker, so a crash is a failed run and not a lost
 paths are sent between processes.
 """
 
-import os
 import subprocess
-import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -16,6 +14,7 @@ from typing import Any
 import psutil
 from distributed import Client, Future, as_completed
 
+from cosim.execution import process
 from cosim.studies.folder import Attempt, StudyFolder
 from cosim.studies.study import Limits
 
@@ -89,14 +88,14 @@ def _attempt(words: Sequence[str], log: Path, stop: Path, timeout_s: float, memo
     """Run `cosim.studies.worker` once, within limits."""
     begun, outcome, peak, cpu_s = time.monotonic(), "", 0, 0.0
     with log.open("ab") as out:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "cosim.studies.worker", *words], stdin=subprocess.PIPE, stdout=out, stderr=out,
-            env=os.environ | _ONE_THREAD, start_new_session=True,
+        worker = subprocess.Popen(
+            process.command("cosim.studies.worker", *words), stdin=subprocess.PIPE, stdout=out, stderr=out,
+            env=process.environment(**_ONE_THREAD), start_new_session=True,
         )  # fmt: skip
         try:
-            while process.poll() is None:
+            while worker.poll() is None:
                 time.sleep(_POLL_S)
-                resident, cpu_s = _used(process.pid, cpu_s)
+                resident, cpu_s = _used(worker.pid, cpu_s)
                 peak = max(peak, resident)
                 if stop.exists():
                     outcome = "stopped"
@@ -105,19 +104,19 @@ def _attempt(words: Sequence[str], log: Path, stop: Path, timeout_s: float, memo
                 elif peak > memory_gb * 1e9:
                     outcome = "memory"
                 if outcome:
-                    process.kill()
-                    process.wait()
+                    worker.kill()
+                    worker.wait()
         finally:
-            process.kill()
-            process.wait()
+            worker.kill()
+            worker.wait()
     wall_s = round(time.monotonic() - begun, 2)
     said = {
         "": "", "stopped": "", "timeout": f"longer than limits.timeout_s = {timeout_s:g} s",
         "memory": f"more than limits.memory_gb = {memory_gb:g} GB",
     }[outcome]  # fmt: skip
     if not outcome:
-        outcome = "failed" if process.returncode else "ok"
-        said = _last_line(log) or f"ended with status {process.returncode}" if process.returncode else ""
+        outcome = "failed" if worker.returncode else "ok"
+        said = _last_line(log) or f"ended with status {worker.returncode}" if worker.returncode else ""
     return Attempt(outcome, wall_s, peak, said, round(cpu_s, 2))
 
 

@@ -17,6 +17,7 @@ from cosim.config.data import read_toml
 from cosim.studies.plan import PlannedRun, as_data
 from cosim.studies.points import Point
 from cosim.studies.study import Study
+from results import durable
 
 STATES = ("finished", "failed", "unfinished", "waiting")
 """States of a point: its run is finished; its last attempt failed; its run has begun; nothing was done yet."""
@@ -69,21 +70,27 @@ class StudyFolder:
                 )
         elif self.path.is_dir() and any(self.path.iterdir()):
             raise ValueError(f"--out {self.path} is not empty and holds no study. Give another folder.")
-        self._refuse_links()
+        self.check()
         (self.path / "runs").mkdir(parents=True, exist_ok=True)
         write_whole(kept, study.to_toml().encode())
 
-    def _refuse_links(self) -> None:
-        """Raise ValueError if something that a sweep writes is a symbolic link and would go to another place."""
-        for pattern in ("lock", "stop", "runs/*", "jobs", "jobs/*", "jobs/*/*", "traffic", "traffic/*"):
+    def check(self) -> None:
+        """Raise ValueError if something that a sweep reads or writes is a symbolic link, a pipe or a device.
+
+        A link would lead to another place, and a pipe may never end.
+        """
+        own = ("lock", "stop", "study.toml", "index.parquet", "*.partial")
+        for pattern in (*own, "runs", "runs/*", "jobs", "jobs/*", "jobs/*/*", "traffic", "traffic/*"):
             for path in self.path.glob(pattern):
                 if path.is_symlink():
                     raise ValueError(f"{path} is a symbolic link: nothing is written through it. Give another --out.")
+                if not (path.is_file() or path.is_dir()):
+                    raise ValueError(f"{path} is neither a file nor a folder. Remove it, or give another --out.")
 
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Lock the folder for this process; ValueError if another one sweeps it."""
-        with (self.path / "lock").open("w") as file:
+        with open(durable.open_lock(self.path / "lock"), "w") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
@@ -111,7 +118,7 @@ class StudyFolder:
         found: dict[str, tuple[str, str]] = {}
         jobs = sorted(path.parent.name for path in (self.path / "jobs").glob("*/job.json"))
         for id in sorted(jobs, key=lambda id: not self.is_finished(id)):
-            for point, variant in json.loads((self.job(id) / "job.json").read_text())["members"].items():
+            for point, variant in _members(self.job(id) / "job.json").items():
                 found.setdefault(point, (id, variant))
         return found
 
@@ -127,7 +134,7 @@ class StudyFolder:
     def attempts(self, id: str) -> list[Attempt]:
         """Attempts at a run until now."""
         path = self.job(id) / "attempts.json"
-        return [Attempt(**row) for row in json.loads(path.read_text())] if path.is_file() else []
+        return _attempts(path) if path.is_file() else []
 
     def add_attempt(self, id: str, attempt: Attempt) -> None:
         rows = [asdict(a) for a in (*self.attempts(id), attempt)]
@@ -169,20 +176,47 @@ class StudyFolder:
 def status_of(run: Path) -> str:
     """Status in a run's manifest; empty if there is none."""
     try:
-        return str(json.loads((run / "manifest.json").read_text(encoding="utf-8"))["status"])
-    except (OSError, ValueError, KeyError):
+        return str(json.loads(durable.read(run / "manifest.json"))["status"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return ""
+
+
+def _members(job: Path) -> dict[str, str]:
+    """Trust variant of each point of a job. Damaged, in one line, if the file says no such thing."""
+    try:
+        members = dict(json.loads(durable.read(job))["members"])
+        if not all(isinstance(text, str) for item in members.items() for text in item):
+            raise ValueError("members are no names")
+        return members
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise _damaged(job, error) from None
+
+
+def _attempts(path: Path) -> list[Attempt]:
+    """Attempts as a file has them. Damaged, in one line, if it has something else."""
+    kinds: dict[str, Any] = {"outcome": str, "error": str, "wall_s": (int, float), "cpu_s": (int, float)}
+    kinds["memory_bytes"] = int
+    try:
+        found = [Attempt(**row) for row in json.loads(durable.read(path))]
+        if wrong := [name for one in found for name, kind in kinds.items() if not isinstance(getattr(one, name), kind)]:
+            raise ValueError(f"{wrong[0]} is of another kind")
+        return found
+    except (OSError, ValueError, TypeError, RecursionError) as error:
+        raise _damaged(path, error) from None
+
+
+def _damaged(path: Path, error: Exception) -> durable.Damaged:
+    reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+    return durable.Damaged(f"{path} is damaged ({reason}). Sweep the study in another --out.")
 
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file through a temporary file, so that it is never incomplete."""
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    partial = path.with_name(f"{path.name}.{os.getpid()}{durable.PARTIAL}")
     try:
-        with partial.open("wb") as file:
+        with durable.Growing(partial) as file:
             file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
+            file.finish(path)
     finally:
         partial.unlink(missing_ok=True)
 

@@ -8,6 +8,7 @@ import pandas as pd
 
 from cosim.config.config import Config, of_run, resolve_data
 from cosim.config.data import read_toml
+from cosim.door.permission import loading_code_of
 from cosim.execution import run as running
 from cosim.execution.check import check
 from cosim.execution.drive import Advance
@@ -29,13 +30,14 @@ def retrust(run: Path, file: Path, out: Path, advance: Advance, trust_code: bool
     run
         Folder of a finished run.
     file
-        TOML file with `[[trust_variant]]` sections. The user's own classes that it names are loaded.
+        TOML file with `[[trust_variant]]` sections. The user's own classes that it names are loaded, unless the file is
+        part of a run or a study.
     out
         Folder to write.
     advance
         Called with progress.
     trust_code
-        Also load the classes that the run's config names.
+        Also load the classes that the run's config names, and those of a file that is part of a run or a study.
 
     Returns
     -------
@@ -69,14 +71,15 @@ def retrust(run: Path, file: Path, out: Path, advance: Advance, trust_code: bool
 
 def _with_variants(run: OpenRun, file: Path, trust_code: bool) -> Config:
     """The run's config with further trust variants."""
-    of_run(run.config, run.path, trust_code)  # refuses code that the folder names; the user chose that of the file
+    of_run(run.config, run.path, trust_code)  # refuses code that the folder names
     stated = read_toml(file, "file of trust variants")
     listed = stated.pop("trust_variant", [])
     if stated or not listed:
         raise ValueError(f"{file}: sections [[trust_variant]] are wanted, and nothing else.")
     data = json.loads(json.dumps(run.config))
     data["trust_variant"] = [*data.get("trust_variant", []), *listed]
-    return resolve_data(data, str(file), file.parent)
+    with loading_code_of(file, trust_code):
+        return resolve_data(data, str(file), file.parent)
 
 
 def _digest(run: OpenRun, table: str, variants: tuple[str, ...]) -> bytes:

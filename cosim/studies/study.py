@@ -14,6 +14,7 @@ from cosim.config import config as configs
 from cosim.config import data as config_data
 from cosim.door.kinds import KINDS
 from cosim.door.load import function
+from cosim.door.permission import loading_code, loading_code_of, untrusted
 from cosim.execution.manifest import toml_text
 from cosim.mobility.params import TrafficParams
 from results.metrics.registry import TOPICS
@@ -90,6 +91,8 @@ class Study:
     """Plain data of the config that all points start from, with absolute paths."""
     axes: tuple[tuple[Keys, ...], ...]
     """For each axis, the keys and values that it sets. A point takes one item of every axis."""
+    untrusted: str = ""
+    """Where it was read, if code that it names may not be loaded."""
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -119,10 +122,11 @@ class Study:
 SHIPPED = Path(__file__).parent / "shipped"
 
 
-def load(path: Path) -> Study:
+def load(path: Path, trust_code: bool = False) -> Study:
     """Read a study from its TOML file, or a shipped study by name.
 
-    Code that it names is loaded, unless `cosim.door.permission.loading_code` forbids it.
+    Code that the study, or the config that it starts from, names is loaded, unless the file is part of a run or a
+    study. `trust_code` allows that too.
 
     Raises
     ------
@@ -135,6 +139,12 @@ def load(path: Path) -> Study:
         names = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.toml")))
         raise ValueError(f"{path}: no such study. Give the path of a TOML file, or a study that ships: {names}.")
     data = config_data.read_toml(path, "study file")
+    with loading_code_of(path, trust_code):
+        return _study(data, path, trust_code)
+
+
+def _study(data: dict[str, Any], path: Path, trust_code: bool) -> Study:
+    """The study that plain data of the file `path` state."""
     where = path.name
     for name in data:
         if name not in SECTIONS:
@@ -154,7 +164,8 @@ def load(path: Path) -> Study:
     if head.config:
         beside = path.parent / head.config
         named = beside if beside.is_file() else Path(head.config)
-        base = _absolute(config_data.read_toml(named, "config file"), named.name, named.parent)
+        with loading_code_of(named, trust_code):
+            base = _absolute(config_data.read_toml(named, "config file"), named.name, named.parent)
     merge(base, data.get("base", {}))
     base = _absolute(base, f"[base] of {where}", path.parent)
     if "trust_variant" in base:
@@ -167,6 +178,7 @@ def load(path: Path) -> Study:
     )
     study = Study(
         head, _section(Limits, data.get("limits", {}), "limits", where), keep, measuring, base, axes,
+        untrusted(path, trust_code),
     )  # fmt: skip
     for key, value in head.baseline.items():
         if key not in study.keys:
@@ -187,7 +199,8 @@ def config_at(study: Study, keys: Keys, replicate: int, where: str) -> configs.C
         stated = section.get("seed", seed)
         section["seed"] = stated + replicate if isinstance(stated, int) else stated
     said = ", ".join(f"{k} = {v}" for k, v in keys.items())
-    return configs.resolve_data(data, f"{where} (point {said})", None)
+    with loading_code(study.untrusted, not study.untrusted):
+        return configs.resolve_data(data, f"{where} (point {said})", None)
 
 
 def _absolute(stated: dict[str, Any], where: str, folder: Path) -> dict[str, Any]:

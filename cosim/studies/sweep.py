@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numba
 
-from cosim.door.permission import is_of_a_folder, loading_code
 from cosim.execution import check as checking
 from cosim.execution.cluster import connected, local
 from cosim.mobility.scenario import find
+from cosim.mobility.scene_summary import scene_summary
 from cosim.studies.engine import Work, execute
 from cosim.studies.estimate import Estimate, estimate
 from cosim.studies.folder import Attempt, StudyFolder, write_whole
@@ -65,13 +65,13 @@ def prepare(file: Path, out: Path, merge: bool = True, trust_code: bool = False)
     ValueError
         In one line, if the study has a mistake.
     """
-    with loading_code(file, trust_code or not is_of_a_folder(file)):
-        return prepare_study(load(file), file.name, out, merge)
+    return prepare_study(load(file, trust_code), file.name, out, merge)
 
 
 def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Task:
     """Plan a sweep of a study that was read from the file `where`."""
     folder = StudyFolder(out)
+    folder.check()
     points = points_of(study, where)
     answers = folder.answers()
     there = {point.id for point in points if point.id in answers and folder.is_finished(answers[point.id][0])}
@@ -94,6 +94,13 @@ def keys_in_vain(points: Sequence[Point]) -> list[str]:
         for note in checking.keys_in_vain(config, scenario(config.traffic.scenario, config.traffic.trace))
     )
     return [note if n == len(points) else f"{note[:-1]}, in {n} of {len(points)} points." for note, n in found.items()]
+
+
+def scene_notes(points: Sequence[Point]) -> list[str]:
+    """Notes on the streets and buildings of the scenarios of a study, each scenario once."""
+    traffic = (point.config.traffic for point in points)
+    scenarios = [find(*named) for named in dict.fromkeys((one.scenario, one.trace) for one in traffic)]
+    return [note for scenario in scenarios for note in scene_summary(scenario).notes]
 
 
 def separate(points: Sequence[Point]) -> Plan:
@@ -179,9 +186,9 @@ def status(
         raise ValueError(
             f"{folder.path} holds no run and no study. Give the folder of a `cosim run` or a `cosim sweep`."
         )
-    with loading_code(folder.path, trust_code):
-        study = load(file)
-        points = points_of(study, str(file))
+    folder.check()
+    study = load(file, trust_code)
+    points = points_of(study, str(file))
     states = folder.write_index(study, points)
     ids = {id for point, (id, _) in folder.answers().items() if point in {p.id for p in points}}
     failed = [(id, folder.attempts(id)[-1]) for id in sorted(ids) if folder.state(id) == "failed"]

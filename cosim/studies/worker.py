@@ -23,6 +23,7 @@ from cosim.execution import run as running
 from cosim.execution.stop import Failed
 from cosim.studies.folder import StudyFolder, status_of
 from cosim.studies.stages import Cache
+from results import durable
 from results.archive import open_run
 from results.manifest import drop_tables, read_manifest
 from results.measure import measure
@@ -35,8 +36,8 @@ _log = logging.getLogger(__name__)
 def make(job: Path) -> None:
     """Make the run of a job and its metrics. What is finished is not repeated."""
     study = StudyFolder(job.parent.parent)
-    asked = json.loads((job / "job.json").read_text())
-    with (job / "lock").open("w") as lock:
+    asked = json.loads(durable.read(job / "job.json"))
+    with open(durable.open_lock(job / "lock"), "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # a process of an earlier sweep may still work on it
         if study.is_finished(asked["id"]):
             return
@@ -73,9 +74,7 @@ def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
             frames.append(measure(one, topics=topics, **options).assign(point=point))
             if own:
                 frames.append(function("measure.own", own)(one).assign(point=point))
-    partial = job / "measures.parquet.partial"
-    pd.concat(frames, ignore_index=True).to_parquet(partial, index=False)
-    partial.replace(job / "measures.parquet")
+    durable.write(job / "measures.parquet", pd.concat(frames, ignore_index=True).to_parquet(index=False))
 
 
 def _drop(folder: Path, kept: list[str] | None) -> None:
@@ -99,7 +98,7 @@ def main() -> None:
         if kind == "run":
             make(Path(words[0]))
         else:
-            config = resolve_data(json.loads(Path(words[2]).read_text()), "the plan", None)
+            config = resolve_data(json.loads(durable.read(Path(words[2]))), "the plan", None)
             Cache(Path(words[0])).make_traffic(words[1], config, lambda *_: None)
     except (ValueError, Failed, ExtensionError, OSError) as error:
         sys.exit(" ".join(str(error).split()))

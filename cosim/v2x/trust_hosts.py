@@ -234,7 +234,7 @@ class TrustHosts:
             host = state.hosts[h]
             if time_s - host.last_broadcast_s < self.params[h].server_period_s - 1e-9:
                 continue
-            scores = published[h] = self._model(state, h).scores(step)
+            scores = published[h] = self.model_of(state, h).scores(step)
             if delay_s is None:
                 delay_s = self.downlink.delays_s(step, name_key)
             downlink, n_informed = self.downlink.publish(
@@ -301,7 +301,7 @@ class TrustHosts:
             rank[order] = np.arange(len(order))
             pseudonym, message = pseudonym[order], rank[message]
         for h in (*self._hosts("central"), *self._hosts("local")):
-            self._model(state, h).open_step(step, pseudonym, message, detection_index, score)
+            self.model_of(state, h).open_step(step, pseudonym, message, detection_index, score)
         return state
 
     def add_local(
@@ -396,7 +396,7 @@ class TrustHosts:
             for broadcast, rows, at in self.downlink.lookup(state.hosts[h].downlink, vehicle, subject):
                 counted &= self._fill(found, broadcast.scores, rows, at, h, time_s, time_s - broadcast.time_s)
         elif params.host == "local":
-            scores = self._model(state, h, int(time_s / self.dt_s + 1e-6)).scores(None)
+            scores = self.model_of(state, h, int(time_s / self.dt_s + 1e-6)).scores(None)
             at, known = scores.rows_of(vehicle, subject)
             counted &= self._fill(found, scores, np.flatnonzero(known), at[known], h, time_s, 0.0)
         return found if counted else replace(found, n_evaluators=None)
@@ -438,7 +438,7 @@ class TrustHosts:
     def scorers(self, state: TrustState) -> list[ObjectScorer | None]:
         """For each variant, the method of its model that scores objects, or None if it has none."""
         return [
-            None if state.hosts[h].model is None else getattr(self._model(state, h), "score_objects", None)
+            None if state.hosts[h].model is None else getattr(self.model_of(state, h), "score_objects", None)
             for h in self.host_of
         ]
 
@@ -447,9 +447,9 @@ class TrustHosts:
         for messages in received.messages.of_one_step() if hosts else ():
             of_step = replace(received, messages=messages)
             for h in hosts:
-                self._model(state, h).add_evaluations(of_step)
+                self.model_of(state, h).add_evaluations(of_step)
 
-    def _model(self, state: TrustState, h: int, latest_step: int | None = None) -> TrustModel:
+    def model_of(self, state: TrustState, h: int, latest_step: int | None = None) -> TrustModel:
         """The model of a host, guarded if it is a user's own. `latest_step` is the step of a call without that
         argument."""
         model, guard = state.hosts[h].model, self.models[h].guard

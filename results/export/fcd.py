@@ -2,16 +2,19 @@
 
 Notes
 -----
-`fcd.xml.gz`: a `<timestep>` per step in which vehicles sense, `time` in seconds of the run. `x` and `y` are the centre
+`fcd.xml.gz`: a `<timestep>` per step, `time` in seconds of the run. `x` and `y` are the centre
 of the front bumper in the coordinates of the network [m], `angle` is in degrees clockwise from north, `type` is the
 class of the actor, and names are SUMO's. All actors are written.   Deviations: `z` is the
-underside of the box; lane, position on it and slope are left out, because the tables do not have them.
+underside of the box; lane, position on it and slope are left out, because the tables do not have them. SUMO's class and
+the size of each actor are written as `vClass`, `length`, `width` and `height`, which SUMO's own files leave to its
+types: a run that replays the file has the same boxes.
 """
 
 import gzip
 import io
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from functools import partial
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -20,7 +23,10 @@ from results.export.moments import Clouds, File, Moment, Plan, Selection, Unit
 
 TABLES = ("actors", "vehicles")
 
-ROW_BYTES = 30
+SUMO_CLASS = {"car": "passenger", "van": "delivery"}
+"""SUMO's class of each of ours that SUMO calls otherwise."""
+
+ROW_BYTES = 40
 """Of an actor in a step, packed, roughly."""
 
 
@@ -29,6 +35,7 @@ class Fcd:
 
     TABLES = TABLES
     ALL_VEHICLES = True
+    ALL_STEPS = True
 
     def plan(self, selection: Selection) -> Plan:
         """One file."""
@@ -41,33 +48,46 @@ def _files(selection: Selection, clouds: Clouds) -> Iterator[File]:
 
 
 def _packed(selection: Selection) -> bytes:
-    names = selection.run.table("vehicles", ["vehicle", "sumo_id"]).set_index("vehicle").sumo_id
-    quoted = {int(number): quoteattr(name) for number, name in names.items()}  # type: ignore[call-overload]
+    columns = ["vehicle", "sumo_id", "vehicle_class", "length_m", "width_m", "height_m"]
+    rows = selection.run.table("vehicles", columns).to_dict("records")
+    fixed = {int(row["vehicle"]): _fixed(row) for row in rows}
     packed = io.BytesIO()
     with gzip.GzipFile(fileobj=packed, mode="wb", mtime=0) as file:
         file.write(b'<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n')
         for steps in selection.spans():
-            for moment in selection.traffic(steps):
-                file.write(_timestep(moment, quoted, selection.run.dt_s, selection.place.origin_m))
+            here = {moment.step: moment for moment in selection.traffic(steps)}
+            for step in steps.tolist():
+                file.write(_timestep(step, here.get(step), fixed, selection.run.dt_s, selection.place.origin_m))
         file.write(b"</fcd-export>\n")
     return packed.getvalue()
 
 
-def _timestep(moment: Moment, quoted: dict[int, str], dt_s: float, origin_m: tuple[float, float]) -> bytes:
+def _fixed(actor: dict[Hashable, Any]) -> str:
+    """Element, name, class and size of an actor."""
+    kind = actor["vehicle_class"]
+    element = "person" if kind == "pedestrian" else "vehicle"
+    size = " ".join(f'{what}="{actor[f"{what}_m"]:.9g}"' for what in ("length", "width", "height"))
+    return f'{element} id={quoteattr(actor["sumo_id"])} type="{kind}" vClass="{SUMO_CLASS.get(kind, kind)}" {size}'
+
+
+def _timestep(
+    step: int, moment: Moment | None, fixed: dict[int, str], dt_s: float, origin_m: tuple[float, float]
+) -> bytes:
+    """A step; without actors it is an empty element, so that no reader takes it for a gap."""
+    if moment is None:
+        return f'    <timestep time="{step * dt_s:.4f}"/>\n'.encode()
     box = moment.box
     ahead = 0.5 * box[:, 3:4] * np.column_stack([np.cos(box[:, 6]), np.sin(box[:, 6])])
     front = box[:, :2] + ahead + origin_m
     angle = np.mod(90.0 - np.degrees(box[:, 6]), 360.0)
     rows = zip(
-        moment.actor.tolist(), moment.vehicle_class.tolist(), front.tolist(), (box[:, 2] - 0.5 * box[:, 5]).tolist(),
+        moment.actor.tolist(), front.tolist(), (box[:, 2] - 0.5 * box[:, 5]).tolist(),
         angle.tolist(), moment.speed_mps.tolist(), strict=True,
     )  # fmt: skip
-    lines = [f'    <timestep time="{moment.step * dt_s:.4f}">\n']
-    for actor, kind, (x, y), z, degrees, speed in rows:
-        element = "person" if kind == "pedestrian" else "vehicle"
+    lines = [f'    <timestep time="{step * dt_s:.4f}">\n']
+    for actor, (x, y), z, degrees, speed in rows:
         lines.append(
-            f'        <{element} id={quoted[actor]} x="{x:.5f}" y="{y:.5f}" z="{z:.5f}" angle="{degrees:.5f}" '
-            f'type="{kind}" speed="{speed:.5f}"/>\n'
+            f'        <{fixed[actor]} x="{x:.5f}" y="{y:.5f}" z="{z:.5f}" angle="{degrees:.5f}" speed="{speed:.5f}"/>\n'
         )
     lines.append("    </timestep>\n")
     return "".join(lines).encode()

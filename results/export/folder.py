@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from results import durable
 from results.export.moments import File
 
 PROGRESS = "export.progress"
@@ -63,7 +64,9 @@ class Folder:
                 partial.unlink(missing_ok=True)
                 _link(self.path / file.same_as, partial)
             else:
-                partial.write_bytes(_content(file))
+                content = _content(file)
+                with open(durable.new_file(partial), "wb") as opened:
+                    opened.write(content)
             partial.replace(path)
             return 0 if file.same_as else path.stat().st_size
         except OSError as error:

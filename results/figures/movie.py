@@ -1,5 +1,6 @@
 """A short film of the map: who is trusted, who lies, and what one vehicle sees and believes."""
 
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from numpy import ndarray
 
+from results import durable
 from results.figures import style
 from results.run import Run
 
@@ -61,7 +63,7 @@ def write(
     writer = (FFMpegWriter if out.suffix == ".mp4" else PillowWriter)(fps=PICTURES_PER_S)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        partial.unlink(missing_ok=True)  # were it a link, the pictures would go where it leads
+        os.close(durable.new_file(partial))
         with writer.saving(film.figure, str(partial), dpi=DPI):
             for number, step in enumerate(steps.tolist()):
                 film.show(step)

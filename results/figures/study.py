@@ -1,6 +1,5 @@
 """A study's metrics over a swept key: mean over replicates with its 95 % interval."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from results.figures import style
-from results.study import Study, chosen, within_run
+from results.study import Study, chosen, held_at, said, with_short_names, within_run
 
 SHOWN: Mapping[str, tuple[str, ...]] = {
     "encounters": ("encounters.duration.km_median_s",),
@@ -94,9 +93,8 @@ def draw(
     for key, value in (where or {}).items():
         if key not in keys:
             raise ValueError(f"{key} is not swept in {study.name}. Swept: {', '.join(keys)}.")
-        frame = frame[frame[key].astype(str) == str(value)]
-        if not len(frame):
-            raise ValueError(f"{study.name} has no point with {key} = {value}.")
+        frame = held_at(frame, key, str(value))
+    frame = with_short_names(frame, keys)
     varied = [key for key in keys if frame[key].nunique() > 1]
     order = [key for key in (over, by) if key] + [key for key in varied if key not in (over, by)]
     if unknown := [key for key in order if key not in keys]:
@@ -150,7 +148,7 @@ def _draw(
             first = of_metric.iloc[0]
             unit = "" if first.unit in ("", "1") else f" [{first.unit}]"
             group = f", {first.group}" if ":" in name and first.group else ""
-            title = f"{label_of(column)} = {_said(value)}" if value is not None and row == 0 else ""
+            title = f"{label_of(column)} = {said(value)}" if value is not None and row == 0 else ""
             y, is_last = f"{first.label}{group}{unit}" if n == 0 else "", row == len(asked) - 1
             style.panel(axes, title, label_of(x) if is_last else "", y)
             axes.tick_params(labelleft=n == 0, labelbottom=is_last or not _are_words(frame[x]))
@@ -162,7 +160,7 @@ def _draw(
     entries = [
         Line2D(
             [], [], color=style.ink(i), marker=style.marker(i),
-            linestyle="none" if _are_words(frame[x]) else style.dash(i), label=f"{label_of(colour)} = {_said(hue)}",
+            linestyle="none" if _are_words(frame[x]) else style.dash(i), label=f"{label_of(colour)} = {said(hue)}",
         )
         for i, hue in enumerate(colours) if hue is not None
     ]  # fmt: skip
@@ -196,9 +194,9 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
             told = _short(mean[i, j], top)
             axes.text(j, i, told, ha="center", va="center", fontsize=style.SMALLEST, color=ink)
         axes.set_xticks(
-            range(len(columns)), [_said(v) for v in columns], rotation=45, ha="right", rotation_mode="anchor"
+            range(len(columns)), [said(v) for v in columns], rotation=45, ha="right", rotation_mode="anchor"
         )
-        axes.set_yticks(range(len(shown_rows)), [_said(v) for v in shown_rows])
+        axes.set_yticks(range(len(shown_rows)), [said(v) for v in shown_rows])
         axes.grid(visible=False)
         group = f", {first.group}" if ":" in name and first.group else ""
         few, many = int(of_metric.n.min()), int(of_metric.n.max())
@@ -273,16 +271,16 @@ def _ticks(axes: Axes, values: pd.Series, most: int) -> None:
     """The swept values themselves; on a logarithmic axis where they span a factor of ten. Of many, every second."""
     found = _distinct(values)
     if values.dtype.kind != "f":
-        said = [_said(v) for v in found]
-        is_long = sum(map(len, said)) > _MOST_LETTERS
+        words = [said(v) for v in found]
+        is_long = sum(map(len, words)) > _MOST_LETTERS
         slanted: dict[str, Any] = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if is_long else {}
-        axes.set_xticks(range(len(found)), said, **slanted)
+        axes.set_xticks(range(len(found)), words, **slanted)
         return
     if _is_wide(found):
         axes.set_xscale("log")
         axes.minorticks_off()
     few = found[(len(found) - 1) % 2 :: 2] if len(found) > most else found
-    axes.set_xticks(few, [_said(v) for v in few])
+    axes.set_xticks(few, [said(v) for v in few])
 
 
 def label_of(key: str) -> str:
@@ -295,7 +293,3 @@ def label_of(key: str) -> str:
             said = name.removesuffix(suffix).replace("_", " ")
             return f"{said} [{unit}]" if unit else said
     return name.replace("_", " ")
-
-
-def _said(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float | np.floating) and not math.isnan(value) else str(value)

@@ -77,6 +77,11 @@ _STYLE: dict[Any, Any] = {
 P = ParamSpec("P")
 
 
+def forget_settings() -> None:
+    """Let Matplotlib have its own defaults, and not what it has read from a file."""
+    mpl.rcdefaults()
+
+
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     """In this style, whatever the user's own Matplotlib settings are."""
 

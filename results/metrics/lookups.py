@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from results.codes import LookupState, TrustSource
+from results.durable import Damaged
 from results.metrics.trust import watched
 from results.run import Run
 
@@ -211,7 +213,17 @@ def role_codes(run: Run, pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
     Code of the role, in the order of `Run.role_labels`.
     """
     known, code = subjects(run)
-    return code[np.searchsorted(known, pseudonym)]
+    return code[_places(known, pseudonym, run.path)]
+
+
+def _places(known: Int[ndarray, "p"], pseudonym: Int[ndarray, "n"], path: Path) -> Int[ndarray, "n"]:
+    """Place of each pseudonym among the known ones, which are ascending; Damaged if one is not among them."""
+    place = np.searchsorted(known, pseudonym)
+    there = np.append(known, -1)[place] == pseudonym
+    if not there.all():
+        name = pseudonym[~there][0]
+        raise Damaged(f"{path} is damaged: it has values for the pseudonym {name}, which no vehicle with a role used.")
+    return place
 
 
 def _roles(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
@@ -243,6 +255,7 @@ def _added(run: Run, asked: _Asked) -> _All:
         dt_s=run.dt_s,
         reach_s=max(REACH_S, 2 * every_s),
         asked=asked,
+        path=run.path,
     )
     return adding.result(run.pieces("trust_lookups", list(_DTYPES), _PIECE_ROWS))
 
@@ -257,12 +270,12 @@ class _Adding:
     def __init__(
         self, known: Int[ndarray, "p"], role_of: Int[ndarray, "p"], since: Int[ndarray, "p"],
         until: Int[ndarray, "p"], left: Int[ndarray, "r"], n: tuple[int, int], n_steps: int, dt_s: float,
-        reach_s: float, asked: _Asked,
+        reach_s: float, asked: _Asked, path: Path,
     ) -> None:  # fmt: skip
         """Of each pseudonym the role, the step since which it is watched, and the last step in which it is in use; of
         each vehicle the last step; how many variants and roles there are."""
         self.known, self.role_of, self.since, self.until, self.left = known, role_of, since, until, left
-        self.dt_s, self.reach_s, self.asked = dt_s, reach_s, asked
+        self.dt_s, self.reach_s, self.asked, self.path = dt_s, reach_s, asked, path
         self.n_variants, self.n_roles = n
         pairs = ("behind", "behind_sum", "renewed", "peak_sum_s", "observed_s", "area_s2", "sawtooth_peaks")
         by_receiver: dict[str, tuple[int, ...]] = {
@@ -297,8 +310,11 @@ class _Adding:
                 self._forget(last_step)
                 block = number
             rows = {name: _read_only(piece[name], dtype) for name, dtype in _DTYPES.items()}
+            steps = np.append(np.int32(last_step), rows["step"])
+            if (np.diff(steps) < 0).any():
+                raise Damaged(f"{self.path} is damaged: the steps of its trust_lookups are not ascending.")
             self._add(rows)
-            last_step = int(rows["step"].max(initial=last_step))
+            last_step = int(steps[-1])
         self._settle(np.ones(len(self.pairs.keys), bool))
         order = np.argsort(self.ages.keys)
         variant, who = np.divmod(self.scored.keys >> 32, max(1, len(self.known)))
@@ -317,12 +333,14 @@ class _Adding:
     def _add(self, rows: Mapping[str, ndarray]) -> None:
         from results.metrics import lookup_sums
 
-        variant, receiver, who = rows["variant"], rows["receiver"], np.searchsorted(self.known, rows["subject"])
+        variant, receiver, who = rows["variant"], rows["receiver"], _places(self.known, rows["subject"], self.path)
         ages_s = np.stack([rows[column] for column in AGES.values()])
         keys = np.where(np.isnan(ages_s), -1, np.rint(np.maximum(np.nan_to_num(ages_s), 0) * _AGES_PER_S))
         age_number = self.ages.of(keys.astype(np.int64).ravel()).reshape(keys.shape)
         self.age_counts = _widened(self.age_counts, 3, len(self.ages.keys))
         n_receivers = int(receiver.max(initial=-1)) + 1
+        if n_receivers > len(self.left):
+            raise Damaged(f"{self.path} is damaged: vehicle {n_receivers - 1} looks up trust, and there is none.")
         self.of_receivers = {name: _widened(table, 1, n_receivers) for name, table in self.of_receivers.items()}
         of, mine = self.of_receivers, self.of_subjects
         lookup_sums.add(

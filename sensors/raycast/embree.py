@@ -6,11 +6,11 @@ Slower than the columnar caster and independent of it: a reference for it, and t
 from __future__ import annotations
 
 import numpy as np
-from embreex import rtcore_scene
-from embreex.mesh_construction import TriangleMesh
 from numpy import ndarray
 
 from sensors.raycast import mesh
+
+INSTALL = "make extra NAME=embree in a checkout, else pip install 'cosim-perception[embree]'"
 
 
 def tracer_of(triangles: ndarray) -> mesh.Tracer:
@@ -20,7 +20,20 @@ def tracer_of(triangles: ndarray) -> mesh.Tracer:
     ----------
     triangles
         Corners (t, 3, 3) in single precision, in the frame of the rays. The tracer numbers triangles by their row.
+
+    Raises
+    ------
+    ValueError
+        If Embree cannot be loaded.
     """
+    try:
+        from embreex import rtcore_scene
+        from embreex.mesh_construction import TriangleMesh
+    except (ImportError, OSError) as missing:  # there are no wheels for Linux on ARM
+        raise ValueError(
+            f'lidar.engine = "embree" needs embreex, which cannot be loaded here ({missing}): {INSTALL}. '
+            'lidar.engine = "open3d" casts the same rays.'
+        ) from None
     solid = rtcore_scene.EmbreeScene()
     TriangleMesh(solid, np.ascontiguousarray(triangles))
 

@@ -7,6 +7,7 @@ tables below fails the test.
 import ast
 import importlib
 import inspect
+import os
 import pkgutil
 import shutil
 from contextlib import suppress
@@ -260,6 +261,41 @@ def test_links_are_not_written_through(made, tmp_path):
     study = made["study"].parent / "mine.toml"
     assert "lock is a symbolic link" in carry_out(["sweep", str(study), "--out", str(tmp_path / "study")])
     assert (victim / "part-00000.parquet").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["lock", "stop", "runs", "jobs", "jobs/ID", "jobs/ID/job.json", "traffic"])
+@pytest.mark.parametrize("make", ["link", "pipe"])
+def test_a_sweep_neither_follows_links_nor_waits_for_pipes(made, tmp_path, name, make):
+    victim = tmp_path / "victim"
+    victim.mkdir()
+    shutil.copytree(made["study"], tmp_path / "study", symlinks=True)
+    id = next((tmp_path / "study" / "jobs").iterdir()).name
+    place = tmp_path / "study" / name.replace("ID", id)
+    if place.is_dir():
+        shutil.rmtree(place)
+    place.unlink(missing_ok=True)
+    if make == "link":
+        place.symlink_to(victim)
+    else:
+        os.mkfifo(place)
+    said = "symbolic link" if make == "link" else "neither a file nor a folder"
+    study = made["study"].parent / "mine.toml"
+    assert said in carry_out(["sweep", str(study), "--out", str(tmp_path / "study")])
+    assert said in carry_out(["status", str(tmp_path / "study"), "--trust-code"])
+    assert not list(victim.iterdir())
+
+
+def test_variants_of_a_folder_are_code_of_its_author(at):
+    """A file of variants that lies in a run, beside another run that is whole; and a study that is predicted."""
+    (at["run"] / "variants.toml").write_text('[[trust_variant]]\nname = "other"\nmodel = "trap.py:Trap"\n')
+    whole = at["run"].parent / "whole"
+    words = ["retrust", str(whole), "--variants", str(at["run"] / "variants.toml"), "--out", str(at["out"] / "x")]
+    try:
+        assert "It was not loaded" in carry_out(words)
+        assert "It was not loaded" in carry_out(["predict", "freshness", str(at["study"] / "study.toml")])
+    finally:
+        (at["run"] / "variants.toml").unlink()
+    assert not at["sentinel"].exists() and not (at["out"] / "x").exists()
 
 
 def test_what_a_manifest_drops_stays_in_its_folder(made, tmp_path):

@@ -24,7 +24,7 @@ def run(tiny):
         for i, row in enumerate(({"source": 0, "source_index": 3, "pose": 2, "pose_index": 5},
                                  {"source": 1, "source_index": 1}))
     ]  # fmt: skip
-    return tiny(20, vehicles=fleet("honest"), detections=detections, fused=fused)
+    return tiny(20, vehicles=fleet(*["honest"] * 9), detections=detections, fused=fused)
 
 
 def test_box_of_the_source_and_pose_of_another(run):

@@ -49,7 +49,8 @@ def test_dead_ends_and_one_way_traps_are_left_out():
     ways, found = kept(town)
     assert sorted(ways) == [10, 11, 13]
     assert found.gates == {1, 4}
-    assert found.dropped_m == pytest.approx(300 + (100**2 + 100**2) ** 0.5, rel=0.01)
+    assert found.left_out.keys() == {"residential"}
+    assert found.left_out["residential"].left_m == pytest.approx(300 + (100**2 + 100**2) ** 0.5, rel=0.01)
 
 
 def test_a_street_cut_off_by_the_extract_is_a_gate_and_tunnels_and_ignored_tags_go():

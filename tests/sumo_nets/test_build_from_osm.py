@@ -200,3 +200,78 @@ def test_bad_hersfeld_in_two_minutes(tmp_path):
     assert len(net.footprints()) > 11_000
     flows = flow.measure(net)
     assert flows.assessment == "it flows" and flows.teleports == 0 and 500 < flows.vehicles_mean < 1500
+
+
+def small(*elements):
+    """A file with these nodes (number, latitude, longitude) and ways (number, nodes, tags)."""
+    nodes = [one for one in elements if isinstance(one[1], float)]
+    ways = [one for one in elements if not isinstance(one[1], float)]
+    text = "".join(f'<node id="{node}" lat="{lat}" lon="{lon}"/>' for node, lat, lon in nodes)
+    for way, refs, tags in ways:
+        nds = "".join(f'<nd ref="{node}"/>' for node in refs)
+        text += f'<way id="{way}">{nds}' + "".join(f'<tag k="{k}" v="{v}"/>' for k, v in tags.items()) + "</way>"
+    return f'<osm version="0.6">{text}</osm>'
+
+
+ENDS = [(1, 10.0, 20.0), (2, 10.0, 20.004)]
+SQUARE = [(1, 10.0, 20.0), (2, 10.0, 20.0003), (3, 10.0003, 20.0003), (4, 10.0003, 20.0)]
+SMALL = {
+    "a street": small(*ENDS, (5, [1, 2], {"highway": "residential"})),
+    "a one-way street": small(*ENDS, (5, [1, 2], {"highway": "primary", "oneway": "yes"})),
+    "a block": small(*SQUARE, (5, [1, 2, 3, 4, 1], {"highway": "residential"})),
+    "a street of one place": small((1, 10.0, 20.0), (2, 10.0, 20.0), (5, [1, 2], {"highway": "residential"})),
+    "two islands": small(*ENDS, (3, 10.01, 20.0), (4, 10.01, 20.004), (5, [1, 2], {"highway": "residential"}),
+                         (6, [3, 4], {"highway": "residential"})),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", SMALL)
+def test_an_extract_that_is_too_small_gets_one_line_with_the_cause(tmp_path, what):
+    (tmp_path / "small.osm").write_text(SMALL[what])
+    with pytest.raises(
+        ValueError, match=r"the extract is too small for traffic: .*Take a larger|netconvert failed"
+    ) as it:
+        from_osm(tmp_path / "small.osm", tmp_path / "out", Density())
+    assert "small.osm: " in str(it.value) and "\n" not in str(it.value) and "/sumo_nets." not in str(it.value)
+    assert not (tmp_path / "out").exists()
+
+
+def across_town(gap: float) -> str:
+    """The grid town, and a road of 1.4 km across it, cut off at both ends of the extract; on a bridge or not at all."""
+    west, east, lat = 9.0 - 0.003, 9.0 + 4 * 0.0018 + 0.003, 50.0 + 0.0018 * 0.64 * 1.5
+    nodes = "".join(
+        f'<node id="{number}" lat="{lat:.6f}" lon="{lon:.6f}"/>'
+        for number, lon in (
+            (9001, west),
+            (9002, (west + east) / 2 - gap),
+            (9003, (west + east) / 2 + gap),
+            (9004, east),
+        )
+    )
+    ways = [(901, 9001, 9002), (902, 9003, 9004)] if gap else [(901, 9001, 9004)]
+    road = "".join(
+        f'<way id="{way}"><nd ref="{a}"/><nd ref="{b}"/><tag k="highway" v="motorway"/><tag k="oneway" v="yes"/></way>'
+        for way, a, b in ways
+    )
+    bounds = f'minlon="{west:.6f}" maxlat'
+    text = re.sub(r'minlon="9" maxlat', bounds, grid_town())
+    text = re.sub(r'maxlon="[^"]*"', f'maxlon="{east:.6f}"', text, count=1)
+    return text.replace("</osm>", nodes + road + "</osm>")
+
+
+def test_a_motorway_without_a_ramp_stays_and_what_is_left_out_is_said(tmp_path):
+    """Only the outside connects it with the town. The road with a gap of 100 m is two pieces with a gate each."""
+    for name, gap in (("whole", 0.0), ("gap", 0.0007)):
+        (tmp_path / f"{name}.osm").write_text(across_town(gap))
+        losses = from_osm(tmp_path / f"{name}.osm", tmp_path / name, Density(per_km=2.0))
+        edges = {lane.edge: lane for lane in lanes(tmp_path / name / "net.net.xml.gz") if not lane.across}
+        road = {edge for edge in edges if edge.startswith("90")}
+        assert len(road) == (1 if gap == 0 else 2) and losses.streets == {} and losses.text == ""
+    flows = flow.measure(catalogue.open_folder(tmp_path / "whole"), 300)
+    assert flows.assessment == "it flows" and flows.trips > 0
+    island = [(8001, 50.0021, 9.003), (8002, 50.0021, 9.0035)]
+    text = small(*island, (801, [8001, 8002], {"highway": "residential"}))
+    (tmp_path / "town.osm").write_text(grid_town().replace("</osm>", text.partition(">")[2]))
+    losses = from_osm(tmp_path / "town.osm", tmp_path / "town", Density())
+    assert losses.streets.keys() == {"residential"}
+    assert losses.streets["residential"].left_m == pytest.approx(0.0005 * 111_195 * 0.6427, rel=0.01)  # cos 50 degrees

@@ -7,6 +7,7 @@ from shapely import Polygon, box
 from sumo_nets.footprints import footprint_of, pieces_of, read_footprints, write_footprints
 from sumo_nets.ground import standing_on
 from sumo_nets.heights import height_of, number
+from sumo_nets.network import lanes
 
 SQUARE = "0,0 10,0 10,10 0,10"
 
@@ -147,12 +148,17 @@ def test_longitudes_and_latitudes_are_projected_as_the_network_is(tmp_path):
 
 
 def test_houses_stand_on_the_hill(tmp_path):
-    """A street climbs from 300 m to 400 m over a kilometre: a house beside its middle stands at 350 m."""
+    """A street climbs from 300 m to 400 m over a kilometre: a house beside its middle stands at 350 m.
+
+    Its walls reach down to the street 300 m away, which is 30 m lower, or by a cell of 50 m more.
+    """
     net = tmp_path / "a.net.xml"
     net.write_text(LAKE.format("!", ",300", ",400"))
     path = polys(tmp_path, '<poly id="a" type="building" shape="495,20 505,20 505,30 495,30"/>',
                  '<poly id="b" type="building" shape="-60,-5 -50,-5 -50,5 -60,5"/>')  # fmt: skip
     found = read_footprints(path)
-    assert [(f.base_z_m, f.top_z_m) for f in standing_on(found, net)] == [(350.0, 357.0), (300.0, 307.0)]
+    half_way, at_the_end = standing_on(found, lanes(net))
+    assert 315 <= half_way.base_z_m <= 320 and half_way.top_z_m == 357.0
+    assert (at_the_end.base_z_m, at_the_end.top_z_m) == (300.0, 307.0)
     net.write_text(LAKE.format("!", "", ""))
-    assert standing_on(found, net) == found
+    assert standing_on(found, lanes(net)) == found

@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from sumo_nets import catalogue, demand, density, gate_flows, osm
+from sumo_nets import catalogue, demand, density, gate_flows, osm_files
 from sumo_nets.build_from_osm import from_osm
 from tests.sumo_nets.test_build_from_osm import grid_town
 
@@ -38,7 +38,7 @@ def test_a_box_cut_out_of_an_extract(tmp_path):
     """Half of the grid town: its recipe names the box, and the network reaches as far."""
     path = tmp_path / "town.osm.gz"
     path.write_bytes(gzip.compress(grid_town().encode()))
-    whole, half = osm.read(path), osm.read(path, (8.999, 49.999, 9.0030, 50.1))
+    whole, half = osm_files.read(path), osm_files.read(path, (8.999, 49.999, 9.0030, 50.1))
     assert half.box == (8.999, 49.999, 9.0030, 50.1) and 0 < len(half.ways) < len(whole.ways)
     assert all(node in half.place for way in half.ways.values() for node in way.nodes)  # ways are whole
     from_osm(path, tmp_path / "half", density.Density(per_km=4.0), box=(8.999, 49.999, 9.0050, 50.1))
@@ -46,4 +46,4 @@ def test_a_box_cut_out_of_an_extract(tmp_path):
     assert recipe["source"]["box"] == [8.999, 49.999, 9.005, 50.1]
     assert catalogue.open_folder(tmp_path / "half").vehicles_per_hour > 0
     with pytest.raises(ValueError, match=r"has no ways in the box 7,50,8,51: .* The file reaches over 9,50"):
-        osm.read(path, (7.0, 50.0, 8.0, 51.0))
+        osm_files.read(path, (7.0, 50.0, 8.0, 51.0))

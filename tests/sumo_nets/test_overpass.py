@@ -11,7 +11,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from sumo_nets import build, build_from_osm, catalogue, osm, overpass
+from sumo_nets import build, build_from_osm, catalogue, osm_files, overpass
 from sumo_nets.density import Density
 from tests.drive import cosim
 from tests.sumo_nets.test_build_from_osm import ROADLESS, grid_town
@@ -65,7 +65,7 @@ def test_a_box_becomes_a_town_that_can_be_built_again(tmp_path):
     net = catalogue.open_folder(tmp_path / "town")
     assert len(net.footprints()) == 4 and net.description == "town, from box_9_50_9.0072_50.0046.osm.xml.gz"
     kept = tmp_path / "town" / "box_9_50_9.0072_50.0046.osm.xml.gz"
-    assert osm.read(kept).box == pytest.approx((9.0, 50.0, 9.0072, 50.0046))
+    assert osm_files.read(kept).box == pytest.approx((9.0, 50.0, 9.0072, 50.0046))
     assert b"generated on" not in gzip.decompress(kept.read_bytes())  # by whom, where and when it was fetched
     assert kept.name in (tmp_path / "town" / "SHA256SUMS").read_text()
     build.build(tmp_path / "town" / "recipe.toml", kept, tmp_path / "again")

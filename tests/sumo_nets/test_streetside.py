@@ -43,6 +43,24 @@ def test_tags_of_parking(tmp_path):
         assert street_space(net(tmp_path, tag, value))[0][0].parking is said
 
 
+@pytest.mark.parametrize(
+    ("edge", "is_left", "tag", "said"),
+    [
+        ("10", False, "parking:right", True), ("10", False, "parking:left", None),
+        ("-10#1", False, "parking:left", True), ("-10#1", False, "parking:lane:right", None),
+        ("10", True, "parking:lane:left", True), ("10", True, "parking:right", None),
+        ("-10", True, "parking:right", True), ("-10", True, "parking:both", True),
+    ],
+)  # fmt: skip
+def test_sides_of_a_way_are_those_of_its_own_direction(tmp_path, edge, is_left, tag, said):
+    """Netconvert gives the tags of a way to both directions: the right of the way is the left of the other edge."""
+    path = net(tmp_path, tag, "parallel")
+    text = path.read_text().replace('id="east"', f'id="{edge}"')
+    path.write_text(text.replace("<net ", '<net lefthand="true" ') if is_left else text)
+    (kerb,) = street_space(path)[0]
+    assert (kerb.edge, kerb.is_left, kerb.parking) == (edge, is_left, said)
+
+
 def test_trees_of_a_map(tmp_path):
     path = tmp_path / "a.poly.xml"
     path.write_text("""<additional>

@@ -129,6 +129,58 @@ def test_harmful_files_are_refused(scenario, tmp_path, what):
     assert says in str(caught.value) and "\n" not in str(caught.value) and ".xml" in str(caught.value)
 
 
+EVIL = LOOP.format("127.0.0.1:9")
+
+
+@pytest.mark.parametrize("name", ["evil.csv", "evil.csv.gz", "evil.parquet", "evil", "evil.net"])
+@pytest.mark.parametrize("way", ["additional-files", "include", "rerouter", "device.fcd-replay.files", "load-state"])
+def test_files_are_checked_by_their_content_whatever_their_name(scenario, tmp_path, name, way):
+    """SUMO reads XML whatever the name of a file, and connects to the address in it."""
+    text = EVIL.replace("<inductionLoop", "<!-- --><inductionLoop").encode()
+    (tmp_path / name).write_bytes(gzip.compress(text) if name.endswith(".gz") else text)
+    more = {
+        "include": f'<additional><include href="{name}"/></additional>',
+        "rerouter": f'<additional><rerouter id="r" edges="ab" file="{name}"/></additional>',
+    }
+    listed = f'<{way} value="{name}"/>'
+    if way in more:
+        (tmp_path / "more.add.xml").write_text(more[way])
+        listed = '<additional-files value="more.add.xml"/>'
+    kept = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    config = edited(scenario, tmp_path, change=lambda t: t.replace("</input>", listed + "</input>"))
+    assert all((tmp_path / other).read_bytes() == content for other, content in kept.items())
+    with pytest.raises(ValueError, match="which SUMO takes for an address to connect to"):
+        sumocfg.read(config)
+
+
+def test_tables_of_travel_times_are_no_xml(scenario, tmp_path):
+    (tmp_path / "all.csv").write_text("1;2;3\n")
+    option = '<astar.all-distances value="all.csv"/>'
+    config = edited(scenario, tmp_path, change=lambda t: t.replace("</input>", option + "</input>"))
+    assert tmp_path / "all.csv" in sumocfg.read(config).inputs
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (".\\odd.rou.xml", ""),
+        ("gone\\odd.rou.xml", r"Windows separates folders by \\, this system by /"),
+        ("C:\\me\\odd.rou.xml", "It is a path of Windows"),
+        ("Odd.ROU.xml", "Did you mean .*odd.rou.xml"),
+        ("od.rou.xml", "Did you mean .*odd.rou.xml"),
+        ("elsewhere.xml", "Correct the path in the .sumocfg"),
+    ],
+)
+def test_a_name_that_is_spelt_otherwise(scenario, tmp_path, given, says):
+    config = edited(scenario, tmp_path, change=lambda t: t.replace("odd.rou.xml", given))
+    if not says:
+        assert sumocfg.read(config).routes[0].is_file()
+        return
+    with pytest.raises(ValueError, match=says) as caught:
+        sumocfg.read(config)
+    assert "which does not exist" in str(caught.value)
+
+
 def test_a_long_tag_hides_no_address(scenario, tmp_path):
     config = edited(scenario, tmp_path)
     (tmp_path / "odd.add.xml").write_text(LOOP.format("x" * 200_000 + ":80"))

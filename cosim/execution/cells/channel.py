@@ -5,9 +5,11 @@ name in the file system. The kernel frees it when the last process that holds it
 Between two machines, all goes through a socket.
 """
 
+import hmac
 import mmap
 import os
 import pickle
+import secrets
 import socket
 import tempfile
 from multiprocessing.connection import Connection
@@ -17,6 +19,10 @@ import numpy as np
 
 _ALIGNED = 64
 """Arrays begin at multiples of this number of bytes, as NumPy's own arrays do."""
+
+
+SECRET_BYTES = 32
+"""Of a secret, of a challenge, and of a proof."""
 
 
 class Channel(Protocol):
@@ -146,6 +152,17 @@ class NetworkChannel:
         self.n_bytes += 8 + n_head + sum(sizes)
         return pickle.loads(content, buffers=arrays)
 
+    def knows(self, secret: bytes) -> bool:
+        """Answer the challenge of who is at the other end, and return whether it knows the secret too.
+
+        Messages are pickles, which can run code, so none is read from anybody else.
+        """
+        challenge = bytes(self._into(memoryview(bytearray(SECRET_BYTES))))
+        mine = secrets.token_bytes(SECRET_BYTES)
+        self._socket.sendall(proof(secret, "worker", challenge) + mine)
+        said = bytes(self._into(memoryview(bytearray(SECRET_BYTES))))
+        return hmac.compare_digest(said, proof(secret, "run", mine))
+
     def keep_last(self) -> None:
         """Let the next messages not overwrite the arrays of the last one."""
         self._memory = memoryview(bytearray())
@@ -161,6 +178,11 @@ class NetworkChannel:
     def close(self) -> None:
         """As in `Channel`."""
         self._socket.close()
+
+
+def proof(secret: bytes, of: str, challenge: bytes) -> bytes:
+    """Shows who has sent a challenge that the run or a worker (`of`) knows the secret, without telling it."""
+    return hmac.digest(secret, of.encode() + challenge, "sha256")
 
 
 def _pickled(what: Any) -> tuple[bytes, list[pickle.PickleBuffer]]:

@@ -3,11 +3,11 @@
 import os
 import socket
 import subprocess
-import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
+from cosim.execution import process
 from cosim.execution.cells.channel import Channel, SharedChannel
 
 MOST = 256
@@ -35,8 +35,8 @@ class Nursery:
         self._control = socket.socket(fileno=os.dup(self._channel.fileno()))
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "cosim.execution.cells", *map(str, files)], pass_fds=files,
-                stdin=subprocess.DEVNULL, env=os.environ | ONE_THREAD,
+                process.command("cosim.execution.cells", *map(str, files)), pass_fds=files,
+                stdin=subprocess.DEVNULL, env=process.environment(**ONE_THREAD),
             )  # fmt: skip
         except BaseException:
             self._control.close()

@@ -165,6 +165,8 @@ class CellPerception:
         with watch("wait for cells"):
             self.begin(world, observers)
             images, seen = self._perceived(observers)
+        if not seen:  # nobody senses in this step
+            seen = self.inside.perceive(world, observers, watch)[1]
         with watch("detect"):
             return self.inside.observed(world, observers, images, seen, sort=True)
 

@@ -1,16 +1,15 @@
 """Workers on the machines of a Dask scheduler.
 
 Dask chooses the machine of each worker and starts it there, in a process of its own. The worker then connects to the
-run, and what flows in every step does not pass through the scheduler. A worker proves with a secret, which it gets
-through Dask, that it is one. As with Dask itself, who can read the network sees all, and who can reach the scheduler
-can run code.
+run, and what flows in every step does not pass through the scheduler. Worker and run prove to each other that they know
+a secret, which the worker gets through Dask and which does not cross the connection. Neither reads anything else from
+who does not know it. As with Dask itself, who can read the network sees all, and who can reach the scheduler can run
+code.
 """
 
-import os
 import secrets
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -20,16 +19,16 @@ from distributed import Client, Future
 from distributed.comm import get_address_host_port
 from distributed.utils import get_ip
 
-from cosim.execution.cells.channel import Channel, NetworkChannel
+from cosim.execution import process
+from cosim.execution.cells.channel import SECRET_BYTES, Channel, NetworkChannel, proof
 from cosim.execution.cells.crew import CellLost
 from cosim.execution.cells.nursery import MOST, ONE_THREAD
-from cosim.execution.cells.worker import SECRET_BYTES
 from cosim.execution.cluster import closing_quietly, connected
 
 _PATIENCE_S = 120.0
 """Longest wait for a worker to connect. It imports the program first."""
 _HELLO_S = 5.0
-"""Longest wait for the secret of who has connected."""
+"""Longest wait for the proof of who has connected."""
 _LOOK_S = 0.5
 
 
@@ -122,13 +121,16 @@ class Placed:
     def _greeted(self, connection: socket.socket) -> Future | None:
         """The task of who has connected; None for a stranger."""
         connection.settimeout(_HELLO_S)
-        said = b""
+        challenge, said = secrets.token_bytes(SECRET_BYTES), b""
         with suppress(OSError):
-            while len(said) < SECRET_BYTES and (more := connection.recv(SECRET_BYTES - len(said))):
+            connection.sendall(challenge)
+            while len(said) < 2 * SECRET_BYTES and (more := connection.recv(2 * SECRET_BYTES - len(said))):
                 said += more
-        for secret in list(self._awaited):
-            if secrets.compare_digest(said, secret):
-                return self._awaited.pop(secret)
+            answer, of_worker = said[:SECRET_BYTES], said[SECRET_BYTES:]
+            for secret in list(self._awaited):
+                if secrets.compare_digest(answer, proof(secret, "worker", challenge)):
+                    connection.sendall(proof(secret, "run", of_worker))
+                    return self._awaited.pop(secret)
         return None
 
     def close(self) -> None:
@@ -162,16 +164,16 @@ def hold(host: str, port: int, secret: bytes) -> int:
 
     The process ends with its connection to the run, or with the Dask worker, which closes its standard input.
     """
-    process = subprocess.Popen(
-        [sys.executable, "-m", "cosim.execution.cells", "connect", host, str(port)],
-        stdin=subprocess.PIPE, env=os.environ | ONE_THREAD,
+    worker = subprocess.Popen(
+        process.command("cosim.execution.cells", "connect", host, str(port)),
+        stdin=subprocess.PIPE, env=process.environment(**ONE_THREAD),
     )  # fmt: skip
-    assert process.stdin is not None
+    assert worker.stdin is not None
     try:
         with suppress(OSError):
-            process.stdin.write(secret)
-            process.stdin.flush()
-        return process.wait()
+            worker.stdin.write(secret)
+            worker.stdin.flush()
+        return worker.wait()
     finally:
-        process.kill()
-        process.wait()
+        worker.kill()
+        worker.wait()

@@ -26,7 +26,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.door.load import load_own
-from cosim.execution.cells.channel import Channel, NetworkChannel, SharedChannel
+from cosim.execution.cells.channel import SECRET_BYTES, Channel, NetworkChannel, SharedChannel
 from cosim.step.comparing import Compared, FusionOf, Grouped, KnownObjects, PartRows, Used, compare
 from cosim.step.mixed_perception import MixedPerception
 from cosim.step.perception import Perception, Seen
@@ -39,8 +39,6 @@ from trust.fusion import Fused
 from trust.params import TrustParams
 from trust.tables import Detections
 
-SECRET_BYTES = 32
-"""Of what a worker of another machine says first."""
 _CONNECT_S = 30.0
 
 
@@ -198,10 +196,10 @@ def connect(host: str, port: int) -> None:
     secret = os.read(0, SECRET_BYTES)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     load_cached()
-    connection = socket.create_connection((host, port), timeout=_CONNECT_S)
-    connection.sendall(secret)
-    channel = NetworkChannel(connection)
+    channel = NetworkChannel(socket.create_connection((host, port), timeout=_CONNECT_S))
     try:
+        if not channel.knows(secret):
+            sys.exit(f"{host}:{port} is not the run that asked for this worker. Nothing was read from it.")
         names = channel.receive()
         try:
             for name in names:

@@ -27,7 +27,7 @@ def test_run_ends_in_a_summary_and_a_picture(run):
     assert (run_folder / "trust.png").stat().st_size > 10_000
     manifest = json.loads((run_folder / "manifest.json").read_text())
     assert manifest["status"] == "finished" and manifest["steps"] == 10
-    assert len(done.stdout.splitlines()) <= 15
+    assert len(done.stdout.splitlines()) <= 17
     for words in ("encounters", "malicious", "fresh", "frames received", "real time", "runs/helsinki-1"):
         assert words in done.stdout
     assert done.stderr == ""  # no progress bar where nobody watches, no warnings

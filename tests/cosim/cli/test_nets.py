@@ -5,7 +5,7 @@ import json
 import pytest
 
 from sumo_nets.counts import _edges as read_edges
-from sumo_nets.osm import read
+from sumo_nets.osm_files import read
 from tests.cosim.mobility import mixed_scenario
 from tests.drive import cosim
 from tests.sumo_nets.test_build_from_osm import grid_town

@@ -32,6 +32,16 @@ def test_the_first_item_of_a_list_of_sections_can_be_set():
     assert config.trust_variant[0].trust.freshness_s == 5
 
 
+@pytest.mark.parametrize("step_s", [0.3, 1, 2])
+def test_without_sensing_its_keys_refuse_no_run(step_s):
+    """The default preset senses at random times within a second; a trace of 1 s is wanted for its encounters alone."""
+    sets = [f"traffic.step_s={step_s}", "traffic.duration_s=12", "sensing_phase=random"]
+    with pytest.raises(ValueError, match="sensing"):
+        load(None, sets)
+    config = load(None, [*sets, "sensing=false"])
+    assert config.schedule.is_lock_step and config.n_steps == round(12 / step_s)
+
+
 def test_a_scenario_is_found_beside_the_file_that_names_it(tmp_path):
     (tmp_path / "city.sumocfg").touch()
     path = tmp_path / "mine.toml"

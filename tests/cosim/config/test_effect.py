@@ -33,6 +33,8 @@ def test_a_preset_has_no_key_in_vain(name):
          'tracking.gate_p, tracking.keep_s have no effect without tracking.model = "constant_velocity".'),
         (["preset=v0.2", "extrapolate=true"],
          "extrapolate has no effect without vehicles that sense at different times."),
+        (["trust.model=beta", "trust.freshness_s=20"],
+         'trust.freshness_s has no effect without a trust.model that reads it, such as "trupercept".'),
         (["sensing=false", "trust.tau=0.3"], "trust.tau has no effect without sensing = true."),
         (["attacks.0.active_p=0.3"], 'attacks.0.active_p has no effect without when = "sporadic".'),
         (["roadside.0.at=[500,500]", "roadside.0.choose=random"],

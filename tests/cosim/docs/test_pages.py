@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from rich.text import Text
 
 from cosim.cli.main import app
 from cosim.config.config import Config, load
@@ -79,6 +80,13 @@ def test_every_command_and_option_is_there():
         for option in command.params:
             assert all(f"`{name}" in section for name in option.opts if name.startswith("--"))
             assert (option.help or "").replace("\n", " ") in section
+
+
+def test_help_swallows_nothing():
+    """Rich takes words in brackets for styles and leaves them out."""
+    for words, command in every_command("cosim", COMMAND):
+        for text in (command.help or "", *(getattr(option, "help", "") or "" for option in command.params)):
+            assert Text.from_markup(text).plain == text, words
 
 
 def test_every_table_and_metric_is_there():

@@ -166,17 +166,24 @@ BAD = {
     "lacks.xml": ('<timestep time="0"><vehicle id="a" x="0" y="0"/></timestep>', "no angle of its"),
     "nan.xml": (f'<timestep time="0">{ROW.replace("0", "nan", 1)}</timestep>', "not finite"),
     "word.xml": (f'<timestep time="0">{ROW.replace("0", "left", 1)}</timestep>', "could not convert"),
-    "clock.xml": (f'<timestep time="0:00:01">{ROW}</timestep>', "--human-readable-time"),
+    "clock.xml": (f'<timestep time="0:01">{ROW}</timestep>', "neither a number of seconds nor a time of day"),
     "empty.xml": ("", "no actor is ever on the road"),
-    "coarse.xml": (f'<timestep time="0">{ROW}</timestep><timestep time="1.5">{ROW}</timestep>', "no multiple"),
+    "coarse.xml": (f'<timestep time="0">{ROW}</timestep><timestep time="2.5">{ROW}</timestep>', "every 2.5 s"),
     "unsorted.csv": (HEAD + "1;a;0;0;0;t;0\n0;a;0;0;0;t;0\n", "time 0 s comes after 1 s"),
     "twice.csv": (HEAD + "0;a;0;0;0;t;0\n0;a;1;0;0;t;0\n", "'a' occurs twice"),
     "hole.csv": (HEAD + "0;a;;0;0;t;0\n", "'a' at 0 s has a number missing"),
     "lacks.csv": ("time;id\n0;a\n", "no x of its"),
     "word.csv": (HEAD + "0;a;left;0;0;t;0\n", "column x"),
-    "torn.csv": (HEAD + "0;a;0\n", "Expected 7 columns"),
+    "torn.csv": (HEAD + "0;a;0\n", "a row has 3 values and the header has 7 names"),
     "not.parquet": ("PAR1 and then nothing", "damaged, or not a trace"),
-    "torn.xml.gz": (None, "damaged gzip"),
+    "torn.xml.gz": (None, "ends, before </fcd-export>"),
+    "ends.xml": (None, "ends after 1 s, before </fcd-export>: SUMO was stopped"),
+    "ends.csv": (HEAD + "0;a;0;0;0;t;0\n1;a;1;0;0;t;0\n2;a;2", "its last row is not complete"),
+    "thousands.csv": (HEAD + "0;a;1.234,5;0;0;t;0\n", "'1.234,5' in row 1. Are commas or points between thousands"),
+    "gap.xml": (
+        "".join(f'<timestep time="{t}">{ROW}</timestep>' for t in (0, 1, 2, 3, 9, 10)),
+        "no timestep between 3 s and 9 s, although 1 of 1 actors are there before and after",
+    ),
     "other.xml": (None, "starts with <routes>"),
     "bomb.xml": (None, "DOCTYPE"),
 }  # fmt: skip
@@ -188,6 +195,8 @@ def test_a_bad_trace_gets_one_line(tmp_path, name):
     path = tmp_path / name
     if name == "torn.xml.gz":
         path.write_bytes(gzip.compress(f"<fcd-export>{ROW * 9}".encode())[:-12])
+    elif name == "ends.xml":
+        path.write_text(f'<fcd-export><timestep time="0">{ROW}</timestep><timestep time="1">{ROW}')
     elif name == "other.xml":
         path.write_text("<routes/>")
     elif name == "bomb.xml":

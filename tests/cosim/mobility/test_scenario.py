@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.mobility.remarks import FlowCounts, traffic_remarks
+from cosim.mobility.remarks import FlowCounts, jumping, overlapping, traffic_remarks
 from cosim.mobility.scenario import find
 from cosim.world import World
 from results.verify import verify
 from sensors.boxes import Boxes
 from sensors.scene import Shape
 from tests.cosim.mobility import mixed_scenario
+from tests.cosim.mobility.worlds import live, same
 from tests.drive import cosim
 
 BOLOGNA = Path(__file__).parents[4] / "shared" / "nets" / "bologna"
@@ -121,7 +122,7 @@ def test_polygons_become_buildings_where_the_world_is(scenario, tmp_path, name):
     """One house of 20 x 15 m; the park is none. The origin is the network's middle, to the kilometre.
 
     The street beside it climbs from 3 m to 23 m within 500 m; the house's middle is 110 m from the lower end, so that
-    it stands at 3 + 20 * 110 / 500 = 7.4 m, and is 7 m tall.
+    it stands at 3 + 20 * 110 / 500 = 7.4 m, and is 7 m tall. Its walls reach down to the lower end.
     """
     config = edited(scenario, tmp_path, "odd.sumocfg", lambda t: t.replace("odd.poly.xml", name))
     text = (tmp_path / "odd.poly.xml").read_bytes()
@@ -132,8 +133,8 @@ def test_polygons_become_buildings_where_the_world_is(scenario, tmp_path, name):
     (house,) = city.footprints
     west = -8_999_900 - found.origin_m[0]
     assert house.bounds == (west, 130, west + 20, 145) and city.n_dropped == 0
-    assert city.buildings.base_m.tolist() == pytest.approx([7.4], abs=0.2)  # the street is set back at its ends
-    assert city.buildings.top_m[0] - city.buildings.base_m[0] == pytest.approx(7.0)
+    assert city.buildings.base_m.tolist() == pytest.approx([3.0], abs=0.2)
+    assert city.buildings.top_m.tolist() == pytest.approx([14.4], abs=0.2)  # the street is set back at its ends
 
 
 @pytest.mark.parametrize(
@@ -203,6 +204,42 @@ def test_traffic_that_begins_later_is_named_with_its_time(scenario, tmp_path):
     assert "the first of the scenario departs at 10800 s. Set traffic.begin_s = 10770." in done.stderr
 
 
+@pytest.mark.parametrize("name", ["odd.sumo.cfg", "odd.cfg", "a,b/odd.sumocfg", "a,b/odd.sumo.cfg"])
+@pytest.mark.parametrize("by_folder", [False, True])
+def test_what_sumo_opens_is_opened(scenario, tmp_path, name, by_folder):
+    """A configuration by its content, and in a folder whose name has a comma, at which SUMO splits lists of files."""
+    folder = (tmp_path / name).parent
+    folder.mkdir(exist_ok=True)
+    edited(scenario, folder, "odd.sumocfg", lambda t: t).rename(tmp_path / name)
+    given = str(folder if by_folder else tmp_path / name)
+    assert find(given).name == "odd"
+    worlds, report = live(given, tmp_path / "worlds", 0, 8)
+    same(worlds, live(str(scenario), tmp_path / "plain", 0, 8)[0])
+    assert "sumo_errors" not in report
+
+
+@pytest.mark.parametrize(
+    "location", ["", '<location netOffset="0,0" convBoundary="0,0,0,0" origBoundary="0,0,0,0" projParameter="!"/>']
+)
+def test_a_network_that_does_not_say_how_far_it_reaches(scenario, tmp_path, location):
+    """Its bounds are those of its streets, of a road's width around the outermost nodes a, c and d."""
+    config = edited(scenario, tmp_path, "odd net.net.xml", lambda t: re.sub(r"<location [^>]*/>", location, t))
+    np.testing.assert_allclose(find(str(config)).bounds_m, (-9_000_000, 100, -8_999_200, 400), atol=15)
+    worlds, _ = live(str(config), tmp_path / "worlds", 0, 8)
+    assert len(worlds[-1]) > 0
+
+
+@pytest.mark.parametrize("file", ["stdout", "-", "STDOUT", "stderr", "STDERR"])
+def test_standard_output_belongs_to_the_command(scenario, tmp_path, file):
+    """Additional files may name it as the place of their outputs."""
+    edge_data = f'<additional><edgeData id="e" file="{file}" period="1"/></additional>'
+    config = edited(scenario, tmp_path, "odd.add.xml", lambda _: edge_data)
+    sets = (f"traffic.scenario={config}", "traffic.duration_s=5", "fleet.penetration_p=0", "sensing=false")
+    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"), "--json")
+    assert done.returncode == 0 and json.loads(done.stdout)["summary"]["streets"], done.stdout[:200]
+    assert "interval" not in done.stderr
+
+
 def test_provenance_names_every_file_and_notices_a_change(scenario, tmp_path):
     config = edited(scenario, tmp_path, "odd.sumocfg", lambda t: t)
     before = find(str(config)).provenance()
@@ -237,10 +274,26 @@ def test_remarks_on_standing_and_waiting_vehicles():
     first, second = traffic_remarks(summary)
     assert first.startswith("note: 52 % of the vehicles stand") and "457 vehicles wait to enter" in second
     assert traffic_remarks(summary | {"vehicles_standing_p": 0.49, "vehicles_waiting_to_enter_at_end": 90}) == []
+    two_buses_at_a_stop = {"vehicles_standing_p": 0.6, "vehicles_on_road_mean": 5.0}
+    assert traffic_remarks(two_buses_at_a_stop) == []
+
+
+def test_only_pedestrians_is_said_and_no_departure_is_advised(scenario, tmp_path):
+    def walks(text):
+        return '<routes><person id="w" depart="2"><walk edges="ab"/></person></routes>'
+
+    config = edited(scenario, tmp_path, "odd.rou.xml", walks)
+    sets = (f"traffic.scenario={config}", "traffic.duration_s=9", "sensing=false")
+    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"))
+    assert done.returncode == 0 and "only pedestrians were on the road" in done.stderr, done.stderr
+    assert "begin_s" not in done.stderr
 
 
 def test_standing_vehicles_are_counted_by_hand():
-    """Two cars and a pedestrian over two steps: 0.05, 5 and 0 m/s, then 0, 0 and 0: three of four stand."""
+    """Two cars and a pedestrian over two steps: 0.05, 5 and 0 m/s, then 0, 0 and 0: three of four stand.
+
+    Both cars are at one point, four times in all: too few for a word.
+    """
     counts = FlowCounts()
     for speeds in ([0.05, 5.0, 0.0], [0.0, 0.0, 0.0]):
         boxes = Boxes(np.zeros((3, 3)), np.ones((3, 3)), np.zeros(3))
@@ -248,3 +301,60 @@ def test_standing_vehicles_are_counted_by_hand():
         nobody, n = np.zeros(3, bool), np.arange(3)
         counts.add(World(0, n, n.astype(np.uint64), shape, boxes, np.array(speeds), nobody, nobody.astype(np.uint8)))
     assert counts.report() == {"vehicles_standing_p": 0.75}
+
+
+def cars_at(*poses, length_m=4.0):
+    """Cars of 2 m width at x, y, height of the road, heading in degrees."""
+    x, y, z, yaw = np.array(poses, float).T
+    return Boxes(np.column_stack([x, y, z + 0.75]), np.tile([length_m, 2.0, 1.5], (len(x), 1)), np.radians(yaw))
+
+
+@pytest.mark.parametrize(
+    ("other", "n"),
+    [
+        ((0.0, 0.9, 0, 0), 2),  # beside it, 1.1 m inside
+        ((0.0, 1.1, 0, 0), 0),  # 0.9 m inside
+        ((2.9, 0.0, 0, 0), 2),  # behind it, 1.1 m inside
+        ((1.9, 0.0, 0, 90), 2),  # across: half a length and half a width reach 3 m
+        ((2.1, 0.0, 0, 90), 0),
+        ((0.0, 0.0, 4.5, 90), 0),  # on a bridge
+        ((0.0, 0.0, 0.9, 90), 2),  # on a ramp: 0.6 m of height in common
+    ],
+)
+def test_overlapping_vehicles_by_hand(other, n):
+    assert overlapping(cars_at((0, 0, 0, 0), other, (50, 0, 0, 0))).tolist() == [0, 1][:n]
+
+
+def test_traffic_that_no_vehicle_can_drive_is_noted():
+    """Ten cars in each of two steps: four at two points, two that overlap, four apart."""
+    apart = [(100.0 * k, 0, 0, 0) for k in range(1, 5)]
+    boxes = cars_at((0, 0, 0, 0), (0, 0, 0, 90), (0, 50, 0, 0), (0, 50, 0, 0), (0, 80, 0, 0), (0.5, 80, 0, 90), *apart)
+    counts, n, nobody = FlowCounts(), np.arange(10), np.zeros(10, bool)
+    shape = np.full(10, Shape.CAR, np.uint8)
+    for _ in range(3):
+        counts.add(World(0, n, n.astype(np.uint64), shape, boxes, np.full(10, 9.0), nobody, nobody.astype(np.uint8)))
+    told = counts.report()
+    assert told == {"vehicles_standing_p": 0.0, "vehicles_at_one_point_p": 0.4, "vehicles_overlapping_p": 0.2}
+    one, other = traffic_remarks(told)
+    assert "40% of the vehicles are at the exact position" in one and "20.00% of the vehicles overlap" in other
+    assert traffic_remarks(told | {"vehicles_at_one_point_p": 0.01, "vehicles_overlapping_p": 0.002}) == []
+
+
+def test_jumping_vehicles_by_hand():
+    """At 10 and 20 m/s over 0.5 s a vehicle moves 10 m at most, and 5 m are granted: 14 m are possible, 16 m are not.
+
+    The second car is new, and the last actor is a pedestrian.
+    """
+
+    def world(actors, x_m, speeds):
+        n, nobody = np.array(actors), np.zeros(len(actors), bool)
+        shape = np.where(n == 9, Shape.PEDESTRIAN, Shape.CAR).astype(np.uint8)
+        boxes = cars_at(*((x, 0, 0, 0) for x in x_m))
+        return World(0, n, n.astype(np.uint64), shape, boxes, np.array(speeds), nobody, nobody.astype(np.uint8))
+
+    before = world([1, 3, 4, 9], [0.0, 50.0, 0.0, 0.0], [10.0, 20.0, 10.0, 1.0])
+    now = world([1, 2, 3, 9], [14.0, 300.0, 66.0, 90.0], [20.0, 0.0, 10.0, 1.0])
+    assert now.actor[jumping(before, now, 0.5)].tolist() == [3]
+    (note,) = traffic_remarks({"vehicles_jumping_p": 0.007})
+    assert "0.70% of the vehicles move farther within a step than their speed allows" in note
+    assert traffic_remarks({"vehicles_jumping_p": 0.001}) == []

@@ -1,5 +1,7 @@
 """Parked cars and trees: where they stand, how many there are, and what a run makes of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -11,6 +13,7 @@ from cosim.mobility.streetside import PARKED, ParkedParams, Streetside, TreePara
 from results.archive import open_run
 from sensors.scene import Scene
 from sumo_nets.streetside import Kerb
+from tests.cosim.mobility import crossing
 from tests.drive import drive
 from tests.hostile.scenes import write_trace
 
@@ -48,6 +51,50 @@ def test_cars_stand_beside_the_lane_by_hand():
     assert (at[:, 1] == pytest.approx(-2.825)) and np.allclose((at[:, 0] - 11) % 6 % 6, 0, atol=1e-9)
     assert at[:, 0].min() >= 11 and at[:, 0].max() <= 616 - 11
     assert {one.yaw_deg for one in found.values()} == {0.0}
+
+
+def test_with_left_hand_traffic_cars_and_trees_stand_on_the_left_by_hand():
+    """North of the same street; the draws are the same, so that it is the mirror image."""
+    right, left = street(3), street(3)
+    left = replace(left, kerbs=[kerb._replace(is_left=True) for kerb in left.kerbs])
+    params = ParkedParams(per_100_m=9)
+    here, there = (one.parked(Scene.empty(), params) for one in (right, left))
+    assert here.keys() == there.keys() and len(here) > 100
+    for name, car in here.items():
+        row_m = 50.0 * round(car.at_m[1] / 50)
+        assert there[name].at_m == (car.at_m[0], pytest.approx(2 * row_m - car.at_m[1]))
+        assert there[name].yaw_deg == car.yaw_deg
+    feet = (one.planted(Scene.empty(), TreeParams(per_100_m=9)) for one in (right, left))
+    np.testing.assert_allclose(*(np.abs((foot[:, 1] + 25) % 50 - 25) for foot in feet))
+
+
+LEFT = """<nodes><node id="a" x="0" y="0"/><node id="b" x="300" y="0"/>
+<node id="c" x="300" y="60"/><node id="d" x="0" y="60"/></nodes>"""
+BOTH_WAYS = """<edges><edge id="ab" from="a" to="b"/><edge id="ba" from="b" to="a"/>
+<edge id="cd" from="c" to="d"/><edge id="dc" from="d" to="c"/></edges>"""
+
+
+def test_a_left_hand_city_has_as_many_parked_cars_as_its_mirror_image(tmp_path):
+    """Lanes of 3.2 m on either side of y = 0: the edge at 3.2 m, 0.3 m of gap, half a car of 1.85 m."""
+    found = {}
+    for name, flags in {"left": ("lefthand",), "right": ()}.items():
+        (tmp_path / name).mkdir()
+        scenario = find(str(crossing.write(tmp_path / name, *flags, nodes=LEFT, edges=BOTH_WAYS)))
+        found[name] = scenario.parked(ParkedParams(per_100_m=10, vans_p=0.0), scenario.city(), 1)
+    assert len(found["left"]) == len(found["right"]) > 80
+    y_m = {"ab": 4.425, "ba": -4.425, "cd": 55.575, "dc": 64.425}
+    for name, car in found["left"].items():
+        assert car.at_m[1] == pytest.approx(y_m[name.split("/")[1]], abs=0.01)
+
+
+def test_a_section_that_places_nothing_is_noted(tmp_path):
+    """Blocks of houses stand beside all streets."""
+    shape = "-400,-400 800,-400 800,800 -400,800"
+    (tmp_path / "all.add.xml").write_text(f'<additional><poly id="b" type="building" shape="{shape}"/></additional>')
+    config = crossing.write(tmp_path, files="all.add.xml")
+    notes = remarks_on(load(None, [f"traffic.scenario={config}", "parked.per_100_m=5", "trees.per_100_m=5"]), None)
+    assert any("[parked] places no car" in note for note in notes)
+    assert any("[trees] places no tree" in note for note in notes)
 
 
 def test_tags_decide_before_chance():

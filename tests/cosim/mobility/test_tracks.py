@@ -63,6 +63,16 @@ def test_the_interval_of_a_trace():
     assert own_step_s(fixes_of((0, 0, 0, 0))) == 1.0
 
 
+@pytest.mark.parametrize(
+    ("times", "x", "says"),
+    [(range(0, 600, 100), range(0, 72, 12), "100 s apart"), (range(6), range(0, 7200, 1200), "ask for 1,200 m/s")],
+)
+def test_positions_of_which_none_can_be_joined_are_in_other_units(times, x, says):
+    fixes = Fixes(["a"], [""], np.zeros(6, int), np.array(times, float), np.column_stack([x, np.zeros(6)]))
+    with pytest.raises(ValueError, match=f"of 5 pairs .* only 0 are joined: .*{says}"):
+        tracks(fixes, TrackParams(1.0, 30.0))
+
+
 def test_nothing_on_a_step_is_told():
     with pytest.raises(ValueError, match="Lower --step-s"):
         seen(fixes_of((0, 0.4, 0, 0)))

@@ -137,6 +137,44 @@ def test_an_encounter_that_is_seen_whole(tmp_path):
     assert found.manifest["summary"]["interpolated_share"] == pytest.approx(48 / 62)
 
 
+def test_pedestrians_count_only_if_a_definition_includes_them(tmp_path):
+    """A car passes a pedestrian and another car that stand 10 m apart."""
+    rows = [(who, t, x, 0, kind) for t in range(5) for who, x, kind in
+            (("a", 8 * t, "car"), ("b", 20, "Car"), ("p", 30, "pedestrian"))]  # fmt: skip
+    path = tmp_path / "t.csv"
+    path.write_text("id,time,x,y,class\n" + "".join(",".join(map(str, row)) + "\n" for row in rows))
+    definitions = (EncounterParams(pairs="all"), EncounterParams(pairs="all", pedestrians=True))
+    found = count([path], tmp_path / "o", encounters=definitions)
+    name = found.vehicles.set_index("vehicle").sumo_id
+    pairs = found.encounters.groupby("pedestrians")[["a", "b"]].apply(
+        lambda part: {tuple(sorted((name[a], name[b]))) for a, b in part.to_numpy()}
+    )
+    assert pairs[False] == {("a", "b")} and pairs[True] == {("a", "b"), ("a", "p"), ("b", "p")}
+    assert found.manifest["summary"]["classes"] == {"car": 2, "pedestrian": 1}
+
+
+def test_what_the_numbers_were_taken_for_is_printed(tmp_path):
+    """NGSIM's milliseconds and feet: 40 ft/s are 12.2 m/s."""
+    rows = "".join(f"1,{1163065600000 + 100 * k},0,{4 * k}\n2,{1163065600000 + 100 * k},12,{4 * k}\n" for k in range(9))
+    (tmp_path / "n.csv").write_text("Vehicle_ID,Global_Time,Local_X,Local_Y\n" + rows)
+    done = cosim("contacts", "n.csv", "--out", "met", cwd=tmp_path)
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    assert "2 car; speeds 12.2 m/s (median)" in done.stdout and "read as: layout ngsim" in done.stdout
+    made = cosim("trace", "n.csv", "--out", "t.parquet", cwd=tmp_path)
+    assert "2 tracks after 0 gaps and 0 jumps; 2 car; speeds 12.2 m/s" in made.stdout, made.stderr
+
+
+def test_notes_on_a_trace_are_printed(tmp_path):
+    """A type that no file defines, a lost timestep, and a type of a class: one note each for the first two."""
+    row = '<vehicle id="a" x="{x}" y="0" angle="90" type="equipped" speed="10"/>'
+    row += '<vehicle id="b" x="{x}" y="9" angle="90" type="bus" speed="10"/>'
+    steps = "".join(f'<timestep time="{t}">{row.format(x=10 * t)}</timestep>' for t in (0, 1, 2, 4, 5))
+    (tmp_path / "t.xml").write_text(f"<fcd-export>{steps}</fcd-export>")
+    done = cosim("contacts", "t.xml", "--out", "met", cwd=tmp_path)
+    guess, lost = done.stderr.splitlines()
+    assert "types equipped (passenger)" in guess and "at 3 s for the first time: 1 steps" in lost
+
+
 BAD = {
     "no file": (["nothing.csv"], "no such file"),
     "equipped": (["t.csv", "--pairs", "equipped"], "says nothing of equipment"),
@@ -158,6 +196,8 @@ BAD = {
     "no such attribute": (["a.xml"], "no angle of its vehicles"),
     "degrees of SUMO's": (["g.xml"], "look like degrees"),
     "a folder": (["."], "not a run"),
+    "units of SUMO's": (["a.xml", "--time-unit", "ms"], "--time-unit: a.xml is a trace that SUMO wrote"),
+    "no such unit": (["t.csv", "--length-unit", "yards"], "--length-unit"),
 }
 
 

@@ -1,12 +1,13 @@
 """`cosim export`: clouds of the run itself, mistakes in one line, interrupted and taken up again."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from cosim.offline import replay_lidar
 from cosim.offline.export import export
 from results.archive import open_run
-from tests.drive import cosim, drive
+from tests.drive import cosim, drive, simulate
 from tests.results.export import readers
 
 
@@ -136,3 +137,24 @@ def test_mistakes_on_the_command_line(folder, tmp_path, words):
     done = cosim("export", words[0], str(folder), "--out", str(tmp_path / "out"), *words[1:])
     assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and done.stdout == ""
     assert not (tmp_path / "out").exists()
+
+
+def test_floating_car_data_of_a_run_without_sensing_come_back(tmp_path):
+    """All steps are written, though nobody senses in any, and a replay has the run's boxes, one step later."""
+    sets = ("sensing=false", "fleet.penetration_p=0", "traffic.step_s=0.5")
+    simulate(tmp_path / "run", *sets, "traffic.duration_s=4", "traffic.warmup_s=60")
+    done = cosim("export", "fcd", "run", "--out", "trace", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    trace = f"traffic.trace={tmp_path / 'trace' / 'fcd.xml.gz'}"
+    simulate(
+        tmp_path / "again", *sets, "traffic.duration_s=4", "traffic.warmup_s=0", "traffic.scenario=helsinki", trace
+    )
+    tables = []
+    for name, shift in (("run", 0), ("again", 1)):
+        of = open_run(tmp_path / name)
+        rows = of.actors.merge(of.vehicles, left_on="actor", right_on="vehicle")
+        columns = ["sumo_id", "vehicle_class", "length_m", "width_m", "height_m", "x_m", "y_m", "z_m", "yaw_rad"]
+        rows = rows.assign(step=rows.step - shift)
+        tables.append(rows[rows.step < 7].sort_values(["step", "sumo_id"])[["step", *columns]].reset_index(drop=True))
+    assert len(tables[0]) > 100 and tables[0].step.nunique() == 7
+    pd.testing.assert_frame_equal(*tables, check_exact=True)

@@ -1,12 +1,16 @@
 """A run that is watched: the same tables, a whole recording, what it shows, and mistakes in one line."""
 
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from cosim.offline import view
 from results.archive import open_run
 from results.recorder import fingerprint
 from tests.drive import SHORT, cosim, drive
@@ -83,3 +87,37 @@ def test_mistakes(tmp_path, words, says):
     done = cosim("run", "--out", str(tmp_path / "run"), *words)
     assert done.returncode == 2 and says in done.stderr and len(done.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "run").exists()
+
+
+VIEWER = """#!{python}
+import pathlib, socket, sys, time
+words = sys.argv[1:]
+pathlib.Path({said!r}).write_text(" ".join(words))
+with socket.create_server((words[words.index("--bind") + 1], int(words[words.index("--port") + 1]))):
+    time.sleep(30)
+"""
+
+
+def test_the_viewer_is_that_of_the_installation_and_listens_to_this_machine(tmp_path, monkeypatch):
+    pytest.importorskip("rerun")
+    for name, text in (("rerun", "#!/bin/sh\ntouch {said}-of-path\n"), ("viewer", VIEWER)):
+        (tmp_path / name).write_text(text.format(python=sys.executable, said=str(tmp_path / "said")))
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    monkeypatch.setenv("RERUN_CLI_PATH", str(tmp_path / "viewer"))
+    connected = []
+    recording = SimpleNamespace(connect_grpc=connected.append)
+    viewer = view.show(recording, "--watch", "Use --watch-file")
+    os.killpg(viewer.pid, signal.SIGKILL)
+    viewer.wait()
+    words = (tmp_path / "said").read_text().split()
+    port = words[words.index("--port") + 1]
+    assert words[words.index("--bind") + 1] == "127.0.0.1" and connected == [f"rerun+http://127.0.0.1:{port}/proxy"]
+    assert not (tmp_path / "said-of-path").exists()
+
+
+def test_a_viewer_that_does_not_start_is_one_line(tmp_path, monkeypatch):
+    pytest.importorskip("rerun")
+    monkeypatch.setenv("RERUN_CLI_PATH", str(tmp_path / "nothing"))
+    with pytest.raises(ValueError, match=r"^--watch: the Rerun viewer does not start; .*Use --watch-file.$"):
+        view.show(SimpleNamespace(), "--watch", "Use --watch-file")

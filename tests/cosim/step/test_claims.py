@@ -92,8 +92,7 @@ class Scene:
 
     def claims(self, *evidence):
         """(list, member, number) of every claim, with its support."""
-        positioned = SimpleNamespace(objects=self.states)
-        found = claims_of(self.exchange, self.messages, self.matched, positioned, self.parts(*evidence))
+        found = claims_of(self.exchange, self.messages, self.matched, self.states, self.parts(*evidence))
         keys = list(zip(found.list.tolist(), found.member.tolist(), found.number.tolist(), strict=True))
         assert keys == sorted(keys)
         return dict(zip(keys, found.support.tolist(), strict=True))

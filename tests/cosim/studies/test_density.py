@@ -32,3 +32,19 @@ def test_a_dense_city_takes_longer():
         return estimate([], Plan((PlannedRun("one", config, (("one", "base"),), ""),), {}, ()), (), None).planned_s
 
     assert planned_s("koenigs-wusterhausen") > 2.5 * planned_s("helsinki")
+
+
+def test_what_a_run_costs():
+    """As `cosim.studies.estimate` measures it, by hand, for 60 equipped vehicles and 100 s after 600 s of warm-up.
+
+    v0.2: 700 steps of traffic at 4 ms; 100 steps at 20 ms; 6,000 sweeps of 520 x 64 rays at 10 ns, and messages of a
+    field of view of 90 degrees at a quarter of 1.2 ms. modern: steps of 0.2 s; 1800 x 64 rays all around.
+    """
+    start_s = 4.5 + 0.5
+    v02_s = start_s + 700 * 0.004 + 100 * 0.02 + 6000 * (520 * 64 * 10e-9 + 1.2e-3 / 4)
+    modern_s = start_s + 3500 * 0.004 + 500 * 0.02 + 6000 * (1800 * 64 * 10e-9 + 1.2e-3)
+    for preset, want_s in (("v0.2", v02_s), ("modern", modern_s)):
+        sets = ["traffic.duration_s=100", "traffic.warmup_s=600", "fleet.penetration_p=0.3"]
+        config = load(None, [f"preset={preset}", *sets])
+        plan = Plan((PlannedRun("one", config, (("one", "base"),), ""),), {}, ())
+        assert estimate([], plan, (), None).planned_s == pytest.approx(want_s, rel=0.01)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from cosim.config.config import load
+from cosim.execution import run as running
 from cosim.execution.cells.border import cells_of, costs, within_reach
 from cosim.execution.cells.channel import SharedChannel
 from cosim.execution.cells.crew import CellLost, Crew
@@ -21,7 +22,7 @@ from cosim.execution.cells.perception import CellPerception
 from cosim.execution.cells.start import NO_CELLS, Cells, in_cells
 from cosim.execution.cells.worker import Worker
 from cosim.execution.checkpoint import encode
-from cosim.execution.stop import Failed
+from cosim.execution.stop import Failed, Stopped
 from cosim.mobility.scenario import find
 from cosim.reproduce.scenarios import ScriptedScene
 from cosim.step.cycle import step
@@ -29,7 +30,7 @@ from cosim.step.parts import perception_of
 from cosim.step.precomputed import Precomputed
 from cosim.step.state import State
 from cosim.step.stopwatch import Stopwatch
-from results.archive import read_manifest
+from results.archive import open_run, read_manifest
 from results.recorder import fingerprint
 from tests.drive import cosim, simulate
 from tests.scene import assert_same, parts_of
@@ -259,3 +260,29 @@ def test_a_run_in_cells_has_the_same_tables(n_cells, settings, tmp_path):
     assert ended.returncode == 0, ended.stderr
     assert fingerprint(tmp_path / "cells") == fingerprint(simulate(tmp_path / "one", *settings))
     assert read_manifest(tmp_path / "cells")["cells"]["cells"] == n_cells
+
+
+QUIET = ("record.block_steps=5", "attacks.0.start_s=0", "seed=3")
+
+
+def test_steps_in_which_nobody_senses_and_a_resumed_run(tmp_path):
+    """With random phases and few equipped vehicles, most steps have no sweep. Interrupted, and resumed in cells."""
+    quiet = ("preset=modern", "traffic.duration_s=6", "traffic.warmup_s=60", "fleet.penetration_p=0.02", *QUIET)
+    words = [word for key in quiet for word in ("--set", key)]
+    ended = cosim("run", *words, "--cells", "1", "--out", str(tmp_path / "cells"))
+    assert ended.returncode == 0, ended.stderr
+    one = simulate(tmp_path / "one", *quiet)
+    assert fingerprint(tmp_path / "cells") == fingerprint(one)
+    sensing = open_run(one).table("detections", ["step"]).step.unique()
+    assert 0 < len(sensing) < 25, "of 30 steps"
+    config = load(None, list(quiet))
+
+    def interrupted(phase, done, *_):
+        if phase == "run" and done == 12:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(Stopped):
+        running.run(config, tmp_path / "part", interrupted)
+    ended = cosim("resume", str(tmp_path / "part"), "--cells", "1")
+    assert ended.returncode == 0, ended.stderr
+    assert fingerprint(tmp_path / "part") == fingerprint(one)

@@ -1,6 +1,8 @@
 """Cells on the workers of a Dask scheduler compute what one process computes, whatever dies meanwhile."""
 
+import hmac
 import os
+import pickle
 import random
 import signal
 import socket
@@ -15,6 +17,7 @@ import numpy as np
 import psutil
 import pytest
 
+from cosim.execution import process
 from cosim.execution.cells.channel import NetworkChannel
 from cosim.execution.cells.crew import Crew
 from cosim.execution.cells.perception import CellPerception
@@ -69,6 +72,55 @@ def test_who_ends_is_heard(network):
     with pytest.raises(ConnectionError):
         for _ in range(3):  # the first may still find room in a buffer
             there.send(np.zeros(1_000_000))
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_worker_and_run_show_each_other_that_they_know_a_secret(network, known):
+    """The worker answers a challenge and sends its own. Who does not know the secret cannot answer that."""
+    worker, run = network
+    secret, challenge, heard = bytes(range(32)), bytes(32), []
+
+    def as_run():
+        run._socket.sendall(challenge)
+        said = bytes(run._into(memoryview(bytearray(64))))
+        heard.append(said[:32] == hmac.digest(secret, b"worker" + challenge, "sha256"))
+        run._socket.sendall(hmac.digest(secret if known else bytes(32), b"run" + said[32:], "sha256"))
+
+    other = threading.Thread(target=as_run)
+    other.start()
+    assert worker.knows(secret) == known
+    other.join()
+    assert heard == [True]
+
+
+def test_a_worker_reads_no_message_of_a_stranger(tmp_path):
+    """Messages are pickles: a stranger at the run's port would run code."""
+    with socket.create_server(("127.0.0.1", 0)) as door:
+        host, port = door.getsockname()
+        worker = subprocess.Popen(
+            process.command("cosim.execution.cells", "connect", host, str(port)), stdin=subprocess.PIPE,
+            stderr=subprocess.PIPE, env=process.environment(),
+        )  # fmt: skip
+        worker.stdin.write(bytes(range(32)))
+        worker.stdin.flush()
+        stranger, _ = door.accept()
+        sent = pickle.dumps((pickle.dumps(Trap(str(tmp_path / "sentinel")), 5), []))
+        stranger.sendall(bytes(32) + bytes(32) + len(sent).to_bytes(8, "little") + sent)
+        assert b"is not the run that asked for this worker" in worker.stderr.read()
+        assert worker.wait() == 1 and not (tmp_path / "sentinel").exists()
+        worker.stdin.close()
+        worker.stderr.close()
+        stranger.close()
+
+
+class Trap:
+    """Makes a file when it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return open, (self.path, "w")
 
 
 def test_what_no_scheduler_is_for():

@@ -1,0 +1,69 @@
+"""Study folders whose files say something else than a sweep writes: one line each, that names the file."""
+
+import json
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from cosim.studies.folder import StudyFolder, status_of
+from results.durable import Damaged
+from results.study import open_study
+
+HEAD = {"name": "s", "question": "", "keys": ["trust.host"], "baseline": {}}
+POINT = {"point": "a", "run": "a", "variant": "base", "replicate": 0, "state": "finished", "trust.host": "local"}
+ROW = {"point": "a", "metric": "radio.pdr.all", "group": "", "value": 1.0, "unit": "1", "label": "x"}
+
+
+@pytest.mark.parametrize("text", ["", "[]", "1", "{}", '{"members": 3}', '{"members": {"a": 1}}', "[" * 5000])
+def test_a_job(tmp_path, text):
+    folder = StudyFolder(tmp_path)
+    folder.job("a").mkdir(parents=True)
+    (folder.job("a") / "job.json").write_text(text)
+    with pytest.raises(Damaged, match=r"jobs/a/job.json is damaged \([^\n]*\). Sweep the study in another --out.$"):
+        folder.answers()
+
+
+@pytest.mark.parametrize("text", ["", "3", "[3]", '[{"outcome": "ok"}]', '[{"no": 1}]', "null"])
+def test_attempts_and_a_manifest(tmp_path, text):
+    folder = StudyFolder(tmp_path)
+    folder.job("a").mkdir(parents=True)
+    (folder.job("a") / "attempts.json").write_text(text)
+    with pytest.raises(Damaged, match=r"attempts.json is damaged"):
+        folder.attempts("a")
+    (tmp_path / "manifest.json").write_text(text)
+    assert status_of(tmp_path) == ""
+
+
+def study(folder, head=HEAD, point=POINT, row=ROW):
+    """A study of one point."""
+    (folder / "jobs" / "a").mkdir(parents=True)
+    table = pa.Table.from_pandas(pd.DataFrame([point]), preserve_index=False)
+    pq.write_table(table.replace_schema_metadata({"study": json.dumps(head)}), folder / "index.parquet")
+    pd.DataFrame([row]).to_parquet(folder / "jobs" / "a" / "measures.parquet", index=False)
+    return open_study(folder)
+
+
+def test_a_study_without_mistakes(tmp_path):
+    assert study(tmp_path / "s").summary["mean"].tolist() == [1.0]
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"head": 3}, {"head": HEAD | {"name": 3}}, {"head": HEAD | {"keys": "trust.host"}},
+        {"head": HEAD | {"keys": [3]}},
+        {"head": HEAD | {"baseline": {"lidar.profile": 1}}}, {"point": POINT | {"run": "../../etc"}},
+        {"point": POINT | {"run": 3}}, {"point": POINT | {"replicate": "x"}}, {"point": {"point": "a"}},
+    ],
+)  # fmt: skip
+def test_an_index(tmp_path, changed):
+    with pytest.raises(ValueError, match=r"index.parquet is damaged \([^\n]*\). `cosim status"):
+        study(tmp_path / "s", **changed)
+
+
+@pytest.mark.parametrize("row", [{"point": "a"}, ROW | {"value": "x"}, ROW | {"metric": 3}, ROW | {"unit": None}])
+def test_measures(tmp_path, row):
+    with pytest.raises(Damaged, match=r"measures.parquet is damaged \([^\n]*\). Sweep the study in another --out.$"):
+        _ = study(tmp_path / "s", row=row).measures
