@@ -49,9 +49,20 @@ def test_without_attackers_every_honest_detection_is_bit_identical(base, tmp_pat
     attacked, honest = open_run(base), open_run(quiet)
     found = attacked.detections
     of_attack = ["transmitted", "withheld", "target", "lied"]
-    sensed = found[found.origin != "fabricated"].drop(columns=of_attack)
-    assert len(sensed) > 1000 and (found.origin == "fabricated").sum() > 50
-    pd.testing.assert_frame_equal(sensed.reset_index(drop=True), honest.detections.drop(columns=of_attack))
+    is_lie = found.origin == "fabricated"
+    lists = found.set_index(["step", "observer"]).index
+    shuffled = lists.isin(lists[is_lie])  # whoever fabricates numbers its detections anew
+    kept = honest.detections.set_index(["step", "observer"]).index.isin(lists[is_lie])
+    assert (~is_lie).sum() > 1000 and is_lie.sum() > 50 and 0 < kept.sum() < 0.5 * len(kept)
+    plain, before = found[~shuffled].drop(columns=of_attack), honest.detections[~kept].drop(columns=of_attack)
+    pd.testing.assert_frame_equal(plain.reset_index(drop=True), before.reset_index(drop=True))
+    of_attack.append("detection_index")
+    order = ["step", "observer", "origin", "x_m", "y_m", "score"]
+    own, before = (
+        rows.drop(columns=of_attack).sort_values(order, ignore_index=True)
+        for rows in (found[shuffled & ~is_lie], honest.detections[kept])
+    )
+    pd.testing.assert_frame_equal(own, before)
     pd.testing.assert_frame_equal(attacked.observability, honest.observability)
 
 

@@ -40,6 +40,8 @@ def ghosts(
     target
         As `attack.fabricated`.
     """
+    if context.params.appearance == "paper":
+        return fabricated(listed, observer, label, boxes, np.ones(len(observer)), target)
     pool = _pool(listed, context)
     chosen = _alike(pool, observer, label, boxes, context)
     there = chosen >= 0

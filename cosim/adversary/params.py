@@ -40,6 +40,9 @@ class AttackParams:
     ring_size: Annotated[int, Ge(0), Le(1_000_000)] = 0
     """Number of attackers in each ring of colluders. Attackers join rings in the order of their appearance, and those
     that appear in the same step by position. 0 means that all attackers of the section form one ring."""
+    appearance: Literal["detected", "paper"] = "detected"
+    """What ghosts look like. `detected`: their score, size, returns and speed are those of real detections at similar
+    distances. `paper`: their score is 1 and their size fixed, as in the paper's experiments; this marks them."""
     start_s: Annotated[float, Ge(0), Le(1e8)] = 60.0
     """Recorded time at which the attack begins [s]. Before it, its vehicles are honest and build up trust."""
     when: When = "persistent"

@@ -18,9 +18,11 @@ YARD = [SQUARE * 0.4 + 3.0]
 
 
 def index_of(buildings, cell_m=4.0):
-    """Of (outer ring, holes, base, top)."""
-    rings = [[outer, *holes] for outer, holes, _, _ in buildings]
-    scene = Scene.from_footprints(rings, [b for *_, b, _ in buildings], [t for *_, t in buildings])
+    """Of (outer ring, holes, base, top), with more behind."""
+    rings = [[outer, *holes] for outer, holes, *_ in buildings]
+    scene = Scene.from_footprints(
+        rings, [building[2] for building in buildings], [building[3] for building in buildings]
+    )
     return WallIndex.of(scene.buildings, cell_m)
 
 
@@ -69,7 +71,7 @@ def test_walls_and_metres_agree_with_shapely():
     xyz = np.column_stack([g.uniform(-60, 650, 2000), g.uniform(-60, 550, 2000), np.full(2000, 1.5)])
     a, b = np.arange(1000), np.arange(1000, 2000)
     n_walls, inside_m = index_of(buildings).walls_crossed(xyz, a, b)
-    city = shapely.union_all([shapely.Polygon(o, h) for o, h, _, _ in buildings])
+    city = shapely.union_all([shapely.Polygon(o, h) for o, h, *_ in buildings])
     lines = shapely.linestrings(np.stack([xyz[a, :2], xyz[b, :2]], axis=1))
     assert inside_m == pytest.approx(shapely.length(shapely.intersection(lines, city)), abs=1e-6)
     cuts = shapely.intersection(lines, city.boundary)
@@ -106,7 +108,7 @@ def town(n, seed=1):
 
 
 def by_shapely(buildings, xyz, a, b, z):
-    tree = shapely.STRtree([shapely.Polygon(o, h) for o, h, base, top in buildings if base <= z <= top])
+    tree = shapely.STRtree([shapely.Polygon(o, h) for o, h, base, top, *_ in buildings if base <= z <= top])
     lines = shapely.linestrings(np.stack([xyz[a, :2], xyz[b, :2]], axis=1))
     clear = np.ones(len(a), bool)
     clear[tree.query(lines, predicate="intersects")[0]] = False

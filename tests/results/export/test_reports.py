@@ -87,14 +87,14 @@ def test_reports_and_what_is_left_out_are_all_denials(tmp_path):
         evaluation(2, 1, -1.0, 1.0, True),
         evaluation(2, 1, -1.0, 1.0, True, detection_index=0, detection_step=1),
         evaluation(3, 3, -1.0, 1.0, True, detection_step=0),
-        evaluation(3, 9, -1.0, 1.0, True, detection_step=0),  # 9 is a roadside unit
-        evaluation(3, 1, -1.0, 1.0, True, observer=9),
+        evaluation(3, 4, -1.0, 1.0, True, detection_step=0),  # 4 is a roadside unit
+        evaluation(3, 1, -1.0, 1.0, True, observer=4),
         evaluation(3, 1, -1.0, 1.0, True, observer=3, detection_step=0),  # 3 comes in step 1
         evaluation(3, 1, -1.0, 1.0, True, kind="speed"),
         evaluation(3, 1, -0.2, 1.0, True, detection_step=2),  # is no denial
     ]
     rows = [{"kind": "detection", "detection_step": row["step"]} | row for row in rows]
-    run = truck.make(tmp_path / "run", evaluations=rows)
+    run = truck.make(tmp_path / "run", units=[4], evaluations=rows)
     table = run.table("evaluations")
     n_denials = int((table.evaluation * table.visibility < -0.5).sum())
     of = replace(truck.selection(run), projection=lambda: NORTH)

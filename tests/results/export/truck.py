@@ -29,11 +29,11 @@ def box(xyz, lwh, yaw):
     )
 
 
-def make(folder, keep=lambda table, row: True, **more):
+def make(folder, keep=lambda table, row: True, units=(), **more):
     """Four steps: the car 0 and the truck 1 in all of them, the pedestrian 2 in the last two; 3 is a car behind.
 
-    `keep` says of which rows of `observability`, `detections` and `receptions` the run has; `more` are rows of further
-    tables.
+    `keep` says of which rows of `observability`, `detections` and `receptions` the run has; `units` are numbers of
+    roadside units; `more` are rows of further tables.
     """
     car, truck, walker = (4.5, 1.8, 1.5), (10, 2.5, 3.5), (0.5, 0.5, 1.75)
     vehicles = [
@@ -41,6 +41,7 @@ def make(folder, keep=lambda table, row: True, **more):
         attack_start_step=2), body(2, "pedestrian", walker, '"quoted", name', first=2, equipped=False, role=None),
         body(3, "car", car, "late", first=1),
     ]  # fmt: skip
+    vehicles += [body(unit, "car", car, f"unit {unit}", role=None) for unit in units]
     pose = {0: ((100, 50, 0.75), car, np.pi / 2, 0.0), 1: ((97, 70, 1.75), truck, 3 * np.pi / 4, 5.0),
             2: ((101, 60, 0.875), walker, 0.0, 1.5), 3: ((100, 40, 0.75), car, np.pi / 2, 8.0)}  # fmt: skip
     there = [(s, a) for s in range(4) for a in pose if vehicles[a]["first_step"] <= s]
