@@ -15,7 +15,7 @@ from tests.processes import conclude, sets_of_trace
 COMMANDS = (
     ("verify", "run"), ("measure", "run", "--json"), ("measure", "run", "--json"), ("report", "run"),
     ("plot", "trust", "run"), ("plot", "encounters", "run"), ("resume", "run"),
-    ("export", "veremi-nextgen", "run", "--out", "x"),
+    ("export", "nuscenes", "run", "--out", "x"),
     ("retrust", "run", "--variants", "../variants.toml", "--out", "again"),
     ("run", "--set", "traffic.trace=run", "--set", "traffic.scenario=../street.csv", "--out", "again", "--json"),
 )  # fmt: skip

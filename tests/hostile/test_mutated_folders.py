@@ -143,7 +143,7 @@ def measured(run):
 def exported(folder):
     out = folder.parent / "export"
     shutil.rmtree(out, ignore_errors=True)
-    export(open_run(folder), "veremi-nextgen", out)
+    export(open_run(folder), "nuscenes", out)
     return {
         str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*.json*") if path.name != "export.json"
     }

@@ -38,7 +38,8 @@ CALLS = {
     "check": ["check {run}/config.toml", "check {part}/config.toml --json"],
     "export": [
         "export kitti {run} --out {out}/kitti --vehicles 0 --steps 1-2",
-        "export veremi-nextgen {run} --out {out}/nextgen", "export pcap {run} --out {out}/packets",
+        "export veremi-nextgen {run} --out {out}/nextgen", "export nuscenes {run} --out {out}/nuscenes",
+        "export pcap {run} --out {out}/packets",
     ],
     "contacts": ["contacts {run} --out {out}/contacts"],
     "evaluate": ["evaluate {run}"],
@@ -90,7 +91,7 @@ FUNCTIONS = {
     "cosim.execution.run.resume": lambda f, at: f(at["part"], print),
     "cosim.offline.evaluate.evaluate": lambda f, at: f(at["run"]),
     "cosim.offline.evaluate.layout_of": lambda f, at: f(at["run"]),
-    "cosim.offline.export.export": lambda f, at: f(open_run(at["run"]), "veremi-nextgen", at["out"] / "api"),
+    "cosim.offline.export.export": lambda f, at: f(open_run(at["run"]), "nuscenes", at["out"] / "api"),
     "cosim.offline.replay_lidar.config_of": lambda f, at: f(open_run(at["run"])),
     "cosim.offline.replay_lidar.film": lambda f, at: f(open_run(at["run"]), 0, at["out"] / "api.gif"),
     "cosim.offline.replay_lidar.portrait": lambda f, at: f(open_run(at["run"]), [0], 2, at["out"] / "scene.png"),
