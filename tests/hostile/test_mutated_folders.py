@@ -143,10 +143,8 @@ def measured(run):
 def exported(folder):
     out = folder.parent / "export"
     shutil.rmtree(out, ignore_errors=True)
-    export(open_run(folder), "nuscenes", out)
-    return {
-        str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*.json*") if path.name != "export.json"
-    }
+    export(open_run(folder), "kitti", out)
+    return {str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*.txt")}
 
 
 def drawn(folder):
