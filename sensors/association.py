@@ -15,7 +15,7 @@ from numba import prange
 from numpy import ndarray
 
 from sensors.boxes import Boxes, iou_of
-from sensors.kernel import compiled, kernel, parallel
+from sensors.kernel import compiled, inlined, kernel, parallel
 
 Pairs = tuple[Int[ndarray, "k"], Int[ndarray, "k"], Float[ndarray, "k"]]
 """Rows of two boxes, and how well they agree, in (0, 1]; sorted by the two rows."""
@@ -121,15 +121,18 @@ class _Places(NamedTuple):
     radius: ndarray  # circumradius
     label: ndarray
     owner: ndarray  # empty where pairs of one owner count, too
+    side: ndarray  # of the cells of each class
     cell: ndarray  # column and row of the cell of each
-    order: ndarray  # rows by bucket of their cells
+    order: ndarray  # rows by bucket of their cells and classes
     start: ndarray  # where each bucket begins
+    xy: ndarray  # in this order
 
     @staticmethod
-    def of(boxes: Boxes, label: ndarray, variance_m2: ndarray, owner: ndarray, side_m: float) -> "_Places":
-        """In cells of this side."""
-        cell = np.floor(np.clip(boxes.xyz_m[:, :2] / side_m, -_FARTHEST, _FARTHEST)).astype(np.int64)
-        order, start = _by_bucket(cell, 1 << max(len(boxes), 1).bit_length())
+    def of(boxes: Boxes, label: ndarray, variance_m2: ndarray, owner: ndarray, side_m: ndarray) -> "_Places":
+        """In cells of these sides, one for each class."""
+        label = np.minimum(label, _N_CLASSES)
+        cell = np.empty((len(boxes), 2), np.int64)
+        order, start = _by_bucket(boxes.xyz_m, label, side_m, 1 << max(len(boxes), 1).bit_length(), cell)
         return _Places(
             xyz=boxes.xyz_m,
             lwh=boxes.lwh_m,
@@ -138,11 +141,13 @@ class _Places(NamedTuple):
             sin=np.sin(boxes.yaw_rad),
             variance=np.ascontiguousarray(variance_m2),
             radius=boxes.circumradius_m,
-            label=np.minimum(label, _N_CLASSES),
+            label=label,
             owner=np.ascontiguousarray(owner, np.int64),
+            side=side_m,
             cell=cell,
             order=order,
             start=start,
+            xy=boxes.xyz_m[order, :2],
         )
 
 
@@ -151,25 +156,32 @@ _FARTHEST = 2.0**40
 
 
 @compiled
-def _by_bucket(cell, n_buckets):
-    """Rows of cells by bucket, and where each bucket begins."""
+def _by_bucket(xyz, label, side, n_buckets, cell):
+    """Rows by bucket of their cells and classes, and where each bucket begins; the cells are written."""
     start = np.zeros(n_buckets + 1, np.int64)
     for row in range(len(cell)):
-        start[_bucket(cell[row, 0], cell[row, 1], n_buckets) + 1] += 1
+        cell[row, 0], cell[row, 1] = _cell(xyz[row, 0], side[label[row]]), _cell(xyz[row, 1], side[label[row]])
+        start[_bucket(cell[row, 0], cell[row, 1], label[row], n_buckets) + 1] += 1
     for bucket in range(n_buckets):
         start[bucket + 1] += start[bucket]
     at, order = start.copy(), np.empty(len(cell), np.int64)
     for row in range(len(cell)):
-        bucket = _bucket(cell[row, 0], cell[row, 1], n_buckets)
+        bucket = _bucket(cell[row, 0], cell[row, 1], label[row], n_buckets)
         order[at[bucket]] = row
         at[bucket] += 1
     return order, start
 
 
 @kernel
-def _bucket(column, row, n_buckets):
-    """Bucket of a cell. Distant cells may share one; `n_buckets` is a power of two."""
-    return (column * 73856093 ^ row * 19349663) & (n_buckets - 1)
+def _cell(x, side):
+    """Column or row of a coordinate."""
+    return np.int64(np.floor(min(max(x / side, -_FARTHEST), _FARTHEST)))
+
+
+@kernel
+def _bucket(column, row, label, n_buckets):
+    """Bucket of a cell and a class. Others may share it; `n_buckets` is a power of two."""
+    return (column * 73856093 ^ row * 19349663 ^ np.int64(label) * 83492791) & (n_buckets - 1)
 
 
 def _reach_m(
@@ -177,20 +189,23 @@ def _reach_m(
 ) -> Float[ndarray, "5 5"]:
     """How far apart the centres of detections of two classes are compared; -1 for classes that do not go together."""
     reach_m = np.full((_N_CLASSES + 1, _N_CLASSES + 1), -1.0)
+    largest_of_a, largest_of_b = _largest_of(a, a_label, a_variance_m2), _largest_of(b, b_label, b_variance_m2)
     for group in _GROUPS:
         for of_a, of_b in product(group, group):
-            rows, columns = np.flatnonzero(a_label == of_a), np.flatnonzero(b_label == of_b)
-            if len(rows) and len(columns):
-                by_size = a.circumradius_m[rows].max() + b.circumradius_m[columns].max()
-                most = _largest(a_variance_m2[rows]) + _largest(b_variance_m2[columns])
-                reach_m[of_a, of_b] = max(float(by_size), gate.reach * float(np.sqrt(most)))
+            if of_a in largest_of_a and of_b in largest_of_b:
+                (a_m, a_m2), (b_m, b_m2) = largest_of_a[of_a], largest_of_b[of_b]
+                reach_m[of_a, of_b] = max(a_m + b_m, gate.reach * float(np.sqrt(a_m2 + b_m2)))
     return reach_m
 
 
-def _largest(variance_m2: Float[ndarray, "n 3"]) -> float:
-    """Largest variance along any axis."""
+def _largest_of(boxes: Boxes, label: ndarray, variance_m2: ndarray) -> dict[int, tuple[float, float]]:
+    """Largest circumradius and largest variance along any axis of each class that is there."""
     xx, xy, yy = variance_m2.T
-    return float((0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)).max())
+    radius_m, along_m2 = boxes.circumradius_m, 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
+    there = {kind: label == kind for kind in range(_N_CLASSES)}
+    return {
+        kind: (float(radius_m[rows].max()), float(along_m2[rows].max())) for kind, rows in there.items() if rows.any()
+    }
 
 
 def _agreeing(
@@ -199,7 +214,9 @@ def _agreeing(
 ) -> Pairs:  # fmt: skip
     """Pairs that pass the gate, and how well they agree. With `is_same`, both sets are one, and i < j."""
     reach_m = _reach_m(a, a_label, a_variance_m2, b, b_label, b_variance_m2, gate)
-    side_m = max(float(reach_m.max()), 1.0) * (1.0 + 1e-9)
+    most_m = reach_m.max(axis=0)
+    least_m = np.where(reach_m > 0.0, reach_m, most_m).min(axis=0)
+    side_m = np.maximum(np.maximum(least_m, most_m / _MOST_RINGS), 1.0) * (1.0 + 1e-9)
     places = _Places.of(a, a_label, a_variance_m2, a_owner, side_m)
     others = places if is_same else _Places.of(b, b_label, b_variance_m2, b_owner, side_m)
     n_chunks, room = (len(a) + _CHUNK - 1) // _CHUNK, _ROOM
@@ -218,6 +235,8 @@ def _agreeing(
     return pairs["i"][kept], pairs["j"][kept], agreement[kept]
 
 
+_MOST_RINGS = 8
+"""Cells to look at on each side, also where one enormous box is said to be there."""
 _CHUNK = 256
 """Detections whose pairs one thread finds at once."""
 _ROOM = 64 * _CHUNK
@@ -234,47 +253,54 @@ def _search(a, b, is_same, reach_m, most, least_iou, found):
     count = np.zeros(len(found), np.int64)
     for chunk in prange(len(found)):
         room = np.empty((4, 16))
-        count[chunk] = _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, found, room)
+        count[chunk] = _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, found[chunk], room)
     return count
 
 
 @kernel
-def _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, found, room):
-    """The pairs of one chunk of `a`."""
+def _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, out, room):
+    """Number of the pairs of one chunk of `a`, of which as many as fit are written to `out`."""
     n, n_buckets = 0, len(b.start) - 1
     for i in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(a.yaw))):
         first = n
-        for column in range(a.cell[i, 0] - 1, a.cell[i, 0] + 2):
-            for row in range(a.cell[i, 1] - 1, a.cell[i, 1] + 2):
-                bucket = _bucket(column, row, n_buckets)
-                for k in range(b.start[bucket], b.start[bucket + 1]):
-                    j = b.order[k]
-                    if (is_same and j <= i) or b.cell[j, 0] != column or b.cell[j, 1] != row:
-                        continue
-                    reach = reach_m[a.label[i], b.label[j]]
-                    x, y = a.xyz[i, 0] - b.xyz[j, 0], a.xyz[i, 1] - b.xyz[j, 1]
-                    apart = x * x + y * y
-                    if reach < 0.0 or apart > reach * reach or (len(a.owner) and a.owner[i] == b.owner[j]):
-                        continue
-                    square, iou, both = _square(a, i, b, j, x, y), 0.0, a.radius[i] + b.radius[j]
-                    if apart < both * both:
-                        iou = iou_of(a.xyz, a.lwh, a.yaw, i, b.xyz, b.lwh, b.yaw, j, room)
-                        if iou <= least_iou:
-                            iou = 0.0
-                    if square > most and iou == 0.0:
-                        continue
-                    if n < found.shape[1]:
-                        at = n
-                        while at > first and found[chunk, at - 1].j > j:  # insertion sort: few are there
-                            found[chunk, at] = found[chunk, at - 1]
-                            at -= 1
-                        here = found[chunk, at]
-                        here.square, here.iou, here.i, here.j = square, iou, i, j
-                    n += 1
+        for label in range(len(reach_m)):
+            reach, side = reach_m[a.label[i], label], b.side[label]
+            if reach < 0.0:
+                continue
+            rings = np.int64(np.ceil(reach / side))
+            middle_x, middle_y = _cell(a.xyz[i, 0], side), _cell(a.xyz[i, 1], side)
+            for column in range(middle_x - rings, middle_x + rings + 1):
+                for row in range(middle_y - rings, middle_y + rings + 1):
+                    bucket = _bucket(column, row, label, n_buckets)
+                    for k in range(b.start[bucket], b.start[bucket + 1]):
+                        x, y = a.xyz[i, 0] - b.xy[k, 0], a.xyz[i, 1] - b.xy[k, 1]
+                        apart = x * x + y * y
+                        if apart > reach * reach:
+                            continue
+                        j = b.order[k]
+                        if b.label[j] != label or b.cell[j, 0] != column or b.cell[j, 1] != row:
+                            continue
+                        if (is_same and j <= i) or (len(a.owner) and a.owner[i] == b.owner[j]):
+                            continue
+                        square, iou, both = _square(a, i, b, j, x, y), 0.0, a.radius[i] + b.radius[j]
+                        if apart < both * both:
+                            iou = iou_of(a.xyz, a.lwh, a.yaw, i, b.xyz, b.lwh, b.yaw, j, room)
+                            if iou <= least_iou:
+                                iou = 0.0
+                        if square > most and iou == 0.0:
+                            continue
+                        if n < len(out):
+                            at = n
+                            while at > first and out[at - 1].j > j:  # insertion sort: a detection has few partners
+                                out[at] = out[at - 1]
+                                at -= 1
+                            here = out[at]
+                            here.square, here.iou, here.i, here.j = square, iou, i, j
+                        n += 1
     return n
 
 
-@kernel
+@inlined
 def _square(a, i, b, j, x, y):
     """Squared Mahalanobis distance of two centres that are x and y apart.
 
@@ -289,7 +315,7 @@ def _square(a, i, b, j, x, y):
     return (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
 
 
-@kernel
+@inlined
 def _beyond(distance, slack):
     """A distance, shorter by the slack."""
     return np.sign(distance) * max(abs(distance) - slack, 0.0)

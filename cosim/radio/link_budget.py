@@ -159,7 +159,8 @@ def _within(
     """All pairs of points in range, and whether each pair crosses a filled cell (a cell inside buildings).
 
     Pairs that do and are longer than `nlos_range_m` are left out. A pair that crosses a filled cell has no line of
-    sight. Other pairs may have no line of sight either. Of each pair at least one point is among `sends`; None: all are.
+    sight. Other pairs may have no line of sight either.
+    Of each pair at least one point is among `sends`; None: all are.
     """
     n = len(xyz_m)
     sends = np.ones(n, bool) if sends is None else sends
@@ -348,8 +349,8 @@ def links_between(
 
 @compiled
 def _directed(a, b, gain, power_mw, cutoff_mw, sends):
-    """Links above the cut-off in the directions of each pair that send, by sender: where each sender's begin, receiver, mean
-    received power, and row of the pair.
+    """Links above the cut-off in the directions of each pair that send, by sender: where each sender's begin, receiver,
+    mean received power, and row of the pair.
     """
     n = len(power_mw)
     ptr = np.zeros(n + 1, np.int64)

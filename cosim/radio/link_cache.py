@@ -24,7 +24,7 @@ class LinkCache:
     links: Links
     neighbours: NeighbourList
     sends: Bool[ndarray, "n"]
-    """Stations whose links and neighbours are complete: those that may send. Links of other senders are not computed."""
+    """Stations that may send. Their links and neighbours are complete; those of others are not computed."""
 
     @staticmethod
     def of(
@@ -60,7 +60,8 @@ class LinkCache:
         return replace(
             self,
             links=Links(links.key, ptr, *(
-                both(getattr(links, name), getattr(other.links, name), at) for name in ("receiver", "power_mw", "fading")
+                both(getattr(links, name), getattr(other.links, name), at)
+                for name in ("receiver", "power_mw", "fading")
             )),
             neighbours=NeighbourList(near_ptr, *(
                 both(mine, theirs, near_at) for mine, theirs in zip(near[1:], other.neighbours[1:], strict=True)

@@ -23,7 +23,7 @@ from sensors.evidence import AreaParams
 from trust import tables
 from trust.evaluation import evaluate
 from trust.fusion import Fused, SensorEvidence, fuse, votes_of
-from trust.matching import match
+from trust.matching import match_each
 from trust.object_reports import ObjectReports
 from trust.params import TrustParams
 from trust.tables import Evaluations, FusionInput, Groups, ObjectLists, SenderTrust
@@ -252,7 +252,7 @@ def compare(
             sweeps, lists.of_member(), boxes, area, lists.member, detections.label, known.bodies
         )
         near = subset(lists, inside)
-        groups, near_groups = (match(x, detections, pairs, params) for x in (lists, near))
+        groups, near_groups = match_each((lists, near), detections, pairs, params)
     with watch("evaluate"):
         seeds, origin_m = groups.seeds(), sweeps.poses.origin_m
         foreign = np.zeros(len(lists.member), bool)  # members whose plausibility is tested

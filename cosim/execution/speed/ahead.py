@@ -143,9 +143,7 @@ class Ahead:
         n_vehicles, n_units = len(equipped), len(self._parts.rsus)
         return np.append(np.searchsorted(equipped, self._parts.sensing(world)), n_vehicles + np.arange(n_units))
 
-    def _links(
-        self, medium: CsmaMedium | SidelinkMedium, stations: Stations, senders: Int[ndarray, "k"]
-    ) -> LinkCache:
+    def _links(self, medium: CsmaMedium | SidelinkMedium, stations: Stations, senders: Int[ndarray, "k"]) -> LinkCache:
         numba.set_num_threads(1)  # the other core is the present step's
         with self.watch("links"):
             return medium.links(stations) if isinstance(medium, SidelinkMedium) else medium.links(stations, senders)
