@@ -19,7 +19,7 @@ from trust.threads import threads_for
 class SensorEvidence:
     """Evidence from the ego's own sweep about each group's seed; used only if another vehicle detected the seed."""
 
-    n_points: Int[ndarray, "g"]  # returns inside the box
+    n_points: Int[ndarray, "g"]  # returns inside the box; used within the range only
     plausible: Bool[ndarray, "g"]
     in_range: Bool[ndarray, "g"]  # within the range of the sensor (70 m)
 
