@@ -59,10 +59,13 @@ class LinkCache:
 
         return replace(
             self,
-            links=Links(links.key, ptr, *(
-                both(getattr(links, name), getattr(other.links, name), at)
-                for name in ("receiver", "power_mw", "fading")
-            )),
+            links=Links(
+                key=links.key,
+                ptr=ptr,
+                receiver=both(links.receiver, other.links.receiver, at),
+                power_mw=both(links.power_mw, other.links.power_mw, at),
+                fading=both(links.fading, other.links.fading, at),
+            ),
             neighbours=NeighbourList(near_ptr, *(
                 both(mine, theirs, near_at) for mine, theirs in zip(near[1:], other.neighbours[1:], strict=True)
             )),
