@@ -6,15 +6,16 @@ References
    chapter 3: the gate of a measurement by its squared Mahalanobis distance.
 """
 
-from itertools import combinations_with_replacement
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
+from numba import prange
 from numpy import ndarray
-from scipy.spatial import cKDTree
 
-from sensors.boxes import Boxes, iou_3d
+from sensors.boxes import Boxes, iou_of
+from sensors.kernel import compiled, inlined, kernel, parallel
 
 Pairs = tuple[Int[ndarray, "k"], Int[ndarray, "k"], Float[ndarray, "k"]]
 """Rows of two boxes, and how well they agree, in (0, 1]; sorted by the two rows."""
@@ -24,6 +25,8 @@ LEAST_VARIANCE_M2, MOST_VARIANCE_M2 = 0.02**2, 2.0**2
 detection may be anywhere; 2 m is what a car that was last seen half a second ago may be off."""
 _GROUPS = ((0, 3), (1, 2))
 """Detectors confuse cars with trucks, and pedestrians with cyclists."""
+_N_CLASSES = 4
+"""Labels from this on are no classes, and they go with none."""
 
 
 class Gate(NamedTuple):
@@ -94,10 +97,7 @@ def pairs_within(
     overlap by more than `least_iou`, it is at least their IoU. Where one box is longer or wider, half the difference is
     not counted as distance: a truck of which a vehicle sees the rear as a car is where that car is.
     """
-    i, j = _near(boxes, label, variance_m2, boxes, label, variance_m2, gate, is_same=True)
-    kept = owner[i] != owner[j]
-    i, j = np.minimum(i, j)[kept], np.maximum(i, j)[kept]
-    return _agreeing(boxes, variance_m2, boxes, variance_m2, i, j, gate)
+    return _agreeing(boxes, label, variance_m2, owner, boxes, label, variance_m2, owner, gate, True)
 
 
 def pairs_across(
@@ -105,72 +105,217 @@ def pairs_across(
     b_label: UInt8[ndarray, "m"], b_variance_m2: Float[ndarray, "m 3"], gate: Gate,
 ) -> Pairs:  # fmt: skip
     """All pairs of a detection of `a` and one of `b` that may be of one object; as `pairs_within`."""
-    i, j = _near(a, a_label, a_variance_m2, b, b_label, b_variance_m2, gate, is_same=False)
-    return _agreeing(a, a_variance_m2, b, b_variance_m2, i, j, gate)
+    nobody = np.zeros(0, np.int64)
+    return _agreeing(a, a_label, a_variance_m2, nobody, b, b_label, b_variance_m2, nobody, gate, False)
 
 
-def _near(
-    a: Boxes, a_label: ndarray, a_variance_m2: ndarray, b: Boxes, b_label: ndarray, b_variance_m2: ndarray, gate: Gate,
-    is_same: bool,
-) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"]]:  # fmt: skip
-    """Pairs of classes that go together, no farther apart than their boxes or gates reach."""
-    found = [np.zeros((0, 2), np.int64)]
+class _Places(NamedTuple):
+    """Detections as the search reads them."""
+
+    xyz: ndarray
+    lwh: ndarray
+    yaw: ndarray
+    cos: ndarray
+    sin: ndarray
+    variance: ndarray
+    radius: ndarray  # circumradius
+    label: ndarray
+    owner: ndarray  # empty where pairs of one owner count, too
+    side: ndarray  # of the cells of each class
+    cell: ndarray  # column and row of the cell of each
+    order: ndarray  # rows by bucket of their cells and classes
+    start: ndarray  # where each bucket begins
+    xy: ndarray  # in this order
+
+    @staticmethod
+    def of(boxes: Boxes, label: ndarray, variance_m2: ndarray, owner: ndarray, side_m: ndarray) -> "_Places":
+        """In cells of these sides, one for each class."""
+        label = np.minimum(label, _N_CLASSES)
+        cell = np.empty((len(boxes), 2), np.int64)
+        order, start = _by_bucket(boxes.xyz_m, label, side_m, 1 << max(len(boxes), 1).bit_length(), cell)
+        return _Places(
+            xyz=boxes.xyz_m,
+            lwh=boxes.lwh_m,
+            yaw=boxes.yaw_rad,
+            cos=np.cos(boxes.yaw_rad),
+            sin=np.sin(boxes.yaw_rad),
+            variance=np.ascontiguousarray(variance_m2),
+            radius=boxes.circumradius_m,
+            label=label,
+            owner=np.ascontiguousarray(owner, np.int64),
+            side=side_m,
+            cell=cell,
+            order=order,
+            start=start,
+            xy=boxes.xyz_m[order, :2],
+        )
+
+
+_FARTHEST = 2.0**40
+"""Cells farther away count as this one."""
+
+
+@compiled
+def _by_bucket(xyz, label, side, n_buckets, cell):
+    """Rows by bucket of their cells and classes, and where each bucket begins; the cells are written."""
+    start = np.zeros(n_buckets + 1, np.int64)
+    for row in range(len(cell)):
+        cell[row, 0], cell[row, 1] = _cell(xyz[row, 0], side[label[row]]), _cell(xyz[row, 1], side[label[row]])
+        start[_bucket(cell[row, 0], cell[row, 1], label[row], n_buckets) + 1] += 1
+    for bucket in range(n_buckets):
+        start[bucket + 1] += start[bucket]
+    at, order = start.copy(), np.empty(len(cell), np.int64)
+    for row in range(len(cell)):
+        bucket = _bucket(cell[row, 0], cell[row, 1], label[row], n_buckets)
+        order[at[bucket]] = row
+        at[bucket] += 1
+    return order, start
+
+
+@kernel
+def _cell(x, side):
+    """Column or row of a coordinate."""
+    return np.int64(np.floor(min(max(x / side, -_FARTHEST), _FARTHEST)))
+
+
+@kernel
+def _bucket(column, row, label, n_buckets):
+    """Bucket of a cell and a class. Others may share it; `n_buckets` is a power of two."""
+    return (column * 73856093 ^ row * 19349663 ^ np.int64(label) * 83492791) & (n_buckets - 1)
+
+
+def _reach_m(
+    a: Boxes, a_label: ndarray, a_variance_m2: ndarray, b: Boxes, b_label: ndarray, b_variance_m2: ndarray, gate: Gate
+) -> Float[ndarray, "5 5"]:
+    """How far apart the centres of detections of two classes are compared; -1 for classes that do not go together."""
+    reach_m = np.full((_N_CLASSES + 1, _N_CLASSES + 1), -1.0)
+    largest_of_a, largest_of_b = _largest_of(a, a_label, a_variance_m2), _largest_of(b, b_label, b_variance_m2)
     for group in _GROUPS:
-        for one, other in combinations_with_replacement(group, 2):
-            orders = [(one, other)] if one == other or is_same else [(one, other), (other, one)]
-            for of_a, of_b in orders:
-                rows, columns = np.flatnonzero(a_label == of_a), np.flatnonzero(b_label == of_b)
-                if not len(rows) or not len(columns):
-                    continue
-                by_size = a.circumradius_m[rows].max() + b.circumradius_m[columns].max()
-                most = _largest(a_variance_m2[rows]) + _largest(b_variance_m2[columns])
-                reach_m = max(float(by_size), gate.reach * float(np.sqrt(most)))
-                tree = cKDTree(a.xyz_m[rows, :2])
-                if is_same and of_a == of_b:
-                    found.append(rows[tree.query_pairs(reach_m, output_type="ndarray")])
-                    continue
-                near = tree.sparse_distance_matrix(cKDTree(b.xyz_m[columns, :2]), reach_m, output_type="ndarray")
-                found.append(np.column_stack([rows[near["i"]], columns[near["j"]]]))
-    i, j = np.concatenate(found).T
-    return i, j
+        for of_a, of_b in product(group, group):
+            if of_a in largest_of_a and of_b in largest_of_b:
+                (a_m, a_m2), (b_m, b_m2) = largest_of_a[of_a], largest_of_b[of_b]
+                reach_m[of_a, of_b] = max(a_m + b_m, gate.reach * float(np.sqrt(a_m2 + b_m2)))
+    return reach_m
 
 
-def _largest(variance_m2: Float[ndarray, "n 3"]) -> float:
-    """Largest variance along any axis."""
+def _largest_of(boxes: Boxes, label: ndarray, variance_m2: ndarray) -> dict[int, tuple[float, float]]:
+    """Largest circumradius and largest variance along any axis of each class that is there."""
     xx, xy, yy = variance_m2.T
-    return float((0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)).max())
+    radius_m, along_m2 = boxes.circumradius_m, 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
+    there = {kind: label == kind for kind in range(_N_CLASSES)}
+    return {
+        kind: (float(radius_m[rows].max()), float(along_m2[rows].max())) for kind, rows in there.items() if rows.any()
+    }
 
 
 def _agreeing(
-    a: Boxes, a_variance_m2: ndarray, b: Boxes, b_variance_m2: ndarray, i: Int[ndarray, "k"], j: Int[ndarray, "k"],
-    gate: Gate,
+    a: Boxes, a_label: ndarray, a_variance_m2: ndarray, a_owner: ndarray, b: Boxes, b_label: ndarray,
+    b_variance_m2: ndarray, b_owner: ndarray, gate: Gate, is_same: bool,
 ) -> Pairs:  # fmt: skip
-    """Those of the pairs that pass the gate, and how well they agree."""
-    x, y = (a.xyz_m[i, :2] - b.xyz_m[j, :2]).T
-    apart_m2 = x * x + y * y
-    x, y = _beyond_size(a, b, i, j, x, y)
-    xx, xy, yy = (a_variance_m2[i] + b_variance_m2[j]).T
-    square = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
-    agreement = np.exp(-0.5 * square)
+    """Pairs that pass the gate, and how well they agree. With `is_same`, both sets are one, and i < j."""
+    reach_m = _reach_m(a, a_label, a_variance_m2, b, b_label, b_variance_m2, gate)
+    most_m = reach_m.max(axis=0)
+    least_m = np.where(reach_m > 0.0, reach_m, most_m).min(axis=0)
+    side_m = np.maximum(np.maximum(least_m, most_m / _MOST_RINGS), 1.0) * (1.0 + 1e-9)
+    places = _Places.of(a, a_label, a_variance_m2, a_owner, side_m)
+    others = places if is_same else _Places.of(b, b_label, b_variance_m2, b_owner, side_m)
+    n_chunks, room = (len(a) + _CHUNK - 1) // _CHUNK, _ROOM
+    most = -2.0 * np.log(gate.miss_p) * (1.0 + 1e-6) + 1e-9  # those at the edge are decided below
+    while True:
+        found = np.empty((n_chunks, room), _FOUND)
+        n = _search(places, others, is_same, reach_m, most, gate.least_iou, found)
+        if n.max(initial=0) <= room:
+            break
+        room = int(n.max())
+    pairs = np.concatenate([found[:0].reshape(-1), *(found[chunk, : n[chunk]] for chunk in range(n_chunks))])
+    agreement = np.exp(-0.5 * pairs["square"])
     agreement[agreement <= gate.miss_p] = 0.0
-    reach_m = a.circumradius_m[i] + b.circumradius_m[j]
-    may_overlap = np.flatnonzero(apart_m2 < reach_m * reach_m)
-    iou = iou_3d(a.take(i[may_overlap]), b.take(j[may_overlap]))
-    iou[iou <= gate.least_iou] = 0.0
-    agreement[may_overlap] = np.maximum(agreement[may_overlap], iou)
+    agreement = np.maximum(agreement, pairs["iou"])
     kept = np.flatnonzero(agreement > 0.0)
-    kept = kept[np.lexsort((j[kept], i[kept]))]
-    return i[kept].astype(np.int32), j[kept].astype(np.int32), agreement[kept]
+    return pairs["i"][kept], pairs["j"][kept], agreement[kept]
 
 
-def _beyond_size(
-    a: Boxes, b: Boxes, i: Int[ndarray, "k"], j: Int[ndarray, "k"], x: Float[ndarray, "k"], y: Float[ndarray, "k"]
-) -> tuple[Float[ndarray, "k"], Float[ndarray, "k"]]:
-    """Distances of centres, without what different sizes of the boxes explain, along the axes of the longer box."""
-    slack_m = 0.5 * np.abs(a.lwh_m[i, :2] - b.lwh_m[j, :2])
-    yaw = np.where(a.lwh_m[i, 0] >= b.lwh_m[j, 0], a.yaw_rad[i], b.yaw_rad[j])
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    along, across = cos * x + sin * y, cos * y - sin * x
-    along = np.sign(along) * np.maximum(np.abs(along) - slack_m[:, 0], 0.0)
-    across = np.sign(across) * np.maximum(np.abs(across) - slack_m[:, 1], 0.0)
-    return cos * along - sin * across, sin * along + cos * across
+_MOST_RINGS = 8
+"""Cells to look at on each side, also where one enormous box is said to be there."""
+_CHUNK = 256
+"""Detections whose pairs one thread finds at once."""
+_ROOM = 64 * _CHUNK
+_FOUND = np.dtype([("square", "f8"), ("iou", "f8"), ("i", "i4"), ("j", "i4")])
+"""A pair that may pass the gate: squared Mahalanobis distance, and IoU if it is above the least one."""
+
+
+@parallel
+def _search(a, b, is_same, reach_m, most, least_iou, found):
+    """Write pairs into `found`, sorted by i and j in each chunk; return their number there, which may exceed the room.
+
+    Chunks of `a` are independent.
+    """
+    count = np.zeros(len(found), np.int64)
+    for chunk in prange(len(found)):
+        room = np.empty((4, 16))
+        count[chunk] = _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, found[chunk], room)
+    return count
+
+
+@kernel
+def _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, out, room):
+    """Number of the pairs of one chunk of `a`, of which as many as fit are written to `out`."""
+    n, n_buckets = 0, len(b.start) - 1
+    for i in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(a.yaw))):
+        first = n
+        for label in range(len(reach_m)):
+            reach, side = reach_m[a.label[i], label], b.side[label]
+            if reach < 0.0:
+                continue
+            rings = np.int64(np.ceil(reach / side))
+            middle_x, middle_y = _cell(a.xyz[i, 0], side), _cell(a.xyz[i, 1], side)
+            for column in range(middle_x - rings, middle_x + rings + 1):
+                for row in range(middle_y - rings, middle_y + rings + 1):
+                    bucket = _bucket(column, row, label, n_buckets)
+                    for k in range(b.start[bucket], b.start[bucket + 1]):
+                        x, y = a.xyz[i, 0] - b.xy[k, 0], a.xyz[i, 1] - b.xy[k, 1]
+                        apart = x * x + y * y
+                        if apart > reach * reach:
+                            continue
+                        j = b.order[k]
+                        if b.label[j] != label or b.cell[j, 0] != column or b.cell[j, 1] != row:
+                            continue
+                        if (is_same and j <= i) or (len(a.owner) and a.owner[i] == b.owner[j]):
+                            continue
+                        square, iou, both = _square(a, i, b, j, x, y), 0.0, a.radius[i] + b.radius[j]
+                        if apart < both * both:
+                            iou = iou_of(a.xyz, a.lwh, a.yaw, i, b.xyz, b.lwh, b.yaw, j, room)
+                            if iou <= least_iou:
+                                iou = 0.0
+                        if square > most and iou == 0.0:
+                            continue
+                        if n < len(out):
+                            at = n
+                            while at > first and out[at - 1].j > j:  # insertion sort: a detection has few partners
+                                out[at] = out[at - 1]
+                                at -= 1
+                            here = out[at]
+                            here.square, here.iou, here.i, here.j = square, iou, i, j
+                        n += 1
+    return n
+
+
+@inlined
+def _square(a, i, b, j, x, y):
+    """Squared Mahalanobis distance of two centres that are x and y apart.
+
+    What different sizes of the boxes explain along the axes of the longer box is not counted.
+    """
+    cos, sin = (a.cos[i], a.sin[i]) if a.lwh[i, 0] >= b.lwh[j, 0] else (b.cos[j], b.sin[j])
+    along = _beyond(cos * x + sin * y, 0.5 * abs(a.lwh[i, 0] - b.lwh[j, 0]))
+    across = _beyond(cos * y - sin * x, 0.5 * abs(a.lwh[i, 1] - b.lwh[j, 1]))
+    x, y = cos * along - sin * across, sin * along + cos * across
+    xx, xy = a.variance[i, 0] + b.variance[j, 0], a.variance[i, 1] + b.variance[j, 1]
+    yy = a.variance[i, 2] + b.variance[j, 2]
+    return (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+
+
+@inlined
+def _beyond(distance, slack):
+    """A distance, shorter by the slack."""
+    return np.sign(distance) * max(abs(distance) - slack, 0.0)

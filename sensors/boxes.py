@@ -209,23 +209,23 @@ def _iou(a_xyz, a_lwh, a_yaw, b_xyz, b_lwh, b_yaw):
     for chunk in prange((n + _CHUNK - 1) // _CHUNK):
         room = np.empty((4, 16))
         for k in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, n)):
-            out[k] = _iou_of(a_xyz, a_lwh, a_yaw, b_xyz, b_lwh, b_yaw, k, room)
+            out[k] = iou_of(a_xyz, a_lwh, a_yaw, k, b_xyz, b_lwh, b_yaw, k, room)
     return out
 
 
 @kernel
-def _iou_of(a_xyz, a_lwh, a_yaw, b_xyz, b_lwh, b_yaw, k, room):
-    """IoU of box k of the first set with box k of the second; `room` is for two polygons."""
+def iou_of(a_xyz, a_lwh, a_yaw, i, b_xyz, b_lwh, b_yaw, j, room):
+    """IoU of box i of the first set with box j of the second; `room` is for two polygons."""
     poly_x, poly_y, next_x, next_y = room[0], room[1], room[2], room[3]
-    top = min(a_xyz[k, 2] + 0.5 * a_lwh[k, 2], b_xyz[k, 2] + 0.5 * b_lwh[k, 2])
-    bottom = max(a_xyz[k, 2] - 0.5 * a_lwh[k, 2], b_xyz[k, 2] - 0.5 * b_lwh[k, 2])
-    radius = 0.5 * (np.hypot(a_lwh[k, 0], a_lwh[k, 1]) + np.hypot(b_lwh[k, 0], b_lwh[k, 1]))
-    dx, dy = b_xyz[k, 0] - a_xyz[k, 0], b_xyz[k, 1] - a_xyz[k, 1]
+    top = min(a_xyz[i, 2] + 0.5 * a_lwh[i, 2], b_xyz[j, 2] + 0.5 * b_lwh[j, 2])
+    bottom = max(a_xyz[i, 2] - 0.5 * a_lwh[i, 2], b_xyz[j, 2] - 0.5 * b_lwh[j, 2])
+    radius = 0.5 * (np.hypot(a_lwh[i, 0], a_lwh[i, 1]) + np.hypot(b_lwh[j, 0], b_lwh[j, 1]))
+    dx, dy = b_xyz[j, 0] - a_xyz[i, 0], b_xyz[j, 1] - a_xyz[i, 1]
     if top <= bottom or dx * dx + dy * dy >= radius * radius:
         return 0.0
     # The clipping box is chosen by geometry, not by row, so that swapping the two changes no bit.
-    first = (a_xyz[k, 0], a_xyz[k, 1], a_lwh[k, 0], a_lwh[k, 1], a_yaw[k])
-    second = (b_xyz[k, 0], b_xyz[k, 1], b_lwh[k, 0], b_lwh[k, 1], b_yaw[k])
+    first = (a_xyz[i, 0], a_xyz[i, 1], a_lwh[i, 0], a_lwh[i, 1], a_yaw[i])
+    second = (b_xyz[j, 0], b_xyz[j, 1], b_lwh[j, 0], b_lwh[j, 1], b_yaw[j])
     if second < first:
         first, second = second, first
     cos, sin = np.cos(first[4]), np.sin(first[4])
@@ -264,6 +264,6 @@ def _iou_of(a_xyz, a_lwh, a_yaw, b_xyz, b_lwh, b_yaw, k, room):
         area += poly_x[c] * poly_y[m] - poly_x[m] * poly_y[c]
     common = 0.5 * area * (top - bottom)
     if common > 0.0:
-        volume = a_lwh[k, 0] * a_lwh[k, 1] * a_lwh[k, 2] + b_lwh[k, 0] * b_lwh[k, 1] * b_lwh[k, 2]
+        volume = a_lwh[i, 0] * a_lwh[i, 1] * a_lwh[i, 2] + b_lwh[j, 0] * b_lwh[j, 1] * b_lwh[j, 2]
         return min(1.0, common / (volume - common))
     return 0.0

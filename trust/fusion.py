@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numba import njit
 from numpy import ndarray
 
 from trust.group_sums import GroupTotals, MemberSums, sums_of_groups
@@ -18,7 +19,7 @@ from trust.threads import threads_for
 class SensorEvidence:
     """Evidence from the ego's own sweep about each group's seed; used only if another vehicle detected the seed."""
 
-    n_points: Int[ndarray, "g"]  # returns inside the box
+    n_points: Int[ndarray, "g"]  # returns inside the box; used within the range only
     plausible: Bool[ndarray, "g"]
     in_range: Bool[ndarray, "g"]  # within the range of the sensor (70 m)
 
@@ -271,8 +272,18 @@ def _closest(given: FusionInput, distance_m: Float[ndarray, "d"], self_reports: 
     far = distance_m[member]
     if not self_reports:
         far = np.where(given.detections.is_self[member], np.inf, far)
-    order = np.lexsort((far, group))
-    return member[order[np.flatnonzero(np.diff(group[order], prepend=-1))]]
+    return member[first_least(group, far, int(group.max(initial=-1)) + 1)]
+
+
+@njit(cache=True, nogil=True)
+def first_least(group, value, n_groups):
+    """Position of the least value of each group, the first of equal ones. A NaN is larger than all other values."""
+    best = np.full(n_groups, -1, np.int64)
+    for p in range(len(group)):
+        q = best[group[p]]
+        if q < 0 or value[p] < value[q] or (np.isnan(value[q]) and not np.isnan(value[p])):
+            best[group[p]] = p
+    return best
 
 
 def _parity(given: FusionInput, members: MemberSums, params: TrustParams) -> Parity:

@@ -1,13 +1,14 @@
 """Matching: detections of one object by several sources."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float, Int
 from numba import njit, prange
 from numpy import ndarray
-from scipy.sparse import coo_array
 
 from trust.params import TrustParams
-from trust.tables import Detections, Groups, ObjectLists, int64
+from trust.tables import Detections, Groups, ObjectLists, float64, int64
 from trust.threads import threads_for
 
 
@@ -28,6 +29,21 @@ def _candidate(d, after, at, block, ptr, other, value):
     return best, best_iou
 
 
+@njit(cache=True, nogil=True)
+def _offer(s, t, member, seed, first, ptr, other, value, v, offer, offer_iou, offer_list):
+    """Note the seeds of one message, s to t, at the detections for which they are the first candidates.
+
+    `first` says where each position's message begins. A message further on in the list never replaces an earlier one.
+    """
+    for p in range(s, t):
+        if seed[p] != p:
+            continue
+        for x in range(ptr[member[p]], ptr[member[p] + 1]):
+            d = other[x]
+            if offer_list[d] != v or (first[offer[d]] == s and value[x] > offer_iou[d]):
+                offer[d], offer_iou[d], offer_list[d] = p, value[x], v
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle, n_chunks):
     """Seed of each position, and whether it is the owner's detection."""
@@ -39,10 +55,11 @@ def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle
     for chunk in prange(n_chunks):
         # of the list under way, by position in it: where the detections of the same message start, and the seed
         block, seed = np.empty(longest, np.int32), np.empty(longest, np.int32)
-        at = np.full(message.size, -1, np.int32)  # position of each detection that is a seed of an earlier message
-        n_tried = longest if one_per_vehicle else 0
-        tried, choice, winner = np.empty(n_tried, np.int32), np.empty(n_tried, np.int32), np.empty(n_tried, np.int32)
-        choice_iou = np.empty(n_tried)
+        # of each detection: its position if it is a seed of an earlier message; its first candidate, in which list
+        at, offer = np.full(message.size, -1, np.int32), np.empty(message.size, np.int32)
+        offer_iou, offer_list = np.zeros(message.size), np.full(message.size, -1, np.int32)
+        n_choices = longest if one_per_vehicle else 0
+        choice, winner, choice_iou = np.empty(n_choices, np.int32), np.empty(n_choices, np.int32), np.empty(n_choices)
         for v in range(chunk, n_lists, n_chunks):
             member = members[list_ptr[v] : list_ptr[v + 1]]
             s = np.int64(0)  # a literal would be a type of its own, for which kernels are compiled once more
@@ -51,17 +68,17 @@ def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle
                 while t < len(member) and message[member[t]] == message[member[s]]:
                     block[t] = s
                     t += 1
+                for p in range(s, t):
+                    has_offer = offer_list[member[p]] == v
+                    seed[p] = offer[member[p]] if has_offer else p
+                    if one_per_vehicle:
+                        choice[p], choice_iou[p] = offer[member[p]] if has_offer else -1, offer_iou[member[p]]
                 if one_per_vehicle:
-                    _one_per_vehicle(
-                        s, t, member, at, block, ptr, other, value, seed, tried, choice, choice_iou, winner
-                    )
-                else:
-                    for p in range(s, t):
-                        q, _ = _candidate(member[p], np.int32(-1), at, block, ptr, other, value)
-                        seed[p] = q if q >= 0 else p
+                    _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, choice, choice_iou, winner)
                 for p in range(s, t):
                     if seed[p] == p:
                         at[member[p]] = p
+                _offer(s, t, member, seed, block, ptr, other, value, v, offer, offer_iou, offer_list)
                 s = t
             for p in range(len(member)):
                 at[member[p]] = -1
@@ -71,37 +88,49 @@ def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle
 
 
 @njit(cache=True, nogil=True)
-def _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, tried, choice, choice_iou, winner):
-    """Fill `seed` for the detections of one message, s to t; the last four arrays are room."""
+def _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, choice, choice_iou, winner):
+    """Fill `seed` for the detections of one message, s to t. `choice` are their first candidates; `winner` is room."""
     for p in range(s, t):
-        seed[p], tried[p] = -1, -1
+        seed[p] = -1
     # each message before s in turn: its seeds take their best candidate; the others try the next one
     while True:
         turn = s
         for p in range(s, t):
-            choice[p] = -1
-            if seed[p] >= 0:
-                continue
-            q, iou = _candidate(member[p], tried[p], at, block, ptr, other, value)
-            choice[p], choice_iou[p] = q, iou
-            if q >= 0:
-                winner[q] = -1
-                turn = min(turn, block[q])
+            if seed[p] < 0 and choice[p] >= 0:
+                winner[choice[p]] = -1
+                turn = min(turn, block[choice[p]])
         if turn == s:
             break
         for p in range(s, t):
             q = choice[p]
-            if q >= 0 and block[q] == turn and (winner[q] < 0 or choice_iou[p] > choice_iou[winner[q]]):
+            if seed[p] < 0 and q >= 0 and block[q] == turn and (winner[q] < 0 or choice_iou[p] > choice_iou[winner[q]]):
                 winner[q] = p
         for p in range(s, t):
-            if choice[p] >= 0 and block[choice[p]] == turn:
+            if seed[p] < 0 and choice[p] >= 0 and block[choice[p]] == turn:
                 if winner[choice[p]] == p:
                     seed[p] = choice[p]
                 else:
-                    tried[p] = turn
+                    choice[p], choice_iou[p] = _candidate(member[p], turn, at, block, ptr, other, value)
     for p in range(s, t):
         if seed[p] < 0:
             seed[p] = p
+
+
+@njit(cache=True, nogil=True)
+def _partners(i, j, value, n):
+    """The partners of each of n detections and their values, compressed rows; i and j are the pairs."""
+    ptr = np.zeros(n + 1, np.int64)
+    for k in range(len(i)):
+        ptr[i[k] + 1] += 1
+        ptr[j[k] + 1] += 1
+    for d in range(n):
+        ptr[d + 1] += ptr[d]
+    at, other, of = ptr[:-1].copy(), np.empty(2 * len(i), np.int32), np.empty(2 * len(i))
+    for k in range(len(i)):
+        for a, b in ((i[k], j[k]), (j[k], i[k])):
+            other[at[a]], of[at[a]] = b, value[k]
+            at[a] += 1
+    return ptr, other, of
 
 
 def match(
@@ -131,14 +160,25 @@ def match(
     Deviations: the paper matches against the ego's detections only and one per vehicle; here detections that
     the ego lacks form groups too, which its later sections need, and one per vehicle is an option.
     """
+    return match_each((lists,), detections, pairs, params)[0]
+
+
+def match_each(
+    lists: Sequence[ObjectLists],
+    detections: Detections,
+    pairs: tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]],
+    params: TrustParams,
+) -> list[Groups]:
+    """The same for several sets of lists of the same detections."""
     least = params.tau if params.matching == "iou" else 0.0  # pairs within gates are no others
-    i, j, iou = (column[pairs[2] > least] for column in pairs)  # False for a NaN
-    ends = np.concatenate([i, j]), np.concatenate([j, i])
-    both = coo_array((np.tile(iou, 2), ends), (len(detections), len(detections)))
-    both.has_canonical_format = True  # each pair is there once: its rows need not be sorted to see that
-    of = both.tocsr()
-    with threads_for(lists.member.size) as n:
-        return Groups(*_seeds(
-            int64(lists.ptr), int64(lists.member), int64(lists.owner), int64(detections.message), of.indptr,
-            of.indices, of.data, params.one_per_vehicle, n,
-        ))  # fmt: skip
+    kept = pairs[2] > least  # False for a NaN
+    i, j, iou = pairs if kept.all() else (column[kept] for column in pairs)
+    ptr, other, value = _partners(int64(i), int64(j), float64(iou), len(detections))
+    found = []
+    for each in lists:
+        with threads_for(each.member.size) as n:
+            found.append(Groups(*_seeds(
+                int64(each.ptr), int64(each.member), int64(each.owner), int64(detections.message), ptr, other, value,
+                params.one_per_vehicle, n,
+            )))  # fmt: skip
+    return found

@@ -75,9 +75,7 @@ class CsmaMedium:
         """One round of messages, each generated at a random time in the first half of the round."""
         if len(stations) == 0:
             return state, MessageRound.silent()
-        cache = state.cache
-        if cache is None or not cache.serves(stations):
-            cache = self.links(stations)
+        cache = self._cache(state, stations, messages)
         links = jammed(cache.links, stations, self.params)
         plan, channel_now = self._plan(kind, step, begin_s, stations, messages, state)
         forwarding = self._forwarding(plan, stations)
@@ -203,9 +201,31 @@ class CsmaMedium:
             control, measured = measured.after(out.busy_strong, span).updated(control, params)
         return replace(state, channel=now, dcc=control, measured=measured), windows, busy / (until_ns - begin_ns)
 
-    def links(self, stations: Stations) -> LinkCache:
-        """Links and neighbours of these stations."""
-        return LinkCache.of(stations, self.params, self.seed, self.los)
+    def links(self, stations: Stations, senders: Int[ndarray, "k"] | None = None) -> LinkCache:
+        """Links and neighbours of these stations, from the senders of messages; None: from all.
+
+        Where messages are forwarded, any station may send.
+        """
+        if senders is None or self.params.relay.max_hops > 1:
+            return LinkCache.of(stations, self.params, self.seed, self.los)
+        sends = np.zeros(len(stations), bool)
+        sends[senders] = True
+        return LinkCache.of(stations, self.params, self.seed, self.los, sends)
+
+    def _cache(self, state: ChannelContext, stations: Stations, messages: Messages) -> LinkCache:
+        """Links of all stations that may send in a round: senders of new and of earlier messages, and jammers."""
+        sends = np.zeros(len(stations), bool)
+        sends[messages.station] = True
+        waiting = np.concatenate([state.underway.messages["sender_key"], state.channel.packets["key"]])
+        earlier = rows_of_keys(stations.key, waiting)
+        sends[earlier[earlier != NONE]] = True
+        if stations.abuse is not None:
+            sends |= np.isfinite(stations.abuse.jam_dbm) | np.isfinite(stations.abuse.react_dbm)
+        cache = state.cache
+        if cache is None or not cache.serves(stations):
+            return self.links(stations, np.flatnonzero(sends))
+        missing = np.flatnonzero(sends & ~cache.sends)
+        return cache.and_also(self.links(stations, missing)) if len(missing) else cache
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -91,8 +91,9 @@ class _Found(NamedTuple):
 
 
 @kernel
-def _pairs(xyz, range_m, cells, walls, found):
-    """Write the pairs in range into `found` and return their number, which may exceed the room there.
+def _pairs(xyz, sends, range_m, cells, walls, found):
+    """Write the pairs in range, of which at least one sends, into `found` and return their number, which may exceed the
+    room there.
 
     Two points of a pair are at most `_RING` cells apart. Points are sorted by cell, so that neighbours are close
     together in memory.
@@ -107,6 +108,8 @@ def _pairs(xyz, range_m, cells, walls, found):
             first, last = cy if gx == cx else max(cy - _RING, 0), min(cy + _RING + 1, shape[1])
             begin = p + 1 if gx == cx else start[gx * shape[1] + first]
             for q in range(begin, start[gx * shape[1] + last]):
+                if not (sends[p] or sends[q]):
+                    continue
                 dx, dy, dz = xyz[p, 0] - xyz[q, 0], xyz[p, 1] - xyz[q, 1], xyz[p, 2] - xyz[q, 2]
                 square = dx * dx + dy * dy + dz * dz
                 if square > range_m * range_m:
@@ -150,14 +153,17 @@ def neighbours(xy_m: Float[ndarray, "n 2"], range_m: float) -> tuple[ndarray, nd
 
 
 def _within(
-    xyz_m: Float[ndarray, "n 3"], range_m: float, los: LosOfPlaces | None, nlos_range_m: float
-) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+    xyz_m: Float[ndarray, "n 3"], range_m: float, los: LosOfPlaces | None, nlos_range_m: float,
+    sends: Bool[ndarray, "n"] | None = None,
+) -> tuple[ndarray, ndarray, ndarray, ndarray]:  # fmt: skip
     """All pairs of points in range, and whether each pair crosses a filled cell (a cell inside buildings).
 
     Pairs that do and are longer than `nlos_range_m` are left out. A pair that crosses a filled cell has no line of
     sight. Other pairs may have no line of sight either.
+    Of each pair at least one point is among `sends`; None: all are.
     """
     n = len(xyz_m)
+    sends = np.ones(n, bool) if sends is None else sends
     if n == 0:
         return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0, bool)
     places = xyz_m if los is None else los.snap(xyz_m)
@@ -175,7 +181,7 @@ def _within(
     room = int(n * min(n, 256 + 2 * n * share) / 2 + 1024)
     while True:
         found = _Found.room(room)
-        m = _pairs(xyz_m, float(range_m), cells, walls, found)
+        m = _pairs(xyz_m, sends[order], float(range_m), cells, walls, found)
         if m <= room:
             return found.a[:m], found.b[:m], found.distance_m[:m], found.blocked[:m]
         room = m
@@ -187,8 +193,9 @@ def from_db(db: ndarray | float) -> ndarray:
 
 
 def los_pairs(
-    xyz_m: Float[ndarray, "n 3"], params: PropagationParams, los: LosOfPlaces | None = None, near_m: float = 0.0
-) -> PairLos:
+    xyz_m: Float[ndarray, "n 3"], params: PropagationParams, los: LosOfPlaces | None = None, near_m: float = 0.0,
+    sends: Bool[ndarray, "n"] | None = None,
+) -> PairLos:  # fmt: skip
     """Line of sight of all pairs up to `near_m`, and of all pairs in the interference range of `params`.
 
     Parameters
@@ -199,6 +206,8 @@ def los_pairs(
         Lines of sight in the city. None: every pair has line of sight.
     near_m
         Distance in space.
+    sends
+        Stations of which each pair has at least one. None: all.
 
     Raises
     ------
@@ -211,7 +220,7 @@ def los_pairs(
     if not params.knows_walls:
         los = None
     range_m, nlos_range_m = (max(r, near_m) for r in (params.interference_range_m, params.interference_range_nlos_m))
-    a, b, d, nlos = _within(xyz_m, range_m, los, nlos_range_m)
+    a, b, d, nlos = _within(xyz_m, range_m, los, nlos_range_m, sends)
     return PairLos(a, b, d, nlos if los is None else ~los.has_los(xyz_m, a, b, nlos))
 
 
@@ -306,6 +315,7 @@ def links_between(
     found: PairLos | None = None,
     above_street_m: Float[ndarray, "n"] | None = None,
     bodies: Bodies | None = None,
+    sends: Bool[ndarray, "n"] | None = None,
 ) -> tuple[Links, Pairs, Int[ndarray, "links"]]:
     """Links between stations at these antenna positions, and the pair of each link.
 
@@ -317,31 +327,36 @@ def links_between(
         As for `pairs`.
     tx_power_dbm
         Power of each station [dBm]. None: that of `params`.
+    sends
+        Stations whose links are computed. The others have no links as senders. None: all.
 
     Returns
     -------
     Links sorted by sender, the losses of all pairs in range, and the row of each link's pair.
     """
+    if found is None:
+        found = los_pairs(xyz_m, params, los, sends=sends)
     losses = pairs(xyz_m, params, rng_key, los, found, above_street_m, bodies)
     n = len(xyz_m)
+    sends = np.ones(n, bool) if sends is None else sends
     power_dbm = np.full(n, params.tx_power_dbm) if tx_power_dbm is None else np.asarray(tx_power_dbm, float)
     fading = fading_class(losses.distance_m, params.fading)
     ptr, receiver, power_mw, pair = _directed(
-        losses.a, losses.b, from_db(-losses.loss_db), from_db(power_dbm), from_db(params.cutoff_dbm)
+        losses.a, losses.b, from_db(-losses.loss_db), from_db(power_dbm), from_db(params.cutoff_dbm), sends
     )
     return Links(key, ptr, receiver, power_mw, fading[pair]), losses, pair
 
 
 @compiled
-def _directed(a, b, gain, power_mw, cutoff_mw):
-    """Links above the cut-off in both directions of each pair, by sender: where each sender's begin, receiver, mean
-    received power, and row of the pair.
+def _directed(a, b, gain, power_mw, cutoff_mw, sends):
+    """Links above the cut-off in the directions of each pair that send, by sender: where each sender's begin, receiver,
+    mean received power, and row of the pair.
     """
     n = len(power_mw)
     ptr = np.zeros(n + 1, np.int64)
     for pair in range(len(a)):
-        ptr[a[pair] + 1] += power_mw[a[pair]] * gain[pair] >= cutoff_mw
-        ptr[b[pair] + 1] += power_mw[b[pair]] * gain[pair] >= cutoff_mw
+        ptr[a[pair] + 1] += sends[a[pair]] and power_mw[a[pair]] * gain[pair] >= cutoff_mw
+        ptr[b[pair] + 1] += sends[b[pair]] and power_mw[b[pair]] * gain[pair] >= cutoff_mw
     for i in range(n):
         ptr[i + 1] += ptr[i]
     at, m = ptr.copy(), ptr[n]
@@ -349,7 +364,7 @@ def _directed(a, b, gain, power_mw, cutoff_mw):
     for pair in range(len(a)):
         for sender, other in ((a[pair], b[pair]), (b[pair], a[pair])):
             mw = power_mw[sender] * gain[pair]
-            if mw >= cutoff_mw:
+            if sends[sender] and mw >= cutoff_mw:
                 row = at[sender]
                 receiver[row], received_mw[row], of_pair[row] = other, mw, pair
                 at[sender] = row + 1

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Bool, Int
+from numpy import ndarray
 
 from cosim import rng
 from cosim.radio.channel import Jamming, Links
@@ -10,6 +12,7 @@ from cosim.radio.link_budget import from_db, links_between, los_pairs
 from cosim.radio.message_round import Stations
 from cosim.radio.params import RadioParams
 from cosim.radio.receptions import NeighbourList, slant_m
+from cosim.ragged import offsets, ranges
 from sensors.line_of_sight import LosOfPlaces
 
 
@@ -20,29 +23,67 @@ class LinkCache:
     stations: Stations
     links: Links
     neighbours: NeighbourList
+    sends: Bool[ndarray, "n"]
+    """Stations that may send. Their links and neighbours are complete; those of others are not computed."""
 
     @staticmethod
-    def of(stations: Stations, params: RadioParams, seed: int, los: LosOfPlaces | None) -> "LinkCache":
-        """Compute the links and neighbours of these stations."""
+    def of(
+        stations: Stations, params: RadioParams, seed: int, los: LosOfPlaces | None,
+        sends: Bool[ndarray, "n"] | None = None,
+    ) -> "LinkCache":  # fmt: skip
+        """Compute the links and neighbours of these stations, from those that send; None: from all."""
         xyz_m, propagation = stations.xyz_m, params.propagation
         knows_walls = los is not None and propagation.knows_walls
-        found = los_pairs(xyz_m, propagation, los, slant_m(xyz_m, params.range_m))
+        sends = np.ones(len(stations), bool) if sends is None else sends
+        found = los_pairs(xyz_m, propagation, los, slant_m(xyz_m, params.range_m), sends)
         near = NeighbourList.of(xyz_m, params.range_m, found, knows_walls)
         links, _, _ = links_between(
             xyz_m, stations.key, propagation, rng.key(seed, rng.Stream.SHADOWING), los, found=found,
-            above_street_m=stations.above_street_m, bodies=stations.bodies,
+            above_street_m=stations.above_street_m, bodies=stations.bodies, sends=sends,
         )  # fmt: skip
         bodies = stations.bodies if propagation.blockage == "bodies" else None
         kept = replace(
             stations, abuse=None, key=stations.key.copy(), xyz_m=xyz_m.copy(),
             bodies=None if bodies is None else bodies.copy(),
         )  # fmt: skip  # the caller may go on to move its own
-        return LinkCache(kept, links, near)
+        return LinkCache(kept, links, near, sends)
+
+    def and_also(self, other: "LinkCache") -> "LinkCache":
+        """The links and neighbours of the same stations, of the stations that send here or there."""
+        links, near = self.links, self.neighbours
+        ptr, at = _joined(links.ptr, other.links.ptr, other.sends)
+        near_ptr, near_at = _joined(near.ptr, other.neighbours.ptr, other.sends)
+
+        def both(mine: ndarray, theirs: ndarray, at: Int[ndarray, "k"]) -> ndarray:
+            return np.concatenate([mine, theirs])[at]
+
+        return replace(
+            self,
+            links=Links(
+                key=links.key,
+                ptr=ptr,
+                receiver=both(links.receiver, other.links.receiver, at),
+                power_mw=both(links.power_mw, other.links.power_mw, at),
+                fading=both(links.fading, other.links.fading, at),
+            ),
+            neighbours=NeighbourList(near_ptr, *(
+                both(mine, theirs, near_at) for mine, theirs in zip(near[1:], other.neighbours[1:], strict=True)
+            )),
+            sends=self.sends | other.sends,
+        )  # fmt: skip
 
     def serves(self, stations: Stations) -> bool:
         """Whether these are the links of these stations."""
         bodies = self.stations.bodies
         return self.stations.equals(stations) and (bodies is None or bodies.equals(stations.bodies))
+
+
+def _joined(
+    ptr: Int[ndarray, "n+1"], other: Int[ndarray, "n+1"], of_other: Bool[ndarray, "n"]
+) -> tuple[Int[ndarray, "n+1"], Int[ndarray, "k"]]:
+    """Compressed rows of which some are those of another list: where they begin, and places in both lists together."""
+    size = np.where(of_other, np.diff(other), np.diff(ptr))
+    return offsets(size), ranges(np.where(of_other, ptr[-1] + other[:-1], ptr[:-1]), size)
 
 
 def jammed(links: Links, stations: Stations, params: RadioParams) -> Links:

@@ -23,7 +23,7 @@ from sensors.evidence import AreaParams
 from trust import tables
 from trust.evaluation import evaluate
 from trust.fusion import Fused, SensorEvidence, fuse, votes_of
-from trust.matching import match
+from trust.matching import match_each
 from trust.object_reports import ObjectReports
 from trust.params import TrustParams
 from trust.tables import Evaluations, FusionInput, Groups, ObjectLists, SenderTrust
@@ -252,11 +252,14 @@ def compare(
             sweeps, lists.of_member(), boxes, area, lists.member, detections.label, known.bodies
         )
         near = subset(lists, inside)
-        groups, near_groups = (match(x, detections, pairs, params) for x in (lists, near))
+        groups, near_groups = match_each((lists, near), detections, pairs, params)
     with watch("evaluate"):
         seeds, origin_m = groups.seeds(), sweeps.poses.origin_m
+        away_m = distance_m(boxes.xyz_m, lists.member[seeds], origin_m, lists.of(seeds))
+        # Of what stands beyond the range, no return counts and nothing is tested. Ranges are those of bottom centres.
+        may_count = away_m < area.range_m + boxes.lwh_m[lists.member[seeds], 2]
         foreign = np.zeros(len(lists.member), bool)  # members whose plausibility is tested
-        foreign[seeds] = True
+        foreign[seeds[may_count]] = True
         foreign &= ~groups.ego_detected
         foreign[np.flatnonzero(inside)[~near_groups.ego_detected]] = True
         asked, counted, tested = questions_of(lists, inside, foreign, boxes, detections, area)
@@ -266,7 +269,6 @@ def compare(
         if known.variance_m2 is not None:
             permitted = _permitted_share(perception, sweeps, lists, plausible, known, area)
             plausible = permitted >= 0.5
-        away_m = distance_m(boxes.xyz_m, lists.member[seeds], origin_m, lists.of(seeds))
         of_seeds = SensorEvidence(n_points[seeds], plausible[seeds], away_m < area.range_m)
         n_points, plausible, of_near = n_points[inside], plausible[inside], None
         if recall is not None:

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.radio.message_round import Receptions, RoundKind
-from cosim.ragged import offsets, ranges, rows_of
+from cosim.ragged import distinct, offsets, ranges, rows_of
 from cosim.step.accuracy import aged
 from cosim.step.exchange import Exchange
 from cosim.step.ground_truth import GroundTruth
@@ -293,7 +293,11 @@ class Inbox:
 def _with_new(held: Uses, more: Uses) -> Uses:
     """Held receptions and those of the others that are not held yet, each once."""
     have, found = (uses.receiver.astype(np.int64) << 32 | uses.message for uses in (held, more))
-    new = np.setdiff1d(found, have)
+    found, _ = distinct(found)  # few, so that these are searched for those that are held
+    row, is_held = rows_of(have, found)
+    is_new = np.ones(len(found), bool)
+    is_new[row[is_held]] = False
+    new = found[is_new]
     return Uses(np.concatenate([held.receiver, new >> 32]), np.concatenate([held.message, new & 0xFFFFFFFF]))
 
 

@@ -117,6 +117,21 @@ def test_against_the_slow_twin(seed):
     np.testing.assert_allclose(value, [expected[pair] for pair in sorted(expected)], rtol=1e-9)
 
 
+def test_an_enormous_box_a_far_place_and_an_unknown_class():
+    """Cells grow with the largest box, places are bounded, and labels that are no classes go with none."""
+    boxes, label, variance = crowd(4)
+    lwh_m, xyz_m = boxes.lwh_m.copy(), boxes.xyz_m.copy()
+    lwh_m[3] = 1e6
+    xyz_m[5, :2], xyz_m[6, :2] = 1e300, -1e300
+    boxes = Boxes(xyz_m, lwh_m, boxes.yaw_rad)
+    with np.errstate(over="ignore"):
+        expected = slowly(boxes, label, variance, boxes, label, variance)
+    label = np.where(np.arange(len(label)) == 7, 200, label).astype(np.uint8)
+    i, j, _ = pairs_within(boxes, label, variance, np.arange(len(boxes)), GATE)
+    expected = sorted((a, b) for a, b in expected if a < b and 7 not in (a, b))
+    assert list(zip(i.tolist(), j.tolist(), strict=True)) == expected
+
+
 def test_the_gate_keeps_the_share_it_says():
     """Of pairs of one object with the stated errors, 99 % are within the gate of 1 %."""
     rng = np.random.default_rng(8)

@@ -11,10 +11,20 @@ from hypothesis import strategies as st
 from tests.trust.worlds import worlds
 from tests.verification import paper
 from trust.evaluation import evaluate
-from trust.fusion import METHODS, SensorEvidence, fuse
+from trust.fusion import METHODS, SensorEvidence, first_least, fuse
 from trust.matching import match
 from trust.params import Method, TrustParams
 from trust.tables import Detections, Evaluations, FusionInput, Groups, ObjectLists, SenderTrust
+
+
+@given(st.lists(st.tuples(st.integers(0, 4), st.sampled_from([0.0, -0.0, 1.0, 2.0, np.inf, np.nan]))))
+def test_the_first_least_of_each_group_against_a_stable_sort(rows):
+    """NumPy sorts a NaN last, and keeps the order of equal values."""
+    group, value = np.array([g for g, _ in rows], np.int32), np.array([v for _, v in rows], float)
+    order = np.lexsort((value, group))
+    expected = order[np.flatnonzero(np.diff(group[order], prepend=-1))]
+    found = first_least(group, value, 5)
+    np.testing.assert_array_equal(found[found >= 0], expected)
 
 
 def test_every_method_has_a_formula():

@@ -18,6 +18,8 @@ from types import TracebackType
 
 import numba
 import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
 
 from cosim.execution.cells.perception import CellPerception
 from cosim.radio.csma import ChannelContext, CsmaMedium
@@ -84,7 +86,7 @@ class Ahead:
         if may_meet and (self._senses_elsewhere or numba.get_num_threads() > 1):
             medium, links = self._parts.medium, None
             if isinstance(medium, CsmaMedium | SidelinkMedium):
-                links = self._thread.submit(self._links, medium, self._stations(world))
+                links = self._thread.submit(self._links, medium, self._stations(world), self._senders(world))
             near_pairs = self._thread.submit(self._near_pairs, world)
             self._begun = [*self._begun[-1:], _Begun(world, near_pairs, links)]
         if at_once:
@@ -135,10 +137,16 @@ class Ahead:
         with self.watch("pairs"):
             return self._parts.near_pairs(world)
 
-    def _links(self, medium: CsmaMedium | SidelinkMedium, stations: Stations) -> LinkCache:
+    def _senders(self, world: World) -> Int[ndarray, "k"]:
+        """Stations that send new messages: vehicles that sense, and roadside units."""
+        equipped = np.flatnonzero(world.equipped)
+        n_vehicles, n_units = len(equipped), len(self._parts.rsus)
+        return np.append(np.searchsorted(equipped, self._parts.sensing(world)), n_vehicles + np.arange(n_units))
+
+    def _links(self, medium: CsmaMedium | SidelinkMedium, stations: Stations, senders: Int[ndarray, "k"]) -> LinkCache:
         numba.set_num_threads(1)  # the other core is the present step's
         with self.watch("links"):
-            return medium.links(stations)
+            return medium.links(stations) if isinstance(medium, SidelinkMedium) else medium.links(stations, senders)
 
     def __enter__(self) -> "Ahead":
         return self

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from cosim.step.inbox import _with_new
+from cosim.step.known import Uses
 from results.archive import open_run
 from tests.drive import drive
 
@@ -47,3 +49,16 @@ def test_every_frame_has_one_outcome(run):
     assert radio.n_lost_late.sum() == 0
     n_late = len(run.receptions[run.receptions.message_step < run.receptions.step])
     assert n_late and radio.n_delivered.sum() >= len(run.receptions)
+
+
+def test_only_receptions_that_are_not_held_are_added():
+    """Against NumPy's set difference; receptions that arrive twice are added once."""
+    rng = np.random.default_rng(2)
+    held, more = (Uses(*rng.integers(0, 30, (2, n))) for n in (300, 200))
+    both = _with_new(held, more)
+    pairs = [set(zip(uses.receiver.tolist(), uses.message.tolist(), strict=True)) for uses in (held, more)]
+    added = list(zip(both.receiver[300:].tolist(), both.message[300:].tolist(), strict=True))
+    assert added == sorted(pairs[1] - pairs[0]) and len(added) > 50
+    nobody = Uses(np.zeros(0, np.int64), np.zeros(0, np.int64))
+    assert len(_with_new(nobody, nobody).receiver) == 0
+    assert len(_with_new(nobody, more).receiver) == len(pairs[1])
