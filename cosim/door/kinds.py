@@ -76,6 +76,7 @@ KINDS: dict[str, Kind] = {kind.name: kind for kind in (
         {
             "detect": Hook(("sweeps", "seen", "boxes", "label", "draws"), returns.reports),
             "recall": Hook(("n_points", "label", "range_m"), returns.recall, is_required=False),
+            "position_sigma_m": Hook(("n_points", "label", "range_m"), returns.position_sigma_m, is_required=False),
         },
     ),
     Kind(

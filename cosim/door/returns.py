@@ -302,6 +302,12 @@ def recall(call: Call, returned: Any) -> ndarray:
     return detached(returned)
 
 
+def position_sigma_m(call: Call, returned: Any) -> ndarray:
+    """The accuracy of a detector: standard deviation of each position."""
+    _column("", returned, (len(call.given[0]),), "f", 0, FARTHEST_M, what="one for each object")
+    return detached(returned)
+
+
 def plan(call: Call, returned: Any) -> Plan:
     """The files that an exporter will write."""
     _typed("", returned, Plan, "build it by Plan.of_files([File(path, content), ...])")

@@ -82,6 +82,22 @@ def test_what_was_returned_stays_as_it_was(tmp_path):
     assert first.all() and not mine.changes(ages).any() and first.all()
 
 
+@pytest.mark.parametrize("returned, told", [
+    ("np.full(len(n_points), -0.1)", "position_sigma_m"), ("np.ones(1)", "position_sigma_m"), ("None", "position_sigma_m"),
+])  # fmt: skip
+def test_the_accuracy_of_a_detector_is_checked(tmp_path, returned, told):
+    """A negative deviation, one number for three objects, and nothing."""
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "import numpy as np\n\n\nclass Mine:\n"
+        "    def detect(self, sweeps, seen, boxes, label, draws):\n        pass\n\n"
+        f"    def position_sigma_m(self, n_points, label, range_m):\n        return {returned}\n"
+    )
+    mine = make(load_own(f"{file}:Mine"))
+    with pytest.raises(ExtensionError, match=told):
+        mine.position_sigma_m(np.array([1, 20, 300]), np.zeros(3, np.uint8), np.ones(3))
+
+
 def test_a_signal_passes(tmp_path):
     path = tmp_path / "mine.py"
     path.write_text("class Mine:\n    def changes(self, ages):\n        raise KeyboardInterrupt\n")
