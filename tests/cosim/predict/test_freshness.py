@@ -40,7 +40,7 @@ def config_of(**changes):
         {"trust": {"host": "local"}},
         {"trust": {"model": "beta"}},
         {"radio": {"evaluations": "piggybacked"}},
-        {"radio": {"cpm_rules": "etsi"}},
+        {"cpm": {"rules": "etsi"}},
         {"server": {"outages": [[1, 2]]}},
         {"sensing": False},
     ],
