@@ -235,7 +235,7 @@ def misbehaviour(of):
 def at_lookup(of, looked):
     who = watched(of)
     mine = looked[looked.subject.isin(who.index)]
-    mine = mine[mine.step >= mine.subject.map(who.since)]
+    mine = mine[(mine.step >= mine.subject.map(who.since)) & (mine.step <= mine.subject.map(who.until))]
     honest = mine.trust[mine.evaluated & (mine.role == "honest")]
     for role, some in mine.groupby("role"):
         low = some.evaluated & (some.trust < THRESHOLD)
