@@ -80,9 +80,10 @@ class DelayParams:
     """Length of the delay."""
 
     delay_s: Annotated[float, Ge(0), Le(10)] = 0.3
-    """Delay before the detection message is transmitted [s]. A message whose transmission would end after the round
-    (`radio.timeout_s`) is not sent. Messages are generated in the first half of a round. With rounds of 0.4 s and the
-    default, half of them are not sent, and the others are 0.3 s late. The default has no source."""
+    """Delay before the detection message is transmitted [s]. A message whose transmission would end later than
+    `radio.timeout_s` after its step is not sent. Messages are generated in the first half of a round. Where all
+    vehicles sense together, a round lasts 0.4 s, and half of the messages with the default delay are not sent. Where
+    they sense at phases of their own, with `csma`, the messages arrive in a later step. The default has no source."""
 
 
 class Delay(WithParams[DelayParams]):

@@ -26,7 +26,7 @@ def _radio(config: Config, *models: str) -> bool:
     return config.radio.model in models or is_own(config.radio.model)
 
 
-_OF_MODELS = ("freshness_s", "window", "unseen", "weighting")
+_OF_MODELS = ("freshness_s", "window", "unseen", "weighting", "least_score")
 """Keys of [trust] that only some trust models read."""
 
 
@@ -81,6 +81,7 @@ NEEDS: tuple[tuple[tuple[str, ...], str, Callable[[Config], bool]], ...] = (
         for key in _OF_MODELS
     ),
     (("trust.ego_trust",), 'trust.ego_trust_from = "fixed"', lambda c: c.trust.ego_trust_from == "fixed"),
+    (("trust.gate_p",), 'trust.matching = "gates"', lambda c: c.trust.matching == "gates"),
     (("trust.code_aggregate",), "trust.code_parity = true", lambda c: c.trust.code_parity),
     (("pseudonyms.n_accusations",), 'pseudonyms.linkage = "on_demand"', lambda c: c.pseudonyms.linkage == "on_demand"),
     (("pseudonyms.own_*",), 'pseudonyms.linkage = "own"', lambda c: c.pseudonyms.linkage == "own"),

@@ -298,8 +298,7 @@ def _receptions(recorder: TakesRows, at: int, sensed: Sensed) -> None:
             senders.append(pseudonym[known.message])
             steps.append(late.step[known.message])
             parts.append(known)
-        columns = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Receptions)}
-        found = Receptions(**columns)
+        found = Receptions.concat(parts)
         recorder.append("receptions", at, _of(message_type, {
             "sender": np.concatenate(senders), "receiver": sensed.vehicles.actor[found.receiver],
             **({} if sensed.known.is_lock_step else {"message_step": np.concatenate(steps)}),

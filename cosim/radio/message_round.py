@@ -1,5 +1,6 @@
 """One round of messages between stations: what is sent, what is received, and the outcome of every frame."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from typing import NamedTuple
@@ -193,6 +194,11 @@ class Receptions:
     def received_s(self) -> Float[ndarray, "r"]:
         """From the beginning of the round to reception."""
         return self.generation_offset_s + self.latency_s
+
+    @staticmethod
+    def concat(parts: Sequence["Receptions"]) -> "Receptions":
+        """All rows of all parts, part after part: in no order unless the caller sorts them."""
+        return Receptions(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Receptions)))
 
     def take(self, rows: ndarray) -> "Receptions":
         """The chosen rows (a mask or row numbers)."""

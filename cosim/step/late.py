@@ -1,7 +1,7 @@
 """Messages that arrive later than the round in which they were sent: what they are, and who received them."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Int
@@ -50,21 +50,15 @@ def of_this_step(exchange: Exchange, late: Iterable[LateMessages], kind: RoundKi
             row, is_there = rows_of(messages.sender, exchange.sender)
             is_there &= messages.step == exchange.now.step
             got = messages.links.vehicles.take(is_there[messages.links.vehicles.message])
-            found.append(Receptions(got.receiver, row[got.message], *_times(got)))
+            found.append(replace(got, message=row[got.message]))
     return found
-
-
-def _times(found: Receptions) -> tuple[ndarray, ...]:
-    names = ("hops", "generation_offset_s", "access_delay_s", "latency_s", "distance_m")
-    return tuple(getattr(found, name) for name in names)
 
 
 def joined(parts: list[Receptions]) -> Receptions:
     """All receptions, each pair of receiver and message once, sorted by receiver, then message."""
     if len(parts) == 1:
         return parts[0]
-    columns = (np.concatenate([getattr(part, name) for part in parts]) for name in Receptions.__dataclass_fields__)
-    everything = Receptions(*columns)
+    everything = Receptions.concat(parts)
     order = np.lexsort((everything.received_s, everything.message, everything.receiver))
     everything = everything.take(order)
     pair = everything.receiver << 32 | everything.message
