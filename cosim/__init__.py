@@ -10,8 +10,8 @@ from typing import Any
 __version__ = "0.3.0.dev0"
 
 _MODULES = {
-    "Simulation": "cosim.execution.simulation",
-    "run": "cosim.execution.simulation",
+    "Simulation": "cosim.runs.simulation",
+    "run": "cosim.runs.simulation",
     "open_run": "results.archive",
 }
 """Where each public name is defined."""

@@ -7,7 +7,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # idle threads sleep: spinn
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a few small products; its threads waited in loops, 7 % of a run
 gc.set_threshold(100_000, 50, 100)  # imports and arrays leave little garbage; looking for it cost 5 % of a run
 
-from cosim.execution.process import ignore_settings_here  # noqa: E402
+from cosim.runs.process import ignore_settings_here  # noqa: E402
 
 ignore_settings_here()  # before the first import of what reads them
 

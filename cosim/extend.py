@@ -33,7 +33,7 @@ Methods must not change their arguments, and work on copies instead. The results
 the run with one line that names the file, the line and the expected result.
 """
 
-from cosim.adversary.attack import (
+from cosim.attacks.attack import (
     Attack,
     AttackContext,
     EvaluationRows,
@@ -43,7 +43,9 @@ from cosim.adversary.attack import (
     per_actor,
     placed,
 )
-from cosim.driver.driver import Beliefs, Driver, Reasons, SpeedCommands
+from cosim.base.rng import draws
+from cosim.messages.content import FABRICATED, SELF, SENSED, Detections
+from cosim.messages.pseudonyms import PseudonymAges, PseudonymPolicy
 from cosim.radio.medium import Medium
 from cosim.radio.message_round import (
     FrameOutcomes,
@@ -55,11 +57,9 @@ from cosim.radio.message_round import (
     RoundKind,
     Stations,
 )
-from cosim.rng import draws
-from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections
-from cosim.v2x.pseudonyms import PseudonymAges, PseudonymPolicy
+from cosim.traffic.driver import Beliefs, Driver, Reasons, SpeedCommands
 from cosim.world import LanePaths, World
-from results.export.moments import File, Plan, Selection
+from results.moments import File, Plan, Selection
 from results.own_metrics import MetricRow
 from results.run import Run
 from sensors.boxes import Boxes

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
-from results.codes import labels
+from cosim.base.codes import labels
 from sensors.boxes import Boxes
 from sensors.scene import LABEL_OF_SHAPE, ObjectClass, Shape
 

@@ -4,8 +4,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from results import durable
-from results.durable import Damaged
+from cosim.base import durable
+from cosim.base.durable import Damaged
 from results.manifest import check_schema, problems, read_manifest
 from results.run import Run
 

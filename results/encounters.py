@@ -9,8 +9,8 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.base.codes import EncounterPairs, LookupState, LosBlockers, TrustSource
 from results import encounter_counts
-from results.codes import EncounterPairs, LookupState, LosBlockers, TrustSource
 
 Rows = dict[str, ndarray]
 """Columns of the table `encounters`, ready for the recorder."""

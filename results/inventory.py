@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from results import durable
-from results.durable import Damaged
+from cosim.base import durable
+from cosim.base.durable import Damaged
 from results.tables import TABLES
 
 FILE = "inventory.jsonl"

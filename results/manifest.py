@@ -8,9 +8,10 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from results import durable, inventory
-from results.codes import BASE_VARIANT, Role, labels
-from results.durable import Damaged
+from cosim.base import durable
+from cosim.base.codes import BASE_VARIANT, Role, labels
+from cosim.base.durable import Damaged
+from results import inventory
 from results.inventory import Inventory
 from results.tables import SCHEMA_VERSION, TABLES
 

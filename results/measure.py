@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from results.codes import BASE_VARIANT
-from results.durable import Damaged
+from cosim.addons.durations import metrics as durations
+from cosim.base.codes import BASE_VARIANT
+from cosim.base.durable import Damaged
 from results.metrics import (
     attack,
     auc_bound,
     contact_graph,
     detection,
-    durations,
     encounters,
     evaluations,
     evidence,

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy import ndarray
 
-from results import durable
+from cosim.base import durable
 from results.inventory import Part
 from results.stored_columns import VALID, StoredColumn
 from results.tables import TABLES, schema

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from results.durable import Damaged
+from cosim.base.durable import Damaged
 from results.tables import TABLES, schema
 
 

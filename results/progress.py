@@ -4,7 +4,8 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from results import durable, inventory
+from cosim.base import durable
+from results import inventory
 from results.manifest import problems, read_manifest, status_of, steps_asked_for
 
 _NEXT = {

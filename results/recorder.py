@@ -14,10 +14,11 @@ import pyarrow.parquet as pq
 from numpy import ndarray
 from pandas.util import hash_pandas_object
 
-from results import durable, inventory
-from results.codes import BASE_VARIANT, Role, labels
+from cosim.base import durable
+from cosim.base.codes import BASE_VARIANT, Role, labels
+from cosim.base.durable import Damaged
+from results import inventory
 from results.columns import Level
-from results.durable import Damaged
 from results.inventory import CHECKPOINT, Block, Inventory
 from results.part_encoder import PartEncoder
 from results.stored_columns import stored_columns, stored_rows

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from results import durable
+from cosim.base import durable
 from results.columns import Column
 from results.figures import style
 from results.figures.catalogue import FIGURES

@@ -16,10 +16,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from results import durable, inventory, part_reader, virtual_columns
-from results.codes import BASE_VARIANT
+from cosim.base import durable
+from cosim.base.codes import BASE_VARIANT
+from cosim.base.durable import Damaged
+from results import inventory, part_reader, virtual_columns
 from results.columns import LEVELS, WHOLE, Of
-from results.durable import Damaged
 from results.inventory import Inventory, Part
 from results.manifest import status_of
 from results.tables import TABLES, kept, schema

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 
-from results import durable
+from cosim.base import durable
 from results.archive import OpenRun, open_run
 from results.metrics.intervals import FREE, Bounds, around
 from results.metrics.registry import TOPICS, bounds_of

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from results import durable
+from cosim.base import durable
 from results.figures import study as figure
 from results.report import STYLE, image_url
 from results.study import Study, with_short_names

@@ -7,7 +7,7 @@ from typing import Literal
 
 import pyarrow as pa
 
-from results.codes import (
+from cosim.base.codes import (
     BASE_VARIANT,
     DISTANCE_BIN_M,
     AttackEffect,

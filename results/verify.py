@@ -4,9 +4,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from results import durable, inventory
+from cosim.base import durable
+from cosim.base.durable import Damaged
+from results import inventory
 from results.columns import LEVELS, Level
-from results.durable import Damaged
 from results.inventory import CHECKPOINT, Inventory
 from results.manifest import problems, read_manifest, status_of
 from results.recorder import is_state

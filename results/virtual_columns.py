@@ -9,8 +9,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy import ndarray
 
+from cosim.base.durable import Damaged
 from results.columns import Table
-from results.durable import Damaged
 from results.tables import TABLES
 
 Read = Callable[[Path, Sequence[str], pc.Expression | None], pa.Table]

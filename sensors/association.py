@@ -14,8 +14,8 @@ from jaxtyping import Float, Int, UInt8
 from numba import prange
 from numpy import ndarray
 
+from cosim.base.kernel import compiled, inlined, kernel, parallel
 from sensors.boxes import Boxes, iou_of
-from sensors.kernel import compiled, inlined, kernel, parallel
 
 Pairs = tuple[Int[ndarray, "k"], Int[ndarray, "k"], Float[ndarray, "k"]]
 """Rows of two boxes, and how well they agree, in (0, 1]; sorted by the two rows."""

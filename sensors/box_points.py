@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import prange
 
-from sensors.kernel import dividing, inlined, kernel, parallel
+from cosim.base.kernel import dividing, inlined, kernel, parallel
 from sensors.lanes import LANES, TILE, near_box, nearest_and_farthest
 from sensors.pairs import in_sensor_frame
 from sensors.range_steps import NO_RETURN

@@ -11,7 +11,7 @@ from numba import prange
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from sensors.kernel import kernel, parallel
+from cosim.base.kernel import kernel, parallel
 
 
 @dataclass(frozen=True, slots=True)

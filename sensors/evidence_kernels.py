@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from sensors.kernel import compiled, inlined, kernel, parallel
+from cosim.base.kernel import compiled, inlined, kernel, parallel
 from sensors.pairs import in_sensor_frame
 from sensors.range_steps import NO_RETURN
 from sensors.raycast.column import MARGIN_RAD, below, columns_of, slopes_of, spans

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.base.kernel import compiled, kernel
 from sensors.boxes import Boxes
-from sensors.kernel import compiled, kernel
 from sensors.lidar import Beams
 from sensors.line_of_sight import WallIndex
 from sensors.neighbours import Neighbours

@@ -16,10 +16,10 @@ from jaxtyping import Float, Int, UInt64
 from numpy import ndarray
 from scipy.special import expit, gammaincinv, ndtri
 
+from cosim.base.hash_rng import mix, uniforms, unit
+from cosim.base.kernel import compiled, kernel
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
-from sensors.hash_rng import mix, uniforms, unit
-from sensors.kernel import compiled, kernel
 from sensors.lidar import Sweeps
 from sensors.range_steps import metres
 from sensors.raycast.column import actor_columns, columns_of

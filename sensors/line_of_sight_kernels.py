@@ -11,7 +11,7 @@ from jaxtyping import Float, Int, UInt8
 from numba import prange
 from numpy import ndarray
 
-from sensors.kernel import compiled, inlined, kernel, parallel
+from cosim.base.kernel import compiled, inlined, kernel, parallel
 from sensors.raycast.column import in_prism_frame, rectangle
 
 _SLACK_M = 1e-6

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.base.kernel import inlined
 from sensors.boxes import Boxes
-from sensors.kernel import inlined
 
 
 class Pairs(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensors.kernel import compiled, kernel
+from cosim.base.kernel import compiled, kernel
 from sensors.raycast.column import (
     actor_columns,
     columns_of,

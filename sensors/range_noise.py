@@ -10,8 +10,8 @@ from jaxtyping import Float32, UInt64
 from numpy import ndarray
 from scipy.special import ndtri
 
-from sensors.hash_rng import GOLDEN, splitmix64
-from sensors.kernel import compiled
+from cosim.base.hash_rng import GOLDEN, splitmix64
+from cosim.base.kernel import compiled
 from sensors.scene import Hit
 
 _SECOND = np.uint64(2 * int(GOLDEN) % 2**64)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float32, UInt16
 from numpy import ndarray
 
-from sensors.kernel import kernel
+from cosim.base.kernel import kernel
 
 NO_RETURN = 65_535
 """Code of a ray without a return."""

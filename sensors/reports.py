@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
+from cosim.base.hash_rng import mix_rows, normals, uniforms
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
-from sensors.hash_rng import mix_rows, normals, uniforms
 
 _OBJECT = np.uint64(1 << 40)
 """Extends the key of sites to one of objects; sites use small numbers."""
@@ -20,8 +20,8 @@ _OBJECT = np.uint64(1 << 40)
 class DetectorDraws:
     """Keys of the noise draws of one step, for m observers and n actors.
 
-    `sensors.hash_rng` makes uniforms and normals of keys. Equal keys give equal draws, so a draw depends neither on the
-    order of the rows nor on who else is present.
+    `cosim.base.hash_rng` makes uniforms and normals of keys. Equal keys give equal draws, so a draw depends neither on
+    the order of the rows nor on who else is present.
     """
 
     time_s: float

@@ -15,10 +15,10 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 from scipy.special import expit, ndtr
 
+from cosim.base.hash_rng import normals, persistent_normals
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
 from sensors.false_positives import false_positives
-from sensors.hash_rng import normals, persistent_normals
 from sensors.lidar import Sweeps
 from sensors.reports import DetectorDraws, Reports
 
@@ -115,7 +115,7 @@ class DetectorParams:
     min_score: Share | None = None
     """Boxes with a lower score are not reported."""
     memory_s: Annotated[float, Ge(0.001), Le(1e7)] | None = None
-    """Time over which the draws of one (observer, actor) change [s]; see `sensors.hash_rng.persistent_normals`."""
+    """Time over which the draws of one (observer, actor) change [s]; see `cosim.base.hash_rng.persistent_normals`."""
     memory_share: Share | None = None
     """Share of the variance of those draws that persists; the rest is new in every sweep."""
     object_share: Share | None = None

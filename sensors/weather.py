@@ -26,8 +26,8 @@ from jaxtyping import Float, UInt64
 from numpy import ndarray
 from scipy.special import gamma, gammaincinv, lambertw
 
-from sensors.hash_rng import GOLDEN, mix_rows, splitmix64, uniforms, unit
-from sensors.kernel import compiled
+from cosim.base.hash_rng import GOLDEN, mix_rows, splitmix64, uniforms, unit
+from cosim.base.kernel import compiled
 from sensors.lidar import Sweeps
 from sensors.range_steps import NO_RETURN
 from sensors.scene import Hit

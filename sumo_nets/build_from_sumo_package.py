@@ -10,11 +10,12 @@ from typing import Any
 
 import shapely
 
-from sumo_nets import build, demand, sumotools
-from sumo_nets.build_from_osm import escaped
+from cosim.addons.netbuild import build
+from cosim.addons.netbuild.build_from_osm import escaped
+from cosim.addons.netbuild.gate_flows import gate_flows, rates_at
+from sumo_nets import demand, sumotools
 from sumo_nets.density import trips_per_hour
 from sumo_nets.footprints import read_footprints, write_footprints
-from sumo_nets.gate_flows import gate_flows, rates_at
 from sumo_nets.sumo_package_nets import NETS, PackageNet, cached_folder
 
 BOUNDARY_M = 120.0

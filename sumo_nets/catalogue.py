@@ -91,7 +91,7 @@ def find(name: str) -> Net:
 
 
 def open_folder(folder: Path) -> Net:
-    """A network from the folder that `sumo_nets.build` wrote."""
+    """A network from the folder that `cosim.addons.netbuild.build` wrote."""
     try:
         recipe = tomllib.loads((folder / "recipe.toml").read_text(encoding="utf-8"))
         return _opened(folder, recipe)

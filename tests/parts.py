@@ -4,9 +4,9 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from cosim.adversary.ghost_insertion import GhostInsertion, GhostInsertionParams
+from cosim.attacks.ghost_insertion import GhostInsertion, GhostInsertionParams
+from cosim.messages.content import FABRICATED, SELF, Detections
 from cosim.radio.unit_disk import UnitDiskMedium
-from cosim.v2x.messages import FABRICATED, SELF, Detections
 from sensors.boxes import Boxes
 from sensors.statistical_detector import DetectorParams, StatisticalDetector
 from trust.models.trupercept import TruPercept

@@ -240,7 +240,7 @@ def _simulate(standalone_mode: bool) -> None:
     """`cosim run [CONFIG] --set ... --out FOLDER`, as far as the folder is written."""
     from cosim.cli.console import progress
     from cosim.config.config import load
-    from cosim.execution import run as running
+    from cosim.runs import run as running
 
     *words, flag, out = sys.argv[2:]
     config, sets = (words[0], words[1:]) if len(words) % 2 else (None, words)

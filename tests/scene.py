@@ -4,9 +4,9 @@ from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 
+from cosim.addons.paper.scenarios import FOLDER, ScriptedScene
 from cosim.config.config import load
 from cosim.radio.rsu import NO_RSUS
-from cosim.reproduce.scenarios import FOLDER, ScriptedScene
 from cosim.step.cycle import step
 from cosim.step.parts import Parts, perception_of
 from cosim.step.state import State

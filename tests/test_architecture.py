@@ -28,23 +28,23 @@ FOREIGN = {
 """Foreign libraries that each room may use."""
 
 ONE_FILE = {
-    "libsumo": {"cosim/mobility/sumo.py"},
+    "libsumo": {"cosim/traffic/sumo.py"},
     "embreex": {"sensors/raycast/embree.py"},
     "llvmlite": {"sensors/lanes.py"},
     "open3d": {"sensors/raycast/open3d.py"},
     "pydantic": {"cosim/config/data.py"},
-    "rerun": {"cosim/offline/view.py", "cosim/offline/live.py"},
-    "trimesh": {"cosim/mobility/meshes.py"},
-    "mcap": {"results/export/ros2.py"},
-    "osmium": {"sumo_nets/osm_pbf.py"},
+    "rerun": {"cosim/addons/export/view.py", "cosim/addons/export/live.py"},
+    "trimesh": {"cosim/traffic/meshes.py"},
+    "mcap": {"cosim/addons/export/ros2.py"},
+    "osmium": {"cosim/addons/netbuild/osm_pbf.py"},
     "distributed": {
-        "cosim/execution/cluster.py",
-        "cosim/execution/cells/placed.py",
+        "cosim/runs/cluster.py",
+        "cosim/addons/cells/placed.py",
         "cosim/studies/engine.py",
     },
     "psutil": {"cosim/studies/engine.py"},
     "latex2mathml": {"cosim/docs/equations.py"},
-    "yaml": {"results/datasets/opv2v.py"},
+    "yaml": {"cosim/addons/datasets/opv2v.py"},
 }
 """Libraries that one file alone may know."""
 

@@ -53,9 +53,9 @@ def test_a_limit_holds_from_three_per_cent_below_it_on(found, is_right):
 
 def test_rooms_and_rounding():
     paths = (
-        "cosim/rng.py",
+        "cosim/base/rng.py",
         "cosim/radio/csma.py",
-        "results/export/uper.py",
+        "cosim/messages/uper.py",
         "tests/cosim/radio/ns3.py",
         "tests/scene.py",
     )

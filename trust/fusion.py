@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray
 
+from cosim.base.threads import threads_for
 from trust.group_sums import GroupTotals, MemberSums, sums_of_groups
 from trust.object_reports import ObjectReports, ObjectVotes, object_votes
 from trust.params import AVERAGES, Method, TrustParams
 from trust.tables import FusionInput, SenderTrust
-from trust.threads import threads_for
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,9 @@ from jaxtyping import Float, Int
 from numba import njit, prange
 from numpy import ndarray
 
+from cosim.base.threads import threads_for
 from trust.params import TrustParams
 from trust.tables import Detections, Groups, ObjectLists, float64, int64
-from trust.threads import threads_for
 
 
 @njit(cache=True, nogil=True)

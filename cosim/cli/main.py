@@ -17,9 +17,18 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from cosim import __version__
-from cosim.cli import benchmark, cells, contacts, extend, interchange, studies, trace
-from cosim.cli import reproduce as reproductions
-from cosim.cli import validate as validation
+from cosim.addons.benchmark import commands as benchmark
+from cosim.addons.cells import commands as cells
+from cosim.addons.compare import commands as validation
+from cosim.addons.export import commands as interchange
+from cosim.addons.law.commands import predict
+from cosim.addons.law.place_commands import place
+from cosim.addons.paper import commands as reproductions
+from cosim.addons.traces import commands as contacts
+from cosim.addons.traces import trace_commands as trace
+from cosim.addons.tryout import commands as extend
+from cosim.base.durable import Damaged
+from cosim.cli import studies
 from cosim.cli.console import (
     AsJson,
     TrustCode,
@@ -32,13 +41,10 @@ from cosim.cli.console import (
     screen,
 )  # fmt: skip
 from cosim.cli.nets import nets
-from cosim.cli.place import place
-from cosim.cli.predict import predict
 from cosim.door.blame import ExtensionError
 from cosim.door.permission import CodeNotTrusted
-from cosim.execution.stop import Failed, Stopped
-from cosim.mobility.scratch import Scratch, can_hold_files
-from results.durable import Damaged
+from cosim.runs.stop import Failed, Stopped
+from cosim.traffic.scratch import Scratch, can_hold_files
 
 if TYPE_CHECKING:
     from results.archive import OpenRun
@@ -152,10 +158,10 @@ def run(
     as_json: AsJson = False,
 ) -> None:
     """Simulate traffic, sensors, messages and trust, and write a run folder."""
+    from cosim.addons.cells.start import Cells as Wanted
     from cosim.config.config import load
-    from cosim.execution import run as running
-    from cosim.execution.cells.start import Cells as Wanted
-    from cosim.execution.check import remarks_on
+    from cosim.runs import run as running
+    from cosim.runs.check import remarks_on
 
     wanted = Wanted.of(cells, scheduler)
     chosen = [] if preset is None else [f"preset={preset}"]
@@ -169,7 +175,7 @@ def run(
         with progress() as advance:
             folder = running.run(experiment, out, advance, cells=wanted)
     else:
-        from cosim.offline.live import Live
+        from cosim.addons.export.live import Live
 
         with progress() as advance, Live(experiment, target) as live:
             folder = running.run(experiment, out, advance, on_step=live, cells=wanted)
@@ -185,8 +191,8 @@ def resume(
     as_json: AsJson = False,
 ) -> None:
     """Continue a run from its last complete block. The tables equal those of a run without interruption."""
-    from cosim.execution import run as running
-    from cosim.execution.cells.start import Cells as Wanted
+    from cosim.addons.cells.start import Cells as Wanted
+    from cosim.runs import run as running
     from results.study import is_study
 
     if is_study(folder):
@@ -217,8 +223,8 @@ def verify(runs: RunPaths, as_json: AsJson = False) -> None:
 
 
 def _conclude(folder: Path, as_json: bool) -> None:
-    from cosim.execution.run import remarks
-    from cosim.execution.speed.allocator import give_back_freed_memory
+    from cosim.runs.run import remarks
+    from cosim.runs.speed.allocator import give_back_freed_memory
 
     gc.collect()
     give_back_freed_memory()  # otherwise the memory of the run would add to the memory that the metrics take
@@ -253,9 +259,9 @@ def check(
 ) -> None:
     """Check whether a config can run, and print it with all defaults filled in."""
     from cosim.config.config import load
-    from cosim.execution import check as checking
-    from cosim.execution.manifest import toml_text
-    from cosim.mobility.scene_summary import scene_summary
+    from cosim.runs import check as checking
+    from cosim.runs.manifest import toml_text
+    from cosim.traffic.scene_summary import scene_summary
 
     experiment = load(config, overrides, trust_code)
     scenario = checking.check(experiment)
@@ -307,7 +313,7 @@ def measure(
     if studies.is_study(runs):
         studies.measure(runs[0], metrics or [], as_json)
         return
-    from cosim.cli.extend import own_metrics
+    from cosim.addons.tryout.commands import own_metrics
     from cosim.cli.side_by_side import engines_remark, of_variants, print_measures
     from results.measure import measure as all_metrics
 
@@ -385,19 +391,19 @@ def plot(
 
     chosen: list[Run] = []
     if what == "sweep":
-        from cosim.offline.replay_lidar import write
+        from cosim.runs.replay_lidar import write
 
         if len(runs) != 1 or step is None or not vehicles or len(vehicles) != 1:
             raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
         path = write(_opened(runs[0]), vehicles[0], step, out)
     elif what == "scene":
-        from cosim.offline.replay_lidar import portrait
+        from cosim.runs.replay_lidar import portrait
 
         if len(runs) != 1 or step is None:
             raise ValueError("cosim plot scene shows one moment: cosim plot scene RUN --step S [--vehicle V]")
         path = portrait(_opened(runs[0]), vehicles or [], step, out)
     elif what == "movie":
-        from cosim.offline.replay_lidar import film
+        from cosim.runs.replay_lidar import film
 
         if len(runs) != 1 or len(vehicles or ()) > 1:
             raise ValueError("cosim plot movie films one run: cosim plot movie RUN [--vehicle V]")
@@ -455,7 +461,7 @@ def bench(
     as_json: AsJson = False,
 ) -> None:
     """Measure the speed of the components on this machine."""
-    from cosim.bench.suite import machine, run, run_scale
+    from tests.bench.suite import machine, run, run_scale
 
     rows = run_scale(scenario, trace, vehicles, seconds) if only == ["scale"] else run(only or [])
     if as_json:

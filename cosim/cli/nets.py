@@ -16,7 +16,7 @@ from cosim.cli.console import AsJson, notes, print_done, print_json, screen
 if TYPE_CHECKING:
     from numpy import ndarray
 
-    from cosim.mobility.scenario import Scenario
+    from cosim.traffic.scenario import Scenario
     from sumo_nets.catalogue import Net
     from sumo_nets.footprints import Footprint
     from sumo_nets.sumo_package_nets import PackageNet
@@ -93,7 +93,7 @@ def show(
     as_json: AsJson = False,
 ) -> None:
     """Print facts about a city, and draw its map."""
-    from cosim.mobility.scenario import find
+    from cosim.traffic.scenario import find
     from sumo_nets import catalogue
     from sumo_nets.network import lanes
 
@@ -148,10 +148,11 @@ def build(
     as_json: AsJson = False,
 ) -> None:
     """Build a city from OpenStreetMap: streets, traffic lights, pavements, buildings, demand and a traffic report."""
-    from cosim.mobility.scenario import find
-    from sumo_nets import build_from_osm, catalogue, flow
+    from cosim.addons.netbuild import build_from_osm, flow
+    from cosim.addons.netbuild.overpass import degrees
+    from cosim.traffic.scenario import find
+    from sumo_nets import catalogue
     from sumo_nets.density import Density
-    from sumo_nets.overpass import degrees
 
     if osm is None and bbox is None:
         raise ValueError("cosim nets build needs --osm FILE, --bbox west,south,east,north, or both.")
@@ -199,7 +200,8 @@ def counts(
     as_json: AsJson = False,
 ) -> None:
     """Fit the demand of a city to traffic counts, and say how well it agrees, also where it was not fitted."""
-    from sumo_nets import catalogue, counts
+    from cosim.addons.netbuild import counts
+    from sumo_nets import catalogue
 
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
@@ -231,8 +233,8 @@ def tile(
     as_json: AsJson = False,
 ) -> None:
     """Put copies of a city and of its recorded traffic side by side, to see what a metropolis takes."""
-    from cosim.mobility.scenario import find
-    from cosim.mobility.tiling import tile as tiled
+    from cosim.addons.netbuild.tiling import tile as tiled
+    from cosim.traffic.scenario import find
 
     words = tiles.lower().split("x")
     if len(words) != 2 or not all(word.isdecimal() and len(word) < 4 for word in words):

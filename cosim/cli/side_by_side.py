@@ -7,8 +7,8 @@ import pandas as pd
 from rich.box import SIMPLE
 from rich.table import Column, Table
 
+from cosim.base import durable
 from cosim.cli.console import plain, print_json, print_rows, print_table, rows_of, screen
-from results import durable
 from results.figures.style import names
 from results.metrics.compare import differing
 from results.run import Run

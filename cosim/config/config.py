@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Le
 
-from cosim.adversary.params import PAPER, AttackParams, check_attacks
+from cosim.attacks.params import PAPER, AttackParams, check_attacks
 from cosim.config import preset
 from cosim.config.data import check_finite, check_keys, is_plain, override, read_toml, validated
 from cosim.config.preset import default_of, default_section
@@ -19,22 +19,22 @@ from cosim.door.blame import at_load, definition_line
 from cosim.door.kinds import SECTIONS
 from cosim.door.load import Choice, is_own, resolve
 from cosim.door.permission import loading_code, loading_code_of
-from cosim.driver.driver import DriverParams
-from cosim.mobility.fleet import FleetParams
-from cosim.mobility.meshes import MeshParams, VehicleMeshParams, check_vehicle_meshes
-from cosim.mobility.objects import ObjectParams
-from cosim.mobility.params import TrafficParams, resolved_input
-from cosim.mobility.position_errors import GnssParams
-from cosim.mobility.roadside import RoadsideParams
-from cosim.mobility.schedule import Schedule, SensingGroup
-from cosim.mobility.streetside import ParkedParams, TreeParams
+from cosim.messages.cloud_params import EarlyFusionParams
+from cosim.messages.cpm_params import CpmParams
+from cosim.messages.linkage import check_server
+from cosim.messages.pseudonyms import PseudonymParams
+from cosim.messages.trust_server import ServerParams
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import RsuParams
-from cosim.v2x.cloud_params import EarlyFusionParams
-from cosim.v2x.cpm_params import CpmParams
-from cosim.v2x.linkage import check_server
-from cosim.v2x.pseudonyms import PseudonymParams
-from cosim.v2x.trust_server import ServerParams
+from cosim.traffic.driver import DriverParams
+from cosim.traffic.fleet import FleetParams
+from cosim.traffic.meshes import MeshParams, VehicleMeshParams, check_vehicle_meshes
+from cosim.traffic.objects import ObjectParams
+from cosim.traffic.params import TrafficParams, resolved_input
+from cosim.traffic.position_errors import GnssParams
+from cosim.traffic.roadside import RoadsideParams
+from cosim.traffic.schedule import Schedule, SensingGroup
+from cosim.traffic.streetside import ParkedParams, TreeParams
 from results.columns import Level
 from results.encounters import EncounterParams, check_definitions
 from sensors.evidence import AreaParams

@@ -13,7 +13,7 @@ from typing import Any, get_args, get_origin
 
 from pydantic import TypeAdapter, ValidationError
 
-from results.durable import open_regular
+from cosim.base.durable import open_regular
 
 _MOST_BYTES = 10_000_000
 

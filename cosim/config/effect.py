@@ -6,10 +6,10 @@ from fnmatch import fnmatchcase
 from functools import cache, partial
 from typing import Any
 
-from cosim.adversary.params import AttackParams
+from cosim.attacks.params import AttackParams
 from cosim.config.config import Config, chosen, chosen_model, resolve_data
 from cosim.door.load import is_own
-from cosim.mobility.roadside import RoadsideParams
+from cosim.traffic.roadside import RoadsideParams
 
 _SENSING = (
     "sensing_*", "extrapolate", "lidar.*", "weather.*", "gnss.*", "detector.*", "tracking.*", "attacks.*", "cpm.*",

@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from cosim.adversary.catalogue import ATTACKS
+from cosim.addons.driver.drivers import DRIVERS
+from cosim.addons.export.formats import EXPORTERS
+from cosim.attacks.catalogue import ATTACKS
 from cosim.door import returns
-from cosim.driver.drivers import DRIVERS
+from cosim.messages.pseudonyms import POLICIES
 from cosim.radio.medium import MEDIA
-from cosim.v2x.pseudonyms import POLICIES
-from results.export.formats import EXPORTERS
 from sensors.detector import DETECTORS
 from trust.models import MODELS
 

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Bool
 from numpy import ndarray
 
-from cosim.adversary.attack import LOUDEST_DBM, Sending
-from cosim.driver.driver import Reasons, SpeedCommands
+from cosim.attacks.attack import LOUDEST_DBM, Sending
+from cosim.base.codes import ObjectClass, Origin
+from cosim.messages.content import Detections
 from cosim.radio.message_round import FrameOutcomes, LosState, MessageRound, Outcome, Receptions
-from cosim.v2x.messages import Detections
-from results.codes import ObjectClass, Origin
-from results.export.moments import Plan, Unit
+from cosim.traffic.driver import Reasons, SpeedCommands
+from results.moments import Plan, Unit
 from results.own_metrics import MetricRow
 from sensors.boxes import Boxes
 from sensors.reports import Reports

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from cosim.ragged import counting_order, ptr_of
-from sensors.kernel import kernel
+from cosim.base.kernel import kernel
+from cosim.base.ragged import counting_order, ptr_of
 
 CELL_M = 10.0
 _BELOW_M = 3.0

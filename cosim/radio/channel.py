@@ -19,13 +19,13 @@ from annotated_types import Gt, Le
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
+from cosim.base.ragged import offsets, ranges
 from cosim.radio import dtypes
 from cosim.radio.channel_state import ChannelState, next_state, remap_stations
 from cosim.radio.csma_events import PACKETS, SLOTS, Air, Heap, Log, run_until
 from cosim.radio.forwarding import NO_FORWARDING, Forwarding, grown
 from cosim.radio.phy import CURVES, MAC_OVERHEAD_BYTES, ReceiverParams, airtime_ns
 from cosim.radio.propagation import fading_quantiles
-from cosim.ragged import offsets, ranges
 
 SIFS_NS = 32_000
 SLOT_NS = 13_000

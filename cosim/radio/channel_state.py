@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy import ndarray
 
+from cosim.base.ragged import ranges
 from cosim.radio import dtypes
 from cosim.radio.csma_events import Air, Log
-from cosim.ragged import ranges
 
 
 @dataclass(frozen=True, slots=True)

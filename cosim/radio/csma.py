@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
-from cosim import rng
+from cosim.base import rng
+from cosim.base.ragged import ptr_of
 from cosim.radio import channel, dcc
 from cosim.radio.channel import Access, ChannelRules, Links, Packets, WindowResult
 from cosim.radio.channel_state import ChannelState
@@ -34,7 +35,6 @@ from cosim.radio.phy import MAC_OVERHEAD_BYTES, airtime_ns
 from cosim.radio.receptions import FrameState, NeighbourList, ReceptionAttempts, Transmissions, complete_messages
 from cosim.radio.segmentation import FRAME_BYTES
 from cosim.radio.underway import MESSAGE, SENT_FRAME, Underway, rows_of_keys
-from cosim.ragged import ptr_of
 from sensors.line_of_sight import LosOfPlaces
 
 

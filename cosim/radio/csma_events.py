@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray
 
+from cosim.base.hash_rng import mix, unit
+from cosim.base.kernel import inlined, kernel
 from cosim.radio.dtypes import (
     BUSY,
     COLLISION,
@@ -33,8 +35,6 @@ from cosim.radio.dtypes import (
 from cosim.radio.event_heap import pop, push
 from cosim.radio.forwarding import TIMER, enqueue_forward, is_full, on_receive, schedule_timers
 from cosim.radio.phy import HEADER_NS, PREAMBLE_NS
-from sensors.hash_rng import mix, unit
-from sensors.kernel import inlined, kernel
 
 _END, _GENERATE, _GATE, _ACCESS = range(4)
 _TO_QUANTILE = np.uint64(52)

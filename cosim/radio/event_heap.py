@@ -1,6 +1,6 @@
 """A binary heap of events, ordered by time and then by code, in two preallocated arrays."""
 
-from sensors.kernel import kernel
+from cosim.base.kernel import kernel
 
 
 @kernel

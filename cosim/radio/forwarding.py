@@ -17,10 +17,10 @@ import numpy as np
 from jaxtyping import Float, Int, UInt64
 from numpy import ndarray
 
+from cosim.base.hash_rng import mix, unit
+from cosim.base.kernel import kernel
 from cosim.radio.dtypes import NEVER, NONE, WAITING
 from cosim.radio.event_heap import push
-from sensors.hash_rng import mix, unit
-from sensors.kernel import kernel
 
 TIMER = 4
 """Kind of event: a contention timer expires. It comes after all other events of the same time."""

@@ -15,7 +15,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
-from cosim import rng
+from cosim.base import rng
+from cosim.base.kernel import compiled, kernel
+from cosim.base.ragged import order_by_two
 from cosim.radio.bodies import Bodies, tallest_blocker_m
 from cosim.radio.channel import Links
 from cosim.radio.propagation import (
@@ -26,8 +28,6 @@ from cosim.radio.propagation import (
     link_field,
     mean_loss_db,
 )
-from cosim.ragged import order_by_two
-from sensors.kernel import compiled, kernel
 from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.line_of_sight_kernels import FilledCells, crosses_filled_cell
 from sensors.scene import Scene

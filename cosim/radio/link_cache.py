@@ -6,13 +6,13 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
-from cosim import rng
+from cosim.base import rng
+from cosim.base.ragged import offsets, ranges
 from cosim.radio.channel import Jamming, Links
 from cosim.radio.link_budget import from_db, links_between, los_pairs
 from cosim.radio.message_round import Stations
 from cosim.radio.params import RadioParams
 from cosim.radio.receptions import NeighbourList, slant_m
-from cosim.ragged import offsets, ranges
 from sensors.line_of_sight import LosOfPlaces
 
 

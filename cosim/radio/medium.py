@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from cosim.addons.sidelink.medium import lte_mode4, nr_mode2
 from cosim.radio.csma import CsmaMedium
 from cosim.radio.message_round import MessageRound, Messages, RoundKind, Stations
 from cosim.radio.params import RadioParams
-from cosim.radio.sidelink import lte_mode4, nr_mode2
 from cosim.radio.unit_disk import UnitDiskMedium
 from sensors.line_of_sight import LosOfPlaces
 

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
-from cosim import rng
+from cosim.base import rng
+from cosim.base.ragged import order_by_two
 from cosim.radio.bodies import Bodies
 from cosim.radio.segmentation import ENVELOPE_BYTES, segments
-from cosim.ragged import order_by_two
 
 
 class RoundKind(IntEnum):

@@ -25,8 +25,8 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 from scipy.special import gammaincinv, ndtr
 
-from sensors.hash_rng import mix, unit
-from sensors.kernel import compiled, inlined, kernel
+from cosim.base.hash_rng import mix, unit
+from cosim.base.kernel import compiled, inlined, kernel
 
 LIGHT_MPS = 299_792_458.0
 BLOCKER_M = 1.6

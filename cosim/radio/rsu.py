@@ -1,6 +1,6 @@
 """Antennas of the trust server at the roadside: stations that receive, forward and broadcast, and have no sensors.
 
-Roadside units that sense are those of `cosim.mobility.roadside`.
+Roadside units that sense are those of `cosim.traffic.roadside`.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, UInt64
 from numpy import ndarray
 
-from cosim import rng
+from cosim.base import rng
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

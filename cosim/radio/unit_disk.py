@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from cosim import rng
+from cosim.base import rng
+from cosim.base.ragged import expand, order_by_two, ptr_of
 from cosim.radio.link_budget import neighbours
 from cosim.radio.message_round import (
     FrameOutcomes,
@@ -20,7 +21,6 @@ from cosim.radio.message_round import (
     receptions_of,
 )
 from cosim.radio.params import RadioParams
-from cosim.ragged import expand, order_by_two, ptr_of
 from sensors.line_of_sight import LosOfPlaces
 
 

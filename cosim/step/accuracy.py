@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.config.config import Config
-from cosim.v2x.messages import SELF, SENSED, Detections, velocities
+from cosim.messages.content import SELF, SENSED, Detections, velocities
 from sensors.association import bounded
 from sensors.tracking import ObjectStates, TrackingParams
 

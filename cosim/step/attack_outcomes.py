@@ -10,14 +10,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.ragged import expand, stable_order
+from cosim.base.codes import AttackEffect
+from cosim.base.ragged import expand, stable_order
+from cosim.messages.content import FABRICATED, Detections
 from cosim.step.comparing import Compared
 from cosim.step.exchange import Exchange
 from cosim.step.ground_truth import GroundTruth
 from cosim.step.known import Known
-from cosim.v2x.messages import FABRICATED, Detections
 from cosim.world import World
-from results.codes import AttackEffect
 from results.encounters import Rows
 from sensors.boxes import Boxes
 from trust.fusion import Fused

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.ragged import ptr_of, ranges
+from cosim.base.ragged import ptr_of, ranges
+from cosim.base.threads import threads_for
 from cosim.step.known import Pairs, Uses
 from cosim.step.object_lists import questions_of, received_lists, subset
 from cosim.step.perception import AsksSweeps, BoxQuestions
@@ -27,7 +28,6 @@ from trust.matching import match_each
 from trust.object_reports import ObjectReports
 from trust.params import TrustParams
 from trust.tables import Evaluations, FusionInput, Groups, ObjectLists, SenderTrust
-from trust.threads import threads_for
 
 ROWS_PER_BOX = 10
 """Finding the boxes that overlap one box costs as much as this number of rows of a table."""

@@ -12,7 +12,7 @@ A message may outlast its round: its frames wait for the channel. It then arrive
 (`cosim.step.late`). A detection message is too old at t + timeout (`radio.timeout_s`), an evaluation message at
 t + 2 timeout.
 
-Not all vehicles need to sense in a step (`cosim.mobility.schedule`). Those that do perceive, send, evaluate, look up
+Not all vehicles need to sense in a step (`cosim.traffic.schedule`). Those that do perceive, send, evaluate, look up
 and fuse; all receive. The inbox then keeps messages for vehicles that sense later.
 
 Piggybacked evaluations wait for the sender's next detection message. They are too late for fusion, so each vehicle
@@ -24,7 +24,6 @@ from dataclasses import replace
 from jaxtyping import Float
 from numpy import ndarray
 
-from cosim.driver.driver import Beliefs
 from cosim.radio.message_round import RoundKind
 from cosim.step import stages, tracking, trust_stages
 from cosim.step.attack_outcomes import attack_outcomes
@@ -35,6 +34,7 @@ from cosim.step.parts import Parts
 from cosim.step.precomputed import NOTHING_PRECOMPUTED, Precomputed
 from cosim.step.result import Sensed, StepResult
 from cosim.step.state import State
+from cosim.traffic.driver import Beliefs
 from cosim.world import World
 
 

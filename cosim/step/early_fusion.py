@@ -12,16 +12,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
+from cosim.base.ragged import expand, ptr_of, rows_of
 from cosim.config.config import Config
+from cosim.messages.cloud_params import EarlyFusionParams
+from cosim.messages.content import SENSED
 from cosim.radio.link_budget import neighbours
 from cosim.radio.message_round import MessageRound
 from cosim.radio.segmentation import ENVELOPE_BYTES
-from cosim.ragged import expand, ptr_of, rows_of
 from cosim.step.exchange import Exchange
 from cosim.step.perception import Observed, detector_draws
 from cosim.step.positioning import as_estimated
-from cosim.v2x.cloud_params import EarlyFusionParams
-from cosim.v2x.messages import SENSED
 from cosim.world import World
 from sensors import lidar
 from sensors.boxes import Boxes, iou_3d

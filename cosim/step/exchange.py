@@ -6,10 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Int, UInt64
 from numpy import ndarray
 
-from cosim import rng
-from cosim.adversary.adversary import Active
-from cosim.adversary.attack import Sending
+from cosim.attacks.adversary import Active
+from cosim.attacks.attack import Sending
+from cosim.base import rng
+from cosim.base.ragged import expand
 from cosim.config.config import Config
+from cosim.messages.content import Detections
 from cosim.radio.bodies import Bodies
 from cosim.radio.message_round import (
     ChannelAbuse,
@@ -22,8 +24,6 @@ from cosim.radio.message_round import (
 )
 from cosim.radio.rsu import RsuAntennas
 from cosim.radio.segmentation import ENVELOPE_BYTES
-from cosim.ragged import expand
-from cosim.v2x.messages import Detections
 from cosim.world import World
 from trust.tables import ObjectLists
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.v2x.messages import FABRICATED, SELF, SENSED, Detections
+from cosim.messages.content import FABRICATED, SELF, SENSED, Detections
 from cosim.world import World
 from sensors.boxes import iou_3d
 from sensors.evidence import Observability

@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.base.ragged import distinct, offsets, ranges, rows_of
+from cosim.messages.content import Detections, velocities
 from cosim.radio.message_round import Receptions, RoundKind
-from cosim.ragged import distinct, offsets, ranges, rows_of
 from cosim.step.accuracy import aged
 from cosim.step.exchange import Exchange
 from cosim.step.ground_truth import GroundTruth
@@ -21,7 +22,6 @@ from cosim.step.late import LateMessages
 from cosim.step.object_lists import for_trust
 from cosim.step.parts import Parts
 from cosim.step.stages import Broadcast, Evaluated, Listed, Matched
-from cosim.v2x.messages import Detections, velocities
 from sensors.boxes import Boxes, extrapolated
 from trust.tables import Evaluations, ObjectLists
 

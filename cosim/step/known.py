@@ -6,8 +6,8 @@ from typing import NamedTuple
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.messages.content import Detections
 from cosim.step.ground_truth import GroundTruth
-from cosim.v2x.messages import Detections
 from trust import tables
 
 Pairs = tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]]

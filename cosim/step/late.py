@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
+from cosim.base.ragged import rows_of
 from cosim.radio.message_round import EarlierMessages, LinkReceptions, MessageRound, Receptions, RoundKind, by_link
-from cosim.ragged import rows_of
 from cosim.step.exchange import Exchange
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
-from cosim.mobility.roadside import RoadsideUnits
 from cosim.step.perception import BoxAnswers, BoxQuestions, Observed, Perception, Seen
 from cosim.step.stopwatch import Stopwatch
+from cosim.traffic.roadside import RoadsideUnits
 from cosim.world import World
 from sensors import evidence, lidar
 from sensors.boxes import Boxes

@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
-from cosim.adversary.adversary import Active
-from cosim.adversary.attack import EvaluationRows
-from cosim.ragged import offsets, ptr_of, ranges
+from cosim.attacks.adversary import Active
+from cosim.attacks.attack import EvaluationRows
+from cosim.base.ragged import offsets, ptr_of, ranges
+from cosim.messages.content import SELF, Detections
 from cosim.step.known import Known, Uses
 from cosim.step.perception import BoxQuestions
-from cosim.v2x.messages import SELF, Detections
 from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
 from trust import tables

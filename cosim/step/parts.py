@@ -9,15 +9,16 @@ import numpy as np
 from jaxtyping import Int, UInt64
 from numpy import ndarray
 
-from cosim.adversary.adversary import Adversary
+from cosim.attacks.adversary import Adversary
+from cosim.base.codes import BASE_VARIANT
 from cosim.config import config
 from cosim.config.config import Config
 from cosim.door.guard import Guarded, construct, make
 from cosim.door.kinds import SECTIONS
 from cosim.door.load import Choice, Source
-from cosim.driver.driver import Driver
-from cosim.mobility.roadside import NO_UNITS, RoadsideUnits
-from cosim.mobility.schedule import Schedule
+from cosim.messages.linkage import Linkage, Revocation
+from cosim.messages.pseudonyms import Pseudonyms
+from cosim.messages.trust_hosts import TrustHosts, Variant
 from cosim.radio.medium import Medium
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
@@ -28,11 +29,10 @@ from cosim.step.mixed_perception import MixedPerception
 from cosim.step.perception import Perceives, Perception
 from cosim.step.stopwatch import Stopwatch
 from cosim.step.trackers.encounters import NearPairs, PairSearch
-from cosim.v2x.linkage import Linkage, Revocation
-from cosim.v2x.pseudonyms import Pseudonyms
-from cosim.v2x.trust_hosts import TrustHosts, Variant
+from cosim.traffic.driver import Driver
+from cosim.traffic.roadside import NO_UNITS, RoadsideUnits
+from cosim.traffic.schedule import Schedule
 from cosim.world import World
-from results.codes import BASE_VARIANT
 from sensors.coverage import Coverage
 from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.scene import Scene

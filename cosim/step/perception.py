@@ -13,15 +13,15 @@ import numpy as np
 from jaxtyping import Bool, Int, Int32, UInt8, UInt16, UInt64
 from numpy import ndarray
 
-from cosim import rng
+from cosim.base import rng
+from cosim.base.kernel import threads_may_meet
+from cosim.messages.content import SENSED, Detections, self_reports
 from cosim.step.stopwatch import Stopwatch
-from cosim.v2x.messages import SENSED, Detections, self_reports
 from cosim.world import World
 from sensors import detector, evidence, lidar
 from sensors.boxes import Boxes
 from sensors.detector import Detector, DetectorDraws
 from sensors.evidence import AreaParams
-from sensors.kernel import threads_may_meet
 from sensors.lidar import NO_MEMORY, SweepMemory
 from sensors.neighbours import neighbours
 from sensors.scene import Scene, prisms

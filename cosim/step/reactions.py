@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.driver.driver import SpeedCommands
+from cosim.messages.content import FABRICATED
 from cosim.step.exchange import Exchange
 from cosim.step.stages import Listed
-from cosim.v2x.messages import FABRICATED
+from cosim.traffic.driver import SpeedCommands
 from cosim.world import World
 
 _KEPT_S = 10.0

@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass
 
-from cosim.driver.driver import SpeedCommands
+from cosim.messages.pseudonyms import PseudonymUse
+from cosim.messages.trust_hosts import ServerTraffic
 from cosim.step.early_fusion import Early
 from cosim.step.exchange import Senders, Vehicles
 from cosim.step.known import Known
@@ -10,8 +11,7 @@ from cosim.step.reactions import Reactions
 from cosim.step.stages import Evaluated, Listed, Positioned
 from cosim.step.tracking import Reach, Rounds
 from cosim.step.trust_stages import Carrier, LookedUp
-from cosim.v2x.pseudonyms import PseudonymUse
-from cosim.v2x.trust_hosts import ServerTraffic
+from cosim.traffic.driver import SpeedCommands
 from cosim.world import World
 from results.encounters import Rows
 from trust.fusion import Fused

@@ -10,28 +10,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.adversary.adversary import Active
-from cosim.adversary.disguise import shuffled
+from cosim.attacks.adversary import Active
+from cosim.attacks.disguise import shuffled
+from cosim.base.ragged import ptr_of
+from cosim.base.threads import threads_for
 from cosim.config.config import Config
-from cosim.driver.driver import Beliefs
-from cosim.mobility.position_errors import PositionErrors
-from cosim.radio.medium import gap_s
-from cosim.radio.message_round import LinkReceptions, MessageRound, Messages, RoundKind
-from cosim.ragged import ptr_of
-from cosim.step import object_lists
-from cosim.step.accuracy import sensors_of, stated
-from cosim.step.comparing import ROWS_PER_BOX, Compared, Fuses, KnownObjects, distance_m
-from cosim.step.exchange import Exchange, OnAir, Senders, Times, Vehicles, lists_of_identities
-from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections, lies_in_evaluations
-from cosim.step.known import Known, Pairs, Uses
-from cosim.step.late import LateMessages
-from cosim.step.object_lists import messages_of, subset
-from cosim.step.parts import Parts
-from cosim.step.perception import Observed
-from cosim.step.positioning import as_believed, as_estimated, believed_world
-from cosim.step.precomputed import Precomputed
-from cosim.v2x.cpm_generation import CpmContent, CpmState, Generators, generate
-from cosim.v2x.messages import (
+from cosim.messages.content import (
     FABRICATED,
     SELF,
     SENSED,
@@ -44,9 +28,26 @@ from cosim.v2x.messages import (
     velocities,
     with_motion,
 )
-from cosim.v2x.pseudonyms import PseudonymState, PseudonymUse
-from cosim.v2x.redundancy import Reports
-from cosim.v2x.trust_server import TrustBroadcast
+from cosim.messages.cpm_generation import CpmContent, CpmState, Generators, generate
+from cosim.messages.pseudonyms import PseudonymState, PseudonymUse
+from cosim.messages.redundancy import Reports
+from cosim.messages.trust_server import TrustBroadcast
+from cosim.radio.medium import gap_s
+from cosim.radio.message_round import LinkReceptions, MessageRound, Messages, RoundKind
+from cosim.step import object_lists
+from cosim.step.accuracy import sensors_of, stated
+from cosim.step.comparing import ROWS_PER_BOX, Compared, Fuses, KnownObjects, distance_m
+from cosim.step.exchange import Exchange, OnAir, Senders, Times, Vehicles, lists_of_identities
+from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections, lies_in_evaluations
+from cosim.step.known import Known, Pairs, Uses
+from cosim.step.late import LateMessages
+from cosim.step.object_lists import messages_of, subset
+from cosim.step.parts import Parts
+from cosim.step.perception import Observed
+from cosim.step.positioning import as_believed, as_estimated, believed_world
+from cosim.step.precomputed import Precomputed
+from cosim.traffic.driver import Beliefs
+from cosim.traffic.position_errors import PositionErrors
 from cosim.world import World
 from sensors.association import Gate, bounded, pairs_across, pairs_within
 from sensors.boxes import overlapping_pairs, pairs_between
@@ -56,7 +57,6 @@ from trust.claims import DETECTION, answers, claim_number
 from trust.fusion import Fused
 from trust.params import KINDS, TrustParams
 from trust.tables import EvaluationMessages, Evaluations, ObjectLists
-from trust.threads import threads_for
 
 
 def identify(

@@ -8,8 +8,12 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
-from cosim.adversary.adversary import AttackState
-from cosim.mobility.position_errors import PositionErrors
+from cosim.attacks.adversary import AttackState
+from cosim.base.codes import DetectionFault
+from cosim.messages.cpm_generation import CpmState
+from cosim.messages.pseudonyms import PseudonymState
+from cosim.messages.relinking import KnownSenders
+from cosim.messages.trust_hosts import TrustState
 from cosim.step.early_fusion import Clouds
 from cosim.step.inbox import Inbox
 from cosim.step.parts import Parts
@@ -21,11 +25,7 @@ from cosim.step.trackers.inter_reception import InterReceptionTracker
 from cosim.step.trackers.motion import LastSpeeds
 from cosim.step.tracking import ReceptionTrackers
 from cosim.step.trust_stages import Carrier
-from cosim.v2x.cpm_generation import CpmState
-from cosim.v2x.pseudonyms import PseudonymState
-from cosim.v2x.relinking import KnownSenders
-from cosim.v2x.trust_hosts import TrustState
-from results.codes import DetectionFault
+from cosim.traffic.position_errors import PositionErrors
 from results.encounters import EncounterTracker
 from sensors.tracking import TrackMemory
 

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
+from cosim.base.ragged import distinct
 from cosim.radio.message_round import RoundKind
-from cosim.ragged import distinct
 from cosim.step.comparing import Compared
 from cosim.step.exchange import Exchange
 from cosim.step.known import Known

@@ -10,11 +10,16 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.base.codes import TrustSource
+from cosim.base.ragged import expand, ptr_of, rows_of
 from cosim.config.config import Config
 from cosim.door.guard import refuse
+from cosim.messages.pseudonyms import PseudonymState
+from cosim.messages.relinking import KnownSenders, ReceivedSenders, fallen_back, noted, update_senders
+from cosim.messages.trust_hosts import Informed, Lookups, TrustState
+from cosim.messages.trust_server import LinkStats, TrustBroadcast
 from cosim.radio.link_budget import neighbours
 from cosim.radio.message_round import LinkReceptions, Receptions
-from cosim.ragged import expand, ptr_of, rows_of
 from cosim.step.comparing import FusionOf, Used
 from cosim.step.exchange import Exchange, Times, Vehicles, distinct
 from cosim.step.known import Known, Uses
@@ -22,12 +27,7 @@ from cosim.step.late import LateMessages
 from cosim.step.parts import Parts
 from cosim.step.stages import Broadcast, Evaluated, Listed, Matched, SentEvaluations
 from cosim.step.trackers.encounters import Encounters, NearPairs, update_encounters
-from cosim.v2x.pseudonyms import PseudonymState
-from cosim.v2x.relinking import KnownSenders, ReceivedSenders, fallen_back, noted, update_senders
-from cosim.v2x.trust_hosts import Informed, Lookups, TrustState
-from cosim.v2x.trust_server import LinkStats, TrustBroadcast
 from cosim.world import World
-from results.codes import TrustSource
 from results.encounters import Rows
 from trust.certified import upheld
 from trust.claims import claims_of_messages

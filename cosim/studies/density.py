@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from cosim.config.config import Config
-from cosim.mobility.fcd import timesteps
-from cosim.mobility.scenario import Scenario
 from cosim.studies.points import scenario_of
+from cosim.traffic.fcd import timesteps
+from cosim.traffic.scenario import Scenario
 from results.manifest import read_manifest
 from sumo_nets import catalogue, sumocfg
 from sumo_nets.xml import Attributes, Enough, stream

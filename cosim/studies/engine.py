@@ -14,7 +14,7 @@ from typing import Any
 import psutil
 from distributed import Client, Future, as_completed
 
-from cosim.execution import process
+from cosim.runs import process
 from cosim.studies.folder import Attempt, StudyFolder
 from cosim.studies.study import Limits
 

@@ -13,11 +13,11 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from cosim.base import durable
 from cosim.config.data import read_toml
 from cosim.studies.plan import PlannedRun, as_data
 from cosim.studies.points import Point
 from cosim.studies.study import Study
-from results import durable
 
 STATES = ("finished", "failed", "unfinished", "waiting")
 """States of a point: its run is finished; its last attempt failed; its run has begun; nothing was done yet."""

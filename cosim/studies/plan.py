@@ -9,11 +9,11 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from cosim.base.codes import BASE_VARIANT
 from cosim.config.config import Config, resolve_data
+from cosim.messages.trust_hosts import host_key
 from cosim.step.parts import variants
 from cosim.studies.points import Point, identity, scenario_of, shared_identity, traffic_identity
-from cosim.v2x.trust_hosts import host_key
-from results.codes import BASE_VARIANT
 from trust.params import EVIDENCE_KEYS, eta_of
 
 TRAFFIC_VERSION = 1

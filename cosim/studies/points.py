@@ -8,10 +8,10 @@ from functools import cache
 from typing import Any
 
 from cosim.config.config import Config
-from cosim.execution.inputs import mesh_checksums
-from cosim.mobility.scenario import Scenario, find
+from cosim.runs.inputs import mesh_checksums
 from cosim.step.parts import sources
 from cosim.studies.study import Keys, Study, config_at
+from cosim.traffic.scenario import Scenario, find
 from results.tables import SCHEMA_VERSION
 
 HOW = ("compute", "record")

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pandas as pd
 
+from cosim.base.durable import Damaged
 from cosim.config.config import Config, of_run, resolve_data
 from cosim.config.data import read_toml
 from cosim.door.permission import loading_code_of
-from cosim.execution import run as running
-from cosim.execution.check import check
-from cosim.execution.drive import Advance
-from cosim.execution.inputs import provenance
-from cosim.execution.stop import Failed
+from cosim.runs import run as running
+from cosim.runs.check import check
+from cosim.runs.drive import Advance
+from cosim.runs.inputs import provenance
+from cosim.runs.stop import Failed
 from results.archive import OpenRun, open_run
-from results.durable import Damaged
 from results.verify import verify
 
 

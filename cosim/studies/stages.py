@@ -15,12 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import time
 
+from cosim.base.durable import PARTIAL
 from cosim.config.config import Config
-from cosim.execution import run as running
-from cosim.execution.drive import Advance
-from cosim.execution.manifest import sha256
+from cosim.runs import run as running
+from cosim.runs.drive import Advance
+from cosim.runs.manifest import sha256
 from cosim.studies.folder import write_whole
-from results.durable import PARTIAL
 
 LIMIT_GB = 10.0
 """Size above which the least recently used entries are deleted, unless COSIM_CACHE_GB sets another size."""

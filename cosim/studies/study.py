@@ -15,8 +15,8 @@ from cosim.config import data as config_data
 from cosim.door.kinds import KINDS
 from cosim.door.load import function
 from cosim.door.permission import loading_code, loading_code_of, untrusted
-from cosim.execution.manifest import toml_text
-from cosim.mobility.params import TrafficParams
+from cosim.runs.manifest import toml_text
+from cosim.traffic.params import TrafficParams
 from results.metrics.registry import TOPICS
 from results.tables import TABLES
 

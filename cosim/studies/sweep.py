@@ -10,10 +10,8 @@ from pathlib import Path
 
 import numba
 
-from cosim.execution import check as checking
-from cosim.execution.cluster import connected, local
-from cosim.mobility.scenario import find
-from cosim.mobility.scene_summary import scene_summary
+from cosim.runs import check as checking
+from cosim.runs.cluster import connected, local
 from cosim.studies.engine import Work, execute
 from cosim.studies.estimate import Estimate, estimate
 from cosim.studies.folder import Attempt, StudyFolder, write_whole
@@ -21,6 +19,8 @@ from cosim.studies.plan import Plan, PlannedRun, plan
 from cosim.studies.points import Point, points_of
 from cosim.studies.stages import Cache, default_folder
 from cosim.studies.study import Study, load
+from cosim.traffic.scenario import find
+from cosim.traffic.scene_summary import scene_summary
 
 FUSED_TOPICS = {"detection", "attack", "evidence"}
 """Topics of metrics that need the fused objects of every point."""

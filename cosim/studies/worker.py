@@ -16,14 +16,14 @@ from typing import Any
 
 import pandas as pd
 
+from cosim.base import durable
 from cosim.config.config import resolve_data
 from cosim.door.blame import ExtensionError
 from cosim.door.load import function
-from cosim.execution import run as running
-from cosim.execution.stop import Failed
+from cosim.runs import run as running
+from cosim.runs.stop import Failed
 from cosim.studies.folder import StudyFolder, status_of
 from cosim.studies.stages import Cache
-from results import durable
 from results.archive import open_run
 from results.manifest import drop_tables, read_manifest
 from results.measure import measure

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 
 from matplotlib.figure import Figure
 
+from cosim.addons.durations import figure as durations
 from results.figures import (
     ages,
     attacks,
@@ -11,7 +12,6 @@ from results.figures import (
     delays,
     delivery,
     detection,
-    durations,
     encounters,
     exclusion,
     freshness,

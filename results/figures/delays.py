@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from results.codes import BASE_VARIANT
+from cosim.base.codes import BASE_VARIANT
 from results.figures import style
 from results.metrics import misbehaviour, security
 from results.run import Run

@@ -15,7 +15,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from numpy import ndarray
 
-from results import durable
+from cosim.base import durable
 from results.figures import style
 from results.run import Run
 

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from results import durable
-from results.codes import BASE_VARIANT
+from cosim.base import durable
+from cosim.base.codes import BASE_VARIANT
 from results.metrics import compare
 from results.run import Run
 

@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from results.codes import EvaluationKind
+from cosim.base.codes import EvaluationKind
 from results.metrics import intervals
 from results.metrics.trust import HONEST, watched
 from results.run import Run

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
 
-from results.codes import ObjectClass, labels
+from cosim.base.codes import ObjectClass, labels
 from results.metrics.kitti import LEVELS, LOOSE, STRICT, Overlap, average_precision
 from results.metrics.kitti_frames import (
     TABLE_OF,

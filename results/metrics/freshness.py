@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from results.codes import LookupState, labels
+from cosim.base.codes import LookupState, labels
 from results.metrics import lookups, trust
 from results.metrics.encounters import DEFINITION
 from results.metrics.intervals import plain_columns, ratio, share, without_interval

@@ -7,7 +7,7 @@ import pandas as pd
 import pyarrow.compute as pc
 from scipy.spatial import cKDTree
 
-from results.codes import BASE_VARIANT
+from cosim.base.codes import BASE_VARIANT
 from results.metrics.kitti import Objects
 from results.metrics.overlap import corners
 from results.run import Run

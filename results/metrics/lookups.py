@@ -10,8 +10,8 @@ import pandas as pd
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from results.codes import LookupState, TrustSource
-from results.durable import Damaged
+from cosim.base.codes import LookupState, TrustSource
+from cosim.base.durable import Damaged
 from results.metrics.trust import watched
 from results.run import Run
 

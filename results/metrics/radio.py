@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
 
-from results.codes import DISTANCE_BIN_M, LATENCY_EDGES_S
+from cosim.base.codes import DISTANCE_BIN_M, LATENCY_EDGES_S
 from results.run import Run
 
 MessageType = Literal["cpm", "evaluation"]

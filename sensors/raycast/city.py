@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensors.kernel import kernel
+from cosim.base.kernel import kernel
 from sensors.raycast.column import below
 
 

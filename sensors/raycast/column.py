@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from sensors.kernel import compiled, inlined, kernel
+from cosim.base.kernel import compiled, inlined, kernel
 
 MARGIN_RAD = 1e-9
 """Rounding of a window's limits."""

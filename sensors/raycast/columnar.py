@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray
 
+from cosim.base.kernel import compiled, inlined, kernel
 from sensors.boxes import Boxes
-from sensors.kernel import compiled, inlined, kernel
 from sensors.neighbours import Neighbours, buildings_near
 from sensors.range_noise import RangeNoise, add_noise
 from sensors.range_steps import count_steps

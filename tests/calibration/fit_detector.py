@@ -24,7 +24,7 @@ from scipy.optimize import differential_evolution
 from scipy.special import expit, logit
 
 import sensors
-from cosim.offline import replay_lidar
+from cosim.runs import replay_lidar
 from cosim.step.parts import perception_of
 from cosim.world import LABELS
 from results.archive import open_run

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.execution.run import pseudonym_remarks
+from cosim.runs.run import pseudonym_remarks
 from results.archive import open_run
 from tests.drive import cosim, simulate
 

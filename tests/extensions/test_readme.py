@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from cosim.addons.tryout import templates
 from cosim.config.config import load
 from cosim.step.parts import check_choices
-from cosim.tryout import templates
 from results.archive import open_run
 from tests.cosim.docs import fences
 from tests.drive import cosim, simulate
@@ -22,7 +22,7 @@ WRITTEN = {p.name: p.read_text(encoding="utf-8") for p in TEMPLATES.glob("*.py")
 
 
 def test_the_page_shows_what_cosim_new_writes():
-    """The examples are those that `cosim try` is asked about in tests/cosim/cli/test_extend.py."""
+    """The examples are those that `cosim try` is asked about in tests/addons/tryout/test_commands.py."""
     shown = {"my_trust.py" if name == "trust.py" else name: text for name, text in WRITTEN.items()}
     assert EXAMPLES == shown, "a file trust.py would hide the package"
     ours = r"^(?:from|import) ((?:cosim|trust|sensors|results)\b[\w.]*)"

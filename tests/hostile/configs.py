@@ -10,7 +10,7 @@ from dataclasses import fields, is_dataclass
 
 from cosim.config.config import Config, load
 from cosim.door.kinds import SECTIONS
-from cosim.execution.check import check
+from cosim.runs.check import check
 from trust.params import TrustParams
 
 NUMBERS = (

@@ -4,8 +4,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from cosim.adversary.attack import Sending
-from cosim.v2x.messages import FABRICATED, Detections
+from cosim.attacks.attack import Sending
+from cosim.messages.content import FABRICATED, Detections
 from sensors.boxes import Boxes
 
 ODD = np.array([np.nan, np.inf, -np.inf, 0.0, -0.0, 5e-324, 1e-300, -1.0, 7.0, 1e6, 3e8, 1e155, -1e155, 1.7e308])

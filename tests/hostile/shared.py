@@ -10,15 +10,16 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from cosim.base import durable
 from cosim.config.config import load
 from cosim.door.kinds import SECTIONS
-from cosim.execution import run as running
-from cosim.execution.manifest import toml_text
-from cosim.execution.stop import Stopped
+from cosim.runs import run as running
+from cosim.runs.manifest import toml_text
+from cosim.runs.stop import Stopped
 from cosim.studies.folder import StudyFolder
 from cosim.studies.points import points_of
 from cosim.studies.study import load as load_study
-from results import durable, inventory
+from results import inventory
 from results.manifest import read_manifest, write_manifest
 from tests.hostile.scenes import write_trace
 from tests.processes import sets_of_trace

@@ -6,8 +6,8 @@ from collections import Counter
 
 import pytest
 
+from cosim.base.durable import Damaged
 from results.archive import open_run
-from results.durable import Damaged
 from results.measure import measure
 from results.verify import verify
 from tests.hostile import SEED, N

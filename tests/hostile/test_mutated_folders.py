@@ -11,9 +11,9 @@ from collections import Counter
 
 import pytest
 
-from cosim.execution.run import resume
-from cosim.execution.stop import Failed
-from cosim.offline.export import export
+from cosim.addons.export.export import export
+from cosim.runs.run import resume
+from cosim.runs.stop import Failed
 from results import inventory
 from results.archive import open_run
 from results.figures.catalogue import FIGURES

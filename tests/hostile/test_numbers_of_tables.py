@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from results import durable
+from cosim.base import durable
 from results.archive import open_run
 from results.columns import WHOLE
 from results.measure import measure

@@ -16,14 +16,14 @@ from pathlib import Path
 import pytest
 import typer
 
-import cosim.execution
-import cosim.offline
+import cosim.addons.export
+import cosim.runs
 import cosim.studies
 import results
 from cosim.cli.main import app
 from cosim.config.config import load
 from cosim.door.permission import CodeNotTrusted
-from cosim.execution.stop import Failed
+from cosim.runs.stop import Failed
 from cosim.studies.folder import StudyFolder
 from results.archive import open_run
 from results.manifest import drop_tables
@@ -82,26 +82,26 @@ SLOW = ("measure", "plot", "report")
 
 NAMED = ("path", "folder", "run", "study", "job", "file")
 FUNCTIONS = {
-    "cosim.execution.folder.check": None,  # these name a folder to be written, or files of the program's own
-    "cosim.execution.folder.reopen": None,
+    "cosim.runs.folder.check": None,  # these name a folder to be written, or files of the program's own
+    "cosim.runs.folder.reopen": None,
     "cosim.studies.folder.write_whole": None,
     "cosim.studies.worker.make": None,  # the process of a sweep, with a job that the sweep has just written
-    "cosim.execution.run.remarks": lambda f, at: f(at["run"]),
-    "cosim.execution.run.resumable": lambda f, at: f(at["part"]),
-    "cosim.execution.run.resume": lambda f, at: f(at["part"], print),
-    "cosim.offline.evaluate.evaluate": lambda f, at: f(at["run"]),
-    "cosim.offline.evaluate.layout_of": lambda f, at: f(at["run"]),
-    "cosim.offline.export.export": lambda f, at: f(open_run(at["run"]), "nuscenes", at["out"] / "api"),
-    "cosim.offline.replay_lidar.config_of": lambda f, at: f(open_run(at["run"])),
-    "cosim.offline.replay_lidar.film": lambda f, at: f(open_run(at["run"]), 0, at["out"] / "api.gif"),
-    "cosim.offline.replay_lidar.portrait": lambda f, at: f(open_run(at["run"]), [0], 2, at["out"] / "scene.png"),
-    "cosim.offline.replay_lidar.replay_scan": lambda f, at: f(open_run(at["run"]), 0, 2),
-    "cosim.offline.replay_lidar.worlds": lambda f, at: list(f(open_run(at["run"]), load())),
-    "cosim.offline.replay_lidar.write": lambda f, at: f(open_run(at["run"]), 0, 2, at["out"] / "api.ply"),
-    "cosim.offline.view.first_look": None,  # these two are given a run that `view` has opened
-    "cosim.offline.view.role_colours": None,
-    "cosim.offline.view.follow": lambda f, at: f(at["run"], at["out"] / "followed.rrd"),
-    "cosim.offline.view.view": lambda f, at: f(open_run(at["run"]), at["out"] / "api.rrd"),
+    "cosim.runs.run.remarks": lambda f, at: f(at["run"]),
+    "cosim.runs.run.resumable": lambda f, at: f(at["part"]),
+    "cosim.runs.run.resume": lambda f, at: f(at["part"], print),
+    "cosim.addons.datasets.evaluate.evaluate": lambda f, at: f(at["run"]),
+    "cosim.addons.datasets.evaluate.layout_of": lambda f, at: f(at["run"]),
+    "cosim.addons.export.export.export": lambda f, at: f(open_run(at["run"]), "nuscenes", at["out"] / "api"),
+    "cosim.runs.replay_lidar.config_of": lambda f, at: f(open_run(at["run"])),
+    "cosim.runs.replay_lidar.film": lambda f, at: f(open_run(at["run"]), 0, at["out"] / "api.gif"),
+    "cosim.runs.replay_lidar.portrait": lambda f, at: f(open_run(at["run"]), [0], 2, at["out"] / "scene.png"),
+    "cosim.runs.replay_lidar.replay_scan": lambda f, at: f(open_run(at["run"]), 0, 2),
+    "cosim.runs.replay_lidar.worlds": lambda f, at: list(f(open_run(at["run"]), load())),
+    "cosim.runs.replay_lidar.write": lambda f, at: f(open_run(at["run"]), 0, 2, at["out"] / "api.ply"),
+    "cosim.addons.export.view.first_look": None,  # these two are given a run that `view` has opened
+    "cosim.addons.export.view.role_colours": None,
+    "cosim.addons.export.view.follow": lambda f, at: f(at["run"], at["out"] / "followed.rrd"),
+    "cosim.addons.export.view.view": lambda f, at: f(open_run(at["run"]), at["out"] / "api.rrd"),
     "cosim.studies.folder.status_of": lambda f, at: f(at["run"]),
     "cosim.studies.retrust.retrust": lambda f, at: f(
         at["run"], at["out"] / "variants.toml", at["out"] / "api-retrust", print
@@ -189,7 +189,7 @@ def test_what_needs_the_code_says_so(at, call):
 
 def functions():
     """Public functions that take a run or the path of one, by name."""
-    for package in (cosim.execution, cosim.offline, cosim.studies):
+    for package in (cosim.runs, cosim.addons.export, cosim.studies):
         for about in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
             module = importlib.import_module(about.name)
             for name, function in inspect.getmembers(module, inspect.isfunction):

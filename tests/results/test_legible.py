@@ -11,7 +11,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 from PIL import Image
 
-from results.figures import city, law, paper, scenario, scene, study, style, sweep, validation
+from cosim.addons.compare import figure as validation
+from cosim.addons.law import figure as law
+from cosim.addons.paper import figure as paper
+from cosim.addons.paper import scenario_figure as scenario
+from results.figures import city, scene, study, style, sweep
 from results.figures.catalogue import FIGURES
 from results.figures.movie import DPI
 from results.study import Study

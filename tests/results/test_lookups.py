@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from cosim.base.codes import LookupState, labels
 from results import part_encoder
 from results.archive import open_run
-from results.codes import LookupState, labels
 from results.manifest import finish
 from results.metrics import freshness, intervals, lookups, misbehaviour, survival
 from results.metrics.lookups import AGES, RENEWED

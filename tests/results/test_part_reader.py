@@ -3,8 +3,8 @@
 import pyarrow as pa
 import pytest
 
+from cosim.base.codes import LookupState, labels
 from results import part_reader
-from results.codes import LookupState, labels
 
 
 def test_labels_of_an_earlier_version_are_refused_in_one_line():

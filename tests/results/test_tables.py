@@ -6,7 +6,8 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from results import codes, dictionary, tables
+from cosim.base import codes
+from results import dictionary, tables
 from results.columns import LEVELS
 from results.metrics.registry import METRICS, TOPICS
 

@@ -5,8 +5,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
+from cosim.base.codes import Role, labels
 from results.archive import open_run
-from results.codes import Role, labels
 from results.manifest import finish
 from results.recorder import Recorder
 from tests.results.tiny import columns, fleet

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from cosim.base.hash_rng import normals, uniforms
 from sensors.boxes import Boxes, iou_3d
 from sensors.detector import DETECTORS, detect
 from sensors.evidence import observability, points_in_boxes
-from sensors.hash_rng import normals, uniforms
 from sensors.reports import Reports
 from sensors.scene import LABEL_OF_SHAPE
 from sensors.statistical_detector import DetectorParams

@@ -5,10 +5,10 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from cosim.base.hash_rng import normals, persistent_normals
 from sensors.boxes import Boxes, iou_3d
 from sensors.detector import detect
 from sensors.evidence import Observability, observability
-from sensors.hash_rng import normals, persistent_normals
 from sensors.scene import LABEL_OF_SHAPE
 from sensors.statistical_detector import (
     N_DRAWS,

@@ -10,8 +10,8 @@ import pytest
 
 from sumo_nets import sumocfg, sumotools
 from sumo_nets.sumo_options import IGNORED, PASSED, READS, REFUSED, SYNONYMS
-from tests.cosim.mobility import mixed_scenario
-from tests.cosim.mobility.worlds import live, same
+from tests.cosim.traffic import mixed_scenario
+from tests.cosim.traffic.worlds import live, same
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +198,7 @@ def test_a_decompression_bomb_is_not_read_to_its_end(scenario, tmp_path):
 
 
 def test_a_typing_error_in_a_network_names_the_file_and_the_line(scenario, tmp_path):
-    from cosim.mobility.scenario import find
+    from cosim.traffic.scenario import find
 
     for change in (
         lambda t: t.replace('shape="', 'shape="x', 3),

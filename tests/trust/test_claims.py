@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from results.codes import EvaluationKind
+from cosim.base.codes import EvaluationKind
 from trust.claims import (
     DETECTION,
     MISSING,

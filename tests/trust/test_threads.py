@@ -4,13 +4,13 @@ import numba
 import numpy as np
 import pytest
 
-from cosim.bench.trust import street
+from cosim.base.threads import threads_for
+from tests.bench.trust import street
 from trust.evaluation import evaluate
 from trust.fusion import SensorEvidence, fuse
 from trust.matching import match
 from trust.params import TrustParams
 from trust.tables import FusionInput
-from trust.threads import threads_for
 
 
 @pytest.fixture

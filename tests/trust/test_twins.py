@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.addons.trust_models import opinions
+from cosim.addons.trust_models.eigentrust import eigentrust
+from cosim.addons.trust_models.majority_ban import MajorityBan, MajorityBanParams
+from cosim.addons.trust_models.mate import PRIOR, Mate, MateParams, gained
+from cosim.addons.trust_models.minhas import MinhasParams, experienced
 from tests.trust.histories import add, histories, open_step, play, trust_of
 from tests.trust.test_judged_evaluators import JUDGING
 from tests.verification import trust_models as literal
-from trust import opinions
 from trust.models import MODELS, params_of
-from trust.models.eigentrust import eigentrust
-from trust.models.majority_ban import MajorityBan, MajorityBanParams
-from trust.models.mate import PRIOR, Mate, MateParams, gained
-from trust.models.minhas import MinhasParams, experienced
 from trust.params import TrustParams
 
 SETTINGS = {

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
-from cosim.benchmark.evidence import HONEST, MOST_PSEUDONYMS, Rules, Stream
-from cosim.benchmark.record import ATTACKS, RULES, Tape, numbered, simulated
+from cosim.addons.benchmark.evidence import HONEST, MOST_PSEUDONYMS, Rules, Stream
+from cosim.addons.benchmark.record import ATTACKS, RULES, Tape, numbered, simulated
 from cosim.config.config import Config, resolve_data
 from trust.params import KINDS
 

@@ -5,8 +5,8 @@
 
 from pathlib import Path
 
-from cosim.benchmark.evidence import load
-from cosim.benchmark.table import Row, ranked, stored, summary, worst_attack
+from cosim.addons.benchmark.evidence import load
+from cosim.addons.benchmark.table import Row, ranked, stored, summary, worst_attack
 
 PAGE = Path("cosim/docs/pages/howto/benchmark.md")
 BEGIN, END = "<!-- table -->\n", "<!-- end -->\n"

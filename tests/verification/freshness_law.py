@@ -23,14 +23,15 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from cosim import Simulation
+from cosim.addons.law import figure as law
+from cosim.addons.law.comparison import measured_by
+from cosim.addons.law.delivery import Delivery, Load
+from cosim.addons.law.opportunities import Sensing, chances
+from cosim.addons.law.prediction import METRICS
 from cosim.config.config import Config, load
-from cosim.predict.comparison import measured_by
-from cosim.predict.delivery import Delivery, Load
-from cosim.predict.opportunities import Sensing, chances
-from cosim.predict.prediction import METRICS
+from cosim.messages.content import cpm_bytes, evaluation_bytes
 from cosim.radio.message_round import RoundKind
-from cosim.v2x.messages import cpm_bytes, evaluation_bytes
-from results.figures import law, style
+from results.figures import style
 from results.study import open_study
 from sensors.line_of_sight import LosOfPlaces
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim import rng
+from cosim.base import rng
 from cosim.config.config import load
 from cosim.step.cycle import step
 from cosim.step.parts import Parts

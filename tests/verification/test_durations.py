@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from results.durations.families import FAMILIES
-from results.durations.fit import fit
-from results.durations.samples import Durations
+from cosim.addons.durations.families import FAMILIES
+from cosim.addons.durations.fit import fit
+from cosim.addons.durations.samples import Durations
 from results.encounters import EncounterParams, EncounterTracker
 
 pytestmark = pytest.mark.verify

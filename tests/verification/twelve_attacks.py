@@ -19,8 +19,8 @@ from time import process_time
 import numpy as np
 import pandas as pd
 
-from cosim.benchmark.evidence import HONEST, Stream
-from cosim.benchmark.play import Script
+from cosim.addons.benchmark.evidence import HONEST, Stream
+from cosim.addons.benchmark.play import Script
 from results.metrics.auc_bound import _EDGES, _N_BINS, _N_OTHERS, area
 from results.metrics.intervals import Estimate, ratio
 from tests.verification.attack_evidence import NEVER, rules_of

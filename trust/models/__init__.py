@@ -1,25 +1,25 @@
 """Trust models by name: one file per model, behind `interface.TrustModel`."""
 
-from trust.models.announcement import Announcement
-from trust.models.belief_graph import BeliefGraph
+from cosim.addons.trust_models.announcement import Announcement
+from cosim.addons.trust_models.belief_graph import BeliefGraph
+from cosim.addons.trust_models.beta_by_kind import BetaByKind
+from cosim.addons.trust_models.beta_correlated import BetaCorrelated
+from cosim.addons.trust_models.beta_discounted import BetaDiscounted
+from cosim.addons.trust_models.dawid_skene import DawidSkene
+from cosim.addons.trust_models.dawid_skene_online import DawidSkeneOnline
+from cosim.addons.trust_models.eigentrust import EigenTrust
+from cosim.addons.trust_models.evaluator_trust import EvaluatorTrust
+from cosim.addons.trust_models.majority_ban import MajorityBan
+from cosim.addons.trust_models.mate import Mate
+from cosim.addons.trust_models.median_groups import MedianGroups
+from cosim.addons.trust_models.minhas import Minhas
+from cosim.addons.trust_models.miso_v import MisoV
+from cosim.addons.trust_models.raya import Raya, RayaBayes, RayaDempsterShafer, RayaMostTrusted, RayaWeighted
+from cosim.addons.trust_models.report_count import ReportCount
+from cosim.addons.trust_models.self_first import SelfFirst
+from cosim.addons.trust_models.subjective_logic import SubjectiveLogic
 from trust.models.beta import Beta
-from trust.models.beta_by_kind import BetaByKind
-from trust.models.beta_correlated import BetaCorrelated
-from trust.models.beta_discounted import BetaDiscounted
-from trust.models.dawid_skene import DawidSkene
-from trust.models.dawid_skene_online import DawidSkeneOnline
-from trust.models.eigentrust import EigenTrust
-from trust.models.evaluator_trust import EvaluatorTrust
 from trust.models.interface import ScoresObjects, TrustModel, params_of
-from trust.models.majority_ban import MajorityBan
-from trust.models.mate import Mate
-from trust.models.median_groups import MedianGroups
-from trust.models.minhas import Minhas
-from trust.models.miso_v import MisoV
-from trust.models.raya import Raya, RayaBayes, RayaDempsterShafer, RayaMostTrusted, RayaWeighted
-from trust.models.report_count import ReportCount
-from trust.models.self_first import SelfFirst
-from trust.models.subjective_logic import SubjectiveLogic
 from trust.models.trupercept import TruPercept
 
 MODELS: dict[str, type[TrustModel]] = {

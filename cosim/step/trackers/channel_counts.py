@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
-from results.codes import DISTANCE_BIN_M, LATENCY_EDGES_S, LosState
+from cosim.base.codes import DISTANCE_BIN_M, LATENCY_EDGES_S, LosState
 
 Rows = dict[str, ndarray]
 

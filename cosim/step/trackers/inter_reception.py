@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
-from sensors.kernel import compiled
+from cosim.base.kernel import compiled
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,12 @@ from rich.box import SIMPLE
 from rich.table import Table
 from rich.text import Text
 
-from cosim.benchmark.evidence import Place
+from cosim.addons.benchmark.evidence import Place
 from cosim.cli import console
-from tests.cosim.benchmark.test_evidence import altered
-from tests.cosim.benchmark.worlds import tiny_set
+from tests.addons.benchmark.test_evidence import altered
+from tests.addons.benchmark.worlds import tiny_set
+from tests.addons.datasets.test_readers import dair_folder, opv2v_file, vehicle
 from tests.drive import cosim
-from tests.results.datasets.test_readers import dair_folder, opv2v_file, vehicle
 
 EVIL = "\x1b]0;owned\x07\x1b[31m \x9b41m \u202eder\u2066 \u200e \x08\r\x7f \udcff \u2028"
 """Escape, both sets of control characters, marks of direction, bytes that are no UTF-8, a separator of lines."""

@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-from sumo_nets.counts import _edges as read_edges
-from sumo_nets.osm_files import read
-from tests.cosim.mobility import mixed_scenario
+from cosim.addons.netbuild.counts import _edges as read_edges
+from cosim.addons.netbuild.osm_files import read
+from tests.addons.netbuild.test_build_from_osm import grid_town
+from tests.cosim.traffic import mixed_scenario
 from tests.drive import cosim
-from tests.sumo_nets.test_build_from_osm import grid_town
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from cosim.config.config import Config, chosen, load
-from cosim.execution.manifest import toml_text
+from cosim.runs.manifest import toml_text
 
 
 def test_defaults_survive_the_way_to_disk_and_back(tmp_path):

@@ -4,11 +4,11 @@ from dataclasses import fields
 
 import pytest
 
-from cosim.adversary.params import AttackParams
+from cosim.attacks.params import AttackParams
 from cosim.config.config import Config, load
 from cosim.config.effect import _OF_ATTACK, _OF_UNIT, NEEDS, without_effect
 from cosim.config.preset import names
-from cosim.mobility.roadside import RoadsideParams
+from cosim.traffic.roadside import RoadsideParams
 
 
 def said(*sets, is_replayed=False):

@@ -6,8 +6,8 @@ import pytest
 from cosim.door.blame import ExtensionError, Refused
 from cosim.door.guard import Guarded, make
 from cosim.door.load import load_own
-from cosim.execution.run import pseudonym_remarks
 from cosim.extend import MessageRound, Messages, Outcome, Stations, TrustScores, draws
+from cosim.runs.run import pseudonym_remarks
 from tests.cosim.door.test_mistakes import GOOD, source
 from tests.cosim.door.tiny import SCENES
 

@@ -4,14 +4,14 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from cosim.adversary.attack import AttackContext, EvaluationRows
+from cosim.attacks.attack import AttackContext, EvaluationRows
 from cosim.door.guard import make
 from cosim.door.kinds import KINDS
 from cosim.door.load import load_own
-from cosim.driver.driver import Beliefs
+from cosim.messages.content import Detections, self_reports
+from cosim.messages.pseudonyms import PseudonymAges
 from cosim.radio.message_round import Messages, RoundKind, Stations
-from cosim.v2x.messages import Detections, self_reports
-from cosim.v2x.pseudonyms import PseudonymAges
+from cosim.traffic.driver import Beliefs
 from cosim.world import World
 from sensors.boxes import Boxes
 from sensors.evidence import Observability

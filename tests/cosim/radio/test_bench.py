@@ -2,7 +2,7 @@
 
 import pytest
 
-from cosim.bench.radio import bench
+from tests.bench.radio import bench
 
 
 @pytest.mark.verify

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim import rng
+from cosim.base import rng
 from cosim.radio import channel
 from cosim.radio.channel import AccessParams, Packets, PhyOutcome
 from cosim.radio.csma import CsmaMedium

@@ -11,12 +11,12 @@ The bounds 0.5 and 0.9 are those of the measurements. The others (0.75, 0.95) we
 import numpy as np
 from scipy.special import gammaincc
 
-from cosim import rng
-from cosim.bench.radio import city_blocks
+from cosim.base import rng
 from cosim.radio.link_cache import LinkCache
 from cosim.radio.message_round import Stations
 from cosim.radio.params import RadioParams
 from sensors.line_of_sight import LosOfPlaces, WallIndex
+from tests.bench.radio import city_blocks
 
 LOS = LosOfPlaces(WallIndex.of(city_blocks(1500.0)))
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from cosim import rng
-from cosim.bench.radio import city_blocks
+from cosim.base import rng
 from cosim.radio.link_cache import LinkCache
 from cosim.radio.message_round import Stations
 from cosim.radio.params import RadioParams
 from sensors.line_of_sight import LosOfPlaces, WallIndex
+from tests.bench.radio import city_blocks
 
 LOS = LosOfPlaces(WallIndex.of(city_blocks(1500.0)))
 N = 300

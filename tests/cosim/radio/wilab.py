@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from cosim import rng
-from cosim.radio import sidelink_records as records
+from cosim.addons.sidelink import records
+from cosim.addons.sidelink.memory import SidelinkState, log_of, memory_of, room_of
+from cosim.addons.sidelink.slots import run_slots
+from cosim.base import rng
 from cosim.radio.channel import Links
 from cosim.radio.dtypes import NEVER, NONE, RECEIVED
 from cosim.radio.link_budget import from_db
@@ -21,10 +23,8 @@ from cosim.radio.medium import MEDIA
 from cosim.radio.message_round import Stations
 from cosim.radio.params import RadioParams
 from cosim.radio.phy import ReceiverParams
-from cosim.radio.sidelink_memory import SidelinkState, log_of, memory_of, room_of
 from cosim.radio.sidelink_params import LteParams, NrParams, SidelinkParams
 from cosim.radio.sidelink_phy import NR_MCS, Carrier, lte_block_sizes, nr_block_bits
-from cosim.radio.sidelink_slots import run_slots
 
 SHARED = Path(__file__).parents[4] / "shared" / "reference" / "wilab"
 HERE = Path(__file__).parent / "wilab"

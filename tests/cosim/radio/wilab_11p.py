@@ -3,7 +3,7 @@
 import numpy as np
 from numpy import ndarray
 
-from cosim import rng
+from cosim.base import rng
 from cosim.radio.channel import AccessParams, ChannelRules, ChannelState, Links, Packets, run_window
 from cosim.radio.link_budget import from_db
 from cosim.radio.phy import MAC_OVERHEAD_BYTES, ReceiverParams

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cosim.config.config import load
-from cosim.execution.simulation import Simulation
+from cosim.messages.content import SELF, Detections
+from cosim.runs.simulation import Simulation
 from cosim.step.accuracy import aged
-from cosim.v2x.messages import SELF, Detections
 from sensors.boxes import Boxes
 from sensors.tracking import TrackingParams
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from cosim.config.config import resolve_data
+from cosim.messages.content import SELF, SENSED
 from cosim.step.claims import absences_asked, claims_of
 from cosim.step.parts import check_choices
-from cosim.v2x.messages import SELF, SENSED
 from sensors.boxes import Boxes
 from sensors.tracking import ObjectStates, TrackingParams, confirmed_variance
-from tests.cosim.adversary.plain import play
+from tests.cosim.attacks.plain import play
 from trust.claims import MISSING, SPEED, velocity_support
 from trust.params import KINDS
 from trust.tables import Groups, ObjectLists

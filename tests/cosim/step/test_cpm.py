@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from cosim.execution import recording
+from cosim.messages.content import SELF, encoded_cpm_bytes
+from cosim.messages.cpm_generation import CpmState, Inclusion
 from cosim.radio.segmentation import ENVELOPE_BYTES, FRAME_BYTES, segments
+from cosim.runs import recording
 from cosim.step.cycle import step
 from cosim.step.state import State
-from cosim.v2x.cpm_generation import CpmState, Inclusion
-from cosim.v2x.messages import SELF, encoded_cpm_bytes
 from tests.scene import ScriptedScene, assert_same, parts_of, play
 
 FAST = ("sensing_interval_s=0.5", "traffic.step_s=0.5", "radio.unit_disk.loss_p=0")

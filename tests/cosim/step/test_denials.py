@@ -5,7 +5,7 @@ import pytest
 
 from cosim.config.config import resolve_data
 from cosim.step.parts import recall_of
-from tests.cosim.adversary.plain import play
+from tests.cosim.attacks.plain import play
 
 KEY = ["at", "evaluator", "observer", "detection_index"]
 

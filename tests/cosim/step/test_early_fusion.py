@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
+from cosim.addons.paper.scenarios import FOLDER, ScriptedScene
 from cosim.config.config import load
 from cosim.config.effect import without_effect
-from cosim.execution.checkpoint import decode, encode
+from cosim.messages.content import SENSED
 from cosim.radio.message_round import MessageRound, Messages, Stations
-from cosim.reproduce.scenarios import FOLDER, ScriptedScene
+from cosim.runs.checkpoint import decode, encode
 from cosim.step.cycle import step
 from cosim.step.early_fusion import Clouds
 from cosim.step.parts import Parts
 from cosim.step.state import State
-from cosim.v2x.messages import SENSED
 from results.archive import open_run
 from results.recorder import fingerprint
 from tests.drive import drive

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from cosim.config.config import load
-from cosim.mobility.roadside import RoadsideUnits
+from cosim.messages.content import SELF
 from cosim.step.mixed_perception import MixedPerception
 from cosim.step.parts import perception_of
 from cosim.step.perception import BoxQuestions
 from cosim.step.stopwatch import Stopwatch
-from cosim.v2x.messages import SELF
+from cosim.traffic.roadside import RoadsideUnits
 from cosim.world import World
 from sensors.boxes import Boxes
 from sensors.evidence import AreaParams

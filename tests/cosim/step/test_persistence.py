@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim import rng
+from cosim.base import rng
 from cosim.config.config import load
 from sensors.lidar import beams
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from cosim.config.config import load
-from cosim.mobility.schedule import Schedule, SensingGroup
+from cosim.traffic.schedule import Schedule, SensingGroup
 from results.archive import open_run
 from results.recorder import fingerprint
 from results.sensing import interval_steps, senses

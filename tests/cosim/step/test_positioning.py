@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.config.config import load
-from cosim.mobility.position_errors import GnssParams, PositionErrors
+from cosim.traffic.position_errors import GnssParams, PositionErrors
 from results.archive import open_run
 from results.metrics.kitti_frames import actors_ahead, boxes_ahead
 from tests.drive import cosim, drive

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
+from cosim.addons.paper.scenarios import ScriptedScene
 from cosim.config.config import load
 from cosim.radio.message_round import Messages
 from cosim.radio.unit_disk import UnitDiskMedium
-from cosim.reproduce.scenarios import ScriptedScene
 from cosim.step.cycle import step
 from cosim.step.exchange import OnAir
 from cosim.step.state import State

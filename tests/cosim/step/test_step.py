@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.execution.checkpoint import decode, encode
+from cosim.addons.paper.scenarios import ScriptedScene
+from cosim.messages.pseudonyms import Never, Pseudonyms
 from cosim.radio.medium import MEDIA
-from cosim.reproduce.scenarios import ScriptedScene
+from cosim.runs.checkpoint import decode, encode
 from cosim.step.cycle import step
 from cosim.step.state import State
-from cosim.v2x.pseudonyms import Never, Pseudonyms
 from tests.scene import assert_same, parts_of, play
 from trust.models import MODELS
 

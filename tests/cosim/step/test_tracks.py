@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cosim.messages.content import SELF, SENSED, Detections
 from cosim.step.ground_truth import lies_in_detections
-from cosim.v2x.messages import SELF, SENSED, Detections
 from results.archive import open_run
 from results.recorder import fingerprint
 from sensors.boxes import Boxes

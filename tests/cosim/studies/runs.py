@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from cosim.base.codes import BASE_VARIANT
 from results.archive import open_run
-from results.codes import BASE_VARIANT
 from results.run import Run
 from results.tables import TABLES
 from tests.drive import simulate

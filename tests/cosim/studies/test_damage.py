@@ -7,8 +7,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from cosim.base.durable import Damaged
 from cosim.studies.folder import StudyFolder, status_of
-from results.durable import Damaged
 from results.study import open_study
 
 HEAD = {"name": "s", "question": "", "keys": ["trust.host"], "baseline": {}}

@@ -18,7 +18,7 @@ DRIVE = """
 import sys
 from pathlib import Path
 from cosim.config.config import load
-from cosim.execution.run import record_traffic
+from cosim.runs.run import record_traffic
 record_traffic(load(None, ["traffic.duration_s=20", "traffic.warmup_s=60"]), Path(sys.argv[1]), lambda *_: None)
 """
 

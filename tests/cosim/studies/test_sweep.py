@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from cosim.base.codes import BASE_VARIANT
 from cosim.studies.folder import StudyFolder
 from cosim.studies.stages import Cache
-from results.codes import BASE_VARIANT
 from results.study import open_study
 from tests import drive
 from tests.cosim.studies.runs import SHORT, assert_same

@@ -5,7 +5,7 @@ import pytest
 import shapely
 from scipy.spatial import cKDTree
 
-from cosim.mobility.scenario import find
+from cosim.traffic.scenario import find
 from results.archive import open_run
 from sensors.boxes import Boxes
 from sensors.raycast.embree import tracer_of

@@ -1,0 +1,297 @@
+"""Further attacks with false objects: an approaching vehicle, a hidden one, and old or copied detections."""
+
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+from scipy.spatial import cKDTree
+
+from cosim.attacks.attack import AttackContext, Vouched, fabricated, placed
+from cosim.attacks.disguise import ghosts
+from cosim.attacks.ghost_insertion import CAR
+from cosim.messages.content import FABRICATED, SELF, Detections
+from sensors.boxes import Boxes
+from sensors.line_of_sight import WallIndex, los_between_actors
+from sensors.scene import Scene, Shape
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ApproachingGhostParams:
+    """Distances of the approaching ghost."""
+
+    from_m: Annotated[float, Gt(0), Le(1000)] = 60.0
+    """Distance from the victim's centre in the attacker's first message, straight ahead [m]."""
+    step_m: Annotated[float, Ge(0.001), Le(1000)] = 5.0
+    """Decrease of the distance per message [m]."""
+    to_m: Annotated[float, Gt(0), Le(1000)] = 5.0
+    """Smallest distance [m]. After it, the ghost begins again at `from_m`."""
+
+    def __post_init__(self) -> None:
+        if self.to_m >= self.from_m:
+            raise ValueError(
+                f"attacks.to_m = {self.to_m:g} m is not below attacks.from_m = {self.from_m:g} m, where the ghost "
+                "begins. Set a smaller attacks.to_m."
+            )
+
+
+class ApproachingGhost(Vouched[ApproachingGhostParams]):
+    """Inserts an oncoming car that comes nearer to a victim with every message, as in VASP (5 m per message).
+
+    Notes
+    -----
+    Deviations: the distance is measured from the victim's position at the time of the message. The car has the size of
+    a real detection (`disguise.ghosts`).
+    """
+
+    Params = ApproachingGhostParams
+
+    def detections(self, listed: Detections, context: AttackContext) -> Detections:
+        """The lists, with one ghost for each attacker that has a victim."""
+        p, world = self.params, context.world
+        attacker, victim = context.victims()
+        n_places = int(np.floor((p.from_m - p.to_m) / p.step_m)) + 1
+        ahead_m = p.from_m - p.step_m * (context.n_active[attacker] % n_places)
+        n = len(attacker)
+        lwh = np.tile(CAR_LWH_M, (n, 1))
+        xyz, yaw = placed(world, victim, ahead_m, np.zeros(n), np.full(n, np.pi))
+        xyz[:, 2] = world.boxes.xyz_m[victim, 2] - world.boxes.lwh_m[victim, 2] / 2 + lwh[:, 2] / 2
+        return ghosts(listed, attacker, np.full(n, CAR, np.uint8), Boxes(xyz, lwh, yaw), context, victim)
+
+
+CAR_LWH_M = (4.5, 2.0, 1.6)
+"""Length, width and height of AdvCP's ghost car [m]."""
+SENSOR_ABOVE_ROOF_M = 0.23
+"""Height of sensors above the roof that an attacker assumes [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GhostInShadowParams:
+    """Places at which the attacker searches."""
+
+    n_angles: Annotated[int, Ge(1), Le(360)] = 12
+    """Number of directions around the attacker in which it searches, evenly spaced, beginning straight ahead."""
+    distances_m: tuple[float, ...] = (15.0, 30.0, 45.0)
+    """Distances from the attacker at which it searches, in order of preference [m]."""
+    seen_within_m: Annotated[float, Gt(0), Le(1000)] = 75.0
+    """Distance within which other equipped vehicles may see the place [m]. The default is `area.range_m` plus the
+    length of a car."""
+    clear_m: Annotated[float, Ge(0), Le(100)] = 5.0
+    """Smallest distance of the ghost from the centres of real actors [m]."""
+
+    def __post_init__(self) -> None:
+        if not self.distances_m or not all(0 < d <= 1000 for d in self.distances_m):
+            raise ValueError(
+                f"attacks.distances_m = {list(self.distances_m)}: give at least one distance, above 0 and up to 1000 m."
+            )
+
+
+class GhostInShadow(Vouched[GhostInShadowParams]):
+    """Inserts a car at a place that no other equipped vehicle can see.
+
+    The attacker searches places around it, in the order of `distances_m` and beginning straight ahead. It takes the
+    first place that is outside buildings, is far enough from real actors, and is not in line of sight of another
+    equipped vehicle within `seen_within_m`. Buildings and the bodies of other actors obstruct the line from the sensor
+    to the centre of the ghost. If there is no such place, the attacker adds nothing. With `trust.unseen = "skip"`
+    there is no evidence against such a ghost. With `trust.unseen = "zero"` it counts as 0.
+
+    Notes
+    -----
+    Deviations: this attack has no source. The attacker knows the positions of all equipped vehicles from their self
+    reports, and the buildings from a map. It does not use the sensors' fields of view. The car has the size of a real
+    detection (`disguise.ghosts`).
+    """
+
+    Params = GhostInShadowParams
+
+    def detections(self, listed: Detections, context: AttackContext) -> Detections:
+        """The lists, with one ghost for each attacker that finds a place."""
+        world, n_angles = context.world, self.params.n_angles
+        attackers = np.flatnonzero(context.attacker)
+        n_places = n_angles * len(self.params.distances_m)
+        turn = np.tile(2 * np.pi * np.arange(n_angles) / n_angles, len(self.params.distances_m))
+        distance_m = np.repeat(self.params.distances_m, n_angles)
+        row = np.repeat(attackers, n_places)
+        ahead_m, left_m = (np.tile(distance_m * f(turn), len(attackers)) for f in (np.cos, np.sin))
+        xyz, yaw = placed(world, row, ahead_m, left_m, np.zeros(len(row)))
+        xyz[:, 2] = world.boxes.xyz_m[row, 2] - world.boxes.lwh_m[row, 2] / 2 + CAR_LWH_M[2] / 2
+        hidden = self._hidden(context, row, xyz).reshape(len(attackers), n_places)
+        finds = np.flatnonzero(hidden.any(axis=1))
+        at = finds * n_places + hidden[finds].argmax(axis=1)
+        boxes = Boxes(xyz[at], np.tile(CAR_LWH_M, (len(at), 1)), yaw[at])
+        return ghosts(listed, row[at], np.full(len(at), CAR, np.uint8), boxes, context)
+
+    def _hidden(
+        self, context: AttackContext, row: Int[ndarray, "c"], xyz_m: Float[ndarray, "c 3"]
+    ) -> Bool[ndarray, "c"]:
+        """Whether each place is free, and no equipped vehicle but the attacker can see it. `row` is the attacker."""
+        world, n = context.world, len(context.world)
+        actors, places = cKDTree(world.boxes.xyz_m[:, :2]), cKDTree(xyz_m[:, :2])
+        hidden = np.ones(len(xyz_m), bool)
+        if not len(xyz_m):
+            return hidden
+        hidden &= actors.query(xyz_m[:, :2])[0] >= self.params.clear_m
+        walls = WallIndex.of(Scene.empty().buildings) if context.walls is None else context.walls
+        hidden &= ~walls.indoors(xyz_m)
+        near = places.sparse_distance_matrix(actors, self.params.seen_within_m, output_type="ndarray")
+        place, viewer = near["i"].astype(np.int64), near["j"].astype(np.int64)
+        looks = hidden[place] & world.equipped[viewer] & (viewer != row[place])
+        place, viewer = place[looks], viewer[looks]
+        # Places are flat bodies below the centres of the ghosts. Lines end above their tops, so that they hide nothing.
+        thin_m = CAR_LWH_M[2] / 2 - SENSOR_ABOVE_ROOF_M
+        flat = Boxes(
+            xyz_m - [0.0, 0.0, CAR_LWH_M[2] / 2 - thin_m / 2], np.tile([0.1, 0.1, thin_m], (len(xyz_m), 1)),
+            np.zeros(len(xyz_m)),
+        )  # fmt: skip
+        boxes = Boxes.concat([world.boxes, flat])
+        shape = np.concatenate([world.shape, np.full(len(xyz_m), Shape.CAR, world.shape.dtype)])
+        hidden[place[los_between_actors(walls, boxes, shape, viewer, n + place, SENSOR_ABOVE_ROOF_M)]] = False
+        return hidden
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReplayParams:
+    """Which detections are replayed."""
+
+    n_objects: Annotated[int, Gt(0), Le(255)] = 6
+    """Number of detections that are replayed in each message. NextGen replays 4 to 8 messages."""
+    age_s: Annotated[float, Gt(0), Le(1e4)] = 5.0
+    """Largest age of replayed detections [s]. The default is NextGen's."""
+    range_m: Annotated[float, Gt(0), Le(10_000)] = 400.0
+    """Largest distance from the attacker to the vehicles that made them [m]. The default is NextGen's."""
+
+
+class Replay(Vouched[ReplayParams]):
+    """Sends other vehicles' detections of the last seconds again, as the attacker's own present detections.
+
+    Notes
+    -----
+    Deviations: NextGen replays whole messages, while this attack replays single detections. They come from senders that
+    were within range in the oldest step within `age_s`. Sender and detection are drawn at random. The attacker need not
+    have received them.
+    """
+
+    Params = ReplayParams
+
+    def detections(self, listed: Detections, context: AttackContext) -> Detections:
+        """The lists, with detections of an earlier step added to those of attackers."""
+        p, world = self.params, context.world
+        xy = world.boxes.xyz_m[:, :2]
+        past = context.memory.setdefault("past", [])
+        own_fabrications = context.member[listed.observer] & (listed.origin == FABRICATED)
+        received = np.flatnonzero(listed.transmitted & ~own_fabrications)
+        while past and past[0][0] < context.time_s - p.age_s - 1e-9:
+            past.pop(0)
+        old = past[0] if past else None
+        now = listed.take(received)
+        past.append((context.time_s, now, world.actor[now.observer], world.name_key[now.observer], xy[now.observer]))
+        if old is None or not len(old[1]):
+            return listed
+        _, said, by, name_key, from_xy = old
+        attackers = np.flatnonzero(context.attacker)
+        first = np.flatnonzero(np.append(True, by[1:] != by[:-1]))  # of each sender's detections
+        count = np.diff(np.append(first, len(by)))
+        tree = cKDTree(from_xy[first])
+        near = cKDTree(xy[attackers]).sparse_distance_matrix(tree, p.range_m, output_type="ndarray")
+        a, sender = near["i"], near["j"]
+        order = np.lexsort((name_key[first[sender]], a))  # by name, so that no draw depends on actor numbers
+        a, sender = a[order], sender[order]
+        others = by[first[sender]] != world.actor[attackers[a]]
+        a, sender = a[others], sender[others]
+        n_near = np.bincount(a, minlength=len(attackers))
+        has = np.repeat(np.flatnonzero(n_near), p.n_objects)
+        draws = context.uniforms(context.name_key(attackers), n=2 * p.n_objects).reshape(len(attackers), 2, -1)
+        one, other = draws[n_near > 0, 0].ravel(), draws[n_near > 0, 1].ravel()
+        chosen = sender[np.searchsorted(a, has) + _scaled(one, n_near[has])]
+        source = first[chosen] + _scaled(other, count[chosen])
+        _, once = np.unique(has * np.int64(len(by)) + source, return_index=True)
+        once = np.sort(once)  # as drawn, not by actor numbers
+        again = said.take(source[once])
+        return fabricated(
+            listed,
+            attackers[has[once]],
+            again.label,
+            again.boxes,
+            again.score,
+            n_points=again.n_points,
+            velocity_mps=again.velocity_mps,
+        )
+
+
+def _scaled(draw: Float[ndarray, "n"], below: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Integers from 0 to `below` - 1 from uniforms in [0, 1)."""
+    return np.minimum((draw * below).astype(np.int64), below - 1)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StaleParams:
+    """Age of the content."""
+
+    n_messages: Annotated[int, Ge(1), Le(10_000)] = 60
+    """Age of the content of every message, in messages. The default is F2MD's."""
+
+
+class Stale(Vouched[StaleParams]):
+    """Sends old content as new: what the attacker perceived some messages ago, including its own pose (F2MD).
+
+    The first messages have the content of the oldest one.
+    """
+
+    Params = StaleParams
+
+    def detections(self, listed: Detections, context: AttackContext) -> Detections:
+        """The lists, with own detections replaced by old ones, and the self report by the old pose."""
+        world = context.world
+        rows = np.flatnonzero(context.member[listed.observer] & (listed.identity == 0))
+        past = context.memory.setdefault("past", [])
+        own = listed.take(rows)
+        past.append((own, world.actor[own.observer]))
+        del past[: -self.params.n_messages - 1]
+        mine = context.own_rows(listed)
+        oldest = _oldest(past, world.actor[context.attacker])
+        transmitted = listed.transmitted.copy()
+        transmitted[mine[listed.origin[mine] != SELF]] = False
+        kept = replace(listed, transmitted=transmitted)
+        if oldest is None:
+            return kept
+        old, by = oldest
+        row_of = np.full(int(max(by.max(initial=-1), world.actor.max())) + 1, -1)
+        row_of[world.actor] = np.arange(len(world))
+        observer = row_of[by]
+        selves = np.flatnonzero((old.origin == SELF) & (observer >= 0))
+        at = np.full(len(world), -1)
+        at[observer[selves]] = selves
+        now = mine[(listed.origin[mine] == SELF) & (at[listed.observer[mine]] >= 0)]
+        was = at[listed.observer[now]]
+        xyz, yaw, speed = kept.boxes.xyz_m.copy(), kept.boxes.yaw_rad.copy(), kept.speed_mps.copy()
+        xyz[now], yaw[now], speed[now] = old.boxes.xyz_m[was], old.boxes.yaw_rad[was], old.speed_mps[was]
+        kept = replace(kept, boxes=replace(kept.boxes, xyz_m=xyz, yaw_rad=yaw), speed_mps=speed)
+        again = np.flatnonzero((old.origin != SELF) & (observer >= 0))
+        said = old.take(again)
+        return fabricated(
+            kept,
+            observer[again],
+            said.label,
+            said.boxes,
+            said.score,
+            n_points=said.n_points,
+            velocity_mps=said.velocity_mps,
+        )
+
+
+def _oldest(past: list, actor: ndarray) -> tuple[Detections, ndarray] | None:
+    """The oldest stored list of each of these actors, and the actor of each row."""
+    left, parts, by = actor, [], []
+    for listed, of in past:
+        here = np.isin(of, left)
+        if here.any():
+            parts.append(listed.take(np.flatnonzero(here)))
+            by.append(of[here])
+            left = np.setdiff1d(left, of[here])
+        if not len(left):
+            break
+    if not parts:
+        return None
+    return Detections.joined(parts), np.concatenate(by)

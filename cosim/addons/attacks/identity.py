@@ -1,0 +1,73 @@
+"""Attacks with several identities at once. For whitewashing and newcomers, see the key `renewal` of every section."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Int
+from numpy import ndarray
+
+from cosim.addons.attacks.ghosts import CAR_LWH_M
+from cosim.attacks.attack import AttackContext, EvaluationRows, WithParams, fabricated, placed
+from cosim.attacks.ghost_insertion import CAR
+from cosim.messages.content import FABRICATED, Detections
+from sensors.boxes import Boxes
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SybilParams:
+    """Number and positions of the ghost vehicles."""
+
+    n_ghosts: Annotated[int, Gt(0), Le(20)] = 5
+    """Number of ghost vehicles per attacker, each with its own pseudonym and messages. F2MD uses 5, NextGen 4 to 6.
+    SCMS issues 20 certificates that are valid at once."""
+    spacing_m: Annotated[float, Gt(0), Le(1000)] = 5.0
+    """Distance between two ghosts along the road [m]. The default is F2MD's."""
+    aside_m: Annotated[float, Ge(0), Le(1000)] = 2.0
+    """Distance of the ghosts to the left and to the right of the attacker, in turn [m]. The default is F2MD's."""
+    agree: bool = True
+    """Whether ghosts confirm each other and the attacker, with evaluation 1 and visibility 1."""
+
+
+class Sybil(WithParams[SybilParams]):
+    """Simulates ghost vehicles beside and behind the attacker, each of which reports itself.
+
+    To receivers every ghost is a vehicle. It has its own pseudonym, its own detection message with itself as detection
+    0, and its own evaluation message. Ghosts are to the attacker's left and right. The first pair is beside it, and
+    each further pair is `spacing_m` behind. They have the attacker's heading and speed.
+
+    Notes
+    -----
+    Deviations: ghosts report only themselves. Their evaluations are the attacker's, except those of each other. The
+    attacker's radio sends all messages, so that they share its reception.
+    """
+
+    Params = SybilParams
+
+    def identities(self, context: AttackContext) -> Int[ndarray, "n"]:
+        """One identity for each ghost."""
+        return np.full(len(context.world), self.params.n_ghosts)
+
+    def detections(self, listed: Detections, context: AttackContext) -> Detections:
+        """The lists, with the self reports of the ghosts added."""
+        p, world = self.params, context.world
+        attackers = np.flatnonzero(context.attacker)
+        number = np.tile(np.arange(p.n_ghosts), len(attackers))
+        row = np.repeat(attackers, p.n_ghosts)
+        left = np.where(number % 2 == 0, p.aside_m, -p.aside_m)
+        xyz, yaw = placed(world, row, -p.spacing_m * (number // 2), left, np.zeros(len(row)))
+        lwh = np.tile(CAR_LWH_M, (len(row), 1))
+        xyz[:, 2] = world.boxes.xyz_m[row, 2] - world.boxes.lwh_m[row, 2] / 2 + lwh[:, 2] / 2
+        return fabricated(
+            listed, row, np.full(len(row), CAR), Boxes(xyz, lwh, yaw), np.ones(len(row)),
+            identity=number + 1, speed_mps=world.speed_mps[row],
+        )  # fmt: skip
+
+    def evaluations(
+        self, rows: EvaluationRows, detections: Detections, context: AttackContext
+    ) -> tuple[ndarray, ndarray]:
+        """The rows, with the attacker's own ghosts confirmed."""
+        own = context.attacker[rows.evaluator] & (detections.observer[rows.detection] == rows.evaluator)
+        own &= self.params.agree & (detections.origin[rows.detection] == FABRICATED)
+        return np.where(own, 1.0, rows.evaluation), np.where(own, 1.0, rows.visibility)

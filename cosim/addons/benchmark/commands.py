@@ -1,0 +1,162 @@
+"""The command that scores trust models on recorded evidence."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.box import SIMPLE
+from rich.table import Column, Table
+
+from cosim.cli.console import AsJson, notes, print_json, progress, screen
+
+if TYPE_CHECKING:
+    from cosim.addons.benchmark.evidence import EvidenceSet
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the command `benchmark`."""
+    app.command()(benchmark)
+
+
+def benchmark(
+    model: Annotated[
+        str | None, typer.Argument(metavar="[MODEL]", help="A model of your own, mine.py:Name, or one that ships.")
+    ] = None,
+    sets: Annotated[
+        list[str] | None, typer.Option("--set", help="Set a parameter of the model, or host=local. Repeatable.")
+    ] = None,
+    adapt: Annotated[
+        bool, typer.Option("--adapt", help="Also let an adversary that knows the model search its worst case.")
+    ] = False,
+    budget: Annotated[
+        int | None, typer.Option(min=1, max=100_000, help="With --adapt: policies to try. The default is 34.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="With --adapt: seed of the search. The default is 0.")] = None,
+    evidence: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Another evidence set. The default ships with cosim.")
+    ] = None,
+    make: Annotated[bool, typer.Option("--make", help="Record the set into the folder of --evidence.")] = False,
+    every: Annotated[
+        bool, typer.Option("--all", help="Score all models that ship and store their rows beside the set.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Score a trust model on recorded evidence, beside all models that ship. Without a model, print the table."""
+    from cosim.addons.benchmark import table
+    from cosim.addons.benchmark.evidence import SHIPPED, load
+
+    folder = evidence or SHIPPED
+    if make:
+        _make(evidence, model)
+        return
+    if model is None and (sets or adapt):
+        raise ValueError(f"{'--adapt' if adapt else '--set'} goes with a model. Name one, such as mine.py:Beta.")
+    if not adapt and (budget is not None or seed is not None):
+        raise ValueError(f"{'--seed' if budget is None else '--budget'} goes with --adapt. Add it.")
+    if every and model is not None:
+        raise ValueError(f"--all scores the models that ship. Leave {model} out, or leave --all out.")
+    found, mine = load(folder), None
+    with progress() as advance:
+        if every:
+            table.make(found, folder, advance)
+        if model is not None:
+            mine = table.row_of(found, model, sets or [], advance, (budget or 34) if adapt else 0, seed or 0)
+    rows, remark = table.stored(found, folder)
+    if as_json:
+        print_json({**table.head(found), "citation": table.citation(found), "row": mine, "rows": rows})
+        return
+    if mine is not None:
+        screen.print(*_of_attacks(mine), sep="\n")
+    if rows or mine:
+        screen.print(*_of_models(rows, mine), sep="\n")
+    screen.print(_about(found), soft_wrap=True)
+    if remark:
+        notes.print(f"note: {remark}", soft_wrap=True)
+
+
+def _make(folder: Path | None, model: str | None) -> None:
+    from cosim.addons.benchmark import record
+
+    if folder is None or model is not None:
+        raise ValueError(
+            "--make records a set and takes no model. Name the folder: cosim benchmark --make --evidence FOLDER."
+        )
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ValueError(f"--evidence {folder} is there already. Name a new folder, or remove it.")
+    with progress() as advance:
+        made = record.make(advance)
+    made.write(folder)
+    screen.print(f"wrote {folder}: {_about(made)}", soft_wrap=True)
+
+
+def _about(found: "EvidenceSet") -> str:
+    rules = found.rules
+    return (
+        f"evidence set {found.version}, sha256 {found.checksum[:16]}: {len(found.worlds)} worlds of "
+        f"{rules.n_steps * rules.dt_s:g} s, {len(rules.cases) - 1} attacks"
+    )
+
+
+def _of_attacks(row: dict[str, Any]) -> Iterator[Table | str]:
+    """The figures of a model under each attack, worst first."""
+    names = {
+        "auc": "AUC", "exclusion_s": "excluded after [s]", "wrong_p": "honest excluded", "believed_p": "believed",
+        "age_s": "age [s]", "harm": "harm",
+    }  # fmt: skip
+    worst = row["worst_case"]
+    attacks = list(row["attacks"].items())
+    if worst is not None:
+        attacks.append((f"adapts ({worst['budget']} policies)", worst))
+    cells = [[attack, *(_cell(of[name]) for name in names)] for attack, of in attacks]
+    yield from _fitted(row["model"], ["attack", *names.values()], cells)
+    if worst is not None:
+        yield f"worst case: {worst['words']}"
+
+
+def _of_models(rows: list[dict[str, Any]], mine: dict[str, Any] | None) -> Iterator[Table]:
+    """One line per model, the best worst case first."""
+    from cosim.addons.benchmark.table import ranked, summary, worst_attack
+
+    names = ["model", "worst AUC", "under", "mean AUC", "honest excluded", "believed", "age [s]", "us per evaluation",
+             "worst harm", "worst case: harm", "worst case: AUC"]  # fmt: skip
+    cells = []
+    for row in ranked([*rows, *([] if mine is None else [mine])]):
+        of, worst, under = summary(row), row["worst_case"], worst_attack(row)
+        cells.append([
+            row["model"], _cell(row["attacks"][under]["auc"]), under, *(_number(of[name]) for name in (
+                "auc_mean", "wrong_worst", "believed_mean", "age_mean_s")), _number(row["cost_us"]),
+            _number(of["harm_worst"]), *(("", "") if worst is None else (_cell(worst["harm"]), _cell(worst["auc"]))),
+        ])  # fmt: skip
+    return _fitted("all models", names, cells, "" if mine is None else mine["model"])
+
+
+def _fitted(title: str, names: Sequence[str], rows: Sequence[Sequence[str]], bold: str = "") -> Iterator[Table]:
+    """Tables of columns as wide as the screen allows: each begins with the first column, and none is cut."""
+    widths = [max(len(name), *(len(row[i]) for row in rows)) + 3 for i, name in enumerate(names)]
+    columns: list[list[int]] = [[]]
+    for i in range(1, len(names)):
+        if columns[-1] and widths[0] + sum(widths[k] for k in columns[-1]) + widths[i] + 2 > screen.width:
+            columns.append([])
+        columns[-1].append(i)
+    for n, chosen in enumerate(columns):
+        head = [Column(names[i], justify="left" if names[i] == "under" else "right") for i in chosen]
+        table = Table(
+            Column(names[0], no_wrap=True), *head, box=SIMPLE, title=None if n else title, title_justify="left"
+        )
+        for row in rows:
+            table.add_row(row[0], *(row[i] for i in chosen), style="bold" if row[0] == bold else None)
+        yield table
+
+
+def _cell(of: list[float | None]) -> str:
+    value, low, high = of
+    if low is None or value is None:
+        return _number(value)
+    return f"{_number(value)} ({_number(low)} to {_number(high)})"
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.2f}" if abs(value) < 10 else f"{value:.0f}"

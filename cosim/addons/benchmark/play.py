@@ -1,0 +1,199 @@
+"""Plays recorded evidence through a trust model: what the model then answers whenever trust is looked up."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from time import process_time
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.addons.benchmark.evidence import Rows, Rules, Stream
+from cosim.config.config import resolve_data
+from cosim.config.data import override
+from cosim.messages.trust_hosts import Variant
+from cosim.step.parts import check_choices, sources, variants
+from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, TrustScores
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A trust model that is scored, with its parameters."""
+
+    name: str
+    """As on the command line."""
+    variant: Variant
+    sha256: str
+    """Checksum of the user's file; empty for an included model."""
+
+    def new(self, dt_s: float) -> Any:
+        """A new model. Every call of a user's own is checked."""
+        v = self.variant
+        made = (v.make or v.model)(v.trust if v.own is None else v.own, dt_s)
+        return made if v.guard is None else v.guard(made)
+
+
+def candidate(name: str, sets: Sequence[str], rules: Rules) -> Candidate:
+    """The model that a name refers to.
+
+    Parameters
+    ----------
+    name
+        An included model, or `path.py:Name`.
+    sets
+        Keys of the section [trust], each as `key=value`: parameters of the model, or `host`.
+
+    Raises
+    ------
+    ValueError
+        In one line: there is no such model, it does not have these parameters, or it cannot be made.
+    """
+    data: dict[str, Any] = {}
+    for text in sets:
+        override(data, text)
+    given = {"model": name, "freshness_s": rules.freshness_s, "server_period_s": rules.server_period_s}
+    config = resolve_data({"trust": given | data, "attacks": [], "encounters": [{}]}, "--set", None)
+    check_choices(config)
+    variant = variants(config)[0]
+    known = {f.name for f in fields(getattr(variant.model, "Params", None) or type(config.trust))} | {"host"}
+    if strange := sorted(data.keys() - known):
+        raise ValueError(f"--set {strange[0]}: this key has no effect on recorded evidence. Leave it out.")
+    if variant.trust.host == "none":
+        raise ValueError('--set host=none: nobody would keep trust. Set "central" or "local".')
+    return Candidate(name, variant, sources(config)["trust.model"].sha256)
+
+
+@dataclass(frozen=True, slots=True)
+class Script:
+    """The evidence of a stream in the order in which models get it. All models share it."""
+
+    opened: tuple[tuple[int, ndarray, ndarray, ndarray, ndarray], ...]
+    """By step: the arguments of `TrustModel.open_step`."""
+    sent: tuple[EvaluationMessages, ...]
+    """By step: the evaluation messages."""
+    arrived: tuple[tuple[ReceivedEvaluations, ...], ...]
+    """By step: what the server has received at its beginning."""
+    received: tuple[ReceivedEvaluations, ...]
+    """By step: what vehicles receive, their own evaluations included."""
+    lookups: Rows
+    first: Int[ndarray, "t+1"]
+    """By step: first row of `lookups`."""
+    due: tuple[bool, ...]
+    """By step: whether the server broadcasts."""
+    dt_s: float
+
+    @staticmethod
+    def of(stream: Stream, rules: Rules) -> "Script":
+        """The evidence of a stream."""
+        steps = np.arange(rules.n_steps + 1)
+        sent = tuple(_messages(stream, rules))
+        asked, reports = stream.lookups, stream.reports
+        first = np.searchsorted(asked["step"], steps)
+        arrived: list[list[ReceivedEvaluations]] = [[] for _ in sent]
+        begins = np.searchsorted(reports["step"], steps)
+        for made, messages in enumerate(sent):
+            arrival = reports["arrival_step"][begins[made] : begins[made + 1]]
+            for step in np.unique(arrival[(arrival >= 0) & (arrival < rules.n_steps)]).tolist():
+                row = np.flatnonzero(arrival == step)
+                arrived[step].append(ReceivedEvaluations(messages, np.full(len(row), SERVER), row, rules.eta))
+        received = []
+        for step, messages in enumerate(sent):
+            here, n = slice(first[step], first[step + 1]), len(messages.evaluator)
+            holder, sender = (asked[c][here].astype(np.int64) for c in ("receiver", "sender"))
+            row = np.searchsorted(messages.evaluator, sender)
+            got = np.flatnonzero(np.isin(sender, messages.evaluator))
+            received.append(ReceivedEvaluations(
+                messages, np.concatenate([messages.evaluator, holder[got]]), np.concatenate([np.arange(n), row[got]]),
+                rules.eta,
+            ))  # fmt: skip
+        due, last = [], -np.inf
+        for step in range(rules.n_steps):
+            due.append(step * rules.dt_s - last >= rules.server_period_s - 1e-9)
+            last = step * rules.dt_s if due[-1] else last
+        return Script(
+            tuple(_opened(stream, rules)), sent, tuple(map(tuple, arrived)), tuple(received), asked, first,
+            tuple(due), rules.dt_s,
+        )  # fmt: skip
+
+
+def _opened(stream: Stream, rules: Rules) -> list[tuple[int, ndarray, ndarray, ndarray, ndarray]]:
+    rows = stream.detections
+    begins, found = np.searchsorted(rows["step"], np.arange(rules.n_steps + 1)), []
+    for step in range(rules.n_steps):
+        here = slice(begins[step], begins[step + 1])
+        who, row = np.unique(rows["observer"][here].astype(np.int64), return_inverse=True)
+        found.append((step, who, row, rows["detection_index"][here].astype(np.int64), rows["score"][here] / 100))
+    return found
+
+
+def _messages(stream: Stream, rules: Rules) -> list[EvaluationMessages]:
+    rows, reports, found = stream.evaluations, stream.reports, []
+    steps = np.arange(rules.n_steps + 1)
+    begins, of = np.searchsorted(rows["step"], steps), np.searchsorted(reports["step"], steps)
+    for step in range(rules.n_steps):
+        here = slice(begins[step], begins[step + 1])
+        evaluator = reports["evaluator"][of[step] : of[step + 1]].astype(np.int64)
+        by = rows["evaluator"][here].astype(np.int64)
+        found.append(EvaluationMessages(
+            step, evaluator, np.append(np.searchsorted(by, evaluator), len(by)),
+            rows["observer"][here].astype(np.int64), rows["detection_index"][here].astype(np.int64),
+            rows["evaluation"][here] / 100, rows["visibility"][here] / 100,
+        ))  # fmt: skip
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """What a model answers to the look-ups of a stream."""
+
+    trust: Float[ndarray, "n"]
+    """NaN where the value rests on no evaluation, or there is none."""
+    age_s: Float[ndarray, "n"]
+    """Age of the newest evaluation behind each value."""
+    cost_s: float
+    """Processor time of the model."""
+    n_evaluations: int
+    """Number of received evaluations."""
+
+
+def play(script: Script, candidate: Candidate) -> Answers:
+    """Play the evidence of a stream through a new model.
+
+    The server gets messages when they arrived in the simulation, and a receiver looks up the newest broadcast that it
+    had then. With `host = "local"` every vehicle keeps the evaluations that it made and received.
+    """
+    model, asked = candidate.new(script.dt_s), script.lookups
+    trust, age_s = np.full((2, len(asked["step"])), np.nan)
+    is_central, n, begin_s = candidate.variant.trust.host == "central", 0, process_time()
+    published: dict[int, TrustScores] = {}
+    for step, opened in enumerate(script.opened):
+        if is_central:
+            for received in script.arrived[step]:
+                model.add_evaluations(received)
+                n += len(received)
+            if script.due[step]:
+                published[step] = model.scores(step)
+        model.open_step(*opened)
+        if not is_central:
+            model.add_evaluations(script.received[step])
+            n += len(script.received[step])
+            rows = np.arange(script.first[step], script.first[step + 1])
+            _fill(trust, age_s, asked, rows, model.scores(step), asked["receiver"][rows], script.dt_s)
+    cost_s = process_time() - begin_s
+    for step, scores in published.items():
+        rows = np.flatnonzero(asked["broadcast_step"] == step)
+        _fill(trust, age_s, asked, rows, scores, np.full(len(rows), SERVER), script.dt_s)
+    return Answers(trust, age_s, cost_s, n)
+
+
+def _fill(
+    trust: ndarray, age_s: ndarray, asked: Rows, rows: Int[ndarray, "k"], scores: TrustScores, holder: ndarray,
+    dt_s: float,
+) -> None:  # fmt: skip
+    """Write the values of these look-ups that rest on an evaluation."""
+    at, known = scores.rows_of(holder.astype(np.int64), asked["sender"][rows].astype(np.int64))
+    at, rows = at[known], rows[known]
+    at, rows = at[(evaluated := scores.is_evaluated[at])], rows[evaluated]
+    trust[rows] = scores.trust[at]
+    age_s[rows] = (asked["step"][rows] - scores.newest_evaluation_step[at]) * dt_s

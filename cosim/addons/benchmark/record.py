@@ -1,0 +1,277 @@
+"""Records the evidence set of the benchmark: every world is simulated once, with all attacks beside each other."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.addons.benchmark.evidence import (
+    HONEST,
+    MOST_PSEUDONYMS,
+    EvidenceSet,
+    Place,
+    Rows,
+    Rules,
+    Stream,
+    assembled,
+    merged,
+)
+from cosim.config.config import Config, resolve_data
+from cosim.runs import run as running
+from cosim.runs.check import check
+from cosim.runs.drive import warm_up
+from cosim.step.cycle import step
+from cosim.step.parts import Parts
+from cosim.step.perception import BoxAnswers, BoxQuestions, Observed, Perception
+from cosim.step.result import Sensed
+from cosim.step.state import State
+from cosim.step.stopwatch import Stopwatch
+from cosim.world import World
+from sensors.boxes import Boxes
+from sensors.evidence import AreaParams
+from sensors.lidar import RangeImages
+from trust.params import TrustParams, eta_of
+from trust.tables import ReceivedEvaluations, TrustScores
+
+VERSION = "1"
+"""Raise it with every change of the content of the shipped set."""
+ATTACKS = (
+    "ghost_insertion", "approaching_ghost", "sybil", "replay", "offset", "mirror", "removal", "speed", "bad_mouthing",
+    "ballot_stuffing", "collusion", "random_evaluations",
+)  # fmt: skip
+"""The attacks of the study `attacks`, with their default parameters."""
+CITIES = ("helsinki", "koenigs-wusterhausen", "adlershof")
+SEEDS = (1001,)
+"""Beyond those of all studies."""
+PLACES = tuple(Place(city, penetration_p, seed) for city in CITIES for penetration_p in (0.15, 0.3) for seed in SEEDS)
+"""Worlds of the shipped set."""
+SHARE_P = 0.1
+"""Share of attackers among the equipped vehicles."""
+_TRUST = TrustParams(freshness_s=30.0)
+RULES = Rules(
+    dt_s=1.0, n_steps=80, start_step=20, server_period_s=_TRUST.server_period_s, eta=eta_of(_TRUST),
+    freshness_s=30.0, cases=(HONEST, *ATTACKS),
+)  # fmt: skip
+"""Rules of the shipped set: times, window and shares are those of the study `attacks`, and 10 % attack."""
+
+Advance = Callable[[str, int, int, str], None]
+
+
+class Tape:
+    """A trust model that keeps what it is given, and has no scores."""
+
+    def __init__(self, params: Any, dt_s: float) -> None:
+        self.step = -1
+        self.arrived: list[tuple[int, int, ndarray]] = []
+        """Step of arrival, step of the messages, and their evaluators."""
+        self.opened: list[Rows] = []
+        """By step: what was transmitted."""
+
+    def open_step(
+        self, step: int, pseudonyms: ndarray, observer_row: ndarray, detection_index: ndarray, score: ndarray
+    ) -> None:
+        """Keep what was transmitted."""
+        self.step = step
+        self.opened.append({
+            "step": np.full(len(score), step), "observer": pseudonyms[observer_row],
+            "detection_index": detection_index, "score": _percent(score),
+        })  # fmt: skip
+
+    def add_evaluations(self, received: ReceivedEvaluations) -> None:
+        """Keep who evaluated. The server processes messages before the step begins."""
+        messages = received.messages
+        self.arrived.append((self.step + 1, messages.step, messages.evaluator[received.message_row]))
+
+    def scores(self, now_step: int | None = None) -> TrustScores:
+        """No scores."""
+        none = np.zeros(0, np.int64)
+        return TrustScores.of(now_step or 0, none, none, none.astype(float), newest_step=none)
+
+
+class _Harmless:
+    """An attack that changes nothing."""
+
+    def detections(self, listed: Any, context: Any) -> Any:
+        """The unchanged lists."""
+        return listed
+
+
+@dataclass(slots=True)
+class _Shared:
+    """Perception that all cases of a world share: the last step's result is kept."""
+
+    behind: Perception
+    _step: int = -1
+    _found: Observed | None = None
+
+    def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
+        """As in `Perceives`; computed once per step."""
+        if self._found is None or self._step != world.step:
+            self._step, self._found = world.step, self.behind(world, observers, watch)
+        return self._found
+
+    def answers(self, sweeps: RangeImages, asked: BoxQuestions) -> BoxAnswers:
+        """As in `AsksSweeps`."""
+        return self.behind.answers(sweeps, asked)
+
+    def in_area(
+        self, sweeps: RangeImages, o: ndarray, boxes: Boxes, area: AreaParams, b: ndarray, label: ndarray, own: Boxes
+    ) -> ndarray:
+        """As in `AsksSweeps`."""
+        return self.behind.in_area(sweeps, o, boxes, area, b, label, own)
+
+
+@dataclass(slots=True)
+class Case:
+    """The recording of one case."""
+
+    parts: Parts
+    state: State
+    rows: dict[str, list[Rows]] = field(default_factory=dict)
+
+    def record(self, world: World) -> None:
+        """Simulate a step and keep its rows."""
+        self.state, result = step(world, self.state, self.parts)
+        if result.sensed is not None:
+            for name, rows in _rows(result.sensed, world, self.state.trust.hosts[0].downlink.last).items():
+                self.rows.setdefault(name, []).append(rows)
+
+    def tables(self) -> dict[str, Rows]:
+        """All rows of the case, with pseudonyms as in the simulation."""
+        tape = self.state.trust.hosts[0].model
+        assert isinstance(tape, Tape)
+        parts = {**self.rows, "detections": tape.opened}
+        found = {name: {c: np.concatenate([rows[c] for rows in of]) for c in of[0]} for name, of in parts.items()}
+        pseudonyms = found["pseudonyms"]
+        _, first = np.unique(pseudonyms["pseudonym"], return_index=True)
+        found["pseudonyms"] = {c: values[first] for c, values in pseudonyms.items()}
+        reports = found["reports"]
+        arrival = np.full(len(reports["step"]), -1)
+        key = reports["step"] << 32 | reports["evaluator"]
+        for arrived, made, evaluator in tape.arrived:
+            arrival[np.isin(key, made << 32 | evaluator)] = arrived
+        found["reports"] = {**reports, "arrival_step": arrival}
+        return found
+
+
+def _rows(sensed: Sensed, world: World, broadcast: Int[ndarray, "capacity"]) -> dict[str, Rows]:
+    """The rows of a step. `broadcast` is the newest broadcast of each vehicle, by actor number."""
+    senders, sent, used = sensed.senders, sensed.evaluated.sent, sensed.looked_up.messages
+    says = np.flatnonzero(sent.visibility > 0)
+    by = np.repeat(sent.evaluator, np.diff(sent.ptr))[says]
+    receiver, evaluator, actor = sensed.sensing.actor[used.receiver], np.unique(by), sensed.vehicles.actor
+    attack = np.zeros(int(world.actor.max()) + 1, bool)
+    attack[world.actor] = world.attack > 0
+    found = {
+        "reports": {"evaluator": evaluator},
+        "evaluations": {
+            "evaluator": by, "observer": sent.observer[says], "detection_index": sent.detection_index[says],
+            "evaluation": _percent(sent.evaluation[says]),
+            "visibility": np.maximum(_percent(sent.visibility[says]), 1),
+        },
+        "lookups": {
+            "receiver": receiver, "sender": sensed.known.pseudonym[used.message], "broadcast_step": broadcast[receiver],
+        },
+    }  # fmt: skip
+    stepped = {
+        name: {"step": np.full(len(next(iter(rows.values()))), world.step), **rows} for name, rows in found.items()
+    }
+    vehicle = actor[senders.vehicle]
+    return stepped | {
+        "pseudonyms": {"pseudonym": senders.pseudonym, "vehicle": vehicle, "attacks": attack[vehicle].astype(np.int64)}
+    }
+
+
+def _percent(values: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
+    return np.rint(100 * values).astype(np.int64)
+
+
+def numbered(tables: list[dict[str, Rows]]) -> list[Stream]:
+    """The cases of a world with pseudonyms numbered from 0 in ascending order: one numbering for all cases."""
+    known = np.unique(np.concatenate([of["pseudonyms"]["pseudonym"] for of in tables]))
+    if len(known) > MOST_PSEUDONYMS:
+        raise ValueError(f"{len(known)} pseudonyms in one world: a set holds at most {MOST_PSEUDONYMS}.")
+    names = {"observer", "evaluator", "receiver", "sender", "pseudonym", "vehicle"}
+    return [
+        Stream(**{
+            name: merged(name, {c: np.searchsorted(known, v) if c in names else v for c, v in rows.items()})
+            for name, rows in of.items()
+        }) for of in tables
+    ]  # fmt: skip
+
+
+def config_of(place: Place, rules: Rules, attack: str) -> Config:
+    """The config of a case of a world."""
+    section = {"attack": attack, "share_p": SHARE_P, "start_s": rules.start_step * rules.dt_s}
+    return resolve_data({
+        "preset": "v0.2", "seed": place.seed, "traffic": {
+            "scenario": place.city, "seed": place.seed, "step_s": rules.dt_s, "duration_s": rules.n_steps * rules.dt_s,
+        },
+        "fleet": {"penetration_p": place.penetration_p}, "encounters": [{}], "attacks": [section],
+        "trust": {"model": f"{__name__}:Tape", "freshness_s": rules.freshness_s,
+                  "server_period_s": rules.server_period_s},
+    }, "the benchmark", None)  # fmt: skip
+
+
+def simulated(configs: Sequence[Config], label: str, advance: Advance) -> list[Case]:
+    """The same world without attack, and with the attacks of each config, beside each other.
+
+    Parameters
+    ----------
+    configs
+        They differ in their attacks only, and each has a `Tape` as its trust model.
+    label
+        Name of the world for `advance`.
+    advance
+        Called with progress.
+    """
+    config = configs[0]
+    scenario, n_steps = check(config), round(config.traffic.duration_s / config.traffic.step_s)
+    base, _, traffic = running.load_parts(config, scenario)
+    assert isinstance(base.perception, Perception)
+    shared = _Shared(base.perception)
+    harmless: Any = (_Harmless(),)  # an attack may leave any hook out
+    parts = [replace(base, adversary=replace(base.adversary, attacks=harmless))]
+    parts += [Parts.of(one, base.city, base.rsus) for one in configs]
+    cases = [Case(of, State.start(of)) for of in (replace(one, perception=shared) for one in parts)]
+    try:
+        warm_up(running.warmup_of(config, scenario), traffic, base.watch, lambda *_: None)
+        for number in range(n_steps):
+            world = traffic.advance()
+            for case in cases:
+                case.record(world)
+            advance(label, number + 1, n_steps, "steps")
+    finally:
+        traffic.close()
+    return cases
+
+
+def recorded(place: Place, rules: Rules, advance: Advance) -> list[Stream]:
+    """The evidence of all cases of a world, simulated beside each other over the same traffic and sweeps."""
+    configs = [config_of(place, rules, attack) for attack in rules.cases[1:]]
+    label = f"{place.city}, {place.penetration_p:g}, seed {place.seed}"
+    return numbered([case.tables() for case in simulated(configs, label, advance)])
+
+
+def make(
+    advance: Advance, places: tuple[Place, ...] = PLACES, rules: Rules = RULES, version: str = VERSION
+) -> EvidenceSet:
+    """Record a set.
+
+    Parameters
+    ----------
+    advance
+        Called with progress.
+    places, rules, version
+        Those of the shipped set by default.
+    """
+
+    def streams() -> Iterator[tuple[int, int, Stream]]:
+        for world, place in enumerate(places):
+            for case, stream in enumerate(recorded(place, rules, advance)):
+                yield world, case, stream
+
+    return assembled(version, rules, places, streams())

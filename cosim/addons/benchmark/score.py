@@ -1,0 +1,199 @@
+"""Scores a trust model on the evidence set: figures for each attack, with intervals over worlds.
+
+All figures are of look-ups by honest vehicles from the first step of the attacks on. A sender is *excluded* at a
+look-up if the value rests on an evaluation and is below the model's threshold. Models have different scales, so the
+threshold belongs to the model: it is the largest that excludes at most 5 % of the look-ups in the worlds without
+attack. A sender about whom nothing is known is not excluded.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from cosim.addons.benchmark.evidence import HONEST, EvidenceSet, Rules, Stream
+from cosim.addons.benchmark.play import Answers, Candidate, Script, play
+from results.metrics.intervals import UNKNOWN, Estimate, ratio
+from results.metrics.misbehaviour import threshold_at
+from results.metrics.survival import kaplan_meier, median, median_band
+
+FALSE_POSITIVES = 0.05
+"""Largest share of look-ups that a model's threshold may exclude where nobody attacks."""
+ON_EVALUATIONS = ("bad_mouthing", "ballot_stuffing", "collusion", "random_evaluations")
+"""Attacks whose vehicles send true detections and false evaluations."""
+
+Advance = Callable[[str, int, int, str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """A model under one attack. Intervals are 95 % intervals of the bootstrap over worlds, if nothing else is said."""
+
+    auc: Estimate
+    """Probability that the value of an honest sender is above that of an attacker at a look-up of the same world."""
+    exclusion_s: Estimate
+    """Median time from an attacker's first message with the attack to its first exclusion by any vehicle (Kaplan-Meier,
+    with its own interval); NaN if more than half of the attackers are never excluded."""
+    wrong_p: Estimate
+    """Share of honest vehicle-seconds that are excluded."""
+    believed_p: Estimate
+    """Damage that was believed: share of the received messages of attackers whose sender is not excluded."""
+    age_s: Estimate
+    """Mean age of the newest evaluation behind a value at look-up."""
+    harm: Estimate
+    """Mean of two shares, averaged over worlds: honest vehicle-seconds that are excluded, and received messages of
+    attackers that have false detections and are believed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """What the figures of one world rest on: numerators and denominators."""
+
+    above: float
+    pairs: float
+    """Pairs of an honest and an attacking sender's value, and how many of them are in the right order (ties half)."""
+    wrong_s: float
+    honest_s: float
+    believed: float
+    lies_believed: float
+    messages: float
+    """Received messages of attackers: the believed ones, those of them with false detections, and all."""
+    age_s: float
+    n_aged: float
+    delay_s: Float[ndarray, "a"]
+    found: Bool[ndarray, "a"]
+    """Time to exclusion of each attacker, and whether it was excluded at all."""
+
+
+def counts(stream: Stream, answers: Answers, threshold: float, rules: Rules, lying: Bool[ndarray, "n"]) -> Counts:
+    """What one world says about a model.
+
+    Parameters
+    ----------
+    threshold
+        Trust below which a sender is excluded.
+    lying
+        Whether each looked-up message has false detections if its sender attacks.
+    """
+    asked, attacks = stream.lookups, stream.attackers()
+    counted = np.flatnonzero(~attacks[asked["receiver"]] & (asked["step"] >= rules.start_step))
+    step, sender = asked["step"][counted].astype(np.int64), asked["sender"][counted].astype(np.int64)
+    trust, age_s = answers.trust[counted], answers.age_s[counted]
+    rated, is_attacker = ~np.isnan(trust), attacks[sender]
+    lies = is_attacker & lying[counted]
+    excluded = rated & (trust < threshold)
+    honest = np.sort(trust[rated & ~is_attacker])
+    other = trust[rated & is_attacker]
+    above = (
+        len(honest) * len(other)
+        - (np.searchsorted(honest, other, "left").sum() + np.searchsorted(honest, other, "right").sum()) / 2
+    )
+    seconds, of = np.unique((step << 16 | sender)[~is_attacker], return_inverse=True)
+    share = np.bincount(of, excluded[~is_attacker], len(seconds)) / np.bincount(of, minlength=len(seconds))
+    delay_s, found = _delays(step[is_attacker], sender[is_attacker], excluded[is_attacker], rules.dt_s)
+    return Counts(
+        above=float(above), pairs=float(len(honest) * len(other)),
+        wrong_s=float(share.sum()), honest_s=float(len(seconds)),
+        believed=float((is_attacker & ~excluded).sum()), lies_believed=float((lies & ~excluded).sum()),
+        messages=float(is_attacker.sum()), age_s=float(age_s[rated].sum()), n_aged=float(rated.sum()),
+        delay_s=delay_s, found=found,
+    )  # fmt: skip
+
+
+def _delays(step: ndarray, sender: ndarray, excluded: ndarray, dt_s: float) -> tuple[ndarray, ndarray]:
+    """Time from each sender's first look-up to its first exclusion, or else to its last look-up; whether it was."""
+    who, of = np.unique(sender, return_inverse=True)
+    since, last, first = np.full(len(who), np.inf), np.full(len(who), -np.inf), np.full(len(who), np.inf)
+    np.minimum.at(since, of, step)
+    np.maximum.at(last, of, step)
+    np.minimum.at(first, of[excluded], step[excluded])
+    found = np.isfinite(first)
+    return (np.where(found, first, last) - since) * dt_s, found
+
+
+def figures(of_worlds: list[Counts]) -> Figures:
+    """The figures of an attack from the counts of all worlds."""
+    column = {name: np.array([getattr(one, name) for one in of_worlds]) for name in Counts.__slots__[:-2]}
+    delays = [np.concatenate([getattr(one, name) for one in of_worlds]) for name in ("delay_s", "found")]
+    curve = kaplan_meier(*delays)
+    wait = Estimate(median(curve), *median_band(curve), len(delays[0])) if len(delays[0]) else UNKNOWN
+    attacked = column["messages"] > 0
+    harm = (
+        column["wrong_s"][attacked] / np.maximum(column["honest_s"][attacked], 1)
+        + column["lies_believed"][attacked] / column["messages"][attacked]
+    ) / 2
+    return Figures(
+        auc=ratio(column["above"], column["pairs"]),
+        exclusion_s=wait,
+        wrong_p=ratio(column["wrong_s"], column["honest_s"]),
+        believed_p=ratio(column["believed"], column["messages"]),
+        age_s=ratio(column["age_s"], column["n_aged"]),
+        harm=ratio(harm, np.ones(len(harm))),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """A model on the whole set."""
+
+    model: str
+    sha256: str
+    """Checksum of a user's own file."""
+    threshold: float
+    quiet_p: float
+    """Share of vehicle-seconds that are excluded without attack: at most 0.05 of the look-ups."""
+    attacks: dict[str, Figures]
+    """By attack, worst AUC first."""
+    cost_us: float
+    """Processor time per received evaluation."""
+
+
+def threshold_of(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> tuple[float, list[Answers]]:
+    """The model's threshold, and its answers in the worlds without attack, from which it follows.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the model rates no vehicle at all.
+    """
+    rules, n_worlds, found, values = evidence.rules, len(evidence.worlds), [], []
+    for world in range(n_worlds):
+        stream = evidence.stream(world, 0)
+        found.append(play(Script.of(stream, rules), candidate))
+        counted = (stream.lookups["step"] >= rules.start_step) & ~np.isnan(found[-1].trust)
+        values.append(found[-1].trust[counted])
+        advance(f"{candidate.name}: threshold", world + 1, n_worlds, "worlds")
+    threshold = threshold_at(np.concatenate(values), FALSE_POSITIVES)
+    if np.isnan(threshold):
+        raise ValueError(f"{candidate.name}: it rates no vehicle. Give scores of subjects with evaluations.")
+    return threshold, found
+
+
+def score(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> Score:
+    """Score a model: it is played through every world without attack and under every attack.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the model fails, or rates no vehicle at all.
+    """
+    rules, n_worlds = evidence.rules, len(evidence.worlds)
+    threshold, quiet = threshold_of(evidence, candidate, advance)
+    found: dict[str, Figures] = {}
+    played = list(quiet)
+    for case, name in enumerate(rules.cases):
+        of_worlds = []
+        for world in range(n_worlds):
+            stream = evidence.stream(world, case)
+            answers = quiet[world] if case == 0 else play(Script.of(stream, rules), candidate)
+            lying = np.full(len(answers.trust), name not in ON_EVALUATIONS)
+            of_worlds.append(counts(stream, answers, threshold, rules, lying))
+            played += [answers] if case else []
+            advance(f"{candidate.name}: attacks", case * n_worlds + world + 1, len(rules.cases) * n_worlds, name)
+        found[name] = figures(of_worlds)
+    quiet_p = found.pop(HONEST).wrong_p.value
+    ordered = dict(sorted(found.items(), key=lambda one: (np.isfinite(one[1].auc.value), one[1].auc.value)))
+    cost_s, n_evaluations = sum(one.cost_s for one in played), sum(one.n_evaluations for one in played)
+    return Score(candidate.name, candidate.sha256, threshold, quiet_p, ordered, 1e6 * cost_s / max(n_evaluations, 1))

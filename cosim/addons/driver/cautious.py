@@ -1,0 +1,293 @@
+"""A driver that brakes for fused objects that its vehicle's own sensors do not see."""
+
+from dataclasses import dataclass, fields, replace
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+
+from cosim.addons.driver.lane_path import ahead_on_path
+from cosim.base import rng
+from cosim.base.ragged import expand
+from cosim.traffic.driver import Beliefs, Reasons, SpeedCommands
+from cosim.world import LABELS, LanePaths, World
+
+_PEDESTRIAN = LABELS.index("pedestrian")
+_ALONG = 0.5
+"""Cosine of the largest angle between an object's heading and the path at which it counts as driving along it."""
+_GATE_M, _FASTEST_MPS = 3.0, 40.0
+"""An object of the next sweep is the same one if it is within `_GATE_M` of the expected position. If its speed is not
+known yet, the distance that it could have moved at `_FASTEST_MPS` is added."""
+_LEVEL_M = 3.0
+"""If the bottom of an object is this much higher or lower than the vehicle's, the object is on another road."""
+_PERSON_SHARES = (0.5, 1.0)
+"""Times at which persons are searched for in the corridor, as shares of `persons_ahead_s`."""
+_FASTEST_PERSON_MPS = 3.0
+_ACCELERATION_MPS2 = 2.6
+"""Largest acceleration of a car, SUMO's default. A speed that a car cannot reach in one step is not commanded."""
+_EPS_S = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CautiousParams:
+    """Parameters of `cautious`: which drivers react, to which objects, and how."""
+
+    share_p: Annotated[float, Ge(0), Le(1)] = 1.0
+    """Share of the equipped vehicles whose drivers react. Whether a driver reacts is drawn from the vehicle's name."""
+    min_score: Annotated[float, Ge(0), Le(1)] = 0.25
+    """Smallest score of a fused object that drivers react to. Under TruPercept few real objects of one source reach
+    0.5."""
+    half_width_m: Annotated[float, Gt(0), Le(100)] = 1.5
+    """Half width of the corridor along the lane path [m]. Drivers react to objects in it."""
+    horizon_s: Annotated[float, Gt(0), Le(100)] = 4.0
+    """Time ahead at the present speed [s]. Drivers react to objects that the vehicle would reach within it."""
+    reaction_s: Annotated[float, Ge(0), Le(100)] = 0.5
+    """Time from the fusion of an object to the first command [s]."""
+    comfort_mps2: Annotated[float, Gt(0), Le(50)] = 2.5
+    """Deceleration with which the driver approaches an object if there is enough distance [m/s2]."""
+    emergency_mps2: Annotated[float, Gt(0), Le(50)] = 4.5
+    """Largest deceleration if there is not enough distance [m/s2]. If it exceeds the limit of SUMO's vehicle type, that
+    limit is lifted."""
+    release_s: Annotated[float, Ge(0), Le(1000)] = 1.0
+    """Time for which the driver still reacts to an object after it was last fused with enough score [s]."""
+    standstill_m: Annotated[float, Ge(0), Le(1000)] = 2.5
+    """Gap that the driver leaves to an object [m]. The default is that of SUMO's drivers."""
+    persons_ahead_s: Annotated[float, Ge(0)] = 0.0
+    """If it is above 0, drivers also brake for persons that would enter the corridor within this time at their observed
+    speed [s]. Many persons walk near lanes in a city, and two noisy positions give their speeds poorly."""
+    own_persons: bool = False
+    """Whether drivers also brake for persons that the own detector reports. SUMO's drivers react to persons at
+    crossings only."""
+
+
+@dataclass(frozen=True, slots=True)
+class Believed:
+    """Objects that drivers track from sweep to sweep: K rows, sorted by ego."""
+
+    ego: Int[ndarray, "k"]
+    """Actor number of the vehicle that tracks the object."""
+    label: UInt8[ndarray, "k"]
+    xy_m: Float[ndarray, "k 2"]
+    """Predicted centre of the object in this step."""
+    seen_xy_m: Float[ndarray, "k 2"]
+    """Centre in the last sweep in which it was fused."""
+    lw_m: Float[ndarray, "k 2"]
+    yaw_rad: Float[ndarray, "k"]
+    velocity_mps: Float[ndarray, "k 2"]
+    """Velocity from its last positions. Except for persons, it is along the heading."""
+    has_speed: Bool[ndarray, "k"]
+    known_s: Float[ndarray, "k"]
+    """Time at which it was first fused."""
+    seen_s: Float[ndarray, "k"]
+    """Time of the last sweep in which it was fused."""
+    source_step: Int[ndarray, "k"]
+    source: Int[ndarray, "k"]
+    source_index: Int[ndarray, "k"]
+
+    def __len__(self) -> int:
+        return len(self.ego)
+
+    def take(self, rows: ndarray) -> "Believed":
+        """These rows, in this order."""
+        return Believed(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    @staticmethod
+    def concat(parts: list["Believed"]) -> "Believed":
+        """All rows of all parts."""
+        return Believed(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Believed)))
+
+    @staticmethod
+    def of(beliefs: Beliefs, rows: Int[ndarray, "k"], world: World, dt_s: float) -> "Believed":
+        """Objects that are tracked for the first time, from these rows of the beliefs. Their speeds are unknown."""
+        boxes, n = beliefs.boxes, len(rows)
+        xy = boxes.xyz_m[rows, :2]
+        return Believed(
+            world.actor[beliefs.ego[rows]].astype(np.int64), beliefs.label[rows], xy, xy, boxes.lwh_m[rows, :2],
+            boxes.yaw_rad[rows], np.zeros((n, 2)), np.zeros(n, bool), np.full(n, beliefs.known_s),
+            np.full(n, world.step * dt_s), beliefs.source_step[rows], beliefs.source[rows].astype(np.int64),
+            beliefs.source_index[rows].astype(np.int64),
+        )  # fmt: skip
+
+
+class Cautious:
+    """Follows an object in its path as a virtual leader [1]_ if others report it and its own detector does not.
+
+    The speed of an object that drives along the path is computed from its last two positions, so that the driver reacts
+    to it from the second sweep on. Everything else in the path counts as standing, including persons and oncoming
+    vehicles. Between two sweeps the positions of objects are predicted from their speeds. The commanded speed is the
+    largest one from which the driver can, after one step, stop behind the object with the comfortable deceleration,
+    assuming that the object brakes with the same deceleration. The speed falls by no more than the emergency
+    deceleration allows.
+
+    Notes
+    -----
+    With b the comfortable deceleration, t the step, g the gap less the standstill gap and u the object's speed:
+    v = -b t + sqrt((b t)^2 + u^2 + 2 b g).   Deviations: only the two decelerations.
+
+    References
+    ----------
+    .. [1] Krauss, "Microscopic Modeling of Traffic Flow", 1998: safe speed behind a leader.
+    """
+
+    Params = CautiousParams
+    LARGEST_STEP_S = 0.5
+
+    def __init__(self, params: CautiousParams) -> None:
+        self.params = params
+
+    def commands(
+        self, state: object, world: World, beliefs: Beliefs | None, dt_s: float
+    ) -> tuple[Believed | None, SpeedCommands]:
+        """The tracked objects, and the speeds of vehicles that must brake for one of them."""
+        p, now_s, paths = self.params, world.step * dt_s, world.paths
+        assert paths is not None, "the traffic offers lane paths to drivers"
+        watched = state if isinstance(state, Believed) else None
+        if watched is not None:
+            going = np.isin(watched.ego, world.actor[paths.row]) & (now_s - watched.seen_s <= p.release_s + _EPS_S)
+            watched = _moved(watched.take(np.flatnonzero(going)), dt_s)
+        if beliefs is not None:
+            watched = self._believe(watched, world, paths, beliefs, dt_s)
+        if watched is None or not len(watched):
+            return None, SpeedCommands.none()
+        return watched, self._follow(watched, world, paths, now_s, dt_s)
+
+    def _believe(
+        self, watched: Believed | None, world: World, paths: LanePaths, beliefs: Beliefs, dt_s: float
+    ) -> Believed | None:
+        """The tracked objects after a sweep. Objects that were tracked before keep their history."""
+        p, boxes = self.params, beliefs.boxes
+        path = _path_of(world, paths)
+        own_person = p.own_persons & (beliefs.label == _PEDESTRIAN)
+        own = np.flatnonzero(beliefs.ego_detected & ~own_person)
+        can = (path >= 0) & self._reacts(world)
+        rows = np.flatnonzero((beliefs.score >= p.min_score) & (~beliefs.ego_detected | own_person) & can[beliefs.ego])
+        look_m = self._look_m(world)
+        rows = rows[self._within_reach(world, beliefs, rows, look_m)]
+        if watched is not None and len(watched):
+            watched = watched.take(np.flatnonzero(~_seen_by_own(watched, beliefs, own, world)))
+        ego = beliefs.ego[rows]
+        gap_m, _ = ahead_on_path(
+            paths, path[ego], boxes.xyz_m[rows, :2], boxes.lwh_m[rows, :2], boxes.yaw_rad[rows], look_m[ego],
+            p.half_width_m,
+        )  # fmt: skip
+        steps_out = (beliefs.label[rows] == _PEDESTRIAN) & (p.persons_ahead_s > 0)
+        rows = rows[np.isfinite(gap_m) | steps_out]
+        found = Believed.of(beliefs, rows[~_overlaps_own(beliefs, rows, own)], world, dt_s)
+        return found if watched is None or not len(watched) else _continued(watched, found)
+
+    def _within_reach(
+        self, world: World, beliefs: Beliefs, rows: Int[ndarray, "k"], look_m: Float[ndarray, "n"]
+    ) -> Bool[ndarray, "k"]:
+        """Whether objects are on the vehicle's level and may be within the distance that it looks ahead."""
+        ego, vehicle = beliefs.ego[rows], world.boxes
+        xyz_m, lwh_m = beliefs.boxes.xyz_m[rows], beliefs.boxes.lwh_m[rows]
+        reach_m = (look_m + vehicle.lwh_m[:, 0])[ego] + np.hypot(lwh_m[:, 0], lwh_m[:, 1]) / 2
+        near = np.hypot(*(xyz_m[:, :2] - vehicle.xyz_m[ego, :2]).T) <= reach_m
+        footing_m = (vehicle.xyz_m[:, 2] - vehicle.lwh_m[:, 2] / 2)[ego]
+        return near & (np.abs(xyz_m[:, 2] - lwh_m[:, 2] / 2 - footing_m) <= _LEVEL_M)
+
+    def _follow(self, watched: Believed, world: World, paths: LanePaths, now_s: float, dt_s: float) -> SpeedCommands:
+        """The lowest speed that any tracked object requires, per vehicle."""
+        p = self.params
+        row = np.searchsorted(world.actor, watched.ego)
+        gap_m, heading = ahead_on_path(
+            paths, _path_of(world, paths)[row], watched.xy_m, watched.lw_m, watched.yaw_rad, self._look_m(world)[row],
+            p.half_width_m,
+        )  # fmt: skip
+        is_person = watched.label == _PEDESTRIAN
+        for share in _PERSON_SHARES if p.persons_ahead_s else ():
+            then_m = watched.xy_m + share * p.persons_ahead_s * watched.velocity_mps
+            later_m, _ = ahead_on_path(
+                paths, _path_of(world, paths)[row], then_m, watched.lw_m, watched.yaw_rad, self._look_m(world)[row],
+                p.half_width_m,
+            )  # fmt: skip
+            gap_m = np.where(is_person & watched.has_speed, np.minimum(gap_m, later_m), gap_m)
+        along = np.cos(watched.yaw_rad - heading)
+        drives = (along > _ALONG) & ~is_person
+        due = np.isfinite(gap_m) & (now_s >= watched.known_s + p.reaction_s - _EPS_S)
+        due &= ~drives | watched.has_speed
+        leader_mps = np.where(drives, np.hypot(*watched.velocity_mps.T) * np.maximum(along, 0.0), 0.0)
+        speed = world.speed_mps[row]
+        bt = p.comfort_mps2 * dt_s
+        free_m = np.maximum(np.where(due, gap_m, 0.0) - p.standstill_m, 0.0)
+        safe = -bt + np.sqrt(bt**2 + leader_mps**2 + 2 * p.comfort_mps2 * free_m)
+        wanted = np.maximum(np.maximum(safe, speed - p.emergency_mps2 * dt_s), 0.0)
+        rows = np.flatnonzero(due & (wanted < speed + _ACCELERATION_MPS2 * dt_s))
+        rows = rows[np.lexsort((watched.source_index[rows], watched.source[rows], wanted[rows], watched.ego[rows]))]
+        rows = rows[np.diff(watched.ego[rows], prepend=-1) > 0]
+        reasons = Reasons(watched.source_step[rows], watched.source[rows], watched.source_index[rows], gap_m[rows])
+        return SpeedCommands(watched.ego[rows], wanted[rows], reasons)
+
+    def _reacts(self, world: World) -> Bool[ndarray, "n"]:
+        """Actors whose drivers react."""
+        return rng.uniforms(rng.key(0, rng.Stream.DRIVER), world.name_key)[:, 0] < self.params.share_p
+
+    def _look_m(self, world: World) -> Float[ndarray, "n"]:
+        """Distance that each actor looks ahead: the horizon, and at least twice the standstill gap."""
+        return np.maximum(world.speed_mps * self.params.horizon_s, 2 * self.params.standstill_m)
+
+
+def _path_of(world: World, paths: LanePaths) -> Int[ndarray, "n"]:
+    """Row of `paths` of each actor; -1 if it has none."""
+    path = np.full(len(world), -1)
+    path[paths.row] = np.arange(len(paths.row))
+    return path
+
+
+def _moved(watched: Believed, dt_s: float) -> Believed:
+    """The objects after one step at their present velocity."""
+    return replace(watched, xy_m=watched.xy_m + watched.velocity_mps * dt_s)
+
+
+def _pairs(a: Int[ndarray, "a"], b: Int[ndarray, "b"]) -> tuple[ndarray, ndarray]:
+    """Rows of all pairs of equal numbers in `a` and `b`, sorted by row of `a`."""
+    order = np.argsort(b, kind="stable")
+    at, which = expand(np.searchsorted(b[order], a, "left"), np.searchsorted(b[order], a, "right"))
+    return which, order[at]
+
+
+def _overlaps_own(beliefs: Beliefs, rows: Int[ndarray, "k"], own: Int[ndarray, "o"]) -> Bool[ndarray, "k"]:
+    """Whether the own detector reports something at each object: the centres are at most half a length apart."""
+    one, other = _pairs(beliefs.ego[rows], beliefs.ego[own])
+    i, j, boxes = rows[one], own[other], beliefs.boxes
+    apart_m = np.hypot(*(boxes.xyz_m[i, :2] - boxes.xyz_m[j, :2]).T)
+    near = apart_m <= (boxes.lwh_m[i, 0] + boxes.lwh_m[j, 0]) / 4
+    return np.bincount(one[near], minlength=len(rows)) > 0
+
+
+def _seen_by_own(watched: Believed, beliefs: Beliefs, own: Int[ndarray, "o"], world: World) -> Bool[ndarray, "k"]:
+    """Whether the own detector reports something at each object that was tracked before."""
+    one, other = _pairs(watched.ego, world.actor[beliefs.ego[own]])
+    j, boxes = own[other], beliefs.boxes
+    apart_m = np.hypot(*(watched.xy_m[one] - boxes.xyz_m[j, :2]).T)
+    near = apart_m <= (watched.lw_m[one, 0] + boxes.lwh_m[j, 0]) / 4
+    return np.bincount(one[near], minlength=len(watched)) > 0
+
+
+def _continued(watched: Believed, found: Believed) -> Believed:
+    """Merge new objects with those that were tracked before. Objects that are not found again are kept for a while."""
+    new, old = _pairs(found.ego, watched.ego)
+    away_m = np.hypot(*(found.xy_m[new] - watched.xy_m[old]).T)
+    since_s = found.seen_s[new] - watched.seen_s[old]
+    gate_m = _GATE_M + np.where(watched.has_speed[old], 0.0, _FASTEST_MPS * since_s)
+    same = (away_m <= gate_m) & (found.label[new] == watched.label[old])
+    new, old, away_m, since_s = new[same], old[same], away_m[same], since_s[same]
+    order = np.lexsort((old, away_m, new))
+    order = order[np.diff(new[order], prepend=-1) > 0]  # the nearest of each
+    new, old, since_s = new[order], old[order], since_s[order]
+    shown = (found.seen_xy_m[new] - watched.seen_xy_m[old]) / since_s[:, None]
+    heading = np.column_stack([np.cos(found.yaw_rad[new]), np.sin(found.yaw_rad[new])])
+    forward = np.clip(np.sum(shown * heading, axis=1), 0, _FASTEST_MPS)[:, None] * heading
+    pace = np.maximum(np.hypot(*shown.T), 1e-9)[:, None]
+    shown = np.where(
+        (found.label[new] == _PEDESTRIAN)[:, None], shown * np.minimum(1, _FASTEST_PERSON_MPS / pace), forward
+    )
+    before = np.where(watched.has_speed[old][:, None], watched.velocity_mps[old], shown)
+    velocity, has_speed, known_s = found.velocity_mps.copy(), found.has_speed.copy(), found.known_s.copy()
+    velocity[new], has_speed[new], known_s[new] = (before + shown) / 2, True, watched.known_s[old]
+    found = replace(found, velocity_mps=velocity, has_speed=has_speed, known_s=known_s)
+    left = np.setdiff1d(np.arange(len(watched)), old)
+    both = Believed.concat([found, watched.take(left)])
+    return both.take(np.lexsort((both.source_index, both.source, both.ego)))

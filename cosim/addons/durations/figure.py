@@ -1,0 +1,117 @@
+"""Survival of durations and of the times between encounters on logarithmic axes, with the fitted families."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator
+
+from cosim.addons.durations.families import FAMILIES
+from cosim.addons.durations.fit import fits
+from cosim.addons.durations.goodness import FEWEST_AT_RISK, product_limit, tail_curve
+from cosim.addons.durations.samples import LABELS, Durations, What, definitions, of_run
+from results.figures import style
+from results.metrics.encounters import named
+from results.run import Run
+
+
+@style.styled
+def draw(runs: Sequence[Run], radius_m: float | None = None, pairs: str | None = None) -> Figure:
+    """Kaplan-Meier curves of durations and inter-contact times, log-log and semi-logarithmic.
+
+    One run is drawn with all families. Of several runs, each is drawn with its best family by AIC.
+    """
+    runs = style.arranged(runs, most=len(style.INKS))
+    figure, panels = style.sheet(4, 1.9, across=2)
+    whats: tuple[What, ...] = ("duration", "inter_contact")
+    shown: list[str] = []
+    titles = []
+    for i, run in enumerate(runs):
+        definition = _chosen(run, radius_m, pairs)
+        titles.append(str(named(definition.to_frame().T).iloc[0]))
+        for row, what in enumerate(whats):
+            sample = of_run(run, what, definition)
+            shown += _curves(panels[2 * row : 2 * row + 2], sample, i, len(runs) == 1)
+    for row, what in enumerate(whats):
+        for column, scale in enumerate(("log", "linear")):
+            axes = panels[2 * row + column]
+            title = f"{LABELS[what].capitalize()}s" + (", log-log" if scale == "log" else ", semi-log")
+            style.panel(axes, title, f"{LABELS[what].capitalize()} [s]", "Share that lasts longer")
+            if axes.lines:
+                axes.set_xscale(scale)
+                axes.set_yscale("log")
+                axes.minorticks_off()
+                for axis in (axes.xaxis, axes.yaxis)[scale == "linear" :]:
+                    _numbered(axis)
+            else:
+                axes.text(0.5, 0.5, "too few", transform=axes.transAxes, ha="center", color="#666666")
+    figure.suptitle(" / ".join(dict.fromkeys(titles)), fontsize=style.SMALL)
+    names = list(FAMILIES)
+    entries = [
+        Line2D([], [], color=style.ink(i + 1), linestyle=style.dash(i), label=FAMILIES[name].label)
+        for i, name in enumerate(names) if name in shown
+    ]  # fmt: skip
+    if len(runs) == 1:
+        entries.insert(0, Line2D([], [], color=style.INKS[0], marker="o", linestyle="", label="Kaplan-Meier, 95 %"))
+        style.legend(figure, entries)
+    else:
+        style.legend(figure, [
+            Line2D([], [], color=style.ink(i), marker=style.marker(i), label=name)
+            for i, name in enumerate(style.names(runs))
+        ])  # fmt: skip
+    return figure
+
+
+def _numbered(axis: Axis) -> None:
+    """Number 1, 2 and 5 of each power of ten where the axis is too short for two powers; of a very short one, all."""
+    low, high = axis.get_view_interval()
+    if 0 < low and high < 100 * low:
+        axis.set_major_locator(LogLocator(subs=[1, 2, 5] if high > 4 * low else range(1, 10)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def _chosen(run: Run, radius_m: float | None, pairs: str | None) -> pd.Series:
+    """The definition that is drawn: the first one that the options name."""
+    found = definitions(run)
+    if found.empty:
+        raise ValueError(f"{run.path} holds no encounters: no two came within the radius of each other.")
+    keep = np.ones(len(found), bool)
+    if radius_m is not None:
+        keep &= np.isclose(found.radius_m.to_numpy(float), radius_m)
+    if pairs is not None:
+        keep &= (found.pairs == pairs).to_numpy()
+    if not keep.any():
+        said = "; ".join(named(found).tolist())
+        raise ValueError(f"{run.path} has no encounters with these options. It has: {said}.")
+    return found[keep].iloc[0]
+
+
+def _curves(panels: Sequence[Axes], sample: Durations, number: int, is_alone: bool) -> list[str]:
+    """Draw the curve of one sample and its families into both panels; returns the families drawn."""
+    if not sample.ended.any():
+        return []
+    curve = product_limit(sample)
+    curve = curve[(curve.n_at_risk >= FEWEST_AT_RISK) & (curve.survival > 0) & (curve.duration_s > 0)]
+    if len(curve) < 2:
+        return []
+    try:
+        found = fits(sample)
+    except ValueError:
+        found = []
+    for axes in panels:
+        look: dict[str, Any] = {"color": style.ink(number), "marker": style.marker(number), "markersize": 3}
+        axes.plot(curve.duration_s, curve.survival, linestyle="", markevery=max(1, len(curve) // 60), **look)
+        axes.fill_between(curve.duration_s, curve.low, curve.high, color=style.ink(number), alpha=0.2, linewidth=0)
+        for one in found if is_alone else found[:1]:
+            x_s, survival = tail_curve(sample, one)
+            some = survival > 0.3 * float(curve.survival.min()) if len(curve) else survival > 1e-6
+            names = list(FAMILIES)
+            colour = style.ink(names.index(one.name) + 1) if is_alone else style.ink(number)
+            dash = style.dash(names.index(one.name))
+            axes.plot(x_s[some], survival[some], color=colour, linestyle=dash, linewidth=1.3)
+    return [one.name for one in found]

@@ -1,0 +1,93 @@
+"""Floating car data as SUMO's `--fcd-output` writes them: every actor of every step, in one XML file.
+
+Notes
+-----
+`fcd.xml.gz`: a `<timestep>` per step, `time` in seconds of the run. `x` and `y` are the centre
+of the front bumper in the coordinates of the network [m], `angle` is in degrees clockwise from north, `type` is the
+class of the actor, and names are SUMO's. All actors are written.   Deviations: `z` is the
+underside of the box; lane, position on it and slope are left out, because the tables do not have them. SUMO's class and
+the size of each actor are written as `vClass`, `length`, `width` and `height`, which SUMO's own files leave to its
+types: a run that replays the file has the same boxes.
+"""
+
+import gzip
+import io
+from collections.abc import Hashable, Iterator
+from functools import partial
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from results.moments import Clouds, File, Moment, Plan, Selection, Unit
+
+TABLES = ("actors", "vehicles")
+
+SUMO_CLASS = {"car": "passenger", "van": "delivery"}
+"""SUMO's class of each of ours that SUMO calls otherwise."""
+
+ROW_BYTES = 40
+"""Of an actor in a step, packed, roughly."""
+
+
+class Fcd:
+    """SUMO's floating car data."""
+
+    TABLES = TABLES
+    ALL_VEHICLES = True
+    ALL_STEPS = True
+
+    def plan(self, selection: Selection) -> Plan:
+        """One file."""
+        n = selection.run.n_rows("actors")
+        return Plan((Unit("trace", partial(_files, selection)),), text_bytes=float(ROW_BYTES * n))
+
+
+def _files(selection: Selection, clouds: Clouds) -> Iterator[File]:
+    yield File("fcd.xml.gz", partial(_packed, selection))
+
+
+def _packed(selection: Selection) -> bytes:
+    columns = ["vehicle", "sumo_id", "vehicle_class", "length_m", "width_m", "height_m"]
+    rows = selection.run.table("vehicles", columns).to_dict("records")
+    fixed = {int(row["vehicle"]): _fixed(row) for row in rows}
+    packed = io.BytesIO()
+    with gzip.GzipFile(fileobj=packed, mode="wb", mtime=0) as file:
+        file.write(b'<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n')
+        for steps in selection.spans():
+            here = {moment.step: moment for moment in selection.traffic(steps)}
+            for step in steps.tolist():
+                file.write(_timestep(step, here.get(step), fixed, selection.run.dt_s, selection.place.origin_m))
+        file.write(b"</fcd-export>\n")
+    return packed.getvalue()
+
+
+def _fixed(actor: dict[Hashable, Any]) -> str:
+    """Element, name, class and size of an actor."""
+    kind = actor["vehicle_class"]
+    element = "person" if kind == "pedestrian" else "vehicle"
+    size = " ".join(f'{what}="{actor[f"{what}_m"]:.9g}"' for what in ("length", "width", "height"))
+    return f'{element} id={quoteattr(actor["sumo_id"])} type="{kind}" vClass="{SUMO_CLASS.get(kind, kind)}" {size}'
+
+
+def _timestep(
+    step: int, moment: Moment | None, fixed: dict[int, str], dt_s: float, origin_m: tuple[float, float]
+) -> bytes:
+    """A step; without actors it is an empty element, so that no reader takes it for a gap."""
+    if moment is None:
+        return f'    <timestep time="{step * dt_s:.4f}"/>\n'.encode()
+    box = moment.box
+    ahead = 0.5 * box[:, 3:4] * np.column_stack([np.cos(box[:, 6]), np.sin(box[:, 6])])
+    front = box[:, :2] + ahead + origin_m
+    angle = np.mod(90.0 - np.degrees(box[:, 6]), 360.0)
+    rows = zip(
+        moment.actor.tolist(), front.tolist(), (box[:, 2] - 0.5 * box[:, 5]).tolist(),
+        angle.tolist(), moment.speed_mps.tolist(), strict=True,
+    )  # fmt: skip
+    lines = [f'    <timestep time="{step * dt_s:.4f}">\n']
+    for actor, (x, y), z, degrees, speed in rows:
+        lines.append(
+            f'        <{fixed[actor]} x="{x:.5f}" y="{y:.5f}" z="{z:.5f}" angle="{degrees:.5f}" speed="{speed:.5f}"/>\n'
+        )
+    lines.append("    </timestep>\n")
+    return "".join(lines).encode()

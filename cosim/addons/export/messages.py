@@ -1,0 +1,100 @@
+"""Received messages with the self reports in them, for the layouts of misbehaviour data sets."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import pandas as pd
+import pyarrow.compute as pc
+from jaxtyping import Int
+from numpy import ndarray
+
+from results.moments import Clouds, File, Selection, Unit
+
+TABLES = ("actors", "vehicles", "pseudonyms", "detections", "receptions")
+
+RECEIVERS = 40
+"""Receivers of one unit of work."""
+
+POSE = ["x_m", "y_m", "z_m", "yaw_rad", "speed_mps", "acceleration_mps2"]
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """What some vehicles sensed of themselves and received."""
+
+    own: pd.DataFrame
+    """step, vehicle and `POSE`: true states, sorted."""
+    messages: pd.DataFrame
+    """receiver, step, sender (pseudonym), vehicle that sent, send_s, receive_s, `POSE` as reported, is_attack; by
+    receiver and time of reception."""
+
+
+class Messages:
+    """All messages with a self report that were sent in the chosen steps."""
+
+    def __init__(self, selection: Selection) -> None:
+        self.selection = selection
+        self._run = selection.run
+        self._in_steps = pc.field("step").isin(selection.steps.tolist())
+        where = self._in_steps & (pc.field("detection_index") == 0)
+        found = self._run.table("detections", ["step", "observer", *POSE, "transmitted"], where)
+        found = found[found.transmitted]
+        if found.empty and not self._run.config.get("sensing", True):
+            raise ValueError(f"{self._run.path} has sensing = false: nobody sent a message. Set it to true, run again.")
+        if found.empty:
+            raise ValueError(
+                f"{self._run.path} holds no self report in these steps. Set trust.self_reports = true and run again."
+            )
+        subjects = self._run.subjects
+        start = subjects.attack_start_step.astype("Float64").fillna(np.inf).astype(float)
+        vehicle = found.observer.map(subjects.vehicle).astype(np.int64)
+        self.sent = found.drop(columns="transmitted").assign(
+            vehicle=vehicle, is_attack=found.step.to_numpy() >= found.observer.map(start).to_numpy()
+        )
+        """step, observer (pseudonym), vehicle, `POSE` as reported, is_attack."""
+        self._digits = len(str(int(found.observer.max())))
+
+    def number(self, step: Int[ndarray, "n"], pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+        """Identifiers of messages, each used once in a run.
+
+        Parameters
+        ----------
+        step, pseudonym
+            Step of each message, and pseudonym of its sender.
+
+        Returns
+        -------
+        Whole numbers: the step, and the pseudonym in the last digits.
+        """
+        return np.asarray(step, np.int64) * 10**self._digits + np.asarray(pseudonym, np.int64)
+
+    def own(self, vehicles: list[int]) -> pd.DataFrame:
+        """True states of vehicles in the chosen steps; acceleration is the change of speed since the step before."""
+        columns = ["step", "actor", "x_m", "y_m", "z_m", "yaw_rad", "speed_mps"]
+        found = self._run.table("actors", columns, pc.field("actor").isin(vehicles)).sort_values(["actor", "step"])
+        before = found.groupby("actor")[["step", "speed_mps"]].shift()
+        change = (found.speed_mps - before.speed_mps) / self._run.dt_s
+        found["acceleration_mps2"] = change.where(found.step - before.step == 1, 0.0)
+        found = found[found.step.isin(self.selection.steps)]
+        return found.rename(columns={"actor": "vehicle"}).sort_values(["vehicle", "step"], ignore_index=True)
+
+    def units(self, files: Callable[["Messages", list[int], Clouds], Iterator[File]]) -> list[Unit]:
+        """Units of work that each make the files of some receivers."""
+        vehicles = self.selection.vehicles
+        blocks = [list(vehicles[i : i + RECEIVERS]) for i in range(0, len(vehicles), RECEIVERS)]
+        return [Unit(f"receivers {b[0]} to {b[-1]}", partial(files, self, b)) for b in blocks]
+
+    def received(self, receivers: list[int]) -> Received:
+        """What these vehicles received."""
+        columns = ["step", "message_step", "sender", "receiver", "generation_offset_s", "latency_s"]
+        where = self._in_steps & pc.field("receiver").isin(receivers) & (pc.field("message_type") == "cpm")
+        got = self._run.table("receptions", columns, where)
+        got = got.drop(columns="step").rename(columns={"message_step": "step"})
+        sent = self.sent.rename(columns={"observer": "sender"})
+        got = got.merge(sent, on=["step", "sender"])
+        got["send_s"] = got.step * self._run.dt_s + got.generation_offset_s
+        got["receive_s"] = got.send_s + got.latency_s
+        order = ["receiver", "receive_s", "sender"]
+        return Received(self.own(receivers), got.sort_values(order, ignore_index=True))

@@ -1,0 +1,260 @@
+"""nuScenes, as its development kit reads it: a scene for each vehicle, its sweeps, and annotations around it.
+
+Notes
+-----
+`v1.0-cosim/*.json` and `samples/LIDAR_TOP/*.pcd.bin`. A scene is one chosen vehicle in consecutive sweeps; each sweep
+is a sample (a key frame), whatever the interval; nuScenes itself has one each 0.5 s. The global frame is the world of
+the tables, x east, y north, z up. The ego frame lies under the middle of the vehicle on the ground, x forward, y left.
+The sensor frame of LIDAR_TOP is that of nuScenes: x right, y forward, z up. Clouds have x, y, z, intensity and ring.
+Annotated is every actor with at least one return; its visibility is the share of returns that nothing hides. Instances
+do not outlive a scene. Second 0 of a run is 2025-01-01 00:00 UTC. Time stamps are microseconds; each vehicle's are one
+more than those of the vehicle before, because the kit cannot list scenes that begin at the same time. `names.csv` says
+whose a scene is, and when.   Deviations: intensity and ring are 0; no cameras, no radars, no sweeps between key frames;
+the map mask is one black pixel; ego origin is not the rear axle, which the tables do not have; vans are cars.
+"""
+
+import hashlib
+import json
+from bisect import bisect_left
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, cast
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float32
+from numpy import ndarray
+
+from cosim.addons.export import kitti
+from cosim.addons.export.pcap import START_S
+from results.moments import NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit
+from results.spreadsheet import csv_of
+
+TABLES = kitti.TABLES
+VERSION = "v1.0-cosim"
+
+ANNOTATION_BYTES = 450
+"""Of an annotation, roughly."""
+
+CATEGORIES = {
+    "car": "vehicle.car", "van": "vehicle.car", "truck": "vehicle.truck", "bus": "vehicle.bus.rigid",
+    "motorcycle": "vehicle.motorcycle", "bicycle": "vehicle.bicycle", "pedestrian": "human.pedestrian.adult",
+}  # fmt: skip
+"""nuScenes' categories of the classes of actors."""
+
+ATTRIBUTES = ("vehicle.moving", "vehicle.stopped", "cycle.with_rider", "pedestrian.moving", "pedestrian.standing")
+STANDING_MPS = 0.1
+"""Slower actors are said to stand."""
+
+VISIBILITY = {"1": "v0-40", "2": "v40-60", "3": "v60-80", "4": "v80-100"}
+"""Levels of visibility, by token: the visible share [%]."""
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A vehicle in consecutive sweeps."""
+
+    vehicle: int
+    steps: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        return f"scene-{self.steps[0]:06d}-{self.vehicle}"
+
+
+class NuScenes:
+    """nuScenes."""
+
+    TABLES = TABLES
+
+    def plan(self, selection: Selection) -> Plan:
+        """Clouds in blocks of steps, then the tables."""
+        units = [Unit(f"steps from {s[0]}", partial(_clouds, selection, s)) for s in selection.blocks()]
+        units.append(Unit("tables", partial(_tables, selection)))
+        n = len(selection.presence)
+        return Plan(tuple(units), n, 20, n * 10.0 * ANNOTATION_BYTES)
+
+
+def token(*words: object) -> str:
+    """A name of 32 hexadecimal digits, the same for the same words."""
+    return hashlib.md5("/".join(map(str, words)).encode(), usedforsecurity=False).hexdigest()
+
+
+def scenes_of(selection: Selection) -> list[Scene]:
+    """Scenes, by vehicle and first step."""
+    frames = kitti.sequences_of(selection)
+    return [Scene(int(rows.vehicle.iloc[0]), tuple(rows.step.tolist())) for _, rows in frames.groupby("sequence")]
+
+
+def _cloud_path(step: int, vehicle: int) -> str:
+    return f"samples/LIDAR_TOP/{vehicle}__LIDAR_TOP__{step:06d}.pcd.bin"
+
+
+def _clouds(selection: Selection, steps: Any, clouds: Clouds) -> Iterator[File]:
+    here = selection.presence[selection.presence.step.isin(steps.tolist())]
+    for step, rows in here.groupby("step"):
+        number, vehicles = int(cast(int, step)), rows.vehicle.tolist()
+        for vehicle, cloud in zip(vehicles, clouds(number, vehicles), strict=True):
+            yield File(_cloud_path(number, vehicle), partial(_points, cloud))
+
+
+def _points(cloud: Cloud) -> bytes:
+    return in_lidar_top(cloud()).astype("<f4").tobytes()
+
+
+def in_lidar_top(points: Float32[ndarray, "k 3"]) -> Float32[ndarray, "k 5"]:
+    """Points of the sensor frame (x forward, y left) in that of LIDAR_TOP (x right, y forward), with two zeros."""
+    out = np.zeros((len(points), 5), np.float32)
+    out[:, 0], out[:, 1], out[:, 2] = -points[:, 1], points[:, 0], points[:, 2]
+    return out
+
+
+def quaternion(yaw_rad: float) -> list[float]:
+    """A turn about the vertical axis: w, x, y, z."""
+    return [float(np.cos(0.5 * yaw_rad)), 0.0, 0.0, float(np.sin(0.5 * yaw_rad))]
+
+
+def _tables(selection: Selection, clouds: Clouds) -> Iterator[File]:
+    scenes = scenes_of(selection)
+    tables = _fixed() | _of_vehicles(selection)
+    tables |= {"scene": [_scene(s) for s in scenes]}
+    tables |= _frames(selection, scenes)
+    for name, records in tables.items():
+        yield File(f"{VERSION}/{name}.json", partial(_json, records))
+    yield File("maps/empty.png", partial(kitti.image, (1, 1)))
+    rows = [(s.name, s.vehicle, s.steps[0], s.steps[-1]) for s in scenes]
+    names = pd.DataFrame(rows, columns=["scene", "vehicle", "first_step", "last_step"])
+    yield File("names.csv", partial(csv_of, names))
+
+
+def _json(records: list[Record]) -> bytes:
+    return json.dumps(records, indent=0).encode()
+
+
+def _fixed() -> dict[str, list[Record]]:
+    """Tables that are the same for every run."""
+    kinds = list(dict.fromkeys(CATEGORIES.values()))
+    return {
+        "category": [{"token": token("category", k), "name": k, "description": "", "index": i + 1}
+                     for i, k in enumerate(kinds)],
+        "attribute": [{"token": token("attribute", a), "name": a, "description": ""} for a in ATTRIBUTES],
+        "visibility": [{"token": t, "level": level, "description": ""} for t, level in VISIBILITY.items()],
+        "sensor": [{"token": token("sensor"), "channel": "LIDAR_TOP", "modality": "lidar"}],
+    }  # fmt: skip
+
+
+def _of_vehicles(selection: Selection) -> dict[str, list[Record]]:
+    """A log, a calibration and a map for each vehicle."""
+    vehicles = sorted(set(selection.presence.vehicle.tolist()))
+    heights = selection.bodies.height_m
+    logs = [
+        {"token": token("log", v), "logfile": selection.run.name, "vehicle": str(v), "date_captured": "2025-01-01",
+         "location": "cosim"} for v in vehicles
+    ]  # fmt: skip
+    calibrations = [
+        {"token": token("calibrated_sensor", v), "sensor_token": token("sensor"),
+         "translation": [0.0, 0.0, float(heights[v]) + selection.above_roof_m], "rotation": quaternion(-0.5 * np.pi),
+         "camera_intrinsic": []} for v in vehicles
+    ]  # fmt: skip
+    maps = [{"token": token("map"), "log_tokens": [log["token"] for log in logs], "category": "semantic_prior",
+             "filename": "maps/empty.png"}]  # fmt: skip
+    return {"log": logs, "calibrated_sensor": calibrations, "map": maps}
+
+
+def _scene(scene: Scene) -> Record:
+    first, last = scene.steps[0], scene.steps[-1]
+    return {
+        "token": token("scene", scene.name), "log_token": token("log", scene.vehicle), "nbr_samples": len(scene.steps),
+        "first_sample_token": token("sample", first, scene.vehicle),
+        "last_sample_token": token("sample", last, scene.vehicle), "name": scene.name, "description": "",
+    }  # fmt: skip
+
+
+def _frames(selection: Selection, scenes: list[Scene]) -> dict[str, list[Record]]:
+    """Samples, their data, poses, annotations and instances."""
+    of = {(step, s.vehicle): s for s in scenes for step in s.steps}
+    found: dict[str, list[Record]] = {name: [] for name in ("sample", "sample_data", "ego_pose", "sample_annotation")}
+    instances: dict[tuple[str, int], list[Record]] = {}
+    kinds: dict[int, str] = {}
+    for steps in selection.blocks():
+        for moment in selection.moments(steps):
+            kinds |= dict(zip(moment.actor.tolist(), moment.vehicle_class.tolist(), strict=True))
+            for vehicle in selection.vehicles:
+                if (scene := of.get((moment.step, vehicle))) is None:
+                    continue
+                _sample(found, selection, scene, moment)
+                for annotation, actor in _annotations(moment, vehicle):
+                    found["sample_annotation"].append(annotation)
+                    instances.setdefault((scene.name, actor), []).append(annotation)
+    found["instance"] = [_instance(name, actor, kinds[actor], chain) for (name, actor), chain in instances.items()]
+    return found
+
+
+def _sample(found: dict[str, list[Record]], selection: Selection, scene: Scene, moment: Moment) -> None:
+    """Append a sample, its cloud and its pose."""
+    step, vehicle = moment.step, scene.vehicle
+    at = bisect_left(scene.steps, step)
+    before = scene.steps[at - 1] if at else None
+    after = scene.steps[at + 1] if at + 1 < len(scene.steps) else None
+    kinds = ("sample", "sample_data")
+    ends = {kind: ["" if s is None else token(kind, s, vehicle) for s in (before, after)] for kind in kinds}
+    time_us = round((START_S + step * selection.run.dt_s) * 1e6) + selection.vehicles.index(vehicle)
+    sample, box = token("sample", step, vehicle), moment.box[moment.row(vehicle)]
+    found["sample"].append({
+        "token": sample, "timestamp": time_us, "prev": ends["sample"][0], "next": ends["sample"][1],
+        "scene_token": token("scene", scene.name),
+    })  # fmt: skip
+    found["ego_pose"].append({
+        "token": token("ego_pose", step, vehicle), "timestamp": time_us, "rotation": quaternion(box[6]),
+        "translation": [float(box[0]), float(box[1]), float(box[2] - 0.5 * box[5])],
+    })  # fmt: skip
+    found["sample_data"].append({
+        "token": token("sample_data", step, vehicle), "sample_token": sample,
+        "ego_pose_token": token("ego_pose", step, vehicle),
+        "calibrated_sensor_token": token("calibrated_sensor", vehicle), "timestamp": time_us, "fileformat": "pcd",
+        "is_key_frame": True, "height": 0, "width": 0, "filename": _cloud_path(step, vehicle),
+        "prev": ends["sample_data"][0], "next": ends["sample_data"][1],
+    })  # fmt: skip
+
+
+def _annotations(moment: Moment, vehicle: int) -> Iterator[tuple[Record, int]]:
+    """Annotations of a sample, and whom they are of. Chains of annotations are tied together later."""
+    seen = moment.visible.get(vehicle, NOTHING)
+    for i in np.flatnonzero(seen.n_points > 0).tolist():
+        actor, row = int(seen.actor[i]), moment.row(int(seen.actor[i]))
+        box, kind = moment.box[row], str(moment.vehicle_class[row])
+        share = seen.n_points[i] / max(1, seen.n_unoccluded[i])
+        yield {
+            "token": token("sample_annotation", moment.step, vehicle, actor),
+            "sample_token": token("sample", moment.step, vehicle), "instance_token": "",
+            "visibility_token": str(1 + int(np.searchsorted([0.4, 0.6, 0.8], share, side="right"))),
+            "attribute_tokens": [token("attribute", _attribute(kind, float(moment.speed_mps[row])))],
+            "translation": box[:3].tolist(), "size": [float(box[4]), float(box[3]), float(box[5])],
+            "rotation": quaternion(box[6]), "prev": "", "next": "",
+            "num_lidar_pts": int(seen.n_points[i]), "num_radar_pts": 0,
+        }, actor  # fmt: skip
+
+
+def _attribute(kind: str, speed_mps: float) -> str:
+    stands = speed_mps < STANDING_MPS
+    if kind == "pedestrian":
+        return "pedestrian.standing" if stands else "pedestrian.moving"
+    if kind in ("bicycle", "motorcycle"):
+        return "cycle.with_rider"
+    return "vehicle.stopped" if stands else "vehicle.moving"
+
+
+def _instance(name: str, actor: int, kind: str, chain: list[Record]) -> Record:
+    """An instance; its annotations get their links."""
+    mine = token("instance", name, actor)
+    for at, annotation in enumerate(chain):
+        annotation["instance_token"] = mine
+        annotation["prev"] = chain[at - 1]["token"] if at else ""
+        annotation["next"] = chain[at + 1]["token"] if at + 1 < len(chain) else ""
+    return {
+        "token": mine, "category_token": token("category", CATEGORIES[kind]), "nbr_annotations": len(chain),
+        "first_annotation_token": chain[0]["token"], "last_annotation_token": chain[-1]["token"],
+    }  # fmt: skip

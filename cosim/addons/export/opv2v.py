@@ -1,0 +1,222 @@
+"""OPV2V, as OpenCOOD reads it: scenarios of several vehicles, each with a cloud and a YAML file per time stamp.
+
+Notes
+-----
+`train/SCENARIO/VEHICLE/%06d.{yaml,pcd}`. In a scenario every vehicle has every time stamp: it is cut wherever one of
+its vehicles comes or goes. Readers take at most seven vehicles, and the smallest identifier, *as a string*, for the
+ego. Up to seven chosen vehicles stay together; more are grouped every ten seconds, each group around the vehicle that
+has most others within 70 m. Sensors are level, so the right-handed world of the tables is kept: x east, y north, z up;
+yaw counter-clockwise in degrees. `vehicles` holds cars, vans, trucks and buses with at least one return; `location` is
+the middle of their underside, `center` leads from there to the middle of the box, `extent` is half of the size.
+`predicted_ego_pos` is what the vehicle reports of itself, if it does. Time stamps are numbers of sweeps, whatever their
+interval; readers assume 10 Hz. On request, `%06d_pred.npy` holds the corners of the detected vehicles that the vehicle
+transmitted [n, 8, 3], in the frame of its LiDAR, as OpenCOOD saves predictions, and `%06d_score.npy` their scores.
+Vehicles with other phases of sensing (`sensing_phase = "random"`) never share a time stamp.
+Deviations: intensity, the red channel, is 0; no cameras; no planned trajectory.
+"""
+
+import io
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+from scipy.spatial import cKDTree
+
+from cosim.addons.datasets.recorded import corners_of
+from cosim.addons.export import kitti
+from results.frames import in_sensor
+from results.moments import BOX, NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit
+
+TABLES = kitti.TABLES
+
+MOST = 7
+"""Vehicles of a scenario."""
+
+RANGE_M = 70.0
+"""Within which readers let vehicles cooperate."""
+
+WINDOW_S = 10.0
+"""Length of a scenario where more than `MOST` vehicles are chosen."""
+
+CLASSES = ("car", "van", "truck", "bus")
+
+TEXT_BYTES = 4000
+"""Of a vehicle's YAML in a frame, roughly."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """Vehicles that are on the road together in all of these steps."""
+
+    vehicles: tuple[int, ...]
+    steps: Int[ndarray, "s"]
+
+    @property
+    def name(self) -> str:
+        """Name of its folder: where in the run it is, and whose it is."""
+        return f"step_{self.steps[0]:06d}_vehicle_{self.vehicles[0]}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Params:
+    """What is written beside clouds and annotations."""
+
+    detections: bool = False
+    """Whether the vehicles' own detections are written, for `cosim evaluate`."""
+
+
+class Opv2v:
+    """OPV2V."""
+
+    Params = Params
+    TABLES = TABLES
+
+    def __init__(self, params: Params | None = None) -> None:
+        self._params = params or Params()
+
+    def plan(self, selection: Selection) -> Plan:
+        """A unit for each scenario."""
+        found = scenarios_of(selection)
+        if not found:
+            raise ValueError(
+                "no two of these vehicles sense in the same steps, and a scenario needs two. Choose others, or run "
+                'with sensing_phase = "common".'
+            )
+        units = [Unit(s.name, partial(_scenario, selection, s, self._params.detections)) for s in found]
+        units.append(Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))])))
+        n = sum(len(s.vehicles) * len(s.steps) for s in found)
+        return Plan(tuple(units), n, 16, n * TEXT_BYTES)
+
+
+def scenarios_of(selection: Selection) -> list[Scenario]:
+    """Scenarios with constant membership, in the order of their first steps."""
+    if len(selection.vehicles) <= MOST:
+        return _runs(selection.presence, selection.steps)
+    found = []
+    width = max(1, round(WINDOW_S / selection.sensing_s))
+    for at in range(0, len(selection.steps), width):
+        steps = selection.steps[at : at + width]
+        here = selection.presence[selection.presence.step.isin(steps.tolist())]
+        counts = here.vehicle.value_counts()
+        throughout = np.sort(counts.index[counts == len(steps)].to_numpy())
+        if len(throughout) > 1:
+            found += [Scenario(group, steps) for group in _groups(selection, throughout, steps)]
+    return found
+
+
+def _runs(presence, steps: Int[ndarray, "s"]) -> list[Scenario]:  # type: ignore[no-untyped-def]
+    """Maximal spans of steps in which the same two vehicles or more are on the road."""
+    found: list[Scenario] = []
+    members = {int(step): tuple(sorted(rows)) for step, rows in presence.groupby("step").vehicle}
+    begin = 0
+    for i in range(1, len(steps) + 1):
+        if i == len(steps) or members.get(int(steps[i]), ()) != members.get(int(steps[begin]), ()):
+            if len(who := members.get(int(steps[begin]), ())) > 1:
+                found.append(Scenario(tuple(map(int, who)), steps[begin:i]))
+            begin = i
+    return found
+
+
+def _groups(selection: Selection, vehicles: Int[ndarray, "v"], steps: Int[ndarray, "s"]) -> list[tuple[int, ...]]:
+    """Disjoint groups of up to `MOST`, by distance in the middle of the steps; who is alone is left out."""
+    moment = next(selection.moments(steps[[len(steps) // 2]]))
+    xy = moment.box[[moment.row(v) for v in vehicles.tolist()], :2]
+    left = np.ones(len(vehicles), bool)
+    groups: list[tuple[int, ...]] = []
+    tree = cKDTree(xy)
+    near = [np.array(rows) for rows in tree.query_ball_point(xy, RANGE_M)]
+    while True:
+        n_near = np.array([left[rows].sum() if left[i] else 0 for i, rows in enumerate(near)])
+        centre = int(np.argmax(n_near))
+        if n_near[centre] < 2:
+            return groups
+        rows = near[centre][left[near[centre]]]
+        away = np.linalg.norm(xy[rows] - xy[centre], axis=1)
+        rows = rows[np.lexsort((vehicles[rows], away))][:MOST]
+        left[rows] = False
+        groups.append(tuple(sorted(vehicles[rows].tolist())))
+
+
+def _scenario(selection: Selection, scenario: Scenario, detections: bool, clouds: Clouds) -> Iterator[File]:
+    for at, moment in enumerate(selection.moments(scenario.steps)):
+        for vehicle, cloud in zip(scenario.vehicles, clouds(moment.step, scenario.vehicles), strict=True):
+            path = f"train/{scenario.name}/{vehicle}/{at:06d}"
+            yield File(f"{path}.pcd", partial(pcd, cloud))
+            pose = selection.pose(moment, vehicle)
+            yield File(f"{path}.yaml", partial(_yaml, moment, vehicle, pose))
+            if detections:
+                yield File(f"{path}_pred.npy", partial(_npy, partial(_corners, moment, vehicle, pose)))
+                yield File(f"{path}_score.npy", partial(_npy, partial(_scores, moment, vehicle)))
+
+
+def pcd(cloud: Cloud) -> bytes:
+    """Point Cloud Library's binary format with colours, which readers take for intensity; sensor frame."""
+    points = cloud()
+    n = len(points)
+    head = ["VERSION 0.7", "FIELDS x y z rgb", "SIZE 4 4 4 4", "TYPE F F F F", "COUNT 1 1 1 1", f"WIDTH {n}",
+            "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0", f"POINTS {n}", "DATA binary", ""]  # fmt: skip
+    return "\n".join(head).encode() + np.column_stack([points, np.zeros(n, np.float32)]).astype("<f4").tobytes()
+
+
+def _detected(moment: Moment, vehicle: int):  # type: ignore[no-untyped-def]
+    """Detections of vehicles that a vehicle transmitted, without its self report."""
+    sent = moment.detections.get(vehicle)
+    return None if sent is None else sent[(sent.origin != "self") & sent["class"].isin(("car", "truck"))]
+
+
+def _corners(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> Float[ndarray, "n 8 3"]:
+    sent = _detected(moment, vehicle)
+    box = np.zeros((0, 7)) if sent is None else sent[BOX].to_numpy(np.float64)
+    return corners_of(in_sensor(box, pose))
+
+
+def _scores(moment: Moment, vehicle: int) -> Float[ndarray, "n"]:
+    sent = _detected(moment, vehicle)
+    return np.zeros(0) if sent is None else sent.score.to_numpy(np.float64)
+
+
+def _npy(make: Callable[[], ndarray]) -> bytes:
+    """An array in NumPy's format."""
+    content = io.BytesIO()
+    np.save(content, make(), allow_pickle=False)
+    return content.getvalue()
+
+
+def _yaml(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> bytes:
+    row = moment.row(vehicle)
+    box = moment.box[row]
+    under = [*box[:2], box[2] - 0.5 * box[5]]
+    sent = moment.detections.get(vehicle)
+    own = None if sent is None else sent[(sent.origin == "self")]
+    lines = [f"ego_speed: {3.6 * moment.speed_mps[row]:.4f}", f"lidar_pose: {_pose(pose[:3], pose[3])}"]
+    if own is not None and len(own):
+        told = own[BOX].to_numpy(np.float64)[0]
+        lines.append(f"predicted_ego_pos: {_pose((told[0], told[1], told[2] - 0.5 * told[5]), told[6])}")
+    lines.append(f"true_ego_pos: {_pose(under, box[6])}")
+    seen = moment.visible.get(vehicle, NOTHING)
+    rows = np.searchsorted(moment.actor, seen.actor[seen.n_points > 0])
+    rows = rows[np.isin(moment.vehicle_class[rows], CLASSES)]
+    lines.append("vehicles:" if len(rows) else "vehicles: {}")
+    for i in rows.tolist():
+        b = moment.box[i]
+        lines += [
+            f"  {moment.actor[i]}:",
+            f"    angle: {_numbers((0, np.degrees(b[6]), 0))}",
+            f"    center: {_numbers((0, 0, 0.5 * b[5]))}",
+            f"    extent: {_numbers(0.5 * b[3:6])}",
+            f"    location: {_numbers((b[0], b[1], b[2] - 0.5 * b[5]))}",
+            f"    speed: {3.6 * moment.speed_mps[i]:.4f}",
+        ]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _pose(xyz, yaw_rad: float) -> str:  # type: ignore[no-untyped-def]
+    """x, y, z, roll, yaw, pitch; in degrees."""
+    return _numbers((*xyz, 0, np.degrees(yaw_rad), 0))
+
+
+def _numbers(values) -> str:  # type: ignore[no-untyped-def]
+    return "[" + ", ".join(f"{float(x):.6f}" for x in values) + "]"

@@ -1,0 +1,374 @@
+"""Packets that Wireshark opens: detection messages as CPMs of release 2, self reports as CAMs of release 1.
+
+Notes
+-----
+`sent.pcap` has every message of the chosen vehicles at the step's beginning. With `received`, `veh_<vehicle>.pcap` has
+the messages that each chosen vehicle received, from all senders, at the time of reception. Frames are Ethernet (type
+0x8947) with GeoNetworking (EN 302 636-4-1, single-hop broadcast) and BTP-B (EN 302 636-5-1; ports 2001 and 2009). There
+is no security header, so there is no signature.
+
+A message with a self report becomes a CAM, which repeats the report, and a CPM, whose reference position is the
+reported one. Without a report the reference position is the true one. It is the middle of the front on the ground.
+Objects lie east, north and up of it. The map's north is turned to true north. What the run does not know is
+"unavailable" or absent; `cosim/messages/README.md` lists all fields.
+
+Second 0 of the run is 2025-01-01 00:00 UTC; time stamps in messages count atomic time since 2004 in milliseconds.
+Stations have the numbers of their pseudonyms, and objects those of `detection_index`. Where a run has tracks, a tracked
+object has the number of its track below 32,768 and its velocity, and any other object has 32,768 more than its
+`detection_index`. A CPM that would be longer than 1,398 bytes, with BTP, is split into segments. A CPM describes the
+LiDAR where the message did so in the simulation, in its first segment.
+"""
+
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import pairwise
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import pyarrow.compute as pc
+from annotated_types import Ge, Le
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from cosim.addons.export import kitti
+from cosim.base.codes import ObjectClass
+from cosim.base.earth import OnEarth, Projection
+from cosim.messages import etsi
+from results.frames import compass_deg
+from results.moments import BOX, Clouds, File, Plan, Selection, Unit
+
+START_S = 1_735_689_600
+"""Second 0 of a run, in seconds since 1970 (UTC): 2025-01-01 00:00."""
+
+LONGEST_BYTES = 1398
+"""Longest BTP packet: itsGnMaxSduSize of EN 302 636-4-1."""
+
+PORTS = {"cam": 2001, "cpm": 2009}
+"""BTP ports: TS 103 248."""
+
+TRAFFIC_CLASS = {"cam": 2, "cpm": 3}
+"""Of GeoNetworking."""
+
+PACKET_BYTES = 500
+"""Of one packet, roughly."""
+
+RECEIVERS = 40
+"""Receivers of one unit of work."""
+
+KEY = ("step", "observer", "detection_index")
+
+TRACKED = ("velocity_x_mps", "velocity_y_mps", "object_id")
+"""Columns of the table `tracks`; a run without tracking has no rows there."""
+
+TRACKS = 2**15
+"""Numbers of tracked objects are below this."""
+
+BLOCK_STEPS = 20
+"""Steps whose detections are in memory together."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where the world's origin is, if the network has no projection."""
+
+    latitude: Annotated[float, Ge(-85), Le(85)] | None = None
+    """Latitude of the world's origin [degrees]. If it is not set, the projection of the network is used."""
+    longitude: Annotated[float, Ge(-180), Le(180)] | None = None
+    """Longitude of the world's origin [degrees]. Set it together with `latitude`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Params(Place):
+    """Which messages are written, and where the world's origin is, if the network has no projection."""
+
+    received: bool = False
+    """Whether one file per receiver is written instead of one file of all that was sent."""
+
+
+class Pcap:
+    """CPMs and CAMs as packets."""
+
+    Params = Params
+
+    def __init__(self, params: Params | None = None) -> None:
+        self._params = params or Params()
+
+    @property
+    def TABLES(self) -> tuple[str, ...]:
+        """Tables that the run must hold; receptions if those are written."""
+        return ("actors", "vehicles", "pseudonyms", "detections", *["receptions"] * self._params.received)
+
+    def plan(self, selection: Selection) -> Plan:
+        """One file of what was sent, or one per receiver in blocks; then the names.
+
+        Raises
+        ------
+        ValueError
+            In one line: it is not known where on Earth the run is.
+        """
+        packets = Packets(selection, projection_of(self._params, selection))
+        names = Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))]))
+        if not self._params.received:
+            sent = Unit("sent", lambda clouds: iter([File("sent.pcap", packets.sent)]))
+            return Plan((sent, names), 0, 0, 2.0 * PACKET_BYTES * len(selection.presence))
+        vehicles = selection.vehicles
+        blocks = [list(vehicles[i : i + RECEIVERS]) for i in range(0, len(vehicles), RECEIVERS)]
+        units = [Unit(f"receivers {b[0]} to {b[-1]}", partial(packets.received, b)) for b in blocks]
+        return Plan((*units, names), 0, 0, 2.0 * PACKET_BYTES * selection.run.n_rows("receptions"))
+
+
+def projection_of(at: Place, selection: Selection) -> Projection:
+    """The projection with the origin that is given, or that of the network.
+
+    Raises
+    ------
+    ValueError
+        In one line: it is not known where on Earth the run is.
+    """
+    if at.latitude is not None and at.longitude is not None:
+        return Projection(at.latitude, at.longitude)
+    if (at.latitude, at.longitude) != (None, None):
+        raise ValueError(
+            "packets need the latitude and the longitude of the origin: --set latitude=60.17 --set longitude=24.94"
+        )
+    try:
+        return selection.projection()
+    except ValueError as error:
+        raise ValueError(
+            f"{str(error).rstrip('.')}. Say where the world's origin is, as in "
+            "--set latitude=60.17 --set longitude=24.94"
+        ) from None
+
+
+@dataclass(frozen=True)
+class Packets:
+    """The packets of a run."""
+
+    selection: Selection
+    projection: Projection
+
+    def sent(self) -> bytes:
+        """All packets of the chosen vehicles, as a file."""
+        of = self.selection.run.subjects.vehicle
+        mine = of[of.isin(list(self.selection.vehicles))].index.tolist()
+        records = [pcap_header()]
+        for at in range(0, len(self.selection.steps), BLOCK_STEPS):
+            for (step, _), frames in self.frames(self.selection.steps[at : at + BLOCK_STEPS], mine).items():
+                time_s = START_S + step * self.selection.run.dt_s
+                records += [record(time_s, frame) for frame in frames]
+        return b"".join(records)
+
+    def received(self, receivers: list[int], clouds: Clouds) -> Iterator[File]:
+        """One file for each of these receivers."""
+        columns = ["step", "message_step", "sender", "receiver", "generation_offset_s", "latency_s"]
+        steps = pc.field("step").isin(self.selection.steps.tolist())
+        where = steps & pc.field("receiver").isin(receivers) & (pc.field("message_type") == "cpm")
+        got = self.selection.run.table("receptions", columns, where)
+        got = got.drop(columns="step").rename(columns={"message_step": "step"})
+        got["time_s"] = got.step * self.selection.run.dt_s + got.generation_offset_s + got.latency_s
+        for receiver, mine in got.sort_values(["receiver", "time_s", "sender"]).groupby("receiver"):
+            yield File(f"veh_{receiver}.pcap", partial(_capture, mine, self._all))
+
+    @cached_property
+    def _all(self) -> dict[tuple[int, int], list[bytes]]:
+        """Frames of all senders in all steps."""
+        steps = self.selection.steps
+        found: dict[tuple[int, int], list[bytes]] = {}
+        for at in range(0, len(steps), BLOCK_STEPS):
+            found |= self.frames(steps[at : at + BLOCK_STEPS], None)
+        return found
+
+    def frames(self, steps: Int[ndarray, "b"], observers: list[int] | None) -> dict[tuple[int, int], list[bytes]]:
+        """Frames of the messages of these pseudonyms (None: all) in these steps, by step and pseudonym."""
+        where = pc.field("step").isin(steps.tolist())
+        mine = where if observers is None else where & pc.field("observer").isin(observers)
+        columns, key = [*BOX, "class", "score", "transmitted", "speed_mps", "acceleration_mps2"], list(KEY)
+        listed = self.selection.run.table("detections", [*key, *columns], mine)
+        listed = listed[listed.transmitted & listed.observer.isin(self.selection.run.subjects.index)]
+        listed = listed.sort_values(key, ignore_index=True)
+        if listed.empty:
+            return {}
+        if "tracks" in self.selection.run.tables:
+            tracks = self.selection.run.table("tracks", [*key, *TRACKED], mine)
+            listed = listed.merge(tracks, on=key, how="left") if len(tracks) else listed
+        senders = self._senders(listed, where)
+        of_sender = listed[["step", "observer"]].merge(
+            senders[["step", "observer"]].assign(sender=range(len(senders))), how="left"
+        ).sender.to_numpy()  # fmt: skip
+        is_object = (listed.detection_index != 0).to_numpy()
+        perceived, sender = listed[is_object], of_sender[is_object]
+        senders["has_sensors"] = self._describe_sensors(senders, where)
+        return self._assembled(senders, perceived, np.searchsorted(sender, np.arange(len(senders) + 1)), sender)
+
+    def _senders(self, listed: pd.DataFrame, where: pc.Expression) -> pd.DataFrame:
+        """One row per message: the self report, or the true state where there is none."""
+        own = listed[listed.detection_index == 0]
+        key = listed[["step", "observer"]].drop_duplicates()
+        senders = key.merge(own.assign(is_cam=True), on=["step", "observer"], how="left")
+        senders["is_cam"] = senders.is_cam.notna()
+        if not senders.is_cam.all():
+            actors = self.selection.run.table("actors", ["step", "actor", "x_m", "y_m", "z_m", "yaw_rad"], where)
+            bodies = self.selection.bodies
+            true = actors.join(bodies[["vehicle_class", "length_m", "width_m", "height_m"]], on="actor")
+            vehicle = senders.observer.map(self.selection.run.subjects.vehicle).astype(np.int64)
+            at = senders[["step"]].assign(actor=vehicle).merge(
+                true.assign(step=true.step.astype(np.int64), actor=true.actor.astype(np.int64)), how="left"
+            )  # fmt: skip
+            for name in BOX:
+                senders[name] = senders[name].where(senders.is_cam, at[name])
+            kind = np.where(at.vehicle_class.isin(["truck", "bus"]), "truck", "car")
+            senders["class"] = senders["class"].astype(object).where(senders.is_cam, kind)
+        return senders
+
+    def _describe_sensors(self, senders: pd.DataFrame, where: pc.Expression) -> Bool[ndarray, "m"]:
+        """Whether each message describes the sensors; all do in runs that do not say."""
+        if "cpm_content" not in self.selection.run.tables:
+            return np.ones(len(senders), bool)
+        stated = self.selection.run.table("cpm_content", ["step", "sender", "sensors"], where)
+        stated = stated.astype({"step": np.int64, "sender": np.int64}).rename(columns={"sender": "observer"})
+        found = senders[["step", "observer"]].astype(np.int64).merge(stated, on=["step", "observer"], how="left")
+        return found.sensors.ne(False).to_numpy(bool, na_value=True)
+
+    def _assembled(
+        self, senders: pd.DataFrame, perceived: pd.DataFrame, ptr: Int[ndarray, "m"], sender: Int[ndarray, "d"]
+    ) -> dict[tuple[int, int], list[bytes]]:
+        box = senders[BOX].to_numpy(float)
+        front = box[:, :3].copy()
+        front[:, :2] += 0.5 * box[:, 3:4] * np.column_stack([np.cos(box[:, 6]), np.sin(box[:, 6])])
+        front[:, 2] -= 0.5 * box[:, 5]
+        place = self.projection.of_world(front[:, :2])
+        lat, lon = (np.round(d * 1e7).astype(np.int64) for d in (place.latitude_deg, place.longitude_deg))
+        compass = etsi.heading(compass_deg(box[:, 6]) + np.degrees(place.turn_rad))
+        station = senders.observer.to_numpy(np.int64)
+        start_ms = etsi.its_ms(START_S)
+        time_ms = start_ms + np.round(senders.step.to_numpy() * self.selection.run.dt_s * 1000).astype(np.int64)
+        label = _labels(senders["class"])
+        speed, change = senders.speed_mps.to_numpy(float), senders.acceleration_mps2.to_numpy(float)
+        cams = etsi.cams(station, time_ms, label, lat, lon, compass, speed, change, box[:, 3:6])
+        objects = objects_of(perceived, front[sender], place, sender)
+        bits = objects.is_used.sum(axis=1)
+        range_m = float(self.selection.run.config["lidar"].get("max_range_m", 0.0))
+        heads = geonetworking(station, label, time_ms, lat, lon, compass, speed)
+        columns = (senders.step, station, time_ms, lat, lon, compass, senders.is_cam, senders.has_sensors)
+        rows = zip(*(np.asarray(column).tolist() for column in columns), strict=True)
+        found = {}
+        for i, (step, number, time, latitude, longitude, angle, is_cam, has_sensors) in enumerate(rows):
+            begin, end = int(ptr[i]), int(ptr[i + 1])
+            frames = [frame(heads[i], number, "cam", cams[i].tobytes())] if is_cam else []
+            cuts = [begin, *(begin + np.array(cuts_of(bits[begin:end]), int)).tolist(), end]
+            for k, (first, last) in enumerate(pairwise(cuts)):
+                segment = (len(cuts) - 1, k + 1) if len(cuts) > 2 else None
+                head = etsi.Head(
+                    number, time, latitude, longitude, angle, range_m, segment, has_sensors and k == 0
+                )  # fmt: skip
+                part = objects.between(first, last)
+                frames.append(frame(heads[i], number, "cpm", etsi.cpm(head, end - begin, part)))
+            found[step, number] = frames
+        return found
+
+
+def _capture(got: pd.DataFrame, frames: Mapping[tuple[int, int], list[bytes]]) -> bytes:
+    rows = zip(got.time_s.tolist(), got.step.tolist(), got.sender.tolist(), strict=True)
+    return pcap_header() + b"".join(
+        record(START_S + time_s, frame) for time_s, step, sender in rows for frame in frames.get((step, sender), ())
+    )
+
+
+_ROOM_BITS = 8 * (LONGEST_BYTES - 4 - int(etsi.cpm_bytes(np.zeros((1, 4), int), is_segment=True)[0]) - 1)
+"""Bits of objects that fit into one segment, whose length may then take a second byte."""
+
+
+def cuts_of(bits: Int[ndarray, "n"]) -> list[int]:
+    """Where segments of a message begin, without the first one, if each takes as many objects as fit.
+
+    `bits` are the lengths of the objects in the message.
+    """
+    cuts, before = [], 0
+    ends = np.cumsum(bits)
+    while len(ends) and ends[-1] - before > _ROOM_BITS:
+        cuts.append(int(np.searchsorted(ends, before + _ROOM_BITS, side="right")))
+        before = int(ends[cuts[-1] - 1])
+    return cuts
+
+
+def _labels(classes: pd.Series) -> Int[ndarray, "n"]:
+    return classes.astype(object).map({kind.name.lower(): int(kind) for kind in ObjectClass}).to_numpy(np.int64)
+
+
+def objects_of(
+    perceived: pd.DataFrame, front_m: Float[ndarray, "d 3"], place: OnEarth, sender: Int[ndarray, "d"]
+) -> etsi.Objects:
+    """Objects seen from the front of their senders, turned to true north, with the velocities that are known.
+
+    Parameters
+    ----------
+    perceived
+        Rows of the table `detections`.
+    front_m
+        Front of the sender of each object, on the ground.
+    place
+        Directions and scale of the map at the senders.
+    sender
+        Row of `place` of each object.
+    """
+    box = perceived[BOX].to_numpy(float)
+    away = box[:, :3] - front_m
+    turn, scale = place.turn_rad[sender], place.scale[sender]
+    cos, sin = np.cos(turn) / scale, np.sin(turn) / scale
+    away[:, 0], away[:, 1] = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
+    number, velocity = perceived.detection_index.to_numpy(np.int64), None
+    if set(TRACKED) <= set(perceived.columns):
+        track = perceived.object_id
+        number = np.where(track.isna(), TRACKS + number, track.fillna(0).astype(np.int64) % TRACKS)
+        east, north = perceived[["velocity_x_mps", "velocity_y_mps"]].to_numpy(float, na_value=np.nan).T
+        cos, sin = np.cos(turn), np.sin(turn)
+        velocity = np.column_stack([cos * east + sin * north, cos * north - sin * east])
+    return etsi.Objects.of(
+        number, _labels(perceived["class"]), away, box[:, 3:6], box[:, 6] - turn, perceived.score.to_numpy(float),
+        velocity,
+    )  # fmt: skip
+
+
+def geonetworking(
+    station: Int[ndarray, "n"], label: Int[ndarray, "n"], time_ms: Int[ndarray, "n"], latitude: Int[ndarray, "n"],
+    longitude: Int[ndarray, "n"], compass: Int[ndarray, "n"], speed_mps: Float[ndarray, "n"],
+) -> list[bytes]:  # fmt: skip
+    """Extended headers of single-hop broadcasts: the sender's long position vector, and 4 bytes of the medium.
+
+    Arguments are as in `etsi.cams`. An unknown speed is 0, because this header has no value for "unavailable". The
+    position is declared inaccurate, because no accuracy is known.
+    """
+    types = np.array([etsi.STATION_TYPE[kind] for kind in ObjectClass])[label]
+    speed = np.clip(np.round(np.nan_to_num(speed_mps) * 100), -(2**14), 2**14 - 1).astype(np.int64) & 0x7FFF
+    rows = zip(*(c.tolist() for c in (types, station, time_ms, latitude, longitude, speed, compass)), strict=True)
+    return [
+        struct.pack(">H6sIiiHH4x", 1 << 15 | kind << 10, mac(number), time & 0xFFFFFFFF, lat, lon, v, angle)
+        for kind, number, time, lat, lon, v, angle in rows
+    ]
+
+
+def mac(station: int) -> bytes:
+    """A locally administered address that ends in the station's number."""
+    return b"\x02\x00" + station.to_bytes(4)
+
+
+def frame(position: bytes, station: int, kind: str, message: bytes) -> bytes:
+    """An Ethernet frame with a single-hop broadcast of a message, `cam` or `cpm`."""
+    basic = struct.pack(">BBBB", 1 << 4 | 1, 0, 1 << 2 | 1, 1)  # version 1, common header next, 1 s, one hop
+    common = struct.pack(">BBBBHBB", 2 << 4, 5 << 4, TRAFFIC_CLASS[kind], 0x80, 4 + len(message), 1, 0)
+    btp = struct.pack(">HH", PORTS[kind], 0)
+    return b"\xff" * 6 + mac(station) + b"\x89\x47" + basic + common + position + btp + message
+
+
+def pcap_header() -> bytes:
+    """Of a capture of Ethernet frames with times in microseconds."""
+    return struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+
+
+def record(time_s: float, content: bytes) -> bytes:
+    """A frame in a capture, at a time in seconds since 1970."""
+    second, micro = divmod(round(time_s * 1e6), 10**6)
+    return struct.pack("<IIII", second, micro, len(content), len(content)) + content

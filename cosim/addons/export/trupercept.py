@@ -1,0 +1,108 @@
+"""The data set that TruPercept's published code reads: one vehicle's frames, and everybody else's perspective of them.
+
+Notes
+-----
+`object_tru_percept0/training` is the ego's, the first of the chosen vehicles; `alt_perspective/%07d` are the others'.
+Frames are numbered by the steps in which the ego is on the road. Files, KITTI's columns unless said otherwise, CR LF:
+
+- `velodyne`, `calib`, `label_2` as in `cosim/addons/export/kitti.py`;
+- `label_aug_2` also names what is wholly hidden, `label_aug_filtered_2` what gave a return; both have three more
+  columns: number of the actor, speed [m/s], returns. Their reader was not published: their order is a guess.
+- `predictions`: what the vehicle transmitted, its self report left out, in the 16 columns of results;
+- `ego_object`: the vehicle itself, in the camera frame *of the ego*, with the same three columns;
+- `position_world`: position (underside), camera, forward, right and up, a row each; x east, y north, z up.
+"""
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.addons.export import kitti
+from results.frames import in_camera, in_sensor
+from results.moments import Clouds, File, Moment, Plan, Selection, Unit
+
+TABLES = kitti.TABLES
+
+ROOT = "object_tru_percept0/training"
+END = "\r\n"
+TEXT_BYTES = 6000
+"""Of a perspective's text files in a frame, roughly."""
+
+
+class TruPerceptData:
+    """The data set that TruPercept's published code reads."""
+
+    TABLES = TABLES
+
+    def plan(self, selection: Selection) -> Plan:
+        """Blocks of the steps in which the ego is on the road."""
+        frames = selection.presence
+        ego = frames[frames.vehicle == selection.vehicles[0]]
+        if ego.empty:
+            raise ValueError(f"vehicle {selection.vehicles[0]}, the ego, is on the road in none of these steps.")
+        frames = frames[frames.step.isin(ego.step)]
+        steps = ego.step.to_numpy()
+        blocks = [b[np.isin(b, steps)] for b in selection.blocks()]
+        units = [
+            Unit(f"steps {b[0]} to {b[-1]}", partial(_block, selection, steps, b)) for b in blocks if len(b)
+        ]  # fmt: skip
+        units.append(Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))])))
+        return Plan(tuple(units), len(frames), 16, len(frames) * TEXT_BYTES)
+
+
+def _block(
+    selection: Selection, all_steps: Int[ndarray, "s"], steps: Int[ndarray, "b"], clouds: Clouds
+) -> Iterator[File]:
+    ego = selection.vehicles[0]
+    for moment in selection.moments(steps):
+        here = [v for v in selection.vehicles if np.isin(v, moment.actor)]
+        name = f"{np.searchsorted(all_steps, moment.step):06d}"
+        ego_pose = selection.pose(moment, ego)
+        for vehicle, cloud in zip(here, clouds(moment.step, here), strict=True):
+            folder = ROOT if vehicle == ego else f"{ROOT}/alt_perspective/{vehicle:07d}"
+            pose = selection.pose(moment, vehicle)
+            yield File(f"{folder}/velodyne/{name}.bin", partial(kitti.velodyne, cloud))
+            yield File(f"{folder}/calib/{name}.txt", lambda: kitti.calibration(END).encode())
+            for what, make in (("label_2", _label), ("label_aug_2", _label_aug), ("label_aug_filtered_2", _filtered),
+                               ("predictions", kitti.results)):  # fmt: skip
+                yield File(f"{folder}/{what}/{name}.txt", partial(_text, make, moment, vehicle, pose))
+            yield File(f"{folder}/ego_object/{name}.txt", partial(_text, _ego_object, moment, vehicle, ego_pose))
+            yield File(f"{folder}/position_world/{name}.txt", partial(_text, _position, moment, vehicle, pose))
+
+
+def _text(make, moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> bytes:  # type: ignore[no-untyped-def]
+    return "".join(line + END for line in make(moment, vehicle, pose)).encode()
+
+
+def _label(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> list[str]:
+    return kitti.labels(moment, vehicle, pose).lines
+
+
+def _label_aug(moment: Moment, vehicle: int, pose: Float[ndarray, "4"], hidden: bool = True) -> list[str]:
+    found = kitti.labels(moment, vehicle, pose, hidden)
+    more = zip(found.actor, found.speed_mps, found.n_points, strict=True)
+    return [f"{line} {a} {v:.4f} {n}" for line, (a, v, n) in zip(found.lines, more, strict=True)]
+
+
+def _filtered(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> list[str]:
+    return _label_aug(moment, vehicle, pose, hidden=False)
+
+
+def _ego_object(moment: Moment, vehicle: int, ego_pose: Float[ndarray, "4"]) -> list[str]:
+    row = moment.row(vehicle)
+    camera = in_camera(in_sensor(moment.box[[row]], ego_pose))
+    kind = kitti.TYPE_OF[moment.vehicle_class[row]]
+    flat = camera._replace(image_px=np.nan_to_num(camera.image_px))  # behind the ego it has no rectangle
+    lines = kitti.lines_of([kind], flat, moment.box[[row]], np.ones(1, bool), np.zeros(1, int))
+    return [f"{lines[0]} {vehicle} {moment.speed_mps[row]:.4f} 0"]
+
+
+def _position(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> list[str]:
+    box = moment.box[moment.row(vehicle)]
+    cos, sin = np.cos(pose[3]), np.sin(pose[3])
+    under = box[:3] - np.array([0, 0, 0.5 * box[5]])
+    rows = (under, pose[:3], (cos, sin, 0.0), (sin, -cos, 0.0), (0.0, 0.0, 1.0))
+    return [" ".join(f"{x:.6f}" for x in row) for row in rows]

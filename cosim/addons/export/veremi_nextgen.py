@@ -1,0 +1,85 @@
+"""VeReMi NextGen: one JSON array of messages per receiver, all values strings.
+
+Notes
+-----
+`veh_<vehicle>.json`. `pos` is "x,y,z", the centre of the box in metres east, north, up; `spd` [m/s]; `acl` along the
+heading [m/s2]; `hed` clockwise from north [degrees]; times in nanoseconds; `sender_alias` is the pseudonym;
+`attacker` is 1 from the first attack of the sender on. `distance_to_road_edge` is positive on a lane and negative
+beside all of them [m], of the position as reported. There is no noise of positioning (0), and one profile of drivers.
+"""
+
+import json
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+import pandas as pd
+
+from cosim.addons.export import kitti, messages
+from cosim.addons.export.messages import Messages
+from results.frames import compass_deg
+from results.moments import Clouds, File, Plan, Selection, Unit
+
+TABLES = messages.TABLES
+
+MESSAGE_BYTES = 640
+"""Of one message, roughly."""
+
+NO_NOISE = {"pos_noise": "0,0,0", "spd_noise": "0", "acl_noise": "0", "hed_noise": "0", "driversProfile": "NORMAL"}
+
+
+class VeremiNextGen:
+    """VeReMi NextGen."""
+
+    TABLES = TABLES
+
+    def plan(self, selection: Selection) -> Plan:
+        """Receivers in blocks."""
+        sent = Messages(selection)
+        names = Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))]))
+        units = [*sent.units(_receivers), names]
+        n = selection.run.n_rows("receptions")
+        return Plan(tuple(units), 0, 0, 0.5 * MESSAGE_BYTES * n)
+
+
+def _receivers(sent: Messages, receivers: list[int], clouds: Clouds) -> Iterator[File]:
+    found = sent.received(receivers)
+    edge_m = sent.selection.road_edge_m(found.messages[["x_m", "y_m"]].to_numpy(float))
+    whole = found.messages.assign(edge_m=edge_m)
+    for receiver in receivers:
+        got = whole[whole.receiver == receiver]
+        if len(got):
+            yield File(f"veh_{receiver}.json", partial(_array, sent, found.own[found.own.vehicle == receiver], got))
+
+
+def _array(sent: Messages, own: pd.DataFrame, got: pd.DataFrame) -> bytes:
+    at = np.searchsorted(own.step.to_numpy(), got.step.to_numpy())
+    receiver = _states(own.iloc[at])
+    sender = [s | {"distance_to_road_edge": f"{e:.4f}"} for s, e in zip(_states(got), got.edge_m, strict=True)]
+    number = sent.number(got.step.to_numpy(), got.sender.to_numpy())
+    heads = zip(_ns(got.receive_s), _ns(got.send_s), got.vehicle, got.sender, number, got.is_attack, strict=True)
+    array = [
+        {"rcvTime": r, "sendTime": s, "sender_id": f"veh_{v}", "sender_alias": str(p), "messageID": str(n),
+         "attacker": str(int(a)), "receiver": mine, "sender": other}
+        for (r, s, v, p, n, a), mine, other in zip(heads, receiver, sender, strict=True)
+    ]  # fmt: skip
+    return json.dumps(array, indent=1).encode()
+
+
+def _ns(time_s: pd.Series) -> list[str]:
+    return [str(x) for x in np.round(time_s.to_numpy(float) * 1e9).astype(np.int64).tolist()]
+
+
+def _states(rows: pd.DataFrame) -> list[dict[str, str]]:
+    columns = (
+        rows.x_m,
+        rows.y_m,
+        rows.z_m,
+        rows.speed_mps,
+        rows.acceleration_mps2,
+        compass_deg(rows.yaw_rad.to_numpy()),
+    )
+    return [
+        {"pos": f"{x:.4f},{y:.4f},{z:.4f}", "spd": f"{v:.4f}", "acl": f"{a:.4f}", "hed": f"{h:.4f}"} | NO_NOISE
+        for x, y, z, v, a, h in zip(*map(np.asarray, columns), strict=True)
+    ]

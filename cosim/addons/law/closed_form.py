@@ -1,0 +1,122 @@
+"""The closed form of the law of freshness: the age of the newest evaluation from a handful of measured numbers."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.addons.law.law import n_followed
+
+
+class Company(NamedTuple):
+    """Chances of evaluation as a Markov chain of two states: in company (likely to be evaluated) and alone."""
+
+    p: tuple[float, float]
+    """Probability that the detections of one sweep are evaluated, and that this reaches the server, in each state."""
+    looked_up: float
+    """Share of the lookups whose subject is in company."""
+    ends_p: tuple[float, float]
+    """Probability that each state has changed by the next sweep."""
+
+    @staticmethod
+    def constant(p: float) -> "Company":
+        """One chance of evaluation for all subjects and sweeps."""
+        return Company((p, p), 1.0, (0.0, 0.0))
+
+    @staticmethod
+    def measured(
+        p: Float[ndarray, "k"], subject: Int[ndarray, "k"], lookups: Float[ndarray, "k"]
+    ) -> "Company":  # fmt: skip
+        """The chain of a replay.
+
+        Parameters
+        ----------
+        p
+            Probability that each sweep is evaluated. A subject is in company where it is 1/2 or more.
+        subject
+            Subject of each sweep. Sweeps are sorted by subject, then by time.
+        lookups
+            Expected lookups of the subject between this sweep and its next one.
+        """
+        state, same = (p < 0.5).astype(np.int64), subject[1:] == subject[:-1]
+        now, next_one = state[:-1][same], state[1:][same]
+        n, changed = np.bincount(now, minlength=2), np.bincount(now, now != next_one, 2)
+        asked, evaluated = np.bincount(state, lookups, 2), np.bincount(state, lookups * p, 2)
+        means, ends = evaluated / np.maximum(asked, 1e-300), changed / np.maximum(n, 1)
+        return Company(tuple(means.tolist()), float(asked[0] / max(asked.sum(), 1e-300)), tuple(ends.tolist()))
+
+    @property
+    def mean_p(self) -> float:
+        """Probability that the newest sweep of the subject of a lookup is evaluated."""
+        return self.looked_up * self.p[0] + (1 - self.looked_up) * self.p[1]
+
+    def in_company(self, sweeps: float) -> float:
+        """Probability that the subject of a lookup was in company so many sweeps ago."""
+        total = sum(self.ends_p)
+        settled = self.ends_p[1] / total if total > 0 else self.looked_up
+        return settled + (self.looked_up - settled) * max(1.0 - total, 0.0) ** sweeps
+
+
+def closed_form(
+    company: Company, period_steps: int, window_steps: int, loss_p: float, n_ages: int, sense_every_steps: int = 1
+) -> Float[ndarray, "n"]:
+    """Distribution of the age of the newest evaluation, for subjects in company and alone in turn, equation (9).
+
+    Parameters
+    ----------
+    company
+        Chances of evaluation, and how long they last.
+    period_steps
+        Server period M, in steps.
+    window_steps
+        Window, in steps.
+    loss_p
+        Probability that a vehicle misses a publication.
+    n_ages
+        Number of ages.
+    sense_every_steps
+        Sensing interval n of every vehicle, in steps. If it is not 1, phases are random.
+
+    Returns
+    -------
+    Probability of the age 2 r + a D, by a, given that there is an evaluation in the window.
+
+    Notes
+    -----
+    The age is 2 r + D (U + M L + W + n G). U is uniform on 0 ... M - 1, the phase of the server period; L is geometric,
+    publications lost in a row; W is uniform on 1 ... n, the time from the subject's last sweep to the publication.
+    Evaluators have phases of their own, so after W steps the part W / n of them has sensed. If they are many, and
+    independent, the last sweep is evaluated with probability 1 - (1 - q)^(W / n), and G = 0; each earlier one is with
+    probability q. The window cuts W + n G off. q is that of the state, which is followed back from the lookup.
+    """
+    gaps = np.stack([_gaps(company, state, window_steps, sense_every_steps) for state in (0, 1)])
+    age = np.zeros(n_ages + gaps.shape[1])
+    for lost in range(n_followed(loss_p)):
+        for phase in range(period_steps):
+            shift = phase + lost * period_steps
+            if shift >= n_ages:
+                break
+            there = company.in_company((shift + (sense_every_steps + 1) / 2) / sense_every_steps)
+            age[shift : shift + gaps.shape[1]] += (
+                (1 - loss_p) * loss_p**lost * (there * gaps[0] + (1 - there) * gaps[1])
+            )
+    age = age[:n_ages]
+    return age / age.sum() if age.sum() > 0 else age
+
+
+def _gaps(company: Company, state: int, window_steps: int, every: int) -> Float[ndarray, "w"]:
+    """Probability of W + n G for a subject in this state at its last sweep. What the window cuts is missing."""
+    p, ends = np.array(company.p), company.ends_p
+    moves = np.array([[1 - ends[0], ends[0]], [ends[1], 1 - ends[1]]])
+    gap = np.zeros(max(window_steps, every + 1))
+    for w in range(1, every + 1):
+        missed = (1 - p[state]) ** (w / every)
+        gap[w] += (1 - missed) / every
+        left = missed / every * np.eye(2)[state]
+        for at in range(w + every, window_steps, every):
+            left = left @ moves
+            gap[at] += left @ p
+            left = left * (1 - p)
+    gap[window_steps:] = 0.0
+    return gap

@@ -1,0 +1,173 @@
+"""The commands that predict what a study would measure."""
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+
+from cosim.cli.console import AsJson, TrustCode, notes, print_json, print_table, progress, screen
+
+if TYPE_CHECKING:
+    from cosim.addons.law.prediction import Prediction
+
+predict = typer.Typer(no_args_is_help=True, help="Predict what a study would measure, from traffic alone.")
+
+_SHORT = {
+    "freshness.newest_evaluation_age.median_s": "median [s]",
+    "freshness.newest_evaluation_age.p90_s": "90 % [s]",
+    "freshness.lookup_state.share:evaluated": "evaluated",
+    "freshness.lookup_state.share:stale": "stale",
+    "freshness.lookup_state.share:unevaluated": "unevaluated",
+    "freshness.lookup_state.share:no value": "no value",
+    "freshness.evaluators.mean": "evaluators",
+    "freshness.encounters_without_trust.share": "encounters without trust",
+}
+"""Metrics of the printed table, and the heads of their columns."""
+
+
+@predict.command()
+def freshness(
+    config: Annotated[
+        Path | None,
+        typer.Argument(help="Config or study file (TOML), or a shipped study. Without one, the default city is used."),
+    ] = None,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="Change one key of the config, e.g. fleet.penetration_p=0.2.")
+    ] = None,
+    fleets: Annotated[
+        int,
+        typer.Option(min=0, max=100, help="Other fleets, for intervals of a run with another seed."),
+    ] = 0,
+    out: Annotated[Path | None, typer.Option(help="File to write: the predictions as JSON, with their date.")] = None,
+    grid: Annotated[
+        Path | None, typer.Option(help="Study file to write: a grid that the prediction chooses, for `cosim sweep`.")
+    ] = None,
+    against: Annotated[
+        Path | None, typer.Option(help="Folder of a run, or of a study: what it measured is printed beside.")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="File to draw: .png, .svg or .pdf. With --against, law and simulation.")
+    ] = None,
+    trust_code: TrustCode = False,
+    as_json: AsJson = False,
+) -> None:
+    """Predict the age of trust at lookup, and what lookups find, without sensing, messages or trust."""
+    from cosim.addons.law.comparison import as_json as plain
+    from cosim.addons.law.comparison import measured_in, rows_of
+    from cosim.addons.law.freshness import predict as predicted
+    from cosim.addons.law.freshness import predict_study
+    from cosim.addons.law.scope import left_out
+    from cosim.cli.studies import is_study
+    from cosim.config.config import load
+    from results.archive import open_run
+    from results.study import open_study
+
+    study = _study_of(config, trust_code)
+    if study is not None and (overrides or grid):
+        raise ValueError("--set and --grid go with a config, and this is a study. Change its file.")
+    if grid is not None and (out or against or picture or fleets):
+        raise ValueError("--grid writes a study file alone. Leave --out, --against, --picture and --fleets out.")
+    if against is not None:
+        open_study(against) if is_study([against]) else open_run(against)  # before minutes of computing
+    inputs: dict[str, float] = {}
+    found: list[tuple[Any, Prediction]]
+    with progress() as advance:
+        if study is not None:
+            found = list(predict_study(study, str(config), advance, fleets))
+            neglected: list[str] = []
+        else:
+            experiment = load(config, overrides, trust_code)
+            if grid is not None:
+                _write_grid(experiment, grid, advance)
+                return
+            of, inputs = predicted(experiment, advance, fleets)
+            found, neglected = [({}, p) for p in of], left_out(experiment)
+    measured = None if against is None else measured_in(against, found)
+    if out is not None:
+        _write(out, {"inputs": inputs, "predictions": plain(found)})
+    if picture is not None:
+        _draw(picture, found, against, measured)
+    if as_json:
+        print_json({"inputs": inputs, "neglected": neglected, "rows": rows_of(found, measured)})
+        return
+    for line in neglected:
+        notes.print(f"note: neglected: {line}", soft_wrap=True)
+    print_table(_table(found, measured))
+    if inputs:
+        said = ", ".join(f"{name} {value:.3g}" for name, value in inputs.items())
+        screen.print(f"measured from traffic: {said}", soft_wrap=True)
+
+
+def _study_of(path: Path | None, trust_code: bool) -> Any:
+    """The study that a path names; None if it names a config."""
+    from cosim.config.data import read_toml
+    from cosim.studies.study import SHIPPED, load
+
+    if path is None:
+        return None
+    if path.is_file():
+        return load(path, trust_code) if {"study", "grid", "zip"} & read_toml(path, "file").keys() else None
+    return load(path) if (SHIPPED / f"{path}.toml").is_file() else None
+
+
+def _write(path: Path, content: dict[str, Any]) -> None:
+    from cosim.base.durable import write_output
+    from cosim.runs.source import source
+
+    head = {"made": datetime.now(UTC).isoformat(timespec="seconds"), **source()}
+    write_output(path, (json.dumps(head | content, indent=1) + "\n").encode())
+    notes.print(f"wrote {path}", soft_wrap=True)
+
+
+def _write_grid(experiment: Any, path: Path, advance: Any) -> None:
+    from cosim.addons.law.grid import propose
+    from cosim.base.durable import write_output
+
+    if path.suffix != ".toml":
+        raise ValueError(f"--grid {path}: the name of a study file to write, which ends in .toml.")
+    study, found = propose(experiment, path.stem, advance)
+    head = ["# Chosen by `cosim predict freshness`. Predicted median and 90th percentile of the age of the newest",
+            "# evaluation at lookup [s], and share of lookups without a value:"]  # fmt: skip
+    for keys, p in found:
+        values = [p.metrics[name] for name in (*list(_SHORT)[:2], "freshness.lookup_state.share:no value")]
+        head.append(f"# {', '.join(f'{k} = {v:g}' for k, v in keys.items())}: " + ", ".join(f"{v:.3g}" for v in values))
+    write_output(path, ("\n".join(head) + "\n\n" + study.to_toml()).encode())
+    screen.print(f"wrote {path}: {len(found)} points. Next: cosim sweep {path} --out FOLDER", soft_wrap=True)
+
+
+def _table(found: list[tuple[Any, "Prediction"]], measured: list[dict[str, float]] | None) -> Table:
+    keys = list(dict.fromkeys(key for swept, _ in found for key in swept))
+    title = "freshness of trust at lookup, predicted" + ("" if measured is None else " / measured")
+    table = Table(*keys, *(() if keys else ("variant",)), *_SHORT.values(), title=title, title_justify="left", box=None)
+    for number, (swept, p) in enumerate(found):
+        cells = [str(swept[key]) for key in keys] if keys else [p.variant]
+        for name in _SHORT:
+            text = f"{p.metrics[name]:.3g}"
+            if name in p.low:
+                text += f" ({p.low[name]:.3g} to {p.high[name]:.3g})"
+            if measured is not None:
+                text += f" / {measured[number].get(name, float('nan')):.3g}"
+            cells.append(text)
+        table.add_row(*cells)
+    return table
+
+
+def _draw(
+    path: Path, found: list[tuple[Any, "Prediction"]], against: Path | None, measured: list[dict[str, float]] | None
+) -> None:
+    """Draw distributions, and those of a run beside; or the points of a study."""
+    from cosim.addons.law import figure as law
+    from results.figures import style
+
+    if against is not None and measured is not None and any(keys for keys, _ in found):
+        figure = law.draw([], [], [law.points_of(against.name, [p.metrics for _, p in found], measured)])
+    else:
+        curves = [
+            law.Curve(", ".join(f"{k} = {v}" for k, v in keys.items()) or p.variant, p.age_s, p.newest)
+            for keys, p in found
+        ]
+        figure = law.draw(curves, [] if against is None else law.measured(against, [p.variant for _, p in found]))
+    notes.print(f"wrote {style.save(figure, path)}", soft_wrap=True)

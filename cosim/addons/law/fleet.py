@@ -1,0 +1,323 @@
+"""The equipped vehicles of one draw: what a replay of the traffic finds about them, step by step."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.addons.law import law
+from cosim.addons.law.closed_form import Company
+from cosim.addons.law.delivery import Delivery, Links, Load, arrival_p
+from cosim.addons.law.draws import drawn
+from cosim.addons.law.newest import Received, Sweeps
+from cosim.addons.law.opportunities import Sensing, chances
+from cosim.addons.law.prediction import Found, Prediction, counted, predicted
+from cosim.addons.law.scope import Server
+from cosim.base import rng
+from cosim.config.config import Config
+from cosim.messages.content import cpm_bytes, evaluation_bytes
+from cosim.radio.message_round import RoundKind
+from cosim.step.parts import Parts
+from cosim.step.trackers.encounters import update_encounters
+from cosim.traffic.schedule import Schedule
+from cosim.world import World
+from results.encounters import EncounterTracker
+from sensors.line_of_sight import LosOfPlaces
+from sensors.scene import Shape
+
+_ARRIVED = 1e-4
+"""Evidence counts as arrived when its chance to arrive later is below this."""
+_MOST_LAGS = 20
+"""Sensing intervals within which a report arrives or is left out."""
+_LEAST_P = 1e-6
+"""Chances below this are left out."""
+_MEETING = 1.5
+"""Lookups between two vehicles count for their encounter up to this part of its radius: a break ends none at once."""
+
+
+@dataclass(slots=True)
+class Fleet:
+    """Equipped vehicles of one draw, and what the replay has found about them so far."""
+
+    config: Config
+    """The experiment, with the seed of this fleet."""
+    parts: Parts
+    schedule: Schedule
+    sensing: Sensing
+    delivery: Delivery
+    servers: tuple[Server, ...]
+    load: Load
+    gates: dict[float, law.Gate]
+    trackers: tuple[EncounterTracker, ...]
+    arrived_p: Float[ndarray, "m"]
+    """Probability that a report is at the server 1, 2, ... m steps after its sweep."""
+    n_followed: int
+    sweeps: Sweeps = field(default_factory=Sweeps.none)
+    """The newest sweep of each vehicle. It is also when the vehicle sent its newest messages."""
+    cpms: Received = field(default_factory=Received.none)
+    reports: Received = field(default_factory=Received.none)
+    """The newest detection message and the newest evaluation message of each vehicle."""
+    since: dict[int, int] = field(default_factory=dict)
+    """Step in which each equipped vehicle came on the road, by actor."""
+    evidence: list[tuple[ndarray, ...]] = field(default_factory=list)
+    """Per step: subjects, step of their detections, and by lag the logarithm of the probability that they are not
+    evaluated."""
+    pairs: list[tuple[ndarray, ...]] = field(default_factory=list)
+    """Per step: subject, evaluator, step of the detections, step of the evaluation, logarithm as above, expected
+    evaluations."""
+    asked: list[tuple[ndarray, ...]] = field(default_factory=list)
+    """Per step: subjects, step of their newest detections, expected lookups."""
+    looks: dict[float, list[tuple[ndarray, ...]]] = field(default_factory=dict)
+    """Per period and step: subject, publications, lookups that find them, lookups that find none."""
+    heard: list[tuple[ndarray, ...]] = field(default_factory=list)
+    """Per step: pairs near each other (holder and subject), step, logarithm of the probability that the holder does not
+    look the subject up."""
+    met: list[dict[str, ndarray]] = field(default_factory=list)
+    step: int = 0
+    """Number of steps so far, of those in which any vehicle may sense."""
+    last_step: int = -1
+    inputs: dict[str, float] = field(default_factory=dict)
+
+    @staticmethod
+    def of(config: Config, servers: tuple[Server, ...], parts: Parts, number: int) -> "Fleet":
+        """A fleet before the first step.
+
+        Parameters
+        ----------
+        config
+            The experiment.
+        servers
+            Trust servers that are asked about.
+        parts
+            Components of the experiment. Detector and medium are read; nothing is sensed.
+        number
+            0 for the fleet of the run itself; others are drawn with other seeds.
+        """
+        walls = parts.near_pairs.walls  # type: ignore[attr-defined]  # of `PairSearch`
+        detector = parts.perception.detector  # type: ignore[attr-defined]  # of `Perception`
+        config = replace(config, seed=config.seed + number)
+        schedule, server = config.schedule, config.server.cellular
+        interval_s = schedule.exchange_interval_s
+        n_lags = _MOST_LAGS * schedule.longest_steps // schedule.exchange_every_steps
+        lags_s = interval_s * np.arange(1, n_lags + 1) - config.round_s
+        arrived_p = arrival_p(lags_s, server.uplink_loss_p, server.n_retries, server)
+        m = 1 + int(np.argmax(arrived_p >= arrived_p[-1] - _ARRIVED))
+        return Fleet(
+            config=config,
+            parts=parts,
+            schedule=schedule,
+            sensing=Sensing.of(config, detector, walls),
+            delivery=Delivery.of(config, LosOfPlaces(walls)),
+            servers=servers,
+            load=Load(parts.medium, parts.medium.start()),
+            gates={s.period_s: law.Gate(law.period_steps(s.period_s, interval_s)) for s in servers},
+            trackers=tuple(EncounterTracker(p, config.traffic.step_s) for p in config.encounters),
+            arrived_p=np.append(arrived_p[: m - 1], arrived_p[-1]),
+            n_followed=law.n_followed(server.downlink_loss_p),
+        )
+
+    def add(self, world: World) -> None:
+        """Add one step of traffic."""
+        parts = self.parts
+        world = self._equipped(world)
+        closed, _, _ = update_encounters(self.trackers, world.step, parts.near_pairs(world))
+        self.met += closed[:1]
+        self.last_step = world.step
+        if world.step % self.schedule.exchange_every_steps:
+            return
+        row = np.flatnonzero(world.equipped)
+        for one in world.actor[row].tolist():
+            self.since.setdefault(one, self.step)
+        if len(row):
+            self._sense(world, row)
+        self.step += 1
+
+    def _equipped(self, world: World) -> World:
+        """The world with the equipped vehicles of this fleet, drawn as `ActorRegistry` does."""
+        config = self.config
+        classes = {name.upper() for name in config.fleet.equipped_kinds}
+        can = np.array([shape.name in classes for shape in Shape])[world.shape]
+        draw = rng.uniforms(rng.key(config.seed, rng.Stream.EQUIPPED), world.name_key)[:, 0]
+        return replace(world, equipped=can & (draw < config.fleet.penetration_p))
+
+    def _sense(self, world: World, row: Int[ndarray, "v"]) -> None:
+        """Add a step with equipped vehicles: some of them, or all, sense, send, evaluate and look up."""
+        config, actor, n, step = self.config, world.actor[row], len(row), self.step
+        senses = self.schedule.senses(world.step, world.name_key[row])
+        mine = np.flatnonzero(senses)
+        views, links = self.sensing.views(world, row[mine]), self.delivery.links(world, row, senses)
+        self.sweeps = self.sweeps.then(views, world.actor, step, actor)
+        subjects, subject_step = self.sweeps.views.own, self.sweeps.step
+        n_self = int(config.trust.self_reports)
+        begin_s = step * self.schedule.exchange_interval_s
+        length_bytes = np.zeros(n)
+        length_bytes[mine] = cpm_bytes(n_self + views.n_listed)  # type: ignore[arg-type]  # expected lengths
+        told_p = self.load.delivered_p(RoundKind.CPM, step, begin_s, links, length_bytes)
+        self.cpms = self.cpms.then(self._received(world, row, links, told_p), actor[mine], actor)
+        told = self.cpms.by(actor[mine])
+        s, v = np.searchsorted(subjects, told.sender), np.searchsorted(subjects, told.receiver)
+        found = chances(self.sweeps.views, s, v, config.trust.self_reports)
+        evaluated_p = told.p * (1.0 - found.none_p)
+        n_received = np.bincount(np.searchsorted(actor, told.receiver), told.p * found.n_listed, n)[mine]
+        length_bytes[mine] = evaluation_bytes(n_self + views.n_listed + n_received)  # type: ignore[arg-type]  # expected lengths
+        begin_s += config.round_s
+        heard_p = self.load.delivered_p(RoundKind.EVALUATION, step, begin_s, links, length_bytes)
+        self.reports = self.reports.then(self._received(world, row, links, heard_p), actor[mine], actor)
+        self._evaluate(subjects, subject_step, s, told.receiver, evaluated_p, told.p * found.n)
+        self._look_up(subjects, subject_step, self.reports.by(actor[mine]))
+        for name, value in (
+            ("equipped", n), ("sweeps", len(mine)), ("links", len(told_p)), ("delivered", told_p.sum()),
+            ("evaluators", evaluated_p.sum()),
+        ):  # fmt: skip
+            self.inputs[name] = self.inputs.get(name, 0.0) + float(value)
+
+    def _received(self, world: World, row: Int[ndarray, "v"], links: Links, p: Float[ndarray, "p"]) -> Received:
+        actor, xy_m = world.actor[row], world.boxes.xyz_m[row, :2]
+        apart_m = np.hypot(*(xy_m[links.sender] - xy_m[links.receiver]).T)
+        return Received(actor[links.sender], actor[links.receiver], p, apart_m)
+
+    def _evaluate(
+        self, subjects: Int[ndarray, "e"], subject_step: Int[ndarray, "e"], s: Int[ndarray, "p"],
+        evaluator: Int[ndarray, "p"], evaluated_p: Float[ndarray, "p"], n: Float[ndarray, "p"],
+    ) -> None:  # fmt: skip
+        """Add the chances that vehicles evaluate subjects `s` in this step."""
+        late = self.step - subject_step[s]  # the evaluation is as much later than the detections
+        n_late = (self.schedule.longest_steps - 1) // self.schedule.exchange_every_steps
+        in_time_p = np.concatenate([np.zeros(n_late), self.arrived_p, np.full(n_late, self.arrived_p[-1])])
+        log_none = np.zeros((len(self.arrived_p) + n_late, len(subjects)))
+        for lag, row in enumerate(log_none):
+            known_p = evaluated_p * in_time_p[n_late + lag - late]
+            row += np.bincount(s, np.log1p(-np.minimum(known_p, 1 - 1e-12)), len(subjects))
+        self.evidence.append((subjects, subject_step, log_none))
+        kept = np.flatnonzero(evaluated_p > _LEAST_P)
+        self.pairs.append((
+            subjects[s[kept]], evaluator[kept], subject_step[s[kept]], np.full(len(kept), self.step),
+            np.log1p(-np.minimum(evaluated_p[kept] * self.arrived_p[-1], 1 - 1e-12)), n[kept] * self.arrived_p[-1],
+        ))  # fmt: skip
+
+    def _look_up(self, subjects: Int[ndarray, "e"], subject_step: Int[ndarray, "e"], heard: Received) -> None:
+        """Add the lookups of this step: by the receivers of these messages, about their senders."""
+        config, step, n = self.config, self.step, len(subjects)
+        subject = np.searchsorted(subjects, heard.sender)
+        self.asked.append((subjects, subject_step, np.bincount(subject, heard.p, n)))
+        near = np.flatnonzero(heard.apart_m <= _MEETING * max((p.radius_m for p in config.encounters[:1]), default=0.0))
+        pair = heard.receiver[near].astype(np.int64) << 32 | heard.sender[near]
+        self.heard.append((pair, np.full(len(near), step), np.log1p(-np.minimum(heard.p[near], 1 - 1e-12))))
+        since = np.array([self.since[one] for one in heard.receiver.tolist()], np.int64)
+        server, at_s = config.server.cellular, 2 * config.round_s
+        for period_s, gate in self.gates.items():
+            gate.open(step)
+            publications = gate.before(step, self.n_followed)
+            ages_s = (step - publications) * self.schedule.exchange_interval_s + at_s
+            received_p = arrival_p(ages_s, server.downlink_loss_p, 0, server)
+            looks, none = law.expected_lookups(subject, since, heard.p, n, publications, received_p)
+            self.looks.setdefault(period_s, []).append((np.full(n, step), subjects, publications, looks, none))
+
+    def predictions(self, n_draws: int) -> tuple[list[Prediction], list[list[dict[str, float]]], dict[str, float]]:
+        """The predictions for all servers, the metrics of runs drawn from them, and measured inputs by name.
+
+        Raises
+        ------
+        ValueError
+            If there was no traffic, or no equipped vehicle.
+        """
+        if not self.step:
+            raise ValueError(
+                f"traffic.scenario = {self.config.traffic.scenario}: the traffic ended before the first step, so there "
+                "is nothing to predict. Shorten traffic.warmup_s."
+            )
+        if not self.inputs.get("equipped"):
+            raise ValueError(
+                f"fleet.penetration_p = {self.config.fleet.penetration_p:g}: no equipped vehicle was on the road, so "
+                "there is nothing to predict. Raise it, or traffic.duration_s."
+            )
+        actors = np.array(sorted(self.since), np.int64)
+        log_none = np.zeros((len(self.evidence[0][2]), len(actors), self.step))
+        sent, asked = np.zeros((2, len(actors), self.step))
+        for actor, step, values in self.evidence:
+            row = np.searchsorted(actors, actor)
+            log_none[:, row, step] += values
+            sent[row, step] = 1
+        for actor, step, n in self.asked:
+            asked[np.searchsorted(actors, actor), step] += n
+        since = np.where(sent.any(axis=1), sent.argmax(axis=1), self.step)
+        subject, step = np.nonzero(sent)
+        company = Company.measured(-np.expm1(log_none[-1, subject, step]), subject, asked[subject, step])
+        evidence = law.Evidence(log_none)
+        pair_steps, pair_subject = self._pair_steps(actors)
+        meetings = self._meetings(actors)
+        inputs = self._inputs(company, float(asked.sum()))
+        looks = {period_s: self._looks_of(rows, actors) for period_s, rows in self.looks.items()}
+        found = Found(evidence, since, pair_steps, pair_subject, meetings, self.first_lag, company)
+        gates, loss_p = self.gates, self.config.server.cellular.downlink_loss_p
+        made = [predicted(of, self.config, found, gates[of.period_s], looks.get(of.period_s)) for of in self.servers]
+        runs: list[list[dict[str, float]]] = [[] for _ in self.servers]
+        random = np.random.default_rng(self.config.seed)
+        for _ in range(n_draws):
+            run = drawn(found, self.arrived_p, random)
+            for of, p, rows in zip(self.servers, made, runs, strict=True):
+                rows.append(counted(of, run, gates[of.period_s], looks.get(of.period_s), p.age_s, loss_p)[1])
+        return made, runs, inputs
+
+    @property
+    def first_lag(self) -> int:
+        """Steps from an evaluation's sweep after which most reports are at the server."""
+        return 1 + int(np.argmax(self.arrived_p >= 0.5 * self.arrived_p[-1]))
+
+    def _inputs(self, company: Company, lookups: float) -> dict[str, float]:
+        got = self.inputs
+        sweeps, links = max(got["sweeps"], 1e-12), max(got["links"], 1e-12)
+        return {
+            "equipped.mean": got["equipped"] / self.step,
+            "links_per_vehicle.mean": got["links"] / sweeps,
+            "delivery.mean": got["delivered"] / links,
+            "evaluators_per_step.mean": got["evaluators"] / sweeps,
+            "evaluated_p": company.mean_p,
+            "in_company.share": company.looked_up,
+            "in_company.evaluated_p": company.p[0],
+            "in_company.ends_p": company.ends_p[0],
+            "alone.evaluated_p": company.p[1],
+            "alone.ends_p": company.ends_p[1],
+            "lookups": lookups,
+        }
+
+    def _looks_of(self, rows: list[tuple[ndarray, ...]], actors: ndarray) -> law.ExpectedLookups:
+        step, actor, publications, n, none = zip(*rows, strict=True)
+        repeated = [np.tile(p, (len(a), 1)) for p, a in zip(publications, actor, strict=True)]
+        subject = np.searchsorted(actors, np.concatenate(actor))
+        return law.ExpectedLookups(
+            subject, np.concatenate(step), np.concatenate(repeated), np.concatenate(n), np.concatenate(none)
+        )
+
+    def _pair_steps(self, actors: ndarray) -> tuple[law.PairSteps, Int[ndarray, "k"]]:
+        subject, evaluator, step, made, log_none, n = (np.concatenate(c) for c in zip(*self.pairs, strict=True))
+        keys, pair = np.unique(subject.astype(np.int64) << 32 | evaluator, return_inverse=True)
+        subjects = np.searchsorted(actors, keys >> 32)
+        return law.PairSteps(step, made, subjects[pair], pair.reshape(-1), log_none, n), subjects
+
+    def _meetings(self, actors: ndarray) -> law.Encounters:
+        """Encounters by the first definition of the config, those that are still open included."""
+        config = self.config
+        if not self.trackers:
+            none = np.zeros(0, np.int64)
+            return law.Encounters(none, none, none, none, none, none, none, np.zeros(0))
+        rows = self.met + [tracker.close(self.last_step + 1) for tracker in self.trackers[:1]]
+        a, b, start, end, departed = (
+            np.concatenate([np.zeros(0, np.int64), *(one[name] for one in rows)]).astype(np.int64)
+            for name in ("a", "b", "start_step", "end_step", "departed")
+        )
+        # Until the break has become too long, lookups count: the encounter may go on.
+        patience = max(1, int(np.ceil(config.encounters[0].hysteresis_s / config.traffic.step_s - 1e-9)))
+        end = np.minimum(np.where(departed, end, end + patience - 1), self.last_step + 1)
+        both = np.isin(a, actors) & np.isin(b, actors)
+        a, b = a[both], b[both]
+        start, end = (np.tile(-(-x[both] // self.schedule.exchange_every_steps), 2) for x in (start, end))
+        holder, other = np.concatenate([a, b]), np.concatenate([b, a])
+        since = np.array([self.since[one] for one in holder.tolist()], np.int64)
+        keys, steps, log_missed = (np.concatenate(c) for c in zip(*self.heard, strict=True))
+        order = np.lexsort((steps, keys))
+        first, stop = (np.searchsorted(keys[order], holder << 32 | other, side) for side in ("left", "right"))
+        return law.Encounters(
+            since, np.searchsorted(actors, other), start, end, first, stop, steps[order], log_missed[order]
+        )

@@ -1,0 +1,347 @@
+"""The law of freshness: from chances of evaluation to the ages and states that lookups find.
+
+The derivation, with numbered equations and assumptions, is the page `models/freshness-law`. Time is counted in
+steps of length D, those in which any vehicle may sense. A step has two rounds of messages of length r. Vehicles that
+sense at random phases do so in every n-th step; evidence has the step of the detections that were evaluated.
+"""
+
+from bisect import bisect_right
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.base.kernel import compiled
+
+_REST = 1e-3
+"""Broadcasts before the newest are followed until the chance that all were lost is below this."""
+_MOST_BROADCASTS = 10
+
+
+def period_steps(period_s: float, interval_s: float) -> int:
+    """Number of sensing steps between two publications: the first that is a server period or more after the last."""
+    return max(1, int(np.ceil(period_s / interval_s - 1e-9)))
+
+
+@dataclass(slots=True)
+class Gate:
+    """The steps in which a server publishes: the first one, and each that is a period or more after the last.
+
+    A step without equipped vehicles is none: the server then publishes in the next one.
+    """
+
+    period_steps: int
+    published: list[int] = field(default_factory=list)
+
+    def open(self, step: int) -> None:
+        """A step with equipped vehicles begins."""
+        if not self.published or step - self.published[-1] >= self.period_steps:
+            self.published.append(step)
+
+    @property
+    def steps(self) -> Int[ndarray, "b"]:
+        """Steps of the publications so far."""
+        return np.array(self.published, np.int64)
+
+    def before(self, step: int, n: int) -> Int[ndarray, "n"]:
+        """The `n` newest publications at a step, newest first; -1 where there are fewer."""
+        last = bisect_right(self.published, step)
+        newest = self.published[max(0, last - n) : last][::-1]
+        return np.array(newest + [-1] * (n - len(newest)), np.int64)
+
+
+def n_followed(loss_p: float) -> int:
+    """Number of publications that are followed for each lookup, if each is lost with this probability."""
+    if loss_p <= 0 or loss_p >= 1:
+        return 1
+    return min(_MOST_BROADCASTS, 1 + int(np.ceil(np.log(_REST) / np.log(loss_p))))
+
+
+class ExpectedLookups(NamedTuple):
+    """Expected lookups by subject and step, and the publication whose value they find."""
+
+    subject: Int[ndarray, "r"]
+    """Row of the histories."""
+    step: Int[ndarray, "r"]
+    publication: Int[ndarray, "r i"]
+    """Steps of the newest publications, newest first; -1: none."""
+    n: Float[ndarray, "r i"]
+    """Expected lookups that find each of them."""
+    n_none: Float[ndarray, "r"]
+    """Expected lookups that find none."""
+
+    @property
+    def total(self) -> float:
+        """Expected number of all lookups."""
+        return float(self.n.sum() + self.n_none.sum())
+
+
+def expected_lookups(
+    subject: Int[ndarray, "p"], holder_since: Int[ndarray, "p"], looked_up_p: Float[ndarray, "p"], n_subjects: int,
+    publications: Int[ndarray, "i"], received_p: Float[ndarray, "i"],
+) -> tuple[Float[ndarray, "s i"], Float[ndarray, "s"]]:  # fmt: skip
+    """Expected lookups of one step by the publication that they find, equation (3).
+
+    Parameters
+    ----------
+    subject
+        Subject of each pair.
+    holder_since
+        Step in which the holder of each pair came on the road. A publication does not reach vehicles that come later.
+    looked_up_p
+        Probability that the holder looks the subject up.
+    n_subjects
+        Number of subjects.
+    publications
+        As `Gate.before` gives them.
+    received_p
+        Probability that a vehicle has received each publication by now.
+
+    Returns
+    -------
+    Lookups that find each publication, and those that find none, by subject.
+    """
+    left, found = looked_up_p.copy(), np.zeros((n_subjects, len(publications)))
+    for i, (step, p) in enumerate(zip(publications, received_p, strict=True)):
+        if step < 0:
+            break
+        here = left * p * (holder_since <= step)
+        found[:, i] = np.bincount(subject, here, n_subjects)
+        left -= here
+    return found, np.bincount(subject, left, n_subjects)
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """Chances that subjects are evaluated, by step."""
+
+    log_none: Float[ndarray, "m s t"]
+    """Logarithm of the probability that no evaluation of the subject in the step is at the server after 1, 2, ... m
+    steps. The last row holds for all later steps too."""
+
+    def lag_class(self, n_lags: int) -> Int[ndarray, "n"]:
+        """Row of `log_none` for evidence that is 0, 1, ... steps old; -1 where none can have arrived."""
+        return np.minimum(np.arange(n_lags) - 1, len(self.log_none) - 1)
+
+
+class AgeCounts(NamedTuple):
+    """Expected lookups by age in whole steps: of the value, of the newest and of the oldest evaluation behind it."""
+
+    value: Float[ndarray, "t"]
+    newest: Float[ndarray, "t"]
+    oldest: Float[ndarray, "t"]
+    n_unknown: float
+    """Lookups that find a publication in which no evaluation of the subject counts."""
+    n_unseen: float
+    """Those of them whose subject had sent detections in a step whose evidence counts."""
+
+
+def ages(evidence: Evidence, looks: ExpectedLookups, window_steps: int, since: Int[ndarray, "s"]) -> AgeCounts:
+    """Ages that lookups find, equations (4) to (6).
+
+    Parameters
+    ----------
+    evidence
+        Chances of evaluation.
+    looks
+        Expected lookups.
+    window_steps
+        Evidence of this age, or older, does not count when the server publishes.
+    since
+        Step in which each subject sensed first.
+
+    Notes
+    -----
+    The newest evaluation behind a publication at step B is j steps old with probability (1 - u(j)) u(1) ... u(j - 1), u
+    being the probability that the step B - j brought none (assumption 6: steps are independent, given the traffic).
+    """
+    n_steps = evidence.log_none.shape[2]
+    out = np.zeros((3, n_steps + 1))
+    none_p = np.exp(evidence.log_none)
+    unknown = _ages(
+        none_p, evidence.lag_class(min(window_steps, n_steps + 1)), since, looks.subject, looks.step,
+        looks.publication, looks.n, out,
+    )  # fmt: skip
+    return AgeCounts(out[0], out[1], out[2], *unknown)
+
+
+@compiled
+def _ages(none_p, lag_class, since, subject, step, publication, n, out):
+    unknown = unseen = 0.0
+    for row in range(len(subject)):
+        s = subject[row]
+        for i in range(publication.shape[1]):
+            b, weight = publication[row, i], n[row, i]
+            if weight <= 0.0 or b < 0:
+                continue
+            passed = step[row] - b
+            oldest = min(len(lag_class) - 1, b)
+            left = 1.0
+            for j in range(1, oldest + 1):
+                u = none_p[lag_class[j], s, b - j]
+                out[1, passed + j] += weight * left * (1.0 - u)
+                left *= u
+                if left < 1e-9:
+                    left = 0.0
+                    break
+            unknown += weight * left
+            if since[s] < b:
+                unseen += weight * left
+            out[0, passed] += weight * (1.0 - left)
+            left = 1.0
+            for j in range(oldest, 0, -1):
+                u = none_p[lag_class[j], s, b - j]
+                out[2, passed + j] += weight * left * (1.0 - u)
+                left *= u
+                if left < 1e-9:
+                    break
+    return unknown, unseen
+
+
+class PairSteps(NamedTuple):
+    """Chances that an evaluator evaluates the detections of a subject, and the evaluation reaches the server."""
+
+    step: Int[ndarray, "q"]
+    """Step of the detections."""
+    made: Int[ndarray, "q"]
+    """Step of the evaluation."""
+    subject: Int[ndarray, "q"]
+    pair: Int[ndarray, "q"]
+    """Number of the pair of evaluator and subject."""
+    log_none: Float[ndarray, "q"]
+    n: Float[ndarray, "q"]
+    """Expected evaluations."""
+
+
+def behind(
+    found: PairSteps, pair_subject: Int[ndarray, "k"], looks: ExpectedLookups, window_steps: int, first_lag: int
+) -> tuple[float, float]:
+    """Expected evaluators and evaluations behind values, summed over lookups, equation (7).
+
+    Parameters
+    ----------
+    found
+        Chances by pair and step.
+    pair_subject
+        Subject of each pair.
+    looks
+        Expected lookups.
+    window_steps
+        As for `ages`.
+    first_lag
+        Steps from an evaluation on after which it is at the server.
+    """
+    n_subjects = int(pair_subject.max(initial=-1)) + 1
+    publications, which = np.unique(looks.publication, return_inverse=True)
+    known = (looks.publication >= 0) & (looks.subject < n_subjects)[:, None]
+    cell = which.reshape(looks.publication.shape) * n_subjects + looks.subject[:, None]
+    weights = np.bincount(cell[known], looks.n[known], len(publications) * n_subjects)
+    weights = weights.reshape(len(publications), n_subjects)
+    log_none, n = np.zeros(len(pair_subject)), np.zeros(n_subjects)
+    in_time = np.flatnonzero(found.made + first_lag < found.step + window_steps)
+    orders = [in_time[np.argsort(step[in_time], kind="stable")] for step in (found.made + first_lag, found.step)]
+    arrives, expires = (found.made + first_lag)[orders[0]], found.step[orders[1]] + window_steps
+    done = [0, 0]
+    evaluators = evaluations = 0.0
+    for b, weight in zip(publications.tolist(), weights, strict=True):
+        for k, (sign, when) in enumerate(((1.0, arrives), (-1.0, expires))):
+            until = int(np.searchsorted(when, b, "right"))
+            rows, done[k] = orders[k][done[k] : until], until
+            np.add.at(log_none, found.pair[rows], sign * found.log_none[rows])
+            n += sign * np.bincount(found.subject[rows], found.n[rows], n_subjects)
+        each = np.bincount(pair_subject, -np.expm1(np.minimum(log_none, 0.0)), n_subjects)
+        evaluators += float(weight @ each)
+        evaluations += float(weight @ n)
+    return evaluators, evaluations
+
+
+class Encounters(NamedTuple):
+    """Encounters of equipped vehicles in one direction: the holder would know trust in the subject."""
+
+    holder_since: Int[ndarray, "n"]
+    subject: Int[ndarray, "n"]
+    start: Int[ndarray, "n"]
+    """First step."""
+    end: Int[ndarray, "n"]
+    """One past the last step."""
+    first: Int[ndarray, "n"]
+    """First row of `lookup_step` that belongs to the two."""
+    stop: Int[ndarray, "n"]
+    lookup_step: Int[ndarray, "q"]
+    """Steps in which the holder may look the subject up, ascending for each two."""
+    log_missed: Float[ndarray, "q"]
+    """Logarithm of the probability that it does not."""
+
+
+def without_trust(evidence: Evidence, meetings: Encounters, gate: Gate, window_steps: int, loss_p: float) -> float:
+    """Share of encounters that end before the holder knows trust in the other, equation (8).
+
+    Parameters
+    ----------
+    evidence
+        Chances of evaluation.
+    meetings
+        Encounters.
+    gate
+        When the server publishes.
+    window_steps
+        As for `ages`.
+    loss_p
+        Probability that a vehicle misses a publication.
+
+    Returns
+    -------
+    The expected share; nan without encounters.
+
+    Notes
+    -----
+    Trust is known at the start, or at the first lookup after a publication that rests on an evaluation. Publications
+    before the start count at the start, without a message: the newest that was not lost.
+    """
+    if not len(meetings.subject):
+        return float("nan")
+    summed = np.concatenate([np.zeros((evidence.log_none.shape[1], 1)), np.cumsum(evidence.log_none[-1], 1)], axis=1)
+    total = _without_trust(evidence.log_none, summed, gate.steps, meetings, window_steps, loss_p, n_followed(loss_p))
+    return float(total / len(meetings.subject))
+
+
+@compiled
+def _without_trust(log_none, summed, gate, meetings, window_steps, loss_p, n_followed):
+    total = 0.0
+    for row in range(len(meetings.subject)):
+        s, start, end = meetings.subject[row], meetings.start[row], meetings.end[row]
+        last = np.searchsorted(gate, end - 1, "right") - 1
+        last_before = np.searchsorted(gate, start, "left") - 1
+        first = max(last_before - n_followed + 1, 0)
+        while first <= last and gate[first] < meetings.holder_since[row]:
+            first += 1
+        low = max(gate[min(max(first, last_before), len(gate) - 1)] - window_steps + 1, 0)
+        never, before = 0.0, 1.0  # nothing known; no evidence in any publication so far
+        for k in range(first, last + 1):
+            high = max(gate[k] - len(log_none) + 1, low)  # what was sent before has arrived, or never will
+            log_now = summed[s, high] - summed[s, low]
+            for step in range(high, gate[k]):
+                log_now += log_none[gate[k] - step - 1, s, step]
+            now = min(np.exp(log_now), before)
+            missed = 1.0 if k > last_before else loss_p ** (last_before - k + 1)
+            since = max(k, last_before + 1)  # lookups from this publication on tell
+            if since <= last:
+                log_missed = 0.0
+                for q in range(meetings.first[row], meetings.stop[row]):
+                    if gate[since] <= meetings.lookup_step[q] < end:
+                        log_missed += meetings.log_missed[q]
+                missed *= np.exp(log_missed * (1.0 - loss_p))
+            never += (before - now) * missed
+            before = now
+        total += never + before
+    return total
+
+
+def quantile(age_s: Float[ndarray, "n"], weight: Float[ndarray, "n"], share: float) -> float:
+    """The smallest age at which the cumulative weight reaches a share of the total; nan without weight."""
+    total = np.cumsum(weight)
+    if not len(total) or total[-1] <= 0:
+        return float("nan")
+    return float(age_s[min(int(np.searchsorted(total, share * total[-1] * (1 - 1e-12))), len(age_s) - 1)])

@@ -1,0 +1,100 @@
+"""The newest sweep and the newest messages of each vehicle, for vehicles that sense at different times."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from cosim.addons.law.opportunities import Views
+from cosim.base.ragged import offsets, ranges
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """The newest message of each sender: with which probability each other vehicle has received it."""
+
+    sender: Int[ndarray, "p"]
+    """Actor number."""
+    receiver: Int[ndarray, "p"]
+    p: Float[ndarray, "p"]
+    apart_m: Float[ndarray, "p"]
+    """Distance of the two when it was sent."""
+
+    @staticmethod
+    def none() -> "Received":
+        """No messages."""
+        return Received(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+
+    def then(self, newer: "Received", senders: Int[ndarray, "s"], present: Int[ndarray, "v"]) -> "Received":
+        """These messages after some vehicles have sent newer ones, without vehicles that have left the road.
+
+        Parameters
+        ----------
+        newer
+            The newer messages.
+        senders, present
+            Actor numbers of those that have sent, and of all equipped vehicles, ascending.
+        """
+        kept = np.flatnonzero(
+            ~np.isin(self.sender, senders) & np.isin(self.sender, present) & np.isin(self.receiver, present)
+        )
+        return Received(*(
+            np.concatenate([getattr(self, name)[kept], getattr(newer, name)])
+            for name in ("sender", "receiver", "p", "apart_m")
+        ))  # fmt: skip
+
+    def by(self, receivers: Int[ndarray, "r"]) -> "Received":
+        """The messages that these vehicles have received."""
+        return self.chosen(np.isin(self.receiver, receivers))
+
+    def chosen(self, rows: Bool[ndarray, "p"]) -> "Received":
+        """Some of the pairs."""
+        return Received(self.sender[rows], self.receiver[rows], self.p[rows], self.apart_m[rows])
+
+
+@dataclass(frozen=True, slots=True)
+class Sweeps:
+    """The newest sweep of each vehicle on the road that has sensed."""
+
+    views: Views
+    """What they saw. Observers and bodies are actor numbers here, because rows of the world change."""
+    step: Int[ndarray, "e"]
+    """When each of them sensed."""
+
+    @staticmethod
+    def none() -> "Sweeps":
+        """No sweeps."""
+        nobody, nothing = np.zeros(0, np.int64), np.zeros(0)
+        return Sweeps(Views(nobody, np.zeros(1, np.int64), nobody, nothing, np.zeros(0, bool), nothing, 0.0), nobody)
+
+    def then(self, views: Views, actor: Int[ndarray, "n"], step: int, present: Int[ndarray, "v"]) -> "Sweeps":
+        """These sweeps after some vehicles have sensed, without those of vehicles that have left the road.
+
+        Parameters
+        ----------
+        views
+            The new sweeps, with rows of the world.
+        actor
+            Actor number of each row of the world.
+        step
+            The step.
+        present
+            Actor numbers of all equipped vehicles, ascending.
+        """
+        new, old = actor[views.own], self.views
+        kept = np.flatnonzero(~np.isin(old.own, new) & np.isin(old.own, present))
+        own = np.concatenate([old.own[kept], new])
+        order = np.argsort(own)
+        count = np.concatenate([np.diff(old.ptr)[kept], np.diff(views.ptr)])[order]
+        start = np.concatenate([old.ptr[kept], len(old.body) + views.ptr[:-1]])[order]
+        rows = ranges(start, count)
+        body, seen_p, inside, detected_p = (
+            np.concatenate([of_old, of_new])[rows]
+            for of_old, of_new in (
+                (old.body, actor[views.body]), (old.seen_p, views.seen_p), (old.inside, views.inside),
+                (old.detected_p, views.detected_p),
+            )
+        )  # fmt: skip
+        joined = Views(own[order], offsets(count), body, seen_p, inside, detected_p, views.n_false)
+        return Sweeps(joined, np.concatenate([self.step[kept], np.full(len(new), step)])[order])

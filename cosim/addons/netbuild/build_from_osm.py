@@ -1,0 +1,167 @@
+"""Network, buildings and demand from any OpenStreetMap file."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import logging
+import re
+import shutil
+import tempfile
+import tomllib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cosim.addons.netbuild import build, osm_files, overpass
+from cosim.addons.netbuild.gate_flows import gate_flows, rates_at
+from cosim.addons.netbuild.osm_xml import check_form
+from cosim.addons.netbuild.streets import LeftOut
+from sumo_nets import demand
+from sumo_nets.density import Density, trips_per_hour
+from sumo_nets.xml import check_prolog
+
+_HERE = Path(__file__).parent
+_LOG = logging.getLogger("cosim.addons.netbuild.build_from_osm")
+
+
+SMALLEST_LEFT_M = 50.0
+"""Less is not worth a word: streets within junctions become a part of them [m]."""
+
+
+class Losses(NamedTuple):
+    """What of an extract is not in the city."""
+
+    streets: dict[str, LeftOut]
+    """By class."""
+    n_incomplete: int
+    """Ways without the places of their nodes."""
+
+    @property
+    def text(self) -> str:
+        """One line; empty if nothing is left out."""
+        parts = [f"{kind} {of.text}" for kind, of in self.streets.items() if of.left_m > SMALLEST_LEFT_M]
+        return "; ".join(parts + [f"{self.n_incomplete:,} ways without places"] * bool(self.n_incomplete))
+
+
+def from_osm(
+    path: Path,
+    out: Path,
+    density: Density,
+    name: str | None = None,
+    left_hand: bool = False,
+    box: overpass.Box | None = None,
+) -> Losses:
+    """Build streets, buildings and demand from an OpenStreetMap file into the folder `out`.
+
+    Parameters
+    ----------
+    path
+        The OpenStreetMap file.
+    out
+        Folder for the city.
+    density
+        Amount of traffic.
+    name
+        Name of the city and its files.
+    left_hand
+        Whether traffic drives on the left. An extract does not tell.
+    box
+        Region (west, south, east, north in degrees) to cut out of a larger extract.
+
+    Returns
+    -------
+    What is left out.
+
+    Raises
+    ------
+    ValueError
+        If no network can be built from the file; one line names the file and the reason.
+    """
+    if not path.is_file():
+        raise ValueError(f"--osm {path}: no such file. Give an extract: .osm, .osm.gz, .osm.xml.gz or .osm.pbf.")
+    if not path.name.endswith(".pbf"):
+        check_form(path)
+        check_prolog(path)
+    if name is None:
+        name = re.sub(r"[^\w-]+", "-", out.resolve().name).strip("-") or "town"
+    elif not re.fullmatch(r"[\w-]+", name):
+        raise ValueError(f"--name {name}: files are named after it. Use letters, digits, - and _ only.")
+    extract = osm_files.read(path, box)
+    about = {
+        "name": name,
+        "description": f"{name}, from {path.name}",
+        "box": "" if box is None else f"\nbox = [{', '.join(map(repr, box))}]",
+        "licence": "ODbL-1.0",
+        "attribution": "© OpenStreetMap contributors",
+        "file": path.name,
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "left_hand": str(left_hand).lower(),
+    }
+    template = (_HERE / "common" / "osm_recipe.toml").read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory(prefix="sumo_nets.") as folder:
+        work = Path(folder)
+        recipe = tomllib.loads(_filled(template, about, density, {}))
+        try:
+            gates, left_out = build.network(recipe, extract, work)
+        except ValueError as error:
+            raise ValueError(f"--osm {path}: {error}") from None
+        _LOG.info("network made")
+        try:
+            text = _recipe(template, about, density, work / "net.net.xml", gates)
+            recipe = tomllib.loads(text)
+            build.furnish(recipe, extract, gates, work)
+        except demand.NoTraffic as error:
+            cause = f"the extract is too small for traffic: {error}. Take a larger one."
+            raise ValueError(f"--osm {path}: {cause}") from None
+        build.pack(recipe, text, work, out)
+    return Losses(left_out, extract.n_incomplete)
+
+
+def from_box(
+    box: str, out: Path, density: Density, name: str | None = None, left_hand: bool = False, server: str | None = None
+) -> Losses:
+    """Like `from_osm`, for the box "west,south,east,north" [degrees], fetched from OpenStreetMap's Overpass service.
+
+    The extract is kept in `out`, so that the build can be repeated; see `overpass.fetch`.
+    """
+    edges = overpass.degrees(box)
+    with tempfile.TemporaryDirectory(prefix="sumo_nets.") as folder:
+        extract = Path(folder) / "box_{:g}_{:g}_{:g}_{:g}.osm.xml.gz".format(*edges)
+        try:
+            extract.write_bytes(gzip.compress(overpass.fetch(edges, server), mtime=0))
+            losses = from_osm(extract, out, density, name, left_hand)
+        except ValueError as error:
+            said = str(error).removeprefix("--osm ").replace(str(extract), "what the Overpass service sent")
+            raise ValueError(
+                f"--bbox {box}: {said.rstrip('. ')}. Or fetch an extract elsewhere (download.geofabrik.de, "
+                "www.openstreetmap.org/export) and give it with --osm FILE."
+            ) from None
+        shutil.copyfile(extract, out / extract.name)
+    build.write_checksums(out)
+    return losses
+
+
+def _filled(template: str, about: dict[str, str], density: Density, figures: dict[str, float]) -> str:
+    """The recipe of a city: its template with the values filled in."""
+    values: dict[str, Any] = {
+        **about, "density": f"{density.per_km:g}", "hour": density.hour, "at_least": 300.0,
+        **dict.fromkeys((*demand.KINDS, "pedestrian", "through"), 0), **rates_at(density.hour), **figures,
+    }  # fmt: skip
+    text = re.sub(r"@(\w+)@", lambda match: escaped(values[match[1]]) if match[1] != "box" else values["box"], template)
+    return text.replace("\nseed = 1\n", f"\nseed = {density.seed}\n")
+
+
+def escaped(value: object) -> str:
+    """Text that cannot end a TOML string."""
+    return re.sub(r'["\\]|[\x00-\x1f\x7f]', "_", str(value))
+
+
+def _recipe(template: str, about: dict[str, str], density: Density, net_path: Path, gates: frozenset[str]) -> str:
+    """The recipe with the trips per hour for the wanted density, and through traffic."""
+    import sumolib
+
+    net = sumolib.net.readNet(str(net_path))
+    streets = demand.streets_of(net, gates)
+    figures: dict[str, float] = trips_per_hour(streets, density)
+    flows = gate_flows(net, streets, tomllib.loads(_filled(template, about, density, figures))["demand"])
+    return _filled(template, about, density, figures | {"through": float(round(sum(one.per_hour for one in flows)))})

@@ -1,0 +1,188 @@
+"""Bus lines and their stops, from OpenStreetMap's route relations."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import inf
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+from cosim.addons.netbuild.streets import length_m
+from sumo_nets.demand import Draw
+from sumo_nets.osm import Extract, Relation, pieces
+
+STOP_M = 22.0
+"""Length of a stop, and of the lane that a line begins on: an articulated bus and room to pull out [m]."""
+NEAR_M = 16.0
+"""Farthest from its lane that a stop's sign may stand [m]."""
+FARTHEST_M = 1500.0
+"""Longest drive over streets that the relation does not name: termini and joined junctions [m]."""
+DETOUR = 1.6
+"""A matched line may be at most this much longer than the streets that the relation names."""
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One direction of a line (or of several that run alike) through the extract."""
+
+    refs: tuple[str, ...]
+    edges: tuple[str, ...]
+    stops: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """A stop beside the kerb lane."""
+
+    id: str
+    name: str
+    lane: str
+    start_m: float
+    end_m: float
+
+
+def lines_of(
+    extract: Extract, net: Any, project: Callable[[list[int]], dict[int, Point]], least_m: float
+) -> tuple[list[Line], list[Stop]]:
+    """Daytime bus lines that run at least `least_m` through the network, and the stops they call at.
+
+    `net` is a sumolib network with original ids; `project` gives nodes their place in it.
+    """
+    edges_of_way = defaultdict(list)
+    for edge in sorted(net.getEdges(), key=lambda edge: edge.getID()):
+        if edge.allows("bus"):
+            named = {int(i.lstrip("-")) for lane in edge.getLanes() for i in lane.getParam("origId", "").split()}
+            for way in sorted(named):
+                edges_of_way[way].append(edge)
+    signs = {
+        member[1]
+        for relation in extract.relations.values()
+        if _is_daytime_bus(relation)
+        for member in relation.members
+        if member[0] == "n" and member[1] in extract.place
+    }
+    place = project(sorted(signs))
+    alike: dict[tuple[str, ...], list[tuple[str, set[int]]]] = defaultdict(list)
+    for relation in sorted(extract.relations.values(), key=lambda relation: relation.id):
+        if not _is_daytime_bus(relation):
+            continue
+        ways = _ways(relation, edges_of_way)
+        matched = _matched(net, [edges_of_way[way] for way in ways]) if ways else []
+        while matched and net.getEdge(matched[0]).getLength() < STOP_M:
+            matched.pop(0)  # a bus comes into being on a lane that it fits on
+        driven_m = sum(net.getEdge(edge).getLength() for edge in matched)
+        named_m = sum(length_m(extract, run) for way in ways for run in pieces(extract.ways[way], extract.place))
+        if least_m <= driven_m <= DETOUR * named_m:
+            calls = {ref for kind, ref, _ in relation.members if kind == "n" and ref in place}
+            alike[tuple(matched)].append((relation.tags["ref"], calls))
+    stops: dict[str, Stop] = {}
+    lines = []
+    for edges, members in sorted(alike.items()):
+        refs = tuple(sorted({ref for ref, _ in members}))
+        found: dict[str, tuple[int, Stop]] = {}
+        for sign in sorted({sign for _, calls in members for sign in calls}):
+            name = extract.node_tags.get(sign, {}).get("name", "")
+            if (stop := _beside(net, edges, sign, name, place[sign])) is not None:
+                found.setdefault(stop.lane, (edges.index(stop.lane.rsplit("_", 1)[0]), stop))
+        called = [stop for _, stop in sorted(found.values(), key=lambda item: item[0])]
+        called = [stops.setdefault(stop.lane, stop) for stop in called]
+        lines.append(Line(refs, edges, tuple(stop.id for stop in called)))
+    return lines, sorted(stops.values(), key=lambda stop: stop.id)
+
+
+def stops_xml(stops: list[Stop]) -> str:
+    """SUMO's additional file for the stops."""
+    rows = (
+        f'    <busStop id="{stop.id}" name={quoteattr(stop.name)} lane="{stop.lane}"'
+        f' startPos="{stop.start_m:.2f}" endPos="{stop.end_m:.2f}" friendlyPos="true"/>\n'
+        for stop in stops
+    )
+    return '<?xml version="1.0" encoding="UTF-8"?>\n<additional>\n' + "".join(rows) + "</additional>\n"
+
+
+def departures(lines: list[Line], recipe: dict[str, Any], seed: int, end_s: float) -> list[str]:
+    """Buses by timetable: each line at its headway from a phase of its own, dwelling at every stop."""
+    draw = Draw(seed, "bus")
+    trips: list[str] = []
+    for n, line in enumerate(lines):
+        headway_s = 3600.0 / recipe["per_hour_and_line"] / min(len(line.refs), recipe["most_lines_alike"])
+        now = draw.uniform() * headway_s
+        n_buses = 0
+        while now < end_s:
+            dwell = "".join(
+                f'<stop busStop="{stop}" duration="{recipe["dwell_s"] * (0.5 + draw.uniform()):.0f}"/>'
+                for stop in line.stops
+            )
+            trips.append(
+                f'<vehicle id="bus{n}.{n_buses}" type="bus" line="{line.refs[0]}" depart="{now:.1f}"'
+                f' departLane="best" departSpeed="max"><route edges="{" ".join(line.edges)}"/>{dwell}</vehicle>'
+            )
+            n_buses += 1
+            now += headway_s * (0.8 + 0.4 * draw.uniform())
+    return trips
+
+
+def _is_daytime_bus(relation: Relation) -> bool:
+    ref = relation.tags.get("ref", "")
+    return relation.tags.get("route") == "bus" and ref != "" and not ref.endswith("N")
+
+
+def _ways(relation: Relation, edges_of_way: dict[int, list[Any]]) -> list[int]:
+    """The relation's ways inside the network, in order; gaps (termini, joined junctions) are bridged later."""
+    return [
+        ref
+        for kind, ref, role in relation.members
+        if kind == "w" and ref in edges_of_way and "platform" not in role and "stop" not in role
+    ]
+
+
+def _matched(net: Any, candidates: list[list[Any]]) -> list[str]:
+    """The shortest drive that touches one edge of every way, in their order."""
+    cost = {edge: edge.getLength() for edge in candidates[0]}
+    drive = {edge: [edge.getID()] for edge in candidates[0]}
+    for options in candidates[1:]:
+        next_cost: dict[Any, float] = {}
+        next_drive: dict[Any, list[str]] = {}
+        for edge in options:
+            best, best_drive = inf, None
+            for before, so_far in cost.items():
+                path: tuple[Any, ...] | None = (edge,)
+                metres = edge.getLength()
+                if before is not edge:
+                    path, metres = net.getShortestPath(before, edge, vClass="bus", maxCost=FARTHEST_M)
+                if path is None:
+                    continue
+                total = so_far + metres - before.getLength()
+                if total < best:
+                    best, best_drive = total, drive[before] + [leg.getID() for leg in path[1:]]
+            if best_drive is not None:
+                next_cost[edge] = best
+                next_drive[edge] = best_drive
+        if not next_cost:
+            return []
+        cost, drive = next_cost, next_drive
+    end = min(cost, key=lambda edge: (cost[edge], edge.getID()))
+    steps = drive[end]
+    return steps if len(set(steps)) == len(steps) else []
+
+
+def _beside(net: Any, edges: tuple[str, ...], sign: int, name: str, at: Point) -> Stop | None:
+    """The stop on the line's kerb lane nearest to a sign, if one is near enough and long enough."""
+    from sumolib.geomhelper import polygonOffsetAndDistanceToPoint
+
+    nearest = inf
+    stop = None
+    for edge_id in edges:
+        edge = net.getEdge(edge_id)
+        kerb = next(lane for lane in edge.getLanes() if lane.allows("bus"))
+        offset, away = polygonOffsetAndDistanceToPoint(at, kerb.getShape(), perpendicular=False)
+        if away < min(nearest, NEAR_M) and edge.getLength() >= STOP_M + 20.0:
+            nearest = away
+            last = edge.getLength() - 12.0  # room for a queue of two between stop and stop line
+            ends = min(max(offset + STOP_M / 2, STOP_M + 1.0), last)
+            stop = Stop(f"stop{sign}", name, kerb.getID(), ends - STOP_M, ends)
+    return stop

@@ -1,0 +1,249 @@
+"""Demand that agrees with traffic counts: a city's own vehicles are added to and taken away until they do.
+
+SUMO's `routeSampler` draws the routes. Pedestrians, bicycles and buses stay as they are. The city stands for one hour
+of a day, so a place has one count: vehicles per hour in that hour.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import cos, nan, radians, sin
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from cosim.addons.netbuild import flow
+from cosim.addons.netbuild.build import write_checksums
+from sumo_nets import catalogue, demand, network, sumotools
+from sumo_nets.catalogue import Net
+from sumo_nets.xml import Attributes, chunks, stream
+
+Counts = dict[str, float]
+"""Vehicles per hour by edge id."""
+
+NEAR_M = 30.0
+"""Distance from a street up to which a position belongs to it."""
+ALONG_DEG = 45.0
+"""Angle between a street and a heading up to which they are the same direction."""
+GOOD_GEH = 5.0
+"""GEH below which a modelled flow of one hour agrees with a count. 85 % of the counts should
+(UK Department for Transport, TAG unit M3.1, Highway Assignment Modelling)."""
+_BOUNDS = {"per_hour": (0.0, 20_000.0), "lon": (-180.0, 180.0), "lat": (-90.0, 90.0), "heading_deg": (-360.0, 360.0)}
+"""Of the columns of a file. Ten lanes of a motorway carry 20,000 vehicles per hour."""
+_ELEMENT = re.compile(r"<(person|vehicle) .*?</\1>", re.DOTALL)
+_KEPT = re.compile(r'<(person|vehicle) id="[^"]*" type="(pedestrian|bicycle)"')
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How many of some counts a demand agrees with."""
+
+    places: int
+    good_share: float | None = None
+    """Share with a GEH below `GOOD_GEH`; like the others, None without places."""
+    geh_median: float | None = None
+    ratio: float | None = None
+    """Vehicles of the model over vehicles counted; None where none was counted."""
+
+    @property
+    def text(self) -> str:
+        """One line for a terminal."""
+        if self.places == 0:
+            return "no places"
+        good = f"{self.good_share:.0%} of {self.places} places agree (GEH below {GOOD_GEH:g})"
+        times = "" if self.ratio is None else f", {self.ratio:.2f} times the counted vehicles"
+        return f"{good}, median GEH {self.geh_median:.1f}{times}"
+
+
+def geh(model: Float[ndarray, "k"], counted: Float[ndarray, "k"]) -> Float[ndarray, "k"]:
+    """GEH statistic of flows in vehicles per hour: sqrt(2 (m - c)² / (m + c)), 0 where both are 0."""
+    total = model + counted
+    return np.sqrt(2.0 * (model - counted) ** 2 / np.where(total > 0, total, 1.0))
+
+
+def agreement(model: Counts, counted: Counts) -> Agreement:
+    """Summary over the places of `counted`."""
+    if not counted:
+        return Agreement(0)
+    m, c = np.array([model[edge] for edge in counted]), np.array([*counted.values()])
+    found = geh(m, c)
+    ratio = float(m.sum() / c.sum()) if c.sum() > 0 else None
+    return Agreement(len(c), float((found < GOOD_GEH).mean()), float(np.median(found)), ratio)
+
+
+def read(path: Path, net_path: Path) -> Counts:
+    """Counts by street: vehicles per hour, sorted by edge id.
+
+    Parameters
+    ----------
+    path
+        CSV file with the column `per_hour`, and either `edge` or `lon`, `lat` and `heading_deg` (clockwise from north).
+        Rows of the same street are added, because a detector counts one lane.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be used; the message is one line.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = list(csv.DictReader(file, strict=True))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path}: not a CSV file that can be read ({error}).") from None
+    if not rows:
+        raise ValueError(f"{path} has no rows below its header.")
+    place = ["edge"] if "edge" in rows[0] else ["lon", "lat", "heading_deg"]
+    if missing := [name for name in ("per_hour", *place) if name not in rows[0]]:
+        raise ValueError(
+            f"{path} has no column {missing[0]}. It needs per_hour, and edge or lon, lat, heading_deg. It has: "
+            f"{', '.join(map(str, rows[0]))}."
+        )
+    per_hour = _column(path, rows, "per_hour")
+    edges = _edges(net_path)
+    if place == ["edge"]:
+        found = [row["edge"] or "" for row in rows]
+        for number, edge in enumerate(found):
+            if edge not in edges:
+                raise ValueError(f"{path}, row {number + 2}: the network has no street {edge}.")
+    else:
+        found = _matched(path, np.column_stack([_column(path, rows, name) for name in place]), edges, net_path)
+    total: dict[str, float] = dict.fromkeys(sorted(set(found)), 0.0)
+    for edge, value in zip(found, per_hour.tolist(), strict=True):
+        total[edge] += value
+    return total
+
+
+def kept_back(counted: Counts, share: float, seed: int) -> Counts:
+    """The places that a fit does not use: `share` of them, drawn by the seed; at least one place is used."""
+    order = np.random.default_rng(seed).permutation(len(counted)).tolist()
+    n = min(round(share * len(counted)), len(counted) - 1)
+    return {edge: value for (edge, value), k in zip(counted.items(), order, strict=True) if k < n}
+
+
+def fit(net: Net, counted: Counts, out: Path, seed: int) -> Counts:
+    """Write the city with a demand that agrees with the counts into the folder `out`.
+
+    Returns
+    -------
+    Vehicles per hour that the new routes bring to each counted street.
+    """
+    text = b"".join(chunks(net.folder / "demand.rou.xml.gz")).decode()
+    elements = [match.group(0) for match in _ELEMENT.finditer(text)]
+    kept = [text for text in elements if _KEPT.match(text)]
+    candidates = [text for text in elements if not _KEPT.match(text)]
+    if not any(set(_route(text)) & counted.keys() for text in candidates):
+        raise ValueError(f"no vehicle of {net.name} passes a street that was counted. Count other streets.")
+    hours = net.end_s / 3600.0
+    with tempfile.TemporaryDirectory(prefix="sumo_nets.") as name:
+        work = Path(name)
+        demand.write_trips(work / "candidates.rou.xml", candidates)
+        rows = "".join(f'<edge id={quoteattr(edge)} entered="{round(v * hours)}"/>' for edge, v in counted.items())
+        interval = f'<interval id="counts" begin="0" end="{net.end_s:g}">{rows}</interval>'
+        (work / "counts.xml").write_text(f"<data>{interval}</data>", encoding="utf-8")
+        _sample(work, net.end_s, seed)
+        sampled = [m.group(0) for m in _ELEMENT.finditer((work / "sampled.rou.xml").read_text(encoding="utf-8"))]
+        shutil.copytree(net.folder, out, dirs_exist_ok=True)
+        demand.write_trips(work / "all.rou.xml", [*kept, *sampled])
+        packed = gzip.compress((work / "all.rou.xml").read_bytes(), 9, mtime=0)
+    (out / "demand.rou.xml.gz").write_bytes(packed)
+    _describe(net, out, (len(sampled) + sum('type="bicycle"' in text for text in kept)) / hours)
+    passed = Counter(edge for text in sampled for edge in set(_route(text)))
+    return {edge: passed[edge] / hours for edge in counted}
+
+
+def driven(net: Net, edges: Iterable[str], seconds: float = 1200.0) -> Counts:
+    """Vehicles per hour that enter each of these streets when the demand is simulated, after the warm-up."""
+    found = dict.fromkeys(edges, 0.0)
+
+    def start(name: str, attributes: Attributes) -> None:
+        if name == "edge" and attributes["id"] in found:
+            entered = float(attributes["entered"]) + float(attributes.get("departed", 0.0))
+            found[attributes["id"]] = entered * 3600.0 / seconds
+
+    with tempfile.TemporaryDirectory(prefix="sumo_nets.") as name:
+        if (streets := flow.simulate(net, seconds, Path(name))).is_file():  # SUMO writes none without traffic
+            stream(streets, start)
+    return found
+
+
+def _sample(work: Path, end_s: float, seed: int) -> None:
+    words = [sys.executable, str(sumotools.home() / "tools" / "routeSampler.py"), "-r", "candidates.rou.xml",
+             "-d", "counts.xml", "-o", "sampled.rou.xml", "--keep-attributes", "--init-input",
+             "--init-input.remove-overflow", "--prefix", "v", "--begin", "0", "--end", f"{end_s:g}",
+             "--seed", str(seed)]  # fmt: skip
+    done = subprocess.run(words, cwd=work, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise ValueError(f"SUMO's routeSampler failed: {done.stderr.strip()[-500:]}")
+
+
+def _describe(net: Net, out: Path, per_hour: float) -> None:
+    """Make the new folder a city of its own: its recipe, its configuration without rerouting, its checksums."""
+    recipe = (out / "recipe.toml").read_text(encoding="utf-8")
+    recipe = recipe.split("\n[counts]\n")[0].rstrip("\n") + f"\n\n[counts]\nvehicles_per_hour = {per_hour:.1f}\n"
+    (out / "recipe.toml").write_text(recipe, encoding="utf-8", newline="\n")
+    config = out / net.sumocfg_path.name
+    text = re.sub(r'(<device\.rerouting\.probability value=)"[^"]*"', r'\1"0"', config.read_text(encoding="utf-8"))
+    config.write_text(text, encoding="utf-8", newline="\n")  # rerouted vehicles would leave the streets they count on
+    write_checksums(out)
+    catalogue.open_folder(out)
+
+
+def _route(text: str) -> list[str]:
+    found = re.search(r'<route [^>]*edges="([^"]*)"', text)
+    return found.group(1).split() if found else []
+
+
+def _edges(net_path: Path) -> dict[str, Float[ndarray, "k 2"]]:
+    """The line of each street on which motor vehicles may drive: that of its last such lane."""
+    return {
+        lane.edge: lane.line_m[:, :2] for lane in network.lanes(net_path) if lane.for_cars and not lane.across
+    }  # fmt: skip
+
+
+def _column(path: Path, rows: list[dict[str, str]], name: str) -> Float[ndarray, "r"]:
+    found, (low, high) = np.empty(len(rows)), _BOUNDS[name]
+    for number, row in enumerate(rows):
+        try:
+            found[number] = float(row[name])
+        except (TypeError, ValueError):
+            found[number] = nan
+        if not low <= found[number] <= high:  # also where it is no number
+            raise ValueError(f"{path}, row {number + 2}: {name} = {row[name]} is no number from {low:g} to {high:g}.")
+    return found
+
+
+def _matched(
+    path: Path, places: Float[ndarray, "r 3"], edges: dict[str, Float[ndarray, "k 2"]], net_path: Path
+) -> list[str]:
+    """The street of each longitude, latitude and heading: the nearest that leads in that direction."""
+    corners = np.array([[0.0, 0.0], [1e-4, 0.0], [0.0, 1e-4]])
+    where = [ring[0] for ring in sumotools.projected([place[:2] + corners for place in places], net_path)]
+    names = np.repeat(np.array([*edges], object), [len(line) - 1 for line in edges.values()])
+    first = np.concatenate([line[:-1] for line in edges.values()])
+    step = np.concatenate([np.diff(line, axis=0) for line in edges.values()])
+    length = np.maximum(np.hypot(*step.T), 1e-9)
+    found = []
+    for number, (point, (lon, lat, heading_deg)) in enumerate(zip(where, places.tolist(), strict=True)):
+        share = np.clip(((point - first) * step).sum(axis=1) / length**2, 0.0, 1.0)
+        away = np.hypot(*(point - first - share[:, None] * step).T)
+        along = (step @ np.array([sin(radians(heading_deg)), cos(radians(heading_deg))])) / length
+        fits = (along >= cos(radians(ALONG_DEG))) & (away <= NEAR_M)
+        if not fits.any():
+            raise ValueError(
+                f"{path}, row {number + 2}: no street that leads to {heading_deg:g} degrees within {NEAR_M:g} m "
+                f"of {lon}, {lat}."
+            )
+        found.append(str(names[np.argmin(np.where(fits, away, np.inf))]))
+    return found

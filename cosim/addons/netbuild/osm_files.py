@@ -1,0 +1,42 @@
+"""Reads OpenStreetMap files of any kind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from cosim.addons.netbuild import osm_pbf, osm_xml
+from sumo_nets.osm import Extract
+
+MOST_INCOMPLETE_P = 0.2
+"""A file with a larger share of ways without places is refused."""
+
+
+def read(path: Path, box: tuple[float, float, float, float] | None = None) -> Extract:
+    """Read a .osm.pbf, .osm, .osm.gz, .osm.xml.gz or .osm.bz2 file.
+
+    With `box` (west, south, east, north in degrees), only what has a node in it: ways are kept whole, as an Overpass
+    service sends them, and so are relations with a member that is kept.
+
+    The order of the elements means nothing. Of several copies of an element, one with tags counts. Elements that an
+    editor has marked as deleted are left out (`osm_xml`).
+
+    Raises
+    ------
+    ValueError
+        Where osmium is needed and not installed, the file is not OpenStreetMap data, or the box holds no street.
+    """
+    whole, extract = (osm_pbf if path.name.endswith(".pbf") else osm_xml).read(path, box)
+    extract = replace(extract, box=box or whole)
+    if not extract.ways:
+        where = "" if box is None else " in the box {:g},{:g},{:g},{:g}".format(*box)
+        reach = "" if whole is None else " The file reaches over {:g},{:g},{:g},{:g}.".format(*whole)
+        raise ValueError(f"{path} has no ways{where}: there is no street to build.{reach if box else ''}")
+    placed = {way.id: way for way in extract.ways.values() if not extract.place.keys().isdisjoint(way.nodes)}
+    n = len(extract.ways) - len(placed)
+    if n > MOST_INCOMPLETE_P * len(extract.ways):
+        raise ValueError(
+            f"{path} has {n:,} ways without the places of their nodes, of {len(extract.ways):,}. Ask Overpass for the "
+            "nodes too: out body; >; out skel qt;"
+        )
+    return replace(extract, ways=placed, n_incomplete=n)

@@ -1,0 +1,440 @@
+"""Encounters of traces from elsewhere, and of runs with other definitions: a run folder without sensing."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Int
+from numpy import ndarray
+from scipy.spatial import cKDTree
+
+from cosim.addons.traces import positions, tracks
+from cosim.addons.traces.positions import Columns, Fixes
+from cosim.addons.traces.tracks import TrackParams
+from cosim.base.durable import sha256
+from cosim.config.config import of_run_without_code
+from cosim.runs import folder as run_folder
+from cosim.runs.drive import Advance
+from cosim.runs.manifest import versions
+from cosim.runs.source import source
+from cosim.step.trackers.encounters import PairSearch, update_encounters
+from cosim.traffic.actors import ActorRegistry
+from cosim.traffic.fcd import timesteps
+from cosim.traffic.fleet import FleetParams
+from cosim.traffic.interpolation import interval_s
+from cosim.traffic.objects import ObjectParams
+from cosim.traffic.params import TrafficParams
+from cosim.traffic.scenario import Scenario, find
+from cosim.traffic.source import TrafficEnded, TrafficError, class_counts
+from cosim.world import World
+from results.archive import open_run
+from results.encounters import Appearance, EncounterParams, EncounterTracker, Rows, check_definitions
+from results.manifest import finish
+from results.recorder import Recorder
+from sensors.lidar import LidarParams
+from sensors.line_of_sight import WallIndex
+from sensors.scene import Shape
+
+_BLOCK_STEPS = 600
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ContactParams:
+    """What is counted, and how positions become tracks."""
+
+    encounters: tuple[EncounterParams, ...] = (EncounterParams(pairs="all"),)
+    """Definitions, as in a config's [[encounters]]."""
+    scenario: str | None = None
+    """City or .sumocfg of a trace that SUMO wrote, as in traffic.scenario: sizes of vehicles, and buildings."""
+    step_s: float | None = None
+    """Length of a step [s]. None takes the interval of the trace."""
+    max_gap_s: float = 30.0
+    """Longest time between two positions of an actor across which it is followed [s]."""
+    max_speed_mps: float = 70.0
+    """A faster motion between two positions is a jump, at which observation ends and begins anew [m/s]."""
+    appearance: Appearance | None = None
+    """What an actor's first and last position mean. None: that it enters and leaves the road in a trace that SUMO
+    wrote and in a run, and that observation begins and ends elsewhere."""
+    from_s: float | None = None
+    """Time of the trace at which counting begins [s]."""
+    to_s: float | None = None
+    """Time of the trace at which it ends [s]."""
+    columns: Columns | None = None
+    """Columns of a table. None recognises the layout."""
+    frame_hz: float | None = None
+    """Video frames per second, for times that are frame numbers."""
+    time_unit_s: float | None = None
+    """Seconds per unit of times that are numbers. None asks the layout and the numbers."""
+    length_unit_m: float | None = None
+    """Metres per unit of positions. None asks the layout and the names of columns."""
+    repair: bool = False
+    """Whether bad rows are left out and rows are sorted, instead of refused."""
+    fleet: FleetParams = field(default_factory=FleetParams)
+    """Who is equipped, in a trace that SUMO wrote."""
+    seed: int = 4
+    """Seed of the equipment."""
+    mount_above_roof_m: float = LidarParams().mount_above_roof_m
+    """Height of the sensors above the roof, between which there is a line of sight or none [m]."""
+
+    def __post_init__(self) -> None:
+        check_definitions(self.encounters)
+        tracks.check_options(self.step_s, self.max_gap_s, self.max_speed_mps, self.frame_hz)
+        given = [s for s in (self.from_s, self.to_s) if s is not None]
+        if not all(map(math.isfinite, given)) or sorted(given) != given:
+            raise ValueError(f"--from {self.from_s} --to {self.to_s}: the trace is counted from a time to a later one.")
+
+
+@dataclass(slots=True)
+class _Counted:
+    """Encounters and actors, as they are counted."""
+
+    folder: Path
+    recorder: Recorder
+    trackers: tuple[EncounterTracker, ...]
+    n_steps: int = 0
+    n_present: int = 0
+    report: dict[str, Any] = field(default_factory=dict)
+
+    def add(self, step: int, closed: Sequence[Rows], n_present: int) -> None:
+        for rows in closed:
+            self.recorder.append("encounters", step, rows)
+        self.recorder.reach(step)
+        self.n_steps, self.n_present = step + 1, self.n_present + n_present
+
+    def close(self, vehicles: Mapping[str, ndarray | None]) -> None:
+        rows = [tracker.close(self.n_steps) for tracker in self.trackers]
+        self.recorder.close({"encounters": rows, "vehicles": [vehicles]})
+
+
+def contacts(paths: Sequence[Path], params: ContactParams, out: Path | None, advance: Advance) -> Path:
+    """Count the encounters of a trace, or of a run with other definitions, into a folder that reads like a run.
+
+    Parameters
+    ----------
+    paths
+        Files of one trace; or one run folder.
+    params
+        What is counted.
+    out
+        Folder to write; None for the next free `runs/<name>-N`.
+    advance
+        Called with progress.
+
+    Returns
+    -------
+    The folder, with the tables `vehicles` and `encounters`.
+
+    Raises
+    ------
+    ValueError
+        In one line: what is wrong with the trace. Nothing is written then.
+    """
+    run_folder.check(out)
+    if not paths:
+        raise ValueError("There is no trace. Name at least one file, or a run folder.")
+    for path in paths:
+        if not path.exists():
+            raise ValueError(f"{path}: no such file or folder. Give a trace or a run folder.")
+    if paths[0].is_dir():
+        _check_of_positions(params, f"{paths[0]} is a run")
+        return _of_run(paths, params, out, advance)
+    if params.columns is None and positions.is_sumo(paths[0]):
+        _check_of_positions(params, f"{paths[0]} is a trace that SUMO wrote")
+        return _of_sumo(paths, params, out, advance)
+    return _of_positions(paths, params, out, advance)
+
+
+def _check_of_positions(params: ContactParams, what: str) -> None:
+    """Raise ValueError if options are set that only positions from elsewhere can obey."""
+    if params.columns is not None:
+        raise ValueError(f"{what}: its columns are known. Leave out --id, --time, --x, --y, --lat and --lon.")
+    usual = ContactParams()
+    for name in ("max_gap_s", "max_speed_mps", "frame_hz", "time_unit_s", "length_unit_m", "repair"):
+        if getattr(params, name) != getattr(usual, name):
+            option = name.replace("unit_s", "unit").replace("unit_m", "unit").replace("_", "-")
+            raise ValueError(f"--{option}: {what}, with a position in every step. Leave it out.")
+
+
+def _of_run(paths: Sequence[Path], params: ContactParams, out: Path | None, advance: Advance) -> Path:
+    run = open_run(paths[0])
+    if len(paths) > 1:
+        raise ValueError(f"{paths[1]}: contacts of one run at a time, and {paths[0]} is a run.")
+    run.require("actors", "vehicles")
+    recorded = of_run_without_code(run.manifest["config"], paths[0])
+    scenario = find(str(paths[0])) if params.scenario is None else find(params.scenario, str(paths[0]))
+    traffic = TrafficParams(scenario=str(paths[0]), step_s=params.step_s or run.dt_s)
+    if params.from_s is not None or params.to_s is not None:
+        raise ValueError("--from and --to go with a trace, and this is a run. Leave them out.")
+    registry = ActorRegistry(recorded.fleet, recorded.seed)
+    return _of_traffic(scenario, traffic, registry, params, paths, out, advance, 0.0, recorded.objects)
+
+
+def _of_sumo(paths: Sequence[Path], params: ContactParams, out: Path | None, advance: Advance) -> Path:
+    if len(paths) > 1:
+        raise ValueError(f"{paths[1]}: one trace of SUMO's at a time. Count contacts of each in its own command.")
+    named = str(paths[0])
+    scenario = find(named) if params.scenario is None else find(params.scenario, named)
+    step_s = params.step_s or _sumo_step_s(paths[0])
+    traffic = TrafficParams(scenario=params.scenario or named, trace=named, step_s=step_s, begin_s=params.from_s)
+    registry = ActorRegistry(params.fleet, params.seed)
+    return _of_traffic(scenario, traffic, registry, params, paths, out, advance, step_s)
+
+
+def _sumo_step_s(path: Path) -> float:
+    """Interval of the first timesteps of a trace."""
+    read = timesteps(path)
+    times_s = [timestep.time_s for timestep, _ in zip(read, range(10), strict=False)]
+    read.close()  # type: ignore[attr-defined]
+    return interval_s(np.array(times_s)) or 1.0
+
+
+def _of_traffic(
+    scenario: Scenario, traffic: TrafficParams, registry: ActorRegistry, params: ContactParams,
+    paths: Sequence[Path], out: Path | None, advance: Advance, skipped_s: float,
+    objects: Sequence[ObjectParams] = (),
+) -> Path:  # fmt: skip
+    """Count encounters of worlds, as a run does; `skipped_s` skips the empty world before a trace."""
+    wants_los = any(p.pairs in ("los", "all_los") for p in params.encounters)
+    if wants_los and scenario.net is None:
+        raise ValueError(
+            'encounters.pairs = "los" needs the buildings of a city, and a trace alone has none. Set --scenario.'
+        )
+    replayed = scenario.traffic(traffic, registry, objects=objects)
+    try:
+        for _ in replayed.warm_up(skipped_s):
+            pass
+        search = PairSearch.of(params.encounters, WallIndex.of(scenario.city().buildings), params.mount_above_roof_m)
+        worlds = _worlds(replayed, _steps_asked(params, traffic.step_s) or math.inf)
+        extent = _Extent()
+        first = next(worlds, None)
+        if first is None:
+            raise TrafficError(f"{paths[0]}: there is nothing to count: no actor is on the road in the time given.")
+        with _Folder(out, scenario.name, params, traffic.step_s, params.appearance or "ends") as counted:
+            for step, world in enumerate(chain([first], worlds)):
+                near = search(world)
+                extent.add(world)
+                closed, _, _ = update_encounters(counted.trackers, step, near)
+                counted.add(step, closed, len(near.present))
+                advance("contacts", step + 1, max(step + 1, _steps_asked(params, traffic.step_s)), f"{len(world)}")
+            counted.report |= replayed.report() | extent.report(registry)
+            counted.close(_vehicles(registry))
+            about = {"layout": "run" if paths[0].is_dir() else "sumo", "appearance": params.appearance or "ends"}
+            _finish(counted, scenario.name, paths, params, traffic.step_s, about, scenario.provenance())
+    finally:
+        replayed.close()
+    return counted.folder
+
+
+def _worlds(replayed: Any, most: float) -> Iterator[World]:
+    """The worlds to count."""
+    n = 0
+    while n < most:
+        try:
+            world = replayed.advance()
+        except TrafficEnded:
+            return
+        n += 1
+        yield world
+
+
+@dataclass(slots=True)
+class _Extent:
+    """Speeds of vehicles, and the rectangle that they are in, over the worlds of a trace."""
+
+    low_m: ndarray = field(default_factory=lambda: np.full(2, np.inf))
+    high_m: ndarray = field(default_factory=lambda: np.full(2, -np.inf))
+    n_of_speed: ndarray = field(default_factory=lambda: np.zeros(1001, np.int64))
+    """Vehicles in steps by speed, in tenths of m/s."""
+
+    def add(self, world: World) -> None:
+        if len(world):
+            xy_m = world.boxes.xyz_m[:, :2]
+            self.low_m = np.minimum(self.low_m, xy_m.min(axis=0))
+            self.high_m = np.maximum(self.high_m, xy_m.max(axis=0))
+            tenths = np.clip(np.rint(world.speed_mps * 10), 0, 1000).astype(np.int64)
+            self.n_of_speed += np.bincount(tenths, minlength=1001)
+
+    def report(self, registry: ActorRegistry) -> dict[str, Any]:
+        """For the summary of the trace, with the number of actors of each class."""
+        share = np.cumsum(self.n_of_speed) / max(1, self.n_of_speed.sum())
+        median, p95 = (float(np.searchsorted(share, at)) / 10 for at in (0.5, 0.95))
+        east_m, north_m = (self.high_m - self.low_m).tolist() if self.n_of_speed.any() else (0.0, 0.0)
+        return {
+            "speed_median_mps": median, "speed_p95_mps": p95, "extent_east_m": east_m, "extent_north_m": north_m,
+            "classes": class_counts(registry.shape),
+        }  # fmt: skip
+
+
+def _steps_asked(params: ContactParams, step_s: float) -> int:
+    """Steps from --from to --to; 0 if the trace decides."""
+    if params.to_s is None:
+        return 0
+    return math.floor((params.to_s - (params.from_s or 0.0)) / step_s + 1e-6) + 1
+
+
+def _of_positions(paths: Sequence[Path], params: ContactParams, out: Path | None, advance: Advance) -> Path:
+    """Count encounters of positions that are interpolated to steps."""
+    if params.scenario is not None:
+        raise ValueError(f"--scenario goes with a trace that SUMO wrote, and {paths[0]} is none. Leave it out.")
+    for p in params.encounters:
+        if p.pairs != "all":
+            raise ValueError(
+                f'{paths[0]}: a trace of positions says nothing of equipment or buildings: pairs = "all" is counted '
+                "alone. Change the definition."
+            )
+    read = positions.read(
+        paths, params.columns, params.frame_hz, params.repair, params.time_unit_s, params.length_unit_m
+    )
+    fixes = _cut(read, params, paths[0])
+    step_s = params.step_s or tracks.own_step_s(fixes)
+    track_params = TrackParams(step_s, params.max_gap_s, params.max_speed_mps)
+    try:
+        found = tracks.tracks(fixes, track_params)
+    except ValueError as error:
+        raise TrafficError(f"{fixes.source}: {error}") from None
+    appearance = params.appearance or "censors"
+    # Without buildings and bodies nothing is between two vehicles: what `los = "buildings"` finds in a run without a
+    # city.
+    params = replace(params, encounters=tuple(replace(p, los="buildings") for p in params.encounters))
+    name = _plain_name(paths[0])
+    rows = _track_rows(fixes, found)
+    on_foot = rows["vehicle_class"] == Shape.PEDESTRIAN
+    with _Folder(out, name, params, step_s, appearance, max(_BLOCK_STEPS, found.n_steps // 200)) as counted:
+        for here in tracks.steps(fixes, found, step_s):
+            closed = []
+            for tracker, p in zip(counted.trackers, params.encounters, strict=True):
+                use = slice(None) if p.pedestrians else ~on_foot[here.track]
+                track = here.track[use]
+                a, b, distance_m = _near(track, here.xy_m[use], p.radius_m)
+                closed.append(tracker.update(here.step, a, b, distance_m, np.ones(len(a), bool), track)[0])
+            counted.add(here.step, closed, len(here.track))
+            if here.step % 100 == 99 or here.step + 1 == found.n_steps:
+                advance("contacts", here.step + 1, found.n_steps, f"{len(here.track)} vehicles")
+        counted.report |= found.report | ({"repaired": fixes.repaired} if fixes.repaired else {})
+        counted.report |= {"actors": len(set(found.actor.tolist())), "tracks": len(found.names)}
+        counted.report |= {"read_as": list(fixes.read_as), "classes": class_counts(rows["vehicle_class"])}
+        counted.close(rows)
+        layout = "columns" if params.columns else positions.layout_of(paths[0])
+        about = {"layout": layout, "appearance": appearance, "begin": fixes.begin}
+        checked = {f"sha256 {path.name}": sha256(path) for path in paths}
+        _finish(counted, name, paths, params, step_s, about, {"name": name} | checked)
+    return counted.folder
+
+
+def _cut(fixes: Fixes, params: ContactParams, path: Path) -> Fixes:
+    """Positions in the time that is counted; its begin becomes time 0."""
+    if params.from_s is None and params.to_s is None:
+        return fixes
+    begin = float(fixes.begin)
+    from_s = 0.0 if params.from_s is None else params.from_s - begin
+    keep = (fixes.time_s >= from_s) & (fixes.time_s <= (math.inf if params.to_s is None else params.to_s - begin))
+    if not keep.any():
+        raise TrafficError(
+            f"{path}: no position in the span of --from and --to; the trace goes from {fixes.begin} to "
+            f"{begin + float(fixes.time_s.max()):.10g} s."
+        )
+    return replace(
+        fixes, actor=fixes.actor[keep], time_s=fixes.time_s[keep] - from_s, xy_m=fixes.xy_m[keep],
+        begin=f"{begin + from_s:.10g}",
+    )  # fmt: skip
+
+
+def _near(
+    number: Int[ndarray, "n"], xy_m: ndarray, radius_m: float
+) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"], ndarray]:
+    """Pairs within the radius, a < b, sorted, and their distances; numbers are ascending."""
+    if len(number) < 2:
+        none = np.zeros(0, np.int64)
+        return none, none, np.zeros(0)
+    pairs = cKDTree(xy_m).query_pairs(radius_m, output_type="ndarray")
+    pair = np.sort((pairs[:, 0] << 32) | pairs[:, 1])
+    a, b = pair >> 32, pair & 0xFFFFFFFF
+    east_m, north_m = (xy_m[a] - xy_m[b]).T
+    return number[a], number[b], np.sqrt(east_m * east_m + north_m * north_m)
+
+
+class _Folder:
+    """The folder that is written, or nothing at all if something goes wrong."""
+
+    def __init__(
+        self, out: Path | None, name: str, params: ContactParams, step_s: float, appearance: Appearance,
+        block_steps: int = _BLOCK_STEPS,
+    ) -> None:  # fmt: skip
+        self._out, self._name, self._block_steps = out, name, block_steps
+        self._trackers = tuple(EncounterTracker(p, step_s, appearance=appearance) for p in params.encounters)
+
+    def __enter__(self) -> _Counted:
+        self._folder = run_folder.create(self._out, self._name)
+        self._counted = _Counted(
+            self._folder.path, Recorder(self._folder.path, "summary", self._block_steps), self._trackers
+        )
+        return self._counted
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        if error is None:
+            self._folder.release()
+            return
+        with suppress(OSError):
+            self._folder.remove()
+
+
+def _vehicles(registry: ActorRegistry) -> dict[str, ndarray | None]:
+    """Columns of the table `vehicles`."""
+    return _vehicle_columns(
+        registry.names, registry.shape, registry.lwh_m, registry.equipped, registry.first_step, registry.last_step
+    )
+
+
+def _track_rows(fixes: Fixes, found: tracks.Tracks) -> dict[str, Any]:
+    """The same for tracks."""
+    lwh_m = np.array([kind.lwh_m for kind in fixes.types])
+    return _vehicle_columns(
+        found.names, fixes.shape[found.actor], lwh_m[found.actor], np.zeros(len(found.names), bool), found.first_step,
+        found.last_step,
+    )  # fmt: skip
+
+
+def _vehicle_columns(
+    names: Sequence[str], shape: ndarray, lwh_m: ndarray, equipped: Bool[ndarray, "n"], first_step: ndarray,
+    last_step: ndarray,
+) -> dict[str, ndarray | None]:  # fmt: skip
+    n = len(names)
+    return {
+        "vehicle": np.arange(n, dtype=np.int32), "sumo_id": np.array(names, object), "vehicle_class": shape,
+        "length_m": lwh_m[:, 0], "width_m": lwh_m[:, 1], "height_m": lwh_m[:, 2], "equipped": equipped,
+        "role": np.zeros(n, np.uint8), "role__valid": equipped, "attack": None, "first_step": first_step,
+        "last_step": last_step, "attack_start_step": None,
+    }  # fmt: skip
+
+
+def _finish(
+    counted: _Counted, name: str, paths: Sequence[Path], params: ContactParams, step_s: float, about: dict[str, Any],
+    net: dict[str, str],
+) -> None:  # fmt: skip
+    """Write the manifest."""
+    given = {key: getattr(params, key) for key in (
+        "max_gap_s", "max_speed_mps", "from_s", "to_s", "time_unit_s", "length_unit_m", "repair",
+    )}  # fmt: skip
+    given["columns"] = None if params.columns is None else asdict(params.columns)
+    config = {
+        "sensing": False,
+        "traffic": {"scenario": name, "trace": str(paths[0]), "step_s": step_s},
+        "encounters": [asdict(p) for p in params.encounters],
+        "contacts": {"files": [str(path) for path in paths]} | about | given,
+    }
+    summary = counted.report | {"actors_per_step_mean": round(counted.n_present / counted.n_steps, 3)}
+    finish(counted.folder, {
+        "dt_s": step_s, "steps": counted.n_steps, "config": config, "versions": versions("columnar"),
+        "source": source(), "net": net, "timings_s": {}, "summary": summary,
+    })  # fmt: skip
+
+
+def _plain_name(path: Path) -> str:
+    """Name of a trace for its folder."""
+    name = path.name.removesuffix(".gz")
+    return name.rpartition(".")[0] or name

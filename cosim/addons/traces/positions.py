@@ -1,0 +1,575 @@
+"""Positions of vehicles in traces from elsewhere: tables with columns, taxi logs, trajectories from drones."""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+
+from cosim.addons.traces import units
+from cosim.base.earth import Projection
+from cosim.traffic import delimited
+from cosim.traffic.frame import LARGEST_COORDINATE_M, TrafficError
+from cosim.traffic.source import SHAPE_OF_CLASS
+from sensors.scene import Shape
+from sumo_nets import vtypes
+from sumo_nets.xml import check_regular, open_input
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Names of the columns of a table of positions."""
+
+    actor: str
+    time: str
+    x: str
+    """East [m], or latitude [degrees] if `is_degrees`."""
+    y: str
+    """North [m], or longitude [degrees] if `is_degrees`."""
+    is_degrees: bool = False
+    kind: str = ""
+    """Class of the vehicle; empty if the table has none."""
+    size: tuple[str, str] = ("", "")
+    """Length and width of the vehicle; empty if the table has none."""
+    corner: tuple[str, str] | None = None
+    """Columns with the extents of a box, if x and y are its corner with the smallest x and y [m]."""
+    time_unit_s: float | None = None
+    """Seconds per unit of a time that is a number. Ignored for frames. None asks the numbers."""
+    length_unit_m: float | None = None
+    """Metres per unit of positions and sizes. None asks the names."""
+    is_frame: bool = False
+    """Whether the time is the number of a video frame."""
+    y_down: bool = False
+    """Whether y points down, as in an image."""
+
+
+LAYOUTS: dict[str, Columns] = {
+    "highd": Columns(
+        "id", "frame", "x", "y", size=("width", "height"), corner=("width", "height"), is_frame=True, y_down=True
+    ),
+    "ind": Columns("trackId", "frame", "xCenter", "yCenter", size=("length", "width"), is_frame=True),
+    "opendd": Columns("OBJID", "TIMESTAMP", "UTM_X", "UTM_Y", kind="CLASS", size=("LENGTH", "WIDTH"), time_unit_s=1.0),
+    "interaction": Columns(
+        "track_id", "timestamp_ms", "x", "y", kind="agent_type", size=("length", "width"), time_unit_s=1e-3
+    ),
+    "ngsim": Columns(
+        "Vehicle_ID", "Global_Time", "Local_X", "Local_Y", kind="v_Class", size=("v_Length", "v_Width"),
+        time_unit_s=1e-3, length_unit_m=0.3048,
+    ),
+    "table": Columns("id", "time", "x", "y"),
+    "degrees": Columns("id", "time", "lat", "lon", is_degrees=True),
+}  # fmt: skip
+"""Layouts that are recognised by their columns, in this order. `ind` is also that of rounD, exiD and uniD."""
+
+_KINDS = ("class", "type", "vehicle_class", "vehicle_type", "agent_type", "category")
+"""Columns with classes, if a table has one of them and none is named."""
+_NGSIM_CLASS = {"1": "motorcycle", "2": "car", "3": "truck"}
+_POINT = r"POINT\s*\(\s*(?P<lat>[-+0-9.eE]+)\s+(?P<lon>[-+0-9.eE]+)\s*\)"
+_CRAWDAD = re.compile(r"^[^;]+;[^;]+;\s*" + _POINT.replace("?P<lat>", "").replace("?P<lon>", "") + r"\s*$")
+_PNEUMA = ["track_id", "type", "traveled_d", "avg_speed", "lat", "lon", "speed", "lon_acc", "lat_acc", "time"]
+"""Header of pNEUMA: four values of a vehicle, then six for each of its instants."""
+_META = re.compile(r"^(\d+)_tracks\.csv(\.gz)?$")
+_MOST_DEGREES = (90.0, 180.0)
+_CRAWL_MPS = 0.05
+"""If something moves, and nothing faster than this, coordinates are not metres."""
+_LEAST_SIZE_M = 0.05
+"""Smaller sizes, such as the zeros of pedestrians in inD, say nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fixes:
+    """N positions of actors, sorted by actor and time, no two of an actor at one time."""
+
+    names: list[str]
+    """Name of each actor, as in the trace."""
+    kinds: list[str]
+    """Class of each actor, as in the trace; empty if it does not say."""
+    actor: Int[ndarray, "n"]
+    """Row of `names`."""
+    time_s: Float[ndarray, "n"]
+    """Seconds since `begin`."""
+    xy_m: Float[ndarray, "n 2"]
+    begin: str = "0"
+    """What time 0 is in the trace."""
+    repaired: dict[str, int] = field(default_factory=dict)
+    """Rows that were left out or sorted, by reason."""
+    own_lw_m: Float[ndarray, "a 2"] | None = None
+    """Length and width of each actor, not a number where the trace does not say. None if it says none."""
+    projection: Projection | None = None
+    """From degrees to the metres. None if positions were metres, or if the projection is that of a network."""
+    read_as: tuple[str, ...] = ()
+    """How the numbers of the trace were understood, where that is not metres and seconds."""
+    source: str = ""
+    """Its files, for error messages."""
+
+    @property
+    def types(self) -> list[vtypes.VehicleType]:
+        """SUMO's class of each actor, and its size: that of the trace, or that of the class; a car without a class."""
+        found = [vtypes.guess(kind) for kind in self.kinds]
+        if self.own_lw_m is None:
+            return found
+        return [
+            vtypes.VehicleType(t.vclass, (
+                length if length > _LEAST_SIZE_M else t.lwh_m[0], width if width > _LEAST_SIZE_M else t.lwh_m[1],
+                t.lwh_m[2],
+            ))
+            for t, (length, width) in zip(found, self.own_lw_m.tolist(), strict=True)
+        ]  # fmt: skip
+
+    @property
+    def shape(self) -> UInt8[ndarray, "a"]:
+        """Shape code of each actor; a car where its class is not on the road."""
+        return np.array(
+            [int(SHAPE_OF_CLASS.get(vtypes.guess(kind).vclass, Shape.CAR)) for kind in self.kinds], np.uint8
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Rows of one file, in its order: names, classes and sizes of actors, times [s], and metres or degrees."""
+
+    actors: ndarray
+    time_s: Float[ndarray, "n"]
+    xy: Float[ndarray, "n 2"]
+    is_degrees: bool
+    is_frame: bool = False
+    kinds: ndarray | None = None
+    lw_m: Float[ndarray, "n 2"] | None = None
+    speed: Float[ndarray, "n"] | None = None
+    """In a unit that is not known."""
+    read_as: tuple[str, ...] = ()
+
+
+def layout_of(path: Path) -> str:
+    """The layout of a file: `crawdad`, `pneuma`, a name of `LAYOUTS`, or empty if its columns are none of these."""
+    if path.name.removesuffix(".gz").endswith(".parquet"):
+        names = _parquet_names(path)
+    else:
+        if _CRAWDAD.match(delimited.first_line(path)):
+            return "crawdad"
+        names = delimited.header(path).names
+        if names[: len(_PNEUMA)] == _PNEUMA:
+            return "pneuma"
+    return next((name for name, columns in LAYOUTS.items() if set(_needed(columns)) <= set(names)), "")
+
+
+def is_sumo(path: Path) -> bool:
+    """Whether a file has the columns, or the form, of SUMO's floating car data."""
+    name = path.name.removesuffix(".gz")
+    if name.endswith(".xml"):
+        return True
+    if name.endswith(".parquet"):
+        names = _parquet_names(path)
+    elif name.endswith(".csv"):
+        names = delimited.header(path).names
+    else:
+        return False
+    return "timestep_time" in names or {"time", "id", "x", "y", "angle", "speed"} <= set(names)
+
+
+def read(
+    paths: Sequence[Path],
+    columns: Columns | None = None,
+    frame_hz: float | None = None,
+    repair: bool = False,
+    time_unit_s: float | None = None,
+    length_unit_m: float | None = None,
+    to_net: Projection | None = None,
+) -> Fixes:
+    """Read the pieces of one trace.
+
+    Parameters
+    ----------
+    paths
+        Files of one layout.
+    columns
+        Names of the columns. None recognises the layout.
+    frame_hz
+        Frames per second, if the time is a frame number. None reads it from the `recordingMeta` file beside.
+    repair
+        Sort rows that are not in the order of time, and leave out rows with missing values and repeated rows.
+        Otherwise these are errors, except that exact copies of a row are always left out.
+    time_unit_s, length_unit_m
+        Seconds and metres per unit. None takes those of the layout, or those that the names of columns and the size of
+        the times say.
+    to_net
+        Projection of degrees. None projects them around their median.
+
+    Raises
+    ------
+    TrafficError
+        In one line: the file, and what is wrong with it.
+    """
+    names: dict[str, int] = {}
+    kinds: list[str] = []
+    sizes: list[Float[ndarray, "2"]] = []
+    parts: list[tuple[ndarray, ndarray, ndarray, ndarray]] = []
+    repaired, read_as = {"missing": 0, "repeated": 0, "unordered": 0}, dict[str, None]()
+    degrees = False
+    for path in paths:
+        if columns is not None:
+            columns = replace(
+                columns, time_unit_s=time_unit_s or columns.time_unit_s,
+                length_unit_m=length_unit_m or columns.length_unit_m,
+            )  # fmt: skip
+        rows = _rows(path, columns, frame_hz, time_unit_s, length_unit_m)
+        if parts and rows.is_degrees != degrees:
+            raise TrafficError(f"{path}: not in the units of {paths[0]}. Count contacts of each in its own command.")
+        degrees = rows.is_degrees
+        read_as |= dict.fromkeys(rows.read_as)
+        if frame_hz is not None and not rows.is_frame:
+            raise TrafficError(f"{path}: its times are no frame numbers, so --frame-hz has no effect. Leave it out.")
+        good = _good(path, rows.actors, rows.time_s, rows.xy, repair)
+        repaired["missing"] += int((~good).sum())
+        texts = rows.actors[good]
+        values, code = np.unique(texts.astype(str), return_inverse=True)
+        first = np.zeros(len(values), np.int64)
+        first[code[::-1]] = np.arange(len(code))[::-1]
+        of = np.empty(len(values), np.int64)
+        lw_m = np.full((len(texts), 2), np.nan) if rows.lw_m is None else rows.lw_m[good]
+        for row, name in enumerate(values.tolist()):
+            if name not in names:
+                names[name] = len(names)
+                kinds.append(str(rows.kinds[good][first[row]]) if rows.kinds is not None else "")
+                sizes.append(lw_m[first[row]])
+            of[row] = names[name]
+        speed = np.full(len(texts), np.nan) if rows.speed is None else rows.speed[good]
+        parts.append((of[code], rows.time_s[good], rows.xy[good], speed))
+    actor, time_s, xy, speed = (np.concatenate([part[i] for part in parts]) for i in range(4))
+    if not len(actor):
+        raise TrafficError(f"{paths[0]}: no position in it. Give a trace with at least one row.")
+    where = ", ".join(map(str, paths))
+    _check_order(where, list(names), actor, time_s, repaired, repair)
+    order = np.lexsort((time_s, actor))
+    actor, time_s, xy, speed = actor[order], time_s[order], xy[order], speed[order]
+    keep = _without_copies(where, list(names), actor, time_s, xy, repaired, repair)
+    actor, time_s, xy, speed = actor[keep], time_s[keep], xy[keep], speed[keep]
+    projection = to_net
+    if degrees and projection is None:
+        projection = Projection(*np.median(xy, axis=0).tolist())
+    xy_m = xy if projection is None or not degrees else _projected(where, xy, projection)
+    if not degrees:
+        _check_metres(where, actor, time_s, xy_m)
+    units.check_speeds(where, actor, time_s, xy_m, speed, time_unit_s is not None and length_unit_m is not None)
+    if guessed := sorted({kind for kind in kinds if kind and not vtypes.is_plain(kind)}):
+        few = ", ".join(f"{kind} as {vtypes.guess(kind).vclass}" for kind in guessed[:5])
+        read_as[f"classes guessed from their names: {few}"] = None
+    begin = float(time_s.min())
+    lw_m = np.array(sizes).reshape(-1, 2)
+    return Fixes(
+        list(names), kinds, actor, time_s - begin, xy_m, f"{begin:.6f}".rstrip("0").rstrip("."),
+        {reason: n for reason, n in repaired.items() if n}, None if np.isnan(lw_m).all() else lw_m,
+        projection if degrees and to_net is None else None, tuple(read_as), where,
+    )  # fmt: skip
+
+
+def _rows(
+    path: Path, columns: Columns | None, frame_hz: float | None, time_unit_s: float | None, length_unit_m: float | None
+) -> _Rows:
+    """The rows of one file."""
+    is_parquet = path.name.removesuffix(".gz").endswith(".parquet")
+    layout = layout_of(path) if columns is None else ""
+    if layout == "crawdad":
+        return _crawdad(path)
+    if layout == "pneuma":
+        return _pneuma(path)
+    if not is_parquet and (found := delimited.header(path)).names[: len(_PNEUMA)] == _PNEUMA:
+        raise TrafficError(
+            f"{path}: pNEUMA, with rows of any length, is read by itself. Leave out --id, --time, --lat and --lon."
+        )
+    if not is_parquet:
+        delimited.check_header(path, found, ())
+    if columns is None:
+        if not layout:
+            raise TrafficError(
+                f"{path}: no layout that is known by its columns ({_said(path)}). Name the columns with --id, "
+                "--time and --x and --y in metres, or --lat and --lon in degrees."
+            )
+        columns = LAYOUTS[layout]
+        columns = replace(
+            columns,
+            time_unit_s=time_unit_s or columns.time_unit_s,
+            length_unit_m=length_unit_m or columns.length_unit_m,
+        )
+    names = _parquet_names(path) if is_parquet else found.names
+    if not layout and columns.kind and columns.kind not in names:
+        raise TrafficError(f"{path}: no column {columns.kind}, which --class names. It has {', '.join(names[:20])}.")
+    columns = _with_optional(columns, names)
+    _check_units(path, columns, time_unit_s, length_unit_m)
+    table = _table(path, columns, names)
+    read_as = [f"layout {layout}"] if layout not in ("", "table", "degrees") else []
+    unit_m, said = units.length_unit(columns.x, columns.y, columns.length_unit_m)
+    read_as += [said] if said and not columns.is_degrees else []
+    x, y = (delimited.numbers(path, name, table.column(name)) for name in (columns.x, columns.y))
+    if columns.corner is not None:
+        extents = (delimited.numbers(path, name, table.column(name)) for name in columns.corner)
+        x, y = (v + extent / 2 for v, extent in zip((x, y), extents, strict=True))
+    if columns.y_down:
+        y = -y
+        read_as.append("y of the image, which points down, is turned")
+    xy = np.column_stack([x, y]) * (1.0 if columns.is_degrees else unit_m)
+    time = table.column(columns.time)
+    if columns.is_frame:
+        time_s = delimited.numbers(path, columns.time, time) / (frame_hz or _frame_hz(path))
+    elif units.is_number(time):
+        raw = delimited.numbers(path, columns.time, time)
+        unit_s, said = units.time_unit(columns.time, raw, columns.time_unit_s)
+        read_as += [said] if said else []
+        time_s = raw * unit_s
+    else:
+        time_s = delimited.seconds(path, columns.time, time)
+    actors = delimited.texts(path, columns.actor, table.column(columns.actor)).to_numpy()
+    kinds, lw_m = _kinds_and_sizes(path, table, columns, actors, unit_m)
+    speed = units.speeds(path, table)
+    return _Rows(actors, time_s, xy, columns.is_degrees, columns.is_frame, kinds, lw_m, speed, tuple(read_as))
+
+
+def _with_optional(columns: Columns, names: Sequence[str]) -> Columns:
+    """The columns with those of classes and sizes that the table has, where none is named."""
+    kinds = (columns.kind, *_KINDS)
+    sizes = (columns.size, ("length", "width"))
+    return replace(
+        columns, kind=next((name for name in kinds if name in names), ""),
+        size=next((size for size in sizes if set(size) <= set(names)), ("", "")),
+    )  # fmt: skip
+
+
+def _check_units(path: Path, columns: Columns, time_unit_s: float | None, length_unit_m: float | None) -> None:
+    """Refuse units that have no effect, and columns whose names say another meaning."""
+    if columns.is_frame and time_unit_s is not None:
+        raise TrafficError(f"{path}: its times are frame numbers, so --time-unit has no effect. Leave it out.")
+    if columns.is_degrees and length_unit_m is not None:
+        raise TrafficError(f"{path}: its positions are degrees, so --length-unit has no effect. Leave it out.")
+    if not columns.is_degrees and length_unit_m is None and (bad := units.degrees_by_name(columns.x, columns.y)):
+        raise TrafficError(
+            f"{path}: the column {bad} is named as degrees, and --x and --y are metres. Name degrees with --lat and "
+            "--lon, or set --length-unit m."
+        )
+    if not columns.is_frame and time_unit_s is None and columns.time_unit_s is None and units.is_frame(columns.time):
+        raise TrafficError(
+            f"{path}: the column {columns.time} is named as frame numbers. Set --frame-hz to the frames per second, or "
+            "--time-unit s if they are seconds."
+        )
+
+
+def _kinds_and_sizes(
+    path: Path, table: pa.Table, columns: Columns, actors: ndarray, unit_m: float
+) -> tuple[ndarray | None, Float[ndarray, "n 2"] | None]:
+    """Class, length and width of each row, from the table or from the `tracksMeta` file beside."""
+    kinds = lw_m = None
+    if columns.kind:
+        kinds = pc.fill_null(delimited.texts(path, columns.kind, table.column(columns.kind)), "").to_numpy()
+        if columns.kind == "v_Class":
+            kinds = np.array([_NGSIM_CLASS.get(kind, kind) for kind in kinds.tolist()], object)
+    if all(columns.size):
+        lw_m = unit_m * np.column_stack([delimited.numbers(path, n, table.column(n)) for n in columns.size])
+    named = _META.match(path.name)
+    meta = path.with_name(f"{named[1]}_tracksMeta.csv") if named else path
+    if kinds is None and named and meta.is_file():
+        found = delimited.header(meta)
+        actor = next((name for name in ("trackId", "id") if name in found.names), None)
+        if actor is not None and "class" in found.names:
+            rows = pa.concat_tables(delimited.blocks(meta, found, (actor, "class")))
+            of = dict(zip(rows.column(actor).to_pylist(), rows.column("class").to_pylist(), strict=True))
+            kinds = np.array([of.get(name) or "" for name in actors.tolist()], object)
+    if lw_m is not None and (large := np.argwhere(lw_m > (vtypes.LARGEST_M["length"], vtypes.LARGEST_M["width"]))).size:
+        row, axis = large[0].tolist()
+        raise TrafficError(
+            f"{path}: {actors[row]!r} has {columns.size[axis]} = {lw_m[row, axis]:g} m, which no vehicle has. Correct "
+            "it."
+        )
+    return kinds, lw_m
+
+
+def _table(path: Path, columns: Columns, names: Sequence[str]) -> pa.Table:
+    """The needed columns of a CSV or Parquet file; those of a CSV file are text."""
+    wanted = _needed(columns)
+    if missing := [name for name in wanted if name not in names]:
+        raise TrafficError(
+            f"{path}: no column {', '.join(missing)}. It has {', '.join(names[:20]) or 'none'}. Name its columns with "
+            "--id, --time and --x and --y in metres, or --lat and --lon in degrees."
+        )
+    if twice := sorted({name for name in wanted if names.count(name) > 1}):
+        raise TrafficError(f"{path}: its header has the column {twice[0]} twice. Remove one of them.")
+    more = [name for name in (columns.kind, *columns.size, *units.SPEEDS) if name and name in names]
+    wanted = list(dict.fromkeys([*wanted, *more]))
+    if path.name.removesuffix(".gz").endswith(".parquet"):
+        check_regular(path)
+        try:
+            return pq.read_table(path, columns=wanted, partitioning=None)
+        except (pa.ArrowException, OSError) as error:
+            raise TrafficError(f"{path}: cannot be read as a table: {str(error).splitlines()[0]}.") from None
+    empty = pa.table({name: pa.array([], pa.string()) for name in wanted})
+    return pa.concat_tables([empty, *delimited.blocks(path, delimited.header(path), wanted)])
+
+
+def _crawdad(path: Path) -> _Rows:
+    """Lines `id;time;POINT(latitude longitude)`, as in the CRAWDAD data set roma/taxi."""
+    header = delimited.Header(["id", "time", "point"], ";")
+    table = pa.concat_tables(delimited.blocks(path, header, header.names, has_header=False))
+    places = pc.extract_regex(table.column("point"), _POINT).combine_chunks()
+    if places.null_count:
+        line = 1 + int(np.flatnonzero(np.asarray(places.is_null()))[0])
+        raise TrafficError(f"{path}: line {line} has no POINT(latitude longitude). Remove or correct it.")
+    xy = np.column_stack([places.field(name).cast(pa.float64()).to_numpy() for name in ("lat", "lon")])
+    time_s = delimited.seconds(path, "time", table.column("time"))
+    return _Rows(table.column("id").to_numpy(), time_s, xy, is_degrees=True, read_as=("layout crawdad",))
+
+
+def _pneuma(path: Path) -> _Rows:
+    """A row per vehicle: four values of the vehicle, then latitude, longitude, speed, two accelerations, and time."""
+    names, kinds, tables = list[str](), list[str](), list[ndarray]()
+    for n, line in enumerate(_lines(path), 2):
+        values = line.rstrip("; \t\r").split(";")
+        try:
+            if len(values) < 10 or (len(values) - 4) % 6:
+                raise ValueError
+            tables.append(np.array(values[4:], float).reshape(-1, 6))
+        except ValueError:
+            raise TrafficError(
+                f"{path}: row {n - 1} has {len(values)} values, which are not 4 of a vehicle and 6 for each instant, "
+                "or one is not a number. Correct it."
+            ) from None
+        names.append(values[0].strip())
+        kinds.append(values[1].strip())
+    if not tables:
+        raise TrafficError(f"{path}: no position in it. Give a trace with at least one row.")
+    lengths = [len(table) for table in tables]
+    rows = np.concatenate(tables)
+    return _Rows(
+        np.repeat(np.array(names, object), lengths), rows[:, 5], rows[:, :2], is_degrees=True,
+        kinds=np.repeat(np.array(kinds, object), lengths), speed=rows[:, 2], read_as=("layout pneuma",),
+    )  # fmt: skip
+
+
+def _lines(path: Path) -> Iterator[str]:
+    """The lines of a text file after the header that are not empty."""
+    try:
+        with open_input(path) as source:
+            source.readline()
+            yield from (text for line in source if (text := line.decode(errors="replace").strip()))
+    except (OSError, EOFError) as error:
+        raise TrafficError(f"{path}: cannot be read ({error}).") from None
+
+
+def _frame_hz(path: Path) -> float:
+    """Frames per second from the `recordingMeta` file of a drone's recording."""
+    named = _META.match(path.name)
+    meta = path.with_name(f"{named[1]}_recordingMeta.csv") if named else path
+    if named and meta.is_file() and "frameRate" in (found := delimited.header(meta)).names:
+        for table in delimited.blocks(meta, found, ("frameRate",)):
+            hz = delimited.numbers(meta, "frameRate", table.column("frameRate"))
+            if len(hz) and hz[0] > 0:
+                return float(hz[0])
+    raise TrafficError(
+        f"{path}: its times are frame numbers, and no recordingMeta file beside it says how many there are in a "
+        "second. Set --frame-hz."
+    )
+
+
+def _good(
+    path: Path, actors: ndarray, time_s: Float[ndarray, "n"], xy: Float[ndarray, "n 2"], repair: bool
+) -> Bool[ndarray, "n"]:
+    """Rows with an actor, a time and a position that are there and finite."""
+    good = np.isfinite(time_s) & np.isfinite(xy).all(axis=1) & ~pd.isna(actors)
+    if not repair and not good.all():
+        row = int(np.flatnonzero(~good)[0])
+        raise TrafficError(
+            f"{path}: row {row + 1} ({actors[row]!r}) has a value missing or not finite, and {int((~good).sum())} of "
+            f"{len(good)} rows do. Correct them, or leave them out with --repair."
+        )
+    return good
+
+
+def _check_order(
+    where: str, names: list[str], actor: ndarray, time_s: ndarray, repaired: dict[str, int], repair: bool
+) -> None:
+    """Refuse an actor whose rows go back in time."""
+    order = np.argsort(actor, kind="stable")
+    back = (np.diff(time_s[order]) < 0) & (np.diff(actor[order]) == 0)
+    if not back.any():
+        return
+    if not repair:
+        row = order[int(np.flatnonzero(back)[0]) + 1]
+        raise TrafficError(
+            f"{where}: the rows of {names[actor[row]]!r} are not in the order of time, as {int(back.sum())} of "
+            f"{len(actor)} rows are not. Sort them, or let --repair do it."
+        )
+    repaired["unordered"] += int(back.sum())
+
+
+def _without_copies(
+    where: str, names: list[str], actor: ndarray, time_s: ndarray, xy: ndarray, repaired: dict[str, int], repair: bool
+) -> Bool[ndarray, "n"]:
+    """Rows of an actor that are the first of their time."""
+    again = np.r_[False, (np.diff(actor) == 0) & (np.diff(time_s) == 0)]
+    other = again & np.r_[False, (np.diff(xy, axis=0) != 0).any(axis=1)]
+    if other.any() and not repair:
+        row = int(np.flatnonzero(other)[0])
+        raise TrafficError(
+            f"{where}: {names[actor[row]]!r} has two positions at the time {time_s[row]:.10g} s, and there are "
+            f"{int(other.sum())} such rows. Are these recordings of their own? Then count each in its own command; or "
+            "keep the first of such rows with --repair."
+        )
+    repaired["repeated"] += int(again.sum())
+    return ~again
+
+
+def _projected(where: str, degrees: Float[ndarray, "n 2"], to_world: Projection) -> Float[ndarray, "n 2"]:
+    """East and north of latitudes and longitudes, on a transverse Mercator map."""
+    most = np.abs(degrees).max(axis=0)
+    if most[0] > _MOST_DEGREES[0] or most[1] > _MOST_DEGREES[1]:
+        hint = " Are they the other way round?" if most[0] <= 180 and most[1] <= 90 else " Are they metres?"
+        raise TrafficError(
+            f"{where}: latitudes reach {most[0]:g} and longitudes {most[1]:g} degrees; at most 90 and 180 can be.{hint}"
+        )
+    xy_m = to_world.to_world(degrees[:, 0], degrees[:, 1])
+    from_m = xy_m - np.median(xy_m, axis=0)
+    if not np.isfinite(xy_m).all() or np.abs(from_m).max() > 2e6:
+        raise TrafficError(
+            f"{where}: positions reach {np.nanmax(np.abs(from_m)) / 1000:,.0f} km from their median: no map without "
+            "distortion shows all of them. Leave out those far away."
+        )
+    return xy_m
+
+
+def _check_metres(where: str, actor: ndarray, time_s: ndarray, xy_m: Float[ndarray, "n 2"]) -> None:
+    """Refuse degrees that are given as metres, and coordinates that are nowhere on Earth."""
+    if np.abs(xy_m).max() > LARGEST_COORDINATE_M:
+        raise TrafficError(f"{where}: coordinates reach {np.abs(xy_m).max():g} m, which is no place on Earth.")
+    same = np.diff(actor) == 0
+    gone_m, took_s = np.hypot(*np.diff(xy_m, axis=0)[same].T), np.diff(time_s)[same]
+    moved = gone_m > 0
+    if moved.any() and (fastest := (gone_m[moved] / took_s[moved]).max()) < _CRAWL_MPS:
+        is_small = np.abs(xy_m).max() <= _MOST_DEGREES[1]
+        said = "x and y look like degrees or kilometres" if is_small else "x and y look like kilometres"
+        raise TrafficError(
+            f"{where}: nothing is faster than {fastest:.2g} m/s, so {said}, or the times like milliseconds. Name "
+            "degrees with --lat and --lon, or set --length-unit or --time-unit."
+        )
+
+
+def _needed(columns: Columns) -> list[str]:
+    return [columns.actor, columns.time, columns.x, columns.y, *(columns.corner or ())]
+
+
+def _parquet_names(path: Path) -> list[str]:
+    try:
+        check_regular(path)
+        return list(pq.read_schema(path).names)
+    except (pa.ArrowException, OSError) as error:
+        if "magic bytes" in str(error):
+            raise TrafficError(f"{path}: it lacks the end of a Parquet file. {delimited.ENDS_EARLY}.") from None
+        raise TrafficError(f"{path}: not a Parquet file: {str(error).splitlines()[0]}.") from None
+
+
+def _said(path: Path) -> str:
+    names = _parquet_names(path) if path.name.endswith(".parquet") else delimited.header(path).names
+    return f"columns {', '.join(names[:12])}" if any(names) else "empty"

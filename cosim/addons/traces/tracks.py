@@ -1,0 +1,232 @@
+"""Tracks of actors on the steps of a run, interpolated between positions at any times; gaps cut a track in two."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from cosim.addons.traces.positions import Fixes
+
+_ROWS_AT_ONCE = 1_000_000
+_TOLERANCE = 1e-6
+"""Part of a step by which a time may miss it."""
+_FEWEST_LINKS, _LEAST_JOINED_P = 3, 0.1
+"""If there are fewer pairs, or a larger share of them is joined, units are not doubted."""
+COMMON_STEP_S = 1.0
+"""Step for traces whose times have no common interval [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackParams:
+    """How positions become tracks."""
+
+    step_s: float
+    max_gap_s: float
+    """Longest time between two positions of an actor across which it is followed [s]."""
+    max_speed_mps: float = 70.0
+    """Two positions that ask for a faster motion are a jump: the track is cut there [m/s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tracks:
+    """S tracks, numbered by their first step and name, made of L links between positions that follow each other."""
+
+    names: list[str]
+    """Name of each track: that of its actor, and `/2`, `/3` ... after a gap."""
+    actor: Int[ndarray, "s"]
+    """Row of `Fixes.names`."""
+    first_step: Int[ndarray, "s"]
+    last_step: Int[ndarray, "s"]
+    link_track: Int[ndarray, "l"]
+    link_fix: Int[ndarray, "l"]
+    """Row of the earlier position of the link; a link of the last position has no length."""
+    link_first: Int[ndarray, "l"]
+    """First step of the link; links are sorted by it."""
+    link_end: Int[ndarray, "l"]
+    """One past its last step."""
+    n_steps: int
+    report: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Positions:
+    """All actors of one step."""
+
+    step: int
+    track: Int[ndarray, "n"]
+    xy_m: Float[ndarray, "n 2"]
+
+
+def check_options(step_s: float | None, max_gap_s: float, max_speed_mps: float, frame_hz: float | None) -> None:
+    """Raise ValueError, in one line, if a value of the command line is not a possible one."""
+    given = {"step_s": (step_s, 1e-3), "max_gap_s": (max_gap_s, 0.0), "max_speed_mps": (max_speed_mps, 0.0),
+             "frame_hz": (frame_hz, 1e-3)}  # fmt: skip
+    for name, (value, least) in given.items():
+        if value is not None and not (least < value < math.inf):
+            raise ValueError(f"--{name.replace('_', '-')} {value:g}: a finite number above {least:g} is needed.")
+
+
+def own_step_s(fixes: Fixes) -> float:
+    """The interval of a trace, if all its times are multiples of one; otherwise 1 s."""
+    took_s = np.diff(fixes.time_s)[np.diff(fixes.actor) == 0]
+    if not len(took_s):
+        return COMMON_STEP_S
+    step_s = float(took_s.min())
+    steps = fixes.time_s / step_s
+    is_common = step_s >= 1e-3 and np.abs(steps - np.round(steps)).max() < 1e-3
+    return round(step_s, 6) if is_common and step_s <= COMMON_STEP_S else COMMON_STEP_S
+
+
+def tracks(fixes: Fixes, params: TrackParams) -> Tracks:
+    """Cut the positions of each actor into tracks at gaps and jumps, and place them on steps.
+
+    Raises
+    ------
+    ValueError
+        In one line, if no track reaches a step, or if almost no position can be joined to the next one.
+
+    Notes
+    -----
+    Between two positions the motion is straight and of constant speed. If no vehicle is faster than v, the truth lies
+    in an ellipse with the two positions as foci, so the error is at most sqrt((v T)^2 - d^2) / 2 across the line for a
+    link of T seconds and d metres. The report has the median and the 95th percentile of that bound over steps between
+    two positions, for v = 20 m/s or the speed of the link itself if that is more.
+    """
+    n = len(fixes.time_s)
+    follows = np.diff(fixes.actor) == 0
+    took_s = np.diff(fixes.time_s)
+    gone_m = np.hypot(*np.diff(fixes.xy_m, axis=0).T)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        is_jump = follows & (took_s > 0) & (gone_m > params.max_speed_mps * took_s + 1e-9)
+    is_gap = follows & (took_s > params.max_gap_s * (1 + 1e-9))
+    _check_links(params, took_s[follows], gone_m[follows], is_gap[follows], is_jump[follows])
+    linked = np.r_[follows & ~is_gap & ~is_jump, False] if n else np.zeros(0, bool)
+    track = np.cumsum(~np.r_[False, linked[:-1]]) - 1 if n else np.zeros(0, np.int64)
+    # Steps s with time_s[i] <= s * step_s < time_s[i + 1]; the last position of a track has its own step, if on one.
+    at = fixes.time_s / params.step_s
+    first = np.ceil(at - _TOLERANCE).astype(np.int64)
+    end = np.where(linked, np.r_[first[1:], 0], np.floor(at + _TOLERANCE).astype(np.int64) + 1)
+    some = end > first
+    if not some.any():
+        raise ValueError(
+            f"no position of the trace is at, or interpolated to, a step of {params.step_s:g} s. Lower --step-s, or "
+            "raise --max-gap-s."
+        )
+    links = np.flatnonzero(some)
+    codes, of = np.unique(track[links], return_inverse=True)
+    first_step = np.full(len(codes), np.iinfo(np.int64).max)
+    last_step = np.full(len(codes), -1)
+    np.minimum.at(first_step, of, first[links])
+    np.maximum.at(last_step, of, end[links] - 1)
+    start = np.r_[True, np.diff(track) > 0]
+    actor = fixes.actor[start][codes]
+    nth = np.arange(len(codes)) - np.searchsorted(actor, actor)  # tracks of an actor follow each other
+    names = [fixes.names[a] + (f"/{k + 1}" if k else "") for a, k in zip(actor.tolist(), nth.tolist(), strict=True)]
+    order = sorted(range(len(codes)), key=lambda i: (int(first_step[i]), names[i]))
+    number = np.empty(len(codes), np.int64)
+    number[order] = np.arange(len(codes))
+    by_step = np.argsort(first[links], kind="stable")
+    return Tracks(
+        names=[names[i] for i in order],
+        actor=actor[order],
+        first_step=first_step[order],
+        last_step=last_step[order],
+        link_track=number[of][by_step],
+        link_fix=links[by_step],
+        link_first=first[links][by_step],
+        link_end=end[links][by_step],
+        n_steps=int(last_step.max()) + 1,
+        report=_report(fixes, params, linked, took_s, gone_m, is_gap, is_jump, links, first, end),
+    )
+
+
+def _check_links(
+    params: TrackParams, took_s: ndarray, gone_m: ndarray, is_gap: Bool[ndarray, "f"], is_jump: Bool[ndarray, "f"]
+) -> None:
+    """Refuse positions of which almost none is joined to the next one of its actor: their units are wrong."""
+    n, n_joined = len(took_s), int((~is_gap & ~is_jump).sum())
+    if n < _FEWEST_LINKS or n_joined >= _LEAST_JOINED_P * n:
+        return
+    said = f"of {n:,} pairs of positions that follow each other, only {n_joined:,} are joined: "
+    if 2 * is_gap.sum() >= n:
+        raise ValueError(
+            f"{said}they are {np.median(took_s):g} s apart (median), and --max-gap-s is {params.max_gap_s:g}. Are the "
+            "times in another unit, such as milliseconds? Set --time-unit, or raise --max-gap-s."
+        )
+    with np.errstate(divide="ignore"):
+        fast_mps = np.median(gone_m / took_s)
+    raise ValueError(
+        f"{said}they ask for {fast_mps:,.4g} m/s (median), and --max-speed-mps is {params.max_speed_mps:g}. Are times "
+        "or positions in another unit? Set --time-unit, --length-unit or --frame-hz, or raise --max-speed-mps."
+    )
+
+
+def _report(
+    fixes: Fixes, params: TrackParams, linked: Bool[ndarray, "n"], took_s: ndarray, gone_m: ndarray, is_gap: ndarray,
+    is_jump: ndarray, links: ndarray, first: ndarray, end: ndarray,
+) -> dict[str, float]:  # fmt: skip
+    """How much of the tracks is interpolated, and the bound on its error."""
+    inner = links[linked[links]]
+    begin = np.where(np.abs(fixes.time_s[inner] / params.step_s - first[inner]) <= _TOLERANCE, 1, 0)
+    n_between = (end[inner] - first[inner] - begin).astype(np.int64)
+    n_all = int((end[links] - first[links]).sum())
+    speed = np.maximum(20.0, gone_m[inner] / took_s[inner])
+    bound_m = np.sqrt(np.maximum((speed * took_s[inner]) ** 2 - gone_m[inner] ** 2, 0)) / 2
+    ends = np.array([0.5, 0.95])
+    bounds = _weighted_quantiles(bound_m, n_between, ends) if n_between.sum() else np.zeros(2)
+    between = took_s[linked[:-1]] if len(linked) > 1 else np.zeros(0)
+    speeds = gone_m[linked[:-1]] / between if len(between) else np.zeros(1)
+    width_m, height_m = np.ptp(fixes.xy_m, axis=0).tolist()
+    return {
+        "positions": len(fixes.time_s),
+        "interval_median_s": float(np.median(between)) if len(between) else 0.0,
+        "gaps": int(is_gap.sum()),
+        "jumps": int((is_jump & ~is_gap).sum()),
+        "interpolated_share": float(n_between.sum() / n_all),
+        "error_bound_median_m": float(bounds[0]),
+        "error_bound_p95_m": float(bounds[1]),
+        "speed_median_mps": float(np.median(speeds)),
+        "speed_p95_mps": float(np.quantile(speeds, 0.95)),
+        "extent_east_m": width_m,
+        "extent_north_m": height_m,
+    }
+
+
+def _weighted_quantiles(values: ndarray, weights: ndarray, at: ndarray) -> ndarray:
+    order = np.argsort(values)
+    shares = np.cumsum(weights[order]) / weights.sum()
+    return values[order][np.minimum(np.searchsorted(shares, at), len(values) - 1)]
+
+
+def steps(fixes: Fixes, found: Tracks, step_s: float) -> Iterator[Positions]:
+    """Positions of all tracks, step by step, from step 0 on; steps without actors too."""
+    longest = int((found.link_end - found.link_first).max())
+    total = int((found.link_end - found.link_first).sum())
+    block = max(1, min(found.n_steps, int(_ROWS_AT_ONCE / max(1.0, total / found.n_steps))))
+    for begin in range(0, found.n_steps, block):
+        end = min(begin + block, found.n_steps)
+        low, high = np.searchsorted(found.link_first, [begin - longest, end])
+        rows = np.arange(low, high)[found.link_end[low:high] > begin]
+        first, last = np.maximum(found.link_first[rows], begin), np.minimum(found.link_end[rows], end)
+        n = last - first
+        link = np.repeat(rows, n)
+        step = np.arange(len(link)) - np.repeat(np.cumsum(n) - n, n) + np.repeat(first, n)
+        track, xy_m = found.link_track[link], _interpolated(fixes, found.link_fix[link], step * step_s)
+        order = np.lexsort((track, step))
+        step, track, xy_m = step[order], track[order], xy_m[order]
+        cuts = np.searchsorted(step, np.arange(begin, end + 1))
+        for i, (a, b) in enumerate(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True)):
+            yield Positions(begin + i, track[a:b], xy_m[a:b])
+
+
+def _interpolated(fixes: Fixes, fix: Int[ndarray, "k"], time_s: Float[ndarray, "k"]) -> Float[ndarray, "k 2"]:
+    """Positions at times between a position of an actor and its next one."""
+    after = np.minimum(fix + 1, len(fixes.time_s) - 1)
+    took_s = fixes.time_s[after] - fixes.time_s[fix]
+    is_link = (fixes.actor[after] == fixes.actor[fix]) & (took_s > 0)
+    share = np.where(is_link, (time_s - fixes.time_s[fix]) / np.where(is_link, took_s, 1.0), 0.0)
+    share = np.clip(np.where(np.abs(share) < _TOLERANCE, 0.0, share), 0.0, 1.0)  # a time on a step is that position
+    return fixes.xy_m[fix] + share[:, None] * (fixes.xy_m[after] - fixes.xy_m[fix])

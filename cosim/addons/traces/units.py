@@ -1,0 +1,130 @@
+"""Units of tables of positions: what names of columns, sizes of numbers and a column of speeds say of them."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float
+from numpy import ndarray
+
+from cosim.traffic import delimited
+from cosim.traffic.frame import TrafficError
+
+TIME_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+LENGTH_M = {"m": 1.0, "ft": 0.3048, "km": 1000.0, "cm": 0.01, "mm": 1e-3}
+_TIME_WORDS = {
+    "ms": "ms", "msec": "ms", "millis": "ms", "milliseconds": "ms", "us": "us", "usec": "us", "micros": "us",
+    "microseconds": "us", "ns": "ns", "nanoseconds": "ns", "nanos": "ns", "min": "min", "minutes": "min", "hours": "h",
+}  # fmt: skip
+_LENGTH_WORDS = {"ft": "ft", "feet": "ft", "km": "km", "cm": "cm", "mm": "mm"}
+_NGSIM_FEET = {"Local_X", "Local_Y", "Global_X", "Global_Y"}
+_SINCE_1970 = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
+"""A time that is larger than this is in this unit since 1970: as seconds, it would be after the year 5000."""
+SPEEDS = ("speed", "v_Vel", "speed_mps", "velocity", "vehicle_speed", "xVelocity", "yVelocity", "vx", "vy")
+"""Columns that say a speed, or its parts."""
+_PARTS = (("xVelocity", "yVelocity"), ("vx", "vy"))
+_SPEED_UNITS = (1.0, 1 / 3.6, 0.44704, 0.51444, 0.3048)
+"""m/s of a speed in m/s, km/h, mph, knots, ft/s."""
+_NEAR = 1.15
+_ODD = (0.2, 2.0)
+"""Ratios of speeds outside these are refused."""
+
+
+def words(name: str) -> list[str]:
+    """Words of a column's name, in lower case."""
+    return re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
+
+
+def is_number(column: pa.ChunkedArray) -> bool:
+    """Whether a column of times holds numbers, and not dates or times of day."""
+    if not delimited.is_text(column.type):
+        return pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
+    first = next((text for chunk in column.chunks for text in chunk[:1000].to_pylist() if text is not None), "")
+    return bool(re.match(r"^[-+.,\d]+([eE][-+]?\d+)?$", first))
+
+
+def time_unit(name: str, times: Float[ndarray, "n"], given_s: float | None) -> tuple[float, str]:
+    """Seconds per unit of a column of times, and a word about it if nobody said so."""
+    if given_s is not None:
+        return given_s, ""
+    if unit := next((_TIME_WORDS[word] for word in words(name)[1:] if word in _TIME_WORDS), None):
+        return TIME_S[unit], f"times in {unit}, as the column {name} says"
+    most = float(np.nanmax(np.abs(times), initial=0.0))
+    if unit := next((unit for unit, least in _SINCE_1970 if most >= least), None):
+        return TIME_S[unit], f"times in {unit} since 1970"
+    return 1.0, ""
+
+
+def length_unit(x: str, y: str, given_m: float | None) -> tuple[float, str]:
+    """Metres per unit of positions, and a word about it if nobody said so."""
+    if given_m is not None:
+        return given_m, ""
+    if {x, y} <= _NGSIM_FEET:
+        return LENGTH_M["ft"], f"positions in ft, as those of NGSIM in {x} and {y}"
+    found = {_LENGTH_WORDS[word] for name in (x, y) for word in words(name)[1:] if word in _LENGTH_WORDS}
+    if len(found) == 1:
+        (unit,) = found
+        return LENGTH_M[unit], f"positions in {unit}, as the column {x} says"
+    return 1.0, ""
+
+
+def degrees_by_name(*names: str) -> str:
+    """The first column that is named as a latitude or longitude; empty if none is."""
+    return next((n for n in names if {"lat", "lon", "lng", "latitude", "longitude"} & set(words(n))), "")
+
+
+def is_frame(name: str) -> bool:
+    """Whether a column is named as frame numbers."""
+    return "frame" in words(name) or "frames" in words(name)
+
+
+def speeds(path: Path, table: pa.Table) -> Float[ndarray, "n"] | None:
+    """Speeds that a table says, in a unit that is not known. None if it says none, or not in numbers."""
+    try:
+        for pair in _PARTS:
+            if set(pair) <= set(table.column_names):
+                return np.hypot(*(delimited.numbers(path, name, table.column(name)) for name in pair))
+        for name in SPEEDS:
+            if name in table.column_names:
+                return np.abs(delimited.numbers(path, name, table.column(name)))
+    except TrafficError:
+        return None
+    return None
+
+
+def check_speeds(
+    where: str, actor: ndarray, time_s: Float[ndarray, "n"], xy_m: Float[ndarray, "n 2"], speed: Float[ndarray, "n"],
+    is_given: bool,
+) -> None:  # fmt: skip
+    """Compare speeds of positions with those that the trace says, in any usual unit.
+
+    Parameters
+    ----------
+    is_given
+        Whether the user has named both units.
+
+    Raises
+    ------
+    TrafficError
+        Times or positions are in other units. The line names those that fit.
+    """
+    took_s = np.diff(time_s)
+    said = (speed[1:] + speed[:-1]) / 2
+    use = (np.diff(actor) == 0) & (took_s > 0) & (said > 0.5)
+    if is_given or np.count_nonzero(use) < 2:
+        return
+    ratio = float(np.median(np.hypot(*np.diff(xy_m, axis=0)[use].T) / took_s[use] / said[use]))
+    if _ODD[0] < ratio < _ODD[1] or ratio == 0:
+        return
+    fits = [
+        f"--time-unit {time} --length-unit {length}"
+        for time, unit_s in TIME_S.items()
+        for length, unit_m in LENGTH_M.items()
+        if any(1 / _NEAR < ratio * unit_m / unit_s / per < _NEAR for per in _SPEED_UNITS[:2])
+    ]
+    hint = f" These units would fit: {', or '.join(fits[:3])}." if fits else ""
+    raise TrafficError(
+        f"{where}: positions and times ask for {ratio:.3g} times the speeds that the table says, so they are not in "
+        f"metres and seconds.{hint} Set both units."
+    )

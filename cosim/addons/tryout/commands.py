@@ -1,0 +1,118 @@
+"""Commands for authors of extensions: `new` writes an example, `try` checks a class."""
+
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from cosim.cli.console import plain, print_json, screen
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from results.run import Run
+
+Kind = Literal["trust", "attack", "policy", "medium", "detector", "driver", "exporter", "metric"]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the commands `new` and `try`."""
+    app.command()(new)
+    app.command("try")(try_)
+
+
+_PACKAGES = ("cosim", "sensors", "trust", "results", "sumo_nets")
+
+
+def new(
+    kind: Annotated[Kind, typer.Argument(help="The kind of extension.")],
+    path: Annotated[Path, typer.Argument(metavar="NAME.py", help="File to write.")],
+) -> None:
+    """Write a small working example of an extension, which you then change."""
+    if path.suffix != ".py":
+        raise ValueError(f"{path}: the file of a class ends in .py. Write for example cosim new {kind} mine.py.")
+    if path.stem in _PACKAGES:
+        raise ValueError(f"{path}: a file of this name would hide the package {path.stem}. Give another name.")
+    example = files("cosim.addons.tryout.templates").joinpath(f"{kind}.py").read_text(encoding="utf-8")
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(example)
+    except FileExistsError:
+        raise ValueError(f"{path} is there already. Give another name.") from None
+    except OSError as error:
+        raise ValueError(f"{path} cannot be written: {error.strerror or error}. Give another name.") from None
+    name = f"{path}:My{kind.capitalize()}"
+    lines = [f"wrote {path}", "check it:  " + f"cosim try {name}", f"use it:    {_use(kind, name)}"]
+    screen.print("\n".join(lines), soft_wrap=True)
+
+
+def _use(kind: str, name: str) -> str:
+    """The command or the lines of a config that use a class."""
+    from cosim.door.kinds import KINDS
+
+    if kind == "exporter":
+        return f"cosim export {name} RUN --out FOLDER"
+    if kind == "metric":
+        return f"cosim measure RUN --metric {name}"
+    section = KINDS[kind].section
+    head, share = ("[[attacks]]", "\n           share_p = 0.2") if kind == "attack" else (f"[{section}]", "")
+    return f'in the config\n           {head}\n           {KINDS[kind].key} = "{name}"{share}'
+
+
+def try_(
+    name: Annotated[
+        str, typer.Argument(metavar="FILE:CLASS", help="A class such as mine.py:Beta, or the name of a shipped one.")
+    ],
+    kind: Annotated[
+        Kind | None, typer.Option(help="The kind of the class. Needed only if its methods do not tell.")
+    ] = None,
+    sets: Annotated[
+        list[str] | None, typer.Option("--set", help="Set one of its parameters, key=value. Repeatable.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Check on a tiny scene whether your class keeps the rules of its interface; exit status 1 if it does not."""
+    from cosim.addons.tryout.tryout import try_class
+
+    report = try_class(name, kind, sets or [])
+    if as_json:
+        print_json({
+            "class": report.name, "kind": report.kind, "holds": report.holds,
+            "laws": [{"law": one.law, "holds": not one.broken, "found": one.broken} for one in report.findings],
+            "cost_us_per_vehicle": None if report.cost_us != report.cost_us else report.cost_us,
+        })  # fmt: skip
+    else:
+        for one in report.findings:
+            screen.print(f"{'broken' if one.broken else 'ok':<8}{one.law}", soft_wrap=True)
+            if one.broken:
+                screen.print(f"        {one.broken}", soft_wrap=True)
+        if report.cost_us == report.cost_us:
+            screen.print(f"cost    {plain(report.cost_us)} microseconds per vehicle and call", soft_wrap=True)
+    if not report.holds:
+        raise typer.Exit(1)
+
+
+def own_metrics(names: list[str], sets: list[str]) -> "Callable[[Run], pd.DataFrame] | None":
+    """A function that measures the user's own metrics on a run; None if no metric is named."""
+    from cosim.config.single import from_command_line
+    from cosim.door.guard import make
+    from cosim.door.load import is_own
+    from results.own_metrics import measure_own
+
+    if not names:
+        if sets:
+            raise ValueError(f"--set {sets[0]} goes with a metric of your own, --metric mine.py:Name. Leave it out.")
+        return None
+    if strange := [name for name in names if not is_own(name)]:
+        raise ValueError(
+            f"--metric {strange[0]}: for a run, name a metric of your own, mine.py:Name. Those that ship are printed "
+            "without --metric; of a study, --metric chooses among them."
+        )
+    if sets and len(names) > 1:
+        raise ValueError(f"--set {sets[0]}: of which metric? With --set, name one --metric alone.")
+    chosen = [from_command_line("metric", name, sets) for name in names]
+    made = [make(choice, *params) for choice, params in chosen]
+    return lambda run: measure_own(run, made)

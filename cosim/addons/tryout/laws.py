@@ -1,0 +1,197 @@
+"""Laws of the classes that are part of a step, checked on the tiny scene."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cosim.addons.tryout import play, trust_laws
+from cosim.addons.tryout.findings import Finding, Report, in_one_line, smallest
+from cosim.addons.tryout.play import BASE, Stage, Table, WithBeliefs
+from cosim.addons.tryout.probe import TOLERANCE, Observations, Probe
+from cosim.addons.tryout.scene import ACTORS, N_STEPS, STRANGER, Actor, TinyScene
+from cosim.config.config import load
+from cosim.door.kinds import KINDS
+from cosim.door.load import resolve
+from cosim.step.parts import Parts, check_choices
+from cosim.step.result import StepResult
+
+INTERRUPTED_AT = 7
+
+
+@dataclass(frozen=True, slots=True)
+class PartKind:
+    """A kind of class that is part of a step."""
+
+    tell: Callable[[StepResult, TinyScene], Table]
+    """The results that the class determines."""
+    draws: str
+    """A sentence about the source of its random numbers."""
+    change: Callable[[Parts], Parts] = lambda parts: parts
+    """Change of the scene's parts that the class needs to be used."""
+    sees_truth: bool = False
+
+
+PARTS = {
+    "trust": PartKind(play.trust, "A trust model draws no random numbers."),
+    "attack": PartKind(play.messages, "Draw with context.uniforms(...), keyed by the vehicle's name."),
+    "policy": PartKind(play.renewals, "Draw with ages.trip_draws and ages.step_draws."),
+    "medium": PartKind(
+        play.receptions, "Draw with draws(seed, step, names), the names being keys of stations and messages."
+    ),
+    "detector": PartKind(play.detections, "Draw with draws.uniforms(seen) or draws.normals(seen).", sees_truth=True),
+    "driver": PartKind(
+        play.commands, "Draw with draws(seed, world.step, world.name_key).",
+        change=lambda parts: replace(parts, driver=WithBeliefs(parts.driver)),
+    ),
+}  # fmt: skip
+"""Kinds of classes that are part of a step, by name."""
+
+
+def try_part(kind: str, name: str, own: Sequence[str] = ()) -> Report:
+    """Check a class that is part of a step.
+
+    Parameters
+    ----------
+    kind
+        One of `PARTS`.
+    name
+        Name of the class.
+    own
+        Its parameters, each as `key=value`.
+
+    Raises
+    ------
+    ValueError
+        The class or its parameters cannot be loaded. The message is one line.
+    """
+    part, section = PARTS[kind], "attacks.0" if kind == "attack" else KINDS[kind].section
+    interferes = kind == "attack" and hasattr(resolve(KINDS[kind], name).of, "sending")
+    radio = [
+        "radio.model=csma"
+    ] * interferes  # a unit disk has no interference that an attack on the channel could cause
+    sets = [*BASE, *radio, f"{section}.{KINDS[kind].key}={name}", *(f"{section}.{one}" for one in own)]
+    config = load(None, sets)
+    config = replace(config, trust_variant=(), attacks=config.attacks[:1])
+    check_choices(config)
+    stage, seen = Stage(config, part.change), Observations()
+    found: list[Finding] = []
+    try:
+        watched = Stage(config, lambda parts: part.change(_probed(parts, kind, seen)))
+        watched.play(TinyScene(), part.tell)
+        told = stage.play(TinyScene(), part.tell)
+    except Exception as error:  # whatever a user's class does
+        found.append(Finding("it runs, and returns what its interface asks for", in_one_line(error)))
+        return Report(kind, name, found)
+    found.append(Finding("it runs, and returns what its interface asks for"))
+    if kind != "trust":
+        twice = seen.twice and f"{seen.twice} {part.draws} Keep nothing between calls but in the state."
+        found.append(Finding("asked twice, it answers the same", twice))
+    if kind == "policy":
+        found.append(Finding("each vehicle changes for itself", seen.alone))
+    if kind == "attack":
+        found.append(Finding("it does not read the truth", seen.truth))
+    found += [_told(law, stage, part, told, **how) for law, how in _comparisons(kind).items()]
+    if kind == "trust":
+        more, seen = trust_laws.findings(stage)
+        found += more
+    cost_us = 1e6 * seen.seconds / max(seen.n_calls, 1) / sum(actor.equipped for actor in ACTORS)
+    return Report(kind, name, found, cost_us)
+
+
+def _comparisons(kind: str) -> dict[str, dict[str, Any]]:
+    """Laws that compare two plays. For each law: the difference between the plays, and the cure if results differ."""
+    part = PARTS[kind]
+    found: dict[str, dict[str, Any]] = {
+        "the same seed gives the same result": {
+            "says": "played a second time with the same seed", "cure": part.draws,
+        },
+        "numbers and order of the actors change nothing": {
+            "scene": TinyScene.renumbered, "says": "with other actor numbers, and the rows in their order",
+            "cure": "Read names (name_key) and positions, never row numbers or actor numbers as such.",
+        },
+        "a vehicle that one does not meet changes nothing": {
+            "scene": TinyScene.with_stranger, "says": "with one more vehicle, 9 km away",
+            "cure": f"Each vehicle's result follows from what it perceives and receives. {part.draws}",
+        },
+        "it goes on from a checkpoint": {
+            "interrupted_at": INTERRUPTED_AT, "says": f"interrupted and resumed before step {INTERRUPTED_AT}",
+            "cure": "Keep in the state whatever lasts from step to step, as numbers, arrays and plain objects.",
+        },
+    }  # fmt: skip
+    if not part.sees_truth and kind != "attack":
+        found["it does not read the truth"] = {
+            "scene": TinyScene.with_other_attackers, "change": play.with_harmless_attackers,
+            "says": "with other vehicles as attackers, all of which do nothing",
+            "cure": "Who attacks is known to the tables alone: leave `attack` and all that is called truth unread.",
+        }  # fmt: skip
+    return found
+
+
+def _told(
+    law: str, stage: Stage, part: PartKind, told: list[Table], says: str, cure: str,
+    scene: Callable[[TinyScene], TinyScene] = lambda one: one, change: Callable[[Parts], Parts] | None = None,
+    interrupted_at: int | None = None,
+) -> Finding:  # fmt: skip
+    """Check a law by comparison with a second play that differs in one respect."""
+    if change is not None:
+        stage, told = replace(stage, change=lambda parts: change(part.change(parts))), []
+
+    def compared(one: TinyScene, n_steps: int, first: list[Table]) -> tuple[int, str]:
+        first = first or stage.play(one, part.tell, n_steps)
+        return first_difference(first, stage.play(scene(one), part.tell, n_steps, interrupted_at))
+
+    actors = list(TinyScene().actors)
+    try:
+        step, found = compared(TinyScene(), N_STEPS, told)
+        if not found:
+            return Finding(law)
+        n_steps, examples = step + 1, {len(actors): (step, found)}
+
+        def is_broken(some: list[Actor]) -> bool:
+            step, found = compared(TinyScene(tuple(some)), n_steps, [])
+            if found:
+                examples[len(some)] = step, found
+            return bool(found)
+
+        n = len(smallest(actors, is_broken))
+    except Exception as error:  # whatever a user's class does
+        return Finding(law, f"{says[0].upper()}{says[1:]}: {in_one_line(error)} {cure}")
+    step, found = examples[n]
+    return Finding(law, f"Step {step}, {n} actor{'s' if n > 1 else ''}: {found} {says}. {cure}")
+
+
+def first_difference(one: list[Table], other: list[Table]) -> tuple[int, str]:
+    """The first step in which two plays differ, and the difference in words; empty if they are the same."""
+    for number, (a, b) in enumerate(zip(one, other, strict=True)):
+        for who in dict.fromkeys([*a, *b]):
+            if STRANGER.name in who:
+                continue
+            if who not in a or who not in b:
+                return number, f"{who} is {'there as it is, but not' if who in a else 'not there as it is, but it is'}"
+            for name, x in a[who].items():
+                if not np.isclose(x, y := b[who][name], rtol=TOLERANCE, atol=TOLERANCE, equal_nan=True):
+                    return number, f"{name} of {who} is {x:.6g}, but {y:.6g}"
+    return 0, ""
+
+
+def _probed(parts: Parts, kind: str, seen: Observations) -> Parts:
+    """The parts, with a probe around the class that is tested."""
+
+    def probe(behind: Any) -> Any:
+        return Probe(behind, tuple(KINDS[kind].hooks), seen)
+
+    if kind == "attack":
+        attacks = tuple(probe(one) for one in parts.adversary.attacks)
+        return replace(parts, adversary=replace(parts.adversary, attacks=attacks))
+    if kind == "policy":
+        return replace(parts, pseudonyms=replace(parts.pseudonyms, policy=probe(parts.pseudonyms.policy)))
+    if kind == "detector":
+        parts.perception.detector = probe(parts.perception.detector)  # type: ignore[attr-defined]
+        return parts
+    if kind == "medium":
+        return replace(parts, medium=probe(parts.medium))
+    if kind == "driver":
+        return replace(parts, driver=probe(parts.driver))
+    return parts

@@ -1,0 +1,231 @@
+"""Simulates the tiny scene step by step, and describes the results by the names of the actors."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cosim.addons.tryout.scene import N_STEPS, STEP_S, TinyScene
+from cosim.base import rng
+from cosim.config.config import Config
+from cosim.messages.content import SENSED, Detections
+from cosim.runs import checkpoint
+from cosim.runs.drive import STATE_VERSION, own_modules
+from cosim.step.cycle import step
+from cosim.step.parts import Parts
+from cosim.step.result import StepResult
+from cosim.step.state import State
+from cosim.traffic.driver import Beliefs, Driver, SpeedCommands
+from cosim.world import World
+from sensors.boxes import Boxes
+
+Row = dict[str, float]
+Table = dict[str, Row]
+"""Results of one step: numbers by column. The key of a row is the beginning of a sentence that names its owner."""
+
+BASE = (
+    "preset=v0.2",
+    f"traffic.step_s={STEP_S}", f"traffic.duration_s={N_STEPS * STEP_S}", "sensing_interval_s=1.0", "seed=4",
+    "lidar.n_azimuths=180", "radio.model=unit_disk", "server.cellular.delay_min_s=0.001",
+    "server.cellular.delay_mean_s=0.002", "server.backhaul_s=0.005", "trust.server_period_s=1.0", "compute.threads=1",
+    "attacks.0.start_s=2",
+)  # fmt: skip
+"""Config keys of all plays of the scene."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """A config, and a change of the parts that are built from it."""
+
+    config: Config
+    change: Callable[[Parts], Parts] = lambda parts: parts
+
+    def parts(self, scene: TinyScene) -> Parts:
+        """New parts."""
+        return self.change(Parts.of(self.config, scene.city))
+
+    def play(
+        self, scene: TinyScene, tell: Callable[[StepResult, TinyScene], Table], n_steps: int = N_STEPS,
+        interrupted_at: int | None = None,
+    ) -> list[Table]:  # fmt: skip
+        """Simulate the scene, and return the results of every step.
+
+        Parameters
+        ----------
+        tell
+            Makes the table of a step from its result.
+        interrupted_at
+            Before this step the state is written as bytes and read again, and the parts are rebuilt, as in a resumed
+            run.
+        """
+        parts = self.parts(scene)
+        state, tables = State.start(parts), []
+        for number in range(n_steps):
+            if number == interrupted_at:
+                state, parts = self.resumed(state), self.parts(scene)
+            state, happened = step(scene.world(number), state, parts)
+            tables.append(tell(happened, scene))
+        return tables
+
+    def resumed(self, state: State) -> State:
+        """The state as a resumed run reads it."""
+        own = own_modules(self.config)
+        kept = b"".join(checkpoint.encode((STATE_VERSION, state), own))
+        return checkpoint.decode(kept, own)[1]
+
+
+class Nothing:
+    """An attack that changes nothing. Only ground truth tells which vehicles carry it out."""
+
+    def detections(self, listed: Any, context: Any) -> Any:
+        """The unchanged lists."""
+        return listed
+
+
+def with_harmless_attackers(parts: Parts) -> Parts:
+    """The parts, with attacks that change nothing."""
+    harmless: Any = tuple(Nothing() for _ in parts.adversary.attacks)  # an attack may leave any hook out
+    return replace(parts, adversary=replace(parts.adversary, attacks=harmless))
+
+
+@dataclass(frozen=True, slots=True)
+class WithBeliefs:
+    """A driver with given beliefs instead of fused objects, because fusion decides ties by the order of rows."""
+
+    behind: Driver
+
+    def commands(
+        self, state: object, world: World, beliefs: Beliefs | None, dt_s: float
+    ) -> tuple[object, SpeedCommands]:
+        """The commands of the tested driver."""
+        given = None if beliefs is None else _beliefs(world, beliefs.known_s, dt_s)
+        return self.behind.commands(state, world, given, dt_s)
+
+
+def _beliefs(world: World, known_s: float, dt_s: float) -> Beliefs:
+    """Each equipped vehicle believes in all actors within 50 m, whether it sees them or not, and in a false car.
+
+    The false car stands in its lane, 35 m ahead of the vehicle's first position.
+    """
+    xy, yaw = world.boxes.xyz_m[:, :2], world.boxes.yaw_rad
+    apart_m = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1))
+    ego, other = np.nonzero(world.equipped[:, None] & (apart_m <= 50.0) & ~np.eye(len(world), dtype=bool))
+    alone = np.flatnonzero(world.equipped)
+    begun_m = world.speed_mps * world.step * dt_s
+    ghost_xyz_m = world.boxes.xyz_m + np.column_stack([np.cos(yaw), np.sin(yaw), 0 * yaw]) * (35.0 - begun_m)[:, None]
+    ghosts = replace(world.boxes, xyz_m=ghost_xyz_m).take(alone)
+    key = rng.key(0, rng.Stream.DRIVER)
+    sees = rng.uniforms(key, world.name_key[ego], world.name_key[other])[:, 0] < 0.5
+    n, by = len(alone), np.concatenate([ego, alone])
+    order = np.argsort(by, kind="stable")
+    return Beliefs(
+        known_s=known_s,
+        ego=by[order],
+        label=np.concatenate([world.label[other], world.label[alone]])[order],
+        boxes=Boxes.concat([world.boxes.take(other), ghosts]).take(order),
+        score=np.full(len(by), 0.9),
+        ego_detected=np.concatenate([sees, np.zeros(n, bool)])[order],
+        source=np.concatenate([world.actor[other], world.actor[alone]])[order].astype(np.int64),
+        source_index=np.concatenate([np.ones(len(other), np.int64), np.full(n, 2)])[order],
+        source_step=np.full(len(by), world.step),
+    )
+
+
+BOX = ("class", "x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad", "score")
+
+
+def _box(listed: Detections, i: int) -> Row:
+    boxes = listed.boxes
+    values = listed.label[i], *boxes.xyz_m[i], *boxes.lwh_m[i], boxes.yaw_rad[i], listed.score[i]
+    return dict(zip(BOX, map(float, values), strict=True))
+
+
+def detections(happened: StepResult, scene: TinyScene) -> Table:
+    """The detections of each vehicle's detector, highest score first."""
+    if happened.sensed is None:
+        return {}
+    found, names = happened.sensed.positioned.observed.detections, scene.names
+    return {
+        f"detection {found.detection_index[i]} of {names[found.observer[i]]}": _box(found, i)
+        for i in np.flatnonzero(found.origin == SENSED).tolist()
+    }
+
+
+def messages(happened: StepResult, scene: TinyScene) -> Table:
+    """The messages of each vehicle: its detections and evaluations, under each of its identities."""
+    sensed, names = happened.sensed, scene.names
+    if sensed is None:
+        return {}
+    listed, senders, actor, sent = sensed.listed.objects, sensed.senders, sensed.vehicles.actor, sensed.evaluated.sent
+    of = {
+        int(p): f"{names[actor[v]]}{f' as identity {i}' if i else ''}"
+        for p, v, i in zip(senders.pseudonym, senders.vehicle, senders.identity, strict=True)
+    }
+    told = {
+        f"detection {listed.detection_index[i]} of {names[listed.observer[i]]} as identity {listed.identity[i]}": (
+            _box(listed, i) | {"speed_mps": float(listed.speed_mps[i]), "transmitted": float(listed.transmitted[i])}
+        )
+        for i in range(len(listed))
+    }  # fmt: skip
+    by = np.repeat(sent.evaluator, np.diff(sent.ptr))
+    told |= {
+        f"evaluation by {of[int(by[i])]} of detection {sent.detection_index[i]} of {of[int(sent.observer[i])]}": {
+            "evaluation": float(sent.evaluation[i]), "visibility": float(sent.visibility[i]),
+        }
+        for i in range(len(by))
+    }  # fmt: skip
+    station, n = np.unique(sensed.rounds[0].round.station, return_counts=True)
+    told |= {f"{names[actor[s]]}": {"messages": k} for s, k in zip(station.tolist(), n.tolist(), strict=True)}
+    return told
+
+
+def receptions(happened: StepResult, scene: TinyScene) -> Table:
+    """Received messages, with their hops and times."""
+    sensed, names, told = happened.sensed, scene.names, {}
+    if sensed is None:
+        return {}
+    actor = sensed.vehicles.actor
+    for kind, one in zip(("detections", "evaluations"), sensed.rounds, strict=True):
+        got, station = one.round.receptions, one.round.station
+        sender = station[got.message]
+        number = got.message - np.searchsorted(station, sender)
+        for i in range(len(sender)):
+            which = f"{kind} message {number[i]} from {names[actor[sender[i]]]} at {names[actor[got.receiver[i]]]}"
+            told[which] = {
+                name: float(getattr(got, name)[i])
+                for name in ("hops", "generation_offset_s", "access_delay_s", "latency_s")
+            }
+    return told
+
+
+def trust(happened: StepResult, scene: TinyScene) -> Table:
+    """Trust of each vehicle in the vehicles from which it received messages."""
+    sensed, names = happened.sensed, scene.names
+    if sensed is None:
+        return {}
+    actor, used = sensed.vehicles.actor, sensed.looked_up.messages
+    found = sensed.looked_up.lookups[0]
+    sender = actor[sensed.senders.vehicle[used.message]]
+    return {
+        f"{names[actor[used.receiver[i]]]} about {names[sender[i]]}": {"trust": float(found.trust[i])}
+        for i in range(len(sender))
+    }
+
+
+def renewals(happened: StepResult, scene: TinyScene) -> Table:
+    """Pseudonyms that ended."""
+    ended = happened.ended_pseudonyms
+    return {
+        f"the pseudonym of {scene.names[v]} that ends": {"first step": float(begin), "last step": float(end)}
+        for v, begin, end in zip(ended.vehicle, ended.from_step, ended.to_step, strict=True)
+    }
+
+
+def commands(happened: StepResult, scene: TinyScene) -> Table:
+    """Commanded speeds of vehicles."""
+    told = happened.commands
+    return {
+        f"the command to {scene.names[a]}": {"speed_mps": v}
+        for a, v in zip(told.actor.tolist(), told.speed_mps.tolist(), strict=True)
+    }

@@ -1,0 +1,169 @@
+"""Laws of trust models about received messages, checked with the evidence of the tiny scene."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+
+from cosim.addons.tryout.findings import Finding, smallest
+from cosim.addons.tryout.play import Stage, Table
+from cosim.addons.tryout.probe import TOLERANCE, Observations, difference
+from cosim.addons.tryout.scene import TinyScene
+from cosim.step.result import StepResult
+from cosim.step.state import State
+from trust.tables import EvaluationMessages, ReceivedEvaluations, TrustScores
+
+ORDER = "the order of messages changes nothing"
+HOLDERS = "what one holder receives changes nothing for another"
+ASKING = "asking for scores changes nothing"
+
+
+Transmitted = tuple[int, ndarray, ndarray, ndarray, ndarray]
+"""Everything that was transmitted in a step: the arguments of `TrustModel.open_step`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reception:
+    """One evaluation message at one holder."""
+
+    messages: EvaluationMessages
+    holder: int
+    row: int
+
+    def __str__(self) -> str:
+        return f"from {self.messages.evaluator[self.row]} at {self.holder} in step {self.messages.step}"
+
+
+def recorded(stage: Stage) -> tuple[list[Transmitted], list[Reception]]:
+    """All transmissions in the scene, and all evaluation messages that vehicles receive or send."""
+    steps: list[Transmitted] = []
+    receptions: list[Reception] = []
+
+    def tell(happened: StepResult, scene: TinyScene) -> Table:
+        sensed = happened.sensed
+        if sensed is not None:
+            sent, row = sensed.listed.objects.transmitted, sensed.listed.detections
+            pseudonyms, messages = sensed.senders.pseudonym, sensed.evaluated.sent
+            of_detections = row.message[sent], row.detection_index[sent], row.score[sent]
+            steps.append((happened.world.step, pseudonyms, *of_detections))
+            got, actor = sensed.rounds[1].links.vehicles, sensed.vehicles.actor
+            pairs = [*zip(actor[got.receiver].tolist(), got.message.tolist(), strict=True)]
+            receptions.extend(Reception(messages, holder, row) for holder, row in pairs)
+        return {}
+
+    stage.play(TinyScene(), tell)
+    return steps, receptions
+
+
+def findings(stage: Stage) -> tuple[list[Finding], Observations]:
+    """Findings about the laws, and the processing time of the model."""
+    steps, receptions = recorded(stage)
+    parts, seen = stage.parts(TinyScene()), Observations()
+
+    def new_model() -> Any:
+        return State.start(parts).trust.hosts[0].model
+
+    def played(rows: list[Reception], late_steps: int = 0, reverse: bool = False, ask: bool = False) -> TrustScores:
+        return _played(new_model(), steps, rows, late_steps, reverse, ask, seen)
+
+    plain = played(receptions)
+    begin_s = time.perf_counter()
+    plain = played(receptions)
+    seen.seconds, seen.n_calls = time.perf_counter() - begin_s, len(steps)
+    return [
+        Finding(ORDER, _order(receptions, played)),
+        Finding(HOLDERS, _holders(receptions, plain, played)),
+        Finding(ASKING, _asking(plain, played(receptions, ask=True))),
+    ], seen
+
+
+def _played(
+    model: Any, steps: list[Transmitted], receptions: list[Reception], late_steps: int, reverse: bool, ask: bool,
+    seen: Observations,
+) -> TrustScores:  # fmt: skip
+    """Scores of a model at the end of the scene.
+
+    Parameters
+    ----------
+    late_steps
+        Number of steps by which every second message is late. All messages have arrived at the end.
+    reverse
+        Messages arrive one by one, the last first. Otherwise the messages of a step arrive together.
+    ask
+        Whether scores are also computed twice in every step.
+    """
+    due: list[list[Reception]] = [[] for _ in steps]
+    number_of = {step: number for number, (step, *_) in enumerate(steps)}
+    for k, one in enumerate(receptions):
+        late = late_steps * (k % 2)
+        due[min(number_of[one.messages.step] + late, len(steps) - 1)].append(one)
+    for number, now in enumerate(steps):
+        model.open_step(*now)
+        for received in _batches(due[number], reverse):
+            model.add_evaluations(received)
+        for _ in range(2 if ask else 0):
+            model.scores(now[0])
+    return model.scores(steps[-1][0])
+
+
+def _batches(receptions: list[Reception], one_by_one: bool) -> list[ReceivedEvaluations]:
+    """Receptions as arguments of `add_evaluations`: one by one, last first, or those of one step together."""
+    groups: dict[int, list[Reception]] = {}
+    for number, one in enumerate(receptions):
+        groups.setdefault(number if one_by_one else one.messages.step, []).append(one)
+    batches = [
+        ReceivedEvaluations(group[0].messages, np.array([r.holder for r in group]), np.array([r.row for r in group]))
+        for group in groups.values()
+    ]
+    return batches[::-1] if one_by_one else batches
+
+
+def _order(receptions: list[Reception], played: Callable[..., TrustScores]) -> str:
+    """A sentence if trust depends on the order of messages, within a step or across steps; empty otherwise."""
+    others: dict[str, dict[str, Any]] = {
+        "arrive in the opposite order": {"reverse": True},
+        "arrive up to two rounds of messages later": {"late_steps": 2},
+    }
+    for what, how in others.items():
+
+        def differs(some: list[Reception], how: dict[str, Any] = how) -> str:
+            return _first_row(played(some), played(some, **how))
+
+        if differs(receptions):
+            few = smallest(receptions, lambda some: bool(differs(some)))
+            which = "; ".join(map(str, few[:3])) + (f" and {len(few) - 3} more" if len(few) > 3 else "")
+            return (
+                f"{len(few)} message{'s' if len(few) > 1 else ''} ({which}) {what}: {differs(few)}. "
+                "Sum evidence by the step in `received.messages.step`, and decide nothing by who comes first."
+            )
+    return ""
+
+
+def _holders(receptions: list[Reception], whole: TrustScores, played: Callable[..., TrustScores]) -> str:
+    holder = receptions[0].holder
+    alone = played([one for one in receptions if one.holder == holder])
+    mine = np.flatnonzero(whole.holder == holder)
+    columns = {name: getattr(whole, name)[mine] for name in ("holder", "subject", "trust")}
+    found = _first_row(replace(whole, **columns), alone)
+    return found and f"Without the messages that others receive, {found}. Keep the evidence of each holder apart."
+
+
+def _asking(plain: TrustScores, asked: TrustScores) -> str:
+    found = _first_row(plain, asked)
+    return found and f"Asked for scores twice in every step before, {found}. scores() changes nothing in the model."
+
+
+def _first_row(one: TrustScores, other: TrustScores) -> str:
+    """The first different trust value, in words; empty if the scores are the same."""
+    if difference((one.holder, one.subject), (other.holder, other.subject)):
+        pairs = [set(zip(s.holder.tolist(), s.subject.tolist(), strict=True)) for s in (one, other)]
+        holder, subject = min(pairs[0] ^ pairs[1])
+        return f"{holder} has no trust value of {subject} any more, or has one that it had not"
+    differ = np.flatnonzero(~np.isclose(one.trust, other.trust, rtol=TOLERANCE, atol=TOLERANCE))
+    if not differ.size:
+        return ""
+    row = differ[0]
+    return f"trust of {one.holder[row]} in {one.subject[row]} is {other.trust[row]:.6g} instead of {one.trust[row]:.6g}"

@@ -1,0 +1,305 @@
+"""All attacks of a run: which vehicles carry them out in a step, and how they change what is sent."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from cosim.attacks.attack import Attack, AttackContext, EvaluationRows, Sending
+from cosim.attacks.params import AttackParams, owners
+from cosim.base import rng
+from cosim.base.codes import DetectionFault, Role
+from cosim.messages.content import FABRICATED, Detections, faults
+from cosim.world import World
+from sensors.line_of_sight import WallIndex
+
+_CELL_M = 200.0
+"""Attackers that appear in the same step are numbered by cells of this size, so that the members of a ring are close
+to each other."""
+
+
+@dataclass(slots=True)
+class AttackState:
+    """State of the attacks between steps: one row per section of the config, one column per actor number."""
+
+    rank: Int[ndarray, "a capacity"]
+    """Number of each attacker within its section, in the order of appearance; -1 for others."""
+    awake: Bool[ndarray, "a capacity"]
+    """Whether an attacker with `when = "sleeper"` has begun."""
+    n_active: Int[ndarray, "a capacity"]
+    """Number of steps with messages since each attacker last began."""
+    memory: list[dict[str, Any]] = field(default_factory=list)
+    """What the attack of each section stores."""
+
+    def with_room(self, capacity: int) -> None:
+        """Extend the columns to actor numbers below `capacity`."""
+        more = capacity - self.rank.shape[1]
+        if more > 0:
+            more = max(more, 256)
+            self.rank = np.pad(self.rank, ((0, 0), (0, more)), constant_values=-1)
+            self.awake = np.pad(self.awake, ((0, 0), (0, more)))
+            self.n_active = np.pad(self.n_active, ((0, 0), (0, more)))
+
+
+@dataclass(frozen=True, slots=True)
+class Active:
+    """The attacks that are active in one step, in the order of the config."""
+
+    attacks: tuple[tuple[Attack, AttackContext], ...]
+    xyz_m: Float[ndarray, "n 3"]
+    """Positions of all actors, world frame."""
+    sends: Bool[ndarray, "n"] | None = None
+    """Actors that send messages in this step, by row of the world; None if all equipped vehicles do."""
+
+    def _with(self, hook: str) -> list[tuple[Any, AttackContext]]:
+        """Attacks with a method that concerns messages, and contexts in which only those who send attack."""
+        found = [(attack, context) for attack, context in self.attacks if hasattr(attack, hook)]
+        if self.sends is None:
+            return found
+        now = [(attack, replace(context, attacker=context.attacker & self.sends)) for attack, context in found]
+        return [(attack, context) for attack, context in now if context.attacker.any()]
+
+    def detections(self, listed: Detections) -> tuple[Detections, Int[ndarray, "f"]]:
+        """Apply the attacks to the detection lists of all vehicles.
+
+        Returns
+        -------
+        The lists as they will be sent, and the numbers of detections that cannot be sent, by `DetectionFault`.
+        """
+        attacks, perceived = self._with("detections"), listed
+        listed, n_dropped = without_faults(listed, self.xyz_m)
+        n_identities = self.identities(len(self.xyz_m)) if attacks else np.zeros(0, np.int64)
+        for attack, context in attacks:
+            listed = attack.detections(listed, replace(context, n_identities=n_identities))
+            listed, n = without_faults(listed, self.xyz_m)
+            n_dropped += n
+        return with_perceived(listed, perceived), n_dropped
+
+    def evaluations(
+        self, rows: EvaluationRows, detections: Detections
+    ) -> tuple[Float[ndarray, "m"], Float[ndarray, "m"]]:
+        """Evaluation and visibility as each vehicle will send them.
+
+        Returns
+        -------
+        Aligned with `rows`. If no active attack has the method `evaluations`, they are the arrays of `rows` themselves.
+        """
+        evaluation, visibility = rows.evaluation, rows.visibility
+        for attack, context in self._with("evaluations"):
+            now = replace(rows, evaluation=evaluation, visibility=visibility)
+            evaluation, visibility = attack.evaluations(now, detections, context)
+        return evaluation, visibility
+
+    def identities(self, n: int) -> Int[ndarray, "n"]:
+        """Number of identities under which each of the `n` actors sends in addition to its own, by row of the world.
+
+        If several attacks give an actor identities, the largest number is used.
+        """
+        found = np.zeros(n, np.int64)
+        for attack, context in self._with("identities"):
+            found = np.maximum(found, np.where(context.attacker, attack.identities(context), 0))
+        return found
+
+    def sending(self, n: int) -> Sending:
+        """How each of the `n` actors sends its messages, by row of the world."""
+        found = Sending.plain(n)
+        for attack, context in self.attacks:  # a jammer jams whether it sends or not
+            if hasattr(attack, "sending"):
+                found = found.and_also(attack.sending(context))
+        return found
+
+    def malicious(self, n: int) -> Bool[ndarray, "n"]:
+        """Which of the `n` actors attack in this step and have the role malicious, by row of the world."""
+        found = np.zeros(n, bool)
+        for _, context in self.attacks:
+            if context.params.role == Role.MALICIOUS.name.lower():
+                found |= context.attacker
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class Adversary:
+    """The attacks of a run, in the order of the config; `world.attack` numbers them from 1."""
+
+    params: tuple[AttackParams, ...]
+    attacks: tuple[Attack, ...]
+    owner: tuple[int, ...]
+    """For each section, the number of the section that defines its vehicles."""
+    period_steps: tuple[float, ...]
+    """For each section, the length of a period of `on_off` in steps."""
+    seed: int
+    dt_s: float
+    walls: WallIndex | None = None
+    """Walls of the city's buildings, which attackers know."""
+
+    @staticmethod
+    def of(
+        params: Sequence[AttackParams], attacks: Sequence[Attack], seed: int, dt_s: float = 1.0,
+        freshness_s: float | str = "off", walls: WallIndex | None = None,
+    ) -> "Adversary":  # fmt: skip
+        """Attacks with their parameters. `freshness_s` is the window of evidence, a unit for periods."""
+        period_s = [p.period_s if p.when != "on_off" else p.period_of(freshness_s) for p in params]
+        period_steps = tuple(s / dt_s for s in period_s)
+        return Adversary(tuple(params), tuple(attacks), owners(params), period_steps, seed, dt_s, walls)
+
+    def start(self) -> AttackState:
+        """The state before the first step."""
+        n = len(self.params)
+        nothing = np.zeros((n, 0), np.int64)
+        return AttackState(nothing, nothing.astype(bool), nothing, [{} for _ in range(n)])
+
+    @property
+    def reads_trust(self) -> bool:
+        """Whether any attacker depends on the trust that is broadcast about it."""
+        return any(p.reads_trust for p in self.params)
+
+    @property
+    def renews(self) -> bool:
+        """Whether any attacker changes its pseudonym in addition to the pseudonym policy."""
+        return any(p.renewal != "by_policy" for p in self.params)
+
+    def renewals(
+        self, world: World, time_s: float, trust: Float[ndarray, "n"] | None, age_s: Float[ndarray, "n"]
+    ) -> Bool[ndarray, "n"]:
+        """Actors that change their pseudonyms in addition to the pseudonym policy.
+
+        Parameters
+        ----------
+        trust
+            Trust in each actor, as the actor last received it. None if no attack reads it.
+        age_s
+            Age of each actor's current pseudonym.
+
+        Returns
+        -------
+        By row of the world.
+        """
+        found = np.zeros(len(world), bool)
+        for number, p in enumerate(self.params):
+            if p.renewal == "by_policy" or time_s < p.start_s:
+                continue
+            if p.renewal == "whitewashing":
+                assert trust is not None, "given where an attack reads it"
+                wants = trust < p.renew_below
+            else:
+                wants = age_s >= p.renew_s - 1e-9
+            found |= wants & self._members(world, number)
+        return found
+
+    def active(
+        self, state: AttackState, world: World, time_s: float, trust: Float[ndarray, "n"] | None = None,
+        sends: Bool[ndarray, "n"] | None = None,
+    ) -> Active:  # fmt: skip
+        """The attacks that at least one vehicle carries out in this step. The function updates `state`.
+
+        Parameters
+        ----------
+        time_s
+            Time since recording began.
+        trust
+            Trust in each actor, as the actor last received it. None if no attack reads it.
+        sends
+            Actors that send messages in this step, by row of the world. None if all equipped vehicles do.
+        """
+        found = []
+        state.with_room(int(world.actor.max(initial=-1)) + 1)
+        for number, (p, attack) in enumerate(zip(self.params, self.attacks, strict=True)):
+            member = self._members(world, number)
+            if not member.any():
+                continue
+            ring = self._rings(state, world, number, member)
+            now = member & (time_s >= p.start_s)
+            if now.any() and p.when != "persistent":
+                now &= self._on(state, world, number, trust)
+            actor = world.actor
+            n_active = state.n_active[number, actor]
+            state.n_active[number, actor] = np.where(now, n_active + (1 if sends is None else sends), 0)
+            if now.any():
+                found.append((attack, AttackContext(
+                    world, now, time_s, self.seed, number, p, member, ring, n_active, state.memory[number], self.walls
+                )))  # fmt: skip
+        return Active(tuple(found), world.boxes.xyz_m, sends)
+
+    def _members(self, world: World, number: int) -> Bool[ndarray, "n"]:
+        return world.equipped & (world.attack == self.owner[number] + 1)
+
+    def _rings(self, state: AttackState, world: World, number: int, member: Bool[ndarray, "n"]) -> Int[ndarray, "n"]:
+        """Ring of each member."""
+        size = self.params[number].ring_size
+        if not size:
+            return np.zeros(len(world), np.int64)
+        rank = state.rank[number]
+        new = np.flatnonzero(member & (rank[world.actor] < 0))
+        x, y = np.floor(world.boxes.xyz_m[new, :2] / _CELL_M).T
+        new = new[np.lexsort((world.actor[new], y, x))]
+        rank[world.actor[new]] = rank.max(initial=-1) + 1 + np.arange(len(new))
+        return rank[world.actor] // size
+
+    def _on(
+        self, state: AttackState, world: World, number: int, trust: Float[ndarray, "n"] | None
+    ) -> Bool[ndarray, "n"]:
+        """Actors that attack in this step according to the key `when`."""
+        p = self.params[number]
+        if p.when == "sporadic":
+            key = rng.key(self.seed, rng.Stream.ATTACK_TIME, world.step)
+            return rng.uniforms(key, np.uint64(number), world.name_key)[:, 0] < p.active_p
+        if p.when == "on_off":
+            period = self.period_steps[number]
+            since = world.step - np.ceil(p.start_s / self.dt_s - 1e-9)
+            return np.full(len(world), np.mod(since + 1e-9, period) < p.duty_p * period)
+        assert trust is not None, "given where an attack reads it"
+        if p.when == "camouflage":
+            return trust > p.keep_above
+        state.awake[number, world.actor] |= trust >= p.wake_trust
+        return state.awake[number, world.actor]
+
+
+def with_perceived(listed: Detections, perceived: Detections) -> Detections:
+    """The lists, with every detection that a vehicle has really made, once.
+
+    What an attack made impossible to send, or gave another number, its vehicle has still perceived: it is in the list
+    and not transmitted. A detection under a number that the vehicle has not perceived is fabricated.
+    """
+    key, real = (d.observer.astype(np.int64) << 32 | d.detection_index for d in (listed, perceived))
+    says = listed.origin != FABRICATED
+    if np.array_equal(key[says], real) and np.array_equal(listed.origin[says], perceived.origin):
+        return listed
+    at = np.searchsorted(real, key)
+    found = (listed.identity == 0) & (np.append(real, -1)[at] == key)
+    origin = np.full(len(listed), FABRICATED, np.uint8)
+    origin[found] = perceived.origin[at[found]]
+    left_out = np.ones(len(real), bool)
+    left_out[at[found]] = False
+    rest = perceived.take(np.flatnonzero(left_out))
+    rest = replace(rest, transmitted=np.zeros(len(rest), bool))
+    return Detections.concat([replace(listed, origin=origin), rest])
+
+
+def without_faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> tuple[Detections, Int[ndarray, "f"]]:
+    """Drop the detections that cannot be sent.
+
+    Parameters
+    ----------
+    listed
+        Detections of all vehicles.
+    xyz_m
+        Positions of all actors by row of the world.
+
+    Returns
+    -------
+    The remaining detections, sorted by key, and the numbers of dropped ones, by `DetectionFault`.
+    """
+    fault = faults(listed, xyz_m)
+    n_dropped = np.bincount(fault[fault >= 0], minlength=len(DetectionFault))
+    key = (listed.observer, listed.identity, listed.detection_index)
+    if n_dropped.any():
+        rows = np.flatnonzero(fault < 0)
+        return listed.take(rows[np.lexsort([column[rows] for column in key[::-1]])]), n_dropped
+    tied, is_sorted = np.ones(max(len(listed) - 1, 0), bool), True
+    for column in key:
+        is_sorted &= not (tied & (column[1:] < column[:-1])).any()
+        tied &= column[1:] == column[:-1]
+    return listed if is_sorted else listed.take(np.lexsort(key[::-1])), n_dropped

@@ -1,0 +1,144 @@
+"""Makes fabricated detections look like those of a detector, so that no column of a message gives them away."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from numpy import ndarray
+
+from cosim.attacks.attack import AttackContext, fabricated
+from cosim.base import rng
+from cosim.messages.content import FABRICATED, SELF, SENSED, Detections
+from sensors.boxes import Boxes
+
+N_ALIKE = 8
+"""A fabricated detection resembles one of this many detections of its class at the most similar distances."""
+_KEPT = 64
+"""Detections of each class that are kept for steps in which there are none."""
+_SHUFFLE = np.uint64(1 << 32)
+"""Names the draws of the order of detections; attacks have smaller numbers."""
+
+
+def ghosts(
+    listed: Detections, observer: Int[ndarray, "c"], label: UInt8[ndarray, "c"], boxes: Boxes, context: AttackContext,
+    target: Int[ndarray, "c"] | None = None,
+) -> Detections:  # fmt: skip
+    """Add objects that do not exist to the lists, as a detector would report them if they stood there.
+
+    Each ghost takes score, size, number of returns and speed of a real detection of its class, made by any vehicle at
+    a similar distance. So these values have the distribution of the detector, whatever the detector is. Its speed is
+    along its own heading; it has none where the real detection has none, because its track is new.
+
+    Parameters
+    ----------
+    listed
+        The detections of the step.
+    observer, label
+        Row of the world of the vehicle that adds each ghost, and its class.
+    boxes
+        Where the ghosts stand. They keep their ground and get the size of a detection.
+    target
+        As `attack.fabricated`.
+    """
+    if context.params.appearance == "paper":
+        return fabricated(listed, observer, label, boxes, np.ones(len(observer)), target)
+    pool = _pool(listed, context)
+    chosen = _alike(pool, observer, label, boxes, context)
+    there = chosen >= 0
+    donor = chosen[there]
+    xyz_m, lwh_m, n = boxes.xyz_m.copy(), boxes.lwh_m.copy(), len(observer)
+    lwh_m[there] = pool["lwh_m"][donor]
+    xyz_m[:, 2] += (lwh_m[:, 2] - boxes.lwh_m[:, 2]) / 2
+    score, n_points, speed_mps = np.ones(n), np.zeros(n, np.int32), np.full(n, np.nan)
+    score[there], n_points[there], speed_mps[there] = (pool[name][donor] for name in ("score", "n_points", "speed_mps"))
+    along = np.column_stack([np.cos(boxes.yaw_rad), np.sin(boxes.yaw_rad)])
+    return fabricated(
+        listed, observer, label, Boxes(xyz_m, lwh_m, boxes.yaw_rad), score, target, n_points=n_points,
+        velocity_mps=speed_mps[:, None] * along,
+    )  # fmt: skip
+
+
+def _pool(listed: Detections, context: AttackContext) -> dict[str, ndarray]:
+    """Detections of this step, and the last ones of classes that are rare: class, distance and what ghosts take."""
+    rows = np.flatnonzero(listed.origin == SENSED)
+    boxes, by = listed.boxes.take(rows), listed.observer[rows]
+    now = {
+        "label": listed.label[rows],
+        "range_m": _range_m(boxes.xyz_m, by, context),
+        "name_key": context.name_key(by),
+        "detection_index": listed.detection_index[rows],
+        "lwh_m": boxes.lwh_m,
+        "score": listed.score[rows],
+        "n_points": listed.n_points[rows],
+        "speed_mps": np.linalg.norm(listed.velocity_mps[rows], axis=1),
+    }
+    # By distance, and then by name, so that no draw depends on actor numbers.
+    order = np.lexsort((now["detection_index"], now["name_key"], now["range_m"]))
+    now = {name: column[order] for name, column in now.items()}
+    before = context.memory.get("detected")
+    pool = now
+    if before is not None:
+        rare = np.isin(before["label"], np.setdiff1d(before["label"], now["label"]))
+        pool = {name: np.concatenate([now[name], before[name][rare]]) for name in now}
+    last = [np.flatnonzero(pool["label"] == label)[:_KEPT] for label in np.unique(pool["label"])]
+    kept = np.concatenate([np.zeros(0, np.int64), *last])
+    context.memory["detected"] = {name: column[kept] for name, column in pool.items()}
+    return pool
+
+
+def _range_m(xyz_m: Float[ndarray, "n 3"], observer: Int[ndarray, "n"], context: AttackContext) -> Float[ndarray, "n"]:
+    return np.linalg.norm(xyz_m[:, :2] - context.world.boxes.xyz_m[observer, :2], axis=1)
+
+
+def _alike(
+    pool: dict[str, ndarray], observer: Int[ndarray, "c"], label: UInt8[ndarray, "c"], boxes: Boxes,
+    context: AttackContext,
+) -> Int[ndarray, "c"]:  # fmt: skip
+    """For each ghost, the row of the pool that it resembles; -1 if the pool has none of its class."""
+    range_m = _range_m(boxes.xyz_m, observer, context)
+    draw = context.uniforms(context.name_key(observer), np.arange(len(observer)) - _first(observer))[:, 0]
+    chosen = np.full(len(observer), -1)
+    for one in np.unique(label):
+        of_class, mine = np.flatnonzero(pool["label"] == one), np.flatnonzero(label == one)
+        if not len(of_class):
+            continue
+        near = np.sort(pool["range_m"][of_class])
+        by_range = of_class[np.argsort(pool["range_m"][of_class], kind="stable")]
+        n = min(N_ALIKE, len(of_class))
+        begin = np.clip(np.searchsorted(near, range_m[mine]) - n // 2, 0, len(of_class) - n)
+        chosen[mine] = by_range[begin + (draw[mine] * n).astype(np.int64)]
+    return chosen
+
+
+def _first(observer: Int[ndarray, "c"]) -> Int[ndarray, "c"]:
+    """Row of the first ghost of the same observer; the ghosts of an observer follow each other."""
+    starts = np.append(True, observer[1:] != observer[:-1])[: len(observer)]
+    return np.maximum.accumulate(np.where(starts, np.arange(len(observer)), 0))
+
+
+def shuffled(listed: Detections, name_key: ndarray, seed: int, step: int) -> tuple[Detections, Int[ndarray, "d"]]:
+    """The lists with the numbers of detections in random order, where a vehicle has fabricated any.
+
+    Fabricated detections would otherwise have the highest numbers. Self reports keep number 0.
+
+    Parameters
+    ----------
+    name_key
+        Key of the name of each actor, by row of the world.
+
+    Returns
+    -------
+    The lists, sorted by their key again, and the row of `listed` of each of their rows.
+    """
+    of_vehicle = listed.identity == 0
+    has_any = np.unique(listed.observer[of_vehicle & (listed.origin == FABRICATED)])
+    rows = np.flatnonzero(of_vehicle & (listed.origin != SELF) & np.isin(listed.observer, has_any))
+    if not len(rows):
+        return listed, np.arange(len(listed))
+    names = name_key[listed.observer[rows]]
+    draw = rng.uniforms(rng.key(seed, rng.Stream.ATTACK, step), _SHUFFLE, names, listed.detection_index[rows])[:, 0]
+    index = listed.detection_index.copy()
+    index[rows[np.lexsort((draw, listed.observer[rows]))]] = index[rows]
+    again = replace(listed, detection_index=index)
+    order = np.lexsort((index, listed.identity, listed.observer))
+    return again.take(order), order

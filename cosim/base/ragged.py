@@ -1,0 +1,100 @@
+"""Compressed rows: ranges of integers, offsets of groups, and stable orders by counting."""
+
+import numpy as np
+from jaxtyping import Bool, Int
+from numpy import ndarray
+
+from cosim.base.kernel import compiled
+
+
+def ptr_of(sorted_rows: Int[ndarray, "m"], n: int) -> Int[ndarray, "n+1"]:
+    """Where the rows of each of `n` owners begin in an array sorted by owner.
+
+    Parameters
+    ----------
+    sorted_rows
+        Owner of each row, from 0 to n - 1, ascending.
+
+    Returns
+    -------
+    `ptr`: the rows of owner i are ptr[i]:ptr[i + 1]. The range of an owner without rows is empty.
+    """
+    return np.searchsorted(sorted_rows, np.arange(n + 1)).astype(np.int64)
+
+
+def expand(starts: Int[ndarray, "m"], stops: Int[ndarray, "m"]) -> tuple[ndarray, ndarray]:
+    """All integers of the ranges [start, stop), range after range, and the number of the range of each integer.
+
+    No stop may be below its start.
+    """
+    counts = stops - starts
+    which = np.repeat(np.arange(len(starts)), counts)
+    offset = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return starts[which] + offset, which
+
+
+def ranges(start: Int[ndarray, "r"], count: Int[ndarray, "r"]) -> Int[ndarray, "m"]:
+    """All integers of the ranges [start, start + count), range after range. Counts may be 0."""
+    before = np.cumsum(count) - count
+    return np.arange(int(count.sum())) + np.repeat(start - before, count)
+
+
+def offsets(count: Int[ndarray, "r"]) -> Int[ndarray, "r+1"]:
+    """Where each group begins if groups of these counts lie one after another, and where the last one ends."""
+    return np.concatenate([[0], np.cumsum(count, dtype=np.int64)])
+
+
+def rows_of(number: Int[ndarray, "k"], numbers: Int[ndarray, "n"]) -> tuple[Int[ndarray, "k"], Bool[ndarray, "k"]]:
+    """Row of each number among ascending ones, and whether it is there. Where it is not, the row means nothing."""
+    row = np.minimum(np.searchsorted(numbers, number), max(len(numbers) - 1, 0))
+    return row, numbers[row] == number if len(numbers) else np.zeros(len(number), bool)
+
+
+def distinct(value: Int[ndarray, "m"]) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"]]:
+    """Distinct numbers, ascending, and how often each occurs.
+
+    The result is that of `np.unique` with `return_counts`. This function is faster if long runs of the values are in
+    order already, because a stable sort merges such runs. For 400,000 pairs of vehicles it takes 1 ms. `np.unique`
+    takes 20 ms, and 250 ms without counts, because it then uses a hash table.
+    """
+    ordered = np.sort(value, kind="stable")
+    first = np.flatnonzero(np.concatenate([np.ones(min(1, len(ordered)), bool), ordered[1:] != ordered[:-1]]))
+    return ordered[first], np.diff(np.append(first, len(ordered)))
+
+
+def stable_order(value: Int[ndarray, "m"]) -> Int[ndarray, "m"]:
+    """Rows in ascending order of their numbers. Rows with equal numbers keep their order.
+
+    The function counts if the range of the numbers is at most eight times as long as the array. Otherwise it sorts.
+    """
+    low, high = (int(value.min()), int(value.max())) if len(value) else (0, 0)
+    if high - low > 8 * len(value):
+        return np.argsort(value, kind="stable")
+    return counting_order(np.asarray(value, np.int64) - low, high - low + 1)
+
+
+def order_by_two(first: Int[ndarray, "m"], second: Int[ndarray, "m"], n: int) -> Int[ndarray, "m"]:
+    """Rows sorted by the first, then by the second column. Rows that are equal in both keep their order.
+
+    Parameters
+    ----------
+    first, second
+        Numbers from 0 to n - 1.
+    """
+    order = counting_order(np.asarray(second, np.int64), n)
+    return order[counting_order(np.asarray(first, np.int64)[order], n)]
+
+
+@compiled
+def counting_order(value, n):
+    """Stable order of rows by numbers from 0 to n - 1."""
+    at = np.zeros(n + 1, np.int64)
+    for v in value:
+        at[v + 1] += 1
+    for i in range(n):
+        at[i + 1] += at[i]
+    order = np.empty(len(value), np.int64)
+    for row in range(len(value)):
+        order[at[value[row]]] = row
+        at[value[row]] += 1
+    return order

@@ -1,0 +1,256 @@
+"""Content and length of messages."""
+
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+
+from cosim.base.codes import DetectionFault, ObjectClass, Origin
+from cosim.messages import etsi
+from cosim.messages.cpm_params import MOST_OBJECTS
+from cosim.radio.segmentation import ENVELOPE_BYTES
+from cosim.world import World
+from sensors.boxes import Boxes
+
+SENSED, SELF, FABRICATED = Origin
+"""Origin of a detection: the detector, the vehicle's own pose, or an attack or fault."""
+
+
+FARTHEST_M = 10_000.0
+"""Largest distance of a detection from its observer, along an axis."""
+LARGEST_M = 1_000.0
+"""Largest length, width or height of a detection."""
+FASTEST = 1_000.0
+"""Largest speed [m/s] and acceleration [m/s2] that a detection may claim."""
+LARGEST_NUMBER = 2**15 - 1
+MOST_RETURNS = 2**31 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Detections:
+    """D detections of one step in the world frame, sorted by their key (observer, identity, detection_index).
+
+    `observer` is a row of the step's world. Index 0 is the self report; then follow detections by the detector, then
+    fabricated ones. A detection with `transmitted` false is not sent. `identity` is 0 for detections under the
+    vehicle's own pseudonym; a Sybil attacker has further identities. Only self reports have speed and acceleration;
+    otherwise they are NaN. Only tracked objects have a velocity; otherwise it is NaN. `target` is the row of the
+    vehicle that an attack aims at with the detection. If there is none, it is the observer.
+    """
+
+    observer: Int[ndarray, "d"]
+    detection_index: Int[ndarray, "d"]
+    label: UInt8[ndarray, "d"]
+    boxes: Boxes
+    score: Float[ndarray, "d"]
+    n_points: Int[ndarray, "d"]
+    origin: UInt8[ndarray, "d"]
+    transmitted: Bool[ndarray, "d"]
+    target: Int[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # default: the observer
+    identity: Int[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # default: the vehicle's own
+    speed_mps: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: absent
+    acceleration_mps2: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: absent
+    """Acceleration along the heading."""
+    velocity_mps: Float[ndarray, "d 2"] = field(default=None)  # type: ignore[arg-type]  # left out: absent
+    """Velocity east and north of an object that the observer tracks."""
+    variance_m2: Float[ndarray, "d 3"] = field(default=None)  # type: ignore[arg-type]  # left out: exact
+    """Stated variance of the position: east, east and north, north."""
+    velocity_variance: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: exact
+    """Stated variance of the velocity along each axis [m2/s2], by which the position becomes less certain."""
+
+    def __post_init__(self) -> None:
+        n = len(self.observer)
+        if self.target is None:
+            object.__setattr__(self, "target", self.observer)
+        if self.identity is None:
+            object.__setattr__(self, "identity", np.zeros(n, np.int64))
+        for name in ("speed_mps", "acceleration_mps2"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.full(n, np.nan))
+        if self.velocity_mps is None:
+            object.__setattr__(self, "velocity_mps", np.full((n, 2), np.nan))
+        if self.variance_m2 is None:
+            object.__setattr__(self, "variance_m2", np.zeros((n, 3)))
+        if self.velocity_variance is None:
+            object.__setattr__(self, "velocity_variance", np.zeros(n))
+
+    def __len__(self) -> int:
+        return len(self.observer)
+
+    def take(self, rows: ndarray) -> "Detections":
+        """These rows, in this order."""
+        columns: list[Any] = [c.take(rows) if isinstance(c, Boxes) else c[rows] for c in self.columns()]
+        return Detections(*columns)
+
+    def columns(self) -> list[Any]:
+        """All columns, in the order of the fields."""
+        return [getattr(self, f.name) for f in fields(self)]
+
+    @staticmethod
+    def perceived(
+        observer: Int[ndarray, "d"], detection_index: Int[ndarray, "d"], label: UInt8[ndarray, "d"], boxes: Boxes,
+        score: Float[ndarray, "d"], n_points: Int[ndarray, "d"], origin: UInt8[ndarray, "d"],
+    ) -> "Detections":  # fmt: skip
+        """Detections that are all transmitted, under the vehicles' own identities."""
+        sent = np.ones(len(observer), bool)
+        return Detections(observer, detection_index, label, boxes, score, n_points, origin, sent)
+
+    @staticmethod
+    def joined(parts: list["Detections"]) -> "Detections":
+        """All rows of all parts, part after part."""
+        columns: Any = zip(*(part.columns() for part in parts), strict=True)
+        joined: list[Any] = [Boxes.concat(c) if isinstance(c[0], Boxes) else np.concatenate(c) for c in columns]
+        return Detections(*joined)
+
+    @staticmethod
+    def concat(parts: list["Detections"]) -> "Detections":
+        """All rows of all parts, sorted by key."""
+        joined = Detections.joined(parts)
+        return joined.take(np.lexsort((joined.detection_index, joined.identity, joined.observer)))
+
+
+def velocities(listed: Detections) -> Float[ndarray, "d 2"]:
+    """Velocity east and north that each detection claims; NaN where it claims none.
+
+    A self report claims a speed along its heading, a tracked object a velocity.
+    """
+    along = np.column_stack([np.cos(listed.boxes.yaw_rad), np.sin(listed.boxes.yaw_rad)])
+    return np.where(np.isnan(listed.velocity_mps), listed.speed_mps[:, None] * along, listed.velocity_mps)
+
+
+NETWORK_BYTES, SIGNATURE_BYTES = 44, 96
+"""Of GeoNetworking and BTP, and of signature and digest."""
+
+
+def cpm_bytes(n_objects: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Length of a detection message, sent as a collective perception message, with `cpm.length = "linear"` [B].
+
+    It is the sum of GeoNetworking and BTP 44, signature and digest 96, header 37, one sensor 9, and 29 per object, as
+    in Artery's model of ETSI TS 103 324.
+    """
+    return ENVELOPE_BYTES + 29 * n_objects
+
+
+def encoded_cpm_bytes(
+    objects: Detections, message: Int[ndarray, "d"], has_sensors: Bool[ndarray, "m"]
+) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"]]:
+    """Lengths of detection messages with `cpm.length = "uper"`, and of what each of their segments repeats [B].
+
+    Parameters
+    ----------
+    objects
+        The objects in the messages, of known classes.
+    message
+        Row of the message of each object.
+    has_sensors
+        Whether each message describes the sensors.
+
+    Notes
+    -----
+    The length is that of the encoded CPM (`cosim.messages.etsi.cpm_bytes`), with headers of the network and a
+    signature. The self report counts as an object, with a velocity where its speed is known. In a standardised system
+    it would be a message of its own (CAM). Only the first segment describes the sensors.
+    """
+    n, n_classes = len(has_sensors), len(ObjectClass)
+    moves = np.isfinite(objects.velocity_mps).all(axis=1) | np.isfinite(objects.speed_mps)
+    of = (message * n_classes + objects.label) * 2 + moves
+    count = np.bincount(of, minlength=2 * n * n_classes).reshape(n, n_classes, 2)
+    outside = NETWORK_BYTES + SIGNATURE_BYTES
+    length = etsi.cpm_bytes(count[:, :, 0], n_moving=count[:, :, 1], has_sensors=has_sensors)
+    empty = etsi.cpm_bytes(np.zeros((1, n_classes), np.int64), is_segment=True, has_sensors=False)
+    return outside + length, np.repeat(outside + empty, n)
+
+
+def evaluation_bytes(n_evaluations: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Length of an evaluation message [B]. No standard defines its format.
+
+    It has the envelope of a detection message, a header of 16, and 12 per evaluation: vehicle 4, detection 2,
+    evaluation 1, visibility 1, time 2, flags 2.
+    """
+    return 44 + report_bytes(n_evaluations)
+
+
+def report_bytes(n_evaluations: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Length of a signed report of evaluations to the server, without headers of the link [B]."""
+    return 96 + piggyback_bytes(n_evaluations)
+
+
+def piggyback_bytes(n_evaluations: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Length that piggybacked evaluations add to a detection message [B]."""
+    return 16 + 12 * n_evaluations
+
+
+def trust_broadcast_bytes(n_vehicles: int) -> int:
+    """Length of a trust broadcast [B]: the envelope and header of an evaluation message, and 6 per vehicle."""
+    return 44 + 96 + 16 + 6 * n_vehicles
+
+
+def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"]:
+    """Why each detection cannot be sent, as a `DetectionFault`; -1 if it can.
+
+    A message has at most 255 objects (ETSI TS 103 324). Objects must be of known classes, have unique numbers of 15
+    bits, and be within `FARTHEST_M` of the observer. Only one fault of each detection is given.
+
+    Parameters
+    ----------
+    listed
+        Detections in any order.
+    xyz_m
+        Positions of all actors by row of the world.
+    """
+    n, boxes = len(listed), listed.boxes
+    with np.errstate(invalid="ignore", over="ignore"):
+        away_m = np.abs(boxes.xyz_m - xyz_m[listed.observer]).max(axis=1, initial=0.0)
+        number = np.asarray(listed.detection_index)
+        wrong = {
+            DetectionFault.NOT_FINITE: ~(
+                np.isfinite(boxes.xyz_m).all(axis=1) & np.isfinite(boxes.lwh_m).all(axis=1)
+                & np.isfinite(boxes.yaw_rad) & np.isfinite(listed.score)
+                & ~np.isinf(listed.speed_mps) & ~np.isinf(listed.acceleration_mps2)
+                & ~np.isinf(listed.velocity_mps).any(axis=1)
+            ),
+            DetectionFault.TOO_FAR: ~((away_m <= FARTHEST_M) & (np.abs(boxes.yaw_rad) <= 2 * np.pi)),
+            DetectionFault.BAD_SIZE: ~((boxes.lwh_m > 0) & (boxes.lwh_m <= LARGEST_M)).all(axis=1),
+            DetectionFault.BAD_SCORE: ~((listed.score >= 0) & (listed.score <= 1)),
+            DetectionFault.UNKNOWN_CLASS: np.asarray(listed.label).astype(np.int64) >= len(ObjectClass),
+            DetectionFault.BAD_MOTION: (np.abs(listed.speed_mps) > FASTEST)
+            | (np.abs(listed.acceleration_mps2) > FASTEST) | (np.abs(listed.velocity_mps) > FASTEST).any(axis=1),
+            DetectionFault.BAD_NUMBER: (number < 0) | (number > LARGEST_NUMBER)
+            | (listed.n_points < 0) | (listed.n_points > MOST_RETURNS),
+        }  # fmt: skip
+    found, message = np.full(n, -1), listed.observer.astype(np.int64) << 16 | listed.identity
+    for fault in reversed(wrong):
+        found[wrong[fault]] = fault
+    left = np.flatnonzero(found < 0)
+    order = left[np.lexsort((listed.origin[left], number[left], message[left]))]
+    again = np.zeros(len(order), bool)
+    again[1:] = (np.diff(message[order]) == 0) & (np.diff(number[order]) == 0)
+    found[order[again]] = DetectionFault.REPEATED_NUMBER
+    order = order[~again]
+    _, first, count = np.unique(message[order], return_index=True, return_counts=True)
+    found[order[np.arange(len(order)) - np.repeat(first, count) >= MOST_OBJECTS]] = DetectionFault.TOO_MANY
+    return found
+
+
+def self_reports(world: World, observers: Int[ndarray, "o"]) -> Detections:
+    """The self reports of the vehicles in these rows of the world: their true boxes, with index 0 and score 1.
+
+    `with_motion` adds speeds and accelerations.
+    """
+    n = len(observers)
+    return Detections.perceived(
+        observers, np.zeros(n, int), world.label[observers], world.boxes.take(observers), np.ones(n),
+        np.zeros(n, np.int32), np.full(n, SELF, np.uint8),
+    )  # fmt: skip
+
+
+def with_motion(
+    listed: Detections, speed_mps: Float[ndarray, "n"], acceleration_mps2: Float[ndarray, "n"]
+) -> Detections:
+    """The detections, with speeds and accelerations (by row of the world) written into the self reports."""
+    speed, acceleration = listed.speed_mps.copy(), listed.acceleration_mps2.copy()
+    rows = np.flatnonzero(listed.origin == SELF)
+    speed[rows] = speed_mps[listed.observer[rows]]
+    acceleration[rows] = acceleration_mps2[listed.observer[rows]]
+    return replace(listed, speed_mps=speed, acceleration_mps2=acceleration)

@@ -1,0 +1,560 @@
+"""The messages of ETSI ITS that an export writes: CPM of release 2 and CAM of release 1, field by field.
+
+Notes
+-----
+Modules: `ETSI-ITS-CDD` is the common data dictionary of release 2 (TS 102 894-2 v2.1.1), `ITS-Container` that of
+release 1 (v1.3.1), `CPM-...` are those of TS 103 324 v2.1.1, and `CAM-PDU-Descriptions` is that of EN 302 637-2 v1.4.1.
+What is written here are names and ranges, and the values "unavailable" that the modules define. The CAMs are valid in
+release 2 (TS 103 900), too.
+
+`ConstraintWrappedCpmContainers` puts a constraint that PER does not see on an extensible list. asn1c takes the result
+as not extensible, because the last constraint has no extension marker, and so do we. A codec that ignores the last
+constraint would expect one more bit.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+
+from cosim.base.codes import ObjectClass
+from cosim.messages.uper import (
+    Choice,
+    Encoded,
+    Enumerated,
+    Integer,
+    ListOf,
+    Member,
+    Record,
+    Type,
+    Wrapped,
+    encode,
+    least,
+    n_bits,
+    rows,
+)  # fmt: skip
+
+RELEASE_1, RELEASE_2 = "ITS-Container", "ETSI-ITS-CDD"
+CAM_MODULE, CPM_MODULE = "CAM-PDU-Descriptions", "CPM-PDU-Descriptions"
+
+cdd = partial(Integer, module=RELEASE_2)
+its = partial(Integer, module=RELEASE_1)
+
+
+def maybe(name: str, of: Type | None = None) -> Member:
+    """An optional member, written or not."""
+    return Member(name, of, True)
+
+
+def _header(module: str) -> Record:
+    byte = partial(Integer, module=module, low=0, high=255)
+    names = ("INTEGER", "INTEGER", "StationID")
+    if module == RELEASE_2:
+        names = ("OrdinalNumber1B", "MessageId", "StationId")
+    station = Integer(names[2], module, 0, 2**32 - 1)
+    return Record("ItsPduHeader", module, (
+        Member("protocolVersion", byte(names[0])), Member("messageId", byte(names[1])), Member("stationId", station),
+    ))  # fmt: skip
+
+
+def _reference_position(module: str) -> Record:
+    of = partial(Integer, module=module)
+    ellipse = Record("PosConfidenceEllipse", module, (
+        Member("semiMajorConfidence", of("SemiAxisLength", low=0, high=4095)),
+        Member("semiMinorConfidence", of("SemiAxisLength", low=0, high=4095)),
+        Member("semiMajorOrientation", of("HeadingValue", low=0, high=3601)),
+    ))  # fmt: skip
+    altitude = Record("Altitude", module, (
+        Member("altitudeValue", of("AltitudeValue", low=-100000, high=800001)),
+        Member("altitudeConfidence", Enumerated("AltitudeConfidence", module, tuple(range(16)))),
+    ))  # fmt: skip
+    return Record("ReferencePosition", module, (
+        Member("latitude", of("Latitude", low=-900000000, high=900000001)),
+        Member("longitude", of("Longitude", low=-1800000000, high=1800000001)),
+        Member("positionConfidenceEllipse", ellipse), Member("altitude", altitude),
+    ))  # fmt: skip
+
+
+def _with_confidence(name: str, value: Integer, confidence: Integer | Enumerated, module: str = RELEASE_2) -> Record:
+    """A value and its confidence, whose names in the modules differ for each type but are not written."""
+    return Record(name, module, (Member("value", value), Member("confidence", confidence)))
+
+
+_ANGLE = _with_confidence(
+    "CartesianAngle", cdd("CartesianAngleValue", low=0, high=3601), cdd("AngleConfidence", low=1, high=127)
+)
+_COORDINATE = _with_confidence(
+    "CartesianCoordinateWithConfidence", cdd("CartesianCoordinateLarge", low=-131072, high=131071),
+    cdd("CoordinateConfidence", low=1, high=4096),
+)  # fmt: skip
+_VELOCITY = _with_confidence(
+    "VelocityComponent", cdd("VelocityComponentValue", low=-16383, high=16383), cdd("SpeedConfidence", low=1, high=127)
+)
+_DIMENSION = _with_confidence(
+    "ObjectDimension", cdd("ObjectDimensionValue", low=1, high=256), cdd("ObjectDimensionConfidence", low=1, high=32)
+)
+_LENGTH = cdd("StandardLength12b", low=0, high=4095)
+_IDENTIFIER = cdd("Identifier1B", low=0, high=255)
+_CONFIDENCE = cdd("ConfidenceLevel", low=1, high=101)
+
+_PEDESTRIAN = Enumerated("VruSubProfilePedestrian", RELEASE_2, (0, 1, 2, 3, 15))
+_BICYCLIST = Enumerated("VruSubProfileBicyclist", RELEASE_2, (*range(9), 15))
+_OBJECT_CLASS = Choice("ObjectClass", RELEASE_2, {
+    "vehicleSubClass": cdd("TrafficParticipantType", low=0, high=14),
+    "vruSubClass": Choice("VruProfileAndSubprofile", RELEASE_2, {
+        "pedestrian": _PEDESTRIAN, "bicyclistAndLightVruVehicle": _BICYCLIST, "motorcyclist": None, "animal": None,
+    }, True),
+    "groupSubClass": None, "otherSubClass": None,
+}, True)  # fmt: skip
+
+OBJECT = Record("PerceivedObject", RELEASE_2, (
+    maybe("objectId", cdd("Identifier2B", low=0, high=65535)),
+    Member("measurementDeltaTime", cdd("DeltaTimeMilliSecondSigned", low=-2048, high=2047)),
+    Member("position", Record("CartesianPosition3dWithConfidence", RELEASE_2, (
+        Member("xCoordinate", _COORDINATE), Member("yCoordinate", _COORDINATE), maybe("zCoordinate", _COORDINATE),
+    ))),
+    maybe("velocity", Choice("Velocity3dWithConfidence", RELEASE_2, {
+        "polarVelocity": None,
+        "cartesianVelocity": Record("VelocityCartesian", RELEASE_2, (
+            Member("xVelocity", _VELOCITY), Member("yVelocity", _VELOCITY), maybe("zVelocity", _VELOCITY),
+        )),
+    })),
+    maybe("acceleration"),
+    maybe("angles", Record("EulerAnglesWithConfidence", RELEASE_2, (
+        Member("zAngle", _ANGLE), maybe("yAngle", _ANGLE), maybe("xAngle", _ANGLE),
+    ))),
+    maybe("zAngularVelocity"),
+    maybe("lowerTriangularCorrelationMatrices"),
+    maybe("objectDimensionZ", _DIMENSION),
+    maybe("objectDimensionY", _DIMENSION),
+    maybe("objectDimensionX", _DIMENSION),
+    maybe("objectAge", cdd("DeltaTimeMilliSecondSigned", low=0, high=2047)),
+    maybe("objectPerceptionQuality", cdd("ObjectPerceptionQuality", low=0, high=15)),
+    maybe("sensorIdList", ListOf("SequenceOfIdentifier1B", RELEASE_2, _IDENTIFIER, 1, 128, True)),
+    maybe("classification", ListOf("ObjectClassDescription", RELEASE_2, Record("ObjectClassWithConfidence", RELEASE_2, (
+        Member("objectClass", _OBJECT_CLASS), Member("confidence", _CONFIDENCE),
+    )), 1, 8)),
+    maybe("mapPosition"),
+), True)  # fmt: skip
+"""One perceived object of a CPM."""
+
+_VEHICLE = Record("OriginatingVehicleContainer", "CPM-OriginatingStationContainers", (
+    Member("orientationAngle", _with_confidence(
+        "Wgs84Angle", cdd("Wgs84AngleValue", low=0, high=3601), cdd("Wgs84AngleConfidence", low=1, high=127)
+    )),
+    maybe("pitchAngle", _ANGLE), maybe("rollAngle", _ANGLE), maybe("trailerDataSet"),
+), True)  # fmt: skip
+
+_SENSORS = ListOf("SensorInformationContainer", "CPM-SensorInformationContainer", Record(
+    "SensorInformation", "CPM-SensorInformationContainer", (
+        Member("sensorId", _IDENTIFIER), Member("sensorType", cdd("SensorType", low=0, high=31)),
+        maybe("perceptionRegionShape", Choice("Shape", RELEASE_2, {
+            "rectangular": None,
+            "circular": Record("CircularShape", RELEASE_2, (
+                maybe("shapeReferencePoint"), Member("radius", _LENGTH), maybe("height", _LENGTH),
+            )),
+            "polygonal": None, "elliptical": None, "radial": None, "radialShapes": None,
+        }, True)),
+        maybe("perceptionRegionConfidence", _CONFIDENCE),
+        Member("shadowingApplies", Integer("BOOLEAN", "X.680", 0, 1)),
+    ), True,
+), 1, 128, True)  # fmt: skip
+
+_OBJECTS = Record("PerceivedObjectContainer", "CPM-PerceivedObjectContainer", (
+    Member("numberOfPerceivedObjects", cdd("CardinalNumber1B", low=0, high=255)),
+    Member("perceivedObjects", ListOf("PerceivedObjects", "CPM-PerceivedObjectContainer", OBJECT, 0, 255, True)),
+), True)  # fmt: skip
+
+VEHICLE, SENSORS, OBJECTS = 1, 3, 5
+"""Identifiers of containers."""
+
+CPM = Record("CollectivePerceptionMessage", CPM_MODULE, (
+    Member("header", _header(RELEASE_2)),
+    Member("payload", Record("CpmPayload", CPM_MODULE, (
+        Member("managementContainer", Record("ManagementContainer", CPM_MODULE, (
+            Member("referenceTime", cdd("TimestampIts", low=0, high=2**42 - 1)),
+            Member("referencePosition", _reference_position(RELEASE_2)),
+            maybe("segmentationInfo", Record("MessageSegmentationInfo", RELEASE_2, (
+                Member("totalMsgNo", cdd("CardinalNumber3b", low=1, high=8)),
+                Member("thisMsgNo", cdd("OrdinalNumber3b", low=1, high=8)),
+            ))),
+            maybe("messageRateRange"),
+        ), True)),
+        Member("cpmContainers", ListOf("ConstraintWrappedCpmContainers", CPM_MODULE, Wrapped(
+            "WrappedCpmContainer", CPM_MODULE, Integer("CpmContainerId", CPM_MODULE, 1, 16),
+            {VEHICLE: _VEHICLE, SENSORS: _SENSORS, OBJECTS: _OBJECTS},
+        ), 1, 8)),
+    ), True)),
+))  # fmt: skip
+"""Collective perception message of TS 103 324."""
+
+_HIGH_FREQUENCY = Record("BasicVehicleContainerHighFrequency", CAM_MODULE, (
+    Member("heading", _with_confidence(
+        "Heading", its("HeadingValue", low=0, high=3601), its("HeadingConfidence", low=1, high=127), RELEASE_1
+    )),
+    Member("speed", _with_confidence(
+        "Speed", its("SpeedValue", low=0, high=16383), its("SpeedConfidence", low=1, high=127), RELEASE_1
+    )),
+    Member("driveDirection", Enumerated("DriveDirection", RELEASE_1, (0, 1, 2))),
+    Member("vehicleLength", _with_confidence(
+        "VehicleLength", its("VehicleLengthValue", low=1, high=1023),
+        Enumerated("VehicleLengthConfidenceIndication", RELEASE_1, tuple(range(5))), RELEASE_1,
+    )),
+    Member("vehicleWidth", its("VehicleWidth", low=1, high=62)),
+    Member("longitudinalAcceleration", _with_confidence(
+        "LongitudinalAcceleration", its("LongitudinalAccelerationValue", low=-160, high=161),
+        its("AccelerationConfidence", low=0, high=102), RELEASE_1,
+    )),
+    Member("curvature", _with_confidence(
+        "Curvature", its("CurvatureValue", low=-1023, high=1023),
+        Enumerated("CurvatureConfidence", RELEASE_1, tuple(range(8))), RELEASE_1,
+    )),
+    Member("curvatureCalculationMode", Enumerated("CurvatureCalculationMode", RELEASE_1, (0, 1, 2), True)),
+    Member("yawRate", _with_confidence(
+        "YawRate", its("YawRateValue", low=-32766, high=32767),
+        Enumerated("YawRateConfidence", RELEASE_1, tuple(range(9))), RELEASE_1,
+    )),
+    maybe("accelerationControl"), maybe("lanePosition"), maybe("steeringWheelAngle"), maybe("lateralAcceleration"),
+    maybe("verticalAcceleration"), maybe("performanceClass"), maybe("cenDsrcTollingZone"),
+))  # fmt: skip
+
+CAM = Record("CAM", CAM_MODULE, (
+    Member("header", _header(RELEASE_1)),
+    Member("cam", Record("CoopAwareness", CAM_MODULE, (
+        Member("generationDeltaTime", Integer("GenerationDeltaTime", CAM_MODULE, 0, 65535)),
+        Member("camParameters", Record("CamParameters", CAM_MODULE, (
+            Member("basicContainer", Record("BasicContainer", CAM_MODULE, (
+                Member("stationType", its("StationType", low=0, high=255)),
+                Member("referencePosition", _reference_position(RELEASE_1)),
+            ), True)),
+            Member("highFrequencyContainer", Choice("HighFrequencyContainer", CAM_MODULE, {
+                "basicVehicleContainerHighFrequency": _HIGH_FREQUENCY, "rsuContainerHighFrequency": None,
+            }, True)),
+            maybe("lowFrequencyContainer"), maybe("specialVehicleContainer"),
+        ), True)),
+    ))),
+))  # fmt: skip
+"""Cooperative awareness message of EN 302 637-2."""
+
+CLASSES: dict[ObjectClass, tuple[str, Any]] = {
+    ObjectClass.CAR: ("vehicleSubClass", 5),
+    ObjectClass.PEDESTRIAN: ("vruSubClass", ("pedestrian", 1)),
+    ObjectClass.CYCLIST: ("vruSubClass", ("bicyclistAndLightVruVehicle", 1)),
+    ObjectClass.TRUCK: ("vehicleSubClass", 8),
+}
+"""Classes as CPMs state them: passenger car, ordinary pedestrian, bicyclist, heavy truck."""
+
+STATION_TYPE = {ObjectClass.CAR: 5, ObjectClass.PEDESTRIAN: 1, ObjectClass.CYCLIST: 2, ObjectClass.TRUCK: 8}
+"""Classes as CAMs and GeoNetworking state them."""
+
+FILLED = (
+    "objectId", "zCoordinate", "angles", "objectDimensionZ", "objectDimensionY", "objectDimensionX", "sensorIdList",
+    "classification",
+)  # fmt: skip
+"""Optional members of an object that `Objects` fills; it fills the velocity, too, where that is known."""
+
+PROTOCOL, CAM_ID, CPM_ID, LIDAR_ID, LIDAR = 2, 2, 14, 1, 2
+"""Version of the messages, their identifiers, and identifier and type of the sensor."""
+
+
+def object_bits(members: Collection[str] = FILLED) -> Int[ndarray, "4"]:
+    """Length of one perceived object of each `ObjectClass` [bit].
+
+    Parameters
+    ----------
+    members
+        Optional members of `OBJECT` that the object has, and `zCoordinate`. Velocity is cartesian and has no z
+        component; there are one sensor and one class.
+
+    Raises
+    ------
+    ValueError
+        In one line: no such optional member, or one that is never written.
+    """
+    optional = {m.name: m.of for m in OBJECT.members if m.is_optional} | {"zCoordinate": _COORDINATE}
+    whole = least(OBJECT)
+    for name in members:
+        kind = optional.get(name)
+        if kind is None:
+            known = ", ".join(name for name, kind in optional.items() if kind is not None)
+            raise ValueError(f"members: {name} is no optional member of an object that is written. There are: {known}.")
+        (whole["position"] if name == "zCoordinate" else whole)[name] = least(kind)
+    bits = []
+    for label in ObjectClass:
+        if "classification" in members:
+            whole["classification"] = [{"objectClass": CLASSES[label], "confidence": 1}]
+        bits.append(n_bits(OBJECT, whole))
+    return np.array(bits)
+
+
+def cpm_bytes(
+    n_objects: Int[ndarray, "m 4"], is_segment: bool = False, *,
+    n_moving: Int[ndarray, "m 4"] | int = 0, has_sensors: Bool[ndarray, "m"] | bool = True,
+) -> Int[ndarray, "m"]:  # fmt: skip
+    """Length of CPMs with a vehicle container, without headers of the network and security [B].
+
+    Parameters
+    ----------
+    n_objects
+        Number of objects without velocity in each message, by `ObjectClass`; at most 255 objects in a message.
+    is_segment
+        Whether the messages state that they are segments.
+    n_moving
+        Number of further objects, which have a velocity.
+    has_sensors
+        Whether each message describes a LiDAR.
+
+    Raises
+    ------
+    ValueError
+        In one line: more than 255 objects in a message.
+    """
+    n_objects = np.asarray(n_objects, np.int64)
+    n_moving = np.broadcast_to(np.asarray(n_moving, np.int64), n_objects.shape)
+    if (n_objects < 0).any() or (n_moving < 0).any() or ((n_objects + n_moving).sum(axis=1) > 255).any():
+        raise ValueError("n_objects: a message has 0 to 255 objects. Split what is longer into segments.")
+    still, moving = _object_bits(frozenset(FILLED)), _object_bits(frozenset(FILLED) | {"velocity"})
+    n_empty, without, with_sensors = _frame_bits(is_segment)
+    content = -(-(n_empty + n_objects @ still + n_moving @ moving) // 8)
+    return -(-(np.where(has_sensors, with_sensors, without) + 8 * (1 + (content > 127) + content)) // 8)
+
+
+@cache
+def _object_bits(members: frozenset[str]) -> Int[ndarray, "4"]:
+    return object_bits(members)
+
+
+@cache
+def _frame_bits(is_segment: bool) -> tuple[int, int, int]:
+    """Bits of the container of objects without objects, and of a CPM without that container and its length.
+
+    The latter are without and with the container of sensors.
+    """
+    empty = least(_OBJECTS) | {"perceivedObjects": []}
+    less = 8 * (1 + len(encode(_OBJECTS, empty)))
+    segment = (8, 1) if is_segment else None
+    whole = [n_bits(CPM, _cpm(Head(0, 0, 0, 0, 0, 0.0, segment, has), empty)) - less for has in (False, True)]
+    return n_bits(_OBJECTS, empty), whole[0], whole[1]
+
+
+def its_ms(unix_s: float) -> int:
+    """Milliseconds of atomic time since 2004-01-01 00:00 UTC, of a time after 2016: five leap seconds came between."""
+    return round((unix_s - 1_072_915_200 + 5) * 1000)
+
+
+def up(value: Float[ndarray, "n"], unit: float, low: int, high: int, unknown: int | None = None) -> Int[ndarray, "n"]:
+    """Multiples of a unit that are not less than the values, as the data dictionary rounds; held within the range.
+
+    A value that is up to a thousandth of a unit above a multiple counts as that multiple. NaN becomes `unknown`.
+    """
+    value = np.asarray(value, float)
+    known = np.isfinite(value) if unknown is not None else np.ones(len(value), bool)
+    whole = np.clip(np.ceil(np.where(known, value, 0.0) / unit - 1e-3), low, high).astype(np.int64)
+    return np.where(known, whole, 0 if unknown is None else unknown)
+
+
+def heading(compass_deg: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Angles in tenths of a degree, 0 to 3599."""
+    return np.round(np.mod(compass_deg, 360.0) * 10).astype(np.int64) % 3600
+
+
+@dataclass(frozen=True, slots=True)
+class Objects:
+    """Perceived objects, encoded: bits, and which of them belong to the object."""
+
+    bits: UInt8[ndarray, "n b"]
+    is_used: Bool[ndarray, "n b"]
+
+    @staticmethod
+    def of(
+        number: Int[ndarray, "n"], label: Int[ndarray, "n"], xyz_m: Float[ndarray, "n 3"],
+        lwh_m: Float[ndarray, "n 3"], angle_rad: Float[ndarray, "n"], score: Float[ndarray, "n"],
+        velocity_mps: Float[ndarray, "n 2"] | None = None,
+    ) -> "Objects":  # fmt: skip
+        """Encode objects.
+
+        Parameters
+        ----------
+        number
+            `objectId`, 0 to 65535.
+        label
+            `ObjectClass`.
+        xyz_m
+            Centre of the box, to the east, north and above the reference position. Beyond 1.31 km: "out of range".
+        lwh_m
+            Length, width and height. Above 25.4 m: "out of range".
+        angle_rad
+            Of the length, counter-clockwise from east.
+        score
+            Confidence in the class, 0 to 1.
+        velocity_mps
+            To the east and north. It is absent where it is NaN, or None. Above 163.81 m/s: "out of range".
+
+        Raises
+        ------
+        ValueError
+            In one line: a number out of range.
+        """
+        x, y, z = up(xyz_m.ravel(), 0.01, -131072, 131071).reshape(-1, 3).T
+        length, width, height = up(lwh_m.ravel(), 0.1, 1, 255).reshape(-1, 3).T
+        angle = up(np.degrees(np.mod(angle_rad, 2 * np.pi)), 0.1, 0, 3600) % 3600
+        sure = np.clip(np.round(100 * score), 1, 100).astype(np.int64)
+        columns = (np.asarray(number, np.int64), x, y, z, angle, length, width, height, sure)
+        moves = np.zeros(len(label), np.int64)
+        velocity = np.zeros((len(label), 2), np.int64)
+        if velocity_mps is not None:
+            moves = np.isfinite(velocity_mps).all(axis=1).astype(np.int64)
+            velocity = up(velocity_mps.ravel(), 0.01, -16383, 16382, 16383).reshape(-1, 2)
+        widths = np.stack([object_bits(), object_bits((*FILLED, "velocity"))])
+        longest = widths.max()
+        bits = np.zeros((len(label), longest), np.uint8)
+        for kind in ObjectClass:
+            for has_velocity in (0, 1):
+                mine = np.flatnonzero((label == kind) & (moves == has_velocity))
+                if len(mine):
+                    value = _object(kind, *(column[mine] for column in columns))
+                    if has_velocity:
+                        value |= _velocity(*velocity[mine].T)
+                    bits[mine, : widths[has_velocity, kind]] = rows(OBJECT, value, len(mine))
+        return Objects(bits, np.arange(longest) < widths[moves, label][:, None])
+
+    def between(self, begin: int, end: int) -> Encoded:
+        """These objects, one after another."""
+        bits = self.bits[begin:end][self.is_used[begin:end]]
+        return Encoded(end - begin, int.from_bytes(np.packbits(bits).tobytes()) >> -len(bits) % 8, len(bits))
+
+
+def _object(kind: ObjectClass, number: Any, x: Any, y: Any, z: Any, angle: Any, *size_and_sure: Any) -> dict[str, Any]:
+    length, width, height, sure = size_and_sure
+    axes = {name: {"value": v, "confidence": 4096} for name, v in zip("xyz", (x, y, z), strict=True)}
+    return {
+        "objectId": number, "measurementDeltaTime": 0,
+        "position": {f"{axis}Coordinate": value for axis, value in axes.items()},
+        "angles": {"zAngle": {"value": angle, "confidence": 127}},
+        "objectDimensionZ": {"value": height, "confidence": 32},
+        "objectDimensionY": {"value": width, "confidence": 32},
+        "objectDimensionX": {"value": length, "confidence": 32},
+        "sensorIdList": [LIDAR_ID],
+        "classification": [{"objectClass": CLASSES[kind], "confidence": sure}],
+    }  # fmt: skip
+
+
+def _velocity(east: Any, north: Any) -> dict[str, Any]:
+    """A velocity whose accuracy is unavailable."""
+    axes = {"xVelocity": {"value": east, "confidence": 127}, "yVelocity": {"value": north, "confidence": 127}}
+    return {"velocity": ("cartesianVelocity", axes)}
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """What a CPM says of its sender."""
+
+    station: int
+    time_ms: int
+    """`TimestampIts`; see `its_ms`."""
+    latitude: int
+    """1e-7 degrees."""
+    longitude: int
+    """1e-7 degrees."""
+    heading: int
+    """Tenths of a degree, clockwise from north."""
+    range_m: float
+    """Of the LiDAR."""
+    segment: tuple[int, int] | None = None
+    """Number of segments and number of this one, from 1."""
+    has_sensors: bool = True
+    """Whether the message describes the LiDAR."""
+
+
+def _place(latitude: Any, longitude: Any) -> dict[str, Any]:
+    """A position whose accuracy and altitude are unavailable."""
+    ellipse = {"semiMajorConfidence": 4095, "semiMinorConfidence": 4095, "semiMajorOrientation": 3601}
+    altitude = {"altitudeValue": 800001, "altitudeConfidence": 15}
+    return {
+        "latitude": latitude, "longitude": longitude, "positionConfidenceEllipse": ellipse, "altitude": altitude
+    }  # fmt: skip
+
+
+def _cpm(head: Head, objects: dict[str, Any]) -> dict[str, Any]:
+    management: dict[str, Any] = {
+        "referenceTime": head.time_ms, "referencePosition": _place(head.latitude, head.longitude)
+    }  # fmt: skip
+    if head.segment:
+        management["segmentationInfo"] = dict(zip(("totalMsgNo", "thisMsgNo"), head.segment, strict=True))
+    region = ("circular", {"radius": min(round(10 * head.range_m), 4095)})
+    sensor = {
+        "sensorId": LIDAR_ID, "sensorType": LIDAR, "perceptionRegionShape": region, "shadowingApplies": 1
+    }  # fmt: skip
+    vehicle = {"orientationAngle": {"value": head.heading, "confidence": 127}}
+    sensors = [(SENSORS, [sensor])] if head.has_sensors else []
+    return {
+        "header": {"protocolVersion": PROTOCOL, "messageId": CPM_ID, "stationId": head.station},
+        "payload": {
+            "managementContainer": management,
+            "cpmContainers": [(VEHICLE, vehicle), *sensors, (OBJECTS, objects)],
+        },
+    }
+
+
+def cpm(head: Head, n_objects: int, objects: Encoded) -> bytes:
+    """A collective perception message: its sender, how many objects it perceives, and those in this message.
+
+    Raises
+    ------
+    ValueError
+        In one line: a number out of range, or more than 255 objects.
+    """
+    return encode(CPM, _cpm(head, {"numberOfPerceivedObjects": n_objects, "perceivedObjects": objects}))
+
+
+def cams(
+    station: Int[ndarray, "n"], time_ms: Int[ndarray, "n"], label: Int[ndarray, "n"], latitude: Int[ndarray, "n"],
+    longitude: Int[ndarray, "n"], compass: Int[ndarray, "n"], speed_mps: Float[ndarray, "n"],
+    acceleration_mps2: Float[ndarray, "n"], lwh_m: Float[ndarray, "n 3"],
+) -> UInt8[ndarray, "n 41"]:  # fmt: skip
+    """Cooperative awareness messages without low-frequency and special containers, one in each row.
+
+    Parameters
+    ----------
+    station, time_ms, latitude, longitude, compass
+        As in `Head`.
+    label
+        `ObjectClass` of the sender.
+    speed_mps, acceleration_mps2
+        Along the heading; NaN: unavailable. A speed below 0 is backward.
+    lwh_m
+        Length, width and height of the sender.
+
+    Raises
+    ------
+    ValueError
+        In one line: a number out of range.
+    """
+    speed = np.asarray(speed_mps, float)
+    direction = np.where(np.isfinite(speed), (speed < 0).astype(np.int64), 2)
+    types = np.array([STATION_TYPE[kind] for kind in ObjectClass])
+    motion = {
+        "heading": {"value": compass, "confidence": 127},
+        "speed": {"value": up(np.abs(speed), 0.01, 0, 16382, 16383), "confidence": 127},
+        "driveDirection": direction,
+        "vehicleLength": {"value": up(lwh_m[:, 0], 0.1, 1, 1022), "confidence": 4},
+        "vehicleWidth": up(lwh_m[:, 1], 0.1, 1, 61),
+        "longitudinalAcceleration": {"value": up(acceleration_mps2, 0.1, -160, 160, 161), "confidence": 102},
+        "curvature": {"value": 1023, "confidence": 7}, "curvatureCalculationMode": 2,
+        "yawRate": {"value": 32767, "confidence": 8},
+    }  # fmt: skip
+    value = {
+        "header": {"protocolVersion": PROTOCOL, "messageId": CAM_ID, "stationId": station},
+        "cam": {
+            "generationDeltaTime": np.asarray(time_ms) % 65536,
+            "camParameters": {
+                "basicContainer": {"stationType": types[label], "referencePosition": _place(latitude, longitude)},
+                "highFrequencyContainer": ("basicVehicleContainerHighFrequency", motion),
+            },
+        },
+    }
+    return np.packbits(rows(CAM, value, len(label)), axis=1)

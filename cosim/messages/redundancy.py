@@ -1,0 +1,248 @@
+"""Redundancy mitigation: a vehicle leaves out objects that it need not report, because others have reported them.
+
+Every rule uses the messages that the vehicle itself received within a window before it generates its own.
+
+Notes
+-----
+The rules are those of ETSI TR 103 562 V2.1.1, "Analysis of the Collective Perception Service". We could not obtain its
+text. We follow the rules as a fork of Artery implements them (`src/artery/application/cp/RedundancyMitigationRule.cc`),
+which says that it implements the report. The rules on confidence and entropy of the report, and the value of
+information by angle of TS 103 324 (annex E), are not built, because we know no more of them than their names.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+from scipy.spatial import cKDTree
+
+from cosim.messages.cpm_params import CpmParams
+
+SAME_M = 4.0
+"""A report and a detection of the same class that are at most this far apart concern the same object."""
+_FAR_M = 1000.0
+"""Distance between objects of different classes on an extra axis; larger than `SAME_M`."""
+_SLACK_S = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Reports:
+    """O objects in M messages, as they were sent."""
+
+    time_s: Float[ndarray, "m"]
+    """When the message's objects were sensed."""
+    sender: Int[ndarray, "m"]
+    """Actor number and identity in one number."""
+    sender_xy_m: Float[ndarray, "m 2"]
+    message: Int[ndarray, "o"]
+    """Row of the message, ascending."""
+    label: Int[ndarray, "o"]
+    xy_m: Float[ndarray, "o 2"]
+    velocity_mps: Float[ndarray, "o 2"]
+    """NaN where it is unknown."""
+    is_self: Bool[ndarray, "o"]
+    """Whether the object is the sender itself."""
+
+    @staticmethod
+    def none() -> "Reports":
+        """No messages."""
+        row, real = np.zeros(0, np.int64), np.zeros(0)
+        return Reports(real, row, np.zeros((0, 2)), row, row, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, bool))
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """Reports that vehicles received within the last window, with their R receptions.
+
+    Every message is held once, however many vehicles received it. Messages whose receptions are all too old are
+    dropped, so the memory does not grow with time.
+    """
+
+    reports: Reports
+    receiver: Int[ndarray, "r"]
+    """Actor number; receptions are sorted by receiver, then message."""
+    message: Int[ndarray, "r"]
+    """Row of the message."""
+    received_s: Float[ndarray, "r"]
+
+    @staticmethod
+    def start() -> "Heard":
+        """Nothing yet."""
+        return Heard(Reports.none(), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+
+    def next(
+        self, reports: Reports, receiver: Int[ndarray, "n"], message: Int[ndarray, "n"],
+        received_s: Float[ndarray, "n"], window_s: float,
+    ) -> "Heard":  # fmt: skip
+        """What vehicles have heard after one more round of messages.
+
+        Parameters
+        ----------
+        reports
+            Messages of the round.
+        receiver, message, received_s
+            Actor number of each receiver, row of `reports`, and time of reception.
+        window_s
+            Receptions longer ago than this before the latest one are dropped.
+        """
+        if not len(receiver) and not len(self.receiver):
+            return self
+        old, n_old = self.reports, len(self.reports.time_s)
+        of = np.concatenate([self.receiver, np.asarray(receiver, np.int64)])
+        row = np.concatenate([self.message, n_old + np.asarray(message, np.int64)])
+        at_s = np.concatenate([self.received_s, received_s])
+        latest_s = reports.time_s.max(initial=old.time_s.max(initial=-np.inf))
+        fresh = at_s >= latest_s - window_s - _SLACK_S
+        of, row, at_s = of[fresh], row[fresh], at_s[fresh]
+        kept, row = np.unique(row, return_inverse=True)
+        order = np.lexsort((row, of))
+        return Heard(_joined(old, reports, kept), of[order], row[order], at_s[order])
+
+
+def _joined(old: Reports, new: Reports, kept: Int[ndarray, "k"]) -> Reports:
+    """These messages of both, `new` behind `old`, with their objects."""
+    n_old = len(old.time_s)
+    place = np.full(n_old + len(new.time_s), -1)
+    place[kept] = np.arange(len(kept))
+    message = place[np.concatenate([old.message, n_old + new.message])]
+    there = message >= 0
+
+    def both(name: str) -> ndarray:
+        return np.concatenate([getattr(old, name), getattr(new, name)])
+
+    return Reports(
+        time_s=both("time_s")[kept],
+        sender=both("sender")[kept],
+        sender_xy_m=both("sender_xy_m")[kept],
+        message=message[there],
+        label=both("label")[there],
+        xy_m=both("xy_m")[there],
+        velocity_mps=both("velocity_mps")[there],
+        is_self=both("is_self")[there],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """N objects that vehicles are about to report."""
+
+    receiver: Int[ndarray, "n"]
+    """Actor number of the vehicle that is about to report the object."""
+    own_xy_m: Float[ndarray, "n 2"]
+    """Its own position."""
+    label: Int[ndarray, "n"]
+    xy_m: Float[ndarray, "n 2"]
+    speed_mps: Float[ndarray, "n"]
+    """NaN where it is unknown."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """P pairs of a candidate and a report of the same object that its vehicle received; each message counts once.
+
+    Sorted by candidate, then by time of reception, then by sender.
+    """
+
+    candidate: Int[ndarray, "p"]
+    message: Int[ndarray, "p"]
+    object: Int[ndarray, "p"]
+
+
+def redundant(heard: Heard, mine: Candidates, time_s: float, params: CpmParams) -> Bool[ndarray, "n"]:
+    """Which objects a vehicle leaves out of its message.
+
+    Parameters
+    ----------
+    heard
+        What vehicles have received.
+    mine
+        Objects that vehicles are about to report.
+    time_s
+        Time of the messages that are about to be generated.
+    params
+        The rule and its limits.
+
+    Notes
+    -----
+    A report concerns the same object as a detection if it has the same class and is the nearest one in its message, at
+    most 4 m away. For this, the place in the report is extrapolated to `time_s` with the velocity in the report, if
+    there is one. Reports of a vehicle about itself count for `self_announcement` only, all others for the other rules
+    only.
+    Deviations from Artery's implementation of the rules: Artery knows which object a report concerns. It has no window
+    for `dynamics` and `self_announcement`; ours is that of the other rules. Where a speed is unknown, `dynamics`
+    compares places alone.
+    """
+    if params.redundancy == "none" or not len(mine.label) or not len(heard.receiver):
+        return np.zeros(len(mine.label), bool)
+    known = _known(heard, mine, time_s, params.redundancy_window_s, params.redundancy == "self_announcement")
+    left_out = np.zeros(len(mine.label), bool)
+    left_out[known.candidate[_RULES[params.redundancy](heard.reports, mine, known, params)]] = True
+    return left_out
+
+
+def _known(heard: Heard, mine: Candidates, time_s: float, window_s: float, of_self: bool) -> _Known:
+    reports = heard.reports
+    there = np.flatnonzero(reports.is_self == of_self)
+    ahead_m = np.nan_to_num(reports.velocity_mps[there]) * (time_s - reports.time_s[reports.message[there]])[:, None]
+    place = np.column_stack([reports.xy_m[there] + ahead_m, _FAR_M * reports.label[there]])
+    near = cKDTree(np.column_stack([mine.xy_m, _FAR_M * mine.label])).sparse_distance_matrix(
+        cKDTree(place), SAME_M, output_type="ndarray"
+    )
+    candidate, found, apart_m = near["i"], there[near["j"]], near["v"]
+    message = reports.message[found]
+    reception = _rows_of(heard, mine.receiver[candidate], message)
+    fresh = reception >= 0
+    fresh[fresh] = heard.received_s[reception[fresh]] >= time_s - window_s - _SLACK_S
+    candidate, found, apart_m, message = candidate[fresh], found[fresh], apart_m[fresh], message[fresh]
+    received_s, sender = heard.received_s[reception[fresh]], reports.sender[message]
+    order = np.lexsort((found, apart_m, message, sender, received_s, candidate))
+    first = np.ones(len(order), bool)
+    first[1:] = (np.diff(candidate[order]) != 0) | (np.diff(message[order]) != 0)
+    order = order[first]
+    return _Known(candidate[order], message[order], found[order])
+
+
+def _rows_of(heard: Heard, receiver: Int[ndarray, "p"], message: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
+    """Row of the reception of each message by each receiver; -1 if it was not received."""
+    n = len(heard.reports.time_s)
+    key, asked = heard.receiver * n + heard.message, receiver * n + message
+    at = np.minimum(np.searchsorted(key, asked), len(key) - 1)
+    return np.where(key[at] == asked, at, -1)
+
+
+def _often(reports: Reports, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
+    """More reports than the limit."""
+    n = np.bincount(known.candidate, minlength=len(mine.label))
+    return n[known.candidate] > params.redundancy_reports
+
+
+def _unchanged(reports: Reports, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
+    """The latest report, if place and speed have changed little since."""
+    latest = np.ones(len(known.candidate), bool)
+    latest[:-1] = np.diff(known.candidate) != 0
+    at, i = known.object, known.candidate
+    moved_m = np.hypot(*(reports.xy_m[at] - mine.xy_m[i]).T)
+    change_mps = np.abs(np.hypot(*reports.velocity_mps[at].T) - mine.speed_mps[i])
+    return latest & (moved_m <= params.redundancy_moved_m) & ~(change_mps > params.redundancy_speed_mps)
+
+
+def _from_nearby(reports: Reports, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
+    """Reports of senders nearby."""
+    apart_m = np.hypot(*(reports.sender_xy_m[known.message] - mine.own_xy_m[known.candidate]).T)
+    return apart_m <= params.redundancy_sender_m
+
+
+def _any(reports: Reports, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
+    """All reports."""
+    return np.ones(len(known.candidate), bool)
+
+
+_RULES: dict[str, Callable[[Reports, Candidates, _Known, CpmParams], Bool[ndarray, "p"]]] = {
+    "frequency": _often,
+    "dynamics": _unchanged,
+    "distance": _from_nearby,
+    "self_announcement": _any,
+}
+"""The reports because of which an object is left out, by `CpmParams.redundancy`."""

@@ -1,0 +1,330 @@
+"""Links between vehicles and the trust server: uplink of evaluations and downlink of trust values."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Le
+from jaxtyping import Bool, Float, Int, UInt64
+from numpy import ndarray
+
+from cosim.base import rng
+from cosim.messages import cellular
+from cosim.messages.cellular import CellularParams, transfer_delay_s, within_capacity
+from cosim.messages.content import report_bytes, trust_broadcast_bytes
+from trust.tables import SERVER, EvaluationMessages, TrustScores
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ServerParams:
+    """Links to the trust server, and its outages."""
+
+    uplink: Literal["cellular", "rsu"] = "cellular"
+    """Link for evaluations to the server and for trust values back: `cellular`, or `rsu` for roadside units in
+    range."""
+    backhaul_s: Annotated[float, Ge(0), Le(1e6)] = 0.01
+    """Delay between a roadside unit and the server, either way [s]."""
+    outages: tuple[tuple[float, float], ...] = ()
+    """Recorded times [start, end) in which the server is unreachable [s]. No messages are sent to or from it."""
+    cellular: CellularParams = field(default_factory=CellularParams)
+
+    def __post_init__(self) -> None:
+        for i, (start, end) in enumerate(self.outages):
+            if not 0 <= start < end <= 1e9:
+                raise ValueError(
+                    f"server.outages[{i}] = [{start:g}, {end:g}] s is no span of time. "
+                    "Give [start, end] in recorded seconds, 0 <= start < end."
+                )
+
+    def is_out(self, time_s: Float[ndarray, "..."] | float) -> Bool[ndarray, "..."]:
+        """Whether the server is unreachable at these recorded times."""
+        time_s = np.asarray(time_s)
+        out = np.zeros(time_s.shape, bool)
+        for start, end in self.outages:
+            out |= (time_s >= start) & (time_s < end)
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStats:
+    """Counts of one step's reports to the server."""
+
+    n_reports: int = 0
+    """Reports with at least one evaluation."""
+    n_reached: int = 0
+    """Number of these that reach the server, now or later."""
+    n_lost: int = 0
+    """Number of these that were lost on the way, or that no roadside unit received."""
+    n_over_capacity: int = 0
+    n_outage: int = 0
+    uplink_bytes: int = 0
+    """Bytes of all reports on the cellular link."""
+
+    def plus_late(self, late: "LinkStats") -> "LinkStats":
+        """With reports that reach the server only now; the step in which they were sent counted them as lost."""
+        return replace(self, n_reached=self.n_reached + late.n_reached, n_lost=self.n_lost - late.n_reached)
+
+
+@dataclass(frozen=True, slots=True)
+class UplinkState:
+    """Reports that are on their way to the server."""
+
+    under_way: tuple[tuple[Float[ndarray, "v"], EvaluationMessages], ...] = ()
+    """Arrival of each message [s], and the messages."""
+
+
+@dataclass(frozen=True, slots=True)
+class Uplink:
+    """The link from vehicles to the server."""
+
+    params: ServerParams
+    seed: int
+    interval_s: float
+    """Time between two steps in which vehicles sense [s]."""
+
+    def by_cellular(
+        self, state: UplinkState, messages: EvaluationMessages, name_key: UInt64[ndarray, "v"],
+        xy_m: Float[ndarray, "v 2"], time_s: float, is_valid: Bool[ndarray, "v"] | None = None,
+        n_copies: Int[ndarray, "v"] | None = None,
+    ) -> tuple[UplinkState, LinkStats]:  # fmt: skip
+        """Send each evaluator's report over the cellular network.
+
+        Parameters
+        ----------
+        messages
+            Evaluations of V evaluators. The other arrays are aligned with the evaluators.
+        name_key
+            Their keys for random draws, as `Senders.key`.
+        xy_m
+            Their positions.
+        time_s
+            Time at which the reports are sent.
+        is_valid
+            Reports that are not valid do not arrive. All are valid if it is not given.
+        n_copies
+            Further copies of each report. They use capacity of the cell and have no other effect.
+
+        Returns
+        -------
+        The new state, and counts of the reports.
+        """
+        p, n = self.params.cellular, np.diff(messages.ptr)
+        key = rng.key(self.seed, rng.Stream.UPLINK, messages.step)
+        length = np.where(n > 0, report_bytes(n) + cellular.HEADER_BYTES, 0)
+        delay_s = transfer_delay_s(key, name_key, p.uplink_loss_p, p.n_retries, p)
+        if is_valid is not None:
+            delay_s[~is_valid] = np.inf
+        keys, sent, place = rng.keys(key, name_key), length, xy_m
+        if n_copies is not None and n_copies.any():
+            of = np.repeat(np.arange(len(n)), np.where(length > 0, n_copies, 0))
+            number = np.arange(len(of)) - np.searchsorted(of, of)
+            keys = np.concatenate([keys, rng.keys(key, name_key[of], 1 + number)])
+            sent, place = np.concatenate([length, length[of]]), np.concatenate([xy_m, xy_m[of]])
+        taken = within_capacity(place, sent, keys, p.cell_up_bytes_per_s * self.interval_s, p.cell_m)[: len(n)]
+        out = np.full(len(n), bool(self.params.is_out(time_s)))
+        return self._send(state, messages, time_s + delay_s, ~taken & ~out, out, int(sent.sum()))
+
+    def by_rsu(
+        self, state: UplinkState, messages: EvaluationMessages, message: Int[ndarray, "m"],
+        received_s: Float[ndarray, "m"],
+    ) -> tuple[UplinkState, LinkStats]:  # fmt: skip
+        """Forward messages that roadside units received.
+
+        Parameters
+        ----------
+        message
+            Row of `messages` for each reception.
+        received_s
+            Time of each reception.
+        """
+        arrival = np.full(len(messages.evaluator), np.inf)
+        np.minimum.at(arrival, message, received_s + self.params.backhaul_s)
+        nothing = np.zeros(len(arrival), bool)
+        return self._send(state, messages, arrival, nothing, nothing, 0)
+
+    def _send(
+        self, state: UplinkState, messages: EvaluationMessages, arrival_s: ndarray, refused: ndarray, out: ndarray,
+        uplink_bytes: int,
+    ) -> tuple[UplinkState, LinkStats]:  # fmt: skip
+        says = np.diff(messages.ptr) > 0
+        out = out | self.params.is_out(arrival_s)
+        arrives = says & ~refused & ~out & np.isfinite(arrival_s)
+        n = [int(np.sum(x)) for x in (says, arrives, says & refused, says & ~refused & out)]
+        stats = LinkStats(n[0], n[1], n[0] - n[1] - n[2] - n[3], n[2], n[3], uplink_bytes)
+        if not arrives.any():
+            return state, stats
+        return UplinkState((*state.under_way, (arrival_s[arrives], chosen_messages(messages, arrives)))), stats
+
+    def arrived(self, state: UplinkState, time_s: float) -> tuple[UplinkState, list[EvaluationMessages]]:
+        """The new state, and the reports that have reached the server by `time_s`, older steps first."""
+        here, later = [], []
+        for arrival, messages in state.under_way:
+            due = arrival <= time_s
+            if due.any():
+                here.append(chosen_messages(messages, due))
+            if not due.all():
+                later.append((arrival[~due], chosen_messages(messages, ~due)))
+        return UplinkState(tuple(later)), here
+
+
+def chosen_messages(messages: EvaluationMessages, chosen: Bool[ndarray, "v"]) -> EvaluationMessages:
+    """The messages of the chosen evaluators."""
+    return messages if chosen.all() else messages.taken(np.flatnonzero(chosen))
+
+
+@dataclass(frozen=True, slots=True)
+class TrustBroadcast:
+    """Trust values that the server sent at one time."""
+
+    time_s: float
+    """When the server computed them [s]."""
+    scores: TrustScores
+    """By subject of trust (`Linkage.subjects`)."""
+
+
+@dataclass(frozen=True, slots=True)
+class DownlinkState:
+    """The last broadcast that each vehicle received, and broadcasts that are on their way."""
+
+    broadcasts: dict[int, TrustBroadcast] = field(default_factory=dict)
+    """Broadcasts by number, the step in which they were computed. Only those that a vehicle has or will get are
+    kept."""
+    last: Int[ndarray, "capacity"] = field(default_factory=lambda: np.full(0, -1))
+    """Number of the newest broadcast that each vehicle has received, by actor number; -1 for none."""
+    under_way: tuple[tuple[Float[ndarray, "r"], Int[ndarray, "r"], int], ...] = ()
+    """Arrival, vehicle and number."""
+    pending_rsu: tuple[float, int] | None = None
+    """Time at which the roadside units get the newest broadcast, and its number. None once they have sent it."""
+    on_air: int = -1
+    """Number of the broadcast that the roadside units sent last."""
+
+
+@dataclass(frozen=True, slots=True)
+class Downlink:
+    """The link from the server to vehicles."""
+
+    params: ServerParams
+    seed: int
+
+    def publish(
+        self, state: DownlinkState, broadcast: TrustBroadcast, step: int, vehicle: Int[ndarray, "r"],
+        delay_s: Float[ndarray, "r"],
+    ) -> tuple[DownlinkState, int]:  # fmt: skip
+        """Send a broadcast to all equipped vehicles.
+
+        The cellular network sends it at once. Roadside units send it in one of their next rounds.
+
+        Parameters
+        ----------
+        vehicle
+            Actor numbers of the equipped vehicles.
+        delay_s
+            Delay to each vehicle in the cellular network, from `delays_s`.
+
+        Returns
+        -------
+        The new state, and the number of vehicles that it will reach by cellular.
+        """
+        p = self.params.cellular
+        broadcasts = state.broadcasts | {step: broadcast}
+        if self.params.uplink == "rsu":
+            pending = broadcast.time_s + self.params.backhaul_s, step
+            return DownlinkState(broadcasts, state.last, state.under_way, pending, state.on_air), 0
+        if trust_broadcast_bytes(len(broadcast.scores.subject)) + cellular.HEADER_BYTES > p.cell_down_bytes_per_s:
+            delay_s = np.full(len(vehicle), np.inf)  # one copy per cell exceeds the capacity of a second
+        arrival_s = broadcast.time_s + delay_s
+        arrives = np.isfinite(arrival_s) & ~self.params.is_out(arrival_s)
+        coming = (*state.under_way, (arrival_s[arrives], vehicle[arrives], step))
+        return DownlinkState(broadcasts, state.last, coming, state.pending_rsu, state.on_air), int(arrives.sum())
+
+    def delays_s(self, step: int, name_key: UInt64[ndarray, "r"]) -> Float[ndarray, "r"]:
+        """Delay of this step's cellular broadcast to each vehicle [s], by the key of its name; inf if it is lost."""
+        p = self.params.cellular
+        return transfer_delay_s(rng.key(self.seed, rng.Stream.DOWNLINK, step), name_key, p.downlink_loss_p, 0, p)
+
+    def pending_rsu_broadcast(self, state: DownlinkState, time_s: float) -> tuple[DownlinkState, TrustBroadcast | None]:
+        """The broadcast that roadside units send in a round that begins at `time_s`. Each is returned once."""
+        if state.pending_rsu is None or state.pending_rsu[0] > time_s:
+            return state, None
+        arrival, number = state.pending_rsu
+        state = DownlinkState(state.broadcasts, state.last, state.under_way, None, number)
+        return state, None if self.params.is_out(arrival) else state.broadcasts.get(number)
+
+    def receive_from_rsu(
+        self, state: DownlinkState, vehicle: Int[ndarray, "r"], receiver: Int[ndarray, "m"],
+        received_s: Float[ndarray, "m"],
+    ) -> tuple[DownlinkState, int]:  # fmt: skip
+        """Record which vehicles received the broadcast of roadside units.
+
+        Parameters
+        ----------
+        vehicle
+            Actor numbers of the equipped vehicles.
+        receiver
+            Row of `vehicle` for each reception.
+        received_s
+            Time of each reception.
+
+        Returns
+        -------
+        The new state, and the number of vehicles that received it.
+        """
+        first = np.full(len(vehicle), np.inf)
+        np.minimum.at(first, receiver, received_s)
+        got = np.isfinite(first)
+        coming = (*state.under_way, (first[got], vehicle[got], state.on_air))
+        return DownlinkState(state.broadcasts, state.last, coming, state.pending_rsu, state.on_air), int(got.sum())
+
+    def receive(self, state: DownlinkState, present: Int[ndarray, "m"], time_s: float) -> DownlinkState:
+        """Deliver the broadcasts that have arrived by `time_s`, and drop those that no vehicle on the road has.
+
+        Parameters
+        ----------
+        present
+            Actor numbers of the equipped vehicles on the road, ascending.
+        """
+        last = state.last
+        size = int(present[-1]) + 1 if len(present) else 0
+        if not state.under_way and size <= len(last):
+            return state
+        if size > len(last):
+            last = np.concatenate([last, np.full(max(size, 2 * len(last), 64) - len(last), -1)])
+        else:
+            last = last.copy()
+        waiting = []
+        for arrival, vehicle, number in state.under_way:
+            here = arrival <= time_s
+            last[vehicle[here]] = np.maximum(last[vehicle[here]], number)
+            if not here.all():
+                waiting.append((arrival[~here], vehicle[~here], number))
+        in_use = {*last[present].tolist(), state.on_air, *(number for _, _, number in waiting)}
+        if state.pending_rsu is not None:
+            in_use.add(state.pending_rsu[1])
+        broadcasts = {n: b for n, b in state.broadcasts.items() if n in in_use}
+        return DownlinkState(broadcasts, last, tuple(waiting), state.pending_rsu, state.on_air)
+
+    def lookup(
+        self, state: DownlinkState, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"]
+    ) -> Iterator[tuple[TrustBroadcast, Int[ndarray, "k"], Int[ndarray, "k"]]]:
+        """Trust values about subjects in the newest broadcast that each vehicle has received.
+
+        Parameters
+        ----------
+        vehicle
+            Actor number of the vehicle that looks up each subject.
+        subject
+            Subject of trust (`Linkage.subjects`) of each look-up.
+
+        Yields
+        ------
+        Every broadcast in use; the look-ups that it answers, because it is the vehicle's newest one and has a value of
+        the subject; and the row of its scores for each of them.
+        """
+        newest = np.full(len(vehicle), -1)
+        listens = vehicle < len(state.last)
+        newest[listens] = state.last[vehicle[listens]]
+        for number, broadcast in state.broadcasts.items():
+            rows = np.flatnonzero(newest == number)
+            at, known = broadcast.scores.rows_of(np.full(len(rows), SERVER), subject[rows])
+            yield broadcast, rows[known], at[known]

@@ -1,0 +1,184 @@
+"""Checks of a config before anything is loaded or written, and changes of its inputs since an earlier run."""
+
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cosim.config.config import Config, chosen
+from cosim.config.effect import without_effect
+from cosim.traffic.driver import largest_step_s
+from cosim.runs.inputs import changed_inputs
+from cosim.traffic.meshes import with_meshes
+from cosim.traffic.roadside import NO_UNITS, RoadsideUnits, place
+from cosim.traffic.scenario import Scenario, find
+from cosim.traffic.scene_summary import scene_summary
+from cosim.traffic.streetside import check_streets
+from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
+from cosim.step import mixed_perception
+from cosim.step.parts import check_choices
+from results.archive import read_manifest
+from sensors import lidar
+from sensors.boxes import Boxes
+from sensors.scene import Scene, Shape
+from sumo_nets.network import junctions
+from sumo_nets.streetside import read_trees
+
+
+def check(config: Config) -> Scenario:
+    """Check a config and find its scenario.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the config cannot run.
+    """
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    rsu_antennas(config, scenario)
+    roadside_units(config, scenario)
+    _check_streetside(config, scenario)
+    check_choices(config)
+    _check_driver(config, scenario)
+    _check_hosts(config)
+    lidar.beams(config.lidar)
+    mixed_perception.check_lidars(config.lidar, [unit.sensor for unit in config.roadside])
+    with_meshes(Scene.empty(), config.meshes, config.vehicle_meshes)
+    if config.lidar.engine != "columnar":  # the other engines are libraries that may not be installed
+        one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
+        car, first = np.array([Shape.CAR], np.uint8), np.zeros(1, np.int64)
+        lidar.scan(one, car, first, Scene.empty(), config.lidar, np.zeros(1, np.uint64))
+    return scenario
+
+
+def _check_streetside(config: Config, scenario: Scenario) -> None:
+    """Raise ValueError if parked cars or trees have no streets or no map to stand along."""
+    if config.parked.per_100_m > 0:
+        check_streets(scenario.net, "parked")
+    if config.trees.per_100_m > 0 or config.trees.from_map:
+        check_streets(scenario.net, "trees")
+    if not config.trees.per_100_m and _lacks_trees(config, scenario):
+        raise ValueError(
+            f"trees.from_map = true: the polygon files of {scenario.name} contain no trees. Set trees.per_100_m, or "
+            "build the city from a map with trees."
+        )
+
+
+def _lacks_trees(config: Config, scenario: Scenario) -> bool:
+    """Whether the trees of the map are wanted, and there are none."""
+    return config.trees.from_map and not any(len(read_trees(path)) for path in scenario.buildings)
+
+
+def _check_hosts(config: Config) -> None:
+    """Raise ValueError if a trust model needs what its host does not have."""
+    named = [("trust", config.trust), *((f'trust_variant "{v.name}"', v.trust) for v in config.trust_variant)]
+    for where, trust in named:
+        if trust.model == "self_first" and trust.host == "central":
+            raise ValueError(
+                f'{where}: model = "self_first" puts the holder\'s own sweep first, and with host = "central" the '
+                'holder is a server, which has none. Set host = "local", or model = "evaluator_trust".'
+            )
+
+
+def _check_driver(config: Config, scenario: Scenario) -> None:
+    """Raise ValueError if the traffic cannot obey the driver's commands."""
+    limit_s = largest_step_s(chosen(config, "driver")[0].of)
+    if limit_s is None:
+        return
+    name = f'driver.model = "{config.driver.model}"'
+    if scenario.trace is not None:
+        raise ValueError(
+            f"{name}: {scenario.trace} is replayed: nothing can brake in it. Run SUMO (no traffic.trace), or set "
+            'driver.model = "none".'
+        )
+    if config.traffic.step_s > limit_s + 1e-9:
+        raise ValueError(
+            f"traffic.step_s = {config.traffic.step_s:g} s is too long for {name}: drivers behind would brake too late "
+            f"and too hard. Set traffic.step_s to {limit_s:g} or less."
+        )
+
+
+def rsu_antennas(config: Config, scenario: Scenario) -> RsuAntennas:
+    """The trust server's antennas in the scenario's network.
+
+    Raises
+    ------
+    ValueError
+        If the scenario has no street network, or a position does not fit.
+    """
+    if not config.rsu.at and not config.rsu.n_at_junctions:
+        return NO_RSUS
+    if scenario.net is None:
+        raise ValueError(
+            "rsu.at, rsu.n_at_junctions: a trace without streets has no network to stand in. "
+            "Leave the roadside units out, or name the city in traffic.scenario and the trace in traffic.trace."
+        )
+    sites = place_rsus(config.rsu, junctions(scenario.net))
+    return replace(sites, xyz_m=sites.xyz_m - np.array([*scenario.origin_m, 0.0]))
+
+
+def roadside_units(config: Config, scenario: Scenario) -> RoadsideUnits:
+    """The config's roadside units with a LiDAR, in the scenario's network.
+
+    Raises
+    ------
+    ValueError
+        If the scenario has no street network, or a position does not fit.
+    """
+    if not config.roadside:
+        return NO_UNITS
+    if scenario.net is None:
+        raise ValueError(
+            "[[roadside]]: a trace without streets has no network to stand in. Leave the units out, or name the city "
+            "in traffic.scenario and the trace in traffic.trace."
+        )
+    return place(config.roadside, junctions(scenario.net), scenario.origin_m, config.seed)
+
+
+def remarks_on(config: Config, path: Path | None) -> list[str]:
+    """Notes on a config that was read from `path`: keys without effect, and inputs that have changed."""
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    return notes_on(config, scenario) + changed_since(path, config)
+
+
+def notes_on(config: Config, scenario: Scenario) -> list[str]:
+    """Notes on keys that change nothing, and on streets, buildings and what stands beside streets."""
+    notes = keys_in_vain(config, scenario) + list(scene_summary(scenario).notes)
+    if config.parked.per_100_m or config.trees.per_100_m:
+        city = scenario.city(config.trees, config.seed)
+        if config.parked.per_100_m and not scenario.parked(config.parked, city, config.seed):
+            notes.append("note: [parked] places no car: no place along the streets is free, or tags say so.")
+        if config.trees.per_100_m and not len(city.trees.shape):
+            notes.append("note: [trees] places no tree: no place along the streets is free.")
+    return notes
+
+
+def keys_in_vain(config: Config, scenario: Scenario) -> list[str]:
+    """Notes on keys that the config sets and that change nothing, and on choices that do not suit its world."""
+    lines = without_effect(config, scenario.trace is not None)
+    if _lacks_trees(config, scenario):
+        lines.append(f"trees.from_map has no effect: the polygon files of {scenario.name} contain no trees.")
+    return [f"note: {line}" for line in lines + _fitted_elsewhere(config)]
+
+
+def _fitted_elsewhere(config: Config) -> list[str]:
+    """A line on trust models whose parameters belong to another world than that of the config."""
+    models = [config.trust.model, *(variant.trust.model for variant in config.trust_variant)]
+    if "belief_graph" not in models or (config.gnss.is_exact and config.schedule.is_lock_step):
+        return []
+    return [
+        'trust.model = "belief_graph": its parameters were fitted to vehicles that know their poses exactly and sense '
+        "at the same time. With position errors or phases it takes honest vehicles for liars: in Helsinki, their "
+        "median trust is 0.00 without any attacker. Fit its shapes, or take another model."
+    ]
+
+
+def changed_since(path: Path | None, config: Config) -> list[str]:
+    """A note if the config is that of a recorded run and input files have changed since; otherwise an empty list."""
+    if path is None or not (path.parent / "manifest.json").is_file():
+        return []
+    with suppress(ValueError):
+        before = read_manifest(path.parent)["net"]
+        if changed := changed_inputs(config, find(config.traffic.scenario, config.traffic.trace), before):
+            return [f"note: changed since {path.parent} was recorded: {', '.join(changed)}. The tables will differ."]
+    return []

@@ -1,0 +1,311 @@
+"""The loop of a run: traffic, step, recorder. It starts at the first step or where a resumed run continues."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numba
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.attacks.params import rings_too_large
+from cosim.config.config import Config
+from cosim.runs import checkpoint
+from cosim.runs import recording
+from cosim.addons.cells.perception import CellPerception
+from cosim.runs.checkpoint import CannotCheckpoint
+from cosim.runs.folder import RunFolder
+from cosim.runs.manifest import Manifest
+from cosim.runs.speed.ahead import Ahead
+from cosim.runs.speed.allocator import give_back_freed_memory, keep_freed_memory
+from cosim.runs.stop import StopRequest
+from cosim.traffic.actors import ActorRegistry
+from cosim.traffic.scenario import Scenario
+from cosim.traffic.source import TrafficEnded, TrafficError, TrafficSource
+from cosim.step.cycle import step
+from cosim.step.parts import Parts, chosen
+from cosim.step.perception import Perception
+from cosim.step.precomputed import NOTHING_PRECOMPUTED
+from cosim.step.result import StepResult
+from cosim.step.state import State
+from cosim.step.stopwatch import Stopwatch
+from cosim.world import World
+from cosim.base.codes import DetectionFault, labels
+from results.recorder import Recorder
+from sensors.scene import Scene, Shape
+
+_log = logging.getLogger(__name__)
+
+Advance = Callable[[str, int, int, str], None]
+"""Callback for progress. Its arguments are the phase, the work done, the total and a note."""
+
+OnStep = Callable[[StepResult, Scenario, Scene], None]
+"""Sees the result of every recorded step, the scenario and its city, and must not change them."""
+
+Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
+"""Actors and their commanded speeds [m/s]."""
+NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
+_MOST_AT_ONCE = 10
+"""A signal within the first steps without sensing stops the run at once, and nothing of it is kept."""
+STATE_VERSION = 11
+"""Increase this number when the code can no longer read the states of earlier versions."""
+_CORES = numba.get_num_threads()
+_EQUIPPED_PER_THREAD = 100
+"""With fewer vehicles a step takes about 20 ms, and further threads cost more than they save on busy cores."""
+
+
+@dataclass(slots=True)
+class Drive:
+    """A run that is being computed."""
+
+    parts: Parts
+    scenario: Scenario
+    folder: RunFolder
+    warmup_s: float
+    traffic: TrafficSource
+    registry: ActorRegistry
+    recorder: Recorder
+    manifest: Manifest
+    advance: Advance
+    stop: StopRequest
+    state: State | None = None
+    """State before the first step to record. None in a new run, or if earlier steps must be computed again."""
+    expected: dict[str, np.ndarray] | None = None
+    """In a resumed run: the rows of the table `actors` of the last recorded step."""
+    commands: dict[int, Commands] = field(default_factory=dict)
+    """In a resumed run: the drivers' commands in the recorded steps, by step."""
+    on_step: OnStep | None = None
+    n_on_road: int = 0
+    n_senders: int = 0
+    """Equipped vehicles, summed over the steps with messages."""
+    ended: str = ""
+    """Why the traffic ended before the requested time."""
+    _of_block: dict[int, Commands] = field(default_factory=dict)
+    _keeps_state: bool = True
+    _next: World | None = None
+    """World of the next step, if it has been read already."""
+
+    def run(self) -> None:
+        """Warm up, repeat the traffic of the recorded steps, and continue until the end or a signal."""
+        keep_freed_memory()
+        give_back_freed_memory()  # memory that reading the city took
+        c, perception = self.parts.config, self.parts.perception
+        in_cells = isinstance(perception, CellPerception)
+        has_room = isinstance(perception, Perception) and c.compute.threads != 1 and _CORES > 1
+        if c.driver.model != "none" or not (in_cells or has_room):
+            self._run(None)  # the next world depends on the present step, or there is no second core
+            return
+        with Ahead(self.parts, in_cells) as ahead:
+            self.manifest.timings_ahead_s = ahead.watch.seconds
+            self._run(ahead)
+
+    def _run(self, ahead: Ahead | None) -> None:
+        config, recorder = self.parts.config, self.recorder
+        first = recorder.inventory.end_step
+        warm_up(self.warmup_s, self.traffic, self.parts.watch, self.advance)
+        recomputes = first > 0 and self.state is None
+        state = State.start(self.parts) if self.state is None else self.state
+        self.state = None
+        for number in range(config.n_steps):
+            if number == first > 0:
+                self.stop.at_once = False
+            if (world := self._world()) is None:
+                break
+            self.n_on_road += int(((world.shape != Shape.PEDESTRIAN) & ~world.is_roadside).sum())
+            self.n_senders += int(world.equipped.sum()) if self.parts.senses(number) else 0
+            if number < first:
+                commands = self.commands.get(number, NO_COMMANDS)
+                if recomputes:
+                    state, result = step(world, state, self.parts)
+                    commands = result.commands.actor, result.commands.speed_mps
+                self.traffic.command(*commands)
+                if number == first - 1:
+                    self._check_repeated(world)
+                self.advance("repeat traffic", number + 1, first, "steps")
+                continue
+            numba.set_num_threads(_threads(self.parts, int(world.equipped.sum())))
+            self._look_ahead(number, ahead)
+            precomputed = NOTHING_PRECOMPUTED if ahead is None else ahead.of(world)
+            state, result = step(world, state, self.parts, precomputed)
+            if result.sensed is not None or number + 1 >= min(_MOST_AT_ONCE, recorder.block_steps):
+                self.stop.at_once = False  # before this, a step may have compiled kernels for a minute
+            with self.parts.watch("record"):
+                recording.step(recorder, result, config.traffic.step_s)
+                recorder.reach(number)
+                self.manifest.steps = number + 1
+                commands = result.commands.actor, result.commands.speed_mps
+                if len(result.commands):
+                    self._of_block[number] = commands
+                if recorder.is_block_end(number) and number + 1 < config.n_steps:
+                    self._commit(state)
+            if self.on_step is not None:
+                with self.parts.watch("show"):
+                    self.on_step(result, self.scenario, self.parts.city)
+            del result, precomputed  # up to 100 MB for many vehicles, which would exist beside those of the next step
+            self.traffic.command(*commands)
+            self.advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
+            if self.stop.signum is not None and self._next is None:
+                break
+        if not self.manifest.steps:
+            raise TrafficError(f"traffic.scenario = {self.scenario.name}: there is nothing to record: {self.ended}.")
+        with self.parts.watch("record"):
+            self._end(state)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all requested steps, or all steps of the traffic, are recorded."""
+        return bool(self.ended) or self.manifest.steps >= self.parts.config.n_steps
+
+    def _world(self) -> World | None:
+        """The world of the next step; None if the traffic has ended."""
+        if (world := self._next) is not None:
+            self._next = None
+            return world
+        if self.ended:
+            return None
+        with self.parts.watch("traffic"):
+            try:
+                return self.traffic.advance()
+            except TrafficEnded as over:
+                asked_s = self.parts.config.n_steps * self.parts.config.traffic.step_s
+                self.ended = f"the traffic ended before the {asked_s:g} s asked for: {over}"
+                return None
+
+    def _look_ahead(self, number: int, ahead: Ahead | None) -> None:
+        """Start to compute the next world's sweeps while this step continues.
+
+        This is not done where recording may end between the two steps, because actors are registered when a world is
+        read.
+        """
+        is_last = number + 1 == self.parts.config.n_steps or self.recorder.is_block_end(number)
+        if ahead is None or is_last or self.stop.signum is not None or (world := self._world()) is None:
+            return
+        self._next = world
+        if self.parts.senses(number + 1):
+            ahead.expect(world, at_once=not self.parts.senses(number))
+
+    def _commit(self, state: State) -> None:
+        """Write a complete block, with the state that a resumed run needs to continue from it."""
+        self.folder.check()
+        files = {}
+        if self._of_block:
+            files[f"commands-{self.manifest.steps:07d}.bin"] = checkpoint.encode(self._of_block)
+            self._of_block = {}
+        if self._keeps_state:
+            try:
+                files[f"state-{self.manifest.steps:07d}.bin"] = checkpoint.encode(
+                    (STATE_VERSION, self.manifest.config_sha256, state), own_modules(self.parts.config)
+                )
+            except CannotCheckpoint as error:
+                self._keeps_state = False
+                self.manifest.summary["not_kept_for_resume"] = f"{error}: a resumed run computes all steps again"
+        rows = recording.open_rows(state, self.parts, self.registry, self.manifest.steps)
+        give_back_freed_memory()  # the last rows of all tables are encoded at the same time
+        self.recorder.flush(rows, files)
+        give_back_freed_memory()
+
+    def _end(self, state: State) -> None:
+        """Write the last block.
+
+        Rows that are still open, such as encounters, go into the tables of a finished run. An interrupted run keeps
+        them in separate files.
+        """
+        self.folder.check()
+        rows = recording.open_rows(state, self.parts, self.registry, self.manifest.steps)
+        give_back_freed_memory()
+        if not self.is_over:
+            self.recorder.flush(rows)
+        else:
+            self.recorder.close(rows)
+        self.manifest.summary |= {
+            "vehicles_on_road_mean": round(self.n_on_road / self.manifest.steps, 2),
+            **self.traffic.report(),
+            "detections_dropped": {
+                name: int(n) for name, n in zip(labels(DetectionFault), state.n_dropped, strict=True) if n
+            },
+            "evaluations_rejected": self.parts.trust.rejected(state.trust),
+            **_pseudonym_summary(self.parts.config, state, self.n_senders),
+            **self._incomplete_rings(),
+            **({"ended_early": self.ended} if self.ended else {}),
+            **({"victims_absent": absent} if (absent := self._absent_victims()) else {}),
+        }
+
+    def _incomplete_rings(self) -> dict[str, Any]:
+        """Notes on rings of attackers with fewer attackers than configured; empty before the run is over."""
+        found = rings_too_large(self.parts.config.attacks, self.registry.attack) if self.is_over else []
+        for line in found:
+            _log.warning(line)
+        return {"rings_too_large": found} if found else {}
+
+    def _absent_victims(self) -> list[str]:
+        """Keys of the config whose victim was never on the road."""
+        known = set(self.registry.names)
+        named = ((n, p.victim_id) for n, p in enumerate(self.parts.config.attacks) if p.victim == "one")
+        return [f'attacks.{n}.victim_id = "{name}"' for n, name in named if name not in known]
+
+    def _check_repeated(self, world: World) -> None:
+        """Raise ValueError if the repeated traffic differs from the recorded one."""
+        if (want := self.expected) is None:
+            return
+        kept, boxes = ~world.is_roadside, world.boxes  # units have no rows in the table of actors
+        poses = {"yaw_rad": boxes.yaw_rad, "speed_mps": world.speed_mps} | {
+            f"{axis}_m": boxes.xyz_m[:, column] for column, axis in enumerate("xyz")
+        }
+        same = np.array_equal(want["actor"], world.actor[kept]) and all(
+            np.array_equal(want[name], values[kept].astype(np.float32)) for name, values in poses.items()
+        )
+        if not same:
+            raise ValueError(
+                f"{self.manifest.folder}: the traffic of step {world.step} is not the one recorded: "
+                "another SUMO or other files. Run again."
+            )
+
+
+def warm_up(warmup_s: float, traffic: TrafficSource, watch: Stopwatch, advance: Advance) -> None:
+    """Simulate the traffic before the first step.
+
+    Raises
+    ------
+    TrafficError
+        If the traffic ends before the warm-up does.
+    """
+    with watch("warm-up"):
+        try:
+            for done_s in traffic.warm_up(warmup_s):
+                advance("warm-up", int(done_s), int(warmup_s), "s")
+        except TrafficEnded as over:
+            raise TrafficError(f"traffic.warmup_s = {warmup_s:g} s outlasts the traffic: {over}. Shorten it.") from None
+        advance("warm-up", int(warmup_s), int(warmup_s), "s")
+
+
+def own_modules(config: Config) -> tuple[str, ...]:
+    """Modules of the user's own classes that this config names."""
+    return tuple(sorted({choice.of.__module__ for choice in chosen(config).values()}))
+
+
+def _pseudonym_summary(config: Config, state: State, n_messages: int) -> dict[str, Any]:
+    """Counts about pseudonyms for the manifest; `n_messages` is the number of detection messages."""
+    found: dict[str, Any] = {}
+    if (n_changes := int(state.pseudonyms.n_changes.sum())) and config.pseudonyms.linkage == "none":
+        n_vehicles = int((state.pseudonyms.current >= 0).sum())
+        found["messages_per_pseudonym"] = round(n_messages / (n_changes + n_vehicles), 2)
+    if config.pseudonyms.revocation != "none":
+        found["revoked"] = len(state.pseudonyms.revoked)
+    if config.pseudonyms.linkage == "on_demand":
+        found["linked_on_demand"] = int((state.pseudonyms.linked >= 0).sum())
+    if config.pseudonyms.linkage == "own":
+        known = state.known_senders
+        found["relinked"] = {"changes": known.n_changes, "linked": known.n_linked, "right": known.n_right}
+    return found
+
+
+def _threads(parts: Parts, n_equipped: int) -> int:
+    """Threads for one step: the number in the config, or one per `_EQUIPPED_PER_THREAD` equipped vehicles.
+
+    The workers of cells take one core each.
+    """
+    n, perception = parts.config.compute.threads, parts.perception
+    free = max(1, _CORES - perception.crew.n_cells) if isinstance(perception, CellPerception) else _CORES
+    return min(n or max(1, n_equipped // _EQUIPPED_PER_THREAD), free)

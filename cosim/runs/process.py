@@ -1,0 +1,54 @@
+"""Processes of this program: what they take from the current folder, and how one starts another.
+
+The user may work in a folder of somebody else, who must not choose code by it. `python -P -m cosim.runs.process
+MODULE WORDS` runs a module of this program as its main module.
+"""
+
+import os
+import runpy
+import sys
+from pathlib import Path
+
+_ROOT = Path(__file__).parents[2]
+
+
+def command(module: str, *words: str) -> list[str]:
+    """Words that start a module of this program, with the code of this process.
+
+    With `-P`, the process does not look for modules in the current folder.
+    """
+    return [sys.executable, "-P", "-m", "cosim.runs.process", module, *words]
+
+
+def environment(**more: str) -> dict[str, str]:
+    """Environment of such a process. It finds this program where this process has found it.
+
+    A checkout may be used through PYTHONPATH, or from its own folder without being installed. An empty entry of
+    PYTHONPATH would be the current folder.
+    """
+    places = [place for place in os.environ.get("PYTHONPATH", "").split(os.pathsep) if place]
+    if _ROOT.name not in ("site-packages", "dist-packages"):  # whose other packages must not come before Python's own
+        places.insert(0, str(_ROOT))
+    return os.environ | {"PYTHONPATH": os.pathsep.join(places)} | more
+
+
+def ignore_settings_here() -> None:
+    """Let no library read settings from the current folder.
+
+    Numba's can name a folder of compiled functions, which are pickles, and Matplotlib's a program that writes movies.
+    """
+    if os.path.lexists(".numba_config.yaml"):
+        from numba.core import config
+
+        config._config_fname = os.devnull  # it has no other switch
+        config.reload_config()
+    if os.path.lexists("matplotlibrc"):
+        from results.figures.style import forget_settings
+
+        forget_settings()
+
+
+if __name__ == "__main__":
+    ignore_settings_here()
+    sys.argv = sys.argv[1:]
+    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)

@@ -1,0 +1,418 @@
+"""Runs a config into a folder, and resumes such a run."""
+
+import hashlib
+import shutil
+from collections.abc import Collection
+from contextlib import closing, suppress
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from cosim.attacks.params import named, shares
+from cosim.config.config import Config, of_run
+from cosim.door.blame import ExtensionError
+from cosim.runs import checkpoint
+from cosim.runs import recording
+from cosim.runs import folder as run_folder
+from cosim.addons.cells.perception import CellPerception
+from cosim.addons.cells.start import NO_CELLS, Cells, in_cells, workers_for
+from cosim.runs.check import check, roadside_units, rsu_antennas
+from cosim.runs.drive import STATE_VERSION, Advance, Commands, Drive, OnStep, own_modules, warm_up
+from cosim.runs.folder import RunFolder
+from cosim.runs.inputs import provenance
+from cosim.runs.manifest import Manifest, versions
+from cosim.runs.stop import NOTHING_WRITTEN, Failed, Stopped, StopRequest
+from cosim.traffic.actors import ActorRegistry
+from cosim.traffic.meshes import with_meshes
+from cosim.traffic.remarks import traffic_remarks
+from cosim.traffic.scenario import Scenario
+from cosim.traffic.scene_summary import scene_summary
+from cosim.traffic.source import TrafficEnded, TrafficError, TrafficSource
+from cosim.step.parts import Parts, sources
+from cosim.step.state import State
+from cosim.step.stopwatch import Stopwatch
+from cosim.step.trackers.attack_start import AttackStartTracker
+from results import inventory
+from cosim.base.durable import PARTIAL, Damaged, open_regular
+from results.inventory import CHECKPOINT, Inventory
+from results.manifest import check_schema, problems, read_manifest
+from results.recorder import Recorder, is_state
+from results.run import content_problem
+from results.verify import links
+
+
+def run(
+    config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None,
+    on_step: OnStep | None = None, cells: Cells = NO_CELLS,
+) -> Path:  # fmt: skip
+    """Run an experiment into a folder.
+
+    Nothing is written before the config has been checked and SUMO has accepted the scenario.
+
+    Parameters
+    ----------
+    config
+        The experiment.
+    out
+        Folder to write; None for the next free `runs/<city>-N`.
+    advance
+        Called with progress.
+    traffic_from
+        Folder that `record_traffic` wrote for the same `[traffic]`. It is replayed instead of running SUMO. The tables
+        are the same.
+    on_step
+        Called with the result of every recorded step, for example to show it.
+    cells
+        Worker processes, each of which senses for the vehicles of one part of the city. The tables are the same.
+
+    Returns
+    -------
+    The folder that was written.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the config cannot run or the folder cannot be used.
+    Stopped
+        If a signal interrupted the run; the complete steps are written.
+    """
+    out = None if out is None else out.expanduser()
+    run_folder.check(out)
+    with StopRequest() as stop, workers_for(cells) as workers:
+        scenario = check(config)
+        parts, registry, traffic = load_parts(config, scenario, traffic_from)
+        with closing(traffic), in_cells(parts, scenario, cells, workers) as parts:
+            folder = run_folder.create(out, scenario.name)
+            try:
+                manifest = Manifest(folder.path, config, provenance(config, scenario), sources(config))
+                manifest.summary = scene_summary(scenario).lines
+                manifest.begin()
+                recorder = _recorder(folder.path, parts, 0)
+                warmup_s = 0.0 if traffic_from is not None else warmup_of(config, scenario)
+                drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, manifest, advance, stop)
+                drive.on_step = on_step
+            except BaseException as error:
+                with suppress(OSError):
+                    folder.remove()
+                if isinstance(error, OSError):
+                    raise Failed(f"{folder.path}: {error.strerror or error}. Nothing was written.") from None
+                raise
+            _carry_out(drive, folder)
+    return folder.path
+
+
+def resume(
+    path: Path, advance: Advance, traffic_from: Path | None = None, trust_code: bool = False, cells: Cells = NO_CELLS
+) -> Path:
+    """Continue a run that was killed or interrupted, from its last complete block.
+
+    The tables equal those of a run without interruption. The traffic is simulated again from its beginning, because
+    SUMO's saved state is not exact. Everything else continues from the state that was kept with the block.
+
+    Parameters
+    ----------
+    path
+        Folder of the run.
+    advance
+        Called with progress.
+    traffic_from
+        As in `run`.
+    trust_code
+        Load the user's own classes that the run's config names. Without it, the run is refused, because the author of
+        a folder can compute its checksums again after a change. Nothing else in the folder can name code.
+    cells
+        As in `run`. They need not be those of the run so far.
+
+    Returns
+    -------
+    The folder of the run.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the run cannot be resumed, for example because its inputs have changed.
+    Damaged
+        If the files of the run differ from what was written.
+    """
+    manifest = read_manifest(path)
+    config = resumable(path, trust_code)
+    scenario = check(config)
+    if (now := provenance(config, scenario)) != manifest["net"]:
+        changed = sorted(key for key in now.keys() | manifest["net"].keys() if now.get(key) != manifest["net"].get(key))
+        raise ValueError(f"{path}: its inputs have changed since: {', '.join(changed)}. Run again.")
+    with StopRequest() as stop, workers_for(cells) as workers:
+        folder = run_folder.reopen(path)
+        try:
+            if read_manifest(path)["status"] == "finished":
+                folder.release()  # a kill may have come between the last manifest and the release of the lock
+                return path
+            found = inventory.read(path).whole()
+            closed = [part for block in found.blocks for part in block.parts]
+            if problem := next((p for part in closed if (p := content_problem(path, part))), ""):
+                raise Damaged(f"{path} is damaged: {problem}. Run again.")
+            parts, registry, traffic = load_parts(config, scenario, traffic_from)
+            with closing(traffic), in_cells(parts, scenario, cells, workers) as parts:
+                went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
+                went.keep_config(manifest)
+                went.summary = scene_summary(scenario).lines
+                recorder = _recorder(path, parts, found.end_step)
+                went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
+                warmup_s = 0.0 if traffic_from is not None else warmup_of(config, scenario)
+                drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, went, advance, stop)
+                drive.state = _kept_state(path, found, config, went.config_sha256)
+                drive.expected = _last_poses(path, found)
+                drive.commands = _kept_commands(path, found)
+                went.write("running")
+                _carry_out(drive, folder)
+        except BaseException:
+            folder.release()
+            raise
+    return path
+
+
+def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
+    """Simulate and record the traffic of a config without equipped vehicles.
+
+    Returns
+    -------
+    The folder `path`, for `run(..., traffic_from=path)`.
+    """
+    own = {section: values for section, values in config.own.items() if not section.startswith("attacks.")}
+    config = replace(config, attacks=(), trust_variant=(), own=own)
+    scenario, watch = check(config), Stopwatch()
+    registry = ActorRegistry(replace(config.fleet, penetration_p=0.0), config.seed)
+    traffic = scenario.traffic(config.traffic, registry)
+    try:
+        folder = run_folder.create(path, scenario.name)
+        manifest = Manifest(path, config, provenance(config, scenario), sources(config))
+        manifest.begin()
+        warm_up(warmup_of(config, scenario), traffic, watch, advance)
+        recorder = Recorder(path, "standard", config.record.block_steps)
+        for number in range(config.n_steps):
+            try:
+                world = traffic.advance()
+            except TrafficEnded:
+                break
+            recording.actors(recorder, world)
+            recorder.reach(number)
+            manifest.steps = number + 1
+            advance("traffic", number + 1, config.n_steps, f"steps, {len(world)} actors")
+        recorder.close({"vehicles": [
+            recording.vehicle_rows(registry, np.zeros(1, np.uint8), AttackStartTracker(), config.schedule)
+        ]})  # fmt: skip
+        manifest.timings_s, manifest.summary = watch.seconds, traffic.report()
+    finally:
+        traffic.close()
+    manifest.write("finished", recorder.inventory)
+    folder.release()
+    return path
+
+
+def resumable(path: Path, trust_code: bool = False) -> Config:
+    """The config of a run that can be resumed.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the run cannot be resumed.
+    Damaged
+        If the folder contradicts its manifest.
+    """
+    manifest = read_manifest(path)
+    check_schema(path, manifest)
+    lidar = manifest["config"].get("lidar")
+    now = versions(str(lidar.get("engine")) if isinstance(lidar, dict) else "")
+    begun_with = manifest.get("versions", {})
+    if other := [f"{p} {begun_with.get(p)} (now {v})" for p, v in now.items() if begun_with.get(p) != v]:
+        raise ValueError(f"{path} was begun with {', '.join(other)}: the tables would be of two kinds. Run again.")
+    if linked := links(path):
+        raise ValueError(f"{path}: {linked[0]} is a symbolic link, through which nothing is written.")
+    if problem := next(problems(path, manifest, inventory.read(path)), ""):
+        raise Damaged(f"{path} cannot go on: {problem}. Run again.")
+    config = of_run(manifest["config"], path, trust_code)
+    found = {key: asdict(source) for key, source in sources(config).items()}
+    if found != (before := manifest.get("choices")):
+        changed = [key for key in found if not isinstance(before, dict) or before.get(key) != found[key]]
+        names = ", ".join(f"{key} names {found[key]['file'] or found[key]['name']}" for key in changed) or "choices"
+        raise ValueError(f"{path}: {names}, which was changed since. Run again.")
+    return config
+
+
+def warmup_of(config: Config, scenario: Scenario) -> float:
+    """Duration of the traffic before the first step [s]."""
+    return scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
+
+
+def load_parts(
+    config: Config, scenario: Scenario, traffic_from: Path | None = None
+) -> tuple[Parts, ActorRegistry, TrafficSource]:
+    """The components of a run, its actors and its traffic; arguments as in `run`. The caller closes the traffic."""
+    watch = Stopwatch()
+    with watch("city"):
+        city = with_meshes(scenario.city(config.trees, config.seed), config.meshes, config.vehicle_meshes)
+        parked = scenario.parked(config.parked, city, config.seed)
+    units = roadside_units(config, scenario)
+    parts = Parts.of(config, city, rsu_antennas(config, scenario), watch, units)
+    registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
+    recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
+    params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)
+    has_driver = config.driver.model != "none"
+    return parts, registry, recorded.traffic(params, registry, has_driver, config.objects, parked, units)
+
+
+def _recorder(folder: Path, parts: Parts, resume_at: int) -> Recorder:
+    variants = [variant.name for variant in parts.trust.variants]
+    record = parts.config.record
+    return Recorder(folder, record.level, record.block_steps, resume_at, variants=variants)
+
+
+def _kept_commands(path: Path, found: Inventory) -> dict[int, Commands]:
+    """Speeds that drivers commanded in the recorded steps, by step. The repeated traffic must obey them again."""
+    commands: dict[int, Commands] = {}
+    for block in found.blocks:
+        for name in block.checkpoint:
+            if not is_state(name):
+                commands |= _decoded(path, name, block.checkpoint[name], ())
+    return commands
+
+
+def _decoded(path: Path, name: str, digest: str, own: Collection[str]) -> Any:
+    """The content of a file of a checkpoint; Damaged if it is not what was written."""
+    with open_regular(path / name) as file:
+        content = file.read()
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise Damaged(f"{path} is damaged: {name} is not what was written. Run again.")
+    try:
+        return checkpoint.decode(content, own)
+    except ValueError as error:
+        raise Damaged(f"{path}/{name}: {error}. Run again.") from None
+
+
+def _kept_state(path: Path, found: Inventory, config: Config, config_sha256: str) -> State | None:
+    """The state at the end of the last complete block; None if no state was kept and all steps are computed again."""
+    names = [name for name in (found.blocks[-1].checkpoint if found.blocks else ()) if is_state(name)]
+    if not names:
+        return None
+    kept = _decoded(path, names[0], found.blocks[-1].checkpoint[names[0]], own_modules(config))
+    if not (isinstance(kept, tuple) and len(kept) == 3 and kept[0] == STATE_VERSION and isinstance(kept[2], State)):
+        raise ValueError(f"{path} was begun with another cosim. Run again.")
+    if kept[1] != config_sha256:
+        raise Damaged(f"{path}: {names[0]} is of a run with another config. Run again.")
+    return kept[2]
+
+
+def _last_poses(path: Path, found: Inventory) -> dict[str, np.ndarray] | None:
+    """Rows of the table `actors` of the last recorded step; None if the run does not keep that table."""
+    last = found.end_step - 1
+    parts = [part for part in found.of("actors") if part.first_step <= last <= part.last_step]
+    if not parts:
+        return None
+    columns = ["actor", "x_m", "y_m", "z_m", "yaw_rad", "speed_mps"]
+    table = pq.read_table(path / parts[0].name, columns=columns, filters=pc.field("step") == last, partitioning=None)
+    return {name: table.column(name).to_numpy() for name in columns}
+
+
+def _carry_out(drive: Drive, folder: RunFolder) -> None:
+    """Carry out a run, and write its status into the manifest in every case."""
+    manifest, recorder = drive.manifest, drive.recorder
+    try:
+        drive.run()
+    except Stopped as error:
+        if not recorder.inventory.blocks:
+            _fail(drive, folder, "")
+            raise
+        manifest.write("interrupted", recorder.inventory)
+        folder.release()
+        message = f"interrupted before anything was added. Continue with: cosim resume {folder.path}"
+        raise Stopped(error.signum, message) from None
+    except Failed:
+        raise
+    except (TrafficError, Damaged) as error:
+        _fail(drive, folder, str(error))
+        raise
+    except ExtensionError as error:
+        kept = _fail(drive, folder, str(error))
+        then = f" The steps before it are kept: cosim resume {folder.path}." if kept else " Nothing is kept."
+        raise ExtensionError(str(error) + then) from error.__cause__
+    except OSError as error:
+        message = f"{folder.path}: {error.strerror or error}, at step {manifest.steps}"
+        kept = _fail(drive, folder, message)
+        raise Failed(
+            message + (f". Continue with: cosim resume {folder.path}" if kept else ". Nothing is kept.")
+        ) from None
+    except MemoryError:
+        message = f"{folder.path}: out of memory at step {manifest.steps}"
+        _fail(drive, folder, message)
+        raise Failed(message + ".") from None
+    except Exception as error:
+        if drive.stop.signum is not None and not recorder.inventory.blocks:  # the signal came out of compiled code
+            _fail(drive, folder, "")
+            raise Stopped(drive.stop.signum, NOTHING_WRITTEN) from None
+        _fail(drive, folder, f"{type(error).__name__}: {error}")
+        raise RuntimeError(f"{folder.path}: the run failed at step {manifest.steps}") from error
+    _measured(drive)
+    if not drive.is_over:
+        manifest.write("interrupted", recorder.inventory)
+        folder.release()
+        assert drive.stop.signum is not None
+        raise Stopped(
+            drive.stop.signum,
+            f"interrupted after {manifest.steps} of {drive.parts.config.n_steps} steps, all written. "
+            f"Continue with: cosim resume {folder.path}",
+        )
+    manifest.write("finished", recorder.inventory)
+    shutil.rmtree(folder.path / CHECKPOINT, ignore_errors=True)
+    folder.release()
+
+
+def _fail(drive: Drive, folder: RunFolder, message: str) -> bool:
+    """Write the status "failed" into the manifest, or remove a folder without steps; return whether steps are kept."""
+    manifest, recorder = drive.manifest, drive.recorder
+    if not folder.lock.is_held():
+        return False
+    if not recorder.inventory.blocks:
+        with suppress(OSError):
+            folder.remove()
+        return False
+    manifest.error = message
+    _measured(drive)
+    with suppress(OSError):  # on a full disk the manifest stays "running"; without a lock this means the same
+        for leftover in folder.path.rglob("*" + PARTIAL):
+            leftover.unlink()
+        manifest.write("failed", recorder.inventory)
+    with suppress(OSError):
+        folder.release()
+    return True
+
+
+def _measured(drive: Drive) -> None:
+    """Note in the manifest what the run cost."""
+    drive.manifest.timings_s, perception = drive.parts.watch.seconds, drive.parts.perception
+    if isinstance(perception, CellPerception):
+        drive.manifest.cells = perception.report()
+
+
+_FEWEST_MESSAGES = 3.0
+"""A run with fewer messages per pseudonym, on average, gets a note."""
+
+
+def remarks(folder: Path) -> list[str]:
+    """Notes that a user should read before they rely on the figures of a run; empty for most runs."""
+    summary = read_manifest(folder)["summary"]
+    absent = [f"note: {key}: no vehicle of that id was on the road." for key in summary.get("victims_absent", ())]
+    return traffic_remarks(summary) + absent + pseudonym_remarks(summary)
+
+
+def pseudonym_remarks(summary: dict[str, Any]) -> list[str]:
+    """A note if pseudonyms change so often that there is hardly any evidence about them."""
+    if (mean := summary.get("messages_per_pseudonym", _FEWEST_MESSAGES)) >= _FEWEST_MESSAGES:
+        return []
+    return [
+        f"note: vehicles sent {mean:g} messages under each pseudonym on average: hardly any evidence about a pseudonym "
+        "exists when it is looked up. Let the policy in [pseudonyms] change them less often, or set "
+        "pseudonyms.linkage."
+    ]

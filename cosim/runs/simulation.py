@@ -1,0 +1,350 @@
+"""For notebooks and scripts: simulate step by step in memory, or run a whole experiment into a folder.
+
+from cosim import Simulation
+
+with Simulation({"traffic": {"duration_s": 20}}) as simulation:
+    for result in simulation:
+        print(result.time_s, len(result.world), len(result.detections))
+"""
+
+import copy
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.config.config import Config, load, resolve_data, with_defaults
+from cosim.door.kinds import SECTIONS
+from cosim.runs import recording
+from cosim.runs import run as running
+from cosim.runs.check import check, notes_on
+from cosim.runs.drive import warm_up
+from cosim.traffic.scenario import Scenario, find
+from cosim.traffic.source import TrafficEnded, TrafficSource
+from cosim.step.cycle import step
+from cosim.step.mixed_perception import MixedImages
+from cosim.step.parts import Parts
+from cosim.step.result import StepResult
+from cosim.step.state import State
+from cosim.world import World
+from results.archive import OpenRun, open_run
+from cosim.base.codes import Role, labels
+from results.tables import TABLES
+from sensors.lidar import RangeImages
+
+AnyConfig = Config | Mapping[str, Any] | str | Path | None
+"""A `Config`, a dictionary with the content of a config file, the path of a TOML file, or None for the default city."""
+
+
+def run(config: AnyConfig = None, out: str | Path | None = None, **parts: type | str) -> OpenRun:
+    """Run one experiment into a folder, as the command `cosim run` does, and open it.
+
+    Parameters
+    ----------
+    config
+        As `Simulation`.
+    out
+        Folder to write. The default is the next free `runs/<city>-N`.
+    parts
+        As in `Simulation`.
+
+    Returns
+    -------
+    The run, with its tables and metrics.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the config cannot run.
+    """
+    resolved = _resolved(config, parts)
+    _warn(resolved, find(resolved.traffic.scenario, resolved.traffic.trace))
+    return open_run(running.run(resolved, None if out is None else Path(out), lambda *_: None))
+
+
+class Simulation:
+    """A simulation in memory. Iterate over it to get the result of every step. It writes no files.
+
+    Use it as a context manager, which ends SUMO. A process can hold one simulation at a time, because SUMO holds one
+    world.
+
+    The first simulation of a process always has the same traffic. SUMO that is loaded again does not always repeat it.
+
+    Parameters
+    ----------
+    config
+        A `Config`, a dictionary with the content of a config file, the path of a TOML file, or None for the default
+        city.
+    parts
+        Classes that replace those of the config, by section: `detector`, `radio`, `pseudonyms`, `trust`, `driver`.
+        Each is a class that is defined at the top level of a module or notebook, or a name as in a config. Name
+        attacks in the config's `attacks`.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the config cannot run.
+    """
+
+    def __init__(self, config: AnyConfig = None, **parts: type | str) -> None:
+        self.config = _resolved(config, parts)
+        self._scenario = check(self.config)
+        _warn(self.config, self._scenario)
+        self._parts: Parts | None = None
+        self._traffic: TrafficSource | None = None
+        self._state: State | None = None
+        self._variants: tuple[str, ...] = ()
+        self._n_steps = 0
+
+    @property
+    def n_steps(self) -> int:
+        """Number of simulated steps."""
+        return self._n_steps
+
+    def __enter__(self) -> "Simulation":
+        self._parts, _, self._traffic = running.load_parts(self.config, self._scenario)
+        self._state = State.start(self._parts)
+        self._variants = tuple(variant.name for variant in self._parts.trust.variants)
+        try:
+            warmup_s = running.warmup_of(self.config, self._scenario)
+            warm_up(warmup_s, self._traffic, self._parts.watch, lambda *_: None)
+        except BaseException:
+            self._traffic.close()
+            raise
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        if self._traffic is not None:
+            self._traffic.close()
+        self._parts = self._traffic = self._state = None
+
+    def __iter__(self) -> Iterator["SimulatedStep"]:
+        return self
+
+    def __next__(self) -> "SimulatedStep":
+        if self._parts is None or self._traffic is None or self._state is None:
+            raise RuntimeError("a Simulation is entered before it is iterated over: with Simulation(...) as simulation")
+        if self._n_steps >= self.config.n_steps:
+            raise StopIteration
+        try:
+            world = self._traffic.advance()
+        except TrafficEnded:
+            raise StopIteration from None
+        self._state, result = step(world, self._state, self._parts)
+        self._traffic.command(result.commands.actor, result.commands.speed_mps)
+        self._n_steps += 1
+        return SimulatedStep(self, result, self._variants)
+
+
+class SimulatedStep:
+    """What happened in one step of a `Simulation`.
+
+    Vehicles are named by their actor number; messages and trust by pseudonym. Tables have the columns of the tables of
+    a run (`results/TABLES.md`). Their numbers are those that were computed, before they are rounded for storage.
+    `results/TABLES.md` marks columns with ground truth, which no vehicle knows.
+    """
+
+    def __init__(self, simulation: Simulation, result: StepResult, variants: Sequence[str]) -> None:
+        self._simulation, self._number = simulation, simulation.n_steps
+        self._columns = _Columns()
+        self._labels = {"variants": tuple(variants), "roles": labels(Role)}
+        self.result = result
+        """The results of the stages, as arrays. Their structure may change between versions."""
+        self.time_s: float = result.world.step * simulation.config.traffic.step_s
+        """Time since recording began [s]."""
+        recording.step(self._columns, result, simulation.config.traffic.step_s)
+
+    @property
+    def step(self) -> int:
+        """Number of the step, from 0."""
+        return self.result.world.step
+
+    @property
+    def world(self) -> World:
+        """Every actor on the road: ground truth."""
+        return self.result.world
+
+    @property
+    def vehicles(self) -> Int[ndarray, "e"]:
+        """Actor numbers of the equipped vehicles on the road, ascending."""
+        return self.world.actor[self.world.equipped]
+
+    @property
+    def sensing(self) -> Int[ndarray, "s"]:
+        """Actor numbers of the vehicles that sense in this step, ascending. They have a point cloud."""
+        return self.result.sensed.sensing.actor if self.result.sensed is not None else np.zeros(0, np.int64)
+
+    def cloud(self, vehicle: int, frame: Literal["world", "sensor"] = "world") -> Float[ndarray, "n 3"]:
+        """Point cloud of one vehicle's sweep.
+
+        Ask for it before the next step begins, because the next step overwrites its memory.
+
+        Parameters
+        ----------
+        vehicle
+            Actor number, one of `sensing`.
+        frame
+            `world`: x east, y north, z up, at the vehicle's estimated position. `sensor`: x forward, y left, z up.
+
+        Returns
+        -------
+        Points [m].
+
+        Raises
+        ------
+        ValueError
+            If the vehicle has no sweep in this step.
+        RuntimeError
+            If the next step has begun.
+        """
+        if self._simulation.n_steps != self._number:
+            raise RuntimeError(f"the clouds of step {self.step} are gone: ask for them before the next step begins")
+        sensed = self.result.sensed
+        row = np.flatnonzero(sensed.sensing.actor == vehicle) if sensed is not None else np.zeros(0, np.int64)
+        if sensed is None or not len(row):
+            raise ValueError(f"vehicle {vehicle} has no sweep in step {self.step}: name one of step.sensing, "
+                             "where there are any.")  # fmt: skip
+        sweeps = sensed.positioned.observed.sweeps
+        images, o = sweeps.image(int(row[0])) if isinstance(sweeps, MixedImages) else (sweeps, int(row[0]))
+        assert isinstance(images, RangeImages), "this process holds the range images"
+        xyz_m = images.xyz(o)
+        return xyz_m if frame == "sensor" else images.poses.to_world(o, xyz_m)
+
+    def table(self, name: str) -> pd.DataFrame:
+        """Rows of this step for one table of a run; empty if the step has no rows for it.
+
+        Raises
+        ------
+        ValueError
+            If there is no such table.
+        """
+        if name not in TABLES:
+            raise ValueError(f"there is no table {name!r}. The tables are {', '.join(TABLES)}.")
+        parts = [self._frame(name, columns) for columns in self._columns.of_table.get(name, [])]
+        if not parts:
+            return pd.DataFrame(columns=list(TABLES[name].stored))
+        return pd.concat(parts, ignore_index=True)
+
+    @property
+    def detections(self) -> pd.DataFrame:
+        """Boxes in the vehicles' detection lists, attacks included: table `detections`."""
+        return self.table("detections")
+
+    @property
+    def messages(self) -> pd.DataFrame:
+        """Messages received, by sender and receiver, with their latency: table `receptions`."""
+        return self.table("receptions")
+
+    @property
+    def evaluations(self) -> pd.DataFrame:
+        """The vehicles' evaluations of detections: table `evaluations`."""
+        return self.table("evaluations")
+
+    @property
+    def trust(self) -> pd.DataFrame:
+        """Trust values that the server computed in this step; empty if it computed none: table `trust`."""
+        return self.table("trust")
+
+    @property
+    def trust_lookups(self) -> pd.DataFrame:
+        """Trust in each sender that each receiver looks up when it fuses: table `trust_lookups`."""
+        return self.table("trust_lookups")
+
+    @property
+    def fused(self) -> pd.DataFrame:
+        """Fused objects of each vehicle with their boxes: table `fused`."""
+        frame = self.table("fused")
+        if (sensed := self.result.sensed) is None:
+            return frame.reindex(columns=list(TABLES["fused"].columns))
+        known, by, moved = sensed.known, sensed.known.detections.message, frame.pose.notna()
+        columns = recording.detection_columns(self.result.world, known, known.pseudonym[by])
+        detections = self._frame("detections", columns)
+        detections = detections.assign(step=known.step[by]).set_index(["step", "observer", "detection_index"])
+        named = {
+            "source": pd.MultiIndex.from_frame(frame[["source_step", "source", "source_index"]]),
+            "pose": pd.MultiIndex.from_arrays([
+                frame.pose_step, frame.pose.where(moved, frame.source),
+                frame.pose_index.where(moved, frame.source_index),
+            ]),
+        }  # fmt: skip
+        for name, column in TABLES["fused"].columns.items():
+            if column.via:
+                frame[name] = detections[name].reindex(named[column.via]).array
+        return frame[list(TABLES["fused"].columns)]
+
+    def _frame(self, table: str, columns: Mapping[str, ndarray | None]) -> pd.DataFrame:
+        """Columns as a table, with labels instead of codes and nulls for absent values."""
+        n = next(len(values) for values in columns.values() if values is not None)
+        made: dict[str, Any] = {}
+        for name, column in TABLES[table].stored.items():
+            values, valid = columns.get(name), columns.get(f"{name}__valid")
+            if values is None and (name == "step" or column.absent == "step"):
+                values = np.full(n, self.step)
+            elif values is None:
+                zeros = np.zeros(n, np.int64 if column.type == "category" else np.float64)
+                values, valid = zeros, np.full(n, column.absent == "zero")
+            if column.type == "category" and values.dtype.kind in "iu":
+                codes = (values if valid is None else np.where(valid, values, -1)).astype(np.int64)
+                made[name] = pd.Categorical.from_codes(codes, pd.Index(column.labels(self._labels)))
+            elif valid is None:
+                made[name] = values
+            else:
+                nullable: Any = {"b": "boolean", "i": "Int64", "u": "Int64"}.get(values.dtype.kind, values.dtype)
+                made[name] = pd.Series(values).astype(nullable).where(valid).array
+        return pd.DataFrame(made)
+
+
+class _Columns:
+    """Keeps rows in memory by table; takes the place of a recorder."""
+
+    tables = tuple(TABLES)
+
+    def __init__(self) -> None:
+        self.of_table: dict[str, list[Mapping[str, ndarray | None]]] = {}
+
+    def append(self, table: str, step: int, columns: Mapping[str, ndarray | None]) -> None:
+        """As `Recorder`."""
+        if any(values is not None and len(values) for values in columns.values()):
+            self.of_table.setdefault(table, []).append(columns)
+
+
+def _resolved(config: AnyConfig, parts: Mapping[str, type | str]) -> Config:
+    """The config, with these classes instead of those that it names."""
+    named = {section: _name_of(section, part) for section, part in parts.items()}
+    if isinstance(config, str | Path):
+        return load(Path(config), [f"{section}.{SECTIONS[section].key}={name}" for section, name in named.items()])
+    if config is None:
+        return load(None, [f"{section}.{SECTIONS[section].key}={name}" for section, name in named.items()])
+    if isinstance(config, Config) and not named:
+        return config
+    data = config.to_dict() if isinstance(config, Config) else with_defaults(copy.deepcopy(dict(config)))
+    for section, name in named.items():
+        data.setdefault(section, {})[SECTIONS[section].key] = name
+    return resolve_data(data, "the config", None)
+
+
+def _warn(config: Config, scenario: Scenario) -> None:
+    """Log keys that the config sets and that change nothing, and what looks like a mistake in the scenario."""
+    for note in notes_on(config, scenario):
+        logging.getLogger(__name__).warning(note)
+
+
+def _name_of(section: str, part: type | str) -> str:
+    """The name of a class in a config."""
+    known = [name for name in SECTIONS if name != "attacks"]
+    if section not in known:
+        raise ValueError(f"Simulation(..., {section}=...): no such part. There are {', '.join(known)}.")
+    if isinstance(part, str):
+        return part
+    if not isinstance(part, type) or "." in part.__qualname__:
+        raise ValueError(
+            f"Simulation(..., {section}=...): {part!r} is no class at the top level of a module. Give the class, "
+            "or its name as path.py:Name."
+        )
+    return f"{part.__module__}:{part.__qualname__}"

@@ -1,0 +1,160 @@
+"""Computes, in a second thread, values of the next step that depend on its world only.
+
+Sweeps, radio links and near pairs depend on positions and on random draws with keys from names. They do not depend on
+earlier steps. If no driver commands the traffic, the next world is known early. The second thread then computes the
+radio links and near pairs of the next world while the present step sends, evaluates and records. It begins with the
+sweeps when the present step has read its own range images for the last time, because both use the same memory. So does
+each cell, as soon as it has compared. It fuses the objects of the present step meanwhile; this thread only waits for
+the sweeps. Compiled kernels run in parallel with Python code (`nogil`).
+
+The step gets these values as `cosim.step.precomputed.Precomputed`. A step of another world computes all of them itself.
+The values do not depend on the order in which the threads run.
+"""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from types import TracebackType
+
+import numba
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+
+from cosim.addons.cells.perception import CellPerception
+from cosim.radio.csma import ChannelContext, CsmaMedium
+from cosim.radio.link_cache import LinkCache
+from cosim.radio.message_round import Stations
+from cosim.addons.sidelink.medium import SidelinkMedium, SidelinkState
+from cosim.step.exchange import stations_of
+from cosim.step.parts import Parts
+from cosim.step.perception import Observed
+from cosim.step.precomputed import Precomputed
+from cosim.step.stopwatch import Stopwatch
+from cosim.step.trackers.encounters import NearPairs
+from cosim.world import World
+from cosim.base.kernel import threads_may_meet
+
+
+@dataclass(frozen=True, slots=True)
+class _Begun:
+    """Computations that have begun for one world, except its sweeps."""
+
+    world: World
+    near_pairs: Future[NearPairs]
+    links: Future[LinkCache] | None
+    """None if the medium does not compute links."""
+
+
+class Ahead:
+    """A thread that computes ahead for the steps of a run. It is a context manager; the thread ends with it.
+
+    `expect` names the next world, and `of` returns what has been computed for a world. Only one thread may use it.
+    `senses_elsewhere` says that other processes compute the sweeps, so that this thread only waits for them.
+    """
+
+    def __init__(self, parts: Parts, senses_elsewhere: bool = False) -> None:
+        self.watch = Stopwatch()
+        """Seconds per stage that this thread has computed ahead."""
+        self._parts, self._senses_elsewhere = parts, senses_elsewhere
+        self._thread = ThreadPoolExecutor(1, "ahead")
+        self._begun: list[_Begun] = []
+        """For the present step and the expected one at most."""
+        self._to_sense: World | None = None
+        """The expected world, if its sweeps have not begun."""
+        self._sensing: tuple[World, Future[Observed]] | None = None
+        """The world whose sweeps have begun. There is one, because there is one memory for range images."""
+
+    def expect(self, world: World, at_once: bool) -> None:
+        """Begin to compute for the world of the next step with messages.
+
+        Parameters
+        ----------
+        world
+            The next world with messages.
+        at_once
+            Begin its sweeps now, because the present step senses nothing. Otherwise they begin when the present step
+            has read its own range images.
+        """
+        may_meet = threads_may_meet()
+        if not world.equipped.any() or not (may_meet or self._senses_elsewhere):
+            return
+        self._to_sense = world
+        if self._sensing is not None:
+            self._tell_cells()  # this thread collects the present sweeps before
+        # For few vehicles this is mostly Python code, which delays the present step. A step in cells waits for them.
+        if may_meet and (self._senses_elsewhere or numba.get_num_threads() > 1):
+            medium, links = self._parts.medium, None
+            if isinstance(medium, CsmaMedium | SidelinkMedium):
+                links = self._thread.submit(self._links, medium, self._stations(world), self._senders(world))
+            near_pairs = self._thread.submit(self._near_pairs, world)
+            self._begun = [*self._begun[-1:], _Begun(world, near_pairs, links)]
+        if at_once:
+            self._begin_sensing()
+
+    def of(self, world: World) -> Precomputed:
+        """The values that have been computed for the step of this world."""
+        found = next((begun for begun in self._begun if begun.world is world), None)
+        links = None if found is None else found.links
+        return Precomputed(
+            near_pairs=None if found is None else found.near_pairs.result,
+            observed=None if self._sensing is None else partial(self._observed, world, self._sensing),
+            with_links=None if links is None else partial(_with_links, links),
+            sweeps_are_read=self._tell_cells if self._senses_elsewhere else self._begin_sensing,
+            objects_are_fused=self._begin_sensing if self._senses_elsewhere else None,
+        )
+
+    def _begin_sensing(self) -> None:
+        """Begin the sweeps of the expected world, if they have not begun."""
+        if self._to_sense is not None:
+            world, self._to_sense = self._to_sense, None
+            self._sensing = world, self._thread.submit(self._sense, world, numba.get_num_threads())
+
+    def _tell_cells(self) -> None:
+        """Tell the cells the expected world. Each begins with its sweeps when it has compared, and fuses meanwhile."""
+        if (world := self._to_sense) is not None and isinstance(perception := self._parts.perception, CellPerception):
+            self._thread.submit(perception.begin, world, self._parts.sensing(world))
+
+    def _observed(self, world: World, sensing: tuple[World, Future[Observed]]) -> Observed:
+        """What vehicles perceive, when their sweeps are complete. Sweeps of another world are dropped."""
+        self._sensing = None
+        expected, found = sensing
+        observed = found.result()
+        if expected is world:
+            return observed
+        return self._parts.perception(world, self._parts.sensing(world), self._parts.watch)
+
+    def _stations(self, world: World) -> Stations:
+        above_roof_m = self._parts.config.radio.antenna_above_roof_m
+        return stations_of(world, np.flatnonzero(world.equipped), self._parts.rsus, above_roof_m)
+
+    def _sense(self, world: World, n_threads: int) -> Observed:
+        numba.set_num_threads(n_threads)  # a setting of each thread
+        return self._parts.perception(world, self._parts.sensing(world), self.watch)
+
+    def _near_pairs(self, world: World) -> NearPairs:
+        numba.set_num_threads(1)  # the other core is the present step's
+        with self.watch("pairs"):
+            return self._parts.near_pairs(world)
+
+    def _senders(self, world: World) -> Int[ndarray, "k"]:
+        """Stations that send new messages: vehicles that sense, and roadside units."""
+        equipped = np.flatnonzero(world.equipped)
+        n_vehicles, n_units = len(equipped), len(self._parts.rsus)
+        return np.append(np.searchsorted(equipped, self._parts.sensing(world)), n_vehicles + np.arange(n_units))
+
+    def _links(self, medium: CsmaMedium | SidelinkMedium, stations: Stations, senders: Int[ndarray, "k"]) -> LinkCache:
+        numba.set_num_threads(1)  # the other core is the present step's
+        with self.watch("links"):
+            return medium.links(stations) if isinstance(medium, SidelinkMedium) else medium.links(stations, senders)
+
+    def __enter__(self) -> "Ahead":
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        self._thread.shutdown(cancel_futures=True)
+
+
+def _with_links(links: Future[LinkCache], state: ChannelContext | SidelinkState) -> ChannelContext | SidelinkState:
+    """The medium's state with links that were computed ahead."""
+    return replace(state, cache=links.result())

@@ -1,0 +1,182 @@
+"""What the numbers of a trace mean: metres of the network, metres of its map, degrees, or something else."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from cosim.base.earth import Projection
+from cosim.traffic.fcd import Timestep
+from cosim.traffic.frame import Bounds, TrafficError
+
+Conversion = Callable[[Timestep], Timestep]
+
+_MARGIN_M = 500.0
+"""Actors may be this far outside the bounds of the network."""
+_MOST_P, _HALF_P = 0.9, 0.5
+"""Shares of positions within the network that speak for a meaning, and against another one."""
+_MOVING_MPS = 0.5
+_FEWEST, _ENOUGH = 3, 200
+"""Moves of actors that are compared with their speeds."""
+_DEGREES_RATIO = 1e-4
+"""If all moves are shorter than this part of what the speeds say, coordinates are degrees."""
+_POSSIBLE, _ODD = (0.02, 50.0), (0.4, 2.5)
+"""Ways over what the speeds say: outside the first they are refused, and outside the second they are noted."""
+
+
+@dataclass(frozen=True, slots=True)
+class NetLocation:
+    """Where a network is: its bounds, and how it was projected."""
+
+    bounds_m: Bounds
+    """In its own coordinates."""
+    projection: Projection | None = None
+    """From degrees to its own coordinates. None without a projection, or one that is not read."""
+    offset_m: tuple[float, float] = (0.0, 0.0)
+    """What was added to projected coordinates."""
+
+    def holds(self, xy_m: Float[ndarray, "n 2"]) -> float:
+        """Share of positions within the bounds."""
+        west, south, east, north = self.bounds_m
+        low, high = np.array([west, south]) - _MARGIN_M, np.array([east, north]) + _MARGIN_M
+        return float(((low <= xy_m) & (xy_m <= high)).all(axis=1).mean())
+
+
+def conversion(
+    source: str, timesteps: Sequence[Timestep], net: NetLocation | None, own: Projection | None
+) -> tuple[Conversion | None, str]:
+    """How the positions of a trace become those of the network, and a word about it; None if they are already.
+
+    Parameters
+    ----------
+    source
+        Name of the trace for error messages.
+    timesteps
+        Timesteps with the first actors.
+    net
+        The network, if there is one.
+    own
+        The projection around their middle of positions that were given in degrees to `cosim trace`.
+
+    Raises
+    ------
+    TrafficError
+        The positions are known to be elsewhere, and the network has no projection.
+    """
+    fronts = [timestep.front_m[:, :2] for timestep in timesteps if len(timestep.names)]
+    if net is None or not fronts:
+        return None, ""
+    xy = np.concatenate(fronts)
+    if own is not None:
+        if net.projection is None:
+            raise TrafficError(
+                f"{source}: its degrees were projected around their own middle, {own.latitude_deg:.4f} degrees north, "
+                f"{own.longitude_deg:.4f} degrees east, and the network has no projection that leads from there to its "
+                "metres. Give the trace in metres of the network."
+            )
+        return _moved(own, net.projection), "longitudes and latitudes, placed by the projection of the network"
+    if (
+        net.projection is not None
+        and _in_degrees(xy)
+        and net.holds(net.projection.to_world(xy[:, 1], xy[:, 0])) > _MOST_P
+    ):
+        to_net = net.projection
+
+        def placed(timestep: Timestep) -> Timestep:
+            if not _in_degrees(timestep.front_m[:, :2]):
+                raise TrafficError(
+                    f"{source}: at {timestep.time_s:g} s, x and y are no longer degrees. Record it again."
+                )
+            there = to_net.to_world(timestep.front_m[:, 1], timestep.front_m[:, 0])
+            return replace(timestep, front_m=np.column_stack([there, timestep.front_m[:, 2]]))
+
+        return placed, "longitudes and latitudes, placed by the projection of the network"
+    offset_m = np.array([*net.offset_m, 0.0])
+    if offset_m.any() and net.holds(xy) < _HALF_P and net.holds(xy + offset_m[:2]) > _MOST_P:
+
+        def shifted(timestep: Timestep) -> Timestep:
+            return replace(timestep, front_m=timestep.front_m + offset_m)
+
+        said = "coordinates of the map before the network's offset (SUMO's --fcd-output.utm); the offset is added"
+        return shifted, said
+    return None, ""
+
+
+def _in_degrees(xy: Float[ndarray, "n 2"]) -> bool:
+    return bool((np.abs(xy) <= (180.0, 90.0)).all())
+
+
+def _moved(own: Projection, to_net: Projection) -> Conversion:
+    """From one map to another one, headings included."""
+
+    def moved(timestep: Timestep) -> Timestep:
+        here = own.of_world(timestep.front_m[:, :2])
+        there_m = to_net.to_world(here.latitude_deg, here.longitude_deg)
+        turned_deg = np.degrees(here.turn_rad - to_net.of_world(there_m).turn_rad)
+        return replace(
+            timestep, front_m=np.column_stack([there_m, timestep.front_m[:, 2]]),
+            compass_deg=(timestep.compass_deg + turned_deg) % 360.0,
+        )  # fmt: skip
+
+    return moved
+
+
+class TravelCheck:
+    """Compares ways between timesteps with speeds, until enough actors have moved."""
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self._before: Timestep | None = None
+        self._ratios: list[float] = []
+        """Way over what the speeds say, of each actor that moves between two timesteps."""
+
+    def add(self, timestep: Timestep) -> None:
+        """Look at the next timestep. A TrafficError is raised if positions or times cannot be metres and seconds."""
+        if len(self._ratios) > _ENOUGH:
+            return
+        before, self._before = self._before, timestep
+        if before is None:
+            return
+        row_of = {name: row for row, name in enumerate(timestep.names)}
+        after = np.fromiter((row_of.get(name, -1) for name in before.names), np.int64, len(before.names))
+        rows = np.flatnonzero(after >= 0)
+        after = after[rows]
+        fast: Bool[ndarray, "n"] = (before.speed_mps[rows] > _MOVING_MPS) & (timestep.speed_mps[after] > _MOVING_MPS)
+        rows, after = rows[fast], after[fast]
+        took_s = timestep.time_s - before.time_s
+        asked_m = (before.speed_mps[rows] + timestep.speed_mps[after]) / 2 * took_s
+        gone_m = np.hypot(*(timestep.front_m[after] - before.front_m[rows])[:, :2].T)
+        self._ratios += (gone_m / asked_m).tolist()
+        if self._ratios:
+            self._judge(timestep)
+
+    @property
+    def odd_ratio(self) -> float | None:
+        """Ways over what the speeds say, if both the median and the mean are far from 1 on the same side.
+
+        The median is deaf to a few vehicles that are put elsewhere, and the mean to mesoscopic traffic, whose vehicles
+        stand and then leap.
+        """
+        if len(self._ratios) < _FEWEST:
+            return None
+        low, high = sorted((float(np.median(self._ratios)), float(np.mean(self._ratios))))
+        return high if high < _ODD[0] else low if low > _ODD[1] else None
+
+    def _judge(self, timestep: Timestep) -> None:
+        moves = [ratio for ratio in self._ratios if ratio > 0]
+        if moves and max(moves) < _DEGREES_RATIO and _in_degrees(timestep.front_m[:, :2]):
+            raise TrafficError(
+                f"{self._source}: vehicles move {max(moves):.2g} times as far as their speeds say, so x and y look "
+                "like degrees. Record the trace without --fcd-output.geo, or name the city that it comes from, whose "
+                "network has a projection."
+            )
+        ratio = self.odd_ratio
+        if not moves or ratio is None or _POSSIBLE[0] <= ratio <= _POSSIBLE[1]:
+            return
+        looks = ("milliseconds", "kilometres") if ratio < 1 else ("minutes", "millimetres")
+        raise TrafficError(
+            f"{self._source}: vehicles move {ratio:.3g} times as far as their speeds say, so its times look like "
+            f"{looks[0]}, or x and y like {looks[1]}. Write seconds and metres."
+        )

@@ -1,0 +1,171 @@
+"""Who the actors of a trace are: their types, and when a name that comes back is another actor."""
+
+from collections.abc import Sequence
+from itertools import repeat
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from cosim.traffic.source import SHAPE_OF_CLASS
+from sensors.scene import Shape
+from sumo_nets import vtypes
+from sumo_nets.vtypes import VehicleType
+
+UNKNOWN, LEFT_OUT = -2, -1
+_FASTEST_MPS = 70.0
+"""No vehicle in traffic is faster."""
+_TELEPORT_M = 1000.0
+"""Farthest that SUMO puts a vehicle ahead when its street is jammed; it stays the same vehicle."""
+
+
+class TypeTable:
+    """Vehicle types by name: those of files, and guesses for others.
+
+    The next file is read only if a type is not known yet.
+    """
+
+    def __init__(self, files: Sequence[Path] = ()) -> None:
+        self._left = list(files)
+        self._defined: dict[str, VehicleType] = {}
+        self._known: dict[tuple[str, bool, str], VehicleType] = {}
+        self._shape: dict[tuple[str, bool, str], int] = {}
+        self.guessed: dict[str, str] = {}
+        """Types that no file defines and whose name is not that of a class, and the class that was guessed."""
+
+    def __call__(self, name: str, is_person: bool = False, vclass: str = "") -> VehicleType:
+        """The class and size of a type.
+
+        Parameters
+        ----------
+        is_person
+            Whether the actor is a person, which is on foot unless its type is known to be something else.
+        vclass
+            SUMO's class, if the trace states it.
+        """
+        key = name, is_person, vclass
+        if key not in self._known:
+            self._known[key] = self._found(*key)
+        return self._known[key]
+
+    def shapes(
+        self, names: list[str], is_person: Bool[ndarray, "n"], vclasses: list[str] | None
+    ) -> Int[ndarray, "n"]:  # fmt: skip
+        """Shape code of each actor, or `LEFT_OUT` if it is not on the road."""
+        keys = list(zip(names, is_person.tolist(), vclasses or repeat(""), strict=False))
+        for key in set(keys) - self._shape.keys():
+            shape = SHAPE_OF_CLASS.get(self(*key).vclass)
+            self._shape[key] = LEFT_OUT if shape is None else int(shape)
+        return np.fromiter(map(self._shape.__getitem__, keys), np.int16, len(keys))
+
+    def _found(self, name: str, is_person: bool, vclass: str) -> VehicleType:
+        defined = self._of_files(name)
+        if vclass in vtypes.SIZES_M:
+            return VehicleType(
+                vclass, defined.lwh_m if defined and defined.vclass == vclass else vtypes.SIZES_M[vclass]
+            )
+        if defined is not None and not (
+            is_person and SHAPE_OF_CLASS.get(defined.vclass) not in (None, Shape.PEDESTRIAN)
+        ):
+            return defined
+        if is_person and vtypes.guess(name).vclass not in ("container", "wheelchair"):
+            return VehicleType("pedestrian", vtypes.SIZES_M["pedestrian"])
+        guess = vtypes.guess(name)
+        if name and not vtypes.is_plain(name):
+            self.guessed[name] = guess.vclass
+        return guess
+
+    def _of_files(self, name: str) -> VehicleType | None:
+        """The type of this name, or the one that SUMO copied for one vehicle, as TYPE@VEHICLE."""
+        parts = name.split("@")
+        for n in range(len(parts), 0, -1):
+            origin = "@".join(parts[:n])
+            while origin not in self._defined and self._left:
+                self._defined.update(vtypes.read([self._left.pop(0)]))
+            if origin in self._defined:
+                return self._defined[origin]
+        return None
+
+
+class Identities:
+    """Actor numbers by name.
+
+    A name is one actor until it comes back as another type after an absence, or farther away than it can have driven.
+    From then on it is another actor, called `name/2`.
+    """
+
+    def __init__(self, step_s: float) -> None:
+        self._step_s = step_s
+        self._number: dict[tuple[str, bool], int] = {}
+        self._used: set[tuple[str, bool]] = set()
+        self._type: list[str] = []
+        self._turn = 0
+        self._last_turn = np.zeros(0, np.int64)
+        self._last_step = np.zeros(0, np.int64)
+        self._last_m = np.zeros((0, 2))
+        self._n_again, self._first_again = 0, ""
+
+    def numbers(
+        self, keys: list[tuple[str, bool]], types: list[str], xy_m: Float[ndarray, "n 2"], step: int
+    ) -> Int[ndarray, "n"]:
+        """The number of each actor, or `UNKNOWN` for a new one, which `add` then numbers.
+
+        It is asked whenever the actors on the road can have changed. One that is missing in between was absent.
+
+        Parameters
+        ----------
+        keys
+            Names, and whether each is a person.
+        types
+            Names of types; what follows `@` does not count.
+        """
+        number = np.fromiter(map(self._number.get, keys, repeat(UNKNOWN)), np.int32, len(keys))
+        seen = np.flatnonzero(number != UNKNOWN)
+        who = number[seen]
+        steps_gone = step - self._last_step[who]
+        way_m = np.hypot(*(xy_m[seen] - self._last_m[who]).T)
+        is_other = way_m > _FASTEST_MPS * steps_gone * self._step_s + _TELEPORT_M
+        self._turn += 1
+        for i in np.flatnonzero((self._turn - self._last_turn[who] > 1) & ~is_other).tolist():  # few come back
+            is_other[i] = self._type[who[i]] != types[seen[i]].partition("@")[0]
+        self._last_turn[who], self._last_step[who], self._last_m[who] = self._turn, step, xy_m[seen]
+        number[seen[is_other]] = UNKNOWN
+        return number
+
+    def names(self, keys: list[tuple[str, bool]]) -> list[str]:
+        """Names under which new actors are registered."""
+        shown = []
+        for name, is_person in keys:
+            new, n = name, 1
+            while (new, is_person) in self._used:
+                n += 1
+                new = f"{name}/{n}"
+            self._used.add((new, is_person))
+            if n > 1:
+                self._first_again = self._first_again or new
+                self._n_again += 1
+            shown.append(new)
+        return shown
+
+    def add(
+        self, keys: list[tuple[str, bool]], types: list[str], xy_m: Float[ndarray, "k 2"], number: Int[ndarray, "k"],
+        step: int,
+    ) -> None:  # fmt: skip
+        """Note the numbers of new actors, which are the next ones."""
+        self._number.update(zip(keys, number.tolist(), strict=True))
+        n = len(self._type) + len(keys)
+        if n > len(self._last_step):
+            self._last_turn, self._last_step = (
+                np.concatenate([old, np.zeros(n, np.int64)]) for old in (self._last_turn, self._last_step)
+            )
+            self._last_m = np.concatenate([self._last_m, np.zeros((n, 2))])
+        self._type += [""] * len(keys)
+        for row, of in zip(number.tolist(), types, strict=True):
+            self._type[row] = of.partition("@")[0]
+        self._last_turn[number], self._last_step[number], self._last_m[number] = self._turn, step, xy_m
+
+    def report(self) -> dict[str, Any]:
+        """How many names came back as another actor, and the first of these actors."""
+        return {"names_again": {"n": self._n_again, "first": self._first_again}} if self._n_again else {}

@@ -1,0 +1,226 @@
+"""What an export is made from: the chosen vehicles and steps of a run, and its tables step by step."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+import pandas as pd
+import pyarrow.compute as pc
+from jaxtyping import Float, Float32, Int
+from numpy import ndarray
+
+from cosim.base.earth import Projection
+from results.frames import sensor_pose
+from results.run import Run
+from results.sensing import senses
+
+BOX = ["x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad"]
+UNIT_STEPS = 20
+"""Steps of one unit of work: what is done again after an interruption."""
+
+Cloud = Callable[[], Float32[ndarray, "k 3"]]
+"""Makes the returns of one sweep, in the sensor's frame [m], in any thread."""
+
+Clouds = Callable[[int, Sequence[int]], list[Cloud]]
+"""Sweeps the LiDARs of some vehicles in a step again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Visible:
+    """Actors that a vehicle's LiDAR could have seen in a step, sorted by number."""
+
+    actor: Int[ndarray, "m"]
+    n_points: Int[ndarray, "m"]
+    n_unoccluded: Int[ndarray, "m"]
+
+
+NOTHING = Visible(*(np.zeros(0, np.int64) for _ in range(3)))
+
+
+@dataclass(frozen=True, slots=True)
+class File:
+    """One file to write: its path below the folder, and what makes its content, in any thread."""
+
+    path: str
+    content: Callable[[], bytes]
+    same_as: str = ""
+    """Another file of the export with the same content: this one becomes a link to it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """Files that are made together; a unit is done as a whole or again."""
+
+    name: str
+    files: Callable[[Clouds], Iterator[File]]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What an export will write."""
+
+    units: tuple[Unit, ...]
+    n_sweeps: int = 0
+    bytes_per_point: int = 0
+    text_bytes: float = 0.0
+    """Estimated length of all that is no point cloud [B]."""
+    remarks: tuple[str, ...] = ()
+    """What the user should know of what is not written, one sentence each."""
+
+    @staticmethod
+    def of_files(files: Iterable[File]) -> "Plan":
+        """A plan for a few files, which are written together."""
+        listed = tuple(files)
+        return Plan((Unit("files", lambda clouds: iter(listed)),))
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """All actors of one step, world frame, sorted by number; and what vehicles detected and could see."""
+
+    step: int
+    actor: Int[ndarray, "n"]
+    vehicle_class: ndarray
+    box: Float[ndarray, "n 7"]
+    speed_mps: Float[ndarray, "n"]
+    detections: Mapping[int, pd.DataFrame]
+    """By vehicle: its list as transmitted, self report included."""
+    visible: Mapping[int, Visible]
+    """By vehicle."""
+
+    def row(self, actor: int) -> int:
+        """Row of an actor that is on the road."""
+        at = int(np.searchsorted(self.actor, actor))
+        assert at < len(self.actor) and self.actor[at] == actor, f"actor {actor} is not on the road"
+        return at
+
+
+def _no_projection() -> Projection:
+    raise ValueError("the run does not say where on Earth it is.")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """What surrounds the traffic."""
+
+    origin_m: tuple[float, float] = (0.0, 0.0)
+    """The world's origin in the coordinates of the network [m]."""
+    buildings: Callable[[], Float[ndarray, "t 3 3"]] = lambda: np.zeros((0, 3, 3))
+    """Triangles of all buildings, world frame [m]."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Vehicles with a LiDAR, in the order asked for, and steps in which they sense, in ascending order."""
+
+    run: Run
+    vehicles: tuple[int, ...]
+    steps: Int[ndarray, "s"]
+    road_edge_m: Callable[[Float[ndarray, "n 2"]], Float[ndarray, "n"]]
+    """Distance of points to the edge of the road, positive on it."""
+    projection: Callable[[], Projection] = _no_projection
+    """Where on Earth the world frame is; ValueError in one line where that is not known."""
+    place: Place = field(default_factory=Place)
+    named: bool = False
+    """Whether the vehicles were named one by one, and are not simply all."""
+
+    @cached_property
+    def presence(self) -> pd.DataFrame:
+        """(step, vehicle) of every chosen vehicle that senses, sorted; the frames of an export."""
+        where = pc.field("actor").isin(list(self.vehicles)) & pc.field("step").isin(self.steps.tolist())
+        found = self.run.table("actors", ["step", "actor"], where).rename(columns={"actor": "vehicle"})
+        found = found.astype({"step": np.int64, "vehicle": np.int64})
+        found = found[senses(self.run, found.step.to_numpy(), found.vehicle.to_numpy())]
+        return found.sort_values(["step", "vehicle"], ignore_index=True)
+
+    @property
+    def sensing_s(self) -> float:
+        """Time between two sweeps."""
+        return float(self.run.config["sensing_interval_s"])
+
+    @property
+    def above_roof_m(self) -> float:
+        """Height of the LiDAR over the roof."""
+        return float(self.run.config["lidar"]["mount_above_roof_m"])
+
+    def pose(self, moment: Moment, vehicle: int) -> Float[ndarray, "4"]:
+        """Pose of a vehicle's LiDAR.
+
+        Returns
+        -------
+        x, y, z [m] and yaw [rad], world frame.
+        """
+        return sensor_pose(moment.box[moment.row(vehicle)], self.above_roof_m)
+
+    def blocks(self) -> list[Int[ndarray, "b"]]:
+        """The steps with a frame, by unit of work.
+
+        Returns
+        -------
+        Ascending steps, at most `UNIT_STEPS` in each array.
+        """
+        used = np.unique(self.presence.step)
+        return [used[i : i + UNIT_STEPS] for i in range(0, len(used), UNIT_STEPS)]
+
+    def spans(self) -> list[Int[ndarray, "b"]]:
+        """All chosen steps, whether or not a chosen vehicle is on the road, at most `UNIT_STEPS` in each array."""
+        return [self.steps[i : i + UNIT_STEPS] for i in range(0, len(self.steps), UNIT_STEPS)]
+
+    @cached_property
+    def bodies(self) -> pd.DataFrame:
+        """Class and size of every actor, by number."""
+        columns = ["vehicle", "vehicle_class", "length_m", "width_m", "height_m"]
+        return self.run.table("vehicles", columns).set_index("vehicle")
+
+    def moments(self, steps: Int[ndarray, "b"]) -> Iterator[Moment]:
+        """The moments of some steps, one after another. The tables of all these steps are in memory together.
+
+        Parameters
+        ----------
+        steps
+            Steps in any order. The moments come in ascending order; a step without actors has none.
+        """
+        where = pc.field("step").isin(steps.tolist())
+        detections = self._detections(where)
+        visible = self.run.table("observability", where=where & pc.field("observer").isin(list(self.vehicles)))
+        lists = {int(cast(int, step)): part for step, part in detections.groupby("step")}
+        seen = _visible(visible)
+        for moment in self.traffic(steps):
+            here = lists.get(moment.step, detections[:0])
+            by_vehicle = {int(cast(int, v)): part for v, part in here.groupby("vehicle")}
+            yield replace(moment, detections=by_vehicle, visible=seen.get(moment.step, {}))
+
+    def traffic(self, steps: Int[ndarray, "b"]) -> Iterator[Moment]:
+        """Like `moments`, but the actors alone: nothing is detected or visible."""
+        where = pc.field("step").isin(steps.tolist())
+        actors = self.run.table("actors", where=where).sort_values(["step", "actor"])
+        actors = actors.join(self.bodies, on="actor")
+        for key, rows in actors.groupby("step"):
+            yield Moment(
+                int(cast(int, key)), rows.actor.to_numpy(np.int64), rows.vehicle_class.astype(object).to_numpy(),
+                rows[BOX].to_numpy(np.float64), rows.speed_mps.to_numpy(np.float64), {}, {},
+            )  # fmt: skip
+
+    def _detections(self, where: pc.Expression) -> pd.DataFrame:
+        """Lists of the chosen vehicles as transmitted, with the vehicle beside the pseudonym."""
+        of = self.run.subjects.vehicle
+        mine = of[of.isin(list(self.vehicles))].index.tolist()
+        columns = ["step", "observer", "detection_index", "class", *BOX, "score", "n_points", "origin", "transmitted"]
+        found = self.run.table("detections", columns, where & pc.field("observer").isin(mine))
+        found = found[found.transmitted]
+        return found.assign(vehicle=found.observer.map(of).astype(np.int64))
+
+
+def _visible(rows: pd.DataFrame) -> dict[int, dict[int, Visible]]:
+    """By step and vehicle."""
+    rows = rows.sort_values(["step", "observer", "actor"])
+    step, observer = rows.step.to_numpy(np.int64), rows.observer.to_numpy(np.int64)
+    columns = [rows[name].to_numpy(np.int64) for name in ("actor", "n_points", "n_unoccluded")]
+    cuts = np.flatnonzero((np.diff(step, prepend=-1) != 0) | (np.diff(observer, prepend=-1) != 0))
+    found: dict[int, dict[int, Visible]] = {}
+    ends = np.append(cuts, len(step))[1:]  # none of an empty table, as there are no cuts
+    for begin, end in zip(cuts.tolist(), ends.tolist(), strict=True):
+        found.setdefault(int(step[begin]), {})[int(observer[begin])] = Visible(*(c[begin:end] for c in columns))
+    return found

@@ -1,0 +1,139 @@
+"""Facts as data, their judgement by hand, and the report of what needs no runs."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cosim.addons.compare import figure as pictures
+from cosim.addons.compare import report
+from cosim.addons.compare.facts import Fact, Judged, Measured, chosen, load
+from cosim.addons.compare.measures import MEASURES, measured
+from cosim.addons.compare.runs import Runs, config_of
+from tests.drive import cosim
+
+FACTS, PLANS = load()
+BASE = {
+    "id": "x", "group": "g", "quantity": "q", "source": "s", "conditions": "c", "how": "h", "measure": "blockage",
+    "verdict": "agrees", "uncertainty_why": "w",
+}  # fmt: skip
+
+
+def fact(**more) -> Fact:
+    return Fact(**{"value": (10.0,), "uncertainty": (2.0,), **BASE, **more})
+
+
+def judged(value: float, half: float = 0.0, **more) -> Judged:
+    ours = Measured(np.array([value]), np.array([value - half]), np.array([value + half]), 3)
+    return Judged(fact(**more), ours)
+
+
+def test_every_fact_is_complete():
+    assert len(FACTS) >= 35
+    for one in FACTS.values():
+        assert one.measure in MEASURES and one.source and one.conditions and one.how and one.quantity
+        assert one.verdict == "agrees" or one.reason not in ("", "unknown"), one.id
+        assert "http" not in one.source
+    used = {name for one in FACTS.values() for name in one.runs}
+    assert used == set(PLANS)
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_configs_of_runs_are_valid_and_replicates_differ(name):
+    one, other = (config_of(PLANS[name], k, False) for k in (0, 1))
+    assert one.seed != other.seed and one.traffic.seed != other.traffic.seed
+    assert replace(other, seed=one.seed, traffic=one.traffic) == one
+    assert config_of(PLANS[name], 0, True).traffic.duration_s >= one.traffic.duration_s
+
+
+def test_verdicts_by_hand():
+    # the band is 8 to 12
+    assert judged(11).verdict == judged(11, 5).verdict == "agrees"
+    assert judged(13).verdict == judged(13, 0.5).verdict == "differs"
+    assert judged(13, 1.5).verdict == "undecided"
+    assert judged(7, compare="at_least").verdict == "differs" and judged(11, compare="at_least").verdict == "agrees"
+    assert judged(50, compare="at_least").verdict == "agrees" and judged(50, compare="at_most").verdict == "differs"
+    assert judged(math.nan).verdict == Judged(fact(), None).verdict == "not computed"
+
+
+def test_what_is_lost_and_gained():
+    lost, kept = judged(13), judged(11)
+    assert lost.is_lost and not kept.is_lost and Judged(fact(), None, "why").is_lost
+    assert not judged(13, 1.5).is_lost, "an interval that reaches the band is no loss"
+    assert not judged(13, verdict="differs", reason="r").is_lost
+    (line,) = report.lost([lost, kept])
+    assert "stated to agree, differs: 13" in line and "\n" not in line
+    assert report.gained([judged(11, verdict="differs", reason="r")]) and not report.gained([lost, kept])
+
+
+def test_interval_of_replicates():
+    # mean 2, standard deviation 1, three values: 4.3027 / sqrt(3)
+    found = Measured.of_replicates([[1.0], [2.0], [3.0]])
+    assert found.high[0] - 2 == pytest.approx(4.3027 / math.sqrt(3), rel=1e-4) and found.n == 3
+    assert np.isinf(Measured.of_replicates([[1.0]]).high).all()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"value": (1.0, 2.0)}, {"verdict": "differs"}, {"compare": "near"}, {"uncertainty_why": ""}, {"verdict": "?"}],
+)
+def test_incomplete_facts_are_refused(wrong):
+    with pytest.raises(ValueError, match="fact x"):
+        fact(**wrong)
+
+
+def test_files_of_facts_with_mistakes(tmp_path):
+    line = "\n".join(f"{key} = {json.dumps(value)}" for key, value in (BASE | {"value": 1.0}).items())
+    for text, said in ((f"[[fact]]\n{line}\nruns = 'none'", "no runs called none"),
+                       (f"[[fact]]\n{line}\nvalu = 1", "unknown keys"),
+                       (f"[[fact]]\n{line}\n[[fact]]\n{line}", "twice")):  # fmt: skip
+        (tmp_path / "f.toml").write_text(text)
+        with pytest.raises(ValueError, match=said):
+            load(tmp_path / "f.toml")
+
+
+def test_choosing():
+    assert {one.group for one in chosen(FACTS, ["radio"])} == {"radio"}
+    assert [one.id for one in chosen(FACTS, ["cpm.object_bytes"])] == ["cpm.object_bytes"]
+    with pytest.raises(ValueError, match="neither a fact nor a group"):
+        chosen(FACTS, ["rdio"])
+
+
+def test_report_without_runs(tmp_path):
+    asked = [one for one in FACTS.values() if not one.runs and not one.measure.startswith(("delivery", "reception"))]
+    runs = Runs(tmp_path / "none", PLANS)
+    found = report.judge(asked, runs)
+    assert not report.lost(found)
+    bad = Judged(replace(asked[0], id="bad", runs=("late",)), None, "nothing there")
+    files = report.write([*found, bad], runs, tmp_path / "out")
+    assert {path.name for path in files} >= {"index.md", "validation.json", "radio.md", "radio.png", "traffic.md"}
+    plain = json.loads((tmp_path / "out/validation.json").read_text())
+    assert plain["form"] == "quick" and len(plain["facts"]) == len(found) + 1
+    assert "**not computed**" in (tmp_path / "out/index.md").read_text()
+    page = (tmp_path / "out/messages.md").read_text()
+    assert "nothing there" in page and asked[0].source in page
+
+
+def test_blockage_by_hand():
+    """Both antennas below 1.6 m lose 9 dB, one of them 5, none of them nothing."""
+    found = measured("blockage", [], {"heights_m": [[1.5, 1.5], [1.5, 1.7], [1.7, 1.7]], "distance_m": 50})
+    assert found.value.tolist() == [9, 5, 0]
+
+
+def test_command_line(tmp_path):
+    out = str(tmp_path / "v")
+    ended = cosim("validate", "radio.blockage", "position.gnss", "--out", out, "--json")
+    assert ended.returncode == 0, ended.stderr
+    assert {row["id"]: row["verdict"] for row in json.loads(ended.stdout)["facts"]} == {
+        "radio.blockage": "agrees", "position.gnss": "differs",
+    }  # fmt: skip
+    ended = cosim("validate", "nothing", "--out", out)
+    assert ended.returncode == 2 and ended.stderr.count("\n") == 1
+
+
+def test_a_picture_has_room_for_intervals():
+    one = pictures.Panel("x", "m", ["here"], [10.0], [8.0], [math.inf], [11.0], [-30.0], [52.0], "undecided")
+    low, high = pictures.draw([one]).axes[0].get_ylim()
+    assert low < -30 and high > 52

@@ -1,0 +1,71 @@
+"""Braking, speeds, headways and overlaps of cars, by hand on a few poses."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from cosim.addons.compare.measures import measured
+
+
+class Tiny:
+    """Stands for a run with steps of 0.5 s: cars 1 and 2, pedestrian 3, each with (x, speed) per step on one line."""
+
+    dt_s, path = 0.5, Path("tiny")
+
+    def __init__(self, **tracks):
+        self._rows = [
+            {"step": step, "actor": int(name[1:]), "x_m": x, "y_m": 0.0, "yaw_rad": 0.0, "speed_mps": v}
+            for name, track in tracks.items() for step, (x, v) in enumerate(track)
+        ]  # fmt: skip
+        self._rows.sort(key=lambda row: (row["step"], row["actor"]))  # as tables are
+
+    def require(self, *names):
+        pass
+
+    def table(self, name, columns):
+        about = {"vehicle": [1, 2, 3], "vehicle_class": ["car", "car", "pedestrian"], "length_m": 5.0, "width_m": 2.0}
+        return pd.DataFrame(self._rows if name == "actors" else about)[columns]
+
+
+def value(name, run, **options):
+    return float(measured(name, [run], options).value[0])
+
+
+def test_sudden_slowing_by_hand():
+    """Over one second (two steps): 12 to 8.5 is 3.5, 10 to 6 is 4, 8.5 to 4 is 4.5, all of one event from the first
+    that reaches 3.576; 6 to 4 is 2; 4 to 4 ends it at 0. 48.5 m/s x 0.5 s are 24.25 m: 1 / 0.02425 km.
+    The pedestrian, and a car that is gone for a step, do not count."""
+    speeds = [12, 10, 8.5, 6, 4, 4, 4]
+    run = Tiny(a1=[(0.0, v) for v in speeds], a3=[(90.0, v) for v in (9, 9, 1, 1)])
+    assert value("sudden_slowing", run, drop_mps=3.576) == pytest.approx(1000 / 0.02425)
+    run._rows = [row for row in run._rows if row["step"] not in (2, 3)]
+    assert value("sudden_slowing", run, drop_mps=3.576) == 0.0
+
+
+def test_mild_braking_by_hand():
+    """Decelerations of 2, 4, 0 (end), 3: two events with peaks of 4 and 3, of which one stays below 3.9."""
+    run = Tiny(a1=[(0.0, v) for v in (10, 9, 7, 7, 5.5)])
+    assert value("mild_braking", run, begin_mps2=1.0, limit_mps2=3.9) == 0.5
+
+
+def test_mean_speed_counts_standing_cars_and_no_pedestrians():
+    run = Tiny(a1=[(0.0, 10.0)], a2=[(50.0, 0.0)], a3=[(9.0, 1.0)])
+    assert value("mean_speed", run) == pytest.approx(3.6 * 5)
+
+
+def test_steady_headway_by_hand():
+    """20 m from centre to centre at 10 m/s is 2 s from front to front. In the first step the acceleration is unknown;
+    in the third the leader is 2 m/s slower."""
+    run = Tiny(a1=[(0, 10), (5, 10), (10, 10)], a2=[(20, 10), (25, 10), (30, 8)])
+    options = {"closing_mps": 1.52, "acceleration_mps2": 0.75}
+    assert value("steady_headway", run, slowest_mps=8.0, **options) == pytest.approx(2.0)
+    with pytest.raises(ValueError, match="no car followed"):
+        measured("steady_headway", [run], {"slowest_mps": 11.0, **options})
+
+
+def test_overlaps_by_hand():
+    """Two cars of 5 m overlap by 1 m in two steps: one pair. 20 m/s x 2 x 0.5 s are 0.02 km."""
+    run = Tiny(a1=[(0, 10), (5, 10)], a2=[(4, 10), (9, 10)])
+    assert np.isclose(value("overlapping", run), 1e6 / 0.02)

@@ -1,0 +1,160 @@
+"""`cosim export`: clouds of the run itself, mistakes in one line, interrupted and taken up again."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from cosim.addons.export.export import export
+from cosim.runs import replay_lidar
+from results.archive import open_run
+from tests.addons.export import readers
+from tests.drive import cosim, drive, simulate
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    run = tmp_path_factory.mktemp("export") / "run"
+    return drive(run, "traffic.duration_s=6", "traffic.warmup_s=120", "cpm.length=uper")
+
+
+@pytest.fixture(scope="module")
+def vehicles(folder):
+    found = open_run(folder).vehicles
+    return found.vehicle[found.equipped & (found.first_step == 0) & (found.last_step == 5)].tolist()[:3]
+
+
+def test_clouds_are_those_of_the_run(folder, vehicles, tmp_path):
+    run = open_run(folder)
+    named = ",".join(map(str, vehicles))
+    done = export(run, "kitti", tmp_path / "out", named, "2-5")
+    assert done["sweeps"] == 12 and 0.5 < done["estimated_bytes"] / done["bytes"] < 2
+    config = replay_lidar.config_of(run)
+    city = replay_lidar.city_of(config)
+    for number, world in enumerate(replay_lidar.worlds(run, config, np.arange(2, 6))):
+        rows = np.searchsorted(world.actor, vehicles)
+        sweeps = replay_lidar.sweep(config, city, world, rows)
+        seen = run.observability[run.observability.step == world.step]
+        for o, vehicle in enumerate(vehicles):
+            points = readers.velodyne(tmp_path / f"out/object/training/velodyne/{3 * number + o:06d}.bin")[:, :3]
+            assert points.tobytes() == sweeps.xyz(o).astype("<f4").tobytes()
+            # what the tables say of the run itself: returns from each actor
+            of_actor = np.unique(sweeps.hit[o][sweeps.hit[o] >= 3] - 3, return_counts=True)
+            mine = seen[(seen.observer == vehicle) & (seen.n_points > 0)]
+            assert dict(zip(world.actor[of_actor[0]], of_actor[1], strict=True)) == dict(
+                zip(mine.actor, mine.n_points, strict=True)
+            )
+
+
+def test_interrupted_and_taken_up_again(folder, vehicles, tmp_path):
+    run, named = open_run(folder), ",".join(map(str, vehicles))
+    whole = export(run, "opv2v", tmp_path / "whole", named)
+
+    def stop(what, done, total):
+        if done == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export(run, "opv2v", tmp_path / "cut", named, progress=stop)
+    again = export(run, "opv2v", tmp_path / "cut", named)
+    assert again["resumed"] and again["files"] < whole["files"]
+    paths = {p.relative_to(tmp_path / "whole"): p.read_bytes() for p in (tmp_path / "whole").rglob("*") if p.is_file()}
+    assert paths == {
+        p.relative_to(tmp_path / "cut"): p.read_bytes() for p in (tmp_path / "cut").rglob("*") if p.is_file()
+    }
+    assert len(paths) == whole["files"] + 1
+
+
+@pytest.mark.parametrize(
+    ("form", "more", "says"),
+    [
+        ("waymo", {}, "no such choice. There are kitti"),
+        ("kitti", {"vehicles": "99999"}, "there was never such a vehicle"),
+        ("fcd", {"vehicles": "0"}, "fcd always has all vehicles"),
+        ("kitti", {"vehicles": "../3"}, "numbers and spans"),
+        ("kitti", {"vehicles": "5-3"}, "numbers and spans"),
+        ("kitti", {"steps": "900-901"}, "no vehicle senses then"),
+        ("veremi-nextgen", {}, 'holds no table receptions: it is kept at record.level = "full"'),
+        ("pcap", {"sets": ["received=true"]}, 'holds no table receptions: it is kept at record.level = "full"'),
+        ("pcap", {"sets": ["latitude=60"]}, "the latitude and the longitude of the origin"),
+        ("pcap", {"sets": ["latitude=99", "longitude=20"]}, "latitude"),
+    ],
+)
+def test_mistakes(folder, tmp_path, form, more, says):
+    with pytest.raises(ValueError, match=says):
+        export(open_run(folder), form, tmp_path / "out", **more)
+    assert not (tmp_path / "out").exists()
+
+
+def test_packets_are_in_helsinki(folder, vehicles, tmp_path):
+    run = open_run(folder)
+    export(run, "pcap", tmp_path / "out", ",".join(map(str, vehicles)), "2-5")
+    frames = readers.pcap(tmp_path / "out/sent.pcap")
+    sent = run.detections[run.detections.observer.map(run.subjects.vehicle).isin(vehicles) & run.detections.transmitted]
+    sent = sent[sent.step.between(2, 5)]
+    cpms = [readers.cpm(f["message"]) for f in frames if f["port"] == 2009]
+    encoded = [f["message"] for f in frames if f["port"] == 2009]
+    n_bytes = {(m["station"], m["time_ms"]): len(e) for m, e in zip(cpms, encoded, strict=True)}
+    assert sum(len(m["objects"]) for m in cpms) == (sent.detection_index > 0).sum() > 0
+    assert len(frames) - len(cpms) == (sent.detection_index == 0).sum() == 12
+    content = run.cpm_content.set_index(["step", "sender"])
+    for (
+        message
+    ) in cpms:  # with 44 bytes of the network and 96 of the signature; the self report is an object of 273 bits
+        row = content.loc[((message["time_ms"] - 662_774_405_000) // 1000, message["station"])]
+        assert row.sensors and message["range"] and row.n_included == len(message["objects"])
+        own = row.length_bytes - 140 - n_bytes[message["station"], message["time_ms"]]
+        assert row.self_report and 34 <= own <= 36
+    for frame in frames:  # the network's bounds in degrees, of its own header
+        assert 60.164 < frame["lat"] / 1e7 < 60.180 and 24.935 < frame["lon"] / 1e7 < 24.954
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("form", ["mcap", "fcd", "nuscenes"])
+def test_the_same_bytes_again(folder, vehicles, tmp_path, form):
+    run = open_run(folder)
+    named = None if form == "fcd" else ",".join(map(str, vehicles[:1]))  # it has all vehicles
+    for where in ("a", "b"):
+        if form == "mcap":
+            pytest.importorskip("mcap")
+        assert export(run, form, tmp_path / where, named, "1-2")["files"]
+    first, second = (
+        {p.relative_to(tmp_path / w): p.read_bytes() for p in sorted((tmp_path / w).rglob("*")) if p.is_file()}
+        for w in ("a", "b")
+    )
+    assert first == second
+
+
+def test_a_mistake_is_one_line(folder, tmp_path):
+    done = cosim("export", "kitti", str(folder), "--out", str(tmp_path), "--vehicles", "x")
+    assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and done.stdout == ""
+
+
+@pytest.mark.parametrize(
+    "words", [("waymo",), ("kitti", "--vehicles", "99999"), ("kitti", "--vehicles", "../<b>x</b>"), ("veremi-nextgen",)]
+)
+def test_mistakes_on_the_command_line(folder, tmp_path, words):
+    """One line, exit status 2, nothing written."""
+    done = cosim("export", words[0], str(folder), "--out", str(tmp_path / "out"), *words[1:])
+    assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and done.stdout == ""
+    assert not (tmp_path / "out").exists()
+
+
+def test_floating_car_data_of_a_run_without_sensing_come_back(tmp_path):
+    """All steps are written, though nobody senses in any, and a replay has the run's boxes, one step later."""
+    sets = ("sensing=false", "fleet.penetration_p=0", "traffic.step_s=0.5")
+    simulate(tmp_path / "run", *sets, "traffic.duration_s=4", "traffic.warmup_s=60")
+    done = cosim("export", "fcd", "run", "--out", "trace", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    trace = f"traffic.trace={tmp_path / 'trace' / 'fcd.xml.gz'}"
+    simulate(
+        tmp_path / "again", *sets, "traffic.duration_s=4", "traffic.warmup_s=0", "traffic.scenario=helsinki", trace
+    )
+    tables = []
+    for name, shift in (("run", 0), ("again", 1)):
+        of = open_run(tmp_path / name)
+        rows = of.actors.merge(of.vehicles, left_on="actor", right_on="vehicle")
+        columns = ["sumo_id", "vehicle_class", "length_m", "width_m", "height_m", "x_m", "y_m", "z_m", "yaw_rad"]
+        rows = rows.assign(step=rows.step - shift)
+        tables.append(rows[rows.step < 7].sort_values(["step", "sumo_id"])[["step", *columns]].reset_index(drop=True))
+    assert len(tables[0]) > 100 and tables[0].step.nunique() == 7
+    pd.testing.assert_frame_equal(*tables, check_exact=True)

@@ -1,0 +1,63 @@
+"""VeReMi NextGen: the turning truck by hand, and everything that is written read back."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cosim.addons.export import veremi_nextgen
+from tests.addons.export import truck
+from tests.results import tiny
+
+GRAIN = 5e-3
+"""Headings are kept to 1/512 rad, times 7 m/s at most."""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return truck.make(tmp_path_factory.mktemp("export") / "run")
+
+
+def export(exporter, run, folder):
+    return truck.written(exporter().plan(truck.selection(run)), folder)
+
+
+def test_nextgen_truck_by_hand(run, tmp_path):
+    export(veremi_nextgen.VeremiNextGen, run, tmp_path)
+    received = json.loads((tmp_path / "veh_0.json").read_text())
+    (found,) = [m for m in received if m["sender_id"] == "veh_1" and m["sendTime"] == "1250000000"]
+    assert found["rcvTime"] == "1750000000" and found["attacker"] == "0"
+    sender = found["sender"]
+    assert sender["pos"] == "97.0000,70.0000,1.7500" and sender["spd"] == "6.0000" and sender["acl"] == "1.0000"
+    assert float(sender["hed"]) == pytest.approx(315, abs=0.06)  # north-west, clockwise from north
+    assert float(found["receiver"]["hed"]) % 360 == pytest.approx(0, abs=0.06) and found["receiver"]["spd"] == "0.0000"
+    assert sender["distance_to_road_edge"] == "1.2500"
+
+
+def test_nextgen_round_trip(run, tmp_path):
+    made = export(veremi_nextgen.VeremiNextGen, run, tmp_path)
+    n = 0
+    for path in tmp_path.glob("veh_*.json"):
+        array = json.loads(path.read_text())
+        for m in array:
+            flat = [v for v in m.values() if not isinstance(v, dict)] + [*m["sender"].values(), *m["receiver"].values()]
+            assert all(isinstance(v, str) for v in flat), "all values are strings"
+            step = int(m["sendTime"]) // 10**9
+            sender, receiver = int(m["sender_alias"]), int(path.stem.removeprefix("veh_"))
+            assert m["attacker"] == str(int(sender == 1 and step >= 2))
+            for side, number in (("sender", sender), ("receiver", receiver)):
+                true = run.actors[(run.actors.step == step) & (run.actors.actor == number)].iloc[0]
+                assert [float(x) for x in m[side]["pos"].split(",")] == pytest.approx([true.x_m, true.y_m, true.z_m])
+                east, north = np.cos(true.yaw_rad), np.sin(true.yaw_rad)
+                heading = np.radians(float(m[side]["hed"]))
+                assert [np.sin(heading), np.cos(heading)] == pytest.approx([east, north], abs=1e-4)
+                assert float(m[side]["spd"]) == pytest.approx(true.speed_mps)
+            n += 1
+    assert n == len(run.receptions) and "vehicles.csv" in made
+
+
+def test_without_self_reports_there_is_nothing_to_export(tmp_path):
+    (tmp_path / "run").mkdir()
+    run = tiny.make(tmp_path / "run", 4, truck.CONFIG, vehicles=[truck.body(0, "car", (4, 2, 1.5), "a")])
+    with pytest.raises(ValueError, match=r"no self report.*trust\.self_reports"):
+        veremi_nextgen.VeremiNextGen().plan(truck.selection(run, vehicles=(0,)))

@@ -1,0 +1,169 @@
+"""`cosim view`: recordings that the viewer's own tools accept, and mistakes in one line."""
+
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cosim.addons.export.view import colours, first_look, follow, role_colours, strips, view
+from cosim.runs.replay_lidar import film
+from results.archive import open_run
+from tests.drive import cosim, drive
+
+pytest.importorskip("rerun", reason="Rerun's SDK is not installed: make extra NAME=view")
+
+
+def rerun(*words):
+    tool = Path(sys.executable).with_name("rerun")
+    return subprocess.run([tool, "rrd", *words], capture_output=True, text=True, timeout=300)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return drive(tmp_path_factory.mktemp("view") / "run", "traffic.duration_s=8", "record.level=full")
+
+
+@pytest.mark.verify
+def test_the_viewers_own_tools_accept_it(folder, tmp_path):
+    run = open_run(folder)
+    vehicle = int(run.detections.merge(run.subjects, left_on="observer", right_index=True).vehicle.mode()[0])
+    out = tmp_path / "sub" / "run.rrd"
+    done = view(run, out, [vehicle], from_s=2, to_s=7)
+    assert done["steps"] == 5 and done["bytes"] == out.stat().st_size
+    assert rerun("verify", str(out)).returncode == 0
+    stats = rerun("stats", str(out)).stdout
+    for path in ("buildings", "actors", "edges", f"clouds/{vehicle}", "detected", "received", "believed"):
+        assert f"/city/{path}:" in stats, path
+    assert "/map/streets:" in stats and "/map/actors:" in stats
+    without = view(run, tmp_path / "without.rrd", [vehicle], from_s=2, to_s=7, clouds=False)
+    assert (
+        without["bytes"] < done["bytes"] and "city/clouds" not in rerun("stats", str(tmp_path / "without.rrd")).stdout
+    )
+
+
+def test_colours_by_hand():
+    assert colours(np.array([0.0, 0.5, 1.0, np.nan])).tolist() == [
+        [213, 50, 40], [255, 224, 130], [30, 90, 200], [70, 70, 70]
+    ]  # fmt: skip
+
+
+def test_roles_have_the_colours_of_the_figures(folder):
+    run = open_run(folder)
+    some = [int(run.roles.index[run.roles == role][0]) for role in ("honest", "malicious")]
+    other = int(run.vehicles.vehicle[~run.vehicles.equipped].iloc[0])
+    honest, malicious, unequipped = role_colours(run, np.array([*some, other])).astype(int)
+    assert honest.tolist() == [0x16, 0x32, 0x5C] and malicious.tolist() == [0xC1, 0x27, 0x2D]
+    weights = np.array([0.2126, 0.7152, 0.0722])  # luminance: they differ in greyscale too
+    assert weights @ (unequipped - honest) > 100
+
+
+def test_the_first_view(folder):
+    run, steps = open_run(folder), np.arange(2, 7)
+    vehicle = int(run.vehicles.vehicle[run.vehicles.first_step <= 2].iloc[-1])
+    own = run.actors[(run.actors.actor == vehicle) & run.actors.step.isin(steps)].sort_values("step").iloc[0]
+    assert first_look(run, steps, [vehicle]).tolist() == own[["x_m", "y_m", "z_m"]].tolist()
+    lies = run.detections[run.detections.lied & run.detections.step.isin(steps)]
+    seen = first_look(run, steps, [])
+    if lies.empty:
+        there = run.actors[run.actors.step == 2]
+        assert seen.tolist() == there[["x_m", "y_m", "z_m"]].median().tolist()
+    else:
+        first = lies[lies.step == lies.step.min()][["x_m", "y_m", "z_m"]].to_numpy(float)
+        assert (first == seen).all(axis=1).any()
+
+
+@pytest.mark.parametrize(
+    ("out", "more", "says"),
+    [
+        ("run.png", {}, "ends in .rrd"),
+        ("run.rrd", {"vehicles": [99_999]}, "none that carries a LiDAR"),
+        ("run.rrd", {"from_s": 900.0}, "no step in between"),
+        ("file/run.rrd", {}, "cannot be written"),
+    ],
+)
+def test_mistakes(folder, tmp_path, out, more, says):
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(ValueError, match=says):
+        view(open_run(folder), tmp_path / out, **more)
+    assert not (tmp_path / "run.rrd").exists()
+
+
+def test_a_full_disk_is_one_line(folder, tmp_path):
+    small = tmp_path / "small"
+    small.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", str(small)], capture_output=True).returncode:
+        pytest.skip("no file system can be mounted here")
+    try:
+        done = cosim("view", str(folder), "--out", str(small / "run.rrd"))
+        assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and done.stdout == ""
+        assert "run.rrd cannot be written to its end" in done.stderr and not list(small.iterdir())
+        done = cosim("export", "kitti", str(folder), "--out", str(small / "kitti"))
+        assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and "are free" in done.stderr
+        (small / "full").write_bytes(bytes(small.stat().st_blksize * 70))
+        done = cosim("plot", "trust", str(folder), "--out", str(small / "trust.png"))
+        assert len(done.stderr.strip().splitlines()) == 1 and "trust.png: No space left on device" in done.stderr
+        assert done.returncode == 1 and {path.name for path in small.iterdir()} == {"kitti", "full"}
+    finally:
+        subprocess.run(["umount", str(small)], check=True)
+
+
+@pytest.mark.verify
+def test_movie(folder, tmp_path):
+    run = open_run(folder)
+    vehicle = int(run.vehicles[run.vehicles.equipped & (run.vehicles.first_step == 0)].vehicle.iloc[0])
+    shown = []
+    out = film(run, vehicle, tmp_path / "m.gif", lambda done, total: shown.append((done, total)))
+    steps = int(run.vehicles.set_index("vehicle").last_step[vehicle]) + 1
+    assert shown == [(n + 1, steps) for n in range(steps)]
+    with Image.open(out) as picture:
+        assert picture.n_frames == steps and picture.size[1] > picture.size[0] > 500
+    for name, number, says in (
+        ("m.avi", vehicle, "ends in .gif or .mp4"), ("m.gif", 99_999, "carries a LiDAR"),
+        ("m.gif/x.gif", vehicle, "cannot be written"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=says):
+            film(run, number, tmp_path / name)
+
+
+def test_a_run_is_followed_while_it_is_computed(tmp_path):
+    """Blocks of two steps appear meanwhile; the recording has every step, and the run is as it would have been."""
+    target, out = tmp_path / "run", tmp_path / "live.rrd"
+    words = ("run", "--set", "traffic.duration_s=12", "--set", "record.block_steps=2", "--out", str(target))
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(cosim, *words)
+        while not (target / "manifest.json").exists():
+            assert not running.done(), running.result().stderr
+            time.sleep(0.05)
+        done = follow(target, out, every_s=0.1)
+        assert running.result().returncode == 0
+    assert done == {"out": str(out), "steps": 12, "status": "finished"}
+    assert rerun("verify", str(out)).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ((), "--out FILE.rrd"),
+        (("--live", "--from", "3"), "--from and --to"),
+        (("--live", "--out", "a.txt"), "ends in .rrd"),
+    ],
+)
+def test_mistakes_of_following(folder, words, says):
+    done = cosim("view", str(folder), *words)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and says in done.stderr
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_strips_are_what_the_sdk_makes_of_a_list(d):
+    from rerun.components import LineStrip2DBatch, LineStrip3DBatch
+
+    points = np.random.default_rng(0).normal(size=(9, d))
+    batch = {2: LineStrip2DBatch, 3: LineStrip3DBatch}[d]
+    made = strips(points, [4, 0, 5])
+    assert batch(made).as_arrow_array() is made, "taken as it is"
+    assert made.equals(batch([points[:4], points[:0], points[4:]]).as_arrow_array())

@@ -1,0 +1,43 @@
+"""Delivery on an idle channel and over the cellular network, against draws of the models themselves."""
+
+import numpy as np
+import pytest
+
+from cosim.addons.law.delivery import arrival_p, received_p
+from cosim.base import rng
+from cosim.messages.cellular import CellularParams, transfer_delay_s
+from cosim.radio.phy import CURVES, ReceiverParams
+from cosim.radio.propagation import fading_quantiles
+
+
+@pytest.mark.parametrize(("loss_p", "n_retries"), [(0.01, 2), (0.4, 0), (0.4, 3)])
+def test_arrival_as_drawn(loss_p, n_retries):
+    n, params = 40_000, CellularParams()
+    delay_s = transfer_delay_s(rng.key(3, rng.Stream.UPLINK), np.arange(n).astype(np.uint64), loss_p, n_retries, params)
+    at_s = np.array([0.04, 0.1, 0.2, 0.5, 1.0, 3.0])
+    drawn = (delay_s[:, None] <= at_s).mean(axis=0)
+    assert arrival_p(at_s, loss_p, n_retries, params) == pytest.approx(drawn, abs=4 * np.sqrt(0.25 / n))
+
+
+def test_arrival_without_spread_by_hand():
+    # Both attempts take 0.1 s: 3/4 arrive after 0.1 s, and 1/4 * 3/4 more after 0.2 s.
+    params = CellularParams(delay_min_s=0.1, delay_mean_s=0.1)
+    assert arrival_p(np.array([0.05, 0.1, 0.2]), 0.25, 1, params) == pytest.approx([0, 0.75, 0.9375])
+
+
+def test_received_as_by_the_receiver():
+    params, random = ReceiverParams(), np.random.default_rng(1)
+    x0, w = CURVES["table"][6.0]
+    for power_dbm, fading, length in (
+        (-93.0, 2, 320),
+        (-88.5, 3, 700),
+        (-80.2, 2, 1434),
+        (-95.0, 0, 320),
+        (-60.0, 3, 64),
+    ):
+        gain = fading_quantiles()[fading][random.integers(0, 4096, 40_000)]
+        dbm = power_dbm + 10 * np.log10(gain)
+        psr = np.exp(-(length / 336) * np.exp(np.minimum((x0 - (dbm - params.noise_dbm)) / w, 50)))
+        want = np.mean((dbm >= params.detectable_dbm) * psr)
+        got = received_p(np.array([power_dbm]), np.array([fading]), np.array([length]), params)[0]
+        assert got == pytest.approx(want, abs=0.02)

@@ -1,0 +1,26 @@
+"""Drawn runs against the chances that they are drawn from."""
+
+import numpy as np
+import pytest
+
+from cosim.addons.law import law
+from cosim.addons.law.closed_form import Company
+from cosim.addons.law.draws import drawn
+from cosim.addons.law.prediction import Found
+
+
+def test_drawn_runs_have_the_chances_as_means():
+    # Two evaluators of one subject, in every of 2,000 steps, the second one step late; half of the reports arrive after
+    # one step and all after two.
+    n_steps, p = 2000, np.array([0.3, 0.5])
+    step, pair = (x.ravel() for x in np.meshgrid(np.arange(n_steps), np.arange(2)))
+    pairs = law.PairSteps(step, step + pair, np.zeros(2 * n_steps, int), pair, np.log1p(-p[pair]), 3 * p[pair])
+    nothing = law.Encounters(*(np.zeros(0, np.int64),) * 7, np.zeros(0))
+    found = Found(law.Evidence(np.zeros((3, 1, n_steps))), np.zeros(1, int), pairs, np.zeros(2, int), nothing, 1,
+                  Company.constant(0.5))  # fmt: skip
+    run = drawn(found, np.array([0.5, 1.0]), np.random.default_rng(3))
+    share = 1 - np.exp(run.evidence.log_none).mean(axis=(1, 2))
+    # After one step: the first evaluator's half. After two: all of it, and half of the second's. After three: all.
+    assert share == pytest.approx([0.15, 1 - 0.7 * 0.75, 1 - 0.7 * 0.5], abs=0.03)
+    assert np.bincount(run.pair_steps.pair) / n_steps == pytest.approx(p, abs=0.03)
+    assert run.pair_steps.n == pytest.approx(3)

@@ -1,0 +1,173 @@
+"""Predictions from configs: what is refused, what points of a study share, and a short run beside its prediction."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cosim.addons.law import freshness
+from cosim.addons.law.prediction import Prediction, with_intervals
+from cosim.addons.law.scope import left_out, server_of, servers_of
+from cosim.config.config import resolve_data, with_defaults
+from cosim.studies import study as studies
+from tests.drive import cosim, drive
+
+SHORT = {"attacks": [], "traffic": {"duration_s": 8, "warmup_s": 30}, "fleet": {"penetration_p": 0.5}}
+CONFIG = """
+attacks = []
+[traffic]
+duration_s = 30
+warmup_s = 150
+[fleet]
+penetration_p = 0.5
+[trust]
+server_period_s = 1
+[[trust_variant]]
+name = "7 s"
+server_period_s = 7
+freshness_s = 15
+"""
+
+
+def config_of(**changes):
+    return resolve_data(with_defaults(json.loads(json.dumps(SHORT | changes))), "the test", None)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"trust": {"host": "local"}},
+        {"trust": {"model": "beta"}},
+        {"radio": {"evaluations": "piggybacked"}},
+        {"cpm": {"rules": "etsi"}},
+        {"server": {"outages": [[1, 2]]}},
+        {"sensing": False},
+    ],
+)
+def test_what_the_law_does_not_cover_is_refused_in_one_line(changes):
+    with pytest.raises(ValueError, match="the law of freshness covers") as caught:
+        servers_of(config_of(**changes))
+    assert "\n" not in str(caught.value)
+
+
+def test_servers_by_hand():
+    # Sensing every 2 s and a half-open window of 9 s: evidence of 0, 2, 4, 6, 8 s counts, so 5 steps.
+    config = config_of(sensing_interval_s=2.0, trust={"freshness_s": 9, "server_period_s": 3, "unseen": "zero"})
+    (server,) = servers_of(config)
+    assert (server.name, server.period_s, server.window_steps, server.zero) == ("base", 3, 5, True)
+    off = server_of("x", replace(config.trust, freshness_s="off"), config)
+    assert off.window_s == np.inf and off.window_steps > 10**6
+    assert left_out(config) == [] and len(left_out(config_of(attacks=[{"attack": "removal"}]))) == 1
+
+
+def test_intervals_by_hand():
+    # The smallest and the largest of the runs; one without a value says nothing, and neither do all if there is none.
+    none, names = np.zeros(1), ("freshness.evaluators.mean", "freshness.value_age.median_s")
+    own = Prediction("base", 1.0, 50.0, none, none, none, none, {names[0]: 2.0, names[1]: np.nan})
+    found = with_intervals(own, [{names[0]: value, names[1]: 1.0} for value in (3.0, 1.5, np.nan, 2.5)])
+    assert found.low == {names[0]: 1.5} and found.high == {names[0]: 3.0}
+
+
+def test_points_that_differ_in_their_server_share_one_replay(tmp_path, monkeypatch):
+    path = tmp_path / "study.toml"
+    path.write_text(
+        "[base]\nattacks = []\ntraffic.duration_s = 5\n[grid]\nfleet.penetration_p = [0.2, 0.4]\n"
+        "trust.server_period_s = [1, 5]\ntrust.freshness_s = [10, 20]\n"
+    )
+    asked = []
+
+    def answered(experiments, advance, n_fleets):
+        asked.extend(experiments)
+        said = [[f"{of.config.fleet.penetration_p} {s.period_s} {s.window_steps}" for s in of.servers]
+                for of in experiments]  # fmt: skip
+        return [freshness.Predicted(one, {}) for one in said]
+
+    monkeypatch.setattr(freshness, "predict_all", answered)
+    found = freshness.predict_study(studies.load(path), "study.toml", lambda *_: None)
+    assert len(asked) == 2 and [len(of.servers) for of in asked] == [4, 4]
+    for keys, answer in found:
+        want = keys["fleet.penetration_p"], float(keys["trust.server_period_s"]), keys["trust.freshness_s"]
+        assert answer == "{} {} {}".format(*want)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("law")
+    (folder / "law.toml").write_text(CONFIG)
+    drive(folder / "run", config=folder / "law.toml")
+    return folder
+
+
+def test_a_short_run_is_as_predicted(run):
+    done = cosim(
+        "predict", "freshness", "law.toml", "--against", "run", "--fleets", "1", "--json", "--out", "law.json",
+        "--picture", "law.png", cwd=run,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    rows = {(row["variant"], row["metric"]): row for row in json.loads(done.stdout)["rows"]}
+    for variant in ("base", "7 s"):
+        for name in ("median_s", "p90_s"):
+            row = rows[variant, f"freshness.newest_evaluation_age.{name}"]
+            assert row["value"] == pytest.approx(row["measured"], rel=0.2)
+        for state in ("evaluated", "stale", "no value"):
+            row = rows[variant, f"freshness.lookup_state.share:{state}"]
+            assert row["value"] == pytest.approx(row["measured"], abs=0.04)
+            assert row["low"] is None or row["low"] <= row["high"]
+        row = rows[variant, "freshness.evaluators.mean"]
+        assert row["value"] == pytest.approx(row["measured"], rel=0.15)
+    kept = json.loads((run / "law.json").read_text())
+    assert [p["variant"] for p in kept["predictions"]] == ["base", "7 s"] and kept["made"]
+    ages = kept["predictions"][1]["newest_evaluation_age"]
+    assert sum(ages["share"]) == pytest.approx(1, abs=1e-6) and ages["age_s"][0] >= 1.8
+    assert (run / "law.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["law.toml", "--set", "trust.host=local"], 'host = "local": the law of freshness covers'),
+        (["freshness", "--grid", "x.toml"], "--set and --grid go with a config"),
+        (["--grid", "fleet.penetration_p=0.2"], "the name of a study file to write"),
+        (["nothing.toml"], "nothing.toml"),
+        (["law.toml", "--set", "fleet.penetration_p=0"], "no equipped vehicle was on the road"),
+    ],
+)
+def test_mistakes_are_one_line(run, words, message):
+    done = cosim("predict", "freshness", *words, cwd=run)
+    assert done.returncode == 2 and message in done.stderr and len(done.stderr.splitlines()) == 1
+    assert "Traceback" not in done.stderr and not (run / "x.toml").exists()
+
+
+@pytest.mark.verify
+def test_a_grid_is_a_study_that_can_be_swept(run):
+    done = cosim("predict", "freshness", "law.toml", "--grid", "grid.toml", cwd=run)
+    assert done.returncode == 0, done.stderr
+    done = cosim("sweep", "grid.toml", "--out", "swept", "--dry-run", cwd=run)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize(
+    "sets",
+    [
+        ["sensing_interval_s=2", "trust.freshness_s=21", "server.cellular.downlink_loss_p=0.3"],
+        ["server.cellular.delay_mean_s=1.5", "server.cellular.uplink_loss_p=0.3", "trust.unseen=zero"],
+        ["radio.model=unit_disk", "radio.range_m=150", "lidar.profile=vlp16", "detector.model=ideal"],
+    ],
+)
+def test_other_sensors_delays_and_losses(tmp_path, sets):
+    (tmp_path / "law.toml").write_text(CONFIG.replace("30", "90"))
+    words = [word for one in sets for word in ("--set", one)]
+    drive(tmp_path / "run", *sets, config=tmp_path / "law.toml")
+    done = cosim(
+        "predict", "freshness", "law.toml", *words, "--against", "run", "--fleets", "0", "--json", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    for row in json.loads(done.stdout)["rows"]:
+        if "newest" in row["metric"] and "mean" in row["metric"]:
+            assert row["value"] == pytest.approx(row["measured"], rel=0.06), row
+        if "lookup_state" in row["metric"]:
+            assert row["value"] == pytest.approx(row["measured"], abs=0.03), row
+        if "evaluators" in row["metric"]:
+            assert row["value"] == pytest.approx(row["measured"], rel=0.08), row

@@ -1,0 +1,69 @@
+"""A tiled city has what the city has, once per copy."""
+
+import numpy as np
+import pytest
+
+from cosim.addons.netbuild.tiling import tile
+from cosim.traffic.fcd import timesteps
+from cosim.traffic.scenario import find
+from sumo_nets.footprints import read_footprints
+from sumo_nets.network import lanes
+from tests.drive import cosim
+
+TRACE = """timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_type;vehicle_speed
+0.00;a&b;100.25;200.5;90;car;10
+0.00;p;300;400;0;pedestrian;1
+1.00;p;300;401;0;pedestrian;1
+"""
+
+
+@pytest.fixture(scope="module")
+def city(tmp_path_factory):
+    trace = tmp_path_factory.mktemp("tiling") / "fcd.csv"
+    trace.write_text(TRACE)
+    return find("helsinki", str(trace))
+
+
+def test_every_copy_has_all_streets_buildings_and_actors(city, tmp_path):
+    assert tile(city, 1, 2, tmp_path / "two") == 4
+    two = find(str(tmp_path / "two"), str(tmp_path / "two" / "fcd.parquet"))
+    west, south, east, north = city.bounds_m
+    by_m = np.ceil(north - south)
+    assert two.name == "two" and two.bounds_m == pytest.approx((west, south, west + np.ceil(east - west), 2 * by_m))
+
+    first, second = timesteps(two.trace)
+    assert (first.time_s, second.time_s) == (0, 1) and second.names == ["0.p", "1.p"]
+    assert first.names == ["0.a&b", "0.p", "1.a&b", "1.p"] and first.types == ["car", "pedestrian"] * 2
+    assert first.front_m.tolist() == [
+        [100.25, 200.5, 0],
+        [300, 400, 0],
+        [100.25, 200.5 + by_m, 0],
+        [300, 400 + by_m, 0],
+    ]
+
+    old, new = lanes(city.net), lanes(two.net)
+    assert len(new) == 2 * len(old)
+    middle = np.array([lane.line_m.mean(axis=0)[1] for lane in new])
+    assert (middle > by_m).sum() == pytest.approx(len(old), abs=3)
+
+    one, both = ([f for path in of.buildings for f in read_footprints(path)] for of in (city, two))
+    assert len(both) == 2 * len(one)
+    assert np.allclose(both[-1].outer, one[-1].outer + [0, by_m], atol=0.006) and both[-1].top_z_m == one[-1].top_z_m
+    types = (tmp_path / "two" / "vtypes.add.xml").read_text()
+    assert types.count("<vType") == 2
+
+
+@pytest.mark.parametrize(
+    ("tiles", "says"),
+    [("1x1", "give 2 copies or more"), ("0x3", "give 2 copies"), ("x", "two numbers"), ("99x9", "65 km")],
+)
+def test_what_cannot_be_tiled_is_said_in_one_line(tiles, says, city, tmp_path):
+    words = ("nets", "tile", "helsinki", "--trace", str(city.trace), "--tiles", tiles, "--out", str(tmp_path / "out"))
+    ended = cosim(*words)
+    assert ended.returncode == 2 and ended.stderr.count("\n") == 1 and says in ended.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_is_no_trace_to_tile(city, tmp_path):
+    with pytest.raises(ValueError, match="a trace of SUMO's"):
+        tile(find("helsinki"), 2, 2, tmp_path / "out")

@@ -1,0 +1,224 @@
+"""Encounters of traces: those of a run row for row, those of other layouts by hand, and censoring at gaps."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from cosim.addons.traces.contacts import ContactParams, contacts
+from results.archive import open_run
+from results.encounters import EncounterParams
+from sumo_nets import catalogue
+from tests.cosim.traffic.test_replay import record
+from tests.drive import cosim, simulate
+
+KEY = ["a", "b", "start_step", "radius_m", "pairs"]
+CONFIG = """\
+sensing = false
+[traffic]
+warmup_s = 120
+duration_s = 30
+[fleet]
+penetration_p = 0.6
+[[encounters]]
+pairs = "all"
+[[encounters]]
+pairs = "los"
+radius_m = 60
+hysteresis_s = 0
+[[encounters]]
+"""
+
+
+def count(paths, out, **params):
+    return open_run(contacts(paths, ContactParams(**params), out, lambda *_: None))
+
+
+def table(folder):
+    """Encounters without what only messages and trust can fill."""
+    found = open_run(folder).encounters.sort_values(KEY).reset_index(drop=True)
+    return found[[c for c in found.columns if not c.startswith(("trust", "source", "state", "age"))]]
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    """A run of the shipped city, and what SUMO alone writes of the same traffic."""
+    folder = tmp_path_factory.mktemp("contacts")
+    (folder / "c.toml").write_text(CONFIG)
+    simulate(folder / "run", config=folder / "c.toml")
+    record(catalogue.find("helsinki").sumocfg_path, folder / "fcd.parquet", 152)
+    return folder
+
+
+def test_contacts_of_a_runs_own_trace_are_its_encounters(driven):
+    """Row for row and bit for bit: SUMO labels step 0, the world after 120 s, with 119 s."""
+    done = cosim("contacts", "fcd.parquet", "--config", "c.toml", "--scenario", "helsinki", "--from", "119", "--to",
+                 "148", "--out", "fcd", cwd=driven)  # fmt: skip
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    run = table(driven / "run")
+    assert len(run) > 400 and run.pairs.nunique() == 3 and not run.los_share.eq(1).all()
+    pd.testing.assert_frame_equal(table(driven / "fcd"), run, check_exact=True)
+    vehicles = open_run(driven / "run").vehicles.drop(columns=["role", "attack", "attack_start_step"])
+    there = open_run(driven / "fcd").vehicles[vehicles.columns]
+    pd.testing.assert_frame_equal(there, vehicles, check_exact=True)
+
+
+def test_contacts_of_a_run_with_its_own_and_other_definitions(driven):
+    definitions = (EncounterParams(pairs="all"), EncounterParams(pairs="all", radius_m=30.0))
+    again = count([driven / "run"], driven / "again", encounters=definitions)
+    run = table(driven / "run")
+    mine = again.encounters[again.encounters.radius_m == 100].sort_values(KEY).reset_index(drop=True)
+    expected = run[run.pairs == "all"].reset_index(drop=True)
+    pd.testing.assert_frame_equal(mine[expected.columns], expected, check_exact=True)
+    assert 0 < (again.encounters.radius_m == 30).sum() < len(expected)
+
+
+def test_a_folder_that_reads_like_a_run(driven):
+    words = ""
+    for words in ("contacts run --out plain", "measure plain", "plot encounters plain", "plot durations plain",
+                  "verify plain", "judge contacts plain --json"):  # fmt: skip
+        done = cosim(*words.split(), cwd=driven)
+        assert done.returncode == 0, f"{words}: {done.stderr}"
+    answer = json.loads(done.stdout)["plain"]
+    assert len(answer["facts"]) >= 6 and len(answer["families"]) == 2
+    run = open_run(driven / "plain")
+    assert run.measure.value("encounters.n", "all, 100 m") == len(run.encounters)
+
+
+def test_positions_of_a_run_as_a_table_give_the_same_encounters(driven):
+    """The same places without sizes and headings; nothing is known before the first and after the last position."""
+    run = open_run(driven / "run")
+    there = run.actors.merge(run.vehicles, left_on="actor", right_on="vehicle")
+    there = there[there.vehicle_class != "pedestrian"].sort_values(["step", "actor"])
+    rows = pd.DataFrame({"who": "v" + there.actor.astype(str), "t": there.step * 1.0, "e": there.x_m, "n": there.y_m})
+    rows.to_csv(driven / "t.csv", index=False)
+    done = cosim("contacts", "t.csv", "--id", "who", "--time", "t", "--x", "e", "--y", "n", "--appearance", "ends",
+                 "--out", "table", cwd=driven)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    columns = ["start_step", "end_step", "duration_s", "censored_left", "censored_right", "entered", "departed"]
+    found = []
+    for folder, prefix in ((driven / "run", "v"), (driven / "table", "")):
+        one, names = open_run(folder).encounters, open_run(folder).vehicles
+        one = one[(one.pairs == "all")]
+        name = prefix + names.vehicle.astype(str) if prefix else names.sumo_id
+        pair = np.sort(np.column_stack([name.to_numpy()[one.a], name.to_numpy()[one.b]]).astype(str), axis=1)
+        found.append(one[columns].assign(one=pair[:, 0], other=pair[:, 1]).sort_values(["one", "other", "start_step"]))
+    pd.testing.assert_frame_equal(*(f.reset_index(drop=True) for f in found), check_exact=True)
+
+
+def trace(tmp_path, rows) -> Path:
+    path = tmp_path / "t.csv"
+    path.write_text("id,time,x,y\n" + "".join(f"{i},{t},{x},{y}\n" for i, t, x, y in rows))
+    return path
+
+
+def test_gaps_censor(tmp_path):
+    """Two stand 10 m apart from 0 s to 9 s and from 50 s to 59 s: four ends of observation, no end of an encounter."""
+    rows = [(who, t, x, 0) for t in [*range(10), *range(50, 60)] for who, x in (("a", 0), ("b", 10))]
+    one = count([trace(tmp_path, rows)], tmp_path / "o", max_gap_s=30.0).encounters
+    assert one[["start_step", "end_step"]].to_numpy().tolist() == [[0, 10], [50, 60]]
+    assert one.censored_left.all() and one.censored_right.all() and one.gap_s.isna().all()
+    joined = count([trace(tmp_path, rows)], tmp_path / "p", max_gap_s=60.0).encounters
+    assert joined[["start_step", "end_step"]].to_numpy().tolist() == [[0, 60]]
+    ended = count([trace(tmp_path, rows)], tmp_path / "q", appearance="ends").encounters
+    assert ended.censored_left.tolist() == [True, False] and ended.censored_right.tolist() == [False, True]
+
+
+def test_an_encounter_that_is_seen_whole(tmp_path):
+    """b passes a at 20 m/s: within 100 m from 5 s to 15 s, eleven steps, of which none is censored."""
+    rows = [(who, t, x, 0) for t in range(0, 31, 5) for who, x in (("a", 0), ("b", -200 + 20 * t))]
+    found = count([trace(tmp_path, rows)], tmp_path / "o", step_s=1.0)
+    (row,) = found.encounters.to_dict("records")
+    assert (row["start_step"], row["end_step"], row["duration_s"]) == (5, 16, 11)
+    assert not (row["censored_left"] or row["censored_right"] or row["entered"] or row["departed"])
+    assert row["min_distance_m"] == 0
+    assert found.manifest["summary"]["interpolated_share"] == pytest.approx(48 / 62)
+
+
+def test_pedestrians_count_only_if_a_definition_includes_them(tmp_path):
+    """A car passes a pedestrian and another car that stand 10 m apart."""
+    rows = [(who, t, x, 0, kind) for t in range(5) for who, x, kind in
+            (("a", 8 * t, "car"), ("b", 20, "Car"), ("p", 30, "pedestrian"))]  # fmt: skip
+    path = tmp_path / "t.csv"
+    path.write_text("id,time,x,y,class\n" + "".join(",".join(map(str, row)) + "\n" for row in rows))
+    definitions = (EncounterParams(pairs="all"), EncounterParams(pairs="all", pedestrians=True))
+    found = count([path], tmp_path / "o", encounters=definitions)
+    name = found.vehicles.set_index("vehicle").sumo_id
+    pairs = found.encounters.groupby("pedestrians")[["a", "b"]].apply(
+        lambda part: {tuple(sorted((name[a], name[b]))) for a, b in part.to_numpy()}
+    )
+    assert pairs[False] == {("a", "b")} and pairs[True] == {("a", "b"), ("a", "p"), ("b", "p")}
+    assert found.manifest["summary"]["classes"] == {"car": 2, "pedestrian": 1}
+
+
+def test_what_the_numbers_were_taken_for_is_printed(tmp_path):
+    """NGSIM's milliseconds and feet: 40 ft/s are 12.2 m/s."""
+    rows = "".join(f"1,{1163065600000 + 100 * k},0,{4 * k}\n2,{1163065600000 + 100 * k},12,{4 * k}\n" for k in range(9))
+    (tmp_path / "n.csv").write_text("Vehicle_ID,Global_Time,Local_X,Local_Y\n" + rows)
+    done = cosim("contacts", "n.csv", "--out", "met", cwd=tmp_path)
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    assert "2 car; speeds 12.2 m/s (median)" in done.stdout and "read as: layout ngsim" in done.stdout
+    made = cosim("trace", "n.csv", "--out", "t.parquet", cwd=tmp_path)
+    assert "2 tracks after 0 gaps and 0 jumps; 2 car; speeds 12.2 m/s" in made.stdout, made.stderr
+
+
+def test_notes_on_a_trace_are_printed(tmp_path):
+    """A type that no file defines, a lost timestep, and a type of a class: one note each for the first two."""
+    row = '<vehicle id="a" x="{x}" y="0" angle="90" type="equipped" speed="10"/>'
+    row += '<vehicle id="b" x="{x}" y="9" angle="90" type="bus" speed="10"/>'
+    steps = "".join(f'<timestep time="{t}">{row.format(x=10 * t)}</timestep>' for t in (0, 1, 2, 4, 5))
+    (tmp_path / "t.xml").write_text(f"<fcd-export>{steps}</fcd-export>")
+    done = cosim("contacts", "t.xml", "--out", "met", cwd=tmp_path)
+    guess, lost = done.stderr.splitlines()
+    assert "types equipped (passenger)" in guess and "at 3 s for the first time: 1 steps" in lost
+
+
+BAD = {
+    "no file": (["nothing.csv"], "no such file"),
+    "equipped": (["t.csv", "--pairs", "equipped"], "says nothing of equipment"),
+    "scenario": (["t.csv", "--scenario", "helsinki"], "--scenario goes with a trace that SUMO wrote"),
+    "radius": (["t.csv", "--radius-m", "-3"], "radius_m"),
+    "radius twice": (["t.csv", "--radius-m", "50", "--radius-m", "50"], "the same definition"),
+    "gap": (["t.csv", "--max-gap-s", "nan"], "--max-gap-s nan"),
+    "half of a place": (["t.csv", "--x", "x"], "Name both columns"),
+    "metres and degrees": (["t.csv", "--x", "x", "--lat", "y"], "a trace has one of the two"),
+    "another column": (["t.csv", "--x", "x", "--y", "north"], "no column north"),
+    "config and radius": (["t.csv", "--config", "c.toml", "--radius-m", "5"], "Leave out --radius-m"),
+    "later": (["t.csv", "--from", "900"], "the trace goes from 0 to 9"),
+    "backwards": (["t.csv", "--from", "9", "--to", "2"], "from a time to a later one"),
+    "two of SUMO's": (["a.xml", "b.xml"], "one trace of SUMO's at a time"),
+    "repair of SUMO's": (["a.xml", "--repair"], "--repair: a.xml is a trace that SUMO wrote"),
+    "gap of SUMO's": (["a.xml", "--max-gap-s", "5"], "--max-gap-s: a.xml is a trace that SUMO wrote"),
+    "frames that are times": (["t.csv", "--frame-hz", "25"], "no frame numbers"),
+    "control characters": (["e.csv"], "columns \N{REPLACEMENT CHARACTER}[31mred)"),
+    "no such attribute": (["a.xml"], "no angle of its vehicles"),
+    "degrees of SUMO's": (["g.xml"], "look like degrees"),
+    "a folder": (["."], "not a run"),
+    "units of SUMO's": (["a.xml", "--time-unit", "ms"], "--time-unit: a.xml is a trace that SUMO wrote"),
+    "no such unit": (["t.csv", "--length-unit", "yards"], "--length-unit"),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_misuse_ends_in_one_line_and_nothing_written(tmp_path, what):
+    words, said = BAD[what]
+    trace(tmp_path, [("a", t, t, 0) for t in range(10)])
+    (tmp_path / "c.toml").write_text("[[encounters]]\n")
+    (tmp_path / "e.csv").write_text("\x1b[31mred\n")
+    bare = "".join(f'<timestep time="{t}"><vehicle id="a" x="{t}" y="0"/></timestep>' for t in range(3))
+    for name in ("a.xml", "b.xml"):
+        (tmp_path / name).write_text(f"<fcd-export>{bare}</fcd-export>")
+    moving = "".join(
+        f'<timestep time="{t}">' + "".join(
+            f'<vehicle id="v{i}" x="{12 + i / 100 + t * 1e-4}" y="41.8" angle="90" type="t" speed="10"/>'
+            for i in range(10)
+        ) + "</timestep>" for t in range(20)
+    )  # fmt: skip
+    (tmp_path / "g.xml").write_text(f"<fcd-export>{moving}</fcd-export>")
+    before = sorted(tmp_path.iterdir())
+    done = cosim("contacts", *words, cwd=tmp_path)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and said in done.stderr, done.stderr
+    assert not [p for p in tmp_path.iterdir() if p not in before and p.name != "runs"]
+    assert not list(tmp_path.glob("runs/*"))

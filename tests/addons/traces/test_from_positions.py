@@ -1,0 +1,127 @@
+"""Positions from elsewhere become a trace: directions, speeds and places are those of the motion."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from cosim.addons.traces import positions
+from cosim.addons.traces.from_positions import write_trace
+from cosim.addons.traces.tracks import TrackParams
+from cosim.traffic import fcd
+from cosim.traffic.frame import TrafficError
+from results.archive import open_run
+from tests.drive import cosim
+
+STEP_S, LENGTH_M = 0.1, 5.0
+
+
+def written(tmp_path, rows, params=None):
+    """The timesteps of the trace that is made of a table."""
+    rows.to_csv(tmp_path / "positions.csv", index=False)
+    columns = positions.Columns("id", "time", "x", "y", kind="class") if "class" in rows else None
+    fixes = positions.read([tmp_path / "positions.csv"], columns)
+    report = write_trace(fixes, params or TrackParams(STEP_S, 30.0), tmp_path / "out.parquet")
+    return list(fcd.timesteps(tmp_path / "out.parquet")), report
+
+
+def test_a_circle_is_driven_along_its_tangent(tmp_path):
+    """Radius 50 m at 10 m/s: 0.2 rad/s. A chord over two steps has the direction of the tangent in its middle."""
+    t = np.arange(0, 20, STEP_S)
+    angle = 0.2 * t
+    rows = pd.DataFrame({"id": "a", "time": t, "x": 50 * np.cos(angle), "y": 50 * np.sin(angle)})
+    found, report = written(tmp_path, rows)
+    assert len(found) == report["steps"] == len(t) and report["interpolated_share"] == 0
+    inner = found[1:-1]
+    tangent = np.column_stack([-np.sin(angle), np.cos(angle)])[1:-1]
+    compass = np.array([step.compass_deg[0] for step in inner])
+    assert np.column_stack([np.sin(np.radians(compass)), np.cos(np.radians(compass))]) == pytest.approx(tangent)
+    chord = 50 * 2 * np.sin(0.2 * STEP_S) / (2 * STEP_S)
+    assert np.abs([step.speed_mps[0] - chord for step in inner]).max() < 1e-9
+    front = rows[["x", "y"]].to_numpy()[1:-1] + tangent * LENGTH_M / 2
+    assert np.array([step.front_m[0, :2] for step in inner]) == pytest.approx(front)
+
+
+def test_who_stands_keeps_its_direction_and_who_has_not_moved_has_its_first(tmp_path):
+    t = np.arange(0, 6, STEP_S)
+    x = np.clip(5 * (t - 2), 0, 10)  # stands until 2 s, drives east for 2 s, stands
+    noise = 0.02 * np.cos(37 * t)
+    rows = pd.DataFrame({"id": "a", "time": t, "x": x, "y": noise})
+    found, _ = written(tmp_path, rows)
+    compass = np.array([step.compass_deg[0] for step in found])
+    assert np.abs(compass - 90).max() < 10
+    speed = np.array([step.speed_mps[0] for step in found])
+    assert np.abs(speed[(t > 2.2) & (t < 3.8)] - 5).max() < 0.05
+    never = pd.DataFrame({"id": "b", "time": t, "x": 3.0, "y": 4.0})
+    (tmp_path / "out.parquet").unlink()
+    assert {step.compass_deg[0] for step in written(tmp_path, never)[0]} == {0.0}
+
+
+def test_gaps_make_tracks_of_their_own_and_classes_give_sizes(tmp_path):
+    rows = pd.DataFrame({
+        "id": ["a"] * 6 + ["w"] * 4, "time": [0, 1, 2, 100, 101, 102, 0, 1, 2, 3],
+        "x": [0, 10, 20, 500, 510, 520, 0, 0, 0, 0], "y": [0.0] * 6 + [0, 1, 2, 3],
+        "class": ["truck"] * 6 + ["pedestrian"] * 4,
+    })  # fmt: skip
+    found, report = written(tmp_path, rows, TrackParams(1.0, 30.0))
+    assert report["actors"] == 2 and report["tracks"] == 3 and report["gaps"] == 1
+    assert {name for step in found for name in step.names} == {"a", "a/2", "w"}
+    first = dict(zip(found[0].names, found[0].front_m[:, :2].tolist(), strict=True))
+    assert first["a"] == pytest.approx([7.1 / 2, 0]) and first["w"] == pytest.approx([0, 0.215 / 2])
+    assert [step.time_s for step in found] == [0, 1, 2, 3, 100, 101, 102]
+
+
+def test_nothing_on_a_step_or_no_room_is_one_line_and_writes_nothing(tmp_path):
+    rows = pd.DataFrame({"id": ["a", "b"], "time": [0.25, 0.35], "x": [0.0, 1.0], "y": [0.0, 1.0]})
+    rows.to_csv(tmp_path / "p.csv", index=False)
+    fixes = positions.read([tmp_path / "p.csv"])
+    with pytest.raises(TrafficError, match="cannot be written"):
+        write_trace(fixes, TrackParams(0.1, 1.0), tmp_path / "absent" / "out.parquet")
+    assert [path.name for path in tmp_path.iterdir()] == ["p.csv"]
+
+
+def test_a_run_drives_the_trace_and_counts_what_contacts_counts(tmp_path):
+    """Encounters of the run's centres are those of the positions themselves."""
+    rng, t = np.random.default_rng(2), np.arange(0, 40.0)
+    rows = pd.concat([
+        pd.DataFrame({"id": f"v{n}", "time": t, "x": x + vx * t, "y": y + vy * t})
+        for n, (x, y, vx, vy) in enumerate(rng.uniform([-200, -200, -12, -12], [200, 200, 12, 12], (25, 4)))
+    ])  # fmt: skip
+    rows.to_csv(tmp_path / "p.csv", index=False)
+    made = cosim("trace", "p.csv", "--out", "traffic.parquet", cwd=tmp_path)
+    assert made.returncode == 0 and "25 vehicles, 40 steps of 1 s" in made.stdout, made.stderr
+    keys = ("traffic.scenario=traffic.parquet", "traffic.duration_s=41", "sensing=false", "traffic.warmup_s=0")
+    words = [w for key in keys for w in ("--set", key)]
+    ran = cosim("run", *words, "--set", 'encounters=[{pairs="all", radius_m=60}]', "--out", "run", cwd=tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    met = cosim("contacts", "p.csv", "--radius-m", "60", "--appearance", "ends", "--out", "met", cwd=tmp_path)
+    assert met.returncode == 0, met.stderr
+    columns = ["a", "b", "start_step", "end_step"]
+    a, b = (named_encounters(tmp_path / name, columns) for name in ("run", "met"))
+    assert len(a) > 20
+    shift = int(a.start_step.min() - b.start_step.min())  # step 0 of a run is the road before the trace
+    assert np.array_equal(a, b.assign(start_step=b.start_step + shift, end_step=b.end_step + shift))
+
+
+def named_encounters(folder, columns):
+    run = open_run(folder)
+    names = dict(zip(run.table("vehicles").vehicle, run.table("vehicles").sumo_id.astype(str), strict=True))
+    found = run.table("encounters")[columns]
+    pair = np.sort(found[["a", "b"]].map(names.get).to_numpy(str), axis=1)
+    return found.assign(a=pair[:, 0], b=pair[:, 1]).sort_values(columns).reset_index(drop=True)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--out", "t.csv"), "ends in .parquet"),
+        (("--out", "t.parquet", "--step-s", "0"), "--step-s 0: a finite number"),
+        (("--out", "t.parquet", "--class", "kind"), "goes with --x and --y"),
+        (("--out", "t.parquet", "--x", "east", "--y", "north"), "no column"),
+        (("--out", "p.csv.parquet", "--lat", "x"), "--lat and --lon"),
+    ],
+)
+def test_wrong_use_is_one_line(words, says, tmp_path):
+    (tmp_path / "p.csv").write_text("id,time,x,y\na,0,0,0\na,1,9,0\n")
+    ended = cosim("trace", "p.csv", *words, cwd=tmp_path)
+    assert ended.returncode == 2 and ended.stderr.count("\n") == 1 and says in ended.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["p.csv"]

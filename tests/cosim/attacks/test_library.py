@@ -1,0 +1,351 @@
+"""Every attack does what it says: counted in the tables, with ground truth, beside the same steps without it."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from cosim.attacks.catalogue import ATTACKS
+from cosim.base.codes import Origin
+from tests.cosim.attacks.plain import NAMES, N, play
+
+LIARS = ["v00", "v07", "v15", "v23"]
+WHO = np.array([NAMES.index(name) for name in LIARS])
+BY = {"ids": LIARS}
+KEY = ["at", "observer", "detection_index"]
+FABRICATED, SELF = int(Origin.FABRICATED), int(Origin.SELF)
+
+
+@pytest.fixture(scope="module")
+def honest():
+    return play()
+
+
+def beside(tables, honest, name="detections", key=None):
+    """Rows that are in both, the honest columns with the suffix _was."""
+    return tables[name].merge(honest[name], on=key or KEY, suffixes=("", "_was"))
+
+
+def lies_of(tables, only=WHO):
+    found = tables["detections"]
+    assert set(found.observer[found.lied]) <= set(only)
+    return found[found.lied]
+
+
+def assert_others_untouched(tables, honest):
+    """Rows of honest vehicles are those of the run without the attack."""
+    a, b = (t["detections"] for t in (tables, honest))
+    a, b = (f[~f.observer.isin(WHO)].reset_index(drop=True) for f in (a, b))
+    pd.testing.assert_frame_equal(a, b)
+
+
+def test_approaching_ghost(honest):
+    """60 m ahead of the nearest neighbour, 5 m nearer in every message."""
+    tables = play([BY | {"attack": "approaching_ghost"}])
+    ghosts = lies_of(tables)
+    assert len(ghosts) == 6 * len(LIARS) and (ghosts.origin == FABRICATED).all()
+    world = tables["actors"].merge(ghosts, on="at", suffixes=("", "_ghost"))
+    ahead = (world.x_m_ghost - world.x_m)[(world.y_m - world.y_m_ghost).abs() < 1e-6]
+    for number in range(6):
+        assert np.isclose(ahead[world["at"] == number], 60.0 - 5.0 * number).any()
+    assert_others_untouched(tables, honest)
+
+
+def test_removal(honest):
+    tables = play([BY | {"attack": "removal"}])
+    rows = beside(tables, honest)
+    own = rows.observer.isin(WHO) & (rows.origin != SELF)
+    assert own.sum() > 50 and not rows.transmitted[own].any() and rows.transmitted[~own].all()
+    assert (rows.lied == own).all()
+
+
+def test_removal_of_the_victim_alone(honest):
+    tables = play([BY | {"attack": "removal", "only_victim": True, "victim": "random"}])
+    hidden = tables["detections"][~tables["detections"].transmitted]
+    assert 0 < len(hidden) and hidden.groupby(["at", "observer"]).truth_actor.nunique().max() == 1
+    assert (hidden.truth_iou > 0).all() and hidden.lied.all()
+
+
+@pytest.mark.parametrize("offset", ["constant", "random"])
+def test_offset(honest, offset):
+    tables = play([BY | {"attack": "offset", "offset": offset}])
+    rows = beside(tables, honest)
+    own = rows[rows.observer.isin(WHO) & (rows.origin == 0)]
+    east, north = own.x_m - own.x_m_was, own.y_m - own.y_m_was
+    for shift in (east.abs(), north.abs()):
+        assert shift.between(20 - 1e-6, 70 + 1e-6).all()
+    n_shifts = pd.DataFrame({"who": own.observer, "e": east.round(6)}).drop_duplicates().shape[0]
+    assert n_shifts == len(LIARS) if offset == "constant" else n_shifts > 0.9 * len(own)
+    assert own.lied.all() and len(lies_of(tables)) == len(own)
+    assert_others_untouched(tables, honest)
+
+
+def test_drift(honest):
+    """2 m/s for steps 0, 1, 2, ...: 0, 2, 4, then 5 m at most."""
+    tables = play([BY | {"attack": "drift", "speed_mps": 2.0, "max_m": 5.0}])
+    rows = beside(tables, honest)
+    own = rows[rows.observer.isin(WHO) & (rows.origin == 0)]
+    away = np.hypot(own.x_m - own.x_m_was, own.y_m - own.y_m_was)
+    np.testing.assert_allclose(away, np.minimum(2.0 * own["at"], 5.0), atol=1e-9)
+    assert (own.lied == (own["at"] > 0)).all()
+
+
+def test_mirror(honest):
+    tables = play([BY | {"attack": "mirror"}])
+    rows = beside(tables, honest)
+    own = rows[rows.observer.isin(WHO) & (rows.origin == 0)]
+    lane = 4.0 * (own.observer // 10)  # all head east
+    np.testing.assert_allclose(own.y_m - lane, -(own.y_m_was - lane), atol=1e-9)
+    np.testing.assert_allclose(own.x_m, own.x_m_was, atol=1e-9)
+    np.testing.assert_allclose(np.sin(own.yaw_rad), -np.sin(own.yaw_rad_was), atol=1e-9)
+
+
+@pytest.mark.parametrize(("attack", "keys", "column", "made"), [
+    ("heading", {"turn_deg": 30.0}, "yaw_rad", lambda r: np.angle(np.exp(1j * (r.yaw_rad_was + np.pi / 6)))),
+    ("size", {"factor": 1.5}, "length_m", lambda r: 1.5 * r.length_m_was),
+    ("score", {"claimed": 0.05}, "score", lambda r: np.full(len(r), 0.05)),
+    ("classification", {}, "class", lambda r: np.where(r["class_was"] == 0, 1, 0)),
+])  # fmt: skip
+def test_one_falsified_column(honest, attack, keys, column, made):
+    tables = play([BY | {"attack": attack} | keys])
+    rows = beside(tables, honest)
+    own = rows[rows.observer.isin(WHO) & (rows.origin == 0)]
+    np.testing.assert_allclose(own[column], made(own), atol=1e-9)
+    changed = (own.score - own.score_was).abs() > 0.1 if attack == "score" else np.full(len(own), True)
+    assert (own.lied == changed).all() and len(lies_of(tables)) == changed.sum() > 50
+    assert_others_untouched(tables, honest)
+
+
+def test_replay(honest):
+    """Every fabricated box is one that another vehicle sent at most 5 s before."""
+    tables = play([BY | {"attack": "replay", "n_objects": 4, "age_s": 3.0}])
+    lies = lies_of(tables)
+    assert 1 <= lies.groupby(["at", "observer"]).size().min() and lies.groupby(["at", "observer"]).size().max() <= 4
+    true = honest["detections"][["at", "observer", "x_m", "y_m", "score"]]
+    found = lies.merge(true, on=["x_m", "y_m", "score"], suffixes=("", "_made"))
+    assert set(found.index) and found.groupby(KEY).ngroups == len(lies)
+    age = found["at"] - found.at_made
+    assert age.between(1, 3).all() and (found.observer != found.observer_made).all()
+
+
+def test_stale(honest):
+    """The content of two messages ago, the vehicle itself included."""
+    tables = play([BY | {"attack": "stale", "n_messages": 2}])
+    found = tables["detections"]
+    mine = found[found.observer.isin(WHO) & found.transmitted & (found["at"] >= 2)]
+    was = honest["detections"]
+    was = was[was.observer.isin(WHO)].assign(at=lambda f: f["at"] + 2)
+    pairs = mine.merge(was, on=["at", "observer", "x_m", "y_m", "score"])
+    assert len(pairs) == len(mine) == (was["at"] < 6).sum()
+    reports = mine[mine.detection_index == 0]
+    assert len(reports) == 4 * len(LIARS) and reports.lied.all()
+
+
+@pytest.mark.verify
+def test_speed(honest):
+    tables = play([BY | {"attack": "speed"}], n_steps=40)
+    own = lies_of(tables)
+    error = own.speed_mps - 10.0
+    assert len(own) == 40 * len(LIARS) and error.abs().between(1, 7).all()
+    assert abs((error > 0).mean() - 0.5) < 5 * np.sqrt(0.25 / len(own))
+
+
+def test_self_reports_carry_speed_and_acceleration():
+    found = play(speeds=[10.0, 12.0, 9.0], n_steps=3)["detections"]
+    own = found[found.detection_index == 0]
+    assert own.groupby("at").speed_mps.unique().explode().tolist() == [10.0, 12.0, 9.0]
+    assert own.groupby("at").acceleration_mps2.unique().explode().tolist() == [0.0, 2.0, -3.0]
+    assert found[found.detection_index > 0][["speed_mps", "acceleration_mps2"]].isna().all().all()
+
+
+def test_braking():
+    """Braking with 3 m/s2 is told as 6 to 12; standing at one speed as 2 to 4."""
+    own = lies_of(play([BY | {"attack": "braking"}], n_steps=2, speeds=[12.0, 9.0]))
+    told = -own.acceleration_mps2
+    assert len(own) == 2 * len(LIARS)
+    assert told[own["at"] == 1].between(6, 12).all() and told[own["at"] == 0].between(2, 4).all()
+
+
+def test_stop():
+    """Once stopped, for good, at the place where it began; 5 % per message."""
+    found = play([BY | {"attack": "stop", "stop_p": 0.2}], n_steps=12)["detections"]
+    own = found[(found.detection_index == 0) & found.observer.isin(WHO)]
+    for _, one in own.groupby("observer"):
+        stands = (one.speed_mps == 0).to_numpy()
+        assert stands.any() and (np.diff(stands.astype(int)) >= 0).all()
+        assert one.x_m[stands].nunique() == 1 and one.lied[stands].all() and not one.lied[~stands].any()
+        assert one.x_m[~stands].nunique() == (~stands).sum()
+
+
+EVALUATION_KEY = ["at", "evaluator", "observer", "detection_index"]
+
+
+def reported(tables, honest):
+    rows = beside(tables, honest, "evaluations", EVALUATION_KEY)
+    others = rows[rows.evaluator.isin(WHO) & (rows.evaluator != rows.observer)]
+    untouched = rows.drop(others.index)
+    np.testing.assert_array_equal(untouched.evaluation, untouched.evaluation_was)
+    np.testing.assert_array_equal(untouched.visibility, untouched.visibility_was)
+    assert not untouched.lied.any() and len(others) > 50
+    changed = (others.evaluation * others.visibility - others.evaluation_was * others.visibility_was).abs() > 0.1
+    assert (others.lied == changed).all()
+    return others
+
+
+def test_bad_mouthing(honest):
+    rows = reported(play([BY | {"attack": "bad_mouthing"}]), honest)
+    spared = rows.observer.isin(WHO)
+    assert (rows.evaluation[~spared] == -1).all() and (rows.visibility[~spared] == 1).all()
+    assert (rows.evaluation[spared] == rows.evaluation_was[spared]).all()
+
+
+def test_bad_mouthing_of_one_victim(honest):
+    keys = {"attack": "bad_mouthing", "only_victim": True, "victim": "one", "victim_id": "v11"}
+    rows = reported(play([BY | keys]), honest)
+    hit = rows.observer == NAMES.index("v11")
+    assert hit.sum() > 5 and (rows.evaluation[hit] == -1).all()
+    assert (rows.evaluation[~hit] == rows.evaluation_was[~hit]).all()
+
+
+def test_ballot_stuffing(honest):
+    rows = reported(play([BY | {"attack": "ballot_stuffing"}]), honest)
+    friends = rows.observer.isin(WHO)
+    assert friends.any() and (rows.evaluation[friends] == 1).all() and (rows.visibility[friends] == 1).all()
+    assert (rows.evaluation[~friends] == rows.evaluation_was[~friends]).all()
+
+
+def test_collusion_in_rings_of_two(honest):
+    """v00 and v07 appear in one cell, as do v15 and v23: two rings, in the order of their numbers."""
+    rows = reported(play([BY | {"attack": "collusion", "ring_size": 2}]), honest)
+    ring = {0: 0, 7: 0, 15: 1, 23: 1}
+    friends = rows.observer.map(ring) == rows.evaluator.map(ring)
+    assert friends.any() and (rows.evaluation[friends] == 1).all() and (rows.evaluation[~friends] == -1).all()
+    assert (~friends & rows.observer.isin(WHO)).any(), "another ring is no friend"
+
+
+def test_discrimination(honest):
+    rows = reported(play([BY | {"attack": "discrimination", "group_p": 0.3}]), honest)
+    changed = (rows.evaluation != rows.evaluation_was) | (rows.visibility != rows.visibility_was)
+    group = rows.observer[changed].unique()
+    assert changed.any() and (rows.evaluation[rows.observer.isin(group)] == -1).all()
+    assert 0.05 < len(group) / N < 0.6
+
+
+def test_random_evaluations(honest):
+    rows = reported(play([BY | {"attack": "random_evaluations"}]), honest)
+    assert (rows.visibility == 1).all() and abs(rows.evaluation.mean()) < 5 / np.sqrt(3 * len(rows))
+    assert rows.evaluation.between(-1, 1).all() and rows.evaluation.nunique() > 0.99 * len(rows)
+
+
+def test_majority_copying(honest):
+    tables = play([BY | {"attack": "majority_copying"}])
+    rows = reported(tables, honest)
+    votes = honest["evaluations"]
+    votes = votes[~votes.evaluator.isin(WHO) & (votes.evaluator != votes.observer) & (votes.visibility > 0)]
+    votes = votes.assign(top=votes.evaluation * votes.visibility)
+    sums = votes.groupby(["at", "observer", "detection_index"])[["top", "visibility"]].sum()
+    mean = (sums.top / sums.visibility).rename("mean").reset_index()
+    rows = rows.merge(mean, on=["at", "observer", "detection_index"], how="left")
+    np.testing.assert_allclose(rows.evaluation, rows["mean"].fillna(0.0), atol=1e-9)
+    assert (rows.visibility[rows["mean"].isna()] == 0).all()
+
+
+def test_replayed_evaluations(honest):
+    rows = reported(play([BY | {"attack": "replayed_evaluations", "n_messages": 2}]), honest)
+    was = honest["evaluations"].assign(at=lambda f: f["at"] + 2)
+    rows = rows[rows["at"] >= 2].merge(was, on=EVALUATION_KEY, how="left", suffixes=("", "_old"))
+    known = rows.evaluation_old.notna()
+    known &= rows.visibility_old > 0
+    assert known.sum() > 50 and (rows.evaluation[known] == rows.evaluation_old[known]).all()
+    assert (rows.visibility[known] == rows.visibility_old[known]).all()
+    other = rows[~known]  # of the same sender where there is any, else of anybody; something that it saw
+    then = {
+        (t, v): set(zip(f.evaluation, f.visibility, strict=True))
+        for (t, v), f in was[was.visibility > 0].groupby(["at", "evaluator"])
+    }
+    assert len(other) > 50 and all(
+        (e, phi) in then[t, v]
+        for t, v, e, phi in zip(other["at"], other.evaluator, other.evaluation, other.visibility, strict=True)
+    )
+
+
+def test_evaluations_under_several_identities(honest):
+    """Three identities: each of the attackers' evaluations goes out three times, under three pseudonyms."""
+    tables = play([BY | {"attack": "bad_mouthing", "n_identities": 3}])
+    names = tables["pseudonyms"]
+    assert names[names.vehicle.isin(WHO)].groupby("vehicle").identity.apply(sorted).tolist() == [[0, 1, 2]] * len(LIARS)
+    said = tables["evaluations"].merge(names, left_on="evaluator", right_on="pseudonym")
+    said = said[said.vehicle.isin(WHO)]
+    assert (said.groupby(["at", "vehicle", "observer", "detection_index"]).identity.nunique() == 3).all()
+    sent = tables["radio"].groupby("message_type").n_sent.sum()
+    assert (sent == 6 * (N + 2 * len(LIARS))).all()
+
+
+def test_sybil(honest):
+    """Five ghosts per attacker, each with a pseudonym, a detection message and an evaluation message of its own."""
+    tables = play([BY | {"attack": "sybil"}])
+    names, found = tables["pseudonyms"], tables["detections"]
+    ghosts = found[~found.observer.isin(range(N))]
+    assert len(ghosts) == 6 * 5 * len(LIARS) and (ghosts.detection_index == 0).all() and ghosts.lied.all()
+    ghosts = ghosts.merge(names, left_on="observer", right_on="pseudonym")
+    assert (
+        set(ghosts.vehicle) == set(WHO)
+        and (ghosts.observer.groupby([ghosts["at"], ghosts.vehicle]).nunique() == 5).all()
+    )
+    own = found[found.detection_index == 0].set_index(["at", "observer"])
+    at = own.loc[list(zip(ghosts["at"], ghosts.vehicle, strict=True))]
+    number = ghosts.identity.to_numpy() - 1
+    np.testing.assert_allclose(ghosts.x_m, at.x_m.to_numpy() - 5.0 * (number // 2), atol=1e-9)
+    np.testing.assert_allclose(ghosts.y_m, at.y_m.to_numpy() + np.where(number % 2 == 0, 2.0, -2.0), atol=1e-9)
+    assert (tables["radio"].groupby("message_type").n_sent.sum() == 6 * (N + 5 * len(LIARS))).all()
+    heard = tables["receptions"].merge(names, left_on="sender", right_on="pseudonym")
+    assert (heard.groupby(["at", "message_type", "vehicle", "receiver"]).identity.nunique()[
+        lambda n: n.index.get_level_values("vehicle").isin(WHO)] == 6).all()  # fmt: skip
+    evaluated = tables["evaluations"]
+    assert evaluated.evaluator.isin(ghosts.observer).any() and evaluated.observer.isin(ghosts.observer).any()
+    trusted = tables["trust"]
+    assert trusted.subject.isin(ghosts.observer).any()
+
+
+def test_denial_of_service():
+    """Three copies of four vehicles' messages: 40 + 12 frames instead of 40, of the same bytes each."""
+    sections = {"radio": {"model": "csma"}}
+    plain, flooded = play(**sections), play([BY | {"attack": "denial_of_service", "n_copies": 3}], **sections)
+    n, m = (t["radio"][t["radio"].message_type == 0].set_index("at") for t in (plain, flooded))
+    assert (n.n_sent == N).all() and (m.n_sent == N + 3 * len(LIARS)).all()
+    assert (m.sent_bytes > 1.2 * n.sent_bytes).all() and m.cbr.mean() > 1.15 * n.cbr.mean()
+    heard = flooded["receptions"]
+    assert not heard.duplicated(["at", "message_type", "sender", "receiver"]).any()
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("model", ["unit_disk", "csma"])
+def test_delay(model):
+    sections = {"radio": {"model": model, "unit_disk": {"loss_p": 0.0}}}
+    plain, late = play(**sections), play([BY | {"attack": "delay", "delay_s": 0.2}], **sections)
+    a, b = (t["receptions"][t["receptions"].message_type == 0] for t in (plain, late))
+    pairs = b.merge(a, on=["at", "sender", "receiver"], suffixes=("", "_was"))
+    mine = pairs.sender.isin(WHO)
+    by = pairs.generation_offset_s - pairs.generation_offset_s_was
+    assert mine.sum() > 50
+    np.testing.assert_allclose(by[mine], 0.2, atol=1e-6)
+    np.testing.assert_allclose(by[~mine], 0.0, atol=1e-6)
+    too_late = play([BY | {"attack": "delay", "delay_s": 0.45}], **sections)["receptions"]
+    assert not too_late[too_late.message_type == 0].sender.isin(WHO).any()
+
+
+def test_server_flooding():
+    """A cell with room for about all honest reports: copies push others out."""
+    cell = {"delay_min_s": 0.001, "delay_mean_s": 0.002, "uplink_loss_p": 0.0, "cell_up_bytes_per_s": 400_000.0,
+            "cell_m": 1e5}  # fmt: skip
+    plain, flooded = (play(a, server={"cellular": cell})["server"] for a in ([], [BY | {
+        "attack": "server_flooding", "n_reports": 100}]))  # fmt: skip
+    assert plain.n_over_capacity.sum() == 0 and flooded.n_over_capacity.sum() > 100
+    assert (flooded.uplink_bytes > 5 * plain.uplink_bytes).all() and (flooded.n_reports == plain.n_reports).all()
+
+
+def test_share_0_changes_nothing(honest):
+    """All attacks at once, carried out by none: the same tables. Jamming is left out: this radio has no channel."""
+    tables = play([{"attack": attack, "share_p": 0.0} for attack in ATTACKS if attack != "jamming"])
+    assert tables.keys() == honest.keys()
+    for name in honest:
+        pd.testing.assert_frame_equal(tables[name], honest[name], check_exact=True)

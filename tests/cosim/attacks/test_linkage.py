@@ -1,0 +1,142 @@
+"""Pseudonyms that change, who links them, and what it costs an attacker."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.cosim.attacks.plain import NAMES, N, play
+
+LIARS = ["v00", "v07", "v15", "v23"]
+WHO = [NAMES.index(name) for name in LIARS]
+GHOST = {"ids": LIARS, "attack": "ghost_insertion", "ghosts": "car"}
+POLICIES = {
+    "periodical": {"period_s": 2.0}, "disposable": {"n_messages": 3}, "distance": {"distance_m": 25.0},
+    "random": {"change_p": 0.4}
+}  # fmt: skip
+NAMED = {"observer", "evaluator", "sender", "subject", "source", "pose", "pseudonym"}
+
+
+def with_vehicles(tables):
+    """All tables with vehicles in the place of their pseudonyms, in one order."""
+    names = tables["pseudonyms"].set_index("pseudonym").vehicle
+    renamed = {}
+    for table, rows in tables.items():
+        if table in ("pseudonyms", "observability"):
+            continue
+        rows = rows.copy()
+        for name in NAMED & set(rows.columns):
+            if not (table == "fused" and name == "observer"):
+                rows[name] = rows[name].map(names)
+        renamed[table] = rows.sort_values(list(rows.columns), kind="stable").reset_index(drop=True)
+    return renamed
+
+
+@pytest.fixture(scope="module")
+def constant():
+    return with_vehicles(play([GHOST], n_steps=8))
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("policy", POLICIES)
+def test_linkage_at_the_server_equals_no_policy_but_for_names(policy, constant):
+    """Bit for bit, in every table, though pseudonyms change several times."""
+    pseudonyms = {"policy": policy, "linkage": "server"} | POLICIES[policy]
+    tables = play([GHOST], n_steps=8, pseudonyms=pseudonyms)
+    assert tables["pseudonyms"].groupby("vehicle").size().mean() > 1.5
+    assert not set(tables["pseudonyms"].pseudonym) <= set(range(N))
+    found = with_vehicles(tables)
+    for name in constant:
+        pd.testing.assert_frame_equal(found[name], constant[name], check_exact=True, check_dtype=False)
+
+
+@pytest.mark.verify
+def test_sybil_identities_are_one_vehicle_to_a_linking_server():
+    attack = {"ids": LIARS, "attack": "bad_mouthing", "n_identities": 4}
+    linked = play([attack], pseudonyms={"linkage": "server"})
+    alone = play([attack | {"n_identities": 1}])
+    a, b = (t["trust"].set_index(["at", "subject"]).trust for t in (linked, alone))
+    assert len(a) > 100 and a.equals(b), "four identities of one vehicle count once"
+    many = play([attack])["trust"].set_index(["at", "subject"]).trust
+    honest = [i for i in range(N) if i not in WHO]
+    assert many[many.index.get_level_values("subject").isin(honest)].mean() < alone["trust"].set_index("subject").trust[
+        honest].mean(), "without linkage each identity counts"  # fmt: skip
+
+
+FAST, SLOW_STEPS = [500.0] * 8, {"traffic": {"step_s": 50.0}, "sensing_interval_s": 50.0}
+"""Everybody drives half a kilometre per step; steps of 50 s, so that rules in minutes and kilometres change names."""
+
+
+@pytest.mark.parametrize(
+    "policy", ["c2c", pytest.param("bsp", marks=pytest.mark.verify), pytest.param("scms", marks=pytest.mark.verify)]
+)
+def test_the_same_of_policies_in_minutes_and_kilometres(policy):
+    given = {"n_steps": 8, "speeds": FAST, "trust": {"freshness_s": 1000.0}} | (SLOW_STEPS if policy != "bsp" else {})
+    tables = play([GHOST], pseudonyms={"policy": policy, "linkage": "server"}, **given)
+    assert tables["pseudonyms"].groupby("vehicle").size().mean() > 1.05
+    found, constant = with_vehicles(tables), with_vehicles(play([GHOST], **given))
+    for name in constant:
+        pd.testing.assert_frame_equal(found[name], constant[name], check_exact=True, check_dtype=False)
+
+
+def trust_used(tables):
+    """Trust that receivers look up for attackers in the last four steps, and the share of defaults among it."""
+    names = tables["pseudonyms"].set_index("pseudonym").vehicle
+    used = tables["trust_lookups"]
+    used = used[used.subject.map(names).isin(WHO) & (used["at"] >= 8)]
+    return used.trust.mean(), (used.source == 2).mean()
+
+
+@pytest.mark.verify
+def test_whitewashing_beats_a_server_without_linkage_and_not_one_with_it():
+    attack = GHOST | {"renewal": "whitewashing", "renew_below": 0.45}
+    plain = trust_used(play([GHOST], n_steps=12))
+    free = trust_used(play([attack], n_steps=12))
+    held = trust_used(play([attack], n_steps=12, pseudonyms={"linkage": "server"}))
+    assert held == plain
+    assert free[0] > plain[0] and free[1] > 0.2 > plain[1]
+
+
+def test_linkage_on_demand_begins_with_the_accused_pseudonym():
+    pseudonyms = {"policy": "periodical", "period_s": 4.0, "linkage": "on_demand", "n_accusations": 5}
+    tables = play([GHOST], n_steps=12, pseudonyms=pseudonyms)
+    state = tables.state.pseudonyms
+    linked = np.flatnonzero(state.linked >= 0)
+    owners = tables.parts.pseudonyms.owners(state, state.linked[linked])[0]
+    assert (owners == linked).all()
+    assert set(WHO) & set(linked.tolist()) or not len(linked)
+
+
+def test_receivers_link_by_place_and_speed():
+    """All change every 3 s, drive straight on and are received every second: nearly all links are found, and right."""
+    pseudonyms = {"policy": "periodical", "period_s": 3.0, "linkage": "own"}
+    tables = play([GHOST], n_steps=10, pseudonyms=pseudonyms)
+    known = tables.state.known_senders
+    assert known.n_changes > 1000 and known.n_linked > 0.95 * known.n_changes
+    assert known.n_right > 0.95 * known.n_linked
+
+
+@pytest.mark.parametrize(("how", "first"), [("immediate", None), ("list", 6)])
+def test_revocation(how, first):
+    """Messages of attackers whose trust is below the limit are received no more."""
+    pseudonyms = {"revocation": how, "revoke_below": 0.45, "min_evaluations": 1, "list_every_s": 6.0}
+    tables = play([GHOST], n_steps=10, pseudonyms=pseudonyms)
+    names = tables["pseudonyms"].dropna(subset="refused_step")
+    assert len(names) > 0
+    trust = tables["trust"].set_index(["at", "subject"]).trust
+    for row in names.itertuples():
+        low = [at for at in range(10) if trust.get((at, row.pseudonym), 1.0) < 0.45]
+        assert row.refused_step == (low[0] if first is None else first)
+        used = tables["trust_lookups"].query("subject == @row.pseudonym")
+        assert used["at"].max() < row.refused_step
+        assert tables["evaluations"].query("observer == @row.pseudonym and evaluator != observer")["at"].max() < (
+            row.refused_step)  # fmt: skip
+
+
+def test_who_is_not_renewed_falls_silent_after_the_present_pseudonym():
+    pseudonyms = {"policy": "periodical", "period_s": 4.0, "revocation": "not_renewed", "revoke_below": 0.45,
+                  "min_evaluations": 1}  # fmt: skip
+    tables = play([GHOST], n_steps=12, pseudonyms=pseudonyms)
+    names = tables["pseudonyms"]
+    refused = names.dropna(subset="refused_step")
+    assert len(refused) > 0 and (refused.from_step == refused.refused_step).all() and (refused.from_step % 4 == 0).all()
+    assert set(refused.vehicle) <= set(tables["pseudonyms"].vehicle)

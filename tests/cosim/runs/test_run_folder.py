@@ -1,0 +1,136 @@
+"""Folders of runs: one run each, however many begin together; a killed run continues to the same tables."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from cosim.config.config import load
+from cosim.runs.check import check
+from cosim.runs.inputs import provenance
+from cosim.runs.manifest import Manifest
+from cosim.runs.run import resume, run
+from cosim.step.parts import sources
+from results.recorder import fingerprint
+from results.verify import verify
+from tests.drive import cosim, python
+from tests.hostile.scenes import write_trace
+from tests.processes import sets_of_trace
+
+CLAIM = """
+import json, os, sys, time
+from pathlib import Path
+from cosim.runs import folder as run_folder
+
+def claim(out):
+    try:
+        folder = run_folder.create(out, "town")
+    except ValueError as error:
+        return f"refused: {error}"
+    (folder.path / "manifest.json").write_text("{}")
+    time.sleep(1)
+    folder.release()
+    return str(folder.path)
+
+begin_s, ends = time.time() + 0.3, []
+for _ in range(12):
+    end, other = os.pipe()
+    ends.append(end)
+    if not os.fork():
+        time.sleep(max(0.0, begin_s - time.time()))
+        os.write(other, claim(Path(sys.argv[1]) if len(sys.argv) > 1 else None).encode())
+        os._exit(0)
+    os.close(other)
+print(json.dumps([os.read(end, 10_000).decode() for end in ends]))
+"""
+"""What each of twelve processes says that claim a folder at once."""
+
+
+def test_twelve_at_once_get_twelve_folders(tmp_path):
+    said = json.loads(python(CLAIM, cwd=tmp_path))
+    assert len(set(said)) == 12 and all((tmp_path / path).is_dir() for path in said), said
+
+
+def test_twelve_into_one_folder_are_one_run_and_refusals(tmp_path):
+    said = json.loads(python(CLAIM, "mine", cwd=tmp_path))
+    refused = [one for one in said if one.startswith("refused: ")]
+    assert len(refused) == 11 and "mine" in said and not any("\n" in one for one in refused), said
+
+
+SHORT = [
+    word for key in ("preset=v0.2", "traffic.duration_s=12", "traffic.warmup_s=60", "record.block_steps=4",
+                     "tracking.model=constant_velocity") for word in ("--set", key)
+]  # fmt: skip
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize(
+    ("signum", "medium"),
+    [(signal.SIGKILL, "csma"), (signal.SIGTERM, "csma"), (signal.SIGINT, "csma"), (signal.SIGKILL, "nr_mode2"),
+     (signal.SIGKILL, "lte_mode4")],
+)  # fmt: skip
+def test_a_resumed_run_has_the_tables_of_one_never_interrupted(tmp_path, signum, medium):
+    words = [*SHORT, "--set", f"radio.model={medium}"]
+    assert cosim("run", *words, "--out", "whole", cwd=tmp_path).returncode == 0
+    out = tmp_path / "broken"
+    run = subprocess.Popen(
+        [sys.executable, "-m", "cosim", "run", *words, "--out", str(out)], stderr=subprocess.PIPE, text=True
+    )
+    while run.poll() is None and not (out / "inventory.jsonl").exists():
+        time.sleep(0.02)
+    run.send_signal(signum)
+    _, said = run.communicate()
+    assert run.returncode == (-9 if signum == signal.SIGKILL else 128 + signum)
+    assert signum == signal.SIGKILL or ("cosim resume" in said and said.count("\n") == 1)
+    assert verify(out)[1] == []
+    done = cosim("resume", str(out))
+    assert done.returncode == 0, done.stderr
+    assert fingerprint(out) == fingerprint(tmp_path / "whole")
+    assert verify(out)[0]["status"] == "finished" and verify(out)[1] == []
+
+
+def begun(folder, sets):
+    """A folder in which a run has begun, and was killed before its config was on disk."""
+    folder.mkdir()
+    config = load(None, sets)
+    Manifest(folder, config, provenance(config, check(config)), sources(config)).begin()
+    (folder / "config.toml").unlink()
+    (folder / ".lock").touch()
+
+
+def test_a_run_killed_before_its_first_step_goes_on(tmp_path):
+    """Whatever is on disk by then: nothing, a part of the manifest, or the manifest alone."""
+    sets = sets_of_trace(write_trace(tmp_path))[1::2]
+    whole, early, later = (tmp_path / name for name in ("whole", "early", "later"))
+    run(load(None, sets), whole, lambda *_: None)
+    early.mkdir()
+    for name in (".lock", "manifest.json.partial"):
+        (early / name).touch()
+    begun(later, sets)
+    about, problems = verify(later)
+    assert (about["status"], about["steps"], problems) == ("killed", 0, [])
+    with pytest.raises(ValueError, match=r"already holds a run.*cosim resume"):
+        run(load(None, sets), later, lambda *_: None)
+    run(load(None, sets), early, lambda *_: None)
+    resume(later, lambda *_: None)
+    for folder in (early, later):
+        assert fingerprint(folder) == fingerprint(whole) and verify(folder)[1] == []
+        assert sorted(path.name for path in folder.iterdir()) == sorted(path.name for path in whole.iterdir())
+
+
+def test_a_config_that_is_another_by_now_is_not_gone_on_with(tmp_path):
+    begun(tmp_path / "run", sets_of_trace(write_trace(tmp_path))[1::2])
+    (tmp_path / "run" / "config.toml").write_text("seed = 4")
+    with pytest.raises(ValueError, match="was changed since"):
+        resume(tmp_path / "run", lambda *_: None)
+
+
+@pytest.mark.parametrize("section", [["trust.model=self_first"], ["trust_variant=[{name='own', model='self_first'}]"]])
+def test_a_model_that_needs_an_own_sweep_is_not_run_on_a_server(section):
+    with pytest.raises(ValueError, match=r'"self_first" .* host = "central" .* which has none') as error:
+        check(load(None, section))
+    assert "\n" not in str(error.value)
+    check(load(None, [*section, "trust.host=local"]))

@@ -1,0 +1,360 @@
+"""A stranger's scenario either runs or is refused in one line that names the file and the cause."""
+
+import gzip
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.traffic.remarks import FlowCounts, jumping, overlapping, traffic_remarks
+from cosim.traffic.scenario import find
+from cosim.world import World
+from results.verify import verify
+from sensors.boxes import Boxes
+from sensors.scene import Shape
+from tests.cosim.traffic import mixed_scenario
+from tests.cosim.traffic.worlds import live, same
+from tests.drive import cosim
+
+BOLOGNA = Path(__file__).parents[4] / "shared" / "nets" / "bologna"
+
+BOMB = '<!DOCTYPE a [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
+SPY = '<!DOCTYPE a [<!ENTITY a SYSTEM "file:///etc/hosts">]>'
+
+
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory):
+    return mixed_scenario.write(tmp_path_factory.mktemp("odd"), end=700)
+
+
+def edited(scenario, tmp_path, name, change):
+    """A copy of the scenario with one file changed."""
+    for path in scenario.parent.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    text = (tmp_path / name).read_text(encoding="utf-8")
+    (tmp_path / name).write_text(change(text), encoding="utf-8")
+    return tmp_path / scenario.name
+
+
+LOST = '<vehicle id="lost" depart="600"><route edges="nowhere"/></vehicle></routes>'
+LATE = '<vehicle id="before" depart="450"><route edges="db bc"/></vehicle>' + LOST
+"""SUMO reads 200 s ahead: at 250 s it goes on to the vehicle that cannot drive."""
+
+COMPLAINT = '<collision.action value="zz"/></processing>'
+"""SUMO reports this as an error, and continues."""
+
+SUNK = '><param key="top_z_m" value="-1"/></poly>'
+STATE = '<load-state value="gone.xml"/>'
+
+REFUSED = {
+    "a network with a bomb": ("odd net.net.xml", lambda t: BOMB + t[t.index("<net") :], "net.net.xml, line 1: decl"),
+    "demand with a bomb": ("odd.rou.xml", lambda t: BOMB + t, "odd.rou.xml, line 1: declares a document type"),
+    "demand that spies": ("odd.rou.xml", lambda t: SPY + t, "odd.rou.xml, line 1: declares a document type"),
+    "polygons with a bomb": ("odd.poly.xml", lambda t: BOMB + t, "odd.poly.xml, line 1: declares a document type"),
+    "a configuration with a bomb": ("odd.sumocfg", lambda t: BOMB + t, "odd.sumocfg, line 1: declares"),
+    "a torn configuration": ("odd.sumocfg", lambda t: t[:200], "odd.sumocfg, line"),
+    "a torn network": ("odd net.net.xml", lambda t: t[: t.rindex("<junction")], "odd net.net.xml"),
+    "a network cut in its head": ("odd net.net.xml", lambda t: t[: t.index("<edge")], "odd net.net.xml, line"),
+    "a torn additional file": ("odd.add.xml", lambda t: t[:40], "odd.add.xml"),
+    "no configuration": ("odd.sumocfg", lambda t: "<routes/>", "names no network"),
+    "missing demand": ("odd.sumocfg", lambda t: t.replace("odd.rou", "gone.rou"), "gone.rou.xml, which does not exist"),
+    "an unknown edge": ("odd.rou.xml", lambda t: t.replace('edges="db bc"', 'edges="db xx"'), "'xx'"),
+    "an unknown option": ("odd.sumocfg", lambda t: t.replace("verbose", "verbosity"), "verbosity"),
+    "a folder that is not there": ("odd.add.xml", lambda t: t.replace("loop", "gone/loop"), "gone/loop.xml' (No such"),
+    "a state that is not there": ("odd.sumocfg", lambda t: t.replace("<input>", "<input>" + STATE), "load-state names"),
+    "a house on its head": ("odd.poly.xml", lambda t: t.replace("/>", SUNK, 1), "polygon 'h': reaches from"),
+    "a house on the globe": ("odd.poly.xml", lambda t: t.replace("<poly", '<poly geo="true"', 1), "no projection"),
+    "a torn polygon file": ("odd.poly.xml", lambda t: t[:60], "odd.poly.xml"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_refused_before_anything_is_written(scenario, tmp_path, what):
+    name, change, says = REFUSED[what]
+    config = edited(scenario, tmp_path, name, change)
+    done = cosim("run", "--set", f"traffic.scenario={config}", "--set", "traffic.duration_s=5", "--out",
+                 str(tmp_path / "run"))  # fmt: skip
+    assert done.returncode == 2, (done.stdout, done.stderr)
+    assert says in done.stderr and done.stderr.count("\n") == 1 and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(("demand", "is_kept"), [(LATE, True), (LOST, False)])
+def test_demand_that_turns_out_wrong_later(scenario, tmp_path, demand, is_kept):
+    """SUMO reads demand bit by bit: what is recorded until then is kept; a folder without any step is removed."""
+    config = edited(scenario, tmp_path, "odd.rou.xml", lambda t: t.replace("</routes>", demand))
+    config.write_text(config.read_text().replace("</processing>", COMPLAINT))
+    sets = (f"traffic.scenario={config}", "traffic.warmup_s=100", "traffic.duration_s=550", "fleet.penetration_p=0")
+    out = tmp_path / "run"
+    done = cosim("run", *(word for s in sets for word in ("--set", s)), "--out", str(out))
+    assert done.returncode == 2
+    assert re.fullmatch(r"error: .*odd\.sumocfg: SUMO gives up: The edge 'nowhere'.*\n", done.stderr)
+    assert out.exists() == is_kept
+    if is_kept:
+        assert json.loads((out / "manifest.json").read_text())["status"] == "failed"
+        about, problems = verify(out)
+        assert about["steps"] in range(60, 550, 60) and problems == []
+
+
+def test_what_sumo_complains_of_though_it_goes_on_is_told(scenario, tmp_path):
+    config = edited(scenario, tmp_path, "odd.sumocfg", lambda t: t.replace("</processing>", COMPLAINT))
+    sets = (f"traffic.scenario={config}", "traffic.duration_s=5", "fleet.penetration_p=0")
+    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"))
+    assert done.returncode == 0
+    assert "note: SUMO continued after this error: Invalid collision.action 'zz'" in done.stderr
+
+
+def test_a_run_that_outlives_the_demand_says_so_and_counts_who_was_left_out(scenario, tmp_path):
+    sets = ("traffic.scenario=.", "traffic.duration_s=2000", "fleet.penetration_p=0")
+    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"), cwd=scenario.parent)
+    assert done.returncode == 0, done.stderr
+    first, second = done.stderr.splitlines()
+    assert "the traffic ended before the 2000 s asked for" in first
+    assert second == "note: left out, because they are not on the road: 1 rail, 1 ship."
+    summary = json.loads((tmp_path / "run" / "manifest.json").read_text())["summary"]
+    assert summary["actors_left_out"] == {"rail": 1, "ship": 1}
+    assert not list(scenario.parent.glob("*tripinfo*")) and not list(scenario.parent.glob("state*"))
+
+
+@pytest.mark.parametrize("name", ["odd.poly.xml", "shapes.add.xml", "shapes.xml.gz"])
+def test_polygons_become_buildings_where_the_world_is(scenario, tmp_path, name):
+    """One house of 20 x 15 m; the park is none. The origin is the network's middle, to the kilometre.
+
+    The street beside it climbs from 3 m to 23 m within 500 m; the house's middle is 110 m from the lower end, so that
+    it stands at 3 + 20 * 110 / 500 = 7.4 m, and is 7 m tall. Its walls reach down to the lower end.
+    """
+    config = edited(scenario, tmp_path, "odd.sumocfg", lambda t: t.replace("odd.poly.xml", name))
+    text = (tmp_path / "odd.poly.xml").read_bytes()
+    (tmp_path / name).write_bytes(gzip.compress(text) if name.endswith(".gz") else text)
+    found = find(str(config))
+    assert found.origin_m[0] == pytest.approx(-8_999_000, abs=1000) and found.origin_m[0] % 1000 == 0
+    city = found.city()
+    (house,) = city.footprints
+    west = -8_999_900 - found.origin_m[0]
+    assert house.bounds == (west, 130, west + 20, 145) and city.n_dropped == 0
+    assert city.buildings.base_m.tolist() == pytest.approx([3.0], abs=0.2)
+    assert city.buildings.top_m.tolist() == pytest.approx([14.4], abs=0.2)  # the street is set back at its ends
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("notes.txt", "", "no .sumocfg, folder or trace"),
+        ("bare/x", "", "a folder with no .sumocfg"),
+        ("made/recipe.toml", "name = ", "not a city that `cosim nets build` made"),
+        ("made/recipe.toml", 'name = "x"', "KeyError"),
+        ("run/manifest.json", "{}", "manifest.json is damaged"),
+        ("gone.sumocfg/x", "", "a folder with no .sumocfg"),
+    ],
+)
+def test_what_is_no_scenario(tmp_path, name, text, says):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text(text)
+    path = (tmp_path / name).parent if "/" in name else tmp_path / name
+    with pytest.raises(ValueError, match=r".") as caught:
+        find(str(path))
+    assert says in str(caught.value) and str(path) in str(caught.value)
+
+
+def test_what_is_no_trace(tmp_path):
+    with pytest.raises(ValueError, match="no such file or folder"):
+        find("helsinki", str(tmp_path / "gone.parquet"))
+    with pytest.raises(ValueError, match="neither a run folder nor a trace"):
+        find("helsinki", str(tmp_path))
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("city", ["bologna", "koenigs-wusterhausen"])
+def test_half_an_hour_without_a_warning(tmp_path, city):
+    if city == "bologna":
+        if not BOLOGNA.is_dir():
+            pytest.skip(f"{BOLOGNA} is not there")
+        city = str(BOLOGNA / "run.sumocfg")
+        before = sorted(BOLOGNA.iterdir())
+    sets = (f"traffic.scenario={city}", "traffic.duration_s=1800", "record.level=summary", "fleet.penetration_p=0.1")
+    done = cosim("run", *(word for s in sets for word in ("--set", s)), "--out", str(tmp_path / "run"))
+    assert done.returncode == 0 and done.stderr == ""
+    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+    assert manifest["steps"] == 1800 and manifest["summary"]["vehicles_on_road_mean"] > 50
+    if "/" in city:
+        assert sorted(BOLOGNA.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("file", "name"), [("osm.sumocfg", "Ghent"), ("run.sumocfg", "Ghent"), ("Scenario.sumocfg", "Ghent"),
+                       ("ghent-2.sumocfg", "ghent-2")],
+)  # fmt: skip
+def test_a_scenario_is_named_after_its_folder_where_the_file_name_is_a_common_word(scenario, tmp_path, file, name):
+    folder = tmp_path / "Ghent"
+    folder.mkdir()
+    edited(scenario, folder, "odd.sumocfg", lambda t: t).rename(folder / file)
+    assert find(str(folder / file)).name == find(str(folder)).name == name
+
+
+def test_traffic_that_begins_later_is_named_with_its_time(scenario, tmp_path):
+    def later(text):
+        return '<routes><vehicle id="v" depart="3:00:00"><route edges="ab bd"/></vehicle></routes>'
+
+    config = edited(scenario, tmp_path, "odd.rou.xml", later)
+    config.write_text(config.read_text().replace('<end value="700"/>', ""))
+    sets = (f"traffic.scenario={config}", "traffic.duration_s=20", "traffic.warmup_s=30", "fleet.penetration_p=1")
+    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"))
+    assert done.returncode == 0, done.stderr
+    assert "the first of the scenario departs at 10800 s. Set traffic.begin_s = 10770." in done.stderr
+
+
+@pytest.mark.parametrize("name", ["odd.sumo.cfg", "odd.cfg", "a,b/odd.sumocfg", "a,b/odd.sumo.cfg"])
+@pytest.mark.parametrize("by_folder", [False, True])
+def test_what_sumo_opens_is_opened(scenario, tmp_path, name, by_folder):
+    """A configuration by its content, and in a folder whose name has a comma, at which SUMO splits lists of files."""
+    folder = (tmp_path / name).parent
+    folder.mkdir(exist_ok=True)
+    edited(scenario, folder, "odd.sumocfg", lambda t: t).rename(tmp_path / name)
+    given = str(folder if by_folder else tmp_path / name)
+    assert find(given).name == "odd"
+    worlds, report = live(given, tmp_path / "worlds", 0, 8)
+    same(worlds, live(str(scenario), tmp_path / "plain", 0, 8)[0])
+    assert "sumo_errors" not in report
+
+
+@pytest.mark.parametrize(
+    "location", ["", '<location netOffset="0,0" convBoundary="0,0,0,0" origBoundary="0,0,0,0" projParameter="!"/>']
+)
+def test_a_network_that_does_not_say_how_far_it_reaches(scenario, tmp_path, location):
+    """Its bounds are those of its streets, of a road's width around the outermost nodes a, c and d."""
+    config = edited(scenario, tmp_path, "odd net.net.xml", lambda t: re.sub(r"<location [^>]*/>", location, t))
+    np.testing.assert_allclose(find(str(config)).bounds_m, (-9_000_000, 100, -8_999_200, 400), atol=15)
+    worlds, _ = live(str(config), tmp_path / "worlds", 0, 8)
+    assert len(worlds[-1]) > 0
+
+
+@pytest.mark.parametrize("file", ["stdout", "-", "STDOUT", "stderr", "STDERR"])
+def test_standard_output_belongs_to_the_command(scenario, tmp_path, file):
+    """Additional files may name it as the place of their outputs."""
+    edge_data = f'<additional><edgeData id="e" file="{file}" period="1"/></additional>'
+    config = edited(scenario, tmp_path, "odd.add.xml", lambda _: edge_data)
+    sets = (f"traffic.scenario={config}", "traffic.duration_s=5", "fleet.penetration_p=0", "sensing=false")
+    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"), "--json")
+    assert done.returncode == 0 and json.loads(done.stdout)["summary"]["streets"], done.stdout[:200]
+    assert "interval" not in done.stderr
+
+
+def test_provenance_names_every_file_and_notices_a_change(scenario, tmp_path):
+    config = edited(scenario, tmp_path, "odd.sumocfg", lambda t: t)
+    before = find(str(config)).provenance()
+    names = {key.removeprefix("sha256 ") for key in before if key.startswith("sha256 ")}
+    assert names == {"odd.sumocfg", "odd net.net.xml", "odd.rou.xml", "odd.add.xml", "odd.poly.xml"}
+    assert find(str(config)).changed_inputs(before) == []
+    with (tmp_path / "odd.rou.xml").open("a") as file:
+        file.write("\n")
+    assert find(str(config)).changed_inputs(before) == ["odd.rou.xml"]
+
+
+def test_a_run_is_replayed_from_elsewhere_and_a_changed_input_is_told(scenario, tmp_path):
+    """The config names its scenario relatively; the run's own config drives it again from another folder."""
+    city, elsewhere = tmp_path / "city", tmp_path / "elsewhere"
+    city.mkdir(), elsewhere.mkdir()
+    edited(scenario, city, "odd.sumocfg", lambda t: t)
+    (tmp_path / "mine.toml").write_text('[traffic]\nscenario = "city"\nduration_s = 5\n[fleet]\npenetration_p = 0.0\n')
+    done = cosim("run", "mine.toml", "--out", "one", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    done = cosim("run", str(tmp_path / "one" / "config.toml"), "--out", "two", cwd=elsewhere)
+    assert done.returncode == 0, done.stderr
+    with (city / "odd.poly.xml").open("a") as file:
+        file.write("\n")
+    done = cosim("run", "--set", f"traffic.scenario={tmp_path / 'one'}", "--set", "traffic.duration_s=5",
+                 "--set", "fleet.penetration_p=0", "--out", "three", cwd=elsewhere)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "note: changed since the replayed run was recorded: odd.poly.xml." in done.stderr
+
+
+def test_remarks_on_standing_and_waiting_vehicles():
+    summary = {"vehicles_standing_p": 0.52, "vehicles_waiting_to_enter_at_end": 457, "vehicles_on_road_mean": 900.0}
+    first, second = traffic_remarks(summary)
+    assert first.startswith("note: 52 % of the vehicles stand") and "457 vehicles wait to enter" in second
+    assert traffic_remarks(summary | {"vehicles_standing_p": 0.49, "vehicles_waiting_to_enter_at_end": 90}) == []
+    two_buses_at_a_stop = {"vehicles_standing_p": 0.6, "vehicles_on_road_mean": 5.0}
+    assert traffic_remarks(two_buses_at_a_stop) == []
+
+
+def test_only_pedestrians_is_said_and_no_departure_is_advised(scenario, tmp_path):
+    def walks(text):
+        return '<routes><person id="w" depart="2"><walk edges="ab"/></person></routes>'
+
+    config = edited(scenario, tmp_path, "odd.rou.xml", walks)
+    sets = (f"traffic.scenario={config}", "traffic.duration_s=9", "sensing=false")
+    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"))
+    assert done.returncode == 0 and "only pedestrians were on the road" in done.stderr, done.stderr
+    assert "begin_s" not in done.stderr
+
+
+def test_standing_vehicles_are_counted_by_hand():
+    """Two cars and a pedestrian over two steps: 0.05, 5 and 0 m/s, then 0, 0 and 0: three of four stand.
+
+    Both cars are at one point, four times in all: too few for a word.
+    """
+    counts = FlowCounts()
+    for speeds in ([0.05, 5.0, 0.0], [0.0, 0.0, 0.0]):
+        boxes = Boxes(np.zeros((3, 3)), np.ones((3, 3)), np.zeros(3))
+        shape = np.array([Shape.CAR, Shape.CAR, Shape.PEDESTRIAN], np.uint8)
+        nobody, n = np.zeros(3, bool), np.arange(3)
+        counts.add(World(0, n, n.astype(np.uint64), shape, boxes, np.array(speeds), nobody, nobody.astype(np.uint8)))
+    assert counts.report() == {"vehicles_standing_p": 0.75}
+
+
+def cars_at(*poses, length_m=4.0):
+    """Cars of 2 m width at x, y, height of the road, heading in degrees."""
+    x, y, z, yaw = np.array(poses, float).T
+    return Boxes(np.column_stack([x, y, z + 0.75]), np.tile([length_m, 2.0, 1.5], (len(x), 1)), np.radians(yaw))
+
+
+@pytest.mark.parametrize(
+    ("other", "n"),
+    [
+        ((0.0, 0.9, 0, 0), 2),  # beside it, 1.1 m inside
+        ((0.0, 1.1, 0, 0), 0),  # 0.9 m inside
+        ((2.9, 0.0, 0, 0), 2),  # behind it, 1.1 m inside
+        ((1.9, 0.0, 0, 90), 2),  # across: half a length and half a width reach 3 m
+        ((2.1, 0.0, 0, 90), 0),
+        ((0.0, 0.0, 4.5, 90), 0),  # on a bridge
+        ((0.0, 0.0, 0.9, 90), 2),  # on a ramp: 0.6 m of height in common
+    ],
+)
+def test_overlapping_vehicles_by_hand(other, n):
+    assert overlapping(cars_at((0, 0, 0, 0), other, (50, 0, 0, 0))).tolist() == [0, 1][:n]
+
+
+def test_traffic_that_no_vehicle_can_drive_is_noted():
+    """Ten cars in each of two steps: four at two points, two that overlap, four apart."""
+    apart = [(100.0 * k, 0, 0, 0) for k in range(1, 5)]
+    boxes = cars_at((0, 0, 0, 0), (0, 0, 0, 90), (0, 50, 0, 0), (0, 50, 0, 0), (0, 80, 0, 0), (0.5, 80, 0, 90), *apart)
+    counts, n, nobody = FlowCounts(), np.arange(10), np.zeros(10, bool)
+    shape = np.full(10, Shape.CAR, np.uint8)
+    for _ in range(3):
+        counts.add(World(0, n, n.astype(np.uint64), shape, boxes, np.full(10, 9.0), nobody, nobody.astype(np.uint8)))
+    told = counts.report()
+    assert told == {"vehicles_standing_p": 0.0, "vehicles_at_one_point_p": 0.4, "vehicles_overlapping_p": 0.2}
+    one, other = traffic_remarks(told)
+    assert "40% of the vehicles are at the exact position" in one and "20.00% of the vehicles overlap" in other
+    assert traffic_remarks(told | {"vehicles_at_one_point_p": 0.01, "vehicles_overlapping_p": 0.002}) == []
+
+
+def test_jumping_vehicles_by_hand():
+    """At 10 and 20 m/s over 0.5 s a vehicle moves 10 m at most, and 5 m are granted: 14 m are possible, 16 m are not.
+
+    The second car is new, and the last actor is a pedestrian.
+    """
+
+    def world(actors, x_m, speeds):
+        n, nobody = np.array(actors), np.zeros(len(actors), bool)
+        shape = np.where(n == 9, Shape.PEDESTRIAN, Shape.CAR).astype(np.uint8)
+        boxes = cars_at(*((x, 0, 0, 0) for x in x_m))
+        return World(0, n, n.astype(np.uint64), shape, boxes, np.array(speeds), nobody, nobody.astype(np.uint8))
+
+    before = world([1, 3, 4, 9], [0.0, 50.0, 0.0, 0.0], [10.0, 20.0, 10.0, 1.0])
+    now = world([1, 2, 3, 9], [14.0, 300.0, 66.0, 90.0], [20.0, 0.0, 10.0, 1.0])
+    assert now.actor[jumping(before, now, 0.5)].tolist() == [3]
+    (note,) = traffic_remarks({"vehicles_jumping_p": 0.007})
+    assert "0.70% of the vehicles move farther within a step than their speed allows" in note
+    assert traffic_remarks({"vehicles_jumping_p": 0.001}) == []

@@ -1,0 +1,66 @@
+"""From SUMO's pose to ours."""
+
+import numpy as np
+import pytest
+
+from cosim.traffic.actors import ActorRegistry
+from cosim.traffic.fleet import FleetParams
+from cosim.traffic.frame import Frame
+from cosim.traffic.source import world_from_bumpers
+from sensors.scene import Shape
+from tests.cosim.traffic import mixed_scenario
+from tests.cosim.traffic.worlds import live, same
+
+
+def pose(x, y, z, compass_deg, lwh):
+    registry = ActorRegistry(FleetParams(), seed=1)
+    number = registry.register(["a"], np.array([Shape.TRUCK], np.uint8), np.array([lwh], float), 0)
+    front_m, angle = np.array([[x, y, z]], float), np.array([compass_deg], float)
+    boxes = world_from_bumpers(0, number, front_m, angle, np.zeros(1), registry, Frame()).boxes
+    return boxes.xyz_m[0], boxes.lwh_m[0], boxes.yaw_rad[0]
+
+
+def test_turning_truck_by_hand():
+    """A 10 m truck, 3 m high, front bumper at (100, 50, 2), in a left turn, heading 300 degrees by compass.
+
+    300 degrees clockwise from north is 60 degrees west of north: direction (-sin 60, cos 60) = (-0.8660, 0.5);
+    counter-clockwise from east that is 150 degrees. The centre lies 5 m behind the bumper:
+    (100 + 4.3301, 50 - 2.5) = (104.3301, 47.5), and half the height, 1.5 m, above the road.
+    """
+    centre, lwh, yaw = pose(100, 50, 2, 300, (10.0, 2.5, 3.0))
+    np.testing.assert_allclose(centre, [104.33012701892, 47.5, 3.5], atol=2**-9)  # to 1/256 m
+    np.testing.assert_allclose(yaw, np.deg2rad(150), atol=2**-10)  # to 1/512 rad
+    assert lwh.tolist() == [10.0, 2.5, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("compass_deg", "yaw_deg"),
+    [(0, 90), (90, 0), (180, -90), (270, 180), (360, 90), (269.999, -179.999), (45, 45), (225, -135)],
+)
+def test_compass(compass_deg, yaw_deg):
+    """North is +90 degrees, east 0, south -90, and west exactly +180: yaw lies in (-pi, pi]."""
+    yaw = pose(0, 0, 0, compass_deg, (4.0, 2.0, 1.5))[2]
+    # 269.999 by compass is a hair south of west: 180.001 = -179.999 degrees.
+    np.testing.assert_allclose(yaw, np.deg2rad(yaw_deg), atol=2**-10)
+    assert -np.pi < yaw <= np.pi
+
+
+ASKS = """<random_number><random value="true"/><seed value="77"/></random_number>
+<traci_server><remote-port value="8813"/><num-clients value="2"/></traci_server>
+<routing><device.rerouting.threads value="4"/></routing><processing><threads value="4"/></processing><report>"""
+
+
+def test_clients_seeds_and_threads_that_a_configuration_asks_for_change_no_traffic(tmp_path):
+    """A seed of the clock's, clients that are to steer it, threads: a run of the same config gives the same tables."""
+    plain = live(str(mixed_scenario.write(tmp_path / "plain")), tmp_path / "worlds", 0, 40)[0]
+    config = mixed_scenario.write(tmp_path / "asks")
+    config.write_text(config.read_text().replace("<report>", ASKS))
+    same(live(str(config), tmp_path / "worlds", 0, 40)[0], plain)
+
+
+def test_what_sumo_complains_of_though_it_goes_on_is_told(tmp_path):
+    config = mixed_scenario.write(tmp_path)
+    assert "sumo_errors" not in live(str(config), tmp_path / "worlds", 0, 5)[1]
+    config.write_text(config.read_text().replace("</processing>", '<collision.action value="zz"/></processing>'))
+    report = live(str(config), tmp_path / "worlds", 0, 5)[1]
+    assert report["sumo_errors"] == ["Invalid collision.action 'zz'."]
