@@ -38,7 +38,7 @@ docs: $(READY) $(VENV)/.docs  ## The documentation site, in build/site; warnings
 	@echo "build/site/index.html"
 
 bench: $(READY)  ## Measure speed, with other implementations in the same run
-	$(BIN)/cosim bench
+	$(BIN)/python -m tests.bench
 
 extra: $(READY)  ## Install one of the extras of pyproject.toml: make extra NAME=open3d
 	@test -n "$(NAME)" || { echo "say which: make extra NAME=open3d (or embree, view, mesh, build)"; exit 2; }

@@ -140,3 +140,15 @@ def compass_deg(yaw_rad: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
     """
     degrees = np.mod(90.0 - np.degrees(np.asarray(yaw_rad, float)), 360.0)
     return np.where(degrees >= 360.0, 0.0, degrees)
+
+
+def corners_of(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 8 3"]:
+    """The corners that `box_of_corners` takes."""
+    along = 0.5 * np.array([[1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, -1],
+                            [1, -1, 1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1]])  # fmt: skip
+    local = along * box[:, None, 3:6]
+    cos, sin = np.cos(box[:, 6])[:, None], np.sin(box[:, 6])[:, None]
+    turned = np.stack(
+        [cos * local[..., 0] - sin * local[..., 1], sin * local[..., 0] + cos * local[..., 1], local[..., 2]], axis=-1
+    )
+    return turned + box[:, None, :3]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from cosim.addons.durations import metrics as durations
+from cosim.base.addons import Choices
 from cosim.base.codes import BASE_VARIANT
 from cosim.base.durable import Damaged
 from results.metrics import (
@@ -38,21 +38,23 @@ from results.run import Run
 if TYPE_CHECKING:
     from results.figures.style import Figure
 
-TOPICS: Mapping[str, ModuleType] = {
-    "encounters": encounters,
-    "durations": durations,
-    "trust": trust,
-    "misbehaviour": misbehaviour,
-    "security": security,
-    "evidence": evidence,
-    "evaluations": evaluations,
-    "freshness": freshness,
-    "radio": radio,
-    "detection": detection,
-    "attack": attack,
-    "contacts": contact_graph,
-    "safety": safety,
-}
+TOPICS: Mapping[str, ModuleType] = Choices(
+    "topic",
+    {
+        "encounters": encounters,
+        "trust": trust,
+        "misbehaviour": misbehaviour,
+        "security": security,
+        "evidence": evidence,
+        "evaluations": evaluations,
+        "freshness": freshness,
+        "radio": radio,
+        "detection": detection,
+        "attack": attack,
+        "contacts": contact_graph,
+        "safety": safety,
+    },
+)
 """Modules of metrics by topic, as `run.measure.<topic>`."""
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cosim.base.addons import hook
 from sumo_nets import sumo_package_nets
 from sumo_nets.network import lane_bounds_m
 from sumo_nets.xml import Attributes, Enough, stream
@@ -85,9 +86,7 @@ def find(name: str) -> Net:
         raise ValueError(f"network = {name!r} does not ship with cosim; there are: {', '.join(names())}")
     if name in shipped():
         return open_folder(_HERE / name)
-    from sumo_nets.build_from_sumo_package import folder_of
-
-    return open_folder(folder_of(name))
+    return open_folder(hook("package_city", f"network {name!r}, which is built on first use,")(name))
 
 
 def open_folder(folder: Path) -> Net:

@@ -48,11 +48,11 @@ NETS = {
 """The networks by name. SUMO's authors made them from OpenStreetMap, which is therefore attributed too."""
 
 _SOURCES = (
-    "build.py",
-    "build_from_sumo_package.py",
+    "../cosim/addons/netbuild/build.py",
+    "../cosim/addons/netbuild/build_from_sumo_package.py",
+    "../cosim/addons/netbuild/gate_flows.py",
     "demand.py",
     "density.py",
-    "gate_flows.py",
     "common/vtypes.add.xml",
 )
 """Files on which the generated folders depend."""
@@ -82,7 +82,7 @@ def cached_folder(net: PackageNet, source: Path) -> Path:
     """Where it is kept; the name contains a hash of the files on which its content depends."""
     here = Path(__file__).parent
     sources = (Path(__file__), *(here / name for name in _SOURCES))
-    about = net.name + "".join(_checksum(path) for path in (source, *sources))
+    about = net.name + "".join(_checksum(path) for path in (source, *sources) if path.is_file())
     return cache() / "nets" / f"{net.name}-{hashlib.sha256(about.encode()).hexdigest()[:12]}"
 
 

@@ -17,16 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from cosim import __version__
-from cosim.addons.benchmark import commands as benchmark
-from cosim.addons.cells import commands as cells
-from cosim.addons.compare import commands as validation
-from cosim.addons.export import commands as interchange
-from cosim.addons.law.commands import predict
-from cosim.addons.law.place_commands import place
-from cosim.addons.paper import commands as reproductions
-from cosim.addons.traces import commands as contacts
-from cosim.addons.traces import trace_commands as trace
-from cosim.addons.tryout import commands as extend
+from cosim.base.addons import addons, hook, loaded
 from cosim.base.durable import Damaged
 from cosim.cli import studies
 from cosim.cli.console import (
@@ -35,7 +26,6 @@ from cosim.cli.console import (
     notes,
     print_json,
     print_metrics,
-    print_rows,
     print_run_summary,
     progress,
     screen,
@@ -56,32 +46,27 @@ app = typer.Typer(
     help="Co-simulation of cooperative perception under trust at city scale.",
 )
 app.add_typer(nets, name="nets")
-app.add_typer(predict, name="predict")
-app.add_typer(place, name="place")
 studies.add_to(app)
-reproductions.add_to(app)
-validation.add_to(app)
-interchange.add_to(app)
-contacts.add_to(app)
-trace.add_to(app)
-extend.add_to(app)
-benchmark.add_to(app)
-cells.add_to(app)
+
+
+def _add_commands_of_addons() -> None:
+    """Add the commands that the installed add-ons bring, to the program or to one of its groups."""
+    groups = {"nets": nets}
+    for addon in addons().values():
+        for words, address in addon.commands.items():
+            group, _, name = words.rpartition(" ")
+            place, command = groups[group] if group else app, loaded(address)
+            if isinstance(command, typer.Typer):
+                place.add_typer(command, name=name)
+            else:
+                place.command(name)(command)
+
+
+_add_commands_of_addons()
 
 ConfigPath = Annotated[Path | None, typer.Argument(help="Config file (TOML). Without one, the default city is used.")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="Change one key of the config, e.g. radio.range_m=150. Repeatable.")
-]
-Cells = Annotated[
-    str,
-    typer.Option(
-        "--cells",
-        metavar="N|auto",
-        help="Cut the city into N cells, each with a process that senses and fuses there; auto: one per free core.",
-    ),
-]
-Scheduler = Annotated[
-    str | None, typer.Option(help="With --cells: address of a running Dask scheduler whose workers compute the cells.")
 ]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
 Picture = Literal[
@@ -152,18 +137,14 @@ def run(
         str | None,
         typer.Option(help="Write the same into a file meanwhile: .rrd for Rerun, or .mcap for Foxglove and ROS 2."),
     ] = None,
-    cells: Cells = "0",
-    scheduler: Scheduler = None,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
     """Simulate traffic, sensors, messages and trust, and write a run folder."""
-    from cosim.addons.cells.start import Cells as Wanted
     from cosim.config.config import load
     from cosim.runs import run as running
     from cosim.runs.check import remarks_on
 
-    wanted = Wanted.of(cells, scheduler)
     chosen = [] if preset is None else [f"preset={preset}"]
     experiment = load(config, chosen + (overrides or []), trust_code)
     for remark in remarks_on(experiment, config):
@@ -173,32 +154,28 @@ def run(
     target = "viewer" if watch else watch_file
     if target is None:
         with progress() as advance:
-            folder = running.run(experiment, out, advance, cells=wanted)
+            folder = running.run(experiment, out, advance)
     else:
-        from cosim.addons.export.live import Live
-
-        with progress() as advance, Live(experiment, target) as live:
-            folder = running.run(experiment, out, advance, on_step=live, cells=wanted)
+        live_view = hook("live", "cosim run --watch")
+        with progress() as advance, live_view(experiment, target) as live:
+            folder = running.run(experiment, out, advance, on_step=live)
     _conclude(folder, as_json)
 
 
 @app.command()
 def resume(
     folder: Annotated[Path, typer.Argument(help="Folder of a run that was interrupted or killed.")],
-    cells: Cells = "0",
-    scheduler: Scheduler = None,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
     """Continue a run from its last complete block. The tables equal those of a run without interruption."""
-    from cosim.addons.cells.start import Cells as Wanted
     from cosim.runs import run as running
     from results.study import is_study
 
     if is_study(folder):
         raise ValueError(f"{folder} is a study. Continue it with: cosim sweep {folder}/study.toml --out {folder}")
     with progress() as advance:
-        running.resume(folder, advance, trust_code=trust_code, cells=Wanted.of(cells, scheduler))
+        running.resume(folder, advance, trust_code=trust_code)
     _conclude(folder, as_json)
 
 
@@ -313,8 +290,7 @@ def measure(
     if studies.is_study(runs):
         studies.measure(runs[0], metrics or [], as_json)
         return
-    from cosim.addons.tryout.commands import own_metrics
-    from cosim.cli.side_by_side import engines_remark, of_variants, print_measures
+        from cosim.cli.side_by_side import engines_remark, of_variants, print_measures
     from results.measure import measure as all_metrics
 
     measured = own_metrics(metrics or [], sets or [])
@@ -441,33 +417,6 @@ def report(
     path = write(run, out or folder / "report.html")
     screen.print(f"wrote {path}", soft_wrap=True)
     _say_damage([run])
-
-
-@app.command()
-def bench(
-    only: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="Components to measure: sensors, trust, models, radio, mobility, cycle, studies. Without any, all "
-            "of them. `scale` alone measures how the cost grows with the number of vehicles."
-        ),
-    ] = None,
-    scenario: Annotated[str, typer.Option(help="scale: a city or a .sumocfg, as in traffic.scenario.")] = "helsinki",
-    trace: Annotated[str | None, typer.Option(help="scale: recorded traffic, as in traffic.trace.")] = None,
-    vehicles: Annotated[
-        str, typer.Option(help="scale: numbers of actors; the city is cropped to each of them.")
-    ] = "250,500,1000,2000,5000",
-    seconds: Annotated[int, typer.Option(min=1, max=3600, help="scale: simulated seconds to measure.")] = 5,
-    as_json: AsJson = False,
-) -> None:
-    """Measure the speed of the components on this machine."""
-    from tests.bench.suite import machine, run, run_scale
-
-    rows = run_scale(scenario, trace, vehicles, seconds) if only == ["scale"] else run(only or [])
-    if as_json:
-        print_json({"machine": machine(), "figures": rows})
-    else:
-        print_rows(machine(), rows)
 
 
 def main(command: Callable[..., int | None] = app) -> None:

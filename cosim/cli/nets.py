@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -57,16 +56,16 @@ def list_(
     """List the shipped cities, the cities of SUMO's package, and the cities in a folder and its subfolders."""
     from sumo_nets import catalogue, sumo_package_nets
 
-    rows = [_summary(catalogue.find(name)) | {"where": "cosim"} for name in catalogue.shipped()]
+    rows = [summary(catalogue.find(name)) | {"where": "cosim"} for name in catalogue.shipped()]
     for name, package_net in sorted(sumo_package_nets.NETS.items()):
         made = sumo_package_nets.made(name)
-        rows.append(_summary(catalogue.open_folder(made) if made else package_net) | {"where": "SUMO"})
+        rows.append(summary(catalogue.open_folder(made) if made else package_net) | {"where": "SUMO"})
     for parent in folders or [Path()]:
         if not parent.is_dir():
             raise ValueError(f"{parent} is not a folder. Give a folder in which cities were built.")
         for recipe in sorted({*parent.glob("recipe.toml"), *parent.glob("*/recipe.toml")}):
             try:
-                rows.append(_summary(catalogue.open_folder(recipe.parent)) | {"where": str(recipe.parent)})
+                rows.append(summary(catalogue.open_folder(recipe.parent)) | {"where": str(recipe.parent)})
             except ValueError as error:
                 notes.print(f"note: left out: {error}", highlight=False, markup=False, soft_wrap=True)
     if as_json:
@@ -102,9 +101,9 @@ def show(
         raise ValueError(f"{city} is a trace: there is no network to show. Give a city or a .sumocfg.")
     facts: dict[str, Any] = {"name": found.name}
     if city in catalogue.names():
-        facts |= _summary(catalogue.find(city))
+        facts |= summary(catalogue.find(city))
     elif (Path(city) / "recipe.toml").is_file():
-        facts |= _summary(catalogue.open_folder(Path(city)))
+        facts |= summary(catalogue.open_folder(Path(city)))
     else:
         files = [p for p in (found.sumocfg, found.net, *found.buildings, *found.types) if p is not None]
         x0, y0, x1, y1 = catalogue.bounds_m(found.net)
@@ -119,136 +118,11 @@ def show(
     facts["lanes"] = len(driven)
     facts["lane_km"] = round(sum(_length_m(lane.line_m) for lane in driven) / 1000, 1)
     facts["buildings"] = len(_footprints(found))
-    facts["picture"] = str(_draw(found, out or Path(f"{found.name}.png")))
-    _print_facts(facts, as_json)
+    facts["picture"] = str(draw(found, out or Path(f"{found.name}.png")))
+    print_facts(facts, as_json)
 
 
-@nets.command()
-def build(
-    out: Annotated[Path, typer.Option(help="Folder to write. `--set traffic.scenario=FOLDER` then simulates it.")],
-    osm: Annotated[
-        Path | None, typer.Option(help="OpenStreetMap file: .osm, .osm.gz, .osm.xml.gz or .osm.pbf.")
-    ] = None,
-    bbox: Annotated[
-        str | None,
-        typer.Option(
-            help="Bounding box west,south,east,north in degrees. With --osm, crop the file to it; otherwise download "
-            "it from Overpass."
-        ),
-    ] = None,
-    overpass: Annotated[
-        str | None, typer.Option(help="Use another Overpass service, such as http://host/api/interpreter.")
-    ] = None,
-    density: Annotated[float, typer.Option(help="Vehicles on the road per km of street and direction.")] = 2.0,
-    hour: Annotated[int, typer.Option(help="Hour of a working day, 0 to 23. Hour 16 is the busiest.")] = 16,
-    seed: Annotated[int, typer.Option(min=0, help="Random seed of the demand.")] = 1,
-    left_hand: Annotated[bool, typer.Option("--left-hand", help="Vehicles drive on the left.")] = False,
-    name: Annotated[str | None, typer.Option(help="Name of the city. The default is the folder's name.")] = None,
-    check: Annotated[bool, typer.Option(help="Simulate half an hour and report whether traffic flows.")] = True,
-    as_json: AsJson = False,
-) -> None:
-    """Build a city from OpenStreetMap: streets, traffic lights, pavements, buildings, demand and a traffic report."""
-    from cosim.addons.netbuild import build_from_osm, flow
-    from cosim.addons.netbuild.overpass import degrees
-    from cosim.traffic.scenario import find
-    from sumo_nets import catalogue
-    from sumo_nets.density import Density
-
-    if osm is None and bbox is None:
-        raise ValueError("cosim nets build needs --osm FILE, --bbox west,south,east,north, or both.")
-    if overpass is not None and (bbox is None or osm is not None):
-        raise ValueError("--overpass goes with --bbox west,south,east,north and without --osm. Leave it out.")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
-    if not density > 0 or density > 100:
-        raise ValueError(f"--density {density:g}: vehicles per km of street, more than 0 and at most 100.")
-    if not 0 <= hour <= 23:
-        raise ValueError(f"--hour {hour}: hours go from 0 to 23.")
-    wanted = Density(per_km=density, hour=hour, seed=seed)
-    with notes.status("building streets, buildings and demand ..."):
-        if osm is not None:
-            box = None if bbox is None else degrees(bbox)
-            losses = build_from_osm.from_osm(osm, out, wanted, name, left_hand, box)
-        else:
-            losses = build_from_osm.from_box(bbox or "", out, wanted, name, left_hand, overpass)
-    net = catalogue.open_folder(out)
-    picture = _draw(find(str(out)), out / PICTURE)
-    facts = _summary(net) | {"buildings": len(net.footprints()), "picture": str(picture)}
-    in_json = {kind: asdict(of) for kind, of in losses.streets.items()} | {"incomplete_ways": losses.n_incomplete}
-    facts["left_out"] = in_json if as_json else losses.text
-    if check:
-        with notes.status("driving it for half an hour ..."):
-            flows = flow.measure(net)
-        facts |= asdict(flows) | {"jammed": len(flows.jammed), "assessment": flows.assessment}
-    _print_facts(facts, as_json)
-
-
-@nets.command()
-def counts(
-    city: Annotated[str, typer.Argument(help="Name of a city, or folder that `nets build` wrote.")],
-    file: Annotated[
-        Path,
-        typer.Argument(
-            help="CSV file: per_hour, and edge or lon, lat, heading_deg. One hour of a day; lanes are added."
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="Folder to write. `--set traffic.scenario=FOLDER` then simulates it.")],
-    hold_out: Annotated[
-        float, typer.Option(min=0, max=0.9, help="Share of the places that are kept back, to judge the fit.")
-    ] = 0.2,
-    seed: Annotated[int, typer.Option(min=0, help="Random seed of the draw of routes and places.")] = 1,
-    as_json: AsJson = False,
-) -> None:
-    """Fit the demand of a city to traffic counts, and say how well it agrees, also where it was not fitted."""
-    from cosim.addons.netbuild import counts
-    from sumo_nets import catalogue
-
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
-    net = catalogue.find(city) if city in catalogue.names() else catalogue.open_folder(Path(city))
-    counted = counts.read(file, net.net_path)
-    back = counts.kept_back(counted, hold_out, seed)
-    fitted = {edge: value for edge, value in counted.items() if edge not in back}
-    with notes.status("drawing routes ..."):
-        drawn = counts.fit(net, fitted, out, seed)
-    with notes.status("driving the old and the new demand ..."):
-        before, after = (counts.driven(one, counted) for one in (net, catalogue.open_folder(out)))
-    groups = {
-        "fitted_drawn": (drawn, fitted), "fitted_before": (before, fitted), "fitted_driven": (after, fitted),
-        "kept_back_before": (before, back), "kept_back_driven": (after, back),
-    }  # fmt: skip
-    facts: dict[str, Any] = {"name": str(out), "vehicles_per_hour": catalogue.open_folder(out).vehicles_per_hour}
-    for name, (model, of) in groups.items():
-        found = counts.agreement(model, of)
-        facts[name] = asdict(found) if as_json else found.text
-    _print_facts(facts, as_json)
-
-
-@nets.command()
-def tile(
-    city: Annotated[str, typer.Argument(help="Name of a city, its folder, or a .sumocfg.")],
-    trace: Annotated[Path, typer.Option(help="Trace that SUMO wrote with --fcd-output in that city.")],
-    out: Annotated[Path, typer.Option(help="Folder to write.")],
-    tiles: Annotated[str, typer.Option(help="Copies from west to east x from south to north.")] = "2x2",
-    as_json: AsJson = False,
-) -> None:
-    """Put copies of a city and of its recorded traffic side by side, to see what a metropolis takes."""
-    from cosim.addons.netbuild.tiling import tile as tiled
-    from cosim.traffic.scenario import find
-
-    words = tiles.lower().split("x")
-    if len(words) != 2 or not all(word.isdecimal() and len(word) < 4 for word in words):
-        raise ValueError(f"--tiles {tiles}: give two numbers, for example 2x2.")
-    with notes.status("copying streets, buildings and traffic ..."):
-        n_most = tiled(find(city, str(trace)), int(words[0]), int(words[1]), out)
-    text = (
-        f"wrote {out}: at most {n_most:,} actors at one time. Run it with: cosim run --set traffic.scenario={out} "
-        f"--set traffic.trace={out / 'fcd.parquet'}"
-    )
-    print_done({"out": str(out), "most_actors": n_most}, text, as_json)
-
-
-def _summary(net: Net | PackageNet) -> dict[str, Any]:
+def summary(net: Net | PackageNet) -> dict[str, Any]:
     """Facts about a city, also about one that is generated when it is first used."""
     folder = getattr(net, "folder", None)
     files = [] if folder is None else [path for path in folder.iterdir() if path.is_file()]
@@ -266,7 +140,7 @@ def _summary(net: Net | PackageNet) -> dict[str, Any]:
     }
 
 
-def _draw(found: Scenario, path: Path) -> Path:
+def draw(found: Scenario, path: Path) -> Path:
     from results.figures import city, style
     from sumo_nets.network import lanes
 
@@ -322,7 +196,7 @@ LABELS = {
 """Labels and formats of the facts, in the order of the terminal's table. JSON uses the keys."""
 
 
-def _print_facts(facts: dict[str, Any], as_json: bool) -> None:
+def print_facts(facts: dict[str, Any], as_json: bool) -> None:
     if as_json:
         print_json(facts)
         return

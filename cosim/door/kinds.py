@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from cosim.addons.driver.drivers import DRIVERS
-from cosim.addons.export.formats import EXPORTERS
 from cosim.attacks.catalogue import ATTACKS
+from cosim.base.addons import Choices
 from cosim.door import returns
 from cosim.messages.pseudonyms import POLICIES
 from cosim.radio.medium import MEDIA
+from cosim.traffic.driver import DRIVERS
 from sensors.detector import DETECTORS
 from trust.models import MODELS
 
@@ -118,7 +118,7 @@ KINDS: dict[str, Kind] = {kind.name: kind for kind in (
         },
     ),
     Kind(
-        "exporter", "exporter", "", "", EXPORTERS, {"plan": Hook(("selection",), returns.plan)},
+        "exporter", "exporter", "", "", Choices("exporter", {}), {"plan": Hook(("selection",), returns.plan)},
     ),
     Kind("metric", "metric", "", "", {}, {"rows": Hook(("run",), returns.metric_rows)}),
 )}  # fmt: skip

@@ -1,14 +1,15 @@
 """The choice of radio medium."""
 
-from collections.abc import Callable
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
-from cosim.addons.sidelink.medium import lte_mode4, nr_mode2
+from cosim.base.addons import Choices
 from cosim.radio.csma import CsmaMedium
+from cosim.radio.link_cache import LinkCache
 from cosim.radio.message_round import MessageRound, Messages, RoundKind, Stations
 from cosim.radio.params import RadioParams
 from cosim.radio.unit_disk import UnitDiskMedium
@@ -50,15 +51,20 @@ class Medium(Protocol):
         """
 
 
+@runtime_checkable
+class LinksAhead(Protocol):
+    """A medium whose links of a round can be computed before the round."""
+
+    def links(self, stations: Stations, senders: Int[ndarray, "k"] | None = None) -> LinkCache:
+        """Links of these stations, or of the senders among them. The medium's state keeps them as `cache`."""
+
+
 def gap_s(medium: Medium, state: Any, stations: Stations) -> Float[ndarray, "n"]:
     """Least time between two frames of each station that congestion control allows now; 0 without it [s]."""
     return medium.gap_s(state, stations) if isinstance(medium, CsmaMedium) else np.zeros(len(stations))
 
 
-MEDIA: dict[str, Callable[[RadioParams, float, int, LosOfPlaces | None], Medium]] = {
-    "csma": CsmaMedium,
-    "nr_mode2": nr_mode2,
-    "lte_mode4": lte_mode4,
-    "unit_disk": UnitDiskMedium,
-}
+MEDIA: Mapping[str, Callable[[RadioParams, float, int, LosOfPlaces | None], Medium]] = Choices(
+    "medium", {"csma": CsmaMedium, "unit_disk": UnitDiskMedium}
+)
 """Media by the value of `radio.model`."""

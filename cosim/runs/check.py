@@ -8,16 +8,16 @@ import numpy as np
 
 from cosim.config.config import Config, chosen
 from cosim.config.effect import without_effect
-from cosim.traffic.driver import largest_step_s
+from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.runs.inputs import changed_inputs
+from cosim.step import mixed_perception
+from cosim.step.parts import check_choices
+from cosim.traffic.driver import largest_step_s
 from cosim.traffic.meshes import with_meshes
 from cosim.traffic.roadside import NO_UNITS, RoadsideUnits, place
 from cosim.traffic.scenario import Scenario, find
 from cosim.traffic.scene_summary import scene_summary
 from cosim.traffic.streetside import check_streets
-from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
-from cosim.step import mixed_perception
-from cosim.step.parts import check_choices
 from results.archive import read_manifest
 from sensors import lidar
 from sensors.boxes import Boxes

@@ -11,19 +11,15 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.attacks.params import rings_too_large
+from cosim.base.codes import DetectionFault, labels
 from cosim.config.config import Config
-from cosim.runs import checkpoint
-from cosim.runs import recording
-from cosim.addons.cells.perception import CellPerception
+from cosim.runs import checkpoint, recording
 from cosim.runs.checkpoint import CannotCheckpoint
 from cosim.runs.folder import RunFolder
 from cosim.runs.manifest import Manifest
 from cosim.runs.speed.ahead import Ahead
 from cosim.runs.speed.allocator import give_back_freed_memory, keep_freed_memory
 from cosim.runs.stop import StopRequest
-from cosim.traffic.actors import ActorRegistry
-from cosim.traffic.scenario import Scenario
-from cosim.traffic.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.step.cycle import step
 from cosim.step.parts import Parts, chosen
 from cosim.step.perception import Perception
@@ -31,8 +27,10 @@ from cosim.step.precomputed import NOTHING_PRECOMPUTED
 from cosim.step.result import StepResult
 from cosim.step.state import State
 from cosim.step.stopwatch import Stopwatch
+from cosim.traffic.actors import ActorRegistry
+from cosim.traffic.scenario import Scenario
+from cosim.traffic.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.world import World
-from cosim.base.codes import DetectionFault, labels
 from results.recorder import Recorder
 from sensors.scene import Scene, Shape
 
@@ -92,12 +90,11 @@ class Drive:
         keep_freed_memory()
         give_back_freed_memory()  # memory that reading the city took
         c, perception = self.parts.config, self.parts.perception
-        in_cells = isinstance(perception, CellPerception)
         has_room = isinstance(perception, Perception) and c.compute.threads != 1 and _CORES > 1
-        if c.driver.model != "none" or not (in_cells or has_room):
+        if c.driver.model != "none" or not has_room:
             self._run(None)  # the next world depends on the present step, or there is no second core
             return
-        with Ahead(self.parts, in_cells) as ahead:
+        with Ahead(self.parts) as ahead:
             self.manifest.timings_ahead_s = ahead.watch.seconds
             self._run(ahead)
 
@@ -302,10 +299,5 @@ def _pseudonym_summary(config: Config, state: State, n_messages: int) -> dict[st
 
 
 def _threads(parts: Parts, n_equipped: int) -> int:
-    """Threads for one step: the number in the config, or one per `_EQUIPPED_PER_THREAD` equipped vehicles.
-
-    The workers of cells take one core each.
-    """
-    n, perception = parts.config.compute.threads, parts.perception
-    free = max(1, _CORES - perception.crew.n_cells) if isinstance(perception, CellPerception) else _CORES
-    return min(n or max(1, n_equipped // _EQUIPPED_PER_THREAD), free)
+    """Threads for one step: the number in the config, or one per `_EQUIPPED_PER_THREAD` equipped vehicles."""
+    return min(parts.config.compute.threads or max(1, n_equipped // _EQUIPPED_PER_THREAD), _CORES)

@@ -5,8 +5,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim.runs.stop import Failed
 from cosim.base.durable import PARTIAL, Lock, is_lock
+from cosim.runs.stop import Failed
 from results.manifest import MANIFEST
 
 

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
+from cosim.base.durable import sha256
 from cosim.config.config import Config
 from cosim.traffic.scenario import Scenario
-from cosim.base.durable import sha256
 
 
 def provenance(config: Config, scenario: Scenario) -> dict[str, str]:

@@ -15,12 +15,12 @@ from typing import Any
 import tomli_w
 
 from cosim import __version__
-from cosim.config.config import Config
-from cosim.door.load import Source
-from cosim.runs.source import source
 from cosim.base import durable
 from cosim.base.codes import BASE_VARIANT, Role, labels
 from cosim.base.durable import sha256 as sha256
+from cosim.config.config import Config
+from cosim.door.load import Source
+from cosim.runs.source import source
 from results.inventory import Inventory
 from results.manifest import write_manifest
 from results.tables import SCHEMA_VERSION, kept
@@ -70,8 +70,6 @@ class Manifest:
     timings_s: dict[str, float] = field(default_factory=dict)
     timings_ahead_s: dict[str, float] = field(default_factory=dict)
     """Seconds per stage that a second thread computed ahead, in parallel with `timings_s`."""
-    cells: dict[str, Any] = field(default_factory=dict)
-    """What the cells of the city cost; empty without cells."""
     summary: dict[str, Any] = field(default_factory=dict)
     error: str = ""
     """Why the run failed."""
@@ -128,7 +126,6 @@ class Manifest:
             "timings_ahead_s": _rounded(self.timings_ahead_s),
             "summary": self.summary,
             "inventory": inventory.summary(kept(self.config.record.level)),
-            **({"cells": self.cells} if self.cells else {}),
             **({"lidar_engine": GRAZING} if self.config.lidar.engine != "columnar" else {}),
             **({"error": self.error} if self.error else {}),
             **({"resumed_at": self.resumed_at} if self.resumed_at else {}),

@@ -10,10 +10,13 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.attacks.params import roles_of
-from cosim.traffic.actors import ActorRegistry
-from cosim.traffic.schedule import Schedule
-from cosim.radio.message_round import FrameOutcomes, Outcome, Receptions, RoundKind
+from cosim.base.codes import EvaluationKind, LookupState, MessageType
 from cosim.base.ragged import ptr_of, stable_order
+from cosim.messages.content import FABRICATED, SELF, SENSED
+from cosim.messages.cpm_generation import Inclusion
+from cosim.messages.pseudonyms import PseudonymUse
+from cosim.messages.trust_hosts import Lookups, ServerTraffic
+from cosim.radio.message_round import FrameOutcomes, Outcome, Receptions, RoundKind
 from cosim.step.known import Known
 from cosim.step.parts import Parts
 from cosim.step.reactions import Reactions
@@ -25,12 +28,9 @@ from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.step.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
 from cosim.step.tracking import late_of
 from cosim.step.trust_stages import late_pseudonyms
-from cosim.messages.cpm_generation import Inclusion
-from cosim.messages.content import FABRICATED, SELF, SENSED
-from cosim.messages.pseudonyms import PseudonymUse
-from cosim.messages.trust_hosts import Lookups, ServerTraffic
+from cosim.traffic.actors import ActorRegistry
+from cosim.traffic.schedule import Schedule
 from cosim.world import World
-from cosim.base.codes import EvaluationKind, LookupState, MessageType
 from results.encounters import Rows, by_variant
 from sensors.boxes import Boxes
 from sensors.scene import Shape

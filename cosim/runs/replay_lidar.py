@@ -15,14 +15,14 @@ import shapely
 from jaxtyping import Int
 from numpy import ndarray
 
+from cosim.base import durable
 from cosim.config.config import Config, of_run_without_code
 from cosim.runs.inputs import changed_inputs
+from cosim.step.perception import swept
 from cosim.traffic.actors import actor_key
 from cosim.traffic.meshes import with_meshes
 from cosim.traffic.scenario import find
-from cosim.step.perception import swept
 from cosim.world import World
-from cosim.base import durable
 from results.figures import movie, scene, style
 from results.figures.sweep import draw
 from results.run import Run

@@ -13,31 +13,28 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from cosim.attacks.params import named, shares
+from cosim.base.durable import PARTIAL, Damaged, open_regular
 from cosim.config.config import Config, of_run
 from cosim.door.blame import ExtensionError
-from cosim.runs import checkpoint
-from cosim.runs import recording
+from cosim.runs import checkpoint, recording
 from cosim.runs import folder as run_folder
-from cosim.addons.cells.perception import CellPerception
-from cosim.addons.cells.start import NO_CELLS, Cells, in_cells, workers_for
 from cosim.runs.check import check, roadside_units, rsu_antennas
 from cosim.runs.drive import STATE_VERSION, Advance, Commands, Drive, OnStep, own_modules, warm_up
 from cosim.runs.folder import RunFolder
 from cosim.runs.inputs import provenance
 from cosim.runs.manifest import Manifest, versions
 from cosim.runs.stop import NOTHING_WRITTEN, Failed, Stopped, StopRequest
+from cosim.step.parts import Parts, sources
+from cosim.step.state import State
+from cosim.step.stopwatch import Stopwatch
+from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.meshes import with_meshes
 from cosim.traffic.remarks import traffic_remarks
 from cosim.traffic.scenario import Scenario
 from cosim.traffic.scene_summary import scene_summary
 from cosim.traffic.source import TrafficEnded, TrafficError, TrafficSource
-from cosim.step.parts import Parts, sources
-from cosim.step.state import State
-from cosim.step.stopwatch import Stopwatch
-from cosim.step.trackers.attack_start import AttackStartTracker
 from results import inventory
-from cosim.base.durable import PARTIAL, Damaged, open_regular
 from results.inventory import CHECKPOINT, Inventory
 from results.manifest import check_schema, problems, read_manifest
 from results.recorder import Recorder, is_state
@@ -47,7 +44,7 @@ from results.verify import links
 
 def run(
     config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None,
-    on_step: OnStep | None = None, cells: Cells = NO_CELLS,
+    on_step: OnStep | None = None,
 ) -> Path:  # fmt: skip
     """Run an experiment into a folder.
 
@@ -66,8 +63,6 @@ def run(
         are the same.
     on_step
         Called with the result of every recorded step, for example to show it.
-    cells
-        Worker processes, each of which senses for the vehicles of one part of the city. The tables are the same.
 
     Returns
     -------
@@ -82,10 +77,10 @@ def run(
     """
     out = None if out is None else out.expanduser()
     run_folder.check(out)
-    with StopRequest() as stop, workers_for(cells) as workers:
+    with StopRequest() as stop:
         scenario = check(config)
         parts, registry, traffic = load_parts(config, scenario, traffic_from)
-        with closing(traffic), in_cells(parts, scenario, cells, workers) as parts:
+        with closing(traffic):
             folder = run_folder.create(out, scenario.name)
             try:
                 manifest = Manifest(folder.path, config, provenance(config, scenario), sources(config))
@@ -105,9 +100,7 @@ def run(
     return folder.path
 
 
-def resume(
-    path: Path, advance: Advance, traffic_from: Path | None = None, trust_code: bool = False, cells: Cells = NO_CELLS
-) -> Path:
+def resume(path: Path, advance: Advance, traffic_from: Path | None = None, trust_code: bool = False) -> Path:
     """Continue a run that was killed or interrupted, from its last complete block.
 
     The tables equal those of a run without interruption. The traffic is simulated again from its beginning, because
@@ -124,8 +117,6 @@ def resume(
     trust_code
         Load the user's own classes that the run's config names. Without it, the run is refused, because the author of
         a folder can compute its checksums again after a change. Nothing else in the folder can name code.
-    cells
-        As in `run`. They need not be those of the run so far.
 
     Returns
     -------
@@ -144,7 +135,7 @@ def resume(
     if (now := provenance(config, scenario)) != manifest["net"]:
         changed = sorted(key for key in now.keys() | manifest["net"].keys() if now.get(key) != manifest["net"].get(key))
         raise ValueError(f"{path}: its inputs have changed since: {', '.join(changed)}. Run again.")
-    with StopRequest() as stop, workers_for(cells) as workers:
+    with StopRequest() as stop:
         folder = run_folder.reopen(path)
         try:
             if read_manifest(path)["status"] == "finished":
@@ -155,7 +146,7 @@ def resume(
             if problem := next((p for part in closed if (p := content_problem(path, part))), ""):
                 raise Damaged(f"{path} is damaged: {problem}. Run again.")
             parts, registry, traffic = load_parts(config, scenario, traffic_from)
-            with closing(traffic), in_cells(parts, scenario, cells, workers) as parts:
+            with closing(traffic):
                 went = Manifest(path, config, manifest["net"], sources(config), steps=found.end_step)
                 went.keep_config(manifest)
                 went.summary = scene_summary(scenario).lines
@@ -391,9 +382,7 @@ def _fail(drive: Drive, folder: RunFolder, message: str) -> bool:
 
 def _measured(drive: Drive) -> None:
     """Note in the manifest what the run cost."""
-    drive.manifest.timings_s, perception = drive.parts.watch.seconds, drive.parts.perception
-    if isinstance(perception, CellPerception):
-        drive.manifest.cells = perception.report()
+    drive.manifest.timings_s = drive.parts.watch.seconds
 
 
 _FEWEST_MESSAGES = 3.0

@@ -19,22 +19,22 @@ import pandas as pd
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.base.codes import Role, labels
 from cosim.config.config import Config, load, resolve_data, with_defaults
 from cosim.door.kinds import SECTIONS
 from cosim.runs import recording
 from cosim.runs import run as running
 from cosim.runs.check import check, notes_on
 from cosim.runs.drive import warm_up
-from cosim.traffic.scenario import Scenario, find
-from cosim.traffic.source import TrafficEnded, TrafficSource
 from cosim.step.cycle import step
 from cosim.step.mixed_perception import MixedImages
 from cosim.step.parts import Parts
 from cosim.step.result import StepResult
 from cosim.step.state import State
+from cosim.traffic.scenario import Scenario, find
+from cosim.traffic.source import TrafficEnded, TrafficSource
 from cosim.world import World
 from results.archive import OpenRun, open_run
-from cosim.base.codes import Role, labels
 from results.tables import TABLES
 from sensors.lidar import RangeImages
 

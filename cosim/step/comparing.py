@@ -214,10 +214,6 @@ class Compared:
     """By list."""
 
 
-Compares = Callable[..., tuple[Compared, Fuses]]
-"""A function as `compare`."""
-
-
 def compare(
     perception: AsksSweeps, sweeps: Any, known: KnownObjects, area: AreaParams, params: TrustParams,
     recall: Recall | None, watch: Stopwatch,

@@ -144,8 +144,6 @@ def _cycle(
     with watch("fuse"):
         evaluations = inbox.evaluations_used(exchange, evaluated, len(listed.objects))
         fused = trust_stages.fuse_objects(trust, matched, evaluations, looked_up, parts)
-        if precomputed.objects_are_fused is not None:
-            precomputed.objects_are_fused()
         received_cpms = joined([cpms.accepted.vehicles, *of_this_step(exchange, reports.late, RoundKind.CPM)])
         received = received_cpms, received_cpms if carries == RoundKind.CPM else carrier.receptions.vehicles
         inbox = inbox.next(exchange, listed, matched, evaluated, received)

@@ -23,7 +23,7 @@ from cosim.radio.medium import Medium
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
 from cosim.step.accuracy import SigmaOf
-from cosim.step.comparing import Compares, Recall, compare
+from cosim.step.comparing import Recall
 from cosim.step.early_fusion import EarlyFusion
 from cosim.step.mixed_perception import MixedPerception
 from cosim.step.perception import Perceives, Perception
@@ -65,8 +65,6 @@ class Parts:
     """Recall of the detector (`sensors.detector.KnowsRecall`); None unless denials are weighted by it."""
     coverage: Coverage | None = None
     """What a detector should find from another place; None unless evaluations are about missing objects."""
-    compare: Compares = compare
-    """Compares the detections that vehicles know with their sweeps."""
     certified: UInt64[ndarray, "c"] = field(default_factory=lambda: np.zeros(0, np.uint64))
     """Keys of the names of roadside units that are trusted by the class of their certificate."""
     watch: Stopwatch = field(default_factory=Stopwatch)

@@ -24,8 +24,6 @@ class Precomputed:
     """Takes the medium's state and returns it with the radio links between the stations of the step."""
     sweeps_are_read: Callable[[], None] | None = None
     """The step calls it when it has read its range images for the last time. Their memory may then be overwritten."""
-    objects_are_fused: Callable[[], None] | None = None
-    """The step calls it when cells have nothing more to do for it."""
 
 
 NOTHING_PRECOMPUTED = Precomputed()

@@ -493,7 +493,7 @@ def compare_objects(
         bodies=positioned.world.boxes.take(exchange.sensing.row),
         variance_m2=variance_m2,
     )  # fmt: skip
-    compared, grouped = parts.compare(parts.perception, sweeps, known, c.area, c.trust, parts.recall, parts.watch)
+    compared, grouped = compare(parts.perception, sweeps, known, c.area, c.trust, parts.recall, parts.watch)
     observer = senders.source[messages.detections.message[:n_now]]
     from_own_m = distance_m(objects.boxes.xyz_m, np.arange(n_now), sweeps.poses.origin_m, observer)
     from_own_m = np.concatenate([from_own_m, messages.earlier_m])

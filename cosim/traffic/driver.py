@@ -1,5 +1,6 @@
 """Interface of drivers, and the driver `none`, which never reacts."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Protocol
 
@@ -7,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
+from cosim.base.addons import Choices
 from cosim.world import World
 from sensors.boxes import Boxes
 
@@ -120,3 +122,7 @@ class DriverParams:
 def largest_step_s(driver: type) -> float | None:
     """Longest traffic step that a class of drivers can command [s]. None if the class does not define it."""
     return getattr(driver, "LARGEST_STEP_S", None)
+
+
+DRIVERS: Mapping[str, type] = Choices("driver", {"none": Unaffected})
+"""Classes of the included drivers, by their name in the config."""

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 from matplotlib.figure import Figure
 
-from cosim.addons.durations import figure as durations
+from cosim.base.addons import Choices
 from results.figures import (
     ages,
     attacks,
@@ -24,22 +24,24 @@ from results.figures import (
     trust,
 )
 
-FIGURES: Mapping[str, Callable[..., Figure]] = {
-    "trust": trust.draw,
-    "misbehaviour": misbehaviour.draw,
-    "security": security.draw,
-    "attacks": attacks.draw,
-    "delays": delays.draw,
-    "encounters": encounters.draw,
-    "durations": durations.draw,
-    "freshness": freshness.draw,
-    "radio": radio.draw,
-    "detection": detection.draw,
-    "map": map.draw,
-    "contacts": contacts.draw,
-    "safety": safety.draw,
-    "delivery": delivery.draw,
-    "ages": ages.draw,
-    "exclusion": exclusion.draw,
-    "stale": stale.draw,
-}
+FIGURES: Mapping[str, Callable[..., Figure]] = Choices(
+    "figure",
+    {
+        "trust": trust.draw,
+        "misbehaviour": misbehaviour.draw,
+        "security": security.draw,
+        "attacks": attacks.draw,
+        "delays": delays.draw,
+        "encounters": encounters.draw,
+        "freshness": freshness.draw,
+        "radio": radio.draw,
+        "detection": detection.draw,
+        "map": map.draw,
+        "contacts": contacts.draw,
+        "safety": safety.draw,
+        "delivery": delivery.draw,
+        "ages": ages.draw,
+        "exclusion": exclusion.draw,
+        "stale": stale.draw,
+    },
+)

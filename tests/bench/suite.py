@@ -33,7 +33,7 @@ def run(names: Sequence[str]) -> list[dict[str, Any]]:
         If there is no such benchmark.
     """
     if unknown := set(names) - set(BENCHES):
-        raise ValueError(f"cosim bench {' '.join(unknown)}: no such benchmark. There are {', '.join(BENCHES)}.")
+        raise ValueError(f"{' '.join(unknown)}: no such benchmark. There are {', '.join(BENCHES)}.")
     return [row for name in names or BENCHES for row in _rows(name, import_module(BENCHES[name]).bench())]
 
 

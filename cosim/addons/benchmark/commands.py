@@ -14,11 +14,6 @@ if TYPE_CHECKING:
     from cosim.addons.benchmark.evidence import EvidenceSet
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the command `benchmark`."""
-    app.command()(benchmark)
-
-
 def benchmark(
     model: Annotated[
         str | None, typer.Argument(metavar="[MODEL]", help="A model of your own, mine.py:Name, or one that ships.")

@@ -1,1 +1,12 @@
-"""Comparison of what cosim computes with published and measured values: `cosim validate`."""
+"""What cosim computes beside published and measured values: `cosim validate`.
+
+Question: which of its figures agree with the world? For everybody who cites one. Tests: `tests/addons/compare`.
+"""
+
+from cosim.base.addons import Addon
+
+ADDON = Addon(
+    commands={
+        "validate": "cosim.addons.compare.commands:validate",
+    },
+)

@@ -11,11 +11,6 @@ from rich.table import Column, Table
 from cosim.cli.console import AsJson, notes, print_json, progress, screen
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the command `validate`."""
-    app.command()(validate)
-
-
 def validate(
     only: Annotated[
         list[str] | None,

@@ -315,18 +315,6 @@ def _in_any_order(corner: Float[ndarray, "8 3"]) -> Float[ndarray, "7"]:
     ])  # fmt: skip
 
 
-def corners_of(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 8 3"]:
-    """The corners that `box_of_corners` takes."""
-    along = 0.5 * np.array([[1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, -1],
-                            [1, -1, 1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1]])  # fmt: skip
-    local = along * box[:, None, 3:6]
-    cos, sin = np.cos(box[:, 6])[:, None], np.sin(box[:, 6])[:, None]
-    turned = np.stack(
-        [cos * local[..., 0] - sin * local[..., 1], sin * local[..., 0] + cos * local[..., 1], local[..., 2]], axis=-1
-    )
-    return turned + box[:, None, :3]
-
-
 def moved(box: Float[ndarray, "n 7"], world_from_agent: Float[ndarray, "4 4"]) -> Float[ndarray, "n 7"]:
     """Boxes of an agent's frame in the world; the boxes stay upright."""
     turn = world_from_agent[:3, :3]

@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import shapely
@@ -15,7 +15,6 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.addons.export.folder import Folder
-from cosim.addons.export.formats import Exporter
 from cosim.base.earth import Projection
 from cosim.config.config import Config
 from cosim.config.single import from_command_line
@@ -40,6 +39,25 @@ IN_FLIGHT = 64
 
 SAMPLE = 16
 """Number of sweeps from which the mean number of returns is estimated."""
+
+
+class Exporter(Protocol):
+    """Writes a run in another tool's layout."""
+
+    @property
+    def TABLES(self) -> tuple[str, ...]:
+        """Tables that the run must hold; a class attribute will do."""
+        ...
+
+    def plan(self, selection: Selection) -> Plan:
+        """The files to write for some vehicles and steps of a run.
+
+        Raises
+        ------
+        ValueError
+            In one line, where these vehicles and steps will not do.
+        """
+        ...
 
 
 @dataclass(slots=True)

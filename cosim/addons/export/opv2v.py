@@ -25,9 +25,8 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from cosim.addons.datasets.recorded import corners_of
 from cosim.addons.export import kitti
-from results.frames import in_sensor
+from results.frames import corners_of, in_sensor
 from results.moments import BOX, NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit
 
 TABLES = kitti.TABLES

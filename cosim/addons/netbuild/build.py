@@ -15,6 +15,7 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import sumo_nets
 from cosim.addons.netbuild import buildings, buses, osm_files, streets
 from cosim.addons.netbuild.gate_flows import GateFlow, gate_flows, gate_trips
 from sumo_nets import demand, osm, sumotools
@@ -22,7 +23,7 @@ from sumo_nets.footprints import write_footprints
 from sumo_nets.ground import ground_of
 from sumo_nets.network import original_names
 
-_HERE = Path(__file__).parent
+_HERE = Path(str(sumo_nets.__file__)).parent
 VEHICLE_TYPES = _HERE / "common" / "vtypes.add.xml"
 _LOG = logging.getLogger("cosim.addons.netbuild.build")
 

@@ -12,6 +12,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import sumo_nets
 from cosim.addons.netbuild import build, osm_files, overpass
 from cosim.addons.netbuild.gate_flows import gate_flows, rates_at
 from cosim.addons.netbuild.osm_xml import check_form
@@ -20,7 +21,7 @@ from sumo_nets import demand
 from sumo_nets.density import Density, trips_per_hour
 from sumo_nets.xml import check_prolog
 
-_HERE = Path(__file__).parent
+_HERE = Path(str(sumo_nets.__file__)).parent
 _LOG = logging.getLogger("cosim.addons.netbuild.build_from_osm")
 
 

@@ -18,11 +18,6 @@ Row = dict[Any, Any]
 What = Literal["scenario-1", "scenario-2", "tables", "trust-levels"]
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the command `reproduce`."""
-    app.command()(reproduce)
-
-
 def reproduce(
     what: Annotated[What, typer.Argument(help="The scenario or experiment of the paper.")],
     out: Annotated[

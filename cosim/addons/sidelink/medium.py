@@ -81,8 +81,8 @@ class SidelinkMedium:
         happened = self._happened(plan, log, links, cache, stations, messages, begin_ns, busy)
         return replace(after, cache=cache), happened
 
-    def links(self, stations: Stations) -> LinkCache:
-        """Links and neighbours of these stations."""
+    def links(self, stations: Stations, senders: Int[ndarray, "k"] | None = None) -> LinkCache:
+        """Links and neighbours of these stations; each hears all, so that `senders` make no difference."""
         return LinkCache.of(stations, self.params, self.seed, self.los)
 
     @cached_property

@@ -30,11 +30,6 @@ if TYPE_CHECKING:
     from cosim.base.earth import Projection
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the command `trace`."""
-    app.command()(trace)
-
-
 def trace(
     files: Annotated[
         list[Path],

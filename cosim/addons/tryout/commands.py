@@ -1,27 +1,15 @@
 """Commands for authors of extensions: `new` writes an example, `try` checks a class."""
 
-from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from cosim.cli.console import plain, print_json, screen
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from results.run import Run
-
 Kind = Literal["trust", "attack", "policy", "medium", "detector", "driver", "exporter", "metric"]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
-
-
-def add_to(app: typer.Typer) -> None:
-    """Add the commands `new` and `try`."""
-    app.command()(new)
-    app.command("try")(try_)
 
 
 _PACKAGES = ("cosim", "sensors", "trust", "results", "sumo_nets")
@@ -93,26 +81,3 @@ def try_(
             screen.print(f"cost    {plain(report.cost_us)} microseconds per vehicle and call", soft_wrap=True)
     if not report.holds:
         raise typer.Exit(1)
-
-
-def own_metrics(names: list[str], sets: list[str]) -> "Callable[[Run], pd.DataFrame] | None":
-    """A function that measures the user's own metrics on a run; None if no metric is named."""
-    from cosim.config.single import from_command_line
-    from cosim.door.guard import make
-    from cosim.door.load import is_own
-    from results.own_metrics import measure_own
-
-    if not names:
-        if sets:
-            raise ValueError(f"--set {sets[0]} goes with a metric of your own, --metric mine.py:Name. Leave it out.")
-        return None
-    if strange := [name for name in names if not is_own(name)]:
-        raise ValueError(
-            f"--metric {strange[0]}: for a run, name a metric of your own, mine.py:Name. Those that ship are printed "
-            "without --metric; of a study, --metric chooses among them."
-        )
-    if sets and len(names) > 1:
-        raise ValueError(f"--set {sets[0]}: of which metric? With --set, name one --metric alone.")
-    chosen = [from_command_line("metric", name, sets) for name in names]
-    made = [make(choice, *params) for choice, params in chosen]
-    return lambda run: measure_own(run, made)

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from cosim.addons.export.export import export
 from cosim.addons.tryout.findings import Finding, Report, in_one_line
 from cosim.addons.tryout.play import BASE
 from cosim.addons.tryout.probe import difference
 from cosim.addons.tryout.scene import N_STEPS, STEP_S, TinyScene
+from cosim.base.addons import hook
 from cosim.config.config import load
 from cosim.config.single import from_command_line
 from cosim.door.guard import make
@@ -30,6 +30,7 @@ _LEVELS = "the length of the blocks in which tables were written changes nothing
 def try_exporter(name: str, sets: Sequence[str] = ()) -> Report:
     """Check an exporter."""
     choice, _ = from_command_line("exporter", name, sets)
+    export = hook("export", "cosim try of an exporter")
 
     def files(of: Run, out: Path) -> dict[str, bytes]:
         export(of, choice.source.name, out, sets=sets)

@@ -3,9 +3,8 @@
 Sweeps, radio links and near pairs depend on positions and on random draws with keys from names. They do not depend on
 earlier steps. If no driver commands the traffic, the next world is known early. The second thread then computes the
 radio links and near pairs of the next world while the present step sends, evaluates and records. It begins with the
-sweeps when the present step has read its own range images for the last time, because both use the same memory. So does
-each cell, as soon as it has compared. It fuses the objects of the present step meanwhile; this thread only waits for
-the sweeps. Compiled kernels run in parallel with Python code (`nogil`).
+sweeps when the present step has read its own range images for the last time, because both use the same memory.
+Compiled kernels run in parallel with Python code (`nogil`).
 
 The step gets these values as `cosim.step.precomputed.Precomputed`. A step of another world computes all of them itself.
 The values do not depend on the order in which the threads run.
@@ -15,17 +14,17 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from types import TracebackType
+from typing import Any
 
 import numba
 import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
-from cosim.addons.cells.perception import CellPerception
-from cosim.radio.csma import ChannelContext, CsmaMedium
+from cosim.base.kernel import threads_may_meet
 from cosim.radio.link_cache import LinkCache
+from cosim.radio.medium import LinksAhead
 from cosim.radio.message_round import Stations
-from cosim.addons.sidelink.medium import SidelinkMedium, SidelinkState
 from cosim.step.exchange import stations_of
 from cosim.step.parts import Parts
 from cosim.step.perception import Observed
@@ -33,7 +32,6 @@ from cosim.step.precomputed import Precomputed
 from cosim.step.stopwatch import Stopwatch
 from cosim.step.trackers.encounters import NearPairs
 from cosim.world import World
-from cosim.base.kernel import threads_may_meet
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +48,12 @@ class Ahead:
     """A thread that computes ahead for the steps of a run. It is a context manager; the thread ends with it.
 
     `expect` names the next world, and `of` returns what has been computed for a world. Only one thread may use it.
-    `senses_elsewhere` says that other processes compute the sweeps, so that this thread only waits for them.
     """
 
-    def __init__(self, parts: Parts, senses_elsewhere: bool = False) -> None:
+    def __init__(self, parts: Parts) -> None:
         self.watch = Stopwatch()
         """Seconds per stage that this thread has computed ahead."""
-        self._parts, self._senses_elsewhere = parts, senses_elsewhere
+        self._parts = parts
         self._thread = ThreadPoolExecutor(1, "ahead")
         self._begun: list[_Begun] = []
         """For the present step and the expected one at most."""
@@ -76,16 +73,12 @@ class Ahead:
             Begin its sweeps now, because the present step senses nothing. Otherwise they begin when the present step
             has read its own range images.
         """
-        may_meet = threads_may_meet()
-        if not world.equipped.any() or not (may_meet or self._senses_elsewhere):
+        if not world.equipped.any() or not threads_may_meet():
             return
         self._to_sense = world
-        if self._sensing is not None:
-            self._tell_cells()  # this thread collects the present sweeps before
-        # For few vehicles this is mostly Python code, which delays the present step. A step in cells waits for them.
-        if may_meet and (self._senses_elsewhere or numba.get_num_threads() > 1):
+        if numba.get_num_threads() > 1:  # for few vehicles this is mostly Python code, which delays the present step
             medium, links = self._parts.medium, None
-            if isinstance(medium, CsmaMedium | SidelinkMedium):
+            if isinstance(medium, LinksAhead):
                 links = self._thread.submit(self._links, medium, self._stations(world), self._senders(world))
             near_pairs = self._thread.submit(self._near_pairs, world)
             self._begun = [*self._begun[-1:], _Begun(world, near_pairs, links)]
@@ -100,8 +93,7 @@ class Ahead:
             near_pairs=None if found is None else found.near_pairs.result,
             observed=None if self._sensing is None else partial(self._observed, world, self._sensing),
             with_links=None if links is None else partial(_with_links, links),
-            sweeps_are_read=self._tell_cells if self._senses_elsewhere else self._begin_sensing,
-            objects_are_fused=self._begin_sensing if self._senses_elsewhere else None,
+            sweeps_are_read=self._begin_sensing,
         )
 
     def _begin_sensing(self) -> None:
@@ -109,11 +101,6 @@ class Ahead:
         if self._to_sense is not None:
             world, self._to_sense = self._to_sense, None
             self._sensing = world, self._thread.submit(self._sense, world, numba.get_num_threads())
-
-    def _tell_cells(self) -> None:
-        """Tell the cells the expected world. Each begins with its sweeps when it has compared, and fuses meanwhile."""
-        if (world := self._to_sense) is not None and isinstance(perception := self._parts.perception, CellPerception):
-            self._thread.submit(perception.begin, world, self._parts.sensing(world))
 
     def _observed(self, world: World, sensing: tuple[World, Future[Observed]]) -> Observed:
         """What vehicles perceive, when their sweeps are complete. Sweeps of another world are dropped."""
@@ -143,10 +130,10 @@ class Ahead:
         n_vehicles, n_units = len(equipped), len(self._parts.rsus)
         return np.append(np.searchsorted(equipped, self._parts.sensing(world)), n_vehicles + np.arange(n_units))
 
-    def _links(self, medium: CsmaMedium | SidelinkMedium, stations: Stations, senders: Int[ndarray, "k"]) -> LinkCache:
+    def _links(self, medium: LinksAhead, stations: Stations, senders: Int[ndarray, "k"]) -> LinkCache:
         numba.set_num_threads(1)  # the other core is the present step's
         with self.watch("links"):
-            return medium.links(stations) if isinstance(medium, SidelinkMedium) else medium.links(stations, senders)
+            return medium.links(stations, senders)
 
     def __enter__(self) -> "Ahead":
         return self
@@ -155,6 +142,6 @@ class Ahead:
         self._thread.shutdown(cancel_futures=True)
 
 
-def _with_links(links: Future[LinkCache], state: ChannelContext | SidelinkState) -> ChannelContext | SidelinkState:
+def _with_links(links: Future[LinkCache], state: Any) -> Any:
     """The medium's state with links that were computed ahead."""
     return replace(state, cache=links.result())

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from cosim.addons.datasets import kitti_folder, opv2v
 from cosim.addons.datasets.evaluate import evaluate, layout_of
-from cosim.addons.datasets.recorded import corners_of
+from results.frames import corners_of
 from cosim.addons.export.export import export
 from results.archive import open_run
 from results.metrics.kitti import average_precision

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.addons.export.formats import EXPORTERS
 from cosim.base.earth import Projection
+from cosim.door.kinds import KINDS
 from tests.addons.export import truck
 
 
@@ -29,6 +29,9 @@ def chosen(request, tmp_path_factory):
     run = truck.make(tmp_path_factory.mktemp("nothing") / "run", keep)
     assert not run.observability.step.isin(steps).any()
     return replace(truck.selection(run), projection=lambda: Projection(60.0, 25.0), steps=steps)
+
+
+EXPORTERS = KINDS["exporter"].shipped
 
 
 @pytest.mark.parametrize("form", EXPORTERS)

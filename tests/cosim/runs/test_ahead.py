@@ -3,8 +3,8 @@
 import numba
 import pytest
 
-from cosim.runs.speed.ahead import Ahead
 from cosim.addons.paper.scenarios import ScriptedScene
+from cosim.runs.speed.ahead import Ahead
 from cosim.step.cycle import step
 from cosim.step.state import State
 from results.recorder import fingerprint

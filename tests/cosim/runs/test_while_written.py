@@ -5,11 +5,11 @@ import shutil
 
 import pytest
 
+from cosim.base.durable import Damaged, Lock
 from cosim.config.config import load
 from cosim.runs import checkpoint
 from cosim.runs.run import resume, run
 from results.archive import open_run
-from cosim.base.durable import Damaged, Lock
 from results.measure import measure
 from results.progress import progress
 from results.verify import verify

@@ -32,7 +32,7 @@ REBUILD: dict[str, Any] = {
 """Options of netconvert. Unchanged, with signals of fixed timing, 15 to 25 of 100 trips teleport. Railways are removed:
 they reach far beyond the streets, and traffic enters and leaves where the streets end."""
 
-RECIPE = """# How the files were made; see sumo_nets/build_from_sumo_package.py.
+RECIPE = """# How the files were made; see cosim/addons/netbuild/build_from_sumo_package.py.
 name = "{name}"
 description = "{description}"
 licence = "{licence}"

@@ -1,1 +1,0 @@
-"""Cells: parts of the city whose vehicles sense in worker processes."""
