@@ -93,7 +93,7 @@ def test_rooms_import_the_foundation_and_not_each_other():
         if other not in (*ROOMS, "cosim.base", "tests") and not other.startswith("cosim.addons."):
             continue
         allowed = (
-            {me, "cosim.base"} if me in ROOMS and me != "cosim" or me == "cosim.base" else {me, "cosim.base", *ROOMS}
+            {me, "cosim.base"} if (me in ROOMS and me != "cosim") or me == "cosim.base" else {me, "cosim.base", *ROOMS}
         )
         if other not in allowed and not other.startswith("cosim.addons."):
             wrong.append(f"{path} imports {module}")

@@ -290,7 +290,8 @@ def measure(
     if studies.is_study(runs):
         studies.measure(runs[0], metrics or [], as_json)
         return
-        from cosim.cli.side_by_side import engines_remark, of_variants, print_measures
+        from cosim.cli.own_metrics import own_metrics
+    from cosim.cli.side_by_side import engines_remark, of_variants, print_measures
     from results.measure import measure as all_metrics
 
     measured = own_metrics(metrics or [], sets or [])
@@ -366,6 +367,8 @@ def plot(
     from results.figures.catalogue import FIGURES
 
     chosen: list[Run] = []
+    if what not in (*FIGURES, "sweep", "scene", "movie"):
+        raise ValueError(f"cosim plot {what} needs an add-on, and this installation lacks it. Install all of cosim.")
     if what == "sweep":
         from cosim.runs.replay_lidar import write
 

@@ -36,7 +36,7 @@ from cosim.radio.medium import gap_s
 from cosim.radio.message_round import LinkReceptions, MessageRound, Messages, RoundKind
 from cosim.step import object_lists
 from cosim.step.accuracy import sensors_of, stated
-from cosim.step.comparing import ROWS_PER_BOX, Compared, Fuses, KnownObjects, distance_m
+from cosim.step.comparing import ROWS_PER_BOX, Compared, Fuses, KnownObjects, compare, distance_m
 from cosim.step.exchange import Exchange, OnAir, Senders, Times, Vehicles, lists_of_identities
 from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections, lies_in_evaluations
 from cosim.step.known import Known, Pairs, Uses

@@ -1,0 +1,109 @@
+"""The core runs without add-ons, and nothing else misses a hidden one."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cosim.base.addons import Choices, addons, hook, loaded
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("cosim", "sensors", "trust", "results", "sumo_nets")
+ADDONS = sorted(addons())
+SHORT = ("traffic.duration_s=3", "traffic.warmup_s=60", "trust.server_period_s=1")
+SETS = [word for key in SHORT for word in ("--set", key)]
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory):
+    """A copy of the packages from which all add-ons are deleted. Compiled kernels come along."""
+    folder = tmp_path_factory.mktemp("bare")
+    for name in PACKAGES:
+        shutil.copytree(ROOT / name, folder / name)
+    for name in ADDONS:
+        shutil.rmtree(folder / "cosim" / "addons" / name)
+    return folder
+
+
+def carry_out(packages, *words):
+    """Run a command of the packages in a folder, in that folder."""
+    command = [sys.executable, "-m", "cosim", *map(str, words)]
+    env = os.environ | {"PYTHONPATH": str(packages)}
+    return subprocess.run(command, capture_output=True, text=True, cwd=packages, env=env, timeout=300)
+
+
+def test_every_address_of_every_addon_leads_to_code():
+    for name, addon in addons().items():
+        addresses = [
+            *addon.commands.values(),
+            *addon.hooks.values(),
+            *(at for of in addon.choices.values() for at in of.values()),
+        ]
+        assert addresses, f"{name} adds nothing"
+        assert all(at.startswith(f"cosim.addons.{name}.") for at in addresses)
+        assert all(loaded(at) is not None for at in addresses)
+
+
+def test_the_cores_own_choices_come_first():
+    found = Choices("trust", {"mine": int})
+    assert next(iter(found)) == "mine"
+    assert found["mine"] is int
+    assert "mate" in found and len(found) > 10
+
+
+def test_a_missing_hook_is_said_in_one_line():
+    with pytest.raises(ValueError, match="cosim fly needs an add-on"):
+        hook("fly", "cosim fly")
+
+
+def test_without_addons_the_core_runs_measures_draws_and_reports(bare, tmp_path):
+    run, study = tmp_path / "run", tmp_path / "study.toml"
+    study.write_text(
+        'name = "tiny"\n[sweep]\n"trust.freshness_s" = [5.0, 10.0]\n[base.traffic]\nduration_s = 3\nwarmup_s = 60\n'
+        "[base.trust]\nserver_period_s = 1\n"
+    )
+    for words in (
+        ("run", *SETS, "--out", run),
+        ("measure", run),
+        ("plot", "trust", run),
+        ("report", run),
+        ("verify", run),
+        ("nets", "list"),
+        ("sweep", study, "--out", tmp_path / "out"),
+        ("measure", tmp_path / "out"),
+    ):
+        done = carry_out(bare, *words)
+        assert done.returncode == 0, f"{words}: {done.stderr}"
+    assert (run / "report.html").is_file() and (run / "trust.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("run", "--set", "trust.model=mate"), "mate"),
+        (("run", "--set", "radio.model=nr_mode2"), "nr_mode2"),
+        (("run", "--set", "driver.model=cautious"), "cautious"),
+        (("run", "--watch"), "needs an add-on"),
+        (("plot", "durations", "nowhere"), "durations"),
+        (("export", "kitti", "nowhere", "--out", "x"), "export"),
+    ],
+)
+def test_what_a_deleted_addon_would_bring_is_refused_in_one_line(bare, words, said):
+    done = carry_out(bare, *words)
+    assert done.returncode == 2, done.stderr
+    assert said in done.stderr and done.stderr.count("\n") == 1, done.stderr
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("name", ADDONS)
+def test_each_deleted_in_turn(name, tmp_path):
+    """The others still bring their commands, and a run is as before."""
+    for package in PACKAGES:
+        shutil.copytree(ROOT / package, tmp_path / package)
+    shutil.rmtree(tmp_path / "cosim" / "addons" / name)
+    assert carry_out(tmp_path, "--help").returncode == 0
+    done = carry_out(tmp_path, "run", *SETS, "--out", tmp_path / "run")
+    assert done.returncode == 0, done.stderr
