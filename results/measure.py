@@ -58,7 +58,7 @@ TOPICS: Mapping[str, ModuleType] = Choices(
 """Modules of metrics by topic, as `run.measure.<topic>`."""
 
 
-class Row(NamedTuple):
+class MeasuredRow(NamedTuple):
     """A metric's value; rows of a run without interval have none."""
 
     name: str
@@ -123,25 +123,25 @@ def measure(
         "attack": lambda: _attack(run),
         "safety": lambda: _safety(run),
     }
-    rows: list[Row] = []
+    rows: list[MeasuredRow] = []
     for topic in topics:
         if topic not in ask:
             raise ValueError(f"There is no topic {topic!r}. The topics are {', '.join(ask)}.")
         try:
             for row in ask[topic]():
-                made = Row(*row)
+                made = MeasuredRow(*row)
                 rows.append(made._replace(name=f"{topic}.{made.name}"))
         except ValueError as reason:
             if isinstance(reason, Damaged) and str(reason) not in run.damage:
                 run.damage.append(str(reason))
-            rows.append(Row(f"{topic}.not_measured", str(reason), np.nan))
+            rows.append(MeasuredRow(f"{topic}.not_measured", str(reason), np.nan))
     return pd.DataFrame(
         [(*row[:-1], METRICS[row.name].unit, METRICS[row.name].label, _note(row)) for row in rows],
         columns=COLUMNS,
     )
 
 
-def _note(row: Row) -> str:
+def _note(row: MeasuredRow) -> str:
     """The note on a value, with a warning if it rests on too few units."""
     few = ""
     if 0 < row.n_units < FEW:
@@ -199,8 +199,10 @@ class Topic:
         return FIGURES[self._topic]([self._run], **options)
 
 
-def _rows(frame: pd.DataFrame, group: str, metrics: Mapping[str, str], interval: str | None = None) -> Iterator[Row]:
-    """One `Row` for each row and metric column with a value. `group` is a template that the row fills in.
+def _rows(
+    frame: pd.DataFrame, group: str, metrics: Mapping[str, str], interval: str | None = None
+) -> Iterator[MeasuredRow]:
+    """One `MeasuredRow` for each row and metric column with a value. `group` is a template that the row fills in.
 
     A column may have interval columns (`intervals.columns`). `interval` names the column to which the columns low, high
     and n_units belong.
@@ -211,7 +213,7 @@ def _rows(frame: pd.DataFrame, group: str, metrics: Mapping[str, str], interval:
         for row in rows:
             if pd.notna(row[column]):
                 beside = (row.get(f"{column}_{end}", np.nan) for end in ("low", "high", "units"))
-                found = Row(metric, group.format_map(row), float(row[column]), *beside)
+                found = MeasuredRow(metric, group.format_map(row), float(row[column]), *beside)
                 if column == interval:
                     found = found._replace(low=row["low"], high=row["high"], n_units=row["n_units"])
                 yield found
@@ -222,18 +224,18 @@ def _named(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(definition=encounters.named(frame))
 
 
-def _traffic(run: Run) -> Iterator[Row]:
+def _traffic(run: Run) -> Iterator[MeasuredRow]:
     vehicles = run.vehicles[run.vehicles.vehicle_class != "roadside_unit"]
     time_s = run.manifest["steps"] * run.dt_s
     on_road = (vehicles.last_step - vehicles.first_step + 1) * run.dt_s / time_s
-    yield Row("duration_s", "", time_s)
-    yield Row("actors.mean", "all", float(on_road.sum()))
-    yield Row("actors.mean", "equipped", float(on_road[vehicles.equipped].sum()))
+    yield MeasuredRow("duration_s", "", time_s)
+    yield MeasuredRow("actors.mean", "all", float(on_road.sum()))
+    yield MeasuredRow("actors.mean", "equipped", float(on_road[vehicles.equipped].sum()))
     for role, n in run.roles.value_counts().sort_index().items():
-        yield Row("equipped.n", str(role), float(n))
+        yield MeasuredRow("equipped.n", str(role), float(n))
 
 
-def _encounters(run: Run) -> Iterator[Row]:
+def _encounters(run: Run) -> Iterator[MeasuredRow]:
     frame = _named(encounters.summary(run))
     yield from _rows(frame, "{definition}", {
         "n": "n", "censored_left": "censored_left.share", "censored_right": "censored_right.share",
@@ -242,7 +244,7 @@ def _encounters(run: Run) -> Iterator[Row]:
     })  # fmt: skip
 
 
-def _trust(run: Run) -> Iterator[Row]:
+def _trust(run: Run) -> Iterator[MeasuredRow]:
     idle = _idle_roles(run)
     for row in (
         *_rows(trust.final(run), "{role}", {"median": "final.median", "mean": "final.mean"}),
@@ -259,7 +261,7 @@ def _idle_roles(run: Run) -> set[str]:
     }
 
 
-def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterator[Row]:
+def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterator[MeasuredRow]:
     yield from _rows(misbehaviour.below(run, threshold), "{role}", {
         "share": "below_threshold.share", "evaluated_share": "below_threshold.evaluated_share",
     })  # fmt: skip
@@ -273,7 +275,7 @@ def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterato
     })  # fmt: skip
     yield from _rows(frame[:1], "", {"threshold": "fpr_threshold"})
     if not np.isnan((final := misbehaviour.separation(run)).value):
-        yield Row("auc_final", "", *final)
+        yield MeasuredRow("auc_final", "", *final)
     limit, kept = float(frame.threshold.iloc[0]), trust.kept_at(run)
     if np.isnan(limit):
         return
@@ -286,7 +288,7 @@ def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterato
         })  # fmt: skip
 
 
-def _at_lookup(run: Run, threshold: float) -> Iterator[Row]:
+def _at_lookup(run: Run, threshold: float) -> Iterator[MeasuredRow]:
     frame = misbehaviour.at_lookup(run, threshold)
     off_by = frame.auc_error.max()
     for row in _rows(frame, "{role}", {
@@ -299,27 +301,27 @@ def _at_lookup(run: Run, threshold: float) -> Iterator[Row]:
     })  # fmt: skip
 
 
-def _security(run: Run, threshold: float) -> Iterator[Row]:
+def _security(run: Run, threshold: float) -> Iterator[MeasuredRow]:
     for suffix, relative in (("", None), ("_relative", 0.5)):
         yield from _rows(security.confusion(run, threshold, relative), "{unit}", {
             name: name + suffix for name in ("precision", "recall", "fpr", "f1", "mcc", "informedness")
         })  # fmt: skip
-        yield Row(f"false_exclusions_per_h{suffix}", "", *security.false_exclusions(run, threshold, relative))
+        yield MeasuredRow(f"false_exclusions_per_h{suffix}", "", *security.false_exclusions(run, threshold, relative))
     if run.variant == BASE_VARIANT and run.config.get("pseudonyms", {}).get("revocation", "none") != "none":
         yield from _rows(misbehaviour.summary_of(security.exclusion_delay(run)), "{role}", {
             "share": "time_to_exclusion.share", "median_s": "time_to_exclusion.median_s",
         })  # fmt: skip
-    yield Row("average_precision", "", security.average_precision(run))
+    yield MeasuredRow("average_precision", "", security.average_precision(run))
     yield from _rows(security.trust_error(run), "{role}", {"error": "trust_error"})
 
 
-def _evidence(run: Run) -> Iterator[Row]:
+def _evidence(run: Run) -> Iterator[MeasuredRow]:
     yield from _rows(evidence.multiplicity(run), "", {
         "trust": "trust.multiplicity", "fused": "fused.multiplicity", "echoes": "echoes.share",
         "copies": "copies_per_evaluation",
     })  # fmt: skip
     if "fused" in run.tables:
-        yield Row("fused.evaluators.mean", "", evidence.evaluators_per_object(run))
+        yield MeasuredRow("fused.evaluators.mean", "", evidence.evaluators_per_object(run))
     if "evaluations" not in run.tables or "actors" not in run.tables or not run.n_rows("evaluations"):
         return
     if run.subjects.attack_start_step.notna().any():
@@ -342,7 +344,7 @@ def _evidence(run: Run) -> Iterator[Row]:
     yield from _rows(evaluations.boxes_of_no_actor(run), "{class}", {"share": "no_actor.share"})
 
 
-def _freshness(run: Run, fresh_s: float) -> Iterator[Row]:
+def _freshness(run: Run, fresh_s: float) -> Iterator[MeasuredRow]:
     yield from _rows(freshness.evidence(run), "{role}", {
         "unevaluated_share": "server_unevaluated.share", "newest_s": "server_newest_evaluation.median_s",
     })  # fmt: skip
@@ -364,37 +366,37 @@ def _freshness(run: Run, fresh_s: float) -> Iterator[Row]:
     })  # fmt: skip
     for peak in freshness.peaks(run).to_dict("records"):
         name = peak["what"].replace(" ", "_")
-        yield Row(f"{name}_age.peak_s", "", peak["mean_s"], peak["low"], peak["high"], peak["n_units"])
+        yield MeasuredRow(f"{name}_age.peak_s", "", peak["mean_s"], peak["low"], peak["high"], peak["n_units"])
     for one in freshness.age_over_time(run).to_dict("records"):
         name = f"{one['what'].replace(' ', '_')}_age_over_time"
-        yield Row(f"{name}.mean_s", "", one["mean_s"], one["low"], one["high"], one["n_units"])
+        yield MeasuredRow(f"{name}.mean_s", "", one["mean_s"], one["low"], one["high"], one["n_units"])
         if one["n_peaks"] > 0:
             ends = (one[f"peak_s_{end}"] for end in ("low", "high", "units"))
-            yield Row(f"{name}.peak_s", "", one["peak_s"], *ends)
+            yield MeasuredRow(f"{name}.peak_s", "", one["peak_s"], *ends)
     for one in freshness.behind(run).to_dict("records"):
-        yield Row(f"{one['what']}.mean", "", one["mean"], one["low"], one["high"], one["n_units"])
+        yield MeasuredRow(f"{one['what']}.mean", "", one["mean"], one["low"], one["high"], one["n_units"])
 
 
-def _radio(run: Run) -> Iterator[Row]:
+def _radio(run: Run) -> Iterator[MeasuredRow]:
     for condition in radio.conditions(run).to_dict("records"):
-        yield Row(f"condition.{condition['condition']}", condition["is"], condition["value"])
+        yield MeasuredRow(f"condition.{condition['condition']}", condition["is"], condition["value"])
     frame = radio.overall(run)
     yield from _rows(frame, "", {"n_sent": "sent.n", "pdr": "pdr.all"})
     yield from _rows(radio.overall(run, "cpm"), "", {"pdr": "pdr.cpm"})
     yield from _rows(radio.overall(run, "evaluation"), "", {"pdr": "pdr.evaluation"})
     yield from _rows(frame, "", {name[2:]: name[2:].replace("_", ".", 1) for name in radio.LOST})
     for los_state, part in radio.by_distance(run, by_los=True).groupby("los_state", observed=True):
-        yield Row("pdr_by_los", str(los_state), float(np.average(part.pdr, weights=part.n_in_range)))
+        yield MeasuredRow("pdr_by_los", str(los_state), float(np.average(part.pdr, weights=part.n_in_range)))
     yield from _rows(frame, "", {"cbr": "cbr.mean"})
     late = radio.latency(run).groupby("latency_s").n_delivered.sum().cumsum()
     for share, name in ((0.5, "median_s"), (0.95, "p95_s")):
-        yield Row(f"latency.{name}", "", float(late.index[late >= share * late.iloc[-1]][0]))
+        yield MeasuredRow(f"latency.{name}", "", float(late.index[late >= share * late.iloc[-1]][0]))
     pir = radio.inter_reception(run)
-    yield Row("pir.mean_s", "", float(np.average(pir.pir_s, weights=pir.n_received)))
+    yield MeasuredRow("pir.mean_s", "", float(np.average(pir.pir_s, weights=pir.n_received)))
     lost = pir[pir.n_lost > 0]
-    yield Row("pir.after_loss.share", "", lost.n_received.sum() / pir.n_received.sum())
+    yield MeasuredRow("pir.after_loss.share", "", lost.n_received.sum() / pir.n_received.sum())
     if lost.n_received.sum():
-        yield Row("lost_in_a_row.mean", "", float(np.average(lost.n_lost, weights=lost.n_received)))
+        yield MeasuredRow("lost_in_a_row.mean", "", float(np.average(lost.n_lost, weights=lost.n_received)))
     if "cpm_content" in run.tables and run.n_rows("cpm_content"):
         cpm = radio.cpm(run)
         yield from _rows(cpm, "", {"rate_hz": "cpm_rate.mean_hz", "objects": "cpm_objects.mean"})
@@ -413,23 +415,23 @@ def _radio(run: Run) -> Iterator[Row]:
         yield from _rows(links, "", {"informed": "server_broadcasts.reached.share"})
 
 
-def _detection(run: Run, max_frames: int) -> Iterator[Row]:
+def _detection(run: Run, max_frames: int) -> Iterator[MeasuredRow]:
     frame = detection.precision(run, max_frames=max_frames)
     for boxes, some in frame[frame.n_truth >= FEWEST].groupby("boxes", sort=False):
         yield from _rows(some, f"{boxes}, {{class}}, {{level}}", {"ap40": "ap40"})
     known = detection.awareness(run, max_frames=max_frames).groupby("boxes")[["n_known", "n_present"]].sum()
     for which, share in (known.n_known / known.n_present).items():
-        yield Row("awareness_70m.share", str(which), share)
+        yield MeasuredRow("awareness_70m.share", str(which), share)
 
 
-def _attack(run: Run) -> Iterator[Row]:
+def _attack(run: Run) -> Iterator[MeasuredRow]:
     for one in attack.success(run).to_dict("records"):
         if one["receivers"] == attack.HONEST:
             group = f"{one['threshold']:g}, {one['among']}, {one['role']}"
             name = "believed" if one["effect"] == "inserted" else "missing"
-            yield Row(f"{name}.share", group, one["share"], one["low"], one["high"], one["n_units"])
+            yield MeasuredRow(f"{name}.share", group, one["share"], one["low"], one["high"], one["n_units"])
             if one["threshold"] == attack.THRESHOLDS[0]:
-                yield Row(f"{name}.pairs.n", f"{one['among']}, {one['role']}", one["n"])
+                yield MeasuredRow(f"{name}.pairs.n", f"{one['among']}, {one['role']}", one["n"])
     yield from _rows(attack.per_lie(run), "{threshold:g}, {role}", {"share": "believed_by_any.share"}, "share")
     yield from _rows(attack.believed_duration(run), "{among}, {role}", {"mean_s": "believed_duration.mean_s"}, "mean_s")
     harm = attack.damage(run)
@@ -440,9 +442,9 @@ def _attack(run: Run) -> Iterator[Row]:
     }, "share")  # fmt: skip
 
 
-def _safety(run: Run) -> Iterator[Row]:
+def _safety(run: Run) -> Iterator[MeasuredRow]:
     found = safety.summary(run)
-    yield from (Row(str(name), "", float(value)) for name, value in found.items())
+    yield from (MeasuredRow(str(name), "", float(value)) for name, value in found.items())
     if "reactions" in run.tables and run.n_blocks("reactions"):
         yield from _rows(safety.by_kind(run), "{kind}", {
             "n": "reactions.n", "per_km": "reactions.per_km", "hard_per_km": "reactions_hard.per_km",

@@ -17,7 +17,7 @@ from results.metrics.registry import TOPICS, bounds_of
 from results.spreadsheet import csv_of
 
 
-class Study:
+class StudyResults:
     """The folder of a `cosim sweep`."""
 
     def __init__(self, path: Path, head: Mapping[str, Any], points: pd.DataFrame) -> None:
@@ -146,7 +146,7 @@ def _bounds_of_difference(metric: str) -> Bounds:
     return low - high, high - low
 
 
-def open_study(path: str | Path) -> Study:
+def open_study(path: str | Path) -> StudyResults:
     """Open the folder of a `cosim sweep`, finished or not."""
     path = Path(path)
     if not is_study(path):
@@ -156,7 +156,7 @@ def open_study(path: str | Path) -> Study:
         head = json.loads((table.schema.metadata or {})[b"study"])
         points = table.to_pandas()
         _check(head, points)
-        return Study(path, head, points)
+        return StudyResults(path, head, points)
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ValueError(

@@ -8,19 +8,19 @@ import pandas as pd
 from cosim.base import durable
 from results.figures import study as figure
 from results.report import STYLE, image_url
-from results.study import Study, with_short_names
+from results.study import StudyResults, with_short_names
 
 _MOST_ROWS = 400
 
 
-def write(study: Study, path: str | Path | None = None) -> Path:
+def write(study: StudyResults, path: str | Path | None = None) -> Path:
     """Write the page; it needs no network and no other file. Left out, `path` is report.html in the study's folder."""
     path = study.path / "report.html" if path is None else Path(path)
     durable.write_output(path, page(study).encode())
     return path
 
 
-def page(study: Study) -> str:
+def page(study: StudyResults) -> str:
     """The page as HTML."""
     states = ", ".join(f"{n} {state}" for state, n in study.points.state.value_counts().items())
     parts = [
@@ -50,11 +50,11 @@ def page(study: Study) -> str:
     )
 
 
-def _measured(study: Study, topic: str) -> bool:
+def _measured(study: StudyResults, topic: str) -> bool:
     return bool(figure.shown(study, topic))
 
 
-def _figure(study: Study, topic: str) -> str:
+def _figure(study: StudyResults, topic: str) -> str:
     try:
         drawn = figure.draw(study, topic)
     except ValueError as reason:
@@ -63,7 +63,7 @@ def _figure(study: Study, topic: str) -> str:
     return f'<figure><h3>{escape(topic)}</h3><img src="{url}" alt="{escape(topic)} by swept key"></figure>'
 
 
-def _table(study: Study, frame: pd.DataFrame) -> str:
+def _table(study: StudyResults, frame: pd.DataFrame) -> str:
     shown = with_short_names(frame.head(_MOST_ROWS), study.keys)
     names = [*study.keys, "metric", "group", "n", "mean", "low", "high", "unit", "note"]
     head = "".join(f"<th>{escape(name)}</th>" for name in names)

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from sensors.boxes import Boxes
 from sensors.neighbours import Neighbours, neighbours
-from sensors.pairs import Pairs, pairs_of, turned
+from sensors.pairs import ViewPairs, pairs_of, turned
 from sensors.range_noise import RangeNoise
 from sensors.range_steps import NO_RETURN, metres, step_m
 from sensors.raycast import columnar, embree, mesh, open3d
@@ -180,7 +180,7 @@ class Poses:
             yaw_rad = np.pi - (np.pi - yaw_rad - error[:, 2]) % (2.0 * np.pi)  # (-pi, pi]
         return Poses(origin_m, yaw_rad)
 
-    def pairs(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> Pairs:
+    def pairs(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> ViewPairs:
         """Pairs of a sensor and a box.
 
         Parameters

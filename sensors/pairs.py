@@ -12,7 +12,7 @@ from cosim.base.kernel import inlined
 from sensors.boxes import Boxes
 
 
-class Pairs(NamedTuple):
+class ViewPairs(NamedTuple):
     """Sensor o[k] looks at box b[k]; all poses in the world frame."""
 
     o: ndarray
@@ -45,7 +45,7 @@ class Pairs(NamedTuple):
 def pairs_of(
     o: Int[ndarray, "n"], origin_m: Float[ndarray, "m 3"], heading_rad: Float[ndarray, "m"], boxes: Boxes,
     b: Int[ndarray, "n"] | None = None,
-) -> Pairs:  # fmt: skip
+) -> ViewPairs:  # fmt: skip
     """Pairs of a sensor and a box.
 
     Parameters
@@ -60,7 +60,7 @@ def pairs_of(
         Row of `boxes` of each pair; by default all rows in order.
     """
     o, b = np.asarray(o, np.int64), np.arange(len(boxes)) if b is None else np.asarray(b, np.int64)
-    return Pairs(
+    return ViewPairs(
         o, b, origin_m, np.cos(heading_rad), np.sin(heading_rad), heading_rad, boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad
     )
 
@@ -75,7 +75,7 @@ def in_sensor_frame(pairs, k):
     return x, y, z, pairs.lwh_m[w, 0], pairs.lwh_m[w, 1], pairs.lwh_m[w, 2], yaw
 
 
-def turned(pairs: Pairs) -> Boxes:
+def turned(pairs: ViewPairs) -> Boxes:
     """The boxes of all pairs, each in the frame of its sensor. Headings are not wrapped to one turn."""
     x, y, z, length, width, height, yaw = in_sensor_frame.py_func(pairs, slice(None))
     return Boxes(np.column_stack([x, y, z]), np.column_stack([length, width, height]), yaw)

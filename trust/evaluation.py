@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from trust.params import TrustParams, eta_of
-from trust.tables import Detections, Evaluations, Groups, ObjectLists
+from trust.tables import Evaluations, Groups, ObjectLists, SentDetections
 
 
 def visibility(n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], params: TrustParams) -> Float[ndarray, "n"]:
@@ -16,7 +16,7 @@ def visibility(n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], params: 
     n_points
         Returns of the evaluator's own sweep inside each box.
     label
-        Class of each box, as in `Detections.label`.
+        Class of each box, as in `SentDetections.label`.
     params
         Limits by class: `gamma_lower_points` and `gamma_upper_points`.
 
@@ -64,7 +64,7 @@ def denial_weight(recall: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
 def evaluate(
     lists: ObjectLists,
     groups: Groups,
-    detections: Detections,
+    detections: SentDetections,
     n_points: Int[ndarray, "m"],
     plausible: Bool[ndarray, "m"] | Float[ndarray, "m"],
     params: TrustParams,

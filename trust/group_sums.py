@@ -23,7 +23,7 @@ class EgoLists(NamedTuple):
     score: ndarray
 
 
-class Evaluated(NamedTuple):
+class ListedEvaluations(NamedTuple):
     """Evaluations by list of their evaluator, without those out of range."""
 
     ptr: ndarray
@@ -39,7 +39,7 @@ class Evaluated(NamedTuple):
         if not valid.all():
             rows = np.flatnonzero(valid)
             ptr, member, e, phi = np.searchsorted(rows, ptr), member[rows], e[rows], phi[rows]
-        return Evaluated(ptr, member, e, phi)
+        return ListedEvaluations(ptr, member, e, phi)
 
 
 class KernelInput(NamedTuple):
@@ -48,8 +48,8 @@ class KernelInput(NamedTuple):
     lists: EgoLists
     evaluated_by: ndarray
     """Row of each message's list among the evaluated ones; -1 where its sender evaluated nothing."""
-    own: Evaluated
-    reported: Evaluated
+    own: ListedEvaluations
+    reported: ListedEvaluations
 
     @staticmethod
     def of(given: FusionInput, received: Int[ndarray, "h"]) -> "KernelInput":
@@ -74,8 +74,8 @@ class KernelInput(NamedTuple):
             message=int64(detections.message),
             score=detections.score,
         )
-        own = Evaluated.of(evaluated, given.own)
-        reported = own if given.reported is given.own else Evaluated.of(evaluated, given.reported)
+        own = ListedEvaluations.of(evaluated, given.own)
+        reported = own if given.reported is given.own else ListedEvaluations.of(evaluated, given.reported)
         return KernelInput(of_lists, evaluated_by, own, reported)
 
 

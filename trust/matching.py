@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from cosim.base.threads import threads_for
 from trust.params import TrustParams
-from trust.tables import Detections, Groups, ObjectLists, float64, int64
+from trust.tables import Groups, ObjectLists, SentDetections, float64, int64
 
 
 @njit(cache=True, nogil=True)
@@ -135,7 +135,7 @@ def _partners(i, j, value, n):
 
 def match(
     lists: ObjectLists,
-    detections: Detections,
+    detections: SentDetections,
     pairs: tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]],
     params: TrustParams,
 ) -> Groups:
@@ -165,7 +165,7 @@ def match(
 
 def match_each(
     lists: Sequence[ObjectLists],
-    detections: Detections,
+    detections: SentDetections,
     pairs: tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]],
     params: TrustParams,
 ) -> list[Groups]:

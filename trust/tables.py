@@ -25,7 +25,7 @@ def float64(a: ndarray) -> Float[ndarray, "..."]:
 
 
 @dataclass(frozen=True, slots=True)
-class Detections:
+class SentDetections:
     """One step's detections as transmitted, sorted by (message, detection_index)."""
 
     message: Int[ndarray, "d"]  # message row: one row per message of the step
@@ -104,7 +104,7 @@ class FusionInput:
 
     lists: ObjectLists  # of the egos; not cut to the sensor's area
     groups: Groups  # of the lists
-    detections: Detections
+    detections: SentDetections
     evaluated: ObjectLists  # detections that were evaluated, a list per evaluator
     own: Evaluations  # rows of `evaluated`, as each vehicle made them: an ego's contribution to its own fusion
     reported: Evaluations  # the same as transmitted: the others' contribution; the same object if none was altered
@@ -205,7 +205,7 @@ def as_messages(
     step: int,
     pseudonyms: Int[ndarray, "messages"],
     lists: ObjectLists,
-    detections: Detections,
+    detections: SentDetections,
     evaluations: Evaluations,
     detection_step: Int[ndarray, "m"] | None = None,
 ) -> EvaluationMessages:
@@ -252,7 +252,7 @@ def messages_from_rows(step: int, evaluator, observer, detection_index, evaluati
     )
 
 
-class EvaluationRows(NamedTuple):
+class EvidenceRows(NamedTuple):
     """Received evaluations by others than the subject that could see the detection; flat, one row each."""
 
     holder: Int[ndarray, "n"]
@@ -352,7 +352,7 @@ class ReceivedEvaluations:
             message_row=np.concatenate([part.message_row + n for part, n in zip(parts, first, strict=False)]),
         )
 
-    def rows(self) -> EvaluationRows:
+    def rows(self) -> EvidenceRows:
         """The evaluations that are evidence, flat.
 
         Evaluations of one's own detections, with visibility 0, with evidence neither for nor against, or with values
@@ -366,7 +366,7 @@ class ReceivedEvaluations:
         """
         t, (kept, sent_by, pos, neg) = self.messages, self._counting()
         at, n = self._expanded(np.searchsorted(sent_by, np.arange(t.evaluator.size + 1)))
-        return EvaluationRows(
+        return EvidenceRows(
             np.repeat(int64(self.holder), n),
             np.repeat(int64(t.evaluator)[self.message_row], n),
             int64(t.observer)[kept[at]],

@@ -23,7 +23,6 @@ from numpy import ndarray
 
 from cosim.base.codes import ObjectClass
 from cosim.messages.uper import (
-    Choice,
     Encoded,
     Enumerated,
     Integer,
@@ -31,6 +30,7 @@ from cosim.messages.uper import (
     Member,
     Record,
     Type,
+    UperChoice,
     Wrapped,
     encode,
     least,
@@ -103,9 +103,9 @@ _CONFIDENCE = cdd("ConfidenceLevel", low=1, high=101)
 
 _PEDESTRIAN = Enumerated("VruSubProfilePedestrian", RELEASE_2, (0, 1, 2, 3, 15))
 _BICYCLIST = Enumerated("VruSubProfileBicyclist", RELEASE_2, (*range(9), 15))
-_OBJECT_CLASS = Choice("ObjectClass", RELEASE_2, {
+_OBJECT_CLASS = UperChoice("ObjectClass", RELEASE_2, {
     "vehicleSubClass": cdd("TrafficParticipantType", low=0, high=14),
-    "vruSubClass": Choice("VruProfileAndSubprofile", RELEASE_2, {
+    "vruSubClass": UperChoice("VruProfileAndSubprofile", RELEASE_2, {
         "pedestrian": _PEDESTRIAN, "bicyclistAndLightVruVehicle": _BICYCLIST, "motorcyclist": None, "animal": None,
     }, True),
     "groupSubClass": None, "otherSubClass": None,
@@ -117,7 +117,7 @@ OBJECT = Record("PerceivedObject", RELEASE_2, (
     Member("position", Record("CartesianPosition3dWithConfidence", RELEASE_2, (
         Member("xCoordinate", _COORDINATE), Member("yCoordinate", _COORDINATE), maybe("zCoordinate", _COORDINATE),
     ))),
-    maybe("velocity", Choice("Velocity3dWithConfidence", RELEASE_2, {
+    maybe("velocity", UperChoice("Velocity3dWithConfidence", RELEASE_2, {
         "polarVelocity": None,
         "cartesianVelocity": Record("VelocityCartesian", RELEASE_2, (
             Member("xVelocity", _VELOCITY), Member("yVelocity", _VELOCITY), maybe("zVelocity", _VELOCITY),
@@ -152,7 +152,7 @@ _VEHICLE = Record("OriginatingVehicleContainer", "CPM-OriginatingStationContaine
 _SENSORS = ListOf("SensorInformationContainer", "CPM-SensorInformationContainer", Record(
     "SensorInformation", "CPM-SensorInformationContainer", (
         Member("sensorId", _IDENTIFIER), Member("sensorType", cdd("SensorType", low=0, high=31)),
-        maybe("perceptionRegionShape", Choice("Shape", RELEASE_2, {
+        maybe("perceptionRegionShape", UperChoice("Shape", RELEASE_2, {
             "rectangular": None,
             "circular": Record("CircularShape", RELEASE_2, (
                 maybe("shapeReferencePoint"), Member("radius", _LENGTH), maybe("height", _LENGTH),
@@ -231,7 +231,7 @@ CAM = Record("CAM", CAM_MODULE, (
                 Member("stationType", its("StationType", low=0, high=255)),
                 Member("referencePosition", _reference_position(RELEASE_1)),
             ), True)),
-            Member("highFrequencyContainer", Choice("HighFrequencyContainer", CAM_MODULE, {
+            Member("highFrequencyContainer", UperChoice("HighFrequencyContainer", CAM_MODULE, {
                 "basicVehicleContainerHighFrequency": _HIGH_FREQUENCY, "rsuContainerHighFrequency": None,
             }, True)),
             maybe("lowFrequencyContainer"), maybe("specialVehicleContainer"),
@@ -255,7 +255,7 @@ FILLED = (
     "objectId", "zCoordinate", "angles", "objectDimensionZ", "objectDimensionY", "objectDimensionX", "sensorIdList",
     "classification",
 )  # fmt: skip
-"""Optional members of an object that `Objects` fills; it fills the velocity, too, where that is known."""
+"""Optional members of an object that `CpmObjects` fills; it fills the velocity, too, where that is known."""
 
 PROTOCOL, CAM_ID, CPM_ID, LIDAR_ID, LIDAR = 2, 2, 14, 1, 2
 """Version of the messages, their identifiers, and identifier and type of the sensor."""
@@ -337,7 +337,7 @@ def _frame_bits(is_segment: bool) -> tuple[int, int, int]:
     empty = least(_OBJECTS) | {"perceivedObjects": []}
     less = 8 * (1 + len(encode(_OBJECTS, empty)))
     segment = (8, 1) if is_segment else None
-    whole = [n_bits(CPM, _cpm(Head(0, 0, 0, 0, 0, 0.0, segment, has), empty)) - less for has in (False, True)]
+    whole = [n_bits(CPM, _cpm(CpmHead(0, 0, 0, 0, 0, 0.0, segment, has), empty)) - less for has in (False, True)]
     return n_bits(_OBJECTS, empty), whole[0], whole[1]
 
 
@@ -363,7 +363,7 @@ def heading(compass_deg: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
 
 
 @dataclass(frozen=True, slots=True)
-class Objects:
+class CpmObjects:
     """Perceived objects, encoded: bits, and which of them belong to the object."""
 
     bits: UInt8[ndarray, "n b"]
@@ -420,7 +420,7 @@ class Objects:
                     if has_velocity:
                         value |= _velocity(*velocity[mine].T)
                     bits[mine, : widths[has_velocity, kind]] = rows(OBJECT, value, len(mine))
-        return Objects(bits, np.arange(longest) < widths[moves, label][:, None])
+        return CpmObjects(bits, np.arange(longest) < widths[moves, label][:, None])
 
     def between(self, begin: int, end: int) -> Encoded:
         """These objects, one after another."""
@@ -450,7 +450,7 @@ def _velocity(east: Any, north: Any) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True)
-class Head:
+class CpmHead:
     """What a CPM says of its sender."""
 
     station: int
@@ -479,7 +479,7 @@ def _place(latitude: Any, longitude: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _cpm(head: Head, objects: dict[str, Any]) -> dict[str, Any]:
+def _cpm(head: CpmHead, objects: dict[str, Any]) -> dict[str, Any]:
     management: dict[str, Any] = {
         "referenceTime": head.time_ms, "referencePosition": _place(head.latitude, head.longitude)
     }  # fmt: skip
@@ -500,7 +500,7 @@ def _cpm(head: Head, objects: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def cpm(head: Head, n_objects: int, objects: Encoded) -> bytes:
+def cpm(head: CpmHead, n_objects: int, objects: Encoded) -> bytes:
     """A collective perception message: its sender, how many objects it perceives, and those in this message.
 
     Raises
@@ -521,7 +521,7 @@ def cams(
     Parameters
     ----------
     station, time_ms, latitude, longitude, compass
-        As in `Head`.
+        As in `CpmHead`.
     label
         `ObjectClass` of the sender.
     speed_mps, acceleration_mps2

@@ -28,7 +28,7 @@ _SLACK_S = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Reports:
+class ReportedObjects:
     """O objects in M messages, as they were sent."""
 
     time_s: Float[ndarray, "m"]
@@ -49,7 +49,9 @@ class Reports:
     def none() -> "Reports":
         """No messages."""
         row, real = np.zeros(0, np.int64), np.zeros(0)
-        return Reports(real, row, np.zeros((0, 2)), row, row, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, bool))
+        return ReportedObjects(
+            real, row, np.zeros((0, 2)), row, row, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, bool)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +62,7 @@ class Heard:
     dropped, so the memory does not grow with time.
     """
 
-    reports: Reports
+    reports: ReportedObjects
     receiver: Int[ndarray, "r"]
     """Actor number; receptions are sorted by receiver, then message."""
     message: Int[ndarray, "r"]
@@ -70,10 +72,10 @@ class Heard:
     @staticmethod
     def start() -> "Heard":
         """Nothing yet."""
-        return Heard(Reports.none(), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+        return Heard(ReportedObjects.none(), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 
     def next(
-        self, reports: Reports, receiver: Int[ndarray, "n"], message: Int[ndarray, "n"],
+        self, reports: ReportedObjects, receiver: Int[ndarray, "n"], message: Int[ndarray, "n"],
         received_s: Float[ndarray, "n"], window_s: float,
     ) -> "Heard":  # fmt: skip
         """What vehicles have heard after one more round of messages.
@@ -101,7 +103,7 @@ class Heard:
         return Heard(_joined(old, reports, kept), of[order], row[order], at_s[order])
 
 
-def _joined(old: Reports, new: Reports, kept: Int[ndarray, "k"]) -> Reports:
+def _joined(old: ReportedObjects, new: ReportedObjects, kept: Int[ndarray, "k"]) -> ReportedObjects:
     """These messages of both, `new` behind `old`, with their objects."""
     n_old = len(old.time_s)
     place = np.full(n_old + len(new.time_s), -1)
@@ -112,7 +114,7 @@ def _joined(old: Reports, new: Reports, kept: Int[ndarray, "k"]) -> Reports:
     def both(name: str) -> ndarray:
         return np.concatenate([getattr(old, name), getattr(new, name)])
 
-    return Reports(
+    return ReportedObjects(
         time_s=both("time_s")[kept],
         sender=both("sender")[kept],
         sender_xy_m=both("sender_xy_m")[kept],
@@ -212,13 +214,13 @@ def _rows_of(heard: Heard, receiver: Int[ndarray, "p"], message: Int[ndarray, "p
     return np.where(key[at] == asked, at, -1)
 
 
-def _often(reports: Reports, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
+def _often(reports: ReportedObjects, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
     """More reports than the limit."""
     n = np.bincount(known.candidate, minlength=len(mine.label))
     return n[known.candidate] > params.redundancy_reports
 
 
-def _unchanged(reports: Reports, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
+def _unchanged(reports: ReportedObjects, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
     """The latest report, if place and speed have changed little since."""
     latest = np.ones(len(known.candidate), bool)
     latest[:-1] = np.diff(known.candidate) != 0
@@ -228,18 +230,18 @@ def _unchanged(reports: Reports, mine: Candidates, known: _Known, params: CpmPar
     return latest & (moved_m <= params.redundancy_moved_m) & ~(change_mps > params.redundancy_speed_mps)
 
 
-def _from_nearby(reports: Reports, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
+def _from_nearby(reports: ReportedObjects, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
     """Reports of senders nearby."""
     apart_m = np.hypot(*(reports.sender_xy_m[known.message] - mine.own_xy_m[known.candidate]).T)
     return apart_m <= params.redundancy_sender_m
 
 
-def _any(reports: Reports, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
+def _any(reports: ReportedObjects, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
     """All reports."""
     return np.ones(len(known.candidate), bool)
 
 
-_RULES: dict[str, Callable[[Reports, Candidates, _Known, CpmParams], Bool[ndarray, "p"]]] = {
+_RULES: dict[str, Callable[[ReportedObjects, Candidates, _Known, CpmParams], Bool[ndarray, "p"]]] = {
     "frequency": _often,
     "dynamics": _unchanged,
     "distance": _from_nearby,

@@ -88,7 +88,7 @@ class ListOf:
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class UperChoice:
     """CHOICE; an alternative without a type is never written."""
 
     name: str
@@ -112,7 +112,7 @@ class Wrapped:
     contents: Mapping[int, "Type"]
 
 
-Type = Integer | Enumerated | Record | ListOf | Choice | Wrapped
+Type = Integer | Enumerated | Record | ListOf | UperChoice | Wrapped
 
 
 class Encoded(NamedTuple):
@@ -149,7 +149,7 @@ def fields(of: Type, value: Any) -> Iterator[Field]:
             yield from _record(of, value)
         case ListOf():
             yield from _list(of, value)
-        case Choice():
+        case UperChoice():
             name, inside = value
             chosen = of.alternatives.get(name)
             if chosen is None:
@@ -251,7 +251,7 @@ def least(of: Type) -> Any:
             return {m.name: least(m.of) for m in of.members if m.of is not None and not m.is_optional}
         case ListOf():
             return [least(of.element)] * max(1, of.low)
-        case Choice():
+        case UperChoice():
             return next((name, least(kind)) for name, kind in of.alternatives.items() if kind is not None)
         case Wrapped():
             identifier, kind = next(iter(of.contents.items()))
@@ -263,7 +263,7 @@ def n_bits(of: Type, value: Any) -> int:
     return sum(bits for _, bits in fields(of, value))
 
 
-class Row(NamedTuple):
+class UperRow(NamedTuple):
     """One row of the table of widths."""
 
     field: str
@@ -273,34 +273,34 @@ class Row(NamedTuple):
     bits: int
 
 
-def table(of: Type, field: str = "") -> Iterator[Row]:
+def table(of: Type, field: str = "") -> Iterator[UperRow]:
     """Width of every number, and of the bits that say what follows, of all that is ever written of a type."""
     match of:
         case Integer():
-            yield Row(field, of.name, of.module, f"{of.low} to {of.high}", of.bits)
+            yield UperRow(field, of.name, of.module, f"{of.low} to {of.high}", of.bits)
         case Enumerated():
             span = f"one of {len(of.values)}"
-            yield Row(field, of.name, of.module, span, of.bits + of.is_extensible)
+            yield UperRow(field, of.name, of.module, span, of.bits + of.is_extensible)
         case Record():
             optional = sum(m.is_optional for m in of.members)
             if optional or of.is_extensible:
                 span = ("extension bit, " if of.is_extensible else "") + f"{optional} optional"
-                yield Row(field, of.name, of.module, span, optional + of.is_extensible)
+                yield UperRow(field, of.name, of.module, span, optional + of.is_extensible)
             for member in of.members:
                 if member.of is not None:
                     yield from table(member.of, f"{field}.{member.name}".lstrip("."))
         case ListOf():
             span = ("extension bit, " if of.is_extensible else "") + f"{of.low} to {of.high} elements"
-            yield Row(field, of.name, of.module, span, of.bits + of.is_extensible)
+            yield UperRow(field, of.name, of.module, span, of.bits + of.is_extensible)
             yield from table(of.element, f"{field}[]")
-        case Choice():
+        case UperChoice():
             span = ("extension bit, " if of.is_extensible else "") + f"{len(of.alternatives)} alternatives"
-            yield Row(field, of.name, of.module, span, of.bits + of.is_extensible)
+            yield UperRow(field, of.name, of.module, span, of.bits + of.is_extensible)
             for name, kind in of.alternatives.items():
                 if kind is not None:
                     yield from table(kind, f"{field}.{name}")
         case Wrapped():
-            yield Row(field, of.identifier.name, of.identifier.module, "selects a container", of.identifier.bits)
-            yield Row(field, "open type", of.module, "number of bytes", 8)
+            yield UperRow(field, of.identifier.name, of.identifier.module, "selects a container", of.identifier.bits)
+            yield UperRow(field, "open type", of.module, "number of bytes", 8)
             for identifier, kind in of.contents.items():
                 yield from table(kind, f"{field}({identifier})")

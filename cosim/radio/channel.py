@@ -97,7 +97,7 @@ class ChannelRules:
 
 
 @dataclass(frozen=True, slots=True)
-class Jamming:
+class JammedStations:
     """Noise of jammers at N stations, in addition to the receivers' own noise [mW]."""
 
     constant_mw: Float[ndarray, "n"]
@@ -120,7 +120,7 @@ class Links:
     """Mean over fading, shadowing included."""
     fading: UInt8[ndarray, "m"]
     """Class of the fading's distribution: see `propagation.fading_quantiles`."""
-    jamming: Jamming | None = None
+    jamming: JammedStations | None = None
     """None if no station jams."""
 
     def __post_init__(self) -> None:
@@ -378,8 +378,8 @@ def _run_events(air: Air, log: Log, n_old: int, until_ns: int, forwarding: Forwa
     return Log(log.packets[: at[PACKETS]], log.outcome[: at[SLOTS]], log.receiver[: at[SLOTS]])
 
 
-def _noise_of(jamming: Jamming | None, n: int) -> tuple[ndarray, ndarray, ndarray]:
-    """Columns of `Jamming` for n rows. The last rows may be stations that left. Empty where nothing jams."""
+def _noise_of(jamming: JammedStations | None, n: int) -> tuple[ndarray, ndarray, ndarray]:
+    """Columns of `JammedStations` for n rows. The last rows may be stations that left. Empty where nothing jams."""
     if jamming is None:
         return np.zeros(0), np.zeros(0), np.zeros(0, bool)
     more = n - len(jamming.detected)

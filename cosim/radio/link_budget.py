@@ -49,7 +49,7 @@ class PairLos:
 
 
 @dataclass(frozen=True, slots=True)
-class Pairs(PairLos):
+class StationPairs(PairLos):
     """M pairs of stations in range, each once, with their losses."""
 
     nlosv: Bool[ndarray, "m"]
@@ -232,7 +232,7 @@ def pairs(
     found: PairLos | None = None,
     above_street_m: Float[ndarray, "n"] | None = None,
     bodies: Bodies | None = None,
-) -> Pairs:
+) -> StationPairs:
     """Losses between stations at these antenna positions.
 
     Parameters
@@ -302,7 +302,7 @@ def pairs(
         rows = np.flatnonzero(nlos | nlosv)
         sigma = np.where(nlos[rows], params.sigma_nlos_db, params.sigma_los_db)
         loss[rows] += sigma * field(rows, far, _SHADOW_NLOS)
-    return Pairs(a, b, d, nlos, nlosv, loss)
+    return StationPairs(a, b, d, nlos, nlosv, loss)
 
 
 def links_between(
@@ -316,7 +316,7 @@ def links_between(
     above_street_m: Float[ndarray, "n"] | None = None,
     bodies: Bodies | None = None,
     sends: Bool[ndarray, "n"] | None = None,
-) -> tuple[Links, Pairs, Int[ndarray, "links"]]:
+) -> tuple[Links, StationPairs, Int[ndarray, "links"]]:
     """Links between stations at these antenna positions, and the pair of each link.
 
     Parameters

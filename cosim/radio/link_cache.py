@@ -8,7 +8,7 @@ from numpy import ndarray
 
 from cosim.base import rng
 from cosim.base.ragged import offsets, ranges
-from cosim.radio.channel import Jamming, Links
+from cosim.radio.channel import JammedStations, Links
 from cosim.radio.link_budget import from_db, links_between, los_pairs
 from cosim.radio.message_round import Stations
 from cosim.radio.params import RadioParams
@@ -109,4 +109,4 @@ def jammed(links: Links, stations: Stations, params: RadioParams) -> Links:
     detects = np.isfinite(abuse.react_dbm)[links.receiver]
     detects &= links.power_mw >= from_db(params.receiver.detectable_dbm)
     detected = np.bincount(sender, detects, len(stations)) > 0
-    return replace(links, jamming=Jamming(noise[0], noise[1], detected))
+    return replace(links, jamming=JammedStations(noise[0], noise[1], detected))

@@ -54,7 +54,7 @@ NO_RSUS = RsuAntennas(np.zeros((0, 3)), np.zeros(0, np.uint64), np.zeros(0))
 """No roadside units."""
 
 
-class Streets(Protocol):
+class StreetPlaces(Protocol):
     """The network, as far as it matters for sites of antennas (`sumo_nets.network.Streets`)."""
 
     def check_inside(self, x: float, y: float, key: str) -> None: ...
@@ -62,7 +62,7 @@ class Streets(Protocol):
     def busiest(self, n: int, apart_m: float) -> Sequence[Any]: ...
 
 
-def place_rsus(params: RsuParams, streets: Streets) -> RsuAntennas:
+def place_rsus(params: RsuParams, streets: StreetPlaces) -> RsuAntennas:
     """Antennas of all roadside units.
 
     Parameters

@@ -203,7 +203,7 @@ def portrait(run: Run, vehicles: list[int], step: int, out: Path | None) -> Path
     lies = lies[(lies.origin == "fabricated") & lies.transmitted]
     columns = ["x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad"]
     b = world.boxes
-    moment = scene.Moment(
+    moment = scene.SceneMoment(
         centre_m=xy_m[chosen[0]],
         streets=[lane.line_m[:, :2] - scenario.origin_m for lane in lanes],
         buildings=[

@@ -16,7 +16,7 @@ from cosim.base.ragged import ptr_of, ranges
 from cosim.base.threads import threads_for
 from cosim.step.known import Pairs, Uses
 from cosim.step.object_lists import questions_of, received_lists, subset
-from cosim.step.perception import AsksSweeps, BoxQuestions
+from cosim.step.perception import BoxQuestions, Perceives
 from cosim.step.stopwatch import Stopwatch
 from sensors.association import bounded, certainty
 from sensors.boxes import Boxes, overlapping_pairs
@@ -40,7 +40,7 @@ Recall = Callable[[ndarray, ndarray, ndarray], ndarray]
 class KnownObjects:
     """D detections in M messages, and the R vehicles that know them."""
 
-    detections: tables.Detections
+    detections: tables.SentDetections
     boxes: Boxes
     transmitted: Bool[ndarray, "d"]
     ptr: Int[ndarray, "m+1"]
@@ -89,7 +89,7 @@ class KnownObjects:
             pairs = i[both], j[both], pairs[2][both]
         all_ = self.detections
         part = KnownObjects(
-            detections=tables.Detections(
+            detections=tables.SentDetections(
                 of_message[all_.message[detections]],
                 *(getattr(all_, name)[detections] for name in ("detection_index", "label", "score", "is_self")),
             ),
@@ -172,7 +172,7 @@ class Grouped:
 
     lists: ObjectLists
     groups: Groups
-    detections: tables.Detections
+    detections: tables.SentDetections
     of_seeds: SensorEvidence
     """What the sweeps say about the detection whose box represents each group."""
 
@@ -215,7 +215,7 @@ class Compared:
 
 
 def compare(
-    perception: AsksSweeps, sweeps: Any, known: KnownObjects, area: AreaParams, params: TrustParams,
+    perception: Perceives, sweeps: Any, known: KnownObjects, area: AreaParams, params: TrustParams,
     recall: Recall | None, watch: Stopwatch,
 ) -> tuple[Compared, Grouped]:  # fmt: skip
     """Group what each vehicle knows, ask its own sweep about it, and evaluate it.
@@ -284,7 +284,7 @@ of the position: the points of third-degree cubature."""
 
 
 def _permitted_share(
-    perception: AsksSweeps, sweeps: Any, lists: ObjectLists, plausible: Bool[ndarray, "m"], known: KnownObjects,
+    perception: Perceives, sweeps: Any, lists: ObjectLists, plausible: Bool[ndarray, "m"], known: KnownObjects,
     area: AreaParams,
 ) -> Float[ndarray, "m"]:  # fmt: skip
     """Share of the places where a box may be that free space in the vehicle's own sweep permits.

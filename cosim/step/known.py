@@ -34,7 +34,7 @@ class Known:
     """`observer` and `target` are rows of this step's world. Boxes are where the messages say. With `extrapolate`, they
     are where their velocities have brought them by this step."""
     truth: GroundTruth
-    detections: tables.Detections
+    detections: tables.SentDetections
     """The same detections in the form that `trust` uses, with the message as a row of these messages."""
     ptr: Int[ndarray, "m+1"]
     """Row at which the detections of each message begin."""

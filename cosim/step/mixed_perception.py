@@ -109,7 +109,7 @@ class MixedPerception:
         return MixedImages(tuple(images), of, row), seen
 
     def answers(self, sweeps: MixedImages, asked: BoxQuestions) -> BoxAnswers:
-        """As in `AsksSweeps`."""
+        """As in `Perceives`."""
         n_points, plausible = np.zeros(len(asked.counting), np.int32), np.ones(len(asked.testing), bool)
         for number, perception in enumerate(self.of_lidar):
             p, t, mine = asked.of_group(number, sweeps.lidar, sweeps.row)

@@ -20,7 +20,7 @@ from trust.tables import EvaluationMessages, Evaluations, ObjectLists
 
 def for_trust(
     listed: Detections, message: Int[ndarray, "d"], n_messages: int
-) -> tuple[tables.Detections, Int[ndarray, "m+1"]]:
+) -> tuple[tables.SentDetections, Int[ndarray, "m+1"]]:
     """Detections in the form that `trust` uses, and the row at which the detections of each message begin.
 
     Parameters
@@ -33,7 +33,7 @@ def for_trust(
         Number of messages.
     """
     is_self = (listed.origin == SELF) | ((listed.identity > 0) & (listed.detection_index == 0))  # as messages claim
-    detections = tables.Detections(message, listed.detection_index, listed.label, listed.score, is_self)
+    detections = tables.SentDetections(message, listed.detection_index, listed.label, listed.score, is_self)
     return detections, ptr_of(message, n_messages)
 
 
@@ -76,7 +76,7 @@ def subset(lists: ObjectLists, keep: Bool[ndarray, "m"]) -> ObjectLists:
 
 def questions_of(
     lists: ObjectLists, evaluated: Bool[ndarray, "m"], foreign: Bool[ndarray, "m"], boxes: Boxes,
-    detections: tables.Detections, area: AreaParams,
+    detections: tables.SentDetections, area: AreaParams,
 ) -> tuple[BoxQuestions, Int[ndarray, "p"], Int[ndarray, "t"]]:  # fmt: skip
     """The questions of each vehicle to its own sweep about the boxes in its list.
 

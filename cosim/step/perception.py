@@ -113,15 +113,11 @@ BoxAnswers = tuple[Int32[ndarray, "p"], Bool[ndarray, "t"]]
 
 
 class Perceives(Protocol):
-    """The component of a step that senses. It keeps range images until the next step."""
+    """The component of a step that senses. It keeps range images until the next step, and answers questions to them."""
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
         """What the vehicles in these rows of the world perceive."""
         ...
-
-
-class AsksSweeps(Protocol):
-    """Answers questions to the range images that it keeps."""
 
     def answers(self, sweeps: Any, asked: BoxQuestions) -> BoxAnswers:
         """Answers of this step's sweeps about boxes; `sweeps` at their true or estimated positions."""
@@ -213,7 +209,7 @@ class Perception:
         return sweeps, Seen(here, reports)
 
     def answers(self, sweeps: lidar.RangeImages, asked: BoxQuestions) -> BoxAnswers:
-        """As in `AsksSweeps`."""
+        """As in `Perceives`."""
         return (
             evidence.points_in_boxes(sweeps, asked.counting, asked.boxes, asked.counted),
             evidence.plausible(sweeps, asked.testing, asked.boxes, asked.tested, asked.area),

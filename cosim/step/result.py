@@ -10,7 +10,7 @@ from cosim.step.known import Known
 from cosim.step.reactions import Reactions
 from cosim.step.stages import Evaluated, Listed, Positioned
 from cosim.step.tracking import Reach, Rounds
-from cosim.step.trust_stages import Carrier, LookedUp
+from cosim.step.trust_stages import EvaluationCarriers, LookedUp
 from cosim.traffic.driver import SpeedCommands
 from cosim.world import World
 from results.encounters import Rows
@@ -34,7 +34,7 @@ class Sensed:
     """The detections of this step and those of earlier messages that vehicles use."""
     rounds: Rounds
     """The rounds of detection messages and of evaluation messages."""
-    carried: tuple[Carrier, ...]
+    carried: tuple[EvaluationCarriers, ...]
     """The messages that carried evaluations, of this step and of earlier ones whose messages may still arrive."""
     reach: tuple[Reach, Reach]
     """Vehicles in range, for the same two rounds."""

@@ -30,7 +30,7 @@ from cosim.messages.content import (
 )
 from cosim.messages.cpm_generation import CpmContent, CpmState, Generators, generate
 from cosim.messages.pseudonyms import PseudonymState, PseudonymUse
-from cosim.messages.redundancy import Reports
+from cosim.messages.redundancy import ReportedObjects
 from cosim.messages.trust_server import TrustBroadcast
 from cosim.radio.medium import gap_s
 from cosim.radio.message_round import LinkReceptions, MessageRound, Messages, RoundKind
@@ -208,7 +208,7 @@ class Listed:
 
     objects: Detections
     truth: GroundTruth
-    detections: tables.Detections
+    detections: tables.SentDetections
     """The same detections in the form that `trust` uses, with the message as a row of `Senders`."""
     ptr: Int[ndarray, "m+1"]
     """Row at which the detections of each message begin."""
@@ -437,7 +437,7 @@ def hear(
     vehicles, senders, objects, begin_s = exchange.vehicles, exchange.senders, listed.objects, exchange.now.begin_s
     rows = np.flatnonzero(objects.transmitted)
     sent = objects.take(rows)
-    reports = Reports(
+    reports = ReportedObjects(
         time_s=np.full(len(senders), begin_s),
         sender=exchange.sender,
         sender_xy_m=positioned.world.boxes.xyz_m[vehicles.row[senders.vehicle], :2],

@@ -24,7 +24,7 @@ from cosim.step.trackers.encounters import Encounters
 from cosim.step.trackers.inter_reception import InterReceptionTracker
 from cosim.step.trackers.motion import LastSpeeds
 from cosim.step.tracking import ReceptionTrackers
-from cosim.step.trust_stages import Carrier
+from cosim.step.trust_stages import EvaluationCarriers
 from cosim.traffic.position_errors import PositionErrors
 from results.encounters import EncounterTracker
 from sensors.tracking import TrackMemory
@@ -48,7 +48,7 @@ class State:
     pseudonyms: PseudonymState = field(default_factory=PseudonymState)
     cpm: CpmState = field(default_factory=CpmState)
     piggybacked: SentEvaluations | None = None
-    carried: tuple[Carrier, ...] = ()
+    carried: tuple[EvaluationCarriers, ...] = ()
     """Evaluations of earlier steps whose messages may still arrive."""
     inbox: Inbox = field(default_factory=Inbox)
     """Earlier messages that vehicles still use; empty if all vehicles sense in the same steps."""

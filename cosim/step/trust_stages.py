@@ -173,7 +173,7 @@ def _trust_in(
 
 
 @dataclass(frozen=True, slots=True)
-class Carrier:
+class EvaluationCarriers:
     """The messages that carried evaluations in a step."""
 
     step: int
@@ -191,7 +191,7 @@ class Carrier:
 def carrier_of(
     exchange: Exchange, evaluated: Evaluated, waiting: SentEvaluations | None, rounds: tuple[Broadcast, Broadcast],
     parts: Parts,
-) -> tuple[SentEvaluations | None, Carrier]:  # fmt: skip
+) -> tuple[SentEvaluations | None, EvaluationCarriers]:  # fmt: skip
     """Evaluations that wait for the next detection message, and the messages that carried evaluations in this step.
 
     Parameters
@@ -210,7 +210,7 @@ def carrier_of(
     cpms, reports = rounds
     sent = SentEvaluations(evaluated.sent, exchange.sender)
     alone, now = parts.config.radio.evaluations == "alone", exchange.now
-    carrier = Carrier(
+    carrier = EvaluationCarriers(
         step=now.step,
         sender=exchange.sender,
         pseudonym=exchange.senders.pseudonym,
@@ -227,7 +227,7 @@ def carrier_of(
 
 
 def update_trust(
-    trust: TrustState, exchange: Exchange, listed: Listed, evaluated: Evaluated, carrier: Carrier,
+    trust: TrustState, exchange: Exchange, listed: Listed, evaluated: Evaluated, carrier: EvaluationCarriers,
     pseudonyms: PseudonymState, parts: Parts,
 ) -> tuple[TrustState, LinkStats]:  # fmt: skip
     """Give the trust hosts the transmitted detections, the vehicles' own evaluations and those that arrived.
@@ -292,9 +292,13 @@ def _open_step(
 
 
 def _deliver(
-    trust: TrustState, exchange: Exchange, carried: SentEvaluations, carrier: Carrier, pseudonyms: PseudonymState,
+    trust: TrustState,
+    exchange: Exchange,
+    carried: SentEvaluations,
+    carrier: EvaluationCarriers,
+    pseudonyms: PseudonymState,
     parts: Parts,
-) -> tuple[TrustState, LinkStats]:  # fmt: skip
+) -> tuple[TrustState, LinkStats]:
     """Deliver evaluation messages to other vehicles, and through roadside units to the server."""
     links, vehicles = carrier.receptions, exchange.vehicles
     row = np.full(len(exchange.senders), -1)  # per message of this step, the row of the evaluations that it carries
@@ -309,7 +313,7 @@ def _deliver(
 
 
 def deliver_late(
-    trust: TrustState, exchange: Exchange, carried: Sequence[Carrier], late: Sequence[LateMessages],
+    trust: TrustState, exchange: Exchange, carried: Sequence[EvaluationCarriers], late: Sequence[LateMessages],
     pseudonyms: PseudonymState, parts: Parts,
 ) -> tuple[TrustState, LinkStats]:  # fmt: skip
     """Deliver the evaluations of messages that arrived later than the round in which they were sent.
@@ -338,7 +342,7 @@ def deliver_late(
     return trust, stats
 
 
-def late_pseudonyms(late: LateMessages, carried: Sequence[Carrier]) -> Int[ndarray, "m"]:
+def late_pseudonyms(late: LateMessages, carried: Sequence[EvaluationCarriers]) -> Int[ndarray, "m"]:
     """Pseudonym that each of these messages carries; -1 for those of roadside units and of senders not accepted."""
     pseudonym = np.full(len(late.sender), -1)
     for carrier in carried:
@@ -348,7 +352,9 @@ def late_pseudonyms(late: LateMessages, carried: Sequence[Carrier]) -> Int[ndarr
     return pseudonym
 
 
-def next_carried(carried: tuple[Carrier, ...], carrier: Carrier, now: Times, config: Config) -> tuple[Carrier, ...]:
+def next_carried(
+    carried: tuple[EvaluationCarriers, ...], carrier: EvaluationCarriers, now: Times, config: Config
+) -> tuple[EvaluationCarriers, ...]:
     """The evaluations whose messages may still arrive after this step."""
     if config.round_s >= config.message_lifetime_s:  # no message outlasts its round
         return ()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from cosim.config.config import Config
 from cosim.studies.density import HELSINKI, vehicles_on_road
-from cosim.studies.plan import Plan
+from cosim.studies.plan import StudyPlan
 from cosim.studies.points import Point, scenario_of
 from sensors import lidar
 
@@ -50,7 +50,7 @@ class Estimate:
     """Whether the estimate uses the measured time of finished runs of this study."""
 
 
-def estimate(points: Sequence[Point], made: Plan, stored: Collection[str], run_s: float | None) -> Estimate:
+def estimate(points: Sequence[Point], made: StudyPlan, stored: Collection[str], run_s: float | None) -> Estimate:
     """Estimate the time of a plan and that of one run per point; `run_s` is the measured time of a run, if known."""
     separate = sum(_run_s(point.config) + _traffic_s(point.config) for point in points)
     merged = sum(

@@ -36,7 +36,7 @@ class PlannedRun:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class StudyPlan:
     """Runs to make, and the traffic that several of them replay."""
 
     runs: tuple[PlannedRun, ...]
@@ -46,7 +46,7 @@ class Plan:
     """Reasons why points cannot share."""
 
 
-def plan(points: Sequence[Point], fused: bool, stored: Collection[str] = ()) -> Plan:
+def plan(points: Sequence[Point], fused: bool, stored: Collection[str] = ()) -> StudyPlan:
     """Plan the runs for these points.
 
     Parameters
@@ -103,7 +103,7 @@ def _merged(group: Sequence[Point], fused: bool) -> PlannedRun:
     return PlannedRun(identity(config), config, members, "")
 
 
-def _share_traffic(runs: Sequence[PlannedRun], stored: Collection[str], remarks: tuple[str, ...]) -> Plan:
+def _share_traffic(runs: Sequence[PlannedRun], stored: Collection[str], remarks: tuple[str, ...]) -> StudyPlan:
     """Let runs replay traffic that several of them share or that the cache holds."""
     names: dict[str, str] = {}
     for run in runs:
@@ -119,7 +119,7 @@ def _share_traffic(runs: Sequence[PlannedRun], stored: Collection[str], remarks:
             traffic.setdefault(name, run.config)
             run = replace(run, traffic=name)
         planned.append(run)
-    return Plan(tuple(planned), traffic, remarks)
+    return StudyPlan(tuple(planned), traffic, remarks)
 
 
 def _is_replay(config: Config) -> bool:

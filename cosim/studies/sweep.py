@@ -15,7 +15,7 @@ from cosim.runs.cluster import connected, local
 from cosim.studies.engine import Work, execute
 from cosim.studies.estimate import Estimate, estimate
 from cosim.studies.folder import Attempt, StudyFolder, write_whole
-from cosim.studies.plan import Plan, PlannedRun, plan
+from cosim.studies.plan import PlannedRun, StudyPlan, plan
 from cosim.studies.points import Point, points_of
 from cosim.studies.stages import Cache, default_folder
 from cosim.studies.study import Study, load
@@ -35,7 +35,7 @@ class Task:
     study: Study
     folder: StudyFolder
     points: list[Point]
-    plan: Plan
+    plan: StudyPlan
     n_finished: int
     """Number of finished points."""
     cache: Cache
@@ -103,9 +103,9 @@ def scene_notes(points: Sequence[Point]) -> list[str]:
     return [note for scenario in scenarios for note in scene_summary(scenario).notes]
 
 
-def separate(points: Sequence[Point]) -> Plan:
+def separate(points: Sequence[Point]) -> StudyPlan:
     """A plan with one run for each point, which share nothing."""
-    return Plan(tuple(PlannedRun(p.id, p.config, ((p.id, "base"),), "") for p in points), {}, ())
+    return StudyPlan(tuple(PlannedRun(p.id, p.config, ((p.id, "base"),), "") for p in points), {}, ())
 
 
 def needs_fused(study: Study) -> bool:

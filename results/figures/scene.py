@@ -28,7 +28,7 @@ CLOUDS = tuple(style.INKS[i] for i in (0, 2, 4, 1, 5))
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class SceneMoment:
     """What is where; world frame. A box is x, y, z of its centre, length, width, height and yaw."""
 
     centre_m: Float[ndarray, "2"]
@@ -46,7 +46,7 @@ class Moment:
 
 
 @style.styled
-def draw(moment: Moment, title: str) -> Figure:
+def draw(moment: SceneMoment, title: str) -> Figure:
     """The part of the city around the centre."""
     moment = _in_frame(moment)
     figure, (axes,) = style.sheet(height=2.5)
@@ -78,7 +78,7 @@ def draw(moment: Moment, title: str) -> Figure:
     return figure
 
 
-def _in_frame(moment: Moment) -> Moment:
+def _in_frame(moment: SceneMoment) -> SceneMoment:
     """Without the vehicles and ghosts outside the part that is shown, so that the legend names only what is drawn."""
     half_m = [HALF_WIDTH_M, HALF_DEPTH_M]
     here, lies = ((np.abs(b[:, :2] - moment.centre_m) <= half_m).all(axis=1) for b in (moment.boxes, moment.ghosts))
@@ -102,7 +102,7 @@ def _flat(xyz: Float[ndarray, "... 3"]) -> Float[ndarray, "... 2"]:
     return np.stack([xyz[..., 0], xyz[..., 1] * np.sin(TILT) + xyz[..., 2] * np.cos(TILT)], axis=-1)
 
 
-def _ground(axes, moment: Moment) -> None:  # type: ignore[no-untyped-def]
+def _ground(axes, moment: SceneMoment) -> None:  # type: ignore[no-untyped-def]
     streets = [_flat(np.column_stack([line, np.zeros(len(line))])) for line in moment.streets]
     axes.add_collection(LineCollection(streets, colors=ROAD, linewidths=5.0, zorder=0))
 
@@ -119,7 +119,7 @@ def _prism(ring: Float[ndarray, "k 2"], base: float, top: float) -> tuple[list[F
     return [*faces, roof], [False] * len(faces) + [True]
 
 
-def _vehicles(axes, moment: Moment) -> None:  # type: ignore[no-untyped-def]
+def _vehicles(axes, moment: SceneMoment) -> None:  # type: ignore[no-untyped-def]
     order = np.argsort(-moment.boxes[:, 1])
     faces, fills, edges = [], [], []
     for i in order.tolist():
@@ -147,7 +147,7 @@ def _outline(box: Float[ndarray, "7"]) -> tuple[Float[ndarray, "4 2"], float, fl
     return ring, float(box[2] - 0.5 * box[5]), float(box[2] + 0.5 * box[5])
 
 
-def _entries(moment: Moment) -> list[Line2D]:
+def _entries(moment: SceneMoment) -> list[Line2D]:
     """Legend: what the marks are, of those that occur."""
     unknown = moment.equipped & ~np.isfinite(moment.trust)
     marks = [

@@ -44,7 +44,7 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     return figure
 
 
-def _dot(axes: Axes, found: intervals.Estimate, i: int) -> None:
+def _dot(axes: Axes, found: intervals.ClusteredEstimate, i: int) -> None:
     """One value in its row, with its interval."""
     colour = style.ink(0)
     axes.plot(found.value, i, color=colour, marker="o", linestyle="")

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from results.figures import style
-from results.study import Study, chosen, held_at, said, with_short_names, within_run
+from results.study import StudyResults, chosen, held_at, said, with_short_names, within_run
 
 SHOWN: Mapping[str, tuple[str, ...]] = {
     "encounters": ("encounters.duration.km_median_s",),
@@ -62,7 +62,7 @@ _MOST_CELLS = 14
 
 @style.styled
 def draw(
-    study: Study,
+    study: StudyResults,
     topic: str,
     metrics: Sequence[str] = (),
     over: str | None = None,
@@ -114,7 +114,7 @@ def draw(
     return _draw(frame, asked, x, colour, column, columns)
 
 
-def shown(study: Study, topic: str) -> list[str]:
+def shown(study: StudyResults, topic: str) -> list[str]:
     """The metrics that a topic shows unless others are asked for, of those that the study has measured.
 
     A metric with several groups gets one of them. Encounters keep all: their groups are keys of the figure.

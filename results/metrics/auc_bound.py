@@ -25,7 +25,7 @@ _PRIOR = 0.5
 """Added to the count of every kind in the mean, so that none has probability 0 (Jeffreys)."""
 
 
-def area(counts: Int[ndarray, "s c"], attacks: Bool[ndarray, "s"]) -> intervals.Estimate:
+def area(counts: Int[ndarray, "s c"], attacks: Bool[ndarray, "s"]) -> intervals.ClusteredEstimate:
     """Probability that an attacker's likelihood ratio is above an honest subject's; ties count half.
 
     Parameters

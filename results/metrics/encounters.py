@@ -91,16 +91,25 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
         curve = _curve(frame)
         again = frame.gap_s.dropna()
         definition: dict[str, object] = dict(zip(DEFINITION, kind, strict=True))
-        rows.append(definition | {
-            "n": len(frame),
-            "n_start_unseen": int((~frame.start_seen).sum()), "n_end_unseen": int((~frame.end_seen).sum()),
-            **_mean(frame, frame.duration_s, "mean_s"), "median_s": float(frame.duration_s.median()),
-            **_mean(frame, ~frame.start_seen, "censored_left"), **_mean(frame, ~frame.end_seen, "censored_right"),
-            "km_mean_s": restricted_mean(curve),
-            **intervals.columns(intervals.Estimate(median(curve), *median_band(curve), len(frame)), "km_median_s"),
-            "horizon_s": float(curve.duration_s.iloc[-1]), **_mean(frame, frame.gap_s.notna(), "again_share"),
-            "gap_median_s": float(again.median()) if len(again) else np.nan,
-        })  # fmt: skip
+        rows.append(
+            definition
+            | {
+                "n": len(frame),
+                "n_start_unseen": int((~frame.start_seen).sum()),
+                "n_end_unseen": int((~frame.end_seen).sum()),
+                **_mean(frame, frame.duration_s, "mean_s"),
+                "median_s": float(frame.duration_s.median()),
+                **_mean(frame, ~frame.start_seen, "censored_left"),
+                **_mean(frame, ~frame.end_seen, "censored_right"),
+                "km_mean_s": restricted_mean(curve),
+                **intervals.columns(
+                    intervals.ClusteredEstimate(median(curve), *median_band(curve), len(frame)), "km_median_s"
+                ),
+                "horizon_s": float(curve.duration_s.iloc[-1]),
+                **_mean(frame, frame.gap_s.notna(), "again_share"),
+                "gap_median_s": float(again.median()) if len(again) else np.nan,
+            }
+        )
     return pd.DataFrame(rows)
 
 

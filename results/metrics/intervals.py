@@ -20,7 +20,7 @@ Bounds = tuple[float, float]
 FREE: Bounds = (-math.inf, math.inf)
 
 
-class Estimate(NamedTuple):
+class ClusteredEstimate(NamedTuple):
     """A share or mean with its interval."""
 
     value: float
@@ -31,15 +31,15 @@ class Estimate(NamedTuple):
     """Units with something to count."""
 
 
-def without_interval(value: float) -> Estimate:
+def without_interval(value: float) -> ClusteredEstimate:
     """A value of which no more is known."""
-    return Estimate(value, float("nan"), float("nan"), 0)
+    return ClusteredEstimate(value, float("nan"), float("nan"), 0)
 
 
 UNKNOWN = without_interval(float("nan"))
 
 
-def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
+def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = LEVEL) -> ClusteredEstimate:
     """Sum over sum, with a percentile interval of the cluster bootstrap [1]_: whole units are drawn again.
 
     Parameters
@@ -70,10 +70,10 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
         return UNKNOWN
     value = float(top.sum() / bottom.sum())
     if n < _FEWEST:
-        return Estimate(value, float("nan"), float("nan"), n)
+        return ClusteredEstimate(value, float("nan"), float("nan"), n)
     drawn = _draws(n)
     low, high = np.quantile((drawn @ top) / (drawn @ bottom), [(1 - level) / 2, (1 + level) / 2])
-    return Estimate(value, float(low), float(high), n)
+    return ClusteredEstimate(value, float(low), float(high), n)
 
 
 @lru_cache(maxsize=32)
@@ -89,7 +89,9 @@ def _draws(n: int) -> UInt8[ndarray, "draws n"]:
     return np.stack([count.astype(np.uint8) for count in counts])
 
 
-def around(value: float, error: float, degrees: float, bounds: Bounds = FREE, level: float = LEVEL) -> Estimate:
+def around(
+    value: float, error: float, degrees: float, bounds: Bounds = FREE, level: float = LEVEL
+) -> ClusteredEstimate:
     """Interval of a mean with a standard error that respects the bounds of the quantity.
 
     Parameters
@@ -121,17 +123,17 @@ def around(value: float, error: float, degrees: float, bounds: Bounds = FREE, le
     if value != value or half != half or not low < value < high:
         return without_interval(value)
     if math.isinf(low) and math.isinf(high):
-        return Estimate(value, value - half, value + half, 0)
+        return ClusteredEstimate(value, value - half, value + half, 0)
     if math.isinf(high):
         factor = math.exp(half / (value - low))
-        return Estimate(value, low + (value - low) / factor, low + (value - low) * factor, 0)
+        return ClusteredEstimate(value, low + (value - low) / factor, low + (value - low) * factor, 0)
     place = (value - low) / (high - low)
     wide = half / (high - low) / (place * (1 - place))
     ends = special.expit(special.logit(place) + np.array([-wide, wide]))
-    return Estimate(value, low + (high - low) * float(ends[0]), low + (high - low) * float(ends[1]), 0)
+    return ClusteredEstimate(value, low + (high - low) * float(ends[0]), low + (high - low) * float(ends[1]), 0)
 
 
-def share(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
+def share(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = LEVEL) -> ClusteredEstimate:
     """Share of what was counted that has a property, with an interval.
 
     Parameters
@@ -158,7 +160,7 @@ def share(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
     some = bottom > 0
     n, value = int(some.sum()), float(top.sum() / bottom.sum()) if some.any() else float("nan")
     if n and (value in (0, 1) or (bottom[some] == 1).all()):
-        return Estimate(value, *_wilson(round(value * n), n, level), n)
+        return ClusteredEstimate(value, *_wilson(round(value * n), n, level), n)
     return ratio(top, bottom, level)
 
 
@@ -170,7 +172,7 @@ def _wilson(k: int, n: int, level: float) -> tuple[float, float]:
 
 def mean_of_pairs(
     values: Float[ndarray, "p"], a: Int[ndarray, "p"], b: Int[ndarray, "p"], bounds: Bounds = FREE, level: float = LEVEL
-) -> Estimate:
+) -> ClusteredEstimate:
     """Mean over pairs of units, where pairs that share a unit are not independent [1]_.
 
     Parameters
@@ -198,7 +200,7 @@ def mean_of_pairs(
     units, at = np.unique(np.concatenate([a, b]), return_inverse=True)
     n, value = len(units), float(np.mean(values)) if len(values) else float("nan")
     if n < _FEWEST:
-        return Estimate(value, float("nan"), float("nan"), n)
+        return ClusteredEstimate(value, float("nan"), float("nan"), n)
     residual = np.asarray(values, float) - value
     of_unit = np.bincount(at, np.tile(residual, 2))
     one, other = at[: len(a)], at[len(a) :]
@@ -208,7 +210,7 @@ def mean_of_pairs(
     return around(value, variance**0.5, n - 1, bounds, level)._replace(n_units=n)
 
 
-def median(values: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
+def median(values: Float[ndarray, "u"], level: float = LEVEL) -> ClusteredEstimate:
     """Median, with the interval between two of the values that holds for any distribution [1]_.
 
     Parameters
@@ -230,13 +232,13 @@ def median(values: Float[ndarray, "u"], level: float = LEVEL) -> Estimate:
     if not n:
         return UNKNOWN
     found = stats.quantile_test(values, p=0.5).confidence_interval(level)
-    return Estimate(float(np.median(values)), float(found.low), float(found.high), n)
+    return ClusteredEstimate(float(np.median(values)), float(found.low), float(found.high), n)
 
 
 def auc(
     high: Float[ndarray, "h"], high_unit: Int[ndarray, "h"], low: Float[ndarray, "l"], low_unit: Int[ndarray, "l"],
     times: tuple[ndarray, ndarray] | None = None, level: float = LEVEL,
-) -> Estimate:  # fmt: skip
+) -> ClusteredEstimate:  # fmt: skip
     """Probability that a value of the first kind is above one of the second, clustered by unit [1]_; ties count half.
 
     Parameters
@@ -274,7 +276,7 @@ def auc(
     above, below = _placement(high, low, n_low), 1 - _placement(low, high, n_high)
     value = float(np.average(above, weights=n_high))
     if n_units < _FEWEST:
-        return Estimate(value, float("nan"), float("nan"), n_units)
+        return ClusteredEstimate(value, float("nan"), float("nan"), n_units)
     variance = 0.0
     for placed, n, (at, _) in zip((above, below), (n_high, n_low), codes, strict=True):
         total = np.bincount(at, n * (placed - value))
@@ -291,7 +293,7 @@ def _placement(values: Float[ndarray, "n"], others: Float[ndarray, "m"], n: ndar
     )
 
 
-def of_units(values: Float[ndarray, "n"] | Bool[ndarray, "n"], unit: Int[ndarray, "n"]) -> Estimate:
+def of_units(values: Float[ndarray, "n"] | Bool[ndarray, "n"], unit: Int[ndarray, "n"]) -> ClusteredEstimate:
     """Mean of values that come from units, as `ratio`; if the values are true or false, as `share`.
 
     Parameters
@@ -315,12 +317,12 @@ def _codes(unit: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], int]:
     return at, len(units)
 
 
-def plain_columns(estimate: Estimate, name: str) -> dict[str, float]:
+def plain_columns(estimate: ClusteredEstimate, name: str) -> dict[str, float]:
     """An estimate as columns of a row that has only one: `name`, `low`, `high` and `n_units`."""
     return {name: estimate.value, "low": estimate.low, "high": estimate.high, "n_units": estimate.n_units}
 
 
-def columns(estimate: Estimate, name: str) -> dict[str, float]:
+def columns(estimate: ClusteredEstimate, name: str) -> dict[str, float]:
     """An estimate as columns of a row: `name`, `name_low`, `name_high` and `name_units`."""
     return {
         name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high,

@@ -38,7 +38,7 @@ Overlap = Literal["3d", "bev"]
 
 
 @dataclass(frozen=True, slots=True)
-class Objects:
+class LabelledObjects:
     """Labelled boxes of many frames, in file order within a frame."""
 
     frame: Int[ndarray, "n"]
@@ -74,7 +74,11 @@ class Precision:
 
 
 def average_precision(
-    truth: Objects, found: Objects, label: str, overlap: Overlap = "3d", min_overlap: float | None = None
+    truth: LabelledObjects,
+    found: LabelledObjects,
+    label: str,
+    overlap: Overlap = "3d",
+    min_overlap: float | None = None,
 ) -> dict[str, Precision]:
     """Average precision of one class, by level.
 
@@ -90,8 +94,8 @@ def average_precision(
 
 
 def _level(
-    truth: Objects,
-    found: Objects,
+    truth: LabelledObjects,
+    found: LabelledObjects,
     label: str,
     level: int,
     i: ndarray,
@@ -173,7 +177,7 @@ def _thresholds(scores: Float[ndarray, "n"], n_truth: int) -> Float[ndarray, "t"
     return np.array(kept, float)
 
 
-def _candidates(truth: Objects, found: Objects, overlap: Overlap) -> tuple[ndarray, ndarray, ndarray]:
+def _candidates(truth: LabelledObjects, found: LabelledObjects, overlap: Overlap) -> tuple[ndarray, ndarray, ndarray]:
     """Pairs of the same frame that may overlap, and their intersection over union."""
     assert (np.diff(truth.frame) >= 0).all() and (np.diff(found.frame) >= 0).all(), "frames are not sorted"
     if not len(truth) or not len(found):

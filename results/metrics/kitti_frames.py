@@ -8,7 +8,7 @@ import pyarrow.compute as pc
 from scipy.spatial import cKDTree
 
 from cosim.base.codes import BASE_VARIANT
-from results.metrics.kitti import Objects
+from results.metrics.kitti import LabelledObjects
 from results.metrics.overlap import corners
 from results.run import Run
 from results.sensing import interval_steps, senses, sensing_steps
@@ -126,7 +126,7 @@ def near(poses: Poses, actors: pd.DataFrame, range_m: float) -> tuple[np.ndarray
 
 def actors_ahead(
     run: Run, steps: np.ndarray, range_m: float, observers: np.ndarray | None = None
-) -> tuple[Objects, Poses]:
+) -> tuple[LabelledObjects, Poses]:
     """Ground truth: the actors ahead of each observer.
 
     Parameters
@@ -149,7 +149,7 @@ def actors_ahead(
     hidden = 1 - seen.n_points.to_numpy(np.float64) / np.maximum(seen.n_unoccluded.to_numpy(np.float64), 1)
     level = np.where(np.isnan(hidden), 3, (hidden > 0.2).astype(int) + (hidden > 0.5))
     label = actors.label.to_numpy(object)[j]
-    return Objects(i, label, box, height_px, level, np.zeros(len(i)), np.ones(len(i))), poses
+    return LabelledObjects(i, label, box, height_px, level, np.zeros(len(i)), np.ones(len(i))), poses
 
 
 def pairs_ahead(
@@ -173,7 +173,7 @@ def pairs_ahead(
     return i[ahead], j[ahead], box[ahead], height_px[ahead]
 
 
-def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m: float) -> Objects:
+def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m: float) -> LabelledObjects:
     """Boxes in the list of each observer that lie ahead of it.
 
     Parameters
@@ -205,7 +205,7 @@ def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m
     world = in_true_frame(world, poses, at, position_errors(run, poses))
     box, ahead, height_px = ahead_of(poses, at, world, range_m)
     n = int(ahead.sum())
-    return Objects(
+    return LabelledObjects(
         at[ahead], boxes["class"].astype(object).to_numpy()[ahead], box[ahead], height_px[ahead],
         np.zeros(n, int), np.zeros(n), boxes.score.to_numpy(np.float64)[ahead],
     )  # fmt: skip

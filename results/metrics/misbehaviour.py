@@ -148,7 +148,7 @@ def below(run: Run, threshold: float = 0.25) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def separation(run: Run) -> intervals.Estimate:
+def separation(run: Run) -> intervals.ClusteredEstimate:
     """Probability that the last rated value of an honest subject is above that of a malicious one (ties half)."""
     rated = scored(run)
     rated = rated.take(rated.rated)
@@ -239,7 +239,7 @@ def at_lookup(run: Run, threshold: float = lookups.THRESHOLD) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def compared_at_lookup(run: Run, false_positives: float = 0.05) -> dict[str, intervals.Estimate]:
+def compared_at_lookup(run: Run, false_positives: float = 0.05) -> dict[str, intervals.ClusteredEstimate]:
     """Classification of all attackers together, of the values that vehicles look up. It compares hosts and models.
 
     Parameters
@@ -337,7 +337,9 @@ def summary_of(delays: pd.DataFrame) -> pd.DataFrame:
             rows.append(
                 {"role": role, "n": int(here.sum())}
                 | intervals.columns(intervals.of_units(found[here], subject[here]), "share")
-                | intervals.columns(intervals.Estimate(median(curve), *median_band(curve), int(here.sum())), "median_s")
+                | intervals.columns(
+                    intervals.ClusteredEstimate(median(curve), *median_band(curve), int(here.sum())), "median_s"
+                )
             )
     return pd.DataFrame(rows)
 
@@ -392,7 +394,7 @@ def _rated(run: Run, found: Scored, role: str) -> Float[ndarray, "n"]:
     return found.trust[_of_role(run, found, role) & found.rated].astype(np.float64)
 
 
-def _auc(found: Scored, honest: Bool[ndarray, "n"], attacking: Bool[ndarray, "n"]) -> intervals.Estimate:
+def _auc(found: Scored, honest: Bool[ndarray, "n"], attacking: Bool[ndarray, "n"]) -> intervals.ClusteredEstimate:
     """Of some values above others."""
     return intervals.auc(
         found.trust[honest].astype(np.float64), found.subject[honest], found.trust[attacking].astype(np.float64),

@@ -12,7 +12,7 @@ from trust.fusion import SensorEvidence, fuse
 from trust.matching import match
 from trust.models.trupercept import TruPercept
 from trust.params import TrustParams
-from trust.tables import SERVER, Detections, FusionInput, ObjectLists, ReceivedEvaluations, SenderTrust, as_messages
+from trust.tables import SERVER, FusionInput, ObjectLists, ReceivedEvaluations, SenderTrust, SentDetections, as_messages
 
 N_SEEN, STRIDE, N_CONSIDERED, N_RECEIVED = 20, 5, 4, 10
 """Objects that a vehicle sees, objects between two vehicles, vehicles considered and received on each side."""
@@ -20,11 +20,11 @@ N_SEEN, STRIDE, N_CONSIDERED, N_RECEIVED = 20, 5, 4, 10
 Pairs = tuple[ndarray, ndarray, ndarray]
 
 
-def street(n_vehicles: int) -> tuple[Detections, Pairs, ObjectLists, SenderTrust]:
+def street(n_vehicles: int) -> tuple[SentDetections, Pairs, ObjectLists, SenderTrust]:
     """A ring of vehicles. Each sees `N_SEEN` objects; a quarter of them is not seen by the vehicle before it."""
     v, k = np.divmod(np.arange(n_vehicles * N_SEEN), N_SEEN)
     score = 0.5 + 0.5 * ((v * 7919 + k * 104729) % 1000) / 1000
-    table = Detections(v, k, ((v * STRIDE + k) % 4).astype(np.uint8), score, np.zeros(v.size, bool))
+    table = SentDetections(v, k, ((v * STRIDE + k) % 4).astype(np.uint8), score, np.zeros(v.size, bool))
     # object number v * STRIDE + k: the same one has number k - d * STRIDE with the d-th vehicle ahead
     ahead = np.arange(1, (N_SEEN - 1) // STRIDE + 1)[:, None]
     other = k - ahead * STRIDE

@@ -31,7 +31,7 @@ from results.archive import open_run
 from results.figures import calibration as pictures
 from results.figures import style
 from results.metrics import kitti_frames
-from results.metrics.kitti import LEVELS, LOOSE, STRICT, Objects, Precision, average_precision
+from results.metrics.kitti import LEVELS, LOOSE, STRICT, LabelledObjects, Precision, average_precision
 from results.run import Run
 from sensors.boxes import Boxes, iou_3d
 from sensors.evidence import Observability, observability
@@ -67,7 +67,7 @@ class Sample:
     """Input of the detectors of a run: one frame per equipped vehicle and step."""
 
     name: str
-    truth: Objects
+    truth: LabelledObjects
     poses: kitti_frames.Poses
     seen: Observability
     boxes: Boxes
@@ -82,8 +82,8 @@ class Sample:
 class Reported:
     """What the detectors report on some samples, as the metrics take it."""
 
-    truth: Objects
-    found: Objects
+    truth: LabelledObjects
+    found: LabelledObjects
     iou: ndarray
     """Overlap of each box with the actor behind it."""
 
@@ -135,7 +135,7 @@ def reported(samples: Sequence[Sample], model: SimpleNamespace | None, label: st
     return Reported(_joined(truths), _joined(founds), np.concatenate(ious))
 
 
-def _found(one: Sample, model: SimpleNamespace | None) -> tuple[Objects, ndarray]:
+def _found(one: Sample, model: SimpleNamespace | None) -> tuple[LabelledObjects, ndarray]:
     if model is None:
         rows = np.flatnonzero(one.seen.n_returns > 0)
         actor = one.seen.actor[rows]
@@ -155,19 +155,21 @@ def _found(one: Sample, model: SimpleNamespace | None) -> tuple[Objects, ndarray
     box, ahead, height_px = kitti_frames.ahead_of(one.poses, frame[order], table, RANGE_M)
     order, none = order[ahead], np.zeros(int(ahead.sum()))
     names = np.array(LABELS, object)[label[order]]
-    return Objects(frame[order], names, box[ahead], height_px[ahead], none.astype(int), none, score[order]), iou[order]
+    return LabelledObjects(
+        frame[order], names, box[ahead], height_px[ahead], none.astype(int), none, score[order]
+    ), iou[order]
 
 
-def _rows(objects: Objects, keep: ndarray) -> Objects:
-    return Objects(*(getattr(objects, name)[keep] for name in _COLUMNS))
+def _rows(objects: LabelledObjects, keep: ndarray) -> LabelledObjects:
+    return LabelledObjects(*(getattr(objects, name)[keep] for name in _COLUMNS))
 
 
-def _later(objects: Objects, first: int) -> Objects:
+def _later(objects: LabelledObjects, first: int) -> LabelledObjects:
     return replace(objects, frame=objects.frame + first)
 
 
-def _joined(parts: Sequence[Objects]) -> Objects:
-    return Objects(*(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS))
+def _joined(parts: Sequence[LabelledObjects]) -> LabelledObjects:
+    return LabelledObjects(*(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS))
 
 
 def of_actors_with_returns(samples: Sequence[Sample], label: str, everything: Reported) -> dict[str, Precision]:

@@ -10,7 +10,7 @@ from results.archive import open_run
 from results.figures import study as study_figure
 from results.figures import style, trust
 from results.figures.catalogue import FIGURES
-from results.study import Study
+from results.study import StudyResults
 from tests.results.synthetic import write
 
 
@@ -123,7 +123,7 @@ def test_heat_map_of_attacks_and_models(tmp_path):
         "point": points.point, "metric": "misbehaviour.auc", "group": "malicious",
         "value": 0.4 + 0.1 * points.replicate, "unit": "1", "label": "AUC",
     }).to_parquet(tmp_path / "jobs" / "all" / "measures.parquet")  # fmt: skip
-    study = Study(tmp_path, {"name": "s", "question": "", "keys": ["attack", "model"], "baseline": {}}, points)
+    study = StudyResults(tmp_path, {"name": "s", "question": "", "keys": ["attack", "model"], "baseline": {}}, points)
     axes = study_figure.draw(study, "misbehaviour", ["misbehaviour.auc:malicious"]).axes[0]
     assert [text.get_text() for text in axes.texts] == [".50", ".50", ".50", ".45"]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["beta", "mate"]
@@ -145,7 +145,9 @@ def test_the_ideal_observer_is_the_first_row_of_a_heat_map_of_models(tmp_path):
             {"point": points.point, "metric": name, "group": "malicious", "value": v, "unit": "1", "label": name}
         ) for name, v in values.items()
     ]).to_parquet(tmp_path / "jobs" / "all" / "measures.parquet")  # fmt: skip
-    study = Study(tmp_path, {"name": "s", "question": "", "keys": ["attack", "trust.model"], "baseline": {}}, points)
+    study = StudyResults(
+        tmp_path, {"name": "s", "question": "", "keys": ["attack", "trust.model"], "baseline": {}}, points
+    )
     asked = ["misbehaviour.auc:malicious", "misbehaviour.recall_at_fpr:malicious"]
     first, second, *_ = study_figure.draw(study, "misbehaviour", asked).axes
     assert [text.get_text() for text in first.texts] == [".90", ".80", ".20", ".40", ".30", ".50"]
@@ -166,7 +168,7 @@ def test_encounters_of_a_study_over_radius_and_kind_of_pairs(tmp_path):
             "point": str(scale), "metric": "encounters.duration.km_median_s", "group": groups,
             "value": [8.0, 16.0, 7.0, 12.0], "unit": "s", "label": "duration",
         }).to_parquet(tmp_path / "jobs" / str(scale) / "measures.parquet")  # fmt: skip
-    study = Study(tmp_path, {"name": "s", "question": "", "keys": ["traffic.scale"], "baseline": {}}, points)
+    study = StudyResults(tmp_path, {"name": "s", "question": "", "keys": ["traffic.scale"], "baseline": {}}, points)
     panels = study_figure.draw(study, "encounters", over="radius_m", by="pairs").axes
     assert len(panels) == 2
     for axes in panels:

@@ -24,7 +24,7 @@ def read_labels(files):
     values = np.array([[float(v) for v in words[1:16]] + [np.nan] * (16 - len(words)) for _, words in lines])
     values = values.reshape(-1, 15)
     height, width, length, x, bottom, z, turn = values[:, 7:14].T
-    return kitti.Objects(
+    return kitti.LabelledObjects(
         frame=np.array([n for n, _ in lines], int),
         label=np.array([words[0].lower() for _, words in lines], object),
         box=np.column_stack([x, z, height / 2 - bottom, length, width, height, -turn]),
@@ -80,7 +80,7 @@ def objects(rows, scores=None):
     box = np.column_stack(
         [rows[:, 1:], np.full(n, 0.75), np.full(n, 4.0), np.full(n, 2.0), np.full(n, 1.5), np.zeros(n)]
     )
-    return kitti.Objects(
+    return kitti.LabelledObjects(
         rows[:, 0].astype(int), np.full(n, "car", object), box, np.full(n, 50.0), np.zeros(n, int), np.zeros(n),
         np.ones(n) if scores is None else np.array(scores),
     )  # fmt: skip
@@ -114,7 +114,7 @@ def test_ranking_is_over_all_frames():
     rows = np.column_stack([np.repeat(np.arange(30), 3), rng.uniform(0, 100, (90, 2))])
     truth = objects(rows)
     found = objects(rows + rng.normal(0, 0.15, rows.shape) * [0, 1, 1], rng.random(90))
-    apart = [kitti.Objects(o.frame * 7 + 3, *[getattr(o, n) for n in o.__slots__[1:]]) for o in (truth, found)]
+    apart = [kitti.LabelledObjects(o.frame * 7 + 3, *[getattr(o, n) for n in o.__slots__[1:]]) for o in (truth, found)]
     one = kitti.average_precision(truth, found, "car")["all"]
     assert kitti.average_precision(*apart, "car")["all"].ap11 == one.ap11
     assert 5 < one.ap11 < 95

@@ -18,7 +18,7 @@ from cosim.addons.paper import scenario_figure as scenario
 from results.figures import city, scene, study, style, sweep
 from results.figures.catalogue import FIGURES
 from results.figures.movie import DPI
-from results.study import Study
+from results.study import StudyResults
 
 WIDTH_CM = 8.0
 """Width at which a picture is printed."""
@@ -28,7 +28,7 @@ LEAST_PT = 6.0
 def _scene():
     rng = np.random.default_rng(0)
     boxes = np.column_stack([rng.uniform(-60, 60, (9, 2)), np.full((9, 5), [0.8, 4.5, 1.8, 1.6, 0.3])])
-    moment = scene.Moment(
+    moment = scene.SceneMoment(
         centre_m=np.zeros(2), streets=[np.array([[-200.0, 0], [200, 0]]), np.array([[0.0, -200], [0, 200]])],
         buildings=[(np.array([[20.0, 20], [60, 20], [60, 50], [20, 50]]), 0.0, 15.0)],
         clouds={v: rng.normal(0, 20, (300, 3)) for v in (7, 1234, 99)}, boxes=boxes, equipped=np.arange(9) < 6,
@@ -71,7 +71,7 @@ def _study(folder, keys):
         pd.DataFrame({"point": points.point, "metric": metric, "group": "malicious", "value": value, "unit": unit,
                       "label": label}) for metric, label, unit in names
     ]).to_parquet(folder / "jobs" / "all" / "measures.parquet")  # fmt: skip
-    told = Study(folder, {"name": "s", "question": "", "keys": list(keys), "baseline": {}}, points)
+    told = StudyResults(folder, {"name": "s", "question": "", "keys": list(keys), "baseline": {}}, points)
     return study.draw(told, "misbehaviour", [f"{metric}:malicious" for metric, _, _ in names])
 
 
@@ -99,7 +99,7 @@ def _scenario_above():
     rng = np.random.default_rng(0)
     truth = np.array([[2.0, 10, 4.5, 1.8, 1.57], [-2, 22, 4.5, 1.8, 1.57]])
     panels = [
-        scenario.Panel(
+        scenario.ScenarioPanel(
             title,
             rng.uniform([-9, 0], [9, 40], (200, 2)),
             truth + [[0.3, 0.3, 0, 0, 0], [5, 9, 0, 0, 0]],
@@ -113,7 +113,7 @@ def _scenario_above():
 
 def _scenario_trust():
     curve = np.linspace(0.6, 0.1, 30)
-    curves = {f"vehicle {i}": scenario.Curve(curve + 0.1 * i, curve + 0.1 * i, i == 0) for i in range(4)}
+    curves = {f"vehicle {i}": scenario.ScenarioCurve(curve + 0.1 * i, curve + 0.1 * i, i == 0) for i in range(4)}
     return scenario.trust_over_frames(curves, [(5, 0.4), (20, 0.2)], 10, "expected by hand")
 
 

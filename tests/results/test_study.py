@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from results.study import Study, held_at, short_names, with_short_names
+from results.study import StudyResults, held_at, short_names, with_short_names
 
 
 @pytest.fixture
@@ -17,7 +17,7 @@ def study(tmp_path):
     (tmp_path / "jobs" / "all").mkdir(parents=True)
     table = pd.DataFrame(rows, columns=["point", "metric", "group", "value", "unit"]).assign(label="")
     table.to_parquet(tmp_path / "jobs" / "all" / "measures.parquet")
-    return Study(tmp_path, {"name": "s", "question": "", "keys": ["trust.host"], "baseline": {}}, points)
+    return StudyResults(tmp_path, {"name": "s", "question": "", "keys": ["trust.host"], "baseline": {}}, points)
 
 
 def test_intervals_stay_within_bounds_and_missing_replicates_are_said(study):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trust.tables import Detections, Groups, ObjectLists
+from trust.tables import Groups, ObjectLists, SentDetections
 
 ROOT = Path(__file__).resolve().parents[2].parent / "shared" / "reference" / "trupercept"
 LABELS = {"Car": 0, "Pedestrian": 1, "Cyclist": 2, "Truck": 3}
@@ -26,7 +26,7 @@ def load(name: str) -> dict:
     return _load(name)
 
 
-def detections_of(objects: list[dict], rows: dict[int, int]) -> tuple[Detections, np.ndarray]:
+def detections_of(objects: list[dict], rows: dict[int, int]) -> tuple[SentDetections, np.ndarray]:
     """Objects as a table sorted by (message, detection_index), and the row of each object.
 
     A false detection comes after the real detections whose number it has in these vectors.
@@ -37,7 +37,7 @@ def detections_of(objects: list[dict], rows: dict[int, int]) -> tuple[Detections
     order = np.lexsort((index, message))
     at = np.empty(order.size, np.int64)
     at[order] = np.arange(order.size)
-    table = Detections(
+    table = SentDetections(
         message[order],
         index[order],
         np.array([LABELS[o["type"]] for o in objects], np.uint8)[order],

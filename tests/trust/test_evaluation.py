@@ -12,7 +12,7 @@ from tests.verification import paper
 from trust.evaluation import denial_weight, evaluate, visibility
 from trust.matching import match
 from trust.params import TrustParams, eta_of
-from trust.tables import Detections, ObjectLists
+from trust.tables import ObjectLists, SentDetections
 
 
 def evaluations_of(world, params):
@@ -44,7 +44,7 @@ def test_eta_follows_the_method():
 def test_by_hand():
     # vehicle 0 evaluates: its self report, its own detection (0.8) with vehicle 1's matched to it, its detection 2,
     # vehicle 1's self report matched to 0's detection 3 (0.6), and an unmatched one that is implausible
-    table = Detections(
+    table = SentDetections(
         np.array([0, 0, 0, 0, 1, 1, 1, 1]),
         np.array([0, 1, 2, 3, 0, 1, 2, 3]),
         np.zeros(8, np.uint8),
@@ -102,7 +102,7 @@ def test_renaming_the_vehicles_permutes_the_evaluations(world, seed, one_per_veh
     rows = np.lexsort((table.detection_index, message))  # old row of each new row
     new_row = np.argsort(rows)
     columns = (table.detection_index, table.label, table.score, table.is_self)
-    renamed = Detections(message[rows], *(c[rows] for c in columns))
+    renamed = SentDetections(message[rows], *(c[rows] for c in columns))
     view_of_member, owner = lists.of_member(), new_name[lists.owner]
     member = new_row[lists.member]
     foreign = renamed.message[member] != owner[view_of_member]
@@ -128,7 +128,7 @@ def test_the_weight_of_a_denial_is_what_bayes_makes_of_a_miss(recall):
 
 def test_denials_are_weighed_by_recall():
     """A match, a denial with half recall, one that free space contradicts, and one that the detector cannot find."""
-    table = Detections(
+    table = SentDetections(
         np.array([0, 0, 1, 1, 1, 1]), np.array([0, 1, 1, 2, 3, 4]), np.zeros(6, np.uint8),
         np.array([1, 0.8, 0.5, 0.9, 0.7, 0.6]), np.array([1, 0, 0, 0, 0, 0], bool),
     )  # fmt: skip

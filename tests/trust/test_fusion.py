@@ -14,7 +14,7 @@ from trust.evaluation import evaluate
 from trust.fusion import METHODS, SensorEvidence, first_least, fuse
 from trust.matching import match
 from trust.params import Method, TrustParams
-from trust.tables import Detections, Evaluations, FusionInput, Groups, ObjectLists, SenderTrust
+from trust.tables import Evaluations, FusionInput, Groups, ObjectLists, SenderTrust, SentDetections
 
 
 @given(st.lists(st.tuples(st.integers(0, 4), st.sampled_from([0.0, -0.0, 1.0, 2.0, np.inf, np.nan]))))
@@ -37,7 +37,7 @@ def test_every_method_has_a_formula():
 # trust: ego 1, vehicle 1: 0.5, vehicle 2: 0.25
 #   A: sum Phi T e = 0.8 + 0.4 + 0.3 + 0.15 = 1.65, sum Phi T = 1 + 0.5 + 0.5 + 0.25 = 2.25
 #   B: sum Phi T e = 0.5 eta + 0.225, sum Phi T = 0.75
-TABLE = Detections(
+TABLE = SentDetections(
     np.array([0, 1, 2]),
     np.array([1, 1, 1]),
     np.zeros(3, np.uint8),

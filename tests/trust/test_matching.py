@@ -9,14 +9,14 @@ from tests.trust.worlds import worlds
 from tests.verification import paper
 from trust.matching import match
 from trust.params import TrustParams
-from trust.tables import Detections, ObjectLists
+from trust.tables import ObjectLists, SentDetections
 
 
 def row_of(senders, pairs, one_per_vehicle=False, tau=0.1):
     """Seeds of one object list over detections given by sender, the ego's first; IoUs by pair of rows."""
     n = len(senders)
     k = np.array([senders[:i].count(s) for i, s in enumerate(senders)])
-    table = Detections(np.array(senders), k, np.zeros(n, np.uint8), np.ones(n), np.zeros(n, bool))
+    table = SentDetections(np.array(senders), k, np.zeros(n, np.uint8), np.ones(n), np.zeros(n, bool))
     i, j = (np.array([p[c] for p in pairs], np.int64) for c in (0, 1))
     params = TrustParams(tau=tau, one_per_vehicle=one_per_vehicle)
     lists = ObjectLists(np.array([0, n]), np.arange(n), np.array([0]))

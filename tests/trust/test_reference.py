@@ -15,13 +15,13 @@ from trust.open_steps import RejectReason
 from trust.params import TrustParams
 from trust.tables import (
     SERVER,
-    Detections,
     Evaluations,
     FusionInput,
     Groups,
     ObjectLists,
     ReceivedEvaluations,
     SenderTrust,
+    SentDetections,
     messages_from_rows,
 )
 
@@ -216,7 +216,7 @@ def _world(cases: list[dict], evaluations_of=_split):
     def ptr(name):
         return np.concatenate([[0], np.cumsum(col(name))])
 
-    table = Detections(
+    table = SentDetections(
         col("message"),
         *(
             np.concatenate([getattr(p["table"], f) for p in parts])

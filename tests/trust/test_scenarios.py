@@ -13,12 +13,12 @@ from trust.models.trupercept import TruPercept
 from trust.params import TrustParams
 from trust.tables import (
     SERVER,
-    Detections,
     Evaluations,
     FusionInput,
     ObjectLists,
     ReceivedEvaluations,
     SenderTrust,
+    SentDetections,
     messages_from_rows,
 )
 
@@ -105,7 +105,7 @@ def scenario_1(**options):
     6 third itself, 7 pedestrian (0.93).
     The false one: 40 ground returns of the ego inside (Phi 0.4), free space behind it, not plausible.
     """
-    table = Detections(
+    table = SentDetections(
         np.array([0, 0, 1, 1, 1, 1, 2, 2]),
         np.array([0, 1, 0, 1, 2, 3, 0, 1]),
         np.array([0, 0, 0, 0, 1, 0, 0, 1], np.uint8),

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from tests.verification.paper import Detection, Name
-from trust.tables import Detections, ObjectLists
+from trust.tables import ObjectLists, SentDetections
 
 GAMMAS = [(0.0, 100.0), (0.0, 40.0), (0.0, 100.0), (0.0, 100.0)]
 
@@ -15,7 +15,7 @@ GAMMAS = [(0.0, 100.0), (0.0, 40.0), (0.0, 100.0), (0.0, 100.0)]
 class World:
     """A step: detections, overlaps, object lists."""
 
-    table: Detections
+    table: SentDetections
     pairs: tuple[np.ndarray, np.ndarray, np.ndarray]
     lists: ObjectLists
     points: np.ndarray  # per position of the lists
@@ -62,7 +62,7 @@ def make(seed: int, n_vehicles: int, n_objects: int, all_received: bool = False)
             rows.append((v, k, label_of[o], rng.integers(1, 101) / 100, False, o))
     columns = np.array(rows, float).reshape(-1, 6).T
     message, index, label, is_self, actor = columns[[0, 1, 2, 4, 5]].astype(np.int64)
-    table = Detections(message, index, label.astype(np.uint8), columns[3], is_self == 1)
+    table = SentDetections(message, index, label.astype(np.uint8), columns[3], is_self == 1)
     d = len(table)
     i, j = np.triu_indices(d, 1)
     same = (label[i] == label[j]) & (message[i] != message[j])

@@ -1,7 +1,7 @@
 """Records what trust models receive under many attacks, with all kinds of evaluations: each world is simulated once.
 
 `python -m tests.verification.attack_evidence FOLDER CITY SEED [N_STEPS [ATTACK=SHARE ...]]` writes `CITY-SEED.pickle`:
-for each case its name, its `Stream`, and the step in which each pseudonym's vehicle first attacks.
+for each case its name, its `EvidenceStream`, and the step in which each pseudonym's vehicle first attacks.
 """
 
 import pickle
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
-from cosim.addons.benchmark.evidence import HONEST, MOST_PSEUDONYMS, Rules, Stream
+from cosim.addons.benchmark.evidence import HONEST, MOST_PSEUDONYMS, EvidenceRules, EvidenceStream
 from cosim.addons.benchmark.record import ATTACKS, RULES, Tape, numbered, simulated
 from cosim.config.config import Config, resolve_data
 from trust.params import KINDS
@@ -20,7 +20,7 @@ from trust.params import KINDS
 PENETRATION_P, SHARE_P = 0.3, 0.1
 NEVER = np.iinfo(np.int64).max
 
-Recorded = tuple[str, Stream, Int[ndarray, "p"]]
+Recorded = tuple[str, EvidenceStream, Int[ndarray, "p"]]
 """Name of the case, its evidence, and by pseudonym the first step of its vehicle's attack; `NEVER` for the honest."""
 
 
@@ -52,9 +52,9 @@ def record(city: str, seed: int, n_steps: int, asked: list[tuple[str, float]]) -
     return found
 
 
-def rules_of(n_steps: int) -> Rules:
+def rules_of(n_steps: int) -> EvidenceRules:
     """The benchmark's rules for a world of this length."""
-    return Rules(**{name: getattr(RULES, name) for name in Rules.__slots__} | {"n_steps": n_steps})
+    return EvidenceRules(**{name: getattr(RULES, name) for name in EvidenceRules.__slots__} | {"n_steps": n_steps})
 
 
 if __name__ == "__main__":

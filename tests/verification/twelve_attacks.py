@@ -19,10 +19,10 @@ from time import process_time
 import numpy as np
 import pandas as pd
 
-from cosim.addons.benchmark.evidence import HONEST, Stream
+from cosim.addons.benchmark.evidence import HONEST, EvidenceStream
 from cosim.addons.benchmark.play import Script
 from results.metrics.auc_bound import _EDGES, _N_BINS, _N_OTHERS, area
-from results.metrics.intervals import Estimate, ratio
+from results.metrics.intervals import ClusteredEstimate, ratio
 from tests.verification.attack_evidence import NEVER, rules_of
 from trust.models import MODELS, params_of
 from trust.params import KINDS, TrustParams
@@ -65,7 +65,7 @@ def above(honest: np.ndarray, other: np.ndarray) -> tuple[float, float]:
     return pairs - sum(np.searchsorted(honest, other, side).sum() for side in ("left", "right")) / 2, pairs
 
 
-def bound(stream: Stream, since: np.ndarray) -> tuple[float, float]:
+def bound(stream: EvidenceStream, since: np.ndarray) -> tuple[float, float]:
     """As `results.metrics.auc_bound.bounds`, with roles known, from a recorded stream: pairs won, and pairs."""
     rows = pd.DataFrame({c: np.asarray(v, np.int64) for c, v in stream.evaluations.items()})
     rows = rows[rows.evaluator != rows.observer]
@@ -125,7 +125,7 @@ def table(files: list[Path], thresholds: dict[str, tuple[float, float]], models:
     return pd.DataFrame(rows)
 
 
-def estimate(of: pd.DataFrame, top: str, below: str) -> Estimate:
+def estimate(of: pd.DataFrame, top: str, below: str) -> ClusteredEstimate:
     """Ratio of two columns, with its interval over worlds."""
     return ratio(of[top].to_numpy(float), of[below].to_numpy(float))
 

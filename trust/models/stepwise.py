@@ -19,7 +19,7 @@ Advance = Callable[[S, int, int, StepRows, int], S]
 """Arguments: state before the step, steps since then, the step, its rows, number of pairs. Result: state after it."""
 
 
-class Replay(Generic[S]):
+class StateReplay(Generic[S]):
     """The state after each step that is still kept. After late evidence, states are computed again from its step on."""
 
     def __init__(self, start: S) -> None:
@@ -84,7 +84,7 @@ class Stepwise:
         self.log = EvaluationLog(grace_steps(params.grace_s, dt_s))
         """The log of evaluations; `share_logs` gives several models the same one."""
         self._n_added = 0
-        self._replay: Replay[Any] = Replay(self.start())
+        self._replay: StateReplay[Any] = StateReplay(self.start())
 
     def start(self) -> Any:
         """State before any evidence."""

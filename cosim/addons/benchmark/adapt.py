@@ -15,7 +15,16 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.optimize import differential_evolution
 
-from cosim.addons.benchmark.evidence import HONEST, TABLES, EvidenceSet, Rows, Rules, Stream, merged, packed
+from cosim.addons.benchmark.evidence import (
+    HONEST,
+    TABLES,
+    EvidenceRules,
+    EvidenceSet,
+    EvidenceStream,
+    Rows,
+    merged,
+    packed,
+)
 from cosim.addons.benchmark.play import Candidate, Script, play
 from cosim.addons.benchmark.score import ON_EVALUATIONS, Advance, Counts, Figures, counts, figures
 from cosim.base import rng
@@ -56,7 +65,7 @@ class Policy:
         praises = ", praises accomplices" if self.praises else ""
         return lies + denies + praises + (" in disguise" if self.disguised and (denies or praises) else "") + sleeps
 
-    def lies(self, step: Int[ndarray, "n"], rules: Rules) -> Bool[ndarray, "n"]:
+    def lies(self, step: Int[ndarray, "n"], rules: EvidenceRules) -> Bool[ndarray, "n"]:
         """Whether attackers send false detections in these steps."""
         since_s = (step - rules.start_step) * rules.dt_s - self.sleep_s
         is_on = np.mod(since_s, self.period_s) < self.lie_p * self.period_s - 1e-9
@@ -74,15 +83,15 @@ def _policy(x: Float[ndarray, "7"], attacks: Sequence[str]) -> Policy:
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class AdaptedEvidence:
     """What a world offers to a policy."""
 
-    honest: Stream
-    colluding: Stream
-    attacked: Stream
+    honest: EvidenceStream
+    colluding: EvidenceStream
+    attacked: EvidenceStream
     """With the policy's attack on detections; the world without attack if it has none."""
 
-    def under(self, policy: Policy, rules: Rules) -> Stream:
+    def under(self, policy: Policy, rules: EvidenceRules) -> EvidenceStream:
         """The evidence under a policy.
 
         Messages of attackers, and what others evaluate about their detections, are those under the attack in steps in
@@ -126,7 +135,7 @@ class Evidence:
         reports = [self.honest.reports, *chosen("reports", "evaluator")[1:]]
         reports.append(_take(self.colluding.reports, attacks[self.colluding.reports["evaluator"]]))
         lookups = [self.honest.lookups, *chosen("lookups", "sender")[1:]]
-        return Stream(
+        return EvidenceStream(
             _union("detections", chosen("detections", "observer")), _union("reports", reports), evaluations,
             _union("lookups", lookups), self.attacked.pseudonyms,
         )  # fmt: skip
@@ -247,10 +256,10 @@ class Search:
         begin += [(0, 1.0, 0), (0, 0.6, 1), (0, 0.3, 0)]
         return np.array([[n, 1.0, _PERIODS_S[1], 0.0, p, p > 0, hidden] for n, p, hidden in begin], float)
 
-    def _counts(self, world: int, policy: Policy, rules: Rules) -> Counts:
-        def stream(case: str) -> Stream:
+    def _counts(self, world: int, policy: Policy, rules: EvidenceRules) -> Counts:
+        def stream(case: str) -> EvidenceStream:
             return self.evidence.stream(world, rules.cases.index(case))
 
-        under = Evidence(stream(HONEST), stream(COLLUSION), stream(policy.attack)).under(policy, rules)
+        under = AdaptedEvidence(stream(HONEST), stream(COLLUSION), stream(policy.attack)).under(policy, rules)
         answers = play(Script.of(under, rules), self.candidate)
         return counts(under, answers, self.threshold, rules, policy.lies(under.lookups["step"], rules))

@@ -31,7 +31,7 @@ Rows = Mapping[str, ndarray]
 """Columns of a table, sorted by its key."""
 
 
-class Column(NamedTuple):
+class EvidenceColumn(NamedTuple):
     """A column of a table."""
 
     type: str
@@ -40,11 +40,11 @@ class Column(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class EvidenceTable:
     """A table of the set."""
 
     meaning: str
-    columns: Mapping[str, Column]
+    columns: Mapping[str, EvidenceColumn]
     n_keys: int
     """Number of columns, from the first one on, that identify a row of one case."""
 
@@ -54,21 +54,21 @@ class Table:
         return tuple(self.columns)[: self.n_keys]
 
 
-def _key(meaning: str) -> Column:
-    return Column("int16", "", meaning)
+def _key(meaning: str) -> EvidenceColumn:
+    return EvidenceColumn("int16", "", meaning)
 
 
 _STEP, _PSEUDONYM = "Step of the message.", "Pseudonym, numbered within the world."
-TABLES: Mapping[str, Table] = {
-    "detections": Table(
+TABLES: Mapping[str, EvidenceTable] = {
+    "detections": EvidenceTable(
         "Detections as transmitted.",
         {
             "step": _key(_STEP), "observer": _key(_PSEUDONYM), "detection_index": _key("Number within the message."),
-            "score": Column("int8", "%", "Score of the detection."),
+            "score": EvidenceColumn("int8", "%", "Score of the detection."),
         },
         3,
     ),
-    "reports": Table(
+    "reports": EvidenceTable(
         "Messages with evaluations.",
         {
             "step": _key(_STEP), "evaluator": _key(_PSEUDONYM),
@@ -76,17 +76,17 @@ TABLES: Mapping[str, Table] = {
         },
         2,
     ),
-    "evaluations": Table(
+    "evaluations": EvidenceTable(
         "Evaluations as transmitted, of detections that the evaluator could see or claims to.",
         {
             "step": _key(_STEP), "evaluator": _key(_PSEUDONYM), "observer": _key("Sender of the detection."),
             "detection_index": _key("Number within the observer's message."),
-            "evaluation": Column("int8", "%", "-100 denies, up to 100 confirms."),
-            "visibility": Column("int8", "%", "How well the evaluator could see the place."),
+            "evaluation": EvidenceColumn("int8", "%", "-100 denies, up to 100 confirms."),
+            "visibility": EvidenceColumn("int8", "%", "How well the evaluator could see the place."),
         },
         4,
     ),
-    "lookups": Table(
+    "lookups": EvidenceTable(
         "Messages with evaluations that vehicles received, and for whose senders they look up trust.",
         {
             "step": _key(_STEP), "receiver": _key("Pseudonym of the vehicle that looks up."),
@@ -95,12 +95,12 @@ TABLES: Mapping[str, Table] = {
         },
         3,
     ),
-    "pseudonyms": Table(
+    "pseudonyms": EvidenceTable(
         "Ground truth, which no trust model gets.",
         {
             "pseudonym": _key(_PSEUDONYM),
             "vehicle": _key("First pseudonym of its vehicle."),
-            "attacks": Column("int8", "", "1 if its vehicle attacks in all cases but case 0."),
+            "attacks": EvidenceColumn("int8", "", "1 if its vehicle attacks in all cases but case 0."),
         },
         1,
     ),
@@ -115,7 +115,7 @@ _MOST_BYTES, _MOST_FILE_BYTES, _MOST_ROWS, _MOST_BYTES_OF_ROW = 1_000_000, 1_000
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class EvidencePlace:
     """Where evidence was recorded."""
 
     city: str
@@ -124,7 +124,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Rules:
+class EvidenceRules:
     """What holds for all worlds of a set."""
 
     dt_s: float
@@ -148,7 +148,7 @@ _RULES: Mapping[str, tuple[type | tuple[type, ...], float, float]] = {
 """Type, smallest and largest value of each rule that is a number."""
 
 
-def _limits(rules: Rules, n_worlds: int) -> Mapping[str, tuple[int, int]]:
+def _limits(rules: EvidenceRules, n_worlds: int) -> Mapping[str, tuple[int, int]]:
     """Smallest and largest value of each column that is no pseudonym; a column means the same in every table."""
     return {
         "world": (0, n_worlds - 1), "case": (0, len(rules.cases) - 1), "gone": (0, 1), "attacks": (0, 1),
@@ -171,7 +171,7 @@ _REFERENCES: Sequence[tuple[str, tuple[str, ...], str]] = (
 
 
 @dataclass(frozen=True, slots=True)
-class Stream:
+class EvidenceStream:
     """The evidence of one case of one world: a table of rows for each of `TABLES`."""
 
     detections: Rows
@@ -192,15 +192,15 @@ class EvidenceSet:
     """All worlds and cases of a version of the benchmark."""
 
     version: str
-    rules: Rules
-    worlds: tuple[Place, ...]
+    rules: EvidenceRules
+    worlds: tuple[EvidencePlace, ...]
     tables: Mapping[str, Rows]
     """Each table with the columns world, case and gone before its own; sorted by world, case and key. Of case 0 all
     rows; of the others rows that replace or join those of case 0, or, if `gone` is 1, take them away."""
 
-    def stream(self, world: int, case: int) -> Stream:
+    def stream(self, world: int, case: int) -> EvidenceStream:
         """The evidence of a case of a world, by their numbers."""
-        return Stream(**{name: self._rows(name, world, case) for name in TABLES})
+        return EvidenceStream(**{name: self._rows(name, world, case) for name in TABLES})
 
     def _rows(self, name: str, world: int, case: int) -> Rows:
         table, rows = TABLES[name], self.tables[name]
@@ -225,7 +225,7 @@ class EvidenceSet:
         return digest.hexdigest()
 
     def _head(self) -> dict[str, Any]:
-        rules = {name: getattr(self.rules, name) for name in Rules.__slots__}
+        rules = {name: getattr(self.rules, name) for name in EvidenceRules.__slots__}
         worlds = [[w.city, w.penetration_p, w.seed] for w in self.worlds]
         return {"version": self.version, "rules": rules | {"cases": list(self.rules.cases)}, "worlds": worlds}
 
@@ -280,11 +280,14 @@ def difference(name: str, base: Rows, case: Rows) -> Rows:
 
 
 def assembled(
-    version: str, rules: Rules, worlds: tuple[Place, ...], streams: Iterator[tuple[int, int, Stream]]
+    version: str,
+    rules: EvidenceRules,
+    worlds: tuple[EvidencePlace, ...],
+    streams: Iterator[tuple[int, int, EvidenceStream]],
 ) -> EvidenceSet:
     """A set from the streams of all (world, case), in their order."""
     parts: dict[str, list[Rows]] = {name: [] for name in TABLES}
-    base: Stream | None = None
+    base: EvidenceStream | None = None
     for world, case, stream in streams:
         base = stream if case == 0 else base
         for name in TABLES:
@@ -338,7 +341,7 @@ _MOST_NUMBERS = 1 << 7
 """Worlds, and cases, whose numbers fit into a column."""
 
 
-def _rules(about: Any) -> Rules:
+def _rules(about: Any) -> EvidenceRules:
     """The rules in a manifest; ValueError if one cannot be."""
     cases = about["cases"]
     if not isinstance(cases, list) or not all(isinstance(name, str) and name for name in cases):
@@ -350,12 +353,12 @@ def _rules(about: Any) -> Rules:
         is_number = isinstance(value, kind) and not isinstance(value, bool)
         if not is_number or not least <= value <= most:
             raise ValueError(f"{name} = {str(value)[:40]!r} should be a number from {least:g} to {most:g}")
-    return Rules(**{**about, "cases": tuple(cases)})
+    return EvidenceRules(**{**about, "cases": tuple(cases)})
 
 
-def _place(number: int, about: Any) -> Place:
+def _place(number: int, about: Any) -> EvidencePlace:
     """A world in a manifest; ValueError if it cannot be."""
-    place = Place(*about)
+    place = EvidencePlace(*about)
     is_share = isinstance(place.penetration_p, int | float) and 0 <= place.penetration_p <= 1
     if not isinstance(place.city, str) or not is_share or not isinstance(place.seed, int):
         raise ValueError(f"world {number} should be a city, a penetration from 0 to 1 and a seed")
@@ -416,7 +419,7 @@ def _check(found: EvidenceSet) -> None:
             _check_stream(found.stream(world, case))
 
 
-def _check_stream(stream: Stream) -> None:
+def _check_stream(stream: EvidenceStream) -> None:
     """Check the rows of a stream against each other."""
     for name, columns, of in _REFERENCES:
         rows, named = getattr(stream, name), getattr(stream, of)

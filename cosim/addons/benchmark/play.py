@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from cosim.addons.benchmark.evidence import Rows, Rules, Stream
+from cosim.addons.benchmark.evidence import EvidenceRules, EvidenceStream, Rows
 from cosim.config.config import resolve_data
 from cosim.config.data import override
 from cosim.messages.trust_hosts import Variant
@@ -34,7 +34,7 @@ class Candidate:
         return made if v.guard is None else v.guard(made)
 
 
-def candidate(name: str, sets: Sequence[str], rules: Rules) -> Candidate:
+def candidate(name: str, sets: Sequence[str], rules: EvidenceRules) -> Candidate:
     """The model that a name refers to.
 
     Parameters
@@ -84,7 +84,7 @@ class Script:
     dt_s: float
 
     @staticmethod
-    def of(stream: Stream, rules: Rules) -> "Script":
+    def of(stream: EvidenceStream, rules: EvidenceRules) -> "Script":
         """The evidence of a stream."""
         steps = np.arange(rules.n_steps + 1)
         sent = tuple(_messages(stream, rules))
@@ -117,7 +117,7 @@ class Script:
         )  # fmt: skip
 
 
-def _opened(stream: Stream, rules: Rules) -> list[tuple[int, ndarray, ndarray, ndarray, ndarray]]:
+def _opened(stream: EvidenceStream, rules: EvidenceRules) -> list[tuple[int, ndarray, ndarray, ndarray, ndarray]]:
     rows = stream.detections
     begins, found = np.searchsorted(rows["step"], np.arange(rules.n_steps + 1)), []
     for step in range(rules.n_steps):
@@ -127,7 +127,7 @@ def _opened(stream: Stream, rules: Rules) -> list[tuple[int, ndarray, ndarray, n
     return found
 
 
-def _messages(stream: Stream, rules: Rules) -> list[EvaluationMessages]:
+def _messages(stream: EvidenceStream, rules: EvidenceRules) -> list[EvaluationMessages]:
     rows, reports, found = stream.evaluations, stream.reports, []
     steps = np.arange(rules.n_steps + 1)
     begins, of = np.searchsorted(rows["step"], steps), np.searchsorted(reports["step"], steps)
@@ -144,7 +144,7 @@ def _messages(stream: Stream, rules: Rules) -> list[EvaluationMessages]:
 
 
 @dataclass(frozen=True, slots=True)
-class Answers:
+class ModelAnswers:
     """What a model answers to the look-ups of a stream."""
 
     trust: Float[ndarray, "n"]
@@ -157,7 +157,7 @@ class Answers:
     """Number of received evaluations."""
 
 
-def play(script: Script, candidate: Candidate) -> Answers:
+def play(script: Script, candidate: Candidate) -> ModelAnswers:
     """Play the evidence of a stream through a new model.
 
     The server gets messages when they arrived in the simulation, and a receiver looks up the newest broadcast that it
@@ -184,7 +184,7 @@ def play(script: Script, candidate: Candidate) -> Answers:
     for step, scores in published.items():
         rows = np.flatnonzero(asked["broadcast_step"] == step)
         _fill(trust, age_s, asked, rows, scores, np.full(len(rows), SERVER), script.dt_s)
-    return Answers(trust, age_s, cost_s, n)
+    return ModelAnswers(trust, age_s, cost_s, n)
 
 
 def _fill(

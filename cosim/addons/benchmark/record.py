@@ -11,11 +11,11 @@ from numpy import ndarray
 from cosim.addons.benchmark.evidence import (
     HONEST,
     MOST_PSEUDONYMS,
+    EvidencePlace,
+    EvidenceRules,
     EvidenceSet,
-    Place,
+    EvidenceStream,
     Rows,
-    Rules,
-    Stream,
     assembled,
     merged,
 )
@@ -46,12 +46,14 @@ ATTACKS = (
 CITIES = ("helsinki", "koenigs-wusterhausen", "adlershof")
 SEEDS = (1001,)
 """Beyond those of all studies."""
-PLACES = tuple(Place(city, penetration_p, seed) for city in CITIES for penetration_p in (0.15, 0.3) for seed in SEEDS)
+PLACES = tuple(
+    EvidencePlace(city, penetration_p, seed) for city in CITIES for penetration_p in (0.15, 0.3) for seed in SEEDS
+)
 """Worlds of the shipped set."""
 SHARE_P = 0.1
 """Share of attackers among the equipped vehicles."""
 _TRUST = TrustParams(freshness_s=30.0)
-RULES = Rules(
+RULES = EvidenceRules(
     dt_s=1.0, n_steps=80, start_step=20, server_period_s=_TRUST.server_period_s, eta=eta_of(_TRUST),
     freshness_s=30.0, cases=(HONEST, *ATTACKS),
 )  # fmt: skip
@@ -114,13 +116,13 @@ class _Shared:
         return self._found
 
     def answers(self, sweeps: RangeImages, asked: BoxQuestions) -> BoxAnswers:
-        """As in `AsksSweeps`."""
+        """As in `Perceives`."""
         return self.behind.answers(sweeps, asked)
 
     def in_area(
         self, sweeps: RangeImages, o: ndarray, boxes: Boxes, area: AreaParams, b: ndarray, label: ndarray, own: Boxes
     ) -> ndarray:
-        """As in `AsksSweeps`."""
+        """As in `Perceives`."""
         return self.behind.in_area(sweeps, o, boxes, area, b, label, own)
 
 
@@ -189,21 +191,21 @@ def _percent(values: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
     return np.rint(100 * values).astype(np.int64)
 
 
-def numbered(tables: list[dict[str, Rows]]) -> list[Stream]:
+def numbered(tables: list[dict[str, Rows]]) -> list[EvidenceStream]:
     """The cases of a world with pseudonyms numbered from 0 in ascending order: one numbering for all cases."""
     known = np.unique(np.concatenate([of["pseudonyms"]["pseudonym"] for of in tables]))
     if len(known) > MOST_PSEUDONYMS:
         raise ValueError(f"{len(known)} pseudonyms in one world: a set holds at most {MOST_PSEUDONYMS}.")
     names = {"observer", "evaluator", "receiver", "sender", "pseudonym", "vehicle"}
     return [
-        Stream(**{
+        EvidenceStream(**{
             name: merged(name, {c: np.searchsorted(known, v) if c in names else v for c, v in rows.items()})
             for name, rows in of.items()
         }) for of in tables
     ]  # fmt: skip
 
 
-def config_of(place: Place, rules: Rules, attack: str) -> Config:
+def config_of(place: EvidencePlace, rules: EvidenceRules, attack: str) -> Config:
     """The config of a case of a world."""
     section = {"attack": attack, "share_p": SHARE_P, "start_s": rules.start_step * rules.dt_s}
     return resolve_data({
@@ -249,7 +251,7 @@ def simulated(configs: Sequence[Config], label: str, advance: Advance) -> list[C
     return cases
 
 
-def recorded(place: Place, rules: Rules, advance: Advance) -> list[Stream]:
+def recorded(place: EvidencePlace, rules: EvidenceRules, advance: Advance) -> list[EvidenceStream]:
     """The evidence of all cases of a world, simulated beside each other over the same traffic and sweeps."""
     configs = [config_of(place, rules, attack) for attack in rules.cases[1:]]
     label = f"{place.city}, {place.penetration_p:g}, seed {place.seed}"
@@ -257,7 +259,7 @@ def recorded(place: Place, rules: Rules, advance: Advance) -> list[Stream]:
 
 
 def make(
-    advance: Advance, places: tuple[Place, ...] = PLACES, rules: Rules = RULES, version: str = VERSION
+    advance: Advance, places: tuple[EvidencePlace, ...] = PLACES, rules: EvidenceRules = RULES, version: str = VERSION
 ) -> EvidenceSet:
     """Record a set.
 
@@ -269,7 +271,7 @@ def make(
         Those of the shipped set by default.
     """
 
-    def streams() -> Iterator[tuple[int, int, Stream]]:
+    def streams() -> Iterator[tuple[int, int, EvidenceStream]]:
         for world, place in enumerate(places):
             for case, stream in enumerate(recorded(place, rules, advance)):
                 yield world, case, stream

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from cosim.addons.benchmark.evidence import HONEST, EvidenceSet, Rules, Stream
-from cosim.addons.benchmark.play import Answers, Candidate, Script, play
-from results.metrics.intervals import UNKNOWN, Estimate, ratio
+from cosim.addons.benchmark.evidence import HONEST, EvidenceRules, EvidenceSet, EvidenceStream
+from cosim.addons.benchmark.play import Candidate, ModelAnswers, Script, play
+from results.metrics.intervals import UNKNOWN, ClusteredEstimate, ratio
 from results.metrics.misbehaviour import threshold_at
 from results.metrics.survival import kaplan_meier, median, median_band
 
@@ -31,18 +31,18 @@ Advance = Callable[[str, int, int, str], None]
 class Figures:
     """A model under one attack. Intervals are 95 % intervals of the bootstrap over worlds, if nothing else is said."""
 
-    auc: Estimate
+    auc: ClusteredEstimate
     """Probability that the value of an honest sender is above that of an attacker at a look-up of the same world."""
-    exclusion_s: Estimate
+    exclusion_s: ClusteredEstimate
     """Median time from an attacker's first message with the attack to its first exclusion by any vehicle (Kaplan-Meier,
     with its own interval); NaN if more than half of the attackers are never excluded."""
-    wrong_p: Estimate
+    wrong_p: ClusteredEstimate
     """Share of honest vehicle-seconds that are excluded."""
-    believed_p: Estimate
+    believed_p: ClusteredEstimate
     """Damage that was believed: share of the received messages of attackers whose sender is not excluded."""
-    age_s: Estimate
+    age_s: ClusteredEstimate
     """Mean age of the newest evaluation behind a value at look-up."""
-    harm: Estimate
+    harm: ClusteredEstimate
     """Mean of two shares, averaged over worlds: honest vehicle-seconds that are excluded, and received messages of
     attackers that have false detections and are believed."""
 
@@ -67,7 +67,9 @@ class Counts:
     """Time to exclusion of each attacker, and whether it was excluded at all."""
 
 
-def counts(stream: Stream, answers: Answers, threshold: float, rules: Rules, lying: Bool[ndarray, "n"]) -> Counts:
+def counts(
+    stream: EvidenceStream, answers: ModelAnswers, threshold: float, rules: EvidenceRules, lying: Bool[ndarray, "n"]
+) -> Counts:
     """What one world says about a model.
 
     Parameters
@@ -118,7 +120,7 @@ def figures(of_worlds: list[Counts]) -> Figures:
     column = {name: np.array([getattr(one, name) for one in of_worlds]) for name in Counts.__slots__[:-2]}
     delays = [np.concatenate([getattr(one, name) for one in of_worlds]) for name in ("delay_s", "found")]
     curve = kaplan_meier(*delays)
-    wait = Estimate(median(curve), *median_band(curve), len(delays[0])) if len(delays[0]) else UNKNOWN
+    wait = ClusteredEstimate(median(curve), *median_band(curve), len(delays[0])) if len(delays[0]) else UNKNOWN
     attacked = column["messages"] > 0
     harm = (
         column["wrong_s"][attacked] / np.maximum(column["honest_s"][attacked], 1)
@@ -135,7 +137,7 @@ def figures(of_worlds: list[Counts]) -> Figures:
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
+class ModelScore:
     """A model on the whole set."""
 
     model: str
@@ -150,7 +152,7 @@ class Score:
     """Processor time per received evaluation."""
 
 
-def threshold_of(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> tuple[float, list[Answers]]:
+def threshold_of(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> tuple[float, list[ModelAnswers]]:
     """The model's threshold, and its answers in the worlds without attack, from which it follows.
 
     Raises
@@ -171,7 +173,7 @@ def threshold_of(evidence: EvidenceSet, candidate: Candidate, advance: Advance) 
     return threshold, found
 
 
-def score(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> Score:
+def score(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> ModelScore:
     """Score a model: it is played through every world without attack and under every attack.
 
     Raises
@@ -196,4 +198,6 @@ def score(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> Scor
     quiet_p = found.pop(HONEST).wrong_p.value
     ordered = dict(sorted(found.items(), key=lambda one: (np.isfinite(one[1].auc.value), one[1].auc.value)))
     cost_s, n_evaluations = sum(one.cost_s for one in played), sum(one.n_evaluations for one in played)
-    return Score(candidate.name, candidate.sha256, threshold, quiet_p, ordered, 1e6 * cost_s / max(n_evaluations, 1))
+    return ModelScore(
+        candidate.name, candidate.sha256, threshold, quiet_p, ordered, 1e6 * cost_s / max(n_evaluations, 1)
+    )

@@ -24,8 +24,8 @@ from numpy import ndarray
 from cosim.addons.datasets.recorded import (
     MOST_BOXES,
     MOST_FRAMES,
-    Boxes,
     Recorded,
+    RecordedBoxes,
     box_of_corners,
     class_of,
     matrix,
@@ -104,8 +104,8 @@ def read(folder: Path, detections: Path | None = None, ego: str | None = None) -
     )
     return Recorded(
         layout="dair-v2x", frames=tuple(Path(name).stem for name in frames),
-        agents=(tuple(AGENTS[k] for k in order),) * len(frames), pose=tuple(poses), truth=Boxes.of(truth),
-        aside=Boxes.of([]), found=Boxes.of(found), has_classes=True, classes=classes,
+        agents=(tuple(AGENTS[k] for k in order),) * len(frames), pose=tuple(poses), truth=RecordedBoxes.of(truth),
+        aside=RecordedBoxes.of([]), found=RecordedBoxes.of(found), has_classes=True, classes=classes,
         remarks=(remarks,) * (0 < len(missing) < 2 * len(index)), world_from=tuple(turns), clouds=tuple(clouds),
     )  # fmt: skip
 

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from cosim.addons.datasets import dair, kitti_folder, opv2v
 from cosim.addons.datasets.opv2v import ObjectFrame
 from cosim.addons.datasets.plausibility import of_boxes, remarks
-from cosim.addons.datasets.recorded import Boxes, Recorded, listed
+from cosim.addons.datasets.recorded import Recorded, RecordedBoxes, listed
 from cosim.addons.datasets.recorded_trust import Trusted, trusted
 from results.metrics.kitti import LEVELS, LOOSE, STRICT, average_precision
 from results.metrics.late_fusion import NMS_OVERLAP, kept
@@ -24,7 +24,7 @@ from sensors import boxes as geometry
 from trust.fusion import SensorEvidence, fuse
 from trust.matching import match
 from trust.params import TrustParams
-from trust.tables import Detections, Evaluations, FusionInput, ObjectLists, SenderTrust
+from trust.tables import Evaluations, FusionInput, ObjectLists, SenderTrust, SentDetections
 
 Layout = Literal["opv2v", "dair-v2x", "kitti"]
 CLASSES = ("car", "pedestrian", "cyclist", "truck")
@@ -178,7 +178,7 @@ def _kitti(data: kitti_folder.KittiFolder) -> tuple[dict[str, Any], pd.DataFrame
         return about, pd.DataFrame(columns=list(_KITTI_COLUMNS))
     names = tuple(str(n) for n in range(data.n_frames))
     boxes = [
-        Boxes(of.frame[keep], of.frame[keep], of.label[keep], of.box[keep], of.score[keep])
+        RecordedBoxes(of.frame[keep], of.frame[keep], of.label[keep], of.box[keep], of.score[keep])
         for of in (truth, found) for keep in [of.box[:, 3] > 0]
     ]  # fmt: skip
     _check_density(names, *boxes)
@@ -194,7 +194,7 @@ def _kitti(data: kitti_folder.KittiFolder) -> tuple[dict[str, Any], pd.DataFrame
     return about, pd.DataFrame(rows, columns=list(_KITTI_COLUMNS))
 
 
-def _check_density(frames: Sequence[str], truth: Boxes, found: Boxes) -> None:
+def _check_density(frames: Sequence[str], truth: RecordedBoxes, found: RecordedBoxes) -> None:
     """Check that the work on pairs of boxes is bounded, and that classes are few.
 
     Raises
@@ -219,13 +219,13 @@ def _check_density(frames: Sequence[str], truth: Boxes, found: Boxes) -> None:
         )
 
 
-def _without_agents(data: Recorded) -> tuple[Boxes, Boxes]:
+def _without_agents(data: Recorded) -> tuple[RecordedBoxes, RecordedBoxes]:
     """The objects that are no cooperating vehicle, and a box of each cooperating vehicle.
 
     An object in whose footprint the LiDAR of such a vehicle stands is this vehicle, whatever its number. A vehicle that
     nobody has annotated gets a box around its LiDAR.
     """
-    agents = Boxes.of([
+    agents = RecordedBoxes.of([
         (frame, -1, "agent", np.array([*pose[:3], *_AGENT_M, pose[3]]), 1.0)
         for frame, (names, poses) in enumerate(zip(data.agents, data.pose, strict=True))
         for name, pose in zip(names, poses, strict=True) if not opv2v.is_roadside(name) and name != dair.AGENTS[1]
@@ -241,13 +241,13 @@ def _without_agents(data: Recorded) -> tuple[Boxes, Boxes]:
     return truth, _joined(annotated, _take(agents, is_unknown))
 
 
-def _on(boxes: Boxes, ignored: Boxes, truth: Boxes) -> Bool[ndarray, "n"]:
+def _on(boxes: RecordedBoxes, ignored: RecordedBoxes, truth: RecordedBoxes) -> Bool[ndarray, "n"]:
     """Whether each box is of an ignored object: it overlaps one as boxes of one object do, and no counted one more."""
     overlap = _best_overlap(boxes, ignored)
     return (overlap > NMS_OVERLAP) & (overlap >= _best_overlap(boxes, truth))
 
 
-def _best_overlap(boxes: Boxes, others: Boxes) -> Float[ndarray, "n"]:
+def _best_overlap(boxes: RecordedBoxes, others: RecordedBoxes) -> Float[ndarray, "n"]:
     """Largest intersection over union, from above, of each box with others of its frame."""
     best = np.zeros(len(boxes))
     if len(boxes) and len(others):
@@ -256,7 +256,7 @@ def _best_overlap(boxes: Boxes, others: Boxes) -> Float[ndarray, "n"]:
     return best
 
 
-def _twice(truth: Boxes) -> list[str]:
+def _twice(truth: RecordedBoxes) -> list[str]:
     """A remark on objects that lie on each other."""
     i, j = near_pairs(truth.frame, truth.box, truth.frame, truth.box)
     n = int((in_blocks(iou_bev, truth.box[i[i < j]], truth.box[j[i < j]]) > 0.5).sum())
@@ -264,7 +264,12 @@ def _twice(truth: Boxes) -> list[str]:
 
 
 def _cooperative(
-    data: Recorded, truth: Boxes, ignored: Boxes, partners_m: float, range_m: float, overlaps: Sequence[float]
+    data: Recorded,
+    truth: RecordedBoxes,
+    ignored: RecordedBoxes,
+    partners_m: float,
+    range_m: float,
+    overlaps: Sequence[float],
 ) -> tuple[pd.DataFrame, Trusted]:
     """Average precision of the ego alone, of late fusion and of our fusion, by class and overlap; and trust.
 
@@ -272,7 +277,7 @@ def _cooperative(
     """
     received = _take(data.found, _helping(data, partners_m))
     judged = trusted(data, received)
-    methods: dict[str, Boxes] = {
+    methods: dict[str, RecordedBoxes] = {
         "ego": _take(data.found, data.found.agent == 0),
         "late": _late(received),
         "averaging": _fused(received, "averaging"),
@@ -306,30 +311,30 @@ def _helping(data: Recorded, partners_m: float) -> Bool[ndarray, "n"]:
     )
 
 
-def _within(data: Recorded, boxes: Boxes, range_m: float) -> Bool[ndarray, "n"]:
+def _within(data: Recorded, boxes: RecordedBoxes, range_m: float) -> Bool[ndarray, "n"]:
     ego = np.array([pose[0, :2] for pose in data.pose]).reshape(-1, 2)
     return np.hypot(*(boxes.box[:, :2] - ego[boxes.frame]).T) <= range_m
 
 
-def _joined(*parts: Boxes) -> Boxes:
+def _joined(*parts: RecordedBoxes) -> RecordedBoxes:
     """Boxes of all parts, sorted by frame and agent."""
-    columns = [np.concatenate([getattr(part, name) for part in parts]) for name in Boxes.__slots__]
+    columns = [np.concatenate([getattr(part, name) for part in parts]) for name in RecordedBoxes.__slots__]
     order = np.lexsort([columns[1], columns[0]])
-    return Boxes(*(column[order] for column in columns))
+    return RecordedBoxes(*(column[order] for column in columns))
 
 
-def _take(boxes: Boxes, keep: ndarray) -> Boxes:
-    return Boxes(boxes.frame[keep], boxes.agent[keep], boxes.label[keep], boxes.box[keep], boxes.score[keep])
+def _take(boxes: RecordedBoxes, keep: ndarray) -> RecordedBoxes:
+    return RecordedBoxes(boxes.frame[keep], boxes.agent[keep], boxes.label[keep], boxes.box[keep], boxes.score[keep])
 
 
-def _late(boxes: Boxes) -> Boxes:
+def _late(boxes: RecordedBoxes) -> RecordedBoxes:
     """Non-maximum suppression of all agents' boxes, class by class."""
     _, label = np.unique(boxes.label.astype(str), return_inverse=True)
     kinds = int(label.max(initial=0)) + 1
     return _take(boxes, kept(boxes.frame * kinds + label, boxes.box, boxes.score))
 
 
-def _fused(boxes: Boxes, method: Literal["averaging", "additive"]) -> Boxes:
+def _fused(boxes: RecordedBoxes, method: Literal["averaging", "additive"]) -> RecordedBoxes:
     """Fused objects of the egos, with equal trust in all agents: our matching and fusion, one frame a time step.
 
     Every agent's boxes of a frame are one message, and every ego has received all of them. There are no evaluations of
@@ -341,7 +346,7 @@ def _fused(boxes: Boxes, method: Literal["averaging", "additive"]) -> Boxes:
     _, message = np.unique(key, return_inverse=True)
     first = np.flatnonzero(np.diff(message, prepend=-1))
     index = np.arange(len(boxes)) - first[message] + 1
-    table = Detections(message, index, label, np.clip(boxes.score, 0.0, 1.0), np.zeros(len(boxes), bool))
+    table = SentDetections(message, index, label, np.clip(boxes.score, 0.0, 1.0), np.zeros(len(boxes), bool))
     frames, begin = np.unique(boxes.frame, return_index=True)
     ptr = np.append(begin, len(boxes))
     owner = message[begin]  # the ego's message; of the first partner, where the ego has no boxes
@@ -360,10 +365,10 @@ def _fused(boxes: Boxes, method: Literal["averaging", "additive"]) -> Boxes:
     given = FusionInput(lists, groups, table, evaluated, none, none)
     found = fuse(given, trusted, evidence, np.zeros(len(boxes)), params)
     fused = _take(boxes, found.seed)
-    return Boxes(fused.frame, fused.agent, fused.label, boxes.box[found.pose], found.score)
+    return RecordedBoxes(fused.frame, fused.agent, fused.label, boxes.box[found.pose], found.score)
 
 
-def _apart(boxes: Boxes) -> geometry.Boxes:
+def _apart(boxes: RecordedBoxes) -> geometry.Boxes:
     """The boxes with their frames side by side, so that boxes of different frames do not overlap."""
     centre: Float[ndarray, "n 3"] = boxes.box[:, :3] - boxes.box[:, :3].min(axis=0, initial=0.0)
     number: Int[ndarray, "n"] = np.unique(boxes.frame, return_inverse=True)[1]

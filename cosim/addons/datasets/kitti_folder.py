@@ -16,7 +16,7 @@ import numpy as np
 from numpy import ndarray
 
 from cosim.addons.datasets.recorded import MOST_BOXES, MOST_FRAMES, class_of, number, once, read_text
-from results.metrics.kitti import Objects
+from results.metrics.kitti import LabelledObjects
 
 _COLUMNS = 15
 
@@ -33,8 +33,8 @@ def labels_in(folder: Path) -> Path | None:
 class KittiFolder:
     """Labels and results of all frames, as KITTI's metric takes them; frames are those of the label files."""
 
-    truth: Objects
-    found: Objects
+    truth: LabelledObjects
+    found: LabelledObjects
     n_frames: int
     classes: Counter[tuple[str, str]]
     """Number of labels by the class that the files say, and ours."""
@@ -70,7 +70,7 @@ def read(folder: Path, detections: Path | None = None) -> KittiFolder:
     )  # fmt: skip
 
 
-def _file(path: Path, frame: int, scored: bool, classes: Counter[tuple[str, str]]) -> Objects:
+def _file(path: Path, frame: int, scored: bool, classes: Counter[tuple[str, str]]) -> LabelledObjects:
     lines = read_text(path).splitlines()
     if len(lines) > MOST_BOXES:
         raise ValueError(f"{path} has {len(lines):,} lines, more than {MOST_BOXES:,}.")
@@ -83,7 +83,7 @@ def _file(path: Path, frame: int, scored: bool, classes: Counter[tuple[str, str]
     box = np.column_stack([forward, -right, 0.5 * height - down, length, width, height, yaw])
     names = np.array([row[0] for row in rows], object)
     hidden = np.where(values[:, 1] < 0, 3, values[:, 1]).astype(int)
-    return Objects(
+    return LabelledObjects(
         np.full(len(rows), frame), names, box, values[:, 6] - values[:, 4], hidden, np.maximum(values[:, 0], 0.0),
         values[:, 14],
     )  # fmt: skip
@@ -100,11 +100,11 @@ def _line(words: list[str], where: str, scored: bool) -> tuple[str, list[float],
     return name if name == "van" else class_of(name), values + [1.0] * (not scored), words[0][:40]
 
 
-def _joined(parts: list[Objects]) -> Objects:
+def _joined(parts: list[LabelledObjects]) -> LabelledObjects:
     names = ("frame", "label", "box", "height_px", "occlusion", "truncation", "score")
     empty: dict[str, ndarray] = {
         "frame": np.zeros(0, int), "label": np.zeros(0, object), "box": np.zeros((0, 7)), "occlusion": np.zeros(0, int),
     }  # fmt: skip
     if not parts:
-        return Objects(**{name: empty.get(name, np.zeros(0)) for name in names})
-    return Objects(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+        return LabelledObjects(**{name: empty.get(name, np.zeros(0)) for name in names})
+    return LabelledObjects(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})

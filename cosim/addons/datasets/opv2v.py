@@ -37,8 +37,8 @@ from scipy.spatial import cKDTree
 from cosim.addons.datasets.recorded import (
     MOST_BOXES,
     MOST_FRAMES,
-    Boxes,
     Recorded,
+    RecordedBoxes,
     array_of,
     box_of_corners,
     class_of,
@@ -157,13 +157,19 @@ def read(
     ]  # fmt: skip
     classes = Counter((kind, class_of(kind)) for agent in every for kind in agent.kind)
     return Recorded(
-        layout="opv2v", frames=tuple(moment.name for moment in moments),
+        layout="opv2v",
+        frames=tuple(moment.name for moment in moments),
         agents=tuple(tuple(agent.name for agent in moment.agents) for moment in moments),
         pose=tuple(np.array([pose_of(agent.world_from) for agent in moment.agents]) for moment in moments),
-        truth=truth, aside=aside, found=Boxes.of(found), has_classes=False, classes=classes, remarks=tuple(remarks),
+        truth=truth,
+        aside=aside,
+        found=RecordedBoxes.of(found),
+        has_classes=False,
+        classes=classes,
+        remarks=tuple(remarks),
         world_from=tuple(np.array([agent.world_from for agent in moment.agents]) for moment in moments),
         clouds=tuple(tuple(agent.path.with_suffix(".pcd") for agent in moment.agents) for moment in moments),
-    )  # fmt: skip
+    )
 
 
 _SAID = {"world": "world", "lidar": "agent's LiDAR"}
@@ -349,7 +355,7 @@ def _within_reach(every: Sequence[_Agent]) -> Votes:
     return votes if sum(votes.values()) == 1 else {"world": 0, "lidar": 0}
 
 
-def _objects_of(moments: Sequence[_Moment], frame: ObjectFrame) -> tuple[Boxes, Boxes, list[str]]:
+def _objects_of(moments: Sequence[_Moment], frame: ObjectFrame) -> tuple[RecordedBoxes, RecordedBoxes, list[str]]:
     """Annotated objects in the world, each once, and annotated agents."""
     truth, aside, n_elsewhere = [], [], 0
     for number, moment in enumerate(moments):
@@ -370,7 +376,7 @@ def _objects_of(moments: Sequence[_Moment], frame: ObjectFrame) -> tuple[Boxes, 
         f"{n_elsewhere:,} annotations have the number of an object that another agent has more than {_APART_M:g} m "
         "away: each counts as an object of its own."
     )
-    return Boxes.of(truth), Boxes.of(aside), [remark] * bool(n_elsewhere)
+    return RecordedBoxes.of(truth), RecordedBoxes.of(aside), [remark] * bool(n_elsewhere)
 
 
 def _detections(agent: _Agent, detections: Path | None, folder: Path) -> tuple[ndarray, ndarray] | None:

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from cosim.addons.datasets.recorded import Boxes, Recorded, listed
+from cosim.addons.datasets.recorded import Recorded, RecordedBoxes, listed
 
 _FEWEST = 3
 """Boxes below which nothing is said."""
@@ -34,12 +34,12 @@ def remarks(data: Recorded) -> tuple[str, ...]:
     return (*_frames(data), *_agents(data), *_classes(data), *of_boxes(data.truth, data.found))
 
 
-def of_boxes(truth: Boxes, found: Boxes) -> tuple[str, ...]:
+def of_boxes(truth: RecordedBoxes, found: RecordedBoxes) -> tuple[str, ...]:
     """Signs that sizes or angles of boxes mean something else, one sentence each."""
     return (*_sizes(truth), *_differences(truth, found))
 
 
-def _sizes(truth: Boxes) -> Iterator[str]:
+def _sizes(truth: RecordedBoxes) -> Iterator[str]:
     cars = truth.box[truth.label == "car"]
     if len(cars) < _FEWEST:
         return
@@ -97,20 +97,20 @@ def _classes(data: Recorded) -> Iterator[str]:
         yield f"detections of these classes count nowhere, because no object has them: {listed(counts)}."
 
 
-def _n_near(truth: Boxes, frame: Int[ndarray, "n"], xy_m: Float[ndarray, "n 2"]) -> int:
+def _n_near(truth: RecordedBoxes, frame: Int[ndarray, "n"], xy_m: Float[ndarray, "n 2"]) -> int:
     away, _ = _nearest(truth, frame, xy_m)
     return int((away < _NEAR_M).sum())
 
 
 def _nearest(
-    truth: Boxes, frame: Int[ndarray, "n"], xy_m: Float[ndarray, "n 2"]
+    truth: RecordedBoxes, frame: Int[ndarray, "n"], xy_m: Float[ndarray, "n 2"]
 ) -> tuple[Float[ndarray, "n"], Int[ndarray, "n"]]:
     """Distance to the nearest object of the same frame, and its row; infinite if it is not near."""
     tree = cKDTree(np.column_stack([truth.box[:, :2], 10 * _NEAR_M * truth.frame]))
     return tree.query(np.column_stack([xy_m, 10 * _NEAR_M * frame]), distance_upper_bound=_NEAR_M)  # type: ignore[no-any-return]
 
 
-def _differences(truth: Boxes, found: Boxes) -> Iterator[str]:
+def _differences(truth: RecordedBoxes, found: RecordedBoxes) -> Iterator[str]:
     """What most detections have in common that lie on objects."""
     if not len(truth) or not len(found):
         return

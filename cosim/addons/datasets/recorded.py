@@ -40,7 +40,7 @@ CLASS_OF = {
 
 
 @dataclass(frozen=True, slots=True)
-class Boxes:
+class RecordedBoxes:
     """Boxes of many frames, world frame."""
 
     frame: Int[ndarray, "n"]
@@ -56,7 +56,7 @@ class Boxes:
     def of(rows: Sequence[tuple[int, int, str, Float[ndarray, "7"], float]]) -> "Boxes":
         """Of rows (frame, agent, label, box, score) in any order; sorted by frame, then agent."""
         rows = sorted(rows, key=lambda row: row[:2])
-        return Boxes(
+        return RecordedBoxes(
             np.array([row[0] for row in rows], np.int64), np.array([row[1] for row in rows], np.int64),
             np.array([row[2] for row in rows], object), np.array([row[3] for row in rows], float).reshape(-1, 7),
             np.array([row[4] for row in rows], float),
@@ -77,11 +77,11 @@ class Recorded:
     """Names of the agents of each frame; the first one is the ego."""
     pose: tuple[Float[ndarray, "k 4"], ...]
     """Per frame, x, y, z and yaw of each agent's LiDAR, world frame."""
-    truth: Boxes
-    aside: Boxes
+    truth: RecordedBoxes
+    aside: RecordedBoxes
     """The cooperating vehicles themselves, where they are annotated. They are no objects, and boxes on them count
     neither as right nor as false."""
-    found: Boxes
+    found: RecordedBoxes
     has_classes: bool
     """Whether detections have a class. If not, all are of the class car."""
     classes: Mapping[tuple[str, str], int]

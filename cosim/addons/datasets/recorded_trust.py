@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.addons.datasets.clouds import points_in, points_of
-from cosim.addons.datasets.recorded import Boxes, Recorded, moved
+from cosim.addons.datasets.recorded import Recorded, RecordedBoxes, moved
 from sensors import boxes as geometry
 from trust.evaluation import evaluate
 from trust.fusion import SensorEvidence, fuse
@@ -18,11 +18,11 @@ from trust.models.trupercept import TruPercept
 from trust.params import TrustParams, eta_of
 from trust.tables import (
     SERVER,
-    Detections,
     FusionInput,
     ObjectLists,
     ReceivedEvaluations,
     SenderTrust,
+    SentDetections,
     as_messages,
 )
 
@@ -35,14 +35,14 @@ class Trusted:
 
     agents: pd.DataFrame
     """agent, n_frames, n_evaluations of its boxes by others, trust."""
-    fused: Boxes
+    fused: RecordedBoxes
     n_unread: int
     """Frames left out, because the cloud of an agent is missing or cannot be read."""
     why_unread: str
     """A sentence on the first of them, if its cloud is there and cannot be read."""
 
 
-def trusted(data: Recorded, boxes: Boxes) -> Trusted:
+def trusted(data: Recorded, boxes: RecordedBoxes) -> Trusted:
     """TruPercept over the frames of a data set, in their order.
 
     Parameters
@@ -93,7 +93,7 @@ def trusted(data: Recorded, boxes: Boxes) -> Trusted:
             present[name] += 1
     chosen = np.concatenate([part for part, _ in parts]) if parts else np.zeros(0, int)
     score = np.concatenate([part for _, part in parts]) if parts else np.zeros(0)
-    fused = Boxes(boxes.frame[chosen], boxes.agent[chosen], boxes.label[chosen], boxes.box[chosen], score)
+    fused = RecordedBoxes(boxes.frame[chosen], boxes.agent[chosen], boxes.label[chosen], boxes.box[chosen], score)
     final = model.scores()
     of = {one: row for row, one in enumerate(final.subject.tolist())}
     table = pd.DataFrame(
@@ -122,15 +122,15 @@ class _Frame:
     """The boxes of one frame as messages, and the list of every agent: its own boxes, then the others'."""
 
     box: Float[ndarray, "n 7"]
-    table: Detections
+    table: SentDetections
     lists: ObjectLists
 
     @staticmethod
-    def of(boxes: Boxes, rows: Int[ndarray, "n"], label: ndarray, n_agents: int) -> "_Frame":
+    def of(boxes: RecordedBoxes, rows: Int[ndarray, "n"], label: ndarray, n_agents: int) -> "_Frame":
         message = boxes.agent[rows]
         index = np.arange(len(rows)) - np.searchsorted(message, message) + 1
         score = np.clip(boxes.score[rows], 0.0, 1.0)
-        table = Detections(message, index, label[rows], score, np.zeros(len(rows), bool))
+        table = SentDetections(message, index, label[rows], score, np.zeros(len(rows), bool))
         member = [np.concatenate([np.flatnonzero(message == a), np.flatnonzero(message != a)]) for a in range(n_agents)]
         lists = ObjectLists(len(rows) * np.arange(n_agents + 1), np.concatenate(member), np.arange(n_agents))
         return _Frame(boxes.box[rows], table, lists)

@@ -33,7 +33,7 @@ class Figure(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Fact:
+class ContactFact:
     """A published statement about contacts."""
 
     name: str
@@ -358,8 +358,8 @@ def _los_power_law(contacts: Contacts) -> Figure:
     return Figure(ours, "differs", "links end where the radius ends, which cuts the longest")
 
 
-FACTS: tuple[Fact, ...] = (
-    Fact(
+FACTS: tuple[ContactFact, ...] = (
+    ContactFact(
         "link duration, taxis",
         "link duration is generalised Pareto",
         "taxis of one metropolis of China, several communication distances, maximum likelihood",
@@ -367,7 +367,7 @@ FACTS: tuple[Fact, ...] = (
         "abstract",
         _link_is_pareto,
     ),
-    Fact(
+    ContactFact(
         "connection duration, freeway",
         "most connections last 15 to 30 s, median 23 s; mean distance 133 m when they begin, 500 m when they end",
         "10 cars with WiFi in loops on 5 miles of a freeway; most connections between opposite directions",
@@ -375,7 +375,7 @@ FACTS: tuple[Fact, ...] = (
         "abstract",
         _freeway_median,
     ),
-    Fact(
+    ContactFact(
         "duration of line of sight",
         "durations with line of sight follow a power law",
         "802.11p units in an urban environment, empirical measurements",
@@ -383,7 +383,7 @@ FACTS: tuple[Fact, ...] = (
         "abstract",
         _los_power_law,
     ),
-    Fact(
+    ContactFact(
         "inter-contact time, taxis",
         "the tail is exponential over a large range of time scales",
         "thousands of taxis in Shanghai",
@@ -391,7 +391,7 @@ FACTS: tuple[Fact, ...] = (
         "abstract",
         _tail_is_exponential,
     ),
-    Fact(
+    ContactFact(
         "inter-contact time, taxis in parts",
         "exponential when short, log-normal when long",
         "taxis in Beijing, interpolated traces",
@@ -399,7 +399,7 @@ FACTS: tuple[Fact, ...] = (
         "abstract",
         _exponential_then_log_normal,
     ),
-    Fact(
+    ContactFact(
         "inter-contact time, buses",
         "inter-contact durations follow a power law",
         "about 1,200 vehicles of a public transport network",
@@ -408,7 +408,7 @@ FACTS: tuple[Fact, ...] = (
         "abstract",
         _buses_power_law,
     ),
-    Fact(
+    ContactFact(
         "inter-contact time, people",
         "power law up to about half a day, exponential beyond",
         "mobile devices in a diverse set of measured traces",

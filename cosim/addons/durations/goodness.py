@@ -59,7 +59,7 @@ def product_limit(sample: Durations, level: float = 0.95) -> pd.DataFrame:
     })  # fmt: skip
 
 
-class Distance(NamedTuple):
+class FitDistance(NamedTuple):
     """Kolmogorov-Smirnov distance between a fitted distribution and the data."""
 
     value: float
@@ -67,7 +67,7 @@ class Distance(NamedTuple):
     """Share of samples of the fitted distribution that are as far from their own fit; NaN if none were drawn."""
 
 
-def kolmogorov_smirnov(sample: Durations, found: Fit, n_draws: int = 0, seed: int = 0) -> Distance:
+def kolmogorov_smirnov(sample: Durations, found: Fit, n_draws: int = 0, seed: int = 0) -> FitDistance:
     """Largest distance between the Kaplan-Meier curve and the fitted survival function.
 
     Parameters
@@ -91,13 +91,13 @@ def kolmogorov_smirnov(sample: Durations, found: Fit, n_draws: int = 0, seed: in
     """
     value = _distance(sample, found)
     if not n_draws:
-        return Distance(value, float("nan"))
+        return FitDistance(value, float("nan"))
     random = np.random.default_rng(seed)
     beyond = 0
     for _ in range(n_draws):
         drawn = _like(sample, found, random)
         beyond += _distance(drawn, fit(drawn, found.name)) >= value
-    return Distance(value, (beyond + 1) / (n_draws + 1))
+    return FitDistance(value, (beyond + 1) / (n_draws + 1))
 
 
 def _distance(sample: Durations, found: Fit) -> float:

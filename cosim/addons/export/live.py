@@ -42,7 +42,7 @@ TOPICS = {
 }  # fmt: skip
 
 
-class Known:
+class KnownTrust:
     """By actor: trust in it and the mean age of the newest evaluation [s], when it was last looked up; NaN before."""
 
     def __init__(self) -> None:
@@ -86,7 +86,7 @@ class Shown(Protocol):
 class Now:
     """What is shown of a step."""
 
-    def __init__(self, config: Config, result: StepResult, role: UInt8[ndarray, "a"], known: Known) -> None:
+    def __init__(self, config: Config, result: StepResult, role: UInt8[ndarray, "a"], known: KnownTrust) -> None:
         self.world: World = result.world
         self.time_s = result.world.step * config.traffic.step_s
         self.role = np.where(self.world.equipped, role[self.world.attack], len(labels(Role)))
@@ -99,7 +99,7 @@ class Now:
         """Trust in each actor, and the mean age of the newest evaluation behind it [s]; NaN where there is none."""
         self.is_rated = result.sensed is not None
 
-    def _look_up(self, sensed: Sensed, known: Known) -> None:
+    def _look_up(self, sensed: Sensed, known: KnownTrust) -> None:
         used, lookups = sensed.looked_up.messages, sensed.looked_up.lookups[0]
         there = ~lookups.is_default
         row = sensed.known.vehicle[used.message][there]
@@ -151,7 +151,7 @@ class Live:
             raise ValueError(f"--watch-file {target}: it must end in {' or '.join(SUFFIXES)}.")
         self._config = config
         self._role = roles_of(config.attacks)
-        self._known = Known()
+        self._known = KnownTrust()
         self._begun = False
         self._stopped = ""
         """Why nothing is shown any more."""

@@ -21,7 +21,7 @@ POSE = ["x_m", "y_m", "z_m", "yaw_rad", "speed_mps", "acceleration_mps2"]
 
 
 @dataclass(frozen=True, slots=True)
-class Received:
+class ReceivedMessages:
     """What some vehicles sensed of themselves and received."""
 
     own: pd.DataFrame
@@ -31,7 +31,7 @@ class Received:
     receiver and time of reception."""
 
 
-class Messages:
+class ExportedMessages:
     """All messages with a self report that were sent in the chosen steps."""
 
     def __init__(self, selection: Selection) -> None:
@@ -86,7 +86,7 @@ class Messages:
         blocks = [list(vehicles[i : i + RECEIVERS]) for i in range(0, len(vehicles), RECEIVERS)]
         return [Unit(f"receivers {b[0]} to {b[-1]}", partial(files, self, b)) for b in blocks]
 
-    def received(self, receivers: list[int]) -> Received:
+    def received(self, receivers: list[int]) -> ReceivedMessages:
         """What these vehicles received."""
         columns = ["step", "message_step", "sender", "receiver", "generation_offset_s", "latency_s"]
         where = self._in_steps & pc.field("receiver").isin(receivers) & (pc.field("message_type") == "cpm")
@@ -97,4 +97,4 @@ class Messages:
         got["send_s"] = got.step * self._run.dt_s + got.generation_offset_s
         got["receive_s"] = got.send_s + got.latency_s
         order = ["receiver", "receive_s", "sender"]
-        return Received(self.own(receivers), got.sort_values(order, ignore_index=True))
+        return ReceivedMessages(self.own(receivers), got.sort_values(order, ignore_index=True))

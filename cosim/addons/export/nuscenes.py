@@ -54,7 +54,7 @@ Record = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class NuScenesScene:
     """A vehicle in consecutive sweeps."""
 
     vehicle: int
@@ -83,10 +83,12 @@ def token(*words: object) -> str:
     return hashlib.md5("/".join(map(str, words)).encode(), usedforsecurity=False).hexdigest()
 
 
-def scenes_of(selection: Selection) -> list[Scene]:
+def scenes_of(selection: Selection) -> list[NuScenesScene]:
     """Scenes, by vehicle and first step."""
     frames = kitti.sequences_of(selection)
-    return [Scene(int(rows.vehicle.iloc[0]), tuple(rows.step.tolist())) for _, rows in frames.groupby("sequence")]
+    return [
+        NuScenesScene(int(rows.vehicle.iloc[0]), tuple(rows.step.tolist())) for _, rows in frames.groupby("sequence")
+    ]
 
 
 def _cloud_path(step: int, vehicle: int) -> str:
@@ -164,7 +166,7 @@ def _of_vehicles(selection: Selection) -> dict[str, list[Record]]:
     return {"log": logs, "calibrated_sensor": calibrations, "map": maps}
 
 
-def _scene(scene: Scene) -> Record:
+def _scene(scene: NuScenesScene) -> Record:
     first, last = scene.steps[0], scene.steps[-1]
     return {
         "token": token("scene", scene.name), "log_token": token("log", scene.vehicle), "nbr_samples": len(scene.steps),
@@ -173,7 +175,7 @@ def _scene(scene: Scene) -> Record:
     }  # fmt: skip
 
 
-def _frames(selection: Selection, scenes: list[Scene]) -> dict[str, list[Record]]:
+def _frames(selection: Selection, scenes: list[NuScenesScene]) -> dict[str, list[Record]]:
     """Samples, their data, poses, annotations and instances."""
     of = {(step, s.vehicle): s for s in scenes for step in s.steps}
     found: dict[str, list[Record]] = {name: [] for name in ("sample", "sample_data", "ego_pose", "sample_annotation")}
@@ -193,7 +195,7 @@ def _frames(selection: Selection, scenes: list[Scene]) -> dict[str, list[Record]
     return found
 
 
-def _sample(found: dict[str, list[Record]], selection: Selection, scene: Scene, moment: Moment) -> None:
+def _sample(found: dict[str, list[Record]], selection: Selection, scene: NuScenesScene, moment: Moment) -> None:
     """Append a sample, its cloud and its pose."""
     step, vehicle = moment.step, scene.vehicle
     at = bisect_left(scene.steps, step)

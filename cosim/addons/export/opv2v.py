@@ -47,7 +47,7 @@ TEXT_BYTES = 4000
 
 
 @dataclass(frozen=True, slots=True)
-class Scenario:
+class Opv2vScenario:
     """Vehicles that are on the road together in all of these steps."""
 
     vehicles: tuple[int, ...]
@@ -90,7 +90,7 @@ class Opv2v:
         return Plan(tuple(units), n, 16, n * TEXT_BYTES)
 
 
-def scenarios_of(selection: Selection) -> list[Scenario]:
+def scenarios_of(selection: Selection) -> list[Opv2vScenario]:
     """Scenarios with constant membership, in the order of their first steps."""
     if len(selection.vehicles) <= MOST:
         return _runs(selection.presence, selection.steps)
@@ -102,19 +102,19 @@ def scenarios_of(selection: Selection) -> list[Scenario]:
         counts = here.vehicle.value_counts()
         throughout = np.sort(counts.index[counts == len(steps)].to_numpy())
         if len(throughout) > 1:
-            found += [Scenario(group, steps) for group in _groups(selection, throughout, steps)]
+            found += [Opv2vScenario(group, steps) for group in _groups(selection, throughout, steps)]
     return found
 
 
-def _runs(presence, steps: Int[ndarray, "s"]) -> list[Scenario]:  # type: ignore[no-untyped-def]
+def _runs(presence, steps: Int[ndarray, "s"]) -> list[Opv2vScenario]:  # type: ignore[no-untyped-def]
     """Maximal spans of steps in which the same two vehicles or more are on the road."""
-    found: list[Scenario] = []
+    found: list[Opv2vScenario] = []
     members = {int(step): tuple(sorted(rows)) for step, rows in presence.groupby("step").vehicle}
     begin = 0
     for i in range(1, len(steps) + 1):
         if i == len(steps) or members.get(int(steps[i]), ()) != members.get(int(steps[begin]), ()):
             if len(who := members.get(int(steps[begin]), ())) > 1:
-                found.append(Scenario(tuple(map(int, who)), steps[begin:i]))
+                found.append(Opv2vScenario(tuple(map(int, who)), steps[begin:i]))
             begin = i
     return found
 
@@ -139,7 +139,7 @@ def _groups(selection: Selection, vehicles: Int[ndarray, "v"], steps: Int[ndarra
         groups.append(tuple(sorted(vehicles[rows].tolist())))
 
 
-def _scenario(selection: Selection, scenario: Scenario, detections: bool, clouds: Clouds) -> Iterator[File]:
+def _scenario(selection: Selection, scenario: Opv2vScenario, detections: bool, clouds: Clouds) -> Iterator[File]:
     for at, moment in enumerate(selection.moments(scenario.steps)):
         for vehicle, cloud in zip(scenario.vehicles, clouds(moment.step, scenario.vehicles), strict=True):
             path = f"train/{scenario.name}/{vehicle}/{at:06d}"

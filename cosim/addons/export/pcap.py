@@ -71,7 +71,7 @@ BLOCK_STEPS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class PcapPlace:
     """Where the world's origin is, if the network has no projection."""
 
     latitude: Annotated[float, Ge(-85), Le(85)] | None = None
@@ -81,7 +81,7 @@ class Place:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Params(Place):
+class Params(PcapPlace):
     """Which messages are written, and where the world's origin is, if the network has no projection."""
 
     received: bool = False
@@ -109,7 +109,7 @@ class Pcap:
         ValueError
             In one line: it is not known where on Earth the run is.
         """
-        packets = Packets(selection, projection_of(self._params, selection))
+        packets = PcapPackets(selection, projection_of(self._params, selection))
         names = Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))]))
         if not self._params.received:
             sent = Unit("sent", lambda clouds: iter([File("sent.pcap", packets.sent)]))
@@ -120,7 +120,7 @@ class Pcap:
         return Plan((*units, names), 0, 0, 2.0 * PACKET_BYTES * selection.run.n_rows("receptions"))
 
 
-def projection_of(at: Place, selection: Selection) -> Projection:
+def projection_of(at: PcapPlace, selection: Selection) -> Projection:
     """The projection with the origin that is given, or that of the network.
 
     Raises
@@ -144,7 +144,7 @@ def projection_of(at: Place, selection: Selection) -> Projection:
 
 
 @dataclass(frozen=True)
-class Packets:
+class PcapPackets:
     """The packets of a run."""
 
     selection: Selection
@@ -261,7 +261,7 @@ class Packets:
             cuts = [begin, *(begin + np.array(cuts_of(bits[begin:end]), int)).tolist(), end]
             for k, (first, last) in enumerate(pairwise(cuts)):
                 segment = (len(cuts) - 1, k + 1) if len(cuts) > 2 else None
-                head = etsi.Head(
+                head = etsi.CpmHead(
                     number, time, latitude, longitude, angle, range_m, segment, has_sensors and k == 0
                 )  # fmt: skip
                 part = objects.between(first, last)
@@ -300,7 +300,7 @@ def _labels(classes: pd.Series) -> Int[ndarray, "n"]:
 
 def objects_of(
     perceived: pd.DataFrame, front_m: Float[ndarray, "d 3"], place: OnEarth, sender: Int[ndarray, "d"]
-) -> etsi.Objects:
+) -> etsi.CpmObjects:
     """Objects seen from the front of their senders, turned to true north, with the velocities that are known.
 
     Parameters
@@ -326,7 +326,7 @@ def objects_of(
         east, north = perceived[["velocity_x_mps", "velocity_y_mps"]].to_numpy(float, na_value=np.nan).T
         cos, sin = np.cos(turn), np.sin(turn)
         velocity = np.column_stack([cos * east + sin * north, cos * north - sin * east])
-    return etsi.Objects.of(
+    return etsi.CpmObjects.of(
         number, _labels(perceived["class"]), away, box[:, 3:6], box[:, 6] - turn, perceived.score.to_numpy(float),
         velocity,
     )  # fmt: skip

@@ -54,7 +54,7 @@ _KEYS = ["step", "evaluator", "observer", "detection_step", "detection_index"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Params(pcap.Place):
+class Params(pcap.PcapPlace):
     """Which evaluations are reported."""
 
     threshold: Annotated[float, Ge(-1), Le(1)] = -0.5
@@ -79,7 +79,7 @@ class MisbehaviourReports:
             In one line: it is not known where on Earth the run is.
         """
         projection = pcap.projection_of(self._params, selection)
-        made = _Reports(selection, pcap.Packets(selection, projection), self._params.threshold)
+        made = _Reports(selection, pcap.PcapPackets(selection, projection), self._params.threshold)
         names = Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))]))
         units = [Unit(f"steps {b[0]} to {b[-1]}", partial(made.files, b)) for b in selection.spans()]
         return Plan((*units, names), 0, 0, REPORT_BYTES * len(selection.presence), made.remarks())
@@ -88,7 +88,7 @@ class MisbehaviourReports:
 @dataclass(frozen=True)
 class _Reports:
     selection: Selection
-    packets: pcap.Packets
+    packets: pcap.PcapPackets
     threshold: float
 
     def _denials(self, steps: Int[ndarray, "b"]) -> tuple[pd.DataFrame, Int[ndarray, "k"]]:

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from cosim.addons.export import kitti, messages
-from cosim.addons.export.messages import Messages
+from cosim.addons.export.messages import ExportedMessages
 from results.frames import compass_deg
 from results.moments import Clouds, File, Plan, Selection, Unit
 
@@ -35,14 +35,14 @@ class VeremiNextGen:
 
     def plan(self, selection: Selection) -> Plan:
         """Receivers in blocks."""
-        sent = Messages(selection)
+        sent = ExportedMessages(selection)
         names = Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))]))
         units = [*sent.units(_receivers), names]
         n = selection.run.n_rows("receptions")
         return Plan(tuple(units), 0, 0, 0.5 * MESSAGE_BYTES * n)
 
 
-def _receivers(sent: Messages, receivers: list[int], clouds: Clouds) -> Iterator[File]:
+def _receivers(sent: ExportedMessages, receivers: list[int], clouds: Clouds) -> Iterator[File]:
     found = sent.received(receivers)
     edge_m = sent.selection.road_edge_m(found.messages[["x_m", "y_m"]].to_numpy(float))
     whole = found.messages.assign(edge_m=edge_m)
@@ -52,7 +52,7 @@ def _receivers(sent: Messages, receivers: list[int], clouds: Clouds) -> Iterator
             yield File(f"veh_{receiver}.json", partial(_array, sent, found.own[found.own.vehicle == receiver], got))
 
 
-def _array(sent: Messages, own: pd.DataFrame, got: pd.DataFrame) -> bytes:
+def _array(sent: ExportedMessages, own: pd.DataFrame, got: pd.DataFrame) -> bytes:
     at = np.searchsorted(own.step.to_numpy(), got.step.to_numpy())
     receiver = _states(own.iloc[at])
     sender = [s | {"distance_to_road_edge": f"{e:.4f}"} for s, e in zip(_states(got), got.edge_m, strict=True)]

@@ -29,7 +29,7 @@ _DB_STEP = 0.25
 """Step of the table of success over mean power [dB]."""
 
 
-class Links(NamedTuple):
+class LinkPairs(NamedTuple):
     """Pairs of a sender and a receiver with a link; rows of the equipped vehicles."""
 
     sender: Int[ndarray, "p"]
@@ -64,7 +64,7 @@ class Load:
     expected: Float[ndarray, "2 c"] = field(default_factory=lambda: np.zeros((2, _CLASSES)))
 
     def delivered_p(
-        self, kind: RoundKind, number: int, begin_s: float, links: Links, length_bytes: Float[ndarray, "e"]
+        self, kind: RoundKind, number: int, begin_s: float, links: LinkPairs, length_bytes: Float[ndarray, "e"]
     ) -> Float[ndarray, "p"]:
         """Probability that each link delivers a message of a round.
 
@@ -94,7 +94,7 @@ class Load:
         return np.minimum(p * kept[of], 1.0)
 
     def _count(
-        self, kind: RoundKind, links: Links, of: Int[ndarray, "p"], p: Float[ndarray, "p"], got: Receptions
+        self, kind: RoundKind, links: LinkPairs, of: Int[ndarray, "p"], p: Float[ndarray, "p"], got: Receptions
     ) -> None:
         """Add the messages that were received, and that would be on an idle channel, by class `of` the link."""
         n = np.int64(len(links.stations))
@@ -131,7 +131,7 @@ class Delivery:
             )
         return Delivery(config.radio, config.seed, los)
 
-    def links(self, world: World, row: Int[ndarray, "e"], sends: Bool[ndarray, "e"] | None = None) -> Links:
+    def links(self, world: World, row: Int[ndarray, "e"], sends: Bool[ndarray, "e"] | None = None) -> LinkPairs:
         """Links between the vehicles in these rows of the world, from those that send; None if all do."""
         stations = stations_of(world, row, NO_RSUS, self.params.antenna_above_roof_m)
         sends = np.ones(len(row), bool) if sends is None else sends
@@ -139,10 +139,10 @@ class Delivery:
             sender, receiver, _ = link_budget.neighbours(stations.xyz_m[:, :2], self.params.range_m)
             sender, receiver = sender[sends[sender]], receiver[sends[sender]]
             p = np.full(len(sender), 1.0 - self.params.unit_disk.loss_p)
-            return Links(sender, receiver, lambda length: p, np.zeros(len(sender), np.int64), stations)
+            return LinkPairs(sender, receiver, lambda length: p, np.zeros(len(sender), np.int64), stations)
         return self._csma(stations, sends)
 
-    def _csma(self, stations: Stations, sends: Bool[ndarray, "e"]) -> Links:
+    def _csma(self, stations: Stations, sends: Bool[ndarray, "e"]) -> LinkPairs:
         """Links of the medium `csma`: path loss, shadowing and blockage are those of the run, fading is averaged.
 
         `Load` adds the effect of other frames on the channel.
@@ -170,7 +170,7 @@ class Delivery:
         heard = np.bincount(receiver, minlength=len(stations))[receiver]
         strength = np.clip((power_dbm - self.params.receiver.detectable_dbm) / _POWER_DB + 2, 0, _POWERS - 1)
         crowd = np.minimum(np.log2(np.maximum(heard, 1)), _CROWDS - 1).astype(np.int64)
-        return Links(sender, receiver, delivered_p, strength.astype(np.int64) * _CROWDS + crowd, stations)
+        return LinkPairs(sender, receiver, delivered_p, strength.astype(np.int64) * _CROWDS + crowd, stations)
 
 
 def _whole(length_bytes: Float[ndarray, "e"]) -> Int[ndarray, "e"]:

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.addons.law import law
-from cosim.addons.law.prediction import Found
+from cosim.addons.law.prediction import FleetFindings
 
 N_DRAWS = 39
 """The smallest and the largest of 39 draws hold a further one with a probability of 38 / 40 = 95 %, whatever the
@@ -15,7 +15,7 @@ distribution."""
 _CERTAIN = -50.0
 
 
-def drawn(found: Found, arrived_p: Float[ndarray, "m"], random: np.random.Generator) -> Found:
+def drawn(found: FleetFindings, arrived_p: Float[ndarray, "m"], random: np.random.Generator) -> FleetFindings:
     """The evaluations of one run: draws of each pair of evaluator and subject in each step, and of delays.
 
     Parameters
@@ -37,6 +37,6 @@ def drawn(found: Found, arrived_p: Float[ndarray, "m"], random: np.random.Genera
     log_none[row, chosen.subject, chosen.step] = _CERTAIN
     return replace(
         found,
-        evidence=law.Evidence(np.minimum.accumulate(log_none, axis=0)),
+        evidence=law.EvidenceChances(np.minimum.accumulate(log_none, axis=0)),
         pair_steps=chosen._replace(log_none=np.full(len(made), _CERTAIN), n=chosen.n / p[made]),
     )

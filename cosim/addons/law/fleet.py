@@ -8,11 +8,11 @@ from numpy import ndarray
 
 from cosim.addons.law import law
 from cosim.addons.law.closed_form import Company
-from cosim.addons.law.delivery import Delivery, Links, Load, arrival_p
+from cosim.addons.law.delivery import Delivery, LinkPairs, Load, arrival_p
 from cosim.addons.law.draws import drawn
-from cosim.addons.law.newest import Received, Sweeps
+from cosim.addons.law.newest import NewestReceived, SweepTimes
 from cosim.addons.law.opportunities import Sensing, chances
-from cosim.addons.law.prediction import Found, Prediction, counted, predicted
+from cosim.addons.law.prediction import FleetFindings, Prediction, counted, predicted
 from cosim.addons.law.scope import Server
 from cosim.base import rng
 from cosim.config.config import Config
@@ -48,15 +48,15 @@ class Fleet:
     delivery: Delivery
     servers: tuple[Server, ...]
     load: Load
-    gates: dict[float, law.Gate]
+    gates: dict[float, law.PublishingSteps]
     trackers: tuple[EncounterTracker, ...]
     arrived_p: Float[ndarray, "m"]
     """Probability that a report is at the server 1, 2, ... m steps after its sweep."""
     n_followed: int
-    sweeps: Sweeps = field(default_factory=Sweeps.none)
+    sweeps: SweepTimes = field(default_factory=SweepTimes.none)
     """The newest sweep of each vehicle. It is also when the vehicle sent its newest messages."""
-    cpms: Received = field(default_factory=Received.none)
-    reports: Received = field(default_factory=Received.none)
+    cpms: NewestReceived = field(default_factory=NewestReceived.none)
+    reports: NewestReceived = field(default_factory=NewestReceived.none)
     """The newest detection message and the newest evaluation message of each vehicle."""
     since: dict[int, int] = field(default_factory=dict)
     """Step in which each equipped vehicle came on the road, by actor."""
@@ -111,7 +111,7 @@ class Fleet:
             delivery=Delivery.of(config, LosOfPlaces(walls)),
             servers=servers,
             load=Load(parts.medium, parts.medium.start()),
-            gates={s.period_s: law.Gate(law.period_steps(s.period_s, interval_s)) for s in servers},
+            gates={s.period_s: law.PublishingSteps(law.period_steps(s.period_s, interval_s)) for s in servers},
             trackers=tuple(EncounterTracker(p, config.traffic.step_s) for p in config.encounters),
             arrived_p=np.append(arrived_p[: m - 1], arrived_p[-1]),
             n_followed=law.n_followed(server.downlink_loss_p),
@@ -172,10 +172,12 @@ class Fleet:
         ):  # fmt: skip
             self.inputs[name] = self.inputs.get(name, 0.0) + float(value)
 
-    def _received(self, world: World, row: Int[ndarray, "v"], links: Links, p: Float[ndarray, "p"]) -> Received:
+    def _received(
+        self, world: World, row: Int[ndarray, "v"], links: LinkPairs, p: Float[ndarray, "p"]
+    ) -> NewestReceived:
         actor, xy_m = world.actor[row], world.boxes.xyz_m[row, :2]
         apart_m = np.hypot(*(xy_m[links.sender] - xy_m[links.receiver]).T)
-        return Received(actor[links.sender], actor[links.receiver], p, apart_m)
+        return NewestReceived(actor[links.sender], actor[links.receiver], p, apart_m)
 
     def _evaluate(
         self, subjects: Int[ndarray, "e"], subject_step: Int[ndarray, "e"], s: Int[ndarray, "p"],
@@ -196,7 +198,7 @@ class Fleet:
             np.log1p(-np.minimum(evaluated_p[kept] * self.arrived_p[-1], 1 - 1e-12)), n[kept] * self.arrived_p[-1],
         ))  # fmt: skip
 
-    def _look_up(self, subjects: Int[ndarray, "e"], subject_step: Int[ndarray, "e"], heard: Received) -> None:
+    def _look_up(self, subjects: Int[ndarray, "e"], subject_step: Int[ndarray, "e"], heard: NewestReceived) -> None:
         """Add the lookups of this step: by the receivers of these messages, about their senders."""
         config, step, n = self.config, self.step, len(subjects)
         subject = np.searchsorted(subjects, heard.sender)
@@ -244,12 +246,12 @@ class Fleet:
         since = np.where(sent.any(axis=1), sent.argmax(axis=1), self.step)
         subject, step = np.nonzero(sent)
         company = Company.measured(-np.expm1(log_none[-1, subject, step]), subject, asked[subject, step])
-        evidence = law.Evidence(log_none)
+        evidence = law.EvidenceChances(log_none)
         pair_steps, pair_subject = self._pair_steps(actors)
         meetings = self._meetings(actors)
         inputs = self._inputs(company, float(asked.sum()))
         looks = {period_s: self._looks_of(rows, actors) for period_s, rows in self.looks.items()}
-        found = Found(evidence, since, pair_steps, pair_subject, meetings, self.first_lag, company)
+        found = FleetFindings(evidence, since, pair_steps, pair_subject, meetings, self.first_lag, company)
         gates, loss_p = self.gates, self.config.server.cellular.downlink_loss_p
         made = [predicted(of, self.config, found, gates[of.period_s], looks.get(of.period_s)) for of in self.servers]
         runs: list[list[dict[str, float]]] = [[] for _ in self.servers]

@@ -26,7 +26,7 @@ def period_steps(period_s: float, interval_s: float) -> int:
 
 
 @dataclass(slots=True)
-class Gate:
+class PublishingSteps:
     """The steps in which a server publishes: the first one, and each that is a period or more after the last.
 
     A step without equipped vehicles is none: the server then publishes in the next one.
@@ -95,7 +95,7 @@ def expected_lookups(
     n_subjects
         Number of subjects.
     publications
-        As `Gate.before` gives them.
+        As `PublishingSteps.before` gives them.
     received_p
         Probability that a vehicle has received each publication by now.
 
@@ -114,7 +114,7 @@ def expected_lookups(
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class EvidenceChances:
     """Chances that subjects are evaluated, by step."""
 
     log_none: Float[ndarray, "m s t"]
@@ -138,7 +138,7 @@ class AgeCounts(NamedTuple):
     """Those of them whose subject had sent detections in a step whose evidence counts."""
 
 
-def ages(evidence: Evidence, looks: ExpectedLookups, window_steps: int, since: Int[ndarray, "s"]) -> AgeCounts:
+def ages(evidence: EvidenceChances, looks: ExpectedLookups, window_steps: int, since: Int[ndarray, "s"]) -> AgeCounts:
     """Ages that lookups find, equations (4) to (6).
 
     Parameters
@@ -275,7 +275,9 @@ class Encounters(NamedTuple):
     """Logarithm of the probability that it does not."""
 
 
-def without_trust(evidence: Evidence, meetings: Encounters, gate: Gate, window_steps: int, loss_p: float) -> float:
+def without_trust(
+    evidence: EvidenceChances, meetings: Encounters, gate: PublishingSteps, window_steps: int, loss_p: float
+) -> float:
     """Share of encounters that end before the holder knows trust in the other, equation (8).
 
     Parameters

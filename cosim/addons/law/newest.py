@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.addons.law.opportunities import Views
+from cosim.addons.law.opportunities import ViewTimes
 from cosim.base.ragged import offsets, ranges
 
 
 @dataclass(frozen=True, slots=True)
-class Received:
+class NewestReceived:
     """The newest message of each sender: with which probability each other vehicle has received it."""
 
     sender: Int[ndarray, "p"]
@@ -24,7 +24,7 @@ class Received:
     @staticmethod
     def none() -> "Received":
         """No messages."""
-        return Received(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+        return NewestReceived(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
 
     def then(self, newer: "Received", senders: Int[ndarray, "s"], present: Int[ndarray, "v"]) -> "Received":
         """These messages after some vehicles have sent newer ones, without vehicles that have left the road.
@@ -39,7 +39,7 @@ class Received:
         kept = np.flatnonzero(
             ~np.isin(self.sender, senders) & np.isin(self.sender, present) & np.isin(self.receiver, present)
         )
-        return Received(*(
+        return NewestReceived(*(
             np.concatenate([getattr(self, name)[kept], getattr(newer, name)])
             for name in ("sender", "receiver", "p", "apart_m")
         ))  # fmt: skip
@@ -50,14 +50,14 @@ class Received:
 
     def chosen(self, rows: Bool[ndarray, "p"]) -> "Received":
         """Some of the pairs."""
-        return Received(self.sender[rows], self.receiver[rows], self.p[rows], self.apart_m[rows])
+        return NewestReceived(self.sender[rows], self.receiver[rows], self.p[rows], self.apart_m[rows])
 
 
 @dataclass(frozen=True, slots=True)
-class Sweeps:
+class SweepTimes:
     """The newest sweep of each vehicle on the road that has sensed."""
 
-    views: Views
+    views: ViewTimes
     """What they saw. Observers and bodies are actor numbers here, because rows of the world change."""
     step: Int[ndarray, "e"]
     """When each of them sensed."""
@@ -66,9 +66,11 @@ class Sweeps:
     def none() -> "Sweeps":
         """No sweeps."""
         nobody, nothing = np.zeros(0, np.int64), np.zeros(0)
-        return Sweeps(Views(nobody, np.zeros(1, np.int64), nobody, nothing, np.zeros(0, bool), nothing, 0.0), nobody)
+        return SweepTimes(
+            ViewTimes(nobody, np.zeros(1, np.int64), nobody, nothing, np.zeros(0, bool), nothing, 0.0), nobody
+        )
 
-    def then(self, views: Views, actor: Int[ndarray, "n"], step: int, present: Int[ndarray, "v"]) -> "Sweeps":
+    def then(self, views: ViewTimes, actor: Int[ndarray, "n"], step: int, present: Int[ndarray, "v"]) -> "Sweeps":
         """These sweeps after some vehicles have sensed, without those of vehicles that have left the road.
 
         Parameters
@@ -96,5 +98,5 @@ class Sweeps:
                 (old.detected_p, views.detected_p),
             )
         )  # fmt: skip
-        joined = Views(own[order], offsets(count), body, seen_p, inside, detected_p, views.n_false)
-        return Sweeps(joined, np.concatenate([self.step[kept], np.full(len(new), step)])[order])
+        joined = ViewTimes(own[order], offsets(count), body, seen_p, inside, detected_p, views.n_false)
+        return SweepTimes(joined, np.concatenate([self.step[kept], np.full(len(new), step)])[order])

@@ -29,7 +29,7 @@ DetectedP = Callable[[ExpectedReturns, Int[ndarray, "k"], Float[ndarray, "k"]], 
 """From expected returns, class and distance of bodies: the probability that a detector reports each one."""
 
 
-class Views(NamedTuple):
+class ViewTimes(NamedTuple):
     """What E observers can see, compressed rows: bodies of observer i are ptr[i]:ptr[i + 1], ascending."""
 
     own: Int[ndarray, "e"]
@@ -77,7 +77,7 @@ class Sensing:
         n_false = float(detector.model.false_positive_per_sweep) if isinstance(detector, StatisticalDetector) else 0.0
         return Sensing(lidar.beams(config.lidar), config.lidar, config.area, detected_p_of(detector), n_false, walls)
 
-    def views(self, world: World, observers: Int[ndarray, "e"]) -> Views:
+    def views(self, world: World, observers: Int[ndarray, "e"]) -> ViewTimes:
         """What the vehicles in these rows of the world can see."""
         boxes, range_m = world.boxes, self.params.max_range_m
         origin_m, yaw_rad = boxes.xyz_m[observers], boxes.yaw_rad[observers]
@@ -96,7 +96,7 @@ class Sensing:
         o, body, inside = o[rows], near.row[rows], inside[rows]
         found = ExpectedReturns(returns.n[rows], returns.n_unoccluded[rows])
         apart_m = np.linalg.norm(boxes.xyz_m[body] - origin_m[o], axis=1)
-        return Views(
+        return ViewTimes(
             own=observers,
             ptr=np.searchsorted(o, np.arange(len(observers) + 1)),
             body=body,
@@ -147,7 +147,7 @@ class Chances(NamedTuple):
     """Expected number of all evaluations, those with visibility 0 included."""
 
 
-def chances(views: Views, subject: Int[ndarray, "p"], evaluator: Int[ndarray, "p"], self_reports: bool) -> Chances:
+def chances(views: ViewTimes, subject: Int[ndarray, "p"], evaluator: Int[ndarray, "p"], self_reports: bool) -> Chances:
     """Chances that evaluators evaluate subjects, given that they receive their messages.
 
     Parameters

@@ -35,7 +35,7 @@ Advance = Callable[[str, int, int, str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Coverage:
+class SiteCoverage:
     """What units at C candidate sites would see of N elements (vehicle, step)."""
 
     ptr: Int[ndarray, "c+1"]
@@ -74,7 +74,7 @@ class Coverage:
         return [float(np.searchsorted(total, share * total[-1])) for share in shares]
 
 
-def greedy(coverage: Coverage, count: int) -> list[int]:
+def greedy(coverage: SiteCoverage, count: int) -> list[int]:
     """The greedy choice: each candidate raises the objective by most; of equal ones, the first.
 
     Gains only fall as units are added, so a candidate is counted again only when it is next in line (Minoux 1978).
@@ -138,15 +138,15 @@ class _Sights:
         clear = self.walls.has_los(roof_m, a, b)
         return within - np.bincount(np.concatenate([a[clear], b[clear]]), minlength=len(roof_m))
 
-    def coverage(self) -> Coverage:
+    def coverage(self) -> SiteCoverage:
         """All of it, by site."""
         c, element, young = (np.concatenate(column) for column in zip(*self.rows, strict=True))
         order = np.argsort(c, kind="stable")
         ptr = np.searchsorted(c[order], np.arange(len(self.site_m) + 1))
-        return Coverage(ptr, element[order], young[order], np.concatenate(self.weight), self.cap)
+        return SiteCoverage(ptr, element[order], young[order], np.concatenate(self.weight), self.cap)
 
 
-def observe(config: Config, height_m: float, advance: Advance) -> tuple[list[Junction], Coverage]:
+def observe(config: Config, height_m: float, advance: Advance) -> tuple[list[Junction], SiteCoverage]:
     """The junctions of a config's network, and what units there would see of its traffic.
 
     Parameters

@@ -64,10 +64,10 @@ def with_intervals(own: Prediction, runs: Sequence[Mapping[str, float]]) -> Pred
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FleetFindings:
     """What a replay of the traffic has found about one fleet."""
 
-    evidence: law.Evidence
+    evidence: law.EvidenceChances
     since: Int[ndarray, "s"]
     """Step in which each subject sensed first."""
     pair_steps: law.PairSteps
@@ -81,7 +81,7 @@ class Found:
 
 
 def predicted(
-    server: Server, config: Config, found: Found, gate: law.Gate, looks: law.ExpectedLookups | None
+    server: Server, config: Config, found: FleetFindings, gate: law.PublishingSteps, looks: law.ExpectedLookups | None
 ) -> Prediction:
     """The prediction for one server, without intervals.
 
@@ -114,9 +114,13 @@ def predicted(
 
 
 def counted(
-    server: Server, found: Found, gate: law.Gate, looks: law.ExpectedLookups | None, age_s: Float[ndarray, "a"],
+    server: Server,
+    found: FleetFindings,
+    gate: law.PublishingSteps,
+    looks: law.ExpectedLookups | None,
+    age_s: Float[ndarray, "a"],
     loss_p: float,
-) -> tuple[law.AgeCounts, dict[str, float]]:  # fmt: skip
+) -> tuple[law.AgeCounts, dict[str, float]]:
     """Expected lookups by age, and the metrics.
 
     Parameters

@@ -28,7 +28,7 @@ Rings = dict[str, tuple[list[list[int]], list[list[int]], Tags]]
 
 
 @dataclass(frozen=True, slots=True)
-class Buildings:
+class MappedBuildings:
     """Named footprints, with counts by origin."""
 
     footprints: list[tuple[str, Footprint]]
@@ -65,7 +65,7 @@ def rings_of(extract: Extract) -> Rings:
     return dict(sorted(found.items()))
 
 
-def build(rings: Rings, project: Callable[[list[Way]], dict[int, Ring]], ground: Ground) -> Buildings:
+def build(rings: Rings, project: Callable[[list[Way]], dict[int, Ring]], ground: Ground) -> MappedBuildings:
     """Footprints in network coordinates, parts taking the place of the outline they refine.
 
     `project` turns ways into rings in the network's coordinates; `ground` is kept free of buildings.
@@ -137,7 +137,7 @@ def _refined(shape: dict[str, shapely.Geometry], tags: dict[str, Tags]) -> list[
     return done
 
 
-def _standing(solids: list[Solid], ground: Ground) -> Buildings:
+def _standing(solids: list[Solid], ground: Ground) -> MappedBuildings:
     street = shapely.union(*ground)
     shapely.prepare(street)
     footprints: list[tuple[str, Footprint]] = []
@@ -159,4 +159,4 @@ def _standing(solids: list[Solid], ground: Ground) -> Buildings:
                 footprints.append((f"{name}.{used[name]}", footprint_of(piece, base, height.top_z_m)))
                 heights[height.source] += 1
                 used[name] += 1
-    return Buildings(footprints, heights, cut, bridging)
+    return MappedBuildings(footprints, heights, cut, bridging)

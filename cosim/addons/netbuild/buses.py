@@ -35,7 +35,7 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True)
-class Stop:
+class BusStop:
     """A stop beside the kerb lane."""
 
     id: str
@@ -47,7 +47,7 @@ class Stop:
 
 def lines_of(
     extract: Extract, net: Any, project: Callable[[list[int]], dict[int, Point]], least_m: float
-) -> tuple[list[Line], list[Stop]]:
+) -> tuple[list[Line], list[BusStop]]:
     """Daytime bus lines that run at least `least_m` through the network, and the stops they call at.
 
     `net` is a sumolib network with original ids; `project` gives nodes their place in it.
@@ -79,11 +79,11 @@ def lines_of(
         if least_m <= driven_m <= DETOUR * named_m:
             calls = {ref for kind, ref, _ in relation.members if kind == "n" and ref in place}
             alike[tuple(matched)].append((relation.tags["ref"], calls))
-    stops: dict[str, Stop] = {}
+    stops: dict[str, BusStop] = {}
     lines = []
     for edges, members in sorted(alike.items()):
         refs = tuple(sorted({ref for ref, _ in members}))
-        found: dict[str, tuple[int, Stop]] = {}
+        found: dict[str, tuple[int, BusStop]] = {}
         for sign in sorted({sign for _, calls in members for sign in calls}):
             name = extract.node_tags.get(sign, {}).get("name", "")
             if (stop := _beside(net, edges, sign, name, place[sign])) is not None:
@@ -94,7 +94,7 @@ def lines_of(
     return lines, sorted(stops.values(), key=lambda stop: stop.id)
 
 
-def stops_xml(stops: list[Stop]) -> str:
+def stops_xml(stops: list[BusStop]) -> str:
     """SUMO's additional file for the stops."""
     rows = (
         f'    <busStop id="{stop.id}" name={quoteattr(stop.name)} lane="{stop.lane}"'
@@ -170,7 +170,7 @@ def _matched(net: Any, candidates: list[list[Any]]) -> list[str]:
     return steps if len(set(steps)) == len(steps) else []
 
 
-def _beside(net: Any, edges: tuple[str, ...], sign: int, name: str, at: Point) -> Stop | None:
+def _beside(net: Any, edges: tuple[str, ...], sign: int, name: str, at: Point) -> BusStop | None:
     """The stop on the line's kerb lane nearest to a sign, if one is near enough and long enough."""
     from sumolib.geomhelper import polygonOffsetAndDistanceToPoint
 
@@ -184,5 +184,5 @@ def _beside(net: Any, edges: tuple[str, ...], sign: int, name: str, at: Point) -
             nearest = away
             last = edge.getLength() - 12.0  # room for a queue of two between stop and stop line
             ends = min(max(offset + STOP_M / 2, STOP_M + 1.0), last)
-            stop = Stop(f"stop{sign}", name, kerb.getID(), ends - STOP_M, ends)
+            stop = BusStop(f"stop{sign}", name, kerb.getID(), ends - STOP_M, ends)
     return stop

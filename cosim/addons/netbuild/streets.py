@@ -16,7 +16,7 @@ from sumo_nets.osm import Extract, Way, pieces
 
 
 @dataclass(frozen=True, slots=True)
-class Streets:
+class DrivableStreets:
     """Input of netconvert, and the nodes where streets continue beyond the extract."""
 
     ways: list[Way]
@@ -47,7 +47,7 @@ SMALLEST_M = 300.0
 
 def drivable(
     extract: Extract, classes: frozenset[str], ignored_tags: frozenset[str], edge_m: float, dead_ends: bool = False
-) -> Streets:
+) -> DrivableStreets:
     """Surface streets of the given highway classes, without the ignored tags, and unless `dead_ends` without those.
 
     A street stays if a car can come from every other street that stays, drive through it and go on to every
@@ -206,7 +206,7 @@ def _largest_component(links: list[list[int]]) -> ndarray:
     return label == label[np.bincount(label)[label].argmax()]
 
 
-def _assemble(extract: Extract, runs, kept, gates: frozenset[int], ignored_tags: frozenset[str]) -> Streets:
+def _assemble(extract: Extract, runs, kept, gates: frozenset[int], ignored_tags: frozenset[str]) -> DrivableStreets:
     ways = []
     taken: set[int] = set()
     for index, stubs_kept in sorted(kept.items()):
@@ -226,4 +226,4 @@ def _assemble(extract: Extract, runs, kept, gates: frozenset[int], ignored_tags:
                 name += 10**12
             taken.add(name)
             ways.append(Way(name, run[a : b + 1], tags))
-    return Streets(ways, gates, {})
+    return DrivableStreets(ways, gates, {})

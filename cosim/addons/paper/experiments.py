@@ -47,7 +47,7 @@ _SHOWN: Mapping[str, tuple[str, str]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class ExperimentOutcome:
     """The results of an experiment."""
 
     name: str
@@ -83,7 +83,7 @@ def task_of(study: Study, name: str, out: Path) -> sweeping.Task:
     return sweeping.prepare_study(study, f"{EXPERIMENTS[name]}.toml", out)
 
 
-def conclude(name: str, out: Path) -> Outcome:
+def conclude(name: str, out: Path) -> ExperimentOutcome:
     """Write the tables and the picture of an experiment whose runs are finished.
 
     Raises
@@ -106,7 +106,7 @@ def conclude(name: str, out: Path) -> Outcome:
     runs = [out / "runs" / run for run in sorted(study.points["run"].astype(str).unique())]
     durable.write_output(page, markdown(rows, name, runs).encode())
     draw = pictures.draw_tables if name == "tables" else pictures.draw_trust_levels
-    return Outcome(name, rows, [table, plain, page, style.save(draw(rows), picture)])
+    return ExperimentOutcome(name, rows, [table, plain, page, style.save(draw(rows), picture)])
 
 
 def as_data(rows: pd.DataFrame) -> list[dict[Any, Any]]:
@@ -114,8 +114,8 @@ def as_data(rows: pd.DataFrame) -> list[dict[Any, Any]]:
     return rows.astype(object).where(rows.notna(), None).to_dict("records")
 
 
-def outcome(study: studies.Study, name: str) -> pd.DataFrame:
-    """Rows of `Outcome` from the metrics of a study."""
+def outcome(study: studies.StudyResults, name: str) -> pd.DataFrame:
+    """Rows of `ExperimentOutcome` from the metrics of a study."""
     frame = study.measures
     start = frame[START] if START in frame else pd.Series(NEVER_S, frame.index)
     attack = frame[ATTACK] if ATTACK in frame else pd.Series("", frame.index)

@@ -20,7 +20,7 @@ from cosim.config.config import Config
 from cosim.runs import replay_lidar
 from cosim.world import World
 from results.archive import open_run
-from results.metrics.kitti import Objects, average_precision
+from results.metrics.kitti import LabelledObjects, average_precision
 from results.metrics.kitti_frames import actors_ahead, boxes_ahead, pairs_ahead, posed
 from results.run import Run
 from sensors import evidence
@@ -79,7 +79,7 @@ def label_rules(runs: Sequence[Run], max_frames: int = 1500) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _seen(run: Run, max_frames: int) -> tuple[Objects, Objects, pd.DataFrame, int]:
+def _seen(run: Run, max_frames: int) -> tuple[LabelledObjects, LabelledObjects, pd.DataFrame, int]:
     """For a sample of frames: actors ahead, detections, each actor's returns, pixels and range, number of frames."""
     config = replay_lidar.config_of(run)
     every = np.arange(0, int(run.manifest["steps"]), config.sense_every_steps)
@@ -127,16 +127,16 @@ def _returns(config: Config, city: Scene, world: World, rows: ndarray) -> pd.Ser
     return pd.Series(seen.n_returns[some], index)
 
 
-def _rows(objects: Objects, keep: ndarray) -> Objects:
+def _rows(objects: LabelledObjects, keep: ndarray) -> LabelledObjects:
     columns = ("frame", "label", "box", "height_px", "occlusion", "truncation", "score")
-    return Objects(*(getattr(objects, name)[keep] for name in columns))
+    return LabelledObjects(*(getattr(objects, name)[keep] for name in columns))
 
 
-def _joined(parts: Sequence[Objects], first: ndarray) -> Objects:
+def _joined(parts: Sequence[LabelledObjects], first: ndarray) -> LabelledObjects:
     """Objects of several runs, with consecutive frame numbers."""
     columns = ("label", "box", "height_px", "occlusion", "truncation", "score")
     frame = np.concatenate([part.frame + n for part, n in zip(parts, first[:-1], strict=True)])
-    return Objects(frame, *(np.concatenate([getattr(part, name) for part in parts]) for name in columns))
+    return LabelledObjects(frame, *(np.concatenate([getattr(part, name) for part in parts]) for name in columns))
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ REAL, FALSE, TRUTH = style.ROLE_INKS["honest"], style.ROLE_INKS["malicious"], st
 
 
 @dataclass(frozen=True, slots=True)
-class Panel:
+class ScenarioPanel:
     """One view from above: returns of a sweep, and boxes with what is to be read beside them; world frame."""
 
     title: str
@@ -30,7 +30,7 @@ class Panel:
 
 @style.styled
 def from_above(
-    panels: Sequence[Panel],
+    panels: Sequence[ScenarioPanel],
     truth: Float[ndarray, "t 5"],
     names: Sequence[str],
     window_m: tuple[float, float, float, float],
@@ -87,7 +87,7 @@ def _beside(axis: Axes, corners: Float[ndarray, "4 2"], text: str, ink: str, lef
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class ScenarioCurve:
     """Trust in one vehicle after each frame, the first frame being number 1; beside it what a model expects."""
 
     trust: Float[ndarray, "f"]
@@ -97,7 +97,7 @@ class Curve:
 
 @style.styled
 def trust_over_frames(
-    curves: Mapping[str, Curve], printed: Sequence[tuple[float, float]], attack_start: int, expected_from: str
+    curves: Mapping[str, ScenarioCurve], printed: Sequence[tuple[float, float]], attack_start: int, expected_from: str
 ) -> Figure:
     """Trust after each frame: obtained, expected, and the values that the paper prints (frame, trust)."""
     figure, (axis,) = style.sheet(height=2.8)

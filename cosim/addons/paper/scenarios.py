@@ -206,22 +206,24 @@ def _fused_scores(sensed: Sensed) -> dict[str, float]:
     }
 
 
-def _listed(sensed: Sensed, row: int, title: str) -> pictures.Panel:
+def _listed(sensed: Sensed, row: int, title: str) -> pictures.ScenarioPanel:
     listed = sensed.listed.objects
     own = np.flatnonzero((listed.observer == row) & (listed.origin != SELF))
     return _panel(title, sensed, row, own, listed.score[own])
 
 
-def _fused(sensed: Sensed, title: str) -> pictures.Panel:
+def _fused(sensed: Sensed, title: str) -> pictures.ScenarioPanel:
     fused = _of_ego(sensed)
     return _panel(title, sensed, EGO, fused.seed, fused.score)
 
 
-def _panel(title: str, sensed: Sensed, observer: int, rows: ndarray, score: ndarray) -> pictures.Panel:
+def _panel(title: str, sensed: Sensed, observer: int, rows: ndarray, score: ndarray) -> pictures.ScenarioPanel:
     sweeps, listed = sensed.positioned.observed.sweeps, sensed.listed.objects
     points = sweeps.poses.to_world(observer, sweeps.xyz(observer))[:, :2]
     false = listed.origin[rows] == FABRICATED
-    return pictures.Panel(title, points, _footprints(listed.boxes.take(rows)), false, [f"{s:.2f}" for s in score])
+    return pictures.ScenarioPanel(
+        title, points, _footprints(listed.boxes.take(rows)), false, [f"{s:.2f}" for s in score]
+    )
 
 
 def _footprints(boxes: Boxes) -> Float[ndarray, "n 5"]:
@@ -306,10 +308,10 @@ def scenario_2(out: Path) -> ReproductionReport:
         "2019, whose window forgets exactly.",
     ]
     curves = {
-        "ego": pictures.Curve(one[:, EGO], fitted[:, EGO]),
-        "malicious, one false car": pictures.Curve(one[:, ATTACKER], fitted[:, ATTACKER], is_malicious=True),
-        "third": pictures.Curve(one[:, THIRD], fitted[:, THIRD]),
-        "malicious, three false cars": pictures.Curve(
+        "ego": pictures.ScenarioCurve(one[:, EGO], fitted[:, EGO]),
+        "malicious, one false car": pictures.ScenarioCurve(one[:, ATTACKER], fitted[:, ATTACKER], is_malicious=True),
+        "third": pictures.ScenarioCurve(one[:, THIRD], fitted[:, THIRD]),
+        "malicious, three false cars": pictures.ScenarioCurve(
             three[:, ATTACKER], paper["three_cars"][:, ATTACKER], is_malicious=True
         ),
     }

@@ -13,7 +13,7 @@ from jaxtyping import Int, UInt64
 from numpy import ndarray
 
 from cosim.addons.sidelink.memory import SidelinkState, log_of, memory_of, processes_of, room_of, stations_of
-from cosim.addons.sidelink.records import MAX_SENT, N_USED, UNIT, Air, Log, Rules
+from cosim.addons.sidelink.records import MAX_SENT, N_USED, UNIT, SlotAir, SlotLog, SlotRules
 from cosim.addons.sidelink.slots import next_period, run_slots
 from cosim.base import rng
 from cosim.base.kernel import compiled
@@ -95,7 +95,7 @@ class SidelinkMedium:
         return 1_000_000 // self.carrier.slots_per_ms
 
     @cached_property
-    def rules(self) -> Rules:
+    def rules(self) -> SlotRules:
         """The parameters of the slots."""
         p, carrier = self.params.sidelink, self.carrier
         per_ms = carrier.slots_per_ms
@@ -103,7 +103,7 @@ class SidelinkMedium:
         window = round(p.window_s * 1000 * per_ms)
         forced = 0 if p.reservation_s is None else round(p.reservation_s * 1000 * per_ms)
         step = 100 if forced == 0 else min(forced, 100)
-        return Rules(
+        return SlotRules(
             rng_key=rng.key(self.seed, rng.Stream.CHANNEL),
             n_subchannels=carrier.n_subchannels,
             rbs=carrier.rbs,
@@ -172,7 +172,7 @@ class SidelinkMedium:
 
     def _run(
         self, state: SidelinkState, plan: "_RoundPlan", links: Links, stations: Stations, begin_ns: int, end_ns: int
-    ) -> tuple[SidelinkState, Log, Int[ndarray, "n"]]:
+    ) -> tuple[SidelinkState, SlotLog, Int[ndarray, "n"]]:
         """Carry out the slots of a round; returns the next state, the log and the busy subchannels of each station."""
         rules, begin, end = self.rules, begin_ns // self._slot_ns, end_ns // self._slot_ns
         station, was = stations_of(state, stations)
@@ -192,11 +192,11 @@ class SidelinkMedium:
         after = SidelinkState(process, station, memory.entry, memory.ptr, memory.n_entries, reservation, end)
         return after, log, air.busy_round
 
-    def air(self, links: Links, stations: Stations) -> Air:
+    def air(self, links: Links, stations: Stations) -> SlotAir:
         """Links of a round, and room for the sums of a slot."""
         n, jam = len(stations), links.jamming
         zero = np.zeros(n)
-        return Air(
+        return SlotAir(
             ptr=links.ptr,
             receiver=links.receiver,
             mean_mw=links.power_mw,
@@ -221,7 +221,7 @@ class SidelinkMedium:
         return self.carrier.leak()
 
     def _happened(
-        self, plan: "_RoundPlan", log: Log, links: Links, cache: LinkCache, stations: Stations, messages: Messages,
+        self, plan: "_RoundPlan", log: SlotLog, links: Links, cache: LinkCache, stations: Stations, messages: Messages,
         begin_ns: int, busy: Int[ndarray, "n"],
     ) -> MessageRound:  # fmt: skip
         """Receptions of a round, and the outcome of each segment at every station in range."""
@@ -289,7 +289,7 @@ def _receptions_of(
     return reception[ranges(unit["rows"][rows] + attempt * degree, degree)]
 
 
-def _transmissions(plan: _RoundPlan, log: Log, links: Links, messages: Messages, slot_ns: int) -> Transmissions:
+def _transmissions(plan: _RoundPlan, log: SlotLog, links: Links, messages: Messages, slot_ns: int) -> Transmissions:
     """All transmissions: the first of each unit, then further ones."""
     unit = log.unit
     first = np.arange(len(unit))

@@ -6,7 +6,17 @@ import numpy as np
 from jaxtyping import Int, UInt64
 from numpy import ndarray
 
-from cosim.addons.sidelink.records import ENTRY, MAX_SENT, PROCESS, RESERVATION, STATION, Log, Memory, Room, Rules
+from cosim.addons.sidelink.records import (
+    ENTRY,
+    MAX_SENT,
+    PROCESS,
+    RESERVATION,
+    STATION,
+    Memory,
+    Room,
+    SlotLog,
+    SlotRules,
+)
 from cosim.addons.sidelink.slots import count_entries, load_entries
 from cosim.base.ragged import offsets
 from cosim.radio.channel import Links
@@ -72,7 +82,7 @@ def processes_of(process: ndarray, unit: ndarray, key: UInt64[ndarray, "u"], sta
 
 def memory_of(
     process: ndarray, station: ndarray, was: Int[ndarray, "n"], state: SidelinkState, unit: ndarray, links: Links,
-    rules: Rules, begin: int,
+    rules: SlotRules, begin: int,
 ) -> Memory:  # fmt: skip
     """Linked lists of each station's processes; its entries and the reservations, with room for those of the round.
 
@@ -108,12 +118,12 @@ def _lists(of: Int[ndarray, "p"], n: int) -> tuple[ndarray, ndarray]:
     return first, after
 
 
-def log_of(unit: ndarray, links: Links, n_slots: int) -> Log:
+def log_of(unit: ndarray, links: Links, n_slots: int) -> SlotLog:
     """Room for the outcomes of these units at their receivers."""
     degree = np.diff(links.ptr)[unit["station"]]
     begins = offsets(degree)
     unit["rows"] = MAX_SENT * begins[:-1]
-    return Log(
+    return SlotLog(
         unit=unit,
         reception=np.zeros(MAX_SENT * begins[-1], np.uint8),
         sinr=np.zeros(begins[-1]),
@@ -124,7 +134,7 @@ def log_of(unit: ndarray, links: Links, n_slots: int) -> Log:
     )
 
 
-def room_of(rules: Rules) -> Room:
+def room_of(rules: SlotRules) -> Room:
     """Room for one choice of resources."""
     n = (rules.last + 1) * rules.n_subchannels
     return Room(np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.uint64))

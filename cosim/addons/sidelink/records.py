@@ -51,7 +51,7 @@ UNIT = np.dtype([
 """A transport block of the round: what is sent, by which process, and where."""
 
 
-class Rules(NamedTuple):
+class SlotRules(NamedTuple):
     """Parameters of the slots, in linear units; times are in slots."""
 
     rng_key: np.uint64
@@ -82,7 +82,7 @@ class Rules(NamedTuple):
     with_repeats: bool  # whether one announcement names all transmissions of a message
 
 
-class Air(NamedTuple):
+class SlotAir(NamedTuple):
     """Stations and links of a round, and room for the sums of a slot."""
 
     ptr: ndarray
@@ -118,7 +118,7 @@ class Memory(NamedTuple):
     n_reservations: ndarray  # one number
 
 
-class Log(NamedTuple):
+class SlotLog(NamedTuple):
     """Units of the round and the outcome at each receiver."""
 
     unit: ndarray

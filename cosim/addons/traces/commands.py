@@ -11,7 +11,6 @@ from cosim.cli.console import AsJson, TrustCode, notes, plain, print_facts, prin
 
 if TYPE_CHECKING:
     from cosim.addons.traces.contacts import ContactParams
-    from cosim.addons.traces.positions import Columns
     from results.archive import OpenRun
 
 Pairs = Literal["all", "equipped", "los", "all_los"]
@@ -148,7 +147,7 @@ def columns_of(
     degrees: tuple[str | None, str | None], frame_hz: float | None,
 ) -> "Columns | None":  # fmt: skip
     """Columns named on the command line; None if none is named."""
-    from cosim.addons.traces.positions import Columns
+    from cosim.addons.traces.positions import PositionColumns
 
     if not any((actor, time, *metres, *degrees)):
         return None
@@ -158,7 +157,7 @@ def columns_of(
         raise ValueError("--x and --y go together, and so do --lat and --lon. Name both columns.")
     x, y = (str(name).strip() for name in place)
     actor, time = (actor or "id").strip(), (time or "time").strip()
-    return Columns(actor, time, x, y, is_degrees=any(degrees), is_frame=frame_hz is not None)
+    return PositionColumns(actor, time, x, y, is_degrees=any(degrees), is_frame=frame_hz is not None)
 
 
 def _print_counted(folder: Path, as_json: bool) -> None:

@@ -14,7 +14,7 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from cosim.addons.traces import positions, tracks
-from cosim.addons.traces.positions import Columns, Fixes
+from cosim.addons.traces.positions import Fixes, PositionColumns
 from cosim.addons.traces.tracks import TrackParams
 from cosim.base.durable import sha256
 from cosim.config.config import of_run_without_code
@@ -64,7 +64,7 @@ class ContactParams:
     """Time of the trace at which counting begins [s]."""
     to_s: float | None = None
     """Time of the trace at which it ends [s]."""
-    columns: Columns | None = None
+    columns: PositionColumns | None = None
     """Columns of a table. None recognises the layout."""
     frame_hz: float | None = None
     """Video frames per second, for times that are frame numbers."""
@@ -390,7 +390,7 @@ def _vehicles(registry: ActorRegistry) -> dict[str, ndarray | None]:
     )
 
 
-def _track_rows(fixes: Fixes, found: tracks.Tracks) -> dict[str, Any]:
+def _track_rows(fixes: Fixes, found: tracks.PositionTracks) -> dict[str, Any]:
     """The same for tracks."""
     lwh_m = np.array([kind.lwh_m for kind in fixes.types])
     return _vehicle_columns(

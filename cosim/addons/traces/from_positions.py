@@ -13,7 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.addons.traces.positions import Fixes
-from cosim.addons.traces.tracks import Positions, TrackParams, Tracks, steps, tracks
+from cosim.addons.traces.tracks import Positions, PositionTracks, TrackParams, steps, tracks
 from cosim.base import durable
 from cosim.base.durable import PARTIAL
 from cosim.traffic.fcd import PROJECTION, Timestep
@@ -39,7 +39,7 @@ def write_trace(fixes: Fixes, params: TrackParams, out: Path) -> dict[str, Any]:
 
     Returns
     -------
-    What was found, as `Tracks.report`, and `actors`, `tracks`, `steps`, `classes` and `read_as`.
+    What was found, as `PositionTracks.report`, and `actors`, `tracks`, `steps`, `classes` and `read_as`.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def write_trace(fixes: Fixes, params: TrackParams, out: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def timesteps(fixes: Fixes, found: Tracks, step_s: float) -> Iterator[Timestep]:
+def timesteps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Timestep]:
     """All tracks, step by step, with directions and speeds from the positions of the steps before and after.
 
     A vehicle that stands keeps its direction; one that has not moved yet has that of its first motion, and north if it
@@ -108,7 +108,7 @@ def timesteps(fixes: Fixes, found: Tracks, step_s: float) -> Iterator[Timestep]:
         last = here.track
 
 
-def _first_direction(fixes: Fixes, found: Tracks) -> Float[ndarray, "s 2"]:
+def _first_direction(fixes: Fixes, found: PositionTracks) -> Float[ndarray, "s 2"]:
     """Unit vector of the first motion of each track; north where there is none."""
     fix = found.link_fix
     after = np.minimum(fix + 1, len(fixes.time_s) - 1)

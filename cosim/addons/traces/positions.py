@@ -24,7 +24,7 @@ from sumo_nets.xml import check_regular, open_input
 
 
 @dataclass(frozen=True, slots=True)
-class Columns:
+class PositionColumns:
     """Names of the columns of a table of positions."""
 
     actor: str
@@ -50,22 +50,30 @@ class Columns:
     """Whether y points down, as in an image."""
 
 
-LAYOUTS: dict[str, Columns] = {
-    "highd": Columns(
+LAYOUTS: dict[str, PositionColumns] = {
+    "highd": PositionColumns(
         "id", "frame", "x", "y", size=("width", "height"), corner=("width", "height"), is_frame=True, y_down=True
     ),
-    "ind": Columns("trackId", "frame", "xCenter", "yCenter", size=("length", "width"), is_frame=True),
-    "opendd": Columns("OBJID", "TIMESTAMP", "UTM_X", "UTM_Y", kind="CLASS", size=("LENGTH", "WIDTH"), time_unit_s=1.0),
-    "interaction": Columns(
+    "ind": PositionColumns("trackId", "frame", "xCenter", "yCenter", size=("length", "width"), is_frame=True),
+    "opendd": PositionColumns(
+        "OBJID", "TIMESTAMP", "UTM_X", "UTM_Y", kind="CLASS", size=("LENGTH", "WIDTH"), time_unit_s=1.0
+    ),
+    "interaction": PositionColumns(
         "track_id", "timestamp_ms", "x", "y", kind="agent_type", size=("length", "width"), time_unit_s=1e-3
     ),
-    "ngsim": Columns(
-        "Vehicle_ID", "Global_Time", "Local_X", "Local_Y", kind="v_Class", size=("v_Length", "v_Width"),
-        time_unit_s=1e-3, length_unit_m=0.3048,
+    "ngsim": PositionColumns(
+        "Vehicle_ID",
+        "Global_Time",
+        "Local_X",
+        "Local_Y",
+        kind="v_Class",
+        size=("v_Length", "v_Width"),
+        time_unit_s=1e-3,
+        length_unit_m=0.3048,
     ),
-    "table": Columns("id", "time", "x", "y"),
-    "degrees": Columns("id", "time", "lat", "lon", is_degrees=True),
-}  # fmt: skip
+    "table": PositionColumns("id", "time", "x", "y"),
+    "degrees": PositionColumns("id", "time", "lat", "lon", is_degrees=True),
+}
 """Layouts that are recognised by their columns, in this order. `ind` is also that of rounD, exiD and uniD."""
 
 _KINDS = ("class", "type", "vehicle_class", "vehicle_type", "agent_type", "category")
@@ -176,7 +184,7 @@ def is_sumo(path: Path) -> bool:
 
 def read(
     paths: Sequence[Path],
-    columns: Columns | None = None,
+    columns: PositionColumns | None = None,
     frame_hz: float | None = None,
     repair: bool = False,
     time_unit_s: float | None = None,
@@ -271,7 +279,11 @@ def read(
 
 
 def _rows(
-    path: Path, columns: Columns | None, frame_hz: float | None, time_unit_s: float | None, length_unit_m: float | None
+    path: Path,
+    columns: PositionColumns | None,
+    frame_hz: float | None,
+    time_unit_s: float | None,
+    length_unit_m: float | None,
 ) -> _Rows:
     """The rows of one file."""
     is_parquet = path.name.removesuffix(".gz").endswith(".parquet")
@@ -331,7 +343,7 @@ def _rows(
     return _Rows(actors, time_s, xy, columns.is_degrees, columns.is_frame, kinds, lw_m, speed, tuple(read_as))
 
 
-def _with_optional(columns: Columns, names: Sequence[str]) -> Columns:
+def _with_optional(columns: PositionColumns, names: Sequence[str]) -> PositionColumns:
     """The columns with those of classes and sizes that the table has, where none is named."""
     kinds = (columns.kind, *_KINDS)
     sizes = (columns.size, ("length", "width"))
@@ -341,7 +353,7 @@ def _with_optional(columns: Columns, names: Sequence[str]) -> Columns:
     )  # fmt: skip
 
 
-def _check_units(path: Path, columns: Columns, time_unit_s: float | None, length_unit_m: float | None) -> None:
+def _check_units(path: Path, columns: PositionColumns, time_unit_s: float | None, length_unit_m: float | None) -> None:
     """Refuse units that have no effect, and columns whose names say another meaning."""
     if columns.is_frame and time_unit_s is not None:
         raise TrafficError(f"{path}: its times are frame numbers, so --time-unit has no effect. Leave it out.")
@@ -360,7 +372,7 @@ def _check_units(path: Path, columns: Columns, time_unit_s: float | None, length
 
 
 def _kinds_and_sizes(
-    path: Path, table: pa.Table, columns: Columns, actors: ndarray, unit_m: float
+    path: Path, table: pa.Table, columns: PositionColumns, actors: ndarray, unit_m: float
 ) -> tuple[ndarray | None, Float[ndarray, "n 2"] | None]:
     """Class, length and width of each row, from the table or from the `tracksMeta` file beside."""
     kinds = lw_m = None
@@ -388,7 +400,7 @@ def _kinds_and_sizes(
     return kinds, lw_m
 
 
-def _table(path: Path, columns: Columns, names: Sequence[str]) -> pa.Table:
+def _table(path: Path, columns: PositionColumns, names: Sequence[str]) -> pa.Table:
     """The needed columns of a CSV or Parquet file; those of a CSV file are text."""
     wanted = _needed(columns)
     if missing := [name for name in wanted if name not in names]:
@@ -556,7 +568,7 @@ def _check_metres(where: str, actor: ndarray, time_s: ndarray, xy_m: Float[ndarr
         )
 
 
-def _needed(columns: Columns) -> list[str]:
+def _needed(columns: PositionColumns) -> list[str]:
     return [columns.actor, columns.time, columns.x, columns.y, *(columns.corner or ())]
 
 

@@ -31,7 +31,7 @@ class TrackParams:
 
 
 @dataclass(frozen=True, slots=True)
-class Tracks:
+class PositionTracks:
     """S tracks, numbered by their first step and name, made of L links between positions that follow each other."""
 
     names: list[str]
@@ -80,7 +80,7 @@ def own_step_s(fixes: Fixes) -> float:
     return round(step_s, 6) if is_common and step_s <= COMMON_STEP_S else COMMON_STEP_S
 
 
-def tracks(fixes: Fixes, params: TrackParams) -> Tracks:
+def tracks(fixes: Fixes, params: TrackParams) -> PositionTracks:
     """Cut the positions of each actor into tracks at gaps and jumps, and place them on steps.
 
     Raises
@@ -129,7 +129,7 @@ def tracks(fixes: Fixes, params: TrackParams) -> Tracks:
     number = np.empty(len(codes), np.int64)
     number[order] = np.arange(len(codes))
     by_step = np.argsort(first[links], kind="stable")
-    return Tracks(
+    return PositionTracks(
         names=[names[i] for i in order],
         actor=actor[order],
         first_step=first_step[order],
@@ -201,7 +201,7 @@ def _weighted_quantiles(values: ndarray, weights: ndarray, at: ndarray) -> ndarr
     return values[order][np.minimum(np.searchsorted(shares, at), len(values) - 1)]
 
 
-def steps(fixes: Fixes, found: Tracks, step_s: float) -> Iterator[Positions]:
+def steps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Positions]:
     """Positions of all tracks, step by step, from step 0 on; steps without actors too."""
     longest = int((found.link_end - found.link_first).max())
     total = int((found.link_end - found.link_first).sum())

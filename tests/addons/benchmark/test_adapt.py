@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.addons.benchmark.adapt import Evidence, Policy, Search
+from cosim.addons.benchmark.adapt import AdaptedEvidence, Policy, Search
 from cosim.addons.benchmark.evidence import TABLES, load
 from cosim.addons.benchmark.play import candidate
 from tests.addons.benchmark.worlds import ATTACKERS, RULES, N, stream, tiny_set
@@ -12,7 +12,7 @@ HONEST = Policy("none", 1.0, 10.0, 0.0, 0.0, False)
 
 
 def under(policy, seed=2):
-    of = Evidence(stream("none", seed), stream("collusion", seed), stream(policy.attack, seed))
+    of = AdaptedEvidence(stream("none", seed), stream("collusion", seed), stream(policy.attack, seed))
     return of.under(policy, RULES)
 
 
@@ -94,9 +94,8 @@ def test_on_the_shipped_set_a_policy_without_schedule_is_almost_the_recorded_att
         for attack in rules.cases[1:9]:
             case = found.stream(world, rules.cases.index(attack))
             policy = replace(HONEST, attack=attack)
-            made = Evidence(found.stream(world, 0), found.stream(world, rules.cases.index("collusion")), case).under(
-                policy, rules
-            )
+            other = found.stream(world, rules.cases.index("collusion"))
+            made = AdaptedEvidence(found.stream(world, 0), other, case).under(policy, rules)
             for name in ("detections", "evaluations", "lookups"):
                 one, other = (
                     {*zip(*(v.tolist() for v in getattr(s, name).values()), strict=True)} for s in (made, case)

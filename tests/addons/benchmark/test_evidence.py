@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from cosim.addons.benchmark import record
-from cosim.addons.benchmark.evidence import MANIFEST, SHIPPED, TABLES, Place, load
+from cosim.addons.benchmark.evidence import MANIFEST, SHIPPED, TABLES, EvidencePlace, load
 from tests.addons.benchmark.worlds import RULES, stream, tiny_set
 
 
@@ -134,7 +134,9 @@ def test_rules_that_cannot_be_are_refused_in_one_line(tmp_path, rules):
 
 
 def test_places_that_cannot_be_are_refused_in_one_line(tmp_path):
-    for number, place in enumerate((Place(7, 0.3, 1), Place("here", 3.0, 1), Place("here", 0.3, "x"))):
+    for number, place in enumerate(
+        (EvidencePlace(7, 0.3, 1), EvidencePlace("here", 3.0, 1), EvidencePlace("here", 0.3, "x"))
+    ):
         with pytest.raises(ValueError, match="world 0 should be a city, a penetration from 0 to 1 and a seed"):
             load(altered(tmp_path / str(number), worlds=(place, *tiny_set().worlds[1:])))
 
@@ -161,7 +163,7 @@ def test_the_shipped_set_is_whole_and_small():
 @pytest.mark.verify
 def test_a_set_is_recorded_the_same_again(tmp_path):
     rules = replace(record.RULES, n_steps=12, start_step=4, cases=("none", "sybil", "offset"))
-    place = Place("koenigs-wusterhausen", 0.1, 5)
+    place = EvidencePlace("koenigs-wusterhausen", 0.1, 5)
     one, other = (record.make(lambda *_: None, (place,), rules, "0") for _ in range(2))
     assert one.checksum == other.checksum
     one.write(tmp_path)

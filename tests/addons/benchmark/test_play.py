@@ -10,11 +10,11 @@ import pytest
 
 from cosim import Simulation
 from cosim.addons.benchmark import record
-from cosim.addons.benchmark.evidence import Place
+from cosim.addons.benchmark.evidence import EvidencePlace
 from cosim.addons.benchmark.play import Script, candidate, play
 from tests.addons.benchmark.worlds import RULES, stream
 
-PLACE = Place("helsinki", 0.2, 77)
+PLACE = EvidencePlace("helsinki", 0.2, 77)
 
 
 def literal_beta(of, host, decay_per_s=0.98):

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.addons.benchmark.evidence import Stream
-from cosim.addons.benchmark.play import Answers, candidate
+from cosim.addons.benchmark.evidence import EvidenceStream
+from cosim.addons.benchmark.play import ModelAnswers, candidate
 from cosim.addons.benchmark.score import counts, figures, score
 from tests.addons.benchmark.worlds import RULES, tiny_set
 
@@ -18,8 +18,8 @@ def by_hand():
     ])  # fmt: skip
     lookups = {c: rows[:, k].astype(np.int16) for k, c in enumerate(("step", "receiver", "sender"))}
     pseudonyms = {"pseudonym": np.arange(3), "vehicle": np.arange(3), "attacks": np.array([0, 0, 1])}
-    of = Stream({}, {}, {}, lookups, pseudonyms)
-    return of, Answers(rows[:, 3], np.where(np.isnan(rows[:, 3]), np.nan, 2.0), 0.0, 1)
+    of = EvidenceStream({}, {}, {}, lookups, pseudonyms)
+    return of, ModelAnswers(rows[:, 3], np.where(np.isnan(rows[:, 3]), np.nan, 2.0), 0.0, 1)
 
 
 def test_counts_by_hand():

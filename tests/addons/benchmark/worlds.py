@@ -4,17 +4,26 @@ from functools import cache
 
 import numpy as np
 
-from cosim.addons.benchmark.evidence import HONEST, TABLES, EvidenceSet, Place, Rules, Stream, assembled, merged
+from cosim.addons.benchmark.evidence import (
+    HONEST,
+    TABLES,
+    EvidencePlace,
+    EvidenceRules,
+    EvidenceSet,
+    EvidenceStream,
+    assembled,
+    merged,
+)
 
 ATTACKS = ("ghost_insertion", "speed", "bad_mouthing", "collusion")
-RULES = Rules(
+RULES = EvidenceRules(
     dt_s=1.0, n_steps=14, start_step=4, server_period_s=3.0, eta=-1.0, freshness_s=10.0, cases=(HONEST, *ATTACKS)
 )
 N, ATTACKERS = 7, (5, 6)
 """Vehicles 0 to 6 are all within reach of each other. The last two attack."""
 
 
-def stream(case: str, seed: int) -> Stream:
+def stream(case: str, seed: int) -> EvidenceStream:
     """Each vehicle reports itself and two objects; others confirm most of them, with random scores in percent.
 
     Ghosts have the index 3, and are denied by the honest. Vehicle 1's messages are lost on the way to the server in
@@ -51,7 +60,7 @@ def stream(case: str, seed: int) -> Stream:
                         value = -100 if denied else int(e)
                         rows["evaluations"].append((step, receiver, observer, index, value, int(phi)))
     rows["pseudonyms"] = [(n, n, int(n in ATTACKERS)) for n in range(N)]
-    return Stream(**{
+    return EvidenceStream(**{
         name: merged(name, dict(zip(TABLES[name].columns, np.array(of, np.int64).T, strict=True)))
         for name, of in rows.items()
     })  # fmt: skip
@@ -60,7 +69,7 @@ def stream(case: str, seed: int) -> Stream:
 @cache
 def tiny_set() -> EvidenceSet:
     """Three worlds, with all attacks."""
-    places = (Place("here", 0.3, 1), Place("here", 0.1, 2), Place("there", 0.3, 3))
+    places = (EvidencePlace("here", 0.3, 1), EvidencePlace("here", 0.1, 2), EvidencePlace("there", 0.3, 3))
     return assembled("0", RULES, places, (
         (world, case, stream(name, world)) for world in range(3) for case, name in enumerate(RULES.cases)
     ))  # fmt: skip

@@ -8,7 +8,7 @@ import pytest
 
 from cosim.addons.datasets import opv2v
 from cosim.addons.datasets.plausibility import remarks
-from cosim.addons.datasets.recorded import Boxes, moved
+from cosim.addons.datasets.recorded import RecordedBoxes, moved
 from tests.addons.datasets.test_readers import opv2v_file, vehicle
 
 
@@ -21,7 +21,7 @@ def data(tmp_path):
     data = opv2v.read(tmp_path)
     found = data.truth.box + rng.normal(0, 0.1, box.shape) * [1, 1, 1, 1, 0.5, 0.5, 0.3]
     zeros = np.zeros(6, int)
-    return replace(data, found=Boxes(zeros, zeros, data.truth.label, found, np.full(6, 0.5)))
+    return replace(data, found=RecordedBoxes(zeros, zeros, data.truth.label, found, np.full(6, 0.5)))
 
 
 def changed(boxes, change):
@@ -87,7 +87,7 @@ def test_an_agent_with_a_wrong_pose(data):
     """Twelve detections of an agent lie 200 m beside the objects."""
     box = np.concatenate([data.found.box, data.found.box]) + [200, 0, 0, 0, 0, 0, 0]
     zeros = np.zeros(12, int)
-    found = Boxes(zeros, zeros, np.full(12, "car", object), box, np.full(12, 0.5))
+    found = RecordedBoxes(zeros, zeros, np.full(12, "car", object), box, np.full(12, 0.5))
     assert "0 of 12 detections of agent 0 lie within 2 m of an object" in remarks(replace(data, found=found))[0]
 
 

@@ -162,12 +162,12 @@ def test_velocities_and_numbers_of_tracks():
     })  # fmt: skip
     place = replace(NORTH.of_world(np.zeros((1, 2))), turn_rad=np.array([np.pi / 2]))
     objects = pcap.objects_of(perceived, np.zeros((3, 3)), place, np.zeros(3, int))
-    seen = readers.cpm(etsi.cpm(etsi.Head(1, 2, 3, 4, 5, 6.0), 3, objects.between(0, 3)))["objects"]
+    seen = readers.cpm(etsi.cpm(etsi.CpmHead(1, 2, 3, 4, 5, 6.0), 3, objects.between(0, 3)))["objects"]
     assert [o["velocity"] for o in seen] == [(50, -300), None, (16382, 125)], "400 m/s: out of range"
     assert [o["number"] for o in seen] == [7, 2**15 + 2, 9]
     still = perceived.drop(columns=list(pcap.TRACKED))
     objects = pcap.objects_of(still, np.zeros((3, 3)), place, np.zeros(3, int))
-    seen = readers.cpm(etsi.cpm(etsi.Head(1, 2, 3, 4, 5, 6.0), 3, objects.between(0, 3)))["objects"]
+    seen = readers.cpm(etsi.cpm(etsi.CpmHead(1, 2, 3, 4, 5, 6.0), 3, objects.between(0, 3)))["objects"]
     assert [(o["velocity"], o["number"]) for o in seen] == [(None, 1), (None, 2), (None, 3)]
 
 
@@ -179,12 +179,12 @@ def test_segments_hold_as_many_objects_as_fit(seed):
     label, moves = rng.integers(0, 4, n), rng.random(n) < rng.random()
     velocity = np.where(moves[:, None], rng.uniform(-30, 30, (n, 2)), np.nan)
     columns = np.arange(n), label, rng.uniform(-9, 9, (n, 3)), np.ones((n, 3)), rng.uniform(-3, 3, n), rng.random(n)
-    objects = etsi.Objects.of(*columns, velocity)
+    objects = etsi.CpmObjects.of(*columns, velocity)
     cuts = [0, *pcap.cuts_of(objects.is_used.sum(axis=1)), n]
     assert len(cuts) - 1 <= 8
 
     def length(first, last):
-        return 4 + len(etsi.cpm(etsi.Head(1, 2, 3, 4, 5, 6.0, (8, 1)), n, objects.between(first, last)))
+        return 4 + len(etsi.cpm(etsi.CpmHead(1, 2, 3, 4, 5, 6.0, (8, 1)), n, objects.between(first, last)))
 
     for first, last in pairwise(cuts):
         assert length(first, last) <= 1398

@@ -118,7 +118,7 @@ def test_the_evidence_is_the_message_of_the_earlier_step(tmp_path):
     run = truck.make(tmp_path / "run", evaluations=[evaluation(3, 3, -1.0, 1.0, True, detection_step=1)])
     ((report,),) = written(run, tmp_path).values()
     (stream,) = report["data"]["content"]["plaintext"]["report"]["content"]["v2xPduEvidence"]
-    packets = pcap.Packets(replace(truck.selection(run), projection=lambda: NORTH), NORTH)
+    packets = pcap.PcapPackets(replace(truck.selection(run), projection=lambda: NORTH), NORTH)
     sent = packets.frames(np.array([1]), [0])[1, 0]
     assert stream["v2xPdus"] == [packet[reports.ETHERNET_BYTES :].hex() for packet in sent]
 

@@ -6,7 +6,7 @@ import pytest
 from cosim.addons.law import law
 from cosim.addons.law.closed_form import Company
 from cosim.addons.law.draws import drawn
-from cosim.addons.law.prediction import Found
+from cosim.addons.law.prediction import FleetFindings
 
 
 def test_drawn_runs_have_the_chances_as_means():
@@ -16,8 +16,15 @@ def test_drawn_runs_have_the_chances_as_means():
     step, pair = (x.ravel() for x in np.meshgrid(np.arange(n_steps), np.arange(2)))
     pairs = law.PairSteps(step, step + pair, np.zeros(2 * n_steps, int), pair, np.log1p(-p[pair]), 3 * p[pair])
     nothing = law.Encounters(*(np.zeros(0, np.int64),) * 7, np.zeros(0))
-    found = Found(law.Evidence(np.zeros((3, 1, n_steps))), np.zeros(1, int), pairs, np.zeros(2, int), nothing, 1,
-                  Company.constant(0.5))  # fmt: skip
+    found = FleetFindings(
+        law.EvidenceChances(np.zeros((3, 1, n_steps))),
+        np.zeros(1, int),
+        pairs,
+        np.zeros(2, int),
+        nothing,
+        1,
+        Company.constant(0.5),
+    )
     run = drawn(found, np.array([0.5, 1.0]), np.random.default_rng(3))
     share = 1 - np.exp(run.evidence.log_none).mean(axis=(1, 2))
     # After one step: the first evaluator's half. After two: all of it, and half of the second's. After three: all.

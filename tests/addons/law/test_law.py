@@ -20,7 +20,7 @@ def looks(subject, step, publication, n, none=0.0):
 def test_gate_by_hand():
     # Sensing every 0.5 s, a period of 1.2 s: publications are 3 steps apart, because the third step is the first that
     # is 1.2 s or more after the last publication.
-    gate = law.Gate(law.period_steps(1.2, 0.5))
+    gate = law.PublishingSteps(law.period_steps(1.2, 0.5))
     for step in (1, 2, 3, 4, 8, 9, 10, 11):  # no equipped vehicle is there in the steps 0 and 5 to 7
         gate.open(step)
     assert gate.steps.tolist() == [1, 4, 8, 11]
@@ -31,7 +31,7 @@ def test_age_by_hand():
     # The subject is evaluated in every step with probability 1/2. Publication at step 4, lookup at step 5, window of 4
     # steps: evidence of ages 1, 2, 3 at the publication counts. Newest: 1/2, 1/4, 1/8, each one step older at lookup.
     # Oldest: 1/8, 1/4, 1/2. In 1/8 of the cases there is none.
-    evidence = law.Evidence(np.log(np.full((1, 1, 8), 0.5)))
+    evidence = law.EvidenceChances(np.log(np.full((1, 1, 8), 0.5)))
     found = law.ages(evidence, looks([0], [5], [4], [8.0]), 4, np.zeros(1, int))
     assert found.newest[:6] == pytest.approx([0, 0, 4, 2, 1, 0])
     assert found.oldest[:6] == pytest.approx([0, 0, 1, 2, 4, 0])
@@ -39,7 +39,7 @@ def test_age_by_hand():
 
 
 def test_evidence_before_the_first_step_does_not_exist():
-    evidence = law.Evidence(np.full((1, 1, 8), -50.0))
+    evidence = law.EvidenceChances(np.full((1, 1, 8), -50.0))
     found = law.ages(evidence, looks([0], [1], [0], [1.0]), 50, np.zeros(1, int))
     assert found.n_unknown == 1 and not found.newest.any()
     assert found.n_unseen == 0  # the subject came in step 0, whose detections are too late for this publication
@@ -64,7 +64,7 @@ def test_ages_and_evaluators_as_by_enumeration(seed):
         else:
             none += weight
     log_none = np.log1p(-np.minimum(p, 1 - 1e-15))
-    evidence = law.Evidence(log_none.sum(axis=0)[None, None, :])
+    evidence = law.EvidenceChances(log_none.sum(axis=0)[None, None, :])
     asked = looks([0], [step], [b], [1.0])
     found = law.ages(evidence, asked, window, np.zeros(1, int))
     assert found.newest[:10] == pytest.approx(
@@ -91,7 +91,7 @@ def test_evaluations_that_arrive_late_are_behind_later_publications():
     # Half of the reports arrive after one step, all after two. The subject is evaluated in step 3 alone.
     log_none = np.zeros((2, 1, 8))
     log_none[0, 0, 3], log_none[1, 0, 3] = np.log(0.5), -50.0
-    found = law.ages(law.Evidence(log_none), looks([0, 0], [4, 5], [4, 5], [1.0, 1.0]), 10, np.zeros(1, int))
+    found = law.ages(law.EvidenceChances(log_none), looks([0, 0], [4, 5], [4, 5], [1.0, 1.0]), 10, np.zeros(1, int))
     assert found.newest[:4] == pytest.approx([0, 0.5, 1, 0])
 
 
@@ -106,8 +106,8 @@ def test_encounters_without_trust_by_hand():
     # Publications every 4 steps, a window of 4; evaluations with probability 1/2 in each of the steps 1 to 7. The
     # encounter lasts steps 5 to 9; each lookup is missed with probability 1/2; no publication is lost.
     log_none = np.log(np.append(1.0, np.full(7, 0.5)))
-    evidence = law.Evidence(np.append(log_none, np.zeros(4))[None, None])
-    gate = law.Gate(4, [0, 4, 8])
+    evidence = law.EvidenceChances(np.append(log_none, np.zeros(4))[None, None])
+    gate = law.PublishingSteps(4, [0, 4, 8])
     steps = [5, 6, 7, 8, 9]
     # The publication of step 4 (steps 1 to 3) counts at the start: known with 7/8. That of step 8 adds steps 4 to 7: it
     # brings the first evidence with 1/8 (1 - 1/16); then the lookups of steps 8 and 9 are missed with 1/4.
@@ -145,7 +145,7 @@ def test_closed_form_as_simulated(q, period, loss_p):
 
 def test_closed_form_is_the_law_of_a_constant_chance():
     q, period, window, n_steps = 0.4, 5, 20, 400
-    evidence = law.Evidence(np.log(np.full((1, 1, n_steps), 1 - q)))
+    evidence = law.EvidenceChances(np.log(np.full((1, 1, n_steps), 1 - q)))
     steps = np.arange(200, 300)
     found = law.ages(
         evidence, looks(np.zeros(100, int), steps, steps - steps % period, np.ones(100)), window, np.zeros(1, int)

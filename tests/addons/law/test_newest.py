@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from cosim.addons.law.newest import Received, Sweeps
-from cosim.addons.law.opportunities import Views
+from cosim.addons.law.newest import NewestReceived, SweepTimes
+from cosim.addons.law.opportunities import ViewTimes
 
 
 def received(*rows):
     sender, receiver, p = (np.array(column) for column in zip(*rows, strict=True))
-    return Received(sender, receiver, p.astype(float), np.zeros(len(p)))
+    return NewestReceived(sender, receiver, p.astype(float), np.zeros(len(p)))
 
 
 def test_a_newer_message_replaces_the_older_one_and_vehicles_leave():
@@ -17,13 +17,13 @@ def test_a_newer_message_replaces_the_older_one_and_vehicles_leave():
     then = first.then(received((1, 2, 0.9)), np.array([1]), np.array([1, 2]))
     assert list(zip(then.sender, then.receiver, then.p, strict=True)) == [(2, 1, 0.7), (1, 2, 0.9)]
     # A sender whose newest message reaches nobody has none that is newer than this.
-    assert len(first.then(Received.none(), np.array([1]), np.array([1, 2])).sender) == 1
+    assert len(first.then(NewestReceived.none(), np.array([1]), np.array([1, 2])).sender) == 1
     assert then.by(np.array([2])).sender.tolist() == [1]
 
 
 def views(own, ptr, body, seen_p):
     k = len(body)
-    return Views(
+    return ViewTimes(
         np.array(own),
         np.array(ptr),
         np.array(body, np.int64),
@@ -36,7 +36,7 @@ def views(own, ptr, body, seen_p):
 
 def test_sweeps_are_kept_by_actor():
     # Rows of the world are other actors in each step.
-    one = Sweeps.none().then(views([0, 2], [0, 2, 3], [1, 2, 0], [0.1, 0.2, 0.3]), np.array([10, 11, 12]), 4,
+    one = SweepTimes.none().then(views([0, 2], [0, 2, 3], [1, 2, 0], [0.1, 0.2, 0.3]), np.array([10, 11, 12]), 4,
                              np.array([10, 12]))  # fmt: skip
     assert one.views.own.tolist() == [10, 12] and one.views.body.tolist() == [11, 12, 10]
     # Then actor 11 senses, actor 10 has left, and 12 keeps its sweep of step 4.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.addons.law.opportunities import Views, chances, detected_p_of
+from cosim.addons.law.opportunities import ViewTimes, chances, detected_p_of
 from sensors.expected_returns import ExpectedReturns
 from sensors.statistical_detector import DetectorParams, IdealDetector, StatisticalDetector
 
@@ -14,7 +14,7 @@ def random_views(rng, n_observers=8, n_bodies=20):
     there[np.arange(n_observers), own] = False
     o, body = np.nonzero(there)
     inside = rng.random(len(o)) < 0.8
-    return Views(
+    return ViewTimes(
         own=own, ptr=np.searchsorted(o, np.arange(n_observers + 1)), body=body, seen_p=rng.random(len(o)) * inside,
         inside=inside, detected_p=rng.random(len(o)), n_false=0.0,
     )  # fmt: skip
@@ -49,7 +49,7 @@ def test_chances_as_by_their_definition(self_reports):
 
 def test_nothing_in_common_is_never_evaluated():
     none = np.zeros(0)
-    views = Views(np.array([0, 1]), np.zeros(3, int), none.astype(int), none, none.astype(bool), none, 0.0)
+    views = ViewTimes(np.array([0, 1]), np.zeros(3, int), none.astype(int), none, none.astype(bool), none, 0.0)
     found = chances(views, np.array([0]), np.array([1]), True)
     assert found.none_p == [1.0] and found.n == [0.0]
 

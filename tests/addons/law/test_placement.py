@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from cosim.addons.law.placement import Coverage, _Sights, greedy
+from cosim.addons.law.placement import SiteCoverage, _Sights, greedy
 from sensors.line_of_sight import WallIndex
 from tests.sensors.town import Scene
 
@@ -14,7 +14,7 @@ def random_coverage(rng, n_sites=7, n_elements=25, cap=10):
     rows = [np.flatnonzero(rng.random(n_elements) < 0.3) for _ in range(n_sites)]
     young = [rng.integers(1, cap + 1, len(row)).astype(np.uint16) for row in rows]
     ptr = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
-    return Coverage(ptr, np.concatenate(rows), np.concatenate(young), rng.integers(0, 4, n_elements) * 1.0, cap)
+    return SiteCoverage(ptr, np.concatenate(rows), np.concatenate(young), rng.integers(0, 4, n_elements) * 1.0, cap)
 
 
 def literal_value(coverage, chosen):
@@ -47,7 +47,7 @@ def test_greedy_against_all_choices(seed):
 
 def test_greedy_is_best_where_sites_see_different_vehicles():
     """Three sites with elements of their own, worth 3, 8 and 5: the two best are the second, then the third."""
-    coverage = Coverage(np.array([0, 1, 2, 3]), np.array([0, 1, 2]), np.array([3, 8, 5], np.uint16), np.ones(3), 10)
+    coverage = SiteCoverage(np.array([0, 1, 2, 3]), np.array([0, 1, 2]), np.array([3, 8, 5], np.uint16), np.ones(3), 10)
     assert greedy(coverage, 2) == [1, 2] and coverage.value([1, 2]) == 13
     assert greedy(coverage, 9) == [1, 2, 0]
 

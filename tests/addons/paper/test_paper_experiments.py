@@ -17,7 +17,7 @@ from cosim.addons.paper.published import AP, FINAL_TRUST, METHODS
 from cosim.studies.sweep import prepare_study
 from results.archive import open_run
 from results.manifest import write_manifest
-from results.metrics.kitti import LEVELS, STRICT, Objects, average_precision
+from results.metrics.kitti import LEVELS, STRICT, LabelledObjects, average_precision
 from results.study import open_study
 from tests.drive import cosim, simulate
 
@@ -217,7 +217,7 @@ def plainly(run, egos, table, owner):
     for rows in columns.values():
         frame = pd.DataFrame(rows)
         n = len(frame)
-        made.append(Objects(
+        made.append(LabelledObjects(
             frame[0].to_numpy(), frame[1].to_numpy(object), frame[[*range(2, 9)]].to_numpy(float), np.full(n, 1e3),
             np.zeros(n, int), np.zeros(n), frame[9].to_numpy(float),
         ))  # fmt: skip

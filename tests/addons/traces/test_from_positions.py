@@ -18,7 +18,7 @@ STEP_S, LENGTH_M = 0.1, 5.0
 def written(tmp_path, rows, params=None):
     """The timesteps of the trace that is made of a table."""
     rows.to_csv(tmp_path / "positions.csv", index=False)
-    columns = positions.Columns("id", "time", "x", "y", kind="class") if "class" in rows else None
+    columns = positions.PositionColumns("id", "time", "x", "y", kind="class") if "class" in rows else None
     fixes = positions.read([tmp_path / "positions.csv"], columns)
     report = write_trace(fixes, params or TrackParams(STEP_S, 30.0), tmp_path / "out.parquet")
     return list(fcd.timesteps(tmp_path / "out.parquet")), report

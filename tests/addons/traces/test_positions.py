@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from cosim.addons.traces import units
-from cosim.addons.traces.positions import Columns, layout_of, read
+from cosim.addons.traces.positions import PositionColumns, layout_of, read
 from cosim.traffic.source import TrafficError
 
 TAXIS = """\
@@ -62,7 +62,7 @@ def test_one_table_in_every_form(tmp_path):
     (tmp_path / "two.csv").write_text("id;time;x;y\nb;0;50;0\na;1;3;2\n")
     dated = text.replace(",0,", ",2026-01-01 00:00:00,").replace("a,1,", "a,2026-01-01T00:00:01Z,")
     (tmp_path / "dates.csv").write_text(dated.replace("b,2026-01-01 00:00:00,50,0", "b,2026-01-01 00:00:00,50,0"))
-    named = Columns("id", "time", "x", "y")
+    named = PositionColumns("id", "time", "x", "y")
     found = [read([tmp_path / "t.parquet"]), read([tmp_path / "t.csv.gz"]), read([tmp_path / "t.csv.gz"], named),
              read([tmp_path / "one.csv", tmp_path / "two.csv"])]  # fmt: skip
     for fixes in found:
@@ -142,7 +142,9 @@ def test_pneuma_has_a_row_per_vehicle(tmp_path):
     with pytest.raises(TrafficError, match="row 1 has 11 values"):
         given(tmp_path, "q.csv", head + "1; Car; 9; 9; 37.97; 23.73; 40; 0; 0; 0; 37\n")
     with pytest.raises(TrafficError, match=r"is read by itself\. Leave out --id"):
-        given(tmp_path, "r.csv", head + rows, columns=Columns("track_id", "time", "lat", "lon", is_degrees=True))
+        given(
+            tmp_path, "r.csv", head + rows, columns=PositionColumns("track_id", "time", "lat", "lon", is_degrees=True)
+        )
 
 
 NGSIM = "Vehicle_ID,Global_Time,Local_X,Local_Y,v_Length,v_Width,v_Class,v_Vel\n" + "".join(
@@ -150,7 +152,7 @@ NGSIM = "Vehicle_ID,Global_Time,Local_X,Local_Y,v_Length,v_Width,v_Class,v_Vel\n
 )
 
 
-@pytest.mark.parametrize("columns", [None, Columns("Vehicle_ID", "Global_Time", "Local_X", "Local_Y")])
+@pytest.mark.parametrize("columns", [None, PositionColumns("Vehicle_ID", "Global_Time", "Local_X", "Local_Y")])
 def test_ngsim_is_in_feet_and_milliseconds(tmp_path, columns):
     """4 ft in 0.1 s are 12.192 m/s; NGSIM's class 3 is a truck, here of 60 ft = 18.288 m."""
     fixes = given(tmp_path, "n.csv", NGSIM, columns=columns)
@@ -191,12 +193,12 @@ def test_speeds_in_other_units_are_no_evidence(tmp_path):
 
 def test_columns_whose_names_say_another_unit(tmp_path):
     text = "id,time_ms,x_ft,y_ft,frame,lon\na,0,10,20,0,1\na,100,20,20,1,1\n"
-    fixes = given(tmp_path, "t.csv", text, columns=Columns("id", "time_ms", "x_ft", "y_ft"))
+    fixes = given(tmp_path, "t.csv", text, columns=PositionColumns("id", "time_ms", "x_ft", "y_ft"))
     assert fixes.time_s.tolist() == [0, 0.1] and fixes.xy_m[1, 0] == pytest.approx(6.096)
     with pytest.raises(TrafficError, match=r"named as frame numbers\. Set --frame-hz"):
-        given(tmp_path, "t.csv", text, columns=Columns("id", "frame", "x_ft", "y_ft"))
+        given(tmp_path, "t.csv", text, columns=PositionColumns("id", "frame", "x_ft", "y_ft"))
     with pytest.raises(TrafficError, match="the column lon is named as degrees"):
-        given(tmp_path, "t.csv", text, columns=Columns("id", "time_ms", "lon", "y_ft"))
+        given(tmp_path, "t.csv", text, columns=PositionColumns("id", "time_ms", "lon", "y_ft"))
 
 
 def test_classes_and_sizes_beside_a_recording(tmp_path):

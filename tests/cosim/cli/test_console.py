@@ -8,7 +8,7 @@ from rich.box import SIMPLE
 from rich.table import Table
 from rich.text import Text
 
-from cosim.addons.benchmark.evidence import Place
+from cosim.addons.benchmark.evidence import EvidencePlace
 from cosim.cli import console
 from tests.addons.benchmark.test_evidence import altered
 from tests.addons.benchmark.worlds import tiny_set
@@ -84,7 +84,7 @@ def study(tmp_path):
 
 def benchmark(tmp_path):
     of = tiny_set()
-    places = (Place("\x1b[31mhere", 0.3, 1), *of.worlds[1:])
+    places = (EvidencePlace("\x1b[31mhere", 0.3, 1), *of.worlds[1:])
     altered(tmp_path / "b", worlds=places, version="\x1b[31m\u202e1", rules={"cases": ("none", *"abc", "\x1b[31md")})
     return ["benchmark", "beta", "--evidence", str(tmp_path / "b")]
 

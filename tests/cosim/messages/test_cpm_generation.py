@@ -219,11 +219,11 @@ def test_lengths_are_those_of_the_encoder():
     has_sensors = g.random(n) < 0.5
     length, envelope = encoded_cpm_bytes(objects, message, has_sensors)
     xyz, lwh = g.uniform(-100, 100, (d, 3)), g.uniform(0.3, 12, (d, 3))
-    encoded = etsi.Objects.of(np.arange(d) % 65536, label, xyz, lwh, g.uniform(-3, 3, d), g.random(d), velocity)
+    encoded = etsi.CpmObjects.of(np.arange(d) % 65536, label, xyz, lwh, g.uniform(-3, 3, d), g.random(d), velocity)
     begin = np.cumsum(count) - count
     for m in range(n):
         part = encoded.between(begin[m], begin[m] + count[m])
-        head = etsi.Head(m, m, m, m, 0, 60.0, None, bool(has_sensors[m]))
+        head = etsi.CpmHead(m, m, m, m, 0, 60.0, None, bool(has_sensors[m]))
         assert length[m] == 140 + len(etsi.cpm(head, int(count[m]), part))
         if count[m] == 0:
             segment = replace(head, segment=(2, 2), has_sensors=False)

@@ -6,7 +6,7 @@ import pytest
 from cosim.messages.content import SELF, SENSED, Detections
 from cosim.messages.cpm_generation import CpmState, Generators, Inclusion, generate
 from cosim.messages.cpm_params import CpmParams
-from cosim.messages.redundancy import Reports
+from cosim.messages.redundancy import ReportedObjects
 from sensors.boxes import Boxes
 from tests.cosim.messages import literal_cpm
 
@@ -103,7 +103,7 @@ class Story:
         is_self = listed.origin[rows] == SELF
         along = np.column_stack([np.cos(listed.boxes.yaw_rad[rows]), np.sin(listed.boxes.yaw_rad[rows])])
         velocity = np.where(is_self[:, None], listed.speed_mps[rows, None] * along, listed.velocity_mps[rows])
-        reports = Reports(
+        reports = ReportedObjects(
             time_s=np.full(len(present), self.time_s), sender=self.actor[present] << 16, sender_xy_m=self.xy[present],
             message=message[rows], label=listed.label[rows].astype(np.int64), xy_m=listed.boxes.xyz_m[rows, :2],
             velocity_mps=velocity, is_self=is_self,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.messages.cpm_params import CpmParams
-from cosim.messages.redundancy import Candidates, Heard, Reports, redundant
+from cosim.messages.redundancy import Candidates, Heard, ReportedObjects, redundant
 
 CAR, PEDESTRIAN = 0, 1
 
@@ -15,7 +15,7 @@ def said(time_s, *objects, sender=7, sender_x=0.0):
     """One message; objects are (x, label, speed to the east, is the sender itself)."""
     x, label, speed, is_self = (np.array(column) for column in zip(*objects, strict=True))
     n, still = len(x), np.zeros(len(x))
-    return Reports(
+    return ReportedObjects(
         np.array([time_s]), np.array([sender]), np.array([[sender_x, 0.0]]), np.zeros(n, int), label.astype(np.int64),
         np.column_stack([x, still]).astype(float), np.column_stack([speed, still]).astype(float), is_self.astype(bool),
     )  # fmt: skip
@@ -94,7 +94,7 @@ def test_memory_is_bounded_by_the_window():
         heard = heard.next(reports, np.arange(5), np.zeros(5, int), np.full(5, step / 10 + 0.02), 1.0)
         sizes.append((len(heard.reports.time_s), len(heard.reports.label), len(heard.receiver)))
     assert max(sizes) == sizes[-1] == (11, 220, 55) and sizes[20:] == sizes[20:21] * 40
-    silence = Reports.none()
+    silence = ReportedObjects.none()
     unheard = replace(said(9.0, (1, CAR, 0.0, False)))
     none = np.zeros(0, int)
     heard = heard.next(unheard, none, none, np.zeros(0), 1.0)
@@ -106,7 +106,7 @@ def test_memory_is_bounded_by_the_window():
 def test_order_of_receptions_does_not_matter(seed):
     g = np.random.default_rng(seed)
     n, m = 300, 40
-    reports = Reports(
+    reports = ReportedObjects(
         np.zeros(m), g.permutation(m), g.uniform(0, 20, (m, 2)), np.sort(g.integers(0, m, n)), g.integers(0, 4, n),
         g.uniform(0, 20, (n, 2)), g.uniform(-9, 9, (n, 2)), g.random(n) < 0.2,
     )  # fmt: skip

@@ -32,7 +32,7 @@ def objects(rng, n):
 
 def head(**more):
     known = {"station": 7, "time_ms": 10**12, "latitude": 1, "longitude": -1, "heading": 9, "range_m": 80.0}
-    return etsi.Head(**known | more)
+    return etsi.CpmHead(**known | more)
 
 
 @pytest.mark.parametrize("row", range(len(VECTORS)))
@@ -62,7 +62,7 @@ def test_a_record_by_hand():
 def test_list_and_choice_by_hand():
     """Extension bit, two of one to four elements (01), each with the extension bit, the index, and the number."""
     of = uper.ListOf(
-        "List", "M", uper.Choice("Which", "M", {"x": uper.Integer("N", "M", 0, 3), "y": None}, True), 1, 4, True
+        "List", "M", uper.UperChoice("Which", "M", {"x": uper.Integer("N", "M", 0, 3), "y": None}, True), 1, 4, True
     )
     assert uper.encode(of, [("x", 3), ("x", 1)]) == bytes([0b00100110, 0b00100000])
 
@@ -100,7 +100,7 @@ def test_objects_together_equal_objects_one_by_one(seed):
     """Rows of bits, as numbers read by hand from the columns, encode as single values do."""
     rng = np.random.default_rng(seed)
     number, label, xyz, lwh, angle, score = columns = objects(rng, 40)
-    many = etsi.Objects.of(*columns)
+    many = etsi.CpmObjects.of(*columns)
 
     def tenths(value, unit):
         return int(np.ceil(value / unit - 1e-3))
@@ -128,7 +128,7 @@ def test_length_is_that_of_the_bytes(segment):
     rng, lengths, counts = np.random.default_rng(5), [], []
     for n in (0, 1, 2, 3, 4, 17, 100, 255):
         columns = objects(rng, n)
-        lengths.append(len(etsi.cpm(head(segment=segment), n, etsi.Objects.of(*columns).between(0, n))))
+        lengths.append(len(etsi.cpm(head(segment=segment), n, etsi.CpmObjects.of(*columns).between(0, n))))
         counts.append(np.bincount(columns[1], minlength=4))
     assert etsi.cpm_bytes(np.array(counts), is_segment=segment is not None).tolist() == lengths
     with pytest.raises(ValueError, match="0 to 255 objects"):
@@ -143,7 +143,7 @@ def test_lengths_of_a_thousand_messages_with_and_without_velocity_and_sensors():
     begin, d = np.cumsum(count) - count, int(count.sum())
     columns, moves = objects(rng, d), rng.random(d) < 0.5
     velocity = np.where(moves[:, None], rng.uniform(-200, 200, (d, 2)), np.nan)
-    many = etsi.Objects.of(*columns, velocity)
+    many = etsi.CpmObjects.of(*columns, velocity)
     of = np.repeat(np.arange(n), count) * 4 + columns[1]
     still, moving = (np.bincount(of[which], minlength=4 * n).reshape(n, 4) for which in (~moves, moves))
     sensors = rng.random(n) < 0.5

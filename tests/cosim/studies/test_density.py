@@ -5,7 +5,7 @@ import pytest
 from cosim.config.config import load
 from cosim.studies.density import departures, vehicles_on_road
 from cosim.studies.estimate import estimate
-from cosim.studies.plan import Plan, PlannedRun
+from cosim.studies.plan import PlannedRun, StudyPlan
 from tests.hostile.scenes import write_town, write_trace
 
 
@@ -29,7 +29,7 @@ def test_of_a_trace_and_of_flows(tmp_path):
 def test_a_dense_city_takes_longer():
     def planned_s(city):
         config = load(None, [f"traffic.scenario={city}", "fleet.penetration_p=1"])
-        return estimate([], Plan((PlannedRun("one", config, (("one", "base"),), ""),), {}, ()), (), None).planned_s
+        return estimate([], StudyPlan((PlannedRun("one", config, (("one", "base"),), ""),), {}, ()), (), None).planned_s
 
     assert planned_s("koenigs-wusterhausen") > 2.5 * planned_s("helsinki")
 
@@ -46,5 +46,5 @@ def test_what_a_run_costs():
     for preset, want_s in (("v0.2", v02_s), ("modern", modern_s)):
         sets = ["traffic.duration_s=100", "traffic.warmup_s=600", "fleet.penetration_p=0.3"]
         config = load(None, [f"preset={preset}", *sets])
-        plan = Plan((PlannedRun("one", config, (("one", "base"),), ""),), {}, ())
+        plan = StudyPlan((PlannedRun("one", config, (("one", "base"),), ""),), {}, ())
         assert estimate([], plan, (), None).planned_s == pytest.approx(want_s, rel=0.01)

@@ -145,7 +145,7 @@ def _setting(options: object) -> Setting:
 
 
 @dataclass(frozen=True, slots=True)
-class Evaluated:
+class CooperationScores:
     """Objects and boxes of a run by frame."""
 
     truth: Truth
@@ -161,7 +161,7 @@ def _precision(run: Run, setting: Setting, fusion: Fusion) -> Float[ndarray, "o"
 
 
 def _precision_of(
-    parts: Sequence[Evaluated], chosen: Sequence[Int[ndarray, "c"]], setting: Setting
+    parts: Sequence[CooperationScores], chosen: Sequence[Int[ndarray, "c"]], setting: Setting
 ) -> Float[ndarray, "o"]:
     """Average precision of some frames of several runs together, by overlap [%]."""
     rows = [(frames, one.truth, one.found) for frames, one in zip(chosen, parts, strict=True)]
@@ -173,7 +173,7 @@ def _areas(truth: Truth, found: Found, setting: Setting) -> Float[ndarray, "o"]:
     return np.array([100 * precision_and_recall(truth, found, one)[0] for one in setting.overlaps])
 
 
-def _evaluated(run: Run, setting: Setting, fusion: Fusion) -> Evaluated:
+def _evaluated(run: Run, setting: Setting, fusion: Fusion) -> CooperationScores:
     steps = sampled_steps(run, _FRAMES)
     steps = steps[steps >= setting.delay_steps]
     poses, actors = posed(run, steps)
@@ -185,7 +185,7 @@ def _evaluated(run: Run, setting: Setting, fusion: Fusion) -> Evaluated:
     beside = with_errors(beside, (setting.position_m, setting.heading_deg), setting.seeded_error)
     truth = _truth(run, steps, poses, actors, beside, setting)
     found = _found(run, steps, poses, actors, beside, setting, fusion)
-    return Evaluated(truth, found, _speed(run, poses.step.to_numpy(), poses.observer.to_numpy()))
+    return CooperationScores(truth, found, _speed(run, poses.step.to_numpy(), poses.observer.to_numpy()))
 
 
 def _partners(poses: Poses, actors: pd.DataFrame, setting: Setting) -> tuple[ndarray, ndarray]:

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from cosim.addons.compare.facts import Measured
 from cosim.addons.compare.measures.frames import Frames, range_of, rows
-from results.metrics.kitti import LOOSE, STRICT, Objects, average_precision
+from results.metrics.kitti import LOOSE, STRICT, LabelledObjects, average_precision
 from results.metrics.overlap import iou_3d
 from results.run import Run
 
@@ -109,7 +109,7 @@ def position_error_of_boxes(
     return Measured.of_replicates(found)
 
 
-def _pairs(truth: Objects, found: Objects, reach_m: float) -> tuple[ndarray, ndarray, ndarray]:
+def _pairs(truth: LabelledObjects, found: LabelledObjects, reach_m: float) -> tuple[ndarray, ndarray, ndarray]:
     """Rows of both in the same frame whose centres are within reach, and their distance."""
     if not len(truth) or not len(found):
         return np.zeros(0, int), np.zeros(0, int), np.zeros(0)
@@ -118,7 +118,7 @@ def _pairs(truth: Objects, found: Objects, reach_m: float) -> tuple[ndarray, nda
     return near["i"], near["j"], near["v"]
 
 
-def _best_overlap(truth: Objects, found: Objects) -> Float[ndarray, "t"]:
+def _best_overlap(truth: LabelledObjects, found: LabelledObjects) -> Float[ndarray, "t"]:
     """Largest overlap of each object with a box."""
     i, j, _ = _pairs(truth, found, 15.0)
     best = np.zeros(len(truth))
@@ -126,7 +126,7 @@ def _best_overlap(truth: Objects, found: Objects) -> Float[ndarray, "t"]:
     return best
 
 
-def _nearest(truth: Objects, found: Objects, reach_m: float) -> Float[ndarray, "t"]:
+def _nearest(truth: LabelledObjects, found: LabelledObjects, reach_m: float) -> Float[ndarray, "t"]:
     """Distance of each object to the nearest box; infinite beyond reach."""
     i, _, distance = _pairs(truth, found, reach_m)
     away = np.full(len(truth), np.inf)

@@ -7,7 +7,7 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from results.metrics.kitti import Objects, Overlap, average_precision
+from results.metrics.kitti import LabelledObjects, Overlap, average_precision
 from results.metrics.kitti_frames import (
     Lists,
     Poses,
@@ -28,9 +28,9 @@ _VISIBLE, _IGNORED = 0, 3
 class Frames:
     """Objects and boxes ahead of equipped vehicles within a range."""
 
-    truth: Objects
+    truth: LabelledObjects
     """Actors; their occlusion is that of `kitti_frames.actors_ahead`."""
-    found: Objects
+    found: LabelledObjects
     poses: Poses
     """Observers by frame."""
     n_points: Int[ndarray, "t"]
@@ -81,11 +81,11 @@ class Frames:
         return average_precision(truth, found, label, kind, overlap)["hard"].ap40
 
 
-def range_of(objects: Objects) -> Float[ndarray, "n"]:
+def range_of(objects: LabelledObjects) -> Float[ndarray, "n"]:
     """Horizontal distance of objects from their observers [m]."""
     return np.hypot(objects.box[:, 0], objects.box[:, 1])
 
 
-def rows(objects: Objects, keep: Bool[ndarray, "n"]) -> Objects:
+def rows(objects: LabelledObjects, keep: Bool[ndarray, "n"]) -> LabelledObjects:
     """Some of the objects, in their order."""
-    return Objects(*(getattr(objects, f.name)[keep] for f in fields(Objects)))
+    return LabelledObjects(*(getattr(objects, f.name)[keep] for f in fields(LabelledObjects)))
