@@ -43,20 +43,12 @@ from cosim.attacks.attack import (
     per_actor,
     placed,
 )
+from cosim.base.codes import LosState, ObjectClass
 from cosim.base.rng import draws
 from cosim.messages.content import FABRICATED, SELF, SENSED, Detections
 from cosim.messages.pseudonyms import PseudonymAges, PseudonymPolicy
 from cosim.radio.medium import Medium
-from cosim.radio.message_round import (
-    FrameOutcomes,
-    LosState,
-    MessageRound,
-    Messages,
-    Outcome,
-    Receptions,
-    RoundKind,
-    Stations,
-)
+from cosim.radio.message_round import FrameOutcomes, MessageRound, Messages, Outcome, Receptions, RoundKind, Stations
 from cosim.traffic.driver import Beliefs, Driver, Reasons, SpeedCommands
 from cosim.world import LanePaths, World
 from results.moments import File, Plan, Selection
@@ -67,7 +59,7 @@ from sensors.detector import Detector
 from sensors.evidence import Observability
 from sensors.lidar import Sweeps
 from sensors.reports import DetectorDraws, Reports
-from sensors.scene import ObjectClass, Shape
+from sensors.scene import Shape
 from trust.models import ScoresObjects, TrustModel
 from trust.object_reports import ObjectReports
 from trust.pair_index import PairIndex, with_rows

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
-from cosim.base.codes import labels
+from cosim.base.codes import ObjectClass, labels
 from sensors.boxes import Boxes
-from sensors.scene import LABEL_OF_SHAPE, ObjectClass, Shape
+from sensors.scene import LABEL_OF_SHAPE, Shape
 
 LABELS = labels(ObjectClass)
 """Object classes that a detector distinguishes, by code."""

@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
+from cosim.base.codes import ObjectClass
 from sensors.boxes import Boxes
 from sensors.expected_returns import expected_returns
 from sensors.lidar import Beams, LidarParams, beams, mount
 from sensors.line_of_sight import WallIndex
 from sensors.neighbours import Neighbours
-from sensors.scene import ObjectClass, Shape, prisms
+from sensors.scene import Shape, prisms
 
 SAME_M = 4.0
 """A detection at most this far from an object, horizontally, is one of that object [m]: as by the rules of inclusion of

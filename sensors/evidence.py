@@ -11,11 +11,12 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int, Int32, UInt8
 from numpy import ndarray
 
+from cosim.base.codes import ObjectClass
 from sensors import box_points, evidence_kernels, range_image
 from sensors.boxes import Boxes
 from sensors.lidar import RangeImages, Sweeps
 from sensors.neighbours import Neighbours, neighbours
-from sensors.scene import ObjectClass, Prisms, prisms
+from sensors.scene import Prisms, prisms
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

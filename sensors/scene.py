@@ -13,6 +13,7 @@ import shapely
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
+from cosim.base.codes import ObjectClass
 from sensors.boxes import Boxes
 
 
@@ -23,15 +24,6 @@ class Hit(IntEnum):
     GROUND = 1
     BUILDING = 2
     ACTOR = 3
-
-
-class ObjectClass(IntEnum):
-    """Classes that a detector distinguishes."""
-
-    CAR = 0
-    PEDESTRIAN = 1
-    CYCLIST = 2
-    TRUCK = 3
 
 
 class Shape(IntEnum):

@@ -13,9 +13,9 @@ from jaxtyping import Bool
 from numpy import ndarray
 
 from cosim.attacks.attack import LOUDEST_DBM, Sending
-from cosim.base.codes import ObjectClass, Origin
+from cosim.base.codes import LosState, ObjectClass, Origin
 from cosim.messages.content import Detections
-from cosim.radio.message_round import FrameOutcomes, LosState, MessageRound, Outcome, Receptions
+from cosim.radio.message_round import FrameOutcomes, MessageRound, Outcome, Receptions
 from cosim.traffic.driver import Reasons, SpeedCommands
 from results.moments import Plan, Unit
 from results.own_metrics import MetricRow

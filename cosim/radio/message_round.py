@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
 from cosim.base import rng
+from cosim.base.codes import LosState
 from cosim.base.ragged import order_by_two
 from cosim.radio.bodies import Bodies
 from cosim.radio.segmentation import ENVELOPE_BYTES, segments
@@ -38,15 +39,6 @@ class Outcome(IntEnum):
     """Received after the end of the round."""
     WAITING = 6
     """Not sent by the end of the round. The frame has its outcome in the round in which it is sent or expires."""
-
-
-class LosState(IntEnum):
-    """Line of sight between the two ends of a hop, by buildings."""
-
-    LOS = 0
-    NLOS = 1
-    UNKNOWN = 2
-    """The propagation model does not depend on it."""
 
 
 @dataclass(frozen=True, slots=True)

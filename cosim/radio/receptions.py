@@ -10,11 +10,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
+from cosim.base.codes import LosState
 from cosim.base.kernel import compiled
 from cosim.base.ragged import counting_order
 from cosim.radio.channel import PhyOutcome, WindowResult
 from cosim.radio.link_budget import PairLos
-from cosim.radio.message_round import LosState, Outcome, Receptions
+from cosim.radio.message_round import Outcome, Receptions
 
 _OUTCOME_OF = np.full(max(PhyOutcome) + 1, Outcome.PROPAGATION, np.int8)
 """`Outcome` by `PhyOutcome`."""

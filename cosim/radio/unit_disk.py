@@ -7,11 +7,11 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.base import rng
+from cosim.base.codes import LosState
 from cosim.base.ragged import expand, order_by_two, ptr_of
 from cosim.radio.link_budget import neighbours
 from cosim.radio.message_round import (
     FrameOutcomes,
-    LosState,
     MessageRound,
     Messages,
     Outcome,

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
+from cosim.base.codes import ObjectClass
 from sensors.boxes import Boxes, overlapping_pairs
 from sensors.evidence import observability, plausible, points_in_boxes
 from sensors.false_positives import false_positives
@@ -19,7 +20,7 @@ from sensors.line_of_sight import WallIndex, los_between_actors
 from sensors.neighbours import neighbours
 from sensors.raycast import embree, mesh, open3d
 from sensors.reports import DetectorDraws
-from sensors.scene import LABEL_OF_SHAPE, ObjectClass, Scene, Shape, prisms
+from sensors.scene import LABEL_OF_SHAPE, Scene, Shape, prisms
 from sensors.statistical_detector import DetectorParams, resolved
 from sensors.tracking import Found, Observers, TrackingParams, TrackMemory, track
 from tests.bench.timing import least_s

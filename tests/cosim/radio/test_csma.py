@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cosim.base.codes import LosState
 from cosim.radio import csma
 from cosim.radio.csma import CsmaMedium
 from cosim.radio.dcc import DccParams
-from cosim.radio.message_round import ChannelAbuse, LosState, Messages, Outcome, RoundKind, Stations
+from cosim.radio.message_round import ChannelAbuse, Messages, Outcome, RoundKind, Stations
 from cosim.radio.params import RadioParams, RelayParams
 from cosim.radio.propagation import PropagationParams
 from sensors.line_of_sight import LosOfPlaces, WallIndex

@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.addons.compare.facts import Measured
+from cosim.base.codes import ObjectClass
 from cosim.radio.phy import airtime_ns
 from cosim.runs.replay_lidar import city_of, config_of, sweep, worlds
 from cosim.step.perception import detector_draws
@@ -26,7 +27,6 @@ from results.metrics.kitti_frames import BOX, Poses, at_steps
 from results.run import Run
 from sensors.boxes import Boxes
 from sensors.merged_clouds import Views, detect
-from sensors.scene import ObjectClass
 from sensors.statistical_detector import StatisticalDetector
 
 POINT_BYTES = 16
