@@ -106,9 +106,11 @@ def say() -> None:
 
 def fingerprint(rows: pd.DataFrame) -> dict[str, str | int]:
     """Number of rows, hash of all rows, and hash of each column. None of them depends on the order of rows."""
+    if rows.empty:
+        return {"rows": 0}
     floats = rows.select_dtypes("floating").columns
     rows = rows.assign(**{name: rows[name] + 0.0 for name in floats})  # makes one zero of two
-    columns = {name: _sum_of_hashes(rows[[name]]) for name in sorted(rows.columns)}
+    columns = {name: _sum_of_hashes(rows[[name]])[:6] for name in sorted(rows.columns)}
     return {"rows": len(rows), "all": _sum_of_hashes(rows[sorted(rows.columns)])} | columns
 
 
@@ -196,6 +198,8 @@ def moved_tables(was: Found, now: Found) -> Iterator[str]:
 def _columns(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
     names = [name for name in before.keys() | after.keys() if before.get(name) != after.get(name)]
     rows = f"{before['rows']} -> {after['rows']} rows; " if before["rows"] != after["rows"] else ""
+    if not before["rows"] or not after["rows"]:
+        return rows.removesuffix("; ")
     return rows + (", ".join(sorted(set(names) - {"rows", "all"})) or "other combinations in rows")
 
 
