@@ -31,7 +31,7 @@ verify: $(READY) $(VENV)/.readers  ## All checks and tests, including the slow o
 	$(BIN)/python -m pytest -q -n 2 -m ""
 
 pages: $(READY)  ## Run the commands of the pages that show output, and record anew what they print
-	$(BIN)/python -m pytest -q -n 2 -m verify tests/cosim/docs/test_commands_run.py -k test_a_page --update-golden
+	$(BIN)/python -m pytest -q -n 2 -m verify tests/cosim/docs/test_commands_run.py -k test_a_page --record-pages
 
 docs: $(READY) $(VENV)/.docs  ## The documentation site, in build/site; warnings are errors
 	$(BIN)/python -m cosim.docs.site build/site

@@ -1,4 +1,4 @@
-"""Options: renew the golden figures after a change that is meant to move them; check shapes and types."""
+"""Options: record anew what commands on pages print; check shapes and types."""
 
 import pytest
 
@@ -6,7 +6,7 @@ from tests import typecheck
 
 
 def pytest_addoption(parser):
-    parser.addoption("--update-golden", action="store_true", help="write the golden figures anew; say why in CHANGELOG")
+    parser.addoption("--record-pages", action="store_true", help="record anew what the commands on pages print")
     parser.addoption("--typecheck", default="", help="packages whose shapes and types are checked: trust")
 
 
@@ -39,5 +39,5 @@ def pytest_collection_modifyitems(config, items):
 
 
 @pytest.fixture
-def update_golden(request):
-    return request.config.getoption("--update-golden")
+def record_pages(request):
+    return request.config.getoption("--record-pages")

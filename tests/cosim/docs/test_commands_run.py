@@ -72,12 +72,12 @@ def run(folder: Path, script: str):
 
 @pytest.mark.verify
 @pytest.mark.parametrize("page", PAGES_THAT_RUN)
-def test_a_page(folder, page, update_golden):
+def test_a_page(folder, page, record_pages):
     """All of a page in the order in which a reader meets it; `make pages` records its blocks `output` anew."""
     source = fences.SOURCES[page]
     text = source.read_text(encoding="utf-8")
     found = fences.blocks(text)
-    if update_golden and not any(block.language == "output" for block in found):
+    if record_pages and not any(block.language == "output" for block in found):
         pytest.skip("it shows no output")
     said, records, script, printed = run(folder, BEFORE.get(page, "true")), {}, "", ""
     for number, block in enumerate(found):
@@ -92,7 +92,7 @@ def test_a_page(folder, page, update_golden):
             said, printed = whole.removeprefix(printed), whole
         elif block.language == "output" and not fences.is_printed(block.text, said):
             records[number] = fences.recorded(block.text, said)
-            assert update_golden, f"{page} shows\n{block.text}\nbut this is printed:\n{said}"
+            assert record_pages, f"{page} shows\n{block.text}\nbut this is printed:\n{said}"
     if records:
         source.write_text(fences.with_texts(text, records), encoding="utf-8")
 

@@ -1,44 +1,11 @@
-"""Stages that are kept: their versions are raised when their content changes, and the cache keeps to its limit."""
+"""Stages that are kept: the cache keeps to its limit. tests/test_frozen.py guards their version."""
 
-import hashlib
 import json
 import os
-from pathlib import Path
 
-import pandas as pd
 import pytest
 
-from cosim.studies.plan import TRAFFIC_VERSION
 from cosim.studies.stages import Cache
-from tests.drive import python
-
-GOLDEN = Path(__file__).parents[2] / "golden" / "traffic_stage.json"
-
-DRIVE = """
-import sys
-from pathlib import Path
-from cosim.config.config import load
-from cosim.execution.run import record_traffic
-record_traffic(load(None, ["traffic.duration_s=20", "traffic.warmup_s=60"]), Path(sys.argv[1]), lambda *_: None)
-"""
-
-
-def values_hash(folder):
-    """Of the values of a table alone: names of tables and columns have a version of their own."""
-    found = hashlib.sha256()
-    for part in sorted(folder.glob("part-*.parquet")):
-        found.update(pd.util.hash_pandas_object(pd.read_parquet(part), index=False).to_numpy().tobytes())
-    return found.hexdigest()[:32]
-
-
-def test_version_of_the_traffic_stage(tmp_path, update_golden):
-    """Where this fails, the same `[traffic]` gives other traffic: raise TRAFFIC_VERSION, renew the golden tables."""
-    python(DRIVE, str(tmp_path / "traffic"))
-    tables = ("actors", "vehicles")
-    now = {"version": TRAFFIC_VERSION} | {name: values_hash(tmp_path / "traffic" / name) for name in tables}
-    if update_golden:
-        GOLDEN.write_text(json.dumps(now, indent=1) + "\n")
-    assert json.loads(GOLDEN.read_text()) == now
 
 
 def entry(folder, name, size, used_s):
