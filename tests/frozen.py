@@ -6,6 +6,7 @@ A fingerprint depends on values and on names of columns alone. It does not depen
 the encoding of files, on meanings of columns, or on where in the repository the code is.
 """
 
+import atexit
 import hashlib
 import importlib.util
 import json
@@ -153,8 +154,10 @@ def _scene(name: str) -> Path:
     """A scene that is written once per process."""
     from tests.hostile.scenes import write_town, write_trace
 
-    folder = Path(tempfile.mkdtemp(prefix="cosim-scene-"))
-    return write_trace(folder) if name == "street" else write_town(folder)
+    folder = tempfile.TemporaryDirectory(prefix="cosim-scene-")
+    atexit.register(folder.cleanup)
+    write = write_trace if name == "street" else write_town
+    return write(Path(folder.name))
 
 
 def platform_now() -> dict[str, str]:
@@ -200,7 +203,7 @@ def _columns(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
     rows = f"{before['rows']} -> {after['rows']} rows; " if before["rows"] != after["rows"] else ""
     if not before["rows"] or not after["rows"]:
         return rows.removesuffix("; ")
-    return rows + (", ".join(sorted(set(names) - {"rows", "all"})) or "other combinations in rows")
+    return rows + (", ".join(sorted(set(names) - {"rows", "all"})) or "the same values, otherwise combined")
 
 
 def moved_metrics(was: Found, now: Found, rel: float = TOLERANCE, absolute: float = 0.0) -> list[str]:
