@@ -9,11 +9,27 @@ instead of 6 ms for 1,000 stations with 60 receivers each): arrays are passed fr
 of stations.
 """
 
-import gc
+import pickle
 from typing import Any
 
 from numba import njit, threading_layer
-from numba.core.registry import CPUDispatcher
+from numba.core import caching
+
+
+class _ForgivingIndex(caching.IndexDataCacheFile):
+    """Numba's index of what is cached of a file. One that cannot be read counts as empty.
+
+    It names the types of arguments. An earlier version of this program in the same folder had types of other names.
+    """
+
+    def _load_index(self) -> dict[Any, Any]:
+        try:
+            return super()._load_index()  # type: ignore[no-any-return]
+        except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
+            return {}
+
+
+setattr(caching, "IndexDataCacheFile", _ForgivingIndex)  # noqa: B010  private API of Numba: it has no other way
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 _COUNTLESS: dict[str, Any] = _OPTIONS | {"_nrt": False}
@@ -36,21 +52,3 @@ def threads_may_meet() -> bool:
         return threading_layer() != "workqueue"
     except ValueError:  # no parallel kernel has run yet
         return False
-
-
-def load_cached() -> int:
-    """Load every compiled function of the imported modules that lies in the cache; return how many.
-
-    Otherwise each is loaded when it is first called. Functions with `prange` are left out, because loading one starts
-    OpenMP, and a process with OpenMP must not fork.
-    """
-    functions: list[Any] = [known for known in gc.get_objects() if isinstance(known, CPUDispatcher)]
-    n_loaded = 0
-    for function in functions:
-        cache = function._cache  # private API of Numba, which has no other list of what is cached
-        if hasattr(cache, "_cache_file") and not function.targetoptions.get("parallel"):
-            for key in cache._cache_file._load_index():
-                if key == cache._index_key(key[0], function.targetctx.codegen()):  # not of another processor
-                    function.compile(key[0])
-                    n_loaded += 1
-    return n_loaded

@@ -1,45 +1,39 @@
-"""Compiled functions lie in a cache, from which a process can load all of them at once."""
+"""Compiled functions lie in a cache. What an earlier version of the program has left there does no harm."""
 
+import pickle
 import subprocess
 import sys
 
 MINE = """
-from numba import prange
+from typing import NamedTuple
 
-from cosim.base.kernel import kernel, parallel
+from cosim.base.kernel import kernel
+
+
+class Pair(NamedTuple):
+    a: int
+    b: int
 
 
 @kernel
-def doubled(x):
-    return 2 * x
-
-
-@parallel
-def filled(x):
-    for i in prange(len(x)):
-        x[i] = i
-"""
-COMPILES = "import mine, numpy as np; mine.doubled(1); mine.doubled(1.5); mine.filled(np.zeros(3))"
-LOADS = """
-import mine, numba
-from cosim.base.kernel import load_cached
-before = load_cached()
-mine.doubled.disable_compile()
-assert before >= 2 and mine.doubled(3) == 6 and mine.doubled(0.25) == 0.5
-assert not mine.filled.signatures
-try:
-    numba.threading_layer()
-except ValueError:
-    print("no threads")
+def summed(pair):
+    return pair.a + pair.b
 """
 
 
-def test_loads_what_is_cached_and_starts_no_threads(tmp_path):
-    (tmp_path / "mine.py").write_text(MINE)
+def run(folder, code):
+    """Run code in a process that can import the module `mine`."""
+    code = f"import sys; sys.path.insert(0, {str(folder)!r}); {code}"
+    return subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
 
-    def run(code):
-        code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); {code}"
-        return subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
 
-    run(COMPILES)
-    assert run(LOADS) == "no threads\n"
+def test_an_index_with_types_of_an_earlier_version_counts_as_empty(tmp_path):
+    mine = tmp_path / "mine.py"
+    mine.write_text(MINE)
+    assert run(tmp_path, "import mine; print(mine.summed(mine.Pair(1, 2)))") == "3\n"
+    indexes = list(tmp_path.rglob("*.nbi"))
+    assert indexes, "it is cached"
+    mine.write_text(MINE.replace("Pair", "Couple"))
+    assert run(tmp_path, "import mine; print(mine.summed(mine.Couple(1, 2)))") == "3\n"
+    with indexes[0].open("rb") as file:
+        assert pickle.load(file), "the index is written anew, after the version of Numba"
