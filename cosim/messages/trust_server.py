@@ -55,7 +55,9 @@ class LinkStats:
     n_reached: int = 0
     """Number of these that reach the server, now or later."""
     n_lost: int = 0
-    """Number of these that were lost on the way, or that no roadside unit received."""
+    """Number of these that were lost on the way, or that no roadside unit received in this step."""
+    n_late: int = 0
+    """Reports of earlier steps, which counted as lost there, that reach the server now."""
     n_over_capacity: int = 0
     n_outage: int = 0
     uplink_bytes: int = 0
@@ -63,7 +65,7 @@ class LinkStats:
 
     def plus_late(self, late: "LinkStats") -> "LinkStats":
         """With reports that reach the server only now; the step in which they were sent counted them as lost."""
-        return replace(self, n_reached=self.n_reached + late.n_reached, n_lost=self.n_lost - late.n_reached)
+        return replace(self, n_late=late.n_reached)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +153,7 @@ class Uplink:
         out = out | self.params.is_out(arrival_s)
         arrives = says & ~refused & ~out & np.isfinite(arrival_s)
         n = [int(np.sum(x)) for x in (says, arrives, says & refused, says & ~refused & out)]
-        stats = LinkStats(n[0], n[1], n[0] - n[1] - n[2] - n[3], n[2], n[3], uplink_bytes)
+        stats = LinkStats(n[0], n[1], n[0] - n[1] - n[2] - n[3], 0, n[2], n[3], uplink_bytes)
         if not arrives.any():
             return state, stats
         return UplinkState((*state.under_way, (arrival_s[arrives], chosen_messages(messages, arrives)))), stats

@@ -298,13 +298,29 @@ def _receptions(recorder: TakesRows, at: int, sensed: Sensed) -> None:
             senders.append(pseudonym[known.message])
             steps.append(late.step[known.message])
             parts.append(known)
-        found = Receptions.concat(parts)
-        recorder.append("receptions", at, _of(message_type, {
-            "sender": np.concatenate(senders), "receiver": sensed.vehicles.actor[found.receiver],
-            **({} if sensed.known.is_lock_step else {"message_step": np.concatenate(steps)}),
-            "hops": found.hops, "generation_offset_s": found.generation_offset_s,
-            "access_delay_s": found.access_delay_s, "latency_s": found.latency_s, "distance_m": found.distance_m,
-        }))  # fmt: skip
+        found, sender, step = Receptions.concat(parts), np.concatenate(senders), np.concatenate(steps)
+        if len(parts) > 1:
+            first = _first_copies(sender, step, found)
+            found, sender, step = found.take(first), sender[first], step[first]
+        rows = {
+            "sender": sender,
+            "receiver": sensed.vehicles.actor[found.receiver],
+            **({} if sensed.known.is_lock_step else {"message_step": step}),
+            "hops": found.hops,
+            "generation_offset_s": found.generation_offset_s,
+            "access_delay_s": found.access_delay_s,
+            "latency_s": found.latency_s,
+            "distance_m": found.distance_m,
+        }
+        recorder.append("receptions", at, _of(message_type, rows))
+
+
+def _first_copies(sender: Int[ndarray, "n"], step: Int[ndarray, "n"], found: Receptions) -> Int[ndarray, "k"]:
+    """Rows of the first reception of each message at each receiver: a sender may send copies, and they may be late."""
+    order = np.lexsort((found.latency_s, found.receiver, step, sender))
+    same = np.zeros(len(order), bool)
+    same[1:] = (np.diff(sender[order]) == 0) & (np.diff(step[order]) == 0) & (np.diff(found.receiver[order]) == 0)
+    return np.sort(order[~same])
 
 
 def _evaluations(recorder: TakesRows, at: int, sensed: Sensed) -> None:
@@ -438,7 +454,7 @@ def _published(recorder: TakesRows, at: int, dt_s: float, of_variant: Sequence[t
     })  # fmt: skip
 
 
-_UP = ("n_reports", "n_reached", "n_lost", "n_over_capacity", "n_outage", "uplink_bytes")
+_UP = ("n_reports", "n_reached", "n_lost", "n_late", "n_over_capacity", "n_outage", "uplink_bytes")
 _DOWN = ("n_addressed", "n_informed")
 
 

@@ -112,5 +112,7 @@ def track_attacks(
         by = evaluated.lists.owner[evaluated.lists.of_member()[evaluated.lied]]
         attacker.append(vehicles.actor[exchange.senders.vehicle[by]])
     if sending is not None:
-        attacker.append(vehicles.actor[(sending.delay_s > 0) | (sending.n_copies > 0) | (sending.n_reports > 0)])
+        jams = (sending.jam_dbm > -np.inf) | (sending.react_dbm > -np.inf)
+        floods = (sending.n_copies > 0) | (sending.n_reports > 0)
+        attacker.append(vehicles.actor[(sending.delay_s > 0) | floods | jams])
     return attack_start.next(exchange.now.step, np.concatenate(attacker))

@@ -181,6 +181,8 @@ def to_server(run: Run) -> pd.DataFrame:
     total = run.variant_table("server").drop(columns=["step", "variant"]).sum()
     if not total.get("n_reports", 0):
         raise ValueError(f'{run.path} holds no reports to a trust server. Set trust.host = "central".')
+    late = total.get("n_late", 0)
+    total["n_reached"], total["n_lost"] = total.n_reached + late, total.n_lost - late
     shares = {name: total["n_" + name] / total.n_reports for name in ("reached", "lost", "over_capacity", "outage")}
     informed = total.n_informed / total.n_addressed if total.n_addressed else np.nan
     return pd.DataFrame([{

@@ -108,7 +108,7 @@ def _said(run: Run) -> Said:
         part = part.merge(
             made.rename(columns={"step": "detection_step"}), on=["detection_step", "observer", "detection_index"]
         )
-        part["evaluator"] = part.evaluator.map(vehicle)
+        part["evaluator"] = part.evaluator.map(vehicle).fillna(-1 - part.evaluator)  # a roadside unit is no vehicle
         parts.append(part[part.evaluator != part.observer.map(vehicle)])
     whole = pd.concat(parts) if parts else pd.DataFrame(columns=[*wanted, "truth_actor"])
     step, evaluator, subject, actor = (

@@ -162,7 +162,7 @@ def _meet(record, ledgers, step, here, talk, xyz, belief, reach_m, rng, heard_s)
         "n_in_range": np.bincount(other, minlength=N)[talk], "n_received": np.bincount(other[got], minlength=N)[talk],
     })  # fmt: skip
     one_row = {name: np.array([n]) for name, n in (("n_reports", sent), ("n_reached", sent - 1), ("n_lost", 1),
-               ("n_over_capacity", 0), ("n_outage", 0), ("uplink_bytes", 300.0 * sent))}  # fmt: skip
+               ("n_late", 0), ("n_over_capacity", 0), ("n_outage", 0), ("uplink_bytes", 300.0 * sent))}  # fmt: skip
     record.append("server", step, {
         "variant": np.zeros(1, np.int8), **one_row,
         "n_addressed": np.array([sent * (step % 5 == 4)]), "n_informed": np.array([sent * (step % 5 == 4)]),

@@ -73,10 +73,9 @@ def test_the_map(tiny):
 
 
 def test_the_way_to_the_server(tiny):
-    rows = [
-        {"step": s, "n_reports": 10, "n_reached": 10 - 2 * s, "n_lost": s, "n_outage": s, "n_addressed": 10 * s,
-         "n_informed": 9 * s} for s in (0, 1)
-    ]  # fmt: skip
+    lost = {"n_reached": -3, "n_lost": 2, "n_late": 1, "n_outage": 1, "n_addressed": 10, "n_informed": 9}
+    rows = [{"step": 0, "n_reports": 10} | dict.fromkeys(lost, 0) | {"n_reached": 10}]
+    rows.append({"step": 1, "n_reports": 10} | lost | {"n_reached": 10 - 3})
     (way,) = radio.to_server(tiny(2, server=rows)).itertuples()
     assert (way.n_reports, way.reached, way.lost, way.outage, way.informed) == (20, 0.9, 0.05, 0.05, 0.9)
 

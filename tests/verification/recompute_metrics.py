@@ -606,6 +606,8 @@ def radio(of):
     server = of.table("server")
     if len(server) and server.n_reports.sum():
         total = server.sum(numeric_only=True)
+        total["n_reached"] += total["n_late"]
+        total["n_lost"] -= total["n_late"]
         for name in ("reached", "lost", "over_capacity", "outage"):
             yield f"server_reports.{name}.share", "", total[f"n_{name}"] / total.n_reports
         yield "server_broadcasts.reached.share", "", ratio(total.n_informed, total.n_addressed)
