@@ -290,7 +290,7 @@ def measure(
     if studies.is_study(runs):
         studies.measure(runs[0], metrics or [], as_json)
         return
-        from cosim.cli.own_metrics import own_metrics
+    from cosim.cli.own_metrics import own_metrics
     from cosim.cli.side_by_side import engines_remark, of_variants, print_measures
     from results.measure import measure as all_metrics
 
