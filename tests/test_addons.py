@@ -62,8 +62,8 @@ def test_a_missing_hook_is_said_in_one_line():
 def test_without_addons_the_core_runs_measures_draws_and_reports(bare, tmp_path):
     run, study = tmp_path / "run", tmp_path / "study.toml"
     study.write_text(
-        'name = "tiny"\n[sweep]\n"trust.freshness_s" = [5.0, 10.0]\n[base.traffic]\nduration_s = 3\nwarmup_s = 60\n'
-        "[base.trust]\nserver_period_s = 1\n"
+        '[study]\nname = "tiny"\n[base]\ntraffic.duration_s = 3\ntraffic.warmup_s = 60\ntrust.server_period_s = 1\n'
+        '[grid]\n"trust.freshness_s" = [5.0, 10.0]\n'
     )
     for words in (
         ("run", *SETS, "--out", run),
