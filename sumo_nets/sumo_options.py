@@ -1,13 +1,11 @@
 """Options of SUMO 1.28 in a .sumocfg: which are passed on, which are ignored, which are refused.
 
-SUMO never reads the user's configuration. It reads a copy that holds the options of `READS` and `PASSED` only. Topics
-and types of the options come from SUMO's own schema. An option that the schema does not know is refused.
+SUMO never reads the user's configuration. It reads a copy that holds the options of `READS` and `PASSED` only.
+`sumo_options.toml` has the options of SUMO's own schema. An option that the schema does not know is refused.
 """
 
-import re
+import tomllib
 from pathlib import Path
-
-import sumo
 
 READS = (
     "net-file", "route-files", "additional-files", "weight-files", "load-state", "astar.all-distances",
@@ -27,24 +25,9 @@ REFUSED = {
 }
 """Options with which SUMO does something else than to simulate, and what."""
 
-_IGNORED_TOPICS = ("output", "report", "traci_server", "gui_only")
-_SET_BY_THE_RUN = frozenset(("seed", "random", "threads", "device.rerouting.threads"))
-_SCHEMA = Path(sumo.SUMO_HOME) / "data" / "xsd" / "types" / "sumoConfigurationType.xsd"
+_OPTIONS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 
-
-def _passed_and_ignored() -> tuple[frozenset[str], frozenset[str]]:
-    """The other options of the schema: those that change the traffic only, and the rest."""
-    passed: set[str] = set()
-    ignored: set[str] = set()
-    for topic in re.split(r'<xsd:complexType name="sumo(?=\w+TopicType")', _SCHEMA.read_text(encoding="utf-8"))[1:]:
-        for name, kind in re.findall(r'<xsd:element name="([^"]+)" type="(\w+)OptionType"', topic):
-            names_a_file = kind == "file" or name.endswith(".file")
-            is_ignored = names_a_file or name in _SET_BY_THE_RUN or topic.startswith(_IGNORED_TOPICS)
-            (ignored if is_ignored else passed).add(name)
-    return frozenset(passed.difference(READS, REFUSED)), frozenset(ignored.difference(READS, REFUSED))
-
-
-PASSED, IGNORED = _passed_and_ignored()
+PASSED, IGNORED = frozenset(_OPTIONS["passed"]), frozenset(_OPTIONS["ignored"])
 """Options that change the traffic only. Options that write files, open ports, belong to the graphical interface or to
 messages, or are set by the run."""
 

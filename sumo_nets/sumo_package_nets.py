@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 from sumo_nets.density import Density
@@ -73,6 +74,8 @@ def made(name: str) -> Path | None:
     """The generated folder of a network, or None before its first use."""
     from sumo_nets import sumotools
 
+    if find_spec("sumo") is None:
+        return None
     source = sumotools.home() / NETS[name].net
     folder = cached_folder(NETS[name], source) if source.is_file() else None
     return folder if folder is not None and folder.is_dir() else None

@@ -20,8 +20,20 @@ Ring = Float[ndarray, "k 2"]
 
 
 def home() -> Path:
-    """SUMO_HOME of the installed package."""
-    import sumo
+    """SUMO_HOME of the installed package.
+
+    Raises
+    ------
+    ValueError
+        In one line: SUMO's tools are not installed.
+    """
+    try:
+        import sumo
+    except ImportError as error:
+        raise ValueError(
+            "building cities, and the cities of SUMO's package, need eclipse-sumo, which is not installed. "
+            "Install it: make extra NAME=build in a checkout, else pip install 'cosim-perception[build]'."
+        ) from error
 
     return Path(sumo.SUMO_HOME)
 

@@ -32,7 +32,7 @@ class ListedEvaluations(NamedTuple):
     visibility: ndarray
 
     @staticmethod
-    def of(lists: ObjectLists, given: Evaluations) -> "Evaluated":
+    def of(lists: ObjectLists, given: Evaluations) -> "ListedEvaluations":
         """The evaluations with e in [-1, 1] and Phi in [0, 1], in the types of the kernel."""
         ptr, member, e, phi = int64(lists.ptr), lists.member.astype(np.int32), given.evaluation, given.visibility
         valid = (np.abs(e) <= 1.0) & (phi >= 0.0) & (phi <= 1.0)

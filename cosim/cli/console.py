@@ -20,6 +20,8 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.text import Text
 
+from cosim.cli.help import MORE
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -63,12 +65,25 @@ screen = _CleanConsole(  # without markup, so that names from the user are shown
 )  # fmt: skip
 notes = _CleanConsole(stderr=True, markup=False, highlight=False, emoji=False)
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
+ConfigPath = Annotated[
+    Path | None, typer.Argument(help="Config file (TOML). Without one, the default city is used.", show_default=False)
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Change one key of the config, e.g. radio.range_m=150. Repeatable."
+    ),
+]
+Preset = Annotated[
+    str | None, typer.Option(help="Start from these keys: paper, modern or v0.2. The same as --set preset=NAME.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.", rich_help_panel=MORE)]
 TrustCode = Annotated[
     bool,
     typer.Option(
         "--trust-code",
         help="Allow the config in a folder to load its author's classes. Such code runs with all your rights.",
+        rich_help_panel=MORE,
     ),
 ]
 
@@ -80,13 +95,25 @@ GetRows = Callable[[str], Mapping[str, Mapping[str, Any]]]
 SUMMARY_METRICS = (
     "traffic.duration_s", "traffic.actors.mean", "traffic.equipped.n", "encounters.n",
     "encounters.duration.km_median_s", "encounters.duration.km_mean_s", "trust.final.median",
-    "misbehaviour.at_lookup.auc", "misbehaviour.at_lookup.time_to_detection.median_s", "misbehaviour.auc",
-    "misbehaviour.time_to_detection.median_s", "freshness.lookup_state.share",
-    "freshness.newest_evaluation_age.mean_s", "freshness.newest_evaluation_age.p90_s",
-    "freshness.encounters_without_trust.share", "radio.pdr.all", "radio.pdr.cpm", "radio.pdr.evaluation",
+    "misbehaviour.at_lookup.auc", "misbehaviour.auc", "freshness.lookup_state.share",
+    "freshness.newest_evaluation_age.mean_s", "freshness.newest_evaluation_age.p90_s", "radio.pdr.all",
     "radio.lost.expired", "radio.cbr.mean", "radio.pir.mean_s",
 )  # fmt: skip
 """Metrics that the summary at the end of a run uses."""
+
+
+def with_preset(preset: str | None, overrides: list[str] | None) -> list[str]:
+    """Changes of a config, with the preset as the first of them."""
+    return [*([] if preset is None else [f"preset={preset}"]), *(overrides or [])]
+
+
+def duration(seconds: float) -> str:
+    """A rough duration in words."""
+    if seconds < 90:
+        return f"{max(1, round(seconds, -1) if seconds >= 20 else round(seconds)):.0f} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h" if seconds < 36000 else f"{seconds / 3600:.0f} h"
 
 
 @contextmanager
@@ -153,9 +180,9 @@ def print_run_summary(folder: Path, as_json: bool) -> "Run":
 
     run = open_run(folder)
     try:
-        picture = str(style.save(trust.draw([run]), folder / "trust.png"))
-    except ValueError as nothing_to_draw:
-        picture = f"not drawn: {nothing_to_draw}"
+        picture = f"picture {style.save(trust.draw([run]), folder / 'trust.png')}"
+    except ValueError:  # there is no trust to draw
+        picture = "no picture of trust"
     manifest = run.manifest
     spent_s = sum(manifest["timings_s"].values())
     if as_json:
@@ -174,18 +201,13 @@ def print_run_summary(folder: Path, as_json: bool) -> "Run":
 
     speed = plain(manifest["steps"] * run.dt_s / spent_s)
     given = shlex.quote(str(folder))
-    loaded = {topic: [manifest["summary"][topic]] for topic in ("streets", "buildings") if topic in manifest["summary"]}
-    lines = (
-        loaded
-        | _summary(rows, manifest.get("net", {}).get("name", "the network"))
+    print_facts(
+        _summary(rows, manifest.get("net", {}).get("name", "the network"))
         | {
-            "time": [f"{spent_s:.1f} s of computing, {speed} times real time"],
-            "tables": [str(folder)],
-            "picture": [picture],
+            "time": [f"{spent_s:.1f} s of computing, {speed} times real time; wrote {folder}, {picture}"],
             "next": [f"cosim report {given}   cosim measure {given}" + _pictures(rows, given)],
         }
     )
-    print_facts(lines)
     return run
 
 
@@ -221,59 +243,59 @@ def _summary(rows: GetRows, city: str) -> dict[str, list[str]]:
     def get(metric: str) -> Mapping[str, float]:
         return {group: row["value"] for group, row in rows(metric).items()}
 
+    apart = _told_apart(rows)
     return {
-        "traffic": _traffic(get, city), "encounters": _encounters(get), "trust": _trust(rows),
-        "freshness": _freshness(get), "radio": _radio(get),
-    }  # fmt: skip
+        "traffic": _traffic(get, city),
+        "encounters": _encounters(get),
+        "trust": _trust(rows),
+        **({"told apart": apart} if apart else {}),
+        "freshness": _freshness(get),
+        "radio": _radio(get),
+    }
 
 
 def _traffic(get: Get, city: str) -> list[str]:
     actors, roles = get("traffic.actors.mean"), get("traffic.equipped.n")
-    driven = f"{plain(get('traffic.duration_s')[''])} s of {city}: {plain(round(actors['all']))} actors on the road"
-    equipped = f"{plain(sum(roles.values()))} vehicles with LiDAR and radio: " + ", ".join(
-        f"{plain(n)} {role}" for role, n in roles.items()
-    )
-    return [f"{driven} on average", equipped if sum(roles.values()) else "no vehicle with LiDAR and radio"]
+    line = f"{plain(round(actors['all']))} actors on the road of {city} for {plain(get('traffic.duration_s')[''])} s"
+    if not sum(roles.values()):
+        return [f"{line}; no vehicle with LiDAR and radio"]
+    by_role = ", ".join(f"{plain(n)} {role}" for role, n in roles.items())
+    return [f"{line}; {plain(sum(roles.values()))} vehicles with LiDAR and radio ({by_role})"]
 
 
 def _encounters(get: Get) -> list[str]:
-    mean_s, median_s = get("encounters.duration.km_mean_s"), get("encounters.duration.km_median_s")
+    median_s, mean_s = get("encounters.duration.km_median_s"), get("encounters.duration.km_mean_s")
     lines = []
     for definition, n in get("encounters.n").items():
-        lasts = [
-            f"{name} {plain(of[definition])} s" for name, of in (("median", median_s), ("mean", mean_s))
-            if definition in of
-        ]  # fmt: skip
-        lasting = f"; duration by Kaplan-Meier: {', '.join(lasts)}" if lasts else ""
-        lines.append(f"{plain(n)} ({definition}){lasting}")
-    return lines or ["none: no two came within the radius of each other"]
+        said = f"{plain(n)} ({definition})"
+        if definition in median_s:
+            said += f": half of them last longer than {plain(median_s[definition])} s"
+        elif definition in mean_s:
+            said += f": they last {plain(mean_s[definition])} s on average"
+        lines.append(said)
+    return lines or ["0: no two came within the radius of each other"]
 
 
 def _trust(rows: GetRows) -> list[str]:
     final = rows("trust.final.median")
     if not final:
         return ["no trust was computed"]
-    lines = [
-        "at the end, median by role (0 to 1): " + ", ".join(f"{role} {row['value']:.2f}" for role, row in final.items())
+    return [
+        ", ".join(f"{row['value']:.2f} {role}" for role, row in final.items()) + ": medians at the end, from 0 to 1"
     ]
-    if idle := [role for role, row in final.items() if row["note"].startswith("has not attacked")]:
-        lines.append(f"no {' or '.join(idle)} vehicle has attacked in this run: until then they behave as honest ones")
+
+
+def _told_apart(rows: GetRows) -> list[str]:
+    """How often an honest vehicle has more trust than one of another role, in one line."""
     at_lookup = rows("misbehaviour.at_lookup.auc")
-    for role, row in (at_lookup or rows("misbehaviour.auc")).items():
-        lines.append(_comparison(role, row, "when looked up" if at_lookup else "over the run"))
-    per_receiver = rows("misbehaviour.at_lookup.time_to_detection.median_s")
-    for role, row in per_receiver.items():
-        lines.append(
-            f"half of the receivers suspect {_a(role)} vehicle (trust below 0.25) within {plain(row['value'])} s of "
-            "their first lookup (Kaplan-Meier median)"
-        )
-    for role, row in ({} if per_receiver else rows("misbehaviour.time_to_detection.median_s")).items():
-        since = "the first attack" if role == "honest" else "their first attack"
-        lines.append(
-            f"half of the {role} vehicles suspected (trust below 0.25) within {plain(row['value'])} s of {since} "
-            "(Kaplan-Meier median)"
-        )
-    return lines
+    found = at_lookup or rows("misbehaviour.auc")
+    parts = [_comparison(role, row, is_first=i == 0) for i, (role, row) in enumerate(found.items())]
+    if parts:
+        parts[-1] += ", when trust is looked up" if at_lookup else ", over the run"
+    idle = [role for role, row in rows("trust.final.median").items() if row["note"].startswith("has not attacked")]
+    if idle:
+        parts.append(f"no {' or '.join(idle)} vehicle has attacked: until then they behave as honest ones")
+    return ["; ".join(parts)] if parts else []
 
 
 def _a(word: str) -> str:
@@ -281,55 +303,38 @@ def _a(word: str) -> str:
     return f"{'an' if word.startswith(('a', 'e', 'i', 'o', 'u', 'honest')) else 'a'} {word}"
 
 
-def _comparison(role: str, row: Mapping[str, Any], when: str) -> str:
+def _comparison(role: str, row: Mapping[str, Any], is_first: bool) -> str:
     """The area under the ROC curve in words. If its interval contains 0.5, it is no better than chance."""
     low, high = row["low"], row["high"]
     known = low == low and high == high
-    text = f"an honest vehicle is trusted more than {_a(role)} one in {row['value']:.0%} of comparisons {when}"
-    text += f" (AUC {row['value']:.2f}" + (f", 95 % interval {low:.2f} to {high:.2f})" if known else ")")
-    return text + (": no better than chance" if known and low <= 0.5 <= high else "")
+    chance = ": no better than chance" if known and low <= 0.5 <= high else ""
+    interval = f" ({'95 % interval ' if is_first else ''}{low:.0%} to {high:.0%}{chance})" if known else ""
+    who = "an honest vehicle has more trust than " if is_first else "than "
+    return f"{row['value']:.0%} of the time {who}{_a(role)} one{interval}"
 
 
 def _freshness(get: Get) -> list[str]:
     state = {name.removesuffix(", all"): x for name, x in get("freshness.lookup_state.share").items()}
     if not state:
         return ["no vehicle looked up a trust value"]
-    what = {
-        "evaluated": "of a value with another vehicle's evaluation within the window",
-        "stale": "of a value whose evaluations are all older than the window",
-        "unevaluated": "of a value without any evaluation",
-        "no value": "found no value, and used the default",
-    }  # fmt: skip
     mean_s, p90_s = (get(f"freshness.newest_evaluation_age.{name}").get("all") for name in ("mean_s", "p90_s"))
-    lines = [
-        "lookups of trust: " + ", ".join(f"{state[name]:.0%} {said}" for name, said in what.items() if state[name])
-    ]
+    parts = []
     if mean_s is not None:
-        tail = "" if p90_s is None else f"; one in ten is older than {p90_s:.1f} s"
-        lines.append(
-            f"the newest evaluation behind a value is {mean_s:.1f} s old on average when it is looked up{tail}"
-        )
-    for definition, share in get("freshness.encounters_without_trust.share").items():
-        lines.append(
-            f"in {share:.0%} of encounters ({definition}) a vehicle never had an evaluated trust value for the other"
-        )
-    return lines
+        tail = "" if p90_s is None else f", and one in ten is older than {p90_s:.1f} s"
+        parts.append(f"{mean_s:.1f} s old is the newest evaluation behind a trust value that is used{tail}")
+    parts.append(f"{state['evaluated']:.0%} of lookups find a value that rests on fresh evaluations")
+    return ["; ".join(parts)]
 
 
 def _radio(get: Get) -> list[str]:
     if "" not in get("radio.pdr.all"):
         return ["nothing was sent within range of another vehicle"]
     parts = [f"{get('radio.pdr.all')['']:.0%} of frames received by vehicles in range"]
-    by_type = [
-        f"{name} {get(metric)['']:.0%}"
-        for name, metric in (("CPM", "radio.pdr.cpm"), ("evaluations", "radio.pdr.evaluation")) if "" in get(metric)
-    ]  # fmt: skip
-    parts[0] += f" ({', '.join(by_type)})" if by_type else ""
     expired = get("radio.lost.expired").get("", 0.0)
     if expired > 0.01:
         parts.append(f"{expired:.0%} expired before they could be sent")
     if "" in get("radio.cbr.mean"):
-        parts.append(f"channel busy {get('radio.cbr.mean')['']:.1%} of the time")
+        parts.append(f"{get('radio.cbr.mean')['']:.1%} of the time the channel is busy")
     if "" in get("radio.pir.mean_s"):
         parts.append(f"{get('radio.pir.mean_s')['']:.1f} s between messages of a pair")
     return ["; ".join(parts)]

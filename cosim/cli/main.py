@@ -12,16 +12,20 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from cosim import __version__
 from cosim.base.addons import addons, hook, loaded
 from cosim.base.durable import Damaged
-from cosim.cli import studies
+from cosim.cli import check, cite, explain, init, studies
+from cosim.cli.check import costs
 from cosim.cli.console import (
     AsJson,
+    ConfigPath,
+    Overrides,
+    Preset,
     TrustCode,
     notes,
     print_json,
@@ -29,7 +33,10 @@ from cosim.cli.console import (
     print_run_summary,
     progress,
     screen,
+    with_preset,
 )  # fmt: skip
+from cosim.cli.files import refuse_other_than_config
+from cosim.cli.help import MORE, Commands, in_groups
 from cosim.cli.nets import nets
 from cosim.door.blame import ExtensionError
 from cosim.door.permission import CodeNotTrusted
@@ -40,7 +47,18 @@ if TYPE_CHECKING:
     from results.archive import OpenRun
     from results.run import Run
 
-app = typer.Typer(
+GROUPS = {
+    "Start": ("run", "measure", "plot", "report", "explain"),
+    "Own experiment": ("init", "check", "sweep", "status", "resume", "retrust", "predict"),
+    "Own city": ("nets", "trace", "contacts", "place"),
+    "Own classes": ("new", "try", "benchmark"),
+    "Compare and share": ("validate", "reproduce", "judge", "evaluate", "export", "view", "cite"),
+    "Look after": ("verify", "cache"),
+}
+"""The commands in the help, in the order of the first hour. A name without a command is skipped."""
+
+app = Commands(
+    cls=in_groups(GROUPS),
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Co-simulation of cooperative perception under trust at city scale.",
@@ -63,11 +81,9 @@ def _add_commands_of_addons() -> None:
 
 
 _add_commands_of_addons()
+for commands in (check, explain, cite, init):
+    commands.add_to(app)
 
-ConfigPath = Annotated[Path | None, typer.Argument(help="Config file (TOML). Without one, the default city is used.")]
-Overrides = Annotated[
-    list[str] | None, typer.Option("--set", help="Change one key of the config, e.g. radio.range_m=150. Repeatable.")
-]
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
 Picture = Literal[
     "trust",
@@ -91,6 +107,10 @@ Picture = Literal[
     "sweep",
     "movie",
 ]
+
+
+LONG_RUN_S = 60.0
+"""Where nobody watches, the estimate of a run that takes longer is printed before it begins [s]."""
 
 
 @dataclass(slots=True)
@@ -124,9 +144,7 @@ def options(
 def run(
     config: ConfigPath = None,
     overrides: Overrides = None,
-    preset: Annotated[
-        str | None, typer.Option(help="Start from these keys: paper, modern or v0.2. The same as --set preset=NAME.")
-    ] = None,
+    preset: Preset = None,
     out: Annotated[
         Path | None, typer.Option(help="Run folder to write. The default is the next runs/<city>-N.")
     ] = None,
@@ -135,30 +153,41 @@ def run(
     ] = False,
     watch_file: Annotated[
         str | None,
-        typer.Option(help="Write the same into a file meanwhile: .rrd for Rerun, or .mcap for Foxglove and ROS 2."),
+        typer.Option(
+            help="Write the same into a file meanwhile: .rrd for Rerun, or .mcap for Foxglove and ROS 2.",
+            rich_help_panel=MORE,
+        ),
     ] = None,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
-    """Simulate traffic, sensors, messages and trust, and write a run folder."""
+    """Simulate traffic, sensors, messages and trust. Write a run folder."""
     from cosim.config.config import load
     from cosim.runs import run as running
+    from cosim.runs.check import check as checked
     from cosim.runs.check import remarks_on
+    from cosim.studies.cost import cost_of
 
-    chosen = [] if preset is None else [f"preset={preset}"]
-    experiment = load(config, chosen + (overrides or []), trust_code)
+    refuse_other_than_config(config)
+    experiment = load(config, with_preset(preset, overrides), trust_code)
     for remark in remarks_on(experiment, config):
         notes.print(remark, soft_wrap=True)
     if watch and watch_file is not None:
         raise ValueError("--watch shows the run in the viewer, and --watch-file writes a file. Choose one.")
     target = "viewer" if watch else watch_file
+    checked(experiment)
+    cost = cost_of(experiment)
+    if cost.wall_s >= LONG_RUN_S or notes.is_terminal:
+        for line in costs(cost).values():
+            notes.print(f"estimate: {'; '.join(line)}", soft_wrap=True)
     if target is None:
         with progress() as advance:
-            folder = running.run(experiment, out, advance)
+            folder = running.run(experiment, out, Pace(cost.step_cpu_s, advance))
     else:
         live_view = hook("live", "cosim run --watch")
         with progress() as advance, live_view(experiment, target) as live:
             folder = running.run(experiment, out, advance, on_step=live)
+    note_density(experiment, folder)
     _conclude(folder, as_json)
 
 
@@ -181,7 +210,7 @@ def resume(
 
 @app.command()
 def verify(runs: RunPaths, as_json: AsJson = False) -> None:
-    """Check run folders for missing, changed or unexpected files; exit status 1 if there are any."""
+    """Check run folders for missing, changed or unexpected files. Exit status 1 if there are any."""
     from results.verify import verify as verified
 
     found = {str(folder): verified(folder) for folder in runs}
@@ -231,27 +260,6 @@ def _say_damage(runs: Iterable["Run"]) -> None:
 
 
 @app.command()
-def check(
-    config: ConfigPath = None, overrides: Overrides = None, trust_code: TrustCode = False, as_json: AsJson = False
-) -> None:
-    """Check whether a config can run, and print it with all defaults filled in."""
-    from cosim.config.config import load
-    from cosim.runs import check as checking
-    from cosim.runs.manifest import toml_text
-    from cosim.traffic.scene_summary import scene_summary
-
-    experiment = load(config, overrides, trust_code)
-    scenario = checking.check(experiment)
-    for remark in checking.remarks_on(experiment, config):
-        notes.print(remark, soft_wrap=True)
-    if as_json:
-        print_json(experiment.to_dict())
-    else:
-        loaded = "".join(f"# {topic}: {line}\n" for topic, line in scene_summary(scenario).lines.items())
-        screen.print(loaded + toml_text(experiment.to_dict()), soft_wrap=True)
-
-
-@app.command()
 def measure(
     runs: Annotated[list[Path] | None, typer.Argument(help="Folders that `cosim run` wrote.")] = None,
     explain: Annotated[bool, typer.Option("--explain", help="List all metrics and their definitions.")] = False,
@@ -259,8 +267,7 @@ def measure(
         list[str] | None,
         typer.Option(
             "--metric",
-            help="For runs: measure your own metric, mine.py:Name, and no other. For a study: show this metric, or "
-            "METRIC:GROUP. Repeatable.",
+            help="Only this metric, METRIC:GROUP, or topic; of a run also your own, mine.py:Name. Repeatable.",
         ),
     ] = None,
     sets: Annotated[
@@ -271,11 +278,15 @@ def measure(
     ] = "base",
     csv: Annotated[Path | None, typer.Option("--csv", help="Write the metrics to this file.")] = None,
     threshold: Annotated[
-        float, typer.Option(min=0, max=1, help="A vehicle with less trust than this is suspected.")
+        float,
+        typer.Option(min=0, max=1, help="A vehicle with less trust than this is suspected.", rich_help_panel=MORE),
     ] = 0.25,
-    fresh_s: Annotated[float, typer.Option(help="Trust is fresh up to this age, in seconds.")] = 10.0,
+    fresh_s: Annotated[
+        float, typer.Option(help="Trust is fresh up to this age, in seconds.", rich_help_panel=MORE)
+    ] = 10.0,
     false_positives: Annotated[
-        float, typer.Option(min=0, max=1, help="False positive rate at which recall is reported.")
+        float,
+        typer.Option(min=0, max=1, help="False positive rate at which recall is reported.", rich_help_panel=MORE),
     ] = 0.05,
     as_json: AsJson = False,
 ) -> None:
@@ -290,17 +301,24 @@ def measure(
     if studies.is_study(runs):
         studies.measure(runs[0], metrics or [], as_json)
         return
-    from cosim.cli.own_metrics import own_metrics
+    import pandas as pd
+
+    from cosim.cli.own_metrics import own_metrics, split_metrics, with_metrics
     from cosim.cli.side_by_side import engines_remark, of_variants, print_measures
     from results.measure import measure as all_metrics
 
-    measured = own_metrics(metrics or [], sets or [])
+    own, shipped = split_metrics(metrics or [])
+    measured = own_metrics(own, sets or [])
     chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
-    tables = [
-        all_metrics(run, threshold=threshold, fresh_s=fresh_s, false_positives=false_positives)
-        if measured is None else measured(run)
-        for run in chosen
-    ]  # fmt: skip
+    named = tuple(dict.fromkeys(name.partition(":")[0].partition(".")[0] for name in shipped))
+    options: dict[str, Any] = {"topics": named} if shipped else {}
+    tables = []
+    for run in chosen:
+        parts = [] if measured is None else [measured(run)]
+        if shipped or measured is None:
+            every = all_metrics(run, threshold=threshold, fresh_s=fresh_s, false_positives=false_positives, **options)
+            parts.append(with_metrics(every, shipped) if shipped else every)
+        tables.append(pd.concat(parts, ignore_index=True))
     print_measures(chosen, tables, as_json, csv)
     if remark := engines_remark(chosen):
         notes.print(remark, soft_wrap=True)
@@ -319,8 +337,8 @@ def plot(
         list[int] | None,
         typer.Option(
             "--vehicle",
-            help="trust: also draw this vehicle. sweep, scene: draw this vehicle's point cloud. movie: follow this "
-            "vehicle. Repeatable for trust and scene.",
+            help="trust: also draw this vehicle. sweep, scene: draw its point cloud. movie: follow it. Repeatable for "
+            "trust and scene.",
         ),
     ] = None,
     step: Annotated[int | None, typer.Option(help="sweep, scene: the step to draw.")] = None,
@@ -335,25 +353,34 @@ def plot(
     where: Annotated[
         list[str] | None, typer.Option(help="study: use only points with this value, KEY=VALUE. Repeatable.")
     ] = None,
-    variant: Annotated[
-        str, typer.Option(help="Trust variant to draw. `all` draws each variant like a run of its own.")
-    ] = "base",
+    variant: Annotated[str, typer.Option(help="Trust variant to draw; `all` draws each like a run.")] = "base",
     threshold: Annotated[
         float | None,
-        typer.Option(min=0, max=1, help="freshness with --over: a ghost with this score or more is believed."),
+        typer.Option(
+            min=0,
+            max=1,
+            help="freshness with --over: a ghost with this score or more is believed.",
+            rich_help_panel=MORE,
+        ),
     ] = None,
     radius_m: Annotated[
-        float | None, typer.Option(help="map, contacts, durations: radius of the encounters, in metres.")
+        float | None,
+        typer.Option(help="map, contacts, durations: radius of the encounters, in metres.", rich_help_panel=MORE),
     ] = None,
     pairs: Annotated[
-        str | None, typer.Option(help="map, contacts, durations: pairs of the encounters, as encounters.pairs.")
+        str | None,
+        typer.Option(
+            help="map, contacts, durations: pairs of the encounters, as encounters.pairs.", rich_help_panel=MORE
+        ),
     ] = None,
     look: Annotated[
         Literal["paper"],
-        typer.Option("--style", help="The one style: 8.8 cm wide, for a column of a two-column page."),
+        typer.Option(
+            "--style", help="The one style: 8.8 cm wide, for a column of a two-column page.", rich_help_panel=MORE
+        ),
     ] = "paper",
 ) -> None:
-    """Draw a figure of one run, of several runs, or of a study over a swept key."""
+    """Draw a figure of runs, or of a study over a swept key."""
     from results.figures import style
 
     if studies.is_study(runs):

@@ -11,6 +11,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from cosim.cli.console import AsJson, notes, print_done, print_json, screen
+from cosim.cli.help import Commands
 
 if TYPE_CHECKING:
     from numpy import ndarray
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from sumo_nets.footprints import Footprint
     from sumo_nets.sumo_package_nets import PackageNet
 
-nets = typer.Typer(no_args_is_help=True, help="List, show and build cities.")
+nets = Commands(no_args_is_help=True, help="List, show and build cities.")
 
 PICTURE = "city.png"
 """Name of the map in the folder of a built city."""

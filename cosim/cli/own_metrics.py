@@ -13,20 +13,56 @@ def own_metrics(names: list[str], sets: list[str]) -> "Callable[[Run], pd.DataFr
     """A function that measures the user's own metrics on a run; None if no metric is named."""
     from cosim.config.single import from_command_line
     from cosim.door.guard import make
-    from cosim.door.load import is_own
     from results.own_metrics import measure_own
 
     if not names:
         if sets:
             raise ValueError(f"--set {sets[0]} goes with a metric of your own, --metric mine.py:Name. Leave it out.")
         return None
-    if strange := [name for name in names if not is_own(name)]:
-        raise ValueError(
-            f"--metric {strange[0]}: for a run, name a metric of your own, mine.py:Name. Those that ship are printed "
-            "without --metric; of a study, --metric chooses among them."
-        )
     if sets and len(names) > 1:
         raise ValueError(f"--set {sets[0]}: of which metric? With --set, name one --metric alone.")
     chosen = [from_command_line("metric", name, sets) for name in names]
     made = [make(choice, *params) for choice, params in chosen]
     return lambda run: measure_own(run, made)
+
+
+def split_metrics(names: list[str]) -> tuple[list[str], list[str]]:
+    """Metrics of the user's own, and those that ship: an identifier, `identifier:group`, or a topic.
+
+    Raises
+    ------
+    ValueError
+        In one line, with the closest identifiers, if a name is neither.
+    """
+    import difflib
+
+    from cosim.door.load import is_own
+    from results.metrics.registry import METRICS, TOPICS
+
+    known = {*METRICS, *TOPICS}
+    shipped = [name for name in names if name.partition(":")[0] in known]
+    own = [name for name in names if name not in shipped]
+    for name in own:
+        if not is_own(name):
+            metric = name.partition(":")[0]
+            near = difflib.get_close_matches(metric, [*METRICS, *TOPICS], 3, 0.5)
+            hint = f"Near: {', '.join(near)}. " if near else ""
+            raise ValueError(
+                f"--metric {name}: there is no such metric. {hint}All of them: cosim measure --explain. One of your "
+                "own: mine.py:Name."
+            )
+    return own, shipped
+
+
+def with_metrics(table: "pd.DataFrame", names: list[str]) -> "pd.DataFrame":
+    """The rows of these metrics, each once, in the order of the table."""
+    from results.metrics.registry import TOPICS
+
+    kept = table.metric != table.metric
+    for name in names:
+        metric, _, group = name.partition(":")
+        rows = table.metric == metric
+        if metric in TOPICS:
+            rows = table.metric.str.startswith(metric + ".")
+        kept |= rows & ((table.group == group) if group else True)
+    return table[kept]

@@ -1,12 +1,30 @@
 """The commands of studies."""
 
+import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Column, Table
 
-from cosim.cli.console import AsJson, TrustCode, notes, print_done, print_json, print_table, progress, screen
+from cosim.cli.console import (
+    AsJson,
+    Overrides,
+    Preset,
+    TrustCode,
+    duration,
+    notes,
+    print_done,
+    print_json,
+    print_table,
+    progress,
+    screen,
+    with_preset,
+)
+from cosim.cli.files import refuse_other_than_study
+
+if TYPE_CHECKING:
+    from cosim.studies.sweep import Task
 
 
 def add_to(app: typer.Typer) -> None:
@@ -30,17 +48,22 @@ def sweep(
     separate: Annotated[
         bool, typer.Option("--separate", help="Share nothing between points, to check that sharing changes nothing.")
     ] = False,
+    overrides: Overrides = None,
+    preset: Preset = None,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
     """Make all runs of a study. After an interruption, the same command continues."""
     from cosim.studies import sweep as sweeping
+    from cosim.studies.study import changed, load
 
-    task = sweeping.prepare(study, out, not separate, trust_code)
+    refuse_other_than_study(study)
+    asked = changed(load(study, trust_code), with_preset(preset, overrides))
+    task = sweeping.prepare_study(asked, study.name, out, not separate)
     for note in sweeping.keys_in_vain(task.points) + sweeping.scene_notes(task.points):
         notes.print(note, soft_wrap=True)
     if dry_run:
-        _print_plan(task, as_json)
+        print_done(plan_facts(task, workers), "\n".join(plan_lines(task, workers)), as_json)
         return
     with progress() as advance:
 
@@ -87,7 +110,7 @@ def retrust(
     out: Annotated[Path, typer.Option(help="Folder to write: the run with these variants added.")],
     trust_code: TrustCode = False,
 ) -> None:
-    """Repeat a run with other trust models or windows beside its own, and check that all else stays the same."""
+    """Repeat a run with other trust models or windows beside its own. Check that all else stays the same."""
     from cosim.studies.retrust import retrust as repeat
 
     with progress() as advance:
@@ -102,7 +125,7 @@ def cache(
     clear: Annotated[bool, typer.Option("--clear", help="Delete all entries.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show or delete the recorded traffic that studies keep for later runs."""
+    """Show or delete the recorded traffic that studies keep."""
     from datetime import datetime
 
     from cosim.studies.stages import Cache, default_folder
@@ -189,10 +212,12 @@ def report(folder: Path, out: Path | None) -> None:
     screen.print(f"wrote {write(open_study(folder), out)}", highlight=False, soft_wrap=True)
 
 
-def _print_plan(task, as_json: bool) -> None:
+def plan_facts(task: "Task", workers: int | None = None) -> dict[str, Any]:
+    """What a sweep would make, as numbers."""
     made, cost = task.plan, task.estimate
     merged = sum(len(run.members) for run in made.runs if len(run.members) > 1)
-    facts = {
+    n_workers = max(1, min(workers or n_cores(), len(made.runs)))
+    return {
         "study": task.study.head.name,
         "points": len(task.points),
         "finished": task.n_finished,
@@ -205,20 +230,47 @@ def _print_plan(task, as_json: bool) -> None:
         "seconds_saved_by_trust_variants": round(cost.merged_saves_s),
         "seconds_saved_by_traffic": round(cost.traffic_saves_s),
         "MB": round(cost.bytes / 1e6, 1),
+        "workers": n_workers,
+        "seconds_by_the_clock": round(cost.planned_s / n_workers),
+        "memory_GB": round(n_workers * cost.memory_bytes / 1e9, 1),
         "estimate": "from finished runs" if cost.is_measured else "rough: nothing of this study has run",
         "remarks": list(made.remarks),
     }
-    lines = [
+
+
+def plan_lines(task: "Task", workers: int | None = None) -> list[str]:
+    """What a sweep would make, in sentences."""
+    made, cost, facts = task.plan, task.estimate, plan_facts(task, workers)
+    merged = facts["points_as_trust_variants"]
+    return [
         f"{facts['study']}: {facts['points']} points, {facts['finished']} finished, {facts['runs']} runs to make",
         f"{merged} points are trust variants of runs that differ in trust alone: {saving(cost.merged_saves_s)}",
         f"{facts['runs_that_replay_traffic']} runs replay {len(made.traffic)} recorded traffics: "
         f"{saving(cost.traffic_saves_s)}",
-        f"about {facts['seconds']} s on one core instead of {facts['seconds_separately']} s"
+        f"about {facts['seconds']} s of processor time instead of {facts['seconds_separately']} s"
         f" ({cost.separate_s / max(cost.planned_s, 1e-9):.1f} times less), {facts['MB']} MB "
         f"({facts['estimate']})",
+        f"about {duration(facts['seconds_by_the_clock'])} with {facts['workers']} workers on free cores, and "
+        f"{facts['memory_GB']} GB of memory",
+        *_cheaper(task, facts),
         *(f"not shared: {remark}" for remark in made.remarks),
     ]
-    print_done(facts, "\n".join(lines), as_json)
+
+
+def _cheaper(task: "Task", facts: dict[str, Any]) -> list[str]:
+    """What halves the time of a long study."""
+    from cosim.studies.cost import LONG_S
+
+    if facts["seconds_by_the_clock"] <= LONG_S:
+        return []
+    n = task.study.head.replicates
+    fewer = f"replicates = {n // 2} in place of {n}, with wider intervals; or " if n > 3 else ""
+    return [f"half of it: {fewer}--set traffic.duration_s={task.points[0].config.traffic.duration_s / 2:g}"]
+
+
+def n_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def saving(seconds: float) -> str:

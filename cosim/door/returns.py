@@ -6,7 +6,7 @@ with copies of its arrays. If the class later changes an array that it returned,
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool
@@ -17,12 +17,14 @@ from cosim.base.codes import LosState, ObjectClass, Origin
 from cosim.messages.content import Detections
 from cosim.radio.message_round import FrameOutcomes, MessageRound, Outcome, Receptions
 from cosim.traffic.driver import Reasons, SpeedCommands
-from results.moments import Plan, Unit
-from results.own_metrics import MetricRow
 from sensors.boxes import Boxes
 from sensors.reports import Reports
 from sensors.scene import Shape
 from trust.tables import TrustScores, pair_key
+
+if TYPE_CHECKING:
+    from results.moments import Plan
+    from results.own_metrics import MetricRow
 
 MOST_IDENTITIES = 255
 """Largest number of identities of a vehicle in addition to its own."""
@@ -308,8 +310,10 @@ def position_sigma_m(call: Call, returned: Any) -> ndarray:
     return detached(returned)
 
 
-def plan(call: Call, returned: Any) -> Plan:
+def plan(call: Call, returned: Any) -> "Plan":
     """The files that an exporter will write."""
+    from results.moments import Plan, Unit
+
     _typed("", returned, Plan, "build it by Plan.of_files([File(path, content), ...])")
     if not isinstance(returned.units, tuple) or not all(isinstance(unit, Unit) for unit in returned.units):
         raise Wrong(f"returned units as {described(returned.units)}", "a tuple of Unit")
@@ -328,8 +332,10 @@ def plan(call: Call, returned: Any) -> Plan:
     return returned
 
 
-def metric_rows(call: Call, returned: Any) -> list[MetricRow]:
+def metric_rows(call: Call, returned: Any) -> "list[MetricRow]":
     """The rows of a metric."""
+    from results.own_metrics import MetricRow
+
     if not isinstance(returned, list | tuple):
         raise Wrong(f"returned {described(returned)}", "a list of MetricRow")
     for number, row in enumerate(returned):

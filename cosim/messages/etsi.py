@@ -374,7 +374,7 @@ class CpmObjects:
         number: Int[ndarray, "n"], label: Int[ndarray, "n"], xyz_m: Float[ndarray, "n 3"],
         lwh_m: Float[ndarray, "n 3"], angle_rad: Float[ndarray, "n"], score: Float[ndarray, "n"],
         velocity_mps: Float[ndarray, "n 2"] | None = None,
-    ) -> "Objects":  # fmt: skip
+    ) -> "CpmObjects":  # fmt: skip
         """Encode objects.
 
         Parameters

@@ -46,7 +46,7 @@ class ReportedObjects:
     """Whether the object is the sender itself."""
 
     @staticmethod
-    def none() -> "Reports":
+    def none() -> "ReportedObjects":
         """No messages."""
         row, real = np.zeros(0, np.int64), np.zeros(0)
         return ReportedObjects(

@@ -97,7 +97,8 @@ class Forwarding:
         n = len(units)
         copies = grown(earlier, N_COPIES * n + 1)
         slot = _empty_slots(len(copies))
-        _fill_slots(copies, len(earlier), slot)
+        if len(earlier):  # without any, the module is imported without compiled code, which takes 0.1 s to load
+            _fill_slots(copies, len(earlier), slot)
         return Forwarding(ForwardingState(
             rules=rules,
             xy_m=np.ascontiguousarray(xy_m),

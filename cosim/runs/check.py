@@ -18,7 +18,7 @@ from cosim.traffic.roadside import NO_UNITS, RoadsideUnits, place
 from cosim.traffic.scenario import Scenario, find
 from cosim.traffic.scene_summary import scene_summary
 from cosim.traffic.streetside import check_streets
-from results.archive import read_manifest
+from results.manifest import read_manifest
 from sensors import lidar
 from sensors.boxes import Boxes
 from sensors.scene import Scene, Shape
@@ -35,6 +35,7 @@ def check(config: Config) -> Scenario:
         In one line, if the config cannot run.
     """
     scenario = find(config.traffic.scenario, config.traffic.trace)
+    scenario.check_simulator()
     rsu_antennas(config, scenario)
     roadside_units(config, scenario)
     _check_streetside(config, scenario)

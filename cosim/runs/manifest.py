@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from results.inventory import Inventory
 from results.manifest import write_manifest
 from results.tables import SCHEMA_VERSION, kept
 
-PACKAGES = ("eclipse-sumo", "libsumo", "numpy", "scipy", "numba", "pyarrow", "pandas")
+PACKAGES = ("libsumo", "numpy", "scipy", "numba", "pyarrow", "pandas")
 _OF_ENGINES = {"embree": "embreex"}
 CONFIG = "config.toml"
 GRAZING = "not columnar: where rays graze edges, tables differ from those of the columnar caster"
@@ -35,9 +35,13 @@ _RESERVE_BYTES = 1 << 16
 
 @cache
 def versions(engine: str) -> dict[str, str]:
-    """Versions of Python, of cosim, and of the packages on which results with this ray caster depend."""
+    """Versions of Python, of cosim, and of the packages on which results with this ray caster depend, if installed."""
     packages = [*PACKAGES, *(package for name, package in _OF_ENGINES.items() if name == engine)]
-    return {"python": platform.python_version(), "cosim": __version__} | {p: version(p) for p in packages}
+    found = {"python": platform.python_version(), "cosim": __version__}
+    for package in packages:
+        with suppress(PackageNotFoundError):  # recorded traffic is replayed without SUMO
+            found[package] = version(package)
+    return found
 
 
 _UNSET = "\0"

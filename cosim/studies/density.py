@@ -7,15 +7,19 @@ from pathlib import Path
 import numpy as np
 
 from cosim.config.config import Config
-from cosim.studies.points import scenario_of
+from cosim.studies.speed import remember, remembered
 from cosim.traffic.fcd import timesteps
-from cosim.traffic.scenario import Scenario
+from cosim.traffic.scenario import Scenario, find
 from results.manifest import read_manifest
 from sumo_nets import catalogue, sumocfg
 from sumo_nets.xml import Attributes, Enough, stream
 
 HELSINKI = 200
 """Number of vehicles on the road in central Helsinki."""
+COUNTED = {"helsinki": 200, "adlershof": 156, "braunschweig": 32, "koenigs-wusterhausen": 145}
+"""Mean number of vehicles on the road in the cities by name, in the minute after their warm-up."""
+SHORTEST_S = 30.0
+"""Shortest run of which the number of vehicles is kept [s]."""
 _LEG_S_PER_M = 200 * 3600 / 2820 / 1961
 """Time on the road per metre of a city's diagonal: 200 vehicles at 2,820 departures per hour in central Helsinki."""
 _PROBED = 300
@@ -33,6 +37,23 @@ def vehicles_on_road(config: Config) -> float:
     return traffic.scale * _demanded(traffic.scenario, scenario, begin_s)
 
 
+def note_density(config: Config, run: Path) -> None:
+    """Keep the mean number of vehicles of a finished run for the next estimate, unless it is known or replayed."""
+    traffic = config.traffic
+    is_known = traffic.scenario in COUNTED or scenario_of(traffic.scenario, traffic.trace).trace is not None
+    if is_known or traffic.duration_s < SHORTEST_S or traffic.scale <= 0:
+        return
+    found = read_manifest(run).get("summary", {}).get("vehicles_on_road_mean")
+    if isinstance(found, int | float):
+        remember(traffic.scenario, found / traffic.scale)
+
+
+@cache
+def scenario_of(scenario: str, trace: str | None) -> Scenario:
+    """The scenario that a config's `[traffic]` names; it is read once."""
+    return find(scenario, trace)
+
+
 @cache
 def _recorded(trace: Path) -> float:
     if trace.is_dir():
@@ -47,6 +68,10 @@ def _demanded(name: str, scenario: Scenario, begin_s: float) -> float:
         return HELSINKI
     x0, y0, x1, y1 = scenario.bounds_m
     lasts_s = _LEG_S_PER_M * float(np.hypot(x1 - x0, y1 - y0))
+    if name in COUNTED:
+        return COUNTED[name]
+    if (known := remembered(name)) is not None:
+        return known
     if name in catalogue.names():
         return catalogue.find(name).vehicles_per_hour / 3600 * lasts_s
     return departures(sumocfg.read(scenario.sumocfg).routes, max(0.0, begin_s - lasts_s), begin_s + lasts_s) / 2

@@ -10,8 +10,8 @@ from typing import Any
 from cosim.config.config import Config
 from cosim.runs.inputs import mesh_checksums
 from cosim.step.parts import sources
+from cosim.studies.density import scenario_of as scenario_of
 from cosim.studies.study import Keys, Study, config_at
-from cosim.traffic.scenario import Scenario, find
 from results.tables import SCHEMA_VERSION
 
 HOW = ("compute", "record")
@@ -65,12 +65,12 @@ def identity(config: Config) -> str:
 
 def traffic_identity(config: Config, version: int) -> str:
     """Name of a config's traffic: a hash of `[traffic]`, its files, and the versions of SUMO and of the tables."""
-    from importlib.metadata import version as version_of
+    from cosim.runs.manifest import versions
 
     data = config.to_dict()["traffic"] | {"scenario": "", "trace": ""}
     files = _files(config.traffic.scenario, config.traffic.trace)
     return digest({
-        "traffic": data, "files": files, "sumo": version_of("libsumo"), "stage_version": version,
+        "traffic": data, "files": files, "sumo": versions("").get("libsumo"), "stage_version": version,
         "schema_version": SCHEMA_VERSION,
     })  # fmt: skip
 
@@ -93,12 +93,6 @@ def _without_trust(config: Config) -> dict[str, dict[str, Any]]:
 def _own(config: Config) -> Mapping[str, str]:
     """Checksums of the user's own classes, by key of the config."""
     return {key: source.sha256 for key, source in sources(config).items() if source.file}
-
-
-@cache
-def scenario_of(scenario: str, trace: str | None) -> Scenario:
-    """The scenario that a config's `[traffic]` names; it is read once."""
-    return find(scenario, trace)
 
 
 @cache

@@ -190,6 +190,24 @@ def _study(data: dict[str, Any], path: Path, trust_code: bool) -> Study:
     return study
 
 
+def changed(study: Study, overrides: Sequence[str]) -> Study:
+    """The same study with `key=value` changes of the config that all points start from.
+
+    Raises
+    ------
+    ValueError
+        In one line, if a text is no change, or if the study sweeps the key.
+    """
+    base = copy.deepcopy(study.base)
+    for text in overrides:
+        if (key := text.partition("=")[0].strip()) in study.keys:
+            raise ValueError(f"--set {text}: the study sweeps {key}. Change its values in [grid].")
+        config_data.override(base, text)
+    if overrides:
+        configs.resolve_data(copy.deepcopy(base), "the study", None)
+    return replace(study, base=base)
+
+
 def config_at(study: Study, keys: Keys, replicate: int, where: str) -> configs.Config:
     """The config of a point."""
     data = copy.deepcopy(study.base)

@@ -17,6 +17,7 @@ from cosim.studies.estimate import Estimate, estimate
 from cosim.studies.folder import Attempt, StudyFolder, write_whole
 from cosim.studies.plan import PlannedRun, StudyPlan, plan
 from cosim.studies.points import Point, points_of
+from cosim.studies.speed import speed_here
 from cosim.studies.stages import Cache, default_folder
 from cosim.studies.study import Study, load
 from cosim.traffic.scenario import find
@@ -81,7 +82,28 @@ def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Ta
     done = [a.wall_s for id, _ in set(answers.values()) for a in folder.attempts(id) if a.outcome == "ok"]
     typical_s = statistics.median(done) if done else None
     return Task(
-        study, folder, points, made, len(there), cache, estimate(missing, made, cache.names("traffic"), typical_s)
+        study,
+        folder,
+        points,
+        made,
+        len(there),
+        cache,
+        estimate(missing, made, cache.names("traffic"), typical_s, speed_here()),
+    )
+
+
+def unbegun(study: Study, where: str) -> Task:
+    """The work of a study that has no folder yet."""
+    points, kept = points_of(study, where), Cache(default_folder())
+    made = plan(points, needs_fused(study), kept.names("traffic"))
+    return Task(
+        study,
+        StudyFolder(Path()),
+        points,
+        made,
+        0,
+        kept,
+        estimate(points, made, kept.names("traffic"), None, speed_here()),
     )
 
 

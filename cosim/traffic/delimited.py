@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pcsv
@@ -282,6 +281,8 @@ def _of_day(path: Path, name: str, column: pa.ChunkedArray) -> Float[ndarray, "n
 def _since_1970(path: Path, name: str, column: pa.ChunkedArray) -> Float[ndarray, "n"]:
     if is_text(column.type) and not pc.all(pc.fill_null(pc.match_substring_regex(column, _DATE), True)).as_py():
         raise _no_time(path, name, next(t for t in column.to_pylist() if t is not None and not re.match(_DATE, t)))
+    import pandas as pd  # imported here because most traces have seconds
+
     try:
         parsed = pd.to_datetime(column.to_pandas(), utc=True, format="ISO8601", errors="raise")
     except (ValueError, TypeError) as error:

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -22,11 +22,12 @@ from cosim.traffic.remarks import FlowCounts
 from cosim.traffic.source import TrafficEnded, world_from_bumpers, world_of
 from cosim.traffic.streetside import PARKED
 from cosim.world import World
-from results.archive import open_run
-from results.run import Run
 from sensors.scene import Shape
 from sumo_nets import vtypes
 from sumo_nets.vtypes import LARGEST_M, SMALLEST_M, check_size
+
+if TYPE_CHECKING:
+    from results.run import Run
 
 _N_PROBED = 10
 """Timesteps from which the interval of a trace is measured."""
@@ -241,6 +242,8 @@ class RunReplay(_Replay):
         inputs_changed: Sequence[str] = (),
     ) -> None:
         """Open the run. `inputs_changed` are files of the scenario that have changed since it was recorded."""
+        from results.archive import open_run  # imported here because pandas takes its time
+
         run = open_run(folder)
         super().__init__(run.path, registry, params.step_s, frame or Frame(f"traffic.trace = {folder}"))
         self._inputs_changed = list(inputs_changed)
@@ -315,7 +318,7 @@ class RunReplay(_Replay):
         return self._ahead[1]
 
 
-def _steps_of(run: Run) -> Iterator[tuple[int, dict[str, ndarray]]]:
+def _steps_of(run: "Run") -> Iterator[tuple[int, dict[str, ndarray]]]:
     """Read the table `actors` step by step. One block of the table is in memory at a time."""
     for part in run.parts("actors"):
         step = part.step.to_numpy()

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +19,12 @@ from cosim.traffic.replay import RunReplay, TraceReplay
 from cosim.traffic.roadside import NO_UNITS, RoadsideUnits
 from cosim.traffic.source import TrafficSource
 from cosim.traffic.streetside import NO_TREES, ParkedParams, Streetside, TreeParams, check_streets, with_trees
-from results.archive import open_run
 from sensors.scene import Scene
 from sumo_nets import catalogue, network, sumocfg
 from sumo_nets.catalogue import Net
 from sumo_nets.footprints import read_footprints
 from sumo_nets.ground import standing_on
+from sumo_nets.map_files import refuse_map
 from sumo_nets.network import check_for_cars, lanes
 from sumo_nets.xml import spelling
 
@@ -81,15 +82,26 @@ class Scenario:
         found = self._moving(params, registry, frame, has_driver)
         return WithObjects(found, placed, registry, frame) if placed.names else found
 
+    def check_simulator(self) -> None:
+        """Raise ValueError, in one line, if the traffic needs SUMO, and it is not installed."""
+        if self.trace is None and find_spec("libsumo") is None:
+            raise ValueError(
+                f"{self.name}: its traffic needs SUMO, and libsumo is not installed. Install it: pip install "
+                "libsumo==1.28.0. Or replay recorded traffic, which needs no SUMO: set traffic.trace."
+            )
+
     def _moving(
         self, params: TrafficParams, registry: ActorRegistry, frame: Frame, has_driver: bool
     ) -> TrafficSource:  # fmt: skip
+        self.check_simulator()
         if self.trace is None:
             from cosim.traffic.sumo import SumoTraffic  # imported here, because loading SUMO is slow
 
             assert self.sumocfg is not None
             return SumoTraffic(params, self.sumocfg, registry, frame, has_driver)
         if self.trace.is_dir():
+            from results.archive import open_run
+
             changed = self.changed_inputs(open_run(self.trace).manifest.get("net", {}))
             return RunReplay(params, self.trace, registry, frame, changed)
         return TraceReplay(params, self.trace, registry, self.types, frame, self.location())
@@ -188,6 +200,7 @@ def _find(scenario: str) -> Scenario:
             name = name.removesuffix(suffix)
         named = _name_of(path.with_name(name + ".xml"))
         return Scenario(named, None, None, (), trace=path)
+    refuse_map(path, "traffic.scenario = ")
     raise ValueError(
         f"traffic.scenario = {scenario}: there is no city of that name, and it is no .sumocfg, folder or trace. "
         f"Set it to one of {', '.join(catalogue.names())}, or to the path of a .sumocfg."
@@ -204,6 +217,8 @@ def _in_folder(folder: Path) -> Scenario:
     if (folder / "recipe.toml").is_file():
         return _of_net(catalogue.open_folder(folder))
     if (folder / "manifest.json").is_file():
+        from results.archive import open_run
+
         traffic = open_run(folder).config["traffic"]
         try:
             streets = _find(traffic["scenario"])

@@ -37,7 +37,7 @@ def benchmark(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Score a trust model on recorded evidence, beside all models that ship. Without a model, print the table."""
+    """Score a trust model on recorded evidence, beside all others. Without a model, print the table."""
     from cosim.addons.benchmark import table
     from cosim.addons.benchmark.evidence import SHIPPED, load
 

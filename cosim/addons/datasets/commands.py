@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from cosim.cli.console import AsJson, notes, print_json, screen
+from cosim.cli.help import MORE
 
 
 def evaluate(
@@ -22,7 +23,8 @@ def evaluate(
         float, typer.Option(min=1, help="Objects count up to this distance from the ego, in metres.")
     ] = 100.0,
     partners_m: Annotated[
-        float, typer.Option(min=0, help="Agents up to this distance from the ego cooperate, in metres.")
+        float,
+        typer.Option(rich_help_panel=MORE, min=0, help="Agents up to this distance from the ego cooperate, in metres."),
     ] = 70.0,
     overlaps: Annotated[
         list[float] | None,
@@ -32,15 +34,18 @@ def evaluate(
     ] = None,
     ego: Annotated[
         str | None,
-        typer.Option(help="Agent that is the ego. The default is the first one by name; roadside units come last."),
+        typer.Option(
+            rich_help_panel=MORE,
+            help="Agent that is the ego. The default is the first one by name; roadside units come last.",
+        ),
     ] = None,
     objects: Annotated[
         Literal["world", "lidar"] | None,
-        typer.Option(help="opv2v: frame of the annotated objects. The default is found out."),
+        typer.Option(rich_help_panel=MORE, help="opv2v: frame of the annotated objects. The default is found out."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Average precision of a recorded data set: the ego alone, late fusion, and our matching and fusion."""
+    """Measure average precision on a recorded data set. Of the ego alone, late fusion, and our matching and fusion."""
     from cosim.addons.datasets import evaluate as evaluating
 
     about, table = evaluating.evaluate(

@@ -53,7 +53,7 @@ class RecordedBoxes:
     score: Float[ndarray, "n"]
 
     @staticmethod
-    def of(rows: Sequence[tuple[int, int, str, Float[ndarray, "7"], float]]) -> "Boxes":
+    def of(rows: Sequence[tuple[int, int, str, Float[ndarray, "7"], float]]) -> "RecordedBoxes":
         """Of rows (frame, agent, label, box, score) in any order; sorted by frame, then agent."""
         rows = sorted(rows, key=lambda row: row[:2])
         return RecordedBoxes(

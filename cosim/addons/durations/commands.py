@@ -7,8 +7,9 @@ import typer
 from rich.text import Text
 
 from cosim.cli.console import AsJson, print_json, rows_of, screen
+from cosim.cli.help import Commands
 
-judges = typer.Typer(no_args_is_help=True, help="Put figures of runs beside what others have published.")
+judges = Commands(no_args_is_help=True, help="Put figures of runs beside what others have published.")
 
 
 @judges.callback()

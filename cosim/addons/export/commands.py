@@ -66,7 +66,7 @@ def view(
     clouds: Annotated[bool, typer.Option(help="Include point clouds of the chosen vehicles.")] = True,
     as_json: AsJson = False,
 ) -> None:
-    """Write a run as a recording for the Rerun viewer, with a map, the city in 3D and trust over time."""
+    """Write a run as a recording for the Rerun viewer. It has a map, the city in 3D and trust over time."""
     from cosim.addons.export.view import follow
     from cosim.addons.export.view import view as write
     from results.archive import open_run

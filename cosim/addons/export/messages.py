@@ -80,7 +80,7 @@ class ExportedMessages:
         found = found[found.step.isin(self.selection.steps)]
         return found.rename(columns={"actor": "vehicle"}).sort_values(["vehicle", "step"], ignore_index=True)
 
-    def units(self, files: Callable[["Messages", list[int], Clouds], Iterator[File]]) -> list[Unit]:
+    def units(self, files: Callable[["ExportedMessages", list[int], Clouds], Iterator[File]]) -> list[Unit]:
         """Units of work that each make the files of some receivers."""
         vehicles = self.selection.vehicles
         blocks = [list(vehicles[i : i + RECEIVERS]) for i in range(0, len(vehicles), RECEIVERS)]

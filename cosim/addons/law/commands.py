@@ -9,11 +9,12 @@ import typer
 from rich.table import Table
 
 from cosim.cli.console import AsJson, TrustCode, notes, print_json, print_table, progress, screen
+from cosim.cli.help import Commands
 
 if TYPE_CHECKING:
     from cosim.addons.law.prediction import Prediction
 
-predict = typer.Typer(no_args_is_help=True, help="Predict what a study would measure, from traffic alone.")
+predict = Commands(no_args_is_help=True, help="Predict what a study would measure, from traffic alone.")
 
 _SHORT = {
     "freshness.newest_evaluation_age.median_s": "median [s]",

@@ -63,14 +63,14 @@ class SweepTimes:
     """When each of them sensed."""
 
     @staticmethod
-    def none() -> "Sweeps":
+    def none() -> "SweepTimes":
         """No sweeps."""
         nobody, nothing = np.zeros(0, np.int64), np.zeros(0)
         return SweepTimes(
             ViewTimes(nobody, np.zeros(1, np.int64), nobody, nothing, np.zeros(0, bool), nothing, 0.0), nobody
         )
 
-    def then(self, views: ViewTimes, actor: Int[ndarray, "n"], step: int, present: Int[ndarray, "v"]) -> "Sweeps":
+    def then(self, views: ViewTimes, actor: Int[ndarray, "n"], step: int, present: Int[ndarray, "v"]) -> "SweepTimes":
         """These sweeps after some vehicles have sensed, without those of vehicles that have left the road.
 
         Parameters

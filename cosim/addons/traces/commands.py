@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from cosim.cli.console import AsJson, TrustCode, notes, plain, print_facts, print_json, progress, rows_of
+from cosim.cli.help import MORE
 
 if TYPE_CHECKING:
     from cosim.addons.traces.contacts import ContactParams
@@ -21,29 +22,47 @@ X = Annotated[str | None, typer.Option("--x", help="Column with metres east.")]
 Y = Annotated[str | None, typer.Option("--y", help="Column with metres north.")]
 Lat = Annotated[str | None, typer.Option("--lat", help="Column with latitudes, in degrees.")]
 Lon = Annotated[str | None, typer.Option("--lon", help="Column with longitudes, in degrees.")]
-FrameHz = Annotated[float | None, typer.Option("--frame-hz", help="Frames per second, if the times are frame numbers.")]
+FrameHz = Annotated[
+    float | None,
+    typer.Option("--frame-hz", rich_help_panel=MORE, help="Frames per second, if the times are frame numbers."),
+]
 TimeUnit = Annotated[
     Literal["s", "ms", "us", "ns", "min", "h"] | None,
-    typer.Option("--time-unit", help="Unit of times that are numbers. The default is s, or what the trace says."),
+    typer.Option(
+        "--time-unit",
+        rich_help_panel=MORE,
+        help="Unit of times that are numbers. The default is s, or what the trace says.",
+    ),
 ]
 LengthUnit = Annotated[
     Literal["m", "ft", "km", "cm", "mm"] | None,
-    typer.Option("--length-unit", help="Unit of positions that are no degrees. The default is m."),
+    typer.Option(
+        "--length-unit", rich_help_panel=MORE, help="Unit of positions that are no degrees. The default is m."
+    ),
 ]
 StepS = Annotated[
-    float | None, typer.Option("--step-s", help="Length of a step. The default is the interval of the trace.")
+    float | None,
+    typer.Option("--step-s", rich_help_panel=MORE, help="Length of a step. The default is the interval of the trace."),
 ]
 MaxGapS = Annotated[
     float,
     typer.Option(
-        "--max-gap-s", help="Positions farther apart in time are not joined: observation ends and begins anew."
+        "--max-gap-s",
+        rich_help_panel=MORE,
+        help="Positions farther apart in time are not joined: observation ends and begins anew.",
     ),
 ]
 MaxSpeedMps = Annotated[
-    float, typer.Option("--max-speed-mps", help="Positions that ask for a faster motion are not joined either.")
+    float,
+    typer.Option(
+        "--max-speed-mps", rich_help_panel=MORE, help="Positions that ask for a faster motion are not joined either."
+    ),
 ]
 Repair = Annotated[
-    bool, typer.Option("--repair", help="Sort rows, and leave out rows with missing values and repeated rows.")
+    bool,
+    typer.Option(
+        "--repair", rich_help_panel=MORE, help="Sort rows, and leave out rows with missing values and repeated rows."
+    ),
 ]
 
 
@@ -52,7 +71,7 @@ def contacts(
         list[Path],
         typer.Argument(
             help="Files of one trace: SUMO's floating car data, CSV, Parquet, lines id;time;POINT(lat lon), or "
-            "trajectories from drones. Or a run folder, to count with other definitions."
+            "trajectories from drones. Or a run folder."
         ),
     ],
     out: Annotated[Path | None, typer.Option(help="Folder to write. The default is the next runs/<name>-N.")] = None,
@@ -61,16 +80,23 @@ def contacts(
         typer.Option("--radius-m", help="Largest distance of a contact, as encounters.radius_m. Repeatable."),
     ] = None,
     hysteresis_s: Annotated[
-        float | None, typer.Option("--hysteresis-s", help="A break shorter than this does not end an encounter.")
+        float | None,
+        typer.Option(
+            "--hysteresis-s", rich_help_panel=MORE, help="A break shorter than this does not end an encounter."
+        ),
     ] = None,
-    pairs: Annotated[Pairs | None, typer.Option(help="Pairs that count, as encounters.pairs.")] = None,
+    pairs: Annotated[
+        Pairs | None, typer.Option(rich_help_panel=MORE, help="Pairs that count, as encounters.pairs.")
+    ] = None,
     config: Annotated[
         Path | None,
-        typer.Option(help="Config whose encounters, fleet and seed are used instead."),
+        typer.Option(rich_help_panel=MORE, help="Config whose encounters, fleet and seed are used instead."),
     ] = None,
     scenario: Annotated[
         str | None,
-        typer.Option(help="City or .sumocfg of a trace of SUMO's: sizes of vehicles, and buildings."),
+        typer.Option(
+            rich_help_panel=MORE, help="City or .sumocfg of a trace of SUMO's: sizes of vehicles, and buildings."
+        ),
     ] = None,
     actor: Actor = None,
     time: Time = None,
@@ -87,17 +113,22 @@ def contacts(
     appearance: Annotated[
         Literal["ends", "censors"] | None,
         typer.Option(
+            rich_help_panel=MORE,
             help="What the first and the last position of a vehicle mean: it enters and leaves the road (ends), or "
-            "observation begins and ends (censors). The default is ends for traces of SUMO's and runs."
+            "observation begins and ends (censors). The default is ends for traces of SUMO's and runs.",
         ),
     ] = None,
-    from_s: Annotated[float | None, typer.Option("--from", help="Count from this time of the trace on.")] = None,
-    to_s: Annotated[float | None, typer.Option("--to", help="Count up to this time of the trace.")] = None,
+    from_s: Annotated[
+        float | None, typer.Option("--from", rich_help_panel=MORE, help="Count from this time of the trace on.")
+    ] = None,
+    to_s: Annotated[
+        float | None, typer.Option("--to", rich_help_panel=MORE, help="Count up to this time of the trace.")
+    ] = None,
     repair: Repair = False,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
-    """Count encounters in a trace, into a folder that `measure`, `plot encounters` and `judge` read."""
+    """Count encounters in a trace. `measure`, `plot encounters` and `judge` read the folder."""
     from cosim.addons.traces.contacts import ContactParams
     from cosim.addons.traces.contacts import contacts as count
     from cosim.addons.traces.units import LENGTH_M, TIME_S

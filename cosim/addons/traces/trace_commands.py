@@ -59,7 +59,10 @@ def trace(
     repair: Repair = False,
     as_json: AsJson = False,
 ) -> None:
-    """Make a trace that `cosim run` drives from positions: logs, drone recordings, output of other simulators."""
+    """Make a trace that `cosim run` drives from recorded positions.
+
+    These are logs, recordings of drones, or the output of other simulators.
+    """
     from dataclasses import replace
 
     from cosim.addons.traces import positions, tracks

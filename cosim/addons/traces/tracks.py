@@ -139,7 +139,7 @@ def tracks(fixes: Fixes, params: TrackParams) -> PositionTracks:
         link_first=first[links][by_step],
         link_end=end[links][by_step],
         n_steps=int(last_step.max()) + 1,
-        report=_report(fixes, params, linked, took_s, gone_m, is_gap, is_jump, links, first, end),
+        report=_report(fixes, params, linked, (took_s, gone_m), (is_gap, is_jump), (links, first, end)),
     )
 
 
@@ -165,10 +165,17 @@ def _check_links(
 
 
 def _report(
-    fixes: Fixes, params: TrackParams, linked: Bool[ndarray, "n"], took_s: ndarray, gone_m: ndarray, is_gap: ndarray,
-    is_jump: ndarray, links: ndarray, first: ndarray, end: ndarray,
+    fixes: Fixes, params: TrackParams, linked: Bool[ndarray, "n"], moved: tuple[ndarray, ndarray],
+    cuts: tuple[ndarray, ndarray], steps: tuple[ndarray, ndarray, ndarray],
 ) -> dict[str, float]:  # fmt: skip
-    """How much of the tracks is interpolated, and the bound on its error."""
+    """How much of the tracks is interpolated, and the bound on its error.
+
+    `moved` is time [s] and way [m] between fixes, `cuts` whether there is a gap or a jump, and `steps` the links with
+    their first and last step.
+    """
+    took_s, gone_m = moved
+    is_gap, is_jump = cuts
+    links, first, end = steps
     inner = links[linked[links]]
     begin = np.where(np.abs(fixes.time_s[inner] / params.step_s - first[inner]) <= _TOLERANCE, 1, 0)
     n_between = (end[inner] - first[inner] - begin).astype(np.int64)

@@ -6,10 +6,9 @@ from typing import Annotated, Literal
 
 import typer
 
-from cosim.cli.console import plain, print_json, screen
+from cosim.cli.console import AsJson, plain, print_json, screen
 
 Kind = Literal["trust", "attack", "policy", "medium", "detector", "driver", "exporter", "metric"]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 
 
 _PACKAGES = ("cosim", "sensors", "trust", "results", "sumo_nets")
@@ -19,7 +18,7 @@ def new(
     kind: Annotated[Kind, typer.Argument(help="The kind of extension.")],
     path: Annotated[Path, typer.Argument(metavar="NAME.py", help="File to write.")],
 ) -> None:
-    """Write a small working example of an extension, which you then change."""
+    """Write a small working example of a class, which you then change."""
     if path.suffix != ".py":
         raise ValueError(f"{path}: the file of a class ends in .py. Write for example cosim new {kind} mine.py.")
     if path.stem in _PACKAGES:
@@ -62,7 +61,7 @@ def try_(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Check on a tiny scene whether your class keeps the rules of its interface; exit status 1 if it does not."""
+    """Check on a tiny scene whether your class keeps its rules. Exit status 1 if it does not."""
     from cosim.addons.tryout.tryout import try_class
 
     report = try_class(name, kind, sets or [])

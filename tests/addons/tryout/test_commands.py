@@ -90,5 +90,5 @@ def test_an_own_metric_is_measured(tmp_path, run):
     (rows,) = json.loads(call("measure", run, "--metric", name, "--set", "least_mps=3.0", "--json")[0]).values()
     assert rows == []
     assert "least_mps" in str(call("measure", run, "--metric", name, "--set", "last_mps=3.0")[2])
-    assert "name a metric of your own" in str(call("measure", run, "--metric", "trust.final.median")[2])
+    assert "there is no such metric. Near: " in str(call("measure", run, "--metric", "trust.final.medan")[2])
     assert "goes with a metric of your own" in str(call("measure", run, "--set", "a=1")[2])

@@ -27,8 +27,16 @@ def test_run_ends_in_a_summary_and_a_picture(run):
     assert (run_folder / "trust.png").stat().st_size > 10_000
     manifest = json.loads((run_folder / "manifest.json").read_text())
     assert manifest["status"] == "finished" and manifest["steps"] == 10
-    assert len(done.stdout.splitlines()) <= 17
-    for words in ("encounters", "malicious", "fresh", "frames received", "real time", "runs/helsinki-1"):
+    assert len(done.stdout.splitlines()) == 8
+    for words in (
+        "encounters",
+        "malicious",
+        "fresh",
+        "frames received",
+        "real time",
+        "runs/helsinki-1",
+        "cosim report",
+    ):
         assert words in done.stdout
     assert done.stderr == ""  # no progress bar where nobody watches, no warnings
 
@@ -51,6 +59,20 @@ def test_measure(run):
     rows = json.loads(cosim("measure", "runs/helsinki-1", "--json", cwd=folder).stdout)["runs/helsinki-1"]
     ratio = next(row["value"] for row in rows if row["metric"] == "radio.pdr.all")
     assert 0.3 < ratio < 0.9  # most neighbours are behind walls
+
+
+def test_measure_of_named_metrics(run):
+    folder, _ = run
+    names = ("radio.pdr.cpm", "trust.final.median:honest")
+    words = ["measure", "runs/helsinki-1", "--json", *(word for name in names for word in ("--metric", name))]
+    rows = json.loads(cosim(*words, cwd=folder).stdout)["runs/helsinki-1"]
+    assert {(row["metric"], row["group"]) for row in rows} == {("trust.final.median", "honest"), ("radio.pdr.cpm", "")}
+    every = json.loads(cosim("measure", "runs/helsinki-1", "--json", cwd=folder).stdout)["runs/helsinki-1"]
+    assert all(row in every for row in rows)
+    topic = json.loads(cosim("measure", "runs/helsinki-1", "--metric", "encounters", "--json", cwd=folder).stdout)
+    assert {row["metric"].partition(".")[0] for row in topic["runs/helsinki-1"]} == {"encounters"}
+    done = cosim("measure", "runs/helsinki-1", "--metric", "radio.pdr.cmp", cwd=folder)
+    assert done.returncode == 2 and "Near: radio.pdr.cpm" in done.stderr and done.stderr.count("\n") == 1
 
 
 def test_metrics_are_explained():

@@ -43,8 +43,9 @@ def test_a_file_that_names_no_preset_is_modern(tmp_path):
     """In a process of its own: the tests' own default is another one."""
     (tmp_path / "mine.toml").write_text("seed = 1\n")
     done = subprocess.run(
-        [sys.executable, "-m", "cosim", "check", "mine.toml"], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
+        [sys.executable, "-m", "cosim", "check", "mine.toml", "--all"],
+        cwd=tmp_path, capture_output=True, text=True, check=True,
+    )  # fmt: skip
     said = tomllib.loads(done.stdout)
     assert (said["preset"], said["lidar"]["profile"], said["detector"]["model"]) == ("modern", "pandar64", "pv_rcnn")
 

@@ -24,6 +24,8 @@ from tests.cosim.docs.fences import ROOT
 SOURCES = fences.SOURCES
 PAGES = site.pages()
 COMMAND = typer.main.get_command(app)
+OTHERS = ("source", "pip", "dask", "rerun", "python", "python3", "netedit", "timeout", "docker", "apptainer")
+"""Programs of others that pages call."""
 
 
 def test_every_page_is_in_the_navigation():
@@ -112,7 +114,7 @@ def test_commands_are_accepted(source):
             except typer.Exit:  # --version, --help
                 assert words[0] in ("--version", "--help")
         else:
-            assert words[0] in ("source", "pip", "dask", "rerun", "python", "python3", "netedit", "timeout"), line
+            assert words[0] in OTHERS, line
     for inline in re.findall(r"`cosim ([^`\n]+)`", re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)):
         command, name, words = _found(shlex.split(inline))
         options = {option for one in command.params for option in one.opts} | {"--help"}

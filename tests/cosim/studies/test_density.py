@@ -3,19 +3,19 @@
 import pytest
 
 from cosim.config.config import load
+from cosim.studies.cost import cost_of
 from cosim.studies.density import departures, vehicles_on_road
 from cosim.studies.estimate import estimate
 from cosim.studies.plan import PlannedRun, StudyPlan
+from cosim.studies.speed import MachineSpeed, Pace, remember, remembered, speed_here
 from tests.hostile.scenes import write_town, write_trace
 
 
-@pytest.mark.verify
 def test_cities_are_told_apart():
-    """By the demand and the size of each: Koenigs Wusterhausen has 5,062 departures per hour, on 4,032 m instead of
-    1,961 m: 200 x 5062 / 2820 x 4032 / 1961 = 738."""
+    """As they were counted in runs of a minute after the warm-up."""
     assert vehicles_on_road(load()) == pytest.approx(200, rel=0.01)
     assert vehicles_on_road(load(None, ["traffic.scale=0.5"])) == pytest.approx(100, rel=0.01)
-    assert vehicles_on_road(load(None, ["traffic.scenario=koenigs-wusterhausen"])) == pytest.approx(738, rel=0.01)
+    assert vehicles_on_road(load(None, ["traffic.scenario=koenigs-wusterhausen"])) == pytest.approx(145, rel=0.01)
 
 
 def test_of_a_trace_and_of_flows(tmp_path):
@@ -26,25 +26,87 @@ def test_of_a_trace_and_of_flows(tmp_path):
     assert 5 < vehicles_on_road(load(None, [f"traffic.scenario={town}", "traffic.warmup_s=30"])) < 60
 
 
-def test_a_dense_city_takes_longer():
-    def planned_s(city):
-        config = load(None, [f"traffic.scenario={city}", "fleet.penetration_p=1"])
-        return estimate([], StudyPlan((PlannedRun("one", config, (("one", "base"),), ""),), {}, ()), (), None).planned_s
+def planned_s(*sets):
+    config = load(None, list(sets))
+    return estimate([], StudyPlan((PlannedRun("one", config, (("one", "base"),), ""),), {}, ()), (), None).planned_s
 
-    assert planned_s("koenigs-wusterhausen") > 2.5 * planned_s("helsinki")
+
+def test_a_dense_city_takes_longer():
+    assert planned_s("fleet.penetration_p=1", "traffic.scale=3") > 2 * planned_s("fleet.penetration_p=1")
 
 
 def test_what_a_run_costs():
-    """As `cosim.studies.estimate` measures it, by hand, for 60 equipped vehicles and 100 s after 600 s of warm-up.
+    """As `cosim.studies.cost` measures it, by hand, for 60 equipped vehicles and 100 s after 600 s of warm-up.
 
-    v0.2: 700 steps of traffic at 4 ms; 100 steps at 20 ms; 6,000 sweeps of 520 x 64 rays at 10 ns, and messages of a
-    field of view of 90 degrees at a quarter of 1.2 ms. modern: steps of 0.2 s; 1800 x 64 rays all around.
+    v0.2: 700 steps of traffic at 2.9 ms; 100 steps at 21.4 ms; 6,000 sweeps of 520 x 64 rays at 8.2 ns. modern: steps
+    of 0.2 s; 1800 x 64 rays.
     """
-    start_s = 4.5 + 0.5
-    v02_s = start_s + 700 * 0.004 + 100 * 0.02 + 6000 * (520 * 64 * 10e-9 + 1.2e-3 / 4)
-    modern_s = start_s + 3500 * 0.004 + 500 * 0.02 + 6000 * (1800 * 64 * 10e-9 + 1.2e-3)
+    start_s = 3.7 + 0.5
+    v02_s = start_s + 700 * 0.0029 + 100 * 0.0214 + 6000 * 520 * 64 * 8.2e-9
+    modern_s = start_s + 3500 * 0.0029 + 500 * 0.0214 + 6000 * 1800 * 64 * 8.2e-9
     for preset, want_s in (("v0.2", v02_s), ("modern", modern_s)):
-        sets = ["traffic.duration_s=100", "traffic.warmup_s=600", "fleet.penetration_p=0.3"]
-        config = load(None, [f"preset={preset}", *sets])
-        plan = StudyPlan((PlannedRun("one", config, (("one", "base"),), ""),), {}, ())
-        assert estimate([], plan, (), None).planned_s == pytest.approx(want_s, rel=0.01)
+        sets = [f"preset={preset}", "traffic.duration_s=100", "traffic.warmup_s=600", "fleet.penetration_p=0.3"]
+        assert planned_s(*sets) == pytest.approx(want_s, rel=0.01)
+
+
+MEASURED = {
+    "preset=modern traffic.duration_s=60": (24.1, 500, 5.0),
+    "preset=modern traffic.duration_s=60 fleet.penetration_p=0.1": (21.9, 506, 2.1),
+    "preset=modern traffic.duration_s=30 fleet.penetration_p=1.0": (20.0, 522, 8.0),
+    "preset=modern traffic.duration_s=120 fleet.penetration_p=0.05": (27.8, 486, 3.5),
+    "preset=v0.2 traffic.duration_s=60": (8.6, 498, 1.4),
+    "preset=v0.2 traffic.duration_s=60 fleet.penetration_p=0.6": (8.6, 518, 2.5),
+    "preset=paper traffic.duration_s=60": (12.4, 540, 3.4),
+    "preset=modern sensing=false traffic.duration_s=200": (16.9, 446, 2.8),
+    "preset=modern traffic.scenario=adlershof traffic.duration_s=40": (18.6, 517, 3.3),
+    "preset=modern traffic.scenario=braunschweig traffic.duration_s=40": (10.2, 480, 0.8),
+    "preset=modern traffic.scenario=koenigs-wusterhausen traffic.duration_s=30": (12.2, 483, 1.5),
+}
+"""Processor time [s], memory [MB] and disk [MB] of runs on the machine of the costs, which also did other work."""
+
+
+@pytest.mark.parametrize("sets", MEASURED)
+def test_estimates_are_near_what_runs_took(sets):
+    cost = cost_of(load(None, sets.split()), MachineSpeed())
+    for found, measured in zip(
+        (cost.cpu_s, cost.memory_bytes / 1e6, cost.disk_bytes / 1e6), MEASURED[sets], strict=True
+    ):
+        assert 0.7 < found / measured < 1.3, (found, measured)
+
+
+def test_a_long_run_says_what_halves_it():
+    sets = ["preset=modern", "traffic.duration_s=3600", "fleet.penetration_p=1"]
+    cost = cost_of(load(None, sets), MachineSpeed())
+    assert cost.wall_s > 600
+    shorter, penetration = cost.cheaper.split(" or ")[::-1][0], cost.cheaper.split(" or ")[0].strip(",")
+    for change in (shorter, penetration):
+        halved = cost_of(
+            load(None, ["preset=modern", "traffic.duration_s=3600", "fleet.penetration_p=1", change[6:]]),
+            MachineSpeed(),
+        )
+        assert 0.45 < halved.wall_s / cost.wall_s < 0.53
+    assert not cost_of(load(None, ["preset=modern", "traffic.duration_s=60"]), MachineSpeed()).cheaper
+
+
+def test_the_speed_of_this_machine_is_kept(tmp_path, monkeypatch):
+    """Three runs took twice the predicted processor time in the second half of their steps."""
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "new"))
+    assert speed_here() == MachineSpeed()
+    Pace._keep(5.0, 10.0, 30.0)
+    assert speed_here().wall_per_cpu == 1.0  # it was measured beside other work
+    for wall_s in (8.0, 40.0):
+        Pace._keep(5.0, 10.0, wall_s)
+    assert (speed_here().cpu, speed_here().wall_per_cpu, speed_here().n_runs) == (2.0, 0.8, 3)
+    Pace._keep(1.0, 2.0, 2.0)  # too short
+    assert speed_here().n_runs == 3
+    remember("/a/town.sumocfg", 41.0)
+    assert remembered("/a/town.sumocfg") == 41.0 and remembered("elsewhere") is None and speed_here().n_runs == 3
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"cpu_and_wall_per_cpu": [[1]], "vehicles": 3}', "{" * 5000])
+def test_a_damaged_file_of_speeds_is_no_speed(tmp_path, monkeypatch, content):
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path))
+    (tmp_path / "speed.json").write_text(content)
+    assert speed_here() == MachineSpeed() and remembered("x") is None
+    remember("x", 3.0)
+    assert remembered("x") == 3.0

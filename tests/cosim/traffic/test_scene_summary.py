@@ -1,5 +1,6 @@
 """What is said of streets and buildings that are loaded, and of those that cannot be meant so."""
 
+import json
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -126,7 +127,9 @@ def test_the_command_line_says_it(tmp_path):
     checked, ran = cosim("check", *words), cosim("run", *words, "--out", str(tmp_path / "run"))
     for done in (checked, ran):
         assert done.returncode == 0 and "none of the 4 polygons" in done.stderr, done.stderr
-        assert "none: everybody sees everybody" in done.stdout and " km of lanes in 8 streets" in done.stdout
+    summary = json.loads((tmp_path / "run" / "manifest.json").read_text())["summary"]
+    for said in (checked.stdout, summary["streets"] + summary["buildings"]):
+        assert "none: everybody sees everybody" in said and " km of lanes in 8 streets" in said
 
 
 @pytest.mark.parametrize("city", ["helsinki", "koenigs-wusterhausen", "bologna/run.sumocfg",

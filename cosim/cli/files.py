@@ -1,0 +1,44 @@
+"""Files that a user may give to the wrong command: a study, a config, a map."""
+
+import shlex
+import tomllib
+from pathlib import Path
+
+from sumo_nets.map_files import refuse_map
+
+_SHIPPED = Path(__file__).parents[1] / "studies" / "shipped"
+_OF_A_STUDY = {"study", "grid", "zip", "base"}
+
+
+def is_study_file(path: Path) -> bool:
+    """Whether a TOML file is a study: it has a section that configs do not have. Or the name of a shipped study."""
+    if not path.exists() and path.suffix == "" and (_SHIPPED / f"{path}.toml").is_file():
+        return True
+    try:
+        return bool(_OF_A_STUDY & tomllib.loads(path.read_text(encoding="utf-8")).keys())
+    except (OSError, ValueError, RecursionError):
+        return False
+
+
+def refuse_other_than_config(path: Path | None) -> None:
+    """Raise ValueError, which names the right command, if a file is known to be no config of a run."""
+    if path is None:
+        return
+    refuse_map(path, "")
+    given = shlex.quote(str(path))
+    if is_study_file(path):
+        out = shlex.quote(f"runs/{path.stem}")
+        raise ValueError(
+            f"{path} is a study, not the config of one run. Make its runs with: cosim sweep {given} --out {out}"
+        )
+
+
+def refuse_other_than_study(path: Path) -> None:
+    """Raise ValueError, which names the right command, if a file is known to be no study."""
+    refuse_map(path, "")
+    if path.suffix == ".toml" and path.is_file() and not is_study_file(path):
+        given = shlex.quote(str(path))
+        raise ValueError(
+            f"{path} is the config of one run: it has no [grid]. Run it with: cosim run {given}. Begin a study with: "
+            "cosim init --study"
+        )

@@ -1,0 +1,202 @@
+"""References of exactly the parts that a run used, from its manifest."""
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+TRUST: Mapping[str, tuple[str, ...]] = {
+    "trupercept": ("hurl2020",),
+    "beta": ("josang2002",),
+    "beta_discounted": ("josang2002",),
+    "beta_by_kind": ("josang2002",),
+    "beta_correlated": ("josang2002", "sts18"),
+    "subjective_logic": ("josang2016",),
+    "mate": ("mate2025",),
+    "raya_majority": ("raya2008",),
+    "raya_most_trusted": ("raya2008",),
+    "raya_weighted": ("raya2008",),
+    "raya_bayes": ("raya2008",),
+    "raya_dempster_shafer": ("raya2008",),
+    "minhas": ("minhas2011",),
+    "announcement": ("li2012",),
+    "eigentrust": ("kamvar2003",),
+    "report_count": ("f2md",),
+    "majority_ban": ("cats2025",),
+    "dawid_skene": ("dawid1979",),
+    "dawid_skene_online": ("dawid1979", "cappe2009"),
+    "evaluator_trust": ("zhang2008", "minhas2011"),
+    "self_first": ("zhang2008", "minhas2011"),
+    "median_groups": ("lugosi2019",),
+    "miso_v": ("ansari2021",),
+    "belief_graph": ("pearl1988",),
+}
+"""References of the trust models that ship."""
+DETECTORS = {"avod": ("hurl2020",), "pointpillars": ("lang2019",), "pv_rcnn": ("shi2020",)}
+MEDIA = {
+    "csma": ("ieee80211",),
+    "nr_mode2": ("ts38214", "lagen2020"),
+    "lte_mode4": ("ts36213", "mezzavilla2012"),
+}
+ATTACKS = {"ghost_insertion": ("hurl2020",), "unreliable": ("hurl2020",)}
+DRIVERS = {"cautious": ("krauss1998",)}
+_FILE = Path(__file__).with_name("references.toml")
+
+
+@dataclass(frozen=True, slots=True)
+class CitedPart:
+    """A part of the program that a run used."""
+
+    what: str
+    """The part in words, such as `trust model beta`."""
+    references: tuple[str, ...] = ()
+    """Keys of `references.toml`; empty if nothing was published about it."""
+    entry: Mapping[str, Any] = field(default_factory=dict)
+    """A reference that depends on the run, such as that of its city, in place of keys."""
+
+
+def parts(manifest: Mapping[str, Any]) -> Iterator[CitedPart]:
+    """The parts that a run used, in the order of the data: program, traffic, sensing, messages, trust."""
+    config, versions = manifest["config"], manifest.get("versions", {})
+    source = manifest.get("source", {})
+    commit = str(source.get("commit") or "")[:12]
+    version = f"{source.get('version', '')} {commit}".strip()
+    yield CitedPart("cosim", entry={
+        "type": "software", "title": "cosim: co-simulation of cooperative perception under trust at city scale",
+        "author": "{The maintainers of cosim}", "version": version,
+    })  # fmt: skip
+    yield from _traffic(manifest, versions)
+    if not config.get("sensing", True):
+        return
+    choices = manifest.get("choices", {})
+    yield from _sensing(config)
+    yield from _messages(config)
+    yield from _attacks(config)
+    yield from _trust(config)
+    if (driver := config["driver"]["model"]) in DRIVERS:
+        yield CitedPart(f"driver {driver}", DRIVERS[driver])
+    for place, found in choices.items():
+        if found.get("file"):
+            yield CitedPart(f"{place}: {found['name']}, a class of the user's own")
+
+
+def _traffic(manifest: Mapping[str, Any], versions: Mapping[str, str]) -> Iterator[CitedPart]:
+    net, traffic = manifest.get("net", {}), manifest["config"]["traffic"]
+    if traffic.get("trace"):
+        yield CitedPart(f"replayed traffic, {Path(traffic['trace']).name}")
+    elif "libsumo" in versions:
+        yield CitedPart(f"traffic, Eclipse SUMO {versions['libsumo']}", ("lopez2018",))
+    if net.get("name"):
+        licence = ", ".join(filter(None, (net.get("attribution"), net.get("licence"))))
+        yield CitedPart(f"city {net['name']}", entry={
+            "type": "misc", "title": f"Network and demand of {net['name']}", "note": licence or "licence not stated",
+        })  # fmt: skip
+
+
+def _sensing(config: Mapping[str, Any]) -> Iterator[CitedPart]:
+    detector, weather = config["detector"]["model"], config.get("weather", {})
+    if detector in DETECTORS:
+        yield CitedPart(f"detector {detector}", DETECTORS[detector])
+    if config["tracking"]["model"] != "none" or config["trust"].get("matching") == "gates":
+        yield CitedPart("tracking and association by gates", ("barshalom2001",))
+    if weather.get("rain_mm_h") or weather.get("visibility_m") is not None:
+        yield CitedPart("weather", ("kilic2021", "hahner2021"))
+    if config["early_fusion"]["share"] != "none":
+        yield CitedPart("early fusion", ("chen2019",))
+
+
+def _messages(config: Mapping[str, Any]) -> Iterator[CitedPart]:
+    radio, cpm = config["radio"], config["cpm"]
+    model, propagation = radio["model"], radio["propagation"]
+    if model in MEDIA:
+        yield CitedPart(f"radio {model}", MEDIA[model])
+        found = {
+            "tr37885": propagation["model"] in ("urban", "highway"),
+            "sommer2011twoway": propagation["model"] == "two_ray_interference",
+            "sommer2011walls": propagation["walls"] == "sommer",
+            "boban2016": propagation["blockage"] == "probabilistic",
+            "cheng2007": propagation["fading"] == "cheng",
+        }
+        used = tuple(key for key, is_used in found.items() if is_used)
+        yield CitedPart(f"propagation {propagation['model']}", used)
+    if model == "csma" and radio["dcc"]["enabled"]:
+        adaptive = radio["dcc"]["algorithm"] == "adaptive"
+        yield CitedPart("congestion control", ("ts102687", "bansal2013") if adaptive else ("ts102687",))
+    if radio["relay"]["max_hops"] > 1 and radio["relay"]["rule"] == "contention":
+        yield CitedPart("forwarding by contention", ("en302636",))
+    if cpm["rules"] != "all" or cpm["length"] == "uper":
+        yield CitedPart("collective perception messages", ("ts103324",))
+
+
+def _attacks(config: Mapping[str, Any]) -> Iterator[CitedPart]:
+    for attack in config.get("attacks", ()):
+        is_used = attack.get("share_p", 0) > 0 or attack.get("ids") or attack.get("together_with") is not None
+        if is_used and ".py:" not in attack["attack"]:
+            yield CitedPart(f"attack {attack['attack']}", ATTACKS.get(attack["attack"], ()))
+
+
+def _trust(config: Mapping[str, Any]) -> Iterator[CitedPart]:
+    base = config["trust"]
+    found = [base, *(base | variant for variant in config.get("trust_variant", ()))]
+    for model in dict.fromkeys(one["model"] for one in found if one["host"] != "none"):
+        if model in TRUST:
+            yield CitedPart(f"trust model {model}", TRUST[model])
+
+
+@cache
+def references() -> Mapping[str, Mapping[str, Any]]:
+    """All references by key."""
+    return tomllib.loads(_FILE.read_text(encoding="utf-8"))
+
+
+_PLACES = ("booktitle", "journal", "publisher", "howpublished")
+_MORE = ("version", *_PLACES, "year", "url", "note")
+
+
+def text(reference: Mapping[str, Any]) -> str:
+    """A reference in one line."""
+    authors = ", ".join(map(_in_order, _authors(reference)))
+    more = ", ".join(str(reference[key]) for key in _MORE if reference.get(key))
+    head = f"{authors}: " if authors else ""
+    return f"{head}{reference['title']}. {more}".strip(" .") + "."
+
+
+def _authors(reference: Mapping[str, Any]) -> list[str]:
+    given = str(reference.get("author", "")).strip("{}")
+    return given.replace(" and others", " et al.").split(" and ") if given else []
+
+
+def _in_order(name: str) -> str:
+    """The first name before the family name."""
+    family, comma, first = name.partition(",")
+    if not comma:
+        return name
+    first, _, others = first.strip().partition(" et al.")
+    return f"{first} {family}" + (" et al." if name.endswith("et al.") else others)
+
+
+def bibtex(manifest: Mapping[str, Any]) -> str:
+    """The references of a run as BibTeX, each once."""
+    found: dict[str, Mapping[str, Any]] = {}
+    for part in parts(manifest):
+        if part.entry:
+            key = "".join(c for c in part.what.lower() if c.isalnum()) or "part"
+            found[key] = part.entry
+        found |= {key: references()[key] for key in part.references}
+    return "\n\n".join(_bibtex(key, one) for key, one in found.items())
+
+
+def _bibtex(key: str, reference: Mapping[str, Any]) -> str:
+    kind = {"standard": "misc", "software": "misc"}.get(reference["type"], reference["type"])
+    lines = [
+        f"  {name} = {{{_escaped(str(value))}}}"
+        for name, value in reference.items()
+        if name not in ("type", "trust") and value
+    ]
+    return f"@{kind}{{{key},\n" + ",\n".join(lines) + "\n}"
+
+
+def _escaped(value: str) -> str:
+    return "".join("\\" + c if c in "&%#_$" else c for c in value)

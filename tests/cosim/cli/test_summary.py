@@ -1,0 +1,91 @@
+"""The summary of a run: a line per topic, numbers first, and what is chance."""
+
+import pytest
+
+from cosim.cli.console import _summary
+
+NAN = float("nan")
+
+
+def rows_of(metrics):
+    """A function like that of the summary, from value, low, high and note by metric and group."""
+
+    def row(of):
+        note = of[1] if len(of) == 2 else ""
+        value, low, high = of if len(of) == 3 else (of[0], NAN, NAN)
+        return {"value": value, "low": low, "high": high, "note": note}
+
+    return lambda name: {group: row(of) for group, of in metrics.get(name, {}).items()}
+
+
+METRICS = {
+    "traffic.duration_s": {"": (300.0,)},
+    "traffic.actors.mean": {"all": (335.4,)},
+    "traffic.equipped.n": {"honest": (101.0,), "malicious": (15.0,)},
+    "encounters.n": {"equipped, 100 m": (1116.0,), "all, 50 m": (7.0,)},
+    "encounters.duration.km_median_s": {"equipped, 100 m": (16.0,)},
+    "encounters.duration.km_mean_s": {"equipped, 100 m": (24.3,), "all, 50 m": (3.0,)},
+    "trust.final.median": {"honest": (0.78,), "malicious": (0.56,)},
+    "misbehaviour.at_lookup.auc": {"unreliable": (0.55, 0.38, 0.71), "malicious": (0.93, 0.88, 0.96)},
+    "freshness.lookup_state.share": {"evaluated, all": (0.95,), "stale, all": (0.0,), "no value, all": (0.05,)},
+    "freshness.newest_evaluation_age.mean_s": {"all": (4.0,)},
+    "freshness.newest_evaluation_age.p90_s": {"all": (5.8,)},
+    "radio.pdr.all": {"": (0.6,)},
+    "radio.cbr.mean": {"": (0.033,)},
+    "radio.pir.mean_s": {"": (1.3,)},
+}
+
+
+def test_every_topic_is_a_line_that_begins_with_a_number():
+    said = _summary(rows_of(METRICS), "helsinki")
+    assert said == {
+        "traffic": [
+            "335 actors on the road of helsinki for 300 s; 116 vehicles with LiDAR and radio (101 honest, 15 malicious)"
+        ],
+        "encounters": [
+            "1,116 (equipped, 100 m): half of them last longer than 16 s", "7 (all, 50 m): they last 3 s on average"
+        ],
+        "trust": ["0.78 honest, 0.56 malicious: medians at the end, from 0 to 1"],
+        "told apart": [
+            "55% of the time an honest vehicle has more trust than an unreliable one (95 % interval 38% to 71%: no "
+            "better than chance); 93% of the time than a malicious one (88% to 96%), when trust is looked up"
+        ],
+        "freshness": [
+            "4.0 s old is the newest evaluation behind a trust value that is used, and one in ten is older than 5.8 s; "
+            "95% of lookups find a value that rests on fresh evaluations"
+        ],
+        "radio": [
+            "60% of frames received by vehicles in range; 3.3% of the time the channel is busy; 1.3 s between messages "
+            "of a pair"
+        ],
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "topic", "says"),
+    [
+        ({"misbehaviour.at_lookup.auc": {"malicious": (0.5, NAN, NAN)}}, "told apart", "50% of the time an honest"),
+        (
+            {
+                "misbehaviour.at_lookup.auc": {},
+                "trust.final.median": {"honest": (0.7,), "malicious": (0.7, "has not attacked")},
+            },
+            "told apart",
+            "no malicious vehicle has attacked: until then they behave as honest ones",
+        ),
+        (
+            {"misbehaviour.at_lookup.auc": {}, "misbehaviour.auc": {"malicious": (0.9, 0.8, 1.0)}},
+            "told apart",
+            "over the run",
+        ),
+        ({"trust.final.median": {}}, "trust", "no trust was computed"),
+        ({"freshness.lookup_state.share": {}}, "freshness", "no vehicle looked up"),
+        ({"radio.pdr.all": {}}, "radio", "nothing was sent"),
+        ({"encounters.n": {}}, "encounters", "0: no two came"),
+        ({"traffic.equipped.n": {"honest": (0.0,)}}, "traffic", "no vehicle with LiDAR and radio"),
+        ({"radio.lost.expired": {"": (0.2,)}}, "radio", "20% expired before they could be sent"),
+    ],
+)
+def test_what_is_missing_is_said(changes, topic, says):
+    (line,) = _summary(rows_of(METRICS | changes), "helsinki")[topic][:1]
+    assert says in line
