@@ -58,6 +58,12 @@ _TRUTH_ACTOR = Column("int32", of="vehicles", null=True, truth=True, meaning="Ac
 _TRUTH_IOU = Column("float32", unit="1", null=True, truth=True, bits=10, meaning="3D intersection over union with that actor's true box.")
 
 
+
+def _moved(meaning: str, unit: str = "m", bits: int = 7) -> Column:
+    """By how much a fused box differs from that of its source."""
+    return Column("float32", unit=unit, absent="zero", bits=bits, meaning=meaning)
+
+
 def _trust_at_contact(one: str, other: str) -> dict[str, Column]:
     return {
         f"trust_{one}{other}": Column("float32", unit="1", null=True, meaning=f"Trust in {other} that {one} would look up at first contact; null if {one} is not equipped and cannot look up trust."),
@@ -501,8 +507,13 @@ TABLES: Mapping[str, Table] = {
             "pose": Column("int32", of="pseudonyms", null=True, meaning="Pseudonym of the vehicle whose detection gave position and heading, if it is not the source."),
             "pose_index": Column("int16", null=True, meaning="Number of that detection in its list."),
             "pose_step": replace(_DETECTION_STEP, meaning="Step of the detection that gave position and heading."),
-            "moved_x_m": Column("float32", unit="m", absent="zero", bits=7, meaning="How far the observer moved the box east, by its velocity, since it was sent. The columns exist with extrapolate = true."),
+            "moved_x_m": Column("float32", unit="m", absent="zero", bits=7, meaning="How far the observer moved the box east since it was sent: by its velocity (extrapolate = true), and to where all detections of the object say (trust.fused_boxes). The columns exist with one of them."),
             "moved_y_m": Column("float32", unit="m", absent="zero", bits=7, meaning="How far the observer moved the box north."),
+            "moved_z_m": _moved("How far it moved the box up. This and the next exist unless fused_boxes is best."),
+            "moved_length_m": _moved("By how much the box is longer than the source's."),
+            "moved_width_m": _moved("By how much the box is wider than the source's."),
+            "moved_height_m": _moved("By how much the box is higher than the source's."),
+            "moved_yaw_rad": _moved("By how much the box is turned from the source's, counter-clockwise.", "rad", 9),
             "fabricated": Column("bool", truth=True, meaning="The box was fabricated by an attack."),
             "truth_actor": replace(_TRUTH_ACTOR, via="source"),
             "truth_iou": replace(_TRUTH_IOU, via="source", meaning="3D intersection over union of the source's box with that actor's true box."),

@@ -17,7 +17,8 @@ Read = Callable[[Path, Sequence[str], pc.Expression | None], pa.Table]
 """Reads columns and rows of one part file."""
 
 _NAME = ("step", "observer", "detection_index")
-_LINKS = ("step", "source", "source_index", "source_step", "pose", "pose_index", "pose_step", "moved_x_m", "moved_y_m")
+_LINKS = ("step", "source", "source_index", "source_step", "pose", "pose_index", "pose_step")
+_MOVED = "moved_"
 
 
 def names(table: Table, columns: Sequence[str], where: pc.Expression | None) -> list[str]:
@@ -33,16 +34,33 @@ def read(read: Read, path: Path, columns: Sequence[str], where: pc.Expression | 
     if not virtual:
         return read(path, columns, where)
     late = where if names(table, (), where) else None
-    stored = [name for name in table.stored if name in columns or late is not None or name in _LINKS]
+    stored = [
+        name
+        for name in table.stored
+        if name in columns
+        or late is not None
+        or name in _LINKS
+        or (name.startswith(_MOVED) and name.removeprefix(_MOVED) in virtual)
+    ]
     rows = read(path, stored, None if late is not None else where)
     named = _detections(read, path, [*_NAME, *virtual], rows)
     at = _named(rows, named, path)
     for name in virtual:
         values = named.column(name).take(at[table.columns[name].via])
-        if f"moved_{name}" in rows.column_names:
-            values = pc.add(values, rows.column(f"moved_{name}"))
+        if _MOVED + name in rows.column_names:
+            values = pc.add(values, rows.column(_MOVED + name))
+            if name == "yaw_rad":
+                values = _wrapped(values)
         rows = rows.append_column(named.schema.field(name), values)
     return (rows if late is None else rows.filter(late)).select(list(columns))
+
+
+def _wrapped(angle: pa.ChunkedArray) -> pa.Array:
+    """The angles in (-pi, pi]."""
+    value = angle.to_numpy().copy()
+    value[value > np.pi] -= np.float32(2 * np.pi)
+    value[value <= -np.pi] += np.float32(2 * np.pi)
+    return pa.array(value)
 
 
 def _detections(read: Read, path: Path, columns: Sequence[str], rows: pa.Table) -> pa.Table:

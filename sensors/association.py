@@ -43,8 +43,8 @@ class Gate(NamedTuple):
         return float(np.sqrt(-2.0 * np.log(self.miss_p)))
 
 
-def bounded(variance_m2: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
-    """Variances (xx, xy, yy) with eigenvalues within `LEAST_VARIANCE_M2` and `MOST_VARIANCE_M2`.
+def bounded(variance_m2: Float[ndarray, "n 3"], most_m2: float = MOST_VARIANCE_M2) -> Float[ndarray, "n 3"]:
+    """Variances (xx, xy, yy) with eigenvalues within `LEAST_VARIANCE_M2` and a largest one.
 
     What is no variance (not finite, not positive) becomes the largest one.
     """
@@ -54,7 +54,7 @@ def bounded(variance_m2: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
     with np.errstate(invalid="ignore"):
         low, high = mean - spread, mean + spread
         is_variance = np.isfinite(high) & (low >= -1e-9 * np.abs(high))
-    low, high = (np.clip(np.where(is_variance, x, np.inf), LEAST_VARIANCE_M2, MOST_VARIANCE_M2) for x in (low, high))
+    low, high = (np.clip(np.where(is_variance, x, np.inf), LEAST_VARIANCE_M2, most_m2) for x in (low, high))
     safe = np.where(is_variance & (spread > 0), spread, 1.0)
     turn_x = np.where(is_variance & (spread > 0), half / safe, 1.0)
     turn_y = np.where(is_variance & (spread > 0), xy / safe, 0.0)

@@ -13,7 +13,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
-from scipy.special import expit, ndtr
+from scipy.special import expit, log_ndtr, logit, ndtr
 
 from cosim.base.hash_rng import normals, persistent_normals
 from sensors.boxes import Boxes
@@ -152,6 +152,11 @@ def resolved(params: DetectorParams) -> SimpleNamespace:
     return SimpleNamespace(**{n: np.array(v) if isinstance(v, list | tuple) else v for n, v in both.items()})
 
 
+_NORMAL_PEAK = 1.0 / np.sqrt(2.0 * np.pi)
+_LEAST_ERROR_SHARE, _MOST_ERROR_SHARE = 0.1, 5.0
+"""A score is not believed to say more than this about the squared error."""
+
+
 class StatisticalDetector:
     """A detector whose detection probability, scores and errors are functions of returns, occlusion and range.
 
@@ -210,6 +215,54 @@ class StatisticalDetector:
         by_returns = self.model.xy_sigma_m[label] + self.model.xy_sigma_sparse_m[label] * sparse
         return by_returns + self.model.xy_sigma_per_m * range_m
 
+    def heading_sigma_rad(
+        self,
+        n_points: Int[ndarray, "n"],
+        label: UInt8[ndarray, "n"],
+        range_m: Float[ndarray, "n"],
+    ) -> Float[ndarray, "n"]:
+        """See `sensors.detector.KnowsShapeAccuracy`."""
+        sparse = 1.0 / np.sqrt(np.maximum(n_points, 1))
+        return self.model.yaw_sigma_rad[label] + self.model.yaw_sigma_sparse_rad * sparse
+
+    def size_sigma(
+        self,
+        n_points: Int[ndarray, "n"],
+        label: UInt8[ndarray, "n"],
+        range_m: Float[ndarray, "n"],
+    ) -> Float[ndarray, "n"]:
+        """See `sensors.detector.KnowsShapeAccuracy`."""
+        sparse = 1.0 / np.sqrt(np.maximum(n_points, 1))
+        return self.model.size_sigma[label] + self.model.size_sigma_sparse[label] * sparse
+
+    def error_by_score(
+        self,
+        score: Float[ndarray, "n"],
+        n_points: Int[ndarray, "n"],
+        label: UInt8[ndarray, "n"],
+    ) -> Float[ndarray, "n"]:
+        """See `sensors.detector.KnowsErrorByScore`.
+
+        Notes
+        -----
+        The log-odds of a score are m + s n - k e: m by class and returns, n standard normal, and e half the squared
+        normalised error, which has an exponential distribution of mean 1. So given the log-odds l, e is normal with
+        mean (m - l) / k - (s / k)^2 and standard deviation s / k, cut off below 0. The result is the mean of that. The
+        observer does not know what hides a part of the object: occlusion is taken as 0.
+        """
+        model = self.model
+        expected = model.score_logit[label] + model.score_gain * np.log(
+            np.maximum(n_points, 1) / model.half_returns[label]
+        )
+        slope = np.maximum(model.score_error[label], 1e-3)
+        sigma = max(model.score_sigma, 1e-3) / slope
+        log_odds = logit(np.clip(score, 1e-6, 1.0 - 1e-6))
+        mean = (expected - log_odds) / slope - sigma**2
+        z = mean / sigma
+        # the density of z at 0, over the share that is above
+        density = np.exp(-0.5 * z * z - log_ndtr(z)) * _NORMAL_PEAK
+        return np.clip(mean + sigma * density, _LEAST_ERROR_SHARE, _MOST_ERROR_SHARE)
+
 
 class IdealDetector:
     """Reports every actor with at least one return exactly and with score 1, and nothing else."""
@@ -243,6 +296,24 @@ class IdealDetector:
         self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]
     ) -> Float[ndarray, "n"]:
         """See `sensors.detector.KnowsAccuracy`: detections are exact."""
+        return np.zeros(len(n_points))
+
+    def heading_sigma_rad(
+        self,
+        n_points: Int[ndarray, "n"],
+        label: UInt8[ndarray, "n"],
+        range_m: Float[ndarray, "n"],
+    ) -> Float[ndarray, "n"]:
+        """See `sensors.detector.KnowsShapeAccuracy`: detections are exact."""
+        return np.zeros(len(n_points))
+
+    def size_sigma(
+        self,
+        n_points: Int[ndarray, "n"],
+        label: UInt8[ndarray, "n"],
+        range_m: Float[ndarray, "n"],
+    ) -> Float[ndarray, "n"]:
+        """See `sensors.detector.KnowsShapeAccuracy`: detections are exact."""
         return np.zeros(len(n_points))
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -36,11 +37,17 @@ class Fused:
     n_sources: Int[ndarray, "f"]  # detections in the group
     n_evaluations: Int[ndarray, "f"]  # evaluations behind the score: pairs of a detection and an evaluator
     n_evaluators: Int[ndarray, "f"]  # vehicles that made them
+    box: Float[ndarray, "f 7"] | None = None
+    """x, y, z, length, width, height, heading; None if it is the seed's with the place of `pose`."""
+    variance_m2: Float[ndarray, "f 3"] | None = None
+    """Variance of the position relative to the ego: xx, xy, yy; None as the box."""
 
     def take(self, rows: ndarray) -> "Fused":
         """The chosen rows, in the given order; `rows` is a mask or row numbers."""
         rows = np.flatnonzero(rows) if rows.dtype == bool else rows
-        return Fused(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+        columns = (getattr(self, name) for name in self.__dataclass_fields__)
+        taken: list[Any] = [None if column is None else column[rows] for column in columns]
+        return Fused(*taken)
 
 
 @dataclass(frozen=True, slots=True)

@@ -117,6 +117,13 @@ class TrustParams(TruPerceptParams):
     """TruPercept 3 uses another vehicle's detection only if the ego has fewer returns from it than this."""
     self_report_poses: bool = True
     """Whether `corrected` may use a vehicle's pose from its self report."""
+    fused_boxes: Literal["best", "weighted", "aligned"] = "best"
+    """Box of a fused object, with `matching = "gates"`. `best`: that of one detection. `weighted`: mean of all its
+    detections, by the inverse of the covariances that their vehicles state. `aligned`: the same, with the pose errors
+    of the vehicles estimated from the objects that they have in common."""
+    least_overlap: Annotated[float, Interval(ge=0, lt=1)] = 0.0
+    """With `weighted` and `aligned`: the score is multiplied by the probability that the box overlaps the object by
+    more than this (IoU). 0: it is not multiplied."""
     min_score: Annotated[float, Interval(ge=0, le=1)] = 0.01
     """A fused object below this score is not reported."""
     code_parity: bool = False

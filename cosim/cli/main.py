@@ -167,6 +167,8 @@ def run(
     from cosim.runs.check import check as checked
     from cosim.runs.check import remarks_on
     from cosim.studies.cost import cost_of
+    from cosim.studies.density import note_density
+    from cosim.studies.speed import Pace
 
     refuse_other_than_config(config)
     experiment = load(config, with_preset(preset, overrides), trust_code)

@@ -81,7 +81,11 @@ NEEDS: tuple[tuple[tuple[str, ...], str, Callable[[Config], bool]], ...] = (
         for key in _OF_MODELS
     ),
     (("trust.ego_trust",), 'trust.ego_trust_from = "fixed"', lambda c: c.trust.ego_trust_from == "fixed"),
-    (("trust.gate_p",), 'trust.matching = "gates"', lambda c: c.trust.matching == "gates"),
+    (
+        ("trust.gate_p", "trust.fused_boxes", "trust.least_overlap"), 'trust.matching = "gates"',
+        lambda c: c.trust.matching == "gates",
+    ),
+    (("trust.least_overlap",), 'trust.fused_boxes = "weighted" or "aligned"', lambda c: c.trust.fused_boxes != "best"),
     (("trust.code_aggregate",), "trust.code_parity = true", lambda c: c.trust.code_parity),
     (("pseudonyms.n_accusations",), 'pseudonyms.linkage = "on_demand"', lambda c: c.pseudonyms.linkage == "on_demand"),
     (("pseudonyms.own_*",), 'pseudonyms.linkage = "own"', lambda c: c.pseudonyms.linkage == "own"),

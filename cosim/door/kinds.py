@@ -77,6 +77,9 @@ KINDS: dict[str, Kind] = {kind.name: kind for kind in (
             "detect": Hook(("sweeps", "seen", "boxes", "label", "draws"), returns.reports),
             "recall": Hook(("n_points", "label", "range_m"), returns.recall, is_required=False),
             "position_sigma_m": Hook(("n_points", "label", "range_m"), returns.position_sigma_m, is_required=False),
+            "heading_sigma_rad": Hook(("n_points", "label", "range_m"), returns.heading_sigma_rad, is_required=False),
+            "error_by_score": Hook(("score", "n_points", "label"), returns.error_by_score, is_required=False),
+            "size_sigma": Hook(("n_points", "label", "range_m"), returns.size_sigma, is_required=False),
         },
     ),
     Kind(

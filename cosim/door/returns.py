@@ -310,6 +310,24 @@ def position_sigma_m(call: Call, returned: Any) -> ndarray:
     return detached(returned)
 
 
+def heading_sigma_rad(call: Call, returned: Any) -> ndarray:
+    """The accuracy of a detector: standard deviation of each heading."""
+    _column("", returned, (len(call.given[0]),), "f", 0, np.pi, what="one for each object")
+    return detached(returned)
+
+
+def error_by_score(call: Call, returned: Any) -> ndarray:
+    """The accuracy of a detector by score: a factor of each squared error."""
+    _column("", returned, (len(call.given[0]),), "f", 0, 1e6, what="one for each object")
+    return detached(returned)
+
+
+def size_sigma(call: Call, returned: Any) -> ndarray:
+    """The accuracy of a detector: relative standard deviation of each size."""
+    _column("", returned, (len(call.given[0]),), "f", 0, 10.0, what="one for each object")
+    return detached(returned)
+
+
 def plan(call: Call, returned: Any) -> "Plan":
     """The files that an exporter will write."""
     from results.moments import Plan, Unit

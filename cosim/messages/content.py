@@ -58,6 +58,13 @@ class Detections:
     """Stated variance of the position: east, east and north, north."""
     velocity_variance: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: exact
     """Stated variance of the velocity along each axis [m2/s2], by which the position becomes less certain."""
+    relative_m2: Float[ndarray, "d 3"] = field(default=None)  # type: ignore[arg-type]  # left out: exact
+    """Stated variance of the position relative to the observer: `variance_m2` without the error of its own pose, and
+    with what the score says about the error."""
+    heading_variance: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: exact
+    """Stated variance of the heading relative to the observer [rad2], modulo pi."""
+    size_variance: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: exact
+    """Stated variance of the logarithms of length, width and height."""
 
     def __post_init__(self) -> None:
         n = len(self.observer)
@@ -70,10 +77,12 @@ class Detections:
                 object.__setattr__(self, name, np.full(n, np.nan))
         if self.velocity_mps is None:
             object.__setattr__(self, "velocity_mps", np.full((n, 2), np.nan))
-        if self.variance_m2 is None:
-            object.__setattr__(self, "variance_m2", np.zeros((n, 3)))
-        if self.velocity_variance is None:
-            object.__setattr__(self, "velocity_variance", np.zeros(n))
+        for name in ("variance_m2", "relative_m2"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.zeros((n, 3)))
+        for name in ("velocity_variance", "heading_variance", "size_variance"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.zeros(n))
 
     def __len__(self) -> int:
         return len(self.observer)

@@ -34,6 +34,8 @@ from cosim.world import World
 from results.encounters import Rows, by_variant
 from sensors.boxes import Boxes
 from sensors.scene import Shape
+from sensors.statistical_detector import wrap
+from trust.fusion import Fused
 from trust.tables import TrustScores
 
 Columns = Mapping[str, ndarray | None]
@@ -157,7 +159,8 @@ def _pseudonym_rows(used: PseudonymUse) -> Rows:
     }  # fmt: skip
 
 
-def _box_columns(boxes: Boxes) -> Rows:
+def box_columns(boxes: Boxes) -> Rows:
+    """Columns of boxes, by name."""
     x, y, z = boxes.xyz_m.T
     length, width, height = boxes.lwh_m.T
     return {
@@ -190,7 +193,7 @@ def detection_columns(world: World, listed: Listed | Known, pseudonym: Int[ndarr
     objects, truth = listed.objects, listed.truth
     return {
         "observer": pseudonym, "detection_index": objects.detection_index,
-        "class": objects.label, **_box_columns(objects.boxes), "score": objects.score, "n_points": objects.n_points,
+        "class": objects.label, **box_columns(objects.boxes), "score": objects.score, "n_points": objects.n_points,
         "speed_mps": objects.speed_mps, "speed_mps__valid": ~np.isnan(objects.speed_mps),
         "acceleration_mps2": objects.acceleration_mps2,
         "acceleration_mps2__valid": ~np.isnan(objects.acceleration_mps2),
@@ -541,7 +544,7 @@ def _fused(recorder: TakesRows, world: World, sensed: Sensed) -> None:
             "pose_index": listed.detection_index[fused.pose], "pose_index__valid": moved,
             "fabricated": listed.origin[fused.seed] == FABRICATED,
             **_steps(sensed, "source_step", fused.seed), **_steps(sensed, "pose_step", fused.pose),
-            **_moved(sensed, fused.pose),
+            **_moved(sensed, fused),
         }  # fmt: skip
         recorder.append("fused", world.step, _without(world.is_roadside[sensed.sensing.row[ego]], rows))
 
@@ -553,7 +556,7 @@ def _early(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     ego, actor, is_unit = early.ego, sensed.sensing.actor, world.is_roadside[sensed.sensing.row]
     recorder.append("early_fused", world.step, _without(is_unit[ego], {
         "observer": actor[ego], "early_index": np.arange(len(ego)) - ptr_of(ego, len(actor))[ego],
-        "class": early.label, **_box_columns(early.boxes), "score": early.score, "n_points": early.n_points,
+        "class": early.label, **box_columns(early.boxes), "score": early.score, "n_points": early.n_points,
         "n_sweeps": early.n_sweeps, "truth_actor": world.actor[early.actor_row], "truth_actor__valid": early.is_real,
         "truth_iou": early.iou, "truth_iou__valid": early.is_real,
     }))  # fmt: skip
@@ -563,13 +566,20 @@ def _early(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     })  # fmt: skip
 
 
-def _moved(sensed: Sensed, detection: Int[ndarray, "k"]) -> Rows:
-    """How far each detection has been moved since it was sent; no columns if nothing is extrapolated."""
-    moved_m = sensed.known.moved_m
-    if moved_m is None:
-        return {}
-    x, y = moved_m[detection].T
-    return {"moved_x_m": x, "moved_y_m": y}
+def _moved(sensed: Sensed, fused: Fused) -> Rows:
+    """How far each box has been moved since it was sent, by its velocity and by fusion; no columns if none is."""
+    known = sensed.known
+    moved = np.zeros((len(fused.ego), 7))
+    if known.moved_m is not None:
+        moved[:, :2] = known.moved_m[fused.pose]
+    if all(f is None or f.box is None for f in sensed.fused):
+        return {} if known.moved_m is None else {"moved_x_m": moved[:, 0], "moved_y_m": moved[:, 1]}
+    if fused.box is not None:
+        was = known.objects.boxes.take(fused.seed)
+        moved += fused.box - np.column_stack([was.xyz_m, was.lwh_m, was.yaw_rad])
+        moved[:, 6] = wrap(moved[:, 6])
+    names = box_columns(known.objects.boxes.take(fused.seed[:0]))
+    return {f"moved_{name}": column for name, column in zip(names, moved.T, strict=True)}
 
 
 def _steps(sensed: Sensed, name: str, detection: Int[ndarray, "k"]) -> Rows:

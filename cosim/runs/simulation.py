@@ -30,12 +30,14 @@ from cosim.step.cycle import step
 from cosim.step.mixed_perception import MixedImages
 from cosim.step.parts import Parts
 from cosim.step.result import StepResult
+from cosim.step.stages import boxes_of
 from cosim.step.state import State
 from cosim.traffic.scenario import Scenario, find
 from cosim.traffic.source import TrafficEnded, TrafficSource
 from cosim.world import World
 from results.archive import OpenRun, open_run
 from results.tables import TABLES
+from sensors.boxes import Boxes
 from sensors.lidar import RangeImages
 
 AnyConfig = Config | Mapping[str, Any] | str | Path | None
@@ -276,6 +278,14 @@ class SimulatedStep:
         for name, column in TABLES["fused"].columns.items():
             if column.via:
                 frame[name] = detections[name].reindex(named[column.via]).array
+        is_unit = self.result.world.is_roadside[sensed.sensing.row]
+        boxes = []
+        for found in sensed.fused:
+            if found is not None:
+                driven = np.flatnonzero(~is_unit[found.ego])
+                boxes.append(boxes_of(found, known.objects).take(driven))
+        for name, values in recording.box_columns(Boxes.concat(boxes)).items():
+            frame[name] = values
         return frame[list(TABLES["fused"].columns)]
 
     def _frame(self, table: str, columns: Mapping[str, ndarray | None]) -> pd.DataFrame:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,15 +14,36 @@ from sensors.association import bounded
 from sensors.tracking import ObjectStates, TrackingParams
 
 SigmaOf = Callable[[ndarray, ndarray, ndarray], ndarray]
-"""Standard deviation of positions, from number of returns, class and distance."""
+"""Standard deviations, from number of returns, class and distance."""
+
+
+class DetectorAccuracy(NamedTuple):
+    """What a detector knows of its own accuracy; None where it does not know it."""
+
+    position_sigma_m: SigmaOf | None = None
+    """As `sensors.detector.KnowsAccuracy`."""
+    heading_sigma_rad: SigmaOf | None = None
+    """As `sensors.detector.KnowsShapeAccuracy`, and so is the size."""
+    size_sigma: SigmaOf | None = None
+    error_by_score: SigmaOf | None = None
+    """As `sensors.detector.KnowsErrorByScore`."""
+
+    @staticmethod
+    def of(detector: Any) -> "DetectorAccuracy":
+        """What this detector knows."""
+        return DetectorAccuracy(*(getattr(detector, name, None) for name in DetectorAccuracy._fields))
+
+
+_ALONG_BOTH = np.array([1.0, 0.0, 1.0])
+"""Variance xx, xy, yy that is the same along both axes."""
 _OWN_SPEED_SIGMA_MPS = 0.1
 """Standard deviation of the speed that a vehicle measures of itself."""
-_PLAIN_SIGMA_M = 0.3
-"""Standard deviation of positions that is stated where the detector does not know its own."""
+_PLAIN_SIGMA_M, _PLAIN_SIGMA_RAD, _PLAIN_SIZE_SIGMA = 0.3, 0.2, 0.1
+"""Standard deviations of position, heading and size that are stated where the detector does not know its own."""
 
 
 def stated(
-    listed: Detections, tracks: ObjectStates | None, origin_m: Float[ndarray, "d 3"], position_sigma_m: SigmaOf | None,
+    listed: Detections, tracks: ObjectStates | None, origin_m: Float[ndarray, "d 3"], detector: DetectorAccuracy,
     c: Config,
 ) -> Detections:  # fmt: skip
     """The lists with the accuracy that their vehicles state.
@@ -34,8 +56,8 @@ def stated(
         What tracking says of the sensed ones, in their order; None without tracking.
     origin_m
         Sensor of the vehicle of each detection, where it believes it to be.
-    position_sigma_m
-        As `sensors.detector.KnowsAccuracy`; None where the detector does not know it.
+    detector
+        What the detector knows of its own accuracy.
     c
         The config.
 
@@ -46,14 +68,20 @@ def stated(
     sweep takes the time T, that of a motion of speed v in it, (v T)^2 / 12 along the velocity. A self report has the
     second part alone. A detection without a track has the variance of the speeds of its class. Vehicles that attack
     state the same of what they fabricate: nothing else is believed.
+
+    Relative to the vehicle, there is the first and the last part. There, what the score says about the error counts,
+    too; matching does not use it. The heading and the size of a detection have the
+    detector's variance, those of a self report none.
     """
     is_self = listed.origin == SELF
     away_m = listed.boxes.xyz_m[:, :2] - origin_m[:, :2]
     range_m = np.hypot(*away_m.T)
-    sigma_m = np.full(len(listed), _PLAIN_SIGMA_M)
-    if position_sigma_m is not None:
-        sigma_m = position_sigma_m(listed.n_points, listed.label, range_m)
-    variance = np.where(is_self, 0.0, sigma_m**2) + c.gnss.std_m**2
+    seen = listed.n_points, listed.label, range_m
+    sigma_m, sigma_rad, size_sigma = (
+        np.full(len(listed), plain) if sigma is None else sigma(*seen)
+        for sigma, plain in zip(detector[:3], (_PLAIN_SIGMA_M, _PLAIN_SIGMA_RAD, _PLAIN_SIZE_SIGMA), strict=True)
+    )
+    of_detector = np.where(is_self, 0.0, sigma_m**2)
     across = np.where(is_self, 0.0, np.deg2rad(c.gnss.heading_std_deg) ** 2)
     x, y = away_m.T
     moves = velocities(listed)
@@ -63,18 +91,34 @@ def stated(
     of_sweep = np.where(is_self, 0.0, sweep_s**2 / 12.0)
     vx, vy = np.where(known[:, None], moves, 0.0).T
     anywhere = np.where(known, 0.0, of_class)
-    full = np.column_stack([
-        variance + across * y * y + of_sweep * (vx * vx + anywhere),
-        -across * x * y + of_sweep * vx * vy,
-        variance + across * x * x + of_sweep * (vy * vy + anywhere),
-    ])  # fmt: skip
+    by_itself = of_sweep * anywhere
+    squares = np.stack([vx * vx, vx * vy, vy * vy])
+    relative_m2 = (of_sweep * squares).T + by_itself[:, None] * _ALONG_BOTH
+    at_any_score_m2 = relative_m2 + of_detector[:, None] * _ALONG_BOTH
+    if detector.error_by_score is not None:
+        of_detector = of_detector * detector.error_by_score(listed.score, listed.n_points, listed.label)
+    of_position = c.gnss.std_m**2
+    squares = np.stack([y * y, -x * y, x * x])
+    of_pose = (across * squares).T + of_position * _ALONG_BOTH
     speed = np.where(known, _OWN_SPEED_SIGMA_MPS**2, of_class)
     if tracks is not None:
         rows = np.flatnonzero(listed.origin == SENSED)
         speed[rows] = np.where(known[rows], tracks.variance.mean(axis=1), speed[rows])
     if not c.extrapolate:  # the box stays where it was said to be
         speed += 0.5 * (vx * vx + vy * vy)
-    return replace(listed, variance_m2=bounded(full), velocity_variance=speed)
+    return replace(
+        listed,
+        variance_m2=bounded(at_any_score_m2 + of_pose),
+        velocity_variance=speed,
+        relative_m2=relative_m2 + of_detector[:, None] * _ALONG_BOTH,
+        heading_variance=np.where(is_self, 0.0, sigma_rad**2),
+        size_variance=np.where(is_self, 0.0, size_sigma**2),
+    )
+
+
+def pose_variance(c: Config) -> tuple[float, float]:
+    """What every vehicle states of its own pose: variances of position (each axis) and heading [m2, rad2]."""
+    return c.gnss.std_m**2, float(np.deg2rad(c.gnss.heading_std_deg)) ** 2
 
 
 def aged(listed: Detections, age_s: Float[ndarray, "d"], params: TrackingParams) -> Detections:
@@ -87,8 +131,8 @@ def aged(listed: Detections, age_s: Float[ndarray, "d"], params: TrackingParams)
     """
     acceleration = np.asarray(params.acceleration_noise)[listed.label]
     more = listed.velocity_variance * age_s**2 + acceleration * age_s**3 / 3.0
-    variance = listed.variance_m2 + more[:, None] * np.array([1.0, 0.0, 1.0])
-    return replace(listed, variance_m2=variance)
+    along_both = more[:, None] * _ALONG_BOTH
+    return replace(listed, variance_m2=listed.variance_m2 + along_both, relative_m2=listed.relative_m2 + along_both)
 
 
 def _speed_variance(listed: Detections, params: TrackingParams) -> Float[ndarray, "d"]:

@@ -12,13 +12,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.base.ragged import ptr_of, ranges
+from cosim.base.ragged import ptr_of, ranges, rows_of
 from cosim.base.threads import threads_for
 from cosim.step.known import Pairs, Uses
 from cosim.step.object_lists import questions_of, received_lists, subset
 from cosim.step.perception import BoxQuestions, Perceives
 from cosim.step.stopwatch import Stopwatch
 from sensors.association import bounded, certainty
+from sensors.box_fusion import StatedAccuracy, Views, fuse_boxes, overlap_p
 from sensors.boxes import Boxes, overlapping_pairs
 from sensors.evidence import AreaParams
 from trust import tables
@@ -29,6 +30,8 @@ from trust.object_reports import ObjectReports
 from trust.params import TrustParams
 from trust.tables import Evaluations, FusionInput, Groups, ObjectLists, SenderTrust
 
+_ROWS_PER_FUSED = 6
+"""To fuse the box of one detection costs as much as this number of rows of a table."""
 ROWS_PER_BOX = 10
 """Finding the boxes that overlap one box costs as much as this number of rows of a table."""
 
@@ -58,6 +61,8 @@ class KnownObjects:
     variance_m2: Float[ndarray, "d 3"] | None = None
     """Variance of each detection's position, as stated, and of the position of a vehicle that compares it with its own
     sweep. None where boxes are taken to be exact."""
+    accuracy: StatedAccuracy | None = None
+    """What vehicles state of the accuracy of the detections. None where boxes are not fused by it."""
 
     def part(self, vehicles: Int[ndarray, "k"], received: Int[ndarray, "n"]) -> tuple["KnownObjects", "PartRows"]:
         """The same for some of the vehicles, which are numbered anew.
@@ -102,6 +107,7 @@ class KnownObjects:
             received=Uses(numbers(vehicles, len(self.own))[receiver], of_message[message]),
             bodies=self.bodies.take(vehicles),
             variance_m2=None if self.variance_m2 is None else self.variance_m2[detections],
+            accuracy=None if self.accuracy is None else self.accuracy.take(detections, messages),
         )
         return part, PartRows(messages, detections, number)
 
@@ -175,11 +181,17 @@ class Grouped:
     detections: tables.SentDetections
     of_seeds: SensorEvidence
     """What the sweeps say about the detection whose box represents each group."""
+    boxes: Boxes
+    """Of the detections."""
+    accuracy: StatedAccuracy | None
+    """As in `KnownObjects`."""
 
     def renumbered(self, messages: Int[ndarray, "m"]) -> "Grouped":
         """The same with these rows of the messages."""
         detections = replace(self.detections, message=messages[self.detections.message])
-        return replace(self, lists=replace(self.lists, owner=messages[self.lists.owner]), detections=detections)
+        accuracy = None if self.accuracy is None else self.accuracy.of_messages(messages)
+        lists = replace(self.lists, owner=messages[self.lists.owner])
+        return replace(self, lists=lists, detections=detections, accuracy=accuracy)
 
     def fuse(self, used: Used, variants: Sequence[FusionOf]) -> list[Fused]:
         """As in `Fuses`."""
@@ -191,11 +203,55 @@ class Grouped:
             sender_trust = SenderTrust(ptr, used.messages.message, variant.trust, in_time)
             if variant.scorer is not None and votes is None:
                 votes = votes_of(given, sender_trust)
-            fused.append(fuse(
-                given, sender_trust, self.of_seeds, used.from_own_m, variant.params, variant.scorer, votes,
-                variant.params.min_score,
-            ))  # fmt: skip
+            params = variant.params
+            is_best = self.accuracy is None or params.fused_boxes == "best"
+            found = fuse(
+                given, sender_trust, self.of_seeds, used.from_own_m, params, variant.scorer, votes,
+                params.min_score if is_best else 0.0,
+            )  # fmt: skip
+            fused.append(found if is_best else self._with_boxes(found, sender_trust, params))
         return fused
+
+    def _with_boxes(self, fused: Fused, sender_trust: SenderTrust, params: TrustParams) -> Fused:
+        """The objects with boxes from all their detections, and with scores that say how well the boxes may fit.
+
+        What a vehicle states counts by the receiver's trust in it. From the trust of a stranger on, it counts fully.
+        """
+        assert self.accuracy is not None
+        lists, groups, detections = self.lists, self.groups, self.detections
+        seeds = groups.seeds()
+        views = Views(self.boxes, detections.label, detections.message, self.accuracy)
+        weight = self._weights(sender_trust, params)
+        with threads_for(_ROWS_PER_FUSED * len(lists.member)):
+            boxes = fuse_boxes(
+                views, lists.ptr, lists.member, lists.owner, groups.numbers(), lists.member[seeds], weight,
+                params.fused_boxes == "aligned",
+            )  # fmt: skip
+        is_body = groups.ego_detected[seeds] & detections.is_self[lists.member[seeds]]  # `fuse` leaves these out
+        box, score = boxes.columns()[~is_body], fused.score
+        if params.least_overlap > 0:
+            score = score * overlap_p(boxes, params.least_overlap)[~is_body]
+        variance_m2 = boxes.variance_m2[~is_body]
+        found = replace(fused, pose=fused.seed, box=box, variance_m2=variance_m2, score=score)
+        return found.take(found.score >= params.min_score)
+
+    def _weights(self, sender_trust: SenderTrust, params: TrustParams) -> Float[ndarray, "m"]:
+        """Weight of what the sender of each member of the lists states."""
+        lists, message = self.lists, self.detections.message
+        of = lists.of_member()
+        # Members of one message are side by side. Trust is looked up once for each message of each list.
+        key = of * (1 << 32) + message[lists.member]
+        first = np.flatnonzero(np.diff(key, prepend=-1))
+        trust = sender_trust.canonical()
+        receiver = np.repeat(np.arange(len(lists.owner)), np.diff(trust.ptr))
+        known = receiver * (1 << 32) + trust.message
+        row, there = rows_of(key[first], known)
+        enough = max(params.default_trust, 1e-9)
+        weight = np.ones(len(first))
+        weight[there] = np.minimum(trust.trust[row[there]] / enough, 1.0)
+        sender = message[lists.member[first]]
+        weight[sender == lists.owner[of[first]]] = 1.0
+        return np.repeat(weight, np.diff(np.append(first, len(key))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,7 +331,7 @@ def compare(
         at = np.flatnonzero(known.traced[lists.member]) if known.traced.any() else np.zeros(0, np.int64)
         traced = Traced(lists.of(at), lists.member[at], lists.member[groups.seed[at]])
     compared = Compared(near, near_groups, n_points, plausible, own, traced)
-    return compared, Grouped(lists, groups, detections, of_seeds)
+    return compared, Grouped(lists, groups, detections, of_seeds, boxes, known.accuracy)
 
 
 _SIGMA_POINTS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * np.sqrt(2.0)

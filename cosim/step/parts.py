@@ -22,7 +22,7 @@ from cosim.messages.trust_hosts import TrustHosts, Variant
 from cosim.radio.medium import Medium
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
-from cosim.step.accuracy import SigmaOf
+from cosim.step.accuracy import DetectorAccuracy
 from cosim.step.comparing import Recall
 from cosim.step.early_fusion import EarlyFusion
 from cosim.step.mixed_perception import MixedPerception
@@ -59,8 +59,8 @@ class Parts:
     driver: Driver
     early: EarlyFusion | None = None
     """Shares and merges point clouds; None if none are shared."""
-    position_sigma_m: SigmaOf | None = None
-    """Accuracy of the detector (`sensors.detector.KnowsAccuracy`); None if it does not know it."""
+    accuracy: DetectorAccuracy = field(default_factory=DetectorAccuracy)
+    """What the detector knows of its own accuracy."""
     recall: Recall | None = None
     """Recall of the detector (`sensors.detector.KnowsRecall`); None unless denials are weighted by it."""
     coverage: Coverage | None = None
@@ -109,7 +109,7 @@ class Parts:
             trust=TrustHosts.of(variants(c), c.server, c.seed, c.schedule.exchange_interval_s, dt_s),
             driver=_make(c, "driver"),
             early=EarlyFusion.of(c),
-            position_sigma_m=getattr(_make(c, "detector"), "position_sigma_m", None),
+            accuracy=DetectorAccuracy.of(_make(c, "detector")),
             recall=recall_of(c) if c.trust.denials == "recall" else None,
             coverage=Coverage.of(c.lidar, walls, recall_of(c)) if "missing" in c.trust.evidence else None,
             certified=units.name_key[units.trusted],

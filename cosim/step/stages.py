@@ -35,7 +35,7 @@ from cosim.messages.trust_server import TrustBroadcast
 from cosim.radio.medium import gap_s
 from cosim.radio.message_round import LinkReceptions, MessageRound, Messages, RoundKind
 from cosim.step import object_lists
-from cosim.step.accuracy import sensors_of, stated
+from cosim.step.accuracy import pose_variance, sensors_of, stated
 from cosim.step.comparing import ROWS_PER_BOX, Compared, Fuses, KnownObjects, compare, distance_m
 from cosim.step.exchange import Exchange, OnAir, Senders, Times, Vehicles, lists_of_identities
 from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections, lies_in_evaluations
@@ -50,7 +50,8 @@ from cosim.traffic.driver import Beliefs
 from cosim.traffic.position_errors import PositionErrors
 from cosim.world import World
 from sensors.association import Gate, bounded, pairs_across, pairs_within
-from sensors.boxes import overlapping_pairs, pairs_between
+from sensors.box_fusion import StatedAccuracy, boxes_of_columns
+from sensors.boxes import Boxes, overlapping_pairs, pairs_between
 from sensors.tracking import Found, ObjectStates, Observers, TrackMemory, track
 from trust import tables
 from trust.claims import DETECTION, answers, claim_number
@@ -275,7 +276,7 @@ def list_objects(
         tracks = tracks.take(was_sensed[order[objects.origin == SENSED]])
     if parts.config.trust.matching == "gates":
         origin_m = sensors_of(objects.observer, sensing.row, observed.sweeps.poses.origin_m)
-        objects = stated(objects, tracks, origin_m, parts.position_sigma_m, parts.config)
+        objects = stated(objects, tracks, origin_m, parts.accuracy, parts.config)
     detections, ptr = object_lists.for_trust(objects, message, len(senders))
     return cpm, Listed(
         objects=objects,
@@ -491,7 +492,7 @@ def compare_objects(
         detections=messages.detections, boxes=objects.boxes, transmitted=objects.transmitted, ptr=messages.ptr,
         traced=objects.origin == FABRICATED, pairs=pairs, own=senders.own, received=received,
         bodies=positioned.world.boxes.take(exchange.sensing.row),
-        variance_m2=variance_m2,
+        variance_m2=variance_m2, accuracy=_accuracy(exchange, messages, positioned, parts),
     )  # fmt: skip
     compared, grouped = compare(parts.perception, sweeps, known, c.area, c.trust, parts.recall, parts.watch)
     observer = senders.source[messages.detections.message[:n_now]]
@@ -501,6 +502,24 @@ def compare_objects(
         from_own_m = np.sqrt(0.5 * objects.variance_m2[:, [0, 2]].sum(axis=1))
     kept = None if messages.is_lock_step else pairs  # the inbox keeps them
     return compared, Matched(grouped, kept, from_own_m)
+
+
+def _accuracy(exchange: Exchange, messages: Known, positioned: Positioned, parts: Parts) -> StatedAccuracy | None:
+    """What vehicles state of the accuracy of the detections; None if no variant fuses boxes by it."""
+    c, objects = parts.config, messages.objects
+    wanted = {variant.trust.fused_boxes for variant in parts.trust.variants if variant.fused}
+    if c.trust.matching != "gates" or wanted <= {"best"}:
+        return None
+    place_m = positioned.world.boxes.xyz_m[exchange.vehicles.row[messages.vehicle], :2]
+    selves = np.flatnonzero(messages.detections.is_self)
+    place_m[messages.detections.message[selves]] = objects.boxes.xyz_m[selves, :2]  # where the message says
+    return StatedAccuracy(
+        variance_m2=objects.relative_m2,
+        heading_variance=objects.heading_variance,
+        size_variance=objects.size_variance,
+        origin_m=place_m,
+        pose_variance=np.tile(pose_variance(c), (len(place_m), 1)),
+    )
 
 
 def _pairs(messages: Known, n_now: int, params: TrustParams) -> Pairs:
@@ -636,6 +655,14 @@ def evaluate_objects(
     )
 
 
+def boxes_of(fused: Fused, objects: Detections) -> Boxes:
+    """Boxes of fused objects; `objects` are the detections that the vehicles know."""
+    if fused.box is not None:
+        return boxes_of_columns(fused.box)
+    boxes, pose = objects.boxes.take(fused.seed), objects.boxes.take(fused.pose)
+    return replace(boxes, xyz_m=pose.xyz_m, yaw_rad=pose.yaw_rad)
+
+
 def beliefs_of(
     fused: Fused | None, exchange: Exchange, messages: Known, world: World, error: Float[ndarray, "e 3"] | None
 ) -> Beliefs:
@@ -657,8 +684,7 @@ def beliefs_of(
     if not driven.all():  # roadside units do not drive
         fused = fused.take(np.flatnonzero(driven))
     objects, message = messages.objects, messages.detections.message[fused.seed]
-    boxes, pose = objects.boxes.take(fused.seed), objects.boxes.take(fused.pose)
-    boxes = replace(boxes, xyz_m=pose.xyz_m, yaw_rad=pose.yaw_rad)
+    boxes = boxes_of(fused, objects)
     if error is not None:
         of = exchange.vehicles.senses
         boxes = as_estimated(boxes, fused.ego, world.boxes.xyz_m[exchange.vehicles.row[of]], error[of], back=True)

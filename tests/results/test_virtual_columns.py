@@ -36,6 +36,20 @@ def test_box_of_the_source_and_pose_of_another(run):
     assert frame.truth_actor.fillna(-1).tolist() == [7, -1, 7, -1]
 
 
+def test_fused_boxes_differ_from_the_source_by_what_was_moved(tiny):
+    """A box of 4 m at x = 10 with a heading of 3.1 is fused to 4.25 m at 10.5, turned by 0.125 beyond pi."""
+    size = {"length_m": 4, "width_m": 2, "height_m": 1.5}
+    one = {"step": 0, "observer": 0, "detection_index": 1, "class": "car", "x_m": 10, "yaw_rad": 3.1, **size}
+    moved = {"moved_x_m": 0.5, "moved_length_m": 0.25, "moved_height_m": -0.25, "moved_yaw_rad": 0.125}
+    row = {"step": 0, "observer": 1, "fused_index": 0, "source": 0, "source_index": 1, **moved}
+    run = tiny(2, vehicles=fleet("honest", "honest"), detections=[one], fused=[row])
+    box = run.fused.iloc[0]
+    assert (box.x_m, box.length_m, box.width_m, box.height_m) == (10.5, 4.25, 2, 1.25)
+    assert box.yaw_rad == pytest.approx(3.225 - 2 * np.pi, abs=2e-3)
+    assert run.table("fused", ["width_m"], pc.field("length_m") > 4.2).width_m.tolist() == [2]
+    assert run.table("fused", ["width_m"], pc.field("length_m") < 4.2).empty
+
+
 def test_columns_and_rows_on_demand(run):
     assert run.table("fused", ["x_m"]).x_m.tolist() == [20, 10, 32, 22]
     assert run.table("fused", ["x_m", "fused_index"], pc.field("step") == 12).x_m.tolist() == [32, 22]

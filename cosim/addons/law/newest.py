@@ -22,11 +22,11 @@ class NewestReceived:
     """Distance of the two when it was sent."""
 
     @staticmethod
-    def none() -> "Received":
+    def none() -> "NewestReceived":
         """No messages."""
         return NewestReceived(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
 
-    def then(self, newer: "Received", senders: Int[ndarray, "s"], present: Int[ndarray, "v"]) -> "Received":
+    def then(self, newer: "NewestReceived", senders: Int[ndarray, "s"], present: Int[ndarray, "v"]) -> "NewestReceived":
         """These messages after some vehicles have sent newer ones, without vehicles that have left the road.
 
         Parameters
@@ -44,11 +44,11 @@ class NewestReceived:
             for name in ("sender", "receiver", "p", "apart_m")
         ))  # fmt: skip
 
-    def by(self, receivers: Int[ndarray, "r"]) -> "Received":
+    def by(self, receivers: Int[ndarray, "r"]) -> "NewestReceived":
         """The messages that these vehicles have received."""
         return self.chosen(np.isin(self.receiver, receivers))
 
-    def chosen(self, rows: Bool[ndarray, "p"]) -> "Received":
+    def chosen(self, rows: Bool[ndarray, "p"]) -> "NewestReceived":
         """Some of the pairs."""
         return NewestReceived(self.sender[rows], self.receiver[rows], self.p[rows], self.apart_m[rows])
 

@@ -12,6 +12,7 @@ from cosim.cli.help import MORE
 
 if TYPE_CHECKING:
     from cosim.addons.traces.contacts import ContactParams
+    from cosim.addons.traces.positions import PositionColumns
     from results.archive import OpenRun
 
 Pairs = Literal["all", "equipped", "los", "all_los"]
@@ -176,7 +177,7 @@ def _with_definitions(
 def columns_of(
     actor: str | None, time: str | None, metres: tuple[str | None, str | None],
     degrees: tuple[str | None, str | None], frame_hz: float | None,
-) -> "Columns | None":  # fmt: skip
+) -> "PositionColumns | None":  # fmt: skip
     """Columns named on the command line; None if none is named."""
     from cosim.addons.traces.positions import PositionColumns
 

@@ -82,18 +82,23 @@ def test_what_was_returned_stays_as_it_was(tmp_path):
     assert first.all() and not mine.changes(ages).any() and first.all()
 
 
-@pytest.mark.parametrize("returned", ["np.full(len(n_points), -0.1)", "np.ones(1)", "None"])
-def test_the_accuracy_of_a_detector_is_checked(tmp_path, returned):
-    """A negative deviation, one number for three objects, and nothing."""
+@pytest.mark.parametrize("returned", ["np.full(3, -0.1)", "np.ones(1)", "None", "np.full(3, np.nan)"])
+@pytest.mark.parametrize("hook, given", [
+    ("position_sigma_m", "n_points, label, range_m"), ("heading_sigma_rad", "n_points, label, range_m"),
+    ("size_sigma", "n_points, label, range_m"), ("error_by_score", "score, n_points, label"),
+])  # fmt: skip
+def test_the_accuracy_of_a_detector_is_checked(tmp_path, returned, hook, given):
+    """A negative deviation, one number for three objects, nothing, and no numbers."""
     file = tmp_path / "mine.py"
     file.write_text(
         "import numpy as np\n\n\nclass Mine:\n"
         "    def detect(self, sweeps, seen, boxes, label, draws):\n        pass\n\n"
-        f"    def position_sigma_m(self, n_points, label, range_m):\n        return {returned}\n"
+        f"    def {hook}(self, {given}):\n        return {returned}\n"
     )
-    mine = make(load_own(f"{file}:Mine"))
-    with pytest.raises(ExtensionError, match="position_sigma_m"):
-        mine.position_sigma_m(np.array([1, 20, 300]), np.zeros(3, np.uint8), np.ones(3))
+    mine, label = make(load_own(f"{file}:Mine")), np.zeros(3, np.uint8)
+    values = {"n_points": np.array([1, 20, 300]), "label": label, "range_m": np.ones(3), "score": np.full(3, 0.5)}
+    with pytest.raises(ExtensionError, match=hook):
+        getattr(mine, hook)(*(values[name] for name in given.split(", ")))
 
 
 def test_a_signal_passes(tmp_path):

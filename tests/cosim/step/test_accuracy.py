@@ -15,37 +15,104 @@ SETTINGS = ("preset=modern", "traffic.duration_s=6", "traffic.warmup_s=200", "tr
 
 
 @pytest.fixture(scope="module")
-def errors():
-    """Class (-1 for self reports), squared normalised error over 2, and factor 1 for each detection of an actor."""
-    label, square = [], []
+def drive():
+    """Per detection of an actor: class (-1 for self reports), range, squared normalised errors of position (over 2),
+    heading (modulo pi) and length. Per fused object of an actor: class, range, number of sources, squared normalised
+    error over 2."""
+    found, fused = [], []
     with Simulation(load(None, SETTINGS)) as simulation:
         for result in simulation:
             sensed = result.result.sensed
-            if sensed is None:
-                continue
-            objects, truth, world = sensed.listed.objects, sensed.listed.truth, result.world
-            who = objects.observer.astype(np.int64) << 32 | truth.actor_row
-            _, first, n = np.unique(who, return_index=True, return_counts=True)
-            rows = np.intersect1d(first[n == 1], np.flatnonzero(truth.is_real))  # without second boxes of one object
-            x, y = (objects.boxes.xyz_m[rows, :2] - world.boxes.xyz_m[truth.actor_row[rows], :2]).T
-            xx, xy, yy = objects.variance_m2[rows].T
-            square.append((yy * x * x - 2 * xy * x * y + xx * y * y) / (xx * yy - xy * xy) / 2)
-            label.append(np.where(objects.origin[rows] == SELF, -1, objects.label[rows].astype(int)))
-    return np.concatenate(label), np.concatenate(square)
+            if sensed is not None:
+                found.append(of_detections(sensed, result.world))
+                fused.append(of_fused(sensed, result.world))
+    return np.concatenate(found, axis=1), np.concatenate(fused, axis=1)
+
+
+def over_two(x, y, variance_m2):
+    """Squared normalised error in the plane, over 2."""
+    xx, xy, yy = variance_m2.T
+    return (yy * x * x - 2 * xy * x * y + xx * y * y) / (xx * yy - xy * xy) / 2
+
+
+def of_detections(sensed, world):
+    objects, truth = sensed.listed.objects, sensed.listed.truth
+    who = objects.observer.astype(np.int64) << 32 | truth.actor_row
+    _, first, n = np.unique(who, return_index=True, return_counts=True)
+    rows = np.intersect1d(first[n == 1], np.flatnonzero(truth.is_real))  # without second boxes of one object
+    actor, boxes = truth.actor_row[rows], objects.boxes.take(rows)
+    x, y = (boxes.xyz_m[:, :2] - world.boxes.xyz_m[actor, :2]).T
+    range_m = np.hypot(*(boxes.xyz_m[:, :2] - world.boxes.xyz_m[objects.observer[rows], :2]).T)
+    turn = np.mod(boxes.yaw_rad - world.boxes.yaw_rad[actor] + np.pi / 2, np.pi) - np.pi / 2
+    longer = np.log(boxes.lwh_m[:, 0] / world.boxes.lwh_m[actor, 0])
+    label = np.where(objects.origin[rows] == SELF, -1, objects.label[rows].astype(int))
+    label[objects.label[rows] != world.label[actor]] = -2  # confused
+    with np.errstate(divide="ignore", invalid="ignore"):
+        heading, length = turn**2 / objects.heading_variance[rows], longer**2 / objects.size_variance[rows]
+    return np.stack([label, range_m, over_two(x, y, objects.variance_m2[rows]), heading, length])
+
+
+def of_fused(sensed, world):
+    """Errors relative to the receiver, whose pose error is known here: where it believes to be, and what it believes.
+
+    Objects of which the receiver, or another vehicle in a message, has two boxes are left out, as above.
+    """
+    fused, truth, senses = sensed.fused[0], sensed.known.truth, sensed.sensing.row
+    actor, ego = truth.actor_row[fused.seed], senses[fused.ego]
+    key = fused.ego.astype(np.int64) << 32 | actor
+    _, inverse, n = np.unique(key, return_inverse=True, return_counts=True)
+    rows = np.flatnonzero(
+        truth.is_real[fused.seed] & (n[inverse] == 1) & (world.label[actor] == sensed.known.objects.label[fused.seed])
+    )
+    actor, ego = actor[rows], ego[rows]
+    error = sensed.positioned.error[sensed.vehicles.senses][fused.ego[rows]]
+    away = world.boxes.xyz_m[actor, :2] - world.boxes.xyz_m[ego, :2]
+    believed = away + error[:, :2] + error[:, 2:] * np.column_stack([-away[:, 1], away[:, 0]])
+    x, y = (fused.box[rows, :2] - world.boxes.xyz_m[ego, :2] - believed).T
+    return np.stack([
+        world.label[actor], np.hypot(*away.T), fused.n_sources[rows], over_two(x, y, fused.variance_m2[rows]),
+    ])  # fmt: skip
 
 
 @pytest.mark.parametrize("label", [-1, 0, 1], ids=["self", "car", "pedestrian"])
-def test_normalised_errors_have_unit_variance(errors, label):
+def test_normalised_errors_have_unit_variance(drive, label):
     """The squared error in units of the variance is 2 on average, in two dimensions. The median is that of an
     exponential distribution, 2 ln 2; confused classes are in the tail, so the mean is taken up to the 97th percentile,
     where that of an exponential distribution of mean 1 is 1 - 0.03 x ln(1 / 0.03) / 0.97 = 0.89."""
-    square = errors[1][errors[0] == label]
+    square = drive[0][2][drive[0][0] == label]
     assert len(square) > 150
     assert 0.8 < np.median(square) / np.log(2) < 1.25
     core = square[square <= np.quantile(square, 0.97)]
     assert 0.8 < core.mean() / 0.89 < 1.25
     for factor in (0.5, 2.0):  # a variance that is twice or half as large is noticed
         assert not 0.8 < np.median(square / factor) / np.log(2) < 1.25
+
+
+@pytest.mark.parametrize("label", [0, 1], ids=["car", "pedestrian"])
+@pytest.mark.parametrize("what", [3, 4], ids=["heading", "length"])
+def test_headings_and_sizes_have_the_stated_variance(drive, label, what):
+    """The median of a squared standard normal number is 0.455. Half and twice the variance are noticed."""
+    square = drive[0][what][drive[0][0] == label]
+    for factor, is_true in ((1.0, True), (0.5, False), (2.0, False)):
+        assert (0.8 < np.median(square) / factor / 0.455 < 1.25) == is_true
+
+
+@pytest.mark.parametrize("label", [0, 1], ids=["car", "pedestrian"])
+def test_fused_objects_have_the_stated_variance(drive, label):
+    """Objects with several detections, near and far: the mean squared normalised error without the largest 3 %, which
+    are confused objects. That of an exponential distribution of mean 1 is 0.89, as above. Given their scores, errors
+    have shorter tails, for which it is up to 1. Errors of one object persist over the six seconds, so that finer bins
+    scatter."""
+    of, range_m, n_sources, square = drive[1]
+    rows = (of == label) & (n_sources > 1)
+    found = []
+    for low, high in ((0, 50), (50, 200)):
+        there = square[rows & (range_m >= low) & (range_m < high)]
+        assert len(there) > 100
+        found.append(there[there <= np.quantile(there, 0.97)].mean() / 0.94)
+    assert all(0.8 < value < 1.25 for value in found), found
+    for factor in (0.5, 2.0):
+        assert not all(0.8 < value / factor < 1.25 for value in found)
 
 
 def test_age_adds_the_variance_of_the_motion():

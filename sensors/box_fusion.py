@@ -1,0 +1,730 @@
+"""Boxes of objects that several vehicles detected, by the accuracy that each vehicle states.
+
+The pose errors of the vehicles are estimated together with the positions of the objects, for each receiver alone.
+
+References
+----------
+.. [1] Y. Lu, Q. Li, B. Liu, M. Dianati, C. Feng, S. Chen, Y. Wang, "Robust Collaborative 3D Object Detection in
+   Presence of Pose Errors", ICRA 2023 (CoAlign): a graph of poses of agents and objects, aligned by least squares.
+.. [2] Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", Wiley, 2001.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from numba import prange
+from numpy import ndarray
+from scipy.special import erf, erfinv
+
+from cosim.base.kernel import compiled, inlined, kernel, parallel
+from sensors.association import bounded
+from sensors.boxes import Boxes
+
+_LEAST_HEADING_VARIANCE, _LEAST_SIZE_VARIANCE, _LEAST_POSE_VARIANCE = 2e-3**2, 2e-3**2, 1e-10
+"""Stated variances count as at least this: heading [rad2], logarithm of a size, pose of a vehicle [m2, rad2]."""
+_MOST_VARIANCE_M2 = 100.0**2
+"""Variances of positions count as at most this along any axis."""
+_N_SOLUTIONS = 3
+"""Solutions of the least squares; each but the first uses weights from the one before."""
+_TAIL = 6.0
+"""Squared normalised residual at which a detection has half the weight."""
+
+
+class StatedAccuracy(NamedTuple):
+    """What vehicles state of the accuracy of D detections in M messages."""
+
+    variance_m2: Float[ndarray, "d 3"]
+    """Variance of each position relative to its vehicle: xx, xy, yy."""
+    heading_variance: Float[ndarray, "d"]
+    """Relative to its vehicle [rad2]."""
+    size_variance: Float[ndarray, "d"]
+    """Variance of the logarithm of length, width and height."""
+    origin_m: Float[ndarray, "m 2"]
+    """Where the vehicle of each message believes itself to be."""
+    pose_variance: Float[ndarray, "m 2"]
+    """Variance of that position along each axis [m2], and of the heading [rad2]."""
+
+    def take(self, detections: Int[ndarray, "k"], messages: Int[ndarray, "l"]) -> "StatedAccuracy":
+        """Of these detections in these messages."""
+        return StatedAccuracy(
+            self.variance_m2[detections],
+            self.heading_variance[detections],
+            self.size_variance[detections],
+            self.origin_m[messages],
+            self.pose_variance[messages],
+        )
+
+    def of_messages(self, rows: Int[ndarray, "m"]) -> "StatedAccuracy":
+        """The same where the messages have these rows."""
+        n = int(rows.max(initial=-1)) + 1
+        origin_m, pose_variance = np.zeros((n, 2)), np.zeros((n, 2))
+        origin_m[rows], pose_variance[rows] = self.origin_m, self.pose_variance
+        return self._replace(origin_m=origin_m, pose_variance=pose_variance)
+
+
+class Views(NamedTuple):
+    """D detections in M messages."""
+
+    boxes: Boxes
+    """In the world's frame, where each vehicle believes it to be."""
+    label: UInt8[ndarray, "d"]
+    message: Int[ndarray, "d"]
+    accuracy: StatedAccuracy
+
+
+def boxes_of_columns(box: Float[ndarray, "g 7"]) -> Boxes:
+    """Boxes from columns x, y, z, length, width, height, heading."""
+    xyz_m, lwh_m, yaw_rad = np.split(box, (3, 6), axis=1)
+    return Boxes(xyz_m, lwh_m, yaw_rad[:, 0])
+
+
+class FusedBoxes(NamedTuple):
+    """Boxes of G objects in the frame in which their receivers believe themselves to be."""
+
+    boxes: Boxes
+    variance_m2: Float[ndarray, "g 3"]
+    """Variance of each position relative to the receiver: xx, xy, yy."""
+
+    def columns(self) -> Float[ndarray, "g 7"]:
+        """x, y, z, length, width, height, heading."""
+        return np.column_stack([self.boxes.xyz_m, self.boxes.lwh_m, self.boxes.yaw_rad])
+
+
+def fuse_boxes(
+    views: Views,
+    ptr: Int[ndarray, "e+1"],
+    member: Int[ndarray, "p"],
+    owner: Int[ndarray, "e"],
+    group: Int[ndarray, "p"],
+    seed: Int[ndarray, "g"],
+    weight: Float[ndarray, "p"],
+    align: bool = True,
+) -> FusedBoxes:
+    """Box of each group of detections of each receiver.
+
+    Parameters
+    ----------
+    views
+        The detections.
+    ptr, member, owner
+        Detections that receiver e knows: `member[ptr[e]:ptr[e + 1]]`, those of one message side by side. Its own
+        message is `owner[e]`.
+    group
+        Group of each of them. The groups of a receiver are consecutive.
+    seed
+        Detection that represents each group.
+    weight
+        Weight of what each of `member` states, in [0, 1]: 0 for those that are not used. The seed always has weight 1.
+    align
+        Whether the pose errors of the vehicles are estimated. Otherwise those of the sender and of the receiver are
+        parts of the variance of each received detection, as if they were independent of those of the others.
+
+    Returns
+    -------
+    One row per group.
+
+    Notes
+    -----
+    Vehicle i believes an object at X to be at z = X + H e + n. Its pose error e = (east, north, heading) has the stated
+    variances, H = [I, J (X - S)] with its position S and J the turn by 90 degrees, and n has the variance D of the
+    detection relative to the vehicle. All e and X of a receiver follow from one weighted least-squares problem, in
+    which the pose errors have their stated variances as priors [1]_. The X are eliminated, which leaves three unknowns
+    per vehicle. The result is X where the receiver believes it to be, that is X + H e of the receiver's own error.
+    Its covariance is (sum D^-1)^-1 + G C G', with the covariance C of all pose errors and G the derivative of the
+    result [2]_. So two detections of one vehicle count its pose error once.
+
+    Residuals have the density of a Student-t distribution: a detection of squared normalised residual r counts by
+    1 / (1 + r / 6). So a detection of another object or a displaced one moves the rest little.
+
+    Headings are averaged modulo pi, as twice the angle on the circle, and their majority chooses the direction.
+    Lengths, widths and heights are averaged as logarithms, over the detections of the seed's class. Where the classes
+    differ, half the difference of the sizes counts as a standard deviation of the position along that side.
+
+    Deviations from [1]_: positions only are aligned, not the corners and headings of boxes; the objects' uncertainty
+    is what vehicles state, not what a network learns; weights are robust.
+    """
+    n_groups, accuracy = len(seed), views.accuracy
+    boxes = views.boxes
+    table = _Table(
+        boxes.xyz_m,
+        boxes.lwh_m,
+        boxes.yaw_rad,
+        np.ascontiguousarray(views.label),
+        np.ascontiguousarray(views.message, np.int64),
+        bounded(accuracy.variance_m2, _MOST_VARIANCE_M2),
+        np.maximum(accuracy.heading_variance, _LEAST_HEADING_VARIANCE),
+        np.maximum(accuracy.size_variance, _LEAST_SIZE_VARIANCE),
+        np.ascontiguousarray(accuracy.origin_m),
+        np.maximum(accuracy.pose_variance, _LEAST_POSE_VARIANCE),
+    )
+    box, variance_m2 = np.empty((n_groups, 7)), np.empty((n_groups, 3))
+    rows = [np.ascontiguousarray(a, np.int64) for a in (ptr, member, owner, group, seed)]
+    lists = _Lists(*[*rows, np.ascontiguousarray(weight)])
+    _fuse(table, lists, align, box, variance_m2)
+    return FusedBoxes(boxes_of_columns(box), variance_m2)
+
+
+def overlap_p(fused: FusedBoxes, least_iou: float) -> Float[ndarray, "g"]:
+    """Probability that each box overlaps its object by more than an IoU, by the variance of its position.
+
+    Notes
+    -----
+    Two equal boxes with axes in parallel, displaced by the share a of their length and by the share b of their width,
+    have the IoU u / (2 - u) with u = (1 - a) (1 - b). It exceeds t if u exceeds c = 2 t / (1 + t), that is, if
+    a < 1 - c and b < 1 - c / (1 - a). For normal errors, the probability of the first is an error function. That of the
+    second is averaged over a by a Gauss-Legendre rule in the probability of a. Deviations: the correlation of errors
+    along and across the box, heading, size and height are left out.
+    """
+    xx, xy, yy = fused.variance_m2.T
+    turn = 2.0 * fused.boxes.yaw_rad
+    twice = xx + yy
+    cos, sin = np.cos(turn), np.sin(turn)
+    spread = (xx - yy) * cos + 2.0 * xy * sin
+    length_m, width_m, _ = fused.boxes.lwh_m.T
+    length = length_m / np.sqrt(twice + spread)
+    width = width_m / np.sqrt(twice - spread)
+    least = 2.0 * least_iou / (1.0 + least_iou)
+    first = erf(length * (1.0 - least))
+    second = np.zeros(len(first))
+    for place, weight in zip(*_RULE, strict=True):
+        a = np.minimum(erfinv(place * first) / length, 1.0 - least)
+        second += weight * erf(width * (1.0 - least / (1.0 - a)))
+    return first * second
+
+
+_RULE = (0.1127016654, 0.5, 0.8872983346), (5 / 18, 8 / 18, 5 / 18)
+"""Places in (0, 1) and weights of the Gauss-Legendre rule of three points."""
+
+
+class _Table(NamedTuple):
+    """`Views` with variances that are large enough."""
+
+    xyz: ndarray
+    lwh: ndarray
+    yaw: ndarray
+    label: ndarray
+    message: ndarray
+    variance: ndarray
+    heading: ndarray
+    size: ndarray
+    origin: ndarray
+    pose: ndarray
+
+
+class _Lists(NamedTuple):
+    """What the receivers know; as the parameters of `fuse_boxes`."""
+
+    ptr: ndarray
+    member: ndarray
+    owner: ndarray
+    group: ndarray
+    seed: ndarray
+    weight: ndarray
+
+
+class _Ego(NamedTuple):
+    """K detections of one receiver, by group."""
+
+    begin: ndarray
+    """First row of each group."""
+    row: ndarray
+    """Detection."""
+    slot: ndarray
+    """Number of its vehicle among those whose errors are estimated, the receiver being number 0; -1: not estimated."""
+    x: ndarray
+    """Position relative to the seed."""
+    y: ndarray
+    left: ndarray
+    """Lever arm: position relative to the vehicle, x."""
+    up: ndarray
+    """The same, y."""
+    trust: ndarray
+    """Weight of what its vehicle states."""
+    weight: ndarray
+    """Weight by its residual; 0 if it is not used."""
+    given: "_Information"
+    """Information of the position, times the first weight."""
+    info: "_Information"
+    """The same times both weights."""
+
+
+class _Information(NamedTuple):
+    """Symmetric matrices of two by two."""
+
+    xx: ndarray
+    xy: ndarray
+    yy: ndarray
+
+
+@parallel
+def _fuse(table, lists, align, box, variance):
+    """Fill the boxes and variances of all groups. Receivers are independent."""
+    for e in prange(len(lists.owner)):
+        if lists.ptr[e + 1] > lists.ptr[e]:
+            _of_ego(np.int64(e), table, lists, align, box, variance)
+
+
+@compiled
+def _of_ego(e, table, lists, align, box, variance):
+    """Fill the boxes of one receiver's groups."""
+    begin, end = lists.ptr[e], lists.ptr[e + 1]
+    owner = lists.owner[e]
+    first = last = lists.group[begin]
+    for p in range(begin, end):
+        first = min(first, lists.group[p])
+        last = max(last, lists.group[p])
+    n, n_groups = end - begin, last - first + 1
+    real = np.empty((11, n))
+    number = np.empty((3, n), np.int64)
+    ego = _Ego(
+        np.zeros(n_groups + 1, np.int64),
+        number[0],
+        number[1],
+        real[0],
+        real[1],
+        real[2],
+        real[3],
+        real[4],
+        real[5],
+        _Information(real[6], real[7], real[8]),
+        _Information(real[9], real[10], np.empty(n)),
+    )
+    vehicle, messages = number[2], np.empty(n + 1, np.int64)
+    _sort(begin, end, first, table, lists, ego, vehicle)
+    n_slots = _number(owner, table, ego, vehicle, messages, align)
+    _prepare(first, owner, table, lists, ego, align)
+    errors = np.zeros(3 * n_slots)
+    system = np.zeros((len(errors), len(errors)))
+    for solution in range(_N_SOLUTIONS):
+        _assemble(table, ego, messages, n_slots, align, system, errors)
+        _factorise(system)
+        _solve(system, errors)
+        if solution < _N_SOLUTIONS - 1:
+            _reweigh(ego, errors)
+    covariance = np.empty_like(system)
+    _invert(system, covariance)
+    slope = np.zeros((2, len(errors)))
+    for g in range(first, last + 1):
+        begin = ego.begin[g - first]
+        end = ego.begin[g - first + 1]
+        seed, out = lists.seed[g], box[g]
+        _fuse_place(begin, end, seed, owner, table, ego, errors, covariance, slope, out, variance[g])
+        _fuse_shape(begin, end, seed, table, ego, errors, covariance, out)
+
+
+@kernel
+def _sort(begin, end, first, table, lists, ego, vehicle):
+    """Sort the detections of a list by group, then by their places in the list, and number their messages."""
+    for p in range(begin, end):
+        ego.begin[lists.group[p] - first + 1] += 1
+    for g in range(len(ego.begin) - 1):
+        ego.begin[g + 1] += ego.begin[g]
+    n_messages, message = -1, np.int64(-1)
+    for p in range(begin, end):
+        d, g = lists.member[p], lists.group[p]
+        if table.message[d] != message:
+            n_messages += 1
+            message = table.message[d]
+        k = ego.begin[g - first]
+        ego.begin[g - first] += 1
+        ego.row[k], vehicle[k] = d, n_messages
+        trust = lists.weight[p]
+        if d == lists.seed[g]:
+            trust = 1.0
+        ego.trust[k] = trust
+        ego.weight[k] = 1.0 if trust > 0.0 else 0.0
+    for g in range(len(ego.begin) - 1, 0, -1):
+        ego.begin[g] = ego.begin[g - 1]
+    ego.begin[0] = 0
+
+
+@compiled
+def _number(owner, table, ego, vehicle, messages, align):
+    """Number the vehicles whose pose errors are estimated: the receiver, then those with an object that others have."""
+    slots = np.full(len(ego.row) + 1, -1)
+    messages[0] = owner
+    n_slots = 1
+    for g in range(len(ego.begin) - 1):
+        n_used = 0
+        for k in range(ego.begin[g], ego.begin[g + 1]):
+            n_used += ego.weight[k] > 0.0
+        for k in range(ego.begin[g], ego.begin[g + 1]):
+            message = table.message[ego.row[k]]
+            is_used = ego.weight[k] > 0.0
+            if message == owner:
+                slots[vehicle[k]] = 0
+            elif align and n_used > 1 and is_used and slots[vehicle[k]] < 0:
+                slots[vehicle[k]] = n_slots
+                messages[n_slots] = message
+                n_slots += 1
+    for k in range(len(ego.row)):
+        ego.slot[k] = slots[vehicle[k]]
+    return n_slots
+
+
+@kernel
+def _prepare(first, owner, table, lists, ego, align):
+    """Relative positions, and the information that each detection has."""
+    for g in range(len(ego.begin) - 1):
+        s = lists.seed[first + g]
+        for k in range(ego.begin[g], ego.begin[g + 1]):
+            d = ego.row[k]
+            m = table.message[d]
+            x, y = _between(table.xyz, d, table.xyz, s)
+            left, up = _between(table.xyz, d, table.origin, m)
+            ego.x[k], ego.y[k] = x, y
+            ego.left[k], ego.up[k] = left, up
+            xx = table.variance[d, 0]
+            xy = table.variance[d, 1]
+            yy = table.variance[d, 2]
+            if table.label[d] != table.label[s]:
+                xx, xy, yy = _with_size(d, s, table, xx, xy, yy)
+            if ego.slot[k] < 0:  # the pose error counts as noise of this detection
+                xx, xy, yy = _with_pose(d, m, table, xx, xy, yy)
+                if not align:
+                    xx, xy, yy = _with_pose(d, owner, table, xx, xy, yy)
+            per = ego.trust[k] / (xx * yy - xy * xy)
+            ego.given.xx[k] = per * yy
+            ego.given.xy[k] = -per * xy
+            ego.given.yy[k] = per * xx
+
+
+@inlined
+def _between(a, i, b, j):
+    """Difference of two positions."""
+    x = a[i, 0] - b[j, 0]
+    y = a[i, 1] - b[j, 1]
+    return x, y
+
+
+@inlined
+def _with_size(d, s, table, xx, xy, yy):
+    """A variance with half the differences of two sizes as standard deviations along the box of the seed."""
+    yaw = table.yaw[s]
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    along = 0.5 * (table.lwh[d, 0] - table.lwh[s, 0])
+    across = 0.5 * (table.lwh[d, 1] - table.lwh[s, 1])
+    along, across = along * along, across * across
+    xx += along * cos * cos + across * sin * sin
+    xy += (along - across) * cos * sin
+    yy += along * sin * sin + across * cos * cos
+    return xx, xy, yy
+
+
+@inlined
+def _with_pose(d, m, table, xx, xy, yy):
+    """A variance with that of the pose of the vehicle of a message."""
+    x, y = _between(table.xyz, d, table.origin, m)
+    of_place = table.pose[m, 0]
+    of_heading = table.pose[m, 1]
+    xx += of_place + of_heading * y * y
+    xy -= of_heading * x * y
+    yy += of_place + of_heading * x * x
+    return xx, xy, yy
+
+
+@inlined
+def _times(xx, xy, yy, x, y):
+    """A symmetric matrix times a vector."""
+    u = xx * x + xy * y
+    v = xy * x + yy * y
+    return u, v
+
+
+@inlined
+def _pull(c, k, info, ego):
+    """Row c of H' times the information of a detection."""
+    xx, xy, yy = _row(info, k)
+    a = xx if c == 0 else xy
+    b = xy if c == 0 else yy
+    if c == 2:
+        left, up = ego.left[k], ego.up[k]
+        a = left * xy - up * xx
+        b = left * yy - up * xy
+    return a, b
+
+
+@inlined
+def _row(info, k):
+    """One matrix."""
+    return info.xx[k], info.xy[k], info.yy[k]
+
+
+@inlined
+def _sum_of_group(begin, end, info):
+    """Inverse of the summed information of a group."""
+    a = b = c = 0.0
+    for k in range(begin, end):
+        a += info.xx[k]
+        b += info.xy[k]
+        c += info.yy[k]
+    det = a * c - b * b
+    return c / det, -b / det, a / det
+
+
+@inlined
+def _mean_of_group(begin, end, ego, errors):
+    """Position of the object relative to its seed, and its variance, given the pose errors."""
+    info = ego.info
+    xx, xy, yy = _sum_of_group(begin, end, info)
+    x = y = 0.0
+    for k in range(begin, end):
+        u, v = _without_error(k, ego, errors)
+        a, b, c = _row(info, k)
+        u, v = _times(a, b, c, u, v)
+        x += u
+        y += v
+    x, y = _times(xx, xy, yy, x, y)
+    return x, y, xx, xy, yy
+
+
+@inlined
+def _without_error(k, ego, errors):
+    """Position of a detection relative to the seed, without its vehicle's pose error."""
+    s = 3 * ego.slot[k]
+    x, y = ego.x[k], ego.y[k]
+    if s >= 0:
+        turn = errors[s + 2]
+        x -= errors[s] - turn * ego.up[k]
+        y -= errors[s + 1] + turn * ego.left[k]
+    return x, y
+
+
+@kernel
+def _assemble(table, ego, messages, n_slots, align, system, right):
+    """Normal equations of the pose errors, after the objects are eliminated."""
+    system[:] = 0.0
+    given, info = ego.given, ego.info
+    for k in range(len(ego.row)):
+        weight = ego.weight[k]
+        info.xx[k] = weight * given.xx[k]
+        info.xy[k] = weight * given.xy[k]
+        info.yy[k] = weight * given.yy[k]
+    for i in range(3 * n_slots):
+        m, component = messages[i // 3], i % 3 // 2
+        variance = table.pose[m, component]
+        system[i, i] = 1.0 / (variance if align else _LEAST_POSE_VARIANCE)
+        right[i] = 0.0
+    for g in range(len(ego.begin) - 1):
+        begin, end = ego.begin[g], ego.begin[g + 1]
+        if end - begin > 1:
+            _add_group(begin, end, ego, system, right)
+
+
+@kernel
+def _add_group(begin, end, ego, system, right):
+    """Add a group to the normal equations."""
+    info = ego.info
+    xx, xy, yy = _sum_of_group(begin, end, info)
+    x = y = 0.0
+    for k in range(begin, end):
+        a, b, c = _row(info, k)
+        u, v = ego.x[k], ego.y[k]
+        u, v = _times(a, b, c, u, v)
+        x += u
+        y += v
+    x, y = _times(xx, xy, yy, x, y)
+    for k in range(begin, end):
+        s = 3 * ego.slot[k]
+        if s < 0 or ego.weight[k] <= 0.0:
+            continue
+        u = ego.x[k] - x
+        v = ego.y[k] - y
+        left, up = ego.left[k], ego.up[k]
+        for c in range(3):
+            a, b = _pull(c, k, info, ego)
+            right[s + c] += a * u + b * v
+            system[s + c, s] += a
+            system[s + c, s + 1] += b
+            turned = b * left - a * up
+            system[s + c, s + 2] += turned
+            a, b = _times(xx, xy, yy, a, b)
+            for j in range(begin, end):
+                t = 3 * ego.slot[j]
+                if t < 0:
+                    continue
+                for i in range(3):
+                    p, q = _pull(i, j, info, ego)
+                    product = a * p + b * q
+                    system[s + c, t + i] -= product
+
+
+@kernel
+def _reweigh(ego, errors):
+    """Weights by the residuals. Those that are not used stay so."""
+    given = ego.given
+    for g in range(len(ego.begin) - 1):
+        begin, end = ego.begin[g], ego.begin[g + 1]
+        if end - begin < 2:
+            continue
+        x, y, _, _, _ = _mean_of_group(begin, end, ego, errors)
+        for k in range(begin, end):
+            if ego.weight[k] > 0.0:
+                u, v = _without_error(k, ego, errors)
+                u, v = u - x, v - y
+                a, b, c = _row(given, k)
+                p, q = _times(a, b, c, u, v)
+                square = u * p + v * q
+                ego.weight[k] = 1.0 / (1.0 + square / _TAIL)
+
+
+@kernel
+def _factorise(a):
+    """Replace the lower triangle of a positive definite matrix by its Cholesky factor."""
+    for j in range(len(a)):
+        for i in range(j, len(a)):
+            x = a[i, j]
+            for k in range(j):
+                x -= a[i, k] * a[j, k]
+            if i > j:
+                a[i, j] = x / a[j, j]
+            else:
+                a[i, j] = np.sqrt(x)
+
+
+@kernel
+def _solve(factor, x):
+    """Replace the right side by the solution."""
+    n = len(factor)
+    for i in range(n):
+        for k in range(i):
+            x[i] -= factor[i, k] * x[k]
+        x[i] /= factor[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            x[i] -= factor[k, i] * x[k]
+        x[i] /= factor[i, i]
+
+
+@kernel
+def _invert(factor, inverse):
+    """Inverse of the matrix of a Cholesky factor."""
+    inverse[:] = 0.0
+    for j in range(len(factor)):
+        inverse[j, j] = 1.0
+        _solve(factor, inverse[j])
+
+
+@kernel
+def _fuse_place(begin, end, seed, owner, table, ego, errors, covariance, slope, box, variance):
+    """Write place and variance of one group. `slope` is room, zero before and after."""
+    x, y, xx, xy, yy = _mean_of_group(begin, end, ego, errors)
+    x += table.xyz[seed, 0]
+    y += table.xyz[seed, 1]
+    # where the receiver believes it to be
+    left = x - table.origin[owner, 0]
+    up = y - table.origin[owner, 1]
+    box[0] = x + errors[0] - errors[2] * up
+    box[1] = y + errors[1] + errors[2] * left
+    slope[0, 0] = slope[1, 1] = 1.0
+    slope[0, 2] = -up
+    slope[1, 2] = left
+    for k in range(begin, end):
+        s = 3 * ego.slot[k]
+        if s >= 0:
+            for c in range(3):
+                a, b = _pull(c, k, ego.info, ego)
+                a, b = _times(xx, xy, yy, a, b)
+                slope[0, s + c] -= a
+                slope[1, s + c] -= b
+    a, b, c = _spread(begin, end, ego, slope, covariance)
+    variance[0] = xx + a
+    variance[1] = xy + b
+    variance[2] = yy + c
+    slope[:, :3] = 0.0
+    for k in range(begin, end):
+        s = 3 * ego.slot[k]
+        if s >= 0:
+            slope[:, s : s + 3] = 0.0
+
+
+@kernel
+def _spread(begin, end, ego, slope, covariance):
+    """G C G' of one group: xx, xy, yy."""
+    xx = xy = yy = 0.0
+    for k in range(begin - 1, end):
+        s = 3 * _vehicle_of(k, begin, ego)
+        if s < 0:
+            continue
+        for j in range(begin - 1, end):
+            t = 3 * _vehicle_of(j, begin, ego)
+            if t < 0:
+                continue
+            for c in range(3):
+                a = slope[0, s + c]
+                b = slope[1, s + c]
+                for i in range(3):
+                    value = covariance[s + c, t + i]
+                    xx += a * value * slope[0, t + i]
+                    xy += a * value * slope[1, t + i]
+                    yy += b * value * slope[1, t + i]
+    return xx, xy, yy
+
+
+@inlined
+def _vehicle_of(k, begin, ego):
+    """Slot of a detection, once for each vehicle: -1 if an earlier detection of the group has it, too.
+
+    The row before the group stands for the receiver.
+    """
+    slot = ego.slot[k] if k >= begin else 0
+    if k >= begin and slot == 0:
+        slot = -1
+    for j in range(begin, k):
+        if ego.slot[j] == slot:
+            slot = -1
+    return slot
+
+
+@kernel
+def _fuse_shape(begin, end, seed, table, ego, errors, covariance, box):
+    """Write height above the ground, size and heading of a group into its box."""
+    cos = sin = bottom = of_bottom = of_size = 0.0
+    length = width = height = 0.0
+    for k in range(begin, end):
+        d = ego.row[k]
+        w = ego.weight[k] * ego.trust[k]
+        if w <= 0.0 or table.label[d] != table.label[seed]:
+            continue
+        angle, spread = _heading_of(k, d, table, ego, errors, covariance)
+        cos += w / spread * np.cos(2.0 * angle)
+        sin += w / spread * np.sin(2.0 * angle)
+        w_size = w / table.size[d]
+        of_size += w_size
+        length += w_size * np.log(table.lwh[d, 0])
+        width += w_size * np.log(table.lwh[d, 1])
+        height += w_size * np.log(table.lwh[d, 2])
+        w /= table.variance[d, 0] + table.variance[d, 2]
+        of_bottom += w
+        under = 0.5 * table.lwh[d, 2]
+        bottom += w * (table.xyz[d, 2] - under)
+    axis, ahead = 0.5 * np.arctan2(sin, cos), 0.0
+    for k in range(begin, end):
+        d = ego.row[k]
+        if table.label[d] == table.label[seed]:
+            w = ego.weight[k] * ego.trust[k]
+            ahead += w * np.cos(table.yaw[d] - axis)
+    if ahead < 0.0:
+        axis += np.pi if axis <= 0.0 else -np.pi
+    box[3] = np.exp(length / of_size)
+    box[4] = np.exp(width / of_size)
+    box[5] = np.exp(height / of_size)
+    box[2] = bottom / of_bottom + 0.5 * box[5]
+    box[6] = axis
+
+
+@inlined
+def _heading_of(k, d, table, ego, errors, covariance):
+    """Heading of a detection as the receiver has it, and its variance."""
+    angle, spread = table.yaw[d], table.heading[d]
+    s = 3 * ego.slot[k]
+    if s != 0:
+        angle += errors[2]
+        spread += covariance[2, 2]
+    if s > 0:
+        angle -= errors[s + 2]
+        spread += covariance[s + 2, s + 2]
+    elif s < 0:
+        spread += table.pose[table.message[d], 1]
+    return angle, spread
