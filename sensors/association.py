@@ -110,7 +110,7 @@ def pairs_across(
 
 
 class _Places(NamedTuple):
-    """Detections as the search reads them."""
+    """Detections as the search reads them, in the order of their cells: those near each other are compared together."""
 
     xyz: ndarray
     lwh: ndarray
@@ -123,9 +123,9 @@ class _Places(NamedTuple):
     owner: ndarray  # empty where pairs of one owner count, too
     side: ndarray  # of the cells of each class
     cell: ndarray  # column and row of the cell of each
-    order: ndarray  # rows by bucket of their cells and classes
+    row: ndarray  # of the detections, by bucket of their cells and classes
     start: ndarray  # where each bucket begins
-    xy: ndarray  # in this order
+    at: ndarray  # where in this order each detection is
 
     @staticmethod
     def of(boxes: Boxes, label: ndarray, variance_m2: ndarray, owner: ndarray, side_m: ndarray) -> "_Places":
@@ -133,21 +133,24 @@ class _Places(NamedTuple):
         label = np.minimum(label, _N_CLASSES)
         cell = np.empty((len(boxes), 2), np.int64)
         order, start = _by_bucket(boxes.xyz_m, label, side_m, 1 << max(len(boxes), 1).bit_length(), cell)
+        at = np.empty(len(boxes), np.int64)
+        at[order] = np.arange(len(boxes))
+        boxes, owner = boxes.take(order), np.asarray(owner, np.int64)
         return _Places(
             xyz=boxes.xyz_m,
             lwh=boxes.lwh_m,
             yaw=boxes.yaw_rad,
             cos=np.cos(boxes.yaw_rad),
             sin=np.sin(boxes.yaw_rad),
-            variance=np.ascontiguousarray(variance_m2),
+            variance=variance_m2.take(order, axis=0),
             radius=boxes.circumradius_m,
-            label=label,
-            owner=np.ascontiguousarray(owner, np.int64),
+            label=label[order],
+            owner=owner[order] if len(owner) else owner,
             side=side_m,
-            cell=cell,
-            order=order,
+            cell=cell.take(order, axis=0),
+            row=order,
             start=start,
-            xy=boxes.xyz_m[order, :2],
+            at=at,
         )
 
 
@@ -240,6 +243,8 @@ _MOST_RINGS = 8
 _CHUNK = 256
 """Detections whose pairs one thread finds at once."""
 _ROOM = 64 * _CHUNK
+_WITHIN = 1.0 - 1e-5
+"""Share of the gate that is not at its edge."""
 _FOUND = np.dtype([("square", "f8"), ("iou", "f8"), ("i", "i4"), ("j", "i4")])
 """A pair that may pass the gate: squared Mahalanobis distance, and IoU if it is above the least one."""
 
@@ -253,16 +258,16 @@ def _search(a, b, is_same, reach_m, most, least_iou, found):
     count = np.zeros(len(found), np.int64)
     for chunk in prange(len(found)):
         room = np.empty((4, 16))
-        count[chunk] = _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, found[chunk], room)
+        count[chunk] = _search_chunk(np.int64(chunk), a, b, is_same, reach_m, most, least_iou, found[chunk], room)
     return count
 
 
 @kernel
 def _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, out, room):
     """Number of the pairs of one chunk of `a`, of which as many as fit are written to `out`."""
-    n, n_buckets = 0, len(b.start) - 1
-    for i in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(a.yaw))):
-        first = n
+    n, n_buckets, begin = 0, len(b.start) - 1, chunk * _CHUNK
+    for one in range(begin, min(begin + _CHUNK, len(a.yaw))):
+        first, i = n, a.at[one]
         for label in range(len(reach_m)):
             reach, side = reach_m[a.label[i], label], b.side[label]
             if reach < 0.0:
@@ -272,32 +277,59 @@ def _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, out, room):
             for column in range(middle_x - rings, middle_x + rings + 1):
                 for row in range(middle_y - rings, middle_y + rings + 1):
                     bucket = _bucket(column, row, label, n_buckets)
-                    for k in range(b.start[bucket], b.start[bucket + 1]):
-                        x, y = a.xyz[i, 0] - b.xy[k, 0], a.xyz[i, 1] - b.xy[k, 1]
+                    for j in range(b.start[bucket], b.start[bucket + 1]):
+                        x = a.xyz[i, 0] - b.xyz[j, 0]
+                        y = a.xyz[i, 1] - b.xyz[j, 1]
                         apart = x * x + y * y
                         if apart > reach * reach:
                             continue
-                        j = b.order[k]
                         if b.label[j] != label or b.cell[j, 0] != column or b.cell[j, 1] != row:
                             continue
-                        if (is_same and j <= i) or (len(a.owner) and a.owner[i] == b.owner[j]):
+                        other = b.row[j]
+                        if (is_same and other <= one) or (len(a.owner) and a.owner[i] == b.owner[j]):
                             continue
                         square, iou, both = _square(a, i, b, j, x, y), 0.0, a.radius[i] + b.radius[j]
                         if apart < both * both:
-                            iou = iou_of(a.xyz, a.lwh, a.yaw, i, b.xyz, b.lwh, b.yaw, j, room)
-                            if iou <= least_iou:
-                                iou = 0.0
+                            # Near the edge of the gate, agreement may count as none.
+                            agreement = np.exp(-0.5 * square) if square < _WITHIN * most else 0.0
+                            if _most_iou(a, i, b, j, x, y) + 1e-6 > max(agreement, least_iou):
+                                iou = iou_of(a.xyz, a.lwh, a.yaw, i, b.xyz, b.lwh, b.yaw, j, room)
+                                if iou <= least_iou:
+                                    iou = 0.0
                         if square > most and iou == 0.0:
                             continue
                         if n < len(out):
                             at = n
-                            while at > first and out[at - 1].j > j:  # insertion sort: a detection has few partners
+                            while at > first and out[at - 1].j > other:  # insertion: a detection has few partners
                                 out[at] = out[at - 1]
                                 at -= 1
                             here = out[at]
-                            here.square, here.iou, here.i, here.j = square, iou, i, j
+                            here.square, here.iou, here.i, here.j = square, iou, one, other
                         n += 1
     return n
+
+
+@inlined
+def _most_iou(a, i, b, j, x, y):
+    """IoU of two boxes that are x and y apart if they overlapped along both axes of the first at once."""
+    cos, sin = a.cos[i], a.sin[i]
+    own, other = a.lwh[i], b.lwh[j]
+    turn_cos = abs(cos * b.cos[j] + sin * b.sin[j])
+    turn_sin = abs(cos * b.sin[j] - sin * b.cos[j])
+    length = turn_cos * other[0] + turn_sin * other[1]
+    width = turn_sin * other[0] + turn_cos * other[1]
+    along = _overlap(cos * x + sin * y, own[0], length)
+    across = _overlap(cos * y - sin * x, own[1], width)
+    upright = _overlap(a.xyz[i, 2] - b.xyz[j, 2], own[2], other[2])
+    common = along * across * upright
+    volume, other_volume = own[0] * own[1] * own[2], other[0] * other[1] * other[2]
+    return common / (volume + other_volume - common)
+
+
+@inlined
+def _overlap(apart, one, other):
+    """Length that two intervals have in common, from the distance of their middles."""
+    return max(min(0.5 * (one + other) - abs(apart), one, other), 0.0)
 
 
 @inlined

@@ -52,7 +52,11 @@ class Boxes:
 
     def take(self, rows: Int[ndarray, "m"] | slice) -> Boxes:
         """The boxes of these rows, in this order."""
-        return Boxes._of_checked(self.xyz_m[rows], self.lwh_m[rows], self.yaw_rad[rows])
+        if isinstance(rows, slice):
+            return Boxes._of_checked(self.xyz_m[rows], self.lwh_m[rows], self.yaw_rad[rows])
+        # `take` needs an eighth of the time of an index in brackets.
+        xyz_m, lwh_m = (column.take(rows, axis=0) for column in (self.xyz_m, self.lwh_m))
+        return Boxes._of_checked(xyz_m, lwh_m, self.yaw_rad[rows])
 
     @staticmethod
     def concat(parts: Sequence[Boxes]) -> Boxes:

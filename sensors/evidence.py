@@ -136,11 +136,10 @@ def plausible(
     place of the camera, and the field of view is the sensor's.
     """
     pairs = sweeps.poses.pairs(o, boxes, b)
-    applies, seen, closer = evidence_kernels.free_space(
+    return evidence_kernels.free_space(
         sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(), area.range_m, area.height_m,
-        edge_slope(sweeps.beams.fov_rad), params.margin_m, numba.get_num_threads(),
+        edge_slope(sweeps.beams.fov_rad), params.margin_m, params.min_share, numba.get_num_threads(),
     )  # fmt: skip
-    return ~applies | (closer > params.min_share * seen)
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,5 +203,5 @@ def observability(
     keep = n_unoccluded > 0
     o = np.repeat(np.arange(len(ptr) - 1, dtype=np.int32), np.diff(ptr))[keep]
     actor = row[keep].astype(np.int32)
-    apart = boxes.xyz_m[actor] - sweeps.poses.origin_m[o]
+    apart = boxes.xyz_m.take(actor, axis=0) - sweeps.poses.origin_m.take(o, axis=0)
     return Observability(o, actor, n_returns[keep], n_unoccluded[keep], np.sqrt((apart * apart).sum(axis=1)))

@@ -20,6 +20,9 @@ _WIDEST = 14.0
 _AT_ONCE = 8
 """Rows that are tested at once: a window of as many, or of a multiple, leaves none to be tested one by one."""
 
+_ROUNDED = 1.0 + 1e-9
+"""More than a distance is rounded by."""
+
 
 @inlined
 def _in_view(forward, left, fov_rad, slope, slack_m):
@@ -139,45 +142,70 @@ def in_frustum(x, y, z, plane):
 
 
 @parallel
-def free_space(range_steps, step_m, beams, pairs, run, reach_m, height_m, slope, margin_m, n_chunks):
-    """The free-space test of each pair, where it applies.
+def free_space(range_steps, step_m, beams, pairs, run, reach_m, height_m, slope, margin_m, least_share, n_chunks):
+    """Whether the sweep of each pair allows that an object stands in its box: true where the test does not apply.
 
-    `run` is `Pairs.runs`; its runs are divided among `n_chunks` threads.
-
-    Returns
-    -------
-    Whether the test applies; returns of the pair's sweep in the pyramid through its box; and how many of these returns
-    are nearer than the box. Both numbers are 0 where the test does not apply.
+    `run` is `Pairs.runs`; its runs are divided among `n_chunks` threads. An object can stand there if more than the
+    share `least_share` of the returns in the pyramid through its box are nearer than the box.
     """
-    applies = np.zeros(len(pairs.o), np.bool_)
-    seen, closer = np.zeros(len(pairs.o), np.int32), np.zeros(len(pairs.o), np.int32)
+    allowed = np.ones(len(pairs.o), np.bool_)
     for chunk in prange(n_chunks):
-        corner, plane = np.empty((4, 3)), np.empty((4, 3))
-        columns, slopes = columns_of(beams), slopes_of(beams)
+        room = np.empty((4, 3)), np.empty((4, 3))
         for i in range(np.int64(chunk), len(run) - 1, n_chunks):  # neighbours in a city have as many boxes to look at
-            sweep = range_steps[pairs.o[run[i]]]
-            for k in range(run[i], run[i + 1]):
-                x, y, z, length, width, height, _ = in_sensor_frame(pairs, k)
-                applies[k] = is_testable(x, y, z, height, reach_m, height_m, beams.fov_rad, slope)
-                if applies[k]:
-                    away, middle, half, low, high = frustum(x, y, z, length, width, height, corner, plane)
-                    seen[k], closer[k] = _returns_in(
-                        sweep, step_m, beams, columns, slopes, plane, away + margin_m, middle, half, low, high
-                    )
-    return applies, seen, closer
+            first, end = run[i], run[i + 1]
+            sweep = range_steps[pairs.o[first]]
+            area = reach_m, height_m, slope
+            _free_space_of(allowed, sweep, step_m, beams, pairs, first, end, area, margin_m, least_share, room)
+    return allowed
 
 
 @kernel
-def _returns_in(sweep, step_m, beams, columns, slopes, plane, limit, middle, half, low, high):
-    """Returns in a pyramid, and how many of them are nearer than a limit."""
-    a0, a1, b0, b1 = spans(middle, half, columns)
+def _free_space_of(allowed, sweep, step_m, beams, pairs, first, end, area, margin_m, least_share, room):
+    """The same for the pairs `first` to `end` of one sweep."""
+    (reach_m, height_m, slope), (corner, plane) = area, room
+    columns, slopes = columns_of(beams), slopes_of(beams)
+    for k in range(first, end):
+        x, y, z, length, width, height, _ = in_sensor_frame(pairs, k)
+        if is_testable(x, y, z, height, reach_m, height_m, beams.fov_rad, slope):
+            away, middle, half, low, high = frustum(x, y, z, length, width, height, corner, plane)
+            window = spans(middle, half, columns), _rows(slopes, low, high)
+            if _nearest_in(sweep, window) * step_m < (away + margin_m) * _ROUNDED:
+                allowed[k] = _are_nearer(sweep, step_m, beams, window, plane, away + margin_m, least_share)
+            else:
+                allowed[k] = False
+
+
+@kernel
+def _rows(slopes, low, high):
+    """Rows between two slopes, and as many more as make them a multiple of `_AT_ONCE`."""
+    m = len(slopes.tan_el)
     r0 = max(0, below(slopes, low) - 1)
-    r1 = min(len(beams.tan_el), below(slopes, high) + 1)
+    r1 = min(m, below(slopes, high) + 1)
     n_rows = -(-(r1 - r0) // _AT_ONCE) * _AT_ONCE
-    r1 = min(len(beams.tan_el), r0 + n_rows)
-    r0 = max(0, r1 - n_rows)
+    r1 = min(m, r0 + n_rows)
+    return max(0, r1 - n_rows), r1
+
+
+@kernel
+def _nearest_in(sweep, window):
+    """The nearest return in a window, in steps; `NO_RETURN` if there is none."""
+    (a0, a1, b0, b1), (r0, r1) = window
+    nearest = np.uint16(NO_RETURN)
+    for turn in range(2):
+        for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
+            steps = sweep[c, r0:r1]
+            for r in range(len(steps)):
+                nearest = min(nearest, steps[r])
+    return nearest
+
+
+@kernel
+def _are_nearer(sweep, step_m, beams, window, plane, limit, least_share):
+    """Whether more than a share of the returns in a pyramid, which lies in a window, are nearer than a limit."""
+    (a0, a1, b0, b1), (r0, r1) = window
     cos_el, sin_el = beams.cos_el[r0:r1], beams.sin_el[r0:r1]
-    n_seen = n_closer = 0
+    n_seen, n_closer = 0, 0
+    n_rays = (a1 - a0 + b1 - b0) * (r1 - r0)
     for turn in range(2):
         for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
             steps, ca, sa = sweep[c, r0:r1], beams.cos_az[c], beams.sin_az[c]
@@ -188,4 +216,6 @@ def _returns_in(sweep, step_m, beams, columns, slopes, plane, limit, middle, hal
                 inside = in_frustum(x, y, z, plane) & (steps[r] != NO_RETURN)
                 n_seen += inside
                 n_closer += inside & (np.sqrt(x * x + y * y + z * z) < limit)
-    return n_seen, n_closer
+            if n_closer > least_share * n_rays:
+                return True  # also if all others lie in the pyramid and are farther
+    return n_closer > least_share * n_seen

@@ -44,6 +44,9 @@ COLUMN_STEP, ROW_STEP = 4, 2
 INITIAL_CAPACITY = 16
 """False positives per sweep that memory is allocated for at first."""
 
+_ROUNDED, _ROUNDED_M2 = 1.0 + 1e-9, 1e-6
+"""More than a squared distance is rounded by, relative and absolute: coordinates have up to eight digits."""
+
 _WALL, _ROAD, _ACTOR = range(3)
 
 _N_PACES = 1024
@@ -196,27 +199,28 @@ def _side(x, y):
 
 
 @kernel
-def _places(steps, hits, cos_el, x, y, along_x, along_y, top, side, place):
-    """Cell and kind (wall, road) in which each of some rays of a column ended, from 1; 0 for neither kind.
+def _places(steps, hits, cos_el, x, y, along_x, along_y, top, width, place):
+    """Cell and kind (wall, road) in which each of some rays of a column ended, after one place per row for all others.
 
     `cos_el` are lengths per step. In single precision, counted in cells from the corner of all of them: right to a
     hundredth of a millimetre.
     """
-    width, zero = np.int32(side), np.float32(0.0)
+    zero, first = np.float32(0.0), np.int32(len(place))
     for r in range(np.uint64(len(place))):
         flat, code = np.float32(steps[r]) * cos_el[r], hits[r]
         i, j = np.int32(min(max(x + flat * along_x, zero), top)), np.int32(min(max(y + flat * along_y, zero), top))
         at = np.int32(2) * (i * width + j) + np.int32(code == Hit.GROUND) * np.int32(_ROAD)
-        place[r] = at + np.int32(1) if (code == Hit.GROUND) | (code == Hit.BUILDING) else np.int32(0)
+        # one place of all others would have to wait for itself
+        place[r] = at + first if (code == Hit.GROUND) | (code == Hit.BUILDING) else np.int32(r)
 
 
 @compiled
-def _tally(steps, step_m, hits, beams, x, y, cos, sin, x0, y0, side):
-    """Of some rays of a sweep: cells and kinds (wall, road), in the order met; returns of each place; and by kind."""
+def _tally(steps, step_m, hits, beams, x, y, cos, sin, x0, y0, side, width):
+    """Of some rays of a sweep: cells and kinds (wall, road), in the order met; returns of each; and by kind."""
     cos_el = (step_m * beams.cos_el[::ROW_STEP]).astype(np.float32)
     n_columns, n_rows = (len(hits) + COLUMN_STEP - 1) // COLUMN_STEP, len(cos_el)
     some_steps, some_hits = np.empty(n_rows, steps.dtype), np.empty(n_rows, hits.dtype)
-    count = np.zeros(2 * side * side + 1, np.int32)  # by place, from 1
+    count = np.zeros(n_rows + 2 * side * width, np.int32)  # by place
     met, k = np.empty(n_columns * n_rows + 1, np.int32), 0
     place = np.empty(n_rows, np.int32)
     x, y, top = np.float32(x / CELL_M - x0), np.float32(y / CELL_M - y0), np.float32(side - 0.5)
@@ -227,26 +231,47 @@ def _tally(steps, step_m, hits, beams, x, y, cos, sin, x0, y0, side):
         for r in range(np.uint64(n_rows)):  # next to each other, so that what follows becomes vector instructions
             some_steps[r] = steps[np.uint64(c), r * np.uint64(ROW_STEP)]
             some_hits[r] = hits[np.uint64(c), r * np.uint64(ROW_STEP)]
-        _places(some_steps, some_hits, cos_el, x, y, along_x, along_y, top, side, place)
+        _places(some_steps, some_hits, cos_el, x, y, along_x, along_y, top, np.int32(width), place)
         for at in place:
-            if count[np.uint32(at)] == 0:
-                met[np.uint64(k)] = at
-                k += 1
+            met[np.uint64(k)] = at
+            k += count[np.uint32(at)] == 0
             count[np.uint32(at)] += 1
-    total = np.zeros(2, np.int64)
+    n, total = 0, np.zeros(2, np.int64)
     for at in met[:k]:
-        if at > 0:
-            total[(at - 1) % 2] += count[at]
-    return met[:k], count, total
+        if at >= n_rows:
+            met[n] = at - n_rows
+            total[met[n] % 2] += count[at]
+            n += 1
+    return met[:n], count[n_rows:], total
 
 
 @kernel
 def _nearest(ranges, hits, beams, x, y, cos, sin, first, end, code, to_x, to_y):
-    """The ray in columns `first` up to `end` that met `code` and ended nearest to a point; -1 if none did."""
+    """The ray in columns `first` up to `end` that met `code` and ended nearest to a point; -1 if none did.
+
+    The column towards the point is looked at first. Columns that pass the point farther away are then left out.
+    """
+    ahead = cos * (to_x - x) + sin * (to_y - y)
+    left = cos * (to_y - y) - sin * (to_x - x)
+    turn_rad = np.arctan2(left, ahead) - beams.azimuth_rad[0]
+    at = turn_rad / beams.fov_rad * len(hits)
+    middle = max(min(np.int64(at), end - 1), first)
+    behind = min(middle + 1, end)
+    _, enough = _nearest_of(ranges, hits, beams, x, y, cos, sin, middle, behind, code, to_x, to_y, np.inf)
+    best, _ = _nearest_of(ranges, hits, beams, x, y, cos, sin, first, end, code, to_x, to_y, enough)
+    return best
+
+
+@kernel
+def _nearest_of(ranges, hits, beams, x, y, cos, sin, first, end, code, to_x, to_y, enough):
+    """As `_nearest`, among rays whose squared distance is at most `enough`; the squared distance of the nearest."""
     best, least, (steps, step_m) = -1, np.inf, ranges
     for c in range(first, end):
         along_x = cos * beams.cos_az[c] - sin * beams.sin_az[c]
         along_y = sin * beams.cos_az[c] + cos * beams.sin_az[c]
+        aside = along_x * (to_y - y) - along_y * (to_x - x)
+        if aside * aside > min(enough, least) * _ROUNDED + _ROUNDED_M2:
+            continue
         for r in range(hits.shape[1]):
             if hits[c, r] == code:
                 flat = steps[c, r] * step_m * beams.cos_el[r]
@@ -254,7 +279,7 @@ def _nearest(ranges, hits, beams, x, y, cos, sin, first, end, code, to_x, to_y):
                 gap = gap_x * gap_x + gap_y * gap_y
                 if gap < least:
                     best, least = c * hits.shape[1] + r, gap
-    return best
+    return best, least
 
 
 @kernel
@@ -263,7 +288,7 @@ def _nearest_in_cell(ranges, hits, beams, x, y, cos, sin, i, j, code, to_x, to_y
     a0, a1, b0, b1 = actor_columns((i + 0.5) * CELL_M - x, (j + 0.5) * CELL_M - y, CELL_M, cos, sin, columns_of(beams))
     best = _nearest(ranges, hits, beams, x, y, cos, sin, a0, a1, code, to_x, to_y)
     if b1 > b0 or best < 0:
-        best = _nearest(ranges, hits, beams, x, y, cos, sin, 0, len(hits), code, to_x, to_y)
+        best = _nearest(ranges, hits, beams, x, y, cos, sin, np.int64(0), len(hits), code, to_x, to_y)
     return best
 
 
@@ -304,7 +329,10 @@ def _one_sweep(ranges, hits, beams, pose, half, actor, n_returns, observer, step
     side, sampled = 2 * half + 1, 1.0 / (COLUMN_STEP * ROW_STEP)
     cos, sin = np.cos(yaw), np.sin(yaw)
     x0, y0 = np.int64(np.floor(x / CELL_M)) - half, np.int64(np.floor(y / CELL_M)) - half
-    met, count, n = _tally(ranges[0], ranges[1], hits, beams, x, y, cos, sin, x0, y0, side)
+    width = 1
+    while width < side:
+        width *= 2
+    met, count, n = _tally(ranges[0], ranges[1], hits, beams, x, y, cos, sin, x0, y0, side, width)
     bodies = float(n[_WALL])
     for s in range(len(actor)):
         bodies += sampled * n_returns[s]
@@ -313,16 +341,14 @@ def _one_sweep(ranges, hits, beams, pose, half, actor, n_returns, observer, step
     of_kind, found = (mix(common, _WALL), mix(common, _ROAD), mix(common, _ACTOR)), 0
     for k in range(len(met) + len(actor)):
         if k < len(met):
-            at = met[k] - 1
-            if at < 0:
-                continue
-            kind, i, j = at % 2, x0 + at // 2 // side, y0 + at // 2 % side
+            at = met[k]
+            kind, i, j = at % 2, x0 + at // 2 // width, y0 + at // 2 % width
             key = mix(of_kind[_ROAD] if kind == _ROAD else of_kind[_WALL], (i << 32) ^ (j & _LOW_32))
             spot = mix(key, 6)
             to_x = (i + (spot >> _S32) * _TO_UNIT_32) * CELL_M
             to_y = (j + (spot & np.uint64(_LOW_32)) * _TO_UNIT_32) * CELL_M
             aspect = mix(key, _side(x - to_x, y - to_y))
-            p = count[at + 1] * (road_rate if kind == _ROAD else body_rate)
+            p = count[at] * (road_rate if kind == _ROAD else body_rate)
         else:
             s, i, j, to_x, to_y = k - len(met), 0, 0, x, y
             kind = _ACTOR
@@ -336,7 +362,7 @@ def _one_sweep(ranges, hits, beams, pose, half, actor, n_returns, observer, step
                 uniform[found, 0], uniform[found, 1] = rank / p, unit(mix(mix(step, aspect), 1))
                 if kind == _ACTOR:
                     code = Hit.ACTOR + actor[k - len(met)]
-                    ray[found] = _nearest(ranges, hits, beams, x, y, cos, sin, 0, len(hits), code, to_x, to_y)
+                    ray[found] = _nearest(ranges, hits, beams, x, y, cos, sin, np.int64(0), len(hits), code, to_x, to_y)
                 else:
                     code = Hit.GROUND.value if kind == _ROAD else Hit.BUILDING.value
                     ray[found] = _nearest_in_cell(ranges, hits, beams, x, y, cos, sin, i, j, code, to_x, to_y)

@@ -120,9 +120,9 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.observer)
 
-    def take(self, rows: Int[ndarray, "m"] | Bool[ndarray, "n"]) -> Tracks:
+    def take(self, rows: Int[ndarray, "m"]) -> Tracks:
         """The tracks of these rows, in this order."""
-        return Tracks(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+        return Tracks(**{f.name: getattr(self, f.name).take(rows, axis=0) for f in fields(self)})
 
     @staticmethod
     def none() -> Tracks:
@@ -250,7 +250,8 @@ def track(
     if (now_s[due] < old.time_s[due]).any():
         raise ValueError("an observer senses before the time of its own tracks: time goes forward.")
     kept = now_s - old.last_s <= params.keep_s  # those of observers that have left end here too
-    waiting, rows = old.take(kept & ~due), np.flatnonzero(kept & due)
+    waiting = old.take(np.flatnonzero(kept & ~due))
+    rows = np.flatnonzero(kept & due)
     tracks = predicted(old.take(rows), now_s[rows], params)
     t, d = assigned(tracks, found, params)
     again = updated(tracks.take(t), found.take(d), params)
@@ -259,7 +260,7 @@ def track(
     fresh = np.flatnonzero(is_new)
     known, n_objects, object_id = _numbered(memory, found.observer[fresh])
     new = begun(found.take(fresh), object_id, observers, row[fresh], params)
-    joined = Tracks.joined([again, new, tracks.take(is_missed), waiting])
+    joined = Tracks.joined([again, new, tracks.take(np.flatnonzero(is_missed)), waiting])
     of_detection = np.empty(len(found), np.int64)
     of_detection[d], of_detection[fresh] = np.arange(len(d)), len(d) + np.arange(len(fresh))
     velocity_mps = joined.velocity_mps[of_detection]

@@ -47,73 +47,101 @@ def _offer(s, t, member, seed, first, ptr, other, value, v, offer, offer_iou, of
 @njit(cache=True, nogil=True, parallel=True)
 def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle, n_chunks):
     """Seed of each position, and whether it is the owner's detection."""
-    n_lists = list_ptr.size - 1
     seeds, by_owner = np.empty(members.size, np.int64), np.empty(members.size, np.bool_)
-    longest = 0
-    for v in range(n_lists):
-        longest = max(longest, list_ptr[v + 1] - list_ptr[v])
-    for chunk in prange(n_chunks):
-        # of the list under way, by position in it: where the detections of the same message start, and the seed
-        block, seed = np.empty(longest, np.int32), np.empty(longest, np.int32)
-        # of each detection: its position if it is a seed of an earlier message; its first candidate, in which list
-        at, offer = np.full(message.size, -1, np.int32), np.empty(message.size, np.int32)
-        offer_iou, offer_list = np.zeros(message.size), np.full(message.size, -1, np.int32)
-        n_choices = longest if one_per_vehicle else 0
-        choice, winner, choice_iou = np.empty(n_choices, np.int32), np.empty(n_choices, np.int32), np.empty(n_choices)
-        for v in range(chunk, n_lists, n_chunks):
-            member = members[list_ptr[v] : list_ptr[v + 1]]
-            s = np.int64(0)  # a literal would be a type of its own, for which kernels are compiled once more
-            while s < len(member):
-                t = s
-                while t < len(member) and message[member[t]] == message[member[s]]:
-                    block[t] = s
-                    t += 1
-                for p in range(s, t):
-                    has_offer = offer_list[member[p]] == v
-                    seed[p] = offer[member[p]] if has_offer else p
-                    if one_per_vehicle:
-                        choice[p], choice_iou[p] = offer[member[p]] if has_offer else -1, offer_iou[member[p]]
-                if one_per_vehicle:
-                    _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, choice, choice_iou, winner)
-                for p in range(s, t):
-                    if seed[p] == p:
-                        at[member[p]] = p
-                _offer(s, t, member, seed, block, ptr, other, value, v, offer, offer_iou, offer_list)
-                s = t
-            for p in range(len(member)):
-                at[member[p]] = -1
-                seeds[list_ptr[v] + p] = list_ptr[v] + seed[p]
-                by_owner[list_ptr[v] + p] = message[member[seed[p]]] == owner[v]
+    for chunk in prange(n_chunks):  # in parallel an unsigned number, for which a kernel would be compiled once more
+        _seeds_of_lists(
+            np.int64(chunk),
+            n_chunks,
+            list_ptr,
+            members,
+            owner,
+            message,
+            ptr,
+            other,
+            value,
+            one_per_vehicle,
+            seeds,
+            by_owner,
+        )
     return seeds, by_owner
 
 
 @njit(cache=True, nogil=True)
-def _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, choice, choice_iou, winner):
-    """Fill `seed` for the detections of one message, s to t. `choice` are their first candidates; `winner` is room."""
+def _seeds_of_lists(
+    chunk, n_chunks, list_ptr, members, owner, message, ptr, other, value, one_per_vehicle, seeds, by_owner
+):
+    """The same for every `n_chunks`-th list; `seeds` and `by_owner` are written."""
+    longest = 0
+    for v in range(chunk, len(list_ptr) - 1, n_chunks):
+        longest = max(longest, list_ptr[v + 1] - list_ptr[v])
+    # of the list under way, by position in it: where the detections of the same message start, and the seed
+    block, seed = np.empty(longest, np.int32), np.empty(longest, np.int32)
+    # of each detection: its position if it is a seed of an earlier message; its first candidate, in which list
+    at, offer = np.full(message.size, -1, np.int32), np.empty(message.size, np.int32)
+    offer_iou, offer_list = np.zeros(message.size), np.full(message.size, -1, np.int32)
+    n_choices = longest if one_per_vehicle else 0
+    choice, winner, waiting = np.empty((3, n_choices), np.int32)
+    choice_iou = np.empty(n_choices)
+    for v in range(chunk, len(list_ptr) - 1, n_chunks):
+        member = members[list_ptr[v] : list_ptr[v + 1]]
+        s = np.int64(0)  # a literal would be a type of its own, for which kernels are compiled once more
+        while s < len(member):
+            t = s
+            while t < len(member) and message[member[t]] == message[member[s]]:
+                block[t] = s
+                t += 1
+            for p in range(s, t):
+                has_offer = offer_list[member[p]] == v
+                seed[p] = offer[member[p]] if has_offer else p
+                if one_per_vehicle:
+                    choice[p], choice_iou[p] = offer[member[p]] if has_offer else -1, offer_iou[member[p]]
+            if one_per_vehicle:
+                _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, choice, choice_iou, winner, waiting)
+            for p in range(s, t):
+                if seed[p] == p:
+                    at[member[p]] = p
+            _offer(s, t, member, seed, block, ptr, other, value, v, offer, offer_iou, offer_list)
+            s = t
+        for p in range(len(member)):
+            at[member[p]] = -1
+            seeds[list_ptr[v] + p] = list_ptr[v] + seed[p]
+            by_owner[list_ptr[v] + p] = message[member[seed[p]]] == owner[v]
+
+
+@njit(cache=True, nogil=True)
+def _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, choice, choice_iou, winner, waiting):
+    """Fill `seed` for the detections of one message, s to t.
+
+    `choice` are their first candidates; `winner` and `waiting` are room.
+    """
+    n_waiting = 0
     for p in range(s, t):
-        seed[p] = -1
+        seed[p] = p
+        if choice[p] >= 0:
+            waiting[n_waiting] = p
+            n_waiting += 1
     # each message before s in turn: its seeds take their best candidate; the others try the next one
-    while True:
+    while n_waiting > 0:
         turn = s
-        for p in range(s, t):
-            if seed[p] < 0 and choice[p] >= 0:
-                winner[choice[p]] = -1
-                turn = min(turn, block[choice[p]])
-        if turn == s:
-            break
-        for p in range(s, t):
+        for p in waiting[:n_waiting]:
+            turn = min(turn, block[choice[p]])
+            winner[choice[p]] = -1
+        for p in waiting[:n_waiting]:
             q = choice[p]
-            if seed[p] < 0 and q >= 0 and block[q] == turn and (winner[q] < 0 or choice_iou[p] > choice_iou[winner[q]]):
+            if block[q] == turn and (winner[q] < 0 or choice_iou[p] > choice_iou[winner[q]]):
                 winner[q] = p
-        for p in range(s, t):
-            if seed[p] < 0 and choice[p] >= 0 and block[choice[p]] == turn:
+        n_left = 0
+        for p in waiting[:n_waiting]:
+            if block[choice[p]] == turn:
                 if winner[choice[p]] == p:
                     seed[p] = choice[p]
-                else:
-                    choice[p], choice_iou[p] = _candidate(member[p], turn, at, block, ptr, other, value)
-    for p in range(s, t):
-        if seed[p] < 0:
-            seed[p] = p
+                    continue
+                choice[p], choice_iou[p] = _candidate(member[p], turn, at, block, ptr, other, value)
+                if choice[p] < 0:
+                    continue
+            waiting[n_left] = p
+            n_left += 1
+        n_waiting = n_left
 
 
 @njit(cache=True, nogil=True)

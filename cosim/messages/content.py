@@ -89,7 +89,7 @@ class Detections:
 
     def take(self, rows: ndarray) -> "Detections":
         """These rows, in this order."""
-        columns: list[Any] = [c.take(rows) if isinstance(c, Boxes) else c[rows] for c in self.columns()]
+        columns: list[Any] = [c.take(rows) if isinstance(c, Boxes) else c.take(rows, axis=0) for c in self.columns()]
         return Detections(*columns)
 
     def columns(self) -> list[Any]:

@@ -354,7 +354,7 @@ def _permitted_share(
     if not len(rows):
         return share
     b, o = lists.member[rows], lists.of_member()[rows].astype(np.int32)
-    xx, xy, yy = bounded(known.variance_m2[b]).T
+    xx, xy, yy = bounded(known.variance_m2.take(b, axis=0)).T
     # The lower triangle of the Cholesky factor turns standard deviations into metres.
     a = np.sqrt(xx)
     c = xy / a
@@ -377,5 +377,6 @@ def distance_m(
     a_m: Float[ndarray, "a 3"], i: Int[ndarray, "n"], b_m: Float[ndarray, "b 3"], j: Int[ndarray, "n"]
 ) -> Float[ndarray, "n"]:
     """Distance of each row i of `a_m` from the row j of `b_m`."""
-    x, y, z = (a_m[i] - b_m[j]).T
+    apart_m = a_m.take(i, axis=0) - b_m.take(j, axis=0)
+    x, y, z = apart_m.T
     return np.sqrt(x * x + y * y + z * z)

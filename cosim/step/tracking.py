@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
-from cosim.base.ragged import distinct
+from cosim.base.ragged import distinct, rows_of
 from cosim.radio.message_round import RoundKind
 from cosim.step.comparing import Compared
 from cosim.step.exchange import Exchange
@@ -55,12 +55,12 @@ def _track_round(
     )  # fmt: skip
     late = [_codes(actor, messages) for messages in late_of(rounds, kind)]
     if late:  # a message that arrives late counts in the step in which it arrives
-        arrived = np.concatenate(late)
-        everything = np.union1d(pair, arrived)
-        was_received = np.zeros(len(everything), bool)
-        was_received[np.searchsorted(everything, pair[got])] = True
-        was_received[np.searchsorted(everything, arrived)] = True
-        pair, got = everything, was_received
+        arrived, _ = distinct(np.concatenate(late))
+        row, is_there = rows_of(arrived, pair)
+        got[row[is_there]] = True
+        new = arrived[~is_there]
+        at = np.searchsorted(pair, new)
+        pair, got = np.insert(pair, at, new), np.insert(got, at, True)
     silent = None if exchange.sensing is exchange.vehicles else np.setdiff1d(actor, exchange.sensing.actor)
     tracker, rows = tracker.next(exchange.now.step, pair, got, silent)
     return tracker, Reach(n_in_range, rows)

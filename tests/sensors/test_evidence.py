@@ -167,14 +167,15 @@ def test_windows_equal_whole_clouds(seed, params):
         fov_rad, area, pairs = sweeps.beams.fov_rad, AreaParams(), sweeps.poses.pairs(at, asked)
         free = applies_to(sensed, fov_rad)
         planes, distance = whole_cloud.frusta(sensed.xyz_m[free], sensed.lwh_m[free])
-        applies, seen, closer = evidence_kernels.free_space(
-            sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(), area.range_m, area.height_m,
-            edge_slope(fov_rad), 0.25, 1 + o % 2,
-        )  # fmt: skip
-        assert (applies == free).all()
-        whole_seen, whole_closer = whole_cloud.free_space_xyz(sweeps.xyz(o), planes, distance, 0.25)
-        assert (seen[free] == whole_seen).all() and (closer[free] == whole_closer).all()
-        assert (plausible(sweeps, at, asked)[free] == (whole_closer > 0.1 * whole_seen)).all()
+        seen, closer = np.zeros((2, len(asked)), int)
+        seen[free], closer[free] = whole_cloud.free_space_xyz(sweeps.xyz(o), planes, distance, 0.25)
+        for share in (0.0, 0.1, 0.5, 0.9):
+            allowed = evidence_kernels.free_space(
+                sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(), area.range_m, area.height_m,
+                edge_slope(fov_rad), 0.25, share, 1 + o % 2,
+            )  # fmt: skip
+            assert (allowed == ~free | (closer > share * seen)).all()
+        assert (plausible(sweeps, at, asked)[free] == (closer > 0.1 * seen)[free]).all()
 
 
 def test_free_space_by_hand():

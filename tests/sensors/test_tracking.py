@@ -214,7 +214,7 @@ def test_others_change_nothing(seed):
 def test_one_that_does_not_sense_keeps_its_tracks():
     memory, _ = track(TrackMemory(), sensing([1, 2], 0), found([1, 2], 0, [[0, 0], [9, 9]], 0.0), P)
     later, _ = track(memory, sensing([2], 1), found([2], 0, [[15, 9]], 0.0), P)
-    kept, was = later.tracks.take(later.tracks.observer == 1), memory.tracks.take(memory.tracks.observer == 1)
+    kept, was = (m.tracks.take(np.flatnonzero(m.tracks.observer == 1)) for m in (later, memory))
     agree(kept, was, 0.0)
     _, state = track(later, sensing([1], 1.5), found([1], 0, [[9.0, 0.0]], 0.0), P)  # predicted over 1.5 s, not 0.5
     assert state.object_id[0] == 0 and state.age_s[0] == 1.5
