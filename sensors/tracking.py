@@ -122,6 +122,7 @@ class Tracks:
 
     def take(self, rows: Int[ndarray, "m"]) -> Tracks:
         """The tracks of these rows, in this order."""
+        rows = row_numbers(rows)
         return Tracks(**{f.name: getattr(self, f.name).take(rows, axis=0) for f in fields(self)})
 
     @staticmethod

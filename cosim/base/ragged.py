@@ -50,6 +50,15 @@ def rows_of(number: Int[ndarray, "k"], numbers: Int[ndarray, "n"]) -> tuple[Int[
     return row, numbers[row] == number if len(numbers) else np.zeros(len(number), bool)
 
 
+def row_numbers(rows: Int[ndarray, "m"] | Bool[ndarray, "n"]) -> Int[ndarray, "m"]:
+    """Numbers of the rows that a mask marks. Row numbers stay as they are.
+
+    `ndarray.take` needs an eighth of the time of an index in brackets, but reads a mask as the numbers 0 and 1.
+    """
+    rows = np.asarray(rows)
+    return np.flatnonzero(rows) if rows.dtype == np.bool_ else rows
+
+
 def distinct(value: Int[ndarray, "m"]) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"]]:
     """Distinct numbers, ascending, and how often each occurs.
 

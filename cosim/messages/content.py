@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.codes import DetectionFault, ObjectClass, Origin
+from cosim.base.ragged import row_numbers
 from cosim.messages import etsi
 from cosim.messages.cpm_params import MOST_OBJECTS
 from cosim.radio.segmentation import ENVELOPE_BYTES
@@ -89,6 +90,7 @@ class Detections:
 
     def take(self, rows: ndarray) -> "Detections":
         """These rows, in this order."""
+        rows = row_numbers(rows)
         columns: list[Any] = [c.take(rows) if isinstance(c, Boxes) else c.take(rows, axis=0) for c in self.columns()]
         return Detections(*columns)
 

@@ -128,3 +128,9 @@ def test_extrapolation_used_wrongly():
     with pytest.raises(ValueError, match="finite"):
         extrapolated(boxes, np.zeros((2, 2)), np.array([1.0, np.nan]))
     assert len(extrapolated(boxes.take(np.zeros(0, int)), np.zeros((0, 2)), 1.0)) == 0
+
+
+def test_a_mask_takes_the_rows_that_it_marks():
+    boxes = Boxes(np.arange(9.0).reshape(3, 3), np.ones((3, 3)), np.zeros(3))
+    marked = np.array([False, True, True])
+    assert boxes.take(marked).xyz_m.tolist() == boxes.take(np.array([1, 2])).xyz_m.tolist() == [[3, 4, 5], [6, 7, 8]]
