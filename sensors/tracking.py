@@ -19,6 +19,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.special import expit, logit
 
+from cosim.base.ragged import row_numbers
+
 _Positive = Annotated[float, Gt(0), Le(1000)]
 Positive = tuple[_Positive, _Positive, _Positive, _Positive]
 """One value per class: car, pedestrian, cyclist, truck."""
