@@ -236,11 +236,13 @@ def _traffic(run: Run) -> Iterator[MeasuredRow]:
 
 
 def _encounters(run: Run) -> Iterator[MeasuredRow]:
-    frame = _named(encounters.summary(run))
+    rates = encounters.rates(run)
+    frame = _named(encounters.summary(run).merge(rates, on=[*encounters.DEFINITION]))
     yield from _rows(frame, "{definition}", {
         "n": "n", "censored_left": "censored_left.share", "censored_right": "censored_right.share",
         "mean_s": "duration.mean_s", "median_s": "duration.median_s",
         "km_mean_s": "duration.km_mean_s", "km_median_s": "duration.km_median_s", "again_share": "again.share",
+        "per_vehicle_h": "per_vehicle_h",
     })  # fmt: skip
 
 

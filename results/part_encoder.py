@@ -83,7 +83,7 @@ class PartEncoder:
             self._submit()
 
     def finish(self, file: str) -> Part:
-        """Sync the file and give it its name.
+        """Sync the file and give it its name. Without rows it has the columns of the table, all of them.
 
         Raises
         ------
@@ -92,7 +92,9 @@ class PartEncoder:
         """
         for group in self._waiting:
             group.result()
-        assert self._writer is not None and self._file is not None, "a part has rows"
+        if self._writer is None or self._file is None:
+            self._file, self._writer = self._opened(schema(self._table))
+            self._first_step = 0
         self._writer.close()
         digest = self._file.finish(self._partial.with_name(file))
         return Part(self._table, file, self._n, self._file.n_bytes, digest, self._first_step, self._last_step)

@@ -161,8 +161,13 @@ class Recorder:
             self._commit(open_rows or {}, checkpoint or {})
 
     def _commit(
-        self, open_rows: Mapping[str, Sequence[Columns]], checkpoint: Mapping[str, Sequence[bytes | memoryview]]
+        self,
+        open_rows: Mapping[str, Sequence[Columns]],
+        checkpoint: Mapping[str, Sequence[bytes | memoryview]],
+        is_last: bool = False,
     ) -> None:
+        """Commit a block. The last one has a file for each table without any row, so that all tables can be read."""
+        begun = {part.table for part in self.inventory.parts} if is_last else set(self._parts)
         end_step = self._last_step + 1
         opening = [self._part("open", name, rows) for name, rows in self._made(open_rows, end_step - 1)]
         for waiting in sorted((*self._parts.values(), *opening), key=len, reverse=True):
@@ -172,7 +177,10 @@ class Recorder:
             (self.folder / CHECKPOINT).mkdir(exist_ok=True)
         number = f"{self._block:05d}.parquet"
         with ThreadPoolExecutor(_WRITERS) as disk:
-            to_write = disk.map(lambda p: p.finish(f"part-{number}"), filter(len, self._parts.values()))
+            to_write = disk.map(
+                lambda p: p.finish(f"part-{number}"),
+                [of for name, of in self._parts.items() if len(of) or name not in begun],
+            )
             to_open = disk.map(lambda p: p.finish(f"open-{number}"), opening)
             to_keep = disk.map(lambda name: durable.write(self.folder / name, *files[name]), files)
             parts, opened, kept_as = tuple(to_write), tuple(to_open), dict(zip(files, to_keep, strict=True))
@@ -199,7 +207,7 @@ class Recorder:
             self._block += 1
         elif is_committed:
             return
-        self._commit({}, {})
+        self._commit({}, {}, is_last=True)
 
     def _part(self, kind: str, table: str, rows: Sequence[dict[str, ndarray]] = ()) -> PartEncoder:
         partial = self.folder / table / f"{kind}-next{durable.PARTIAL}"

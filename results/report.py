@@ -27,8 +27,8 @@ h2 { font-size: 19px; margin: 40px 0 10px; padding-bottom: 4px; border-bottom: 2
 h3 { font-size: 15px; margin: 22px 0 6px; }
 p { margin: 6px 0; } .soft { color: var(--soft); }
 nav a { color: var(--accent); margin-right: 18px; }
-.facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)); gap: 10px; margin: 18px 0; }
-.facts div { background: var(--tint); border-left: 3px solid var(--accent); padding: 8px 12px; }
+.facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(112px, 1fr)); gap: 8px; margin: 14px 0; }
+.facts div { background: var(--tint); border-left: 3px solid var(--accent); padding: 6px 9px; line-height: 1.3; }
 .facts b { display: block; font-size: 19px; } .facts span { color: var(--soft); font-size: 13px; }
 .figures { columns: 440px 2; column-gap: 36px; } figure { margin: 0; padding: 12px 0; break-inside: avoid; }
 figure img { width: 100%; max-width: 640px; height: auto; display: block; }
@@ -42,13 +42,34 @@ th.number { text-align: right; } .wide { overflow-x: auto; }
 .numbers th:nth-child(4) { width: 9%; } .numbers th:nth-child(5) { width: 14%; }
 .numbers td { border-top: 1px solid var(--line); border-bottom: 0; }
 .numbers .more td { border-top: 0; padding-top: 0; }
+.answer { margin: 14px 0; padding: 10px 14px 10px 30px; background: var(--tint); border-left: 3px solid var(--accent); }
+.answer li { margin: 4px 0; } select { font: inherit; max-width: 100%; margin: 2px 0 6px; }
+.pivot td { white-space: nowrap; } .pivot td:first-child { white-space: normal; min-width: 15ch; }
 details { margin: 8px 0; } summary { cursor: pointer; font-weight: 600; }
 pre { background: var(--tint); padding: 12px; overflow-x: auto; font-size: 12.5px; }
 code { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: 0.93em; }
 .missing { color: var(--soft); background: var(--tint); padding: 8px 12px; }
+.first { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 320px), 1fr)); gap: 8px 36px; }
+.first img { max-width: 420px; } .first figcaption { font-size: 12.5px; }
+.section { border-top: 2px solid var(--accent); margin: 14px 0 0; padding-top: 6px; }
+.section > summary { font-size: 17px; font-weight: 400; }
+@media (max-width: 600px) {
+  body { padding: 12px 14px 60px; } h1 { font-size: 21px; } nav a { margin-right: 10px; }
+  .facts { grid-template-columns: repeat(2, 1fr); gap: 6px; } .facts b { font-size: 16px; }
+  .facts div { padding: 5px 8px; } .facts span { font-size: 12px; }
+  .numbers, .numbers tbody { display: block; } .numbers tr:first-child, .numbers td:nth-child(2) { display: none; }
+  .numbers tr { display: grid; grid-template-columns: 1fr auto; gap: 0 10px; border-top: 1px solid var(--line); }
+  .numbers tr.more { border-top: 0; } .numbers td { border: 0; padding: 1px 0; } .numbers td:empty { display: none; }
+  .numbers td:nth-child(1), .numbers td:nth-child(6) { grid-column: 1 / -1; }
+  .numbers td:nth-child(3) { color: var(--soft); }
+  .numbers td.number { grid-column: 2; white-space: nowrap; }
+}
 @media print { nav { display: none; } figure, tr { break-inside: avoid; } }
 """
 
+
+FIRST = ("trust", "encounters")
+"""Figures on the first screen."""
 
 DENSE = 20_000
 """Points of one panel above which its lines and marks become a bitmap; axes and text stay vector graphics."""
@@ -64,27 +85,48 @@ def write(run: Run, path: str | Path | None = None) -> Path:
 def page(run: Run) -> str:
     """The page as HTML."""
     numbers = measure(run)
+    first = [name for name in FIRST if name in FIGURES]
+    rest = [name for name in FIGURES if name not in first]
     parts = [
         f"<h1>{escape(run.name)}</h1>",
         f'<p class="soft">{escape(_span(run))}</p>',
         "<nav>" + "".join(f'<a href="#{name.lower()}">{name}</a>' for name in _SECTIONS) + "</nav>",
         _facts(run, numbers),
-        '<h2 id="figures">Figures</h2>',
-        f'<div class="figures">{"".join(_figure(name, run) for name in FIGURES)}</div>',
-        '<h2 id="numbers">Numbers</h2>',
-        *(_topic(topic, numbers[numbers.metric.str.startswith(topic + ".")]) for topic in TOPICS),
-        '<h2 id="tables">Tables</h2>',
-        _dictionary(run),
-        '<h2 id="provenance">Provenance</h2>',
-        _provenance(run),
+        f'<div class="first">{"".join(_figure(name, run) for name in first)}</div>',
+        _folded(
+            "Figures", f"{len(rest)} more", f'<div class="figures">{"".join(_figure(name, run) for name in rest)}</div>'
+        ),
+        _folded(
+            "Numbers",
+            f"{len(numbers)} values of {len(TOPICS)} topics",
+            "".join(_topic(topic, _of_topic(numbers, topic)) for topic in TOPICS),
+        ),
+        _folded("Tables", f"{len(run.tables)} in this run", _dictionary(run)),
+        _folded("Provenance", "versions, sources, the complete config", _provenance(run)),
     ]
     body = "\n".join(parts)
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(run.name)}</title><style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
+        f"<title>{escape(run.name)}</title><style>{STYLE}</style></head>\n<body>\n{body}\n"
+        f"<script>{_SCRIPT}</script></body></html>\n"
     )
 
+
+def _folded(title: str, about: str, content: str) -> str:
+    """A section of the page that is closed at first."""
+    head = f'<b>{escape(title)}</b> <span class="soft">{escape(about)}</span>'
+    return f'<details class="section" id="{title.lower()}"><summary>{head}</summary>{content}</details>'
+
+
+_SCRIPT = """
+const open = () => { const at = document.querySelector(location.hash || "#none"); if (at) at.open = true; };
+addEventListener("hashchange", open);
+open();
+for (const link of document.querySelectorAll("nav a")) link.addEventListener("click", () => setTimeout(open));
+addEventListener("beforeprint", () => document.querySelectorAll("details").forEach((one) => { one.open = true; }));
+"""
+"""Opens the section that a link names, and all for print. Without scripts a reader opens them."""
 
 _SECTIONS = ("Figures", "Numbers", "Tables", "Provenance")
 
@@ -105,7 +147,7 @@ def _facts(run: Run, numbers: pd.DataFrame) -> str:
         ("trust.final.median", "malicious", "final trust, malicious"),
         ("misbehaviour.at_lookup.auc", "malicious", "AUC at lookup, honest against malicious"),
         ("radio.pdr.all", None, "packet delivery ratio"),
-        ("safety.hard_braking.per_km", None, "hard braking per vehicle-kilometre"),
+        ("freshness.newest_evaluation_age.mean_s", "all", "age of the newest evaluation at lookup, mean"),
     ]
     boxes = []
     for metric, group, text in wanted:
@@ -146,6 +188,10 @@ def _n_points(artist: Any) -> int:
     if hasattr(artist, "get_paths"):
         return max(len(artist.get_offsets()), sum(len(path.vertices) for path in artist.get_paths()))
     return len(artist.get_path().vertices)
+
+
+def _of_topic(numbers: pd.DataFrame, topic: str) -> pd.DataFrame:
+    return numbers[numbers.metric.str.startswith(topic + ".")]
 
 
 def _topic(topic: str, frame: pd.DataFrame) -> str:

@@ -292,8 +292,8 @@ class Run:
         return rows.select(names) if where is None else rows.filter(where).select(names)
 
     def n_blocks(self, name: str) -> int:
-        """Number of parts of a table."""
-        return len(self._paths(name))
+        """Number of parts of a table that have rows."""
+        return sum(part.n_rows > 0 for part in self.inventory.of(name))
 
     def n_rows(self, name: str) -> int:
         """Number of rows of a table, over all variants."""

@@ -11,6 +11,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 
 from cosim.base import durable
+from results import study_curves
 from results.archive import OpenRun, open_run
 from results.metrics.intervals import FREE, Bounds, around
 from results.metrics.registry import TOPICS, bounds_of
@@ -53,6 +54,31 @@ class StudyResults:
         columns = ["point", "replicate", *self.keys]
         found = self.points[columns].merge(pd.concat(frames, ignore_index=True), on="point", how="inner")
         return found[~found.metric.str.endswith(".not_measured")].reset_index(drop=True)
+
+    @cached_property
+    def curves(self) -> pd.DataFrame:
+        """Durations of encounters and ages at lookup of every finished point: the swept keys, point, replicate, and the
+        columns of `study_curves.counts`. Runs of earlier versions, whose tables are gone, have none."""
+        frames = []
+        kinds = {"point": "O", "what": "O", "group": "O", "value_s": "f", "n": "iu", "n_open": "iu"}
+        for run, of_run in self.points.groupby("run", sort=False):
+            path = self.path / "jobs" / str(run) / "curves.parquet"
+            if path.is_file():
+                frames.append(_read(path, kinds))
+                continue
+            if not path.with_name("measures.parquet").is_file():
+                continue
+            for row in of_run.itertuples():
+                try:
+                    found = study_curves.counts(self.run(str(row.point)))
+                except (ValueError, OSError):  # the run is not there any more
+                    continue
+                frames.append(found.assign(point=str(row.point)))
+        columns = ["point", "replicate", *self.keys]
+        found = (
+            pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=["point", *study_curves.COLUMNS])
+        )
+        return self.points[columns].merge(found, on="point", how="inner")
 
     @cached_property
     def summary(self) -> pd.DataFrame:
@@ -182,7 +208,11 @@ def _check(head: Mapping[str, Any], points: pd.DataFrame) -> None:
 
 def _measures(path: Path) -> pd.DataFrame:
     """Metrics of a run's points. Damaged, in one line, if the file holds something else."""
-    columns = {"point": "O", "metric": "O", "group": "O", "value": "fiu", "unit": "O", "label": "O"}
+    return _read(path, {"point": "O", "metric": "O", "group": "O", "value": "fiu", "unit": "O", "label": "O"})
+
+
+def _read(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
+    """A table with these columns, each of one of these kinds. Damaged, in one line, if the file holds others."""
     try:
         found = pq.read_table(path, partitioning=None).to_pandas()
         for name, kinds in columns.items():
@@ -210,6 +240,39 @@ def within_run(frame: pd.DataFrame) -> pd.DataFrame:
     """Rows of encounter metrics with what their group says, as columns: radius_m and pairs."""
     parts = frame.group.str.extract(r"^(?P<pairs>\w+), (?P<radius_m>[\d.]+) m")
     return frame.assign(radius_m=parts.radius_m.astype(float), pairs=parts.pairs)
+
+
+def apart(frame: pd.DataFrame, keys: Sequence[str]) -> list[str]:
+    """Swept keys with more than one value, without those that another one determines, as keys that change together."""
+    n = {key: frame[key].nunique(dropna=False) for key in keys}
+    varied = [key for key in keys if n[key] > 1]
+    found: list[str] = []
+    for key in sorted(varied, key=lambda key: -n[key]):
+        together = [one for one in found if len(frame[[one, key]].drop_duplicates()) == n[one]]
+        if not together:
+            found.append(key)
+    return [key for key in keys if key in found]
+
+
+def that_matter(measures: pd.DataFrame, keys: Sequence[str]) -> list[str]:
+    """Of the swept keys, those that change a value: encounters, for example, do not depend on the window of trust.
+
+    Parameters
+    ----------
+    measures
+        Rows with the swept keys, replicate, and value, of the metrics in question; metric and group where there are
+        several.
+    """
+    varied = apart(measures, keys)
+    beside = [name for name in ("replicate", "metric", "group") if name in measures]
+    found = []
+    for key in varied:
+        others = [one for one in varied if one != key]
+        groups = measures.groupby([*others, *beside], dropna=False)
+        is_nowhere_twice = (groups[key].nunique(dropna=False) < 2).all()  # its values cannot be compared
+        if is_nowhere_twice or (groups.value.nunique(dropna=False) > 1).any():
+            found.append(key)
+    return found
 
 
 def chosen(frame: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:

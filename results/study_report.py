@@ -1,16 +1,40 @@
-"""The report of a study as one HTML page: what was asked, figures, table of means, paired differences, points."""
+"""The report of a study as one HTML page: the answer in three sentences, core figures, core table; the rest folded."""
 
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from cosim.base import durable
 from results.figures import study as figure
+from results.figures import study_curves as curves
 from results.report import STYLE, image_url
-from results.study import StudyResults, with_short_names
+from results.study import StudyResults, apart, chosen, short_names, that_matter, with_short_names
+from results.study_answer import sentences
+from results.study_table import core, pivot
 
 _MOST_ROWS = 400
+_MOST_SETS = 36
+"""Figures behind one select box."""
+
+_SCRIPT = """
+for (const box of document.querySelectorAll("select")) {
+  const choose = () => {
+    for (const one of box.closest("figure").querySelectorAll("[data-at]")) one.hidden = one.dataset.at !== box.value;
+  };
+  box.addEventListener("change", choose);
+  box.hidden = false;
+  choose();
+}
+"""
+"""Shows the figure that a select box names. Without scripts, all are shown."""
+
+Draw = Callable[[Mapping[str, str]], Any]
+"""Draws a figure at these values of swept keys."""
 
 
 def write(study: StudyResults, path: str | Path | None = None) -> Path:
@@ -23,59 +47,179 @@ def write(study: StudyResults, path: str | Path | None = None) -> Path:
 def page(study: StudyResults) -> str:
     """The page as HTML."""
     states = ", ".join(f"{n} {state}" for state, n in study.points.state.value_counts().items())
+    n = study.points.replicate.nunique()
+    replicates = f"{n} replicates" if n > 1 else "1 replicate"
     parts = [
         f"<h1>{escape(study.name)}</h1>",
         f"<p>{escape(study.question)}</p>",
+        "<ul class='answer'>",
+        *(f"<li>{escape(sentence)}</li>" for sentence in sentences(study)),
+        "</ul>",
         f'<p class="soft">{len(study.points)} points ({states}) of {study.points["run"].nunique()} runs; '
-        f"swept: {escape(', '.join(study.keys))}; {study.points.replicate.nunique()} replicates.</p>",
+        f"swept: {escape(', '.join(study.keys))}; {replicates}. Intervals are 95 % intervals of the mean over "
+        "replicates (Student's t, in the logit or logarithm of quantities with bounds).</p>",
         '<h2 id="figures">Figures</h2>',
+        '<p class="soft">A band spans the curves of the single replicates. An arrow marks an interval that leaves the '
+        "panel. A key that is not shown changes nothing here.</p>",
         '<div class="figures">',
-        *(_figure(study, topic) for topic in figure.SHOWN if _measured(study, topic)),
+        *_core_figures(study),
         "</div>",
-        '<h2 id="numbers">Means over replicates</h2>',
-        "<p>With 95 % intervals: Student's t, in the logit or logarithm of quantities with bounds.</p>",
-        _table(study, study.summary),
+        '<h2 id="numbers">Core metrics</h2>',
+        _pivot(study, study.summary),
     ]
     if study.baseline:
-        said = ", ".join(f"{key} = {value}" for key, value in study.baseline.items())
+        against = ", ".join(f"{key} = {value}" for key, value in study.baseline.items())
         parts += [
-            '<h2 id="differences">Paired differences</h2>',
-            f"<p>Against {escape(said)}, replicate by replicate, with the same intervals.</p>",
-            _table(study, study.differences),
+            f"<details><summary>Paired differences to {escape(against)}</summary>",
+            "<p>Replicate by replicate, with the same intervals.</p>",
+            _pivot(study, study.differences),
+            "</details>",
         ]
+    if others := [topic for topic in figure.SHOWN if _more(study, topic)]:
+        parts += [
+            "<details><summary>More figures</summary><div class='figures'>",
+            *(_figures(study, topic, *_of_metrics(study, _more(study, topic))) for topic in others),
+            "</div></details>",
+        ]
+    parts += ["<details><summary>All means</summary>", _table(study, study.summary), "</details>"]
+    if study.baseline:
+        parts += ["<details><summary>All paired differences</summary>", _table(study, study.differences), "</details>"]
     body = "\n".join(parts)
     return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(study.name)}</title>'
-        f"<style>{STYLE}</style></head><body>\n{body}\n</body></html>\n"
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(study.name)}</title>"
+        f"<style>{STYLE}</style></head><body>\n{body}\n<script>{_SCRIPT}</script></body></html>\n"
     )
 
 
-def _measured(study: StudyResults, topic: str) -> bool:
-    return bool(figure.shown(study, topic))
+def _core_figures(study: StudyResults) -> list[str]:
+    """The two distributions, and a figure for each core metric; roles of one metric share a figure."""
+    parts = []
+    for what, title in ((curves.ENCOUNTERS, "How long encounters last"), (curves.AGES, "How old trust is")):
+        frame = study.curves[study.curves.what == what]
+        if np.isfinite(frame.value_s.astype(float)).any():
+            others = curves.keys_of(study, what)[2:]
+            if frame.group.nunique() > 1:
+                others = ["group", *others]
+            parts.append(_figures(study, title, others, _drawn_curves(study, what)))
+    by_metric: dict[str, list[str]] = {}
+    for name in core(study, whole=False):
+        by_metric.setdefault(name.partition(":")[0], []).append(name)
+    for names in by_metric.values():
+        others, draw = _of_metrics(study, names)
+        parts.append(_figures(study, _label(study, names[0]), others, draw))
+    return parts
 
 
-def _figure(study: StudyResults, topic: str) -> str:
+def _drawn_curves(study: StudyResults, what: str) -> Draw:
+    return lambda where: curves.draw(study, what, where=where)
+
+
+def _of_metrics(study: StudyResults, names: Sequence[str]) -> tuple[list[str], Draw]:
+    """The keys beyond those on the axes of a figure of these metrics, and what draws it at values of them."""
+    matter = that_matter(chosen(study.measures, names), study.keys)
+    n_panels = max((study.points[key].nunique() for key in matter[2:3]), default=1)
+    shown = 3 if n_panels <= figure.MOST_PANELS else 2
+    return matter[shown:], lambda where: figure.draw(study, "", names, where=where, lean=True)
+
+
+def _more(study: StudyResults, topic: str) -> list[str]:
+    """Metrics of a topic that no core figure shows; encounters of several definitions are shown once more, together."""
+    there, found = core(study), []
+    for name in figure.shown(study, topic):
+        same = [one for one in there if one == name or one.startswith(f"{name}:")]
+        found += [name] if len(same) != 1 else []
+    return found
+
+
+def _label(study: StudyResults, name: str) -> str:
+    return str(chosen(study.summary, [name]).label.iloc[0])
+
+
+def _figures(study: StudyResults, title: str, others: Sequence[str], draw: Draw) -> str:
+    """A figure, or one for each combination of values of the other keys with a select box."""
+    if not others:
+        return f"<figure><h3>{escape(title)}</h3>{_image(draw, {}, title)}</figure>"
+    values = [_values(study, key) for key in others]
+    all_sets = [dict(zip(others, combination, strict=True)) for combination in itertools.product(*values)]
+    sets = all_sets[:_MOST_SETS]
+    names = [_name(one) for one in sets]
+    options = "".join(map(_option, range(len(names)), names))
+    images = "".join(
+        f"<div data-at='{n}'><p class='soft'>{escape(name)}</p>{_image(draw, one, f'{title}, {name}')}</div>"
+        for n, (one, name) in enumerate(zip(sets, names, strict=True))
+    )
+    rest = len(all_sets) - len(sets)
+    note = f"<p class='soft'>{rest} more combinations: `cosim plot` with --where draws them.</p>" if rest else ""
+    return f"<figure><h3>{escape(title)}</h3><select hidden>{options}</select>{images}{note}</figure>"
+
+
+def _name(at: Mapping[str, str]) -> str:
+    words = [f"{figure.label_of(key)} = {value}" for key, value in at.items()]
+    return ", ".join(words)
+
+
+def _option(number: int, name: str) -> str:
+    return f"<option value='{number}'>{escape(name)}</option>"
+
+
+def _values(study: StudyResults, key: str) -> list[str]:
+    """Values of a swept key by their short names; of `group`, the definitions of an encounter."""
+    if key == "group":
+        return list(dict.fromkeys(study.curves.group[study.curves.what == curves.ENCOUNTERS]))
+    short = short_names(study.points[key])
+    values = list(short)
+    ordered = sorted(values) if study.points[key].dtype.kind in "fiu" else values
+    return [short[value] for value in ordered]
+
+
+def _image(draw: Draw, where: Mapping[str, str], alt: str) -> str:
     try:
-        drawn = figure.draw(study, topic)
+        return f'<img src="{image_url(draw(where))}" alt="{escape(alt, quote=True)}">'
     except ValueError as reason:
-        return f'<h3>{escape(topic)}</h3><p class="missing">{escape(str(reason))}</p>'
-    url = image_url(drawn)
-    return f'<figure><h3>{escape(topic)}</h3><img src="{url}" alt="{escape(topic)} by swept key"></figure>'
+        return f'<p class="missing">{escape(str(reason))}</p>'
+
+
+def _pivot(study: StudyResults, frame: pd.DataFrame) -> str:
+    """The core metrics by the first swept key that varies."""
+    there = set(zip(frame.metric, frame.group, strict=True))
+    names = [name for name in core(study) if (*_split(name),) in there]
+    found = pivot(study, frame, names)
+    over = (apart(frame, study.keys) or [study.keys[0]])[0]
+    labels = {key: figure.label_of(key) for key in study.keys}
+    heads = [labels.get(str(name), str(name)) for name in found]
+    head = "".join(f"<th>{escape(text)}</th>" for text in heads)
+    rows = "".join(map(_row, found.to_numpy(object)))
+    return (
+        f"<p class='soft'>Columns: {escape(figure.label_of(over))}. Mean and 95 % interval.</p>"
+        f'<div class="wide"><table class="pivot"><tr>{head}</tr>{rows}</table></div>'
+    )
+
+
+def _split(name: str) -> tuple[str, str]:
+    metric, _, group = name.partition(":")
+    return metric, group
 
 
 def _table(study: StudyResults, frame: pd.DataFrame) -> str:
     shown = with_short_names(frame.head(_MOST_ROWS), study.keys)
-    names = [*study.keys, "metric", "group", "n", "mean", "low", "high", "unit", "note"]
+    keys = apart(frame, study.keys)
+    names = [*keys, "mean", "low", "high", "unit", "metric", "group", "n", "note"]
+    constant = [name for name in names if frame[name].nunique(dropna=False) < 2]
+    names = [name for name in names if name in keys or name not in constant]
     head = "".join(f"<th>{escape(name)}</th>" for name in names)
-    rows = "".join(
-        "<tr>" + "".join(_cell(value) for value in row) + "</tr>" for row in shown[names].itertuples(index=False)
-    )
+    rows = "".join(map(_row, shown[names].to_numpy(object)))
     more = len(frame) - len(shown)
     note = f'<p class="soft">{more} more rows in summary.csv.</p>' if more > 0 else ""
     return f'<div class="wide"><table><tr>{head}</tr>{rows}</table></div>{note}'
 
 
-def _cell(value: object) -> str:
+def _row(values: Iterable[Any]) -> str:
+    return f"<tr>{''.join(map(_cell, values))}</tr>"
+
+
+def _cell(value: Any) -> str:
     if isinstance(value, float):
         return f'<td class="number">{"" if value != value else f"{value:.4g}"}</td>'
     return f"<td>{escape(str(value))}</td>"

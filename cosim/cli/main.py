@@ -290,6 +290,10 @@ def measure(
         float,
         typer.Option(min=0, max=1, help="False positive rate at which recall is reported.", rich_help_panel=MORE),
     ] = 0.05,
+    over: Annotated[str | None, typer.Option(help="study: swept key whose values are the columns.")] = None,
+    where: Annotated[
+        list[str] | None, typer.Option(help="study: only points with this value, KEY=VALUE. Repeatable.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Print the metrics of runs. For a study, print means over replicates, 95 % intervals and paired differences."""
@@ -301,8 +305,10 @@ def measure(
     if not fresh_s >= 0:
         raise ValueError(f"--fresh-s {fresh_s:g}: an age is 0 or more. Give seconds.")
     if studies.is_study(runs):
-        studies.measure(runs[0], metrics or [], as_json)
+        studies.measure(runs[0], metrics or [], as_json, over, where)
         return
+    if over or where:
+        raise ValueError("--over and --where go with a study, and this is a run. Leave them out.")
     import pandas as pd
 
     from cosim.cli.own_metrics import own_metrics, split_metrics, with_metrics

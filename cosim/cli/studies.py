@@ -60,7 +60,8 @@ def sweep(
     refuse_other_than_study(study)
     asked = changed(load(study, trust_code), with_preset(preset, overrides))
     task = sweeping.prepare_study(asked, study.name, out, not separate)
-    for note in sweeping.keys_in_vain(task.points) + sweeping.scene_notes(task.points):
+    said = sweeping.keys_in_vain(task.points) + sweeping.scene_notes(task.points)
+    for note in said + sweeping.interval_notes(task.study):
         notes.print(note, soft_wrap=True)
     if dry_run:
         print_done(plan_facts(task, workers), "\n".join(plan_lines(task, workers)), as_json)
@@ -71,8 +72,13 @@ def sweep(
             note = f"{answered} of {len(task.points)} points {note}"
             advance(f"{task.study.head.name}, runs", done, total, note)
 
-        states, failed = sweeping.sweep(task, report, scheduler, workers)
+        def log(line: str) -> None:
+            notes.print(line, highlight=False, markup=False, soft_wrap=True)
+
+        states, failed = sweeping.sweep(task, report, scheduler, workers, log)
     _print_states(task.study.head.name, out, states, failed, as_json)
+    if not as_json:
+        _print_first(out)
     if failed:
         raise typer.Exit(1)
 
@@ -160,14 +166,19 @@ def is_study(folders: list[Path]) -> bool:
     return bool(found)
 
 
-def measure(folder: Path, metrics: list[str], as_json: bool) -> None:
-    """Print means, intervals and paired differences of a study, and write them to files."""
-    from results.figures.study import SHOWN, shown
-    from results.study import chosen, open_study, with_short_names
+def measure(
+    folder: Path,
+    metrics: list[str],
+    as_json: bool,
+    over: str | None = None,
+    where: list[str] | None = None,
+) -> None:
+    """Print means, intervals and paired differences of a study by a swept key, and write them to files."""
+    from results.study import chosen, open_study
+    from results.study_table import core, pivot
 
     study = open_study(folder)
     written = study.write()
-    asked = metrics or list(dict.fromkeys(name for topic in SHOWN for name in shown(study, topic)))
     tables = {"summary": study.summary} | ({"differences": study.differences} if study.baseline else {})
     if as_json:
         print_json({
@@ -175,18 +186,79 @@ def measure(folder: Path, metrics: list[str], as_json: bool) -> None:
             for name, table in tables.items()
         })  # fmt: skip
         return
-    columns = [*study.keys, "metric", "group", "n", "mean", "low", "high", "unit", "note"]
+    held = _held(where or [])
+    asked = metrics or core(study)
     for name, frame in tables.items():
-        of = "mean over replicates and 95 % interval"
+        there = [one for one in asked if metrics or _has(frame, one)]
+        title = f"{study.name}: {_means(study)}"
         if name == "differences":
-            of = f"paired differences against {study.baseline}, 95 % interval"
-        heads = [key.rsplit(".", 1)[-1] for key in study.keys]
-        names = [Column(head, overflow="fold") for head in (*heads, *columns[len(heads) :])]
-        table = Table(*names, title=f"{study.name}: {of}", title_justify="left", box=None)
-        for row in with_short_names(chosen(frame, asked), study.keys)[columns].itertuples(index=False):
-            table.add_row(*("" if v != v else f"{v:.4g}" if isinstance(v, float) else str(v) for v in row))
-        print_table(table)
+            against = ", ".join(f"{key} = {value}" for key, value in study.baseline.items())
+            title = f"{study.name}: difference to {against}, replicate by replicate, and 95 % interval"
+        try:
+            found = pivot(study, frame, there, over, held)
+        except ValueError:
+            if name == "summary":
+                raise
+            continue  # these points are the baseline itself
+        _print_pivot(study, title, found, over)
     screen.print("written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
+    if not metrics:
+        said = "These are the core metrics; --metric names others, --over the key of the columns."
+        screen.print(f"{said} Next: cosim report {folder}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _means(study) -> str:
+    n = study.points.replicate.nunique()
+    return f"mean of {n} replicates, and 95 % interval" if n > 1 else "one replicate, which has no interval"
+
+
+def _has(frame, name: str) -> bool:
+    metric, _, group = name.partition(":")
+    rows = frame[frame.metric == metric]
+    return bool(len(rows) and (not group or (rows.group == group).any()))
+
+
+def _print_pivot(study, title: str, found, over: str | None) -> None:
+    from results.study import apart
+
+    keys = apart(study.points, study.keys)
+    over = over or (keys[0] if keys else study.keys[0])
+    short = {key: key.rsplit(".", 1)[-1] for key in study.keys}
+    heads = [Column(short.get(name, name), overflow="fold") for name in found]
+    table = Table(*heads, title=f"{title}; columns: {over}", title_justify="left", box=None)
+    for row in found.itertuples(index=False):
+        table.add_row(*map(str, row))
+    print_table(table)
+
+
+def _print_first(folder: Path) -> None:
+    """After a sweep: the core metrics, with keys beside the columns at their first value, and the next command."""
+    from results.study import apart, open_study, said
+    from results.study_table import core, pivot
+
+    study = open_study(folder)
+    try:
+        asked = core(study)
+    except ValueError:  # no run has finished
+        return
+    over, *others = apart(study.points, study.keys) or study.keys
+    first = study.points.iloc[0]
+    held = {key: said(study.baseline.get(key, first[key])) for key in others}
+    at = ", ".join(f"{key} = {value}" for key, value in held.items())
+    beside = f" at {at}" if at else ""
+    title = f"{study.name}{beside}: {_means(study)}"
+    _print_pivot(study, title, pivot(study, study.summary, asked, over, held), over)
+    screen.print(f"next: cosim report {folder}   cosim measure {folder}", highlight=False, soft_wrap=True)
+
+
+def _held(where: list[str]) -> dict[str, str]:
+    if wrong := [text for text in where if "=" not in text]:
+        raise ValueError(f"--where {wrong[0]}: not KEY=VALUE. Write for example --where fleet.penetration_p=0.3.")
+    return dict(text.split("=", 1) for text in where)
+
+
+_CURVES = {"durations": "encounters", "ages": "ages"}
+"""Figures of a study that show distributions, pooled over replicates."""
 
 
 def plot(
@@ -194,13 +266,16 @@ def plot(
 ) -> None:
     """Draw a figure of a study."""
     from results.figures import study as figure
-    from results.figures import style
+    from results.figures import study_curves, style
     from results.study import open_study
 
-    if wrong := [text for text in where if "=" not in text]:
-        raise ValueError(f"--where {wrong[0]}: not KEY=VALUE. Write for example --where fleet.penetration_p=0.3.")
-    held = dict(text.split("=", 1) for text in where)
-    drawn = figure.draw(open_study(folder), topic, metrics, over, by, held)
+    held, study = _held(where), open_study(folder)
+    if topic in _CURVES and not metrics:
+        if over:
+            raise ValueError(f"--over: the axis of {topic} is time. Name the key of the lines with --by.")
+        drawn = study_curves.draw(study, _CURVES[topic], by, held)
+    else:
+        drawn = figure.draw(study, topic, metrics, over, by, held)
     screen.print(f"wrote {style.save(drawn, out or folder / f'{topic}.png')}", highlight=False, soft_wrap=True)
 
 

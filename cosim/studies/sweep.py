@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 import numba
+from scipy.stats import t
 
 from cosim.runs import check as checking
 from cosim.runs.cluster import connected, local
@@ -125,6 +126,31 @@ def scene_notes(points: Sequence[Point]) -> list[str]:
     return [note for scenario in scenarios for note in scene_summary(scenario).notes]
 
 
+FEW_REPLICATES = 5
+"""Fewer replicates than this give intervals that are wider than 1.5 standard deviations to either side."""
+
+
+def interval_notes(study: Study) -> list[str]:
+    """What intervals over so few replicates cannot say, before they are made.
+
+    Half of a 95 % interval of the mean of n replicates is t(0.975, n - 1) / sqrt(n) standard deviations of a replicate.
+    """
+    n = study.head.replicates
+    if n >= FEW_REPLICATES:
+        return []
+    if n == 1:
+        return [
+            "note: study.replicates = 1: means will have no interval, and no difference can be told from chance. Set 5."
+        ]
+    half = float(t.ppf(0.975, n - 1)) / n**0.5
+    of_five = float(t.ppf(0.975, FEW_REPLICATES - 1)) / FEW_REPLICATES**0.5
+    return [
+        f"note: study.replicates = {n}: a 95 % interval reaches {half:.1f} standard deviations of a replicate to "
+        f"either side ({FEW_REPLICATES} replicates: {of_five:.1f}). A smaller paired difference cannot be told from "
+        "chance."
+    ]
+
+
 def separate(points: Sequence[Point]) -> StudyPlan:
     """A plan with one run for each point, which share nothing."""
     return StudyPlan(tuple(PlannedRun(p.id, p.config, ((p.id, "base"),), "") for p in points), {}, ())
@@ -138,9 +164,16 @@ def needs_fused(study: Study) -> bool:
 
 
 def sweep(
-    task: Task, report: Report, scheduler: str | None = None, workers: int | None = None
+    task: Task,
+    report: Report,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    log: Callable[[str], None] = lambda _: None,
 ) -> tuple[dict[str, int], list[tuple[str, Attempt]]]:
-    """Make the missing runs; return the number of points by state, and the runs that failed."""
+    """Make the missing runs; return the number of points by state, and the runs that failed.
+
+    `log` gets a line about each run that has ended.
+    """
     study, folder = task.study, task.folder
     folder.prepare(study)
     with folder.locked():
@@ -162,6 +195,8 @@ def sweep(
                             if id in work.runs:
                                 done += 1
                                 answered += n_points[id] * (attempt.outcome == "ok")
+                                number = f"run {done} of {len(n_points)}"
+                                log(f"{number}: {_said(task, id)}: {_ended(attempt)}")
                             if attempt.outcome != "ok":
                                 failed.append((id, attempt))
                             report(
@@ -176,6 +211,24 @@ def sweep(
         finally:
             states = folder.write_index(study, task.points)
     return states, failed
+
+
+def _said(task: Task, id: str) -> str:
+    """What a run stands for: keys and values that its points have in common, and their number if they are several."""
+    (run,) = (run for run in task.plan.runs if run.id == id)
+    ids = {point for point, _ in run.members}
+    points = [point for point in task.points if point.id in ids]
+    words = []
+    for key, value in points[0].keys.items():
+        if all(one.keys[key] == value for one in points):
+            words.append(f"{key} = {value}")
+    words.append(f"replicate {points[0].replicate}")
+    return ", ".join(words) + (f", {len(points)} points" if len(points) > 1 else "")
+
+
+def _ended(attempt: Attempt) -> str:
+    spent = f"{attempt.wall_s:.0f} s ({attempt.cpu_s:.0f} s of processor time)"
+    return spent if attempt.outcome == "ok" else f"{attempt.outcome} after {spent}: {attempt.error}"
 
 
 def _write(task: Task) -> Work:

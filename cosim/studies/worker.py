@@ -24,6 +24,7 @@ from cosim.runs import run as running
 from cosim.runs.stop import Failed
 from cosim.studies.folder import StudyFolder, status_of
 from cosim.studies.stages import Cache
+from results import study_curves
 from results.archive import open_run
 from results.manifest import drop_tables, read_manifest
 from results.measure import measure
@@ -65,15 +66,19 @@ def _drive(folder: Path, config: dict[str, Any], traffic: Path | None) -> None:
 
 def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
     """Measure every point of the run, and keep the metrics in the folder of the job."""
-    topics, frames = tuple(asked["topics"]) or tuple(TOPICS), []
+    topics, frames, curves = tuple(asked["topics"]) or tuple(TOPICS), [], []
     options = dict(asked["measure"])
     own = options.pop("own", "")
     with open_run(folder).variants_apart() as run:
         for point, variant in asked["members"].items():
             one = run.as_variant(variant)
             frames.append(measure(one, topics=topics, **options).assign(point=point))
+            if {"encounters", "freshness"} & set(topics):
+                curves.append(study_curves.counts(one).assign(point=point))
             if own:
                 frames.append(function("measure.own", own)(one).assign(point=point))
+    if curves:
+        durable.write(job / "curves.parquet", pd.concat(curves, ignore_index=True).to_parquet(index=False))
     durable.write(job / "measures.parquet", pd.concat(frames, ignore_index=True).to_parquet(index=False))
 
 

@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from results.figures import style
-from results.study import StudyResults, chosen, held_at, said, with_short_names, within_run
+from results.study import StudyResults, apart, chosen, held_at, said, that_matter, with_short_names, within_run
 
 SHOWN: Mapping[str, tuple[str, ...]] = {
     "encounters": ("encounters.duration.km_median_s",),
@@ -49,11 +50,13 @@ LABELS: Mapping[str, str] = {
     "share_p": "share of attackers",
     "loss_p": "loss per frame",
     "scale": "demand",
+    "scenario": "city",
     "pairs": "pairs",
 }
 """Keys whose last word says too little on an axis."""
 
-_MOST_PANELS = 4
+MOST_PANELS = 4
+"""Panels beside one another."""
 _MOST_LETTERS = 32
 """Of the words under an axis; more of them are slanted."""
 _MOST_CELLS = 14
@@ -68,6 +71,7 @@ def draw(
     over: str | None = None,
     by: str | None = None,
     where: Mapping[str, Any] | None = None,
+    lean: bool = False,
 ) -> Figure:
     """A row of panels per metric; where two keys are words, as attacks and trust models are, a heat map per metric.
 
@@ -80,6 +84,8 @@ def draw(
         of their definition can be named too. A third key gives a column of panels for each of its values.
     where
         Values that other keys are held at.
+    lean
+        Leave out keys that do not change the metrics. They are always left out where more than three keys vary.
     """
     frame = study.summary
     asked = tuple(metrics) or tuple(shown(study, topic))
@@ -90,28 +96,58 @@ def draw(
     if all(name.startswith("encounters.") for name in asked):
         frame = within_run(chosen(frame, asked))
         keys += ["radius_m", "pairs"]
-    for key, value in (where or {}).items():
-        if key not in keys:
-            raise ValueError(f"{key} is not swept in {study.name}. Swept: {', '.join(keys)}.")
-        frame = held_at(frame, key, str(value))
-    frame = with_short_names(frame, keys)
-    varied = [key for key in keys if frame[key].nunique() > 1]
-    order = [key for key in (over, by) if key] + [key for key in varied if key not in (over, by)]
-    if unknown := [key for key in order if key not in keys]:
+    frame = held(study, frame, keys, where or {})
+    if unknown := [key for key in (over, by) if key and key not in keys]:
         raise ValueError(f"{unknown[0]} is not swept in {study.name}. Swept: {', '.join(keys)}.")
+    of_metrics = chosen(frame, asked)
+    varied = [key for key in keys if of_metrics[key].nunique() > 1]
+    if lean or len(varied) > 3:
+        matter = _matter(study, asked, where or {})
+        varied = [key for key in varied if key in matter or key not in study.keys]
+    order = [key for key in (over, by) if key]
+    order += [key for key in varied if key not in order]
+    for key in apart(of_metrics, study.keys):
+        if key not in order:  # it changes nothing: one of its values stands for all
+            frame = frame[frame[key] == of_metrics[key].iloc[0]]
+    frame = with_short_names(frame, keys)
     if len(order) > 3:
         raise ValueError(
-            f"{study.name} varies {', '.join(order)}: a figure shows three. Hold others with --where {order[3]}=VALUE."
+            f"{study.name} varies {', '.join(order)}: a figure shows three. Hold others with --where {order[3]}=VALUE, "
+            "or see all of them with `cosim report`."
         )
+    if not order and of_metrics[list(study.keys)].drop_duplicates().shape[0] > 1:
+        order = apart(of_metrics, study.keys)[:1]
     if not order:
-        raise ValueError(f"{study.name} has no two points to draw. Run `cosim sweep` on.")
+        many = len(study.points[list(study.keys)].drop_duplicates()) > 1
+        why = "one combination of its keys alone has a value" if many else "it has one combination of keys"
+        raise ValueError(f"{study.name} has no two points to draw: {why}. Sweep more values, or run longer.")
     x, colour, column = order[0], (order[1:2] or [""])[0], (order[2:3] or [""])[0]
     if colour and not column and all(frame[key].dtype.kind not in "fib" for key in (x, colour)):
         return _heat_maps(frame, asked, x, colour)
     columns = sorted(frame[column].unique()) if column else [None]
-    if len(columns) > _MOST_PANELS:
+    if len(columns) > MOST_PANELS:
         raise ValueError(f"{column} has {len(columns)} values: too many panels. Choose with --over, --by and --where.")
     return _draw(frame, asked, x, colour, column, columns)
+
+
+def held(
+    study: StudyResults,
+    frame: pd.DataFrame,
+    keys: Sequence[str],
+    where: Mapping[str, Any],
+) -> pd.DataFrame:
+    """Rows at which swept keys have these values; ValueError if there are none, with the values that there are."""
+    for key, value in where.items():
+        if key not in keys:
+            raise ValueError(f"{key} is not swept in {study.name}. Swept: {', '.join(keys)}.")
+        frame = held_at(frame, key, str(value))
+    return frame
+
+
+def _matter(study: StudyResults, asked: Sequence[str], where: Mapping[str, Any]) -> list[str]:
+    """The swept keys that change these metrics, at the values at which others are held."""
+    swept = {key: value for key, value in where.items() if key in study.keys}
+    return that_matter(held(study, chosen(study.measures, asked), study.keys, swept), study.keys)
 
 
 def shown(study: StudyResults, topic: str) -> list[str]:
@@ -150,12 +186,10 @@ def _draw(
             group = f", {first.group}" if ":" in name and first.group else ""
             title = f"{label_of(column)} = {said(value)}" if value is not None and row == 0 else ""
             y, is_last = f"{first.label}{group}{unit}" if n == 0 else "", row == len(asked) - 1
-            style.panel(axes, title, label_of(x) if is_last else "", y)
+            letters = max(16, int(15 * (height - 0.65)))
+            style.panel(axes, title, label_of(x) if is_last else "", style.fitted(y, letters))
             axes.tick_params(labelleft=n == 0, labelbottom=is_last or not _are_words(frame[x]))
-            if first.unit == "1":
-                style.share_axis(axes, min(1.0, max(0.05, 1.04 * float(of_metric[["mean", "high"]].max().max()))))
-            else:
-                axes.set_ylim(0, 1.06 * float(of_metric[["mean", "high"]].max().max()) or 1.0)
+            _height(axes, of_metric)
             _ticks(axes, frame[x], 5 if len(columns) < 3 else 3)
     entries = [
         Line2D(
@@ -249,6 +283,40 @@ def _line(axes: Axes, part: pd.DataFrame, values: pd.Series, i: int, n: int) -> 
         capsize=1.5,
         elinewidth=0.8,
     )
+
+
+def _height(axes: Axes, of_metric: pd.DataFrame) -> None:
+    """The vertical axis: as high as the means ask for, and as the intervals do if these are not much wider.
+
+    An interval that leaves the panel ends in an arrow at its edge.
+    """
+    mean = of_metric["mean"].to_numpy(float)
+    high = of_metric[["mean", "high"]].max(axis=1).to_numpy(float)
+    low = of_metric[["mean", "low"]].min(axis=1).to_numpy(float)
+    top = float(high.max())
+    if mean.max() > 0:
+        top = min(top, _WIDE * float(mean.max()))
+    if of_metric.unit.iloc[0] == "1" and low.min() >= 0:
+        style.share_axis(axes, min(1.0, max(0.05, 1.04 * top)))
+    else:
+        least = max(float(low.min()), _WIDE * float(mean.min()))
+        axes.set_ylim(min(0.0, 1.06 * least), 1.06 * top or 1.0)
+    bottom, top = axes.get_ylim()
+    for line in (one for one in axes.containers if isinstance(one, ErrorbarContainer)):
+        ends = line.lines[2][0].get_segments()
+        look: dict[str, Any] = {"color": line.lines[0].get_color(), "linestyle": "none", "markersize": 4}
+        for segment in ends:
+            if not len(segment):
+                continue
+            (at, start), (_, end) = segment
+            if end > top:
+                axes.plot([at], [top], marker="^", clip_on=False, **look)
+            if start < bottom:
+                axes.plot([at], [bottom], marker="v", clip_on=False, **look)
+
+
+_WIDE = 1.5
+"""An interval makes the axis higher up to so many times the largest mean."""
 
 
 def _are_words(values: pd.Series) -> bool:

@@ -113,6 +113,29 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def rates(run: Run) -> pd.DataFrame:
+    """How often a vehicle meets another one: the columns of `DEFINITION`, and per_vehicle_h [1/h].
+
+    Encounters that begin while the run is recorded count, for both of their vehicles. They are divided by the time that
+    the vehicles which can have one are on the road: equipped vehicles, or all where all pairs count.
+    """
+    who = run.table("vehicles", ["vehicle_class", "equipped", "first_step", "last_step"])
+    on_road_h = (who.last_step - who.first_step + 1).to_numpy() * run.dt_s / 3600.0
+    walks = (who.vehicle_class == "pedestrian").to_numpy()
+    drives = ~walks & (who.vehicle_class != "roadside_unit").to_numpy()
+    equipped = who.equipped.to_numpy(bool)
+    frame, rows = durations(run), []
+    for kind, of in frame.groupby([*DEFINITION], observed=True):
+        definition = dict(zip(DEFINITION, kind, strict=True))
+        counted = drives | walks if definition["pedestrians"] else drives
+        if definition["pairs"] in ("equipped", "los"):
+            counted = equipped
+        time_h = float(on_road_h[counted].sum())
+        rate = 2 * int(of.start_seen.sum()) / time_h if time_h else math.nan
+        rows.append(definition | {"per_vehicle_h": rate})
+    return pd.DataFrame(rows)
+
+
 def _mean(frame: pd.DataFrame, values: pd.Series, name: str) -> dict[str, float]:
     """Mean over encounters with its interval, which stays within what a share, or a duration, can be."""
     bounds = (0.0, 1.0) if values.dtype == bool else (0.0, math.inf)

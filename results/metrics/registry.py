@@ -85,6 +85,13 @@ METRICS: Mapping[str, MetricDefinition] = {
     "encounters.duration.median_s": MetricDefinition("duration, median as recorded", "s", "Median of `duration_s`. It is too short if many encounters are censored.", _DEFINITION),
     "encounters.duration.km_mean_s": MetricDefinition("duration, mean (Kaplan-Meier)", "s", "Area under the Kaplan-Meier curve of `duration_s` up to the longest duration observed (restricted mean). Encounters with `censored_left` are left out, and encounters with `censored_right` are censored. A departure is an observed end.", _DEFINITION),
     "encounters.duration.km_median_s": MetricDefinition("duration, median (Kaplan-Meier)", "s", "First duration at which the same curve is one half or less. The value is missing if the curve stays above one half.", _DEFINITION, "encounters"),
+    "encounters.per_vehicle_h": MetricDefinition(
+        "encounters per vehicle and hour", "1/h",
+        "2 n / T. n is the number of encounters without `censored_left`: those that begin while it is recorded. T is "
+        "the time that vehicles which can have one are on the road [h]: sum of (`last_step` - `first_step` + 1) times "
+        "`dt_s` over the rows of `vehicles` that are `equipped` (`pairs` equipped or los), else over all vehicles, and "
+        "pedestrians too if the definition counts them. An encounter counts for both of its vehicles.", _DEFINITION,
+    ),
     "encounters.again.share": MetricDefinition("repeated encounters", "1", "Share of encounters whose `gap_s` is not null. These are not the first encounter of their pair.", _DEFINITION, "actors"),
     "trust.final.median": MetricDefinition("final trust, median", "1", "Median over pseudonyms of the last trust value of each while it is in use.", _ROLE, "subjects"),
     "trust.final.mean": MetricDefinition("final trust, mean", "1", "Mean over pseudonyms of the same values.", _ROLE, "subjects"),
@@ -243,3 +250,21 @@ METRICS: Mapping[str, MetricDefinition] = {
     **{f"{topic}.not_measured": MetricDefinition("not measured", "", "The run does not contain the data; the group gives the reason.", "reason") for topic in TOPICS},
 }
 # fmt: on
+
+CORE: tuple[str, ...] = (
+    "encounters.duration.km_median_s",
+    "encounters.per_vehicle_h",
+    "freshness.newest_evaluation_age.mean_s:all",
+    "freshness.evaluation_within.share:all",
+    "freshness.encounters_without_trust.share",
+    "trust.final.median",
+    "misbehaviour.at_lookup.auc:malicious",
+    "radio.pdr.all",
+)
+"""The eight metrics to read first, each as `identifier` or `identifier:group`.
+
+How long equipped vehicles meet, and how often. How old the trust is that they use, how often it is fresh, and how often
+an encounter is over before there is any. What honest and malicious vehicles are trusted, and how well trust tells them
+apart. How much of what is sent arrives. The age is a mean, because ages move in whole steps: the medians of replicates
+are often equal, and leave no spread to judge by.
+"""

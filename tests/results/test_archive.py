@@ -11,6 +11,7 @@ from results.manifest import read_manifest, write_manifest
 from results.measure import measure
 from results.run import Run
 from results.tables import TABLES
+from tests.hostile.shared import reseal_inventory
 from tests.results.synthetic import write
 
 EMPTY = (
@@ -130,7 +131,13 @@ def test_measure_says_what_it_cannot(broken):
 
 
 def test_a_table_that_an_earlier_cosim_did_not_have(broken):
-    """Its folder and its line in the manifest are not there, and all else is read."""
+    """Its folder, its files in the inventory and its line in the manifest are not there, and all else is read."""
+
+    def forget(lines):
+        for line in lines:
+            line["parts"] = [part for part in line["parts"] if part["table"] != "tracks"]
+
+    reseal_inventory(broken, forget)
     manifest = read_manifest(broken)
     manifest["config"]["record"] = {"level": "standard"}
     manifest["inventory"]["tables"].pop("tracks", None)

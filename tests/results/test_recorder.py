@@ -150,11 +150,23 @@ def test_resume_equals_a_run_in_one_go(tmp_path):
     assert (broken / "trust" / "notes.txt").exists() and not list(broken.rglob("*.partial"))
 
 
+def test_a_table_without_rows_is_read_as_parquet(tmp_path):
+    """By pandas, and by file name: it has its columns, with their kinds, and no row."""
+    run = open_run(write(tmp_path / "run", steps=20))
+    empty = [name for name in run.tables if not len(run.table(name))]
+    assert empty
+    for name in empty:
+        (file,) = (run.path / name).glob("part-*.parquet")
+        alone = pq.ParquetFile(file).schema_arrow
+        assert alone.names == list(TABLES[name].stored) and pq.ParquetFile(file).metadata.num_rows == 0
+        assert list(pd.read_parquet(run.path / name)) == alone.names
+
+
 def test_fingerprint_sees_values_only(tmp_path):
     one, other = (fingerprint(write(tmp_path / str(block), steps=40, block_steps=block)) for block in (7, 40))
     assert one == other and set(one) == set(TABLES)
     changed = fingerprint(write(tmp_path / "seed", seed=1, steps=40))
-    without_rows = {name for name in TABLES if not any((tmp_path / "seed" / name).glob("part-*"))}
+    without_rows = {name for name in TABLES if not len(pd.read_parquet(tmp_path / "seed" / name))}
     assert {name for name in one if changed[name] == one[name]} <= without_rows
 
 

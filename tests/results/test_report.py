@@ -78,3 +78,15 @@ def test_below_a_file_no_folder_is_made(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match=r"Not a directory|File exists"):
         report.write(run, tmp_path / "file" / "report.html")
+
+
+def test_one_screen_and_the_rest_is_folded(run, tmp_path):
+    """Few numbers and two figures are open; every other figure, table and the config are in closed sections."""
+    text = report.write(run, tmp_path / "report.html").read_text()
+    start = text.index("<details")
+    above = text[:start]
+    assert above.count("<img") == len(report.FIRST) and above.count("<table") == 0
+    assert 4 <= above.count("<div><b>") <= 8
+    assert re.findall(r'<details class="section" id="(\w+)">', text) == ["figures", "numbers", "tables", "provenance"]
+    assert 'name="viewport"' in above and "@media (max-width: 600px)" in above
+    assert not re.search(r"<details [^>]*open", text.replace("<details open><summary>Resolved", ""))

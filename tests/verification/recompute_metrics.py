@@ -114,6 +114,8 @@ def definitions(frame):
 
 
 def encounters(of):
+    who = vehicles(of)
+    on_road_h = (who.last_step - who.first_step + 1) * of.dt_s / 3600
     for name, some in definitions(of.table("encounters")):
         seen = some[~some.censored_left.astype(bool)]
         over = ~seen.censored_right.astype(bool)
@@ -126,6 +128,11 @@ def encounters(of):
         yield "duration.km_mean_s", name, km_mean(duration_s, over)
         yield "duration.km_median_s", name, km_median(duration_s, over)
         yield "again.share", name, some.gap_s.notna().mean()
+        of_all = ~who.vehicle_class.isin(
+            ["pedestrian", "roadside_unit"]
+        )  # the runs that are compared count no pedestrians
+        counts = who.equipped if name.startswith(("equipped", "los")) else of_all
+        yield "per_vehicle_h", name, 2 * len(seen) / on_road_h[counts.astype(bool)].sum()
 
 
 def values(of):

@@ -1,13 +1,15 @@
 """Every command shown on a page is run, page by page, in an empty folder; files with a title are written first."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.cosim.docs import fences
+from cosim.studies.study import SHIPPED
+from tests.cosim.docs import fences, short
 from tests.cosim.docs.fences import PAGES, ROOT
 
 SHORT = "--set traffic.duration_s=30 --set attacks.0.start_s=10 --set attacks.1.start_s=10"
@@ -19,6 +21,14 @@ INSTEAD = {
     "source .venv/bin/activate": "true",
     "python3 -m venv": "true",
     "cosim validate --full": "cosim validate --list",
+    **{
+        f"cosim sweep {name} --out {out}": f"python -m tests.cosim.docs.short {name} {out}"
+        for name, out in (
+            ("question", "out"),
+            *((name, name) for name in ("question", "encounters", "freshness", "redundancy")),
+        )
+    },
+    "cosim run --set traffic.duration_s=60": f"{FIRST_RUN} --out runs/gallery",
 }
 """What stands for a command that sets up an environment, or takes minutes."""
 
@@ -98,7 +108,8 @@ def test_a_page(folder, page, record_pages):
 
 
 def _instead(line: str) -> str:
-    return next((new for old, new in INSTEAD.items() if line.startswith(old)), line)
+    first, joined, rest = line.partition(" && ")
+    return next((new for old, new in INSTEAD.items() if first.startswith(old)), first) + joined + rest
 
 
 @pytest.mark.verify
@@ -121,6 +132,39 @@ def test_the_notebook_of_the_tutorial(folder, monkeypatch):
     nbclient.NotebookClient(book, timeout=1200, resources={"metadata": {"path": str(folder / "work")}}).execute()
     printed = "".join(out.get("text", "") for cell in book.cells for out in cell.get("outputs", []))
     assert "fused objects" in printed and "mean trust" in printed and (folder / "work/trust.svg").exists()
+
+
+@pytest.mark.verify
+@pytest.mark.filterwarnings("ignore")
+def test_the_notebook_of_the_question(folder, monkeypatch):
+    """The notebook as it ships, with a shorter study of the same keys: three sentences and two figures."""
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    book = nbformat.read(PAGES / "tutorial/question.ipynb", 4)
+    assert not any(cell.get("outputs") for cell in book.cells), "it is kept without outputs"
+    nbformat.validate(book)
+    (folder / "work" / "short.toml").write_text(short.shortened("question"))
+    for cell in book.cells:
+        cell.source = cell.source.replace('STUDY = "question"', 'STUDY = "short.toml"')
+    nbclient.NotebookClient(book, timeout=1200, resources={"metadata": {"path": str(folder / "work")}}).execute()
+    printed = "".join(out.get("text", "") for cell in book.cells for out in cell.get("outputs", []))
+    assert printed.count("\n- ") + printed.startswith("- ") == 3 and "encounters per vehicle and hour" in printed
+    assert (folder / "work/durations.svg").exists() and (folder / "work/ages.svg").exists()
+
+
+def test_the_question_on_its_page_is_the_one_that_ships():
+    shown = fences.blocks((PAGES / "tutorial/question.md").read_text(encoding="utf-8"))
+    (text,) = (block.text for block in shown if block.title == "question.toml")
+    assert text == (SHIPPED / "question.toml").read_text(encoding="utf-8")
+
+
+def test_the_gallery_has_ten_pictures_and_a_line_for_each():
+    text = (PAGES / "tutorial/gallery.md").read_text(encoding="utf-8")
+    pictures = re.findall(r"!\[[^\]]+\]\(\.\./pictures/([^)]+)\)", text)
+    assert len(pictures) == len(set(pictures)) == 10
+    assert all((ROOT / "results" / "pictures" / name).is_file() for name in pictures)
+    assert sum(line.startswith("cosim plot") or "&& cosim plot" in line for line in fences.commands(text)) == 10
 
 
 @pytest.mark.parametrize("command", QUICK)

@@ -77,13 +77,16 @@ def test_what_is_said_of_others(watched, tmp_path):
 
 
 def test_the_folder_of_an_empty_table_and_a_second_config(watched, tmp_path):
-    """A table without rows has a folder; the config is written twice, and must say the same both times."""
+    """A table without rows has a file; the config is written twice, and must say the same both times."""
     shutil.copytree(watched[0], tmp_path / "run")
+    (file,) = (tmp_path / "run" / "dropped_detections").iterdir()
+    content = file.read_bytes()
     shutil.rmtree(tmp_path / "run" / "dropped_detections")
-    assert verify(tmp_path / "run")[1] == ["dropped_detections is missing, the folder of a table without rows"]
+    assert verify(tmp_path / "run")[1] == [f"dropped_detections/{file.name} is missing"]
     config = json.loads((watched[0] / "manifest.json").read_text())["config"]
     with_config(tmp_path / "run", config)
-    (tmp_path / "run" / "dropped_detections").mkdir()
+    file.parent.mkdir()
+    file.write_bytes(content)
     assert verify(tmp_path / "run")[1] == []
     config["lidar"]["n_azimuths"] = 200
     reseal(tmp_path / "run", config=config)

@@ -57,7 +57,47 @@ def swept(tmp_path_factory):
     (folder / "study.toml").write_text(STUDY)
     done = cosim(folder, "sweep", "study.toml", "--out", "out", "--workers", "2")
     assert done.returncode == 0, done.stderr + done.stdout
+    (folder / "stdout.txt").write_text(done.stdout)
+    (folder / "stderr.txt").write_text(done.stderr)
     return folder
+
+
+def test_a_sweep_says_what_it_does(swept):
+    """Without a terminal: a line per finished run, then the core metrics of one column per penetration, then what next.
+
+    Half an interval of two replicates: t(0.975, 1) / sqrt(2) = 12.706 / 1.4142 = 8.98 standard deviations.
+    """
+    first, *lines = (swept / "stderr.txt").read_text().splitlines()
+    assert first.startswith("note: study.replicates = 2: a 95 % interval reaches 9.0 standard deviations")
+    runs = [line for line in lines if line.startswith("run ")]
+    assert [line.split(":")[0] for line in runs] == [f"run {n} of 4" for n in range(1, 5)]
+    for penetration, replicate in ((0.2, 0), (0.2, 1), (0.3, 0), (0.3, 1)):
+        (line,) = (x for x in runs if f"fleet.penetration_p = {penetration}, replicate {replicate}, 2 points: " in x)
+        assert line.endswith("of processor time)")
+    said = (swept / "stdout.txt").read_text()
+    assert (
+        "8 finished" in said and "packet delivery ratio" in said and "newest evaluation at lookup, mean age [s]" in said
+    )
+    assert said.splitlines()[-1] == "next: cosim report out   cosim measure out"
+
+
+def test_core_metrics_of_a_study(swept):
+    """Pivoted, short, never cut; values that there are."""
+    done = cosim(swept, "measure", "out", "--over", "fleet.penetration_p", "--where", "trust.freshness_s=20.0")
+    assert done.returncode == 0, done.stderr
+    (line,) = (x for x in done.stdout.splitlines() if "honest above attacker at lookup (AUC)" in x)
+    mine = open_study(swept / "out").summary.query(
+        "metric == 'misbehaviour.at_lookup.auc' and group == 'malicious' and `trust.freshness_s` == 20"
+    )
+    assert len(mine) == 2 and all(f" {mean:.3g}" in line for mean in mine["mean"])
+    wrong = cosim(swept, "measure", "out", "--where", "trust.freshness_s=7")
+    assert wrong.returncode == 2 and "no point has trust.freshness_s = 7. There are 6, 20." in wrong.stderr
+    wrong = cosim(swept, "measure", f"out/runs/{open_study(swept / 'out').points.run[0]}", "--over", "x")
+    assert wrong.returncode == 2 and "go with a study" in wrong.stderr
+    for figure in ("durations", "ages"):
+        done = cosim(swept, "plot", figure, "out", "--out", f"{figure}.png")
+        assert done.returncode == 0, done.stderr
+    assert all((swept / "out/jobs" / run / "curves.parquet").is_file() for run in open_study(swept / "out").points.run)
 
 
 def test_merged_and_replayed_points_equal_plain_runs(swept, tmp_path):
@@ -94,6 +134,8 @@ def test_keys_without_effect_are_named(swept):
     assert done.stderr.splitlines() == [
         "note: parked.vans_p has no effect without parked.per_100_m above 0.",
         'note: trust.server_period_s has no effect without trust.host = "central", in 4 of 8 points.',
+        "note: study.replicates = 2: a 95 % interval reaches 9.0 standard deviations of a replicate to either side (5 "
+        "replicates: 1.2). A smaller paired difference cannot be told from chance.",
     ]
 
 

@@ -1,0 +1,131 @@
+"""Durations of encounters, or ages of trust at lookup, of a study: pooled over replicates, by a swept key."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from results.figures import style
+from results.figures.study import MOST_PANELS, held, label_of
+from results.study import StudyResults, apart, said, that_matter, with_short_names
+from results.study_curves import AGES, ENCOUNTERS, distinct, pooled
+
+_TITLES: Mapping[str, tuple[str, str, str]] = {
+    ENCOUNTERS: ("Encounters that last longer", "Duration [s]", "Share that lasts longer"),
+    AGES: (
+        "Trust at lookup that is older, or without evaluation",
+        "Age of the newest evaluation [s]",
+        "Share older, or without",
+    ),
+}
+_LEFT = 0.01
+"""Share at which the axis of durations ends."""
+
+
+def keys_of(study: StudyResults, what: str) -> list[str]:
+    """The swept keys on which a distribution depends; none if the study has not kept it."""
+    frame = study.curves[study.curves.what == what]
+    return that_matter(distinct(frame, study.keys), study.keys) if len(frame) else []
+
+
+@style.styled
+def draw(
+    study: StudyResults,
+    what: str,
+    by: str | None = None,
+    where: Mapping[str, Any] | None = None,
+) -> Figure:
+    """Kaplan-Meier curves of the encounters, or shares of lookups with older evidence, one for each value of a key.
+
+    Replicates are pooled. A band spans the curves of the single replicates; there is none for one replicate.
+
+    Parameters
+    ----------
+    what
+        `encounters` or `ages`.
+    by
+        Swept key whose values have a colour each; left out, the first that changes the curves. A second one gives a
+        panel for each of its values.
+    where
+        Values at which other keys are held; `group` is a definition of an encounter.
+    """
+    frame = study.curves[study.curves.what == what]
+    if frame.empty:
+        raise ValueError(
+            f"{study.name} has kept no {_TITLES[what][1].lower()}. Measure the topics encounters and freshness "
+            "(keep.topics), and sweep into another folder."
+        )
+    where = dict(where or {})
+    if group := where.pop("group", ""):
+        frame = frame[frame.group == group]
+    if not np.isfinite(frame.value_s).any():
+        raise ValueError(f"{study.name} has no value that rests on an evaluation: there is no age to draw.")
+    frame = held(study, frame, study.keys, where)
+    matter = that_matter(distinct(frame, study.keys), study.keys)
+    if by is not None and by not in study.keys:
+        raise ValueError(f"{by} is not swept in {study.name}. Swept: {', '.join(study.keys)}.")
+    if by is not None:
+        matter = [by, *(key for key in matter if key != by)]
+    if what == ENCOUNTERS and frame.group.nunique() > 1:
+        matter = [*matter[:1], "group", *matter[1:]]
+    if len(matter) > 2:
+        raise ValueError(
+            f"{what} depend on {', '.join(matter)}: this figure shows two. Hold others with --where {matter[2]}=VALUE."
+        )
+    for key in apart(frame, study.keys):
+        if key not in matter:  # it changes nothing: one of its values stands for all
+            frame = frame[frame[key] == frame[key].iloc[0]]
+    frame = with_short_names(frame, study.keys)
+    colour, column, *_ = (*matter, "", "")
+    columns = (
+        list(dict.fromkeys(frame[column]))
+        if column == "group"
+        else sorted(frame[column].unique())
+        if column
+        else [None]
+    )
+    if len(columns) > MOST_PANELS:
+        raise ValueError(f"{column} has {len(columns)} values: too many panels. Choose with --by and --where.")
+    across = min(2, len(columns))
+    figure, panels = style.sheet(len(columns), 2.4 if across == 1 else 2.1, across)
+    hues = sorted(frame[colour].unique()) if colour else [None]
+    longest_s = 0.0
+    until_s = float(frame.value_s[np.isfinite(frame.value_s)].max())
+    for axes, value in zip(panels, columns, strict=True):
+        part = frame if value is None else frame[frame[column] == value]
+        for i, hue in enumerate(hues):
+            curve = pooled(part if hue is None else part[part[colour] == hue], until_s)
+            longest_s = max(longest_s, _line(axes, curve, i))
+    title, x, y = _TITLES[what]
+    for n, (axes, value) in enumerate(zip(panels, columns, strict=True)):
+        name = str(value) if column == "group" else f"{label_of(column)} = {said(value)}"
+        is_left = n % 2 == 0
+        style.panel(axes, title if value is None else name, x, y if is_left else "")
+        axes.tick_params(labelleft=is_left)
+        style.share_axis(axes)
+        axes.set_xlim(0, max(longest_s, 1.0) * 1.02)
+    names = [f"{label_of(colour)} = {said(hue)}" for hue in hues] if colour else []
+    style.legend(figure, list(map(_entry, range(len(names)), names)))
+    return figure
+
+
+def _entry(i: int, name: str) -> Line2D:
+    return Line2D([], [], label=name, **_look(i))
+
+
+def _look(i: int) -> dict[str, Any]:
+    return {"color": style.ink(i), "marker": style.marker(i), "linestyle": style.dash(i)}
+
+
+def _line(axes: Axes, curve: pd.DataFrame, i: int) -> float:
+    """Curve `i` with its band; where it ends, or where few are left [s]."""
+    known = curve[~np.isnan(curve.survival)]
+    axes.plot(known.value_s, known.survival, drawstyle="steps-post", markevery=0.12, **_look(i))
+    band: dict[str, Any] = {"step": "post", "color": style.ink(i), "alpha": 0.18, "linewidth": 0}
+    axes.fill_between(known.value_s, known.low, known.high, **band)
+    lasting = known.value_s[known.survival.shift(fill_value=1.0) >= _LEFT]
+    return float(lasting.max()) if len(lasting) else 0.0

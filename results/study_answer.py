@@ -1,0 +1,215 @@
+"""The answer of a study in three sentences: how long vehicles meet, how old trust is, and how well it tells apart.
+
+Each sentence compares the first with the last value of every swept key that changes its metric, the other keys held at
+their reference: the value of the baseline, or else the first of the study. Whether a difference is more than chance is
+said by its paired interval, replicate by replicate.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from results.figures.study import label_of
+from results.metrics.registry import METRICS, bounds_of
+from results.study import StudyResults, apart, chosen, intervals, said, short_names, that_matter
+from results.study_table import core, number
+
+
+@dataclass(frozen=True, slots=True)
+class _Quantity:
+    """A core metric in words."""
+
+    metric: str
+    subject: str
+    """What has the value; `{group}` is the definition of an encounter."""
+    more: str
+    less: str
+    missing: str
+
+
+_QUANTITIES = (
+    _Quantity(
+        "encounters.duration.km_median_s",
+        "The median encounter of vehicles ({group}) lasts",
+        "longer",
+        "shorter",
+        "No median duration of encounters: in no run did half of them end while they were watched",
+    ),
+    _Quantity(
+        "freshness.newest_evaluation_age.mean_s",
+        "The newest evaluation behind trust that a vehicle looks up has a mean age of",
+        "older",
+        "fresher",
+        "No age of trust: no value that was looked up rests on an evaluation by another vehicle",
+    ),
+    _Quantity(
+        "misbehaviour.at_lookup.auc",
+        "When it is looked up, an honest vehicle has more trust than a malicious one in "
+        "a share of comparisons (AUC) of",
+        "higher",
+        "lower",
+        "No comparison of honest with malicious vehicles: none of the runs has looked up trust of both",
+    ),
+)
+
+
+_SAME = 1e-9
+"""Values that differ by less are the same but for rounding."""
+
+
+def sentences(study: StudyResults) -> list[str]:
+    """Three sentences with numbers, intervals and, where they hold, differences."""
+    asked = core(study, whole=False)
+    named = {name.partition(":")[0]: name for name in asked}
+    found = []
+    for of in _QUANTITIES:
+        if of.metric in named:
+            found.append(_sentence(study, of, named[of.metric]))
+        else:
+            found.append(f"{of.missing}{_not_asked(study, of)}.")
+    return found
+
+
+def _not_asked(study: StudyResults, of: _Quantity) -> str:
+    topic = of.metric.partition(".")[0]
+    is_measured = study.measures.metric.str.startswith(topic + ".").any()
+    return "" if is_measured else f", or the study did not measure the topic {topic}"
+
+
+def _sentence(study: StudyResults, of: _Quantity, name: str) -> str:
+    metric, _, group = name.partition(":")
+    frame = chosen(study.measures, [name])
+    matter = that_matter(frame, study.keys)
+    for key in apart(frame, study.keys):
+        if key not in matter:  # it changes nothing: one of its values stands for all
+            frame = frame[frame[key] == _ordered(frame, key)[0]]
+    reference = {key: _reference(study, frame, key) for key in matter}
+    firsts = {key: _ordered(frame, key)[0] for key in matter}
+    clauses: list[str] = []
+    for key in matter:
+        at_reference = frame
+        for other, value in reference.items():
+            at_reference = at_reference if other == key else at_reference[at_reference[other] == value]
+        if len(at_reference):
+            clauses.append(_contrast(of, at_reference, key, starts_there=bool(clauses) and reference == firsts))
+    subject = of.subject.format(group=group)
+    if not clauses:
+        return f"{subject} {_value(frame, metric)}{_alone(study, frame)}{_censored(study, of, group)}."
+    held_at = ", ".join(_at(frame, key, value) for key, value in reference.items())
+    where = f" (keys that a clause does not name are held at {held_at})" if len(matter) > 1 else ""
+    return f"{subject} {'; '.join(clauses)}{where}{_alone(study, frame)}{_censored(study, of, group)}."
+
+
+def _alone(study: StudyResults, frame: pd.DataFrame) -> str:
+    """Values of keys outside of which the metric has no value, such as the share of attackers of an AUC."""
+    frame = chosen(study.measures, [f"{frame.metric.iloc[0]}:{frame.group.iloc[0]}"])
+    varied = apart(study.points, study.keys)
+    only = [_at(study.points, key, frame[key].iloc[0]) for key in varied if frame[key].nunique() == 1]
+    return f"; it has a value at {' and '.join(only)} alone" if only else ""
+
+
+def _reference(study: StudyResults, frame: pd.DataFrame, key: str) -> Any:
+    """The value of a key at which it is held: that of the baseline where the metric has it, else the first."""
+    values = _ordered(frame, key)
+    wanted = study.baseline.get(key)
+    return next((value for value in values if value == wanted), values[0])
+
+
+def _ordered(frame: pd.DataFrame, key: str) -> list[Any]:
+    """Values of a key: numbers ascending, words in the order of the study."""
+    values = list(dict.fromkeys(frame[key]))
+    return sorted(values) if frame[key].dtype.kind in "fiu" else values
+
+
+def _contrast(of: _Quantity, frame: pd.DataFrame, key: str, starts_there: bool) -> str:
+    """The value at the first and at the last value of a key, and what their paired difference says.
+
+    `starts_there`: the value at the first has been said before.
+    """
+    values = _ordered(frame, key)
+    if len(values) < 2:
+        return f"{_value(frame, of.metric)} at {_at(frame, key, values[0])}, its only value"
+    first = frame[frame[key] == values[0]]
+    last = frame[frame[key] == values[-1]]
+    at_first, at_last = _said(frame, key, values[0]), _said(frame, key, values[-1])
+    if starts_there:
+        text = f"at {_named(key)} {at_last} instead of {at_first} it is {_value(last, of.metric)}"
+    else:
+        text = f"{_value(first, of.metric)} at {_named(key)} {at_first}"
+        text += f" and {_value(last, of.metric)} at {at_last}"
+    pairs = first.merge(last, on="replicate", suffixes=("_first", "_last"))
+    pairs = pairs.drop_duplicates("replicate").assign(value=pairs.value_last - pairs.value_first, of="")
+    return f"{text}, {verdict(of, pairs)}"
+
+
+def verdict(of: _Quantity, pairs: pd.DataFrame) -> str:
+    """What paired differences say: a direction only if their 95 % interval excludes 0."""
+    if not len(pairs):
+        return "which no replicate has both of"
+    (row,) = intervals(pairs, ["of"]).to_dict("records")
+    n, mean = int(row["n"]), float(row["mean"])
+    low, high = float(row["low"]), float(row["high"])
+    if n < 2:
+        return "which one replicate cannot compare"
+    if low != low:
+        return "without an interval of the difference"
+    unit = METRICS[of.metric].unit
+    word = of.more if mean > 0 else of.less
+    direction = f"{word} by {_one(abs(mean), unit)}"
+    if high - low < _SAME * max(1.0, abs(mean)):
+        direction = direction if abs(mean) > _SAME else "the same"
+        return f"{direction} in each of the {n} replicates, which leaves no spread for an interval"
+    span = f"95 % interval of the difference {_with_unit(low, high, unit)}"
+    if low <= 0 <= high:
+        return f"which {n} replicates cannot tell apart ({span})"
+    return f"{direction} ({span})"
+
+
+def _value(frame: pd.DataFrame, metric: str) -> str:
+    """Mean over replicates with its interval, bounded as the metric is."""
+    (row,) = intervals(frame, ["metric"], bounds_of).to_dict("records")
+    unit, n = METRICS[metric].unit, int(row["n"])
+    spread = float(frame.value.max() - frame.value.min())
+    if n > 1 and spread < _SAME:
+        return f"{_one(row['mean'], unit)} (the same in all {n} replicates)"
+    if row["low"] != row["low"]:
+        return f"{_one(row['mean'], unit)} ({'one replicate' if n == 1 else f'{n} replicates, no interval'})"
+    span = _with_unit(row["low"], row["high"], unit)
+    return f"{_one(row['mean'], unit)} (95 % interval {span})"
+
+
+def _censored(study: StudyResults, of: _Quantity, group: str) -> str:
+    """How many encounters had not ended when recording ended."""
+    if not of.metric.startswith("encounters."):
+        return ""
+    rows = study.summary[(study.summary.metric == "encounters.censored_right.share") & (study.summary.group == group)]
+    if rows.empty:
+        return ""
+    shares = rows["mean"]
+    low, high = f"{shares.min():.0%}", f"{shares.max():.0%}"
+    span = low if low == high else f"{low} to {high}"
+    return f"; {span.replace('%', ' %')} of the encounters had not ended when recording ended"
+
+
+def _named(key: str) -> str:
+    """A key in the middle of a sentence."""
+    return label_of(key).partition(" [")[0]
+
+
+def _at(frame: pd.DataFrame, key: str, value: Any) -> str:
+    return f"{_named(key)} {_said(frame, key, value)}"
+
+
+def _said(frame: pd.DataFrame, key: str, value: Any) -> str:
+    text = short_names(frame[key]).get(value, said(value))
+    unit = label_of(key).partition(" [")[2].removesuffix("]")
+    return f"{text} {unit}".strip()
+
+
+def _one(value: float, unit: str) -> str:
+    return f"{number(value)} {'' if unit in ('', '1') else unit}".strip()
+
+
+def _with_unit(low: float, high: float, unit: str) -> str:
+    return f"{number(low)} to {_one(high, unit)}"

@@ -1,0 +1,107 @@
+"""A study's metrics as a table for the eye: a row per metric, a column for each value of one swept key."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pandas as pd
+
+from results.metrics.registry import CORE
+from results.study import StudyResults, apart, chosen, held_at, said, that_matter, with_short_names
+
+
+def core(study: StudyResults, whole: bool = True) -> list[str]:
+    """The core metrics that the study has measured, as `identifier:group`.
+
+    Parameters
+    ----------
+    whole
+        Whether all definitions of an encounter are named, or the first of each metric alone.
+    """
+    pairs = study.summary[["metric", "group"]].drop_duplicates()
+    found = []
+    for name in CORE:
+        metric, _, group = name.partition(":")
+        groups = sorted(pairs.group[pairs.metric == metric])
+        if group:
+            groups = [one for one in groups if one == group]
+        if not whole and not metric.startswith("trust."):
+            groups = groups[:1]
+        found += [f"{metric}:{one}" if one else metric for one in groups]
+    return found
+
+
+def pivot(
+    study: StudyResults,
+    frame: pd.DataFrame,
+    metrics: Sequence[str],
+    over: str | None = None,
+    where: Mapping[str, str] | None = None,
+) -> pd.DataFrame:
+    """Mean and 95 % interval in each cell, as text.
+
+    Parameters
+    ----------
+    frame
+        `study.summary` or `study.differences`.
+    over
+        Swept key whose values are the columns; left out, the first that varies.
+    where
+        Values at which swept keys are held.
+
+    Returns
+    -------
+    A column for each value of `over`, after the metric with its unit, its group, and the other keys on which it
+    depends. A key on which a metric does not depend is empty in its rows. Columns that are the same in all rows are
+    left out.
+
+    Raises
+    ------
+    ValueError
+        In one line, if a key, a value or a metric does not exist.
+    """
+    for key in [*(where or {}), *([over] if over else [])]:
+        if key not in study.keys:
+            raise ValueError(f"{key} is not swept in {study.name}. Swept: {', '.join(study.keys)}.")
+    whole, measures = frame, study.measures
+    for key, text in (where or {}).items():
+        frame, measures = held_at(frame, key, text), held_at(measures, key, text)
+    varied = apart(frame, study.keys)
+    over = over or (varied[0] if varied else study.keys[0])
+    heads = list(dict.fromkeys(with_short_names(frame, study.keys)[over].map(said)))
+    others = [key for key in varied if key != over]
+    rows: list[dict[str, str]] = []
+    for name in metrics:
+        of_metric = frame.loc[frame.index.intersection(chosen(whole, [name]).index)]
+        if of_metric.empty:  # it is there at other values of the keys alone
+            continue
+        matter = that_matter(chosen(measures, [name]), study.keys)
+        free = [key for key in others if key not in matter]
+        for key in free:  # it changes nothing: one of its values stands for all
+            of_metric = of_metric[of_metric[key] == of_metric[key].iloc[0]]
+        short = with_short_names(of_metric, study.keys)
+        beside = [key for key in others if key not in free]
+        for at, one in short.groupby(["metric", "group", *beside], sort=False, dropna=False):
+            first = one.iloc[0]
+            unit = "" if first.unit in ("", "1") else f" [{first.unit}]"
+            row = {"": f"{first.label}{unit}", "group": str(first.group)}
+            row |= dict.fromkeys(others, "")
+            row |= dict(zip(beside, map(said, at[2:]), strict=True))
+            cells = {said(of[over]): cell(of) for of in one.to_dict("records")}
+            rows.append(row | {head: cells.get(head, "") for head in heads})
+    table = pd.DataFrame(rows, columns=["", "group", *others, *heads])
+    constant = [name for name in ("group", *others) if table[name].nunique() < 2]
+    return table.drop(columns=constant)
+
+
+def cell(row: Mapping[Any, Any]) -> str:
+    """A mean with its interval, and with the number of replicates that have a value if that is not all."""
+    mean, low, high = (float(row[name]) for name in ("mean", "low", "high"))
+    text = number(mean)
+    if low == low:
+        text += f" ({number(low)} to {number(high)})"
+    return f"{text}, n = {row['n']}" if row.get("note") else text
+
+
+def number(value: float) -> str:
+    """Three significant digits; all digits of a whole part."""
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
