@@ -5,7 +5,7 @@ from pathlib import Path
 
 from results.columns import LEVELS, Column
 from results.glossary import GLOSSARY
-from results.metrics.registry import METRICS, TOPICS, MetricDefinition
+from results.metrics.registry import METRICS, TOPICS, Metric
 from results.tables import SCHEMA_VERSION, TABLES, kept
 
 
@@ -92,7 +92,7 @@ def markdown() -> str:
     return "\n".join(lines) + "\n"
 
 
-def _range(metric: MetricDefinition) -> str:
+def _range(metric: Metric) -> str:
     """Bounds of a metric as text; empty if it has none."""
     low, high = metric.bounds
     if math.isinf(low):

@@ -22,7 +22,7 @@ class MetricRow(NamedTuple):
     label: str = ""
 
 
-class Metric(Protocol):
+class OwnMetric(Protocol):
     """Computes values from a run."""
 
     def rows(self, run: Run) -> list[MetricRow]:
@@ -40,7 +40,7 @@ COLUMNS = ["metric", "group", "value", "low", "high", "n_units", "unit", "label"
 """Of a table of metrics."""
 
 
-def measure_own(run: Run, metrics: Sequence[Metric]) -> pd.DataFrame:
+def measure_own(run: Run, metrics: Sequence[OwnMetric]) -> pd.DataFrame:
     """Values of users' metrics, in the columns of `measure`."""
     rows = [row for metric in metrics for row in metric.rows(run)]
     table = pd.DataFrame(

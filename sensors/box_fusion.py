@@ -63,7 +63,7 @@ class StatedAccuracy(NamedTuple):
         return self._replace(origin_m=origin_m, pose_variance=pose_variance)
 
 
-class Views(NamedTuple):
+class ObjectViews(NamedTuple):
     """D detections in M messages."""
 
     boxes: Boxes
@@ -92,7 +92,7 @@ class FusedBoxes(NamedTuple):
 
 
 def fuse_boxes(
-    views: Views,
+    views: ObjectViews,
     ptr: Int[ndarray, "e+1"],
     member: Int[ndarray, "p"],
     owner: Int[ndarray, "e"],
@@ -198,7 +198,7 @@ _RULE = (0.1127016654, 0.5, 0.8872983346), (5 / 18, 8 / 18, 5 / 18)
 
 
 class _Table(NamedTuple):
-    """`Views` with variances that are large enough."""
+    """`ObjectViews` with variances that are large enough."""
 
     xyz: ndarray
     lwh: ndarray

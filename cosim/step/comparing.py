@@ -19,7 +19,7 @@ from cosim.step.object_lists import questions_of, received_lists, subset
 from cosim.step.perception import BoxQuestions, Perceives
 from cosim.step.stopwatch import Stopwatch
 from sensors.association import bounded, certainty
-from sensors.box_fusion import StatedAccuracy, Views, fuse_boxes, overlap_p
+from sensors.box_fusion import ObjectViews, StatedAccuracy, fuse_boxes, overlap_p
 from sensors.boxes import Boxes, overlapping_pairs
 from sensors.evidence import AreaParams
 from trust import tables
@@ -220,7 +220,7 @@ class Grouped:
         assert self.accuracy is not None
         lists, groups, detections = self.lists, self.groups, self.detections
         seeds = groups.seeds()
-        views = Views(self.boxes, detections.label, detections.message, self.accuracy)
+        views = ObjectViews(self.boxes, detections.label, detections.message, self.accuracy)
         weight = self._weights(sender_trust, params)
         with threads_for(_ROWS_PER_FUSED * len(lists.member)):
             boxes = fuse_boxes(

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from sensors.box_fusion import FusedBoxes, StatedAccuracy, Views, fuse_boxes, overlap_p
+from sensors.box_fusion import FusedBoxes, ObjectViews, StatedAccuracy, fuse_boxes, overlap_p
 from sensors.boxes import Boxes, iou_3d
 
 POSE_M2, TURN_RAD2 = 0.2**2, math.radians(0.2) ** 2
@@ -17,7 +17,7 @@ POSE_M2, TURN_RAD2 = 0.2**2, math.radians(0.2) ** 2
 class Scene:
     """Lists of one or more receivers."""
 
-    views: Views
+    views: ObjectViews
     ptr: np.ndarray
     member: np.ndarray
     owner: np.ndarray
@@ -80,7 +80,7 @@ def scene(seed: int, n_vehicles: int = 5, n_objects: int = 12, found_p: float = 
         member.append(order)
         n_groups += len(numbers)
     made = Scene(
-        views=Views(boxes, said, vehicle, accuracy),
+        views=ObjectViews(boxes, said, vehicle, accuracy),
         ptr=np.arange(n_receivers + 1) * d,
         member=np.concatenate(member),
         owner=np.arange(n_receivers),
@@ -215,7 +215,7 @@ def test_two_detections_by_hand():
         np.array([[0.04, 0, 0.04], [0.01, 0, 0.01]]), np.full(2, 0.01), np.full(2, 0.01),
         np.array([[0.0, 0], [10.07, 0]]), np.array([[0.0, 0], [0.09, 0]]),
     )  # fmt: skip
-    views = Views(boxes, np.zeros(2, np.uint8), np.array([0, 1]), accuracy)
+    views = ObjectViews(boxes, np.zeros(2, np.uint8), np.array([0, 1]), accuracy)
     one = np.array([0])
     s = Scene(views, np.array([0, 2]), np.array([0, 1]), one, np.zeros(2, int), one, np.ones(2))
     # One object says nothing new about where the other vehicle is: alignment gives the same.
@@ -232,7 +232,7 @@ def test_a_pose_error_counts_once():
         np.tile([0.03, 0, 0.03], (3, 1)), np.full(3, 0.01), np.full(3, 0.01), np.zeros((2, 2)),
         np.tile([0.04, 0.0], (2, 1)),
     )  # fmt: skip
-    views, zero = Views(boxes, np.zeros(3, np.uint8), np.ones(3, int), accuracy), np.array([0])
+    views, zero = ObjectViews(boxes, np.zeros(3, np.uint8), np.ones(3, int), accuracy), np.array([0])
     s = Scene(views, np.array([0, 3]), np.arange(3), zero, np.zeros(3, int), zero, np.ones(3))
     assert s.fused().variance_m2[0] == pytest.approx([0.09, 0, 0.09], abs=1e-5)
 
@@ -247,7 +247,7 @@ def test_shared_objects_reveal_the_offset_of_a_vehicle():
         np.tile([0.01, 0, 0.01], (19, 1)), np.full(19, 0.01), np.full(19, 0.01), np.array([[0.0, 0], [20, 0]]),
         np.tile([POSE_M2, TURN_RAD2], (2, 1)),
     )  # fmt: skip
-    views = Views(boxes, np.zeros(19, np.uint8), np.repeat([0, 1], [9, 10]), accuracy)
+    views = ObjectViews(boxes, np.zeros(19, np.uint8), np.repeat([0, 1], [9, 10]), accuracy)
     group = np.concatenate([np.arange(9), np.arange(10)])
     s = Scene(views, np.array([0, 19]), np.arange(19), np.array([0]), group, np.append(np.arange(9), 18), np.ones(19))
     found, plain = s.fused(), s.fused(align=False)
@@ -281,7 +281,7 @@ def test_headings_of_opposite_directions_and_at_the_branch_cut():
             np.tile([POSE_M2, 0.0], (n, 1)),
         )  # fmt: skip
         boxes = Boxes(np.tile([9.0, 0, 1], (n, 1)), np.ones((n, 3)), np.array(yaw))
-        views = Views(boxes, np.zeros(n, np.uint8), np.arange(n), accuracy)
+        views = ObjectViews(boxes, np.zeros(n, np.uint8), np.arange(n), accuracy)
         one = np.array([0])
         s = Scene(views, np.array([0, n]), np.arange(n), one, np.zeros(n, int), one, np.ones(n))
         found = s.fused().boxes.yaw_rad[0]
