@@ -1,5 +1,7 @@
 """An attacker that misstates accuracies: what receivers believe of it, by hand."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from cosim.config.config import resolve_data
 from cosim.messages import etsi
 from cosim.messages.content import FABRICATED, Detections
 from cosim.step.accuracy import DetectorAccuracy, aged, stated
+from cosim.step.comparing import _permitted_share
 from sensors.association import (
     LEAST_VARIANCE_M2,
     MOST_VARIANCE_M2,
@@ -16,6 +19,7 @@ from sensors.association import (
     pairs_across,
 )
 from sensors.boxes import Boxes
+from sensors.evidence import AreaParams
 from sensors.tracking import TrackingParams
 from tests.cosim.attacks.plain import NAMES, play
 from tests.cosim.door.test_mistakes import returns, told
@@ -137,3 +141,22 @@ def test_a_factor_of_one_is_the_truth():
     for was, now in zip(lists_of(GHOSTS), lists_of(GHOSTS, truth), strict=True):
         for name in (*STATED, "score"):
             np.testing.assert_array_equal(getattr(was, name), getattr(now, name))
+
+
+class _FreeSpace:
+    """A sweep with free space within 1 m of the origin of the plane."""
+
+    def answers(self, sweeps, asked):
+        """No returns, and whether each box may stand where it is asked about."""
+        return None, np.hypot(*asked.boxes.xyz_m[:, :2].T) > 1.0
+
+
+@pytest.mark.parametrize(("factor", "share"), [(0.1, 0.0), (1, 0.0), (3, 0.8), (10, 0.8)])
+def test_where_free_space_is_asked(factor, share):
+    """The four other places are sqrt(2) standard deviations away: of 0.13 m2 times the square of the factor, 0.05,
+    0.51, 1.53 and 2.83 m. From 1 m on they are permitted, so that 4 of 5 parts of the denial count by visibility."""
+    ghost = ghosts(factor)
+    lists = SimpleNamespace(member=np.zeros(1, int), of_member=lambda: np.zeros(1, int))
+    known = SimpleNamespace(boxes=ghost.boxes, variance_m2=ghost.variance_m2)
+    found = _permitted_share(_FreeSpace(), None, lists, np.zeros(1, bool), known, AreaParams())
+    np.testing.assert_allclose(found, [share])
