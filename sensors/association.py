@@ -49,9 +49,9 @@ def bounded(variance_m2: Float[ndarray, "n 3"], most_m2: float = MOST_VARIANCE_M
     What is no variance (not finite, not positive) becomes the largest one.
     """
     xx, xy, yy = variance_m2.T
-    mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
-    spread = np.hypot(half, xy)
     with np.errstate(invalid="ignore"):
+        mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
+        spread = np.hypot(half, xy)
         low, high = mean - spread, mean + spread
         is_variance = np.isfinite(high) & (low >= -1e-9 * np.abs(high))
     low, high = (np.clip(np.where(is_variance, x, np.inf), LEAST_VARIANCE_M2, most_m2) for x in (low, high))

@@ -20,6 +20,7 @@ ATTACKS: Mapping[str, type] = Choices(
         "size": falsification.Size,
         "classification": falsification.Classification,
         "score": falsification.Score,
+        "misstated_accuracy": falsification.MisstatedAccuracy,
         "bad_mouthing": evaluations.BadMouthing,
         "ballot_stuffing": evaluations.BallotStuffing,
         "collusion": evaluations.Collusion,

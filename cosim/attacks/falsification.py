@@ -1,4 +1,4 @@
-"""Attacks that withhold or falsify the attacker's own detections: position, heading, size, class, score."""
+"""Attacks that withhold or falsify own detections: position, heading, size, class, score, stated accuracy."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.attacks.attack import AttackContext, WithParams, per_actor, wrapped
-from cosim.messages.content import FABRICATED, SELF, Detections
+from cosim.messages.content import FABRICATED, LEAST_ACCURACY_FACTOR, MOST_ACCURACY_FACTOR, SELF, Detections
 from cosim.world import LABELS
 from sensors.boxes import iou_3d
 
@@ -227,3 +227,44 @@ class Score(WithParams[ScoreParams]):
         score = listed.score.copy()
         score[rows] = self.params.claimed
         return replace(listed, score=score)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MisstatedAccuracyParams:
+    """The accuracy that is stated."""
+
+    factor: Annotated[float, Ge(LEAST_ACCURACY_FACTOR), Le(MOST_ACCURACY_FACTOR)] = 10.0
+    """Factor on the standard deviations that an honest vehicle would state. Above 1 the error is overstated, so that a
+    detection is hard to deny. Below 1 it is understated, so that it dominates fused boxes."""
+    content: Literal["detections", "fabricated", "self_report", "all"] = "detections"
+    """Content whose accuracy is misstated: `detections` of other objects, only `fabricated` ones, the `self_report`, or
+    `all`."""
+
+
+class MisstatedAccuracy(WithParams[MisstatedAccuracyParams]):
+    """Misstates how accurate detections are: the standard deviations of position, velocity, heading and size.
+
+    It has an effect where accuracies are stated (`trust.matching = "gates"`). In a section after that of another
+    attack, with `together_with`, it misstates what that attack has fabricated or falsified, too.
+
+    Notes
+    -----
+    Deviations: this attack has no source. The accuracy of the vehicle's own pose is not stated in messages here: all
+    receivers take it to be that of `gnss`.
+    """
+
+    Params = MisstatedAccuracyParams
+
+    def detections(self, listed: Detections, context: AttackContext) -> Detections:
+        """The lists, with the factor on what will be stated."""
+        p, rows = self.params, context.own_rows(listed)
+        origin = listed.origin[rows]
+        wanted = {
+            "detections": origin != SELF,
+            "fabricated": origin == FABRICATED,
+            "self_report": origin == SELF,
+            "all": np.ones(len(rows), bool),
+        }
+        factor = listed.accuracy_factor.copy()
+        factor[rows[wanted[p.content]]] = p.factor
+        return replace(listed, accuracy_factor=factor)

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from cosim.attacks.attack import LOUDEST_DBM, Sending
 from cosim.base.codes import LosState, ObjectClass, Origin
-from cosim.messages.content import Detections
+from cosim.messages.content import LEAST_ACCURACY_FACTOR, MOST_ACCURACY_FACTOR, Detections
 from cosim.radio.message_round import FrameOutcomes, MessageRound, Outcome, Receptions
 from cosim.traffic.driver import Reasons, SpeedCommands
 from sensors.boxes import Boxes
@@ -243,6 +243,7 @@ def attacked_detections(call: Call, returned: Any) -> Detections:
         "observer": ("iu", 0, n_world - 1), "target": ("iu", 0, n_world - 1), "origin": ("iu", 0, len(Origin) - 1),
         "identity": ("iu", 0, MOST_IDENTITIES), "detection_index": ("iu",), "label": ("iu", 0, 255), "score": ("f",),
         "n_points": ("iu",), "transmitted": ("b",), "speed_mps": ("f",), "acceleration_mps2": ("f",),
+        "accuracy_factor": ("f", LEAST_ACCURACY_FACTOR, MOST_ACCURACY_FACTOR),
     })  # fmt: skip
     _column("velocity_mps", returned.velocity_mps, (n, 2), "f", what="east and north of each detection")
     if len(context.n_identities):

@@ -25,6 +25,8 @@ LARGEST_M = 1_000.0
 """Largest length, width or height of a detection."""
 FASTEST = 1_000.0
 """Largest speed [m/s] and acceleration [m/s2] that a detection may claim."""
+LEAST_ACCURACY_FACTOR, MOST_ACCURACY_FACTOR = 1e-3, 1e3
+"""Factors by which stated standard deviations may differ from honest ones. Receivers bound what they believe anyway."""
 LARGEST_NUMBER = 2**15 - 1
 MOST_RETURNS = 2**31 - 1
 
@@ -66,6 +68,8 @@ class Detections:
     """Stated variance of the heading relative to the observer [rad2], modulo pi."""
     size_variance: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: exact
     """Stated variance of the logarithms of length, width and height."""
+    accuracy_factor: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: the truth
+    """Factor by which an attacker multiplies all standard deviations that it would state honestly. It is not sent."""
 
     def __post_init__(self) -> None:
         n = len(self.observer)
@@ -84,6 +88,8 @@ class Detections:
         for name in ("velocity_variance", "heading_variance", "size_variance"):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.zeros(n))
+        if self.accuracy_factor is None:
+            object.__setattr__(self, "accuracy_factor", np.ones(n))
 
     def __len__(self) -> int:
         return len(self.observer)

@@ -67,7 +67,8 @@ def stated(
     the vehicle's own position; that of its heading, across the line of sight, times the square of the range; and, if a
     sweep takes the time T, that of a motion of speed v in it, (v T)^2 / 12 along the velocity. A self report has the
     second part alone. A detection without a track has the variance of the speeds of its class. Vehicles that attack
-    state the same of what they fabricate: nothing else is believed.
+    state the same of what they fabricate, times the `accuracy_factor` of their attack. A velocity that is said to be
+    less well known than that of an object without a track counts as one that is not stated.
 
     Relative to the vehicle, there is the first and the last part. There, what the score says about the error counts,
     too; matching does not use it. The heading and the size of a detection have the
@@ -106,13 +107,14 @@ def stated(
         speed[rows] = np.where(known[rows], tracks.variance.mean(axis=1), speed[rows])
     if not c.extrapolate:  # the box stays where it was said to be
         speed += 0.5 * (vx * vx + vy * vy)
+    told = listed.accuracy_factor**2  # 1 is exact, so that honest statements stay as they are
     return replace(
         listed,
-        variance_m2=bounded(at_any_score_m2 + of_pose),
-        velocity_variance=speed,
-        relative_m2=relative_m2 + of_detector[:, None] * _ALONG_BOTH,
-        heading_variance=np.where(is_self, 0.0, sigma_rad**2),
-        size_variance=np.where(is_self, 0.0, size_sigma**2),
+        variance_m2=bounded((at_any_score_m2 + of_pose) * told[:, None]),
+        velocity_variance=np.minimum(speed * told, np.maximum(speed, of_class)),
+        relative_m2=(relative_m2 + of_detector[:, None] * _ALONG_BOTH) * told[:, None],
+        heading_variance=np.where(is_self, 0.0, sigma_rad**2) * told,
+        size_variance=np.where(is_self, 0.0, size_sigma**2) * told,
     )
 
 

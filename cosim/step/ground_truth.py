@@ -72,7 +72,8 @@ def ground_truth_of(
 
 
 NOISE_M, NOISE_RAD, NOISE_SIZE, NOISE_SCORE, NOISE_MPS = 0.5, np.radians(10.0), 0.2, 0.1, 0.5
-"""A larger change of a box is a lie: position, heading, relative size, score, and speed, velocity or acceleration."""
+"""A larger change of a box is a lie: position, heading, relative size, score, and speed, velocity or acceleration.
+Stated standard deviations are compared like sizes."""
 
 NOISE_EVALUATION = 0.1
 """A larger change of an evaluation times its visibility is a lie."""
@@ -111,6 +112,7 @@ def lies_in_detections(perceived: Detections, sent: Detections, on_purpose: Bool
         changed |= np.abs(x - y) > NOISE_MPS  # false if there is no speed
     changed |= np.linalg.norm(now.velocity_mps - perceived.velocity_mps, axis=1) > NOISE_MPS
     changed |= np.isnan(perceived.velocity_mps).any(axis=1) & ~np.isnan(now.velocity_mps).any(axis=1)  # made up
+    changed |= np.abs(np.log(now.accuracy_factor)) > np.log1p(NOISE_SIZE)
     withheld = perceived.transmitted & ~now.transmitted & on_purpose[now.observer]
     lied[rows] = changed | withheld
     return lied

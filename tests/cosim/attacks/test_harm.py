@@ -115,6 +115,7 @@ HARM = {
     "size": lists_are_wrong,
     "classification": lists_are_wrong,
     "score": content_is_wrong,
+    "misstated_accuracy": content_is_wrong,
     "speed": content_is_wrong,
     "braking": content_is_wrong,
     "stop": content_is_wrong,
