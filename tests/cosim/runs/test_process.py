@@ -22,7 +22,7 @@ def hostile(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("module", ["cosim.studies.worker", "cosim.addons.cells"])
+@pytest.mark.parametrize("module", ["cosim.studies.worker"])
 def test_a_process_does_not_look_into_the_current_folder(hostile, module):
     """It gets no words, so it fails when it has imported the program."""
     ended = subprocess.run(
