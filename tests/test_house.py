@@ -60,5 +60,5 @@ def test_rooms_and_rounding():
         "tests/scene.py",
     )
     rooms = [house.room_of(house.Path(path)) for path in paths]
-    assert rooms == ["cosim", "cosim/radio", "results", "tests/cosim", "tests"]
+    assert rooms == ["cosim/base", "cosim/radio", "cosim/messages", "tests/cosim", "tests"]
     assert [house.rounded_up(n) for n in (7, 999, 1000, 1001, 12_345)] == [7, 999, 1000, 1010, 12_400]

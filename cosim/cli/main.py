@@ -177,16 +177,16 @@ def run(
     if watch and watch_file is not None:
         raise ValueError("--watch shows the run in the viewer, and --watch-file writes a file. Choose one.")
     target = "viewer" if watch else watch_file
+    live_view = None if target is None else hook("live", "cosim run --watch")
     checked(experiment)
     cost = cost_of(experiment)
     if cost.wall_s >= LONG_RUN_S or notes.is_terminal:
         for line in costs(cost).values():
             notes.print(f"estimate: {'; '.join(line)}", soft_wrap=True)
-    if target is None:
+    if live_view is None:
         with progress() as advance:
             folder = running.run(experiment, out, Pace(cost.step_cpu_s, advance))
     else:
-        live_view = hook("live", "cosim run --watch")
         with progress() as advance, live_view(experiment, target) as live:
             folder = running.run(experiment, out, advance, on_step=live)
     note_density(experiment, folder)

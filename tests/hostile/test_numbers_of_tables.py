@@ -33,6 +33,8 @@ def set_values(folder, table, column, value):
             continue  # not every run has it
         field = rows.schema.field(column)
         values = rows.column(column).to_pylist()
+        if not values:
+            continue  # a table without rows has a file
         values[1 % len(values) :: 2] = [value] * len(values[1 % len(values) :: 2])
         at = rows.schema.get_field_index(column)
         pq.write_table(rows.set_column(at, field, pa.array(values, field.type)), path)

@@ -31,7 +31,6 @@ from results.run import Run
 from tests.hostile import shared
 
 CALLS = {
-    "bench": [],  # opens no folder of a run
     "benchmark": ["benchmark beta --evidence {run}"],
     "cache": [],
     "cells": ["cells {run}", "cells {run} {run} --check {run}"],
