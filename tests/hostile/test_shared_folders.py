@@ -33,13 +33,15 @@ from tests.hostile import shared
 CALLS = {
     "benchmark": ["benchmark beta --evidence {run}"],
     "cache": [],
-    "cells": ["cells {run}", "cells {run} {run} --check {run}"],
     "check": ["check {run}/config.toml", "check {part}/config.toml --json"],
     "export": [
         "export kitti {run} --out {out}/kitti --vehicles 0 --steps 1-2",
         "export veremi-nextgen {run} --out {out}/nextgen", "export nuscenes {run} --out {out}/nuscenes",
         "export pcap {run} --out {out}/packets",
     ],
+    "cite": ["cite {run}"],
+    "explain": [],  # it opens no folder
+    "init": [],  # it writes a file of its own
     "contacts": ["contacts {run} --out {out}/contacts"],
     "evaluate": ["evaluate {run}"],
     "judge contacts": ["judge contacts {run}"],
