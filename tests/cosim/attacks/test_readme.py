@@ -8,9 +8,9 @@ from cosim.attacks import catalogue
 README = Path(catalogue.__file__).parent / "README.md"
 
 
-def test_the_table_names_every_attack_once_in_order():
+def test_the_table_names_every_attack_once():
     rows = re.findall(r"^\| `(\w+)` \| (.+) \| (.+) \|$", README.read_text(), re.M)
-    assert [name for name, _, _ in rows] == list(catalogue.ATTACKS)
+    assert sorted(name for name, _, _ in rows) == sorted(catalogue.ATTACKS)
     assert all(what and source for _, what, source in rows)
 
 
