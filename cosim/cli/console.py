@@ -213,7 +213,12 @@ def print_run_summary(folder: Path, as_json: bool) -> "Run":
 
 def print_table(table: "Table") -> None:
     """A table with names from the user, which are not cut where standard output is no terminal."""
-    screen.print(table, width=None if screen.is_terminal else _WHOLE, crop=screen.is_terminal)
+    if screen.is_terminal:
+        screen.print(table)
+        return
+    width, screen.width = screen.width, _WHOLE  # `print` takes no width beyond the console's
+    screen.print(table, crop=False)
+    screen.width = width
 
 
 def print_facts(facts: Mapping[str, Sequence[str]]) -> None:
