@@ -206,3 +206,16 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     for page in (tmp_path / "site").rglob("*.html"):
         loaded = re.findall(r'(?:src="|<link rel="stylesheet" href=")(https?://[^"]*)', page.read_text())
         assert not loaded, f"{page} loads {loaded}"
+
+
+def test_tables_of_files_name_files_that_are_there():
+    """The first column of a table in the README of a room, where it holds names of Python files."""
+    gone = [
+        f"{readme.relative_to(ROOT)}: {name}"
+        for readme in (*ROOT.glob("*/README.md"), *(ROOT / "cosim").rglob("README.md"))
+        if "build" not in readme.relative_to(ROOT).parts
+        for cell in re.findall(r"^\| (`\w+\.py`(?:, `\w+\.py`)*) \|", readme.read_text(), re.MULTILINE)
+        for name in re.findall(r"`(\w+\.py)`", cell)
+        if not (readme.parent / name).is_file()
+    ]
+    assert not gone
