@@ -1,6 +1,6 @@
-"""Tests. One that names no preset runs in the world of version 0.2.
+"""Tests. One that names no preset runs in a plain world: exact poses, one instant of sensing, a sensor that looks ahead.
 
-It is the fastest world, and most figures of tests were derived in it. A test of the real default asks for `modern`.
+Most figures of tests were derived by hand in it. A test of the default world asks for `modern`.
 """
 
 from cosim.config import preset

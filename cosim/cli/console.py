@@ -75,7 +75,7 @@ Overrides = Annotated[
     ),
 ]
 Preset = Annotated[
-    str | None, typer.Option(help="Start from these keys: paper, modern or v0.2. The same as --set preset=NAME.")
+    str | None, typer.Option(help="Start from these keys: modern or paper. The same as --set preset=NAME.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.", rich_help_panel=MORE)]
 TrustCode = Annotated[

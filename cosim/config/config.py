@@ -93,8 +93,8 @@ class Config:
     """One experiment."""
 
     preset: str = field(default_factory=lambda: preset.DEFAULT)
-    """Set of keys that the config starts from: `paper`, `modern` or `v0.2`. Keys of the config come before those of the
-    preset. See `cosim/config/presets`."""
+    """Set of keys that the config starts from: `modern` or `paper`. Keys of the config come before those of the preset.
+    See `cosim/config/presets`."""
     seed: Annotated[int, Ge(0), Le(2**63 - 1)] = 4
     """Seed of all random numbers except SUMO's."""
     sensing_interval_s: Annotated[float, Ge(0.1), Le(3600)] = 1.0

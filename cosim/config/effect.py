@@ -148,12 +148,8 @@ def without_effect(config: Config, is_replayed: bool) -> list[str]:
 
 @cache
 def _usual(preset: str) -> tuple[dict[str, Any], ...]:
-    """Keys and values of this preset, of the default preset, and of the one without keys."""
-    made = (
-        resolve_data({"preset": preset}, "", None),
-        resolve_data({}, "", None),
-        resolve_data({"preset": "v0.2"}, "", None),
-    )
+    """Keys and values of this preset and of the default preset."""
+    made = (resolve_data({"preset": preset}, "", None), resolve_data({}, "", None))
     return tuple(dict(_leaves(config.to_dict())) for config in made)
 
 

@@ -10,6 +10,8 @@ from cosim.config.data import read_toml
 
 DEFAULT = "modern"
 """The preset of a config file that names none."""
+RETIRED = {"v0.2": {"sensing_phase": "common", "extrapolate": False}}
+"""Presets of earlier versions and their keys. A config that names one still runs, and is told so."""
 S = TypeVar("S")
 _FOLDER = Path(__file__).parent / "presets"
 
@@ -31,7 +33,7 @@ def under(data: dict[str, Any], where: str) -> None:
     for key, value in _preset(DEFAULT).items():
         if isinstance(value, Mapping):  # a section that another preset leaves out has the defaults of its keys
             data.setdefault(key, {})
-    if not isinstance(name, str) or name not in names():
+    if not isinstance(name, str) or name not in [*names(), *RETIRED]:
         near = difflib.get_close_matches(str(name), names(), 1)
         hint = f'Did you mean "{near[0]}"?' if near else f"Known: {', '.join(names())}."
         raise ValueError(f"preset = {name!r}: there is no such preset in {where}. {hint}")
@@ -51,8 +53,21 @@ def default_section(params: Callable[..., S], name: str) -> S:
     return params(**_preset(DEFAULT).get(name, {}))
 
 
+def farewell(name: str) -> list[str]:
+    """A note if this preset is one of an earlier version."""
+    if name not in RETIRED or name == DEFAULT:
+        return []
+    return [
+        f'note: preset = "{name}" is the world of an earlier version: vehicles sense together, look ahead and know '
+        f"their poses exactly. No published figure is of it any more. Leave the preset out for the default, or take "
+        f'"paper" for that of TruPercept.'
+    ]
+
+
 @cache
 def _preset(name: str) -> dict[str, Any]:
+    if name in RETIRED:
+        return RETIRED[name]
     return read_toml(_FOLDER / f"{name}.toml", "preset")
 
 

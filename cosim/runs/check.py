@@ -8,6 +8,7 @@ import numpy as np
 
 from cosim.config.config import Config, chosen
 from cosim.config.effect import without_effect
+from cosim.config.preset import farewell
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.runs.inputs import changed_inputs
 from cosim.step import mixed_perception
@@ -144,7 +145,7 @@ def remarks_on(config: Config, path: Path | None) -> list[str]:
 
 def notes_on(config: Config, scenario: Scenario) -> list[str]:
     """Notes on keys that change nothing, and on streets, buildings and what stands beside streets."""
-    notes = keys_in_vain(config, scenario) + list(scene_summary(scenario).notes)
+    notes = farewell(config.preset) + keys_in_vain(config, scenario) + list(scene_summary(scenario).notes)
     if config.parked.per_100_m or config.trees.per_100_m:
         city = scenario.city(config.trees, config.seed)
         if config.parked.per_100_m and not scenario.parked(config.parked, city, config.seed):

@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -28,15 +27,14 @@ def recorded(config):
     return json.loads(json.dumps(config.to_dict()))
 
 
-def test_version_0_2_is_every_keys_default():
-    assert config(preset="v0.2") == replace(Config(), preset="v0.2", attacks=())
-
-
-def test_version_0_2_keeps_the_values_from_before_there_were_presets():
+def test_a_retired_preset_keeps_its_keys_and_is_named_nowhere(monkeypatch):
     """238 keys as the last state without presets resolved them. Keys that are newer are not in the file."""
     before = json.loads((GOLDEN / "preset_v0.2.json").read_text())
     now = flat(recorded(load(None, ["preset=v0.2"])))
     assert {key: now.get(key) for key in before} == before
+    assert "v0.2" not in preset.names()
+    monkeypatch.setattr(preset, "DEFAULT", "modern")
+    assert preset.farewell("v0.2")[0].startswith('note: preset = "v0.2" is the world of an earlier version')
 
 
 def test_a_file_that_names_no_preset_is_modern(tmp_path):

@@ -86,7 +86,7 @@ def test_mistakes_that_were_silent(tmp_path, line, said):
     assert "mine.py:" in ended.stderr
 
 
-SETS = [word for key in ("preset=v0.2", "traffic.duration_s=8", "traffic.warmup_s=60") for word in ("--set", key)]
+SETS = [word for key in ("traffic.duration_s=8", "traffic.warmup_s=60") for word in ("--set", key)]
 
 
 def test_what_a_class_prints_is_not_in_the_json(tmp_path):
