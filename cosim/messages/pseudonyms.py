@@ -288,6 +288,10 @@ class PseudonymState:
         found[known] = self.current[actor[known]]
         return found
 
+    def further(self, actor: Int[ndarray, "n"]) -> Int[ndarray, "x"]:
+        """Pseudonyms of all further identities of these vehicles."""
+        return self.extra[np.isin(self.extra[:, 0] >> 16, actor), 1]
+
     def begun(self, actor: Int[ndarray, "n"], now_step: int) -> Int[ndarray, "n"]:
         """Step in which each vehicle took its current pseudonym; `now_step` if it has none."""
         found = np.full(len(actor), now_step)

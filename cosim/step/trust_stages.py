@@ -278,7 +278,7 @@ def _open_step(
     transmitted, detections, linkage = listed.objects.transmitted, listed.detections, parts.linkage
     pseudonym, vehicles = exchange.senders.pseudonym, exchange.vehicles
     if exchange.sensing is not vehicles:
-        listens = np.setdiff1d(vehicles.pseudonym, pseudonym)
+        listens = np.setdiff1d(np.append(vehicles.pseudonym, pseudonyms.further(vehicles.actor)), pseudonym)
         pseudonym = np.concatenate([pseudonym, listens[listens >= 0]])
     message, index = detections.message[transmitted], detections.detection_index[transmitted]
     score = detections.score[transmitted]

@@ -103,28 +103,31 @@ class AdaptedEvidence:
         attacks = self.attacked.attackers()
         awake = rules.start_step + policy.sleep_s / rules.dt_s
 
-        def chosen(name: str, *who: str) -> list[Rows]:
-            """Rows without attack, and those that the attack replaces, by the pseudonyms that may attack."""
+        def chosen(name: str, **who: str) -> list[Rows]:
+            """Rows without attack, and those that the attack replaces.
+
+            `who` has the columns of pseudonyms that may attack, and of each the column of the step in which it may.
+            """
             plain, false = getattr(self.honest, name), getattr(self.attacked, name)
             of_plain, of_false = (
-                np.any([attacks[rows[column]] for column in who], axis=0) & policy.lies(rows["step"], rules)
+                np.any([attacks[rows[one]] & policy.lies(rows[when], rules) for one, when in who.items()], axis=0)
                 for rows in (plain, false)
             )
             return [_take(plain, ~of_plain), _take(false, of_false)]
 
-        evaluations = _union("evaluations", chosen("evaluations", "observer", "evaluator"))
-        by, of, step = (evaluations[c] for c in ("evaluator", "observer", "step"))
+        evaluations = _union("evaluations", chosen("evaluations", observer="detection_step", evaluator="step"))
+        by, of, step, said = (evaluations[c] for c in ("evaluator", "observer", "step", "detection_step"))
         active = attacks[by] & (step >= awake)
         falsified = active & ~attacks[of] & self._denied(of, policy)
         praised = active & attacks[of] & policy.praises
-        is_false = praised & policy.lies(step, rules)
+        is_false = praised & policy.lies(said, rules)
         evaluations = {
             **evaluations, "evaluation": np.where(is_false, 100, evaluations["evaluation"]),
             "visibility": np.where(is_false, 100, evaluations["visibility"]),
         }  # fmt: skip
         told = self.colluding.evaluations
         wanted = attacks[told["evaluator"]] & (told["step"] >= awake) & np.where(
-            attacks[told["observer"]], policy.praises & ~policy.lies(told["step"], rules),
+            attacks[told["observer"]], policy.praises & ~policy.lies(told["detection_step"], rules),
             self._denied(told["observer"], policy),
         )  # fmt: skip
         keeps = ~(falsified | (praised & ~is_false))
@@ -132,11 +135,11 @@ class AdaptedEvidence:
         if policy.disguised:
             false = [self._disguised(rows) for rows in false]
         evaluations = _union("evaluations", [*false, _take(evaluations, keeps & ~is_false)])
-        reports = [self.honest.reports, *chosen("reports", "evaluator")[1:]]
+        reports = [self.honest.reports, *chosen("reports", evaluator="step")[1:]]
         reports.append(_take(self.colluding.reports, attacks[self.colluding.reports["evaluator"]]))
-        lookups = [self.honest.lookups, *chosen("lookups", "sender")[1:]]
+        lookups = [self.honest.lookups, *chosen("lookups", sender="message_step")[1:]]
         return EvidenceStream(
-            _union("detections", chosen("detections", "observer")), _union("reports", reports), evaluations,
+            _union("detections", chosen("detections", observer="step")), _union("reports", reports), evaluations,
             _union("lookups", lookups), self.attacked.pseudonyms,
         )  # fmt: skip
 
@@ -262,4 +265,4 @@ class Search:
 
         under = AdaptedEvidence(stream(HONEST), stream(COLLUSION), stream(policy.attack)).under(policy, rules)
         answers = play(Script.of(under, rules), self.candidate)
-        return counts(under, answers, self.threshold, rules, policy.lies(under.lookups["step"], rules))
+        return counts(under, answers, self.threshold, rules, policy.lies(under.lookups["message_step"], rules))

@@ -79,18 +79,21 @@ TABLES: Mapping[str, EvidenceTable] = {
     "evaluations": EvidenceTable(
         "Evaluations as transmitted, of detections that the evaluator could see or claims to.",
         {
-            "step": _key(_STEP), "evaluator": _key(_PSEUDONYM), "observer": _key("Sender of the detection."),
+            "step": _key(_STEP), "evaluator": _key(_PSEUDONYM),
+            "detection_step": _key("Step of the message with the detection."),
+            "observer": _key("Sender of the detection."),
             "detection_index": _key("Number within the observer's message."),
             "evaluation": EvidenceColumn("int8", "%", "-100 denies, up to 100 confirms."),
             "visibility": EvidenceColumn("int8", "%", "How well the evaluator could see the place."),
         },
-        4,
+        5,
     ),
     "lookups": EvidenceTable(
-        "Messages with evaluations that vehicles received, and for whose senders they look up trust.",
+        "Messages with evaluations that vehicles use when they sense, and for whose senders they look up trust.",
         {
-            "step": _key(_STEP), "receiver": _key("Pseudonym of the vehicle that looks up."),
+            "step": _key("Step of the look-up."), "receiver": _key("Pseudonym of the vehicle that looks up."),
             "sender": _key("Pseudonym whose trust is looked up."),
+            "message_step": _key("Step of the sender's message."),
             "broadcast_step": _key("Step of the newest broadcast that the receiver has; -1 for none."),
         },
         3,
@@ -106,7 +109,7 @@ TABLES: Mapping[str, EvidenceTable] = {
     ),
 }  # fmt: skip
 _DTYPES: Mapping[str, type] = {"int8": np.int8, "int16": np.int16}
-_BITS = {"step": 12, "detection_index": 12}
+_BITS = {"step": 12, "detection_step": 12, "detection_index": 12}
 """Bits of a key column in a packed key; the others are pseudonyms and have `_PSEUDONYM_BITS`."""
 _PSEUDONYM_BITS = 13
 MOST_PSEUDONYMS = 1 << _PSEUDONYM_BITS
@@ -152,7 +155,8 @@ def _limits(rules: EvidenceRules, n_worlds: int) -> Mapping[str, tuple[int, int]
     """Smallest and largest value of each column that is no pseudonym; a column means the same in every table."""
     return {
         "world": (0, n_worlds - 1), "case": (0, len(rules.cases) - 1), "gone": (0, 1), "attacks": (0, 1),
-        "step": (0, rules.n_steps - 1), "broadcast_step": (-1, rules.n_steps - 1), "arrival_step": (-1, (1 << 15) - 1),
+        "step": (0, rules.n_steps - 1), "detection_step": (0, rules.n_steps - 1), "message_step": (0, rules.n_steps - 1),
+        "broadcast_step": (-1, rules.n_steps - 1), "arrival_step": (-1, (1 << 15) - 1),
         "detection_index": (0, (1 << _BITS["detection_index"]) - 1), "score": (0, 100), "evaluation": (-100, 100),
         "visibility": (0, 100),
     }  # fmt: skip
@@ -163,9 +167,9 @@ _REFERENCES: Sequence[tuple[str, tuple[str, ...], str]] = (
     ("reports", ("evaluator",), "pseudonyms"),
     ("pseudonyms", ("vehicle",), "pseudonyms"),
     ("lookups", ("receiver",), "pseudonyms"),
-    ("lookups", ("step", "sender"), "reports"),
+    ("lookups", ("message_step", "sender"), "reports"),
     ("evaluations", ("step", "evaluator"), "reports"),
-    ("evaluations", ("step", "observer", "detection_index"), "detections"),
+    ("evaluations", ("detection_step", "observer", "detection_index"), "detections"),
 )
 """Columns of a table that name a row of another table: table, columns, and the table that has their values as keys."""
 

@@ -74,8 +74,8 @@ class Script:
     """By step: the evaluation messages."""
     arrived: tuple[tuple[ReceivedEvaluations, ...], ...]
     """By step: what the server has received at its beginning."""
-    received: tuple[ReceivedEvaluations, ...]
-    """By step: what vehicles receive, their own evaluations included."""
+    received: tuple[tuple[ReceivedEvaluations, ...], ...]
+    """By step: the evaluations that vehicles make, and those that they use."""
     lookups: Rows
     first: Int[ndarray, "t+1"]
     """By step: first row of `lookups`."""
@@ -96,34 +96,46 @@ class Script:
             arrival = reports["arrival_step"][begins[made] : begins[made + 1]]
             for step in np.unique(arrival[(arrival >= 0) & (arrival < rules.n_steps)]).tolist():
                 row = np.flatnonzero(arrival == step)
-                arrived[step].append(ReceivedEvaluations(messages, np.full(len(row), SERVER), row, rules.eta))
+                arrived[step] += _received(messages, np.full(len(row), SERVER), row, rules)
         received = []
         for step, messages in enumerate(sent):
-            here, n = slice(first[step], first[step + 1]), len(messages.evaluator)
-            holder, sender = (asked[c][here].astype(np.int64) for c in ("receiver", "sender"))
-            row = np.searchsorted(messages.evaluator, sender)
-            got = np.flatnonzero(np.isin(sender, messages.evaluator))
-            received.append(ReceivedEvaluations(
-                messages, np.concatenate([messages.evaluator, holder[got]]), np.concatenate([np.arange(n), row[got]]),
-                rules.eta,
-            ))  # fmt: skip
+            own = np.arange(len(messages.evaluator))
+            received.append(_received(messages, messages.evaluator, own, rules))
+            here = slice(first[step], first[step + 1])
+            holder, sender, made = (asked[c][here].astype(np.int64) for c in ("receiver", "sender", "message_step"))
+            for earlier in np.unique(made).tolist():
+                heard, known = made == earlier, sent[earlier].evaluator
+                row = np.searchsorted(known, sender[heard])
+                received[step] += _received(sent[earlier], holder[heard], row, rules)
         due, last = [], -np.inf
         for step in range(rules.n_steps):
             due.append(step * rules.dt_s - last >= rules.server_period_s - 1e-9)
             last = step * rules.dt_s if due[-1] else last
         return Script(
-            tuple(_opened(stream, rules)), sent, tuple(map(tuple, arrived)), tuple(received), asked, first,
+            tuple(_opened(stream, rules)), sent, tuple(map(tuple, arrived)), tuple(map(tuple, received)), asked, first,
             tuple(due), rules.dt_s,
         )  # fmt: skip
 
 
+def _received(
+    messages: EvaluationMessages, holder: Int[ndarray, "m"], row: Int[ndarray, "m"], rules: EvidenceRules
+) -> list[ReceivedEvaluations]:
+    """Receptions of messages, once for each step of which they evaluate detections."""
+    return [ReceivedEvaluations(of_step, holder, row, rules.eta) for of_step in messages.of_one_step()]
+
+
 def _opened(stream: EvidenceStream, rules: EvidenceRules) -> list[tuple[int, ndarray, ndarray, ndarray, ndarray]]:
-    rows = stream.detections
-    begins, found = np.searchsorted(rows["step"], np.arange(rules.n_steps + 1)), []
+    """The detections of each step, and the pseudonyms of who sends or evaluates them."""
+    rows, evaluations, found = stream.detections, stream.evaluations, []
+    begins = np.searchsorted(rows["step"], np.arange(rules.n_steps + 1))
+    order = np.argsort(evaluations["detection_step"], kind="stable")
+    of = np.searchsorted(evaluations["detection_step"][order], np.arange(rules.n_steps + 1))
     for step in range(rules.n_steps):
         here = slice(begins[step], begins[step + 1])
-        who, row = np.unique(rows["observer"][here].astype(np.int64), return_inverse=True)
-        found.append((step, who, row, rows["detection_index"][here].astype(np.int64), rows["score"][here] / 100))
+        observer, evaluator = rows["observer"][here], evaluations["evaluator"][order[of[step] : of[step + 1]]]
+        who = np.union1d(observer, evaluator).astype(np.int64)
+        index, score = rows["detection_index"][here].astype(np.int64), rows["score"][here] / 100
+        found.append((step, who, np.searchsorted(who, observer), index, score))
     return found
 
 
@@ -138,7 +150,7 @@ def _messages(stream: EvidenceStream, rules: EvidenceRules) -> list[EvaluationMe
         found.append(EvaluationMessages(
             step, evaluator, np.append(np.searchsorted(by, evaluator), len(by)),
             rows["observer"][here].astype(np.int64), rows["detection_index"][here].astype(np.int64),
-            rows["evaluation"][here] / 100, rows["visibility"][here] / 100,
+            rows["evaluation"][here] / 100, rows["visibility"][here] / 100, rows["detection_step"][here].astype(np.int64),
         ))  # fmt: skip
     return found
 
@@ -161,7 +173,7 @@ def play(script: Script, candidate: Candidate) -> ModelAnswers:
     """Play the evidence of a stream through a new model.
 
     The server gets messages when they arrived in the simulation, and a receiver looks up the newest broadcast that it
-    had then. With `host = "local"` every vehicle keeps the evaluations that it made and received.
+    had then. With `host = "local"` every vehicle keeps the evaluations that it made, and those that it uses.
     """
     model, asked = candidate.new(script.dt_s), script.lookups
     trust, age_s = np.full((2, len(asked["step"])), np.nan)
@@ -176,8 +188,9 @@ def play(script: Script, candidate: Candidate) -> ModelAnswers:
                 published[step] = model.scores(step)
         model.open_step(*opened)
         if not is_central:
-            model.add_evaluations(script.received[step])
-            n += len(script.received[step])
+            for received in script.received[step]:
+                model.add_evaluations(received)
+                n += len(received)
             rows = np.arange(script.first[step], script.first[step + 1])
             _fill(trust, age_s, asked, rows, model.scores(step), asked["receiver"][rows], script.dt_s)
     cost_s = process_time() - begin_s

@@ -36,7 +36,7 @@ from sensors.lidar import RangeImages
 from trust.params import TrustParams, eta_of
 from trust.tables import ReceivedEvaluations, TrustScores
 
-VERSION = "1"
+VERSION = "2"
 """Raise it with every change of the content of the shipped set."""
 ATTACKS = (
     "ghost_insertion", "approaching_ghost", "sybil", "replay", "offset", "mirror", "removal", "speed", "bad_mouthing",
@@ -54,7 +54,7 @@ SHARE_P = 0.1
 """Share of attackers among the equipped vehicles."""
 _TRUST = TrustParams(freshness_s=30.0)
 RULES = EvidenceRules(
-    dt_s=1.0, n_steps=80, start_step=20, server_period_s=_TRUST.server_period_s, eta=eta_of(_TRUST),
+    dt_s=0.2, n_steps=400, start_step=100, server_period_s=_TRUST.server_period_s, eta=eta_of(_TRUST),
     freshness_s=30.0, cases=(HONEST, *ATTACKS),
 )  # fmt: skip
 """Rules of the shipped set: times, window and shares are those of the study `attacks`, and 10 % attack."""
@@ -67,16 +67,19 @@ class Tape:
 
     def __init__(self, params: Any, dt_s: float) -> None:
         self.step = -1
-        self.arrived: list[tuple[int, int, ndarray]] = []
-        """Step of arrival, step of the messages, and their evaluators."""
+        self.arrived: list[tuple[int, ndarray]] = []
+        """Step of arrival, and the evaluations that arrived: step of the detections, evaluator and observer."""
         self.opened: list[Rows] = []
         """By step: what was transmitted."""
+        self.present: list[ndarray] = []
+        """By step: the pseudonyms that may evaluate it, as `_present`."""
 
     def open_step(
         self, step: int, pseudonyms: ndarray, observer_row: ndarray, detection_index: ndarray, score: ndarray
     ) -> None:
         """Keep what was transmitted."""
         self.step = step
+        self.present.append(_present(step, pseudonyms))
         self.opened.append({
             "step": np.full(len(score), step), "observer": pseudonyms[observer_row],
             "detection_index": detection_index, "score": _percent(score),
@@ -84,8 +87,9 @@ class Tape:
 
     def add_evaluations(self, received: ReceivedEvaluations) -> None:
         """Keep who evaluated. The server processes messages before the step begins."""
-        messages = received.messages
-        self.arrived.append((self.step + 1, messages.step, messages.evaluator[received.message_row]))
+        messages = received.messages.taken(received.message_row)
+        evaluator = np.repeat(messages.evaluator, np.diff(messages.ptr))
+        self.arrived.append((self.step + 1, _about(messages.step, evaluator, messages.observer)))
 
     def scores(self, now_step: int | None = None) -> TrustScores:
         """No scores."""
@@ -150,13 +154,36 @@ class Case:
         pseudonyms = found["pseudonyms"]
         _, first = np.unique(pseudonyms["pseudonym"], return_index=True)
         found["pseudonyms"] = {c: values[first] for c, values in pseudonyms.items()}
-        reports = found["reports"]
-        arrival = np.full(len(reports["step"]), -1)
-        key = reports["step"] << 32 | reports["evaluator"]
-        for arrived, made, evaluator in tape.arrived:
-            arrival[np.isin(key, made << 32 | evaluator)] = arrived
-        found["reports"] = {**reports, "arrival_step": arrival}
+        reports, said = found["reports"], found["evaluations"]
+        counts = np.isin(_present(said["detection_step"], said["evaluator"]), np.concatenate(tape.present))
+        found["evaluations"] = {c: values[counts] for c, values in said.items()}
+        found["reports"] = {**reports, "arrival_step": _arrivals(reports, found["evaluations"], tape)}
         return found
+
+
+def _present(step: Any, pseudonym: ndarray) -> Int[ndarray, "n"]:
+    """A pseudonym in a step as one number. Trust models reject evaluations of detections that are older than it."""
+    return np.int64(step) << 32 | pseudonym.astype(np.int64)
+
+
+def _about(detection_step: Any, evaluator: ndarray, observer: ndarray) -> Int[ndarray, "n"]:
+    """What an evaluation is about, and whose it is, as one number. A vehicle evaluates a message of another once."""
+    return (np.int64(detection_step) << 48) | (evaluator.astype(np.int64) << 24) | observer
+
+
+def _arrivals(reports: Rows, evaluations: Rows, tape: Tape) -> Int[ndarray, "reports"]:
+    """Step at whose beginning the server has each message; -1 if it is lost, or nothing of it was kept."""
+    arrived = np.concatenate([about for _, about in tape.arrived])
+    step = np.repeat([step for step, _ in tape.arrived], [len(about) for _, about in tape.arrived])
+    order = np.argsort(arrived, kind="stable")
+    about = _about(*(evaluations[c] for c in ("detection_step", "evaluator", "observer")))
+    at = np.minimum(np.searchsorted(arrived[order], about), len(order) - 1)
+    there = np.flatnonzero(arrived[order[at]] == about)
+    message, of_row = (t["step"].astype(np.int64) << 32 | t["evaluator"] for t in (reports, evaluations))
+    by_message = np.argsort(message)
+    found = np.full(len(message), -1)
+    found[by_message[np.searchsorted(message[by_message], of_row[there])]] = step[order[at[there]]]
+    return found
 
 
 def _rows(sensed: Sensed, world: World, broadcast: Int[ndarray, "capacity"]) -> dict[str, Rows]:
@@ -164,18 +191,20 @@ def _rows(sensed: Sensed, world: World, broadcast: Int[ndarray, "capacity"]) -> 
     senders, sent, used = sensed.senders, sensed.evaluated.sent, sensed.looked_up.messages
     says = np.flatnonzero(sent.visibility > 0)
     by = np.repeat(sent.evaluator, np.diff(sent.ptr))[says]
+    of = np.full(len(says), world.step) if sent.detection_step is None else sent.detection_step[says]
     receiver, evaluator, actor = sensed.sensing.actor[used.receiver], np.unique(by), sensed.vehicles.actor
     attack = np.zeros(int(world.actor.max()) + 1, bool)
     attack[world.actor] = world.attack > 0
     found = {
         "reports": {"evaluator": evaluator},
         "evaluations": {
-            "evaluator": by, "observer": sent.observer[says], "detection_index": sent.detection_index[says],
+            "evaluator": by, "detection_step": of, "observer": sent.observer[says], "detection_index": sent.detection_index[says],
             "evaluation": _percent(sent.evaluation[says]),
             "visibility": np.maximum(_percent(sent.visibility[says]), 1),
         },
         "lookups": {
-            "receiver": receiver, "sender": sensed.known.pseudonym[used.message], "broadcast_step": broadcast[receiver],
+            "receiver": receiver, "sender": sensed.known.pseudonym[used.message],
+            "message_step": sensed.known.step[used.message], "broadcast_step": broadcast[receiver],
         },
     }  # fmt: skip
     stepped = {
@@ -209,7 +238,7 @@ def config_of(place: EvidencePlace, rules: EvidenceRules, attack: str) -> Config
     """The config of a case of a world."""
     section = {"attack": attack, "share_p": SHARE_P, "start_s": rules.start_step * rules.dt_s}
     return resolve_data({
-        "preset": "v0.2", "seed": place.seed, "traffic": {
+        "preset": "modern", "seed": place.seed, "traffic": {
             "scenario": place.city, "seed": place.seed, "step_s": rules.dt_s, "duration_s": rules.n_steps * rules.dt_s,
         },
         "fleet": {"penetration_p": place.penetration_p}, "encounters": [{}], "attacks": [section],

@@ -162,7 +162,7 @@ def test_the_shipped_set_is_whole_and_small():
 
 @pytest.mark.verify
 def test_a_set_is_recorded_the_same_again(tmp_path):
-    rules = replace(record.RULES, n_steps=12, start_step=4, cases=("none", "sybil", "offset"))
+    rules = replace(record.RULES, n_steps=40, start_step=15, cases=("none", "sybil", "offset"))
     place = EvidencePlace("koenigs-wusterhausen", 0.1, 5)
     one, other = (record.make(lambda *_: None, (place,), rules, "0") for _ in range(2))
     assert one.checksum == other.checksum

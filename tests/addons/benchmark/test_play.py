@@ -23,11 +23,11 @@ def literal_beta(of, host, decay_per_s=0.98):
     heard = set(zip(*(of.lookups[c].tolist() for c in ("step", "receiver", "sender")), strict=True))
     evaluations = list(zip(*(of.evaluations[c].tolist() for c in of.evaluations), strict=True))
     found = []
-    for now, receiver, sender, broadcast in zip(*(of.lookups[c].tolist() for c in of.lookups), strict=True):
+    for now, receiver, sender, _, broadcast in zip(*(of.lookups[c].tolist() for c in of.lookups), strict=True):
         r = s = 0.0
         known = False
         asked = broadcast if host == "central" else now
-        for step, evaluator, observer, _, e, phi in evaluations:
+        for step, evaluator, _, observer, _, e, phi in evaluations:
             there = (
                 0 <= arrival[step, evaluator] <= asked if host == "central"
                 else step <= now and (evaluator == receiver or (step, receiver, evaluator) in heard)
@@ -76,11 +76,12 @@ def simulated(attack):
     """All look-ups of the same world."""
     config = record.config_of(PLACE, rules_of(attack), attack)
     with Simulation(replace(config, trust=replace(config.trust, model="beta"))) as simulation:
-        return pd.concat([step.trust_lookups for step in simulation])  # of each step by subject and receiver
+        found = pd.concat([step.trust_lookups for step in simulation if len(step.trust_lookups)])
+    return found.sort_values(["step", "subject", "receiver"])
 
 
 def rules_of(attack):
-    return replace(record.RULES, n_steps=30, start_step=8, cases=("none", attack))
+    return replace(record.RULES, n_steps=100, start_step=25, cases=("none", attack))
 
 
 @pytest.mark.verify

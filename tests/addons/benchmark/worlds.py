@@ -42,7 +42,7 @@ def stream(case: str, seed: int) -> EvidenceStream:
             for receiver in range(N):
                 if receiver == observer:
                     continue
-                rows["lookups"].append((step, receiver, observer, (step - 1) // 3 * 3 if step else -1))
+                rows["lookups"].append((step, receiver, observer, step, (step - 1) // 3 * 3 if step else -1))
                 for index in range(4):
                     e, phi = random.integers(50, 100), random.integers(5, 100)  # the same draws in every case
                     denied, unseen = random.random() < 0.2, random.random() < 0.3
@@ -51,14 +51,16 @@ def stream(case: str, seed: int) -> EvidenceStream:
                     if index == 3:
                         if ghost:
                             value = (100, 100) if friend and false else (-100, int(phi))
-                            rows["evaluations"].append((step, receiver, observer, index, *value))
+                            rows["evaluations"].append((step, receiver, step, observer, index, *value))
                     elif case == "collusion" and false:
-                        rows["evaluations"].append((step, receiver, observer, index, 100 if friend else -100, 100))
+                        rows["evaluations"].append(
+                            (step, receiver, step, observer, index, 100 if friend else -100, 100)
+                        )
                     elif case == "bad_mouthing" and false and not friend:
-                        rows["evaluations"].append((step, receiver, observer, index, -100, 100))
+                        rows["evaluations"].append((step, receiver, step, observer, index, -100, 100))
                     elif not unseen:
                         value = -100 if denied else int(e)
-                        rows["evaluations"].append((step, receiver, observer, index, value, int(phi)))
+                        rows["evaluations"].append((step, receiver, step, observer, index, value, int(phi)))
     rows["pseudonyms"] = [(n, n, int(n in ATTACKERS)) for n in range(N)]
     return EvidenceStream(**{
         name: merged(name, dict(zip(TABLES[name].columns, np.array(of, np.int64).T, strict=True)))
