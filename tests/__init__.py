@@ -1,4 +1,4 @@
-"""Tests. One that names no preset runs in a plain world: exact poses, one instant of sensing, a sensor that looks ahead.
+"""Tests. One that names no preset runs in a plain world: exact poses, common phases, a sensor that looks ahead.
 
 Most figures of tests were derived by hand in it. A test of the default world asks for `modern`.
 """

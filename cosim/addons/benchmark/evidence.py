@@ -155,7 +155,7 @@ def _limits(rules: EvidenceRules, n_worlds: int) -> Mapping[str, tuple[int, int]
     """Smallest and largest value of each column that is no pseudonym; a column means the same in every table."""
     return {
         "world": (0, n_worlds - 1), "case": (0, len(rules.cases) - 1), "gone": (0, 1), "attacks": (0, 1),
-        "step": (0, rules.n_steps - 1), "detection_step": (0, rules.n_steps - 1), "message_step": (0, rules.n_steps - 1),
+        **dict.fromkeys(("step", "detection_step", "message_step"), (0, rules.n_steps - 1)),
         "broadcast_step": (-1, rules.n_steps - 1), "arrival_step": (-1, (1 << 15) - 1),
         "detection_index": (0, (1 << _BITS["detection_index"]) - 1), "score": (0, 100), "evaluation": (-100, 100),
         "visibility": (0, 100),

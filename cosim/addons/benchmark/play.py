@@ -150,7 +150,8 @@ def _messages(stream: EvidenceStream, rules: EvidenceRules) -> list[EvaluationMe
         found.append(EvaluationMessages(
             step, evaluator, np.append(np.searchsorted(by, evaluator), len(by)),
             rows["observer"][here].astype(np.int64), rows["detection_index"][here].astype(np.int64),
-            rows["evaluation"][here] / 100, rows["visibility"][here] / 100, rows["detection_step"][here].astype(np.int64),
+            rows["evaluation"][here] / 100, rows["visibility"][here] / 100,
+            rows["detection_step"][here].astype(np.int64),
         ))  # fmt: skip
     return found
 

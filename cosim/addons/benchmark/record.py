@@ -171,7 +171,7 @@ def _about(detection_step: Any, evaluator: ndarray, observer: ndarray) -> Int[nd
     return (np.int64(detection_step) << 48) | (evaluator.astype(np.int64) << 24) | observer
 
 
-def _arrivals(reports: Rows, evaluations: Rows, tape: Tape) -> Int[ndarray, "reports"]:
+def _arrivals(reports: Rows, evaluations: Rows, tape: Tape) -> Int[ndarray, "m"]:
     """Step at whose beginning the server has each message; -1 if it is lost, or nothing of it was kept."""
     arrived = np.concatenate([about for _, about in tape.arrived])
     step = np.repeat([step for step, _ in tape.arrived], [len(about) for _, about in tape.arrived])
@@ -198,7 +198,8 @@ def _rows(sensed: Sensed, world: World, broadcast: Int[ndarray, "capacity"]) -> 
     found = {
         "reports": {"evaluator": evaluator},
         "evaluations": {
-            "evaluator": by, "detection_step": of, "observer": sent.observer[says], "detection_index": sent.detection_index[says],
+            "evaluator": by, "detection_step": of, "observer": sent.observer[says],
+            "detection_index": sent.detection_index[says],
             "evaluation": _percent(sent.evaluation[says]),
             "visibility": np.maximum(_percent(sent.visibility[says]), 1),
         },
