@@ -103,9 +103,9 @@ class TrustParams(TruPerceptParams):
     plausibility_in_evaluation: bool = True
     """Whether an unmatched, implausible detection is evaluated with full visibility."""
     denials: Literal["visibility", "recall"] = "visibility"
-    """Weight of the evaluation of an unmatched detection. `visibility`: its visibility, and 1 where free space contradicts
-    it (the paper's rule). `recall`: what the evaluator can know from how often its detector misses such objects, and
-    nothing if it would more likely than not find no match although the object is there."""
+    """Weight of the evaluation of an unmatched detection. `visibility`: its visibility, and 1 where free space
+    contradicts it (the paper's rule). `recall`: what the evaluator can know from how often its detector misses such
+    objects; 0 if it would more likely than not find no match although the object is there."""
     evidence: tuple[Kind, ...] = ("detections",)
     """Kinds of evaluations that are made, sent and counted. `detections`: of received detections. `missing`: of the
     completeness of a message, by the objects that the sender should have detected too. `speed`: of claimed

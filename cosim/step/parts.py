@@ -137,8 +137,8 @@ def perception_of(experiment: Config, city: Scene) -> Perception:
 def recall_of(experiment: Config) -> Recall:
     """The detector's recall function.
 
-    A detector without the method `recall` is taken to miss nothing. Where the recall is that from another place, it must
-    have the method.
+    A detector without the method `recall` is taken to miss nothing. With "missing" in `trust.evidence` it must have the
+    method: ValueError.
     """
     detector = _make(experiment, "detector")
     if hasattr(detector, "recall"):

@@ -136,7 +136,9 @@ def average_precision(run: Run) -> float:
     return float((curve.precision * np.diff(curve.recall, prepend=0.0)).sum())
 
 
-def false_exclusions(run: Run, threshold: float | None = None, relative: float | None = None) -> intervals.ClusteredEstimate:
+def false_exclusions(
+    run: Run, threshold: float | None = None, relative: float | None = None
+) -> intervals.ClusteredEstimate:
     """Times that an honest vehicle becomes excluded, per hour that honest vehicles are watched for."""
     frame = excluded(run, threshold, relative)
     honest = frame[~frame.attacker].sort_values(["subject", "step"])

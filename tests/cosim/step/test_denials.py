@@ -10,8 +10,10 @@ KEY = ["at", "evaluator", "observer", "detection_index"]
 
 
 def test_denials_weigh_what_the_evaluator_can_know():
-    """Of a permitted box the weight is (1 - q) / (1 + q), q = 1 - visibility x recall of so many returns, or 0 where q is
-    above 1/2; nothing else changes."""
+    """Of a permitted box the weight is (1 - q) / (1 + q) with q = 1 - visibility x recall, or 0 where q is above 1/2.
+
+    Nothing else changes.
+    """
     by_visibility, by_recall = (
         play(n_steps=1, tables=("evaluations", "detections"), trust={"denials": how})
         for how in ("visibility", "recall")
