@@ -37,7 +37,7 @@ def visibility(n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], params: 
 
 
 def miss_p(
-    recall: Float[ndarray, "n"], permitted: Float[ndarray, "n"] = 1.0, compared: Float[ndarray, "n"] = 1.0
+    recall: Float[ndarray, "n"], permitted: Float[ndarray, "n"] | float, compared: Float[ndarray, "n"] | float
 ) -> Float[ndarray, "n"]:
     """Probability that an evaluator finds no match for an object that is there, and sees what it sees at its place.
 
