@@ -75,7 +75,7 @@ class MeasuredRow(NamedTuple):
 
 def measure(
     run: Run,
-    threshold: float = 0.25,
+    threshold: float | None = None,
     fresh_s: float = 10.0,
     false_positives: float = 0.05,
     max_frames: int = 4000,
@@ -88,7 +88,7 @@ def measure(
     run
         An opened run.
     threshold
-        Trust below which a subject is suspected.
+        Trust below which a subject is suspected; by default `trust.suspect_below` of the run.
     fresh_s
         Largest age of an evaluation that counts as fresh [s].
     false_positives
@@ -263,7 +263,7 @@ def _idle_roles(run: Run) -> set[str]:
     }
 
 
-def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterator[MeasuredRow]:
+def _misbehaviour(run: Run, threshold: float | None, false_positives: float) -> Iterator[MeasuredRow]:
     yield from _rows(misbehaviour.below(run, threshold), "{role}", {
         "share": "below_threshold.share", "evaluated_share": "below_threshold.evaluated_share",
     })  # fmt: skip
@@ -281,7 +281,7 @@ def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterato
     limit, kept = float(frame.threshold.iloc[0]), trust.kept_at(run)
     if np.isnan(limit):
         return
-    asked: list[tuple[str, float, trust.At]] = [("", threshold, kept), ("_at_fpr", limit, kept)]
+    asked: list[tuple[str, float | None, trust.At]] = [("", threshold, kept), ("_at_fpr", limit, kept)]
     if kept == "server" and "trust_lookups" in run.tables:
         asked.insert(1, ("_at_vehicle", threshold, "vehicles"))
     for which, value, at in asked:
@@ -290,7 +290,7 @@ def _misbehaviour(run: Run, threshold: float, false_positives: float) -> Iterato
         })  # fmt: skip
 
 
-def _at_lookup(run: Run, threshold: float) -> Iterator[MeasuredRow]:
+def _at_lookup(run: Run, threshold: float | None) -> Iterator[MeasuredRow]:
     frame = misbehaviour.at_lookup(run, threshold)
     off_by = frame.auc_error.max()
     for row in _rows(frame, "{role}", {
@@ -303,7 +303,7 @@ def _at_lookup(run: Run, threshold: float) -> Iterator[MeasuredRow]:
     })  # fmt: skip
 
 
-def _security(run: Run, threshold: float) -> Iterator[MeasuredRow]:
+def _security(run: Run, threshold: float | None) -> Iterator[MeasuredRow]:
     for suffix, relative in (("", None), ("_relative", 0.5)):
         yield from _rows(security.confusion(run, threshold, relative), "{unit}", {
             name: name + suffix for name in ("precision", "recall", "fpr", "f1", "mcc", "informedness")

@@ -36,29 +36,61 @@ def visibility(n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], params: 
     return np.minimum(1.0, np.divide(above, span, out=np.sign(above), where=span > 0))
 
 
-def denial_weight(recall: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
-    """What a miss of the evaluator's detector says against an object that could be seen.
+def miss_p(
+    recall: Float[ndarray, "n"], permitted: Float[ndarray, "n"] | float, compared: Float[ndarray, "n"] | float
+) -> Float[ndarray, "n"]:
+    """Probability that an evaluator finds no match for an object that is there, and sees what it sees at its place.
 
     Parameters
     ----------
     recall
-        Probability r that the evaluator's detector reports, and matches, such an object if it is there, in [0, 1].
+        Probability that the evaluator's detector reports an object that can be seen so well, in [0, 1].
+    permitted
+        Share of the places where the object may be that free space in the evaluator's sweep permits, in [0, 1].
+    compared
+        Share of the region where the object may be that the evaluator compared, in [0, 1].
 
     Returns
     -------
-    Weight r / (2 - r) in [0, 1]: 0 where the detector finds nothing, 1 where it misses nothing.
+    Probability q, relative to that without an object.
 
     Notes
     -----
-    The detector misses the object with probability 1 - r if it is there, and with probability 1 if it is not there (the
-    detector takes nothing else for it). The likelihood ratio of "not there" to "there" is therefore 1 / (1 - r). With a
-    prior of 1/2, the posterior probability that the object is there is (1 - r) / (2 - r). An evaluation is 1 for an
-    object that is there, and -1 for one that is not. Its expectation is therefore 2 (1 - r) / (2 - r) - 1 = -r / (2 -
-    r). A denial is an evaluation of -1; with the weight r / (2 - r) it has this expectation.
+    The object is with probability k in the region that was compared. There, the sweep permits it in the share s of the
+    places; and where it is permitted, the detector misses it with probability 1 - r. Outside nothing was compared, so
+    that there is no match anyway: q = 1 - k + k s (1 - r) = 1 - k (1 - s (1 - r)).
 
-    Deviations: the rule is ours; [1]_ gives every miss the full weight.
+    Deviations: the rule is ours; [1]_ weighs a miss by the visibility alone.
     """
-    return recall / (2.0 - recall)
+    return 1.0 - compared * (1.0 - permitted * (1.0 - recall))
+
+
+def denial_weight(missed_p: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
+    """What an evaluator without a match knows about an object, as the weight of a denial.
+
+    Parameters
+    ----------
+    missed_p
+        Probability q of this if the object is there, relative to that without it (`miss_p`), in [0, 1].
+
+    Returns
+    -------
+    Weight (1 - q) / (1 + q) in [0, 1], but 0 where q is above 1/2.
+
+    Notes
+    -----
+    The odds that the object is there are multiplied by q. From even odds they become q, so that the object is there
+    with probability q / (1 + q). An evaluation is 1 for an object that is there, and -1 for one that is not; its
+    expectation is 2 q / (1 + q) - 1 = -(1 - q) / (1 + q). A denial is an evaluation of -1; with this weight it has this
+    expectation.
+
+    Where q is above 1/2, an evaluator would more likely than not find no match although the object is there. It then
+    knows nothing, and the weight is 0. A small weight instead would count fully if nobody else evaluates the detection,
+    because equation 3 of [1]_ divides by the sum of the weights.
+
+    Deviations: the rule is ours; [1]_ gives every miss the weight of its visibility.
+    """
+    return np.where(missed_p <= 0.5, (1.0 - missed_p) / (1.0 + missed_p), 0.0)
 
 
 def evaluate(
@@ -100,8 +132,9 @@ def evaluate(
     -----
     e is the score of the owner's detection that matched, else eta. Phi is `visibility`, and 1 for an implausible
     unmatched detection. Where the place of the box is uncertain, Phi is the mean of both over its places. A match with
-    the owner itself (its self report) is certain: e = Phi = 1. With `recall`, Phi of a plausible unmatched detection is
-    multiplied by `denial_weight`. A denial counts by `certainty`: the object may be where the owner did not look.
+    the owner itself (its self report) is certain: e = Phi = 1. A denial counts by `certainty`: the object may be where
+    the owner did not look. With `recall`, Phi of an unmatched detection is `denial_weight` instead. The object is then
+    reported with the probability that it could be seen (`visibility`) times the recall.
 
     Deviations: the paper has no self reports, does not know how often a detector misses, and takes boxes to be exact.
     """
@@ -110,13 +143,13 @@ def evaluate(
     seed = member[groups.seed]
     phi = visibility(n_points, detections.label[member], params)
     e = np.where(groups.ego_detected, detections.score[seed], eta_of(params))
-    if recall is not None:
-        phi[~groups.ego_detected] *= denial_weight(recall[~groups.ego_detected])
-    if params.plausibility_in_evaluation:
-        denied = ~groups.ego_detected
-        phi[denied] += (1.0 - plausible[denied]) * (1.0 - phi[denied])
-    if certainty is not None:
-        phi[~groups.ego_detected] *= certainty[~groups.ego_detected]
+    missed = ~groups.ego_detected
+    permitted = plausible[missed] if params.plausibility_in_evaluation else 1.0
+    compared = 1.0 if certainty is None else certainty[missed]
+    if recall is None:
+        phi[missed] = compared * (phi[missed] + (1.0 - permitted) * (1.0 - phi[missed]))
+    else:
+        phi[missed] = denial_weight(miss_p(phi[missed] * recall[missed], permitted, compared))
     certain = groups.ego_detected & detections.is_self[seed]
     e[certain] = 1.0
     phi[certain] = 1.0

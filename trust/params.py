@@ -71,6 +71,8 @@ class TrustParams(TruPerceptParams):
     receives. `own`: its own evaluations only."""
     default_trust: Annotated[float, Interval(ge=0, le=1)] = 0.5
     """Trust of a vehicle about which nothing is known."""
+    suspect_below: Annotated[float, Interval(ge=0, le=1)] = 0.25
+    """A vehicle with less trust than this is suspected, in the metrics. Nothing in the run depends on it."""
     unevaluated: Literal["default", "value"] = "default"
     """Trust of a vehicle without any evaluation by another vehicle that could see its detections. `default`:
     `default_trust`. `value`: the model's value, which for TruPercept is 0 (the paper's rule)."""
@@ -101,8 +103,9 @@ class TrustParams(TruPerceptParams):
     plausibility_in_evaluation: bool = True
     """Whether an unmatched, implausible detection is evaluated with full visibility."""
     denials: Literal["visibility", "recall"] = "visibility"
-    """Weight of the evaluation of an unmatched, plausible detection. `visibility`: its visibility (the paper's rule).
-    `recall`: its visibility, reduced if the evaluator's detector often misses such objects."""
+    """Weight of the evaluation of an unmatched detection. `visibility`: its visibility, and 1 where free space
+    contradicts it (the paper's rule). `recall`: what the evaluator can know from how often its detector misses such
+    objects; 0 if it would more likely than not find no match although the object is there."""
     evidence: tuple[Kind, ...] = ("detections",)
     """Kinds of evaluations that are made, sent and counted. `detections`: of received detections. `missing`: of the
     completeness of a message, by the objects that the sender should have detected too. `speed`: of claimed

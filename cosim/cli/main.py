@@ -280,9 +280,14 @@ def measure(
     ] = "base",
     csv: Annotated[Path | None, typer.Option("--csv", help="Write the metrics to this file.")] = None,
     threshold: Annotated[
-        float,
-        typer.Option(min=0, max=1, help="A vehicle with less trust than this is suspected.", rich_help_panel=MORE),
-    ] = 0.25,
+        float | None,
+        typer.Option(
+            min=0,
+            max=1,
+            help="A vehicle with less trust than this is suspected; by default trust.suspect_below of the run.",
+            rich_help_panel=MORE,
+        ),
+    ] = None,
     fresh_s: Annotated[
         float, typer.Option(help="Trust is fresh up to this age, in seconds.", rich_help_panel=MORE)
     ] = 10.0,

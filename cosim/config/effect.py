@@ -143,6 +143,12 @@ def without_effect(config: Config, is_replayed: bool) -> list[str]:
             of = [f.name for f in fields(default) if f.default is not MISSING and getattr(one, f.name) != f.default]
             held = [(tuple(f"{section}.{number}.{key}" for key in keys), need, has(one)) for keys, need, has in needs]
             found += _vain([f"{section}.{number}.{name}" for name in of], held)
+    if config.trust.matching == "iou":
+        found += [
+            f'attacks.{number}.attack = "misstated_accuracy" has no effect without trust.matching = "gates".'
+            for number, one in enumerate(config.attacks)
+            if one.attack == "misstated_accuracy"
+        ]
     return found
 
 

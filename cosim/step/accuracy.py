@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.config.config import Config
@@ -43,8 +43,8 @@ _PLAIN_SIGMA_M, _PLAIN_SIGMA_RAD, _PLAIN_SIZE_SIGMA = 0.3, 0.2, 0.1
 
 
 def stated(
-    listed: Detections, tracks: ObjectStates | None, origin_m: Float[ndarray, "d 3"], detector: DetectorAccuracy,
-    c: Config,
+    listed: Detections, tracks: ObjectStates | None, origin_m: Float[ndarray, "d 3"], own_mps: Float[ndarray, "d"],
+    detector: DetectorAccuracy, c: Config,
 ) -> Detections:  # fmt: skip
     """The lists with the accuracy that their vehicles state.
 
@@ -56,6 +56,8 @@ def stated(
         What tracking says of the sensed ones, in their order; None without tracking.
     origin_m
         Sensor of the vehicle of each detection, where it believes it to be.
+    own_mps
+        Speed of the vehicle of each detection.
     detector
         What the detector knows of its own accuracy.
     c
@@ -66,7 +68,8 @@ def stated(
     The variance of a position is a sum of four parts: the detector's, by class, number of returns and range; that of
     the vehicle's own position; that of its heading, across the line of sight, times the square of the range; and, if a
     sweep takes the time T, that of a motion of speed v in it, (v T)^2 / 12 along the velocity. A self report has the
-    second part alone. A detection without a track has the variance of the speeds of its class. Vehicles that attack
+    second part alone. A detection without a track has the variance of the speeds of its class, as a new track has it:
+    where the observer itself is fast, others are, too. Vehicles that attack
     state the same of what they fabricate, times the `accuracy_factor` of their attack. A velocity that is said to be
     less well known than that of an object without a track counts as one that is not stated.
 
@@ -87,7 +90,7 @@ def stated(
     x, y = away_m.T
     moves = velocities(listed)
     known = np.isfinite(moves).all(axis=1)
-    of_class = _speed_variance(listed, c.tracking)
+    of_class = _speed_variance(listed.label, own_mps, c.tracking)
     sweep_s = 0.0 if not isinstance(c.lidar.rotation_hz, float) else 1.0 / c.lidar.rotation_hz
     of_sweep = np.where(is_self, 0.0, sweep_s**2 / 12.0)
     vx, vy = np.where(known[:, None], moves, 0.0).T
@@ -137,13 +140,21 @@ def aged(listed: Detections, age_s: Float[ndarray, "d"], params: TrackingParams)
     return replace(listed, variance_m2=listed.variance_m2 + along_both, relative_m2=listed.relative_m2 + along_both)
 
 
-def _speed_variance(listed: Detections, params: TrackingParams) -> Float[ndarray, "d"]:
-    """Variance of the velocity along each axis of an object of which only the class is known."""
-    mean, along, across = (
-        np.asarray(values)[listed.label]
-        for values in (params.along_mean_mps, params.along_sigma_mps, params.across_sigma_mps)
+def _speed_variance(
+    label: UInt8[ndarray, "d"], own_mps: Float[ndarray, "d"], params: TrackingParams
+) -> Float[ndarray, "d"]:
+    """Variance of the velocity along each axis of an object of which only the class and the observer's speed are known.
+
+    The speed along the heading is that of a new track (`sensors.tracking.begun`); the heading may be reversed.
+    """
+    along_mps, along_sigma_mps = (
+        np.maximum(np.asarray(of_class)[label], np.asarray(share)[label] * own_mps)
+        for of_class, share in (
+            (params.along_mean_mps, params.own_speed_mean),
+            (params.along_sigma_mps, params.own_speed_sigma),
+        )
     )
-    return 0.5 * (mean**2 + along**2 + across**2)
+    return 0.5 * (along_mps**2 + along_sigma_mps**2 + np.asarray(params.across_sigma_mps)[label] ** 2)
 
 
 def sensors_of(observer: Int[ndarray, "d"], rows: Int[ndarray, "s"], origin_m: Float[ndarray, "s 3"]) -> ndarray:

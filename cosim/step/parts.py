@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int, UInt64
+from jaxtyping import Float, Int, UInt8, UInt64
 from numpy import ndarray
 
 from cosim.attacks.adversary import Adversary
@@ -137,27 +137,31 @@ def perception_of(experiment: Config, city: Scene) -> Perception:
 def recall_of(experiment: Config) -> Recall:
     """The detector's recall function.
 
-    Raises
-    ------
-    ValueError
-        If the detector has no method `recall`.
+    A detector without the method `recall` is taken to miss nothing. With "missing" in `trust.evidence` it must have the
+    method: ValueError.
     """
     detector = _make(experiment, "detector")
-    if not hasattr(detector, "recall"):
-        asks, instead = ('trust.denials = "recall"', 'set trust.denials = "visibility"')
-        if experiment.trust.denials != "recall":
-            asks, instead = ('trust.evidence names "missing"', 'remove "missing" from trust.evidence')
+    if hasattr(detector, "recall"):
+        return detector.recall
+    if "missing" in experiment.trust.evidence:
         raise ValueError(
-            f"{asks}, but the detector {type(detector).__name__} has no method recall(n_points, label, range_m): how "
-            f"often it misses an object is not known. Add it, or {instead}."
+            f'trust.evidence names "missing", but the detector {type(detector).__name__} has no method '
+            "recall(n_points, label, range_m): how often it misses an object is not known. Add it, or remove "
+            '"missing" from trust.evidence.'
         )
-    return detector.recall
+    return _misses_nothing
+
+
+def _misses_nothing(
+    n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]
+) -> Float[ndarray, "n"]:
+    """As `sensors.detector.KnowsRecall`: 1 for all."""
+    return np.ones(len(n_points))
 
 
 def check_choices(experiment: Config) -> None:
     """Raise ValueError, in one line, if a component that the config names cannot be built."""
-    if experiment.trust.denials == "recall" or "missing" in experiment.trust.evidence:
-        recall_of(experiment)
+    recall_of(experiment)
     for section in ("detector", "pseudonyms", "driver"):
         _make(experiment, section)
     for number in range(len(experiment.attacks)):

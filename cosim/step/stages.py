@@ -276,7 +276,8 @@ def list_objects(
         tracks = tracks.take(was_sensed[order[objects.origin == SENSED]])
     if parts.config.trust.matching == "gates":
         origin_m = sensors_of(objects.observer, sensing.row, observed.sweeps.poses.origin_m)
-        objects = stated(objects, tracks, origin_m, parts.accuracy, parts.config)
+        own_mps = world.speed_mps[objects.observer]
+        objects = stated(objects, tracks, origin_m, own_mps, parts.accuracy, parts.config)
     detections, ptr = object_lists.for_trust(objects, message, len(senders))
     return cpm, Listed(
         objects=objects,

@@ -68,8 +68,8 @@ class Keep:
 class Measuring:
     """Options of the metrics: the section `[measure]`."""
 
-    threshold: float = 0.25
-    """A subject with less trust than this is suspected."""
+    threshold: float | None = None
+    """A subject with less trust than this is suspected; by default `trust.suspect_below`."""
     fresh_s: float = 10.0
     """Trust is fresh up to this age [s]."""
     false_positives: float = 0.05

@@ -10,17 +10,19 @@ from matplotlib.lines import Line2D
 from cosim.base.codes import BASE_VARIANT
 from results.figures import style
 from results.metrics import misbehaviour, security
+from results.metrics.trust import suspect_below
 from results.run import Run
 
 
 @style.styled
-def draw(runs: Sequence[Run], threshold: float = 0.25) -> Figure:
+def draw(runs: Sequence[Run], threshold: float | None = None) -> Figure:
     """Share of attackers found out, over the time since their first attack: at the server, at the first vehicle that
     looks up a value below the threshold, and where receivers drop their messages because they are revoked.
 
     One line per trust variant (the acting one alone revokes); those who leave before are censored.
     """
     variants, names = style.variants_of(runs)
+    threshold = suspect_below(variants[0], threshold)
     panels = {f"Below {threshold:g} at the server": [(i, misbehaviour.detection_delay(run, threshold, "server"))
               for i, run in enumerate(variants)]}  # fmt: skip
     if all("trust_lookups" in run.tables for run in variants):

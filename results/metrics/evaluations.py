@@ -2,7 +2,8 @@
 
 These rates decide every trust value. Evaluations are those that honest vehicles make, with visibility above 0, of
 detections that were sent; unless said otherwise, those that another vehicle sent. An evaluation denies a detection if
-it is negative: the detection matches none of the evaluator's own. It confirms it if it is positive.
+it is negative: the detection matches none of the evaluator's own. It confirms it if it is positive. An evaluator that
+finds no match but knows nothing about the place (visibility 0, see `trust.denials`) neither denies nor confirms.
 """
 
 from collections.abc import Iterator

@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from cosim.base.codes import LookupState, TrustSource
 from cosim.base.durable import Damaged
-from results.metrics.trust import watched
+from results.metrics.trust import suspect_below, watched
 from results.run import Run
 
 AGES: Mapping[str, str] = {
@@ -26,8 +26,6 @@ RENEWED = ("value", "newest evaluation")
 BEHIND = ("n_evaluations", "n_evaluators")
 """Columns of what stands behind values."""
 FRESH_S = 10.0
-THRESHOLD = 0.25
-"""Trust below which a subject is suspected, unless told otherwise."""
 REACH_S = 3.0
 """Two successive lookups of a subject are one stay within reach if they lie at most this far apart, or at most two
 sensing intervals where these are longer."""
@@ -149,7 +147,7 @@ class _Numbers:
         return number
 
 
-def sums(run: Run, fresh_s: float = FRESH_S, threshold: float = THRESHOLD) -> Sums:
+def sums(run: Run, fresh_s: float = FRESH_S, threshold: float | None = None) -> Sums:
     """Lookups of the run's variant, added up.
 
     Parameters
@@ -157,14 +155,14 @@ def sums(run: Run, fresh_s: float = FRESH_S, threshold: float = THRESHOLD) -> Su
     fresh_s
         Largest age of an evaluation that counts in `Sums.fresh`.
     threshold
-        Trust below which a value counts as low.
+        Trust below which a value counts as low; by default that of the run's config.
 
     Raises
     ------
     ValueError
         If there are no lookups.
     """
-    mine = Sums(*(table[run.variants.index(run.variant)] for table in _all(run, _Asked(fresh_s, threshold)).sums))
+    mine = Sums(*(table[run.variants.index(run.variant)] for table in _all(run, fresh_s, threshold).sums))
     if not mine.states.any():
         raise ValueError(f"{run.path} {NO_LOOKUPS}")
     return mine
@@ -231,10 +229,9 @@ def _roles(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
     return role.index.to_numpy(np.int64), role.cat.codes.to_numpy(np.int64)
 
 
-def _all(run: Run, asked: _Asked | None = None) -> _All:
+def _all(run: Run, fresh_s: float = FRESH_S, threshold: float | None = None) -> _All:
     """One pass over the rows of all variants, made once for the default question and once for every other."""
-    usual = _Asked(FRESH_S, THRESHOLD)
-    asked = asked or usual
+    usual, asked = _Asked(FRESH_S, suspect_below(run)), _Asked(fresh_s, suspect_below(run, threshold))
     return run.once_for_all("lookups" if asked == usual else f"lookups, {asked}", lambda: _added(run, asked))
 
 

@@ -131,7 +131,7 @@ def roc(run: Run) -> pd.DataFrame:
     return pd.concat(rows, ignore_index=True)
 
 
-def below(run: Run, threshold: float = 0.25) -> pd.DataFrame:
+def below(run: Run, threshold: float | None = None) -> pd.DataFrame:
     """Share of values below a threshold, by role.
 
     Returns
@@ -142,7 +142,7 @@ def below(run: Run, threshold: float = 0.25) -> pd.DataFrame:
     for role, here in trust.by_role(run, found.role):
         row: dict[str, object] = {"role": role, "n": int(here.sum())}
         for name, some in (("share", here), ("evaluated_share", here & found.rated)):
-            low = found.trust[some].astype(np.float64) < threshold
+            low = found.trust[some].astype(np.float64) < trust.suspect_below(run, threshold)
             row |= intervals.columns(intervals.of_units(low, found.subject[some]), name)
         rows.append(row)
     return pd.DataFrame(rows)
@@ -157,7 +157,7 @@ def separation(run: Run) -> intervals.ClusteredEstimate:
     return intervals.auc(honest, np.arange(len(honest)), attacking, np.arange(len(attacking)))
 
 
-def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") -> pd.DataFrame:
+def detection_delay(run: Run, threshold: float | None = None, at: trust.At = "server") -> pd.DataFrame:
     """Time until a subject is suspected.
 
     It begins with the first attack of the subject; for honest subjects, with the first attack of any.
@@ -165,7 +165,7 @@ def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") 
     Parameters
     ----------
     threshold
-        Trust below which a subject is suspected.
+        Trust below which a subject is suspected; by default `trust.suspect_below` of the run.
     at
         Who suspects: the server, or the first vehicle that looks up a value below the threshold (a default does not
         count).
@@ -185,11 +185,12 @@ def detection_delay(run: Run, threshold: float = 0.25, at: trust.At = "server") 
     return pd.DataFrame({"role": who.role, "delay_s": delay_s, "found": found}).reset_index()
 
 
-def _low_values(run: Run, threshold: float, at: trust.At) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+def _low_values(run: Run, threshold: float | None, at: trust.At) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
     """Step and subject of values below a threshold that rest on an evaluation.
 
     Of the values that vehicles look up, only some are there, but always the first of each subject.
     """
+    threshold = trust.suspect_below(run, threshold)
     if at == "vehicles":
         lows = lookups.lows(run)
         low = lows.trust.astype(np.float64) < threshold
@@ -201,7 +202,7 @@ def _low_values(run: Run, threshold: float, at: trust.At) -> tuple[Int[ndarray, 
     return known.step[low], known.subject[low]
 
 
-def at_lookup(run: Run, threshold: float = lookups.THRESHOLD) -> pd.DataFrame:
+def at_lookup(run: Run, threshold: float | None = None) -> pd.DataFrame:
     """Classification at the place where trust is used: of the values that vehicles look up.
 
     A lookup counts from the moment at which its subject is watched. Central and local trust are measured alike and can
@@ -283,7 +284,7 @@ def _tied(scores: lookups.Scores, one: Bool[ndarray, "n"], other: Bool[ndarray, 
     return float((counts[0] * counts[1]).sum() / counts[0].sum() / counts[1].sum() / 2)
 
 
-def detection_per_receiver(run: Run, threshold: float = lookups.THRESHOLD) -> pd.DataFrame:
+def detection_per_receiver(run: Run, threshold: float | None = None) -> pd.DataFrame:
     """Time until each vehicle suspects each subject that it looks up.
 
     It begins with the first lookup while the subject is watched, and ends with the first evaluated value below the
@@ -313,7 +314,7 @@ def detection_per_receiver(run: Run, threshold: float = lookups.THRESHOLD) -> pd
     return pd.DataFrame(rows, columns=["role", "n", "share", "share_low", "share_high", "share_units", "median_s"])
 
 
-def detection_summary(run: Run, threshold: float = 0.25, at: trust.At = "server") -> pd.DataFrame:
+def detection_summary(run: Run, threshold: float | None = None, at: trust.At = "server") -> pd.DataFrame:
     """Delays of `detection_delay` by role.
 
     Subjects that are not suspected count for as long as they were watched (Kaplan and Meier).

@@ -13,28 +13,28 @@ import pandas as pd
 
 from results.metrics import intervals
 from results.metrics.misbehaviour import scored_vehicles
-from results.metrics.trust import HONEST, watched
+from results.metrics.trust import HONEST, suspect_below, watched
 from results.run import Run
 
 
-def excluded(run: Run, threshold: float = 0.25, relative: float | None = None) -> pd.DataFrame:
+def excluded(run: Run, threshold: float | None = None, relative: float | None = None) -> pd.DataFrame:
     """Rows of `misbehaviour.scored_vehicles`, with `attacker` (its vehicle attacks) and `excluded` (at that moment).
 
     Parameters
     ----------
     threshold
-        Absolute threshold on trust.
+        Absolute threshold on trust; by default `trust.suspect_below` of the run.
     relative
         If given, the threshold is this share of the median of the rated values of a moment, in place of `threshold`.
     """
     frame = scored_vehicles(run).astype({"trust": np.float64})
-    limit: pd.Series | float = threshold
+    limit: pd.Series | float = suspect_below(run, threshold)
     if relative is not None:
         limit = frame.step.map(relative * frame.trust.where(frame.rated).groupby(frame.step).median())
     return frame.assign(attacker=frame.role != HONEST, excluded=frame.rated & (frame.trust < limit))
 
 
-def confusion(run: Run, threshold: float = 0.25, relative: float | None = None) -> pd.DataFrame:
+def confusion(run: Run, threshold: float | None = None, relative: float | None = None) -> pd.DataFrame:
     """Confusion matrix by value, by vehicle and by message.
 
     Returns
@@ -136,7 +136,9 @@ def average_precision(run: Run) -> float:
     return float((curve.precision * np.diff(curve.recall, prepend=0.0)).sum())
 
 
-def false_exclusions(run: Run, threshold: float = 0.25, relative: float | None = None) -> intervals.ClusteredEstimate:
+def false_exclusions(
+    run: Run, threshold: float | None = None, relative: float | None = None
+) -> intervals.ClusteredEstimate:
     """Times that an honest vehicle becomes excluded, per hour that honest vehicles are watched for."""
     frame = excluded(run, threshold, relative)
     honest = frame[~frame.attacker].sort_values(["subject", "step"])

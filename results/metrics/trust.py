@@ -40,6 +40,11 @@ def kept_at(run: Run) -> At:
     return "server" if len(server_values(run)) else "vehicles"
 
 
+def suspect_below(run: Run, threshold: float | None = None) -> float:
+    """Trust below which a subject is suspected: the given threshold, else that of the run's config."""
+    return float(run.config.get("trust", {}).get("suspect_below", 0.25)) if threshold is None else threshold
+
+
 def server_values(run: Run) -> pd.DataFrame:
     """What metrics need of the table `trust`, of the run's variant; not to be changed."""
     columns = [

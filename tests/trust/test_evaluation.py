@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.trust.worlds import GAMMAS, worlds
 from tests.verification import paper
-from trust.evaluation import denial_weight, evaluate, visibility
+from trust.evaluation import denial_weight, evaluate, miss_p, visibility
 from trust.matching import match
 from trust.params import TrustParams, eta_of
 from trust.tables import ObjectLists, SentDetections
@@ -116,18 +116,28 @@ def test_renaming_the_vehicles_permutes_the_evaluations(world, seed, one_per_veh
     np.testing.assert_array_equal(again.visibility, evaluated.visibility[order])
 
 
-@pytest.mark.parametrize("recall", [0.0, 0.1, 0.5, 0.75, 0.99, 1.0])
-def test_the_weight_of_a_denial_is_what_bayes_makes_of_a_miss(recall):
-    """A million objects, half of them there, are missed with probability 1 - r or 1: what is left is counted."""
+@pytest.mark.parametrize("compared", [1.0, 0.7])
+@pytest.mark.parametrize("permitted", [1.0, 0.4, 0.0])
+@pytest.mark.parametrize("recall", [0.0, 0.1, 0.6, 0.99, 1.0])
+def test_a_denial_says_what_bayes_makes_of_a_miss(recall, permitted, compared):
+    """A million boxes, half of them of objects, are drawn and counted.
+
+    An object is in the region that was compared or not, at a place that the sweep permits or not, and reported or not.
+    What is not permitted is not found: an evaluator whose sweep looks like this knows that the object is elsewhere.
+    """
     rng = np.random.default_rng(1)
-    there = rng.random(1_000_000) < 0.5
-    missed = ~there | (rng.random(1_000_000) >= recall)
-    expected = np.where(there[missed], 1.0, -1.0).mean()
-    assert -denial_weight(np.array([recall]))[0] == pytest.approx(expected, abs=0.005)
+    there, in_region, at_permitted, reported = rng.random((4, 1_000_000)) < np.array(
+        [[0.5], [compared], [permitted], [recall]]
+    )
+    agrees = ~there | ~in_region | (at_permitted & ~reported)  # with the sweep, and with a list without a match
+    q = miss_p(np.array([recall]), np.array([permitted]), np.array([compared]))
+    assert agrees[there].mean() == pytest.approx(q[0], abs=0.002)
+    expected = np.where(there[agrees], 1.0, -1.0).mean()
+    assert -denial_weight(q)[0] == pytest.approx(expected if q[0] <= 0.5 else 0.0, abs=0.004)
 
 
 def test_denials_are_weighed_by_recall():
-    """A match, a denial with half recall, one that free space contradicts, and one that the detector cannot find."""
+    """A match, a miss of an object that could be seen, one of which half could, and one that free space contradicts."""
     table = SentDetections(
         np.array([0, 0, 1, 1, 1, 1]), np.array([0, 1, 1, 2, 3, 4]), np.zeros(6, np.uint8),
         np.array([1, 0.8, 0.5, 0.9, 0.7, 0.6]), np.array([1, 0, 0, 0, 0, 0], bool),
@@ -135,8 +145,11 @@ def test_denials_are_weighed_by_recall():
     lists = ObjectLists(np.array([0, 6]), np.arange(6), np.array([0]))
     params = TrustParams(denials="recall")
     groups = match(lists, table, (np.array([1]), np.array([2]), np.array([0.5])), params)
-    points, plausible = np.full(6, 50), np.array([1, 1, 1, 1, 0, 1], bool)
-    recall = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.0])
-    evaluated = evaluate(lists, groups, table, points, plausible, params, recall)
+    points, plausible = np.array([50, 50, 50, 100, 50, 0]), np.array([1, 1, 1, 1, 1, 0], bool)
+    evaluated = evaluate(lists, groups, table, points, plausible, params, np.full(6, 0.8))
     assert evaluated.evaluation[2:].tolist() == [0.8, -1, -1, -1]
-    assert evaluated.visibility[2:].tolist() == pytest.approx([0.5, 0.5 * 0.5 / 1.5, 1.0, 0.0])
+    # of 100 returns: q = 1 - 0.8; of 50: q = 1 - 0.5 x 0.8, which is above 1/2
+    assert evaluated.visibility[2:].tolist() == pytest.approx([0.5, 0.8 / 1.2, 0.0, 1.0])
+    known_half = evaluate(lists, groups, table, points, plausible, params, np.full(6, 0.8), np.full(6, 0.5))
+    # half of the region: q = 0.5 + 0.5 x 0.2 where the sweep permits it, 0.5 where it does not
+    assert known_half.visibility[2:].tolist() == pytest.approx([0.5, 0.0, 0.0, 0.5 / 1.5])

@@ -22,7 +22,7 @@ NOT_HERE = (
 )  # fmt: skip
 """Beginnings of the metrics that are not recomputed."""
 STATE = {"evaluated": "evaluated", "unevaluated": "unevaluated", "stale": "stale", "no_value": "no value"}
-THRESHOLD, FALSE_POSITIVES, FRESH_S = 0.25, 0.05, 10.0
+FALSE_POSITIVES, FRESH_S = 0.05, 10.0
 
 
 class Folder:
@@ -33,6 +33,7 @@ class Folder:
         self.manifest = json.loads((self.path / "manifest.json").read_text())
         self.dt_s, self.steps = float(self.manifest["dt_s"]), int(self.manifest["steps"])
         self.config = self.manifest["config"]
+        self.threshold = float(self.config["trust"]["suspect_below"])
         self.sensing_s = float(self.config.get("sensing_interval_s", self.dt_s))
 
     def table(self, name):
@@ -206,8 +207,8 @@ def lookups(of):
 def misbehaviour(of):
     frame = values(of)
     for role, some in frame.groupby("role"):
-        yield "below_threshold.share", role, (some.trust < THRESHOLD).mean()
-        yield "below_threshold.evaluated_share", role, (some.trust[some.evaluated] < THRESHOLD).mean()
+        yield "below_threshold.share", role, (some.trust < of.threshold).mean()
+        yield "below_threshold.evaluated_share", role, (some.trust[some.evaluated] < of.threshold).mean()
     if watched(of).empty:
         return
     looked = lookups(of)
@@ -233,10 +234,10 @@ def misbehaviour(of):
     yield "auc_final", "", auc(last.trust[last.role == "honest"], last.trust[last.role == "malicious"])
     at_server = len(of.table("trust")) > 0
     kept = frame if at_server else looked
-    yield from detection_times(of, kept, THRESHOLD, "time_to_detection")
+    yield from detection_times(of, kept, of.threshold, "time_to_detection")
     yield from detection_times(of, kept, limit, "time_to_detection_at_fpr")
     if at_server and len(looked):
-        yield from detection_times(of, looked, THRESHOLD, "time_to_detection_at_vehicle")
+        yield from detection_times(of, looked, of.threshold, "time_to_detection_at_vehicle")
 
 
 def at_lookup(of, looked):
@@ -245,7 +246,7 @@ def at_lookup(of, looked):
     mine = mine[(mine.step >= mine.subject.map(who.since)) & (mine.step <= mine.subject.map(who.until))]
     honest = mine.trust[mine.evaluated & (mine.role == "honest")]
     for role, some in mine.groupby("role"):
-        low = some.evaluated & (some.trust < THRESHOLD)
+        low = some.evaluated & (some.trust < of.threshold)
         yield "at_lookup.evaluated.share", role, some.evaluated.mean()
         yield "at_lookup.suspected.share", role, low.mean()
         if role != "honest":
@@ -278,7 +279,7 @@ def security(of):
     every = pairs(of).sort_values(["step", "subject"])
     medians = every[every.evaluated].groupby("step").trust.median()
     sent = of.table("detections")
-    for suffix, limit in (("", THRESHOLD), ("_relative", every.step.map(medians) / 2)):
+    for suffix, limit in (("", of.threshold), ("_relative", every.step.map(medians) / 2)):
         now = every.assign(attacks=every.role != "honest", excluded=every.evaluated & (every.trust < limit))
         units = [("value", now), ("vehicle", now.groupby("subject").tail(1))]
         if len(sent):

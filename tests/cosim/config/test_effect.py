@@ -36,6 +36,8 @@ def test_a_preset_has_no_key_in_vain(name):
         (["trust.model=beta", "trust.freshness_s=20"],
          'trust.freshness_s has no effect without a trust.model that reads it, such as "trupercept".'),
         (["sensing=false", "trust.tau=0.3"], "trust.tau has no effect without sensing = true."),
+        (["trust.matching=iou", "attacks.0.attack=misstated_accuracy"],
+         'attacks.0.attack = "misstated_accuracy" has no effect without trust.matching = "gates".'),
         (["attacks.0.active_p=0.3"], 'attacks.0.active_p has no effect without when = "sporadic".'),
         (["roadside.0.at=[500,500]", "roadside.0.choose=random"],
          "roadside.0.choose has no effect without junctions = N."),
