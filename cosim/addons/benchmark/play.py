@@ -102,11 +102,11 @@ class Script:
             own = np.arange(len(messages.evaluator))
             received.append(_received(messages, messages.evaluator, own, rules))
             here = slice(first[step], first[step + 1])
-            holder, sender, made = (asked[c][here].astype(np.int64) for c in ("receiver", "sender", "message_step"))
-            for earlier in np.unique(made).tolist():
-                heard, known = made == earlier, sent[earlier].evaluator
-                row = np.searchsorted(known, sender[heard])
-                received[step] += _received(sent[earlier], holder[heard], row, rules)
+            holder, sender, of_step = (asked[c][here].astype(np.int64) for c in ("receiver", "sender", "message_step"))
+            for earlier in np.unique(of_step).tolist():
+                heard = np.flatnonzero(of_step == earlier)
+                of_sender = np.searchsorted(sent[earlier].evaluator, sender[heard])
+                received[step] += _received(sent[earlier], holder[heard], of_sender, rules)
         due, last = [], -np.inf
         for step in range(rules.n_steps):
             due.append(step * rules.dt_s - last >= rules.server_period_s - 1e-9)
