@@ -308,7 +308,7 @@ def _receptions(recorder: TakesRows, at: int, sensed: Sensed) -> None:
         rows = {
             "sender": sender,
             "receiver": sensed.vehicles.actor[found.receiver],
-            **({} if sensed.known.is_lock_step else {"message_step": step}),
+            "message_step": step,
             "hops": found.hops,
             "generation_offset_s": found.generation_offset_s,
             "access_delay_s": found.access_delay_s,
@@ -335,13 +335,13 @@ def _evaluations(recorder: TakesRows, at: int, sensed: Sensed) -> None:
         "detection_index": detections.detection_index[member], "evaluation": reported.evaluation,
         "visibility": reported.visibility, "n_points": evaluated.n_points, "plausible": evaluated.plausible,
         "plausible__valid": ~evaluated.matched, "matched": evaluated.matched, "lied": evaluated.lied,
-        **_steps(sensed, "detection_step", member),
+        "detection_step": known.detection_step(member),
     }  # fmt: skip
     if evaluated.number is not None:
         rows["detection_index"], rows["kind"] = np.divmod(evaluated.number, len(EvaluationKind))
         rows["plausible__valid"] = (rows["kind"] == EvaluationKind.DETECTION) & ~evaluated.matched
     is_new = known.is_new(sensed.senders.source[lists.owner[by]], member)
-    recorder.append("evaluations", at, rows if is_new is None else {name: c[is_new] for name, c in rows.items()})
+    recorder.append("evaluations", at, {name: column[is_new] for name, column in rows.items()})
     if "transmitted_evaluations" in recorder.tables:
         _transmitted(recorder, at, sensed)
 
@@ -355,7 +355,7 @@ def _transmitted(recorder: TakesRows, at: int, sensed: Sensed) -> None:
         "evaluator": np.repeat(sent.evaluator, np.diff(sent.ptr)), "observer": sent.observer, **number,
         "evaluation": sent.evaluation, "visibility": sent.visibility,
         "own_evaluation": own.evaluation, "own_visibility": own.visibility,
-        **({} if sent.detection_step is None else {"detection_step": sent.detection_step}),
+        "detection_step": sent.detection_step,
     })  # fmt: skip
     detections, chosen = sensed.listed.detections, sensed.listed.objects.transmitted
     recorder.append("transmitted_scores", at, {
@@ -368,7 +368,7 @@ def _evidence(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     known, (lists, _, reported) = sensed.known, sensed.evaluated.of_detections()
     evaluator = lists.owner[lists.of_member()]
     is_new = known.is_new(sensed.senders.source[evaluator], lists.member)
-    rows = slice(None) if is_new is None else np.flatnonzero(is_new)
+    rows = np.flatnonzero(is_new)
     evaluations = evidence_audit.AuditedEvaluations(
         evaluator=evaluator[rows],
         detection=lists.member[rows],
@@ -390,9 +390,9 @@ def _trust(recorder: TakesRows, world: World, sensed: Sensed, dt_s: float) -> No
     used = sensed.looked_up.messages
     receiver, subject = sensed.sensing.actor[used.receiver], sensed.known.pseudonym[used.message]
     lookups = sensed.looked_up.lookups
-    if not sensed.known.is_lock_step:  # several messages of one sender may be in use; its trust is looked up once
-        _, once = np.unique(receiver.astype(np.int64) << 32 | subject, return_index=True)
-        receiver, subject, lookups = receiver[once], subject[once], [found.take(once) for found in lookups]
+    # Several messages of one sender may be in use; its trust is looked up once.
+    _, once = np.unique(receiver.astype(np.int64) << 32 | subject, return_index=True)
+    receiver, subject, lookups = receiver[once], subject[once], [found.take(once) for found in lookups]
     published, units = list(sensed.published), world.is_roadside[sensed.vehicles.row]
     if units.any():  # the tables of trust are about vehicles
         actor, own = sensed.vehicles.actor[units], sensed.vehicles.pseudonym[units]
@@ -543,7 +543,7 @@ def _fused(recorder: TakesRows, world: World, sensed: Sensed) -> None:
             "pose": pseudonym[fused.pose], "pose__valid": moved,
             "pose_index": listed.detection_index[fused.pose], "pose_index__valid": moved,
             "fabricated": listed.origin[fused.seed] == FABRICATED,
-            **_steps(sensed, "source_step", fused.seed), **_steps(sensed, "pose_step", fused.pose),
+            "source_step": known.detection_step(fused.seed), "pose_step": known.detection_step(fused.pose),
             **_moved(sensed, fused),
         }  # fmt: skip
         recorder.append("fused", world.step, _without(world.is_roadside[sensed.sensing.row[ego]], rows))
@@ -580,12 +580,6 @@ def _moved(sensed: Sensed, fused: Fused) -> Rows:
         moved[:, 6] = wrap(moved[:, 6])
     names = box_columns(known.objects.boxes.take(fused.seed[:0]))
     return {f"moved_{name}": column for name, column in zip(names, moved.T, strict=True)}
-
-
-def _steps(sensed: Sensed, name: str, detection: Int[ndarray, "k"]) -> Rows:
-    """The column `name` with the step of each detection, a row of `Known`; none if all vehicles sense together."""
-    known = sensed.known
-    return {} if known.is_lock_step else {name: known.step[known.detections.message[detection]]}
 
 
 def open_rows(state: State, parts: Parts, registry: ActorRegistry, end_step: int) -> dict[str, list[Columns]]:
@@ -629,13 +623,11 @@ def vehicle_rows(
     """
     lwh, equipped = registry.lwh_m, registry.equipped & (registry.shape != Shape.ROADSIDE_UNIT)
     attack_start_step, attacked = attack_start.first_steps(len(registry))
-    sensing: Rows = {}
-    if not schedule.is_lock_step:
-        interval, phase = schedule.of_vehicles(registry.name_key)
-        sensing = {
-            "sensing_interval_steps": interval, "sensing_interval_steps__valid": equipped,
-            "sensing_phase_steps": phase, "sensing_phase_steps__valid": equipped,
-        }  # fmt: skip
+    interval, phase = schedule.of_vehicles(registry.name_key)
+    sensing: Rows = {
+        "sensing_interval_steps": interval, "sensing_interval_steps__valid": equipped,
+        "sensing_phase_steps": phase, "sensing_phase_steps__valid": equipped,
+    }  # fmt: skip
     return {
         "vehicle": np.arange(len(registry), dtype=np.int32), "sumo_id": np.array(registry.names, object),
         "vehicle_class": registry.shape, "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2],

@@ -83,7 +83,7 @@ def attack_outcomes(
     common = {
         "effect": np.where(is_removal, AttackEffect.REMOVED, AttackEffect.INSERTED),
         "observer": messages.pseudonym[message[detection]],
-        **({} if messages.is_lock_step else {"detection_step": messages.step[message[detection]]}),
+        "detection_step": messages.detection_step(detection),
         "detection_index": objects.detection_index[detection],
         "receiver": vehicles.actor[receiver],
         "intended": objects.target[detection] == vehicles.row[receiver],

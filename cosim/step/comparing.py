@@ -20,7 +20,7 @@ from cosim.step.perception import BoxQuestions, Perceives
 from cosim.step.stopwatch import Stopwatch
 from sensors.association import bounded, certainty
 from sensors.box_fusion import ObjectViews, StatedAccuracy, fuse_boxes, overlap_p
-from sensors.boxes import Boxes, overlapping_pairs
+from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
 from trust import tables
 from trust.evaluation import evaluate
@@ -50,8 +50,8 @@ class KnownObjects:
     """Row at which the detections of each message begin."""
     traced: Bool[ndarray, "d"]
     """Detections of which `Compared` says what they were grouped with."""
-    pairs: Pairs | None
-    """Detections that overlap; None if `compare` finds them."""
+    pairs: Pairs
+    """Detections that may be of one object."""
     own: Int[ndarray, "r"]
     """Message of each vehicle under its own identity, ascending."""
     received: Uses
@@ -87,11 +87,8 @@ class KnownObjects:
         n = np.diff(self.ptr)[messages]
         detections = ranges(self.ptr[messages], n)
         number = numbers(detections, len(self.boxes))
-        pairs = self.pairs
-        if pairs is not None:
-            i, j = number[pairs[0]], number[pairs[1]]
-            both = np.flatnonzero((i >= 0) & (j >= 0))
-            pairs = i[both], j[both], pairs[2][both]
+        i, j = number[self.pairs[0]], number[self.pairs[1]]
+        both = np.flatnonzero((i >= 0) & (j >= 0))
         all_ = self.detections
         part = KnownObjects(
             detections=tables.SentDetections(
@@ -102,7 +99,7 @@ class KnownObjects:
             transmitted=self.transmitted[detections],
             ptr=np.concatenate([[0], np.cumsum(n)]),
             traced=self.traced[detections],
-            pairs=pairs,
+            pairs=(i[both], j[both], self.pairs[2][both]),
             own=of_message[self.own[vehicles]],
             received=Uses(numbers(vehicles, len(self.own))[receiver], of_message[message]),
             bodies=self.bodies.take(vehicles),
@@ -295,16 +292,12 @@ def compare(
     """
     boxes, detections = known.boxes, known.detections
     with watch("match"):
-        pairs = known.pairs
-        if pairs is None:
-            with threads_for(ROWS_PER_BOX * len(boxes)):
-                pairs = overlapping_pairs(boxes, detections.label, detections.message)
         lists = received_lists(known.received, known.ptr, known.transmitted, known.own)
         inside = perception.in_area(
             sweeps, lists.of_member(), boxes, area, lists.member, detections.label, known.bodies
         )
         near = subset(lists, inside)
-        groups, near_groups = match_each((lists, near), detections, pairs, params)
+        groups, near_groups = match_each((lists, near), detections, known.pairs, params)
     with watch("evaluate"):
         seeds, origin_m = groups.seeds(), sweeps.poses.origin_m
         away_m = distance_m(boxes.xyz_m, lists.member[seeds], origin_m, lists.of(seeds))

@@ -1,7 +1,7 @@
 """Keeps messages of earlier steps for vehicles that sense later than the senders.
 
 A vehicle that senses uses the newest detection message of each sender that is younger than the longest sensing
-interval, and the evaluation messages of the same time. If all vehicles sense in the same steps, the inbox is empty.
+interval, and the evaluation messages of the same time. If all vehicles sense in the same steps, none is young enough.
 """
 
 from collections.abc import Iterable
@@ -109,13 +109,12 @@ class Inbox:
         received = cpms.accepted.vehicles
         uses = _of_sensing(exchange, inbox.cpms, received)
         interval, _ = schedule.of_vehicles(exchange.sensing.name_key)
-        stays = schedule.is_lock_step or not parts.config.extrapolate
         known = Known(
             objects=listed.objects, truth=listed.truth, detections=listed.detections, ptr=listed.ptr,
             withheld=listed.withheld, vehicle=senders.vehicle, pseudonym=senders.pseudonym, received=uses,
             step=np.full(len(senders), now), since=now - interval + 1, earlier_m=inbox.from_own_m,
-            earlier_pairs=inbox.pairs, is_lock_step=schedule.is_lock_step,
-            moved_m=None if stays else np.zeros((len(listed.objects), 2)),
+            earlier_pairs=inbox.pairs,
+            moved_m=np.zeros((len(listed.objects), 2)) if parts.config.extrapolate else None,
         )  # fmt: skip
         if not len(inbox.step):
             return inbox, known
@@ -207,8 +206,6 @@ class Inbox:
         receptions: tuple[Receptions, Receptions],
     ) -> "Inbox":  # fmt: skip
         """Add the messages of this step. `receptions` are those of detection messages and of evaluation messages."""
-        if matched.pairs is None:
-            return self
         world, senders, n, d = exchange.world, exchange.senders, len(self.step), len(self.objects)
         n_now = len(listed.objects)
         objects = replace(
@@ -304,8 +301,6 @@ def _with_new(held: Uses, more: Uses) -> Uses:
 def _of_sensing(exchange: Exchange, held: Uses, received: Receptions) -> Uses:
     """Receptions of this step and held ones, by those vehicles that sense in this step."""
     vehicles, sensing, n = exchange.vehicles, exchange.sensing, len(exchange.senders)
-    if sensing is vehicles and not len(held.receiver):
-        return Uses(received.receiver, received.message)
     row = np.full(len(vehicles), -1)
     row[vehicles.senses] = np.arange(len(sensing))
     old, there = rows_of(held.receiver, sensing.actor)

@@ -27,7 +27,7 @@ class Uses(NamedTuple):
 class Known:
     """M messages with detections: those of this step in the order of `Senders`, then earlier ones by step and sender.
 
-    If all vehicles sense in the same steps, there are no earlier ones.
+    If all vehicles sense in the same steps, all earlier ones are too old.
     """
 
     objects: Detections
@@ -57,11 +57,9 @@ class Known:
     moved_m: Float[ndarray, "d 2"] | None
     """How far the boxes have been moved by their velocities since they were sent, east and north. None if they are
     where the messages say."""
-    is_lock_step: bool
-    """Whether all vehicles of the run sense in the same steps, so that there are no earlier messages."""
 
-    def is_new(self, receiver: Int[ndarray, "k"], detection: Int[ndarray, "k"]) -> Bool[ndarray, "k"] | None:
-        """Whether the receiver did not know each detection when it last sensed; None if all vehicles sense together.
+    def is_new(self, receiver: Int[ndarray, "k"], detection: Int[ndarray, "k"]) -> Bool[ndarray, "k"]:
+        """Whether the receiver did not know each detection when it last sensed.
 
         Parameters
         ----------
@@ -70,10 +68,8 @@ class Known:
         detection
             Rows of `objects`.
         """
-        if self.is_lock_step:
-            return None
         return self.step[self.detections.message[detection]] >= self.since[receiver]
 
-    def detection_step(self, detection: Int[ndarray, "k"]) -> Int[ndarray, "k"] | None:
-        """Step of each detection, a row of `objects`; None if all vehicles sense together."""
-        return None if self.is_lock_step else self.step[self.detections.message[detection]]
+    def detection_step(self, detection: Int[ndarray, "k"]) -> Int[ndarray, "k"]:
+        """Step of each detection, a row of `objects`."""
+        return self.step[self.detections.message[detection]]

@@ -462,8 +462,8 @@ class Matched:
 
     objects: Fuses
     """The groups of detections that each vehicle knows."""
-    pairs: Pairs | None
-    """Overlapping detections, as rows of `Known`; None if all vehicles sense together."""
+    pairs: Pairs
+    """Detections that may be of one object, as rows of `Known`."""
     from_own_m: Float[ndarray, "d"]
     """Distance of each detection from the sensor of the vehicle that sends it. With `trust.matching = "gates"`:
     standard deviation of its position."""
@@ -478,10 +478,8 @@ def compare_objects(
     """
     objects, senders, sweeps, c = messages.objects, exchange.senders, positioned.observed.sweeps, parts.config
     n_now, received = int(messages.ptr[len(senders)]), messages.received
-    pairs = None
-    if not messages.is_lock_step or c.trust.matching == "gates":
-        with parts.watch("match"):
-            pairs = _pairs(messages, n_now, c.trust)
+    with parts.watch("match"):
+        pairs = _pairs(messages, n_now, c.trust)
     further = np.flatnonzero(senders.identity)
     if len(further):
         sources, rows = (senders.source[further], received.receiver), (further, received.message)
@@ -501,8 +499,7 @@ def compare_objects(
     from_own_m = np.concatenate([from_own_m, messages.earlier_m])
     if c.trust.matching == "gates":  # the most accurate detection of an object gives its box
         from_own_m = np.sqrt(0.5 * objects.variance_m2[:, [0, 2]].sum(axis=1))
-    kept = None if messages.is_lock_step else pairs  # the inbox keeps them
-    return compared, Matched(grouped, kept, from_own_m)
+    return compared, Matched(grouped, pairs, from_own_m)
 
 
 def _accuracy(exchange: Exchange, messages: Known, positioned: Positioned, parts: Parts) -> StatedAccuracy | None:
@@ -630,7 +627,7 @@ def evaluate_objects(
     lied = lies_in_evaluations(own, reported)
     sendable = messages.objects.transmitted[lists.member]
     is_new = messages.is_new(lists.of_member(), lists.member)
-    sendable = sendable if is_new is None else sendable & is_new
+    sendable &= is_new
 
     def carried(by: ObjectLists, values: Evaluations, sendable: Bool[ndarray, "v"]) -> EvaluationMessages:
         return messages_of(exchange.now.step, messages, by, values, sendable, number)

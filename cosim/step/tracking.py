@@ -61,7 +61,7 @@ def _track_round(
         new = arrived[~is_there]
         at = np.searchsorted(pair, new)
         pair, got = np.insert(pair, at, new), np.insert(got, at, True)
-    silent = None if exchange.sensing is exchange.vehicles else np.setdiff1d(actor, exchange.sensing.actor)
+    silent = np.setdiff1d(actor, exchange.sensing.actor)
     tracker, rows = tracker.next(exchange.now.step, pair, got, silent)
     return tracker, Reach(n_in_range, rows)
 
@@ -86,8 +86,8 @@ def count_in_encounters(
     used, lists, row = looked_up.messages, compared.lists, exchange.vehicles.senses
     is_known = np.stack([found.is_known for found in looked_up.lookups], axis=1)
     by, observer = row[lists.of_member()], vehicle[messages.detections.message[lists.member]]
-    if (is_new := messages.is_new(lists.of_member(), lists.member)) is not None:
-        by, observer = by[is_new], observer[is_new]
+    is_new = messages.is_new(lists.of_member(), lists.member)
+    by, observer = by[is_new], observer[is_new]
     pairs, n = distinct((by * len(actor) + observer)[by != observer])
     evaluator, observer = np.divmod(pairs, max(len(actor), 1))
     for tracker in encounters:

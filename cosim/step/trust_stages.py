@@ -220,7 +220,7 @@ def carrier_of(
     )
     if alone:
         return None, carrier
-    if waiting is None or parts.schedule.is_lock_step:
+    if waiting is None:
         return sent, carrier
     is_there = np.isin(waiting.sender >> 16, exchange.vehicles.actor)
     return sent.and_also(waiting.take(np.flatnonzero(is_there & ~np.isin(waiting.sender, sent.sender)))), carrier
@@ -277,9 +277,8 @@ def _open_step(
     """
     transmitted, detections, linkage = listed.objects.transmitted, listed.detections, parts.linkage
     pseudonym, vehicles = exchange.senders.pseudonym, exchange.vehicles
-    if exchange.sensing is not vehicles:
-        listens = np.setdiff1d(np.append(vehicles.pseudonym, pseudonyms.further(vehicles.actor)), pseudonym)
-        pseudonym = np.concatenate([pseudonym, listens[listens >= 0]])
+    listens = np.setdiff1d(np.append(vehicles.pseudonym, pseudonyms.further(vehicles.actor)), pseudonym)
+    pseudonym = np.concatenate([pseudonym, listens[listens >= 0]])
     message, index = detections.message[transmitted], detections.detection_index[transmitted]
     score = detections.score[transmitted]
     if len(parts.config.trust.evidence) > 1:

@@ -115,8 +115,6 @@ class Schedule:
         n = len(name_key)
         interval = np.full(n, self.interval_steps[-1])
         phase = np.zeros(n, np.int64)
-        if self.is_lock_step:
-            return interval, phase
         group, within = rng.uniforms(rng.key(self.seed, rng.Stream.SENSING), name_key, n=2).T
         interval = np.asarray(self.interval_steps)[np.searchsorted(self.until_p[:-1], group, "right")]
         return interval, (within * interval).astype(np.int64) if self.is_random else phase

@@ -26,7 +26,7 @@ class InterReceptionTracker:
     """Step in which the sender last had a message."""
 
     def next(
-        self, step: int, pair: Int[ndarray, "p"], received: Bool[ndarray, "p"], silent: Int[ndarray, "v"] | None = None
+        self, step: int, pair: Int[ndarray, "p"], received: Bool[ndarray, "p"], silent: Int[ndarray, "v"]
     ) -> tuple["InterReceptionTracker", dict[str, ndarray]]:
         """Add one round of messages.
 
@@ -40,13 +40,12 @@ class InterReceptionTracker:
             Whether the receiver got the message, over any number of hops.
         silent
             Actor numbers, ascending, of the vehicles on the road that have no message in this step; their pairs stay as
-            they are. None if there are no such vehicles.
+            they are.
 
         Returns
         -------
         The new tracker, and the columns pir_steps, n_received, n_censored of the table `packet_inter_reception`.
         """
-        silent = np.zeros(0, np.int64) if silent is None else silent
         *now, n_received, n_censored = _next(step, self.pair, self.last, self.step, pair, received, silent)
         lengths = np.flatnonzero(n_received + n_censored)
         rows = {"pir_steps": lengths, "n_received": n_received[lengths], "n_censored": n_censored[lengths]}
