@@ -52,7 +52,7 @@ GROUPS = {
     "Own experiment": ("init", "check", "sweep", "status", "resume", "retrust", "predict"),
     "Own city": ("nets", "trace", "contacts", "place"),
     "Own classes": ("new", "try", "benchmark"),
-    "Compare and share": ("validate", "reproduce", "judge", "evaluate", "export", "view", "cite"),
+    "Compare and share": ("compare", "evaluate", "export", "view", "cite"),
     "Look after": ("verify", "cache"),
 }
 """The commands in the help, in the order of the first hour. A name without a command is skipped."""

@@ -13,8 +13,8 @@ from PIL import Image
 
 from cosim.addons.compare import figure as validation
 from cosim.addons.law import figure as law
-from cosim.addons.paper import figure as paper
-from cosim.addons.paper import scenario_figure as scenario
+from cosim.addons.compare import figure as paper
+from cosim.addons.compare import scenario_figure as scenario
 from results.figures import city, scene, study, style, sweep
 from results.figures.catalogue import FIGURES
 from results.figures.movie import DPI

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.stats import t as student
 
-from cosim.addons.paper import ego_metrics, experiments, label_rules, page
-from cosim.addons.paper.published import AP, FINAL_TRUST, METHODS
+from cosim.addons.compare import ego_metrics, experiments, label_rules, page
+from cosim.addons.compare.published import AP, FINAL_TRUST, METHODS
 from cosim.studies.sweep import prepare_study
 from results.archive import open_run
 from results.manifest import write_manifest
@@ -22,7 +22,7 @@ from results.study import open_study
 from tests.drive import cosim, simulate
 
 PAPER = Path(__file__).parents[4] / "shared/paper/trupercept.tex"
-DRIVES = Path(__file__).parents[3] / "cosim/addons/paper/scenes/paper-drives.toml"
+DRIVES = Path(__file__).parents[3] / "cosim/addons/compare/scenes/paper-drives.toml"
 CITIES, REPLICATES = ("helsinki", "adlershof"), 3
 
 

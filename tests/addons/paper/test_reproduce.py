@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.addons.paper.scenarios import (
+from cosim.addons.compare.scenarios import (
     ATTACKER,
     EGO,
     FOLDER,
