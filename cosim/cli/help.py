@@ -33,7 +33,7 @@ class Commands(typer.Typer):
         return super().command(name, **{"cls": Command} | how)
 
 
-def in_groups(groups: Mapping[str, Sequence[str]], renamed: Mapping[str, str] | None = None) -> type[TyperGroup]:
+def in_groups(groups: Mapping[str, Sequence[str]], renamed: Mapping[str, str] = {}) -> type[TyperGroup]:
     """A class of the program, whose help lists its commands in these groups, in this order.
 
     The order in which commands are registered has no effect. A name without a command is skipped, and commands that no
@@ -50,8 +50,8 @@ def in_groups(groups: Mapping[str, Sequence[str]], renamed: Mapping[str, str] | 
     class InGroups(TyperGroup):
         def resolve_command(self, ctx: Any, args: list[str]) -> Any:
             """The command that words name. One that is gone is refused with what to type now."""
-            if args and args[0] not in self.commands and args[0] in (renamed or {}):
-                raise ValueError(f"There is no cosim {args[0]} any more. Now: cosim {(renamed or {})[args[0]]}")
+            for name in renamed.keys() & args[:1]:
+                raise ValueError(f"There is no cosim {name} any more. Now: cosim {renamed[name]}")
             return super().resolve_command(ctx, args)
 
         def list_commands(self, ctx: Any) -> list[str]:

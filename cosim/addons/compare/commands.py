@@ -59,6 +59,7 @@ def compare(
         screen.print(report.summary(compared), soft_wrap=True)
         screen.print(f"written: {files[0]}", soft_wrap=True)
     if own:
+        notes.print("note: whether these runs have the conditions of the facts is for you to say.", soft_wrap=True)
         return
     for line in report.gained(compared):
         notes.print(line, soft_wrap=True)
