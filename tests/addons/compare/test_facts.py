@@ -114,7 +114,7 @@ def test_report_without_runs(tmp_path):
     found = report.compare(asked, runs)
     assert not report.lost(found)
     assert {one.fact.id for one in found if one.verdict == "cannot be set"} >= {"contacts.gap.tail", "cooperscene.gain"}
-    bad = ComparedFact(replace(asked[0], id="bad", runs=("late",)), None, "nothing there")
+    bad = ComparedFact(replace(asked[0], id="bad", runs=("default",)), None, "nothing there")
     files = report.write([*found, bad], runs, tmp_path / "out")
     assert [path.name for path in files] == ["compare.html", "compare.md", "compare.json"]
     plain = json.loads((tmp_path / "out/compare.json").read_text())
