@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from cosim.addons.compare.runs import GivenRuns, PlannedRuns, config_of
 from tests.drive import cosim
 from tests.results.tiny import fleet
 
+ROOT = Path(__file__).parents[3]
 FACTS, PLANS = load()
 BASE = {
     "id": "x", "group": "g", "quantity": "q", "source": "s", "conditions": "c", "how": "h", "measure": "blockage",
@@ -40,6 +42,18 @@ def test_every_fact_is_complete():
         assert "http" not in one.source
     used = {name for one in FACTS.values() for name in one.runs}
     assert used == set(PLANS)
+
+
+def test_the_page_has_todays_counts_and_names_every_fact_that_differs():
+    page = (ROOT / "cosim/docs/pages/models/validation.md").read_text(encoding="utf-8")
+    for group in ({one.group for one in FACTS.values()}, *({one.group} for one in FACTS.values())):
+        stated = [one.verdict for one in FACTS.values() if one.group in group]
+        n = [stated.count(v) for v in ("agrees", "differs", "undecided", "cannot be set")]
+        name = "all" if len(group) > 1 else next(iter(group))
+        assert f"| {name} | {len(stated)} | {' | '.join(map(str, n))} |" in page
+    for one in FACTS.values():
+        if one.verdict == "differs":
+            assert f"`{one.id}" in page or one.id.startswith(("paper.ap.trupercept", "paper.ap.corrected")), one.id
 
 
 @pytest.mark.parametrize("name", PLANS)
@@ -82,8 +96,14 @@ def test_interval_of_replicates():
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"value": (1.0, 2.0)}, {"verdict": "differs"}, {"compare": "near"}, {"uncertainty_why": ""}, {"verdict": "?"},
-     {"measure": ""}],
+    [
+        {"value": (1.0, 2.0)},
+        {"verdict": "differs"},
+        {"compare": "near"},
+        {"uncertainty_why": ""},
+        {"verdict": "?"},
+        {"measure": ""},
+    ],
 )
 def test_incomplete_facts_are_refused(wrong):
     with pytest.raises(ValueError, match="fact x"):
@@ -120,8 +140,10 @@ def test_report_without_runs(tmp_path):
     plain = json.loads((tmp_path / "out/compare.json").read_text())
     assert plain["runs"] == "short runs" and len(plain["facts"]) == len(found) + 1
     page, table = (tmp_path / "out/compare.html").read_text(), (tmp_path / "out/compare.md").read_text()
-    assert "bad: not computed" in page and "nothing there" in page and page.count("data:image") == len(
-        {one.fact.group for one in found if one.ours is not None}
+    assert (
+        "bad: not computed" in page
+        and "nothing there" in page
+        and page.count("data:image") == len({one.fact.group for one in found if one.ours is not None})
     )
     assert table.count("\n") == len(found) + 3 and "| contacts.gap.tail |" in table
     assert sum(report.counts(found).values()) == len(found)
@@ -147,8 +169,14 @@ def test_command_line(tmp_path):
     assert {row["id"]: row["verdict"] for row in json.loads(ended.stdout)["facts"]} == {
         "radio.blockage": "agrees", "position.gnss": "differs",
     }  # fmt: skip
-    ended = cosim("compare", "nothing", "--out", out)
-    assert ended.returncode == 2 and ended.stderr.count("\n") == 1
+    for words, said in (
+        (("compare", "nothing", "--out", out), "neither a fact nor a group"),
+        (("compare", "--full", "--run", out), "Choose one"),
+        (("reproduce", "tables"), "cosim compare paper"),
+        (("judge", "contacts", "runs/mine"), "cosim compare encounters --run RUN"),
+    ):
+        ended = cosim(*words)
+        assert ended.returncode == 2 and ended.stderr.count("\n") == 1 and said in ended.stderr
 
 
 def test_a_picture_has_room_for_intervals():

@@ -219,7 +219,7 @@ def test_durations_and_inter_contact_times_of_a_run(tiny):
 
 
 def test_figures_beside_published_ones(tiny):
-    """Exponential durations of 20 s in steps of 1 s: the tail beyond the median is exponential, and half last 13.9 s."""
+    """Exponential durations of 20 s in steps of 1 s: so is the tail beyond the median."""
     random = np.random.default_rng(4)
     lasted = np.ceil(random.exponential(20.0, 400)).astype(int)
     rows = [encounter(0, 1, start := 100 * k, start + n) for k, n in enumerate(lasted)]
