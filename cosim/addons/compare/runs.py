@@ -13,6 +13,8 @@ from results.run import Run
 Advance = Callable[[str, int, int, str], None]
 """Called with what is done, how much of it, how much there is, and a note."""
 
+DEFAULT_WORLD = "preset=modern"
+"""The world in which facts are measured unless their conditions change it."""
 SCENES = Path(__file__).with_name("scenes")
 FIRST_SEED = 7001
 """Seeds of the first replicate; no model was fitted on runs of these seeds."""
@@ -74,6 +76,6 @@ def config_of(plan: RunPlan, replicate: int, is_full: bool) -> Config:
     """The config of one replicate. Replicates differ in both seeds."""
     _, duration_s = plan.length(is_full)
     seeds = [f"seed={FIRST_SEED + replicate}", f"traffic.seed={FIRST_SEED + replicate}"]
-    start = [] if plan.scene else ["preset=modern"]
+    start = [] if plan.scene else [DEFAULT_WORLD]
     scene = SCENES / plan.scene if plan.scene else None
     return load(scene, [*start, f"traffic.duration_s={duration_s:g}", *seeds, *plan.sets])

@@ -6,6 +6,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy import stats
 
+from cosim.addons.compare.runs import DEFAULT_WORLD
 from cosim.config.config import load
 from results.metrics.conflicts import begins, following, overlaps, tracks
 from results.metrics.safety import stops
@@ -130,4 +131,4 @@ def _peaks(run: Run) -> Float[ndarray, "s"]:
 
 def position_error(*, share: float) -> list[float]:
     """Radius within which this share of the position errors of the default world lies [m]."""
-    return [load(None, ["preset=modern"]).gnss.std_m * float(stats.rayleigh.ppf(share))]
+    return [load(None, [DEFAULT_WORLD]).gnss.std_m * float(stats.rayleigh.ppf(share))]
