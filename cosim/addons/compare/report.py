@@ -133,7 +133,7 @@ def _page(compared: Sequence[ComparedFact], runs: Runs) -> str:
         parts.append(f"<h2>{escape(group)}</h2>")
         if shown := [one for one in mine if one.ours is not None]:
             url = style.data_url(pictures.draw([_panel(one, one.ours) for one in shown if one.ours]))
-            parts.append(f'<img src="{url}" style="width:100%" alt="published values and those of cosim">')
+            parts.append(f'<img src="{url}" style="max-width:560px" alt="published values and those of cosim">')
         head = "".join(f"<th>{name}</th>" for name in COLUMNS)
         rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells(one))}</tr>" for one in mine)
         parts.append(f'<div class="wide"><table><tr>{head}</tr>{rows}</table></div>')
