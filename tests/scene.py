@@ -4,7 +4,7 @@ from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 
-from cosim.addons.paper.scenarios import FOLDER, ScriptedScene
+from cosim.addons.compare.scenarios import FOLDER, ScriptedScene
 from cosim.config.config import load
 from cosim.radio.rsu import NO_RSUS
 from cosim.step.cycle import step

@@ -23,7 +23,8 @@ class Addon:
     """Commands and groups of commands, by name. "nets build" is the command `build` of the group `nets`."""
     choices: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """Included classes by the kind of choice (`cosim.door.kinds`) and by their name in the config. The kind "figure"
-    has pictures of runs; the kind "topic" has modules of metrics."""
+    has pictures of runs; the kind "topic" has modules of metrics; "measure" has functions that facts of `cosim compare`
+    name."""
     hooks: Mapping[str, str] = field(default_factory=dict)
     """What the core calls if it is there, by the name that the core gives it."""
 

@@ -33,14 +33,27 @@ class Commands(typer.Typer):
         return super().command(name, **{"cls": Command} | how)
 
 
-def in_groups(groups: Mapping[str, Sequence[str]]) -> type[TyperGroup]:
+def in_groups(groups: Mapping[str, Sequence[str]], renamed: Mapping[str, str] = {}) -> type[TyperGroup]:
     """A class of the program, whose help lists its commands in these groups, in this order.
 
     The order in which commands are registered has no effect. A name without a command is skipped, and commands that no
     group names are listed last.
+
+    Parameters
+    ----------
+    groups
+        Names of commands by group.
+    renamed
+        What to type now, by the name of a command that is gone.
     """
 
     class InGroups(TyperGroup):
+        def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+            """The command that words name. One that is gone is refused with what to type now."""
+            for name in renamed.keys() & args[:1]:
+                raise ValueError(f"There is no cosim {name} any more. Now: cosim {renamed[name]}")
+            return super().resolve_command(ctx, args)
+
         def list_commands(self, ctx: Any) -> list[str]:
             """The names of the commands in the order of the groups."""
             return [name for names in self.by_group().values() for name in names]

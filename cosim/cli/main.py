@@ -52,13 +52,20 @@ GROUPS = {
     "Own experiment": ("init", "check", "sweep", "status", "resume", "retrust", "predict"),
     "Own city": ("nets", "trace", "contacts", "place"),
     "Own classes": ("new", "try", "benchmark"),
-    "Compare and share": ("validate", "reproduce", "judge", "evaluate", "export", "view", "cite"),
+    "Compare and share": ("compare", "evaluate", "export", "view", "cite"),
     "Look after": ("verify", "cache"),
 }
 """The commands in the help, in the order of the first hour. A name without a command is skipped."""
 
+RENAMED = {
+    "validate": "compare",
+    "judge": "compare encounters --run RUN",
+    "reproduce": "compare paper",
+}
+"""What to type now, by the name of a command that is gone."""
+
 app = Commands(
-    cls=in_groups(GROUPS),
+    cls=in_groups(GROUPS, RENAMED),
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Co-simulation of cooperative perception under trust at city scale.",

@@ -40,11 +40,11 @@ CALLS = {
         "export pcap {run} --out {out}/packets",
     ],
     "cite": ["cite {run}"],
+    "compare": ["compare contacts.duration contacts.freeway --run {run} --out {out}/compare"],
     "explain": [],  # it opens no folder
     "init": [],  # it writes a file of its own
     "contacts": ["contacts {run} --out {out}/contacts"],
     "evaluate": ["evaluate {run}"],
-    "judge contacts": ["judge contacts {run}"],
     "measure": ["measure {run}", "measure {part} --json", "measure {run} --csv {out}/x.csv", "measure {study}"],
     "nets build": ["nets build --out {run}"],
     "nets counts": ["nets counts {run} counts.csv --out {out}/counted"],
@@ -60,7 +60,6 @@ CALLS = {
     "place roadside": ["place roadside {run}/config.toml --count 1"],
     "predict freshness": ["predict freshness {run}/config.toml", "predict freshness --against {run}"],
     "report": ["report {run} --out {out}/report.html", "report {study}"],
-    "reproduce": ["reproduce tables --out {study}", "reproduce trust-levels --out {run}"],
     "resume": ["resume {part}", "resume {run}"],
     "retrust": ["retrust {run} --variants {out}/variants.toml --out {out}/retrust"],
     "run": [
@@ -71,7 +70,6 @@ CALLS = {
     "sweep": ["sweep {study}/study.toml --out {study}", "sweep {study}/study.toml --out {out}/other --dry-run"],
     "trace": ["trace {run} --out {out}/traffic.parquet"],
     "try": [],  # of code that the user names, it opens no folder
-    "validate": [],  # it opens no folder
     "verify": ["verify {run} {part} {study}/runs/*"],
     "view": ["view {run} --out {out}/run.rrd --vehicle 0"],
 }  # fmt: skip

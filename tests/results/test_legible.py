@@ -11,10 +11,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 from PIL import Image
 
-from cosim.addons.compare import figure as validation
+from cosim.addons.compare import figure as compared
 from cosim.addons.law import figure as law
-from cosim.addons.paper import figure as paper
-from cosim.addons.paper import scenario_figure as scenario
 from results.figures import city, scene, study, style, sweep
 from results.figures.catalogue import FIGURES
 from results.figures.movie import DPI
@@ -86,59 +84,17 @@ def _study_map(folder):
     return _study(folder, {"attacks.0.attack": attacks, "trust.model": models})
 
 
-def _validation():
+def _compared():
     at = ("50 m, car", "100 m, car", "200 m, pedestrian")
-    return validation.draw([
-        validation.Panel(f"Fact {i} of some length about radio", "share", at, [0.9, 0.6, 0.2], [0.8, 0.5, 0.1],
+    return compared.draw([
+        compared.Panel(f"Fact {i} of some length about radio", "share", at, [0.9, 0.6, 0.2], [0.8, 0.5, 0.1],
                          [0.95, 0.7, 0.3], [0.85, 0.75, 0.1], [0.8, 0.7, 0.05], [0.9, 0.8, 0.2], verdict)
         for i, verdict in enumerate(("agrees", "undecided", "differs", "agrees"))
     ])  # fmt: skip
 
 
-def _scenario_above():
-    rng = np.random.default_rng(0)
-    truth = np.array([[2.0, 10, 4.5, 1.8, 1.57], [-2, 22, 4.5, 1.8, 1.57]])
-    panels = [
-        scenario.ScenarioPanel(
-            title,
-            rng.uniform([-9, 0], [9, 40], (200, 2)),
-            truth + [[0.3, 0.3, 0, 0, 0], [5, 9, 0, 0, 0]],
-            np.array([False, True]),
-            ["0.93", "0.71"],
-        )
-        for title in ("vehicle 1", "vehicle 2", "vehicle 3", "believed")
-    ]
-    return scenario.from_above(panels, truth, ["vehicle 4", "vehicle 5"], (-12, 12, -2, 42))
-
-
-def _scenario_trust():
-    curve = np.linspace(0.6, 0.1, 30)
-    curves = {f"vehicle {i}": scenario.ScenarioCurve(curve + 0.1 * i, curve + 0.1 * i, i == 0) for i in range(4)}
-    return scenario.trust_over_frames(curves, [(5, 0.4), (20, 0.2)], 10, "expected by hand")
-
-
-def _paper_rows():
-    rng = np.random.default_rng(0)
-    rows = [
-        {"what": what, "city": where, "class": label, "level": level, "method": method, "setting": setting,
-         "self_reports": own, "paper": 60.0, "mean": 55.0, "low": 50.0, "high": 60.0, "change": rng.normal(),
-         "change_low": -3.0, "change_high": 3.0}
-        for what in ("average precision",
-                     *(f"mean trust at the end, {x}" for x in ("all others", "drawn as attackers")))
-        for where in ("helsinki", "koenigs-wusterhausen") for label in paper.CLASSES for level in (*paper.LEVELS, "all")
-        for method in paper.METHODS for setting in paper.SETTINGS for own in (True, False)
-    ]  # fmt: skip
-    frame = pd.DataFrame(rows)
-    trusted = frame.what != "average precision"
-    frame.loc[trusted, ["paper", "mean", "low", "high"]] = [0.3, 0.35, 0.3, 0.4]
-    return frame
-
-
 OTHERS = {
-    "scene": _scene, "sweep": _sweep, "city": _city, "law": _law, "validation": _validation,
-    "scenario from above": _scenario_above, "scenario trust": _scenario_trust,
-    "paper tables": lambda: paper.draw_tables(_paper_rows()),
-    "paper trust levels": lambda: paper.draw_trust_levels(_paper_rows()),
+    "scene": _scene, "sweep": _sweep, "city": _city, "law": _law, "compared": _compared,
 }  # fmt: skip
 OF_STUDIES = {"study": _study_lines, "study heat map": _study_map}
 

@@ -1,8 +1,9 @@
-"""The command `cosim validate`."""
+"""The command `cosim compare`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.box import SIMPLE
@@ -10,51 +11,69 @@ from rich.table import Column, Table
 
 from cosim.cli.console import AsJson, notes, print_json, progress, screen
 
+if TYPE_CHECKING:
+    from cosim.addons.compare.facts import Fact
 
-def validate(
+
+def compare(
     only: Annotated[
         list[str] | None,
         typer.Argument(metavar="[FACT|GROUP]...", help="Facts or groups of facts. The default is all."),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder to write: a page and a picture per group.")] = Path("validation"),
+    own: Annotated[
+        list[Path] | None,
+        typer.Option("--run", help="Measure in this run instead, which is a replicate. Repeatable."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder to write: a page, its table, and JSON.")] = Path("compare"),
     full: Annotated[bool, typer.Option("--full", help="More and longer runs: hours instead of minutes.")] = False,
     listed: Annotated[bool, typer.Option("--list", help="List the facts and their sources; compute nothing.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Compare what cosim computes with published and measured values. Exit status 1 if a stated agreement is lost."""
+    """Put published and measured values beside what cosim computes. Exit status 1 if a stated agreement is lost."""
     from cosim.addons.compare import report
     from cosim.addons.compare.facts import chosen, load
-    from cosim.addons.compare.runs import Runs
+    from cosim.addons.compare.runs import GivenRuns, PlannedRuns
 
     facts, plans = load()
     asked = chosen(facts, only or [])
     if listed:
-        if as_json:
-            print_json([{"id": f.id, "group": f.group, "quantity": f.quantity, "source": f.source} for f in asked])
-            return
-        table = Table(Column("fact", no_wrap=True), "quantity", "source", box=SIMPLE)
-        for fact in asked:
-            table.add_row(fact.id, fact.quantity, fact.source)
-        screen.print(table)
+        _list(asked, as_json)
         return
     if out.exists() and not out.is_dir():
         raise ValueError(f"--out {out} is a file. Give a folder.")
-    with TemporaryDirectory(prefix="cosim-validate-") as scratch, progress() as advance:
-        runs = Runs(Path(scratch), plans, full, lambda what, done, total: advance(what, done, total, ""))
-        judged = report.judge(asked, runs, lambda what, done, total: advance(what, done, total, ""))
-        files = report.write(judged, runs, out)
+    if own and full:
+        raise ValueError("--full makes runs, and --run names them. Choose one.")
+    with TemporaryDirectory(prefix="cosim-compare-") as scratch, progress() as advance:
+        runs = GivenRuns.opened(own) if own else PlannedRuns(Path(scratch), plans, full, advance)
+        if own:
+            asked = [fact for fact in asked if len(fact.runs) == 1]
+        compared = report.compare(asked, runs, advance)
+    files = report.write(compared, runs, out)
     if as_json:
-        print_json(report.as_data(judged, runs))
+        print_json(report.as_data(compared, runs))
     else:
-        table = Table(Column("fact", no_wrap=True), "quantity", "verdict", "stated", box=SIMPLE)
-        for one in judged:
-            table.add_row(one.fact.id, one.fact.quantity, one.verdict, one.fact.verdict)
+        table = Table(Column("fact", no_wrap=True), *report.COLUMNS[1:], box=SIMPLE)
+        for one in compared:
+            table.add_row(*report.cells(one))
         screen.print(table)
-        screen.print(report.summary(judged), soft_wrap=True)
+        screen.print(report.summary(compared), soft_wrap=True)
         screen.print(f"written: {files[0]}", soft_wrap=True)
-    for line in report.gained(judged):
+    if own:
+        notes.print("note: whether these runs have the conditions of the facts is for you to say.", soft_wrap=True)
+        return
+    for line in report.gained(compared):
         notes.print(line, soft_wrap=True)
-    for line in (missing := report.lost(judged)):
+    for line in (missing := report.lost(compared)):
         notes.print(f"lost: {line}", soft_wrap=True)
     if missing:
         raise typer.Exit(1)
+
+
+def _list(facts: "Sequence[Fact]", as_json: bool) -> None:
+    if as_json:
+        print_json([{"id": f.id, "group": f.group, "quantity": f.quantity, "source": f.source} for f in facts])
+        return
+    table = Table(Column("fact", no_wrap=True), "quantity", "source", box=SIMPLE)
+    for fact in facts:
+        table.add_row(fact.id, fact.quantity, fact.source)
+    screen.print(table)

@@ -1,4 +1,4 @@
-"""Facts: published or measured values with their sources, and the judgement of what cosim computes beside them."""
+"""Facts: published or measured values with their sources, and what cosim computes beside them."""
 
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -14,8 +14,8 @@ from scipy import stats
 from results.metrics.intervals import LEVEL
 
 Compare = Literal["within", "at_least", "at_most"]
-Stated = Literal["agrees", "differs"]
-Verdict = Literal["agrees", "differs", "undecided", "not computed"]
+Stated = Literal["agrees", "differs", "undecided", "cannot be set"]
+Verdict = Literal["agrees", "differs", "undecided", "cannot be set", "not computed"]
 FILE = Path(__file__).with_name("facts.toml")
 
 
@@ -41,18 +41,18 @@ class Fact:
     """Under which the value was measured."""
     how: str
     """How ours is computed, and what differs in its conditions."""
-    measure: str
-    """Name of the way of measuring, in `measures.MEASURES`."""
+    measure: str = ""
+    """Name of the way of measuring, in `measures.MEASURES`; none if the conditions of the value cannot be set."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of the measure."""
     runs: tuple[str, ...] = ()
-    """Names of the runs behind it, in the order in which the measure gets them."""
+    """Names of the plans of the runs in which it is measured; of several, the measure takes one run of each."""
     judges: Literal["yes", "fitted"] = "yes"
     """`fitted`: a model was fitted to these very values, so agreement says only that the fit is good."""
     verdict: Stated
-    """What the state of the code is said to be."""
+    """What the state of the code is said to be. `cannot be set`: our runs cannot have the conditions of the value."""
     reason: str = ""
-    """Why it differs."""
+    """Why it differs, or which condition cannot be set."""
 
     def __post_init__(self) -> None:
         n = len(self.value)
@@ -61,8 +61,10 @@ class Fact:
                              "uncertainties do not belong together.")  # fmt: skip
         if self.compare not in get_args(Compare) or self.verdict not in get_args(Stated):
             raise ValueError(f"fact {self.id}: compare = {self.compare!r} or verdict = {self.verdict!r} is unknown.")
-        if self.verdict == "differs" and not self.reason:
-            raise ValueError(f"fact {self.id} differs and states no reason.")
+        if self.verdict in ("differs", "cannot be set") and not self.reason:
+            raise ValueError(f"fact {self.id}: verdict = {self.verdict!r} and there is no reason.")
+        if not self.measure and self.verdict != "cannot be set":
+            raise ValueError(f"fact {self.id} has no measure.")
         if self.compare == "within" and not self.uncertainty_why:
             raise ValueError(f"fact {self.id} does not say where its uncertainty comes from.")
 
@@ -94,6 +96,12 @@ class RunPlan:
     quick: tuple[int, float]
     """Number of replicates, and duration of each [s]."""
     full: tuple[int, float]
+    scene: str = ""
+    """File in the folder `scenes` that is changed instead of the default config."""
+
+    def length(self, is_full: bool) -> tuple[int, float]:
+        """Number of replicates, and duration of each [s]."""
+        return self.full if is_full else self.quick
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,21 +115,17 @@ class Measured:
     """Replicates; 1 where nothing is random."""
 
     @staticmethod
-    def exact(value: Sequence[float] | ndarray) -> "Measured":
-        """A value that no chance is in."""
-        value = np.asarray(value, float)
-        return Measured(value, value, value, 1)
-
-    @staticmethod
-    def of_replicates(values: Sequence[Sequence[float] | ndarray]) -> "Measured":
-        """Mean of independent replicates, with the interval of Student's t.
+    def of(values: Sequence[float] | Sequence[Sequence[float]] | ndarray) -> "Measured":
+        """Values without chance, or the mean of independent replicates with the interval of Student's t.
 
         Parameters
         ----------
         values
-            One row of values per replicate.
+            Values of the fact; or one row of them per replicate.
         """
         rows = np.asarray(values, float)
+        if rows.ndim == 1:
+            return Measured(rows, rows, rows, 1)
         n, mean = len(rows), rows.mean(axis=0)
         if n < 2:
             return Measured(mean, np.full(mean.shape, -np.inf), np.full(mean.shape, np.inf), n)
@@ -130,7 +134,7 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class ComparedFact:
     """A fact beside what cosim computes."""
 
     fact: Fact
@@ -147,6 +151,8 @@ class Judged:
     @property
     def verdict(self) -> Verdict:
         """`agrees` if all values lie in their bands, `differs` if the interval of one misses its band."""
+        if self.ours is None and not self.problem:
+            return "cannot be set"
         if self.ours is None or not np.isfinite(self.ours.value).all():
             return "not computed"
         if self.inside.all():
@@ -172,7 +178,9 @@ def load(path: Path = FILE) -> tuple[dict[str, Fact], dict[str, RunPlan]]:
     data = tomllib.loads(path.read_text(encoding="utf-8"))
     known = {f.name for f in fields(Fact)}
     plans = {
-        name: RunPlan(name, plan["what"], tuple(plan["set"]), tuple(plan["quick"]), tuple(plan["full"]))
+        name: RunPlan(
+            name, plan["what"], tuple(plan["set"]), tuple(plan["quick"]), tuple(plan["full"]), plan.get("scene", "")
+        )
         for name, plan in data.get("runs", {}).items()
     }
     facts: dict[str, Fact] = {}
@@ -205,7 +213,7 @@ def chosen(facts: Mapping[str, Fact], asked: Sequence[str]) -> list[Fact]:
         if name not in facts and name not in groups:
             raise ValueError(
                 f"{name} is neither a fact nor a group of facts. Groups: {', '.join(sorted(groups))}. "
-                "`cosim validate --list` lists the facts."
+                "`cosim compare --list` lists the facts."
             )
     return [fact for fact in facts.values() if not asked or fact.id in asked or fact.group in asked]
 

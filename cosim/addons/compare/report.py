@@ -1,181 +1,179 @@
-"""Judges facts, and writes the report: a page and a picture for each group of facts, an overview, and JSON."""
+"""Facts beside what cosim computes: a page with figures, the same table as Markdown, and JSON."""
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
 from cosim import __version__
 from cosim.addons.compare import figure as pictures
-from cosim.addons.compare.facts import Fact, Judged
+from cosim.addons.compare.facts import ComparedFact, Fact, Measured
 from cosim.addons.compare.measures import measured
-from cosim.addons.compare.runs import Runs
+from cosim.addons.compare.runs import Advance, GivenRuns, PlannedRuns
 from cosim.base import durable
 from results.figures import style
+from results.report import STYLE
 
-Advance = Callable[[str, int, int], None]
+Runs = PlannedRuns | GivenRuns
+COLUMNS = ("fact", "quantity", "published", "cosim", "verdict")
 
-MARKS = {"agrees": "agrees", "differs": "**differs**", "undecided": "undecided", "not computed": "**not computed**"}
 
+def compare(facts: Sequence[Fact], runs: Runs, advance: Advance = lambda *_: None) -> list[ComparedFact]:
+    """What cosim computes for each fact. Runs that hold too little leave a fact without a value, with the reason.
 
-def judge(facts: Sequence[Fact], runs: Runs, advance: Advance = lambda *_: None) -> list[Judged]:
-    """What cosim computes for each fact. Runs that hold too little leave a fact without a value, with the reason."""
+    A fact with a condition that our runs cannot have is measured in the user's own runs alone.
+    """
     found = []
     for number, fact in enumerate(facts):
-        advance("facts", number, len(facts))
+        advance("facts", number, len(facts), "")
+        if not fact.measure or (fact.verdict == "cannot be set" and isinstance(runs, PlannedRuns)):
+            found.append(ComparedFact(fact, None))
+            continue
         try:
-            behind = [run for name in fact.runs for run in runs.of(name)]
-            found.append(Judged(fact, measured(fact.measure, behind, fact.options)))
+            ours = measured(fact.measure, [runs.of(name) for name in fact.runs], fact.options)
+            found.append(ComparedFact(fact, ours))
         except ValueError as error:
-            found.append(Judged(fact, None, str(error)))
-    advance("facts", len(facts), len(facts))
+            found.append(ComparedFact(fact, None, str(error)))
+    advance("facts", len(facts), len(facts), "")
     return found
 
 
-def write(judged: Sequence[Judged], runs: Runs, out: Path) -> list[Path]:
-    """Write the report into a folder.
-
-    Returns
-    -------
-    The files: `index.md`, `validation.json`, and a page and a picture per group.
-    """
-    groups = list(dict.fromkeys(one.fact.group for one in judged))
-    files = []
-    for group in groups:
-        mine = [one for one in judged if one.fact.group == group]
-        picture = style.save(pictures.draw([_panel(one) for one in mine]), out / f"{group}.png")
-        page = out / f"{group}.md"
-        durable.write_output(page, "\n".join(_page(group, mine, picture.name)).encode())
-        files += [page, picture]
-    index, plain = out / "index.md", out / "validation.json"
-    durable.write_output(index, "\n".join(_index(judged, runs)).encode())
-    durable.write_output(plain, (json.dumps(as_data(judged, runs), indent=1) + "\n").encode())
-    return [index, plain, *files]
+def write(compared: Sequence[ComparedFact], runs: Runs, out: Path) -> list[Path]:
+    """Write the report into a folder: `compare.html`, `compare.md` and `compare.json`."""
+    texts = {
+        "compare.html": _page(compared, runs),
+        "compare.md": "\n".join(markdown(compared)),
+        "compare.json": json.dumps(as_data(compared, runs), indent=1),
+    }
+    for name, text in texts.items():
+        durable.write_output(out / name, f"{text}\n".encode())
+    return [out / name for name in texts]
 
 
-def summary(judged: Sequence[Judged]) -> str:
+def counts(compared: Sequence[ComparedFact]) -> dict[str, int]:
+    """How many facts have each verdict."""
+    names = [one.verdict for one in compared]
+    return {name: names.count(name) for name in dict.fromkeys(names)}
+
+
+def summary(compared: Sequence[ComparedFact]) -> str:
     """One sentence with the counts."""
-    n = {verdict: sum(one.verdict == verdict for one in judged) for verdict in MARKS}
-    fitted = sum(one.verdict == "agrees" and one.fact.judges == "fitted" for one in judged)
-    words = [f"{count} {verdict}" for verdict, count in n.items() if count]
-    sources = len({one.fact.source.split(",")[0] for one in judged})
+    fitted = sum(one.verdict == "agrees" and one.fact.judges == "fitted" for one in compared)
+    words = [f"{n} {_WORDS.get(verdict, verdict)}" for verdict, n in counts(compared).items()]
+    sources = len({one.fact.source.split(",")[0] for one in compared})
     return (
-        f"{len(judged)} facts of {sources} sources: {', '.join(words)}. Of those that agree, {fitted} are "
-        "values to which a model was fitted."
+        f"{len(compared)} facts of {sources} sources: {', '.join(words)}. Of those that agree, {fitted} are values to "
+        "which a model was fitted."
     )
 
 
-def lost(judged: Sequence[Judged]) -> list[str]:
+_WORDS = {"agrees": "agree", "differs": "differ", "undecided": "are undecided", "cannot be set": "cannot be set"}
+
+
+def lost(compared: Sequence[ComparedFact]) -> list[str]:
     """A line for each agreement that is stated and lost."""
     return [
         f"{one.fact.id}: stated to agree, {one.verdict}: {_ours(one)}, published {_published(one.fact)}. "
         + (one.problem or one.fact.source)
-        for one in judged if one.is_lost
-    ]  # fmt: skip
+        for one in compared
+        if one.is_lost
+    ]
 
 
-def gained(judged: Sequence[Judged]) -> list[str]:
-    """A line for each fact that is stated to differ and agrees."""
+def gained(compared: Sequence[ComparedFact]) -> list[str]:
+    """A line for each fact that is stated not to agree and agrees."""
     return [
-        f"{one.fact.id}: stated to differ, but agrees. Set its verdict to agrees in facts.toml."
-        for one in judged if one.fact.verdict == "differs" and one.verdict == "agrees"
-    ]  # fmt: skip
+        f"{one.fact.id}: stated: {one.fact.verdict}, but it agrees. Set its verdict to agrees in facts.toml."
+        for one in compared
+        if one.fact.verdict != "agrees" and one.verdict == "agrees"
+    ]
 
 
-def as_data(judged: Sequence[Judged], runs: Runs) -> dict[str, Any]:
+def as_data(compared: Sequence[ComparedFact], runs: Runs) -> dict[str, Any]:
     """The report as plain data."""
-    return {
-        "cosim": __version__, "form": "full" if runs.is_full else "quick", "facts": [_record(one) for one in judged]
-    }  # fmt: skip
+    return {"cosim": __version__, "runs": runs.what, "facts": [_record(one) for one in compared]}
 
 
-def _record(one: Judged) -> dict[str, Any]:
-    fact = one.fact
-    ours = None if one.ours is None else {
-        "value": _plain(one.ours.value), "low": _plain(one.ours.low), "high": _plain(one.ours.high), "n": one.ours.n,
-    }  # fmt: skip
-    return {
-        "id": fact.id, "group": fact.group, "quantity": fact.quantity, "unit": fact.unit, "at": list(fact.at),
-        "published": list(fact.value), "uncertainty": list(fact.uncertainty), "compare": fact.compare,
-        "source": fact.source, "conditions": fact.conditions, "how": fact.how, "judges": fact.judges, "ours": ours,
-        "problem": one.problem, "stated": fact.verdict, "verdict": one.verdict, "reason": fact.reason,
-    }  # fmt: skip
+def _record(one: ComparedFact) -> dict[str, Any]:
+    fact, ours = one.fact, one.ours
+    names = ("id", "group", "quantity", "unit", "compare", "source", "conditions", "how", "judges", "reason")
+    record: dict[str, Any] = {name: getattr(fact, name) for name in names}
+    record |= {"at": list(fact.at), "published": list(fact.value), "uncertainty": list(fact.uncertainty)}
+    if ours is not None:
+        record |= {name: _plain(getattr(ours, name)) for name in ("value", "low", "high")} | {"n": ours.n}
+    return record | {"problem": one.problem, "stated": fact.verdict, "verdict": one.verdict}
 
 
 def _plain(values: Any) -> list[float | None]:
     return [float(v) if math.isfinite(v) else None for v in values]
 
 
-def _panel(one: Judged) -> pictures.Panel:
-    fact, ours = one.fact, one.ours
-    empty = [math.nan] * len(fact.value)
-    value, low, high = (empty, empty, empty) if ours is None else (ours.value, ours.low, ours.high)
-    return pictures.Panel(fact.id, fact.unit, fact.at, fact.value, fact.low, fact.high, value, low, high, one.verdict)
+def cells(one: ComparedFact) -> tuple[str, str, str, str, str]:
+    """A row of the table of facts, by `COLUMNS`."""
+    fact = one.fact
+    unit = f" [{fact.unit}]" if fact.unit else ""
+    return fact.id, f"{fact.quantity}{unit}", _published(fact), _ours(one), one.verdict
 
 
-def _index(judged: Sequence[Judged], runs: Runs) -> list[str]:
-    form = "full" if runs.is_full else "quick"
-    lines = [
-        "# Validation", "",
-        f"`cosim validate{' --full' if runs.is_full else ''}` wrote these pages with cosim {__version__}. "
-        f"{summary(judged)}", "",
-        f"Runs behind the facts are of the {form} form. `agrees`: every value of ours lies in the band of "
-        "the published one. `differs`: an interval of ours, 95 % over replicates, misses its band. "
-        "`undecided`: neither.", "",
-        "| fact | quantity | published | ours | verdict | stated |", "|---|---|---|---|---|---|",
-    ]  # fmt: skip
-    for one in judged:
-        fact = one.fact
-        lines.append(
-            f"| [{fact.id}]({fact.group}.md#{_anchor(fact.id)}) | {fact.quantity}{_unit(fact)} | {_published(fact)} | "
-            f"{_ours(one)} | {MARKS[one.verdict]} | {fact.verdict} |"
-        )
-    lines += ["", "## Runs", "", "| name | what | replicates | seconds |", "|---|---|---|---|"]
-    for name in dict.fromkeys(name for one in judged for name in one.fact.runs):
-        plan = runs.plans[name]
-        n, duration_s = plan.full if runs.is_full else plan.quick
-        lines.append(f"| {name} | {plan.what} | {n} | {duration_s:g} |")
-    return [*lines, ""]
+def markdown(compared: Sequence[ComparedFact]) -> Iterator[str]:
+    """The table of facts, one line after another."""
+    yield f"| {' | '.join(COLUMNS)} |"
+    yield "|---" * len(COLUMNS) + "|"
+    for one in compared:
+        yield f"| {' | '.join(cells(one))} |"
 
 
-def _page(group: str, judged: Sequence[Judged], picture: str) -> list[str]:
-    lines = [f"# {group.capitalize()}", "", f"![published values and ours]({picture})", ""]
-    for one in judged:
-        fact = one.fact
-        n = 0 if one.ours is None else one.ours.n
-        lines += [
-            f"## {fact.id}", "", f"{fact.quantity[0].upper()}{fact.quantity[1:]}{_unit(fact)}.", "",
-            "| | published | ours | |", "|---|---|---|---|",
-        ]  # fmt: skip
-        for k, at in enumerate(fact.at):
-            ours = "-" if one.ours is None else _with_interval(one.ours.value[k], one.ours.low[k], one.ours.high[k])
-            mark = "" if one.ours is None else "in" if one.inside[k] else "out"
-            lines.append(f"| {at} | {_value(fact, k)} | {ours} | {mark} |")
-        lines += [
-            "", f"- Verdict: {MARKS[one.verdict]} (stated: {fact.verdict}).",
-            f"- Source: {fact.source}.", f"- Conditions: {fact.conditions}.",
-            *([f"- Uncertainty: {fact.uncertainty_why}."] if fact.uncertainty_why else []),
-            f"- Ours: {fact.how}. " + (f"{n} replicates." if fact.runs else "No chance between runs."),
-            *(["- A model was fitted to these values: agreement says that the fit is good."]
-              if fact.judges == "fitted" else []),
-            *([f"- Why it differs: {fact.reason}."] if fact.reason else []),
-            *([f"- Not computed: {one.problem}"] if one.problem else []), "",
-        ]  # fmt: skip
-    return lines
+def _page(compared: Sequence[ComparedFact], runs: Runs) -> str:
+    """The page as HTML; it needs no network and no other file."""
+    parts = [f"<h1>Beside measurements</h1><p>{escape(summary(compared))}</p>", _WHAT.format(escape(runs.what))]
+    for group in dict.fromkeys(one.fact.group for one in compared):
+        mine = [one for one in compared if one.fact.group == group]
+        parts.append(f"<h2>{escape(group)}</h2>")
+        if shown := [one for one in mine if one.ours is not None]:
+            url = style.data_url(pictures.draw([_panel(one, one.ours) for one in shown if one.ours]))
+            parts.append(f'<img src="{url}" style="max-width:560px" alt="published values and those of cosim">')
+        head = "".join(f"<th>{name}</th>" for name in COLUMNS)
+        rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells(one))}</tr>" for one in mine)
+        parts.append(f'<div class="wide"><table><tr>{head}</tr>{rows}</table></div>')
+        parts += [_details(one) for one in mine]
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Beside measurements</title>'
+        f"<style>{STYLE}</style></head>\n<body>\n" + "\n".join(parts) + "\n</body></html>"
+    )
 
 
-def _anchor(id: str) -> str:
-    """The anchor that Markdown makes of a heading."""
-    return "".join(c for c in id.lower() if c.isalnum() or c in "-_")
+_WHAT = (
+    f"<p>Written by <code>cosim compare</code> {__version__} from {{}}. <b>agrees</b>: every value of ours lies in the "
+    "band of the published one. <b>differs</b>: an interval of ours, 95 % over replicates, misses its band. "
+    "<b>undecided</b>: neither. <b>cannot be set</b>: our runs cannot have a condition of the value.</p>"
+)
 
 
-def _unit(fact: Fact) -> str:
-    return f" [{fact.unit}]" if fact.unit else ""
+def _details(one: ComparedFact) -> str:
+    """What a fact rests on, folded."""
+    fact = one.fact
+    places = ", ".join(at for at in fact.at if at)
+    said = {
+        "Values": places, "Source": fact.source, "Conditions": fact.conditions, "Band": fact.uncertainty_why,
+        "Ours": fact.how, "Replicates": str(one.ours.n) if one.ours is not None and fact.runs else "",
+        "Fitted": "a model was fitted to these values" if fact.judges == "fitted" else "",
+        "Stated": fact.verdict, "Reason": fact.reason, "Not computed": one.problem,
+    }  # fmt: skip
+    lines = "".join(f"<li><b>{name}</b>: {escape(text)}</li>" for name, text in said.items() if text)
+    return f"<details><summary>{escape(fact.id)}: {one.verdict}</summary><ul>{lines}</ul></details>"
+
+
+def _panel(one: ComparedFact, ours: Measured) -> pictures.Panel:
+    fact = one.fact
+    return pictures.Panel(
+        fact.id, fact.unit, fact.at, fact.value, fact.low, fact.high, ours.value, ours.low, ours.high, one.verdict
+    )
 
 
 def _published(fact: Fact) -> str:
-    return ", ".join(_value(fact, k) for k in range(len(fact.value)))
+    return ", ".join(_value(fact, k) for k in range(len(fact.value))) or "-"
 
 
 def _value(fact: Fact, k: int) -> str:
@@ -186,12 +184,10 @@ def _value(fact: Fact, k: int) -> str:
     return f"{value} ±{half:g}"
 
 
-def _ours(one: Judged) -> str:
+def _ours(one: ComparedFact) -> str:
     if one.ours is None:
         return "-"
-    return ", ".join(
-        _with_interval(*three) for three in zip(one.ours.value, one.ours.low, one.ours.high, strict=True)
-    )  # fmt: skip
+    return ", ".join(map(_with_interval, one.ours.value, one.ours.low, one.ours.high))
 
 
 def _with_interval(value: float, low: float, high: float) -> str:

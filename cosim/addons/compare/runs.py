@@ -1,6 +1,6 @@
-"""The runs behind facts, made when a fact first needs them."""
+"""The runs in which facts are measured: made when a fact first needs them, or given by the user."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,15 +10,18 @@ from cosim.runs import run as running
 from results.archive import open_run
 from results.run import Run
 
-Advance = Callable[[str, int, int], None]
-"""Called with what is done, how much of it, and how much there is."""
+Advance = Callable[[str, int, int, str], None]
+"""Called with what is done, how much of it, how much there is, and a note."""
 
+DEFAULT_WORLD = "preset=modern"
+"""The world in which facts are measured unless their conditions change it."""
+SCENES = Path(__file__).with_name("scenes")
 FIRST_SEED = 7001
 """Seeds of the first replicate; no model was fitted on runs of these seeds."""
 
 
 @dataclass(slots=True)
-class Runs:
+class PlannedRuns:
     """Runs in a new folder of their own, by name of their plan."""
 
     folder: Path
@@ -27,26 +30,52 @@ class Runs:
     advance: Advance = lambda *_: None
     _made: dict[str, list[Run]] = field(default_factory=dict)
 
-    def of(self, name: str) -> list[Run]:
+    @property
+    def what(self) -> str:
+        """The kind of runs, in words."""
+        return "long runs" if self.is_full else "short runs"
+
+    def of(self, name: str) -> Sequence[Run]:
         """The replicates of a plan. They are made at the first call."""
         if name not in self._made:
             plan = self.plans[name]
-            n, _ = plan.full if self.is_full else plan.quick
-            found = []
+            n, _ = plan.length(self.is_full)
+            found: list[Run] = []
             for replicate in range(n):
-                self.advance(f"runs: {name}", replicate, n)
-                found.append(self._run(plan, replicate))
-            self.advance(f"runs: {name}", n, n)
+                self.advance(f"runs: {name}", replicate, n, "")
+                path = self.folder / f"{name}-{replicate + 1}"
+                made = running.run(config_of(plan, replicate, self.is_full), path, lambda *_: None)
+                found.append(open_run(made))
+            self.advance(f"runs: {name}", n, n, "")
             self._made[name] = found
         return self._made[name]
 
-    def _run(self, plan: RunPlan, replicate: int) -> Run:
-        path = self.folder / f"{plan.name}-{replicate + 1}"
-        return open_run(running.run(config_of(plan, replicate, self.is_full), path, lambda *_: None))
+
+@dataclass(frozen=True, slots=True)
+class GivenRuns:
+    """Runs of the user in place of all plans."""
+
+    runs: Sequence[Run]
+
+    @staticmethod
+    def opened(folders: Sequence[Path]) -> "GivenRuns":
+        """Open run folders."""
+        return GivenRuns([open_run(folder) for folder in folders])
+
+    @property
+    def what(self) -> str:
+        """The runs, in words."""
+        return ", ".join(run.name for run in self.runs)
+
+    def of(self, name: str) -> Sequence[Run]:
+        """The runs, whatever the plan."""
+        return self.runs
 
 
 def config_of(plan: RunPlan, replicate: int, is_full: bool) -> Config:
     """The config of one replicate. Replicates differ in both seeds."""
-    _, duration_s = plan.full if is_full else plan.quick
+    _, duration_s = plan.length(is_full)
     seeds = [f"seed={FIRST_SEED + replicate}", f"traffic.seed={FIRST_SEED + replicate}"]
-    return load(None, ["preset=v0.2", f"traffic.duration_s={duration_s:g}", *seeds, *plan.sets])
+    start = [] if plan.scene else [DEFAULT_WORLD]
+    scene = SCENES / plan.scene if plan.scene else None
+    return load(scene, [*start, f"traffic.duration_s={duration_s:g}", *seeds, *plan.sets])

@@ -211,7 +211,7 @@ def _print_counted(folder: Path, as_json: bool) -> None:
         "trace": _trace(run, values),
         "encounters": _encounters(values),
         "tables": [str(folder)],
-        "next": [f"cosim measure {given}   cosim plot encounters {given}   cosim judge contacts {given}"],
+        "next": [f"cosim measure {given}   cosim plot encounters {given}   cosim compare encounters --run {given}"],
     }
     print_facts(lines)
     if repaired := run.manifest["summary"].get("repaired"):

@@ -1,19 +1,22 @@
-"""Facts as data, their judgement by hand, and the report of what needs no runs."""
+"""Facts as data, verdicts by hand, and the report of what needs no runs."""
 
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cosim.addons.compare import figure as pictures
 from cosim.addons.compare import report
-from cosim.addons.compare.facts import Fact, Judged, Measured, chosen, load
+from cosim.addons.compare.facts import ComparedFact, Fact, Measured, chosen, load
 from cosim.addons.compare.measures import MEASURES, measured
-from cosim.addons.compare.runs import Runs, config_of
+from cosim.addons.compare.runs import GivenRuns, PlannedRuns, config_of
 from tests.drive import cosim
+from tests.results.tiny import fleet
 
+ROOT = Path(__file__).parents[3]
 FACTS, PLANS = load()
 BASE = {
     "id": "x", "group": "g", "quantity": "q", "source": "s", "conditions": "c", "how": "h", "measure": "blockage",
@@ -25,19 +28,32 @@ def fact(**more) -> Fact:
     return Fact(**{"value": (10.0,), "uncertainty": (2.0,), **BASE, **more})
 
 
-def judged(value: float, half: float = 0.0, **more) -> Judged:
+def compared(value: float, half: float = 0.0, **more) -> ComparedFact:
     ours = Measured(np.array([value]), np.array([value - half]), np.array([value + half]), 3)
-    return Judged(fact(**more), ours)
+    return ComparedFact(fact(**more), ours)
 
 
 def test_every_fact_is_complete():
-    assert len(FACTS) >= 35
+    assert len(FACTS) >= 60
     for one in FACTS.values():
-        assert one.measure in MEASURES and one.source and one.conditions and one.how and one.quantity
-        assert one.verdict == "agrees" or one.reason not in ("", "unknown"), one.id
+        assert one.source and one.conditions and one.how and one.quantity
+        assert one.measure in MEASURES or (one.measure == "" and one.verdict == "cannot be set")
+        assert one.verdict not in ("differs", "cannot be set") or one.reason not in ("", "unknown"), one.id
         assert "http" not in one.source
     used = {name for one in FACTS.values() for name in one.runs}
     assert used == set(PLANS)
+
+
+def test_the_page_has_todays_counts_and_names_every_fact_that_differs():
+    page = (ROOT / "cosim/docs/pages/models/validation.md").read_text(encoding="utf-8")
+    for group in ({one.group for one in FACTS.values()}, *({one.group} for one in FACTS.values())):
+        stated = [one.verdict for one in FACTS.values() if one.group in group]
+        n = [stated.count(v) for v in ("agrees", "differs", "undecided", "cannot be set")]
+        name = "all" if len(group) > 1 else next(iter(group))
+        assert f"| {name} | {len(stated)} | {' | '.join(map(str, n))} |" in page
+    for one in FACTS.values():
+        if one.verdict == "differs":
+            assert f"`{one.id}" in page or one.id.startswith(("paper.ap.trupercept", "paper.ap.corrected")), one.id
 
 
 @pytest.mark.parametrize("name", PLANS)
@@ -46,38 +62,48 @@ def test_configs_of_runs_are_valid_and_replicates_differ(name):
     assert one.seed != other.seed and one.traffic.seed != other.traffic.seed
     assert replace(other, seed=one.seed, traffic=one.traffic) == one
     assert config_of(PLANS[name], 0, True).traffic.duration_s >= one.traffic.duration_s
+    assert one.preset == ("paper" if PLANS[name].scene else "modern")
 
 
 def test_verdicts_by_hand():
     # the band is 8 to 12
-    assert judged(11).verdict == judged(11, 5).verdict == "agrees"
-    assert judged(13).verdict == judged(13, 0.5).verdict == "differs"
-    assert judged(13, 1.5).verdict == "undecided"
-    assert judged(7, compare="at_least").verdict == "differs" and judged(11, compare="at_least").verdict == "agrees"
-    assert judged(50, compare="at_least").verdict == "agrees" and judged(50, compare="at_most").verdict == "differs"
-    assert judged(math.nan).verdict == Judged(fact(), None).verdict == "not computed"
+    assert compared(11).verdict == compared(11, 5).verdict == "agrees"
+    assert compared(13).verdict == compared(13, 0.5).verdict == "differs"
+    assert compared(13, 1.5).verdict == "undecided"
+    assert compared(7, compare="at_least").verdict == "differs" and compared(11, compare="at_least").verdict == "agrees"
+    assert compared(50, compare="at_least").verdict == "agrees" and compared(50, compare="at_most").verdict == "differs"
+    assert compared(math.nan).verdict == ComparedFact(fact(), None, "why").verdict == "not computed"
+    unset = fact(verdict="cannot be set", reason="r", measure="")
+    assert ComparedFact(unset, None).verdict == "cannot be set" and not ComparedFact(unset, None).is_lost
 
 
 def test_what_is_lost_and_gained():
-    lost, kept = judged(13), judged(11)
-    assert lost.is_lost and not kept.is_lost and Judged(fact(), None, "why").is_lost
-    assert not judged(13, 1.5).is_lost, "an interval that reaches the band is no loss"
-    assert not judged(13, verdict="differs", reason="r").is_lost
+    lost, kept = compared(13), compared(11)
+    assert lost.is_lost and not kept.is_lost and ComparedFact(fact(), None, "why").is_lost
+    assert not compared(13, 1.5).is_lost, "an interval that reaches the band is no loss"
+    assert not compared(13, verdict="differs", reason="r").is_lost
     (line,) = report.lost([lost, kept])
     assert "stated to agree, differs: 13" in line and "\n" not in line
-    assert report.gained([judged(11, verdict="differs", reason="r")]) and not report.gained([lost, kept])
+    assert report.gained([compared(11, verdict="differs", reason="r")]) and not report.gained([lost, kept])
 
 
 def test_interval_of_replicates():
     # mean 2, standard deviation 1, three values: 4.3027 / sqrt(3)
-    found = Measured.of_replicates([[1.0], [2.0], [3.0]])
+    found = Measured.of([[1.0], [2.0], [3.0]])
     assert found.high[0] - 2 == pytest.approx(4.3027 / math.sqrt(3), rel=1e-4) and found.n == 3
-    assert np.isinf(Measured.of_replicates([[1.0]]).high).all()
+    assert np.isinf(Measured.of([[1.0]]).high).all()
 
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"value": (1.0, 2.0)}, {"verdict": "differs"}, {"compare": "near"}, {"uncertainty_why": ""}, {"verdict": "?"}],
+    [
+        {"value": (1.0, 2.0)},
+        {"verdict": "differs"},
+        {"compare": "near"},
+        {"uncertainty_why": ""},
+        {"verdict": "?"},
+        {"measure": ""},
+    ],
 )
 def test_incomplete_facts_are_refused(wrong):
     with pytest.raises(ValueError, match="fact x"):
@@ -102,18 +128,32 @@ def test_choosing():
 
 
 def test_report_without_runs(tmp_path):
-    asked = [one for one in FACTS.values() if not one.runs and not one.measure.startswith(("delivery", "reception"))]
-    runs = Runs(tmp_path / "none", PLANS)
-    found = report.judge(asked, runs)
+    asked = [one for one in FACTS.values() if not one.runs and one.group != "radio"]
+    asked += [FACTS["radio.path_loss.los"], FACTS["contacts.gap.tail"]]
+    runs = PlannedRuns(tmp_path / "none", PLANS)
+    found = report.compare(asked, runs)
     assert not report.lost(found)
-    bad = Judged(replace(asked[0], id="bad", runs=("late",)), None, "nothing there")
+    assert {one.fact.id for one in found if one.verdict == "cannot be set"} >= {"contacts.gap.tail", "cooperscene.gain"}
+    bad = ComparedFact(replace(asked[0], id="bad", runs=("default",)), None, "nothing there")
     files = report.write([*found, bad], runs, tmp_path / "out")
-    assert {path.name for path in files} >= {"index.md", "validation.json", "radio.md", "radio.png", "traffic.md"}
-    plain = json.loads((tmp_path / "out/validation.json").read_text())
-    assert plain["form"] == "quick" and len(plain["facts"]) == len(found) + 1
-    assert "**not computed**" in (tmp_path / "out/index.md").read_text()
-    page = (tmp_path / "out/messages.md").read_text()
-    assert "nothing there" in page and asked[0].source in page
+    assert [path.name for path in files] == ["compare.html", "compare.md", "compare.json"]
+    plain = json.loads((tmp_path / "out/compare.json").read_text())
+    assert plain["runs"] == "short runs" and len(plain["facts"]) == len(found) + 1
+    page, table = (tmp_path / "out/compare.html").read_text(), (tmp_path / "out/compare.md").read_text()
+    assert (
+        "bad: not computed" in page
+        and "nothing there" in page
+        and page.count("data:image") == len({one.fact.group for one in found if one.ours is not None})
+    )
+    assert table.count("\n") == len(found) + 3 and "| contacts.gap.tail |" in table
+    assert sum(report.counts(found).values()) == len(found)
+
+
+def test_runs_of_the_user_stand_in_for_plans(tiny):
+    """A fact whose conditions our runs cannot have is measured in a run of the user's."""
+    run = tiny(60, vehicles=fleet("honest", "honest"), encounters=[])
+    (one,) = report.compare([FACTS["contacts.freeway"]], GivenRuns([run]))
+    assert one.verdict == "not computed" and one.problem
 
 
 def test_blockage_by_hand():
@@ -124,13 +164,19 @@ def test_blockage_by_hand():
 
 def test_command_line(tmp_path):
     out = str(tmp_path / "v")
-    ended = cosim("validate", "radio.blockage", "position.gnss", "--out", out, "--json")
+    ended = cosim("compare", "radio.blockage", "position.gnss", "--out", out, "--json")
     assert ended.returncode == 0, ended.stderr
     assert {row["id"]: row["verdict"] for row in json.loads(ended.stdout)["facts"]} == {
         "radio.blockage": "agrees", "position.gnss": "differs",
     }  # fmt: skip
-    ended = cosim("validate", "nothing", "--out", out)
-    assert ended.returncode == 2 and ended.stderr.count("\n") == 1
+    for words, said in (
+        (("compare", "nothing", "--out", out), "neither a fact nor a group"),
+        (("compare", "--full", "--run", out), "Choose one"),
+        (("reproduce", "tables"), "cosim compare paper"),
+        (("judge", "contacts", "runs/mine"), "cosim compare encounters --run RUN"),
+    ):
+        ended = cosim(*words)
+        assert ended.returncode == 2 and ended.stderr.count("\n") == 1 and said in ended.stderr
 
 
 def test_a_picture_has_room_for_intervals():

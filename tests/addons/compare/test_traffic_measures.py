@@ -30,7 +30,7 @@ class Tiny:
 
 
 def value(name, run, **options):
-    return float(measured(name, [run], options).value[0])
+    return float(measured(name, [[run]], options).value[0])
 
 
 def test_sudden_slowing_by_hand():
@@ -62,7 +62,7 @@ def test_steady_headway_by_hand():
     options = {"closing_mps": 1.52, "acceleration_mps2": 0.75}
     assert value("steady_headway", run, slowest_mps=8.0, **options) == pytest.approx(2.0)
     with pytest.raises(ValueError, match="no car followed"):
-        measured("steady_headway", [run], {"slowest_mps": 11.0, **options})
+        measured("steady_headway", [[run]], {"slowest_mps": 11.0, **options})
 
 
 def test_overlaps_by_hand():

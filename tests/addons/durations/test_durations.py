@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate, stats
 
-from cosim.addons.durations import facts, figure
+from cosim.addons.durations import figure, measures
 from cosim.addons.durations.dyads import sum_of_products
 from cosim.addons.durations.families import FAMILIES
 from cosim.addons.durations.fit import fit, fits, log_counted
@@ -218,15 +218,18 @@ def test_durations_and_inter_contact_times_of_a_run(tiny):
     assert set(between.entry_s) == {2.5}  # breaks of one and two steps are bridged
 
 
-def test_facts_beside_a_run(run, tiny):
-    judged = facts.judge(run)
-    assert list(judged.fact) == [fact.name for fact in facts.FACTS]
-    assert set(judged.verdict) <= {"agrees", "differs", "not comparable"} and judged.why.str.len().gt(10).all()
-    assert not any("\n" in text for text in (*judged.ours, *judged.why))
-    ranks = facts.sentences(run)
-    assert len(ranks) == 2 * len(definitions(run)) and ranks.sentence.str.len().gt(10).all()
-    few = tiny(60, vehicles=fleet("honest", "honest"), encounters=[encounter(0, 1, 3, 9)])
-    assert set(facts.judge(few).verdict) == {"not comparable"}
+def test_figures_beside_published_ones(tiny):
+    """Exponential durations of 20 s in steps of 1 s: so is the tail beyond the median."""
+    random = np.random.default_rng(4)
+    lasted = np.ceil(random.exponential(20.0, 400)).astype(int)
+    rows = [encounter(0, 1, start := 100 * k, start + n) for k, n in enumerate(lasted)]
+    run = tiny(40_000, vehicles=fleet("honest", "honest"), encounters=rows)
+    assert measures.median_duration(run)[0] == pytest.approx(np.median(lasted), abs=1.0)
+    assert abs(measures.tail_shape(run, what="duration")[0]) < 0.25
+    ranks = [measures.family_rank(run, what="duration", family=name)[0] for name in FAMILIES]
+    assert sorted(ranks) == [1.0, 2.0, 3.0, 4.0, 5.0][: len(FAMILIES)]
+    with pytest.raises(ValueError, match="no encounters with line of sight"):
+        measures.tail_shape(run, what="duration", has_los=True)
 
 
 def test_a_picture_of_tails(run, tiny):

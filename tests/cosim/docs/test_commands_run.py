@@ -20,7 +20,6 @@ INSTEAD = {
     "make test": "true",  # this is it
     "source .venv/bin/activate": "true",
     "python3 -m venv": "true",
-    "cosim validate --full": "cosim validate --list",
     **{
         f"cosim sweep {name} --out {out}": f"python -m tests.cosim.docs.short {name} {out}"
         for name, out in (

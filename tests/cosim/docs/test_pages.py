@@ -11,7 +11,7 @@ import pytest
 import typer
 from rich.text import Text
 
-from cosim.cli.main import app
+from cosim.cli.main import RENAMED, app
 from cosim.config.config import Config, load
 from cosim.docs import config_keys, site
 from cosim.studies import study
@@ -116,6 +116,8 @@ def test_commands_are_accepted(source):
         else:
             assert words[0] in OTHERS, line
     for inline in re.findall(r"`cosim ([^`\n]+)`", re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)):
+        if source == "CHANGELOG.md" and inline.split()[0] in RENAMED:
+            continue  # an entry of a version that had it
         command, name, words = _found(shlex.split(inline))
         options = {option for one in command.params for option in one.opts} | {"--help"}
         assert {word for word in words if word.startswith("--")} <= options, f"{source}: cosim {inline}"

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.addons.paper.scenarios import FOLDER
+from cosim.addons.compare.scenarios import FOLDER
 from cosim.base import rng
 from cosim.base.codes import TrustSource
 from cosim.config.config import load

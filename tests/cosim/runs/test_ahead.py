@@ -3,7 +3,7 @@
 import numba
 import pytest
 
-from cosim.addons.paper.scenarios import ScriptedScene
+from cosim.addons.compare.scenarios import ScriptedScene
 from cosim.runs.speed.ahead import Ahead
 from cosim.step.cycle import step
 from cosim.step.state import State

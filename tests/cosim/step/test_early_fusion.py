@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.addons.paper.scenarios import FOLDER, ScriptedScene
+from cosim.addons.compare.scenarios import FOLDER, ScriptedScene
 from cosim.config.config import load
 from cosim.config.effect import without_effect
 from cosim.messages.content import SENSED

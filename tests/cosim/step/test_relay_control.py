@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from cosim.addons.paper.scenarios import ScriptedScene
+from cosim.addons.compare.scenarios import ScriptedScene
 from cosim.config.config import load
 from cosim.radio.message_round import Messages
 from cosim.radio.unit_disk import UnitDiskMedium

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.addons.paper.scenarios import ScriptedScene
+from cosim.addons.compare.scenarios import ScriptedScene
 from cosim.messages.pseudonyms import Never, Pseudonyms
 from cosim.radio.medium import MEDIA
 from cosim.runs.checkpoint import decode, encode

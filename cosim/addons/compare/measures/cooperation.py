@@ -5,8 +5,8 @@ then non-maximum suppression. In early fusion the detector looks at the merged c
 without partners, early and late, with and without delay and errors, on the same sweeps.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -15,7 +15,6 @@ import pyarrow.compute as pc
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.addons.compare.facts import Measured
 from cosim.addons.compare.measures.displaced import ERROR, displaced, seen_by_senders, with_errors, with_larger_errors
 from cosim.addons.compare.measures.early_fusion import Disturbance, early_boxes
 from cosim.addons.compare.measures.mixed import frames_at_speed, in_turn
@@ -32,6 +31,8 @@ from results.metrics.kitti_frames import (
 from results.metrics.late_fusion import kept
 from results.metrics.matched import Found, Truth, precision_and_recall
 from results.run import Run
+
+MEASURES = ("precision_gain", "late_gain_at_speed")
 
 _FRAMES = 1500
 Fusion = Literal["none", "late", "early"]
@@ -72,75 +73,41 @@ class Setting:
     """Where an object is of which only partners have a return: where it is, or where OpenCOOD takes it to be."""
 
 
-def late_gain(runs: Sequence[Run], **options: object) -> Measured:
-    """Average precision with partners minus that of the ego alone, as OpenCOOD counts it [points].
-
-    Options are those of `Setting`. Objects count that the ego or one of its partners has a return of.
-    """
-    return _difference(runs, (_setting(options), "late"), (_setting(options), "none"))
-
-
-def late_gain_at_speed(runs: Sequence[Run], *, mean_speed_mps: float, **options: object) -> Measured:
-    """`late_gain` over frames of two worlds, in the shares in which the egos have a mean speed.
+def precision_gain(run: Run, *, fusion: Fusion, over: Literal[Fusion, "in time"], **options: object) -> ndarray:
+    """Average precision of one fusion minus that of another one, as OpenCOOD counts it [points].
 
     Parameters
     ----------
-    runs
-        Those of the slow world, then as many of the fast one; they are paired in this order.
+    fusion, over
+        The two. "in time" is the first one with what partners send now; errors of pose are in both.
+    options
+        Those of `Setting`. Objects count that the ego or one of its partners has a return of.
+    """
+    setting = _setting(options)
+    other = (replace(setting, delay_steps=0), fusion) if over == "in time" else (setting, over)
+    return _precision(run, setting, fusion) - _precision(run, *other)
+
+
+def late_gain_at_speed(slow: Run, fast: Run, *, mean_speed_mps: float, **options: object) -> ndarray:
+    """Gain of late fusion over the ego alone, over frames of two worlds in the shares that give a mean speed [points].
+
+    Parameters
+    ----------
+    slow, fast
+        Runs in the two worlds.
     mean_speed_mps
         Mean speed of the egos over all frames.
     options
-        As `late_gain`.
+        As `precision_gain`.
     """
-    setting, half = _setting(options), len(runs) // 2
-    found = []
-    for pair in zip(runs[:half], runs[half:], strict=True):
-        late, alone = ([_evaluated(run, setting, fusion) for run in pair] for fusion in ("late", "none"))
-        chosen = frames_at_speed(alone[0].ego_mps, alone[1].ego_mps, mean_speed_mps)
-        found.append(_precision_of(late, chosen, setting) - _precision_of(alone, chosen, setting))
-    return Measured.of_replicates(found)
+    setting = _setting(options)
+    late, alone = ([_evaluated(run, setting, fusion) for run in (slow, fast)] for fusion in ("late", "none"))
+    chosen = frames_at_speed(alone[0].ego_mps, alone[1].ego_mps, mean_speed_mps)
+    return _precision_of(late, chosen, setting) - _precision_of(alone, chosen, setting)
 
 
-def change_of_late(runs: Sequence[Run], **options: object) -> Measured:
-    """Average precision with old boxes of partners minus that with new ones [points]; options as `late_gain`.
-
-    Errors of pose are in both.
-    """
-    return _difference(runs, (_setting(options), "late"), (_in_time(options), "late"))
-
-
-def precision_of_early(runs: Sequence[Run], **options: object) -> Measured:
-    """Average precision of early fusion [%]; options as `late_gain`."""
-    return Measured.of_replicates([_precision(run, _setting(options), "early") for run in runs])
-
-
-def early_gain(runs: Sequence[Run], **options: object) -> Measured:
-    """Average precision of early fusion minus that of the ego alone [points]; options as `late_gain`."""
-    return _difference(runs, (_setting(options), "early"), (_setting(options), "none"))
-
-
-def early_over_late(runs: Sequence[Run], **options: object) -> Measured:
-    """Average precision of early fusion minus that of late fusion [points]; options as `late_gain`."""
-    return _difference(runs, (_setting(options), "early"), (_setting(options), "late"))
-
-
-def change_of_early(runs: Sequence[Run], **options: object) -> Measured:
-    """Average precision of early fusion with old clouds of partners minus that with new ones [points]."""
-    return _difference(runs, (_setting(options), "early"), (_in_time(options), "early"))
-
-
-def _difference(runs: Sequence[Run], one: tuple["Setting", Fusion], other: tuple["Setting", Fusion]) -> Measured:
-    return Measured.of_replicates([_precision(run, *one) - _precision(run, *other) for run in runs])
-
-
-def _in_time(options: object) -> Setting:
-    """The setting without delay."""
-    return _setting(dict(options) | {"delay_steps": 0})  # type: ignore[call-overload]
-
-
-def _setting(options: object) -> Setting:
-    given: dict[str, Any] = dict(options)  # type: ignore[call-overload]
-    given |= {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
+def _setting(options: Mapping[str, Any]) -> Setting:
+    given: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in options.items()}
     return Setting(**given)
 
 

@@ -9,7 +9,6 @@ References
    point clouds", ICDCS 2019.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,9 +16,7 @@ import pandas as pd
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from cosim.addons.compare.facts import Measured
 from cosim.base.codes import ObjectClass
-from cosim.radio.phy import airtime_ns
 from cosim.runs.replay_lidar import city_of, config_of, sweep, worlds
 from cosim.step.perception import detector_draws
 from cosim.traffic.actors import actor_key
@@ -29,10 +26,10 @@ from sensors.boxes import Boxes
 from sensors.merged_clouds import Views, detect
 from sensors.statistical_detector import StatisticalDetector
 
+MEASURES = ("cloud_bytes",)
+
 POINT_BYTES = 16
 """A point as data sets store it: x, y, z and intensity in single precision."""
-_FRAME_BYTES = 1400
-"""Payload of the frames into which a cloud is cut."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -135,25 +132,11 @@ def _keys(run: Run, actor: Int[ndarray, "n"]) -> ndarray:
     return np.array([actor_key(name, person) for name, person in pairs], np.uint64)
 
 
-def cloud_bytes(runs: Sequence[Run], *, profile: str | None = None, sweeps: int = 40) -> Measured:
-    """Mean length of the raw cloud of one sweep [MB], at 16 bytes per return; `profile` as in `lidar.profile`."""
-    return Measured.of_replicates([[_returns(run, sweeps, profile) * POINT_BYTES / 1e6] for run in runs])
+def cloud_bytes(run: Run, *, profile: str | None = None, sweeps: int = 40) -> list[float]:
+    """Mean length of the raw cloud of one sweep [MB], at 16 bytes per return; `profile` as in `lidar.profile`.
 
-
-def cloud_airtime(
-    runs: Sequence[Run], *, rate_mbps: float, sweeps_per_s: float, profile: str | None = None, sweeps: int = 40
-) -> Measured:
-    """Time that the raw clouds of one vehicle need on the channel [seconds per second], in frames of 1,400 bytes.
-
-    Nothing of a frame's contention is in it. A channel has less than one second per second.
+    Some sweeps are computed again.
     """
-    frame_s = float(airtime_ns(np.array([_FRAME_BYTES]), rate_mbps)[0]) * 1e-9
-    frames = [np.ceil(_returns(run, sweeps, profile) * POINT_BYTES / _FRAME_BYTES) for run in runs]
-    return Measured.of_replicates([[n * frame_s * sweeps_per_s] for n in frames])
-
-
-def _returns(run: Run, sweeps: int, profile: str | None) -> float:
-    """Mean number of returns of some sweeps, computed again."""
     config = config_of(run)
     if profile is not None:
         config = replace(config, lidar=replace(config.lidar, profile=profile))  # type: ignore[arg-type]
@@ -162,4 +145,4 @@ def _returns(run: Run, sweeps: int, profile: str | None) -> float:
     for world in worlds(run, config, steps):
         row = np.flatnonzero(world.equipped)[: -(-sweeps // len(steps))]
         counts += np.isfinite(sweep(config, city, world, row).range_m).sum(axis=(1, 2)).tolist()
-    return float(np.mean(counts))
+    return [float(np.mean(counts)) * POINT_BYTES / 1e6]

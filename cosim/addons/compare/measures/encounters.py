@@ -1,7 +1,6 @@
-"""Laws of contacts between vehicles: which of two distributions fits better, per observation."""
+"""Relative speeds of vehicles near each other, and what lies behind the ages of trust."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -9,56 +8,30 @@ from numpy import ndarray
 from scipy import stats
 from scipy.spatial import cKDTree
 
-from cosim.addons.compare.facts import Measured
+from results.measure import measure as run_metrics
 from results.metrics.conflicts import tracks
-from results.metrics.encounters import durations
 from results.run import Run
 
+MEASURES = ("relative_speed_law", "metric")
 
-def relative_speed_law(runs: Sequence[Run], *, radius_m: float, every_s: float, at_least_mps: float) -> Measured:
+
+def relative_speed_law(run: Run, *, radius_m: float, every_s: float, at_least_mps: float) -> list[float]:
     """Log likelihood per pair of a logistic over that of a normal distribution, of relative speeds.
 
     The relative speed is the rate at which the distance of two moving vehicles within a radius changes.
     """
-    return Measured.of_replicates([[_gain(_relative(run, radius_m, every_s, at_least_mps), "logistic", "norm")]
-                                   for run in runs])  # fmt: skip
+    values = _relative(run, radius_m, every_s, at_least_mps)
+    logistic, normal = (float(law.logpdf(values, *law.fit(values)).mean()) for law in (stats.logistic, stats.norm))
+    return [logistic - normal]
 
 
-def link_duration_law(runs: Sequence[Run]) -> Measured:
-    """Log likelihood per encounter of a generalised Pareto over that of an exponential distribution, of durations.
-
-    Only encounters whose two ends were observed count. The Pareto distribution has one parameter more; Akaike's penalty
-    for it is taken off.
-    """
-    rows = []
-    for run in runs:
-        table = durations(run)
-        whole = table.duration_s[table.start_seen & table.end_seen & (table.duration_s > 0)].to_numpy(np.float64)
-        rows.append([_gain(whole, "genpareto", "expon", loc=0.0) - 1.0 / len(whole)])
-    return Measured.of_replicates(rows)
-
-
-def gap_law(runs: Sequence[Run]) -> Measured:
-    """Share of the variance of the logarithm of survival that a straight line explains, of times between contacts."""
-    rows = []
-    for run in runs:
-        gap = np.sort(durations(run).gap_s.dropna().to_numpy(np.float64))
-        if len(gap) < 20:
-            raise ValueError(f"{run.path.name}: {len(gap)} pairs met again, too few. Run longer.")
-        longer = 1.0 - (np.arange(len(gap)) + 0.5) / len(gap)
-        kept = longer > 0.02  # the last few values decide nothing
-        rows.append([float(np.corrcoef(gap[kept], np.log(longer[kept]))[0, 1] ** 2)])
-    return Measured.of_replicates(rows)
-
-
-def _gain(values: Float[ndarray, "n"], one: str, other: str, loc: float | None = None) -> float:
-    """Mean log likelihood of `values` under one fitted distribution minus that under another one."""
-    fixed: dict[str, Any] = {} if loc is None else {"floc": loc}
-    means = []
-    for name in (one, other):
-        law = getattr(stats, name)
-        means.append(float(law.logpdf(values, *law.fit(values, **fixed)).mean()))
-    return means[0] - means[1]
+def metric(run: Run, *, names: Sequence[str], group: str, minus: Sequence[str] = ()) -> list[float]:
+    """Metrics of a run, of one group; or what they are above others."""
+    topics = tuple({name.partition(".")[0] for name in (*names, *minus)})
+    table = run_metrics(run, topics=topics)
+    value = table[table.group == group].set_index("metric").value
+    less = [float(value.get(name, np.nan)) for name in minus] or [0.0] * len(names)
+    return [float(value.get(name, np.nan)) - off for name, off in zip(names, less, strict=True)]
 
 
 def _relative(run: Run, radius_m: float, every_s: float, at_least_mps: float) -> Float[ndarray, "p"]:

@@ -1,4 +1,4 @@
-"""Propagation, reception, and lines of sight."""
+"""Propagation, reception, lines of sight, and lengths of messages."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from cosim.addons.compare.facts import Measured
+from cosim.messages import etsi
 from cosim.radio.bodies import Bodies, tallest_blocker_m
 from cosim.radio.channel import AccessParams, ChannelRules, ChannelState, Links, Packets, PhyOutcome, run_window
 from cosim.radio.phy import ReceiverParams, airtime_ns
@@ -18,29 +18,36 @@ from results.run import Run
 from sensors.line_of_sight import WallIndex, los_between_actors
 from sensors.scene import Shape
 
+MEASURES = (
+    "frame_airtime", "path_loss", "blockage", "delivery_of_one_sender", "reception_around_corner",
+    "range_around_corner", "range_in_the_open", "object_bytes", "sight_past_buildings", "sight_past_everything",
+)  # fmt: skip
+
+_OBJECT = ("objectId", "angles", "objectDimensionZ", "objectDimensionY", "objectDimensionX", "classification")
+"""Optional members of every perceived object here: identity, heading, size and class."""
 _PERIOD_NS = 10_000_000
 _N_PACKETS = 4000
 _DCF = AccessParams(aifsn=(2, 2, 2, 2), cw=(15, 15, 15, 15))
 
 
-def frame_airtime(runs: Sequence[Run], *, payload_bytes: Sequence[int], rate_mbps: float) -> Measured:
+def frame_airtime(*, payload_bytes: Sequence[int], rate_mbps: float) -> Float[ndarray, "k"]:
     """Time on air of a frame [us]."""
-    return Measured.exact(airtime_ns(np.array(payload_bytes), rate_mbps) / 1000)
+    return airtime_ns(np.array(payload_bytes), rate_mbps) / 1000
 
 
-def path_loss(runs: Sequence[Run], *, scenario: str, nlos: bool, distance_m: Sequence[float]) -> Measured:
+def path_loss(*, scenario: str, nlos: bool, distance_m: Sequence[float]) -> Float[ndarray, "k"]:
     """Path loss of TR 37.885 without shadowing and blockage [dB]."""
     d = np.array(distance_m, float)
-    return Measured.exact(tr37885_db(d, np.full(len(d), nlos), "urban" if scenario == "urban" else "highway"))
+    return tr37885_db(d, np.full(len(d), nlos), "urban" if scenario == "urban" else "highway")
 
 
-def blockage(runs: Sequence[Run], *, heights_m: Sequence[Sequence[float]], distance_m: float) -> Measured:
+def blockage(*, heights_m: Sequence[Sequence[float]], distance_m: float) -> Float[ndarray, "k"]:
     """Mean loss behind a vehicle of 1.6 m by the heights of the two antennas [dB]."""
     a, b = np.array(heights_m, float).T
-    return Measured.exact(blockage_mean_db(np.full(len(a), distance_m), a, b)[0])
+    return blockage_mean_db(np.full(len(a), distance_m), a, b)[0]
 
 
-def delivery_of_one_sender(runs: Sequence[Run], *, distance_m: Sequence[float], p_min_dbm: float) -> Measured:
+def delivery_of_one_sender(*, distance_m: Sequence[float], p_min_dbm: float) -> Float[ndarray, "r k"]:
     """Packet delivery ratio by distance, of one sender with Nakagami fading and the loss of distance to 2.75.
 
     Each value is the mean over five receivers 5 m apart around the distance.
@@ -48,11 +55,10 @@ def delivery_of_one_sender(runs: Sequence[Run], *, distance_m: Sequence[float], 
     away = np.array(distance_m, float)[:, None] + 5.0 * np.arange(-2, 3)
     loss_db = log_distance_db(away.ravel(), 2.75)
     received = _received(loss_db, away.ravel(), 300, ReceiverParams(p_min_dbm=p_min_dbm), 23.0)
-    return _of_shares(received.reshape(len(away), -1))
+    return received.reshape(len(away), -1).T
 
 
 def reception_around_corner(
-    runs: Sequence[Run],
     *,
     sender_m: Sequence[float],
     receiver_m: float,
@@ -61,7 +67,7 @@ def reception_around_corner(
     payload_bytes: int,
     rate_mbps: float,
     corners: int = 400,
-) -> Measured:
+) -> Float[ndarray, "c k"]:
     """Share of frames that a vehicle receives from another one in a side street, both without line of sight.
 
     Parameters
@@ -75,12 +81,12 @@ def reception_around_corner(
     """
     away = np.hypot(np.array(sender_m, float), receiver_m)
     receiver = ReceiverParams(rate_mbps=rate_mbps)
-    return _of_shares(_behind_corners(away, corners, payload_bytes, receiver, power_dbm, loss_db))
+    return _behind_corners(away, corners, payload_bytes, receiver, power_dbm, loss_db).T
 
 
 def range_around_corner(
-    runs: Sequence[Run], *, sender_m: Sequence[float], least: float, payload_bytes: int, corners: int = 100
-) -> Measured:
+    *, sender_m: Sequence[float], least: float, payload_bytes: int, corners: int = 100
+) -> Float[ndarray, "4 k"]:
     """Distance to the centre of a junction up to which a vehicle in a side street receives the least share [m].
 
     Parameters
@@ -100,7 +106,7 @@ def range_around_corner(
         below = np.argmax(mean < least, axis=0)  # the first distance that is too far
         near, far = mean[below - 1, np.arange(4)], mean[below, np.arange(4)]
         rows.append(receiver_m[below] - 5.0 * (least - far) / (near - far))
-    return Measured.of_replicates(list(np.array(rows).T))
+    return np.array(rows).T
 
 
 def _behind_corners(
@@ -137,29 +143,32 @@ def _received(
     return np.bincount(out.receiver[out.reception == PhyOutcome.RECEIVED], minlength=n + 1)[1:] / n_packets
 
 
-def _of_shares(share: Float[ndarray, "k r"]) -> Measured:
-    """Mean over receivers, with an interval from their spread."""
-    mean = share.mean(axis=1)
-    half = 1.96 * share.std(axis=1, ddof=1) / np.sqrt(share.shape[1])
-    return Measured(mean, np.maximum(mean - half, 0), np.minimum(mean + half, 1), share.shape[1])
+def range_in_the_open(*, least: float, payload_bytes: int, rate_mbps: float) -> list[float]:
+    """Distance up to which vehicles in line of sight on a highway receive the least share of frames [m]."""
+    away = np.arange(50.0, 3001.0, 50.0)
+    loss_db = tr37885_db(away, np.zeros(len(away), bool), "highway")
+    share = _received(loss_db, away, payload_bytes, ReceiverParams(rate_mbps=rate_mbps), 23.0, 1000)
+    return [float(away[share >= least].max(initial=0.0))]
 
 
-def sight_past_buildings(runs: Sequence[Run], *, distance_m: Sequence[float]) -> Measured:
+def object_bytes(*, more: Sequence[Sequence[str]]) -> list[float]:
+    """Length of one perceived car in a CPM of release 2 with these further members [B]."""
+    return [etsi.object_bits((*_OBJECT, *members))[0] / 8 for members in more]
+
+
+def sight_past_buildings(run: Run, *, distance_m: Sequence[float]) -> Float[ndarray, "k"]:
     """Share of the pairs of vehicles at some distances that no building hides from each other."""
-    rows = []
-    for run in runs:
-        table = run.pdr_by_distance
-        table = table[table.los_state.isin(["los", "nlos"])]
-        by = table.groupby(["distance_bin_m", "los_state"], observed=True).n_in_range.sum().unstack(fill_value=0)
-        share = by.get("los", 0) / by.sum(axis=1)
-        middle = share.index.to_numpy(float) + np.diff(share.index.to_numpy(float)).min() / 2
-        rows.append(np.interp(distance_m, middle, share.to_numpy(float)))
-    return Measured.of_replicates(rows)
+    table = run.pdr_by_distance
+    table = table[table.los_state.isin(["los", "nlos"])]
+    by = table.groupby(["distance_bin_m", "los_state"], observed=True).n_in_range.sum().unstack(fill_value=0)
+    share = by.get("los", 0) / by.sum(axis=1)
+    edge = share.index.to_numpy(float)
+    return np.interp(distance_m, edge + np.diff(edge).min() / 2, share.to_numpy(float))
 
 
 def sight_past_everything(
-    runs: Sequence[Run], *, distance_m: Sequence[float], trees: bool = True, bodies: bool = True, every_s: float = 20.0
-) -> Measured:
+    run: Run, *, distance_m: Sequence[float], trees: bool = True, bodies: bool = True, every_s: float = 20.0
+) -> Float[ndarray, "k"]:
     """Share of the pairs of moving vehicles within 12.5 m of some distances that nothing hides from each other.
 
     Parameters
@@ -175,28 +184,25 @@ def sight_past_everything(
     37.885, which counts such links as blocked by a vehicle and decides by heights how much is lost.
     """
     far = np.array(distance_m, float)
-    rows = []
-    for run in runs:
-        config = config_of(run)
-        city = city_of(config)
-        walls = WallIndex.of(city.buildings)
-        name = run.table("vehicles", ["vehicle", "sumo_id"]).set_index("vehicle").sumo_id
-        steps = np.arange(0, int(run.manifest["steps"]), max(1, round(every_s / run.dt_s)))
-        clear, n = np.zeros(len(far)), np.zeros(len(far))
-        for world in worlds(run, config, steps):
-            moving = ~name.reindex(world.actor).str.startswith(PARKED).to_numpy(bool)
-            row = np.flatnonzero(moving & (world.shape <= Shape.BUS))
-            xy = world.boxes.xyz_m[row, :2]
-            a, b = row[cKDTree(xy).query_pairs(float(far.max()) + 12.5, output_type="ndarray")].reshape(-1, 2).T
-            away = np.hypot(*(world.boxes.xyz_m[a, :2] - world.boxes.xyz_m[b, :2]).T)
-            seen = los_between_actors(
-                walls, world.boxes, world.shape, a, b, 0.1, bodies=False, city=city if trees else None
-            )
-            if bodies:
-                top = world.boxes.xyz_m + np.array([0, 0, 0.1]) + 0.5 * world.boxes.lwh_m * [0, 0, 1]
-                other = Bodies(world.boxes.xyz_m, world.boxes.lwh_m, world.boxes.yaw_rad, np.arange(len(world)))
-                seen &= tallest_blocker_m(top, a, b, other) == 0
-            here = np.abs(away - far[:, None]) <= 12.5
-            clear, n = clear + (here & seen).sum(axis=1), n + here.sum(axis=1)
-        rows.append(clear / n)
-    return Measured.of_replicates(rows)
+    config = config_of(run)
+    city = city_of(config)
+    walls = WallIndex.of(city.buildings)
+    name = run.table("vehicles", ["vehicle", "sumo_id"]).set_index("vehicle").sumo_id
+    steps = np.arange(0, int(run.manifest["steps"]), max(1, round(every_s / run.dt_s)))
+    clear, n = np.zeros(len(far)), np.zeros(len(far))
+    for world in worlds(run, config, steps):
+        moving = ~name.reindex(world.actor).str.startswith(PARKED).to_numpy(bool)
+        row = np.flatnonzero(moving & (world.shape <= Shape.BUS))
+        xy = world.boxes.xyz_m[row, :2]
+        a, b = row[cKDTree(xy).query_pairs(float(far.max()) + 12.5, output_type="ndarray")].reshape(-1, 2).T
+        away = np.hypot(*(world.boxes.xyz_m[a, :2] - world.boxes.xyz_m[b, :2]).T)
+        seen = los_between_actors(
+            walls, world.boxes, world.shape, a, b, 0.1, bodies=False, city=city if trees else None
+        )
+        if bodies:
+            top = world.boxes.xyz_m + np.array([0, 0, 0.1]) + 0.5 * world.boxes.lwh_m * [0, 0, 1]
+            other = Bodies(world.boxes.xyz_m, world.boxes.lwh_m, world.boxes.yaw_rad, np.arange(len(world)))
+            seen &= tallest_blocker_m(top, a, b, other) == 0
+        here = np.abs(away - far[:, None]) <= 12.5
+        clear, n = clear + (here & seen).sum(axis=1), n + here.sum(axis=1)
+    return clear / n

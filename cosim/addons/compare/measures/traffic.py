@@ -1,121 +1,103 @@
 """Road users: sizes, speeds, braking, and what receivers say of their positions."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray
 from scipy import stats
 
-from cosim.addons.compare.facts import Measured
-from cosim.traffic.position_errors import GnssParams
+from cosim.addons.compare.runs import DEFAULT_WORLD
+from cosim.config.config import load
 from results.metrics.conflicts import begins, following, overlaps, tracks
 from results.metrics.safety import stops
 from results.run import Run
+
+MEASURES = (
+    "actor_size", "walking_speed", "braking_to_a_stop", "braking_limit", "sudden_slowing", "mild_braking", "mean_speed",
+    "steady_headway", "overlapping", "position_error",
+)  # fmt: skip
 
 _APPROACH_S = 15.0
 """Time before a stop in which its braking is looked for."""
 
 
-def actor_size(runs: Sequence[Run], *, vehicle_class: str) -> Measured:
+def actor_size(run: Run, *, vehicle_class: str) -> Float[ndarray, "3"]:
     """Mean length, width and height of a class [m]; every actor counts once."""
     columns = ["length_m", "width_m", "height_m"]
-    rows = []
-    for run in runs:
-        table = run.table("vehicles", ["vehicle_class", *columns])
-        mine = table[table.vehicle_class == vehicle_class]
-        if mine.empty:
-            raise ValueError(f"{run.path.name}: there is no {vehicle_class} in this run.")
-        rows.append(mine[columns].astype(float).mean().to_numpy())
-    return Measured.of_replicates(rows)
+    table = run.table("vehicles", ["vehicle_class", *columns])
+    mine = table[table.vehicle_class == vehicle_class]
+    if mine.empty:
+        raise ValueError(f"{run.path.name}: there is no {vehicle_class} in this run.")
+    return mine[columns].astype(float).mean().to_numpy()
 
 
-def walking_speed(runs: Sequence[Run], *, moving_mps: float) -> Measured:
+def walking_speed(run: Run, *, moving_mps: float) -> list[float]:
     """Mean speed of pedestrians while they walk, each pedestrian once [m/s]."""
-    rows = []
-    for run in runs:
-        kinds = run.table("vehicles", ["vehicle", "vehicle_class"])
-        on_foot = kinds.vehicle[kinds.vehicle_class == "pedestrian"]
-        poses = run.table("actors", ["actor", "speed_mps"])
-        poses = poses[poses.actor.isin(on_foot) & (poses.speed_mps > moving_mps)]
-        rows.append([float(poses.speed_mps.astype(float).groupby(poses.actor).mean().mean())])
-    return Measured.of_replicates(rows)
+    kinds = run.table("vehicles", ["vehicle", "vehicle_class"])
+    on_foot = kinds.vehicle[kinds.vehicle_class == "pedestrian"]
+    poses = run.table("actors", ["actor", "speed_mps"])
+    poses = poses[poses.actor.isin(on_foot) & (poses.speed_mps > moving_mps)]
+    return [float(poses.speed_mps.astype(float).groupby(poses.actor).mean().mean())]
 
 
-def braking_to_a_stop(runs: Sequence[Run]) -> Measured:
+def braking_to_a_stop(run: Run) -> list[float]:
     """Largest deceleration on the way to a stop, mean over stops [m/s2]."""
-    return Measured.of_replicates([[float(_peaks(run).mean())] for run in runs])
+    return [float(_peaks(run).mean())]
 
 
-def braking_limit(runs: Sequence[Run], *, limit_mps2: float) -> Measured:
+def braking_limit(run: Run, *, limit_mps2: float) -> list[float]:
     """Share of the stops in which no deceleration is larger than a limit."""
-    return Measured.of_replicates([[float((_peaks(run) <= limit_mps2).mean())] for run in runs])
+    return [float((_peaks(run) <= limit_mps2).mean())]
 
 
-def sudden_slowing(runs: Sequence[Run], *, drop_mps: float) -> Measured:
+def sudden_slowing(run: Run, *, drop_mps: float) -> list[float]:
     """Times per 1,000 km that a car slows by this much within one second. The next time counts after it has not."""
-    rows = []
-    for run in runs:
-        poses = _cars(run)
-        lag = round(1.0 / run.dt_s)
-        speed, actor = poses.speed_mps.to_numpy(float), poses.actor.to_numpy()
-        drop = np.zeros(len(poses))
-        same = (actor[lag:] == actor[:-lag]) & (poses.step.diff(lag).to_numpy()[lag:] == lag)
-        drop[lag:] = np.where(same, speed[:-lag] - speed[lag:], 0.0)
-        n = begins(drop >= drop_mps, drop < drop_mps / 2, actor).sum()
-        rows.append([1000 * n / _km(poses, run)])
-    return Measured.of_replicates(rows)
+    poses = _cars(run)
+    lag = round(1.0 / run.dt_s)
+    speed, actor = poses.speed_mps.to_numpy(float), poses.actor.to_numpy()
+    drop = np.zeros(len(poses))
+    same = (actor[lag:] == actor[:-lag]) & (poses.step.diff(lag).to_numpy()[lag:] == lag)
+    drop[lag:] = np.where(same, speed[:-lag] - speed[lag:], 0.0)
+    n = begins(drop >= drop_mps, drop < drop_mps / 2, actor).sum()
+    return [1000 * n / _km(poses, run)]
 
 
-def mild_braking(runs: Sequence[Run], *, begin_mps2: float, limit_mps2: float) -> Measured:
+def mild_braking(run: Run, *, begin_mps2: float, limit_mps2: float) -> list[float]:
     """Share of the decelerations of cars beyond one limit that stay below another."""
-    rows = []
-    for run in runs:
-        poses = _cars(run)
-        down = -poses.acceleration_mps2.fillna(0.0).to_numpy()
-        actor = poses.actor.to_numpy()
-        event = np.cumsum(begins(down >= begin_mps2, down < begin_mps2, actor))
-        peak = pd.Series(down).groupby(event).max()
-        rows.append([float((peak[peak >= begin_mps2] < limit_mps2).mean())])
-    return Measured.of_replicates(rows)
+    poses = _cars(run)
+    down = -poses.acceleration_mps2.fillna(0.0).to_numpy()
+    event = np.cumsum(begins(down >= begin_mps2, down < begin_mps2, poses.actor.to_numpy()))
+    peak = pd.Series(down).groupby(event).max()
+    return [float((peak[peak >= begin_mps2] < limit_mps2).mean())]
 
 
-def mean_speed(runs: Sequence[Run]) -> Measured:
+def mean_speed(run: Run) -> list[float]:
     """Distance over time of all cars on the road, standing ones included [km/h]."""
-    return Measured.of_replicates([[3.6 * float(_cars(run).speed_mps.astype(float).mean())] for run in runs])
+    return [3.6 * float(_cars(run).speed_mps.astype(float).mean())]
 
 
-def steady_headway(
-    runs: Sequence[Run], *, closing_mps: float, acceleration_mps2: float, slowest_mps: float
-) -> Measured:
+def steady_headway(run: Run, *, closing_mps: float, acceleration_mps2: float, slowest_mps: float) -> list[float]:
     """Mean time from a leader's front to a follower's front of cars that follow steadily [s].
 
     Steady means: speeds differ by no more than `closing_mps`, the follower's acceleration is no larger than
     `acceleration_mps2`, and it drives with `slowest_mps` or more. Leaders are those of `results.metrics.conflicts`.
     """
-    rows = []
-    for run in runs:
-        poses = tracks(run)
-        pairs = following(run, poses).merge(
-            poses[["step", "actor", "speed_mps", "acceleration_mps2"]], on=["step", "actor"]
-        )
-        length_m = run.table("vehicles", ["vehicle", "length_m"]).set_index("vehicle").length_m
-        steady = (pairs.closing_mps.abs() <= closing_mps) & (pairs.acceleration_mps2.abs() <= acceleration_mps2)
-        pairs = pairs[steady & (pairs.speed_mps >= slowest_mps) & pairs.actor.isin(_cars_of(run))]
-        if pairs.empty:
-            raise ValueError(f"{run.path.name}: no car followed another steadily. Run longer.")
-        rows.append([float(((pairs.gap_m + pairs.leader.map(length_m)) / pairs.speed_mps).astype(float).mean())])
-    return Measured.of_replicates(rows)
+    poses = tracks(run)
+    pairs = following(run, poses).merge(
+        poses[["step", "actor", "speed_mps", "acceleration_mps2"]], on=["step", "actor"]
+    )
+    length_m = run.table("vehicles", ["vehicle", "length_m"]).set_index("vehicle").length_m
+    steady = (pairs.closing_mps.abs() <= closing_mps) & (pairs.acceleration_mps2.abs() <= acceleration_mps2)
+    pairs = pairs[steady & (pairs.speed_mps >= slowest_mps) & pairs.actor.isin(_cars_of(run))]
+    if pairs.empty:
+        raise ValueError(f"{run.path.name}: no car followed another steadily. Run longer.")
+    return [float(((pairs.gap_m + pairs.leader.map(length_m)) / pairs.speed_mps).astype(float).mean())]
 
 
-def overlapping(runs: Sequence[Run]) -> Measured:
+def overlapping(run: Run) -> list[float]:
     """Pairs of vehicles that overlap by more than 0.3 m, per million km of all vehicles."""
-    rows = []
-    for run in runs:
-        poses = tracks(run)
-        rows.append([1e6 * len(overlaps(run, poses)) / _km(poses, run)])
-    return Measured.of_replicates(rows)
+    poses = tracks(run)
+    return [1e6 * len(overlaps(run, poses)) / _km(poses, run)]
 
 
 def _cars_of(run: Run) -> "pd.Series[int]":
@@ -147,6 +129,6 @@ def _peaks(run: Run) -> Float[ndarray, "s"]:
     return found
 
 
-def position_error(runs: Sequence[Run], *, share: float) -> Measured:
-    """Radius within which this share of the default position errors lies [m]."""
-    return Measured.exact([GnssParams().std_m * stats.rayleigh.ppf(share)])
+def position_error(*, share: float) -> list[float]:
+    """Radius within which this share of the position errors of the default world lies [m]."""
+    return [load(None, [DEFAULT_WORLD]).gnss.std_m * float(stats.rayleigh.ppf(share))]

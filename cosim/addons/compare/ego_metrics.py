@@ -4,7 +4,7 @@ An ego is an equipped vehicle that the config designates (`attacks.0.victim = "d
 attacker. Roles are drawn from names, so all settings of a replicate have the same egos.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pandas as pd
@@ -16,6 +16,8 @@ from results.metrics import trust
 from results.metrics.kitti import FEWEST, LEVELS, STRICT, average_precision
 from results.metrics.kitti_frames import actors_ahead, boxes_ahead
 from results.run import Run
+
+MEASURES = ("of_egos",)
 
 CLASSES = ("car", "pedestrian")
 RANGE_M = 140.0
@@ -83,3 +85,10 @@ def _trust(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
     value = cars.vehicle.map(last).astype(float).fillna(float(run.config["trust"]["default_trust"]))
     for role, some in value.groupby(cars.role.astype(str)):
         yield "paper.final_trust.mean", str(role), float(some.mean()), "1", "mean trust at the end"
+
+
+def of_egos(run: Run, *, metric: str, groups: Sequence[str], variant: str = "base") -> list[float]:
+    """One of the metrics of a trust variant, for some groups; NaN where the run holds too little."""
+    table = measures(run.as_variant(variant))
+    value = table[table.metric == metric].set_index("group").value
+    return [float(value.get(group, np.nan)) for group in groups]

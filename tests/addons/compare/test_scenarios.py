@@ -1,22 +1,11 @@
 """The paper's scenarios, through sweeps, messages, evaluations, the server and fusion."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from cosim.addons.paper.scenarios import (
-    ATTACKER,
-    EGO,
-    FOLDER,
-    METHODS,
-    THIRD,
-    ScriptedScene,
-    paper_trust,
-    scenario_1,
-    scenario_2,
-)
+from cosim.addons.compare.scenarios import ATTACKER, EGO, FOLDER, THIRD, ScriptedScene, scenario_1, scenario_2
 from cosim.config.config import load
 from cosim.messages.content import FABRICATED
 from cosim.world import LABELS
@@ -25,6 +14,7 @@ from tests.drive import cosim
 from tests.trust.reference import load as reference
 
 CAR, PEDESTRIAN = LABELS.index("car"), LABELS.index("pedestrian")
+METHODS = ("trupercept_1", "trupercept_2", "trupercept_3")
 IDS = {"1000001": EGO, "50434": ATTACKER, "27650": THIRD}
 """Names of the vehicles in the reference vectors."""
 
@@ -191,13 +181,6 @@ def test_evaluations_as_the_published_code():
     assert worst < 0.15
 
 
-@pytest.mark.parametrize(("n_ghosts", "end"), [(1, 0.15), (3, 0.0)])
-def test_paper_trust(n_ghosts, end):
-    values = paper_trust(n_ghosts)
-    assert values[49] == pytest.approx([0.82, 0.81, 0.97], abs=1e-3)
-    assert values[-1] == pytest.approx([0.82, end, 0.97], abs=1e-3)
-
-
 def test_a_frame_repeats_to_the_bit():
     first, second = ScriptedScene.load().play(config_of("scenario-2"), 2)
     for name in ("evaluation", "visibility"):
@@ -205,27 +188,16 @@ def test_a_frame_repeats_to_the_bit():
     assert np.array_equal(first.evaluated.n_points, second.evaluated.n_points)
 
 
-@pytest.mark.verify
-@pytest.mark.parametrize("play", [scenario_1, scenario_2])
-def test_a_report_is_the_same_every_time(tmp_path, play):
-    first = play(tmp_path)
-    drawn = [path.read_bytes() for path in first.pictures]
-    again = play(tmp_path)
-    assert first == again and drawn == [path.read_bytes() for path in again.pictures]
-    assert all(len(picture) > 20_000 for picture in drawn)
-
-
-def test_command(tmp_path):
-    done = cosim("reproduce", "scenario-1", cwd=tmp_path)
-    assert done.returncode == 0 and done.stderr == ""
-    assert "pedestrian" in done.stdout and (tmp_path / "runs" / "scenario-1" / "scene.png").exists()
-    done = cosim("reproduce", "scenario-2", "--out", "here", "--json", cwd=tmp_path)
-    answer = json.loads(done.stdout)
-    assert answer["scenario"] == "scenario-2" and answer["pictures"] == ["here/trust.png"]
-    assert {row["trust"]: row["paper"] for row in answer["rows"]}["ego"] == 0.82
-    (tmp_path / "file").touch()
-    done = cosim("reproduce", "scenario-1", "--out", "file", cwd=tmp_path)
-    assert done.returncode == 2 and "cannot be a folder" in done.stderr and "Traceback" not in done.stderr
+def test_values_of_the_facts(course):
+    """Scores and trust by name of the thing, of the vehicle and of the frame."""
+    assert scenario_1(thing="false car", checked=[True, False], method="trupercept_1") == [
+        0.0, next(row[2] for row in final(checked("trupercept_1", False)) if row[1])
+    ]  # fmt: skip
+    assert scenario_1(thing="bus", checked=[True], method="trupercept_2") == [0.0]
+    n_ghosts, values, _ = course
+    at = [("third", 1), ("malicious", 50), ("malicious", 60)]
+    found = scenario_2(ghosts={1: "car", 3: "three_cars"}[n_ghosts], at=at)
+    assert found == [values[0, THIRD], values[49, ATTACKER], values[59, ATTACKER]]
 
 
 def test_configs_are_experiments():
