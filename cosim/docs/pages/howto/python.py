@@ -74,9 +74,8 @@ save(run.measure.trust.plot(), Path("trust.svg"))
 # dictionary or the path of a TOML file. Without a config, it simulates the default city. `trust=MyModel` uses your own
 # class as the trust model. `detector`, `radio`, `pseudonyms` and `driver` work in the same way.
 #
-# The first simulation of a process always has the same traffic. Later ones in the same process may not: SUMO, loaded
-# again and again, let one car go before another at one junction in 7 of 192 loads (Helsinki, 600 s of warm-up).
-# `cosim run` and `cosim sweep` have a process for each run. If you compare simulations in detail, do the same.
+# The first simulation of a process always has the same traffic. Later ones in the same process may not. If you compare
+# simulations in detail, give each a process of its own, as `cosim run` does.
 
 # %%
 with Simulation({"traffic": {"duration_s": 3}}) as simulation:
