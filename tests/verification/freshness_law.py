@@ -2,48 +2,21 @@
 
 assumptions [CONFIG] [KEY=VALUE ...]: simulates a config in memory and prints each assumption of the page
 `models/freshness-law` beside what happened.
-
-points FOLDER STUDY...: for each study in `tests/verification/law`, the predictions that were written before its
-simulation beside the study that `cosim sweep` left in FOLDER/sweep-STUDY: by point, how many are within the bounds, and
-how many intervals hold what was simulated, up to 1 %.
-
-errors OUT FOLDER STUDY...: draws the errors of these points by the number of evaluators.
-
-picture OUT RUN PREDICTIONS FOLDER STUDY...: draws the points, and the ages that a run measured beside those that
-`cosim predict freshness --out PREDICTIONS` predicted for its config.
 """
 
-import json
 import sys
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from cosim import Simulation
-from cosim.addons.law import figure as law
-from cosim.addons.law.comparison import measured_by
 from cosim.addons.law.delivery import Delivery, Load
 from cosim.addons.law.opportunities import Sensing, chances
-from cosim.addons.law.prediction import METRICS
 from cosim.config.config import Config, load
 from cosim.messages.content import cpm_bytes, evaluation_bytes
 from cosim.radio.message_round import RoundKind
-from results.figures import style
-from results.study import open_study
 from sensors.line_of_sight import LosOfPlaces
-
-LAW = Path(__file__).parent / "law"
-OTHERS = {
-    "evaluated": "freshness.lookup_state.share:evaluated",
-    "no_value": "freshness.lookup_state.share:no value",
-    "evaluators": "freshness.evaluators.mean",
-    "without": "freshness.encounters_without_trust.share",
-}
-"""Further metrics of a point, by the name of their column."""
-MEDIAN, P90 = (f"freshness.newest_evaluation_age.{name}" for name in ("median_s", "p90_s"))
 
 
 def assumptions(config: Config) -> pd.DataFrame:
@@ -121,106 +94,11 @@ def assumptions(config: Config) -> pd.DataFrame:
     return pd.DataFrame(rows).sort_values("what")
 
 
-def points(folder: Path, names: list[str]) -> Iterator[dict]:
-    """Errors by point, for studies whose predictions are in `LAW`."""
-    for name in names:
-        kept = json.loads((LAW / f"{name}.json").read_text())
-        measures = open_study(folder / f"sweep-{name}").measures
-        for p in kept["predictions"]:
-            rows = np.logical_and.reduce([measures[key] == value for key, value in p["keys"].items()])
-            got = measured_by(measures[rows])
-            if MEDIAN not in got:
-                continue
-            row = {"study": name, **p["keys"]}
-            for label, metric in (("median", MEDIAN), ("p90", P90)):
-                row |= {
-                    label: p["metrics"][metric],
-                    f"{label}_sim": got[metric],
-                    f"{label}_closed": p["closed_form"][metric],
-                }
-            row["within"] = (
-                abs(row["median"] / row["median_sim"] - 1) <= 0.1 and abs(row["p90"] / row["p90_sim"] - 1) <= 0.2
-            )
-            for label, metric in OTHERS.items():
-                row |= {label: p["metrics"][metric], f"{label}_sim": got.get(metric, np.nan)}
-            held = {
-                m: p["low"][m] * 0.99 <= got[m] <= p["high"][m] * 1.01 for m in METRICS if m in p["low"] and m in got
-            }
-            yield row | {f"held {metric}": is_held for metric, is_held in held.items()}
-
-
-@style.styled
-def errors_picture(studies: Sequence[tuple[str, pd.DataFrame]]) -> Figure:
-    """Errors of the law by the number of evaluators behind a value.
-
-    Parameters
-    ----------
-    studies
-        Name and points: evaluators_sim, and each of median, p90 and no_value as predicted and with `_sim`.
-    """
-    figure, panels = style.sheet(3, 2.0)
-    for axes, column, title, within in (
-        (panels[0], "median", "Median age", 0.1),
-        (panels[1], "p90", "90th percentile of the age", 0.2),
-        (panels[2], "no_value", "Lookups without a value", None),
-    ):
-        for i, (name, part) in enumerate(studies):
-            predicted, simulated = part[column], part[f"{column}_sim"]
-            error = 100 * (predicted - simulated if within is None else predicted / simulated - 1)
-            axes.plot(part.evaluators_sim, error, linestyle="none", marker=style.marker(i), color=style.ink(i),
-                      markerfacecolor="none", label=name)  # fmt: skip
-        for bound in (0.0,) if within is None else (-within, 0.0, within):
-            axes.axhline(100 * bound, color=style.PALE, linewidth=0.9, linestyle=style.dash(1) if bound else "-")
-        axes.set_xscale("log")
-        unit = "points of per cent" if within is None else "%"
-        style.panel(axes, title, "Evaluators behind a value", f"Law minus simulation [{unit}]")
-    style.legend(figure, panels[0].get_legend_handles_labels()[0])
-    return figure
-
-
-def picture(out: Path, run: Path, predictions: Path, folder: Path, names: list[str]) -> None:
-    """Draw distributions of a run and points of studies, law and simulation over each other."""
-    kept = json.loads(predictions.read_text())["predictions"]
-    names_of = {one["variant"]: f"server period {one['server_period_s']:g} s" for one in kept}
-    curves = []
-    for one in kept:
-        ages = one["newest_evaluation_age"]
-        curves.append(law.Curve(names_of[one["variant"]], np.array(ages["age_s"]), np.array(ages["share"])))
-    simulated = [curve._replace(name=names_of[curve.name]) for curve in law.measured(run, list(names_of))]
-    frame = pd.DataFrame(points(folder, names))
-    groups = [
-        law.Points(name, part[["median", "p90"]].to_numpy(), part[["median_sim", "p90_sim"]].to_numpy())
-        for name, part in frame.groupby("study", sort=False)
-    ]
-    style.save(law.draw(curves, simulated, groups), out)
-
-
 def main(words: list[str]) -> None:
     """As the module says."""
     pd.set_option("display.width", 250, "display.max_columns", 40, "display.max_rows", 500)
-    if words[0] == "assumptions":
-        path = Path(words[1]) if len(words) > 1 and "=" not in words[1] else None
-        print(assumptions(load(path, [word for word in words[1:] if "=" in word])).to_string(index=False))
-        return
-    if words[0] == "errors":
-        frame = pd.DataFrame(points(Path(words[2]), words[3:]))
-        style.save(errors_picture([(name, part) for name, part in frame.groupby("study", sort=False)]), Path(words[1]))
-        return
-    if words[0] == "picture":
-        picture(*(Path(word) for word in words[1:5]), words[5:])
-        return
-    frame = pd.DataFrame(points(Path(words[1]), words[2:]))
-    print(frame[[column for column in frame if not column.startswith("held ")]].round(3).to_string(index=False))
-    for name, part in frame.groupby("study", sort=False):
-        errors = [(part[x] / part[f"{x}_sim"] - 1).abs().mean() for x in ("median", "p90", "evaluators")]
-        errors += [(part[x] - part[f"{x}_sim"]).abs().mean() for x in ("no_value", "without")]
-        print(
-            f"{name}: {part.within.sum()} of {len(part)} points within 10 % (median) and 20 % (90th percentile). Mean"
-        )
-        print("  errors of median, p90, evaluators, no value, encounters: " + ", ".join(f"{e:.3f}" for e in errors))
-        for metric in [column for column in part if column.startswith("held ")]:
-            print(f"  interval of {metric[5:]}: {part[metric].sum():g} of {part[metric].count()}")
-    print(f"all: {frame.within.sum()} of {len(frame)}")
+    path = Path(words[1]) if len(words) > 1 and "=" not in words[1] else None
+    print(assumptions(load(path, [word for word in words[1:] if "=" in word])).to_string(index=False))
 
 
 if __name__ == "__main__":

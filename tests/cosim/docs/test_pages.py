@@ -33,6 +33,17 @@ def test_every_page_is_in_the_navigation():
     assert sorted(re.findall(r": ([\w/-]+\.md)$", nav, flags=re.MULTILINE)) == sorted(PAGES)
 
 
+MAX_WORDS = 25_000
+"""Words of the handbook outside of its blocks. It only falls: who adds a page cuts another one."""
+
+
+def test_the_handbook_keeps_its_words():
+    """All pages but those that are generated and the READMEs of the packages."""
+    own = {path.relative_to(fences.PAGES).with_suffix(".md").as_posix() for path in fences.PAGES.rglob("*.[mp][dy]")}
+    n_words = {page: len(re.sub(r"^```.*?^```$", "", PAGES[page], flags=re.S | re.M).split()) for page in own}
+    assert sum(n_words.values()) <= MAX_WORDS, sorted(n_words.items(), key=lambda item: -item[1])
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_links_lead_to_pages(page):
     for label, target in re.findall(
