@@ -11,6 +11,7 @@ import pytest
 import typer
 from rich.text import Text
 
+from cosim.addons.tryout import templates
 from cosim.cli.main import RENAMED, app
 from cosim.config.config import Config, load
 from cosim.docs import config_keys, site
@@ -201,6 +202,10 @@ def test_files_and_configs_are_accepted(source, tmp_path, monkeypatch):
             Path(block.title).write_text(block.text)
         if block.language == "python":
             assert compile(block.text, block.title or source, "exec").co_names, block.text
+    for line in fences.commands(SOURCES[source].read_text(encoding="utf-8")):
+        if line.startswith("cosim new "):
+            kind, path = line.split()[2:]
+            Path(path).write_text((Path(templates.__file__).parent / f"{kind}.py").read_text(encoding="utf-8"))
     for number, block in enumerate(found):
         if block.language == "toml" and not block.excuse:
             path = Path(block.title or f"{number}.toml")
