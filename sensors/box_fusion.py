@@ -295,9 +295,9 @@ def _of_ego(e, table, lists, align, box, variance):
     n_slots = _number(owner, table, ego, vehicle, messages, align)
     _prepare(first, owner, table, lists, ego, align)
     errors = np.zeros(3 * n_slots)
-    system = np.zeros((len(errors), len(errors)))
+    system, pull = np.zeros((len(errors), len(errors))), np.empty((n, 6))
     for solution in range(_N_SOLUTIONS):
-        _assemble(table, ego, messages, n_slots, align, system, errors)
+        _assemble(table, ego, messages, n_slots, align, pull, system, errors)
         _factorise(system)
         _solve(system, errors)
         if solution < _N_SOLUTIONS - 1:
@@ -492,8 +492,8 @@ def _without_error(k, ego, errors):
 
 
 @kernel
-def _assemble(table, ego, messages, n_slots, align, system, right):
-    """Normal equations of the pose errors, after the objects are eliminated."""
+def _assemble(table, ego, messages, n_slots, align, pull, system, right):
+    """Normal equations of the pose errors, after the objects are eliminated; the upper triangle is filled."""
     system[:] = 0.0
     given, info = ego.given, ego.info
     for k in range(len(ego.row)):
@@ -509,12 +509,12 @@ def _assemble(table, ego, messages, n_slots, align, system, right):
     for g in range(len(ego.begin) - 1):
         begin, end = ego.begin[g], ego.begin[g + 1]
         if end - begin > 1:
-            _add_group(begin, end, ego, system, right)
+            _add_group(begin, end, ego, pull, system, right)
 
 
 @kernel
-def _add_group(begin, end, ego, system, right):
-    """Add a group to the normal equations."""
+def _add_group(begin, end, ego, pull, system, right):
+    """Add a group to the normal equations, of which the upper triangle is filled. `pull` is room."""
     info = ego.info
     xx, xy, yy = _sum_of_group(begin, end, info)
     x = y = 0.0
@@ -524,6 +524,8 @@ def _add_group(begin, end, ego, system, right):
         u, v = _times(a, b, c, u, v)
         x += u
         y += v
+        for i in range(3):
+            pull[k, i], pull[k, 3 + i] = _pull(i, k, info, ego)
     x, y = _times(xx, xy, yy, x, y)
     for k in range(begin, end):
         s = 3 * ego.slot[k]
@@ -533,21 +535,17 @@ def _add_group(begin, end, ego, system, right):
         v = ego.y[k] - y
         left, up = ego.left[k], ego.up[k]
         for c in range(3):
-            a, b = _pull(c, k, info, ego)
+            a, b = pull[k, c], pull[k, 3 + c]
             right[s + c] += a * u + b * v
-            system[s + c, s] += a
-            system[s + c, s + 1] += b
-            turned = b * left - a * up
-            system[s + c, s + 2] += turned
+            system[s, s + c] += a
+            system[s + 1, s + c] += b
+            system[s + 2, s + c] += b * left - a * up
             a, b = _times(xx, xy, yy, a, b)
             for j in range(begin, end):
                 t = 3 * ego.slot[j]
-                if t < 0:
-                    continue
-                for i in range(3):
-                    p, q = _pull(i, j, info, ego)
-                    product = a * p + b * q
-                    system[s + c, t + i] -= product
+                if 0 <= t <= s:
+                    for i in range(3):
+                        system[t + i, s + c] -= a * pull[j, i] + b * pull[j, 3 + i]
 
 
 @kernel
@@ -569,41 +567,64 @@ def _reweigh(ego, errors):
                 ego.weight[k] = 1.0 / (1.0 + square / _TAIL)
 
 
+@inlined
+def _subtract(a, b, factor):
+    """Subtract a multiple of one row from another one."""
+    for i in range(np.uint64(len(a))):
+        a[i] -= factor * b[i]
+
+
 @kernel
 def _factorise(a):
-    """Replace the lower triangle of a positive definite matrix by its Cholesky factor."""
-    for j in range(len(a)):
-        for i in range(j, len(a)):
-            x = a[i, j]
-            for k in range(j):
-                x -= a[i, k] * a[j, k]
-            if i > j:
-                a[i, j] = x / a[j, j]
-            else:
-                a[i, j] = np.sqrt(x)
+    """Replace the upper triangle of a positive definite matrix by its Cholesky factor."""
+    n = len(a)
+    for j in range(n):
+        for k in range(j):
+            if a[k, j] != 0.0:
+                _subtract(a[j, j:], a[k, j:], a[k, j])
+        root = np.sqrt(a[j, j])
+        a[j, j] = root
+        for i in range(j + 1, n):
+            a[j, i] /= root
 
 
 @kernel
 def _solve(factor, x):
     """Replace the right side by the solution."""
     n = len(factor)
-    for i in range(n):
-        for k in range(i):
-            x[i] -= factor[i, k] * x[k]
-        x[i] /= factor[i, i]
+    for k in range(n):
+        x[k] /= factor[k, k]
+        for i in range(k + 1, n):
+            x[i] -= factor[k, i] * x[k]
     for i in range(n - 1, -1, -1):
         for k in range(i + 1, n):
-            x[i] -= factor[k, i] * x[k]
+            x[i] -= factor[i, k] * x[k]
         x[i] /= factor[i, i]
 
 
 @kernel
 def _invert(factor, inverse):
-    """Inverse of the matrix of a Cholesky factor."""
+    """Inverse of the matrix of a Cholesky factor: column j solves for unit vector j, all columns at once."""
+    n = len(factor)
     inverse[:] = 0.0
-    for j in range(len(factor)):
-        inverse[j, j] = 1.0
-        _solve(factor, inverse[j])
+    for i in range(n):
+        inverse[i, i] = 1.0
+        for k in range(i):
+            if factor[k, i] != 0.0:
+                _subtract(inverse[i, : k + 1], inverse[k, : k + 1], factor[k, i])
+        _divide(inverse[i, : i + 1], factor[i, i])
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            if factor[i, k] != 0.0:
+                _subtract(inverse[i], inverse[k], factor[i, k])
+        _divide(inverse[i], factor[i, i])
+
+
+@inlined
+def _divide(a, by):
+    """Divide a row."""
+    for i in range(np.uint64(len(a))):
+        a[i] /= by
 
 
 @kernel
@@ -655,7 +676,7 @@ def _spread(begin, end, ego, slope, covariance):
                 a = slope[0, s + c]
                 b = slope[1, s + c]
                 for i in range(3):
-                    value = covariance[s + c, t + i]
+                    value = covariance[t + i, s + c]
                     xx += a * value * slope[0, t + i]
                     xy += a * value * slope[1, t + i]
                     yy += b * value * slope[1, t + i]
