@@ -149,6 +149,7 @@ def fuse_boxes(
     table = _Table(
         boxes.xyz_m,
         boxes.lwh_m,
+        _logarithms(boxes.lwh_m),
         boxes.yaw_rad,
         np.ascontiguousarray(views.label),
         np.ascontiguousarray(views.message, np.int64),
@@ -202,6 +203,7 @@ class _Table(NamedTuple):
 
     xyz: ndarray
     lwh: ndarray
+    log_lwh: ndarray
     yaw: ndarray
     label: ndarray
     message: ndarray
@@ -247,6 +249,8 @@ class _Ego(NamedTuple):
     """Information of the position, times the first weight."""
     info: "_Information"
     """The same times both weights."""
+    listed: ndarray
+    """Room for the slots of the vehicles of a group."""
 
 
 class _Information(NamedTuple):
@@ -255,6 +259,16 @@ class _Information(NamedTuple):
     xx: ndarray
     xy: ndarray
     yy: ndarray
+
+
+@compiled
+def _logarithms(lwh):
+    """Logarithms of sizes."""
+    log_lwh = np.empty_like(lwh)
+    for d in range(len(lwh)):
+        for c in range(3):
+            log_lwh[d, c] = np.log(lwh[d, c])
+    return log_lwh
 
 
 @parallel
@@ -289,6 +303,7 @@ def _of_ego(e, table, lists, align, box, variance):
         real[5],
         _Information(real[6], real[7], real[8]),
         _Information(real[9], real[10], np.empty(n)),
+        np.empty(n + 1, np.int64),
     )
     vehicle, messages = number[2], np.empty(n + 1, np.int64)
     _sort(begin, end, first, table, lists, ego, vehicle)
@@ -540,12 +555,17 @@ def _add_group(begin, end, ego, pull, system, right):
             system[s, s + c] += a
             system[s + 1, s + c] += b
             system[s + 2, s + c] += b * left - a * up
-            a, b = _times(xx, xy, yy, a, b)
-            for j in range(begin, end):
-                t = 3 * ego.slot[j]
-                if 0 <= t <= s:
-                    for i in range(3):
-                        system[t + i, s + c] -= a * pull[j, i] + b * pull[j, 3 + i]
+        a0, b0 = _times(xx, xy, yy, pull[k, 0], pull[k, 3])
+        a1, b1 = _times(xx, xy, yy, pull[k, 1], pull[k, 4])
+        a2, b2 = _times(xx, xy, yy, pull[k, 2], pull[k, 5])
+        for j in range(begin, end):
+            t = 3 * ego.slot[j]
+            if 0 <= t <= s:
+                for i in range(3):
+                    a, b, row = pull[j, i], pull[j, 3 + i], system[t + i, s : s + 3]
+                    row[0] -= a0 * a + b0 * b
+                    row[1] -= a1 * a + b1 * b
+                    row[2] -= a2 * a + b2 * b
 
 
 @kernel
@@ -567,25 +587,28 @@ def _reweigh(ego, errors):
                 ego.weight[k] = 1.0 / (1.0 + square / _TAIL)
 
 
-@inlined
-def _subtract(a, b, factor):
-    """Subtract a multiple of one row from another one."""
-    for i in range(np.uint64(len(a))):
-        a[i] -= factor * b[i]
-
-
 @kernel
 def _factorise(a):
-    """Replace the upper triangle of a positive definite matrix by its Cholesky factor."""
+    """Replace the upper triangle of a positive definite matrix by its Cholesky factor, a vehicle at a time."""
     n = len(a)
-    for j in range(n):
-        for k in range(j):
-            if a[k, j] != 0.0:
-                _subtract(a[j, j:], a[k, j:], a[k, j])
-        root = np.sqrt(a[j, j])
-        a[j, j] = root
-        for i in range(j + 1, n):
-            a[j, i] /= root
+    for k in range(0, n, 3):
+        for j in range(k, k + 3):
+            _subtract(a[j], a, k, a[k, j] if j > k else 0.0, a[k + 1, j] if j > k + 1 else 0.0, 0.0, j, n)
+            root = np.sqrt(a[j, j])
+            for i in range(j, n):
+                a[j, i] /= root
+            a[j, j] = root
+        for j in range(k + 3, n):
+            _subtract(a[j], a, k, a[k, j], a[k + 1, j], a[k + 2, j], j, n)
+
+
+@inlined
+def _subtract(row, of, k, first, second, third, begin, end):
+    """Subtract multiples of rows k, k + 1 and k + 2 from another row, in columns `begin` to `end`."""
+    if first != 0.0 or second != 0.0 or third != 0.0:
+        a, b, c = of[k], of[k + 1], of[k + 2]
+        for i in range(np.uint64(begin), np.uint64(end)):
+            row[i] = row[i] - first * a[i] - second * b[i] - third * c[i]
 
 
 @kernel
@@ -609,22 +632,21 @@ def _invert(factor, inverse):
     inverse[:] = 0.0
     for i in range(n):
         inverse[i, i] = 1.0
-        for k in range(i):
-            if factor[k, i] != 0.0:
-                _subtract(inverse[i, : k + 1], inverse[k, : k + 1], factor[k, i])
-        _divide(inverse[i, : i + 1], factor[i, i])
+    for k in range(0, n, 3):
+        for i in range(k, k + 3):
+            first, second = factor[k, i] if i > k else 0.0, factor[k + 1, i] if i > k + 1 else 0.0
+            _subtract(inverse[i], inverse, k, first, second, 0.0, 0, i)
+            for j in range(i + 1):
+                inverse[i, j] /= factor[i, i]
+        for i in range(k + 3, n):
+            _subtract(inverse[i], inverse, k, factor[k, i], factor[k + 1, i], factor[k + 2, i], 0, k + 3)
     for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            if factor[i, k] != 0.0:
-                _subtract(inverse[i], inverse[k], factor[i, k])
-        _divide(inverse[i], factor[i, i])
-
-
-@inlined
-def _divide(a, by):
-    """Divide a row."""
-    for i in range(np.uint64(len(a))):
-        a[i] /= by
+        for k in range(i - i % 3, n, 3):
+            first = factor[i, k] if k > i else 0.0
+            second = factor[i, k + 1] if k + 1 > i else 0.0
+            _subtract(inverse[i], inverse, k, first, second, factor[i, k + 2] if k + 2 > i else 0.0, 0, n)
+        for j in range(n):
+            inverse[i, j] /= factor[i, i]
 
 
 @kernel
@@ -649,7 +671,7 @@ def _fuse_place(begin, end, seed, owner, table, ego, errors, covariance, slope, 
                 a, b = _times(xx, xy, yy, a, b)
                 slope[0, s + c] -= a
                 slope[1, s + c] -= b
-    a, b, c = _spread(begin, end, ego, slope, covariance)
+    a, b, c = _spread(_list_vehicles(begin, end, ego), ego, slope, covariance)
     variance[0] = xx + a
     variance[1] = xy + b
     variance[2] = yy + c
@@ -661,17 +683,29 @@ def _fuse_place(begin, end, seed, owner, table, ego, errors, covariance, slope, 
 
 
 @kernel
-def _spread(begin, end, ego, slope, covariance):
-    """G C G' of one group: xx, xy, yy."""
+def _list_vehicles(begin, end, ego):
+    """Slots of the vehicles of a group, each once, behind that of the receiver; returns how many there are."""
+    ego.listed[0] = 0
+    n = 1
+    for k in range(begin, end):
+        slot = ego.slot[k]
+        is_new = slot > 0
+        for j in range(1, n):
+            is_new &= ego.listed[j] != slot
+        if is_new:
+            ego.listed[n] = slot
+            n += 1
+    return n
+
+
+@kernel
+def _spread(n, ego, slope, covariance):
+    """G C G' of the first `n` listed vehicles: xx, xy, yy."""
     xx = xy = yy = 0.0
-    for k in range(begin - 1, end):
-        s = 3 * _vehicle_of(k, begin, ego)
-        if s < 0:
-            continue
-        for j in range(begin - 1, end):
-            t = 3 * _vehicle_of(j, begin, ego)
-            if t < 0:
-                continue
+    for k in range(n):
+        s = 3 * ego.listed[k]
+        for j in range(n):
+            t = 3 * ego.listed[j]
             for c in range(3):
                 a = slope[0, s + c]
                 b = slope[1, s + c]
@@ -681,21 +715,6 @@ def _spread(begin, end, ego, slope, covariance):
                     xy += a * value * slope[1, t + i]
                     yy += b * value * slope[1, t + i]
     return xx, xy, yy
-
-
-@inlined
-def _vehicle_of(k, begin, ego):
-    """Slot of a detection, once for each vehicle: -1 if an earlier detection of the group has it, too.
-
-    The row before the group stands for the receiver.
-    """
-    slot = ego.slot[k] if k >= begin else 0
-    if k >= begin and slot == 0:
-        slot = -1
-    for j in range(begin, k):
-        if ego.slot[j] == slot:
-            slot = -1
-    return slot
 
 
 @kernel
@@ -713,9 +732,9 @@ def _fuse_shape(begin, end, seed, table, ego, errors, covariance, box):
         sin += w / spread * np.sin(2.0 * angle)
         w_size = w / table.size[d]
         of_size += w_size
-        length += w_size * np.log(table.lwh[d, 0])
-        width += w_size * np.log(table.lwh[d, 1])
-        height += w_size * np.log(table.lwh[d, 2])
+        length += w_size * table.log_lwh[d, 0]
+        width += w_size * table.log_lwh[d, 1]
+        height += w_size * table.log_lwh[d, 2]
         w /= table.variance[d, 0] + table.variance[d, 2]
         of_bottom += w
         under = 0.5 * table.lwh[d, 2]
