@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from numba import prange
 from numpy import ndarray
 from scipy.special import erf, erfinv
 
-from cosim.base.kernel import compiled, inlined, kernel, parallel
+from cosim.base.kernel import compiled, inlined, kernel
+from cosim.base.threads import in_ranges
 from sensors.association import bounded
 from sensors.boxes import Boxes
 
@@ -162,7 +162,7 @@ def fuse_boxes(
     box, variance_m2 = np.empty((n_groups, 7)), np.empty((n_groups, 3))
     rows = [np.ascontiguousarray(a, np.int64) for a in (ptr, member, owner, group, seed)]
     lists = _Lists(*[*rows, np.ascontiguousarray(weight)])
-    _fuse(table, lists, align, box, variance_m2)
+    in_ranges(lambda begin, end: _fuse(begin, end, table, lists, align, box, variance_m2), len(owner))
     return FusedBoxes(boxes_of_columns(box), variance_m2)
 
 
@@ -271,12 +271,12 @@ def _logarithms(lwh):
     return log_lwh
 
 
-@parallel
-def _fuse(table, lists, align, box, variance):
-    """Fill the boxes and variances of all groups. Receivers are independent."""
-    for e in prange(len(lists.owner)):
+@compiled
+def _fuse(begin, end, table, lists, align, box, variance):
+    """Fill the boxes and variances of all groups of the receivers `begin` to `end`."""
+    for e in range(begin, end):
         if lists.ptr[e + 1] > lists.ptr[e]:
-            _of_ego(np.int64(e), table, lists, align, box, variance)
+            _of_ego(e, table, lists, align, box, variance)
 
 
 @compiled
