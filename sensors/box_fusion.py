@@ -310,7 +310,8 @@ def _of_ego(e, table, lists, align, box, variance):
     n_slots = _number(owner, table, ego, vehicle, messages, align)
     _prepare(first, owner, table, lists, ego, align)
     errors = np.zeros(3 * n_slots)
-    system, pull = np.zeros((len(errors), len(errors))), np.empty((n, 6))
+    system = np.zeros((len(errors), len(errors)))
+    pull = np.empty((n + 1, 3, 2))
     for solution in range(_N_SOLUTIONS):
         _assemble(table, ego, messages, n_slots, align, pull, system, errors)
         _factorise(system)
@@ -540,8 +541,11 @@ def _add_group(begin, end, ego, pull, system, right):
         x += u
         y += v
         for i in range(3):
-            pull[k, i], pull[k, 3 + i] = _pull(i, k, info, ego)
+            a, b = _pull(i, k, info, ego)
+            pull[k, i, 0] = a
+            pull[k, i, 1] = b
     x, y = _times(xx, xy, yy, x, y)
+    share = pull[end]
     for k in range(begin, end):
         s = 3 * ego.slot[k]
         if s < 0 or ego.weight[k] <= 0.0:
@@ -550,22 +554,26 @@ def _add_group(begin, end, ego, pull, system, right):
         v = ego.y[k] - y
         left, up = ego.left[k], ego.up[k]
         for c in range(3):
-            a, b = pull[k, c], pull[k, 3 + c]
+            a = pull[k, c, 0]
+            b = pull[k, c, 1]
             right[s + c] += a * u + b * v
             system[s, s + c] += a
             system[s + 1, s + c] += b
-            system[s + 2, s + c] += b * left - a * up
-        a0, b0 = _times(xx, xy, yy, pull[k, 0], pull[k, 3])
-        a1, b1 = _times(xx, xy, yy, pull[k, 1], pull[k, 4])
-        a2, b2 = _times(xx, xy, yy, pull[k, 2], pull[k, 5])
+            turned = b * left - a * up
+            system[s + 2, s + c] += turned
+            a, b = _times(xx, xy, yy, a, b)
+            share[c, 0] = a
+            share[c, 1] = b
         for j in range(begin, end):
             t = 3 * ego.slot[j]
             if 0 <= t <= s:
                 for i in range(3):
-                    a, b, row = pull[j, i], pull[j, 3 + i], system[t + i, s : s + 3]
-                    row[0] -= a0 * a + b0 * b
-                    row[1] -= a1 * a + b1 * b
-                    row[2] -= a2 * a + b2 * b
+                    a = pull[j, i, 0]
+                    b = pull[j, i, 1]
+                    row = system[t + i]
+                    for c in range(3):
+                        p, q = share[c, 0], share[c, 1]
+                        row[s + c] -= p * a + q * b
 
 
 @kernel
@@ -592,23 +600,32 @@ def _factorise(a):
     """Replace the upper triangle of a positive definite matrix by its Cholesky factor, a vehicle at a time."""
     n = len(a)
     for k in range(0, n, 3):
-        for j in range(k, k + 3):
-            _subtract(a[j], a, k, a[k, j] if j > k else 0.0, a[k + 1, j] if j > k + 1 else 0.0, 0.0, j, n)
-            root = np.sqrt(a[j, j])
-            for i in range(j, n):
-                a[j, i] /= root
-            a[j, j] = root
-        for j in range(k + 3, n):
-            _subtract(a[j], a, k, a[k, j], a[k + 1, j], a[k + 2, j], j, n)
+        for j in range(k, n):
+            factors = a[k : k + 3, j]
+            _subtract(a[j], a, k, factors, 0, j - k, j, n)
+            if j < k + 3:
+                root = np.sqrt(a[j, j])
+                for i in range(j, n):
+                    a[j, i] /= root
+                a[j, j] = root
 
 
 @inlined
-def _subtract(row, of, k, first, second, third, begin, end):
-    """Subtract multiples of rows k, k + 1 and k + 2 from another row, in columns `begin` to `end`."""
+def _subtract(row, of, k, factors, low, high, begin, end):
+    """Subtract multiples of rows k, k + 1 and k + 2 from another row, in columns `begin` to `end`.
+
+    Of these rows, those from `low` to `high` count.
+    """
+    first = factors[0] if low < 1 <= high else 0.0
+    second = factors[1] if low < 2 <= high else 0.0
+    third = factors[2] if low < 3 <= high else 0.0
     if first != 0.0 or second != 0.0 or third != 0.0:
-        a, b, c = of[k], of[k + 1], of[k + 2]
+        a, b = of[k], of[k + 1]
+        c = of[k + 2]
         for i in range(np.uint64(begin), np.uint64(end)):
-            row[i] = row[i] - first * a[i] - second * b[i] - third * c[i]
+            value = row[i] - first * a[i]
+            value -= second * b[i]
+            row[i] = value - third * c[i]
 
 
 @kernel
@@ -633,18 +650,16 @@ def _invert(factor, inverse):
     for i in range(n):
         inverse[i, i] = 1.0
     for k in range(0, n, 3):
-        for i in range(k, k + 3):
-            first, second = factor[k, i] if i > k else 0.0, factor[k + 1, i] if i > k + 1 else 0.0
-            _subtract(inverse[i], inverse, k, first, second, 0.0, 0, i)
-            for j in range(i + 1):
-                inverse[i, j] /= factor[i, i]
-        for i in range(k + 3, n):
-            _subtract(inverse[i], inverse, k, factor[k, i], factor[k + 1, i], factor[k + 2, i], 0, k + 3)
+        for i in range(k, n):
+            factors = factor[k : k + 3, i]
+            _subtract(inverse[i], inverse, k, factors, 0, i - k, 0, k + 3)
+            if i < k + 3:
+                for j in range(i + 1):
+                    inverse[i, j] /= factor[i, i]
     for i in range(n - 1, -1, -1):
         for k in range(i - i % 3, n, 3):
-            first = factor[i, k] if k > i else 0.0
-            second = factor[i, k + 1] if k + 1 > i else 0.0
-            _subtract(inverse[i], inverse, k, first, second, factor[i, k + 2] if k + 2 > i else 0.0, 0, n)
+            factors = factor[i, k : k + 3]
+            _subtract(inverse[i], inverse, k, factors, i + 1 - k, 3, 0, n)
         for j in range(n):
             inverse[i, j] /= factor[i, i]
 
