@@ -268,6 +268,37 @@ class Run:
                 self._in_bounds(path, rows)
                 yield number, {c: part_reader.plain(rows.column(c), labels[c]) for c in columns}
 
+    def sql(self, query: str, **values: Any) -> pd.DataFrame:
+        """Ask the tables a question in SQL: `run.sql("SELECT role, count(*) AS n FROM vehicles GROUP BY role")`.
+
+        Parameters
+        ----------
+        query
+            One SELECT, as DuckDB understands it. Only whole blocks of the run are seen.
+        values
+            Values of `$name` in the query. `$dt_s`, `$steps` and `$variant`, the run's own, need not be given.
+
+        Raises
+        ------
+        ValueError
+            In one line, if the query is wrong.
+        """
+        from results import sql  # here, because DuckDB takes its time
+
+        return sql.answer(self, query, values)
+
+    def files(self, name: str) -> list[Path]:
+        """Part files of a table, after their checksums were verified."""
+        self.require(name)
+        paths = self._paths(name)
+        for path in paths:
+            self._check(path)
+        return paths
+
+    def folders(self) -> list[str]:
+        """Folders of the part files."""
+        return [str(folder.resolve()) for folder in (self.path, *([self._held.path] if self._held else []))]
+
     def _of_variant(self, name: str, where: pc.Expression | None) -> tuple[pc.Expression | None, virtual_columns.Read]:
         """Which rows are the variant's, and how parts are read."""
         if len(self.variants) == 1 or name not in TABLES or "variant" not in TABLES[name].columns:

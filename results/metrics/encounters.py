@@ -81,7 +81,7 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     The columns of `DEFINITION`; n; n_start_unseen, n_end_unseen and their shares censored_left, censored_right; mean_s,
     median_s of the durations as recorded; km_median_s (Kaplan-Meier, null if the survival curve stays above one half)
     and km_mean_s, restricted to the longest duration observed, `horizon_s`; again_share: share that are not the first
-    of their pair; gap_median_s: time since the encounter before.
+    of their pair; gap_median_s: time since the encounter before; definition: its name.
 
     mean_s and the three shares have intervals in which encounters that share an actor depend on each other
     (`intervals.mean_of_pairs`). The interval of km_median_s takes encounters as independent.
@@ -110,11 +110,12 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
                 "gap_median_s": float(again.median()) if len(again) else np.nan,
             }
         )
-    return pd.DataFrame(rows)
+    found = pd.DataFrame(rows)
+    return found.assign(definition=named(found))
 
 
 def rates(run: Run) -> pd.DataFrame:
-    """How often a vehicle meets another one: the columns of `DEFINITION`, and per_vehicle_h [1/h].
+    """How often a vehicle meets another: the columns of `DEFINITION`, per_vehicle_h [1/h], and its name, definition.
 
     Encounters that begin while the run is recorded count, for both of their vehicles. They are divided by the time that
     the vehicles which can have one are on the road: equipped vehicles, or all where all pairs count.
@@ -133,7 +134,8 @@ def rates(run: Run) -> pd.DataFrame:
         time_h = float(on_road_h[counted].sum())
         rate = 2 * int(of.start_seen.sum()) / time_h if time_h else math.nan
         rows.append(definition | {"per_vehicle_h": rate})
-    return pd.DataFrame(rows)
+    found = pd.DataFrame(rows)
+    return found.assign(definition=named(found))
 
 
 def _mean(frame: pd.DataFrame, values: pd.Series, name: str) -> dict[str, float]:

@@ -11,7 +11,7 @@ import pandas as pd
 
 from cosim.base.codes import LookupState, labels
 from results.metrics import lookups, trust
-from results.metrics.encounters import DEFINITION
+from results.metrics.encounters import DEFINITION, named
 from results.metrics.intervals import plain_columns, ratio, share, without_interval
 from results.metrics.lookups import AGES, FRESH_S, NO_LOOKUPS, role_codes
 from results.run import Run
@@ -228,7 +228,7 @@ def without_trust(run: Run) -> pd.DataFrame:
     -------
     The columns of `encounters.DEFINITION`; n (both directions of every encounter), n_without, share, low, high (by the
     vehicle that would have the value), n_units; and wait_median_s: time from the start to the first such value, of
-    those that had none at the start.
+    those that had none at the start; definition: its name.
     """
     frame = run.variant_table("encounters", ["trusted_after_ab_s", "trusted_after_ba_s"])
     after_ab_s, after_ba_s = frame.trusted_after_ab_s.to_numpy(), frame.trusted_after_ba_s.to_numpy()
@@ -244,7 +244,8 @@ def without_trust(run: Run) -> pd.DataFrame:
             "wait_median_s": float(np.median(waited_s)) if len(waited_s) else np.nan,
         })  # fmt: skip
     columns = [*DEFINITION, "n", "n_without", "share", "low", "high", "n_units"]
-    return pd.DataFrame(rows, columns=[*columns, "wait_median_s"])
+    found = pd.DataFrame(rows, columns=[*columns, "wait_median_s"])
+    return found.assign(definition=named(found))
 
 
 def _of_equipped(run: Run) -> list[tuple[tuple, np.ndarray, np.ndarray]]:

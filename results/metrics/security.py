@@ -11,8 +11,9 @@ import math
 import numpy as np
 import pandas as pd
 
+from cosim.base.codes import BASE_VARIANT
 from results.metrics import intervals
-from results.metrics.misbehaviour import scored_vehicles
+from results.metrics.misbehaviour import scored_vehicles, summary_of
 from results.metrics.trust import HONEST, watched
 from results.run import Run
 
@@ -99,6 +100,13 @@ def exclusion_delay(run: Run) -> pd.DataFrame:
     found = who.refused.notna()
     delay_s = (who.refused.where(found, who.until).astype(float) - who.since).clip(lower=0) * run.dt_s
     return pd.DataFrame({"role": who.role, "delay_s": delay_s, "found": found}).rename_axis("subject").reset_index()
+
+
+def exclusion_times(run: Run) -> pd.DataFrame:
+    """The delays of `exclusion_delay` by role, as `misbehaviour.summary_of`; no rows where nothing is revoked."""
+    if run.variant != BASE_VARIANT or run.config.get("pseudonyms", {}).get("revocation", "none") == "none":
+        return pd.DataFrame()
+    return summary_of(exclusion_delay(run))
 
 
 def rates(tp: float, fp: float, fn: float, tn: float) -> dict[str, float]:
