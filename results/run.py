@@ -274,7 +274,8 @@ class Run:
         Parameters
         ----------
         query
-            One SELECT, as DuckDB understands it. Only whole blocks of the run are seen.
+            One SELECT, as DuckDB understands it. Only whole blocks of the run are seen. Beside the tables there is
+            `subjects`: `pseudonyms` with the role and the first attack of the vehicle.
         values
             Values of `$name` in the query. `$dt_s`, `$steps` and `$variant`, the run's own, need not be given.
 

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 _MEMORY = "1GB"
 """Beyond it, joins go to files in the temporary folder of the system."""
 
+_SUBJECTS = """
+SELECT p.*, v.role, v.attack_start_step FROM pseudonyms p JOIN vehicles v USING (vehicle) WHERE v.role IS NOT NULL
+"""
+"""The same as `Run.subjects`."""
+
 
 def answer(run: "Run", query: str, values: dict[str, Any]) -> pd.DataFrame:
     """As `Run.sql`."""
@@ -29,9 +34,11 @@ def answer(run: "Run", query: str, values: dict[str, Any]) -> pd.DataFrame:
     try:
         if [one.type for one in connection.extract_statements(query)] != [duckdb.StatementType.SELECT]:
             raise ValueError(f"{' '.join(query.split())!r} is no single SELECT: tables can be read alone.")
-        for name in asked:
+        for name in (*asked, *(("vehicles", "pseudonyms") if "subjects" in words else ())):
             if name in run.tables:
                 _show(connection, run, name, query)
+        if "subjects" in words:
+            connection.execute(f"CREATE OR REPLACE TEMP VIEW subjects AS {_SUBJECTS}")
         named = {name: value for name, value in known.items() if f"${name}" in query}
         return connection.execute(query, named or None).df()
     except duckdb.CatalogException as error:

@@ -116,10 +116,8 @@ _GROUPS = " UNION ALL ".join(
     )
 )
 _QUERY = f"""
-WITH who AS (
-    SELECT pseudonym, vehicle, role FROM pseudonyms JOIN vehicles USING (vehicle) WHERE role IS NOT NULL
-), said AS (
-    SELECT e.*, vehicle FROM evaluations e JOIN who ON who.pseudonym = e.evaluator AND who.role = '{HONEST}'
+WITH said AS (
+    SELECT e.*, vehicle FROM evaluations e JOIN subjects by ON by.pseudonym = e.evaluator AND by.role = '{HONEST}'
     WHERE e.visibility > 0 AND NOT e.lied AND e.kind = 'detection' AND e.step % $every = 0
         AND e.step BETWEEN $first AND $last
 ), made AS (
@@ -135,7 +133,7 @@ WITH who AS (
     FROM said s
     JOIN made d ON d.step = s.detection_step AND d.observer = s.observer AND d.detection_index = s.detection_index
     JOIN actors a ON a.step = s.step AND a.actor = s.vehicle
-    LEFT JOIN who of ON of.pseudonym = s.observer
+    LEFT JOIN subjects of ON of.pseudonym = s.observer
     LEFT JOIN (SELECT DISTINCT step, observer, truth_actor FROM made WHERE origin = 'sensed') own
         ON own.step = s.step AND own.observer = s.evaluator AND own.truth_actor = d.truth_actor
     WHERE d.transmitted AND (NOT d.lied OR d.origin = 'fabricated')
