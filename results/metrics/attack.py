@@ -5,13 +5,13 @@ the message with it (or without it). Lists of attackers are apart. Definitions a
 `results/FRESHNESS.md`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from results.metrics.intervals import ClusteredEstimate, plain_columns, ratio, share
+from results.metrics.intervals import by_group, ratio
 from results.run import Run
 from results.sensing import interval_steps
 
@@ -46,7 +46,7 @@ def success(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
     intended: those at which the attack aims), threshold, n (pairs: the denominator), share, low, high (95 %, clustered
     by attacker), n_units (attackers).
     """
-    return _by(_success(run, thresholds), ["effect", "role", "receivers", "among", "threshold"])
+    return by_group(_success(run, thresholds), ["effect", "role", "receivers", "among", "threshold"])
 
 
 def curve(run: Run, n_thresholds: int = 51) -> pd.DataFrame:
@@ -84,7 +84,7 @@ def per_lie(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
         SELECT role, threshold, attacker, count(*) AS bottom, count_if(coalesce(best >= threshold, false)) AS top
         FROM lies, (SELECT unnest($thresholds) AS threshold) GROUP BY ALL ORDER BY role, threshold, attacker
     """, thresholds=list(thresholds))  # fmt: skip
-    return _by(lies, ["role", "threshold"])
+    return by_group(lies, ["role", "threshold"])
 
 
 def believed_duration(run: Run, threshold: float = 0.5) -> pd.DataFrame:
@@ -104,7 +104,7 @@ def believed_duration(run: Run, threshold: float = 0.5) -> pd.DataFrame:
     steps["begins"] = steps.groupby(same, sort=False).step.diff().isna() | (steps.step.diff() > every)
     steps["held_s"] = every * run.dt_s
     of_attacker = steps.groupby(same[:3], sort=False).agg(bottom=("begins", "sum"), top=("held_s", "sum"))
-    return _by(of_attacker.reset_index(), ["role", "among"], ratio, "mean_s")
+    return by_group(of_attacker.reset_index(), ["role", "among"], ratio, "mean_s")
 
 
 def false_in_path(run: Run, threshold: float = 0.5) -> pd.DataFrame:
@@ -126,7 +126,7 @@ def false_in_path(run: Run, threshold: float = 0.5) -> pd.DataFrame:
         FROM seconds GROUP BY ALL ORDER BY among DESC, receiver
     """, threshold=threshold)  # fmt: skip
     total = seconds.groupby("among", sort=False)[["boxes", "bottom"]].sum()
-    found = _by(seconds, ["among"])
+    found = by_group(seconds, ["among"])
     return found.assign(boxes_mean=(total.boxes / total.bottom).to_numpy())
 
 
@@ -145,7 +145,7 @@ def damage(run: Run, threshold: float = 0.5) -> pd.DataFrame:
     """, threshold=threshold)  # fmt: skip
     pairs["top"] = pairs.n * interval_steps(run, pairs.receiver.to_numpy(np.int64)) * run.dt_s
     of_attacker = pairs.groupby(["role", "among", "attacker"], sort=False).top.sum().reset_index().assign(bottom=1)
-    found = _by(of_attacker, ["role", "among"], ratio, "per_attacker_s")
+    found = by_group(of_attacker, ["role", "among"], ratio, "per_attacker_s")
     return found.assign(total_s=found.per_attacker_s * found.n)
 
 
@@ -157,22 +157,3 @@ def _asked(run: Run, query: str, **values: Any) -> pd.DataFrame:
         fused = "Give the variant fused = true" if run.variant != "base" and run.n_rows("attack_outcomes") else more
         raise ValueError(f"{run.path} holds no attack that reached another vehicle. {fused} and run again.")
     return found
-
-
-def _by(
-    frame: pd.DataFrame, by: list[str], estimate: Callable[..., ClusteredEstimate] = share, name: str = "share"
-) -> pd.DataFrame:
-    """An estimate for each group of units: the columns `by`, n (sum of bottom), and those of `plain_columns`.
-
-    Parameters
-    ----------
-    frame
-        A row per unit: the columns `by`, and what the estimate sums up, top and bottom.
-    """
-    rows = [
-        dict(zip(by, key, strict=True))
-        | {"n": int(one.bottom.sum())}
-        | plain_columns(estimate(one.top.to_numpy(float), one.bottom.to_numpy(float)), name)
-        for key, one in frame.groupby(by, sort=False)
-    ]
-    return pd.DataFrame(rows, columns=[*by, "n", name, "low", "high", "n_units"])

@@ -9,9 +9,8 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
-import pyarrow.compute as pc
 
-from results.metrics.intervals import columns, share
+from results.metrics.intervals import by_group, columns, share
 from results.metrics.trust import HONEST
 from results.run import Run
 
@@ -57,23 +56,17 @@ def boxes_of_no_actor(run: Run) -> pd.DataFrame:
 
     Returns
     -------
-    class ("all" first), n, share, with its interval clustered by sender.
+    class (or "all"), n, share, with its interval clustered by sender.
     """
-    run.require("detections")
-    names = ["step", "observer", "class", "truth_actor"]
-    sent = (pc.field("origin") == "sensed") & pc.field("transmitted") & ~pc.field("lied")
-    frame = run.table("detections", names, sent)
-    frame = frame[frame.observer.map(run.subjects.role) == HONEST]
-    if frame.empty:
+    found = run.sql(f"""
+        SELECT coalesce(class, 'all') AS class, observer, count_if(truth_actor IS NULL) AS top, count(*) AS bottom
+        FROM detections JOIN subjects ON pseudonym = observer AND role = '{HONEST}'
+        WHERE origin = 'sensed' AND transmitted AND NOT lied
+        GROUP BY GROUPING SETS ((observer), (class, observer)) ORDER BY ALL
+    """)
+    if found.empty:
         raise ValueError(f"{run.path} holds no detections of honest vehicles. Equip vehicles, or set sensing = true.")
-    rows = []
-    for label in ("all", *frame["class"].cat.categories):
-        some = frame if label == "all" else frame[frame["class"] == label]
-        if len(some):
-            of = some.truth_actor.isna().groupby(some.observer).agg(["sum", "size"])
-            found = share(of["sum"].to_numpy(float), of["size"].to_numpy(float))
-            rows.append({"class": label, "n": len(some)} | columns(found, "share"))
-    return pd.DataFrame(rows)
+    return by_group(found, ["class"])
 
 
 def named_rates(run: Run) -> pd.DataFrame:
@@ -89,14 +82,28 @@ def named_rates(run: Run) -> pd.DataFrame:
 
 def _counts(run: Run) -> pd.DataFrame:
     """by, kind, value, vehicle (that evaluates), n, denied, confirmed, missed."""
-    run.require("evaluations", "detections", "actors")
-    every = max(1, -(-run.n_rows("evaluations") // _MOST_ROWS))
-    spans = [(part.first_step, part.last_step) for part in run.inventory.of("evaluations")]
-    parts = [run.sql(_QUERY, every=every, first=first, last=last) for first, last in spans]
-    whole = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+    run.require("actors")
+    whole = of_blocks(run, _QUERY)
     if whole.empty:
         raise ValueError(f"{run.path} holds no evaluations by honest vehicles. Raise radio.range_m, or equip vehicles.")
     return whole.groupby(["by", "kind", "value", "vehicle"], as_index=False).sum()
+
+
+def of_blocks(run: Run, query: str) -> pd.DataFrame:
+    """What SQL answers about evaluations, block by block.
+
+    Parameters
+    ----------
+    query
+        Asks for the evaluations of the steps from `$first` to `$last`. It may count one in `$every` of something, so
+        that not many more count than suffice.
+    """
+    run.require("evaluations", "detections")
+    every = max(1, -(-run.n_rows("evaluations") // _MOST_ROWS))
+    parts = run.inventory.of("evaluations")
+    return pd.concat(
+        [run.sql(query, every=every, first=part.first_step, last=part.last_step) for part in parts], ignore_index=True
+    )
 
 
 def _bins(value: str, edges: tuple[float, ...], unit: str) -> str:
@@ -117,7 +124,7 @@ _GROUPS = " UNION ALL ".join(
 )
 _QUERY = f"""
 WITH said AS (
-    SELECT e.*, vehicle FROM evaluations e JOIN subjects by ON by.pseudonym = e.evaluator AND by.role = '{HONEST}'
+    SELECT e.*, vehicle FROM evaluations e JOIN subjects s ON s.pseudonym = e.evaluator AND s.role = '{HONEST}'
     WHERE e.visibility > 0 AND NOT e.lied AND e.kind = 'detection' AND e.step % $every = 0
         AND e.step BETWEEN $first AND $last
 ), made AS (
@@ -127,7 +134,7 @@ WITH said AS (
         CASE WHEN d.origin = 'self' THEN '{KINDS[0]}' WHEN d.origin = 'fabricated' THEN '{KINDS[3]}'
             WHEN d.truth_actor IS NOT NULL THEN '{KINDS[1]}' ELSE '{KINDS[2]}' END AS kind,
         if(coalesce(of.vehicle = s.vehicle, false), '{EVALUATORS[0]}', '{EVALUATORS[1]}') AS evaluator,
-        d.class, coalesce(of.role, 'nan') AS role, {_bins("s.visibility", _VISIBILITY, "")} AS visibility,
+        d.class, of.role, {_bins("s.visibility", _VISIBILITY, "")} AS visibility,
         {_bins(_AWAY_M, _DISTANCE_M, " m")} AS distance,
         s.evaluation < 0 AS denied, s.evaluation > 0 AS confirmed, s.evaluation < 0 AND own.step IS NULL AS missed
     FROM said s

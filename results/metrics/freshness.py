@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 
 from cosim.base.codes import LookupState, labels
-from results.metrics import lookups, trust
+from results.metrics import lookups
 from results.metrics.encounters import DEFINITION, named
 from results.metrics.intervals import plain_columns, ratio, share, without_interval
-from results.metrics.lookups import AGES, FRESH_S, NO_LOOKUPS, role_codes
+from results.metrics.lookups import AGES, FRESH_S, NO_LOOKUPS
 from results.run import Run
 
 STATES = ("evaluated", "unevaluated", "stale", "no value")
@@ -32,19 +32,15 @@ def evidence(run: Run) -> pd.DataFrame:
     role, n (values), unevaluated_share (without any evaluation by another vehicle that could see), and medians of
     newest_s, oldest_s, n_evaluations and n_evaluators over the values that have some.
     """
-    columns = ["n_evaluations", "n_evaluators", "newest_evaluation_age_s", "oldest_evaluation_age_s"]
-    known = trust.server_values(run)
-    code, evaluated = role_codes(run, known.subject.to_numpy()), (known.state == "evaluated").to_numpy()
-    values = {name: known[name].to_numpy(np.float64, na_value=np.nan) for name in columns}
-    rows = []
-    for role in np.unique(code):
-        mine = code == role
-        some = mine & evaluated
-        medians = {name: np.median(value[some]) if some.any() else np.nan for name, value in values.items()}
-        without = float(1 - evaluated[mine].mean())
-        rows.append({"role": run.role_labels[role], "n": int(mine.sum()), "unevaluated_share": without} | medians)
-    found = pd.DataFrame(rows, columns=["role", "n", "unevaluated_share", *columns])
-    return found.rename(columns={columns[2]: "newest_s", columns[3]: "oldest_s"})
+    return run.sql("""
+        SELECT role, count(*) AS n, 1 - avg(evaluated::INT) AS unevaluated_share,
+            median(newest_evaluation_age_s::DOUBLE) FILTER (evaluated) AS newest_s,
+            median(oldest_evaluation_age_s::DOUBLE) FILTER (evaluated) AS oldest_s,
+            median(n_evaluations) FILTER (evaluated) AS n_evaluations,
+            median(n_evaluators) FILTER (evaluated) AS n_evaluators
+        FROM (SELECT *, state = 'evaluated' AS evaluated FROM trust WHERE variant = $variant)
+        JOIN subjects ON pseudonym = subject GROUP BY role ORDER BY role
+    """)
 
 
 def states(run: Run) -> pd.DataFrame:
@@ -213,12 +209,12 @@ def distribution(run: Run, what: str = "newest evaluation") -> pd.DataFrame:
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     """Shares of the states by time: time_s, and a column for each of `STATES`."""
     lookups.sums(run)  # says so where there are none
-    parts = []
-    for part in run.variant_parts("trust_lookups", ["step", "state"]):
-        time_s = (np.floor(part.step * run.dt_s / every_s) * every_s).rename("time_s")
-        parts.append(pd.crosstab(time_s, part.state.cat.codes).reindex(columns=range(len(STATES)), fill_value=0))
-    total = pd.concat(parts).groupby("time_s").sum().set_axis(list(STATES), axis=1)
-    return total.div(total.sum(axis=1), axis=0).reset_index()
+    kinds = zip(labels(LookupState), STATES, strict=True)
+    shares = ", ".join(f"count_if(state = '{label}') / count(*) AS \"{name}\"" for label, name in kinds)
+    return run.sql(f"""
+        SELECT floor(step * $dt_s / $every_s) * $every_s AS time_s, {shares}
+        FROM trust_lookups WHERE variant = $variant GROUP BY time_s ORDER BY time_s
+    """, every_s=every_s)  # fmt: skip
 
 
 def without_trust(run: Run) -> pd.DataFrame:
