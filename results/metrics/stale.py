@@ -15,7 +15,7 @@ def placed(run: Run, fresh_s: float = FRESH_S) -> pd.DataFrame:
     """
     found = run.sql("""
         SELECT l.step, x_m, y_m, count(*) AS n,
-            count(*) - count_if(newest_evaluation_age_s <= $fresh_s) AS n_stale
+            count(*) - count(*) FILTER (newest_evaluation_age_s <= $fresh_s) AS n_stale
         FROM trust_lookups l JOIN actors a ON a.step = l.step AND a.actor = l.receiver
         WHERE variant = $variant GROUP BY l.step, receiver, x_m, y_m ORDER BY l.step, receiver
     """, fresh_s=fresh_s)  # fmt: skip
