@@ -284,9 +284,13 @@ class Run:
         ValueError
             In one line, if the query is wrong.
         """
-        from results import sql  # here, because DuckDB takes its time
+        from results.sql import Database  # here, because DuckDB takes its time
 
-        return sql.answer(self, query, values)
+        database = self.once_for_all(
+            "database", lambda: Database(self.tables, self.files, self.require, self._folders())
+        )
+        own = {"dt_s": self.dt_s, "steps": self.manifest["steps"], "variant": self.variant}
+        return database.answer(query, own | values)
 
     def files(self, name: str) -> list[Path]:
         """Part files of a table, after their checksums were verified."""
@@ -296,7 +300,7 @@ class Run:
             self._check(path)
         return paths
 
-    def folders(self) -> list[str]:
+    def _folders(self) -> list[str]:
         """Folders of the part files."""
         return [str(folder.resolve()) for folder in (self.path, *([self._held.path] if self._held else []))]
 

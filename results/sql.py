@@ -2,8 +2,9 @@
 
 import re
 import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import duckdb
 import pandas as pd
@@ -13,11 +14,14 @@ from results import virtual_columns
 from results.columns import Column
 from results.tables import TABLES, schema
 
-if TYPE_CHECKING:
-    from results.run import Run
-
-_MEMORY = "1GB"
-"""Beyond it, joins go to files in the temporary folder of the system."""
+_CONFIG: dict[str, Any] = {
+    "threads": 1,  # adds up in the same order every time
+    "memory_limit": "1GB",  # beyond it, joins go to files
+    "temp_directory": str(Path(tempfile.gettempdir(), "cosim-sql")),
+    "autoinstall_known_extensions": False,
+    "autoload_known_extensions": False,
+    "python_enable_replacements": False,
+}
 
 _SUBJECTS = """
 SELECT p.*, v.role, v.attack_start_step FROM pseudonyms p JOIN vehicles v USING (vehicle) WHERE v.role IS NOT NULL
@@ -25,66 +29,62 @@ SELECT p.*, v.role, v.attack_start_step FROM pseudonyms p JOIN vehicles v USING 
 """The same as `Run.subjects`."""
 
 
-def answer(run: "Run", query: str, values: dict[str, Any]) -> pd.DataFrame:
-    """As `Run.sql`."""
-    connection = run.once_for_all("sql", lambda: _connection(run))
-    known = {"dt_s": run.dt_s, "steps": run.manifest["steps"], "variant": run.variant} | values
-    words = set(re.findall(r"\w+", query))
-    asked = [name for name in TABLES if name in words]
-    try:
-        if [one.type for one in connection.extract_statements(query)] != [duckdb.StatementType.SELECT]:
-            raise ValueError(f"{' '.join(query.split())!r} is no single SELECT: tables can be read alone.")
-        for name in (*asked, *(("vehicles", "pseudonyms") if "subjects" in words else ())):
-            if name in run.tables:
-                _show(connection, run, name, query)
-        if "subjects" in words:
-            connection.execute(f"CREATE OR REPLACE TEMP VIEW subjects AS {_SUBJECTS}")
-        named = {name: value for name, value in known.items() if f"${name}" in query}
-        return connection.execute(query, named or None).df()
-    except duckdb.CatalogException as error:
-        run.require(*asked)
-        said = _line(error).partition(" Did you mean")[0]
-        raise ValueError(f"{said} The tables are {', '.join(run.tables)}.") from None
-    except duckdb.Error as error:
-        raise ValueError(_line(error)) from None
+class Database:
+    """Tables of a run."""
+
+    def __init__(
+        self,
+        tables: Sequence[str],
+        files: Callable[[str], list[Path]],
+        require: Callable[..., None],
+        folders: Sequence[str],
+    ) -> None:
+        """Names of the tables, where the files of a table are, what says that a table is missing, and all folders."""
+        self._tables, self._files, self._require = tables, files, require
+        self._connection = duckdb.connect(config=_CONFIG)
+        self._connection.execute(f"SET allowed_directories = {list(folders)}")
+        self._connection.execute("SET enable_external_access = false; SET lock_configuration = true")
+
+    def answer(self, query: str, values: Mapping[str, Any]) -> pd.DataFrame:
+        """As `Run.sql`, with these values of all names."""
+        words = set(re.findall(r"\w+", query))
+        asked = [name for name in TABLES if name in words]
+        try:
+            if [one.type for one in self._connection.extract_statements(query)] != [duckdb.StatementType.SELECT]:
+                raise ValueError(f"{' '.join(query.split())!r} is no single SELECT: tables can only be read.")
+            for name in (*asked, *(("vehicles", "pseudonyms") if "subjects" in words else ())):
+                if name in self._tables:
+                    self._show(name, query)
+            if "subjects" in words:
+                self._connection.execute(f"CREATE OR REPLACE TEMP VIEW subjects AS {_SUBJECTS}")
+            named = {name: value for name, value in values.items() if f"${name}" in query}
+            return self._connection.execute(query, named or None).df()
+        except duckdb.CatalogException as error:
+            self._require(*asked)
+            said = _line(error).partition(" Did you mean")[0]
+            raise ValueError(f"{said} The tables are {', '.join(self._tables)}.") from None
+        except duckdb.Error as error:
+            raise ValueError(_line(error)) from None
+
+    def _show(self, name: str, query: str) -> None:
+        """Make a table visible by its name, with the columns that are not on disk if the query may ask for them."""
+        paths = [str(path.resolve()) for path in self._files(name)]
+        if not paths:
+            self._connection.register(name, schema(name, whole=True).empty_table())
+            return
+        table, there = TABLES[name], pq.read_schema(paths[0]).names
+        columns = [f'"{label}"' if label in there else _absent(column, label) for label, column in table.stored.items()]
+        stored = f"SELECT {', '.join(columns)} FROM read_parquet({paths})"
+        if virtual := virtual_columns.names(table, list(table.columns) if "*" in query else (), query):
+            self._show("detections", "")
+            more = [_virtual(label, table.columns[label].via) for label in virtual]
+            stored = f"SELECT t.*, {', '.join(more)} FROM ({stored}) t {_SOURCES}"
+        self._connection.execute(f"CREATE OR REPLACE TEMP VIEW {name} AS {stored}")
 
 
 def _line(error: duckdb.Error) -> str:
     """What is wrong with a query, in one line."""
     return " ".join(str(error).partition("\n\n")[0].split())
-
-
-def _connection(run: "Run") -> duckdb.DuckDBPyConnection:
-    """DuckDB that sees no files but those of the run; one thread adds up in the same order every time."""
-    config = {
-        "threads": 1,
-        "memory_limit": _MEMORY,
-        "temp_directory": str(Path(tempfile.gettempdir(), "cosim-sql")),
-        "autoinstall_known_extensions": False,
-        "autoload_known_extensions": False,
-        "python_enable_replacements": False,
-    }
-    connection = duckdb.connect(config=config)
-    connection.execute(f"SET allowed_directories = {run.folders()}")
-    connection.execute("SET enable_external_access = false; SET lock_configuration = true")
-    return connection
-
-
-def _show(connection: duckdb.DuckDBPyConnection, run: "Run", name: str, query: str) -> None:
-    """Make a table visible by its name, with the columns that are not on disk if the query may ask for them."""
-    paths = [str(path.resolve()) for path in run.files(name)]
-    if not paths:
-        connection.register(name, schema(name, whole=True).empty_table())
-        return
-    table, there = TABLES[name], pq.read_schema(paths[0]).names
-    columns = [f'"{label}"' if label in there else _absent(column, label) for label, column in table.stored.items()]
-    stored = f"SELECT {', '.join(columns)} FROM read_parquet({paths})"
-    virtual = virtual_columns.names(table, list(table.columns) if "*" in query else (), query)
-    if virtual:
-        _show(connection, run, "detections", "")
-        more = [_virtual(label, table.columns[label].via) for label in virtual]
-        stored = f"SELECT t.*, {', '.join(more)} FROM ({stored}) t {_SOURCES}"
-    connection.execute(f"CREATE OR REPLACE TEMP VIEW {name} AS {stored}")
 
 
 _SOURCES = """
