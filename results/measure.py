@@ -1,6 +1,6 @@
 """The metrics of a run in one tidy table."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from importlib import import_module
 from inspect import isfunction, signature
@@ -143,7 +143,7 @@ def _measured(run: Run, topic: str, options: Mapping[str, Any]) -> Iterator[Meas
                 yield from _rows(name, metric, found)
 
 
-def _answer(run: Run, metric: Metric, options: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _answer(run: Run, metric: Metric, options: Mapping[str, Any]) -> Sequence[Mapping[Any, Any]]:
     """The rows among which those of a metric are."""
     module, _, name = metric.source.partition(".")
     ask = getattr(import_module(f"results.metrics.{module}"), name)
@@ -156,7 +156,7 @@ def _answer(run: Run, metric: Metric, options: Mapping[str, Any]) -> list[dict[s
     return [columns(found, "value") if isinstance(found, ClusteredEstimate) else {"value": found}]
 
 
-def _rows(name: str, metric: Metric, found: Iterable[Mapping[str, Any]]) -> Iterator[MeasuredRow]:
+def _rows(name: str, metric: Metric, found: Iterable[Mapping[Any, Any]]) -> Iterator[MeasuredRow]:
     """The rows of a metric, the first of each group. Its interval is in the columns of `intervals.columns`, or in those
     of `intervals.plain_columns` if it is clustered by something."""
     groups = set()

@@ -244,9 +244,9 @@ def at_lookup(run: Run, threshold: float = lookups.THRESHOLD) -> pd.DataFrame:
         rows.append(row | intervals.columns(area, "auc") | {"auc_error": _tied(scores, honest, here)})
     if not rows:
         raise ValueError(f"{run.path} {_NONE_RATED}")
-    found = pd.DataFrame(rows)
-    off_by = found.auc_error.max()
-    return found.assign(auc_note=f"off by {off_by:.2g} at most" if off_by > 0 else "")
+    table = pd.DataFrame(rows)
+    off_by = table.auc_error.max()
+    return table.assign(auc_note=f"off by {off_by:.2g} at most" if off_by > 0 else "")
 
 
 def compared_at_lookup(run: Run, false_positives: float = 0.05) -> dict[str, intervals.ClusteredEstimate]:

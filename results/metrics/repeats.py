@@ -91,8 +91,8 @@ def agreement(n: Int[ndarray, "g"], denied: Int[ndarray, "g"]) -> float:
 
 def _said(run: Run) -> Said:
     found = of_blocks(run, _QUERY)
-    columns = (found[name].to_numpy(np.int64) for name in ("step", "evaluator", "subject", "actor"))
-    return Said(*columns, found.denies.to_numpy(bool))
+    step, evaluator, subject, actor = found[["step", "evaluator", "subject", "actor"]].to_numpy(np.int64).T
+    return Said(step, evaluator, subject, actor, found.denies.to_numpy(bool))
 
 
 _QUERY = """
