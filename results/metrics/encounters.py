@@ -120,21 +120,18 @@ def rates(run: Run) -> pd.DataFrame:
     Encounters that begin while the run is recorded count, for both of their vehicles. They are divided by the time that
     the vehicles which can have one are on the road: equipped vehicles, or all where all pairs count.
     """
-    who = run.table("vehicles", ["vehicle_class", "equipped", "first_step", "last_step"])
-    on_road_h = (who.last_step - who.first_step + 1).to_numpy() * run.dt_s / 3600.0
-    walks = (who.vehicle_class == "pedestrian").to_numpy()
-    drives = ~walks & (who.vehicle_class != "roadside_unit").to_numpy()
-    equipped = who.equipped.to_numpy(bool)
-    frame, rows = durations(run), []
-    for kind, of in frame.groupby([*DEFINITION], observed=True):
-        definition = dict(zip(DEFINITION, kind, strict=True))
-        counted = drives | walks if definition["pedestrians"] else drives
-        if definition["pairs"] in ("equipped", "los"):
-            counted = equipped
-        time_h = float(on_road_h[counted].sum())
-        rate = 2 * int(of.start_seen.sum()) / time_h if time_h else math.nan
-        rows.append(definition | {"per_vehicle_h": rate})
-    found = pd.DataFrame(rows)
+    found = run.sql(f"""
+        WITH kinds AS (
+            SELECT {", ".join(DEFINITION)}, count_if(NOT censored_left) AS n FROM encounters GROUP BY ALL
+        )
+        SELECT kinds.*, 2 * n / nullif((
+            SELECT sum(last_step - first_step + 1) * $dt_s / 3600 FROM vehicles v WHERE CASE
+                WHEN kinds.pairs IN ('equipped', 'los') THEN v.equipped
+                WHEN v.vehicle_class = 'pedestrian' THEN kinds.pedestrians
+                ELSE v.vehicle_class <> 'roadside_unit' END
+        ), 0) AS per_vehicle_h
+        FROM kinds ORDER BY ALL
+    """)
     return found.assign(definition=named(found))
 
 

@@ -253,25 +253,27 @@ def _of_equipped(run: Run) -> list[tuple[tuple, np.ndarray, np.ndarray]]:
 
 
 def _totals(run: Run) -> pd.DataFrame:
-    """Sums of the table `lookup_totals`, by state in the order of `STATES`."""
-    frame = run.variant_table("lookup_totals")
-    sums = [str(name) for name in frame if str(name).endswith("_sum_s")]
-    frame = frame.astype(dict.fromkeys(sums, np.float64))  # stored in single precision
-    if frame.empty:
+    """Sums of the table `lookup_totals`: state, n, n_valued and sums of ages."""
+    found = run.sql("""
+        SELECT replace(state, '_', ' ') AS state, sum(n)::BIGINT AS n, sum(n_valued)::BIGINT AS n_valued,
+            sum(age_sum_s::DOUBLE) AS age_s, sum(newest_evaluation_age_sum_s::DOUBLE) AS newest_evaluation_age_s,
+            sum(oldest_evaluation_age_sum_s::DOUBLE) AS oldest_evaluation_age_s
+        FROM lookup_totals WHERE variant = $variant GROUP BY state
+    """)
+    if found.empty:
         raise ValueError(f"{run.path} {NO_LOOKUPS}")
-    stored = dict(zip(labels(LookupState), STATES, strict=True))
-    return frame.groupby(frame.state.astype(str).map(stored)).sum(numeric_only=True).reindex(STATES, fill_value=0)
+    return found.set_index("state").reindex(STATES, fill_value=0)
 
 
 def _ages_of_totals(run: Run) -> pd.DataFrame:
     total = _totals(run)
-    n_known = int(total.n[list(KNOWN)].sum())
-    counts = {"value": int(total.n_valued.sum()), "newest evaluation": n_known, "oldest evaluation": n_known}
+    n_known = total.n[list(KNOWN)].sum()
+    n = dict(zip(AGES, (total.n_valued.sum(), n_known, n_known), strict=True))
     rows = [
-        {"what": what, "role": "all", "n": n, "median_s": np.nan, "p90_s": np.nan}
-        | plain_columns(without_interval(float(total[column.replace("_s", "_sum_s")].sum()) / n), "mean_s")
-        for (what, column), n in zip(AGES.items(), counts.values(), strict=True)
-        if n
+        {"what": what, "role": "all", "n": n[what], "median_s": np.nan, "p90_s": np.nan}
+        | plain_columns(without_interval(total[column].sum() / n[what]), "mean_s")
+        for what, column in AGES.items()
+        if n[what]
     ]
     if not rows:
         raise ValueError(f"{run.path} {_NO_EVALUATION}")
