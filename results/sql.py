@@ -8,9 +8,9 @@ from typing import Any
 
 import duckdb
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 
-from results import virtual_columns
 from results.columns import Column
 from results.tables import TABLES, schema
 
@@ -66,6 +66,26 @@ class Database:
         except duckdb.Error as error:
             raise ValueError(_line(error)) from None
 
+    def columns_of_detections(self, rows: pa.Table, names: Sequence[str], files: Sequence[Path]) -> pa.Table:
+        """Columns of `fused` that are not on disk, for some of its rows.
+
+        Parameters
+        ----------
+        rows
+            What these rows say of the detections that they name, in the columns of `LINKS`.
+        names
+            Names of the columns.
+        files
+            Part files of the detections of the steps in question.
+        """
+        self._connection.register("rows", rows)
+        made = f"(SELECT * FROM read_parquet({[str(path.resolve()) for path in files]}))"
+        found = self._connection.sql(f"""
+            SELECT {", ".join(map(_virtual, names))} FROM (SELECT *, row_number() OVER () AS number FROM rows) t
+            {_SOURCES.replace("detections", made)} ORDER BY number
+        """)
+        return found.to_arrow_table()
+
     def _show(self, name: str, query: str) -> None:
         """Make a table visible by its name, with the columns that are not on disk if the query may ask for them."""
         paths = [str(path.resolve()) for path in self._files(name)]
@@ -75,10 +95,9 @@ class Database:
         table, there = TABLES[name], pq.read_schema(paths[0]).names
         columns = [f'"{label}"' if label in there else _absent(column, label) for label, column in table.stored.items()]
         stored = f"SELECT {', '.join(columns)} FROM read_parquet({paths})"
-        if virtual := virtual_columns.names(table, list(table.columns) if "*" in query else (), query):
+        if virtual := table.virtual(list(table.columns) if "*" in query else (), query):
             self._show("detections", "")
-            more = [_virtual(label, table.columns[label].via) for label in virtual]
-            stored = f"SELECT t.*, {', '.join(more)} FROM ({stored}) t {_SOURCES}"
+            stored = f"SELECT t.*, {', '.join(map(_virtual, virtual))} FROM ({stored}) t {_SOURCES}"
         self._connection.execute(f"CREATE OR REPLACE TEMP VIEW {name} AS {stored}")
 
 
@@ -87,6 +106,8 @@ def _line(error: duckdb.Error) -> str:
     return " ".join(str(error).partition("\n\n")[0].split())
 
 
+LINKS = tuple(name for name in TABLES["fused"].stored if name.startswith(("source", "pose", "moved_")))
+"""Columns of `fused` that name detections, and say how far their boxes were moved."""
 _SOURCES = """
 JOIN detections source ON source.step = t.source_step AND source.observer = t.source
     AND source.detection_index = t.source_index
@@ -95,10 +116,11 @@ JOIN detections pose ON pose.step = if(t.pose IS NULL, t.source_step, t.pose_ste
 """
 
 
-def _virtual(label: str, via: str) -> str:
+def _virtual(label: str) -> str:
     """A column of the detection that a row names, moved as the row says."""
-    value = f"{via}.{label}"
-    if f"moved_{label}" in TABLES["fused"].columns:
+    columns = TABLES["fused"].columns
+    value = f"{columns[label].via}.{label}"
+    if f"moved_{label}" in columns:
         value = f"({value} + t.moved_{label})"
     if label == "yaw_rad":
         value = f"({value} - (2 * pi())::FLOAT * (({value} > pi())::INT - ({value} <= -pi())::INT))"
