@@ -198,9 +198,7 @@ def _low_values(run: Run, threshold: float, at: trust.At) -> tuple[Int[ndarray, 
     Of the values that vehicles look up, only some are there, but always the first of each subject.
     """
     if at == "vehicles":
-        lows = lookups.lows(run)
-        low = lows.trust.astype(np.float64) < threshold
-        return lows.step[low], lows.subject[low]
+        return lookups.first_lows(run, threshold)
     if trust.kept_at(run) != "server":
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     known = trust.in_use(run)
