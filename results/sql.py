@@ -16,7 +16,7 @@ from results.tables import TABLES, schema
 
 _CONFIG: dict[str, Any] = {
     "threads": 1,  # adds up in the same order every time
-    "memory_limit": "1GB",  # beyond it, joins go to files
+    "memory_limit": "500MB",  # beyond it, joins go to files
     "temp_directory": str(Path(tempfile.gettempdir(), "cosim-sql")),
     "autoinstall_known_extensions": False,
     "autoload_known_extensions": False,
@@ -57,7 +57,8 @@ class Database:
                     self._show(name, query)
             if "subjects" in words:
                 self._connection.execute(f"CREATE OR REPLACE TEMP VIEW subjects AS {_SUBJECTS}")
-            named = {name: value for name, value in values.items() if f"${name}" in query}
+            wanted = re.findall(r"\$(\w+)", query)
+            named = {name: value for name, value in values.items() if name in wanted}
             return self._connection.execute(query, named or None).df()
         except duckdb.CatalogException as error:
             self._require(*asked)

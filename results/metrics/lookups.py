@@ -187,23 +187,25 @@ def first_lows(run: Run, threshold: float) -> tuple[Int[ndarray, "n"], Int[ndarr
 def scores(run: Run) -> Scores:
     """Values of watched subjects that were looked up in the run's variant."""
     found, is_rounded = run.once_for_all("lookups.scores", lambda: _scores(run))
-    mine = found[found.variant == run.variant]
+    mine = found[found.number == run.variants.index(run.variant)]
     who = np.searchsorted(subjects(run)[0], mine.subject.to_numpy())
     return Scores(who, mine.trust.to_numpy(np.float64), mine.n.to_numpy(), is_rounded)
 
 
 def _scores(run: Run) -> tuple[pd.DataFrame, bool]:
-    """variant, subject, trust, n; and whether values are rounded."""
+    """number of the variant, subject, trust, n; and whether values are rounded."""
     value, is_rounded = "trust", False
     if run.n_rows("trust_lookups") > _MOST_SCORES:
-        several = run.sql(
-            f"{_EVALUATED} SELECT DISTINCT variant, subject, trust FROM evaluated LIMIT {_MOST_SCORES + 1}"
-        )
-        is_rounded = len(several) > _MOST_SCORES
+        several = f"(SELECT DISTINCT variant, subject, trust FROM evaluated LIMIT {_MOST_SCORES + 1})"
+        is_rounded = run.sql(f"{_EVALUATED} SELECT count(*) AS n FROM {several}").n[0] > _MOST_SCORES
     if is_rounded:
         value = f"(round_even(trust * {_SCORES}, 0) / {_SCORES})::FLOAT"
-    counts = f"SELECT variant, subject, {value} AS trust, count(*) AS n FROM evaluated GROUP BY ALL ORDER BY ALL"
-    return run.sql(f"{_EVALUATED} {counts}"), is_rounded
+    found = run.sql(f"""
+        {_EVALUATED} SELECT list_position($variants, variant)::SMALLINT - 1 AS number, subject, {value} AS trust,
+            count(*)::INT AS n
+        FROM evaluated GROUP BY ALL
+    """, variants=list(run.variants))  # fmt: skip
+    return found, is_rounded
 
 
 def subjects(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
