@@ -96,7 +96,8 @@ class Database:
         table, there = TABLES[name], pq.read_schema(paths[0]).names
         columns = [f'"{label}"' if label in there else _absent(column, label) for label, column in table.stored.items()]
         stored = f"SELECT {', '.join(columns)} FROM read_parquet({paths})"
-        if virtual := table.virtual(list(table.columns) if "*" in query else (), query):
+        is_all = re.search(r"(?<!\()\*", query) is not None  # a star, but not that of count(*)
+        if virtual := table.virtual(list(table.columns) if is_all else (), query):
             self._show("detections", "")
             stored = f"SELECT t.*, {', '.join(map(_virtual, virtual))} FROM ({stored}) t {_SOURCES}"
         self._connection.execute(f"CREATE OR REPLACE TEMP VIEW {name} AS {stored}")
