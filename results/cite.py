@@ -1,48 +1,14 @@
 """References of exactly the parts that a run used, from its manifest."""
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-TRUST: Mapping[str, tuple[str, ...]] = {
-    "trupercept": ("hurl2020",),
-    "beta": ("josang2002",),
-    "beta_discounted": ("josang2002",),
-    "beta_by_kind": ("josang2002",),
-    "beta_correlated": ("josang2002", "sts18"),
-    "subjective_logic": ("josang2016",),
-    "mate": ("mate2025",),
-    "raya_majority": ("raya2008",),
-    "raya_most_trusted": ("raya2008",),
-    "raya_weighted": ("raya2008",),
-    "raya_bayes": ("raya2008",),
-    "raya_dempster_shafer": ("raya2008",),
-    "minhas": ("minhas2011",),
-    "announcement": ("li2012",),
-    "eigentrust": ("kamvar2003",),
-    "report_count": ("f2md",),
-    "majority_ban": ("cats2025",),
-    "dawid_skene": ("dawid1979",),
-    "dawid_skene_online": ("dawid1979", "cappe2009"),
-    "evaluator_trust": ("zhang2008", "minhas2011"),
-    "self_first": ("zhang2008", "minhas2011"),
-    "median_groups": ("lugosi2019",),
-    "miso_v": ("ansari2021",),
-    "belief_graph": ("pearl1988",),
-}
-"""References of the trust models that ship."""
-DETECTORS = {"avod": ("hurl2020",), "pointpillars": ("lang2019",), "pv_rcnn": ("shi2020",)}
-MEDIA = {
-    "csma": ("ieee80211",),
-    "nr_mode2": ("ts38214", "lagen2020"),
-    "lte_mode4": ("ts36213", "mezzavilla2012"),
-}
-ATTACKS = {"ghost_insertion": ("hurl2020",), "unreliable": ("hurl2020",)}
-DRIVERS = {"cautious": ("krauss1998",)}
-_FILE = Path(__file__).with_name("references.toml")
+_FILE = tomllib.loads(Path(__file__).with_name("references.toml").read_text(encoding="utf-8"))
+USED_BY: Mapping[str, Mapping[str, Sequence[str]]] = _FILE["used_by"]
+"""References of what ships: of trust models, detectors, media, attacks and drivers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +17,7 @@ class CitedPart:
 
     what: str
     """The part in words, such as `trust model beta`."""
-    references: tuple[str, ...] = ()
+    references: Sequence[str] = ()
     """Keys of `references.toml`; empty if nothing was published about it."""
     entry: Mapping[str, Any] = field(default_factory=dict)
     """A reference that depends on the run, such as that of its city, in place of keys."""
@@ -75,8 +41,8 @@ def parts(manifest: Mapping[str, Any]) -> Iterator[CitedPart]:
     yield from _messages(config)
     yield from _attacks(config)
     yield from _trust(config)
-    if (driver := config["driver"]["model"]) in DRIVERS:
-        yield CitedPart(f"driver {driver}", DRIVERS[driver])
+    if (driver := config["driver"]["model"]) in USED_BY["driver"]:
+        yield CitedPart(f"driver {driver}", USED_BY["driver"][driver])
     for place, found in choices.items():
         if found.get("file"):
             yield CitedPart(f"{place}: {found['name']}, a class of the user's own")
@@ -97,8 +63,8 @@ def _traffic(manifest: Mapping[str, Any], versions: Mapping[str, str]) -> Iterat
 
 def _sensing(config: Mapping[str, Any]) -> Iterator[CitedPart]:
     detector, weather = config["detector"]["model"], config.get("weather", {})
-    if detector in DETECTORS:
-        yield CitedPart(f"detector {detector}", DETECTORS[detector])
+    if detector in USED_BY["detector"]:
+        yield CitedPart(f"detector {detector}", USED_BY["detector"][detector])
     if config["tracking"]["model"] != "none" or config["trust"].get("matching") == "gates":
         yield CitedPart("tracking and association by gates", ("barshalom2001",))
     if weather.get("rain_mm_h") or weather.get("visibility_m") is not None:
@@ -110,8 +76,8 @@ def _sensing(config: Mapping[str, Any]) -> Iterator[CitedPart]:
 def _messages(config: Mapping[str, Any]) -> Iterator[CitedPart]:
     radio, cpm = config["radio"], config["cpm"]
     model, propagation = radio["model"], radio["propagation"]
-    if model in MEDIA:
-        yield CitedPart(f"radio {model}", MEDIA[model])
+    if model in USED_BY["medium"]:
+        yield CitedPart(f"radio {model}", USED_BY["medium"][model])
         found = {
             "tr37885": propagation["model"] in ("urban", "highway"),
             "sommer2011twoway": propagation["model"] == "two_ray_interference",
@@ -134,21 +100,20 @@ def _attacks(config: Mapping[str, Any]) -> Iterator[CitedPart]:
     for attack in config.get("attacks", ()):
         is_used = attack.get("share_p", 0) > 0 or attack.get("ids") or attack.get("together_with") is not None
         if is_used and ".py:" not in attack["attack"]:
-            yield CitedPart(f"attack {attack['attack']}", ATTACKS.get(attack["attack"], ()))
+            yield CitedPart(f"attack {attack['attack']}", USED_BY["attack"].get(attack["attack"], ()))
 
 
 def _trust(config: Mapping[str, Any]) -> Iterator[CitedPart]:
     base = config["trust"]
     found = [base, *(base | variant for variant in config.get("trust_variant", ()))]
     for model in dict.fromkeys(one["model"] for one in found if one["host"] != "none"):
-        if model in TRUST:
-            yield CitedPart(f"trust model {model}", TRUST[model])
+        if model in USED_BY["trust"]:
+            yield CitedPart(f"trust model {model}", USED_BY["trust"][model])
 
 
-@cache
 def references() -> Mapping[str, Mapping[str, Any]]:
     """All references by key."""
-    return tomllib.loads(_FILE.read_text(encoding="utf-8"))
+    return _FILE["references"]
 
 
 _PLACES = ("booktitle", "journal", "publisher", "howpublished")

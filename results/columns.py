@@ -1,5 +1,6 @@
 """What a table and a column of a run are."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Literal
@@ -77,6 +78,11 @@ class Table:
     def stored(self) -> dict[str, Column]:
         """Columns on disk. The others are read from the table `detections`."""
         return {name: column for name, column in self.columns.items() if not column.via}
+
+    def virtual(self, columns: Sequence[str], where: object) -> list[str]:
+        """Columns not on disk that are wanted, or that a choice of rows or a question asks for by name."""
+        asked = set(re.findall(r"\w+", str(where)))  # a word too many costs time only
+        return [name for name, column in self.columns.items() if column.via and (name in columns or name in asked)]
 
     def layouts(self) -> dict[str, Layout]:
         """How Parquet lays out each column on disk.

@@ -14,7 +14,7 @@ def markdown() -> str:
     lines = [
         "# Tables, metrics and words of a run",
         "",
-        f"Schema version {SCHEMA_VERSION}. Written from `results/tables.py`, `results/metrics/registry.py` and "
+        f"Schema version {SCHEMA_VERSION}. Written from `results/schema.toml`, `results/metrics/metrics.toml` and "
         "`results/glossary.py` by `python -m results.dictionary`.",
         "",
         "[Words](#words), [tables](#tables), [metrics](#metrics).",

@@ -1,56 +1,7 @@
-# ruff: noqa: E501 (a table is wide)
-"""Technical terms as this project uses them; `results.dictionary` writes them into `TABLES.md`."""
+"""Technical terms as this project uses them, of `glossary.toml`; `results.dictionary` writes them into `TABLES.md`."""
 
+import tomllib
 from collections.abc import Mapping
+from pathlib import Path
 
-GLOSSARY: Mapping[str, str] = {
-    "actor": "Any vehicle, cyclist or pedestrian. Its number is its true identity, which only the simulation knows.",
-    "station": "A radio that sends and receives, in an equipped vehicle or a roadside unit.",
-    "pseudonym": "Identity that messages carry. Receivers, trust models and the trust server know a sender only by its pseudonym. A vehicle may change its pseudonym, and a Sybil attacker uses several at once. The table `pseudonyms` says which vehicle used it.",
-    "equipped vehicle": "A vehicle with a LiDAR and a radio.",
-    "role": "How an equipped vehicle behaves: honest; unreliable (it loses detections and adds misplaced ones); malicious (it fabricates objects); or a role that a user's own attack defines.",
-    "attacker": "A vehicle that has sent a fabricated detection.",
-    "Sybil attack": "One station that sends under several pseudonyms at once.",
-    "fabricated": "A detection is fabricated if an attack made it up and no sensor measured it.",
-    "sweep": "One turn of a LiDAR: one measured range for every ray.",
-    "return": "A ray that hit something and came back.",
-    "observability": "How many rays hit an actor, and how many would hit it if nothing stood in between.",
-    "occlusion": "Share of an actor's possible returns that other objects block.",
-    "detection": "A 3D box with class and score that an object detector computes from a sweep. In all tables, `(step, observer, detection_index)` identifies it.",
-    "self report": "A vehicle's own pose and size, which it sends as detection number 0 of its message.",
-    "CPM": "Collective perception message (ETSI TS 103 324): a vehicle's detections, sent to others.",
-    "evaluation": "A receiver's assessment of another vehicle's detection by its own sensor. It is the score of the receiver's matching detection, or negative where the receiver denies the detection. Its weight is the visibility.",
-    "visibility": "How well an evaluator could have seen the object, in [0, 1], computed from the returns inside the box.",
-    "plausibility": "Free-space test: whether the receiver's sweep allows an object of this size at this place.",
-    "round": "One exchange of messages within a step. The first round carries CPMs, the second evaluations.",
-    "trust": "Belief in a pseudonym's reports, in [0, 1], computed from evaluations of its detections.",
-    "subject": "Pseudonym that a trust value is about.",
-    "holder": "Vehicle (or server) that keeps or looks up a trust value.",
-    "trust server": "A central server that collects evaluations, computes trust in all subjects, and broadcasts it.",
-    "trust host": "Where trust is computed: at the trust server (central), in every vehicle (local), or nowhere.",
-    "trust variant": "Another trust model, or other parameters, applied to the same evidence in the same run. The variant `base` acts in the simulation; the others are computed beside it.",
-    "evaluated": "A trust value is evaluated if it rests on at least one evaluation by a vehicle other than the subject that could see (visibility above 0). Tables call such a value `evaluated`, or `stale` if all its evaluations are older than the window. A value without such an evaluation is `unevaluated`. If there is no value, the state is `no_value`.",
-    "watched": "Metrics watch an attacker's pseudonym from the first attack of its vehicle on, and an honest pseudonym from the first attack of any vehicle on, while it is in use. Earlier trust tells nothing about the detection of attackers.",
-    "lookup": "A vehicle looks up its trust in the sender of a received message before it fuses.",
-    "fused object": "An object that a vehicle believes in: its own detections merged with the detections of others that it accepts.",
-    "encounter": "A period in which two actors are within a radius of each other. Breaks shorter than the hysteresis do not end it.",
-    "censored": "A duration is censored if its start (left) or its end (right) was not observed. It is at least as long as recorded.",
-    "Kaplan-Meier": "Estimator of the share that lasts longer than a time, from durations some of which are censored.",
-    "freshness": "Age of a trust value when it is looked up, and of the evidence behind it.",
-    "age of information": "Time since the generation of the information that a receiver has. *At use* means when it is looked up; *over time* means averaged over the time within range. The peak age is the age just before a renewal.",
-    "suspected": "A subject is suspected while its trust is evaluated and below a threshold.",
-    "time to detection": "Time from the first attack until the attacker is suspected.",
-    "ROC, AUC": "The receiver operating characteristic is the curve of the true positive rate over the false positive rate for all thresholds. The area under it (AUC) is the probability that an honest value is above an attacker's.",
-    "PDR": "Packet delivery ratio: share of (frame, receiver) pairs within communication range in which the frame was received.",
-    "PIR": "Packet inter-reception time: time between successive messages of one sender at one receiver, while both are within range.",
-    "CBR": "Channel busy ratio: share of the time in which a station senses the channel busy.",
-    "LOS, NLOS": "Line of sight: no building stands between two points. No line of sight: a building does.",
-    "communication range": "Largest distance of one radio hop in the simulation (radio.range_m).",
-    "forwarding": "Other vehicles send a received message again. A relayed frame is such a copy.",
-    "access delay": "Time from the generation of a message until its frame is on the air.",
-    "RSU": "Roadside unit: a station beside the road, linked to the trust server.",
-    "DCC": "Decentralized congestion control: stations send less often while the channel is busy.",
-    "environmental awareness": "Share of the actors around a vehicle that are in its list of objects.",
-    "AP": "Average precision of a detector over recall, here by the rules of the KITTI benchmark.",
-}
-"""Meaning by word."""
+GLOSSARY: Mapping[str, str] = tomllib.loads(Path(__file__).with_name("glossary.toml").read_text(encoding="utf-8"))

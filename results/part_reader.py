@@ -41,6 +41,14 @@ def plain(column: pa.Array, labels: Sequence[str]) -> np.ndarray:
     return code[column.indices.fill_null(-1).to_numpy(zero_copy_only=False)]
 
 
+def as_stored(column: pa.ChunkedArray, kind: pa.DataType) -> pa.ChunkedArray:
+    """The same column in another type; texts become labels where that has some."""
+    if not pa.types.is_dictionary(kind):
+        return column.cast(kind)
+    labels = column.combine_chunks().dictionary_encode()
+    return pa.chunked_array([pa.DictionaryArray.from_arrays(labels.indices.cast(pa.int8()), labels.dictionary)])
+
+
 def check_labels(found: Sequence[str], known: Sequence[str]) -> None:
     """Raise ValueError, with a one-line message, if a column has labels that this cosim does not know."""
     if unknown := [label for label in found if label not in known]:

@@ -1,18 +1,12 @@
 """Writing a run: one Parquet dataset per table, a block of steps at a time."""
 
-import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
-import numpy as np
-import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy import ndarray
-from pandas.util import hash_pandas_object
 
 from cosim.base import durable
 from cosim.base.codes import BASE_VARIANT, Role, labels
@@ -22,7 +16,7 @@ from results.columns import Level
 from results.inventory import CHECKPOINT, Block, Inventory
 from results.part_encoder import PartEncoder
 from results.stored_columns import stored_columns, stored_rows
-from results.tables import TABLES, kept, schema
+from results.tables import TABLES, kept
 
 Columns = Mapping[str, ndarray | None]
 """Columns of a table by name, masks included."""
@@ -250,29 +244,3 @@ def _committed(folder: Path) -> Inventory:
         return inventory.read(folder)
     except Damaged as error:
         raise Damaged(f"{error} Nothing can be added to this run.") from None
-
-
-def fingerprint(folder: Path) -> dict[str, str]:
-    """Hash of the values in each table, independent of row order, blocks and Parquet encoding.
-
-    Two runs have equal tables exactly where their fingerprints are equal.
-    """
-    folder = Path(folder)
-    return {name: _table_hash(name, folder / name) for name in TABLES if (folder / name).is_dir()}
-
-
-def _table_hash(table: str, folder: Path) -> str:
-    """Rows are hashed one by one and summed, so that neither order nor block counts."""
-    total, n, there = np.zeros(1, np.uint64), 0, schema(table).names
-    nullable = {pa.int32(): pd.Int32Dtype(), pa.int16(): pd.Int16Dtype(), pa.bool_(): pd.BooleanDtype()}
-    for part in sorted(folder.glob("part-*.parquet")):
-        file = pq.ParquetFile(part)
-        there = file.schema_arrow.names
-        for batch in file.iter_batches(1 << 20):
-            rows = batch.to_pandas(types_mapper=nullable.get)
-            floats = rows.select_dtypes("floating").columns
-            rows[floats] = rows[floats] + 0.0  # makes one zero of two
-            total += hash_pandas_object(rows, index=False).to_numpy().sum(dtype=np.uint64)
-            n += len(rows)
-    columns = schema(table, there=there).to_string()
-    return hashlib.sha256(f"{columns} {n} {total[0]:x}".encode()).hexdigest()[:32]

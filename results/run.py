@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -19,14 +19,20 @@ import pyarrow.parquet as pq
 from cosim.base import durable
 from cosim.base.codes import BASE_VARIANT
 from cosim.base.durable import Damaged
-from results import inventory, part_reader, virtual_columns
+from results import inventory, part_reader
 from results.columns import LEVELS, WHOLE, Of
 from results.inventory import Inventory, Part
 from results.manifest import status_of
 from results.tables import TABLES, kept, schema
 
+if TYPE_CHECKING:
+    from results.sql import Database
+
 T = TypeVar("T")
 R = TypeVar("R", pa.Table, pa.RecordBatch)
+
+Read = Callable[[Path, Sequence[str], pc.Expression | None], pa.Table]
+"""Reads columns and rows of one part file."""
 
 OVER = ("finished", "interrupted")
 """Statuses of a run that ended with everything written."""
@@ -199,12 +205,40 @@ class Run:
         """
         return self._table(name, columns, where, self._part)
 
-    def _table(
-        self, name: str, columns: Sequence[str] | None, where: pc.Expression | None, part: virtual_columns.Read
-    ) -> pd.DataFrame:
+    def _table(self, name: str, columns: Sequence[str] | None, where: pc.Expression | None, part: Read) -> pd.DataFrame:
         wanted = self._wanted(name, columns)
-        parts = [virtual_columns.read(part, path, wanted.names, where) for path in self._paths(name)]
+        parts = [self._whole(part, path, wanted.names, where) for path in self._paths(name)]
         return self._pandas(pa.concat_tables([wanted.empty_table(), *parts]), name)
+
+    def _whole(self, part: Read, path: Path, columns: Sequence[str], where: pc.Expression | None) -> pa.Table:
+        """Columns and rows of a part file, those not on disk included: they are those of detections that rows name."""
+        table = TABLES[path.parent.name]
+        virtual = table.virtual(columns, where)
+        if not virtual:
+            return part(path, columns, where)
+        from results.sql import LINKS
+
+        late = where if table.virtual((), where) else None
+        stored = [name for name in table.stored if name in columns or name in LINKS or late is not None]
+        rows = part(path, stored, None if late is not None else where)
+        steps = [rows.column(name) for name in ("source_step", "pose_step")]
+        found = self._database().columns_of_detections(rows.select(LINKS), virtual, self._files_of_steps(steps))
+        if len(found) != len(rows):
+            names = "it names detections that do not exist, or more than one by one name"
+            raise Damaged(f"{path} is damaged: {names}. Run `cosim verify` on its run.")
+        for field in (schema(path.parent.name, whole=True).field(name) for name in virtual):
+            rows = rows.append_column(field, part_reader.as_stored(found.column(field.name), field.type))
+        return (rows if late is None else rows.filter(late)).select(list(columns))
+
+    def _files_of_steps(self, steps: Sequence[pa.ChunkedArray]) -> list[Path]:
+        """Part files of the detections of these steps; one at least."""
+        ends = [end for column in steps for end in pc.min_max(column).as_py().values() if end is not None] or [0]
+        parts = zip(self._paths("detections"), self.inventory.of("detections"), strict=True)
+        there = [(path, part.first_step <= max(ends) and part.last_step >= min(ends)) for path, part in parts]
+        found = [path for path, is_of_steps in there if is_of_steps] or [path for path, _ in there[:1]]
+        for path in found:
+            self._check(path)
+        return found
 
     def parts(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
@@ -213,11 +247,11 @@ class Run:
         yield from self._parts(name, columns, where, self._part)
 
     def _parts(
-        self, name: str, columns: Sequence[str] | None, where: pc.Expression | None, part: virtual_columns.Read
+        self, name: str, columns: Sequence[str] | None, where: pc.Expression | None, part: Read
     ) -> Iterator[pd.DataFrame]:
         wanted = self._wanted(name, columns)
         for path in self._paths(name):
-            yield self._pandas(virtual_columns.read(part, path, wanted.names, where), name)
+            yield self._pandas(self._whole(part, path, wanted.names, where), name)
 
     def variant_table(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
@@ -260,7 +294,7 @@ class Run:
         The number of the block and its columns, piece by piece. Labels become codes (-1 for null), and numbers that may
         be null become floats.
         """
-        assert not virtual_columns.names(TABLES[name], columns, None), "columns that are on disk"
+        assert not TABLES[name].virtual(columns, None), "columns that are on disk"
         labels = {c: TABLES[name].columns[c].labels(self.manifest) for c in self._wanted(name, columns).names}
         for number, path in enumerate(self._paths(name)):
             self._check(path)
@@ -268,7 +302,43 @@ class Run:
                 self._in_bounds(path, rows)
                 yield number, {c: part_reader.plain(rows.column(c), labels[c]) for c in columns}
 
-    def _of_variant(self, name: str, where: pc.Expression | None) -> tuple[pc.Expression | None, virtual_columns.Read]:
+    def sql(self, query: str, **values: Any) -> pd.DataFrame:
+        """Ask the tables a question in SQL: `run.sql("SELECT role, count(*) AS n FROM vehicles GROUP BY role")`.
+
+        Parameters
+        ----------
+        query
+            One SELECT, as DuckDB understands it. Only whole blocks of the run are seen. Beside the tables there is
+            `subjects`: `pseudonyms` with the role and the first attack of the vehicle.
+        values
+            Values of `$name` in the query. `$dt_s`, `$steps` and `$variant`, the run's own, need not be given.
+
+        Raises
+        ------
+        ValueError
+            In one line, if the query is wrong.
+        """
+        own = {"dt_s": self.dt_s, "steps": self.manifest["steps"], "variant": self.variant}
+        return self._database().answer(query, own | values)
+
+    def _database(self) -> "Database":
+        from results.sql import Database  # here, because DuckDB takes its time
+
+        return self.once_for_all("database", lambda: Database(self.tables, self.files, self.require, self._folders()))
+
+    def files(self, name: str) -> list[Path]:
+        """Part files of a table, after their checksums were verified."""
+        self.require(name)
+        paths = self._paths(name)
+        for path in paths:
+            self._check(path)
+        return paths
+
+    def _folders(self) -> list[str]:
+        """Folders of the part files."""
+        return [str(folder.resolve()) for folder in (self.path, *([self._held.path] if self._held else []))]
+
+    def _of_variant(self, name: str, where: pc.Expression | None) -> tuple[pc.Expression | None, Read]:
         """Which rows are the variant's, and how parts are read."""
         if len(self.variants) == 1 or name not in TABLES or "variant" not in TABLES[name].columns:
             return where, self._part
@@ -314,7 +384,7 @@ class Run:
 
     def _wanted(self, name: str, columns: Sequence[str] | None) -> pa.Schema:
         self.require(name)
-        if virtual_columns.names(TABLES[name], list(TABLES[name].columns) if columns is None else columns, None):
+        if TABLES[name].virtual(list(TABLES[name].columns) if columns is None else columns, None):
             self.require("detections")
         unknown = sorted(set(columns or ()) - set(TABLES[name].columns))
         if unknown:

@@ -111,6 +111,13 @@ class StudyResults:
         pairs = frame[~is_base].merge(frame.loc[is_base, [*on, "value"]], on=on, suffixes=("", "_base"))
         return self._intervals(pairs.assign(value=pairs.value - pairs.value_base), _bounds_of_difference)
 
+    def check_swept(self, *names: str, more: Sequence[str] = ()) -> None:
+        """Raise ValueError if one of these names is no swept key, nor one of `more`."""
+        known = dict.fromkeys([*self.keys, *more])
+        for name in names:
+            if name not in known:
+                raise ValueError(f"{name} is not swept in {self.name}. Swept: {', '.join(known)}.")
+
     def _intervals(self, frame: pd.DataFrame, bounds: Callable[[str], Bounds]) -> pd.DataFrame:
         found = intervals(frame, [*self.keys, "metric", "group", "unit", "label"], bounds)
         asked = self.points.groupby(list(self.keys), sort=False, dropna=False).replicate.nunique().rename("asked")
@@ -252,6 +259,13 @@ def apart(frame: pd.DataFrame, keys: Sequence[str]) -> list[str]:
         if not together:
             found.append(key)
     return [key for key in keys if key in found]
+
+
+def at_first(frame: pd.DataFrame, keys: Iterable[str]) -> pd.DataFrame:
+    """Rows with the first value of keys that change nothing: it stands for all."""
+    for key in keys:
+        frame = frame[frame[key] == frame[key].iloc[0]]
+    return frame
 
 
 def that_matter(measures: pd.DataFrame, keys: Sequence[str]) -> list[str]:

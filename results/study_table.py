@@ -6,7 +6,7 @@ from typing import Any
 import pandas as pd
 
 from results.metrics.registry import CORE
-from results.study import StudyResults, apart, chosen, held_at, said, that_matter, with_short_names
+from results.study import StudyResults, apart, at_first, chosen, held_at, said, that_matter, with_short_names
 
 
 def core(study: StudyResults, whole: bool = True) -> list[str]:
@@ -59,9 +59,7 @@ def pivot(
     ValueError
         In one line, if a key, a value or a metric does not exist.
     """
-    for key in [*(where or {}), *([over] if over else [])]:
-        if key not in study.keys:
-            raise ValueError(f"{key} is not swept in {study.name}. Swept: {', '.join(study.keys)}.")
+    study.check_swept(*(where or {}), *([over] if over else []))
     whole, measures = frame, study.measures
     for key, text in (where or {}).items():
         frame, measures = held_at(frame, key, text), held_at(measures, key, text)
@@ -76,8 +74,7 @@ def pivot(
             continue
         matter = that_matter(chosen(measures, [name]), study.keys)
         free = [key for key in others if key not in matter]
-        for key in free:  # it changes nothing: one of its values stands for all
-            of_metric = of_metric[of_metric[key] == of_metric[key].iloc[0]]
+        of_metric = at_first(of_metric, free)
         short = with_short_names(of_metric, study.keys)
         beside = [key for key in others if key not in free]
         for at, one in short.groupby(["metric", "group", *beside], sort=False, dropna=False):

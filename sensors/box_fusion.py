@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from numba import prange
 from numpy import ndarray
 from scipy.special import erf, erfinv
 
-from cosim.base.kernel import compiled, inlined, kernel, parallel
+from cosim.base.kernel import compiled, inlined, kernel
+from cosim.base.threads import in_ranges
 from sensors.association import bounded
 from sensors.boxes import Boxes
 
@@ -149,6 +149,7 @@ def fuse_boxes(
     table = _Table(
         boxes.xyz_m,
         boxes.lwh_m,
+        _logarithms(boxes.lwh_m),
         boxes.yaw_rad,
         np.ascontiguousarray(views.label),
         np.ascontiguousarray(views.message, np.int64),
@@ -161,7 +162,7 @@ def fuse_boxes(
     box, variance_m2 = np.empty((n_groups, 7)), np.empty((n_groups, 3))
     rows = [np.ascontiguousarray(a, np.int64) for a in (ptr, member, owner, group, seed)]
     lists = _Lists(*[*rows, np.ascontiguousarray(weight)])
-    _fuse(table, lists, align, box, variance_m2)
+    in_ranges(lambda begin, end: _fuse(begin, end, table, lists, align, box, variance_m2), len(owner))
     return FusedBoxes(boxes_of_columns(box), variance_m2)
 
 
@@ -202,6 +203,7 @@ class _Table(NamedTuple):
 
     xyz: ndarray
     lwh: ndarray
+    log_lwh: ndarray
     yaw: ndarray
     label: ndarray
     message: ndarray
@@ -247,6 +249,8 @@ class _Ego(NamedTuple):
     """Information of the position, times the first weight."""
     info: "_Information"
     """The same times both weights."""
+    listed: ndarray
+    """Room for the slots of the vehicles of a group."""
 
 
 class _Information(NamedTuple):
@@ -257,12 +261,22 @@ class _Information(NamedTuple):
     yy: ndarray
 
 
-@parallel
-def _fuse(table, lists, align, box, variance):
-    """Fill the boxes and variances of all groups. Receivers are independent."""
-    for e in prange(len(lists.owner)):
+@compiled
+def _logarithms(lwh):
+    """Logarithms of sizes."""
+    log_lwh = np.empty_like(lwh)
+    for d in range(len(lwh)):
+        for c in range(3):
+            log_lwh[d, c] = np.log(lwh[d, c])
+    return log_lwh
+
+
+@compiled
+def _fuse(begin, end, table, lists, align, box, variance):
+    """Fill the boxes and variances of all groups of the receivers `begin` to `end`."""
+    for e in range(begin, end):
         if lists.ptr[e + 1] > lists.ptr[e]:
-            _of_ego(np.int64(e), table, lists, align, box, variance)
+            _of_ego(e, table, lists, align, box, variance)
 
 
 @compiled
@@ -289,6 +303,7 @@ def _of_ego(e, table, lists, align, box, variance):
         real[5],
         _Information(real[6], real[7], real[8]),
         _Information(real[9], real[10], np.empty(n)),
+        np.empty(n + 1, np.int64),
     )
     vehicle, messages = number[2], np.empty(n + 1, np.int64)
     _sort(begin, end, first, table, lists, ego, vehicle)
@@ -296,8 +311,9 @@ def _of_ego(e, table, lists, align, box, variance):
     _prepare(first, owner, table, lists, ego, align)
     errors = np.zeros(3 * n_slots)
     system = np.zeros((len(errors), len(errors)))
+    pull = np.empty((n + 1, 3, 2))
     for solution in range(_N_SOLUTIONS):
-        _assemble(table, ego, messages, n_slots, align, system, errors)
+        _assemble(table, ego, messages, n_slots, align, pull, system, errors)
         _factorise(system)
         _solve(system, errors)
         if solution < _N_SOLUTIONS - 1:
@@ -492,8 +508,8 @@ def _without_error(k, ego, errors):
 
 
 @kernel
-def _assemble(table, ego, messages, n_slots, align, system, right):
-    """Normal equations of the pose errors, after the objects are eliminated."""
+def _assemble(table, ego, messages, n_slots, align, pull, system, right):
+    """Normal equations of the pose errors, after the objects are eliminated; the upper triangle is filled."""
     system[:] = 0.0
     given, info = ego.given, ego.info
     for k in range(len(ego.row)):
@@ -509,12 +525,12 @@ def _assemble(table, ego, messages, n_slots, align, system, right):
     for g in range(len(ego.begin) - 1):
         begin, end = ego.begin[g], ego.begin[g + 1]
         if end - begin > 1:
-            _add_group(begin, end, ego, system, right)
+            _add_group(begin, end, ego, pull, system, right)
 
 
 @kernel
-def _add_group(begin, end, ego, system, right):
-    """Add a group to the normal equations."""
+def _add_group(begin, end, ego, pull, system, right):
+    """Add a group to the normal equations, of which the upper triangle is filled. `pull` is room."""
     info = ego.info
     xx, xy, yy = _sum_of_group(begin, end, info)
     x = y = 0.0
@@ -524,7 +540,12 @@ def _add_group(begin, end, ego, system, right):
         u, v = _times(a, b, c, u, v)
         x += u
         y += v
+        for i in range(3):
+            a, b = _pull(i, k, info, ego)
+            pull[k, i, 0] = a
+            pull[k, i, 1] = b
     x, y = _times(xx, xy, yy, x, y)
+    share = pull[end]
     for k in range(begin, end):
         s = 3 * ego.slot[k]
         if s < 0 or ego.weight[k] <= 0.0:
@@ -533,21 +554,26 @@ def _add_group(begin, end, ego, system, right):
         v = ego.y[k] - y
         left, up = ego.left[k], ego.up[k]
         for c in range(3):
-            a, b = _pull(c, k, info, ego)
+            a = pull[k, c, 0]
+            b = pull[k, c, 1]
             right[s + c] += a * u + b * v
-            system[s + c, s] += a
-            system[s + c, s + 1] += b
+            system[s, s + c] += a
+            system[s + 1, s + c] += b
             turned = b * left - a * up
-            system[s + c, s + 2] += turned
+            system[s + 2, s + c] += turned
             a, b = _times(xx, xy, yy, a, b)
-            for j in range(begin, end):
-                t = 3 * ego.slot[j]
-                if t < 0:
-                    continue
+            share[c, 0] = a
+            share[c, 1] = b
+        for j in range(begin, end):
+            t = 3 * ego.slot[j]
+            if 0 <= t <= s:
                 for i in range(3):
-                    p, q = _pull(i, j, info, ego)
-                    product = a * p + b * q
-                    system[s + c, t + i] -= product
+                    a = pull[j, i, 0]
+                    b = pull[j, i, 1]
+                    row = system[t + i]
+                    for c in range(3):
+                        p, q = share[c, 0], share[c, 1]
+                        row[s + c] -= p * a + q * b
 
 
 @kernel
@@ -571,39 +597,71 @@ def _reweigh(ego, errors):
 
 @kernel
 def _factorise(a):
-    """Replace the lower triangle of a positive definite matrix by its Cholesky factor."""
-    for j in range(len(a)):
-        for i in range(j, len(a)):
-            x = a[i, j]
-            for k in range(j):
-                x -= a[i, k] * a[j, k]
-            if i > j:
-                a[i, j] = x / a[j, j]
-            else:
-                a[i, j] = np.sqrt(x)
+    """Replace the upper triangle of a positive definite matrix by its Cholesky factor, a vehicle at a time."""
+    n = len(a)
+    for k in range(0, n, 3):
+        for j in range(k, n):
+            factors = a[k : k + 3, j]
+            _subtract(a[j], a, k, factors, 0, j - k, j, n)
+            if j < k + 3:
+                root = np.sqrt(a[j, j])
+                for i in range(j, n):
+                    a[j, i] /= root
+                a[j, j] = root
+
+
+@inlined
+def _subtract(row, of, k, factors, low, high, begin, end):
+    """Subtract multiples of rows k, k + 1 and k + 2 from another row, in columns `begin` to `end`.
+
+    Of these rows, those from `low` to `high` count.
+    """
+    first = factors[0] if low < 1 <= high else 0.0
+    second = factors[1] if low < 2 <= high else 0.0
+    third = factors[2] if low < 3 <= high else 0.0
+    if first != 0.0 or second != 0.0 or third != 0.0:
+        a, b = of[k], of[k + 1]
+        c = of[k + 2]
+        for i in range(np.uint64(begin), np.uint64(end)):
+            value = row[i] - first * a[i]
+            value -= second * b[i]
+            row[i] = value - third * c[i]
 
 
 @kernel
 def _solve(factor, x):
     """Replace the right side by the solution."""
     n = len(factor)
-    for i in range(n):
-        for k in range(i):
-            x[i] -= factor[i, k] * x[k]
-        x[i] /= factor[i, i]
+    for k in range(n):
+        x[k] /= factor[k, k]
+        for i in range(k + 1, n):
+            x[i] -= factor[k, i] * x[k]
     for i in range(n - 1, -1, -1):
         for k in range(i + 1, n):
-            x[i] -= factor[k, i] * x[k]
+            x[i] -= factor[i, k] * x[k]
         x[i] /= factor[i, i]
 
 
 @kernel
 def _invert(factor, inverse):
-    """Inverse of the matrix of a Cholesky factor."""
+    """Inverse of the matrix of a Cholesky factor: column j solves for unit vector j, all columns at once."""
+    n = len(factor)
     inverse[:] = 0.0
-    for j in range(len(factor)):
-        inverse[j, j] = 1.0
-        _solve(factor, inverse[j])
+    for i in range(n):
+        inverse[i, i] = 1.0
+    for k in range(0, n, 3):
+        for i in range(k, n):
+            factors = factor[k : k + 3, i]
+            _subtract(inverse[i], inverse, k, factors, 0, i - k, 0, k + 3)
+            if i < k + 3:
+                for j in range(i + 1):
+                    inverse[i, j] /= factor[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i - i % 3, n, 3):
+            factors = factor[i, k : k + 3]
+            _subtract(inverse[i], inverse, k, factors, i + 1 - k, 3, 0, n)
+        for j in range(n):
+            inverse[i, j] /= factor[i, i]
 
 
 @kernel
@@ -628,7 +686,7 @@ def _fuse_place(begin, end, seed, owner, table, ego, errors, covariance, slope, 
                 a, b = _times(xx, xy, yy, a, b)
                 slope[0, s + c] -= a
                 slope[1, s + c] -= b
-    a, b, c = _spread(begin, end, ego, slope, covariance)
+    a, b, c = _spread(_list_vehicles(begin, end, ego), ego, slope, covariance)
     variance[0] = xx + a
     variance[1] = xy + b
     variance[2] = yy + c
@@ -640,41 +698,38 @@ def _fuse_place(begin, end, seed, owner, table, ego, errors, covariance, slope, 
 
 
 @kernel
-def _spread(begin, end, ego, slope, covariance):
-    """G C G' of one group: xx, xy, yy."""
+def _list_vehicles(begin, end, ego):
+    """Slots of the vehicles of a group, each once, behind that of the receiver; returns how many there are."""
+    ego.listed[0] = 0
+    n = 1
+    for k in range(begin, end):
+        slot = ego.slot[k]
+        is_new = slot > 0
+        for j in range(1, n):
+            is_new &= ego.listed[j] != slot
+        if is_new:
+            ego.listed[n] = slot
+            n += 1
+    return n
+
+
+@kernel
+def _spread(n, ego, slope, covariance):
+    """G C G' of the first `n` listed vehicles: xx, xy, yy."""
     xx = xy = yy = 0.0
-    for k in range(begin - 1, end):
-        s = 3 * _vehicle_of(k, begin, ego)
-        if s < 0:
-            continue
-        for j in range(begin - 1, end):
-            t = 3 * _vehicle_of(j, begin, ego)
-            if t < 0:
-                continue
+    for k in range(n):
+        s = 3 * ego.listed[k]
+        for j in range(n):
+            t = 3 * ego.listed[j]
             for c in range(3):
                 a = slope[0, s + c]
                 b = slope[1, s + c]
                 for i in range(3):
-                    value = covariance[s + c, t + i]
+                    value = covariance[t + i, s + c]
                     xx += a * value * slope[0, t + i]
                     xy += a * value * slope[1, t + i]
                     yy += b * value * slope[1, t + i]
     return xx, xy, yy
-
-
-@inlined
-def _vehicle_of(k, begin, ego):
-    """Slot of a detection, once for each vehicle: -1 if an earlier detection of the group has it, too.
-
-    The row before the group stands for the receiver.
-    """
-    slot = ego.slot[k] if k >= begin else 0
-    if k >= begin and slot == 0:
-        slot = -1
-    for j in range(begin, k):
-        if ego.slot[j] == slot:
-            slot = -1
-    return slot
 
 
 @kernel
@@ -692,9 +747,9 @@ def _fuse_shape(begin, end, seed, table, ego, errors, covariance, box):
         sin += w / spread * np.sin(2.0 * angle)
         w_size = w / table.size[d]
         of_size += w_size
-        length += w_size * np.log(table.lwh[d, 0])
-        width += w_size * np.log(table.lwh[d, 1])
-        height += w_size * np.log(table.lwh[d, 2])
+        length += w_size * table.log_lwh[d, 0]
+        width += w_size * table.log_lwh[d, 1]
+        height += w_size * table.log_lwh[d, 2]
         w /= table.variance[d, 0] + table.variance[d, 2]
         of_bottom += w
         under = 0.5 * table.lwh[d, 2]

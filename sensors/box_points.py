@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import prange
 
-from cosim.base.kernel import dividing, inlined, kernel, parallel
+from cosim.base.kernel import compiled, dividing, inlined, kernel
+from cosim.base.threads import in_ranges
 from sensors.lanes import LANES, TILE, near_box, nearest_and_farthest
 from sensors.pairs import in_sensor_frame
 from sensors.range_steps import NO_RETURN
@@ -151,59 +151,59 @@ def _unbounded(nearest, farthest):
             nearest[b, t], farthest[b, t] = 0.0, np.inf
 
 
-def points_in_boxes(range_steps, step_m, beams, pairs, run, n_chunks):
+def points_in_boxes(range_steps, step_m, beams, pairs, run):
     """Number of returns of the pair's sweep strictly inside its box, for each pair.
 
-    `run` is `Pairs.runs`; its runs are divided among `n_chunks` threads. `range_steps` and `step_m` are those of
+    `run` is `Pairs.runs`; its runs are divided among threads. `range_steps` and `step_m` are those of
     `sensors.lidar.RangeImages`. A step is a power of two: single precision holds every range, and lengths per step are
     exactly as precise as lengths per metre.
     """
-    # What is small is made here: in a parallel kernel every expression of arrays is compiled as a loop over threads.
     cos_el, sin_el = (step_m * beams.cos_el).astype(np.float32), (step_m * beams.sin_el).astype(np.float32)
     m, out = len(cos_el), np.zeros(len(pairs.o), np.int32)
     first = range(0, m, LANES)
     blocks = [cos_el[max(0, min(row, m - LANES)) : row + LANES] for row in first]
     flat = np.array([[block.min(), block.max()] for block in blocks], np.float32)
     edge = math.cos(0.5 * beams.fov_rad), math.sin(0.5 * beams.fov_rad)
-    _add_points(out, range_steps, step_m, beams, cos_el, sin_el, flat, edge, pairs, run, n_chunks)
+    given = range_steps, step_m, beams, cos_el, sin_el, flat, edge, pairs, run
+    in_ranges(lambda begin, end: _add_points(out, begin, end, given), len(run) - 1)
     return out
 
 
-@parallel
-def _add_points(out, range_steps, step_m, beams, cos_el, sin_el, flat, edge, pairs, run, n_chunks):
-    """As `points_in_boxes`, added to `out`.
+@compiled
+def _add_points(out, begin, end, given):
+    """As `points_in_boxes`, added to `out`, for the runs `begin` to `end`.
 
     `flat` is the least and largest length per step of each block of rows, `edge` the cosine and sine of half the field
     of view.
     """
+    range_steps, step_m, beams, cos_el, sin_el, flat, edge, pairs, run = given
     n, m = range_steps.shape[1], len(cos_el)
-    for chunk in prange(n_chunks):
-        columns, slopes = columns_of(beams), slopes_of(beams)
-        lengths = np.empty((2, len(flat), (n + TILE - 1) // TILE), np.float32)
-        bounds, scratch = (lengths[0], lengths[1]), (np.empty(n, np.float32), np.empty(n, np.float32))
-        for i in range(np.int64(chunk), len(run) - 1, n_chunks):  # neighbours in a city have as many boxes to look at
-            steps = range_steps[pairs.o[run[i]]]
-            if run[i + 1] - run[i] > _FEW and n >= TILE and m >= LANES:
-                farthest = _bounds(steps, flat, bounds[0], bounds[1]) * step_m + _REACH_M
-            else:
-                _unbounded(bounds[0], bounds[1])
-                farthest = np.inf
-            for k in range(run[i], run[i + 1]):
-                x, y, z, length, width, height, yaw = in_sensor_frame(pairs, k)
-                half_l, half_w, half_h = 0.5 * length, 0.5 * width, 0.5 * height
-                radius, distance = np.sqrt(half_l * half_l + half_w * half_w), np.sqrt(x * x + y * y)
-                close = distance - radius
-                if abs(y) * edge[0] - x * edge[1] > radius or close > farthest:
-                    continue  # beside the field of view, or behind all returns
-                cos, sin = np.cos(yaw), np.sin(yaw)
-                a0, a1, b0, b1 = rectangle_columns(x, y, cos, sin, half_l, half_w, columns)
-                r0, r1 = 0, m
-                if close > 1e-6:
-                    low, high = z - half_h, z + half_h
-                    r0 = max(0, below(slopes, low / (close if low < 0.0 else distance + radius)) - 1)
-                    r1 = min(m, below(slopes, high / (close if high > 0.0 else distance + radius)) + 1)
-                box = x, y, z, cos, sin, half_l, half_w, half_h
-                for turn in range(2):
-                    c0, c1 = (a0, a1) if turn == 0 else (b0, b1)
-                    if c1 > c0:
-                        out[k] += _count(steps, step_m, beams, cos_el, sin_el, c0, c1, r0, r1, box, bounds, scratch)
+    columns, slopes = columns_of(beams), slopes_of(beams)
+    lengths = np.empty((2, len(flat), (n + TILE - 1) // TILE), np.float32)
+    bounds, scratch = (lengths[0], lengths[1]), (np.empty(n, np.float32), np.empty(n, np.float32))
+    for i in range(begin, end):
+        steps = range_steps[pairs.o[run[i]]]
+        if run[i + 1] - run[i] > _FEW and n >= TILE and m >= LANES:
+            farthest = _bounds(steps, flat, bounds[0], bounds[1]) * step_m + _REACH_M
+        else:
+            _unbounded(bounds[0], bounds[1])
+            farthest = np.inf
+        for k in range(run[i], run[i + 1]):
+            x, y, z, length, width, height, yaw = in_sensor_frame(pairs, k)
+            half_l, half_w, half_h = 0.5 * length, 0.5 * width, 0.5 * height
+            radius, distance = np.sqrt(half_l * half_l + half_w * half_w), np.sqrt(x * x + y * y)
+            close = distance - radius
+            if abs(y) * edge[0] - x * edge[1] > radius or close > farthest:
+                continue  # beside the field of view, or behind all returns
+            cos, sin = np.cos(yaw), np.sin(yaw)
+            a0, a1, b0, b1 = rectangle_columns(x, y, cos, sin, half_l, half_w, columns)
+            r0, r1 = 0, m
+            if close > 1e-6:
+                low, high = z - half_h, z + half_h
+                r0 = max(0, below(slopes, low / (close if low < 0.0 else distance + radius)) - 1)
+                r1 = min(m, below(slopes, high / (close if high > 0.0 else distance + radius)) + 1)
+            box = x, y, z, cos, sin, half_l, half_w, half_h
+            for turn in range(2):
+                c0, c1 = (a0, a1) if turn == 0 else (b0, b1)
+                if c1 > c0:
+                    out[k] += _count(steps, step_m, beams, cos_el, sin_el, c0, c1, r0, r1, box, bounds, scratch)

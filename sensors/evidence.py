@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-import numba
 import numpy as np
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int, Int32, UInt8
@@ -110,9 +109,7 @@ def points_in_boxes(
     image that the box can fill is searched.
     """
     pairs = sweeps.poses.pairs(o, boxes, b)
-    return box_points.points_in_boxes(
-        sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(), numba.get_num_threads()
-    )
+    return box_points.points_in_boxes(sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs())
 
 
 def plausible(
@@ -137,8 +134,8 @@ def plausible(
     """
     pairs = sweeps.poses.pairs(o, boxes, b)
     return evidence_kernels.free_space(
-        sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(), area.range_m, area.height_m,
-        edge_slope(sweeps.beams.fov_rad), params.margin_m, params.min_share, numba.get_num_threads(),
+        sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(),
+        (area.range_m, area.height_m, edge_slope(sweeps.beams.fov_rad)), params.margin_m, params.min_share,
     )  # fmt: skip
 
 

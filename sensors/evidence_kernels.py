@@ -7,9 +7,9 @@ are taken as slices from 0: an index that might be negative prevents vectorisati
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
-from cosim.base.kernel import compiled, inlined, kernel, parallel
+from cosim.base.kernel import compiled, inlined, kernel
+from cosim.base.threads import in_ranges
 from sensors.pairs import in_sensor_frame
 from sensors.range_steps import NO_RETURN
 from sensors.raycast.column import MARGIN_RAD, below, columns_of, slopes_of, spans
@@ -141,22 +141,28 @@ def in_frustum(x, y, z, plane):
     )
 
 
-@parallel
-def free_space(range_steps, step_m, beams, pairs, run, reach_m, height_m, slope, margin_m, least_share, n_chunks):
+def free_space(range_steps, step_m, beams, pairs, run, area, margin_m, least_share):
     """Whether the sweep of each pair allows that an object stands in its box: true where the test does not apply.
 
-    `run` is `Pairs.runs`; its runs are divided among `n_chunks` threads. An object can stand there if more than the
-    share `least_share` of the returns in the pyramid through its box are nearer than the box.
+    `run` is `Pairs.runs`; its runs are divided among threads. `area` is the reach and the height of the evaluation
+    area, and the slope of its edges. An object can stand there if more than the share `least_share` of the returns in
+    the pyramid through its box are nearer than the box.
     """
     allowed = np.ones(len(pairs.o), np.bool_)
-    for chunk in prange(n_chunks):
-        room = np.empty((4, 3)), np.empty((4, 3))
-        for i in range(np.int64(chunk), len(run) - 1, n_chunks):  # neighbours in a city have as many boxes to look at
-            first, end = run[i], run[i + 1]
-            sweep = range_steps[pairs.o[first]]
-            area = reach_m, height_m, slope
-            _free_space_of(allowed, sweep, step_m, beams, pairs, first, end, area, margin_m, least_share, room)
+    given = range_steps, step_m, beams, pairs, run, area, margin_m, least_share
+    in_ranges(lambda begin, end: _free_space(allowed, begin, end, given), len(run) - 1)
     return allowed
+
+
+@compiled
+def _free_space(allowed, begin, end, given):
+    """The same for the pairs of the runs `begin` to `end`."""
+    range_steps, step_m, beams, pairs, run, area, margin_m, least_share = given
+    room = np.empty((4, 3)), np.empty((4, 3))
+    for i in range(begin, end):
+        first, end_of_run = run[i], run[i + 1]
+        sweep = range_steps[pairs.o[first]]
+        _free_space_of(allowed, sweep, step_m, beams, pairs, first, end_of_run, area, margin_m, least_share, room)
 
 
 @kernel

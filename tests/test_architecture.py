@@ -15,7 +15,8 @@ FOREIGN = {
     "sensors": {"annotated_types", "jaxtyping", "numpy", "scipy", "numba", "llvmlite", "shapely", "embreex", "open3d"},
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba", "scipy"},
     "results": {
-        "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "networkx", "matplotlib",
+        "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "duckdb", "networkx",
+        "matplotlib",
     },
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "scipy", "shapely", "sumo", "sumolib"},
     "cosim": {
@@ -40,6 +41,7 @@ ONE_FILE = {
         "cosim/runs/cluster.py",
         "cosim/studies/engine.py",
     },
+    "duckdb": {"results/sql.py"},
     "psutil": {"cosim/studies/engine.py"},
     "latex2mathml": {"cosim/docs/equations.py"},
     "yaml": {"cosim/addons/datasets/opv2v.py"},

@@ -4,9 +4,9 @@ import pandas as pd
 import pytest
 
 from results.archive import open_run
-from results.recorder import fingerprint
 from results.tables import TABLES
 from tests.drive import drive
+from tests.fingerprint import fingerprint
 
 FULL = "record.level=full"
 

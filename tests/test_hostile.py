@@ -5,8 +5,8 @@ import json
 import pytest
 
 from results.archive import open_run
-from results.recorder import fingerprint
 from tests.drive import drive
+from tests.fingerprint import fingerprint
 
 DISK = ("radio.model=unit_disk", "radio.unit_disk.loss_p=0", "record.level=full")
 

@@ -1,10 +1,12 @@
-"""How many threads a piece of work is worth."""
+"""How many threads a piece of work is worth, and compiled work in several threads."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 import numba
 
+_RANGES_PER_THREAD = 4  # some have more work than others
 _ROWS_PER_THREAD = 50_000  # about a millisecond; below it threads wait for each other longer than they work
 
 
@@ -18,3 +20,20 @@ def threads_for(n_rows: float) -> Iterator[int]:
         yield n
     finally:
         numba.set_num_threads(before)
+
+
+def in_ranges(work: Callable[[int, int], object], n: int) -> None:
+    """Call `work(begin, end)` for ranges that cover n items, in as many threads as Numba may use here.
+
+    Its items must be independent, and a compiled function without Python's lock must do the work. This takes a quarter
+    of the time to compile that `prange` takes.
+    """
+    n_threads = min(numba.get_num_threads(), n)
+    if n_threads < 2:
+        work(0, n)
+        return
+    n_ranges = _RANGES_PER_THREAD * n_threads
+    bounds = [n * k // n_ranges for k in range(n_ranges + 1)]
+    with ThreadPoolExecutor(n_threads) as threads:
+        for _ in threads.map(work, bounds[:-1], bounds[1:]):
+            pass

@@ -162,7 +162,7 @@ def _sources(kind: str, name: str) -> str:
     """The references of a choice that ships."""
     from results import cite
 
-    known = {"trust": cite.TRUST, "detector": cite.DETECTORS, "medium": cite.MEDIA, "attack": cite.ATTACKS}
+    known = cite.USED_BY
     keys = known.get(kind, {}).get(name, ())
     return "".join(f" Source: {cite.text(cite.references()[key])}" for key in keys)
 

@@ -18,16 +18,16 @@ from cosim.messages.pseudonyms import PseudonymUse
 from cosim.messages.trust_hosts import Lookups, ServerTraffic
 from cosim.radio.message_round import FrameOutcomes, Outcome, Receptions, RoundKind
 from cosim.step.known import Known
+from cosim.step.listing import Listed
 from cosim.step.parts import Parts
 from cosim.step.reactions import Reactions
+from cosim.step.reports import late_pseudonyms
 from cosim.step.result import Sensed, StepResult
-from cosim.step.stages import Listed
 from cosim.step.state import State
 from cosim.step.trackers import evidence_audit
 from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.step.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
 from cosim.step.tracking import late_of
-from cosim.step.trust_stages import late_pseudonyms
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.schedule import Schedule
 from cosim.world import World

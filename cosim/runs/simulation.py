@@ -27,10 +27,10 @@ from cosim.runs import run as running
 from cosim.runs.check import check, notes_on
 from cosim.runs.drive import warm_up
 from cosim.step.cycle import step
+from cosim.step.fuse import boxes_of
 from cosim.step.mixed_perception import MixedImages
 from cosim.step.parts import Parts
 from cosim.step.result import StepResult
-from cosim.step.stages import boxes_of
 from cosim.step.state import State
 from cosim.traffic.scenario import Scenario, find
 from cosim.traffic.source import TrafficEnded, TrafficSource

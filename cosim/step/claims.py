@@ -13,10 +13,10 @@ from numpy import ndarray
 from cosim.base.ragged import expand, ptr_of
 from cosim.messages.content import SENSED, velocities
 from cosim.step.comparing import Compared
+from cosim.step.evaluate import Claims
 from cosim.step.exchange import Exchange
 from cosim.step.known import Known
 from cosim.step.parts import Parts
-from cosim.step.stages import Claims
 from sensors.coverage import at_place
 from sensors.neighbours import Neighbours
 from sensors.tracking import ObjectStates, confirmed_variance

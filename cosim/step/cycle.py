@@ -25,15 +25,22 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.radio.message_round import RoundKind
-from cosim.step import stages, tracking, trust_stages
+from cosim.step import tracking
 from cosim.step.attack_outcomes import attack_outcomes
+from cosim.step.broadcast import broadcast_detections, broadcast_evaluations, hear
 from cosim.step.claims import claims_of
+from cosim.step.evaluate import compare_objects, evaluate_objects
 from cosim.step.exchange import Exchange, Times, Vehicles, stations_of
+from cosim.step.fuse import beliefs_of, fuse_objects
 from cosim.step.late import joined, of_this_step
+from cosim.step.listing import list_objects, senders_among, senders_of
 from cosim.step.parts import Parts
 from cosim.step.precomputed import NOTHING_PRECOMPUTED, Precomputed
+from cosim.step.reports import carrier_of, deliver_late, next_carried, update_trust
 from cosim.step.result import Sensed, StepResult
+from cosim.step.sense import identify, perceive, position, track_objects
 from cosim.step.state import State
+from cosim.step.trust import control_relays, follow_encounters, look_up, own_trust_of, publish, receive_from_rsus
 from cosim.traffic.driver import Beliefs
 from cosim.world import World
 
@@ -68,14 +75,12 @@ def step(
     """
     s, watch, now, dt_s = state.consume(), parts.watch, Times.of(world.step, parts.config), parts.config.traffic.step_s
 
-    own_trust = trust_stages.own_trust_of(world, s.trust, s.pseudonyms, now, parts)
-    pseudonyms, vehicles, ended = stages.identify(world, s.pseudonyms, own_trust, now, parts)
+    own_trust = own_trust_of(world, s.trust, s.pseudonyms, now, parts)
+    pseudonyms, vehicles, ended = identify(world, s.pseudonyms, own_trust, now, parts)
     last_speeds, acceleration_mps2 = s.last_speeds.next(world.step, world.actor, world.speed_mps, dt_s)
     with watch("encounters"):
         near = parts.near_pairs(world) if precomputed.near_pairs is None else precomputed.near_pairs()
-        encounters, trust, closed = trust_stages.follow_encounters(
-            s.encounters, near, s.trust, pseudonyms, vehicles, now, parts
-        )
+        encounters, trust, closed = follow_encounters(s.encounters, near, s.trust, pseudonyms, vehicles, now, parts)
     s = replace(s, pseudonyms=pseudonyms, last_speeds=last_speeds, encounters=encounters, trust=trust)
 
     sensed, beliefs = None, None
@@ -97,53 +102,53 @@ def _cycle(
     """The paper's cycle, from sweeps to fused objects. Beliefs are None if the driver does not use them."""
     c, watch = parts.config, parts.watch
     with watch("server"):
-        trust, pseudonyms, published = trust_stages.publish(s.trust, s.pseudonyms, vehicles, now, parts)
-    observed = stages.perceive(world, vehicles, precomputed, parts)
-    position_errors, positioned = stages.position(world, vehicles, observed, s.position_errors, c)
+        trust, pseudonyms, published = publish(s.trust, s.pseudonyms, vehicles, now, parts)
+    observed = perceive(world, vehicles, precomputed, parts)
+    position_errors, positioned = position(world, vehicles, observed, s.position_errors, c)
     with watch("track objects"):
-        tracks, positioned = stages.track_objects(world, vehicles, positioned, s.tracks, now, c)
+        tracks, positioned = track_objects(world, vehicles, positioned, s.tracks, now, c)
     with watch("attack"):
-        sends = stages.senders_among(world, vehicles)
+        sends = senders_among(world, vehicles)
         attacks = parts.adversary.active(s.attacks, world, now.begin_s, own_trust, sends)
-        pseudonyms, senders = stages.senders_of(world, vehicles, attacks, pseudonyms, parts)
+        pseudonyms, senders = senders_of(world, vehicles, attacks, pseudonyms, parts)
         stations = stations_of(world, vehicles.row, parts.rsus, c.radio.antenna_above_roof_m)
         exchange = Exchange.of(world, now, vehicles, senders, stations, attacks)
-        cpm, listed = stages.list_objects(exchange, positioned, acceleration_mps2, s.cpm, s.medium, parts)
+        cpm, listed = list_objects(exchange, positioned, acceleration_mps2, s.cpm, s.medium, parts)
     with watch("trust"):
-        exchange = trust_stages.control_relays(trust, s.known_senders, exchange, pseudonyms, parts)
+        exchange = control_relays(trust, s.known_senders, exchange, pseudonyms, parts)
     with watch("radio"):
         medium = s.medium if precomputed.with_links is None else precomputed.with_links(s.medium)
         offered = None if parts.early is None else parts.early.offered(observed)
         on_air = offered.length_bytes if offered is not None and c.early_fusion.medium == "radio" else None
-        medium, cpms = stages.broadcast_detections(exchange, listed, s.piggybacked, on_air, medium, parts)
-        cpm = stages.hear(cpm, exchange, positioned, listed, cpms, c)
+        medium, cpms = broadcast_detections(exchange, listed, s.piggybacked, on_air, medium, parts)
+        cpm = hear(cpm, exchange, positioned, listed, cpms, c)
     carries = RoundKind.EVALUATION if c.radio.evaluations == "alone" else RoundKind.CPM
     with watch("match"):
         inbox = s.inbox.with_late(exchange, cpms.late, carries)
         inbox, known = inbox.known(exchange, listed, cpms, parts)
-    compared, matched = stages.compare_objects(exchange, known, positioned, parts)
+    compared, matched = compare_objects(exchange, known, positioned, parts)
     if precomputed.sweeps_are_read is not None:
         precomputed.sweeps_are_read()
     with watch("evaluate"):
         claims = claims_of(exchange, known, compared, listed.tracks, parts)
-        evaluated = stages.evaluate_objects(exchange, known, compared, claims, c)
+        evaluated = evaluate_objects(exchange, known, compared, claims, c)
     with watch("radio"):
         trust, on_rsus = parts.trust.pending_rsu_broadcast(trust, now.evaluated_s)
-        medium, reports = stages.broadcast_evaluations(exchange, evaluated, on_rsus, medium, parts)
+        medium, reports = broadcast_evaluations(exchange, evaluated, on_rsus, medium, parts)
     with watch("trust"):
-        trust, informed = trust_stages.receive_from_rsus(trust, exchange, on_rsus, reports, published.informed, parts)
-        piggybacked, carrier = trust_stages.carrier_of(exchange, evaluated, s.piggybacked, (cpms, reports), parts)
-        trust, up = trust_stages.update_trust(trust, exchange, listed, evaluated, carrier, pseudonyms, parts)
+        trust, informed = receive_from_rsus(trust, exchange, on_rsus, reports, published.informed, parts)
+        piggybacked, carrier = carrier_of(exchange, evaluated, s.piggybacked, (cpms, reports), parts)
+        trust, up = update_trust(trust, exchange, listed, evaluated, carrier, pseudonyms, parts)
         late = [messages for messages in (*cpms.late, *reports.late) if messages.kind == carries]
-        trust, late_up = trust_stages.deliver_late(trust, exchange, s.carried, late, pseudonyms, parts)
+        trust, late_up = deliver_late(trust, exchange, s.carried, late, pseudonyms, parts)
         inbox = inbox.with_late(exchange, reports.late, carries)
         used = inbox.reports_used(exchange, carrier.receptions.vehicles)
-        trust, known_senders, looked_up = trust_stages.look_up(
+        trust, known_senders, looked_up = look_up(
             trust, s.known_senders, exchange, listed, known, used, cpms, pseudonyms, parts
         )
     with watch("fuse"):
         evaluations = inbox.evaluations_used(exchange, evaluated, len(listed.objects))
-        fused = trust_stages.fuse_objects(trust, matched, evaluations, looked_up, parts)
+        fused = fuse_objects(trust, matched, evaluations, looked_up, parts)
         received_cpms = joined([cpms.accepted.vehicles, *of_this_step(exchange, reports.late, RoundKind.CPM)])
         received = received_cpms, received_cpms if carries == RoundKind.CPM else carrier.receptions.vehicles
         inbox = inbox.next(exchange, listed, matched, evaluated, received)
@@ -153,7 +158,7 @@ def _cycle(
     beliefs, reaction_truth = None, s.reaction_truth
     if c.driver.model != "none":
         with watch("driver"):
-            beliefs = stages.beliefs_of(fused[0], exchange, known, world, positioned.error)
+            beliefs = beliefs_of(fused[0], exchange, known, world, positioned.error)
             reaction_truth = reaction_truth.next(exchange, listed, c.traffic.step_s)
     with watch("track"):
         attack_start = tracking.track_attacks(s.attack_start, exchange, listed, evaluated)
@@ -189,7 +194,7 @@ def _cycle(
         inbox=inbox,
         clouds=clouds,
         piggybacked=piggybacked,
-        carried=trust_stages.next_carried(s.carried, carrier, now, c),
+        carried=next_carried(s.carried, carrier, now, c),
         known_senders=known_senders,
         reaction_truth=reaction_truth,
         attack_start=attack_start,

@@ -15,13 +15,15 @@ from cosim.base.ragged import distinct, offsets, ranges, rows_of
 from cosim.messages.content import Detections, velocities
 from cosim.radio.message_round import Receptions, RoundKind
 from cosim.step.accuracy import aged
+from cosim.step.broadcast import Broadcast
+from cosim.step.evaluate import Evaluated, Matched
 from cosim.step.exchange import Exchange
 from cosim.step.ground_truth import GroundTruth
 from cosim.step.known import Known, Pairs, Uses
 from cosim.step.late import LateMessages
+from cosim.step.listing import Listed
 from cosim.step.object_lists import for_trust
 from cosim.step.parts import Parts
-from cosim.step.stages import Broadcast, Evaluated, Listed, Matched
 from sensors.boxes import Boxes, extrapolated
 from trust.tables import Evaluations, ObjectLists
 

@@ -8,7 +8,7 @@ from numpy import ndarray
 
 from cosim.messages.content import FABRICATED
 from cosim.step.exchange import Exchange
-from cosim.step.stages import Listed
+from cosim.step.listing import Listed
 from cosim.traffic.driver import SpeedCommands
 from cosim.world import World
 

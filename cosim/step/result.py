@@ -5,12 +5,15 @@ from dataclasses import dataclass
 from cosim.messages.pseudonyms import PseudonymUse
 from cosim.messages.trust_hosts import ServerTraffic
 from cosim.step.early_fusion import Early
+from cosim.step.evaluate import Evaluated
 from cosim.step.exchange import Senders, Vehicles
 from cosim.step.known import Known
+from cosim.step.listing import Listed
 from cosim.step.reactions import Reactions
-from cosim.step.stages import Evaluated, Listed, Positioned
+from cosim.step.reports import EvaluationCarriers
+from cosim.step.sense import Positioned
 from cosim.step.tracking import Reach, Rounds
-from cosim.step.trust_stages import EvaluationCarriers, LookedUp
+from cosim.step.trust import LookedUp
 from cosim.traffic.driver import SpeedCommands
 from cosim.world import World
 from results.encounters import Rows

@@ -8,15 +8,17 @@ from numpy import ndarray
 
 from cosim.base.ragged import distinct, rows_of
 from cosim.radio.message_round import RoundKind
+from cosim.step.broadcast import Broadcast
 from cosim.step.comparing import Compared
+from cosim.step.evaluate import Evaluated
 from cosim.step.exchange import Exchange
 from cosim.step.known import Known
 from cosim.step.late import LateMessages
-from cosim.step.stages import Broadcast, Evaluated, Listed
+from cosim.step.listing import Listed
 from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.step.trackers.encounters import Encounters
 from cosim.step.trackers.inter_reception import InterReceptionTracker, pairs_within_range
-from cosim.step.trust_stages import LookedUp
+from cosim.step.trust import LookedUp
 from results.encounters import Rows
 
 Rounds = tuple[Broadcast, Broadcast]

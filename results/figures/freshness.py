@@ -64,60 +64,46 @@ def draw(runs: Sequence[Run], over: str | None = None, threshold: float = 0.5) -
 _FILLS = (style.INKS[0], style.PALE, "#e8b9a6", "#ffffff")
 
 
-def _once(ask: Callable[[Run], pd.DataFrame]) -> Callable[[Run], pd.DataFrame]:
-    """The same question, answered once per run."""
-    found: dict[int, pd.DataFrame] = {}
-
-    def answer(run: Run) -> pd.DataFrame:
-        if id(run) not in found:
-            found[id(run)] = ask(run)
-        return found[id(run)]
-
-    return answer
-
-
 def _shares(run: Run, role: str) -> list[float]:
     frame = freshness.states(run)
     share = frame[frame.role == role].set_index("state").share
     return [float(share.get(state, 0.0)) for state in freshness.STATES]
 
 
-def _age(what: str, ages: Callable[[Run], pd.DataFrame]) -> Callable[[Run], float]:
+def _value(ask: Callable[[Run], pd.DataFrame], column: str, **where: str) -> Callable[[Run], float]:
+    """A question: the value in the row of a table that has these others; NaN where there is none."""
+
     def found(run: Run) -> float:
-        frame = ages(run)
-        return float(frame.mean_s[(frame.what == what) & (frame.role == "all")].max())
-
-    return found
-
-
-def _state(state: str, states: Callable[[Run], pd.DataFrame]) -> Callable[[Run], float]:
-    def found(run: Run) -> float:
-        frame = states(run)
-        return float(frame.share[(frame.role == "all") & (frame.state == state)].max())
-
-    return found
-
-
-def _success(among: str, threshold: float) -> Callable[[Run], float]:
-    def found(run: Run) -> float:
-        rows = attack.success(run, (threshold,))
-        chosen = {"effect": "inserted", "receivers": attack.HONEST, "among": among, "role": "malicious"}
-        rows = rows[np.all([rows[name] == value for name, value in chosen.items()], axis=0)]
-        if rows.empty:
-            raise ValueError(f"{run.path} holds no lies of malicious vehicles.")
-        return float(rows.share.iloc[0])
+        frame = ask(run)
+        rows = frame[column][np.all([frame[name] == value for name, value in where.items()], axis=0)]
+        return float(rows.max())
 
     return found
 
 
 def _over(runs: Sequence[Run], key: str, threshold: float) -> Figure:
     """Three panels over a number; runs that differ in another key have lines of their own."""
-    ages, states = _once(freshness.ages), _once(freshness.states)
+    lies = {"effect": "inserted", "receivers": attack.HONEST, "role": "malicious"}
+
+    def ages(run: Run) -> pd.DataFrame:
+        return run.once("figure.ages", lambda: freshness.ages(run))
+
+    def states(run: Run) -> pd.DataFrame:
+        return run.once("figure.states", lambda: freshness.states(run))
+
+    def success(run: Run) -> pd.DataFrame:
+        return run.once(f"figure.success {threshold}", lambda: attack.success(run, (threshold,)))
+
     panels: Mapping[str, Mapping[str, Callable[[Run], float]]] = {
-        "Mean age at lookup": {what: _age(what, ages) for what in freshness.AGES},
-        "What stands behind lookups": {state: _state(state, states) for state in freshness.STATES},
+        "Mean age at lookup": {
+            what: _value(ages, "mean_s", what=what, role="all") for what in freshness.AGES
+        },
+        "What stands behind lookups": {
+            state: _value(states, "share", state=state, role="all") for state in freshness.STATES
+        },
         f"Ghosts believed (score {threshold:g})": {
-            "by receivers": _success("received", threshold), "by the victim": _success("intended", threshold),
+            "by receivers": _value(success, "share", among="received", **lies),
+            "by the victim": _value(success, "share", among="intended", **lies),
         },
     }  # fmt: skip
     beside = [name for name in compare.differing(runs) if name != key]

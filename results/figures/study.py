@@ -97,8 +97,7 @@ def draw(
         frame = within_run(chosen(frame, asked))
         keys += ["radius_m", "pairs"]
     frame = held(study, frame, keys, where or {})
-    if unknown := [key for key in (over, by) if key and key not in keys]:
-        raise ValueError(f"{unknown[0]} is not swept in {study.name}. Swept: {', '.join(keys)}.")
+    study.check_swept(*filter(None, (over, by)), more=keys)
     of_metrics = chosen(frame, asked)
     varied = [key for key in keys if of_metrics[key].nunique() > 1]
     if lean or len(varied) > 3:
@@ -137,9 +136,8 @@ def held(
     where: Mapping[str, Any],
 ) -> pd.DataFrame:
     """Rows at which swept keys have these values; ValueError if there are none, with the values that there are."""
+    study.check_swept(*where, more=keys)
     for key, value in where.items():
-        if key not in keys:
-            raise ValueError(f"{key} is not swept in {study.name}. Swept: {', '.join(keys)}.")
         frame = held_at(frame, key, str(value))
     return frame
 

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from results.figures import style
 from results.figures.study import MOST_PANELS, held, label_of
-from results.study import StudyResults, apart, said, that_matter, with_short_names
+from results.study import StudyResults, apart, at_first, said, that_matter, with_short_names
 from results.study_curves import AGES, ENCOUNTERS, distinct, pooled
 
 _TITLES: Mapping[str, tuple[str, str, str]] = {
@@ -66,8 +66,7 @@ def draw(
         raise ValueError(f"{study.name} has no value that rests on an evaluation: there is no age to draw.")
     frame = held(study, frame, study.keys, where)
     matter = that_matter(distinct(frame, study.keys), study.keys)
-    if by is not None and by not in study.keys:
-        raise ValueError(f"{by} is not swept in {study.name}. Swept: {', '.join(study.keys)}.")
+    study.check_swept(*filter(None, [by]))
     if by is not None:
         matter = [by, *(key for key in matter if key != by)]
     if what == ENCOUNTERS and frame.group.nunique() > 1:
@@ -76,9 +75,7 @@ def draw(
         raise ValueError(
             f"{what} depend on {', '.join(matter)}: this figure shows two. Hold others with --where {matter[2]}=VALUE."
         )
-    for key in apart(frame, study.keys):
-        if key not in matter:  # it changes nothing: one of its values stands for all
-            frame = frame[frame[key] == frame[key].iloc[0]]
+    frame = at_first(frame, [key for key in apart(frame, study.keys) if key not in matter])
     frame = with_short_names(frame, study.keys)
     colour, column, *_ = (*matter, "", "")
     columns = (

@@ -45,34 +45,7 @@ DPI = 200
 SOFTWARE = "cosim"
 """What a PNG of this style says of itself."""
 
-_STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
-    "font.size": _TEXT,
-    "axes.titlesize": _TEXT,
-    "axes.titlelocation": "left",
-    "axes.titleweight": "bold",
-    "axes.labelsize": _TEXT,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.edgecolor": "#444444",
-    "axes.linewidth": 0.6,
-    "grid.color": "#e6e6e6",
-    "grid.linewidth": 0.5,
-    "lines.linewidth": 1.1,
-    "lines.markersize": 3.2,
-    "legend.frameon": False,
-    "legend.fontsize": SMALL,
-    "legend.handlelength": 2.4,
-    "legend.columnspacing": 1.2,
-    "xtick.labelsize": SMALL,
-    "ytick.labelsize": SMALL,
-    "hatch.linewidth": 0.6,
-    "svg.hashsalt": "cosim",  # the same picture is the same file
-    "svg.fonttype": "path",
-    "pdf.fonttype": 42,
-}
+_STYLE = mpl.rc_params_from_file(Path(__file__).with_name("cosim.mplstyle"), use_default_template=False)
 
 P = ParamSpec("P")
 

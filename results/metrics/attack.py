@@ -5,39 +5,33 @@ the message with it (or without it). Lists of attackers are apart. Definitions a
 `results/FRESHNESS.md`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from results.metrics.intervals import of_units, plain_columns, ratio
+from results.metrics.intervals import by_group, ratio
 from results.run import Run
 from results.sensing import interval_steps
 
 THRESHOLDS = (0.1, 0.3, 0.5, 0.7)
 """Scores from which an object counts as believed, where none are given."""
-AMONG = ("received", "intended")
-"""All vehicles that received it, or the one that the attack aims at."""
 HONEST = "honest"
 
+_PAIRS = f"""
+WITH pairs AS (
+    SELECT o.*, s.vehicle AS attacker, s.role, among, if(r.role = '{HONEST}', '{HONEST}', 'attackers') AS receivers
+    FROM attack_outcomes o JOIN subjects s ON s.pseudonym = o.observer
+    JOIN vehicles r ON r.vehicle = o.receiver
+    JOIN (VALUES ('received'), ('intended')) a(among) ON among = 'received' OR intended
+    WHERE variant = $variant AND (effect = 'inserted' OR NOT ego_detected)
+), ghosts AS (SELECT * FROM pairs WHERE effect = 'inserted' AND receivers = '{HONEST}')
+"""
+"""Pairs of the run's variant, once among all that received it, and once more among those at which the attack aims.
 
-def outcomes(run: Run) -> pd.DataFrame:
-    """The table `attack_outcomes` of the run's variant, with `attacker` (vehicle), its role, and the receiver's role.
-
-    Of a removal, only receivers that did not detect the withheld actor themselves: the others do not depend on it.
-    """
-    frame = run.variant_table("attack_outcomes")
-    frame = frame[(frame.effect == "inserted") | ~frame.ego_detected].assign(score=frame.score.astype(float))
-    if frame.empty:
-        fused = "Give the variant fused = true" if run.variant != "base" and len(run.attack_outcomes) else _MORE
-        raise ValueError(f"{run.path} holds no attack that reached another vehicle. {fused} and run again.")
-    return frame.assign(
-        attacker=frame.observer.map(run.subjects.vehicle).astype(np.int64),
-        role=frame.observer.map(run.subjects.role),
-        receiver_role=frame.receiver.map(run.roles),
-        is_victim_honest=frame.receiver.map(run.roles) == HONEST,
-    )
+Of a removal, only receivers that did not detect the withheld actor themselves: the others do not depend on it.
+"""
 
 
 def success(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
@@ -48,27 +42,29 @@ def success(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
 
     Returns
     -------
-    effect, role (of the attacker), receivers (honest, or attackers: those of any other role), among (`AMONG`),
-    threshold, n (pairs: the denominator), share, low, high (95 %, clustered by attacker), n_units (attackers).
+    effect, role (of the attacker), receivers (honest, or attackers: those of any other role), among (received, or
+    intended: those at which the attack aims), threshold, n (pairs: the denominator), share, low, high (95 %, clustered
+    by attacker), n_units (attackers).
     """
-    rows: list[dict[str, Any]] = []
-    for key, pairs in _groups(outcomes(run)):
-        for threshold in thresholds:
-            share = of_units(_succeeds(pairs, threshold), pairs.attacker.to_numpy())
-            rows.append({**key, "threshold": threshold, "n": len(pairs), **plain_columns(share, "share")})
-    return pd.DataFrame(rows)
+    return by_group(_success(run, thresholds), ["effect", "role", "receivers", "among", "threshold"])
 
 
 def curve(run: Run, n_thresholds: int = 51) -> pd.DataFrame:
     """Shares of `success` over thresholds from 0 to 1: effect, role, receivers, among, threshold, share."""
-    thresholds = np.linspace(0, 1, n_thresholds)
-    rows = []
-    for key, pairs in _groups(outcomes(run)):
-        score = np.sort(pairs.score.dropna().to_numpy())
-        believed = (len(score) - np.searchsorted(score, thresholds)) / len(pairs)
-        share = believed if key["effect"] == "inserted" else 1 - believed
-        rows.append(pd.DataFrame({**key, "threshold": thresholds, "share": share}))
-    return pd.concat(rows, ignore_index=True)
+    counts = _success(run, np.linspace(0, 1, n_thresholds).tolist())
+    key = ["effect", "role", "receivers", "among", "threshold"]
+    total = counts.groupby(key, sort=False)[["top", "bottom"]].sum()
+    return (total.top / total.bottom).rename("share").reset_index()
+
+
+def _success(run: Run, thresholds: Sequence[float]) -> pd.DataFrame:
+    """The pairs of each attacker, and in how many of them it succeeds."""
+    return _asked(run, """
+        SELECT effect, role, receivers, among, threshold, attacker, count(*) AS bottom,
+            count_if(coalesce(score >= threshold, false) = (effect = 'inserted')) AS top
+        FROM pairs, (SELECT unnest($thresholds) AS threshold)
+        GROUP BY ALL ORDER BY effect, role, receivers, among DESC, threshold, attacker
+    """, thresholds=[float(threshold) for threshold in thresholds])  # fmt: skip
 
 
 def per_lie(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
@@ -78,22 +74,17 @@ def per_lie(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
 
     Returns
     -------
-    role, threshold, n (lies: the denominator), share, low, high, n_units (attackers), receivers_mean (honest vehicles
-    that received one).
+    role, threshold, n (lies: the denominator), share, low, high, n_units (attackers).
     """
-    frame = _honest(outcomes(run), "inserted")
-    rows = []
-    for role, pairs in frame.groupby("role", observed=True):
-        lies = pairs.groupby(["detection_step", "observer", "detection_index"], sort=False).agg(
-            best=("score", "max"), attacker=("attacker", "first"), n=("receiver", "size")
+    lies = _asked(run, """
+        , lies AS (
+            SELECT role, attacker, max(score) AS best FROM ghosts WHERE among = 'received'
+            GROUP BY role, attacker, detection_step, observer, detection_index
         )
-        for threshold in thresholds:
-            share = of_units((lies.best >= threshold).to_numpy(), lies.attacker.to_numpy())
-            rows.append({
-                "role": role, "threshold": threshold, "n": len(lies), **plain_columns(share, "share"),
-                "receivers_mean": float(lies.n.mean()),
-            })  # fmt: skip
-    return pd.DataFrame(rows, columns=["role", "threshold", "n", "share", "low", "high", "n_units", "receivers_mean"])
+        SELECT role, threshold, attacker, count(*) AS bottom, count_if(coalesce(best >= threshold, false)) AS top
+        FROM lies, (SELECT unnest($thresholds) AS threshold) GROUP BY ALL ORDER BY role, threshold, attacker
+    """, thresholds=list(thresholds))  # fmt: skip
+    return by_group(lies, ["role", "threshold"])
 
 
 def believed_duration(run: Run, threshold: float = 0.5) -> pd.DataFrame:
@@ -101,25 +92,19 @@ def believed_duration(run: Run, threshold: float = 0.5) -> pd.DataFrame:
 
     Returns
     -------
-    role, among, n (stretches), mean_s, low, high (clustered by attacker), n_units, longest_s. A stretch that the end of
-    the run cuts off counts as long as it was observed.
+    role, among, n (stretches), mean_s, low, high (clustered by attacker), n_units. A stretch that the end of the run
+    cuts off counts as long as it was observed.
     """
-    frame = _honest(outcomes(run), "inserted")
-    frame = frame[frame.score >= threshold]
-    rows = []
-    for (role, among), believed in _by_among(frame, ["role"]):
-        steps = believed[["attacker", "receiver", "step"]].drop_duplicates()
-        steps = steps.sort_values(["attacker", "receiver", "step"])
-        pair = steps.attacker.to_numpy() * (1 << 32) + steps.receiver.to_numpy()
-        every = interval_steps(run, steps.receiver.to_numpy(np.int64))
-        begins = np.r_[True, (np.diff(pair) != 0) | (np.diff(steps.step.to_numpy()) > every[1:])]
-        duration_s = np.bincount(np.cumsum(begins) - 1, every) * run.dt_s
-        mean = of_units(duration_s, steps.attacker.to_numpy()[begins])
-        rows.append({
-            "role": role, "among": among, "n": len(duration_s), **plain_columns(mean, "mean_s"),
-            "longest_s": float(duration_s.max()),
-        })  # fmt: skip
-    return pd.DataFrame(rows, columns=["role", "among", "n", "mean_s", "low", "high", "n_units", "longest_s"])
+    steps = _asked(run, """
+        SELECT DISTINCT role, among, attacker, receiver, step FROM ghosts WHERE score >= $threshold
+        ORDER BY among DESC, role, attacker, receiver, step
+    """, threshold=threshold)  # fmt: skip
+    every = interval_steps(run, steps.receiver.to_numpy(np.int64))
+    same = ["role", "among", "attacker", "receiver"]
+    steps["begins"] = steps.groupby(same, sort=False).step.diff().isna() | (steps.step.diff() > every)
+    steps["held_s"] = every * run.dt_s
+    of_attacker = steps.groupby(same[:3], sort=False).agg(bottom=("begins", "sum"), top=("held_s", "sum"))
+    return by_group(of_attacker.reset_index(), ["role", "among"], ratio, "mean_s")
 
 
 def false_in_path(run: Run, threshold: float = 0.5) -> pd.DataFrame:
@@ -132,15 +117,17 @@ def false_in_path(run: Run, threshold: float = 0.5) -> pd.DataFrame:
     (vehicles), boxes_mean (fabricated boxes believed in the path per vehicle-step; a box reported by several attackers
     counts once for each).
     """
-    rows = []
-    for (among,), pairs in _by_among(_honest(outcomes(run), "inserted"), []):
-        wrong = pairs.in_path.astype(bool) & (pairs.score >= threshold)
-        seconds = wrong.groupby([pairs.receiver, pairs.step]).sum().reset_index(name="n")
-        share = of_units((seconds.n > 0).to_numpy(), seconds.receiver.to_numpy())
-        rows.append({
-            "among": among, "n": len(seconds), **plain_columns(share, "share"), "boxes_mean": float(seconds.n.mean())
-        })  # fmt: skip
-    return pd.DataFrame(rows, columns=["among", "n", "share", "low", "high", "n_units", "boxes_mean"])
+    seconds = _asked(run, """
+        , seconds AS (
+            SELECT among, receiver, count_if(in_path AND coalesce(score >= $threshold, false)) AS n
+            FROM ghosts GROUP BY among, receiver, step
+        )
+        SELECT among, receiver, count(*) AS bottom, count_if(n > 0) AS top, sum(n)::BIGINT AS boxes
+        FROM seconds GROUP BY ALL ORDER BY among DESC, receiver
+    """, threshold=threshold)  # fmt: skip
+    total = seconds.groupby("among", sort=False)[["boxes", "bottom"]].sum()
+    found = by_group(seconds, ["among"])
+    return found.assign(boxes_mean=(total.boxes / total.bottom).to_numpy())
 
 
 def damage(run: Run, threshold: float = 0.5) -> pd.DataFrame:
@@ -149,50 +136,24 @@ def damage(run: Run, threshold: float = 0.5) -> pd.DataFrame:
 
     Returns
     -------
-    role (of the attacker), among, n (believed pairs), total_s, per_attacker_s, low, high (clustered by attacker),
-    n_units (attackers with a lie that an honest vehicle received).
+    role (of the attacker), among, n (attackers with a lie that an honest vehicle received), total_s, per_attacker_s,
+    low, high (clustered by attacker), n_units (these attackers).
     """
-    rows = []
-    for (role, among), pairs in _by_among(_honest(outcomes(run), "inserted"), ["role"]):
-        believed = (pairs.score >= threshold).to_numpy()
-        held_s = believed * interval_steps(run, pairs.receiver.to_numpy(np.int64)) * run.dt_s
-        of_attacker = np.bincount(pd.factorize(pairs.attacker, sort=True)[0], held_s)
-        mean = ratio(of_attacker, np.ones(len(of_attacker)))
-        rows.append({
-            "role": role, "among": among, "n": int(believed.sum()), "total_s": float(of_attacker.sum()),
-            **plain_columns(mean, "per_attacker_s"),
-        })  # fmt: skip
-    return pd.DataFrame(rows, columns=["role", "among", "n", "total_s", "per_attacker_s", "low", "high", "n_units"])
+    pairs = _asked(run, """
+        SELECT role, among, attacker, receiver, count_if(coalesce(score >= $threshold, false)) AS n
+        FROM ghosts GROUP BY ALL ORDER BY among DESC, role, attacker, receiver
+    """, threshold=threshold)  # fmt: skip
+    pairs["top"] = pairs.n * interval_steps(run, pairs.receiver.to_numpy(np.int64)) * run.dt_s
+    of_attacker = pairs.groupby(["role", "among", "attacker"], sort=False).top.sum().reset_index().assign(bottom=1)
+    found = by_group(of_attacker, ["role", "among"], ratio, "per_attacker_s")
+    return found.assign(total_s=found.per_attacker_s * found.n)
 
 
-_MORE = "Raise the share_p of an attack, or run longer than its start_s,"
-
-
-def _honest(frame: pd.DataFrame, effect: str) -> pd.DataFrame:
-    return frame[(frame.effect == effect) & frame.is_victim_honest]
-
-
-def _groups(frame: pd.DataFrame) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
-    """Pairs by effect, role of the attacker, whose list it is, and whether the attack aims at the receiver."""
-    receivers = pd.Series(np.where(frame.is_victim_honest, HONEST, "attackers"), frame.index, name="receivers")
-    by = [frame.effect.astype(str), frame.role.astype(str), receivers]
-    for (effect, role, of), pairs in frame.groupby(by, sort=True):
-        for among in AMONG:
-            chosen = pairs if among == "received" else pairs[pairs.intended.astype(bool)]
-            if len(chosen):
-                yield {"effect": str(effect), "role": str(role), "receivers": str(of), "among": among}, chosen
-
-
-def _by_among(frame: pd.DataFrame, by: list[str]) -> Iterator[tuple[tuple[str, ...], pd.DataFrame]]:
-    for among in AMONG:
-        chosen = frame if among == "received" else frame[frame.intended.astype(bool)]
-        if by:
-            for key, some in chosen.groupby(by, observed=True):
-                yield (*map(str, key), among), some
-        elif len(chosen):
-            yield (among,), chosen
-
-
-def _succeeds(pairs: pd.DataFrame, threshold: float) -> np.ndarray:
-    believed = (pairs.score >= threshold).to_numpy()
-    return np.where((pairs.effect == "inserted").to_numpy(), believed, ~believed)
+def _asked(run: Run, query: str, **values: Any) -> pd.DataFrame:
+    """What SQL answers about pairs. ValueError if the run has none."""
+    found = run.sql(_PAIRS + query, **values)
+    if found.empty and run.sql(f"{_PAIRS} SELECT * FROM pairs LIMIT 1").empty:
+        more = "Raise the share_p of an attack, or run longer than its start_s,"
+        fused = "Give the variant fused = true" if run.variant != "base" and run.n_rows("attack_outcomes") else more
+        raise ValueError(f"{run.path} holds no attack that reached another vehicle. {fused} and run again.")
+    return found

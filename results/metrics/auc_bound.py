@@ -86,7 +86,8 @@ def bounds(run: Run) -> pd.DataFrame:
     Returns
     -------
     role; known: the observer also knows the roles of all other vehicles; alone: it does not. Both with intervals
-    clustered by subject. Of few attackers, more cells say less, so `known` is at least `alone`.
+    clustered by subject. No rows without attacks. Of few attackers, more cells say less, so `known` is at
+    least `alone`.
 
     Notes
     -----
@@ -94,6 +95,8 @@ def bounds(run: Run) -> pd.DataFrame:
     The kind of the former is that of the evaluation, evaluation times visibility in eight bins, and, if known, whether
     the evaluator attacks. That of the latter has also what the others say on average about the same detection.
     """
+    if not run.subjects.attack_start_step.notna().any():
+        return pd.DataFrame()
     who = watched(run)
     role = who.role.astype(str).to_numpy()
     rows = []

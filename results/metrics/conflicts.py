@@ -26,15 +26,13 @@ _SEGMENT_M, _PET_S = 12.0, 5.0
 def tracks(run: Run) -> pd.DataFrame:
     """Vehicles' poses with their sizes, pedestrians left out: step, actor, x_m, y_m, yaw_rad, speed_mps, length_m,
     width_m, acceleration_mps2 (missing in a vehicle's first step); by step, then actor."""
-    run.require("actors", "vehicles")
-    about = run.table("vehicles", ["vehicle", "vehicle_class", "length_m", "width_m"]).set_index("vehicle")
-    poses = run.table("actors", ["step", "actor", "x_m", "y_m", "yaw_rad", "speed_mps"])
-    poses = poses.join(about, on="actor")
-    poses = poses[poses.vehicle_class != "pedestrian"].drop(columns="vehicle_class")
-    before = poses[["step", "actor", "speed_mps"]].assign(step=poses.step + 1)
-    joined = poses.merge(before, on=["step", "actor"], how="left", suffixes=("", "_before"))
-    acceleration = (joined.speed_mps - joined.speed_mps_before).astype(float) / run.dt_s
-    return joined.drop(columns="speed_mps_before").assign(acceleration_mps2=acceleration)
+    return run.sql("""
+        SELECT step, actor, x_m, y_m, yaw_rad, speed_mps, length_m, width_m,
+            if(lag(step) OVER mine = step - 1, (speed_mps - lag(speed_mps) OVER mine)::DOUBLE / $dt_s, NULL)
+                AS acceleration_mps2
+        FROM actors JOIN vehicles ON vehicle = actor WHERE vehicle_class <> 'pedestrian'
+        WINDOW mine AS (PARTITION BY actor ORDER BY step) ORDER BY step, actor
+    """)
 
 
 def following(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pandas as pd
-import pyarrow.compute as pc
 
 from results.metrics import contact_graph
 from results.metrics.encounters import DEFINITION
@@ -72,11 +71,10 @@ def by_age(run: Run, radius_m: float | None = None, every_s: float = 5.0) -> pd.
         "step": np.r_[step, step], "sender": np.r_[a[row], b[row]], "receiver": np.r_[b[row], a[row]],
         "bin": np.floor(np.r_[age, age] * run.dt_s / every_s).astype(np.int64),
     })  # fmt: skip
-    got = [both[["step", "sender", "receiver"]].iloc[:0]]
-    for part in run.parts("receptions", ["message_step", "sender", "receiver"], pc.field("message_type") == "cpm"):
-        part = part.rename(columns={"message_step": "step"})
-        got.append(part.assign(sender=part.sender.map(run.subjects.vehicle)).drop_duplicates())
-    arrived = pd.concat(got).astype(np.int64).drop_duplicates().assign(arrived=True)
+    arrived = run.sql("""
+        SELECT DISTINCT message_step AS step, vehicle AS sender, receiver, true AS arrived
+        FROM receptions JOIN subjects ON pseudonym = sender WHERE message_type = 'cpm'
+    """)
     both = both.merge(arrived, on=["step", "sender", "receiver"], how="left")
     of_bin = both.arrived.notna().groupby(both["bin"]).agg(["size", "mean"])
     age_s = (of_bin.index.to_numpy() + 0.5) * every_s

@@ -5,7 +5,7 @@ import pandas as pd
 import pyarrow.compute as pc
 
 from cosim.base.codes import ObjectClass, labels
-from results.metrics.kitti import LEVELS, LOOSE, STRICT, Overlap, average_precision
+from results.metrics.kitti import FEWEST, LEVELS, LOOSE, STRICT, Overlap, average_precision
 from results.metrics.kitti_frames import (
     TABLE_OF,
     Lists,
@@ -73,6 +73,18 @@ def precision(
     if not rows:
         raise ValueError(f"{run.path} holds no detections to rank: no equipped vehicle ever had an actor ahead of it.")
     return pd.DataFrame(rows)
+
+
+def ranked(run: Run, max_frames: int = 4000) -> pd.DataFrame:
+    """The rows of `precision` with enough objects to rank."""
+    found = precision(run, max_frames=max_frames)
+    return found[found.n_truth >= FEWEST]
+
+
+def awareness_total(run: Run, max_frames: int = 4000) -> pd.DataFrame:
+    """Environmental awareness over all distances up to 70 m: boxes, share."""
+    known = awareness(run, max_frames=max_frames).groupby("boxes")[["n_known", "n_present"]].sum()
+    return (known.n_known / known.n_present).rename("share").reset_index()
 
 
 def awareness(

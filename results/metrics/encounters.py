@@ -81,7 +81,7 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     The columns of `DEFINITION`; n; n_start_unseen, n_end_unseen and their shares censored_left, censored_right; mean_s,
     median_s of the durations as recorded; km_median_s (Kaplan-Meier, null if the survival curve stays above one half)
     and km_mean_s, restricted to the longest duration observed, `horizon_s`; again_share: share that are not the first
-    of their pair; gap_median_s: time since the encounter before.
+    of their pair; gap_median_s: time since the encounter before; definition: its name.
 
     mean_s and the three shares have intervals in which encounters that share an actor depend on each other
     (`intervals.mean_of_pairs`). The interval of km_median_s takes encounters as independent.
@@ -110,30 +110,29 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
                 "gap_median_s": float(again.median()) if len(again) else np.nan,
             }
         )
-    return pd.DataFrame(rows)
+    found = pd.DataFrame(rows)
+    return found.assign(definition=named(found))
 
 
 def rates(run: Run) -> pd.DataFrame:
-    """How often a vehicle meets another one: the columns of `DEFINITION`, and per_vehicle_h [1/h].
+    """How often a vehicle meets another: the columns of `DEFINITION`, per_vehicle_h [1/h], and its name, definition.
 
     Encounters that begin while the run is recorded count, for both of their vehicles. They are divided by the time that
     the vehicles which can have one are on the road: equipped vehicles, or all where all pairs count.
     """
-    who = run.table("vehicles", ["vehicle_class", "equipped", "first_step", "last_step"])
-    on_road_h = (who.last_step - who.first_step + 1).to_numpy() * run.dt_s / 3600.0
-    walks = (who.vehicle_class == "pedestrian").to_numpy()
-    drives = ~walks & (who.vehicle_class != "roadside_unit").to_numpy()
-    equipped = who.equipped.to_numpy(bool)
-    frame, rows = durations(run), []
-    for kind, of in frame.groupby([*DEFINITION], observed=True):
-        definition = dict(zip(DEFINITION, kind, strict=True))
-        counted = drives | walks if definition["pedestrians"] else drives
-        if definition["pairs"] in ("equipped", "los"):
-            counted = equipped
-        time_h = float(on_road_h[counted].sum())
-        rate = 2 * int(of.start_seen.sum()) / time_h if time_h else math.nan
-        rows.append(definition | {"per_vehicle_h": rate})
-    return pd.DataFrame(rows)
+    found = run.sql(f"""
+        WITH kinds AS (
+            SELECT {", ".join(DEFINITION)}, count_if(NOT censored_left) AS n FROM encounters GROUP BY ALL
+        )
+        SELECT kinds.*, 2 * n / nullif((
+            SELECT sum(last_step - first_step + 1) * $dt_s / 3600 FROM vehicles v WHERE CASE
+                WHEN kinds.pairs IN ('equipped', 'los') THEN v.equipped
+                WHEN v.vehicle_class = 'pedestrian' THEN kinds.pedestrians
+                ELSE v.vehicle_class <> 'roadside_unit' END
+        ), 0) AS per_vehicle_h
+        FROM kinds ORDER BY ALL
+    """)
+    return found.assign(definition=named(found))
 
 
 def _mean(frame: pd.DataFrame, values: pd.Series, name: str) -> dict[str, float]:

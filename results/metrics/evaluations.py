@@ -6,14 +6,12 @@ it is negative: the detection matches none of the evaluator's own. It confirms i
 finds no match but knows nothing about the place (visibility 0, see `trust.denials`) neither denies nor confirms.
 """
 
-from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
 import pandas as pd
-import pyarrow.compute as pc
 
-from results.metrics.intervals import columns, share
+from results.metrics.intervals import by_group, columns, share
 from results.metrics.trust import HONEST
 from results.run import Run
 
@@ -59,94 +57,95 @@ def boxes_of_no_actor(run: Run) -> pd.DataFrame:
 
     Returns
     -------
-    class ("all" first), n, share, with its interval clustered by sender.
+    class (or "all"), n, share, with its interval clustered by sender.
     """
-    run.require("detections")
-    names = ["step", "observer", "class", "truth_actor"]
-    sent = (pc.field("origin") == "sensed") & pc.field("transmitted") & ~pc.field("lied")
-    frame = run.table("detections", names, sent)
-    frame = frame[frame.observer.map(run.subjects.role) == HONEST]
-    if frame.empty:
+    found = run.sql(f"""
+        SELECT coalesce(class, 'all') AS class, observer, count_if(truth_actor IS NULL) AS top, count(*) AS bottom
+        FROM detections JOIN subjects ON pseudonym = observer AND role = '{HONEST}'
+        WHERE origin = 'sensed' AND transmitted AND NOT lied
+        GROUP BY GROUPING SETS ((observer), (class, observer)) ORDER BY ALL
+    """)
+    if found.empty:
         raise ValueError(f"{run.path} holds no detections of honest vehicles. Equip vehicles, or set sensing = true.")
-    rows = []
-    for label in ("all", *frame["class"].cat.categories):
-        some = frame if label == "all" else frame[frame["class"] == label]
-        if len(some):
-            of = some.truth_actor.isna().groupby(some.observer).agg(["sum", "size"])
-            found = share(of["sum"].to_numpy(float), of["size"].to_numpy(float))
-            rows.append({"class": label, "n": len(some)} | columns(found, "share"))
-    return pd.DataFrame(rows)
+    return by_group(found, ["class"])
+
+
+def named_rates(run: Run) -> pd.DataFrame:
+    """The rows of `rates` that are metrics, with a name of each as `group`."""
+    found = rates(run)
+    usual, fabricated = found.by.isin(["all", "evaluator"]), found.kind == KINDS[-1]
+    split = ", " + found.by + " " + found.value
+    found["group"] = found.kind + split.where(found.by != "all", "")
+    found.loc[~usual, "confirmed"] = np.nan
+    found.loc[fabricated | (found.kind == KINDS[2]) | (found.by != "all"), "missed"] = np.nan
+    return found[usual | ~fabricated]
 
 
 def _counts(run: Run) -> pd.DataFrame:
     """by, kind, value, vehicle (that evaluates), n, denied, confirmed, missed."""
-    run.require("evaluations", "detections", "actors")
-    stride = max(1, -(-run.n_rows("evaluations") // _MOST_ROWS))
-    parts = [_counted(one) for one in _blocks(run, stride)]
-    if not parts or not sum(map(len, parts)):
+    run.require("actors")
+    whole = of_blocks(run, _QUERY)
+    if whole.empty:
         raise ValueError(f"{run.path} holds no evaluations by honest vehicles. Raise radio.range_m, or equip vehicles.")
-    whole = pd.concat(parts, ignore_index=True)
     return whole.groupby(["by", "kind", "value", "vehicle"], as_index=False).sum()
 
 
-def _blocks(run: Run, stride: int) -> Iterator[pd.DataFrame]:
-    """Evaluations that count, block by block: vehicle, evaluator, kind, class, visibility, distance, role, denied,
-    confirmed, missed."""
-    who = run.subjects
-    seen = (pc.field("visibility") > 0) & ~pc.field("lied") & (pc.field("kind") == "detection")
-    wanted = ["step", "evaluator", "observer", "detection_index", "detection_step", "evaluation", "visibility"]
-    for part in run.parts("evaluations", wanted, seen):
-        part = part[(part.step % stride == 0) & (part.evaluator.map(who.role) == HONEST)]
-        if part.empty:
-            continue
-        during = (pc.field("step") >= int(part.detection_step.min())) & (pc.field("step") <= int(part.step.max()))
-        made = run.table(
-            "detections",
-            ["step", "observer", "detection_index", "class", "x_m", "y_m", "origin", "transmitted", "lied",
-             "truth_actor"], during,
-        )  # fmt: skip
-        poses = run.table("actors", ["step", "actor", "x_m", "y_m"], during)
-        named = made.rename(columns={"step": "detection_step"})
-        part = part.merge(named, on=["detection_step", "observer", "detection_index"])
-        part["vehicle"] = part.evaluator.map(who.vehicle)
-        part["own"] = part.vehicle == part.observer.map(who.vehicle)
-        part = part[part.transmitted & (~part.lied | (part.origin == "fabricated"))]
-        part = part.merge(poses, left_on=["step", "vehicle"], right_on=["step", "actor"], suffixes=("", "_there"))
-        sensed = made[(made.origin == "sensed") & made.truth_actor.notna()]
-        known = pd.MultiIndex.from_arrays([sensed.step, sensed.observer, sensed.truth_actor.astype(int)])
-        actor = part.truth_actor.fillna(-1).astype(int)
-        missed = ~pd.MultiIndex.from_arrays([part.step, part.evaluator, actor]).isin(known)
-        evaluator = np.where(part.own.to_numpy(bool), *EVALUATORS)
-        away_m = np.hypot(part.x_m - part.x_m_there, part.y_m - part.y_m_there)
-        denied = (part.evaluation < 0).to_numpy()
-        yield pd.DataFrame({
-            "vehicle": part.vehicle.to_numpy(), "evaluator": evaluator, "kind": _kind(part),
-            "class": part["class"].astype(str).to_numpy(),
-            "visibility": _bins(part.visibility.to_numpy(float), _VISIBILITY, ""),
-            "distance": _bins(np.asarray(away_m, float), _DISTANCE_M, " m"),
-            "role": part.observer.map(who.role).astype(str).to_numpy(),
-            "denied": denied, "confirmed": (part.evaluation > 0).to_numpy(), "missed": denied & missed,
-        })  # fmt: skip
+def of_blocks(run: Run, query: str) -> pd.DataFrame:
+    """What SQL answers about evaluations, block by block.
 
-
-def _kind(part: pd.DataFrame) -> np.ndarray:
-    is_actors = part.truth_actor.notna()
-    return np.select(
-        [part.origin == "self", part.origin == "fabricated", is_actors], [KINDS[0], KINDS[3], KINDS[1]], KINDS[2]
+    Parameters
+    ----------
+    query
+        Asks for the evaluations of the steps from `$first` to `$last`. It may count one in `$every` of something, so
+        that not many more count than suffice.
+    """
+    run.require("evaluations", "detections")
+    every = max(1, -(-run.n_rows("evaluations") // _MOST_ROWS))
+    parts = run.inventory.of("evaluations")
+    return pd.concat(
+        [run.sql(query, every=every, first=part.first_step, last=part.last_step) for part in parts], ignore_index=True
     )
 
 
-def _bins(values: np.ndarray, edges: tuple[float, ...], unit: str) -> np.ndarray:
-    """Names of the bins, each without its lower edge and with its upper one."""
+def _bins(value: str, edges: tuple[float, ...], unit: str) -> str:
+    """SQL that names the bin of a value; each bin is without its lower edge and with its upper one."""
     names = [f"over {low:g}{unit}" if np.isinf(high) else f"{low:g} to {high:g}{unit}" for low, high in pairwise(edges)]
-    return np.array(names)[np.clip(np.searchsorted(edges, values, "left") - 1, 0, len(names) - 1)]
+    cases = [f"WHEN {value} <= {high} THEN '{name}'" for high, name in zip(edges[1:-1], names, strict=False)]
+    return f"CASE {' '.join(cases)} ELSE '{names[-1]}' END"
 
 
-def _counted(frame: pd.DataFrame) -> pd.DataFrame:
-    frame = frame.assign(n=1, all="all")
-    parts = []
-    for by in ("all", *SPLITS):
-        some = frame if by == "evaluator" else frame[frame.evaluator == EVALUATORS[1]]
-        sums = some.groupby(["kind", by, "vehicle"])[["n", "denied", "confirmed", "missed"]].sum().reset_index()
-        parts.append(sums.rename(columns={by: "value"}).assign(by=by))
-    return pd.concat(parts, ignore_index=True)
+_AWAY_M = "sqrt((d.x_m - a.x_m)::DOUBLE ** 2 + (d.y_m - a.y_m)::DOUBLE ** 2)::FLOAT"
+_GROUPS = " UNION ALL ".join(
+    f"SELECT '{by}' AS by, kind, {value} AS value, vehicle, count(*) AS n, count_if(denied) AS denied, "
+    f"count_if(confirmed) AS confirmed, count_if(missed) AS missed FROM looked {among} GROUP BY ALL"
+    for by, value, among in (
+        ("evaluator", "evaluator", ""),
+        *((by, "'all'" if by == "all" else by, f"WHERE evaluator = '{EVALUATORS[1]}'") for by in ("all", *SPLITS[1:])),
+    )
+)
+_QUERY = f"""
+WITH said AS (
+    SELECT e.*, vehicle FROM evaluations e JOIN subjects s ON s.pseudonym = e.evaluator AND s.role = '{HONEST}'
+    WHERE e.visibility > 0 AND NOT e.lied AND e.kind = 'detection' AND e.step % $every = 0
+        AND e.step BETWEEN $first AND $last
+), made AS (
+    SELECT * FROM detections WHERE step BETWEEN (SELECT min(detection_step) FROM said) AND $last
+), looked AS MATERIALIZED (
+    SELECT s.vehicle,
+        CASE WHEN d.origin = 'self' THEN '{KINDS[0]}' WHEN d.origin = 'fabricated' THEN '{KINDS[3]}'
+            WHEN d.truth_actor IS NOT NULL THEN '{KINDS[1]}' ELSE '{KINDS[2]}' END AS kind,
+        if(coalesce(of.vehicle = s.vehicle, false), '{EVALUATORS[0]}', '{EVALUATORS[1]}') AS evaluator,
+        d.class, of.role, {_bins("s.visibility", _VISIBILITY, "")} AS visibility,
+        {_bins(_AWAY_M, _DISTANCE_M, " m")} AS distance,
+        s.evaluation < 0 AS denied, s.evaluation > 0 AS confirmed, s.evaluation < 0 AND own.step IS NULL AS missed
+    FROM said s
+    JOIN made d ON d.step = s.detection_step AND d.observer = s.observer AND d.detection_index = s.detection_index
+    JOIN actors a ON a.step = s.step AND a.actor = s.vehicle
+    LEFT JOIN subjects of ON of.pseudonym = s.observer
+    LEFT JOIN (SELECT DISTINCT step, observer, truth_actor FROM made WHERE origin = 'sensed') own
+        ON own.step = s.step AND own.observer = s.evaluator AND own.truth_actor = d.truth_actor
+    WHERE d.transmitted AND (NOT d.lied OR d.origin = 'fabricated')
+)
+{_GROUPS}
+"""
+"""The evaluations of some steps that count, counted by kind and by one property after another."""

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 
 from cosim.base.codes import LookupState, labels
-from results.metrics import lookups, trust
-from results.metrics.encounters import DEFINITION
+from results.metrics import lookups
+from results.metrics.encounters import DEFINITION, named
 from results.metrics.intervals import plain_columns, ratio, share, without_interval
-from results.metrics.lookups import AGES, FRESH_S, NO_LOOKUPS, role_codes
+from results.metrics.lookups import AGES, FRESH_S, NO_LOOKUPS
 from results.run import Run
 
 STATES = ("evaluated", "unevaluated", "stale", "no value")
@@ -32,19 +32,15 @@ def evidence(run: Run) -> pd.DataFrame:
     role, n (values), unevaluated_share (without any evaluation by another vehicle that could see), and medians of
     newest_s, oldest_s, n_evaluations and n_evaluators over the values that have some.
     """
-    columns = ["n_evaluations", "n_evaluators", "newest_evaluation_age_s", "oldest_evaluation_age_s"]
-    known = trust.server_values(run)
-    code, evaluated = role_codes(run, known.subject.to_numpy()), (known.state == "evaluated").to_numpy()
-    values = {name: known[name].to_numpy(np.float64, na_value=np.nan) for name in columns}
-    rows = []
-    for role in np.unique(code):
-        mine = code == role
-        some = mine & evaluated
-        medians = {name: np.median(value[some]) if some.any() else np.nan for name, value in values.items()}
-        without = float(1 - evaluated[mine].mean())
-        rows.append({"role": run.role_labels[role], "n": int(mine.sum()), "unevaluated_share": without} | medians)
-    found = pd.DataFrame(rows, columns=["role", "n", "unevaluated_share", *columns])
-    return found.rename(columns={columns[2]: "newest_s", columns[3]: "oldest_s"})
+    return run.sql("""
+        SELECT role, count(*) AS n, 1 - avg(evaluated::INT) AS unevaluated_share,
+            median(newest_evaluation_age_s::DOUBLE) FILTER (evaluated) AS newest_s,
+            median(oldest_evaluation_age_s::DOUBLE) FILTER (evaluated) AS oldest_s,
+            median(n_evaluations) FILTER (evaluated) AS n_evaluations,
+            median(n_evaluators) FILTER (evaluated) AS n_evaluators
+        FROM (SELECT *, state = 'evaluated' AS evaluated FROM trust WHERE variant = $variant)
+        JOIN subjects ON pseudonym = subject GROUP BY role ORDER BY role
+    """)
 
 
 def states(run: Run) -> pd.DataFrame:
@@ -213,12 +209,12 @@ def distribution(run: Run, what: str = "newest evaluation") -> pd.DataFrame:
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     """Shares of the states by time: time_s, and a column for each of `STATES`."""
     lookups.sums(run)  # says so where there are none
-    parts = []
-    for part in run.variant_parts("trust_lookups", ["step", "state"]):
-        time_s = (np.floor(part.step * run.dt_s / every_s) * every_s).rename("time_s")
-        parts.append(pd.crosstab(time_s, part.state.cat.codes).reindex(columns=range(len(STATES)), fill_value=0))
-    total = pd.concat(parts).groupby("time_s").sum().set_axis(list(STATES), axis=1)
-    return total.div(total.sum(axis=1), axis=0).reset_index()
+    kinds = zip(labels(LookupState), STATES, strict=True)
+    shares = ", ".join(f"count_if(state = '{label}') / count(*) AS \"{name}\"" for label, name in kinds)
+    return run.sql(f"""
+        SELECT floor(step * $dt_s / $every_s) * $every_s AS time_s, {shares}
+        FROM trust_lookups WHERE variant = $variant GROUP BY time_s ORDER BY time_s
+    """, every_s=every_s)  # fmt: skip
 
 
 def without_trust(run: Run) -> pd.DataFrame:
@@ -228,7 +224,7 @@ def without_trust(run: Run) -> pd.DataFrame:
     -------
     The columns of `encounters.DEFINITION`; n (both directions of every encounter), n_without, share, low, high (by the
     vehicle that would have the value), n_units; and wait_median_s: time from the start to the first such value, of
-    those that had none at the start.
+    those that had none at the start; definition: its name.
     """
     frame = run.variant_table("encounters", ["trusted_after_ab_s", "trusted_after_ba_s"])
     after_ab_s, after_ba_s = frame.trusted_after_ab_s.to_numpy(), frame.trusted_after_ba_s.to_numpy()
@@ -244,7 +240,8 @@ def without_trust(run: Run) -> pd.DataFrame:
             "wait_median_s": float(np.median(waited_s)) if len(waited_s) else np.nan,
         })  # fmt: skip
     columns = [*DEFINITION, "n", "n_without", "share", "low", "high", "n_units"]
-    return pd.DataFrame(rows, columns=[*columns, "wait_median_s"])
+    found = pd.DataFrame(rows, columns=[*columns, "wait_median_s"])
+    return found.assign(definition=named(found))
 
 
 def _of_equipped(run: Run) -> list[tuple[tuple, np.ndarray, np.ndarray]]:
@@ -256,25 +253,27 @@ def _of_equipped(run: Run) -> list[tuple[tuple, np.ndarray, np.ndarray]]:
 
 
 def _totals(run: Run) -> pd.DataFrame:
-    """Sums of the table `lookup_totals`, by state in the order of `STATES`."""
-    frame = run.variant_table("lookup_totals")
-    sums = [str(name) for name in frame if str(name).endswith("_sum_s")]
-    frame = frame.astype(dict.fromkeys(sums, np.float64))  # stored in single precision
-    if frame.empty:
+    """Sums of the table `lookup_totals`: state, n, n_valued and sums of ages."""
+    found = run.sql("""
+        SELECT replace(state, '_', ' ') AS state, sum(n)::BIGINT AS n, sum(n_valued)::BIGINT AS n_valued,
+            sum(age_sum_s::DOUBLE) AS age_s, sum(newest_evaluation_age_sum_s::DOUBLE) AS newest_evaluation_age_s,
+            sum(oldest_evaluation_age_sum_s::DOUBLE) AS oldest_evaluation_age_s
+        FROM lookup_totals WHERE variant = $variant GROUP BY state
+    """)
+    if found.empty:
         raise ValueError(f"{run.path} {NO_LOOKUPS}")
-    stored = dict(zip(labels(LookupState), STATES, strict=True))
-    return frame.groupby(frame.state.astype(str).map(stored)).sum(numeric_only=True).reindex(STATES, fill_value=0)
+    return found.set_index("state").reindex(STATES, fill_value=0)
 
 
 def _ages_of_totals(run: Run) -> pd.DataFrame:
     total = _totals(run)
-    n_known = int(total.n[list(KNOWN)].sum())
-    counts = {"value": int(total.n_valued.sum()), "newest evaluation": n_known, "oldest evaluation": n_known}
+    n_known = total.n[list(KNOWN)].sum()
+    n = dict(zip(AGES, (total.n_valued.sum(), n_known, n_known), strict=True))
     rows = [
-        {"what": what, "role": "all", "n": n, "median_s": np.nan, "p90_s": np.nan}
-        | plain_columns(without_interval(float(total[column.replace("_s", "_sum_s")].sum()) / n), "mean_s")
-        for (what, column), n in zip(AGES.items(), counts.values(), strict=True)
-        if n
+        {"what": what, "role": "all", "n": n[what], "median_s": np.nan, "p90_s": np.nan}
+        | plain_columns(without_interval(total[column].sum() / n[what]), "mean_s")
+        for what, column in AGES.items()
+        if n[what]
     ]
     if not rows:
         raise ValueError(f"{run.path} {_NO_EVALUATION}")

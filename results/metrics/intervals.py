@@ -1,10 +1,12 @@
 """Intervals of ratios and means over units that are independent of each other: vehicles, not messages."""
 
 import math
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 from scipy import special, stats
@@ -328,3 +330,25 @@ def columns(estimate: ClusteredEstimate, name: str) -> dict[str, float]:
         name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high,
         f"{name}_units": estimate.n_units,
     }  # fmt: skip
+
+
+def by_group(
+    frame: pd.DataFrame,
+    by: Sequence[str],
+    estimate: Callable[[ndarray, ndarray], ClusteredEstimate] = share,
+    name: str = "share",
+) -> pd.DataFrame:
+    """An estimate for each group of units: the columns `by`, n (sum of bottom), and those of `plain_columns`.
+
+    Parameters
+    ----------
+    frame
+        A row per unit: the columns `by`, and what the estimate sums up, top and bottom.
+    """
+    rows = [
+        dict(zip(by, key, strict=True))
+        | {"n": int(one.bottom.sum())}
+        | plain_columns(estimate(one.top.to_numpy(float), one.bottom.to_numpy(float)), name)
+        for key, one in frame.groupby(list(by), sort=False)
+    ]
+    return pd.DataFrame(rows, columns=[*by, "n", name, "low", "high", "n_units"])

@@ -12,9 +12,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
-from scipy.spatial import cKDTree
 
-from results.metrics.overlap import in_blocks, iou_3d, iou_bev
+from results.metrics.overlap import in_blocks, iou_3d, iou_bev, near_pairs
 
 LEVELS = ("easy", "moderate", "hard", "all")
 MIN_HEIGHT_PX = (40, 25, 25, 0)
@@ -180,15 +179,7 @@ def _thresholds(scores: Float[ndarray, "n"], n_truth: int) -> Float[ndarray, "t"
 def _candidates(truth: LabelledObjects, found: LabelledObjects, overlap: Overlap) -> tuple[ndarray, ndarray, ndarray]:
     """Pairs of the same frame that may overlap, and their intersection over union."""
     assert (np.diff(truth.frame) >= 0).all() and (np.diff(found.frame) >= 0).all(), "frames are not sorted"
-    if not len(truth) or not len(found):
-        return np.zeros(0, int), np.zeros(0, int), np.zeros(0)
     real = np.flatnonzero(truth.box[:, 3] > 0)  # DontCare areas have no box
-    reach = np.hypot(truth.box[:, 3], truth.box[:, 4]).max() / 2 + np.hypot(found.box[:, 3], found.box[:, 4]).max() / 2
-    frames = np.unique(np.concatenate([truth.frame, found.frame]))
-    trees = [
-        cKDTree(np.column_stack([o.box[:, :2], np.searchsorted(frames, o.frame) * (2.0 * reach + 1.0)])[rows])
-        for o, rows in ((truth, real), (found, np.arange(len(found))))
-    ]
-    near = trees[0].sparse_distance_matrix(trees[1], reach, output_type="ndarray")
-    i, j = real[near["i"]], near["j"]
+    i, j = near_pairs(truth.frame[real], truth.box[real], found.frame, found.box)
+    i = real[i]
     return i, j, in_blocks(iou_3d if overlap == "3d" else iou_bev, truth.box[i], found.box[j])

@@ -5,11 +5,10 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
-from scipy.spatial import cKDTree
 
 from cosim.base.codes import BASE_VARIANT
 from results.metrics.kitti import LabelledObjects
-from results.metrics.overlap import corners
+from results.metrics.overlap import corners, within
 from results.run import Run
 from results.sensing import interval_steps, senses, sensing_steps
 
@@ -114,14 +113,10 @@ def near(poses: Poses, actors: pd.DataFrame, range_m: float) -> tuple[np.ndarray
     """
     if poses.empty:
         return np.zeros(0, int), np.zeros(0, int)
-    steps = np.unique(actors.step)
-    trees = [
-        cKDTree(np.column_stack([f.x_m, f.y_m, np.searchsorted(steps, f.step) * (2.0 * range_m + 1)]))
-        for f in (poses, actors)
-    ]
-    pairs = trees[0].sparse_distance_matrix(trees[1], range_m, output_type="ndarray")
-    order = np.lexsort([pairs["j"], pairs["i"]])
-    return pairs["i"][order], pairs["j"][order]
+    points = ((f.step.to_numpy(), f[["x_m", "y_m"]].to_numpy()) for f in (poses, actors))
+    i, j = within(*next(points), *next(points), range_m)
+    order = np.lexsort([j, i])
+    return i[order], j[order]
 
 
 def actors_ahead(

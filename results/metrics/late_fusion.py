@@ -6,9 +6,8 @@ Of boxes that overlap, the one with the highest score is kept. This is the metho
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
-from scipy.spatial import cKDTree
 
-from results.metrics.overlap import in_blocks, iou_bev
+from results.metrics.overlap import in_blocks, iou_bev, near_pairs
 
 NMS_OVERLAP = 0.15
 """Boxes that overlap by more than this from above are of one object: `nms_thresh` of OpenCOOD's configurations."""
@@ -57,12 +56,7 @@ def _overlapping(
     frame: Int[ndarray, "n"], box: Float[ndarray, "n 7"], overlap: float
 ) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
     """Pairs of boxes of one frame that overlap by more than a share."""
-    if len(frame) < 2:
-        return np.zeros(0, int), np.zeros(0, int)
-    reach = float(np.hypot(box[:, 3], box[:, 4]).max())
-    apart = np.ptp(box[:, :2], axis=0).max() + 2.0 * reach + 1.0
-    _, number = np.unique(frame, return_inverse=True)
-    pairs = cKDTree(np.column_stack([box[:, :2], number * apart])).query_pairs(reach, output_type="ndarray")
-    i, j = pairs[:, 0], pairs[:, 1]
+    i, j = near_pairs(frame, box, frame, box)
+    i, j = i[i < j], j[i < j]
     near = in_blocks(iou_bev, box[i], box[j]) > overlap
     return i[near], j[near]

@@ -83,16 +83,3 @@ def add_watched(
                 n_low[v, who[i]] += 1
                 if low_step[v, p] < 0:
                     low_step[v, p] = step[i]
-
-
-@njit(cache=True, nogil=True)
-def new_lows(variant, who, step, trust, n_evaluations, since, lowest):
-    """Where trust that rests on an evaluation is lower than ever from step `since` on, by subject; `lowest` by variant
-    and subject goes down with it."""
-    is_lower = np.zeros(len(variant), np.bool_)
-    for i in range(len(variant)):
-        v, s = variant[i], who[i]
-        if n_evaluations[i] > 0 and step[i] >= since[s] and trust[i] < lowest[v, s]:
-            lowest[v, s] = trust[i]
-            is_lower[i] = True
-    return is_lower

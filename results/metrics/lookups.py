@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from cosim.base.codes import LookupState, TrustSource
 from cosim.base.durable import Damaged
-from results.metrics.trust import suspect_below, watched
+from results.metrics.trust import HONEST, suspect_below, watched
 from results.run import Run
 
 AGES: Mapping[str, str] = {
@@ -89,15 +89,6 @@ class Sums(NamedTuple):
     the last one."""
 
 
-class Lows(NamedTuple):
-    """Lookups of a trust variant, resting on an evaluation, that are lower than any before of that subject since it is
-    watched (`trust.watched`)."""
-
-    step: Int[ndarray, "n"]
-    subject: Int[ndarray, "n"]
-    trust: Float[ndarray, "n"]
-
-
 class Scores(NamedTuple):
     """Values of watched subjects, resting on an evaluation, that were looked up."""
 
@@ -125,10 +116,6 @@ class _All:
     asked: _Asked
     sums: Sums
     ages_s: Float[ndarray, "k"]
-    variant: Int[ndarray, "n"]
-    lows: Lows
-    scores_variant: Int[ndarray, "n"]
-    scores: Scores
 
 
 class _Numbers:
@@ -173,19 +160,50 @@ def ages_s(run: Run) -> Float[ndarray, "k"]:
     return _all(run).ages_s
 
 
-def lows(run: Run) -> Lows:
-    """Lookups with the lowest value of their subject so far. Trust is first below any threshold at one of these."""
-    found = _all(run)
-    mine = found.variant == run.variants.index(run.variant)
-    return Lows(*(column[mine] for column in found.lows))
+_EVALUATED = f"""
+WITH watched AS (
+    SELECT pseudonym, to_step, greatest(from_step, if(role = '{HONEST}', first_step, attack_start_step)) AS since
+    FROM subjects, (SELECT min(attack_start_step) AS first_step FROM subjects) WHERE first_step IS NOT NULL
+        AND (role = '{HONEST}' OR attack_start_step IS NOT NULL)
+), evaluated AS (
+    SELECT variant, subject, step, trust FROM trust_lookups JOIN watched ON pseudonym = subject
+    WHERE n_evaluations > 0 AND step BETWEEN since AND to_step
+)
+"""
+"""Lookups of subjects while they are watched (`trust.watched`) whose value rests on an evaluation."""
+
+
+def first_lows(run: Run, threshold: float) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+    """Step and subject of the first evaluated value below a threshold that is looked up of each watched subject."""
+    found = run.sql(f"""
+        {_EVALUATED} SELECT min(step) AS step, subject FROM evaluated
+        WHERE variant = $variant AND trust::DOUBLE < $threshold GROUP BY subject ORDER BY subject
+    """, threshold=threshold)  # fmt: skip
+    return found.step.to_numpy(), found.subject.to_numpy()
 
 
 def scores(run: Run) -> Scores:
     """Values of watched subjects that were looked up in the run's variant."""
-    found = _all(run)
-    mine = found.scores_variant == run.variants.index(run.variant)
-    of = found.scores
-    return Scores(of.who[mine], of.trust[mine], of.n[mine], of.is_rounded)
+    found, is_rounded = run.once_for_all("lookups.scores", lambda: _scores(run))
+    mine = found[found.number == run.variants.index(run.variant)]
+    who = np.searchsorted(subjects(run)[0], mine.subject.to_numpy())
+    return Scores(who, mine.trust.to_numpy(np.float64), mine.n.to_numpy(), is_rounded)
+
+
+def _scores(run: Run) -> tuple[pd.DataFrame, bool]:
+    """number of the variant, subject, trust, n; and whether values are rounded."""
+    value, is_rounded = "trust", False
+    if run.n_rows("trust_lookups") > _MOST_SCORES:
+        several = f"(SELECT DISTINCT variant, subject, trust FROM evaluated LIMIT {_MOST_SCORES + 1})"
+        is_rounded = run.sql(f"{_EVALUATED} SELECT count(*) AS n FROM {several}").n[0] > _MOST_SCORES
+    if is_rounded:
+        value = f"(round_even(trust * {_SCORES}, 0) / {_SCORES})::FLOAT"
+    found = run.sql(f"""
+        {_EVALUATED} SELECT list_position($variants, variant)::SMALLINT - 1 AS number, subject, {value} AS trust,
+            count(*)::INT AS n
+        FROM evaluated GROUP BY ALL
+    """, variants=list(run.variants))  # fmt: skip
+    return found, is_rounded
 
 
 def subjects(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
@@ -288,10 +306,7 @@ class _Adding:
             for name in ("n_watched", "n_evaluated", "n_low", "pairs", "pairs_found")
         }
         self.waited = np.zeros((self.n_variants, self.n_roles, 2, n_steps + 1), np.int64)
-        self.lowest = np.full((self.n_variants, len(known)), np.inf, np.float32)
-        self.lower: list[tuple[ndarray, Lows]] = []
         self.ages, self.age_counts = _Numbers(), np.zeros((self.n_variants, self.n_roles, len(AGES), 0), np.int64)
-        self.scored, self.score_counts, self.rounds = _Numbers(), np.zeros(0, np.int64), False
         self.pairs, self.of_pairs = _Numbers(), self._no_pairs()
 
     def _no_pairs(self) -> dict[str, ndarray]:
@@ -314,17 +329,10 @@ class _Adding:
             last_step = int(steps[-1])
         self._settle(np.ones(len(self.pairs.keys), bool))
         order = np.argsort(self.ages.keys)
-        variant, who = np.divmod(self.scored.keys >> 32, max(1, len(self.known)))
-        none = Lows(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
-        lower = [(np.zeros(0, np.int16), none), *self.lower]
         return _All(
             self.asked,
             Sums(**self.of_receivers, **self.of_subjects, waited=self.waited, age_counts=self.age_counts[..., order]),
             self.ages.keys[order] / _AGES_PER_S,
-            np.concatenate([variant for variant, _ in lower]),
-            Lows(*(np.concatenate(columns) for columns in zip(*(found for _, found in lower), strict=True))),
-            variant,
-            Scores(who, _trust_of(self.scored.keys).astype(np.float64), self.score_counts, self.rounds),
         )
 
     def _add(self, rows: Mapping[str, ndarray]) -> None:
@@ -367,29 +375,6 @@ class _Adding:
             mine["n_watched"], mine["n_evaluated"], mine["n_low"], pairs["first_step"], pairs["low_step"],
             pairs["seen_step"],
         )  # fmt: skip
-        self._score(rows, who)
-        at = np.flatnonzero(lookup_sums.new_lows(
-            variant, who, rows["step"], rows["trust"], rows["n_evaluations"], self.since, self.lowest
-        ))  # fmt: skip
-        self.lower.append((variant[at], Lows(*(rows[name][at] for name in Lows._fields))))
-
-    def _score(self, rows: Mapping[str, ndarray], who: Int[ndarray, "n"]) -> None:
-        """Count the values of watched subjects that rest on an evaluation."""
-        there = (rows["n_evaluations"] > 0) & (rows["step"] >= self.since[who])
-        subject = rows["variant"][there].astype(np.int64) * len(self.known) + who[there]
-        self._count(subject, rows["trust"][there], np.ones(len(subject), np.int64))
-        if len(self.scored.keys) > _MOST_SCORES and not self.rounds:
-            keys, n = self.scored.keys, self.score_counts
-            self.scored, self.score_counts, self.rounds = _Numbers(), np.zeros(0, np.int64), True
-            self._count(keys >> 32, _trust_of(keys), n)
-
-    def _count(self, subject: Int[ndarray, "n"], trust: Float[ndarray, "n"], n: Int[ndarray, "n"]) -> None:
-        if self.rounds:
-            trust = (np.rint(trust * _SCORES) / _SCORES).astype(np.float32)
-        bits = (trust + np.float32(0)).view(np.int32).astype(np.int64)  # + 0 makes one zero of two
-        number = self.scored.of((subject << 32) | bits)
-        self.score_counts = _widened(self.score_counts, 0, len(self.scored.keys))
-        self.score_counts += np.bincount(number, n, len(self.scored.keys)).astype(np.int64)
 
     def _forget(self, step: int) -> None:
         """Forget the pairs of receivers that have left: they look nothing up any more."""
@@ -409,10 +394,6 @@ class _Adding:
         np.add.at(self.waited, (variant, self.role_of[who], found.astype(int), np.where(found, low, seen) - first), 1)
         np.add.at(self.of_subjects["pairs"], (variant, who), 1)
         np.add.at(self.of_subjects["pairs_found"], (variant[found], who[found]), 1)
-
-
-def _trust_of(keys: Int[ndarray, "n"]) -> Float[ndarray, "n"]:
-    return (keys & 0xFFFFFFFF).astype(np.int32).view(np.float32)
 
 
 def _widened(table: ndarray, axis: int, n: int, fill: float = 0) -> ndarray:

@@ -113,6 +113,13 @@ def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def evaluated(run: Run) -> pd.DataFrame:
+    """role, and share of the watched time of its subjects in which an evaluation is behind their trust."""
+    found = scored(run)
+    rows = [{"role": role, "share": _share(found.rated[mine])} for role, mine in trust.by_role(run, found.role)]
+    return pd.DataFrame(rows)
+
+
 def roc(run: Run) -> pd.DataFrame:
     """Receiver operating characteristic: role, threshold, false_positives, true_positives; of rated values."""
     found, rows = scored(run), []
@@ -192,9 +199,7 @@ def _low_values(run: Run, threshold: float | None, at: trust.At) -> tuple[Int[nd
     """
     threshold = trust.suspect_below(run, threshold)
     if at == "vehicles":
-        lows = lookups.lows(run)
-        low = lows.trust.astype(np.float64) < threshold
-        return lows.step[low], lows.subject[low]
+        return lookups.first_lows(run, threshold)
     if trust.kept_at(run) != "server":
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     known = trust.in_use(run)
@@ -210,10 +215,11 @@ def at_lookup(run: Run, threshold: float | None = None) -> pd.DataFrame:
 
     Returns
     -------
-    role; n (lookups of watched subjects); evaluated: share of them that rest on an evaluation; suspected: share of them
-    that rest on an evaluation and lie below the threshold; auc: probability that an evaluated value of an honest
-    subject is above one of this role, ties counting half (NaN for honest subjects); auc_error: largest error of auc
-    from rounding values (0 if none was rounded). evaluated, suspected and auc have intervals clustered by subject.
+    role; n (lookups of watched subjects); evaluated: share of them that rest on an evaluation; suspected: share of
+    them that rest on an evaluation and lie below the threshold; auc: probability that an evaluated value of an
+    honest subject is above one of this role, ties counting half (NaN for honest subjects); auc_error: largest error
+    of auc from rounding values (0 if none was rounded); and auc_note, which says so. evaluated, suspected and auc
+    have intervals clustered by subject.
     """
     watched(run)  # says so where there are no attacks
     found, scores = lookups.sums(run, threshold=threshold), lookups.scores(run)
@@ -237,7 +243,9 @@ def at_lookup(run: Run, threshold: float | None = None) -> pd.DataFrame:
         rows.append(row | intervals.columns(area, "auc") | {"auc_error": _tied(scores, honest, here)})
     if not rows:
         raise ValueError(f"{run.path} {_NONE_RATED}")
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
+    off_by = table.auc_error.max()
+    return table.assign(auc_note=f"off by {off_by:.2g} at most" if off_by > 0 else "")
 
 
 def compared_at_lookup(run: Run, false_positives: float = 0.05) -> dict[str, intervals.ClusteredEstimate]:
@@ -325,6 +333,21 @@ def detection_summary(run: Run, threshold: float | None = None, at: trust.At = "
     with intervals.
     """
     return summary_of(detection_delay(run, threshold, at))
+
+
+def detection_times(run: Run, threshold: float | None = None, false_positives: float = 0.05) -> pd.DataFrame:
+    """The rows of `detection_summary` for what metrics ask: at (threshold, at_fpr, at_vehicle) and its columns.
+
+    `at_fpr` has the threshold of `classification`, and `at_vehicle` the lookups of a run with a server. No rows if
+    there is no such threshold.
+    """
+    limit, kept = threshold_at(_rated(run, scored(run), HONEST), false_positives), trust.kept_at(run)
+    if np.isnan(limit):
+        return pd.DataFrame()
+    asked: dict[str, tuple[float | None, trust.At]] = {"threshold": (threshold, kept), "at_fpr": (limit, kept)}
+    if kept == "server" and "trust_lookups" in run.tables:
+        asked["at_vehicle"] = (threshold, "vehicles")
+    return pd.concat([detection_summary(run, *how).assign(at=at) for at, how in asked.items()], ignore_index=True)
 
 
 def summary_of(delays: pd.DataFrame) -> pd.DataFrame:

@@ -92,12 +92,22 @@ def near_pairs(
     """Rows of two sets of boxes of the same frame whose footprints may overlap."""
     if not len(a) or not len(b):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    reach = (np.hypot(a[:, 3], a[:, 4]).max() + np.hypot(b[:, 3], b[:, 4]).max()) / 2
-    apart = np.ptp(np.concatenate([a[:, :2], b[:, :2]]), axis=0).max() + 2.0 * reach + 1.0
+    reach_m = (np.hypot(a[:, 3], a[:, 4]).max() + np.hypot(b[:, 3], b[:, 4]).max()) / 2
+    return within(a_frame, a[:, :2], b_frame, b[:, :2], reach_m)
+
+
+def within(
+    a_frame: Int[ndarray, "n"],
+    a_m: Float[ndarray, "n 2"],
+    b_frame: Int[ndarray, "m"],
+    b_m: Float[ndarray, "m 2"],
+    reach_m: float,
+) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
+    """Rows of two sets of points of the same frame that are at most so far apart, in any order."""
     frames = np.unique(np.concatenate([a_frame, b_frame]))
-    trees = [
-        cKDTree(np.column_stack([boxes[:, :2], np.searchsorted(frames, frame) * apart]))
-        for frame, boxes in ((a_frame, a), (b_frame, b))
-    ]
-    pairs = trees[0].sparse_distance_matrix(trees[1], reach, output_type="ndarray")
+    a, b = (
+        cKDTree(np.column_stack([points_m, np.searchsorted(frames, frame) * (2.0 * reach_m + 1.0)]))
+        for frame, points_m in ((a_frame, a_m), (b_frame, b_m))
+    )
+    pairs = a.sparse_distance_matrix(b, reach_m, output_type="ndarray")
     return pairs["i"], pairs["j"]

@@ -7,7 +7,6 @@ from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-import pyarrow.compute as pc
 
 from cosim.base.codes import DISTANCE_BIN_M, LATENCY_EDGES_S
 from results.run import Run
@@ -15,41 +14,41 @@ from results.run import Run
 MessageType = Literal["cpm", "evaluation"]
 
 LOST = ("n_lost_propagation", "n_lost_collision", "n_lost_receiver_busy", "n_lost_expired", "n_lost_late")
+LEFT_OUT = ("n_waiting", "n_not_due", "n_redundant", "n_over_limit")
+
+_PDR = "sum(n_in_range)::BIGINT AS n_in_range, sum(n_delivered) / nullif(sum(n_in_range), 0) AS pdr"
+_LOSSES = ", ".join(f"sum({name}) / nullif(sum(n_in_range), 0) AS {name[2:]}" for name in LOST)
+_ROAD_S = "(SELECT sum(last_step - first_step + 1) * $dt_s FROM vehicles WHERE equipped)"
+"""Time that equipped vehicles are on the road."""
 
 
-def _traffic(run: Run) -> pd.DataFrame:
-    frame = run.radio
-    if not frame.n_in_range.sum():
-        raise ValueError(f"{run.path} holds no radio traffic: no vehicle had another in range. Raise radio.range_m.")
-    return frame
+def _asked(run: Run, why: str, query: str, **values: Any) -> pd.DataFrame:
+    """What SQL answers. ValueError where it answers nothing."""
+    found = run.sql(query, **values)
+    if found.empty:
+        raise ValueError(f"{run.path} holds no {why}")
+    return found
+
+
+_NOBODY = "radio traffic: no vehicle had another in range. Raise radio.range_m."
 
 
 def overall(run: Run, message_type: MessageType | None = None) -> pd.DataFrame:
     """One row, of one message type or of all: n_sent, n_in_range, pdr, shares lost by cause, sent_bytes, mean cbr."""
-    frame = _traffic(run)
-    if message_type is not None:
-        frame = frame[frame.message_type == message_type]
-    total = frame[["n_sent", "n_in_range", "n_delivered", *LOST, "sent_bytes"]].astype(np.float64).sum()
-    row = {
-        "n_sent": int(total.n_sent), "n_in_range": int(total.n_in_range),
-        "pdr": total.n_delivered / total.n_in_range if total.n_in_range else np.nan,
-        **{name[2:]: total[name] / total.n_in_range if total.n_in_range else np.nan for name in LOST},
-        "sent_bytes": total.sent_bytes, "cbr": frame.cbr.astype(np.float64).mean(),
-    }  # fmt: skip
-    return pd.DataFrame([row])
+    return _asked(run, _NOBODY, f"""
+        SELECT sum(n_sent)::BIGINT AS n_sent, {_PDR}, {_LOSSES}, sum(sent_bytes::DOUBLE) AS sent_bytes,
+            avg(cbr::DOUBLE) AS cbr
+        FROM radio WHERE $message_type IS NULL OR message_type = $message_type
+        HAVING (SELECT sum(n_in_range) FROM radio) > 0
+    """, message_type=message_type)  # fmt: skip
 
 
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     """Packet delivery ratio by time: time_s, n_in_range, pdr, cbr."""
-    frame = _traffic(run)
-    slots = frame.astype({"cbr": np.float64}).groupby(np.floor(frame.step * run.dt_s / every_s) * every_s)
-    total = slots[["n_in_range", "n_delivered"]].sum()
-    total = total[total.n_in_range > 0]
-    return pd.DataFrame({
-        "time_s": total.index, "n_in_range": total.n_in_range.to_numpy(),
-        "pdr": (total.n_delivered / total.n_in_range).to_numpy(),
-        "cbr": slots.cbr.mean().reindex(total.index).to_numpy(),
-    })  # fmt: skip
+    return _asked(run, _NOBODY, f"""
+        SELECT floor(step * $dt_s / $every_s) * $every_s AS time_s, {_PDR}, avg(cbr::DOUBLE) AS cbr
+        FROM radio GROUP BY time_s HAVING sum(n_in_range) > 0 ORDER BY time_s
+    """, every_s=every_s)  # fmt: skip
 
 
 def by_distance(run: Run, by_los: bool = False) -> pd.DataFrame:
@@ -57,30 +56,40 @@ def by_distance(run: Run, by_los: bool = False) -> pd.DataFrame:
 
     With `by_los` also by line of sight between the two ends: los_state is los, nlos, or unknown.
     """
-    by = ["los_state", "distance_bin_m"] if by_los else ["distance_bin_m"]
-    counts = ["n_in_range", "n_delivered", *LOST]
-    total = run.pdr_by_distance.groupby(by, observed=True)[counts].sum()
-    total = total[total.n_in_range > 0].reset_index()
-    if total.empty:
-        raise ValueError(f"{run.path} holds no radio traffic: no vehicle had another in range. Raise radio.range_m.")
-    shares = {name[2:]: total[name] / total.n_in_range for name in LOST}
-    return pd.DataFrame({
-        **{name: total[name] for name in by}, "distance_m": total.distance_bin_m + DISTANCE_BIN_M / 2,
-        "n_in_range": total.n_in_range,
-        "pdr": total.n_delivered / total.n_in_range, **shares,
-    })  # fmt: skip
+    by = "los_state, distance_bin_m" if by_los else "distance_bin_m"
+    return _asked(run, _NOBODY, f"""
+        SELECT {by}, distance_bin_m + {DISTANCE_BIN_M / 2}::DOUBLE AS distance_m, {_PDR}, {_LOSSES}
+        FROM pdr_by_distance GROUP BY {by} HAVING sum(n_in_range) > 0 ORDER BY {by}
+    """)  # fmt: skip
+
+
+def by_los(run: Run) -> pd.DataFrame:
+    """Packet delivery ratio by line of sight: los_state, n_in_range, pdr."""
+    query = f"SELECT los_state, {_PDR} FROM pdr_by_distance GROUP BY los_state HAVING sum(n_in_range) > 0 ORDER BY ALL"
+    return _asked(run, _NOBODY, query)
+
+
+_NONE_RECEIVED = "radio traffic: no message was received. Raise radio.range_m."
 
 
 def latency(run: Run) -> pd.DataFrame:
     """Latency from generation to reception: message_type, latency_s (upper bin edge), n_delivered, share up to it."""
-    frame = run.latency_histogram.groupby(["message_type", "latency_s"], observed=True).n_delivered.sum().reset_index()
-    if frame.empty:
-        raise ValueError(f"{run.path} holds no radio traffic: no message was received. Raise radio.range_m.")
-    messages = frame.groupby("message_type", observed=True).n_delivered
-    frame["share"] = messages.cumsum() / messages.transform("sum")
+    frame = _asked(run, _NONE_RECEIVED, """
+        SELECT message_type, latency_s, sum(n_delivered)::BIGINT AS n_delivered,
+            sum(sum(n_delivered)) OVER (PARTITION BY message_type ORDER BY latency_s)
+                / sum(sum(n_delivered)) OVER (PARTITION BY message_type) AS share
+        FROM latency_histogram GROUP BY message_type, latency_s ORDER BY message_type, latency_s
+    """)  # fmt: skip
     lower_s = frame.latency_s.to_numpy(np.float64) * (1 + 1e-6)  # stored in single precision
     frame["latency_s"] = LATENCY_EDGES_S[np.searchsorted(LATENCY_EDGES_S, lower_s).clip(max=len(LATENCY_EDGES_S) - 1)]
     return frame
+
+
+def latency_quantiles(run: Run) -> pd.DataFrame:
+    """One row, of all messages together: median_s and p95_s of the latency, upper edges of bins."""
+    late = latency(run).groupby("latency_s").n_delivered.sum().cumsum()
+    shares = {"median_s": 0.5, "p95_s": 0.95}
+    return pd.DataFrame([{name: late.index[late >= share * late.iloc[-1]][0] for name, share in shares.items()}])
 
 
 def inter_reception(run: Run, message_type: MessageType = "cpm") -> pd.DataFrame:
@@ -91,24 +100,26 @@ def inter_reception(run: Run, message_type: MessageType = "cpm") -> pd.DataFrame
     pir_s, n_lost (messages in between), n_received and n_censored (intervals so long that a reception ended, or
     that were cut off when the two got out of range), longer: share of intervals that last longer, by Kaplan-Meier.
     """
-    frame = (
-        run.packet_inter_reception[run.packet_inter_reception.message_type == message_type]
-        .groupby("pir_steps")[["n_received", "n_censored"]]
-        .sum()
-    )
-    if not frame.n_received.sum():
-        raise ValueError(f"{run.path} holds no two messages of type {message_type} in a row of any pair. Run longer.")
-    ended, censored = frame.n_received.astype(np.float64), frame.n_censored
-    at_risk = (ended + censored)[::-1].cumsum()[::-1]
-    every = max(1, run.manifest.get("sense_every_steps", 1))
-    n_lost = (frame.index // every - 1).to_numpy().clip(min=0)
-    return pd.DataFrame({
-        "pir_s": frame.index * run.dt_s, "n_lost": n_lost, "n_received": frame.n_received,
-        "n_censored": censored, "longer": (1 - ended / at_risk).cumprod(),
-    }).reset_index(drop=True)  # fmt: skip
+    why = f"two messages of type {message_type} in a row of any pair. Run longer."
+    return _asked(run, why, """
+        WITH counts AS (
+            SELECT pir_steps, sum(n_received)::BIGINT AS n_received, sum(n_censored)::BIGINT AS n_censored
+            FROM packet_inter_reception WHERE message_type = $message_type GROUP BY pir_steps
+        ), at_risk AS (
+            SELECT *, sum(n_received + n_censored) OVER (ORDER BY pir_steps DESC) AS n FROM counts
+        )
+        SELECT pir_steps * $dt_s AS pir_s, greatest(pir_steps // $every - 1, 0) AS n_lost, n_received, n_censored,
+            product(1 - n_received / n) OVER (ORDER BY pir_steps) AS longer
+        FROM at_risk WHERE (SELECT sum(n_received) FROM counts) > 0 ORDER BY pir_steps
+    """, message_type=message_type, every=max(1, run.manifest.get("sense_every_steps", 1)))  # fmt: skip
 
 
-LEFT_OUT = ("n_waiting", "n_not_due", "n_redundant", "n_over_limit")
+def inter_reception_means(run: Run) -> pd.DataFrame:
+    """One row, of detection messages: mean_s, after_loss (share of intervals with a loss), n_lost (mean of them)."""
+    pir = inter_reception(run)
+    n, lost = pir.n_received, pir.n_received[pir.n_lost > 0].sum()
+    n_lost = (pir.n_lost * n).sum() / lost if lost else np.nan
+    return pd.DataFrame([{"mean_s": np.average(pir.pir_s, weights=n), "after_loss": lost / n.sum(), "n_lost": n_lost}])
 
 
 def cpm(run: Run) -> pd.DataFrame:
@@ -117,21 +128,20 @@ def cpm(run: Run) -> pd.DataFrame:
     The rate is that of one equipped vehicle while it is on the road, under all its pseudonyms together. The shares are
     of all objects that vehicles would report, in columns named as in the table `cpm_content`.
     """
-    columns = ["length_bytes", "n_objects", "n_included", *LEFT_OUT]
-    total, of_sent, n_sent = np.zeros(len(columns)), np.zeros(len(columns)), 0
-    for part in run.parts("cpm_content", columns):
-        rows = part[columns].to_numpy(np.float64)
-        sent = rows[rows[:, 0] > 0]
-        total, of_sent, n_sent = total + rows.sum(axis=0), of_sent + sent.sum(axis=0), n_sent + len(sent)
-    if not n_sent:
-        raise ValueError(f"{run.path} holds no detection messages: no vehicle sent one. Raise fleet.penetration_p.")
-    vehicles = run.vehicles[run.vehicles.equipped]
-    n_steps = (vehicles.last_step - vehicles.first_step + 1).sum()
-    return pd.DataFrame([{
-        "n_sent": n_sent, "rate_hz": n_sent / (n_steps * run.dt_s), "objects": of_sent[2] / n_sent,
-        "length_bytes": of_sent[0] / n_sent,
-        **{name: total[3 + i] / total[1] if total[1] else np.nan for i, name in enumerate(LEFT_OUT)},
-    }])  # fmt: skip
+    left_out = ", ".join(f"sum({name}) / nullif(sum(n_objects), 0) AS {name}" for name in LEFT_OUT)
+    return _asked(run, "detection messages: no vehicle sent one. Raise fleet.penetration_p.", f"""
+        WITH rows AS (SELECT *, length_bytes > 0 AS sent FROM cpm_content)
+        SELECT count_if(sent) AS n_sent, count_if(sent) / {_ROAD_S} AS rate_hz,
+            avg(n_included) FILTER (sent) AS objects, avg(length_bytes) FILTER (sent) AS length_bytes, {left_out}
+        FROM rows HAVING count_if(sent) > 0
+    """)  # fmt: skip
+
+
+def cpm_left_out(run: Run) -> pd.DataFrame:
+    """reason, share: objects left out of detection messages."""
+    found = cpm(run).iloc[0]
+    rows = [{"reason": name[2:].replace("_", " "), "share": found[name]} for name in LEFT_OUT]
+    return pd.DataFrame(rows)
 
 
 def clouds(run: Run) -> pd.DataFrame:
@@ -142,52 +152,41 @@ def clouds(run: Run) -> pd.DataFrame:
     offered_mbps and delivered_mbps (sent by, and received in whole sweeps by, one equipped vehicle on the road, mean),
     and complete (share of the sweeps that a vehicle within range receives whole).
     """
-    run.require("clouds")
-    if not run.n_rows("clouds"):
-        raise ValueError(f'{run.path} holds no point clouds. Set early_fusion.share to "objects" or "sweep".')
-    sent = run.table("clouds", ["length_bytes", "n_in_range", "n_received"]).astype(np.float64)
-    vehicles = run.vehicles[run.vehicles.equipped]
-    road_s = (vehicles.last_step - vehicles.first_step + 1).sum() * run.dt_s
-    return pd.DataFrame([{
-        "offered_mbps": 8e-6 * sent.length_bytes.sum() / road_s,
-        "delivered_mbps": 8e-6 * (sent.length_bytes * sent.n_received).sum() / road_s,
-        "complete": sent.n_received.sum() / sent.n_in_range.sum() if sent.n_in_range.any() else np.nan,
-    }])  # fmt: skip
+    return _asked(run, 'point clouds. Set early_fusion.share to "objects" or "sweep".', f"""
+        SELECT 8e-6 * sum(length_bytes) / {_ROAD_S} AS offered_mbps,
+            8e-6 * sum(length_bytes::DOUBLE * n_received) / {_ROAD_S} AS delivered_mbps,
+            sum(n_received) / nullif(sum(n_in_range), 0) AS complete
+        FROM clouds HAVING count(*) > 0
+    """)  # fmt: skip
 
 
 def by_place(run: Run, cell_m: float = 50.0) -> pd.DataFrame:
     """The channel by place of the receiver: x_m, y_m (middle of the cell), n, cbr, pdr."""
-    sums: list[pd.DataFrame] = []
-    for channel in run.parts("vehicle_channel"):
-        during = (pc.field("step") >= int(channel.step.min())) & (pc.field("step") <= int(channel.step.max()))
-        actors = run.table("actors", ["step", "actor", "x_m", "y_m"], during)
-        channel = channel.astype({"cbr": np.float64})
-        here = channel.merge(actors, left_on=["step", "vehicle"], right_on=["step", "actor"])
-        for axis in ("x_m", "y_m"):
-            here[axis] = (np.floor(here[axis].astype(np.float64) / cell_m) + 0.5) * cell_m
-        cells = here.assign(n=1).groupby(["x_m", "y_m"])
-        sums.append(cells[["n", "cbr", "n_in_range", "n_received"]].sum(min_count=1))
-    if not sums:
-        raise ValueError(f"{run.path} holds no radio traffic: no vehicle was equipped. Raise fleet.penetration_p.")
-    total = pd.concat(sums).groupby(["x_m", "y_m"]).sum(min_count=1).reset_index()
-    return pd.DataFrame({
-        "x_m": total.x_m, "y_m": total.y_m, "n": total.n, "cbr": total.cbr / total.n,
-        "pdr": (total.n_received / total.n_in_range.where(total.n_in_range > 0)).astype(np.float64),
-    })  # fmt: skip
+    return _asked(run, "radio traffic: no vehicle was equipped. Raise fleet.penetration_p.", """
+        SELECT (floor(a.x_m::DOUBLE / $cell_m) + 0.5::DOUBLE) * $cell_m AS x_m,
+            (floor(a.y_m::DOUBLE / $cell_m) + 0.5::DOUBLE) * $cell_m AS y_m,
+            count(*) AS n, sum(cbr::DOUBLE) / count(*) AS cbr, sum(n_received) / nullif(sum(n_in_range), 0) AS pdr
+        FROM vehicle_channel c JOIN actors a ON a.step = c.step AND a.actor = c.vehicle
+        GROUP BY ALL ORDER BY ALL
+    """, cell_m=float(cell_m))  # fmt: skip
 
 
 def to_server(run: Run) -> pd.DataFrame:
-    """One row: n_reports, shares reached, lost, over_capacity and outage of them, n_addressed, share informed."""
-    total = run.variant_table("server").drop(columns=["step", "variant"]).sum()
-    if not total.get("n_reports", 0):
+    """One row: n_reports, shares reached, lost, over_capacity and outage of them, n_addressed, share informed.
+
+    No row if the run's variant has no server.
+    """
+    found = run.sql("""
+        SELECT sum(n_reports)::BIGINT AS n_reports, sum(n_reached + n_late) / nullif(sum(n_reports), 0) AS reached,
+            sum(n_lost - n_late) / nullif(sum(n_reports), 0) AS lost,
+            sum(n_over_capacity) / nullif(sum(n_reports), 0) AS over_capacity,
+            sum(n_outage) / nullif(sum(n_reports), 0) AS outage, sum(n_addressed)::BIGINT AS n_addressed,
+            sum(n_informed) / nullif(sum(n_addressed), 0) AS informed
+        FROM server WHERE variant = $variant HAVING count(*) > 0
+    """)
+    if len(found) and not found.n_reports[0]:
         raise ValueError(f'{run.path} holds no reports to a trust server. Set trust.host = "central".')
-    late = total.get("n_late", 0)
-    total["n_reached"], total["n_lost"] = total.n_reached + late, total.n_lost - late
-    shares = {name: total["n_" + name] / total.n_reports for name in ("reached", "lost", "over_capacity", "outage")}
-    informed = total.n_informed / total.n_addressed if total.n_addressed else np.nan
-    return pd.DataFrame([{
-        "n_reports": int(total.n_reports), **shares, "n_addressed": int(total.n_addressed), "informed": informed,
-    }])  # fmt: skip
+    return found
 
 
 def conditions(run: Run) -> pd.DataFrame:

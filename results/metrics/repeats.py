@@ -15,15 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-import pyarrow.compute as pc
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
+from results.metrics.evaluations import of_blocks
 from results.run import Run
 
 WINDOW_S = 10.0
-_MOST_ROWS = 5_000_000
-"""Evaluations that suffice: of a run with more, those about evenly spread pseudonyms."""
 
 
 class Said(NamedTuple):
@@ -92,29 +90,25 @@ def agreement(n: Int[ndarray, "g"], denied: Int[ndarray, "g"]) -> float:
 
 
 def _said(run: Run) -> Said:
-    run.require("evaluations", "detections", "pseudonyms")
-    stride = max(1, -(-run.n_rows("evaluations") // _MOST_ROWS))
-    seen = (pc.field("visibility") > 0) & (pc.field("kind") == "detection")
-    wanted = ["step", "evaluator", "observer", "detection_index", "detection_step", "evaluation"]
-    vehicle, parts = run.subjects.vehicle, []
-    for part in run.parts("evaluations", wanted, seen):
-        part = part[part.observer % stride == 0]
-        if part.empty:
-            continue
-        during = (pc.field("step") >= int(part.detection_step.min())) & (pc.field("step") <= int(part.step.max()))
-        made = run.table(
-            "detections", ["step", "observer", "detection_index", "truth_actor"], during & pc.field("transmitted")
-        ).dropna(subset="truth_actor")
-        part = part.merge(
-            made.rename(columns={"step": "detection_step"}), on=["detection_step", "observer", "detection_index"]
-        )
-        part["evaluator"] = part.evaluator.map(vehicle).fillna(-1 - part.evaluator)  # a roadside unit is no vehicle
-        parts.append(part[part.evaluator != part.observer.map(vehicle)])
-    whole = pd.concat(parts) if parts else pd.DataFrame(columns=[*wanted, "truth_actor"])
-    step, evaluator, subject, actor = (
-        whole[name].to_numpy(np.int64) for name in ("step", "evaluator", "observer", "truth_actor")
-    )
-    return Said(step, evaluator, subject, actor, whole.evaluation.to_numpy(float) < 0)
+    found = of_blocks(run, _QUERY)
+    step, evaluator, subject, actor = found[["step", "evaluator", "subject", "actor"]].to_numpy(np.int64).T
+    return Said(step, evaluator, subject, actor, found.denies.to_numpy(bool))
+
+
+_QUERY = """
+SELECT e.step, coalesce(s.vehicle, -1 - e.evaluator) AS evaluator, e.observer AS subject, d.truth_actor AS actor,
+    e.evaluation < 0 AS denies
+FROM evaluations e
+JOIN (SELECT * FROM detections WHERE step <= $last AND transmitted AND truth_actor IS NOT NULL) d
+    ON d.step = e.detection_step AND d.observer = e.observer AND d.detection_index = e.detection_index
+LEFT JOIN subjects s ON s.pseudonym = e.evaluator
+LEFT JOIN subjects o ON o.pseudonym = e.observer
+WHERE e.step BETWEEN $first AND $last AND e.visibility > 0 AND e.kind = 'detection' AND e.observer % $every = 0
+    AND coalesce(s.vehicle, -1 - e.evaluator) IS DISTINCT FROM o.vehicle
+ORDER BY e.step, e.evaluator, e.observer, e.detection_index, e.detection_step
+"""
+"""Evaluations of others' detections that belong to an actor; a roadside unit, which is no vehicle, has its own number.
+"""
 
 
 def _numbers(*columns: Int[ndarray, "n"]) -> Int[ndarray, "n"]:

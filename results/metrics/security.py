@@ -11,8 +11,9 @@ import math
 import numpy as np
 import pandas as pd
 
-from results.metrics import intervals
-from results.metrics.misbehaviour import scored_vehicles
+from cosim.base.codes import BASE_VARIANT
+from results.metrics import exclusion, intervals, misbehaviour
+from results.metrics.misbehaviour import scored_vehicles, summary_of
 from results.metrics.trust import HONEST, suspect_below, watched
 from results.run import Run
 
@@ -101,6 +102,13 @@ def exclusion_delay(run: Run) -> pd.DataFrame:
     return pd.DataFrame({"role": who.role, "delay_s": delay_s, "found": found}).rename_axis("subject").reset_index()
 
 
+def exclusion_times(run: Run) -> pd.DataFrame:
+    """The delays of `exclusion_delay` by role, as `misbehaviour.summary_of`; no rows where nothing is revoked."""
+    if run.variant != BASE_VARIANT or run.config.get("pseudonyms", {}).get("revocation", "none") == "none":
+        return pd.DataFrame()
+    return summary_of(exclusion_delay(run))
+
+
 def rates(tp: float, fp: float, fn: float, tn: float) -> dict[str, float]:
     """precision, recall, fpr, f1, mcc (Matthews 1975), informedness (recall - fpr); NaN where not defined."""
 
@@ -115,25 +123,16 @@ def rates(tp: float, fp: float, fn: float, tn: float) -> dict[str, float]:
     }  # fmt: skip
 
 
-def precision_recall(run: Run) -> pd.DataFrame:
-    """Curve over all thresholds, of values: threshold, precision, recall. Who is not rated is not excluded."""
-    frame = scored_vehicles(run)
-    attacker, rated = (frame.role != HONEST).to_numpy(), frame.rated.to_numpy()
-    value, label = frame.trust.to_numpy(np.float64)[rated], attacker[rated]
-    order = np.argsort(value, kind="stable")
-    value, tp = value[order], np.cumsum(label[order])
-    last = np.append(value[1:] != value[:-1], True) if len(value) else np.zeros(0, bool)
-    n = np.arange(1, len(value) + 1)
-    return pd.DataFrame({
-        "threshold": np.nextafter(value[last], np.inf), "precision": tp[last] / n[last],
-        "recall": tp[last] / max(1, attacker.sum()),
-    })  # fmt: skip
-
-
 def average_precision(run: Run) -> float:
-    """Area under the curve of `precision_recall`, as a sum of precision over steps of recall."""
-    curve = precision_recall(run)
-    return float((curve.precision * np.diff(curve.recall, prepend=0.0)).sum())
+    """Area under the curve of precision over recall (`exclusion.curve`), as a sum of precision over steps of recall.
+
+    0 if no value rests on an evaluation: nobody is excluded.
+    """
+    found = misbehaviour.scored(run)
+    if not (found.rated & ~np.isnan(found.trust)).any():
+        return 0.0
+    curve = exclusion.curve(run)
+    return float((curve.precision[1:] * np.diff(curve.recall)).sum())
 
 
 def false_exclusions(

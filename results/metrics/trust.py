@@ -153,13 +153,20 @@ def by_role(run: Run, role: Int[ndarray, "n"]) -> list[tuple[str, Bool[ndarray, 
 
 
 def mean(run: Run) -> pd.DataFrame:
-    """Mean of all values: role, n, mean with its interval (clustered by subject; see `intervals.columns`)."""
+    """Mean of all values: role, n, mean with its interval (clustered by subject; see `intervals.columns`), note."""
     found = in_use(run)
     return pd.DataFrame([
-        {"role": role, "n": int(here.sum())}
+        {"role": role, "n": int(here.sum()), "note": _idle(run, role)}
         | intervals.columns(intervals.of_units(found.trust[here].astype(np.float64), found.subject[here]), "mean")
         for role, here in by_role(run, found.role)
     ])  # fmt: skip
+
+
+def _idle(run: Run, role: str) -> str:
+    """Says of a role that its vehicles behave as honest ones in this run, because none of them has attacked yet."""
+    who = run.subjects
+    attacked = who.attack_start_step[who.role == role].notna().any()
+    return "" if role == HONEST or attacked else "has not attacked"
 
 
 def over_time(run: Run) -> pd.DataFrame:
@@ -190,7 +197,7 @@ def last_of_each(who: Int[ndarray, "n"]) -> Int[ndarray, "w"]:
 
 def final(run: Run) -> pd.DataFrame:
     """Quartiles over subjects of the last value of each: role, n, mean, q25, median, q75; mean and median with their
-    intervals (see `intervals.columns`)."""
+    intervals (see `intervals.columns`); and a note."""
     found, rows = in_use(run), []
     last = last_of_each(found.who)
     role, trust = found.role[last], found.trust[last].astype(np.float64)
@@ -198,7 +205,7 @@ def final(run: Run) -> pd.DataFrame:
         one = trust[here]
         q25, q75 = np.quantile(one, [0.25, 0.75])
         rows.append(
-            {"role": name, "n": len(one), "q25": q25, "q75": q75}
+            {"role": name, "n": len(one), "q25": q25, "q75": q75, "note": _idle(run, name)}
             | intervals.columns(intervals.of_units(one, np.arange(len(one))), "mean")
             | intervals.columns(intervals.median(one), "median")
         )

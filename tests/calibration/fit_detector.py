@@ -28,7 +28,6 @@ from cosim.runs import replay_lidar
 from cosim.step.parts import perception_of
 from cosim.world import LABELS
 from results.archive import open_run
-from results.figures import calibration as pictures
 from results.figures import style
 from results.metrics import kitti_frames
 from results.metrics.kitti import LEVELS, LOOSE, STRICT, LabelledObjects, Precision, average_precision
@@ -38,6 +37,7 @@ from sensors.evidence import Observability, observability
 from sensors.false_positives import false_positives
 from sensors.reports import Reports
 from sensors.statistical_detector import DetectorParams, pair_normals, reports_of_actors
+from tests.calibration import picture as pictures
 
 PROFILES = Path(sensors.__file__).parent / "profiles"
 RANGE_M = 140.0

@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 
-from results.recorder import fingerprint
+from tests.fingerprint import fingerprint
 from tests.hostile import SEED, N
 from tests.hostile.folders import HARMS
 from tests.hostile.scenes import write_trace

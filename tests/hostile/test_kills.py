@@ -5,8 +5,8 @@ import signal
 
 import pytest
 
-from results.recorder import fingerprint
 from results.verify import verify
+from tests.fingerprint import fingerprint
 from tests.hostile import SEED, N
 from tests.hostile.scenes import write_town
 from tests.processes import sets_of_trace

@@ -19,8 +19,8 @@ from results.archive import open_run
 from results.figures.catalogue import FIGURES
 from results.measure import measure
 from results.progress import progress
-from results.recorder import fingerprint
 from results.verify import verify
+from tests.fingerprint import fingerprint
 from tests.hostile import SEED, N, shared
 from tests.hostile.folders import HARMS
 

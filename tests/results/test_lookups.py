@@ -205,13 +205,11 @@ def test_renewals_where_all_ages_are_equal(tiny):
     assert over_time.peak_s["value"] == pytest.approx(1.8, abs=1e-3)
 
 
-def test_lows(variant):
-    """The first low value of a subject, while it is watched, is one of them, whatever the threshold."""
+def test_first_lows(variant):
+    """The first low value of each subject while it is watched, whatever the threshold."""
     run, rows = variant
-    lows, since = lookups.lows(run), watched(run).since
-    rows = rows[(rows.n_evaluations > 0) & (rows.step >= rows.subject.map(since))]
+    rows = rows[(rows.n_evaluations > 0) & (rows.step >= rows.subject.map(watched(run).since))]
     for threshold in (0.01, 0.1, 0.5):
-        low = lows.trust < threshold
-        found = pd.Series(lows.step[low]).groupby(lows.subject[low]).min()
-        assert found.to_dict() == rows[rows.trust < threshold].groupby("subject").step.min().to_dict()
-        assert len(found)
+        step, subject = lookups.first_lows(run, threshold)
+        first = rows[rows.trust < threshold].groupby("subject").step.min()
+        assert dict(zip(subject.tolist(), step.tolist(), strict=True)) == first.to_dict() and len(first)

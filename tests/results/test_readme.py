@@ -32,5 +32,5 @@ def test_measures_of_a_run(run):
         assert "plot" in dir(getattr(run.measure, topic)) and len(dir(getattr(run.measure, topic))) > 2
     with pytest.raises(AttributeError, match="The topics are encounters"):
         run.measure.encunters.summary()
-    with pytest.raises(AttributeError, match=r"It has by_distance, by_place, clouds, conditions, .*, to_server"):
+    with pytest.raises(AttributeError, match=r"It has by_distance, by_los, by_place, clouds, .*, to_server"):
         run.measure.radio.overal()

@@ -6,8 +6,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from results.archive import open_run
-from results.recorder import Recorder, fingerprint
+from results.recorder import Recorder
 from results.tables import TABLES
+from tests.fingerprint import fingerprint
 from tests.results.synthetic import write
 
 

@@ -171,8 +171,8 @@ def test_windows_equal_whole_clouds(seed, params):
         seen[free], closer[free] = whole_cloud.free_space_xyz(sweeps.xyz(o), planes, distance, 0.25)
         for share in (0.0, 0.1, 0.5, 0.9):
             allowed = evidence_kernels.free_space(
-                sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(), area.range_m, area.height_m,
-                edge_slope(fov_rad), 0.25, share, 1 + o % 2,
+                sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(),
+                (area.range_m, area.height_m, edge_slope(fov_rad)), 0.25, share,
             )  # fmt: skip
             assert (allowed == ~free | (closer > share * seen)).all()
         assert (plausible(sweeps, at, asked)[free] == (closer > 0.1 * seen)[free]).all()

@@ -67,8 +67,8 @@ class Tape:
 
     def __init__(self, params: Any, dt_s: float) -> None:
         self.step = -1
-        self.arrived: list[tuple[int, ndarray]] = []
-        """Step of arrival, and the evaluations that arrived: step of the detections, evaluator and observer."""
+        self.arrived: list[Rows] = []
+        """Evaluations that arrived: step of arrival and of the detections, evaluator and observer."""
         self.opened: list[Rows] = []
         """By step: what was transmitted."""
         self.present: list[ndarray] = []
@@ -88,8 +88,11 @@ class Tape:
     def add_evaluations(self, received: ReceivedEvaluations) -> None:
         """Keep who evaluated. The server processes messages before the step begins."""
         messages = received.messages.taken(received.message_row)
-        evaluator = np.repeat(messages.evaluator, np.diff(messages.ptr))
-        self.arrived.append((self.step + 1, _about(messages.step, evaluator, messages.observer)))
+        n = len(messages.observer)
+        self.arrived.append({
+            "arrival_step": np.full(n, self.step + 1), "detection_step": np.full(n, messages.step),
+            "evaluator": np.repeat(messages.evaluator, np.diff(messages.ptr)), "observer": messages.observer,
+        })  # fmt: skip
 
     def scores(self, now_step: int | None = None) -> TrustScores:
         """No scores."""
@@ -166,23 +169,27 @@ def _present(step: Any, pseudonym: ndarray) -> Int[ndarray, "n"]:
     return np.int64(step) << 32 | pseudonym.astype(np.int64)
 
 
-def _about(detection_step: Any, evaluator: ndarray, observer: ndarray) -> Int[ndarray, "n"]:
-    """What an evaluation is about, and whose it is, as one number. A vehicle evaluates a message of another once."""
-    return (np.int64(detection_step) << 48) | (evaluator.astype(np.int64) << 24) | observer
-
-
 def _arrivals(reports: Rows, evaluations: Rows, tape: Tape) -> Int[ndarray, "m"]:
-    """Step at whose beginning the server has each message; -1 if it is lost, or nothing of it was kept."""
-    arrived = np.concatenate([about for _, about in tape.arrived])
-    step = np.repeat([step for step, _ in tape.arrived], [len(about) for _, about in tape.arrived])
-    order = np.argsort(arrived, kind="stable")
-    about = _about(*(evaluations[c] for c in ("detection_step", "evaluator", "observer")))
-    at = np.minimum(np.searchsorted(arrived[order], about), len(order) - 1)
-    there = np.flatnonzero(arrived[order[at]] == about)
+    """Step at whose beginning the server has each message; -1 if it is lost, or nothing of it was kept.
+
+    A vehicle evaluates a message of another once, so the message that brought an evaluation is known by its content.
+    """
+    arrived = {name: np.concatenate([rows[name] for rows in tape.arrived]) for name in tape.arrived[0]}
+    known = np.unique(np.concatenate([of[name] for of in (arrived, evaluations) for name in ("evaluator", "observer")]))
+
+    def about(rows: Rows) -> Int[ndarray, "n"]:
+        by, of = (np.searchsorted(known, rows[name]) for name in ("evaluator", "observer"))
+        return (rows["detection_step"].astype(np.int64) * len(known) + by) * len(known) + of
+
+    code, first = np.unique(about(arrived), return_index=True)
+    asked = about(evaluations)
+    at = np.minimum(np.searchsorted(code, asked), len(code) - 1)
+    there = np.flatnonzero(code[at] == asked)
     message, of_row = (t["step"].astype(np.int64) << 32 | t["evaluator"] for t in (reports, evaluations))
     by_message = np.argsort(message)
     found = np.full(len(message), -1)
-    found[by_message[np.searchsorted(message[by_message], of_row[there])]] = step[order[at[there]]]
+    row = by_message[np.searchsorted(message[by_message], of_row[there])]
+    found[row] = arrived["arrival_step"][first[at[there]]]
     return found
 
 

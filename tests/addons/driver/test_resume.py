@@ -8,9 +8,9 @@ import time
 import pytest
 
 from results.archive import open_run
-from results.recorder import fingerprint
 from results.verify import verify
 from tests.drive import cosim
+from tests.fingerprint import fingerprint
 
 KEYS = (
     "preset=v0.2", "traffic.step_s=0.5", "sensing_interval_s=0.5", "traffic.duration_s=20", "traffic.warmup_s=100",

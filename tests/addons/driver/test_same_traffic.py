@@ -3,8 +3,8 @@
 import pytest
 
 from results.archive import open_run
-from results.recorder import fingerprint
 from tests.drive import simulate
+from tests.fingerprint import fingerprint
 
 KEYS = (
     "traffic.step_s=0.5", "sensing_interval_s=0.5", "traffic.duration_s=15", "traffic.warmup_s=100",

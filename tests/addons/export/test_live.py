@@ -12,8 +12,8 @@ import pytest
 
 from cosim.addons.export import view
 from results.archive import open_run
-from results.recorder import fingerprint
 from tests.drive import SHORT, cosim, drive
+from tests.fingerprint import fingerprint
 
 SETS = ("traffic.duration_s=8", "traffic.warmup_s=120", "attacks.0.start_s=2")
 

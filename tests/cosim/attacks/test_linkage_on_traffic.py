@@ -5,9 +5,9 @@ import pytest
 
 from cosim.attacks.catalogue import ATTACKS
 from results.archive import open_run
-from results.recorder import fingerprint
 from tests.cosim.attacks.test_linkage import NAMED
 from tests.drive import simulate
+from tests.fingerprint import fingerprint
 
 KEYS = ("traffic.duration_s=20", "traffic.warmup_s=100", "fleet.penetration_p=0.4")
 GHOSTS = """[[attacks]]

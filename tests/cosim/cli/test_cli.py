@@ -46,7 +46,7 @@ def test_a_run_can_be_repeated_from_its_own_config(run):
     config = folder / "runs" / "helsinki-1" / "config.toml"
     done = cosim("run", str(config), "--out", "again", "--json", cwd=folder)
     assert done.returncode == 0, done.stderr
-    from results.recorder import fingerprint
+    from tests.fingerprint import fingerprint
 
     assert fingerprint(folder / "again") == fingerprint(config.parent)
     answer = json.loads(done.stdout)

@@ -7,8 +7,8 @@ from cosim.addons.compare.scenarios import ScriptedScene
 from cosim.runs.speed.ahead import Ahead
 from cosim.step.cycle import step
 from cosim.step.state import State
-from results.recorder import fingerprint
 from tests.drive import drive
+from tests.fingerprint import fingerprint
 from tests.scene import assert_same, parts_of, play
 
 N = 6

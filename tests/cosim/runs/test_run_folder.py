@@ -14,9 +14,9 @@ from cosim.runs.inputs import provenance
 from cosim.runs.manifest import Manifest
 from cosim.runs.run import resume, run
 from cosim.step.parts import sources
-from results.recorder import fingerprint
 from results.verify import verify
 from tests.drive import cosim, python
+from tests.fingerprint import fingerprint
 from tests.hostile.scenes import write_trace
 from tests.processes import sets_of_trace
 

@@ -14,8 +14,8 @@ from cosim.step.early_fusion import Clouds
 from cosim.step.parts import Parts
 from cosim.step.state import State
 from results.archive import open_run
-from results.recorder import fingerprint
 from tests.drive import drive
+from tests.fingerprint import fingerprint
 from tests.scene import QUIET, assert_same
 
 WRONG = ("gnss.std_m=0.3", "gnss.heading_std_deg=1", "lidar.rotation_hz=10")

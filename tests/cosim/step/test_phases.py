@@ -7,10 +7,10 @@ import pytest
 from cosim.config.config import load
 from cosim.traffic.schedule import Schedule, SensingGroup
 from results.archive import open_run
-from results.recorder import fingerprint
 from results.sensing import interval_steps, senses
 from sensors.boxes import Boxes, overlapping_pairs, pairs_between
 from tests.drive import drive
+from tests.fingerprint import fingerprint
 from tests.sensors.town import random_boxes
 
 RANDOM = ("traffic.step_s=0.2", "sensing_phase=random", "traffic.duration_s=5", "traffic.warmup_s=120",

@@ -8,9 +8,9 @@ import pytest
 from cosim.messages.content import SELF, SENSED, Detections
 from cosim.step.ground_truth import lies_in_detections
 from results.archive import open_run
-from results.recorder import fingerprint
 from sensors.boxes import Boxes
 from tests.drive import cosim, drive
+from tests.fingerprint import fingerprint
 from tests.scene import assert_same, play
 
 ON = "tracking.model=constant_velocity"

@@ -15,11 +15,11 @@ from cosim.traffic.interpolation import curve
 from cosim.traffic.params import TrafficParams
 from cosim.traffic.scenario import find
 from cosim.traffic.source import TrafficError
-from results.recorder import fingerprint
 from sumo_nets import catalogue, sumotools
 from tests.cosim.traffic import mixed_scenario
 from tests.cosim.traffic.worlds import collect, live, registry, same
 from tests.drive import SHORT, cosim, drive
+from tests.fingerprint import fingerprint
 
 FORMATS = ("fcd.parquet", "fcd.xml", "fcd.xml.gz", "fcd.csv", "fcd.csv.gz")
 

@@ -26,6 +26,13 @@ speeds = run.table("actors", ["step", "actor", "speed_mps"])
 print(f"mean speed {3.6 * speeds.speed_mps.mean():.1f} km/h")
 
 # %% [markdown]
+# `run.sql` asks the tables a question in SQL (DuckDB) and reads only what it needs. Beside the tables there is
+# `subjects`: pseudonyms with the role of their vehicle. `$dt_s`, `$steps` and `$variant` stand for values of the run.
+
+# %%
+print(run.sql("SELECT step * $dt_s AS time_s, avg(speed_mps) AS mean_mps FROM actors GROUP BY 1 LIMIT 5"))
+
+# %% [markdown]
 # ## Who meets whom, and for how long
 #
 # Encounters that were under way when recording began or ended are censored, so the mean of the recorded durations is

@@ -39,7 +39,7 @@ def follow(rounds, every, swap=lambda tracker: tracker, silent=None):
         pairs = sorted(in_range)
         received = np.array([in_range[pair] for pair in pairs], bool)
         pair = np.array([(a << 32) + b for a, b in pairs], np.int64)
-        now_silent = None if silent is None else np.array(sorted(silent[i]), np.int64)
+        now_silent = np.array(sorted(silent[i]) if silent else [], np.int64)
         tracker, found = tracker.next(i * every, pair, received, now_silent)
         columns = (found[name].tolist() for name in ("pir_steps", "n_received", "n_censored"))
         rows += [(i * every, *row) for row in zip(*columns, strict=True)]

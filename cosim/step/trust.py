@@ -1,9 +1,8 @@
-"""The stages of a step that use the trust hosts, in the order of `cosim.step.cycle.step`.
+"""Trust servers publish; vehicles look up trust.
 
-As in `cosim.step.stages`, a stage returns the parts of the state that it changes before its result.
+A stage that changes a part of the state takes it as an argument and returns its new value before the result.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,29 +10,24 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.base.codes import TrustSource
-from cosim.base.ragged import expand, ptr_of, rows_of
-from cosim.config.config import Config
+from cosim.base.ragged import expand, ptr_of
 from cosim.door.guard import refuse
 from cosim.messages.pseudonyms import PseudonymState
 from cosim.messages.relinking import KnownSenders, ReceivedSenders, fallen_back, noted, update_senders
 from cosim.messages.trust_hosts import Informed, Lookups, TrustState
-from cosim.messages.trust_server import LinkStats, TrustBroadcast
+from cosim.messages.trust_server import TrustBroadcast
 from cosim.radio.link_budget import neighbours
-from cosim.radio.message_round import LinkReceptions, Receptions
-from cosim.step.comparing import FusionOf, Used
-from cosim.step.exchange import Exchange, Times, Vehicles, distinct
+from cosim.radio.message_round import Receptions
+from cosim.step.broadcast import Broadcast
+from cosim.step.exchange import Exchange, Times, Vehicles
 from cosim.step.known import Known, Uses
-from cosim.step.late import LateMessages
+from cosim.step.listing import Listed
 from cosim.step.parts import Parts
-from cosim.step.stages import Broadcast, Evaluated, Listed, Matched, SentEvaluations
 from cosim.step.trackers.encounters import Encounters, NearPairs, update_encounters
 from cosim.world import World
 from results.encounters import Rows
-from trust.certified import upheld
-from trust.claims import claims_of_messages
-from trust.fusion import Fused
 from trust.models import TrustModel
-from trust.tables import SERVER, EvaluationMessages, Evaluations, ObjectLists, TrustScores
+from trust.tables import SERVER, TrustScores
 
 
 def own_trust_of(
@@ -173,196 +167,6 @@ def _trust_in(
 
 
 @dataclass(frozen=True, slots=True)
-class EvaluationCarriers:
-    """The messages that carried evaluations in a step."""
-
-    step: int
-    sender: Int[ndarray, "m"]
-    """As `Exchange.sender`."""
-    pseudonym: Int[ndarray, "m"]
-    """Pseudonym that each message carried."""
-    evaluations: SentEvaluations | None
-    """None if there were no evaluations to carry."""
-    receptions: LinkReceptions
-    begin_s: float
-    """When the messages were sent [s]."""
-
-
-def carrier_of(
-    exchange: Exchange, evaluated: Evaluated, waiting: SentEvaluations | None, rounds: tuple[Broadcast, Broadcast],
-    parts: Parts,
-) -> tuple[SentEvaluations | None, EvaluationCarriers]:  # fmt: skip
-    """Evaluations that wait for the next detection message, and the messages that carried evaluations in this step.
-
-    Parameters
-    ----------
-    exchange
-        Vehicles and senders of the step.
-    evaluated
-        Evaluations of this step.
-    waiting
-        Evaluations of the step before, which this step's detection messages carried.
-    rounds
-        The rounds of detection messages and of evaluation messages.
-    parts
-        Components of the run.
-    """
-    cpms, reports = rounds
-    sent = SentEvaluations(evaluated.sent, exchange.sender)
-    alone, now = parts.config.radio.evaluations == "alone", exchange.now
-    carrier = EvaluationCarriers(
-        step=now.step,
-        sender=exchange.sender,
-        pseudonym=exchange.senders.pseudonym,
-        evaluations=sent if alone else waiting,
-        receptions=(reports if alone else cpms).accepted,
-        begin_s=now.evaluated_s if alone else now.begin_s,
-    )
-    if alone:
-        return None, carrier
-    if waiting is None:
-        return sent, carrier
-    is_there = np.isin(waiting.sender >> 16, exchange.vehicles.actor)
-    return sent.and_also(waiting.take(np.flatnonzero(is_there & ~np.isin(waiting.sender, sent.sender)))), carrier
-
-
-def update_trust(
-    trust: TrustState, exchange: Exchange, listed: Listed, evaluated: Evaluated, carrier: EvaluationCarriers,
-    pseudonyms: PseudonymState, parts: Parts,
-) -> tuple[TrustState, LinkStats]:  # fmt: skip
-    """Give the trust hosts the transmitted detections, the vehicles' own evaluations and those that arrived.
-
-    Returns
-    -------
-    The state of trust, and counts of the reports to the server.
-    """
-    hosts, linkage, senders = parts.trust, parts.linkage, exchange.senders
-    to_server = _upheld(evaluated.sent, exchange.sender, exchange, parts)
-    trust = _open_step(trust, exchange, listed, pseudonyms, parts)
-    own, vehicle = linkage.messages(pseudonyms, evaluated.own_messages), exchange.sensing.actor
-    trust = hosts.add_local(trust, own, vehicle, np.arange(len(vehicle)), of_others=False)
-    up = LinkStats()
-    if carrier.evaluations is not None:
-        trust, up = _deliver(trust, exchange, carrier.evaluations, carrier, pseudonyms, parts)
-    if parts.config.server.uplink == "cellular":
-        xy_m = exchange.world.boxes.xyz_m[exchange.vehicles.row[senders.vehicle], :2]
-        n_copies = None if exchange.sending is None else exchange.sending.n_reports[senders.vehicle]
-        sent = linkage.messages(pseudonyms, to_server)
-        trust, up = hosts.report_by_cellular(
-            trust, sent, senders.key, xy_m, exchange.now.evaluated_s, senders.is_valid, n_copies
-        )
-    return trust, up
-
-
-def _upheld(
-    messages: EvaluationMessages, sender: Int[ndarray, "v"], exchange: Exchange, parts: Parts
-) -> EvaluationMessages:
-    """What the server uses of these evaluations, each message with its `Exchange.sender`.
-
-    Roadside units are at the server's wire: it knows what they saw before it uses what others say of the same step.
-    """
-    if not len(parts.certified):
-        return messages
-    units = np.isin(exchange.vehicles.name_key, parts.certified)
-    is_certified = np.isin(sender >> 16, exchange.vehicles.actor[units])
-    return upheld(messages, is_certified, exchange.vehicles.pseudonym[units])
-
-
-def _open_step(
-    trust: TrustState, exchange: Exchange, listed: Listed, pseudonyms: PseudonymState, parts: Parts
-) -> TrustState:
-    """Give the hosts the transmitted detections, by subject of trust, and the claims that they make.
-
-    Vehicles that only listen in this step can evaluate its detections later, so the hosts get their pseudonyms too.
-    """
-    transmitted, detections, linkage = listed.objects.transmitted, listed.detections, parts.linkage
-    pseudonym, vehicles = exchange.senders.pseudonym, exchange.vehicles
-    listens = np.setdiff1d(np.append(vehicles.pseudonym, pseudonyms.further(vehicles.actor)), pseudonym)
-    pseudonym = np.concatenate([pseudonym, listens[listens >= 0]])
-    message, index = detections.message[transmitted], detections.detection_index[transmitted]
-    score = detections.score[transmitted]
-    if len(parts.config.trust.evidence) > 1:
-        message, index, score = claims_of_messages(message, index, score)
-    subject = linkage.subjects(pseudonyms, pseudonym)
-    _, index = linkage.keys(pseudonyms, pseudonym[message], index)
-    if linkage.renames:
-        subject, message = distinct(subject, message)
-    return parts.trust.open_step(trust, exchange.now.step, subject, message, index, score)
-
-
-def _deliver(
-    trust: TrustState,
-    exchange: Exchange,
-    carried: SentEvaluations,
-    carrier: EvaluationCarriers,
-    pseudonyms: PseudonymState,
-    parts: Parts,
-) -> tuple[TrustState, LinkStats]:
-    """Deliver evaluation messages to other vehicles, and through roadside units to the server."""
-    links, vehicles = carrier.receptions, exchange.vehicles
-    row = np.full(len(exchange.senders), -1)  # per message of this step, the row of the evaluations that it carries
-    _, which, at = np.intersect1d(carried.sender, exchange.sender, assume_unique=True, return_indices=True)
-    row[at] = which
-    sent = parts.linkage.messages(pseudonyms, carried.messages)
-    got = links.vehicles.take(row[links.vehicles.message] >= 0)
-    trust = parts.trust.add_local(trust, sent, vehicles.actor[got.receiver], row[got.message])
-    up = links.uplink.take(row[links.uplink.message] >= 0)
-    sent = parts.linkage.messages(pseudonyms, _upheld(carried.messages, carried.sender, exchange, parts))
-    return parts.trust.report_by_rsu(trust, sent, row[up.message], carrier.begin_s + up.received_s)
-
-
-def deliver_late(
-    trust: TrustState, exchange: Exchange, carried: Sequence[EvaluationCarriers], late: Sequence[LateMessages],
-    pseudonyms: PseudonymState, parts: Parts,
-) -> tuple[TrustState, LinkStats]:  # fmt: skip
-    """Deliver the evaluations of messages that arrived later than the round in which they were sent.
-
-    Returns
-    -------
-    The state of trust, and counts of the reports that have now reached the server.
-    """
-    stats = LinkStats()
-    for messages in late:
-        for carrier in carried:
-            sent = carrier.evaluations
-            if sent is None:
-                continue
-            row, is_there = rows_of(messages.sender, sent.sender)
-            is_there &= (messages.step == carrier.step) & (messages.sender >= 0)
-            links = messages.links
-            got = links.vehicles.take(is_there[links.vehicles.message])
-            named = parts.linkage.messages(pseudonyms, sent.messages)
-            trust = parts.trust.add_local(trust, named, exchange.vehicles.actor[got.receiver], row[got.message])
-            up = links.uplink.take(is_there[links.uplink.message])
-            if len(up.message):
-                named = parts.linkage.messages(pseudonyms, _upheld(sent.messages, sent.sender, exchange, parts))
-                trust, now = parts.trust.report_by_rsu(trust, named, row[up.message], carrier.begin_s + up.received_s)
-                stats = replace(stats, n_reached=stats.n_reached + now.n_reached)
-    return trust, stats
-
-
-def late_pseudonyms(late: LateMessages, carried: Sequence[EvaluationCarriers]) -> Int[ndarray, "m"]:
-    """Pseudonym that each of these messages carries; -1 for those of roadside units and of senders not accepted."""
-    pseudonym = np.full(len(late.sender), -1)
-    for carrier in carried:
-        row, is_there = rows_of(late.sender, carrier.sender)
-        is_there &= late.step == carrier.step
-        pseudonym[is_there] = carrier.pseudonym[row[is_there]]
-    return pseudonym
-
-
-def next_carried(
-    carried: tuple[EvaluationCarriers, ...], carrier: EvaluationCarriers, now: Times, config: Config
-) -> tuple[EvaluationCarriers, ...]:
-    """The evaluations whose messages may still arrive after this step."""
-    if config.round_s >= config.message_lifetime_s:  # no message outlasts its round
-        return ()
-    oldest_s = now.begin_s - 2 * config.message_lifetime_s
-    nothing = LinkReceptions(Receptions.none(), Receptions.none(), Receptions.none())
-    return (*(one for one in carried if one.begin_s > oldest_s), replace(carrier, receptions=nothing))
-
-
-@dataclass(frozen=True, slots=True)
 class LookedUp:
     """Trust in the senders of the evaluations that each vehicle uses in fusion."""
 
@@ -448,23 +252,3 @@ def _of_old_pseudonyms(
             one = fallen_back(one, rows, of_old)
         results.append(one)
     return known, results
-
-
-def fuse_objects(
-    trust: TrustState, matched: Matched, evaluations: tuple[ObjectLists, Evaluations, Evaluations],
-    looked_up: LookedUp, parts: Parts,
-) -> list[Fused | None]:  # fmt: skip
-    """Fused objects of every vehicle that senses, per trust variant; None if they are not requested.
-
-    `evaluations` are those that the vehicles can use, as `Inbox.evaluations_used` returns them.
-    """
-    hosts, in_time = parts.trust, parts.config.radio.evaluations == "alone"
-    variants = {
-        number: FusionOf(found.trust, variant.trust, scorer)
-        for number, (variant, found, scorer) in enumerate(
-            zip(hosts.variants, looked_up.lookups, hosts.scorers(trust), strict=True)
-        ) if variant.fused
-    }  # fmt: skip
-    used = Used(looked_up.messages, in_time, *evaluations, matched.from_own_m)
-    found = dict(zip(variants, matched.objects.fuse(used, list(variants.values())), strict=True))
-    return [found.get(number) for number in range(len(hosts.variants))]

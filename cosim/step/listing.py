@@ -1,0 +1,150 @@
+"""What each vehicle will say: who sends, under which identities, and the detections of every list.
+
+A stage that changes a part of the state takes it as an argument and returns its new value before the result.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from cosim.attacks.adversary import Active
+from cosim.attacks.disguise import shuffled
+from cosim.messages.content import (
+    SENSED,
+    Detections,
+    with_motion,
+)
+from cosim.messages.cpm_generation import CpmContent, CpmState, Generators, generate
+from cosim.messages.pseudonyms import PseudonymState
+from cosim.radio.medium import gap_s
+from cosim.step import object_lists
+from cosim.step.accuracy import sensors_of, stated
+from cosim.step.exchange import Exchange, Senders, Vehicles
+from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections
+from cosim.step.parts import Parts
+from cosim.step.sense import Positioned
+from cosim.world import World
+from sensors.tracking import ObjectStates
+from trust import tables
+
+
+def senders_among(world: World, vehicles: Vehicles) -> Bool[ndarray, "n"] | None:
+    """Actors that send messages in this step, by row of the world; None if all equipped vehicles do."""
+    if len(vehicles.senses) == len(vehicles):
+        return None
+    sends = np.zeros(len(world), bool)
+    sends[vehicles.row[vehicles.senses]] = True
+    return sends
+
+
+def senders_of(
+    world: World, vehicles: Vehicles, attacks: Active, pseudonyms: PseudonymState, parts: Parts
+) -> tuple[PseudonymState, Senders]:
+    """The messages of one round, one per vehicle that senses and identity, with their pseudonyms."""
+    senders = Senders.of(vehicles, attacks.identities(len(world))[vehicles.row[vehicles.senses]])
+    more = np.flatnonzero(senders.identity)
+    if len(more):
+        pseudonym = senders.pseudonym.copy()
+        pseudonyms, pseudonym[more] = parts.pseudonyms.issue_extra(
+            pseudonyms, vehicles.actor[senders.vehicle[more]], senders.identity[more], world.step
+        )
+        senders = replace(senders, pseudonym=pseudonym)
+    is_valid, pseudonyms = parts.revocation.valid(pseudonyms, senders.pseudonym, world.step)
+    return pseudonyms, replace(senders, is_valid=is_valid)
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """The detections that every vehicle lists, after attacks, whether it transmits them or not."""
+
+    objects: Detections
+    truth: GroundTruth
+    detections: tables.SentDetections
+    """The same detections in the form that `trust` uses, with the message as a row of `Senders`."""
+    ptr: Int[ndarray, "m+1"]
+    """Row at which the detections of each message begin."""
+    withheld: Bool[ndarray, "d"]
+    """Whether an attack withholds a detection that the detector made."""
+    n_dropped: Int[ndarray, "f"]
+    """Number of detections that cannot be sent, by `DetectionFault`."""
+    tracks: ObjectStates | None
+    """What tracking says about the sensed detections, in their order; None without tracking."""
+    content: CpmContent
+    """What each message contains."""
+
+
+def list_objects(
+    exchange: Exchange, positioned: Positioned, acceleration_mps2: Float[ndarray, "n"], cpm: CpmState,
+    medium: object, parts: Parts,
+) -> tuple[CpmState, Listed]:  # fmt: skip
+    """Detections as each vehicle lists them, after attacks, generation rules and redundancy mitigation.
+
+    Parameters
+    ----------
+    exchange
+        Vehicles, senders and attacks of the step.
+    positioned
+        What vehicles perceive, at their estimated positions.
+    acceleration_mps2
+        Acceleration of every actor.
+    cpm
+        State of the detection messages.
+    medium
+        State of the medium. It is read only: its congestion control limits the rate of messages.
+    parts
+        Components of the run.
+
+    Returns
+    -------
+    The new state of the detection messages, and the lists.
+    """
+    world, sensing, senders, attacks = exchange.world, exchange.sensing, exchange.senders, exchange.attacks
+    observed, vehicles = positioned.observed, exchange.vehicles
+    perceived = with_motion(observed.detections, world.speed_mps, acceleration_mps2)
+    objects, n_dropped = attacks.detections(perceived)
+    withheld = (objects.origin == SENSED) & ~objects.transmitted
+    lied = lies_in_detections(perceived, objects, attacks.malicious(len(world)))
+    message = senders.message_of(objects, sensing.row)
+    generators = Generators(
+        sender=exchange.sender,
+        actor=vehicles.actor[senders.vehicle],
+        xy_m=positioned.world.boxes.xyz_m[vehicles.row[senders.vehicle], :2],
+        gap_s=_gaps_s(parts, medium, exchange)[senders.vehicle],
+    )
+    track = np.full(len(objects), -1)
+    if positioned.objects is not None:
+        track[objects.origin == SENSED] = positioned.objects.object_id
+    cpm, content = generate(cpm, objects, message, generators, exchange.now.begin_s, parts.config.cpm, track)
+    objects = replace(objects, transmitted=content.included)
+    truth = ground_truth_of(
+        objects, world, observed.observability, sensing.row, observed.is_real, observed.actor_row, lied
+    )
+    was_sensed = np.cumsum(objects.origin == SENSED) - 1
+    objects, order = shuffled(objects, world.name_key, parts.config.seed, world.step)
+    tracks = positioned.objects
+    if tracks is not None:
+        tracks = tracks.take(was_sensed[order[objects.origin == SENSED]])
+    if parts.config.trust.matching == "gates":
+        origin_m = sensors_of(objects.observer, sensing.row, observed.sweeps.poses.origin_m)
+        own_mps = world.speed_mps[objects.observer]
+        objects = stated(objects, tracks, origin_m, own_mps, parts.accuracy, parts.config)
+    detections, ptr = object_lists.for_trust(objects, message, len(senders))
+    return cpm, Listed(
+        objects=objects,
+        truth=truth.take(order),
+        detections=detections,
+        ptr=ptr,
+        withheld=withheld[order],
+        n_dropped=n_dropped,
+        content=replace(content, inclusion=content.inclusion[order]),
+        tracks=tracks,
+    )
+
+
+def _gaps_s(parts: Parts, medium: object, exchange: Exchange) -> Float[ndarray, "s"]:
+    """Least time between two messages of each station by congestion control; 0 where no rule asks for it."""
+    if parts.config.cpm.rules == "all":
+        return np.zeros(len(exchange.stations))
+    return gap_s(parts.medium, medium, exchange.stations)

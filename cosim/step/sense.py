@@ -1,0 +1,142 @@
+"""Vehicles sense: their pseudonyms, what they perceive, where they believe to be, and their tracks.
+
+A stage that changes a part of the state takes it as an argument and returns its new value before the result.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from cosim.config.config import Config
+from cosim.messages.content import (
+    SENSED,
+)
+from cosim.messages.pseudonyms import PseudonymState, PseudonymUse
+from cosim.step.exchange import Times, Vehicles
+from cosim.step.parts import Parts
+from cosim.step.perception import Observed
+from cosim.step.positioning import as_believed, believed_world
+from cosim.step.precomputed import Precomputed
+from cosim.traffic.position_errors import PositionErrors
+from cosim.world import World
+from sensors.tracking import Found, ObjectStates, Observers, TrackMemory, track
+
+
+def identify(
+    world: World, pseudonyms: PseudonymState, own_trust: Float[ndarray, "n"] | None, now: Times, parts: Parts
+) -> tuple[PseudonymState, Vehicles, PseudonymUse]:
+    """Issue pseudonyms to the equipped vehicles on the road.
+
+    A vehicle gets a pseudonym, and changes it, only in steps in which it senses.
+
+    Parameters
+    ----------
+    world
+        All actors.
+    pseudonyms
+        State of the pseudonyms.
+    own_trust
+        Trust in each actor, as the actor itself last learned it; None if no attack reads it.
+    now
+        Times of the step.
+    parts
+        Components of the run.
+
+    Returns
+    -------
+    The new state of the pseudonyms, the vehicles with their pseudonyms, and the pseudonyms that have ended.
+    """
+    row, sensing = np.flatnonzero(world.equipped), parts.sensing(world)
+    actor, names, ended = world.actor[row], world.name_key[row], PseudonymUse.none()
+    if len(sensing):
+        wants = None
+        if parts.adversary.renews:
+            age_s = (world.step - pseudonyms.begun(world.actor, world.step)) * parts.config.traffic.step_s
+            wants = parts.adversary.renewals(world, now.begin_s, own_trust, age_s)[sensing]
+        pseudonyms, _, ended = parts.pseudonyms.issue(pseudonyms, world, sensing, wants)
+    return pseudonyms, Vehicles(row, actor, names, pseudonyms.of(actor), np.searchsorted(row, sensing)), ended
+
+
+def perceive(world: World, vehicles: Vehicles, precomputed: Precomputed, parts: Parts) -> Observed:
+    """What the vehicles perceive that sense in this step."""
+    if precomputed.observed is None:
+        return parts.perception(world, vehicles.row[vehicles.senses], parts.watch)
+    with parts.watch("wait for sensing"):
+        return precomputed.observed()
+
+
+@dataclass(frozen=True, slots=True)
+class Positioned:
+    """What vehicles perceive, at their estimated positions."""
+
+    observed: Observed
+    world: World
+    """The world with every vehicle at its estimated pose; the true world without `[gnss]`."""
+    error: Float[ndarray, "e 3"] | None
+    """Errors of each vehicle, estimated minus true: east [m], north [m], heading [rad]; None without `[gnss]`."""
+    objects: ObjectStates | None = None
+    """What tracking says about the detector's reports, in the order of the detections; None without tracking."""
+
+
+def position(
+    world: World, vehicles: Vehicles, observed: Observed, errors: PositionErrors, config: Config
+) -> tuple[PositionErrors, Positioned]:
+    """Apply position errors to what vehicles perceive; return the new state of the errors and the result."""
+    c = config
+    if c.gnss.is_exact:
+        return errors, Positioned(observed, world, None)
+    errors, error = errors.next(world.step, vehicles.actor, vehicles.name_key, c.gnss, c.traffic.step_s, c.seed)
+    if c.roadside:  # where a unit stands is known
+        error = np.where(world.is_roadside[vehicles.row, None], 0.0, error)
+    observed = as_believed(observed, world, vehicles.row[vehicles.senses], error[vehicles.senses])
+    return errors, Positioned(observed, believed_world(world, vehicles.row, error), error)
+
+
+def track_objects(
+    world: World, vehicles: Vehicles, positioned: Positioned, memory: TrackMemory, now: Times, c: Config
+) -> tuple[TrackMemory, Positioned]:
+    """Give the objects that the detector reports velocities, numbers, ages and probabilities of existence.
+
+    Parameters
+    ----------
+    world
+        All actors at their true positions.
+    vehicles
+        Equipped vehicles. The tracks of those that do not sense in this step stay as they are.
+    positioned
+        What those perceive that sense.
+    memory
+        The tracks of all vehicles.
+    now
+        Times of the step.
+    c
+        The config.
+
+    Returns
+    -------
+    The tracks after the step, and what vehicles perceive with the velocities of objects. Boxes and scores stay those of
+    the detector.
+    """
+    if c.tracking.model == "none":
+        return memory, positioned
+    detections, rows = positioned.observed.detections, vehicles.row[vehicles.senses]
+    sensed = np.flatnonzero(detections.origin == SENSED)
+    boxes = detections.boxes.take(sensed)
+    memory, objects = track(
+        memory,
+        Observers(world.actor[rows].astype(np.int64), np.full(len(rows), now.begin_s), world.speed_mps[rows]),
+        Found(
+            observer=world.actor[detections.observer[sensed]].astype(np.int64),
+            label=detections.label[sensed],
+            xy_m=boxes.xyz_m[:, :2],
+            yaw_rad=boxes.yaw_rad,
+            score=detections.score[sensed],
+        ),
+        c.tracking,
+    )
+    velocity_mps = detections.velocity_mps.copy()
+    velocity_mps[sensed] = objects.velocity_mps
+    observed = replace(positioned.observed, detections=replace(detections, velocity_mps=velocity_mps))
+    return memory, replace(positioned, observed=observed, objects=objects)

@@ -1,0 +1,135 @@
+"""Questions to the tables of a run in SQL, answered by DuckDB in memory: one thread, no network, no extensions."""
+
+import re
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from results.columns import Column
+from results.tables import TABLES, schema
+
+_CONFIG: dict[str, Any] = {
+    "threads": 1,  # adds up in the same order every time
+    "memory_limit": "500MB",  # beyond it, joins go to files
+    "temp_directory": str(Path(tempfile.gettempdir(), "cosim-sql")),
+    "autoinstall_known_extensions": False,
+    "autoload_known_extensions": False,
+    "python_enable_replacements": False,
+}
+
+_SUBJECTS = """
+SELECT p.*, v.role, v.attack_start_step FROM pseudonyms p JOIN vehicles v USING (vehicle) WHERE v.role IS NOT NULL
+"""
+"""The same as `Run.subjects`."""
+
+
+class Database:
+    """Tables of a run."""
+
+    def __init__(
+        self,
+        tables: Sequence[str],
+        files: Callable[[str], list[Path]],
+        require: Callable[..., None],
+        folders: Sequence[str],
+    ) -> None:
+        """Names of the tables, where the files of a table are, what says that a table is missing, and all folders."""
+        self._tables, self._files, self._require = tables, files, require
+        self._connection = duckdb.connect(config=_CONFIG)
+        self._connection.execute(f"SET allowed_directories = {list(folders)}")
+        self._connection.execute("SET enable_external_access = false; SET lock_configuration = true")
+
+    def answer(self, query: str, values: Mapping[str, Any]) -> pd.DataFrame:
+        """As `Run.sql`, with these values of all names."""
+        words = set(re.findall(r"\w+", query))
+        asked = [name for name in TABLES if name in words]
+        try:
+            if [one.type for one in self._connection.extract_statements(query)] != [duckdb.StatementType.SELECT]:
+                raise ValueError(f"{' '.join(query.split())!r} is no single SELECT: tables can only be read.")
+            for name in (*asked, *(("vehicles", "pseudonyms") if "subjects" in words else ())):
+                if name in self._tables:
+                    self._show(name, query)
+            if "subjects" in words:
+                self._connection.execute(f"CREATE OR REPLACE TEMP VIEW subjects AS {_SUBJECTS}")
+            wanted = re.findall(r"\$(\w+)", query)
+            named = {name: value for name, value in values.items() if name in wanted}
+            return self._connection.execute(query, named or None).df()
+        except duckdb.CatalogException as error:
+            self._require(*asked)
+            said = _line(error).partition(" Did you mean")[0]
+            raise ValueError(f"{said} The tables are {', '.join(self._tables)}.") from None
+        except duckdb.Error as error:
+            raise ValueError(_line(error)) from None
+
+    def columns_of_detections(self, rows: pa.Table, names: Sequence[str], files: Sequence[Path]) -> pa.Table:
+        """Columns of `fused` that are not on disk, for some of its rows.
+
+        Parameters
+        ----------
+        rows
+            What these rows say of the detections that they name, in the columns of `LINKS`.
+        names
+            Names of the columns.
+        files
+            Part files of the detections of the steps in question.
+        """
+        self._connection.register("rows", rows)
+        made = f"(SELECT * FROM read_parquet({[str(path.resolve()) for path in files]}))"
+        found = self._connection.sql(f"""
+            SELECT {", ".join(map(_virtual, names))} FROM (SELECT *, row_number() OVER () AS number FROM rows) t
+            {_SOURCES.replace("detections", made)} ORDER BY number
+        """)
+        return found.to_arrow_table()
+
+    def _show(self, name: str, query: str) -> None:
+        """Make a table visible by its name, with the columns that are not on disk if the query may ask for them."""
+        paths = [str(path.resolve()) for path in self._files(name)]
+        if not paths:
+            self._connection.register(name, schema(name, whole=True).empty_table())
+            return
+        table, there = TABLES[name], pq.read_schema(paths[0]).names
+        columns = [f'"{label}"' if label in there else _absent(column, label) for label, column in table.stored.items()]
+        stored = f"SELECT {', '.join(columns)} FROM read_parquet({paths})"
+        is_all = re.search(r"(?<!\()\*", query) is not None  # a star, but not that of count(*)
+        if virtual := table.virtual(list(table.columns) if is_all else (), query):
+            self._show("detections", "")
+            stored = f"SELECT t.*, {', '.join(map(_virtual, virtual))} FROM ({stored}) t {_SOURCES}"
+        self._connection.execute(f"CREATE OR REPLACE TEMP VIEW {name} AS {stored}")
+
+
+def _line(error: duckdb.Error) -> str:
+    """What is wrong with a query, in one line."""
+    return " ".join(str(error).partition("\n\n")[0].split())
+
+
+LINKS = tuple(name for name in TABLES["fused"].stored if name.startswith(("source", "pose", "moved_")))
+"""Columns of `fused` that name detections, and say how far their boxes were moved."""
+_SOURCES = """
+JOIN detections source ON source.step = t.source_step AND source.observer = t.source
+    AND source.detection_index = t.source_index
+JOIN detections pose ON pose.step = if(t.pose IS NULL, t.source_step, t.pose_step)
+    AND pose.observer = coalesce(t.pose, t.source) AND pose.detection_index = coalesce(t.pose_index, t.source_index)
+"""
+
+
+def _virtual(label: str) -> str:
+    """A column of the detection that a row names, moved as the row says."""
+    columns = TABLES["fused"].columns
+    value = f"{columns[label].via}.{label}"
+    if f"moved_{label}" in columns:
+        value = f"({value} + t.moved_{label})"
+    if label == "yaw_rad":
+        value = f"({value} - (2 * pi())::FLOAT * (({value} > pi())::INT - ({value} <= -pi())::INT))"
+    return f'{value} AS "{label}"'
+
+
+def _absent(column: Column, label: str) -> str:
+    """What rows have in a column that the run lacks."""
+    zero = f"'{column.categories[0]}'" if column.categories else "0::FLOAT"
+    return f'{ {"step": "step", "zero": zero, "null": "NULL"}[column.absent] } AS "{label}"'

@@ -1,0 +1,81 @@
+"""Questions in SQL: the same tables as `run.table`, and one line for a wrong question."""
+
+import shutil
+
+import pandas as pd
+import pytest
+
+from results.archive import open_run
+from results.manifest import drop_tables
+from tests.results.tiny import fleet
+
+KEY = ["step", "variant", "observer", "fused_index"]
+
+
+@pytest.mark.parametrize("name", ["fused", "encounters", "trust_lookups", "detections", "attack_outcomes", "clouds"])
+def test_tables_are_those_of_the_run(run, name):
+    """Columns that are not on disk too: those of `fused` are read from the detections that its rows name."""
+    table, asked = run.table(name), run.sql(f"SELECT * FROM {name}")
+    assert set(asked.columns) == set(table.columns) and len(asked) == len(table) == run.n_rows(name)
+    for column in table.columns:
+        one, other = (sorted(map(str, frame[column].dropna().tolist()))
+                      for frame in (table, asked))  # fmt: skip
+        assert one == other, column
+
+
+def test_rows_of_fused_have_their_boxes(run):
+    table = run.table("fused", [*KEY, "x_m", "yaw_rad", "class"]).astype({"variant": str, "class": str})
+    asked = run.sql(f"SELECT {', '.join(KEY)}, x_m, yaw_rad, class FROM fused")
+    pd.testing.assert_frame_equal(
+        table.sort_values(KEY, ignore_index=True), asked.sort_values(KEY, ignore_index=True), check_dtype=False
+    )
+
+
+def test_values_and_subjects_by_hand(tiny):
+    rows = [{"step": step, "subject": who, "trust": 0.25 * (who + 1)} for step in (0, 4) for who in (0, 1)]
+    run = tiny(8, vehicles=fleet("honest", "malicious"), trust=rows)
+    found = run.sql("""
+        SELECT role, max(step) * $dt_s AS time_s, avg(trust) AS trust FROM trust JOIN subjects ON pseudonym = subject
+        WHERE variant = $variant AND step < $until GROUP BY role ORDER BY role
+    """, until=5)  # fmt: skip
+    assert found.role.tolist() == ["honest", "malicious"] and found.trust.tolist() == [0.25, 0.5]
+    assert found.time_s.tolist() == [4 * run.dt_s] * 2
+
+
+@pytest.mark.parametrize(
+    ("query", "says"),
+    [
+        ("SELECT speed FROM actors", 'column "speed" not found'),
+        ("SELECT * FROM cars", "name cars does not exist! The tables are vehicles, pseudonyms"),
+        ("SELEC 1", "syntax error"),
+        ("SELECT 1; SELECT 2", "no single SELECT"),
+        ("DROP VIEW vehicles", "no single SELECT"),
+        ("COPY vehicles TO 'x.csv'", "no single SELECT"),
+        ("INSTALL httpfs", "no single SELECT"),
+        ("SELECT $speed", "speed"),
+        ("SELECT * FROM read_csv('/etc/hostname')", "disabled by configuration"),
+        ("SELECT * FROM read_parquet('https://example.org/x.parquet')", "disabled by configuration"),
+    ],
+)
+def test_a_wrong_question_is_one_line(run, query, says):
+    with pytest.raises(ValueError, match=" ") as error:
+        run.sql(query)
+    assert says in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_table_that_the_run_does_not_keep(run, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(run.path, copy)
+    drop_tables(copy, ["receptions"])
+    with pytest.raises(ValueError, match="holds no table receptions"):
+        open_run(copy).sql("SELECT * FROM receptions")
+
+
+def test_a_damaged_part_is_not_read(run, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(run.path, copy)
+    part = next((copy / "trust").glob("*.parquet"))
+    part.write_bytes(part.read_bytes()[:-1] + b"x")
+    with pytest.raises(ValueError, match="damaged"):
+        open_run(copy).sql("SELECT count(*) FROM trust")
+    assert len(open_run(copy).sql("SELECT * FROM vehicles"))
