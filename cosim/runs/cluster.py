@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import dask
 from distributed import Client, LocalCluster
 from distributed.comm import CommClosedError
 
@@ -46,9 +47,13 @@ def connected(scheduler: str, needed: Path | None = None) -> Iterator[Client]:
 
 @contextmanager
 def local(n_threads: int) -> Iterator[Client]:
-    """A client of a cluster in this process, which does so many tasks at a time."""
+    """A client of a cluster in this process, which does so many tasks at a time.
+
+    Its worker is never given up: a process that was stopped for minutes (Ctrl-Z, a laptop that slept) goes on.
+    """
     with (
         closing_quietly(),
+        dask.config.set({"distributed.scheduler.worker-ttl": None}),
         LocalCluster(
             n_workers=1, threads_per_worker=n_threads, processes=False, memory_limit=0,
             dashboard_address="127.0.0.1:0",

@@ -4,7 +4,7 @@ import logging
 
 from distributed.comm import CommClosedError
 
-from cosim.runs.cluster import closing_quietly
+from cosim.runs.cluster import closing_quietly, local
 
 
 def test_connections_that_a_cluster_closes_itself_are_not_told(caplog):
@@ -16,3 +16,9 @@ def test_connections_that_a_cluster_closes_itself_are_not_told(caplog):
         logger.error("another error", exc_info=OSError("disk"))
     logger.error("CommClosedError, later")
     assert [record.getMessage() for record in caplog.records] == ["another error", "CommClosedError, later"]
+
+
+def test_a_worker_of_this_machine_is_never_given_up():
+    """A sweep that was stopped for five minutes lost its worker, and waited for it for ever."""
+    with local(1) as client:
+        assert client.cluster.scheduler.worker_ttl is None
