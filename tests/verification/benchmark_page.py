@@ -33,7 +33,7 @@ def of_model(row: Row) -> list[str]:
     return [
         f"`{row['model']}`", share(row["attacks"][name]["auc"], True), f"`{name}`", f"{of['auc_mean']:.2f}",
         f"{of['wrong_worst']:.2f}", f"{of['believed_mean']:.2f}", f"{of['age_mean_s']:.1f} s",
-        share(worst["harm"], True), share(worst["auc"]),
+        *(("-", "-") if worst is None else (share(worst["harm"], True), share(worst["auc"]))),
     ]  # fmt: skip
 
 
@@ -41,7 +41,8 @@ def tables() -> str:
     """All that stands between the two marks."""
     evidence = load()
     rows, cases = ranked(stored(evidence)[0]), evidence.rules.cases[1:]
-    worst = rows[0]["worst_case"]
+    adapted = [row for row in rows if row["worst_case"]]
+    worst = adapted[0]["worst_case"]
     head = [
         "model", "worst AUC", "under", "mean AUC", "honest excluded, worst", "believed, mean", "age", "adapts: harm",
         "adapts: AUC",
@@ -50,14 +51,14 @@ def tables() -> str:
     shown = [name for name in by_name if name in SHOWN]
     return "".join([
         f"Evidence set {evidence.version}, sha256 {evidence.checksum[:16]}. The adversary tried {worst['budget']} ",
-        f"policies for each model, each in {worst['n_worlds']} worlds.\n\n",
+        f"policies for {len(adapted)} of the models, each in {worst['n_worlds']} worlds.\n\n",
         line(head), "|---" * len(head) + "|\n", *(line(of_model(row)) for row in rows),
         "\nAUC under each attack, for some of them:\n\n",
         line(["attack", *(f"`{name}`" for name in shown)]), "|---" * (1 + len(shown)) + "|\n",
         *(line([f"`{a}`", *(share(by_name[name]["attacks"][a]["auc"]) for name in shown)]) for a in cases),
         "\nThe adversary's choice:\n\n",
         line(["model", "policy that harms it most"]), "|---|---|\n",
-        *(line([f"`{row['model']}`", row["worst_case"]["words"]]) for row in rows),
+        *(line([f"`{row['model']}`", row["worst_case"]["words"]]) for row in adapted),
     ])  # fmt: skip
 
 
