@@ -17,7 +17,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 EXTEND = fences.blocks((fences.PAGES / "howto" / "extend.md").read_text(encoding="utf-8"))
 CONFIGS = [block.text for block in EXTEND if block.language == "toml"]
 TEMPLATES = Path(templates.__file__).parent
-WRITTEN = {p.name: p.read_text(encoding="utf-8") for p in TEMPLATES.glob("*.py") if p.stem != "__init__"}
+WRITTEN = {p.name: p.read_text(encoding="utf-8") for p in TEMPLATES.glob("[a-z]*.py")}
 EXAMPLES = {"my_trust.py" if name == "trust.py" else name: text for name, text in WRITTEN.items()}
 """A file trust.py would hide the package."""
 
