@@ -38,7 +38,7 @@ GLOSSARY: Mapping[str, str] = {
     "Kaplan-Meier": "Estimator of the share that lasts longer than a time, from durations some of which are censored.",
     "freshness": "Age of a trust value when it is looked up, and of the evidence behind it.",
     "age of information": "Time since the generation of the information that a receiver has. *At use* means when it is looked up; *over time* means averaged over the time within range. The peak age is the age just before a renewal.",
-    "suspected": "A subject is suspected while its trust is evaluated and below a threshold.",
+    "suspected": "A subject is suspected while its trust is below a threshold and rests on enough evaluations.",
     "time to detection": "Time from the first attack until the attacker is suspected.",
     "ROC, AUC": "The receiver operating characteristic is the curve of the true positive rate over the false positive rate for all thresholds. The area under it (AUC) is the probability that an honest value is above an attacker's.",
     "PDR": "Packet delivery ratio: share of (frame, receiver) pairs within communication range in which the frame was received.",

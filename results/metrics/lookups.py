@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from cosim.base.codes import LookupState, TrustSource
 from cosim.base.durable import Damaged
-from results.metrics.trust import suspect_below, watched
+from results.metrics.trust import suspect_below, suspect_from, watched
 from results.run import Run
 
 AGES: Mapping[str, str] = {
@@ -78,7 +78,7 @@ class Sums(NamedTuple):
     sawtooth_peak_sum_s: Float[ndarray, "r 2"]
     n_watched: Int[ndarray, "p"]
     """Lookups of each pseudonym, in the order of `subjects`, while it is watched (`trust.watched`); those with an
-    evaluated value; and those of them that are below the threshold."""
+    evaluated value; and those below the threshold that rest on enough evaluations (`trust.suspect_from`)."""
     n_evaluated: Int[ndarray, "p"]
     n_low: Int[ndarray, "p"]
     pairs: Int[ndarray, "p"]
@@ -90,8 +90,8 @@ class Sums(NamedTuple):
 
 
 class Lows(NamedTuple):
-    """Lookups of a trust variant, resting on an evaluation, that are lower than any before of that subject since it is
-    watched (`trust.watched`)."""
+    """Lookups of a trust variant, resting on enough evaluations, that are lower than any before of that subject since it
+    is watched (`trust.watched`)."""
 
     step: Int[ndarray, "n"]
     subject: Int[ndarray, "n"]
@@ -116,6 +116,8 @@ class _Asked:
 
     fresh_s: float
     threshold: float
+    least: int
+    """Evaluations behind a low value, at least."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +233,8 @@ def _roles(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
 
 def _all(run: Run, fresh_s: float = FRESH_S, threshold: float | None = None) -> _All:
     """One pass over the rows of all variants, made once for the default question and once for every other."""
-    usual, asked = _Asked(FRESH_S, suspect_below(run)), _Asked(fresh_s, suspect_below(run, threshold))
+    least = suspect_from(run)
+    usual, asked = _Asked(FRESH_S, suspect_below(run), least), _Asked(fresh_s, suspect_below(run, threshold), least)
     return run.once_for_all("lookups" if asked == usual else f"lookups, {asked}", lambda: _added(run, asked))
 
 
@@ -364,12 +367,12 @@ class _Adding:
             variant, who, pair = _read_only(variant[in_use], np.int16), who[in_use], pair[in_use]
         lookup_sums.add_watched(
             variant, rows["step"], who, pair, rows["trust"], rows["n_evaluations"], self.since, self.asked.threshold,
-            mine["n_watched"], mine["n_evaluated"], mine["n_low"], pairs["first_step"], pairs["low_step"],
-            pairs["seen_step"],
+            self.asked.least, mine["n_watched"], mine["n_evaluated"], mine["n_low"], pairs["first_step"],
+            pairs["low_step"], pairs["seen_step"],
         )  # fmt: skip
         self._score(rows, who)
         at = np.flatnonzero(lookup_sums.new_lows(
-            variant, who, rows["step"], rows["trust"], rows["n_evaluations"], self.since, self.lowest
+            variant, who, rows["step"], rows["trust"], rows["n_evaluations"], self.asked.least, self.since, self.lowest
         ))  # fmt: skip
         self.lower.append((variant[at], Lows(*(rows[name][at] for name in Lows._fields))))
 
