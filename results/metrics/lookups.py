@@ -90,8 +90,8 @@ class Sums(NamedTuple):
 
 
 class Lows(NamedTuple):
-    """Lookups of a trust variant, resting on enough evaluations, that are lower than any before of that subject since it
-    is watched (`trust.watched`)."""
+    """Lookups of a trust variant, resting on enough evaluations, that are lower than any before of that subject since
+    it is watched (`trust.watched`)."""
 
     step: Int[ndarray, "n"]
     subject: Int[ndarray, "n"]
