@@ -232,10 +232,9 @@ def _roles(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
 
 
 def _all(run: Run, fresh_s: float = FRESH_S, threshold: float | None = None) -> _All:
-    """One pass over the rows of all variants, made once for the default question and once for every other."""
-    least = suspect_from(run)
-    usual, asked = _Asked(FRESH_S, suspect_below(run), least), _Asked(fresh_s, suspect_below(run, threshold), least)
-    return run.once_for_all("lookups" if asked == usual else f"lookups, {asked}", lambda: _added(run, asked))
+    """One pass over the rows of all variants, made once for every question."""
+    asked = _Asked(fresh_s, suspect_below(run, threshold), suspect_from(run))
+    return run.once_for_all(f"lookups, {asked}", lambda: _added(run, asked))
 
 
 def _added(run: Run, asked: _Asked) -> _All:
