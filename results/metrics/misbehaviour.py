@@ -63,7 +63,8 @@ def _scored(run: Run) -> Scored:
     rated, enough = np.zeros((2, len(steps), len(who)), bool)
     there = row >= 0
     cell = at[there], row[there]
-    value[cell], rated[cell], enough[cell] = known.trust[there], known.rated[there], known.enough[there]
+    value[cell] = known.trust[there]
+    rated[cell], enough[cell] = known.rated[there], known.enough[there]
     at, row = np.nonzero((who.since.to_numpy() <= steps[:, None]) & (steps[:, None] <= who.until.to_numpy()))
     role = who.role.cat.codes.to_numpy(np.int64)
     return Scored(steps[at], who.index.to_numpy()[row], role[row], value[at, row], rated[at, row], enough[at, row])

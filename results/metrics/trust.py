@@ -93,7 +93,8 @@ def _in_use(run: Run) -> Values:
     used = (at >= 0) & (step <= who.to_step.to_numpy()[at])
     at = at[used]
     role = who.role.cat.codes.to_numpy(np.int64)[at]
-    return Values(step[used], subject[used], at, role, trust[used], n[used] > 0, n[used] >= suspect_from(run))
+    n = n[used]
+    return Values(step[used], subject[used], at, role, trust[used], n > 0, n >= suspect_from(run))
 
 
 def _own(run: Run) -> pd.DataFrame:

@@ -91,7 +91,8 @@ def test_suspicion_needs_evaluations(tiny):
         by_value = security.confusion(run).set_index("unit").loc["value"]
         assert (by_value.precision, by_value.recall) == pytest.approx((precision, recall))
         delay = misbehaviour.detection_delay(run).set_index("subject")
-        assert delay.found.to_dict() == {0: honest, 1: True} and delay.delay_s[1] == (5 if least == 20 else 1)
+        assert delay.found.to_dict() == {0: honest, 1: True}
+        assert delay.delay_s[1] == (5 if least == 20 else 1)
         assert security.false_exclusions(run).value == pytest.approx(0 if least == 20 else 1 / (8 / 3600))
     looked = [
         {"step": 4, "receiver": r, "subject": 1, "trust": t, "source": "own", "n_evaluations": n}

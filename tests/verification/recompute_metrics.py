@@ -144,7 +144,8 @@ def values(of):
     """Trust in pseudonyms while in use, with the columns of `VALUE`; the server's, or means over receivers."""
     frame = of.table("trust")
     if len(frame):
-        frame = frame.assign(evaluated=frame.n_evaluations > 0, enough=frame.n_evaluations >= of.least)
+        n = frame.n_evaluations
+        frame = frame.assign(evaluated=n > 0, enough=n >= of.least)
     else:
         looked = of.table("trust_lookups")
         own = looked[(looked.source == "own") & (looked.n_evaluations > 0)]
