@@ -73,6 +73,8 @@ class TrustParams(TruPerceptParams):
     """Trust of a vehicle about which nothing is known."""
     suspect_below: Annotated[float, Interval(ge=0, le=1)] = 0.25
     """A vehicle with less trust than this is suspected, in the metrics. Nothing in the run depends on it."""
+    suspect_from: Annotated[int, Interval(ge=1, le=1_000_000)] = 1
+    """It is suspected if its trust rests on at least as many evaluations. Nothing in the run depends on it."""
     unevaluated: Literal["default", "value"] = "default"
     """Trust of a vehicle without any evaluation by another vehicle that could see its detections. `default`:
     `default_trust`. `value`: the model's value, which for TruPercept is 0 (the paper's rule)."""

@@ -63,12 +63,12 @@ def add_successive(
 
 @njit(cache=True, nogil=True)
 def add_watched(
-    variant, step, who, pair, trust, n_evaluations, since, threshold, n_watched, n_evaluated, n_low, first_step,
+    variant, step, who, pair, trust, n_evaluations, since, threshold, least, n_watched, n_evaluated, n_low, first_step,
     low_step, seen_step,
 ):  # fmt: skip
-    """Of subjects while they are watched: count lookups, those with an evaluated value, and those of them that are
-    below the threshold; and write down when each receiver first looked its subject
-    up, first found an evaluated value below the threshold (-1: never), and last looked it up."""
+    """Of subjects while they are watched: count lookups, those with an evaluated value, and those that are below the
+    threshold and rest on at least `least` evaluations; and write down when each receiver first looked its subject
+    up, first found such a value (-1: never), and last looked it up."""
     for i in range(len(variant)):
         if step[i] < since[who[i]]:
             continue
@@ -79,7 +79,7 @@ def add_watched(
         seen_step[v, p] = step[i]
         if n_evaluations[i] > 0:
             n_evaluated[v, who[i]] += 1
-            if np.float64(trust[i]) < threshold:
+            if n_evaluations[i] >= least and np.float64(trust[i]) < threshold:
                 n_low[v, who[i]] += 1
                 if low_step[v, p] < 0:
                     low_step[v, p] = step[i]

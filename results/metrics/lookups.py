@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from cosim.base.codes import LookupState, TrustSource
 from cosim.base.durable import Damaged
-from results.metrics.trust import HONEST, suspect_below, watched
+from results.metrics.trust import HONEST, suspect_below, suspect_from, watched
 from results.run import Run
 
 AGES: Mapping[str, str] = {
@@ -78,7 +78,7 @@ class Sums(NamedTuple):
     sawtooth_peak_sum_s: Float[ndarray, "r 2"]
     n_watched: Int[ndarray, "p"]
     """Lookups of each pseudonym, in the order of `subjects`, while it is watched (`trust.watched`); those with an
-    evaluated value; and those of them that are below the threshold."""
+    evaluated value; and those below the threshold that rest on enough evaluations (`trust.suspect_from`)."""
     n_evaluated: Int[ndarray, "p"]
     n_low: Int[ndarray, "p"]
     pairs: Int[ndarray, "p"]
@@ -107,6 +107,8 @@ class _Asked:
 
     fresh_s: float
     threshold: float
+    least: int
+    """Evaluations behind a low value, at least."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +168,7 @@ WITH watched AS (
     FROM subjects, (SELECT min(attack_start_step) AS first_step FROM subjects) WHERE first_step IS NOT NULL
         AND (role = '{HONEST}' OR attack_start_step IS NOT NULL)
 ), evaluated AS (
-    SELECT variant, subject, step, trust FROM trust_lookups JOIN watched ON pseudonym = subject
+    SELECT variant, subject, step, trust, n_evaluations FROM trust_lookups JOIN watched ON pseudonym = subject
     WHERE n_evaluations > 0 AND step BETWEEN since AND to_step
 )
 """
@@ -174,11 +176,12 @@ WITH watched AS (
 
 
 def first_lows(run: Run, threshold: float) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
-    """Step and subject of the first evaluated value below a threshold that is looked up of each watched subject."""
+    """Step and subject of the first value by which each watched subject is suspected, of those that are looked up."""
     found = run.sql(f"""
         {_EVALUATED} SELECT min(step) AS step, subject FROM evaluated
-        WHERE variant = $variant AND trust::DOUBLE < $threshold GROUP BY subject ORDER BY subject
-    """, threshold=threshold)  # fmt: skip
+        WHERE variant = $variant AND trust::DOUBLE < $threshold AND n_evaluations >= $least
+        GROUP BY subject ORDER BY subject
+    """, threshold=threshold, least=suspect_from(run))  # fmt: skip
     return found.step.to_numpy(), found.subject.to_numpy()
 
 
@@ -248,9 +251,9 @@ def _roles(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
 
 
 def _all(run: Run, fresh_s: float = FRESH_S, threshold: float | None = None) -> _All:
-    """One pass over the rows of all variants, made once for the default question and once for every other."""
-    usual, asked = _Asked(FRESH_S, suspect_below(run)), _Asked(fresh_s, suspect_below(run, threshold))
-    return run.once_for_all("lookups" if asked == usual else f"lookups, {asked}", lambda: _added(run, asked))
+    """One pass over the rows of all variants, made once for every question."""
+    asked = _Asked(fresh_s, suspect_below(run, threshold), suspect_from(run))
+    return run.once_for_all(f"lookups, {asked}", lambda: _added(run, asked))
 
 
 def _added(run: Run, asked: _Asked) -> _All:
@@ -372,8 +375,8 @@ class _Adding:
             variant, who, pair = _read_only(variant[in_use], np.int16), who[in_use], pair[in_use]
         lookup_sums.add_watched(
             variant, rows["step"], who, pair, rows["trust"], rows["n_evaluations"], self.since, self.asked.threshold,
-            mine["n_watched"], mine["n_evaluated"], mine["n_low"], pairs["first_step"], pairs["low_step"],
-            pairs["seen_step"],
+            self.asked.least, mine["n_watched"], mine["n_evaluated"], mine["n_low"], pairs["first_step"],
+            pairs["low_step"], pairs["seen_step"],
         )  # fmt: skip
 
     def _forget(self, step: int) -> None:

@@ -3,7 +3,8 @@
 Metrics count pseudonyms, because trust knows no other identity. An attacker's pseudonym is watched from the first
 attack of its vehicle on; earlier trust is left out. An honest pseudonym is watched from the first attack of any vehicle
 on. A value without an evaluation tells nothing about its subject: it counts as not evaluated, and the subject is
-neither suspected nor cleared. A subject is suspected while its value is evaluated and below a threshold.
+neither suspected nor cleared. A subject is suspected while its value is below a threshold and rests on at least
+`trust.suspect_from` evaluations.
 """
 
 from typing import NamedTuple
@@ -29,6 +30,8 @@ class Scored(NamedTuple):
     trust: Float[ndarray, "n"]
     """NaN where the ledger has none."""
     rated: Bool[ndarray, "n"]
+    enough: Bool[ndarray, "n"]
+    """Whether as many evaluations stand behind it as suspicion needs."""
 
     def take(self, rows: ndarray) -> "Scored":
         """The chosen rows (a mask or row numbers)."""
@@ -40,7 +43,7 @@ def scored_vehicles(run: Run) -> pd.DataFrame:
 
     Returns
     -------
-    step, subject, role, trust (null where the ledger has none), rated.
+    step, subject, role, trust (null where the ledger has none), rated, enough.
     """
     found = scored(run)
     role = pd.CategoricalDtype(list(run.role_labels))
@@ -56,12 +59,15 @@ def _scored(run: Run) -> Scored:
     known, who = trust.in_use(run), watched(run)
     steps, at = np.unique(known.step, return_inverse=True)
     row = who.index.get_indexer(run.subjects.index)[known.who]
-    value, rated = np.full((len(steps), len(who)), np.nan, known.trust.dtype), np.zeros((len(steps), len(who)), bool)
+    value = np.full((len(steps), len(who)), np.nan, known.trust.dtype)
+    rated, enough = np.zeros((2, len(steps), len(who)), bool)
     there = row >= 0
-    value[at[there], row[there]], rated[at[there], row[there]] = known.trust[there], known.rated[there]
+    cell = at[there], row[there]
+    value[cell] = known.trust[there]
+    rated[cell], enough[cell] = known.rated[there], known.enough[there]
     at, row = np.nonzero((who.since.to_numpy() <= steps[:, None]) & (steps[:, None] <= who.until.to_numpy()))
     role = who.role.cat.codes.to_numpy(np.int64)
-    return Scored(steps[at], who.index.to_numpy()[row], role[row], value[at, row], rated[at, row])
+    return Scored(steps[at], who.index.to_numpy()[row], role[row], value[at, row], rated[at, row], enough[at, row])
 
 
 def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
@@ -95,7 +101,7 @@ def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
         if role == HONEST:
             continue
         attacking = found.take(mine & found.rated)
-        suspected = found.rated[mine] & (found.trust[mine] < limit)
+        suspected = found.enough[mine] & (found.trust[mine] < limit)
         of_time = intervals.of_units(suspected, found.subject[mine])
         if np.isnan(limit):
             of_time = intervals.UNKNOWN
@@ -193,7 +199,7 @@ def detection_delay(run: Run, threshold: float | None = None, at: trust.At = "se
 
 
 def _low_values(run: Run, threshold: float | None, at: trust.At) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
-    """Step and subject of values below a threshold that rest on an evaluation.
+    """Step and subject of values below a threshold that rest on enough evaluations.
 
     Of the values that vehicles look up, only some are there, but always the first of each subject.
     """
@@ -203,7 +209,7 @@ def _low_values(run: Run, threshold: float | None, at: trust.At) -> tuple[Int[nd
     if trust.kept_at(run) != "server":
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     known = trust.in_use(run)
-    low = (known.trust.astype(np.float64) < threshold) & known.rated
+    low = (known.trust.astype(np.float64) < threshold) & known.enough
     return known.step[low], known.subject[low]
 
 
@@ -216,7 +222,7 @@ def at_lookup(run: Run, threshold: float | None = None) -> pd.DataFrame:
     Returns
     -------
     role; n (lookups of watched subjects); evaluated: share of them that rest on an evaluation; suspected: share of
-    them that rest on an evaluation and lie below the threshold; auc: probability that an evaluated value of an
+    them that rest on enough evaluations and lie below the threshold; auc: probability that an evaluated value of an
     honest subject is above one of this role, ties counting half (NaN for honest subjects); auc_error: largest error
     of auc from rounding values (0 if none was rounded); and auc_note, which says so. evaluated, suspected and auc
     have intervals clustered by subject.
@@ -295,8 +301,8 @@ def _tied(scores: lookups.Scores, one: Bool[ndarray, "n"], other: Bool[ndarray, 
 def detection_per_receiver(run: Run, threshold: float | None = None) -> pd.DataFrame:
     """Time until each vehicle suspects each subject that it looks up.
 
-    It begins with the first lookup while the subject is watched, and ends with the first evaluated value below the
-    threshold. If there is none, it ends with the last lookup (censored).
+    It begins with the first lookup while the subject is watched, and ends with the first value below the threshold
+    that rests on enough evaluations. If there is none, it ends with the last lookup (censored).
 
     Returns
     -------

@@ -1,7 +1,8 @@
 """Trust as a classifier of vehicles: confusion matrix and what follows from it, precision and recall, false exclusions.
 
 A subject (a pseudonym) is watched as in `misbehaviour`. It is positive if its vehicle attacks; a message is positive if
-anything in it is a lie. A subject is excluded while it is rated and its trust is below a threshold. The threshold is
+anything in it is a lie. A subject is excluded while it is suspected: its trust is below a threshold and rests
+on at least `trust.suspect_from` evaluations. The threshold is
 absolute, or relative to the population: a share of the median of all rated values of that moment. In sparse traffic all
 values are low, and an absolute threshold says little. The relative threshold uses no ground truth.
 """
@@ -32,7 +33,7 @@ def excluded(run: Run, threshold: float | None = None, relative: float | None = 
     limit: pd.Series | float = suspect_below(run, threshold)
     if relative is not None:
         limit = frame.step.map(relative * frame.trust.where(frame.rated).groupby(frame.step).median())
-    return frame.assign(attacker=frame.role != HONEST, excluded=frame.rated & (frame.trust < limit))
+    return frame.assign(attacker=frame.role != HONEST, excluded=frame.enough & (frame.trust < limit))
 
 
 def confusion(run: Run, threshold: float | None = None, relative: float | None = None) -> pd.DataFrame:
@@ -42,7 +43,7 @@ def confusion(run: Run, threshold: float | None = None, relative: float | None =
     -------
     unit: "value" (a subject whenever trust is computed), "vehicle" (a subject at the last such moment), and "message"
     if the run holds detections (positive if it holds a lie, whoever sent it); tp, fp, fn, tn; and what `rates` returns.
-    precision, recall and fpr have intervals clustered by subject. A subject that is not rated is not excluded.
+    precision, recall and fpr have intervals clustered by subject. A subject without enough evaluations is not excluded.
     """
     frame = excluded(run, threshold, relative)
     rows = []

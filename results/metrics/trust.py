@@ -33,6 +33,8 @@ class Values(NamedTuple):
     trust: Float[ndarray, "n"]
     rated: Bool[ndarray, "n"]
     """Whether the value rests on at least one evaluation by another vehicle that could see."""
+    enough: Bool[ndarray, "n"]
+    """Whether it rests on as many as suspicion needs (`suspect_from`)."""
 
 
 def kept_at(run: Run) -> At:
@@ -43,6 +45,11 @@ def kept_at(run: Run) -> At:
 def suspect_below(run: Run, threshold: float | None = None) -> float:
     """Trust below which a subject is suspected: the given threshold, else that of the run's config."""
     return float(run.config.get("trust", {}).get("suspect_below", 0.25)) if threshold is None else threshold
+
+
+def suspect_from(run: Run) -> int:
+    """Least number of evaluations behind the trust of a subject that is suspected."""
+    return int(run.config.get("trust", {}).get("suspect_from", 1))
 
 
 def server_values(run: Run) -> pd.DataFrame:
@@ -77,28 +84,28 @@ def in_use(run: Run) -> Values:
 def _in_use(run: Run) -> Values:
     if kept_at(run) == "server":
         known = server_values(run)
-        rated = (known.n_evaluations > 0).to_numpy()
     else:
         known = _own(run)
-        rated = np.ones(len(known), bool)
+    n = known.n_evaluations.to_numpy()
     step, subject, trust = (known[name].to_numpy() for name in ("step", "subject", "trust"))
     who = run.subjects
     at = who.index.get_indexer(pd.Index(subject))
     used = (at >= 0) & (step <= who.to_step.to_numpy()[at])
     at = at[used]
     role = who.role.cat.codes.to_numpy(np.int64)[at]
-    return Values(step[used], subject[used], at, role, trust[used], rated[used])
+    n = n[used]
+    return Values(step[used], subject[used], at, role, trust[used], n > 0, n >= suspect_from(run))
 
 
 def _own(run: Run) -> pd.DataFrame:
-    """Mean of the values of their own that vehicles look up: step, subject, trust."""
+    """Means of the values of their own that vehicles look up: step, subject, trust, n_evaluations."""
     parts = run.variant_parts("trust_lookups", ["step"])
     steps = np.unique(np.concatenate([[0], *(part.step.unique() for part in parts)]))
     chosen = pc.field("step").isin(steps[:: -(-len(steps) // _INSTANTS)].tolist())
     chosen &= (pc.field("source") == "own") & (pc.field("n_evaluations") > 0)
     means = [
-        part.groupby(["step", "subject"], as_index=False).trust.mean()
-        for part in run.variant_parts("trust_lookups", ["step", "subject", "trust"], chosen)
+        part.groupby(["step", "subject"], as_index=False)[["trust", "n_evaluations"]].mean()
+        for part in run.variant_parts("trust_lookups", ["step", "subject", "trust", "n_evaluations"], chosen)
     ]
     frame = pd.concat(means) if means else pd.DataFrame()
     if frame.empty:

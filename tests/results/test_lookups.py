@@ -60,7 +60,7 @@ def made(tmp_path_factory):
         for name, rows in (("vehicles", vehicles), ("pseudonyms", used)):
             record.append(name, step, columns(name, rows))
     finish(folder, {"dt_s": 1.0, "steps": STEPS, "variants": VARIANTS, "config": {
-        "trust": {"freshness_s": WINDOW_S["base"]},
+        "trust": {"freshness_s": WINDOW_S["base"], "suspect_from": 2},
         "trust_variant": [{"name": "other", "freshness_s": WINDOW_S["other"]}],
     }})  # fmt: skip
     return open_run(folder)
@@ -166,7 +166,7 @@ def test_classification_at_lookup(variant, most, monkeypatch):
     monkeypatch.setattr(lookups, "_MOST_SCORES", most)
     run = open_run(run.path).as_variant(run.variant)
     rows = rows[rows.step >= rows.subject.map(watched(run).since)]
-    low = rows[(rows.n_evaluations > 0) & (rows.trust < 0.25)]
+    low = rows[(rows.n_evaluations >= 2) & (rows.trust < 0.25)]
     found = misbehaviour.at_lookup(run).set_index("role")
     receivers = misbehaviour.detection_per_receiver(run).set_index("role")
     rated = rows[rows.n_evaluations > 0].astype({"trust": float})
@@ -208,7 +208,7 @@ def test_renewals_where_all_ages_are_equal(tiny):
 def test_first_lows(variant):
     """The first low value of each subject while it is watched, whatever the threshold."""
     run, rows = variant
-    rows = rows[(rows.n_evaluations > 0) & (rows.step >= rows.subject.map(watched(run).since))]
+    rows = rows[(rows.n_evaluations >= 2) & (rows.step >= rows.subject.map(watched(run).since))]
     for threshold in (0.01, 0.1, 0.5):
         step, subject = lookups.first_lows(run, threshold)
         first = rows[rows.trust < threshold].groupby("subject").step.min()

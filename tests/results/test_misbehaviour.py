@@ -74,6 +74,37 @@ def test_delays_by_hand(town):
     assert ever.median_s["malicious"] == 2 and np.isnan(ever.median_s["honest"])
 
 
+def test_suspicion_needs_evaluations(tiny):
+    """At steps 4, 8 and 12: honest 0.3 on 5 evaluations, 0.1 on 19, 0.6 on 90; attacker 0.4 on 19, 20 and 40.
+
+    From 20 evaluations on, only the attacker is suspected, twice of three times, first 5 s after its attack. The mean
+    of 0.2 and 0.6, on 10 and 30 evaluations, has as many as suspicion needs.
+    """
+    seen = {4: ((0.3, 5), (0.4, 19)), 8: ((0.1, 19), (0.4, 20)), 12: ((0.6, 90), (0.4, 40))}
+    ledger = [
+        {"step": s, "subject": v, "trust": t, "n_evaluations": n}
+        for s, both in seen.items() for v, (t, n) in enumerate(both)
+    ]  # fmt: skip
+    vehicles, trust = attacking(["honest", "malicious"], {1: 3}), {"suspect_below": 0.5}
+    for least, precision, recall, honest in ((20, 1, 2 / 3, False), (1, 3 / 5, 1, True)):
+        run = tiny(20, config={"trust": trust | {"suspect_from": least}}, vehicles=vehicles, trust=ledger)
+        by_value = security.confusion(run).set_index("unit").loc["value"]
+        assert (by_value.precision, by_value.recall) == pytest.approx((precision, recall))
+        delay = misbehaviour.detection_delay(run).set_index("subject")
+        assert delay.found.to_dict() == {0: honest, 1: True}
+        assert delay.delay_s[1] == (5 if least == 20 else 1)
+        assert security.false_exclusions(run).value == pytest.approx(0 if least == 20 else 1 / (8 / 3600))
+    looked = [
+        {"step": 4, "receiver": r, "subject": 1, "trust": t, "source": "own", "n_evaluations": n}
+        for r, t, n in ((0, 0.2, 10), (2, 0.6, 30))
+    ]
+    config = {"trust": trust | {"suspect_from": 20}}
+    vehicles = attacking(["honest", "malicious", "honest"], {1: 3})
+    run = tiny(20, config=config, vehicles=vehicles, trust_lookups=looked)
+    assert security.excluded(run).query("subject == 1").excluded.all()
+    assert misbehaviour.at_lookup(run).set_index("role").suspected["malicious"] == 0
+
+
 def test_suspected_by_vehicles(tiny):
     """A server's value counts where an evaluation stands behind it: behind that of step 5 there is none."""
     lookups = [

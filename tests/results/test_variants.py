@@ -37,7 +37,7 @@ def run(tmp_path):
         believed = [{"observer": 0, "source": 4, "source_index": 1, "score": 0.5 + code / 4} for code in (0, 1)]
         record.append("fused", 5, columns("fused", believed) | {"step": np.full(2, 5), "variant": np.arange(2)})
     finish(tmp_path, {
-        "dt_s": 1.0, "steps": 6, "config": {},
+        "dt_s": 1.0, "steps": 6, "config": {"trust": {}, "trust_variant": [{"name": "short_window"}]},
         "variants": VARIANTS, "roles": ROLES,
     })  # fmt: skip
     return open_run(tmp_path)

@@ -34,6 +34,7 @@ class Folder:
         self.dt_s, self.steps = float(self.manifest["dt_s"]), int(self.manifest["steps"])
         self.config = self.manifest["config"]
         self.threshold = float(self.config["trust"]["suspect_below"])
+        self.least = int(self.config["trust"]["suspect_from"])
         self.sensing_s = float(self.config.get("sensing_interval_s", self.dt_s))
 
     def table(self, name):
@@ -136,18 +137,23 @@ def encounters(of):
         yield "per_vehicle_h", name, 2 * len(seen) / on_road_h[counts.astype(bool)].sum()
 
 
+VALUE = ["step", "subject", "trust", "evaluated", "enough"]
+
+
 def values(of):
-    """Trust in pseudonyms while in use: step, subject, trust, evaluated; the server's, or means over receivers."""
+    """Trust in pseudonyms while in use, with the columns of `VALUE`; the server's, or means over receivers."""
     frame = of.table("trust")
     if len(frame):
-        frame = frame.assign(evaluated=frame.n_evaluations > 0)
+        n = frame.n_evaluations
+        frame = frame.assign(evaluated=n > 0, enough=n >= of.least)
     else:
         looked = of.table("trust_lookups")
         own = looked[(looked.source == "own") & (looked.n_evaluations > 0)]
-        frame = own.groupby(["step", "subject"], as_index=False).trust.mean().assign(evaluated=True)
+        frame = own.groupby(["step", "subject"], as_index=False)[["trust", "n_evaluations"]].mean()
+        frame = frame.assign(evaluated=True, enough=frame.n_evaluations >= of.least)
     frame = frame.assign(trust=frame.trust.astype(float))
     frame = frame[frame.step <= frame.subject.map(subjects(of).to_step)]
-    return frame.assign(role=frame.subject.map(subjects(of).role))[["step", "subject", "trust", "evaluated", "role"]]
+    return frame.assign(role=frame.subject.map(subjects(of).role))[[*VALUE, "role"]]
 
 
 def watched(of):
@@ -164,8 +170,8 @@ def pairs(of):
     steps = pd.DataFrame({"step": np.sort(known.step.unique())})
     every = steps.merge(who.rename_axis("subject").reset_index()[["subject", "role", "since", "until"]], how="cross")
     every = every[(every.since <= every.step) & (every.step <= every.until)]
-    every = every.merge(known[["step", "subject", "trust", "evaluated"]], "left", on=["step", "subject"])
-    return every.assign(evaluated=every.evaluated.eq(True))
+    every = every.merge(known[VALUE], "left", on=["step", "subject"])
+    return every.assign(evaluated=every.evaluated.eq(True), enough=every.enough.eq(True))
 
 
 def trust(of):
@@ -178,9 +184,9 @@ def trust(of):
 
 
 def first_low(of, frame, threshold):
-    """First step, while watched, with an evaluated value below the threshold, by subject."""
+    """First step, while watched, with a value below the threshold that rests on enough evaluations, by subject."""
     who = watched(of)
-    low = frame[frame.evaluated & (frame.trust < threshold) & frame.subject.isin(who.index)]
+    low = frame[frame.enough & (frame.trust < threshold) & frame.subject.isin(who.index)]
     low = low[(low.step >= low.subject.map(who.since)) & (low.step <= low.subject.map(who.until))]
     return low.groupby("subject").step.min()
 
@@ -195,12 +201,15 @@ def detection_times(of, frame, threshold, name):
 
 
 def lookups(of):
-    """Rows of `trust_lookups` with `evaluated` and the role of the subject."""
+    """Rows of `trust_lookups` with `evaluated`, `enough` and the role of the subject."""
     looked = of.table("trust_lookups")
     if not len(looked):
         return looked
     return looked.assign(
-        trust=looked.trust.astype(float), evaluated=looked.n_evaluations > 0, role=looked.subject.map(subjects(of).role)
+        trust=looked.trust.astype(float),
+        evaluated=looked.n_evaluations > 0,
+        enough=looked.n_evaluations >= of.least,
+        role=looked.subject.map(subjects(of).role),
     )
 
 
@@ -229,7 +238,7 @@ def misbehaviour(of):
         yield "auc", role, auc(honest, mine)
         yield "auc_unevaluated", role, auc(every.trust[every.role == "honest"].dropna(), some.trust.dropna())
         yield "recall_at_fpr", role, (mine < limit).mean()
-        yield "suspected_at_fpr.share", role, (some.evaluated & (some.trust < limit)).mean()
+        yield "suspected_at_fpr.share", role, (some.enough & (some.trust < limit)).mean()
     last = rated.sort_values("step", kind="stable").groupby("subject").last()
     yield "auc_final", "", auc(last.trust[last.role == "honest"], last.trust[last.role == "malicious"])
     at_server = len(of.table("trust")) > 0
@@ -246,7 +255,7 @@ def at_lookup(of, looked):
     mine = mine[(mine.step >= mine.subject.map(who.since)) & (mine.step <= mine.subject.map(who.until))]
     honest = mine.trust[mine.evaluated & (mine.role == "honest")]
     for role, some in mine.groupby("role"):
-        low = some.evaluated & (some.trust < of.threshold)
+        low = some.enough & (some.trust < of.threshold)
         yield "at_lookup.evaluated.share", role, some.evaluated.mean()
         yield "at_lookup.suspected.share", role, low.mean()
         if role != "honest":
@@ -280,7 +289,7 @@ def security(of):
     medians = every[every.evaluated].groupby("step").trust.median()
     sent = of.table("detections")
     for suffix, limit in (("", of.threshold), ("_relative", every.step.map(medians) / 2)):
-        now = every.assign(attacks=every.role != "honest", excluded=every.evaluated & (every.trust < limit))
+        now = every.assign(attacks=every.role != "honest", excluded=every.enough & (every.trust < limit))
         units = [("value", now), ("vehicle", now.groupby("subject").tail(1))]
         if len(sent):
             units.append(("message", messages(of, sent, now)))

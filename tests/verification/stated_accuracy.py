@@ -5,7 +5,8 @@
 In each of three cities, N replicates (3 by default) of S seconds (300 by default) of the default world are simulated
 twice, with traffic, detections and attacks of the same seeds: by `gates` and by `iou`. Runs that FOLDER has are not
 simulated again, so that more replicates can be added. The table has, of every measure, the means with 95 % intervals
-over runs (Student) and the paired difference, for each city and for all. Nothing was tuned on these seeds.
+over runs (Student) and the paired difference, for each city and for all. Nothing was tuned on
+these seeds, except `trust.suspect_from` on the first two.
 
 A run of Helsinki costs 0.42 s of processor time per simulated second, so that 10 replicates of 300 s in three cities
 cost about two hours of a core.

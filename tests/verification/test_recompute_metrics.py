@@ -8,7 +8,7 @@ from tests.verification import recompute_metrics
 RUNS = {
     "helsinki": ("record.level=full", "trust_variant.0.name=beta", "trust_variant.0.model=beta"),
     "helsinki, server every second": ("trust.server_period_s=1.0", "seed=2"),
-    "helsinki, local": ("trust.host=local", "attacks.0.start_s=3"),
+    "helsinki, local": ("trust.host=local", "attacks.0.start_s=3", "trust.suspect_from=5"),
     "koenigs-wusterhausen, local, pseudonyms": (
         "traffic.scenario=koenigs-wusterhausen", "trust.host=local", "traffic.step_s=0.5", "pseudonyms.policy=c2c",
         "driver.model=cautious",
