@@ -30,9 +30,9 @@ LIST = Path(__file__).with_name("kernels.txt")
 _ROOT = Path(__file__).parents[3]
 
 
-def listed() -> list[tuple[str, str, str]]:
-    """Module, name and types of arguments of the kernels, in the order of their first calls."""
-    return [tuple(line.split(" ", 2)) for line in LIST.read_text().splitlines()]  # type: ignore[misc]
+def listed(path: Path = LIST) -> list[tuple[str, str, str]]:
+    """Module, name and types of arguments of the kernels in a list, in the order of their first calls."""
+    return [tuple(line.split(" ", 2)) for line in path.read_text().splitlines()]  # type: ignore[misc]
 
 
 def kernel_of(module: str, name: str) -> Any:
@@ -54,31 +54,32 @@ def _record(fields: list[Any]) -> types.Type:
 
 
 @contextmanager
-def compiling(n_threads: int) -> Iterator[None]:
+def compiling(n_threads: int, path: Path = LIST) -> Iterator[subprocess.Popen[bytes] | None]:
     """Within the block, a second process compiles kernels if a core is free for it and no earlier one has done so.
 
-    `n_threads` is the number of threads that the config allows, 0 for all.
+    `n_threads` is the number of threads that the config allows, 0 for all. The block gets the process, or None. `path`
+    is the list of kernels.
     """
     child = None
     if n_threads != 1 and numba.get_num_threads() > 1:
         with suppress(OSError, ImportError, AttributeError):  # kernels are not cached, or the list is old
-            child = _start()
+            child = _start(path)
     try:
-        yield
+        yield child
     finally:
         if child is not None:
             child.kill()
             child.communicate()
 
 
-def _start() -> subprocess.Popen[bytes] | None:
+def _start(path: Path) -> subprocess.Popen[bytes] | None:
     """The process; None if an earlier one has compiled all kernels, or one of another run is at it.
 
     The file `compiled` in the folder of the first kernel's cache says which kernels have been compiled.
     """
-    kernels = listed()
+    kernels = listed(path)
     first = kernel_of(*kernels[0][:2])
-    digest = hashlib.sha256(LIST.read_bytes())
+    digest = hashlib.sha256(path.read_bytes())
     for module in sorted({module for module, _, _ in kernels}):
         digest.update((_ROOT / f"{module.replace('.', '/')}.py").read_bytes())
     digest.update(repr((numba.__version__, first.targetctx.codegen().magic_tuple())).encode())
@@ -89,7 +90,7 @@ def _start() -> subprocess.Popen[bytes] | None:
         if os.pread(handle, 100, 0).decode() == digest.hexdigest():
             return None
         return subprocess.Popen(
-            process.command(__name__, str(handle), digest.hexdigest()),
+            process.command(__name__, str(path), str(handle), digest.hexdigest()),
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -100,14 +101,14 @@ def _start() -> subprocess.Popen[bytes] | None:
         os.close(handle)
 
 
-def _compile(handle: int, digest: str) -> None:
+def _compile(path: Path, handle: int, digest: str) -> None:
     process.end_with_parent()
     os.nice(5)
-    for module, name, text in reversed(listed()):
+    for module, name, text in reversed(listed(path)):
         with suppress(Exception):  # the list is old
             kernel_of(module, name).compile(types_of(text))
     os.pwrite(handle, digest.encode(), 0)
 
 
 if __name__ == "__main__":
-    _compile(int(sys.argv[1]), sys.argv[2])
+    _compile(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3])
