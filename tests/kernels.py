@@ -28,7 +28,7 @@ def text_of(of):
     return repr(of)
 
 
-def needed(folder, *words):
+def needed(folder, *sets):
     """Lines of the list for a run of the default world, in the order of need."""
     from cosim.cli.main import main
 
@@ -41,7 +41,8 @@ def needed(folder, *words):
         return load(self, signature, target)
 
     caching.Cache.load_overload = noted
-    sys.argv = ["cosim", "run", "--set", "compute.threads=1", *words, "--out", str(folder / "run")]
+    sets = [word for one in ("preset=modern", "compute.threads=1", *sets) for word in ("--set", one)]
+    sys.argv = ["cosim", "run", *sets, "--out", str(folder / "run")]
     try:
         main()
     except SystemExit as ended:
@@ -53,6 +54,6 @@ def needed(folder, *words):
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
-        lines = needed(Path(folder), "--set", "traffic.duration_s=10")
+        lines = needed(Path(folder), "traffic.duration_s=10")
     LIST.write_text("".join(f"{line}\n" for line in lines if line.split(".")[0] != "numba"))
     print(f"{len(lines)} kernels in {LIST}")
