@@ -103,7 +103,6 @@ def _start(path: Path) -> subprocess.Popen[bytes] | None:
 
 def _compile(path: Path, handle: int, digest: str) -> None:
     process.end_with_parent()
-    os.nice(5)
     for module, name, text in reversed(listed(path)):
         with suppress(Exception):  # the list is old
             kernel_of(module, name).compile(types_of(text))
