@@ -62,7 +62,7 @@ def compiling(n_threads: int, path: Path = LIST) -> Iterator[subprocess.Popen[by
     """
     child = None
     if n_threads != 1 and numba.get_num_threads() > 1:
-        with suppress(OSError, ImportError, AttributeError):  # kernels are not cached, or the list is old
+        with suppress(Exception):  # kernels are not cached, another run's process is at it, or the list is old
             child = _start(path)
     try:
         yield child
@@ -73,7 +73,7 @@ def compiling(n_threads: int, path: Path = LIST) -> Iterator[subprocess.Popen[by
 
 
 def _start(path: Path) -> subprocess.Popen[bytes] | None:
-    """The process; None if an earlier one has compiled all kernels, or one of another run is at it.
+    """The process; None if an earlier one has compiled all kernels.
 
     The file `compiled` in the folder of the first kernel's cache says which kernels have been compiled.
     """
@@ -87,7 +87,7 @@ def _start(path: Path) -> subprocess.Popen[bytes] | None:
     handle = os.open(marker, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the process keeps the lock as long as it runs
-        if os.pread(handle, 100, 0).decode() == digest.hexdigest():
+        if os.pread(handle, 100, 0) == digest.hexdigest().encode():
             return None
         return subprocess.Popen(
             process.command(__name__, str(path), str(handle), digest.hexdigest()),
