@@ -9,7 +9,10 @@ instead of 6 ms for 1,000 stations with 60 receivers each): arrays are passed fr
 of stations.
 """
 
+import fcntl
+import os
 import pickle
+from contextlib import suppress
 from typing import Any
 
 from numba import njit, threading_layer
@@ -27,6 +30,23 @@ class _ForgivingIndex(caching.IndexDataCacheFile):
             return super()._load_index()  # type: ignore[no-any-return]
         except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
             return {}
+
+    def save(self, key: Any, data: Any) -> None:
+        """Write what has been compiled, and then say so in the index.
+
+        Numba writes the index first: another process could load what an earlier version of the code has left under that
+        name. And of two processes that save at once, each could name its own types for the file of the other.
+        """
+        folder = os.open(self._cache_path, os.O_RDONLY)
+        try:
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(folder, fcntl.LOCK_EX)
+            names = self._load_index()
+            name = names.setdefault(key, self._data_name(len(names) + 1))
+            self._save_data(name, data)
+            self._save_index(names)
+        finally:
+            os.close(folder)
 
 
 setattr(caching, "IndexDataCacheFile", _ForgivingIndex)  # noqa: B010  private API of Numba: it has no other way

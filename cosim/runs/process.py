@@ -7,6 +7,7 @@ MODULE WORDS` runs a module of this program as its main module.
 import os
 import runpy
 import sys
+import threading
 from pathlib import Path
 
 _ROOT = Path(__file__).parents[2]
@@ -30,6 +31,17 @@ def environment(**more: str) -> dict[str, str]:
     if _ROOT.name not in ("site-packages", "dist-packages"):  # whose other packages must not come before Python's own
         places.insert(0, str(_ROOT))
     return os.environ | {"PYTHONPATH": os.pathsep.join(places)} | more
+
+
+def end_with_parent() -> None:
+    """End this process when the one that started it closes its standard input, or ends."""
+    threading.Thread(target=_read_to_end, daemon=True).start()
+
+
+def _read_to_end() -> None:
+    while os.read(0, 4096):
+        pass
+    os._exit(3)
 
 
 def ignore_settings_here() -> None:

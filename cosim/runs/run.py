@@ -23,6 +23,7 @@ from cosim.runs.drive import STATE_VERSION, Advance, Commands, Drive, OnStep, ow
 from cosim.runs.folder import RunFolder
 from cosim.runs.inputs import provenance
 from cosim.runs.manifest import Manifest, versions
+from cosim.runs.speed.kernels import compiling
 from cosim.runs.stop import NOTHING_WRITTEN, Failed, Stopped, StopRequest
 from cosim.step.parts import Parts, sources
 from cosim.step.state import State
@@ -77,7 +78,7 @@ def run(
     """
     out = None if out is None else out.expanduser()
     run_folder.check(out)
-    with StopRequest() as stop:
+    with StopRequest() as stop, compiling(config.compute.threads):
         scenario = check(config)
         parts, registry, traffic = load_parts(config, scenario, traffic_from)
         with closing(traffic):

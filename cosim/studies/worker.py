@@ -7,10 +7,8 @@ import fcntl
 import gc
 import json
 import logging
-import os
 import shutil
 import sys
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +19,7 @@ from cosim.config.config import resolve_data
 from cosim.door.blame import ExtensionError
 from cosim.door.load import function
 from cosim.runs import run as running
+from cosim.runs.process import end_with_parent
 from cosim.runs.stop import Failed
 from cosim.studies.folder import StudyFolder, status_of
 from cosim.studies.stages import Cache
@@ -88,16 +87,10 @@ def _drop(folder: Path, kept: list[str] | None) -> None:
         drop_tables(folder, [name for name in TABLES if name not in kept])
 
 
-def _end_with_parent() -> None:
-    while os.read(0, 4096):
-        pass
-    os._exit(3)
-
-
 def main() -> None:
     gc.set_threshold(100_000, 50, 100)  # as in `cosim.__main__`
     if not sys.stdin.isatty():
-        threading.Thread(target=_end_with_parent, daemon=True).start()
+        end_with_parent()
     kind, *words = sys.argv[1:]
     try:
         if kind == "run":

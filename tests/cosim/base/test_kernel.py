@@ -1,8 +1,16 @@
 """Compiled functions lie in a cache. What an earlier version of the program has left there does no harm."""
 
+import fcntl
+import os
 import pickle
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+from numba.core import caching
+
+import cosim.base.kernel  # noqa: F401  which gives Numba its index
 
 MINE = """
 from typing import NamedTuple
@@ -37,3 +45,26 @@ def test_an_index_with_types_of_an_earlier_version_counts_as_empty(tmp_path):
     assert run(tmp_path, "import mine; print(mine.summed(mine.Couple(1, 2)))") == "3\n"
     with indexes[0].open("rb") as file:
         assert pickle.load(file), "the index is written anew, after the version of Numba"
+
+
+def test_the_index_names_what_has_been_written_already(tmp_path):
+    """A process that reads between the two finds nothing, not what an earlier version has left there."""
+    stale, fresh = (caching.IndexDataCacheFile(str(tmp_path), "f", stamp) for stamp in ("old", "new"))
+    stale.save("key", "old code")
+    fresh.save("key", "new code")
+    data, index = tmp_path / "f.1.nbc", tmp_path / "f.nbi"
+    assert data.stat().st_mtime_ns <= index.stat().st_mtime_ns
+    assert fresh.load("key") == "new code" and stale.load("key") is None
+
+
+def test_processes_save_one_after_the_other(tmp_path):
+    """Otherwise both would use one file for two types of arguments."""
+    one, other = (caching.IndexDataCacheFile(str(tmp_path), "f", "stamp") for _ in range(2))
+    folder = os.open(tmp_path, os.O_RDONLY)
+    fcntl.flock(folder, fcntl.LOCK_EX)
+    with ThreadPoolExecutor() as threads:
+        both = [threads.submit(file.save, key, key) for file, key in ((one, "a"), (other, "b"))]
+        time.sleep(0.05)
+        assert not any(saved.done() for saved in both) and not [*tmp_path.iterdir()]
+        os.close(folder)
+    assert [one.load("a"), one.load("b")] == ["a", "b"]
