@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import duckdb
 import numpy as np
 import pandas as pd
 import pytest
@@ -27,6 +28,12 @@ class Tiny:
     def table(self, name, columns):
         about = {"vehicle": [1, 2, 3], "vehicle_class": ["car", "car", "pedestrian"], "length_m": 5.0, "width_m": 2.0}
         return pd.DataFrame(self._rows if name == "actors" else about)[columns]
+
+    def sql(self, query):
+        with duckdb.connect() as database:
+            database.register("actors", pd.DataFrame(self._rows))
+            database.register("vehicles", self.table("vehicles", ["vehicle", "vehicle_class", "length_m", "width_m"]))
+            return database.execute(query, {"dt_s": self.dt_s}).df()
 
 
 def value(name, run, **options):
