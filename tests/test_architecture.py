@@ -21,7 +21,7 @@ FOREIGN = {
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "scipy", "shapely", "sumo", "sumolib"},
     "cosim": {
         "annotated_types", "jaxtyping", "numpy", "scipy", "numba", "libsumo", "pyarrow", "pydantic", "typer", "rich",
-        "tomli_w", "shapely", "trimesh", "rerun", "pandas", "distributed", "psutil",
+        "tomli_w", "shapely", "trimesh", "rerun", "pandas", "dask", "distributed", "psutil",
         "latex2mathml", "matplotlib", "mcap", "osmium", "sumolib", "yaml",
     },
 }  # fmt: skip
@@ -37,7 +37,7 @@ ONE_FILE = {
     "trimesh": {"cosim/traffic/meshes.py"},
     "mcap": {"cosim/addons/export/ros2.py"},
     "osmium": {"cosim/addons/netbuild/osm_pbf.py"},
-    "distributed": {
+    "dask", "distributed": {
         "cosim/runs/cluster.py",
         "cosim/studies/engine.py",
     },
