@@ -37,7 +37,8 @@ ONE_FILE = {
     "trimesh": {"cosim/traffic/meshes.py"},
     "mcap": {"cosim/addons/export/ros2.py"},
     "osmium": {"cosim/addons/netbuild/osm_pbf.py"},
-    "dask", "distributed": {
+    "dask": {"cosim/runs/cluster.py"},
+    "distributed": {
         "cosim/runs/cluster.py",
         "cosim/studies/engine.py",
     },
