@@ -144,7 +144,7 @@ def evaluate(
     phi = visibility(n_points, detections.label[member], params)
     e = np.where(groups.ego_detected, detections.score[seed], eta_of(params))
     missed = ~groups.ego_detected
-    permitted = plausible[missed] if params.plausibility_in_evaluation else 1.0
+    permitted = plausible[missed].astype(float) if params.plausibility_in_evaluation else 1.0
     compared = 1.0 if certainty is None else certainty[missed]
     if recall is None:
         phi[missed] = compared * (phi[missed] + (1.0 - permitted) * (1.0 - phi[missed]))
