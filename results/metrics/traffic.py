@@ -8,7 +8,7 @@ from results.run import Run
 def on_road(run: Run) -> pd.DataFrame:
     """who (all actors, or equipped vehicles), mean: how many of them are on the road, and duration_s of the run."""
     return run.sql("""
-        SELECT 'all' AS who, sum(last_step - first_step + 1) / $steps AS mean, $steps * $dt_s AS duration_s
+        SELECT 'all' AS who, coalesce(sum(last_step - first_step + 1), 0) / $steps AS mean, $steps * $dt_s AS duration_s
         FROM vehicles WHERE vehicle_class <> 'roadside_unit'
         UNION ALL
         SELECT 'equipped', coalesce(sum(last_step - first_step + 1), 0) / $steps, $steps * $dt_s
