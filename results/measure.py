@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from importlib import import_module
 from inspect import isfunction, signature
 from itertools import groupby
 from types import ModuleType
@@ -15,6 +14,7 @@ from cosim.base.addons import Choices
 from cosim.base.durable import Damaged
 from results.metrics import (
     attack,
+    auc_bound,
     contact_graph,
     detection,
     encounters,
@@ -24,8 +24,10 @@ from results.metrics import (
     misbehaviour,
     radio,
     registry,
+    repeats,
     safety,
     security,
+    traffic,
     trust,
 )
 from results.metrics.intervals import FEW, ClusteredEstimate, columns
@@ -54,6 +56,12 @@ TOPICS: Mapping[str, ModuleType] = Choices(
     },
 )
 """Modules of metrics by topic, as `run.measure.<topic>`."""
+_SOURCES = (
+    attack, auc_bound, detection, encounters, evaluations, evidence, freshness, misbehaviour, radio, repeats, safety,
+    security, traffic, trust,
+)  # fmt: skip
+_MODULES = {module.__name__.rpartition(".")[2]: module for module in _SOURCES}
+"""Modules that answer metrics, by the names that `metrics.toml` has."""
 
 
 class MeasuredRow(NamedTuple):
@@ -146,7 +154,7 @@ def _measured(run: Run, topic: str, options: Mapping[str, Any]) -> Iterator[Meas
 def _answer(run: Run, metric: Metric, options: Mapping[str, Any]) -> Sequence[Mapping[Any, Any]]:
     """The rows among which those of a metric are."""
     module, _, name = metric.source.partition(".")
-    ask = getattr(import_module(f"results.metrics.{module}"), name)
+    ask = getattr(_MODULES[module], name)
     wanted = signature(ask).parameters
     found = ask(run, **{key: value for key, value in options.items() if key in wanted} | dict(metric.options))
     if isinstance(found, pd.DataFrame):

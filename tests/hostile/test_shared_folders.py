@@ -83,6 +83,8 @@ NAMED = ("path", "folder", "run", "study", "job", "file")
 FUNCTIONS = {
     "cosim.runs.folder.check": None,  # these name a folder to be written, or files of the program's own
     "cosim.runs.folder.reopen": None,
+    "cosim.runs.speed.kernels.listed": None,
+    "cosim.runs.speed.kernels.compiling": None,
     "cosim.studies.folder.write_whole": None,
     "cosim.studies.worker.make": None,  # the process of a sweep, with a job that the sweep has just written
     "cosim.runs.run.remarks": lambda f, at: f(at["run"]),
