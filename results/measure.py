@@ -57,9 +57,21 @@ TOPICS: Mapping[str, ModuleType] = Choices(
 )
 """Modules of metrics by topic, as `run.measure.<topic>`."""
 _SOURCES = (
-    attack, auc_bound, detection, encounters, evaluations, evidence, freshness, misbehaviour, radio, repeats, safety,
-    security, traffic, trust,
-)  # fmt: skip
+    attack,
+    auc_bound,
+    detection,
+    encounters,
+    evaluations,
+    evidence,
+    freshness,
+    misbehaviour,
+    radio,
+    repeats,
+    safety,
+    security,
+    traffic,
+    trust,
+)
 _MODULES = {module.__name__.rpartition(".")[2]: module for module in _SOURCES}
 """Modules that answer metrics, by the names that `metrics.toml` has."""
 
