@@ -51,7 +51,7 @@ class State:
     carried: tuple[EvaluationCarriers, ...] = ()
     """Evaluations of earlier steps whose messages may still arrive."""
     inbox: Inbox = field(default_factory=Inbox)
-    """Earlier messages that vehicles still use; empty if all vehicles sense in the same steps."""
+    """Messages of earlier steps that vehicles may still use."""
     clouds: Clouds = field(default_factory=Clouds)
     """Point clouds that vehicles still use; empty without `[early_fusion]`."""
     inter_reception: ReceptionTrackers = field(
