@@ -71,8 +71,9 @@ def stated(
     the vehicle's own position; that of its heading, across the line of sight, times the square of the range; and, if a
     sweep takes the time T, that of a motion of speed v in it, (v T)^2 / 12 along the velocity. A self report has the
     second part alone. A detection without a track has the variance of the speeds of its class on the road there, as a
-    new track has it (`sensors.tracking.expected_speed`). Vehicles that attack state the same of what they fabricate, times the `accuracy_factor` of their attack. A velocity that is said to be
-    less well known than that of an object without a track counts as one that is not stated.
+    new track has it (`sensors.tracking.expected_speed`). Vehicles that attack state the same of what they fabricate,
+    times the `accuracy_factor` of their attack. A velocity that is said to be less well known than that of an object
+    without a track counts as one that is not stated.
 
     Relative to the vehicle, there is the first and the last part. There, what the score says about the error counts,
     too; matching does not use it. The heading and the size of a detection have the

@@ -39,7 +39,7 @@ class SpeedLimits:
         return SpeedLimits(cell, limit[order][first])
 
     def at(self, xy_m: Float[ndarray, "n 2"]) -> Float[ndarray, "n"]:
-        """Limit at each place of the world [m/s]; NaN where no lane is within 14 m, a number where one is within 4.8 m."""
+        """Limit at each place of the world [m/s]; NaN without a lane within 14 m, a number with one within 4.8 m."""
         number = _number(_cells(xy_m))
         row = np.searchsorted(self.cell, number)
         is_road = np.append(self.cell, -1)[row] == number

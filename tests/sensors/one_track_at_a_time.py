@@ -45,7 +45,7 @@ class Twin:
         self.p, self.tracks, self.count = params, {}, {}
 
     def sense(self, observer, time_s, own_mps, found):
-        """`found` is a list of (label, xy, yaw, score, limit). Returns (object_id, age, velocity, existence) of each."""
+        """`found` is a list of (label, xy, yaw, score, limit); returns (object_id, age, velocity, existence)."""
         p = self.p
         tracks = [t for t in self.tracks.get(observer, []) if time_s - t["last"] <= p.keep_s]
         for t in tracks:
@@ -127,7 +127,7 @@ class StoneSoup:
         return self.by_class[track.metadata["label"]].hypothesise(track, detections, timestamp, **kwargs)
 
     def sense(self, time_s, own_mps, found):
-        """`found` is a list of (label, xy, yaw, score, limit). Returns (object_id, position, velocity, hits) of each."""
+        """`found` is a list of (label, xy, yaw, score, limit); returns (object_id, position, velocity, hits)."""
         from stonesoup.types.detection import Detection
         from stonesoup.types.state import GaussianState
         from stonesoup.types.track import Track

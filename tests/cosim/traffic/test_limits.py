@@ -21,8 +21,9 @@ def test_limits_are_known_near_lanes_only():
     assert np.isnan(NO_LIMITS.at(places)).all()
 
 
-def test_every_place_near_a_lane_has_a_limit(rng=np.random.default_rng(4)):
+def test_every_place_near_a_lane_has_a_limit():
     """A literal twin: no lane within 4.8 m is overlooked, and no limit is farther than a diagonal of two cells away."""
+    rng = np.random.default_rng(4)
     ends = rng.uniform(-200, 200, (12, 2, 2))
     limits = SpeedLimits.of([lane(pair, 10.0) for pair in ends], (0.0, 0.0))
     places = rng.uniform(-220, 220, (2000, 2))
