@@ -380,7 +380,8 @@ def begun(
     axis = np.column_stack([np.cos(found.yaw_rad), np.sin(found.yaw_rad)])
     covariance = np.zeros((len(found), 2, 3))
     covariance[:, :, 0] = (np.asarray(params.position_sigma_m)[label] ** 2)[:, None]
-    covariance[:, 0, 2], covariance[:, 1, 2] = sigma_mps**2, np.asarray(params.across_sigma_mps)[label] ** 2
+    covariance[:, 0, 2] = sigma_mps**2
+    covariance[:, 1, 2] = np.asarray(params.across_sigma_mps)[label] ** 2
     return Tracks(
         observer=found.observer,
         object_id=object_id,
@@ -398,7 +399,10 @@ def begun(
 
 
 def expected_speed(
-    label: UInt8[ndarray, "d"], limit_mps: Float[ndarray, "d"], own_mps: Float[ndarray, "d"], params: TrackingParams
+    label: UInt8[ndarray, "d"],
+    limit_mps: Float[ndarray, "d"],
+    own_mps: Float[ndarray, "d"],
+    params: TrackingParams,
 ) -> tuple[Float[ndarray, "d"], Float[ndarray, "d"]]:
     """Mean and standard deviation of the speed of an object that nobody has tracked yet [m/s].
 
@@ -413,10 +417,14 @@ def expected_speed(
     params
         The parameters. Those of the class are the least values.
     """
-    by_limit = np.where((limit_mps > _MOTORWAY_MPS)[:, None], _MOTORWAY[label], _STREET[label]) * limit_mps[:, None]
-    by_own = np.column_stack([params.own_speed_mean, params.own_speed_sigma])[label] * own_mps[:, None]
+    is_mapped = ~np.isnan(limit_mps)
+    shares = np.column_stack([params.own_speed_mean, params.own_speed_sigma])[label]
+    shares[is_mapped] = _STREET[label[is_mapped]]
+    is_fast = limit_mps > _MOTORWAY_MPS
+    shares[is_fast] = _MOTORWAY[label[is_fast]]
+    road_mps = np.where(is_mapped, limit_mps, own_mps)
     of_class = np.column_stack([params.along_mean_mps, params.along_sigma_mps])[label]
-    mean_mps, sigma_mps = np.maximum(of_class, np.where(np.isnan(by_limit), by_own, by_limit)).T
+    mean_mps, sigma_mps = np.maximum(of_class, shares * road_mps[:, None]).T
     return mean_mps, sigma_mps
 
 
@@ -428,7 +436,8 @@ def confirmed_variance(params: TrackingParams, interval_s: float) -> Float[ndarr
     """
     n, label = len(params.position_sigma_m), np.arange(len(params.position_sigma_m), dtype=np.uint8)
     number, zero = np.arange(n), np.zeros(n)
-    found = Found(number, label, np.zeros((n, 2)), zero, np.full(n, 0.5), np.full(n, np.nan))
+    half, unknown = np.full(n, 0.5), np.full(n, np.nan)
+    found = Found(number, label, np.zeros((n, 2)), zero, half, unknown)
     tracks = begun(found, number, Observers(number, zero, zero), number, params)
     for hit in range(1, params.confirm_hits):
         tracks = updated(predicted(tracks, np.full(n, hit * interval_s), params), found, params)

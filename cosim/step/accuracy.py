@@ -143,7 +143,10 @@ def aged(listed: Detections, age_s: Float[ndarray, "d"], params: TrackingParams)
 
 
 def _speed_variance(
-    label: UInt8[ndarray, "d"], limit_mps: Float[ndarray, "d"], own_mps: Float[ndarray, "d"], params: TrackingParams
+    label: UInt8[ndarray, "d"],
+    limit_mps: Float[ndarray, "d"],
+    own_mps: Float[ndarray, "d"],
+    params: TrackingParams,
 ) -> Float[ndarray, "d"]:
     """Variance of the velocity along each axis of an object without a track. The heading may be reversed."""
     mean_mps, sigma_mps = expected_speed(label, limit_mps, own_mps, params)

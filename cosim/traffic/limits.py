@@ -6,13 +6,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from jaxtyping import Float, Int
 from numpy import ndarray
 
 from sumo_nets.network import Lane
 
 _CELL_M = 5.0
-_NEAR = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1).reshape(-1, 2)
+_NEAR = np.indices((3, 3)).reshape(2, 9).T - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +31,9 @@ class SpeedLimits:
         cells, limits = [np.zeros(0, np.int64)], [np.zeros(0)]
         for lane in lanes:
             if lane.for_cars:
-                around = _cells(_dense(lane.line_m[:, :2] - origin_m))[:, None] + _NEAR
+                line = shapely.linestrings(lane.line_m[:, :2] - origin_m)
+                along_m = shapely.get_coordinates(shapely.segmentize(line, _CELL_M / 2))
+                around = _cells(along_m)[:, None] + _NEAR
                 cells.append(np.unique(_number(around.reshape(-1, 2))))
                 limits.append(np.full(len(cells[-1]), lane.limit_mps))
         number, limit = np.concatenate(cells), np.concatenate(limits)
@@ -48,13 +51,6 @@ class SpeedLimits:
 
 NO_LIMITS = SpeedLimits(np.zeros(0, np.int64), np.zeros(0))
 """Of a world without a map."""
-
-
-def _dense(line_m: Float[ndarray, "k 2"]) -> Float[ndarray, "m 2"]:
-    """Points along a line, half a cell apart at most."""
-    along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m, axis=0).T)))
-    at_m = np.linspace(0.0, along_m[-1], int(2 * along_m[-1] / _CELL_M) + 2)
-    return np.column_stack([np.interp(at_m, along_m, line_m[:, k]) for k in (0, 1)])
 
 
 def _cells(xy_m: Float[ndarray, "n 2"]) -> Int[ndarray, "n 2"]:

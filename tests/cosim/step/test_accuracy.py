@@ -119,7 +119,7 @@ def test_fused_objects_have_the_stated_variance(drive, label):
 def beside_a_motorway():
     """Of cars and trucks without a track in Königs Wusterhausen: own speed, squared error of the velocity along each
     axis (a receiver takes 0), and the stated variance."""
-    city = [*SETTINGS, "traffic.scenario=koenigs-wusterhausen", "fleet.penetration_p=0.5", "traffic.duration_s=4"]
+    city = [*SETTINGS, "traffic.scenario=koenigs-wusterhausen", "fleet.penetration_p=0.5", "traffic.duration_s=20"]
     found = []
     with Simulation(load(None, city)) as simulation:
         for result in simulation:
