@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 from jaxtyping import Float, Int
 from numpy import ndarray
 
@@ -31,9 +30,8 @@ class SpeedLimits:
         cells, limits = [np.zeros(0, np.int64)], [np.zeros(0)]
         for lane in lanes:
             if lane.for_cars:
-                line = shapely.linestrings(lane.line_m[:, :2] - origin_m)
-                along_m = shapely.get_coordinates(shapely.segmentize(line, _CELL_M / 2))
-                around = _cells(along_m)[:, None] + _NEAR
+                points = _dense(lane.line_m[:, :2] - origin_m)
+                around = _cells(points)[:, None] + _NEAR
                 cells.append(np.unique(_number(around.reshape(-1, 2))))
                 limits.append(np.full(len(cells[-1]), lane.limit_mps))
         number, limit = np.concatenate(cells), np.concatenate(limits)
@@ -51,6 +49,16 @@ class SpeedLimits:
 
 NO_LIMITS = SpeedLimits(np.zeros(0, np.int64), np.zeros(0))
 """Of a world without a map."""
+
+
+def _dense(line_m: Float[ndarray, "k 2"]) -> Float[ndarray, "m 2"]:
+    """Points along a line, half a cell apart at most. The line may have no length."""
+    step_m = np.hypot(*np.diff(line_m, axis=0).T)
+    vertex_m = np.append(0.0, np.cumsum(step_m))
+    n = 2 + int(2 * vertex_m[-1] / _CELL_M)
+    at_m = np.linspace(0.0, vertex_m[-1], n)
+    x, y = line_m.T
+    return np.column_stack([np.interp(at_m, vertex_m, x), np.interp(at_m, vertex_m, y)])
 
 
 def _cells(xy_m: Float[ndarray, "n 2"]) -> Int[ndarray, "n 2"]:

@@ -11,12 +11,12 @@ def lane(ends_m, limit_mps, for_cars=True):
 
 
 def test_limits_are_known_near_lanes_only():
-    """A motorway along y = 0 and a street that crosses it at x = 50; a path for pedestrians far away."""
+    """A motorway along y = 0, a street that crosses it at x = 50, a path for pedestrians, a lane without a length."""
     lanes = (lane([(-100, 0), (100, 0)], 30.0), lane([(50, -80), (50, 80)], 14.0),
-             lane([(-100, 60), (100, 60)], 3.0, for_cars=False))  # fmt: skip
+             lane([(-100, 60), (100, 60)], 3.0, for_cars=False), lane([(0, 200), (0, 200)], 5.0))  # fmt: skip
     limits = SpeedLimits.of(lanes, (1000.0, -500.0))
-    places = np.array([[-60, 3], [-60, -4.9], [50, 2], [54.9, 40], [-60, 60], [-60, 15], [1e6, -1e6]], float)
-    expected = [30, 30, 30, 14, np.nan, np.nan, np.nan]
+    places = np.array([[-60, 3], [-60, -4.9], [50, 2], [54.9, 40], [-60, 60], [-60, 15], [1e6, -1e6], [3, 202]], float)
+    expected = [30, 30, 30, 14, np.nan, np.nan, np.nan, 5]
     np.testing.assert_array_equal(limits.at(places - (1000.0, -500.0)), expected)
     assert np.isnan(NO_LIMITS.at(places)).all()
 
