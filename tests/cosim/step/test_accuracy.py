@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.config.config import load
-from cosim.messages.content import SELF, Detections
+from cosim.messages.content import SELF, SENSED, Detections
 from cosim.runs.simulation import Simulation
 from cosim.step.accuracy import aged
 from sensors.boxes import Boxes
@@ -113,6 +113,34 @@ def test_fused_objects_have_the_stated_variance(drive, label):
     assert all(0.8 < value < 1.25 for value in found), found
     for factor in (0.5, 2.0):
         assert not all(0.8 < value / factor < 1.25 for value in found)
+
+
+@pytest.fixture(scope="module")
+def beside_a_motorway():
+    """Of cars and trucks without a track in Königs Wusterhausen: own speed, squared error of the velocity along each
+    axis (a receiver takes 0), and the stated variance."""
+    city = [*SETTINGS, "traffic.scenario=koenigs-wusterhausen", "fleet.penetration_p=0.5", "traffic.duration_s=20"]
+    found = []
+    with Simulation(load(None, city)) as simulation:
+        for result in simulation:
+            sensed, world = result.result.sensed, result.world
+            if sensed is not None:
+                objects, truth = sensed.listed.objects, sensed.listed.truth
+                is_new = truth.is_real & (objects.origin == SENSED) & np.isnan(objects.velocity_mps).any(axis=1)
+                rows = np.flatnonzero(is_new & np.isin(objects.label, (0, 3)))
+                own_mps, mps = world.speed_mps[objects.observer[rows]], world.speed_mps[truth.actor_row[rows]]
+                found.append(np.stack([own_mps, mps**2 / 2, objects.velocity_variance[rows]]))
+    return np.concatenate(found, axis=1)
+
+
+@pytest.mark.parametrize("low_mps, high_mps", [(-1, 10), (10, 20), (20, 60)])
+def test_speeds_of_untracked_objects_have_the_stated_variance(beside_a_motorway, low_mps, high_mps):
+    """Slow observers beside a motorway expect fast cars, as fast observers do."""
+    own_mps, square, variance = beside_a_motorway
+    rows = (own_mps > low_mps) & (own_mps <= high_mps)
+    assert rows.sum() > 200
+    for factor, is_true in ((1.0, True), (0.5, False), (2.0, False)):
+        assert (0.8 < square[rows].mean() / (factor * variance[rows].mean()) < 1.25) == is_true
 
 
 def test_age_adds_the_variance_of_the_motion():
