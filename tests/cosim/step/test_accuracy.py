@@ -154,3 +154,16 @@ def test_age_adds_the_variance_of_the_motion():
     )  # fmt: skip
     found = aged(one, np.array([0.4]), TrackingParams())
     np.testing.assert_allclose(found.variance_m2, [[0.172, 0.02, 0.272]])
+
+
+def test_the_table_is_what_lists_state():
+    """A self report is as uncertain as the pose; what stands farther off is less certain by the heading of the pose."""
+    with Simulation(load(None, ("preset=modern", "traffic.duration_s=2", "traffic.warmup_s=60"))) as simulation:
+        *_, result = simulation
+        table = result.table("stated_accuracies").set_index(["observer", "detection_index"])
+        listed = result.table("detections").set_index(["observer", "detection_index"])
+    assert table.index.equals(listed.index) and len(table) > 20
+    own = table[listed.origin == "self"]
+    assert len(own) and own.x_std_m.to_numpy() == pytest.approx(0.2, abs=1e-3) and (own.relative_x_std_m == 0).all()
+    seen = table[listed.origin == "sensed"]
+    assert (seen[["x_std_m", "y_std_m"]] > 0.2).all(axis=None) and seen.xy_correlation.abs().max() <= 1
