@@ -14,7 +14,8 @@ def markdown() -> str:
     lines = [
         "# Tables, metrics and words of a run",
         "",
-        f"Schema version {SCHEMA_VERSION}. Written from `results/schema.toml`, `results/metrics/metrics.toml` and "
+        f"Schema version {SCHEMA_VERSION}. Written from `results/schema.toml`, `results/metrics/metrics.toml` (and "
+        "those of add-ons) and "
         "`results/glossary.py` by `python -m results.dictionary`.",
         "",
         "[Words](#words), [tables](#tables), [metrics](#metrics).",

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from cosim.base.addons import Choices
+from cosim.base.addons import Choices, loaded
 from cosim.base.durable import Damaged
 from results.metrics import (
     attack,
-    auc_bound,
     contact_graph,
     detection,
     encounters,
@@ -24,10 +23,7 @@ from results.metrics import (
     misbehaviour,
     radio,
     registry,
-    repeats,
-    safety,
     security,
-    traffic,
     trust,
 )
 from results.metrics.intervals import FEW, ClusteredEstimate, columns
@@ -52,28 +48,9 @@ TOPICS: Mapping[str, ModuleType] = Choices(
         "detection": detection,
         "attack": attack,
         "contacts": contact_graph,
-        "safety": safety,
     },
 )
 """Modules of metrics by topic, as `run.measure.<topic>`."""
-_SOURCES = (
-    attack,
-    auc_bound,
-    detection,
-    encounters,
-    evaluations,
-    evidence,
-    freshness,
-    misbehaviour,
-    radio,
-    repeats,
-    safety,
-    security,
-    traffic,
-    trust,
-)
-_MODULES = {module.__name__.rpartition(".")[2]: module for module in _SOURCES}
-"""Modules that answer metrics, by the names that `metrics.toml` has."""
 
 
 class MeasuredRow(NamedTuple):
@@ -165,8 +142,7 @@ def _measured(run: Run, topic: str, options: Mapping[str, Any]) -> Iterator[Meas
 
 def _answer(run: Run, metric: Metric, options: Mapping[str, Any]) -> Sequence[Mapping[Any, Any]]:
     """The rows among which those of a metric are."""
-    module, _, name = metric.source.partition(".")
-    ask = getattr(_MODULES[module], name)
+    ask = loaded(metric.source)
     wanted = signature(ask).parameters
     found = ask(run, **{key: value for key, value in options.items() if key in wanted} | dict(metric.options))
     if isinstance(found, pd.DataFrame):

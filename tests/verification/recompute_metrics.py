@@ -3,8 +3,8 @@
 It shares no code with `results`: files are read with pandas, and every metric is written as its definition says.
 `python -m tests.verification.recompute_metrics RUN...` compares each with `cosim measure`. Not recomputed here: average
 precision (held against KITTI's devkit in `tests/results/test_kitti.py`), conflicts, overlaps and braking waves (held
-against SUMO's SSM device in `tests/results/test_safety.py`), and the conditions of the radio, which are keys of the
-config.
+against SUMO's SSM device in `tests/addons/driver/test_safety.py`), and the conditions of the radio, which are keys of
+the config.
 """
 
 import json

@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from cosim.addons.driver import safety
+from cosim.addons.driver.conflicts import tracks
 from results.figures import style
-from results.metrics import safety
-from results.metrics.conflicts import tracks
 from results.run import Run
 
 _INKS = {"ghost": style.ROLE_INKS["malicious"], "false positive": style.INKS[3], "real": style.INKS[0]}

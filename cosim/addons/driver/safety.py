@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from results.metrics.conflicts import begins, encroachments, following, overlaps, tracks
+from cosim.addons.driver.conflicts import begins, encroachments, following, overlaps, tracks
 from results.run import Run
 
 HARD_MPS2, EMERGENCY_MPS2, RESET_MPS2 = 3.0, 4.5, 1.0

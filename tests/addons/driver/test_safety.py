@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from cosim.addons.driver import conflicts, safety
 from results.archive import open_run
-from results.metrics import conflicts, safety
 from sumo_nets import sumotools
 from tests.drive import simulate
 
