@@ -414,26 +414,8 @@ def plot(
     from results.figures.catalogue import FIGURES
 
     chosen: list[Run] = []
-    if what not in (*FIGURES, "sweep", "scene", "movie"):
-        raise ValueError(f"cosim plot {what} needs an add-on, and this installation lacks it. Install all of cosim.")
-    if what == "sweep":
-        from cosim.runs.replay_lidar import write
-
-        if len(runs) != 1 or step is None or not vehicles or len(vehicles) != 1:
-            raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
-        path = write(_opened(runs[0]), vehicles[0], step, out)
-    elif what == "scene":
-        from cosim.runs.replay_lidar import portrait
-
-        if len(runs) != 1 or step is None:
-            raise ValueError("cosim plot scene shows one moment: cosim plot scene RUN --step S [--vehicle V]")
-        path = portrait(_opened(runs[0]), vehicles or [], step, out)
-    elif what == "movie":
-        from cosim.runs.replay_lidar import film
-
-        if len(runs) != 1 or len(vehicles or ()) > 1:
-            raise ValueError("cosim plot movie films one run: cosim plot movie RUN [--vehicle V]")
-        path = film(_opened(runs[0]), vehicles[0] if vehicles else None, out)
+    if what not in FIGURES:
+        path = hook(f"plot {what}", f"cosim plot {what}")([*map(_opened, runs)], vehicles or [], step, out)
     else:
         if step is not None:
             raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
