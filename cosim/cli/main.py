@@ -19,7 +19,7 @@ import typer
 from cosim import __version__
 from cosim.base.addons import addons, hook, loaded
 from cosim.base.durable import Damaged
-from cosim.cli import check, cite, explain, init, studies
+from cosim.cli import check, init, studies
 from cosim.cli.check import costs
 from cosim.cli.console import (
     AsJson,
@@ -88,7 +88,7 @@ def _add_commands_of_addons() -> None:
 
 
 _add_commands_of_addons()
-for commands in (check, explain, cite, init):
+for commands in (check, init):
     commands.add_to(app)
 
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]

@@ -6,15 +6,16 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
+from cosim.addons.explain import dictionary
 from cosim.base import codes
-from results import dictionary, tables
+from results import tables
 from results.columns import LEVELS
 from results.metrics.registry import METRICS, TOPICS
 
 
 def test_docs_are_the_code():
     text = (Path(tables.__file__).parent / "TABLES.md").read_text()
-    assert text == dictionary.markdown(), "run python -m results.dictionary"
+    assert text == dictionary.markdown(), "run python -m cosim.addons.explain.dictionary"
 
 
 @pytest.mark.parametrize("name", tables.TABLES)

@@ -3,8 +3,9 @@
 import math
 from pathlib import Path
 
+from cosim.addons.explain.glossary import GLOSSARY
+from results import tables
 from results.columns import LEVELS, Column
-from results.glossary import GLOSSARY
 from results.metrics.registry import METRICS, TOPICS, Metric
 from results.tables import SCHEMA_VERSION, TABLES, kept
 
@@ -16,7 +17,7 @@ def markdown() -> str:
         "",
         f"Schema version {SCHEMA_VERSION}. Written from `results/schema.toml`, `results/metrics/metrics.toml` (and "
         "those of add-ons) and "
-        "`results/glossary.py` by `python -m results.dictionary`.",
+        "`cosim/addons/explain/glossary.toml` by `python -m cosim.addons.explain.dictionary`.",
         "",
         "[Words](#words), [tables](#tables), [metrics](#metrics).",
         "",
@@ -125,4 +126,4 @@ def _row(name: str, column: Column) -> str:
 
 
 if __name__ == "__main__":
-    Path(__file__).with_name("TABLES.md").write_text(markdown(), encoding="utf-8")
+    Path(tables.__file__).with_name("TABLES.md").write_text(markdown(), encoding="utf-8")

@@ -1,21 +1,16 @@
-"""The command `explain`: one look-up over keys, metrics, tables, columns, choices, commands and words."""
+"""One look-up over keys, metrics, tables, columns, choices, commands and words."""
 
 import difflib
 import inspect
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
-from textwrap import fill
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Any
 
 import typer
-from rich.text import Text
 
-from cosim.cli.console import AsJson, print_json, screen
 from cosim.cli.help import first_sentence, write_options
 
-MOST_SHOWN = 8
-"""Number of meanings that are printed in full; of more, the names are printed."""
 MOST_NEAR = 8
 """Number of close names that an error lists."""
 
@@ -32,28 +27,7 @@ class Explanation:
     """A command or a page that tells more."""
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the command `explain`."""
-
-    def explain(
-        words: Annotated[list[str], typer.Argument(help="A key, metric, column, model, attack, command or term.")],
-        as_json: AsJson = False,
-    ) -> None:
-        """Say what a key, metric, column, model, command or term means."""
-        program = typer.main.get_command(app)
-        found = look_up(" ".join(words), lambda: _commands(program))
-        if as_json:
-            print_json([asdict(entry) for entry in found])
-            return
-        if len(found) > MOST_SHOWN:
-            screen.print(f"{len(found)} names contain {' '.join(words)!r}:", soft_wrap=True)
-        for entry in found:
-            _print(entry, in_full=len(found) <= MOST_SHOWN)
-
-    app.command()(explain)
-
-
-def look_up(asked: str, commands: Callable[[], Iterator[Explanation]] = lambda: iter(())) -> list[Explanation]:
+def look_up(asked: str, of_program: Callable[[], Iterator[Explanation]] = lambda: iter(())) -> list[Explanation]:
     """Everything of this name; else what ends in it or contains it.
 
     Raises
@@ -62,7 +36,7 @@ def look_up(asked: str, commands: Callable[[], Iterator[Explanation]] = lambda: 
         In one line, with the closest names, if nothing has such a name.
     """
     wanted = _plain(asked.removeprefix("--set ").partition("=")[0].removeprefix("cosim "))
-    entries = [*commands(), *_entries()]
+    entries = [*of_program(), *_entries()]
     for is_it in (_is_named, _ends_in, _contains):
         if found := [entry for entry in entries if wanted and is_it(_plain(entry.name), wanted)]:
             return found
@@ -101,14 +75,14 @@ def _entries() -> Iterator[Explanation]:
 
 
 def _terms() -> Iterator[Explanation]:
-    from results.glossary import GLOSSARY
+    from cosim.addons.explain.glossary import GLOSSARY
 
     for name, meaning in GLOSSARY.items():
         yield Explanation(name, "term", meaning)
 
 
 def _keys() -> Iterator[Explanation]:
-    from cosim.config.key_docs import sections
+    from cosim.addons.explain.key_docs import sections
 
     for section in sections():
         of = f", {section.title}" if " = " in section.title else ""
@@ -149,7 +123,7 @@ def _paragraphs(made: Any, is_trust: bool) -> str:
 
 def _authors(number: int) -> str:
     """Authors and year of a reference of the trust models, by its number in trust/README.md."""
-    from results.cite import references
+    from cosim.addons.explain.cite import references
 
     found = next(one for one in references().values() if one.get("trust") == number)
     authors = str(found.get("author", found["title"])).split(" and ")
@@ -160,7 +134,7 @@ def _authors(number: int) -> str:
 
 def _sources(kind: str, name: str) -> str:
     """The references of a choice that ships."""
-    from results import cite
+    from cosim.addons.explain import cite
 
     known = cite.USED_BY
     keys = known.get(kind, {}).get(name, ())
@@ -202,7 +176,7 @@ def _files() -> Iterator[Explanation]:
         )
 
 
-def _commands(program: Any) -> Iterator[Explanation]:
+def commands(program: Any) -> Iterator[Explanation]:
     """All commands, with all their options."""
 
     def walk(command: Any, context: Any, words: str) -> Iterator[Explanation]:
@@ -226,17 +200,3 @@ def _help(command: Any, context: Any) -> str:
         formatter.write_dl([(name, first_sentence(inner)) for name, inner in command.commands.items()])
     write_options(command.get_params(context), context, formatter, whole=True)
     return formatter.getvalue().rstrip()
-
-
-def _print(entry: Explanation, in_full: bool) -> None:
-    screen.print(Text.assemble((entry.name, "bold"), f"  {entry.kind}"), soft_wrap=True)
-    if not in_full:
-        return
-    width = min(screen.width, 100)
-    if entry.kind == "command":
-        screen.print(entry.meaning, soft_wrap=True)
-    else:
-        indent = "  "
-        screen.print(fill(entry.meaning, width, initial_indent=indent, subsequent_indent=indent), soft_wrap=True)
-    if entry.where:
-        screen.print(f"  {entry.where}", soft_wrap=True)

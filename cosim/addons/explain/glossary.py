@@ -1,4 +1,4 @@
-"""Technical terms as this project uses them, of `glossary.toml`; `results.dictionary` writes them into `TABLES.md`."""
+"""Technical terms as this project uses them, of `glossary.toml`; `dictionary.py` writes them into `TABLES.md`."""
 
 import tomllib
 from collections.abc import Mapping
