@@ -14,7 +14,6 @@ from cosim.base.addons import Choices, loaded
 from cosim.base.durable import Damaged
 from results.metrics import (
     attack,
-    contact_graph,
     detection,
     encounters,
     evaluations,
@@ -47,7 +46,6 @@ TOPICS: Mapping[str, ModuleType] = Choices(
         "radio": radio,
         "detection": detection,
         "attack": attack,
-        "contacts": contact_graph,
     },
 )
 """Modules of metrics by topic, as `run.measure.<topic>`."""

@@ -15,7 +15,7 @@ FOREIGN = {
     "sensors": {"annotated_types", "jaxtyping", "numpy", "scipy", "numba", "llvmlite", "shapely", "embreex", "open3d"},
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba", "scipy"},
     "results": {
-        "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "duckdb", "networkx",
+        "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "duckdb",
         "matplotlib",
     },
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "scipy", "shapely", "sumo", "sumolib"},

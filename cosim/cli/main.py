@@ -101,14 +101,10 @@ Picture = Literal[
     "radio",
     "detection",
     "map",
-    "contacts",
     "safety",
     "security",
     "attacks",
-    "delays",
-    "delivery",
     "ages",
-    "exclusion",
     "stale",
     "scene",
     "sweep",
@@ -385,13 +381,11 @@ def plot(
     ] = None,
     radius_m: Annotated[
         float | None,
-        typer.Option(help="map, contacts, durations: radius of the encounters, in metres.", rich_help_panel=MORE),
+        typer.Option(help="map, durations: radius of the encounters, in metres.", rich_help_panel=MORE),
     ] = None,
     pairs: Annotated[
         str | None,
-        typer.Option(
-            help="map, contacts, durations: pairs of the encounters, as encounters.pairs.", rich_help_panel=MORE
-        ),
+        typer.Option(help="map, durations: pairs of the encounters, as encounters.pairs.", rich_help_panel=MORE),
     ] = None,
     look: Annotated[
         Literal["paper"],

@@ -9,7 +9,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from results.figures import style
-from results.metrics import contact_graph
+from results.metrics import encounters
 from results.run import Run
 
 _MOST = 200_000
@@ -37,7 +37,7 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
     norm = LogNorm(lowest, top)
 
     def _definition(run: Run) -> str:
-        chosen = contact_graph.definition(run, radius_m, pairs)
+        chosen = encounters.definition(run, radius_m, pairs)
         return f"{chosen['pairs']} pairs within {chosen['radius_m']:g} m"
 
     each = zip(panels, runs, style.names(runs), streets, rates, counts, strict=True)
@@ -62,7 +62,7 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
 
 def _begun(run: Run, radius_m: float | None, pairs: str | None) -> np.ndarray:
     """Where encounters begin [n 2]."""
-    frame = contact_graph.contacts(run, radius_m, pairs)
+    frame = encounters.contacts(run, radius_m, pairs)
     frame = frame.iloc[:: -(-len(frame) // _MOST)]
     frame = frame.assign(step=np.round(frame.start_s / run.dt_s).astype(np.int32))
     poses = run.table(

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from cosim.base.codes import BASE_VARIANT
-from results.metrics import exclusion, intervals, misbehaviour
+from results.metrics import intervals, misbehaviour
 from results.metrics.misbehaviour import scored_vehicles, summary_of
 from results.metrics.trust import HONEST, suspect_below, watched
 from results.run import Run
@@ -125,15 +125,21 @@ def rates(tp: float, fp: float, fn: float, tn: float) -> dict[str, float]:
 
 
 def average_precision(run: Run) -> float:
-    """Area under the curve of precision over recall (`exclusion.curve`), as a sum of precision over steps of recall.
+    """Area under the curve of precision over recall, as a sum of precision over steps of recall.
 
-    0 if no value rests on an evaluation: nobody is excluded.
+    Every evaluated value of a watched subject is a threshold: a subject is excluded while its value rests on an
+    evaluation and is at or below it. 0 if no value rests on an evaluation; NaN without attackers.
     """
     found = misbehaviour.scored(run)
-    if not (found.rated & ~np.isnan(found.trust)).any():
+    attacks = found.role != run.role_labels.index(HONEST)
+    rated = found.rated & ~np.isnan(found.trust)
+    if not rated.any():
         return 0.0
-    curve = exclusion.curve(run)
-    return float((curve.precision[1:] * np.diff(curve.recall)).sum())
+    if not attacks.any():
+        return math.nan
+    threshold = np.unique(found.trust[rated])
+    n_attackers, n = (np.searchsorted(np.sort(found.trust[of]), threshold, "right") for of in (rated & attacks, rated))
+    return float((n_attackers / n * np.diff(n_attackers, prepend=0)).sum() / attacks.sum())
 
 
 def false_exclusions(

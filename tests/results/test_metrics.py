@@ -1,12 +1,10 @@
 """Figures of merit, derived by hand on runs of a few rows."""
 
-import networkx as nx
-import numpy as np
 import pandas as pd
 import pytest
 
 from results.measure import measure
-from results.metrics import attack, contact_graph, detection, encounters, freshness, misbehaviour, radio, trust
+from results.metrics import attack, detection, encounters, freshness, misbehaviour, radio, trust
 from results.metrics.registry import METRICS
 from tests.results.tiny import fleet
 
@@ -203,55 +201,6 @@ def test_awareness_on_a_scene(scene):
     assert detection.awareness(scene, range_m=30, min_score=0.7).share.tolist() == [0, 0]
 
 
-def test_contacts_by_hand(tiny):
-    """0-1 meet in [0, 2), 1-2 in [1, 3), 2-3 in [0, 1): a message of 0 reaches 1 at 0 s, 2 at 1 s, 3 never."""
-    run = tiny(4, encounters=[encounter(0, 1, 0, 2), encounter(1, 2, 1, 3), encounter(2, 3, 0, 1)])
-    assert contact_graph.arrivals(run, 0).set_index("actor").time_s.to_dict() == {0: 0, 1: 0, 2: 1}
-    frame = contact_graph.over_time(run, 1)
-    assert frame.n_contacts.tolist() == [2, 2, 1, 0]
-    assert frame.n_components.tolist() == [2, 1, 1, 0]
-    assert frame.degree_mean.tolist() == pytest.approx([1, 4 / 3, 1, 0])
-    graph = contact_graph.graph(run, 0.5, 2)
-    assert isinstance(graph, nx.Graph)
-    assert nx.get_edge_attributes(graph, "contact_s") == {(0, 1): 1.5, (1, 2): 1.0, (2, 3): 0.5}
-    with pytest.raises(ValueError, match="no encounters with radius_m = 7"):
-        contact_graph.graph(run, 0, 1, radius_m=7)
-
-
-def test_temporal_reachability_by_hand(tiny):
-    """The same meetings. At 0 s {0, 1} and {2, 3} know of each other; at 1 s {0, 1, 2} of all, 3 of 2 and 3.
-
-    So messages of 0 and 1 have reached three of four, of 2 and 3 four.
-    """
-    run = tiny(4, encounters=[encounter(0, 1, 0, 2), encounter(1, 2, 1, 3), encounter(2, 3, 0, 1)])
-    frame = contact_graph.temporal_reachability(run, 1)
-    assert frame.reached_mean.tolist() == [0.5, 14 / 16, 14 / 16, 14 / 16]
-    assert frame.reached_min.tolist() == [0.5, 0.75, 0.75, 0.75]
-    assert frame.n_met.tolist() == [4, 4, 4, 4]
-
-
-def test_temporal_reachability_is_arrivals_for_many(run):
-    """Looked at in every step, it is the mean of what `arrivals` says of each source."""
-    frame = contact_graph.temporal_reachability(run, 1.0, 50.0)
-    met = contact_graph.contacts(run, 50.0)
-    sources = np.unique(met[met.start_s == 0][["a", "b"]])
-    reached = [len(contact_graph.arrivals(run, source, 0.0, 50.0)) for source in sources]
-    assert 0 < len(sources) <= 64
-    assert frame.reached_mean.iloc[-1] == pytest.approx(np.mean(reached) / frame.n_met.iloc[-1])
-    assert frame.reached_min.iloc[-1] == pytest.approx(min(reached) / frame.n_met.iloc[-1])
-
-
-def test_message_reachability_by_hand(tiny):
-    """0 tells 1 in step 0, too late for what 1 says in that step; 1 tells 2 in step 1; 2 tells 3 in step 2."""
-    received = [(0, 0, 1, 0.1), (0, 1, 2, 0.2), (1, 1, 2, 0.2), (2, 2, 3, 0.1), (3, 0, 3, 0.1), (3, 4, 5, 0.1)]
-    rows = [{"step": s, "sender": a, "receiver": b, "latency_s": t, "hops": 1} for s, a, b, t in received]
-    run = tiny(5, vehicles=fleet(*["honest"] * 6), receptions=rows)
-    frame = contact_graph.message_reachability(run, 0).set_index("vehicle")
-    assert frame.time_s.to_dict() == pytest.approx({0: 0, 1: 0.1, 2: 1.2, 3: 2.1}, abs=1e-5)
-    assert frame.n_messages.to_dict() == {0: 0, 1: 1, 2: 2, 3: 3}
-    assert sorted(contact_graph.message_reachability(run, 0, 3.0).vehicle) == [0, 3]
-
-
 def test_measure_is_tidy(run):
     numbers = measure(run)
     assert list(numbers.columns) == ["metric", "group", "value", "low", "high", "n_units", "unit", "label", "note"]
@@ -266,8 +215,7 @@ def test_measure_is_tidy(run):
 
 @pytest.mark.parametrize(
     "ask", [encounters.survival, freshness.states, freshness.over_time, radio.overall, radio.by_distance,
-            misbehaviour.roc, trust.over_time, detection.precision, detection.awareness, attack.success,
-            contact_graph.contacts]
+            misbehaviour.roc, trust.over_time, detection.precision, detection.awareness, attack.success]
 )  # fmt: skip
 def test_nothing_to_measure_is_one_clear_line(tiny, ask):
     with pytest.raises(ValueError) as caught:

@@ -95,7 +95,7 @@ sys.argv = ["cosim", "check"]
 try:
     main()
 except SystemExit:
-    print(*sorted({"pandas", "matplotlib", "libsumo", "networkx", "distributed"} & set(sys.modules)), "loaded")
+    print(*sorted({"pandas", "matplotlib", "libsumo", "distributed"} & set(sys.modules)), "loaded")
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "loaded"
