@@ -16,13 +16,10 @@ from results.metrics import (
     attack,
     detection,
     encounters,
-    evaluations,
-    evidence,
     freshness,
     misbehaviour,
     radio,
     registry,
-    security,
     trust,
 )
 from results.metrics.intervals import FEW, ClusteredEstimate, columns
@@ -39,9 +36,6 @@ TOPICS: Mapping[str, ModuleType] = Choices(
         "encounters": encounters,
         "trust": trust,
         "misbehaviour": misbehaviour,
-        "security": security,
-        "evidence": evidence,
-        "evaluations": evaluations,
         "freshness": freshness,
         "radio": radio,
         "detection": detection,

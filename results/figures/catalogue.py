@@ -7,14 +7,12 @@ from matplotlib.figure import Figure
 from cosim.base.addons import Choices
 from results.figures import (
     ages,
-    attacks,
     detection,
     encounters,
     freshness,
     map,
     misbehaviour,
     radio,
-    security,
     stale,
     trust,
 )
@@ -24,8 +22,6 @@ FIGURES: Mapping[str, Callable[..., Figure]] = Choices(
     {
         "trust": trust.draw,
         "misbehaviour": misbehaviour.draw,
-        "security": security.draw,
-        "attacks": attacks.draw,
         "encounters": encounters.draw,
         "freshness": freshness.draw,
         "radio": radio.draw,

@@ -111,3 +111,15 @@ def within(
     )
     pairs = a.sparse_distance_matrix(b, reach_m, output_type="ndarray")
     return pairs["i"], pairs["j"]
+
+
+def corners_of(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 8 3"]:
+    """The eight corners of each box, as data sets of OpenCOOD list them: four below, then four above."""
+    along = 0.5 * np.array([[1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, -1],
+                            [1, -1, 1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1]])  # fmt: skip
+    local = along * box[:, None, 3:6]
+    cos, sin = np.cos(box[:, 6])[:, None], np.sin(box[:, 6])[:, None]
+    turned = np.stack(
+        [cos * local[..., 0] - sin * local[..., 1], sin * local[..., 0] + cos * local[..., 1], local[..., 2]], axis=-1
+    )
+    return turned + box[:, None, :3]

@@ -22,5 +22,6 @@ ADDON = Addon(
             "delay": "cosim.addons.attacks.radio:Delay",
             "server_flooding": "cosim.addons.attacks.radio:ServerFlooding",
         },
+        "figure": {"attacks": "cosim.addons.attacks.figure:draw"},
     },
 )

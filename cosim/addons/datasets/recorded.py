@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from results.frames import corners_of
+from results.metrics.overlap import corners_of
 
 LARGEST_BYTES = 16_000_000
 """Largest file that is read. The largest annotation files of the data sets are a few hundred kilobytes."""

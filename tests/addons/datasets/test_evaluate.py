@@ -11,8 +11,8 @@ from cosim.addons.datasets import kitti_folder, opv2v
 from cosim.addons.datasets.evaluate import evaluate, layout_of
 from cosim.addons.export.export import export
 from results.archive import open_run
-from results.frames import corners_of
 from results.metrics.kitti import average_precision
+from results.metrics.overlap import corners_of
 from tests.addons.datasets.test_readers import dair_folder, opv2v_file, vehicle
 from tests.drive import cosim, drive
 

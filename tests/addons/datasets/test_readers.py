@@ -9,7 +9,7 @@ import pytest
 from cosim.addons.datasets import dair, kitti_folder, opv2v
 from cosim.addons.datasets.clouds import points_in, points_of
 from cosim.addons.datasets.recorded import box_of_corners, moved, read_json, read_text
-from results.frames import corners_of
+from results.metrics.overlap import corners_of
 
 CAR = [12.0, -3.0, 0.8, 4.4, 1.8, 1.6, 0.4]
 POSE = [100.0, 50.0, 1.9, 0.0, 30.0, 0.0]  # x, y, z, roll, yaw, pitch

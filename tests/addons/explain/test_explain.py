@@ -6,11 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from cosim.addons.explain import cite, lookup
+from cosim.addons.explain import cite, dictionary, lookup
 from cosim.addons.explain.glossary import GLOSSARY
 from cosim.addons.explain.key_docs import keys
 from cosim.addons.explain.lookup import look_up
 from cosim.door.kinds import KINDS
+from results import tables
 from results.metrics.registry import METRICS
 from results.tables import TABLES
 from tests.drive import cosim, drive
@@ -135,3 +136,8 @@ def test_references_are_named_in_the_project():
     for key, one in cite.references().items():
         title = re.split(r"[,:]", one["title"])[0].lower()
         assert key == "lopez2018" or any(title in text for text in texts), key
+
+
+def test_tables_md_is_the_code():
+    text = (Path(tables.__file__).parent / "TABLES.md").read_text()
+    assert text == dictionary.markdown(), "run python -m cosim.addons.explain.dictionary"

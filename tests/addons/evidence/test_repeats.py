@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from results.metrics.repeats import Said, agreement, of_evaluations
+from cosim.addons.evidence.repeats import Said, agreement, of_evaluations
 
 
 def said(rows):

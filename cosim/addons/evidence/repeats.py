@@ -18,7 +18,7 @@ import pandas as pd
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
-from results.metrics.evaluations import of_blocks
+from cosim.addons.evidence.evaluations import of_blocks
 from results.run import Run
 
 WINDOW_S = 10.0

@@ -2,9 +2,7 @@
 
 A subject (a pseudonym) is watched as in `misbehaviour`. It is positive if its vehicle attacks; a message is positive if
 anything in it is a lie. A subject is excluded while it is suspected: its trust is below a threshold and rests
-on at least `trust.suspect_from` evaluations. The threshold is
-absolute, or relative to the population: a share of the median of all rated values of that moment. In sparse traffic all
-values are low, and an absolute threshold says little. The relative threshold uses no ground truth.
+on at least `trust.suspect_from` evaluations.
 """
 
 import math
@@ -19,24 +17,20 @@ from results.metrics.trust import HONEST, suspect_below, watched
 from results.run import Run
 
 
-def excluded(run: Run, threshold: float | None = None, relative: float | None = None) -> pd.DataFrame:
+def excluded(run: Run, threshold: float | None = None) -> pd.DataFrame:
     """Rows of `misbehaviour.scored_vehicles`, with `attacker` (its vehicle attacks) and `excluded` (at that moment).
 
     Parameters
     ----------
     threshold
-        Absolute threshold on trust; by default `trust.suspect_below` of the run.
-    relative
-        If given, the threshold is this share of the median of the rated values of a moment, in place of `threshold`.
+        Threshold on trust; by default `trust.suspect_below` of the run.
     """
     frame = scored_vehicles(run).astype({"trust": np.float64})
-    limit: pd.Series | float = suspect_below(run, threshold)
-    if relative is not None:
-        limit = frame.step.map(relative * frame.trust.where(frame.rated).groupby(frame.step).median())
-    return frame.assign(attacker=frame.role != HONEST, excluded=frame.enough & (frame.trust < limit))
+    low = frame.trust < suspect_below(run, threshold)
+    return frame.assign(attacker=frame.role != HONEST, excluded=frame.enough & low)
 
 
-def confusion(run: Run, threshold: float | None = None, relative: float | None = None) -> pd.DataFrame:
+def confusion(run: Run, threshold: float | None = None) -> pd.DataFrame:
     """Confusion matrix by value, by vehicle and by message.
 
     Returns
@@ -45,7 +39,7 @@ def confusion(run: Run, threshold: float | None = None, relative: float | None =
     if the run holds detections (positive if it holds a lie, whoever sent it); tp, fp, fn, tn; and what `rates` returns.
     precision, recall and fpr have intervals clustered by subject. A subject without enough evaluations is not excluded.
     """
-    frame = excluded(run, threshold, relative)
+    frame = excluded(run, threshold)
     rows = []
     units = [("value", frame), ("vehicle", frame.drop_duplicates("subject", keep="last"))]
     if "detections" in run.tables:
@@ -142,11 +136,9 @@ def average_precision(run: Run) -> float:
     return float((n_attackers / n * np.diff(n_attackers, prepend=0)).sum() / attacks.sum())
 
 
-def false_exclusions(
-    run: Run, threshold: float | None = None, relative: float | None = None
-) -> intervals.ClusteredEstimate:
+def false_exclusions(run: Run, threshold: float | None = None) -> intervals.ClusteredEstimate:
     """Times that an honest vehicle becomes excluded, per hour that honest vehicles are watched for."""
-    frame = excluded(run, threshold, relative)
+    frame = excluded(run, threshold)
     honest = frame[~frame.attacker].sort_values(["subject", "step"])
     before = honest.excluded.groupby(honest.subject).shift(fill_value=False)
     times = (honest.excluded & ~before).groupby(honest.subject).sum()

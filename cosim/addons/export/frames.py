@@ -27,23 +27,6 @@ def wrapped(angle_rad: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
     return np.pi - np.mod(np.pi - np.asarray(angle_rad, float), 2 * np.pi)
 
 
-def sensor_pose(box: Float[ndarray, "7"], above_roof_m: float) -> Float[ndarray, "4"]:
-    """Pose of a vehicle's LiDAR, which stands over the middle of the roof.
-
-    Parameters
-    ----------
-    box
-        The vehicle's box, world frame.
-    above_roof_m
-        Height of the LiDAR over the roof.
-
-    Returns
-    -------
-    x, y, z [m] and yaw [rad], world frame.
-    """
-    return np.array([box[0], box[1], box[2] + 0.5 * box[5] + above_roof_m, box[6]])
-
-
 def in_sensor(box: Float[ndarray, "n 7"], pose: Float[ndarray, "4"]) -> Float[ndarray, "n 7"]:
     """Boxes in the frame of a level sensor.
 
@@ -140,15 +123,3 @@ def compass_deg(yaw_rad: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
     """
     degrees = np.mod(90.0 - np.degrees(np.asarray(yaw_rad, float)), 360.0)
     return np.where(degrees >= 360.0, 0.0, degrees)
-
-
-def corners_of(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 8 3"]:
-    """The corners that `box_of_corners` takes."""
-    along = 0.5 * np.array([[1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, -1],
-                            [1, -1, 1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1]])  # fmt: skip
-    local = along * box[:, None, 3:6]
-    cos, sin = np.cos(box[:, 6])[:, None], np.sin(box[:, 6])[:, None]
-    turned = np.stack(
-        [cos * local[..., 0] - sin * local[..., 1], sin * local[..., 0] + cos * local[..., 1], local[..., 2]], axis=-1
-    )
-    return turned + box[:, None, :3]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from results.metrics.auc_bound import area
+from cosim.addons.evidence.auc_bound import area
 
 N = 500
 
