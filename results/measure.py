@@ -14,7 +14,6 @@ from cosim.base.addons import Choices, loaded
 from cosim.base.durable import Damaged
 from results.metrics import (
     attack,
-    detection,
     encounters,
     freshness,
     misbehaviour,
@@ -38,7 +37,6 @@ TOPICS: Mapping[str, ModuleType] = Choices(
         "misbehaviour": misbehaviour,
         "freshness": freshness,
         "radio": radio,
-        "detection": detection,
         "attack": attack,
     },
 )
@@ -81,7 +79,7 @@ def measure(
     false_positives
         False positive rate at which recall is computed, see `results.metrics.misbehaviour`.
     max_frames
-        Size of the sample for detection quality, see `results.metrics.detection.precision`.
+        Size of the sample for detection quality, see `cosim.addons.perception.detection.precision`.
     topics
         Topics to measure.
 

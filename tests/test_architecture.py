@@ -45,7 +45,7 @@ ONE_FILE = {
     "duckdb": {"results/sql.py"},
     "psutil": {"cosim/studies/engine.py"},
     "latex2mathml": {"cosim/docs/equations.py"},
-    "yaml": {"cosim/addons/datasets/opv2v.py"},
+    "yaml": {"cosim/addons/perception/opv2v.py"},
 }
 """Libraries that one file alone may know."""
 

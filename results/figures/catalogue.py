@@ -7,7 +7,6 @@ from matplotlib.figure import Figure
 from cosim.base.addons import Choices
 from results.figures import (
     ages,
-    detection,
     encounters,
     freshness,
     map,
@@ -25,7 +24,6 @@ FIGURES: Mapping[str, Callable[..., Figure]] = Choices(
         "encounters": encounters.draw,
         "freshness": freshness.draw,
         "radio": radio.draw,
-        "detection": detection.draw,
         "map": map.draw,
         "ages": ages.draw,
         "stale": stale.draw,

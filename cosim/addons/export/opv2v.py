@@ -27,8 +27,7 @@ from scipy.spatial import cKDTree
 
 from cosim.addons.export import kitti
 from cosim.addons.export.frames import in_sensor
-from results.metrics.overlap import corners_of
-from results.moments import BOX, NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit
+from results.moments import BOX, NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit, corners_of
 
 TABLES = kitti.TABLES
 
