@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 GROUPS = {
     "Start": ("run", "measure", "plot", "report", "explain"),
-    "Own experiment": ("init", "check", "sweep", "status", "resume", "retrust", "predict"),
+    "Own experiment": ("init", "check", "sweep", "status", "resume", "predict"),
     "Own city": ("nets", "trace", "contacts", "place"),
     "Own classes": ("new", "try", "benchmark"),
     "Compare and share": ("compare", "evaluate", "export", "view", "cite"),
@@ -61,6 +61,7 @@ RENAMED = {
     "validate": "compare",
     "judge": "compare encounters --run RUN",
     "reproduce": "compare paper",
+    "retrust": "run CONFIG, with sections [[trust_variant]] in the config",
 }
 """What to type now, by the name of a command that is gone."""
 
