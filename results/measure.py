@@ -13,7 +13,6 @@ import pandas as pd
 from cosim.base.addons import Choices, loaded
 from cosim.base.durable import Damaged
 from results.metrics import (
-    attack,
     encounters,
     freshness,
     misbehaviour,
@@ -37,7 +36,6 @@ TOPICS: Mapping[str, ModuleType] = Choices(
         "misbehaviour": misbehaviour,
         "freshness": freshness,
         "radio": radio,
-        "attack": attack,
     },
 )
 """Modules of metrics by topic, as `run.measure.<topic>`."""

@@ -359,10 +359,7 @@ def plot(
         ),
     ] = None,
     step: Annotated[int | None, typer.Option(help="sweep, scene: the step to draw.")] = None,
-    over: Annotated[
-        str | None,
-        typer.Option(help="Key on the x axis, e.g. trust.freshness_s, for a study, or for the figure freshness."),
-    ] = None,
+    over: Annotated[str | None, typer.Option(help="study: key on the x axis, e.g. trust.freshness_s.")] = None,
     by: Annotated[str | None, typer.Option(help="study: one colour for each value of this swept key.")] = None,
     metrics: Annotated[
         list[str] | None, typer.Option("--metric", help="study: draw this metric, or METRIC:GROUP. Repeatable.")
@@ -371,15 +368,6 @@ def plot(
         list[str] | None, typer.Option(help="study: use only points with this value, KEY=VALUE. Repeatable.")
     ] = None,
     variant: Annotated[str, typer.Option(help="Trust variant to draw; `all` draws each like a run.")] = "base",
-    threshold: Annotated[
-        float | None,
-        typer.Option(
-            min=0,
-            max=1,
-            help="freshness with --over: a ghost with this score or more is believed.",
-            rich_help_panel=MORE,
-        ),
-    ] = None,
     radius_m: Annotated[
         float | None,
         typer.Option(help="map, durations: radius of the encounters, in metres.", rich_help_panel=MORE),
@@ -388,12 +376,6 @@ def plot(
         str | None,
         typer.Option(help="map, durations: pairs of the encounters, as encounters.pairs.", rich_help_panel=MORE),
     ] = None,
-    look: Annotated[
-        Literal["paper"],
-        typer.Option(
-            "--style", help="The one style: 8.8 cm wide, for a column of a two-column page.", rich_help_panel=MORE
-        ),
-    ] = "paper",
 ) -> None:
     """Draw a figure of runs, or of a study over a swept key."""
     from results.figures import style
@@ -401,8 +383,8 @@ def plot(
     if studies.is_study(runs):
         studies.plot(what, runs[0], out, over, by, metrics or [], where or [])
         return
-    if by or metrics or where:
-        raise ValueError("--by, --metric and --where go with a study, and this is a run. Leave them out.")
+    if over or by or metrics or where:
+        raise ValueError("--over, --by, --metric and --where go with a study, and this is a run. Leave them out.")
     from inspect import signature
 
     from cosim.cli.side_by_side import of_variants
@@ -414,7 +396,7 @@ def plot(
     else:
         if step is not None:
             raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
-        options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
+        options = {"vehicles": vehicles, "radius_m": radius_m, "pairs": pairs}
         given = {name: value for name, value in options.items() if value}
         for name in given:
             takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]

@@ -9,10 +9,8 @@ from results.figures import (
     ages,
     encounters,
     freshness,
-    map,
     misbehaviour,
     radio,
-    stale,
     trust,
 )
 
@@ -24,8 +22,6 @@ FIGURES: Mapping[str, Callable[..., Figure]] = Choices(
         "encounters": encounters.draw,
         "freshness": freshness.draw,
         "radio": radio.draw,
-        "map": map.draw,
         "ages": ages.draw,
-        "stale": stale.draw,
     },
 )

@@ -3,8 +3,9 @@
 import pandas as pd
 import pytest
 
+from cosim.addons.attacks import effects as attack
 from results.measure import measure
-from results.metrics import attack, encounters, freshness, misbehaviour, radio, trust
+from results.metrics import encounters, freshness, misbehaviour, radio, trust
 from results.metrics.registry import METRICS
 from tests.results.tiny import fleet
 

@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import mannwhitneyu
 
+from cosim.addons.attacks import effects as attack
 from results.measure import measure
-from results.metrics import attack, intervals, misbehaviour
+from results.metrics import intervals, misbehaviour
 from tests.results.tiny import fleet
 
 trusts = st.lists(st.sampled_from([0.0, 0.1, 0.25, 0.5, 0.9]), min_size=1, max_size=30).map(np.array)

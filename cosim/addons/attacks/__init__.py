@@ -23,5 +23,6 @@ ADDON = Addon(
             "server_flooding": "cosim.addons.attacks.radio:ServerFlooding",
         },
         "figure": {"attacks": "cosim.addons.attacks.figure:draw"},
+        "topic": {"attack": "cosim.addons.attacks.effects"},
     },
 )

@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy import ndarray
 
+from cosim.addons.pictures import stale
 from results.figures import style
-from results.metrics import stale
 from results.metrics.freshness import FRESH_S
 from results.run import Run
 

@@ -1,6 +1,6 @@
 """What the picture of stale trust shows, by hand."""
 
-from results.metrics import stale
+from cosim.addons.pictures import stale
 from tests.results.tiny import fleet
 
 
