@@ -147,7 +147,7 @@ def _rows(name: str, metric: Metric, found: Iterable[Mapping[Any, Any]]) -> Iter
     for row in found:
         value, group = row.get(metric.column, np.nan), metric.named.format_map(row)
         is_here = all(row[key] == wanted for key, wanted in metric.where.items())
-        if is_here and group not in groups and (metric.in_words or pd.notna(value)):
+        if is_here and group not in groups and pd.notna(value):
             groups.add(group)
             own = f"{metric.column}_"
             names = ["low", "high", "n_units"] if f"{own}low" not in row else [f"{own}low", f"{own}high", f"{own}units"]

@@ -42,8 +42,6 @@ class Metric:
     """Column of the result that has the values."""
     named: str = ""
     """Name of the group of a row; `{column}` stands for what the row has in a column."""
-    in_words: bool = False
-    """Whether a row without a value is kept, because its group says it in words."""
 
     @property
     def bounds(self) -> tuple[float, float]:
