@@ -19,7 +19,7 @@ class OpenRun(Run):
     @cached_property
     def measure(self) -> "Measures":
         """All metrics: `run.measure()`, `run.measure.trust.over_time()`, `run.measure.trust.plot()`."""
-        from results.measure import Measures  # here, because SciPy and NetworkX take their time
+        from results.measure import Measures  # here, because SciPy takes its time
 
         return Measures(self)
 

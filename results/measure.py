@@ -10,24 +10,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from cosim.base.addons import Choices
+from cosim.base.addons import Choices, loaded
 from cosim.base.durable import Damaged
 from results.metrics import (
-    attack,
-    auc_bound,
-    contact_graph,
-    detection,
     encounters,
-    evaluations,
-    evidence,
     freshness,
     misbehaviour,
     radio,
     registry,
-    repeats,
-    safety,
-    security,
-    traffic,
     trust,
 )
 from results.metrics.intervals import FEW, ClusteredEstimate, columns
@@ -44,36 +34,11 @@ TOPICS: Mapping[str, ModuleType] = Choices(
         "encounters": encounters,
         "trust": trust,
         "misbehaviour": misbehaviour,
-        "security": security,
-        "evidence": evidence,
-        "evaluations": evaluations,
         "freshness": freshness,
         "radio": radio,
-        "detection": detection,
-        "attack": attack,
-        "contacts": contact_graph,
-        "safety": safety,
     },
 )
 """Modules of metrics by topic, as `run.measure.<topic>`."""
-_SOURCES = (
-    attack,
-    auc_bound,
-    detection,
-    encounters,
-    evaluations,
-    evidence,
-    freshness,
-    misbehaviour,
-    radio,
-    repeats,
-    safety,
-    security,
-    traffic,
-    trust,
-)
-_MODULES = {module.__name__.rpartition(".")[2]: module for module in _SOURCES}
-"""Modules that answer metrics, by the names that `metrics.toml` has."""
 
 
 class MeasuredRow(NamedTuple):
@@ -112,7 +77,7 @@ def measure(
     false_positives
         False positive rate at which recall is computed, see `results.metrics.misbehaviour`.
     max_frames
-        Size of the sample for detection quality, see `results.metrics.detection.precision`.
+        Size of the sample for detection quality, see `cosim.addons.perception.detection.precision`.
     topics
         Topics to measure.
 
@@ -165,8 +130,7 @@ def _measured(run: Run, topic: str, options: Mapping[str, Any]) -> Iterator[Meas
 
 def _answer(run: Run, metric: Metric, options: Mapping[str, Any]) -> Sequence[Mapping[Any, Any]]:
     """The rows among which those of a metric are."""
-    module, _, name = metric.source.partition(".")
-    ask = getattr(_MODULES[module], name)
+    ask = loaded(metric.source)
     wanted = signature(ask).parameters
     found = ask(run, **{key: value for key, value in options.items() if key in wanted} | dict(metric.options))
     if isinstance(found, pd.DataFrame):
@@ -183,7 +147,7 @@ def _rows(name: str, metric: Metric, found: Iterable[Mapping[Any, Any]]) -> Iter
     for row in found:
         value, group = row.get(metric.column, np.nan), metric.named.format_map(row)
         is_here = all(row[key] == wanted for key, wanted in metric.where.items())
-        if is_here and group not in groups and (metric.in_words or pd.notna(value)):
+        if is_here and group not in groups and pd.notna(value):
             groups.add(group)
             own = f"{metric.column}_"
             names = ["low", "high", "n_units"] if f"{own}low" not in row else [f"{own}low", f"{own}high", f"{own}units"]

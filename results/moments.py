@@ -12,7 +12,6 @@ from jaxtyping import Float, Float32, Int
 from numpy import ndarray
 
 from cosim.base.earth import Projection
-from results.frames import sensor_pose
 from results.run import Run
 from results.sensing import senses
 
@@ -224,3 +223,32 @@ def _visible(rows: pd.DataFrame) -> dict[int, dict[int, Visible]]:
     for begin, end in zip(cuts.tolist(), ends.tolist(), strict=True):
         found.setdefault(int(step[begin]), {})[int(observer[begin])] = Visible(*(c[begin:end] for c in columns))
     return found
+
+
+def sensor_pose(box: Float[ndarray, "7"], above_roof_m: float) -> Float[ndarray, "4"]:
+    """Pose of a vehicle's LiDAR, which stands over the middle of the roof.
+
+    Parameters
+    ----------
+    box
+        The vehicle's box, world frame.
+    above_roof_m
+        Height of the LiDAR over the roof.
+
+    Returns
+    -------
+    x, y, z [m] and yaw [rad], world frame.
+    """
+    return np.array([box[0], box[1], box[2] + 0.5 * box[5] + above_roof_m, box[6]])
+
+
+def corners_of(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 8 3"]:
+    """The eight corners of each box, as data sets of OpenCOOD list them: four below, then four above."""
+    along = 0.5 * np.array([[1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, -1],
+                            [1, -1, 1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1]])  # fmt: skip
+    local = along * box[:, None, 3:6]
+    cos, sin = np.cos(box[:, 6])[:, None], np.sin(box[:, 6])[:, None]
+    turned = np.stack(
+        [cos * local[..., 0] - sin * local[..., 1], sin * local[..., 0] + cos * local[..., 1], local[..., 2]], axis=-1
+    )
+    return turned + box[:, None, :3]

@@ -58,19 +58,6 @@ def check_labels(found: Sequence[str], known: Sequence[str]) -> None:
         )
 
 
-def write_apart(file: Path, rows: pa.Table, variants: Sequence[str]) -> None:
-    """The rows of each variant as a batch of its own, in the order of `variants`."""
-    number = plain(rows.column("variant").combine_chunks(), variants)
-    order = np.argsort(number, kind="stable")
-    ends = np.searchsorted(number[order], np.arange(len(variants) + 1))
-    (ordered,) = rows.take(pa.array(order)).combine_chunks().to_batches() or [
-        pa.RecordBatch.from_pylist([], rows.schema)
-    ]
-    with pa.ipc.new_file(file, ordered.schema) as out:
-        for begin, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
-            out.write_batch(ordered.slice(begin, end - begin))
-
-
 def read(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
     """Columns and rows of a part. ValueError or `Damaged`, in one line, if it cannot be read."""
     if absent := _absent(path, names, where):

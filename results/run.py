@@ -5,7 +5,6 @@ import tempfile
 import time
 import weakref
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -30,9 +29,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 R = TypeVar("R", pa.Table, pa.RecordBatch)
-
-Read = Callable[[Path, Sequence[str], pc.Expression | None], pa.Table]
-"""Reads columns and rows of one part file."""
 
 OVER = ("finished", "interrupted")
 """Statuses of a run that ended with everything written."""
@@ -66,10 +62,6 @@ class Run:
         self._sound: set[str] = set()
         self._common: dict[str, Any] = {}
         """Results that all trust variants have in common, once computed."""
-        self._apart: Path | None = None
-        """Folder with separate rows of each trust variant, if they were separated."""
-        self._opened: dict[Path, pa.ipc.RecordBatchFileReader] = {}
-        """Open files of that folder."""
         self._held: HeldParts | None = None
         """Copies of the parts that the writing process will remove; None if no process writes the run."""
         self._own: dict[str, Any] = {}
@@ -120,23 +112,10 @@ class Run:
             raise ValueError(f"{self.path} has no trust variant {name!r}. It has {', '.join(self.variants)}.")
         other = type(self)(self.path, self.manifest, name)
         other.damage, other._sound = self.damage, self._sound
-        other._common, other._apart, other._opened = self._common, self._apart, self._opened
+        other._common = self._common
         other._held = self._held
         other.__dict__["inventory"] = self.inventory
         return other
-
-    @contextmanager
-    def variants_apart(self) -> Iterator[Self]:
-        """The same run as each of its variants, one after another.
-
-        One pass over the tables first writes the rows of each variant to separate temporary files. Each variant then
-        reads only its own rows, not those of all variants.
-        """
-        other = self.as_variant(self.variant)
-        with tempfile.TemporaryDirectory(prefix="cosim-variants-") as folder:
-            other._apart, other._opened = Path(folder) if len(self.variants) > 1 else None, {}
-            yield other
-            other._opened.clear()
 
     def once(self, name: str, make: Callable[[], T]) -> T:
         """A result that several metrics of this variant use, computed once. Callers must not change it."""
@@ -203,24 +182,21 @@ class Run:
         Damaged
             If the table does not match the inventory.
         """
-        return self._table(name, columns, where, self._part)
-
-    def _table(self, name: str, columns: Sequence[str] | None, where: pc.Expression | None, part: Read) -> pd.DataFrame:
         wanted = self._wanted(name, columns)
-        parts = [self._whole(part, path, wanted.names, where) for path in self._paths(name)]
+        parts = [self._whole(path, wanted.names, where) for path in self._paths(name)]
         return self._pandas(pa.concat_tables([wanted.empty_table(), *parts]), name)
 
-    def _whole(self, part: Read, path: Path, columns: Sequence[str], where: pc.Expression | None) -> pa.Table:
+    def _whole(self, path: Path, columns: Sequence[str], where: pc.Expression | None) -> pa.Table:
         """Columns and rows of a part file, those not on disk included: they are those of detections that rows name."""
         table = TABLES[path.parent.name]
         virtual = table.virtual(columns, where)
         if not virtual:
-            return part(path, columns, where)
+            return self._part(path, columns, where)
         from results.sql import LINKS
 
         late = where if table.virtual((), where) else None
         stored = [name for name in table.stored if name in columns or name in LINKS or late is not None]
-        rows = part(path, stored, None if late is not None else where)
+        rows = self._part(path, stored, None if late is not None else where)
         steps = [rows.column(name) for name in ("source_step", "pose_step")]
         found = self._database().columns_of_detections(rows.select(LINKS), virtual, self._files_of_steps(steps))
         if len(found) != len(rows):
@@ -244,14 +220,9 @@ class Run:
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
     ) -> Iterator[pd.DataFrame]:
         """Like `table`, but one block of steps after another, for tables larger than memory."""
-        yield from self._parts(name, columns, where, self._part)
-
-    def _parts(
-        self, name: str, columns: Sequence[str] | None, where: pc.Expression | None, part: Read
-    ) -> Iterator[pd.DataFrame]:
         wanted = self._wanted(name, columns)
         for path in self._paths(name):
-            yield self._pandas(self._whole(part, path, wanted.names, where), name)
+            yield self._pandas(self._whole(path, wanted.names, where), name)
 
     def variant_table(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
@@ -259,13 +230,13 @@ class Run:
         """Like `table`, but only rows of the run's `variant`. `encounters` gets the trust columns of that variant."""
         if name == "encounters" and self.variant != BASE_VARIANT:
             return self._variant_encounters(columns, where)
-        return self._table(name, columns, *self._of_variant(name, where))
+        return self.table(name, columns, self._of_variant(name, where))
 
     def _variant_encounters(self, columns: Sequence[str] | None, where: pc.Expression | None) -> pd.DataFrame:
         wanted = list(TABLES["encounters"].columns if columns is None else columns)
         own = [c for c in TABLES["encounter_trust"].columns if c != "variant"]
         key = [c for c in own if c in TABLES["encounters"].key]
-        mine = self._table("encounter_trust", own, *self._of_variant("encounter_trust", None))
+        mine = self.table("encounter_trust", own, self._of_variant("encounter_trust", None))
         kept = [c for c in TABLES["encounters"].columns if c in key or (c in wanted and c not in own)]
         return self.table("encounters", kept, where).merge(mine, on=key, how="left")[wanted]
 
@@ -273,7 +244,7 @@ class Run:
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
     ) -> Iterator[pd.DataFrame]:
         """Like `parts`, but only rows of the run's `variant`."""
-        return self._parts(name, columns, *self._of_variant(name, where))
+        return self.parts(name, columns, self._of_variant(name, where))
 
     def pieces(
         self, name: str, columns: Sequence[str], n_rows: int = 1_000_000
@@ -338,28 +309,12 @@ class Run:
         """Folders of the part files."""
         return [str(folder.resolve()) for folder in (self.path, *([self._held.path] if self._held else []))]
 
-    def _of_variant(self, name: str, where: pc.Expression | None) -> tuple[pc.Expression | None, Read]:
-        """Which rows are the variant's, and how parts are read."""
+    def _of_variant(self, name: str, where: pc.Expression | None) -> pc.Expression | None:
+        """The condition on rows, and that they are the variant's."""
         if len(self.variants) == 1 or name not in TABLES or "variant" not in TABLES[name].columns:
-            return where, self._part
-        if self._apart is not None:
-            return where, self._part_apart
+            return where
         mine = pc.field("variant") == self.variant
-        return mine if where is None else mine & where, self._part
-
-    def _part_apart(self, path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
-        """As `_part`, the variant's own rows alone."""
-        table = path.parent.name
-        if "variant" not in TABLES[table].columns:
-            return self._part(path, names, where)
-        assert self._apart is not None
-        file = self._apart / table / f"{path.stem}.arrow"
-        if file not in self._opened:
-            file.parent.mkdir(exist_ok=True)
-            part_reader.write_apart(file, self._part(path, list(TABLES[table].stored), None), self.variants)
-            self._opened[file] = pa.ipc.open_file(pa.memory_map(str(file)))
-        rows = pa.Table.from_batches([self._opened[file].get_batch(self.variants.index(self.variant))])
-        return rows.select(names) if where is None else rows.filter(where).select(names)
+        return mine if where is None else mine & where
 
     def n_blocks(self, name: str) -> int:
         """Number of parts of a table that have rows."""

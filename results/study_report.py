@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 
 from cosim.base import durable
+from cosim.base.addons import Choices
 from results.figures import study as figure
 from results.figures import study_curves as curves
 from results.report import STYLE, image_url
 from results.study import StudyResults, apart, chosen, short_names, that_matter, with_short_names
-from results.study_answer import sentences
 from results.study_table import core, pivot
 
 _MOST_ROWS = 400
@@ -52,9 +52,7 @@ def page(study: StudyResults) -> str:
     parts = [
         f"<h1>{escape(study.name)}</h1>",
         f"<p>{escape(study.question)}</p>",
-        "<ul class='answer'>",
-        *(f"<li>{escape(sentence)}</li>" for sentence in sentences(study)),
-        "</ul>",
+        *_answers(study),
         f'<p class="soft">{len(study.points)} points ({states}) of {study.points["run"].nunique()} runs; '
         f"swept: {escape(', '.join(study.keys))}; {replicates}. Intervals are 95 % intervals of the mean over "
         "replicates (Student's t, in the logit or logarithm of quantities with bounds).</p>",
@@ -91,6 +89,12 @@ def page(study: StudyResults) -> str:
         f"<title>{escape(study.name)}</title>"
         f"<style>{STYLE}</style></head><body>\n{body}\n<script>{_SCRIPT}</script></body></html>\n"
     )
+
+
+def _answers(study: StudyResults) -> list[str]:
+    """What add-ons say of the study, as lists of sentences."""
+    said = [answer(study) for answer in Choices[Callable[[StudyResults], list[str]]]("answer", {}).values()]
+    return [f"<ul class='answer'>{''.join(f'<li>{escape(one)}</li>' for one in some)}</ul>" for some in said]
 
 
 def _core_figures(study: StudyResults) -> list[str]:

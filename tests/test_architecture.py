@@ -15,7 +15,7 @@ FOREIGN = {
     "sensors": {"annotated_types", "jaxtyping", "numpy", "scipy", "numba", "llvmlite", "shapely", "embreex", "open3d"},
     "trust": {"annotated_types", "jaxtyping", "numpy", "numba", "scipy"},
     "results": {
-        "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "duckdb", "networkx",
+        "annotated_types", "jaxtyping", "numpy", "numba", "scipy", "pyarrow", "pandas", "duckdb",
         "matplotlib",
     },
     "sumo_nets": {"annotated_types", "jaxtyping", "numpy", "scipy", "shapely", "sumo", "sumolib"},
@@ -45,7 +45,7 @@ ONE_FILE = {
     "duckdb": {"results/sql.py"},
     "psutil": {"cosim/studies/engine.py"},
     "latex2mathml": {"cosim/docs/equations.py"},
-    "yaml": {"cosim/addons/datasets/opv2v.py"},
+    "yaml": {"cosim/addons/perception/opv2v.py"},
 }
 """Libraries that one file alone may know."""
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any, Generic, TypeVar
 
@@ -35,6 +36,13 @@ def addons() -> dict[str, Addon]:
     folder = import_module("cosim.addons")
     names = sorted(found.name for found in iter_modules(folder.__path__) if found.ispkg)
     return {name: import_module(f"cosim.addons.{name}").ADDON for name in names}
+
+
+def data_files(name: str) -> Iterator[Path]:
+    """Files of this name in the folders of add-ons: `metrics.toml` declares metrics."""
+    (folder,) = import_module("cosim.addons").__path__
+    paths = (Path(folder, addon, name) for addon in addons())
+    yield from (path for path in paths if path.is_file())
 
 
 def loaded(address: str) -> Any:

@@ -19,7 +19,7 @@ import typer
 from cosim import __version__
 from cosim.base.addons import addons, hook, loaded
 from cosim.base.durable import Damaged
-from cosim.cli import check, cite, explain, init, studies
+from cosim.cli import check, init, studies
 from cosim.cli.check import costs
 from cosim.cli.console import (
     AsJson,
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 GROUPS = {
     "Start": ("run", "measure", "plot", "report", "explain"),
-    "Own experiment": ("init", "check", "sweep", "status", "resume", "retrust", "predict"),
+    "Own experiment": ("init", "check", "sweep", "status", "resume", "predict"),
     "Own city": ("nets", "trace", "contacts", "place"),
     "Own classes": ("new", "try", "benchmark"),
     "Compare and share": ("compare", "evaluate", "export", "view", "cite"),
@@ -61,6 +61,7 @@ RENAMED = {
     "validate": "compare",
     "judge": "compare encounters --run RUN",
     "reproduce": "compare paper",
+    "retrust": "run CONFIG, with sections [[trust_variant]] in the config",
 }
 """What to type now, by the name of a command that is gone."""
 
@@ -88,7 +89,7 @@ def _add_commands_of_addons() -> None:
 
 
 _add_commands_of_addons()
-for commands in (check, explain, cite, init):
+for commands in (check, init):
     commands.add_to(app)
 
 RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
@@ -101,14 +102,10 @@ Picture = Literal[
     "radio",
     "detection",
     "map",
-    "contacts",
     "safety",
     "security",
     "attacks",
-    "delays",
-    "delivery",
     "ages",
-    "exclusion",
     "stale",
     "scene",
     "sweep",
@@ -362,10 +359,7 @@ def plot(
         ),
     ] = None,
     step: Annotated[int | None, typer.Option(help="sweep, scene: the step to draw.")] = None,
-    over: Annotated[
-        str | None,
-        typer.Option(help="Key on the x axis, e.g. trust.freshness_s, for a study, or for the figure freshness."),
-    ] = None,
+    over: Annotated[str | None, typer.Option(help="study: key on the x axis, e.g. trust.freshness_s.")] = None,
     by: Annotated[str | None, typer.Option(help="study: one colour for each value of this swept key.")] = None,
     metrics: Annotated[
         list[str] | None, typer.Option("--metric", help="study: draw this metric, or METRIC:GROUP. Repeatable.")
@@ -374,31 +368,14 @@ def plot(
         list[str] | None, typer.Option(help="study: use only points with this value, KEY=VALUE. Repeatable.")
     ] = None,
     variant: Annotated[str, typer.Option(help="Trust variant to draw; `all` draws each like a run.")] = "base",
-    threshold: Annotated[
-        float | None,
-        typer.Option(
-            min=0,
-            max=1,
-            help="freshness with --over: a ghost with this score or more is believed.",
-            rich_help_panel=MORE,
-        ),
-    ] = None,
     radius_m: Annotated[
         float | None,
-        typer.Option(help="map, contacts, durations: radius of the encounters, in metres.", rich_help_panel=MORE),
+        typer.Option(help="map, durations: radius of the encounters, in metres.", rich_help_panel=MORE),
     ] = None,
     pairs: Annotated[
         str | None,
-        typer.Option(
-            help="map, contacts, durations: pairs of the encounters, as encounters.pairs.", rich_help_panel=MORE
-        ),
+        typer.Option(help="map, durations: pairs of the encounters, as encounters.pairs.", rich_help_panel=MORE),
     ] = None,
-    look: Annotated[
-        Literal["paper"],
-        typer.Option(
-            "--style", help="The one style: 8.8 cm wide, for a column of a two-column page.", rich_help_panel=MORE
-        ),
-    ] = "paper",
 ) -> None:
     """Draw a figure of runs, or of a study over a swept key."""
     from results.figures import style
@@ -406,38 +383,20 @@ def plot(
     if studies.is_study(runs):
         studies.plot(what, runs[0], out, over, by, metrics or [], where or [])
         return
-    if by or metrics or where:
-        raise ValueError("--by, --metric and --where go with a study, and this is a run. Leave them out.")
+    if over or by or metrics or where:
+        raise ValueError("--over, --by, --metric and --where go with a study, and this is a run. Leave them out.")
     from inspect import signature
 
     from cosim.cli.side_by_side import of_variants
     from results.figures.catalogue import FIGURES
 
     chosen: list[Run] = []
-    if what not in (*FIGURES, "sweep", "scene", "movie"):
-        raise ValueError(f"cosim plot {what} needs an add-on, and this installation lacks it. Install all of cosim.")
-    if what == "sweep":
-        from cosim.runs.replay_lidar import write
-
-        if len(runs) != 1 or step is None or not vehicles or len(vehicles) != 1:
-            raise ValueError("cosim plot sweep shows one sweep: cosim plot sweep RUN --vehicle V --step S")
-        path = write(_opened(runs[0]), vehicles[0], step, out)
-    elif what == "scene":
-        from cosim.runs.replay_lidar import portrait
-
-        if len(runs) != 1 or step is None:
-            raise ValueError("cosim plot scene shows one moment: cosim plot scene RUN --step S [--vehicle V]")
-        path = portrait(_opened(runs[0]), vehicles or [], step, out)
-    elif what == "movie":
-        from cosim.runs.replay_lidar import film
-
-        if len(runs) != 1 or len(vehicles or ()) > 1:
-            raise ValueError("cosim plot movie films one run: cosim plot movie RUN [--vehicle V]")
-        path = film(_opened(runs[0]), vehicles[0] if vehicles else None, out)
+    if what not in FIGURES:
+        path = hook(f"plot {what}", f"cosim plot {what}")([*map(_opened, runs)], vehicles or [], step, out)
     else:
         if step is not None:
             raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
-        options = {"vehicles": vehicles, "over": over, "threshold": threshold, "radius_m": radius_m, "pairs": pairs}
+        options = {"vehicles": vehicles, "radius_m": radius_m, "pairs": pairs}
         given = {name: value for name, value in options.items() if value}
         for name in given:
             takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 
 def add_to(app: typer.Typer) -> None:
-    """Add the commands `sweep`, `status`, `retrust` and `cache`."""
-    for command in (sweep, status, retrust, cache):
+    """Add the commands `sweep`, `status` and `cache`."""
+    for command in (sweep, status, cache):
         app.command()(command)
 
 
@@ -108,20 +108,6 @@ def _print_progress(folder: Path, as_json: bool) -> None:
     why = f" ({found['error']})" if found["error"] else ""
     said = f"{folder}: {found['status']}{why}; {found['steps']:,}{of} steps in {found['blocks']:,} blocks, "
     print_done(found, f"{said}{found['bytes'] / 1e6:,.1f} MB. Next: {found['next']}", as_json)
-
-
-def retrust(
-    run: Annotated[Path, typer.Argument(help="Folder of a finished run.")],
-    variants: Annotated[Path, typer.Option(help="TOML file with trust_variant sections.")],
-    out: Annotated[Path, typer.Option(help="Folder to write: the run with these variants added.")],
-    trust_code: TrustCode = False,
-) -> None:
-    """Repeat a run with other trust models or windows beside its own. Check that all else stays the same."""
-    from cosim.studies.retrust import retrust as repeat
-
-    with progress() as advance:
-        repeat(run, variants, out, advance, trust_code)
-    screen.print(f"wrote {out}", highlight=False, soft_wrap=True)
 
 
 def cache(

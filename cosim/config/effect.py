@@ -1,9 +1,12 @@
 """Keys that a config sets and that change nothing, because another key turns off what they belong to."""
 
-from collections.abc import Callable, Iterator
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, fields
 from fnmatch import fnmatchcase
-from functools import cache, partial
+from functools import cache
+from operator import attrgetter
+from pathlib import Path
 from typing import Any
 
 from cosim.attacks.params import AttackParams
@@ -11,113 +14,57 @@ from cosim.config.config import Config, chosen, chosen_model, resolve_data
 from cosim.door.load import is_own
 from cosim.traffic.roadside import RoadsideParams
 
-_SENSING = (
-    "sensing_*", "extrapolate", "lidar.*", "weather.*", "gnss.*", "detector.*", "tracking.*", "attacks.*", "cpm.*",
-    "early_fusion.*", "radio.*", "rsu.*", "roadside.*", "server.*", "pseudonyms.*", "trust.*", "driver.*",
-)  # fmt: skip
-_SIDELINK = ("nr_mode2", "lte_mode4")
+_NEEDS: dict[str, list[dict[str, Any]]] = tomllib.loads(Path(__file__).with_name("needs.toml").read_text("utf-8"))
+"""What keys of the config and of sections of lists need, as the file explains."""
 
 
 def _hosts(config: Config) -> set[str]:
     return {config.trust.host, *(variant.trust.host for variant in config.trust_variant)}
 
 
-def _radio(config: Config, *models: str) -> bool:
-    return config.radio.model in models or is_own(config.radio.model)
-
-
-_OF_MODELS = ("freshness_s", "window", "unseen", "weighting", "least_score")
-"""Keys of [trust] that only some trust models read."""
-
-
-def _is_read(key: str, config: Config) -> bool:
+def _is_read(config: Config, key: str) -> bool:
     """Whether any trust model of a config reads a key of [trust]. Attacks may count their periods in windows."""
+    name = key.removeprefix("trust.")
     choices = [chosen(config, "trust")[0], *(chosen_model(variant)[0] for variant in config.trust_variant)]
-    reads = any(one.params is None or key in {f.name for f in fields(one.params)} for one in choices)
-    return reads or (key == "freshness_s" and any(a.period_windows is not None for a in config.attacks))
+    reads = any(one.params is None or name in {f.name for f in fields(one.params)} for one in choices)
+    return reads or (name == "freshness_s" and any(a.period_windows is not None for a in config.attacks))
 
 
-NEEDS: tuple[tuple[tuple[str, ...], str, Callable[[Config], bool]], ...] = (
-    (_SENSING, "sensing = true", lambda c: c.sensing),
-    (("extrapolate",), "vehicles that sense at different times", lambda c: not c.schedule.is_lock_step),
-    (("parked.*",), "parked.per_100_m above 0", lambda c: c.parked.per_100_m > 0),
-    (("trees.streets_p",), "trees.per_100_m above 0", lambda c: c.trees.per_100_m > 0),
-    (("trees.*",), "trees.per_100_m or trees.from_map", lambda c: c.trees.per_100_m > 0 or c.trees.from_map),
-    (("weather.dirty_p",), "weather.dirt", lambda c: bool(c.weather.dirt)),
-    (("gnss.correlation_s",), "gnss.std_m or gnss.heading_std_deg above 0", lambda c: not c.gnss.is_exact),
-    (("tracking.*",), 'tracking.model = "constant_velocity"', lambda c: c.tracking.model != "none"),
-    (("cpm.interval_s",), 'cpm.rules = "etsi"', lambda c: c.cpm.rules == "etsi"),
-    (("cpm.redundancy_window_s",), "cpm.redundancy", lambda c: c.cpm.redundancy != "none"),
-    (("cpm.redundancy_reports",), 'cpm.redundancy = "frequency"', lambda c: c.cpm.redundancy == "frequency"),
-    (
-        ("cpm.redundancy_moved_m", "cpm.redundancy_speed_mps"), 'cpm.redundancy = "dynamics"',
-        lambda c: c.cpm.redundancy == "dynamics",
-    ),
-    (("cpm.redundancy_sender_m",), 'cpm.redundancy = "distance"', lambda c: c.cpm.redundancy == "distance"),
-    (("early_fusion.*",), "early_fusion.share", lambda c: c.early_fusion.share != "none"),
-    (("radio.unit_disk.*",), 'radio.model = "unit_disk"', lambda c: _radio(c, "unit_disk")),
-    (
-        ("radio.propagation.*", "radio.receiver.*"), 'another radio.model than "unit_disk"',
-        lambda c: c.radio.model != "unit_disk",
-    ),
-    (("radio.access.*", "radio.dcc.*"), 'radio.model = "csma"', lambda c: _radio(c, "csma")),
-    (("radio.dcc.*",), "radio.dcc.enabled = true", lambda c: c.radio.dcc.enabled),
-    (("radio.dcc.target_cbr",), 'radio.dcc.algorithm = "adaptive"', lambda c: c.radio.dcc.algorithm == "adaptive"),
-    (("radio.sidelink.*",), 'radio.model = "nr_mode2" or "lte_mode4"', lambda c: _radio(c, *_SIDELINK)),
-    (("radio.nr.*",), 'radio.model = "nr_mode2"', lambda c: _radio(c, "nr_mode2")),
-    (("radio.lte.*",), 'radio.model = "lte_mode4"', lambda c: _radio(c, "lte_mode4")),
-    (("radio.relay.*",), "radio.relay.max_hops of 2 or more", lambda c: c.radio.relay.max_hops > 1),
-    (
-        ("radio.relay.forward_p",), 'radio.relay.rule = "probability"',
-        lambda c: c.radio.relay.rule == "probability",
-    ),
-    (("rsu.apart_m", "rsu.height_m"), "rsu.n_at_junctions", lambda c: c.rsu.n_at_junctions > 0),
-    (("server.*", "trust.server_period_s"), 'trust.host = "central"', lambda c: "central" in _hosts(c)),
-    (("server.backhaul_s",), 'server.uplink = "rsu"', lambda c: c.server.uplink == "rsu"),
-    (("server.cellular.*",), 'server.uplink = "cellular"', lambda c: c.server.uplink == "cellular"),
-    (("trust.local_evidence",), 'trust.host = "local"', lambda c: "local" in _hosts(c)),
-    *(
-        ((f"trust.{key}",), 'a trust.model that reads it, such as "trupercept"', partial(_is_read, key))
-        for key in _OF_MODELS
-    ),
-    (("trust.ego_trust",), 'trust.ego_trust_from = "fixed"', lambda c: c.trust.ego_trust_from == "fixed"),
-    (
-        ("trust.gate_p", "trust.fused_boxes", "trust.least_overlap"), 'trust.matching = "gates"',
-        lambda c: c.trust.matching == "gates",
-    ),
-    (("trust.least_overlap",), 'trust.fused_boxes = "weighted" or "aligned"', lambda c: c.trust.fused_boxes != "best"),
-    (("trust.code_aggregate",), "trust.code_parity = true", lambda c: c.trust.code_parity),
-    (("pseudonyms.n_accusations",), 'pseudonyms.linkage = "on_demand"', lambda c: c.pseudonyms.linkage == "on_demand"),
-    (("pseudonyms.own_*",), 'pseudonyms.linkage = "own"', lambda c: c.pseudonyms.linkage == "own"),
-    (
-        ("pseudonyms.revoke_below", "pseudonyms.min_evaluations"), "pseudonyms.revocation",
-        lambda c: c.pseudonyms.revocation != "none",
-    ),
-    (("pseudonyms.list_every_s",), 'pseudonyms.revocation = "list"', lambda c: c.pseudonyms.revocation == "list"),
-)  # fmt: skip
-"""Keys, what they need, and whether a config has it. The first need that a config lacks is named."""
+_RULES: Mapping[str, Callable[[Any, str], bool]] = {
+    "different_times": lambda config, _: not config.schedule.is_lock_step,
+    "dirt": lambda config, _: bool(config.weather.dirt),
+    "central_host": lambda config, _: "central" in _hosts(config),
+    "local_host": lambda config, _: "local" in _hosts(config),
+    "read_by_a_model": _is_read,
+    "drawn": lambda attack, _: not attack.ids and attack.together_with is None,
+    "no_windows": lambda attack, _: attack.period_windows is None,
+    "at_junctions": lambda unit, _: unit.junctions is not None,
+}
+"""Conditions that compare more than one key with values. They take the config or the section, and the key in need."""
 
 
-_OF_ATTACK: tuple[tuple[tuple[str, ...], str, Callable[[AttackParams], bool]], ...] = (
-    (
-        ("share_p",),
-        "a draw (ids or together_with names the attackers)",
-        lambda a: not a.ids and a.together_with is None,
-    ),
-    (("active_p",), 'when = "sporadic"', lambda a: a.when == "sporadic"),
-    (("period_s", "period_windows", "duty_p"), 'when = "on_off"', lambda a: a.when == "on_off"),
-    (("period_s",), "no period_windows", lambda a: a.period_windows is None),
-    (("wake_trust",), 'when = "sleeper"', lambda a: a.when == "sleeper"),
-    (("keep_above",), 'when = "camouflage"', lambda a: a.when == "camouflage"),
-    (("victim_p",), 'victim = "designated"', lambda a: a.victim == "designated"),
-    (("region_m",), 'victim = "region"', lambda a: a.victim == "region"),
-    (("renew_below",), 'renewal = "whitewashing"', lambda a: a.renewal == "whitewashing"),
-    (("renew_s",), 'renewal = "newcomer"', lambda a: a.renewal == "newcomer"),
-)
-_OF_UNIT: tuple[tuple[tuple[str, ...], str, Callable[[RoadsideParams], bool]], ...] = (
-    (("choose", "listed"), "junctions = N", lambda u: u.junctions is not None),
-    (("listed",), 'choose = "listed"', lambda u: u.choose == "listed"),
-)
+def _holds(condition: Mapping[str, Any], section: Any, key: str) -> bool:
+    """Whether a condition of the file holds for a config, or for a section of a list."""
+    if "rule" in condition:
+        return _RULES[condition["rule"]](section, key)
+    value = attrgetter(condition["key"])(section)
+    if "above" in condition:
+        return value > condition["above"]
+    if "is_not" in condition:
+        return value not in condition["is_not"]
+    return value in condition["is"] or (isinstance(value, str) and is_own(value))
+
+
+def _needs(name: str, section: Any, prefix: str = "") -> list[tuple[tuple[str, ...], str, bool]]:
+    """Keys, what they need, and whether this config, or this section of a list, has it."""
+    return [
+        (
+            tuple(prefix + key for key in need["keys"]),
+            need["need"],
+            any(_holds(condition, section, need["keys"][0]) for condition in need["if"]),
+        )
+        for need in _NEEDS[name]
+    ]
 
 
 def without_effect(config: Config, is_replayed: bool) -> list[str]:
@@ -137,12 +84,12 @@ def without_effect(config: Config, is_replayed: bool) -> list[str]:
         "SUMO (traffic is replayed)",
         not is_replayed,
     )
-    found = _vain(stated, [simulated, *((keys, need, has(config)) for keys, need, has in NEEDS)])
-    for section, default, needs in (("attacks", AttackParams, _OF_ATTACK), ("roadside", RoadsideParams, _OF_UNIT)):
+    found = _vain(stated, [simulated, *_needs("config", config)])
+    for section, default in (("attacks", AttackParams), ("roadside", RoadsideParams)):
         for number, one in enumerate(getattr(config, section)):
             of = [f.name for f in fields(default) if f.default is not MISSING and getattr(one, f.name) != f.default]
-            held = [(tuple(f"{section}.{number}.{key}" for key in keys), need, has(one)) for keys, need, has in needs]
-            found += _vain([f"{section}.{number}.{name}" for name in of], held)
+            prefix = f"{section}.{number}."
+            found += _vain([prefix + name for name in of], _needs(section, one, prefix))
     if config.trust.matching == "iou":
         found += [
             f'attacks.{number}.attack = "misstated_accuracy" has no effect without trust.matching = "gates".'

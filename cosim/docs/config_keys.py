@@ -1,7 +1,7 @@
 """Renders the page of the config keys as Markdown: type, default, bounds and meaning."""
 
+from cosim.addons.explain.key_docs import KeyDoc, SectionDoc, keys, sections
 from cosim.config import preset
-from cosim.config.key_docs import KeyDoc, SectionDoc, keys, sections
 
 __all__ = ["keys", "markdown"]
 

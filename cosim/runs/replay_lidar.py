@@ -4,18 +4,14 @@ They equal the run's sweeps, because their noise depends only on seed, vehicle a
 """
 
 import logging
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterator
 from typing import cast
 
 import numpy as np
 import pyarrow.compute as pc
-import shapely
 from jaxtyping import Int
 from numpy import ndarray
 
-from cosim.base import durable
 from cosim.config.config import Config, of_run_without_code
 from cosim.runs.inputs import changed_inputs
 from cosim.step.perception import swept
@@ -23,14 +19,10 @@ from cosim.traffic.actors import actor_key
 from cosim.traffic.meshes import with_meshes
 from cosim.traffic.scenario import find
 from cosim.world import World
-from results.figures import movie, scene, style
-from results.figures.sweep import draw
 from results.run import Run
-from sensors import cloud
 from sensors.boxes import Boxes
 from sensors.lidar import Sweeps
 from sensors.scene import Scene, Shape
-from sumo_nets import network
 
 _LOG = logging.getLogger(__name__)
 
@@ -87,158 +79,3 @@ def worlds(run: Run, config: Config, steps: Int[ndarray, "s"] | None = None) -> 
 def sweep(config: Config, city: Scene, world: World, rows: Int[ndarray, "e"]) -> Sweeps:
     """Sweeps of the vehicles in these rows of the world, in new memory."""
     return swept(world, rows, city, config.lidar, config.weather, config.seed)
-
-
-@dataclass(frozen=True, slots=True)
-class ReplayedScan:
-    """The sweep of one vehicle in one step, with actors and detections; sensor frame."""
-
-    sweeps: Sweeps
-    """Of this vehicle only."""
-    actors: Boxes
-    """All other actors within range."""
-    reported: Boxes
-    """Detections that its detector reported."""
-
-
-def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
-    """The sweep of a vehicle. A ValueError is raised if the vehicle did not sense in that step."""
-    config = config_of(run)
-    n_steps = int(run.manifest["steps"])
-    every = config.schedule.exchange_every_steps
-    if not 0 <= step < n_steps or step % every:
-        raise ValueError(
-            f"--step {step}: no vehicle sensed then. {run.path} has the steps 0 to {n_steps - 1}"
-            + (f", and senses in every {every}th." if every > 1 else ".")
-        )
-    run.require("actors", "vehicles", "detections")
-    world = next(worlds(run, config, np.array([step])), None)
-    if world is None:
-        raise ValueError(f"--step {step}: no actor is on the road then.")
-    equipped = world.actor[world.equipped]
-    if vehicle not in equipped:
-        some = ", ".join(map(str, equipped[:8]))
-        raise ValueError(f"--vehicle {vehicle} has no sensor on the road in step {step}. These have: {some}, ...")
-    row = np.flatnonzero(world.actor == vehicle)
-    if not config.schedule.senses(step, world.name_key[row]).all():
-        interval, phase = config.schedule.of_vehicles(world.name_key[row])
-        raise ValueError(
-            f"--step {step}: vehicle {vehicle} does not sense then. It senses in step {phase[0]} and every "
-            f"{interval[0]} steps after it."
-        )
-    sweeps = sweep(config, city_of(config), world, row)
-    rows = np.flatnonzero(np.linalg.norm(world.boxes.xyz_m - sweeps.poses.origin_m, axis=1) < config.lidar.max_range_m)
-    rows = rows[rows != row]
-    own = run.subjects.index[run.subjects.vehicle == vehicle].tolist()
-    detected = run.table("detections", where=(pc.field("step") == step) & pc.field("observer").isin(own))
-    detected = detected[detected.origin == "sensed"]
-    boxes = Boxes(
-        detected[["x_m", "y_m", "z_m"]].to_numpy(float), detected[["length_m", "width_m", "height_m"]].to_numpy(float),
-        detected.yaw_rad.to_numpy(float),
-    )  # fmt: skip
-    actors, reported = (sweeps.poses.to_sensor(np.zeros(len(b), int), b) for b in (world.boxes.take(rows), boxes))
-    return ReplayedScan(sweeps, actors, reported)
-
-
-def write(run: Run, vehicle: int, step: int, out: Path | None) -> Path:
-    """Write a sweep as a picture seen from above or as a point cloud. The ending of the file name decides which."""
-    scan_of_step = replay_scan(run, vehicle, step)
-    points = cloud.cloud_of(scan_of_step.sweeps, 0)
-    out = out or run.path / f"sweep-{vehicle}-{step}.png"
-    form = next((end for end in sorted(cloud.FORMATS, key=len, reverse=True) if out.name.endswith(end)), None)
-    if form is not None:
-        durable.write_output(out, cloud.FORMATS[form](points))
-        return out
-    if out.suffix not in style.FORMATS:
-        raise ValueError(
-            f"--out {out}: {out.suffix or 'no ending'} is neither a picture ({', '.join(style.FORMATS)}) "
-            f"nor a point cloud ({', '.join(cloud.FORMATS)}). Give one of these endings."
-        )
-    boxes = {
-        name: np.column_stack([b.xyz_m[:, :2], b.lwh_m[:, :2], b.yaw_rad])
-        for name, b in (("actors", scan_of_step.actors), ("reported by the detector", scan_of_step.reported))
-    }
-    title = f"LiDAR sweep of vehicle {vehicle} at {step * run.dt_s:g} s: {len(points[0]):,} returns"
-    return style.save(draw(*points, boxes, title), out)
-
-
-def portrait(run: Run, vehicles: list[int], step: int, out: Path | None) -> Path:
-    """Draw the city in one step, with trust and the point clouds of some vehicles.
-
-    If `vehicles` is empty, the clouds are those of the vehicle with most other equipped ones within 80 m, and of the
-    two equipped vehicles nearest to it.
-    """
-    out = out or run.path / f"scene-{step}.png"
-    config = config_of(run)
-    world = next(worlds(run, config, np.array([step])), None)
-    if world is None or step % config.schedule.exchange_every_steps:
-        raise ValueError(f"--step {step}: no vehicle senses then in {run.path}.")
-    equipped = np.flatnonzero(world.equipped)
-    senses = equipped[config.schedule.senses(step, world.name_key[equipped])]
-    for vehicle in vehicles:
-        if vehicle not in world.actor[equipped]:
-            raise ValueError(f"--vehicle {vehicle} has no sensor on the road in step {step}.")
-        if vehicle not in world.actor[senses]:
-            raise ValueError(f"--vehicle {vehicle} does not sense in step {step}.")
-    if not len(senses):
-        raise ValueError(f"--step {step}: no vehicle with a LiDAR is on the road then.")
-    xy_m = world.boxes.xyz_m[:, :2]
-    chosen = np.searchsorted(world.actor, np.asarray(vehicles, int))
-    if not vehicles:
-        away = np.linalg.norm(xy_m[senses, None] - xy_m[senses], axis=2)
-        middle = int(np.argmax((away < 80.0).sum(axis=1)))
-        chosen = senses[np.argsort(away[middle], kind="stable")[:3]]
-    city = city_of(config)
-    sweeps = sweep(config, city, world, chosen)
-    clouds = {int(world.actor[o]): sweeps.poses.to_world(n, sweeps.xyz(n)) for n, o in enumerate(chosen)}
-    scenario = find(config.traffic.scenario, config.traffic.trace)
-    lanes = [] if scenario.net is None else [lane for lane in network.lanes(scenario.net) if lane.for_cars]
-    of = run.subjects.vehicle
-    known = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
-    known = known[(known.step <= step) & (known.n_evaluations > 0)].sort_values("step")
-    known = known.assign(vehicle=known.subject.map(of)).drop_duplicates("vehicle", keep="last")
-    malicious = run.table("vehicles", ["vehicle", "role", "attack_start_step"]).set_index("vehicle")
-    started = malicious[malicious.role == "malicious"].attack_start_step
-    lies = run.table("detections", where=(pc.field("step") == step))
-    lies = lies[(lies.origin == "fabricated") & lies.transmitted]
-    columns = ["x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad"]
-    b = world.boxes
-    moment = scene.SceneMoment(
-        centre_m=xy_m[chosen[0]],
-        streets=[lane.line_m[:, :2] - scenario.origin_m for lane in lanes],
-        buildings=[
-            (shapely.get_coordinates(shapely.get_exterior_ring(polygon))[:-1], base, top)
-            for polygon, base, top in zip(city.footprints, city.buildings.base_m, city.buildings.top_m, strict=True)
-        ],
-        clouds=clouds,
-        boxes=np.column_stack([b.xyz_m, b.lwh_m, b.yaw_rad]),
-        equipped=world.equipped,
-        trust=known.set_index("vehicle").trust.reindex(world.actor).to_numpy(float),
-        attacks=(started.reindex(world.actor).astype("Float64").fillna(np.inf) <= step).to_numpy(bool),
-        ghosts=lies[columns].to_numpy(float),
-    )
-    title = f"{step * run.dt_s:g} s: point clouds and trust"
-    if np.isnan(moment.trust).all():
-        title = f"{step * run.dt_s:g} s: point clouds, no trust yet"
-        _LOG.warning("--step %d: %s", step, _first_trust(run))
-    return style.save(scene.draw(moment, title), out)
-
-
-def _first_trust(run: Run) -> str:
-    """When a run has its first trust values that rest on an evaluation, in words."""
-    known = run.variant_table("trust", ["step"], pc.field("n_evaluations") > 0)
-    if known.empty:
-        return "the run has no trust values of a server that rest on an evaluation, so none are drawn."
-    return f"no vehicle on the road has a trust value yet; the first of the run are of step {known.step.min()}."
-
-
-def film(
-    run: Run, vehicle: int | None, out: Path | None, progress: Callable[[int, int], None] = lambda done, total: None
-) -> Path:
-    """A movie of a run on the map of its city."""
-    config = config_of(run)
-    scenario = find(config.traffic.scenario, config.traffic.trace)
-    lanes = [] if scenario.net is None else network.lanes(scenario.net)
-    streets = [lane.line_m[:, :2] - scenario.origin_m for lane in lanes]
-    buildings = [shapely.get_coordinates(shapely.get_exterior_ring(polygon)) for polygon in city_of(config).footprints]
-    return movie.write(run, out or run.path / "movie.gif", vehicle, streets, buildings, progress)

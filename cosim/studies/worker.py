@@ -68,14 +68,14 @@ def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
     topics, frames, curves = tuple(asked["topics"]) or tuple(TOPICS), [], []
     options = dict(asked["measure"])
     own = options.pop("own", "")
-    with open_run(folder).variants_apart() as run:
-        for point, variant in asked["members"].items():
-            one = run.as_variant(variant)
-            frames.append(measure(one, topics=topics, **options).assign(point=point))
-            if {"encounters", "freshness"} & set(topics):
-                curves.append(study_curves.counts(one).assign(point=point))
-            if own:
-                frames.append(function("measure.own", own)(one).assign(point=point))
+    run = open_run(folder)
+    for point, variant in asked["members"].items():
+        one = run.as_variant(variant)
+        frames.append(measure(one, topics=topics, **options).assign(point=point))
+        if {"encounters", "freshness"} & set(topics):
+            curves.append(study_curves.counts(one).assign(point=point))
+        if own:
+            frames.append(function("measure.own", own)(one).assign(point=point))
     if curves:
         durable.write(job / "curves.parquet", pd.concat(curves, ignore_index=True).to_parquet(index=False))
     durable.write(job / "measures.parquet", pd.concat(frames, ignore_index=True).to_parquet(index=False))

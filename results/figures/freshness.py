@@ -1,28 +1,18 @@
-"""What stands behind trust when it is looked up, how old it is, and what attacks achieve meanwhile."""
+"""What stands behind trust when it is looked up, and how old it is."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 
-import numpy as np
-import pandas as pd
 from matplotlib.figure import Figure
 
 from results.figures import style
-from results.metrics import attack, compare, freshness
+from results.metrics import freshness
 from results.run import Run
 from results.tables import axis_label
 
 
 @style.styled
-def draw(runs: Sequence[Run], over: str | None = None, threshold: float = 0.5) -> Figure:
-    """Age, at lookups, of the newest evaluation by another vehicle that could see, and what lookups rest on.
-
-    Runs that differ in one number alone, or in the one named by `over`, are drawn over it instead: ages, what lookups
-    rest on, and the success of attacks at a score of `threshold`, with the means of repetitions as lines.
-    """
-    style.need(runs)
-    studied = compare.axis(runs, over)
-    if studied is not None:
-        return _over(runs, studied[0], threshold)
+def draw(runs: Sequence[Run]) -> Figure:
+    """Age, at lookups, of the newest evaluation by another vehicle that could see, and what lookups rest on."""
     runs = style.arranged(runs)
     bars = [_shares(run, "all") for run in runs]
     labels = style.names(runs)
@@ -68,80 +58,3 @@ def _shares(run: Run, role: str) -> list[float]:
     frame = freshness.states(run)
     share = frame[frame.role == role].set_index("state").share
     return [float(share.get(state, 0.0)) for state in freshness.STATES]
-
-
-def _value(ask: Callable[[Run], pd.DataFrame], column: str, **where: str) -> Callable[[Run], float]:
-    """A question: the value in the row of a table that has these others; NaN where there is none."""
-
-    def found(run: Run) -> float:
-        frame = ask(run)
-        rows = frame[column][np.all([frame[name] == value for name, value in where.items()], axis=0)]
-        return float(rows.max())
-
-    return found
-
-
-def _over(runs: Sequence[Run], key: str, threshold: float) -> Figure:
-    """Three panels over a number; runs that differ in another key have lines of their own."""
-    lies = {"effect": "inserted", "receivers": attack.HONEST, "role": "malicious"}
-
-    def ages(run: Run) -> pd.DataFrame:
-        return run.once("figure.ages", lambda: freshness.ages(run))
-
-    def states(run: Run) -> pd.DataFrame:
-        return run.once("figure.states", lambda: freshness.states(run))
-
-    def success(run: Run) -> pd.DataFrame:
-        return run.once(f"figure.success {threshold}", lambda: attack.success(run, (threshold,)))
-
-    panels: Mapping[str, Mapping[str, Callable[[Run], float]]] = {
-        "Mean age at lookup": {
-            what: _value(ages, "mean_s", what=what, role="all") for what in freshness.AGES
-        },
-        "What stands behind lookups": {
-            state: _value(states, "share", state=state, role="all") for state in freshness.STATES
-        },
-        f"Ghosts believed (score {threshold:g})": {
-            "by receivers": _value(success, "share", among="received", **lies),
-            "by the victim": _value(success, "share", among="intended", **lies),
-        },
-    }  # fmt: skip
-    beside = [name for name in compare.differing(runs) if name != key]
-    values = [dict(compare.flat(run.config)) for run in runs]
-    groups = sorted(
-        {tuple((name, value.get(name)) for name in beside) for value in values},
-        key=lambda group: [compare.sort_key(x) for _, x in group],
-    )
-    asked = {name: question for panel in panels.values() for name, question in panel.items()}
-    frame = compare.tabulate(runs, key, asked)
-    panels = {title: names for title, names in panels.items() if frame[list(names)].notna().any(axis=None)}
-    figure, axes = style.sheet(len(panels))
-    frame["group"] = [groups.index(tuple((name, values[i].get(name)) for name in beside)) for i in frame["row"]]
-    at, ticks = _positions(frame[key])
-    for panel, (title, names) in zip(axes, panels.items(), strict=True):
-        for i, name in enumerate(names):
-            for g in range(len(groups)):
-                one = frame[(frame.group == g) & frame[name].notna()]
-                if one.empty:
-                    continue
-                mean = one.groupby(key)[name].mean()
-                panel.plot(at(one[key]), one[name], linestyle="", marker=style.marker(i), color=style.ink(i), alpha=0.5)
-                panel.plot(at(mean.index), mean, linestyle=style.dash(g), marker=style.marker(i), color=style.ink(i),
-                           label=name if g == 0 else None)  # fmt: skip
-        style.panel(panel, title, compare.label(key), "Age [s]" if title == "Mean age at lookup" else "Share")
-        panel.set_xscale("log")
-        panel.set_xticks(list(ticks), list(ticks.values()), minor=False)
-        panel.minorticks_off()
-        panel.legend(handlelength=2.2)
-        panel.set_ylim(bottom=0)
-    style.legend(figure, style.dash_entries([", ".join(f"{k} = {v}" for k, v in group) for group in groups]))
-    return figure
-
-
-def _positions(values: pd.Series) -> tuple[Callable[[pd.Series | pd.Index], np.ndarray], dict[float, str]]:
-    """Places on a logarithmic axis, and their labels; "off" (infinite) stands a step beyond the largest, 0 before."""
-    finite = sorted({v for v in values if np.isfinite(v) and v > 0}) or [1.0]
-    place = {v: v for v in finite}
-    place |= {np.inf: finite[-1] * 2.0, 0.0: finite[0] / 2.0}
-    labels = {place[v]: "off" if v == np.inf else f"{v:g}" for v in sorted(set(values))}
-    return lambda wanted: np.array([place[v] for v in wanted]), labels

@@ -20,7 +20,6 @@ SHOWN: Mapping[str, tuple[str, ...]] = {
         "misbehaviour.at_lookup.auc:malicious", "misbehaviour.at_lookup.time_to_detection.median_s:malicious",
     ),
     "security": ("misbehaviour.at_lookup.auc:malicious", "security.false_exclusions_per_h"),
-    "delays": ("misbehaviour.at_lookup.time_to_detection.median_s:malicious",),
     "attacks": ("attack.believed.share:0.5, received, malicious",),
     "freshness": (
         "freshness.newest_evaluation_age.mean_s:all", "freshness.value_age.mean_s:all",

@@ -203,7 +203,7 @@ def arranged(runs: Sequence[Run], most: int = 12) -> list[Run]:
         keys = ", ".join(compare.differing(runs)) or "their seeds alone"
         raise ValueError(
             f"{len(runs)} runs are more than one picture can tell apart ({most}); they differ in {keys}. Draw fewer, "
-            "draw them over a key with cosim plot freshness --over KEY, or compare figures with cosim measure --csv."
+            "make them a study and draw it over a key, or compare figures with cosim measure --csv."
         )
     found = compare.differing(runs)
     order = sorted(range(len(runs)), key=lambda i: [compare.sort_key(values[i]) for values in found.values()])

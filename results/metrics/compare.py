@@ -1,10 +1,7 @@
 """Several runs beside each other: what was set differently, and what came of it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
-
-import numpy as np
-import pandas as pd
 
 from results.run import Run
 
@@ -14,8 +11,6 @@ DICE = ("seed", "traffic.seed")
 _IDLE = ("record.", "compute.", "trust_variant.")
 """Sections that have no effect on the variant that is measured."""
 
-_UNITS = {"s": "s", "m": "m", "mps": "m/s", "deg": "°", "rad": "rad", "dbm": "dBm", "db": "dB", "hz": "Hz"}
-
 
 def differing(runs: Sequence[Run]) -> dict[str, list[Any]]:
     """Keys of the configuration whose values differ, seeds left out, and their value in every run."""
@@ -23,74 +18,6 @@ def differing(runs: Sequence[Run]) -> dict[str, list[Any]]:
     keys = sorted({key for one in leaves for key in one if key not in DICE and not key.startswith(_IDLE)})
     values = {key: [one.get(key) for one in leaves] for key in keys}
     return {key: found for key, found in values.items() if any(v != found[0] for v in found)}
-
-
-def axis(runs: Sequence[Run], over: str | None = None) -> tuple[str, np.ndarray] | None:
-    """The number to compare runs by.
-
-    Parameters
-    ----------
-    over
-        Its key in the configuration. Left out, it is the only key in which the configurations differ.
-
-    Returns
-    -------
-    The key, and the value in every run, in the order of the runs; "off" is infinite. None if `over` is left out and the
-    runs differ in no key, in several keys, or in a key that is no number.
-
-    Raises
-    ------
-    ValueError
-        If `over` is no number, or does not differ between the runs.
-    """
-    found = differing(runs)
-    numbers = {key: [_number(v) for v in values] for key, values in found.items() if all(map(_is_number, values))}
-    if over is None:
-        return next(((k, np.array(v, float)) for k, v in numbers.items()), None) if len(found) == 1 else None
-    if over not in numbers:
-        raise ValueError(
-            f"The runs cannot be compared over {over}: it is no number that differs between them. "
-            + (f"These are: {', '.join(numbers)}." if numbers else "They differ in no number.")
-        )
-    return over, np.array(numbers[over], float)
-
-
-def label(key: str) -> str:
-    """Axis label of a key of the configuration, with the unit that its name ends in."""
-    unit = _UNITS.get(key.rpartition("_")[2])
-    return f"{key} [{unit}]" if unit else key
-
-
-def tabulate(runs: Sequence[Run], over: str | None, ask: Mapping[str, Callable[[Run], float]]) -> pd.DataFrame:
-    """One row per run, sorted by the number in which the runs differ.
-
-    Returns
-    -------
-    That number (named by its key), run, row (position of the run among `runs`), and every answer; null where a run
-    cannot answer.
-
-    Raises
-    ------
-    ValueError
-        If `over` is left out and the runs do not differ in exactly one number, or if `over` is no number that differs.
-    """
-    found = axis(runs, over)
-    if found is None:
-        keys = ", ".join(differing(runs)) or "nothing"
-        raise ValueError(f"The runs do not differ in one number alone, but in {keys}. Say which one to compare over.")
-    key, values = found
-    rows = [
-        {key: value, "run": run.name, "row": row} | {name: _answer(run, question) for name, question in ask.items()}
-        for row, (run, value) in enumerate(zip(runs, values, strict=True))
-    ]
-    return pd.DataFrame(rows).sort_values(key, kind="stable", ignore_index=True)
-
-
-def _answer(run: Run, question: Callable[[Run], float]) -> float:
-    try:
-        return question(run)
-    except ValueError:
-        return float("nan")
 
 
 def flat(value: Any, name: str = "") -> list[tuple[str, Any]]:

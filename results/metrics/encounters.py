@@ -40,6 +40,47 @@ def named(frame: pd.DataFrame) -> pd.Series:
     return pd.Series([names[key] for key in keys], frame.index, dtype=object)
 
 
+def definition(run: Run, radius_m: float | None = None, pairs: str | None = None) -> dict[str, float | str]:
+    """One definition of an encounter, by column of `DEFINITION`.
+
+    What is not given is chosen: the smallest radius, the first kind of pairs, and the first value of each further
+    column.
+
+    Raises
+    ------
+    ValueError
+        If the run has no encounters, or none of the given radius or pairs.
+    """
+    frame = run.table("encounters", DEFINITION)
+    if frame.empty:
+        raise ValueError(f"{run.path} holds no encounters: no two came within the radius of each other.")
+    found: dict[str, float | str] = {}
+    for name, wanted in (
+        ("radius_m", radius_m),
+        ("pairs", pairs),
+        ("hysteresis_s", None),
+        ("los", None),
+        ("pedestrians", None),
+    ):
+        there = sorted(frame[name].unique().tolist())
+        chosen = there[0] if wanted is None else wanted
+        if chosen not in there:
+            raise ValueError(f"{run.path} recorded no encounters with {name} = {wanted}; it has {there}.")
+        frame = frame[frame[name] == chosen]
+        found[name] = chosen
+    return found
+
+
+def contacts(run: Run, radius_m: float | None = None, pairs: str | None = None) -> pd.DataFrame:
+    """Intervals of contact by one definition of an encounter, see `definition`: a, b, start_s, end_s."""
+    frame = run.table("encounters", ["a", "b", "start_step", "end_step", *DEFINITION])
+    for name, chosen in definition(run, radius_m, pairs).items():
+        frame = frame[frame[name] == chosen]
+    return frame.assign(start_s=frame.start_step * run.dt_s, end_s=frame.end_step * run.dt_s)[
+        ["a", "b", "start_s", "end_s"]
+    ]
+
+
 def durations(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     """One row per encounter: the columns of `DEFINITION`, a, b, duration_s, gap_s, `start_seen` and `end_seen`."""
     frame = run.table("encounters", _COLUMNS)

@@ -1,6 +1,6 @@
 """The channel: packet delivery ratio, losses by cause, latency, packet inter-reception time, channel busy ratio.
 
-Read them beside `conditions`, the assumptions that they rest on.
+They rest on the assumptions of the section [radio] of the config.
 """
 
 from typing import Any, Literal
@@ -187,56 +187,3 @@ def to_server(run: Run) -> pd.DataFrame:
     if len(found) and not found.n_reports[0]:
         raise ValueError(f'{run.path} holds no reports to a trust server. Set trust.host = "central".')
     return found
-
-
-def conditions(run: Run) -> pd.DataFrame:
-    """Assumptions that the metrics of the radio rest on: condition, is (in words), value.
-
-    Conditions are named as the metrics `radio.condition.<name>`; of a user's own medium there are the few that every
-    medium has.
-    """
-    radio: dict[str, Any] = run.config.get("radio", {})
-    if "model" not in radio:
-        raise ValueError(f"{run.path}/manifest.json holds no section radio in its config.")
-    rows: list[tuple[str, str, float]] = [
-        ("model", radio["model"], np.nan), ("range", "", radio.get("range_m", radio.get("reach_m", np.nan))),
-        ("max_hops", "", radio["relay"]["max_hops"]),
-        ("penetration", ", ".join(run.config["fleet"]["equipped_kinds"]), run.config["fleet"]["penetration_p"]),
-    ]  # fmt: skip
-    if radio["model"] in ("disk", "unit_disk"):
-        loss_p = radio[radio["model"]]["loss_p"]
-        rows += [("loss_per_hop", "", loss_p)]
-        rows += [(name, "not modelled", np.nan) for name in ("receiver_threshold", "nlos", "fading", "dcc")]
-    elif radio["model"] == "csma":
-        receiver, dcc = radio["receiver"], radio["dcc"]
-        threshold = (f"SINR at least {receiver['sinr_min_db']:g} dB", receiver["p_min_dbm"])
-        rows += _of_channel(
-            radio["propagation"], threshold, dcc.get("algorithm", "reactive") if dcc["enabled"] else "off"
-        )
-    elif radio["model"] in ("nr_mode2", "lte_mode4"):
-        sidelink = radio["sidelink"]
-        threshold = (f"SINR of the control part at least {sidelink['control_sinr_db']:g} dB", np.nan)
-        rows += _of_channel(
-            radio["propagation"], threshold, "limits of occupancy" if sidelink["limits_occupancy"] else "off"
-        )
-    return pd.DataFrame(rows, columns=["condition", "is", "value"])
-
-
-def _of_channel(propagation: dict[str, Any], threshold: tuple[str, float], dcc: str) -> list[tuple[str, str, float]]:
-    tr_37885 = propagation["model"] in ("urban", "highway")
-    nlos = {
-        "3gpp": "TR 37.885 NLOS" if tr_37885 else "none",
-        "sommer": f"{propagation['wall_db']:g} dB per wall, {propagation['indoors_db_per_m']:g} dB/m inside (Sommer)",
-    }[propagation["walls"]]
-    fading = {
-        "none": "none", "nakagami": "Nakagami m = 1.5 to 80 m, 0.75 beyond", "rayleigh": "Rayleigh",
-        "cheng": "Nakagami, m by Cheng",
-    }[propagation["fading"]]  # fmt: skip
-    path_loss = propagation["model"].replace("_", " ")
-    return [
-        ("path_loss", f"TR 37.885 {path_loss}" if tr_37885 else path_loss, np.nan),
-        ("receiver_threshold", *threshold),
-        ("nlos", nlos, np.nan),
-        ("fading", fading, np.nan),
-        ("dcc", dcc, np.nan),
-    ]

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from cosim.base.addons import data_files
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Metric:
@@ -29,7 +31,7 @@ class Metric:
     """Smallest and largest possible value. None means that the unit determines them: 0 to 1 for shares, 0 to 100 for
     per cent, and 0 or more for other units."""
     source: str = ""
-    """Function of `results.metrics` whose result has the values, as `module.function`."""
+    """Address of the function whose result has the values; `module.function` is one of `results.metrics`."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """Further arguments of this function."""
     needs: Sequence[str] = ()
@@ -40,8 +42,6 @@ class Metric:
     """Column of the result that has the values."""
     named: str = ""
     """Name of the group of a row; `{column}` stands for what the row has in a column."""
-    in_words: bool = False
-    """Whether a row without a value is kept, because its group says it in words."""
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -56,18 +56,29 @@ def bounds_of(metric: str) -> tuple[float, float]:
 
 
 def _read() -> tuple[dict[str, str], dict[str, Metric]]:
-    """Topics and metrics of the file. `{name}` in a definition stands for a sentence of its section `texts`."""
-    document = tomllib.loads(Path(__file__).with_name("metrics.toml").read_text(encoding="utf-8"))
-    topics, texts = document.pop("topics"), document.pop("texts")
+    """Topics and metrics of the core's file and of those of add-ons."""
+    topics: dict[str, str] = {}
     metrics: dict[str, Metric] = {}
-    for name, keys in document.items():
-        keys["definition"] = re.sub(r"\{(\w+)\}", lambda word: texts[word[1]], keys["definition"])
-        metrics[name] = Metric(**keys)
+    for path in (Path(__file__).with_name(FILE), *data_files(FILE)):
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        topics |= document.pop("topics", {})
+        texts = document.pop("texts", {})
+        metrics |= {name: _metric(keys, texts) for name, keys in document.items()}
     for topic in topics:
         metrics[f"{topic}.not_measured"] = Metric(label="not measured", definition=_NOT_MEASURED, group="reason")
     return topics, metrics
 
 
+def _metric(keys: dict[str, Any], texts: Mapping[str, str]) -> Metric:
+    """A section of a file. `{name}` in a definition stands for a sentence of the file's section `texts`."""
+    definition = re.sub(r"\{(\w+)\}", lambda word: texts[word[1]], keys["definition"])
+    source = keys.get("source", "")
+    if source and ":" not in source:
+        source = "results.metrics." + source.replace(".", ":")
+    return Metric(**keys | {"definition": definition, "source": source})
+
+
+FILE = "metrics.toml"
 _NOT_MEASURED = "The run does not contain the data; the group gives the reason."
 TOPICS, METRICS = _read()
 

@@ -24,13 +24,13 @@ from scipy.optimize import differential_evolution
 from scipy.special import expit, logit
 
 import sensors
+from cosim.addons.perception import kitti_frames
+from cosim.addons.perception.kitti import LEVELS, LOOSE, STRICT, LabelledObjects, Precision, average_precision
 from cosim.runs import replay_lidar
 from cosim.step.parts import perception_of
 from cosim.world import LABELS
 from results.archive import open_run
 from results.figures import style
-from results.metrics import kitti_frames
-from results.metrics.kitti import LEVELS, LOOSE, STRICT, LabelledObjects, Precision, average_precision
 from results.run import Run
 from sensors.boxes import Boxes, iou_3d
 from sensors.evidence import Observability, observability

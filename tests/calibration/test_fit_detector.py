@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from cosim.addons.perception.detection import precision
+from cosim.addons.perception.kitti import LEVELS
 from results.archive import open_run
-from results.metrics.detection import precision
-from results.metrics.kitti import LEVELS
 from sensors.statistical_detector import DetectorParams, resolved
 from tests.calibration import fit_detector as calibrate
 from tests.drive import drive

@@ -16,14 +16,13 @@ COMMANDS = (
     ("verify", "run"), ("measure", "run", "--json"), ("measure", "run", "--json"), ("report", "run"),
     ("plot", "trust", "run"), ("plot", "encounters", "run"), ("resume", "run"),
     ("export", "nuscenes", "run", "--out", "x"),
-    ("retrust", "run", "--variants", "../variants.toml", "--out", "again"),
     ("run", "--set", "traffic.trace=run", "--set", "traffic.scenario=../street.csv", "--out", "again", "--json"),
 )  # fmt: skip
 
 
 def made(folder, words, said):
     """What a command shows and writes: text, figures and pages byte by byte, runs by their tables."""
-    if words[0] in ("run", "retrust"):
+    if words[0] == "run":
         return fingerprint(folder / "again")
     files = [*folder.glob("x/**/*"), *folder.glob("run/*.png"), *folder.glob("run/*.html")]
     return said, {str(path.relative_to(folder)): path.read_bytes() for path in files if path.is_file()}
@@ -34,7 +33,6 @@ def test_commands(cosim, tmp_path):
     """At least 400 with HOSTILE_N=200."""
     whole, folder, expected = tmp_path / "whole", tmp_path / "case", {}
     whole.mkdir()
-    (tmp_path / "variants.toml").write_text('[[trust_variant]]\nname = "other"\nmodel = "beta"\n')
     ended = cosim("run", *sets_of_trace(write_trace(tmp_path)), "--out", "run", cwd=whole)
     assert ended.status == 0, ended.err
     for words in set(COMMANDS):

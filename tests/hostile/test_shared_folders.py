@@ -61,7 +61,6 @@ CALLS = {
     "predict freshness": ["predict freshness {run}/config.toml", "predict freshness --against {run}"],
     "report": ["report {run} --out {out}/report.html", "report {study}"],
     "resume": ["resume {part}", "resume {run}"],
-    "retrust": ["retrust {run} --variants {out}/variants.toml --out {out}/retrust"],
     "run": [
         "run {run}/config.toml --out {out}/again", "run {run}/config.toml --set seed=5 --out {out}/again",
         "run --set traffic.scenario={run} --set traffic.duration_s=2 --out {out}/replayed",
@@ -90,23 +89,18 @@ FUNCTIONS = {
     "cosim.runs.run.remarks": lambda f, at: f(at["run"]),
     "cosim.runs.run.resumable": lambda f, at: f(at["part"]),
     "cosim.runs.run.resume": lambda f, at: f(at["part"], print),
-    "cosim.addons.datasets.evaluate.evaluate": lambda f, at: f(at["run"]),
-    "cosim.addons.datasets.evaluate.layout_of": lambda f, at: f(at["run"]),
+    "cosim.addons.perception.evaluate.evaluate": lambda f, at: f(at["run"]),
+    "cosim.addons.perception.evaluate.layout_of": lambda f, at: f(at["run"]),
     "cosim.addons.export.export.export": lambda f, at: f(open_run(at["run"]), "nuscenes", at["out"] / "api"),
     "cosim.runs.replay_lidar.config_of": lambda f, at: f(open_run(at["run"])),
-    "cosim.runs.replay_lidar.film": lambda f, at: f(open_run(at["run"]), 0, at["out"] / "api.gif"),
-    "cosim.runs.replay_lidar.portrait": lambda f, at: f(open_run(at["run"]), [0], 2, at["out"] / "scene.png"),
-    "cosim.runs.replay_lidar.replay_scan": lambda f, at: f(open_run(at["run"]), 0, 2),
+    "cosim.addons.pictures.pictures.film": lambda f, at: f(open_run(at["run"]), 0, at["out"] / "api.gif"),
+    "cosim.addons.pictures.pictures.replay_scan": lambda f, at: f(open_run(at["run"]), 0, 2),
     "cosim.runs.replay_lidar.worlds": lambda f, at: list(f(open_run(at["run"]), load())),
-    "cosim.runs.replay_lidar.write": lambda f, at: f(open_run(at["run"]), 0, 2, at["out"] / "api.ply"),
     "cosim.addons.export.view.first_look": None,  # these two are given a run that `view` has opened
     "cosim.addons.export.view.role_colours": None,
     "cosim.addons.export.view.follow": lambda f, at: f(at["run"], at["out"] / "followed.rrd"),
     "cosim.addons.export.view.view": lambda f, at: f(open_run(at["run"]), at["out"] / "api.rrd"),
     "cosim.studies.folder.status_of": lambda f, at: f(at["run"]),
-    "cosim.studies.retrust.retrust": lambda f, at: f(
-        at["run"], at["out"] / "variants.toml", at["out"] / "api-retrust", print
-    ),
     "cosim.studies.study.load": None,  # of a file that the user names; `status` and `prepare` name those of folders
     "cosim.studies.sweep.prepare": lambda f, at: f(at["study"] / "study.toml", at["study"]),
     "cosim.studies.sweep.status": lambda f, at: f(StudyFolder(at["study"])),
@@ -134,7 +128,6 @@ def at(made, tmp_path, monkeypatch):
     """The same with an empty folder, from within the trapped one: its modules are on the path."""
     monkeypatch.chdir(made["run"])
     monkeypatch.syspath_prepend(made["run"])
-    (tmp_path / "variants.toml").write_text('[[trust_variant]]\nname = "other"\nmodel = "beta"\n')
     return made | {"out": tmp_path}
 
 
@@ -176,7 +169,7 @@ def test_no_command_runs_code_of_a_folder(at, command):
 
 REFUSE = (
     "check {run}/config.toml", "run {run}/config.toml --out {out}/x", "resume {part}", "status {study}",
-    "retrust {run} --variants {out}/variants.toml --out {out}/x", "sweep {study}/study.toml --out {study}",
+    "sweep {study}/study.toml --out {study}",
 )  # fmt: skip
 
 
@@ -288,10 +281,9 @@ def test_a_sweep_neither_follows_links_nor_waits_for_pipes(made, tmp_path, name,
 
 
 def test_variants_of_a_folder_are_code_of_its_author(at):
-    """A file of variants that lies in a run, beside another run that is whole; and a study that is predicted."""
+    """A config with variants that lies in a run, and a study that is predicted."""
     (at["run"] / "variants.toml").write_text('[[trust_variant]]\nname = "other"\nmodel = "trap.py:Trap"\n')
-    whole = at["run"].parent / "whole"
-    words = ["retrust", str(whole), "--variants", str(at["run"] / "variants.toml"), "--out", str(at["out"] / "x")]
+    words = ["run", str(at["run"] / "variants.toml"), "--out", str(at["out"] / "x")]
     try:
         assert "It was not loaded" in carry_out(words)
         assert "It was not loaded" in carry_out(["predict", "freshness", str(at["study"] / "study.toml")])

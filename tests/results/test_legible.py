@@ -13,9 +13,10 @@ from PIL import Image
 
 from cosim.addons.compare import figure as compared
 from cosim.addons.law import figure as law
-from results.figures import city, scene, study, style, sweep
+from cosim.addons.pictures import scene_figure, sweep_figure
+from cosim.addons.pictures.movie_figure import DPI
+from results.figures import city, study, style
 from results.figures.catalogue import FIGURES
-from results.figures.movie import DPI
 from results.study import StudyResults
 
 WIDTH_CM = 8.0
@@ -26,19 +27,19 @@ LEAST_PT = 6.0
 def _scene():
     rng = np.random.default_rng(0)
     boxes = np.column_stack([rng.uniform(-60, 60, (9, 2)), np.full((9, 5), [0.8, 4.5, 1.8, 1.6, 0.3])])
-    moment = scene.SceneMoment(
+    moment = scene_figure.SceneMoment(
         centre_m=np.zeros(2), streets=[np.array([[-200.0, 0], [200, 0]]), np.array([[0.0, -200], [0, 200]])],
         buildings=[(np.array([[20.0, 20], [60, 20], [60, 50], [20, 50]]), 0.0, 15.0)],
         clouds={v: rng.normal(0, 20, (300, 3)) for v in (7, 1234, 99)}, boxes=boxes, equipped=np.arange(9) < 6,
         trust=np.where(np.arange(9) < 4, np.linspace(0, 1, 9), np.nan), attacks=np.arange(9) == 2, ghosts=boxes[:1] + 3,
     )  # fmt: skip
-    return scene.draw(moment, "helsinki-1 at 107.0 s, around vehicle 163")
+    return scene_figure.draw(moment, "helsinki-1 at 107.0 s, around vehicle 163")
 
 
 def _sweep():
     xyz = np.random.default_rng(0).normal(0, 20, (500, 3))
     boxes = {name: np.array([[10.0, y, 4.5, 1.8, 0.1]]) for y, name in enumerate(("actors", "detections", "received"))}
-    return sweep.draw(xyz, np.arange(500) % 4, boxes, "Vehicle 163 at 107.0 s: 500 returns")
+    return sweep_figure.draw(xyz, np.arange(500) % 4, boxes, "Vehicle 163 at 107.0 s: 500 returns")
 
 
 def _city():

@@ -1,12 +1,11 @@
 """Figures of merit, derived by hand on runs of a few rows."""
 
-import networkx as nx
-import numpy as np
 import pandas as pd
 import pytest
 
+from cosim.addons.attacks import effects as attack
 from results.measure import measure
-from results.metrics import attack, contact_graph, detection, encounters, freshness, misbehaviour, radio, trust
+from results.metrics import encounters, freshness, misbehaviour, radio, trust
 from results.metrics.registry import METRICS
 from tests.results.tiny import fleet
 
@@ -146,112 +145,6 @@ def test_radio_by_hand(tiny):
     assert by_distance.pdr.tolist() == [1, 0.5]
 
 
-@pytest.fixture
-def scene(tiny):
-    """Vehicle 0 stands facing east; 1 is 20 m ahead of it, 2 is 20 m behind; 50 steps; all well visible.
-
-    It detects 1 exactly in every step, and, in every second step, a ghost 40 m ahead with a higher score.
-    """
-    size = {"length_m": 4, "width_m": 2, "height_m": 1.5}
-    vehicles = fleet("malicious", last_step=49)
-    vehicles += [{"vehicle": v, "vehicle_class": "car", "last_step": 49, **size} for v in (1, 2)]
-    vehicles.append({**fleet("honest")[0], "vehicle": 3, "first_step": 1, "last_step": 0})
-    x = {0: 0.0, 1: 20.0, 2: -20.0}
-    actors, observability, detections, fused = [], [], [], []
-    for step in range(50):
-        actors += [{"step": step, "actor": v, "x_m": x[v], "z_m": 0.75} for v in x]
-        observability += [
-            {"step": step, "observer": 0, "actor": v, "n_points": 90, "n_unoccluded": 100} for v in (1, 2)
-        ]
-        seen = {"step": step, "observer": 0, "z_m": 0.75, "transmitted": True, **size}
-        detections.append(seen | {"detection_index": 1, "x_m": 20, "score": 0.6, "truth_actor": 1, "truth_iou": 1})
-        fused.append(
-            {"step": step, "observer": 0, "fused_index": 1, "score": 0.6, "ego_detected": True, "source_index": 1}
-        )
-        if step % 2:
-            detections.append(seen | {"detection_index": 2, "x_m": 40, "score": 0.9})
-        if step >= 40:
-            detections.append(seen | {"detection_index": 3, "x_m": 9, "score": 1, "origin": "fabricated"})
-        if step >= 45:
-            fused.append(
-                {"step": step, "observer": 3, "fused_index": 2, "score": 0.7, "fabricated": True, "source_index": 3}
-            )
-    return tiny(
-        50, vehicles=vehicles, actors=actors, observability=observability, detections=detections, fused=fused
-    )  # fmt: skip
-
-
-def test_precision_on_a_scene(scene):
-    """Fused: 50 hits of 50, AP 100. Local: 25 ghosts rank first, so precision is at most 50 / 75 everywhere.
-
-    At level easy a ghost at 40 m, 960 px * 1.5 m / 38 m = 38 px high, is too small to count.
-    """
-    frame = detection.precision(scene).set_index(["boxes", "class", "level"])
-    assert frame.ap40["fused", "car", "easy"] == pytest.approx(100)
-    assert frame.ap11["local", "car", "moderate"] == pytest.approx(100 * 50 / 75)
-    assert frame.ap11["local", "car", "easy"] == pytest.approx(100)
-    assert frame.n_truth["fused", "car", "all"] == 50  # the one behind does not count
-    assert frame.n_frames.unique().tolist() == [50]
-    few = detection.precision(scene, max_frames=10)
-    assert few.n_frames.unique().tolist() == [10] and few.n_truth.max() == 10
-
-
-def test_awareness_on_a_scene(scene):
-    """Of the two within 30 m it knows the one ahead."""
-    frame = detection.awareness(scene, range_m=30)
-    assert frame.n_present.tolist() == [100, 100] and frame.share.tolist() == [0.5, 0.5]
-    assert detection.awareness(scene, range_m=30, min_score=0.7).share.tolist() == [0, 0]
-
-
-def test_contacts_by_hand(tiny):
-    """0-1 meet in [0, 2), 1-2 in [1, 3), 2-3 in [0, 1): a message of 0 reaches 1 at 0 s, 2 at 1 s, 3 never."""
-    run = tiny(4, encounters=[encounter(0, 1, 0, 2), encounter(1, 2, 1, 3), encounter(2, 3, 0, 1)])
-    assert contact_graph.arrivals(run, 0).set_index("actor").time_s.to_dict() == {0: 0, 1: 0, 2: 1}
-    frame = contact_graph.over_time(run, 1)
-    assert frame.n_contacts.tolist() == [2, 2, 1, 0]
-    assert frame.n_components.tolist() == [2, 1, 1, 0]
-    assert frame.degree_mean.tolist() == pytest.approx([1, 4 / 3, 1, 0])
-    graph = contact_graph.graph(run, 0.5, 2)
-    assert isinstance(graph, nx.Graph)
-    assert nx.get_edge_attributes(graph, "contact_s") == {(0, 1): 1.5, (1, 2): 1.0, (2, 3): 0.5}
-    with pytest.raises(ValueError, match="no encounters with radius_m = 7"):
-        contact_graph.graph(run, 0, 1, radius_m=7)
-
-
-def test_temporal_reachability_by_hand(tiny):
-    """The same meetings. At 0 s {0, 1} and {2, 3} know of each other; at 1 s {0, 1, 2} of all, 3 of 2 and 3.
-
-    So messages of 0 and 1 have reached three of four, of 2 and 3 four.
-    """
-    run = tiny(4, encounters=[encounter(0, 1, 0, 2), encounter(1, 2, 1, 3), encounter(2, 3, 0, 1)])
-    frame = contact_graph.temporal_reachability(run, 1)
-    assert frame.reached_mean.tolist() == [0.5, 14 / 16, 14 / 16, 14 / 16]
-    assert frame.reached_min.tolist() == [0.5, 0.75, 0.75, 0.75]
-    assert frame.n_met.tolist() == [4, 4, 4, 4]
-
-
-def test_temporal_reachability_is_arrivals_for_many(run):
-    """Looked at in every step, it is the mean of what `arrivals` says of each source."""
-    frame = contact_graph.temporal_reachability(run, 1.0, 50.0)
-    met = contact_graph.contacts(run, 50.0)
-    sources = np.unique(met[met.start_s == 0][["a", "b"]])
-    reached = [len(contact_graph.arrivals(run, source, 0.0, 50.0)) for source in sources]
-    assert 0 < len(sources) <= 64
-    assert frame.reached_mean.iloc[-1] == pytest.approx(np.mean(reached) / frame.n_met.iloc[-1])
-    assert frame.reached_min.iloc[-1] == pytest.approx(min(reached) / frame.n_met.iloc[-1])
-
-
-def test_message_reachability_by_hand(tiny):
-    """0 tells 1 in step 0, too late for what 1 says in that step; 1 tells 2 in step 1; 2 tells 3 in step 2."""
-    received = [(0, 0, 1, 0.1), (0, 1, 2, 0.2), (1, 1, 2, 0.2), (2, 2, 3, 0.1), (3, 0, 3, 0.1), (3, 4, 5, 0.1)]
-    rows = [{"step": s, "sender": a, "receiver": b, "latency_s": t, "hops": 1} for s, a, b, t in received]
-    run = tiny(5, vehicles=fleet(*["honest"] * 6), receptions=rows)
-    frame = contact_graph.message_reachability(run, 0).set_index("vehicle")
-    assert frame.time_s.to_dict() == pytest.approx({0: 0, 1: 0.1, 2: 1.2, 3: 2.1}, abs=1e-5)
-    assert frame.n_messages.to_dict() == {0: 0, 1: 1, 2: 2, 3: 3}
-    assert sorted(contact_graph.message_reachability(run, 0, 3.0).vehicle) == [0, 3]
-
-
 def test_measure_is_tidy(run):
     numbers = measure(run)
     assert list(numbers.columns) == ["metric", "group", "value", "low", "high", "n_units", "unit", "label", "note"]
@@ -266,8 +159,7 @@ def test_measure_is_tidy(run):
 
 @pytest.mark.parametrize(
     "ask", [encounters.survival, freshness.states, freshness.over_time, radio.overall, radio.by_distance,
-            misbehaviour.roc, trust.over_time, detection.precision, detection.awareness, attack.success,
-            contact_graph.contacts]
+            misbehaviour.roc, trust.over_time, attack.success]
 )  # fmt: skip
 def test_nothing_to_measure_is_one_clear_line(tiny, ask):
     with pytest.raises(ValueError) as caught:

@@ -3,20 +3,7 @@
 import pytest
 
 from results.figures.catalogue import FIGURES
-from results.measure import measure
 from results.metrics import radio
-
-CONFIG = {
-    "radio": {
-        "model": "csma", "range_m": 300.0,
-        "propagation": {
-            "model": "urban", "walls": "3gpp", "fading": "nakagami", "wall_db": 9.0, "indoors_db_per_m": 0.4,
-        },
-        "receiver": {"p_min_dbm": -92.0, "sinr_min_db": 4.0}, "dcc": {"enabled": True}, "relay": {"max_hops": 2},
-        "unit_disk": {"loss_p": 0.05},
-    },
-    "fleet": {"penetration_p": 0.35, "equipped_kinds": ["car", "van"]},
-}  # fmt: skip
 
 
 def test_inter_reception_by_kaplan_meier(tiny):
@@ -78,28 +65,6 @@ def test_the_way_to_the_server(tiny):
     rows.append({"step": 1, "n_reports": 10} | lost | {"n_reached": 10 - 3})
     (way,) = radio.to_server(tiny(2, server=rows)).itertuples()
     assert (way.n_reports, way.reached, way.lost, way.outage, way.informed) == (20, 0.9, 0.05, 0.05, 0.9)
-
-
-def test_conditions_stand_beside_the_figures(tiny):
-    radios = [{"n_sent": 2, "n_in_range": 4, "n_delivered": 3, "n_lost_propagation": 1, "cbr": 0.1}]
-    pdr = [{"n_in_range": 4, "n_delivered": 3}]
-    run = tiny(1, CONFIG, radio=radios, pdr_by_distance=pdr, latency_histogram=[{"latency_s": 0.001, "n_delivered": 3}],
-               packet_inter_reception=[{"pir_steps": 1, "n_received": 2}])  # fmt: skip
-    found = radio.conditions(run).set_index("condition")
-    assert found.value["receiver_threshold"] == -92 and found.value["penetration"] == 0.35
-    assert found["is"]["nlos"] == "TR 37.885 NLOS"
-    assert found["is"]["fading"].startswith("Nakagami") and found["is"]["dcc"] == "reactive"
-    metrics = measure(run, topics=("radio",)).metric.str.removeprefix("radio.").tolist()
-    assert metrics.index("condition.receiver_threshold") < metrics.index("pdr.all")
-    assert {"pir.mean_s", "latency.p95_s", "cbr.mean", "condition.penetration", "condition.fading"} <= set(metrics)
-    disk = tiny_disk(run)
-    assert set(disk["is"][["receiver_threshold", "nlos", "fading"]]) == {"not modelled"}
-
-
-def tiny_disk(run):
-    """Conditions of the same run with the other model."""
-    run.manifest["config"] = {**CONFIG, "radio": {**CONFIG["radio"], "model": "unit_disk"}}
-    return radio.conditions(run).set_index("condition")
 
 
 def test_two_pictures(run, other):

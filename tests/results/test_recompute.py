@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from cosim.addons.attacks import effects as attack
 from results.archive import open_run
-from results.metrics import attack, freshness
+from results.metrics import freshness
 from tests.drive import drive
 from tests.results import recompute
 from tests.verification import recompute_metrics

@@ -1,20 +1,14 @@
-"""The dictionary: docs = code, and what every schema must have."""
+"""What every schema must have."""
 
 from enum import IntEnum
-from pathlib import Path
 
 import pyarrow as pa
 import pytest
 
 from cosim.base import codes
-from results import dictionary, tables
+from results import tables
 from results.columns import LEVELS
 from results.metrics.registry import METRICS, TOPICS
-
-
-def test_docs_are_the_code():
-    text = (Path(tables.__file__).parent / "TABLES.md").read_text()
-    assert text == dictionary.markdown(), "run python -m results.dictionary"
 
 
 @pytest.mark.parametrize("name", tables.TABLES)

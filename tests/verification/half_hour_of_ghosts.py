@@ -21,9 +21,9 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
+from cosim.addons.driver import safety
+from cosim.addons.driver.conflicts import tracks
 from results.archive import open_run
-from results.metrics import safety
-from results.metrics.conflicts import tracks
 from results.study import open_study
 
 BATCH_S = 150.0

@@ -2,9 +2,8 @@
 
 It shares no code with `results`: files are read with pandas, and every metric is written as its definition says.
 `python -m tests.verification.recompute_metrics RUN...` compares each with `cosim measure`. Not recomputed here: average
-precision (held against KITTI's devkit in `tests/results/test_kitti.py`), conflicts, overlaps and braking waves (held
-against SUMO's SSM device in `tests/results/test_safety.py`), and the conditions of the radio, which are keys of the
-config.
+precision (held against KITTI's devkit in `tests/addons/perception/test_kitti.py`), conflicts, overlaps and braking
+waves (held against SUMO's SSM device in `tests/addons/driver/test_safety.py`).
 """
 
 import json
@@ -17,7 +16,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 
 NOT_HERE = (
-    "radio.condition.", "detection.ap40", "safety.ttc", "safety.drac", "safety.pet", "safety.near_misses",
+    "detection.ap40", "safety.ttc", "safety.drac", "safety.pet", "safety.near_misses",
     "safety.collisions", "safety.wave",
 )  # fmt: skip
 """Beginnings of the metrics that are not recomputed."""
@@ -286,23 +285,21 @@ def security(of):
     if watched(of).empty:
         return
     every = pairs(of).sort_values(["step", "subject"])
-    medians = every[every.evaluated].groupby("step").trust.median()
     sent = of.table("detections")
-    for suffix, limit in (("", of.threshold), ("_relative", every.step.map(medians) / 2)):
-        now = every.assign(attacks=every.role != "honest", excluded=every.enough & (every.trust < limit))
-        units = [("value", now), ("vehicle", now.groupby("subject").tail(1))]
-        if len(sent):
-            units.append(("message", messages(of, sent, now)))
-        for unit, some in units:
-            for name, value in rates(some.attacks.astype(bool), some.excluded.astype(bool)):
-                yield name + suffix, unit, value
-        times, watched_s = 0, 0.0
-        for _, one in now[~now.attacks].groupby("subject"):
-            flags = one.excluded.to_numpy()
-            watched_s += (one.step.max() - one.step.min()) * of.dt_s
-            if one.step.max() > one.step.min():
-                times += int((flags & ~np.append(False, flags[:-1])).sum())
-        yield f"false_exclusions_per_h{suffix}", "", times / (watched_s / 3600) if watched_s else np.nan
+    now = every.assign(attacks=every.role != "honest", excluded=every.enough & (every.trust < of.threshold))
+    units = [("value", now), ("vehicle", now.groupby("subject").tail(1))]
+    if len(sent):
+        units.append(("message", messages(of, sent, now)))
+    for unit, some in units:
+        for name, value in rates(some.attacks.astype(bool), some.excluded.astype(bool)):
+            yield name, unit, value
+    times, watched_s = 0, 0.0
+    for _, one in now[~now.attacks].groupby("subject"):
+        flags = one.excluded.to_numpy()
+        watched_s += (one.step.max() - one.step.min()) * of.dt_s
+        if one.step.max() > one.step.min():
+            times += int((flags & ~np.append(False, flags[:-1])).sum())
+    yield "false_exclusions_per_h", "", times / (watched_s / 3600) if watched_s else np.nan
     rated = every[every.evaluated].sort_values("trust", kind="stable")
     attacks, n_attacks = rated.role != "honest", (every.role != "honest").sum()
     area, before = 0.0, 0.0

@@ -21,9 +21,9 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
+from cosim.addons.perception.detection import precision
 from results.archive import open_run
 from results.measure import measure
-from results.metrics.detection import precision
 from results.metrics.intervals import auc
 from results.metrics.trust import HONEST, watched
 from results.run import Run

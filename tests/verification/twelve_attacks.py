@@ -21,7 +21,7 @@ import pandas as pd
 
 from cosim.addons.benchmark.evidence import HONEST, EvidenceStream
 from cosim.addons.benchmark.play import Script
-from results.metrics.auc_bound import _EDGES, _N_BINS, _N_OTHERS, area
+from cosim.addons.evidence.auc_bound import _EDGES, _N_BINS, _N_OTHERS, area
 from results.metrics.intervals import ClusteredEstimate, ratio
 from tests.verification.attack_evidence import NEVER, rules_of
 from trust.models import MODELS, params_of
@@ -66,7 +66,7 @@ def above(honest: np.ndarray, other: np.ndarray) -> tuple[float, float]:
 
 
 def bound(stream: EvidenceStream, since: np.ndarray) -> tuple[float, float]:
-    """As `results.metrics.auc_bound.bounds`, with roles known, from a recorded stream: pairs won, and pairs."""
+    """As `cosim.addons.evidence.auc_bound.bounds`, with roles known, from a recorded stream: pairs won, and pairs."""
     rows = pd.DataFrame({c: np.asarray(v, np.int64) for c, v in stream.evaluations.items()})
     rows = rows[rows.evaluator != rows.observer]
     said, kind = (rows.evaluation * rows.visibility / 1e4).to_numpy(), (rows.detection_index % len(KINDS)).to_numpy()

@@ -22,5 +22,7 @@ ADDON = Addon(
             "delay": "cosim.addons.attacks.radio:Delay",
             "server_flooding": "cosim.addons.attacks.radio:ServerFlooding",
         },
+        "figure": {"attacks": "cosim.addons.attacks.figure:draw"},
+        "topic": {"attack": "cosim.addons.attacks.effects"},
     },
 )

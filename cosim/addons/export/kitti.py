@@ -36,7 +36,7 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from results.frames import FOCAL_PX, IMAGE_PX, InCamera, in_camera, in_sensor
+from cosim.addons.export.frames import FOCAL_PX, IMAGE_PX, InCamera, in_camera, in_sensor
 from results.moments import BOX, NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit
 from results.spreadsheet import csv_of
 

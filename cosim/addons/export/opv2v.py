@@ -26,8 +26,8 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from cosim.addons.export import kitti
-from results.frames import corners_of, in_sensor
-from results.moments import BOX, NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit
+from cosim.addons.export.frames import in_sensor
+from results.moments import BOX, NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit, corners_of
 
 TABLES = kitti.TABLES
 

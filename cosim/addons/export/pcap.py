@@ -34,10 +34,10 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.addons.export import kitti
+from cosim.addons.export.frames import compass_deg
 from cosim.base.codes import ObjectClass
 from cosim.base.earth import OnEarth, Projection
 from cosim.messages import etsi
-from results.frames import compass_deg
 from results.moments import BOX, Clouds, File, Plan, Selection, Unit
 
 START_S = 1_735_689_600

@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.addons.export import kitti
-from results.frames import in_camera, in_sensor
+from cosim.addons.export.frames import in_camera, in_sensor
 from results.moments import Clouds, File, Moment, Plan, Selection, Unit
 
 TABLES = kitti.TABLES

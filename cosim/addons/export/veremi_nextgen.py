@@ -16,8 +16,8 @@ import numpy as np
 import pandas as pd
 
 from cosim.addons.export import kitti, messages
+from cosim.addons.export.frames import compass_deg
 from cosim.addons.export.messages import ExportedMessages
-from results.frames import compass_deg
 from results.moments import Clouds, File, Plan, Selection, Unit
 
 TABLES = messages.TABLES

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from cosim.addons.export.view import colours, first_look, follow, role_colours, strips, view
-from cosim.runs.replay_lidar import film
+from cosim.addons.pictures.pictures import film
 from results.archive import open_run
 from tests.drive import cosim, drive
 

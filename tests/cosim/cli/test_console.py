@@ -12,7 +12,7 @@ from cosim.addons.benchmark.evidence import EvidencePlace
 from cosim.cli import console
 from tests.addons.benchmark.test_evidence import altered
 from tests.addons.benchmark.worlds import tiny_set
-from tests.addons.datasets.test_readers import dair_folder, opv2v_file, vehicle
+from tests.addons.perception.test_readers import dair_folder, opv2v_file, vehicle
 from tests.drive import cosim
 
 EVIL = "\x1b]0;owned\x07\x1b[31m \x9b41m \u202eder\u2066 \u200e \x08\r\x7f \udcff \u2028"

@@ -6,7 +6,7 @@ import pytest
 
 from cosim.attacks.params import AttackParams
 from cosim.config.config import Config, load
-from cosim.config.effect import _OF_ATTACK, _OF_UNIT, NEEDS, without_effect
+from cosim.config.effect import _NEEDS, _RULES, without_effect
 from cosim.config.preset import names
 from cosim.traffic.roadside import RoadsideParams
 
@@ -70,11 +70,15 @@ def test_keys_with_an_effect(sets):
 
 def test_the_table_names_keys_that_exist():
     known = set(_names(Config, ""))
-    for keys, _, _ in NEEDS:
-        for key in keys:
+    for need in _NEEDS["config"]:
+        for key in need["keys"]:
             assert any(name == key or (key.endswith("*") and name.startswith(key[:-1])) for name in known), key
-    for needs, of in ((_OF_ATTACK, AttackParams), (_OF_UNIT, RoadsideParams)):
-        assert {key for keys, _, _ in needs for key in keys} <= {f.name for f in fields(of)}
+    for section, of in (("attacks", AttackParams), ("roadside", RoadsideParams)):
+        assert {key for need in _NEEDS[section] for key in need["keys"]} <= {f.name for f in fields(of)}
+    conditions = [condition for needs in _NEEDS.values() for need in needs for condition in need["if"]]
+    assert {condition["rule"] for condition in conditions if "rule" in condition} == _RULES.keys()
+    for condition in conditions:
+        assert condition.keys() in ({"rule"}, {"key", "is"}, {"key", "is_not"}, {"key", "above"}), condition
 
 
 def _names(of, prefix):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from cosim.addons.perception.kitti_frames import actors_ahead, boxes_ahead
 from cosim.config.config import load
 from cosim.traffic.position_errors import GnssParams, PositionErrors
 from results.archive import open_run
-from results.metrics.kitti_frames import actors_ahead, boxes_ahead
 from tests.drive import cosim, drive
 
 KEYS = np.random.default_rng(5).integers(0, 2**63, 4000).astype(np.uint64)

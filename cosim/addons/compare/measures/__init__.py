@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from cosim.addons.compare import ego_metrics, scenarios
+from cosim.addons.compare import scenarios
 from cosim.addons.compare.facts import Measured
-from cosim.addons.compare.measures import cooperation, detection, early_fusion, encounters, radio, traffic
+from cosim.addons.compare.measures import encounters, radio, traffic
 from cosim.base.addons import Choices
 from results.run import Run
 
 Measure = Callable[..., Any]
 
-_MODULES = (cooperation, detection, early_fusion, ego_metrics, encounters, radio, scenarios, traffic)
+_MODULES = (encounters, radio, scenarios, traffic)
 
 MEASURES: Mapping[str, Measure] = Choices(
     "measure", {name: getattr(module, name) for module in _MODULES for name in module.MEASURES}

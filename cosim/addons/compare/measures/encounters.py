@@ -9,7 +9,6 @@ from scipy import stats
 from scipy.spatial import cKDTree
 
 from results.measure import measure as run_metrics
-from results.metrics.conflicts import tracks
 from results.run import Run
 
 MEASURES = ("relative_speed_law", "metric")
@@ -36,8 +35,10 @@ def metric(run: Run, *, names: Sequence[str], group: str, minus: Sequence[str] =
 
 def _relative(run: Run, radius_m: float, every_s: float, at_least_mps: float) -> Float[ndarray, "p"]:
     """Rate of change of distance of moving vehicles near each other, at some moments [m/s]."""
-    poses = tracks(run)
-    poses = poses[(poses.speed_mps >= at_least_mps) & (poses.step % max(1, round(every_s / run.dt_s)) == 0)]
+    poses = run.sql("""
+        SELECT step, x_m, y_m, yaw_rad, speed_mps FROM actors JOIN vehicles ON vehicle = actor
+        WHERE vehicle_class <> 'pedestrian' AND speed_mps >= $slowest AND step % $every = 0 ORDER BY step, actor
+    """, slowest=at_least_mps, every=max(1, round(every_s / run.dt_s)))  # fmt: skip
     found = []
     for _, now in poses.groupby("step"):
         xy = now[["x_m", "y_m"]].to_numpy(np.float64)

@@ -1,0 +1,77 @@
+"""The commands `explain` and `cite`."""
+
+from dataclasses import asdict
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.text import Text
+
+from cosim.cli.console import AsJson, print_json, screen
+
+if TYPE_CHECKING:
+    from cosim.addons.explain.lookup import Explanation
+
+MOST_SHOWN = 8
+"""Number of meanings that are printed in full; of more, the names are printed."""
+
+
+def explain(
+    context: typer.Context,
+    words: Annotated[list[str], typer.Argument(help="A key, metric, column, model, attack, command or term.")],
+    as_json: AsJson = False,
+) -> None:
+    """Say what a key, metric, column, model, command or term means."""
+    from cosim.addons.explain.lookup import commands, look_up
+
+    program = context.find_root().command
+    found = look_up(" ".join(words), lambda: commands(program))
+    if as_json:
+        print_json([asdict(entry) for entry in found])
+        return
+    if len(found) > MOST_SHOWN:
+        screen.print(f"{len(found)} names contain {' '.join(words)!r}:", soft_wrap=True)
+    for entry in found:
+        _print(entry, in_full=len(found) <= MOST_SHOWN)
+
+
+def _print(entry: "Explanation", in_full: bool) -> None:
+    screen.print(Text.assemble((entry.name, "bold"), f"  {entry.kind}"), soft_wrap=True)
+    if not in_full:
+        return
+    width = min(screen.width, 100)
+    if entry.kind == "command":
+        screen.print(entry.meaning, soft_wrap=True)
+    else:
+        indent = "  "
+        screen.print(fill(entry.meaning, width, initial_indent=indent, subsequent_indent=indent), soft_wrap=True)
+    if entry.where:
+        screen.print(f"  {entry.where}", soft_wrap=True)
+
+
+def cite(
+    run: Annotated[Path, typer.Argument(help="Run folder.")],
+    as_bibtex: Annotated[bool, typer.Option("--bibtex", help="Print BibTeX.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Print references of exactly the parts that a run used."""
+    from cosim.addons.explain.cite import bibtex, parts, references, text
+    from results.archive import open_run
+
+    manifest = open_run(run, unfinished=True).manifest
+    if as_bibtex:
+        screen.print(bibtex(manifest), soft_wrap=True)
+        return
+    known = references()
+    found = []
+    for part in parts(manifest):
+        entries = [part.entry] if part.entry else [known[key] for key in part.references]
+        found.append((part.what, [text(entry) for entry in entries]))
+    if as_json:
+        print_json([{"part": what, "references": lines} for what, lines in found])
+        return
+    for what, lines in found:
+        screen.print(Text(what, style="bold"), soft_wrap=True)
+        for line in lines or ["no publication"]:
+            screen.print(f"  {line}", soft_wrap=True)

@@ -1,0 +1,125 @@
+"""Frames of other tools: the sensor's, KITTI's camera, the compass.
+
+A box is x, y, z of its centre, length, width, height and yaw, as in the tables; `[n, 7]`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+IMAGE_PX = (1920, 1080)
+"""Of the camera that KITTI's labels are meant for."""
+
+FOCAL_PX = 960.0
+"""Its focal length: 90 degrees on 1,920 pixels."""
+
+NEAREST_M = 0.1
+"""What is nearer to the camera's plane is cut off before it is projected."""
+
+_EDGES = np.array([(i, i ^ bit) for i in range(8) for bit in (1, 2, 4) if i < i ^ bit])
+"""Edges of a box whose corner i is at the upper end of the axes in the bits of i."""
+
+
+def wrapped(angle_rad: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
+    """The same angles in (-pi, pi]."""
+    return np.pi - np.mod(np.pi - np.asarray(angle_rad, float), 2 * np.pi)
+
+
+def in_sensor(box: Float[ndarray, "n 7"], pose: Float[ndarray, "4"]) -> Float[ndarray, "n 7"]:
+    """Boxes in the frame of a level sensor.
+
+    Parameters
+    ----------
+    box
+        Boxes, world frame.
+    pose
+        x, y, z and yaw of the sensor, world frame.
+
+    Returns
+    -------
+    Boxes in the sensor frame: x forward, y left, z up; yaw in (-pi, pi].
+    """
+    cos, sin = np.cos(pose[3]), np.sin(pose[3])
+    away = box[:, :3] - pose[:3]
+    out = box.astype(np.float64)
+    out[:, 0], out[:, 1] = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
+    out[:, 2], out[:, 6] = away[:, 2], wrapped(box[:, 6] - pose[3])
+    return out
+
+
+class InCamera(NamedTuple):
+    """Boxes as KITTI's label files state them; camera frame: x right, y down, z forward, at the sensor's place."""
+
+    bottom_m: Float[ndarray, "n 3"]
+    """Middle of the underside."""
+    rotation_y: Float[ndarray, "n"]
+    """About the y axis; 0 where the box points to the right, -pi/2 where it points away."""
+    alpha: Float[ndarray, "n"]
+    """The same, seen along the ray to the box."""
+    image_px: Float[ndarray, "n 4"]
+    """Left, top, right and bottom of its rectangle inside the image."""
+    truncated: Float[ndarray, "n"]
+    """Share of the whole rectangle that lies outside the image."""
+    is_in_image: Bool[ndarray, "n"]
+
+
+def in_camera(box: Float[ndarray, "n 7"]) -> InCamera:
+    """Boxes as KITTI's camera sees them.
+
+    Parameters
+    ----------
+    box
+        Boxes in the sensor frame, as `in_sensor` returns them.
+    """
+    bottom = np.column_stack([-box[:, 1], -(box[:, 2] - 0.5 * box[:, 5]), box[:, 0]])
+    rotation = wrapped(-box[:, 6] - 0.5 * np.pi)
+    alpha = wrapped(rotation - np.arctan2(bottom[:, 0], bottom[:, 2]))
+    whole = _rectangle(box)
+    size = np.array([*IMAGE_PX, *IMAGE_PX], float)
+    inside = np.clip(whole, 0.0, size - 1)
+    area, full = (np.prod(np.maximum(r[:, 2:] - r[:, :2], 0.0), axis=1) for r in (inside, whole))
+    ahead = np.isfinite(whole).all(axis=1)
+    truncated = np.where(ahead & (full > 0), 1 - area / np.where(full > 0, full, 1.0), 1.0)
+    return InCamera(bottom, rotation, alpha, inside, truncated, ahead & (area > 0))
+
+
+def _rectangle(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 4"]:
+    """Rectangle of each box in an endless image [px]; nan where nothing of it is ahead."""
+    signs = (np.arange(8)[:, None] >> np.arange(3) & 1) * 2 - 1
+    local = 0.5 * signs * box[:, None, 3:6]
+    cos, sin = np.cos(box[:, 6])[:, None], np.sin(box[:, 6])[:, None]
+    corner = np.stack(
+        [cos * local[..., 0] - sin * local[..., 1], sin * local[..., 0] + cos * local[..., 1], local[..., 2]], axis=-1
+    ) + box[:, None, :3]  # fmt: skip
+    a, b = corner[:, _EDGES[:, 0]], corner[:, _EDGES[:, 1]]
+    span = b[..., 0] - a[..., 0]
+    crosses = (a[..., 0] < NEAREST_M) != (b[..., 0] < NEAREST_M)
+    cut = a + (np.where(crosses, NEAREST_M - a[..., 0], 0.0) / np.where(crosses, span, 1.0))[..., None] * (b - a)
+    points = np.concatenate([corner, cut], axis=1)
+    seen = np.concatenate([corner[..., 0] >= NEAREST_M, crosses], axis=1)
+    depth = np.where(seen, np.maximum(points[..., 0], NEAREST_M), 1.0)
+    u = IMAGE_PX[0] / 2 - FOCAL_PX * points[..., 1] / depth
+    v = IMAGE_PX[1] / 2 - FOCAL_PX * points[..., 2] / depth
+    low = [np.where(seen, x, np.inf).min(axis=1) for x in (u, v)]
+    high = [np.where(seen, x, -np.inf).max(axis=1) for x in (u, v)]
+    out = np.column_stack([*low, *high])
+    out[~seen.any(axis=1)] = np.nan
+    return out
+
+
+def compass_deg(yaw_rad: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
+    """Headings as a compass gives them.
+
+    Parameters
+    ----------
+    yaw_rad
+        Headings counter-clockwise from east (+x).
+
+    Returns
+    -------
+    Headings clockwise from north, in [0, 360).
+    """
+    degrees = np.mod(90.0 - np.degrees(np.asarray(yaw_rad, float)), 360.0)
+    return np.where(degrees >= 360.0, 0.0, degrees)

@@ -1,0 +1,85 @@
+"""Point clouds of recorded data sets, and how many points lie in boxes."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+from scipy.spatial import cKDTree
+
+from cosim.addons.perception.recorded import read_bytes
+
+_TYPES = {("F", 4): "<f4", ("F", 8): "<f8", ("U", 1): "<u1", ("U", 2): "<u2", ("U", 4): "<u4", ("I", 1): "<i1",
+          ("I", 2): "<i2", ("I", 4): "<i4"}  # fmt: skip
+_LONGEST_HEAD = 4096
+_FARTHEST_M = 1e6
+"""Largest coordinate of a point."""
+
+
+def points_of(path: Path) -> Float[ndarray, "n 3"]:
+    """x, y, z of the finite points of a .pcd file, in text or binary.
+
+    Raises
+    ------
+    ValueError
+        In one line, if the file is wrong, or compressed, which is not read. A file with another number of points than
+        it says is wrong.
+    """
+    content = read_bytes(path)
+    head, sign, _ = content[:_LONGEST_HEAD].partition(b"\nDATA ")
+    line = content[len(head) + len(sign) :].split(b"\n", 1)
+    if not sign or len(line) < 2:
+        raise ValueError(f"{path} is no point cloud in the format of PCL.")
+    kind, body = line[0].strip().decode("ascii", "replace"), line[1]
+    rows = dict(text.split(" ", 1) for text in head.decode("ascii", "replace").splitlines() if " " in text)
+    try:
+        names, n = rows["FIELDS"].split(), int(rows["POINTS"])
+        sizes, types = [int(word) for word in rows["SIZE"].split()], rows["TYPE"].split()
+        counts = [int(word) for word in rows.get("COUNT", " ".join("1" * len(names))).split()]
+        layout = np.dtype(
+            [(f"{k}{name}", _TYPES[of, size], (count,))
+             for k, (name, size, of, count) in enumerate(zip(names, sizes, types, counts, strict=True))]
+        )  # fmt: skip
+        axes = [f"{names.index(axis)}{axis}" for axis in "xyz"]
+        if kind == "binary":
+            there = len(body) // layout.itemsize
+        elif kind == "ascii":
+            rows_of_text = [line for line in body.splitlines() if line.strip()]
+            there = len(rows_of_text)
+        else:
+            raise ValueError(kind)
+    except (KeyError, ValueError, IndexError, MemoryError, OverflowError, ZeroDivisionError):
+        raise ValueError(f"{path} is no point cloud of kind ascii or binary with x, y and z.") from None
+    if n != there:
+        raise ValueError(f"{path} says that it has {str(n)[:20]} points, and has {there:,}.")
+    try:
+        if kind == "binary":
+            values = np.frombuffer(body, layout, n)
+            xyz = np.column_stack([values[axis][:, 0] for axis in axes]).astype(float)
+        else:
+            at = [sum(counts[: names.index(axis)]) for axis in "xyz"]
+            xyz = np.array(b" ".join(rows_of_text).split(), dtype=float).reshape(n, sum(counts))[:, at]
+    except (ValueError, IndexError, MemoryError):
+        raise ValueError(f"{path} is no point cloud of kind ascii or binary with x, y and z.") from None
+    if (np.abs(xyz[np.isfinite(xyz)]) > _FARTHEST_M).any():
+        raise ValueError(f"{path} has a point beyond {_FARTHEST_M / 1000:g} km.")
+    return xyz[np.isfinite(xyz).all(axis=1)]
+
+
+def points_in(points: Float[ndarray, "n 3"], box: Float[ndarray, "b 7"]) -> Int[ndarray, "b"]:
+    """Number of points strictly inside each box; both in one frame."""
+    found = np.zeros(len(box), np.int64)
+    if not len(points) or not len(box):
+        return found
+    tree = cKDTree(points[:, :2])
+    reach_m = 0.5 * np.hypot(box[:, 3], box[:, 4])
+    for k in range(len(box)):  # one after another, because large boxes may share most of the points
+        rows = tree.query_ball_point(box[k, :2], reach_m[k])
+        away = points[rows] - box[k, :3]
+        cos, sin = np.cos(box[k, 6]), np.sin(box[k, 6])
+        along, aside = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
+        inside = (
+            (np.abs(along) < box[k, 3] / 2) & (np.abs(aside) < box[k, 4] / 2) & (np.abs(away[:, 2]) < box[k, 5] / 2)
+        )
+        found[k] = int(inside.sum())
+    return found

@@ -1,0 +1,110 @@
+"""KITTI's object benchmark: labels and results as text.
+
+Notes
+-----
+`training/label_2/%06d.txt` with 15 columns, in `object` or not. Results of 16 columns in `results`, beside `training`,
+or in the folder of detections. Boxes are in the camera's frame: x right, y down, z forward; here x forward, y left, z
+up.
+"""
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy import ndarray
+
+from cosim.addons.perception.kitti import LabelledObjects
+from cosim.addons.perception.recorded import MOST_BOXES, MOST_FRAMES, class_of, number, once, read_text
+
+_COLUMNS = 15
+
+
+def labels_in(folder: Path) -> Path | None:
+    """The folder of label files, if there is one."""
+    for place in (folder / "object/training/label_2", folder / "training/label_2", folder / "label_2"):
+        if place.is_dir():
+            return place
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class KittiFolder:
+    """Labels and results of all frames, as KITTI's metric takes them; frames are those of the label files."""
+
+    truth: LabelledObjects
+    found: LabelledObjects
+    n_frames: int
+    classes: Counter[tuple[str, str]]
+    """Number of labels by the class that the files say, and ours."""
+    remarks: tuple[str, ...]
+    """What a reader of the figures should know, one sentence each."""
+
+
+def read(folder: Path, detections: Path | None = None) -> KittiFolder:
+    """Labels and results of a folder.
+
+    Raises
+    ------
+    ValueError
+        In one line, if there are no label files or a line is wrong.
+    """
+    place = labels_in(folder)
+    files = [] if place is None else list(
+        once(path for path in place.glob("*.txt") if path.stem.isascii() and path.stem.isdigit()).values()
+    )  # fmt: skip
+    if place is None or not files:
+        raise ValueError(f"{folder} holds no label files training/label_2/000000.txt.")
+    if len(files) > MOST_FRAMES:
+        raise ValueError(f"{place} has {len(files):,} files, more than {MOST_FRAMES:,}.")
+    results = detections or place.parents[1] / "results"
+    classes: Counter[tuple[str, str]] = Counter()
+    truth = [_file(path, frame, False, classes) for frame, path in enumerate(files)]
+    there = [(frame, path) for frame, path in enumerate(files) if (results / path.name).exists()]
+    found = [_file(results / path.name, frame, True, Counter()) for frame, path in there]
+    missing = len(files) - len(there)
+    remark = f"{missing:,} of {len(files):,} frames have no file in {results}: they count as if nothing was detected."
+    return KittiFolder(
+        _joined(truth), _joined(found), len(files), classes, (remark,) * (0 < missing < len(files))
+    )  # fmt: skip
+
+
+def _file(path: Path, frame: int, scored: bool, classes: Counter[tuple[str, str]]) -> LabelledObjects:
+    lines = read_text(path).splitlines()
+    if len(lines) > MOST_BOXES:
+        raise ValueError(f"{path} has {len(lines):,} lines, more than {MOST_BOXES:,}.")
+    rows = [_line(line.split(), f"{path}, line {n}", scored) for n, line in enumerate(lines, 1) if line.strip()]
+    values = np.array([row[1] for row in rows], float).reshape(-1, 15)
+    classes.update((row[2], row[0]) for row in rows)
+    height, width, length = values[:, 7], values[:, 8], values[:, 9]
+    right, down, forward, turn = values[:, 10], values[:, 11], values[:, 12], values[:, 13]
+    yaw = np.pi - (1.5 * np.pi + turn) % (2 * np.pi)  # wraps -turn - pi / 2
+    box = np.column_stack([forward, -right, 0.5 * height - down, length, width, height, yaw])
+    names = np.array([row[0] for row in rows], object)
+    hidden = np.where(values[:, 1] < 0, 3, values[:, 1]).astype(int)
+    return LabelledObjects(
+        np.full(len(rows), frame), names, box, values[:, 6] - values[:, 4], hidden, np.maximum(values[:, 0], 0.0),
+        values[:, 14],
+    )  # fmt: skip
+
+
+def _line(words: list[str], where: str, scored: bool) -> tuple[str, list[float], str]:
+    """Our class, the numbers, and the class that the line says."""
+    if len(words) < _COLUMNS + scored:
+        raise ValueError(f"{where} has {len(words)} columns and should have {_COLUMNS + scored}.")
+    values = [number(word, f"column {n}", Path(where)) for n, word in enumerate(words[1 : _COLUMNS + scored], 2)]
+    if values[9] > 0 and abs(values[13]) > 2 * math.pi + 0.1:
+        raise ValueError(f"{where}: rotation_y is {values[13]:g}; radians are right, from -3.14 to 3.14.")
+    name = words[0][:40].lower()
+    return name if name == "van" else class_of(name), values + [1.0] * (not scored), words[0][:40]
+
+
+def _joined(parts: list[LabelledObjects]) -> LabelledObjects:
+    names = ("frame", "label", "box", "height_px", "occlusion", "truncation", "score")
+    empty: dict[str, ndarray] = {
+        "frame": np.zeros(0, int), "label": np.zeros(0, object), "box": np.zeros((0, 7)), "occlusion": np.zeros(0, int),
+    }  # fmt: skip
+    if not parts:
+        return LabelledObjects(**{name: empty.get(name, np.zeros(0)) for name in names})
+    return LabelledObjects(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})

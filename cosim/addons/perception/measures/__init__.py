@@ -1,0 +1,1 @@
+"""Measures of perception that stand beside published ones in `cosim compare`."""

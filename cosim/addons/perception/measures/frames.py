@@ -1,0 +1,91 @@
+"""Frames of a run: what is ahead of an equipped vehicle in a step, what it sees of it, and what it reports."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from cosim.addons.perception.kitti import LabelledObjects, Overlap, average_precision
+from cosim.addons.perception.kitti_frames import (
+    Lists,
+    Poses,
+    actors_ahead,
+    at_steps,
+    boxes_ahead,
+    pairs_ahead,
+    posed,
+    sampled_steps,
+)
+from results.run import Run
+
+_VISIBLE, _IGNORED = 0, 3
+"""Levels of occlusion of objects that count, and of those that count neither as there nor as wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Objects and boxes ahead of equipped vehicles within a range."""
+
+    truth: LabelledObjects
+    """Actors; their occlusion is that of `kitti_frames.actors_ahead`."""
+    found: LabelledObjects
+    poses: Poses
+    """Observers by frame."""
+    n_points: Int[ndarray, "t"]
+    """Returns of the observer's own sweep from each actor."""
+
+    @staticmethod
+    def of(run: Run, which: Lists = "local", range_m: float = 140.0, most: int = 4000) -> "Frames":
+        """About `most` frames, evenly spread over a run.
+
+        Parameters
+        ----------
+        which
+            The boxes: detections of the vehicle's own sensor, or its fused objects.
+        """
+        steps = sampled_steps(run, most)
+        truth, poses = actors_ahead(run, steps, range_m)
+        _, actors = posed(run, steps)
+        i, j, _, _ = pairs_ahead(poses, actors, range_m)
+        observer, step, actor = poses.observer.to_numpy()[i], poses.step.to_numpy()[i], actors.actor.to_numpy()[j]
+        seen = run.table("observability", ["step", "observer", "actor", "n_points"], at_steps(steps))
+        points = seen.set_index(["step", "observer", "actor"]).n_points
+        own = points.reindex(pd.MultiIndex.from_arrays([step, observer, actor])).fillna(0).to_numpy(np.int64)
+        return Frames(truth, boxes_ahead(run, which, steps, poses, range_m), poses, own)
+
+    @property
+    def range_m(self) -> Float[ndarray, "t"]:
+        """Horizontal distance of each actor."""
+        return range_of(self.truth)
+
+    def precision(
+        self, counts: Bool[ndarray, "t"], label: str, overlap: float, edges_m: tuple[float, float] = (0.0, np.inf),
+        kind: Overlap = "3d",
+    ) -> float:  # fmt: skip
+        """Average precision over 40 recall points of actors within a range [%], whatever their height in the image.
+
+        Parameters
+        ----------
+        counts
+            Actors that count; the others count neither as there nor, where a box is on them, as wrong.
+        """
+        tall = np.full(len(self.truth), 1e3)
+        level = np.where(counts, _VISIBLE, _IGNORED)
+        truth = replace(self.truth, occlusion=level, height_px=tall)
+        found = replace(self.found, height_px=np.full(len(self.found), 1e3))
+        truth, found = (
+            rows(one, (range_of(one) >= edges_m[0]) & (range_of(one) < edges_m[1])) for one in (truth, found)
+        )
+        return average_precision(truth, found, label, kind, overlap)["hard"].ap40
+
+
+def range_of(objects: LabelledObjects) -> Float[ndarray, "n"]:
+    """Horizontal distance of objects from their observers [m]."""
+    return np.hypot(objects.box[:, 0], objects.box[:, 1])
+
+
+def rows(objects: LabelledObjects, keep: Bool[ndarray, "n"]) -> LabelledObjects:
+    """Some of the objects, in their order."""
+    return LabelledObjects(*(getattr(objects, f.name)[keep] for f in fields(LabelledObjects)))

@@ -1,0 +1,67 @@
+"""Frames of two worlds as one data set, in the shares that give a mean speed."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.addons.perception.matched import Found, Truth
+
+
+def frames_at_speed(
+    slow_mps: Float[ndarray, "a"], fast_mps: Float[ndarray, "b"], mean_mps: float
+) -> tuple[Int[ndarray, "c"], Int[ndarray, "d"]]:
+    """Frames of a slow and of a fast world, evenly over each and as many as possible, that have a mean speed together.
+
+    Parameters
+    ----------
+    slow_mps, fast_mps
+        Speed of the ego in each frame.
+
+    Raises
+    ------
+    ValueError
+        If the mean speed is not between those of the two worlds.
+    """
+    low, high = slow_mps.mean(), fast_mps.mean()
+    if not low < mean_mps < high:
+        raise ValueError(f"No shares of worlds with {low:.1f} and {high:.1f} m/s give {mean_mps:.1f} m/s.")
+    fast = (mean_mps - low) / (high - low)
+    n = min(len(slow_mps) / (1 - fast), len(fast_mps) / fast)
+    return _even(len(slow_mps), n * (1 - fast)), _even(len(fast_mps), n * fast)
+
+
+def in_turn(parts: Sequence[tuple[Int[ndarray, "c"], Truth, Found]]) -> tuple[Truth, Found]:
+    """Objects and boxes of some frames of several data sets, whose frames take turns in proportion to their numbers.
+
+    Parameters
+    ----------
+    parts
+        Frames, objects and boxes of each.
+    """
+    place = np.concatenate([(np.arange(len(frames)) + 0.5) / len(frames) for frames, _, _ in parts])
+    number = np.empty(len(place), np.int64)
+    number[np.argsort(place, kind="stable")] = np.arange(len(place))
+    borders = np.cumsum([0, *(len(frames) for frames, _, _ in parts)])
+    truths: list[tuple[ndarray, ...]] = []
+    founds: list[tuple[ndarray, ...]] = []
+    for (frames, truth, found), first in zip(parts, borders.tolist(), strict=False):
+        truths.append(_numbered(truth, frames, number[first:]))
+        founds.append(_numbered(found, frames, number[first:]))
+    frame, box = (np.concatenate(column) for column in zip(*truths, strict=True))
+    of, boxes, score = (np.concatenate(column) for column in zip(*founds, strict=True))
+    return (frame, box), (of, boxes, score)
+
+
+def _numbered(rows: tuple[ndarray, ...], frames: Int[ndarray, "c"], number: Int[ndarray, "m"]) -> tuple[ndarray, ...]:
+    """The rows of some frames, with new numbers of frames."""
+    at = np.searchsorted(frames, rows[0])
+    inside = np.append(frames, -1)[at] == rows[0]
+    return number[at[inside]], *(column[inside] for column in rows[1:])
+
+
+def _even(n: int, k: float) -> Int[ndarray, "k"]:
+    """About `k` of `n` numbers at equal distances."""
+    count = round(k)
+    return np.arange(count) * n // count

@@ -1,0 +1,154 @@
+"""Trust in recorded data sets: agents evaluate each other's boxes by their own detections and clouds."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.addons.perception.clouds import points_in, points_of
+from cosim.addons.perception.recorded import Recorded, RecordedBoxes, moved
+from sensors import boxes as geometry
+from trust.evaluation import evaluate
+from trust.fusion import SensorEvidence, fuse
+from trust.matching import match
+from trust.models.trupercept import TruPercept
+from trust.params import TrustParams, eta_of
+from trust.tables import (
+    SERVER,
+    FusionInput,
+    ObjectLists,
+    ReceivedEvaluations,
+    SenderTrust,
+    SentDetections,
+    as_messages,
+)
+
+PARAMS = TrustParams(method="trupercept_1", freshness_s="off")
+
+
+@dataclass(frozen=True, slots=True)
+class Trusted:
+    """Trust in the agents after the last frame, and the ego's objects fused with the trust of each moment."""
+
+    agents: pd.DataFrame
+    """agent, n_frames, n_evaluations of its boxes by others, trust."""
+    fused: RecordedBoxes
+    n_unread: int
+    """Frames left out, because the cloud of an agent is missing or cannot be read."""
+    why_unread: str
+    """A sentence on the first of them, if its cloud is there and cannot be read."""
+
+
+def trusted(data: Recorded, boxes: RecordedBoxes) -> Trusted:
+    """TruPercept over the frames of a data set, in their order.
+
+    Parameters
+    ----------
+    boxes
+        Detections of the ego and of the agents that cooperate with it, sorted by frame and agent.
+
+    Notes
+    -----
+    In each frame every agent evaluates the boxes of the others: e is the score of its own detection that matches, else
+    eta; the visibility is that of the points of its own cloud in the box. A box without points is not evaluated:
+    whether rays passed through it would need the sweep, not the cloud. Trust is that of one server that receives
+    everything, and never expires.
+    """
+    numbers = {name: k for k, name in enumerate(sorted({name for names in data.agents for name in names}))}
+    kinds = sorted(set(boxes.label.tolist()))
+    label = np.array([kinds.index(name) for name in boxes.label], np.uint8)
+    model, parts, unread, present = TruPercept(PARAMS, 1.0), [], 0, dict.fromkeys(numbers, 0)
+    why_unread = ""
+    begin, end = (np.searchsorted(boxes.frame, np.arange(len(data.frames)), side) for side in ("left", "right"))
+    for frame, names in enumerate(data.agents):
+        rows = np.arange(begin[frame], end[frame])
+        if not len(rows):
+            continue
+        clouds = _clouds(data.clouds[frame])
+        if isinstance(clouds, str):
+            unread, why_unread = unread + 1, why_unread or clouds
+            continue
+        known = model.scores(frame) if frame else None
+        scene = _Frame.of(boxes, rows, label, len(names))
+        given, evidence = scene.evaluated(clouds, data.world_from[frame])
+        who = np.array([numbers[name] for name in names])
+        sent = scene.table
+        model.open_step(frame, who, sent.message, sent.detection_index, sent.score)
+        messages = as_messages(frame, who, given.evaluated, sent, given.own)
+        everybody = np.arange(len(who))
+        model.add_evaluations(ReceivedEvaluations(messages, np.full(len(who), SERVER), everybody, eta_of(PARAMS)))
+        others = everybody[1:]
+        trust = np.full(len(others), PARAMS.default_trust)
+        if known is not None:
+            at = dict(zip(known.subject.tolist(), known.trust.tolist(), strict=True))
+            trust = np.array([at.get(int(one), PARAMS.default_trust) for one in who[1:]])
+        found = fuse(
+            given, SenderTrust(np.array([0, len(others)]), others, trust), evidence, np.zeros(len(rows)), PARAMS
+        )
+        parts.append((rows[found.seed], found.score))
+        for name in names:
+            present[name] += 1
+    chosen = np.concatenate([part for part, _ in parts]) if parts else np.zeros(0, int)
+    score = np.concatenate([part for _, part in parts]) if parts else np.zeros(0)
+    fused = RecordedBoxes(boxes.frame[chosen], boxes.agent[chosen], boxes.label[chosen], boxes.box[chosen], score)
+    final = model.scores()
+    of = {one: row for row, one in enumerate(final.subject.tolist())}
+    table = pd.DataFrame(
+        [
+            (name, present[name], int(final.n_evaluations[of[k]]) if k in of else 0,
+             float(final.trust[of[k]]) if k in of else np.nan)
+            for name, k in numbers.items()
+        ],
+        columns=["agent", "n_frames", "n_evaluations", "trust"],
+    )  # fmt: skip
+    return Trusted(table, fused, unread, why_unread)
+
+
+def _clouds(paths: tuple[Path, ...]) -> list[Float[ndarray, "n 3"]] | str:
+    """The clouds of all agents of a frame; or why one cannot be read, which is empty if it is missing."""
+    if not all(path.is_file() for path in paths):
+        return ""
+    try:
+        return [points_of(path) for path in paths]
+    except ValueError as error:
+        return str(error)
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """The boxes of one frame as messages, and the list of every agent: its own boxes, then the others'."""
+
+    box: Float[ndarray, "n 7"]
+    table: SentDetections
+    lists: ObjectLists
+
+    @staticmethod
+    def of(boxes: RecordedBoxes, rows: Int[ndarray, "n"], label: ndarray, n_agents: int) -> "_Frame":
+        message = boxes.agent[rows]
+        index = np.arange(len(rows)) - np.searchsorted(message, message) + 1
+        score = np.clip(boxes.score[rows], 0.0, 1.0)
+        table = SentDetections(message, index, label[rows], score, np.zeros(len(rows), bool))
+        member = [np.concatenate([np.flatnonzero(message == a), np.flatnonzero(message != a)]) for a in range(n_agents)]
+        lists = ObjectLists(len(rows) * np.arange(n_agents + 1), np.concatenate(member), np.arange(n_agents))
+        return _Frame(boxes.box[rows], table, lists)
+
+    def evaluated(
+        self, clouds: list[Float[ndarray, "n 3"]], world_from: Float[ndarray, "k 4 4"]
+    ) -> tuple[FusionInput, SensorEvidence]:
+        """What the ego fuses, and the evidence of its own cloud."""
+        plain = geometry.Boxes(self.box[:, :3], self.box[:, 3:6], self.box[:, 6])
+        pairs = geometry.overlapping_pairs(plain, self.table.label, self.table.message)
+        groups = match(self.lists, self.table, pairs, PARAMS)
+        agents = zip(clouds, world_from, strict=True)
+        inside = np.array([points_in(cloud, moved(self.box, np.linalg.inv(turn))) for cloud, turn in agents])
+        n_points = inside[self.lists.of_member(), self.lists.member]
+        made = evaluate(self.lists, groups, self.table, n_points, np.ones(len(n_points), bool), PARAMS)
+        n = int(self.lists.ptr[1])
+        ego = ObjectLists(self.lists.ptr[:2], self.lists.member[:n], self.lists.owner[:1])
+        of_ego = match(ego, self.table, pairs, PARAMS)
+        seeds = ego.member[of_ego.seeds()]
+        evidence = SensorEvidence(inside[0, seeds], np.ones(len(seeds), bool), np.ones(len(seeds), bool))
+        return FusionInput(ego, of_ego, self.table, self.lists, made, made), evidence

@@ -1,0 +1,56 @@
+"""Where and when the trust that is used is stale: heat maps over space and time."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy import ndarray
+
+from cosim.addons.pictures import stale
+from results.figures import style
+from results.metrics.freshness import FRESH_S
+from results.run import Run
+
+_LEAST = 5
+"""Lookups below which a cell is left empty."""
+_BINS = 40
+
+
+@style.styled
+def draw(runs: Sequence[Run], cell_m: float = 50.0, fresh_s: float = FRESH_S) -> Figure:
+    """Share of lookups whose newest evaluation is too old or absent, by the receiver's place, and by time and place.
+
+    The place over time is the direction in which the city is longer. There is a row of panels for each run.
+    """
+    runs = style.arranged(runs, most=3)
+    figure, panels = style.sheet(2 * len(runs), 2.6)
+    for i, (run, name) in enumerate(zip(runs, style.names(runs), strict=True)):
+        found = stale.placed(run, fresh_s)
+        n, n_stale = found.n.to_numpy(), found.n_stale.to_numpy()
+        x, y = (found[c].to_numpy(np.float64) for c in ("x_m", "y_m"))
+        prefix = f"{name}:" if len(runs) > 1 else "Stale trust"
+        mesh = _heat(panels[2 * i], x, y, _edges(x, cell_m), _edges(y, cell_m), n, n_stale)
+        style.map_panel(panels[2 * i], f"{prefix} over space")
+        along, label = (x, "East [m]") if np.ptp(x) > np.ptp(y) else (y, "North [m]")
+        time_s = found.step.to_numpy() * run.dt_s
+        ticks = np.linspace(0, max(time_s.max(), run.dt_s) + run.dt_s, min(_BINS, int(time_s.max() / run.dt_s) + 1) + 1)
+        _heat(panels[2 * i + 1], time_s, along, ticks, _edges(along, cell_m), n, n_stale)
+        style.panel(panels[2 * i + 1], f"{prefix} over time", style.TIME, label)
+        panels[2 * i + 1].grid(visible=False)
+    label = f"Share of lookups without an evaluation of the last {fresh_s:g} s"
+    bar = figure.colorbar(mesh, ax=panels[-1], location="bottom", shrink=0.8, aspect=40)
+    bar.set_label(style.fitted(label))
+    return figure
+
+
+def _edges(values: ndarray, cell_m: float) -> ndarray:
+    return np.arange(np.floor(values.min() / cell_m), np.floor(values.max() / cell_m) + 2) * cell_m
+
+
+def _heat(axes: Axes, x: ndarray, y: ndarray, x_edges: ndarray, y_edges: ndarray, n: ndarray, n_stale: ndarray):  # type: ignore[no-untyped-def]
+    """Shares in cells; those with few lookups stay empty."""
+    edges = (x_edges, y_edges)
+    total, old = (np.histogram2d(x, y, edges, weights=w)[0] for w in (n, n_stale))
+    share = np.ma.masked_where(total < _LEAST, old / np.maximum(total, 1))
+    return axes.pcolormesh(*edges, share.T, cmap="cividis", vmin=0, vmax=1, rasterized=True)

@@ -1,0 +1,61 @@
+"""The bound of an ideal observer, against areas that are known in closed form."""
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from cosim.addons.evidence.auc_bound import area
+
+N = 500
+
+
+def exact(kinds):
+    """Area of the likelihood ratio of independent binomial counts: (n, p of attackers, p of honest) per kind."""
+    grids = np.meshgrid(*(np.arange(n + 1) for n, *_ in kinds), indexing="ij")
+    p = [
+        np.prod([binom.pmf(k, n, of[role]) for k, (n, *of) in zip(grids, kinds, strict=True)], axis=0)
+        for role in (0, 1)
+    ]
+    ratio = np.round(np.log(p[0]) - np.log(p[1]), 9).ravel()
+    value, at = np.unique(ratio, return_inverse=True)
+    attacker, honest = (np.bincount(at, one.ravel(), len(value)) for one in p)
+    return float((attacker * (np.cumsum(honest) - honest / 2)).sum())
+
+
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        [(20, 0.6, 0.4)],
+        [(20, 0.4, 0.6)],  # what is denied more often may be the honest: the observer knows which
+        [(10, 0.9, 0.85), (4, 0.2, 0.7)],  # the rare kind says more
+        [(30, 0.5, 0.5)],
+    ],
+)
+def test_the_area_is_that_of_neyman_and_pearson(kinds):
+    rng = np.random.default_rng(5)
+    attacks = np.arange(2 * N) < N
+    columns = []
+    for n, *p in kinds:
+        k = rng.binomial(n, np.where(attacks, *p))
+        columns += [k, n - k]
+    found = area(np.column_stack(columns), attacks)
+    assert found.value == pytest.approx(exact(kinds), abs=0.025)
+    assert found.low < exact(kinds) < found.high or exact(kinds) == pytest.approx(0.5)
+
+
+def test_areas_by_hand():
+    """Attackers a: (4, 0), b: (3, 1); honest c: (0, 4), d: (0, 3): columns are two kinds of clues.
+
+    Judging a and c: of the first kind, b has 1 and d has 0, so the first kind speaks for an attacker, and a has it. The
+    same holds for all four pairs: whoever is left out, the other attacker has more of the first kind.
+    """
+    counts = np.array([[4, 0], [3, 1], [0, 4], [0, 3]])
+    assert area(counts, np.array([True, True, False, False])).value == 1.0
+    assert np.isnan(area(counts, np.array([True, False, False, False])).value), "nothing is known of a lone attacker"
+
+
+def test_order_of_subjects_and_of_kinds_does_not_matter():
+    rng = np.random.default_rng(8)
+    counts, attacks = rng.poisson(3, (30, 6)), np.arange(30) % 3 == 0
+    rows, columns = rng.permutation(30), rng.permutation(6)
+    assert area(counts[rows][:, columns], attacks[rows]).value == pytest.approx(area(counts, attacks).value, abs=1e-12)

@@ -1,0 +1,3 @@
+"""The town of the tests of misbehaviour."""
+
+from tests.results.test_misbehaviour import town  # noqa: F401

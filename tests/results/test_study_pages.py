@@ -1,0 +1,196 @@
+"""What a study answers: pivoted tables, pooled curves, figures for any number of keys."""
+
+import itertools
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import t
+
+from results import study_report, study_table
+from results.figures import study as study_figure
+from results.figures import study_curves as curve_figure
+from results.metrics.registry import CORE, METRICS
+from results.metrics.survival import kaplan_meier
+from results.study import StudyResults, apart, that_matter
+from results.study_curves import COLUMNS, counts, pooled, survival
+from tests.results.tiny import fleet
+
+CITIES = ("/nets/alpha/street.sumocfg", "/nets/beta/town.sumocfg")
+SWEPT = {
+    "traffic.scenario": CITIES, "fleet.penetration_p": (0.1, 0.3), "trust.freshness_s": (5.0, 20.0),
+    "attacks.0.share_p": (0.0, 0.1), "trust.model": ("beta", "mate"),
+}  # fmt: skip
+
+
+def value_of(metric, keys, replicate):
+    """Encounters depend on city and penetration, ages on penetration and window, the AUC on all but the city."""
+    noise = 0.01 * replicate
+    if metric.startswith("encounters"):
+        return 10 + 20 * keys["fleet.penetration_p"] + 3 * (keys.get("traffic.scenario") == CITIES[1]) + noise
+    if metric.startswith("freshness"):
+        return 2 + keys["fleet.penetration_p"] + 0.1 * keys.get("trust.freshness_s", 0) + noise
+    return 0.6 + 0.01 * keys.get("trust.freshness_s", 0) + 0.05 * (keys.get("trust.model") == "mate") + noise
+
+
+def study_of(folder, swept=SWEPT, replicates=3, value=value_of, baseline=None):
+    """A study with three core metrics of these values. An AUC needs attackers."""
+    at = [dict(zip(swept, values, strict=True)) for values in itertools.product(*swept.values())]
+    points = pd.DataFrame([
+        {"point": f"{i}-{r}", "run": "all", "variant": "base", "replicate": r, "state": "finished", **keys}
+        for i, keys in enumerate(at) for r in range(replicates)
+    ])  # fmt: skip
+    rows = []
+    for point in points.to_dict("records"):
+        for metric, group in (
+            ("encounters.duration.km_median_s", "equipped, 100 m"),
+            ("freshness.newest_evaluation_age.mean_s", "all"), ("misbehaviour.at_lookup.auc", "malicious"),
+        ):  # fmt: skip
+            if metric.endswith("auc") and point.get("attacks.0.share_p", 1) == 0:
+                continue
+            found = value(metric, point, point["replicate"])
+            if found == found:
+                about = METRICS[metric]
+                rows.append((point["point"], metric, group, float(found), about.unit, about.label))
+    (folder / "jobs" / "all").mkdir(parents=True, exist_ok=True)
+    table = pd.DataFrame(rows, columns=["point", "metric", "group", "value", "unit", "label"])
+    table.to_parquet(folder / "jobs" / "all" / "measures.parquet")
+    head = {"name": "s", "question": "How long?", "keys": list(swept), "baseline": baseline or {}}
+    return StudyResults(folder, head, points)
+
+
+def with_curves(study, of):
+    """The same study, with the samples `of(keys, replicate)` of encounters."""
+    rows = [
+        {"point": p["point"], "what": "encounters", "group": "equipped, 100 m", "value_s": s, "n": n, "n_open": c}
+        for p in study.points.to_dict("records") for s, n, c in of(p, p["replicate"])
+    ]  # fmt: skip
+    pd.DataFrame(rows).to_parquet(study.path / "jobs" / "all" / "curves.parquet")
+    return study
+
+
+def test_core_metrics_exist_and_are_eight():
+    assert len(CORE) == len(set(CORE)) == 8 and all(name.partition(":")[0] in METRICS for name in CORE)
+
+
+def test_keys_that_change_a_metric(tmp_path):
+    """And of keys that change together, the first."""
+    study = study_of(tmp_path)
+    of = {metric: frame for metric, frame in study.measures.groupby("metric")}
+    assert that_matter(of["encounters.duration.km_median_s"], study.keys) == ["traffic.scenario", "fleet.penetration_p"]
+    assert that_matter(of["freshness.newest_evaluation_age.mean_s"], study.keys) == [
+        "fleet.penetration_p", "trust.freshness_s",
+    ]  # fmt: skip
+    assert that_matter(of["misbehaviour.at_lookup.auc"], study.keys) == ["trust.freshness_s", "trust.model"]
+    zipped = pd.DataFrame({"a": [1, 1, 2, 2], "b": [5, 5, 6, 6], "c": [1, 2, 1, 2], "d": 0})
+    assert apart(zipped, "abcd") == ["a", "c"]
+    assert that_matter(zipped.assign(replicate=0, value=[1, 1, 2, 2]), "abcd") == ["a"]
+
+
+def test_five_keys_are_reported(tmp_path):
+    """Every figure is drawn, with short names of cities; the table has a row per combination that matters."""
+    study = study_of(tmp_path, baseline={"trust.freshness_s": 5.0})
+    text = study_report.page(study)
+    assert 'class="missing"' not in text and "/nets/" not in re.sub(r"base64,[^\"]*", "", text)
+    found = study_table.pivot(study, study.summary, study_table.core(study))
+    assert list(found.columns) == ["", "group", "fleet.penetration_p", "trust.freshness_s", "trust.model",
+                                   "street", "town"]  # fmt: skip
+    assert len(found) == 2 + 4 + 4
+    # encounters at 10 % in the first city: 10 + 2 + mean of 0, .01, .02 = 12.01; s = .01; 4.303 x .01 / sqrt(3) = .0248
+    half = t.ppf(0.975, 2) * 0.01 / 3**0.5
+    assert found.street[0] == "12 (12 to 12)" and half == pytest.approx(0.0248, abs=1e-4)
+    for key, text in (("trust.freshness_s", "5.00"), ("trust.freshness_s", "5"), ("traffic.scenario", "town")):
+        assert len(study_table.pivot(study, study.summary, study_table.core(study), where={key: text}))
+    with pytest.raises(ValueError, match=r"^no point has trust.freshness_s = 7\. There are 5, 20.$"):
+        study_table.pivot(study, study.summary, study_table.core(study), where={"trust.freshness_s": "7"})
+    with pytest.raises(ValueError, match="range_m is not swept"):
+        study_table.pivot(study, study.summary, study_table.core(study), over="radio.range_m")
+
+
+def test_a_select_box_names_what_the_axes_do_not_show(tmp_path):
+    def value(metric, keys, replicate):
+        return sum(0.01 * list(SWEPT[key]).index(keys[key]) * 2**i for i, key in enumerate(SWEPT)) + 0.1 * replicate
+
+    text = study_report.page(study_of(tmp_path, value=value))
+    boxes = re.findall(r"<select.*?</select>", text)
+    assert len(boxes) == 3
+    assert boxes[0].count("<option") == 4 and "share of attackers = 0.1, model = mate" in boxes[0]
+    assert boxes[2].count("<option") == 2  # the AUC exists at one share of attackers
+
+
+KEYS = {"fleet.penetration_p": (0.1, 0.6)}
+
+
+def ages(first, last):
+    def value(metric, keys, replicate):
+        return (first if keys["fleet.penetration_p"] == 0.1 else last)[replicate]
+
+    return value
+
+
+def test_pooled_survival_by_hand():
+    """Replicate 0: 1, 2, 3+; replicate 1: 2, 2, 4 (+: end not seen).
+
+    Pooled S(1) = 5/6; S(2) = 5/6 x 2/5 = 1/3; S(3) = 1/3; S(4) = 0. Alone: 2/3, 1/3, 1/3; and 1, 1/3, 1/3, 0.
+    """
+    rows = [(0, 1.0, 1, 0), (0, 2.0, 1, 0), (0, 3.0, 0, 1), (1, 2.0, 2, 0), (1, 4.0, 1, 0)]
+    found = pooled(pd.DataFrame(rows, columns=["replicate", "value_s", "n", "n_open"]))
+    assert found.value_s.tolist() == [0, 1, 2, 3, 4]
+    assert found.survival.tolist() == pytest.approx([1, 5 / 6, 1 / 3, 1 / 3, 0])
+    assert found.low.tolist() == pytest.approx([1, 2 / 3, 1 / 3, 1 / 3, 0])
+    assert found.high.tolist() == pytest.approx([1, 1, 1 / 3, 1 / 3, 0])
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.integers(1, 9), st.booleans()), min_size=1, max_size=30))
+def test_survival_of_counts_is_that_of_single_durations(sample):
+    lasted_s, over = np.array([x for x, _ in sample], float), np.array([x for _, x in sample])
+    curve = kaplan_meier(lasted_s, over)
+    frame = pd.DataFrame({"value_s": lasted_s, "n": over.astype(int), "n_open": (~over).astype(int)})
+    frame = frame.groupby("value_s", as_index=False).sum()
+    found = survival(frame, curve.duration_s.to_numpy())
+    assert found == pytest.approx(curve.survival.to_numpy())
+
+
+def test_lookups_without_evaluation_are_older_than_any_age():
+    """Two lookups of 1 s, one of 3 s, one without: S(1) = 1/2, S(3) = 1/4, and so on for ever."""
+    frame = pd.DataFrame({"value_s": [1.0, 3.0, np.inf], "n": [2, 1, 0], "n_open": [0, 0, 1]})
+    assert survival(frame, np.array([0.0, 1.0, 2.0, 3.0, 99.0])).tolist() == [1, 0.5, 0.5, 0.25, 0.25]
+
+
+def test_a_run_without_encounters_and_lookups_has_no_curves(tiny, tmp_path):
+    """What is kept of it is an empty table with its kinds, and is read again beside others."""
+    found = counts(tiny(5, vehicles=fleet("honest")))
+    assert found.empty and {str(name): str(kind) for name, kind in found.dtypes.items()} == COLUMNS
+    study = with_curves(study_of(tmp_path / "s", KEYS), lambda keys, r: [(3.0, 1, 0)])
+    study.points.loc[study.points.replicate == 0, "run"] = "none"
+    (study.path / "jobs" / "none").mkdir()
+    found.assign(point="0-0").to_parquet(study.path / "jobs" / "none" / "curves.parquet")
+    assert len(study.curves) == 6
+
+
+def test_curves_of_a_study(tmp_path):
+    """Encounters do not depend on the window: the figure shows penetrations, with each replicate counted once."""
+    swept = {"trust.freshness_s": (5.0, 20.0), "fleet.penetration_p": (0.1, 0.3)}
+    study = with_curves(study_of(tmp_path, swept), lambda keys, r: [(10 * keys["fleet.penetration_p"] + r, 4, 1)])
+    assert curve_figure.keys_of(study, "encounters") == ["fleet.penetration_p"]
+    (axes,) = curve_figure.draw(study, "encounters").axes
+    # 10 %: 1, 2, 3 s with 4 ended and 1 open each: 15 at risk, then 10, then 5
+    assert axes.get_lines()[0].get_ydata().tolist() == pytest.approx([1, 11 / 15, 11 / 15 * 0.6, 11 / 15 * 0.6 * 0.2])
+    with pytest.raises(ValueError, match="has kept no age"):
+        curve_figure.draw(study, "ages")
+    with pytest.raises(ValueError, match="range_m is not swept"):
+        curve_figure.draw(study, "encounters", by="radio.range_m")
+
+
+def test_axes_follow_the_means_and_arrows_mark_what_leaves_them(tmp_path):
+    """Two replicates at 10 % give an interval of +-12.7 errors: it leaves the panel, and the others stay legible."""
+    study = study_of(tmp_path, KEYS, 2, ages((1.0, 9.0), (5.0, 5.1)))
+    (axes,) = study_figure.draw(study, "", ["encounters.duration.km_median_s:equipped, 100 m"]).axes
+    high = study.summary.high[study.summary.metric == "encounters.duration.km_median_s"].max()
+    assert axes.get_ylim()[1] < 10 < high
+    arrows = [line for line in axes.get_lines() if line.get_marker() == "^" and line.get_linestyle() == "None"]
+    assert [line.get_ydata()[0] for line in arrows] == [axes.get_ylim()[1]]
