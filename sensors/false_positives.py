@@ -312,6 +312,11 @@ def _nearest_of(ranges, hits, beams, x, y, cos, sin, first, end, code, to_x, to_
         aside = along_x * (to_y - y) - along_y * (to_x - x)
         if aside * aside > min(enough, least) * _ROUNDED + _ROUNDED_M2:
             continue
+        of_column, is_met = hits[c], np.int16(0)
+        for r in range(len(of_column)):  # in vector instructions
+            is_met |= np.int16(of_column[r] == code)
+        if not is_met:
+            continue
         for r in range(hits.shape[1]):
             if hits[c, r] == code:
                 flat = steps[c, r] * step_m * beams.cos_el[r]
