@@ -27,6 +27,7 @@ from scipy.special import gammaincinv, ndtr
 
 from cosim.base.hash_rng import mix, unit
 from cosim.base.kernel import compiled, inlined, kernel
+from cosim.base.threads import in_ranges
 
 LIGHT_MPS = 299_792_458.0
 BLOCKER_M = 1.6
@@ -481,7 +482,12 @@ def link_field(
     out = np.empty(len(a))
     xy_m = np.ascontiguousarray(xy_m, np.float64)
     waves = _waves(xy_m, float(decorrelation_m), rng_key)
-    _field(waves, d, float(decorrelation_m), a, b, np.empty(N_WAVES, np.float32), out)
+
+    def fill(begin: int, end: int) -> None:
+        lanes, here = np.empty(N_WAVES, np.float32), slice(begin, end)
+        _field(waves, d[here], float(decorrelation_m), a[here], b[here], lanes, out[here])
+
+    in_ranges(fill, len(a))
     return out
 
 

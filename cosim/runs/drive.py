@@ -88,6 +88,8 @@ class Drive:
     """World of the next step, if it has been read already."""
     _recording: Future[None] | None = None
     """The rows of the step before, if another thread records them."""
+    _watch: Stopwatch = field(default_factory=Stopwatch)
+    """Of that thread."""
 
     def run(self) -> None:
         """Warm up, repeat the traffic of the recorded steps, and continue until the end or a signal."""
@@ -101,6 +103,7 @@ class Drive:
         with Ahead(self.parts) as ahead, ThreadPoolExecutor(1, "record") as recording_thread:
             self.manifest.timings_ahead_s = ahead.watch.seconds
             self._run(ahead, recording_thread)
+            ahead.watch.add(self._watch, 1)
 
     def _run(self, ahead: Ahead | None, recording_thread: ThreadPoolExecutor | None) -> None:
         config, recorder = self.parts.config, self.recorder
@@ -135,7 +138,7 @@ class Drive:
             with self.parts.watch("record"):
                 self._wait_for_rows()
                 if recording_thread is not None and numba.get_num_threads() > 1 and threads_may_meet():
-                    self._recording = recording_thread.submit(self._record, result)
+                    self._recording = recording_thread.submit(self._record_beside, result)
                 else:
                     self._record(result)
                 commands = result.commands.actor, result.commands.speed_mps
@@ -164,6 +167,11 @@ class Drive:
         recording.step(self.recorder, result, self.parts.config.traffic.step_s)
         self.recorder.reach(result.world.step)
         self.manifest.steps = result.world.step + 1
+
+    def _record_beside(self, result: StepResult) -> None:
+        """The same in another thread."""
+        with self._watch("record"):
+            self._record(result)
 
     def _wait_for_rows(self) -> None:
         """Wait until the rows of the step before are appended, and raise what has gone wrong."""
