@@ -246,15 +246,13 @@ def _places(steps, hits, cos_el, x, y, along_x, along_y, top, width, place):
 
 
 @compiled
-def _tally(steps, step_m, hits, beams, x, y, cos, sin, x0, y0, side, bits, room):
-    """Of some rays of a sweep: cells and kinds (wall, road), in the order met; returns of each; and by kind.
-
-    `room` has a zero for each place, and as many elements as there are rays, for the places that are met.
-    """
+def _tally(steps, step_m, hits, beams, x, y, cos, sin, x0, y0, side, bits):
+    """Of some rays of a sweep: cells and kinds (wall, road), in the order met; returns of each; and by kind."""
     cos_el = (step_m * beams.cos_el[::ROW_STEP]).astype(np.float32)
     width, n_columns, n_rows = np.int32(1 << bits), (len(hits) + COLUMN_STEP - 1) // COLUMN_STEP, len(cos_el)
     some_steps, some_hits = np.empty(n_rows, steps.dtype), np.empty(n_rows, hits.dtype)
-    (count, met), k = room, 0
+    count = np.zeros(n_rows + 2 * side * width, np.int32)  # by place
+    met, k = np.empty(n_columns * n_rows + 1, np.int32), 0
     place = np.empty(n_rows, np.int32)
     x, y, top = np.float32(x / CELL_M - x0), np.float32(y / CELL_M - y0), np.float32(side - 0.5)
     for column in range(n_columns):
@@ -281,7 +279,6 @@ def _tally(steps, step_m, hits, beams, x, y, cos, sin, x0, y0, side, bits, room)
             met[n] = at - n_rows
             total[met[n] % 2] += count[at]
             n += 1
-    count[:n_rows] = 0
     return met[:n], count[n_rows:], total
 
 
@@ -365,14 +362,8 @@ class _Hidden(NamedTuple):
     n_returns: ndarray
 
 
-@kernel
-def _bits(side):
-    """Binary digits of the numbers below a limit."""
-    return np.int64(np.ceil(np.log2(side)))
-
-
 @compiled
-def _one_sweep(ranges, hits, beams, pose, half, hidden, observer, step, keys, rates, site, ray, uniform, room):
+def _one_sweep(ranges, hits, beams, pose, half, hidden, observer, step, keys, rates, site, ray, uniform):
     """Number of false positives of one sweep; as many as fit are written to `site`, `ray` and `uniform`."""
     (x, y, yaw), (actor, n_returns) = pose, hidden
     common, _, _, actor_key, time_s, pace = keys
@@ -380,8 +371,8 @@ def _one_sweep(ranges, hits, beams, pose, half, hidden, observer, step, keys, ra
     side, sampled = 2 * half + 1, 1.0 / (COLUMN_STEP * ROW_STEP)
     cos, sin = np.cos(yaw), np.sin(yaw)
     x0, y0 = np.int64(np.floor(x / CELL_M)) - half, np.int64(np.floor(y / CELL_M)) - half
-    bits = _bits(side)
-    met, count, n = _tally(ranges[0], ranges[1], hits, beams, x, y, cos, sin, x0, y0, side, bits, room)
+    bits = np.int64(np.ceil(np.log2(side)))
+    met, count, n = _tally(ranges[0], ranges[1], hits, beams, x, y, cos, sin, x0, y0, side, bits)
     bodies = float(n[_WALL])
     for s in range(len(actor)):
         bodies += sampled * n_returns[s]
@@ -417,8 +408,6 @@ def _one_sweep(ranges, hits, beams, pose, half, hidden, observer, step, keys, ra
                     code = Hit.GROUND.value if kind == _ROAD else Hit.BUILDING.value
                     ray[found] = _nearest_in_cell(ranges, hits, beams, x, y, cos, sin, i, j, code, to_x, to_y)
             found += 1
-    for at in met:
-        count[at] = 0
     return found
 
 
@@ -430,15 +419,12 @@ def _all_sweeps(ranges, hit, origin_m, yaw_rad, beams, max_range_m, hidden, keys
     site, ray = np.empty((n_sweeps, capacity), np.uint64), np.empty((n_sweeps, capacity), np.int64)
     uniform = np.empty((n_sweeps, capacity, 2))
     steps, step_m = ranges
-    side, n_rows = 2 * half + 1, (hit.shape[2] + ROW_STEP - 1) // ROW_STEP
-    n_rays = n_rows * ((hit.shape[1] + COLUMN_STEP - 1) // COLUMN_STEP)
-    room = np.zeros(n_rows + (2 * side << _bits(side)), np.int32), np.empty(n_rays + 1, np.int32)
     for o in range(n_sweeps):
         first, last = hidden.ptr[o], hidden.ptr[o + 1]
         found[o] = _one_sweep(
             (steps[o], step_m), hit[o], beams,
             (origin_m[o, 0], origin_m[o, 1], yaw_rad[o]), half,
             (hidden.actor[first:last], hidden.n_returns[first:last]),
-            keys.observer[o], keys.step[o], keys, rates, site[o], ray[o], uniform[o], room,
+            keys.observer[o], keys.step[o], keys, rates, site[o], ray[o], uniform[o],
         )  # fmt: skip
     return found, site, ray, uniform
