@@ -199,12 +199,14 @@ def _side(x, y):
 def _aspect(at, here, of_kind):
     """Kind and cell of a place, a point of the cell, and the keys of the site and of the aspect."""
     x, y, x0, y0, bits = here
-    kind, i, j = at & 1, x0 + (at >> 1 >> bits), y0 + (at >> 1 & (1 << bits) - 1)
+    kind, cell = at & 1, at >> 1
+    i, j = x0 + (cell >> bits), y0 + (cell & (1 << bits) - 1)
     key = mix(of_kind[_ROAD] if kind == _ROAD else of_kind[_WALL], (i << 32) ^ (j & _LOW_32))
     spot = mix(key, 6)
     to_x = (i + (spot >> _S32) * _TO_UNIT_32) * CELL_M
     to_y = (j + (spot & np.uint64(_LOW_32)) * _TO_UNIT_32) * CELL_M
-    return kind, i, j, to_x, to_y, key, mix(key, _side(x - to_x, y - to_y))
+    aspect = mix(key, _side(x - to_x, y - to_y))
+    return kind, i, j, to_x, to_y, key, aspect
 
 
 @compiled
@@ -215,16 +217,21 @@ def _likely(met, count, here, of_kind, drawn_by, body_rate, road_rate):
     """
     observer, step, time_s, pace = drawn_by
     n = len(met)
-    lasting, own, new, p = np.empty(n, np.uint64), np.empty(n, np.uint64), np.empty(n), np.empty(n)
-    lasting_pace, own_pace, likely = np.empty(n), np.empty(n), np.empty(n, np.bool_)
+    lasting, own = np.empty(n, np.uint64), np.empty(n, np.uint64)
+    new, p = np.empty(n), np.empty(n)
+    lasting_pace, own_pace = np.empty(n), np.empty(n)
+    likely = np.empty(n, np.bool_)
     for k in range(n):
         aspect = _aspect(np.int64(met[k]), here, of_kind)[6]
         lasting[k], own[k], new[k] = _first_hashes(aspect, observer, step)
     for k in range(n):
-        p[k] = count[np.uint64(met[k])] * (road_rate if met[k] & 1 == _ROAD else body_rate)
-        lasting_pace[k], own_pace[k] = pace[lasting[k] >> _PHASE_BITS], pace[own[k] >> _PHASE_BITS]
+        rate = road_rate if met[k] & 1 == _ROAD else body_rate
+        p[k] = count[np.uint64(met[k])] * rate
+        lasting_pace[k] = pace[lasting[k] >> _PHASE_BITS]
+        own_pace[k] = pace[own[k] >> _PHASE_BITS]
     for k in range(n):
-        u, v = _persistent(lasting[k], lasting_pace[k], time_s), _persistent(own[k], own_pace[k], time_s)
+        u = _persistent(lasting[k], lasting_pace[k], time_s)
+        v = _persistent(own[k], own_pace[k], time_s)
         likely[k] = min(u, v, new[k]) < p[k]
     return likely
 
@@ -249,7 +256,8 @@ def _places(steps, hits, cos_el, x, y, along_x, along_y, top, width, place):
 def _tally(steps, step_m, hits, beams, x, y, cos, sin, x0, y0, side, bits):
     """Of some rays of a sweep: cells and kinds (wall, road), in the order met; returns of each; and by kind."""
     cos_el = (step_m * beams.cos_el[::ROW_STEP]).astype(np.float32)
-    width, n_columns, n_rows = np.int32(1 << bits), (len(hits) + COLUMN_STEP - 1) // COLUMN_STEP, len(cos_el)
+    n_columns, n_rows = (len(hits) + COLUMN_STEP - 1) // COLUMN_STEP, len(cos_el)
+    width = np.int32(1 << bits)
     some_steps, some_hits = np.empty(n_rows, steps.dtype), np.empty(n_rows, hits.dtype)
     count = np.zeros(n_rows + 2 * side * width, np.int32)  # by place
     met, k = np.empty(n_columns * n_rows + 1, np.int32), 0
@@ -379,7 +387,8 @@ def _one_sweep(ranges, hits, beams, pose, half, hidden, observer, step, keys, ra
     road_rate = rate * road_p / max(bodies + n[_ROAD], sampled)
     body_rate = road_rate + rate * (1.0 - road_p) / max(bodies, sampled)
     of_kind, found = (mix(common, _WALL), mix(common, _ROAD), mix(common, _ACTOR)), 0
-    here, drawn_by = (x, y, x0, y0, bits), (observer, step, time_s, pace)
+    here = x, y, x0, y0, bits
+    drawn_by = observer, step, time_s, pace
     likely = _likely(met, count, here, of_kind, drawn_by, body_rate, road_rate)
     for k in range(len(met) + len(actor)):
         if k < len(met):

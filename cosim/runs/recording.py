@@ -325,7 +325,9 @@ def _first_copies(sender: Int[ndarray, "n"], step: Int[ndarray, "n"], found: Rec
     for key in (found.receiver, step, sender):
         order = order.take(stable_order(key.take(order)))
     same = np.zeros(len(order), bool)
-    same[1:] = np.logical_and.reduce([np.diff(key.take(order)) == 0 for key in (found.receiver, step, sender)])
+    same[1:] = True
+    for key in (found.receiver, step, sender):
+        same[1:] &= np.diff(key.take(order)) == 0
     is_first = np.ones(len(order), bool)
     is_first[order[same]] = False
     return np.flatnonzero(is_first)
