@@ -480,12 +480,13 @@ def link_field(
     distant positions keep a correlation of about 0.1.
     """
     out = np.empty(len(a))
-    xy_m = np.ascontiguousarray(xy_m, np.float64)
-    waves = _waves(xy_m, float(decorrelation_m), rng_key)
+    xy_m, decorrelation_m = np.ascontiguousarray(xy_m, np.float64), float(decorrelation_m)
+    waves = _waves(xy_m, decorrelation_m, rng_key)
 
     def fill(begin: int, end: int) -> None:
-        lanes, here = np.empty(N_WAVES, np.float32), slice(begin, end)
-        _field(waves, d[here], float(decorrelation_m), a[here], b[here], lanes, out[here])
+        here, lanes = slice(begin, end), np.empty(N_WAVES, np.float32)
+        ends = a[here], b[here]
+        _field(waves, d[here], decorrelation_m, *ends, lanes, out[here])
 
     in_ranges(fill, len(a))
     return out
