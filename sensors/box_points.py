@@ -84,17 +84,6 @@ def _bounds(steps, flat, nearest, farthest):
 
 
 @kernel
-def _any_between(nearest, farthest, t0, t1, b0, b1, enter, leave):
-    """Whether one of these tiles may have a return of a length between two."""
-    found = np.int32(0)
-    for b in range(b0, b1):
-        near, far = nearest[b, t0:t1], farthest[b, t0:t1]
-        for i in range(len(near)):
-            found |= np.int32((far[i] >= enter) & (near[i] <= leave))
-    return found > 0
-
-
-@kernel
 def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, scratch):
     """Returns in columns a0 to a1 and rows r0 to r1 that lie inside a box."""
     m = steps.shape[1]
@@ -104,8 +93,6 @@ def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, sc
     b0, b1, t0, t1 = r0 // LANES, (r1 + LANES - 1) // LANES, a0 // TILE, (a1 + TILE - 1) // TILE
     radius, distance = np.sqrt(half_l * half_l + half_w * half_w), np.sqrt(x * x + y * y)
     least, most = np.float32(distance - radius - 3.0 * error), np.float32(distance + radius + 3.0 * error)
-    if not _any_between(nearest, farthest, t0, t1, b0, b1, least, most):
-        return 0
     p, q = -(cos * x + sin * y), -(cos * y - sin * x)
     n_grazing = _crossings(beams.cos_az[a0:a1], beams.sin_az[a0:a1], p, q, cos, sin, half_l, half_w, middle, half)
     b1 = min(b1, m // LANES)  # whole blocks

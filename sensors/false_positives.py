@@ -17,7 +17,7 @@ from numpy import ndarray
 from scipy.special import expit, gammaincinv, ndtri
 
 from cosim.base.hash_rng import mix, uniforms, unit
-from cosim.base.kernel import compiled, kernel
+from cosim.base.kernel import compiled, inlined, kernel
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
 from sensors.lidar import Sweeps
@@ -160,42 +160,80 @@ def _paces(memory_s: float) -> Float[ndarray, "k"]:
     return 1.0 / (memory_s * gammaincinv(2.0, (np.arange(_N_PACES) + 0.5) / _N_PACES))
 
 
-@kernel
-def _persistent(key, time_s, pace):
-    """A uniform that is renewed at some moments.
+@inlined
+def _persistent(drawn, pace, time_s):
+    """A uniform that is renewed at some moments, from the first hash of its key and its renewals per second.
 
     The moments are evenly spaced at random phase, their spacing a constant of the key, Gamma distributed of shape 2 and
     of the memory's scale, as is the gap of a Poisson process around a given moment: over all keys, the probability that
     none of them falls into t seconds is exp(-t / memory).
     """
-    drawn = mix(key, 0)  # the highest bits are the spacing, all the others the phase
-    phase = (drawn << _PACE_BITS >> _S11) * _TO_UNIT
-    return unit(mix(drawn, np.int64(np.floor(time_s * pace[drawn >> _PHASE_BITS] + phase))))
+    phase = (drawn << _PACE_BITS >> _S11) * _TO_UNIT  # the highest bits are the spacing, all the others the phase
+    return unit(mix(drawn, np.int64(np.floor(time_s * pace + phase))))
+
+
+@inlined
+def _first_hashes(aspect, observer, step):
+    """Of the three uniforms of an aspect: first hashes of those that last, common and of the observer; and the new."""
+    return mix(aspect, 0), mix(mix(observer, aspect), 0), unit(mix(step, aspect))
 
 
 @kernel
-def _rank(aspect, observer, step, time_s, pace, shares, p):
+def _rank(draws, shares, p):
     """U of an aspect, where it is below p; else p."""
     best = p
     for k in range(3):
-        if shares[k] > 0.0:
-            if k == 0:
-                u = _persistent(aspect, time_s, pace)
-            elif k == 1:
-                u = _persistent(mix(observer, aspect), time_s, pace)
-            else:
-                u = unit(mix(step, aspect))
-            if u < best:  # otherwise 1 - (1 - u)^(1 / share) is not below it, either
-                best = min(best, 1.0 - (1.0 - u) ** (1.0 / shares[k]))
+        if shares[k] > 0.0 and draws[k] < best:  # otherwise 1 - (1 - u)^(1 / share) is not below it, either
+            best = min(best, 1.0 - (1.0 - draws[k]) ** (1.0 / shares[k]))
     return best
 
 
-@kernel
+@inlined
 def _side(x, y):
     """The side, of four, from which the origin is seen from (x, y)."""
-    if abs(x) >= abs(y):
-        return 0 if x >= 0.0 else 1
-    return 2 if y >= 0.0 else 3
+    along = abs(x) >= abs(y)
+    return 2 * (not along) + ((x if along else y) < 0.0)
+
+
+@inlined
+def _aspect(at, here, of_kind):
+    """Kind and cell of a place, a point of the cell, and the keys of the site and of the aspect."""
+    x, y, x0, y0, bits = here
+    kind, cell = at & 1, at >> 1
+    i, j = x0 + (cell >> bits), y0 + (cell & (1 << bits) - 1)
+    key = mix(of_kind[_ROAD] if kind == _ROAD else of_kind[_WALL], (i << 32) ^ (j & _LOW_32))
+    spot = mix(key, 6)
+    to_x = (i + (spot >> _S32) * _TO_UNIT_32) * CELL_M
+    to_y = (j + (spot & np.uint64(_LOW_32)) * _TO_UNIT_32) * CELL_M
+    aspect = mix(key, _side(x - to_x, y - to_y))
+    return kind, i, j, to_x, to_y, key, aspect
+
+
+@compiled
+def _likely(met, count, here, of_kind, drawn_by, body_rate, road_rate):
+    """Whether any of the three uniforms is below the probability, for each place.
+
+    Looking up is a loop of its own, so that the others become vector instructions.
+    """
+    observer, step, time_s, pace = drawn_by
+    n = len(met)
+    lasting, own = np.empty(n, np.uint64), np.empty(n, np.uint64)
+    new, p = np.empty(n), np.empty(n)
+    lasting_pace, own_pace = np.empty(n), np.empty(n)
+    likely = np.empty(n, np.bool_)
+    for k in range(n):
+        aspect = _aspect(np.int64(met[k]), here, of_kind)[6]
+        lasting[k], own[k], new[k] = _first_hashes(aspect, observer, step)
+    for k in range(n):
+        rate = road_rate if met[k] & 1 == _ROAD else body_rate
+        p[k] = count[np.uint64(met[k])] * rate
+        lasting_pace[k] = pace[lasting[k] >> _PHASE_BITS]
+        own_pace[k] = pace[own[k] >> _PHASE_BITS]
+    for k in range(n):
+        u = _persistent(lasting[k], lasting_pace[k], time_s)
+        v = _persistent(own[k], own_pace[k], time_s)
+        likely[k] = min(u, v, new[k]) < p[k]
+    return likely
 
 
 @kernel
@@ -215,10 +253,11 @@ def _places(steps, hits, cos_el, x, y, along_x, along_y, top, width, place):
 
 
 @compiled
-def _tally(steps, step_m, hits, beams, x, y, cos, sin, x0, y0, side, width):
+def _tally(steps, step_m, hits, beams, x, y, cos, sin, x0, y0, side, bits):
     """Of some rays of a sweep: cells and kinds (wall, road), in the order met; returns of each; and by kind."""
     cos_el = (step_m * beams.cos_el[::ROW_STEP]).astype(np.float32)
     n_columns, n_rows = (len(hits) + COLUMN_STEP - 1) // COLUMN_STEP, len(cos_el)
+    width = np.int32(1 << bits)
     some_steps, some_hits = np.empty(n_rows, steps.dtype), np.empty(n_rows, hits.dtype)
     count = np.zeros(n_rows + 2 * side * width, np.int32)  # by place
     met, k = np.empty(n_columns * n_rows + 1, np.int32), 0
@@ -231,11 +270,17 @@ def _tally(steps, step_m, hits, beams, x, y, cos, sin, x0, y0, side, width):
         for r in range(np.uint64(n_rows)):  # next to each other, so that what follows becomes vector instructions
             some_steps[r] = steps[np.uint64(c), r * np.uint64(ROW_STEP)]
             some_hits[r] = hits[np.uint64(c), r * np.uint64(ROW_STEP)]
-        _places(some_steps, some_hits, cos_el, x, y, along_x, along_y, top, np.int32(width), place)
-        for at in place:
-            met[np.uint64(k)] = at
-            k += count[np.uint32(at)] == 0
-            count[np.uint32(at)] += 1
+        _places(some_steps, some_hits, cos_el, x, y, along_x, along_y, top, width, place)
+        last, n_last = np.uint32(0), np.int32(0)  # rays of one wall end in one place: added at once
+        for r in range(np.uint64(n_rows)):
+            at = np.uint32(place[r])
+            if at != last:
+                count[last] += n_last
+                met[np.uint64(k)] = at
+                k += count[at] == 0
+                last, n_last = at, np.int32(0)
+            n_last += 1
+        count[last] += n_last
     n, total = 0, np.zeros(2, np.int64)
     for at in met[:k]:
         if at >= n_rows:
@@ -271,6 +316,11 @@ def _nearest_of(ranges, hits, beams, x, y, cos, sin, first, end, code, to_x, to_
         along_y = sin * beams.cos_az[c] + cos * beams.sin_az[c]
         aside = along_x * (to_y - y) - along_y * (to_x - x)
         if aside * aside > min(enough, least) * _ROUNDED + _ROUNDED_M2:
+            continue
+        of_column, is_met = hits[c], np.int16(0)
+        for r in range(len(of_column)):  # in vector instructions
+            is_met |= np.int16(of_column[r] == code)
+        if not is_met:
             continue
         for r in range(hits.shape[1]):
             if hits[c, r] == code:
@@ -321,41 +371,41 @@ class _Hidden(NamedTuple):
 
 
 @compiled
-def _one_sweep(ranges, hits, beams, pose, half, actor, n_returns, observer, step, keys, rates, site, ray, uniform):
+def _one_sweep(ranges, hits, beams, pose, half, hidden, observer, step, keys, rates, site, ray, uniform):
     """Number of false positives of one sweep; as many as fit are written to `site`, `ray` and `uniform`."""
-    x, y, yaw = pose
+    (x, y, yaw), (actor, n_returns) = pose, hidden
     common, _, _, actor_key, time_s, pace = keys
     shares, rate, road_p = rates
     side, sampled = 2 * half + 1, 1.0 / (COLUMN_STEP * ROW_STEP)
     cos, sin = np.cos(yaw), np.sin(yaw)
     x0, y0 = np.int64(np.floor(x / CELL_M)) - half, np.int64(np.floor(y / CELL_M)) - half
-    width = 1
-    while width < side:
-        width *= 2
-    met, count, n = _tally(ranges[0], ranges[1], hits, beams, x, y, cos, sin, x0, y0, side, width)
+    bits = np.int64(np.ceil(np.log2(side)))
+    met, count, n = _tally(ranges[0], ranges[1], hits, beams, x, y, cos, sin, x0, y0, side, bits)
     bodies = float(n[_WALL])
     for s in range(len(actor)):
         bodies += sampled * n_returns[s]
     road_rate = rate * road_p / max(bodies + n[_ROAD], sampled)
     body_rate = road_rate + rate * (1.0 - road_p) / max(bodies, sampled)
     of_kind, found = (mix(common, _WALL), mix(common, _ROAD), mix(common, _ACTOR)), 0
+    here = x, y, x0, y0, bits
+    drawn_by = observer, step, time_s, pace
+    likely = _likely(met, count, here, of_kind, drawn_by, body_rate, road_rate)
     for k in range(len(met) + len(actor)):
         if k < len(met):
-            at = met[k]
-            kind, i, j = at % 2, x0 + at // 2 // width, y0 + at // 2 % width
-            key = mix(of_kind[_ROAD] if kind == _ROAD else of_kind[_WALL], (i << 32) ^ (j & _LOW_32))
-            spot = mix(key, 6)
-            to_x = (i + (spot >> _S32) * _TO_UNIT_32) * CELL_M
-            to_y = (j + (spot & np.uint64(_LOW_32)) * _TO_UNIT_32) * CELL_M
-            aspect = mix(key, _side(x - to_x, y - to_y))
-            p = count[at] * (road_rate if kind == _ROAD else body_rate)
+            if not likely[k]:
+                continue
+            kind, i, j, to_x, to_y, key, aspect = _aspect(np.int64(met[k]), here, of_kind)
+            p = count[met[k]] * (road_rate if kind == _ROAD else body_rate)
         else:
             s, i, j, to_x, to_y = k - len(met), 0, 0, x, y
             kind = _ACTOR
             key = aspect = mix(of_kind[_ACTOR], actor_key[actor[s]])
             p = sampled * n_returns[s] * body_rate
         p = min(1.0, p)
-        rank = _rank(aspect, observer, step, time_s, pace, shares, p)
+        first, second, new = _first_hashes(aspect, observer, step)
+        lasting = _persistent(first, pace[first >> _PHASE_BITS], time_s)
+        own = _persistent(second, pace[second >> _PHASE_BITS], time_s)
+        rank = _rank((lasting, own, new), shares, p)
         if rank < p:
             if found < len(site):
                 site[found] = key
@@ -373,7 +423,7 @@ def _one_sweep(ranges, hits, beams, pose, half, actor, n_returns, observer, step
 @compiled
 def _all_sweeps(ranges, hit, origin_m, yaw_rad, beams, max_range_m, hidden, keys, rates, capacity):
     """Per sweep: number of false positives; of the first `capacity`: key of the site, ray, U / p and a uniform."""
-    n_sweeps, half = len(hit), min(np.int64(max_range_m / CELL_M) + 2, FARTHEST_CELLS)
+    n_sweeps, half = len(hit), min(int(max_range_m / CELL_M) + 2, FARTHEST_CELLS)
     found = np.empty(n_sweeps, np.int64)
     site, ray = np.empty((n_sweeps, capacity), np.uint64), np.empty((n_sweeps, capacity), np.int64)
     uniform = np.empty((n_sweeps, capacity, 2))
@@ -382,7 +432,8 @@ def _all_sweeps(ranges, hit, origin_m, yaw_rad, beams, max_range_m, hidden, keys
         first, last = hidden.ptr[o], hidden.ptr[o + 1]
         found[o] = _one_sweep(
             (steps[o], step_m), hit[o], beams,
-            (origin_m[o, 0], origin_m[o, 1], yaw_rad[o]), half, hidden.actor[first:last], hidden.n_returns[first:last],
+            (origin_m[o, 0], origin_m[o, 1], yaw_rad[o]), half,
+            (hidden.actor[first:last], hidden.n_returns[first:last]),
             keys.observer[o], keys.step[o], keys, rates, site[o], ray[o], uniform[o],
         )  # fmt: skip
     return found, site, ray, uniform

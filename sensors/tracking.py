@@ -19,7 +19,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.special import expit, logit
 
-from cosim.base.ragged import row_numbers
+from cosim.base.kernel import compiled
+from cosim.base.ragged import row_numbers, stable_order
 
 _Positive = Annotated[float, Gt(0), Le(1000)]
 Positive = tuple[_Positive, _Positive, _Positive, _Positive]
@@ -190,7 +191,7 @@ class Found:
 
     def take(self, rows: Int[ndarray, "m"]) -> Found:
         """The detections of these rows, in this order."""
-        return Found(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+        return Found(**{f.name: getattr(self, f.name).take(rows, axis=0) for f in fields(self)})
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +213,7 @@ class ObjectStates:
 
     def take(self, rows: Int[ndarray, "k"]) -> ObjectStates:
         """These rows, in this order."""
-        return ObjectStates(*(getattr(self, field.name)[rows] for field in fields(ObjectStates)))
+        return ObjectStates(*(getattr(self, field.name).take(rows, axis=0) for field in fields(ObjectStates)))
 
 
 def track(
@@ -279,7 +280,8 @@ def track(
     velocity_mps = joined.velocity_mps[of_detection]
     velocity_mps[joined.n_hits[of_detection] < params.confirm_hits] = np.nan
     age_s = (joined.time_s - joined.first_s)[of_detection]
-    tracks = joined.take(np.lexsort((joined.object_id, joined.observer)))
+    order = stable_order(joined.object_id)
+    tracks = joined.take(order.take(stable_order(joined.observer.take(order))))
     return TrackMemory(tracks, known, n_objects), ObjectStates(
         object_id=joined.object_id[of_detection],
         age_s=age_s,
@@ -512,14 +514,12 @@ def assigned(tracks: Tracks, found: Found, params: TrackingParams) -> tuple[Int[
        multi-object tracking, arXiv 1508.04124, 2015.
     """
     gate = -2 * np.log1p(-params.gate_p)
-    t, d = _same_observer(tracks.observer, found.observer)
-    x, y = (np.ascontiguousarray(found.xy_m[:, k])[d] - np.ascontiguousarray(tracks.xy_m[:, k])[t] for k in (0, 1))
     # No detection farther away than the longer half axis of the gate is inside: most pairs need no more than this.
     most = tracks.covariance[:, :, 0].max(axis=1, initial=0.0) + max(params.position_sigma_m) ** 2
-    rows = np.flatnonzero(x * x + y * y < (gate * most * (1 + 1e-9))[t])
-    t, d = t[rows], d[rows]
-    rows = np.flatnonzero(_CLASS_GROUP[tracks.label[t]] == _CLASS_GROUP[found.label[d]])
-    t, d = t[rows], d[rows]
+    first, end = (np.searchsorted(found.observer, tracks.observer, side) for side in ("left", "right"))
+    xy_m = np.ascontiguousarray(tracks.xy_m), np.ascontiguousarray(found.xy_m)
+    groups = _CLASS_GROUP[tracks.label], _CLASS_GROUP[found.label]
+    t, d = _near(first, end, *xy_m, gate * most * (1 + 1e-9), *groups)
     r = (np.asarray(params.position_sigma_m)[found.label[d]] ** 2)[:, None]
     s = tracks.covariance[t, :, 0] + r
     innovation_m = _along_and_across(found.xy_m[d] - tracks.xy_m[t], tracks.axis[t])
@@ -557,12 +557,19 @@ def _largest_sum(t: Int[ndarray, "p"], d: Int[ndarray, "p"], gain: Float[ndarray
     return column[i] == j
 
 
-def _same_observer(a: Int[ndarray, "n"], b: Int[ndarray, "m"]) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
-    """All pairs of rows of the two columns with the same observer, sorted; `b` is sorted."""
-    first = np.searchsorted(b, a)
-    n = np.searchsorted(b, a, "right") - first
-    i = np.repeat(np.arange(len(a)), n)
-    return i, np.arange(len(i)) + np.repeat(first - (np.cumsum(n) - n), n)
+@compiled
+def _near(first, end, track_xy, found_xy, most_m2, group_of_track, group_of_found):
+    """Pairs, sorted, of a track and one of its observer's detections `first` to `end`, of one group of classes and
+    nearer to each other than the track's limit."""
+    room, n = (end - first).sum(), 0
+    t, d = np.empty(room, np.int64), np.empty(room, np.int64)
+    for i in range(len(first)):
+        for k in range(first[i], end[i]):
+            x, y = found_xy[k, 0] - track_xy[i, 0], found_xy[k, 1] - track_xy[i, 1]
+            if x * x + y * y < most_m2[i] and group_of_track[i] == group_of_found[k]:
+                t[n], d[n] = i, k
+                n += 1
+    return t[:n], d[:n]
 
 
 def _rows_of(keys: Int[ndarray, "k"], wanted: Int[ndarray, "n"]) -> Int[ndarray, "n"]:

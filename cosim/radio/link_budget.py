@@ -18,6 +18,7 @@ from numpy import ndarray
 from cosim.base import rng
 from cosim.base.kernel import compiled, kernel
 from cosim.base.ragged import order_by_two
+from cosim.base.threads import in_ranges
 from cosim.radio.bodies import Bodies, tallest_blocker_m
 from cosim.radio.channel import Links
 from cosim.radio.propagation import (
@@ -91,9 +92,9 @@ class _Found(NamedTuple):
 
 
 @kernel
-def _pairs(xyz, sends, range_m, cells, walls, found):
-    """Write the pairs in range, of which at least one sends, into `found` and return their number, which may exceed the
-    room there.
+def _pairs(begin, end, xyz, sends, range_m, cells, walls, found):
+    """Write the pairs in range of the points `begin` to `end` and later ones, of which at least one sends, into `found`
+    and return their number, which may exceed the room there.
 
     Two points of a pair are at most `_RING` cells apart. Points are sorted by cell, so that neighbours are close
     together in memory.
@@ -101,13 +102,13 @@ def _pairs(xyz, sends, range_m, cells, walls, found):
     order, start, cell, shape = cells.order, cells.start, cells.cell, cells.shape
     nlos_range_m, a, b, d, blocked = walls.nlos_range_m, found.a, found.b, found.distance_m, found.blocked
     m = 0
-    for p in range(len(order)):
+    for p in range(begin, end):
         cx, cy = cell[p, 0], cell[p, 1]
         for gx in range(cx, min(cx + _RING + 1, shape[0])):
             # In the point's own column only later points.
             first, last = cy if gx == cx else max(cy - _RING, 0), min(cy + _RING + 1, shape[1])
-            begin = p + 1 if gx == cx else start[gx * shape[1] + first]
-            for q in range(begin, start[gx * shape[1] + last]):
+            nearest = p + 1 if gx == cx else start[gx * shape[1] + first]
+            for q in range(nearest, start[gx * shape[1] + last]):
                 if not (sends[p] or sends[q]):
                     continue
                 dx, dy, dz = xyz[p, 0] - xyz[q, 0], xyz[p, 1] - xyz[q, 1], xyz[p, 2] - xyz[q, 2]
@@ -178,13 +179,22 @@ def _within(
     share = np.pi * min(range_m, nlos_range_m) ** 2 / (np.prod(shape) * side**2)  # of uniform points
     cells, xyz_m = _Cells(order, start, cell[order], shape), xyz_m[order]
     walls = _Walls(los is not None, index.cells(places[order]), index.filled(places[:, 2]), float(nlos_range_m))
-    room = int(n * min(n, 256 + 2 * n * share) / 2 + 1024)
-    while True:
-        found = _Found.room(room)
-        m = _pairs(xyz_m, sends[order], float(range_m), cells, walls, found)
-        if m <= room:
-            return found.a[:m], found.b[:m], found.distance_m[:m], found.blocked[:m]
-        room = m
+    sends, parts = sends[order], {}
+
+    def find(begin: int, end: int) -> None:
+        room = int((end - begin) * min(n, 256 + 2 * n * share) / 2 + 1024)
+        while True:
+            found = _Found.room(room)
+            m = _pairs(begin, end, xyz_m, sends, float(range_m), cells, walls, found)
+            if m <= room:
+                parts[begin, end] = [column[:m] for column in found]
+                return
+            room = m
+
+    in_ranges(find, n)
+    first, *others = (parts[at] for at in sorted(parts))
+    a, b, distance_m, blocked = map(np.concatenate, zip(first, *others, strict=True)) if others else first
+    return a, b, distance_m, blocked
 
 
 def from_db(db: ndarray | float) -> ndarray:

@@ -27,6 +27,7 @@ from scipy.special import gammaincinv, ndtr
 
 from cosim.base.hash_rng import mix, unit
 from cosim.base.kernel import compiled, inlined, kernel
+from cosim.base.threads import in_ranges
 
 LIGHT_MPS = 299_792_458.0
 BLOCKER_M = 1.6
@@ -479,9 +480,15 @@ def link_field(
     distant positions keep a correlation of about 0.1.
     """
     out = np.empty(len(a))
-    xy_m = np.ascontiguousarray(xy_m, np.float64)
-    waves = _waves(xy_m, float(decorrelation_m), rng_key)
-    _field(waves, d, float(decorrelation_m), a, b, np.empty(N_WAVES, np.float32), out)
+    xy_m, decorrelation_m = np.ascontiguousarray(xy_m, np.float64), float(decorrelation_m)
+    waves = _waves(xy_m, decorrelation_m, rng_key)
+
+    def fill(begin: int, end: int) -> None:
+        here, lanes = slice(begin, end), np.empty(N_WAVES, np.float32)
+        ends = a[here], b[here]
+        _field(waves, d[here], decorrelation_m, *ends, lanes, out[here])
+
+    in_ranges(fill, len(a))
     return out
 
 

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +13,7 @@ from numpy import ndarray
 
 from cosim.attacks.params import rings_too_large
 from cosim.base.codes import DetectionFault, labels
+from cosim.base.kernel import threads_may_meet
 from cosim.config.config import Config
 from cosim.runs import checkpoint, recording
 from cosim.runs.checkpoint import CannotCheckpoint
@@ -84,6 +86,10 @@ class Drive:
     _keeps_state: bool = True
     _next: World | None = None
     """World of the next step, if it has been read already."""
+    _recording: Future[None] | None = None
+    """The rows of the step before, if another thread records them."""
+    _watch: Stopwatch = field(default_factory=Stopwatch)
+    """Of that thread."""
 
     def run(self) -> None:
         """Warm up, repeat the traffic of the recorded steps, and continue until the end or a signal."""
@@ -92,13 +98,14 @@ class Drive:
         c, perception = self.parts.config, self.parts.perception
         has_room = isinstance(perception, Perception) and c.compute.threads != 1 and _CORES > 1
         if c.driver.model != "none" or not has_room:
-            self._run(None)  # the next world depends on the present step, or there is no second core
+            self._run(None, None)  # the next world depends on the present step, or there is no second core
             return
-        with Ahead(self.parts) as ahead:
+        with Ahead(self.parts) as ahead, ThreadPoolExecutor(1, "record") as recording_thread:
             self.manifest.timings_ahead_s = ahead.watch.seconds
-            self._run(ahead)
+            self._run(ahead, recording_thread)
+            ahead.watch.add(self._watch, 1)
 
-    def _run(self, ahead: Ahead | None) -> None:
+    def _run(self, ahead: Ahead | None, recording_thread: ThreadPoolExecutor | None) -> None:
         config, recorder = self.parts.config, self.recorder
         first = recorder.inventory.end_step
         warm_up(self.warmup_s, self.traffic, self.parts.watch, self.advance)
@@ -129,13 +136,16 @@ class Drive:
             if result.sensed is not None or number + 1 >= min(_MOST_AT_ONCE, recorder.block_steps):
                 self.stop.at_once = False  # before this, a step may have compiled kernels for a minute
             with self.parts.watch("record"):
-                recording.step(recorder, result, config.traffic.step_s)
-                recorder.reach(number)
-                self.manifest.steps = number + 1
+                self._wait_for_rows()
+                if recording_thread is not None and numba.get_num_threads() > 1 and threads_may_meet():
+                    self._recording = recording_thread.submit(self._record_beside, result)
+                else:
+                    self._record(result)
                 commands = result.commands.actor, result.commands.speed_mps
                 if len(result.commands):
                     self._of_block[number] = commands
                 if recorder.is_block_end(number) and number + 1 < config.n_steps:
+                    self._wait_for_rows()
                     self._commit(state)
             if self.on_step is not None:
                 with self.parts.watch("show"):
@@ -145,10 +155,29 @@ class Drive:
             self.advance("run", number + 1, config.n_steps, f"steps, {len(world)} actors")
             if self.stop.signum is not None and self._next is None:
                 break
+        with self.parts.watch("record"):
+            self._wait_for_rows()
         if not self.manifest.steps:
             raise TrafficError(f"traffic.scenario = {self.scenario.name}: there is nothing to record: {self.ended}.")
         with self.parts.watch("record"):
             self._end(state)
+
+    def _record(self, result: StepResult) -> None:
+        """Append the rows of a step. They depend on its result only, so the next step may go on meanwhile."""
+        recording.step(self.recorder, result, self.parts.config.traffic.step_s)
+        self.recorder.reach(result.world.step)
+        self.manifest.steps = result.world.step + 1
+
+    def _record_beside(self, result: StepResult) -> None:
+        """The same in another thread."""
+        with self._watch("record"):
+            self._record(result)
+
+    def _wait_for_rows(self) -> None:
+        """Wait until the rows of the step before are appended, and raise what has gone wrong."""
+        if self._recording is not None:
+            found, self._recording = self._recording, None
+            found.result()
 
     @property
     def is_over(self) -> bool:

@@ -73,7 +73,7 @@ class Manifest:
     """Completed steps."""
     timings_s: dict[str, float] = field(default_factory=dict)
     timings_ahead_s: dict[str, float] = field(default_factory=dict)
-    """Seconds per stage that a second thread computed ahead, in parallel with `timings_s`."""
+    """Seconds per stage that other threads computed beside the steps, in parallel with `timings_s`."""
     summary: dict[str, Any] = field(default_factory=dict)
     error: str = ""
     """Why the run failed."""

@@ -281,7 +281,8 @@ def _channel(recorder: TakesRows, world: World, sensed: Sensed) -> None:
         outcomes = _joined(frames, ("distance_m", "los_state", "outcome"))
         decided = outcomes["outcome"] != Outcome.WAITING  # a frame counts when it is sent or expires
         if not decided.all():
-            outcomes = {name: column[decided] for name, column in outcomes.items()}
+            rows_decided = np.flatnonzero(decided)
+            outcomes = {name: column.take(rows_decided) for name, column in outcomes.items()}
         by_distance, total = pdr_by_distance(**outcomes, columns=OUTCOMES)
         recorder.append("radio", at, _of(message_type, {
             "n_sent": np.array([sum(one.n_transmissions.sum() for one in frames)]),
@@ -345,10 +346,16 @@ def _receptions(recorder: TakesRows, at: int, sensed: Sensed) -> None:
 
 def _first_copies(sender: Int[ndarray, "n"], step: Int[ndarray, "n"], found: Receptions) -> Int[ndarray, "k"]:
     """Rows of the first reception of each message at each receiver: a sender may send copies, and they may be late."""
-    order = np.lexsort((found.latency_s, found.receiver, step, sender))
+    order = np.argsort(found.latency_s, kind="stable")
+    for key in (found.receiver, step, sender):
+        order = order.take(stable_order(key.take(order)))
     same = np.zeros(len(order), bool)
-    same[1:] = (np.diff(sender[order]) == 0) & (np.diff(step[order]) == 0) & (np.diff(found.receiver[order]) == 0)
-    return np.sort(order[~same])
+    same[1:] = True
+    for key in (found.receiver, step, sender):
+        same[1:] &= np.diff(key.take(order)) == 0
+    is_first = np.ones(len(order), bool)
+    is_first[order[same]] = False
+    return np.flatnonzero(is_first)
 
 
 def _evaluations(recorder: TakesRows, at: int, sensed: Sensed) -> None:
@@ -365,8 +372,8 @@ def _evaluations(recorder: TakesRows, at: int, sensed: Sensed) -> None:
     if evaluated.number is not None:
         rows["detection_index"], rows["kind"] = np.divmod(evaluated.number, len(EvaluationKind))
         rows["plausible__valid"] = (rows["kind"] == EvaluationKind.DETECTION) & ~evaluated.matched
-    is_new = known.is_new(sensed.senders.source[lists.owner[by]], member)
-    recorder.append("evaluations", at, {name: column[is_new] for name, column in rows.items()})
+    new = np.flatnonzero(known.is_new(sensed.senders.source[lists.owner[by]], member))
+    recorder.append("evaluations", at, {name: column.take(new) for name, column in rows.items()})
     if "transmitted_evaluations" in recorder.tables:
         _transmitted(recorder, at, sensed)
 

@@ -359,10 +359,10 @@ def _permitted_share(
     xyz_m[:, 0] += np.tile(a, n) * u
     xyz_m[:, 1] += np.tile(c, n) * u + np.tile(d, n) * v
     none = np.zeros(0, np.int32)
-    at = np.arange(n * len(rows))
-    asked = BoxQuestions(replace(boxes, xyz_m=xyz_m), area, none, at[:0], np.tile(o, n), at)
+    at = np.arange(n * len(rows)).reshape(n, -1).T.ravel()  # by sweep: each is read once
+    asked = BoxQuestions(replace(boxes, xyz_m=xyz_m), area, none, at[:0], np.repeat(o, n), at)
     _, around = perception.answers(sweeps, asked)
-    share[rows] = around.reshape(n, -1).sum(axis=0) / (1.0 + n)
+    share[rows] = around.reshape(-1, n).sum(axis=1) / (1.0 + n)
     return share
 
 

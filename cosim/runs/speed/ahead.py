@@ -78,6 +78,7 @@ class Ahead:
         self._to_sense = world
         if numba.get_num_threads() > 1:  # for few vehicles this is mostly Python code, which delays the present step
             medium, links = self._parts.medium, None
+            self._thread.submit(numba.set_num_threads, numba.get_num_threads() // 2)  # the others are the step's
             if isinstance(medium, LinksAhead):
                 links = self._thread.submit(self._links, medium, self._stations(world), self._senders(world))
             near_pairs = self._thread.submit(self._near_pairs, world)
@@ -120,7 +121,6 @@ class Ahead:
         return self._parts.perception(world, self._parts.sensing(world), self.watch)
 
     def _near_pairs(self, world: World) -> NearPairs:
-        numba.set_num_threads(1)  # the other core is the present step's
         with self.watch("pairs"):
             return self._parts.near_pairs(world)
 
@@ -131,7 +131,6 @@ class Ahead:
         return np.append(np.searchsorted(equipped, self._parts.sensing(world)), n_vehicles + np.arange(n_units))
 
     def _links(self, medium: LinksAhead, stations: Stations, senders: Int[ndarray, "k"]) -> LinkCache:
-        numba.set_num_threads(1)  # the other core is the present step's
         with self.watch("links"):
             return medium.links(stations, senders)
 
