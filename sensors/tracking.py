@@ -6,8 +6,7 @@ observers may sense at different moments and rates. Tracks of observers that do 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Annotated, Literal
 
@@ -19,7 +18,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.special import expit, logit
 
-from cosim.base.ragged import row_numbers
+from cosim.base.rows import Rows
 
 _Positive = Annotated[float, Gt(0), Le(1000)]
 Positive = tuple[_Positive, _Positive, _Positive, _Positive]
@@ -100,7 +99,7 @@ _BLOCK_PAIRS = 2048
 
 
 @dataclass(frozen=True, slots=True)
-class Tracks:
+class Tracks(Rows):
     """N tracks, sorted by (observer, object_id), in the frame of the detections."""
 
     observer: Int[ndarray, "n"]
@@ -130,11 +129,6 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.observer)
 
-    def take(self, rows: Int[ndarray, "m"]) -> Tracks:
-        """The tracks of these rows, in this order."""
-        rows = row_numbers(rows)
-        return Tracks(**{f.name: getattr(self, f.name).take(rows, axis=0) for f in fields(self)})
-
     @staticmethod
     def none() -> Tracks:
         """No tracks."""
@@ -143,11 +137,6 @@ class Tracks:
             observer=number, object_id=number, label=np.zeros(0, np.uint8), n_hits=number, time_s=real, first_s=real,
             last_s=real, xy_m=pair, velocity_mps=pair, axis=pair, covariance=np.zeros((0, 2, 3)), existence=real,
         )  # fmt: skip
-
-    @staticmethod
-    def joined(parts: Sequence[Tracks]) -> Tracks:
-        """All tracks of all parts, part after part."""
-        return Tracks(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Tracks)})
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +162,7 @@ class Observers:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Found(Rows):
     """D detections of the observers that sense now, sorted by observer."""
 
     observer: Int[ndarray, "d"]
@@ -188,13 +177,9 @@ class Found:
     def __len__(self) -> int:
         return len(self.observer)
 
-    def take(self, rows: Int[ndarray, "m"]) -> Found:
-        """The detections of these rows, in this order."""
-        return Found(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
-
 
 @dataclass(frozen=True, slots=True)
-class ObjectStates:
+class ObjectStates(Rows):
     """What tracking says about each detection, in the order of the detections."""
 
     object_id: Int[ndarray, "d"]
@@ -209,10 +194,6 @@ class ObjectStates:
     """As in `Tracks`."""
     variance: Float[ndarray, "d 2"]
     """Variance of the velocity, along and across `axis` [m2/s2]."""
-
-    def take(self, rows: Int[ndarray, "k"]) -> ObjectStates:
-        """These rows, in this order."""
-        return ObjectStates(*(getattr(self, field.name)[rows] for field in fields(ObjectStates)))
 
 
 def track(
@@ -273,7 +254,7 @@ def track(
     fresh = np.flatnonzero(is_new)
     known, n_objects, object_id = _numbered(memory, found.observer[fresh])
     new = begun(found.take(fresh), object_id, observers, row[fresh], params)
-    joined = Tracks.joined([again, new, tracks.take(np.flatnonzero(is_missed)), waiting])
+    joined = Tracks.concat([again, new, tracks.take(np.flatnonzero(is_missed)), waiting])
     of_detection = np.empty(len(found), np.int64)
     of_detection[d], of_detection[fresh] = np.arange(len(d)), len(d) + np.arange(len(fresh))
     velocity_mps = joined.velocity_mps[of_detection]
