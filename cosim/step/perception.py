@@ -244,7 +244,8 @@ class Perception:
         joined = Seen.joined(parts)
         seen, found = joined.observability, joined.reports
         if sort:
-            seen, found = (rows.take(np.argsort(rows.observer, kind="stable")) for rows in (seen, found))
+            seen = seen.take(np.argsort(seen.observer, kind="stable"))
+            found = found.take(np.argsort(found.observer, kind="stable"))
         n = len(found.observer)
         sensed = Detections.perceived(
             observer=observers[found.observer],
