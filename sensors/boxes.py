@@ -13,10 +13,11 @@ from scipy.spatial import cKDTree
 
 from cosim.base.kernel import kernel, parallel
 from cosim.base.ragged import row_numbers
+from cosim.base.rows import Rows
 
 
 @dataclass(frozen=True, slots=True)
-class Boxes:
+class Boxes(Rows):
     """N upright boxes in one right-handed frame with z up (the world's, or a sensor's)."""
 
     xyz_m: Float[ndarray, "n 3"]

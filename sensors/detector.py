@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int32, UInt8
 from numpy import ndarray
 
+from cosim.base.rows import Rows
 from sensors.boxes import Boxes
 from sensors.evidence import Observability, points_in_boxes
 from sensors.lidar import Sweeps
@@ -123,7 +124,7 @@ DETECTORS: dict[str, Callable[[Any], Detector]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class DetectedBoxes:
+class DetectedBoxes(Rows):
     """Detections of one step, sorted by (observer, descending score, x, y), so that the order hides true identities."""
 
     observer: Int32[ndarray, "d"]

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int, Int32, UInt8
 from numpy import ndarray
 
 from cosim.base.codes import ObjectClass
+from cosim.base.rows import Rows
 from sensors import box_points, evidence_kernels, range_image
 from sensors.boxes import Boxes
 from sensors.lidar import RangeImages, Sweeps
@@ -140,7 +141,7 @@ def plausible(
 
 
 @dataclass(frozen=True, slots=True)
-class Observability:
+class Observability(Rows):
     """Actors that each observer could have detected, and their returns; sorted by (observer, actor)."""
 
     observer: Int32[ndarray, "s"]
@@ -153,12 +154,6 @@ class Observability:
     """Returns if nothing stood in front; at least 1."""
     range_m: Float[ndarray, "s"]
     """Distance from the sensor to the centre of the box [m]."""
-
-    def take(self, rows: Int[ndarray, "k"]) -> Observability:
-        """The chosen rows, in this order."""
-        return Observability(
-            self.observer[rows], self.actor[rows], self.n_returns[rows], self.n_unoccluded[rows], self.range_m[rows]
-        )
 
     @property
     def occlusion(self) -> Float[ndarray, "s"]:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
+from cosim.base.rows import Rows
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
 from sensors.reports import DetectorDraws, Reports
@@ -19,7 +20,7 @@ from sensors.statistical_detector import StatisticalDetector
 
 
 @dataclass(frozen=True, slots=True)
-class Views:
+class Views(Rows):
     """V views of actors in clouds that M observers merge. A view is the returns of one sweep from one actor."""
 
     observer: Int[ndarray, "v"]
@@ -34,10 +35,6 @@ class Views:
     """Distance from the sensor of the sweep to the actor."""
     off_m: Float[ndarray, "v 2"]
     """Displacement of the returns from the actor's box, east and north."""
-
-    def take(self, rows: ndarray) -> "Views":
-        """The chosen rows (a mask or row numbers)."""
-        return Views(*(getattr(self, name)[rows] for name in Views.__dataclass_fields__))
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
 from cosim.base.hash_rng import mix_rows, normals, uniforms
+from cosim.base.rows import Rows
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
 
@@ -70,7 +71,7 @@ class DetectorDraws:
 
 
 @dataclass(frozen=True, slots=True)
-class Reports:
+class Reports(Rows):
     """Boxes that a detector reports, in any order; world frame."""
 
     observer: Int[ndarray, "r"]
@@ -121,25 +122,6 @@ class Reports:
         """
         return Reports(observer, label, boxes, score, np.zeros(len(observer), int), np.ones(len(observer), bool))
 
-    def take(self, rows: Int[ndarray, "k"]) -> Reports:
-        """The reports of these rows, in this order."""
-        return Reports(
-            self.observer[rows], self.label[rows], self.boxes.take(rows), self.score[rows], self.actor[rows],
-            self.is_false_positive[rows],
-        )  # fmt: skip
-
     def moved(self, by_m: Float[ndarray, "r 3"]) -> Reports:
         """The reports with each box displaced by this vector, world frame [m]."""
         return replace(self, boxes=replace(self.boxes, xyz_m=self.boxes.xyz_m + by_m))
-
-    @staticmethod
-    def concat(parts: list[Reports]) -> Reports:
-        """All reports of one or more parts, in order."""
-        return Reports(
-            np.concatenate([part.observer for part in parts]),
-            np.concatenate([part.label for part in parts]),
-            Boxes.concat([part.boxes for part in parts]),
-            np.concatenate([part.score for part in parts]),
-            np.concatenate([part.actor for part in parts]),
-            np.concatenate([part.is_false_positive for part in parts]),
-        )

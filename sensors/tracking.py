@@ -6,8 +6,7 @@ observers may sense at different moments and rates. Tracks of observers that do 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Annotated, Literal
 
@@ -20,7 +19,8 @@ from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.special import expit, logit
 
 from cosim.base.kernel import compiled
-from cosim.base.ragged import row_numbers, stable_order
+from cosim.base.ragged import stable_order
+from cosim.base.rows import Rows
 
 _Positive = Annotated[float, Gt(0), Le(1000)]
 Positive = tuple[_Positive, _Positive, _Positive, _Positive]
@@ -101,7 +101,7 @@ _BLOCK_PAIRS = 2048
 
 
 @dataclass(frozen=True, slots=True)
-class Tracks:
+class Tracks(Rows):
     """N tracks, sorted by (observer, object_id), in the frame of the detections."""
 
     observer: Int[ndarray, "n"]
@@ -131,11 +131,6 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.observer)
 
-    def take(self, rows: Int[ndarray, "m"]) -> Tracks:
-        """The tracks of these rows, in this order."""
-        rows = row_numbers(rows)
-        return Tracks(**{f.name: getattr(self, f.name).take(rows, axis=0) for f in fields(self)})
-
     @staticmethod
     def none() -> Tracks:
         """No tracks."""
@@ -144,11 +139,6 @@ class Tracks:
             observer=number, object_id=number, label=np.zeros(0, np.uint8), n_hits=number, time_s=real, first_s=real,
             last_s=real, xy_m=pair, velocity_mps=pair, axis=pair, covariance=np.zeros((0, 2, 3)), existence=real,
         )  # fmt: skip
-
-    @staticmethod
-    def joined(parts: Sequence[Tracks]) -> Tracks:
-        """All tracks of all parts, part after part."""
-        return Tracks(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Tracks)})
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +164,7 @@ class Observers:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Found(Rows):
     """D detections of the observers that sense now, sorted by observer."""
 
     observer: Int[ndarray, "d"]
@@ -189,13 +179,9 @@ class Found:
     def __len__(self) -> int:
         return len(self.observer)
 
-    def take(self, rows: Int[ndarray, "m"]) -> Found:
-        """The detections of these rows, in this order."""
-        return Found(**{f.name: getattr(self, f.name).take(rows, axis=0) for f in fields(self)})
-
 
 @dataclass(frozen=True, slots=True)
-class ObjectStates:
+class ObjectStates(Rows):
     """What tracking says about each detection, in the order of the detections."""
 
     object_id: Int[ndarray, "d"]
@@ -210,10 +196,6 @@ class ObjectStates:
     """As in `Tracks`."""
     variance: Float[ndarray, "d 2"]
     """Variance of the velocity, along and across `axis` [m2/s2]."""
-
-    def take(self, rows: Int[ndarray, "k"]) -> ObjectStates:
-        """These rows, in this order."""
-        return ObjectStates(*(getattr(self, field.name).take(rows, axis=0) for field in fields(ObjectStates)))
 
 
 def track(
@@ -274,7 +256,7 @@ def track(
     fresh = np.flatnonzero(is_new)
     known, n_objects, object_id = _numbered(memory, found.observer[fresh])
     new = begun(found.take(fresh), object_id, observers, row[fresh], params)
-    joined = Tracks.joined([again, new, tracks.take(np.flatnonzero(is_missed)), waiting])
+    joined = Tracks.concat([again, new, tracks.take(np.flatnonzero(is_missed)), waiting])
     of_detection = np.empty(len(found), np.int64)
     of_detection[d], of_detection[fresh] = np.arange(len(d)), len(d) + np.arange(len(fresh))
     velocity_mps = joined.velocity_mps[of_detection]

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray
 
+from cosim.base.rows import Rows
 from cosim.base.threads import threads_for
 from trust.group_sums import GroupTotals, MemberSums, sums_of_groups
 from trust.object_reports import ObjectReports, ObjectVotes, object_votes
@@ -26,7 +26,7 @@ class SensorEvidence:
 
 
 @dataclass(frozen=True, slots=True)
-class Fused:
+class Fused(Rows):
     """Final objects, one per group, in the order of the object lists and of the groups' seeds."""
 
     ego: Int[ndarray, "f"]  # row of the ego's object list
@@ -41,13 +41,6 @@ class Fused:
     """x, y, z, length, width, height, heading; None if it is the seed's with the place of `pose`."""
     variance_m2: Float[ndarray, "f 3"] | None = None
     """Variance of the position relative to the ego: xx, xy, yy; None as the box."""
-
-    def take(self, rows: ndarray) -> "Fused":
-        """The chosen rows, in the given order; `rows` is a mask or row numbers."""
-        rows = np.flatnonzero(rows) if rows.dtype == bool else rows
-        columns = (getattr(self, name) for name in self.__dataclass_fields__)
-        taken: list[Any] = [None if column is None else column[rows] for column in columns]
-        return Fused(*taken)
 
 
 @dataclass(frozen=True, slots=True)

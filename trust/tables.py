@@ -1,14 +1,16 @@
 """Tables that the functions of this package exchange: detections, object lists, groups, evaluations, trust scores."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numba import njit
 from numpy import ndarray
+
+from cosim.base.rows import Rows
 
 SERVER = 1 << 30
 """Holder of the trust scores of a central trust server. No vehicle has this number: actors are numbered from 0."""
@@ -432,7 +434,7 @@ class ReceivedEvaluations:
 
 
 @dataclass(frozen=True, slots=True)
-class TrustScores:
+class TrustScores(Rows):
     """Trust at one step: a row per (holder, subject) with evidence, sorted.
 
     All steps are steps of detections. The columns `*_evaluation_step` concern only those evaluations behind the value
@@ -513,14 +515,6 @@ class TrustScores:
             is_evaluated=counts > 0,
             n_evaluators=None if n_evaluators is None else n_evaluators[order],
         )
-
-    def take(self, rows: Int[ndarray, "k"]) -> "TrustScores":
-        """These rows, in this order."""
-        columns: dict[str, Any] = {
-            f.name: None if (column := getattr(self, f.name)) is None else column[rows]
-            for f in fields(self) if f.name != "step"
-        }  # fmt: skip
-        return replace(self, **columns)
 
     def rows_of(
         self, holder: Int[ndarray, "q"], subject: Int[ndarray, "q"]

@@ -275,7 +275,7 @@ def with_perceived(listed: Detections, perceived: Detections) -> Detections:
     left_out[at[found]] = False
     rest = perceived.take(np.flatnonzero(left_out))
     rest = replace(rest, transmitted=np.zeros(len(rest), bool))
-    return Detections.concat([replace(listed, origin=origin), rest])
+    return Detections.by_key([replace(listed, origin=origin), rest])
 
 
 def without_faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> tuple[Detections, Int[ndarray, "f"]]:

@@ -5,7 +5,7 @@ which is read from its `[[attacks]]` section and given to the constructor. An at
 true. It knows what its vehicles perceive and receive, and the poses of actors, as radio messages would tell them.
 """
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -16,6 +16,7 @@ from cosim.attacks import victims
 from cosim.attacks.params import AttackParams
 from cosim.base import rng
 from cosim.base.rng import Stream
+from cosim.base.rows import Rows
 from cosim.messages.content import FABRICATED, Detections
 from cosim.world import World
 from sensors.boxes import Boxes
@@ -118,7 +119,7 @@ LOUDEST_DBM = 33.0
 
 
 @dataclass(frozen=True, slots=True)
-class Sending:
+class Sending(Rows):
     """How each actor sends its messages in a step, by row of the world."""
 
     delay_s: Float[ndarray, "n"]
@@ -152,10 +153,6 @@ class Sending:
             react_dbm=np.maximum(self.react_dbm, other.react_dbm),
             ignores_dcc=self.ignores_dcc | other.ignores_dcc,
         )
-
-    def take(self, rows: Int[ndarray, "k"]) -> "Sending":
-        """These rows."""
-        return Sending(**{f.name: getattr(self, f.name)[rows] for f in fields(Sending)})
 
     def abuses_channel(self) -> Bool[ndarray, "n"]:
         """Actors that jam, or send without congestion control."""
@@ -271,7 +268,7 @@ def fabricated(
     np.maximum.at(last, own, listed.detection_index)
     first = np.searchsorted(sender, sender)
     added = replace(added, detection_index=last[sender] + 1 + np.arange(n) - first)
-    return Detections.concat([listed, added])
+    return Detections.by_key([listed, added])
 
 
 def placed(

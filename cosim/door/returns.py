@@ -14,6 +14,7 @@ from numpy import ndarray
 
 from cosim.attacks.attack import LOUDEST_DBM, Sending
 from cosim.base.codes import LosState, ObjectClass, Origin
+from cosim.base.rows import Rows
 from cosim.messages.content import LEAST_ACCURACY_FACTOR, MOST_ACCURACY_FACTOR, Detections
 from cosim.radio.message_round import FrameOutcomes, MessageRound, Outcome, Receptions
 from cosim.traffic.driver import Reasons, SpeedCommands
@@ -257,7 +258,7 @@ def attacked_detections(call: Call, returned: Any) -> Detections:
         )
     honest = [one.take(np.flatnonzero(~context.attacker[one.observer])) for one in (listed, returned)]
     was, now = (one.take(np.lexsort((one.detection_index, one.identity, one.observer))) for one in honest)
-    if len(was) != len(now) or not all(map(_same, was.columns(), now.columns())):
+    if len(was) != len(now) or not _same(was, now):
         raise Wrong("changed detections of other vehicles, but only rows of context.own_rows(listed) may differ")
     return detached(returned)
 
@@ -372,9 +373,9 @@ def metric_rows(call: Call, returned: Any) -> "list[MetricRow]":
 
 
 def _same(one: Any, other: Any) -> bool:
-    """Whether two columns are equal."""
-    if isinstance(one, Boxes):
-        return all(_same(getattr(one, f.name), getattr(other, f.name)) for f in fields(Boxes))
+    """Whether two columns, or two tables, are equal."""
+    if isinstance(one, Rows):
+        return all(_same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))  # type: ignore[arg-type]
     return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
 
 

@@ -1,14 +1,13 @@
 """Content and length of messages."""
 
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.codes import DetectionFault, ObjectClass, Origin
-from cosim.base.ragged import row_numbers
+from cosim.base.rows import Rows
 from cosim.messages import etsi
 from cosim.messages.cpm_params import MOST_OBJECTS
 from cosim.radio.segmentation import ENVELOPE_BYTES
@@ -32,7 +31,7 @@ MOST_RETURNS = 2**31 - 1
 
 
 @dataclass(frozen=True, slots=True)
-class Detections:
+class Detections(Rows):
     """D detections of one step in the world frame, sorted by their key (observer, identity, detection_index).
 
     `observer` is a row of the step's world. Index 0 is the self report; then follow detections by the detector, then
@@ -94,16 +93,6 @@ class Detections:
     def __len__(self) -> int:
         return len(self.observer)
 
-    def take(self, rows: ndarray) -> "Detections":
-        """These rows, in this order."""
-        rows = row_numbers(rows)
-        columns: list[Any] = [c.take(rows) if isinstance(c, Boxes) else c.take(rows, axis=0) for c in self.columns()]
-        return Detections(*columns)
-
-    def columns(self) -> list[Any]:
-        """All columns, in the order of the fields."""
-        return [getattr(self, f.name) for f in fields(self)]
-
     @staticmethod
     def perceived(
         observer: Int[ndarray, "d"], detection_index: Int[ndarray, "d"], label: UInt8[ndarray, "d"], boxes: Boxes,
@@ -114,16 +103,9 @@ class Detections:
         return Detections(observer, detection_index, label, boxes, score, n_points, origin, sent)
 
     @staticmethod
-    def joined(parts: list["Detections"]) -> "Detections":
-        """All rows of all parts, part after part."""
-        columns: Any = zip(*(part.columns() for part in parts), strict=True)
-        joined: list[Any] = [Boxes.concat(c) if isinstance(c[0], Boxes) else np.concatenate(c) for c in columns]
-        return Detections(*joined)
-
-    @staticmethod
-    def concat(parts: list["Detections"]) -> "Detections":
+    def by_key(parts: list["Detections"]) -> "Detections":
         """All rows of all parts, sorted by key."""
-        joined = Detections.joined(parts)
+        joined = Detections.concat(parts)
         return joined.take(np.lexsort((joined.detection_index, joined.identity, joined.observer)))
 
 

@@ -382,12 +382,10 @@ class Confidences(NamedTuple):
         speed_std_mps: Float[ndarray, "n"],
     ) -> "Confidences":  # fmt: skip
         """The confidence values of normal errors with these standard deviations; those of position east and north."""
-        return Confidences(
-            *up(_HALF_WIDTH * position_std_m.ravel(), 0.01, 1, 4095, 4096).reshape(-1, 2).T,
-            up(_HALF_WIDTH * np.degrees(angle_std_rad), 0.1, 1, 126, 127),
-            *up(_HALF_WIDTH * lwh_std_m.ravel(), 0.1, 1, 31, 32).reshape(-1, 3).T,
-            up(_HALF_WIDTH * speed_std_mps, 0.01, 1, 126, 127),
-        )
+        x, y = up(_HALF_WIDTH * position_std_m.ravel(), 0.01, 1, 4095, 4096).reshape(-1, 2).T
+        length, width, height = up(_HALF_WIDTH * lwh_std_m.ravel(), 0.1, 1, 31, 32).reshape(-1, 3).T
+        angle = up(_HALF_WIDTH * np.degrees(angle_std_rad), 0.1, 1, 126, 127)
+        return Confidences(x, y, angle, length, width, height, up(_HALF_WIDTH * speed_std_mps, 0.01, 1, 126, 127))
 
     @staticmethod
     def unavailable(n: int) -> "Confidences":
@@ -460,7 +458,7 @@ class CpmObjects:
                     stated = Confidences(*(column[mine] for column in confidences))
                     value = _object(kind, stated, *(column[mine] for column in columns))
                     if has_velocity:
-                        value |= _velocity(*velocity[mine].T, stated.speed)
+                        value |= _velocity(velocity[mine, 0], velocity[mine, 1], stated.speed)
                     bits[mine, : widths[has_velocity, kind]] = rows(OBJECT, value, len(mine))
         return CpmObjects(bits, np.arange(longest) < widths[moves, label][:, None])
 

@@ -14,12 +14,13 @@ from numpy import ndarray
 
 from cosim.base.codes import TrustSource
 from cosim.base.ragged import expand
+from cosim.base.rows import Rows
 from cosim.messages.pseudonyms import PseudonymParams
 from cosim.messages.trust_hosts import Lookups
 
 
 @dataclass(frozen=True, slots=True)
-class KnownSenders:
+class KnownSenders(Rows):
     """What receivers store about senders: one row per receiver (actor number) and pseudonym, sorted."""
 
     receiver: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -40,11 +41,6 @@ class KnownSenders:
     @property
     def key(self) -> Int[ndarray, "n"]:
         return self.receiver << 31 | self.pseudonym
-
-    def take(self, rows: ndarray) -> "KnownSenders":
-        """These rows."""
-        columns = {f.name: getattr(self, f.name)[rows] for f in fields(self) if not f.name.startswith("n_")}
-        return replace(self, **columns)
 
     def rows_of(self, receiver: Int[ndarray, "q"], pseudonym: Int[ndarray, "q"]) -> Int[ndarray, "q"]:
         """Row of each pair. For a pair that is not stored, it is the row at which the pair would be inserted."""

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
 from cosim.base.codes import LookupState, TrustSource
+from cosim.base.rows import Rows
 from cosim.messages.trust_server import (
     Downlink,
     DownlinkState,
@@ -50,7 +51,7 @@ ObjectScorer = Callable[[ObjectReports], Float[ndarray, "g"]]
 
 
 @dataclass(frozen=True, slots=True)
-class Lookups:
+class Lookups(Rows):
     """Trust of subjects as vehicles know it at the time of the look-up, one row per look-up."""
 
     trust: Float[ndarray, "n"]
@@ -67,11 +68,6 @@ class Lookups:
     n_evaluations: Int[ndarray, "n"]
     n_evaluators: Int[ndarray, "n"] | None
     """Number of different evaluators; None if the trust model does not count them."""
-
-    def take(self, rows: Int[ndarray, "k"]) -> "Lookups":
-        """These rows."""
-        columns: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        return replace(self, **{name: column[rows] for name, column in columns.items() if column is not None})
 
     @property
     def is_known(self) -> Bool[ndarray, "n"]:

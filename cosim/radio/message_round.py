@@ -1,7 +1,6 @@
 """One round of messages between stations: what is sent, what is received, and the outcome of every frame."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -12,6 +11,7 @@ from numpy import ndarray
 from cosim.base import rng
 from cosim.base.codes import LosState
 from cosim.base.ragged import order_by_two
+from cosim.base.rows import Rows
 from cosim.radio.bodies import Bodies
 from cosim.radio.segmentation import ENVELOPE_BYTES, segments
 
@@ -152,7 +152,7 @@ class Messages:
 
 
 @dataclass(frozen=True, slots=True)
-class Receptions:
+class Receptions(Rows):
     """R receptions of one round, sorted by receiver, then message. Each pair of receiver and message is there once.
 
     In each row, generation is not later than access, and access is not later than reception.
@@ -186,15 +186,6 @@ class Receptions:
     def received_s(self) -> Float[ndarray, "r"]:
         """From the beginning of the round to reception."""
         return self.generation_offset_s + self.latency_s
-
-    @staticmethod
-    def concat(parts: Sequence["Receptions"]) -> "Receptions":
-        """All rows of all parts, part after part: in no order unless the caller sorts them."""
-        return Receptions(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Receptions)))
-
-    def take(self, rows: ndarray) -> "Receptions":
-        """The chosen rows (a mask or row numbers)."""
-        return Receptions(*(getattr(self, f.name)[rows] for f in fields(Receptions)))
 
     @staticmethod
     def none() -> "Receptions":

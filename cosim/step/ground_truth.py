@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.base.rows import Rows
 from cosim.messages.content import FABRICATED, SELF, SENSED, Detections
 from cosim.world import World
 from sensors.boxes import iou_3d
@@ -14,7 +15,7 @@ from trust.tables import Evaluations
 
 
 @dataclass(frozen=True, slots=True)
-class GroundTruth:
+class GroundTruth(Rows):
     """Ground truth of the detections of a step; rows are aligned with the detections."""
 
     is_real: Bool[ndarray, "d"]  # the actor exists: neither a false positive nor fabricated
@@ -23,10 +24,6 @@ class GroundTruth:
     occlusion: Float[ndarray, "d"]  # share of the actor that is hidden from the observer, if sensed
     is_sensed: Bool[ndarray, "d"]
     lied: Bool[ndarray, "d"]  # the sent detection differs from the perceived one by more than noise
-
-    def take(self, rows: Int[ndarray, "k"]) -> "GroundTruth":
-        """These rows, in this order."""
-        return GroundTruth(*(getattr(self, name)[rows] for name in GroundTruth.__dataclass_fields__))
 
 
 def ground_truth_of(

@@ -150,7 +150,7 @@ class Inbox:
         i, j, iou = self.pairs
         return replace(
             now,
-            objects=Detections.joined([now.objects, objects]),
+            objects=Detections.concat([now.objects, objects]),
             truth=GroundTruth(*(np.concatenate([getattr(now.truth, name), getattr(truth, name)])
                                 for name in GroundTruth.__dataclass_fields__)),
             detections=type(ours)(*columns),
@@ -234,7 +234,7 @@ class Inbox:
             sender=np.concatenate([self.sender, exchange.sender]),
             pseudonym=np.concatenate([self.pseudonym, senders.pseudonym]),
             ptr=np.concatenate([self.ptr, d + listed.ptr[1:]]),
-            objects=Detections.joined([self.objects, objects]),
+            objects=Detections.concat([self.objects, objects]),
             truth=GroundTruth(*(np.concatenate([getattr(self.truth, name), getattr(truth, name)])
                                 for name in GroundTruth.__dataclass_fields__)),
             withheld=np.concatenate([self.withheld, listed.withheld]),

@@ -5,8 +5,8 @@ It also answers what a sweep says about boxes that other vehicles report.
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, Protocol, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
 
 import numba
 import numpy as np
@@ -26,8 +26,6 @@ from sensors.lidar import NO_MEMORY, SweepMemory
 from sensors.neighbours import neighbours
 from sensors.scene import Scene, prisms
 from sensors.weather import CLEAR, WeatherParams, weaken
-
-_Rows = TypeVar("_Rows", evidence.Observability, detector.DetectedBoxes)
 
 GROUP, FEW = 128, 64
 """Largest number of observers in a group, and smallest number of observers per thread."""
@@ -78,7 +76,8 @@ class Seen:
     @staticmethod
     def joined(parts: Sequence["Seen"]) -> "Seen":
         """What all groups saw, in order."""
-        return Seen(_concat([part.observability for part in parts]), _concat([part.reports for part in parts]))
+        seen, reports = ([getattr(part, name) for part in parts] for name in ("observability", "reports"))
+        return Seen(type(seen[0]).concat(seen), type(reports[0]).concat(reports))
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,7 +244,8 @@ class Perception:
         joined = Seen.joined(parts)
         seen, found = joined.observability, joined.reports
         if sort:
-            seen, found = _sorted(seen), _sorted(found)
+            seen = seen.take(np.argsort(seen.observer, kind="stable"))
+            found = found.take(np.argsort(found.observer, kind="stable"))
         n = len(found.observer)
         sensed = Detections.perceived(
             observer=observers[found.observer],
@@ -258,7 +258,7 @@ class Perception:
         )
         vehicles = observers[~world.is_roadside[observers]]
         listed = [self_reports(world, vehicles), sensed] if self.self_reports else [sensed]
-        return Observed(sweeps, seen, Detections.concat(listed), ~found.is_false_positive, found.actor)
+        return Observed(sweeps, seen, Detections.by_key(listed), ~found.is_false_positive, found.actor)
 
     def draws(self, world: World, observers: Int[ndarray, "e"]) -> DetectorDraws:
         """Random keys of the detector for the vehicles in these rows of the world."""
@@ -281,15 +281,6 @@ def detector_draws(
     )
 
 
-def _concat(parts: list[_Rows]) -> _Rows:
-    """The rows of all groups, in order."""
-    joined: dict[str, Any] = {}
-    for column in fields(parts[0]):
-        values = [getattr(part, column.name) for part in parts]
-        joined[column.name] = Boxes.concat(values) if isinstance(values[0], Boxes) else np.concatenate(values)
-    return replace(parts[0], **joined)
-
-
 def swept(
     world: World, observers: Int[ndarray, "e"], city: Scene, params: lidar.LidarParams, weather: WeatherParams,
     seed: int, memory: SweepMemory = NO_MEMORY,
@@ -301,13 +292,6 @@ def swept(
         reflectivity, dirt = rng.key(seed, rng.Stream.REFLECTIVITY), rng.key(seed, rng.Stream.DIRT)
         weaken(sweeps, weather, keys, world.name_key, reflectivity, dirt)
     return sweeps
-
-
-def _sorted(rows: _Rows) -> _Rows:
-    """The rows by observer; those of one observer stay in their order."""
-    order = np.argsort(rows.observer, kind="stable")
-    values: dict[str, Any] = {column.name: getattr(rows, column.name) for column in fields(rows)}
-    return replace(rows, **{name: v.take(order) for name, v in values.items()})
 
 
 def sweep_keys(seed: int, world: World, observers: Int[ndarray, "e"]) -> UInt64[ndarray, "e"]:

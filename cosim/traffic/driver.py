@@ -1,7 +1,7 @@
 """Interface of drivers, and the driver `none`, which never reacts."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.addons import Choices
+from cosim.base.rows import Rows
 from cosim.world import World
 from sensors.boxes import Boxes
 
@@ -37,7 +38,7 @@ class Beliefs:
 
 
 @dataclass(frozen=True, slots=True)
-class Reasons:
+class Reasons(Rows):
     """The object that is the reason of each command."""
 
     source_step: Int[ndarray, "c"]
@@ -47,10 +48,6 @@ class Reasons:
     source_index: Int[ndarray, "c"]
     gap_m: Float[ndarray, "c"]
     """Distance from the front bumper to the object along the lane path."""
-
-    def take(self, rows: ndarray) -> "Reasons":
-        """These rows, in this order."""
-        return Reasons(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -294,4 +294,4 @@ def _oldest(past: list, actor: ndarray) -> tuple[Detections, ndarray] | None:
             break
     if not parts:
         return None
-    return Detections.joined(parts), np.concatenate(by)
+    return Detections.concat(parts), np.concatenate(by)

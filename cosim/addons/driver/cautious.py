@@ -1,6 +1,6 @@
 """A driver that brakes for fused objects that its vehicle's own sensors do not see."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy import ndarray
 from cosim.addons.driver.lane_path import ahead_on_path
 from cosim.base import rng
 from cosim.base.ragged import expand
+from cosim.base.rows import Rows
 from cosim.traffic.driver import Beliefs, Reasons, SpeedCommands
 from cosim.world import LABELS, LanePaths, World
 
@@ -63,7 +64,7 @@ class CautiousParams:
 
 
 @dataclass(frozen=True, slots=True)
-class Believed:
+class Believed(Rows):
     """Objects that drivers track from sweep to sweep: K rows, sorted by ego."""
 
     ego: Int[ndarray, "k"]
@@ -88,15 +89,6 @@ class Believed:
 
     def __len__(self) -> int:
         return len(self.ego)
-
-    def take(self, rows: ndarray) -> "Believed":
-        """These rows, in this order."""
-        return Believed(*(getattr(self, f.name)[rows] for f in fields(self)))
-
-    @staticmethod
-    def concat(parts: list["Believed"]) -> "Believed":
-        """All rows of all parts."""
-        return Believed(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Believed)))
 
     @staticmethod
     def of(beliefs: Beliefs, rows: Int[ndarray, "k"], world: World, dt_s: float) -> "Believed":

@@ -185,8 +185,9 @@ def expected_cpm_bytes(params: CpmParams, n_objects: Float[ndarray, "m"]) -> Flo
     """
     if params.length == "linear":
         return cpm_bytes(n_objects)  # type: ignore[arg-type]  # expected numbers
-    cars = np.eye(len(ObjectClass), dtype=np.int64)[ObjectClass.CAR]
-    empty, full = etsi.cpm_bytes(np.zeros((2, len(cars)), np.int64), n_moving=[0 * cars, 200 * cars])
+    cars = np.zeros((2, len(ObjectClass)), np.int64)
+    cars[1, ObjectClass.CAR] = 200
+    empty, full = etsi.cpm_bytes(np.zeros_like(cars), n_moving=cars)
     return NETWORK_BYTES + SIGNATURE_BYTES + empty + n_objects * (full - empty) / 200
 
 

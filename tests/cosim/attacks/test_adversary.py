@@ -50,7 +50,7 @@ def lists_of(world, n_each):
         observer, index, np.zeros(n, np.uint8), world.boxes.take(observer), np.full(n, 0.7), np.full(n, 50, np.int32),
         np.full(n, SENSED, np.uint8),
     )  # fmt: skip
-    return Detections.concat([self_reports(world, observers), found])
+    return Detections.by_key([self_reports(world, observers), found])
 
 
 def ghosts_of(listed):

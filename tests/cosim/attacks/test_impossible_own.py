@@ -61,7 +61,7 @@ def test_who_calls_a_detection_sensed_or_fabricated_changes_nothing():
     before = perceived()
     listed, _ = sent(replace(before, origin=np.full(5, FABRICATED, np.uint8)))
     assert listed.origin.tolist() == before.origin.tolist()
-    more = Detections.concat([before, replace(before.take(np.array([1])), detection_index=np.array([7]))])
+    more = Detections.by_key([before, replace(before.take(np.array([1])), detection_index=np.array([7]))])
     listed, _ = sent(more)
     assert listed.origin.tolist() == [SELF, SENSED, SENSED, FABRICATED, SELF, SENSED]
 

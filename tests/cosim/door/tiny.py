@@ -43,7 +43,7 @@ def world():
 def attack():
     """Arguments of each hook of an attack."""
     here, attacker = world(), np.arange(N) < 3
-    listed = Detections.concat([self_reports(here, np.arange(N))])
+    listed = Detections.by_key([self_reports(here, np.arange(N))])
     context = AttackContext(here, attacker, 5.0, 1, 0, member=attacker)
     rows = EvaluationRows(
         np.repeat(np.arange(N), N), np.tile(np.arange(N), N), np.full(N * N, 0.5), np.full(N * N, 0.75)
