@@ -118,7 +118,9 @@ class EvidenceStore:
         self.evaluators.note(rows, evaluators, received.messages.step)
         return accepted.n_rejected
 
-    def of_pairs(self, step: int, counting: Counting) -> tuple[Int[ndarray, "p"], Float[ndarray, "p 2"], Int[ndarray, "p"]]:
+    def of_pairs(
+        self, step: int, counting: Counting
+    ) -> tuple[Int[ndarray, "p"], Float[ndarray, "p 2"], Int[ndarray, "p"]]:
         """Evidence of a step about each (holder, subject).
 
         Returns

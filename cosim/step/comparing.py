@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from cosim.base.ragged import ptr_of, ranges
 from cosim.base.threads import threads_for
-from cosim.step.known import Pairs, Uses
+from cosim.step.known import Pairs, Uses, renumbered
 from cosim.step.object_lists import questions_of, received_lists, subset
 from cosim.step.perception import BoxQuestions, Perceives
 from cosim.step.stopwatch import Stopwatch
@@ -87,8 +87,6 @@ class KnownObjects:
         n = np.diff(self.ptr)[messages]
         detections = ranges(self.ptr[messages], n)
         number = numbers(detections, len(self.boxes))
-        i, j = number[self.pairs[0]], number[self.pairs[1]]
-        both = np.flatnonzero((i >= 0) & (j >= 0))
         all_ = self.detections
         part = KnownObjects(
             detections=tables.SentDetections(
@@ -99,7 +97,7 @@ class KnownObjects:
             transmitted=self.transmitted[detections],
             ptr=np.concatenate([[0], np.cumsum(n)]),
             traced=self.traced[detections],
-            pairs=(i[both], j[both], self.pairs[2][both]),
+            pairs=renumbered(self.pairs, number),
             own=of_message[self.own[vehicles]],
             received=Uses(numbers(vehicles, len(self.own))[receiver], of_message[message]),
             bodies=self.bodies.take(vehicles),

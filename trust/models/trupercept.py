@@ -88,9 +88,10 @@ class TruPercept:
     def build_shared(cls, params: list[TruPerceptParams], dt_s: float) -> list["TruPercept"]:
         """Models with one store of evidence.
 
-        Models whose evidence never expires have another one, which they share if they agree in weighting, unseen,
-        least_score and the age at which they stop to accept evaluations. Each model has the scores and counters of a model of its own, bit for bit, provided that all of them are given the
-        same `open_step` and the same `ReceivedEvaluations` objects before any of them is asked for `scores`.
+        Models whose evidence never expires have other stores. They share one if they agree in weighting, unseen,
+        least_score, and the age at which they stop to accept evaluations. Each model has the scores and counters of a
+        model of its own, bit for bit, provided that all of them are given the same `open_step` and the same
+        `ReceivedEvaluations` objects before any of them is asked for `scores`.
         """
         stores: dict[tuple, EvidenceStore] = {}
         models = []
