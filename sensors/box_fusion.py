@@ -180,11 +180,12 @@ def fuse_boxes(
     out = np.where(asked, np.cumsum(asked).reshape(asked.shape) - 1, -1)
     ends = offsets(asked.sum(axis=1))
     weight = np.reshape(weights, (len(weights), len(lists.received)))
-    box, variance_m2 = np.empty((ends[-1], 7)), np.empty((ends[-1], 3))
-    in_ranges(lambda begin, end: _fuse(begin, end, table, rows, weight, align, out, box, variance_m2), len(lists.owner))
-    return [
-        FusedBoxes(boxes_of_columns(box[begin:end]), variance_m2[begin:end]) for begin, end in pairwise(ends.tolist())
-    ]
+    box = np.empty((ends[-1], 7))
+    variance_m2 = np.empty((ends[-1], 3))
+    given = table, rows, weight, align, out, box, variance_m2
+    in_ranges(lambda begin, end: _fuse(begin, end, *given), len(lists.owner))
+    parts = [slice(*both) for both in pairwise(ends.tolist())]
+    return [FusedBoxes(boxes_of_columns(box[part]), variance_m2[part]) for part in parts]
 
 
 def overlap_p(fused: FusedBoxes, least_iou: float) -> Float[ndarray, "g"]:
@@ -330,16 +331,16 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
             if row >= 0:
                 begin = ego.begin[g - first]
                 end = ego.begin[g - first + 1]
-                seed = lists.seed[g]
-                _fuse_place(begin, end, seed, owner, table, ego, errors, covariance, slope, box[row], variance[row])
-                _fuse_shape(begin, end, seed, table, ego, errors, covariance, box[row])
+                seed, filled = lists.seed[g], box[row]
+                _fuse_place(begin, end, seed, owner, table, ego, errors, covariance, slope, filled, variance[row])
+                _fuse_shape(begin, end, seed, table, ego, errors, covariance, filled)
 
 
 @compiled
 def _pose_errors(table, ego, messages, n_slots, align):
     """Pose errors of the numbered vehicles, and their covariance."""
     errors = np.zeros(3 * n_slots)
-    system = np.zeros((len(errors), (len(errors) + _LANES - 1) // _LANES * _LANES))
+    system = np.zeros((len(errors), _padded(len(errors))))
     pull = np.empty((len(ego.row) + 1, 3, 2))
     for solution in range(_N_SOLUTIONS):
         _assemble(table, ego, messages, n_slots, align, pull, system, errors)
@@ -652,6 +653,12 @@ def _factorise(a):
 
 
 @inlined
+def _padded(n):
+    """The number of columns that hold n."""
+    return (n + _LANES - 1) // _LANES * _LANES
+
+
+@inlined
 def _subtract(row, of, k, factors, low, high, begin, end):
     """Subtract multiples of rows k, k + 1 and k + 2 from another row, in columns `begin` to `end` and some beside them.
 
@@ -663,7 +670,8 @@ def _subtract(row, of, k, factors, low, high, begin, end):
     if first != 0.0 or second != 0.0 or third != 0.0:
         a, b = of[k], of[k + 1]
         c = of[k + 2]
-        begin, end = begin // _LANES * _LANES, (end + _LANES - 1) // _LANES * _LANES
+        begin = begin // _LANES * _LANES
+        end = _padded(end)
         for i in range(np.uint64(begin), np.uint64(end)):
             value = row[i] - first * a[i]
             value -= second * b[i]

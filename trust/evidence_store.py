@@ -118,9 +118,7 @@ class EvidenceStore:
         self.evaluators.note(rows, evaluators, received.messages.step)
         return accepted.n_rejected
 
-    def of_pairs(
-        self, step: int, counting: Counting
-    ) -> tuple[Int[ndarray, "p"], Float[ndarray, "p 2"], Int[ndarray, "p"]]:
+    def of_pairs(self, step: int, counting: Counting) -> tuple[ndarray, ndarray, ndarray]:
         """Evidence of a step about each (holder, subject).
 
         Returns

@@ -153,19 +153,22 @@ class StepEvidence:
             pair = np.repeat(np.arange(n), n_slots)
             phi = self.sums[:, 0]
             score = self.sent.score[ranges(self.sent.first[self._subjects(self.pairs)], n_slots)]
-            counts = (self.n_evaluations[:, 0] > 0) & ~(counting.skip_unseen & (phi == 0))
+            counts = self.n_evaluations[:, 0] > 0
+            counts &= ~(counting.skip_unseen & (phi == 0))
             counts &= score >= counting.least_score
             weight = np.where(counts, score if counting.by_score else 1.0, 0.0)
             trust = np.divide(self.sums[:, 1], phi, out=np.zeros(phi.size), where=phi > 0)
             sums = [np.bincount(pair, x, n) for x in (weight * trust, weight, self.n_evaluations[:, 1] * counts)]
-            self._of_pairs[counting] = np.column_stack(sums[:2]).astype(float), sums[2].astype(np.int64)
+            both = np.column_stack(sums[:2]).astype(float)
+            self._of_pairs[counting] = both, sums[2].astype(np.int64)
         return self._of_pairs[counting]
 
     @property
     def nbytes(self) -> int:
         """Memory [B]."""
         arrays = self.pairs, self.row, self.block, self.sums, self.n_evaluations
-        return self.sent.nbytes + sum(a.nbytes for a in chain(arrays, *self._of_pairs.values()))
+        computed = chain.from_iterable(self._of_pairs.values())
+        return self.sent.nbytes + sum(a.nbytes for a in chain(arrays, computed))
 
     def _make_room(self, keys: Int[ndarray, "k"]) -> None:
         """Blocks for pairs that have none; the others keep their sums."""

@@ -206,8 +206,8 @@ class Grouped:
             if not is_best:
                 by_mode.setdefault(params.fused_boxes, []).append(number)
         for mode, rows in by_mode.items():
-            found = self._with_boxes([fused[n] for n in rows], used, [variants[n] for n in rows], mode)
-            for number, one in zip(rows, found, strict=True):
+            found, of = [fused[number] for number in rows], [variants[number] for number in rows]
+            for number, one in zip(rows, self._with_boxes(found, used, of, mode), strict=True):
                 fused[number] = one
         return fused
 
@@ -225,7 +225,10 @@ class Grouped:
             lists.ptr, lists.member, lists.owner, groups.numbers(), lists.member[groups.seeds()], ptr,
             used.messages.message,
         )  # fmt: skip
-        weights = [np.minimum(of.trust / max(of.params.default_trust, 1e-9), 1.0) for of in variants]
+        weights = []
+        for of in variants:
+            enough = max(of.params.default_trust, 1e-9)
+            weights.append(np.minimum(of.trust / enough, 1.0))
         wanted = np.zeros((len(fused), len(known.seed)), bool)
         for row, found in zip(wanted, fused, strict=True):
             row[found.group] = True

@@ -19,17 +19,19 @@ Pairs = tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]]
 def renumbered(pairs: Pairs, number: Int[ndarray, "d"]) -> Pairs:
     """Pairs of detections by other numbers of these, without the pairs of detections whose number is negative."""
     i, j, value = pairs
-    i, j, number = (np.ascontiguousarray(rows, np.int32) for rows in (i, j, number))
-    return _renumbered(i, j, np.ascontiguousarray(value), number)  # type: ignore[no-any-return]
+    rows = (np.ascontiguousarray(column, np.int32) for column in (i, j, number))
+    return _renumbered(*rows, np.ascontiguousarray(value))  # type: ignore[no-any-return]
 
 
 @compiled
-def _renumbered(i, j, value, number):
+def _renumbered(i, j, number, value):
     """The same in one pass."""
-    a, b = np.empty(len(i), np.int32), np.empty(len(i), np.int32)
-    kept, n = np.empty(len(i)), 0
+    a, b = np.empty_like(i), np.empty_like(j)
+    kept, n = np.empty_like(value), 0
     for k in range(len(i)):
-        a[n], b[n], kept[n] = number[i[k]], number[j[k]], value[k]
+        a[n] = number[i[k]]
+        b[n] = number[j[k]]
+        kept[n] = value[k]
         n += a[n] >= 0 and b[n] >= 0
     return a[:n], b[:n], kept[:n]
 

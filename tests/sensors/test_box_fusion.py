@@ -38,8 +38,8 @@ class Scene:
     def fused(self, align: bool = True) -> FusedBoxes:
         """What `fuse_boxes` makes of it."""
         known, weight = self.lists()
-        (found,) = fuse_boxes(self.views, known, [weight], [np.ones(len(self.seed), bool)], align=align)
-        return found
+        wanted = np.ones(len(self.seed), bool)
+        return fuse_boxes(self.views, known, [weight], [wanted], align=align)[0]
 
 
 def scene(seed: int, n_vehicles: int = 5, n_objects: int = 12, found_p: float = 0.6, n_receivers: int = 1):

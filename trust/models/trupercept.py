@@ -96,7 +96,8 @@ class TruPercept:
         stores: dict[tuple, EvidenceStore] = {}
         models = []
         for p in params:
-            key = (p.weighting, p.unseen, p.least_score, p.grace_s) if p.freshness_s == "off" else ()
+            expires = p.freshness_s != "off"
+            key = () if expires else (p.weighting, p.unseen, p.least_score, p.grace_s)
             model = cls(p, dt_s, stores.get(key))
             stores[key] = model.store
             models.append(model)
@@ -153,7 +154,8 @@ class TruPercept:
         sums = _Sums(n) if self._folded is None else self._folded.with_room(n)
         for step in sorted(store.steps):
             if step > self.now - self.window:
-                _accumulate(step, *store.of_pairs(step, self._counting), sums.total, sums.count, sums.span)
+                of_pairs = store.of_pairs(step, self._counting)
+                _accumulate(step, *of_pairs, sums.total, sums.count, sums.span)
         holder, subject, row = store.pairs.sorted()
         has = sums.count[row, 0] > 0
         holder, subject, row = holder[has], subject[has], row[has]
@@ -193,6 +195,7 @@ class TruPercept:
             if self._folded_until < step <= self.now - self.window:
                 self._folded = folded = folded.with_room(len(self.store.pairs))
                 is_kept = folded.count[:, 0] > 0
-                _accumulate(step, *self.store.of_pairs(step, self._counting), folded.total, folded.count, folded.span)
+                of_pairs = self.store.of_pairs(step, self._counting)
+                _accumulate(step, *of_pairs, folded.total, folded.count, folded.span)
                 self.store.keep((folded.count[:, 0] > 0) & ~is_kept)
         self._folded_until = max(self._folded_until, self.now - self.window)
