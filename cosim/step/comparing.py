@@ -234,7 +234,7 @@ class Grouped:
             row[found.group] = True
         views = ObjectViews(self.boxes, detections.label, detections.message, self.accuracy)
         with threads_for(_ROWS_PER_FUSED * len(lists.member) * len(fused)):
-            boxes = fuse_boxes(views, known, weights, wanted, mode == "aligned")
+            boxes = fuse_boxes(views, known, weights, list(wanted), mode == "aligned")
         for found, of, its in zip(fused, variants, boxes, strict=True):
             score = found.score
             if of.params.least_overlap > 0:
