@@ -9,14 +9,17 @@ References
 .. [2] Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", Wiley, 2001.
 """
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 from scipy.special import erf, erfinv
 
 from cosim.base.kernel import compiled, inlined, kernel
+from cosim.base.ragged import offsets
 from cosim.base.threads import in_ranges
 from sensors.association import bounded
 from sensors.boxes import Boxes
@@ -27,6 +30,8 @@ _MOST_VARIANCE_M2 = 100.0**2
 """Variances of positions count as at most this along any axis."""
 _N_SOLUTIONS = 3
 """Solutions of the least squares; each but the first uses weights from the one before."""
+_LANES = 16
+"""Rows of matrices have this many columns or a multiple of it, so that no part of one is computed number by number."""
 _TAIL = 6.0
 """Squared normalised residual at which a detection has half the weight."""
 
@@ -91,38 +96,50 @@ class FusedBoxes(NamedTuple):
         return np.column_stack([self.boxes.xyz_m, self.boxes.lwh_m, self.boxes.yaw_rad])
 
 
+class ViewLists(NamedTuple):
+    """What E receivers know of D detections in M messages."""
+
+    ptr: Int[ndarray, "e+1"]
+    """Receiver e knows the detections `member[ptr[e]:ptr[e + 1]]`, those of one message side by side."""
+    member: Int[ndarray, "p"]
+    owner: Int[ndarray, "e"]
+    """Its own message."""
+    group: Int[ndarray, "p"]
+    """Group of each of `member`. The groups of a receiver are consecutive."""
+    seed: Int[ndarray, "g"]
+    """Detection that represents each group."""
+    received_ptr: Int[ndarray, "e+1"]
+    """Receiver e weighs the messages `received[received_ptr[e]:received_ptr[e + 1]]`. Others have weight 1."""
+    received: Int[ndarray, "h"]
+
+
 def fuse_boxes(
     views: ObjectViews,
-    ptr: Int[ndarray, "e+1"],
-    member: Int[ndarray, "p"],
-    owner: Int[ndarray, "e"],
-    group: Int[ndarray, "p"],
-    seed: Int[ndarray, "g"],
-    weight: Float[ndarray, "p"],
+    lists: ViewLists,
+    weights: Sequence[Float[ndarray, "h"]],
+    wanted: Sequence[Bool[ndarray, "g"]],
     align: bool = True,
-) -> FusedBoxes:
-    """Box of each group of detections of each receiver.
+) -> "list[FusedBoxes]":
+    """Boxes of groups of detections of each receiver, once for each array of weights.
 
     Parameters
     ----------
     views
         The detections.
-    ptr, member, owner
-        Detections that receiver e knows: `member[ptr[e]:ptr[e + 1]]`, those of one message side by side. Its own
-        message is `owner[e]`.
-    group
-        Group of each of them. The groups of a receiver are consecutive.
-    seed
-        Detection that represents each group.
-    weight
-        Weight of what each of `member` states, in [0, 1]: 0 for those that are not used. The seed always has weight 1.
+    lists
+        Those that each receiver knows.
+    weights
+        Weight of what each of `lists.received` states, in [0, 1]: 0 for those that are not used. A receiver's own
+        message and the seed of a group always have weight 1.
+    wanted
+        Groups whose boxes are asked for, for each array of weights. The others count for the pose errors only.
     align
         Whether the pose errors of the vehicles are estimated. Otherwise those of the sender and of the receiver are
         parts of the variance of each received detection, as if they were independent of those of the others.
 
     Returns
     -------
-    One row per group.
+    One row per group that is wanted, for each array of weights.
 
     Notes
     -----
@@ -144,8 +161,7 @@ def fuse_boxes(
     Deviations from [1]_: positions only are aligned, not the corners and headings of boxes; the objects' uncertainty
     is what vehicles state, not what a network learns; weights are robust.
     """
-    n_groups, accuracy = len(seed), views.accuracy
-    boxes = views.boxes
+    boxes, accuracy = views.boxes, views.accuracy
     table = _Table(
         boxes.xyz_m,
         boxes.lwh_m,
@@ -159,11 +175,17 @@ def fuse_boxes(
         np.ascontiguousarray(accuracy.origin_m),
         np.maximum(accuracy.pose_variance, _LEAST_POSE_VARIANCE),
     )
-    box, variance_m2 = np.empty((n_groups, 7)), np.empty((n_groups, 3))
-    rows = [np.ascontiguousarray(a, np.int64) for a in (ptr, member, owner, group, seed)]
-    lists = _Lists(*[*rows, np.ascontiguousarray(weight)])
-    in_ranges(lambda begin, end: _fuse(begin, end, table, lists, align, box, variance_m2), len(owner))
-    return FusedBoxes(boxes_of_columns(box), variance_m2)
+    rows = ViewLists(*(np.ascontiguousarray(column, np.int64) for column in lists))
+    asked = np.reshape(wanted, (len(weights), len(lists.seed)))
+    out = np.where(asked, np.cumsum(asked).reshape(asked.shape) - 1, -1)
+    ends = offsets(asked.sum(axis=1))
+    weight = np.reshape(weights, (len(weights), len(lists.received)))
+    box = np.empty((ends[-1], 7))
+    variance_m2 = np.empty((ends[-1], 3))
+    given = table, rows, weight, align, out, box, variance_m2
+    in_ranges(lambda begin, end: _fuse(begin, end, *given), len(lists.owner))
+    parts = [slice(*both) for both in pairwise(ends.tolist())]
+    return [FusedBoxes(boxes_of_columns(box[part]), variance_m2[part]) for part in parts]
 
 
 def overlap_p(fused: FusedBoxes, least_iou: float) -> Float[ndarray, "g"]:
@@ -214,17 +236,6 @@ class _Table(NamedTuple):
     pose: ndarray
 
 
-class _Lists(NamedTuple):
-    """What the receivers know; as the parameters of `fuse_boxes`."""
-
-    ptr: ndarray
-    member: ndarray
-    owner: ndarray
-    group: ndarray
-    seed: ndarray
-    weight: ndarray
-
-
 class _Ego(NamedTuple):
     """K detections of one receiver, by group."""
 
@@ -272,16 +283,17 @@ def _logarithms(lwh):
 
 
 @compiled
-def _fuse(begin, end, table, lists, align, box, variance):
-    """Fill the boxes and variances of all groups of the receivers `begin` to `end`."""
+def _fuse(begin, end, table, lists, weight, align, out, box, variance):
+    """Fill the boxes and variances of the groups of the receivers `begin` to `end` at the rows `out`, if not -1."""
+    known = np.ones(len(table.origin))
     for e in range(begin, end):
         if lists.ptr[e + 1] > lists.ptr[e]:
-            _of_ego(e, table, lists, align, box, variance)
+            _of_ego(e, table, lists, weight, known, align, out, box, variance)
 
 
 @compiled
-def _of_ego(e, table, lists, align, box, variance):
-    """Fill the boxes of one receiver's groups."""
+def _of_ego(e, table, lists, weight, known, align, out, box, variance):
+    """Fill the boxes of one receiver's groups. `known` is room for the weight of each message, 1 before and after."""
     begin, end = lists.ptr[e], lists.ptr[e + 1]
     owner = lists.owner[e]
     first = last = lists.group[begin]
@@ -307,11 +319,29 @@ def _of_ego(e, table, lists, align, box, variance):
     )
     vehicle, messages = number[2], np.empty(n + 1, np.int64)
     _sort(begin, end, first, table, lists, ego, vehicle)
-    n_slots = _number(owner, table, ego, vehicle, messages, align)
-    _prepare(first, owner, table, lists, ego, align)
+    errors, covariance = np.empty(0), np.empty((0, 0))
+    for v in range(len(weight)):
+        if _weigh(e, v, first, table, lists, weight, known, ego) or v == 0:
+            n_slots = _number(owner, table, ego, vehicle, messages, align)
+            _prepare(first, owner, table, lists, ego, align)
+            errors, covariance = _pose_errors(table, ego, messages, n_slots, align)
+        slope = np.zeros((2, len(errors)))
+        for g in range(first, last + 1):
+            row = out[v, g]
+            if row >= 0:
+                begin = ego.begin[g - first]
+                end = ego.begin[g - first + 1]
+                seed, filled = lists.seed[g], box[row]
+                _fuse_place(begin, end, seed, owner, table, ego, errors, covariance, slope, filled, variance[row])
+                _fuse_shape(begin, end, seed, table, ego, errors, covariance, filled)
+
+
+@compiled
+def _pose_errors(table, ego, messages, n_slots, align):
+    """Pose errors of the numbered vehicles, and their covariance."""
     errors = np.zeros(3 * n_slots)
-    system = np.zeros((len(errors), len(errors)))
-    pull = np.empty((n + 1, 3, 2))
+    system = np.zeros((len(errors), _padded(len(errors))))
+    pull = np.empty((len(ego.row) + 1, 3, 2))
     for solution in range(_N_SOLUTIONS):
         _assemble(table, ego, messages, n_slots, align, pull, system, errors)
         _factorise(system)
@@ -320,13 +350,7 @@ def _of_ego(e, table, lists, align, box, variance):
             _reweigh(ego, errors)
     covariance = np.empty_like(system)
     _invert(system, covariance)
-    slope = np.zeros((2, len(errors)))
-    for g in range(first, last + 1):
-        begin = ego.begin[g - first]
-        end = ego.begin[g - first + 1]
-        seed, out = lists.seed[g], box[g]
-        _fuse_place(begin, end, seed, owner, table, ego, errors, covariance, slope, out, variance[g])
-        _fuse_shape(begin, end, seed, table, ego, errors, covariance, out)
+    return errors, covariance
 
 
 @kernel
@@ -338,21 +362,39 @@ def _sort(begin, end, first, table, lists, ego, vehicle):
         ego.begin[g + 1] += ego.begin[g]
     n_messages, message = -1, np.int64(-1)
     for p in range(begin, end):
-        d, g = lists.member[p], lists.group[p]
+        d, g = lists.member[p], lists.group[p] - first
         if table.message[d] != message:
             n_messages += 1
             message = table.message[d]
-        k = ego.begin[g - first]
-        ego.begin[g - first] += 1
+        k = ego.begin[g]
+        ego.begin[g] += 1
         ego.row[k], vehicle[k] = d, n_messages
-        trust = lists.weight[p]
-        if d == lists.seed[g]:
-            trust = 1.0
-        ego.trust[k] = trust
-        ego.weight[k] = 1.0 if trust > 0.0 else 0.0
     for g in range(len(ego.begin) - 1, 0, -1):
         ego.begin[g] = ego.begin[g - 1]
     ego.begin[0] = 0
+
+
+@kernel
+def _weigh(e, v, first, table, lists, weight, known, ego):
+    """Set the weights of the detections; returns whether any differs from the one before. If none does, all stays."""
+    begin, end = lists.received_ptr[e], lists.received_ptr[e + 1]
+    for h in range(end - 1, begin - 1, -1):  # the first weight of a message counts
+        known[lists.received[h]] = weight[v, h]
+    known[lists.owner[e]] = 1.0
+    is_new = False
+    for g in range(len(ego.begin) - 1):
+        seed = lists.seed[first + g]
+        for k in range(ego.begin[g], ego.begin[g + 1]):
+            d = ego.row[k]
+            trust = 1.0 if d == seed else known[table.message[d]]
+            is_new |= trust != ego.trust[k]
+            ego.trust[k] = trust
+    for h in range(begin, end):
+        known[lists.received[h]] = 1.0
+    if is_new or v == 0:
+        for k in range(len(ego.row)):
+            ego.weight[k] = 1.0 if ego.trust[k] > 0.0 else 0.0
+    return is_new
 
 
 @compiled
@@ -611,8 +653,14 @@ def _factorise(a):
 
 
 @inlined
+def _padded(n):
+    """The number of columns that hold n."""
+    return (n + _LANES - 1) // _LANES * _LANES
+
+
+@inlined
 def _subtract(row, of, k, factors, low, high, begin, end):
-    """Subtract multiples of rows k, k + 1 and k + 2 from another row, in columns `begin` to `end`.
+    """Subtract multiples of rows k, k + 1 and k + 2 from another row, in columns `begin` to `end` and some beside them.
 
     Of these rows, those from `low` to `high` count.
     """
@@ -622,6 +670,8 @@ def _subtract(row, of, k, factors, low, high, begin, end):
     if first != 0.0 or second != 0.0 or third != 0.0:
         a, b = of[k], of[k + 1]
         c = of[k + 2]
+        begin = begin // _LANES * _LANES
+        end = _padded(end)
         for i in range(np.uint64(begin), np.uint64(end)):
             value = row[i] - first * a[i]
             value -= second * b[i]

@@ -1,4 +1,4 @@
-"""Evidence of the recent steps, shared by the models that differ only in how long they use it."""
+"""Evidence of the recent steps, shared by the models that differ in what counts of it and how long."""
 
 from typing import Protocol
 
@@ -9,7 +9,7 @@ from numpy import ndarray
 from trust.evaluator_counts import NEVER, EvaluatorTable
 from trust.open_steps import LARGE, OpenStep
 from trust.pair_index import PairIndex, with_rows
-from trust.step_evidence import StepEvidence
+from trust.step_evidence import Counting, StepEvidence
 from trust.tables import ReceivedEvaluations, unpaired
 
 
@@ -33,13 +33,12 @@ class EvidenceStore:
     Evaluations wait until `settle`. Many small batches of one step are then checked and added as one.
     """
 
-    def __init__(self, by_score: bool, skip_unseen: bool, expires: bool = True, least_score: float = 0.0) -> None:
+    def __init__(self, expires: bool = True) -> None:
         self.steps: dict[int, StepEvidence] = {}
         self.views: list[View] = []
         self.pairs = PairIndex()
         self.evaluators = EvaluatorTable()
-        self._by_score, self._skip_unseen, self._expires = by_score, skip_unseen, expires
-        self._least_score = least_score
+        self._expires = expires
         self._n_uses = np.zeros(0, np.int64)  # of each row: steps that use it, and models that keep it
         self._opened, self._n_bad = -1, 0
         self._n_added = 0
@@ -119,7 +118,7 @@ class EvidenceStore:
         self.evaluators.note(rows, evaluators, received.messages.step)
         return accepted.n_rejected
 
-    def of_pairs(self, step: int) -> tuple[Int[ndarray, "p"], Float[ndarray, "p 2"], Int[ndarray, "p"]]:
+    def of_pairs(self, step: int, counting: Counting) -> tuple[ndarray, ndarray, ndarray]:
         """Evidence of a step about each (holder, subject).
 
         Returns
@@ -128,7 +127,7 @@ class EvidenceStore:
         evaluations.
         """
         evidence = self.steps[step]
-        return evidence.row, *evidence.of_pairs(self._by_score, self._skip_unseen, self._least_score)
+        return evidence.row, *evidence.of_pairs(counting)
 
     def expire(self) -> None:
         """Drop the steps that have left the windows of all models, and the pairs that no step uses any more."""

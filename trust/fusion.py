@@ -30,6 +30,7 @@ class Fused(Rows):
     """Final objects, one per group, in the order of the object lists and of the groups' seeds."""
 
     ego: Int[ndarray, "f"]  # row of the ego's object list
+    group: Int[ndarray, "f"]  # its number among the groups of all lists
     seed: Int[ndarray, "f"]  # detection that gives class and box
     pose: Int[ndarray, "f"]  # detection that gives position and heading
     score: Float[ndarray, "f"]  # in [0, 1]
@@ -168,7 +169,7 @@ def fuse(
     given: FusionInput,
     sender_trust: SenderTrust,
     evidence: SensorEvidence,
-    distance_m: Float[ndarray, "d"],
+    distance_m: Float[ndarray, "d"] | None,
     params: TrustParams,
     score_objects: Callable[[ObjectReports], Float[ndarray, "g"]] | None = None,
     votes: ObjectVotes | None = None,
@@ -187,7 +188,7 @@ def fuse(
         One row per row of `given.groups.seeds()`.
     distance_m
         Distance of each detection from the sensor of its detector [m]. With `matching = "gates"`: standard deviation of
-        its position.
+        its position. None if each object is where its seed is.
     params
         Method of the fusion and its parameters.
     score_objects
@@ -222,12 +223,15 @@ def fuse(
         score = score_objects(votes.with_trust(sender_trust.trust, params.ego_trust))
 
     pose = row
-    if params.method in CORRECTED and not params.code_parity:
+    if distance_m is None:
+        pass  # the caller makes boxes of all detections of a group
+    elif params.method in CORRECTED and not params.code_parity:
         pose = np.where(score > 0, _closest(given, distance_m, params.self_report_poses), row)
     elif params.matching == "gates":  # an own detection stays: it has no error of another vehicle's position
         pose = np.where(ego_detected | (score <= 0), row, _closest(given, distance_m, self_reports=True))
     fused = Fused(
         ego=lists.of(seeds),
+        group=np.arange(len(seeds)),
         seed=row,
         pose=pose,
         score=score,

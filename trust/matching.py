@@ -201,7 +201,8 @@ def match_each(
     least = params.tau if params.matching == "iou" else 0.0  # pairs within gates are no others
     kept = pairs[2] > least  # False for a NaN
     i, j, iou = pairs if kept.all() else (column[kept] for column in pairs)
-    ptr, other, value = _partners(int64(i), int64(j), float64(iou), len(detections))
+    i, j = (np.ascontiguousarray(rows, np.int32) for rows in (i, j))
+    ptr, other, value = _partners(i, j, float64(iou), len(detections))
     found = []
     for each in lists:
         with threads_for(each.member.size) as n:

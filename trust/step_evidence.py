@@ -5,6 +5,9 @@ has a block of slots, one per detection of the subject, and a slot holds sums ov
 The sums are integers, so that no order of arrival, no batching and no delay can change one.
 """
 
+from itertools import chain
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float, Int
 from numba import njit
@@ -76,6 +79,17 @@ def _distinct(group_ptr, message, ptr, subject, counts, n_subjects):
     return found_ptr, found
 
 
+class Counting(NamedTuple):
+    """What counts of the evidence."""
+
+    by_score: bool
+    """Detections count by their scores. Otherwise all count alike."""
+    skip_unseen: bool
+    """Detections that no evaluator could see do not count."""
+    least_score: float
+    """Detections with lower scores do not count."""
+
+
 class StepEvidence:
     """What was transmitted in one step, and the sums over the evaluations of it that holders have received."""
 
@@ -91,7 +105,7 @@ class StepEvidence:
         """Per slot, over the evaluations by others than the subject: Phi and Phi e in units of 1 / ONE."""
         self.n_evaluations: Int[ndarray, "s 2"] = np.zeros((0, 2), np.int32)
         """Per slot: all evaluations, and those by others that could see (Phi > 0)."""
-        self._of_pairs: tuple[ndarray, ndarray] | None = None
+        self._of_pairs: dict[Counting, tuple[ndarray, ndarray]] = {}
 
     def add(self, messages: EvaluationMessages, accepted: AcceptedEvaluations) -> tuple[ndarray, ndarray]:
         """Add the accepted part of some messages to the sums.
@@ -118,7 +132,7 @@ class StepEvidence:
                 self.block[np.searchsorted(self.pairs, keys)], ptr, observer,
                 accepted.detection - self.sent.first[observer], terms, counts, self.sums, self.n_evaluations,
             )  # fmt: skip
-            self._of_pairs = None
+            self._of_pairs = {}
 
         each = np.arange(n_messages + 1)
         seen_ptr, seen = _distinct(each, each, ptr, observer, counts[:, 1] > 0, n_subjects)
@@ -127,32 +141,34 @@ class StepEvidence:
         evaluator = self.sent.pseudonyms[accepted.evaluator[accepted.message_row]]
         return pair_key(np.repeat(accepted.holder, n), subject), np.repeat(evaluator, n)
 
-    def of_pairs(
-        self, by_score: bool, skip_unseen: bool, least_score: float
-    ) -> tuple[Float[ndarray, "p 2"], Int[ndarray, "p"]]:
+    def of_pairs(self, counting: Counting) -> tuple[Float[ndarray, "p 2"], Int[ndarray, "p"]]:
         """Equations 3 and 4 within the step, and how many evaluations are behind them; both are kept until `add`.
 
         Returns
         -------
         Per pair sum s T(theta) and sum s over the detections, and the evaluations by others that could see.
         """
-        if self._of_pairs is None:
+        if counting not in self._of_pairs:
             n, n_slots = self.pairs.size, np.diff(self.block)
             pair = np.repeat(np.arange(n), n_slots)
             phi = self.sums[:, 0]
             score = self.sent.score[ranges(self.sent.first[self._subjects(self.pairs)], n_slots)]
-            counts = (self.n_evaluations[:, 0] > 0) & ~(skip_unseen & (phi == 0)) & (score >= least_score)
-            weight = np.where(counts, score if by_score else 1.0, 0.0)
+            counts = self.n_evaluations[:, 0] > 0
+            counts &= ~(counting.skip_unseen & (phi == 0))
+            counts &= score >= counting.least_score
+            weight = np.where(counts, score if counting.by_score else 1.0, 0.0)
             trust = np.divide(self.sums[:, 1], phi, out=np.zeros(phi.size), where=phi > 0)
             sums = [np.bincount(pair, x, n) for x in (weight * trust, weight, self.n_evaluations[:, 1] * counts)]
-            self._of_pairs = np.column_stack(sums[:2]).astype(float), sums[2].astype(np.int64)
-        return self._of_pairs
+            both = np.column_stack(sums[:2]).astype(float)
+            self._of_pairs[counting] = both, sums[2].astype(np.int64)
+        return self._of_pairs[counting]
 
     @property
     def nbytes(self) -> int:
         """Memory [B]."""
-        arrays = self.pairs, self.row, self.block, self.sums, self.n_evaluations, *(self._of_pairs or ())
-        return self.sent.nbytes + sum(a.nbytes for a in arrays)
+        arrays = self.pairs, self.row, self.block, self.sums, self.n_evaluations
+        computed = chain.from_iterable(self._of_pairs.values())
+        return self.sent.nbytes + sum(a.nbytes for a in chain(arrays, computed))
 
     def _make_room(self, keys: Int[ndarray, "k"]) -> None:
         """Blocks for pairs that have none; the others keep their sums."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import groupby
 from typing import NamedTuple
 
@@ -40,7 +41,7 @@ class SentDetections:
         return self.message.size
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots, so that what follows from the arrays is computed once
 class ObjectLists:
     """Detections that each of E vehicles has received: its own first, then the others by (message, detection_index)."""
 
@@ -55,6 +56,10 @@ class ObjectLists:
         -------
         Row of `owner` for each position of `member`.
         """
+        return self._of_member
+
+    @cached_property
+    def _of_member(self) -> Int[ndarray, "m"]:
         return np.repeat(np.arange(self.owner.size), np.diff(self.ptr))
 
     def of(self, position: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
@@ -72,7 +77,7 @@ class ObjectLists:
         return np.repeat(np.arange(self.owner.size), np.diff(np.searchsorted(position, self.ptr)))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # as `ObjectLists`
 class Groups:
     """Positions of the object lists partitioned into groups, one per object; each group has one seed."""
 
@@ -81,15 +86,21 @@ class Groups:
 
     def seeds(self) -> Int[ndarray, "g"]:
         """Positions of the seeds, ascending: the canonical order of groups."""
-        return np.flatnonzero(self._is_seed())
+        return self._seeds
 
     def numbers(self) -> Int[ndarray, "m"]:
         """Group of each position: its number in the order of `seeds`, from 0."""
-        is_seed = self._is_seed()
-        return (np.cumsum(is_seed, dtype=np.int32) - is_seed)[self.seed]
+        return self._numbers
 
-    def _is_seed(self) -> Bool[ndarray, "m"]:
-        return self.seed == np.arange(self.seed.size)
+    @cached_property
+    def _seeds(self) -> Int[ndarray, "g"]:
+        return np.flatnonzero(self.seed == np.arange(self.seed.size))
+
+    @cached_property
+    def _numbers(self) -> Int[ndarray, "m"]:
+        number = np.empty(self.seed.size, np.int32)
+        number[self._seeds] = np.arange(self._seeds.size)
+        return number[self.seed]
 
 
 @dataclass(frozen=True, slots=True)

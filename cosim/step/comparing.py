@@ -4,7 +4,7 @@ A vehicle uses the messages that it knows and its own sweep. So parts of the veh
 (`KnownObjects.part`), and the result does not depend on it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.base.ragged import ptr_of, ranges, rows_of
+from cosim.base.ragged import ptr_of, ranges
 from cosim.base.threads import threads_for
-from cosim.step.known import Pairs, Uses
+from cosim.step.known import Pairs, Uses, renumbered
 from cosim.step.object_lists import questions_of, received_lists, subset
 from cosim.step.perception import BoxQuestions, Perceives
 from cosim.step.stopwatch import Stopwatch
 from sensors.association import bounded, certainty
-from sensors.box_fusion import ObjectViews, StatedAccuracy, fuse_boxes, overlap_p
+from sensors.box_fusion import ObjectViews, StatedAccuracy, ViewLists, fuse_boxes, overlap_p
 from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
 from trust import tables
@@ -87,8 +87,6 @@ class KnownObjects:
         n = np.diff(self.ptr)[messages]
         detections = ranges(self.ptr[messages], n)
         number = numbers(detections, len(self.boxes))
-        i, j = number[self.pairs[0]], number[self.pairs[1]]
-        both = np.flatnonzero((i >= 0) & (j >= 0))
         all_ = self.detections
         part = KnownObjects(
             detections=tables.SentDetections(
@@ -99,7 +97,7 @@ class KnownObjects:
             transmitted=self.transmitted[detections],
             ptr=np.concatenate([[0], np.cumsum(n)]),
             traced=self.traced[detections],
-            pairs=(i[both], j[both], self.pairs[2][both]),
+            pairs=renumbered(self.pairs, number),
             own=of_message[self.own[vehicles]],
             received=Uses(numbers(vehicles, len(self.own))[receiver], of_message[message]),
             bodies=self.bodies.take(vehicles),
@@ -195,60 +193,54 @@ class Grouped:
         ptr = ptr_of(used.messages.receiver, len(self.lists.owner))
         in_time = np.full(len(used.messages.message), used.in_time)
         given = FusionInput(self.lists, self.groups, self.detections, used.lists, used.own, used.reported)
-        fused, votes = [], None
-        for variant in variants:
-            sender_trust = SenderTrust(ptr, used.messages.message, variant.trust, in_time)
+        fused, votes, by_mode = [], None, dict[str, list[int]]()
+        for number, variant in enumerate(variants):
+            params, sender_trust = variant.params, SenderTrust(ptr, used.messages.message, variant.trust, in_time)
             if variant.scorer is not None and votes is None:
                 votes = votes_of(given, sender_trust)
-            params = variant.params
             is_best = self.accuracy is None or params.fused_boxes == "best"
-            found = fuse(
-                given, sender_trust, self.of_seeds, used.from_own_m, params, variant.scorer, votes,
-                params.min_score if is_best else 0.0,
-            )  # fmt: skip
-            fused.append(found if is_best else self._with_boxes(found, sender_trust, params))
+            fused.append(fuse(
+                given, sender_trust, self.of_seeds, used.from_own_m if is_best else None, params, variant.scorer, votes,
+                params.min_score,
+            ))  # fmt: skip
+            if not is_best:
+                by_mode.setdefault(params.fused_boxes, []).append(number)
+        for mode, rows in by_mode.items():
+            found, of = [fused[number] for number in rows], [variants[number] for number in rows]
+            for number, one in zip(rows, self._with_boxes(found, used, of, mode), strict=True):
+                fused[number] = one
         return fused
 
-    def _with_boxes(self, fused: Fused, sender_trust: SenderTrust, params: TrustParams) -> Fused:
+    def _with_boxes(
+        self, fused: Sequence[Fused], used: Used, variants: Sequence[FusionOf], mode: str
+    ) -> Iterator[Fused]:
         """The objects with boxes from all their detections, and with scores that say how well the boxes may fit.
 
         What a vehicle states counts by the receiver's trust in it. From the trust of a stranger on, it counts fully.
         """
         assert self.accuracy is not None
         lists, groups, detections = self.lists, self.groups, self.detections
-        seeds = groups.seeds()
+        ptr = ptr_of(used.messages.receiver, len(lists.owner))
+        known = ViewLists(
+            lists.ptr, lists.member, lists.owner, groups.numbers(), lists.member[groups.seeds()], ptr,
+            used.messages.message,
+        )  # fmt: skip
+        weights = []
+        for of in variants:
+            enough = max(of.params.default_trust, 1e-9)
+            weights.append(np.minimum(of.trust / enough, 1.0))
+        wanted = np.zeros((len(fused), len(known.seed)), bool)
+        for row, found in zip(wanted, fused, strict=True):
+            row[found.group] = True
         views = ObjectViews(self.boxes, detections.label, detections.message, self.accuracy)
-        weight = self._weights(sender_trust, params)
-        with threads_for(_ROWS_PER_FUSED * len(lists.member)):
-            boxes = fuse_boxes(
-                views, lists.ptr, lists.member, lists.owner, groups.numbers(), lists.member[seeds], weight,
-                params.fused_boxes == "aligned",
-            )  # fmt: skip
-        is_body = groups.ego_detected[seeds] & detections.is_self[lists.member[seeds]]  # `fuse` leaves these out
-        box, score = boxes.columns()[~is_body], fused.score
-        if params.least_overlap > 0:
-            score = score * overlap_p(boxes, params.least_overlap)[~is_body]
-        variance_m2 = boxes.variance_m2[~is_body]
-        found = replace(fused, pose=fused.seed, box=box, variance_m2=variance_m2, score=score)
-        return found.take(found.score >= params.min_score)
-
-    def _weights(self, sender_trust: SenderTrust, params: TrustParams) -> Float[ndarray, "m"]:
-        """Weight of what the sender of each member of the lists states."""
-        lists, message = self.lists, self.detections.message
-        of = lists.of_member()
-        # Members of one message are side by side. Trust is looked up once for each message of each list.
-        key = of * (1 << 32) + message[lists.member]
-        first = np.flatnonzero(np.diff(key, prepend=-1))
-        trust = sender_trust.canonical()
-        receiver = np.repeat(np.arange(len(lists.owner)), np.diff(trust.ptr))
-        known = receiver * (1 << 32) + trust.message
-        row, there = rows_of(key[first], known)
-        enough = max(params.default_trust, 1e-9)
-        weight = np.ones(len(first))
-        weight[there] = np.minimum(trust.trust[row[there]] / enough, 1.0)
-        sender = message[lists.member[first]]
-        weight[sender == lists.owner[of[first]]] = 1.0
-        return np.repeat(weight, np.diff(np.append(first, len(key))))
+        with threads_for(_ROWS_PER_FUSED * len(lists.member) * len(fused)):
+            boxes = fuse_boxes(views, known, weights, list(wanted), mode == "aligned")
+        for found, of, its in zip(fused, variants, boxes, strict=True):
+            score = found.score
+            if of.params.least_overlap > 0:
+                score = score * overlap_p(its, of.params.least_overlap)
+            found = replace(found, box=its.columns(), variance_m2=its.variance_m2, score=score)
+            yield found.take(score >= of.params.min_score)
 
 
 @dataclass(frozen=True, slots=True)

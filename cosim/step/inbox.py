@@ -19,7 +19,7 @@ from cosim.step.broadcast import Broadcast
 from cosim.step.evaluate import Evaluated, Matched
 from cosim.step.exchange import Exchange
 from cosim.step.ground_truth import GroundTruth
-from cosim.step.known import Known, Pairs, Uses
+from cosim.step.known import Known, Pairs, Uses, renumbered
 from cosim.step.late import LateMessages
 from cosim.step.listing import Listed
 from cosim.step.object_lists import for_trust
@@ -215,11 +215,7 @@ class Inbox:
         )
         truth = replace(listed.truth, actor_row=world.actor[listed.truth.actor_row])
 
-        def moved(row: Int[ndarray, "k"]) -> Int[ndarray, "k"]:
-            """Rows of `Known` as rows of the new inbox, which has this step's messages last."""
-            return np.where(row < n_now, d + row, row - n_now)
-
-        i, j, iou = matched.pairs
+        moved = np.roll(np.arange(d + n_now), n_now)  # rows of `Known` as rows of the new inbox: this step's come last
         old = self.evaluated
         cpms, reports = (
             Uses(
@@ -239,10 +235,10 @@ class Inbox:
                                 for name in GroundTruth.__dataclass_fields__)),
             withheld=np.concatenate([self.withheld, listed.withheld]),
             from_own_m=np.concatenate([self.from_own_m, matched.from_own_m[:n_now]]),
-            pairs=(moved(i), moved(j), iou),
+            pairs=renumbered(matched.pairs, moved),
             evaluated=ObjectLists(
                 np.concatenate([old.ptr, old.ptr[-1] + lists.ptr[1:]]),
-                np.concatenate([old.member, moved(lists.member)]),
+                np.concatenate([old.member, moved[lists.member]]),
                 np.arange(n + len(senders)),
             ),
             evaluations=Evaluations(
@@ -263,8 +259,6 @@ class Inbox:
         detections = ranges(self.ptr[kept], size[kept])
         new_row = np.full(len(self.objects), -1)
         new_row[detections] = np.arange(len(detections))
-        i, j, iou = self.pairs
-        there = np.flatnonzero((new_row[i] >= 0) & (new_row[j] >= 0))
         of = self.evaluated
         rows = ranges(of.ptr[kept], np.diff(of.ptr)[kept])
         by = np.repeat(np.arange(len(kept)), np.diff(of.ptr)[kept])
@@ -280,7 +274,7 @@ class Inbox:
             ptr=offsets(size[kept]), objects=self.objects.take(detections),
             truth=GroundTruth(*(getattr(self.truth, name)[detections] for name in GroundTruth.__dataclass_fields__)),
             withheld=self.withheld[detections], from_own_m=self.from_own_m[detections],
-            pairs=(new_row[i[there]], new_row[j[there]], iou[there]),
+            pairs=renumbered(self.pairs, new_row),
             evaluated=ObjectLists(
                 np.searchsorted(by, np.arange(len(kept) + 1)), new_row[of.member[rows]], np.arange(len(kept))
             ),

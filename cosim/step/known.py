@@ -3,15 +3,37 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.base.kernel import compiled
 from cosim.messages.content import Detections
 from cosim.step.ground_truth import GroundTruth
 from trust import tables
 
 Pairs = tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]]
 """Two rows of detections that overlap, and their IoU; each pair once."""
+
+
+def renumbered(pairs: Pairs, number: Int[ndarray, "d"]) -> Pairs:
+    """Pairs of detections by other numbers of these, without the pairs of detections whose number is negative."""
+    i, j, value = pairs
+    rows = (np.ascontiguousarray(column, np.int32) for column in (i, j, number))
+    return _renumbered(*rows, np.ascontiguousarray(value))  # type: ignore[no-any-return]
+
+
+@compiled
+def _renumbered(i, j, number, value):
+    """The same in one pass."""
+    a, b = np.empty_like(i), np.empty_like(j)
+    kept, n = np.empty_like(value), 0
+    for k in range(len(i)):
+        a[n] = number[i[k]]
+        b[n] = number[j[k]]
+        kept[n] = value[k]
+        n += a[n] >= 0 and b[n] >= 0
+    return a[:n], b[:n], kept[:n]
 
 
 class Uses(NamedTuple):

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from sensors.box_fusion import FusedBoxes, ObjectViews, StatedAccuracy, fuse_boxes, overlap_p
+from sensors.box_fusion import FusedBoxes, ObjectViews, StatedAccuracy, ViewLists, fuse_boxes, overlap_p
 from sensors.boxes import Boxes, iou_3d
 
 POSE_M2, TURN_RAD2 = 0.2**2, math.radians(0.2) ** 2
@@ -24,12 +24,22 @@ class Scene:
     group: np.ndarray
     seed: np.ndarray
     weight: np.ndarray
+    """Of each member; those of one message have the same."""
+
+    def lists(self) -> tuple[ViewLists, np.ndarray]:
+        """What the receivers know, and the weights of the messages that they received."""
+        receiver = np.repeat(np.arange(len(self.owner)), np.diff(self.ptr))
+        message = np.asarray(self.views.message, np.int64)[self.member]
+        both, first = np.unique(receiver * 1000 + message, return_index=True)
+        ptr = np.searchsorted(both // 1000, np.arange(len(self.ptr)))
+        known = ViewLists(self.ptr, self.member, self.owner, self.group, self.seed, ptr, both % 1000)
+        return known, self.weight[first]
 
     def fused(self, align: bool = True) -> FusedBoxes:
         """What `fuse_boxes` makes of it."""
-        return fuse_boxes(
-            self.views, self.ptr, self.member, self.owner, self.group, self.seed, self.weight, align=align
-        )
+        known, weight = self.lists()
+        wanted = np.ones(len(self.seed), bool)
+        return fuse_boxes(self.views, known, [weight], [wanted], align=align)[0]
 
 
 def scene(seed: int, n_vehicles: int = 5, n_objects: int = 12, found_p: float = 0.6, n_receivers: int = 1):
@@ -79,6 +89,8 @@ def scene(seed: int, n_vehicles: int = 5, n_objects: int = 12, found_p: float = 
             group.append(numbers[thing[row]])
         member.append(order)
         n_groups += len(numbers)
+    weight = np.where(rng.random((n_receivers, n_vehicles)) < 0.2, rng.choice([0.0, 0.5], n_vehicles), 1.0)
+    np.fill_diagonal(weight, 1.0)
     made = Scene(
         views=ObjectViews(boxes, said, vehicle, accuracy),
         ptr=np.arange(n_receivers + 1) * d,
@@ -86,7 +98,7 @@ def scene(seed: int, n_vehicles: int = 5, n_objects: int = 12, found_p: float = 
         owner=np.arange(n_receivers),
         group=np.array(group),
         seed=np.array(seeds),
-        weight=np.where(rng.random(d * n_receivers) < 0.2, rng.choice([0.0, 0.5], d * n_receivers), 1.0),
+        weight=np.concatenate([weight[v, vehicle[rows]] for v, rows in enumerate(member)]),
     )
     return made, true, place, error, thing
 

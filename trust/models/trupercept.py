@@ -11,6 +11,7 @@ from trust.evaluator_counts import NEVER
 from trust.evidence_store import EvidenceStore
 from trust.open_steps import RejectReason
 from trust.params import TruPerceptParams, open_window_steps
+from trust.step_evidence import Counting
 from trust.tables import ReceivedEvaluations, TrustScores
 
 
@@ -78,24 +79,25 @@ class TruPercept:
         """Transmitted detections rejected so far: score outside [0, 1], or an index given twice."""
         self._folded = _Sums(0) if params.freshness_s == "off" else None
         self._folded_until = -1
-        self.store = store or EvidenceStore(
-            params.weighting == "score", params.unseen == "skip", self._folded is None, params.least_score
-        )
+        self.store = store or EvidenceStore(self._folded is None)
+        self._counting = Counting(params.weighting == "score", params.unseen == "skip", params.least_score)
         self.store.views.append(self)
         self._opened, self._n_added = -1, 0
 
     @classmethod
     def build_shared(cls, params: list[TruPerceptParams], dt_s: float) -> list["TruPercept"]:
-        """Models with one store of evidence for each (weighting, unseen, least_score) among them.
+        """Models with one store of evidence.
 
-        Models whose evidence never expires share a store if they stop to accept evaluations at the same age. Each
-        model has the scores and counters of a model of its own, bit for bit, provided that all of them are given the
-        same `open_step` and the same `ReceivedEvaluations` objects before any of them is asked for `scores`.
+        Models whose evidence never expires have other stores. They share one if they agree in weighting, unseen,
+        least_score, and the age at which they stop to accept evaluations. Each model has the scores and counters of a
+        model of its own, bit for bit, provided that all of them are given the same `open_step` and the same
+        `ReceivedEvaluations` objects before any of them is asked for `scores`.
         """
         stores: dict[tuple, EvidenceStore] = {}
         models = []
         for p in params:
-            key = p.weighting, p.unseen, p.least_score, p.grace_s if p.freshness_s == "off" else None
+            expires = p.freshness_s != "off"
+            key = () if expires else (p.weighting, p.unseen, p.least_score, p.grace_s)
             model = cls(p, dt_s, stores.get(key))
             stores[key] = model.store
             models.append(model)
@@ -152,7 +154,8 @@ class TruPercept:
         sums = _Sums(n) if self._folded is None else self._folded.with_room(n)
         for step in sorted(store.steps):
             if step > self.now - self.window:
-                _accumulate(step, *store.of_pairs(step), sums.total, sums.count, sums.span)
+                of_pairs = store.of_pairs(step, self._counting)
+                _accumulate(step, *of_pairs, sums.total, sums.count, sums.span)
         holder, subject, row = store.pairs.sorted()
         has = sums.count[row, 0] > 0
         holder, subject, row = holder[has], subject[has], row[has]
@@ -192,6 +195,7 @@ class TruPercept:
             if self._folded_until < step <= self.now - self.window:
                 self._folded = folded = folded.with_room(len(self.store.pairs))
                 is_kept = folded.count[:, 0] > 0
-                _accumulate(step, *self.store.of_pairs(step), folded.total, folded.count, folded.span)
+                of_pairs = self.store.of_pairs(step, self._counting)
+                _accumulate(step, *of_pairs, folded.total, folded.count, folded.span)
                 self.store.keep((folded.count[:, 0] > 0) & ~is_kept)
         self._folded_until = max(self._folded_until, self.now - self.window)
