@@ -52,9 +52,9 @@ class TrackingParams:
     across_sigma_mps: Positive = (0.7, 1.0, 0.7, 0.7)
     """Standard deviation of the velocity across the heading [m/s]; its mean is 0."""
     own_speed_mean: NotNegative = (0.7, 0.0, 0.0, 0.7)
-    """Share of the observer's own speed that the expected speed is at least: on a motorway, others are fast too."""
+    """Share of the observer's own speed that the expected speed is at least where no map says the speed limit."""
     own_speed_sigma: NotNegative = (0.4, 0.0, 0.0, 0.4)
-    """Share of the observer's own speed that the standard deviation of the speed is at least."""
+    """Share of the observer's own speed that the standard deviation of the speed is at least, likewise."""
     gate_p: _Share = 0.99
     """Probability that the next detection of a tracked object is inside the track's gate."""
     other_per_m2: Annotated[float, Gt(0), Le(1)] = 0.005
@@ -87,6 +87,14 @@ class TrackingParams:
 
 _CLASS_GROUP = np.array([0, 1, 1, 0], np.uint8)
 """A detector confuses cars with trucks and pedestrians with cyclists. Tracks go on with detections of their group."""
+_STREET = np.array([[0.5, 0.4], [0.0, 0.0], [0.0, 0.0], [0.5, 0.4]])
+"""By class, shares of the speed limit that are mean and standard deviation of a speed on a street, on which vehicles
+stop: between those of a uniform distribution (0.29) and those of vehicles that stand or drive at the limit (0.5)."""
+_MOTORWAY = np.array([[0.8, 0.6], [0.0, 0.0], [0.0, 0.0], [0.8, 0.6]])
+"""Those on a road on which nobody stops but in a jam: the mean square is that of the limit, and a speed of 0 is not
+excluded."""
+_MOTORWAY_MPS = 80.0 / 3.6
+"""Roads with a greater limit have no traffic lights: Germany's guideline allows lights up to 70 km/h."""
 _BLOCK_PAIRS = 2048
 """Pairs of tracks and detections that are assigned at once; the solver's time grows faster than their number."""
 
@@ -174,6 +182,8 @@ class Found:
     xy_m: Float[ndarray, "d 2"]
     yaw_rad: Float[ndarray, "d"]
     score: Float[ndarray, "d"]
+    limit_mps: Float[ndarray, "d"]
+    """Speed limit of the road there; NaN where it is not known."""
 
     def __len__(self) -> int:
         return len(self.observer)
@@ -365,16 +375,13 @@ def begun(
     -------
     Tracks with the positions of the detections and the expected velocities.
     """
-    own_mps, label, time_s = observers.speed_mps[row], found.label, observers.time_s[row]
-    mean_mps = np.maximum(np.asarray(params.along_mean_mps)[label], np.asarray(params.own_speed_mean)[label] * own_mps)
-    sigma_mps = np.column_stack([
-        np.maximum(np.asarray(params.along_sigma_mps)[label], np.asarray(params.own_speed_sigma)[label] * own_mps),
-        np.asarray(params.across_sigma_mps)[label],
-    ])  # fmt: skip
+    label, time_s = found.label, observers.time_s[row]
+    mean_mps, sigma_mps = expected_speed(label, found.limit_mps, observers.speed_mps[row], params)
     axis = np.column_stack([np.cos(found.yaw_rad), np.sin(found.yaw_rad)])
     covariance = np.zeros((len(found), 2, 3))
     covariance[:, :, 0] = (np.asarray(params.position_sigma_m)[label] ** 2)[:, None]
-    covariance[:, :, 2] = sigma_mps**2
+    covariance[:, 0, 2] = sigma_mps**2
+    covariance[:, 1, 2] = np.asarray(params.across_sigma_mps)[label] ** 2
     return Tracks(
         observer=found.observer,
         object_id=object_id,
@@ -391,6 +398,36 @@ def begun(
     )
 
 
+def expected_speed(
+    label: UInt8[ndarray, "d"],
+    limit_mps: Float[ndarray, "d"],
+    own_mps: Float[ndarray, "d"],
+    params: TrackingParams,
+) -> tuple[Float[ndarray, "d"], Float[ndarray, "d"]]:
+    """Mean and standard deviation of the speed of an object that nobody has tracked yet [m/s].
+
+    Parameters
+    ----------
+    label
+        `ObjectClass`.
+    limit_mps
+        Speed limit of the road there, or NaN.
+    own_mps
+        Speed of the observer. It counts where the limit is not known.
+    params
+        The parameters. Those of the class are the least values.
+    """
+    is_mapped = ~np.isnan(limit_mps)
+    shares = np.column_stack([params.own_speed_mean, params.own_speed_sigma])[label]
+    shares[is_mapped] = _STREET[label[is_mapped]]
+    is_fast = limit_mps > _MOTORWAY_MPS
+    shares[is_fast] = _MOTORWAY[label[is_fast]]
+    road_mps = np.where(is_mapped, limit_mps, own_mps)
+    of_class = np.column_stack([params.along_mean_mps, params.along_sigma_mps])[label]
+    mean_mps, sigma_mps = np.maximum(of_class, shares * road_mps[:, None]).T
+    return mean_mps, sigma_mps
+
+
 def confirmed_variance(params: TrackingParams, interval_s: float) -> Float[ndarray, "4 2"]:
     """Variance of the velocity along and across the axis, by class, when a track first has a velocity [m2/s2].
 
@@ -399,7 +436,8 @@ def confirmed_variance(params: TrackingParams, interval_s: float) -> Float[ndarr
     """
     n, label = len(params.position_sigma_m), np.arange(len(params.position_sigma_m), dtype=np.uint8)
     number, zero = np.arange(n), np.zeros(n)
-    found = Found(number, label, np.zeros((n, 2)), zero, np.full(n, 0.5))
+    half, unknown = np.full(n, 0.5), np.full(n, np.nan)
+    found = Found(number, label, np.zeros((n, 2)), zero, half, unknown)
     tracks = begun(found, number, Observers(number, zero, zero), number, params)
     for hit in range(1, params.confirm_hits):
         tracks = updated(predicted(tracks, np.full(n, hit * interval_s), params), found, params)

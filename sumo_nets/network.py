@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,6 +76,8 @@ class Lane(NamedTuple):
     """Id of its street."""
     ends: tuple[str, str] = ("", "")
     """Ids of the junctions at which its street begins and ends; empty within a junction."""
+    limit_mps: float = math.nan
+    """Speed limit."""
 
 
 def lanes(net_path: Path | str) -> list[Lane]:
@@ -94,7 +97,10 @@ def lanes(net_path: Path | str) -> list[Lane]:
             line_m = np.array(points, float) if {len(point) for point in points} == {3} else np.zeros((0, 3))
             if len(line_m) < 2 or not np.isfinite(line_m).all() or not 0 < width_m < LARGEST_WIDTH_M:
                 raise ValueError(f"lane {attributes.get('id', '?')!r} has no line of finite points, or no width")
-            found.append(Lane(line_m, width_m, _admits(attributes, MOTORS), function == "internal", edge, ends))
+            limit_mps = float(attributes.get("speed", "nan"))
+            found.append(
+                Lane(line_m, width_m, _admits(attributes, MOTORS), function == "internal", edge, ends, limit_mps)
+            )
         elif name == "connection":  # a third of the elements; SUMO writes them after all lanes
             raise Enough
 

@@ -15,7 +15,7 @@ constraint would expect one more bit.
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -362,6 +362,44 @@ def heading(compass_deg: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
     return np.round(np.mod(compass_deg, 360.0) * 10).astype(np.int64) % 3600
 
 
+class Confidences(NamedTuple):
+    """Confidence values of objects: half the width of the interval that holds the truth in 95 % of the cases.
+
+    They are in the units of their data elements. A value above the range becomes "out of range", NaN "unavailable".
+    """
+
+    x: Int[ndarray, "n"]
+    y: Int[ndarray, "n"]
+    angle: Int[ndarray, "n"]
+    length: Int[ndarray, "n"]
+    width: Int[ndarray, "n"]
+    height: Int[ndarray, "n"]
+    speed: Int[ndarray, "n"]
+
+    @staticmethod
+    def of(
+        position_std_m: Float[ndarray, "n 2"], angle_std_rad: Float[ndarray, "n"], lwh_std_m: Float[ndarray, "n 3"],
+        speed_std_mps: Float[ndarray, "n"],
+    ) -> "Confidences":  # fmt: skip
+        """The confidence values of normal errors with these standard deviations; those of position east and north."""
+        return Confidences(
+            *up(_HALF_WIDTH * position_std_m.ravel(), 0.01, 1, 4095, 4096).reshape(-1, 2).T,
+            up(_HALF_WIDTH * np.degrees(angle_std_rad), 0.1, 1, 126, 127),
+            *up(_HALF_WIDTH * lwh_std_m.ravel(), 0.1, 1, 31, 32).reshape(-1, 3).T,
+            up(_HALF_WIDTH * speed_std_mps, 0.01, 1, 126, 127),
+        )
+
+    @staticmethod
+    def unavailable(n: int) -> "Confidences":
+        """Those of objects whose accuracy is not known."""
+        nan = np.full((n, 3), np.nan)
+        return Confidences.of(nan[:, :2], nan[:, 0], nan, nan[:, 0])
+
+
+_HALF_WIDTH = 1.96
+"""Half the width of the interval that holds 95 % of a normal distribution, in standard deviations."""
+
+
 @dataclass(frozen=True, slots=True)
 class CpmObjects:
     """Perceived objects, encoded: bits, and which of them belong to the object."""
@@ -373,7 +411,7 @@ class CpmObjects:
     def of(
         number: Int[ndarray, "n"], label: Int[ndarray, "n"], xyz_m: Float[ndarray, "n 3"],
         lwh_m: Float[ndarray, "n 3"], angle_rad: Float[ndarray, "n"], score: Float[ndarray, "n"],
-        velocity_mps: Float[ndarray, "n 2"] | None = None,
+        velocity_mps: Float[ndarray, "n 2"] | None = None, confidences: Confidences | None = None,
     ) -> "CpmObjects":  # fmt: skip
         """Encode objects.
 
@@ -393,6 +431,8 @@ class CpmObjects:
             Confidence in the class, 0 to 1.
         velocity_mps
             To the east and north. It is absent where it is NaN, or None. Above 163.81 m/s: "out of range".
+        confidences
+            What the sender states of the accuracy. None: unavailable.
 
         Raises
         ------
@@ -403,6 +443,7 @@ class CpmObjects:
         length, width, height = up(lwh_m.ravel(), 0.1, 1, 255).reshape(-1, 3).T
         angle = up(np.degrees(np.mod(angle_rad, 2 * np.pi)), 0.1, 0, 3600) % 3600
         sure = np.clip(np.round(100 * score), 1, 100).astype(np.int64)
+        confidences = confidences or Confidences.unavailable(len(label))
         columns = (np.asarray(number, np.int64), x, y, z, angle, length, width, height, sure)
         moves = np.zeros(len(label), np.int64)
         velocity = np.zeros((len(label), 2), np.int64)
@@ -416,9 +457,10 @@ class CpmObjects:
             for has_velocity in (0, 1):
                 mine = np.flatnonzero((label == kind) & (moves == has_velocity))
                 if len(mine):
-                    value = _object(kind, *(column[mine] for column in columns))
+                    stated = Confidences(*(column[mine] for column in confidences))
+                    value = _object(kind, stated, *(column[mine] for column in columns))
                     if has_velocity:
-                        value |= _velocity(*velocity[mine].T)
+                        value |= _velocity(*velocity[mine].T, stated.speed)
                     bits[mine, : widths[has_velocity, kind]] = rows(OBJECT, value, len(mine))
         return CpmObjects(bits, np.arange(longest) < widths[moves, label][:, None])
 
@@ -428,24 +470,27 @@ class CpmObjects:
         return Encoded(end - begin, int.from_bytes(np.packbits(bits).tobytes()) >> -len(bits) % 8, len(bits))
 
 
-def _object(kind: ObjectClass, number: Any, x: Any, y: Any, z: Any, angle: Any, *size_and_sure: Any) -> dict[str, Any]:
-    length, width, height, sure = size_and_sure
-    axes = {name: {"value": v, "confidence": 4096} for name, v in zip("xyz", (x, y, z), strict=True)}
+def _object(kind: ObjectClass, of: Confidences, number: Any, x: Any, y: Any, z: Any, *rest: Any) -> dict[str, Any]:
+    angle, length, width, height, sure = rest
     return {
         "objectId": number, "measurementDeltaTime": 0,
-        "position": {f"{axis}Coordinate": value for axis, value in axes.items()},
-        "angles": {"zAngle": {"value": angle, "confidence": 127}},
-        "objectDimensionZ": {"value": height, "confidence": 32},
-        "objectDimensionY": {"value": width, "confidence": 32},
-        "objectDimensionX": {"value": length, "confidence": 32},
+        "position": {
+            "xCoordinate": {"value": x, "confidence": of.x},
+            "yCoordinate": {"value": y, "confidence": of.y},
+            "zCoordinate": {"value": z, "confidence": 4096},
+        },
+        "angles": {"zAngle": {"value": angle, "confidence": of.angle}},
+        "objectDimensionZ": {"value": height, "confidence": of.height},
+        "objectDimensionY": {"value": width, "confidence": of.width},
+        "objectDimensionX": {"value": length, "confidence": of.length},
         "sensorIdList": [LIDAR_ID],
         "classification": [{"objectClass": CLASSES[kind], "confidence": sure}],
     }  # fmt: skip
 
 
-def _velocity(east: Any, north: Any) -> dict[str, Any]:
-    """A velocity whose accuracy is unavailable."""
-    axes = {"xVelocity": {"value": east, "confidence": 127}, "yVelocity": {"value": north, "confidence": 127}}
+def _velocity(east: Any, north: Any, confidence: Any) -> dict[str, Any]:
+    axes = {"xVelocity": {"value": east, "confidence": confidence}}
+    axes |= {"yVelocity": {"value": north, "confidence": confidence}}
     return {"velocity": ("cartesianVelocity", axes)}
 
 

@@ -96,9 +96,12 @@ def step(recorder: TakesRows, result: StepResult, dt_s: float) -> None:
         return
     _detections(recorder, result.world, sensed)
     _tracks(recorder, at, sensed)
+    if "stated_accuracies" in recorder.tables:
+        _stated_accuracies(recorder, at, sensed)
     _cpm_content(recorder, result.world, sensed)
     _channel(recorder, result.world, sensed)
-    _receptions(recorder, at, sensed)
+    if "receptions" in recorder.tables:
+        _receptions(recorder, at, sensed)
     _evaluations(recorder, at, sensed)
     _evidence(recorder, result.world, sensed)
     _trust(recorder, result.world, sensed, dt_s)
@@ -228,6 +231,28 @@ def _tracks(recorder: TakesRows, at: int, sensed: Sensed) -> None:
         "velocity_y_mps": y, "velocity_y_mps__valid": moves[rows],
         "existence_p": from_state(states.existence_p), "existence_p__valid": is_tracked,
     })  # fmt: skip
+
+
+def _stated_accuracies(recorder: TakesRows, at: int, sensed: Sensed) -> None:
+    stated = sensed.listed.objects
+    if not stated.variance_m2.any():  # exact poses, or matching that asks for no accuracy
+        return
+    recorder.append("stated_accuracies", at, {
+        "observer": sensed.senders.pseudonym[sensed.listed.detections.message],
+        "detection_index": stated.detection_index, **_position_std("", stated.variance_m2),
+        **_position_std("relative_", stated.relative_m2),
+        "speed_std_mps": np.sqrt(stated.velocity_variance), "yaw_std_rad": np.sqrt(stated.heading_variance),
+        "size_std": np.sqrt(stated.size_variance),
+    })  # fmt: skip
+
+
+def _position_std(name: str, variance_m2: Float[ndarray, "d 3"]) -> Rows:
+    """Columns of the standard deviations and the correlation of positions, from variances xx, xy, yy."""
+    xx, xy, yy = variance_m2.T
+    x_std_m, y_std_m = np.sqrt(xx), np.sqrt(yy)
+    both = x_std_m * y_std_m
+    correlation = np.divide(xy, both, out=np.zeros(len(both)), where=both > 0)
+    return {f"{name}x_std_m": x_std_m, f"{name}y_std_m": y_std_m, f"{name}xy_correlation": correlation}
 
 
 def _cpm_content(recorder: TakesRows, world: World, sensed: Sensed) -> None:

@@ -30,6 +30,7 @@ from cosim.step.state import State
 from cosim.step.stopwatch import Stopwatch
 from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.traffic.actors import ActorRegistry
+from cosim.traffic.limits import NO_LIMITS
 from cosim.traffic.meshes import with_meshes
 from cosim.traffic.remarks import traffic_remarks
 from cosim.traffic.scenario import Scenario
@@ -247,8 +248,9 @@ def load_parts(
     with watch("city"):
         city = with_meshes(scenario.city(config.trees, config.seed), config.meshes, config.vehicle_meshes)
         parked = scenario.parked(config.parked, city, config.seed)
+        limits = scenario.limits() if config.tracking.model != "none" else NO_LIMITS
     units = roadside_units(config, scenario)
-    parts = Parts.of(config, city, rsu_antennas(config, scenario), watch, units)
+    parts = Parts.of(config, city, rsu_antennas(config, scenario), watch, units, limits)
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
     recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
     params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)

@@ -11,7 +11,7 @@ from numpy import ndarray
 from cosim.config.config import Config
 from cosim.messages.content import SELF, SENSED, Detections, velocities
 from sensors.association import bounded
-from sensors.tracking import ObjectStates, TrackingParams
+from sensors.tracking import ObjectStates, TrackingParams, expected_speed
 
 SigmaOf = Callable[[ndarray, ndarray, ndarray], ndarray]
 """Standard deviations, from number of returns, class and distance."""
@@ -44,7 +44,7 @@ _PLAIN_SIGMA_M, _PLAIN_SIGMA_RAD, _PLAIN_SIZE_SIGMA = 0.3, 0.2, 0.1
 
 def stated(
     listed: Detections, tracks: ObjectStates | None, origin_m: Float[ndarray, "d 3"], own_mps: Float[ndarray, "d"],
-    detector: DetectorAccuracy, c: Config,
+    limit_mps: Float[ndarray, "d"], detector: DetectorAccuracy, c: Config,
 ) -> Detections:  # fmt: skip
     """The lists with the accuracy that their vehicles state.
 
@@ -58,6 +58,8 @@ def stated(
         Sensor of the vehicle of each detection, where it believes it to be.
     own_mps
         Speed of the vehicle of each detection.
+    limit_mps
+        Speed limit of the road at each detection; NaN where it is not known.
     detector
         What the detector knows of its own accuracy.
     c
@@ -68,10 +70,10 @@ def stated(
     The variance of a position is a sum of four parts: the detector's, by class, number of returns and range; that of
     the vehicle's own position; that of its heading, across the line of sight, times the square of the range; and, if a
     sweep takes the time T, that of a motion of speed v in it, (v T)^2 / 12 along the velocity. A self report has the
-    second part alone. A detection without a track has the variance of the speeds of its class, as a new track has it:
-    where the observer itself is fast, others are, too. Vehicles that attack
-    state the same of what they fabricate, times the `accuracy_factor` of their attack. A velocity that is said to be
-    less well known than that of an object without a track counts as one that is not stated.
+    second part alone. A detection without a track has the variance of the speeds of its class on the road there, as a
+    new track has it (`sensors.tracking.expected_speed`). Vehicles that attack state the same of what they fabricate,
+    times the `accuracy_factor` of their attack. A velocity that is said to be less well known than that of an object
+    without a track counts as one that is not stated.
 
     Relative to the vehicle, there is the first and the last part. There, what the score says about the error counts,
     too; matching does not use it. The heading and the size of a detection have the
@@ -90,7 +92,7 @@ def stated(
     x, y = away_m.T
     moves = velocities(listed)
     known = np.isfinite(moves).all(axis=1)
-    of_class = _speed_variance(listed.label, own_mps, c.tracking)
+    of_class = _speed_variance(listed.label, limit_mps, own_mps, c.tracking)
     sweep_s = 0.0 if not isinstance(c.lidar.rotation_hz, float) else 1.0 / c.lidar.rotation_hz
     of_sweep = np.where(is_self, 0.0, sweep_s**2 / 12.0)
     vx, vy = np.where(known[:, None], moves, 0.0).T
@@ -141,20 +143,14 @@ def aged(listed: Detections, age_s: Float[ndarray, "d"], params: TrackingParams)
 
 
 def _speed_variance(
-    label: UInt8[ndarray, "d"], own_mps: Float[ndarray, "d"], params: TrackingParams
+    label: UInt8[ndarray, "d"],
+    limit_mps: Float[ndarray, "d"],
+    own_mps: Float[ndarray, "d"],
+    params: TrackingParams,
 ) -> Float[ndarray, "d"]:
-    """Variance of the velocity along each axis of an object of which only the class and the observer's speed are known.
-
-    The speed along the heading is that of a new track (`sensors.tracking.begun`); the heading may be reversed.
-    """
-    along_mps, along_sigma_mps = (
-        np.maximum(np.asarray(of_class)[label], np.asarray(share)[label] * own_mps)
-        for of_class, share in (
-            (params.along_mean_mps, params.own_speed_mean),
-            (params.along_sigma_mps, params.own_speed_sigma),
-        )
-    )
-    return 0.5 * (along_mps**2 + along_sigma_mps**2 + np.asarray(params.across_sigma_mps)[label] ** 2)
+    """Variance of the velocity along each axis of an object without a track. The heading may be reversed."""
+    mean_mps, sigma_mps = expected_speed(label, limit_mps, own_mps, params)
+    return 0.5 * (mean_mps**2 + sigma_mps**2 + np.asarray(params.across_sigma_mps)[label] ** 2)
 
 
 def sensors_of(observer: Int[ndarray, "d"], rows: Int[ndarray, "s"], origin_m: Float[ndarray, "s 3"]) -> ndarray:

@@ -106,7 +106,7 @@ def _cycle(
     observed = perceive(world, vehicles, precomputed, parts)
     position_errors, positioned = position(world, vehicles, observed, s.position_errors, c)
     with watch("track objects"):
-        tracks, positioned = track_objects(world, vehicles, positioned, s.tracks, now, c)
+        tracks, positioned = track_objects(world, vehicles, positioned, s.tracks, now, parts)
     with watch("attack"):
         sends = senders_among(world, vehicles)
         attacks = parts.adversary.active(s.attacks, world, now.begin_s, own_trust, sends)

@@ -129,7 +129,8 @@ def list_objects(
     if parts.config.trust.matching == "gates":
         origin_m = sensors_of(objects.observer, sensing.row, observed.sweeps.poses.origin_m)
         own_mps = world.speed_mps[objects.observer]
-        objects = stated(objects, tracks, origin_m, own_mps, parts.accuracy, parts.config)
+        limit_mps = parts.limits.at(objects.boxes.xyz_m[:, :2])
+        objects = stated(objects, tracks, origin_m, own_mps, limit_mps, parts.accuracy, parts.config)
     detections, ptr = object_lists.for_trust(objects, message, len(senders))
     return cpm, Listed(
         objects=objects,

@@ -30,6 +30,7 @@ from cosim.step.perception import Perceives, Perception
 from cosim.step.stopwatch import Stopwatch
 from cosim.step.trackers.encounters import NearPairs, PairSearch
 from cosim.traffic.driver import Driver
+from cosim.traffic.limits import NO_LIMITS, SpeedLimits
 from cosim.traffic.roadside import NO_UNITS, RoadsideUnits
 from cosim.traffic.schedule import Schedule
 from cosim.world import World
@@ -67,13 +68,15 @@ class Parts:
     """What a detector should find from another place; None unless evaluations are about missing objects."""
     certified: UInt64[ndarray, "c"] = field(default_factory=lambda: np.zeros(0, np.uint64))
     """Keys of the names of roadside units that are trusted by the class of their certificate."""
+    limits: SpeedLimits = NO_LIMITS
+    """Speed limits of the roads, by the map that vehicles have."""
     watch: Stopwatch = field(default_factory=Stopwatch)
     """Measures how long each stage takes."""
 
     @staticmethod
     def of(
         experiment: Config, city: Scene, rsus: RsuAntennas = NO_RSUS, watch: Stopwatch | None = None,
-        units: RoadsideUnits = NO_UNITS,
+        units: RoadsideUnits = NO_UNITS, limits: SpeedLimits = NO_LIMITS,
     ) -> "Parts":  # fmt: skip
         """Build the components that a config names.
 
@@ -113,6 +116,7 @@ class Parts:
             recall=recall_of(c) if c.trust.denials == "recall" else None,
             coverage=Coverage.of(c.lidar, walls, recall_of(c)) if "missing" in c.trust.evidence else None,
             certified=units.name_key[units.trusted],
+            limits=limits,
             watch=Stopwatch() if watch is None else watch,
         )
 

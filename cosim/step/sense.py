@@ -95,7 +95,7 @@ def position(
 
 
 def track_objects(
-    world: World, vehicles: Vehicles, positioned: Positioned, memory: TrackMemory, now: Times, c: Config
+    world: World, vehicles: Vehicles, positioned: Positioned, memory: TrackMemory, now: Times, parts: Parts
 ) -> tuple[TrackMemory, Positioned]:
     """Give the objects that the detector reports velocities, numbers, ages and probabilities of existence.
 
@@ -111,15 +111,15 @@ def track_objects(
         The tracks of all vehicles.
     now
         Times of the step.
-    c
-        The config.
+    parts
+        Components of the run.
 
     Returns
     -------
     The tracks after the step, and what vehicles perceive with the velocities of objects. Boxes and scores stay those of
     the detector.
     """
-    if c.tracking.model == "none":
+    if parts.config.tracking.model == "none":
         return memory, positioned
     detections, rows = positioned.observed.detections, vehicles.row[vehicles.senses]
     sensed = np.flatnonzero(detections.origin == SENSED)
@@ -133,8 +133,9 @@ def track_objects(
             xy_m=boxes.xyz_m[:, :2],
             yaw_rad=boxes.yaw_rad,
             score=detections.score[sensed],
+            limit_mps=parts.limits.at(boxes.xyz_m[:, :2]),
         ),
-        c.tracking,
+        parts.config.tracking,
     )
     velocity_mps = detections.velocity_mps.copy()
     velocity_mps[sensed] = objects.velocity_mps

@@ -13,6 +13,7 @@ from cosim.traffic import fcd
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.frame import Bounds, Frame, origin_of
 from cosim.traffic.georeference import NetLocation
+from cosim.traffic.limits import NO_LIMITS, SpeedLimits
 from cosim.traffic.objects import ObjectParams, Placed, WithObjects
 from cosim.traffic.params import TrafficParams
 from cosim.traffic.replay import RunReplay, TraceReplay
@@ -135,6 +136,10 @@ class Scenario:
             return city
         net = check_streets(self.net, "trees")
         return with_trees(city, Streetside.of(net, self.origin_m, seed, "trees"), net, self.buildings, trees)
+
+    def limits(self) -> SpeedLimits:
+        """Speed limits of the roads; none without a network."""
+        return NO_LIMITS if self.net is None else SpeedLimits.of(lanes(self.net), self.origin_m)
 
     def provenance(self) -> dict[str, str]:
         """Name, licence and attribution of the data, and the SHA-256 of every file that is read."""

@@ -121,7 +121,8 @@ def street_of_tracks(n_vehicles: int, n_seen: int = 15) -> tuple[TrackMemory, Ob
         seen = np.flatnonzero(rng.random(len(k)) < 0.8)
         at_m = xy_m[seen] + np.column_stack([second * speed_mps[seen], np.zeros(len(seen))])
         noisy_m = at_m + rng.normal(0, 0.1, at_m.shape)
-        found = Found(owner[seen], label[seen], noisy_m, yaw_rad[seen], rng.uniform(0.2, 1.0, len(seen)))
+        limit = np.full(len(seen), 14.0)
+        found = Found(owner[seen], label[seen], noisy_m, yaw_rad[seen], rng.uniform(0.2, 1.0, len(seen)), limit)
         observers = Observers(np.arange(n_vehicles), np.full(n_vehicles, float(second)), np.full(n_vehicles, 8.0))
         if second < 5:
             memory, _ = track(memory, observers, found, params)

@@ -89,6 +89,7 @@ def moments(data: Recorded, rows: pd.DataFrame):
         found = Found(
             g.observer.to_numpy(np.int64), g.label.to_numpy(), g[["x_m", "y_m"]].to_numpy(float),
             g.yaw_rad.to_numpy(float), g.score.to_numpy(float),
+            np.full(len(g), np.nan),
         )  # fmt: skip
         yield step, found, Observers(number, np.full(len(number), step * data.dt_s), speed_mps)
 
@@ -101,7 +102,7 @@ def by_library(data: Recorded, every: int, until_s: float) -> pd.DataFrame:
         speed = dict(zip(observers.number, observers.speed_mps, strict=True))
         for o in np.unique(found.observer):
             mine = [
-                (int(found.label[k]), found.xy_m[k], found.yaw_rad[k], found.score[k])
+                (int(found.label[k]), found.xy_m[k], found.yaw_rad[k], found.score[k], np.nan)
                 for k in np.flatnonzero(found.observer == o)
             ]  # fmt: skip
             said += trackers.setdefault(o, StoneSoup(PARAMS)).sense(step * data.dt_s, speed[o], mine)

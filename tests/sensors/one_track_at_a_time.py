@@ -9,10 +9,19 @@ GROUPS = ({0, 3}, {1, 2})
 H = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0]])
 
 
-def first_state(xy_m, yaw_rad, label, own_mps, p):
+def first_speed(label, limit_mps, own_mps, p):
+    """Mean and standard deviation of the speed of a new track."""
+    if limit_mps != limit_mps:
+        shares, of_mps = (p.own_speed_mean[label], p.own_speed_sigma[label]), own_mps
+    else:
+        shares, of_mps = ((0.8, 0.6) if limit_mps * 3.6 > 80 else (0.5, 0.4)), limit_mps
+        shares = shares if label in GROUPS[0] else (0.0, 0.0)
+    return max(p.along_mean_mps[label], shares[0] * of_mps), max(p.along_sigma_mps[label], shares[1] * of_mps)
+
+
+def first_state(xy_m, yaw_rad, label, limit_mps, own_mps, p):
     """State (x, vx, y, vy) and covariance of a new track."""
-    mean = max(p.along_mean_mps[label], p.own_speed_mean[label] * own_mps)
-    along = max(p.along_sigma_mps[label], p.own_speed_sigma[label] * own_mps)
+    mean, along = first_speed(label, limit_mps, own_mps, p)
     turn = np.array([[np.cos(yaw_rad), -np.sin(yaw_rad)], [np.sin(yaw_rad), np.cos(yaw_rad)]])
     v = turn @ [mean, 0.0]
     spread = turn @ np.diag([along**2, p.across_sigma_mps[label] ** 2]) @ turn.T
@@ -36,7 +45,7 @@ class Twin:
         self.p, self.tracks, self.count = params, {}, {}
 
     def sense(self, observer, time_s, own_mps, found):
-        """`found` is a list of (label, xy, yaw, score). Returns (object_id, age, velocity, existence) of each."""
+        """`found` is a list of (label, xy, yaw, score, limit); returns (object_id, age, velocity, existence)."""
         p = self.p
         tracks = [t for t in self.tracks.get(observer, []) if time_s - t["last"] <= p.keep_s]
         for t in tracks:
@@ -46,7 +55,7 @@ class Twin:
         cost = np.full((len(tracks), len(found) + len(tracks)), 1e9)
         for i, t in enumerate(tracks):
             cost[i, len(found) + i] = none
-            for j, (label, xy, _, _) in enumerate(found):
+            for j, (label, xy, _, _, _) in enumerate(found):
                 s = H @ t["P"] @ H.T + p.position_sigma_m[label] ** 2 * np.eye(2)
                 y = xy - H @ t["x"]
                 d2 = y @ np.linalg.inv(s) @ y
@@ -54,7 +63,7 @@ class Twin:
                     cost[i, j] = d2 + np.log(np.linalg.det(s))
         of = {j: tracks[i] for i, j in zip(*linear_sum_assignment(cost), strict=True) if j < len(found)}
         out = []
-        for j, (label, xy, yaw, score) in enumerate(found):
+        for j, (label, xy, yaw, score, limit_mps) in enumerate(found):
             kept = min(max(score, p.existence_scores[0]), p.existence_scores[1])
             odds = p.existence_score * np.log(kept / (1 - kept))
             if j in of:
@@ -66,7 +75,7 @@ class Twin:
                 t["odds"] += weight * (p.existence_again + odds)
                 t["hits"], t["last"], t["label"] = t["hits"] + 1, time_s, label
             else:
-                x, cov = first_state(xy, yaw, label, own_mps, p)
+                x, cov = first_state(xy, yaw, label, limit_mps, own_mps, p)
                 number = self.count.get(observer, 0)
                 self.count[observer] = number + 1
                 t = {"x": x, "P": cov, "time": time_s, "first": time_s, "last": time_s, "label": label, "hits": 1,
@@ -118,7 +127,7 @@ class StoneSoup:
         return self.by_class[track.metadata["label"]].hypothesise(track, detections, timestamp, **kwargs)
 
     def sense(self, time_s, own_mps, found):
-        """`found` is a list of (label, xy, yaw, score). Returns (object_id, position, velocity, hits) of each."""
+        """`found` is a list of (label, xy, yaw, score, limit); returns (object_id, position, velocity, hits)."""
         from stonesoup.types.detection import Detection
         from stonesoup.types.state import GaussianState
         from stonesoup.types.track import Track
@@ -128,7 +137,7 @@ class StoneSoup:
         self.tracks = [t for t in self.tracks if time_s - t.metadata["last"] <= p.keep_s]
         seen = [
             Detection(xy, timestamp=now, measurement_model=self.models[label], metadata={"label": label})
-            for label, xy, _, _ in found
+            for label, xy, _, _, _ in found
         ]
         of = {}
         for group in GROUPS:
@@ -141,10 +150,10 @@ class StoneSoup:
                 else:
                     t.append(hypothesis.prediction)
         out = []
-        for (label, xy, yaw, _), d in zip(found, seen, strict=True):
+        for (label, xy, yaw, _, limit_mps), d in zip(found, seen, strict=True):
             t = of.get(id(d))
             if t is None:
-                x, cov = first_state(xy, yaw, label, own_mps, p)
+                x, cov = first_state(xy, yaw, label, limit_mps, own_mps, p)
                 t = Track([GaussianState(x[:, None], cov, timestamp=now)])
                 t.metadata.update({"id": self.count, "hits": 0})
                 self.count += 1

@@ -8,7 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sensors import tracking
-from sensors.tracking import Found, Observers, TrackingParams, TrackMemory, Tracks, predicted, track, updated
+from sensors.tracking import (
+    Found,
+    Observers,
+    TrackingParams,
+    TrackMemory,
+    Tracks,
+    expected_speed,
+    predicted,
+    track,
+    updated,
+)
 from tests.sensors.one_track_at_a_time import StoneSoup, Twin
 
 P = TrackingParams(model="constant_velocity")
@@ -31,6 +41,7 @@ def found(observer, label, xy_m, yaw_rad, score=0.5):
     return Found(
         np.asarray(observer, np.int64), np.broadcast_to(np.asarray(label, np.uint8), n), np.asarray(xy_m, float),
         np.broadcast_to(np.asarray(yaw_rad, float), n), np.broadcast_to(np.asarray(score, float), n),
+        np.full(n, np.nan),
     )  # fmt: skip
 
 
@@ -106,9 +117,15 @@ def scene(seed, n_observers=6, n_objects=12, n_moments=9, together=False):
         moments.append((
             Observers(who, np.full(len(who), time_s), rng.uniform(0, 30, len(who))),
             Found(o, seen, at[r] + rng.normal(0, 0.2, (len(r), 2)), yaw[r] + rng.normal(0, 0.1, len(r)),
-                  rng.uniform(0, 1, len(r))),
+                  rng.uniform(0, 1, len(r)), rng.choice([np.nan, 13.9, 27.8], len(r))),
         ))  # fmt: skip
     return moments
+
+
+def as_rows(found, rows):
+    """Class, place, heading, score and limit of each of these detections."""
+    columns = found.label.astype(int), found.xy_m, found.yaw_rad, found.score, found.limit_mps
+    return list(zip(*(column[rows] for column in columns), strict=True))
 
 
 def played(moments, p=P):
@@ -134,8 +151,7 @@ def test_like_the_slow_twin(seed):
     for (observers, seen), state in zip(moments, states, strict=True):
         for o, t, v in zip(observers.number, observers.time_s, observers.speed_mps, strict=True):
             rows = np.flatnonzero(seen.observer == o)
-            said = twin.sense(o, t, v, [(int(seen.label[k]), seen.xy_m[k], seen.yaw_rad[k], seen.score[k])
-                                        for k in rows])  # fmt: skip
+            said = twin.sense(o, t, v, as_rows(seen, rows))
             for k, (number, age_s, velocity, existence) in zip(rows, said, strict=True):
                 assert state.object_id[k] == number and state.age_s[k] == pytest.approx(age_s)
                 assert state.velocity_mps[k] == pytest.approx(velocity, abs=1e-9, nan_ok=True)
@@ -151,9 +167,7 @@ def test_like_stone_soup():
         own = memory.tracks
         for o, t, v in zip(observers.number, observers.time_s, observers.speed_mps, strict=True):
             rows = np.flatnonzero(seen.observer == o)
-            said = library.setdefault(o, StoneSoup(P)).sense(t, v, [
-                (int(seen.label[k]), seen.xy_m[k], seen.yaw_rad[k], seen.score[k]) for k in rows
-            ])  # fmt: skip
+            said = library.setdefault(o, StoneSoup(P)).sense(t, v, as_rows(seen, rows))
             for k, (number, xy, velocity, _) in zip(rows, said, strict=True):
                 row = np.flatnonzero((own.observer == o) & (own.object_id == number))
                 assert state.object_id[k] == number
@@ -262,3 +276,13 @@ def test_many_blocks_are_assigned_as_one(monkeypatch):
     monkeypatch.setattr(tracking, "_BLOCK_PAIRS", 7)
     for a, b in zip(whole, played(moments)[1], strict=True):
         agree(a, b, 0.0)
+
+
+def test_expected_speed_follows_the_limit():
+    """By hand: on a motorway of 30 m/s the mean is 0.8 x 30 and the standard deviation 0.6 x 30, whoever looks. On a
+    street of 20 m/s they are 10 and 8. On one of 5 m/s, those of the class. Without a map, 0.7 x 20 and 0.4 x 20."""
+    limits, own = np.array([30.0, 30.0, 20.0, 5.0, np.nan]), np.array([0.0, 40.0, 0.0, 0.0, 20.0])
+    mean_mps, sigma_mps = expected_speed(np.zeros(5, np.uint8), limits, own, P)
+    assert mean_mps == pytest.approx([24, 24, 10, 6, 14]) and sigma_mps == pytest.approx([18, 18, 8, 4.5, 8])
+    walks = expected_speed(np.ones(5, np.uint8), limits, own, P)
+    assert (walks[0] == P.along_mean_mps[1]).all() and (walks[1] == P.along_sigma_mps[1]).all()

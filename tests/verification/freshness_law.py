@@ -2,6 +2,8 @@
 
 assumptions [CONFIG] [KEY=VALUE ...]: simulates a config in memory and prints each assumption of the page
 `models/freshness-law` beside what happened.
+intervals STUDY...: predicts the points of studies that have run, and prints by metric how many of their runs lie in the
+intervals, how far the law is off, and the model error with which 95 % would lie inside.
 """
 
 import sys
@@ -11,11 +13,15 @@ import numpy as np
 import pandas as pd
 
 from cosim import Simulation
-from cosim.addons.law.delivery import Delivery, Load
+from cosim.addons.law.comparison import measured_in, rows_of
+from cosim.addons.law.delivery import Delivery, Load, expected_cpm_bytes
+from cosim.addons.law.freshness import predict_study
 from cosim.addons.law.opportunities import Sensing, chances
+from cosim.addons.law.prediction import MODEL_ERROR
 from cosim.config.config import Config, load
-from cosim.messages.content import cpm_bytes, evaluation_bytes
+from cosim.messages.content import evaluation_bytes
 from cosim.radio.message_round import RoundKind
+from cosim.studies import study as studies
 from sensors.line_of_sight import LosOfPlaces
 
 
@@ -43,7 +49,7 @@ def assumptions(config: Config) -> pd.DataFrame:
             row = np.flatnonzero(world.equipped)
             views, links = sensing.views(world, row), delivery.links(world, row)
             n, begin_s = len(row), result.step * config.traffic.step_s
-            lengths = cpm_bytes(1 + views.n_listed)
+            lengths = expected_cpm_bytes(config.cpm, 1 + views.n_listed)
             told_p = heavy.delivered_p(RoundKind.CPM, result.step, begin_s, links, lengths)
             found = chances(views, links.sender, links.receiver, config.trust.self_reports)
             listed = 1 + views.n_listed + np.bincount(links.receiver, told_p * found.n_listed, n)
@@ -66,7 +72,6 @@ def assumptions(config: Config) -> pd.DataFrame:
             pair = np.unique(evaluator[counts].astype(np.int64) << 32 | subject[counts])
             none_p = told_p * (1 - found.none_p)
             add("5 pairs of evaluator and subject", none_p.sum(), len(pair))
-            add("5 evaluations", (told_p * found.n).sum(), counts.sum())
             actor, of_evidence = world.actor[row], np.zeros(n, bool)
             of_evidence[np.unique(subject[counts])] = True
             real = counts & sensed.listed.truth.is_real[lists.member]
@@ -94,9 +99,33 @@ def assumptions(config: Config) -> pd.DataFrame:
     return pd.DataFrame(rows).sort_values("what")
 
 
+def intervals(folders: list[Path]) -> pd.DataFrame:
+    """Coverage and errors by metric, over all points of all studies; replicate 0 of each."""
+    rows: list[dict] = []
+    for folder in folders:
+        predictions = predict_study(studies.load(folder / "study.toml"), str(folder), lambda *_: None)
+        rows += rows_of(predictions, measured_in(folder, predictions))
+    of = pd.DataFrame(rows).dropna(subset=["low", "measured"])
+    of["error"] = np.where(of.metric.str.contains("share"), 1.0, of.value) * of.metric.map(MODEL_ERROR)
+    of["outside"] = np.maximum(0, np.maximum(of.low + of.error - of.measured, of.measured - (of.high - of.error)))
+    of["needed"] = of.outside / np.where(of.metric.str.contains("share"), 1.0, of.value)
+    slack = 1e-3  # ages in tables are stored in 1/1024 s
+    of["covered"] = (of.low - slack <= of.measured) & (of.measured <= of.high + slack)
+    of["by_chance"] = of.outside <= slack
+    of["off"] = of.measured - of.value
+    return of.groupby("metric").agg(
+        points=("covered", "size"), covered=("covered", "mean"), by_chance_alone=("by_chance", "mean"),
+        bias=("off", "mean"), largest=("off", lambda off: off.abs().max()),
+        needed=("needed", lambda needed: needed.quantile(0.95)),
+    )  # fmt: skip
+
+
 def main(words: list[str]) -> None:
     """As the module says."""
     pd.set_option("display.width", 250, "display.max_columns", 40, "display.max_rows", 500)
+    if words[:1] == ["intervals"]:
+        print(intervals([Path(word) for word in words[1:]]).round(4).to_string())
+        return
     path = Path(words[1]) if len(words) > 1 and "=" not in words[1] else None
     print(assumptions(load(path, [word for word in words[1:] if "=" in word])).to_string(index=False))
 

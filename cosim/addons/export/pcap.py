@@ -63,6 +63,9 @@ KEY = ("step", "observer", "detection_index")
 TRACKED = ("velocity_x_mps", "velocity_y_mps", "object_id")
 """Columns of the table `tracks`; a run without tracking has no rows there."""
 
+STATED = ("relative_x_std_m", "relative_y_std_m", "relative_xy_correlation", "speed_std_mps", "yaw_std_rad", "size_std")
+"""Columns of the table `stated_accuracies`, which runs at level full have."""
+
 TRACKS = 2**15
 """Numbers of tracked objects are below this."""
 
@@ -194,6 +197,9 @@ class PcapPackets:
         if "tracks" in self.selection.run.tables:
             tracks = self.selection.run.table("tracks", [*key, *TRACKED], mine)
             listed = listed.merge(tracks, on=key, how="left") if len(tracks) else listed
+        if "stated_accuracies" in self.selection.run.tables:
+            stated = self.selection.run.table("stated_accuracies", [*key, *STATED], mine)
+            listed = listed.merge(stated, on=key, how="left") if len(stated) else listed
         senders = self._senders(listed, where)
         of_sender = listed[["step", "observer"]].merge(
             senders[["step", "observer"]].assign(sender=range(len(senders))), how="left"
@@ -328,8 +334,18 @@ def objects_of(
         velocity = np.column_stack([cos * east + sin * north, cos * north - sin * east])
     return etsi.CpmObjects.of(
         number, _labels(perceived["class"]), away, box[:, 3:6], box[:, 6] - turn, perceived.score.to_numpy(float),
-        velocity,
+        velocity, confidences_of(perceived, turn) if set(STATED) <= set(perceived.columns) else None,
     )  # fmt: skip
+
+
+def confidences_of(perceived: pd.DataFrame, turn_rad: Float[ndarray, "d"]) -> etsi.Confidences:
+    """What the senders state of the accuracy of objects, with axes turned to true north."""
+    x, y, correlation, speed, yaw, size = perceived[list(STATED)].to_numpy(float).T
+    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+    shared = 2 * cos * sin * correlation * x * y
+    east, north = (cos * x) ** 2 + shared + (sin * y) ** 2, (sin * x) ** 2 - shared + (cos * y) ** 2
+    lwh_m = perceived[BOX].to_numpy(float)[:, 3:6]
+    return etsi.Confidences.of(np.sqrt(np.column_stack([east, north])), yaw, lwh_m * size[:, None], speed)
 
 
 def geonetworking(

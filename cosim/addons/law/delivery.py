@@ -11,8 +11,12 @@ from numpy import ndarray
 from scipy.special import gammainc
 
 from cosim.base import rng
+from cosim.base.codes import ObjectClass
 from cosim.config.config import Config
+from cosim.messages import etsi
 from cosim.messages.cellular import CellularParams
+from cosim.messages.content import NETWORK_BYTES, SIGNATURE_BYTES, cpm_bytes
+from cosim.messages.cpm_params import CpmParams
 from cosim.radio import link_budget
 from cosim.radio.medium import Medium
 from cosim.radio.message_round import Messages, Receptions, RoundKind, Stations
@@ -171,6 +175,19 @@ class Delivery:
         strength = np.clip((power_dbm - self.params.receiver.detectable_dbm) / _POWER_DB + 2, 0, _POWERS - 1)
         crowd = np.minimum(np.log2(np.maximum(heard, 1)), _CROWDS - 1).astype(np.int64)
         return LinkPairs(sender, receiver, delivered_p, strength.astype(np.int64) * _CROWDS + crowd, stations)
+
+
+def expected_cpm_bytes(params: CpmParams, n_objects: Float[ndarray, "m"]) -> Float[ndarray, "m"]:
+    """Expected lengths of detection messages with expected numbers of objects [B].
+
+    With `cpm.length = "uper"`, all objects count as moving cars and all messages describe the sensors. Objects of other
+    classes differ by less than a byte, and those without velocity are 6 bytes shorter.
+    """
+    if params.length == "linear":
+        return cpm_bytes(n_objects)  # type: ignore[arg-type]  # expected numbers
+    cars = np.eye(len(ObjectClass), dtype=np.int64)[ObjectClass.CAR]
+    empty, full = etsi.cpm_bytes(np.zeros((2, len(cars)), np.int64), n_moving=[0 * cars, 200 * cars])
+    return NETWORK_BYTES + SIGNATURE_BYTES + empty + n_objects * (full - empty) / 200
 
 
 def _whole(length_bytes: Float[ndarray, "e"]) -> Int[ndarray, "e"]:

@@ -38,5 +38,5 @@ def drawn(found: FleetFindings, arrived_p: Float[ndarray, "m"], random: np.rando
     return replace(
         found,
         evidence=law.EvidenceChances(np.minimum.accumulate(log_none, axis=0)),
-        pair_steps=chosen._replace(log_none=np.full(len(made), _CERTAIN), n=chosen.n / p[made]),
+        pair_steps=chosen._replace(log_none=np.full(len(made), _CERTAIN)),
     )

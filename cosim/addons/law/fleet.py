@@ -8,7 +8,7 @@ from numpy import ndarray
 
 from cosim.addons.law import law
 from cosim.addons.law.closed_form import Company
-from cosim.addons.law.delivery import Delivery, LinkPairs, Load, arrival_p
+from cosim.addons.law.delivery import Delivery, LinkPairs, Load, arrival_p, expected_cpm_bytes
 from cosim.addons.law.draws import drawn
 from cosim.addons.law.newest import NewestReceived, SweepTimes
 from cosim.addons.law.opportunities import Sensing, chances
@@ -16,7 +16,7 @@ from cosim.addons.law.prediction import FleetFindings, Prediction, counted, pred
 from cosim.addons.law.scope import Server
 from cosim.base import rng
 from cosim.config.config import Config
-from cosim.messages.content import cpm_bytes, evaluation_bytes
+from cosim.messages.content import evaluation_bytes
 from cosim.radio.message_round import RoundKind
 from cosim.step.parts import Parts
 from cosim.step.trackers.encounters import update_encounters
@@ -64,8 +64,7 @@ class Fleet:
     """Per step: subjects, step of their detections, and by lag the logarithm of the probability that they are not
     evaluated."""
     pairs: list[tuple[ndarray, ...]] = field(default_factory=list)
-    """Per step: subject, evaluator, step of the detections, step of the evaluation, logarithm as above, expected
-    evaluations."""
+    """Per step: subject, evaluator, step of the detections, step of the evaluation, logarithm as above."""
     asked: list[tuple[ndarray, ...]] = field(default_factory=list)
     """Per step: subjects, step of their newest detections, expected lookups."""
     looks: dict[float, list[tuple[ndarray, ...]]] = field(default_factory=dict)
@@ -152,7 +151,7 @@ class Fleet:
         n_self = int(config.trust.self_reports)
         begin_s = step * self.schedule.exchange_interval_s
         length_bytes = np.zeros(n)
-        length_bytes[mine] = cpm_bytes(n_self + views.n_listed)  # type: ignore[arg-type]  # expected lengths
+        length_bytes[mine] = expected_cpm_bytes(config.cpm, n_self + views.n_listed)
         told_p = self.load.delivered_p(RoundKind.CPM, step, begin_s, links, length_bytes)
         self.cpms = self.cpms.then(self._received(world, row, links, told_p), actor[mine], actor)
         told = self.cpms.by(actor[mine])
@@ -164,7 +163,7 @@ class Fleet:
         begin_s += config.round_s
         heard_p = self.load.delivered_p(RoundKind.EVALUATION, step, begin_s, links, length_bytes)
         self.reports = self.reports.then(self._received(world, row, links, heard_p), actor[mine], actor)
-        self._evaluate(subjects, subject_step, s, told.receiver, evaluated_p, told.p * found.n)
+        self._evaluate(subjects, subject_step, s, told.receiver, evaluated_p)
         self._look_up(subjects, subject_step, self.reports.by(actor[mine]))
         for name, value in (
             ("equipped", n), ("sweeps", len(mine)), ("links", len(told_p)), ("delivered", told_p.sum()),
@@ -181,7 +180,7 @@ class Fleet:
 
     def _evaluate(
         self, subjects: Int[ndarray, "e"], subject_step: Int[ndarray, "e"], s: Int[ndarray, "p"],
-        evaluator: Int[ndarray, "p"], evaluated_p: Float[ndarray, "p"], n: Float[ndarray, "p"],
+        evaluator: Int[ndarray, "p"], evaluated_p: Float[ndarray, "p"],
     ) -> None:  # fmt: skip
         """Add the chances that vehicles evaluate subjects `s` in this step."""
         late = self.step - subject_step[s]  # the evaluation is as much later than the detections
@@ -195,7 +194,7 @@ class Fleet:
         kept = np.flatnonzero(evaluated_p > _LEAST_P)
         self.pairs.append((
             subjects[s[kept]], evaluator[kept], subject_step[s[kept]], np.full(len(kept), self.step),
-            np.log1p(-np.minimum(evaluated_p[kept] * self.arrived_p[-1], 1 - 1e-12)), n[kept] * self.arrived_p[-1],
+            np.log1p(-np.minimum(evaluated_p[kept] * self.arrived_p[-1], 1 - 1e-12)),
         ))  # fmt: skip
 
     def _look_up(self, subjects: Int[ndarray, "e"], subject_step: Int[ndarray, "e"], heard: NewestReceived) -> None:
@@ -293,10 +292,10 @@ class Fleet:
         )
 
     def _pair_steps(self, actors: ndarray) -> tuple[law.PairSteps, Int[ndarray, "k"]]:
-        subject, evaluator, step, made, log_none, n = (np.concatenate(c) for c in zip(*self.pairs, strict=True))
+        subject, evaluator, step, made, log_none = (np.concatenate(c) for c in zip(*self.pairs, strict=True))
         keys, pair = np.unique(subject.astype(np.int64) << 32 | evaluator, return_inverse=True)
         subjects = np.searchsorted(actors, keys >> 32)
-        return law.PairSteps(step, made, subjects[pair], pair.reshape(-1), log_none, n), subjects
+        return law.PairSteps(step, made, subjects[pair], pair.reshape(-1), log_none), subjects
 
     def _meetings(self, actors: ndarray) -> law.Encounters:
         """Encounters by the first definition of the config, those that are still open included."""

@@ -211,14 +211,12 @@ class PairSteps(NamedTuple):
     pair: Int[ndarray, "q"]
     """Number of the pair of evaluator and subject."""
     log_none: Float[ndarray, "q"]
-    n: Float[ndarray, "q"]
-    """Expected evaluations."""
 
 
 def behind(
     found: PairSteps, pair_subject: Int[ndarray, "k"], looks: ExpectedLookups, window_steps: int, first_lag: int
-) -> tuple[float, float]:
-    """Expected evaluators and evaluations behind values, summed over lookups, equation (7).
+) -> float:
+    """Expected evaluators behind values, summed over lookups, equation (7).
 
     Parameters
     ----------
@@ -239,22 +237,20 @@ def behind(
     cell = which.reshape(looks.publication.shape) * n_subjects + looks.subject[:, None]
     weights = np.bincount(cell[known], looks.n[known], len(publications) * n_subjects)
     weights = weights.reshape(len(publications), n_subjects)
-    log_none, n = np.zeros(len(pair_subject)), np.zeros(n_subjects)
+    log_none = np.zeros(len(pair_subject))
     in_time = np.flatnonzero(found.made + first_lag < found.step + window_steps)
     orders = [in_time[np.argsort(step[in_time], kind="stable")] for step in (found.made + first_lag, found.step)]
     arrives, expires = (found.made + first_lag)[orders[0]], found.step[orders[1]] + window_steps
     done = [0, 0]
-    evaluators = evaluations = 0.0
+    evaluators = 0.0
     for b, weight in zip(publications.tolist(), weights, strict=True):
         for k, (sign, when) in enumerate(((1.0, arrives), (-1.0, expires))):
             until = int(np.searchsorted(when, b, "right"))
             rows, done[k] = orders[k][done[k] : until], until
             np.add.at(log_none, found.pair[rows], sign * found.log_none[rows])
-            n += sign * np.bincount(found.subject[rows], found.n[rows], n_subjects)
         each = np.bincount(pair_subject, -np.expm1(np.minimum(log_none, 0.0)), n_subjects)
         evaluators += float(weight @ each)
-        evaluations += float(weight @ n)
-    return evaluators, evaluations
+    return evaluators
 
 
 class Encounters(NamedTuple):

@@ -141,8 +141,6 @@ class Chances(NamedTuple):
 
     none_p: Float[ndarray, "p"]
     """Probability that the evaluator evaluates no detection of the subject with visibility above 0."""
-    n: Float[ndarray, "p"]
-    """Expected number of such evaluations."""
     n_listed: Float[ndarray, "p"]
     """Expected number of all evaluations, those with visibility 0 included."""
 
@@ -165,7 +163,7 @@ def chances(views: ViewTimes, subject: Int[ndarray, "p"], evaluator: Int[ndarray
     without error), or if v sees a third body that s detects. These are taken as independent (assumption 5):
     none = (1 - V[v, s]) (1 - D[s, v]) product over bodies o of (1 - V[v, o] D[s, o]).
     """
-    found = Chances(*np.empty((3, len(subject))))
+    found = Chances(*np.empty((2, len(subject))))
     _chances(views, subject, evaluator, self_reports, found)
     return found
 
@@ -177,24 +175,21 @@ def _chances(views, subject, evaluator, self_reports, found):
     )  # fmt: skip
     for pair in range(len(subject)):
         s, v = subject[pair], evaluator[pair]
-        none, n, n_listed = 1.0, 0.0, 0.0
+        none, n_listed = 1.0, 0.0
         k, end, i, stop = ptr[v], ptr[v + 1], ptr[s], ptr[s + 1]
         while k < end or i < stop:
             if i >= stop or (k < end and body[k] < body[i]):
                 if self_reports and body[k] == own[s]:
                     none *= 1.0 - seen_p[k]
-                    n += seen_p[k]
                     n_listed += inside[k]
                 k += 1
                 continue
             if self_reports and body[i] == own[v]:
                 none *= 1.0 - detected_p[i]
-                n += detected_p[i]
                 n_listed += detected_p[i]
             elif k < end and body[k] == body[i]:
                 none *= 1.0 - detected_p[i] * seen_p[k]
-                n += detected_p[i] * seen_p[k]
                 n_listed += detected_p[i] * inside[k]
                 k += 1
             i += 1
-        found.none_p[pair], found.n[pair], found.n_listed[pair] = none, n, n_listed
+        found.none_p[pair], found.n_listed[pair] = none, n_listed

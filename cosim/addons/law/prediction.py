@@ -46,20 +46,36 @@ METRICS = {
     "freshness.lookup_state.share:unevaluated": "lookups: unevaluated",
     "freshness.lookup_state.share:no value": "lookups: no value",
     "freshness.evaluators.mean": "evaluators behind a value, mean",
-    "freshness.evaluations.mean": "evaluations behind a value, mean",
     "freshness.encounters_without_trust.share": "encounters over before trust was known",
 }
 """Predicted metrics and their labels."""
 
+MODEL_ERROR = {
+    "freshness.newest_evaluation_age.median_s": 0.04,
+    "freshness.newest_evaluation_age.p90_s": 0.09,
+    "freshness.newest_evaluation_age.mean_s": 0.04,
+    "freshness.oldest_evaluation_age.median_s": 0.04,
+    "freshness.value_age.median_s": 0.06,
+    "freshness.lookup_state.share:evaluated": 0.015,
+    "freshness.lookup_state.share:stale": 0.01,
+    "freshness.lookup_state.share:unevaluated": 0.0,
+    "freshness.lookup_state.share:no value": 0.018,
+    "freshness.evaluators.mean": 0.05,
+    "freshness.encounters_without_trust.share": 0.005,
+}
+"""How far runs lie outside the range that chance alone explains, in all but one of twenty: as a share of the value, and
+for shares of lookups and encounters in absolute terms. The page `models/freshness-law` says from which runs."""
+
 
 def with_intervals(own: Prediction, runs: Sequence[Mapping[str, float]]) -> Prediction:
-    """The prediction with the range of drawn runs, given the metrics of each."""
+    """The prediction with the range of drawn runs, given the metrics of each, and with the error of the law itself."""
     low, high = {}, {}
     for name, value in own.metrics.items():
         values = np.array([run[name] for run in runs])
         values = values[np.isfinite(values)]
         if len(values) and np.isfinite(value):
-            low[name], high[name] = float(values.min()), float(values.max())
+            error = MODEL_ERROR[name] * (1.0 if "share" in name else value)
+            low[name], high[name] = max(0.0, float(values.min()) - error), float(values.max()) + error
     return replace(own, low=low, high=high)
 
 
@@ -135,12 +151,10 @@ def counted(
     evidence = found.evidence
     if looks is None:
         none = np.zeros(len(age_s))
-        counts, total, evaluators, evaluations = law.AgeCounts(none, none, none, 0.0, 0.0), 0.0, 0.0, 0.0
+        counts, total, evaluators = law.AgeCounts(none, none, none, 0.0, 0.0), 0.0, 0.0
     else:
         counts, total = law.ages(evidence, looks, server.window_steps, found.since), looks.total
-        evaluators, evaluations = law.behind(
-            found.pair_steps, found.pair_subject, looks, server.window_steps, found.first_lag
-        )
+        evaluators = law.behind(found.pair_steps, found.pair_subject, looks, server.window_steps, found.first_lag)
     known, fresh = counts.newest.sum(), counts.newest[age_s < server.window_s].sum()
     unevaluated = counts.n_unseen if server.zero else 0.0
 
@@ -158,7 +172,6 @@ def counted(
         "freshness.lookup_state.share:unevaluated": share(unevaluated),
         "freshness.lookup_state.share:no value": share(total - known - unevaluated),
         "freshness.evaluators.mean": evaluators / known if known > 0 else float("nan"),
-        "freshness.evaluations.mean": evaluations / known if known > 0 else float("nan"),
         "freshness.encounters_without_trust.share": law.without_trust(
             evidence, found.meetings, gate, server.window_steps, loss_p
         ),

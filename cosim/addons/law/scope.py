@@ -82,8 +82,6 @@ def left_out(config: Config) -> list[str]:
     found = []
     if config.attacks:
         found.append("attacks: the law takes all vehicles for honest; ghosts and lies add evaluations.")
-    if config.cpm.length != "linear":
-        found.append('cpm.length: the law takes messages for as long as with cpm.length = "linear".')
     if config.trust.least_score > 0:
         found.append("trust.least_score: the law takes all detections for evidence, whatever their score.")
     if config.gnss.std_m > 0:

@@ -234,21 +234,25 @@ def _object(bits: Bits) -> dict:
     assert there & ~(1 << 12) == 0b10010011100110 & ~(1 << 12)
     out = {"number": bits.take(16), "delta_ms": bits.take(12, -2048)}
     assert bits.take(1) == 1
+    sure = {}
     for axis in "xyz":
         out[axis] = bits.take(18, -131072)
-        assert bits.take(12, 1) == 4096
+        sure[axis] = bits.take(12, 1)
     out["velocity"] = None
     if there >> 12 & 1:
         assert bits.take(2) == 0b10
         axes = [(bits.take(15, -16383), bits.take(7, 1)) for _ in "xy"]
-        assert [sure for _, sure in axes] == [127, 127]
-        out["velocity"] = tuple(value for value, _ in axes)
+        out["velocity"], sure["velocity"] = zip(*axes, strict=True)
     assert bits.take(2) == 0
     out["angle"] = bits.take(12)
-    assert bits.take(7, 1) == 127
+    sure["angle"] = bits.take(7, 1)
     for side in ("height", "width", "length"):
         out[side] = bits.take(8, 1)
-        assert bits.take(5, 1) == 32
+        sure[side] = bits.take(5, 1)
+    if sure != {"x": 4096, "y": 4096, "z": 4096, "angle": 127, "height": 32, "width": 32, "length": 32} | (
+        {"velocity": (127, 127)} if out["velocity"] else {}
+    ):  # not all unavailable
+        out["confidence"] = sure
     assert [bits.take(b) for b in (1, 7, 8, 3, 1)] == [0, 0, 1, 0, 0]
     if bits.take(2) == 0:
         out["class"] = {5: "car", 8: "truck"}[bits.take(4)]

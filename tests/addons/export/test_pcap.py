@@ -171,6 +171,28 @@ def test_velocities_and_numbers_of_tracks():
     assert [(o["velocity"], o["number"]) for o in seen] == [(None, 1), (None, 2), (None, 3)]
 
 
+def test_stated_accuracies_are_confidence_values():
+    """By hand: 1.96 standard deviations, in 0.01 m, 0.01 m/s, 0.1 degrees, 0.1 m. North is turned by 90 degrees."""
+    perceived = pd.DataFrame([truck.box((9, 0, 1), (4, 2, 1.8), 0.0)] * 3).assign(**{
+        "detection_index": [1, 2, 3], "class": "car", "score": 0.5, "object_id": pd.array([1, 2, 3], "Int32"),
+        "velocity_x_mps": 3.0, "velocity_y_mps": 0.0,
+        "relative_x_std_m": [0.5, np.nan, 50.0], "relative_y_std_m": [0.2, np.nan, 50.0],
+        "relative_xy_correlation": [0.3, np.nan, 0.0], "speed_std_mps": [0.25, np.nan, 9.0],
+        "yaw_std_rad": [np.radians(2), np.nan, 1.0], "size_std": [0.05, np.nan, 2.0],
+    })  # fmt: skip
+    place = replace(NORTH.of_world(np.zeros((1, 2))), turn_rad=np.array([np.pi / 2]))
+    objects = pcap.objects_of(perceived, np.zeros((3, 3)), place, np.zeros(3, int))
+    seen = readers.cpm(etsi.cpm(etsi.CpmHead(1, 2, 3, 4, 5, 6.0), 3, objects.between(0, 3)))["objects"]
+    found = [o.get("confidence") for o in seen]
+    assert found[0] == {
+        "x": 40, "y": 98, "z": 4096, "velocity": (49, 49), "angle": 40, "height": 2, "width": 2, "length": 4
+    }  # fmt: skip
+    assert found[1] is None, "nothing stated: unavailable"
+    assert found[2] == {
+        "x": 4095, "y": 4095, "z": 4096, "velocity": (126, 126), "angle": 126, "height": 31, "width": 31, "length": 31
+    }, "out of range"  # fmt: skip
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_segments_hold_as_many_objects_as_fit(seed):
     """Also of moving objects, which are longer: every segment fits, and one object more would not."""

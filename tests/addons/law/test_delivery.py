@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
-from cosim.addons.law.delivery import arrival_p, received_p
+from cosim.addons.law.delivery import arrival_p, expected_cpm_bytes, received_p
 from cosim.base import rng
 from cosim.messages.cellular import CellularParams, transfer_delay_s
+from cosim.messages.content import NETWORK_BYTES, SIGNATURE_BYTES
+from cosim.messages.cpm_params import CpmParams
+from cosim.messages.etsi import cpm_bytes
 from cosim.radio.phy import CURVES, ReceiverParams
 from cosim.radio.propagation import fading_quantiles
 
@@ -41,3 +44,10 @@ def test_received_as_by_the_receiver():
         want = np.mean((dbm >= params.detectable_dbm) * psr)
         got = received_p(np.array([power_dbm]), np.array([fading]), np.array([length]), params)[0]
         assert got == pytest.approx(want, abs=0.02)
+
+
+def test_expected_lengths_are_those_of_the_encoder():
+    n, moving = np.array([1.0, 7.0, 30.0]), np.array([[1, 0, 0, 0], [4, 1, 2, 0], [20, 5, 3, 2]])
+    encoded = NETWORK_BYTES + SIGNATURE_BYTES + cpm_bytes(np.zeros((3, 4), int), n_moving=moving)
+    assert expected_cpm_bytes(CpmParams(length="uper"), n) == pytest.approx(encoded, abs=8)
+    assert expected_cpm_bytes(CpmParams(length="linear"), n).tolist() == [215, 389, 1056]

@@ -14,7 +14,7 @@ def test_drawn_runs_have_the_chances_as_means():
     # one step and all after two.
     n_steps, p = 2000, np.array([0.3, 0.5])
     step, pair = (x.ravel() for x in np.meshgrid(np.arange(n_steps), np.arange(2)))
-    pairs = law.PairSteps(step, step + pair, np.zeros(2 * n_steps, int), pair, np.log1p(-p[pair]), 3 * p[pair])
+    pairs = law.PairSteps(step, step + pair, np.zeros(2 * n_steps, int), pair, np.log1p(-p[pair]))
     nothing = law.Encounters(*(np.zeros(0, np.int64),) * 7, np.zeros(0))
     found = FleetFindings(
         law.EvidenceChances(np.zeros((3, 1, n_steps))),
@@ -30,4 +30,3 @@ def test_drawn_runs_have_the_chances_as_means():
     # After one step: the first evaluator's half. After two: all of it, and half of the second's. After three: all.
     assert share == pytest.approx([0.15, 1 - 0.7 * 0.75, 1 - 0.7 * 0.5], abs=0.03)
     assert np.bincount(run.pair_steps.pair) / n_steps == pytest.approx(p, abs=0.03)
-    assert run.pair_steps.n == pytest.approx(3)

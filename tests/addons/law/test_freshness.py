@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cosim.addons.law import freshness
-from cosim.addons.law.prediction import Prediction, with_intervals
+from cosim.addons.law.prediction import MODEL_ERROR, Prediction, with_intervals
 from cosim.addons.law.scope import left_out, server_of, servers_of
 from cosim.config.config import resolve_data, with_defaults
 from cosim.studies import study as studies
@@ -62,11 +62,13 @@ def test_servers_by_hand():
 
 
 def test_intervals_by_hand():
-    # The smallest and the largest of the runs; one without a value says nothing, and neither do all if there is none.
+    # The smallest and the largest of the runs, and 5 % of the value more on both sides. One without a value says
+    # nothing, and neither do all if there is none.
     none, names = np.zeros(1), ("freshness.evaluators.mean", "freshness.value_age.median_s")
     own = Prediction("base", 1.0, 50.0, none, none, none, none, {names[0]: 2.0, names[1]: np.nan})
     found = with_intervals(own, [{names[0]: value, names[1]: 1.0} for value in (3.0, 1.5, np.nan, 2.5)])
-    assert found.low == {names[0]: 1.5} and found.high == {names[0]: 3.0}
+    assert MODEL_ERROR[names[0]] == 0.05
+    assert found.low == pytest.approx({names[0]: 1.4}) and found.high == pytest.approx({names[0]: 3.1})
 
 
 def test_points_that_differ_in_their_server_share_one_replay(tmp_path, monkeypatch):

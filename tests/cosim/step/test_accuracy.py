@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.config.config import load
-from cosim.messages.content import SELF, Detections
+from cosim.messages.content import SELF, SENSED, Detections
 from cosim.runs.simulation import Simulation
 from cosim.step.accuracy import aged
 from sensors.boxes import Boxes
@@ -115,6 +115,34 @@ def test_fused_objects_have_the_stated_variance(drive, label):
         assert not all(0.8 < value / factor < 1.25 for value in found)
 
 
+@pytest.fixture(scope="module")
+def beside_a_motorway():
+    """Of cars and trucks without a track in Königs Wusterhausen: own speed, squared error of the velocity along each
+    axis (a receiver takes 0), and the stated variance."""
+    city = [*SETTINGS, "traffic.scenario=koenigs-wusterhausen", "fleet.penetration_p=0.5", "traffic.duration_s=20"]
+    found = []
+    with Simulation(load(None, city)) as simulation:
+        for result in simulation:
+            sensed, world = result.result.sensed, result.world
+            if sensed is not None:
+                objects, truth = sensed.listed.objects, sensed.listed.truth
+                is_new = truth.is_real & (objects.origin == SENSED) & np.isnan(objects.velocity_mps).any(axis=1)
+                rows = np.flatnonzero(is_new & np.isin(objects.label, (0, 3)))
+                own_mps, mps = world.speed_mps[objects.observer[rows]], world.speed_mps[truth.actor_row[rows]]
+                found.append(np.stack([own_mps, mps**2 / 2, objects.velocity_variance[rows]]))
+    return np.concatenate(found, axis=1)
+
+
+@pytest.mark.parametrize("low_mps, high_mps", [(-1, 10), (10, 20), (20, 60)])
+def test_speeds_of_untracked_objects_have_the_stated_variance(beside_a_motorway, low_mps, high_mps):
+    """Slow observers beside a motorway expect fast cars, as fast observers do."""
+    own_mps, square, variance = beside_a_motorway
+    rows = (own_mps > low_mps) & (own_mps <= high_mps)
+    assert rows.sum() > 200
+    for factor, is_true in ((1.0, True), (0.5, False), (2.0, False)):
+        assert (0.8 < square[rows].mean() / (factor * variance[rows].mean()) < 1.25) == is_true
+
+
 def test_age_adds_the_variance_of_the_motion():
     """A car whose velocity is known to 0.5 m/s, after 0.4 s: 0.25 x 0.16 = 0.04, and 1.5 x 0.064 / 3 = 0.032 by the
     random acceleration of cars (1.5 m2/s3)."""
@@ -126,3 +154,16 @@ def test_age_adds_the_variance_of_the_motion():
     )  # fmt: skip
     found = aged(one, np.array([0.4]), TrackingParams())
     np.testing.assert_allclose(found.variance_m2, [[0.172, 0.02, 0.272]])
+
+
+def test_the_table_is_what_lists_state():
+    """A self report is as uncertain as the pose; what stands farther off is less certain by the heading of the pose."""
+    with Simulation(load(None, ("preset=modern", "traffic.duration_s=2", "traffic.warmup_s=60"))) as simulation:
+        *_, result = simulation
+        table = result.table("stated_accuracies").set_index(["observer", "detection_index"])
+        listed = result.table("detections").set_index(["observer", "detection_index"])
+    assert table.index.equals(listed.index) and len(table) > 20
+    own = table[listed.origin == "self"]
+    assert len(own) and own.x_std_m.to_numpy() == pytest.approx(0.2, abs=1e-3) and (own.relative_x_std_m == 0).all()
+    seen = table[listed.origin == "sensed"]
+    assert (seen[["x_std_m", "y_std_m"]] > 0.2).all(axis=None) and seen.xy_correlation.abs().max() <= 1

@@ -38,7 +38,7 @@ def ghosts(*factors, x_m=0.0, moves=False):
         transmitted=np.ones(n, bool), velocity_mps=np.full((n, 2), 0.0 if moves else np.nan),
         accuracy_factor=np.array(factors, float),
     )  # fmt: skip
-    return stated(listed, None, np.zeros((n, 3)), np.zeros(n), DetectorAccuracy(), CONFIG)
+    return stated(listed, None, np.zeros((n, 3)), np.zeros(n), np.full(n, np.nan), DetectorAccuracy(), CONFIG)
 
 
 def test_stated_variances():
