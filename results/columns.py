@@ -36,9 +36,8 @@ class Column:
     """Binary places kept: stored values are multiples of 2**-bits, which makes files small."""
     layout: Layout | None = None
     """How Parquet lays out the values; None for the layout that `Table.layouts` chooses."""
-    absent: Literal["", "step", "zero", "null"] = ""
-    """Not in every run if given: what rows have in runs that do not need the column.
-    It is the row's `step`, 0 or null."""
+    usual: Literal["", "step", "zero", "null"] = ""
+    """What rows have if the recorder is not given the column: the row's `step`, 0 or null. If empty, it has to be."""
     of: Of = ""
     """What a whole number names: a row of `vehicles` by its number, a row of `pseudonyms`, or a step of the run.
     Reading checks it, because the number may be used as an index. All whole numbers are 0 or more."""

@@ -110,7 +110,7 @@ class PartEncoder:
         """Write one row group, sorted by key, after the one before."""
         table, stored = self._table, TABLES[self._table].stored
         columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
-        key = tuple(name for name in TABLES[table].key if name in columns)
+        key = TABLES[table].key
         order, tied = _order(columns, key)
         if order is not None:
             columns = {name: values[order] for name, values in columns.items()}
@@ -119,8 +119,6 @@ class PartEncoder:
             raise ValueError(f"Table {table} has two rows with {named}.")
         arrays = []
         for name, column in stored.items():
-            if name not in columns:
-                continue
             mask = ~columns[name + VALID] if column.null else None
             if column.categories:
                 codes = pa.array(columns[name], pa.int8(), mask=mask)
@@ -132,7 +130,7 @@ class PartEncoder:
         steps = [columns[name] for name in _STEPS if name in columns]
         self._first_step = min(self._first_step, *(int(s.min()) for s in steps))
         self._last_step = max(self._last_step, *(int(s.max()) for s in steps))
-        group = pa.Table.from_arrays(arrays, schema=schema(table, there=columns))
+        group = pa.Table.from_arrays(arrays, schema=schema(table))
         if self._writer is None:
             self._file, self._writer = self._opened(group.schema)
         self._writer.write_table(group, row_group_size=len(group))

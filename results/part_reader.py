@@ -1,6 +1,5 @@
 """Part files read back: columns, rows, pieces."""
 
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,7 +10,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from cosim.base.durable import Damaged
-from results.tables import TABLES, schema
+from results.tables import schema
 
 
 def plain(column: pa.Array, labels: Sequence[str]) -> np.ndarray:
@@ -60,56 +59,15 @@ def check_labels(found: Sequence[str], known: Sequence[str]) -> None:
 
 def read(path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
     """Columns and rows of a part. ValueError or `Damaged`, in one line, if it cannot be read."""
-    if absent := _absent(path, names, where):
-        asked = set(re.findall(r"\w+", str(where)))
-        late = where if asked & set(absent) else None  # a choice by what the file lacks
-        more = [] if late is None else [n for n in TABLES[path.parent.name].stored if n in asked and n not in names]
-        rows = read(path, _there(path, [*names, *more], absent), None if late is not None else where)
-        for name in absent:
-            rows = rows.append_column(schema(path.parent.name).field(name), _value_of_absent(path, name, rows))
-        return (rows if late is None else rows.filter(late)).select(list(names))
     with _readable(path, names):
         return pq.read_table(path, columns=list(names), filters=where, partitioning=None)
 
 
 def read_pieces(path: Path, names: Sequence[str], n_rows: int) -> Iterator[pa.RecordBatch]:
     """Columns of a part, at most `n_rows` rows at once. Errors are those of `read`."""
-    absent = _absent(path, names, None)
-    there = _there(path, names, absent)
-    with _readable(path, there), pq.ParquetFile(path) as file:
-        for rows in file.iter_batches(n_rows, columns=there):
-            for name in absent:
-                rows = rows.append_column(schema(path.parent.name).field(name), _value_of_absent(path, name, rows))
+    with _readable(path, names), pq.ParquetFile(path) as file:
+        for rows in file.iter_batches(n_rows, columns=list(names)):
             yield rows.select(list(names))
-
-
-def _absent(path: Path, names: Sequence[str], where: pc.Expression | None) -> list[str]:
-    """Columns that the run lacks, among those that are wanted or that the choice of rows asks for."""
-    known = TABLES[path.parent.name].stored
-    asked = set(re.findall(r"\w+", str(where)))
-    wanted = [name for name, column in known.items() if column.absent and (name in names or name in asked)]
-    return [name for name in wanted if name not in _columns(path)] if wanted else []
-
-
-def _there(path: Path, names: Sequence[str], absent: Sequence[str]) -> list[str]:
-    """Columns to read for the wanted ones: those that are there, and those from which the others follow."""
-    known = TABLES[path.parent.name].columns
-    needed = ["step"] if any(known[name].absent == "step" for name in absent) else []
-    asked = [*needed, *(name for name in names if name not in absent)]
-    return list(dict.fromkeys(asked)) or [next(iter(known))]
-
-
-def _value_of_absent(path: Path, name: str, rows: pa.Table | pa.RecordBatch) -> pa.Array:
-    """What rows have in a column that the run lacks."""
-    column = TABLES[path.parent.name].columns[name]
-    if column.absent == "step":
-        return rows.column("step")
-    if column.absent == "null":
-        return pa.nulls(rows.num_rows, column.arrow_type)
-    if column.type == "category":
-        zeros = pa.array(np.zeros(rows.num_rows, np.int8))
-        return pa.DictionaryArray.from_arrays(zeros, pa.array(column.categories))
-    return pa.array(np.zeros(rows.num_rows), column.arrow_type)
 
 
 @contextmanager

@@ -9,9 +9,7 @@ from typing import Any
 import duckdb
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from results.columns import Column
 from results.tables import TABLES, schema
 
 _CONFIG: dict[str, Any] = {
@@ -93,9 +91,7 @@ class Database:
         if not paths:
             self._connection.register(name, schema(name, whole=True).empty_table())
             return
-        table, there = TABLES[name], pq.read_schema(paths[0]).names
-        columns = [f'"{label}"' if label in there else _absent(column, label) for label, column in table.stored.items()]
-        stored = f"SELECT {', '.join(columns)} FROM read_parquet({paths})"
+        table, stored = TABLES[name], f"SELECT * FROM read_parquet({paths})"
         is_all = re.search(r"(?<!\()\*", query) is not None  # a star, but not that of count(*)
         if virtual := table.virtual(list(table.columns) if is_all else (), query):
             self._show("detections", "")
@@ -127,9 +123,3 @@ def _virtual(label: str) -> str:
     if label == "yaw_rad":
         value = f"({value} - (2 * pi())::FLOAT * (({value} > pi())::INT - ({value} <= -pi())::INT))"
     return f'{value} AS "{label}"'
-
-
-def _absent(column: Column, label: str) -> str:
-    """What rows have in a column that the run lacks."""
-    zero = f"'{column.categories[0]}'" if column.categories else "0::FLOAT"
-    return f'{ {"step": "step", "zero": zero, "null": "NULL"}[column.absent] } AS "{label}"'

@@ -26,8 +26,8 @@ class StoredColumn:
     top: int
     scale: float | None
     """Stored values are multiples of 1 / scale, where it is given."""
-    absent: bool = False
-    """Whether a run may lack the column."""
+    usual: str = ""
+    """As `Column.usual`."""
 
     @staticmethod
     def of(table: str, name: str, column: Column, of_run: Mapping[str, tuple[str, ...]]) -> "StoredColumn":
@@ -40,7 +40,7 @@ class StoredColumn:
         if column.type == "category":
             bottom, top = 0, len(categories) - 1
         scale = None if column.bits is None else 2.0**column.bits
-        return StoredColumn(f"{table}.{name}", dtype, column.null, categories, bottom, top, scale, bool(column.absent))
+        return StoredColumn(f"{table}.{name}", dtype, column.null, categories, bottom, top, scale, column.usual)
 
     def store(self, values: ndarray, valid: ndarray | None) -> ndarray:
         """Values in the type in which the column is stored, rounded to its steps.
@@ -81,6 +81,12 @@ class StoredColumn:
         if self.scale is not None:
             values = np.round(np.asarray(values, np.float64) * self.scale) * (1 / self.scale)
         return values.astype(self.dtype)
+
+    def usual_values(self, n: int, step: int) -> ndarray | None:
+        """What the rows of a step have if the column is not given; None if they are all null."""
+        if self.usual == "null":
+            return None
+        return np.zeros(n, self.dtype) if self.usual == "zero" else np.full(n, step, np.int32)
 
     def codes(self, values: ndarray, valid: ndarray | None) -> ndarray:
         """Codes of labels.
@@ -125,7 +131,7 @@ def stored_rows(
     step
         Value of the column `step` where that is left out.
     columns
-        As `Recorder.append` takes them. Columns that a run may lack can be left out, in all steps or in none.
+        As `Recorder.append` takes them. Columns with a usual value can be left out.
     known
         As `stored_columns` returns them.
 
@@ -139,7 +145,7 @@ def stored_rows(
         For unknown or missing columns, other lengths, and values that cannot be stored.
     """
     unknown = [name for name in columns if name not in known and name.removesuffix(VALID) not in known]
-    missing = [name for name, column in known.items() if name not in columns and name != "step" and not column.absent]
+    missing = [name for name, column in known.items() if name not in columns and name != "step" and not column.usual]
     if unknown or missing:
         wrong = [f"{word} {', '.join(sorted(names))}" for word, names in (("unknown", unknown), ("missing", missing))
                  if names]  # fmt: skip
@@ -147,9 +153,7 @@ def stored_rows(
     n = next((len(values) for values in columns.values() if values is not None), 0)
     rows: dict[str, ndarray] = {}
     for name, column in known.items():
-        if column.absent and name not in columns:
-            continue
-        given = columns[name] if name in columns else np.full(n, step, np.int32)
+        given = columns[name] if name in columns else column.usual_values(n, step)
         values = np.zeros(n, column.dtype) if given is None else np.asarray(given)
         valid = np.zeros(n, bool) if given is None else columns.get(name + VALID)
         if values.shape != (n,) or (valid is not None and np.shape(valid) != (n,)):

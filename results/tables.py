@@ -1,7 +1,7 @@
 """Every table and column of a run, as `schema.toml` declares them. Parquet schemas and documentation follow from it."""
 
 import tomllib
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import pyarrow as pa
 from cosim.base import codes
 from results.columns import LEVELS, Column, Level, Table
 
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 """Raised whenever a table or column changes its name, type, unit or meaning."""
 
 _FILE = Path(__file__).with_name("schema.toml")
@@ -48,7 +48,7 @@ def kept(level: Level) -> tuple[str, ...]:
     return tuple(name for name, table in TABLES.items() if LEVELS.index(table.level) <= LEVELS.index(level))
 
 
-def schema(name: str, whole: bool = False, there: Collection[str] | None = None) -> pa.Schema:
+def schema(name: str, whole: bool = False) -> pa.Schema:
     """Arrow schema of a table, with unit and meaning as field metadata.
 
     Parameters
@@ -57,8 +57,6 @@ def schema(name: str, whole: bool = False, there: Collection[str] | None = None)
         Name of the table.
     whole
         False gives the columns that are stored on disk, True gives all columns.
-    there
-        Columns that a run has. Those that not every run has are left out if they are not among these.
     """
     table = TABLES[name]
     fields = [
@@ -69,7 +67,6 @@ def schema(name: str, whole: bool = False, there: Collection[str] | None = None)
             metadata={"unit": column.unit, "meaning": column.meaning, "key": str(column.key).lower()},
         )
         for label, column in (table.columns if whole else table.stored).items()
-        if there is None or not column.absent or label in there
     ]
     return pa.schema(fields, {"table": name, "schema_version": str(SCHEMA_VERSION), "meaning": table.meaning})
 

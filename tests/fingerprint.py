@@ -23,16 +23,14 @@ def fingerprint(folder: Path) -> dict[str, str]:
 
 def _table_hash(table: str, folder: Path) -> str:
     """Rows are hashed one by one and summed, so that neither order nor block counts."""
-    total, n, there = np.zeros(1, np.uint64), 0, schema(table).names
+    total, n = np.zeros(1, np.uint64), 0
     nullable = {pa.int32(): pd.Int32Dtype(), pa.int16(): pd.Int16Dtype(), pa.bool_(): pd.BooleanDtype()}
     for part in sorted(folder.glob("part-*.parquet")):
-        file = pq.ParquetFile(part)
-        there = file.schema_arrow.names
-        for batch in file.iter_batches(1 << 20):
+        for batch in pq.ParquetFile(part).iter_batches(1 << 20):
             rows = batch.to_pandas(types_mapper=nullable.get)
             floats = rows.select_dtypes("floating").columns
             rows[floats] = rows[floats] + 0.0  # makes one zero of two
             total += hash_pandas_object(rows, index=False).to_numpy().sum(dtype=np.uint64)
             n += len(rows)
-    columns = schema(table, there=there).to_string()
+    columns = schema(table).to_string()
     return hashlib.sha256(f"{columns} {n} {total[0]:x}".encode()).hexdigest()[:32]

@@ -3,6 +3,7 @@
 The module `load` loads a user's own class, and the adapter in `guard` checks the calls of its instances.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -70,16 +71,21 @@ class Kind:
         return [name for name, hook in self.hooks.items() if hook.is_required]
 
 
+def _of_each(high: float, parameters: tuple[str, ...] = ("n_points", "label", "range_m")) -> Hook:
+    """A method that a detector may have: a number from 0 to `high` for each object."""
+    return Hook(parameters, returns.one_each(high), is_required=False)
+
+
 KINDS: dict[str, Kind] = {kind.name: kind for kind in (
     Kind(
         "detector", "detector", "detector", "model", DETECTORS,
         {
             "detect": Hook(("sweeps", "seen", "boxes", "label", "draws"), returns.reports),
-            "recall": Hook(("n_points", "label", "range_m"), returns.recall, is_required=False),
-            "position_sigma_m": Hook(("n_points", "label", "range_m"), returns.position_sigma_m, is_required=False),
-            "heading_sigma_rad": Hook(("n_points", "label", "range_m"), returns.heading_sigma_rad, is_required=False),
-            "error_by_score": Hook(("score", "n_points", "label"), returns.error_by_score, is_required=False),
-            "size_sigma": Hook(("n_points", "label", "range_m"), returns.size_sigma, is_required=False),
+            "recall": _of_each(1.0),
+            "position_sigma_m": _of_each(returns.FARTHEST_M),
+            "heading_sigma_rad": _of_each(math.pi),
+            "error_by_score": _of_each(1e6, ("score", "n_points", "label")),
+            "size_sigma": _of_each(10.0),
         },
     ),
     Kind(

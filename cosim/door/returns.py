@@ -4,7 +4,7 @@ Each check takes a `Call` and its result, and raises `Wrong` if the result is no
 with copies of its arrays. If the class later changes an array that it returned, recorded values do not change.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -300,34 +300,14 @@ def sending(call: Call, returned: Any) -> Sending:
     return detached(returned)
 
 
-def recall(call: Call, returned: Any) -> ndarray:
-    """The recall of a detector: probability that it detects each object."""
-    _column("", returned, (len(call.given[0]),), "f", 0, 1, what="one for each object")
-    return detached(returned)
+def one_each(high: float) -> Callable[[Call, Any], ndarray]:
+    """A check of what a detector says of each object: a number from 0 to `high`."""
 
+    def checked(call: Call, returned: Any) -> ndarray:
+        _column("", returned, (len(call.given[0]),), "f", 0, high, what="one for each object")
+        return detached(returned)
 
-def position_sigma_m(call: Call, returned: Any) -> ndarray:
-    """The accuracy of a detector: standard deviation of each position."""
-    _column("", returned, (len(call.given[0]),), "f", 0, FARTHEST_M, what="one for each object")
-    return detached(returned)
-
-
-def heading_sigma_rad(call: Call, returned: Any) -> ndarray:
-    """The accuracy of a detector: standard deviation of each heading."""
-    _column("", returned, (len(call.given[0]),), "f", 0, np.pi, what="one for each object")
-    return detached(returned)
-
-
-def error_by_score(call: Call, returned: Any) -> ndarray:
-    """The accuracy of a detector by score: a factor of each squared error."""
-    _column("", returned, (len(call.given[0]),), "f", 0, 1e6, what="one for each object")
-    return detached(returned)
-
-
-def size_sigma(call: Call, returned: Any) -> ndarray:
-    """The accuracy of a detector: relative standard deviation of each size."""
-    _column("", returned, (len(call.given[0]),), "f", 0, 10.0, what="one for each object")
-    return detached(returned)
+    return checked
 
 
 def plan(call: Call, returned: Any) -> "Plan":

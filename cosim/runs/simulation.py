@@ -294,11 +294,11 @@ class SimulatedStep:
         made: dict[str, Any] = {}
         for name, column in TABLES[table].stored.items():
             values, valid = columns.get(name), columns.get(f"{name}__valid")
-            if values is None and (name == "step" or column.absent == "step"):
+            if values is None and (name == "step" or column.usual == "step"):
                 values = np.full(n, self.step)
             elif values is None:
                 zeros = np.zeros(n, np.int64 if column.type == "category" else np.float64)
-                values, valid = zeros, np.full(n, column.absent == "zero")
+                values, valid = zeros, np.full(n, column.usual == "zero")
             if column.type == "category" and values.dtype.kind in "iu":
                 codes = (values if valid is None else np.where(valid, values, -1)).astype(np.int64)
                 made[name] = pd.Categorical.from_codes(codes, pd.Index(column.labels(self._labels)))

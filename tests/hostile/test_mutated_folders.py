@@ -259,7 +259,7 @@ def test_mutated_folders_are_resumed(runs, tmp_path):
 def test_values_that_are_no_json_are_refused(runs, tmp_path):
     """A manifest of another kind is one line, whatever it is."""
     shutil.copytree(runs[0], tmp_path / "run")
-    for text in ("[]", "1", '"x"', "{}", "[" * 5000, '{"schema_version": 8}', json.dumps({"schema_version": []})):
+    for text in ("[]", "1", '"x"', "{}", "[" * 5000, '{"schema_version": 9}', json.dumps({"schema_version": []})):
         (tmp_path / "run" / "manifest.json").write_text(text)
         _, line = attempt(open_run, tmp_path / "run")
         assert "damaged" in line or "schema version" in line, text

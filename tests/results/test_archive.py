@@ -16,7 +16,7 @@ from tests.results.synthetic import write
 
 EMPTY = (
     "encounter_trust", "reactions", "dropped_detections", "evidence", "fused_evidence", "early_fused", "clouds",
-    "transmitted_evaluations",
+    "transmitted_evaluations", "stated_accuracies",
     "transmitted_scores", "attack_outcomes", "lookup_totals", "position_errors", "tracks", "cpm_content",
 )  # fmt: skip
 """Tables without rows in a run with one trust variant, no driver and no tracking."""

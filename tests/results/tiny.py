@@ -36,7 +36,7 @@ def make(folder, steps, config=None, **tables):
 def columns(table, rows):
     given = {}
     for name, column in TABLES[table].stored.items():
-        if column.absent and not any(name in row for row in rows):
+        if column.usual and not any(name in row for row in rows):
             continue
         zero = column.categories[0] if column.categories else "" if column.type == "string" else 0
         values = [row.get(name, None if column.null else zero) for row in rows]
