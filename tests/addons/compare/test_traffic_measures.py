@@ -64,12 +64,35 @@ def test_mean_speed_counts_standing_cars_and_no_pedestrians():
 
 def test_steady_headway_by_hand():
     """20 m from centre to centre at 10 m/s is 2 s from front to front. In the first step the acceleration is unknown;
-    in the third the leader is 2 m/s slower."""
+    in the third the leader is 2 m/s slower. The gap is 15 m."""
     run = Tiny(a1=[(0, 10), (5, 10), (10, 10)], a2=[(20, 10), (25, 10), (30, 8)])
-    options = {"closing_mps": 1.52, "acceleration_mps2": 0.75}
+    options = {"closing_mps": 1.52, "acceleration_mps2": 0.75, "range_m": 50.0, "longest_s": 3.0}
     assert value("steady_headway", run, slowest_mps=8.0, **options) == pytest.approx(2.0)
+    assert np.isnan(value("steady_headway", run, slowest_mps=8.0, **options | {"longest_s": 1.9}))
     with pytest.raises(ValueError, match="no car followed"):
         measured("steady_headway", [[run]], {"slowest_mps": 11.0, **options})
+    with pytest.raises(ValueError, match="no car followed"):
+        measured("steady_headway", [[run]], {"slowest_mps": 8.0, **options, "range_m": 14.0})
+
+
+def test_times_between_cams_by_hand():
+    """At steps of 0.1 s, a car has moved 6 m at step 2 and then stands: three CAMs follow at the same 0.2 s, and the
+    next after a second. A pedestrian sends none."""
+    run = Tiny(a1=[(min(3 * step, 6), 0.0) for step in range(19)], a3=[(9.0 * step, 9.0) for step in range(19)])
+    run.dt_s = 0.1
+    assert value("cam_interval", run) == pytest.approx((4 * 0.2 + 1.0) / 5)
+    found = measured("cam_interval_shares", [[run]], {"edges_s": [0.0, 0.3, 0.9, 1.0]})
+    assert found.value == pytest.approx([0.8, 0.0, 0.2])
+
+
+def test_cams_after_changes_of_speed_and_heading_by_hand():
+    """In one place, on paper: 0.6 m/s faster at step 4; two steps later turned by 4.1 degrees, across south."""
+    run = Tiny(a1=[(0.0, speed) for speed in (0.0, 0.1, 0.2, 0.4, 0.6, 0.6, 0.6)])
+    for row, degrees in zip(run._rows, (178, 178, 178, 178, 178, -178.1, -177.9), strict=True):
+        row["yaw_rad"] = np.radians(degrees)
+    run.dt_s = 0.1
+    found = measured("cam_interval_shares", [[run]], {"edges_s": [0.0, 0.2, 0.3, 0.4]})
+    assert found.value.tolist() == [0.5, 0.0, 0.5]
 
 
 def test_overlaps_by_hand():
