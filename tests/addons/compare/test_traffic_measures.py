@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from cosim.addons.compare.measures import measured
+from tests.results.tiny import fleet, make
 
 
 class Tiny:
@@ -99,3 +100,20 @@ def test_overlaps_by_hand():
     """Two cars of 5 m overlap by 1 m in two steps: one pair. 20 m/s x 2 x 0.5 s are 0.02 km."""
     run = Tiny(a1=[(0, 10), (5, 10)], a2=[(4, 10), (9, 10)])
     assert np.isclose(value("overlapping", run), 1e6 / 0.02)
+
+
+def test_littles_law_by_hand(tmp_path):
+    """Two cars are 90 m apart in steps 2 to 5 of 10, else 110 m. Each has one contact in 10 s, for 4 s, and 0.4
+    neighbours: 0.1 x 4 / 0.4. A duration of 8 s that is wrong doubles it."""
+    met = {"a": 0, "b": 1, "pairs": "all", "start_step": 2, "end_step": 6, "radius_m": 100.0}
+    actors = [
+        {"step": step, "actor": car, "x_m": car * (90.0 if 2 <= step < 6 else 110.0)}
+        for step in range(10) for car in (0, 1)
+    ]  # fmt: skip
+    cars = fleet("honest", "honest", vehicle_class="car")
+    for n, folder in ((1, tmp_path / "right"), (2, tmp_path / "wrong")):
+        folder.mkdir()
+        run = make(
+            folder, 10, vehicles=[dict(car) for car in cars], actors=actors, encounters=[met | {"duration_s": 4.0 * n}]
+        )
+        assert value("little", run, radius_m=100.0) == pytest.approx(n)

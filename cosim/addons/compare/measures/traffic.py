@@ -76,9 +76,9 @@ def mild_braking(run: Run, *, begin_mps2: float, limit_mps2: float) -> list[floa
     return [float((peak[peak >= begin_mps2] < limit_mps2).mean())]
 
 
-def mean_speed(run: Run) -> list[float]:
-    """Distance over time of all cars on the road, standing ones included [km/h]."""
-    return [3.6 * float(_cars(run).speed_mps.astype(float).mean())]
+def mean_speed(run: Run, *, vehicle_class: str = "car") -> list[float]:
+    """Distance over time of all vehicles of a class on the road, standing ones included [km/h]."""
+    return [3.6 * float(_cars(run, vehicle_class).speed_mps.astype(float).mean())]
 
 
 def steady_headway(
@@ -109,15 +109,15 @@ def overlapping(run: Run) -> list[float]:
     return [1e6 * len(overlaps(run, poses)) / _km(poses, run)]
 
 
-def _cars_of(run: Run) -> "pd.Series[int]":
+def _cars_of(run: Run, vehicle_class: str = "car") -> "pd.Series[int]":
     kinds = run.table("vehicles", ["vehicle", "vehicle_class"])
-    return kinds.vehicle[kinds.vehicle_class == "car"]
+    return kinds.vehicle[kinds.vehicle_class == vehicle_class]
 
 
-def _cars(run: Run) -> pd.DataFrame:
-    """Poses of cars, by actor, then step."""
+def _cars(run: Run, vehicle_class: str = "car") -> pd.DataFrame:
+    """Poses of cars, or of another class, by actor, then step."""
     poses = tracks(run)
-    poses = poses[poses.actor.isin(_cars_of(run))].sort_values(["actor", "step"], kind="stable")
+    poses = poses[poses.actor.isin(_cars_of(run, vehicle_class))].sort_values(["actor", "step"], kind="stable")
     return poses.reset_index(drop=True)
 
 
