@@ -22,6 +22,8 @@ ADDON = Addon(
                 "mean_speed",
                 "steady_headway",
                 "overlapping",
+                "cam_interval",
+                "cam_interval_shares",
             )
         },
         "topic": {"safety": "cosim.addons.driver.safety"},

@@ -1,8 +1,8 @@
 """Surrogate safety measures from poses alone: time to collision, deceleration to avoid a crash, post-encroachment time.
 
 Geometry: a vehicle's leader is the nearest vehicle ahead of it whose heading differs by less than 45 degrees and whose
-footprint overlaps the straight extension of its own, at most 50 m away. In bends this misses leaders that a lane would
-show. Definitions follow SUMO's SSM device, against which they are verified.
+footprint overlaps the straight extension of its own, at most 50 m away unless asked otherwise. In bends this misses
+leaders that a lane would show. Definitions follow SUMO's SSM device, against which they are verified.
 """
 
 from collections.abc import Iterator
@@ -35,8 +35,8 @@ def tracks(run: Run) -> pd.DataFrame:
     """)
 
 
-def following(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
-    """Every vehicle's leader in every step.
+def following(run: Run, poses: pd.DataFrame | None = None, range_m: float = RANGE_M) -> pd.DataFrame:
+    """Every vehicle's leader in every step, up to a gap of `range_m`.
 
     Returns
     -------
@@ -45,8 +45,8 @@ def following(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     over twice the gap).
     """
     poses = tracks(run) if poses is None else poses
-    parts = [_leaders(step, frame) for step, frame in _steps(poses)]
-    return pd.concat(parts, ignore_index=True) if parts else _leaders(0, poses)
+    parts = [_leaders(step, frame, range_m) for step, frame in _steps(poses)]
+    return pd.concat(parts, ignore_index=True) if parts else _leaders(0, poses, range_m)
 
 
 def _steps(poses: pd.DataFrame) -> Iterator[tuple[int, dict[str, ndarray]]]:
@@ -58,7 +58,7 @@ def _steps(poses: pd.DataFrame) -> Iterator[tuple[int, dict[str, ndarray]]]:
             yield int(step[begin]), {name: column[begin:end] for name, column in columns.items()}
 
 
-def _leaders(step: int, at: dict[str, ndarray] | pd.DataFrame) -> pd.DataFrame:
+def _leaders(step: int, at: dict[str, ndarray] | pd.DataFrame, range_m: float) -> pd.DataFrame:
     xy = np.column_stack([np.asarray(at["x_m"], float), np.asarray(at["y_m"], float)])
     length, width, yaw, speed = (
         np.asarray(at[name], float) for name in ("length_m", "width_m", "yaw_rad", "speed_mps")
@@ -66,13 +66,13 @@ def _leaders(step: int, at: dict[str, ndarray] | pd.DataFrame) -> pd.DataFrame:
     if len(xy) < 2:
         pairs = np.zeros((0, 2), int)
     else:
-        pairs = cKDTree(xy).query_pairs(RANGE_M + length.max(), output_type="ndarray")
+        pairs = cKDTree(xy).query_pairs(range_m + length.max(), output_type="ndarray")
     i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
     apart, c, s = xy[j] - xy[i], np.cos(yaw[i]), np.sin(yaw[i])
     ahead, left = c * apart[:, 0] + s * apart[:, 1], c * apart[:, 1] - s * apart[:, 0]
     along = np.cos(yaw[j] - yaw[i])
     gap = ahead - (length[i] + length[j]) / 2
-    ok = (ahead > 0) & (np.abs(left) < (width[i] + width[j]) / 2) & (along > _ALONG) & (gap <= RANGE_M)
+    ok = (ahead > 0) & (np.abs(left) < (width[i] + width[j]) / 2) & (along > _ALONG) & (gap <= range_m)
     i, j, gap, along = i[ok], j[ok], np.maximum(gap[ok], 0.0), along[ok]
     order = np.lexsort((gap, i))
     order = order[np.diff(i[order], prepend=-1) > 0]

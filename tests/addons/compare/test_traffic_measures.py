@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from cosim.addons.compare.measures import measured
+from tests.results.tiny import fleet, make
 
 
 class Tiny:
@@ -64,15 +65,55 @@ def test_mean_speed_counts_standing_cars_and_no_pedestrians():
 
 def test_steady_headway_by_hand():
     """20 m from centre to centre at 10 m/s is 2 s from front to front. In the first step the acceleration is unknown;
-    in the third the leader is 2 m/s slower."""
+    in the third the leader is 2 m/s slower. The gap is 15 m."""
     run = Tiny(a1=[(0, 10), (5, 10), (10, 10)], a2=[(20, 10), (25, 10), (30, 8)])
-    options = {"closing_mps": 1.52, "acceleration_mps2": 0.75}
+    options = {"closing_mps": 1.52, "acceleration_mps2": 0.75, "range_m": 50.0, "longest_s": 3.0}
     assert value("steady_headway", run, slowest_mps=8.0, **options) == pytest.approx(2.0)
+    assert np.isnan(value("steady_headway", run, slowest_mps=8.0, **options | {"longest_s": 1.9}))
     with pytest.raises(ValueError, match="no car followed"):
         measured("steady_headway", [[run]], {"slowest_mps": 11.0, **options})
+    with pytest.raises(ValueError, match="no car followed"):
+        measured("steady_headway", [[run]], {"slowest_mps": 8.0, **options, "range_m": 14.0})
+
+
+def test_times_between_cams_by_hand():
+    """At steps of 0.1 s, a car has moved 6 m at step 2 and then stands: three CAMs follow at the same 0.2 s, and the
+    next after a second. A pedestrian sends none."""
+    run = Tiny(a1=[(min(3 * step, 6), 0.0) for step in range(19)], a3=[(9.0 * step, 9.0) for step in range(19)])
+    run.dt_s = 0.1
+    assert value("cam_interval", run) == pytest.approx((4 * 0.2 + 1.0) / 5)
+    found = measured("cam_interval_shares", [[run]], {"edges_s": [0.0, 0.3, 0.9, 1.0]})
+    assert found.value == pytest.approx([0.8, 0.0, 0.2])
+
+
+def test_cams_after_changes_of_speed_and_heading_by_hand():
+    """In one place, on paper: 0.6 m/s faster at step 4; two steps later turned by 4.1 degrees, across south."""
+    run = Tiny(a1=[(0.0, speed) for speed in (0.0, 0.1, 0.2, 0.4, 0.6, 0.6, 0.6)])
+    for row, degrees in zip(run._rows, (178, 178, 178, 178, 178, -178.1, -177.9), strict=True):
+        row["yaw_rad"] = np.radians(degrees)
+    run.dt_s = 0.1
+    found = measured("cam_interval_shares", [[run]], {"edges_s": [0.0, 0.2, 0.3, 0.4]})
+    assert found.value.tolist() == [0.5, 0.0, 0.5]
 
 
 def test_overlaps_by_hand():
     """Two cars of 5 m overlap by 1 m in two steps: one pair. 20 m/s x 2 x 0.5 s are 0.02 km."""
     run = Tiny(a1=[(0, 10), (5, 10)], a2=[(4, 10), (9, 10)])
     assert np.isclose(value("overlapping", run), 1e6 / 0.02)
+
+
+def test_littles_law_by_hand(tmp_path):
+    """Two cars are 90 m apart in steps 2 to 5 of 10, else 110 m. Each has one contact in 10 s, for 4 s, and 0.4
+    neighbours: 0.1 x 4 / 0.4. A duration of 8 s that is wrong doubles it."""
+    met = {"a": 0, "b": 1, "pairs": "all", "start_step": 2, "end_step": 6, "radius_m": 100.0}
+    actors = [
+        {"step": step, "actor": car, "x_m": car * (90.0 if 2 <= step < 6 else 110.0)}
+        for step in range(10) for car in (0, 1)
+    ]  # fmt: skip
+    cars = fleet("honest", "honest", vehicle_class="car")
+    for n, folder in ((1, tmp_path / "right"), (2, tmp_path / "wrong")):
+        folder.mkdir()
+        run = make(
+            folder, 10, vehicles=[dict(car) for car in cars], actors=actors, encounters=[met | {"duration_s": 4.0 * n}]
+        )
+        assert value("little", run, radius_m=100.0) == pytest.approx(n)

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from results.measure import measure as run_metrics
 from results.run import Run
 
-MEASURES = ("relative_speed_law", "metric")
+MEASURES = ("relative_speed_law", "metric", "little")
 
 
 def relative_speed_law(run: Run, *, radius_m: float, every_s: float, at_least_mps: float) -> list[float]:
@@ -31,6 +31,19 @@ def metric(run: Run, *, names: Sequence[str], group: str, minus: Sequence[str] =
     value = table[table.group == group].set_index("metric").value
     less = [float(value.get(name, np.nan)) for name in minus] or [0.0] * len(names)
     return [float(value.get(name, np.nan)) - off for name, off in zip(names, less, strict=True)]
+
+
+def little(run: Run, *, radius_m: float) -> list[float]:
+    """Rate of contacts of a vehicle times their mean duration, over its mean number of neighbours.
+
+    By Little's law it is 1. Rate and duration come from the table `encounters`, neighbours from poses.
+    """
+    group = f"all, {radius_m:g} m"
+    rate_per_h, mean_s = metric(run, names=["encounters.per_vehicle_h", "encounters.duration.km_mean_s"], group=group)
+    poses, n = tracks(run), 0
+    for _, now in poses.groupby("step"):
+        n += 2 * len(cKDTree(now[["x_m", "y_m"]].to_numpy(np.float64)).query_pairs(radius_m, output_type="ndarray"))
+    return [rate_per_h / 3600 * mean_s * len(poses) / n]
 
 
 def _relative(run: Run, radius_m: float, every_s: float, at_least_mps: float) -> Float[ndarray, "p"]:
