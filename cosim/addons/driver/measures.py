@@ -60,8 +60,8 @@ def steady_headway(
     """Mean time from a leader's front to a follower's front of cars that follow steadily [s].
 
     Steady means: speeds differ by no more than `closing_mps`, the follower's acceleration is no larger than
-    `acceleration_mps2`, and it drives with `slowest_mps` or more. Leaders are those of `cosim.addons.driver.conflicts`, up
-    to `range_m` ahead. Cars more than `longest_s` behind theirs drive freely and are left out.
+    `acceleration_mps2`, and it drives with `slowest_mps` or more. Leaders are those of `cosim.addons.driver.conflicts`,
+    up to `range_m` ahead. Cars more than `longest_s` behind theirs drive freely and are left out.
     """
     poses = tracks(run)
     pairs = following(run, poses, range_m).merge(

@@ -40,7 +40,12 @@ def little(run: Run, *, radius_m: float) -> list[float]:
     """
     group = f"all, {radius_m:g} m"
     rate_per_h, mean_s = metric(run, names=["encounters.per_vehicle_h", "encounters.duration.km_mean_s"], group=group)
-    poses, n = tracks(run), 0
+    poses, n = (
+        run.sql("""
+        SELECT step, x_m, y_m FROM actors JOIN vehicles ON vehicle = actor WHERE vehicle_class <> 'pedestrian'
+    """),
+        0,
+    )
     for _, now in poses.groupby("step"):
         n += 2 * len(cKDTree(now[["x_m", "y_m"]].to_numpy(np.float64)).query_pairs(radius_m, output_type="ndarray"))
     return [rate_per_h / 3600 * mean_s * len(poses) / n]
