@@ -56,12 +56,12 @@ MODEL_ERROR = {
     "freshness.newest_evaluation_age.mean_s": 0.04,
     "freshness.oldest_evaluation_age.median_s": 0.04,
     "freshness.value_age.median_s": 0.06,
-    "freshness.lookup_state.share:evaluated": 0.015,
+    "freshness.lookup_state.share:evaluated": 0.018,
     "freshness.lookup_state.share:stale": 0.01,
     "freshness.lookup_state.share:unevaluated": 0.0,
     "freshness.lookup_state.share:no value": 0.018,
-    "freshness.evaluators.mean": 0.05,
-    "freshness.encounters_without_trust.share": 0.005,
+    "freshness.evaluators.mean": 0.055,
+    "freshness.encounters_without_trust.share": 0.025,
 }
 """How far runs lie outside the range that chance alone explains, in all but one of twenty: as a share of the value, and
 for shares of lookups and encounters in absolute terms. The page `models/freshness-law` says from which runs."""
