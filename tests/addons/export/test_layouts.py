@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.addons.export import kitti, opv2v, trupercept
-from results import frames
+from cosim.addons.export import frames, kitti, opv2v, trupercept
 from tests.addons.export import readers, truck
 from tests.addons.export.truck import CAR_LIDAR, TRUCK_SENSOR, TRUCK_WORLD
 
