@@ -38,7 +38,7 @@ def draw(runs: Sequence[Run]) -> Figure:
     for i, bar in enumerate(bars):
         style.shares_bar(shares, i, bar, _FILLS)
     style.panel(
-        ages, "Age when looked up" if len(runs) == 1 else "Age when looked up (dotted: the value)",
+        ages, "Age when looked up" if len(runs) == 1 else "Age (dotted: the value)",
         axis_label("trust_lookups", "age_s", "Age"), "Share of values at most this old",
     )  # fmt: skip
     style.share_axis(ages)
