@@ -261,7 +261,8 @@ def _summary(rows: GetRows, city: str) -> dict[str, list[str]]:
 
 def _traffic(get: Get, city: str) -> list[str]:
     actors, roles = get("traffic.actors.mean"), get("traffic.equipped.n")
-    line = f"{plain(round(actors.get('all', 0.0)))} actors on the road of {city} for {plain(get('traffic.duration_s')[''])} s"
+    n_actors = plain(round(actors.get("all", 0.0)))
+    line = f"{n_actors} actors on the road of {city} for {plain(get('traffic.duration_s')[''])} s"
     if not sum(roles.values()):
         return [f"{line}; no vehicle with LiDAR and radio"]
     by_role = ", ".join(f"{plain(n)} {role}" for role, n in roles.items())
