@@ -1,8 +1,12 @@
 """Options: record anew what commands on pages print; check shapes and types."""
 
 import pytest
+from hypothesis import settings
 
 from tests import typecheck
+
+settings.register_profile("untimed", deadline=None)  # the first call of a kernel compiles it
+settings.load_profile("untimed")
 
 
 def pytest_addoption(parser):

@@ -95,7 +95,7 @@ def by_key(rows):
     return sorted(rows, key=lambda row: (row["a"], row["b"], row["start_step"]))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.5, 1.0, 2.0, 3.5]), st.sampled_from([0.5, 1.0]), st.booleans()
 )  # fmt: skip

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import t
 
@@ -144,7 +144,6 @@ def test_pooled_survival_by_hand():
     assert found.high.tolist() == pytest.approx([1, 1, 1 / 3, 1 / 3, 0])
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(1, 9), st.booleans()), min_size=1, max_size=30))
 def test_survival_of_counts_is_that_of_single_durations(sample):
     lasted_s, over = np.array([x for x, _ in sample], float), np.array([x for _, x in sample])

@@ -151,7 +151,7 @@ def test_the_gate_keeps_the_share_it_says():
 NUMBER = st.floats(-1e6, 1e6, allow_nan=False)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(st.lists(st.tuples(NUMBER, NUMBER, NUMBER), min_size=1, max_size=5))
 def test_bounded_variances_are_variances_within_the_bounds(rows):
     found = bounded(np.array(rows))

@@ -51,7 +51,7 @@ def test_reference_vectors():
     assert iou_3d(a, b) == pytest.approx([c["iou_kitti_cpp_3d"] for c in found], abs=1e-6)  # float32 in there
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_symmetry_identity_and_rigid_motion(seed):
     rng = np.random.default_rng(seed)
@@ -70,7 +70,7 @@ def moved(boxes: Boxes, turn: float, shift) -> Boxes:
     return Boxes(boxes.xyz_m @ rotation.T + shift, boxes.lwh_m, boxes.yaw_rad + turn)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_overlapping_pairs_are_all_pairs(seed):
     rng = np.random.default_rng(seed)

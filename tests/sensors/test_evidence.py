@@ -141,7 +141,7 @@ def test_a_full_turn_of_few_columns(n):
     assert (points_in_boxes(sweeps, np.zeros(300, int), asked) == whole).all()
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(
     seed=st.integers(0, 2**32 - 1),
     params=st.sampled_from(
@@ -199,7 +199,7 @@ def test_observability_by_hand():
     assert seen.occlusion.tolist() == [0.0, 1.0, 0.0] and seen.range_m[1] == pytest.approx(np.hypot(20, 0.85))
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(seed=st.integers(0, 2**32 - 1), profile=st.sampled_from(["hdl64e_front", "vlp32c"]))
 def test_unoccluded_returns_equal_casts_alone(seed, profile):
     rng = np.random.default_rng(seed)
@@ -224,7 +224,7 @@ def test_unoccluded_returns_equal_casts_alone(seed, profile):
     }
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_an_occluder_never_adds_returns(seed):
     rng = np.random.default_rng(seed)

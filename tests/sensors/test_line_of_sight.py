@@ -166,7 +166,7 @@ def test_faults_are_named():
         LosOfPlaces(index_of([])).has_los(np.array([[0, 0, 1.5], [1e9, 0, 1.5]]), np.array([0]), np.array([1]))
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_los_between_actors_equals_shapely(seed):
     rng = np.random.default_rng(seed)

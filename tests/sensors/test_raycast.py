@@ -130,7 +130,7 @@ def test_inside_a_closed_body():
     compare("embree", boxes, np.array([0, 3], np.uint8), np.array([0]), Scene.empty(), profile="os1_128")
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_permuting_actors_permutes_the_sweeps(seed):
     rng = np.random.default_rng(seed)
@@ -144,7 +144,7 @@ def test_permuting_actors_permutes_the_sweeps(seed):
     assert (a.hit == named).all()
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_an_occluder_never_lengthens_a_range(seed):
     rng = np.random.default_rng(seed)
@@ -157,7 +157,7 @@ def test_an_occluder_never_lengthens_a_range(seed):
     assert (with_all.hit == without_last.hit)[other].all()
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_rigid_motion_invariance(seed):
     rng = np.random.default_rng(seed)
@@ -183,7 +183,7 @@ def test_thread_count_invariance():
     assert (one.unrounded_m == several.unrounded_m).all() and (one.hit == several.hit).all()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     elevation=st.lists(st.floats(-89.0, 89.0), min_size=1, max_size=140, unique=True),
     slope=st.lists(st.floats(), min_size=1, max_size=50),

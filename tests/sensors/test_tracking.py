@@ -143,7 +143,7 @@ def agree(one, other, tolerance=1e-9):
         assert a == pytest.approx(b, abs=tolerance, nan_ok=True), f.name
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=seeds)
 def test_like_the_slow_twin(seed):
     moments, twin = scene(seed), Twin(P)
@@ -177,7 +177,7 @@ def test_like_stone_soup():
     assert n_moved > 30
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=seeds, turn=st.floats(-3, 3), east=st.floats(-1e4, 1e4))
 def test_rigid_motion_of_the_world(seed, turn, east):
     moments = scene(seed)
@@ -187,7 +187,7 @@ def test_rigid_motion_of_the_world(seed, turn, east):
         agree(replace(a, velocity_mps=a.velocity_mps @ matrix, axis=a.axis @ matrix), b, 1e-6)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=seeds)
 def test_renaming_of_observers_and_order_of_detections(seed):
     rng = np.random.default_rng(seed)
@@ -209,7 +209,7 @@ def test_renaming_of_observers_and_order_of_detections(seed):
             assert getattr(a, name)[order] == pytest.approx(getattr(b, name), abs=1e-9, nan_ok=True)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=seeds)
 def test_others_change_nothing(seed):
     """An observer's tracks are the same if it is alone; those of one that does not sense are the same objects."""

@@ -68,7 +68,7 @@ def test_by_hand():
 
 @pytest.mark.parametrize("one_per_vehicle", [False, True])
 @given(world=worlds(), eta=st.sampled_from([None, 0.0, -0.5]))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_twin(world, one_per_vehicle, eta):
     params = TrustParams(one_per_vehicle=one_per_vehicle, eta=eta)
     _, evaluated = evaluations_of(world, params)
@@ -91,7 +91,7 @@ def test_twin(world, one_per_vehicle, eta):
 
 @pytest.mark.parametrize("one_per_vehicle", [False, True])
 @given(world=worlds(), seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_renaming_the_vehicles_permutes_the_evaluations(world, seed, one_per_vehicle):
     params = TrustParams(one_per_vehicle=one_per_vehicle)
     _, evaluated = evaluations_of(world, params)

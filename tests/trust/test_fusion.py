@@ -221,7 +221,7 @@ def random_step(world, seed, params):
 
 @pytest.mark.parametrize("method", get_args(Method))
 @given(world=worlds(), seed=st.integers(0, 2**32 - 1), one_per_vehicle=st.booleans())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_twin(method, world, seed, one_per_vehicle):
     params = TrustParams(method=method, one_per_vehicle=one_per_vehicle)
     lists = world.lists
@@ -264,7 +264,7 @@ def test_twin(method, world, seed, one_per_vehicle):
 
 
 @given(world=worlds(), seed=st.integers(0, 2**32 - 1), parity=st.booleans())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_scores_stay_in_bounds(world, seed, parity):
     for method in METHODS:
         params = TrustParams(method=method, code_parity=parity)
@@ -275,7 +275,7 @@ def test_scores_stay_in_bounds(world, seed, parity):
 
 
 @given(world=worlds(), seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_code_parity_ignores_trust(world, seed):
     params = TrustParams(method="trupercept_2", code_parity=True)
     groups, own, reported, sender_trust, evidence = random_step(world, seed, params)

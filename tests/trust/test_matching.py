@@ -57,7 +57,7 @@ def test_one_per_vehicle():
 
 @pytest.mark.parametrize("one_per_vehicle", [False, True])
 @given(world=worlds())
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_twin(world, one_per_vehicle):
     params = TrustParams(one_per_vehicle=one_per_vehicle)
     groups = match(world.lists, world.table, world.pairs, params)
@@ -74,7 +74,7 @@ def test_twin(world, one_per_vehicle):
 
 
 @given(world=worlds(), seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_pairs_have_no_order(world, seed):
     groups = match(world.lists, world.table, world.pairs, TrustParams())
     rng = np.random.default_rng(seed)

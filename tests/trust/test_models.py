@@ -36,7 +36,7 @@ def test_no_evidence_no_row(name):
 
 @every_model
 @given(world=histories, seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_order_of_arrival_changes_nothing(name, world, seed):
     """Messages one by one, up to nine steps late, in any order, some twice: bit for bit the same."""
     frames, rows = world
@@ -61,7 +61,7 @@ def test_order_of_arrival_changes_nothing(name, world, seed):
 
 @every_model
 @given(world=histories, seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_renaming_the_pseudonyms_permutes_the_scores(name, world, seed):
     frames, rows = world
     new = np.random.default_rng(seed).permutation(1000).tolist()
@@ -81,7 +81,7 @@ def test_renaming_the_pseudonyms_permutes_the_scores(name, world, seed):
 
 @every_model
 @given(world=histories)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_copies_are_independent(name, world):
     frames, rows = world
     model = build(name)
@@ -154,7 +154,7 @@ def test_beta_correlated_by_hand():
 
 
 @given(world=histories)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_beta_correlated_without_correlation_is_beta(world):
     frames, rows = world
     one, other = build("beta"), build("beta_correlated", correlation=0.0)
@@ -174,7 +174,7 @@ def test_negative_evidence_follows_eta():
 
 
 @given(world=histories, seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_sums_by_observer_equal_those_of_the_rows(world, seed):
     _, rows = world
     rng = np.random.default_rng(seed)
@@ -193,7 +193,7 @@ def test_sums_by_observer_equal_those_of_the_rows(world, seed):
 
 
 @given(world=histories, decay=st.sampled_from([1.0, 0.98, 0.5]), grace=st.integers(1, 12))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_beta_twin(world, decay, grace):
     frames, rows = world
     model = Beta(BetaParams(decay_per_s=decay, grace_s=float(grace)), 1.0)
@@ -213,7 +213,7 @@ def test_beta_twin(world, decay, grace):
 
 
 @given(world=histories, grace=st.integers(2, 12))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_beta_two_half_steps_equal_one(world, grace):
     frames, rows = world
     params = BetaParams(decay_per_s=0.7, grace_s=float(grace))
@@ -252,7 +252,7 @@ WINDOWS = [
 
 
 @given(world=histories, seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_shared_evidence_changes_nothing(world, seed):
     """Scores and counters of models that share evidence are those of models of their own, late messages included."""
     frames, rows = world
@@ -289,7 +289,7 @@ def test_shared_evidence_changes_nothing(world, seed):
 
 
 @given(world=histories, grace=st.integers(1, 4))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_without_expiry_prompt_evidence_counts_for_ever(world, grace):
     frames, rows = world
     off = TruPercept(TrustParams(freshness_s="off", grace_s=float(grace)), 1.0)

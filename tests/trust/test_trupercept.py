@@ -83,7 +83,7 @@ def test_window_steps(freshness_s, dt_s, window, steps):
 
 @pytest.mark.parametrize("window", ["half_open", "closed"])
 @given(f=st.integers(1, 12), extra=st.integers(0, 5))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_evidence_expires_exactly_at_f(f, extra, window):
     model = TruPercept(TrustParams(freshness_s=float(f), window=window), 1.0)
     open_step(model, extra, {1: [1], 2: []})

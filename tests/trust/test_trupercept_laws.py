@@ -20,7 +20,7 @@ from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
     weighting=st.sampled_from(["score", "one"]),
     window=st.sampled_from(["half_open", "closed"]),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_twin(world, f, unseen, weighting, window):
     frames, rows = world
     model = TruPercept(TrustParams(freshness_s=float(f), unseen=unseen, weighting=weighting, window=window), 1.0)
@@ -64,7 +64,7 @@ def assert_evaluators(scores, after, by_name, records, weighting):
 
 
 @given(world=histories, f=st.integers(1, 4))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_evaluators_of_shared_windows(world, f):
     """Windows that share their evidence, one without end among them, count evaluators as each would alone."""
     frames, rows = world
@@ -90,7 +90,7 @@ def test_evaluators_of_shared_windows(world, f):
 
 
 @given(world=histories, seed=st.integers(0, 2**32 - 1), f=st.integers(2, 8))
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_neither_order_nor_delay_nor_duplicates_matter(world, seed, f):
     """Messages in any order and batching, up to f - 1 steps late, some of them twice: bit by bit the same."""
     frames, rows = world
@@ -123,7 +123,7 @@ def test_neither_order_nor_delay_nor_duplicates_matter(world, seed, f):
 
 
 @given(world=histories, seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_renaming_the_pseudonyms_permutes_the_trust(world, seed):
     frames, rows = world
     new = np.random.default_rng(seed).permutation(1000).tolist()
@@ -141,7 +141,7 @@ def test_renaming_the_pseudonyms_permutes_the_trust(world, seed):
 
 
 @given(world=histories)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_an_evaluator_without_visibility_changes_nothing(world):
     """One more evaluator with Phi = 0 on everything; every detection has its detector's own record."""
     frames, rows = world
@@ -157,7 +157,7 @@ def test_an_evaluator_without_visibility_changes_nothing(world):
 
 
 @given(world=histories, f=st.integers(1, 5))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_two_half_steps_equal_one(world, f):
     """Half as long a step, every second one empty; and half of each step's messages a step later."""
     frames, rows = world
@@ -174,7 +174,7 @@ def test_two_half_steps_equal_one(world, f):
 
 
 @given(world=histories, seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_local_scores_equal_as_many_central_ones(world, seed):
     """Scores of each holder equal those of a server that received the same messages."""
     frames, rows = world

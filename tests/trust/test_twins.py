@@ -51,7 +51,7 @@ def test_every_model_has_a_twin():
 
 @pytest.mark.parametrize(("name", "ours", "theirs"), CASES)
 @given(world=histories, grace=st.integers(1, 9))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_twin(name, ours, theirs, world, grace):
     frames, rows = world
     for dt_s in (1.0, 0.5):
@@ -67,7 +67,7 @@ def test_twin(name, ours, theirs, world, grace):
 
 @pytest.mark.parametrize("name", [n for n in MODELS if n != "trupercept"])
 @given(world=histories)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_two_half_steps_equal_one(name, world):
     """Steps half as long, every second one empty: a decay that depends on the step is a defect of published code."""
     frames, rows = world

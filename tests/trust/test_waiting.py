@@ -23,7 +23,7 @@ def models(name):
 
 @pytest.mark.parametrize("name", [name for name in MODELS if not name.startswith("raya_")])
 @given(world=histories, seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_when_evaluations_are_added_changes_nothing(name, world, seed):
     """A model that is read after each batch, and so adds each batch alone, against one that is read now and then."""
     frames, rows = world

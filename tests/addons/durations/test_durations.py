@@ -145,7 +145,7 @@ def test_too_few_are_told(n):
         fit(sample, "exponential")
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(st.tuples(st.integers(1, 8), st.booleans()), min_size=1, max_size=30))
 def test_product_limit_is_kaplan_meier(rows):
     """Without entries it is SciPy's, where what is cut off leaves before the ends of the same step."""

@@ -220,7 +220,7 @@ def test_groups_of_at_most_seven_have_constant_members(run):
         opv2v.Opv2v().plan(truck.selection(run, vehicles=(1,)))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.floats(2, 80), ANGLE, st.floats(-3, 3), ANGLE, ANGLE)
 def test_every_label_leads_back(r, bearing, z, yaw, own_yaw):
     pose = np.array([120.0, -40.0, 1.73, own_yaw])

@@ -31,7 +31,7 @@ def crowd(seed: int, n: int):
     return rng.integers(0, 3, n), box, rng.integers(0, 6, n) / 6  # with scores that are the same
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10_000), st.integers(0, 40), st.sampled_from([0.0, 0.15, 0.5]))
 def test_suppression_is_that_of_the_loop(seed, n, overlap):
     frame, box, score = crowd(seed, n)

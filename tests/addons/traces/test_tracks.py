@@ -78,7 +78,7 @@ def test_nothing_on_a_step_is_told():
         seen(fixes_of((0, 0.4, 0, 0)))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 400), st.integers(-9, 9)), min_size=1, max_size=40),
        st.sampled_from([0.5, 1.0, 2.5]))  # fmt: skip
 def test_twin_of_numpy_interp(rows, step_s):

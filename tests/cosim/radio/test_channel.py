@@ -174,7 +174,7 @@ def table(outcome, key):
 
 
 seeds = st.integers(0, 10_000)
-few = settings(max_examples=15, deadline=None)
+few = settings(max_examples=15)
 
 
 @few

@@ -80,7 +80,7 @@ def test_who_refuses_a_message_receives_it_and_does_not_forward_it():
     assert found.receiver[found.message == 1].tolist() == [0, 2, 3, 4, 5]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 1000), hops=st.integers(1, 3))
 def test_laws(seed, hops):
     xy, keys = crowd(60, seed)

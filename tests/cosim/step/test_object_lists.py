@@ -9,7 +9,7 @@ from cosim.step.object_lists import received_lists, subset
 from trust.tables import ObjectLists
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 9))
 def test_received_lists(seed, n):
     rng = np.random.default_rng(seed)

@@ -3,7 +3,7 @@
 from collections import Counter
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.step.trackers.attack_start import AttackStartTracker
@@ -13,7 +13,6 @@ COLUMNS = {"n_delivered": 0, "n_lost_propagation": 1, "n_lost_collision": 2}
 frames = st.lists(st.tuples(st.floats(0, 400), st.integers(0, 2), st.integers(0, 2)), max_size=80)
 
 
-@settings(deadline=None)
 @given(frames)
 def test_pdr_by_distance_twin(rows):
     distance_m = np.array([row[0] for row in rows], float)
@@ -31,7 +30,6 @@ def test_pdr_by_distance_twin(rows):
     }  # fmt: skip
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(0, 5), max_size=50))
 def test_latency_histogram_twin(latencies):
     """A bin holds what is at least its lower edge and below the next, a factor of the square root of 2 above."""
@@ -44,7 +42,6 @@ def test_latency_histogram_twin(latencies):
 receivers = st.lists(st.integers(0, 4), max_size=30)
 
 
-@settings(deadline=None)
 @given(st.tuples(receivers, receivers), st.tuples(receivers, receivers), st.booleans())
 def test_vehicle_channel_twin(in_range, received, modelled):
     busy = [np.linspace(0, 1, 7), np.full(7, 0.5) if modelled else None]  # two roadside units behind five vehicles

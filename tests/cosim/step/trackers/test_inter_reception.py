@@ -5,7 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.step.trackers.inter_reception import InterReceptionTracker, pairs_within_range
@@ -17,7 +17,6 @@ frames = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 6), st.integers(1,
 heard = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 3)), max_size=20)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(st.lists(st.integers(0, 6), min_size=6, max_size=6), frames, heard)
 def test_pairs_within_range_against_sets(station, frames, heard):
     """Four vehicles and three other stations; the second hop of a frame reaches beyond the range of its author."""
@@ -71,13 +70,11 @@ def naive(rounds, every, silent=None):
 rounds_of_pairs = st.lists(st.dictionaries(st.sampled_from(PAIRS), st.booleans()), max_size=12)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(rounds_of_pairs, st.integers(1, 3))
 def test_twin(rounds, every):
     assert follow(rounds, every) == naive(rounds, every)
 
 
-@settings(deadline=None)
 @given(
     st.lists(st.tuples(st.sets(st.integers(0, 2)), st.dictionaries(st.sampled_from(PAIRS), st.booleans())), max_size=12)
 )
