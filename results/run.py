@@ -305,9 +305,9 @@ class Run:
             self._check(path)
         return paths
 
-    def _folders(self) -> list[str]:
+    def _folders(self) -> list[Path]:
         """Folders of the part files."""
-        return [str(folder.resolve()) for folder in (self.path, *([self._held.path] if self._held else []))]
+        return [folder.resolve() for folder in (self.path, *([self._held.path] if self._held else []))]
 
     def _of_variant(self, name: str, where: pc.Expression | None) -> pc.Expression | None:
         """The condition on rows, and that they are the variant's."""

@@ -2,7 +2,7 @@
 
 import re
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ _CONFIG: dict[str, Any] = {
 _SUBJECTS = """
 SELECT p.*, v.role, v.attack_start_step FROM pseudonyms p JOIN vehicles v USING (vehicle) WHERE v.role IS NOT NULL
 """
-"""The same as `Run.subjects`."""
+"""`Run.subjects` in SQL."""
 
 
 class Database:
@@ -35,12 +35,12 @@ class Database:
         tables: Sequence[str],
         files: Callable[[str], list[Path]],
         require: Callable[..., None],
-        folders: Sequence[str],
+        folders: Sequence[Path],
     ) -> None:
         """Names of the tables, where the files of a table are, what says that a table is missing, and all folders."""
         self._tables, self._files, self._require = tables, files, require
         self._connection = duckdb.connect(config=_CONFIG)
-        self._connection.execute(f"SET allowed_directories = {list(folders)}")
+        self._connection.execute(f"SET allowed_directories = {_listed([*map(str, folders), *map(_itself, folders)])}")
         self._connection.execute("SET enable_external_access = false; SET lock_configuration = true")
 
     def answer(self, query: str, values: Mapping[str, Any]) -> pd.DataFrame:
@@ -78,7 +78,7 @@ class Database:
             Part files of the detections of the steps in question.
         """
         self._connection.register("rows", rows)
-        made = f"(SELECT * FROM read_parquet({[str(path.resolve()) for path in files]}))"
+        made = f"(SELECT * FROM read_parquet({_listed(map(_itself, files))}))"
         found = self._connection.sql(f"""
             SELECT {", ".join(map(_virtual, names))} FROM (SELECT *, row_number() OVER () AS number FROM rows) t
             {_SOURCES.replace("detections", made)} ORDER BY number
@@ -87,16 +87,26 @@ class Database:
 
     def _show(self, name: str, query: str) -> None:
         """Make a table visible by its name, with the columns that are not on disk if the query may ask for them."""
-        paths = [str(path.resolve()) for path in self._files(name)]
+        paths = [_itself(path) for path in self._files(name)]
         if not paths:
             self._connection.register(name, schema(name, whole=True).empty_table())
             return
-        table, stored = TABLES[name], f"SELECT * FROM read_parquet({paths})"
+        table, stored = TABLES[name], f"SELECT * FROM read_parquet({_listed(paths)})"
         is_all = re.search(r"(?<!\()\*", query) is not None  # a star, but not that of count(*)
         if virtual := table.virtual(list(table.columns) if is_all else (), query):
             self._show("detections", "")
             stored = f"SELECT t.*, {', '.join(map(_virtual, virtual))} FROM ({stored}) t {_SOURCES}"
         self._connection.execute(f"CREATE OR REPLACE TEMP VIEW {name} AS {stored}")
+
+
+def _itself(path: Path) -> str:
+    """A pattern that matches this path alone: in DuckDB, `*`, `?` and `[` stand for other names."""
+    return re.sub(r"[*?[]", r"[\g<0>]", str(path.resolve()))
+
+
+def _listed(paths: Iterable[str]) -> str:
+    """Paths as a list of strings in SQL."""
+    return "[" + ", ".join("'" + path.replace("'", "''") + "'" for path in paths) + "]"
 
 
 def _line(error: duckdb.Error) -> str:

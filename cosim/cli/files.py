@@ -1,9 +1,9 @@
 """Files that a user may give to the wrong command: a study, a config, a map."""
 
 import shlex
-import tomllib
 from pathlib import Path
 
+from cosim.config.data import read_toml
 from sumo_nets.map_files import refuse_map
 
 _SHIPPED = Path(__file__).parents[1] / "studies" / "shipped"
@@ -15,8 +15,8 @@ def is_study_file(path: Path) -> bool:
     if not path.exists() and path.suffix == "" and (_SHIPPED / f"{path}.toml").is_file():
         return True
     try:
-        return bool(_OF_A_STUDY & tomllib.loads(path.read_text(encoding="utf-8")).keys())
-    except (OSError, ValueError, RecursionError):
+        return bool(_OF_A_STUDY & read_toml(path, "study file").keys())
+    except ValueError:  # what is wrong with it is said where it is read
         return False
 
 

@@ -169,7 +169,7 @@ class Drive:
         self.manifest.steps = result.world.step + 1
 
     def _record_beside(self, result: StepResult) -> None:
-        """The same in another thread."""
+        """Append the rows of a step in the thread that records."""
         with self._watch("record"):
             self._record(result)
 

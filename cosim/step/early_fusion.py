@@ -193,7 +193,7 @@ class EarlyFusion:
         )  # fmt: skip
         clouds = kept.since(world.step - self.oldest_steps).and_also(now)
         theirs = self._received_views(clouds, world, sensing.row, own_xy_m, of_senses)
-        views = Views(*(np.concatenate([getattr(v, f) for v in (views, theirs)]) for f in Views.__dataclass_fields__))
+        views = Views.concat([views, theirs])
         n = len(sensing)
         return clouds, Early(
             **self._detected(views, world, sensing.row, observed, of_senses),

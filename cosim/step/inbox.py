@@ -151,8 +151,7 @@ class Inbox:
         return replace(
             now,
             objects=Detections.concat([now.objects, objects]),
-            truth=GroundTruth(*(np.concatenate([getattr(now.truth, name), getattr(truth, name)])
-                                for name in GroundTruth.__dataclass_fields__)),
+            truth=GroundTruth.concat([now.truth, truth]),
             detections=type(ours)(*columns),
             ptr=np.concatenate([now.ptr, d + self.ptr[1:]]),
             withheld=np.concatenate([now.withheld, self.withheld]),
@@ -231,8 +230,7 @@ class Inbox:
             pseudonym=np.concatenate([self.pseudonym, senders.pseudonym]),
             ptr=np.concatenate([self.ptr, d + listed.ptr[1:]]),
             objects=Detections.concat([self.objects, objects]),
-            truth=GroundTruth(*(np.concatenate([getattr(self.truth, name), getattr(truth, name)])
-                                for name in GroundTruth.__dataclass_fields__)),
+            truth=GroundTruth.concat([self.truth, truth]),
             withheld=np.concatenate([self.withheld, listed.withheld]),
             from_own_m=np.concatenate([self.from_own_m, matched.from_own_m[:n_now]]),
             pairs=renumbered(matched.pairs, moved),
@@ -272,7 +270,7 @@ class Inbox:
         return Inbox(
             step=self.step[kept], sender=self.sender[kept], pseudonym=self.pseudonym[kept],
             ptr=offsets(size[kept]), objects=self.objects.take(detections),
-            truth=GroundTruth(*(getattr(self.truth, name)[detections] for name in GroundTruth.__dataclass_fields__)),
+            truth=self.truth.take(detections),
             withheld=self.withheld[detections], from_own_m=self.from_own_m[detections],
             pairs=renumbered(self.pairs, new_row),
             evaluated=ObjectLists(

@@ -25,7 +25,7 @@ def renumbered(pairs: Pairs, number: Int[ndarray, "d"]) -> Pairs:
 
 @compiled
 def _renumbered(i, j, number, value):
-    """The same in one pass."""
+    """Numbers of both ends in one pass, and the values of the pairs that stay."""
     a, b = np.empty_like(i), np.empty_like(j)
     kept, n = np.empty_like(value), 0
     for k in range(len(i)):

@@ -12,12 +12,16 @@ from numpy import ndarray
 from sumo_nets.network import Lane
 
 _CELL_M = 5.0
+_FASTEST_MPS = 100.0
+"""A limit above this says nothing: some maps mark roads without a limit by such a number."""
+_LONGEST_M = 100_000.0
+"""No lane is longer; a map with a wrong number would fill the memory with cells."""
 _NEAR = np.indices((3, 3)).reshape(2, 9).T - 1
 
 
 @dataclass(frozen=True, slots=True)
 class SpeedLimits:
-    """Speed limits in the cells that a lane for motor vehicles crosses, and in the cells around them."""
+    """Speed limits in the cells that a lane for motor vehicles with a limit crosses, and in the cells around them."""
 
     cell: Int[ndarray, "k"]
     """Number of each cell, ascending."""
@@ -29,8 +33,10 @@ class SpeedLimits:
         """The limits of these lanes; the world's origin is at `origin_m` in their coordinates."""
         cells, limits = [np.zeros(0, np.int64)], [np.zeros(0)]
         for lane in lanes:
-            if lane.for_cars:
-                points = _dense(lane.line_m[:, :2] - origin_m)
+            line_m = lane.line_m[:, :2] - origin_m
+            is_road = np.hypot(*np.diff(line_m, axis=0).T).sum() <= _LONGEST_M
+            if is_road and lane.for_cars and 0 < lane.limit_mps <= _FASTEST_MPS:
+                points = _dense(line_m)
                 around = _cells(points)[:, None] + _NEAR
                 cells.append(np.unique(_number(around.reshape(-1, 2))))
                 limits.append(np.full(len(cells[-1]), lane.limit_mps))

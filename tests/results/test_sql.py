@@ -79,3 +79,13 @@ def test_a_damaged_part_is_not_read(run, tmp_path):
     with pytest.raises(ValueError, match="damaged"):
         open_run(copy).sql("SELECT count(*) FROM trust")
     assert len(open_run(copy).sql("SELECT * FROM vehicles"))
+
+
+@pytest.mark.parametrize("name", ["ä b'c", "a\nb", "[a-b]*?", "'); x"])
+def test_the_name_of_a_folder_is_a_name(run, tmp_path, name):
+    """Its quotes do not end a string, and its stars and brackets stand for themselves: a neighbour is not read."""
+    for folder in (tmp_path / name, tmp_path / "a_other"):
+        shutil.copytree(run.path, folder)
+    (tmp_path / "a_other" / "detections" / "part-00000.parquet").write_bytes(b"no table")
+    same = open_run(tmp_path / name).sql("SELECT count(*) AS n FROM detections").n.item()
+    assert same == run.n_rows("detections")

@@ -1,6 +1,7 @@
 """Speed limits by place."""
 
 import numpy as np
+import pytest
 
 from cosim.traffic.limits import NO_LIMITS, SpeedLimits
 from sumo_nets.network import Lane
@@ -19,6 +20,16 @@ def test_limits_are_known_near_lanes_only():
     expected = [30, 30, 30, 14, np.nan, np.nan, np.nan, 5]
     np.testing.assert_array_equal(limits.at(places - (1000.0, -500.0)), expected)
     assert np.isnan(NO_LIMITS.at(places)).all()
+
+
+@pytest.mark.parametrize("limit_mps", [0.0, -5.0, 1e30, np.inf, np.nan])
+def test_a_limit_that_is_none_is_unknown(limit_mps):
+    limits = SpeedLimits.of((lane([(-100, 0), (100, 0)], limit_mps), lane([(50, -80), (50, 80)], 14.0)), (0.0, 0.0))
+    np.testing.assert_array_equal(limits.at(np.array([[-60.0, 0.0], [50.0, 2.0]])), [np.nan, 14.0])
+
+
+def test_a_lane_that_no_road_has_is_left_out():
+    assert np.isnan(SpeedLimits.of([lane([(0, 0), (1.3e9, 0)], 14.0)], (0.0, 0.0)).at(np.zeros((1, 2)))).all()
 
 
 def test_every_place_near_a_lane_has_a_limit():
