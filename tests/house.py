@@ -144,7 +144,7 @@ def problem(found: int, limit: int) -> str:
 
 
 def table(house: House) -> str:
-    """The numbers as TOML. Budgets have three digits, rounded up, so that a small change needs no new budget."""
+    """The numbers as TOML. Budgets have 1 % to spare, so that a small change needs no new budget."""
     packages = sum(n for room, n in house.nodes.items() if not room.startswith("tests"))
     lines = [f"[tool.cosim.house.nodes]      # packages {packages:,}, tests {house.nodes.total() - packages:,}"]
     lines += [f'"{room}" = {rounded_up(n)}' for room, n in sorted(house.nodes.items())]
@@ -154,9 +154,10 @@ def table(house: House) -> str:
 
 
 def rounded_up(n: int) -> int:
-    """The next number with three digits that count."""
-    unit = 10 ** max(0, len(str(n)) - 3)
-    return -(-n // unit) * unit
+    """The next number with three digits that is at least 1 % above n."""
+    spare = n + -(-n // 100)
+    unit = 10 ** max(0, len(str(spare)) - 3)
+    return -(-spare // unit) * unit
 
 
 if __name__ == "__main__":

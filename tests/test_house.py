@@ -61,4 +61,4 @@ def test_rooms_and_rounding():
     )
     rooms = [house.room_of(house.Path(path)) for path in paths]
     assert rooms == ["cosim/base", "cosim/radio", "cosim/messages", "tests/cosim", "tests"]
-    assert [house.rounded_up(n) for n in (7, 999, 1000, 1001, 12_345)] == [7, 999, 1000, 1010, 12_400]
+    assert [house.rounded_up(n) for n in (7, 100, 1000, 1001, 12_345)] == [8, 101, 1010, 1020, 12_500]
