@@ -12,8 +12,8 @@ from cosim.base.ragged import row_numbers
 class Rows:
     """Base of dataclasses whose fields are columns of one length.
 
-    A column is an array, rows of another kind, or None if it is absent. Other values belong to all rows. Rows of checked
-    columns are not checked again: a step makes some forty of them, and they are mostly short.
+    A column is an array, rows of another kind, or None if it is absent. Other values belong to all rows. Rows of
+    checked columns are not checked again.
     """
 
     __slots__ = ()

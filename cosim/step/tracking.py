@@ -52,7 +52,7 @@ def _track_round(
     broadcast = rounds[kind]
     actor, received, found = exchange.vehicles.actor, broadcast.links.vehicles, broadcast.round
     pair, got, n_in_range = pairs_within_range(
-        found.station, found.frames.message, found.frames.receiver, found.frames.hop,
+        found.station, found.frames.message.astype(np.int32, copy=False), found.frames.receiver, found.frames.hop,
         exchange.senders.vehicle, received.message, received.receiver, actor,
     )  # fmt: skip
     late = [_codes(actor, messages) for messages in late_of(rounds, kind)]
