@@ -137,8 +137,13 @@ def iou_3d(a: Boxes, b: Boxes) -> Float[ndarray, "n"]:
             f"iou_3d was given {len(a)} and {len(b)} boxes. It compares row by row, so both numbers must be equal."
         )
     out = np.empty(len(a))
-    given = a.xyz_m, a.lwh_m, a.yaw_rad, b.xyz_m, b.lwh_m, b.yaw_rad, out
-    in_ranges(lambda begin, end: _iou(begin * _CHUNK, end * _CHUNK, *given), (len(a) + _CHUNK - 1) // _CHUNK)
+    of_a = a.xyz_m, a.lwh_m, a.yaw_rad
+    of_b = b.xyz_m, b.lwh_m, b.yaw_rad
+
+    def compare(begin: int, end: int) -> None:
+        _iou(begin * _CHUNK, end * _CHUNK, *of_a, *of_b, out)
+
+    in_ranges(compare, (len(a) + _CHUNK - 1) // _CHUNK)
     return out
 
 

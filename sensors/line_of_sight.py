@@ -169,8 +169,12 @@ class WallIndex:
         out = np.empty(len(a), np.bool_)
         blocked = self.crosses_filled(xyz_m, a, b) if blocked is None else blocked
         rank = np.zeros(len(xyz_m), np.uint64) if rank is None else rank
-        given = xyz_m, self.indoors(xyz_m), rank, a, b, blocked, self.grid, self.walls.segment, out
-        in_ranges(lambda begin, end: kernels.has_los(begin, end, *given), kernels.n_chunks(len(a)))
+        lines = xyz_m, self.indoors(xyz_m), rank, a, b, blocked
+
+        def follow(begin: int, end: int) -> None:
+            kernels.has_los(begin, end, *lines, self.grid, self.walls.segment, out)
+
+        in_ranges(follow, kernels.n_chunks(len(a)))
         return out
 
     def walls_crossed(

@@ -286,7 +286,8 @@ def has_los(begin, end, xyz, indoors, rank, a, b, blocked, grid, walls, out):
     """
     line, active, course = np.empty(_CHUNK, np.int64), np.empty(_CHUNK, np.int64), np.empty((_CHUNK, 12))
     for chunk in range(begin, end):
-        first, stop = chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(a))
+        first = chunk * _CHUNK
+        stop = min(first + _CHUNK, len(a))
         _follow(first, stop, xyz, indoors, rank, a, b, blocked, grid, walls, line, active, course, out)
 
 

@@ -108,7 +108,8 @@ def overlapping(boxes: Boxes) -> Int[ndarray, "n"]:
         return np.zeros(0, np.int64)
     a, b = cKDTree(boxes.xyz_m[:, :2]).query_pairs(_APART_M, output_type="ndarray").T
     between = boxes.xyz_m[b, :2] - boxes.xyz_m[a, :2]
-    near = np.hypot(*between.T) <= boxes.circumradius_m[a] + boxes.circumradius_m[b]
+    radius_m = boxes.circumradius_m
+    near = np.hypot(*between.T) <= radius_m[a] + radius_m[b]
     if not near.any():
         return np.zeros(0, np.int64)
     a, b, between = a[near], b[near], between[near]
