@@ -8,19 +8,16 @@ from results.archive import open_run
 from tests.results.recorded import write
 from tests.results.tiny import make
 
-ALL_PAIRS = ('encounters=[{pairs="all",radius_m=50},{pairs="all",radius_m=100}]',)
-
 
 @pytest.fixture(scope="session")
 def run(tmp_path_factory):
-    return open_run(write(tmp_path_factory.mktemp("runs") / "base", *ALL_PAIRS, steps=60))
+    return open_run(write(tmp_path_factory.mktemp("runs") / "base", steps=60))
 
 
 @pytest.fixture(scope="session")
 def other(tmp_path_factory):
     """The same traffic with a shorter reach of the radio and another seed."""
-    changes = ("seed=1", "radio.range_m=120", *ALL_PAIRS)
-    return open_run(write(tmp_path_factory.mktemp("runs") / "reach-120", *changes, steps=60))
+    return open_run(write(tmp_path_factory.mktemp("runs") / "reach-120", "seed=1", "radio.range_m=120", steps=60))
 
 
 @pytest.fixture

@@ -111,10 +111,10 @@ def test_missing_tables_and_columns(broken):
 
 @pytest.mark.parametrize("harm", ["truncated", "overwritten"])
 def test_damaged_file_is_named(broken, harm):
-    path = broken / "trust" / "part-00000.parquet"
+    path = min((broken / "trust").iterdir())
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2] if harm == "truncated" else b"PAR1" + bytes(len(data) - 8) + b"PAR1")
-    with pytest.raises(ValueError, match=r"trust/part-00000\.parquet (has|is not what was written)"):
+    with pytest.raises(ValueError, match=r"trust/part-\d+\.parquet (has|is not what was written)"):
         open_run(broken).trust.head()
 
 
