@@ -37,7 +37,9 @@ def sweep(
     study: Annotated[
         Path, typer.Argument(help="Study file (TOML), or the name of a shipped study (cosim/studies/README.md).")
     ],
-    out: Annotated[Path, typer.Option(help="Folder of the study. Finished runs in it are not repeated.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the study; finished runs stay. The default is runs/<file name>.")
+    ] = None,
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a running Dask scheduler. The default is to use this machine alone.")
     ] = None,
@@ -59,6 +61,7 @@ def sweep(
 
     refuse_other_than_study(study)
     asked = changed(load(study, trust_code), with_preset(preset, overrides))
+    out = out or Path("runs", study.stem)
     task = sweeping.prepare_study(asked, study.name, out, not separate)
     said = sweeping.keys_in_vain(task.points) + sweeping.scene_notes(task.points)
     for note in said + sweeping.interval_notes(task.study):
