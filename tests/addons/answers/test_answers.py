@@ -59,7 +59,7 @@ def test_one_replicate_has_no_interval_and_what_is_missing_is_said(tmp_path):
     assert "which no replicate has both of" in answers.sentences(other)[1]
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(st.lists(st.tuples(*[st.floats(0.5, 50)] * 2), min_size=2, max_size=6))
 def test_sentences_are_true_of_the_numbers(tmp_path_factory, pairs):
     """The interval of the paired difference again, with SciPy's t alone, and the word that goes with it."""
