@@ -255,6 +255,8 @@ class _Ego(NamedTuple):
     """Weight of what its vehicle states."""
     weight: ndarray
     """Weight by its residual; 0 if it is not used."""
+    variance: "_Information"
+    """Variance of the position relative to the vehicle, of the object that the seed says there is."""
     given: "_Information"
     """Information of the position, times the first weight."""
     info: "_Information"
@@ -300,8 +302,8 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
         first = min(first, lists.group[p])
         last = max(last, lists.group[p])
     n, n_groups = end - begin, last - first + 1
-    real = np.empty((11, n))
-    number = np.empty((3, n), np.int64)
+    real = np.empty((14, n))
+    number = np.empty((4, n), np.int64)
     ego = _Ego(
         np.zeros(n_groups + 1, np.int64),
         number[0],
@@ -313,17 +315,18 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
         real[4],
         real[5],
         _Information(real[6], real[7], real[8]),
-        _Information(real[9], real[10], np.empty(n)),
+        _Information(real[9], real[10], real[11]),
+        _Information(real[12], real[13], np.empty(n)),
         np.empty(n + 1, np.int64),
     )
-    vehicle, messages = number[2], np.empty(n + 1, np.int64)
-    _sort(begin, end, first, table, lists, ego, vehicle)
+    vehicle, sender, messages = number[2], number[3], np.empty(n + 1, np.int64)
+    _sort(begin, end, first, table, lists, ego, vehicle, sender)
     errors, covariance = np.empty(0), np.empty((0, 0))
     for v in range(len(weight)):
-        is_new = _weigh(e, v, first, table, lists, weight, known, ego) or v == 0
+        is_new = _weigh(e, v, first, lists, weight, known, ego, vehicle, sender) or v == 0
         if is_new:
-            n_slots = _number(owner, table, ego, vehicle, messages, align)
-            _prepare(first, owner, table, lists, ego, align)
+            n_slots = _number(owner, ego, vehicle, sender, messages, align)
+            _prepare(owner, table, ego, align)
             errors, covariance = _pose_errors(table, ego, messages, n_slots, align)
         slope = np.zeros((2, len(errors)))
         for g in range(first, last + 1):
@@ -359,8 +362,8 @@ def _pose_errors(table, ego, messages, n_slots, align):
 
 
 @kernel
-def _sort(begin, end, first, table, lists, ego, vehicle):
-    """Sort the detections of a list by group, then by their places in the list, and number their messages."""
+def _sort(begin, end, first, table, lists, ego, vehicle, sender):
+    """Sort the detections of a list by group, then by their places in the list, and number their messages, `sender`."""
     for p in range(begin, end):
         ego.begin[lists.group[p] - first + 1] += 1
     for g in range(len(ego.begin) - 1):
@@ -371,16 +374,18 @@ def _sort(begin, end, first, table, lists, ego, vehicle):
         if table.message[d] != message:
             n_messages += 1
             message = table.message[d]
+            sender[n_messages] = message
         k = ego.begin[g]
         ego.begin[g] += 1
         ego.row[k], vehicle[k] = d, n_messages
+        _locate(k, d, lists.seed[first + g], message, table, ego)
     for g in range(len(ego.begin) - 1, 0, -1):
         ego.begin[g] = ego.begin[g - 1]
     ego.begin[0] = 0
 
 
 @kernel
-def _weigh(e, v, first, table, lists, weight, known, ego):
+def _weigh(e, v, first, lists, weight, known, ego, vehicle, sender):
     """Set the weights of the detections; returns whether any differs from the one before. If none does, all stays."""
     begin, end = lists.received_ptr[e], lists.received_ptr[e + 1]
     for h in range(end - 1, begin - 1, -1):  # the first weight of a message counts
@@ -390,8 +395,7 @@ def _weigh(e, v, first, table, lists, weight, known, ego):
     for g in range(len(ego.begin) - 1):
         seed = lists.seed[first + g]
         for k in range(ego.begin[g], ego.begin[g + 1]):
-            d = ego.row[k]
-            trust = 1.0 if d == seed else known[table.message[d]]
+            trust = 1.0 if ego.row[k] == seed else known[sender[vehicle[k]]]
             is_new |= trust != ego.trust[k]
             ego.trust[k] = trust
     for h in range(begin, end):
@@ -403,7 +407,7 @@ def _weigh(e, v, first, table, lists, weight, known, ego):
 
 
 @compiled
-def _number(owner, table, ego, vehicle, messages, align):
+def _number(owner, ego, vehicle, sender, messages, align):
     """Number the vehicles whose pose errors are estimated: those with an object that others have, then the receiver.
 
     It shares objects with most of the others, so that few entries become nonzero when the matrix is factorised.
@@ -416,7 +420,7 @@ def _number(owner, table, ego, vehicle, messages, align):
         for k in range(ego.begin[g], ego.begin[g + 1]):
             n_used += ego.weight[k] > 0.0
         for k in range(ego.begin[g], ego.begin[g + 1]):
-            message = table.message[ego.row[k]]
+            message = sender[vehicle[k]]
             is_used = ego.weight[k] > 0.0
             if message == owner:
                 slots[vehicle[k]] = 0
@@ -431,31 +435,31 @@ def _number(owner, table, ego, vehicle, messages, align):
     return n_slots
 
 
+@inlined
+def _locate(k, d, s, message, table, ego):
+    """Position of a detection relative to the seed s and to its vehicle, and its variance."""
+    ego.x[k], ego.y[k] = _between(table.xyz, d, table.xyz, s)
+    ego.left[k], ego.up[k] = _between(table.xyz, d, table.origin, message)
+    xx, xy, yy = table.variance[d, 0], table.variance[d, 1], table.variance[d, 2]
+    if table.label[d] != table.label[s]:
+        xx, xy, yy = _with_size(d, s, table, xx, xy, yy)
+    ego.variance.xx[k], ego.variance.xy[k], ego.variance.yy[k] = xx, xy, yy
+
+
 @kernel
-def _prepare(first, owner, table, lists, ego, align):
-    """Relative positions, and the information that each detection has."""
-    for g in range(len(ego.begin) - 1):
-        s = lists.seed[first + g]
-        for k in range(ego.begin[g], ego.begin[g + 1]):
+def _prepare(owner, table, ego, align):
+    """The information that each detection has."""
+    for k in range(len(ego.row)):
+        xx, xy, yy = _row(ego.variance, k)
+        if ego.slot[k] < 0:  # the pose error counts as noise of this detection
             d = ego.row[k]
-            m = table.message[d]
-            x, y = _between(table.xyz, d, table.xyz, s)
-            left, up = _between(table.xyz, d, table.origin, m)
-            ego.x[k], ego.y[k] = x, y
-            ego.left[k], ego.up[k] = left, up
-            xx = table.variance[d, 0]
-            xy = table.variance[d, 1]
-            yy = table.variance[d, 2]
-            if table.label[d] != table.label[s]:
-                xx, xy, yy = _with_size(d, s, table, xx, xy, yy)
-            if ego.slot[k] < 0:  # the pose error counts as noise of this detection
-                xx, xy, yy = _with_pose(d, m, table, xx, xy, yy)
-                if not align:
-                    xx, xy, yy = _with_pose(d, owner, table, xx, xy, yy)
-            per = ego.trust[k] / (xx * yy - xy * xy)
-            ego.given.xx[k] = per * yy
-            ego.given.xy[k] = -per * xy
-            ego.given.yy[k] = per * xx
+            xx, xy, yy = _with_pose(d, table.message[d], table, xx, xy, yy)
+            if not align:
+                xx, xy, yy = _with_pose(d, owner, table, xx, xy, yy)
+        per = ego.trust[k] / (xx * yy - xy * xy)
+        ego.given.xx[k] = per * yy
+        ego.given.xy[k] = -per * xy
+        ego.given.yy[k] = per * xx
 
 
 @inlined
@@ -815,15 +819,17 @@ def _list_vehicles(begin, end, own, ego):
 
 @kernel
 def _spread(listed, slope, covariance):
-    """G C G' of the listed vehicles: xx, xy, yy."""
+    """G C G' of the listed vehicles: xx, xy, yy. Each pair of vehicles is looked at once."""
     xx = xy = yy = 0.0
-    for k in listed:
-        s = 3 * k
+    for m in range(len(listed)):
+        s = 3 * listed[m]
         first, second, third = covariance[s], covariance[s + 1], covariance[s + 2]
         x = y = v = w = p = q = 0.0
-        for j in listed:
-            for i in range(3 * j, 3 * j + 3):
-                a, b = slope[0, i], slope[1, i]
+        for j in listed[: m + 1]:
+            t = 3 * j
+            share = 0.5 if t == s else 1.0
+            for i in range(t, t + 3):
+                a, b = share * slope[0, i], share * slope[1, i]
                 x += first[i] * a
                 y += first[i] * b
                 v += second[i] * a
@@ -831,9 +837,10 @@ def _spread(listed, slope, covariance):
                 p += third[i] * a
                 q += third[i] * b
         a, b, c = slope[0, s], slope[0, s + 1], slope[0, s + 2]
-        xx += a * x + b * v + c * p
-        xy += a * y + b * w + c * q
-        yy += slope[1, s] * y + slope[1, s + 1] * w + slope[1, s + 2] * q
+        d, e, f = slope[1, s], slope[1, s + 1], slope[1, s + 2]
+        xx += 2.0 * (a * x + b * v + c * p)
+        xy += a * y + b * w + c * q + d * x + e * v + f * p
+        yy += 2.0 * (d * y + e * w + f * q)
     return xx, xy, yy
 
 
