@@ -160,7 +160,7 @@ def test_the_question_on_its_page_is_the_one_that_ships():
 
 def test_the_gallery_has_a_line_for_each_of_its_nine_pictures():
     text = (PAGES / "tutorial/gallery.md").read_text(encoding="utf-8")
-    pictures = re.findall(r"!\[[^\]]+\]\(\.\./pictures/([^)]+)\)", text)
+    pictures = re.findall(r"!\[[^\]]+\]\([./]+results/pictures/([^)]+)\)", text)
     assert len(pictures) == len(set(pictures)) == 9
     assert all((ROOT / "results" / "pictures" / name).is_file() for name in pictures)
     assert sum(line.startswith("cosim plot") or "&& cosim plot" in line for line in fences.commands(text)) == 9
