@@ -57,7 +57,8 @@ def pages() -> dict[str, str]:
     paths = sorted((HERE / "pages").rglob("*.md"))
     sources = {path.relative_to(ROOT).as_posix(): path.relative_to(HERE / "pages").as_posix() for path in paths}
     found = {
-        at: _turned((ROOT / source).read_text(encoding="utf-8"), source, at) for source, at in (sources | TAKEN).items()
+        at: _turned((ROOT / source).read_text(encoding="utf-8"), source, at)
+        for source, at in {**sources, **TAKEN}.items()
     }
     found["reference/config.md"] = config_keys.markdown()
     found["reference/cli.md"] = commands.markdown()
