@@ -20,12 +20,10 @@ INSTEAD = {
     "make test": "true",  # this is it
     "source .venv/bin/activate": "true",
     "python3 -m venv": "true",
+    "cosim sweep question --out out": "python -m tests.cosim.docs.short question out",
     **{
-        f"cosim sweep {name} --out {out}": f"python -m tests.cosim.docs.short {name} {out}"
-        for name, out in (
-            ("question", "out"),
-            *((name, name) for name in ("question", "encounters", "freshness")),
-        )
+        f"cosim sweep {name} && ": f"python -m tests.cosim.docs.short {name} runs/{name}"
+        for name in ("question", "encounters", "freshness")
     },
     "cosim run --set traffic.duration_s=60": f"{FIRST_RUN} --out runs/gallery",
 }
@@ -108,7 +106,7 @@ def test_a_page(folder, page, record_pages):
 
 def _instead(line: str) -> str:
     first, joined, rest = line.partition(" && ")
-    return next((new for old, new in INSTEAD.items() if first.startswith(old)), first) + joined + rest
+    return next((new for old, new in INSTEAD.items() if (first + joined).startswith(old)), first) + joined + rest
 
 
 @pytest.mark.verify
