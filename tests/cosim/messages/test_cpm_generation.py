@@ -1,5 +1,6 @@
 """Generation rules: when a message is generated, what it includes again, what it does not, and how long it is."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -176,3 +177,19 @@ def test_lengths_are_those_of_the_encoder():
         == 140 + etsi.cpm_bytes(np.zeros((1, 4), int), n_moving=np.eye(4, dtype=int)[[own.label[0]]])[0]
     )
     assert len(ObjectClass) == 4
+
+
+def test_quality_of_a_detected_object_is_above_the_threshold():
+    """The least perception quality that clause 6.1.2.3 can give to what was just detected, over all histories.
+
+    Quality is the mean of three ratings of 0 to 15, rounded down: moving averages (each new value counts half) of the
+    score, here 0, and of being detected, and the age in tenths of a second. The rate is the highest, 10 Hz.
+    """
+    lowest = 15
+    for before in range(13):
+        for hits in itertools.product((0, 1), repeat=max(before - 1, 0)):
+            detected = 1.0
+            for hit in (*hits, 1) if before else ():
+                detected = (detected + hit) / 2
+            lowest = min(lowest, (int(15 * detected) + min(before, 15)) // 3)
+    assert lowest == 4
