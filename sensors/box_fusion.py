@@ -683,7 +683,7 @@ def _padded(n):
 
 @inlined
 def _subtract(rows, i, of, k, factors, begin, end):
-    """Subtract multiples of rows k, k + 1, ... from rows i, i + 1 and i + 2, in columns `begin` to `end` and some more."""
+    """Subtract multiples of rows k, k + 1, ... from rows i, i + 1 and i + 2, in columns `begin` to `end` and beside."""
     size = 0.0
     for factor in factors:
         size += abs(factor)
