@@ -111,6 +111,16 @@ class StudyResults:
         pairs = frame[~is_base].merge(frame.loc[is_base, [*on, "value"]], on=on, suffixes=("", "_base"))
         return self._intervals(pairs.assign(value=pairs.value - pairs.value_base), _bounds_of_difference)
 
+    def at(self, where: Mapping[str, str]) -> "StudyResults":
+        """The points of the study at which swept keys have these values; ValueError if there are none."""
+        self.check_swept(*where)
+        points = self.points
+        for key, text in where.items():
+            points = held_at(points, key, text)
+        baseline = {key: value for key, value in self.baseline.items() if key not in where}
+        head = {"name": self.name, "question": self.question, "keys": self.keys, "baseline": baseline}
+        return StudyResults(self.path, head, points)
+
     def check_swept(self, *names: str, more: Sequence[str] = ()) -> None:
         """Raise ValueError if one of these names is no swept key, nor one of `more`."""
         known = dict.fromkeys([*self.keys, *more])
@@ -241,6 +251,11 @@ _POINTS = ("point", "run", "variant", "replicate", "state")
 def is_study(path: Path) -> bool:
     """Whether a folder is a study's."""
     return (path / "index.parquet").is_file()
+
+
+def runs_of(folder: Path) -> list[Path]:
+    """The run folders of a study; the folder itself if it is no study."""
+    return sorted(folder.glob("runs/*/")) if is_study(folder) else [folder]
 
 
 def within_run(frame: pd.DataFrame) -> pd.DataFrame:

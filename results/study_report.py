@@ -37,20 +37,23 @@ Draw = Callable[[Mapping[str, str]], Any]
 """Draws a figure at these values of swept keys."""
 
 
-def write(study: StudyResults, path: str | Path | None = None) -> Path:
-    """Write the page; it needs no network and no other file. Left out, `path` is report.html in the study's folder."""
+def write(study: StudyResults, path: str | Path | None = None, part: str = "") -> Path:
+    """Write the page; it needs no network and no other file. Left out, `path` is report.html in the study's folder.
+
+    `part` says in the heading which part of the study it is, such as `fleet.penetration_p=0.1`.
+    """
     path = study.path / "report.html" if path is None else Path(path)
-    durable.write_output(path, page(study).encode())
+    durable.write_output(path, page(study, part).encode())
     return path
 
 
-def page(study: StudyResults) -> str:
+def page(study: StudyResults, part: str = "") -> str:
     """The page as HTML."""
     states = ", ".join(f"{n} {state}" for state, n in study.points.state.value_counts().items())
     n = study.points.replicate.nunique()
     replicates = f"{n} replicates" if n > 1 else "1 replicate"
     parts = [
-        f"<h1>{escape(study.name)}</h1>",
+        f"<h1>{escape(f'{study.name}, {part}' if part else study.name)}</h1>",
         f"<p>{escape(study.question)}</p>",
         *_answers(study),
         f'<p class="soft">{len(study.points)} points ({states}) of {study.points["run"].nunique()} runs; '
@@ -125,7 +128,16 @@ def _of_metrics(study: StudyResults, names: Sequence[str]) -> tuple[list[str], D
     matter = that_matter(chosen(study.measures, names), study.keys)
     n_panels = max((study.points[key].nunique() for key in matter[2:3]), default=1)
     shown = 3 if n_panels <= figure.MOST_PANELS else 2
-    return matter[shown:], lambda where: figure.draw(study, "", names, where=where, lean=True)
+    return matter[shown:], lambda where: figure.draw(study, "", _there(study, names, where), where=where, lean=True)
+
+
+def _there(study: StudyResults, names: Sequence[str], where: Mapping[str, str]) -> list[str]:
+    """Those of some metrics that have a value at these values of keys."""
+    frame = figure.held(study, study.summary, study.keys, where)
+    found = [name for name in names if len(frame.index.intersection(chosen(study.summary, [name]).index))]
+    if not found:
+        raise ValueError("no value here")
+    return found
 
 
 def _more(study: StudyResults, topic: str) -> list[str]:

@@ -23,6 +23,7 @@ from cosim.base.ragged import offsets
 from cosim.base.threads import in_ranges
 from sensors.association import bounded
 from sensors.boxes import Boxes
+from sensors.lanes import COLUMNS, subtract_rows
 
 _LEAST_HEADING_VARIANCE, _LEAST_SIZE_VARIANCE, _LEAST_POSE_VARIANCE = 2e-3**2, 2e-3**2, 1e-10
 """Stated variances count as at least this: heading [rad2], logarithm of a size, pose of a vehicle [m2, rad2]."""
@@ -30,8 +31,6 @@ _MOST_VARIANCE_M2 = 100.0**2
 """Variances of positions count as at most this along any axis."""
 _N_SOLUTIONS = 3
 """Solutions of the least squares; each but the first uses weights from the one before."""
-_LANES = 16
-"""Rows of matrices have this many columns or a multiple of it, so that no part of one is computed number by number."""
 _TAIL = 6.0
 """Squared normalised residual at which a detection has half the weight."""
 
@@ -244,7 +243,7 @@ class _Ego(NamedTuple):
     row: ndarray
     """Detection."""
     slot: ndarray
-    """Number of its vehicle among those whose errors are estimated, the receiver being number 0; -1: not estimated."""
+    """Number of its vehicle among those whose errors are estimated, the receiver being the last; -1: not estimated."""
     x: ndarray
     """Position relative to the seed."""
     y: ndarray
@@ -256,6 +255,8 @@ class _Ego(NamedTuple):
     """Weight of what its vehicle states."""
     weight: ndarray
     """Weight by its residual; 0 if it is not used."""
+    variance: "_Information"
+    """Variance of the position relative to the vehicle, of the object that the seed says there is."""
     given: "_Information"
     """Information of the position, times the first weight."""
     info: "_Information"
@@ -301,8 +302,8 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
         first = min(first, lists.group[p])
         last = max(last, lists.group[p])
     n, n_groups = end - begin, last - first + 1
-    real = np.empty((11, n))
-    number = np.empty((3, n), np.int64)
+    real = np.empty((14, n))
+    number = np.empty((4, n), np.int64)
     ego = _Ego(
         np.zeros(n_groups + 1, np.int64),
         number[0],
@@ -314,26 +315,33 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
         real[4],
         real[5],
         _Information(real[6], real[7], real[8]),
-        _Information(real[9], real[10], np.empty(n)),
+        _Information(real[9], real[10], real[11]),
+        _Information(real[12], real[13], np.empty(n)),
         np.empty(n + 1, np.int64),
     )
-    vehicle, messages = number[2], np.empty(n + 1, np.int64)
-    _sort(begin, end, first, table, lists, ego, vehicle)
+    vehicle, sender, messages = number[2], number[3], np.empty(n + 1, np.int64)
+    _sort(begin, end, first, table, lists, ego, vehicle, sender)
     errors, covariance = np.empty(0), np.empty((0, 0))
     for v in range(len(weight)):
-        if _weigh(e, v, first, table, lists, weight, known, ego) or v == 0:
-            n_slots = _number(owner, table, ego, vehicle, messages, align)
-            _prepare(first, owner, table, lists, ego, align)
+        is_new = _weigh(e, v, first, lists, weight, known, ego, vehicle, sender) or v == 0
+        if is_new:
+            n_slots = _number(owner, ego, vehicle, sender, messages, align)
+            _prepare(owner, table, ego, align)
             errors, covariance = _pose_errors(table, ego, messages, n_slots, align)
         slope = np.zeros((2, len(errors)))
         for g in range(first, last + 1):
             row = out[v, g]
-            if row >= 0:
-                begin = ego.begin[g - first]
-                end = ego.begin[g - first + 1]
-                seed, filled = lists.seed[g], box[row]
-                _fuse_place(begin, end, seed, owner, table, ego, errors, covariance, slope, filled, variance[row])
-                _fuse_shape(begin, end, seed, table, ego, errors, covariance, filled)
+            if row < 0:
+                continue
+            same = -1 if is_new else out[v - 1, g]
+            if same >= 0:
+                box[row], variance[row] = box[same], variance[same]
+                continue
+            begin = ego.begin[g - first]
+            end = ego.begin[g - first + 1]
+            seed, filled = lists.seed[g], box[row]
+            _fuse_place(begin, end, seed, owner, table, ego, errors, covariance, slope, filled, variance[row])
+            _fuse_shape(begin, end, seed, table, ego, errors, covariance, filled)
 
 
 @compiled
@@ -341,9 +349,9 @@ def _pose_errors(table, ego, messages, n_slots, align):
     """Pose errors of the numbered vehicles, and their covariance."""
     errors = np.zeros(3 * n_slots)
     system = np.zeros((len(errors), _padded(len(errors))))
-    pull = np.empty((len(ego.row) + 1, 3, 2))
+    room = np.zeros((4, system.shape[1]))
     for solution in range(_N_SOLUTIONS):
-        _assemble(table, ego, messages, n_slots, align, pull, system, errors)
+        _assemble(table, ego, messages, n_slots, align, room, system, errors)
         _factorise(system)
         _solve(system, errors)
         if solution < _N_SOLUTIONS - 1:
@@ -354,8 +362,8 @@ def _pose_errors(table, ego, messages, n_slots, align):
 
 
 @kernel
-def _sort(begin, end, first, table, lists, ego, vehicle):
-    """Sort the detections of a list by group, then by their places in the list, and number their messages."""
+def _sort(begin, end, first, table, lists, ego, vehicle, sender):
+    """Sort the detections of a list by group, then by their places in the list, and number their messages, `sender`."""
     for p in range(begin, end):
         ego.begin[lists.group[p] - first + 1] += 1
     for g in range(len(ego.begin) - 1):
@@ -366,16 +374,18 @@ def _sort(begin, end, first, table, lists, ego, vehicle):
         if table.message[d] != message:
             n_messages += 1
             message = table.message[d]
+            sender[n_messages] = message
         k = ego.begin[g]
         ego.begin[g] += 1
         ego.row[k], vehicle[k] = d, n_messages
+        _locate(k, d, lists.seed[first + g], message, table, ego)
     for g in range(len(ego.begin) - 1, 0, -1):
         ego.begin[g] = ego.begin[g - 1]
     ego.begin[0] = 0
 
 
 @kernel
-def _weigh(e, v, first, table, lists, weight, known, ego):
+def _weigh(e, v, first, lists, weight, known, ego, vehicle, sender):
     """Set the weights of the detections; returns whether any differs from the one before. If none does, all stays."""
     begin, end = lists.received_ptr[e], lists.received_ptr[e + 1]
     for h in range(end - 1, begin - 1, -1):  # the first weight of a message counts
@@ -385,8 +395,7 @@ def _weigh(e, v, first, table, lists, weight, known, ego):
     for g in range(len(ego.begin) - 1):
         seed = lists.seed[first + g]
         for k in range(ego.begin[g], ego.begin[g + 1]):
-            d = ego.row[k]
-            trust = 1.0 if d == seed else known[table.message[d]]
+            trust = 1.0 if ego.row[k] == seed else known[sender[vehicle[k]]]
             is_new |= trust != ego.trust[k]
             ego.trust[k] = trust
     for h in range(begin, end):
@@ -398,8 +407,11 @@ def _weigh(e, v, first, table, lists, weight, known, ego):
 
 
 @compiled
-def _number(owner, table, ego, vehicle, messages, align):
-    """Number the vehicles whose pose errors are estimated: the receiver, then those with an object that others have."""
+def _number(owner, ego, vehicle, sender, messages, align):
+    """Number the vehicles whose pose errors are estimated: those with an object that others have, then the receiver.
+
+    It shares objects with most of the others, so that few entries become nonzero when the matrix is factorised.
+    """
     slots = np.full(len(ego.row) + 1, -1)
     messages[0] = owner
     n_slots = 1
@@ -408,7 +420,7 @@ def _number(owner, table, ego, vehicle, messages, align):
         for k in range(ego.begin[g], ego.begin[g + 1]):
             n_used += ego.weight[k] > 0.0
         for k in range(ego.begin[g], ego.begin[g + 1]):
-            message = table.message[ego.row[k]]
+            message = sender[vehicle[k]]
             is_used = ego.weight[k] > 0.0
             if message == owner:
                 slots[vehicle[k]] = 0
@@ -417,35 +429,37 @@ def _number(owner, table, ego, vehicle, messages, align):
                 messages[n_slots] = message
                 n_slots += 1
     for k in range(len(ego.row)):
-        ego.slot[k] = slots[vehicle[k]]
+        slot = slots[vehicle[k]]
+        ego.slot[k] = n_slots - 1 - slot if slot >= 0 else -1
+    messages[:n_slots] = messages[:n_slots][::-1].copy()
     return n_slots
 
 
+@inlined
+def _locate(k, d, s, message, table, ego):
+    """Position of a detection relative to the seed s and to its vehicle, and its variance."""
+    ego.x[k], ego.y[k] = _between(table.xyz, d, table.xyz, s)
+    ego.left[k], ego.up[k] = _between(table.xyz, d, table.origin, message)
+    xx, xy, yy = table.variance[d, 0], table.variance[d, 1], table.variance[d, 2]
+    if table.label[d] != table.label[s]:
+        xx, xy, yy = _with_size(d, s, table, xx, xy, yy)
+    ego.variance.xx[k], ego.variance.xy[k], ego.variance.yy[k] = xx, xy, yy
+
+
 @kernel
-def _prepare(first, owner, table, lists, ego, align):
-    """Relative positions, and the information that each detection has."""
-    for g in range(len(ego.begin) - 1):
-        s = lists.seed[first + g]
-        for k in range(ego.begin[g], ego.begin[g + 1]):
+def _prepare(owner, table, ego, align):
+    """The information that each detection has."""
+    for k in range(len(ego.row)):
+        xx, xy, yy = _row(ego.variance, k)
+        if ego.slot[k] < 0:  # the pose error counts as noise of this detection
             d = ego.row[k]
-            m = table.message[d]
-            x, y = _between(table.xyz, d, table.xyz, s)
-            left, up = _between(table.xyz, d, table.origin, m)
-            ego.x[k], ego.y[k] = x, y
-            ego.left[k], ego.up[k] = left, up
-            xx = table.variance[d, 0]
-            xy = table.variance[d, 1]
-            yy = table.variance[d, 2]
-            if table.label[d] != table.label[s]:
-                xx, xy, yy = _with_size(d, s, table, xx, xy, yy)
-            if ego.slot[k] < 0:  # the pose error counts as noise of this detection
-                xx, xy, yy = _with_pose(d, m, table, xx, xy, yy)
-                if not align:
-                    xx, xy, yy = _with_pose(d, owner, table, xx, xy, yy)
-            per = ego.trust[k] / (xx * yy - xy * xy)
-            ego.given.xx[k] = per * yy
-            ego.given.xy[k] = -per * xy
-            ego.given.yy[k] = per * xx
+            xx, xy, yy = _with_pose(d, table.message[d], table, xx, xy, yy)
+            if not align:
+                xx, xy, yy = _with_pose(d, owner, table, xx, xy, yy)
+        per = ego.trust[k] / (xx * yy - xy * xy)
+        ego.given.xx[k] = per * yy
+        ego.given.xy[k] = -per * xy
+        ego.given.yy[k] = per * xx
 
 
 @inlined
@@ -550,7 +564,7 @@ def _without_error(k, ego, errors):
 
 
 @kernel
-def _assemble(table, ego, messages, n_slots, align, pull, system, right):
+def _assemble(table, ego, messages, n_slots, align, room, system, right):
     """Normal equations of the pose errors, after the objects are eliminated; the upper triangle is filled."""
     system[:] = 0.0
     given, info = ego.given, ego.info
@@ -567,27 +581,36 @@ def _assemble(table, ego, messages, n_slots, align, pull, system, right):
     for g in range(len(ego.begin) - 1):
         begin, end = ego.begin[g], ego.begin[g + 1]
         if end - begin > 1:
-            _add_group(begin, end, ego, pull, system, right)
+            _add_group(begin, end, ego, room, system, right)
 
 
 @kernel
-def _add_group(begin, end, ego, pull, system, right):
-    """Add a group to the normal equations, of which the upper triangle is filled. `pull` is room."""
+def _add_group(begin, end, ego, room, system, right):
+    """Add a group to the normal equations, of which the upper triangle is filled.
+
+    `room` has the columns of the system. Its rows 0 and 1 are zero before and after.
+    """
     info = ego.info
     xx, xy, yy = _sum_of_group(begin, end, info)
+    pull, share = room[:2], room[2:]
     x = y = 0.0
+    low, high = len(system), 0
     for k in range(begin, end):
         a, b, c = _row(info, k)
         u, v = ego.x[k], ego.y[k]
         u, v = _times(a, b, c, u, v)
         x += u
         y += v
-        for i in range(3):
-            a, b = _pull(i, k, info, ego)
-            pull[k, i, 0] = a
-            pull[k, i, 1] = b
+        s = 3 * ego.slot[k]
+        if s >= 0:
+            low, high = min(low, s), max(high, s + 3)
+            for c in range(3):
+                a, b = _pull(c, k, info, ego)
+                pull[0, s + c] += a
+                pull[1, s + c] += b
     x, y = _times(xx, xy, yy, x, y)
-    share = pull[end]
+    for i in range(np.uint64(low // COLUMNS * COLUMNS), np.uint64(_padded(high))):
+        share[0, i], share[1, i] = _times(xx, xy, yy, pull[0, i], pull[1, i])
     for k in range(begin, end):
         s = 3 * ego.slot[k]
         if s < 0 or ego.weight[k] <= 0.0:
@@ -596,26 +619,16 @@ def _add_group(begin, end, ego, pull, system, right):
         v = ego.y[k] - y
         left, up = ego.left[k], ego.up[k]
         for c in range(3):
-            a = pull[k, c, 0]
-            b = pull[k, c, 1]
+            a, b = _pull(c, k, info, ego)
             right[s + c] += a * u + b * v
             system[s, s + c] += a
             system[s + 1, s + c] += b
             turned = b * left - a * up
             system[s + 2, s + c] += turned
-            a, b = _times(xx, xy, yy, a, b)
-            share[c, 0] = a
-            share[c, 1] = b
-        for j in range(begin, end):
-            t = 3 * ego.slot[j]
-            if 0 <= t <= s:
-                for i in range(3):
-                    a = pull[j, i, 0]
-                    b = pull[j, i, 1]
-                    row = system[t + i]
-                    for c in range(3):
-                        p, q = share[c, 0], share[c, 1]
-                        row[s + c] -= p * a + q * b
+        factors = pull[0, s], pull[0, s + 1], pull[0, s + 2], pull[1, s], pull[1, s + 1], pull[1, s + 2]
+        _subtract(system, s, share, 0, factors, s, high)
+        for c in range(s, s + 3):  # another detection of this vehicle has been added, too
+            pull[0, c] = pull[1, c] = 0.0
 
 
 @kernel
@@ -641,41 +654,42 @@ def _reweigh(ego, errors):
 def _factorise(a):
     """Replace the upper triangle of a positive definite matrix by its Cholesky factor, a vehicle at a time."""
     n = len(a)
-    for k in range(0, n, 3):
-        for j in range(k, n):
-            factors = a[k : k + 3, j]
-            _subtract(a[j], a, k, factors, 0, j - k, j, n)
-            if j < k + 3:
-                root = np.sqrt(a[j, j])
-                for i in range(j, n):
-                    a[j, i] /= root
-                a[j, j] = root
+    for i in range(0, n, 3):
+        for k in range(0, i, 3):
+            first, second, third = a[k], a[k + 1], a[k + 2]
+            factors = (
+                *(first[i], first[i + 1], first[i + 2]),
+                *(second[i], second[i + 1], second[i + 2]),
+                *(third[i], third[i + 1], third[i + 2]),
+            )
+            _subtract(a, i, a, k, factors, i, n)
+        for j in range(i, i + 3):
+            row = a[j]
+            for k in range(i, j):
+                other = a[k]
+                value = other[j]
+                for c in range(j, n):
+                    row[c] -= value * other[c]
+            per = 1.0 / np.sqrt(row[j])
+            for c in range(j, n):
+                row[c] *= per
 
 
 @inlined
 def _padded(n):
     """The number of columns that hold n."""
-    return (n + _LANES - 1) // _LANES * _LANES
+    return (n + COLUMNS - 1) // COLUMNS * COLUMNS
 
 
 @inlined
-def _subtract(row, of, k, factors, low, high, begin, end):
-    """Subtract multiples of rows k, k + 1 and k + 2 from another row, in columns `begin` to `end` and some beside them.
-
-    Of these rows, those from `low` to `high` count.
-    """
-    first = factors[0] if low < 1 <= high else 0.0
-    second = factors[1] if low < 2 <= high else 0.0
-    third = factors[2] if low < 3 <= high else 0.0
-    if first != 0.0 or second != 0.0 or third != 0.0:
-        a, b = of[k], of[k + 1]
-        c = of[k + 2]
-        begin = begin // _LANES * _LANES
-        end = _padded(end)
-        for i in range(np.uint64(begin), np.uint64(end)):
-            value = row[i] - first * a[i]
-            value -= second * b[i]
-            row[i] = value - third * c[i]
+def _subtract(rows, i, of, k, factors, begin, end):
+    """Subtract multiples of rows k, k + 1, ... from rows i, i + 1 and i + 2, in columns `begin` to `end` and beside."""
+    size = 0.0
+    for factor in factors:
+        size += abs(factor)
+    if size > 0.0:
+        for column in range(np.uint64(begin // COLUMNS * COLUMNS), np.uint64(end), np.uint64(COLUMNS)):
+            subtract_rows(rows, i, of, k, factors, column)
 
 
 @kernel
@@ -683,35 +697,56 @@ def _solve(factor, x):
     """Replace the right side by the solution."""
     n = len(factor)
     for k in range(n):
-        x[k] /= factor[k, k]
+        row = factor[k]
+        value = x[k] / row[k]
         for i in range(k + 1, n):
-            x[i] -= factor[k, i] * x[k]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            x[i] -= factor[i, k] * x[k]
-        x[i] /= factor[i, i]
+            x[i] -= row[i] * value
+        x[k] = value
+    for i in range(n - 3, -1, -3):
+        a, b, c = factor[i], factor[i + 1], factor[i + 2]
+        u = v = w = 0.0
+        for k in range(i + 3, n):
+            u += a[k] * x[k]
+            v += b[k] * x[k]
+            w += c[k] * x[k]
+        j, k = i + 1, i + 2
+        x[k] = (x[k] - w) / c[k]
+        x[j] = (x[j] - v - b[k] * x[k]) / b[j]
+        x[i] = (x[i] - u - a[j] * x[j] - a[k] * x[k]) / a[i]
 
 
 @kernel
 def _invert(factor, inverse):
-    """Inverse of the matrix of a Cholesky factor: column j solves for unit vector j, all columns at once."""
+    """Inverse of the matrix of a Cholesky factor U, from the last vehicle on: U times it is lower triangular.
+
+    Both triangles are filled, the lower one with what is found for the upper one.
+    """
     n = len(factor)
     inverse[:] = 0.0
-    for i in range(n):
-        inverse[i, i] = 1.0
-    for k in range(0, n, 3):
-        for i in range(k, n):
-            factors = factor[k : k + 3, i]
-            _subtract(inverse[i], inverse, k, factors, 0, i - k, 0, k + 3)
-            if i < k + 3:
-                for j in range(i + 1):
-                    inverse[i, j] /= factor[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i - i % 3, n, 3):
-            factors = factor[i, k : k + 3]
-            _subtract(inverse[i], inverse, k, factors, i + 1 - k, 3, 0, n)
-        for j in range(n):
-            inverse[i, j] /= factor[i, i]
+    for i in range(n - 3, -1, -3):
+        first, second, third = factor[i], factor[i + 1], factor[i + 2]
+        for k in range(i + 3, n, 3):
+            factors = (
+                *(first[k], second[k], third[k]),
+                *(first[k + 1], second[k + 1], third[k + 1]),
+                *(first[k + 2], second[k + 2], third[k + 2]),
+            )
+            _subtract(inverse, i, inverse, k, factors, i + 3, n)
+        for j in range(i + 2, i - 1, -1):
+            row = inverse[j]
+            for k in range(j + 1, i + 3):
+                other, value = inverse[k], factor[j, k]
+                for c in range(i + 3, n):
+                    row[c] -= value * other[c]
+            per = 1.0 / factor[j, j]
+            for c in range(i + 3, n):
+                row[c] *= per
+                inverse[c, j] = row[c]
+            for c in range(i + 2, j - 1, -1):
+                other, value = inverse[c], per if c == j else 0.0
+                for k in range(j + 1, n):
+                    value -= factor[j, k] * other[k]
+                row[c] = inverse[c, j] = value * per
 
 
 @kernel
@@ -723,11 +758,13 @@ def _fuse_place(begin, end, seed, owner, table, ego, errors, covariance, slope, 
     # where the receiver believes it to be
     left = x - table.origin[owner, 0]
     up = y - table.origin[owner, 1]
-    box[0] = x + errors[0] - errors[2] * up
-    box[1] = y + errors[1] + errors[2] * left
-    slope[0, 0] = slope[1, 1] = 1.0
-    slope[0, 2] = -up
-    slope[1, 2] = left
+    own = len(errors) - 3
+    turn = errors[own + 2]
+    box[0] = x + errors[own] - turn * up
+    box[1] = y + errors[own + 1] + turn * left
+    slope[0, own] = slope[1, own + 1] = 1.0
+    slope[0, own + 2] = -up
+    slope[1, own + 2] = left
     for k in range(begin, end):
         s = 3 * ego.slot[k]
         if s >= 0:
@@ -736,26 +773,25 @@ def _fuse_place(begin, end, seed, owner, table, ego, errors, covariance, slope, 
                 a, b = _times(xx, xy, yy, a, b)
                 slope[0, s + c] -= a
                 slope[1, s + c] -= b
-    a, b, c = _spread(_list_vehicles(begin, end, ego), ego, slope, covariance)
+    listed = ego.listed[: _list_vehicles(begin, end, own // 3, ego)]
+    a, b, c = _spread(listed, slope, covariance)
     variance[0] = xx + a
     variance[1] = xy + b
     variance[2] = yy + c
-    slope[:, :3] = 0.0
-    for k in range(begin, end):
-        s = 3 * ego.slot[k]
-        if s >= 0:
-            slope[:, s : s + 3] = 0.0
+    for slot in listed:
+        for c in range(3 * slot, 3 * slot + 3):
+            slope[0, c] = slope[1, c] = 0.0
 
 
 @kernel
-def _list_vehicles(begin, end, ego):
+def _list_vehicles(begin, end, own, ego):
     """Slots of the vehicles of a group, each once, behind that of the receiver; returns how many there are."""
-    ego.listed[0] = 0
+    ego.listed[0] = own
     n = 1
     for k in range(begin, end):
         slot = ego.slot[k]
-        is_new = slot > 0
-        for j in range(1, n):
+        is_new = slot >= 0
+        for j in range(n):
             is_new &= ego.listed[j] != slot
         if is_new:
             ego.listed[n] = slot
@@ -764,21 +800,29 @@ def _list_vehicles(begin, end, ego):
 
 
 @kernel
-def _spread(n, ego, slope, covariance):
-    """G C G' of the first `n` listed vehicles: xx, xy, yy."""
+def _spread(listed, slope, covariance):
+    """G C G' of the listed vehicles: xx, xy, yy. Each pair of vehicles is looked at once."""
     xx = xy = yy = 0.0
-    for k in range(n):
-        s = 3 * ego.listed[k]
-        for j in range(n):
-            t = 3 * ego.listed[j]
-            for c in range(3):
-                a = slope[0, s + c]
-                b = slope[1, s + c]
-                for i in range(3):
-                    value = covariance[t + i, s + c]
-                    xx += a * value * slope[0, t + i]
-                    xy += a * value * slope[1, t + i]
-                    yy += b * value * slope[1, t + i]
+    for m in range(len(listed)):
+        s = 3 * listed[m]
+        first, second, third = covariance[s], covariance[s + 1], covariance[s + 2]
+        x = y = v = w = p = q = 0.0
+        for j in listed[: m + 1]:
+            t = 3 * j
+            share = 0.5 if t == s else 1.0
+            for i in range(t, t + 3):
+                a, b = share * slope[0, i], share * slope[1, i]
+                x += first[i] * a
+                y += first[i] * b
+                v += second[i] * a
+                w += second[i] * b
+                p += third[i] * a
+                q += third[i] * b
+        a, b, c = slope[0, s], slope[0, s + 1], slope[0, s + 2]
+        d, e, f = slope[1, s], slope[1, s + 1], slope[1, s + 2]
+        xx += 2.0 * (a * x + b * v + c * p)
+        xy += a * y + b * w + c * q + d * x + e * v + f * p
+        yy += 2.0 * (d * y + e * w + f * q)
     return xx, xy, yy
 
 
@@ -823,13 +867,14 @@ def _fuse_shape(begin, end, seed, table, ego, errors, covariance, box):
 def _heading_of(k, d, table, ego, errors, covariance):
     """Heading of a detection as the receiver has it, and its variance."""
     angle, spread = table.yaw[d], table.heading[d]
-    s = 3 * ego.slot[k]
-    if s != 0:
-        angle += errors[2]
-        spread += covariance[2, 2]
-    if s > 0:
-        angle -= errors[s + 2]
-        spread += covariance[s + 2, s + 2]
-    elif s < 0:
-        spread += table.pose[table.message[d], 1]
+    own = len(errors) - 1
+    its = 3 * ego.slot[k] + 2
+    if its != own:
+        angle += errors[own]
+        spread += covariance[own, own]
+        if its > 0:
+            angle -= errors[its]
+            spread += covariance[its, its]
+        else:
+            spread += table.pose[table.message[d], 1]
     return angle, spread

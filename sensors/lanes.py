@@ -1,4 +1,4 @@
-"""Sixteen neighbouring rays at once, in vector instructions that Numba's loops do not become.
+"""Vector instructions that Numba's loops do not become, for sixteen neighbouring rays or eight columns of a matrix.
 
 LLVM cuts them to what a processor has. `generate` writes the instructions where a kernel calls the function.
 
@@ -20,6 +20,10 @@ LANES = 16
 TILE = 4
 """Columns."""
 
+COLUMNS = 8
+"""Columns of a matrix."""
+
+_NUMBERS = ir.VectorType(ir.DoubleType(), COLUMNS)
 _FLOATS, _STEPS = ir.VectorType(ir.FloatType(), LANES), ir.VectorType(ir.IntType(16), LANES)
 _ONE, _MASK = ir.IntType(32), ir.IntType(LANES)
 
@@ -109,3 +113,36 @@ def nearest_and_farthest(typing: Any, steps: Any, column: Any, row: Any) -> Any:
         return context.make_tuple(builder, signature.return_type, (over_all("umin", least), farthest))
 
     return types.UniTuple(types.int64, 2)(steps, column, row), generate
+
+
+@_instructions
+def subtract_rows(typing: Any, rows: Any, i: Any, of: Any, k: Any, factors: Any, column: Any) -> Any:
+    """Subtract multiples of rows k, k + 1, ... of a matrix from the rows i, i + 1 and i + 2 of `rows`.
+
+    This is done in the columns `column` to `column + COLUMNS`. `factors` is a tuple of three factors for each row of
+    `of`. Numba's loops do not use vectors here, because they would have to compare too many addresses first.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        def place(which: int, offset: int) -> Any:
+            array = context.make_array(signature.args[which])(context, builder, given[which])
+            row = builder.add(given[which + 1], ir.Constant(given[which + 1].type, offset))
+            first = cgutils.get_item_pointer(context, builder, signature.args[which], array, (row, given[5]))
+            return builder.bitcast(first, _NUMBERS.as_pointer())
+
+        def spread(value: Any) -> Any:
+            one = builder.insert_element(ir.Constant(_NUMBERS, ir.Undefined), value, ir.Constant(_ONE, 0))
+            zeros = ir.Constant(ir.VectorType(_ONE, COLUMNS), [0] * COLUMNS)
+            return builder.shuffle_vector(one, ir.Constant(_NUMBERS, ir.Undefined), zeros)
+
+        each = cgutils.unpack_tuple(builder, given[4])
+        sources = [builder.load(place(2, row), align=8) for row in range(len(each) // 3)]
+        for row in range(3):
+            target = place(0, row)
+            value = builder.load(target, align=8)
+            for source, factor in zip(sources, each[row::3], strict=True):
+                value = builder.fsub(value, builder.fmul(source, spread(factor)))
+            builder.store(value, target, align=8)
+        return context.get_dummy_value()
+
+    return types.void(rows, i, of, k, factors, column), generate

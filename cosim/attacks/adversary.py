@@ -72,8 +72,9 @@ class Active:
         attacks, perceived = self._with("detections"), listed
         listed, n_dropped = without_faults(listed, self.xyz_m)
         n_identities = self.identities(len(self.xyz_m)) if attacks else np.zeros(0, np.int64)
+        seen = listed
         for attack, context in attacks:
-            listed = attack.detections(listed, replace(context, n_identities=n_identities))
+            listed = attack.detections(listed, replace(context, n_identities=n_identities, seen=seen))
             listed, n = without_faults(listed, self.xyz_m)
             n_dropped += n
         return with_perceived(listed, perceived), n_dropped

@@ -54,6 +54,10 @@ class AttackContext:
     """Number of identities under which each actor sends in this step, in addition to its own. Given to `detections`
     only."""
 
+    seen: Detections | None = None
+    """What the detectors of all vehicles found in this step, before any attack: how real detections look. Given to
+    `detections` only."""
+
     def uniforms(self, *names: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:
         """Draw `n` uniforms in [0, 1) of this step for each row of names (`world.name_key`, detection indices, ...).
 

@@ -42,7 +42,7 @@ def ghosts(
     """
     if context.params.appearance == "paper":
         return fabricated(listed, observer, label, boxes, np.ones(len(observer)), target)
-    pool = _pool(listed, context)
+    pool = _pool(listed if context.seen is None else context.seen, context)
     chosen = _alike(pool, observer, label, boxes, context)
     there = chosen >= 0
     donor = chosen[there]
@@ -58,19 +58,19 @@ def ghosts(
     )  # fmt: skip
 
 
-def _pool(listed: Detections, context: AttackContext) -> dict[str, ndarray]:
+def _pool(seen: Detections, context: AttackContext) -> dict[str, ndarray]:
     """Detections of this step, and the last ones of classes that are rare: class, distance and what ghosts take."""
-    rows = np.flatnonzero(listed.origin == SENSED)
-    boxes, by = listed.boxes.take(rows), listed.observer[rows]
+    rows = np.flatnonzero(seen.origin == SENSED)
+    boxes, by = seen.boxes.take(rows), seen.observer[rows]
     now = {
-        "label": listed.label[rows],
+        "label": seen.label[rows],
         "range_m": _range_m(boxes.xyz_m, by, context),
         "name_key": context.name_key(by),
-        "detection_index": listed.detection_index[rows],
+        "detection_index": seen.detection_index[rows],
         "lwh_m": boxes.lwh_m,
-        "score": listed.score[rows],
-        "n_points": listed.n_points[rows],
-        "speed_mps": np.linalg.norm(listed.velocity_mps[rows], axis=1),
+        "score": seen.score[rows],
+        "n_points": seen.n_points[rows],
+        "speed_mps": np.linalg.norm(seen.velocity_mps[rows], axis=1),
     }
     # By distance, and then by name, so that no draw depends on actor numbers.
     order = np.lexsort((now["detection_index"], now["name_key"], now["range_m"]))

@@ -141,11 +141,10 @@ def _check_study(
         values = dict.fromkeys(str(point.keys[key]) for point in task.points)
         swept.append(f"{key}: {', '.join(values)}")
     words = _words(path, preset, overrides).strip()
-    out = shlex.quote(f"runs/{study.head.name}")
     facts: dict[str, Any] = {
         "question": [study.head.question] if study.head.question else [],
         "swept": swept,
         "plan": plan_lines(task),
-        "next": [f"cosim sweep {words} --out {out}"],
+        "next": [f"cosim sweep {words}"],
     }
     print_facts({name: lines for name, lines in facts.items() if lines})

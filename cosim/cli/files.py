@@ -27,10 +27,7 @@ def refuse_other_than_config(path: Path | None) -> None:
     refuse_map(path, "")
     given = shlex.quote(str(path))
     if is_study_file(path):
-        out = shlex.quote(f"runs/{path.stem}")
-        raise ValueError(
-            f"{path} is a study, not the config of one run. Make its runs with: cosim sweep {given} --out {out}"
-        )
+        raise ValueError(f"{path} is a study, not the config of one run. Make its runs with: cosim sweep {given}")
 
 
 def refuse_other_than_study(path: Path) -> None:

@@ -69,6 +69,6 @@ def init(
     except OSError as error:
         raise ValueError(f"{file} cannot be written: {error.strerror or error}. Give another name.") from None
     given = shlex.quote(str(file))
-    then = f"cosim sweep {given} --out {shlex.quote(f'runs/{file.stem}')}" if study else f"cosim run {given}"
+    then = f"cosim {'sweep' if study else 'run'} {given}"
     said = f"wrote {file}\ncheck it:  cosim check {given}\nrun it:    {then}"
     print_done({"wrote": str(file), "next": [f"cosim check {given}", then]}, said, as_json)

@@ -92,7 +92,7 @@ _add_commands_of_addons()
 for commands in (check, init):
     commands.add_to(app)
 
-RunPaths = Annotated[list[Path], typer.Argument(help="Folders that `cosim run` wrote.")]
+RunPaths = Annotated[list[Path], typer.Argument(help="Folders of runs, or of a study.")]
 Picture = Literal[
     "trust",
     "misbehaviour",
@@ -216,10 +216,14 @@ def resume(
 
 @app.command()
 def verify(runs: RunPaths, as_json: AsJson = False) -> None:
-    """Check run folders for missing, changed or unexpected files. Exit status 1 if there are any."""
+    """Check the folders of runs, or of all runs of studies, for missing, changed or unexpected files.
+
+    Exit status 1 if there are any.
+    """
+    from results.study import runs_of
     from results.verify import verify as verified
 
-    found = {str(folder): verified(folder) for folder in runs}
+    found = {str(folder): verified(folder) for named in runs for folder in runs_of(named)}
     if as_json:
         print_json({name: about | {"problems": problems} for name, (about, problems) in found.items()})
     for name, (about, problems) in found.items() if not as_json else ():
@@ -415,11 +419,16 @@ def plot(
 def report(
     folder: Annotated[Path, typer.Argument(help="Folder of a run or a study.")],
     out: Annotated[Path | None, typer.Option(help="File to write. The default is report.html in the folder.")] = None,
+    where: Annotated[
+        list[str] | None, typer.Option(help="study: only points with this value, KEY=VALUE. Repeatable.")
+    ] = None,
 ) -> None:
     """Write one self-contained HTML page about a run or a study."""
     if studies.is_study([folder]):
-        studies.report(folder, out)
+        studies.report(folder, out, where or [])
         return
+    if where:
+        raise ValueError("--where goes with a study, and this is a run. Leave it out.")
     from results.report import write
 
     run = _opened(folder)

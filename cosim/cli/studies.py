@@ -37,7 +37,9 @@ def sweep(
     study: Annotated[
         Path, typer.Argument(help="Study file (TOML), or the name of a shipped study (cosim/studies/README.md).")
     ],
-    out: Annotated[Path, typer.Option(help="Folder of the study. Finished runs in it are not repeated.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the study; finished runs stay. The default is runs/<file name>.")
+    ] = None,
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a running Dask scheduler. The default is to use this machine alone.")
     ] = None,
@@ -59,8 +61,9 @@ def sweep(
 
     refuse_other_than_study(study)
     asked = changed(load(study, trust_code), with_preset(preset, overrides))
+    out = out or Path("runs", study.stem)
     task = sweeping.prepare_study(asked, study.name, out, not separate)
-    said = sweeping.keys_in_vain(task.points) + sweeping.scene_notes(task.points)
+    said = sweeping.keys_in_vain(task.points) + sweeping.scene_notes(task.points) + sweeping.fleet_notes(task.points)
     for note in said + sweeping.interval_notes(task.study):
         notes.print(note, soft_wrap=True)
     if dry_run:
@@ -265,12 +268,13 @@ def plot(
     screen.print(f"wrote {style.save(drawn, out or folder / f'{topic}.png')}", highlight=False, soft_wrap=True)
 
 
-def report(folder: Path, out: Path | None) -> None:
+def report(folder: Path, out: Path | None, where: list[str]) -> None:
     """Write the HTML page of a study."""
     from results.study import open_study
     from results.study_report import write
 
-    screen.print(f"wrote {write(open_study(folder), out)}", highlight=False, soft_wrap=True)
+    path = write(open_study(folder).at(_held(where)), out or folder / "report.html", ", ".join(where))
+    screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 
 def plan_facts(task: "Task", workers: int | None = None) -> dict[str, Any]:
@@ -303,19 +307,23 @@ def plan_lines(task: "Task", workers: int | None = None) -> list[str]:
     """What a sweep would make, in sentences."""
     made, cost, facts = task.plan, task.estimate, plan_facts(task, workers)
     merged = facts["points_as_trust_variants"]
+    most = "at most " if task.study.keep.tables else ""  # tables that are not kept are deleted after the metrics
     return [
         f"{facts['study']}: {facts['points']} points, {facts['finished']} finished, {facts['runs']} runs to make",
         f"{merged} points are trust variants of runs that differ in trust alone: {saving(cost.merged_saves_s)}",
         f"{facts['runs_that_replay_traffic']} runs replay {len(made.traffic)} recorded traffics: "
         f"{saving(cost.traffic_saves_s)}",
         f"about {facts['seconds']} s of processor time instead of {facts['seconds_separately']} s"
-        f" ({cost.separate_s / max(cost.planned_s, 1e-9):.1f} times less), {facts['MB']} MB "
-        f"({facts['estimate']})",
+        f"{_times_less(cost.separate_s, cost.planned_s)}, {most}{facts['MB']} MB ({facts['estimate']})",
         f"about {duration(facts['seconds_by_the_clock'])} with {facts['workers']} workers on free cores, and "
         f"{facts['memory_GB']} GB of memory",
         *_cheaper(task, facts),
         *(f"not shared: {remark}" for remark in made.remarks),
     ]
+
+
+def _times_less(separate_s: float, planned_s: float) -> str:
+    return f" ({separate_s / planned_s:.1f} times less)" if 0 < planned_s < separate_s else ""
 
 
 def _cheaper(task: "Task", facts: dict[str, Any]) -> list[str]:

@@ -1,10 +1,12 @@
 """Builds the documentation site: `python -m cosim.docs.site OUT`.
 
-The pages come from `pages/`, from the packages' READMEs and from the code. In pages from elsewhere in the repository,
-links are changed to the site's pages, and links to source files become plain names.
+The pages come from `pages/`, from the packages' READMEs and from the code. Their links name files of the repository, so
+that they can be followed in a checkout. Here they are changed to the site's pages, and links to source files become
+plain names.
 """
 
 import os
+import posixpath
 import re
 import shutil
 import subprocess
@@ -36,6 +38,15 @@ TAKEN: Mapping[str, str] = {
     "CHANGELOG.md": "changelog.md",
 }
 """Pages from elsewhere in the repository, and their places on the site."""
+MADE: Mapping[str, str] = {
+    "cosim/config/config.py": "reference/config.md",
+    "cosim/cli/main.py": "reference/cli.md",
+    f"{PAGES}howto/python.py": "howto/python.md",
+    "README.md": "index.md",
+}
+"""Files of the repository for which the site has a page of its own."""
+FILES: Mapping[str, str] = {"results/pictures/": "pictures/", "sensors/profiles/": "models/profiles/", PAGES: ""}
+"""Folders of the repository, and their places on the site."""
 
 _LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
 _FENCE = re.compile(r"(^```.*?^```$)", flags=re.DOTALL | re.MULTILINE)
@@ -43,11 +54,12 @@ _FENCE = re.compile(r"(^```.*?^```$)", flags=re.DOTALL | re.MULTILINE)
 
 def pages() -> dict[str, str]:
     """Every page of the site by path, as Markdown with links within the site and equations as LaTeX."""
+    paths = sorted((HERE / "pages").rglob("*.md"))
+    sources = {path.relative_to(ROOT).as_posix(): path.relative_to(HERE / "pages").as_posix() for path in paths}
     found = {
-        path.relative_to(HERE / "pages").as_posix(): path.read_text(encoding="utf-8")
-        for path in sorted((HERE / "pages").rglob("*.md"))
+        at: _turned((ROOT / source).read_text(encoding="utf-8"), source, at)
+        for source, at in {**sources, **TAKEN}.items()
     }
-    found |= {at: _turned((ROOT / source).read_text(encoding="utf-8"), source, at) for source, at in TAKEN.items()}
     found["reference/config.md"] = config_keys.markdown()
     found["reference/cli.md"] = commands.markdown()
     found["howto/python.md"] = _notebook((HERE / "pages/howto/python.py").read_text(encoding="utf-8"))
@@ -78,31 +90,27 @@ def _turned(text: str, source: str, at: str) -> str:
 
     def link(found: re.Match[str]) -> str:
         picture, label, target = found.groups()
-        place, _, anchor = target.partition("#")
+        place, hash_, anchor = target.partition("#")
         if "://" in target or not place:
             return found.group()
-        path = (ROOT / source).parent.joinpath(place).resolve().relative_to(ROOT).as_posix()
-        if f"{path}/README.md" in TAKEN:
-            path = f"{path}/README.md"
-        page = TAKEN.get(path) or (path.removeprefix(PAGES) if path.startswith(PAGES) else "")
-        if page:
-            return f"{picture}[{label}]({_relative(page, at)}{'#' + anchor if anchor else ''})"
-        if path.startswith("results/pictures/"):
-            return f"{picture}[{label}]({_relative(path.removeprefix('results/'), at)})"
-        if path == "README.md":
-            return f"{picture}[{label}]({_relative('index.md', at)})"
-        if picture:
-            return f"![{label}]({place})"
+        path = Path(os.path.normpath(Path(source).parent / place)).as_posix()
         if not (ROOT / path).exists():
             raise ValueError(f"{source}: links to {target}, which is not there.")
+        page = _place(path)
+        if page:
+            return f"{picture}[{label}]({posixpath.relpath(page, posixpath.dirname(at))}{hash_}{anchor})"
         return label if label.startswith("`") else f"{label} (`{path}`)"
 
     parts = _FENCE.split(text)
     return "".join(part if part.startswith("```") else _LINK.sub(link, part) for part in parts)
 
 
-def _relative(target: str, at: str) -> str:
-    return "../" * at.count("/") + target
+def _place(path: str) -> str:
+    """The place on the site of a file of the repository, or nothing."""
+    path = f"{path}/README.md" if f"{path}/README.md" in TAKEN else path
+    if path in TAKEN or path in MADE:
+        return TAKEN.get(path) or MADE[path]
+    return next((FILES[folder] + path.removeprefix(folder) for folder in FILES if path.startswith(folder)), "")
 
 
 def _notebook(text: str) -> str:

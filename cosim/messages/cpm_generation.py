@@ -7,9 +7,9 @@ References
 
 Notes
 -----
-We could not obtain the text of [1]_. Its sentences on inclusion and its order of objects are quoted in the sources of
-two simulators, ms-van3t (`CPBasicService.cc`) and a fork of Artery (`CpService.cc`), which we follow. Where they differ
-(4 degrees or more, or more than 4 degrees), we take the sentence that ms-van3t quotes: more.
+We could not obtain the whole text of [1]_. Its clauses are quoted in the sources of ms-van3t (`CPBasicService.cc`) and
+of two forks of Artery (`CpService.cc`), which we follow. Where they differ (4 degrees or more, or more than 4 degrees),
+we take the sentence that ms-van3t quotes: more. The README of this folder goes through the clauses one by one.
 """
 
 from dataclasses import dataclass, field
@@ -309,7 +309,7 @@ def due(now: Remembered, label: UInt8[ndarray, "r"], sender: Int[ndarray, "r"]) 
     than 0.5 m/s or turned by more than 4 degrees, or after 1 s [1]_. People (type A) are included if they are new. If
     one of them was last included 0.5 s ago or longer, all are included. Self reports follow the same rules [2]_.
     Deviations: without tracking, objects are associated by place. The angle is that of the box, not of the velocity.
-    There is no rule on speed where it is unknown, and no threshold of quality.
+    There is no rule on speed where it is unknown. The threshold of quality is met by all that was just detected.
     """
     moved_m, faster_mps, turned_rad, elapsed_s = now.changes()
     is_new, person = now.near < 0, _VULNERABLE[label]

@@ -6,8 +6,8 @@ Notes
 -----
 The rules are those of ETSI TR 103 562 V2.1.1, "Analysis of the Collective Perception Service". We could not obtain its
 text. We follow the rules as a fork of Artery implements them (`src/artery/application/cp/RedundancyMitigationRule.cc`),
-which says that it implements the report. The rules on confidence and entropy of the report, and the value of
-information by angle of TS 103 324 (annex E), are not built, because we know no more of them than their names.
+which says that it implements the report. Annex E of TS 103 324 orders objects by such values instead of leaving them
+out. Its values by angle and by confidence are not built.
 """
 
 from collections.abc import Callable

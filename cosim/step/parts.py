@@ -66,8 +66,8 @@ class Parts:
     """Recall of the detector (`sensors.detector.KnowsRecall`); None unless denials are weighted by it."""
     coverage: Coverage | None = None
     """What a detector should find from another place; None unless evaluations are about missing objects."""
-    certified: UInt64[ndarray, "c"] = field(default_factory=lambda: np.zeros(0, np.uint64))
-    """Keys of the names of roadside units that are trusted by the class of their certificate."""
+    units: RoadsideUnits = NO_UNITS
+    """Roadside units that sense."""
     limits: SpeedLimits = NO_LIMITS
     """Speed limits of the roads, by the map that vehicles have."""
     watch: Stopwatch = field(default_factory=Stopwatch)
@@ -115,10 +115,19 @@ class Parts:
             accuracy=DetectorAccuracy.of(_make(c, "detector")),
             recall=recall_of(c) if c.trust.denials == "recall" else None,
             coverage=Coverage.of(c.lidar, walls, recall_of(c)) if "missing" in c.trust.evidence else None,
-            certified=units.name_key[units.trusted],
+            units=units,
             limits=limits,
             watch=Stopwatch() if watch is None else watch,
         )
+
+    def under(self, experiment: Config) -> "Parts":
+        """The components that another config names, in the same place: its city, antennas, units and speed limits."""
+        return Parts.of(experiment, self.city, self.rsus, None, self.units, self.limits)
+
+    @property
+    def certified(self) -> UInt64[ndarray, "c"]:
+        """Keys of the names of roadside units that are trusted by the class of their certificate."""
+        return self.units.name_key[self.units.trusted]
 
     def senses(self, step: int) -> bool:
         """Whether vehicles can sense and exchange messages in this step."""

@@ -13,6 +13,7 @@ from scipy.stats import t
 
 from cosim.runs import check as checking
 from cosim.runs.cluster import connected, local
+from cosim.studies.density import vehicles_on_road
 from cosim.studies.engine import Work, execute
 from cosim.studies.estimate import Estimate, estimate
 from cosim.studies.folder import Attempt, StudyFolder, write_whole
@@ -124,6 +125,30 @@ def scene_notes(points: Sequence[Point]) -> list[str]:
     traffic = (point.config.traffic for point in points)
     scenarios = [find(*named) for named in dict.fromkeys((one.scenario, one.trace) for one in traffic)]
     return [note for scenario in scenarios for note in scene_summary(scenario).notes]
+
+
+FEW_EQUIPPED = 5.0
+"""Fewer equipped vehicles than this on the road at a time hardly meet, and a share of them is one vehicle or none."""
+
+
+def fleet_notes(points: Sequence[Point]) -> list[str]:
+    """A note on the points with hardly any equipped vehicles."""
+    found = {}
+    for point in points:
+        config = point.config
+        named = (config.traffic.scenario, config.fleet.penetration_p)
+        if named not in found and config.sensing:
+            found[named] = vehicles_on_road(config) * config.fleet.penetration_p
+    few = [(city, p, n) for (city, p), n in found.items() if n < FEW_EQUIPPED]
+    if not few:
+        return []
+    city, p, n = min(few, key=lambda of: of[2])
+    more = f", and {len(few) - 1} more" if len(few) > 1 else ""
+    return [
+        f"note: about {n:.1f} equipped vehicles are on the road at a time at traffic.scenario = {city} with "
+        f"fleet.penetration_p = {p:g}{more}. So few hardly meet, and a share of them is one vehicle or none. Raise "
+        "fleet.penetration_p or traffic.scale."
+    ]
 
 
 FEW_REPLICATES = 5

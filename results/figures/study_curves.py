@@ -5,9 +5,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from results.figures import style
 from results.figures.study import MOST_PANELS, held, label_of
@@ -106,7 +108,10 @@ def draw(
         style.share_axis(axes)
         axes.set_xlim(0, max(longest_s, 1.0) * 1.02)
     names = [f"{label_of(colour)} = {said(hue)}" for hue in hues] if colour else []
-    style.legend(figure, list(map(_entry, range(len(names)), names)))
+    entries: list[Artist] = list(map(_entry, range(len(names)), names))
+    if (n := frame.replicate.nunique()) > 1:
+        entries.append(Patch(label=f"pooled; band: {n} single replicates", color=style.ink(0), alpha=0.18, linewidth=0))
+    style.legend(figure, entries)
     return figure
 
 

@@ -40,6 +40,20 @@ def named(frame: pd.DataFrame) -> pd.Series:
     return pd.Series([names[key] for key in keys], frame.index, dtype=object)
 
 
+def definitions(run: Run) -> pd.DataFrame:
+    """The definitions of the config, and those of the table `encounters`: one row each, sorted by `DEFINITION`.
+
+    A definition of the config by which nobody met is there, too: its encounters are none, not unknown.
+    """
+    asked = pd.DataFrame(run.config.get("encounters", ()), columns=[*DEFINITION])
+    for name in ("radius_m", "hysteresis_s"):
+        asked[name] = asked[name].astype(np.float32).astype(float)  # as the table keeps them
+    there = run.table("encounters", DEFINITION).drop_duplicates()
+    there = there.astype(dict.fromkeys(("pairs", "los"), object) | dict.fromkeys(("radius_m", "hysteresis_s"), float))
+    both = there if asked.empty else asked if there.empty else pd.concat([asked, there])
+    return both.drop_duplicates().sort_values([*DEFINITION], ignore_index=True)
+
+
 def definition(run: Run, radius_m: float | None = None, pairs: str | None = None) -> dict[str, float | str]:
     """One definition of an encounter, by column of `DEFINITION`.
 
@@ -83,12 +97,17 @@ def contacts(run: Run, radius_m: float | None = None, pairs: str | None = None) 
 
 def durations(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     """One row per encounter: the columns of `DEFINITION`, a, b, duration_s, gap_s, `start_seen` and `end_seen`."""
-    frame = run.table("encounters", _COLUMNS)
+    frame = _durations(run, departure)
     if frame.empty:
         raise ValueError(
             f"{run.path} holds no encounters: no two came within the radius of each other. "
             "Raise encounters.radius_m, fleet.penetration_p or traffic.duration_s and run again."
         )
+    return frame
+
+
+def _durations(run: Run, departure: Departure) -> pd.DataFrame:
+    frame = run.table("encounters", _COLUMNS)
     end_seen = ~frame.censored_right
     if departure == "censors":
         end_seen &= ~frame.departed
@@ -122,16 +141,22 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     The columns of `DEFINITION`; n; n_start_unseen, n_end_unseen and their shares censored_left, censored_right; mean_s,
     median_s of the durations as recorded; km_median_s (Kaplan-Meier, null if the survival curve stays above one half)
     and km_mean_s, restricted to the longest duration observed, `horizon_s`; again_share: share that are not the first
-    of their pair; gap_median_s: time since the encounter before; definition: its name.
+    of their pair; gap_median_s: time since the encounter before; definition: its name. Where nobody met, n is 0 and
+    nothing else is known.
 
     mean_s and the three shares have intervals in which encounters that share an actor depend on each other
     (`intervals.mean_of_pairs`). The interval of km_median_s takes encounters as independent.
     """
+    found = dict(list(_durations(run, departure).groupby([*DEFINITION], observed=True)))
     rows = []
-    for kind, frame in durations(run, departure).groupby([*DEFINITION], observed=True):
+    for kind in definitions(run).itertuples(index=False, name=None):
+        definition: dict[str, object] = dict(zip(DEFINITION, kind, strict=True))
+        if kind not in found:
+            rows.append(definition | {"n": 0})
+            continue
+        frame = found[kind]
         curve = _curve(frame)
         again = frame.gap_s.dropna()
-        definition: dict[str, object] = dict(zip(DEFINITION, kind, strict=True))
         rows.append(
             definition
             | {
@@ -151,8 +176,8 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
                 "gap_median_s": float(again.median()) if len(again) else np.nan,
             }
         )
-    found = pd.DataFrame(rows)
-    return found.assign(definition=named(found))
+    table = pd.DataFrame(rows)
+    return table.assign(definition=named(table))
 
 
 def rates(run: Run) -> pd.DataFrame:
@@ -161,19 +186,18 @@ def rates(run: Run) -> pd.DataFrame:
     Encounters that begin while the run is recorded count, for both of their vehicles. They are divided by the time that
     the vehicles which can have one are on the road: equipped vehicles, or all where all pairs count.
     """
-    found = run.sql(f"""
-        WITH kinds AS (
-            SELECT {", ".join(DEFINITION)}, count_if(NOT censored_left) AS n FROM encounters GROUP BY ALL
-        )
-        SELECT kinds.*, 2 * n / nullif((
-            SELECT sum(last_step - first_step + 1) * $dt_s / 3600 FROM vehicles v WHERE CASE
-                WHEN kinds.pairs IN ('equipped', 'los') THEN v.equipped
-                WHEN v.vehicle_class = 'pedestrian' THEN kinds.pedestrians
-                ELSE v.vehicle_class <> 'roadside_unit' END
-        ), 0) AS per_vehicle_h
-        FROM kinds ORDER BY ALL
-    """)
-    return found.assign(definition=named(found))
+    kinds = definitions(run)
+    begun = run.table("encounters", [*DEFINITION, "censored_left"])
+    n = begun[~begun.censored_left].groupby([*DEFINITION], observed=True).size().to_dict()
+    vehicles = run.table("vehicles", ["first_step", "last_step", "equipped", "vehicle_class"])
+    there_h = (vehicles.last_step - vehicles.first_step + 1) * run.dt_s / 3600
+    walks, stands = vehicles.vehicle_class == "pedestrian", vehicles.vehicle_class == "roadside_unit"
+    rates = []
+    for kind in kinds.to_dict("records"):
+        everybody = ~stands & (~walks | bool(kind["pedestrians"]))
+        total_h = float(there_h[vehicles.equipped if kind["pairs"] in ("equipped", "los") else everybody].sum())
+        rates.append(2 * n.get(tuple(kind.values()), 0) / total_h if total_h else np.nan)
+    return kinds.assign(per_vehicle_h=rates, definition=named(kinds))
 
 
 def _mean(frame: pd.DataFrame, values: pd.Series, name: str) -> dict[str, float]:

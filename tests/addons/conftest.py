@@ -1,4 +1,4 @@
-"""Made-up runs, as the tests of `results` have them."""
+"""Runs as the tests of `results` have them."""
 
 from tests.results.conftest import other, run, tiny
 

@@ -100,7 +100,7 @@ def bench(
     ])  # fmt: skip
     found = find(config.traffic.scenario, config.traffic.trace)
     worlds, registry = _worlds(config, found, WARM_UP_STEPS + seconds)
-    parts = Parts.of(config, found.city())
+    parts = Parts.of(config, found.city(), limits=found.limits())
     some = worlds[:: -max(1, (len(worlds) - 1) // _N_INSTANTS)]
     whole = float(np.mean([_neighbours(world, np.arange(len(world))) for world in some]))
     warm = False
@@ -126,7 +126,7 @@ def _measured(name: str, worlds: list[World], parts: Parts, registry: ActorRegis
     with TemporaryDirectory() as folder:
         config = parts.config
         recorder = Recorder(Path(folder), config.record.level, len(worlds))
-        parts = Parts.of(config, parts.city)
+        parts = parts.under(config)
         state, n_equipped, begin = State.start(parts), 0, (0.0, 0.0)
         for number, world in enumerate(worlds):
             if number == WARM_UP_STEPS:

@@ -128,28 +128,6 @@ def test_opposite_lanes(lateral_m):
     assert not (row["censored_left"] or row["censored_right"] or row["entered"] or row["departed"])
 
 
-def test_overtaking():
-    """A car at 14 m/s overtakes one at 9 m/s in the next lane, 3.5 m aside: 2 sqrt(50^2 - 3.5^2) / 5 = 19.95 s."""
-    dt = 0.1
-    t = np.arange(0, 60, dt)
-    tracks = np.zeros((len(t), 2, 2))
-    tracks[:, 0, 0], tracks[:, 1, 0], tracks[:, 1, 1] = 14 * t - 150, 9 * t, 3.5
-    (row,) = follow(tracks, EncounterParams(radius_m=50, pairs="all"), dt)
-    assert row["duration_s"] == pytest.approx(2 * math.sqrt(50**2 - 3.5**2) / 5, abs=dt)
-    assert row["min_distance_m"] == pytest.approx(3.5, abs=0.05)
-
-
-def test_hysteresis_by_hand():
-    """Near in steps 1-3 and 6-7 (two steps away), radius 10: one encounter for h = 2.5 s, two for h = 2 s."""
-    tracks = on_a_line(50, 5, 8, 5, 20, 20, 9, 9, 50, 50, 50, 50)
-    (row,) = follow(tracks, EncounterParams(radius_m=10, hysteresis_s=2.5, pairs="all"))
-    assert (row["start_step"], row["end_step"], row["duration_s"], row["gap_s"]) == (1, 8, 7, None)
-    assert row["mean_distance_m"] == pytest.approx((5 + 8 + 5 + 9 + 9) / 5)  # steps in contact only
-    first, second = follow(tracks, EncounterParams(radius_m=10, hysteresis_s=2.0, pairs="all"))
-    assert (first["start_step"], first["end_step"], first["gap_s"]) == (1, 4, None)
-    assert (second["start_step"], second["end_step"], second["gap_s"]) == (6, 8, 2)
-
-
 def test_censoring_by_hand():
     params = EncounterParams(radius_m=10, hysteresis_s=3, pairs="all")
     (whole,) = follow(on_a_line(5, 5, 5), params)
@@ -160,16 +138,6 @@ def test_censoring_by_hand():
     # Lost three steps before the end: over.
     (over,) = follow(on_a_line(50, 5, 5, 50, 50, 50), params)
     assert not over["censored_right"] and over["duration_s"] == 2
-
-
-def test_entering_and_leaving_by_hand():
-    params = EncounterParams(radius_m=10, hysteresis_s=3, pairs="all")
-    (row,) = follow(on_a_line(None, None, 5, 5, 5, None, None), params)
-    assert row["entered"] and row["departed"] and row["duration_s"] == 3
-    assert not row["censored_left"] and not row["censored_right"]
-    # Left the road after having left the radius: separated, not departed.
-    (row,) = follow(on_a_line(50, 5, 5, 50, None), params)
-    assert not row["departed"] and not row["entered"] and row["duration_s"] == 2
 
 
 def test_counts_and_first_contact():

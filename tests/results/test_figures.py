@@ -24,7 +24,7 @@ def test_every_picture(run, other, name, tmp_path):
             assert axes.get_title(loc="left"), "every panel has a title"
             assert axes.get_xlabel(), "and a label below"
             assert axes.has_data()
-        assert style.save(figure, tmp_path / f"{name}.png").stat().st_size > 5000
+    assert style.save(figure, tmp_path / f"{name}.png").stat().st_size > 5000
 
 
 def test_a_single_encounter_is_seen_to_end(tiny):

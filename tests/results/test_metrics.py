@@ -1,5 +1,7 @@
 """Figures of merit, derived by hand on runs of a few rows."""
 
+import math
+
 import pandas as pd
 import pytest
 
@@ -170,3 +172,13 @@ def test_nothing_to_measure_is_one_clear_line(tiny, ask):
 def test_frames_are_frames(run):
     for frame in (radio.by_distance(run), freshness.distribution(run), misbehaviour.detection_delay(run)):
         assert isinstance(frame, pd.DataFrame) and len(frame)
+
+
+def test_nobody_met_is_no_encounter_and_not_unknown(tiny):
+    """Two vehicles are on the road for 10 s and meet within 50 m, not within 20 m: 0 per hour there, not nothing."""
+    asked = {"radius_m": 20.0, "hysteresis_s": 3.0, "pairs": "equipped", "los": "buildings", "pedestrians": False}
+    here = encounter(0, 1, 2, 8, pairs="equipped")
+    run = tiny(20, config={"encounters": [asked]}, encounters=[here], vehicles=fleet("honest", "honest"))
+    nothing, one = encounters.summary(run).itertuples()
+    assert (nothing.radius_m, nothing.n, one.n) == (20, 0, 1) and math.isnan(nothing.mean_s)
+    assert encounters.rates(run).per_vehicle_h.tolist() == [0, pytest.approx(2 / 2 / 20 * 3600)]

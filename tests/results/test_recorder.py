@@ -163,14 +163,6 @@ def test_a_table_without_rows_is_read_as_parquet(tmp_path):
         assert list(pd.read_parquet(run.path / name)) == alone.names
 
 
-def test_fingerprint_sees_values_only(tmp_path):
-    one, other = (fingerprint(write(tmp_path / str(block), steps=40, block_steps=block)) for block in (7, 40))
-    assert one == other and set(one) == set(TABLES)
-    changed = fingerprint(write(tmp_path / "seed", seed=1, steps=40))
-    without_rows = {name for name in TABLES if not len(pd.read_parquet(tmp_path / "seed" / name))}
-    assert {name for name in one if changed[name] == one[name]} <= without_rows
-
-
 def test_fingerprint_sees_one_bit(tmp_path):
     marks = []
     for i, value in enumerate((0.5, np.nextafter(np.float32(0.5), np.float32(1)))):

@@ -33,9 +33,13 @@ class Outline(HTMLParser):
         assert self.open.pop() == tag
 
 
-def test_page(run, tmp_path):
-    path = report.write(run, tmp_path / "report.html")
-    text = path.read_text()
+@pytest.fixture(scope="module")
+def text(run, tmp_path_factory):
+    """The page of a run."""
+    return report.write(run, tmp_path_factory.mktemp("report") / "report.html").read_text()
+
+
+def test_page(text):
     outline = Outline()
     outline.feed(text)
     assert not outline.open
@@ -80,9 +84,8 @@ def test_below_a_file_no_folder_is_made(tmp_path):
         report.write(run, tmp_path / "file" / "report.html")
 
 
-def test_one_screen_and_the_rest_is_folded(run, tmp_path):
+def test_one_screen_and_the_rest_is_folded(text):
     """Few numbers and two figures are open; every other figure, table and the config are in closed sections."""
-    text = report.write(run, tmp_path / "report.html").read_text()
     start = text.index("<details")
     above = text[:start]
     assert above.count("<img") == len(report.FIRST) and above.count("<table") == 0

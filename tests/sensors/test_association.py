@@ -68,10 +68,11 @@ def test_the_rear_of_a_truck():
 
 def slowly(a, a_label, a_var, b, b_label, b_var):
     """The definition, pair by pair."""
-    found = {}
+    found, n = {}, len(b)
+    ious = iou_3d(a.take(np.repeat(np.arange(len(a)), n)), b.take(np.tile(np.arange(n), len(a))))
     groups = {CAR: 0, TRUCK: 0, PEDESTRIAN: 1, CYCLIST: 1}
     for i in range(len(a)):
-        for j in range(len(b)):
+        for j in range(n):
             if groups[int(a_label[i])] != groups[int(b_label[j])]:
                 continue
             apart = a.xyz_m[i, :2] - b.xyz_m[j, :2]
@@ -83,7 +84,7 @@ def slowly(a, a_label, a_var, b, b_label, b_var):
             apart = axes.T @ local
             xx, xy, yy = a_var[i] + b_var[j]
             p = np.exp(-0.5 * apart @ np.linalg.solve(np.array([[xx, xy], [xy, yy]]), apart))
-            iou = iou_3d(a.take([i]), b.take([j]))[0]
+            iou = ious[i * n + j]
             value = max(p if p > GATE.miss_p else 0.0, iou if iou > GATE.least_iou else 0.0)
             if value > 0:
                 found[i, j] = value

@@ -1,4 +1,4 @@
-"""Boxes from the detections of several vehicles: a slow literal twin, laws, cases by hand, and true covariances."""
+"""Boxes from the detections of several vehicles: a slow literal twin, cases by hand, and true covariances."""
 
 import math
 from dataclasses import dataclass, replace
@@ -299,23 +299,6 @@ def test_headings_of_opposite_directions_and_at_the_branch_cut():
         found = s.fused().boxes.yaw_rad[0]
         assert abs(np.exp(1j * found) - np.exp(1j * want)) < 0.01
         assert -np.pi < found <= np.pi
-
-
-def test_a_rigid_motion_of_the_world_moves_the_boxes():
-    s, *_ = scene(5)
-    turn, shift = 0.7, np.array([100.0, -30.0])
-    cos, sin = math.cos(turn), math.sin(turn)
-    rotation = np.array([[cos, -sin], [sin, cos]])
-    b, a = s.views.boxes, s.views.accuracy
-    xyz = b.xyz_m.copy()
-    xyz[:, :2] = xyz[:, :2] @ rotation.T + shift
-    full = a.variance_m2[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-    full = (rotation @ full @ rotation.T).reshape(-1, 4)[:, [0, 1, 3]]
-    accuracy = a._replace(variance_m2=full, origin_m=a.origin_m @ rotation.T + shift)
-    views = s.views._replace(boxes=Boxes(xyz, b.lwh_m, b.yaw_rad + turn), accuracy=accuracy)
-    was, found = s.fused(), replace(s, views=views).fused()
-    np.testing.assert_allclose(found.boxes.xyz_m[:, :2], was.boxes.xyz_m[:, :2] @ rotation.T + shift, atol=1e-8)
-    np.testing.assert_allclose(np.exp(1j * (found.boxes.yaw_rad - was.boxes.yaw_rad)), np.exp(1j * turn), atol=1e-8)
 
 
 def test_the_result_does_not_depend_on_threads():

@@ -12,7 +12,7 @@ from sensors.evidence import observability, points_in_boxes
 from sensors.reports import Reports
 from sensors.scene import LABEL_OF_SHAPE
 from sensors.statistical_detector import DetectorParams
-from tests.sensors.town import blocks, draws_of, exact, traffic
+from tests.sensors.town import draws_of, exact, traffic
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,14 +38,6 @@ class Bernoulli:
         error_m = self.params.sigma_m * normals(keys[rows], 4)[:, 1:]
         found = Boxes(true.xyz_m + error_m, true.lwh_m, true.yaw_rad)
         return Reports.of_actors(seen, rows, label[actor], found, np.full(len(rows), 0.9))
-
-
-@pytest.fixture(scope="module")
-def street():
-    rng = np.random.default_rng(3)
-    boxes, shape = traffic(rng, 250)
-    sweeps = exact(boxes, shape, np.flatnonzero(shape == 0), blocks(rng), profile="vlp32c")
-    return sweeps, observability(sweeps, boxes, shape), boxes, LABEL_OF_SHAPE[shape]
 
 
 def draws(street, seed=0):

@@ -15,13 +15,12 @@ from sensors.evidence import (
     plausible,
     points_in_boxes,
 )
-from sensors.lidar import Beams, LidarParams, Poses, RangeImages, beams, scan
+from sensors.lidar import LidarParams, Poses, RangeImages, beams, scan
 from sensors.range_steps import FINEST_M, NO_RETURN
 from sensors.scene import Hit, Scene
 from tests.sensors import whole_cloud
 from tests.sensors.town import (
     SIZE_M,
-    blocks,
     car,
     cases,
     cloud,
@@ -30,7 +29,6 @@ from tests.sensors.town import (
     labelled,
     random_boxes,
     random_scene,
-    traffic,
 )  # fmt: skip
 
 
@@ -222,20 +220,3 @@ def test_unoccluded_returns_equal_casts_alone(seed, profile):
     assert found == {
         (o, a): (n, m) for o, a, n, m in zip(seen.observer, seen.actor, seen.n_returns, seen.n_unoccluded, strict=True)
     }
-
-
-@settings(max_examples=8)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_an_occluder_never_adds_returns(seed):
-    rng = np.random.default_rng(seed)
-    (boxes, shape), scene = traffic(rng, 80), blocks(rng)
-    observers = np.arange(10)
-    alone = observability(exact(boxes.take(slice(70)), shape[:70], observers, scene), boxes.take(slice(70)), shape[:70])
-    crowd = observability(exact(boxes, shape, observers, scene), boxes, shape)
-    old = crowd.actor < 70
-    assert (crowd.actor[old] == alone.actor).all() and (crowd.n_unoccluded[old] == alone.n_unoccluded).all()
-    assert (crowd.n_returns[old] <= alone.n_returns).all() and (alone.n_returns <= alone.n_unoccluded).all()
-
-
-def test_beams_are_plain_arrays():
-    assert all(isinstance(part, (np.ndarray, float, int)) for part in beams(LidarParams())) and len(Beams._fields) == 12

@@ -67,17 +67,3 @@ def test_one_more_body_never_adds_returns_from_another():
         most[p, kept[other]] = fewer.n
         there = row != without
         assert (all_of_them.n[there] <= most[o[there], row[there]] + 1e-9).all()
-
-
-def test_turning_and_moving_the_scene_changes_nothing():
-    rng = np.random.default_rng(3)
-    boxes, shape = traffic(rng, 30)
-    c, s = np.cos(1.1), np.sin(1.1)
-    moved = Boxes(
-        boxes.xyz_m @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + [5.0, -9.0, 0.0], boxes.lwh_m, boxes.yaw_rad + 1.1
-    )
-    (o, row, here), (p, other, there) = (returns_of(b, shape, np.arange(30), Scene.empty()) for b in (boxes, moved))
-    assert (o == p).all() and (row == other).all()
-    assert np.abs(here.n - there.n).max() <= 0.02 * here.n.max() and here.n.sum() == pytest.approx(
-        there.n.sum(), rel=1e-3
-    )

@@ -89,33 +89,6 @@ def test_twin(world, one_per_vehicle, eta):
         assert {name: (evaluated.evaluation[p], evaluated.visibility[p]) for name, p in at.items()} == expected
 
 
-@pytest.mark.parametrize("one_per_vehicle", [False, True])
-@given(world=worlds(), seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=100)
-def test_renaming_the_vehicles_permutes_the_evaluations(world, seed, one_per_vehicle):
-    params = TrustParams(one_per_vehicle=one_per_vehicle)
-    _, evaluated = evaluations_of(world, params)
-    new_name = np.random.default_rng(seed).permutation(world.n_vehicles)
-    table, lists = world.table, world.lists
-
-    message = new_name[table.message]
-    rows = np.lexsort((table.detection_index, message))  # old row of each new row
-    new_row = np.argsort(rows)
-    columns = (table.detection_index, table.label, table.score, table.is_self)
-    renamed = SentDetections(message[rows], *(c[rows] for c in columns))
-    view_of_member, owner = lists.of_member(), new_name[lists.owner]
-    member = new_row[lists.member]
-    foreign = renamed.message[member] != owner[view_of_member]
-    order = np.lexsort((member, foreign, owner[view_of_member]))
-    sizes = np.diff(lists.ptr)[np.argsort(owner)]
-    new_views = ObjectLists(np.concatenate([[0], np.cumsum(sizes)]), member[order], np.sort(owner))
-    i, j, iou = world.pairs
-    groups = match(new_views, renamed, (new_row[i], new_row[j], iou), params)
-    again = evaluate(new_views, groups, renamed, world.points[order], world.plausible[order], params)
-    np.testing.assert_array_equal(again.evaluation, evaluated.evaluation[order])
-    np.testing.assert_array_equal(again.visibility, evaluated.visibility[order])
-
-
 @pytest.mark.parametrize("compared", [1.0, 0.7])
 @pytest.mark.parametrize("permitted", [1.0, 0.4, 0.0])
 @pytest.mark.parametrize("recall", [0.0, 0.1, 0.6, 0.99, 1.0])

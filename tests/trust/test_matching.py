@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tests.trust.worlds import worlds
 from tests.verification import paper
@@ -71,15 +70,3 @@ def test_twin(world, one_per_vehicle):
         assert sorted(ours.values()) == sorted(expected)
         owner = world.lists.owner[view]
         assert all(groups.ego_detected[p] == (names[world.lists.member[groups.seed[p]]][0] == owner) for p in positions)
-
-
-@given(world=worlds(), seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=50)
-def test_pairs_have_no_order(world, seed):
-    groups = match(world.lists, world.table, world.pairs, TrustParams())
-    rng = np.random.default_rng(seed)
-    order = rng.permutation(world.pairs[0].size)
-    i, j, iou = (a[order] for a in world.pairs)
-    swap = rng.random(order.size) < 0.5
-    again = match(world.lists, world.table, (np.where(swap, j, i), np.where(swap, i, j), iou), TrustParams())
-    np.testing.assert_array_equal(again.seed, groups.seed)

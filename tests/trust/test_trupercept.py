@@ -1,11 +1,7 @@
 """The trust model `trupercept` by hand."""
 
-import pickle
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tests.trust.histories import add, assert_same, open_step, rejected, trust_of
 from trust.models.trupercept import TruPercept
@@ -37,15 +33,6 @@ def test_never_below_zero_and_back_to_default():
     assert trust_of(model, 1, 3) == 0.5
 
 
-@pytest.mark.parametrize(("unseen", "expected"), [("zero", 0.8 / 1.5), ("skip", 0.8)])
-def test_unseen(unseen, expected):
-    # s = 1 with T = 0.8; s = 0.5 evaluated by its own detector only; s = 0.9 not evaluated
-    model = TruPercept(TrustParams(unseen=unseen), 1.0)
-    open_step(model, 0, {1: [1, 0.5, 0.9], 2: []})
-    add(model, 0, [(2, 1, 0, 0.8, 1), (1, 1, 0, 1, 1), (1, 1, 1, 1, 1)])
-    assert trust_of(model, 1) == pytest.approx(expected, abs=1e-12)
-
-
 def test_what_its_own_sender_doubts_is_no_evidence():
     # s = 1 and 0.5 are confirmed by 0.8 and 0.6, s = 0.4 is denied: (0.8 + 0.5 x 0.6) / 1.5; all three: 0.7 / 1.9
     for least, expected, n in ((0.5, 1.1 / 1.5, 2), (0.0, (1.1 - 0.4) / 1.9, 3)):
@@ -54,15 +41,6 @@ def test_what_its_own_sender_doubts_is_no_evidence():
         add(model, 0, [(2, 1, 0, 0.8, 1), (2, 1, 1, 0.6, 1), (2, 1, 2, -1, 1)])
         assert trust_of(model, 1) == pytest.approx(expected, abs=1e-12)
         assert model.scores().n_evaluations.tolist() == [n]
-
-
-def test_weighting():
-    # T = 1 with s = 0.9 and T = 0 with s = 0.1: 0.9 weighted, 0.5 not
-    for weighting, expected in (("score", 0.9), ("one", 0.5)):
-        model = TruPercept(TrustParams(weighting=weighting), 1.0)
-        open_step(model, 0, {1: [0.9, 0.1], 2: []})
-        add(model, 0, [(2, 1, 0, 1, 1), (2, 1, 1, 0, 1)])
-        assert trust_of(model, 1) == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -79,19 +57,6 @@ def test_weighting():
 )
 def test_window_steps(freshness_s, dt_s, window, steps):
     assert window_steps(TrustParams(freshness_s=float(freshness_s), window=window), dt_s) == steps
-
-
-@pytest.mark.parametrize("window", ["half_open", "closed"])
-@given(f=st.integers(1, 12), extra=st.integers(0, 5))
-@settings(max_examples=20)
-def test_evidence_expires_exactly_at_f(f, extra, window):
-    model = TruPercept(TrustParams(freshness_s=float(f), window=window), 1.0)
-    open_step(model, extra, {1: [1], 2: []})
-    add(model, extra, [(2, 1, 0, 0.25, 1)])
-    last = extra + f - (window == "half_open")
-    assert trust_of(model, 1, last) == 0.25
-    assert trust_of(model, 1, last + 1) == 0.5
-    assert not model.store.steps
 
 
 @pytest.mark.parametrize(
@@ -159,14 +124,6 @@ def test_bad_detections_are_counted():
     assert dict(zip(scores.subject.tolist(), scores.weight.tolist(), strict=True)) == {4: 0.5, 6: 0.25}
 
 
-def test_self_evaluation_is_no_evidence():
-    model = TruPercept(TrustParams(unseen="skip"), 1.0)
-    open_step(model, 0, {1: [1]})
-    add(model, 0, [(1, 1, 0, 1, 1)])
-    assert trust_of(model, 1) == 0.5
-    assert model.scores().subject.size == 0
-
-
 def test_memory_follows_the_window_not_the_run():
     """Pseudonyms grow with time; none is present for more than ten steps."""
     model = TruPercept(TrustParams(freshness_s=20.0), 1.0)
@@ -225,13 +182,3 @@ def test_first_of_contradicting_evaluations_counts():
     add(model, 0, [(2, 1, 0, -1, 1)])
     assert trust_of(model, 1) == 0.25
     assert rejected(model) == {"DUPLICATE": 2}
-
-
-def test_survives_a_pickle():
-    model = TruPercept(TrustParams(), 1.0)
-    open_step(model, 0, {1: [1], 2: []})
-    add(model, 0, [(2, 1, 0, 0.25, 1)])
-    again = pickle.loads(pickle.dumps(model))
-    open_step(again, 1, {1: [1], 2: []})
-    add(again, 1, [(2, 1, 0, 0.75, 1)])
-    assert trust_of(again, 1) == 0.5

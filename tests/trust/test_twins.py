@@ -17,7 +17,7 @@ from trust.models import MODELS, params_of
 from trust.params import TrustParams
 
 SETTINGS = {
-    "beta": [({}, {}), ({"decay_per_s": 0.5}, {"decay": 0.5})],
+    "beta": [({}, {}), ({"decay_per_s": 0.5}, {"decay": 0.5}), ({"decay_per_s": 1.0}, {"decay": 1.0})],
     "beta_discounted": [({}, {}), ({"decay_per_s": 0.5}, {"decay": 0.5})],
     "beta_by_kind": [
         ({}, {}), *(({"evidence": kinds}, {"evidence_of": kinds})
@@ -65,7 +65,7 @@ def test_twin(name, ours, theirs, world, grace):
             assert mine == pytest.approx(theirs_now, abs=2e-6)
 
 
-@pytest.mark.parametrize("name", [n for n in MODELS if n != "trupercept"])
+@pytest.mark.parametrize("name", MODELS)
 @given(world=histories)
 @settings(max_examples=15)
 def test_two_half_steps_equal_one(name, world):

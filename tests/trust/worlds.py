@@ -50,7 +50,7 @@ class World:
 
 
 def make(seed: int, n_vehicles: int, n_objects: int, all_received: bool = False) -> World:
-    """A world in which many IoUs tie, and some equal the threshold exactly."""
+    """A world in which many IoUs tie, and some equal the threshold exactly; pairs have no order."""
     rng = np.random.default_rng(seed)
     label_of = rng.integers(0, 4, n_objects)
     rows = []  # message, detection_index, label, score, is_self, object
@@ -68,8 +68,8 @@ def make(seed: int, n_vehicles: int, n_objects: int, all_received: bool = False)
     same = (label[i] == label[j]) & (message[i] != message[j])
     near = np.where(actor[i] == actor[j], 0.9, 0.15)
     same &= rng.random(i.size) < near
-    i, j = i[same], j[same]
-    iou = rng.integers(1, 11, i.size) / 20  # 0.05, 0.1 = tau, ...
+    pairs = rng.permuted(np.stack([i, j])[:, rng.permutation(np.flatnonzero(same))], axis=0)
+    iou = rng.integers(1, 11, pairs.shape[1]) / 20  # 0.05, 0.1 = tau, ...
     members, ptr = [], [0]
     for v in range(n_vehicles):
         received = np.ones(d, bool) if all_received else rng.random(d) < 0.8
@@ -79,7 +79,7 @@ def make(seed: int, n_vehicles: int, n_objects: int, all_received: bool = False)
     lists = ObjectLists(np.array(ptr), np.array(members, np.int64), np.arange(n_vehicles))
     m = len(members)
     points = rng.choice([0, 0, 1, 5, 9, 10, 11, 39, 40, 41, 99, 100, 500], m)
-    return World(table, (i, j, iou), lists, points, rng.random(m) < 0.7, rng.integers(0, 30, d).astype(float))
+    return World(table, (*pairs, iou), lists, points, rng.random(m) < 0.7, rng.integers(0, 30, d).astype(float))
 
 
 def worlds(all_received: bool = False) -> st.SearchStrategy[World]:

@@ -52,18 +52,26 @@ _QUANTITIES = (
         "No comparison of honest with malicious vehicles: none of the runs has looked up trust of both",
     ),
 )
-
+_UNDER_ATTACK = _Quantity(
+    "trust.final.median",
+    "Trust in the median honest vehicle ends at",
+    "higher",
+    "lower",
+    "No trust in honest vehicles: none of the runs has a value of one",
+)
+"""Said too if the study sweeps a key of attacks: what they do to honest vehicles."""
 
 _SAME = 1e-9
 """Values that differ by less are the same but for rounding."""
 
 
 def sentences(study: StudyResults) -> list[str]:
-    """Three sentences with numbers, intervals and, where they hold, differences."""
+    """Three sentences with numbers, intervals and, where they hold, differences; a fourth if attacks are swept."""
     asked = core(study, whole=False)
-    named = {name.partition(":")[0]: name for name in asked}
+    named = {name.partition(":")[0]: name for name in asked if name != f"{_UNDER_ATTACK.metric}:malicious"}
     found = []
-    for of in _QUANTITIES:
+    attacks = [_UNDER_ATTACK] if any(key.startswith("attacks.") for key in study.keys) else []
+    for of in (*_QUANTITIES, *attacks):
         if of.metric in named:
             found.append(_sentence(study, of, named[of.metric]))
         else:
@@ -95,10 +103,12 @@ def _sentence(study: StudyResults, of: _Quantity, name: str) -> str:
             clauses.append(_contrast(of, at_reference, key, starts_there=bool(clauses) and reference == firsts))
     subject = of.subject.format(group=group)
     if not clauses:
-        return f"{subject} {_value(frame, metric)}{_alone(study, frame)}{_censored(study, of, group)}."
+        more = _alone(study, frame) + _inverted(study, frame) + _censored(study, of, group)
+        return f"{subject} {_value(frame, metric)}{more}."
     held_at = ", ".join(_at(frame, key, value) for key, value in reference.items())
     where = f" (keys that a clause does not name are held at {held_at})" if len(matter) > 1 else ""
-    return f"{subject} {'; '.join(clauses)}{where}{_alone(study, frame)}{_censored(study, of, group)}."
+    more = _alone(study, frame) + _inverted(study, frame) + _censored(study, of, group)
+    return f"{subject} {'; '.join(clauses)}{where}{more}."
 
 
 def _alone(study: StudyResults, frame: pd.DataFrame) -> str:
@@ -107,6 +117,14 @@ def _alone(study: StudyResults, frame: pd.DataFrame) -> str:
     varied = apart(study.points, study.keys)
     only = [_at(study.points, key, frame[key].iloc[0]) for key in varied if frame[key].nunique() == 1]
     return f"; it has a value at {' and '.join(only)} alone" if only else ""
+
+
+def _inverted(study: StudyResults, frame: pd.DataFrame) -> str:
+    """What an AUC below one half means."""
+    if not str(frame.metric.iloc[0]).endswith("auc"):
+        return ""
+    means = frame.groupby(list(study.keys), dropna=False).value.mean()
+    return "; below 0.5, malicious vehicles are trusted more than honest ones" if (means < 0.5).any() else ""
 
 
 def _reference(study: StudyResults, frame: pd.DataFrame, key: str) -> Any:

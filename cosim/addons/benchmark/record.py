@@ -274,7 +274,7 @@ def simulated(configs: Sequence[Config], label: str, advance: Advance) -> list[C
     shared = _Shared(base.perception)
     harmless: Any = (_Harmless(),)  # an attack may leave any hook out
     parts = [replace(base, adversary=replace(base.adversary, attacks=harmless))]
-    parts += [Parts.of(one, base.city, base.rsus) for one in configs]
+    parts += [base.under(one) for one in configs]
     cases = [Case(of, State.start(of)) for of in (replace(one, perception=shared) for one in parts)]
     try:
         warm_up(running.warmup_of(config, scenario), traffic, base.watch, lambda *_: None)

@@ -142,10 +142,15 @@ def _in_order(name: str) -> str:
     return f"{first} {family}" + (" et al." if name.endswith("et al.") else others)
 
 
-def bibtex(manifest: Mapping[str, Any]) -> str:
-    """The references of a run as BibTeX, each once."""
+def parts_of_all(manifests: Sequence[Mapping[str, Any]]) -> list[CitedPart]:
+    """The parts that some runs used, each once."""
+    return list({part.what: part for manifest in manifests for part in parts(manifest)}.values())
+
+
+def bibtex(used: Sequence[CitedPart]) -> str:
+    """The references of some parts as BibTeX, each once."""
     found: dict[str, Mapping[str, Any]] = {}
-    for part in parts(manifest):
+    for part in used:
         if part.entry:
             key = "".join(c for c in part.what.lower() if c.isalnum()) or "part"
             found[key] = part.entry

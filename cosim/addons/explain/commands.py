@@ -51,21 +51,22 @@ def _print(entry: "Explanation", in_full: bool) -> None:
 
 
 def cite(
-    run: Annotated[Path, typer.Argument(help="Run folder.")],
+    run: Annotated[Path, typer.Argument(help="Folder of a run or a study.")],
     as_bibtex: Annotated[bool, typer.Option("--bibtex", help="Print BibTeX.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Print references of exactly the parts that a run used."""
-    from cosim.addons.explain.cite import bibtex, parts, references, text
+    """Print references of exactly the parts that a run, or the runs of a study, used."""
+    from cosim.addons.explain.cite import bibtex, parts_of_all, references, text
     from results.archive import open_run
+    from results.study import runs_of
 
-    manifest = open_run(run, unfinished=True).manifest
+    used = parts_of_all([open_run(folder, unfinished=True).manifest for folder in runs_of(run)])
     if as_bibtex:
-        screen.print(bibtex(manifest), soft_wrap=True)
+        screen.print(bibtex(used), soft_wrap=True)
         return
     known = references()
     found = []
-    for part in parts(manifest):
+    for part in used:
         entries = [part.entry] if part.entry else [known[key] for key in part.references]
         found.append((part.what, [text(entry) for entry in entries]))
     if as_json:

@@ -171,9 +171,7 @@ def _files() -> Iterator[Explanation]:
         yield Explanation(name, "city", f"{about}.", f"cosim nets show {name}")
     for path in sorted(SHIPPED.glob("*.toml")):
         head = re.search(r'^question = "(.*)"$', path.read_text(encoding="utf-8"), flags=re.MULTILINE)
-        yield Explanation(
-            path.stem, "study that ships", head[1] if head else "", f"cosim sweep {path.stem} --out runs/{path.stem}"
-        )
+        yield Explanation(path.stem, "study that ships", head[1] if head else "", f"cosim sweep {path.stem}")
 
 
 def commands(program: Any) -> Iterator[Explanation]:

@@ -109,7 +109,7 @@ def _of_traffic(experiments: Sequence[Experiment], advance: Advance, n_fleets: i
     scenarios = [check(of.config) for of in experiments]
     parts, _, traffic = running.load_parts(first, scenarios[0])
     try:
-        every = [parts, *(Parts.of(of.config, parts.city) for of in experiments[1:])]
+        every = [parts, *(parts.under(of.config) for of in experiments[1:])]
         fleets = [
             [Fleet.of(of.config, of.servers, own, number) for number in range(1 + n_fleets)]
             for of, own in zip(experiments, every, strict=True)

@@ -14,6 +14,7 @@ from cosim.cli.main import app
 from cosim.door.blame import ExtensionError
 from tests.addons.benchmark.worlds import RULES, tiny_set
 from tests.cosim.docs import fences
+from tests.drive import cosim
 from tests.verification.benchmark_page import tables
 from trust.models import MODELS
 
@@ -112,8 +113,7 @@ def test_an_altered_set_ends_with_exit_status_2(folder):
     head = json.loads((folder / "set" / MANIFEST).read_text())
     head["rules"]["start_step"] = 5
     (folder / "set" / MANIFEST).write_text(json.dumps(head))
-    words = [sys.executable, "-m", "cosim", "benchmark", "mine.py:Share", "--evidence", "set"]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    done = cosim("benchmark", "mine.py:Share", "--evidence", "set", cwd=folder)
     assert done.returncode == 2 and not done.stdout
     assert done.stderr.count("\n") == 1 and "was altered" in done.stderr
 

@@ -97,14 +97,6 @@ def test_a_number_of_steps_has_its_exact_probability(name):
     np.testing.assert_array_equal(timed, family.log_sf(np.array([0.0, 3.0]), free))
 
 
-def test_steps_do_not_bias_a_steep_beginning():
-    """Without the exact probability, the shape of so many durations would be 0.6 % too small, or 4 standard errors."""
-    random = np.random.default_rng(34)
-    found = fit(stepped(random.weibull(0.7, 400_000) * 25, random), "weibull")
-    error = np.sqrt(np.diag(found.covariance))
-    assert (np.abs(found.free - FREE["weibull"]) < 3 * error).all() and error[0] < 0.002
-
-
 def test_steps_as_long_as_the_durations_do_not_bias():
     """Durations of 6 s on average in steps of 2 s: taking steps for durations would give another mean."""
     random = np.random.default_rng(0)

@@ -14,7 +14,6 @@ from cosim.addons.export.pcap import START_S
 from cosim.base.earth import Projection
 from cosim.base.extras import needed
 from cosim.traffic.actors import ActorRegistry
-from cosim.traffic.fcd import timesteps
 from cosim.traffic.fleet import FleetParams
 from cosim.traffic.params import TrafficParams
 from cosim.traffic.replay import TraceReplay
@@ -27,11 +26,6 @@ TWO_TRIANGLES = np.array([[[0, 0, 0], [1, 0, 0], [0, 0, 1]], [[0, 0, 0], [0, 1, 
 HERE = Place(origin_m=(1000.0, 2000.0), buildings=lambda: TWO_TRIANGLES)
 EQUATOR = Projection.of("+proj=utm +zone=31 +ellps=WGS84", 5e5, 0.0)
 """The world's origin at 3 degrees east on the equator."""
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return truck.make(tmp_path_factory.mktemp("export") / "run")
 
 
 @pytest.fixture(scope="module")
@@ -52,25 +46,6 @@ def test_fcd_truck_by_hand(of, tmp_path):
     assert float(lorry.get("angle")) == pytest.approx(315, abs=0.1) and lorry.get("type") == "truck"
     assert float(lorry.get("z")) == 0 and float(lorry.get("speed")) == 6
     assert [v.tag for v in times[2]] == ["vehicle", "vehicle", "person", "vehicle"]
-
-
-def test_fcd_is_read_by_the_trace_reader(run, of, tmp_path):
-    truck.written(fcd.Fcd().plan(of), tmp_path)
-    number = dict(zip(run.vehicles.sumo_id, run.vehicles.vehicle, strict=True))
-    length = run.vehicles.set_index("vehicle").length_m
-    n = 0
-    for step, found in enumerate(timesteps(tmp_path / "fcd.xml.gz")):
-        there = run.actors[run.actors.step == step].set_index("actor")
-        assert found.time_s == step and {number[name] for name in found.names} == set(there.index)
-        for name, front, compass, speed in zip(
-            found.names, found.front_m, found.compass_deg, found.speed_mps, strict=True
-        ):
-            actor = there.loc[number[name]]
-            yaw = np.radians(90 - compass)
-            middle = front[:2] - 0.5 * length[number[name]] * np.array([np.cos(yaw), np.sin(yaw)]) - HERE.origin_m
-            assert middle == pytest.approx([actor.x_m, actor.y_m], abs=1e-4) and speed == actor.speed_mps
-            n += 1
-    assert n == len(run.actors)
 
 
 def test_fcd_is_replayed_as_the_run_that_it_came_from(run, of, tmp_path):

@@ -5,22 +5,13 @@ import io
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from cosim.addons.export import frames, kitti, opv2v, trupercept
 from tests.addons.export import readers, truck
-from tests.addons.export.truck import CAR_LIDAR, TRUCK_SENSOR, TRUCK_WORLD
+from tests.addons.export.truck import TRUCK_SENSOR, TRUCK_WORLD
 
 GRAIN_M = 0.025
 """Tables keep headings to 1/512 rad: 2 cm at 20 m."""
-
-ANGLE = st.floats(-np.pi, np.pi)
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return truck.make(tmp_path_factory.mktemp("export") / "run")
 
 
 def export(exporter, run, folder, **more):
@@ -218,31 +209,3 @@ def test_groups_of_at_most_seven_have_constant_members(run):
     assert [s.vehicles for s in scenarios] == [(0, 1), (0, 1, 3)]
     with pytest.raises(ValueError, match="no two of these"):
         opv2v.Opv2v().plan(truck.selection(run, vehicles=(1,)))
-
-
-@settings(max_examples=60)
-@given(st.floats(2, 80), ANGLE, st.floats(-3, 3), ANGLE, ANGLE)
-def test_every_label_leads_back(r, bearing, z, yaw, own_yaw):
-    pose = np.array([120.0, -40.0, 1.73, own_yaw])
-    box = np.array([[r * np.cos(bearing), r * np.sin(bearing), z, 4.5, 1.8, 1.5, yaw]]) + [*pose[:3], 0, 0, 0, 0]
-    sensor = frames.in_sensor(box, pose)
-    camera = frames.in_camera(sensor)
-    label = {"t": camera.bottom_m[0], "ry": camera.rotation_y[0], "l": 4.5, "w": 1.8, "h": 1.5}
-    turn = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
-    centre = turn.T @ label["t"] + [0, 0, 0.75]
-    along = turn.T @ [np.cos(label["ry"]), 0, -np.sin(label["ry"])]
-    back = readers.to_world([*centre, 4.5, 1.8, 1.5, np.arctan2(along[1], along[0])], pose)
-    assert back[:6] == pytest.approx(box[0, :6])
-    assert np.exp(1j * back[6]) == pytest.approx(np.exp(1j * yaw))
-    if camera.is_in_image[0] and sensor[0, 0] > 5:  # all corners ahead: the rectangle is that of the corners
-        half = np.array([[x, y, z] for x in (-2.25, 2.25) for y in (-0.9, 0.9) for z in (-0.75, 0.75)])
-        cos, sin = np.cos(sensor[0, 6]), np.sin(sensor[0, 6])
-        corner = half @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + sensor[0, :3]
-        u, v = 960 - 960 * corner[:, 1] / corner[:, 0], 540 - 960 * corner[:, 2] / corner[:, 0]
-        limits = np.clip([u.min(), v.min(), u.max(), v.max()], 0, [1919, 1079, 1919, 1079])
-        assert camera.image_px[0] == pytest.approx(limits)
-
-
-def test_sensor_frame_by_hand():
-    assert frames.in_sensor(TRUCK_WORLD[None], np.array(CAR_LIDAR))[0] == pytest.approx(TRUCK_SENSOR)
-    assert frames.compass_deg(np.radians([0, 90, 135, 180, -90])) == pytest.approx([90, 0, 315, 270, 180])

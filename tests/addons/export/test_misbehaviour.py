@@ -9,14 +9,6 @@ from cosim.addons.export import veremi_nextgen
 from tests.addons.export import truck
 from tests.results import tiny
 
-GRAIN = 5e-3
-"""Headings are kept to 1/512 rad, times 7 m/s at most."""
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return truck.make(tmp_path_factory.mktemp("export") / "run")
-
 
 def export(exporter, run, folder):
     return truck.written(exporter().plan(truck.selection(run)), folder)

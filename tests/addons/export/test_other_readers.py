@@ -8,11 +8,6 @@ from cosim.addons.export import kitti, opv2v
 from tests.addons.export import truck
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return truck.make(tmp_path_factory.mktemp("export") / "run")
-
-
 @pytest.mark.verify
 @pytest.mark.filterwarnings("ignore")
 def test_opv2v_by_pypcd4_and_pyyaml(run, tmp_path):

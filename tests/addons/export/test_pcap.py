@@ -21,11 +21,6 @@ START_MS = 662_774_405_000
 """2025-01-01 in milliseconds of atomic time since 2004: 7,671 days and five leap seconds."""
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return truck.make(tmp_path_factory.mktemp("export") / "run")
-
-
 def written(run, folder, projection=NORTH, **params):
     of = replace(truck.selection(run), projection=lambda: projection)
     return truck.written(pcap.Pcap(pcap.Params(**params)).plan(of), folder)

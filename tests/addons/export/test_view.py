@@ -133,7 +133,7 @@ def test_movie(folder, tmp_path):
 def test_a_run_is_followed_while_it_is_computed(tmp_path):
     """Blocks of two steps appear meanwhile; the recording has every step, and the run is as it would have been."""
     target, out = tmp_path / "run", tmp_path / "live.rrd"
-    words = ("run", "--set", "traffic.duration_s=12", "--set", "record.block_steps=2", "--out", str(target))
+    words = ("run", "--set", "traffic.duration_s=6", "--set", "record.block_steps=2", "--out", str(target))
     with ThreadPoolExecutor(1) as pool:
         running = pool.submit(cosim, *words)
         while not (target / "manifest.json").exists():
@@ -141,7 +141,7 @@ def test_a_run_is_followed_while_it_is_computed(tmp_path):
             time.sleep(0.05)
         done = follow(target, out, every_s=0.1)
         assert running.result().returncode == 0
-    assert done == {"out": str(out), "steps": 12, "status": "finished"}
+    assert done == {"out": str(out), "steps": 6, "status": "finished"}
     assert rerun("verify", str(out)).returncode == 0
 
 

@@ -45,13 +45,6 @@ def test_greedy_against_all_choices(seed):
             assert literal_value(coverage, chosen[: n + 1]) == max(values)
 
 
-def test_greedy_is_best_where_sites_see_different_vehicles():
-    """Three sites with elements of their own, worth 3, 8 and 5: the two best are the second, then the third."""
-    coverage = SiteCoverage(np.array([0, 1, 2, 3]), np.array([0, 1, 2]), np.array([3, 8, 5], np.uint16), np.ones(3), 10)
-    assert greedy(coverage, 2) == [1, 2] and coverage.value([1, 2]) == 13
-    assert greedy(coverage, 9) == [1, 2, 0]
-
-
 def test_ages_by_hand():
     """A car drives along the x axis, 40 m per step, from 0; the sites are at 0 and 100 m and see 50 m far; cap 3.
 

@@ -71,7 +71,7 @@ def test_a_vehicle_has_one_vote_per_object():
 
 
 @given(world=worlds(), seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=60)
+@settings(max_examples=25)
 def test_twin(world, seed):
     """Votes counted one by one with dictionaries, and the rules as products over them."""
     params = TrustParams()

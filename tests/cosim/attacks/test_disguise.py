@@ -46,7 +46,7 @@ def context_of(place_m, memory=None):
     boxes = Boxes(place_m, np.ones((N_VEHICLES, 3)), np.zeros(N_VEHICLES))
     rng = np.random.default_rng(11)
     return SimpleNamespace(
-        world=SimpleNamespace(boxes=boxes), params=SimpleNamespace(appearance="detected"),
+        seen=None, world=SimpleNamespace(boxes=boxes), params=SimpleNamespace(appearance="detected"),
         memory={} if memory is None else memory,
         name_key=lambda rows: np.asarray(rows).astype(np.uint64) + np.uint64(500),
         uniforms=lambda *names, n=1: rng.random((len(names[0]), n)),

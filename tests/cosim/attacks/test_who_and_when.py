@@ -24,9 +24,9 @@ def test_the_share_is_that_of_the_equipped():
 
 
 def test_sporadic():
-    by_step = liars_by_step(play([GHOST | {"when": "sporadic", "active_p": 0.3}], n_steps=40))
+    by_step = liars_by_step(play([GHOST | {"when": "sporadic", "active_p": 0.3}], n_steps=20))
     n = by_step.map(len).sum()
-    assert abs(n - 48) < 5 * np.sqrt(160 * 0.3 * 0.7)  # of 160
+    assert abs(n - 24) < 5 * np.sqrt(80 * 0.3 * 0.7)  # of 80
     assert by_step.map(tuple).nunique() > 3, "each by itself"
 
 

@@ -34,8 +34,8 @@ def test_init_writes_a_config_that_runs_and_a_study(tmp_path):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["run", "ages.toml"], "cosim sweep ages.toml --out runs/ages"),
-        (["run", "freshness"], "cosim sweep freshness --out runs/freshness"),
+        (["run", "ages.toml"], "cosim sweep ages.toml"),
+        (["run", "freshness"], "cosim sweep freshness"),
         (["sweep", "mine.toml", "--out", "x"], "cosim run mine.toml"),
         (["run", "my.osm.pbf"], "cosim nets build --osm my.osm.pbf --out my"),
         (["check", "--set", "traffic.scenario=my.osm.pbf"], "my.osm.pbf --out my, cosim run"),
@@ -112,3 +112,10 @@ def test_check_of_a_study_says_what_it_takes(tmp_path):
 
 def test_check_of_the_default_changes_nothing():
     assert "no key differs" in cosim("check").stdout
+
+
+def test_a_study_has_a_folder_named_after_its_file(tmp_path):
+    cosim("init", "--study", "ages.toml", cwd=tmp_path)
+    done = cosim("sweep", "ages.toml", "--dry-run", cwd=tmp_path)
+    assert done.returncode == 0 and "processor time" in done.stdout
+    assert not (tmp_path / "runs").exists()

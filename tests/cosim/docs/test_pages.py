@@ -45,6 +45,14 @@ def test_the_handbook_keeps_its_words():
     assert sum(n_words.values()) <= MAX_WORDS, sorted(n_words.items(), key=lambda item: -item[1])
 
 
+@pytest.mark.parametrize("source", SOURCES)
+def test_links_lead_to_files(source):
+    """Links and pictures can be followed in a checkout too."""
+    text = re.sub(r"^```.*?^```$", "", SOURCES[source].read_text(encoding="utf-8"), flags=re.S | re.M)
+    places = [target.partition("#")[0] for target in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in target]
+    assert [place for place in places if not (SOURCES[source].parent / place).exists()] == []
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_links_lead_to_pages(page):
     for label, target in re.findall(

@@ -52,3 +52,15 @@ def test_lengths_beside_those_of_the_simulation():
     packet = 44 + etsi.cpm_bytes(np.outer(n, np.arange(4) == ObjectClass.CAR))
     for row in zip(n, cpm_bytes(n), packet + 96, strict=True):
         assert "| " + " | ".join(f"{x:,}" for x in row) + " |" in README
+
+
+def test_every_clause_has_a_test_or_is_a_deviation():
+    table = README.split("### Clause by clause", 1)[1].split("**Sources.**", 1)[0]
+    rows = [line.strip("|").split("|") for line in table.splitlines() if re.match(r"\| (\d|change)", line)]
+    files = [*Path(__file__).parent.glob("test_*.py"), *Path("tests/addons/export").glob("test_pcap.py")]
+    known = set(re.findall(r"^def (test_\w+)", "\n".join(file.read_text() for file in files), re.MULTILINE))
+    assert len(rows) == 16
+    for clause, _, here, tests in rows:
+        named = re.findall(r"`(test_\w+)`", tests)
+        assert set(named) <= known, clause
+        assert named or "Deviation" in here or "5.3.3" in clause

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from cosim.messages.cpm_params import CpmParams
 from cosim.messages.redundancy import Candidates, Heard, ReportedObjects, redundant
@@ -100,22 +99,3 @@ def test_memory_is_bounded_by_the_window():
     heard = heard.next(unheard, none, none, np.zeros(0), 1.0)
     assert (len(heard.receiver), len(heard.reports.label)) == (0, 0), "what nobody received is not kept"
     assert heard.next(silence, none, none, np.zeros(0), 1.0) is heard
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_order_of_receptions_does_not_matter(seed):
-    g = np.random.default_rng(seed)
-    n, m = 300, 40
-    reports = ReportedObjects(
-        np.zeros(m), g.permutation(m), g.uniform(0, 20, (m, 2)), np.sort(g.integers(0, m, n)), g.integers(0, 4, n),
-        g.uniform(0, 20, (n, 2)), g.uniform(-9, 9, (n, 2)), g.random(n) < 0.2,
-    )  # fmt: skip
-    receiver, message = (column.ravel() for column in np.meshgrid(np.arange(6), np.arange(m)))
-    at_s, order = g.uniform(0, 0.1, len(receiver)), g.permutation(len(receiver))
-    mine = Candidates(g.integers(0, 6, 200), g.uniform(0, 20, (200, 2)), g.integers(0, 4, 200),
-                      g.uniform(0, 20, (200, 2)), g.uniform(0, 9, 200))  # fmt: skip
-    for name in ("frequency", "dynamics", "distance", "self_announcement"):
-        one = Heard.start().next(reports, receiver, message, at_s, 1.0)
-        other = Heard.start().next(reports, receiver[order], message[order], at_s[order], 1.0)
-        found = redundant(one, mine, 0.3, rule(name))
-        assert found.tolist() == redundant(other, mine, 0.3, rule(name)).tolist() and found.any()

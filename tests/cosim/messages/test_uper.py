@@ -6,7 +6,6 @@ passed with the modules of release 1 and of release 2.
 """
 
 import json
-import random
 import re
 from pathlib import Path
 
@@ -137,26 +136,6 @@ def test_length_is_that_of_the_bytes(segment):
         etsi.object_bits(["speed"])
 
 
-def test_lengths_of_a_thousand_messages_with_and_without_velocity_and_sensors():
-    rng, n = np.random.default_rng(11), 1000
-    count = rng.integers(0, 60, n)
-    begin, d = np.cumsum(count) - count, int(count.sum())
-    columns, moves = objects(rng, d), rng.random(d) < 0.5
-    velocity = np.where(moves[:, None], rng.uniform(-200, 200, (d, 2)), np.nan)
-    many = etsi.CpmObjects.of(*columns, velocity)
-    of = np.repeat(np.arange(n), count) * 4 + columns[1]
-    still, moving = (np.bincount(of[which], minlength=4 * n).reshape(n, 4) for which in (~moves, moves))
-    sensors = rng.random(n) < 0.5
-    for segment in (None, (8, 8)):
-        lengths = etsi.cpm_bytes(still, is_segment=segment is not None, n_moving=moving, has_sensors=sensors)
-        heads = [head(segment=segment, has_sensors=bool(has)) for has in sensors]
-        assert lengths.tolist() == [
-            len(etsi.cpm(heads[m], 255, many.between(begin[m], begin[m] + count[m]))) for m in range(n)
-        ]
-    with pytest.raises(ValueError, match="0 to 255 objects"):
-        etsi.cpm_bytes(np.array([[200, 0, 0, 0]]), n_moving=np.array([[56, 0, 0, 0]]))
-
-
 @pytest.mark.parametrize(
     ("members", "published"),
     [
@@ -190,12 +169,3 @@ def test_rounding_and_time():
     assert etsi.up(values, 0.01, -5, 50, 77).tolist() == [0, 1, 2, 0, 50, 77]
     assert etsi.its_ms(1_167_609_600) == 94_694_401_000 + 4_000
     assert etsi.heading(np.array([-0.04, 359.96, 90.0])).tolist() == [0, 0, 900]
-
-
-def test_random_messages_have_whole_bytes():
-    rng = random.Random(3)
-    for _ in range(50):
-        station = rng.getrandbits(32)
-        message = etsi.cpm(head(station=station), 0, uper.Encoded(0, 0, 0))
-        assert message[:2] == bytes([2, 14]) and int.from_bytes(message[2:6]) == station
-        assert len(message) == etsi.cpm_bytes(np.zeros((1, 4), int))[0]

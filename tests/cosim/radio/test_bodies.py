@@ -74,14 +74,3 @@ def test_the_bodies_of_the_two_ends_do_not_block_and_bridges_neither():
 def test_without_bodies_there_is_one_clear_line():
     with pytest.raises(ValueError, match="needs the bodies of the traffic"):
         pairs(np.array([[0.0, 0, 1.6], [60.0, 0, 1.6]]), PLAIN, np.uint64(1))
-
-
-def test_more_bodies_never_make_a_link_stronger():
-    g = np.random.default_rng(5)
-    xyz_m = np.column_stack([g.uniform(0, 500, 40), g.uniform(0, 12, 40), np.full(40, 1.6)])
-    lwh_m = np.column_stack([np.full(60, 10.0), np.full(60, 2.5), g.uniform(1.7, 4, 60)])
-    all_of = bodies_of(np.column_stack([g.uniform(0, 500, 60), g.uniform(0, 12, 60)]), lwh_m, np.zeros(60), [-1] * 40)
-    few = Bodies(all_of.xyz_m[:20], all_of.lwh_m[:20], all_of.yaw_rad[:20], all_of.own)
-    height = np.full(40, 1.6)
-    loss = [pairs(xyz_m, PLAIN, np.uint64(2), above_street_m=height, bodies=of).loss_db for of in (few, all_of)]
-    assert (loss[1] >= loss[0] - 1e-9).all() and (loss[1] > loss[0]).any()

@@ -78,11 +78,6 @@ def test_of_one_radio_the_urgent_frame_goes_first():
     assert set(outcomes(out).values()) == {PhyOutcome.RECEIVED}
 
 
-def test_the_long_frame_takes_longer():
-    out = hear(net(PAIR), say([0, 0], [0, 10 * MS], payload=[100, 1000]))
-    assert (out.end_ns - out.start_ns).tolist() == [232 * US, 1432 * US]
-
-
 def test_too_weak_is_range_and_noise_is_fading():
     # -93 dBm is below the -92 dBm of the receiver; -110 does not even exist.
     assert outcomes(hear(net([[0, -93, -110], [-np.inf] * 3, [-np.inf] * 3]), say(0, 0))) == {
@@ -283,30 +278,6 @@ def test_every_packet_comes_out_once_whoever_comes_and_goes(seed):
     given_, got = (np.concatenate(x) for x in zip(*tags, strict=True))
     assert sorted(got.tolist()) == sorted(given_.tolist())
     assert not state.phy["busy"].any()
-
-
-def delivered(dbm, packets, receiver=EXACT):
-    return sum(
-        np.mean(
-            run_window(
-                ChannelState.start(), net(dbm, True), packets, 60 * MS, ChannelRules(np.uint64(s), receiver, DCF)
-            )[1].reception
-            == 0
-        )
-        for s in range(20)
-    )
-
-
-def test_less_power_or_a_longer_frame_never_delivers_more():
-    dbm, _, packets = crowd(20, 3)
-    lone = say([0] * 12, np.arange(12) * 4 * MS, 300)
-    assert delivered(dbm - 6, lone) < delivered(dbm, lone)
-    assert delivered(dbm - 6, packets) < delivered(dbm, packets) + 0.2
-    # -1 dB of the noise limit of the payload, so that length tells: SINR 3 dB over a lowered detection.
-    edge, open_ = np.where(np.isfinite(dbm), -94.0, dbm), ReceiverParams(p_min_dbm=-110, sinr_min_db=0)
-    assert delivered(edge, replace(lone, payload_bytes=np.full(12, 1400)), open_) <= delivered(edge, lone, open_)
-    long = replace(packets, payload_bytes=np.minimum(2 * packets.payload_bytes, 2000))
-    assert delivered(dbm, long) < delivered(dbm, packets)
 
 
 def test_radios_come_and_go():

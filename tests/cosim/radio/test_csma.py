@@ -68,16 +68,6 @@ def test_without_fading_or_load_exactly_the_stations_in_range_receive():
         assert (received.latency_s >= 496e-6).all() and (received.latency_s < 700e-6).all()
 
 
-def test_latency_and_causality():
-    xyz = line(60, 10.0)
-    for received, frames in rounds(xyz, 500, n=3):
-        assert len(pairs(received)) == len(received.receiver)  # each pair once
-        assert (received.receiver != received.message).all()  # no own message
-        assert (received.latency_s > 0).all() and (received.latency_s <= 0.2).all()
-        assert frames.cbr is not None and (frames.cbr > 0.1).all() and (frames.cbr <= 1).all()
-        assert frames.sent_bytes == 60 * 536
-
-
 def test_every_frame_in_range_has_an_outcome():
     rng = np.random.default_rng(0)
     xyz = np.column_stack([rng.uniform(0, 800, (150, 2)), np.full(150, 1.6)])
@@ -110,59 +100,6 @@ def test_forwarding_hop_by_hop():
         reached[hops] = dict(zip(received.receiver.tolist(), received.hops.tolist(), strict=True))
         assert frames.n_relayed == hops - 1
     assert reached == {1: {1: 1}, 2: {1: 1, 2: 2}, 3: {1: 1, 2: 2, 3: 3}}
-
-
-def test_receiving_a_forwarded_copy_cancels_the_timer():
-    """Ten stations 180 to 270 m away: with contention one or two forward, not ten."""
-    bunch = np.column_stack([180.0 + 10.0 * np.arange(10), np.zeros(10), np.full(10, 1.6)])
-    xyz = np.vstack([[[0, 0, 1.6]], bunch, [[500, 0, 1.6]]])
-    ((received, frames),) = rounds(xyz, 300, sends=np.arange(12) == 0, max_hops=2, range_m=280.0)
-    assert (11, 0) in pairs(received)
-    assert 1 <= frames.n_relayed <= 4
-    assert frames.n_duplicate >= 9 - 4
-
-
-def test_forwarding_by_probability_has_the_given_rate_and_cancels_no_timer():
-    """Two hundred stations around one sender, all of which receive it: a binomial number forwards it."""
-    rng = np.random.default_rng(2)
-    xyz = np.column_stack([rng.uniform(-100, 100, (201, 2)), np.full(201, 1.6)])
-    one = np.arange(201) == 0
-    n_relayed = []
-    for p in (0.0, 0.3):
-        ((received, frames),) = rounds(xyz, 300, sends=one, max_hops=2, rule="probability", forward_p=p)
-        assert len(received.receiver) == 200
-        n_relayed.append(frames.n_relayed)
-    assert n_relayed[0] == 0 and abs(n_relayed[1] - 60) < 5 * np.sqrt(60 * 0.7)
-
-
-def test_order_and_a_station_out_of_range_change_nothing():
-    rng = np.random.default_rng(3)
-    xyz = np.column_stack([rng.uniform(0, 600, (60, 2)), np.full(60, 1.6)])
-    keys = keys_of(60)
-    air = PropagationParams(model="log_distance")
-    base = [pairs(received) for received, _ in rounds(xyz, 400, n=2, propagation=air, max_hops=2)]
-    order = rng.permutation(60)
-    mixed = rounds(xyz[order], 400, n=2, propagation=air, keys=keys[order], max_hops=2)
-    assert [{(order[r], order[s]) for r, s in pairs(received)} for received, _ in mixed] == base
-    far = np.vstack([xyz, [[50_000, 0, 1.6]]])
-    more = rounds(far, 400, n=2, propagation=air, keys=keys_of(61), max_hops=2)
-    assert [pairs(received) for received, _ in more] == base
-
-
-def test_a_wall_only_reduces_receptions():
-    """Two groups of stations, without and with a building between them."""
-    rng = np.random.default_rng(1)
-    side = rng.uniform(0, 40, (40, 2))
-    side[20:, 0] += 120
-    xyz = np.column_stack([side, np.full(40, 1.6)])
-    house = [[[60.0, -50], [100, -50], [100, 90], [60, 90]]]
-    urban = PropagationParams(blockage="none")
-    counts = []
-    for walls in ([], house):
-        many = rounds(xyz, 300, n=20, propagation=urban, los=los_of(walls))
-        across = [sum((r < 20) != (s < 20) for r, s in pairs(received)) for received, _ in many]
-        counts.append(sum(across))
-    assert counts[1] < 0.9 * counts[0]
 
 
 def test_links_are_kept_while_no_station_moves():
@@ -236,7 +173,9 @@ def test_no_messages_and_a_single_station(max_hops):
 def test_generation_access_and_reception_of_every_message():
     xyz = line(40, 12.0)
     for length in (400, 2500):  # one frame, and two
-        for received, _ in rounds(xyz, length, n=3, max_hops=2):
+        for received, frames in rounds(xyz, length, n=3, max_hops=2):
+            assert len(pairs(received)) == len(received.receiver) and (received.receiver != received.message).all()
+            assert (frames.cbr > 0.1).all() and (frames.cbr <= 1).all()
             assert (received.generation_offset_s >= 0).all() and (
                 received.generation_offset_s < 0.1
             ).all()  # in the first half of the round

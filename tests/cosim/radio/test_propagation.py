@@ -54,13 +54,6 @@ def test_3gpp_losses_are_those_of_ns3(scenario, condition):
         assert mean == pytest.approx(rows.mean_pl_db.to_numpy(), abs=0.01)
 
 
-def test_blockage_depends_on_who_is_taller():
-    normal, d = np.random.default_rng(0).standard_normal(200_000), np.full(200_000, 50.0)
-    assert p.blockage_db(normal, d, 1.5, 1.5).mean() == pytest.approx(9, abs=0.05)
-    assert p.blockage_db(normal, d, 1.5, 6.0).mean() == pytest.approx(5, abs=0.05)
-    assert not p.blockage_db(normal, d, 5.0, 6.0).any()
-
-
 def ns3_blockage(h_a_m, h_b_m, blocker_m):
     """Mean excess loss near the sender [dB] as ns-3 codes TR 37.885, pair by pair; heights in decimal arithmetic."""
     h_a, h_b, blocker = (round(Decimal(str(h)), 3) for h in (h_a_m, h_b_m, blocker_m))
@@ -82,16 +75,6 @@ def test_blocked_pairs_by_class_are_those_of_ns3(blocker_m):
     assert mean.tolist() == expected
     assert ((np.minimum(h_a, h_b) == blocker_m) & (mean == 5.0)).sum() > 100
     assert np.bincount(mean.astype(int))[[0, 5, 9]].min() > 100
-
-
-def test_an_antenna_as_high_as_the_blocker_loses_5_db():
-    """SUMO's car of 1.5 m with an antenna of 0.1 m on its roof stands exactly as high as the blocker, 1.6 m."""
-    normal, d = np.random.default_rng(0).standard_normal(200_000), np.full(200_000, 50.0)
-    for height_m in (1.5 + 0.1, 0.75 + 0.75 + 0.1, 1.6):
-        assert p.blockage_db(normal, d, height_m, height_m).mean() == pytest.approx(5, abs=0.05)
-    assert p.blockage_db(normal, d, 1.6, 1.55).mean() == pytest.approx(5, abs=0.05)
-    assert p.blockage_db(normal, d, 1.59, 1.59).mean() == pytest.approx(9, abs=0.05)
-    assert not p.blockage_db(normal, d, 1.61, 1.61).any()
 
 
 def test_fading_gain_has_mean_one_and_the_shape_of_its_distance():

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.radio.link_budget import neighbours
 from cosim.radio.message_round import Messages, Outcome, RoundKind, Stations
 from cosim.radio.params import RadioParams, RelayParams, UnitDiskParams
 from cosim.radio.unit_disk import UnitDiskMedium
@@ -98,15 +97,6 @@ def test_laws(seed, hops):
     assert {(order[r], order[s]) for r, s in zip(shuffled.receiver, shuffled.message, strict=True)} == pairs
 
 
-def test_a_station_out_of_range_changes_nothing():
-    xy, keys = crowd(60)
-    far, far_keys = np.vstack([xy, [[1e6, 1e6]]]), np.append(keys, np.uint64(99))
-    near = send(xy, keys, loss_p=0.3, max_hops=2)[0]
-    both = send(far, far_keys, loss_p=0.3, max_hops=2)[0]
-    for name in ("receiver", "message", "hops", "latency_s"):
-        assert np.array_equal(getattr(near, name), getattr(both, name))
-
-
 def test_loss_is_the_share_asked_for():
     xy, keys = crowd(400, side_m=800.0)
     _, frames = send(xy, keys, loss_p=0.2, range_m=300.0)
@@ -125,15 +115,6 @@ def test_late_messages_are_dropped():
 def test_at_most_one_station(n):
     found, frames = send(np.zeros((n, 2)), np.zeros(n, np.uint64))
     assert len(found.receiver) == 0 and len(frames.outcome) == 0
-
-
-def test_neighbours_are_sorted_and_symmetric():
-    xy, _ = crowd(50)
-    a, b, distance = neighbours(xy, 250.0)
-    key = a * 50 + b
-    assert (np.diff(key) > 0).all()
-    assert set(key.tolist()) == set((b * 50 + a).tolist())
-    assert (distance <= 250).all()
 
 
 def test_bad_parameters():

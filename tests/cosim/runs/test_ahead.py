@@ -15,11 +15,12 @@ N = 6
 CSMA = 'radio.model="csma"'
 
 
+@pytest.mark.verify
 @pytest.mark.parametrize(
     "setting",
     [
         pytest.param(("traffic.step_s=0.5",), id="every other step senses"),
-        pytest.param(("record.block_steps=2",), id="every other step is the last of a block", marks=pytest.mark.verify),
+        pytest.param(("record.block_steps=2",), id="every other step is the last of a block"),
     ],
 )
 def test_a_run_with_one_thread_has_the_same_tables(tmp_path, setting):

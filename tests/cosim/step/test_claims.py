@@ -7,7 +7,7 @@ import pytest
 
 from cosim.config.config import resolve_data
 from cosim.messages.content import SELF, SENSED
-from cosim.step.claims import absences_asked, claims_of
+from cosim.step.claims import claims_of
 from cosim.step.parts import check_choices
 from sensors.boxes import Boxes
 from sensors.tracking import ObjectStates, TrackingParams, confirmed_variance
@@ -158,13 +158,6 @@ def test_velocities_against_literal_loops(seed):
     found = scene.claims("speed")
     assert found.keys() == expected.keys()
     assert all(found[key] == pytest.approx(expected[key], abs=1e-9) for key in found)
-
-
-def test_a_full_message_raises_no_question():
-    scene = Scene(3)
-    n = len(absences_asked(scene.exchange, scene.messages, scene.matched, 255).list)
-    assert n > len(absences_asked(scene.exchange, scene.messages, scene.matched, 2).list)
-    assert len(absences_asked(scene.exchange, scene.messages, scene.matched, 0).list) == 0
 
 
 def of_kind(tables, kind, n_before=0):

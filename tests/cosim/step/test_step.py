@@ -2,18 +2,16 @@
 
 import copy
 import pickle
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from cosim.addons.compare.scenarios import ScriptedScene
-from cosim.messages.pseudonyms import Never, Pseudonyms
 from cosim.radio.medium import MEDIA
 from cosim.runs.checkpoint import decode, encode
 from cosim.step.cycle import step
 from cosim.step.state import State
-from tests.scene import assert_same, parts_of, play
+from tests.scene import assert_same, parts_of
 from trust.models import MODELS
 
 KINDS = {
@@ -85,32 +83,6 @@ def test_asking_changes_nothing(midway):
     first = parts.trust.lookup(state.trust, vehicle, subject, 3.9)
     assert pickle.dumps(state) == before
     assert_same(parts.trust.lookup(state.trust, vehicle, subject, 3.9), first)
-
-
-class Backwards(Pseudonyms):
-    """Pseudonyms in the reverse order of the vehicles' numbers."""
-
-    def issue(self, state, world, observers, wants=None):
-        """1000 minus the vehicle's number."""
-        state, _, ended = super().issue(state, world, observers, wants)
-        actor = world.actor[observers]
-        current = state.current.copy()
-        current[actor] = 1000 - actor
-        return replace(state, current=current), current[actor], ended
-
-
-def test_other_pseudonyms_change_nothing_but_names():
-    one, _ = play(6, "attacks.0.start_s=2")
-    other, _ = play(6, "attacks.0.start_s=2", pseudonyms=Backwards(Never(), 4, 1.0))
-    assert other[0].vehicles.pseudonym.tolist() == [1000, 999, 998]
-    for a, b in zip(one, other, strict=True):
-        for name in ("listed", "rounds", "looked_up", "fused", "servers"):
-            assert_same(getattr(a, name), getattr(b, name), name)
-        for name in ("lists", "reported"):
-            assert_same(getattr(a.evaluated, name), getattr(b.evaluated, name), name)
-        (x,), (y,) = a.published, b.published
-        assert (1000 - y.subject[::-1]).tolist() == x.subject.tolist()
-        assert y.trust[::-1].tolist() == x.trust.tolist() and y.n_evaluations[::-1].tolist() == x.n_evaluations.tolist()
 
 
 @pytest.mark.parametrize("model", MODELS)
