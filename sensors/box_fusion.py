@@ -683,7 +683,7 @@ def _padded(n):
 
 @inlined
 def _subtract(rows, i, of, k, factors, begin, end):
-    """Subtract multiples of rows k, k + 1, ... from rows i, i + 1 and i + 2, in columns `begin` to `end` and some more."""
+    """Subtract multiples of rows k, k + 1, ... from rows i, i + 1 and i + 2, in columns `begin` to `end` and beside."""
     size = 0.0
     for factor in factors:
         size += abs(factor)
@@ -742,29 +742,11 @@ def _invert(factor, inverse):
             for c in range(i + 3, n):
                 row[c] *= per
                 inverse[c, j] = row[c]
-        _invert_own(i, factor, inverse)
-
-
-@kernel
-def _invert_own(i, factor, inverse):
-    """Fill the rows i to i + 3 of the inverse in the columns i to i + 3. The columns behind them are known."""
-    a, b, c = factor[i], factor[i + 1], factor[i + 2]
-    x, y, z = inverse[i], inverse[i + 1], inverse[i + 2]
-    xx = xy = xz = yy = yz = zz = 0.0
-    for k in range(i + 3, len(factor)):
-        xx += a[k] * x[k]
-        xy += a[k] * y[k]
-        xz += a[k] * z[k]
-        yy += b[k] * y[k]
-        yz += b[k] * z[k]
-        zz += c[k] * z[k]
-    j, k = i + 1, i + 2
-    z[k] = (1.0 / c[k] - zz) / c[k]
-    y[k] = z[j] = -(yz + b[k] * z[k]) / b[j]
-    x[k] = z[i] = -(xz + a[j] * y[k] + a[k] * z[k]) / a[i]
-    y[j] = (1.0 / b[j] - yy - b[k] * y[k]) / b[j]
-    x[j] = y[i] = -(xy + a[j] * y[j] + a[k] * y[k]) / a[i]
-    x[i] = (1.0 / a[i] - xx - a[j] * x[j] - a[k] * x[k]) / a[i]
+            for c in range(i + 2, j - 1, -1):
+                other, value = inverse[c], per if c == j else 0.0
+                for k in range(j + 1, n):
+                    value -= factor[j, k] * other[k]
+                row[c] = inverse[c, j] = value * per
 
 
 @kernel

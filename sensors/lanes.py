@@ -1,4 +1,4 @@
-"""Sixteen neighbouring rays, or eight columns of a matrix, at once: vector instructions that Numba's loops do not become.
+"""Vector instructions that Numba's loops do not become, for sixteen neighbouring rays or eight columns of a matrix.
 
 LLVM cuts them to what a processor has. `generate` writes the instructions where a kernel calls the function.
 
