@@ -6,7 +6,6 @@ plain names.
 """
 
 import os
-import posixpath
 import re
 import shutil
 import subprocess
@@ -54,12 +53,9 @@ _FENCE = re.compile(r"(^```.*?^```$)", flags=re.DOTALL | re.MULTILINE)
 
 def pages() -> dict[str, str]:
     """Every page of the site by path, as Markdown with links within the site and equations as LaTeX."""
-    paths = sorted((HERE / "pages").rglob("*.md"))
-    sources = {path.relative_to(ROOT).as_posix(): path.relative_to(HERE / "pages").as_posix() for path in paths}
-    found = {
-        at: _turned((ROOT / source).read_text(encoding="utf-8"), source, at)
-        for source, at in {**sources, **TAKEN}.items()
-    }
+    own = [path.relative_to(ROOT).as_posix() for path in (HERE / "pages").rglob("*.md")]
+    places = {**{source: _place(source) for source in own}, **TAKEN}
+    found = {at: _turned(source, at) for source, at in places.items()}
     found["reference/config.md"] = config_keys.markdown()
     found["reference/cli.md"] = commands.markdown()
     found["howto/python.md"] = _notebook((HERE / "pages/howto/python.py").read_text(encoding="utf-8"))
@@ -85,7 +81,7 @@ def build(out: Path) -> None:
         sys.exit("error: the site has warnings, see above; where MkDocs is not installed: make docs")
 
 
-def _turned(text: str, source: str, at: str) -> str:
+def _turned(source: str, at: str) -> str:
     """A page of the repository with its links changed to the site's pages."""
 
     def link(found: re.Match[str]) -> str:
@@ -96,21 +92,22 @@ def _turned(text: str, source: str, at: str) -> str:
         path = Path(os.path.normpath(Path(source).parent / place)).as_posix()
         if not (ROOT / path).exists():
             raise ValueError(f"{source}: links to {target}, which is not there.")
-        page = _place(path)
-        if page:
-            return f"{picture}[{label}]({posixpath.relpath(page, posixpath.dirname(at))}{hash_}{anchor})"
+        if page := _place(path):
+            to = os.path.relpath(page, Path(at).parent)
+            return f"{picture}[{label}]({to}{hash_}{anchor})"
         return label if label.startswith("`") else f"{label} (`{path}`)"
 
-    parts = _FENCE.split(text)
+    parts = _FENCE.split((ROOT / source).read_text(encoding="utf-8"))
     return "".join(part if part.startswith("```") else _LINK.sub(link, part) for part in parts)
 
 
 def _place(path: str) -> str:
     """The place on the site of a file of the repository, or nothing."""
     path = f"{path}/README.md" if f"{path}/README.md" in TAKEN else path
-    if path in TAKEN or path in MADE:
-        return TAKEN.get(path) or MADE[path]
-    return next((FILES[folder] + path.removeprefix(folder) for folder in FILES if path.startswith(folder)), "")
+    for folder, place in FILES.items():
+        if path.startswith(folder) and path not in MADE:
+            return place + path.removeprefix(folder)
+    return TAKEN.get(path) or MADE.get(path, "")
 
 
 def _notebook(text: str) -> str:
