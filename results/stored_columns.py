@@ -163,5 +163,6 @@ def stored_rows(
         elif valid is not None and not np.all(valid):
             raise ValueError(f"{table}.{name} cannot be null.")
         is_label = column.categories and values.dtype.kind in "OUT"
-        rows[name] = column.store(column.codes(values, valid) if is_label else values, valid)
+        values = column.codes(values, valid) if is_label else values
+        rows[name] = column.store(values, valid) if n else np.zeros(0, column.dtype)
     return rows

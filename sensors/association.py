@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from numba import prange
 from numpy import ndarray
 
-from cosim.base.kernel import compiled, inlined, kernel, parallel
+from cosim.base.kernel import compiled, inlined, kernel
+from cosim.base.threads import in_ranges
 from sensors.boxes import Boxes, iou_of
 
 Pairs = tuple[Int[ndarray, "k"], Int[ndarray, "k"], Float[ndarray, "k"]]
@@ -226,7 +226,9 @@ def _agreeing(
     most = -2.0 * np.log(gate.miss_p) * (1.0 + 1e-6) + 1e-9  # those at the edge are decided below
     while True:
         found = np.empty((n_chunks, room), _FOUND)
-        n = _search(places, others, is_same, reach_m, most, gate.least_iou, found)
+        n = np.zeros(n_chunks, np.int64)
+        given = places, others, is_same, reach_m, most, gate.least_iou, found, n
+        in_ranges(lambda begin, end, given=given: _search(begin, end, *given), n_chunks)
         if n.max(initial=0) <= room:
             break
         room = int(n.max())
@@ -249,17 +251,15 @@ _FOUND = np.dtype([("square", "f8"), ("iou", "f8"), ("i", "i4"), ("j", "i4")])
 """A pair that may pass the gate: squared Mahalanobis distance, and IoU if it is above the least one."""
 
 
-@parallel
-def _search(a, b, is_same, reach_m, most, least_iou, found):
-    """Write pairs into `found`, sorted by i and j in each chunk; return their number there, which may exceed the room.
+@compiled
+def _search(begin, end, a, b, is_same, reach_m, most, least_iou, found, count):
+    """Write pairs into `found`, sorted by i and j in each chunk, and into `count` their number there.
 
-    Chunks of `a` are independent.
+    That number may exceed the room. Chunks of `a` are independent.
     """
-    count = np.zeros(len(found), np.int64)
-    for chunk in prange(len(found)):
-        room = np.empty((4, 16))
-        count[chunk] = _search_chunk(np.int64(chunk), a, b, is_same, reach_m, most, least_iou, found[chunk], room)
-    return count
+    room = np.empty((4, 16))
+    for chunk in range(begin, end):
+        count[chunk] = _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, found[chunk], room)
 
 
 @kernel

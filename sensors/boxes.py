@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from numba import prange
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from cosim.base.kernel import kernel, parallel
+from cosim.base.kernel import compiled, kernel
 from cosim.base.ragged import row_numbers
 from cosim.base.rows import Rows
+from cosim.base.threads import in_ranges
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +136,15 @@ def iou_3d(a: Boxes, b: Boxes) -> Float[ndarray, "n"]:
         raise ValueError(
             f"iou_3d was given {len(a)} and {len(b)} boxes. It compares row by row, so both numbers must be equal."
         )
-    return _iou(a.xyz_m, a.lwh_m, a.yaw_rad, b.xyz_m, b.lwh_m, b.yaw_rad)
+    out = np.empty(len(a))
+    of_a = a.xyz_m, a.lwh_m, a.yaw_rad
+    of_b = b.xyz_m, b.lwh_m, b.yaw_rad
+
+    def compare(begin: int, end: int) -> None:
+        _iou(begin * _CHUNK, end * _CHUNK, *of_a, *of_b, out)
+
+    in_ranges(compare, (len(a) + _CHUNK - 1) // _CHUNK)
+    return out
 
 
 def overlapping_pairs(
@@ -207,16 +215,12 @@ _CHUNK = 4096
 """Pairs of which one thread computes the overlap at once."""
 
 
-@parallel
-def _iou(a_xyz, a_lwh, a_yaw, b_xyz, b_lwh, b_yaw):
-    """IoU of the boxes of the two sets, row by row."""
-    n = len(a_xyz)
-    out = np.empty(n)
-    for chunk in prange((n + _CHUNK - 1) // _CHUNK):
-        room = np.empty((4, 16))
-        for k in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, n)):
-            out[k] = iou_of(a_xyz, a_lwh, a_yaw, k, b_xyz, b_lwh, b_yaw, k, room)
-    return out
+@compiled
+def _iou(begin, end, a_xyz, a_lwh, a_yaw, b_xyz, b_lwh, b_yaw, out):
+    """Write the IoU of the boxes of the two sets in the rows from `begin` to `end`. The last ones may be missing."""
+    room = np.empty((4, 16))
+    for k in range(begin, min(end, len(out))):
+        out[k] = iou_of(a_xyz, a_lwh, a_yaw, k, b_xyz, b_lwh, b_yaw, k, room)
 
 
 @kernel

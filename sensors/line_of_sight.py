@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int, Int32, UInt8, UInt64
 from numpy import ndarray
 from scipy.ndimage import distance_transform_cdt
 
+from cosim.base.threads import in_ranges
 from sensors import line_of_sight_kernels as kernels
 from sensors.boxes import Boxes
 from sensors.line_of_sight_kernels import FilledCells, Grid, Walls
@@ -168,7 +169,12 @@ class WallIndex:
         out = np.empty(len(a), np.bool_)
         blocked = self.crosses_filled(xyz_m, a, b) if blocked is None else blocked
         rank = np.zeros(len(xyz_m), np.uint64) if rank is None else rank
-        kernels.has_los(xyz_m, self.indoors(xyz_m), rank, a, b, blocked, self.grid, self.walls.segment, out)
+        lines = xyz_m, self.indoors(xyz_m), rank, a, b, blocked
+
+        def follow(begin: int, end: int) -> None:
+            kernels.has_los(begin, end, *lines, self.grid, self.walls.segment, out)
+
+        in_ranges(follow, kernels.n_chunks(len(a)))
         return out
 
     def walls_crossed(

@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from numba import prange
 from numpy import ndarray
 
-from cosim.base.kernel import compiled, inlined, kernel, parallel
+from cosim.base.kernel import compiled, inlined, kernel
 from sensors.raycast.column import in_prism_frame, rectangle
 
 _SLACK_M = 1e-6
@@ -273,18 +272,23 @@ def _follow(begin, end, xyz, indoors, rank, a, b, blocked, grid, walls, line, ac
         n = left
 
 
-@parallel
-def has_los(xyz, indoors, rank, a, b, blocked, grid, walls, out):
-    """Which lines no wall cuts.
+def n_chunks(n_lines: int) -> int:
+    """Number of the chunks in which `has_los` follows lines."""
+    return (n_lines + _CHUNK - 1) // _CHUNK
+
+
+@compiled
+def has_los(begin, end, xyz, indoors, rank, a, b, blocked, grid, walls, out):
+    """Which lines of the chunks from `begin` to `end` no wall cuts. There are `n_chunks`.
 
     Lines in `blocked` are known to be cut. A line with an end in `indoors` has no line of sight. A line is followed
     from its end of lower `rank`, from `a` where both ranks are equal.
     """
-    n = len(a)
-    for chunk in prange((n + _CHUNK - 1) // _CHUNK):
-        first, end = chunk * _CHUNK, min((chunk + 1) * _CHUNK, n)
-        line, active, course = np.empty(_CHUNK, np.int64), np.empty(_CHUNK, np.int64), np.empty((_CHUNK, 12))
-        _follow(first, end, xyz, indoors, rank, a, b, blocked, grid, walls, line, active, course, out)
+    line, active, course = np.empty(_CHUNK, np.int64), np.empty(_CHUNK, np.int64), np.empty((_CHUNK, 12))
+    for chunk in range(begin, end):
+        first = chunk * _CHUNK
+        stop = min(first + _CHUNK, len(a))
+        _follow(first, stop, xyz, indoors, rank, a, b, blocked, grid, walls, line, active, course, out)
 
 
 @compiled

@@ -4,6 +4,7 @@ The user may work in a folder of somebody else, who must not choose code by it. 
 MODULE WORDS` runs a module of this program as its main module.
 """
 
+import gc
 import os
 import runpy
 import sys
@@ -61,6 +62,7 @@ def ignore_settings_here() -> None:
 
 
 if __name__ == "__main__":
+    gc.set_threshold(100_000, 50, 100)  # as in `cosim.__main__`
     ignore_settings_here()
     sys.argv = sys.argv[1:]
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)

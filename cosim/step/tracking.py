@@ -51,8 +51,10 @@ def _track_round(
 ) -> tuple[InterReceptionTracker, Reach]:
     broadcast = rounds[kind]
     actor, received, found = exchange.vehicles.actor, broadcast.links.vehicles, broadcast.round
+    frames = found.frames
+    message = frames.message.astype(np.int32, copy=False)  # the type for which the kernel is compiled
     pair, got, n_in_range = pairs_within_range(
-        found.station, found.frames.message, found.frames.receiver, found.frames.hop,
+        found.station, message, frames.receiver, frames.hop,
         exchange.senders.vehicle, received.message, received.receiver, actor,
     )  # fmt: skip
     late = [_codes(actor, messages) for messages in late_of(rounds, kind)]

@@ -4,7 +4,6 @@ It ends when the process that started it ends, because its standard input is the
 """
 
 import fcntl
-import gc
 import json
 import logging
 import shutil
@@ -88,7 +87,6 @@ def _drop(folder: Path, kept: list[str] | None) -> None:
 
 
 def main() -> None:
-    gc.set_threshold(100_000, 50, 100)  # as in `cosim.__main__`
     if not sys.stdin.isatty():
         end_with_parent()
     kind, *words = sys.argv[1:]

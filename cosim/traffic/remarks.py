@@ -71,10 +71,13 @@ class FlowCounts:
         if self._before is not None and self.dt_s:
             self.n_jumping += len(jumping(self._before, world, self.dt_s))
         self._before = world
-        boxes = world.boxes.take(np.flatnonzero(vehicle))
-        _, row, n = np.unique(boxes.xyz_m, axis=0, return_index=True, return_counts=True)
-        self.n_at_one_point += int(n[n > 1].sum())
-        self.n_overlapping += len(overlapping(boxes.take(row)))
+        boxes = world.boxes.take(vehicle)
+        east_m = np.sort(boxes.xyz_m[:, 0])
+        if (east_m[1:] == east_m[:-1]).any():  # otherwise no two are at one point
+            _, row, n = np.unique(boxes.xyz_m, axis=0, return_index=True, return_counts=True)
+            self.n_at_one_point += int(n[n > 1].sum())
+            boxes = boxes.take(row)
+        self.n_overlapping += len(overlapping(boxes))
         return world
 
     def report(self) -> dict[str, Any]:
@@ -104,9 +107,14 @@ def overlapping(boxes: Boxes) -> Int[ndarray, "n"]:
     if len(boxes) < 2:
         return np.zeros(0, np.int64)
     a, b = cKDTree(boxes.xyz_m[:, :2]).query_pairs(_APART_M, output_type="ndarray").T
+    between = boxes.xyz_m[b, :2] - boxes.xyz_m[a, :2]
+    radius_m = boxes.circumradius_m
+    near = np.hypot(*between.T) <= radius_m[a] + radius_m[b]
+    if not near.any():
+        return np.zeros(0, np.int64)
+    a, b, between = a[near], b[near], between[near]
     height_m = boxes.lwh_m[:, 2]
     apart = np.abs(boxes.xyz_m[a, 2] - boxes.xyz_m[b, 2]) > (height_m[a] + height_m[b]) / 2 - INSIDE_M / 2
-    between = boxes.xyz_m[b, :2] - boxes.xyz_m[a, :2]
     half = boxes.lwh_m[:, :2] / 2
     for axis_rad in (yaw + turn for yaw in (boxes.yaw_rad[a], boxes.yaw_rad[b]) for turn in (0.0, np.pi / 2)):
         axis = np.column_stack([np.cos(axis_rad), np.sin(axis_rad)])

@@ -12,20 +12,21 @@ from results.measure import measure
 from results.verify import verify
 from tests.hostile import SEED, N
 from tests.hostile.folders import HARMS
-from tests.results.recorded import write
+from tests.results.synthetic import write
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """A run that is whole."""
-    folder = write(tmp_path_factory.mktemp("whole") / "run")
+    folder = write(tmp_path_factory.mktemp("whole") / "run", steps=40, block_steps=10)
+    (folder / "config.toml").write_text("")
     assert verify(folder)[1] == []
     return folder
 
 
 def found(folder):
-    """Problems."""
-    return verify(folder)[1]
+    """Problems beyond the config that a made-up run does not have."""
+    return [problem for problem in verify(folder)[1] if not problem.startswith("config.toml")]
 
 
 @pytest.mark.parametrize("harm", sorted(set(HARMS), key=lambda h: h.__name__), ids=lambda h: h.__name__)

@@ -11,7 +11,7 @@ from results.figures import study as study_figure
 from results.figures import style, trust
 from results.figures.catalogue import FIGURES
 from results.study import StudyResults
-from tests.results.recorded import write
+from tests.results.synthetic import write
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -51,12 +51,10 @@ def test_saved_twice_is_the_same_file(run, suffix, tmp_path):
 
 
 def test_single_vehicles(run):
-    two = run.subjects.vehicle[run.trust.subject.unique()[:2]].tolist()
-    texts = {text.get_text() for text in trust.draw([run], vehicles=two).axes[0].texts}
-    assert texts >= {*map(str, two), "attacks begin"}
-    other = run.vehicles.vehicle[~run.vehicles.equipped].iloc[0]
-    with pytest.raises(ValueError, match=f"no trust in vehicle {other}"):
-        trust.draw([run], vehicles=[other])
+    figure = trust.draw([run], vehicles=[0, 12])
+    assert {text.get_text() for text in figure.axes[0].texts} >= {"0", "12", "attacks begin"}
+    with pytest.raises(ValueError, match="no trust in vehicle 59"):
+        trust.draw([run], vehicles=[59])
 
 
 def test_units_come_from_the_dictionary(run):
@@ -87,7 +85,7 @@ def test_bad_requests(run, tmp_path):
 
 @pytest.mark.parametrize("name", FIGURES)
 def test_nothing_to_draw_is_one_clear_line(name, tmp_path):
-    path = write(tmp_path / "quiet", level="standard")
+    path = write(tmp_path / "quiet", steps=10, level="standard")
     for table in ("encounters", "trust", "trust_lookups", "radio", "pdr_by_distance", "actors"):
         for part in (path / table).iterdir():
             part.unlink()
@@ -97,7 +95,7 @@ def test_nothing_to_draw_is_one_clear_line(name, tmp_path):
 
 
 def test_runs_of_one_name_are_told_apart(run, tmp_path):
-    twin = open_run(write(tmp_path / run.name))
+    twin = open_run(write(tmp_path / run.name, steps=10))
     assert len(set(style.names([run, twin]))) == 2
 
 

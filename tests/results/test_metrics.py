@@ -154,7 +154,7 @@ def test_measure_is_tidy(run):
     assert not numbers.duplicated(["metric", "group"]).any()
     assert set(numbers.metric) <= set(METRICS)
     final = run.measure.value("trust.final.median", "malicious"), run.measure.value("trust.final.median", "honest")
-    assert final[0] < 0.1 < 0.4 < final[1]
+    assert final[0] < 0.1 < 0.6 < final[1]
     with pytest.raises(ValueError, match=r"no metric 'trust\.last'"):
         run.measure.value("trust.last")
 

@@ -102,8 +102,7 @@ def test_without_a_server(tiny):
 
 def test_against_the_u_test(run):
     """From the Parquet files alone, with SciPy's U statistic."""
-    who, names = (pq.read_table(run.path / name).to_pandas() for name in ("vehicles", "pseudonyms"))
-    who = names.merge(who, on="vehicle").set_index("pseudonym")
+    who = pq.read_table(run.path / "vehicles").to_pandas().set_index("vehicle")
     table = pq.read_table(run.path / "trust").to_pandas().astype({"trust": float}).join(who, "subject")
     table = table[(table.step <= table.last_step) & (table.n_evaluations > 0)]
     honest = table.trust[(table.role == "honest") & (table.step >= who.attack_start_step.min())]

@@ -9,7 +9,7 @@ from results.archive import open_run
 from results.recorder import Recorder
 from results.tables import TABLES
 from tests.fingerprint import fingerprint
-from tests.results.recorded import write
+from tests.results.synthetic import write
 
 
 def trust_of(subject, trust):
@@ -153,7 +153,7 @@ def test_resume_equals_a_run_in_one_go(tmp_path):
 
 def test_a_table_without_rows_is_read_as_parquet(tmp_path):
     """By pandas, and by file name: it has its columns, with their kinds, and no row."""
-    run = open_run(write(tmp_path / "run"))
+    run = open_run(write(tmp_path / "run", steps=20))
     empty = [name for name in run.tables if not len(run.table(name))]
     assert empty
     for name in empty:
@@ -182,7 +182,7 @@ def test_small_on_disk(run):
 
 
 def test_open_run_gives_what_was_written(tmp_path):
-    path = write(tmp_path / "small", level="standard")
+    path = write(tmp_path / "small", steps=30, level="standard")
     run = open_run(path)
     assert "receptions" not in run.tables and len(run.actors)
     assert run.actors.groupby("step").actor.is_monotonic_increasing.all()

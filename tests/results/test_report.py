@@ -12,7 +12,7 @@ from results.archive import open_run
 from results.figures import style
 from results.figures.catalogue import FIGURES
 from results.tables import TABLES
-from tests.results.recorded import write
+from tests.results.synthetic import write
 
 VOID = {"meta", "img", "br"}
 
@@ -59,7 +59,7 @@ def test_page(text):
 
 def test_page_of_a_summary_with_a_name_of_markup(tmp_path):
     """Names cannot break the page, what is missing is said, and folders are made."""
-    run = open_run(write(tmp_path / "a <b> & c", level="summary"))
+    run = open_run(write(tmp_path / "a <b> & c", steps=20, level="summary"))
     text = report.write(run, tmp_path / "new" / "folder" / "report.html").read_text()
     assert "a &lt;b&gt; &amp; c" in text and "<b> & c" not in text
     assert "No figure of freshness" in text and "holds no trust lookups" in text
@@ -78,7 +78,7 @@ def test_a_dense_panel_is_a_bitmap_and_the_rest_stays_vector():
 
 
 def test_below_a_file_no_folder_is_made(tmp_path):
-    run = open_run(write(tmp_path / "run", level="summary"))
+    run = open_run(write(tmp_path / "run", steps=2, level="summary"))
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match=r"Not a directory|File exists"):
         report.write(run, tmp_path / "file" / "report.html")

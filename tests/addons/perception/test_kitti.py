@@ -86,6 +86,12 @@ def objects(rows, scores=None):
     )  # fmt: skip
 
 
+def test_perfect_detector():
+    """50 cars found, nothing else: 41 thresholds, precision 1 at all of them."""
+    truth = objects([(frame, 10 * k, 0) for frame in range(10) for k in range(5)])
+    assert kitti.average_precision(truth, truth, "car")["easy"].ap11 == pytest.approx(100)
+
+
 def test_by_hand():
     """Four cars in two frames; scores .9 hit, .8 false, .7 hit, .6 hit; one car is missed.
 
@@ -132,3 +138,17 @@ def test_overlap_by_hand():
     # Two unit squares turned by 45 degrees share a regular octagon: 2 (sqrt 2 - 1).
     square = np.array([[0.0, 0, 0, 1, 1, 1, 0.3]])
     assert overlap.footprint_overlap(square, square + np.eye(7)[6] * np.pi / 4) == pytest.approx(2 * (2**0.5 - 1))
+
+
+def test_overlap_is_symmetric_and_rigid():
+    rng = np.random.default_rng(0)
+    a = np.column_stack([rng.uniform(-2, 2, (500, 3)), rng.uniform(0.5, 5, (500, 3)), rng.uniform(-4, 4, 500)])
+    b = np.column_stack([rng.uniform(-2, 2, (500, 3)), rng.uniform(0.5, 5, (500, 3)), rng.uniform(-4, 4, 500)])
+    common = overlap.footprint_overlap(a, b)
+    assert overlap.footprint_overlap(b, a) == pytest.approx(common, abs=1e-9)
+    turn = 1.234
+    spin = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    moved = []
+    for box in (a, b):
+        moved.append(np.column_stack([box[:, :2] @ spin.T + [1000, -700], box[:, 2:6], box[:, 6] + turn]))
+    assert overlap.footprint_overlap(*moved) == pytest.approx(common, abs=1e-8)
