@@ -128,13 +128,18 @@ def _of_metrics(study: StudyResults, names: Sequence[str]) -> tuple[list[str], D
     matter = that_matter(chosen(study.measures, names), study.keys)
     n_panels = max((study.points[key].nunique() for key in matter[2:3]), default=1)
     shown = 3 if n_panels <= figure.MOST_PANELS else 2
-    return matter[shown:], lambda where: figure.draw(study, "", _there(study, names, where), where=where, lean=True)
+
+    def draw(where: Mapping[str, str]) -> Any:
+        return figure.draw(study, "", _there(study, names, where), where=where, lean=True)
+
+    return matter[shown:], draw
 
 
 def _there(study: StudyResults, names: Sequence[str], where: Mapping[str, str]) -> list[str]:
     """Those of some metrics that have a value at these values of keys."""
     frame = figure.held(study, study.summary, study.keys, where)
-    found = [name for name in names if len(frame.index.intersection(chosen(study.summary, [name]).index))]
+    there = {name: chosen(study.summary, [name]).index for name in names}
+    found = [name for name, rows in there.items() if rows.isin(frame.index).any()]
     if not found:
         raise ValueError("no value here")
     return found

@@ -63,7 +63,8 @@ def sweep(
     asked = changed(load(study, trust_code), with_preset(preset, overrides))
     out = out or Path("runs", study.stem)
     task = sweeping.prepare_study(asked, study.name, out, not separate)
-    said = sweeping.keys_in_vain(task.points) + sweeping.scene_notes(task.points) + sweeping.fleet_notes(task.points)
+    of_points = (sweeping.keys_in_vain, sweeping.scene_notes, sweeping.fleet_notes)
+    said = [note for notes_on in of_points for note in notes_on(task.points)]
     for note in said + sweeping.interval_notes(task.study):
         notes.print(note, soft_wrap=True)
     if dry_run:
@@ -273,7 +274,8 @@ def report(folder: Path, out: Path | None, where: list[str]) -> None:
     from results.study import open_study
     from results.study_report import write
 
-    path = write(open_study(folder).at(_held(where)), out or folder / "report.html", ", ".join(where))
+    study = open_study(folder).at(_held(where))
+    path = write(study, out or folder / "report.html", ", ".join(where))
     screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 

@@ -139,10 +139,10 @@ def fleet_notes(points: Sequence[Point]) -> list[str]:
         named = (config.traffic.scenario, config.fleet.penetration_p)
         if named not in found and config.sensing:
             found[named] = vehicles_on_road(config) * config.fleet.penetration_p
-    few = [(city, p, n) for (city, p), n in found.items() if n < FEW_EQUIPPED]
+    few = {named: n for named, n in found.items() if n < FEW_EQUIPPED}
     if not few:
         return []
-    city, p, n = min(few, key=lambda of: of[2])
+    (city, p), n = min(few.items(), key=lambda of: of[1])
     more = f", and {len(few) - 1} more" if len(few) > 1 else ""
     return [
         f"note: about {n:.1f} equipped vehicles are on the road at a time at traffic.scenario = {city} with "

@@ -49,7 +49,7 @@ def definitions(run: Run) -> pd.DataFrame:
     for name in ("radius_m", "hysteresis_s"):
         asked[name] = asked[name].astype(np.float32).astype(float)  # as the table keeps them
     there = run.table("encounters", DEFINITION).drop_duplicates()
-    there = there.astype(dict.fromkeys(("pairs", "los"), object) | dict.fromkeys(("radius_m", "hysteresis_s"), float))
+    there = there.astype({"pairs": object, "los": object, "radius_m": float, "hysteresis_s": float})
     both = there if asked.empty else asked if there.empty else pd.concat([asked, there])
     return both.drop_duplicates().sort_values([*DEFINITION], ignore_index=True)
 
@@ -195,8 +195,10 @@ def rates(run: Run) -> pd.DataFrame:
     rates = []
     for kind in kinds.to_dict("records"):
         everybody = ~stands & (~walks | bool(kind["pedestrians"]))
-        total_h = float(there_h[vehicles.equipped if kind["pairs"] in ("equipped", "los") else everybody].sum())
-        rates.append(2 * n.get(tuple(kind.values()), 0) / total_h if total_h else np.nan)
+        can_meet = vehicles.equipped if kind["pairs"] in ("equipped", "los") else everybody
+        total_h = float(there_h[can_meet].sum())
+        n_begun = n.get(tuple(kind.values()), 0)
+        rates.append(2 * n_begun / total_h if total_h else np.nan)
     return kinds.assign(per_vehicle_h=rates, definition=named(kinds))
 
 

@@ -58,7 +58,8 @@ def test_every_clause_has_a_test_or_is_a_deviation():
     table = README.split("### Clause by clause", 1)[1].split("**Sources.**", 1)[0]
     rows = [line.strip("|").split("|") for line in table.splitlines() if re.match(r"\| (\d|change)", line)]
     files = [*Path(__file__).parent.glob("test_*.py"), *Path("tests/addons/export").glob("test_pcap.py")]
-    known = set(re.findall(r"^def (test_\w+)", "\n".join(file.read_text() for file in files), re.MULTILINE))
+    text = "\n".join(file.read_text() for file in files)
+    known = set(re.findall(r"^def (test_\w+)", text, re.MULTILINE))
     assert len(rows) == 16
     for clause, _, here, tests in rows:
         named = re.findall(r"`(test_\w+)`", tests)
