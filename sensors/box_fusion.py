@@ -619,7 +619,8 @@ def _add_group(begin, end, ego, room, system, right):
     x, y = _times(xx, xy, yy, x, y)
     first = low // COLUMNS * COLUMNS
     for i in range(np.uint64(first), np.uint64(_padded(high))):
-        a, b = _times(xx, xy, yy, pull[0, i], pull[1, i])
+        x_pull, y_pull = pull[0, i], pull[1, i]
+        a, b = _times(xx, xy, yy, x_pull, y_pull)
         share[0, i] = a
         share[1, i] = b
     for k in range(begin, end):
@@ -733,7 +734,9 @@ def _solve(factor, x):
         r = (x[k] - w) / c[k]
         q = (x[j] - v - b[k] * r) / b[j]
         p = x[i] - u - a[j] * q - a[k] * r
-        x[i], x[j], x[k] = p / a[i], q, r
+        x[i] = p / a[i]
+        x[j] = q
+        x[k] = r
 
 
 @kernel
