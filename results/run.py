@@ -376,10 +376,15 @@ class Run:
             self._sound.add(name)
 
     def _in_bounds(self, path: Path, rows: R) -> R:
-        """The same rows. Raises Damaged if a whole number names what the run does not have: it may become an index."""
+        """The same rows. Raises Damaged if a whole number names what the run does not have, or a real one is infinite.
+
+        The first may become an index, and no run writes the second.
+        """
         table = path.parent.name
         for name in rows.schema.names:
             column, values = TABLES[table].columns[name], rows.column(name)
+            if pa.types.is_floating(values.type) and pc.any(pc.is_inf(values)).as_py():
+                self._found_damaged(f"{table}/{path.name} has an infinite {name}", "Run again.")
             if column.type not in WHOLE or not len(values):
                 continue
             ends = pc.min_max(values).as_py()
