@@ -7,7 +7,7 @@ References
 """
 
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -228,7 +228,11 @@ def _agreeing(
         found = np.empty((n_chunks, room), _FOUND)
         n = np.zeros(n_chunks, np.int64)
         given = places, others, is_same, reach_m, most, gate.least_iou, found, n
-        in_ranges(lambda begin, end, given=given: _search(begin, end, *given), n_chunks)
+
+        def search(begin: int, end: int, given: Any = given) -> None:
+            _search(begin, end, *given)
+
+        in_ranges(search, n_chunks)
         if n.max(initial=0) <= room:
             break
         room = int(n.max())

@@ -625,7 +625,10 @@ def _add_group(begin, end, ego, room, system, right):
             system[s + 1, s + c] += b
             turned = b * left - a * up
             system[s + 2, s + c] += turned
-        factors = pull[0, s], pull[0, s + 1], pull[0, s + 2], pull[1, s], pull[1, s + 1], pull[1, s + 2]
+        factors = (
+            *(pull[0, s], pull[0, s + 1], pull[0, s + 2]),
+            *(pull[1, s], pull[1, s + 1], pull[1, s + 2]),
+        )
         _subtract(system, s, share, 0, factors, s, high)
         for c in range(s, s + 3):  # another detection of this vehicle has been added, too
             pull[0, c] = pull[1, c] = 0.0

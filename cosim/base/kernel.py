@@ -13,14 +13,10 @@ import fcntl
 import os
 import pickle
 from contextlib import suppress
-from types import SimpleNamespace
 from typing import Any
 
 from numba import njit, threading_layer
-from numba.core import caching, lowering
-from numba.core.compiler_lock import global_compiler_lock
-from numba.core.dispatcher import Dispatcher
-from numba.core.sigutils import normalize_signature
+from numba.core import caching
 
 
 class _ForgivingIndex(caching.IndexDataCacheFile):
@@ -54,68 +50,6 @@ class _ForgivingIndex(caching.IndexDataCacheFile):
 
 
 setattr(caching, "IndexDataCacheFile", _ForgivingIndex)  # noqa: B010  private API of Numba: it has no other way
-
-_callee_depth = 0
-"""Above 0 while a kernel is compiled because another one calls it. Numba's lock guards it."""
-_numba: Any = SimpleNamespace(
-    get_call_template=Dispatcher.get_call_template,
-    compile=Dispatcher.compile,
-    add_overload=Dispatcher.add_overload,
-    create_cpython_wrapper=lowering.Lower.create_cpython_wrapper,
-    save_overload=caching.FunctionCache.save_overload,
-)
-"""Methods of Numba that are replaced.
-
-A kernel that another one calls is compiled without the wrapper for callers in Python, which takes a fifth of the time.
-It is not kept on disk. A call from Python compiles it again, with the wrapper.
-"""
-
-
-def _get_call_template(self: Any, args: Any, kws: Any) -> Any:
-    global _callee_depth
-    with global_compiler_lock:
-        _callee_depth += 1
-        try:
-            return _numba.get_call_template(self, args, kws)
-        finally:
-            _callee_depth -= 1
-
-
-def _compile(self: Any, sig: Any) -> Any:
-    with global_compiler_lock:
-        found = None if _callee_depth else self.overloads.pop(tuple(normalize_signature(sig)[0]), None)
-        if found is None or not found.library.get_pointer_to_function(found.fndesc.llvm_cpython_wrapper_name):
-            return _numba.compile(self, sig)
-        self.add_overload(found)
-        return found.entry_point
-
-
-def _add_overload(self: Any, found: Any) -> None:
-    if _callee_depth:
-        self.overloads[tuple(found.signature.args)] = found  # Python does not find it
-    else:
-        _numba.add_overload(self, found)
-
-
-def _create_cpython_wrapper(self: Any, release_gil: bool) -> None:
-    if not _callee_depth:
-        _numba.create_cpython_wrapper(self, release_gil)
-
-
-def _save_overload(self: Any, sig: Any, data: Any) -> None:
-    if not _callee_depth:
-        _numba.save_overload(self, sig, data)
-
-
-for _of, _method in (
-    (Dispatcher, _get_call_template),
-    (Dispatcher, _compile),
-    (Dispatcher, _add_overload),
-    (lowering.Lower, _create_cpython_wrapper),
-    (caching.FunctionCache, _save_overload),
-):
-    setattr(_of, _method.__name__[1:], _method)
-
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 _COUNTLESS: dict[str, Any] = _OPTIONS | {"_nrt": False}

@@ -68,30 +68,3 @@ def test_processes_save_one_after_the_other(tmp_path):
         assert not any(saved.done() for saved in both) and not [*tmp_path.iterdir()]
         os.close(folder)
     assert [one.load("a"), one.load("b")] == ["a", "b"]
-
-
-CALLED = """
-from cosim.base.kernel import kernel
-
-
-@kernel
-def half(x):
-    return 0.5 * x
-
-
-@kernel
-def quarter(x):
-    return 0.5 * half(x)
-"""
-
-
-def test_a_kernel_that_only_kernels_call_is_not_kept_until_python_calls_it(tmp_path):
-    """Without the wrapper for callers in Python, a call would end the process."""
-    (tmp_path / "mine.py").write_text(CALLED)
-    assert run(tmp_path, "import mine; print(mine.quarter(4.0))") == "1.0\n"
-    assert [path.name.startswith("mine.quarter") for path in tmp_path.rglob("*.nbc")] == [True]
-    (tmp_path / "mine.py").write_text(f"{CALLED}# changed\n")
-    for _ in range(2):  # compiled, and loaded
-        code = "import mine; print(mine.quarter(4.0), mine.half(4.0), mine.half(2.0), mine.quarter(8.0))"
-        assert run(tmp_path, code) == "1.0 2.0 1.0 2.0\n"
-    assert len([*tmp_path.rglob("*.half*.nbc")]) == 1
