@@ -319,11 +319,13 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
         _Information(real[12], real[13], np.empty(n)),
         np.empty(n + 1, np.int64),
     )
-    vehicle, sender, messages = number[2], number[3], np.empty(n + 1, np.int64)
+    vehicle, sender = number[2], number[3]
+    messages = np.empty(n + 1, np.int64)
     _sort(begin, end, first, table, lists, ego, vehicle, sender)
     errors, covariance = np.empty(0), np.empty((0, 0))
     for v in range(len(weight)):
-        is_new = _weigh(e, v, first, lists, weight, known, ego, vehicle, sender) or v == 0
+        is_new = _weigh(e, v, first, lists, weight, known, ego, vehicle, sender)
+        is_new |= v == 0
         if is_new:
             n_slots = _number(owner, ego, vehicle, sender, messages, align)
             _prepare(owner, table, ego, align)
@@ -395,7 +397,8 @@ def _weigh(e, v, first, lists, weight, known, ego, vehicle, sender):
     for g in range(len(ego.begin) - 1):
         seed = lists.seed[first + g]
         for k in range(ego.begin[g], ego.begin[g + 1]):
-            trust = 1.0 if ego.row[k] == seed else known[sender[vehicle[k]]]
+            by = sender[vehicle[k]]
+            trust = 1.0 if ego.row[k] == seed else known[by]
             is_new |= trust != ego.trust[k]
             ego.trust[k] = trust
     for h in range(begin, end):
@@ -438,12 +441,17 @@ def _number(owner, ego, vehicle, sender, messages, align):
 @inlined
 def _locate(k, d, s, message, table, ego):
     """Position of a detection relative to the seed s and to its vehicle, and its variance."""
-    ego.x[k], ego.y[k] = _between(table.xyz, d, table.xyz, s)
-    ego.left[k], ego.up[k] = _between(table.xyz, d, table.origin, message)
-    xx, xy, yy = table.variance[d, 0], table.variance[d, 1], table.variance[d, 2]
+    x, y = _between(table.xyz, d, table.xyz, s)
+    ego.x[k], ego.y[k] = x, y
+    left, up = _between(table.xyz, d, table.origin, message)
+    ego.left[k], ego.up[k] = left, up
+    row = table.variance[d]
+    xx, xy, yy = row[0], row[1], row[2]
     if table.label[d] != table.label[s]:
         xx, xy, yy = _with_size(d, s, table, xx, xy, yy)
-    ego.variance.xx[k], ego.variance.xy[k], ego.variance.yy[k] = xx, xy, yy
+    ego.variance.xx[k] = xx
+    ego.variance.xy[k] = xy
+    ego.variance.yy[k] = yy
 
 
 @kernel
@@ -609,8 +617,12 @@ def _add_group(begin, end, ego, room, system, right):
                 pull[0, s + c] += a
                 pull[1, s + c] += b
     x, y = _times(xx, xy, yy, x, y)
-    for i in range(np.uint64(low // COLUMNS * COLUMNS), np.uint64(_padded(high))):
-        share[0, i], share[1, i] = _times(xx, xy, yy, pull[0, i], pull[1, i])
+    first = low // COLUMNS * COLUMNS
+    for i in range(np.uint64(first), np.uint64(_padded(high))):
+        x_pull, y_pull = pull[0, i], pull[1, i]
+        a, b = _times(xx, xy, yy, x_pull, y_pull)
+        share[0, i] = a
+        share[1, i] = b
     for k in range(begin, end):
         s = 3 * ego.slot[k]
         if s < 0 or ego.weight[k] <= 0.0:
@@ -625,9 +637,10 @@ def _add_group(begin, end, ego, room, system, right):
             system[s + 1, s + c] += b
             turned = b * left - a * up
             system[s + 2, s + c] += turned
+        east, north = pull[0], pull[1]
         factors = (
-            *(pull[0, s], pull[0, s + 1], pull[0, s + 2]),
-            *(pull[1, s], pull[1, s + 1], pull[1, s + 2]),
+            *(east[s], east[s + 1], east[s + 2]),
+            *(north[s], north[s + 1], north[s + 2]),
         )
         _subtract(system, s, share, 0, factors, s, high)
         for c in range(s, s + 3):  # another detection of this vehicle has been added, too
@@ -659,7 +672,9 @@ def _factorise(a):
     n = len(a)
     for i in range(0, n, 3):
         for k in range(0, i, 3):
-            first, second, third = a[k], a[k + 1], a[k + 2]
+            first = a[k]
+            second = a[k + 1]
+            third = a[k + 2]
             factors = (
                 *(first[i], first[i + 1], first[i + 2]),
                 *(second[i], second[i + 1], second[i + 2]),
@@ -691,7 +706,8 @@ def _subtract(rows, i, of, k, factors, begin, end):
     for factor in factors:
         size += abs(factor)
     if size > 0.0:
-        for column in range(np.uint64(begin // COLUMNS * COLUMNS), np.uint64(end), np.uint64(COLUMNS)):
+        first = begin // COLUMNS * COLUMNS
+        for column in range(np.uint64(first), np.uint64(end), np.uint64(COLUMNS)):
             subtract_rows(rows, i, of, k, factors, column)
 
 
@@ -706,16 +722,21 @@ def _solve(factor, x):
             x[i] -= row[i] * value
         x[k] = value
     for i in range(n - 3, -1, -3):
-        a, b, c = factor[i], factor[i + 1], factor[i + 2]
+        a = factor[i]
+        b = factor[i + 1]
+        c = factor[i + 2]
         u = v = w = 0.0
         for k in range(i + 3, n):
             u += a[k] * x[k]
             v += b[k] * x[k]
             w += c[k] * x[k]
         j, k = i + 1, i + 2
-        x[k] = (x[k] - w) / c[k]
-        x[j] = (x[j] - v - b[k] * x[k]) / b[j]
-        x[i] = (x[i] - u - a[j] * x[j] - a[k] * x[k]) / a[i]
+        r = (x[k] - w) / c[k]
+        q = (x[j] - v - b[k] * r) / b[j]
+        p = x[i] - u - a[j] * q - a[k] * r
+        x[i] = p / a[i]
+        x[j] = q
+        x[k] = r
 
 
 @kernel
@@ -727,12 +748,15 @@ def _invert(factor, inverse):
     n = len(factor)
     inverse[:] = 0.0
     for i in range(n - 3, -1, -3):
-        first, second, third = factor[i], factor[i + 1], factor[i + 2]
+        first = factor[i]
+        second = factor[i + 1]
+        third = factor[i + 2]
         for k in range(i + 3, n, 3):
+            j, m = k + 1, k + 2
             factors = (
                 *(first[k], second[k], third[k]),
-                *(first[k + 1], second[k + 1], third[k + 1]),
-                *(first[k + 2], second[k + 2], third[k + 2]),
+                *(first[j], second[j], third[j]),
+                *(first[m], second[m], third[m]),
             )
             _subtract(inverse, i, inverse, k, factors, i + 3, n)
         for j in range(i + 2, i - 1, -1):
@@ -808,23 +832,28 @@ def _spread(listed, slope, covariance):
     xx = xy = yy = 0.0
     for m in range(len(listed)):
         s = 3 * listed[m]
-        first, second, third = covariance[s], covariance[s + 1], covariance[s + 2]
+        first = covariance[s]
+        second = covariance[s + 1]
+        third = covariance[s + 2]
         x = y = v = w = p = q = 0.0
         for j in listed[: m + 1]:
             t = 3 * j
             share = 0.5 if t == s else 1.0
             for i in range(t, t + 3):
-                a, b = share * slope[0, i], share * slope[1, i]
+                a = share * slope[0, i]
+                b = share * slope[1, i]
                 x += first[i] * a
                 y += first[i] * b
                 v += second[i] * a
                 w += second[i] * b
                 p += third[i] * a
                 q += third[i] * b
-        a, b, c = slope[0, s], slope[0, s + 1], slope[0, s + 2]
-        d, e, f = slope[1, s], slope[1, s + 1], slope[1, s + 2]
+        a, d = slope[0, s], slope[1, s]
+        b, e = slope[0, s + 1], slope[1, s + 1]
+        c, f = slope[0, s + 2], slope[1, s + 2]
         xx += 2.0 * (a * x + b * v + c * p)
-        xy += a * y + b * w + c * q + d * x + e * v + f * p
+        xy += a * y + b * w + c * q
+        xy += d * x + e * v + f * p
         yy += 2.0 * (d * y + e * w + f * q)
     return xx, xy, yy
 

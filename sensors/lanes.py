@@ -125,9 +125,10 @@ def subtract_rows(typing: Any, rows: Any, i: Any, of: Any, k: Any, factors: Any,
 
     def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         def place(which: int, offset: int) -> Any:
-            array = context.make_array(signature.args[which])(context, builder, given[which])
-            row = builder.add(given[which + 1], ir.Constant(given[which + 1].type, offset))
-            first = cgutils.get_item_pointer(context, builder, signature.args[which], array, (row, given[5]))
+            kind, begin = signature.args[which], given[which + 1]
+            array = context.make_array(kind)(context, builder, given[which])
+            row = builder.add(begin, ir.Constant(begin.type, offset))
+            first = cgutils.get_item_pointer(context, builder, kind, array, (row, given[5]))
             return builder.bitcast(first, _NUMBERS.as_pointer())
 
         def spread(value: Any) -> Any:
@@ -136,7 +137,8 @@ def subtract_rows(typing: Any, rows: Any, i: Any, of: Any, k: Any, factors: Any,
             return builder.shuffle_vector(one, ir.Constant(_NUMBERS, ir.Undefined), zeros)
 
         each = cgutils.unpack_tuple(builder, given[4])
-        sources = [builder.load(place(2, row), align=8) for row in range(len(each) // 3)]
+        places = [place(2, row) for row in range(len(each) // 3)]
+        sources = [builder.load(one, align=8) for one in places]
         for row in range(3):
             target = place(0, row)
             value = builder.load(target, align=8)

@@ -69,7 +69,9 @@ def test_the_rear_of_a_truck():
 def slowly(a, a_label, a_var, b, b_label, b_var):
     """The definition, pair by pair."""
     found, n = {}, len(b)
-    ious = iou_3d(a.take(np.repeat(np.arange(len(a)), n)), b.take(np.tile(np.arange(n), len(a))))
+    each = np.repeat(np.arange(len(a)), n)
+    other = np.tile(np.arange(n), len(a))
+    ious = iou_3d(a.take(each), b.take(other))
     groups = {CAR: 0, TRUCK: 0, PEDESTRIAN: 1, CYCLIST: 1}
     for i in range(len(a)):
         for j in range(n):

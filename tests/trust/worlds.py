@@ -68,7 +68,8 @@ def make(seed: int, n_vehicles: int, n_objects: int, all_received: bool = False)
     same = (label[i] == label[j]) & (message[i] != message[j])
     near = np.where(actor[i] == actor[j], 0.9, 0.15)
     same &= rng.random(i.size) < near
-    pairs = rng.permuted(np.stack([i, j])[:, rng.permutation(np.flatnonzero(same))], axis=0)
+    order = rng.permutation(np.flatnonzero(same))
+    pairs = rng.permuted(np.stack([i, j])[:, order], axis=0)
     iou = rng.integers(1, 11, pairs.shape[1]) / 20  # 0.05, 0.1 = tau, ...
     members, ptr = [], [0]
     for v in range(n_vehicles):
@@ -79,7 +80,8 @@ def make(seed: int, n_vehicles: int, n_objects: int, all_received: bool = False)
     lists = ObjectLists(np.array(ptr), np.array(members, np.int64), np.arange(n_vehicles))
     m = len(members)
     points = rng.choice([0, 0, 1, 5, 9, 10, 11, 39, 40, 41, 99, 100, 500], m)
-    return World(table, (*pairs, iou), lists, points, rng.random(m) < 0.7, rng.integers(0, 30, d).astype(float))
+    free, ages = rng.random(m) < 0.7, rng.integers(0, 30, d).astype(float)
+    return World(table, (*pairs, iou), lists, points, free, ages)
 
 
 def worlds(all_received: bool = False) -> st.SearchStrategy[World]:
