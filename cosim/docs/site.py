@@ -54,7 +54,7 @@ _FENCE = re.compile(r"(^```.*?^```$)", flags=re.DOTALL | re.MULTILINE)
 def pages() -> dict[str, str]:
     """Every page of the site by path, as Markdown with links within the site and equations as LaTeX."""
     own = [path.relative_to(ROOT).as_posix() for path in (HERE / "pages").rglob("*.md")]
-    places = {**{source: _place(source) for source in own}, **TAKEN}
+    places = {source: _place(source) for source in own} | dict(TAKEN)
     found = {at: _turned(source, at) for source, at in places.items()}
     found["reference/config.md"] = config_keys.markdown()
     found["reference/cli.md"] = commands.markdown()
