@@ -216,10 +216,7 @@ def resume(
 
 @app.command()
 def verify(runs: RunPaths, as_json: AsJson = False) -> None:
-    """Check the folders of runs, or of all runs of studies, for missing, changed or unexpected files.
-
-    Exit status 1 if there are any.
-    """
+    """Check runs or studies for missing, changed or unexpected files. Exit status 1 if there are any."""
     from results.study import runs_of
     from results.verify import verify as verified
 

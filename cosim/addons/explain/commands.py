@@ -55,7 +55,7 @@ def cite(
     as_bibtex: Annotated[bool, typer.Option("--bibtex", help="Print BibTeX.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Print references of exactly the parts that a run, or the runs of a study, used."""
+    """Print references of exactly the parts that a run or study used."""
     from cosim.addons.explain.cite import bibtex, parts_of_all, references, text
     from results.archive import open_run
     from results.study import runs_of
