@@ -9,7 +9,9 @@ from typing import Any
 import duckdb
 import pandas as pd
 import pyarrow as pa
+import pyarrow.parquet as pq
 
+from cosim.base.durable import Damaged
 from results.tables import TABLES, schema
 
 _CONFIG: dict[str, Any] = {
@@ -63,7 +65,7 @@ class Database:
             said = _line(error).partition(" Did you mean")[0]
             raise ValueError(f"{said} The tables are {', '.join(self._tables)}.") from None
         except duckdb.Error as error:
-            raise ValueError(_line(error)) from None
+            raise _refusal(error) from None
 
     def columns_of_detections(self, rows: pa.Table, names: Sequence[str], files: Sequence[Path]) -> pa.Table:
         """Columns of `fused` that are not on disk, for some of its rows.
@@ -78,25 +80,52 @@ class Database:
             Part files of the detections of the steps in question.
         """
         self._connection.register("rows", rows)
-        made = f"(SELECT * FROM read_parquet({_listed(map(_itself, files))}))"
+        made = f"({_stored('detections', files)})"
         found = self._connection.sql(f"""
             SELECT {", ".join(map(_virtual, names))} FROM (SELECT *, row_number() OVER () AS number FROM rows) t
             {_SOURCES.replace("detections", made)} ORDER BY number
         """)
-        return found.to_arrow_table()
+        try:
+            return found.to_arrow_table()
+        except duckdb.Error as error:
+            raise _refusal(error) from None
 
     def _show(self, name: str, query: str) -> None:
         """Make a table visible by its name, with the columns that are not on disk if the query may ask for them."""
-        paths = [_itself(path) for path in self._files(name)]
-        if not paths:
+        files = self._files(name)
+        if not files:
             self._connection.register(name, schema(name, whole=True).empty_table())
             return
-        table, stored = TABLES[name], f"SELECT * FROM read_parquet({_listed(paths)})"
+        table, stored = TABLES[name], _stored(name, files)
         is_all = re.search(r"(?<!\()\*", query) is not None  # a star, but not that of count(*)
         if virtual := table.virtual(list(table.columns) if is_all else (), query):
             self._show("detections", "")
             stored = f"SELECT t.*, {', '.join(map(_virtual, virtual))} FROM ({stored}) t {_SOURCES}"
         self._connection.execute(f"CREATE OR REPLACE TEMP VIEW {name} AS {stored}")
+
+
+_DAMAGE = "holds an infinite number: the table is damaged. Run again."
+
+
+def _stored(name: str, files: Sequence[Path]) -> str:
+    """The rows of a table on disk. A number that is infinite ends the query: no run writes one."""
+    columns = TABLES[name].columns
+    there = pq.read_schema(files[0]).names
+    reals = [one for one in there if columns[one].type.startswith("float")]
+    checked = [_checked(name, one) for one in reals]
+    every = f"* REPLACE ({', '.join(checked)})" if checked else "*"
+    paths = _listed(map(_itself, files))
+    return f"SELECT {every} FROM read_parquet({paths})"
+
+
+def _checked(table: str, column: str) -> str:
+    return f"if(isinf({column}), error('{table}.{column} {_DAMAGE}'), {column}) AS {column}"
+
+
+def _refusal(error: duckdb.Error) -> ValueError:
+    """What is wrong with a query, or with the table that it asks, in one line."""
+    said = _line(error)
+    return Damaged(said.partition(": ")[2]) if said.endswith(_DAMAGE) else ValueError(said)
 
 
 def _itself(path: Path) -> str:

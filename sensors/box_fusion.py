@@ -23,7 +23,8 @@ from cosim.base.ragged import offsets
 from cosim.base.threads import in_ranges
 from sensors.association import bounded
 from sensors.boxes import Boxes
-from sensors.lanes import COLUMNS, subtract_rows
+from sensors.cholesky import factorise, invert, padded, solve, subtract
+from sensors.lanes import COLUMNS
 
 _LEAST_HEADING_VARIANCE, _LEAST_SIZE_VARIANCE, _LEAST_POSE_VARIANCE = 2e-3**2, 2e-3**2, 1e-10
 """Stated variances count as at least this: heading [rad2], logarithm of a size, pose of a vehicle [m2, rad2]."""
@@ -350,16 +351,16 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
 def _pose_errors(table, ego, messages, n_slots, align):
     """Pose errors of the numbered vehicles, and their covariance."""
     errors = np.zeros(3 * n_slots)
-    system = np.zeros((len(errors), _padded(len(errors))))
+    system = np.zeros((len(errors), padded(len(errors))))
     room = np.zeros((4, system.shape[1]))
     for solution in range(_N_SOLUTIONS):
         _assemble(table, ego, messages, n_slots, align, room, system, errors)
-        _factorise(system)
-        _solve(system, errors)
+        factorise(system)
+        solve(system, errors)
         if solution < _N_SOLUTIONS - 1:
             _reweigh(ego, errors)
     covariance = np.empty_like(system)
-    _invert(system, covariance)
+    invert(system, covariance)
     return errors, covariance
 
 
@@ -618,7 +619,7 @@ def _add_group(begin, end, ego, room, system, right):
                 pull[1, s + c] += b
     x, y = _times(xx, xy, yy, x, y)
     first = low // COLUMNS * COLUMNS
-    for i in range(np.uint64(first), np.uint64(_padded(high))):
+    for i in range(np.uint64(first), np.uint64(padded(high))):
         x_pull, y_pull = pull[0, i], pull[1, i]
         a, b = _times(xx, xy, yy, x_pull, y_pull)
         share[0, i] = a
@@ -642,7 +643,7 @@ def _add_group(begin, end, ego, room, system, right):
             *(east[s], east[s + 1], east[s + 2]),
             *(north[s], north[s + 1], north[s + 2]),
         )
-        _subtract(system, s, share, 0, factors, s, high)
+        subtract(system, s, share, 0, factors, s, high)
         for c in range(s, s + 3):  # another detection of this vehicle has been added, too
             pull[0, c] = pull[1, c] = 0.0
 
@@ -664,116 +665,6 @@ def _reweigh(ego, errors):
                 p, q = _times(a, b, c, u, v)
                 square = u * p + v * q
                 ego.weight[k] = 1.0 / (1.0 + square / _TAIL)
-
-
-@kernel
-def _factorise(a):
-    """Replace the upper triangle of a positive definite matrix by its Cholesky factor, a vehicle at a time."""
-    n = len(a)
-    for i in range(0, n, 3):
-        for k in range(0, i, 3):
-            first = a[k]
-            second = a[k + 1]
-            third = a[k + 2]
-            factors = (
-                *(first[i], first[i + 1], first[i + 2]),
-                *(second[i], second[i + 1], second[i + 2]),
-                *(third[i], third[i + 1], third[i + 2]),
-            )
-            _subtract(a, i, a, k, factors, i, n)
-        for j in range(i, i + 3):
-            row = a[j]
-            for k in range(i, j):
-                other = a[k]
-                value = other[j]
-                for c in range(j, n):
-                    row[c] -= value * other[c]
-            per = 1.0 / np.sqrt(row[j])
-            for c in range(j, n):
-                row[c] *= per
-
-
-@inlined
-def _padded(n):
-    """The number of columns that hold n."""
-    return (n + COLUMNS - 1) // COLUMNS * COLUMNS
-
-
-@inlined
-def _subtract(rows, i, of, k, factors, begin, end):
-    """Subtract multiples of rows k, k + 1, ... from rows i, i + 1 and i + 2, in columns `begin` to `end` and beside."""
-    size = 0.0
-    for factor in factors:
-        size += abs(factor)
-    if size > 0.0:
-        first = begin // COLUMNS * COLUMNS
-        for column in range(np.uint64(first), np.uint64(end), np.uint64(COLUMNS)):
-            subtract_rows(rows, i, of, k, factors, column)
-
-
-@kernel
-def _solve(factor, x):
-    """Replace the right side by the solution."""
-    n = len(factor)
-    for k in range(n):
-        row = factor[k]
-        value = x[k] / row[k]
-        for i in range(k + 1, n):
-            x[i] -= row[i] * value
-        x[k] = value
-    for i in range(n - 3, -1, -3):
-        a = factor[i]
-        b = factor[i + 1]
-        c = factor[i + 2]
-        u = v = w = 0.0
-        for k in range(i + 3, n):
-            u += a[k] * x[k]
-            v += b[k] * x[k]
-            w += c[k] * x[k]
-        j, k = i + 1, i + 2
-        r = (x[k] - w) / c[k]
-        q = (x[j] - v - b[k] * r) / b[j]
-        p = x[i] - u - a[j] * q - a[k] * r
-        x[i] = p / a[i]
-        x[j] = q
-        x[k] = r
-
-
-@kernel
-def _invert(factor, inverse):
-    """Inverse of the matrix of a Cholesky factor U, from the last vehicle on: U times it is lower triangular.
-
-    Both triangles are filled, the lower one with what is found for the upper one.
-    """
-    n = len(factor)
-    inverse[:] = 0.0
-    for i in range(n - 3, -1, -3):
-        first = factor[i]
-        second = factor[i + 1]
-        third = factor[i + 2]
-        for k in range(i + 3, n, 3):
-            j, m = k + 1, k + 2
-            factors = (
-                *(first[k], second[k], third[k]),
-                *(first[j], second[j], third[j]),
-                *(first[m], second[m], third[m]),
-            )
-            _subtract(inverse, i, inverse, k, factors, i + 3, n)
-        for j in range(i + 2, i - 1, -1):
-            row = inverse[j]
-            for k in range(j + 1, i + 3):
-                other, value = inverse[k], factor[j, k]
-                for c in range(i + 3, n):
-                    row[c] -= value * other[c]
-            per = 1.0 / factor[j, j]
-            for c in range(i + 3, n):
-                row[c] *= per
-                inverse[c, j] = row[c]
-            for c in range(i + 2, j - 1, -1):
-                other, value = inverse[c], per if c == j else 0.0
-                for k in range(j + 1, n):
-                    value -= factor[j, k] * other[k]
-                row[c] = inverse[c, j] = value * per
 
 
 @kernel

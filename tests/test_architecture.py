@@ -104,11 +104,10 @@ def test_rooms_import_the_foundation_and_not_each_other():
 
 
 def test_core_imports_no_addon_and_no_addon_another():
-    """Add-ons are found by name: `cosim.base.addons`. The site of documentation is a roof over all."""
+    """Add-ons are found by name: `cosim.base.addons`."""
     wrong = [
         f"{path} imports {module}" for path, module in EDGES
         if room_of(module).startswith("cosim.addons.") and room_of(module) != room_of(module_of(path))
-        and path.parts[:2] != ("cosim", "docs")
     ]  # fmt: skip
     assert not wrong
 

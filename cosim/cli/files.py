@@ -12,7 +12,8 @@ _OF_A_STUDY = {"study", "grid", "zip", "base"}
 
 def is_study_file(path: Path) -> bool:
     """Whether a TOML file is a study: it has a section that configs do not have. Or the name of a shipped study."""
-    if not path.exists() and path.suffix == "" and (_SHIPPED / f"{path}.toml").is_file():
+    shipped = _SHIPPED / f"{path.name}.toml"
+    if path.parent == Path() and not path.exists() and shipped.is_file():
         return True
     try:
         return bool(_OF_A_STUDY & read_toml(path, "study file").keys())

@@ -13,7 +13,8 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from cosim.docs import commands, config_keys, equations
+from cosim.base.addons import loaded
+from cosim.docs import commands, equations
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -56,7 +57,7 @@ def pages() -> dict[str, str]:
     own = [path.relative_to(ROOT).as_posix() for path in (HERE / "pages").rglob("*.md")]
     places = {source: _place(source) for source in own} | dict(TAKEN)
     found = {at: _turned(source, at) for source, at in places.items()}
-    found["reference/config.md"] = config_keys.markdown()
+    found["reference/config.md"] = loaded("cosim.addons.explain.config_page:markdown")()
     found["reference/cli.md"] = commands.markdown()
     found["howto/python.md"] = _notebook((HERE / "pages/howto/python.py").read_text(encoding="utf-8"))
     return dict(sorted(found.items()))

@@ -133,7 +133,8 @@ def load(path: Path, trust_code: bool = False) -> Study:
     ValueError
         In one line, if the file has a mistake.
     """
-    if not path.is_file() and (shipped := SHIPPED / f"{path}.toml").is_file():
+    shipped = SHIPPED / f"{path.name}.toml"
+    if path.parent == Path() and not path.is_file() and shipped.is_file():
         path = shipped
     if not path.exists():
         names = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.toml")))

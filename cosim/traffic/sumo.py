@@ -52,8 +52,7 @@ class _Domain:
 
     def __post_init__(self) -> None:
         what = ("Position3D", "Angle", "Speed", "VehicleClass", "Length", "Width", "Height")
-        compiled = libsumo.libsumo._libsumo  # without the functions in Python around them: a third of the time
-        self.getter = {name: getattr(compiled, f"{self.name}_get{name}") for name in what}
+        self.getter = {name: getattr(getattr(libsumo, self.name), f"get{name}") for name in what}
 
     def present(self) -> tuple[str, ...] | list[str]:
         """Names of the vehicles or persons on the road. Persons inside vehicles are not included."""

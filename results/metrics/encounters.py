@@ -17,6 +17,9 @@ Departure = Literal["ends", "censors"]
 DEFINITION = ("pairs", "radius_m", "hysteresis_s", "los", "pedestrians")
 """Columns that say which definition of an encounter a row is of."""
 
+_KINDS = {"pairs": str, "radius_m": float | int, "hysteresis_s": float | int, "los": str, "pedestrians": bool}
+_MOST = 1e9
+"""No radius [m] and no time [s] of a definition is larger."""
 _COLUMNS = (
     *DEFINITION, "a", "b", "duration_s", "censored_left", "censored_right", "departed", "gap_s",
 )  # fmt: skip
@@ -43,15 +46,32 @@ def named(frame: pd.DataFrame) -> pd.Series:
 def definitions(run: Run) -> pd.DataFrame:
     """The definitions of the config, and those of the table `encounters`: one row each, sorted by `DEFINITION`.
 
-    A definition of the config by which nobody met is there, too: its encounters are none, not unknown.
+    A definition of the config without encounters is there, too: their number is 0, not unknown.
     """
-    asked = pd.DataFrame(run.config.get("encounters", ()), columns=[*DEFINITION])
+    asked = pd.DataFrame(_asked(run), columns=[*DEFINITION])
     for name in ("radius_m", "hysteresis_s"):
         asked[name] = asked[name].astype(np.float32).astype(float)  # as the table keeps them
     there = run.table("encounters", DEFINITION).drop_duplicates()
     there = there.astype({"pairs": object, "los": object, "radius_m": float, "hysteresis_s": float})
     both = there if asked.empty else asked if there.empty else pd.concat([asked, there])
     return both.drop_duplicates().sort_values([*DEFINITION], ignore_index=True)
+
+
+def _asked(run: Run) -> list[dict[str, object]]:
+    """The definitions of the config. ValueError if somebody has written something else there."""
+    found = run.config.get("encounters", [])
+    if not isinstance(found, list) or not all(map(_is_definition, found)):
+        raise ValueError(f"{run.path}: [[encounters]] in the config of its manifest are no definitions. Run again.")
+    return found
+
+
+def _is_definition(one: object) -> bool:
+    if not isinstance(one, dict):
+        return False
+    for name, kind in _KINDS.items():
+        if not isinstance(one.get(name), kind):
+            return False
+    return 0 < one["radius_m"] < _MOST and 0 <= one["hysteresis_s"] < _MOST
 
 
 def definition(run: Run, radius_m: float | None = None, pairs: str | None = None) -> dict[str, float | str]:
@@ -141,7 +161,7 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     The columns of `DEFINITION`; n; n_start_unseen, n_end_unseen and their shares censored_left, censored_right; mean_s,
     median_s of the durations as recorded; km_median_s (Kaplan-Meier, null if the survival curve stays above one half)
     and km_mean_s, restricted to the longest duration observed, `horizon_s`; again_share: share that are not the first
-    of their pair; gap_median_s: time since the encounter before; definition: its name. Where nobody met, n is 0 and
+    of their pair; gap_median_s: time since the encounter before; definition: its name. Without encounters, n is 0 and
     nothing else is known.
 
     mean_s and the three shares have intervals in which encounters that share an actor depend on each other
@@ -194,8 +214,8 @@ def rates(run: Run) -> pd.DataFrame:
     walks, stands = vehicles.vehicle_class == "pedestrian", vehicles.vehicle_class == "roadside_unit"
     rates = []
     for kind in kinds.to_dict("records"):
-        everybody = ~stands & (~walks | bool(kind["pedestrians"]))
-        can_meet = vehicles.equipped if kind["pairs"] in ("equipped", "los") else everybody
+        counted = ~stands & (~walks | bool(kind["pedestrians"]))
+        can_meet = vehicles.equipped if kind["pairs"] in ("equipped", "los") else counted
         total_h = float(there_h[can_meet].sum())
         n_begun = n.get(tuple(kind.values()), 0)
         rates.append(2 * n_begun / total_h if total_h else np.nan)

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from cosim.addons.explain import cite, dictionary, lookup
+from cosim.addons.explain import cite, config_page, dictionary, lookup
 from cosim.addons.explain.glossary import GLOSSARY
 from cosim.addons.explain.key_docs import keys
 from cosim.addons.explain.lookup import look_up
+from cosim.config import preset
 from cosim.door.kinds import KINDS
 from results import tables
 from results.metrics.registry import METRICS
@@ -141,3 +142,10 @@ def test_references_are_named_in_the_project():
 def test_tables_md_is_the_code():
     text = (Path(tables.__file__).parent / "TABLES.md").read_text()
     assert text == dictionary.markdown(), "run python -m cosim.addons.explain.dictionary"
+
+
+def test_the_page_of_keys_has_the_defaults_of_a_file(monkeypatch):
+    monkeypatch.setattr(preset, "DEFAULT", "modern")
+    text = config_page.markdown()
+    assert "| `lidar.max_range_m` | number; > 0, ≤ 1000 | `100` |" in text
+    assert '| `"modern"` |' in text and "| `extrapolate` | true or false | `true` |" in text

@@ -119,3 +119,11 @@ def test_a_study_has_a_folder_named_after_its_file(tmp_path):
     done = cosim("sweep", "ages.toml", "--dry-run", cwd=tmp_path)
     assert done.returncode == 0 and "processor time" in done.stdout
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_path_is_no_name_of_a_study(tmp_path):
+    """`folder` beside `folder.toml` is the folder, and `./freshness` is no study that ships."""
+    cosim("init", "--study", "ages.toml", cwd=tmp_path)
+    (tmp_path / "ages").mkdir()
+    refused_in_one_line(cosim("sweep", str(tmp_path / "ages"), "--dry-run", cwd=tmp_path), "is no regular file")
+    refused_in_one_line(cosim("sweep", str(tmp_path / "freshness"), "--dry-run", cwd=tmp_path), "no such study")

@@ -11,7 +11,6 @@ import pytest
 from cosim.config import preset
 from cosim.config.config import Config, load, of_run, resolve_data
 from cosim.config.data import read_toml
-from cosim.docs import config_keys
 from cosim.studies import study
 from tests.drive import cosim
 
@@ -49,13 +48,6 @@ def test_a_file_that_names_no_preset_is_modern(tmp_path):
     )  # fmt: skip
     said = tomllib.loads(done.stdout)
     assert (said["preset"], said["lidar"]["profile"], said["detector"]["model"]) == ("modern", "pandar64", "pv_rcnn")
-
-
-def test_the_page_of_keys_has_the_defaults_of_a_file(monkeypatch):
-    monkeypatch.setattr(preset, "DEFAULT", "modern")
-    text = config_keys.markdown()
-    assert "| `lidar.max_range_m` | number; > 0, ≤ 1000 | `100` |" in text
-    assert '| `"modern"` |' in text and "| `extrapolate` | true or false | `true` |" in text
 
 
 @pytest.mark.parametrize("name", preset.names())

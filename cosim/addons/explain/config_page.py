@@ -1,9 +1,7 @@
 """Renders the page of the config keys as Markdown: type, default, bounds and meaning."""
 
-from cosim.addons.explain.key_docs import KeyDoc, SectionDoc, keys, sections
+from cosim.addons.explain.key_docs import KeyDoc, SectionDoc, sections
 from cosim.config import preset
-
-__all__ = ["keys", "markdown"]
 
 
 def markdown() -> str:
