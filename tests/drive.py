@@ -1,4 +1,4 @@
-"""Runs for tests: each in a process of its own, because libsumo holds one simulation per process.
+"""Runs for tests: each in a process of its own, as a user's are.
 
 The processes are children of one that has imported the program already, which takes less than half of the time.
 """

@@ -3,7 +3,6 @@
 `Warm` starts `python -m tests.processes`, which imports the program, makes one run of a trace so that all kernels are
 loaded, and then forks a child for every command that it reads. A child has files as standard streams and a temporary
 folder of its own, so that what it leaves behind is seen; where asked, it has a limit on processor time and memory.
-libsumo holds one simulation per process: the warm process never starts one, so each child can.
 """
 
 import atexit

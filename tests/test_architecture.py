@@ -28,7 +28,7 @@ FOREIGN = {
 """Foreign libraries that each room may use."""
 
 ONE_FILE = {
-    "libsumo": {"cosim/traffic/sumo.py"},
+    "libsumo": {"cosim/traffic/sumo_process.py"},
     "embreex": {"sensors/raycast/embree.py"},
     "llvmlite": {"sensors/lanes.py"},
     "open3d": {"sensors/raycast/open3d.py"},

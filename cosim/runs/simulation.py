@@ -73,10 +73,8 @@ def run(config: AnyConfig = None, out: str | Path | None = None, **parts: type |
 class Simulation:
     """A simulation in memory. Iterate over it to get the result of every step. It writes no files.
 
-    Use it as a context manager, which ends SUMO. A process can hold one simulation at a time, because SUMO holds one
-    world.
-
-    The first simulation of a process always has the same traffic. SUMO that is loaded again does not always repeat it.
+    Use it as a context manager, which ends SUMO. Simulations may exist beside each other, because each has SUMO in a
+    process of its own; the same config always has the same traffic.
 
     Parameters
     ----------

@@ -1,18 +1,18 @@
-"""Traffic by SUMO, through libsumo. A process can run one SUMO simulation at a time."""
+"""Traffic by SUMO, which runs in a process of its own."""
 
 import os
+import pickle
 import re
+import subprocess
 import sys
-import tempfile
+import weakref
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from itertools import chain, compress, repeat
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import libsumo
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
@@ -20,10 +20,10 @@ from numpy import ndarray
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.car_following import YELLOW_MPS2, calibrated
 from cosim.traffic.frame import Frame, TrafficError
-from cosim.traffic.lane_lines import LaneLines
 from cosim.traffic.params import TrafficParams
 from cosim.traffic.remarks import FlowCounts
 from cosim.traffic.scratch import Scratch
+from cosim.traffic.snapshot import ENDED, FAILED, NewActor, Snapshot
 from cosim.traffic.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpers
 from cosim.world import LanePaths, World
 from sumo_nets import sumocfg
@@ -31,50 +31,17 @@ from sumo_nets.catalogue import bounds_m
 from sumo_nets.sumocfg import first_departure_s
 from sumo_nets.vtypes import check_size
 
-_UNKNOWN, _LEFT_OUT = -2, -1
-_NO_POSITION_M = -1e9
-"""An actor without a position has a smaller coordinate in SUMO (-2^30)."""
-_LOOK_AHEAD_M = 150.0
-"""Lane paths reach this far beyond the end of a vehicle's current lane, or to the end of its route."""
-_KNOWN_WAYS = 100_000
-"""Number of lane paths that are kept in memory. If there are more, the memory is cleared."""
-_REGARD_MAX_DECELERATION = 4
-"""Bit of SUMO's speed mode that keeps the vehicle's largest deceleration."""
-
-
-@dataclass(slots=True)
-class _Domain:
-    """Vehicles or persons: libsumo's functions for them, and the actor number of each name."""
-
-    name: str
-    number: dict[str, int] = field(default_factory=dict)
-    getter: dict[str, Callable[[str], Any]] = field(init=False)
-
-    def __post_init__(self) -> None:
-        what = ("Position3D", "Angle", "Speed", "VehicleClass", "Length", "Width", "Height")
-        self.getter = {name: getattr(getattr(libsumo, self.name), f"get{name}") for name in what}
-
-    def present(self) -> tuple[str, ...] | list[str]:
-        """Names of the vehicles or persons on the road. Persons inside vehicles are not included."""
-        if self.name == "vehicle":
-            return libsumo.vehicle.getIDList()
-        names = libsumo.person.getIDList()
-        vehicles = map(libsumo.person.getVehicle, names)
-        return [name for name, vehicle in zip(names, vehicles, strict=True) if not vehicle]
-
-    def numbers(self, names: tuple[str, ...] | list[str]) -> ndarray:
-        return np.fromiter(map(self.number.get, names, repeat(_UNKNOWN)), np.int32, len(names))
-
-    def floats(self, what: str, names: tuple[str, ...] | list[str]) -> ndarray:
-        return np.fromiter(map(self.getter[what], names), float, len(names))
+_LEFT_OUT = -1
+_END_S = 10.0
+"""Time that SUMO's process has to end by itself [s]."""
 
 
 class SumoTraffic:
     """A running SUMO simulation that is read into arrays step by step.
 
-    libsumo returns one value of one actor per call, and the calls are made by `map`. No file is written outside a
-    temporary folder: outputs of the configuration are switched off, and outputs of its additional files (detectors) go
-    to that folder.
+    Without a driver, SUMO computes the next step while the caller is busy with the present one. No file is written
+    outside a temporary folder: outputs of the configuration are switched off, and outputs of its additional files
+    (detectors) go to that folder.
     """
 
     def __init__(
@@ -90,61 +57,61 @@ class SumoTraffic:
         With a driver, worlds have lane paths. Collisions are then counted, also at junctions, and the vehicles are not
         teleported.
         """
-        self._registry, self._config = registry, config
+        self._registry, self._config, self._has_driver = registry, config, has_driver
         self._frame = frame or Frame(f"traffic.scenario = {config}", bounds_m=bounds_m(sumocfg.read(config).net))
-        self._ways = _WaysAhead(self._frame) if has_driver else None
-        self._commanded: dict[str, int] = {}
-        """Names of commanded vehicles, and the speed mode that each had before."""
-        self._collisions: set[tuple[str, ...]] = set()
-        self._domains = (_Domain("vehicle"), _Domain("person"))
-        self._step = 0
+        self._step, self._warmup_s, self._is_commanding = 0, 0.0, False
         self._counts = FlowCounts(params.step_s)
-        self._warmup_s = 0.0
         self._left_out: Counter[str] = Counter()
-        self.n_teleports = 0
-        """Number of vehicles that SUMO has teleported since recording began."""
-        self._stderr = tempfile.TemporaryFile("w+b")  # noqa: SIM115
-        self._nothing = open(os.devnull, "wb")  # noqa: SIM115
+        self._number = np.zeros(0, np.int32)
+        """Actor number of each `NewActor`, or `_LEFT_OUT`."""
+        self._now: Snapshot | None = None
+        self._is_ahead = False
+        """Whether the next step has been asked for."""
+        self._log_end = 0
+        """Length of SUMO's log at its last answer."""
         self._scratch = Scratch()
         try:
-            with self._one_line_errors("refuses it"):
-                files = sumocfg.read(config)
-                if params.car_following == "calibrated":
-                    files = calibrated(files, self._scratch.path)
-                files = sumocfg.without_commas(files, self._scratch.path)
-                options = _options(params, files, self._scratch.path, has_driver)
-                libsumo.start(["sumo", *options])
-        except Exception:
+            options = sumo_options(params, config, self._scratch.path, has_driver)
+            self._process = _started(self._log)
+            self._kill = weakref.finalize(self, _ended, self._process)
+            self._send(options, has_driver, self._frame.origin_m)
+            self._receive("refuses it")
+        except BaseException:
             self._clean()
             raise
-        self._end_s = libsumo.simulation.getEndTime()
-        self._dt_s = libsumo.simulation.getDeltaT()
 
     def warm_up(self, seconds: float) -> Iterator[float]:
         """Simulate `seconds` without reading actors. Yields the seconds that are done."""
-        begin = libsumo.simulation.getTime()
-        while (done := libsumo.simulation.getTime() - begin) < seconds - 1e-6:
-            self.move()
+        done = 0.0
+        while done < seconds - 1e-6:
             yield done
-        self.n_teleports, self._warmup_s = 0, seconds
-        self._collisions.clear()
+            done = self._ask("warm_up", seconds)
+        self._warmup_s = seconds
 
     def advance(self) -> World:
         """Simulate one step and read all actors."""
-        if self._step:
-            self.move()
+        if not self._is_ahead:
+            self._send("advance" if self._step else "read")
+        self._is_ahead = False
+        now = self._now = self._receive()
+        if not self._has_driver:
+            self._send("advance")
+            self._is_ahead = True
         step, self._step = self._step, self._step + 1
-        present = [(domain, names, domain.numbers(names)) for domain in self._domains for names in (domain.present(),)]
-        self._register(present, step)
-        parts = [_read(domain, names, number) for domain, names, number in present]
-        number, front_m, angle, speed = (np.concatenate(column) for column in zip(*parts, strict=True))
+        if now.new:
+            self._number = np.append(self._number, self._registered(now.new, step))
+        number = self._number[now.number]
+        kept = number != _LEFT_OUT
+        number, front_m, angle, speed = (of[kept] for of in (number, now.front_m, now.compass_deg, now.speed_mps))
         world = world_from_bumpers(step, number, front_m, angle, speed, self._registry, self._frame)
         self._counts.add(world)
-        if self._ways is None:
-            return world
+        return replace(world, paths=self._paths(world)) if self._has_driver else world
+
+    def _paths(self, world: World) -> LanePaths:
+        """Lane paths of the equipped vehicles."""
         rows = np.flatnonzero(world.equipped)
-        names = list(map(self._registry.names.__getitem__, world.actor[rows].tolist()))
-        return replace(world, paths=self._ways.paths(rows, names))
+        at, *found = self._ask("paths", list(map(self._registry.names.__getitem__, world.actor[rows].tolist())))
+        return LanePaths(rows[at], *found)
 
     def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
         """Command speeds for the next step, within the limits of the road and of the vehicle.
@@ -155,53 +122,28 @@ class SumoTraffic:
         Parameters
         ----------
         actor
-            Actor numbers of the commanded vehicles.
+            Actor numbers of the commanded vehicles. Without a driver there are none.
         speed_mps
             Speed of each.
         """
         finite = np.isfinite(speed_mps)
         names = map(self._registry.names.__getitem__, actor[finite].tolist())
         wanted = dict(zip(names, speed_mps[finite].tolist(), strict=True))
-        if not wanted and not self._commanded:
-            return
-        present = set(libsumo.vehicle.getIDList())
-        for name in self._commanded.keys() - wanted.keys():
-            if name in present:
-                _give_back(name, self._commanded[name])
-            del self._commanded[name]
-        for name in wanted.keys() & present:
-            if name not in self._commanded:
-                self._commanded[name] = libsumo.vehicle.getSpeedMode(name)
-            _drive_at(name, wanted[name], self._commanded[name], self._dt_s)
-
-    def move(self) -> None:
-        """Simulate one step without reading."""
-        now = libsumo.simulation.getTime()
-        if 0 <= self._end_s < now + self._dt_s - 1e-6:
-            raise TrafficEnded(f"the scenario ends at {self._end_s:g} s")
-        with self._one_line_errors("gives up"):
-            libsumo.simulationStep()
-        self.n_teleports += libsumo.simulation.getStartingTeleportNumber()
-        if self._ways is not None:
-            pairs = (sorted((found.collider, found.victim)) for found in libsumo.simulation.getCollisions())
-            self._collisions.update(map(tuple, pairs))
-        if libsumo.simulation.getMinExpectedNumber() <= 0:
-            raise TrafficEnded(f"at {libsumo.simulation.getTime():g} s all vehicles have left, and none is to depart")
-
-    @property
-    def n_vehicles(self) -> int:
-        """Number of vehicles on the road."""
-        return libsumo.vehicle.getIDCount()
+        if wanted or self._is_commanding:
+            assert self._has_driver, "the next step is on its way"
+            self._ask("command", wanted)
+            self._is_commanding = bool(wanted)
 
     def report(self) -> dict[str, Any]:
+        now = self._now
         return {
-            "vehicles_waiting_to_enter_at_end": len(libsumo.simulation.getPendingVehicles()),
-            "teleports": self.n_teleports,
+            "vehicles_waiting_to_enter_at_end": 0 if now is None else now.n_waiting,
+            "teleports": 0 if now is None else now.n_teleports,
             "actors_left_out": dict(sorted(self._left_out.items())),
-            **({} if self._ways is None else {"collisions": len(self._collisions)}),
+            **({"collisions": 0 if now is None else now.n_collisions} if self._has_driver else {}),
             **self._counts.report(),
             **self._first_departure(),
-            **({"sumo_errors": errors[:9]} if (errors := self._errors_since(0)) else {}),
+            **({"sumo_errors": errors[:9]} if (errors := self._errors(0)) else {}),
         }
 
     def _first_departure(self) -> dict[str, float]:
@@ -213,160 +155,126 @@ class SumoTraffic:
         return {"first_departure_s": first_s, "warmup_s": self._warmup_s}
 
     def close(self) -> None:
+        """End SUMO and its process, and remove the temporary folder."""
         try:
-            self.command(np.zeros(0, np.int64), np.zeros(0))
-        except (libsumo.TraCIException, libsumo.FatalTraCIError):  # SUMO has given up: no vehicle is left
-            self._commanded.clear()
-        with self._one_line_errors("ends with an error"):
-            libsumo.close()
-        self._clean()
+            if self._is_ahead:
+                with suppress(TrafficError, TrafficEnded):  # of a step that nobody wants
+                    self._receive()
+            if self._kill.alive:
+                self._send("close")
+                self._receive("ends with an error")
+        finally:
+            self._clean()
 
     def _clean(self) -> None:
-        self._stderr.close()
-        self._nothing.close()
+        self._is_ahead = False
+        if kill := getattr(self, "_kill", None):
+            kill()
         self._scratch.remove()
 
-    def _register(self, present: list[tuple[_Domain, Any, ndarray]], step: int) -> None:
-        """Register the actors that have no number yet, and write their numbers into the arrays of `present`."""
-        unregistered = [
-            (domain, [names[row] for row in rows], number, rows)
-            for domain, names, number in present
-            if len(rows := np.flatnonzero(number == _UNKNOWN))
-        ]
-        kept: list[tuple[_Domain, str]] = []
-        shapes, lwh_m = [], []
-        for domain, names, _, _ in unregistered:
-            for name in names:
-                vclass = domain.getter["VehicleClass"](name)
-                shape = SHAPE_OF_CLASS.get(vclass)
-                if shape is None:
-                    domain.number[name] = _LEFT_OUT
-                    self._left_out[vclass] += 1
-                    continue
-                kept.append((domain, name))
-                shapes.append(shape)
-                where = f"traffic.scenario = {self._config}: {domain.name} {name!r}"
-                size = {what: domain.getter[what.capitalize()](name) for what in ("length", "width", "height")}
-                try:
-                    lwh_m.append([check_size(where, what, value) for what, value in size.items()])
-                except ValueError as error:
-                    raise TrafficError(str(error)) from None
+    def _registered(self, new: list[NewActor], step: int) -> Int[ndarray, "k"]:
+        """Register new actors, and return their numbers."""
+        shapes = [SHAPE_OF_CLASS.get(actor.vclass) for actor in new]
+        kept = [actor for actor, shape in zip(new, shapes, strict=True) if shape is not None]
+        self._left_out.update(actor.vclass for actor, shape in zip(new, shapes, strict=True) if shape is None)
+        for actor in kept:
+            where = f"traffic.scenario = {self._config}: {actor.domain} {actor.name!r}"
+            try:
+                for what, value in zip(("length", "width", "height"), actor.lwh_m, strict=True):
+                    check_size(where, what, value)
+            except ValueError as error:
+                raise TrafficError(str(error)) from None
+        number = np.full(len(new), _LEFT_OUT, np.int32)
         if kept:
-            new = self._registry.register(
-                [name for _, name in kept], np.array(shapes, np.uint8), np.array(lwh_m, float), step
-            )
-            for (domain, name), number in zip(kept, new.tolist(), strict=True):
-                domain.number[name] = number
-        for domain, names, number, rows in unregistered:
-            number[rows] = domain.numbers(names)
+            number[[shape is not None for shape in shapes]] = self._registry.register(
+                [actor.name for actor in kept], np.array([shape for shape in shapes if shape is not None], np.uint8),
+                np.array([actor.lwh_m for actor in kept]), step,
+            )  # fmt: skip
+        return number
 
-    def _errors_since(self, begin: int) -> list[str]:
+    def _ask(self, request: str, *arguments: Any) -> Any:
+        self._send(request, *arguments)
+        return self._receive()
+
+    def _send(self, *request: Any) -> None:
+        assert self._process.stdin is not None
+        with suppress(BrokenPipeError):  # that the process has ended shows when its answer is read
+            pickle.dump(request, self._process.stdin, pickle.HIGHEST_PROTOCOL)
+            self._process.stdin.flush()
+
+    def _receive(self, failing: str = "gives up") -> Any:
+        """The result of the oldest request that is not answered yet.
+
+        Raises
+        ------
+        TrafficEnded
+            The traffic has ended.
+        TrafficError
+            SUMO has failed, in one line with the reason that SUMO writes to its log; `failing` says what it does.
+        """
+        assert self._process.stdout is not None
+        begin, where = self._log_end, f"traffic.scenario = {self._config}"
+        try:
+            word, found, self._log_end = pickle.load(self._process.stdout)
+        except (EOFError, pickle.UnpicklingError):
+            self._kill()
+            last = self._log.read_text("utf-8", "replace").split("\n")[-2:][0].strip()
+            raise TrafficError(
+                f"{where}: SUMO broke down ({_status(self._process.returncode)}){last and ': '}{last}."
+            ) from None
+        except BaseException:  # an interrupt: half an answer is no use
+            self._kill()
+            raise
+        if word == ENDED:
+            raise TrafficEnded(found)
+        if word == FAILED:
+            raise TrafficError(f"{where}: SUMO {failing}: {' '.join(self._errors(begin)) or found}")
+        return found
+
+    @property
+    def _log(self) -> Path:
+        return self._scratch.path / "sumo.log"
+
+    def _errors(self, begin: int) -> list[str]:
         """SUMO's error messages after that byte of its log, each once and in one line. SUMO continues after many."""
-        self._stderr.seek(begin)
-        text = self._stderr.read().decode(errors="replace").replace(_prefix(self._scratch.path), "")
-        errors = re.findall(r"^Error: (.*(?:\n .*)*)", text, re.MULTILINE)
+        text = self._log.read_bytes()[begin : self._log_end].decode(errors="replace")
+        errors = re.findall(r"^Error: (.*(?:\n .*)*)", text.replace(_prefix(self._scratch.path), ""), re.MULTILINE)
         return list(dict.fromkeys(" ".join(error.split()) for error in errors))
 
-    @contextmanager
-    def _one_line_errors(self, what: str) -> Iterator[None]:
-        """Turn SUMO's exceptions into one line with the reason that SUMO writes to standard error.
 
-        What its additional files write to `stdout` or `-` is dropped: standard output belongs to the command.
-        """
-        sys.stdout.flush()
-        sys.stderr.flush()
-        output, terminal, begin = os.dup(1), os.dup(2), self._stderr.seek(0, os.SEEK_END)
-        os.dup2(self._nothing.fileno(), 1)
-        os.dup2(self._stderr.fileno(), 2)
-        try:
-            yield
-        except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
-            reason = " ".join(self._errors_since(begin)) or str(error)
-            raise TrafficError(f"traffic.scenario = {self._config}: SUMO {what}: {reason}") from None
-        finally:
-            for stream, kept in ((1, output), (2, terminal)):
-                os.dup2(kept, stream)
-                os.close(kept)
+def _started(log: Path) -> subprocess.Popen[bytes]:
+    """SUMO's process. It finds modules where this one does, and not in the working directory."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
+    words, pipe = [sys.executable, "-P", "-m", "cosim.traffic.sumo_process"], subprocess.PIPE
+    with log.open("ab") as errors:
+        return subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=errors, env=environment)
 
 
-def _read(domain: _Domain, names: tuple[str, ...] | list[str], number: ndarray) -> tuple[ndarray, ...]:
-    if (number < 0).any():
-        names, number = list(compress(names, number >= 0)), number[number >= 0]
-    positions = chain.from_iterable(map(domain.getter["Position3D"], names))
-    front_m = np.fromiter(positions, float, 3 * len(names)).reshape(-1, 3)
-    read = number, front_m, domain.floats("Angle", names), domain.floats("Speed", names)
-    has_position = front_m[:, 0] > _NO_POSITION_M
-    return read if has_position.all() else tuple(column[has_position] for column in read)
+def _ended(process: subprocess.Popen[bytes]) -> None:
+    """End SUMO's process: it ends when its requests do."""
+    for stream in (process.stdin, process.stdout):
+        assert stream is not None
+        with suppress(BrokenPipeError):
+            stream.close()
+    try:
+        process.wait(_END_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
-@dataclass(slots=True)
-class _WaysAhead:
-    """Lane paths of vehicles, from SUMO's routes and lanes."""
-
-    frame: Frame
-    lines: LaneLines = field(default_factory=LaneLines)
-    line_of: dict[tuple[str, str, int], int] = field(default_factory=dict)
-    """Number of the line by lane, route, and place on the route."""
-
-    def paths(self, rows: Int[ndarray, "e"], names: list[str]) -> LanePaths:
-        """Lane paths of these rows of the world. A vehicle on no lane, such as a teleported one, has none."""
-        ask = libsumo.vehicle
-        lanes = list(map(ask.getLaneID, names))
-        on_lane = np.fromiter(map(bool, lanes), bool, len(lanes))
-        rows, names, lanes = rows[on_lane], list(compress(names, on_lane)), list(compress(lanes, on_lane))
-        keys = list(zip(lanes, map(ask.getRouteID, names), map(ask.getRouteIndex, names), strict=True))
-        line = np.fromiter(map(self.line_of.get, keys, repeat(-1)), np.int64, len(keys))
-        if len(self.line_of) > _KNOWN_WAYS:
-            self.line_of.clear()
-        for i in np.flatnonzero(line < 0).tolist():
-            line[i] = self.line_of[keys[i]] = self._line(names[i], lanes[i])
-        position = np.fromiter(map(ask.getLanePosition, names), float, len(names))
-        ptr, xy_m, along_m = self.lines.arrays()
-        return LanePaths(
-            rows, line, position * np.array(self.lines.scale)[line] if len(line) else position, ptr,
-            xy_m, along_m,
-        )  # fmt: skip
-
-    def _line(self, name: str, lane: str) -> int:
-        lanes, ahead_m = [lane], 0.0
-        for link in libsumo.vehicle.getNextLinks(name):
-            inside = link[4]
-            while inside:  # a way through a junction can consist of several internal lanes
-                lanes.append(inside)
-                ahead_m += libsumo.lane.getLength(inside)
-                inside = next((onward[4] for onward in libsumo.lane.getLinks(inside)), "")
-            lanes.append(link[0])
-            ahead_m += libsumo.lane.getLength(link[0])
-            if ahead_m > _LOOK_AHEAD_M:
-                break
-        key = tuple(lanes)
-        number = self.lines.number.get(key)
-        if number is not None:
-            return number
-        shapes = [np.array(libsumo.lane.getShape(part))[:, :2] - self.frame.origin_m for part in lanes]
-        return self.lines.add(key, shapes, libsumo.lane.getLength(lane))
+def _status(code: int) -> str:
+    return f"exit status {code}" if code >= 0 else f"signal {-code}"
 
 
-def _drive_at(name: str, speed_mps: float, mode: int, dt_s: float) -> None:
-    """Command a speed. If it needs more than the vehicle's usual deceleration, that limit is lifted."""
-    of = libsumo.vehicle
-    now_mps = of.getSpeed(name)
-    slowest_mps = now_mps - of.getEmergencyDecel(name) * dt_s
-    is_emergency = speed_mps < now_mps - of.getDecel(name) * dt_s - 1e-6
-    of.setSpeedMode(name, mode & ~_REGARD_MAX_DECELERATION if is_emergency else mode)
-    of.setSpeed(name, max(0.0, slowest_mps, min(speed_mps, of.getAllowedSpeed(name))))
-
-
-def _give_back(name: str, mode: int) -> None:
-    """Let SUMO decide the vehicle's speed again."""
-    libsumo.vehicle.setSpeed(name, -1)
-    libsumo.vehicle.setSpeedMode(name, mode)
-
-
-def _options(params: TrafficParams, config: sumocfg.Sumocfg, scratch: Path, has_driver: bool) -> list[str]:
+def sumo_options(params: TrafficParams, config: Path, scratch: Path, has_driver: bool) -> list[str]:
     """SUMO's command line. It uses a copy of the configuration, which has harmless options only."""
+    files = sumocfg.read(config)
+    if params.car_following == "calibrated":
+        files = calibrated(files, scratch)
+    files = sumocfg.without_commas(files, scratch)
     copy = scratch / "scenario.sumocfg"
-    copy.write_text(config.text(), encoding="utf-8")
+    copy.write_text(files.text(), encoding="utf-8")
     options = {
         "configuration-file": copy,
         "seed": params.seed,

@@ -1,12 +1,12 @@
 """Cost of reading all actors into arrays, relative to SUMO's own cost per step."""
 
+import tempfile
 from pathlib import Path
 from time import thread_time
 
-from cosim.traffic.actors import ActorRegistry
-from cosim.traffic.fleet import FleetParams
 from cosim.traffic.params import TrafficParams
-from cosim.traffic.sumo import SumoTraffic
+from cosim.traffic.sumo import sumo_options
+from cosim.traffic.sumo_process import Simulator
 from sumo_nets import catalogue
 
 CITIES = ("adlershof", "koenigs-wusterhausen")
@@ -41,27 +41,27 @@ def bench_city(config: Path, scale: float = 1.0, steps: int = STEPS) -> list[tup
     steps
         Number of measured steps.
     """
-    registry = ActorRegistry(FleetParams(), seed=1)
-    traffic = SumoTraffic(TrafficParams(scale=scale), config, registry)
+    with tempfile.TemporaryDirectory() as scratch:
+        sumo = Simulator(sumo_options(TrafficParams(scale=scale), config, Path(scratch), False), False, (0.0, 0.0))
     try:
-        for _ in traffic.warm_up(300):
+        while sumo.warm_up(300.0) < 300.0:
             pass
-        while traffic.n_vehicles < N_VEHICLES:
-            traffic.move()
+        while len(sumo.read().number) < N_VEHICLES:
+            sumo.move()
         alone_s = read_s = 0.0
         n_actors = 0
         for _ in range(steps // (2 * BLOCK)):
             begin = thread_time()
             for _ in range(BLOCK):
-                traffic.move()
+                sumo.move()
             alone_s += thread_time() - begin
-            traffic.advance()  # registers the actors that departed meanwhile
+            sumo.read()  # finds the actors that departed meanwhile
             begin = thread_time()
             for _ in range(BLOCK):
-                n_actors += len(traffic.advance())
+                n_actors += len(sumo.advance().number)
             read_s += thread_time() - begin
     finally:
-        traffic.close()
+        sumo.close()
     return [
         ("actors on the road", 2 * n_actors / steps, ""),
         ("SUMO alone", 1e6 * alone_s / n_actors, "µs per actor and step"),

@@ -55,10 +55,10 @@ def test_whatever_a_configuration_asks_to_write_nothing_is_written(scenario, tem
     options = "".join(f'<{name} value="{value}"/>' for name, value in texts.items())
     config = edited(scenario, tmp_path, change=lambda t: t.replace("</configuration>", options + "</configuration>"))
     before = {p: p.read_bytes() for p in config.parent.iterdir() if p.is_file()}
-    worlds, report = live(str(config), tmp_path.parent / f"{tmp_path.name}-worlds", 0, 20)
+    worlds, report = live(str(config), 0, 20)
     assert list(leak.iterdir()) == [] and "sumo_errors" not in report
     assert {p: p.read_bytes() for p in config.parent.iterdir() if p.is_file()} == before
-    same(worlds, live(str(scenario), tmp_path.parent / f"{tmp_path.name}-plain", 0, 20)[0])
+    same(worlds, live(str(scenario), 0, 20)[0])
 
 
 @pytest.mark.parametrize("name", sorted(REFUSED))

@@ -87,10 +87,7 @@ def rules_of(attack):
 @pytest.mark.verify
 @pytest.mark.parametrize("attack", ["sybil", "collusion"])
 def test_a_played_recording_equals_the_simulation(attack):
-    """Evidence is recorded in percent. All else is the simulation's: receptions, arrivals, broadcasts.
-
-    Each is made in a process of its own: where SUMO is loaded again and again, one of 25 loads drives otherwise.
-    """
+    """Evidence is recorded in percent. All else is the simulation's: receptions, arrivals, broadcasts."""
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as processes:
         of, rows = (processes.submit(made, attack) for made in (recorded, simulated))
         of, rows = of.result(), rows.result()

@@ -3,6 +3,10 @@
 import numpy as np
 import pytest
 
+from cosim.traffic.actors import ActorRegistry
+from cosim.traffic.fleet import FleetParams
+from cosim.traffic.params import TrafficParams
+from cosim.traffic.scenario import find
 from tests.addons.driver import one_lane
 from tests.drive import cosim, simulate
 
@@ -61,37 +65,40 @@ def test_only_the_believer_reacts_before_its_brake_lights_matter(tmp_path):
 
 
 RELEASE = """
-import json
+import json, tempfile
+from pathlib import Path
 import libsumo
 import numpy as np
-from cosim.traffic.actors import ActorRegistry
-from cosim.traffic.fleet import FleetParams
 from cosim.traffic.params import TrafficParams
 from cosim.traffic.scenario import find
+from cosim.traffic.sumo import sumo_options
+from cosim.traffic.sumo_process import Simulator
 
-registry = ActorRegistry(FleetParams(penetration_p=1.0), seed=4)
-traffic = find("helsinki").traffic(TrafficParams(step_s=0.5), registry, has_driver=True)
-for _ in traffic.warm_up(120):
+with tempfile.TemporaryDirectory() as scratch:
+    config = find("helsinki").sumocfg
+    sumo = Simulator(sumo_options(TrafficParams(step_s=0.5), config, Path(scratch), True), True, (0.0, 0.0))
+while sumo.warm_up(120.0) < 120.0:
     pass
-rng, checked, forced, commanded, modes = np.random.default_rng(1), 0, 0, np.zeros(0, int), {}
-n_commands = n_left = 0
+rng, checked, forced, wanted = np.random.default_rng(1), 0, 0, {}
+n_commands = n_left = step = 0
 while checked < 12000:
-    world = traffic.advance()
-    names = {registry.names[a] for a in commanded.tolist()}
+    sumo.move()
+    step += 1
     present = libsumo.vehicle.getIDList()
-    n_left += len(names - set(present))
+    n_left += len(wanted.keys() - set(present))
     for name in present:
-        if name in names:
+        if name in wanted:
             continue
         checked += 1
         forced += abs(libsumo.vehicle.getSpeed(name) - libsumo.vehicle.getSpeedWithoutTraCI(name)) > 1e-9
         forced += libsumo.vehicle.getSpeedMode(name) != 31
-    rows = np.flatnonzero(world.equipped & (rng.random(len(world)) < 0.3))
-    commanded = world.actor[rows] if world.step % 7 else rows[:0]
-    rows = rows if world.step % 7 else rows[:0]
-    n_commands += len(rows)
-    traffic.command(commanded, world.speed_mps[rows] * rng.choice([0.0, 0.5, 0.9, np.nan], len(rows)))
-traffic.close()
+    wanted = {}
+    for name in present if step % 7 else ():
+        factor = rng.choice([0.0, 0.5, 0.9]) if rng.random() < 0.3 else None
+        if factor is not None:
+            wanted[name] = factor * libsumo.vehicle.getSpeed(name)
+    n_commands += len(wanted)
+    sumo.command(wanted)
 print(json.dumps([checked, int(forced), n_commands, n_left]))
 """
 
@@ -102,6 +109,23 @@ def test_no_vehicle_keeps_a_forced_speed_after_release():
     checked, forced, n_commands, _ = one_lane.in_process(RELEASE)
     assert checked >= 10_000 and n_commands > 1_000
     assert forced == 0
+
+
+def test_a_commanded_speed_holds_for_one_step_and_none_that_is_not_finite(tmp_path):
+    """The first of three cars at 10 m/s brakes for half a second as hard as its type can, and then drives on."""
+    registry = ActorRegistry(FleetParams(), seed=4)
+    traffic = find(str(one_lane.write(tmp_path))).traffic(TrafficParams(step_s=0.5), registry, has_driver=True)
+    while not len(world := traffic.advance()):
+        pass
+    first = np.array([registry.names.index("first")])
+    speeds = []
+    for wanted_mps in (np.nan, 7.75, np.nan, 10.0):
+        traffic.command(first, np.array([wanted_mps]))
+        world = traffic.advance()
+        speeds.append(float(world.speed_mps[world.actor == first[0]][0]))
+    traffic.close()
+    np.testing.assert_allclose(speeds[:2], [10, 7.75], atol=0.01)
+    assert 7.75 < speeds[2] < speeds[3] <= 10
 
 
 @pytest.mark.parametrize(

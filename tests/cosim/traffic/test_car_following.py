@@ -82,21 +82,21 @@ def test_types_in_an_included_file_are_refused(tmp_path):
 RUN = """
 import json, sys
 from pathlib import Path
-from cosim.traffic.actors import ActorRegistry
-from cosim.traffic.fleet import FleetParams
-from cosim.traffic.params import TrafficParams
-from cosim.traffic.scenario import find
 import libsumo
+from cosim.traffic.params import TrafficParams
+from cosim.traffic.sumo import sumo_options
+from cosim.traffic.sumo_process import Simulator
 how, config, target = sys.argv[1:]
-traffic = find(config).traffic(TrafficParams(step_s=0.5, car_following=how), ActorRegistry(FleetParams(), 1))
+scratch = Path(target).parent
+params = TrafficParams(step_s=0.5, car_following=how)
+sumo = Simulator(sumo_options(params, Path(config), scratch, False), False, (0, 0))
 hardest = 0.0
 for _ in range(160):
-    traffic.advance()
+    sumo.move()
     hardest = max([hardest, *(-libsumo.vehicle.getAcceleration(v) for v in libsumo.vehicle.getIDList())])
 types = {t: (libsumo.vehicletype.getDecel(t), libsumo.vehicletype.getLength(t))
          for t in libsumo.vehicletype.getIDList() if not t.startswith("DEFAULT")}
 Path(target).write_text(json.dumps([hardest, types]))
-traffic.close()
 """
 
 

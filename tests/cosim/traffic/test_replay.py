@@ -38,7 +38,7 @@ def record(config: Path, target: Path, end: int, **more: float) -> None:
 def helsinki(tmp_path_factory):
     """Forty steps after two minutes, live."""
     folder = tmp_path_factory.mktemp("helsinki")
-    return folder, live("helsinki", folder / "live", 120, 40)[0]
+    return folder, live("helsinki", 120, 40)[0]
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -53,7 +53,7 @@ def test_a_trace_shows_the_world_that_was_live(helsinki, name):
 def test_a_finer_step_and_a_later_begin(tmp_path):
     """Ten steps a second from second 50 on; a pedestrian comes first, after whom SUMO then names all columns."""
     params = TrafficParams(step_s=0.1, begin_s=50)
-    worlds = live("helsinki", tmp_path / "live", 10, 30, params)[0]
+    worlds = live("helsinki", 10, 30, params)[0]
     assert len(worlds[-1]["actor"]) > 3
     config = catalogue.find("helsinki").sumocfg_path
     record(config, tmp_path / "fcd.parquet", 65, begin=50, **{"step-length": 0.1})
@@ -66,7 +66,7 @@ def test_every_oddity_is_replayed_as_it_was_live(tmp_path):
     """Left-hand, hilly, far from its origin, with rail, ships, containers, riders, and a person named like a car."""
     config = mixed_scenario.write(tmp_path / "live")
     before = {p: p.read_bytes() for p in config.parent.iterdir()}
-    worlds, report = live(str(config), tmp_path / "worlds", 0, 200)
+    worlds, report = live(str(config), 0, 200)
     assert {p: p.read_bytes() for p in config.parent.iterdir()} == before  # nothing written beside it
     assert len(worlds) == 91  # its own end: from 0 s to 90 s
     assert report["actors_left_out"] == {"rail": 1, "ship": 1}
@@ -85,7 +85,7 @@ def test_hills_in_half_seconds(tmp_path):
     """SUMO's Parquet holds heights in single precision: 1 in 2,000 would round to another 1/256 m than live."""
     params = TrafficParams(step_s=0.5)
     config = mixed_scenario.write(tmp_path / "live")
-    worlds, _ = live(str(config), tmp_path / "worlds", 0, 181, params)
+    worlds, _ = live(str(config), 0, 181, params)
     record(mixed_scenario.write(tmp_path / "fcd"), tmp_path / "fcd.parquet", 90, **{"step-length": 0.5})
     same(collect(find(str(config), str(tmp_path / "fcd.parquet")).traffic(params, registry()), 0, 181), worlds)
 

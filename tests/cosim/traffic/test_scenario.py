@@ -214,8 +214,8 @@ def test_what_sumo_opens_is_opened(scenario, tmp_path, name, by_folder):
     edited(scenario, folder, "odd.sumocfg", lambda t: t).rename(tmp_path / name)
     given = str(folder if by_folder else tmp_path / name)
     assert find(given).name == "odd"
-    worlds, report = live(given, tmp_path / "worlds", 0, 8)
-    same(worlds, live(str(scenario), tmp_path / "plain", 0, 8)[0])
+    worlds, report = live(given, 0, 8)
+    same(worlds, live(str(scenario), 0, 8)[0])
     assert "sumo_errors" not in report
 
 
@@ -226,7 +226,7 @@ def test_a_network_that_does_not_say_how_far_it_reaches(scenario, tmp_path, loca
     """Its bounds are those of its streets, of a road's width around the outermost nodes a, c and d."""
     config = edited(scenario, tmp_path, "odd net.net.xml", lambda t: re.sub(r"<location [^>]*/>", location, t))
     np.testing.assert_allclose(find(str(config)).bounds_m, (-9_000_000, 100, -8_999_200, 400), atol=15)
-    worlds, _ = live(str(config), tmp_path / "worlds", 0, 8)
+    worlds, _ = live(str(config), 0, 8)
     assert len(worlds[-1]) > 0
 
 

@@ -1,15 +1,22 @@
-"""From SUMO's pose to ours."""
+"""From SUMO's pose to ours, and the process that SUMO runs in."""
+
+import gc
+import os
+import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fleet import FleetParams
-from cosim.traffic.frame import Frame
+from cosim.traffic.frame import Frame, TrafficError
+from cosim.traffic.params import TrafficParams
+from cosim.traffic.scenario import find
 from cosim.traffic.source import world_from_bumpers
 from sensors.scene import Shape
 from tests.cosim.traffic import mixed_scenario
-from tests.cosim.traffic.worlds import live, same
+from tests.cosim.traffic.worlds import live, registry, same
 
 
 def pose(x, y, z, compass_deg, lwh):
@@ -52,15 +59,61 @@ ASKS = """<random_number><random value="true"/><seed value="77"/></random_number
 
 def test_clients_seeds_and_threads_that_a_configuration_asks_for_change_no_traffic(tmp_path):
     """A seed of the clock's, clients that are to steer it, threads: a run of the same config gives the same tables."""
-    plain = live(str(mixed_scenario.write(tmp_path / "plain")), tmp_path / "worlds", 0, 40)[0]
+    plain = live(str(mixed_scenario.write(tmp_path / "plain")), 0, 40)[0]
     config = mixed_scenario.write(tmp_path / "asks")
     config.write_text(config.read_text().replace("<report>", ASKS))
-    same(live(str(config), tmp_path / "worlds", 0, 40)[0], plain)
+    same(live(str(config), 0, 40)[0], plain)
 
 
 def test_what_sumo_complains_of_though_it_goes_on_is_told(tmp_path):
     config = mixed_scenario.write(tmp_path)
-    assert "sumo_errors" not in live(str(config), tmp_path / "worlds", 0, 5)[1]
+    assert "sumo_errors" not in live(str(config), 0, 5)[1]
     config.write_text(config.read_text().replace("</processing>", '<collision.action value="zz"/></processing>'))
-    report = live(str(config), tmp_path / "worlds", 0, 5)[1]
+    report = live(str(config), 0, 5)[1]
     assert report["sumo_errors"] == ["Invalid collision.action 'zz'."]
+
+
+def mixed(folder: Path, **keys):
+    """The mixed scenario, running."""
+    return find(str(mixed_scenario.write(folder))).traffic(TrafficParams(), registry(), **keys)
+
+
+def test_simulations_beside_each_other_have_the_traffic_of_one_alone(tmp_path):
+    """One process holds several, and each is the first of its own process."""
+    config = str(mixed_scenario.write(tmp_path / "alone"))
+    alone = [world["xyz_m"] for world in live(config, 0, 12)[0]]
+    one, other = mixed(tmp_path / "one"), mixed(tmp_path / "other")
+    for want in alone:
+        for traffic in (one, other):
+            np.testing.assert_array_equal(traffic.advance().boxes.xyz_m, want)
+    one.close()
+    other.close()
+
+
+def test_a_sumo_that_breaks_down_is_told_in_one_line(tmp_path):
+    traffic = mixed(tmp_path)
+    traffic.advance()
+    os.kill(traffic._process.pid, signal.SIGKILL)
+    with pytest.raises(TrafficError, match=r"\.sumocfg: SUMO broke down \(signal 9\)\.$"):
+        for _ in range(3):  # one answer may be under way
+            traffic.advance()
+    traffic.close()
+    assert not traffic._scratch.path.exists()
+
+
+@pytest.mark.parametrize("how", ["closed", "forgotten"])
+def test_no_process_outlasts_its_traffic(tmp_path, how):
+    traffic = mixed(tmp_path)
+    traffic.advance()
+    process = traffic._process
+    if how == "closed":
+        traffic.close()
+    del traffic
+    gc.collect()
+    assert process.returncode == 0
+
+
+def test_modules_of_the_working_directory_are_not_those_of_sumos_process(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("pickle.py").write_text("raise SystemExit(3)")
+    mixed(tmp_path / "scenario").close()

@@ -1,7 +1,5 @@
-"""Worlds of a live run, written down by a process of its own, because libsumo holds one simulation per process."""
+"""Worlds of a live run."""
 
-import pickle
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,8 +7,8 @@ import numpy as np
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fleet import FleetParams
 from cosim.traffic.params import TrafficParams
+from cosim.traffic.scenario import find
 from cosim.traffic.source import TrafficEnded, TrafficSource
-from tests.drive import python
 
 COLUMNS = ("actor", "name_key", "shape", "speed_mps", "equipped", "attack")
 
@@ -32,23 +30,14 @@ def collect(traffic: TrafficSource, warmup_s: float, n_steps: int) -> list[dict[
 
 
 def live(
-    scenario: str, target: Path, warmup_s: float, n_steps: int, params: TrafficParams | None = None
+    scenario: str, warmup_s: float, n_steps: int, params: TrafficParams | None = None
 ) -> tuple[list[dict[str, np.ndarray]], dict[str, Any]]:
     """Worlds of a live run, and its report."""
-    code = f"""
-import json, pickle
-from pathlib import Path
-from tests.cosim.traffic.worlds import collect, registry
-from cosim.traffic.params import TrafficParams
-from cosim.traffic.scenario import find
-traffic = find({scenario!r}).traffic({params or TrafficParams()!r}, registry())
-report = {{}}
-close, traffic.close = traffic.close, lambda: (report.update(traffic.report()), close())
-worlds = collect(traffic, {warmup_s}, {n_steps})
-Path({str(target)!r}).write_bytes(pickle.dumps((worlds, report)))
-"""
-    assert python(code) == ""
-    return pickle.loads(target.read_bytes())
+    traffic = find(scenario).traffic(params or TrafficParams(), registry())
+    report: dict[str, Any] = {}
+    close = traffic.close
+    traffic.close = lambda: (report.update(traffic.report()), close())  # type: ignore[method-assign]
+    return collect(traffic, warmup_s, n_steps), report
 
 
 def registry() -> ActorRegistry:

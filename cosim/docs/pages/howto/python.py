@@ -79,10 +79,8 @@ save(run.measure.trust.plot(), Path("trust.svg"))
 #
 # A `Simulation` gives the point clouds, detections, messages, trust and fused objects of each step. Its config is a
 # dictionary or the path of a TOML file. Without a config, it simulates the default city. `trust=MyModel` uses your own
-# class as the trust model. `detector`, `radio`, `pseudonyms` and `driver` work in the same way.
-#
-# The first simulation of a process always has the same traffic. Later ones in the same process may not. If you compare
-# simulations in detail, give each a process of its own, as `cosim run` does.
+# class as the trust model. `detector`, `radio`, `pseudonyms` and `driver` work in the same way. Simulations may exist
+# beside each other: SUMO runs in a process of its own for each.
 
 # %%
 with Simulation({"traffic": {"duration_s": 3}}) as simulation:
