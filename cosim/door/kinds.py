@@ -120,11 +120,11 @@ KINDS: dict[str, Kind] = {kind.name: kind for kind in (
     Kind(
         "attack", "attack", "attacks", "attack", ATTACKS,
         {
-            "phantoms": Hook(("seen", "context"), returns.phantoms, is_required=False),
             "detections": Hook(("listed", "context"), returns.attacked_detections, is_required=False),
             "evaluations": Hook(("rows", "detections", "context"), returns.attacked_evaluations, is_required=False),
             "identities": Hook(("context",), returns.identities, is_required=False),
             "sending": Hook(("context",), returns.sending, is_required=False),
+            "phantoms": Hook(("seen", "context"), returns.phantoms, is_required=False),
         },
     ),
     Kind(

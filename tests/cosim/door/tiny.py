@@ -49,9 +49,8 @@ def attack():
         np.repeat(np.arange(N), N), np.tile(np.arange(N), N), np.full(N * N, 0.5), np.full(N * N, 0.75)
     )
     return {
-        "phantoms": (listed, context),
         "detections": (listed, context), "evaluations": (rows, listed, context), "identities": (context,),
-        "sending": (context,),
+        "sending": (context,), "phantoms": (listed, context),
     }  # fmt: skip
 
 
