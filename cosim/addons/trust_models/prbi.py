@@ -88,7 +88,7 @@ def dealt(
     by_draw, rank = np.lexsort((draw, holder)), np.zeros(len(holder), np.int64)
     rank[by_draw] = number - begin
     table = begin + rank // n_vehicles * n_vehicles
-    order, place = np.lexsort((draw, exact(benign), table)), np.zeros(len(holder), np.int64)
+    order, place = np.lexsort((draw, benign, table)), np.zeros(len(holder), np.int64)
     place[order] = number - np.searchsorted(table[order], table[order])
     most = np.maximum(np.bincount(table)[table] - 1, 1)
     return np.unique(2 * table + (place >= np.clip(n_suspects, 1, most)), return_inverse=True)[1].reshape(-1)
@@ -133,7 +133,7 @@ class Prbi(Stepwise):
         """Verifications and probabilities after a step."""
         p = self.params
         new = with_rows(self._left(state, n_steps), n_pairs)
-        known = self._benign(new)
+        known = np.round(self._benign(new), 6)  # so that rounding errors decide no tie
         confirmed, denied, agrees, contradicts = agreement(rows, np.where(known >= 0.5, known, 0.0)).T
         holder, subject, row = self.log.pairs.sorted()
         holder = np.unique(holder, return_inverse=True)[1].reshape(-1)
