@@ -11,7 +11,7 @@ An extension is a class in the user's own file. A config names it as `mine.py:Cl
 | trust model | `[trust] model` | `open_step`, `add_evaluations`, `scores`, and `score_objects` if it scores objects | \
 `ReceivedEvaluations`, `ObjectReports` | `TrustScores`; one score per object |
 | driver | `[driver] model` | `commands` | `World`, `Beliefs` | state and `SpeedCommands` |
-| attack | `[[attacks]] attack` | one or more of `detections`, `evaluations`, `identities`, `sending` | \
+| attack | `[[attacks]] attack` | one or more of `phantoms`, `detections`, `evaluations`, `identities`, `sending` | \
 `Detections`, `EvaluationRows`, `AttackContext` | `Detections`; evaluation and visibility; numbers; `Sending` |
 
 The protocols `Detector`, `Medium`, `PseudonymPolicy`, `TrustModel`, `ScoresObjects`, `Driver` and `Attack` document the

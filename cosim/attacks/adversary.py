@@ -62,6 +62,13 @@ class Active:
         now = [(attack, replace(context, attacker=context.attacker & self.sends)) for attack, context in found]
         return [(attack, context) for attack, context in now if context.attacker.any()]
 
+    def phantoms(self, seen: Detections) -> Detections:
+        """What detectors find, with phantoms as `Attack.phantoms` adds them; `seen` itself if there are none."""
+        for attack, context in self.attacks:  # an object misleads detectors whether its attacker sends or not
+            if hasattr(attack, "phantoms"):
+                seen = attack.phantoms(seen, context)
+        return seen
+
     def detections(self, listed: Detections) -> tuple[Detections, Int[ndarray, "f"]]:
         """Apply the attacks to the detection lists of all vehicles.
 

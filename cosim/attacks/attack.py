@@ -168,7 +168,24 @@ class Sending(Rows):
 
 
 class Attack(Protocol):
-    """The four methods of an attack. A class has one or more of them."""
+    """The five methods of an attack. A class has one or more of them."""
+
+    def phantoms(self, seen: Detections, context: AttackContext) -> Detections:
+        """What detectors find, with the phantoms that real objects of the attackers make them report.
+
+        The vehicles that report phantoms need not attack. To them, phantoms are detections like all others: they track
+        them, send them and confirm them. Sweeps of vehicles have no returns of the objects.
+
+        Parameters
+        ----------
+        seen
+            What the detectors of all vehicles that sense in this step found, and their self reports, at true positions.
+
+        Returns
+        -------
+        All rows of `seen` unchanged, and phantoms that `fabricated` added for observers in `seen`. The `target` of a
+        phantom is the attacker whose object causes it.
+        """
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The detection lists as they will be sent.

@@ -124,6 +124,7 @@ KINDS: dict[str, Kind] = {kind.name: kind for kind in (
             "evaluations": Hook(("rows", "detections", "context"), returns.attacked_evaluations, is_required=False),
             "identities": Hook(("context",), returns.identities, is_required=False),
             "sending": Hook(("context",), returns.sending, is_required=False),
+            "phantoms": Hook(("seen", "context"), returns.phantoms, is_required=False),
         },
     ),
     Kind(

@@ -15,7 +15,7 @@ from numpy import ndarray
 from cosim.attacks.attack import LOUDEST_DBM, Sending
 from cosim.base.codes import LosState, ObjectClass, Origin
 from cosim.base.rows import Rows
-from cosim.messages.content import LEAST_ACCURACY_FACTOR, MOST_ACCURACY_FACTOR, Detections
+from cosim.messages.content import FABRICATED, LEAST_ACCURACY_FACTOR, MOST_ACCURACY_FACTOR, Detections, faults
 from cosim.radio.message_round import FrameOutcomes, MessageRound, Outcome, Receptions
 from cosim.traffic.driver import Reasons, SpeedCommands
 from sensors.boxes import Boxes
@@ -233,10 +233,8 @@ def object_scores(call: Call, returned: Any) -> ndarray:
     return detached(returned)
 
 
-def attacked_detections(call: Call, returned: Any) -> Detections:
-    """The lists that an attack returned. Content that no message can contain is dropped and counted later."""
-    listed, context = call.given
-    n_world = len(context.world)
+def _check_detections(returned: Any, n_world: int) -> None:
+    """Detections of a world of so many actors, whatever their content is."""
     _typed("", returned, Detections, "change the given ones with dataclasses.replace")
     n = _length("observer", returned.observer)
     _check_boxes(returned.boxes, n, is_bounded=False)
@@ -247,6 +245,28 @@ def attacked_detections(call: Call, returned: Any) -> Detections:
         "accuracy_factor": ("f", LEAST_ACCURACY_FACTOR, MOST_ACCURACY_FACTOR),
     })  # fmt: skip
     _column("velocity_mps", returned.velocity_mps, (n, 2), "f", what="east and north of each detection")
+
+
+def phantoms(call: Call, returned: Any) -> Detections:
+    """What detectors found, with the phantoms that an attack added."""
+    seen, context = call.given
+    _check_detections(returned, len(context.world))
+    added = returned.origin == FABRICATED
+    kept = returned.take(np.flatnonzero(~added))
+    if len(kept) != len(seen) or not _same(kept, seen):
+        raise Wrong("changed rows of seen", "the given rows with phantoms added by fabricated(seen, ...)")
+    _none("target", returned.target, added & ~context.attacker[returned.target], "an attacker")
+    _none("observer", returned.observer, added & ~np.isin(returned.observer, seen.observer), "an observer in seen")
+    unlike = faults(returned, context.world.boxes.xyz_m) >= 0
+    _none("detection_index", returned.detection_index, added & unlike, "of a phantom that a message can contain")
+    return detached(returned)
+
+
+def attacked_detections(call: Call, returned: Any) -> Detections:
+    """The lists that an attack returned. Content that no message can contain is dropped and counted later."""
+    listed, context = call.given
+    n_world = len(context.world)
+    _check_detections(returned, n_world)
     if len(context.n_identities):
         late = returned.identity > context.n_identities[returned.observer]
         _none("identity", returned.identity, late, "at most the number that identities() says of the vehicle")

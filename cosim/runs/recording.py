@@ -202,7 +202,7 @@ def detection_columns(world: World, listed: Listed | Known, pseudonym: Int[ndarr
         "acceleration_mps2__valid": ~np.isnan(objects.acceleration_mps2),
         "origin": objects.origin, "transmitted": objects.transmitted, "lied": truth.lied,
         "withheld": listed.withheld, "target": world.actor[objects.target],
-        "target__valid": objects.target != objects.observer,
+        "target__valid": (objects.target != objects.observer) | truth.is_phantom,
         "truth_actor": world.actor[truth.actor_row], "truth_actor__valid": truth.is_real,
         "truth_iou": truth.iou, "truth_iou__valid": truth.is_real,
         "truth_occlusion": truth.occlusion, "truth_occlusion__valid": truth.is_sensed,

@@ -38,7 +38,7 @@ from cosim.step.parts import Parts
 from cosim.step.precomputed import NOTHING_PRECOMPUTED, Precomputed
 from cosim.step.reports import carrier_of, deliver_late, next_carried, update_trust
 from cosim.step.result import Sensed, StepResult
-from cosim.step.sense import identify, perceive, position, track_objects
+from cosim.step.sense import identify, mislead, perceive, position, track_objects
 from cosim.step.state import State
 from cosim.step.trust import control_relays, follow_encounters, look_up, own_trust_of, publish, receive_from_rsus
 from cosim.traffic.driver import Beliefs
@@ -104,12 +104,14 @@ def _cycle(
     with watch("server"):
         trust, pseudonyms, published = publish(s.trust, s.pseudonyms, vehicles, now, parts)
     observed = perceive(world, vehicles, precomputed, parts)
+    with watch("attack"):
+        sends = senders_among(world, vehicles)
+        attacks = parts.adversary.active(s.attacks, world, now.begin_s, own_trust, sends)
+        observed = mislead(observed, attacks)
     position_errors, positioned = position(world, vehicles, observed, s.position_errors, c)
     with watch("track objects"):
         tracks, positioned = track_objects(world, vehicles, positioned, s.tracks, now, parts)
     with watch("attack"):
-        sends = senders_among(world, vehicles)
-        attacks = parts.adversary.active(s.attacks, world, now.begin_s, own_trust, sends)
         pseudonyms, senders = senders_of(world, vehicles, attacks, pseudonyms, parts)
         stations = stations_of(world, vehicles.row, parts.rsus, c.radio.antenna_above_roof_m)
         exchange = Exchange.of(world, now, vehicles, senders, stations, attacks)
@@ -161,7 +163,7 @@ def _cycle(
             beliefs = beliefs_of(fused[0], exchange, known, world, positioned.error)
             reaction_truth = reaction_truth.next(exchange, listed, c.traffic.step_s)
     with watch("track"):
-        attack_start = tracking.track_attacks(s.attack_start, exchange, listed, evaluated)
+        attack_start = tracking.track_attacks(s.attack_start, exchange, positioned.observed, listed, evaluated)
         inter_reception, reach = tracking.track_receptions(s.inter_reception, exchange, (cpms, reports))
         encounters = tracking.count_in_encounters(s.encounters, exchange, (cpms, reports), looked_up, known, compared)
         outcomes = attack_outcomes(exchange, positioned.world, known, compared, fused)

@@ -24,6 +24,7 @@ class GroundTruth(Rows):
     occlusion: Float[ndarray, "d"]  # share of the actor that is hidden from the observer, if sensed
     is_sensed: Bool[ndarray, "d"]
     lied: Bool[ndarray, "d"]  # the sent detection differs from the perceived one by more than noise
+    is_phantom: Bool[ndarray, "d"]  # an object of an attacker made the observer's detector report it
 
 
 def ground_truth_of(
@@ -33,6 +34,7 @@ def ground_truth_of(
     observers: Int[ndarray, "e"],
     sensed_is_real: Bool[ndarray, "s"],
     sensed_actor_row: Int[ndarray, "s"],
+    sensed_caused_by: Int[ndarray, "s"] | None,
     lied: Bool[ndarray, "d"],
 ) -> GroundTruth:
     """Ground truth of each detection.
@@ -49,6 +51,8 @@ def ground_truth_of(
         Rows of the world of the equipped vehicles.
     sensed_is_real, sensed_actor_row
         For each sensed detection, in the order of its key, whether the actor exists, and its row of the world.
+    sensed_caused_by
+        As `Observed.caused_by`.
     lied
         Whether each detection is a lie, as `lies_in_detections` finds it.
     """
@@ -65,7 +69,10 @@ def ground_truth_of(
     n = len(world)
     at = np.searchsorted(observers[sights.observer] * n + sights.actor, said.observer[rows] * n + actor_row[rows])
     occlusion[rows] = sights.occlusion[at]
-    return GroundTruth(is_real, actor_row, iou, occlusion, sensed & is_real, lied)
+    is_phantom = np.zeros(len(said), bool)
+    if sensed_caused_by is not None:
+        is_phantom[sensed] = sensed_caused_by >= 0
+    return GroundTruth(is_real, actor_row, iou, occlusion, sensed & is_real, lied, is_phantom)
 
 
 NOISE_M, NOISE_RAD, NOISE_SIZE, NOISE_SCORE, NOISE_MPS = 0.5, np.radians(10.0), 0.2, 0.1, 0.5

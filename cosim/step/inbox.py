@@ -40,7 +40,7 @@ def _no_detections() -> Detections:
 
 def _no_truth() -> GroundTruth:
     no, none = np.zeros(0, bool), np.zeros(0)
-    return GroundTruth(no, _rows(), none, none, no, no)
+    return GroundTruth(no, _rows(), none, none, no, no, no)
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,6 +45,8 @@ class Observed:
     """Ground truth of the detector's reports, in order: whether the actor exists."""
     actor_row: Int[ndarray, "s"]
     """Ground truth: row of the actor in the world."""
+    caused_by: Int[ndarray, "s"] | None = None
+    """Ground truth: row of the attacker whose object caused a phantom, -1 for other reports; None without phantoms."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,10 +9,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from cosim.attacks.adversary import Active
 from cosim.config.config import Config
-from cosim.messages.content import (
-    SENSED,
-)
+from cosim.messages.content import FABRICATED, SELF, SENSED
 from cosim.messages.pseudonyms import PseudonymState, PseudonymUse
 from cosim.step.exchange import Times, Vehicles
 from cosim.step.parts import Parts
@@ -65,6 +64,25 @@ def perceive(world: World, vehicles: Vehicles, precomputed: Precomputed, parts: 
         return parts.perception(world, vehicles.row[vehicles.senses], parts.watch)
     with parts.watch("wait for sensing"):
         return precomputed.observed()
+
+
+def mislead(observed: Observed, attacks: Active) -> Observed:
+    """Add the phantoms that real objects of attackers make detectors report: false positives with a cause."""
+    seen = attacks.phantoms(observed.detections)
+    if len(seen) == len(observed.detections):
+        return observed
+    phantom = seen.origin == FABRICATED
+    sensed = seen.origin != SELF
+    added, n = phantom[sensed], int(sensed.sum())
+    is_real, actor_row = np.zeros(n, bool), np.zeros(n, observed.actor_row.dtype)
+    is_real[~added], actor_row[~added] = observed.is_real, observed.actor_row
+    return replace(
+        observed,
+        detections=replace(seen, origin=np.where(phantom, np.uint8(SENSED), seen.origin), target=seen.observer),
+        is_real=is_real,
+        actor_row=actor_row,
+        caused_by=np.where(added, seen.target[sensed], -1),
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from cosim.step.exchange import Exchange
 from cosim.step.known import Known
 from cosim.step.late import LateMessages
 from cosim.step.listing import Listed
+from cosim.step.perception import Observed
 from cosim.step.trackers.attack_start import AttackStartTracker
 from cosim.step.trackers.encounters import Encounters
 from cosim.step.trackers.inter_reception import InterReceptionTracker, pairs_within_range
@@ -107,11 +108,13 @@ def count_in_encounters(
 
 
 def track_attacks(
-    attack_start: AttackStartTracker, exchange: Exchange, listed: Listed, evaluated: Evaluated
+    attack_start: AttackStartTracker, exchange: Exchange, observed: Observed, listed: Listed, evaluated: Evaluated
 ) -> AttackStartTracker:
-    """Note the vehicles that attack in this step: with false detections or evaluations, or on the channel."""
+    """Note the vehicles that attack: with false detections or evaluations, with phantoms, or on the channel."""
     vehicles, sending = exchange.vehicles, exchange.sending
     attacker = [exchange.world.actor[listed.objects.observer[listed.truth.lied]]]
+    if observed.caused_by is not None:
+        attacker.append(exchange.world.actor[observed.caused_by[observed.caused_by >= 0]])
     if evaluated.lied.any():
         by = evaluated.lists.owner[evaluated.lists.of_member()[evaluated.lied]]
         attacker.append(vehicles.actor[exchange.senders.vehicle[by]])

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cosim.addons.trust_models.false_discovery import critical, tail
+from cosim.addons.trust_models.prbi import dealt
 from tests.trust.histories import add, history, open_step, received_by, trust_of
 from tests.verification import judged_evaluators as literal
 from trust.models import MODELS, params_of
@@ -21,6 +23,13 @@ CASES = [
     ("median_groups", {}, {}),
     ("miso_v", {}, {}),
     ("miso_v", {"n_sources": 3}, {"n_sources": 3}),
+    ("prbi", {}, {}),
+    ("prbi", {"n_vehicles": 2, "least_agreement": 0.8, "memory": 1.0, "missed_p": 0.1},
+     {"n": 2, "epsilon": 0.8, "memory": 1.0, "missed": 0.1}),
+    ("prbi", {"prior_benign": 0.6, "decay_per_s": 1.0}, {"prior": 0.6, "decay": 1.0}),
+    ("false_discovery", {}, {}),
+    ("false_discovery", {"level": 0.3, "correlation": 0.0}, {"level": 0.3, "k": 0.0}),
+    ("false_discovery", {"present_per_s": 0.5, "decay_per_s": 1.0}, {"present": 0.5, "decay": 1.0}),
     ("belief_graph", {}, {}),
     ("belief_graph", {"evidence": KINDS}, {"kinds": KINDS}),
     ("belief_graph", {"n_sweeps": 3, "prior_honest": 0.6}, {"n_sweeps": 3, "prior": 0.6}),
@@ -89,6 +98,41 @@ def town(name, liars, about, own=None, miss_p=0.25):
 def test_who_denies_everybody_is_trusted_less_than_its_victims(name):
     found = town(name, {1, 2}, lambda liar, subject: -1.0)
     assert max(found[1], found[2]) < min(found[v] for v in range(3, 11))
+
+
+@pytest.mark.parametrize("name", ["false_discovery", "prbi"])
+def test_where_nobody_lies_nobody_is_accused(name):
+    assert min(town(name, set(), None).values()) > 0.5
+
+
+def test_groups_are_verified_by_hand():
+    """Two vehicles, a group each. P = 0.8; nothing is known of other groups: a likelihood of 1/2 either way."""
+    # denied: both contradict the reference. P = .5 .8 / (.5 .8 + .2) = 2/3, share passed 1.6 / 3: (2/3 + 1.6/3) / 2
+    # confirmed: both agree. P = .5 .8 / (.5 .8 + .3 .2) = 20/23, share passed 2.6 / 3
+    for evaluation, expected in ((-1.0, 0.6), (1.0, (20 / 23 + 2.6 / 3) / 2)):
+        model = build("prbi")
+        open_step(model, 0, {1: [1.0], 2: []})
+        add(model, 0, [(2, 1, 0, evaluation, 1.0)])
+        assert trust_of(model, 1) == pytest.approx(expected, abs=1e-9)
+
+
+def test_vehicles_are_divided_into_the_suspicious_and_the_rest():
+    """Seven vehicles of one holder and two of another: fives drawn by lot, and the three least benign of each five."""
+    draw, benign = np.array([0.1, 0.9, 0.2, 0.3, 0.8, 0.4, 0.5, 0.6, 0.7]), np.linspace(0.9, 0.1, 9)
+    group = dealt(np.repeat([0, 1], [7, 2]), draw, benign, np.full(9, 3), 5)
+    # fives: {0, 2, 3, 5, 6} and {1, 4} of the first, {7, 8} of the second; of two, one is suspicious
+    parts = {frozenset(np.flatnonzero(group == g).tolist()) for g in range(group.max() + 1)}
+    assert parts == {frozenset(one) for one in ({3, 5, 6}, {0, 2}, {4}, {1}, {8}, {7})}
+
+
+def test_tests_by_hand():
+    # 2 or more of 3 at 1/2: 1/2; 1 or more of 4 at 0.1: 1 - 0.9^4; nothing denied: certain
+    assert tail(np.array([2.0, 1.0, 0.0]), np.array([3.0, 4.0, 4.0]), np.array([0.5, 0.1, 0.1])) == pytest.approx(
+        [0.5, 1 - 0.9**4, 1.0], abs=1e-12
+    )
+    # q = 0.05, m = 3: limits 0.0167, 0.0333, 0.05. The second smallest passes, so two are found; of two others none is
+    p, holder = np.array([0.033, 0.02, 0.9, 0.03, 0.06]), np.array([0, 0, 0, 1, 1])
+    assert critical(p, holder, 0.05) == pytest.approx([0.1 / 3] * 3 + [0.025] * 2, abs=1e-12)
 
 
 @pytest.mark.parametrize("name", ["belief_graph", "evaluator_trust", "miso_v", "self_first"])

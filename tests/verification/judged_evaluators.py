@@ -8,6 +8,10 @@ import math
 from collections import defaultdict
 from statistics import median
 
+import numpy as np
+from scipy import stats
+
+from cosim.base.rng import draws
 from tests.verification.trust_models import by_message, evidence, known
 
 
@@ -81,6 +85,79 @@ def miso_v(steps, now, dt, decay=0.98, n_sources=2):
         (g, b), (good, bad) = sender[i], evaluator[i]
         out[i] = (g + 1) / (g + b + 2) * (good + 1) / (good + bad + 1)
     return out
+
+
+def agreement(rows, reliable):
+    """By vehicle: confirmed and denied of its detections, shared and contradicted of its evaluations."""
+    said = defaultdict(lambda: [0.0] * 4)
+    for (i, _), answers in by_detection(rows).items():
+        for v, pos, neg in answers:
+            said[i][0] += rounded(reliable(v) * pos)
+            said[i][1] += rounded(reliable(v) * neg)
+            others = rounded(reliable(i)) + sum(rounded(reliable(w) * (p - n)) for w, p, n in answers if w != v)
+            said[v][2] += pos if others > 0 else 0.0
+            said[v][3] += neg if others > 0 else pos if others < 0 else 0.0
+    return said
+
+
+def prbi(steps, now, dt, n=5, epsilon=0.5, prior=0.8, memory=0.5, missed=0.3, decay=0.98):
+    verifications, posterior = [], {}  # (step, members, failed); last P by vehicle
+
+    def number(at, failed, counts):
+        return sum(decay ** ((at - s) * dt) for s, group, fails in verifications if fails == failed and counts(group))
+
+    def benign(j, at):
+        passed, failed = (number(at, fails, lambda group: j in group) for fails in (False, True))
+        share = (passed + 2 * prior) / (passed + failed + 2)
+        return memory * posterior.get(j, prior) + (1 - memory) * share
+
+    for step in sorted(steps):
+        before = {j: round(benign(j, step), 6) for rows in steps.values() for v, i, *_ in rows for j in (v, i)}
+        said = agreement(steps[step], lambda j, before=before: before[j] if before[j] >= 0.5 else 0.0)
+        draw = {j: draws(0, round(step * dt * 1000), np.array([j], np.uint64))[0, 0] for j in said}
+        speak = sorted((j for j in said if sum(said[j]) > 0), key=draw.get)
+        passed, failed = (number(step, fails, lambda group: True) for fails in (False, True))
+        m = math.floor(-math.log2((passed + 1) / (passed + failed + 1)) + 1e-9)
+        found = []
+        for first in range(0, len(speak), n):
+            table = sorted(speak[first : first + n], key=lambda j: (before[j], draw[j]))
+            n_suspects = min(max(m, 1), max(len(table) - 1, 1))
+            for group in (table[:n_suspects], table[n_suspects:]):
+                if group:
+                    good, bad = (sum(said[j][c] + said[j][c + 2] for j in group) for c in (0, 1))
+                    found.append((step, group, good < epsilon * (good + bad)))
+        for _, group, fails in found:
+            for j in group:
+                p, f = (number(step, x, lambda group, j=j: j not in group) for x in (False, True))
+                anomaly = (f + 1) / (p + f + 2)
+                a, b = (anomaly, 1.0) if fails else (1 - anomaly, missed)
+                posterior[j] = a * before[j] / (a * before[j] + b * (1 - before[j]))
+        verifications += found
+    return {i: benign(i, now) for i in known(steps)}
+
+
+def false_discovery(steps, now, dt, level=0.05, present=0.9, decay=0.98, k=0.05):
+    here, ever = defaultdict(lambda: [0.0] * 4), defaultdict(lambda: [0.0] * 4)
+    for step, rows in steps.items():
+        for j, said in agreement(rows, lambda j: 1.0).items():
+            for column, x in enumerate(said):
+                here[j][column] += x * present ** ((now - step) * dt)
+                ever[j][column] += x * decay ** ((now - step) * dt)
+    p = {}
+    for j in (j for j in here if sum(here[j]) >= 0.01):
+        values = []
+        for yes, no in ((0, 1), (2, 3)):
+            tested = [ever[i] for i in here if sum(here[i]) >= 0.01]
+            against = sum(one[no] for one in tested)
+            rate = (against + 1) / (against + sum(one[yes] for one in tested) + 2)
+            past = ever[j][yes] - here[j][yes], ever[j][no] - here[j][no]
+            own = (past[1] + 5 * rate) / (sum(past) + 5)
+            d, n = here[j][no], here[j][no] + here[j][yes]
+            worth = 1 / (1 + k * max(n - 1, 0))
+            values += [stats.beta.cdf(r, d * worth, (n - d) * worth + 1) if d else 1.0 for r in (rate, own)]
+        p[j] = stats.combine_pvalues(values, "fisher").pvalue
+    n_found = max([1] + [j for j, x in enumerate(sorted(p.values()), 1) if x <= j * level / len(p)])
+    return {i: p[i] / (p[i] + n_found * level / len(p)) if i in p else 1.0 for i in known(steps)}
 
 
 def median_groups(steps, now, dt, prior=0.5):

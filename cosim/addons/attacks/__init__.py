@@ -13,6 +13,7 @@ ADDON = Addon(
             "ghost_in_shadow": "cosim.addons.attacks.ghosts:GhostInShadow",
             "replay": "cosim.addons.attacks.ghosts:Replay",
             "stale": "cosim.addons.attacks.ghosts:Stale",
+            "trust_flip": "cosim.addons.attacks.trust_flip:TrustFlip",
             "speed": "cosim.addons.attacks.self_report:Speed",
             "braking": "cosim.addons.attacks.self_report:Braking",
             "stop": "cosim.addons.attacks.self_report:Stop",

@@ -30,6 +30,8 @@ ADDON = Addon(
             "self_first": "cosim.addons.trust_models.self_first:SelfFirst",
             "median_groups": "cosim.addons.trust_models.median_groups:MedianGroups",
             "miso_v": "cosim.addons.trust_models.miso_v:MisoV",
+            "prbi": "cosim.addons.trust_models.prbi:Prbi",
+            "false_discovery": "cosim.addons.trust_models.false_discovery:FalseDiscovery",
             "belief_graph": "cosim.addons.trust_models.belief_graph:BeliefGraph",
         },
     },

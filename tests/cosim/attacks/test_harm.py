@@ -22,10 +22,15 @@ def tables_of(attack, n_steps, who, penetration_p):
     return play(attacks, n_steps, penetration_p, radio={}, tables=TABLES)
 
 
+def last_rows(tables):
+    """Trust at the server at the end."""
+    rows = tables["trust"]
+    return rows[rows["at"] == rows["at"].max()]
+
+
 def last_trust(tables, of_attackers):
     """Mean trust at the server at the end."""
-    rows = tables["trust"]
-    rows = rows[rows["at"] == rows["at"].max()]
+    rows = last_rows(tables)
     return rows.trust[rows.subject.isin(LIARS) == of_attackers].mean()
 
 
@@ -65,6 +70,15 @@ def content_is_wrong(found, honest):
 def honest_lose_trust(found, honest):
     """Trust in vehicles that do not attack falls."""
     return last_trust(found, False) < last_trust(honest, False) - 0.02
+
+
+def victims_lose_trust(found, honest):
+    """Trust in vehicles that report phantoms falls, and the trust in all others stays what it is."""
+    rows = found["detections"]
+    victims = rows.observer[(rows.origin == 0) & rows.target.notna()].unique()
+    was, now = ({r.subject: r.trust for r in last_rows(t).itertuples()} for t in (honest, found))
+    assert len(victims) and not np.isin(victims, LIARS).all()
+    return all(now[i] < was[i] - 0.02 if i in victims else now[i] == was[i] for i in was)
 
 
 def attackers_gain_trust(found, honest):
@@ -119,6 +133,7 @@ HARM = {
     "speed": content_is_wrong,
     "braking": content_is_wrong,
     "stop": content_is_wrong,
+    "trust_flip": victims_lose_trust,
     "bad_mouthing": honest_lose_trust,
     "ballot_stuffing": attackers_gain_trust,
     "collusion": both(honest_lose_trust, attackers_gain_trust),

@@ -50,6 +50,37 @@ def test_approaching_ghost(honest):
     assert_others_untouched(tables, honest)
 
 
+@pytest.mark.parametrize("more", [{}, {"left_m": -3.0, "ahead_m": 12.0}])
+def test_trust_flip(honest, more):
+    """The nearest neighbour of each attacker detects a car before it; nobody lies, and nothing else changes."""
+    tables = play([BY | {"attack": "trust_flip"} | more])
+    rows = tables["detections"]
+    is_phantom = (rows.origin == 0) & rows.target.notna()
+    found = rows[is_phantom]
+    victims = set(found.observer)
+    assert len(victims) == len(LIARS) and not victims & set(WHO) and (found.target == found.observer).all()
+    assert (found.groupby("observer").size() == 6).all() and (found["class"] == 0).all()
+    assert found.truth_actor.isna().all() and found.transmitted.all() and not rows.lied.any()
+    world = tables["actors"].merge(found, left_on=["at", "actor"], right_on=["at", "observer"], suffixes=("", "_seen"))
+    np.testing.assert_allclose(world.x_m_seen - world.x_m, more.get("ahead_m", 8.0), atol=1e-5)
+    np.testing.assert_allclose(world.y_m_seen - world.y_m, more.get("left_m", 0.0), atol=1e-5)
+    pd.testing.assert_frame_equal(rows[~is_phantom].reset_index(drop=True), honest["detections"])
+    made = tables["evaluations"].merge(found[KEY], on=KEY)
+    own = made.evaluator == made.observer
+    assert (made.evaluation[own] > 0).all() and own.sum() == len(found)
+    denied = made[~own & (made.visibility > 0)]
+    assert len(denied) > 50 and (denied.evaluation < 0).mean() > 0.9 and not tables["evaluations"].lied.any()
+    assert tables.state.attack_start.step_of == dict.fromkeys(WHO.tolist(), 0)
+
+
+def test_trust_flip_misleads_by_chance_and_once_per_victim():
+    """Two attackers of one victim make one phantom, and a detector that is never misled reports none."""
+    one = {"attack": "trust_flip", "victim": "one", "victim_id": "v12", "victim_range_m": 60.0}
+    for misled_p, expected in ((1.0, 3), (0.0, 0)):
+        rows = play([BY | one | {"misled_p": misled_p}], 3)["detections"]
+        assert ((rows.origin == 0) & rows.target.notna()).sum() == expected
+
+
 def test_removal(honest):
     tables = play([BY | {"attack": "removal"}])
     rows = beside(tables, honest)

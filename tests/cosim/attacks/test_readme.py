@@ -17,4 +17,4 @@ def test_the_table_names_every_attack_once():
 def test_every_attack_and_parameter_is_documented():
     for attack in catalogue.ATTACKS.values():
         assert attack.__doc__ and "\n\n\n" not in attack.__doc__
-        assert any(hasattr(attack, hook) for hook in ("detections", "evaluations", "identities", "sending"))
+        assert any(hasattr(attack, hook) for hook in ("phantoms", "detections", "evaluations", "identities", "sending"))

@@ -12,7 +12,8 @@ GOOD = {
     "attack": "def detections(self, listed, context):\n    return listed\n"
     "def evaluations(self, rows, detections, context):\n    return rows.evaluation, rows.visibility\n"
     "def identities(self, context):\n    return np.zeros(6, int)\n"
-    "def sending(self, context):\n    return Sending.plain(6)",
+    "def sending(self, context):\n    return Sending.plain(6)\n"
+    "def phantoms(self, seen, context):\n    return seen",
     "exporter": "def plan(self, selection):\n    return Plan.of_files([File('a.txt', lambda: b'')])",
     "metric": "def rows(self, run):\n    return [MetricRow('a.n', 1.0), MetricRow('a.n', 2.0, group='b')]",
     "policy": "def changes(self, ages):\n    return ages.age_s > 3",
@@ -149,6 +150,12 @@ PARTICULAR = {
         ("detections", "context.world.speed_mps.__setitem__(0, 9)"): "changed its argument context.world.speed_mps",
         ("detections", "it.boxes.xyz_m.__iadd__(3)"): "changed its argument listed.boxes.xyz_m in place",
         ("detections", "(it, 3)"): "returned a tuple of 2",
+        ("phantoms", "replace(seen, score=seen.score * 0.5)"): "changed rows of seen",
+        ("phantoms", "seen.take(np.arange(5))"): "changed rows of seen",
+        ("phantoms", "fabricated(seen, np.ones(1, int), np.zeros(1), seen.boxes.take([1]), np.ones(1), np.array([4]))"):
+            "target[2] = 4",
+        ("phantoms", "fabricated(seen, np.ones(1, int), np.zeros(1), seen.boxes.take([1]), np.full(1, 2.0))"):
+            "of a phantom that a message can contain",
         ("evaluations", "rows.evaluation"): "a tuple (evaluation, visibility) is expected",
         ("evaluations", "(rows.evaluation[:3], rows.visibility)"): "evaluation as an array of float64 of shape (3,)",
         ("evaluations", "(rows.evaluation - 9, rows.visibility)"): "evaluation[0] = -8.5",

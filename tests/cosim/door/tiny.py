@@ -50,7 +50,7 @@ def attack():
     )
     return {
         "detections": (listed, context), "evaluations": (rows, listed, context), "identities": (context,),
-        "sending": (context,),
+        "sending": (context,), "phantoms": (listed, context),
     }  # fmt: skip
 
 

@@ -18,7 +18,7 @@ class MyAttack:
     def __init__(self, params):
         self.params = params
 
-    # An attack has one or more of four methods: detections, evaluations, identities, sending.
+    # An attack has one or more of five methods: phantoms, detections, evaluations, identities, sending.
 
     def detections(self, listed, context):  # the detections of all vehicles; change only those of attackers
         rows = context.own_rows(listed)

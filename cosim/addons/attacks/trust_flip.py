@@ -1,0 +1,67 @@
+"""An attack without false messages: real objects mislead the detector of an honest victim, which loses trust."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+
+from cosim.addons.attacks.ghosts import CAR_LWH_M
+from cosim.attacks.attack import AttackContext, WithParams, placed
+from cosim.attacks.disguise import ghosts
+from cosim.attacks.ghost_insertion import CAR
+from cosim.messages.content import Detections
+from sensors.boxes import Boxes
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrustFlipParams:
+    """Where the phantom appears, and how reliably."""
+
+    ahead_m: Annotated[float, Gt(0), Le(100)] = 8.0
+    """Distance from the victim's centre to the phantom, straight ahead [m]."""
+    left_m: Annotated[float, Ge(-50), Le(50)] = 0.0
+    """Distance of the phantom to the left of this line [m]; below 0 to the right."""
+    misled_p: Annotated[float, Ge(0), Le(1)] = 1.0
+    """Probability that the victim's detector reports the phantom in a sweep. The default has no source."""
+
+
+class TrustFlip(WithParams[TrustFlipParams]):
+    """Makes an honest victim detect a car that nobody else detects, so that the victim loses trust (TrustFlip [1]_).
+
+    The attacker has put an object before the victim that only the victim's detector takes for a car. The victim tracks
+    this phantom, sends it and confirms it, because it believes in it, and others deny it. No message is false, neither
+    of the victim nor of the attacker. In the table `detections` the phantom is a false positive of the victim, with the
+    victim as its `target`, and it is no lie.
+
+    Notes
+    -----
+    A victim has one phantom in a sweep, whatever the number of its attackers. It has score, size and number of returns
+    of a real detection (`disguise.ghosts`).
+
+    Deviations: [1]_ computes shapes that published detectors mistake from the victim's viewpoint, and measures how
+    often a defence then excludes the victim. Here the effect on the detector is given. The object moves with the
+    victim. It returns no rays and hides nothing, so that all others see free space. The opposite effect, a victim that
+    misses a real object, is left out. From the abstract and quotations, not from the full paper.
+
+    References
+    ----------
+    .. [1] Liu, Wang, Li, Zhang, "Adversarial Trust Poisoning in Vehicular Collaborative Perception", arXiv:2605.22122,
+       2026.
+    """
+
+    Params = TrustFlipParams
+
+    def phantoms(self, seen: Detections, context: AttackContext) -> Detections:
+        """The detections, with a phantom for each victim that senses."""
+        p, world = self.params, context.world
+        attacker, victim = context.victims()
+        misled = context.uniforms(context.name_key(attacker), context.name_key(victim))[:, 0] < p.misled_p
+        rows = np.flatnonzero(misled & np.isin(victim, seen.observer))
+        rows = rows[np.argsort(context.name_key(attacker[rows]))]  # so that nothing depends on actor numbers
+        victim, first = np.unique(victim[rows], return_index=True)
+        n = len(victim)
+        xyz, yaw = placed(world, victim, np.full(n, p.ahead_m), np.full(n, p.left_m), np.full(n, np.pi))
+        xyz[:, 2] += (CAR_LWH_M[2] - world.boxes.lwh_m[victim, 2]) / 2
+        boxes = Boxes(xyz, np.tile(CAR_LWH_M, (n, 1)), yaw)
+        return ghosts(seen, victim, np.full(n, CAR, np.uint8), boxes, context, attacker[rows[first]])

@@ -1,0 +1,128 @@
+"""A joint test of all vehicles with a controlled rate of false discoveries."""
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from annotated_types import Interval
+from jaxtyping import Float, Int
+from numpy import ndarray
+from scipy.special import betainc, gammaincc
+
+from cosim.addons.trust_models.prbi import agreement
+from trust.evaluation_log import StepRows, exact_sums
+from trust.models.stepwise import Reading, Stepwise, StepwiseParams
+from trust.pair_index import with_rows
+
+PRIOR_EVIDENCE = 5.0
+"""Evidence that the rate of all vehicles counts for in the rate of a vehicle's own past."""
+LEAST_EVIDENCE = 0.01
+"""Present evidence from which a vehicle is tested."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FalseDiscoveryParams(StepwiseParams):
+    """Parameters of the model `false_discovery`; the defaults are ours."""
+
+    level: Annotated[float, Interval(gt=0, lt=1)] = 0.05
+    """q: largest expected share of honest vehicles among those with trust of 1/2 or less."""
+    present_per_s: Annotated[float, Interval(gt=0, lt=1)] = 0.9
+    """Share of the present evidence that is left after 1 s."""
+    decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
+    """Share of all evidence that is left after 1 s."""
+    correlation: Annotated[float, Interval(ge=0, le=1)] = 0.05
+    """k: correlation of the evidence about a vehicle. n of it are worth n / (1 + k (n - 1)) independent ones."""
+
+
+def tail(denied: Float[ndarray, "n"], said: Float[ndarray, "n"], rate: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
+    """Probability of at least `denied` of `said` at this rate: the tail of the binomial distribution, by the beta
+    function for numbers that are no integers; 1 if nothing is denied."""
+    some = denied > 0
+    return np.where(some, betainc(np.where(some, denied, 1.0), np.maximum(said - denied, 0.0) + 1.0, rate), 1.0)
+
+
+def critical(p: Float[ndarray, "n"], holder: Int[ndarray, "n"], level: float) -> Float[ndarray, "n"]:
+    """Largest p-value that is a discovery, by Benjamini and Hochberg, among the vehicles of each one's holder.
+
+    Returns
+    -------
+    j q / m, j the largest number such that the j-th smallest of m p-values is at most this; q / m if there is none.
+    `holder` is ascending.
+    """
+    order = np.lexsort((p, holder))
+    rank = 1 + np.arange(len(p)) - np.searchsorted(holder, holder)
+    m = np.bincount(holder)[holder]
+    found = np.ones(len(p), np.int64)  # by holder
+    discovered = p[order] <= rank * level / m
+    np.maximum.at(found, holder[discovered], rank[discovered])
+    return found[holder] * level / m
+
+
+class FalseDiscovery(Stepwise):
+    """Joint spatial and temporal test of all vehicles with a controlled false discovery rate, after GCP [19]_.
+
+    It should find senders of false content and of false evaluations who differ from the population or from their own
+    past, and accuse few honest vehicles, however many there are. It cannot find liars where most vehicles lie, and an
+    honest vehicle that errs much more often than others is accused. It does not see removal or false speeds.
+
+    Notes
+    -----
+    Of the paper: a spatial anomaly (what an agent says now against what others see) and a temporal one (against its own
+    past frames) are joined to one p-value for each agent, and the Benjamini-Hochberg procedure at level q says who is
+    malicious.
+
+    Ours: what a vehicle says is its detections, denied or confirmed, and its evaluations, contradicted or shared by the
+    other voices on the same detection (`prbi.agreement`, each voice counts alike). For both, with present evidence d
+    of n against the vehicle: the spatial p-value is the binomial tail of d at the rate of all vehicles of the holder,
+    the temporal one at the vehicle's own rate before. The four are joined by Fisher's method, P(chi2 with 8 degrees of
+    freedom > -2 sum ln p). Trust is p / (p + t), t the critical p-value: at most 1/2 for discoveries.
+
+    Deviations: as above. The paper's scores are losses of boxes and of reconstructed motion, joined by learned weights,
+    and its p-values are ranks among scores of normal agents, which a holder of evaluations does not have.
+
+    [19] Tao, Hu, Hu, An, Cao, Fang: GCP: Guarded Collaborative Perception with Spatial-Temporal Aware Malicious Agent
+    Detection. IEEE Transactions on Dependable and Secure Computing, 2026, arXiv:2501.02450.
+    """
+
+    Params: ClassVar[type] = FalseDiscoveryParams
+
+    def start(self) -> Float[ndarray, "p 8"]:
+        """Columns of `agreement`, of the present and of all time; no pairs yet."""
+        return np.zeros((0, 8))
+
+    def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
+        """Evidence after a step."""
+        new = with_rows(self._left(state, n_steps), n_pairs)
+        return new + np.tile(agreement(rows, np.ones(len(new))), 2)
+
+    def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
+        """Trust from the p-values of the vehicles that are tested."""
+        left, (holder, _, row) = self._left(state, n_steps), self.log.pairs.sorted()
+        weight, trust = left[:, :4].sum(axis=1), np.ones(len(left))
+        tested = np.flatnonzero(weight[row] >= LEAST_EVIDENCE)
+        row, holder = row[tested], np.unique(holder[tested], return_inverse=True)[1].reshape(-1)
+        log_p = np.zeros(len(row))
+        for column in (0, 2):
+            now_for, now_against, all_for, all_against = left[row][:, column + np.array([0, 1, 4, 5])].T
+            log_p += self._log_p(now_for, now_against, all_for, all_against, holder)
+        p = gammaincc(4.0, -log_p)
+        trust[row] = p / (p + critical(p, holder, self.params.level))
+        return Reading(trust, weight, None, self.horizon_s(self.params.decay_per_s))
+
+    def _log_p(
+        self, now_for: ndarray, now_against: ndarray, all_for: ndarray, all_against: ndarray, holder: ndarray
+    ) -> Float[ndarray, "n"]:
+        """Sum of the logarithms of the spatial and the temporal p-value."""
+        against, said = (exact_sums(holder, x, len(holder)) for x in (all_against, all_for + all_against))
+        rate = ((against + 1) / (said + 2))[holder]
+        past = np.maximum(all_for - now_for, 0.0) + np.maximum(all_against - now_against, 0.0)
+        own = (np.maximum(all_against - now_against, 0.0) + PRIOR_EVIDENCE * rate) / (past + PRIOR_EVIDENCE)
+        n = now_for + now_against
+        worth = 1 / (1 + self.params.correlation * np.maximum(n - 1, 0.0))
+        spatial, temporal = (tail(now_against * worth, n * worth, r) for r in (rate, own))
+        return np.log(np.maximum(spatial, 1e-300)) + np.log(np.maximum(temporal, 1e-300))
+
+    def _left(self, state: ndarray, n_steps: int) -> ndarray:
+        """What is left of present and of all evidence after some steps."""
+        p = self.params
+        return state * np.repeat([self.decay(share, n_steps) for share in (p.present_per_s, p.decay_per_s)], 4)

@@ -1,0 +1,175 @@
+"""Pseudo-random Bayesian inference: groups of vehicles are verified, and suspicion is inferred from the groups."""
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from annotated_types import Interval
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from cosim.base.rng import draws
+from trust.evaluation_log import StepRows, exact, exact_sums
+from trust.models.stepwise import Reading, Stepwise, StepwiseParams
+from trust.pair_index import with_rows
+
+PRIOR_VERIFICATIONS = 2.0
+"""Verifications that the prior probability counts for in the long-term memory."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PrbiParams(StepwiseParams):
+    """Parameters of the model `prbi`. The defaults are ours, but for `n_vehicles`, the paper's number."""
+
+    n_vehicles: Annotated[int, Interval(ge=2, le=1000)] = 5
+    """Vehicles that are divided into two groups."""
+    least_agreement: Annotated[float, Interval(gt=0, lt=1)] = 0.5
+    """epsilon: share of what a group says that must agree with the reference. The paper's similarity is that of two
+    frames, and its epsilon 0.35."""
+    prior_benign: Annotated[float, Interval(gt=0.5, lt=1)] = 0.8
+    """Probability that a vehicle is benign, before any evidence."""
+    memory: Annotated[float, Interval(ge=0, le=1)] = 0.5
+    """Weight of the last posterior against the share of verifications passed, in the next prior."""
+    missed_p: Annotated[float, Interval(gt=0, lt=1)] = 0.3
+    """Probability that a group passes although a member is malicious; 0 in the paper."""
+    decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
+    """Share of the verifications that is left after 1 s."""
+
+
+def agreement(rows: StepRows, reliable: Float[ndarray, "p"]) -> Float[ndarray, "p 4"]:
+    """How much others agree with what each vehicle says in a step.
+
+    Parameters
+    ----------
+    reliable
+        Weight of each vehicle's word; rows as in `EvaluationLog.pairs`.
+
+    Returns
+    -------
+    Confirmed and denied of its detections, then confirmed and contradicted of its evaluations. An evaluation is judged
+    by the sender and the other evaluators of the same detection: confirmed is a confirmation that they share,
+    contradicted any evaluation against theirs. A denial that they share counts nothing.
+    """
+    by, pos, neg, n = rows.by, rows.object_pos, rows.object_neg, len(reliable)
+    vote = exact(reliable[by] * (pos - neg))
+    others = (exact(reliable[rows.sender]) + rows.per_object(vote))[rows.object] - vote
+    true, false = others > 0, others < 0
+    said = [
+        (rows.about, reliable[by] * pos),
+        (rows.about, reliable[by] * neg),
+        (by, pos * true),
+        (by, neg * true + pos * false),
+    ]
+    return np.stack([exact_sums(who, values, n) for who, values in said], axis=1)
+
+
+def dealt(
+    holder: Int[ndarray, "k"], draw: Float[ndarray, "k"], benign: Float[ndarray, "k"], n_suspects: Int[ndarray, "k"],
+    n_vehicles: int,
+) -> Int[ndarray, "k"]:  # fmt: skip
+    """Divide vehicles into groups: each few of a holder, drawn at random, into the most suspicious and the rest.
+
+    Parameters
+    ----------
+    holder
+        Ascending.
+    draw
+        A random number for each vehicle.
+    benign
+        Probability that each vehicle is benign.
+    n_suspects
+        Vehicles in the group of the most suspicious. Both groups have at least one, if there are two vehicles.
+
+    Returns
+    -------
+    Number of each vehicle's group, from 0.
+    """
+    begin, number = np.searchsorted(holder, holder), np.arange(len(holder))
+    by_draw, rank = np.lexsort((draw, holder)), np.zeros(len(holder), np.int64)
+    rank[by_draw] = number - begin
+    table = begin + rank // n_vehicles * n_vehicles
+    order, place = np.lexsort((draw, benign, table)), np.zeros(len(holder), np.int64)
+    place[order] = number - np.searchsorted(table[order], table[order])
+    most = np.maximum(np.bincount(table)[table] - 1, 1)
+    return np.unique(2 * table + (place >= np.clip(n_suspects, 1, most)), return_inverse=True)[1].reshape(-1)
+
+
+class Prbi(Stepwise):
+    """Pseudo-random Bayesian inference without a trusted ego [18]_, on evaluations.
+
+    It should find senders of false content and of false evaluations without trust in any vehicle, the holder included,
+    at two verifications for five vehicles and step. It cannot find a lie that is small beside what the other members
+    of a group say truthfully, and honest members of a failed group are suspected with it. It fails where most liars
+    agree with each other.
+
+    Notes
+    -----
+    Of the paper: in every frame the vehicles are divided into the m most suspicious and the rest, m = log2(1 / eta),
+    eta the share of verifications passed, because a random half without k malicious vehicles has probability 2^-k.
+    Each group is verified against what was reliable in the frame before. P = P(benign) of a member of a failed group
+    follows from Bayes' theorem: the prior mixes the last P with the share of its verifications passed, and the
+    likelihood is the share failed among the groups without it.
+
+    Ours: evaluations have no objects that last from step to step. The reference is therefore not the detections of the
+    step before but the vehicles with P >= 1/2 after it. A group passes if at least epsilon of what its members say
+    agrees with them (`agreement`). A holder divides all vehicles into random fives first, the paper's number. A passed
+    group is evidence too: its likelihoods are the share passed, and `missed_p` for a malicious member. Trust is the
+    next prior.
+
+    Deviations: as above; no test of convergence, and no final set of attackers, because vehicles come and go;
+    verifications decay. The first frame need not be true. From summaries of the paper, not from its equations.
+
+    [18] Yu, Wu, Zhang, Qiu, Huo, Feng: All Vehicles Can Lie: Efficient Adversarial Defense in Fully Untrusted-Vehicle
+    Collaborative Perception via Pseudo-Random Bayesian Inference. CVPR, 2026, arXiv:2603.08498.
+    """
+
+    Params: ClassVar[type] = PrbiParams
+
+    def start(self) -> Float[ndarray, "p 5"]:
+        """No pairs yet. Of each: verifications passed and failed, the same over group sizes, and `prior_benign` - P."""
+        return np.zeros((0, 5))
+
+    def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
+        """Verifications and probabilities after a step."""
+        p = self.params
+        new = with_rows(self._left(state, n_steps), n_pairs)
+        known = np.round(self._benign(new), 6)  # so that rounding errors decide no tie
+        confirmed, denied, agrees, contradicts = agreement(rows, np.where(known >= 0.5, known, 0.0)).T
+        holder, subject, row = self.log.pairs.sorted()
+        holder = np.unique(holder, return_inverse=True)[1].reshape(-1)
+        passed, failed = (exact_sums(holder, new[row, column], len(row)) for column in (2, 3))
+        speaks = np.flatnonzero((confirmed + denied + agrees + contradicts)[row] > 0)
+        if not speaks.size:
+            return new
+        holder, subject, row = holder[speaks], subject[speaks], row[speaks]
+        passed, failed, known = passed[holder], failed[holder], known[row]
+        n_suspects = np.floor(np.log2((passed + failed + 1) / (passed + 1)) + 1e-9).astype(np.int64)
+        draw = draws(0, round(step * self.dt_s * 1000), subject.astype(np.uint64))[:, 0]
+        group = dealt(holder, draw, known, n_suspects, p.n_vehicles)
+        good, bad = (
+            exact_sums(group, a[row] + b[row], len(row)) for a, b in ((confirmed, agrees), (denied, contradicts))
+        )
+        fails = (good < p.least_agreement * (good + bad))[group]
+        own_passed, own_failed = new[row, 0], new[row, 1]
+        anomaly = (failed - own_failed + 1) / (passed + failed - own_passed - own_failed + 2)
+        if_benign, if_not = np.where(fails, anomaly, 1 - anomaly), np.where(fails, 1.0, p.missed_p)
+        posterior = if_benign * known / (if_benign * known + if_not * (1 - known))
+        share = 1 / np.bincount(group)[group]
+        new[row, :4] += np.stack([~fails, fails, ~fails * share, fails * share], axis=1)
+        new[row, 4] = p.prior_benign - posterior
+        return new
+
+    def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
+        """The prior of the next verification."""
+        left = self._left(state, n_steps)
+        return Reading(self._benign(left), left[:, :2].sum(axis=1), None, self.horizon_s(self.params.decay_per_s))
+
+    def _left(self, state: ndarray, n_steps: int) -> ndarray:
+        """What is left of the verifications after some steps; the last posterior stays."""
+        return state * np.append(np.full(4, self.decay(self.params.decay_per_s, n_steps)), 1.0)
+
+    def _benign(self, state: ndarray) -> Float[ndarray, "p"]:
+        """Probability that each vehicle is benign, before its next verification."""
+        p, n = self.params, PRIOR_VERIFICATIONS
+        passed = (state[:, 0] + n * p.prior_benign) / (state[:, 0] + state[:, 1] + n)
+        return p.memory * (p.prior_benign - state[:, 4]) + (1 - p.memory) * passed
