@@ -26,7 +26,7 @@ from cosim.addons.benchmark.evidence import (
     packed,
 )
 from cosim.addons.benchmark.play import Candidate, Script, play
-from cosim.addons.benchmark.score import ON_EVALUATIONS, Advance, Counts, Figures, counts, figures
+from cosim.addons.benchmark.score import TRUE_DETECTIONS, Advance, Counts, Figures, counts, figures
 from cosim.base import rng
 
 COLLUSION = "collusion"
@@ -137,10 +137,9 @@ class AdaptedEvidence:
         evaluations = _union("evaluations", [*false, _take(evaluations, keeps & ~is_false)])
         reports = [self.honest.reports, *chosen("reports", evaluator="step")[1:]]
         reports.append(_take(self.colluding.reports, attacks[self.colluding.reports["evaluator"]]))
-        lookups = [self.honest.lookups, *chosen("lookups", sender="message_step")[1:]]
         return EvidenceStream(
             _union("detections", chosen("detections", observer="step")), _union("reports", reports), evaluations,
-            _union("lookups", lookups), self.attacked.pseudonyms,
+            _union("lookups", chosen("lookups", sender="message_step")), self.attacked.pseudonyms,
         )  # fmt: skip
 
     def _disguised(self, rows: Rows) -> Rows:
@@ -203,7 +202,7 @@ class Search:
         rows, cases = self.evidence.tables["evaluations"], self.evidence.rules.cases
         traced = set(np.unique(rows["case"]).tolist())
         return [HONEST] + [
-            name for case, name in enumerate(cases) if case and case in traced and name not in ON_EVALUATIONS
+            name for case, name in enumerate(cases) if case and case in traced and name not in TRUE_DETECTIONS
         ]  # fmt: skip
 
     def worlds(self) -> list[int]:

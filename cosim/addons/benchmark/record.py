@@ -36,15 +36,15 @@ from sensors.lidar import RangeImages
 from trust.params import TrustParams, eta_of
 from trust.tables import ReceivedEvaluations, TrustScores
 
-VERSION = "2"
+VERSION = "3"
 """Raise it with every change of the content of the shipped set."""
 ATTACKS = (
     "ghost_insertion", "approaching_ghost", "sybil", "replay", "offset", "mirror", "removal", "speed", "bad_mouthing",
-    "ballot_stuffing", "collusion", "random_evaluations",
+    "ballot_stuffing", "collusion", "random_evaluations", "trust_flip",
 )  # fmt: skip
 """The attacks of the study `attacks`, with their default parameters."""
 CITIES = ("helsinki", "koenigs-wusterhausen", "adlershof")
-SEEDS = (1001,)
+SEEDS = (1001, 1002)
 """Beyond those of all studies."""
 PLACES = tuple(
     EvidencePlace(city, penetration_p, seed) for city in CITIES for penetration_p in (0.15, 0.3) for seed in SEEDS

@@ -21,8 +21,8 @@ from results.metrics.survival import kaplan_meier, median, median_band
 
 FALSE_POSITIVES = 0.05
 """Largest share of look-ups that a model's threshold may exclude where nobody attacks."""
-ON_EVALUATIONS = ("bad_mouthing", "ballot_stuffing", "collusion", "random_evaluations")
-"""Attacks whose vehicles send true detections and false evaluations."""
+TRUE_DETECTIONS = ("bad_mouthing", "ballot_stuffing", "collusion", "random_evaluations", "trust_flip")
+"""Attacks whose vehicles send no false detections."""
 
 Advance = Callable[[str, int, int, str], None]
 
@@ -190,7 +190,7 @@ def score(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> Mode
         for world in range(n_worlds):
             stream = evidence.stream(world, case)
             answers = quiet[world] if case == 0 else play(Script.of(stream, rules), candidate)
-            lying = np.full(len(answers.trust), name not in ON_EVALUATIONS)
+            lying = np.full(len(answers.trust), name not in TRUE_DETECTIONS)
             of_worlds.append(counts(stream, answers, threshold, rules, lying))
             played += [answers] if case else []
             advance(f"{candidate.name}: attacks", case * n_worlds + world + 1, len(rules.cases) * n_worlds, name)

@@ -32,6 +32,8 @@ ADDON = Addon(
             "miso_v": "cosim.addons.trust_models.miso_v:MisoV",
             "prbi": "cosim.addons.trust_models.prbi:Prbi",
             "false_discovery": "cosim.addons.trust_models.false_discovery:FalseDiscovery",
+            "denied_share": "cosim.addons.trust_models.plain_rules:DeniedShare",
+            "mean_score": "cosim.addons.trust_models.plain_rules:MeanScore",
             "belief_graph": "cosim.addons.trust_models.belief_graph:BeliefGraph",
         },
     },

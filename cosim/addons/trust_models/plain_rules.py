@@ -1,0 +1,102 @@
+"""Two rules of one line, beside which a trust model has to show that it is worth its effort."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from trust.evaluation_log import StepRows, exact
+from trust.models.stepwise import Reading, Stepwise, StepwiseParams
+from trust.pair_index import PairIndex, with_rows
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlainRuleParams(StepwiseParams):
+    """Parameters of the rules `denied_share` and `mean_score`: none of their own."""
+
+
+class DeniedShare(Stepwise):
+    """Share of a vehicle's evaluated detections that somebody confirms, or that nobody denies.
+
+    Notes
+    -----
+    Trust is 1 - d / n: of n detections of the vehicle that others could see, d are denied by some (neg > 0) and
+    confirmed by none (pos = 0). Self reports do not count. Evidence never ages. Weight: n. A vehicle without such a
+    detection has 1/2.
+
+    A baseline without a source: it follows from what the evaluations mean.
+    """
+
+    Params: ClassVar[type] = PlainRuleParams
+
+    def start(self) -> Float[ndarray, "p 2"]:
+        """Detections of each pair that were evaluated, and those that were denied only; no pairs yet."""
+        return np.zeros((0, 2))
+
+    def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
+        """The counts after a step."""
+        new = with_rows(state, n_pairs).copy()
+        of_others = ~rows.is_self
+        confirmed = rows.per_object(rows.object_pos * of_others) > 0
+        denied = rows.per_object(rows.object_neg * of_others) > 0
+        for column, counts in enumerate((confirmed | denied, denied & ~confirmed)):
+            new[:, column] += np.bincount(rows.sender[counts], minlength=len(new))
+        return new
+
+    def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
+        """1 - denied / evaluated."""
+        n, denied = state.T
+        return Reading(np.where(n > 0, 1 - denied / np.maximum(n, 1), 0.5), n)
+
+
+class MeanScore(Stepwise):
+    """Mean score that a vehicle gives to its own detections. It uses no evaluation.
+
+    Notes
+    -----
+    Trust is the mean of the scores of all detections that the vehicle has sent, without self reports; 1/2 if there are
+    none. A vehicle is known once anybody has evaluated it, as in all models. Weight: the number of these detections.
+
+    A baseline without a source: it shows what lies betray by their scores alone.
+    """
+
+    Params: ClassVar[type] = PlainRuleParams
+
+    def __init__(self, params: Any, dt_s: float) -> None:
+        super().__init__(params, dt_s)
+        self._senders, self._sums = PairIndex(), np.zeros((0, 2))
+
+    def open_step(
+        self,
+        step: int,
+        pseudonyms: Int[ndarray, "n"],
+        observer_row: Int[ndarray, "d"],
+        detection_index: Int[ndarray, "d"],
+        score: Float[ndarray, "d"],
+    ) -> None:
+        """Begin a step; see `TrustModel.open_step`."""
+        super().open_step(step, pseudonyms, observer_row, detection_index, score)
+        of_objects = detection_index > 0
+        sender = pseudonyms[observer_row[of_objects]]
+        row = self._senders.rows(np.zeros_like(sender), sender)
+        self._sums = with_rows(self._sums, len(self._senders))
+        np.add.at(self._sums, row, np.column_stack([exact(score[of_objects]), np.ones(len(row))]))
+
+    def start(self) -> Float[ndarray, "0"]:
+        """No state: scores come with the detections, not with evaluations."""
+        return np.zeros(0)
+
+    def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
+        """The unchanged state."""
+        return state
+
+    def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
+        """Sum of scores over their number."""
+        _, subject, row = self.log.pairs.sorted()
+        at, known = self._senders.find(np.zeros_like(subject), subject)
+        trust, n = np.full(len(self.log.pairs), 0.5), np.zeros(len(self.log.pairs))
+        total, count = self._sums[at[known]].T
+        trust[row[known]], n[row[known]] = total / count, count
+        return Reading(trust, n)

@@ -1,0 +1,43 @@
+"""The rules of one line, against sums over dictionaries."""
+
+import pytest
+
+from tests.trust.histories import history, open_step, received_by
+from tests.verification.trust_models import evidence
+from trust.models import MODELS, params_of
+from trust.params import TrustParams
+
+
+def after(name, seed):
+    """Trust by vehicle at the end of a random stream, and the stream."""
+    frames, rows = history(seed, 1 + seed % 6, 2 + seed % 4)
+    model = MODELS[name](params_of(MODELS[name], TrustParams(), {}), 1.0)
+    for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
+        open_step(model, step, frame)
+        model.add_evaluations(received_by(step, evaluated))
+    scores = model.scores()
+    return dict(zip(scores.subject.tolist(), scores.trust.tolist(), strict=True)), frames, rows
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_share_that_is_only_denied(seed):
+    trust, _, rows = after("denied_share", seed)
+    said = {}
+    for step, of_step in enumerate(rows):
+        for _, sender, index, pos, neg in evidence(of_step):
+            if index:
+                of = said.setdefault(sender, {}).setdefault((step, index), [0, 0])
+                of[0] += pos
+                of[1] += neg
+    for sender, value in trust.items():
+        judged = [(pos, neg) for pos, neg in said.get(sender, {}).values() if pos or neg]
+        denied = sum(not pos for pos, _ in judged)
+        assert value == (1 - denied / len(judged) if judged else 0.5)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_mean_score(seed):
+    trust, frames, _ = after("mean_score", seed)
+    for sender, value in trust.items():
+        sent = [score for frame in frames for score in frame.get(sender, [])[1:]]
+        assert value == pytest.approx(sum(sent) / len(sent) if sent else 0.5)
