@@ -38,6 +38,8 @@ SETTINGS = {
 }  # fmt: skip
 """Parameters by model: ours, and those of the transcription."""
 CASES = [(name, *case) for name, cases in SETTINGS.items() for case in cases]
+PLAIN = {"denied_share", "mean_score"}
+"""Rules of `tests/addons/trust_models/test_plain_rules.py`."""
 
 
 def build(name, dt_s=1.0, **own):
@@ -46,8 +48,7 @@ def build(name, dt_s=1.0, **own):
 
 def test_every_model_has_a_twin():
     scorers = {name for name in MODELS if name.startswith("raya_")}
-    plain = {"denied_share", "mean_score"}  # tests/addons/trust_models/test_plain_rules.py
-    assert set(SETTINGS) | set(JUDGING) | scorers | plain | {"trupercept"} == set(MODELS)
+    assert set(SETTINGS) | set(JUDGING) | scorers | PLAIN | {"trupercept"} == set(MODELS)
 
 
 @pytest.mark.parametrize(("name", "ours", "theirs"), CASES)
@@ -194,8 +195,8 @@ def test_history_is_looked_up_by_pseudonym():
     for name in sorted(set(MODELS) - {"mean_score"}):  # which reads no evaluations
         model = build(name)
         for step in range(4):
-            open_step(model, step, {v: [1.0, 1.0] for v in (1, 2, 3)})
-            add(model, step, [(2, 1, 1, -1, 1), (3, 1, 1, -1, 1), (3, 2, 1, 1, 1), (2, 3, 1, 1, 1)])
+            open_step(model, step, {1: [1.0], 2: [1.0], 3: [1.0]})
+            add(model, step, [(2, 1, 0, -1, 1), (3, 1, 0, -1, 1), (3, 2, 0, 1, 1), (2, 3, 0, 1, 1)])
         open_step(model, 4, {9: [1.0], 2: [], 3: []})  # the same vehicle under another name
         add(model, 4, [])
         assert trust_of(model, 1) < 0.5 == trust_of(model, 9)

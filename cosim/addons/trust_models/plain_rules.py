@@ -23,10 +23,9 @@ class DeniedShare(Stepwise):
     Notes
     -----
     Trust is 1 - d / n: of n detections of the vehicle that others could see, d are denied by some (neg > 0) and
-    confirmed by none (pos = 0). Self reports do not count. Evidence never ages. Weight: n. A vehicle without such a
-    detection has 1/2.
+    confirmed by none (pos = 0). Evidence never ages. Weight: n. A vehicle without such a detection has 1/2.
 
-    A baseline without a source: it follows from what the evaluations mean.
+    Deviations: none. The rule has no source; it follows from what evaluations mean.
     """
 
     Params: ClassVar[type] = PlainRuleParams
@@ -38,9 +37,7 @@ class DeniedShare(Stepwise):
     def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
         """The counts after a step."""
         new = with_rows(state, n_pairs).copy()
-        of_others = ~rows.is_self
-        confirmed = rows.per_object(rows.object_pos * of_others) > 0
-        denied = rows.per_object(rows.object_neg * of_others) > 0
+        confirmed, denied = rows.per_object(rows.object_pos) > 0, rows.per_object(rows.object_neg) > 0
         for column, counts in enumerate((confirmed | denied, denied & ~confirmed)):
             new[:, column] += np.bincount(rows.sender[counts], minlength=len(new))
         return new
@@ -56,10 +53,10 @@ class MeanScore(Stepwise):
 
     Notes
     -----
-    Trust is the mean of the scores of all detections that the vehicle has sent, without self reports; 1/2 if there are
-    none. A vehicle is known once anybody has evaluated it, as in all models. Weight: the number of these detections.
+    Trust is the mean of the scores of all detections that the vehicle has sent. A vehicle is known once anybody has
+    evaluated it, as in all models. Weight: the number of its detections.
 
-    A baseline without a source: it shows what lies betray by their scores alone.
+    Deviations: none. The rule has no source; it shows what lies betray by their scores alone.
     """
 
     Params: ClassVar[type] = PlainRuleParams
@@ -78,11 +75,10 @@ class MeanScore(Stepwise):
     ) -> None:
         """Begin a step; see `TrustModel.open_step`."""
         super().open_step(step, pseudonyms, observer_row, detection_index, score)
-        of_objects = detection_index > 0
-        sender = pseudonyms[observer_row[of_objects]]
+        sender = pseudonyms[observer_row]
         row = self._senders.rows(np.zeros_like(sender), sender)
         self._sums = with_rows(self._sums, len(self._senders))
-        np.add.at(self._sums, row, np.column_stack([exact(score[of_objects]), np.ones(len(row))]))
+        np.add.at(self._sums, row, np.column_stack([exact(score), np.ones(len(row))]))
 
     def start(self) -> Float[ndarray, "0"]:
         """No state: scores come with the detections, not with evaluations."""

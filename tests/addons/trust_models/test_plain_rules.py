@@ -25,10 +25,9 @@ def test_share_that_is_only_denied(seed):
     said = {}
     for step, of_step in enumerate(rows):
         for _, sender, index, pos, neg in evidence(of_step):
-            if index:
-                of = said.setdefault(sender, {}).setdefault((step, index), [0, 0])
-                of[0] += pos
-                of[1] += neg
+            of = said.setdefault(sender, {}).setdefault((step, index), [0, 0])
+            of[0] += pos
+            of[1] += neg
     for sender, value in trust.items():
         judged = [(pos, neg) for pos, neg in said.get(sender, {}).values() if pos or neg]
         denied = sum(not pos for pos, _ in judged)
@@ -39,5 +38,5 @@ def test_share_that_is_only_denied(seed):
 def test_mean_score(seed):
     trust, frames, _ = after("mean_score", seed)
     for sender, value in trust.items():
-        sent = [score for frame in frames for score in frame.get(sender, [])[1:]]
+        sent = [score for frame in frames for score in frame.get(sender, [])]
         assert value == pytest.approx(sum(sent) / len(sent) if sent else 0.5)
