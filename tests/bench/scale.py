@@ -33,8 +33,8 @@ Row = tuple[str, float, str]
 """A description, the figure and its unit."""
 
 VEHICLES = (250, 500, 1000, 2000, 5000)
-WARM_UP_STEPS = 3
-"""Steps before the measurement. They compile kernels and fill caches and buffers."""
+WARM_UP_S = 3.0
+"""Simulated time before the measurement [s]. It compiles kernels and fills caches and buffers."""
 _NEAR_M = 100.0
 _N_CENTRES, _N_INSTANTS = 100, 4
 """Number of candidate centres of a crop, and number of times at which its neighbours are counted."""
@@ -79,7 +79,7 @@ def bench(
     seconds: int = 5,
     overrides: tuple[str, ...] = (),
 ) -> Iterator[Row]:
-    """Measure each size with one thread and with all threads. All vehicles are equipped; the level is `standard`.
+    """Measure each size in the default world, with all vehicles equipped, with 1, 2, 4, ... and all threads.
 
     Parameters
     ----------
@@ -93,13 +93,14 @@ def bench(
         Further keys of the config, as for `cosim run --set`.
     """
     config = load(None, [
-        "preset=v0.2",
+        "preset=modern",
         f"traffic.scenario={scenario}", *([f"traffic.trace={trace}"] if trace else []), "fleet.penetration_p=1",
         'fleet.equipped_kinds=["car","van","truck","bus","motorcycle"]', "trust_variant=[]",
         *overrides,
     ])  # fmt: skip
     found = find(config.traffic.scenario, config.traffic.trace)
-    worlds, registry = _worlds(config, found, WARM_UP_STEPS + seconds)
+    n_warm, n_measured = (round(time_s / config.traffic.step_s) for time_s in (WARM_UP_S, seconds))
+    worlds, registry = _worlds(config, found, n_warm, n_measured)
     parts = Parts.of(config, found.city(), limits=found.limits())
     some = worlds[:: -max(1, (len(worlds) - 1) // _N_INSTANTS)]
     whole = float(np.mean([_neighbours(world, np.arange(len(world))) for world in some]))
@@ -112,30 +113,32 @@ def bench(
         yield f"{size} actors: neighbours within {_NEAR_M:g} m", neighbours, "actors"
         cropped = [_taken(world, np.flatnonzero(np.isin(world.actor, actor))) for world in worlds]
         if not warm:
-            warm = bool(list(_measured("", cropped, parts, registry)))  # some kernels are first called after many steps
-        for n in sorted({1, threads}):
+            # some kernels are first called after many steps
+            warm = bool(list(_measured("", cropped, n_warm, parts, registry)))
+        for n in sorted({1, threads, *(2**k for k in range(1, threads.bit_length()))}):
             numba.set_num_threads(n)
-            yield from _measured(f"{size} actors, {n} thread{'s' * (n > 1)}", cropped, parts, registry)
+            yield from _measured(f"{size} actors, {n} thread{'s' * (n > 1)}", cropped, n_warm, parts, registry)
     numba.set_num_threads(threads)
     yield "peak memory of this process", _peak_bytes() / 1e9, "GB"
 
 
-def _measured(name: str, worlds: list[World], parts: Parts, registry: ActorRegistry) -> Iterator[Row]:
+def _measured(name: str, worlds: list[World], n_warm: int, parts: Parts, registry: ActorRegistry) -> Iterator[Row]:
     """Figures for one size and the present number of threads."""
     watch = CpuStopwatch()
     with TemporaryDirectory() as folder:
         config = parts.config
-        recorder = Recorder(Path(folder), config.record.level, len(worlds))
+        variants = [variant.name for variant in parts.trust.variants]
+        recorder = Recorder(Path(folder), config.record.level, len(worlds), variants=variants)
         parts = parts.under(config)
         state, n_equipped, begin = State.start(parts), 0, (0.0, 0.0)
         for number, world in enumerate(worlds):
-            if number == WARM_UP_STEPS:
+            if number == n_warm:
                 parts, begin = replace(parts, watch=watch), (perf_counter(), process_time())  # type: ignore[arg-type]
             state, result = step(world, state, parts)
             with watch("record"):
                 recording.step(recorder, result, config.traffic.step_s)
                 recorder.reach(world.step)
-            if number < WARM_UP_STEPS:
+            if number < n_warm:
                 watch.wall_s.clear()
                 watch.processor_s.clear()
             else:
@@ -148,20 +151,30 @@ def _measured(name: str, worlds: list[World], parts: Parts, registry: ActorRegis
         shown = dict(_shown(parts.config, parts.city, result, Path(folder)))
         n_bytes = sum(path.stat().st_size for path in Path(folder).rglob("*.parquet"))
         n_sensed = sum(int(world.equipped.sum()) for world in worlds)
-    n, simulated_s = len(worlds) - WARM_UP_STEPS, (len(worlds) - WARM_UP_STEPS) * config.traffic.step_s
+    n, simulated_s = len(worlds) - n_warm, (len(worlds) - n_warm) * config.traffic.step_s
     yield f"{name}: equipped vehicles, mean", n_equipped / n, ""
     yield f"{name}: times real time", simulated_s / wall_s, "times"
     yield f"{name}: processor time", 1e6 * processor_s / n_equipped, "µs per equipped vehicle and step"
     yield f"{name}: wall time", 1e6 * wall_s / n_equipped, "µs per equipped vehicle and step"
-    busy = min(max(processor_s / wall_s - 1.0, 0.0), 1.0) if numba.get_num_threads() > 1 else 0.0
-    yield f"{name}: share of the time with a second core busy", busy, ""
+    yield f"{name}: processor time, all vehicles", processor_s / simulated_s, "s per simulated second"
+    serial = {stage: _serial_s(watch.wall_s[stage], seconds) for stage, seconds in watch.processor_s.items()}
+    if numba.get_num_threads() > 1:
+        yield f"{name}: serial, of the processor time", sum(serial.values()) / processor_s, ""
     for stage, seconds in sorted(watch.processor_s.items(), key=lambda item: -item[1]):
         yield f"{name}: {stage}, wall time", 1e3 * watch.wall_s[stage] / simulated_s, "ms per simulated second"
         yield f"{name}: {stage}, processor time", 1e6 * seconds / n_equipped, "µs per equipped vehicle and step"
+        if numba.get_num_threads() > 1:
+            yield f"{name}: {stage}, serial, of the processor time", serial[stage] / processor_s, ""
     for suffix, shown_s in shown.items():
         figure = 1e6 * shown_s * n / n_equipped
         yield f"{name}: watched as {suffix}, processor time", figure, "µs per equipped vehicle and step"
     yield f"{name}: tables", n_bytes / (n_sensed * config.traffic.step_s), "bytes per vehicle-second"
+
+
+def _serial_s(wall_s: float, processor_s: float) -> float:
+    """Time of one thread alone, if the rest is divided evenly: wall = serial + (processor - serial) / threads."""
+    n = numba.get_num_threads()
+    return min(max((n * wall_s - processor_s) / (n - 1), 0.0), wall_s) if n > 1 else wall_s
 
 
 def _shown(config: Config, city: Scene, result: StepResult, folder: Path) -> Iterator[tuple[str, float]]:
@@ -178,20 +191,20 @@ def _shown(config: Config, city: Scene, result: StepResult, folder: Path) -> Ite
             yield suffix, (process_time() - begin) / _N_SHOWN
 
 
-def _worlds(config: Config, scenario: Scenario, n: int) -> tuple[list[World], ActorRegistry]:
-    """The first `n` steps from the first one with an equipped vehicle, and all actors."""
+def _worlds(config: Config, scenario: Scenario, n_warm: int, n_measured: int) -> tuple[list[World], ActorRegistry]:
+    """The first steps from the first one with an equipped vehicle, and all actors."""
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks))
     traffic = scenario.traffic(config.traffic, registry, config.driver.model != "none")
     worlds: list[World] = []
     try:
         for _ in traffic.warm_up(scenario.warmup_s):
             pass
-        while len(worlds) < n:
+        while len(worlds) < n_warm + n_measured:
             world = traffic.advance()
             if worlds or world.equipped.any():
                 worlds.append(replace(world, step=len(worlds)))
     except TrafficEnded as over:
-        if len(worlds) <= WARM_UP_STEPS:
+        if len(worlds) <= n_warm:
             raise ValueError(f"{scenario.name}: the traffic is too short to measure: {over}.") from None
     finally:
         traffic.close()
