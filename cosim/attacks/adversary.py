@@ -66,7 +66,7 @@ class Active:
         """What detectors find, with phantoms as `Attack.phantoms` adds them; `seen` itself if there are none."""
         for attack, context in self.attacks:  # an object misleads detectors whether its attacker sends or not
             if hasattr(attack, "phantoms"):
-                seen = attack.phantoms(seen, context)
+                seen = attack.phantoms(seen, replace(context, seen=seen))
         return seen
 
     def detections(self, listed: Detections) -> tuple[Detections, Int[ndarray, "f"]]:

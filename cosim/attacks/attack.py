@@ -56,7 +56,7 @@ class AttackContext:
 
     seen: Detections | None = None
     """What the detectors of all vehicles found in this step, before any attack: how real detections look. Given to
-    `detections` only."""
+    `phantoms` and `detections` only."""
 
     def uniforms(self, *names: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:
         """Draw `n` uniforms in [0, 1) of this step for each row of names (`world.name_key`, detection indices, ...).

@@ -114,8 +114,9 @@ def prbi(steps, now, dt, n=5, epsilon=0.5, prior=0.8, memory=0.5, missed=0.3, de
     for step in sorted(steps):
         before = {j: round(benign(j, step), 6) for rows in steps.values() for v, i, *_ in rows for j in (v, i)}
         said = agreement(steps[step], lambda j, before=before: before[j] if before[j] >= 0.5 else 0.0)
-        draw = {j: draws(0, round(step * dt * 1000), np.array([j], np.uint64))[0, 0] for j in said}
-        speak = sorted((j for j in said if sum(said[j]) > 0), key=draw.get)
+        lots = {j: tuple(np.array([x * 2**32], np.uint64) for x in said[j]) for j in said}
+        draw = {j: draws(0, round(step * dt * 1000), lot)[0, 0] for j, lot in lots.items()}
+        speak = sorted((j for j in sorted(said) if sum(said[j]) > 0), key=draw.get)
         passed, failed = (number(step, fails, lambda group: True) for fails in (False, True))
         m = math.floor(-math.log2((passed + 1) / (passed + failed + 1)) + 1e-9)
         found = []

@@ -112,7 +112,8 @@ class Prbi(Stepwise):
 
     Ours: evaluations have no objects that last from step to step. The reference is therefore not the detections of the
     step before but the vehicles with P >= 1/2 after it. A group passes if at least epsilon of what its members say
-    agrees with them (`agreement`). A holder divides all vehicles into random fives first, the paper's number. A passed
+    agrees with them (`agreement`). A holder deals all vehicles into fives first, the paper's number, by lots from
+    time and their evidence, so that no pseudonym decides. A passed
     group is evidence too: its likelihoods are the share passed, and `missed_p` for a malicious member. Trust is the
     next prior.
 
@@ -135,16 +136,17 @@ class Prbi(Stepwise):
         new = with_rows(self._left(state, n_steps), n_pairs)
         known = np.round(self._benign(new), 6)  # so that rounding errors decide no tie
         confirmed, denied, agrees, contradicts = agreement(rows, np.where(known >= 0.5, known, 0.0)).T
-        holder, subject, row = self.log.pairs.sorted()
+        holder, _, row = self.log.pairs.sorted()
         holder = np.unique(holder, return_inverse=True)[1].reshape(-1)
         passed, failed = (exact_sums(holder, new[row, column], len(row)) for column in (2, 3))
         speaks = np.flatnonzero((confirmed + denied + agrees + contradicts)[row] > 0)
         if not speaks.size:
             return new
-        holder, subject, row = holder[speaks], subject[speaks], row[speaks]
+        holder, row = holder[speaks], row[speaks]
         passed, failed, known = passed[holder], failed[holder], known[row]
         n_suspects = np.floor(np.log2((passed + failed + 1) / (passed + 1)) + 1e-9).astype(np.int64)
-        draw = draws(0, round(step * self.dt_s * 1000), subject.astype(np.uint64))[:, 0]
+        lot = tuple((column[row] * 2**32).astype(np.uint64) for column in (confirmed, denied, agrees, contradicts))
+        draw = draws(0, round(step * self.dt_s * 1000), lot)[:, 0]
         group = dealt(holder, draw, known, n_suspects, p.n_vehicles)
         good, bad = (
             exact_sums(group, a[row] + b[row], len(row)) for a, b in ((confirmed, agrees), (denied, contradicts))
