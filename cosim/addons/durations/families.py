@@ -11,6 +11,9 @@ from scipy import special, stats
 Free = Float[ndarray, "k"]
 """Parameters without bounds, in which the likelihood is maximised and intervals are symmetric."""
 
+_LARGEST_LOG = 300.0
+"""Largest logarithm of a ratio of means. Beyond it, products of means and of durations overflow."""
+
 
 @dataclass(frozen=True, slots=True)
 class Family:
@@ -81,8 +84,12 @@ def _generalised_pareto() -> Family:
 def _hyper_exponential() -> Family:
     """A share of short ones and a rest of long ones, both exponential; the second mean is the larger one."""
 
+    def natural(free: Free) -> Float[ndarray, "3"]:
+        ratio = np.exp(np.minimum(free[2], _LARGEST_LOG))  # a search may try means that no number can hold
+        return np.array([special.expit(free[0]), np.exp(free[1]), 1 + ratio])
+
     def log_sf(x: Float[ndarray, "n"], free: Free) -> Float[ndarray, "n"]:
-        short_s, ratio = np.exp(free[1]), 1 + np.exp(free[2])
+        _, short_s, ratio = natural(free)
         with np.errstate(invalid="ignore"):
             parts = np.stack(
                 [-x / short_s + special.log_expit(free[0]), -x / (short_s * ratio) + special.log_expit(-free[0])]
@@ -90,7 +97,8 @@ def _hyper_exponential() -> Family:
         return np.where(np.isinf(x), -np.inf, special.logsumexp(parts, axis=0))
 
     def draw(free: Free, p: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
-        low, high = np.zeros(len(p)), np.full(len(p), np.exp(free[1]) * (1 + np.exp(free[2])) * 800.0)
+        _, short_s, ratio = natural(free)
+        low, high = np.zeros(len(p)), np.full(len(p), short_s * ratio * 800.0)
         for _ in range(80):
             middle = (low + high) / 2
             above = np.exp(log_sf(middle, free)) > p
@@ -100,7 +108,7 @@ def _hyper_exponential() -> Family:
     return Family(
         "hyper-exponential", ("short_share", "short_mean_s", "ratio_of_means"),
         log_sf,
-        lambda free: np.array([special.expit(free[0]), np.exp(free[1]), 1 + np.exp(free[2])]),
+        natural,
         lambda median_s, mean_s: [
             np.array([0.0, np.log(median_s / 2), np.log(4.0)]), np.array([1.0, np.log(mean_s / 2), np.log(5.0)]),
             np.array([-1.0, np.log(median_s / 4), np.log(8.0)]),

@@ -232,3 +232,10 @@ def test_a_picture_of_tails(run, tiny):
     assert len(drawn.axes) == 4 and "Kaplan-Meier, 95 %" in labels and len(labels) == 6
     with pytest.raises(ValueError, match="has no encounters with these options"):
         figure.draw([run], radius_m=7.0)
+
+
+def test_a_search_that_tries_a_ratio_beyond_all_numbers_goes_on():
+    """Half of the durations end with the mean of one second; those of the other half last for ever."""
+    free = np.array([0.0, 0.0, 1e4])
+    survival = np.exp(FAMILIES["hyper_exponential"].log_sf(np.array([0.0, 1.0, 50.0]), free))
+    np.testing.assert_allclose(survival, [1, 0.5 + 0.5 / np.e, 0.5], rtol=1e-9)
