@@ -158,7 +158,9 @@ def false_discovery(steps, now, dt, level=0.05, present=0.9, decay=0.98, k=0.05)
             values += [stats.beta.cdf(r, d * worth, (n - d) * worth + 1) if d else 1.0 for r in (rate, own)]
         p[j] = stats.combine_pvalues(values, "fisher").pvalue
     n_found = max([1] + [j for j, x in enumerate(sorted(p.values()), 1) if x <= j * level / len(p)])
-    return {i: p[i] / (p[i] + n_found * level / len(p)) if i in p else 1.0 for i in known(steps)}
+    t = n_found * level / max(len(p), 1)
+    trust = {i: x / t / 2 if x <= t else 1 - (1 - x) / (1 - t) / 2 for i, x in p.items()}
+    return {i: trust.get(i, 1.0) for i in known(steps)}
 
 
 def median_groups(steps, now, dt, prior=0.5):

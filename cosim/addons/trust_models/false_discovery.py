@@ -75,7 +75,8 @@ class FalseDiscovery(Stepwise):
     other voices on the same detection (`prbi.agreement`, each voice counts alike). For both, with present evidence d
     of n against the vehicle: the spatial p-value is the binomial tail of d at the rate of all vehicles of the holder,
     the temporal one at the vehicle's own rate before. The four are joined by Fisher's method, P(chi2 with 8 degrees of
-    freedom > -2 sum ln p). Trust is p / (p + t), t the critical p-value: at most 1/2 for discoveries.
+    freedom > -2 sum ln p). With t the critical p-value, trust is p / (2 t) for discoveries, p <= t, and else
+    1/2 + (p - t) / (2 - 2 t).
 
     Deviations: as above. The paper's scores are losses of boxes and of reconstructed motion, joined by learned weights,
     and its p-values are ranks among scores of normal agents, which a holder of evaluations does not have.
@@ -106,7 +107,8 @@ class FalseDiscovery(Stepwise):
             now_for, now_against, all_for, all_against = left[row][:, column + np.array([0, 1, 4, 5])].T
             log_p += self._log_p(now_for, now_against, all_for, all_against, holder)
         p = gammaincc(4.0, -log_p)
-        trust[row] = p / (p + critical(p, holder, self.params.level))
+        t = critical(p, holder, self.params.level)
+        trust[row] = np.where(p <= t, p / t, 1 + (p - t) / (1 - t)) / 2
         return Reading(trust, weight, None, self.horizon_s(self.params.decay_per_s))
 
     def _log_p(
