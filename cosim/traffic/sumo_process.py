@@ -189,7 +189,8 @@ class _WaysAhead:
         if len(self.line_of) > _KNOWN_WAYS:
             self.line_of.clear()
         for i in np.flatnonzero(line < 0).tolist():
-            line[i] = self.line_of[keys[i]] = self._line(names[i], lanes[i])
+            number = self._line(names[i], lanes[i])
+            line[i] = self.line_of[keys[i]] = number
         position = np.fromiter(map(ask.getLanePosition, names), float, len(names))
         if len(line):
             position *= np.array(self.lines.scale)[line]
@@ -211,7 +212,8 @@ class _WaysAhead:
         number = self.lines.number.get(key)
         if number is not None:
             return number
-        shapes = [np.array(libsumo.lane.getShape(part))[:, :2] - self.origin_m for part in lanes]
+        shapes = [np.array(libsumo.lane.getShape(part)) for part in lanes]
+        shapes = [shape[:, :2] - self.origin_m for shape in shapes]
         return self.lines.add(key, shapes, libsumo.lane.getLength(lane))
 
 

@@ -105,7 +105,8 @@ def bench(
     some = worlds[:: -max(1, (len(worlds) - 1) // _N_INSTANTS)]
     whole = float(np.mean([_neighbours(world, np.arange(len(world))) for world in some]))
     warm = False
-    threads, sizes = numba.get_num_threads(), [n for n in sorted(vehicles) if n < len(worlds[-1])]
+    threads = numba.get_num_threads()
+    sizes = [n for n in sorted(vehicles) if n < len(worlds[-1])]
     yield "actors of the whole traffic", len(worlds[-1]), ""
     yield f"neighbours within {_NEAR_M:g} m, of the whole traffic", whole, "actors"
     for size in [*sizes, len(worlds[-1])] if len(sizes) < len(vehicles) or not vehicles else sizes:
@@ -151,13 +152,14 @@ def _measured(name: str, worlds: list[World], n_warm: int, parts: Parts, registr
         shown = dict(_shown(parts.config, parts.city, result, Path(folder)))
         n_bytes = sum(path.stat().st_size for path in Path(folder).rglob("*.parquet"))
         n_sensed = sum(int(world.equipped.sum()) for world in worlds)
-    n, simulated_s = len(worlds) - n_warm, (len(worlds) - n_warm) * config.traffic.step_s
+    n = len(worlds) - n_warm
+    simulated_s = n * config.traffic.step_s
     yield f"{name}: equipped vehicles, mean", n_equipped / n, ""
     yield f"{name}: times real time", simulated_s / wall_s, "times"
     yield f"{name}: processor time", 1e6 * processor_s / n_equipped, "µs per equipped vehicle and step"
     yield f"{name}: wall time", 1e6 * wall_s / n_equipped, "µs per equipped vehicle and step"
     yield f"{name}: processor time, all vehicles", processor_s / simulated_s, "s per simulated second"
-    serial = {stage: _serial_s(watch.wall_s[stage], seconds) for stage, seconds in watch.processor_s.items()}
+    serial = {stage: _serial_s(watch.wall_s[stage], of_all) for stage, of_all in watch.processor_s.items()}
     if numba.get_num_threads() > 1:
         yield f"{name}: serial, of the processor time", sum(serial.values()) / processor_s, ""
     for stage, seconds in sorted(watch.processor_s.items(), key=lambda item: -item[1]):
@@ -174,7 +176,10 @@ def _measured(name: str, worlds: list[World], n_warm: int, parts: Parts, registr
 def _serial_s(wall_s: float, processor_s: float) -> float:
     """Time of one thread alone, if the rest is divided evenly: wall = serial + (processor - serial) / threads."""
     n = numba.get_num_threads()
-    return min(max((n * wall_s - processor_s) / (n - 1), 0.0), wall_s) if n > 1 else wall_s
+    if n == 1:
+        return wall_s
+    serial_s = (n * wall_s - processor_s) / (n - 1)
+    return min(max(serial_s, 0.0), wall_s)
 
 
 def _shown(config: Config, city: Scene, result: StepResult, folder: Path) -> Iterator[tuple[str, float]]:

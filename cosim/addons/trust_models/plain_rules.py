@@ -37,7 +37,8 @@ class DeniedShare(Stepwise):
     def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
         """The counts after a step."""
         new = with_rows(state, n_pairs).copy()
-        confirmed, denied = rows.per_object(rows.object_pos) > 0, rows.per_object(rows.object_neg) > 0
+        confirmed = rows.per_object(rows.object_pos) > 0
+        denied = rows.per_object(rows.object_neg) > 0
         for column, counts in enumerate((confirmed | denied, denied & ~confirmed)):
             new[:, column] += np.bincount(rows.sender[counts], minlength=len(new))
         return new
@@ -45,7 +46,8 @@ class DeniedShare(Stepwise):
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
         """1 - denied / evaluated."""
         n, denied = state.T
-        return Reading(np.where(n > 0, 1 - denied / np.maximum(n, 1), 0.5), n)
+        share = denied / np.maximum(n, 1)
+        return Reading(np.where(n > 0, 1 - share, 0.5), n)
 
 
 class MeanScore(Stepwise):
@@ -78,7 +80,8 @@ class MeanScore(Stepwise):
         sender = pseudonyms[observer_row]
         row = self._senders.rows(np.zeros_like(sender), sender)
         self._sums = with_rows(self._sums, len(self._senders))
-        np.add.at(self._sums, row, np.column_stack([exact(score), np.ones(len(row))]))
+        added = np.column_stack([exact(score), np.ones(len(row))])
+        np.add.at(self._sums, row, added)
 
     def start(self) -> Float[ndarray, "0"]:
         """No state: scores come with the detections, not with evaluations."""
@@ -92,7 +95,10 @@ class MeanScore(Stepwise):
         """Sum of scores over their number."""
         _, subject, row = self.log.pairs.sorted()
         at, known = self._senders.find(np.zeros_like(subject), subject)
-        trust, n = np.full(len(self.log.pairs), 0.5), np.zeros(len(self.log.pairs))
         total, count = self._sums[at[known]].T
-        trust[row[known]], n[row[known]] = total / count, count
+        row = row[known]
+        trust = np.full(len(self.log.pairs), 0.5)
+        trust[row] = total / count
+        n = np.zeros(len(trust))
+        n[row] = count
         return Reading(trust, n)

@@ -29,7 +29,8 @@ def test_share_that_is_only_denied(seed):
             of[0] += pos
             of[1] += neg
     for sender, value in trust.items():
-        judged = [(pos, neg) for pos, neg in said.get(sender, {}).values() if pos or neg]
+        evidence_of = said.get(sender, {}).values()
+        judged = [(pos, neg) for pos, neg in evidence_of if pos or neg]
         denied = sum(not pos for pos, _ in judged)
         assert value == (1 - denied / len(judged) if judged else 0.5)
 
