@@ -24,8 +24,11 @@ CASES = [
     ("miso_v", {}, {}),
     ("miso_v", {"n_sources": 3}, {"n_sources": 3}),
     ("prbi", {}, {}),
-    ("prbi", {"n_vehicles": 2, "least_agreement": 0.8, "memory": 1.0, "missed_p": 0.1},
-     {"n": 2, "epsilon": 0.8, "memory": 1.0, "missed": 0.1}),
+    (
+        "prbi",
+        {"n_vehicles": 2, "least_agreement": 0.8, "memory": 1.0, "missed_p": 0.1},
+        {"n": 2, "epsilon": 0.8, "memory": 1.0, "missed": 0.1},
+    ),
     ("prbi", {"prior_benign": 0.6, "decay_per_s": 1.0}, {"prior": 0.6, "decay": 1.0}),
     ("false_discovery", {}, {}),
     ("false_discovery", {"level": 0.3, "correlation": 0.0}, {"level": 0.3, "k": 0.0}),
