@@ -5,6 +5,7 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
+from scipy.spatial import cKDTree
 
 from cosim.addons.attacks.ghosts import CAR_LWH_M
 from cosim.attacks.attack import AttackContext, WithParams, placed
@@ -13,23 +14,37 @@ from cosim.attacks.ghost_insertion import CAR
 from cosim.messages.content import Detections
 from sensors.boxes import Boxes
 
+STEP_M = 2.0
+"""Distance between two places that the attacker tries."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrustFlipParams:
     """Where the phantom appears, and how reliably."""
 
     ahead_m: Annotated[float, Gt(0), Le(100)] = 8.0
-    """Distance from the victim's centre to the phantom, straight ahead [m]."""
+    """Smallest distance from the victim's centre to the phantom, straight ahead [m]."""
+    farthest_m: Annotated[float, Gt(0), Le(100)] = 40.0
+    """Largest distance [m]. The nearest free place is taken. If there is none, the victim reports no phantom."""
+    clear_m: Annotated[float, Ge(0), Le(100)] = 6.0
+    """Smallest distance of the phantom from the centres of real actors [m]. Where one stands, others confirm it."""
     left_m: Annotated[float, Ge(-50), Le(50)] = 0.0
     """Distance of the phantom to the left of this line [m]; below 0 to the right."""
     misled_p: Annotated[float, Ge(0), Le(1)] = 1.0
     """Probability that the victim's detector reports the phantom in a sweep. The default has no source."""
 
+    def __post_init__(self) -> None:
+        if self.farthest_m < self.ahead_m:
+            raise ValueError(
+                f"attacks.farthest_m = {self.farthest_m:g} m is below attacks.ahead_m = {self.ahead_m:g} m. Swap them."
+            )
+
 
 class TrustFlip(WithParams[TrustFlipParams]):
     """Makes an honest victim detect a car that nobody else detects, so that the victim loses trust (TrustFlip [1]_).
 
-    The attacker has put an object before the victim that only the victim's detector takes for a car. The victim tracks
+    The attacker has put an object before the victim that only the victim's detector takes for a car, where no other
+    actor is. The victim tracks
     this phantom, sends it and confirms it, because it believes in it, and others deny it. No message is false, neither
     of the victim nor of the attacker. In the table `detections` the phantom is a false positive of the victim, with the
     victim as its `target`, and it is no lie.
@@ -60,8 +75,12 @@ class TrustFlip(WithParams[TrustFlipParams]):
         rows = np.flatnonzero(misled & np.isin(victim, seen.observer))
         rows = rows[np.argsort(context.name_key(attacker[rows]))]  # so that nothing depends on actor numbers
         victim, first = np.unique(victim[rows], return_index=True)
-        n = len(victim)
-        xyz, yaw = placed(world, victim, np.full(n, p.ahead_m), np.full(n, p.left_m), np.full(n, np.pi))
-        xyz[:, 2] += (CAR_LWH_M[2] - world.boxes.lwh_m[victim, 2]) / 2
-        boxes = Boxes(xyz, np.tile(CAR_LWH_M, (n, 1)), yaw)
-        return ghosts(seen, victim, np.full(n, CAR, np.uint8), boxes, context, attacker[rows[first]])
+        ahead_m = np.arange(p.ahead_m, p.farthest_m + STEP_M / 2, STEP_M)
+        row, far_m = np.repeat(victim, len(ahead_m)), np.tile(ahead_m, len(victim))
+        xyz, yaw = placed(world, row, far_m, np.full(len(row), p.left_m), np.full(len(row), np.pi))
+        free = cKDTree(world.boxes.xyz_m[:, :2]).query(xyz[:, :2])[0] >= p.clear_m
+        finds, at = np.unique(row[free], return_index=True)
+        at, first = np.flatnonzero(free)[at], first[np.isin(victim, finds)]
+        xyz[:, 2] += (CAR_LWH_M[2] - world.boxes.lwh_m[row, 2]) / 2
+        boxes = Boxes(xyz[at], np.tile(CAR_LWH_M, (len(at), 1)), yaw[at])
+        return ghosts(seen, finds, np.full(len(at), CAR, np.uint8), boxes, context, attacker[rows[first]])

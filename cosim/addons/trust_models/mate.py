@@ -69,10 +69,13 @@ class Mate(Stepwise):
     Trust is the mean of the vehicle; uncertainty 2 std; weight alpha + beta - 1.
 
     Deviations: an object is a detection of one step, the evaluators' matching groups being unknown to a server; in
-    view is visibility above 0; the published pull dt / 10 s depends on the step, here it is 1 - 0.9^dt, the same at
-    1 s; a vehicle that is absent is kept, where the published code deletes it at once.
+    view is visibility above 0, as the evaluator states it, where the source traces rays through the agent's own point
+    cloud; objects in view that a message lacks count only with `trust.evidence` "missing"; the published pull dt / 10
+    s depends on the step, here it is 1 - 0.9^dt, the same at 1 s; a vehicle that is absent is kept, where the
+    published code deletes it at once.
 
-    [4] MATE: multi-agent trust estimation in AVstack. CCS, 2025, and published code.
+    [4] Hallyburton, Pajic: Security-Aware Sensor Fusion with MATE: the Multi-Agent Trust Estimator. CCS, 2025, and
+    published code.
     """
 
     Params: ClassVar[type] = MateParams

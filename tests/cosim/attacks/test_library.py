@@ -50,7 +50,7 @@ def test_approaching_ghost(honest):
     assert_others_untouched(tables, honest)
 
 
-@pytest.mark.parametrize("more", [{}, {"left_m": -3.0, "ahead_m": 12.0}])
+@pytest.mark.parametrize("more", [{}, {"left_m": -2.0, "ahead_m": 9.0}])
 def test_trust_flip(honest, more):
     """The nearest neighbour of each attacker detects a car before it; nobody lies, and nothing else changes."""
     tables = play([BY | {"attack": "trust_flip"} | more])
@@ -79,6 +79,19 @@ def test_trust_flip_misleads_by_chance_and_once_per_victim():
     for misled_p, expected in ((1.0, 3), (0.0, 0)):
         rows = play([BY | one | {"misled_p": misled_p}], 3)["detections"]
         assert ((rows.origin == 0) & rows.target.notna()).sum() == expected
+
+
+def test_trust_flip_takes_the_nearest_free_place():
+    """The next car is 17 m ahead: 9 m from a place at 8 m, 3 m from one at 14 m, 7 m from one at 24 m."""
+    one = {"attack": "trust_flip", "victim": "one", "victim_id": "v12", "victim_range_m": 60.0}
+    for more, ahead_m in (({}, 8.0), ({"ahead_m": 14.0}, 24.0), ({"ahead_m": 14.0, "farthest_m": 20.0}, None)):
+        tables = play([BY | one | more], 1)
+        rows = tables["detections"]
+        found = rows[(rows.origin == 0) & rows.target.notna()]
+        x_m = tables["actors"].set_index("actor").x_m[12]
+        assert (found.x_m - x_m).tolist() == pytest.approx([] if ahead_m is None else [ahead_m], abs=1e-5)
+    with pytest.raises(ValueError, match=r"attacks.farthest_m = 5 m is below attacks.ahead_m = 8 m. Swap them."):
+        play([BY | one | {"farthest_m": 5.0}], 1)
 
 
 def test_removal(honest):
