@@ -119,9 +119,15 @@ def list_objects(
     cpm, content = generate(cpm, objects, message, generators, exchange.now.begin_s, parts.config.cpm, track)
     objects = replace(objects, transmitted=content.included)
     truth = ground_truth_of(
-        objects, world, observed.observability, sensing.row, observed.is_real, observed.actor_row, observed.caused_by,
+        objects,
+        world,
+        observed.observability,
+        sensing.row,
+        observed.is_real,
+        observed.actor_row,
+        observed.caused_by,
         lied,
-    )  # fmt: skip
+    )
     was_sensed = np.cumsum(objects.origin == SENSED) - 1
     objects, order = shuffled(objects, world.name_key, parts.config.seed, world.step)
     tracks = positioned.objects

@@ -71,16 +71,22 @@ class TrustFlip(WithParams[TrustFlipParams]):
         """The detections, with a phantom for each victim that senses."""
         p, world = self.params, context.world
         attacker, victim = context.victims()
-        misled = context.uniforms(context.name_key(attacker), context.name_key(victim))[:, 0] < p.misled_p
-        rows = np.flatnonzero(misled & np.isin(victim, seen.observer))
+        chance = context.uniforms(context.name_key(attacker), context.name_key(victim))[:, 0]
+        rows = np.flatnonzero((chance < p.misled_p) & np.isin(victim, seen.observer))
         rows = rows[np.argsort(context.name_key(attacker[rows]))]  # so that nothing depends on actor numbers
         victim, first = np.unique(victim[rows], return_index=True)
+        attacker = attacker[rows[first]]
         ahead_m = np.arange(p.ahead_m, p.farthest_m + STEP_M / 2, STEP_M)
-        row, far_m = np.repeat(victim, len(ahead_m)), np.tile(ahead_m, len(victim))
-        xyz, yaw = placed(world, row, far_m, np.full(len(row), p.left_m), np.full(len(row), np.pi))
-        free = cKDTree(world.boxes.xyz_m[:, :2]).query(xyz[:, :2])[0] >= p.clear_m
-        finds, at = np.unique(row[free], return_index=True)
-        at, first = np.flatnonzero(free)[at], first[np.isin(victim, finds)]
-        xyz[:, 2] += (CAR_LWH_M[2] - world.boxes.lwh_m[row, 2]) / 2
-        boxes = Boxes(xyz[at], np.tile(CAR_LWH_M, (len(at), 1)), yaw[at])
-        return ghosts(seen, finds, np.full(len(at), CAR, np.uint8), boxes, context, attacker[rows[first]])
+        row = np.repeat(victim, len(ahead_m))
+        ahead_m = np.tile(ahead_m, len(victim))
+        left_m, turned_rad = np.full((2, len(row)), [[p.left_m], [np.pi]])
+        xyz, yaw = placed(world, row, ahead_m, left_m, turned_rad)
+        height_m = world.boxes.lwh_m[row, 2]
+        xyz[:, 2] += (CAR_LWH_M[2] - height_m) / 2
+        away_m, _ = cKDTree(world.boxes.xyz_m[:, :2]).query(xyz[:, :2])
+        free = np.flatnonzero(away_m >= p.clear_m)
+        finds, nearest = np.unique(row[free], return_index=True)
+        at, attacker = free[nearest], attacker[np.isin(victim, finds)]
+        lwh = np.tile(CAR_LWH_M, (len(at), 1))
+        label = np.full(len(at), CAR, np.uint8)
+        return ghosts(seen, finds, label, Boxes(xyz[at], lwh, yaw[at]), context, attacker)

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.special import betainc, gammaincc
 
-from cosim.addons.trust_models.prbi import agreement
+from cosim.addons.trust_models.prbi import agreement, numbered
 from trust.evaluation_log import StepRows, exact_sums
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
@@ -34,14 +34,19 @@ class FalseDiscoveryParams(StepwiseParams):
     """k: correlation of the evidence about a vehicle. n of it are worth n / (1 + k (n - 1)) independent ones."""
 
 
-def tail(denied: Float[ndarray, "n"], said: Float[ndarray, "n"], rate: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
+Numbers = Float[ndarray, "n"]
+"""A number for each vehicle."""
+
+
+def tail(denied: Numbers, said: Numbers, rate: Numbers) -> Numbers:
     """Probability of at least `denied` of `said` at this rate: the tail of the binomial distribution, by the beta
     function for numbers that are no integers; 1 if nothing is denied."""
     some = denied > 0
-    return np.where(some, betainc(np.where(some, denied, 1.0), np.maximum(said - denied, 0.0) + 1.0, rate), 1.0)
+    confirmed = np.maximum(said - denied, 0.0)
+    return np.where(some, betainc(np.where(some, denied, 1.0), confirmed + 1, rate), 1.0)
 
 
-def critical(p: Float[ndarray, "n"], holder: Int[ndarray, "n"], level: float) -> Float[ndarray, "n"]:
+def critical(p: Numbers, holder: Int[ndarray, "n"], level: float) -> Numbers:
     """Largest p-value that is a discovery, by Benjamini and Hochberg, among the vehicles of each one's holder.
 
     Returns
@@ -98,33 +103,34 @@ class FalseDiscovery(Stepwise):
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
         """Trust from the p-values of the vehicles that are tested."""
-        left, (holder, _, row) = self._left(state, n_steps), self.log.pairs.sorted()
+        left = self._left(state, n_steps)
         weight, trust = left[:, :4].sum(axis=1), np.ones(len(left))
-        tested = np.flatnonzero(weight[row] >= LEAST_EVIDENCE)
-        row, holder = row[tested], np.unique(holder[tested], return_inverse=True)[1].reshape(-1)
-        log_p = np.zeros(len(row))
-        for column in (0, 2):
-            now_for, now_against, all_for, all_against = left[row][:, column + np.array([0, 1, 4, 5])].T
-            log_p += self._log_p(now_for, now_against, all_for, all_against, holder)
+        holder, _, row = self.log.pairs.sorted()
+        tested = weight[row] >= LEAST_EVIDENCE
+        row, holder = row[tested], numbered(holder[tested])
+        left = left[row]
+        log_p = self._log_p(left[:, [0, 1, 4, 5]], holder) + self._log_p(left[:, [2, 3, 6, 7]], holder)
         p = gammaincc(4.0, -log_p)
         t = critical(p, holder, self.params.level)
-        trust[row] = np.where(p <= t, p / t, 1 + (p - t) / (1 - t)) / 2
+        above = (p - t) / (1 - t)
+        trust[row] = np.where(p <= t, p / t, 1 + above) / 2
         return Reading(trust, weight, None, self.horizon_s(self.params.decay_per_s))
 
-    def _log_p(
-        self, now_for: ndarray, now_against: ndarray, all_for: ndarray, all_against: ndarray, holder: ndarray
-    ) -> Float[ndarray, "n"]:
-        """Sum of the logarithms of the spatial and the temporal p-value."""
-        against, said = (exact_sums(holder, x, len(holder)) for x in (all_against, all_for + all_against))
-        rate = ((against + 1) / (said + 2))[holder]
-        past = np.maximum(all_for - now_for, 0.0) + np.maximum(all_against - now_against, 0.0)
-        own = (np.maximum(all_against - now_against, 0.0) + PRIOR_EVIDENCE * rate) / (past + PRIOR_EVIDENCE)
-        n = now_for + now_against
+    def _log_p(self, evidence: Float[ndarray, "n 4"], holder: Int[ndarray, "n"]) -> Numbers:
+        """Sum of the logarithms of both p-values; evidence for and against now, then of all time."""
+        now, ever = evidence[:, :2], evidence[:, 2:]
+        confirmed, denied = (exact_sums(holder, column, len(holder)) for column in ever.T)
+        rate = ((denied + 1) / (confirmed + denied + 2))[holder]
+        past = np.maximum(ever - now, 0.0)
+        own = (past[:, 1] + PRIOR_EVIDENCE * rate) / (past.sum(axis=1) + PRIOR_EVIDENCE)
+        n = now.sum(axis=1)
         worth = 1 / (1 + self.params.correlation * np.maximum(n - 1, 0.0))
-        spatial, temporal = (tail(now_against * worth, n * worth, r) for r in (rate, own))
-        return np.log(np.maximum(spatial, 1e-300)) + np.log(np.maximum(temporal, 1e-300))
+        against, n = now[:, 1] * worth, n * worth
+        p = tail(against, n, rate), tail(against, n, own)
+        return np.log(np.maximum(p, 1e-300)).sum(axis=0)
 
     def _left(self, state: ndarray, n_steps: int) -> ndarray:
         """What is left of present and of all evidence after some steps."""
         p = self.params
-        return state * np.repeat([self.decay(share, n_steps) for share in (p.present_per_s, p.decay_per_s)], 4)
+        shares = self.decay(p.present_per_s, n_steps), self.decay(p.decay_per_s, n_steps)
+        return state * np.repeat(shares, 4)

@@ -52,7 +52,8 @@ def agreement(rows: StepRows, reliable: Float[ndarray, "p"]) -> Float[ndarray, "
     """
     by, pos, neg, n = rows.by, rows.object_pos, rows.object_neg, len(reliable)
     vote = exact(reliable[by] * (pos - neg))
-    others = (exact(reliable[rows.sender]) + rows.per_object(vote))[rows.object] - vote
+    verdict = exact(reliable[rows.sender]) + rows.per_object(vote)
+    others = verdict[rows.object] - vote
     true, false = others > 0, others < 0
     said = [
         (rows.about, reliable[by] * pos),
@@ -63,10 +64,18 @@ def agreement(rows: StepRows, reliable: Float[ndarray, "p"]) -> Float[ndarray, "
     return np.stack([exact_sums(who, values, n) for who, values in said], axis=1)
 
 
+def numbered(values: Int[ndarray, "k"]) -> Int[ndarray, "k"]:
+    """Number of each value among the different ones, ascending from 0."""
+    return np.unique(values, return_inverse=True)[1].reshape(-1)
+
+
 def dealt(
-    holder: Int[ndarray, "k"], draw: Float[ndarray, "k"], benign: Float[ndarray, "k"], n_suspects: Int[ndarray, "k"],
+    holder: Int[ndarray, "k"],
+    draw: Float[ndarray, "k"],
+    benign: Float[ndarray, "k"],
+    n_suspects: Int[ndarray, "k"],
     n_vehicles: int,
-) -> Int[ndarray, "k"]:  # fmt: skip
+) -> Int[ndarray, "k"]:
     """Divide vehicles into groups: each few of a holder, drawn at random, into the most suspicious and the rest.
 
     Parameters
@@ -85,13 +94,14 @@ def dealt(
     Number of each vehicle's group, from 0.
     """
     begin, number = np.searchsorted(holder, holder), np.arange(len(holder))
-    by_draw, rank = np.lexsort((draw, holder)), np.zeros(len(holder), np.int64)
-    rank[by_draw] = number - begin
+    rank, place = np.zeros((2, len(holder)), np.int64)
+    rank[np.lexsort((draw, holder))] = number - begin
     table = begin + rank // n_vehicles * n_vehicles
-    order, place = np.lexsort((draw, benign, table)), np.zeros(len(holder), np.int64)
+    order = np.lexsort((draw, benign, table))
     place[order] = number - np.searchsorted(table[order], table[order])
     most = np.maximum(np.bincount(table)[table] - 1, 1)
-    return np.unique(2 * table + (place >= np.clip(n_suspects, 1, most)), return_inverse=True)[1].reshape(-1)
+    is_rest = place >= np.clip(n_suspects, 1, most)
+    return numbered(2 * table + is_rest)
 
 
 class Prbi(Stepwise):
@@ -135,36 +145,36 @@ class Prbi(Stepwise):
         p = self.params
         new = with_rows(self._left(state, n_steps), n_pairs)
         known = np.round(self._benign(new), 6)  # so that rounding errors decide no tie
-        confirmed, denied, agrees, contradicts = agreement(rows, np.where(known >= 0.5, known, 0.0)).T
+        said = agreement(rows, known * (known >= 0.5))
         holder, _, row = self.log.pairs.sorted()
-        holder = np.unique(holder, return_inverse=True)[1].reshape(-1)
-        passed, failed = (exact_sums(holder, new[row, column], len(row)) for column in (2, 3))
-        speaks = np.flatnonzero((confirmed + denied + agrees + contradicts)[row] > 0)
+        holder = numbered(holder)
+        passed, failed = (exact_sums(holder, column, len(row)) for column in new[row, 2:4].T)
+        speaks = np.flatnonzero(said[row].sum(axis=1) > 0)
         if not speaks.size:
             return new
         holder, row = holder[speaks], row[speaks]
-        passed, failed, known = passed[holder], failed[holder], known[row]
-        n_suspects = np.floor(np.log2((passed + failed + 1) / (passed + 1)) + 1e-9).astype(np.int64)
-        lot = tuple((column[row] * 2**32).astype(np.uint64) for column in (confirmed, denied, agrees, contradicts))
+        passed, failed, known, said = passed[holder], failed[holder], known[row], said[row]
+        n_malicious = np.log2((passed + failed + 1) / (passed + 1))
+        lot = tuple((said.T * 2**32).astype(np.uint64))
         draw = draws(0, round(step * self.dt_s * 1000), lot)[:, 0]
-        group = dealt(holder, draw, known, n_suspects, p.n_vehicles)
-        good, bad = (
-            exact_sums(group, a[row] + b[row], len(row)) for a, b in ((confirmed, agrees), (denied, contradicts))
-        )
-        fails = (good < p.least_agreement * (good + bad))[group]
-        own_passed, own_failed = new[row, 0], new[row, 1]
-        anomaly = (failed - own_failed + 1) / (passed + failed - own_passed - own_failed + 2)
-        if_benign, if_not = np.where(fails, anomaly, 1 - anomaly), np.where(fails, 1.0, p.missed_p)
-        posterior = if_benign * known / (if_benign * known + if_not * (1 - known))
-        share = 1 / np.bincount(group)[group]
-        new[row, :4] += np.stack([~fails, fails, ~fails * share, fails * share], axis=1)
-        new[row, 4] = p.prior_benign - posterior
+        group = dealt(holder, draw, known, np.floor(n_malicious + 1e-9).astype(np.int64), p.n_vehicles)
+        good = exact_sums(group, said[:, 0] + said[:, 2], len(row))
+        total = exact_sums(group, said.sum(axis=1), len(row))
+        fails = (good < p.least_agreement * total)[group]
+        passed, failed = passed - new[row, 0], failed - new[row, 1]  # of groups without the vehicle
+        anomaly = (failed + 1) / (passed + failed + 2)
+        if_benign = known * np.where(fails, anomaly, 1 - anomaly)
+        if_malicious = (1 - known) * np.where(fails, 1.0, p.missed_p)
+        new[row, 4] = p.prior_benign - if_benign / (if_benign + if_malicious)
+        outcome = np.stack([~fails, fails], axis=1)
+        new[row, :2] += outcome
+        new[row, 2:4] += outcome / np.bincount(group)[group, None]
         return new
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
         """The prior of the next verification."""
-        left = self._left(state, n_steps)
-        return Reading(self._benign(left), left[:, :2].sum(axis=1), None, self.horizon_s(self.params.decay_per_s))
+        left, horizon_s = self._left(state, n_steps), self.horizon_s(self.params.decay_per_s)
+        return Reading(self._benign(left), left[:, :2].sum(axis=1), None, horizon_s)
 
     def _left(self, state: ndarray, n_steps: int) -> ndarray:
         """What is left of the verifications after some steps; the last posterior stays."""
@@ -173,5 +183,6 @@ class Prbi(Stepwise):
     def _benign(self, state: ndarray) -> Float[ndarray, "p"]:
         """Probability that each vehicle is benign, before its next verification."""
         p, n = self.params, PRIOR_VERIFICATIONS
-        passed = (state[:, 0] + n * p.prior_benign) / (state[:, 0] + state[:, 1] + n)
-        return p.memory * (p.prior_benign - state[:, 4]) + (1 - p.memory) * passed
+        passed, failed, _, _, doubt = state.T
+        share = (passed + n * p.prior_benign) / (passed + failed + n)
+        return p.memory * (p.prior_benign - doubt) + (1 - p.memory) * share

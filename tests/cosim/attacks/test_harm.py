@@ -76,9 +76,10 @@ def victims_lose_trust(found, honest):
     """Trust in vehicles that report phantoms falls, and the trust in all others stays what it is."""
     rows = found["detections"]
     victims = rows.observer[(rows.origin == 0) & rows.target.notna()].unique()
-    was, now = ({r.subject: r.trust for r in last_rows(t).itertuples()} for t in (honest, found))
-    assert len(victims) and not np.isin(victims, LIARS).all()
-    return all(now[i] < was[i] - 0.02 if i in victims else now[i] == was[i] for i in was)
+    was, now = (last_rows(tables).set_index("subject").trust for tables in (honest, found))
+    loss = was - now
+    is_victim = loss.index.isin(victims)
+    return is_victim.any() and (loss[is_victim] > 0.02).all() and (loss[~is_victim] == 0).all()
 
 
 def attackers_gain_trust(found, honest):
