@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -102,15 +103,16 @@ class SumoTraffic:
             self._number = np.append(self._number, self._registered(now.new, step))
         number = self._number[now.number]
         kept = number != _LEFT_OUT
-        number, front_m, angle, speed = (of[kept] for of in (number, now.front_m, now.compass_deg, now.speed_mps))
-        world = world_from_bumpers(step, number, front_m, angle, speed, self._registry, self._frame)
+        front_m, angle, speed = now.front_m[kept], now.compass_deg[kept], now.speed_mps[kept]
+        world = world_from_bumpers(step, number[kept], front_m, angle, speed, self._registry, self._frame)
         self._counts.add(world)
         return replace(world, paths=self._paths(world)) if self._has_driver else world
 
     def _paths(self, world: World) -> LanePaths:
         """Lane paths of the equipped vehicles."""
         rows = np.flatnonzero(world.equipped)
-        at, *found = self._ask("paths", list(map(self._registry.names.__getitem__, world.actor[rows].tolist())))
+        names = [self._registry.names[actor] for actor in world.actor[rows].tolist()]
+        at, *found = self._ask("paths", names)
         return LanePaths(rows[at], *found)
 
     def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
@@ -174,9 +176,9 @@ class SumoTraffic:
 
     def _registered(self, new: list[NewActor], step: int) -> Int[ndarray, "k"]:
         """Register new actors, and return their numbers."""
-        shapes = [SHAPE_OF_CLASS.get(actor.vclass) for actor in new]
-        kept = [actor for actor, shape in zip(new, shapes, strict=True) if shape is not None]
-        self._left_out.update(actor.vclass for actor, shape in zip(new, shapes, strict=True) if shape is None)
+        has_shape = [actor.vclass in SHAPE_OF_CLASS for actor in new]
+        kept = list(compress(new, has_shape))
+        self._left_out.update(actor.vclass for actor in new if actor.vclass not in SHAPE_OF_CLASS)
         for actor in kept:
             where = f"traffic.scenario = {self._config}: {actor.domain} {actor.name!r}"
             try:
@@ -186,10 +188,9 @@ class SumoTraffic:
                 raise TrafficError(str(error)) from None
         number = np.full(len(new), _LEFT_OUT, np.int32)
         if kept:
-            number[[shape is not None for shape in shapes]] = self._registry.register(
-                [actor.name for actor in kept], np.array([shape for shape in shapes if shape is not None], np.uint8),
-                np.array([actor.lwh_m for actor in kept]), step,
-            )  # fmt: skip
+            shapes = np.array([SHAPE_OF_CLASS[actor.vclass] for actor in kept], np.uint8)
+            lwh_m = np.array([actor.lwh_m for actor in kept])
+            number[has_shape] = self._registry.register([actor.name for actor in kept], shapes, lwh_m, step)
         return number
 
     def _ask(self, request: str, *arguments: Any) -> Any:
@@ -244,7 +245,8 @@ class SumoTraffic:
 
 def _started(log: Path) -> subprocess.Popen[bytes]:
     """SUMO's process. It finds modules where this one does, and not in the working directory."""
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
+    paths = [path or os.getcwd() for path in sys.path]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
     words, pipe = [sys.executable, "-P", "-m", "cosim.traffic.sumo_process"], subprocess.PIPE
     with log.open("ab") as errors:
         return subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=errors, env=environment)

@@ -123,7 +123,8 @@ class Simulator:
         parts = []
         for domain in self._domains:
             names = domain.present()
-            number = np.fromiter(map(domain.number.get, names, repeat(-1)), np.int32, len(names))
+            known = map(domain.number.get, names, repeat(-1))
+            number = np.fromiter(known, np.int32, len(names))
             for row in np.flatnonzero(number < 0).tolist():
                 number[row] = domain.number[names[row]] = self._n_known + len(new)
                 new.append(_new(domain, names[row]))
@@ -160,8 +161,9 @@ class Simulator:
 
 
 def _new(domain: _Domain, name: str) -> NewActor:
-    length, width, height = (float(domain.getter[what](name)) for what in ("Length", "Width", "Height"))
-    return NewActor(domain.name, name, domain.getter["VehicleClass"](name), (length, width, height))
+    ask = domain.getter
+    lwh_m = ask["Length"](name), ask["Width"](name), ask["Height"](name)
+    return NewActor(domain.name, name, ask["VehicleClass"](name), lwh_m)
 
 
 @dataclass(slots=True)
@@ -184,8 +186,10 @@ class _WaysAhead:
         lanes = list(map(ask.getLaneID, names))
         on_lane = np.fromiter(map(bool, lanes), bool, len(lanes))
         names, lanes = list(compress(names, on_lane)), list(compress(lanes, on_lane))
-        keys = list(zip(lanes, map(ask.getRouteID, names), map(ask.getRouteIndex, names), strict=True))
-        line = np.fromiter(map(self.line_of.get, keys, repeat(-1)), np.int64, len(keys))
+        routes, places = map(ask.getRouteID, names), map(ask.getRouteIndex, names)
+        keys = list(zip(lanes, routes, places, strict=True))
+        known = map(self.line_of.get, keys, repeat(-1))
+        line = np.fromiter(known, np.int64, len(keys))
         if len(self.line_of) > _KNOWN_WAYS:
             self.line_of.clear()
         for i in np.flatnonzero(line < 0).tolist():

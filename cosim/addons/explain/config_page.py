@@ -15,7 +15,9 @@ def markdown() -> str:
         "defaults. An unknown key is an error. `cosim check FILE --all` prints all values.",
         "",
     ]
-    return "\n".join([*lines, *(line for section in sections() for line in _section(section))]) + "\n"
+    for section in sections():
+        lines += _section(section)
+    return "\n".join(lines) + "\n"
 
 
 def _section(section: SectionDoc) -> list[str]:
@@ -27,5 +29,6 @@ def _section(section: SectionDoc) -> list[str]:
 
 
 def _row(key: KeyDoc) -> str:
-    cells = [f"`{key.name}`", "; ".join(x for x in (key.kind, key.bounds) if x), key.default, key.meaning]
+    kind = "; ".join(filter(None, (key.kind, key.bounds)))
+    cells = [f"`{key.name}`", kind, key.default, key.meaning]
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
