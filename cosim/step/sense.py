@@ -74,7 +74,8 @@ def mislead(observed: Observed, attacks: Active) -> Observed:
     phantom = seen.origin == FABRICATED
     sensed = seen.origin != SELF
     added, n = phantom[sensed], int(sensed.sum())
-    is_real, actor_row = np.zeros(n, bool), np.zeros(n, observed.actor_row.dtype)
+    is_real = np.zeros(n, bool)
+    actor_row = np.zeros(n, observed.actor_row.dtype)
     is_real[~added], actor_row[~added] = observed.is_real, observed.actor_row
     return replace(
         observed,

@@ -94,7 +94,8 @@ def agreement(rows, reliable):
         for v, pos, neg in answers:
             said[i][0] += rounded(reliable(v) * pos)
             said[i][1] += rounded(reliable(v) * neg)
-            others = rounded(reliable(i)) + sum(rounded(reliable(w) * (p - n)) for w, p, n in answers if w != v)
+            votes = [rounded(reliable(w) * (p - n)) for w, p, n in answers if w != v]
+            others = rounded(reliable(i)) + sum(votes)
             said[v][2] += pos if others > 0 else 0.0
             said[v][3] += neg if others > 0 else pos if others < 0 else 0.0
     return said
@@ -104,62 +105,76 @@ def prbi(steps, now, dt, n=5, epsilon=0.5, prior=0.8, memory=0.5, missed=0.3, de
     verifications, posterior = [], {}  # (step, members, failed); last P by vehicle
 
     def number(at, failed, counts):
-        return sum(decay ** ((at - s) * dt) for s, group, fails in verifications if fails == failed and counts(group))
+        weights = [decay ** ((at - s) * dt) for s, group, fails in verifications if fails == failed and counts(group)]
+        return sum(weights)
 
     def benign(j, at):
-        passed, failed = (number(at, fails, lambda group: j in group) for fails in (False, True))
+        passed = number(at, False, lambda group: j in group)
+        failed = number(at, True, lambda group: j in group)
         share = (passed + 2 * prior) / (passed + failed + 2)
         return memory * posterior.get(j, prior) + (1 - memory) * share
 
+    vehicles = {j for rows in steps.values() for v, i, *_ in rows for j in (v, i)}
     for step in sorted(steps):
-        before = {j: round(benign(j, step), 6) for rows in steps.values() for v, i, *_ in rows for j in (v, i)}
-        said = agreement(steps[step], lambda j, before=before: before[j] if before[j] >= 0.5 else 0.0)
-        lots = {j: tuple(np.array([x * 2**32], np.uint64) for x in said[j]) for j in said}
-        draw = {j: draws(0, round(step * dt * 1000), lot)[0, 0] for j, lot in lots.items()}
-        speak = sorted((j for j in sorted(said) if sum(said[j]) > 0), key=draw.get)
-        passed, failed = (number(step, fails, lambda group: True) for fails in (False, True))
-        m = math.floor(-math.log2((passed + 1) / (passed + failed + 1)) + 1e-9)
+        before = {j: round(benign(j, step), 6) for j in vehicles}
+        reliable = {j: x if x >= 0.5 else 0.0 for j, x in before.items()}
+        said = agreement(steps[step], reliable.get)
+        draw = {}
+        for j, columns in said.items():
+            lot = tuple(np.array([x * 2**32], np.uint64) for x in columns)
+            draw[j] = draws(0, round(step * dt * 1000), lot)[0, 0]
+        speak = sorted(j for j in said if sum(said[j]) > 0)
+        speak.sort(key=draw.get)
+        passed, failed = number(step, False, bool), number(step, True, bool)
+        m = math.floor(math.log2((passed + failed + 1) / (passed + 1)) + 1e-9)
         found = []
         for first in range(0, len(speak), n):
-            table = sorted(speak[first : first + n], key=lambda j: (before[j], draw[j]))
+            table = sorted(speak[first : first + n], key=before.get)
             n_suspects = min(max(m, 1), max(len(table) - 1, 1))
             for group in (table[:n_suspects], table[n_suspects:]):
+                good = sum(said[j][0] + said[j][2] for j in group)
+                bad = sum(said[j][1] + said[j][3] for j in group)
                 if group:
-                    good, bad = (sum(said[j][c] + said[j][c + 2] for j in group) for c in (0, 1))
                     found.append((step, group, good < epsilon * (good + bad)))
         for _, group, fails in found:
             for j in group:
-                p, f = (number(step, x, lambda group, j=j: j not in group) for x in (False, True))
+                p = number(step, False, lambda group, j=j: j not in group)
+                f = number(step, True, lambda group, j=j: j not in group)
                 anomaly = (f + 1) / (p + f + 2)
                 a, b = (anomaly, 1.0) if fails else (1 - anomaly, missed)
-                posterior[j] = a * before[j] / (a * before[j] + b * (1 - before[j]))
+                a, b = a * before[j], b * (1 - before[j])
+                posterior[j] = a / (a + b)
         verifications += found
     return {i: benign(i, now) for i in known(steps)}
 
 
 def false_discovery(steps, now, dt, level=0.05, present=0.9, decay=0.98, k=0.05):
-    here, ever = defaultdict(lambda: [0.0] * 4), defaultdict(lambda: [0.0] * 4)
+    here, ever = (defaultdict(lambda: np.zeros(4)) for _ in range(2))
     for step, rows in steps.items():
+        age_s = (now - step) * dt
         for j, said in agreement(rows, lambda j: 1.0).items():
-            for column, x in enumerate(said):
-                here[j][column] += x * present ** ((now - step) * dt)
-                ever[j][column] += x * decay ** ((now - step) * dt)
-    p = {}
-    for j in (j for j in here if sum(here[j]) >= 0.01):
+            here[j] += np.array(said) * present**age_s
+            ever[j] += np.array(said) * decay**age_s
+    p, tested = {}, [j for j in here if here[j].sum() >= 0.01]
+    for j in tested:
         values = []
-        for yes, no in ((0, 1), (2, 3)):
-            tested = [ever[i] for i in here if sum(here[i]) >= 0.01]
-            against = sum(one[no] for one in tested)
-            rate = (against + 1) / (against + sum(one[yes] for one in tested) + 2)
-            past = ever[j][yes] - here[j][yes], ever[j][no] - here[j][no]
-            own = (past[1] + 5 * rate) / (sum(past) + 5)
-            d, n = here[j][no], here[j][no] + here[j][yes]
-            worth = 1 / (1 + k * max(n - 1, 0))
-            values += [stats.beta.cdf(r, d * worth, (n - d) * worth + 1) if d else 1.0 for r in (rate, own)]
+        for role in (slice(0, 2), slice(2, 4)):
+            yes, no = sum(ever[i][role] for i in tested)
+            rate = (no + 1) / (yes + no + 2)
+            past_yes, past_no = ever[j][role] - here[j][role]
+            own = (past_no + 5 * rate) / (past_yes + past_no + 5)
+            c, d = here[j][role]
+            worth = 1 / (1 + k * max(c + d - 1, 0))
+            for r in (rate, own):
+                values.append(stats.beta.cdf(r, d * worth, c * worth + 1) if d else 1.0)
         p[j] = stats.combine_pvalues(values, "fisher").pvalue
-    n_found = max([1] + [j for j, x in enumerate(sorted(p.values()), 1) if x <= j * level / len(p)])
-    t = n_found * level / max(len(p), 1)
-    trust = {i: x / t / 2 if x <= t else 1 - (1 - x) / (1 - t) / 2 for i, x in p.items()}
+    t = level / max(len(p), 1)
+    for j, x in enumerate(sorted(p.values()), 1):
+        if x <= j * level / len(p):
+            t = j * level / len(p)
+    trust = {}
+    for i, x in p.items():
+        trust[i] = x / t / 2 if x <= t else 1 - (1 - x) / (1 - t) / 2
     return {i: trust.get(i, 1.0) for i in known(steps)}
 
 

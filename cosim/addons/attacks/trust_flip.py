@@ -79,14 +79,17 @@ class TrustFlip(WithParams[TrustFlipParams]):
         ahead_m = np.arange(p.ahead_m, p.farthest_m + STEP_M / 2, STEP_M)
         row = np.repeat(victim, len(ahead_m))
         ahead_m = np.tile(ahead_m, len(victim))
-        left_m, turned_rad = np.full((2, len(row)), [[p.left_m], [np.pi]])
-        xyz, yaw = placed(world, row, ahead_m, left_m, turned_rad)
+        left_m = np.full(len(row), p.left_m)
+        oncoming_rad = np.full(len(row), np.pi)
+        xyz, yaw = placed(world, row, ahead_m, left_m, oncoming_rad)
         height_m = world.boxes.lwh_m[row, 2]
         xyz[:, 2] += (CAR_LWH_M[2] - height_m) / 2
-        away_m, _ = cKDTree(world.boxes.xyz_m[:, :2]).query(xyz[:, :2])
+        actors = cKDTree(world.boxes.xyz_m[:, :2])
+        away_m, _ = actors.query(xyz[:, :2])
         free = np.flatnonzero(away_m >= p.clear_m)
         finds, nearest = np.unique(row[free], return_index=True)
         at, attacker = free[nearest], attacker[np.isin(victim, finds)]
         lwh = np.tile(CAR_LWH_M, (len(at), 1))
+        boxes = Boxes(xyz[at], lwh, yaw[at])
         label = np.full(len(at), CAR, np.uint8)
-        return ghosts(seen, finds, label, Boxes(xyz[at], lwh, yaw[at]), context, attacker)
+        return ghosts(seen, finds, label, boxes, context, attacker)

@@ -104,16 +104,20 @@ class FalseDiscovery(Stepwise):
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
         """Trust from the p-values of the vehicles that are tested."""
         left = self._left(state, n_steps)
-        weight, trust = left[:, :4].sum(axis=1), np.ones(len(left))
+        weight = left[:, :4].sum(axis=1)
+        trust = np.ones(len(left))
         holder, _, row = self.log.pairs.sorted()
         tested = weight[row] >= LEAST_EVIDENCE
         row, holder = row[tested], numbered(holder[tested])
         left = left[row]
-        log_p = self._log_p(left[:, [0, 1, 4, 5]], holder) + self._log_p(left[:, [2, 3, 6, 7]], holder)
+        detections = left[:, [0, 1, 4, 5]]
+        evaluations = left[:, [2, 3, 6, 7]]
+        log_p = self._log_p(detections, holder) + self._log_p(evaluations, holder)
         p = gammaincc(4.0, -log_p)
         t = critical(p, holder, self.params.level)
         above = (p - t) / (1 - t)
-        trust[row] = np.where(p <= t, p / t, 1 + above) / 2
+        twice = np.where(p <= t, p / t, 1 + above)
+        trust[row] = twice / 2
         return Reading(trust, weight, None, self.horizon_s(self.params.decay_per_s))
 
     def _log_p(self, evidence: Float[ndarray, "n 4"], holder: Int[ndarray, "n"]) -> Numbers:
@@ -122,7 +126,8 @@ class FalseDiscovery(Stepwise):
         confirmed, denied = (exact_sums(holder, column, len(holder)) for column in ever.T)
         rate = ((denied + 1) / (confirmed + denied + 2))[holder]
         past = np.maximum(ever - now, 0.0)
-        own = (past[:, 1] + PRIOR_EVIDENCE * rate) / (past.sum(axis=1) + PRIOR_EVIDENCE)
+        before = past.sum(axis=1) + PRIOR_EVIDENCE
+        own = (past[:, 1] + PRIOR_EVIDENCE * rate) / before
         n = now.sum(axis=1)
         worth = 1 / (1 + self.params.correlation * np.maximum(n - 1, 0.0))
         against, n = now[:, 1] * worth, n * worth

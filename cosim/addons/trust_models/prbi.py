@@ -148,27 +148,33 @@ class Prbi(Stepwise):
         said = agreement(rows, known * (known >= 0.5))
         holder, _, row = self.log.pairs.sorted()
         holder = numbered(holder)
-        passed, failed = (exact_sums(holder, column, len(row)) for column in new[row, 2:4].T)
+        passed = exact_sums(holder, new[row, 2], len(row))
+        failed = exact_sums(holder, new[row, 3], len(row))
         speaks = np.flatnonzero(said[row].sum(axis=1) > 0)
         if not speaks.size:
             return new
         holder, row = holder[speaks], row[speaks]
-        passed, failed, known, said = passed[holder], failed[holder], known[row], said[row]
+        passed, failed = passed[holder], failed[holder]
+        known, said = known[row], said[row]
         n_malicious = np.log2((passed + failed + 1) / (passed + 1))
         lot = tuple((said.T * 2**32).astype(np.uint64))
         draw = draws(0, round(step * self.dt_s * 1000), lot)[:, 0]
-        group = dealt(holder, draw, known, np.floor(n_malicious + 1e-9).astype(np.int64), p.n_vehicles)
-        good = exact_sums(group, said[:, 0] + said[:, 2], len(row))
+        n_suspects = np.floor(n_malicious + 1e-9).astype(np.int64)
+        group = dealt(holder, draw, known, n_suspects, p.n_vehicles)
+        agreed = said[:, 0] + said[:, 2]
+        good = exact_sums(group, agreed, len(row))
         total = exact_sums(group, said.sum(axis=1), len(row))
         fails = (good < p.least_agreement * total)[group]
-        passed, failed = passed - new[row, 0], failed - new[row, 1]  # of groups without the vehicle
+        passed -= new[row, 0]  # those of groups without the vehicle are left
+        failed -= new[row, 1]
         anomaly = (failed + 1) / (passed + failed + 2)
         if_benign = known * np.where(fails, anomaly, 1 - anomaly)
         if_malicious = (1 - known) * np.where(fails, 1.0, p.missed_p)
         new[row, 4] = p.prior_benign - if_benign / (if_benign + if_malicious)
         outcome = np.stack([~fails, fails], axis=1)
         new[row, :2] += outcome
-        new[row, 2:4] += outcome / np.bincount(group)[group, None]
+        size = np.bincount(group)[group]
+        new[row, 2:4] += outcome / size[:, None]
         return new
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:

@@ -58,7 +58,8 @@ def test_trust_flip(honest, more):
     is_phantom = (rows.origin == 0) & rows.target.notna()
     found = rows[is_phantom]
     victims = set(found.observer)
-    assert len(victims) == len(LIARS) and not victims & set(WHO) and (found.target == found.observer).all()
+    assert len(victims) == len(LIARS) and not victims & set(WHO)
+    assert (found.target == found.observer).all()
     assert (found.groupby("observer").size() == 6).all() and (found["class"] == 0).all()
     assert found.truth_actor.isna().all() and found.transmitted.all() and not rows.lied.any()
     world = tables["actors"].merge(found, left_on=["at", "actor"], right_on=["at", "observer"], suffixes=("", "_seen"))
@@ -69,7 +70,8 @@ def test_trust_flip(honest, more):
     own = made.evaluator == made.observer
     assert (made.evaluation[own] > 0).all() and own.sum() == len(found)
     denied = made[~own & (made.visibility > 0)]
-    assert len(denied) > 50 and (denied.evaluation < 0).mean() > 0.9 and not tables["evaluations"].lied.any()
+    assert len(denied) > 50 and (denied.evaluation < 0).mean() > 0.9
+    assert not tables["evaluations"].lied.any()
     assert tables.state.attack_start.step_of == dict.fromkeys(WHO.tolist(), 0)
 
 
@@ -84,12 +86,12 @@ def test_trust_flip_misleads_by_chance_and_once_per_victim():
 def test_trust_flip_takes_the_nearest_free_place():
     """The next car is 17 m ahead: 9 m from a place at 8 m, 3 m from one at 14 m, 7 m from one at 24 m."""
     one = {"attack": "trust_flip", "victim": "one", "victim_id": "v12", "victim_range_m": 60.0}
-    for more, ahead_m in (({}, 8.0), ({"ahead_m": 14.0}, 24.0), ({"ahead_m": 14.0, "farthest_m": 20.0}, None)):
+    for more, ahead_m in (({}, [8.0]), ({"ahead_m": 14.0}, [24.0]), ({"ahead_m": 14.0, "farthest_m": 20.0}, [])):
         tables = play([BY | one | more], 1)
         rows = tables["detections"]
         found = rows[(rows.origin == 0) & rows.target.notna()]
         x_m = tables["actors"].set_index("actor").x_m[12]
-        assert (found.x_m - x_m).tolist() == pytest.approx([] if ahead_m is None else [ahead_m], abs=1e-5)
+        assert (found.x_m - x_m).tolist() == pytest.approx(ahead_m, abs=1e-5)
     with pytest.raises(ValueError, match=r"attacks.farthest_m = 5 m is below attacks.ahead_m = 8 m. Swap them."):
         play([BY | one | {"farthest_m": 5.0}], 1)
 
