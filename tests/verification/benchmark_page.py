@@ -10,7 +10,8 @@ from cosim.addons.benchmark.table import Row, ranked, stored, summary, worst_att
 
 PAGE = Path("cosim/docs/pages/howto/benchmark.md")
 BEGIN, END = "<!-- table -->\n", "<!-- end -->\n"
-SHOWN = ("miso_v", "median_groups", "belief_graph", "evaluator_trust", "dawid_skene", "trupercept", "beta")
+_MODELS = ("miso_v", "median_groups", "belief_graph", "prbi", "false_discovery", "trupercept", "beta")
+SHOWN = (*_MODELS, "denied_share", "mean_score")
 
 
 def share(of: list[float | None], has_interval: bool = False) -> str:
