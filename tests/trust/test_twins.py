@@ -199,7 +199,9 @@ def test_history_is_looked_up_by_pseudonym():
             add(model, step, [(2, 1, 0, -1, 1), (3, 1, 0, -1, 1), (3, 2, 0, 1, 1), (2, 3, 0, 1, 1)])
         open_step(model, 4, {9: [1.0], 2: [], 3: []})  # the same vehicle under another name
         add(model, 4, [])
-        assert trust_of(model, 1) < 0.5 == trust_of(model, 9)
+        assert trust_of(model, 1) < trust_of(model, 2) and trust_of(model, 9) == 0.5
+        if name != "false_discovery":  # which accuses nobody where one in three is denied: that is the usual share
+            assert trust_of(model, 1) < 0.5
 
 
 def test_majority_ban_by_hand():
