@@ -68,7 +68,7 @@ class RecordParams:
 
     level: Level = "standard"
     """Which tables are written: `summary`, `standard` or `full`. See results/TABLES.md."""
-    block_steps: Annotated[int, Ge(1), Le(1_000_000)] = 300
+    block_steps: Annotated[int, Ge(1), Le(1_000_000)] = 150
     """Number of steps between two writes to disk. A crash loses at most this many steps."""
 
 

@@ -41,13 +41,12 @@ class TrustFlipParams:
 
 
 class TrustFlip(WithParams[TrustFlipParams]):
-    """Makes an honest victim detect a car that nobody else detects, so that the victim loses trust (TrustFlip [1]_).
+    """Makes an honest victim detect a car that no other vehicle detects, so that the victim loses trust (TrustFlip).
 
     The attacker has put an object before the victim that only the victim's detector takes for a car, where no other
-    actor is. The victim tracks
-    this phantom, sends it and confirms it, because it believes in it, and others deny it. No message is false, neither
-    of the victim nor of the attacker. In the table `detections` the phantom is a false positive of the victim, with the
-    victim as its `target`, and it is no lie.
+    actor is [1]_. The victim tracks this phantom, sends it and confirms it, because it believes in it, and others deny
+    it. No message is false, neither of the victim nor of the attacker. In the table `detections` the phantom is a false
+    positive of the victim, with the victim as its `target`, and it is no lie.
 
     Notes
     -----

@@ -76,12 +76,12 @@ class FalseDiscovery(Stepwise):
     past frames) are joined to one p-value for each agent, and the Benjamini-Hochberg procedure at level q says who is
     malicious.
 
-    Ours: what a vehicle says is its detections, denied or confirmed, and its evaluations, contradicted or shared by the
-    other voices on the same detection (`prbi.agreement`, each voice counts alike). For both, with present evidence d
-    of n against the vehicle: the spatial p-value is the binomial tail of d at the rate of all vehicles of the holder,
-    the temporal one at the vehicle's own rate before. The four are joined by Fisher's method, P(chi2 with 8 degrees of
-    freedom > -2 sum ln p). With t the critical p-value, trust is p / (2 t) for discoveries, p <= t, and else
-    1/2 + (p - t) / (2 - 2 t).
+    Ours: what a vehicle says is its detections, denied or confirmed, and its evaluations, contradicted or shared by
+    the sender and the other evaluators of the same detection (`prbi.agreement`, all with the same weight). For
+    both, with present evidence d of n against the vehicle: the spatial p-value is the binomial tail of d at the
+    rate of all vehicles of the holder, the temporal one at the vehicle's own rate before. The four are joined by
+    Fisher's method, P(chi2 with 8 degrees of freedom > -2 sum ln p). With t the critical p-value, trust is p / (2
+    t) for discoveries, p <= t, and else 1/2 + (p - t) / (2 - 2 t).
 
     Deviations: as above. The paper's scores are losses of boxes and of reconstructed motion, joined by learned weights,
     and its p-values are ranks among scores of normal agents, which a holder of evaluations does not have.

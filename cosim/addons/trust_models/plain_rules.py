@@ -18,7 +18,7 @@ class PlainRuleParams(StepwiseParams):
 
 
 class DeniedShare(Stepwise):
-    """Share of a vehicle's evaluated detections that somebody confirms, or that nobody denies.
+    """Share of a vehicle's evaluated detections that an evaluator confirms, or that none denies.
 
     Notes
     -----

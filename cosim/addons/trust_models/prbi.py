@@ -122,10 +122,9 @@ class Prbi(Stepwise):
 
     Ours: evaluations have no objects that last from step to step. The reference is therefore not the detections of the
     step before but the vehicles with P >= 1/2 after it. A group passes if at least epsilon of what its members say
-    agrees with them (`agreement`). A holder deals all vehicles into fives first, the paper's number, by lots from
-    time and their evidence, so that no pseudonym decides. A passed
-    group is evidence too: its likelihoods are the share passed, and `missed_p` for a malicious member. Trust is the
-    next prior.
+    agrees with them (`agreement`). A holder deals all vehicles into fives first, the paper's number, by lots from time
+    and their evidence, so that no pseudonym decides. A passed group is evidence too: its likelihoods are the share
+    passed, and `missed_p` for a malicious member. Trust is the next prior.
 
     Deviations: as above; no test of convergence, and no final set of attackers, because vehicles come and go;
     verifications decay. The first frame need not be true. From summaries of the paper, not from its equations.

@@ -116,4 +116,6 @@ def test_no_process_outlasts_its_traffic(tmp_path, how):
 def test_modules_of_the_working_directory_are_not_those_of_sumos_process(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("pickle.py").write_text("raise SystemExit(3)")
-    mixed(tmp_path / "scenario").close()
+    traffic = mixed(tmp_path / "scenario")
+    assert traffic.advance().step == 0
+    traffic.close()
