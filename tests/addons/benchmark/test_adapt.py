@@ -87,10 +87,9 @@ def test_the_search_finds_more_harm_than_it_begins_with_and_the_same_again():
 
 @pytest.mark.verify
 def test_on_the_shipped_set_a_policy_without_schedule_is_almost_the_recorded_attack():
-    """What differs are receptions, because other messages change the load of the channel: less than 0.5 % of rows.
-
-    Under `sybil`, the messages of an attacker's further identities delay those of its first one, so that up to 5 % of
-    the look-ups of honest worlds are later or missing there.
+    """Detections are equal. What differs are receptions, because other messages change the load of the channel: less
+    than 0.5 % of the evaluations, and 2 % of the look-ups, most in the busiest world (Helsinki, 30 %, seed 1002), and
+    under attacks that make messages shorter, or add some.
     """
     found = load()
     rules, of = found.rules, {}
@@ -105,6 +104,5 @@ def test_on_the_shipped_set_a_policy_without_schedule_is_almost_the_recorded_att
                     {*zip(*(v.tolist() for v in getattr(s, name).values()), strict=True)} for s in (made, case)
                 )
                 share = len(one ^ other) / len(other)
-                of[attack] = max(of.get(attack, 0.0), share)
-    assert of.pop("sybil") < 0.05
-    assert max(of.values()) < 0.005, of
+                of[name] = max(of.get(name, 0.0), share)
+    assert of["detections"] == 0 and of["evaluations"] < 0.005 and of["lookups"] < 0.02, of
