@@ -82,6 +82,8 @@ class Drive:
     """Equipped vehicles, summed over the steps with messages."""
     ended: str = ""
     """Why the traffic ended before the requested time."""
+    broken: TrafficError | None = None
+    """What the traffic broke down with. The steps before it are recorded, as those before an interruption."""
     _of_block: dict[int, Commands] = field(default_factory=dict)
     _keeps_state: bool = True
     _next: World | None = None
@@ -158,9 +160,12 @@ class Drive:
         with self.parts.watch("record"):
             self._wait_for_rows()
         if not self.manifest.steps:
-            raise TrafficError(f"traffic.scenario = {self.scenario.name}: there is nothing to record: {self.ended}.")
+            nothing = f"traffic.scenario = {self.scenario.name}: there is nothing to record: {self.ended}."
+            raise self.broken or TrafficError(nothing)
         with self.parts.watch("record"):
             self._end(state)
+        if self.broken is not None:
+            raise self.broken
 
     def _record(self, result: StepResult) -> None:
         """Append the rows of a step. They depend on its result only, so the next step may go on meanwhile."""
@@ -185,11 +190,11 @@ class Drive:
         return bool(self.ended) or self.manifest.steps >= self.parts.config.n_steps
 
     def _world(self) -> World | None:
-        """The world of the next step; None if the traffic has ended."""
+        """The world of the next step; None if the traffic has ended or broken down."""
         if (world := self._next) is not None:
             self._next = None
             return world
-        if self.ended:
+        if self.ended or self.broken is not None:
             return None
         with self.parts.watch("traffic"):
             try:
@@ -197,7 +202,9 @@ class Drive:
             except TrafficEnded as over:
                 asked_s = self.parts.config.n_steps * self.parts.config.traffic.step_s
                 self.ended = f"the traffic ended before the {asked_s:g} s asked for: {over}"
-                return None
+            except TrafficError as error:
+                self.broken = error
+        return None
 
     def _look_ahead(self, number: int, ahead: Ahead | None) -> None:
         """Start to compute the next world's sweeps while this step continues.

@@ -325,9 +325,13 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
         raise Stopped(error.signum, message) from None
     except Failed:
         raise
-    except (TrafficError, Damaged) as error:
+    except Damaged as error:
         _fail(drive, folder, str(error))
         raise
+    except TrafficError as error:
+        if not _fail(drive, folder, str(error)):
+            raise
+        raise TrafficError(f"{error} The steps before it are kept: cosim resume {folder.path}.") from error.__cause__
     except ExtensionError as error:
         kept = _fail(drive, folder, str(error))
         then = f" The steps before it are kept: cosim resume {folder.path}." if kept else " Nothing is kept."

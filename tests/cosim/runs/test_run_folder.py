@@ -1,6 +1,7 @@
 """Folders of runs: one run each, however many begin together; a killed run continues to the same tables."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -14,7 +15,10 @@ from cosim.runs.inputs import provenance
 from cosim.runs.manifest import Manifest
 from cosim.runs.run import resume, run
 from cosim.step.parts import sources
+from cosim.traffic.frame import TrafficError
+from results.manifest import read_manifest
 from results.verify import verify
+from tests.cosim.traffic import mixed_scenario
 from tests.drive import cosim, python
 from tests.fingerprint import fingerprint
 from tests.hostile.scenes import write_trace
@@ -135,3 +139,22 @@ def test_a_model_that_needs_an_own_sweep_is_not_run_on_a_server(section):
         check(load(None, section))
     assert "\n" not in str(error.value)
     check(load(None, [*section, "trust.host=local"]))
+
+
+def test_steps_before_a_sumo_that_breaks_down_are_kept(tmp_path):
+    """SUMO is killed in the middle of a block. The resumed run has the tables of one that was not disturbed."""
+    scenario = mixed_scenario.write(tmp_path / "net")
+    keys = [f"traffic.scenario={scenario}", "traffic.warmup_s=0", "traffic.duration_s=12", "fleet.penetration_p=1"]
+    config = load(None, [*keys, "record.block_steps=8"])
+
+    def kill(phase, done, total, note):
+        if phase == "run" and done == 5:
+            pids = subprocess.check_output(["pgrep", "-P", str(os.getpid()), "-f", "sumo_process"], text=True).split()
+            os.kill(int(pids[-1]), signal.SIGKILL)
+
+    with pytest.raises(TrafficError, match=r"broke down \(signal 9\)\. The steps before it are kept: cosim resume "):
+        run(config, tmp_path / "killed", kill)
+    found = read_manifest(tmp_path / "killed")
+    assert found["status"] == "failed" and 5 <= found["steps"] <= 8 and "signal 9" in found["error"]
+    whole = run(config, tmp_path / "whole", lambda *_: None)
+    assert fingerprint(resume(tmp_path / "killed", lambda *_: None)) == fingerprint(whole)
