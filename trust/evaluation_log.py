@@ -79,7 +79,7 @@ class StepRows:
     index: Int[ndarray, "k"]  # of every single evaluation: detection_index, the number of its detection or claim
     sender: Int[ndarray, "o"]  # of each detection: row of (holder, observer)
     is_self: Bool[ndarray, "k"]  # of every single evaluation: whether it is of the observer's report of itself
-    n_sent: Int[ndarray, "n"]  # detections that the evaluator transmitted in the step, its self report included
+    n_sent: Int[ndarray, "n"]  # detections in the evaluator's newest message then, its self report included
     is_own: Bool[ndarray, "n"]  # whether the holder itself is the evaluator
 
     def per_observer(self, values: Float[ndarray, "n"], n_pairs: int) -> Float[ndarray, "n_pairs"]:
@@ -118,7 +118,7 @@ class _Step:
     """What has been transmitted and received of one step so far."""
 
     pseudonyms: Int[ndarray, "n"]  # present in the step, ascending
-    n_sent: Int[ndarray, "n"]  # detections of each
+    n_sent: Int[ndarray, "n"]  # detections in the newest message of each
     waiting: list[ReceivedEvaluations] = field(default_factory=list)  # not yet checked
     parts: list[tuple[ObserverRows, DetectionRows]] = field(default_factory=list)
     own: list[bool] = field(default_factory=list)  # of each part: whether its holders made it
@@ -145,6 +145,7 @@ class EvaluationLog:
         self.counted = np.zeros((0, 3), np.int64)
         """Of each row of `pairs`, over the steps whose rows have been read: evaluations, newest and oldest step."""
         self._open: dict[int, _Step] = {}  # ascending
+        self._sent = np.zeros((0, 3), np.int64)  # newest messages: pseudonym, ascending, step and number of detections
         self._n_added = 0
 
     def open(self, step: int, pseudonyms, observer_row, detection_index, score) -> None:
@@ -153,8 +154,25 @@ class EvaluationLog:
             return
         self.advance(step)
         self.steps.open(step, pseudonyms, observer_row, detection_index, score)
-        n_sent = np.bincount(observer_row, minlength=len(pseudonyms)).astype(np.int64)
-        self._open[step] = _Step(int64(pseudonyms), n_sent)
+        pseudonyms = int64(pseudonyms)
+        self._note_sent(step, pseudonyms, np.bincount(observer_row, minlength=len(pseudonyms)))
+        at, has_sent = find(pseudonyms, self._sent[:, 0])
+        n_sent = np.zeros(len(pseudonyms), np.int64)
+        n_sent[has_sent] = self._sent[at[has_sent], 2]
+        self._open[step] = _Step(pseudonyms, n_sent)
+
+    def _note_sent(self, step: int, pseudonyms: Int[ndarray, "n"], n_sent: Int[ndarray, "n"]) -> None:
+        """Keep the newest message of each pseudonym, as long as its step is open.
+
+        Vehicles may sense and send in turns, so that an evaluator need not send in the step that it evaluates.
+        """
+        sends = n_sent > 0
+        kept = self._sent[
+            (self._sent[:, 1] > step - self.steps.n_steps) & ~np.isin(self._sent[:, 0], pseudonyms[sends])
+        ]
+        new = np.column_stack([pseudonyms[sends], np.full(sends.sum(), step), n_sent[sends]])
+        sent = np.concatenate([kept, new])
+        self._sent = sent[np.argsort(sent[:, 0], kind="stable")]
 
     def advance(self, now_step: int) -> None:
         """Close the steps that are too old.

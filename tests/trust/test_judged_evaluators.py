@@ -62,13 +62,15 @@ def test_twin(name, ours, theirs):
         frames, rows = history(seed, 1 + seed % 6, 2 + seed % 4)
         own = min(frames[0]) if seed % 2 else None
         dt_s = 1.0 if seed % 3 else 0.5
-        model = build(name, dt_s, grace_s=float(1 + seed % 5), **ours)
+        grace_s = float(1 + seed % 5)
+        model = build(name, dt_s, grace_s=grace_s, **ours)
         for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
             open_step(model, step, frame)
             given(model, step, evaluated, own)
         more = {"own": own} if name == "self_first" else {}
         if name == "belief_graph":
-            more = {"sent": [{v: len(scores) for v, scores in frame.items()} for frame in frames]}
+            sent = [{v: len(scores) for v, scores in frame.items()} for frame in frames]
+            more = {"sent": sent, "grace": grace_s}
         expected = getattr(literal, name)(dict(enumerate(rows)), len(rows) - 1, dt_s, **theirs, **more)
         scores = model.scores()
         mine = dict(zip(scores.subject.tolist(), scores.trust.tolist(), strict=True))
@@ -170,6 +172,18 @@ def test_withheld_detections_are_a_contradiction():
     open_step(model, 10, {1: [1.0], 2: [1.0, 0.9], 3: [1.0, 0.9]})
     add(model, 10, [(v, 1, 0, 0.9, 1.0) for v in (2, 3)])
     assert trust_of(model, 1) < 0.2 < 0.6 < trust_of(model, 2)
+
+
+def test_an_evaluator_that_sends_in_other_steps_withholds_nothing():
+    """Two groups of vehicles send in turns, as at random sensing phases, and evaluate the other group's detections."""
+    model = build("belief_graph")
+    groups = ({1: [1.0, 0.9], 2: [1.0, 0.9]}, {3: [1.0, 0.9], 4: [1.0, 0.9]})
+    for step in range(10):
+        senders, others = groups[step % 2], groups[1 - step % 2]
+        open_step(model, step, {**dict.fromkeys(others, []), **senders})
+        add(model, step, [(v, i, k, 0.9, 1.0) for v in others for i in senders for k in (0, 1)])
+    for v in (1, 2, 3, 4):
+        assert trust_of(model, v) > 0.6
 
 
 def test_the_holders_own_evaluations_are_marked_in_the_log():

@@ -25,11 +25,11 @@ Recorded = tuple[str, EvidenceStream, Int[ndarray, "p"]]
 
 
 def config_of(city: str, seed: int, n_steps: int, attack: str, share_p: float) -> Config:
-    """The config of a case: the world of version 0.2, with tracks and all kinds of evaluations."""
+    """The config of a case: the default world, with all kinds of evaluations."""
     return resolve_data({
-        "preset": "v0.2", "seed": seed,
+        "preset": "modern", "seed": seed,
         "traffic": {"scenario": city, "seed": seed, "step_s": RULES.dt_s, "duration_s": n_steps * RULES.dt_s},
-        "fleet": {"penetration_p": PENETRATION_P}, "encounters": [{}], "tracking": {"model": "constant_velocity"},
+        "fleet": {"penetration_p": PENETRATION_P}, "encounters": [{}],
         "attacks": [{"attack": attack, "share_p": share_p, "start_s": RULES.start_step * RULES.dt_s}],
         "trust": {"model": f"{Tape.__module__}:Tape", "freshness_s": RULES.freshness_s,
                   "server_period_s": RULES.server_period_s, "evidence": list(KINDS)},

@@ -1,7 +1,7 @@
 """The trust models that judge evaluators, as slow literal transcriptions: see `tests.verification.trust_models`.
 
 `own` is the evaluator whose evaluations are the holder's own. `sent` gives, by step, the detections that each vehicle
-transmitted.
+transmitted. A message is known as long as it is younger than `grace`.
 """
 
 import math
@@ -276,7 +276,17 @@ SHAPES = {
 }
 
 
-def edges_and_forms(steps, now, dt, sent, n_kinds, decay):
+def newest_message(sent, v, step, dt, grace):
+    """Number of detections in the newest message of v."""
+    for earlier in range(step, -1, -1):
+        if (step - earlier) * dt >= grace:
+            return 0
+        if sent[earlier].get(v):
+            return sent[earlier][v]
+    return 0
+
+
+def edges_and_forms(steps, now, dt, sent, n_kinds, decay, grace):
     """By (v, i): outcomes of each kind, and further detections not certain and certain. By v: counts of form."""
     edge, form = {}, defaultdict(lambda: [0.0] * 5)
     for step, rows in steps.items():
@@ -310,7 +320,8 @@ def edges_and_forms(steps, now, dt, sent, n_kinds, decay):
             edge[v, i]["certain"][0] += left * (max(made[v, i] - 1, 0) - further)
             edge[v, i]["certain"][1] += left * further
         for v in detects:
-            n_sent = sent[step][v] if n_kinds == 1 else (sent[step][v] - 16) // 2
+            n_listed = newest_message(sent, v, step, dt, grace)
+            n_sent = n_listed if n_kinds == 1 else (n_listed - 16) // 2
             form[v][1 if n_sent <= 1 else 0] += left
     return edge, form
 
@@ -319,8 +330,8 @@ def bounded(x):
     return min(max(x, -20.0), 20.0)
 
 
-def belief_graph(steps, now, dt, sent, kinds=("detections",), prior=0.8, coupling=0.5, n_sweeps=12, decay=0.95):
-    edge, form = edges_and_forms(steps, now, dt, sent, 3 if len(kinds) > 1 else 1, decay)
+def belief_graph(steps, now, dt, sent, grace, kinds=("detections",), prior=0.8, coupling=0.5, n_sweeps=12, decay=0.95):
+    edge, form = edges_and_forms(steps, now, dt, sent, 3 if len(kinds) > 1 else 1, decay, grace)
     nodes = sorted({x for pair in edge for x in pair})
     odds = {(v, role): math.log(prior / (1 - prior)) for v in nodes for role in ("evaluator", *kinds)}
     for v in nodes:

@@ -61,6 +61,7 @@ def test_each_world_is_sensed_whichever_was_expected(expected, at_once, threads)
     assert ("links" in ahead.watch.seconds) == shares == ("pairs" in ahead.watch.seconds)
 
 
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="this process may use one core")
 @pytest.mark.parametrize("threads", [2], indirect=True)
 def test_what_is_expected_before_the_present_step_has_asked_is_found_once(threads):
     """A run expects the next world first, and then asks for the pairs of the present one."""
