@@ -156,23 +156,11 @@ def notes_on(config: Config, scenario: Scenario) -> list[str]:
 
 
 def keys_in_vain(config: Config, scenario: Scenario) -> list[str]:
-    """Notes on keys that the config sets and that change nothing, and on choices that do not suit its world."""
+    """Notes on keys that the config sets and that change nothing."""
     lines = without_effect(config, scenario.trace is not None)
     if _lacks_trees(config, scenario):
         lines.append(f"trees.from_map has no effect: the polygon files of {scenario.name} contain no trees.")
-    return [f"note: {line}" for line in lines + _fitted_elsewhere(config)]
-
-
-def _fitted_elsewhere(config: Config) -> list[str]:
-    """A line on trust models whose parameters belong to another world than that of the config."""
-    models = [config.trust.model, *(variant.trust.model for variant in config.trust_variant)]
-    if "belief_graph" not in models or (config.gnss.is_exact and config.schedule.is_lock_step):
-        return []
-    return [
-        'trust.model = "belief_graph": its parameters were fitted to vehicles that know their poses exactly and sense '
-        "at the same time. With position errors or phases it takes honest vehicles for liars: in Helsinki, their "
-        "median trust is 0.00 without any attacker. Fit its shapes, or take another model."
-    ]
+    return [f"note: {line}" for line in lines]
 
 
 def changed_since(path: Path | None, config: Config) -> list[str]:

@@ -180,7 +180,7 @@ def test_an_evaluator_that_sends_in_other_steps_withholds_nothing():
     groups = ({1: [1.0, 0.9], 2: [1.0, 0.9]}, {3: [1.0, 0.9], 4: [1.0, 0.9]})
     for step in range(10):
         senders, others = groups[step % 2], groups[1 - step % 2]
-        open_step(model, step, {**dict.fromkeys(others, []), **senders})
+        open_step(model, step, {v: senders.get(v, []) for v in (1, 2, 3, 4)})
         add(model, step, [(v, i, k, 0.9, 1.0) for v in others for i in senders for k in (0, 1)])
     for v in (1, 2, 3, 4):
         assert trust_of(model, v) > 0.6
