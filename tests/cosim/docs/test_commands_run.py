@@ -15,17 +15,20 @@ from tests.cosim.docs.fences import PAGES, ROOT
 SHORT = "--set traffic.duration_s=30 --set attacks.0.start_s=10 --set attacks.1.start_s=10"
 FIRST_RUN = f"cosim run {SHORT} --set traffic.warmup_s=120 --set record.level=full"
 
+MINUTE = "cosim run --set traffic.duration_s=60 --set attacks.0.start_s=20 --set attacks.1.start_s=20"
+
 INSTEAD = {
     "make run": FIRST_RUN,
     "make test": "true",  # this is it
     "source .venv/bin/activate": "true",
     "python3 -m venv": "true",
+    "python -m pip install .": "true",
     "cosim sweep question --out out": "python -m tests.cosim.docs.short question out",
     **{
         f"cosim sweep {name} && ": f"python -m tests.cosim.docs.short {name} runs/{name}"
         for name in ("question", "encounters", "freshness")
     },
-    "cosim run --set traffic.duration_s=60": f"{FIRST_RUN} --out runs/gallery",
+    **{f"{MINUTE} --out runs/{name}": f"{FIRST_RUN} --out runs/{name}" for name in ("gallery", "paper")},
 }
 """What stands for a command that sets up an environment, or takes minutes."""
 
