@@ -341,10 +341,10 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
             if same >= 0:
                 box[row], variance[row] = box[same], variance[same]
                 continue
-            k, after = ego.begin[g - first], ego.begin[g - first + 1]
+            low, high = ego.begin[g - first], ego.begin[g - first + 1]
             seed, filled = lists.seed[g], box[row]
-            _fuse_place(k, after, seed, owner, table, ego, errors, covariance, slope, filled, variance[row])
-            _fuse_shape(k, after, seed, table, ego, errors, covariance, filled)
+            _fuse_place(low, high, seed, owner, table, ego, errors, covariance, slope, filled, variance[row])
+            _fuse_shape(low, high, seed, table, ego, errors, covariance, filled)
 
 
 @compiled

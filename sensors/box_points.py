@@ -97,17 +97,17 @@ def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, sc
     b1 = min(b1, m // LANES)  # whole blocks
     if distance + radius + abs(z) + half_h + error >= NO_RETURN * step_m:
         b1 = b0  # no return is not told from a range there
-    rest = max(r0, b1 * LANES)
-    if rest >= r1 and not _may_hold(nearest, farthest, b0, b1, t0, t1, least, most):
-        return 0
-    n_grazing = _crossings(beams.cos_az[a0:a1], beams.sin_az[a0:a1], p, q, cos, sin, half_l, half_w, middle, half)
+    n_grazing = -1  # until a tile needs to know
     height, half_height, margin, total = np.float32(z), np.float32(half_h), np.float32(error), 0
     for b in range(np.uint64(b0), np.uint64(b1)):
         row = b * np.uint64(LANES)
         for t in range(np.uint64(t0), np.uint64(t1)):
             if farthest[b, t] >= least and nearest[b, t] <= most:
-                column = t * np.uint64(TILE)
-                for c in range(max(column, np.uint64(a0)), min(column + np.uint64(TILE), np.uint64(a1))):
+                if n_grazing < 0:
+                    ca, sa = beams.cos_az[a0:a1], beams.sin_az[a0:a1]
+                    n_grazing = _crossings(ca, sa, p, q, cos, sin, half_l, half_w, middle, half)
+                first = t * np.uint64(TILE)
+                for c in range(max(first, np.uint64(a0)), min(first + np.uint64(TILE), np.uint64(a1))):
                     i = c - np.uint64(a0)
                     count, undecided = near_box(
                         steps, c, row, cos_el, sin_el, middle[i], half[i], height, half_height, margin
@@ -116,21 +116,12 @@ def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, sc
                     for k in range(LANES if undecided else 0):
                         if undecided >> k & 1:
                             total += _is_inside(steps, step_m, beams, c, row + np.uint64(k), box)
+    rest = max(r0, b1 * LANES)
     if n_grazing > 0 or rest < r1:
         for column in range(a0, a1):
-            for r in range(r0 if np.isnan(half[column - a0]) else rest, r1):
+            for r in range(r0 if n_grazing > 0 and np.isnan(half[column - a0]) else rest, r1):
                 total += _is_inside(steps, step_m, beams, column, r, box)
     return total
-
-
-@kernel
-def _may_hold(nearest, farthest, b0, b1, t0, t1, least, most):
-    """Whether any tile has a return at a horizontal length between two limits."""
-    for b in range(np.uint64(b0), np.uint64(b1)):
-        for t in range(np.uint64(t0), np.uint64(t1)):
-            if farthest[b, t] >= least and nearest[b, t] <= most:
-                return True
-    return False
 
 
 @inlined
