@@ -271,7 +271,7 @@ def _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, out, room):
     """Number of the pairs of one chunk of `a`, of which as many as fit are written to `out`."""
     n, n_buckets, begin = 0, len(b.start) - 1, chunk * _CHUNK
     for one in range(begin, min(begin + _CHUNK, len(a.yaw))):
-        first, i = n, a.at[one]
+        first, i = n, np.uint64(a.at[one])  # signed numbers of rows are tested for being negative at each access
         for label in range(len(reach_m)):
             reach, side = reach_m[a.label[i], label], b.side[label]
             if reach < 0.0:
@@ -280,8 +280,8 @@ def _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, out, room):
             middle_x, middle_y = _cell(a.xyz[i, 0], side), _cell(a.xyz[i, 1], side)
             for column in range(middle_x - rings, middle_x + rings + 1):
                 for row in range(middle_y - rings, middle_y + rings + 1):
-                    bucket = _bucket(column, row, label, n_buckets)
-                    for j in range(b.start[bucket], b.start[bucket + 1]):
+                    bucket = np.uint64(_bucket(column, row, label, n_buckets))
+                    for j in range(np.uint64(b.start[bucket]), np.uint64(b.start[bucket + np.uint64(1)])):
                         x = a.xyz[i, 0] - b.xyz[j, 0]
                         y = a.xyz[i, 1] - b.xyz[j, 1]
                         apart = x * x + y * y

@@ -304,11 +304,12 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
         last = max(last, lists.group[p])
     n, n_groups = end - begin, last - first + 1
     real = np.empty((14, n))
-    number = np.empty((4, n), np.int64)
+    number = np.empty((3, n), np.int64)
+    # Unsigned numbers of rows, because signed ones are tested for being negative at each access.
     ego = _Ego(
-        np.zeros(n_groups + 1, np.int64),
+        np.zeros(n_groups + 1, np.uint64),
+        np.empty(n, np.uint64),
         number[0],
-        number[1],
         real[0],
         real[1],
         real[2],
@@ -320,7 +321,7 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
         _Information(real[12], real[13], np.empty(n)),
         np.empty(n + 1, np.int64),
     )
-    vehicle, sender = number[2], number[3]
+    vehicle, sender = number[1], number[2]
     messages = np.empty(n + 1, np.int64)
     _sort(begin, end, first, table, lists, ego, vehicle, sender)
     errors, covariance = np.empty(0), np.empty((0, 0))
@@ -340,18 +341,17 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
             if same >= 0:
                 box[row], variance[row] = box[same], variance[same]
                 continue
-            begin = ego.begin[g - first]
-            end = ego.begin[g - first + 1]
+            low, high = ego.begin[g - first], ego.begin[g - first + 1]
             seed, filled = lists.seed[g], box[row]
-            _fuse_place(begin, end, seed, owner, table, ego, errors, covariance, slope, filled, variance[row])
-            _fuse_shape(begin, end, seed, table, ego, errors, covariance, filled)
+            _fuse_place(low, high, seed, owner, table, ego, errors, covariance, slope, filled, variance[row])
+            _fuse_shape(low, high, seed, table, ego, errors, covariance, filled)
 
 
 @compiled
 def _pose_errors(table, ego, messages, n_slots, align):
     """Pose errors of the numbered vehicles, and their covariance."""
     errors = np.zeros(3 * n_slots)
-    system = np.zeros((len(errors), padded(len(errors))))
+    system = np.empty((len(errors), padded(len(errors))))
     room = np.zeros((4, system.shape[1]))
     for solution in range(_N_SOLUTIONS):
         _assemble(table, ego, messages, n_slots, align, room, system, errors)
@@ -368,23 +368,23 @@ def _pose_errors(table, ego, messages, n_slots, align):
 def _sort(begin, end, first, table, lists, ego, vehicle, sender):
     """Sort the detections of a list by group, then by their places in the list, and number their messages, `sender`."""
     for p in range(begin, end):
-        ego.begin[lists.group[p] - first + 1] += 1
+        ego.begin[lists.group[p] - first + 1] += np.uint64(1)
     for g in range(len(ego.begin) - 1):
         ego.begin[g + 1] += ego.begin[g]
     n_messages, message = -1, np.int64(-1)
     for p in range(begin, end):
-        d, g = lists.member[p], lists.group[p] - first
+        d, g = np.uint64(lists.member[p]), lists.group[p] - first
         if table.message[d] != message:
             n_messages += 1
             message = table.message[d]
             sender[n_messages] = message
         k = ego.begin[g]
-        ego.begin[g] += 1
+        ego.begin[g] += np.uint64(1)
         ego.row[k], vehicle[k] = d, n_messages
         _locate(k, d, lists.seed[first + g], message, table, ego)
     for g in range(len(ego.begin) - 1, 0, -1):
         ego.begin[g] = ego.begin[g - 1]
-    ego.begin[0] = 0
+    ego.begin[0] = np.uint64(0)
 
 
 @kernel
@@ -589,7 +589,7 @@ def _assemble(table, ego, messages, n_slots, align, room, system, right):
         right[i] = 0.0
     for g in range(len(ego.begin) - 1):
         begin, end = ego.begin[g], ego.begin[g + 1]
-        if end - begin > 1:
+        if end > begin + np.uint64(1):
             _add_group(begin, end, ego, room, system, right)
 
 
@@ -624,20 +624,16 @@ def _add_group(begin, end, ego, room, system, right):
         a, b = _times(xx, xy, yy, x_pull, y_pull)
         share[0, i] = a
         share[1, i] = b
+    # The rows are changed as a whole long after their first entries: a processor waits if it reads what it just wrote.
+    for k in range(begin, end):
+        if k == begin or ego.slot[k] != ego.slot[k - np.uint64(1)]:
+            _add_detection(k, x, y, ego, system, right)
     for k in range(begin, end):
         s = 3 * ego.slot[k]
         if s < 0 or ego.weight[k] <= 0.0:
             continue
-        u = ego.x[k] - x
-        v = ego.y[k] - y
-        left, up = ego.left[k], ego.up[k]
-        for c in range(3):
-            a, b = _pull(c, k, info, ego)
-            right[s + c] += a * u + b * v
-            system[s, s + c] += a
-            system[s + 1, s + c] += b
-            turned = b * left - a * up
-            system[s + 2, s + c] += turned
+        if k != begin and ego.slot[k] == ego.slot[k - np.uint64(1)]:
+            _add_detection(k, x, y, ego, system, right)
         east, north = pull[0], pull[1]
         factors = (
             *(east[s], east[s + 1], east[s + 2]),
@@ -648,13 +644,30 @@ def _add_group(begin, end, ego, room, system, right):
             pull[0, c] = pull[1, c] = 0.0
 
 
+@inlined
+def _add_detection(k, x, y, ego, system, right):
+    """Add what a detection says of the pose of its vehicle, given that the object is at x and y."""
+    s = 3 * ego.slot[k]
+    if s >= 0 and ego.weight[k] > 0.0:
+        u = ego.x[k] - x
+        v = ego.y[k] - y
+        left, up = ego.left[k], ego.up[k]
+        for c in range(3):
+            a, b = _pull(c, k, ego.info, ego)
+            right[s + c] += a * u + b * v
+            system[s, s + c] += a
+            system[s + 1, s + c] += b
+            turned = b * left - a * up
+            system[s + 2, s + c] += turned
+
+
 @kernel
 def _reweigh(ego, errors):
     """Weights by the residuals. Those that are not used stay so."""
     given = ego.given
     for g in range(len(ego.begin) - 1):
         begin, end = ego.begin[g], ego.begin[g + 1]
-        if end - begin < 2:
+        if end <= begin + np.uint64(1):
             continue
         x, y, _, _, _ = _mean_of_group(begin, end, ego, errors)
         for k in range(begin, end):

@@ -94,16 +94,20 @@ def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, sc
     radius, distance = np.sqrt(half_l * half_l + half_w * half_w), np.sqrt(x * x + y * y)
     least, most = np.float32(distance - radius - 3.0 * error), np.float32(distance + radius + 3.0 * error)
     p, q = -(cos * x + sin * y), -(cos * y - sin * x)
-    n_grazing = _crossings(beams.cos_az[a0:a1], beams.sin_az[a0:a1], p, q, cos, sin, half_l, half_w, middle, half)
     b1 = min(b1, m // LANES)  # whole blocks
-    if np.hypot(distance + radius, abs(z) + half_h) + error >= NO_RETURN * step_m:
+    if distance + radius + abs(z) + half_h + error >= NO_RETURN * step_m:
         b1 = b0  # no return is not told from a range there
+    n_grazing = -1  # until a tile needs to know
     height, half_height, margin, total = np.float32(z), np.float32(half_h), np.float32(error), 0
-    for b in range(b0, b1):
-        row = np.uint64(b * LANES)
-        for t in range(t0, t1):
+    for b in range(np.uint64(b0), np.uint64(b1)):
+        row = b * np.uint64(LANES)
+        for t in range(np.uint64(t0), np.uint64(t1)):
             if farthest[b, t] >= least and nearest[b, t] <= most:
-                for c in range(np.uint64(max(TILE * t, a0)), np.uint64(min(TILE * t + TILE, a1))):
+                if n_grazing < 0:
+                    ca, sa = beams.cos_az[a0:a1], beams.sin_az[a0:a1]
+                    n_grazing = _crossings(ca, sa, p, q, cos, sin, half_l, half_w, middle, half)
+                first = t * np.uint64(TILE)
+                for c in range(max(first, np.uint64(a0)), min(first + np.uint64(TILE), np.uint64(a1))):
                     i = c - np.uint64(a0)
                     count, undecided = near_box(
                         steps, c, row, cos_el, sin_el, middle[i], half[i], height, half_height, margin
@@ -115,7 +119,7 @@ def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, sc
     rest = max(r0, b1 * LANES)
     if n_grazing > 0 or rest < r1:
         for column in range(a0, a1):
-            for r in range(r0 if np.isnan(half[column - a0]) else rest, r1):
+            for r in range(r0 if n_grazing > 0 and np.isnan(half[column - a0]) else rest, r1):
                 total += _is_inside(steps, step_m, beams, column, r, box)
     return total
 

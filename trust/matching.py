@@ -14,10 +14,13 @@ from trust.tables import Groups, ObjectLists, SentDetections, float64, int64
 
 @njit(cache=True, nogil=True)
 def _candidate(d, after, at, block, ptr, other, value):
-    """First message after block `after` with a seed for detection d; of its seeds the one of first maximum IoU."""
+    """First message after block `after` with a seed for detection d; of its seeds the one of first maximum IoU.
+
+    Unsigned numbers of rows, because signed ones are tested for being negative at each access.
+    """
     best, best_iou = -1, 0.0
-    for x in range(ptr[d], ptr[d + 1]):
-        q = at[other[x]]
+    for x in range(np.uint64(ptr[d]), np.uint64(ptr[d + 1])):
+        q = at[np.uint32(other[x])]
         if q < 0 or block[q] <= after:
             continue
         if (
@@ -38,8 +41,8 @@ def _offer(s, t, member, seed, first, ptr, other, value, v, offer, offer_iou, of
     for p in range(s, t):
         if seed[p] != p:
             continue
-        for x in range(ptr[member[p]], ptr[member[p] + 1]):
-            d = other[x]
+        for x in range(np.uint64(ptr[member[p]]), np.uint64(ptr[member[p] + 1])):
+            d = np.uint32(other[x])
             if offer_list[d] != v or (first[offer[d]] == s and value[x] > offer_iou[d]):
                 offer[d], offer_iou[d], offer_list[d] = p, value[x], v
 
