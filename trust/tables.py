@@ -298,7 +298,8 @@ class ObserverRows(NamedTuple):
     n: Int[ndarray, "n"]  # evaluations
 
 
-_QUANTUM = float(1 << 32)
+QUANTUM = float(1 << 32)
+"""Evidence is rounded to multiples of 1 / QUANTUM, so that sums are exact in any order of summation."""
 
 
 @njit(cache=True, nogil=True)
@@ -315,8 +316,8 @@ def _counting(ptr, evaluator, observer, evaluation, visibility, eta):
                     denies = 1.0 if e <= 0.0 else 0.0
                 else:
                     denies = min(max(e / eta, 0.0), 1.0)
-                pos[n] = np.rint(phi * max(e, 0.0) * _QUANTUM) / _QUANTUM
-                neg[n] = np.rint(phi * denies * _QUANTUM) / _QUANTUM
+                pos[n] = np.rint(phi * max(e, 0.0) * QUANTUM) / QUANTUM
+                neg[n] = np.rint(phi * denies * QUANTUM) / QUANTUM
                 if pos[n] > 0.0 or neg[n] > 0.0:
                     kept[n], sent_by[n] = k, message
                     n += 1
