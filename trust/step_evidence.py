@@ -20,8 +20,9 @@ from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray
 
+from cosim.base.ragged import offsets, ranges
 from trust.open_steps import AcceptedEvaluations, OpenStep
-from trust.tables import EvaluationMessages, float64, pair_key, ranges, unpaired
+from trust.tables import EvaluationMessages, float64, pair_key, unpaired
 
 ONE = float(1 << 44)
 """Fixed point of the sums: the error is 3e-14 per evaluation, and there is room for half a million of them."""
@@ -142,7 +143,7 @@ class StepEvidence:
     ) -> None:
         """Add what each evaluation adds, for every holder that received its message."""
         holders, holder_row = np.unique(accepted.holder, return_inverse=True)
-        received_ptr = np.append(0, np.cumsum(np.bincount(holder_row, minlength=holders.size)))
+        received_ptr = offsets(np.bincount(holder_row, minlength=holders.size))
         message = accepted.message_row[np.argsort(holder_row, kind="stable")]
         ptr, subject = accepted.ptr, accepted.observer
         every = np.ones(subject.size, bool)
@@ -208,7 +209,7 @@ class StepEvidence:
         if self.pairs.size == before.size:
             return
         n_slots = np.diff(self.sent.first)[self._subjects(self.pairs)]
-        self.block = np.concatenate([[0], np.cumsum(n_slots)])
+        self.block = offsets(n_slots)
         slots = ranges(self.block[np.searchsorted(self.pairs, before)], n_before)  # where the old ones are now
         for name in ("sums", "n_evaluations"):
             old = getattr(self, name)
