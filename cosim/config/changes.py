@@ -1,4 +1,4 @@
-"""The keys of a config that differ from the default of its preset."""
+"""The keys of a config that differ from the default of its preset, as `cosim check` lists them."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -43,6 +43,7 @@ def changes(config: Config, path: Path | None) -> list[Change]:
 
 
 def _of(section: str, value: Any, default: Any, config: Config) -> Iterator[Change]:
+    """Changes of a key, of the keys of a section, or of a list of sections."""
     if _plain(value) == _plain(default):
         return
     if isinstance(value, Mapping):
