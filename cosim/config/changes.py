@@ -78,8 +78,7 @@ def _own_keys(item: Mapping[str, Any], params: list[Any]) -> dict[str, Any]:
         if is_dataclass(one):
             defaults |= {f.name: _plain(_default(f)) for f in fields(one)}
     first = next(iter(item), "")
-    is_default = {key for key in item if key in defaults and _plain(item[key]) == defaults[key]}
-    return {key: value for key, value in item.items() if key == first or key not in is_default}
+    return {key: value for key, value in item.items() if key == first or _plain(value) != defaults.get(key, NONE)}
 
 
 def _default(field: Any) -> Any:

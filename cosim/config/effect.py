@@ -77,8 +77,11 @@ def without_effect(config: Config, is_replayed: bool) -> list[str]:
     """
     usual = _usual(config.preset)
     lists = ("attacks.", "roadside.", "encounters.", "trust_variant.", "objects.", "meshes.", "vehicle_meshes.")
-    keys = ((name, value) for name, value in _leaves(config.to_dict()) if not name.startswith(lists))
-    stated = [name for name, value in keys if all(value != one.get(name) for one in usual)]
+    stated = [
+        name
+        for name, value in _leaves(config.to_dict())
+        if not name.startswith(lists) and all(value != one.get(name) for one in usual)
+    ]
     simulated = (
         ("traffic.seed", "traffic.scale", "traffic.car_following"),
         "SUMO (traffic is replayed)",
