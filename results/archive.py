@@ -1,4 +1,4 @@
-"""Open a run: its tables and the metrics computed from them."""
+"""Open a run folder: its tables (`results.run`) and the metrics computed from them (`results.measure`)."""
 
 from functools import cached_property
 from pathlib import Path
@@ -48,7 +48,7 @@ def open_run(path: str | Path, unfinished: bool = False) -> OpenRun:
     check_schema(path, manifest)
     status = manifest["status"]
     run = OpenRun(path, manifest)
-    is_live = is_live and status != "finished"
+    is_live = is_live and status != "finished"  # a finished run may still be locked for a moment
     if is_live and unfinished:
         run.hold_open_parts()
     if problem := next(problems(path, manifest, run.inventory), ""):

@@ -1,4 +1,8 @@
-"""What an export is made from: the chosen vehicles and steps of a run, and its tables step by step."""
+"""What an export is made from: the chosen vehicles and steps of a run, and its tables step by step.
+
+An export plans its files from a `Selection` (`Plan`: units of files that are written together). It makes the content of
+each file from the `Moment` of a step. The exporters are in `cosim.addons.export`.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,6 +20,7 @@ from results.run import Run
 from results.sensing import senses
 
 BOX = ["x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad"]
+"""Columns of a box: centre, size and heading, world frame."""
 UNIT_STEPS = 20
 """Steps of one unit of work: what is done again after an interruption."""
 
@@ -32,7 +37,9 @@ class Visible:
 
     actor: Int[ndarray, "m"]
     n_points: Int[ndarray, "m"]
+    """Returns of the actor in the vehicle's sweep."""
     n_unoccluded: Int[ndarray, "m"]
+    """Returns that there would be if nothing stood before the actor."""
 
 
 NOTHING = Visible(*(np.zeros(0, np.int64) for _ in range(3)))
@@ -83,6 +90,7 @@ class Moment:
     actor: Int[ndarray, "n"]
     vehicle_class: ndarray
     box: Float[ndarray, "n 7"]
+    """Columns as `BOX`."""
     speed_mps: Float[ndarray, "n"]
     detections: Mapping[int, pd.DataFrame]
     """By vehicle: its list as transmitted, self report included."""
@@ -128,7 +136,8 @@ class Selection:
     @cached_property
     def presence(self) -> pd.DataFrame:
         """(step, vehicle) of every chosen vehicle that senses, sorted; the frames of an export."""
-        where = pc.field("actor").isin(list(self.vehicles)) & pc.field("step").isin(self.steps.tolist())
+        is_chosen = pc.field("actor").isin(list(self.vehicles))
+        where = is_chosen & pc.field("step").isin(self.steps.tolist())
         found = self.run.table("actors", ["step", "actor"], where).rename(columns={"actor": "vehicle"})
         found = found.astype({"step": np.int64, "vehicle": np.int64})
         found = found[senses(self.run, found.step.to_numpy(), found.vehicle.to_numpy())]
@@ -184,44 +193,55 @@ class Selection:
         where = pc.field("step").isin(steps.tolist())
         detections = self._detections(where)
         visible = self.run.table("observability", where=where & pc.field("observer").isin(list(self.vehicles)))
-        lists = {int(cast(int, step)): part for step, part in detections.groupby("step")}
-        seen = _visible(visible)
+        of_step = _by_number(detections, "step")
+        visible_of_step = _visible(visible)
         for moment in self.traffic(steps):
-            here = lists.get(moment.step, detections[:0])
-            by_vehicle = {int(cast(int, v)): part for v, part in here.groupby("vehicle")}
-            yield replace(moment, detections=by_vehicle, visible=seen.get(moment.step, {}))
+            of_vehicle = _by_number(of_step.get(moment.step, detections[:0]), "vehicle")
+            yield replace(moment, detections=of_vehicle, visible=visible_of_step.get(moment.step, {}))
 
     def traffic(self, steps: Int[ndarray, "b"]) -> Iterator[Moment]:
         """Like `moments`, but the actors alone: nothing is detected or visible."""
         where = pc.field("step").isin(steps.tolist())
         actors = self.run.table("actors", where=where).sort_values(["step", "actor"])
         actors = actors.join(self.bodies, on="actor")
-        for key, rows in actors.groupby("step"):
+        for step, rows in actors.groupby("step"):
             yield Moment(
-                int(cast(int, key)), rows.actor.to_numpy(np.int64), rows.vehicle_class.astype(object).to_numpy(),
-                rows[BOX].to_numpy(np.float64), rows.speed_mps.to_numpy(np.float64), {}, {},
-            )  # fmt: skip
+                step=int(cast(int, step)),
+                actor=rows.actor.to_numpy(np.int64),
+                vehicle_class=rows.vehicle_class.astype(object).to_numpy(),
+                box=rows[BOX].to_numpy(np.float64),
+                speed_mps=rows.speed_mps.to_numpy(np.float64),
+                detections={},
+                visible={},
+            )
 
     def _detections(self, where: pc.Expression) -> pd.DataFrame:
         """Lists of the chosen vehicles as transmitted, with the vehicle beside the pseudonym."""
-        of = self.run.subjects.vehicle
-        mine = of[of.isin(list(self.vehicles))].index.tolist()
+        vehicle_of = self.run.subjects.vehicle  # by pseudonym
+        pseudonyms = vehicle_of[vehicle_of.isin(list(self.vehicles))].index.tolist()
         columns = ["step", "observer", "detection_index", "class", *BOX, "score", "n_points", "origin", "transmitted"]
-        found = self.run.table("detections", columns, where & pc.field("observer").isin(mine))
+        found = self.run.table("detections", columns, where & pc.field("observer").isin(pseudonyms))
         found = found[found.transmitted]
-        return found.assign(vehicle=found.observer.map(of).astype(np.int64))
+        return found.assign(vehicle=found.observer.map(vehicle_of).astype(np.int64))
+
+
+def _by_number(rows: pd.DataFrame, column: str) -> dict[int, pd.DataFrame]:
+    """Rows by the number in a column, in ascending order."""
+    return {int(cast(int, number)): some for number, some in rows.groupby(column)}
 
 
 def _visible(rows: pd.DataFrame) -> dict[int, dict[int, Visible]]:
-    """By step and vehicle."""
+    """Rows of the table `observability`, by step and vehicle."""
     rows = rows.sort_values(["step", "observer", "actor"])
     step, observer = rows.step.to_numpy(np.int64), rows.observer.to_numpy(np.int64)
     columns = [rows[name].to_numpy(np.int64) for name in ("actor", "n_points", "n_unoccluded")]
-    cuts = np.flatnonzero((np.diff(step, prepend=-1) != 0) | (np.diff(observer, prepend=-1) != 0))
+    is_first = (np.diff(step, prepend=-1) != 0) | (np.diff(observer, prepend=-1) != 0)  # of a step and a vehicle
+    begins = np.flatnonzero(is_first)
+    ends = np.append(begins, len(step))[1:]  # none of an empty table, which has no `begins`
     found: dict[int, dict[int, Visible]] = {}
-    ends = np.append(cuts, len(step))[1:]  # none of an empty table, as there are no cuts
-    for begin, end in zip(cuts.tolist(), ends.tolist(), strict=True):
-        found.setdefault(int(step[begin]), {})[int(observer[begin])] = Visible(*(c[begin:end] for c in columns))
+    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+        of_step = found.setdefault(int(step[begin]), {})
+        of_step[int(observer[begin])] = Visible(*(column[begin:end] for column in columns))
     return found
 
 
@@ -244,11 +264,8 @@ def sensor_pose(box: Float[ndarray, "7"], above_roof_m: float) -> Float[ndarray,
 
 def corners_of(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 8 3"]:
     """The eight corners of each box, as data sets of OpenCOOD list them: four below, then four above."""
-    along = 0.5 * np.array([[1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, -1],
-                            [1, -1, 1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1]])  # fmt: skip
-    local = along * box[:, None, 3:6]
+    half = 0.5 * np.array([(x, y, z) for z in (-1, 1) for x, y in ((1, -1), (1, 1), (-1, 1), (-1, -1))])
+    x, y, z = np.moveaxis(half * box[:, None, 3:6], -1, 0)  # in the frame of each box, n x 8
     cos, sin = np.cos(box[:, 6])[:, None], np.sin(box[:, 6])[:, None]
-    turned = np.stack(
-        [cos * local[..., 0] - sin * local[..., 1], sin * local[..., 0] + cos * local[..., 1], local[..., 2]], axis=-1
-    )
+    turned = np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
     return turned + box[:, None, :3]

@@ -1,4 +1,4 @@
-"""Part files read back: columns, rows, pieces."""
+"""Reads part files, in which a run keeps the rows of a table block by block. `results.run` decides which are read."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -36,12 +36,13 @@ def plain(column: pa.Array, labels: Sequence[str]) -> np.ndarray:
         return column.to_numpy(zero_copy_only=False)
     found = column.dictionary.to_pylist()
     check_labels(found, labels)
-    code = np.array([*map(list(labels).index, found), -1], np.int16)
-    return code[column.indices.fill_null(-1).to_numpy(zero_copy_only=False)]
+    codes = np.array([*map(list(labels).index, found), -1], np.int16)  # the last one is that of null
+    rows = column.indices.fill_null(-1)
+    return codes[rows.to_numpy(zero_copy_only=False)]
 
 
 def as_stored(column: pa.ChunkedArray, kind: pa.DataType) -> pa.ChunkedArray:
-    """The same column in another type; texts become labels where that has some."""
+    """A column in the type in which `results.tables.schema` stores it; texts become labels if that type has labels."""
     if not pa.types.is_dictionary(kind):
         return column.cast(kind)
     labels = column.combine_chunks().dictionary_encode()

@@ -1,4 +1,10 @@
-"""A run on disk: its tables as pandas DataFrames, read when they are first used."""
+"""A run on disk: its tables as pandas DataFrames, read when they are first used.
+
+`results.archive.open_run` opens a run. A table on disk is a folder of part files, one per block of steps, and the
+inventory of the run lists them (`results.inventory`). Every read takes the same way: `_paths` compares the parts of a
+table with the inventory, `_check` verifies the checksum of a part, `results.part_reader` reads its columns, and
+`_in_bounds` refuses numbers that no run writes. Metrics read large tables block after block (`parts`, `pieces`).
+"""
 
 import shutil
 import tempfile
@@ -60,11 +66,13 @@ class Run:
         self.damage: list[str] = []
         """Damage found while tables were read. Commands that show figures must report it."""
         self._sound: set[str] = set()
+        """Parts whose checksums were verified."""
         self._common: dict[str, Any] = {}
         """Results that all trust variants have in common, once computed."""
         self._held: HeldParts | None = None
         """Copies of the parts that the writing process will remove; None if no process writes the run."""
         self._own: dict[str, Any] = {}
+        """Results of this trust variant, once computed."""
 
     @cached_property
     def inventory(self) -> Inventory:
@@ -155,11 +163,8 @@ class Run:
 
     def _tables_there(self) -> tuple[str, ...]:
         recorded = self.manifest.get("inventory", {}).get("tables", ())
-        return tuple(
-            name for name in TABLES
-            if name not in self.manifest.get("dropped", ())
-            and ((self.path / name).is_dir() or self.inventory.of(name) or name in recorded)
-        )  # fmt: skip
+        there = (name for name in TABLES if (self.path / name).is_dir() or self.inventory.of(name) or name in recorded)
+        return tuple(name for name in there if name not in self.manifest.get("dropped", ()))
 
     def table(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
@@ -187,31 +192,40 @@ class Run:
         return self._pandas(pa.concat_tables([wanted.empty_table(), *parts]), name)
 
     def _whole(self, path: Path, columns: Sequence[str], where: pc.Expression | None) -> pa.Table:
-        """Columns and rows of a part file, those not on disk included: they are those of detections that rows name."""
+        """Columns and rows of a part file, virtual columns included.
+
+        Rows of `fused` name detections. Its virtual columns are not on disk: they are those of the detections named.
+        """
         table = TABLES[path.parent.name]
         virtual = table.virtual(columns, where)
         if not virtual:
             return self._part(path, columns, where)
         from results.sql import LINKS
 
-        late = where if table.virtual((), where) else None
-        stored = [name for name in table.stored if name in columns or name in LINKS or late is not None]
-        rows = self._part(path, stored, None if late is not None else where)
-        steps = [rows.column(name) for name in ("source_step", "pose_step")]
-        found = self._database().columns_of_detections(rows.select(LINKS), virtual, self._files_of_steps(steps))
+        filters_late = bool(table.virtual((), where))  # the condition needs a virtual column
+        stored = [name for name in table.stored if name in columns or name in LINKS or filters_late]
+        rows = self._part(path, stored, None if filters_late else where)
+        detections = self._files_of_steps([rows.column(name) for name in ("source_step", "pose_step")])
+        found = self._database().columns_of_detections(rows.select(LINKS), virtual, detections)
         if len(found) != len(rows):
             names = "it names detections that do not exist, or more than one by one name"
             raise Damaged(f"{path} is damaged: {names}. Run `cosim verify` on its run.")
-        for field in (schema(path.parent.name, whole=True).field(name) for name in virtual):
-            rows = rows.append_column(field, part_reader.as_stored(found.column(field.name), field.type))
-        return (rows if late is None else rows.filter(late)).select(list(columns))
+        for name in virtual:
+            field = schema(path.parent.name, whole=True).field(name)
+            rows = rows.append_column(field, part_reader.as_stored(found.column(name), field.type))
+        return (rows.filter(where) if filters_late else rows).select(list(columns))
 
     def _files_of_steps(self, steps: Sequence[pa.ChunkedArray]) -> list[Path]:
-        """Part files of the detections of these steps; one at least."""
+        """Part files of the detections of the steps in these columns, after their checksums were verified.
+
+        There is one at least, because its columns are needed even if no row is.
+        """
         ends = [end for column in steps for end in pc.min_max(column).as_py().values() if end is not None] or [0]
-        parts = zip(self._paths("detections"), self.inventory.of("detections"), strict=True)
-        there = [(path, part.first_step <= max(ends) and part.last_step >= min(ends)) for path, part in parts]
-        found = [path for path, is_of_steps in there if is_of_steps] or [path for path, _ in there[:1]]
+        first, last = min(ends), max(ends)
+        paths = self._paths("detections")
+        parts = zip(paths, self.inventory.of("detections"), strict=True)
+        found = [path for path, part in parts if part.first_step <= last and part.last_step >= first]
+        found = found or paths[:1]
         for path in found:
             self._check(path)
         return found
@@ -233,12 +247,14 @@ class Run:
         return self.table(name, columns, self._of_variant(name, where))
 
     def _variant_encounters(self, columns: Sequence[str] | None, where: pc.Expression | None) -> pd.DataFrame:
-        wanted = list(TABLES["encounters"].columns if columns is None else columns)
-        own = [c for c in TABLES["encounter_trust"].columns if c != "variant"]
-        key = [c for c in own if c in TABLES["encounters"].key]
-        mine = self.table("encounter_trust", own, self._of_variant("encounter_trust", None))
-        kept = [c for c in TABLES["encounters"].columns if c in key or (c in wanted and c not in own)]
-        return self.table("encounters", kept, where).merge(mine, on=key, how="left")[wanted]
+        """Encounters, whose columns about trust come from the table `encounter_trust`."""
+        encounters = TABLES["encounters"]
+        wanted = list(encounters.columns if columns is None else columns)
+        of_trust = [c for c in TABLES["encounter_trust"].columns if c != "variant"]
+        key = [c for c in of_trust if c in encounters.key]
+        others = [c for c in encounters.columns if c in key or (c in wanted and c not in of_trust)]
+        trust = self.table("encounter_trust", of_trust, self._of_variant("encounter_trust", None))
+        return self.table("encounters", others, where).merge(trust, on=key, how="left")[wanted]
 
     def variant_parts(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
@@ -266,12 +282,13 @@ class Run:
         be null become floats.
         """
         assert not TABLES[name].virtual(columns, None), "columns that are on disk"
-        labels = {c: TABLES[name].columns[c].labels(self.manifest) for c in self._wanted(name, columns).names}
+        wanted = self._wanted(name, columns).names
+        labels = {column: TABLES[name].columns[column].labels(self.manifest) for column in wanted}
         for number, path in enumerate(self._paths(name)):
             self._check(path)
             for rows in part_reader.read_pieces(path, columns, n_rows):
                 self._in_bounds(path, rows)
-                yield number, {c: part_reader.plain(rows.column(c), labels[c]) for c in columns}
+                yield number, {column: part_reader.plain(rows.column(column), labels[column]) for column in columns}
 
     def sql(self, query: str, **values: Any) -> pd.DataFrame:
         """Ask the tables a question in SQL: `run.sql("SELECT role, count(*) AS n FROM vehicles GROUP BY role")`.
@@ -307,7 +324,8 @@ class Run:
 
     def _folders(self) -> list[Path]:
         """Folders of the part files."""
-        return [folder.resolve() for folder in (self.path, *([self._held.path] if self._held else []))]
+        folders = [self.path] if self._held is None else [self.path, self._held.path]
+        return [folder.resolve() for folder in folders]
 
     def _of_variant(self, name: str, where: pc.Expression | None) -> pc.Expression | None:
         """The condition on rows, and that they are the variant's."""
@@ -333,19 +351,20 @@ class Run:
                 why = f'it is kept at record.level = "{TABLES[name].level}" and above. Set record.level and run again.'
                 record = self.manifest["config"].get("record")
                 level = record.get("level") if isinstance(record, dict) else None
-                if level in LEVELS and name in kept(level) and name not in self.manifest.get("dropped", ()):
+                is_dropped = name in self.manifest.get("dropped", ())
+                if level in LEVELS and name in kept(level) and not is_dropped:
                     why = "an earlier cosim wrote the run, which did not have this table. Run again."
                 raise ValueError(f"{self.path} holds no table {name}: {why}")
 
     def _wanted(self, name: str, columns: Sequence[str] | None) -> pa.Schema:
+        """Names and types of the columns asked for; all if that is None. ValueError if the run does not have them."""
         self.require(name)
-        if TABLES[name].virtual(list(TABLES[name].columns) if columns is None else columns, None):
+        known = list(TABLES[name].columns)
+        if TABLES[name].virtual(known if columns is None else columns, None):
             self.require("detections")
-        unknown = sorted(set(columns or ()) - set(TABLES[name].columns))
+        unknown = sorted(set(columns or ()) - set(known))
         if unknown:
-            raise ValueError(
-                f"Table {name} has no column {', '.join(unknown)}. The columns are {', '.join(TABLES[name].columns)}."
-            )
+            raise ValueError(f"Table {name} has no column {', '.join(unknown)}. The columns are {', '.join(known)}.")
         whole = schema(name, whole=True)
         return whole if columns is None else pa.schema([whole.field(c) for c in columns])
 
@@ -354,12 +373,13 @@ class Run:
         return self.once_for_all(f"parts of {name}", lambda: self._checked_paths(name))
 
     def _checked_paths(self, name: str) -> list[Path]:
-        found = self.inventory if self._held is None else self.inventory.closed()
-        is_over, is_live = self.manifest["status"] in OVER, self._held is not None
-        if problem := next(problems_of(self.path, name, found, is_over, is_live), None):
+        held = self._held
+        found = self.inventory if held is None else self.inventory.closed()  # without the parts that were copied
+        is_over = self.manifest["status"] in OVER
+        if problem := next(problems_of(self.path, name, found, is_over, held is not None), None):
             self._found_damaged(problem)
-        held = {} if self._held is None else dict.fromkeys(self.inventory.parts[len(found.parts) :], self._held.path)
-        return [held.get(part, self.path) / part.name for part in self.inventory.of(name)]
+        copies = {} if held is None else dict.fromkeys(self.inventory.parts[len(found.parts) :], held.path)
+        return [copies.get(part, self.path) / part.name for part in self.inventory.of(name)]
 
     def _part(self, path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
         """Columns of a part, after its checksum was verified."""
@@ -369,14 +389,18 @@ class Run:
     def _check(self, path: Path) -> None:
         """Raise Damaged if the checksum of a part is wrong; each part is checked once."""
         name = f"{path.parent.name}/{path.name}"
-        if name not in self._sound:
-            part = next((part for part in self.inventory.of(path.parent.name) if part.name == name), None)
-            if part is None or (problem := content_problem(path.parent.parent, part)):
-                self._found_damaged(problem if part is not None else f"{name} is not in the inventory")
-            self._sound.add(name)
+        if name in self._sound:
+            return
+        part = next((part for part in self.inventory.of(path.parent.name) if part.name == name), None)
+        if part is None:
+            self._found_damaged(f"{name} is not in the inventory")
+        elif problem := content_problem(path.parent.parent, part):
+            self._found_damaged(problem)
+        self._sound.add(name)
 
     def _in_bounds(self, path: Path, rows: R) -> R:
-        """The same rows. Raises Damaged if a whole number names what the run does not have, or a real one is infinite.
+        """The rows as they are. Raises Damaged if a whole number names what the run does not have, or a real one is
+        infinite.
 
         The first may become an index, and no run writes the second.
         """
@@ -387,8 +411,8 @@ class Run:
                 self._found_damaged(f"{table}/{path.name} has an infinite {name}", "Run again.")
             if column.type not in WHOLE or not len(values):
                 continue
-            ends = pc.min_max(values).as_py()
-            wrong = [end for end in ends.values() if end is not None and not 0 <= end < self._n_named(column.of)]
+            ends, limit = pc.min_max(values).as_py().values(), self._n_named(column.of)
+            wrong = [end for end in ends if end is not None and not 0 <= end < limit]
             if not wrong and column.of == "pseudonyms" and len(self._pseudonyms()):
                 named = values.drop_null().to_numpy()
                 wrong = named[~np.isin(named, self._pseudonyms())].tolist()
@@ -467,9 +491,7 @@ class Run:
         return TABLES["vehicles"].columns["role"].labels(self.manifest)
 
 
-def problems_of(
-    folder: Path, table: str, found: Inventory, is_over: bool, is_live: bool = False
-) -> Iterator[str]:  # fmt: skip
+def problems_of(folder: Path, table: str, found: Inventory, is_over: bool, is_live: bool = False) -> Iterator[str]:
     """Parts of a table that are missing, of another size, or not in the inventory.
 
     Before the run is over, there may be parts of the block that is being written; they are not read. While a process
@@ -477,22 +499,23 @@ def problems_of(
     """
     known = {part.file: part for part in found.of(table)}
     try:
-        there = {path.name: path for path in sorted((folder / table).iterdir())}
+        on_disk = {path.name: path for path in (folder / table).iterdir()}
     except (FileNotFoundError, NotADirectoryError):
-        there = {}
+        on_disk = {}
     for file, part in known.items():
-        if file not in there:
+        if file not in on_disk:
             yield f"{part.name} is missing"
-        elif there[file].is_symlink() or not there[file].is_file():
+        elif on_disk[file].is_symlink() or not on_disk[file].is_file():
             yield f"{part.name} is no regular file"
-        elif (size := there[file].stat().st_size) != part.n_bytes:
+        elif (size := on_disk[file].stat().st_size) != part.n_bytes:
             yield f"{part.name} has {size} bytes and should have {part.n_bytes}"
+    if is_live:
+        return
     last = found.blocks[-1].number if found.blocks else -1
-    for file in sorted(there.keys() - known.keys()):
-        stem = file.removesuffix(durable.PARTIAL)
-        opened = (f"open-{n:05d}.parquet" for n in (last - 1, last + 1))
-        under_way = stem in {"part-next", "open-next", f"part-{last + 1:05d}.parquet", *opened}
-        if not is_live and (is_over or not under_way):
+    opened = {f"open-{n:05d}.parquet" for n in (last - 1, last + 1)}
+    under_way = set() if is_over else {"part-next", "open-next", f"part-{last + 1:05d}.parquet"} | opened
+    for file in sorted(on_disk.keys() - known.keys()):
+        if file.removesuffix(durable.PARTIAL) not in under_way:
             yield f"{table}/{file} is not in the inventory"
 
 
@@ -517,6 +540,7 @@ def content_problem(folder: Path, part: Part) -> str:
 
 def _steps_of(about: pq.FileMetaData) -> tuple[int, int] | None:
     """The first and the last step of a part, by the statistics of its first column."""
-    of_groups = [about.row_group(i).column(0).statistics for i in range(about.num_row_groups)]
-    ends = [int(end) for s in of_groups if s is not None and s.has_min_max for end in (s.min, s.max)]
+    of_groups = (about.row_group(i).column(0).statistics for i in range(about.num_row_groups))
+    stated = [group for group in of_groups if group is not None and group.has_min_max]
+    ends = [int(end) for group in stated for end in (group.min, group.max)]
     return (min(ends), max(ends)) if ends else None

@@ -1,4 +1,8 @@
-"""Evaluations that holders have received of the recent steps: one log for all models that read it."""
+"""Evaluations that holders have received of the recent steps: one log for all models that read it.
+
+Trust models that are written in NumPy (`trust.models.stepwise`) read one step of it at a time, as `StepRows`. The model
+TruPercept has a store of its own, `trust.evidence_store`, which keeps sums instead of rows.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -10,9 +14,7 @@ from numpy import ndarray
 
 from trust.open_steps import LARGE, OpenSteps
 from trust.pair_index import PairIndex, find, with_rows
-from trust.tables import DetectionRows, ObserverRows, ReceivedEvaluations, float64, int64
-
-_QUANTUM = float(1 << 32)
+from trust.tables import QUANTUM, DetectionRows, ObserverRows, ReceivedEvaluations, float64, int64
 
 
 def exact(values: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
@@ -22,17 +24,18 @@ def exact(values: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
     -------
     The values as multiples of 2^-32. Sums of them are exact as long as they do not exceed 2^20 in size.
     """
-    return np.rint(values * _QUANTUM) / _QUANTUM
+    return np.rint(values * QUANTUM) / QUANTUM
 
 
 @njit(cache=True, nogil=True, inline="always")
 def rounded(value):
     """One value as `exact` rounds it, for kernels."""
-    return np.rint(value * _QUANTUM) / _QUANTUM
+    return np.rint(value * QUANTUM) / QUANTUM
 
 
 @njit(cache=True, nogil=True)
 def _sums(group, values, n_groups):
+    """`exact_sums`, compiled."""
     sums = np.zeros(n_groups)
     for i in range(group.size):
         sums[group[i]] += rounded(values[i])
@@ -60,27 +63,31 @@ def exact_sums(group: Int[ndarray, "n"], values: Float[ndarray, "n"], n_groups: 
 class StepRows:
     """Accepted evaluations of one step, in any order, by others than the subject who could see the detection.
 
-    Rows of (holder, subject) are those of `EvaluationLog.pairs`; rows of (evaluator, observer) are those of
-    `EvaluationLog.edges`.
+    There are three tables. The first has a row for every holder, evaluator and observer, with sums (n rows). The second
+    has a row for every single evaluation (k rows). The third has a row for every detection of which a holder has
+    evaluations (o rows).
+
+    Rows of (holder, evaluator) and (holder, observer) are those of `EvaluationLog.pairs`. Rows of (evaluator, observer)
+    are those of `EvaluationLog.edges`.
     """
 
-    evaluator: Int[ndarray, "n"]  # row of (holder, evaluator); one table row per holder, evaluator and observer
+    evaluator: Int[ndarray, "n"]  # row of (holder, evaluator)
     observer: Int[ndarray, "n"]  # row of (holder, observer)
     edge: Int[ndarray, "n"]  # row of (evaluator, observer)
     pos: Float[ndarray, "n"]  # sum of the positive evidence
     neg: Float[ndarray, "n"]  # sum of the negative evidence
     n: Int[ndarray, "n"]  # evaluations
-    row: Int[ndarray, "k"]  # of every single evaluation: its row above
-    by: Int[ndarray, "k"]  # of every single evaluation: row of (holder, evaluator)
-    about: Int[ndarray, "k"]  # of every single evaluation: row of (holder, observer)
-    object: Int[ndarray, "k"]  # of every single evaluation: the detection, numbered by holder, observer and index
-    object_pos: Float[ndarray, "k"]
-    object_neg: Float[ndarray, "k"]
-    index: Int[ndarray, "k"]  # of every single evaluation: detection_index, the number of its detection or claim
-    sender: Int[ndarray, "o"]  # of each detection: row of (holder, observer)
-    is_self: Bool[ndarray, "k"]  # of every single evaluation: whether it is of the observer's report of itself
     n_sent: Int[ndarray, "n"]  # detections in the evaluator's newest message then, its self report included
     is_own: Bool[ndarray, "n"]  # whether the holder itself is the evaluator
+    row: Int[ndarray, "k"]  # row of the first table to which the evaluation belongs
+    by: Int[ndarray, "k"]  # row of (holder, evaluator)
+    about: Int[ndarray, "k"]  # row of (holder, observer)
+    object: Int[ndarray, "k"]  # row of the third table: the detection, numbered by holder, observer and index
+    object_pos: Float[ndarray, "k"]  # positive evidence
+    object_neg: Float[ndarray, "k"]  # negative evidence
+    index: Int[ndarray, "k"]  # detection_index, the number of its detection or claim
+    is_self: Bool[ndarray, "k"]  # whether it is of the observer's report of itself
+    sender: Int[ndarray, "o"]  # row of (holder, observer)
 
     def per_observer(self, values: Float[ndarray, "n"], n_pairs: int) -> Float[ndarray, "n_pairs"]:
         """Sums over the rows of each (holder, observer), rounded as in `exact_sums`.
@@ -256,29 +263,49 @@ class EvaluationLog:
         np.add.at(self.counted[:, 0], pair, n)
 
     def _merged(self, step: _Step) -> StepRows:
-        parts, own = step.parts, step.own
-        if not parts:
-            row, real = np.zeros(0, np.int64), np.zeros(0)
-            parts, own = [(ObserverRows(row, row, row, real, real, row), DetectionRows(row, row, real, real))], [False]
-        first = np.cumsum([0, *(len(observers.n) for observers, _ in parts)])
-        holder, evaluator, observer, pos, neg, n = (np.concatenate(c) for c in zip(*(o for o, _ in parts), strict=True))
-        row = np.concatenate([d.row + begin for (_, d), begin in zip(parts, first, strict=False)])
-        index, object_pos, object_neg = (
-            np.concatenate([d[column] for _, d in parts]) for column in range(1, 4)
-        )  # fmt: skip
-        n_sent = step.n_sent[find(evaluator, step.pseudonyms)[0]]
-        evaluator, observer = self.pairs.rows(holder, evaluator), self.pairs.rows(holder, observer)
-        used = np.zeros(len(self.pairs), np.int64)
-        used[observer] = 1
+        """All parts of a step as one."""
+        observers, singles = _concatenated(step.parts)
+        evaluator = self.pairs.rows(observers.holder, observers.evaluator)
+        observer = self.pairs.rows(observers.holder, observers.observer)
+        about, index = observer[singles.row], singles.detection_index
+        pair, n_pairs = _ranks(about, len(self.pairs))
         width = int(index.max(initial=0)) + 1
-        about = observer[row]
-        number = (np.cumsum(used) - used)[about] * width + index
-        taken = np.zeros(int(used.sum()) * width, np.int64)
-        taken[number] = 1
-        one = (np.cumsum(taken) - taken)[number]
-        sender = np.zeros(int(taken.sum()), np.int64)
-        sender[one] = about
+        detection, n_detections = _ranks(pair * width + index, n_pairs * width)
+        sender = np.zeros(n_detections, np.int64)
+        sender[detection] = about
         return StepRows(
-            evaluator, observer, self.edges.rows(evaluator, observer), pos, neg, n, row, evaluator[row], about, one,
-            object_pos, object_neg, index, sender, index == 0, n_sent, np.repeat(own, np.diff(first)),
-        )  # fmt: skip
+            evaluator=evaluator,
+            observer=observer,
+            edge=self.edges.rows(evaluator, observer),
+            pos=observers.pos,
+            neg=observers.neg,
+            n=observers.n,
+            n_sent=step.n_sent[find(observers.evaluator, step.pseudonyms)[0]],
+            is_own=np.repeat(np.array(step.own, bool), np.array([len(part.n) for part, _ in step.parts], int)),
+            row=singles.row,
+            by=evaluator[singles.row],
+            about=about,
+            object=detection,
+            object_pos=singles.pos,
+            object_neg=singles.neg,
+            index=index,
+            is_self=index == 0,
+            sender=sender,
+        )
+
+
+def _concatenated(parts: list[tuple[ObserverRows, DetectionRows]]) -> tuple[ObserverRows, DetectionRows]:
+    """The rows of all parts, one part after another."""
+    whole, real = np.zeros(0, np.int64), np.zeros(0)
+    parts = parts or [(ObserverRows(whole, whole, whole, real, real, whole), DetectionRows(whole, whole, real, real))]
+    begins = np.cumsum([0, *(observers.n.size for observers, _ in parts)])
+    observers = ObserverRows(*map(np.concatenate, zip(*(part for part, _ in parts), strict=True)))
+    singles = (one._replace(row=one.row + begin) for (_, one), begin in zip(parts, begins, strict=False))
+    return observers, DetectionRows(*map(np.concatenate, zip(*singles, strict=True)))
+
+
+def _ranks(values: Int[ndarray, "k"], limit: int) -> tuple[Int[ndarray, "k"], int]:
+    """Rank of each value among the different values, and how many of these there are; values are below `limit`."""
+    occurs = np.zeros(limit, np.int64)
+    occurs[values] = 1
+    return (np.cumsum(occurs) - occurs)[values], int(occurs.sum())

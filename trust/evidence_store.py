@@ -1,4 +1,8 @@
-"""Evidence of the recent steps, shared by the models that differ in what counts of it and how long."""
+"""Evidence of the recent steps, shared by trust models that differ in what counts of it and for how long.
+
+`trust.models.trupercept` reads it. Received evaluations wait in the store, one `StepEvidence` per step sums them, and
+the models add up the steps of their windows.
+"""
 
 from typing import Protocol
 
@@ -13,8 +17,8 @@ from trust.step_evidence import Counting, StepEvidence
 from trust.tables import ReceivedEvaluations, unpaired
 
 
-class View(Protocol):
-    """A model that reads the store: what the store must know of it."""
+class StoreReader(Protocol):
+    """What the store must know of a model that reads it."""
 
     now: int
     """Newest step that the model has opened."""
@@ -31,17 +35,23 @@ class EvidenceStore:
     equal calls. All models must have received the same evaluations before any of them computes scores.
 
     Evaluations wait until `settle`. Many small batches of one step are then checked and added as one.
+
+    Parameters
+    ----------
+    expires
+        Whether evaluators are forgotten when their evaluations leave the windows. False if a model keeps evidence for
+        good.
     """
 
     def __init__(self, expires: bool = True) -> None:
         self.steps: dict[int, StepEvidence] = {}
-        self.views: list[View] = []
+        self.readers: list[StoreReader] = []
         self.pairs = PairIndex()
         self.evaluators = EvaluatorTable()
         self._expires = expires
         self._n_uses = np.zeros(0, np.int64)  # of each row: steps that use it, and models that keep it
-        self._opened, self._n_bad = -1, 0
-        self._n_added = 0
+        self._opened, self._n_bad_detections = -1, 0  # newest step, and detections of it that were rejected
+        self._n_added = 0  # calls of `add` that had an effect
         self._waiting: dict[int, list[ReceivedEvaluations]] = {}  # by step
 
     def open(
@@ -66,8 +76,8 @@ class EvidenceStore:
         if step > self._opened:
             sent = OpenStep(pseudonyms, observer_row, detection_index, score)
             self.steps[step] = StepEvidence(sent)
-            self._opened, self._n_bad = step, sent.n_bad_detections
-        return self._n_bad
+            self._opened, self._n_bad_detections = step, sent.n_bad_detections
+        return self._n_bad_detections
 
     def add(self, number: int, received: ReceivedEvaluations) -> bool:
         """Add received evaluations, unless another model has added them already.
@@ -101,16 +111,18 @@ class EvidenceStore:
             self._settle(step)
 
     def _settle(self, step: int) -> None:
+        """Check and add the evaluations of a step that wait, and count the rejected ones for the models."""
         for received in ReceivedEvaluations.joined(self._waiting.pop(step)):
             n_rejected = self._add(self.steps[step], received)
-            for view in self.views:
-                if step > view.now - view.window:
-                    view.n_rejected += n_rejected
+            for reader in self.readers:
+                if step > reader.now - reader.window:
+                    reader.n_rejected += n_rejected
 
     def _add(self, evidence: StepEvidence, received: ReceivedEvaluations) -> Int[ndarray, "reasons"]:
+        """Check and add evaluations of a step; returns how many were rejected, by `RejectReason`."""
         accepted = evidence.sent.accept(received)
         pairs, evaluators = evidence.add(received.messages, accepted)
-        if evidence.row.size < evidence.pairs.size:
+        if evidence.row.size < evidence.pairs.size:  # there are new pairs
             self._use(evidence.row, -1)
             evidence.row = self.pairs.rows(*unpaired(evidence.pairs))
             self._use(evidence.row, 1)
@@ -118,7 +130,9 @@ class EvidenceStore:
         self.evaluators.note(rows, evaluators, received.messages.step)
         return accepted.n_rejected
 
-    def of_pairs(self, step: int, counting: Counting) -> tuple[ndarray, ndarray, ndarray]:
+    def of_pairs(
+        self, step: int, counting: Counting
+    ) -> tuple[Int[ndarray, "p"], Float[ndarray, "p 2"], Int[ndarray, "p"]]:
         """Evidence of a step about each (holder, subject).
 
         Returns
@@ -131,7 +145,7 @@ class EvidenceStore:
 
     def expire(self) -> None:
         """Drop the steps that have left the windows of all models, and the pairs that no step uses any more."""
-        horizon = min(view.now - view.window for view in self.views)
+        horizon = min(reader.now - reader.window for reader in self.readers)
         old = [step for step in self.steps if step <= horizon]
         for step in old:
             self._use(self.steps.pop(step).row, -1)
@@ -153,6 +167,7 @@ class EvidenceStore:
         self._use(np.flatnonzero(chosen), 1)
 
     def _use(self, rows: Int[ndarray, "p"], change: int) -> None:
+        """Count one use more (`change` = 1) or less (-1) of each row."""
         self._n_uses = with_rows(self._n_uses, len(self.pairs))
         self._n_uses[rows] += change
 

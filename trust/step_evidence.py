@@ -1,33 +1,45 @@
-"""Evidence about the detections of one step.
+"""Evidence about the detections of one step: sums over the evaluations that holders have received.
 
-A *pair* is a holder and a subject of whose detections the holder has received evaluations. The pairs are sorted. Each
-has a block of slots, one per detection of the subject, and a slot holds sums over the evaluations of that detection.
-The sums are integers, so that no order of arrival, no batching and no delay can change one.
+A *pair* is a holder and a subject of whose detections the holder has received evaluations. Each pair has a block of
+slots, one per detection of the subject. A slot holds sums over the evaluations of its detection. The sums are integers,
+so that no order of arrival, no batching and no delay can change one.
+
+Received evaluations come here in this order: `OpenStep.accept` drops invalid ones, `StepEvidence.add` adds the others
+to the sums, and `StepEvidence.of_pairs` turns the sums of a pair into equations 3 and 4 of TruPercept. `EvidenceStore`
+keeps one `StepEvidence` per step.
+
+Arrays that end in `ptr` are those of compressed rows: row i has the items ptr[i]:ptr[i + 1] of another array. In the
+kernels, evaluators and subjects are rows of the pseudonyms of the step.
 """
 
 from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray
 
+from cosim.base.ragged import offsets, ranges
 from trust.open_steps import AcceptedEvaluations, OpenStep
-from trust.tables import EvaluationMessages, float64, pair_key, ranges, unpaired
+from trust.tables import EvaluationMessages, float64, pair_key, unpaired
 
 ONE = float(1 << 44)
 """Fixed point of the sums: the error is 3e-14 per evaluation, and there is room for half a million of them."""
 
 
 @njit(cache=True, nogil=True)
-def _terms(ptr, evaluator, observer, evaluation, visibility):
-    """What each evaluation adds to `StepEvidence.sums` and `n_evaluations`."""
-    terms, counts = np.zeros((observer.size, 2), np.int64), np.zeros((observer.size, 2), np.int32)
+def _terms(ptr, evaluator, subject, evaluation, visibility):
+    """What each accepted evaluation adds to `StepEvidence.sums` and `n_evaluations`: one row per evaluation each.
+
+    Message i has the evaluations ptr[i]:ptr[i + 1], all by evaluator[i].
+    """
+    terms = np.zeros((subject.size, 2), np.int64)
+    counts = np.zeros((subject.size, 2), np.int32)
     for message in range(evaluator.size):
         for k in range(ptr[message], ptr[message + 1]):
             counts[k, 0] = 1
-            if observer[k] != evaluator[message]:
+            if subject[k] != evaluator[message]:
                 terms[k, 0] = np.int64(np.rint(visibility[k] * ONE))
                 terms[k, 1] = np.int64(np.rint(visibility[k] * evaluation[k] * ONE))
                 counts[k, 1] = terms[k, 0] > 0
@@ -35,52 +47,56 @@ def _terms(ptr, evaluator, observer, evaluation, visibility):
 
 
 @njit(cache=True, nogil=True)
-def _add(receptions, pairs, block, messages, subject, index, terms, counts, sums, n_evaluations):
-    """Add the terms of every evaluation to the slots of its detection, for every holder that received it.
+def _add(receptions, pairs, block, ptr, subject, offset, terms, counts, sums, n_evaluations):
+    """Add the terms of every evaluation to the slot of its detection, for every holder that received it.
 
-    Of the compressed rows `receptions` (holder x message) and `pairs` (holder x subject), `block` is the first slot of
-    each of the latter. In NumPy the sum would need a row per holder and evaluation: gigabytes in a large city.
+    `receptions` has the messages that each holder received, `pairs` the subjects that these messages evaluate, and
+    `block` the first slot of each pair; `offset` is the number of a detection within that block. In NumPy, the sum
+    would need a row per holder and evaluation: gigabytes in a large city.
     """
     received_ptr, message = receptions
     pair_ptr, subject_of_pair = pairs
-    block_of = np.zeros(subject_of_pair.max() + 1, np.int64)
+    block_of_subject = np.zeros(subject_of_pair.max() + 1, np.int64)  # for one holder at a time
     for holder in range(received_ptr.size - 1):
         for pair in range(pair_ptr[holder], pair_ptr[holder + 1]):
-            block_of[subject_of_pair[pair]] = block[pair]
+            block_of_subject[subject_of_pair[pair]] = block[pair]
         for r in range(received_ptr[holder], received_ptr[holder + 1]):
-            for p in range(messages[message[r]], messages[message[r] + 1]):
-                slot = block_of[subject[p]] + index[p]
-                for k in range(2):
-                    sums[slot, k] += terms[p, k]
-                    n_evaluations[slot, k] += counts[p, k]
+            for k in range(ptr[message[r]], ptr[message[r] + 1]):
+                slot = block_of_subject[subject[k]] + offset[k]
+                for column in range(2):
+                    sums[slot, column] += terms[k, column]
+                    n_evaluations[slot, column] += counts[k, column]
 
 
 @njit(cache=True, nogil=True)
-def _distinct(group_ptr, message, ptr, subject, counts, n_subjects):
-    """Compressed rows of the subjects that the messages of each group evaluate, each once; `counts` chooses among the
-    evaluations. Counted first and filled then: a bound of the size would be gigabytes in a large city."""
-    mark = np.full(n_subjects, -1, np.int64)
+def _distinct(group_ptr, message, ptr, subject, is_chosen, n_subjects):
+    """Subjects of the chosen evaluations in the messages of each group, each subject once, as compressed rows.
+
+    They are counted first and written then: an upper bound of their number would be gigabytes in a large city.
+    """
+    last_seen = np.full(n_subjects, -1, np.int64)  # of each subject: the newest group, counted over both passes
     n_groups = group_ptr.size - 1
     found_ptr = np.zeros(n_groups + 1, np.int64)
     found = np.empty(0, np.int64)
-    for fills in range(2):
+    for is_second_pass in range(2):
         n = 0
         for group in range(n_groups):
+            now = group + is_second_pass * n_groups
             for r in range(group_ptr[group], group_ptr[group + 1]):
-                for p in range(ptr[message[r]], ptr[message[r] + 1]):
-                    if counts[p] and mark[subject[p]] != group + fills * n_groups:
-                        mark[subject[p]] = group + fills * n_groups
-                        if fills:
-                            found[n] = subject[p]
+                for k in range(ptr[message[r]], ptr[message[r] + 1]):
+                    if is_chosen[k] and last_seen[subject[k]] != now:
+                        last_seen[subject[k]] = now
+                        if is_second_pass:
+                            found[n] = subject[k]
                         n += 1
             found_ptr[group + 1] = n
-        if not fills:
+        if not is_second_pass:
             found = np.empty(n, np.int64)
     return found_ptr, found
 
 
 class Counting(NamedTuple):
-    """What counts of the evidence."""
+    """Which detections count in the trust of their sender, and how much."""
 
     by_score: bool
     """Detections count by their scores. Otherwise all count alike."""
@@ -105,9 +121,11 @@ class StepEvidence:
         """Per slot, over the evaluations by others than the subject: Phi and Phi e in units of 1 / ONE."""
         self.n_evaluations: Int[ndarray, "s 2"] = np.zeros((0, 2), np.int32)
         """Per slot: all evaluations, and those by others that could see (Phi > 0)."""
-        self._of_pairs: dict[Counting, tuple[ndarray, ndarray]] = {}
+        self._of_pairs: dict[Counting, tuple[Float[ndarray, "p 2"], Int[ndarray, "p"]]] = {}
 
-    def add(self, messages: EvaluationMessages, accepted: AcceptedEvaluations) -> tuple[ndarray, ndarray]:
+    def add(
+        self, messages: EvaluationMessages, accepted: AcceptedEvaluations
+    ) -> tuple[Int[ndarray, "q"], Int[ndarray, "q"]]:
         """Add the accepted part of some messages to the sums.
 
         Returns
@@ -115,30 +133,41 @@ class StepEvidence:
         Pair (`pair_key` of holder and subject) and pseudonym of every evaluator that could see a detection of the
         subject. None is there twice.
         """
-        ptr, observer = accepted.ptr, accepted.observer
-        e, phi = (float64(a[accepted.kept]) for a in (messages.evaluation, messages.visibility))
-        terms, counts = _terms(ptr, accepted.evaluator, observer, e, phi)
-        n_messages, n_subjects = accepted.evaluator.size, self.sent.pseudonyms.size
-        holders, holder_row = np.unique(accepted.holder, return_inverse=True)
-        received_ptr = np.append(0, np.cumsum(np.bincount(holder_row, minlength=holders.size)))
-        message = accepted.message_row[np.argsort(holder_row, kind="stable")]
-        every = np.ones(observer.size, bool)
-        pair_ptr, subject = _distinct(received_ptr, message, ptr, observer, every, n_subjects)
-        keys = pair_key(np.repeat(holders, np.diff(pair_ptr)), self.sent.pseudonyms[subject])  # who holds what of whom
-        if keys.size:
-            self._make_room(keys)
-            _add(
-                (received_ptr, message), (pair_ptr, subject),
-                self.block[np.searchsorted(self.pairs, keys)], ptr, observer,
-                accepted.detection - self.sent.first[observer], terms, counts, self.sums, self.n_evaluations,
-            )  # fmt: skip
-            self._of_pairs = {}
+        evaluation, visibility = (float64(a[accepted.kept]) for a in (messages.evaluation, messages.visibility))
+        terms, counts = _terms(accepted.ptr, accepted.evaluator, accepted.observer, evaluation, visibility)
+        self._add_terms(accepted, terms, counts)
+        return self._pairs_and_evaluators(accepted, counts[:, 1] > 0)
 
-        each = np.arange(n_messages + 1)
-        seen_ptr, seen = _distinct(each, each, ptr, observer, counts[:, 1] > 0, n_subjects)
-        n = np.diff(seen_ptr)[accepted.message_row]
-        subject = self.sent.pseudonyms[seen[ranges(seen_ptr[accepted.message_row], n)]]
-        evaluator = self.sent.pseudonyms[accepted.evaluator[accepted.message_row]]
+    def _add_terms(
+        self, accepted: AcceptedEvaluations, terms: Int[ndarray, "k 2"], counts: Int[ndarray, "k 2"]
+    ) -> None:
+        """Add what each evaluation adds, for every holder that received its message."""
+        holders, holder_row = np.unique(accepted.holder, return_inverse=True)
+        received_ptr = offsets(np.bincount(holder_row, minlength=holders.size))
+        message = accepted.message_row[np.argsort(holder_row, kind="stable")]
+        ptr, subject = accepted.ptr, accepted.observer
+        every = np.ones(subject.size, bool)
+        pair_ptr, pair_subject = _distinct(received_ptr, message, ptr, subject, every, self.sent.pseudonyms.size)
+        keys = pair_key(np.repeat(holders, np.diff(pair_ptr)), self.sent.pseudonyms[pair_subject])
+        if not keys.size:
+            return
+        self._make_room(keys)
+        block = self.block[np.searchsorted(self.pairs, keys)]
+        offset = accepted.detection - self.sent.first[subject]
+        receptions, pairs = (received_ptr, message), (pair_ptr, pair_subject)
+        _add(receptions, pairs, block, ptr, subject, offset, terms, counts, self.sums, self.n_evaluations)
+        self._of_pairs = {}
+
+    def _pairs_and_evaluators(
+        self, accepted: AcceptedEvaluations, could_see: Bool[ndarray, "k"]
+    ) -> tuple[Int[ndarray, "q"], Int[ndarray, "q"]]:
+        """What `add` returns; `could_see` says it of each evaluation."""
+        pseudonyms, message = self.sent.pseudonyms, accepted.message_row
+        each = np.arange(accepted.evaluator.size + 1)  # every message is a group of its own
+        ptr, subject = _distinct(each, each, accepted.ptr, accepted.observer, could_see, pseudonyms.size)
+        n = np.diff(ptr)[message]  # subjects of each received message
+        subject = pseudonyms[subject[ranges(ptr[message], n)]]
+        evaluator = pseudonyms[accepted.evaluator[message]]
         return pair_key(np.repeat(accepted.holder, n), subject), np.repeat(evaluator, n)
 
     def of_pairs(self, counting: Counting) -> tuple[Float[ndarray, "p 2"], Int[ndarray, "p"]]:
@@ -148,19 +177,22 @@ class StepEvidence:
         -------
         Per pair sum s T(theta) and sum s over the detections, and the evaluations by others that could see.
         """
-        if counting not in self._of_pairs:
-            n, n_slots = self.pairs.size, np.diff(self.block)
-            pair = np.repeat(np.arange(n), n_slots)
-            phi = self.sums[:, 0]
-            score = self.sent.score[ranges(self.sent.first[self._subjects(self.pairs)], n_slots)]
-            counts = self.n_evaluations[:, 0] > 0
-            counts &= ~(counting.skip_unseen & (phi == 0))
-            counts &= score >= counting.least_score
-            weight = np.where(counts, score if counting.by_score else 1.0, 0.0)
-            trust = np.divide(self.sums[:, 1], phi, out=np.zeros(phi.size), where=phi > 0)
-            sums = [np.bincount(pair, x, n) for x in (weight * trust, weight, self.n_evaluations[:, 1] * counts)]
-            both = np.column_stack(sums[:2]).astype(float)
-            self._of_pairs[counting] = both, sums[2].astype(np.int64)
+        if counting in self._of_pairs:
+            return self._of_pairs[counting]
+        phi, phi_e = self.sums.T
+        n, n_seeing = self.n_evaluations.T
+        n_slots = np.diff(self.block)
+        pair_of_slot = np.repeat(np.arange(self.pairs.size), n_slots)
+        score = self.sent.score[ranges(self.sent.first[self._subjects(self.pairs)], n_slots)]
+        counts = (n > 0) & (score >= counting.least_score)
+        if counting.skip_unseen:
+            counts &= phi > 0
+        weight = np.where(counts, score if counting.by_score else 1.0, 0.0)
+        trust = np.divide(phi_e, phi, out=np.zeros(phi.size), where=phi > 0)  # T(theta); 0 for an unseen detection
+
+        values = (weight * trust, weight, n_seeing * counts)
+        *sums, evaluations = (np.bincount(pair_of_slot, column, self.pairs.size) for column in values)
+        self._of_pairs[counting] = np.column_stack(sums).astype(float), evaluations.astype(np.int64)
         return self._of_pairs[counting]
 
     @property
@@ -171,14 +203,14 @@ class StepEvidence:
         return self.sent.nbytes + sum(a.nbytes for a in chain(arrays, computed))
 
     def _make_room(self, keys: Int[ndarray, "k"]) -> None:
-        """Blocks for pairs that have none; the others keep their sums."""
-        before, block = self.pairs, self.block
+        """Make blocks for pairs that have none. The other pairs keep their sums."""
+        before, n_before = self.pairs, np.diff(self.block)
         self.pairs = np.union1d(before, keys)
         if self.pairs.size == before.size:
             return
         n_slots = np.diff(self.sent.first)[self._subjects(self.pairs)]
-        self.block = np.concatenate([[0], np.cumsum(n_slots)])
-        slots = ranges(self.block[np.searchsorted(self.pairs, before)], np.diff(block))
+        self.block = offsets(n_slots)
+        slots = ranges(self.block[np.searchsorted(self.pairs, before)], n_before)  # where the old ones are now
         for name in ("sums", "n_evaluations"):
             old = getattr(self, name)
             new = np.zeros((self.block[-1], 2), old.dtype)

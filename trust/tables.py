@@ -1,4 +1,14 @@
-"""Tables that the functions of this package exchange: detections, object lists, groups, evaluations, trust scores."""
+"""Tables that the functions of this package exchange: detections, object lists, groups, evaluations, trust scores.
+
+In the order of a step: vehicles transmit `SentDetections`. Each vehicle has a list of those that it received
+(`ObjectLists`), groups it by object (`Groups`) and evaluates it (`Evaluations`). Evaluations travel as
+`EvaluationMessages`. A trust model gets them as `ReceivedEvaluations`, turns them into columns of evidence
+(`EvidenceRows`, or sums of these), and answers with `TrustScores`. Vehicles fuse objects from `FusionInput` and
+`SenderTrust`.
+
+Many tables have a column `ptr`: item i has the rows ptr[i]:ptr[i + 1] of other columns. The *row* of a thing is its
+place in the table of such things. A *position* is a place in `ObjectLists.member`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,6 +21,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numba import njit
 from numpy import ndarray
 
+from cosim.base.ragged import offsets, ptr_of, ranges
 from cosim.base.rows import Rows
 
 SERVER = 1 << 30
@@ -133,8 +144,9 @@ class SenderTrust:
     has_evaluations: Bool[ndarray, "h"] | None = None  # whether its evaluations of this step arrived too; None: all did
 
     def canonical(self) -> "SenderTrust":
-        """The same with each ego's messages ascending, and each message once: of repeated ones, the first row stays."""
-        key = np.repeat(np.arange(self.ptr.size - 1), np.diff(self.ptr)) << 32 | self.message
+        """Each ego's messages in ascending order, each message once: of repeated ones, the first row stays."""
+        ego = np.repeat(np.arange(self.ptr.size - 1), np.diff(self.ptr))
+        key = ego << 32 | self.message  # in the order of (ego, message)
         if np.all(key[1:] > key[:-1]):
             return self
         key, first = np.unique(key, return_index=True)
@@ -165,23 +177,23 @@ class EvaluationMessages:
     """Step of each detection; None if all are of `step`."""
 
     def rows(self, keep: Bool[ndarray, "n"]) -> "EvaluationMessages":
-        """The same messages with only these of their evaluations."""
+        """All messages, with only these of their evaluations."""
         at = np.flatnonzero(keep)
-        step = None if self.detection_step is None else self.detection_step[at]
-        return EvaluationMessages(
-            self.step, self.evaluator, np.searchsorted(at, self.ptr), self.observer[at], self.detection_index[at],
-            self.evaluation[at], self.visibility[at], step,
-        )  # fmt: skip
+        return self._at(at, self.evaluator, np.searchsorted(at, self.ptr))
 
     def taken(self, message: Int[ndarray, "k"]) -> "EvaluationMessages":
         """These messages, in this order."""
         n = np.diff(self.ptr)[message]
         at = ranges(self.ptr[:-1][message], n)
+        return self._at(at, self.evaluator[message], offsets(n))
+
+    def _at(
+        self, at: Int[ndarray, "m"], evaluator: Int[ndarray, "k"], ptr: Int[ndarray, "k+1"]
+    ) -> "EvaluationMessages":
+        """Messages of these evaluators, with the evaluations in the rows `at`."""
+        columns = {name: getattr(self, name)[at] for name in _OF_EVALUATIONS}
         step = None if self.detection_step is None else self.detection_step[at]
-        return EvaluationMessages(
-            self.step, self.evaluator[message], np.concatenate([[0], np.cumsum(n)]), self.observer[at],
-            self.detection_index[at], self.evaluation[at], self.visibility[at], step,
-        )  # fmt: skip
+        return replace(self, evaluator=evaluator, ptr=ptr, detection_step=step, **columns)
 
     def and_also(self, earlier: "EvaluationMessages") -> "EvaluationMessages":
         """These messages, then those of an earlier step."""
@@ -195,16 +207,15 @@ class EvaluationMessages:
     def joined(parts: "Sequence[EvaluationMessages]") -> "EvaluationMessages":
         """The messages of all parts, one part after another, as messages of the step of the first part."""
         columns = {
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in ("evaluator", "observer", "detection_index", "evaluation", "visibility")
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in ("evaluator", *_OF_EVALUATIONS)
         }
         n = np.concatenate([np.diff(part.ptr) for part in parts])
-        return EvaluationMessages(step=parts[0].step, ptr=np.concatenate([[0], np.cumsum(n)]), **columns)
+        return EvaluationMessages(step=parts[0].step, ptr=offsets(n), **columns)
 
     def of_one_step(self) -> "list[EvaluationMessages]":
-        """The same messages once for each step of which they evaluate detections, oldest first.
+        """All messages once for each step of which they evaluate detections, oldest step first.
 
-        Each has only the evaluations of that step's detections, and that step as its `step`.
+        Each copy has only the evaluations of that step's detections, and that step as its `step`.
         """
         if self.detection_step is None:
             return [self]
@@ -212,6 +223,10 @@ class EvaluationMessages:
             replace(self.rows(self.detection_step == step), step=step, detection_step=None)
             for step in np.unique(self.detection_step).tolist()
         ]
+
+
+_OF_EVALUATIONS = ("observer", "detection_index", "evaluation", "visibility")
+"""Columns of `EvaluationMessages` with a row per evaluation."""
 
 
 def as_messages(
@@ -234,34 +249,14 @@ def as_messages(
         Step of each evaluated detection. None if all are of this step.
     """
     return EvaluationMessages(
-        step,
-        pseudonyms[lists.owner],
-        lists.ptr,
-        pseudonyms[detections.message[lists.member]],
-        detections.detection_index[lists.member],
-        evaluations.evaluation,
-        evaluations.visibility,
-        detection_step,
-    )
-
-
-def messages_from_rows(step: int, evaluator, observer, detection_index, evaluation, visibility) -> EvaluationMessages:
-    """Evaluations in any order, one column each, as messages in canonical order.
-
-    Parameters
-    ----------
-    evaluator, observer
-        Pseudonyms of who evaluates, and of the sender of the detection.
-    detection_index, evaluation, visibility
-        As in `EvaluationMessages`.
-    """
-    evaluator, observer, index = (np.asarray(a, np.int64) for a in (evaluator, observer, detection_index))
-    evaluation, visibility = (np.asarray(a, float) for a in (evaluation, visibility))
-    order = np.lexsort((visibility, evaluation, index, observer, evaluator))
-    of_message, n = np.unique(evaluator, return_counts=True)
-    ptr = np.concatenate([[0], np.cumsum(n)])
-    return EvaluationMessages(
-        step, of_message, ptr, observer[order], index[order], evaluation[order], visibility[order]
+        step=step,
+        evaluator=pseudonyms[lists.owner],
+        ptr=lists.ptr,
+        observer=pseudonyms[detections.message[lists.member]],
+        detection_index=detections.detection_index[lists.member],
+        evaluation=evaluations.evaluation,
+        visibility=evaluations.visibility,
+        detection_step=detection_step,
     )
 
 
@@ -279,7 +274,7 @@ class EvidenceRows(NamedTuple):
 
 
 class DetectionRows(NamedTuple):
-    """Received evaluations one by one, beside `ObserverRows`."""
+    """Received evaluations one by one; `ObserverRows` has their sums."""
 
     row: Int[ndarray, "k"]  # of the `ObserverRows`: holder, evaluator and observer
     detection_index: Int[ndarray, "k"]
@@ -298,12 +293,13 @@ class ObserverRows(NamedTuple):
     n: Int[ndarray, "n"]  # evaluations
 
 
-_QUANTUM = float(1 << 32)
+QUANTUM = float(1 << 32)
+"""Evidence is rounded to multiples of 1 / QUANTUM, so that sums are exact in any order of summation."""
 
 
 @njit(cache=True, nogil=True)
-def _counting(ptr, evaluator, observer, evaluation, visibility, eta):
-    """Rows of the messages that are evidence, their message, pos and neg."""
+def _evidence(ptr, evaluator, observer, evaluation, visibility, eta):
+    """Rows of the evaluations that are evidence, the message of each, and its positive and negative evidence."""
     kept, sent_by = np.empty(observer.size, np.int64), np.empty(observer.size, np.int64)
     pos, neg = np.empty(observer.size), np.empty(observer.size)
     n = 0
@@ -315,8 +311,8 @@ def _counting(ptr, evaluator, observer, evaluation, visibility, eta):
                     denies = 1.0 if e <= 0.0 else 0.0
                 else:
                     denies = min(max(e / eta, 0.0), 1.0)
-                pos[n] = np.rint(phi * max(e, 0.0) * _QUANTUM) / _QUANTUM
-                neg[n] = np.rint(phi * denies * _QUANTUM) / _QUANTUM
+                pos[n] = np.rint(phi * max(e, 0.0) * QUANTUM) / QUANTUM
+                neg[n] = np.rint(phi * denies * QUANTUM) / QUANTUM
                 if pos[n] > 0.0 or neg[n] > 0.0:
                     kept[n], sent_by[n] = k, message
                     n += 1
@@ -341,7 +337,7 @@ class ReceivedEvaluations:
 
     @staticmethod
     def joined(parts: "Sequence[ReceivedEvaluations]") -> "list[ReceivedEvaluations]":
-        """The same receptions in the same order, with as few objects as possible.
+        """All receptions in their order, with as few objects as possible.
 
         Parameters
         ----------
@@ -349,20 +345,20 @@ class ReceivedEvaluations:
             Evaluations of the detections of one step. Those of successive parts that have `eta` and `is_own` in common
             are joined.
         """
-        return [
-            ReceivedEvaluations._as_one(list(some)) for _, some in groupby(parts, lambda part: (part.eta, part.is_own))
-        ]
+        alike = groupby(parts, lambda part: (part.eta, part.is_own))
+        return [ReceivedEvaluations._as_one(list(some)) for _, some in alike]
 
     @staticmethod
     def _as_one(parts: "list[ReceivedEvaluations]") -> "ReceivedEvaluations":
         if len(parts) == 1:
             return parts[0]
-        first = np.cumsum([0, *(part.messages.evaluator.size for part in parts)])
+        first = np.cumsum([0, *(part.messages.evaluator.size for part in parts)])  # message row of each part
+        shifted = [part.message_row + begin for part, begin in zip(parts, first, strict=False)]
         return replace(
             parts[0],
             messages=EvaluationMessages.joined([part.messages for part in parts]),
             holder=np.concatenate([part.holder for part in parts]),
-            message_row=np.concatenate([part.message_row + n for part, n in zip(parts, first, strict=False)]),
+            message_row=np.concatenate(shifted),
         )
 
     def rows(self) -> EvidenceRows:
@@ -377,17 +373,18 @@ class ReceivedEvaluations:
         multiples of 2^-32, so that sums of up to two million rows are exact in any order of summation. Rows in which
         both are 0 are left out: an evaluator that answers "neither" has given no evidence.
         """
-        t, (kept, sent_by, pos, neg) = self.messages, self._counting()
-        at, n = self._expanded(np.searchsorted(sent_by, np.arange(t.evaluator.size + 1)))
+        messages, (kept, message, pos, neg) = self.messages, self._evidence()
+        at, n = self._received_rows(message)
+        row = kept[at]
         return EvidenceRows(
-            np.repeat(int64(self.holder), n),
-            np.repeat(int64(t.evaluator)[self.message_row], n),
-            int64(t.observer)[kept[at]],
-            int64(t.detection_index)[kept[at]],
-            t.evaluation[kept[at]],
-            t.visibility[kept[at]],
-            pos[at],
-            neg[at],
+            holder=np.repeat(int64(self.holder), n),
+            evaluator=np.repeat(int64(messages.evaluator)[self.message_row], n),
+            observer=int64(messages.observer)[row],
+            detection_index=int64(messages.detection_index)[row],
+            evaluation=messages.evaluation[row],
+            visibility=messages.visibility[row],
+            pos=pos[at],
+            neg=neg[at],
         )
 
     def by_observer(self) -> ObserverRows:
@@ -406,40 +403,43 @@ class ReceivedEvaluations:
         -------
         The rows of `by_observer`, and single evaluations, each with the row of the first table to which it belongs.
         """
-        t, (kept, sent_by, pos, neg) = self.messages, self._counting()
-        keys = pair_key(sent_by, int64(t.observer)[kept])
+        messages, (kept, message, pos, neg) = self.messages, self._evidence()
+        keys = pair_key(message, int64(messages.observer)[kept])
         order = np.argsort(keys, kind="stable")  # in time proportional to their number where lists are by observer
-        kept, pos, neg, keys = kept[order], pos[order], neg[order], keys[order]
-        begins = np.flatnonzero(np.diff(keys, prepend=-1))
+        kept, pos, neg, keys = (column[order] for column in (kept, pos, neg, keys))
+        begins = np.flatnonzero(np.diff(keys, prepend=-1))  # of each group: one message and one observer
         size = np.diff(np.append(begins, keys.size))
-        key = keys[begins]
-        at, n = self._expanded(np.searchsorted(key >> 31, np.arange(t.evaluator.size + 1)))
-        group = np.repeat(np.arange(key.size), size)
-        by_observer = ObserverRows(
-            np.repeat(int64(self.holder), n),
-            np.repeat(int64(t.evaluator)[self.message_row], n),
-            unpaired(key)[1][at],
-            np.bincount(group, pos, key.size).astype(float)[at],
-            np.bincount(group, neg, key.size).astype(float)[at],
-            size[at],
+        group = np.repeat(np.arange(size.size), size)
+        message, observer = unpaired(keys[begins])
+        at, n = self._received_rows(message)  # groups, once for every holder that received their message
+        summed = ObserverRows(
+            holder=np.repeat(int64(self.holder), n),
+            evaluator=np.repeat(int64(messages.evaluator)[self.message_row], n),
+            observer=observer[at],
+            pos=np.bincount(group, pos, size.size).astype(float)[at],
+            neg=np.bincount(group, neg, size.size).astype(float)[at],
+            n=size[at],
         )
         if not detections:
             at = at[:0]
-        n = size[at]
-        one = ranges(begins[at], n)
-        return by_observer, DetectionRows(
-            np.repeat(np.arange(at.size), n), int64(t.detection_index)[kept[one]], pos[one], neg[one]
+        single = ranges(begins[at], size[at])
+        return summed, DetectionRows(
+            row=np.repeat(np.arange(at.size), size[at]),
+            detection_index=int64(messages.detection_index)[kept[single]],
+            pos=pos[single],
+            neg=neg[single],
         )
 
-    def _counting(self) -> tuple[ndarray, ndarray, ndarray, ndarray]:
-        t = self.messages
-        return _counting(
-            int64(t.ptr), int64(t.evaluator), int64(t.observer), float64(t.evaluation), float64(t.visibility),
-            float(self.eta),
-        )  # fmt: skip
+    def _evidence(self) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+        """Row, message, pos and neg of each evaluation that is evidence, by message."""
+        messages = self.messages
+        ptr, evaluator, observer = (int64(a) for a in (messages.ptr, messages.evaluator, messages.observer))
+        evaluation, visibility = float64(messages.evaluation), float64(messages.visibility)
+        return _evidence(ptr, evaluator, observer, evaluation, visibility, float(self.eta))
 
-    def _expanded(self, ptr: Int[ndarray, "v+1"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "m"]]:
-        """Rows of every received message, given the first row of each message, and their number."""
+    def _received_rows(self, message: Int[ndarray, "n"]) -> tuple[Int[ndarray, "k"], Int[ndarray, "m"]]:
+        """Rows of every received message, and their number, given the message of each row (ascending)."""
+        ptr = ptr_of(message, self.messages.evaluator.size)
         n = np.diff(ptr)[self.message_row]
         return ranges(ptr[:-1][self.message_row], n), n
 
@@ -580,18 +580,3 @@ def pair_key(holder: Int[ndarray, "n"], subject: Int[ndarray, "n"]) -> Int[ndarr
 def unpaired(keys: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
     """Holder and subject of each `pair_key`."""
     return keys >> 31, keys & (1 << 31) - 1
-
-
-def ranges(start: Int[ndarray, "n"], size: Int[ndarray, "n"]) -> Int[ndarray, "k"]:
-    """The integers of several ranges, one range after another.
-
-    Parameters
-    ----------
-    start, size
-        First integer of each range, and how many it has; 0 is allowed.
-
-    Returns
-    -------
-    start[0], start[0] + 1, ..., then those of the next range.
-    """
-    return np.repeat(start - (np.cumsum(size) - size), size) + np.arange(size.sum())

@@ -79,9 +79,11 @@ def list_(
         what = row["what"].partition(":")[0].removeprefix(f"{row['name']}, ")
         table.add_row(
             Text(row["where"] if built else row["name"], "bold").append(f"\n{what}", "not bold"),
-            f"{row['km2']:.1f}", f"{row['vehicles_per_hour']:,}",
-            f"{row['MB']:.1f} MB" if row["on_disk"] else "when used", row["licence"],
-        )  # fmt: skip
+            f"{row['km2']:.1f}",
+            f"{row['vehicles_per_hour']:,}",
+            f"{row['MB']:.1f} MB" if row["on_disk"] else "when used",
+            row["licence"],
+        )
     screen.print(table)
     screen.print("`cosim nets show CITY` draws a city, `--set traffic.scenario=CITY` drives it.", highlight=False)
 
@@ -142,6 +144,7 @@ def summary(net: Net | PackageNet) -> dict[str, Any]:
 
 
 def draw(found: Scenario, path: Path) -> Path:
+    """Draw the map of a city to a file."""
     from results.figures import city, style
     from sumo_nets.network import lanes
 
@@ -159,6 +162,7 @@ def _footprints(found: Scenario) -> list[Footprint]:
 
 
 def _length_m(line_m: ndarray) -> float:
+    """Length of a polyline of n points (n x 2, or n x 3 with heights that do not count)."""
     import numpy as np
 
     return float(np.hypot(*np.diff(line_m[:, :2], axis=0).T).sum())
@@ -198,6 +202,7 @@ LABELS = {
 
 
 def print_facts(facts: dict[str, Any], as_json: bool) -> None:
+    """Print facts as JSON, or as a table of those that have a label."""
     if as_json:
         print_json(facts)
         return

@@ -46,26 +46,30 @@ def print_measures(runs: list[Run], tables: list[pd.DataFrame], as_json: bool, c
     keys = differing(runs) if len(runs) > 1 else {}
     labels = names(runs)
     if csv is not None:
-        parts = [
-            table.assign(run=str(run.path), variant=run.variant, **{key: str(found[i]) for key, found in keys.items()})
-            for i, (run, table) in enumerate(zip(runs, tables, strict=True))
-        ]  # fmt: skip
-        whole = pd.concat(parts, ignore_index=True)
-        first = ["run", "variant", *keys]
+        whole = _one_table(runs, tables, keys)
         try:
-            durable.write_output(csv, csv_of(whole[[*first, *(c for c in whole.columns if c not in first)]]))
+            durable.write_output(csv, csv_of(whole))
         except OSError as error:
             raise ValueError(f"--csv {csv} cannot be written: {error.strerror or error}. Give another file.") from None
         screen.print(f"wrote {csv}", highlight=False, soft_wrap=True)
     elif as_json:
-        print_json({
-            str(run.path) if run.variant == "base" else f"{run.path}:{run.variant}": rows_of(table)
-            for run, table in zip(runs, tables, strict=True)
-        })  # fmt: skip
+        titles = [str(run.path) if run.variant == "base" else f"{run.path}:{run.variant}" for run in runs]
+        print_json(dict(zip(titles, map(rows_of, tables), strict=True)))
     elif len(runs) == 1:
         print_rows(str(runs[0].path), rows_of(tables[0]))
     else:
         print_table(_side_by_side(labels, tables, keys))
+
+
+def _one_table(runs: list[Run], tables: list[pd.DataFrame], keys: dict[str, list[Any]]) -> pd.DataFrame:
+    """All tables one after another, with columns in front that say the run and the keys in which the runs differ."""
+    parts = []
+    for number, (run, table) in enumerate(zip(runs, tables, strict=True)):
+        differing_keys = {key: str(values[number]) for key, values in keys.items()}
+        parts.append(table.assign(run=str(run.path), variant=run.variant, **differing_keys))
+    whole = pd.concat(parts, ignore_index=True)
+    first = ["run", "variant", *keys]
+    return whole[[*first, *whole.columns.drop(first)]]
 
 
 def engines_remark(runs: list[Run]) -> str:
@@ -75,13 +79,16 @@ def engines_remark(runs: list[Run]) -> str:
 
 
 def _side_by_side(labels: list[str], tables: list[pd.DataFrame], keys: dict[str, list[Any]]) -> Table:
+    """A row per metric and group, a column per run; metrics of one kind stand together, in the order of the tables."""
     head = [Column(label, justify="right", no_wrap=True, min_width=7, overflow="fold") for label in labels]
     table = Table(Column("metric", overflow="fold"), Column("group", overflow="fold"), *head, box=SIMPLE)
-    for key, values in keys.items():
-        table.add_row(key, "", *("" if value is None else str(value) for value in values), style="bold")
+    for key, settings in keys.items():
+        shown = ("" if setting is None else str(setting) for setting in settings)
+        table.add_row(key, "", *shown, style="bold")
     table.add_section()
-    values = [one[one.value.notna()].set_index(["metric", "group"]).value for one in tables]
-    order = pd.concat(tables).drop_duplicates(["metric", "group"])[["metric", "group"]]
+    name = ["metric", "group"]
+    values = [one[one.value.notna()].set_index(name).value for one in tables]
+    order = pd.concat(tables).drop_duplicates(name)[name]
     first_of = {metric: i for i, metric in enumerate(order.metric.unique())}
     order = order.sort_values("metric", key=lambda names: names.map(first_of), kind="stable")
     last = ""

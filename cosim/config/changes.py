@@ -1,4 +1,4 @@
-"""The keys of a config that differ from the default of its preset."""
+"""The keys of a config that differ from the default of its preset, as `cosim check` lists them."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -43,6 +43,7 @@ def changes(config: Config, path: Path | None) -> list[Change]:
 
 
 def _of(section: str, value: Any, default: Any, config: Config) -> Iterator[Change]:
+    """Changes of a key, of the keys of a section, or of a list of sections."""
     if _plain(value) == _plain(default):
         return
     if isinstance(value, Mapping):
@@ -77,8 +78,7 @@ def _own_keys(item: Mapping[str, Any], params: list[Any]) -> dict[str, Any]:
         if is_dataclass(one):
             defaults |= {f.name: _plain(_default(f)) for f in fields(one)}
     first = next(iter(item), "")
-    is_default = {key for key in item if key in defaults and _plain(item[key]) == defaults[key]}
-    return {key: value for key, value in item.items() if key == first or key not in is_default}
+    return {key: value for key, value in item.items() if key == first or _plain(value) != defaults.get(key, NONE)}
 
 
 def _default(field: Any) -> Any:

@@ -1,4 +1,13 @@
-"""One experiment as one typed model: all parameters, from TOML and `--set`."""
+"""One experiment as one typed model: all parameters, from TOML and `--set`.
+
+`load` reads a file. `resolve_data` builds a `Config` from plain data, in this order: keys of the preset that the data
+leave out; parameters of the user's own classes, which are set aside; unknown keys, which are errors; absolute paths;
+the typed model, with its checks across sections; trust variants. Mistakes of the user are ValueErrors of one line.
+
+Each section is a dataclass of the package that uses it. A section may name a class, such as the trust model. A class of
+the user's own may have parameters that its section does not declare. They are keys of the section in a config file, and
+are in `Config.own`.
+"""
 
 import copy
 import difflib
@@ -46,8 +55,12 @@ from sumo_nets import catalogue, sumocfg
 from trust.params import TrustParams, differing_evidence_key
 
 PAPER_RULE: dict[str, Any] = {
-    "name": "paper", "fused": True, "unseen": "zero", "unevaluated": "value", "least_score": 0.0,
-}  # fmt: skip
+    "name": "paper",
+    "fused": True,
+    "unseen": "zero",
+    "unevaluated": "value",
+    "least_score": 0.0,
+}
 """Trust variant that a run without a config file computes in addition: every detection is evidence, and one that no
 other vehicle could see counts as 0, as in Hurl et al., TruPercept, 2020."""
 
@@ -196,9 +209,8 @@ class Config:
             )
         check_evidence(self)
         check_early_fusion(self)
-        check_server(
-            self.pseudonyms, self.attacks, [t.host for t in (self.trust, *(v.trust for v in self.trust_variant))]
-        )
+        hosts = [self.trust.host, *(variant.trust.host for variant in self.trust_variant)]
+        check_server(self.pseudonyms, self.attacks, hosts)
 
     @property
     def schedule(self) -> Schedule:
@@ -241,19 +253,20 @@ class Config:
         ]
         for where, values in data.pop("own").items():
             section, _, number = where.partition(".")
-            (data[section][int(number)] if number else data[section]).update(values)
+            holder = data[section][int(number)] if number else data[section]
+            holder.update(values)
         return data
 
 
 def check_evidence(config: Config) -> None:
     """Raise ValueError, in one line, if the config lacks what `trust.evidence` needs."""
-    asked = config.trust.evidence
-    if "speed" in asked and config.tracking.model == "none":
+    evidence = config.trust.evidence
+    if "speed" in evidence and config.tracking.model == "none":
         raise ValueError(
             'trust.evidence names "speed", but vehicles do not track objects, so they know no velocities. Set '
             'tracking.model = "constant_velocity", or remove "speed".'
         )
-    if "missing" not in asked:
+    if "missing" not in evidence:
         return
     if not config.trust.self_reports:
         raise ValueError(
@@ -300,6 +313,7 @@ def chosen_model(variant: TrustVariant) -> tuple[Choice, Any]:
 
 
 def _chosen(section: str, holder: Any, own: dict[str, Any]) -> tuple[Choice, Any]:
+    """The class that `holder` names, and its parameters: those that the section declares, and its own ones."""
     kind = SECTIONS[section]
     choice = resolve(kind, getattr(holder, kind.key))
     if choice.params is None:
@@ -356,32 +370,14 @@ def with_defaults(data: dict[str, Any]) -> dict[str, Any]:
 def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Config:
     """Build a config from plain data. Relative paths are relative to `folder`. The function modifies `data`."""
     variants = data.pop("trust_variant", [])
-    has_step = bool({"step_s", "trace"} & _section_of(data, "traffic").keys())
+    traffic = data.get("traffic")
+    states_step = isinstance(traffic, dict) and bool({"step_s", "trace"} & traffic.keys())  # not through its preset
     preset.under(data, where)
-    own: dict[str, dict[str, Any]] = {}
-    types = {f.name: f.type for f in fields(Config)}
-    for section in SECTIONS:
-        if section == "attacks":
-            listed = data.get(section, [])
-            if isinstance(listed, list):
-                for number, item in enumerate(listed):
-                    if isinstance(item, dict):
-                        if item.get("attack") == "unreliable":
-                            item.setdefault("role", "unreliable")
-                        own[f"{section}.{number}"] = _take_own(item, section, AttackParams, where, folder)
-        elif isinstance(data.get(section, {}), dict):
-            own[section] = _take_own(data.setdefault(section, {}), section, types[section], where, folder)
+    own = _take_own_of_all(data, where, folder)
     check_keys(data, Config, "", where)
-    for name in ("scenario", "trace"):
-        given = data.get("traffic", {}).get(name)
-        if isinstance(given, str):
-            cities = catalogue.names() if name == "scenario" else ()
-            data["traffic"][name] = resolved_input(given, folder or Path(), cities)
-    for mesh in [*data.get("meshes", []), *data.get("vehicle_meshes", [])]:
-        if isinstance(mesh.get("file"), str):
-            mesh["file"] = str(((folder or Path()) / mesh["file"]).resolve())
+    _make_paths_absolute(data, folder or Path())
     traffic = data.get("traffic", {})
-    if isinstance(traffic.get("scenario"), str) and not has_step:
+    if isinstance(traffic.get("scenario"), str) and not states_step:
         if (own_s := _own_step_s(traffic["scenario"])) is not None:
             traffic["step_s"] = min(own_s, traffic.get("step_s", own_s))
     config = validated(Config, data, "", where)
@@ -390,9 +386,37 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
     return replace(config, trust_variant=_variants(variants, stated, config, where, folder))
 
 
-def _section_of(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    section = data.get(name, {})
-    return section if isinstance(section, Mapping) else {}
+def _take_own_of_all(data: dict[str, Any], where: str, folder: Path | None) -> dict[str, dict[str, Any]]:
+    """Remove the parameters of chosen classes that their sections do not declare; returns them as `Config.own`.
+
+    Values of a wrong type are left for the checks that follow.
+    """
+    own: dict[str, dict[str, Any]] = {}
+    types = {f.name: f.type for f in fields(Config)}
+    for section in SECTIONS:
+        if section != "attacks":
+            if isinstance(given := data.setdefault(section, {}), dict):
+                own[section] = _take_own(given, section, types[section], where, folder)
+            continue
+        listed = data.get(section, [])
+        for number, item in enumerate(listed if isinstance(listed, list) else ()):
+            if isinstance(item, dict):
+                if item.get("attack") == "unreliable":
+                    item.setdefault("role", "unreliable")
+                own[f"{section}.{number}"] = _take_own(item, section, AttackParams, where, folder)
+    return own
+
+
+def _make_paths_absolute(data: dict[str, Any], folder: Path) -> None:
+    """Make the paths of the traffic and of meshes absolute. Names of cities stay as they are."""
+    for name in ("scenario", "trace"):
+        given = data.get("traffic", {}).get(name)
+        if isinstance(given, str):
+            cities = catalogue.names() if name == "scenario" else ()
+            data["traffic"][name] = resolved_input(given, folder, cities)
+    for mesh in [*data.get("meshes", []), *data.get("vehicle_meshes", [])]:
+        if isinstance(mesh.get("file"), str):
+            mesh["file"] = str((folder / mesh["file"]).resolve())
 
 
 def of_run(recorded: Mapping[str, Any], folder: Path, trust_code: bool = False) -> Config:
@@ -421,13 +445,17 @@ def of_run_without_code(recorded: Mapping[str, Any], folder: Path) -> Config:
 
 
 def _names_code(section: Any, key: str) -> bool:
+    """Whether a section names a class of the user's own."""
     return isinstance(section, dict) and isinstance(name := section.get(key), str) and is_own(name)
 
 
 def _variants(
     listed: Any, stated: dict[str, Any], config: Config, where: str, folder: Path | None
 ) -> tuple[TrustVariant, ...]:
-    """Build the trust variants from their sections. Each variant inherits the keys of [trust]."""
+    """Build the trust variants from their sections. Each variant inherits the keys of [trust], which are `stated`.
+
+    It does not inherit parameters that another model than its own has.
+    """
     if not isinstance(listed, list) or not all(isinstance(v, dict) for v in listed):
         raise ValueError(f"trust_variant should be a list of sections [[trust_variant]] in {where}.")
     made: list[TrustVariant] = []
@@ -446,8 +474,7 @@ def _variants(
         if not isinstance(fused, bool):
             raise ValueError(f"{place}.fused = {fused!r} should be true or false. Set it in {where}.")
         merged = stated | changes
-        known = _own_fields(merged, "trust", folder)
-        inherited = {f.name for f in fields(TrustParams)} | known
+        inherited = {f.name for f in fields(TrustParams)} | _own_fields(merged, "trust", folder)
         merged = {key: value for key, value in merged.items() if key in inherited or key in changes}
         own = _take_own(merged, "trust", TrustParams, where, folder)
         if "model" in changes:
@@ -479,28 +506,27 @@ def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder
     The class's name in the section becomes absolute.
     """
     kind = SECTIONS[name]
-    key = kind.key
-    default = next(f.default for f in fields(model) if f.name == key)
-    given = section.get(key, default)
+    default = next(f.default for f in fields(model) if f.name == kind.key)
+    given = section.get(kind.key, default)
     if not isinstance(given, str):
         return {}  # validation of the section reports the wrong type
     choice = resolve(kind, given, folder)
-    if key in section:
-        section[key] = choice.source.name
+    if kind.key in section:
+        section[kind.key] = choice.source.name
     if choice.params is None or issubclass(model, choice.params):
         return {}
     of_section = {f.name for f in fields(model)}
     of_class = {f.name for f in fields(choice.params)} - of_section
-    taken = {k: section.pop(k) for k in list(section) if k in of_class}
-    if unknown := [k for k in section if k not in of_section]:
+    taken = {key: section.pop(key) for key in list(section) if key in of_class}
+    if unknown := [key for key in section if key not in of_section]:
         known = ", ".join(sorted(of_section | of_class))
         near = difflib.get_close_matches(unknown[0], [*of_section, *of_class], 1)
         hint = f"Did you mean {name}.{near[0]}?" if near else f"Known: {known}."
         raise ValueError(f"{name}.{unknown[0]}: unknown key in {where}. {hint}")
     check_finite(taken, f"{name}.", where)
     values = asdict(_params(choice, taken, name, where))
-    made = {k: values[k] for k in values if k in of_class}
-    if alien := next((k for k, value in made.items() if not is_plain(value)), None):
+    made = {key: value for key, value in values.items() if key in of_class}
+    if alien := next((key for key, value in made.items() if not is_plain(value)), None):
         line = definition_line(choice.params, "", choice.source.file)
         raise ValueError(
             f"{choice.source.file}:{line}: {choice.kind.title} {choice.of.__name__}: Params.{alien} is a "

@@ -14,11 +14,13 @@ from cosim.config.config import Config, chosen, chosen_model, resolve_data
 from cosim.door.load import is_own
 from cosim.traffic.roadside import RoadsideParams
 
-_NEEDS: dict[str, list[dict[str, Any]]] = tomllib.loads(Path(__file__).with_name("needs.toml").read_text("utf-8"))
+_FILE = Path(__file__).with_name("needs.toml")
+_NEEDS: dict[str, list[dict[str, Any]]] = tomllib.loads(_FILE.read_text("utf-8"))
 """What keys of the config and of sections of lists need, as the file explains."""
 
 
 def _hosts(config: Config) -> set[str]:
+    """Where the trust models of a config and of its variants run."""
     return {config.trust.host, *(variant.trust.host for variant in config.trust_variant)}
 
 
@@ -76,9 +78,10 @@ def without_effect(config: Config, is_replayed: bool) -> list[str]:
     usual = _usual(config.preset)
     lists = ("attacks.", "roadside.", "encounters.", "trust_variant.", "objects.", "meshes.", "vehicle_meshes.")
     stated = [
-        name for name, value in _leaves(config.to_dict())
+        name
+        for name, value in _leaves(config.to_dict())
         if not name.startswith(lists) and all(value != one.get(name) for one in usual)
-    ]  # fmt: skip
+    ]
     simulated = (
         ("traffic.seed", "traffic.scale", "traffic.car_following"),
         "SUMO (traffic is replayed)",
@@ -87,9 +90,10 @@ def without_effect(config: Config, is_replayed: bool) -> list[str]:
     found = _vain(stated, [simulated, *_needs("config", config)])
     for section, default in (("attacks", AttackParams), ("roadside", RoadsideParams)):
         for number, one in enumerate(getattr(config, section)):
-            of = [f.name for f in fields(default) if f.default is not MISSING and getattr(one, f.name) != f.default]
             prefix = f"{section}.{number}."
-            found += _vain([prefix + name for name in of], _needs(section, one, prefix))
+            optional = (f for f in fields(default) if f.default is not MISSING)
+            of_section = [prefix + f.name for f in optional if getattr(one, f.name) != f.default]
+            found += _vain(of_section, _needs(section, one, prefix))
     if config.trust.matching == "iou":
         found += [
             f'attacks.{number}.attack = "misstated_accuracy" has no effect without trust.matching = "gates".'
@@ -110,7 +114,9 @@ def _vain(stated: list[str], needs: list[tuple[tuple[str, ...], str, bool]]) -> 
     """One line for each need that is not held and has stated keys; every key is in one line at most."""
     lines = []
     for keys, need, is_held in needs:
-        vain = [] if is_held else [name for name in stated if any(fnmatchcase(name, key) for key in keys)]
+        if is_held:
+            continue
+        vain = [name for name in stated if any(fnmatchcase(name, key) for key in keys)]
         stated = [name for name in stated if name not in vain]
         if vain:
             lines.append(f"{', '.join(vain)} {'have' if len(vain) > 1 else 'has'} no effect without {need}.")

@@ -1,4 +1,11 @@
-"""Converts the result of a step to rows of the run's tables. It reads the result only."""
+"""Converts the result of a step to rows of the run's tables.
+
+This is the last stage of a step: `cosim.runs.drive` calls `step` with what all stages have computed, and the recorder
+writes the rows to the run folder. `results/TABLES.md` says what each column means. A function named `_TABLE_rows` gives
+the rows of one table. The others append rows to several tables. Nothing here changes the result.
+
+A column `NAME__valid` says in which rows `NAME` has a value. In the other rows the table has null.
+"""
 
 import copy
 from collections.abc import Container, Mapping, Sequence
@@ -35,6 +42,7 @@ from results.encounters import Rows, by_variant
 from sensors.boxes import Boxes
 from sensors.scene import Shape
 from sensors.statistical_detector import wrap
+from sensors.tracking import ObjectStates
 from trust.fusion import Fused
 from trust.tables import TrustScores
 
@@ -85,81 +93,98 @@ def step(recorder: TakesRows, result: StepResult, dt_s: float) -> None:
     dt_s
         Length of a step [s].
     """
-    at = result.world.step
-    actors(recorder, result.world)
+    world, now_step = result.world, result.world.step
+    actors(recorder, world)
     if result.reactions is not None:
-        _reactions(recorder, at, result.reactions)
-    encounters(recorder, at, result.encounters)
-    pseudonyms(recorder, at, result.ended_pseudonyms)
+        recorder.append("reactions", now_step, _reaction_rows(result.reactions))
+    _encounters(recorder, now_step, result.encounters)
+    pseudonyms(recorder, now_step, result.ended_pseudonyms)
     sensed = result.sensed
     if sensed is None:
         return
-    _detections(recorder, result.world, sensed)
-    _tracks(recorder, at, sensed)
-    if "stated_accuracies" in recorder.tables:
-        _stated_accuracies(recorder, at, sensed)
-    _cpm_content(recorder, result.world, sensed)
-    _channel(recorder, result.world, sensed)
+    _detections(recorder, world, sensed)
+    if sensed.listed.tracks is not None:
+        recorder.append("tracks", now_step, _track_rows(sensed, sensed.listed.tracks))
+    if "stated_accuracies" in recorder.tables and sensed.listed.objects.variance_m2.any():
+        recorder.append("stated_accuracies", now_step, _stated_accuracy_rows(sensed))  # else poses are exact
+    recorder.append("cpm_content", now_step, _cpm_content_rows(world, sensed))
+    _channel(recorder, world, sensed)
     if "receptions" in recorder.tables:
-        _receptions(recorder, at, sensed)
-    _evaluations(recorder, at, sensed)
-    _evidence(recorder, result.world, sensed)
-    _trust(recorder, result.world, sensed, dt_s)
-    _fused(recorder, result.world, sensed)
-    _early(recorder, result.world, sensed)
-    units = result.world.actor[result.world.is_roadside]
+        _receptions(recorder, now_step, sensed)
+    recorder.append("evaluations", now_step, _evaluation_rows(sensed))
+    if "transmitted_evaluations" in recorder.tables:
+        _transmitted(recorder, now_step, sensed)
+    recorder.append("evidence", now_step, _evidence_rows(world, sensed))
+    _trust(recorder, world, sensed, dt_s)
+    _fused(recorder, world, sensed)
+    _early(recorder, world, sensed)
+    units = world.actor[world.is_roadside]
     for rows in sensed.attack_outcomes:
-        recorder.append("attack_outcomes", at, _without(np.isin(rows["receiver"], units), rows))
+        recorder.append("attack_outcomes", now_step, _without(np.isin(rows["receiver"], units), rows))
 
 
 def actors(recorder: TakesRows, world: World) -> None:
     """Append the poses of all actors on the road."""
-    xyz, yaw = world.boxes.xyz_m, world.boxes.yaw_rad
+    x, y, z = world.boxes.xyz_m.T
     rows = {
-        "actor": world.actor, "x_m": xyz[:, 0], "y_m": xyz[:, 1], "z_m": xyz[:, 2], "yaw_rad": yaw,
+        "actor": world.actor,
+        "x_m": x,
+        "y_m": y,
+        "z_m": z,
+        "yaw_rad": world.boxes.yaw_rad,
         "speed_mps": world.speed_mps,
-    }  # fmt: skip
+    }
     recorder.append("actors", world.step, _without(world.is_roadside, rows))
 
 
 def _without(left_out: Bool[ndarray, "n"], rows: Columns) -> Columns:
-    """The rows that are not left out."""
+    """The rows that are not left out. Most tables are about vehicles and leave out roadside units."""
     if not left_out.any():
         return rows
     return {name: None if column is None else column[~left_out] for name, column in rows.items()}
 
 
-def _reactions(recorder: TakesRows, at: int, found: Reactions) -> None:
-    why = found.commands.reasons
+def _reaction_rows(found: Reactions) -> Columns:
+    commands, why = found.commands, found.commands.reasons
     assert why is not None, "reactions have reasons"
-    recorder.append("reactions", at, {
-        "vehicle": found.commands.actor, "source_step": why.source_step, "source": why.source,
-        "source_index": why.source_index, "gap_m": why.gap_m, "speed_mps": found.commands.speed_mps,
-        "deceleration_mps2": found.deceleration_mps2, "fabricated": found.fabricated,
-        "truth_actor": found.truth_actor, "truth_actor__valid": found.is_real,
-    })  # fmt: skip
+    return {
+        "vehicle": commands.actor,
+        "source_step": why.source_step,
+        "source": why.source,
+        "source_index": why.source_index,
+        "gap_m": why.gap_m,
+        "speed_mps": commands.speed_mps,
+        "deceleration_mps2": found.deceleration_mps2,
+        "fabricated": found.fabricated,
+        "truth_actor": found.truth_actor,
+        "truth_actor__valid": found.is_real,
+    }
 
 
-def encounters(recorder: TakesRows, at: int, closed: Sequence[Rows]) -> None:
+def _encounters(recorder: TakesRows, now_step: int, closed: Sequence[Rows]) -> None:
     """Append encounters that have ended; `closed` has one item per definition in the config."""
     for rows in closed:
         base, others = by_variant(rows)
-        recorder.append("encounters", at, base)
+        recorder.append("encounters", now_step, base)
         if others:
-            recorder.append("encounter_trust", at, others)
+            recorder.append("encounter_trust", now_step, others)
 
 
-def pseudonyms(recorder: TakesRows, at: int, ended: PseudonymUse) -> None:
+def pseudonyms(recorder: TakesRows, now_step: int, ended: PseudonymUse) -> None:
     """Append pseudonyms that are no longer used."""
-    recorder.append("pseudonyms", at, _pseudonym_rows(ended))
+    recorder.append("pseudonyms", now_step, _pseudonym_rows(ended))
 
 
 def _pseudonym_rows(used: PseudonymUse) -> Rows:
     return {
-        "pseudonym": used.pseudonym, "vehicle": used.vehicle, "identity": used.identity,
-        "from_step": used.from_step, "to_step": used.to_step, "refused_step": used.refused_step,
+        "pseudonym": used.pseudonym,
+        "vehicle": used.vehicle,
+        "identity": used.identity,
+        "from_step": used.from_step,
+        "to_step": used.to_step,
+        "refused_step": used.refused_step,
         "refused_step__valid": used.refused_step >= 0,
-    }  # fmt: skip
+    }
 
 
 def box_columns(boxes: Boxes) -> Rows:
@@ -167,83 +192,112 @@ def box_columns(boxes: Boxes) -> Rows:
     x, y, z = boxes.xyz_m.T
     length, width, height = boxes.lwh_m.T
     return {
-        "x_m": x, "y_m": y, "z_m": z, "length_m": length, "width_m": width, "height_m": height,
+        "x_m": x,
+        "y_m": y,
+        "z_m": z,
+        "length_m": length,
+        "width_m": width,
+        "height_m": height,
         "yaw_rad": boxes.yaw_rad,
-    }  # fmt: skip
+    }
 
 
 def _detections(recorder: TakesRows, world: World, sensed: Sensed) -> None:
-    seen = sensed.positioned.observed.observability
-    pseudonym = sensed.senders.pseudonym[sensed.listed.detections.message]
-    recorder.append("detections", world.step, detection_columns(world, sensed.listed, pseudonym))
-    if sensed.positioned.error is not None:
-        x, y, heading = sensed.positioned.error.T
-        recorder.append("position_errors", world.step, {
-            "vehicle": sensed.vehicles.actor, "error_x_m": x, "error_y_m": y,
-            **({"error_yaw_rad": heading} if heading.any() else {}),  # a draw is never exactly 0
-        })  # fmt: skip
+    """Append detections, the errors of the poses behind them, and what the LiDARs could have seen."""
+    now_step, positioned, seen = world.step, sensed.positioned, sensed.positioned.observed.observability
+    recorder.append("detections", now_step, detection_columns(world, sensed.listed, _observer(sensed)))
+    if positioned.error is not None:
+        x, y, heading = positioned.error.T
+        errors: Rows = {"vehicle": sensed.vehicles.actor, "error_x_m": x, "error_y_m": y}
+        if heading.any():  # a draw is never exactly 0, so all are 0 if headings have no errors
+            errors["error_yaw_rad"] = heading
+        recorder.append("position_errors", now_step, errors)
     n_dropped = sensed.listed.n_dropped
-    faults = np.flatnonzero(n_dropped)
-    recorder.append("dropped_detections", world.step, {"cause": faults, "n": n_dropped[faults]})
-    recorder.append("observability", world.step, {
-        "observer": sensed.sensing.actor[seen.observer], "actor": world.actor[seen.actor],
-        "n_points": seen.n_returns, "n_unoccluded": seen.n_unoccluded,
-    })  # fmt: skip
+    causes = np.flatnonzero(n_dropped)
+    recorder.append("dropped_detections", now_step, {"cause": causes, "n": n_dropped[causes]})
+    visible = {
+        "observer": sensed.sensing.actor[seen.observer],
+        "actor": world.actor[seen.actor],
+        "n_points": seen.n_returns,
+        "n_unoccluded": seen.n_unoccluded,
+    }
+    recorder.append("observability", now_step, visible)
+
+
+def _observer(sensed: Sensed) -> Int[ndarray, "d"]:
+    """Pseudonym of the sender of each detection that is listed in this step."""
+    return sensed.senders.pseudonym[sensed.listed.detections.message]
 
 
 def detection_columns(world: World, listed: Listed | Known, pseudonym: Int[ndarray, "d"]) -> Rows:
     """Columns of the table `detections`; `pseudonym` is that of the observer of each detection."""
     objects, truth = listed.objects, listed.truth
     return {
-        "observer": pseudonym, "detection_index": objects.detection_index,
-        "class": objects.label, **box_columns(objects.boxes), "score": objects.score, "n_points": objects.n_points,
-        "speed_mps": objects.speed_mps, "speed_mps__valid": ~np.isnan(objects.speed_mps),
+        "observer": pseudonym,
+        "detection_index": objects.detection_index,
+        "class": objects.label,
+        **box_columns(objects.boxes),
+        "score": objects.score,
+        "n_points": objects.n_points,
+        "speed_mps": objects.speed_mps,
+        "speed_mps__valid": ~np.isnan(objects.speed_mps),
         "acceleration_mps2": objects.acceleration_mps2,
         "acceleration_mps2__valid": ~np.isnan(objects.acceleration_mps2),
-        "origin": objects.origin, "transmitted": objects.transmitted, "lied": truth.lied,
-        "withheld": listed.withheld, "target": world.actor[objects.target],
+        "origin": objects.origin,
+        "transmitted": objects.transmitted,
+        "lied": truth.lied,
+        "withheld": listed.withheld,
+        "target": world.actor[objects.target],
         "target__valid": (objects.target != objects.observer) | truth.is_phantom,
-        "truth_actor": world.actor[truth.actor_row], "truth_actor__valid": truth.is_real,
-        "truth_iou": truth.iou, "truth_iou__valid": truth.is_real,
-        "truth_occlusion": truth.occlusion, "truth_occlusion__valid": truth.is_sensed,
-    }  # fmt: skip
+        "truth_actor": world.actor[truth.actor_row],
+        "truth_actor__valid": truth.is_real,
+        "truth_iou": truth.iou,
+        "truth_iou__valid": truth.is_real,
+        "truth_occlusion": truth.occlusion,
+        "truth_occlusion__valid": truth.is_sensed,
+    }
 
 
-def _tracks(recorder: TakesRows, at: int, sensed: Sensed) -> None:
-    states, listed = sensed.listed.tracks, sensed.listed.objects
-    if states is None:
-        return
+def _track_rows(sensed: Sensed, states: ObjectStates) -> Columns:
+    """Rows of detections that have a track or a velocity. `states` has one row per sensed detection, in list order."""
+    listed = sensed.listed.objects
     moves = ~np.isnan(listed.velocity_mps).any(axis=1)
     tracked = listed.origin == SENSED
     rows = np.flatnonzero(tracked | moves)
-    of_state, is_tracked = (np.cumsum(tracked) - 1).clip(0)[rows], tracked[rows]
+    state_of_row = (np.cumsum(tracked) - 1).clip(0)[rows]  # meaningless where the detection has no track
+    is_tracked, has_velocity = tracked[rows], moves[rows]
 
     def from_state(values: ndarray) -> ndarray:
-        return values[of_state] if len(values) else np.zeros(len(rows), values.dtype)
+        return values[state_of_row] if len(values) else np.zeros(len(rows), values.dtype)
 
     x, y = listed.velocity_mps[rows].T
-    recorder.append("tracks", at, {
-        "observer": sensed.senders.pseudonym[sensed.listed.detections.message[rows]],
+    return {
+        "observer": _observer(sensed)[rows],
         "detection_index": listed.detection_index[rows],
-        "object_id": from_state(states.object_id), "object_id__valid": is_tracked,
-        "age_s": from_state(states.age_s), "age_s__valid": is_tracked,
-        "velocity_x_mps": x, "velocity_x_mps__valid": moves[rows],
-        "velocity_y_mps": y, "velocity_y_mps__valid": moves[rows],
-        "existence_p": from_state(states.existence_p), "existence_p__valid": is_tracked,
-    })  # fmt: skip
+        "object_id": from_state(states.object_id),
+        "object_id__valid": is_tracked,
+        "age_s": from_state(states.age_s),
+        "age_s__valid": is_tracked,
+        "velocity_x_mps": x,
+        "velocity_x_mps__valid": has_velocity,
+        "velocity_y_mps": y,
+        "velocity_y_mps__valid": has_velocity,
+        "existence_p": from_state(states.existence_p),
+        "existence_p__valid": is_tracked,
+    }
 
 
-def _stated_accuracies(recorder: TakesRows, at: int, sensed: Sensed) -> None:
+def _stated_accuracy_rows(sensed: Sensed) -> Columns:
     stated = sensed.listed.objects
-    if not stated.variance_m2.any():  # exact poses, or matching that asks for no accuracy
-        return
-    recorder.append("stated_accuracies", at, {
-        "observer": sensed.senders.pseudonym[sensed.listed.detections.message],
-        "detection_index": stated.detection_index, **_position_std("", stated.variance_m2),
+    return {
+        "observer": _observer(sensed),
+        "detection_index": stated.detection_index,
+        **_position_std("", stated.variance_m2),
         **_position_std("relative_", stated.relative_m2),
-        "speed_std_mps": np.sqrt(stated.velocity_variance), "yaw_std_rad": np.sqrt(stated.heading_variance),
+        "speed_std_mps": np.sqrt(stated.velocity_variance),
+        "yaw_std_rad": np.sqrt(stated.heading_variance),
         "size_std": np.sqrt(stated.size_variance),
-    })  # fmt: skip
+    }
 
 
 def _position_std(name: str, variance_m2: Float[ndarray, "d 3"]) -> Rows:
@@ -255,79 +309,92 @@ def _position_std(name: str, variance_m2: Float[ndarray, "d 3"]) -> Rows:
     return {f"{name}x_std_m": x_std_m, f"{name}y_std_m": y_std_m, f"{name}xy_correlation": correlation}
 
 
-def _cpm_content(recorder: TakesRows, world: World, sensed: Sensed) -> None:
+def _cpm_content_rows(world: World, sensed: Sensed) -> Columns:
+    """One row per cooperative perception message: which detections of the list it includes, and why not the others."""
     listed, content, n = sensed.listed, sensed.listed.content, len(sensed.senders)
-    message, is_self, length = listed.detections.message, listed.objects.origin == SELF, sensed.rounds[0].length_bytes
-    counts = np.bincount(
-        (message * len(Inclusion) + content.inclusion)[~is_self], minlength=n * len(Inclusion)
-    ).reshape(n, len(Inclusion))  # fmt: skip
-    is_unit = world.is_roadside[sensed.vehicles.row[sensed.senders.vehicle]]
-    recorder.append("cpm_content", world.step, _without(is_unit, {
-        "sender": sensed.senders.pseudonym, "length_bytes": length,
+    message, is_self = listed.detections.message, listed.objects.origin == SELF
+    length_bytes = sensed.rounds[RoundKind.CPM].length_bytes
+    cell = (message * len(Inclusion) + content.inclusion)[~is_self]  # of the table of messages by inclusions
+    counts = np.bincount(cell, minlength=n * len(Inclusion)).reshape(n, len(Inclusion))
+    rows = {
+        "sender": sensed.senders.pseudonym,
+        "length_bytes": length_bytes,
         "n_objects": counts.sum(axis=1) - counts[:, Inclusion.WITHHELD],
         **{column: counts[:, inclusion] for column, inclusion in INCLUSIONS.items()},
         "self_report": np.bincount(message[is_self & content.included], minlength=n) > 0,
-        "sensors": content.has_sensors & (length > 0),
-    }))  # fmt: skip
+        "sensors": content.has_sensors & (length_bytes > 0),
+    }
+    return _without(world.is_roadside[sensed.vehicles.row[sensed.senders.vehicle]], rows)
 
 
 def _channel(recorder: TakesRows, world: World, sensed: Sensed) -> None:
-    n, at = len(sensed.vehicles), world.step
-    received = []
+    """Append what became of the frames of each type of message, and what each vehicle received and heard."""
+    n, now_step = len(sensed.vehicles), world.step
+    receivers = []  # of the receptions of each round
     for message_type, kind, reach in zip(MessageType, RoundKind, sensed.reach, strict=True):
         broadcast, late = sensed.rounds[kind], late_of(sensed.rounds, kind)
-        cbr = broadcast.round.frames.cbr
         frames = [broadcast.round.frames, *(messages.round.frames for messages in late)]
-        outcomes = _joined(frames, ("distance_m", "los_state", "outcome"))
-        decided = outcomes["outcome"] != Outcome.WAITING  # a frame counts when it is sent or expires
-        if not decided.all():
-            rows_decided = np.flatnonzero(decided)
-            outcomes = {name: column.take(rows_decided) for name, column in outcomes.items()}
-        by_distance, total = pdr_by_distance(**outcomes, columns=OUTCOMES)
-        recorder.append("radio", at, _of(message_type, {
+        receptions = [broadcast.links.vehicles, *(messages.links.vehicles for messages in late)]
+        receivers += [found.receiver for found in receptions]
+        by_distance, total = pdr_by_distance(**_decided_frames(frames), columns=OUTCOMES)
+        cbr = broadcast.round.frames.cbr
+        totals = {
             "n_sent": np.array([sum(one.n_transmissions.sum() for one in frames)]),
             "n_relayed": np.array([sum(one.n_relayed for one in frames)]),
             "n_duplicate": np.array([sum(one.n_duplicate for one in frames)]),
-            "sent_bytes": np.array([sum(one.sent_bytes for one in frames)]), **total,
+            "sent_bytes": np.array([sum(one.sent_bytes for one in frames)]),
+            **total,
             "cbr": None if cbr is None else np.array([cbr[:n].mean()]),
-        }))  # fmt: skip
-        found = [broadcast.links.vehicles, *(messages.links.vehicles for messages in late)]
-        received += [one.receiver for one in found]
-        latency_s = np.concatenate([one.latency_s for one in found])
-        recorder.append("pdr_by_distance", at, _of(message_type, by_distance))
-        recorder.append("latency_histogram", at, _of(message_type, latency_histogram(latency_s)))
-        recorder.append("packet_inter_reception", at, _of(message_type, reach.inter_reception))
-    rows = {"vehicle": sensed.vehicles.actor} | vehicle_channel(
-        n, [reach.n_in_range for reach in sensed.reach], received,
-        [broadcast.round.frames.cbr for broadcast in sensed.rounds],
-    )  # fmt: skip
-    recorder.append("vehicle_channel", at, _without(world.is_roadside[sensed.vehicles.row], rows))
+        }
+        latency_s = np.concatenate([found.latency_s for found in receptions])
+        recorder.append("radio", now_step, _of(message_type, totals))
+        recorder.append("pdr_by_distance", now_step, _of(message_type, by_distance))
+        recorder.append("latency_histogram", now_step, _of(message_type, latency_histogram(latency_s)))
+        recorder.append("packet_inter_reception", now_step, _of(message_type, reach.inter_reception))
+    n_in_range = [reach.n_in_range for reach in sensed.reach]
+    cbr_of_rounds = [broadcast.round.frames.cbr for broadcast in sensed.rounds]
+    rows = {"vehicle": sensed.vehicles.actor} | vehicle_channel(n, n_in_range, receivers, cbr_of_rounds)
+    recorder.append("vehicle_channel", now_step, _without(world.is_roadside[sensed.vehicles.row], rows))
 
 
-def _of(message_type: MessageType, rows: Mapping[str, ndarray | None]) -> dict[str, ndarray | None]:
+def _of(message_type: MessageType, rows: Columns) -> Columns:
+    """The rows with a column that says of which type of message they are."""
     n = next(len(values) for values in rows.values() if values is not None)
     return {"message_type": np.full(n, message_type), **rows}
 
 
-def _joined(parts: Sequence[FrameOutcomes], names: Sequence[str]) -> dict[str, ndarray]:
-    """These columns of several rounds, one after another."""
+def _decided_frames(parts: Sequence[FrameOutcomes]) -> dict[str, ndarray]:
+    """Distance, line of sight and outcome of the frames of several rounds, without the frames that still wait.
+
+    A frame counts in the step in which it is sent or expires.
+    """
+    names = ("distance_m", "los_state", "outcome")
     if len(parts) == 1:
-        return {name: getattr(parts[0], name) for name in names}
-    return {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        columns = {name: getattr(parts[0], name) for name in names}
+    else:
+        columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    is_decided = columns["outcome"] != Outcome.WAITING
+    if is_decided.all():
+        return columns
+    rows = np.flatnonzero(is_decided)
+    return {name: column.take(rows) for name, column in columns.items()}
 
 
-def _receptions(recorder: TakesRows, at: int, sensed: Sensed) -> None:
+def _receptions(recorder: TakesRows, now_step: int, sensed: Sensed) -> None:
+    """Append the receptions of each type of message, those of messages of earlier steps that arrive now included."""
     for message_type, kind in zip(MessageType, RoundKind, strict=True):
         found = sensed.rounds[kind].links.vehicles
         senders = [sensed.senders.pseudonym[found.message]]
-        steps, parts = [np.full(len(found.message), at)], [found]
+        steps, parts = [np.full(len(found.message), now_step)], [found]
         for late in late_of(sensed.rounds, kind):
             pseudonym = late_pseudonyms(late, sensed.carried)
             known = late.links.vehicles.take(pseudonym[late.links.vehicles.message] >= 0)
             senders.append(pseudonym[known.message])
             steps.append(late.step[known.message])
             parts.append(known)
-        found, sender, step = Receptions.concat(parts), np.concatenate(senders), np.concatenate(steps)
+        found = Receptions.concat(parts)
+        sender = np.concatenate(senders)
+        step = np.concatenate(steps)
         if len(parts) > 1:
             first = _first_copies(sender, step, found)
             found, sender, step = found.take(first), sender[first], step[first]
@@ -341,71 +408,82 @@ def _receptions(recorder: TakesRows, at: int, sensed: Sensed) -> None:
             "latency_s": found.latency_s,
             "distance_m": found.distance_m,
         }
-        recorder.append("receptions", at, _of(message_type, rows))
+        recorder.append("receptions", now_step, _of(message_type, rows))
 
 
 def _first_copies(sender: Int[ndarray, "n"], step: Int[ndarray, "n"], found: Receptions) -> Int[ndarray, "k"]:
     """Rows of the first reception of each message at each receiver: a sender may send copies, and they may be late."""
     order = np.argsort(found.latency_s, kind="stable")
-    for key in (found.receiver, step, sender):
+    for key in (found.receiver, step, sender):  # in the end by sender, step, receiver, latency
         order = order.take(stable_order(key.take(order)))
-    same = np.zeros(len(order), bool)
-    same[1:] = True
+    is_copy = np.zeros(len(order), bool)  # of the row before it in this order
+    is_copy[1:] = True
     for key in (found.receiver, step, sender):
-        same[1:] &= np.diff(key.take(order)) == 0
+        is_copy[1:] &= np.diff(key.take(order)) == 0
     is_first = np.ones(len(order), bool)
-    is_first[order[same]] = False
+    is_first[order[is_copy]] = False
     return np.flatnonzero(is_first)
 
 
-def _evaluations(recorder: TakesRows, at: int, sensed: Sensed) -> None:
-    evaluated, known = sensed.evaluated, sensed.known
-    lists, reported, detections = evaluated.lists, evaluated.reported, sensed.known.detections
-    by, member = lists.of_member(), lists.member
+def _evaluation_rows(sensed: Sensed) -> Columns:
+    """Evaluations of what is new to each evaluator since it last sensed."""
+    evaluated, known, detections = sensed.evaluated, sensed.known, sensed.known.detections
+    member, evaluator = evaluated.lists.member, evaluated.lists.owner[evaluated.lists.of_member()]
     rows: Rows = {
-        "evaluator": known.pseudonym[lists.owner[by]], "observer": known.pseudonym[detections.message[member]],
-        "detection_index": detections.detection_index[member], "evaluation": reported.evaluation,
-        "visibility": reported.visibility, "n_points": evaluated.n_points, "plausible": evaluated.plausible,
-        "plausible__valid": ~evaluated.matched, "matched": evaluated.matched, "lied": evaluated.lied,
+        "evaluator": known.pseudonym[evaluator],
+        "observer": known.pseudonym[detections.message[member]],
+        "detection_index": detections.detection_index[member],
+        "evaluation": evaluated.reported.evaluation,
+        "visibility": evaluated.reported.visibility,
+        "n_points": evaluated.n_points,
+        "plausible": evaluated.plausible,
+        "plausible__valid": ~evaluated.matched,
+        "matched": evaluated.matched,
+        "lied": evaluated.lied,
         "detection_step": known.detection_step(member),
-    }  # fmt: skip
+    }
     if evaluated.number is not None:
         rows["detection_index"], rows["kind"] = np.divmod(evaluated.number, len(EvaluationKind))
         rows["plausible__valid"] = (rows["kind"] == EvaluationKind.DETECTION) & ~evaluated.matched
-    new = np.flatnonzero(known.is_new(sensed.senders.source[lists.owner[by]], member))
-    recorder.append("evaluations", at, {name: column.take(new) for name, column in rows.items()})
-    if "transmitted_evaluations" in recorder.tables:
-        _transmitted(recorder, at, sensed)
+    new = np.flatnonzero(known.is_new(sensed.senders.source[evaluator], member))
+    return {name: column.take(new) for name, column in rows.items()}
 
 
-def _transmitted(recorder: TakesRows, at: int, sensed: Sensed) -> None:
+def _transmitted(recorder: TakesRows, now_step: int, sensed: Sensed) -> None:
+    """Append evaluations as transmitted, and the scores that were transmitted with the detections."""
     sent, own = sensed.evaluated.sent, sensed.evaluated.kept_messages
-    number: Rows = {"detection_index": sent.detection_index}
-    if sensed.evaluated.number is not None:
-        number["detection_index"], number["kind"] = np.divmod(sent.detection_index, len(EvaluationKind))
-    recorder.append("transmitted_evaluations", at, {
-        "evaluator": np.repeat(sent.evaluator, np.diff(sent.ptr)), "observer": sent.observer, **number,
-        "evaluation": sent.evaluation, "visibility": sent.visibility,
-        "own_evaluation": own.evaluation, "own_visibility": own.visibility,
+    rows = {
+        "evaluator": np.repeat(sent.evaluator, np.diff(sent.ptr)),
+        "observer": sent.observer,
+        "detection_index": sent.detection_index,
+        "evaluation": sent.evaluation,
+        "visibility": sent.visibility,
+        "own_evaluation": own.evaluation,
+        "own_visibility": own.visibility,
         "detection_step": sent.detection_step,
-    })  # fmt: skip
+    }
+    if sensed.evaluated.number is not None:
+        rows["detection_index"], rows["kind"] = np.divmod(sent.detection_index, len(EvaluationKind))
+    recorder.append("transmitted_evaluations", now_step, rows)
     detections, chosen = sensed.listed.detections, sensed.listed.objects.transmitted
-    recorder.append("transmitted_scores", at, {
-        "observer": sensed.senders.pseudonym[detections.message[chosen]],
-        "detection_index": detections.detection_index[chosen], "score": detections.score[chosen],
-    })  # fmt: skip
+    scores = {
+        "observer": _observer(sensed)[chosen],
+        "detection_index": detections.detection_index[chosen],
+        "score": detections.score[chosen],
+    }
+    recorder.append("transmitted_scores", now_step, scores)
 
 
-def _evidence(recorder: TakesRows, world: World, sensed: Sensed) -> None:
+def _evidence_rows(world: World, sensed: Sensed) -> Columns:
+    """Counts of what the new evaluations say of real and of fabricated detections."""
     known, (lists, _, reported) = sensed.known, sensed.evaluated.of_detections()
     evaluator = lists.owner[lists.of_member()]
-    is_new = known.is_new(sensed.senders.source[evaluator], lists.member)
-    rows = np.flatnonzero(is_new)
+    new = np.flatnonzero(known.is_new(sensed.senders.source[evaluator], lists.member))
     evaluations = evidence_audit.AuditedEvaluations(
-        evaluator=evaluator[rows],
-        detection=lists.member[rows],
-        evaluation=reported.evaluation[rows],
-        visibility=reported.visibility[rows],
+        evaluator=evaluator[new],
+        detection=lists.member[new],
+        evaluation=reported.evaluation[new],
+        visibility=reported.visibility[new],
     )
     detections = evidence_audit.AuditedDetections(
         message=known.detections.message,
@@ -415,59 +493,47 @@ def _evidence(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     )
     attacks = world.attack[sensed.vehicles.row[known.vehicle]] > 0
     n_copies = sum(broadcast.round.frames.n_duplicate for broadcast in sensed.rounds)
-    recorder.append("evidence", world.step, evidence_audit.audit(evaluations, detections, attacks, n_copies))
+    return evidence_audit.audit(evaluations, detections, attacks, n_copies)
 
 
 def _trust(recorder: TakesRows, world: World, sensed: Sensed, dt_s: float) -> None:
+    """Append the tables of trust, which are about vehicles: without look-ups of roadside units or about them."""
     used = sensed.looked_up.messages
-    receiver, subject = sensed.sensing.actor[used.receiver], sensed.known.pseudonym[used.message]
-    lookups = sensed.looked_up.lookups
+    receiver = sensed.sensing.actor[used.receiver]
+    subject = sensed.known.pseudonym[used.message]
     # Several messages of one sender may be in use; its trust is looked up once.
-    _, once = np.unique(receiver.astype(np.int64) << 32 | subject, return_index=True)
-    receiver, subject, lookups = receiver[once], subject[once], [found.take(once) for found in lookups]
+    _, chosen = np.unique(receiver.astype(np.int64) << 32 | subject, return_index=True)
     published, units = list(sensed.published), world.is_roadside[sensed.vehicles.row]
-    if units.any():  # the tables of trust are about vehicles
-        actor, own = sensed.vehicles.actor[units], sensed.vehicles.pseudonym[units]
-        between = np.flatnonzero(~np.isin(receiver, actor) & ~np.isin(subject, own))
-        receiver, subject, lookups = receiver[between], subject[between], [found.take(between) for found in lookups]
-        published = [None if s is None else s.take(np.flatnonzero(~np.isin(s.subject, own))) for s in published]
-    trust(recorder, world.step, dt_s, published, sensed.servers, receiver, subject, lookups)
+    if units.any():
+        pseudonym = sensed.vehicles.pseudonym[units]
+        by_vehicle = ~np.isin(receiver, sensed.vehicles.actor[units])
+        chosen = chosen[(by_vehicle & ~np.isin(subject, pseudonym))[chosen]]
+        published = [None if s is None else s.take(~np.isin(s.subject, pseudonym)) for s in published]
+    lookups = [found.take(chosen) for found in sensed.looked_up.lookups]
+    of_variant = [(v, scores) for v, scores in enumerate(published) if scores is not None]
+    _published(recorder, world.step, dt_s, of_variant)
+    recorder.append("server", world.step, _server_rows(sensed.servers))
+    _lookups(recorder, world.step, receiver[chosen], subject[chosen], lookups)
 
 
-def trust(
-    recorder: TakesRows, at: int, dt_s: float, published: Sequence[TrustScores | None],
-    servers: Sequence[ServerTraffic | None], receiver: Int[ndarray, "n"], subject: Int[ndarray, "n"],
-    lookups: Sequence[Lookups],
-) -> None:  # fmt: skip
-    """Append the tables of trust for one step.
-
-    Parameters
-    ----------
-    recorder
-        Takes the rows.
-    at
-        Number of the step.
-    dt_s
-        Length of a step [s].
-    published
-        Per trust variant, the values that its server computed in this step; None if it computed none.
-    servers
-        Per trust variant, the traffic from and to its server; None if it has no server.
-    receiver, subject
-        Per lookup, the actor number of the vehicle that looks up, and the pseudonym that it asks about.
-    lookups
-        Per trust variant, the answers, aligned with `receiver` and `subject`.
-    """
-    _published(recorder, at, dt_s, [(v, scores) for v, scores in enumerate(published) if scores is not None])
+def _server_rows(servers: Sequence[ServerTraffic | None]) -> Columns:
+    """One row per trust variant that has a server: the traffic from and to it."""
     of_server = [(v, server) for v, server in enumerate(servers) if server is not None]
-    counts = {name: np.array([getattr(server.up, name) for _, server in of_server], np.int64) for name in _UP}
-    counts |= {name: np.array([getattr(server.down, name) for _, server in of_server], np.int64) for name in _DOWN}
-    recorder.append("server", at, {"variant": np.array([v for v, _ in of_server], np.int64)} | counts)
-    _lookups(recorder, at, receiver, subject, lookups)
+    rows: dict[str, list[int]] = {"variant": [v for v, _ in of_server]}
+    rows |= {name: [getattr(server.up, name) for _, server in of_server] for name in _UP}
+    rows |= {name: [getattr(server.down, name) for _, server in of_server] for name in _DOWN}
+    return {name: np.array(values, np.int64) for name, values in rows.items()}
 
 
-def _published(recorder: TakesRows, at: int, dt_s: float, of_variant: Sequence[tuple[int, TrustScores]]) -> None:
-    """Append the rows of all variants, one variant after another."""
+_UP = ("n_reports", "n_reached", "n_lost", "n_late", "n_over_capacity", "n_outage", "uplink_bytes")
+_DOWN = ("n_addressed", "n_informed")
+
+
+def _published(recorder: TakesRows, now_step: int, dt_s: float, of_variant: Sequence[tuple[int, TrustScores]]) -> None:
+    """Append the trust scores that servers computed in this step, one variant after another.
+
+    `of_variant` has the number of each variant whose server computed scores, and these scores.
+    """
     if not of_variant:
         return
 
@@ -476,126 +542,198 @@ def _published(recorder: TakesRows, at: int, dt_s: float, of_variant: Sequence[t
 
     n = [len(scores.subject) for _, scores in of_variant]
     uncertainty, is_evaluated = joined("uncertainty"), joined("is_evaluated")
-    evaluators = [scores.n_evaluations if (m := scores.n_evaluators) is None else m for _, scores in of_variant]
-    recorder.append("trust", at, {
-        "variant": np.repeat([v for v, _ in of_variant], n), "subject": joined("subject"), "trust": joined("trust"),
-        "uncertainty": uncertainty, "uncertainty__valid": ~np.isnan(uncertainty),
-        "weight": joined("weight"), "state": np.where(is_evaluated, LookupState.EVALUATED, LookupState.UNEVALUATED),
+    n_evaluators = [scores.n_evaluations if (m := scores.n_evaluators) is None else m for _, scores in of_variant]
+    rows = {
+        "variant": np.repeat([v for v, _ in of_variant], n),
+        "subject": joined("subject"),
+        "trust": joined("trust"),
+        "uncertainty": uncertainty,
+        "uncertainty__valid": ~np.isnan(uncertainty),
+        "weight": joined("weight"),
+        "state": np.where(is_evaluated, LookupState.EVALUATED, LookupState.UNEVALUATED),
         **_evaluations_behind(
-            joined("n_evaluations"), np.concatenate(evaluators), (at - joined("newest_evaluation_step")) * dt_s,
-            (at - joined("oldest_evaluation_step")) * dt_s, is_evaluated,
-            np.repeat([scores.n_evaluators is not None for _, scores in of_variant], n),
+            n=joined("n_evaluations"),
+            n_evaluators=np.concatenate(n_evaluators),
+            newest_s=(now_step - joined("newest_evaluation_step")) * dt_s,
+            oldest_s=(now_step - joined("oldest_evaluation_step")) * dt_s,
+            some=is_evaluated,
+            counted=np.repeat([scores.n_evaluators is not None for _, scores in of_variant], n),
         ),
-    })  # fmt: skip
-
-
-_UP = ("n_reports", "n_reached", "n_lost", "n_late", "n_over_capacity", "n_outage", "uplink_bytes")
-_DOWN = ("n_addressed", "n_informed")
+    }
+    recorder.append("trust", now_step, rows)
 
 
 def _lookups(
-    recorder: TakesRows, at: int, receiver: Int[ndarray, "n"], subject: Int[ndarray, "n"], lookups: Sequence[Lookups]
+    recorder: TakesRows,
+    now_step: int,
+    receiver: Int[ndarray, "n"],
+    subject: Int[ndarray, "n"],
+    lookups: Sequence[Lookups],
 ) -> None:
-    """Append the rows of all variants, sorted by variant and subject."""
+    """Append look-ups of trust and their sums, sorted by variant and subject.
+
+    Parameters
+    ----------
+    receiver, subject
+        Per look-up, the actor number of the vehicle that looks up, and the pseudonym that it asks about.
+    lookups
+        Per trust variant, the answers, aligned with `receiver` and `subject`.
+    """
     n, n_variants = len(receiver), len(lookups)
-    counted = np.repeat([found.n_evaluators is not None for found in lookups], n)
     nothing = np.zeros(n, np.int64)
-    whole = Lookups(*(
-        np.concatenate([nothing if (column := getattr(found, f.name)) is None else column for found in lookups])
-        for f in fields(Lookups)
-    ))  # fmt: skip
-    recorder.append("lookup_totals", at, _lookup_totals(whole, n_variants))
+
+    def joined(name: str) -> ndarray:
+        columns = (getattr(found, name) for found in lookups)
+        return np.concatenate([nothing if column is None else column for column in columns])
+
+    answers = Lookups(*(joined(field.name) for field in fields(Lookups)))
+    recorder.append("lookup_totals", now_step, _lookup_totals(answers, n_variants))
     order = stable_order(subject)
-    found = whole.take((np.arange(n_variants)[:, None] * n + order).ravel())
-    recorder.append("trust_lookups", at, {
-        "variant": np.repeat(np.arange(n_variants), n), "subject": np.tile(subject[order], n_variants),
-        "receiver": np.tile(receiver[order], n_variants), "trust": found.trust, "source": found.source,
-        "state": found.state, "age_s": found.age_s, "age_s__valid": ~found.is_default,
+    first = n * np.arange(n_variants)  # row of the first answer of each variant
+    found = answers.take((first[:, None] + order).ravel())
+    rows = {
+        "variant": np.repeat(np.arange(n_variants), n),
+        "subject": np.tile(subject[order], n_variants),
+        "receiver": np.tile(receiver[order], n_variants),
+        "trust": found.trust,
+        "source": found.source,
+        "state": found.state,
+        "age_s": found.age_s,
+        "age_s__valid": ~found.is_default,
         **_evaluations_behind(
-            found.n_evaluations, np.asarray(found.n_evaluators), found.newest_evaluation_age_s,
-            found.oldest_evaluation_age_s, found.is_known, counted,
+            n=found.n_evaluations,
+            n_evaluators=np.asarray(found.n_evaluators),
+            newest_s=found.newest_evaluation_age_s,
+            oldest_s=found.oldest_evaluation_age_s,
+            some=found.is_known,
+            counted=np.repeat([one.n_evaluators is not None for one in lookups], n),
         ),
-    })  # fmt: skip
+    }
+    recorder.append("trust_lookups", now_step, rows)
 
 
 def _lookup_totals(found: Lookups, n_variants: int) -> Rows:
-    """Sums over the lookups of a step by variant and state, without states that do not occur.
+    """Sums over the look-ups of a step by variant and state, without states that do not occur.
 
-    `found` holds the lookups of all variants, one variant after another.
+    `found` holds the look-ups of all variants, one variant after another.
     """
     n_states = len(LookupState)
-    group = np.repeat(np.arange(n_variants), len(found.state) // n_variants) * n_states + found.state
-    valued, known = ~found.is_default, found.is_known
+    n_groups = n_variants * n_states
+    variant = np.repeat(np.arange(n_variants), len(found.state) // n_variants)
+    group = variant * n_states + found.state
+    has_value, is_known = ~found.is_default, found.is_known
 
     def total(of: ndarray, weight: ndarray | None = None) -> ndarray:
-        return np.bincount(group[of], None if weight is None else weight[of], n_variants * n_states)
+        return np.bincount(group[of], None if weight is None else weight[of], n_groups)
 
     rows = {
-        "variant": np.repeat(np.arange(n_variants), n_states), "state": np.tile(np.arange(n_states), n_variants),
-        "n": np.bincount(group, minlength=n_variants * n_states), "n_valued": total(valued),
-        "age_sum_s": total(valued, found.age_s),
-        "newest_evaluation_age_sum_s": total(known, found.newest_evaluation_age_s),
-        "oldest_evaluation_age_sum_s": total(known, found.oldest_evaluation_age_s),
-    }  # fmt: skip
-    there = rows["n"] > 0
-    return {name: column[there] for name, column in rows.items()}
+        "variant": np.repeat(np.arange(n_variants), n_states),
+        "state": np.tile(np.arange(n_states), n_variants),
+        "n": np.bincount(group, minlength=n_groups),
+        "n_valued": total(has_value),
+        "age_sum_s": total(has_value, found.age_s),
+        "newest_evaluation_age_sum_s": total(is_known, found.newest_evaluation_age_s),
+        "oldest_evaluation_age_sum_s": total(is_known, found.oldest_evaluation_age_s),
+    }
+    occurs = rows["n"] > 0
+    return {name: column[occurs] for name, column in rows.items()}
 
 
 def _evaluations_behind(
-    n: Int[ndarray, "n"], n_evaluators: Int[ndarray, "n"], newest_s: Float[ndarray, "n"],
-    oldest_s: Float[ndarray, "n"], some: Bool[ndarray, "n"], counted: Bool[ndarray, "n"],
-) -> Rows:  # fmt: skip
+    n: Int[ndarray, "n"],
+    n_evaluators: Int[ndarray, "n"],
+    newest_s: Float[ndarray, "n"],
+    oldest_s: Float[ndarray, "n"],
+    some: Bool[ndarray, "n"],
+    counted: Bool[ndarray, "n"],
+) -> Rows:
     """Columns about the evaluations behind trust values.
 
     `some` is true for values with at least one evaluation, `counted` where the number of evaluators is known.
     """
     return {
-        "n_evaluations": n, "n_evaluators": n_evaluators, "n_evaluators__valid": counted,
-        "newest_evaluation_age_s": newest_s, "newest_evaluation_age_s__valid": some,
-        "oldest_evaluation_age_s": oldest_s, "oldest_evaluation_age_s__valid": some,
-    }  # fmt: skip
+        "n_evaluations": n,
+        "n_evaluators": n_evaluators,
+        "n_evaluators__valid": counted,
+        "newest_evaluation_age_s": newest_s,
+        "newest_evaluation_age_s__valid": some,
+        "oldest_evaluation_age_s": oldest_s,
+        "oldest_evaluation_age_s__valid": some,
+    }
 
 
 def _fused(recorder: TakesRows, world: World, sensed: Sensed) -> None:
+    """Append the fused objects of every trust variant that fuses, and how many evaluations are behind them."""
     known = sensed.known
     listed, pseudonym = known.objects, known.pseudonym[known.detections.message]
+    is_unit = world.is_roadside[sensed.sensing.row]
     for variant, fused in enumerate(sensed.fused):
         if fused is None:
             continue
-        ego, moved = fused.ego, fused.pose != fused.seed
-        recorder.append("fused_evidence", world.step, {
-            "variant": np.array([variant]), "n_evaluations": np.array([fused.n_evaluations.sum()]),
+        ego, seed, pose = fused.ego, fused.seed, fused.pose
+        is_of_other = pose != seed  # the pose is that of another detection than the seed of the group
+        evidence = {
+            "variant": np.array([variant]),
+            "n_evaluations": np.array([fused.n_evaluations.sum()]),
             "n_evaluators": np.array([fused.n_evaluators.sum()]),
-        })  # fmt: skip
+        }
+        recorder.append("fused_evidence", world.step, evidence)
         rows: Rows = {
-            "variant": np.full(len(ego), variant), "observer": sensed.sensing.actor[ego],
-            "fused_index": np.arange(len(ego)) - ptr_of(ego, len(sensed.sensing))[ego],
-            "score": fused.score, "n_sources": fused.n_sources, "ego_detected": fused.ego_detected,
-            "source": pseudonym[fused.seed], "source_index": listed.detection_index[fused.seed],
-            "pose": pseudonym[fused.pose], "pose__valid": moved,
-            "pose_index": listed.detection_index[fused.pose], "pose_index__valid": moved,
-            "fabricated": listed.origin[fused.seed] == FABRICATED,
-            "source_step": known.detection_step(fused.seed), "pose_step": known.detection_step(fused.pose),
+            "variant": np.full(len(ego), variant),
+            "observer": sensed.sensing.actor[ego],
+            "fused_index": _index_within(ego, len(sensed.sensing)),
+            "score": fused.score,
+            "n_sources": fused.n_sources,
+            "ego_detected": fused.ego_detected,
+            "source": pseudonym[seed],
+            "source_index": listed.detection_index[seed],
+            "pose": pseudonym[pose],
+            "pose__valid": is_of_other,
+            "pose_index": listed.detection_index[pose],
+            "pose_index__valid": is_of_other,
+            "fabricated": listed.origin[seed] == FABRICATED,
+            "source_step": known.detection_step(seed),
+            "pose_step": known.detection_step(pose),
             **_moved(sensed, fused),
-        }  # fmt: skip
-        recorder.append("fused", world.step, _without(world.is_roadside[sensed.sensing.row[ego]], rows))
+        }
+        recorder.append("fused", world.step, _without(is_unit[ego], rows))
+
+
+def _index_within(ego: Int[ndarray, "n"], n_egos: int) -> Int[ndarray, "n"]:
+    """Number of each object among those of its ego, from 0; `ego` is ascending."""
+    return np.arange(len(ego)) - ptr_of(ego, n_egos)[ego]
 
 
 def _early(recorder: TakesRows, world: World, sensed: Sensed) -> None:
+    """Append the objects detected in merged point clouds, and the clouds that vehicles sent."""
     early = sensed.early
     if early is None:
         return
-    ego, actor, is_unit = early.ego, sensed.sensing.actor, world.is_roadside[sensed.sensing.row]
-    recorder.append("early_fused", world.step, _without(is_unit[ego], {
-        "observer": actor[ego], "early_index": np.arange(len(ego)) - ptr_of(ego, len(actor))[ego],
-        "class": early.label, **box_columns(early.boxes), "score": early.score, "n_points": early.n_points,
-        "n_sweeps": early.n_sweeps, "truth_actor": world.actor[early.actor_row], "truth_actor__valid": early.is_real,
-        "truth_iou": early.iou, "truth_iou__valid": early.is_real,
-    }))  # fmt: skip
-    recorder.append("clouds", world.step, {
-        "sender": actor, "n_points": early.offered.n_points, "length_bytes": early.offered.length_bytes,
-        "n_sent": early.n_frames, "n_in_range": early.n_in_range, "n_received": early.n_received,
-    })  # fmt: skip
+    ego, actor = early.ego, sensed.sensing.actor
+    is_unit = world.is_roadside[sensed.sensing.row]
+    objects = {
+        "observer": actor[ego],
+        "early_index": _index_within(ego, len(actor)),
+        "class": early.label,
+        **box_columns(early.boxes),
+        "score": early.score,
+        "n_points": early.n_points,
+        "n_sweeps": early.n_sweeps,
+        "truth_actor": world.actor[early.actor_row],
+        "truth_actor__valid": early.is_real,
+        "truth_iou": early.iou,
+        "truth_iou__valid": early.is_real,
+    }
+    recorder.append("early_fused", world.step, _without(is_unit[ego], objects))
+    clouds = {
+        "sender": actor,
+        "n_points": early.offered.n_points,
+        "length_bytes": early.offered.length_bytes,
+        "n_sent": early.n_frames,
+        "n_in_range": early.n_in_range,
+        "n_received": early.n_received,
+    }
+    recorder.append("clouds", world.step, clouds)
 
 
 def _moved(sensed: Sensed, fused: Fused) -> Rows:
@@ -657,14 +795,26 @@ def vehicle_rows(
     attack_start_step, attacked = attack_start.first_steps(len(registry))
     interval, phase = schedule.of_vehicles(registry.name_key)
     sensing: Rows = {
-        "sensing_interval_steps": interval, "sensing_interval_steps__valid": equipped,
-        "sensing_phase_steps": phase, "sensing_phase_steps__valid": equipped,
-    }  # fmt: skip
+        "sensing_interval_steps": interval,
+        "sensing_interval_steps__valid": equipped,
+        "sensing_phase_steps": phase,
+        "sensing_phase_steps__valid": equipped,
+    }
     return {
-        "vehicle": np.arange(len(registry), dtype=np.int32), "sumo_id": np.array(registry.names, object),
-        "vehicle_class": registry.shape, "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2],
-        "equipped": equipped, "role": role_of_attack[registry.attack], "role__valid": equipped,
-        "attack": registry.attack.astype(np.int16) - 1, "attack__valid": equipped & (registry.attack > 0),
-        "first_step": registry.first_step, "last_step": registry.last_step,
-        "attack_start_step": attack_start_step, "attack_start_step__valid": attacked, **sensing,
-    }  # fmt: skip
+        "vehicle": np.arange(len(registry), dtype=np.int32),
+        "sumo_id": np.array(registry.names, object),
+        "vehicle_class": registry.shape,
+        "length_m": lwh[:, 0],
+        "width_m": lwh[:, 1],
+        "height_m": lwh[:, 2],
+        "equipped": equipped,
+        "role": role_of_attack[registry.attack],
+        "role__valid": equipped,
+        "attack": registry.attack.astype(np.int16) - 1,
+        "attack__valid": equipped & (registry.attack > 0),
+        "first_step": registry.first_step,
+        "last_step": registry.last_step,
+        "attack_start_step": attack_start_step,
+        "attack_start_step__valid": attacked,
+        **sensing,
+    }

@@ -1,6 +1,8 @@
 """Vehicles group the detections that they know, ask their own sweeps about them, and evaluate them.
 
-A stage that changes a part of the state takes it as an argument and returns its new value before the result.
+Two stages of a step (`cosim.step.cycle`), after messages were received and before evaluations are sent:
+`compare_objects` finds which detections are of one object and what the own sweep says of each; `evaluate_objects` makes
+the evaluation messages. `cosim.step.claims` finds in between what vehicles think of other claims of the messages.
 """
 
 from dataclasses import dataclass
@@ -12,13 +14,11 @@ from numpy import ndarray
 from cosim.base.ragged import ptr_of
 from cosim.base.threads import threads_for
 from cosim.config.config import Config
-from cosim.messages.content import (
-    FABRICATED,
-)
+from cosim.messages.content import FABRICATED
 from cosim.step import object_lists
 from cosim.step.accuracy import pose_variance
 from cosim.step.comparing import ROWS_PER_BOX, Compared, Fuses, KnownObjects, compare, distance_m
-from cosim.step.exchange import Exchange, lists_of_identities
+from cosim.step.exchange import Exchange, Senders, lists_of_identities
 from cosim.step.ground_truth import lies_in_evaluations
 from cosim.step.known import Known, Pairs, Uses
 from cosim.step.object_lists import messages_of, subset
@@ -41,8 +41,9 @@ class Matched:
     pairs: Pairs
     """Detections that may be of one object, as rows of `Known`."""
     from_own_m: Float[ndarray, "d"]
-    """Distance of each detection from the sensor of the vehicle that sends it. With `trust.matching = "gates"`:
-    standard deviation of its position."""
+    """How inaccurate each detection is [m]: of an object's detections, the one with the least gives its box. It is the
+    distance from the sensor of the vehicle that sends it. With `trust.matching = "gates"`: standard deviation of the
+    position."""
 
 
 def compare_objects(
@@ -52,30 +53,44 @@ def compare_objects(
 
     Sweeps are not read again in this step.
     """
-    objects, senders, sweeps, c = messages.objects, exchange.senders, positioned.observed.sweeps, parts.config
-    n_now, received = int(messages.ptr[len(senders)]), messages.received
+    objects, senders, c = messages.objects, exchange.senders, parts.config
+    sweeps = positioned.observed.sweeps
+    n_now = int(messages.ptr[len(senders)])  # detections of this step; those of earlier messages follow
     with parts.watch("match"):
         pairs = _pairs(messages, n_now, c.trust)
-    further = np.flatnonzero(senders.identity)
-    if len(further):
-        sources, rows = (senders.source[further], received.receiver), (further, received.message)
-        received = Uses(np.concatenate(sources), np.concatenate(rows))
     variance_m2 = None
-    if c.trust.matching == "gates":  # of a box beside the evaluator's own sweep
+    if c.trust.matching == "gates":  # of a box beside the sweep of an evaluator, whose own position has an error too
         variance_m2 = objects.variance_m2 + c.gnss.std_m**2 * np.array([1.0, 0.0, 1.0])
     known = KnownObjects(
-        detections=messages.detections, boxes=objects.boxes, transmitted=objects.transmitted, ptr=messages.ptr,
-        traced=objects.origin == FABRICATED, pairs=pairs, own=senders.own, received=received,
+        detections=messages.detections,
+        boxes=objects.boxes,
+        transmitted=objects.transmitted,
+        ptr=messages.ptr,
+        traced=objects.origin == FABRICATED,
+        pairs=pairs,
+        own=senders.own,
+        received=_with_own_identities(messages.received, senders),
         bodies=positioned.world.boxes.take(exchange.sensing.row),
-        variance_m2=variance_m2, accuracy=_accuracy(exchange, messages, positioned, parts),
-    )  # fmt: skip
-    compared, grouped = compare(parts.perception, sweeps, known, c.area, c.trust, parts.recall, parts.watch)
-    observer = senders.source[messages.detections.message[:n_now]]
-    from_own_m = distance_m(objects.boxes.xyz_m, np.arange(n_now), sweeps.poses.origin_m, observer)
-    from_own_m = np.concatenate([from_own_m, messages.earlier_m])
-    if c.trust.matching == "gates":  # the most accurate detection of an object gives its box
+        variance_m2=variance_m2,
+        accuracy=_accuracy(exchange, messages, positioned, parts),
+    )
+    compared, groups = compare(parts.perception, sweeps, known, c.area, c.trust, parts.recall, parts.watch)
+    if c.trust.matching == "gates":
         from_own_m = np.sqrt(0.5 * objects.variance_m2[:, [0, 2]].sum(axis=1))
-    return compared, Matched(grouped, pairs, from_own_m)
+    else:
+        observer = senders.source[messages.detections.message[:n_now]]
+        now_m = distance_m(objects.boxes.xyz_m, np.arange(n_now), sweeps.poses.origin_m, observer)
+        from_own_m = np.concatenate([now_m, messages.earlier_m])
+    return compared, Matched(groups, pairs, from_own_m)
+
+
+def _with_own_identities(received: Uses, senders: Senders) -> Uses:
+    """Messages that vehicles know besides those of their first identities: an attacker knows those of its others."""
+    further = np.flatnonzero(senders.identity)
+    if not len(further):
+        return received
+    receiver = np.concatenate([senders.source[further], received.receiver])
+    return Uses(receiver, np.concatenate([further, received.message]))
 
 
 def _accuracy(exchange: Exchange, messages: Known, positioned: Positioned, parts: Parts) -> StatedAccuracy | None:
@@ -84,38 +99,44 @@ def _accuracy(exchange: Exchange, messages: Known, positioned: Positioned, parts
     wanted = {variant.trust.fused_boxes for variant in parts.trust.variants if variant.fused}
     if c.trust.matching != "gates" or wanted <= {"best"}:
         return None
-    place_m = positioned.world.boxes.xyz_m[exchange.vehicles.row[messages.vehicle], :2]
-    selves = np.flatnonzero(messages.detections.is_self)
-    place_m[messages.detections.message[selves]] = objects.boxes.xyz_m[selves, :2]  # where the message says
+    sender_row = exchange.vehicles.row[messages.vehicle]
+    origin_m = positioned.world.boxes.xyz_m[sender_row, :2]  # east and north, of each message
+    self_reports = np.flatnonzero(messages.detections.is_self)
+    origin_m[messages.detections.message[self_reports]] = objects.boxes.xyz_m[self_reports, :2]  # where it says to be
     return StatedAccuracy(
         variance_m2=objects.relative_m2,
         heading_variance=objects.heading_variance,
         size_variance=objects.size_variance,
-        origin_m=place_m,
-        pose_variance=np.tile(pose_variance(c), (len(place_m), 1)),
+        origin_m=origin_m,
+        pose_variance=np.tile(pose_variance(c), (len(origin_m), 1)),
     )
 
 
 def _pairs(messages: Known, n_now: int, params: TrustParams) -> Pairs:
-    """Detections that may be of one object; `n_now` of them are of this step. Pairs of earlier ones are known."""
+    """Detections that may be of one object, as rows of `messages.objects`.
+
+    The first `n_now` rows are of this step. They are paired with each other and with the earlier ones. Pairs of earlier
+    ones are known from the step before.
+    """
     boxes, label, message = messages.objects.boxes, messages.objects.label, messages.detections.message
-    now, earlier, variance_m2 = slice(0, n_now), slice(n_now, None), bounded(messages.objects.variance_m2)
+    variance_m2 = bounded(messages.objects.variance_m2)
+    now, earlier = slice(0, n_now), slice(n_now, None)
     gate = None if params.matching == "iou" else Gate(1.0 - params.gate_p, params.tau)
+    boxes_now, boxes_earlier = boxes.take(now), boxes.take(earlier)
     with threads_for(ROWS_PER_BOX * n_now):
         if gate is None:
-            pairs = overlapping_pairs(boxes.take(now), label[now], message[now])
+            within = overlapping_pairs(boxes_now, label[now], message[now])
         else:
-            pairs = pairs_within(boxes.take(now), label[now], variance_m2[now], message[now], gate)
+            within = pairs_within(boxes_now, label[now], variance_m2[now], message[now], gate)
         if n_now == len(boxes):
-            return pairs
+            return within
         if gate is None:
-            i, j, iou = pairs_between(boxes.take(now), label[now], boxes.take(earlier), label[earlier])
+            i, j, iou = pairs_between(boxes_now, label[now], boxes_earlier, label[earlier])
         else:
-            i, j, iou = pairs_across(
-                boxes.take(now), label[now], variance_m2[now],
-                boxes.take(earlier), label[earlier], variance_m2[earlier], gate,
-            )  # fmt: skip
-    columns = zip(pairs, (i, n_now + j, iou), messages.earlier_pairs, strict=True)
+            of_now = boxes_now, label[now], variance_m2[now]
+            of_earlier = boxes_earlier, label[earlier], variance_m2[earlier]
+            i, j, iou = pairs_across(*of_now, *of_earlier, gate)
+    columns = zip(within, (i, n_now + j, iou), messages.earlier_pairs, strict=True)
     one, other, overlap = (np.concatenate(column) for column in columns)
     return one, other, overlap
 
@@ -186,34 +207,38 @@ def evaluate_objects(
     lists, own, senders = compared.lists, compared.own, exchange.senders
     n_points, plausible, ego_detected = compared.n_points, compared.plausible, compared.groups.ego_detected
     number = None
-    if claims is not None:
-        of = np.concatenate([lists.of_member(), claims.list])
-        order, n = np.argsort(of, kind="stable"), len(claims.list)
-        found = answers(claims.support, config.trust)
+    if claims is not None:  # they follow the detections of each list
+        list_of = np.concatenate([lists.of_member(), claims.list])
+        order, n = np.argsort(list_of, kind="stable"), len(claims.list)
+        of_claims = answers(claims.support, config.trust)
 
-        def with_claims(of_detections: ndarray, of_claims: ndarray | int) -> ndarray:
-            return np.concatenate([of_detections, np.full(n, of_claims, of_detections.dtype)])[order]
+        def with_claims(detections: ndarray, claims: ndarray | int) -> ndarray:
+            return np.concatenate([detections, np.full(n, claims, detections.dtype)])[order]
 
-        lists = ObjectLists(ptr_of(of[order], len(lists.owner)), with_claims(lists.member, claims.member), lists.owner)
-        own = Evaluations(with_claims(own.evaluation, found.evaluation), with_claims(own.visibility, found.visibility))
+        ptr = ptr_of(list_of[order], len(lists.owner))
+        lists = ObjectLists(ptr, with_claims(lists.member, claims.member), lists.owner)
+        own = Evaluations(
+            evaluation=with_claims(own.evaluation, of_claims.evaluation),
+            visibility=with_claims(own.visibility, of_claims.visibility),
+        )
         n_points, plausible, ego_detected = (with_claims(a, 0) for a in (n_points, plausible, ego_detected))
         index = messages.detections.detection_index[compared.lists.member]
         number = with_claims(claim_number(index, DETECTION), claims.number)
     reported = object_lists.as_reported(exchange.attacks, own, lists, messages.objects, exchange.sensing.row, number)
     lied = lies_in_evaluations(own, reported)
-    sendable = messages.objects.transmitted[lists.member]
-    is_new = messages.is_new(lists.of_member(), lists.member)
-    sendable &= is_new
+    sendable = messages.objects.transmitted[lists.member] & messages.is_new(lists.of_member(), lists.member)
 
-    def carried(by: ObjectLists, values: Evaluations, sendable: Bool[ndarray, "v"]) -> EvaluationMessages:
-        return messages_of(exchange.now.step, messages, by, values, sendable, number)
+    def carried(lists: ObjectLists, values: Evaluations, sendable: Bool[ndarray, "v"]) -> EvaluationMessages:
+        return messages_of(exchange.now.step, messages, lists, values, sendable, number)
 
     own_messages = carried(lists, own, sendable)
     lists, at = lists_of_identities(lists, senders)
-    if at is not None:
-        n_points, plausible, ego_detected, lied = n_points[at], plausible[at], ego_detected[at], lied[at]
+    if at is not None:  # rows of the lists of vehicles, once for each of their identities
+        n_points, plausible, ego_detected, lied, sendable = (
+            column[at] for column in (n_points, plausible, ego_detected, lied, sendable)
+        )
         own, reported = (Evaluations(e.evaluation[at], e.visibility[at]) for e in (own, reported))
-        sendable, number = sendable[at], None if number is None else number[at]
+        number = None if number is None else number[at]
     return Evaluated(
         lists=lists,
         n_points=n_points,

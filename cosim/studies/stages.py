@@ -1,4 +1,4 @@
-"""The cache of recorded traffic that many runs replay.
+"""The cache of recorded traffic: the runs of a study that differ in nothing of the traffic replay it.
 
 An entry is a folder `<cache>/<stage>/<name>/` with a `stage.json` that lists the checksums of its files. An entry is
 never incomplete. An entry whose files have changed is made again.
@@ -30,10 +30,10 @@ _log = logging.getLogger(__name__)
 
 def default_folder() -> Path:
     """Folder of the cache: COSIM_CACHE, or a folder in the user's cache folder."""
-    named = os.environ.get("COSIM_CACHE")
-    return (
-        Path(named) if named else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cosim" / "stages"
-    )
+    if named := os.environ.get("COSIM_CACHE"):
+        return Path(named)
+    of_user = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(of_user) / "cosim" / "stages"
 
 
 def limit_gb() -> float:
@@ -50,6 +50,7 @@ class Entry:
     """One result of a stage."""
 
     stage: str
+    """What the entry holds; today `traffic` is the only stage."""
     name: str
     bytes: int
     used_s: float
@@ -87,18 +88,19 @@ class Cache:
     def make_traffic(self, name: str, config: Config, advance: Advance) -> None:
         """Record the traffic of a config, unless the cache holds it."""
         entry = self.path / "traffic" / name
+        partial = entry.with_name(f"{name}{PARTIAL}")
         entry.parent.mkdir(parents=True, exist_ok=True)
         with entry.with_name(f"{name}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            partial = entry.with_name(f"{name}{PARTIAL}")
             shutil.rmtree(partial, ignore_errors=True)  # left by a process that was killed
             if self.find("traffic", name) is not None:
                 return
             partial.mkdir()
             begun_s = time()
             running.record_traffic(config, partial, advance)
-            for empty in [path for path in partial.iterdir() if path.is_dir() and not any(path.iterdir())]:
-                empty.rmdir()
+            for folder in [path for path in partial.iterdir() if path.is_dir()]:
+                if not any(folder.iterdir()):
+                    folder.rmdir()
             content = {"files": _files(partial), "seconds": round(time() - begun_s, 2)}
             write_whole(partial / "stage.json", json.dumps(content, indent=1).encode())
             partial.replace(entry)
@@ -137,7 +139,5 @@ class Cache:
 
 def _files(entry: Path) -> dict[str, str]:
     """Checksums of an entry's files."""
-    return {
-        path.relative_to(entry).as_posix(): sha256(path)
-        for path in sorted(entry.rglob("*")) if path.is_file() and path.name != "stage.json"
-    }  # fmt: skip
+    files = (path for path in sorted(entry.rglob("*")) if path.is_file() and path.name != "stage.json")
+    return {path.relative_to(entry).as_posix(): sha256(path) for path in files}

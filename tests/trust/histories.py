@@ -4,12 +4,32 @@ import numpy as np
 from hypothesis import strategies as st
 
 from trust.open_steps import RejectReason
-from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
+from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations
 
 COLUMNS = (
     "trust", "weight", "n_evaluations", "newest_step", "oldest_step",
     "newest_evaluation_step", "oldest_evaluation_step", "is_evaluated",
 )  # fmt: skip
+
+
+def messages_from_rows(step: int, evaluator, observer, detection_index, evaluation, visibility) -> EvaluationMessages:
+    """Evaluations in any order, one column each, as messages in canonical order.
+
+    Parameters
+    ----------
+    evaluator, observer
+        Pseudonyms of who evaluates, and of the sender of the detection.
+    detection_index, evaluation, visibility
+        As in `EvaluationMessages`.
+    """
+    evaluator, observer, index = (np.asarray(a, np.int64) for a in (evaluator, observer, detection_index))
+    evaluation, visibility = (np.asarray(a, float) for a in (evaluation, visibility))
+    order = np.lexsort((visibility, evaluation, index, observer, evaluator))
+    of_message, n = np.unique(evaluator, return_counts=True)
+    ptr = np.concatenate([[0], np.cumsum(n)])
+    return EvaluationMessages(
+        step, of_message, ptr, observer[order], index[order], evaluation[order], visibility[order]
+    )
 
 
 def open_step(model, step, scores):

@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from cosim.base.codes import EvaluationKind
+from tests.trust.histories import messages_from_rows
 from trust.claims import (
     DETECTION,
     MISSING,
@@ -18,7 +19,7 @@ from trust.claims import (
 )
 from trust.models.trupercept import TruPercept
 from trust.params import KINDS, TrustParams
-from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
+from trust.tables import SERVER, ReceivedEvaluations
 
 
 def test_kinds_are_those_of_the_tables():

@@ -9,13 +9,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.trust.histories import COLUMNS, add, assert_same, histories, open_step, play, received_by, rejected, trust_of
+from tests.trust.histories import (
+    COLUMNS,
+    add,
+    assert_same,
+    histories,
+    messages_from_rows,
+    open_step,
+    play,
+    received_by,
+    rejected,
+    trust_of,
+)
 from trust.models import MODELS, params_of
 from trust.models.beta import Beta, BetaParams
 from trust.models.trupercept import TruPercept
 from trust.pair_index import PairIndex
 from trust.params import TrustParams, differing_evidence_key, eta_of
-from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
+from trust.tables import SERVER, ReceivedEvaluations
 
 every_model = pytest.mark.parametrize("name", MODELS)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.trust.histories import messages_from_rows
 from tests.trust.reference import LABELS, detections_of, load, one_view
 from tests.verification import paper
 from trust.evaluation import evaluate, visibility
@@ -22,7 +23,6 @@ from trust.tables import (
     ReceivedEvaluations,
     SenderTrust,
     SentDetections,
-    messages_from_rows,
 )
 
 METHODS = [

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.trust.histories import messages_from_rows
 from tests.trust.reference import load
 from trust.evaluation import evaluate
 from trust.fusion import SensorEvidence, fuse
@@ -19,7 +20,6 @@ from trust.tables import (
     ReceivedEvaluations,
     SenderTrust,
     SentDetections,
-    messages_from_rows,
 )
 
 EGO, MALICIOUS, THIRD = 1, 2, 3

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from tests.trust.histories import add, assert_same, open_step, rejected, trust_of
+from tests.trust.histories import add, assert_same, messages_from_rows, open_step, rejected, trust_of
 from trust.models.trupercept import TruPercept
 from trust.params import TrustParams, window_steps
-from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, messages_from_rows
+from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations
 
 
 def test_by_hand():

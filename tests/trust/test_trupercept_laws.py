@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.trust.histories import COLUMNS, add, histories, open_step
+from tests.trust.histories import COLUMNS, add, histories, messages_from_rows, open_step
 from tests.verification import paper
 from trust.models.trupercept import TruPercept
 from trust.params import TrustParams
-from trust.tables import SERVER, ReceivedEvaluations, messages_from_rows
+from trust.tables import SERVER, ReceivedEvaluations
 
 
 @given(

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.trust.histories import assert_same, histories, open_step
+from tests.trust.histories import assert_same, histories, messages_from_rows, open_step
 from trust.models import MODELS, params_of
 from trust.models.trupercept import TruPercept
 from trust.open_steps import LARGE
 from trust.params import TrustParams
-from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, messages_from_rows
+from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations
 
 WINDOWS = [TrustParams(freshness_s=2.0), TrustParams(freshness_s=5.0), TrustParams(freshness_s="off", grace_s=3.0)]
 

@@ -16,36 +16,38 @@ from trust.tables import ReceivedEvaluations, TrustScores
 
 
 @njit(cache=True, nogil=True)
-def _accumulate(step, pair_row, of_pairs, n_evaluations, total, count, span):
-    """Add a step to the sums of its pairs; steps come in the order of time."""
-    for b in range(pair_row.size):
-        if of_pairs[b, 1] > 0.0:
-            a = pair_row[b]
-            if count[a, 0] == 0:
-                span[a, 1] = step
-            span[a, 0] = step
-            total[a, 0] += of_pairs[b, 0]
-            total[a, 1] += of_pairs[b, 1]
-            count[a, 0] += 1
-            if n_evaluations[b] > 0:
-                if count[a, 1] == 0:
-                    span[a, 3] = step
-                span[a, 2] = step
-                count[a, 1] += n_evaluations[b]
+def _accumulate(step, row_of_pair, evidence, n_evaluations, total, count, span):
+    """Add a step to `_Sums`, given what `EvidenceStore.of_pairs` returns; steps come in the order of time."""
+    for pair in range(row_of_pair.size):
+        if evidence[pair, 1] > 0.0:
+            row = row_of_pair[pair]
+            if count[row, 0] == 0:
+                span[row, 1] = step
+            span[row, 0] = step
+            total[row, 0] += evidence[pair, 0]
+            total[row, 1] += evidence[pair, 1]
+            count[row, 0] += 1
+            if n_evaluations[pair] > 0:
+                if count[row, 1] == 0:
+                    span[row, 3] = step
+                span[row, 2] = step
+                count[row, 1] += n_evaluations[pair]
 
 
 class _Sums:
-    """Per row of the store: sum s T(theta) and sum s; steps and evaluations; newest and oldest step of each."""
+    """Sums over steps, for each row of the store."""
 
     def __init__(self, n: int) -> None:
-        self.total = np.zeros((n, 2))
-        self.count = np.zeros((n, 2), np.int64)
-        self.span = np.zeros((n, 4), np.int64)
+        self.total = np.zeros((n, 2))  # sum s T(theta), sum s
+        self.count = np.zeros((n, 2), np.int64)  # steps with evidence, evaluations
+        self.span = np.zeros((n, 4), np.int64)  # newest and oldest step with evidence, then those with evaluations
 
     def with_room(self, n: int) -> "_Sums":
-        """A copy of n rows."""
-        out, m = _Sums(n), len(self.total)
-        out.total[:m], out.count[:m], out.span[:m] = self.total, self.count, self.span
+        """A copy with n rows; the new ones are 0."""
+        out, n_before = _Sums(n), len(self.total)
+        out.total[:n_before] = self.total
+        out.count[:n_before] = self.count
+        out.span[:n_before] = self.span
         return out
 
 
@@ -72,16 +74,17 @@ class TruPercept:
         self.window = open_window_steps(params, dt_s)
         self.now = -1
         self.n_rejected = np.zeros(len(RejectReason), np.int64)
-        """As `rejected`, without the evaluations that wait in the store."""
+        """Evaluations rejected so far, by `RejectReason`, without those that still wait in the store."""
         self.n_received = 0
         """Evaluations received so far, rejected ones included."""
         self.n_bad_detections = 0
         """Transmitted detections rejected so far: score outside [0, 1], or an index given twice."""
         self._folded = _Sums(0) if params.freshness_s == "off" else None
+        """Sums over all steps that are no longer open; None if evidence expires."""
         self._folded_until = -1
         self.store = store or EvidenceStore(self._folded is None)
         self._counting = Counting(params.weighting == "score", params.unseen == "skip", params.least_score)
-        self.store.views.append(self)
+        self.store.readers.append(self)
         self._opened, self._n_added = -1, 0
 
     @classmethod
@@ -154,13 +157,15 @@ class TruPercept:
         sums = _Sums(n) if self._folded is None else self._folded.with_room(n)
         for step in sorted(store.steps):
             if step > self.now - self.window:
-                of_pairs = store.of_pairs(step, self._counting)
-                _accumulate(step, *of_pairs, sums.total, sums.count, sums.span)
+                evidence = store.of_pairs(step, self._counting)
+                _accumulate(step, *evidence, sums.total, sums.count, sums.span)
         holder, subject, row = store.pairs.sorted()
-        has = sums.count[row, 0] > 0
-        holder, subject, row = holder[has], subject[has], row[has]
-        weight, n_evaluations, span = sums.total[row, 1], sums.count[row, 1], sums.span[row]
-        n_evaluators = store.evaluators.count(n, self.now - self.window if self._folded is None else NEVER)
+        has_evidence = sums.count[row, 0] > 0
+        holder, subject, row = (column[has_evidence] for column in (holder, subject, row))
+        weight, n_evaluations = sums.total[row, 1], sums.count[row, 1]
+        span = sums.span[row]
+        before_window = self.now - self.window if self._folded is None else NEVER
+        n_evaluators = store.evaluators.count(n, before_window)
         return TrustScores(
             step=self.now,
             holder=holder,
@@ -186,8 +191,8 @@ class TruPercept:
     @property
     def nbytes(self) -> int:
         """Memory, the shared store included [B]."""
-        f = self._folded
-        return self.store.nbytes + (0 if f is None else f.total.nbytes + f.count.nbytes + f.span.nbytes)
+        folded = self._folded or _Sums(0)
+        return self.store.nbytes + folded.total.nbytes + folded.count.nbytes + folded.span.nbytes
 
     def _fold(self, folded: _Sums) -> None:
         """Add the steps that are no longer open to the running sums, in the order of time."""
@@ -195,7 +200,7 @@ class TruPercept:
             if self._folded_until < step <= self.now - self.window:
                 self._folded = folded = folded.with_room(len(self.store.pairs))
                 is_kept = folded.count[:, 0] > 0
-                of_pairs = self.store.of_pairs(step, self._counting)
-                _accumulate(step, *of_pairs, folded.total, folded.count, folded.span)
+                evidence = self.store.of_pairs(step, self._counting)
+                _accumulate(step, *evidence, folded.total, folded.count, folded.span)
                 self.store.keep((folded.count[:, 0] > 0) & ~is_kept)
         self._folded_until = max(self._folded_until, self.now - self.window)

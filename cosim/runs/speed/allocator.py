@@ -4,9 +4,12 @@ import ctypes
 import os
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
-"""`mallopt(3)` of glibc."""
+"""Numbers of the settings of glibc's `mallopt(3)`."""
 _MAPPED_ALONE_BYTES = _KEPT_FREE_BYTES = 1 << 30
+"""Arrays above the first size have memory of their own, which is returned when they are freed. Free memory at the end
+of the arena is returned above the second size."""
 _MOST_OF_OLD_GLIBC = 32 << 20
+"""Largest first size that an older glibc accepts [B]."""
 
 
 def keep_freed_memory() -> None:
@@ -21,7 +24,8 @@ def keep_freed_memory() -> None:
         return
     if mallopt := _of_libc("mallopt"):
         mallopt(_M_ARENA_MAX, 1)
-        mallopt(_M_MMAP_THRESHOLD, _MAPPED_ALONE_BYTES) or mallopt(_M_MMAP_THRESHOLD, _MOST_OF_OLD_GLIBC)
+        if not mallopt(_M_MMAP_THRESHOLD, _MAPPED_ALONE_BYTES):  # refused
+            mallopt(_M_MMAP_THRESHOLD, _MOST_OF_OLD_GLIBC)
         mallopt(_M_TRIM_THRESHOLD, _KEPT_FREE_BYTES)
 
 
@@ -32,4 +36,5 @@ def give_back_freed_memory() -> None:
 
 
 def _of_libc(name: str) -> "ctypes._NamedFuncPointer | None":
+    """A function of the C library; None if it has no such function."""
     return getattr(ctypes.CDLL(None), name, None) if os.name == "posix" else None
