@@ -349,10 +349,10 @@ def _tally(sweep, x0, y0, side, bits):
         along_x, along_y = _heading(sweep, c)
         along_x = np.float32(along_x / CELL_M)
         along_y = np.float32(along_y / CELL_M)
-        for row in range(np.uint64(n_rows)):  # next to each other: what follows becomes vector instructions
-            r = row * np.uint64(ROW_STEP)
-            some_steps[row] = sweep.steps[c, r]
-            some_hits[row] = sweep.hits[c, r]
+        for r in range(np.uint64(n_rows)):  # next to each other: what follows becomes vector instructions
+            row = r * np.uint64(ROW_STEP)
+            some_steps[r] = sweep.steps[c, row]
+            some_hits[r] = sweep.hits[c, row]
         _places(some_steps, some_hits, cos_el, x, y, along_x, along_y, top, width, place)
         last, n_last = np.uint32(0), np.int32(0)  # rays of one wall end in one place: added at once
         for r in range(np.uint64(n_rows)):
