@@ -73,9 +73,12 @@ def _eligible(world: World, params: AttackParams, seed: int) -> Int[ndarray, "v"
 
 
 def _random(
-    xy: Float[ndarray, "n 2"], attackers: Int[ndarray, "a"], aims: Int[ndarray, "v"], range_m: float,
+    xy: Float[ndarray, "n 2"],
+    attackers: Int[ndarray, "a"],
+    aims: Int[ndarray, "v"],
+    range_m: float,
     draw: Float[ndarray, "a"],
-) -> Pairs:  # fmt: skip
+) -> Pairs:
     """A random victim within range of each attacker. All are equally likely."""
     near = cKDTree(xy[attackers]).sparse_distance_matrix(cKDTree(xy[aims]), range_m, output_type="ndarray")
     a, v = near["i"], near["j"]

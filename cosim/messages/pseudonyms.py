@@ -341,9 +341,12 @@ class Pseudonyms:
         return isinstance(self.policy, Never)
 
     def issue(
-        self, state: PseudonymState, world: World, observers: Int[ndarray, "e"],
+        self,
+        state: PseudonymState,
+        world: World,
+        observers: Int[ndarray, "e"],
         wants: Bool[ndarray, "e"] | None = None,
-    ) -> tuple[PseudonymState, Int[ndarray, "e"], PseudonymUse]:  # fmt: skip
+    ) -> tuple[PseudonymState, Int[ndarray, "e"], PseudonymUse]:
         """The pseudonym of each equipped vehicle in this step.
 
         Parameters
@@ -400,9 +403,17 @@ class Pseudonyms:
         n_messages[actor] += 1
         seen[actor], place[actor] = world.step, xy
         state = replace(
-            state, current=current, since_step=since, seen_step=seen, n_changes=n_changes_all, n_messages=n_messages,
-            distance_m=distance_m, xy_m=place, from_xy_m=from_xy_m, beyond_step=beyond_step,
-        )  # fmt: skip
+            state,
+            current=current,
+            since_step=since,
+            seen_step=seen,
+            n_changes=n_changes_all,
+            n_messages=n_messages,
+            distance_m=distance_m,
+            xy_m=place,
+            from_xy_m=from_xy_m,
+            beyond_step=beyond_step,
+        )
         return state, current[actor], ended
 
     def issue_extra(
@@ -476,9 +487,17 @@ class Pseudonyms:
 
 
 _PER_VEHICLE = (
-    "current", "since_step", "seen_step", "n_changes", "n_messages", "distance_m", "xy_m", "from_xy_m", "beyond_step",
+    "current",
+    "since_step",
+    "seen_step",
+    "n_changes",
+    "n_messages",
+    "distance_m",
+    "xy_m",
+    "from_xy_m",
+    "beyond_step",
     "linked",
-)  # fmt: skip
+)
 """Columns of `PseudonymState` by actor number."""
 
 

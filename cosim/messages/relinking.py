@@ -60,9 +60,12 @@ class ReceivedSenders:
 
 
 def update_senders(
-    before: KnownSenders, received: ReceivedSenders, time_s: float,
-    owner_of: Callable[[Int[ndarray, "k"]], Int[ndarray, "k"]], params: PseudonymParams,
-) -> KnownSenders:  # fmt: skip
+    before: KnownSenders,
+    received: ReceivedSenders,
+    time_s: float,
+    owner_of: Callable[[Int[ndarray, "k"]], Int[ndarray, "k"]],
+    params: PseudonymParams,
+) -> KnownSenders:
     """Store the senders of one round, and link the new ones.
 
     Parameters

@@ -28,9 +28,14 @@ class ChannelState:
     def start(now_ns: int = 0) -> "ChannelState":
         """An idle channel without stations."""
         return ChannelState(
-            now_ns, np.zeros(0, dtypes.PHY), np.zeros(0, dtypes.MAC), np.zeros(0, dtypes.PACKET),
-            np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.uint8),
-        )  # fmt: skip
+            now_ns,
+            np.zeros(0, dtypes.PHY),
+            np.zeros(0, dtypes.MAC),
+            np.zeros(0, dtypes.PACKET),
+            np.zeros(0, np.int32),
+            np.zeros(0, np.float32),
+            np.zeros(0, np.uint8),
+        )
 
 
 def remap_stations(state: ChannelState, key: ndarray) -> ChannelState:

@@ -163,9 +163,14 @@ class CsmaMedium:
         return Forwarding.of(rules, plan.units, stations.key, xy_m, plan.refused, plan.frames, plan.copies)
 
     def _transmit(
-        self, state: ChannelContext, plan: "_RoundPlan", links: Links, stations: Stations,
-        forwarding: Forwarding | None, until_ns: int,
-    ) -> tuple[ChannelContext, list[WindowResult], Float[ndarray, "n"]]:  # fmt: skip
+        self,
+        state: ChannelContext,
+        plan: "_RoundPlan",
+        links: Links,
+        stations: Stations,
+        forwarding: Forwarding | None,
+        until_ns: int,
+    ) -> tuple[ChannelContext, list[WindowResult], Float[ndarray, "n"]]:
         """The channel until a time, window by window; congestion control is updated in between.
 
         Returns
@@ -257,9 +262,15 @@ class _RoundPlan:
 
     @staticmethod
     def of(
-        number: int, begin_ns: int, end_ns: int, messages: ndarray, units: ndarray, refused: Int[ndarray, "p"] | None,
-        earlier: Underway, stations: Stations,
-    ) -> "_RoundPlan":  # fmt: skip
+        number: int,
+        begin_ns: int,
+        end_ns: int,
+        messages: ndarray,
+        units: ndarray,
+        refused: Int[ndarray, "p"] | None,
+        earlier: Underway,
+        stations: Stations,
+    ) -> "_RoundPlan":
         """The plan of new messages and of earlier ones, whose stations have rows."""
         n_new, n_units = len(messages), len(units)
         own = own_frames(units)
@@ -347,9 +358,13 @@ class _RoundEnd:
         return _RoundEnd(goes_on, waits & goes_on[sent.message])
 
     def underway(
-        self, plan: _RoundPlan, sent: Transmissions, attempts: ReceptionAttempts, stations: Stations,
+        self,
+        plan: _RoundPlan,
+        sent: Transmissions,
+        attempts: ReceptionAttempts,
+        stations: Stations,
         forwarding: Forwarding | None,
-    ) -> tuple[Underway, Int[ndarray, "f"]]:  # fmt: skip
+    ) -> tuple[Underway, Int[ndarray, "f"]]:
         """The messages that go on, and the number that each frame has from now on; NONE if its message does not."""
         if not self.goes_on.any():
             return Underway(), np.full(len(sent.unit), NONE)
@@ -376,16 +391,27 @@ class _RoundEnd:
 
 
 def _happened(
-    plan: _RoundPlan, sent: Transmissions, ending: _RoundEnd, neighbours: NeighbourList, stations: Stations,
-    since_ns: int, busy: Float[ndarray, "n"],
-) -> tuple[MessageRound, ReceptionAttempts]:  # fmt: skip
+    plan: _RoundPlan,
+    sent: Transmissions,
+    ending: _RoundEnd,
+    neighbours: NeighbourList,
+    stations: Stations,
+    since_ns: int,
+    busy: Float[ndarray, "n"],
+) -> tuple[MessageRound, ReceptionAttempts]:
     """Receptions since `since_ns`, and the outcome of each frame at every station in range."""
     state = _frame_states(plan, sent, ending)
     attempts = ReceptionAttempts.of(sent, neighbours, state, plan.got_ptr, plan.got_by)
     receptions, n_duplicate = complete_messages(
-        sent, attempts, plan.units["generated_ns"], plan.messages["n_segments"], plan.messages["begin_ns"],
-        plan.messages["station"], stations.xyz_m[:, :2], since_ns,
-    )  # fmt: skip
+        sent,
+        attempts,
+        plan.units["generated_ns"],
+        plan.messages["n_segments"],
+        plan.messages["begin_ns"],
+        plan.messages["station"],
+        stations.xyz_m[:, :2],
+        since_ns,
+    )
     is_reported = state == FrameState.REPORTED
     everything = _Outcomes(plan, sent, attempts, receptions, is_reported)
     n_older = len(plan.messages) - plan.n_new

@@ -88,8 +88,11 @@ class DccState:
         cbr, level = np.zeros(len(key)), np.zeros(len(key), np.int8)
         share, before = np.full(len(key), SHARE_MAX), np.zeros(len(key))
         cbr[now], level[now], share[now], before[now] = (
-            self.cbr[was], self.level[was], self.share[was], self.before[was],
-        )  # fmt: skip
+            self.cbr[was],
+            self.level[was],
+            self.share[was],
+            self.before[was],
+        )
         return DccState(key, cbr, level, share, before, self.n_periods)
 
 

@@ -349,16 +349,22 @@ def by_link(happened: MessageRound, n_vehicles: int) -> LinkReceptions:
         return LinkReceptions(found, Receptions.none(), Receptions.none())
     uplink = found.take(~receives & sends)
     return LinkReceptions(
-        found.take(receives & sends), replace(uplink, receiver=uplink.receiver - n_vehicles),
+        found.take(receives & sends),
+        replace(uplink, receiver=uplink.receiver - n_vehicles),
         found.take(receives & ~sends),
-    )  # fmt: skip
+    )
 
 
 def receptions_of(
-    receiver: Int[ndarray, "r"], message: Int[ndarray, "r"], hops: Int[ndarray, "r"],
-    generation_offset_s: Float[ndarray, "r"], access_delay_s: Float[ndarray, "r"], latency_s: Float[ndarray, "r"],
-    station: Int[ndarray, "m"], xy_m: Float[ndarray, "n 2"],
-) -> Receptions:  # fmt: skip
+    receiver: Int[ndarray, "r"],
+    message: Int[ndarray, "r"],
+    hops: Int[ndarray, "r"],
+    generation_offset_s: Float[ndarray, "r"],
+    access_delay_s: Float[ndarray, "r"],
+    latency_s: Float[ndarray, "r"],
+    station: Int[ndarray, "m"],
+    xy_m: Float[ndarray, "n 2"],
+) -> Receptions:
     """Receptions sorted by receiver, then message, with their distances.
 
     Parameters
@@ -379,6 +385,11 @@ def receptions_of(
     receiver, message = receiver[order], message[order]
     distance_m = np.hypot(*(xy_m[receiver] - xy_m[station[message]]).T)
     return Receptions(
-        receiver, message, hops[order].astype(np.int32), generation_offset_s[order], access_delay_s[order],
-        latency_s[order], distance_m,
-    )  # fmt: skip
+        receiver,
+        message,
+        hops[order].astype(np.int32),
+        generation_offset_s[order],
+        access_delay_s[order],
+        latency_s[order],
+        distance_m,
+    )

@@ -101,16 +101,30 @@ class UnitDiskMedium:
             receptions = receptions_of(receiver, message, hops, offset_s, zero, age_s - offset_s, station, xy_m)
         message, to, hop_of, apart_m, outcome = (np.concatenate(c) for c in zip(*attempts, strict=True))
         frames = FrameOutcomes(
-            message, to, hop_of, apart_m, np.full(len(to), LosState.UNKNOWN, np.uint8), outcome, n_transmissions,
-            n_relayed, n_duplicate, float(n_transmissions @ messages.length_bytes), None,
-        )  # fmt: skip
+            message,
+            to,
+            hop_of,
+            apart_m,
+            np.full(len(to), LosState.UNKNOWN, np.uint8),
+            outcome,
+            n_transmissions,
+            n_relayed,
+            n_duplicate,
+            float(n_transmissions @ messages.length_bytes),
+            None,
+        )
         return None, MessageRound(station, receptions, frames)
 
 
 def _first_copies(
-    message: Int[ndarray, "t"], to: Int[ndarray, "t"], via: Int[ndarray, "t"], arrival_s: Float[ndarray, "t"],
-    outcome: Int[ndarray, "t"], n: int, known: list[Int[ndarray, "k"]],
-) -> tuple[Int[ndarray, "g"], ndarray]:  # fmt: skip
+    message: Int[ndarray, "t"],
+    to: Int[ndarray, "t"],
+    via: Int[ndarray, "t"],
+    arrival_s: Float[ndarray, "t"],
+    outcome: Int[ndarray, "t"],
+    n: int,
+    known: list[Int[ndarray, "k"]],
+) -> tuple[Int[ndarray, "g"], ndarray]:
     """Received frames, sorted by message, receiver, arrival and transmitter, and which of them bring a new message."""
     keep = np.flatnonzero(outcome == Outcome.RECEIVED)
     keep = keep[np.lexsort((via[keep], arrival_s[keep], message[keep] * n + to[keep]))]

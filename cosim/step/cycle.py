@@ -96,9 +96,15 @@ def step(
 
 
 def _cycle(
-    world: World, s: State, vehicles: Vehicles, own_trust: Float[ndarray, "n"] | None,
-    acceleration_mps2: Float[ndarray, "n"], now: Times, parts: Parts, precomputed: Precomputed,
-) -> tuple[State, Sensed, Beliefs | None]:  # fmt: skip
+    world: World,
+    s: State,
+    vehicles: Vehicles,
+    own_trust: Float[ndarray, "n"] | None,
+    acceleration_mps2: Float[ndarray, "n"],
+    now: Times,
+    parts: Parts,
+    precomputed: Precomputed,
+) -> tuple[State, Sensed, Beliefs | None]:
     """The paper's cycle, from sweeps to fused objects. Beliefs are None if the driver does not use them."""
     c, watch = parts.config, parts.watch
     with watch("server"):

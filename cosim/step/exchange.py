@@ -204,9 +204,14 @@ class OnAir:
 
     @staticmethod
     def of(
-        senders: Senders, length_bytes: Int[ndarray, "m"], n_vehicles: int, n_rsus: int, rsu_bytes: int = 0,
-        sending: Sending | None = None, envelope_bytes: Int[ndarray, "m"] | None = None,
-    ) -> "OnAir":  # fmt: skip
+        senders: Senders,
+        length_bytes: Int[ndarray, "m"],
+        n_vehicles: int,
+        n_rsus: int,
+        rsu_bytes: int = 0,
+        sending: Sending | None = None,
+        envelope_bytes: Int[ndarray, "m"] | None = None,
+    ) -> "OnAir":
         """Frames of vehicles and roadside units.
 
         Parameters

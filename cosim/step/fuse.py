@@ -26,9 +26,12 @@ from trust.tables import Evaluations, ObjectLists
 
 
 def fuse_objects(
-    trust: TrustState, matched: Matched, evaluations: tuple[ObjectLists, Evaluations, Evaluations],
-    looked_up: LookedUp, parts: Parts,
-) -> list[Fused | None]:  # fmt: skip
+    trust: TrustState,
+    matched: Matched,
+    evaluations: tuple[ObjectLists, Evaluations, Evaluations],
+    looked_up: LookedUp,
+    parts: Parts,
+) -> list[Fused | None]:
     """Fused objects of every vehicle that senses, per trust variant; None if they are not requested.
 
     `evaluations` are those that the vehicles can use, as `Inbox.evaluations_used` returns them.

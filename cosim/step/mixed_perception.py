@@ -120,9 +120,15 @@ class MixedPerception:
         return n_points, plausible
 
     def in_area(
-        self, sweeps: MixedImages, o: Int[ndarray, "n"], boxes: Boxes, area: AreaParams, b: Int[ndarray, "n"],
-        label: UInt8[ndarray, "boxes"], own: Boxes,
-    ) -> Bool[ndarray, "n"]:  # fmt: skip
+        self,
+        sweeps: MixedImages,
+        o: Int[ndarray, "n"],
+        boxes: Boxes,
+        area: AreaParams,
+        b: Int[ndarray, "n"],
+        label: UInt8[ndarray, "boxes"],
+        own: Boxes,
+    ) -> Bool[ndarray, "n"]:
         """As in `Perceives`."""
         inside = np.zeros(len(o), bool)
         for number, images in enumerate(sweeps.of_lidar):

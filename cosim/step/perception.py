@@ -125,9 +125,15 @@ class Perceives(Protocol):
         ...
 
     def in_area(
-        self, sweeps: Any, o: Int[ndarray, "n"], boxes: Boxes, area: AreaParams, b: Int[ndarray, "n"],
-        label: UInt8[ndarray, "boxes"], own: Boxes,
-    ) -> Bool[ndarray, "n"]:  # fmt: skip
+        self,
+        sweeps: Any,
+        o: Int[ndarray, "n"],
+        boxes: Boxes,
+        area: AreaParams,
+        b: Int[ndarray, "n"],
+        label: UInt8[ndarray, "boxes"],
+        own: Boxes,
+    ) -> Bool[ndarray, "n"]:
         """As `sensors.evidence.in_evaluation_area`."""
         ...
 
@@ -217,9 +223,15 @@ class Perception:
         )
 
     def in_area(
-        self, sweeps: lidar.RangeImages, o: Int[ndarray, "n"], boxes: Boxes, area: AreaParams, b: Int[ndarray, "n"],
-        label: UInt8[ndarray, "boxes"], own: Boxes,
-    ) -> Bool[ndarray, "n"]:  # fmt: skip
+        self,
+        sweeps: lidar.RangeImages,
+        o: Int[ndarray, "n"],
+        boxes: Boxes,
+        area: AreaParams,
+        b: Int[ndarray, "n"],
+        label: UInt8[ndarray, "boxes"],
+        own: Boxes,
+    ) -> Bool[ndarray, "n"]:
         """As in `Perceives`."""
         return evidence.in_evaluation_area(sweeps, o, boxes, area, b, label, own)
 
@@ -284,9 +296,14 @@ def detector_draws(
 
 
 def swept(
-    world: World, observers: Int[ndarray, "e"], city: Scene, params: lidar.LidarParams, weather: WeatherParams,
-    seed: int, memory: SweepMemory = NO_MEMORY,
-) -> lidar.Sweeps:  # fmt: skip
+    world: World,
+    observers: Int[ndarray, "e"],
+    city: Scene,
+    params: lidar.LidarParams,
+    weather: WeatherParams,
+    seed: int,
+    memory: SweepMemory = NO_MEMORY,
+) -> lidar.Sweeps:
     """Sweeps of the vehicles in these rows of the world, in this weather."""
     keys = sweep_keys(seed, world, observers)
     sweeps = lidar.scan(world.boxes, world.shape, observers, city, params, keys, memory, speed_mps=world.speed_mps)

@@ -46,9 +46,13 @@ class ActorRegistry:
         return self._n
 
     def register(
-        self, names: list[str], shape: UInt8[ndarray, "n"], lwh_m: Float[ndarray, "n 3"], step: int,
+        self,
+        names: list[str],
+        shape: UInt8[ndarray, "n"],
+        lwh_m: Float[ndarray, "n 3"],
+        step: int,
         equipped: bool | None = None,
-    ) -> Int[ndarray, "n"]:  # fmt: skip
+    ) -> Int[ndarray, "n"]:
         """Give numbers to new actors, and decide their equipment and attacks.
 
         Numbers are assigned in the order of names, vehicles before persons, whatever the order of the input. A person

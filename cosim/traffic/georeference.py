@@ -116,9 +116,10 @@ def _moved(own: Projection, to_net: Projection) -> Conversion:
         there_m = to_net.to_world(here.latitude_deg, here.longitude_deg)
         turned_deg = np.degrees(here.turn_rad - to_net.of_world(there_m).turn_rad)
         return replace(
-            timestep, front_m=np.column_stack([there_m, timestep.front_m[:, 2]]),
+            timestep,
+            front_m=np.column_stack([there_m, timestep.front_m[:, 2]]),
             compass_deg=(timestep.compass_deg + turned_deg) % 360.0,
-        )  # fmt: skip
+        )
 
     return moved
 

@@ -50,9 +50,7 @@ class TypeTable:
             self._known[key] = self._found(*key)
         return self._known[key]
 
-    def shapes(
-        self, names: list[str], is_person: Bool[ndarray, "n"], vclasses: list[str] | None
-    ) -> Int[ndarray, "n"]:  # fmt: skip
+    def shapes(self, names: list[str], is_person: Bool[ndarray, "n"], vclasses: list[str] | None) -> Int[ndarray, "n"]:
         """Shape code of each actor, or `LEFT_OUT` if it is not on the road."""
         keys = list(zip(names, is_person.tolist(), vclasses or repeat(""), strict=False))
         for key in set(keys) - self._shape.keys():
@@ -150,9 +148,13 @@ class Identities:
         return shown
 
     def add(
-        self, keys: list[tuple[str, bool]], types: list[str], xy_m: Float[ndarray, "k 2"], number: Int[ndarray, "k"],
+        self,
+        keys: list[tuple[str, bool]],
+        types: list[str],
+        xy_m: Float[ndarray, "k 2"],
+        number: Int[ndarray, "k"],
         step: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Note the numbers of new actors, which are the next ones."""
         self._number.update(zip(keys, number.tolist(), strict=True))
         n = len(self._type) + len(keys)

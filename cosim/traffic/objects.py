@@ -83,9 +83,12 @@ class Placed:
 
     @staticmethod
     def of(
-        objects: Sequence[ObjectParams], frame: Frame, step_s: float, parked: Mapping[str, ObjectParams] | None = None,
+        objects: Sequence[ObjectParams],
+        frame: Frame,
+        step_s: float,
+        parked: Mapping[str, ObjectParams] | None = None,
         units: RoadsideUnits = NO_UNITS,
-    ) -> "Placed":  # fmt: skip
+    ) -> "Placed":
         """Convert the objects, parked cars by name, and units to arrays.
 
         Raises
@@ -134,9 +137,12 @@ class WithObjects:
         if len(new := here[self._number[here] < 0]):
             for kind in (new[~p.is_unit[new]], new[p.is_unit[new]]):
                 self._number[kind] = self._registry.register(
-                    [p.names[i] for i in kind.tolist()], p.shape[kind], p.boxes.lwh_m[kind], world.step,
+                    [p.names[i] for i in kind.tolist()],
+                    p.shape[kind],
+                    p.boxes.lwh_m[kind],
+                    world.step,
                     equipped=bool(p.is_unit[kind].any()),
-                )  # fmt: skip
+                )
         here = here[np.argsort(self._number[here])]
         boxes = p.boxes.take(here)
         objects = world_of(
