@@ -261,7 +261,8 @@ def iou_of(a_xyz, a_lwh, a_yaw, i, b_xyz, b_lwh, b_yaw, j, room):
     dx, dy = x2 - x1, y2 - y1
     x = cos * dx + sin * dy
     y = -sin * dx + cos * dy
-    cos, sin = np.cos(yaw2 - yaw1), np.sin(yaw2 - yaw1)
+    cos = np.cos(yaw2 - yaw1)
+    sin = np.sin(yaw2 - yaw1)
     half_l, half_w = 0.5 * length2, 0.5 * width2
     for corner in range(4):
         u = half_l if corner == 0 or corner == 3 else -half_l

@@ -523,7 +523,9 @@ def _all_sweeps(ranges, hit, origin_m, yaw_rad, beams, max_range_m, hidden, keys
     uniform = np.empty((n_sweeps, capacity, 2))
     steps, step_m = ranges
     for o in range(n_sweeps):
-        x, y, yaw = origin_m[o, 0], origin_m[o, 1], yaw_rad[o]
+        x = origin_m[o, 0]
+        y = origin_m[o, 1]
+        yaw = yaw_rad[o]
         sweep = _Sweep(steps[o], step_m, hit[o], beams, x, y, np.cos(yaw), np.sin(yaw))
         first, last = hidden.ptr[o], hidden.ptr[o + 1]
         actors = hidden.actor[first:last], hidden.n_returns[first:last]

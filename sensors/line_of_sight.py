@@ -71,7 +71,8 @@ class WallIndex:
         has_building = (np.diff(building_ptr) > 0).reshape(squares)
         near = np.kron(has_building, np.ones((wide, wide), bool))
         i, j = np.nonzero(empty & near[:nx, :ny])
-        x, y = low[0] + (i + 0.5) * cell_m, low[1] + (j + 0.5) * cell_m
+        x = low[0] + (i + 0.5) * cell_m
+        y = low[1] + (j + 0.5) * cell_m
         middle = np.column_stack([x, y, np.full(len(i), np.nan)])
         owner = kernels.building_at(middle, grid, walls)
         solid = (i * ny + j)[owner >= 0]
@@ -241,7 +242,8 @@ def _buildings_by_square(low: ndarray, side_m: float, nx: int, ny: int, walls: W
     if not len(building):
         return np.zeros(nx * ny + 1, np.int32), np.zeros(0, np.int32)
     corner, first = walls.segment[:, :2], walls.ptr[building]  # rings are closed: each corner begins a wall
-    lowest, highest = np.minimum.reduceat(corner, first), np.maximum.reduceat(corner, first)
+    lowest = np.minimum.reduceat(corner, first)
+    highest = np.maximum.reduceat(corner, first)
     i0, j0 = ((lowest - low) // side_m).astype(np.int64).T
     i1, j1 = ((highest - low) // side_m).astype(np.int64).T
     rows = j1 - j0 + 1

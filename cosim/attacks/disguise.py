@@ -52,7 +52,9 @@ def ghosts(
     donor = chosen[there]
     n = len(observer)
     xyz_m, lwh_m = boxes.xyz_m.copy(), boxes.lwh_m.copy()
-    score, n_points, speed_mps = np.ones(n), np.zeros(n, np.int32), np.full(n, np.nan)
+    score = np.ones(n)
+    n_points = np.zeros(n, np.int32)
+    speed_mps = np.full(n, np.nan)
     lwh_m[there] = pool["lwh_m"][donor]
     score[there] = pool["score"][donor]
     n_points[there] = pool["n_points"][donor]

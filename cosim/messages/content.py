@@ -223,7 +223,8 @@ def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"
             DetectionFault.BAD_NUMBER: (number < 0) | (number > LARGEST_NUMBER)
             | (listed.n_points < 0) | (listed.n_points > MOST_RETURNS),
         }  # fmt: skip
-    found, message = np.full(n, -1), listed.observer.astype(np.int64) << 16 | listed.identity
+    found = np.full(n, -1)
+    message = listed.observer.astype(np.int64) << 16 | listed.identity
     for fault in reversed(wrong):
         found[wrong[fault]] = fault
     left = np.flatnonzero(found < 0)

@@ -360,7 +360,8 @@ class Pseudonyms:
         -------
         The new state, the pseudonyms in the order of `observers`, and the pseudonyms that ended in this step.
         """
-        actor, xy = world.actor[observers], world.boxes.xyz_m[observers, :2]
+        actor = world.actor[observers]
+        xy = world.boxes.xyz_m[observers, :2]
         state = _grown(state, int(actor.max(initial=-1)) + 1)
         new = state.current[actor] < 0
         distance_m = state.distance_m.copy()
@@ -390,8 +391,12 @@ class Pseudonyms:
         )
         fresh = np.flatnonzero(new | changes)
         taking = actor[fresh]
-        current, since, seen = state.current.copy(), state.since_step.copy(), state.seen_step.copy()
-        n_changes_all, n_messages, place = state.n_changes.copy(), state.n_messages.copy(), state.xy_m.copy()
+        current = state.current.copy()
+        since = state.since_step.copy()
+        seen = state.seen_step.copy()
+        n_changes_all = state.n_changes.copy()
+        n_messages = state.n_messages.copy()
+        place = state.xy_m.copy()
         from_xy_m = state.from_xy_m.copy()
         from_xy_m[taking] = xy[fresh]
         numbered = taking[changes[fresh]] if self.by_number else taking

@@ -94,7 +94,8 @@ def update_senders(
     owner, owner_before = owner_of(now.pseudonym), owner_of(before.pseudonym)
     there = np.isin(now.key, before.key)
     was = np.searchsorted(before.key, now.key[there])
-    now.linked[there], now.rated[there] = before.linked[was], before.rated[was]
+    now.linked[there] = before.linked[was]
+    now.rated[there] = before.rated[was]
     silent = ~np.isin(before.key, now.key) & (time_s - before.time_s <= params.own_gap_s + 1e-9)
     lost, new = np.flatnonzero(silent), np.flatnonzero(~there)
     begin, end = (np.searchsorted(before.receiver[lost], now.receiver[new], side) for side in ("left", "right"))

@@ -405,7 +405,8 @@ class TrustHosts:
         self, state: TrustState, h: int, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"], time_s: float
     ) -> Lookups:
         n, params = len(vehicle), self.params[h]
-        ages_s, counts = np.zeros((3, n)), np.zeros((2, n), np.int64)
+        ages_s = np.zeros((3, n))
+        counts = np.zeros((2, n), np.int64)
         found = Lookups(
             np.full(n, params.default_trust),
             np.full(n, _DEFAULT, np.uint8),

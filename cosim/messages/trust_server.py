@@ -127,7 +127,8 @@ class Uplink:
             of = np.repeat(np.arange(len(n)), np.where(length > 0, n_copies, 0))
             number = np.arange(len(of)) - np.searchsorted(of, of)
             keys = np.concatenate([keys, rng.keys(key, name_key[of], 1 + number)])
-            sent, place = np.concatenate([length, length[of]]), np.concatenate([xy_m, xy_m[of]])
+            sent = np.concatenate([length, length[of]])
+            place = np.concatenate([xy_m, xy_m[of]])
         taken = within_capacity(place, sent, keys, p.cell_up_bytes_per_s * self.interval_s, p.cell_m)[: len(n)]
         out = np.full(len(n), bool(self.params.is_out(time_s)))
         return self._send(state, messages, time_s + delay_s, ~taken & ~out, out, int(sent.sum()))

@@ -146,8 +146,10 @@ def _crosses(xyz, i, j, centre, lwh, cosine, sine, e):
     ay = xyz[i, 1] - centre[e, 1]
     bx = xyz[j, 0] - centre[e, 0]
     by = xyz[j, 1] - centre[e, 1]
-    u0, v0 = cos * ax + sin * ay, cos * ay - sin * ax
-    u1, v1 = cos * bx + sin * by, cos * by - sin * bx
+    u0 = cos * ax + sin * ay
+    v0 = cos * ay - sin * ax
+    u1 = cos * bx + sin * by
+    v1 = cos * by - sin * bx
     near, far = 0.0, 1.0
     for axis in range(2):
         p, d = (u0, u1 - u0) if axis == 0 else (v0, v1 - v0)
@@ -166,5 +168,6 @@ def _crosses(xyz, i, j, centre, lwh, cosine, sine, e):
     za, zb = xyz[i, 2], xyz[j, 2]
     z = za + t * (zb - za)
     half = lwh[e, 2] / 2
-    bottom, top = centre[e, 2] - half, centre[e, 2] + half
+    bottom = centre[e, 2] - half
+    top = centre[e, 2] + half
     return bottom <= z <= top + _BELOW_M

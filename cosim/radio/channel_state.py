@@ -68,7 +68,8 @@ def remap_stations(state: ChannelState, key: ndarray) -> ChannelState:
     phy["packet"] = dtypes.NONE
     mac["armed_ns"] = dtypes.NEVER
     kept = np.flatnonzero(row[:-1] >= 0)
-    phy[row[kept]], mac[row[kept]] = state.phy[kept], state.mac[kept]
+    phy[row[kept]] = state.phy[kept]
+    mac[row[kept]] = state.mac[kept]
     phy["frame_from"] = np.where(phy["phase"] == dtypes.FREE, 0, row[phy["frame_from"]])
     mac["rank"][np.argsort(phy["key"])] = np.arange(len(phy))
 
@@ -113,7 +114,8 @@ def next_state(air: Air, log: Log, alive: ndarray, on_air: ndarray, now_ns: int)
     for name in ("head", "tail"):
         mac[name] = number[np.where(mac["count"] > 0, mac[name], dtypes.NONE)]
     frames = table[on_air]
-    edge, slot = ranges(frames["edge"], frames["degree"]), ranges(frames["slot"], frames["degree"])
+    edge = ranges(frames["edge"], frames["degree"])
+    slot = ranges(frames["slot"], frames["degree"])
     table["edge"][on_air] = np.cumsum(frames["degree"]) - frames["degree"]
     table["next"] = number[table["next"]]
     return ChannelState(

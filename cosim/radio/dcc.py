@@ -85,8 +85,10 @@ class DccState:
         if np.array_equal(self.key, key):
             return self
         _, was, now = np.intersect1d(self.key, key, assume_unique=True, return_indices=True)
-        cbr, level = np.zeros(len(key)), np.zeros(len(key), np.int8)
-        share, before = np.full(len(key), SHARE_MAX), np.zeros(len(key))
+        cbr = np.zeros(len(key))
+        level = np.zeros(len(key), np.int8)
+        share = np.full(len(key), SHARE_MAX)
+        before = np.zeros(len(key))
         cbr[now], level[now], share[now], before[now] = (
             self.cbr[was],
             self.level[was],

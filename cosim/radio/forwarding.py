@@ -209,7 +209,8 @@ def _is_refused(refused, code):
 @inlined
 def _square_m2(xy_m, i, j):
     """Squared distance of two stations."""
-    dx, dy = xy_m[j, 0] - xy_m[i, 0], xy_m[j, 1] - xy_m[i, 1]
+    dx = xy_m[j, 0] - xy_m[i, 0]
+    dy = xy_m[j, 1] - xy_m[i, 1]
     return dx * dx + dy * dy
 
 

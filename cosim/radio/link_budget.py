@@ -165,7 +165,8 @@ def neighbours(xy_m: Float[ndarray, "n 2"], range_m: float) -> tuple[ndarray, nd
 
 def _sorted_by_cell(xyz_m: Float[ndarray, "n 3"], range_m: float) -> tuple[_Cells, float]:
     """Points sorted by cells, and the width of a cell: at most 1,000 of them along one side of the area."""
-    low, size_m = xyz_m[:, :2].min(0), np.ptp(xyz_m[:, :2], axis=0)
+    low = xyz_m[:, :2].min(0)
+    size_m = np.ptp(xyz_m[:, :2], axis=0)
     side_m = max(range_m / _RING, float(size_m.max()) / 1000)
     cell = ((xyz_m[:, :2] - low) / side_m).astype(np.int64)
     shape = cell.max(0) + 1
@@ -197,7 +198,8 @@ def _within(
     cells, side_m = _sorted_by_cell(xyz_m, range_m)
     order = cells.order
     xyz_m, sends = xyz_m[order], sends[order]
-    on_grid, filled = index.cells(places[order]), index.filled(places[:, 2])
+    on_grid = index.cells(places[order])
+    filled = index.filled(places[:, 2])
     walls = _Walls(los is not None, on_grid, filled, float(nlos_range_m))
     area_m2 = np.prod(cells.shape) * side_m**2
     in_range = np.pi * min(range_m, nlos_range_m) ** 2 / area_m2  # share of the points, if they were uniform

@@ -312,7 +312,9 @@ class MessageRound:
     @staticmethod
     def silent(n_stations: int = 0) -> "MessageRound":
         """A round without messages."""
-        row, real, code = np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.uint8)
+        row = np.zeros(0, np.int64)
+        real = np.zeros(0)
+        code = np.zeros(0, np.uint8)
         frames = FrameOutcomes(row, row, row, real, code, row, row, 0, 0, 0.0, None)
         return MessageRound(row, Receptions.none(), frames)
 
@@ -344,7 +346,8 @@ class LinkReceptions(NamedTuple):
 def by_link(happened: MessageRound, n_vehicles: int) -> LinkReceptions:
     """Receptions of a round by kind of link, without those from roadside units by roadside units."""
     found = happened.receptions
-    receives, sends = found.receiver < n_vehicles, happened.station[found.message] < n_vehicles
+    receives = found.receiver < n_vehicles
+    sends = happened.station[found.message] < n_vehicles
     if receives.all() and sends.all():
         return LinkReceptions(found, Receptions.none(), Receptions.none())
     uplink = found.take(~receives & sends)

@@ -442,7 +442,8 @@ def _waves(xy, decorrelation_m, rng_key):
         # A Cauchy wave vector in four dimensions, whose characteristic function is exp(-|x| / D).
         normal = np.empty(5)
         for i in range(5):
-            u, v = unit(mix(h, np.uint64(2 * i))), unit(mix(h, np.uint64(2 * i + 1)))
+            u = unit(mix(h, np.uint64(2 * i)))
+            v = unit(mix(h, np.uint64(2 * i + 1)))
             radius = np.sqrt(-2 * np.log(1 - u))
             normal[i] = radius * np.cos(2 * np.pi * v)
         scale = abs(normal[4]) * decorrelation_m * 2 * np.pi

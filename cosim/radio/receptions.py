@@ -242,7 +242,8 @@ def _attempts(sent, near, outcome_of, state, got_ptr, got_by):
         if state[f] != _REPORTED:
             room += ptr[transmitter[f] + 1] - ptr[transmitter[f]]
     first = np.empty(len(transmitter) + 1, np.int64)
-    of, to = np.empty(room, np.int32), np.empty(room, np.int32)
+    of = np.empty(room, np.int32)
+    to = np.empty(room, np.int32)
     hops = np.empty(room, np.int8)
     apart_m = np.empty(room)
     los = np.empty(room, np.uint8)
@@ -254,7 +255,8 @@ def _attempts(sent, near, outcome_of, state, got_ptr, got_by):
         if state[f] == _REPORTED:
             if f < len(got_ptr) - 1:
                 for k in range(got_ptr[f], got_ptr[f + 1]):
-                    of[m], to[m] = sent.message[f], got_by[k]
+                    of[m] = sent.message[f]
+                    to[m] = got_by[k]
                     hops[m] = sent.hop[f]
                     apart_m[m], los[m], outcome[m] = 0.0, 0, _RECEIVED
                     m += 1
@@ -350,7 +352,8 @@ def _complete(xy, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns
     message_of, transmitter, unit, end_ns = sent.message, sent.transmitter, sent.unit, sent.end_ns
     at, got = _received_frames(len(xy), attempts, by_unit)
     most = len(got)
-    receiver, message = np.empty(most, np.int64), np.empty(most, np.int64)
+    receiver = np.empty(most, np.int64)
+    message = np.empty(most, np.int64)
     hops = np.empty(most, np.int32)
     offset_s, access_s, latency_s, apart_m = np.empty((4, most))
     m = n_duplicate = 0

@@ -184,7 +184,10 @@ def hear(
     """Note the objects that vehicles received, if they leave out objects that others report."""
     if c.cpm.redundancy == "none":
         return cpm
-    vehicles, senders, objects, begin_s = exchange.vehicles, exchange.senders, listed.objects, exchange.now.begin_s
+    vehicles = exchange.vehicles
+    senders = exchange.senders
+    objects = listed.objects
+    begin_s = exchange.now.begin_s
     rows = np.flatnonzero(objects.transmitted)
     sent = objects.take(rows)
     reports = ReportedObjects(

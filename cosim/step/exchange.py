@@ -231,7 +231,8 @@ class OnAir:
         """
         n, stations = len(senders), n_vehicles + np.arange(n_rsus)
         length = np.concatenate([length_bytes, np.full(n_rsus, rsu_bytes)])
-        station, message = np.concatenate([senders.vehicle, stations]), np.arange(n + n_rsus)
+        station = np.concatenate([senders.vehicle, stations])
+        message = np.arange(n + n_rsus)
         envelope = None
         if envelope_bytes is not None:
             envelope = np.concatenate([envelope_bytes, np.full(n_rsus, ENVELOPE_BYTES)])

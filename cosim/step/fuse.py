@@ -52,7 +52,8 @@ def boxes_of(fused: Fused, objects: Detections) -> Boxes:
     """Boxes of fused objects; `objects` are the detections that the vehicles know."""
     if fused.box is not None:
         return boxes_of_columns(fused.box)
-    boxes, pose = objects.boxes.take(fused.seed), objects.boxes.take(fused.pose)
+    boxes = objects.boxes.take(fused.seed)
+    pose = objects.boxes.take(fused.pose)
     return replace(boxes, xyz_m=pose.xyz_m, yaw_rad=pose.yaw_rad)
 
 

@@ -170,7 +170,8 @@ def messages_of(
     number
         Number of what each evaluation is about, in place of that of the detection; None if all are about detections.
     """
-    kept, sent = Evaluations(evaluations.evaluation[keep], evaluations.visibility[keep]), subset(lists, keep)
+    kept = Evaluations(evaluations.evaluation[keep], evaluations.visibility[keep])
+    sent = subset(lists, keep)
     made = tables.as_messages(
         step, messages.pseudonym, sent, messages.detections, kept, messages.detection_step(sent.member)
     )

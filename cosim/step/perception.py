@@ -182,7 +182,8 @@ class Perception:
         def sense(first: int, last: int) -> tuple[Seen, Stopwatch]:
             if n_threads > 1:
                 numba.set_num_threads(1)  # a setting of each thread
-            kept, own = self._groups.pop() if self._groups else NO_MEMORY, watch.of_thread() if n_threads > 1 else watch
+            kept = self._groups.pop() if self._groups else NO_MEMORY
+            own = watch.of_thread() if n_threads > 1 else watch
             part = near.part(first, last)
             memory = kept._replace(range_steps=range_steps[first:last], near=part, bodies=bodies)
             sweeps, here = self.sense(world, observers[first:last], own, memory)
@@ -308,7 +309,8 @@ def swept(
     keys = sweep_keys(seed, world, observers)
     sweeps = lidar.scan(world.boxes, world.shape, observers, city, params, keys, memory, speed_mps=world.speed_mps)
     if not weather.is_clear:
-        reflectivity, dirt = rng.key(seed, rng.Stream.REFLECTIVITY), rng.key(seed, rng.Stream.DIRT)
+        reflectivity = rng.key(seed, rng.Stream.REFLECTIVITY)
+        dirt = rng.key(seed, rng.Stream.DIRT)
         weaken(sweeps, weather, keys, world.name_key, reflectivity, dirt)
     return sweeps
 

@@ -100,7 +100,8 @@ def count_in_encounters(
     actor, vehicle = exchange.vehicles.actor, messages.vehicle
     used, lists, row = looked_up.messages, compared.lists, exchange.vehicles.senses
     is_known = np.stack([found.is_known for found in looked_up.lookups], axis=1)
-    by, observer = row[lists.of_member()], vehicle[messages.detections.message[lists.member]]
+    by = row[lists.of_member()]
+    observer = vehicle[messages.detections.message[lists.member]]
     is_new = messages.is_new(lists.of_member(), lists.member)
     by, observer = by[is_new], observer[is_new]
     pairs, n = distinct((by * len(actor) + observer)[by != observer])

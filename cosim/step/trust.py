@@ -219,7 +219,9 @@ def look_up(
     parts
         Components of the run.
     """
-    now, holder, asked = exchange.now, exchange.sensing.actor[used.receiver], messages.pseudonym
+    now = exchange.now
+    holder = exchange.sensing.actor[used.receiver]
+    asked = messages.pseudonym
     trust = parts.trust.receive(trust, exchange.vehicles.actor, now.fused_s)
     found = _trust_in(trust, holder, asked, used.message, now.fused_s, exchange, pseudonyms, parts)
     if parts.config.pseudonyms.linkage == "own":
@@ -245,7 +247,8 @@ def _received_senders(exchange: Exchange, listed: Listed, received: Receptions) 
     report[listed.detections.message[selves]] = selves
     received = received.take(report[received.message] >= 0)
     row = report[received.message]
-    yaw, speed = objects.boxes.yaw_rad[row], np.nan_to_num(objects.speed_mps[row])
+    yaw = objects.boxes.yaw_rad[row]
+    speed = np.nan_to_num(objects.speed_mps[row])
     return ReceivedSenders(
         receiver=exchange.vehicles.actor[received.receiver],
         pseudonym=senders.pseudonym[received.message],

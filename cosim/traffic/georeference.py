@@ -40,7 +40,8 @@ class NetLocation:
     def holds(self, xy_m: Float[ndarray, "n 2"]) -> float:
         """Share of positions within the bounds."""
         west, south, east, north = self.bounds_m
-        low, high = np.array([west, south]) - _MARGIN_M, np.array([east, north]) + _MARGIN_M
+        low = np.array([west, south]) - _MARGIN_M
+        high = np.array([east, north]) + _MARGIN_M
         return float(((low <= xy_m) & (xy_m <= high)).all(axis=1).mean())
 
 

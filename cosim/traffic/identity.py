@@ -128,7 +128,9 @@ class Identities:
         self._turn += 1
         for i in np.flatnonzero((self._turn - self._last_turn[who] > 1) & ~is_other).tolist():  # few come back
             is_other[i] = self._type[who[i]] != types[seen[i]].partition("@")[0]
-        self._last_turn[who], self._last_step[who], self._last_m[who] = self._turn, step, xy_m[seen]
+        self._last_turn[who] = self._turn
+        self._last_step[who] = step
+        self._last_m[who] = xy_m[seen]
         number[seen[is_other]] = UNKNOWN
         return number
 
@@ -166,7 +168,9 @@ class Identities:
         self._type += [""] * len(keys)
         for row, of in zip(number.tolist(), types, strict=True):
             self._type[row] = of.partition("@")[0]
-        self._last_turn[number], self._last_step[number], self._last_m[number] = self._turn, step, xy_m
+        self._last_turn[number] = self._turn
+        self._last_step[number] = step
+        self._last_m[number] = xy_m
 
     def report(self) -> dict[str, Any]:
         """How many names came back as another actor, and the first of these actors."""

@@ -100,7 +100,8 @@ class Placed:
         names = [*(f"{PREFIX}{i}" for i in range(len(objects))), *parked, *units.names]
         objects = [*objects, *parked.values()]
         kinds = [*(Shape[o.vehicle_class.upper()] for o in objects), *[Shape.ROADSIDE_UNIT] * n_units]
-        shape, is_unit = np.array(kinds, np.uint8), np.array([kind == Shape.ROADSIDE_UNIT for kind in kinds], bool)
+        shape = np.array(kinds, np.uint8)
+        is_unit = np.array([kind == Shape.ROADSIDE_UNIT for kind in kinds], bool)
         masts_m = np.column_stack([np.full((n_units, 2), MAST_M), units.height_m])
         lwh_m = np.concatenate([np.array([o.lwh_m for o in objects]).reshape(-1, 3), masts_m])
         lwh_m = lwh_m.astype(np.float32).astype(float)

@@ -256,7 +256,8 @@ def _body(ranges, hits, a, code, at, radius, pose, view, nearest, bodies):
         top = bodies.top_m[k] - z
         half_l, half_w = bodies.half_l_m[k], bodies.half_w_m[k]
         reach = half_l + farthest
-        ahead, left = -p * u - q * v, p * v - q * u
+        ahead = -p * u - q * v
+        left = p * v - q * u
         a0, a1, b0, b1 = rectangle_columns(ahead, left, u, -v, reach, half_w, columns)
         for turn in range(2):
             for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
@@ -264,7 +265,8 @@ def _body(ranges, hits, a, code, at, radius, pose, view, nearest, bodies):
                     continue
                 ca, sa = beams.cos_az[c], beams.sin_az[c]
                 behind = p - per_rad * beams.azimuth_rad[c]
-                along, across = u * ca - v * sa, v * ca + u * sa
+                along = u * ca - v * sa
+                across = v * ca + u * sa
                 enter, leave = rectangle(behind, q, along, across, half_l, half_w)
                 if leave <= max(enter, 0.0) or enter * nearest[c] >= 1.0:
                     continue
