@@ -34,7 +34,8 @@ class Boxes(Rows):
             if value.shape != shape:
                 raise ValueError(f"boxes.{name} has shape {value.shape}; {shape} was expected: one row per box.")
             if not np.isfinite(value).all():
-                row = int(np.argmin(np.isfinite(value).reshape(len(value), -1).all(axis=1)))
+                is_finite = np.isfinite(value).reshape(len(value), -1)
+                row = int(np.argmin(is_finite.all(axis=1)))
                 raise ValueError(f"boxes.{name}[{row}] = {value[row]} is not finite: a box needs a pose and a size.")
             object.__setattr__(self, name, value)
         if len(self) and self.lwh_m.min() <= 0.0:
@@ -70,7 +71,7 @@ class Boxes(Rows):
         )
 
     @staticmethod
-    def _of_checked(xyz_m: Float[ndarray, "n 3"], lwh_m: Float[ndarray, "n 3"], yaw_rad: Float[ndarray, "n"]) -> Boxes:
+    def _of_checked(xyz_m: ndarray, lwh_m: ndarray, yaw_rad: ndarray) -> Boxes:
         """Boxes from arrays that were checked before."""
         made = object.__new__(Boxes)
         for name, value in (("xyz_m", xyz_m), ("lwh_m", lwh_m), ("yaw_rad", yaw_rad)):
@@ -103,9 +104,10 @@ def extrapolated(boxes: Boxes, velocity_mps: Float[ndarray, "n 2"], dt_s: float 
     if velocity_mps.shape != (len(boxes), 2):
         raise ValueError(f"velocity_mps has shape {velocity_mps.shape}; ({len(boxes)}, 2) was expected: one per box.")
     absent = np.isnan(velocity_mps).any(axis=1)
-    moved_m = np.where(absent[:, None], 0.0, velocity_mps) * np.broadcast_to(dt_s, len(boxes))[:, None]
+    known_mps = np.where(absent[:, None], 0.0, velocity_mps)
+    time_s = np.broadcast_to(dt_s, len(boxes))
     xyz_m = boxes.xyz_m.copy()
-    xyz_m[:, :2] += moved_m
+    xyz_m[:, :2] += known_mps * time_s[:, None]
     return Boxes(xyz_m, boxes.lwh_m, boxes.yaw_rad)
 
 
@@ -169,13 +171,21 @@ def overlapping_pairs(
         reach_m = 2.0 * float(radius_m[of_class].max()) + _SLACK_M
         found.append(of_class[cKDTree(xy_m[of_class]).query_pairs(reach_m, output_type="ndarray")])
     i, j = np.concatenate(found).T  # i < j, since `of_class` ascends
-    apart_m, reach_m = xy_m[j] - xy_m[i], radius_m[i] + radius_m[j] + _SLACK_M
-    rows = np.flatnonzero((owner[i] != owner[j]) & ((apart_m * apart_m).sum(axis=1) < reach_m * reach_m))
-    rows = rows[np.argsort(i[rows] * len(boxes) + j[rows])]
-    i, j = i[rows], j[rows]
-    iou = iou_3d(boxes.take(i), boxes.take(j))
+    apart_m = xy_m[j] - xy_m[i]
+    reach_m = radius_m[i] + radius_m[j] + _SLACK_M
+    is_near = (apart_m * apart_m).sum(axis=1) < reach_m * reach_m
+    rows = np.flatnonzero((owner[i] != owner[j]) & is_near)
+    key = i[rows] * len(boxes) + j[rows]
+    rows = rows[np.argsort(key)]
+    return _overlapping(boxes, i[rows], boxes, j[rows])
+
+
+def _overlapping(a: Boxes, i: Int[ndarray, "m"], b: Boxes, j: Int[ndarray, "m"]) -> tuple[ndarray, ndarray, ndarray]:
+    """The pairs of rows of `a` and `b` (int32) whose boxes overlap, and their IoU."""
+    iou = iou_3d(a.take(i), b.take(j))
     overlap = np.flatnonzero(iou > 0.0)
-    return i[overlap].astype(np.int32), j[overlap].astype(np.int32), iou[overlap]
+    i, j = (row[overlap].astype(np.int32) for row in (i, j))
+    return i, j, iou[overlap]
 
 
 def pairs_between(
@@ -196,18 +206,17 @@ def pairs_between(
     """
     found = [np.zeros((0, 2), np.int64)]
     for kind in np.intersect1d(a_label, b_label):
-        one, other = np.flatnonzero(a_label == kind), np.flatnonzero(b_label == kind)
-        reach_m = float(a.circumradius_m[one].max() + b.circumradius_m[other].max()) + _SLACK_M
-        near = cKDTree(a.xyz_m[one, :2]).sparse_distance_matrix(
-            cKDTree(b.xyz_m[other, :2]), reach_m, output_type="ndarray"
-        )
+        one = np.flatnonzero(a_label == kind)
+        other = np.flatnonzero(b_label == kind)
+        radius_m = a.circumradius_m[one].max() + b.circumradius_m[other].max()
+        one_tree = cKDTree(a.xyz_m[one, :2])
+        other_tree = cKDTree(b.xyz_m[other, :2])
+        reach_m = float(radius_m) + _SLACK_M
+        near = one_tree.sparse_distance_matrix(other_tree, reach_m, output_type="ndarray")
         found.append(np.column_stack([one[near["i"]], other[near["j"]]]))
     i, j = np.concatenate(found).T
     order = np.lexsort((j, i))
-    i, j = i[order], j[order]
-    iou = iou_3d(a.take(i), b.take(j))
-    overlap = np.flatnonzero(iou > 0.0)
-    return i[overlap].astype(np.int32), j[overlap].astype(np.int32), iou[overlap]
+    return _overlapping(a, i[order], b, j[order])
 
 
 _SLACK_M = 1e-6
@@ -226,47 +235,62 @@ def _iou(begin, end, a_xyz, a_lwh, a_yaw, b_xyz, b_lwh, b_yaw, out):
 @kernel
 def iou_of(a_xyz, a_lwh, a_yaw, i, b_xyz, b_lwh, b_yaw, j, room):
     """IoU of box i of the first set with box j of the second; `room` is for two polygons."""
-    poly_x, poly_y, next_x, next_y = room[0], room[1], room[2], room[3]
-    top = min(a_xyz[i, 2] + 0.5 * a_lwh[i, 2], b_xyz[j, 2] + 0.5 * b_lwh[j, 2])
-    bottom = max(a_xyz[i, 2] - 0.5 * a_lwh[i, 2], b_xyz[j, 2] - 0.5 * b_lwh[j, 2])
-    radius = 0.5 * (np.hypot(a_lwh[i, 0], a_lwh[i, 1]) + np.hypot(b_lwh[j, 0], b_lwh[j, 1]))
-    dx, dy = b_xyz[j, 0] - a_xyz[i, 0], b_xyz[j, 1] - a_xyz[i, 1]
+    poly_x, poly_y = room[0], room[1]
+    kept_x, kept_y = room[2], room[3]
+    ax, ay = a_xyz[i, 0], a_xyz[i, 1]
+    bx, by = b_xyz[j, 0], b_xyz[j, 1]
+    az, bz = a_xyz[i, 2], b_xyz[j, 2]
+    al, aw = a_lwh[i, 0], a_lwh[i, 1]
+    bl, bw = b_lwh[j, 0], b_lwh[j, 1]
+    ah, bh = a_lwh[i, 2], b_lwh[j, 2]
+    top = min(az + 0.5 * ah, bz + 0.5 * bh)
+    bottom = max(az - 0.5 * ah, bz - 0.5 * bh)
+    radius = 0.5 * (np.hypot(al, aw) + np.hypot(bl, bw))
+    dx, dy = bx - ax, by - ay
     if top <= bottom or dx * dx + dy * dy >= radius * radius:
         return 0.0
     # The clipping box is chosen by geometry, not by row, so that swapping the two changes no bit.
-    first = (a_xyz[i, 0], a_xyz[i, 1], a_lwh[i, 0], a_lwh[i, 1], a_yaw[i])
-    second = (b_xyz[j, 0], b_xyz[j, 1], b_lwh[j, 0], b_lwh[j, 1], b_yaw[j])
+    first = (ax, ay, al, aw, a_yaw[i])
+    second = (bx, by, bl, bw, b_yaw[j])
     if second < first:
         first, second = second, first
-    cos, sin = np.cos(first[4]), np.sin(first[4])
-    dx, dy = second[0] - first[0], second[1] - first[1]
-    x, y = cos * dx + sin * dy, -sin * dx + cos * dy
-    cos, sin = np.cos(second[4] - first[4]), np.sin(second[4] - first[4])
-    half_l, half_w = 0.5 * second[2], 0.5 * second[3]
+    x1, y1, length1, width1, yaw1 = first
+    x2, y2, length2, width2, yaw2 = second
+    # The corners of the second box in the frame of the first.
+    cos, sin = np.cos(yaw1), np.sin(yaw1)
+    dx, dy = x2 - x1, y2 - y1
+    x = cos * dx + sin * dy
+    y = -sin * dx + cos * dy
+    cos = np.cos(yaw2 - yaw1)
+    sin = np.sin(yaw2 - yaw1)
+    half_l, half_w = 0.5 * length2, 0.5 * width2
     for corner in range(4):
         u = half_l if corner == 0 or corner == 3 else -half_l
         v = half_w if corner < 2 else -half_w
         poly_x[corner] = x + cos * u - sin * v
         poly_y[corner] = y + sin * u + cos * v
+    # Each side of the first box cuts off what is beyond it (Sutherland and Hodgman).
     count = 4
     for side in range(4):
         sign = 1.0 if side < 2 else -1.0
-        limit = 0.5 * (first[2] if side % 2 == 0 else first[3])
+        limit = 0.5 * (length1 if side % 2 == 0 else width1)
         kept = 0
         for c in range(count):
             m = c + 1 if c + 1 < count else 0
-            p = limit - sign * (poly_x[c] if side % 2 == 0 else poly_y[c])
-            q = limit - sign * (poly_x[m] if side % 2 == 0 else poly_y[m])
+            x, y = poly_x[c], poly_y[c]
+            x_after, y_after = poly_x[m], poly_y[m]
+            p = limit - sign * (x if side % 2 == 0 else y)
+            q = limit - sign * (x_after if side % 2 == 0 else y_after)
             if p >= 0.0:
-                next_x[kept], next_y[kept] = poly_x[c], poly_y[c]
+                kept_x[kept], kept_y[kept] = x, y
                 kept += 1
             if (p >= 0.0) != (q >= 0.0):
                 s = p / (p - q)
-                next_x[kept] = poly_x[c] + s * (poly_x[m] - poly_x[c])
-                next_y[kept] = poly_y[c] + s * (poly_y[m] - poly_y[c])
+                kept_x[kept] = x + s * (x_after - x)
+                kept_y[kept] = y + s * (y_after - y)
                 kept += 1
-        poly_x, next_x = next_x, poly_x
-        poly_y, next_y = next_y, poly_y
+        poly_x, kept_x = kept_x, poly_x
+        poly_y, kept_y = kept_y, poly_y
         count = kept
     area = 0.0
     for c in range(count):
@@ -274,6 +298,6 @@ def iou_of(a_xyz, a_lwh, a_yaw, i, b_xyz, b_lwh, b_yaw, j, room):
         area += poly_x[c] * poly_y[m] - poly_x[m] * poly_y[c]
     common = 0.5 * area * (top - bottom)
     if common > 0.0:
-        volume = a_lwh[i, 0] * a_lwh[i, 1] * a_lwh[i, 2] + b_lwh[j, 0] * b_lwh[j, 1] * b_lwh[j, 2]
+        volume = al * aw * ah + bl * bw * bh
         return min(1.0, common / (volume - common))
     return 0.0

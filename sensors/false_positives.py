@@ -18,9 +18,10 @@ from scipy.special import expit, gammaincinv, ndtri
 
 from cosim.base.hash_rng import mix, uniforms, unit
 from cosim.base.kernel import compiled, inlined, kernel
+from cosim.base.ragged import expand, ptr_of
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
-from sensors.lidar import Sweeps
+from sensors.lidar import Beams, Sweeps
 from sensors.range_steps import metres
 from sensors.raycast.column import actor_columns, columns_of
 from sensors.reports import DetectorDraws, Reports
@@ -50,8 +51,13 @@ _ROUNDED, _ROUNDED_M2 = 1.0 + 1e-9, 1e-6
 _WALL, _ROAD, _ACTOR = range(3)
 
 _N_PACES = 1024
-_PACE_BITS, _PHASE_BITS, _S11, _S32 = np.uint64(10), np.uint64(54), np.uint64(11), np.uint64(32)
-_LOW_32, _TO_UNIT, _TO_UNIT_32 = np.int64(0xFFFFFFFF), 2.0**-53, 2.0**-32
+_PACE_BITS = np.uint64(10)
+_PHASE_BITS = np.uint64(54)
+_S11 = np.uint64(11)
+_S32 = np.uint64(32)
+_LOW_32 = np.int64(0xFFFFFFFF)
+_TO_UNIT = 2.0**-53
+_TO_UNIT_32 = 2.0**-32
 
 
 def false_positives(sweeps: Sweeps, seen: Observability, draws: DetectorDraws, model: SimpleNamespace) -> Reports:
@@ -76,33 +82,54 @@ def false_positives(sweeps: Sweeps, seen: Observability, draws: DetectorDraws, m
     """
     persistent, shared = model.false_positive_memory_share, model.false_positive_shared
     shares = np.array([persistent * shared, persistent * (1.0 - shared), 1.0 - persistent])
-    o, site, ray, rank, noise = _at_sites(sweeps, seen, draws, model, shares)
-    column, row = np.divmod(ray, sweeps.hit.shape[2])
-    u = uniforms(site, 11)[:, 8:]  # that belong to the site for good: class, size, heading
+    found = _at_sites(sweeps, seen, draws, model, shares)
+    o = found.observer
+    # Three uniforms that belong to the site for good: class, size, heading.
+    u_class, u_size, u_heading = uniforms(found.site, 11)[:, 8:].T
     share = np.cumsum(model.false_positive_mix) / np.sum(model.false_positive_mix)
-    label = np.searchsorted(share, u[:, 0], side="right").astype(np.uint8)
-    lwh = model.mean_lwh_m[label] * np.exp(0.1 * _normal(u[:, 1]))[:, None]
+    label = np.searchsorted(share, u_class, side="right").astype(np.uint8)
+    size = np.exp(0.1 * _normal(u_size))
+    lwh = model.mean_lwh_m[label] * size[:, None]
+    boxes = _at_returns(sweeps, o, found.ray, lwh, u_heading)
+    constant = np.sqrt(persistent) * _normal(found.rank)
+    z = np.sqrt(1.0 - persistent) * _normal(found.noise) - constant
+    score = expit(model.false_positive_logit + model.false_positive_sigma * z)
+    return Reports.of_false_positives(o, label, boxes, score)
 
-    point = sweeps.points(o, column, row)
+
+def _at_returns(
+    sweeps: Sweeps,
+    o: Int[ndarray, "c"],
+    ray: Int[ndarray, "c"],
+    lwh: Float[ndarray, "c 3"],
+    u: Float[ndarray, "c"],
+) -> Boxes:
+    """Boxes of these sizes in the world frame: each at the return of a ray, or in front of it where it met a wall.
+
+    `u` are uniforms: the heading as a share of a full turn; at a wall, which of its two directions.
+    """
+    column, row = np.divmod(ray, sweeps.hit.shape[2])
     heading, origin = sweeps.poses.yaw_rad[o], sweeps.poses.origin_m[o]
-    yaw = 2.0 * np.pi * u[:, 2] - heading
+    yaw = 2.0 * np.pi * u - heading  # in the sensor frame, as `along` and `bearing`
     at_wall = sweeps.hit[o, column, row] == Hit.BUILDING
     along = _tangent(sweeps, o, column, row)
-    yaw = np.where(at_wall & np.isfinite(along), along + np.where(u[:, 2] < 0.5, np.pi, 0.0), yaw)
+    turned = along + np.where(u < 0.5, np.pi, 0.0)
+    yaw = np.where(at_wall & np.isfinite(along), turned, yaw)
+
+    x, y, _ = sweeps.points(o, column, row).T
+    length, width, height = lwh.T
+    bearing = np.arctan2(y, x)
     # In front of the wall: half the extent of the box across the line of sight towards the sensor.
-    bearing = np.arctan2(point[:, 1], point[:, 0])
     skew = np.abs(np.sin(yaw - bearing))
-    back = np.where(at_wall, 0.5 * (lwh[:, 1] * skew + lwh[:, 0] * np.sqrt(1.0 - skew**2)), 0.0)
-    flat = np.maximum(np.hypot(point[:, 0], point[:, 1]) - back, 1.0)
-    xyz = np.column_stack([
-        origin[:, 0] + flat * np.cos(bearing + heading),
-        origin[:, 1] + flat * np.sin(bearing + heading),
-        sweeps.ground_m[o] + 0.5 * lwh[:, 2],
-    ])  # fmt: skip
-    yaw = np.pi - (np.pi - yaw - heading) % (2.0 * np.pi)
-    z = np.sqrt(1.0 - persistent) * _normal(noise) - np.sqrt(persistent) * _normal(rank)
-    score = expit(model.false_positive_logit + model.false_positive_sigma * z)
-    return Reports.of_false_positives(o, label, Boxes(xyz, lwh, yaw), score)
+    extent = width * skew + length * np.sqrt(1.0 - skew**2)
+    back = np.where(at_wall, 0.5 * extent, 0.0)
+    flat = np.maximum(np.hypot(x, y) - back, 1.0)
+    ahead = bearing + heading
+    east = origin[:, 0] + flat * np.cos(ahead)
+    north = origin[:, 1] + flat * np.sin(ahead)
+    up = sweeps.ground_m[o] + 0.5 * height
+    yaw = np.pi - (np.pi - yaw - heading) % (2.0 * np.pi)  # in the world frame
+    return Boxes(np.column_stack([east, north, up]), lwh, yaw)
 
 
 def _normal(u: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
@@ -114,44 +141,62 @@ def _tangent(sweeps: Sweeps, o: ndarray, column: ndarray, row: ndarray) -> Float
 
     Along a flat wall 1 / distance is linear in the sine and cosine of the azimuth.
     """
-    grid, n = sweeps.beams, sweeps.hit.shape[1]
+    n = sweeps.hit.shape[1]
     if n < 5:
         return np.full(len(o), np.nan)
-    middle = np.clip(column, 2, n - 3)
+    here = np.clip(column, 2, n - 3)
+    left, right = here - 2, here + 2
     with np.errstate(divide="ignore", invalid="ignore"):  # no return, no neighbour
-        a, b = (sweeps.points(o, middle + step, row) for step in (-2, 2))
-        before, here, after = (
-            1.0 / metres(sweeps.range_steps[o, middle + step, row], sweeps.step_m).astype(float) for step in (-2, 0, 2)
-        )
-        flat = np.abs(before + after - 2.0 * here * np.cos(2.0 * grid.fov_rad / n)) < FLAT * here
-        return np.where(flat, np.arctan2(b[:, 1] - a[:, 1], b[:, 0] - a[:, 0]), np.nan)
+        x0, y0, _ = sweeps.points(o, left, row).T
+        x1, y1, _ = sweeps.points(o, right, row).T
+        w0 = _inverse_range(sweeps, o, left, row)
+        w = _inverse_range(sweeps, o, here, row)
+        w1 = _inverse_range(sweeps, o, right, row)
+        w0_and_w1 = 2.0 * w * np.cos(2.0 * sweeps.beams.fov_rad / n)  # their sum along a flat wall
+        is_flat = np.abs(w0 + w1 - w0_and_w1) < FLAT * w
+        return np.where(is_flat, np.arctan2(y1 - y0, x1 - x0), np.nan)
+
+
+def _inverse_range(sweeps: Sweeps, o: ndarray, column: ndarray, row: ndarray) -> Float[ndarray, "n"]:
+    """1 / range of rays [1/m]."""
+    return 1.0 / metres(sweeps.range_steps[o, column, row], sweeps.step_m).astype(float)
+
+
+class _Occurrences(NamedTuple):
+    """Where false positives occur, sorted by observer."""
+
+    observer: Int[ndarray, "c"]
+    site: UInt64[ndarray, "c"]
+    """Key of the site."""
+    ray: Int[ndarray, "c"]
+    """The site's nearest return, column * number of rows + row."""
+    rank: Float[ndarray, "c"]
+    """U / p."""
+    noise: Float[ndarray, "c"]
+    """Another uniform, new in each sweep."""
 
 
 def _at_sites(
     sweeps: Sweeps, seen: Observability, draws: DetectorDraws, model: SimpleNamespace, shares: Float[ndarray, "3"]
-) -> tuple[Int[ndarray, "c"], UInt64[ndarray, "c"], Int[ndarray, "c"], Float[ndarray, "c"], Float[ndarray, "c"]]:
-    """Where false positives occur: observer, key of the site, ray of the nearest return, U / p, another uniform."""
+) -> _Occurrences:
+    """Where false positives occur. `shares` are those of the three u of an aspect: its own, the observer's, the new."""
     hidden = (seen.occlusion > HIDDEN) & (seen.n_returns > 0)
-    actor, n_returns = seen.actor[hidden], seen.n_returns[hidden]
-    ptr = np.searchsorted(seen.observer[hidden], np.arange(len(sweeps.observers) + 1))
-    keys = _SiteKeys(
-        draws.site, draws.site_observer, draws.site_step, draws.actor, draws.time_s,
-        _paces(float(model.false_positive_memory_s)),
-    )  # fmt: skip
+    ptr = ptr_of(seen.observer[hidden], len(sweeps.observers))
+    actors = _Hidden(ptr, seen.actor[hidden], seen.n_returns[hidden])
+    pace = _paces(float(model.false_positive_memory_s))
+    keys = _SiteKeys(draws.site, draws.site_observer, draws.site_step, draws.actor, draws.time_s, pace)
     rates = _Rates(shares, float(model.false_positive_per_sweep), float(model.false_positive_road_p))
+    ranges, poses = (sweeps.range_steps, sweeps.step_m), sweeps.poses
+    seen_by = ranges, sweeps.hit, poses.origin_m, poses.yaw_rad, sweeps.beams
     capacity = INITIAL_CAPACITY
     while True:
-        n, site, ray, uniform = _all_sweeps(
-            (sweeps.range_steps, sweeps.step_m), sweeps.hit, sweeps.poses.origin_m,
-            sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m), _Hidden(ptr, actor, n_returns), keys, rates,
-            capacity,
-        )  # fmt: skip
+        n, site, ray, uniform = _all_sweeps(*seen_by, float(sweeps.max_range_m), actors, keys, rates, capacity)
         if n.max(initial=0) <= capacity:
             break
         capacity = int(n.max())
-    o = np.repeat(np.arange(len(n)), n)
-    at = o, np.arange(len(o)) - np.repeat(np.cumsum(n) - n, n)
-    return o, site[at], ray[at], uniform[at][:, 0], uniform[at][:, 1]
+    number, o = expand(np.zeros_like(n), n)
+    rank, noise = uniform[o, number].T
+    return _Occurrences(o, site[o, number], ray[o, number], rank, noise)
 
 
 @lru_cache(maxsize=4)
@@ -183,8 +228,9 @@ def _rank(draws, shares, p):
     """U of an aspect, where it is below p; else p."""
     best = p
     for k in range(3):
-        if shares[k] > 0.0 and draws[k] < best:  # otherwise 1 - (1 - u)^(1 / share) is not below it, either
-            best = min(best, 1.0 - (1.0 - draws[k]) ** (1.0 / shares[k]))
+        u, share = draws[k], shares[k]
+        if share > 0.0 and u < best:  # otherwise 1 - (1 - u)^(1 / share) is not below it, either
+            best = min(best, 1.0 - (1.0 - u) ** (1.0 / share))
     return best
 
 
@@ -200,8 +246,10 @@ def _aspect(at, here, of_kind):
     """Kind and cell of a place, a point of the cell, and the keys of the site and of the aspect."""
     x, y, x0, y0, bits = here
     kind, cell = at & 1, at >> 1
-    i, j = x0 + (cell >> bits), y0 + (cell & (1 << bits) - 1)
-    key = mix(of_kind[_ROAD] if kind == _ROAD else of_kind[_WALL], (i << 32) ^ (j & _LOW_32))
+    i = x0 + (cell >> bits)
+    j = y0 + (cell & (1 << bits) - 1)
+    key_of_kind = of_kind[_ROAD] if kind == _ROAD else of_kind[_WALL]
+    key = mix(key_of_kind, (i << 32) ^ (j & _LOW_32))
     spot = mix(key, 6)
     to_x = (i + (spot >> _S32) * _TO_UNIT_32) * CELL_M
     to_y = (j + (spot & np.uint64(_LOW_32)) * _TO_UNIT_32) * CELL_M
@@ -217,7 +265,8 @@ def _likely(met, count, here, of_kind, drawn_by, body_rate, road_rate):
     """
     observer, step, time_s, pace = drawn_by
     n = len(met)
-    lasting, own = np.empty(n, np.uint64), np.empty(n, np.uint64)
+    lasting = np.empty(n, np.uint64)
+    own = np.empty(n, np.uint64)
     new, p = np.empty(n), np.empty(n)
     lasting_pace, own_pace = np.empty(n), np.empty(n)
     likely = np.empty(n, np.bool_)
@@ -245,31 +294,65 @@ def _places(steps, hits, cos_el, x, y, along_x, along_y, top, width, place):
     """
     zero, first = np.float32(0.0), np.int32(len(place))
     for r in range(np.uint64(len(place))):
-        flat, code = np.float32(steps[r]) * cos_el[r], hits[r]
-        i, j = np.int32(min(max(x + flat * along_x, zero), top)), np.int32(min(max(y + flat * along_y, zero), top))
-        at = np.int32(2) * (i * width + j) + np.int32(code == Hit.GROUND) * np.int32(_ROAD)
-        # one place of all others would have to wait for itself
-        place[r] = at + first if (code == Hit.GROUND) | (code == Hit.BUILDING) else np.int32(r)
+        flat = np.float32(steps[r]) * cos_el[r]
+        i = np.int32(min(max(x + flat * along_x, zero), top))
+        j = np.int32(min(max(y + flat * along_y, zero), top))
+        is_road = hits[r] == Hit.GROUND
+        is_wall = hits[r] == Hit.BUILDING
+        cell = i * width + j
+        at = np.int32(2) * cell + np.int32(is_road) * np.int32(_ROAD)
+        # If all others had one place in common, adding to it would wait for the addition before.
+        place[r] = at + first if is_road | is_wall else np.int32(r)
+
+
+class _Sweep(NamedTuple):
+    """One sweep."""
+
+    steps: ndarray
+    """Range of each ray in steps, column by row."""
+    step_m: float
+    hits: ndarray
+    """What each ray met, as in `Sweeps`."""
+    beams: Beams
+    x: float
+    """Position of the sensor in the world [m]."""
+    y: float
+    cos: float
+    """Cosine and sine of its heading."""
+    sin: float
+
+
+@inlined
+def _heading(sweep, column):
+    """Direction of the rays of a column in the world: its cosine and sine."""
+    cos, sin = sweep.beams.cos_az[column], sweep.beams.sin_az[column]
+    return sweep.cos * cos - sweep.sin * sin, sweep.sin * cos + sweep.cos * sin
 
 
 @compiled
-def _tally(steps, step_m, hits, beams, x, y, cos, sin, x0, y0, side, bits):
+def _tally(sweep, x0, y0, side, bits):
     """Of some rays of a sweep: cells and kinds (wall, road), in the order met; returns of each; and by kind."""
-    cos_el = (step_m * beams.cos_el[::ROW_STEP]).astype(np.float32)
-    n_columns, n_rows = (len(hits) + COLUMN_STEP - 1) // COLUMN_STEP, len(cos_el)
+    cos_el = (sweep.step_m * sweep.beams.cos_el[::ROW_STEP]).astype(np.float32)
+    n_columns = (len(sweep.hits) + COLUMN_STEP - 1) // COLUMN_STEP
+    n_rows = len(cos_el)
     width = np.int32(1 << bits)
-    some_steps, some_hits = np.empty(n_rows, steps.dtype), np.empty(n_rows, hits.dtype)
+    some_steps = np.empty(n_rows, sweep.steps.dtype)
+    some_hits = np.empty(n_rows, sweep.hits.dtype)
     count = np.zeros(n_rows + 2 * side * width, np.int32)  # by place
     met, k = np.empty(n_columns * n_rows + 1, np.int32), 0
     place = np.empty(n_rows, np.int32)
-    x, y, top = np.float32(x / CELL_M - x0), np.float32(y / CELL_M - y0), np.float32(side - 0.5)
+    x = np.float32(sweep.x / CELL_M - x0)
+    y = np.float32(sweep.y / CELL_M - y0)
+    top = np.float32(side - 0.5)
     for column in range(n_columns):
-        c = column * COLUMN_STEP
-        along_x = np.float32((cos * beams.cos_az[c] - sin * beams.sin_az[c]) / CELL_M)
-        along_y = np.float32((sin * beams.cos_az[c] + cos * beams.sin_az[c]) / CELL_M)
-        for r in range(np.uint64(n_rows)):  # next to each other, so that what follows becomes vector instructions
-            some_steps[r] = steps[np.uint64(c), r * np.uint64(ROW_STEP)]
-            some_hits[r] = hits[np.uint64(c), r * np.uint64(ROW_STEP)]
+        c = np.uint64(column * COLUMN_STEP)
+        along_x, along_y = _heading(sweep, c)
+        along_x = np.float32(along_x / CELL_M)
+        along_y = np.float32(along_y / CELL_M)
+        for r in range(np.uint64(n_rows)):  # next to each other: what follows becomes vector instructions
+            row = r * np.uint64(ROW_STEP)
+            some_steps[r] = sweep.steps[c, row]
+            some_hits[r] = sweep.hits[c, row]
         _places(some_steps, some_hits, cos_el, x, y, along_x, along_y, top, width, place)
         last, n_last = np.uint32(0), np.int32(0)  # rays of one wall end in one place: added at once
         for r in range(np.uint64(n_rows)):
@@ -291,29 +374,30 @@ def _tally(steps, step_m, hits, beams, x, y, cos, sin, x0, y0, side, bits):
 
 
 @kernel
-def _nearest(ranges, hits, beams, x, y, cos, sin, first, end, code, to_x, to_y):
+def _nearest(sweep, first, end, code, to_x, to_y):
     """The ray in columns `first` up to `end` that met `code` and ended nearest to a point; -1 if none did.
 
     The column towards the point is looked at first. Columns that pass the point farther away are then left out.
     """
-    ahead = cos * (to_x - x) + sin * (to_y - y)
-    left = cos * (to_y - y) - sin * (to_x - x)
-    turn_rad = np.arctan2(left, ahead) - beams.azimuth_rad[0]
-    at = turn_rad / beams.fov_rad * len(hits)
+    dx, dy = to_x - sweep.x, to_y - sweep.y
+    ahead = sweep.cos * dx + sweep.sin * dy
+    left = sweep.cos * dy - sweep.sin * dx
+    turn_rad = np.arctan2(left, ahead) - sweep.beams.azimuth_rad[0]
+    at = turn_rad / sweep.beams.fov_rad * len(sweep.hits)
     middle = max(min(np.int64(at), end - 1), first)
     behind = min(middle + 1, end)
-    _, enough = _nearest_of(ranges, hits, beams, x, y, cos, sin, middle, behind, code, to_x, to_y, np.inf)
-    best, _ = _nearest_of(ranges, hits, beams, x, y, cos, sin, first, end, code, to_x, to_y, enough)
+    _, enough = _nearest_of(sweep, middle, behind, code, to_x, to_y, np.inf)
+    best, _ = _nearest_of(sweep, first, end, code, to_x, to_y, enough)
     return best
 
 
 @kernel
-def _nearest_of(ranges, hits, beams, x, y, cos, sin, first, end, code, to_x, to_y, enough):
+def _nearest_of(sweep, first, end, code, to_x, to_y, enough):
     """As `_nearest`, among rays whose squared distance is at most `enough`; the squared distance of the nearest."""
-    best, least, (steps, step_m) = -1, np.inf, ranges
+    best, least = -1, np.inf
+    hits, x, y = sweep.hits, sweep.x, sweep.y
     for c in range(first, end):
-        along_x = cos * beams.cos_az[c] - sin * beams.sin_az[c]
-        along_y = sin * beams.cos_az[c] + cos * beams.sin_az[c]
+        along_x, along_y = _heading(sweep, c)
         aside = along_x * (to_y - y) - along_y * (to_x - x)
         if aside * aside > min(enough, least) * _ROUNDED + _ROUNDED_M2:
             continue
@@ -324,8 +408,9 @@ def _nearest_of(ranges, hits, beams, x, y, cos, sin, first, end, code, to_x, to_
             continue
         for r in range(hits.shape[1]):
             if hits[c, r] == code:
-                flat = steps[c, r] * step_m * beams.cos_el[r]
-                gap_x, gap_y = x + flat * along_x - to_x, y + flat * along_y - to_y
+                flat = sweep.steps[c, r] * sweep.step_m * sweep.beams.cos_el[r]
+                gap_x = x + flat * along_x - to_x
+                gap_y = y + flat * along_y - to_y
                 gap = gap_x * gap_x + gap_y * gap_y
                 if gap < least:
                     best, least = c * hits.shape[1] + r, gap
@@ -333,12 +418,15 @@ def _nearest_of(ranges, hits, beams, x, y, cos, sin, first, end, code, to_x, to_
 
 
 @kernel
-def _nearest_in_cell(ranges, hits, beams, x, y, cos, sin, i, j, code, to_x, to_y):
-    """The same in the columns that cross a cell; in all of them, where the cell stands for what is farther."""
-    a0, a1, b0, b1 = actor_columns((i + 0.5) * CELL_M - x, (j + 0.5) * CELL_M - y, CELL_M, cos, sin, columns_of(beams))
-    best = _nearest(ranges, hits, beams, x, y, cos, sin, a0, a1, code, to_x, to_y)
-    if b1 > b0 or best < 0:
-        best = _nearest(ranges, hits, beams, x, y, cos, sin, np.int64(0), len(hits), code, to_x, to_y)
+def _nearest_in_cell(sweep, i, j, code, to_x, to_y):
+    """As `_nearest`, in the columns that cross a cell; in all of them, where the cell stands for what is farther."""
+    dx = (i + 0.5) * CELL_M - sweep.x
+    dy = (j + 0.5) * CELL_M - sweep.y
+    columns = columns_of(sweep.beams)
+    first, end, second_first, second_end = actor_columns(dx, dy, CELL_M, sweep.cos, sweep.sin, columns)
+    best = _nearest(sweep, first, end, code, to_x, to_y)
+    if second_end > second_first or best < 0:
+        best = _nearest(sweep, np.int64(0), len(sweep.hits), code, to_x, to_y)
     return best
 
 
@@ -371,30 +459,33 @@ class _Hidden(NamedTuple):
 
 
 @compiled
-def _one_sweep(ranges, hits, beams, pose, half, hidden, observer, step, keys, rates, site, ray, uniform):
+def _one_sweep(sweep, half, hidden, observer, step, keys, rates, site, ray, uniform):
     """Number of false positives of one sweep; as many as fit are written to `site`, `ray` and `uniform`."""
-    (x, y, yaw), (actor, n_returns) = pose, hidden
+    actor, n_returns = hidden
     common, _, _, actor_key, time_s, pace = keys
     shares, rate, road_p = rates
     side, sampled = 2 * half + 1, 1.0 / (COLUMN_STEP * ROW_STEP)
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    x0, y0 = np.int64(np.floor(x / CELL_M)) - half, np.int64(np.floor(y / CELL_M)) - half
+    x, y = sweep.x, sweep.y
+    x0 = np.int64(np.floor(x / CELL_M)) - half
+    y0 = np.int64(np.floor(y / CELL_M)) - half
     bits = np.int64(np.ceil(np.log2(side)))
-    met, count, n = _tally(ranges[0], ranges[1], hits, beams, x, y, cos, sin, x0, y0, side, bits)
+    met, count, n = _tally(sweep, x0, y0, side, bits)
     bodies = float(n[_WALL])
     for s in range(len(actor)):
         bodies += sampled * n_returns[s]
     road_rate = rate * road_p / max(bodies + n[_ROAD], sampled)
     body_rate = road_rate + rate * (1.0 - road_p) / max(bodies, sampled)
-    of_kind, found = (mix(common, _WALL), mix(common, _ROAD), mix(common, _ACTOR)), 0
+    of_kind = mix(common, _WALL), mix(common, _ROAD), mix(common, _ACTOR)
     here = x, y, x0, y0, bits
     drawn_by = observer, step, time_s, pace
     likely = _likely(met, count, here, of_kind, drawn_by, body_rate, road_rate)
+    found = 0
     for k in range(len(met) + len(actor)):
         if k < len(met):
             if not likely[k]:
                 continue
-            kind, i, j, to_x, to_y, key, aspect = _aspect(np.int64(met[k]), here, of_kind)
+            at = np.int64(met[k])
+            kind, i, j, to_x, to_y, key, aspect = _aspect(at, here, of_kind)
             p = count[met[k]] * (road_rate if kind == _ROAD else body_rate)
         else:
             s, i, j, to_x, to_y = k - len(met), 0, 0, x, y
@@ -409,13 +500,14 @@ def _one_sweep(ranges, hits, beams, pose, half, hidden, observer, step, keys, ra
         if rank < p:
             if found < len(site):
                 site[found] = key
-                uniform[found, 0], uniform[found, 1] = rank / p, unit(mix(mix(step, aspect), 1))
+                uniform[found, 0] = rank / p
+                uniform[found, 1] = unit(mix(mix(step, aspect), 1))
                 if kind == _ACTOR:
                     code = Hit.ACTOR + actor[k - len(met)]
-                    ray[found] = _nearest(ranges, hits, beams, x, y, cos, sin, np.int64(0), len(hits), code, to_x, to_y)
+                    ray[found] = _nearest(sweep, np.int64(0), len(sweep.hits), code, to_x, to_y)
                 else:
                     code = Hit.GROUND.value if kind == _ROAD else Hit.BUILDING.value
-                    ray[found] = _nearest_in_cell(ranges, hits, beams, x, y, cos, sin, i, j, code, to_x, to_y)
+                    ray[found] = _nearest_in_cell(sweep, i, j, code, to_x, to_y)
             found += 1
     return found
 
@@ -423,17 +515,20 @@ def _one_sweep(ranges, hits, beams, pose, half, hidden, observer, step, keys, ra
 @compiled
 def _all_sweeps(ranges, hit, origin_m, yaw_rad, beams, max_range_m, hidden, keys, rates, capacity):
     """Per sweep: number of false positives; of the first `capacity`: key of the site, ray, U / p and a uniform."""
-    n_sweeps, half = len(hit), min(int(max_range_m / CELL_M) + 2, FARTHEST_CELLS)
+    n_sweeps = len(hit)
+    half = min(int(max_range_m / CELL_M) + 2, FARTHEST_CELLS)
     found = np.empty(n_sweeps, np.int64)
-    site, ray = np.empty((n_sweeps, capacity), np.uint64), np.empty((n_sweeps, capacity), np.int64)
+    site = np.empty((n_sweeps, capacity), np.uint64)
+    ray = np.empty((n_sweeps, capacity), np.int64)
     uniform = np.empty((n_sweeps, capacity, 2))
     steps, step_m = ranges
     for o in range(n_sweeps):
+        x = origin_m[o, 0]
+        y = origin_m[o, 1]
+        yaw = yaw_rad[o]
+        sweep = _Sweep(steps[o], step_m, hit[o], beams, x, y, np.cos(yaw), np.sin(yaw))
         first, last = hidden.ptr[o], hidden.ptr[o + 1]
-        found[o] = _one_sweep(
-            (steps[o], step_m), hit[o], beams,
-            (origin_m[o, 0], origin_m[o, 1], yaw_rad[o]), half,
-            (hidden.actor[first:last], hidden.n_returns[first:last]),
-            keys.observer[o], keys.step[o], keys, rates, site[o], ray[o], uniform[o],
-        )  # fmt: skip
+        actors = hidden.actor[first:last], hidden.n_returns[first:last]
+        observer, step = keys.observer[o], keys.step[o]
+        found[o] = _one_sweep(sweep, half, actors, observer, step, keys, rates, site[o], ray[o], uniform[o])
     return found, site, ray, uniform

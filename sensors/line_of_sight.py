@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int, Int32, UInt8, UInt64
 from numpy import ndarray
 from scipy.ndimage import distance_transform_cdt
 
+from cosim.base.ragged import expand, offsets
 from cosim.base.threads import in_ranges
 from sensors import line_of_sight_kernels as kernels
 from sensors.boxes import Boxes
@@ -51,12 +52,13 @@ class WallIndex:
         count = np.diff(buildings.ptr)
         ends = [buildings.ax_m, buildings.ay_m, buildings.bx_m, buildings.by_m]
         heights = [np.repeat(z, count) for z in (buildings.base_m, buildings.top_m)]
-        walls = Walls(np.column_stack([*ends, *heights]), buildings.ptr, buildings.base_m, buildings.top_m)
-        corner = walls.segment[:, :4].reshape(-1, 2)
+        segment = np.column_stack([*ends, *heights])
+        walls = Walls(segment, buildings.ptr, buildings.base_m, buildings.top_m)
+        corner = segment[:, :4].reshape(-1, 2)
         low = corner.min(0) - cell_m if len(corner) else np.zeros(2)
         high = corner.max(0) + cell_m if len(corner) else np.ones(2)
-        nx, ny = (int(k) for k in np.ceil((high - low) / cell_m))
-        ptr, wall = kernels.by_cell(low, cell_m, (nx, ny), walls.segment[:, :2], walls.segment[:, 2:4])
+        nx, ny = np.ceil((high - low) / cell_m).astype(int).tolist()
+        ptr, wall = kernels.by_cell(low, cell_m, (nx, ny), segment[:, :2], segment[:, 2:4])
         empty = (np.diff(ptr) == 0).reshape(nx, ny)
         step = np.full((nx, ny), 255)
         if not empty.all():
@@ -65,15 +67,20 @@ class WallIndex:
         squares = -(-nx // wide), -(-ny // wide)
         building_ptr, building = _buildings_by_square(low, wide * cell_m, *squares, walls)
         grid = Grid(low, float(cell_m), step.astype(np.uint8), ptr, wall, building_ptr, building)
-        near = np.kron((np.diff(building_ptr) > 0).reshape(squares), np.ones((wide, wide), bool))
+        # A building fills the cells that no wall touches and whose centre is inside it.
+        has_building = (np.diff(building_ptr) > 0).reshape(squares)
+        near = np.kron(has_building, np.ones((wide, wide), bool))
         i, j = np.nonzero(empty & near[:nx, :ny])
-        middle = np.column_stack([low[0] + (i + 0.5) * cell_m, low[1] + (j + 0.5) * cell_m, np.full(len(i), np.nan)])
+        x = low[0] + (i + 0.5) * cell_m
+        y = low[1] + (j + 0.5) * cell_m
+        middle = np.column_stack([x, y, np.full(len(i), np.nan)])
         owner = kernels.building_at(middle, grid, walls)
-        i, j, owner = i[owner >= 0], j[owner >= 0], owner[owner >= 0]
+        solid = (i * ny + j)[owner >= 0]
+        owner = owner[owner >= 0]
         # Rounded inwards: slightly less is filled.
-        base = np.ceil(_level(walls, walls.base_m[owner]) - 1e-9).astype(np.uint8)
-        top = np.floor(_level(walls, walls.top_m[owner]) + 1e-9).astype(np.uint8)
-        return WallIndex(grid, walls, (i * ny + j).astype(np.int32), base, top)
+        base = np.ceil(_level(walls, walls.base_m[owner]) - 1e-9)
+        top = np.floor(_level(walls, walls.top_m[owner]) + 1e-9)
+        return WallIndex(grid, walls, solid.astype(np.int32), base.astype(np.uint8), top.astype(np.uint8))
 
     def filled(self, z_m: Float[ndarray, "n"]) -> FilledCells:
         """Grid cells that block every line between points of these heights.
@@ -84,15 +91,18 @@ class WallIndex:
             World heights of all end points, in any order.
         """
         level = _level(self.walls, np.asarray(z_m, float))
-        low, high = int(np.floor(level.min(initial=254.0))), int(np.ceil(level.max(initial=0.0)))
+        low = int(np.floor(level.min(initial=254.0)))
+        high = int(np.ceil(level.max(initial=0.0)))
         found = self._filled.get((low, high))
         if found is None:
             if len(self._filled) >= 16:
                 self._filled.clear()  # another thread may ask at any time
             nx, ny = self.grid.step.shape
             is_filled = np.zeros(nx * ny, bool)
-            is_filled[self.solid[(self.base <= low) & (self.top >= high) & (self.top > 0)]] = True
-            found = self._filled[low, high] = FilledCells(np.packbits(is_filled, bitorder="little"), nx, ny)
+            blocks = (self.base <= low) & (self.top >= high) & (self.top > 0)
+            is_filled[self.solid[blocks]] = True
+            bits = np.packbits(is_filled, bitorder="little")
+            found = self._filled[low, high] = FilledCells(bits, nx, ny)
         return found
 
     def cells(self, xyz_m: Float[ndarray, "n 3"]) -> Float[ndarray, "n 2"]:
@@ -126,7 +136,8 @@ class WallIndex:
         True where a line is blocked. Where it is false, the line may be blocked too.
         """
         out = np.empty(len(a), np.bool_)
-        kernels.probe(self.cells(xyz_m), a, b, self.filled(xyz_m[:, 2]), out)
+        filled = self.filled(xyz_m[:, 2])
+        kernels.probe(self.cells(xyz_m), a, b, filled, out)
         return out
 
     def indoors(self, xyz_m: Float[ndarray, "n 3"]) -> Bool[ndarray, "n"]:
@@ -144,9 +155,13 @@ class WallIndex:
         return kernels.building_at(np.ascontiguousarray(xyz_m, float), self.grid, self.walls) >= 0
 
     def has_los(
-        self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"],
-        blocked: Bool[ndarray, "m"] | None = None, rank: UInt64[ndarray, "n"] | None = None,
-    ) -> Bool[ndarray, "m"]:  # fmt: skip
+        self,
+        xyz_m: Float[ndarray, "n 3"],
+        a: Int[ndarray, "m"],
+        b: Int[ndarray, "m"],
+        blocked: Bool[ndarray, "m"] | None = None,
+        rank: UInt64[ndarray, "n"] | None = None,
+    ) -> Bool[ndarray, "m"]:
         """Which lines between points are not blocked by a building; exact.
 
         Parameters
@@ -202,36 +217,44 @@ class WallIndex:
         """
         xyz_m = np.ascontiguousarray(xyz_m, float)
         x, y = xyz_m[:, 0], xyz_m[:, 1]
-        back = (x[a] > x[b]) | ((x[a] == x[b]) & (y[a] > y[b]))
+        is_upright = x[a] == x[b]
+        back = (x[a] > x[b]) | (is_upright & (y[a] > y[b]))
         a, b = np.where(back, b, a), np.where(back, a, b)
-        n_walls, inside = np.zeros(len(a), np.int64), np.zeros(len(a))
+        n_walls = np.zeros(len(a), np.int64)
+        inside = np.zeros(len(a))
         kernels.walls_crossed(xyz_m, a, b, self.grid, self.walls.segment, n_walls, inside)
         inside += self.indoors(xyz_m)[b]
-        length_m = np.hypot(*(xyz_m[a, :2] - xyz_m[b, :2]).T)
+        dx, dy = (xyz_m[a, :2] - xyz_m[b, :2]).T
+        length_m = np.hypot(dx, dy)
         return n_walls, np.clip(inside, 0, 1) * length_m
 
 
 def _level(walls: Walls, z_m: ndarray) -> ndarray:
     """Heights in steps of 1/254 of the range from the lowest base to the highest top."""
     zero_m = float(walls.base_m.min(initial=0.0))
-    return (z_m - zero_m) * 254 / max(float(walls.top_m.max(initial=1.0)) - zero_m, 1.0)
+    highest_m = float(walls.top_m.max(initial=1.0))
+    return (z_m - zero_m) * 254 / max(highest_m - zero_m, 1.0)
 
 
 def _buildings_by_square(low: ndarray, side_m: float, nx: int, ny: int, walls: Walls) -> tuple[ndarray, ndarray]:
     """Buildings by the squares that their bounding box touches, compressed rows; ascending in each."""
     building = np.flatnonzero(np.diff(walls.ptr))
+    if not len(building):
+        return np.zeros(nx * ny + 1, np.int32), np.zeros(0, np.int32)
     corner, first = walls.segment[:, :2], walls.ptr[building]  # rings are closed: each corner begins a wall
-    (i0, j0), (i1, j1) = (
-        ((bound.reduceat(corner, first) - low) // side_m).astype(np.int64).T if len(first) else np.zeros((2, 0), int)
-        for bound in (np.minimum, np.maximum)
-    )
+    lowest = np.minimum.reduceat(corner, first)
+    highest = np.maximum.reduceat(corner, first)
+    i0, j0 = ((lowest - low) // side_m).astype(np.int64).T
+    i1, j1 = ((highest - low) // side_m).astype(np.int64).T
     rows = j1 - j0 + 1
     count = (i1 - i0 + 1) * rows
-    which = np.repeat(np.arange(len(count)), count)
-    number = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
-    cell = (i0[which] + number // rows[which]) * ny + j0[which] + number % rows[which]
-    ptr = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=nx * ny))])
-    return ptr.astype(np.int32), building[which[np.argsort(cell, kind="stable")]].astype(np.int32)
+    number, which = expand(np.zeros_like(count), count)
+    i = i0[which] + number // rows[which]
+    j = j0[which] + number % rows[which]
+    square = i * ny + j
+    ptr = offsets(np.bincount(square, minlength=nx * ny))
+    order = np.argsort(square, kind="stable")
+    return ptr.astype(np.int32), building[which[order]].astype(np.int32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,12 +289,16 @@ class LosOfPlaces:
         return self._cell(xyz_m) * self.snap_m + self._low
 
     def has_los(
-        self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"],
+        self,
+        xyz_m: Float[ndarray, "n 3"],
+        a: Int[ndarray, "m"],
+        b: Int[ndarray, "m"],
         blocked: Bool[ndarray, "m"] | None = None,
-    ) -> Bool[ndarray, "m"]:  # fmt: skip
+    ) -> Bool[ndarray, "m"]:
         """`WallIndex.has_los` between the places of the end points; swapping `a` and `b` changes nothing."""
         cell = self._cell(xyz_m)
-        return self.index.has_los(cell * self.snap_m + self._low, a, b, blocked, _place(cell))
+        places_m = cell * self.snap_m + self._low
+        return self.index.has_los(places_m, a, b, blocked, _place(cell))
 
     def walls_crossed(
         self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
@@ -294,7 +321,8 @@ class LosOfPlaces:
 
 def _place(cell: Int[ndarray, "n 3"]) -> ndarray:
     """63-bit key of a place: 25 bits each of x and y, 13 of height."""
-    x, y, z = (cell[:, k].astype(np.uint64) & np.uint64((1 << bits) - 1) for k, bits in ((0, 25), (1, 25), (2, 13)))
+    last_bits = np.array([(1 << 25) - 1, (1 << 25) - 1, (1 << 13) - 1], np.uint64)
+    x, y, z = (cell.astype(np.uint64) & last_bits).T
     return (x << np.uint64(38)) | (y << np.uint64(13)) | z
 
 
@@ -329,7 +357,7 @@ def los_between_actors(
     -------
     True where nothing blocks the line.
     """
-    a, b = np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64)
+    a, b = (np.asarray(rows, np.int64) for rows in (a, b))
     if len(a) == 0:
         return np.zeros(0, bool)
     roof_m = boxes.xyz_m[:, 2] + 0.5 * boxes.lwh_m[:, 2]
@@ -343,22 +371,32 @@ def los_between_actors(
     line = np.flatnonzero(clear)
     a, b = a[line], b[line]
     start, end = top[a], top[b]
-    tall = np.flatnonzero(roof_m > min(start[:, 2].min(), end[:, 2].min()))
+    lowest_m = min(start[:, 2].min(), end[:, 2].min())
+    tall = np.flatnonzero(roof_m > lowest_m)
     places, place = np.unique(a, return_inverse=True)
-    longest_m = float(np.hypot(end[:, 0] - start[:, 0], end[:, 1] - start[:, 1]).max())
-    ptr, row = neighbours(top[places], boxes.take(tall), longest_m)
-    clear[line] = ~kernels.cut_by_body(start, end, a, b, place, ptr, tall[row], prisms(shape, boxes))
+    ptr, row = neighbours(top[places], boxes.take(tall), _longest_m(start, end))
+    bodies_of = prisms(shape, boxes)
+    clear[line] = ~kernels.cut_by_body(start, end, a, b, place, ptr, tall[row], bodies_of)
     return clear
 
 
+def _longest_m(start: Float[ndarray, "k 3"], end: Float[ndarray, "k 3"]) -> float:
+    """Horizontal length of the longest line; 0 without lines."""
+    dx, dy, _ = (end - start).T
+    return float(np.hypot(dx, dy).max(initial=0.0))
+
+
 def _block_by_trees(
-    clear: Bool[ndarray, "k"], xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "k"], b: Int[ndarray, "k"], city: Scene
+    clear: Bool[ndarray, "k"],
+    xyz_m: Float[ndarray, "n 3"],
+    a: Int[ndarray, "k"],
+    b: Int[ndarray, "k"],
+    city: Scene,
 ) -> None:
     """Mark the lines between points that a tree blocks as not clear."""
     line = np.flatnonzero(clear)
     start, end = xyz_m[a[line]], xyz_m[b[line]]
     places, place = np.unique(a[line], return_inverse=True)
-    longest_m = float(np.hypot(end[:, 0] - start[:, 0], end[:, 1] - start[:, 1]).max(initial=0.0))
-    ptr, row = trees_near(xyz_m[places], city, longest_m)
+    ptr, row = trees_near(xyz_m[places], city, _longest_m(start, end))
     nobody = np.full(len(line), -1)
     clear[line] = ~kernels.cut_by_body(start, end, nobody, nobody, place, ptr, row, city.trees)

@@ -17,6 +17,9 @@ _SLACK_M = 1e-6
 """A wall is listed under every cell within this distance, so that rounding never omits one."""
 
 
+_BASE, _TOP = 4, 5
+"""Columns of `Walls.segment`."""
+
 BUILDING_CELLS = 4
 """Width of the squares in which buildings are listed [cells]: a city has tens of millions of cells."""
 
@@ -36,7 +39,7 @@ class Grid(NamedTuple):
 class Walls(NamedTuple):
     """W walls, by building."""
 
-    segment: Float[ndarray, "w 6"]  # x, y of both ends, base and top [m]
+    segment: Float[ndarray, "w 6"]  # x, y of both ends, base and top [m]; see `_BASE`, `_TOP`
     ptr: Int[ndarray, "b+1"]  # where each building's walls begin
     base_m: Float[ndarray, "b"]
     top_m: Float[ndarray, "b"]
@@ -50,21 +53,29 @@ class FilledCells(NamedTuple):
     ny: int
 
 
+@inlined
+def _cells_between(start, end, low, cell_m, n):
+    """The first and the last of `n` cells along one axis that lie between two coordinates."""
+    first = int((min(start, end) - _SLACK_M - low) / cell_m)
+    last = int((max(start, end) + _SLACK_M - low) / cell_m)
+    return max(first, 0), min(last, n - 1)
+
+
 @kernel
 def _list_segments(low, cell_m, shape, first, second, fill, ptr, out):
     """List every segment under every cell that it touches (bounding boxes first, then the separating axis)."""
     for w in range(first.shape[0]):
-        x0, y0, x1, y1 = first[w, 0], first[w, 1], second[w, 0], second[w, 1]
-        i0 = max(int((min(x0, x1) - _SLACK_M - low[0]) / cell_m), 0)
-        i1 = min(int((max(x0, x1) + _SLACK_M - low[0]) / cell_m), shape[0] - 1)
-        j0 = max(int((min(y0, y1) - _SLACK_M - low[1]) / cell_m), 0)
-        j1 = min(int((max(y0, y1) + _SLACK_M - low[1]) / cell_m), shape[1] - 1)
+        x0, y0 = first[w]
+        x1, y1 = second[w]
+        i0, i1 = _cells_between(x0, x1, low[0], cell_m, shape[0])
+        j0, j1 = _cells_between(y0, y1, low[1], cell_m, shape[1])
         nx, ny = y0 - y1, x1 - x0
         extent = (0.5 * cell_m + _SLACK_M) * (abs(nx) + abs(ny))
         for i in range(i0, i1 + 1):
             for j in range(j0, j1 + 1):
-                cx, cy = low[0] + (i + 0.5) * cell_m, low[1] + (j + 0.5) * cell_m
-                if abs(nx * (cx - x0) + ny * (cy - y0)) <= extent:
+                dx = low[0] + (i + 0.5) * cell_m - x0
+                dy = low[1] + (j + 0.5) * cell_m - y0
+                if abs(nx * dx + ny * dy) <= extent:
                     cell = i * shape[1] + j
                     if fill:
                         out[ptr[cell]] = w
@@ -101,10 +112,12 @@ def building_at(xyz, grid, walls):
     nx, ny = grid.step.shape
     for p in range(xyz.shape[0]):
         x, y, z = xyz[p]
-        i, j = int((x - grid.low[0]) // grid.cell_m), int((y - grid.low[1]) // grid.cell_m)
+        i = int((x - grid.low[0]) // grid.cell_m)
+        j = int((y - grid.low[1]) // grid.cell_m)
         if i < 0 or j < 0 or i >= nx or j >= ny:
             continue
-        square = i // BUILDING_CELLS * ((ny + BUILDING_CELLS - 1) // BUILDING_CELLS) + j // BUILDING_CELLS
+        squares_per_row = (ny + BUILDING_CELLS - 1) // BUILDING_CELLS
+        square = i // BUILDING_CELLS * squares_per_row + j // BUILDING_CELLS
         for h in range(grid.building_ptr[square], grid.building_ptr[square + 1]):
             building = grid.building[h]
             if z < walls.base_m[building] or z > walls.top_m[building]:
@@ -112,8 +125,10 @@ def building_at(xyz, grid, walls):
             odd = False
             for w in range(walls.ptr[building], walls.ptr[building + 1]):
                 wall = walls.segment[w]
-                x0, y0, x1, y1 = wall[0], wall[1], wall[2], wall[3]
-                if (y0 > y) != (y1 > y) and x < x0 + (y - y0) / (y1 - y0) * (x1 - x0):
+                x0, y0 = wall[0], wall[1]
+                x1, y1 = wall[2], wall[3]
+                is_level = (y0 > y) != (y1 > y)
+                if is_level and x < x0 + (y - y0) / (y1 - y0) * (x1 - x0):
                     odd = not odd
             if odd:
                 out[p] = building
@@ -130,6 +145,25 @@ def _over_grid(start, delta, high, t, stop):
     return max(t, min(near, far)), min(stop, max(near, far))
 
 
+@inlined
+def _from_to(xyz, p, q):
+    """From point p to point q."""
+    dx = xyz[q, 0] - xyz[p, 0]
+    dy = xyz[q, 1] - xyz[p, 1]
+    dz = xyz[q, 2] - xyz[p, 2]
+    return dx, dy, dz
+
+
+@inlined
+def _crossing(x, y, dx, dy, wall):
+    """Where the line from (x, y) along (dx, dy) crosses a wall: a determinant; times it, shares of line and of wall."""
+    ex = wall[2] - wall[0]
+    ey = wall[3] - wall[1]
+    fx, fy = wall[0] - x, wall[1] - y
+    det = dx * ey - dy * ex
+    return det, fx * ey - fy * ex, fx * dy - fy * dx
+
+
 @kernel
 def walls_crossed(xyz, a, b, grid, walls, n_walls, inside):
     """Count the walls that each line crosses, and find the part of the line that lies inside buildings.
@@ -142,8 +176,11 @@ def walls_crossed(xyz, a, b, grid, walls, n_walls, inside):
     for m in range(len(a)):
         p, q = a[m], b[m]
         x, y = xyz[p, 0], xyz[p, 1]
-        dx, dy, dz = xyz[q, 0] - x, xyz[q, 1] - y, xyz[q, 2] - xyz[p, 2]
-        u, v, du, dv = (x - grid.low[0]) * inv, (y - grid.low[1]) * inv, dx * inv, dy * inv
+        dx, dy, dz = _from_to(xyz, p, q)
+        # In cells, from the corner of the grid.
+        u = (x - grid.low[0]) * inv
+        v = (y - grid.low[1]) * inv
+        du, dv = dx * inv, dy * inv
         t, stop = _over_grid(u, du, nx, 0.0, 1.0)
         t, stop = _over_grid(v, dv, ny, t, stop)
         while t < stop:
@@ -157,15 +194,15 @@ def walls_crossed(xyz, a, b, grid, walls, n_walls, inside):
             leave = max(t, min(t_u, t_v)) + 1e-12
             cell = i * ny + j
             for k in range(grid.ptr[cell], grid.ptr[cell + 1]):
-                w = grid.wall[k]
-                ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
-                fx, fy = walls[w, 0] - x, walls[w, 1] - y
-                det = dx * ey - dy * ex  # positive where the line leaves: the building is on the wall's left
+                wall = walls[grid.wall[k]]
+                # `det` is positive where the line leaves: the building is on the wall's left.
+                det, s, r = _crossing(x, y, dx, dy, wall)
                 if det == 0.0:
                     continue
-                s, r = (fx * ey - fy * ex) / det, (fx * dy - fy * dx) / det
+                s, r = s / det, r / det
                 # A wall may be listed under several cells: it counts in the one where it is crossed.
-                if t <= s < min(leave, stop) and 0.0 <= r < 1.0 and walls[w, 4] <= xyz[p, 2] + s * dz <= walls[w, 5]:
+                is_here = t <= s < min(leave, stop) and 0.0 <= r < 1.0
+                if is_here and wall[_BASE] <= xyz[p, 2] + s * dz <= wall[_TOP]:
                     n_walls[m] += 1
                     inside[m] += s if det > 0.0 else -s
             t = leave
@@ -182,13 +219,16 @@ _CHUNK = 512
 def crosses_filled_cell(cells, p, q, filled):
     """Whether one of a few points of the line lies in a cell that a building fills: sufficient for no line of sight."""
     u, v = cells[p, 0], cells[p, 1]
-    du, dv = cells[q, 0] - u, cells[q, 1] - v
+    du = cells[q, 0] - u
+    dv = cells[q, 1] - v
     n = min(int((abs(du) + abs(dv)) * 0.5) + 1, N_PROBES)
     first, found = 0, False
     while first < n and not found:
         for k in range(first, first + _AT_ONCE):  # without a branch in between: mispredicting costs more than testing
-            i, j = int(u + _PROBES[k] * du), int(v + _PROBES[k] * dv)
-            cell = i * filled.ny + j if (i >= 0) & (i < filled.nx) & (j >= 0) & (j < filled.ny) else 0
+            i = int(u + _PROBES[k] * du)
+            j = int(v + _PROBES[k] * dv)
+            on_grid = (i >= 0) & (i < filled.nx) & (j >= 0) & (j < filled.ny)
+            cell = i * filled.ny + j if on_grid else 0
             found |= (filled.bits[cell >> 3] >> (cell & 7)) & 1 != 0
         first += _AT_ONCE
     return found
@@ -205,70 +245,89 @@ def probe(cells, a, b, filled, blocked):
 def _cut(xyz, p, q, listed, walls):
     """Whether one of the walls that are listed cuts the line between two points."""
     x, y = xyz[p, 0], xyz[p, 1]
-    dx, dy, dz = xyz[q, 0] - x, xyz[q, 1] - y, xyz[q, 2] - xyz[p, 2]
+    dx, dy, dz = _from_to(xyz, p, q)
     for w in listed:
-        ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
-        fx, fy = walls[w, 0] - x, walls[w, 1] - y
-        det = dx * ey - dy * ex
-        s = fx * ey - fy * ex  # along the line, times det
-        r = fx * dy - fy * dx  # along the wall, times det
+        wall = walls[w]
+        det, s, r = _crossing(x, y, dx, dy, wall)
         if det < 0.0:
             det, s, r = -det, -s, -r
         if det > 0.0 and 0.0 <= s <= det and 0.0 <= r <= det:
-            z = xyz[p, 2] + s / det * dz
-            if walls[w, 4] <= z <= walls[w, 5]:
+            if wall[_BASE] <= xyz[p, 2] + s / det * dz <= wall[_TOP]:
                 return True
     return False
+
+
+_U, _V, _DU, _DV, _PER_U, _PER_V = range(6)
+_T, _STOP, _SIGN_U, _EDGE_U, _SIGN_V, _EDGE_V = range(6, 12)
+"""Columns of a line on its way: start, extent and inverse extent along x and y, in cells; the parameter now and at the
+end; by axis +1 or -1, and 0 or 1: on which side a line of its direction leaves a cell."""
+
+
+@inlined
+def _by_rank(a, b, rank):
+    """Both ends, that of lower rank first; `a` first where they are equal."""
+    return (b, a) if rank[a] > rank[b] else (a, b)
 
 
 @kernel
 def _follow(begin, end, xyz, indoors, rank, a, b, blocked, grid, walls, line, active, course, out):
     """Lines from `begin` to before `end`, all of them a step at a time: their steps do not wait for each other.
 
-    A row of `course` is start, extent and inverse extent along x and y, in cells; the parameter now and at the end; by
-    axis +1 or -1, and 0 or 1: on which side a line of its direction leaves a cell.
+    `line` and `active` have room for a number per line: which line a row of `course` is of, and which rows go on.
     """
     nx, ny = grid.step.shape
     inv = 1.0 / grid.cell_m
     n = 0
     for m in range(begin, end):
-        p, q = (b[m], a[m]) if rank[a[m]] > rank[b[m]] else (a[m], b[m])
+        p, q = _by_rank(a[m], b[m], rank)
         out[m] = not (blocked[m] or indoors[p] or indoors[q])
         if not out[m]:
             continue
-        u, v = (xyz[p, 0] - grid.low[0]) * inv, (xyz[p, 1] - grid.low[1]) * inv
-        du, dv = (xyz[q, 0] - xyz[p, 0]) * inv, (xyz[q, 1] - xyz[p, 1]) * inv
+        dx, dy, _ = _from_to(xyz, p, q)
+        # In cells, from the corner of the grid.
+        u = (xyz[p, 0] - grid.low[0]) * inv
+        v = (xyz[p, 1] - grid.low[1]) * inv
+        du, dv = dx * inv, dy * inv
         t, stop = _over_grid(u, du, nx, 0.0, 1.0)  # only the part over the grid
         t, stop = _over_grid(v, dv, ny, t, stop)
         line[n], active[n], row = m, n, course[n]
-        row[0], row[1], row[2], row[3] = u, v, du, dv
-        row[4], row[5] = 1.0 / du if du != 0.0 else np.inf, 1.0 / dv if dv != 0.0 else np.inf
-        row[6], row[7] = t, stop
-        row[8], row[9] = (1.0, 0.0) if du >= 0.0 else (-1.0, 1.0)
-        row[10], row[11] = (1.0, 0.0) if dv >= 0.0 else (-1.0, 1.0)
+        row[_U], row[_DU] = u, du
+        row[_V], row[_DV] = v, dv
+        row[_PER_U] = 1.0 / du if du != 0.0 else np.inf
+        row[_PER_V] = 1.0 / dv if dv != 0.0 else np.inf
+        row[_T], row[_STOP] = t, stop
+        row[_SIGN_U] = 1.0 if du >= 0.0 else -1.0
+        row[_SIGN_V] = 1.0 if dv >= 0.0 else -1.0
+        row[_EDGE_U] = 0.0 if du >= 0.0 else 1.0
+        row[_EDGE_V] = 0.0 if dv >= 0.0 else 1.0
         n += t < stop
     while n > 0:
         left = 0
         for k in range(n):
             r = np.uint64(active[k])  # signed numbers of rows would be tested for being negative
-            t = course[r, 6]
-            i = min(max(int(course[r, 0] + t * course[r, 2]), 0), nx - 1)
-            j = min(max(int(course[r, 1] + t * course[r, 3]), 0), ny - 1)
-            step, cut = grid.step[np.uint64(i), np.uint64(j)], False
+            row = course[r]
+            t, u, v = row[_T], row[_U], row[_V]
+            i = min(max(int(u + t * row[_DU]), 0), nx - 1)
+            j = min(max(int(v + t * row[_DV]), 0), ny - 1)
+            step = grid.step[np.uint64(i), np.uint64(j)]
+            cut = False
             if step == 0:
                 m = line[r]
-                p, q = (b[m], a[m]) if rank[a[m]] > rank[b[m]] else (a[m], b[m])
+                p, q = _by_rank(a[m], b[m], rank)
                 cell = i * ny + j
-                cut = _cut(xyz, p, q, grid.wall[grid.ptr[cell] : grid.ptr[cell + 1]], walls)
+                listed = grid.wall[grid.ptr[cell] : grid.ptr[cell + 1]]
+                cut = _cut(xyz, p, q, listed, walls)
                 out[m] = not cut
                 step = 1
             # Leave the square of cells of which nothing is closer than `step` cells.
-            t_u = (i + course[r, 8] * step + course[r, 9] - course[r, 0]) * course[r, 4]
-            t_v = (j + course[r, 10] * step + course[r, 11] - course[r, 1]) * course[r, 5]
+            edge_u = i + row[_SIGN_U] * step + row[_EDGE_U]
+            edge_v = j + row[_SIGN_V] * step + row[_EDGE_V]
+            t_u = (edge_u - u) * row[_PER_U]
+            t_v = (edge_v - v) * row[_PER_V]
             t = max(t, min(t_u, t_v)) + 1e-12
-            course[r, 6] = t
+            row[_T] = t
             active[left] = r
-            left += (t < course[r, 7]) & (not cut)
+            left += (t < row[_STOP]) & (not cut)
         n = left
 
 
@@ -284,7 +343,9 @@ def has_los(begin, end, xyz, indoors, rank, a, b, blocked, grid, walls, out):
     Lines in `blocked` are known to be cut. A line with an end in `indoors` has no line of sight. A line is followed
     from its end of lower `rank`, from `a` where both ranks are equal.
     """
-    line, active, course = np.empty(_CHUNK, np.int64), np.empty(_CHUNK, np.int64), np.empty((_CHUNK, 12))
+    line = np.empty(_CHUNK, np.int64)
+    active = np.empty(_CHUNK, np.int64)
+    course = np.empty((_CHUNK, 12))
     for chunk in range(begin, end):
         first = chunk * _CHUNK
         stop = min(first + _CHUNK, len(a))
@@ -300,15 +361,19 @@ def cut_by_body(start, end, a, b, place, ptr, row, bodies):
     """
     out = np.zeros(len(start), np.bool_)
     for i in range(len(start)):
-        x, y, z = start[i, 0], start[i, 1], start[i, 2]
-        dx, dy, dz = end[i, 0] - x, end[i, 1] - y, end[i, 2] - z
-        out[i] = _meets_body(x, y, z, dx, dy, dz, a[i], b[i], row[ptr[place[i]] : ptr[place[i] + 1]], bodies)
+        from_here = place[i]
+        listed = row[ptr[from_here] : ptr[from_here + 1]]
+        out[i] = _meets_body(start[i], end[i], a[i], b[i], listed, bodies)
     return out
 
 
 @kernel
-def _meets_body(x, y, z, dx, dy, dz, a, b, row, bodies):
-    for actor in row:
+def _meets_body(start, end, a, b, listed, bodies):
+    """Whether the line crosses the body of one of the listed actors, other than a and b."""
+    x, y, z = start
+    dx, dy = end[0] - x, end[1] - y
+    dz = end[2] - z
+    for actor in listed:
         if actor in (a, b):
             continue
         for k in range(bodies.ptr[actor], bodies.ptr[actor + 1]):
@@ -316,7 +381,8 @@ def _meets_body(x, y, z, dx, dy, dz, a, b, row, bodies):
             enter, leave = rectangle(p, q, u, v, bodies.half_l_m[k], bodies.half_w_m[k])
             enter, leave = max(enter, 0.0), min(leave, 1.0)
             if enter < leave:
-                low, high = z + enter * dz, z + leave * dz
-                if max(low, high) > bodies.bottom_m[k] and min(low, high) < bodies.top_m[k]:
+                z0, z1 = z + enter * dz, z + leave * dz
+                low, high = min(z0, z1), max(z0, z1)
+                if high > bodies.bottom_m[k] and low < bodies.top_m[k]:
                     return True
     return False

@@ -147,9 +147,16 @@ def _check_shares(params: DetectorParams) -> None:
 def resolved(params: DetectorParams) -> SimpleNamespace:
     """All parameters of a model: those set, else those of its profile; tuples as arrays."""
     stated = _profile(params.model)
-    own = {f.name: getattr(params, f.name) for f in fields(params) if f.name != "model"}
-    both = {name: stated[name] if value is None else value for name, value in own.items()}
-    return SimpleNamespace(**{n: np.array(v) if isinstance(v, list | tuple) else v for n, v in both.items()})
+    model = {}
+    for field in fields(params):
+        name = field.name
+        if name == "model":
+            continue
+        value = getattr(params, name)
+        if value is None:
+            value = stated[name]
+        model[name] = np.array(value) if isinstance(value, list | tuple) else value
+    return SimpleNamespace(**model)
 
 
 _NORMAL_PEAK = 1.0 / np.sqrt(2.0 * np.pi)
@@ -183,11 +190,16 @@ class StatisticalDetector:
         return every.take(np.flatnonzero(every.score >= self.model.min_score))
 
     def of_actors(
-        self, seen: Observability, boxes: Boxes, label: UInt8[ndarray, "n"], origin_m: Float[ndarray, "m 3"],
+        self,
+        seen: Observability,
+        boxes: Boxes,
+        label: UInt8[ndarray, "n"],
+        origin_m: Float[ndarray, "m 3"],
         draws: DetectorDraws,
-    ) -> Reports:  # fmt: skip
+    ) -> Reports:
         """Reports of actors by what is seen of them, at any score; `origin_m` is the position of each sensor."""
-        detected = _detected(seen.take(np.flatnonzero(seen.n_returns > 0)), label, draws, self.model)
+        with_returns = seen.take(np.flatnonzero(seen.n_returns > 0))
+        detected = _detected(with_returns, label, draws, self.model)
         z = pair_normals(detected, draws, self.model)
         return reports_of_actors(detected, boxes, label, origin_m, z, self.model)
 
@@ -282,8 +294,8 @@ class IdealDetector:
     ) -> Reports:
         """See `sensors.detector.Detector`."""
         rows = np.flatnonzero(seen.n_returns > 0)
-        actor = seen.actor[rows]
-        found = Reports.of_actors(seen, rows, label[actor], boxes.take(actor), np.ones(len(rows)))
+        actor, score = seen.actor[rows], np.ones(len(rows))
+        found = Reports.of_actors(seen, rows, label[actor], boxes.take(actor), score)
         return found.moved(sweeps.moved_m(found.observer, boxes, actor))
 
     def recall(
@@ -322,7 +334,8 @@ def _detected(
 ) -> Observability:
     """The rows of `seen` that are detected. Only these need further draws."""
     p = detection_p(seen.n_returns, seen.occlusion, label[seen.actor], model)
-    return seen.take(np.flatnonzero(uniform_of(pair_normals(seen, draws, model, 1)[:, 0]) < p))
+    u = uniform_of(pair_normals(seen, draws, model, 1)[:, 0])
+    return seen.take(np.flatnonzero(u < p))
 
 
 def pair_normals(
@@ -344,8 +357,13 @@ def pair_normals(
     lasting = persistent_normals(draws.pair(seen), n, draws.time_s, model.memory_s)
     if model.object_share > 0.0:  # sqrt(1) times a number and nothing is that number, but takes time
         common = persistent_normals(draws.object(seen), n, draws.time_s, model.memory_s)
-        lasting = np.sqrt(1.0 - model.object_share) * lasting + np.sqrt(model.object_share) * common
-    return np.sqrt(1.0 - model.memory_share) * fresh + np.sqrt(model.memory_share) * lasting
+        lasting = _mixed(model.object_share, common, lasting)
+    return _mixed(model.memory_share, lasting, fresh)
+
+
+def _mixed(share: float, one: Float[ndarray, "s n"], other: Float[ndarray, "s n"]) -> Float[ndarray, "s n"]:
+    """Standard normal draws of which `one` makes this share of the variance and `other` the rest."""
+    return np.sqrt(1.0 - share) * other + np.sqrt(share) * one
 
 
 def uniform_of(z: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
@@ -359,7 +377,10 @@ def uniform_of(z: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
 
 
 def detection_p(
-    n_returns: Int[ndarray, "s"], occlusion: Float[ndarray, "s"], label: UInt8[ndarray, "s"], model: SimpleNamespace
+    n_returns: Int[ndarray, "s"],
+    occlusion: Float[ndarray, "s"],
+    label: UInt8[ndarray, "s"],
+    model: SimpleNamespace,
 ) -> Float[ndarray, "s"]:
     """Probability that an object is detected.
 
@@ -403,29 +424,39 @@ def reports_of_actors(
     """
     p = detection_p(seen.n_returns, seen.occlusion, label[seen.actor], model)
     rows = np.flatnonzero(uniform_of(z[:, 0]) < p)
-    z, observer, actor = z[rows], seen.observer[rows], seen.actor[rows]
-    true_label, n, occlusion = label[actor], seen.n_returns[rows], seen.occlusion[rows]
+    z = z[rows]
+    observer, actor = seen.observer[rows], seen.actor[rows]
+    n, occlusion = seen.n_returns[rows], seen.occlusion[rows]
+    true_label = label[actor]
     reported = _confused(true_label, uniform_of(z[:, 10]), model.confusion_p)
     sized = _as_class(boxes.take(actor), true_label, reported, origin_m[observer], model.mean_lwh_m)
     sparse = 1.0 / np.sqrt(n)
-    logit = model.score_logit[true_label] + model.score_gain * np.log(n / model.half_returns[true_label])
+    log_n = np.log(n / model.half_returns[true_label])
+    logit = model.score_logit[true_label] + model.score_gain * log_n
     error = 0.5 * (z[:, 2] ** 2 + z[:, 3] ** 2)
-    logit += model.score_sigma * z[:, 1] - model.score_occlusion * occlusion - model.score_error[true_label] * error
+    lost = model.score_error[true_label] * error
+    logit += model.score_sigma * z[:, 1] - model.score_occlusion * occlusion - lost
 
+    # Standard deviations of position, size and heading, and the box with errors drawn from them.
     xy = model.xy_sigma_m[true_label] + model.xy_sigma_per_m * seen.range_m[rows]
     xy = xy + model.xy_sigma_sparse_m[true_label] * sparse
     size = model.size_sigma[true_label] + model.size_sigma_sparse[true_label] * sparse
-    yaw = (model.yaw_sigma_rad[true_label] + model.yaw_sigma_sparse_rad * sparse) * z[:, 8]
-    yaw += np.where(uniform_of(z[:, 9]) > 1.0 - model.flip_p, np.pi, 0.0)
+    yaw = model.yaw_sigma_rad[true_label] + model.yaw_sigma_sparse_rad * sparse
+    is_flipped = uniform_of(z[:, 9]) > 1.0 - model.flip_p
+    turn = yaw * z[:, 8] + np.where(is_flipped, np.pi, 0.0)
     offset = z[:, 2:5] * np.column_stack([xy, xy, model.z_share * xy])
     lwh = sized.lwh_m * np.exp(size[:, None] * z[:, 5:8])
-    offset[:, 2] += 0.5 * (lwh[:, 2] - sized.lwh_m[:, 2])  # the bottom of the box stays on the road
-    first = _moved(sized, offset, lwh, yaw)
+    higher = lwh[:, 2] - sized.lwh_m[:, 2]
+    offset[:, 2] += 0.5 * higher  # the bottom of the box stays on the road
+    first = _moved(sized, offset, lwh, turn)
 
+    # Duplicates.
     again = np.flatnonzero(uniform_of(z[:, 11]) > 1.0 - model.duplicate_p)
     base = first.take(again)
-    offset = np.column_stack([model.duplicate_sigma * z[again, 13:15] * base.lwh_m[:, :2], np.zeros(len(again))])
-    second = _moved(base, offset, base.lwh_m, 0.5 * model.yaw_sigma_rad[true_label[again]] * z[again, 15])
+    offset_xy = model.duplicate_sigma * z[again, 13:15] * base.lwh_m[:, :2]
+    offset = np.column_stack([offset_xy, np.zeros(len(again))])
+    turn = 0.5 * model.yaw_sigma_rad[true_label[again]] * z[again, 15]
+    second = _moved(base, offset, base.lwh_m, turn)
     lower = model.duplicate_logit * np.abs(1.0 + 0.5 * z[again, 12])
     return Reports.of_actors(
         seen,
@@ -442,7 +473,8 @@ def _confused(
     """The class that is reported; the true one for u = 0."""
     share = confusion_p.copy()
     np.fill_diagonal(share, 0.0)
-    bound = 1.0 - np.cumsum(share[:, ::-1], axis=1)[:, ::-1]  # class c where bound[c] <= u < bound[c + 1]
+    from_class_on = np.cumsum(share[:, ::-1], axis=1)[:, ::-1]
+    bound = 1.0 - from_class_on  # class c where bound[c] <= u < bound[c + 1]
     other = (u[:, None] >= bound[true_label]).sum(axis=1) - 1
     return np.where(u < bound[true_label, 0], true_label, other).astype(np.uint8)
 
@@ -457,19 +489,22 @@ def _as_class(
     """Boxes at most as large as the mean of a wrongly reported class; the corner nearest to the sensor stays."""
     right = (true_label == reported)[:, None]
     lwh = np.where(right, true.lwh_m, np.minimum(true.lwh_m, mean_lwh_m[reported]))
-    gap = 0.5 * (true.lwh_m - lwh)
-    away = origin_m - true.xyz_m
+    gap_l, gap_w, gap_h = (0.5 * (true.lwh_m - lwh)).T
+    x, y, _ = (origin_m - true.xyz_m).T
     cos, sin = np.cos(true.yaw_rad), np.sin(true.yaw_rad)
-    along = np.sign(cos * away[:, 0] + sin * away[:, 1]) * gap[:, 0]
-    aside = np.sign(cos * away[:, 1] - sin * away[:, 0]) * gap[:, 1]
-    return _moved(true, np.column_stack([along, aside, -gap[:, 2]]), lwh, 0.0)
+    along = np.sign(cos * x + sin * y) * gap_l
+    aside = np.sign(cos * y - sin * x) * gap_w
+    return _moved(true, np.column_stack([along, aside, -gap_h]), lwh, 0.0)
 
 
 def _moved(boxes: Boxes, off_m: Float[ndarray, "r 3"], lwh_m: ndarray, turn_rad: ndarray | float) -> Boxes:
     """Boxes moved along their own axes, of a new size, and turned."""
     cos, sin = np.cos(boxes.yaw_rad), np.sin(boxes.yaw_rad)
-    x, y = cos * off_m[:, 0] - sin * off_m[:, 1], sin * off_m[:, 0] + cos * off_m[:, 1]
-    return Boxes(boxes.xyz_m + np.column_stack([x, y, off_m[:, 2]]), lwh_m, wrap(boxes.yaw_rad + turn_rad))
+    along, aside, up = off_m.T
+    x = cos * along - sin * aside
+    y = sin * along + cos * aside
+    xyz_m = boxes.xyz_m + np.column_stack([x, y, up])
+    return Boxes(xyz_m, lwh_m, wrap(boxes.yaw_rad + turn_rad))
 
 
 def wrap(angle: Float[ndarray, "n"]) -> Float[ndarray, "n"]:

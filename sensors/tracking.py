@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.special import expit, logit
 
 from cosim.base.kernel import compiled
-from cosim.base.ragged import stable_order
+from cosim.base.ragged import ranges, stable_order
 from cosim.base.rows import Rows
 
 _Positive = Annotated[float, Gt(0), Le(1000)]
@@ -134,11 +134,23 @@ class Tracks(Rows):
     @staticmethod
     def none() -> Tracks:
         """No tracks."""
-        number, real, pair = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2))
+        number = np.zeros(0, np.int64)
+        real = np.zeros(0)
+        pair = np.zeros((0, 2))
         return Tracks(
-            observer=number, object_id=number, label=np.zeros(0, np.uint8), n_hits=number, time_s=real, first_s=real,
-            last_s=real, xy_m=pair, velocity_mps=pair, axis=pair, covariance=np.zeros((0, 2, 3)), existence=real,
-        )  # fmt: skip
+            observer=number,
+            object_id=number,
+            label=np.zeros(0, np.uint8),
+            n_hits=number,
+            time_s=real,
+            first_s=real,
+            last_s=real,
+            xy_m=pair,
+            velocity_mps=pair,
+            axis=pair,
+            covariance=np.zeros((0, 2, 3)),
+            existence=real,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,12 +245,14 @@ def track(
 
     .. [1] Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001.
     """
-    if (np.diff(observers.number) <= 0).any() or (np.diff(found.observer) < 0).any():
+    is_each_once = (np.diff(observers.number) > 0).all()
+    if not is_each_once or (np.diff(found.observer) < 0).any():
         raise ValueError("observers are sorted by number, each once, and detections by observer; these are not.")
     row = _rows_of(observers.number, found.observer)
     if (row < 0).any():
         raise ValueError(f"a detection belongs to observer {found.observer[np.argmin(row)]}, which does not sense now.")
     old = memory.tracks
+    # Tracks of observers that sense now are due; the others wait.
     at = _rows_of(observers.number, old.observer)
     due = at >= 0
     now_s = np.full(len(old), observers.time_s.max(initial=-np.inf))
@@ -251,14 +265,12 @@ def track(
     tracks = predicted(old.take(rows), now_s[rows], params)
     t, d = assigned(tracks, found, params)
     again = updated(tracks.take(t), found.take(d), params)
-    is_missed, is_new = np.ones(len(tracks), bool), np.ones(len(found), bool)
-    is_missed[t], is_new[d] = False, False
-    fresh = np.flatnonzero(is_new)
+    missed, fresh = _others(t, len(tracks)), _others(d, len(found))
     known, n_objects, object_id = _numbered(memory, found.observer[fresh])
     new = begun(found.take(fresh), object_id, observers, row[fresh], params)
-    joined = Tracks.concat([again, new, tracks.take(np.flatnonzero(is_missed)), waiting])
+    joined = Tracks.concat([again, new, tracks.take(missed), waiting])
     of_detection = np.empty(len(found), np.int64)
-    of_detection[d], of_detection[fresh] = np.arange(len(d)), len(d) + np.arange(len(fresh))
+    of_detection[np.append(d, fresh)] = np.arange(len(found))
     velocity_mps = joined.velocity_mps[of_detection]
     velocity_mps[joined.n_hits[of_detection] < params.confirm_hits] = np.nan
     age_s = (joined.time_s - joined.first_s)[of_detection]
@@ -272,6 +284,13 @@ def track(
         axis=joined.axis[of_detection],
         variance=joined.covariance[of_detection, :, 2],
     )
+
+
+def _others(rows: Int[ndarray, "m"], n: int) -> Int[ndarray, "k"]:
+    """Those of n rows that are not among these, ascending."""
+    is_other = np.ones(n, bool)
+    is_other[rows] = False
+    return np.flatnonzero(is_other)
 
 
 def predicted(tracks: Tracks, time_s: Float[ndarray, "n"], params: TrackingParams) -> Tracks:
@@ -298,7 +317,10 @@ def predicted(tracks: Tracks, time_s: Float[ndarray, "n"], params: TrackingParam
     t = (time_s - tracks.time_s)[:, None]
     q = np.asarray(params.acceleration_noise)[tracks.label][:, None]
     xx, xv, vv = np.moveaxis(tracks.covariance, 2, 0)
-    covariance = np.stack([xx + t * (2 * xv + t * (vv + q * t / 3)), xv + t * (vv + q * t / 2), vv + q * t], axis=2)
+    xx = xx + t * (2 * xv + t * (vv + q * t / 3))
+    xv = xv + t * (vv + q * t / 2)
+    vv = vv + q * t
+    covariance = np.stack([xx, xv, vv], axis=2)
     return replace(tracks, time_s=time_s, xy_m=tracks.xy_m + t * tracks.velocity_mps, covariance=covariance)
 
 
@@ -323,9 +345,10 @@ def updated(tracks: Tracks, found: Found, params: TrackingParams) -> Tracks:
     With r the variance of a detection, y the innovation and s = P_xx + r, along and across the axis: x += P_xx y / s,
     v += P_xv y / s, P_xx = r P_xx / s, P_xv = r P_xv / s, P_vv -= P_xv² / s.
     """
-    r = (np.asarray(params.position_sigma_m)[found.label] ** 2)[:, None]
+    r = _position_variance(found.label, params)
     xx, xv, vv = np.moveaxis(tracks.covariance, 2, 0)
     gain_x, gain_v = xx / (xx + r), xv / (xx + r)
+    covariance = np.stack([gain_x * r, gain_v * r, vv - gain_v * xv], axis=2)
     innovation_m = _along_and_across(found.xy_m - tracks.xy_m, tracks.axis)
     return replace(
         tracks,
@@ -334,7 +357,7 @@ def updated(tracks: Tracks, found: Found, params: TrackingParams) -> Tracks:
         last_s=tracks.time_s,
         xy_m=tracks.xy_m + _east_and_north(gain_x * innovation_m, tracks.axis),
         velocity_mps=tracks.velocity_mps + _east_and_north(gain_v * innovation_m, tracks.axis),
-        covariance=np.stack([gain_x * r, gain_v * r, vv - gain_v * xv], axis=2),
+        covariance=covariance,
         existence=tracks.existence + existence_gain(found.score, tracks.time_s - tracks.last_s, params),
     )
 
@@ -363,7 +386,7 @@ def begun(
     mean_mps, sigma_mps = expected_speed(label, found.limit_mps, observers.speed_mps[row], params)
     axis = np.column_stack([np.cos(found.yaw_rad), np.sin(found.yaw_rad)])
     covariance = np.zeros((len(found), 2, 3))
-    covariance[:, :, 0] = (np.asarray(params.position_sigma_m)[label] ** 2)[:, None]
+    covariance[:, :, 0] = _position_variance(label, params)
     covariance[:, 0, 2] = sigma_mps**2
     covariance[:, 1, 2] = np.asarray(params.across_sigma_mps)[label] ** 2
     return Tracks(
@@ -380,6 +403,12 @@ def begun(
         covariance=covariance,
         existence=params.existence_new + _of_score(found.score, params),
     )
+
+
+def _position_variance(label: UInt8[ndarray, "d"], params: TrackingParams) -> Float[ndarray, "d 1"]:
+    """Variance of the position of detections, along each axis [m2]."""
+    sigma_m = np.asarray(params.position_sigma_m)[label]
+    return (sigma_m**2)[:, None]
 
 
 def expected_speed(
@@ -418,7 +447,8 @@ def confirmed_variance(params: TrackingParams, interval_s: float) -> Float[ndarr
     It is that after `confirm_hits` detections `interval_s` apart. The covariances of a Kalman filter do not depend on
     what is detected.
     """
-    n, label = len(params.position_sigma_m), np.arange(len(params.position_sigma_m), dtype=np.uint8)
+    n = len(params.position_sigma_m)
+    label = np.arange(n, dtype=np.uint8)
     number, zero = np.arange(n), np.zeros(n)
     half, unknown = np.full(n, 0.5), np.full(n, np.nan)
     found = Found(number, label, np.zeros((n, 2)), zero, half, unknown)
@@ -457,9 +487,11 @@ def existence_gain(
     .. [1] D. Musicki, R. Evans, S. Stankovic, Integrated probabilistic data association, IEEE Transactions on Automatic
        Control 39(6), 1994.
     """
+    gain = params.existence_again + _of_score(score, params)
     memory_s = params.existence_memory_s
-    weight = -np.expm1(-since_s / memory_s) if memory_s > 0 else np.ones(len(since_s))
-    return weight * (params.existence_again + _of_score(score, params))
+    if memory_s == 0:
+        return gain
+    return -np.expm1(-since_s / memory_s) * gain
 
 
 def _of_score(score: Float[ndarray, "n"], params: TrackingParams) -> Float[ndarray, "n"]:
@@ -497,16 +529,19 @@ def assigned(tracks: Tracks, found: Found, params: TrackingParams) -> tuple[Int[
     """
     gate = -2 * np.log1p(-params.gate_p)
     # No detection farther away than the longer half axis of the gate is inside: most pairs need no more than this.
-    most = tracks.covariance[:, :, 0].max(axis=1, initial=0.0) + max(params.position_sigma_m) ** 2
+    track_m2 = tracks.covariance[:, :, 0].max(axis=1, initial=0.0)
+    most_m2 = track_m2 + max(params.position_sigma_m) ** 2
     first, end = (np.searchsorted(found.observer, tracks.observer, side) for side in ("left", "right"))
     xy_m = np.ascontiguousarray(tracks.xy_m), np.ascontiguousarray(found.xy_m)
     groups = _CLASS_GROUP[tracks.label], _CLASS_GROUP[found.label]
-    t, d = _near(first, end, *xy_m, gate * most * (1 + 1e-9), *groups)
-    r = (np.asarray(params.position_sigma_m)[found.label[d]] ** 2)[:, None]
-    s = tracks.covariance[t, :, 0] + r
-    innovation_m = _along_and_across(found.xy_m[d] - tracks.xy_m[t], tracks.axis[t])
+    t, d = _near(first, end, *xy_m, gate * most_m2 * (1 + 1e-9), *groups)
+    s = tracks.covariance[t, :, 0] + _position_variance(found.label[d], params)
+    apart_m = found.xy_m[d] - tracks.xy_m[t]
+    innovation_m = _along_and_across(apart_m, tracks.axis[t])
     squared = (innovation_m * innovation_m / s).sum(axis=1)
-    gain = -squared - np.log(s[:, 0] * s[:, 1]) - 2 * np.log(2 * np.pi * params.other_per_m2)
+    log_det_s = np.log(s[:, 0] * s[:, 1])
+    constant = 2 * np.log(2 * np.pi * params.other_per_m2)
+    gain = -squared - log_det_s - constant
     rows = np.flatnonzero((squared < gate) & (gain > 0))
     t, d, gain = t[rows], d[rows], gain[rows]
     n_of_track, n_of_detection = np.bincount(t), np.bincount(d)
@@ -514,14 +549,16 @@ def assigned(tracks: Tracks, found: Found, params: TrackingParams) -> tuple[Int[
     chosen = ~contested
     pairs = np.flatnonzero(contested)
     for block in _blocks(tracks.observer[t[pairs]]):
-        chosen[pairs[block]] = _largest_sum(t[pairs[block]], d[pairs[block]], gain[pairs[block]])
+        rows = pairs[block]
+        chosen[rows] = _largest_sum(t[rows], d[rows], gain[rows])
     return t[chosen], d[chosen]
 
 
 def _blocks(observer: Int[ndarray, "p"]) -> list[slice]:
     """Slices of whole observers with some `_BLOCK_PAIRS` pairs each."""
     first = np.flatnonzero(np.diff(observer, prepend=-1 - observer[:1]))
-    edges = np.append(first[np.flatnonzero(np.diff(first // _BLOCK_PAIRS, prepend=-1))], len(observer))
+    begins_block = np.diff(first // _BLOCK_PAIRS, prepend=-1) > 0
+    edges = np.append(first[begins_block], len(observer))
     return [slice(a, b) for a, b in pairwise(edges)]
 
 
@@ -534,7 +571,8 @@ def _largest_sum(t: Int[ndarray, "p"], d: Int[ndarray, "p"], gain: Float[ndarray
     columns, j = np.unique(d, return_inverse=True)
     most, n, m = 1.0 + gain.max(), len(rows), len(columns)
     cost = np.concatenate([most - gain, np.full(n, most)])
-    of = (np.concatenate([i, np.arange(n)]), np.concatenate([j, m + np.arange(n)]))
+    own = np.arange(n)
+    of = np.append(i, own), np.append(j, m + own)
     _, column = min_weight_full_bipartite_matching(csr_array((cost, of), shape=(n, m + n)))
     return column[i] == j
 
@@ -543,12 +581,16 @@ def _largest_sum(t: Int[ndarray, "p"], d: Int[ndarray, "p"], gain: Float[ndarray
 def _near(first, end, track_xy, found_xy, most_m2, group_of_track, group_of_found):
     """Pairs, sorted, of a track and one of its observer's detections `first` to `end`, of one group of classes and
     nearer to each other than the track's limit."""
-    room, n = (end - first).sum(), 0
-    t, d = np.empty(room, np.int64), np.empty(room, np.int64)
+    room = (end - first).sum()
+    t = np.empty(room, np.int64)
+    d = np.empty(room, np.int64)
+    n = 0
     for i in range(len(first)):
         for k in range(first[i], end[i]):
-            x, y = found_xy[k, 0] - track_xy[i, 0], found_xy[k, 1] - track_xy[i, 1]
-            if x * x + y * y < most_m2[i] and group_of_track[i] == group_of_found[k]:
+            dx = found_xy[k, 0] - track_xy[i, 0]
+            dy = found_xy[k, 1] - track_xy[i, 1]
+            is_near = dx * dx + dy * dy < most_m2[i]
+            if is_near and group_of_track[i] == group_of_found[k]:
                 t[n], d[n] = i, k
                 n += 1
     return t[:n], d[:n]
@@ -566,21 +608,25 @@ def _numbered(
     memory: TrackMemory, observer: Int[ndarray, "d"]
 ) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"], Int[ndarray, "d"]]:
     """The observers with numbered objects, how many each has, and the numbers of the new objects."""
-    of, first, n = np.unique(observer, return_index=True, return_counts=True)
+    of, n = np.unique(observer, return_counts=True)
     known = np.union1d(memory.known, of)
     n_objects = np.zeros(len(known), np.int64)
     n_objects[np.searchsorted(known, memory.known)] = memory.n_objects
     at = np.searchsorted(known, of)
-    object_id = np.repeat(n_objects[at] - first, n) + np.arange(len(observer))
+    object_id = ranges(n_objects[at], n)
     n_objects[at] += n
     return known, n_objects, object_id
 
 
-def _along_and_across(east_north: Float[ndarray, "n 2"], axis: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
-    x, y, cos, sin = east_north[:, 0], east_north[:, 1], axis[:, 0], axis[:, 1]
-    return np.column_stack([cos * x + sin * y, cos * y - sin * x])
+def _along_and_across(vector: Float[ndarray, "n 2"], axis: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
+    """Vectors of the plane, along and across a unit vector."""
+    (x, y), (cos, sin) = vector.T, axis.T
+    along = cos * x + sin * y
+    return np.column_stack([along, cos * y - sin * x])
 
 
 def _east_and_north(along_across: Float[ndarray, "n 2"], axis: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
-    u, v, cos, sin = along_across[:, 0], along_across[:, 1], axis[:, 0], axis[:, 1]
-    return np.column_stack([cos * u - sin * v, sin * u + cos * v])
+    """The inverse of `_along_and_across`."""
+    (u, v), (cos, sin) = along_across.T, axis.T
+    east = cos * u - sin * v
+    return np.column_stack([east, sin * u + cos * v])

@@ -145,9 +145,13 @@ class Adversary:
 
     @staticmethod
     def of(
-        params: Sequence[AttackParams], attacks: Sequence[Attack], seed: int, dt_s: float = 1.0,
-        freshness_s: float | str = "off", walls: WallIndex | None = None,
-    ) -> "Adversary":  # fmt: skip
+        params: Sequence[AttackParams],
+        attacks: Sequence[Attack],
+        seed: int,
+        dt_s: float = 1.0,
+        freshness_s: float | str = "off",
+        walls: WallIndex | None = None,
+    ) -> "Adversary":
         """Attacks with their parameters. `freshness_s` is the window of evidence, a unit for periods."""
         period_s = [p.period_s if p.when != "on_off" else p.period_of(freshness_s) for p in params]
         period_steps = tuple(s / dt_s for s in period_s)
@@ -198,9 +202,13 @@ class Adversary:
         return found
 
     def active(
-        self, state: AttackState, world: World, time_s: float, trust: Float[ndarray, "n"] | None = None,
+        self,
+        state: AttackState,
+        world: World,
+        time_s: float,
+        trust: Float[ndarray, "n"] | None = None,
         sends: Bool[ndarray, "n"] | None = None,
-    ) -> Active:  # fmt: skip
+    ) -> Active:
         """The attacks that at least one vehicle carries out in this step. The function updates `state`.
 
         Parameters

@@ -63,11 +63,13 @@ class AttackContext:
 
         They depend on the names, the step and the seed only, so that switching off an attack changes no other draw.
         """
-        return rng.uniforms(rng.key(self.seed, Stream.ATTACK, self.world.step), np.uint64(self.number), *names, n=n)
+        key = rng.key(self.seed, Stream.ATTACK, self.world.step)
+        return rng.uniforms(key, np.uint64(self.number), *names, n=n)
 
     def lasting(self, *names: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:
         """Draw `n` uniforms in [0, 1) for each row of names, the same in every step."""
-        return rng.uniforms(rng.key(self.seed, Stream.ATTACK_LASTING), np.uint64(self.number), *names, n=n)
+        key = rng.key(self.seed, Stream.ATTACK_LASTING)
+        return rng.uniforms(key, np.uint64(self.number), *names, n=n)
 
     def draw(self, stream: Stream, *names: ndarray, n: int = 1) -> Float[ndarray, "rows n"]:
         """Draw uniforms like `uniforms`, from another stream of random numbers."""
@@ -84,7 +86,9 @@ class AttackContext:
     def victims(self) -> tuple[Int[ndarray, "b"], Int[ndarray, "b"]]:
         """Attackers that have a victim within range, ascending, and the victim of each; both as rows of the world."""
         rows = np.flatnonzero(self.attacker)
-        draw = self.uniforms(self.name_key(rows))[:, 0] if self.params.victim == "random" else np.zeros(len(rows))
+        draw = np.zeros(len(rows))
+        if self.params.victim == "random":
+            draw = self.uniforms(self.name_key(rows))[:, 0]
         return victims.victims(self.world, rows, self.params, draw, self.seed)
 
     def victim_of(self) -> Int[ndarray, "n"]:
@@ -115,7 +119,8 @@ class EvaluationRows:
         """Rows about the same have the same number, from 0; the row of the detection if all are about detections."""
         if self.number is None:
             return self.detection
-        return np.unique(self.detection.astype(np.int64) << 32 | self.number, return_inverse=True)[1].reshape(-1)
+        key = self.detection.astype(np.int64) << 32 | self.number
+        return np.unique(key, return_inverse=True)[1].reshape(-1)
 
 
 LOUDEST_DBM = 33.0
@@ -143,9 +148,13 @@ class Sending(Rows):
     def plain(n: int) -> "Sending":
         """Honest sending: without delay, without copies, and by the rules of the channel."""
         return Sending(
-            delay_s=np.zeros(n), n_copies=np.zeros(n, np.int64), n_reports=np.zeros(n, np.int64),
-            jam_dbm=np.full(n, -np.inf), react_dbm=np.full(n, -np.inf), ignores_dcc=np.zeros(n, bool),
-        )  # fmt: skip
+            delay_s=np.zeros(n),
+            n_copies=np.zeros(n, np.int64),
+            n_reports=np.zeros(n, np.int64),
+            jam_dbm=np.full(n, -np.inf),
+            react_dbm=np.full(n, -np.inf),
+            ignores_dcc=np.zeros(n, bool),
+        )
 
     def and_also(self, other: "Sending") -> "Sending":
         """Both attacks at the same time. Delays and copies add up; of two jamming powers the larger is used."""
@@ -164,7 +173,8 @@ class Sending(Rows):
 
     def attacks(self) -> Bool[ndarray, "n"]:
         """Actors that do not send honestly."""
-        return (self.delay_s > 0) | (self.n_copies > 0) | (self.n_reports > 0) | self.abuses_channel()
+        repeats = (self.n_copies > 0) | (self.n_reports > 0)
+        return (self.delay_s > 0) | repeats | self.abuses_channel()
 
 
 class Attack(Protocol):
@@ -243,11 +253,17 @@ class Vouched(WithParams[P]):
 
 
 def fabricated(
-    listed: Detections, observer: Int[ndarray, "c"], label: ndarray, boxes: Boxes, score: Float[ndarray, "c"],
-    target: Int[ndarray, "c"] | None = None, identity: Int[ndarray, "c"] | None = None,
-    speed_mps: Float[ndarray, "c"] | None = None, n_points: Int[ndarray, "c"] | None = None,
+    listed: Detections,
+    observer: Int[ndarray, "c"],
+    label: ndarray,
+    boxes: Boxes,
+    score: Float[ndarray, "c"],
+    target: Int[ndarray, "c"] | None = None,
+    identity: Int[ndarray, "c"] | None = None,
+    speed_mps: Float[ndarray, "c"] | None = None,
+    n_points: Int[ndarray, "c"] | None = None,
     velocity_mps: Float[ndarray, "c 2"] | None = None,
-) -> Detections:  # fmt: skip
+) -> Detections:
     """Add fabricated detections to the lists. Their indices continue those of each observer and identity.
 
     Parameters
@@ -276,19 +292,30 @@ def fabricated(
     absent = np.full(n, np.nan)
     n_points = np.zeros(n, np.int32) if n_points is None else n_points.astype(np.int32)
     added = Detections(
-        observer=observer, detection_index=np.arange(n), label=label.astype(np.uint8), boxes=boxes, score=score,
-        n_points=n_points, origin=np.full(n, FABRICATED, np.uint8), transmitted=np.ones(n, bool),
+        observer=observer,
+        detection_index=np.arange(n),
+        label=label.astype(np.uint8),
+        boxes=boxes,
+        score=score,
+        n_points=n_points,
+        origin=np.full(n, FABRICATED, np.uint8),
+        transmitted=np.ones(n, bool),
         target=observer if target is None else target,
-        identity=identity, speed_mps=absent if speed_mps is None else speed_mps, acceleration_mps2=absent,
+        identity=identity,
+        speed_mps=absent if speed_mps is None else speed_mps,
+        acceleration_mps2=absent,
         velocity_mps=np.full((n, 2), np.nan) if velocity_mps is None else velocity_mps,
-    )  # fmt: skip
+    )
     added = added.take(np.lexsort((identity, observer)))
-    most = 1 + max(int(listed.identity.max(initial=0)), int(identity.max(initial=0)))
-    sender, own = added.observer * most + added.identity, listed.observer * most + listed.identity
-    last = np.full(max(int(own.max(initial=-1)), int(sender.max(initial=-1))) + 1, -1)
+    # The index of a detection continues those of its sender, which is an identity of a vehicle.
+    n_identities = 1 + int(max(listed.identity.max(initial=0), identity.max(initial=0)))
+    sender = added.observer * n_identities + added.identity
+    own = listed.observer * n_identities + listed.identity
+    n_senders = 1 + int(max(own.max(initial=-1), sender.max(initial=-1)))
+    last = np.full(n_senders, -1)
     np.maximum.at(last, own, listed.detection_index)
-    first = np.searchsorted(sender, sender)
-    added = replace(added, detection_index=last[sender] + 1 + np.arange(n) - first)
+    number = np.arange(n) - np.searchsorted(sender, sender)
+    added = replace(added, detection_index=last[sender] + 1 + number)
     return Detections.by_key([listed, added])
 
 
@@ -340,7 +367,8 @@ def per_actor(
     kept = context.memory.get(name, np.zeros((0, *shape)))
     if (more := int(actor.max(initial=-1)) + 1 - len(kept)) > 0:
         kept = np.concatenate([kept, np.zeros((max(more, 256), *shape))])
-    kept[actor[rows]] = np.broadcast_to(values, (len(actor), *shape))[rows]
+    of_all = np.broadcast_to(values, (len(actor), *shape))
+    kept[actor[rows]] = of_all[rows]
     context.memory[name] = kept
     return kept[actor]
 
@@ -364,5 +392,6 @@ def certified(
     .. [1] Hurl, Cohen, Czarnecki, Waslander, "TruPercept", 2020: the published code's malicious vehicles.
     """
     own = rows.evaluator == detections.observer[rows.detection]
-    vouched = own & context.attacker[rows.evaluator] & (detections.origin[rows.detection] == FABRICATED)
+    is_fabricated = detections.origin[rows.detection] == FABRICATED
+    vouched = own & context.attacker[rows.evaluator] & is_fabricated
     return np.where(vouched, 1.0, rows.evaluation), np.where(vouched, 1.0, rows.visibility)

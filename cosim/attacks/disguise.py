@@ -20,9 +20,13 @@ _SHUFFLE = np.uint64(1 << 32)
 
 
 def ghosts(
-    listed: Detections, observer: Int[ndarray, "c"], label: UInt8[ndarray, "c"], boxes: Boxes, context: AttackContext,
+    listed: Detections,
+    observer: Int[ndarray, "c"],
+    label: UInt8[ndarray, "c"],
+    boxes: Boxes,
+    context: AttackContext,
     target: Int[ndarray, "c"] | None = None,
-) -> Detections:  # fmt: skip
+) -> Detections:
     """Add objects that do not exist to the lists, as a detector would report them if they stood there.
 
     Each ghost takes score, size, number of returns and speed of a real detection of its class, made by any vehicle at
@@ -46,16 +50,21 @@ def ghosts(
     chosen = _alike(pool, observer, label, boxes, context)
     there = chosen >= 0
     donor = chosen[there]
-    xyz_m, lwh_m, n = boxes.xyz_m.copy(), boxes.lwh_m.copy(), len(observer)
+    n = len(observer)
+    xyz_m, lwh_m = boxes.xyz_m.copy(), boxes.lwh_m.copy()
+    score = np.ones(n)
+    n_points = np.zeros(n, np.int32)
+    speed_mps = np.full(n, np.nan)
     lwh_m[there] = pool["lwh_m"][donor]
-    xyz_m[:, 2] += (lwh_m[:, 2] - boxes.lwh_m[:, 2]) / 2
-    score, n_points, speed_mps = np.ones(n), np.zeros(n, np.int32), np.full(n, np.nan)
-    score[there], n_points[there], speed_mps[there] = (pool[name][donor] for name in ("score", "n_points", "speed_mps"))
+    score[there] = pool["score"][donor]
+    n_points[there] = pool["n_points"][donor]
+    speed_mps[there] = pool["speed_mps"][donor]
+    higher_m = lwh_m[:, 2] - boxes.lwh_m[:, 2]
+    xyz_m[:, 2] += higher_m / 2
+    boxes = Boxes(xyz_m, lwh_m, boxes.yaw_rad)
     along = np.column_stack([np.cos(boxes.yaw_rad), np.sin(boxes.yaw_rad)])
-    return fabricated(
-        listed, observer, label, Boxes(xyz_m, lwh_m, boxes.yaw_rad), score, target, n_points=n_points,
-        velocity_mps=speed_mps[:, None] * along,
-    )  # fmt: skip
+    velocity_mps = speed_mps[:, None] * along
+    return fabricated(listed, observer, label, boxes, score, target, n_points=n_points, velocity_mps=velocity_mps)
 
 
 def _pool(seen: Detections, context: AttackContext) -> dict[str, ndarray]:
@@ -80,33 +89,43 @@ def _pool(seen: Detections, context: AttackContext) -> dict[str, ndarray]:
     if before is not None:
         rare = np.isin(before["label"], np.setdiff1d(before["label"], now["label"]))
         pool = {name: np.concatenate([now[name], before[name][rare]]) for name in now}
-    last = [np.flatnonzero(pool["label"] == label)[:_KEPT] for label in np.unique(pool["label"])]
+    labels = pool["label"]
+    last = [np.flatnonzero(labels == label)[:_KEPT] for label in np.unique(labels)]
     kept = np.concatenate([np.zeros(0, np.int64), *last])
     context.memory["detected"] = {name: column[kept] for name, column in pool.items()}
     return pool
 
 
 def _range_m(xyz_m: Float[ndarray, "n 3"], observer: Int[ndarray, "n"], context: AttackContext) -> Float[ndarray, "n"]:
-    return np.linalg.norm(xyz_m[:, :2] - context.world.boxes.xyz_m[observer, :2], axis=1)
+    """Horizontal distance of each point from its observer."""
+    own_m = context.world.boxes.xyz_m[observer, :2]
+    return np.linalg.norm(xyz_m[:, :2] - own_m, axis=1)
 
 
 def _alike(
-    pool: dict[str, ndarray], observer: Int[ndarray, "c"], label: UInt8[ndarray, "c"], boxes: Boxes,
+    pool: dict[str, ndarray],
+    observer: Int[ndarray, "c"],
+    label: UInt8[ndarray, "c"],
+    boxes: Boxes,
     context: AttackContext,
-) -> Int[ndarray, "c"]:  # fmt: skip
+) -> Int[ndarray, "c"]:
     """For each ghost, the row of the pool that it resembles; -1 if the pool has none of its class."""
     range_m = _range_m(boxes.xyz_m, observer, context)
-    draw = context.uniforms(context.name_key(observer), np.arange(len(observer)) - _first(observer))[:, 0]
+    number = np.arange(len(observer)) - _first(observer)
+    draw = context.uniforms(context.name_key(observer), number)[:, 0]
     chosen = np.full(len(observer), -1)
     for one in np.unique(label):
-        of_class, mine = np.flatnonzero(pool["label"] == one), np.flatnonzero(label == one)
+        of_class = np.flatnonzero(pool["label"] == one)
+        mine = np.flatnonzero(label == one)
         if not len(of_class):
             continue
-        near = np.sort(pool["range_m"][of_class])
-        by_range = of_class[np.argsort(pool["range_m"][of_class], kind="stable")]
+        of_class_m = pool["range_m"][of_class]
+        order = np.argsort(of_class_m, kind="stable")
         n = min(N_ALIKE, len(of_class))
-        begin = np.clip(np.searchsorted(near, range_m[mine]) - n // 2, 0, len(of_class) - n)
-        chosen[mine] = by_range[begin + (draw[mine] * n).astype(np.int64)]
+        place = np.searchsorted(of_class_m[order], range_m[mine])
+        begin = np.clip(place - n // 2, 0, len(of_class) - n)
+        drawn = (draw[mine] * n).astype(np.int64)
+        chosen[mine] = of_class[order[begin + drawn]]
     return chosen
 
 
@@ -132,13 +151,15 @@ def shuffled(listed: Detections, name_key: ndarray, seed: int, step: int) -> tup
     """
     of_vehicle = listed.identity == 0
     has_any = np.unique(listed.observer[of_vehicle & (listed.origin == FABRICATED)])
-    rows = np.flatnonzero(of_vehicle & (listed.origin != SELF) & np.isin(listed.observer, has_any))
+    of_these = of_vehicle & np.isin(listed.observer, has_any)
+    rows = np.flatnonzero(of_these & (listed.origin != SELF))
     if not len(rows):
         return listed, np.arange(len(listed))
-    names = name_key[listed.observer[rows]]
-    draw = rng.uniforms(rng.key(seed, rng.Stream.ATTACK, step), _SHUFFLE, names, listed.detection_index[rows])[:, 0]
+    observer = listed.observer[rows]
     index = listed.detection_index.copy()
-    index[rows[np.lexsort((draw, listed.observer[rows]))]] = index[rows]
+    key = rng.key(seed, rng.Stream.ATTACK, step)
+    draw = rng.uniforms(key, _SHUFFLE, name_key[observer], index[rows])[:, 0]
+    index[rows[np.lexsort((draw, observer))]] = index[rows]
     again = replace(listed, detection_index=index)
     order = np.lexsort((index, listed.identity, listed.observer))
     return again.take(order), order

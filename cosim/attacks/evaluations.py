@@ -201,7 +201,8 @@ class ReplayedEvaluations(_WithIdentities[ReplayedEvaluationsParams]):
             source[left] = _one_of(old_key[:, :n_columns], key[left, :n_columns], draw[left])
         e, phi = rows.evaluation.copy(), rows.visibility.copy()
         known = source >= 0
-        e[at[known]], phi[at[known]] = old_e[source[known]], old_phi[source[known]]
+        e[at[known]] = old_e[source[known]]
+        phi[at[known]] = old_phi[source[known]]
         return e, phi
 
 

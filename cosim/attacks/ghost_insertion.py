@@ -60,7 +60,8 @@ class GhostInsertion(Vouched[GhostInsertionParams]):
         label = np.tile([g[0] for g in objects], len(attacker)).astype(np.uint8)
         ahead_m = p.ahead_m + np.tile([g[1] for g in objects], len(attacker))
         left_m = np.tile([g[2] for g in objects], len(attacker))
-        attacker, victim = np.repeat(attacker, len(objects)), np.repeat(victim, len(objects))
+        attacker = np.repeat(attacker, len(objects))
+        victim = np.repeat(victim, len(objects))
         xyz, yaw = placed(world, victim, ahead_m, left_m, np.full(len(victim), np.pi))
         lwh = np.where((label == CAR)[:, None], world.boxes.lwh_m[attacker], PEDESTRIAN_LWH_M)
         ground = world.boxes.xyz_m[victim, 2] - world.boxes.lwh_m[victim, 2] / 2

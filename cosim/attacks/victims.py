@@ -34,7 +34,8 @@ def victims(
         return _random(xy, attackers, aims, params.victim_range_m, draw)
     k = min(2, len(aims))
     distance, near = cKDTree(xy[aims]).query(xy[attackers], k=k)
-    nearest, distance = aims[near].reshape(-1, k), distance.reshape(-1, k)
+    nearest = aims[near].reshape(-1, k)
+    distance = distance.reshape(-1, k)
     other = np.where(nearest[:, 0] == attackers, 1, 0)  # the attacker itself is at distance 0 and usually first
     there = other < k
     pick = np.arange(len(attackers)), np.minimum(other, k - 1)
@@ -73,9 +74,12 @@ def _eligible(world: World, params: AttackParams, seed: int) -> Int[ndarray, "v"
 
 
 def _random(
-    xy: Float[ndarray, "n 2"], attackers: Int[ndarray, "a"], aims: Int[ndarray, "v"], range_m: float,
+    xy: Float[ndarray, "n 2"],
+    attackers: Int[ndarray, "a"],
+    aims: Int[ndarray, "v"],
+    range_m: float,
     draw: Float[ndarray, "a"],
-) -> Pairs:  # fmt: skip
+) -> Pairs:
     """A random victim within range of each attacker. All are equally likely."""
     near = cKDTree(xy[attackers]).sparse_distance_matrix(cKDTree(xy[aims]), range_m, output_type="ndarray")
     a, v = near["i"], near["j"]
@@ -83,7 +87,8 @@ def _random(
     a, v = a[order], aims[v[order]]
     others = v != attackers[a]
     a, v = a[others], v[others]
-    first, n = np.searchsorted(a, np.arange(len(attackers))), np.bincount(a, minlength=len(attackers))
+    first = np.searchsorted(a, np.arange(len(attackers)))
+    n = np.bincount(a, minlength=len(attackers))
     has = n > 0
     pick = first[has] + np.minimum((draw[has] * n[has]).astype(int), n[has] - 1)
     return attackers[has], v[pick]

@@ -78,9 +78,12 @@ def transfer_delay_s(
 
 
 def within_capacity(
-    xy_m: Float[ndarray, "n 2"], length_bytes: Int[ndarray, "n"], key: UInt64[ndarray, "n"],
-    budget_bytes: float, cell_m: float,
-) -> Bool[ndarray, "n"]:  # fmt: skip
+    xy_m: Float[ndarray, "n 2"],
+    length_bytes: Int[ndarray, "n"],
+    key: UInt64[ndarray, "n"],
+    budget_bytes: float,
+    cell_m: float,
+) -> Bool[ndarray, "n"]:
     """Whether each message fits into the capacity of its cell. Messages are accepted in random order.
 
     Parameters

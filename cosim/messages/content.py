@@ -95,9 +95,14 @@ class Detections(Rows):
 
     @staticmethod
     def perceived(
-        observer: Int[ndarray, "d"], detection_index: Int[ndarray, "d"], label: UInt8[ndarray, "d"], boxes: Boxes,
-        score: Float[ndarray, "d"], n_points: Int[ndarray, "d"], origin: UInt8[ndarray, "d"],
-    ) -> "Detections":  # fmt: skip
+        observer: Int[ndarray, "d"],
+        detection_index: Int[ndarray, "d"],
+        label: UInt8[ndarray, "d"],
+        boxes: Boxes,
+        score: Float[ndarray, "d"],
+        n_points: Int[ndarray, "d"],
+        origin: UInt8[ndarray, "d"],
+    ) -> "Detections":
         """Detections that are all transmitted, under the vehicles' own identities."""
         sent = np.ones(len(observer), bool)
         return Detections(observer, detection_index, label, boxes, score, n_points, origin, sent)
@@ -218,7 +223,8 @@ def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"
             DetectionFault.BAD_NUMBER: (number < 0) | (number > LARGEST_NUMBER)
             | (listed.n_points < 0) | (listed.n_points > MOST_RETURNS),
         }  # fmt: skip
-    found, message = np.full(n, -1), listed.observer.astype(np.int64) << 16 | listed.identity
+    found = np.full(n, -1)
+    message = listed.observer.astype(np.int64) << 16 | listed.identity
     for fault in reversed(wrong):
         found[wrong[fault]] = fault
     left = np.flatnonzero(found < 0)
@@ -239,9 +245,14 @@ def self_reports(world: World, observers: Int[ndarray, "o"]) -> Detections:
     """
     n = len(observers)
     return Detections.perceived(
-        observers, np.zeros(n, int), world.label[observers], world.boxes.take(observers), np.ones(n),
-        np.zeros(n, np.int32), np.full(n, SELF, np.uint8),
-    )  # fmt: skip
+        observers,
+        np.zeros(n, int),
+        world.label[observers],
+        world.boxes.take(observers),
+        np.ones(n),
+        np.zeros(n, np.int32),
+        np.full(n, SELF, np.uint8),
+    )
 
 
 def with_motion(

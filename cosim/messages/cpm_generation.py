@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
+from cosim.base.ragged import rows_of
 from cosim.messages.content import SELF, Detections, velocities
 from cosim.messages.cpm_params import CpmParams
 from cosim.messages.redundancy import Candidates, Heard, redundant
@@ -37,7 +38,7 @@ _LARGEST = (8.0, 1.0, np.radians(8.0), 1.0)
 _SHORTEST_S = 0.1
 """Time since the last inclusion that has no part in the utility."""
 _QUALITIES = 15
-_VULNERABLE = np.isin(np.arange(len(LABELS)), [LABELS.index(name) for name in ("pedestrian", "cyclist")])
+_VULNERABLE = np.isin(LABELS, ("pedestrian", "cyclist"))
 _FAR_M = 1000.0
 """Distance between objects of different senders or classes on an extra axis; larger than `MOVED_M`."""
 _SLACK_S = 1e-9
@@ -100,15 +101,17 @@ class LatestTimes:
         """Time since then at each of these senders; infinite where it is not known to have happened."""
         if not len(self.sender):
             return np.full(len(sender), np.inf)
-        at = np.minimum(np.searchsorted(self.sender, sender), len(self.sender) - 1)
-        return np.where(self.sender[at] == sender, time_s - self.time_s[at], np.inf)
+        at, is_there = rows_of(sender, self.sender)
+        return np.where(is_there, time_s - self.time_s[at], np.inf)
 
     def noted(self, sender: Int[ndarray, "m"], time_s: float) -> "LatestTimes":
         """The same after it happened at these senders, without times that are older than `INTERVAL_S`."""
-        kept = ~np.isin(self.sender, sender) & (time_s - self.time_s < INTERVAL_S - _SLACK_S)
-        whole = np.concatenate([self.sender[kept], sender])
+        is_recent = time_s - self.time_s < INTERVAL_S - _SLACK_S
+        kept = ~np.isin(self.sender, sender) & is_recent
+        whole = np.append(self.sender[kept], sender)
+        whole_s = np.append(self.time_s[kept], np.full(len(sender), time_s))
         order = np.argsort(whole, kind="stable")
-        return LatestTimes(whole[order], np.concatenate([self.time_s[kept], np.full(len(sender), time_s)])[order])
+        return LatestTimes(whole[order], whole_s[order])
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,9 +142,14 @@ class CpmContent:
 
 
 def generate(
-    state: CpmState, listed: Detections, message: Int[ndarray, "d"], generators: Generators, time_s: float,
-    params: CpmParams, track: Int[ndarray, "d"] | None = None,
-) -> tuple[CpmState, CpmContent]:  # fmt: skip
+    state: CpmState,
+    listed: Detections,
+    message: Int[ndarray, "d"],
+    generators: Generators,
+    time_s: float,
+    params: CpmParams,
+    track: Int[ndarray, "d"] | None = None,
+) -> tuple[CpmState, CpmContent]:
     """Put together the detection messages of a step.
 
     Parameters
@@ -194,11 +202,18 @@ def generate(
 
 
 def _select(
-    state: CpmState, listed: Detections, inclusion: UInt8[ndarray, "d"], message: Int[ndarray, "d"],
-    generators: Generators, time_s: float, params: CpmParams, track: Int[ndarray, "d"],
-) -> tuple[UInt8[ndarray, "d"], InclusionMemory]:  # fmt: skip
+    state: CpmState,
+    listed: Detections,
+    inclusion: UInt8[ndarray, "d"],
+    message: Int[ndarray, "d"],
+    generators: Generators,
+    time_s: float,
+    params: CpmParams,
+    track: Int[ndarray, "d"],
+) -> tuple[UInt8[ndarray, "d"], InclusionMemory]:
     """What becomes of the detections that are included so far, and the memory after the step."""
-    inclusion, rows = inclusion.copy(), np.flatnonzero(inclusion == Inclusion.INCLUDED)
+    inclusion = inclusion.copy()
+    rows = np.flatnonzero(inclusion == Inclusion.INCLUDED)
     seen = listed.take(rows)
     sender = generators.sender[message[rows]]
     now = Remembered.beside(state.included, seen, sender, track[rows], time_s)
@@ -206,16 +221,19 @@ def _select(
         inclusion[rows[~due(now, seen.label, sender)]] = Inclusion.NOT_DUE
     others = np.flatnonzero((inclusion[rows] == Inclusion.INCLUDED) & (seen.origin != SELF))
     mine = message[rows[others]]
-    left_out = redundant(
-        state.heard,
-        Candidates(generators.actor[mine], generators.xy_m[mine], seen.label[others].astype(np.int64),
-                   seen.boxes.xyz_m[others, :2], now.speed_mps[others]),
-        time_s, params,
-    )  # fmt: skip
+    candidates = Candidates(
+        generators.actor[mine],
+        generators.xy_m[mine],
+        seen.label[others].astype(np.int64),
+        now.xy_m[others],
+        now.speed_mps[others],
+    )
+    left_out = redundant(state.heard, candidates, time_s, params)
     inclusion[rows[others[left_out]]] = Inclusion.REDUNDANT
     others = others[~left_out]
     number = listed.detection_index[rows[others]]
-    over = beyond_limit(message[rows[others]], utility(now, seen.score)[others], number, params.max_objects)
+    use = utility(now, seen.score)[others]
+    over = beyond_limit(message[rows[others]], use, number, params.max_objects)
     inclusion[rows[others[over]]] = Inclusion.OVER_LIMIT
     return inclusion, now.memory_after(inclusion[rows] == Inclusion.INCLUDED)
 
@@ -248,13 +266,14 @@ class Remembered:
         is known.
         """
         is_self = seen.origin == SELF
-        of = (sender.astype(np.int64) * len(LABELS) + seen.label) * 2 + is_self
-        xy_m, yaw, velocity = seen.boxes.xyz_m[:, :2], seen.boxes.yaw_rad, velocities(seen)
-        near = _same_track(memory, sender.astype(np.int64), track)
-        untracked, without = np.flatnonzero(track < 0), np.flatnonzero(memory.track < 0)
-        at = _nearest(memory, without, of[untracked], xy_m[untracked], time_s)
-        near[untracked] = at
-        return Remembered(memory, time_s, of, xy_m, yaw, speeds(seen), velocity, track, near)
+        sender = sender.astype(np.int64)
+        of = (sender * len(LABELS) + seen.label) * 2 + is_self
+        xy_m = seen.boxes.xyz_m[:, :2]
+        near = _same_track(memory, sender, track)
+        untracked = np.flatnonzero(track < 0)
+        held = np.flatnonzero(memory.track < 0)
+        near[untracked] = _nearest(memory, held, of[untracked], xy_m[untracked], time_s)
+        return Remembered(memory, time_s, of, xy_m, seen.boxes.yaw_rad, speeds(seen), velocities(seen), track, near)
 
     def changes(self) -> tuple[ndarray, ndarray, ndarray, ndarray]:
         """Distance [m], change of speed [m/s], angle [rad] and time [s] since then.
@@ -263,11 +282,12 @@ class Remembered:
         """
         moved_m, faster_mps, turned_rad, elapsed_s = np.full((4, len(self.of)), np.inf)
         known = np.flatnonzero(self.near >= 0)
-        at = self.near[known]
-        moved_m[known] = np.hypot(*(self.xy_m[known] - self.memory.xy_m[at]).T)
-        faster_mps[known] = np.abs(self.speed_mps[known] - self.memory.speed_mps[at])
-        turned_rad[known] = np.abs(_wrapped(self.yaw_rad[known] - self.memory.yaw_rad[at]))
-        elapsed_s[known] = self.time_s - self.memory.time_s[at]
+        at, memory = self.near[known], self.memory
+        dx, dy = (self.xy_m[known] - memory.xy_m[at]).T
+        moved_m[known] = np.hypot(dx, dy)
+        faster_mps[known] = np.abs(self.speed_mps[known] - memory.speed_mps[at])
+        turned_rad[known] = np.abs(_wrapped(self.yaw_rad[known] - memory.yaw_rad[at]))
+        elapsed_s[known] = self.time_s - memory.time_s[at]
         return moved_m, faster_mps, turned_rad, elapsed_s
 
     def memory_after(self, included: Bool[ndarray, "r"]) -> InclusionMemory:
@@ -275,22 +295,27 @@ class Remembered:
         memory, now = self.memory, self.time_s
         old = now - memory.time_s < INTERVAL_S - _SLACK_S  # older entries have no effect
         old[self.near[(self.near >= 0) & included]] = False
+        of = np.concatenate([memory.of[old], self.of[included]])
+        xy_m = np.concatenate([memory.xy_m[old], self.xy_m[included]])
+        time_s = np.concatenate([memory.time_s[old], np.full(int(included.sum()), now)])
         parts = (
-            np.concatenate([memory.of[old], self.of[included]]),
-            np.concatenate([memory.xy_m[old], self.xy_m[included]]),
+            of,
+            xy_m,
             np.concatenate([memory.yaw_rad[old], self.yaw_rad[included]]),
-            np.concatenate([memory.time_s[old], np.full(int(included.sum()), now)]),
+            time_s,
             np.concatenate([memory.speed_mps[old], self.speed_mps[included]]),
             np.concatenate([memory.velocity_mps[old], self.velocity_mps[included]]),
             np.concatenate([memory.track[old], self.track[included]]),
         )
-        order = np.lexsort((parts[3], parts[1][:, 1], parts[1][:, 0], parts[0]))
+        order = np.lexsort((time_s, xy_m[:, 1], xy_m[:, 0], of))
         return InclusionMemory(*(part[order] for part in parts))
 
 
 def speeds(seen: Detections) -> Float[ndarray, "d"]:
     """Speed of each object: of self reports as stated, of others by their velocity; NaN where it is unknown [m/s]."""
-    return np.where(np.isnan(seen.speed_mps), np.hypot(*seen.velocity_mps.T), np.abs(seen.speed_mps))
+    is_unstated = np.isnan(seen.speed_mps)
+    vx, vy = seen.velocity_mps.T
+    return np.where(is_unstated, np.hypot(vx, vy), np.abs(seen.speed_mps))
 
 
 def due(now: Remembered, label: UInt8[ndarray, "r"], sender: Int[ndarray, "r"]) -> Bool[ndarray, "r"]:
@@ -316,7 +341,8 @@ def due(now: Remembered, label: UInt8[ndarray, "r"], sender: Int[ndarray, "r"]) 
     with_speed = faster_mps > FASTER_MPS  # false where a speed is unknown
     late = elapsed_s >= np.where(person, VULNERABLE_INTERVAL_S, INTERVAL_S) - _SLACK_S
     senders, at = np.unique(sender, return_inverse=True)
-    of_all = np.bincount(at[person & late & ~is_new], minlength=len(senders)) > 0
+    late_people = at[person & late & ~is_new]
+    of_all = np.bincount(late_people, minlength=len(senders)) > 0
     changed = (moved_m > MOVED_M) | with_speed | (turned_rad > TURNED_RAD)
     return np.where(person, is_new | of_all[at], is_new | changed | late)
 
@@ -339,10 +365,12 @@ def utility(now: Remembered, score: Float[ndarray, "r"]) -> Float[ndarray, "r"]:
     a new object are the largest; the change of an unknown speed is 0.
     """
     moved_m, faster_mps, turned_rad, elapsed_s = now.changes()
-    faster_mps = np.where((now.near < 0) & np.isnan(now.speed_mps), 0.0, np.nan_to_num(faster_mps, posinf=np.inf))
+    is_unknown = np.isnan(faster_mps) | ((now.near < 0) & np.isnan(now.speed_mps))
+    faster_mps = np.where(is_unknown, 0.0, faster_mps)
     changes = (moved_m, faster_mps, turned_rad, (elapsed_s - _SHORTEST_S))
     widths = (*_LARGEST[:3], _LARGEST[3] - _SHORTEST_S)
-    parts = [np.clip(change / width, 0.0, 1.0) for change, width in zip(changes, widths, strict=True)]
+    both = zip(changes, widths, strict=True)
+    parts = [np.clip(change / width, 0.0, 1.0) for change, width in both]
     return np.floor(_QUALITIES * score) / _QUALITIES + sum(parts)
 
 
@@ -360,8 +388,8 @@ def beyond_limit(
         Largest number of objects in a message.
     """
     order = np.lexsort((number, -utility, message))
-    begins = np.append(True, np.diff(message[order]) != 0)[: len(order)]
-    rank = np.arange(len(order)) - np.maximum.accumulate(np.where(begins, np.arange(len(order)), 0))
+    of = message[order]
+    rank = np.arange(len(order)) - np.searchsorted(of, of)  # in its message
     over = np.zeros(len(order), bool)
     over[order] = rank >= limit
     return over
@@ -370,7 +398,8 @@ def beyond_limit(
 def _same_track(memory: InclusionMemory, sender: Int[ndarray, "r"], track: Int[ndarray, "r"]) -> Int[ndarray, "r"]:
     """Row of the object of the same track of the same sender; -1 if it is not remembered, or is not tracked."""
     near = np.full(len(sender), -1)
-    rows, held = np.flatnonzero(track >= 0), np.flatnonzero(memory.track >= 0)
+    rows = np.flatnonzero(track >= 0)
+    held = np.flatnonzero(memory.track >= 0)
     if not len(rows) or not len(held):
         return near
     of_sender = memory.of[held] // (2 * len(LABELS))
@@ -385,7 +414,11 @@ def _same_track(memory: InclusionMemory, sender: Int[ndarray, "r"], track: Int[n
 
 
 def _nearest(
-    memory: InclusionMemory, held: Int[ndarray, "k"], of: Int[ndarray, "r"], xy_m: Float[ndarray, "r 2"], time_s: float
+    memory: InclusionMemory,
+    held: Int[ndarray, "k"],
+    of: Int[ndarray, "r"],
+    xy_m: Float[ndarray, "r 2"],
+    time_s: float,
 ) -> Int[ndarray, "r"]:
     """Row of the nearest object of the same `of` within `MOVED_M` of its expected place; -1 if there is none.
 
@@ -395,11 +428,14 @@ def _nearest(
         return np.full(len(of), -1)
     of_held = memory.of[held]
     kinds = np.unique(of_held)
-    floor = np.searchsorted(kinds, of)
     there = np.isin(of, kinds)
-    moved_m = np.nan_to_num(memory.velocity_mps[held]) * (time_s - memory.time_s[held])[:, None]
-    tree = cKDTree(np.column_stack([memory.xy_m[held] + moved_m, _FAR_M * np.searchsorted(kinds, of_held)]))
-    _, near = tree.query(np.column_stack([xy_m, _FAR_M * floor]), distance_upper_bound=MOVED_M + 1e-9)
+    elapsed_s = time_s - memory.time_s[held]
+    moved_m = np.nan_to_num(memory.velocity_mps[held]) * elapsed_s[:, None]
+    # Objects of different `of` lie on different floors, far from each other.
+    floor_m, held_floor_m = (_FAR_M * np.searchsorted(kinds, of_some) for of_some in (of, of_held))
+    tree = cKDTree(np.column_stack([memory.xy_m[held] + moved_m, held_floor_m]))
+    places = np.column_stack([xy_m, floor_m])
+    _, near = tree.query(places, distance_upper_bound=MOVED_M + 1e-9)
     there &= near < len(held)
     return np.where(there, held[np.minimum(near, len(held) - 1)], -1)
 

@@ -341,9 +341,12 @@ class Pseudonyms:
         return isinstance(self.policy, Never)
 
     def issue(
-        self, state: PseudonymState, world: World, observers: Int[ndarray, "e"],
+        self,
+        state: PseudonymState,
+        world: World,
+        observers: Int[ndarray, "e"],
         wants: Bool[ndarray, "e"] | None = None,
-    ) -> tuple[PseudonymState, Int[ndarray, "e"], PseudonymUse]:  # fmt: skip
+    ) -> tuple[PseudonymState, Int[ndarray, "e"], PseudonymUse]:
         """The pseudonym of each equipped vehicle in this step.
 
         Parameters
@@ -357,7 +360,8 @@ class Pseudonyms:
         -------
         The new state, the pseudonyms in the order of `observers`, and the pseudonyms that ended in this step.
         """
-        actor, xy = world.actor[observers], world.boxes.xyz_m[observers, :2]
+        actor = world.actor[observers]
+        xy = world.boxes.xyz_m[observers, :2]
         state = _grown(state, int(actor.max(initial=-1)) + 1)
         new = state.current[actor] < 0
         distance_m = state.distance_m.copy()
@@ -387,8 +391,12 @@ class Pseudonyms:
         )
         fresh = np.flatnonzero(new | changes)
         taking = actor[fresh]
-        current, since, seen = state.current.copy(), state.since_step.copy(), state.seen_step.copy()
-        n_changes_all, n_messages, place = state.n_changes.copy(), state.n_messages.copy(), state.xy_m.copy()
+        current = state.current.copy()
+        since = state.since_step.copy()
+        seen = state.seen_step.copy()
+        n_changes_all = state.n_changes.copy()
+        n_messages = state.n_messages.copy()
+        place = state.xy_m.copy()
         from_xy_m = state.from_xy_m.copy()
         from_xy_m[taking] = xy[fresh]
         numbered = taking[changes[fresh]] if self.by_number else taking
@@ -400,9 +408,17 @@ class Pseudonyms:
         n_messages[actor] += 1
         seen[actor], place[actor] = world.step, xy
         state = replace(
-            state, current=current, since_step=since, seen_step=seen, n_changes=n_changes_all, n_messages=n_messages,
-            distance_m=distance_m, xy_m=place, from_xy_m=from_xy_m, beyond_step=beyond_step,
-        )  # fmt: skip
+            state,
+            current=current,
+            since_step=since,
+            seen_step=seen,
+            n_changes=n_changes_all,
+            n_messages=n_messages,
+            distance_m=distance_m,
+            xy_m=place,
+            from_xy_m=from_xy_m,
+            beyond_step=beyond_step,
+        )
         return state, current[actor], ended
 
     def issue_extra(
@@ -476,9 +492,17 @@ class Pseudonyms:
 
 
 _PER_VEHICLE = (
-    "current", "since_step", "seen_step", "n_changes", "n_messages", "distance_m", "xy_m", "from_xy_m", "beyond_step",
+    "current",
+    "since_step",
+    "seen_step",
+    "n_changes",
+    "n_messages",
+    "distance_m",
+    "xy_m",
+    "from_xy_m",
+    "beyond_step",
     "linked",
-)  # fmt: skip
+)
 """Columns of `PseudonymState` by actor number."""
 
 

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
+from cosim.base.ragged import rows_of
 from cosim.messages.cpm_params import CpmParams
 
 SAME_M = 4.0
@@ -49,9 +50,8 @@ class ReportedObjects:
     def none() -> "ReportedObjects":
         """No messages."""
         row, real = np.zeros(0, np.int64), np.zeros(0)
-        return ReportedObjects(
-            real, row, np.zeros((0, 2)), row, row, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, bool)
-        )
+        pair, flag = np.zeros((0, 2)), np.zeros(0, bool)
+        return ReportedObjects(real, row, pair, row, row, pair, pair, flag)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +72,17 @@ class Heard:
     @staticmethod
     def start() -> "Heard":
         """Nothing yet."""
-        return Heard(ReportedObjects.none(), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+        row = np.zeros(0, np.int64)
+        return Heard(ReportedObjects.none(), row, row, np.zeros(0))
 
     def next(
-        self, reports: ReportedObjects, receiver: Int[ndarray, "n"], message: Int[ndarray, "n"],
-        received_s: Float[ndarray, "n"], window_s: float,
-    ) -> "Heard":  # fmt: skip
+        self,
+        reports: ReportedObjects,
+        receiver: Int[ndarray, "n"],
+        message: Int[ndarray, "n"],
+        received_s: Float[ndarray, "n"],
+        window_s: float,
+    ) -> "Heard":
         """What vehicles have heard after one more round of messages.
 
         Parameters
@@ -179,29 +184,34 @@ def redundant(heard: Heard, mine: Candidates, time_s: float, params: CpmParams) 
     if params.redundancy == "none" or not len(mine.label) or not len(heard.receiver):
         return np.zeros(len(mine.label), bool)
     known = _known(heard, mine, time_s, params.redundancy_window_s, params.redundancy == "self_announcement")
+    counts = _RULES[params.redundancy](heard.reports, mine, known, params)
     left_out = np.zeros(len(mine.label), bool)
-    left_out[known.candidate[_RULES[params.redundancy](heard.reports, mine, known, params)]] = True
+    left_out[known.candidate[counts]] = True
     return left_out
 
 
 def _known(heard: Heard, mine: Candidates, time_s: float, window_s: float, of_self: bool) -> _Known:
+    """The nearest report of each candidate in each message that its vehicle has received within the window."""
     reports = heard.reports
     there = np.flatnonzero(reports.is_self == of_self)
-    ahead_m = np.nan_to_num(reports.velocity_mps[there]) * (time_s - reports.time_s[reports.message[there]])[:, None]
+    elapsed_s = time_s - reports.time_s[reports.message[there]]
+    ahead_m = np.nan_to_num(reports.velocity_mps[there]) * elapsed_s[:, None]
+    # Objects of different classes lie on different floors, far from each other.
     place = np.column_stack([reports.xy_m[there] + ahead_m, _FAR_M * reports.label[there]])
-    near = cKDTree(np.column_stack([mine.xy_m, _FAR_M * mine.label])).sparse_distance_matrix(
-        cKDTree(place), SAME_M, output_type="ndarray"
-    )
+    of_candidates = cKDTree(np.column_stack([mine.xy_m, _FAR_M * mine.label]))
+    near = of_candidates.sparse_distance_matrix(cKDTree(place), SAME_M, output_type="ndarray")
     candidate, found, apart_m = near["i"], there[near["j"]], near["v"]
     message = reports.message[found]
     reception = _rows_of(heard, mine.receiver[candidate], message)
     fresh = reception >= 0
     fresh[fresh] = heard.received_s[reception[fresh]] >= time_s - window_s - _SLACK_S
-    candidate, found, apart_m, message = candidate[fresh], found[fresh], apart_m[fresh], message[fresh]
+    candidate, found, apart_m, message = (column[fresh] for column in (candidate, found, apart_m, message))
     received_s, sender = heard.received_s[reception[fresh]], reports.sender[message]
     order = np.lexsort((found, apart_m, message, sender, received_s, candidate))
+    is_other = np.diff(candidate[order]) != 0
+    is_other |= np.diff(message[order]) != 0
     first = np.ones(len(order), bool)
-    first[1:] = (np.diff(candidate[order]) != 0) | (np.diff(message[order]) != 0)
+    first[1:] = is_other
     order = order[first]
     return _Known(candidate[order], message[order], found[order])
 
@@ -209,9 +219,8 @@ def _known(heard: Heard, mine: Candidates, time_s: float, window_s: float, of_se
 def _rows_of(heard: Heard, receiver: Int[ndarray, "p"], message: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
     """Row of the reception of each message by each receiver; -1 if it was not received."""
     n = len(heard.reports.time_s)
-    key, asked = heard.receiver * n + heard.message, receiver * n + message
-    at = np.minimum(np.searchsorted(key, asked), len(key) - 1)
-    return np.where(key[at] == asked, at, -1)
+    at, is_there = rows_of(receiver * n + message, heard.receiver * n + heard.message)
+    return np.where(is_there, at, -1)
 
 
 def _often(reports: ReportedObjects, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
@@ -225,14 +234,17 @@ def _unchanged(reports: ReportedObjects, mine: Candidates, known: _Known, params
     latest = np.ones(len(known.candidate), bool)
     latest[:-1] = np.diff(known.candidate) != 0
     at, i = known.object, known.candidate
-    moved_m = np.hypot(*(reports.xy_m[at] - mine.xy_m[i]).T)
-    change_mps = np.abs(np.hypot(*reports.velocity_mps[at].T) - mine.speed_mps[i])
+    dx, dy = (reports.xy_m[at] - mine.xy_m[i]).T
+    vx, vy = reports.velocity_mps[at].T
+    moved_m = np.hypot(dx, dy)
+    change_mps = np.abs(np.hypot(vx, vy) - mine.speed_mps[i])
     return latest & (moved_m <= params.redundancy_moved_m) & ~(change_mps > params.redundancy_speed_mps)
 
 
 def _from_nearby(reports: ReportedObjects, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
     """Reports of senders nearby."""
-    apart_m = np.hypot(*(reports.sender_xy_m[known.message] - mine.own_xy_m[known.candidate]).T)
+    dx, dy = (reports.sender_xy_m[known.message] - mine.own_xy_m[known.candidate]).T
+    apart_m = np.hypot(dx, dy)
     return apart_m <= params.redundancy_sender_m
 
 

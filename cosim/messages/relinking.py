@@ -60,9 +60,12 @@ class ReceivedSenders:
 
 
 def update_senders(
-    before: KnownSenders, received: ReceivedSenders, time_s: float,
-    owner_of: Callable[[Int[ndarray, "k"]], Int[ndarray, "k"]], params: PseudonymParams,
-) -> KnownSenders:  # fmt: skip
+    before: KnownSenders,
+    received: ReceivedSenders,
+    time_s: float,
+    owner_of: Callable[[Int[ndarray, "k"]], Int[ndarray, "k"]],
+    params: PseudonymParams,
+) -> KnownSenders:
     """Store the senders of one round, and link the new ones.
 
     Parameters
@@ -91,7 +94,8 @@ def update_senders(
     owner, owner_before = owner_of(now.pseudonym), owner_of(before.pseudonym)
     there = np.isin(now.key, before.key)
     was = np.searchsorted(before.key, now.key[there])
-    now.linked[there], now.rated[there] = before.linked[was], before.rated[was]
+    now.linked[there] = before.linked[was]
+    now.rated[there] = before.rated[was]
     silent = ~np.isin(before.key, now.key) & (time_s - before.time_s <= params.own_gap_s + 1e-9)
     lost, new = np.flatnonzero(silent), np.flatnonzero(~there)
     begin, end = (np.searchsorted(before.receiver[lost], now.receiver[new], side) for side in ("left", "right"))

@@ -177,9 +177,16 @@ class TrustHosts:
                     'or set server.uplink = "cellular".'
                 )
         return TrustHosts(
-            tuple(variants), tuple(host_of), tuple(v.trust for v in first), tuple(first),
-            Uplink(server, seed, interval_s), Downlink(server, seed), server, dt_s, eta_of(first[0].trust),
-        )  # fmt: skip
+            tuple(variants),
+            tuple(host_of),
+            tuple(v.trust for v in first),
+            tuple(first),
+            Uplink(server, seed, interval_s),
+            Downlink(server, seed),
+            server,
+            dt_s,
+            eta_of(first[0].trust),
+        )
 
     def start(self) -> TrustState:
         """The state before the first step, without evidence."""
@@ -266,9 +273,12 @@ class TrustHosts:
         return TrustState(hosts, state.uplink), broadcast
 
     def receive_from_rsu(
-        self, state: TrustState, vehicle: Int[ndarray, "e"], receiver: Int[ndarray, "m"],
+        self,
+        state: TrustState,
+        vehicle: Int[ndarray, "e"],
+        receiver: Int[ndarray, "m"],
         received_s: Float[ndarray, "m"],
-    ) -> tuple[TrustState, Informed]:  # fmt: skip
+    ) -> tuple[TrustState, Informed]:
         """Record which vehicles received the broadcast of roadside units, as `Downlink.receive_from_rsu`."""
         h = self.host_of[0]
         downlink, n_informed = self.downlink.receive_from_rsu(state.hosts[h].downlink, vehicle, receiver, received_s)
@@ -277,9 +287,14 @@ class TrustHosts:
         return TrustState(hosts, state.uplink), Informed(len(vehicle), n_informed)
 
     def open_step(
-        self, state: TrustState, step: int, pseudonym: Int[ndarray, "p"], message: Int[ndarray, "d"],
-        detection_index: Int[ndarray, "d"], score: Float[ndarray, "d"],
-    ) -> TrustState:  # fmt: skip
+        self,
+        state: TrustState,
+        step: int,
+        pseudonym: Int[ndarray, "p"],
+        message: Int[ndarray, "d"],
+        detection_index: Int[ndarray, "d"],
+        score: Float[ndarray, "d"],
+    ) -> TrustState:
         """Tell every host what was transmitted in this step.
 
         Parameters
@@ -301,9 +316,13 @@ class TrustHosts:
         return state
 
     def add_local(
-        self, state: TrustState, messages: EvaluationMessages, vehicle: Int[ndarray, "m"], message: Int[ndarray, "m"],
+        self,
+        state: TrustState,
+        messages: EvaluationMessages,
+        vehicle: Int[ndarray, "m"],
+        message: Int[ndarray, "m"],
         of_others: bool = True,
-    ) -> TrustState:  # fmt: skip
+    ) -> TrustState:
         """Add evaluations to the evidence of vehicles.
 
         Parameters
@@ -323,9 +342,15 @@ class TrustHosts:
         return state
 
     def report_by_cellular(
-        self, state: TrustState, messages: EvaluationMessages, key: ndarray, xy_m: ndarray, time_s: float,
-        is_valid: Bool[ndarray, "m"] | None = None, n_copies: Int[ndarray, "m"] | None = None,
-    ) -> tuple[TrustState, LinkStats]:  # fmt: skip
+        self,
+        state: TrustState,
+        messages: EvaluationMessages,
+        key: ndarray,
+        xy_m: ndarray,
+        time_s: float,
+        is_valid: Bool[ndarray, "m"] | None = None,
+        n_copies: Int[ndarray, "m"] | None = None,
+    ) -> tuple[TrustState, LinkStats]:
         """Send reports to the server over the cellular network. All arrays are aligned with the messages.
 
         Parameters
@@ -380,11 +405,18 @@ class TrustHosts:
         self, state: TrustState, h: int, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"], time_s: float
     ) -> Lookups:
         n, params = len(vehicle), self.params[h]
-        ages_s, counts = np.zeros((3, n)), np.zeros((2, n), np.int64)
+        ages_s = np.zeros((3, n))
+        counts = np.zeros((2, n), np.int64)
         found = Lookups(
-            np.full(n, params.default_trust), np.full(n, _DEFAULT, np.uint8), np.full(n, _NO_VALUE, np.uint8),
-            ages_s[0], ages_s[1], ages_s[2], counts[0], counts[1],
-        )  # fmt: skip
+            np.full(n, params.default_trust),
+            np.full(n, _DEFAULT, np.uint8),
+            np.full(n, _NO_VALUE, np.uint8),
+            ages_s[0],
+            ages_s[1],
+            ages_s[2],
+            counts[0],
+            counts[1],
+        )
         counted = True
         if not n:
             return found
@@ -398,9 +430,15 @@ class TrustHosts:
         return found if counted else replace(found, n_evaluators=None)
 
     def _fill(
-        self, found: Lookups, scores: TrustScores, rows: Int[ndarray, "k"], at: Int[ndarray, "k"], h: int,
-        time_s: float, age_s: float,
-    ) -> bool:  # fmt: skip
+        self,
+        found: Lookups,
+        scores: TrustScores,
+        rows: Int[ndarray, "k"],
+        at: Int[ndarray, "k"],
+        h: int,
+        time_s: float,
+        age_s: float,
+    ) -> bool:
         """Write the values of a host, of age `age_s`, into some rows of the look-ups; `at` are rows of the scores.
 
         Returns whether the model counts evaluators.

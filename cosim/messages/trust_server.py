@@ -86,10 +86,15 @@ class Uplink:
     """Time between two steps in which vehicles sense [s]."""
 
     def by_cellular(
-        self, state: UplinkState, messages: EvaluationMessages, name_key: UInt64[ndarray, "v"],
-        xy_m: Float[ndarray, "v 2"], time_s: float, is_valid: Bool[ndarray, "v"] | None = None,
+        self,
+        state: UplinkState,
+        messages: EvaluationMessages,
+        name_key: UInt64[ndarray, "v"],
+        xy_m: Float[ndarray, "v 2"],
+        time_s: float,
+        is_valid: Bool[ndarray, "v"] | None = None,
         n_copies: Int[ndarray, "v"] | None = None,
-    ) -> tuple[UplinkState, LinkStats]:  # fmt: skip
+    ) -> tuple[UplinkState, LinkStats]:
         """Send each evaluator's report over the cellular network.
 
         Parameters
@@ -122,15 +127,19 @@ class Uplink:
             of = np.repeat(np.arange(len(n)), np.where(length > 0, n_copies, 0))
             number = np.arange(len(of)) - np.searchsorted(of, of)
             keys = np.concatenate([keys, rng.keys(key, name_key[of], 1 + number)])
-            sent, place = np.concatenate([length, length[of]]), np.concatenate([xy_m, xy_m[of]])
+            sent = np.concatenate([length, length[of]])
+            place = np.concatenate([xy_m, xy_m[of]])
         taken = within_capacity(place, sent, keys, p.cell_up_bytes_per_s * self.interval_s, p.cell_m)[: len(n)]
         out = np.full(len(n), bool(self.params.is_out(time_s)))
         return self._send(state, messages, time_s + delay_s, ~taken & ~out, out, int(sent.sum()))
 
     def by_rsu(
-        self, state: UplinkState, messages: EvaluationMessages, message: Int[ndarray, "m"],
+        self,
+        state: UplinkState,
+        messages: EvaluationMessages,
+        message: Int[ndarray, "m"],
         received_s: Float[ndarray, "m"],
-    ) -> tuple[UplinkState, LinkStats]:  # fmt: skip
+    ) -> tuple[UplinkState, LinkStats]:
         """Forward messages that roadside units received.
 
         Parameters
@@ -146,9 +155,14 @@ class Uplink:
         return self._send(state, messages, arrival, nothing, nothing, 0)
 
     def _send(
-        self, state: UplinkState, messages: EvaluationMessages, arrival_s: ndarray, refused: ndarray, out: ndarray,
+        self,
+        state: UplinkState,
+        messages: EvaluationMessages,
+        arrival_s: ndarray,
+        refused: ndarray,
+        out: ndarray,
         uplink_bytes: int,
-    ) -> tuple[UplinkState, LinkStats]:  # fmt: skip
+    ) -> tuple[UplinkState, LinkStats]:
         says = np.diff(messages.ptr) > 0
         out = out | self.params.is_out(arrival_s)
         arrives = says & ~refused & ~out & np.isfinite(arrival_s)
@@ -210,9 +224,13 @@ class Downlink:
     seed: int
 
     def publish(
-        self, state: DownlinkState, broadcast: TrustBroadcast, step: int, vehicle: Int[ndarray, "r"],
+        self,
+        state: DownlinkState,
+        broadcast: TrustBroadcast,
+        step: int,
+        vehicle: Int[ndarray, "r"],
         delay_s: Float[ndarray, "r"],
-    ) -> tuple[DownlinkState, int]:  # fmt: skip
+    ) -> tuple[DownlinkState, int]:
         """Send a broadcast to all equipped vehicles.
 
         The cellular network sends it at once. Roadside units send it in one of their next rounds.
@@ -254,9 +272,12 @@ class Downlink:
         return state, None if self.params.is_out(arrival) else state.broadcasts.get(number)
 
     def receive_from_rsu(
-        self, state: DownlinkState, vehicle: Int[ndarray, "r"], receiver: Int[ndarray, "m"],
+        self,
+        state: DownlinkState,
+        vehicle: Int[ndarray, "r"],
+        receiver: Int[ndarray, "m"],
         received_s: Float[ndarray, "m"],
-    ) -> tuple[DownlinkState, int]:  # fmt: skip
+    ) -> tuple[DownlinkState, int]:
         """Record which vehicles received the broadcast of roadside units.
 
         Parameters

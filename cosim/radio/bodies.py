@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.base.kernel import kernel
-from cosim.base.ragged import counting_order, ptr_of
+from cosim.base.ragged import counting_order, expand, ptr_of
 
 CELL_M = 10.0
 _BELOW_M = 3.0
@@ -38,7 +38,8 @@ class Bodies:
 
     def copy(self) -> "Bodies":
         """The same bodies in arrays of their own."""
-        return Bodies(self.xyz_m.copy(), self.lwh_m.copy(), self.yaw_rad.copy(), self.own.copy())
+        columns = self.xyz_m, self.lwh_m, self.yaw_rad, self.own
+        return Bodies(*(column.copy() for column in columns))
 
 
 def tallest_blocker_m(
@@ -67,25 +68,29 @@ def tallest_blocker_m(
     out = np.zeros(len(a))
     if not len(a) or not len(bodies.xyz_m):
         return out
-    low = np.minimum(xyz_m[:, :2].min(0), bodies.xyz_m[:, :2].min(0)) - CELL_M
-    span = np.maximum(xyz_m[:, :2].max(0), bodies.xyz_m[:, :2].max(0)) - low
+    antenna_m, centre_m = xyz_m[:, :2], bodies.xyz_m[:, :2]
+    low = np.minimum(antenna_m.min(0), centre_m.min(0)) - CELL_M
+    span = np.maximum(antenna_m.max(0), centre_m.max(0)) - low
     side_m = max(CELL_M, float(span.max()) / 4000)
     shape = (span / side_m).astype(np.int64) + 2
-    radius_m = np.hypot(bodies.lwh_m[:, 0], bodies.lwh_m[:, 1]) / 2
-    first = ((bodies.xyz_m[:, :2] - low - radius_m[:, None]) / side_m).astype(np.int64).clip(0, shape - 1)
-    last = ((bodies.xyz_m[:, :2] - low + radius_m[:, None]) / side_m).astype(np.int64).clip(0, shape - 1)
+    # Each body is listed under all cells that the square around its circle touches.
+    length_m, width_m, _ = bodies.lwh_m.T
+    radius_m = (np.hypot(length_m, width_m) / 2)[:, None]
+    first = ((centre_m - low - radius_m) / side_m).astype(np.int64).clip(0, shape - 1)
+    last = ((centre_m - low + radius_m) / side_m).astype(np.int64).clip(0, shape - 1)
     count = last - first + 1
     n_cells = count.prod(axis=1)
-    body = np.repeat(np.arange(len(n_cells)), n_cells)
-    k = np.arange(len(body)) - np.repeat(np.cumsum(n_cells) - n_cells, n_cells)
-    cell = (first[body, 0] + k // count[body, 1]) * shape[1] + first[body, 1] + k % count[body, 1]
+    k, body = expand(np.zeros_like(n_cells), n_cells)
+    n_rows = count[body, 1]
+    cx = first[body, 0] + k // n_rows
+    cy = first[body, 1] + k % n_rows
+    cell = cx * shape[1] + cy
     order = counting_order(cell, int(shape.prod()))
     ptr = ptr_of(cell[order], int(shape.prod()))
+    ends = np.ascontiguousarray(xyz_m, np.float64), a, b
     cosine, sine = np.cos(bodies.yaw_rad), np.sin(bodies.yaw_rad)
-    _tallest(
-        np.ascontiguousarray(xyz_m, np.float64), a, b, bodies.own, bodies.xyz_m, bodies.lwh_m, cosine, sine, ptr,
-        body[order], low, side_m, shape, out,
-    )  # fmt: skip
+    shapes = bodies.own, bodies.xyz_m, bodies.lwh_m, cosine, sine
+    _tallest(*ends, *shapes, ptr, body[order], low, side_m, shape, out)
     return out
 
 
@@ -94,11 +99,17 @@ def _tallest(xyz, a, b, own, centre, lwh, cosine, sine, ptr, body, low, side_m, 
     """Walk the cells of each line, and test the bodies there."""
     for m in range(len(a)):
         i, j = a[m], b[m]
-        x0, y0 = (xyz[i, 0] - low[0]) / side_m, (xyz[i, 1] - low[1]) / side_m
-        dx, dy = (xyz[j, 0] - low[0]) / side_m - x0, (xyz[j, 1] - low[1]) / side_m - y0
+        # In cells, from the corner of the grid.
+        x0 = (xyz[i, 0] - low[0]) / side_m
+        y0 = (xyz[i, 1] - low[1]) / side_m
+        dx = (xyz[j, 0] - low[0]) / side_m - x0
+        dy = (xyz[j, 1] - low[1]) / side_m - y0
         cx, cy = np.int64(x0), np.int64(y0)
-        step_x, step_y = 1 if dx > 0 else -1, 1 if dy > 0 else -1
-        per_x, per_y = 1.0 / max(abs(dx), 1e-12), 1.0 / max(abs(dy), 1e-12)
+        step_x = 1 if dx > 0 else -1
+        step_y = 1 if dy > 0 else -1
+        # Shares of the line at which it enters the next column and the next row of cells, and from one to the next.
+        per_x = 1.0 / max(abs(dx), 1e-12)
+        per_y = 1.0 / max(abs(dy), 1e-12)
         next_x = ((cx + 1 - x0) if dx > 0 else (x0 - cx)) * per_x
         next_y = ((cy + 1 - y0) if dy > 0 else (y0 - cy)) * per_y
         tallest = 0.0
@@ -106,9 +117,11 @@ def _tallest(xyz, a, b, own, centre, lwh, cosine, sine, ptr, body, low, side_m, 
             c = cx * shape[1] + cy
             for k in range(ptr[c], ptr[c + 1]):
                 e = body[k]
-                if lwh[e, 2] > tallest and e != own[i] and e != own[j]:
-                    if _crosses(xyz, i, j, centre, lwh, cosine, sine, e):
-                        tallest = lwh[e, 2]
+                height = lwh[e, 2]
+                if height <= tallest or e == own[i] or e == own[j]:
+                    continue
+                if _crosses(xyz, i, j, centre, lwh, cosine, sine, e):
+                    tallest = height
             if next_x < next_y:
                 if next_x > 1.0:
                     break
@@ -127,10 +140,16 @@ def _tallest(xyz, a, b, own, centre, lwh, cosine, sine, ptr, body, low, side_m, 
 @kernel
 def _crosses(xyz, i, j, centre, lwh, cosine, sine, e):
     """Whether the line between two antennas crosses the footprint of a body on the same street."""
-    ax, ay = xyz[i, 0] - centre[e, 0], xyz[i, 1] - centre[e, 1]
-    bx, by = xyz[j, 0] - centre[e, 0], xyz[j, 1] - centre[e, 1]
-    u0, v0 = cosine[e] * ax + sine[e] * ay, cosine[e] * ay - sine[e] * ax
-    u1, v1 = cosine[e] * bx + sine[e] * by, cosine[e] * by - sine[e] * bx
+    # Both ends along and across the body, from its centre.
+    cos, sin = cosine[e], sine[e]
+    ax = xyz[i, 0] - centre[e, 0]
+    ay = xyz[i, 1] - centre[e, 1]
+    bx = xyz[j, 0] - centre[e, 0]
+    by = xyz[j, 1] - centre[e, 1]
+    u0 = cos * ax + sin * ay
+    v0 = cos * ay - sin * ax
+    u1 = cos * bx + sin * by
+    v1 = cos * by - sin * bx
     near, far = 0.0, 1.0
     for axis in range(2):
         p, d = (u0, u1 - u0) if axis == 0 else (v0, v1 - v0)
@@ -139,11 +158,16 @@ def _crosses(xyz, i, j, centre, lwh, cosine, sine, e):
             if abs(p) > half:
                 return False
         else:
-            t0, t1 = (-half - p) / d, (half - p) / d
-            near, far = max(near, min(t0, t1)), min(far, max(t0, t1))
+            t0 = (-half - p) / d
+            t1 = (half - p) / d
+            near = max(near, min(t0, t1))
+            far = min(far, max(t0, t1))
     if near > far:
         return False
     t = (near + far) / 2
-    z = xyz[i, 2] + t * (xyz[j, 2] - xyz[i, 2])
-    bottom, top = centre[e, 2] - lwh[e, 2] / 2, centre[e, 2] + lwh[e, 2] / 2
+    za, zb = xyz[i, 2], xyz[j, 2]
+    z = za + t * (zb - za)
+    half = lwh[e, 2] / 2
+    bottom = centre[e, 2] - half
+    top = centre[e, 2] + half
     return bottom <= z <= top + _BELOW_M

@@ -311,19 +311,23 @@ def run_window(
 def _log_of(state: ChannelState, links: Links, new: ndarray) -> Log:
     """The packets of earlier windows and the new ones, with room for the outcomes at their receivers."""
     table = np.concatenate([state.packets, new])
-    waiting, on_the_air = table["outcome"] == dtypes.WAITING, np.flatnonzero(table["outcome"] == dtypes.RECEIVED)
-    sender, degree, old_edge = table["sender"][waiting], table["degree"][on_the_air], table["edge"][on_the_air]
+    waiting = table["outcome"] == dtypes.WAITING
+    on_the_air = np.flatnonzero(table["outcome"] == dtypes.RECEIVED)
+    sender = table["sender"][waiting]
+    degree, old_edge = table["degree"][on_the_air], table["edge"][on_the_air]
     table["edge"][waiting] = links.ptr[sender]
     table["edge"][on_the_air] += len(links.receiver)
     table["degree"] = 0
-    table["degree"][waiting] = links.ptr[sender + 1] - links.ptr[sender]
+    table["degree"][waiting] = np.diff(links.ptr)[sender]
     table["degree"][on_the_air] = degree
     begins = offsets(table["degree"])
     table["slot"] = begins[:-1]
-    outcome, receiver = np.empty(begins[-1], np.uint8), np.empty(begins[-1], np.int32)
+    outcome = np.empty(begins[-1], np.uint8)
+    receiver = np.empty(begins[-1], np.int32)
     if len(on_the_air):
         to, was = ranges(begins[on_the_air], degree), ranges(old_edge, degree)
-        outcome[to], receiver[to] = state.reception[was], state.receiver[was]
+        outcome[to] = state.reception[was]
+        receiver[to] = state.receiver[was]
     return Log(table, outcome, receiver)
 
 
@@ -360,10 +364,12 @@ def _run_events(air: Air, log: Log, n_old: int, until_ns: int, forwarding: Forwa
 
     Changes the arrays of `air` and `log`. Returns the log with the frames that stations forwarded.
     """
-    n_given, max_degree = len(log.packets), int(np.diff(air.ptr).max(initial=0))
+    n_given = len(log.packets)
+    max_degree = int(np.diff(air.ptr).max(initial=0))
     at = np.array([-1, n_old, n_given, len(log.receiver)])
     forwards = NO_FORWARDING if forwarding is None else forwarding.state
-    heap = Heap(*np.empty((2, 16 * len(air.phys) + 16 + len(forwards.copies)), np.int64))
+    room = 16 * len(air.phys) + 16 + len(forwards.copies)
+    heap = Heap(*np.empty((2, room), np.int64))
     while not run_until(until_ns, air, log, heap, at, n_given, max_degree, forwards):
         assert forwarding is not None  # only forwarding needs more room
         forwarding.grow(max_degree)
@@ -375,7 +381,8 @@ def _run_events(air: Air, log: Log, n_old: int, until_ns: int, forwarding: Forwa
         if at[SLOTS] + max_degree > len(log.receiver):
             more = max(len(log.receiver), 64 * max_degree)
             log = log._replace(outcome=grown(log.outcome, more), receiver=grown(log.receiver, more))
-    return Log(log.packets[: at[PACKETS]], log.outcome[: at[SLOTS]], log.receiver[: at[SLOTS]])
+    n_packets, n_slots = at[PACKETS], at[SLOTS]
+    return Log(log.packets[:n_packets], log.outcome[:n_slots], log.receiver[:n_slots])
 
 
 def _noise_of(jamming: JammedStations | None, n: int) -> tuple[ndarray, ndarray, ndarray]:
@@ -401,7 +408,8 @@ def _result(log: Log, done: ndarray, phy: ndarray, span_ns: int) -> WindowResult
         receiver_row, reception = receiver_row[at], reception[at]
     if np.any(receiver_row == dtypes.NONE):
         there = receiver_row != dtypes.NONE
-        count = np.bincount(np.repeat(np.arange(len(rows)), count)[there], minlength=len(rows))
+        packet = np.repeat(np.arange(len(rows)), count)
+        count = np.bincount(packet[there], minlength=len(rows))
         receiver_row, reception = receiver_row[there], reception[there]
     start = np.where(sent, rows["start_ns"], rows["generated_ns"])
     return WindowResult(

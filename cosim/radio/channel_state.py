@@ -28,9 +28,14 @@ class ChannelState:
     def start(now_ns: int = 0) -> "ChannelState":
         """An idle channel without stations."""
         return ChannelState(
-            now_ns, np.zeros(0, dtypes.PHY), np.zeros(0, dtypes.MAC), np.zeros(0, dtypes.PACKET),
-            np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.uint8),
-        )  # fmt: skip
+            now_ns,
+            np.zeros(0, dtypes.PHY),
+            np.zeros(0, dtypes.MAC),
+            np.zeros(0, dtypes.PACKET),
+            np.zeros(0, np.int32),
+            np.zeros(0, np.float32),
+            np.zeros(0, np.uint8),
+        )
 
 
 def remap_stations(state: ChannelState, key: ndarray) -> ChannelState:
@@ -63,7 +68,8 @@ def remap_stations(state: ChannelState, key: ndarray) -> ChannelState:
     phy["packet"] = dtypes.NONE
     mac["armed_ns"] = dtypes.NEVER
     kept = np.flatnonzero(row[:-1] >= 0)
-    phy[row[kept]], mac[row[kept]] = state.phy[kept], state.mac[kept]
+    phy[row[kept]] = state.phy[kept]
+    mac[row[kept]] = state.mac[kept]
     phy["frame_from"] = np.where(phy["phase"] == dtypes.FREE, 0, row[phy["frame_from"]])
     mac["rank"][np.argsort(phy["key"])] = np.arange(len(phy))
 
@@ -108,7 +114,8 @@ def next_state(air: Air, log: Log, alive: ndarray, on_air: ndarray, now_ns: int)
     for name in ("head", "tail"):
         mac[name] = number[np.where(mac["count"] > 0, mac[name], dtypes.NONE)]
     frames = table[on_air]
-    edge, slot = ranges(frames["edge"], frames["degree"]), ranges(frames["slot"], frames["degree"])
+    edge = ranges(frames["edge"], frames["degree"])
+    slot = ranges(frames["slot"], frames["degree"])
     table["edge"][on_air] = np.cumsum(frames["degree"]) - frames["degree"]
     table["next"] = number[table["next"]]
     return ChannelState(

@@ -120,7 +120,8 @@ class CsmaMedium:
         The plan, and the channel with packets that carry the plan's numbers of frames.
         """
         number = len(RoundKind) * step + kind
-        begin_ns, end_ns = round(begin_s * 1e9), round((begin_s + self.round_s) * 1e9)
+        begin_ns = round(begin_s * 1e9)
+        end_ns = round((begin_s + self.round_s) * 1e9)
         keys = messages.keys(stations)
         units, n_segments = _units(messages, keys, number, self.params.receiver.rate_mbps)
         phase = rng.uniforms(rng.key(self.seed, rng.Stream.GENERATION, number), keys)[:, 0]
@@ -163,9 +164,14 @@ class CsmaMedium:
         return Forwarding.of(rules, plan.units, stations.key, xy_m, plan.refused, plan.frames, plan.copies)
 
     def _transmit(
-        self, state: ChannelContext, plan: "_RoundPlan", links: Links, stations: Stations,
-        forwarding: Forwarding | None, until_ns: int,
-    ) -> tuple[ChannelContext, list[WindowResult], Float[ndarray, "n"]]:  # fmt: skip
+        self,
+        state: ChannelContext,
+        plan: "_RoundPlan",
+        links: Links,
+        stations: Stations,
+        forwarding: Forwarding | None,
+        until_ns: int,
+    ) -> tuple[ChannelContext, list[WindowResult], Float[ndarray, "n"]]:
         """The channel until a time, window by window; congestion control is updated in between.
 
         Returns
@@ -173,9 +179,14 @@ class CsmaMedium:
         The state at that time, the results of all windows, and the share of the time in which each station sensed the
         medium busy.
         """
-        now, control, rules, params = state.channel, state.dcc, self._rules, self.params.dcc
+        now = state.channel
+        control = state.dcc
+        rules = self._rules
+        params = self.params.dcc
         measured = state.measured.of(stations.key)
-        units, own_ns, period_ns = plan.units, plan.units["generated_ns"], round(params.period_s * 1e9)
+        units = plan.units
+        own_ns = plan.units["generated_ns"]
+        period_ns = round(params.period_s * 1e9)
         lifetime_ns = round(self.params.access.lifetime_s * 1e9)
         waits = (own_ns >= now.now_ns) & (own_ns + units["airtime_ns"] <= units["end_ns"])
         airtime_ns = np.zeros(len(stations), np.int64)
@@ -257,24 +268,36 @@ class _RoundPlan:
 
     @staticmethod
     def of(
-        number: int, begin_ns: int, end_ns: int, messages: ndarray, units: ndarray, refused: Int[ndarray, "p"] | None,
-        earlier: Underway, stations: Stations,
-    ) -> "_RoundPlan":  # fmt: skip
+        number: int,
+        begin_ns: int,
+        end_ns: int,
+        messages: ndarray,
+        units: ndarray,
+        refused: Int[ndarray, "p"] | None,
+        earlier: Underway,
+        stations: Stations,
+    ) -> "_RoundPlan":
         """The plan of new messages and of earlier ones, whose stations have rows."""
         n_new, n_units = len(messages), len(units)
         own = own_frames(units)
         sent = np.zeros(n_units, SENT_FRAME)
-        sent["unit"], sent["transmitter"], sent["hop"] = own["unit"], own["transmitter"], own["hop"]
+        sent["unit"] = own["unit"]
+        sent["transmitter"] = own["transmitter"]
+        sent["hop"] = own["hop"]
         sent["transmitter_key"] = stations.key[own["transmitter"]]
-        got_ptr, got_by = np.zeros(n_units + 1, np.int64), np.zeros(0, np.int64)
+        got_ptr = np.zeros(n_units + 1, np.int64)
+        got_by = np.zeros(0, np.int64)
         copies = np.zeros(0, COPY)
         if len(earlier):
-            older_units, older, copies = earlier.units.copy(), earlier.frames.copy(), earlier.copies.copy()
+            older_units = earlier.units.copy()
+            older = earlier.frames.copy()
+            copies = earlier.copies.copy()
             older_units["message"] += n_new
             older["unit"] += n_units
             copies["unit"] += n_units
             messages = np.concatenate([messages, earlier.messages])
-            units, sent = np.concatenate([units, older_units]), np.concatenate([sent, older])
+            units = np.concatenate([units, older_units])
+            sent = np.concatenate([sent, older])
             got_ptr = ptr_of(n_units + earlier.got_frame, len(sent))
             got_by = rows_of_keys(stations.key, earlier.got_key)
             if len(earlier.refused_message):
@@ -347,9 +370,13 @@ class _RoundEnd:
         return _RoundEnd(goes_on, waits & goes_on[sent.message])
 
     def underway(
-        self, plan: _RoundPlan, sent: Transmissions, attempts: ReceptionAttempts, stations: Stations,
+        self,
+        plan: _RoundPlan,
+        sent: Transmissions,
+        attempts: ReceptionAttempts,
+        stations: Stations,
         forwarding: Forwarding | None,
-    ) -> tuple[Underway, Int[ndarray, "f"]]:  # fmt: skip
+    ) -> tuple[Underway, Int[ndarray, "f"]]:
         """The messages that go on, and the number that each frame has from now on; NONE if its message does not."""
         if not self.goes_on.any():
             return Underway(), np.full(len(sent.unit), NONE)
@@ -376,16 +403,27 @@ class _RoundEnd:
 
 
 def _happened(
-    plan: _RoundPlan, sent: Transmissions, ending: _RoundEnd, neighbours: NeighbourList, stations: Stations,
-    since_ns: int, busy: Float[ndarray, "n"],
-) -> tuple[MessageRound, ReceptionAttempts]:  # fmt: skip
+    plan: _RoundPlan,
+    sent: Transmissions,
+    ending: _RoundEnd,
+    neighbours: NeighbourList,
+    stations: Stations,
+    since_ns: int,
+    busy: Float[ndarray, "n"],
+) -> tuple[MessageRound, ReceptionAttempts]:
     """Receptions since `since_ns`, and the outcome of each frame at every station in range."""
     state = _frame_states(plan, sent, ending)
     attempts = ReceptionAttempts.of(sent, neighbours, state, plan.got_ptr, plan.got_by)
     receptions, n_duplicate = complete_messages(
-        sent, attempts, plan.units["generated_ns"], plan.messages["n_segments"], plan.messages["begin_ns"],
-        plan.messages["station"], stations.xyz_m[:, :2], since_ns,
-    )  # fmt: skip
+        sent,
+        attempts,
+        plan.units["generated_ns"],
+        plan.messages["n_segments"],
+        plan.messages["begin_ns"],
+        plan.messages["station"],
+        stations.xyz_m[:, :2],
+        since_ns,
+    )
     is_reported = state == FrameState.REPORTED
     everything = _Outcomes(plan, sent, attempts, receptions, is_reported)
     n_older = len(plan.messages) - plan.n_new
@@ -428,7 +466,9 @@ class _Outcomes(NamedTuple):
         """
         plan, sent, attempts, receptions = self.plan, self.sent, self.attempts, self.receptions
         station = plan.messages["station"].astype(np.int64)
-        of_attempt, of_frame, on_air = attempts.message, sent.message, sent.on_air & ~self.is_reported
+        of_attempt = attempts.message
+        of_frame = sent.message
+        on_air = sent.on_air & ~self.is_reported
         columns = {name: getattr(attempts, name) for name in _OF_ATTEMPTS}
         if chosen is not None:
             row = np.full(len(plan.messages), NONE)

@@ -31,7 +31,7 @@ from cosim.radio.dtypes import (
     RANGE,
     RECEIVED,
     Constants,
-)  # fmt: skip
+)
 from cosim.radio.event_heap import pop, push
 from cosim.radio.forwarding import TIMER, enqueue_forward, is_full, on_receive, schedule_timers
 from cosim.radio.phy import HEADER_NS, PREAMBLE_NS

@@ -85,11 +85,16 @@ class DccState:
         if np.array_equal(self.key, key):
             return self
         _, was, now = np.intersect1d(self.key, key, assume_unique=True, return_indices=True)
-        cbr, level = np.zeros(len(key)), np.zeros(len(key), np.int8)
-        share, before = np.full(len(key), SHARE_MAX), np.zeros(len(key))
+        cbr = np.zeros(len(key))
+        level = np.zeros(len(key), np.int8)
+        share = np.full(len(key), SHARE_MAX)
+        before = np.zeros(len(key))
         cbr[now], level[now], share[now], before[now] = (
-            self.cbr[was], self.level[was], self.share[was], self.before[was],
-        )  # fmt: skip
+            self.cbr[was],
+            self.level[was],
+            self.share[was],
+            self.before[was],
+        )
         return DccState(key, cbr, level, share, before, self.n_periods)
 
 

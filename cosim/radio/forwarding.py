@@ -18,7 +18,7 @@ from jaxtyping import Float, Int, UInt64
 from numpy import ndarray
 
 from cosim.base.hash_rng import mix, unit
-from cosim.base.kernel import kernel
+from cosim.base.kernel import inlined, kernel
 from cosim.radio.dtypes import NEVER, NONE, WAITING
 from cosim.radio.event_heap import push
 
@@ -75,9 +75,14 @@ class Forwarding:
 
     @staticmethod
     def of(
-        rules: ForwardingRules, units: ndarray, key: UInt64[ndarray, "n"], xy_m: Float[ndarray, "n 2"],
-        refused: Int[ndarray, "p"] | None = None, frames: ndarray | None = None, copies: ndarray | None = None,
-    ) -> "Forwarding":  # fmt: skip
+        rules: ForwardingRules,
+        units: ndarray,
+        key: UInt64[ndarray, "n"],
+        xy_m: Float[ndarray, "n 2"],
+        refused: Int[ndarray, "p"] | None = None,
+        frames: ndarray | None = None,
+        copies: ndarray | None = None,
+    ) -> "Forwarding":
         """The beginning of a round: frame u is the frame in which the source sends unit u.
 
         Parameters
@@ -99,7 +104,7 @@ class Forwarding:
         slot = _empty_slots(len(copies))
         if len(earlier):  # without any, the module is imported without compiled code, which takes 0.1 s to load
             _fill_slots(copies, len(earlier), slot)
-        return Forwarding(ForwardingState(
+        state = ForwardingState(
             rules=rules,
             xy_m=np.ascontiguousarray(xy_m),
             key=np.ascontiguousarray(key),
@@ -109,7 +114,8 @@ class Forwarding:
             slot=slot,
             used=np.array([len(frames), len(earlier)]),
             refused=np.zeros(0, np.int64) if refused is None else refused,
-        ))  # fmt: skip
+        )
+        return Forwarding(state)
 
     def grow(self, n_receivers: int) -> None:
         """Make room for more frames, and for copies at `n_receivers` more receivers."""
@@ -141,7 +147,9 @@ class Forwarding:
 def own_frames(units: ndarray) -> ndarray:
     """Records of `FRAME` of the sources: one frame per record of `UNIT`, in the same order."""
     frames = np.empty(len(units), FRAME)
-    frames["unit"], frames["transmitter"], frames["hop"] = np.arange(len(units)), units["source"], 1
+    frames["unit"] = np.arange(len(units))
+    frames["transmitter"] = units["source"]
+    frames["hop"] = 1
     return frames
 
 
@@ -158,7 +166,8 @@ def _empty_slots(n_copies: int) -> ndarray:
 def _find(slot, copies, number, station):
     """Where the row of a copy is, or would be inserted."""
     mask = len(slot) - 1
-    at = np.int64(mix(np.uint64(number), np.uint64(station)) >> np.uint64(32)) & mask
+    hashed = mix(np.uint64(number), np.uint64(station))
+    at = np.int64(hashed >> np.uint64(32)) & mask
     while slot[at] != NONE and (copies[slot[at]].unit != number or copies[slot[at]].station != station):
         at = (at + 1) & mask
     return at
@@ -197,12 +206,19 @@ def _is_refused(refused, code):
     return low < len(refused) and refused[low] == code
 
 
+@inlined
+def _square_m2(xy_m, i, j):
+    """Squared distance of two stations."""
+    dx = xy_m[j, 0] - xy_m[i, 0]
+    dy = xy_m[j, 1] - xy_m[i, 1]
+    return dx * dx + dy * dy
+
+
 @kernel
 def on_receive(p, frame, to, t, times, codes, n):
     """A station receives a frame: a first copy may start a timer, a second copy cancels it."""
     rules, u = p.rules, p.units[frame.unit]
-    dx, dy = p.xy_m[to, 0] - p.xy_m[frame.transmitter, 0], p.xy_m[to, 1] - p.xy_m[frame.transmitter, 1]
-    square = dx * dx + dy * dy
+    square = _square_m2(p.xy_m, frame.transmitter, to)
     if to == u.source or square > rules.range_m * rules.range_m:
         return n
     at = _find(p.slot, p.copies, frame.unit, to)
@@ -214,21 +230,20 @@ def on_receive(p, frame, to, t, times, codes, n):
     p.used[_COPIES] += 1
     p.slot[at] = row
     copy = p.copies[row]
-    copy.unit, copy.station, copy.hop, copy.waits = frame.unit, to, frame.hop, 0
-    away_x, away_y = p.xy_m[to, 0] - p.xy_m[u.source, 0], p.xy_m[to, 1] - p.xy_m[u.source, 1]
-    if (
-        frame.hop >= rules.max_hops
-        or away_x * away_x + away_y * away_y > rules.forward_range_m * rules.forward_range_m
-        or _is_refused(p.refused, np.int64(u.message) << 32 | to)
-    ):  # fmt: skip
+    copy.unit, copy.station = frame.unit, to
+    copy.hop, copy.waits = frame.hop, 0
+    is_far = _square_m2(p.xy_m, u.source, to) > rules.forward_range_m * rules.forward_range_m
+    if frame.hop >= rules.max_hops or is_far or _is_refused(p.refused, np.int64(u.message) << 32 | to):
         return n
     share = min(np.sqrt(square) / rules.timer_distance_m, 1.0)
     if not rules.contends:
-        h = mix(mix(mix(rules.rng_key, u.key), np.uint64(u.number)), p.key[to])
+        of_unit = mix(mix(rules.rng_key, u.key), np.uint64(u.number))
+        h = mix(of_unit, p.key[to])
         if unit(mix(h, np.uint64(0))) >= rules.forward_p:
             return n
         share = unit(mix(h, np.uint64(1)))
-    copy.due_ns = t + round((rules.timer_max_s + (rules.timer_min_s - rules.timer_max_s) * share) * 1e9)
+    shorter_s = (rules.timer_min_s - rules.timer_max_s) * share
+    copy.due_ns = t + round((rules.timer_max_s + shorter_s) * 1e9)
     if copy.due_ns + u.airtime_ns <= u.end_ns:
         copy.waits = 1
         n = push(times, codes, n, copy.due_ns, (TIMER << 32) | row)
@@ -238,17 +253,22 @@ def on_receive(p, frame, to, t, times, codes, n):
 @kernel
 def enqueue_forward(p, row, packet, key, ptr, slot, t):
     """A timer expires: the copy becomes a frame for its station's queue."""
-    rules, copy, number = p.rules, p.copies[row], p.used[_FRAMES]
+    copy, number = p.copies[row], p.used[_FRAMES]
     u, j = p.units[copy.unit], copy.station
     p.used[_FRAMES] += 1
     frame = p.frames[number]
-    frame.unit, frame.transmitter, frame.hop = copy.unit, j, copy.hop + 1
+    frame.unit, frame.transmitter = copy.unit, j
+    frame.hop = copy.hop + 1
     copy.waits = 0
     packet.key, packet.sender, packet.tag = key, j, number
-    packet.seq, packet.airtime_ns, packet.payload_bytes = u.seq, u.airtime_ns, u.payload_bytes
-    packet.generated_ns, packet.expires_ns = t, t + min(rules.lifetime_ns, u.end_ns - t)
-    packet.edge, packet.degree, packet.slot = ptr[j], ptr[j + 1] - ptr[j], slot
-    packet.access, packet.next, packet.outcome = rules.access, NONE, WAITING
+    packet.seq, packet.airtime_ns = u.seq, u.airtime_ns
+    packet.payload_bytes = u.payload_bytes
+    packet.generated_ns = t
+    packet.expires_ns = t + min(p.rules.lifetime_ns, u.end_ns - t)
+    packet.edge, packet.slot = ptr[j], slot
+    packet.degree = ptr[j + 1] - ptr[j]
+    packet.access = p.rules.access
+    packet.next, packet.outcome = NONE, WAITING
 
 
 _NEVER = ForwardingRules(1, False, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0, 0, np.uint64(0))

@@ -22,6 +22,7 @@ from cosim.base.threads import in_ranges
 from cosim.radio.bodies import Bodies, tallest_blocker_m
 from cosim.radio.channel import Links
 from cosim.radio.propagation import (
+    BLOCKER_M,
     PropagationParams,
     blockage_db,
     blocked_by_vehicle,
@@ -78,7 +79,7 @@ class _Walls(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """Room for pairs."""
+    """Pairs of points, or room for them."""
 
     a: ndarray
     b: ndarray
@@ -88,7 +89,7 @@ class _Found(NamedTuple):
     @staticmethod
     def room(n: int) -> "_Found":
         """For n pairs."""
-        return _Found(np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n), np.empty(n, np.bool_))
+        return _Found(*(np.empty(n, kind) for kind in (np.int32, np.int32, np.float64, np.bool_)))
 
 
 @kernel
@@ -100,18 +101,23 @@ def _pairs(begin, end, xyz, sends, range_m, cells, walls, found):
     together in memory.
     """
     order, start, cell, shape = cells.order, cells.start, cells.cell, cells.shape
-    nlos_range_m, a, b, d, blocked = walls.nlos_range_m, found.a, found.b, found.distance_m, found.blocked
+    nlos_range_m = walls.nlos_range_m
+    a, b, d, blocked = found
     m = 0
     for p in range(begin, end):
         cx, cy = cell[p, 0], cell[p, 1]
         for gx in range(cx, min(cx + _RING + 1, shape[0])):
-            # In the point's own column only later points.
-            first, last = cy if gx == cx else max(cy - _RING, 0), min(cy + _RING + 1, shape[1])
-            nearest = p + 1 if gx == cx else start[gx * shape[1] + first]
-            for q in range(nearest, start[gx * shape[1] + last]):
+            column = gx * shape[1]
+            last = min(cy + _RING + 1, shape[1])
+            nearest = start[column + max(cy - _RING, 0)]
+            if gx == cx:  # in the point's own column only later points
+                nearest = p + 1
+            for q in range(nearest, start[column + last]):
                 if not (sends[p] or sends[q]):
                     continue
-                dx, dy, dz = xyz[p, 0] - xyz[q, 0], xyz[p, 1] - xyz[q, 1], xyz[p, 2] - xyz[q, 2]
+                dx = xyz[p, 0] - xyz[q, 0]
+                dy = xyz[p, 1] - xyz[q, 1]
+                dz = xyz[p, 2] - xyz[q, 2]
                 square = dx * dx + dy * dy + dz * dz
                 if square > range_m * range_m:
                     continue
@@ -119,7 +125,9 @@ def _pairs(begin, end, xyz, sends, range_m, cells, walls, found):
                 if crosses and square > nlos_range_m * nlos_range_m:
                     continue
                 if m < len(a):
-                    a[m], b[m], d[m], blocked[m] = order[p], order[q], np.sqrt(square), crosses
+                    a[m], b[m] = order[p], order[q]
+                    d[m] = np.sqrt(square)
+                    blocked[m] = crosses
                 m += 1
     return m
 
@@ -147,16 +155,34 @@ def neighbours(xy_m: Float[ndarray, "n 2"], range_m: float) -> tuple[ndarray, nd
     -------
     Rows of sender and receiver, and their distance [m]; sorted by sender, then receiver.
     """
-    a, b, distance_m = pairs_within(np.column_stack([xy_m, np.zeros(len(xy_m))]), range_m)
-    sender, receiver = np.concatenate([a, b]).astype(np.int64), np.concatenate([b, a]).astype(np.int64)
+    xyz_m = np.column_stack([xy_m, np.zeros(len(xy_m))])
+    a, b, distance_m = pairs_within(xyz_m, range_m)
+    sender = np.concatenate([a, b]).astype(np.int64)
+    receiver = np.concatenate([b, a]).astype(np.int64)
     order = order_by_two(sender, receiver, len(xy_m))
     return sender[order], receiver[order], np.concatenate([distance_m, distance_m])[order]
 
 
+def _sorted_by_cell(xyz_m: Float[ndarray, "n 3"], range_m: float) -> tuple[_Cells, float]:
+    """Points sorted by cells, and the width of a cell: at most 1,000 of them along one side of the area."""
+    low = xyz_m[:, :2].min(0)
+    size_m = np.ptp(xyz_m[:, :2], axis=0)
+    side_m = max(range_m / _RING, float(size_m.max()) / 1000)
+    cell = ((xyz_m[:, :2] - low) / side_m).astype(np.int64)
+    shape = cell.max(0) + 1
+    flat = cell[:, 0] * shape[1] + cell[:, 1]
+    order = np.argsort(flat, kind="stable")
+    start = np.searchsorted(flat[order], np.arange(np.prod(shape) + 1))
+    return _Cells(order, start, cell[order], shape), side_m
+
+
 def _within(
-    xyz_m: Float[ndarray, "n 3"], range_m: float, los: LosOfPlaces | None, nlos_range_m: float,
+    xyz_m: Float[ndarray, "n 3"],
+    range_m: float,
+    los: LosOfPlaces | None,
+    nlos_range_m: float,
     sends: Bool[ndarray, "n"] | None = None,
-) -> tuple[ndarray, ndarray, ndarray, ndarray]:  # fmt: skip
+) -> _Found:
     """All pairs of points in range, and whether each pair crosses a filled cell (a cell inside buildings).
 
     Pairs that do and are longer than `nlos_range_m` are left out. A pair that crosses a filled cell has no line of
@@ -166,23 +192,22 @@ def _within(
     n = len(xyz_m)
     sends = np.ones(n, bool) if sends is None else sends
     if n == 0:
-        return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0, bool)
+        return _Found.room(0)
     places = xyz_m if los is None else los.snap(xyz_m)
     index = _no_walls() if los is None else los.index
-    low = xyz_m[:, :2].min(0)
-    side = max(range_m / _RING, float(np.ptp(xyz_m[:, :2], axis=0).max()) / 1000)
-    cell = ((xyz_m[:, :2] - low) / side).astype(np.int64)
-    shape = cell.max(0) + 1
-    flat = cell[:, 0] * shape[1] + cell[:, 1]
-    order = np.argsort(flat, kind="stable")
-    start = np.searchsorted(flat[order], np.arange(shape[0] * shape[1] + 1))
-    share = np.pi * min(range_m, nlos_range_m) ** 2 / (np.prod(shape) * side**2)  # of uniform points
-    cells, xyz_m = _Cells(order, start, cell[order], shape), xyz_m[order]
-    walls = _Walls(los is not None, index.cells(places[order]), index.filled(places[:, 2]), float(nlos_range_m))
-    sends, parts = sends[order], {}
+    cells, side_m = _sorted_by_cell(xyz_m, range_m)
+    order = cells.order
+    xyz_m, sends = xyz_m[order], sends[order]
+    on_grid = index.cells(places[order])
+    filled = index.filled(places[:, 2])
+    walls = _Walls(los is not None, on_grid, filled, float(nlos_range_m))
+    area_m2 = np.prod(cells.shape) * side_m**2
+    in_range = np.pi * min(range_m, nlos_range_m) ** 2 / area_m2  # share of the points, if they were uniform
+    parts: dict[tuple[int, int], list[ndarray]] = {}
 
     def find(begin: int, end: int) -> None:
-        room = int((end - begin) * min(n, 256 + 2 * n * share) / 2 + 1024)
+        per_point = min(n, 256 + 2 * n * in_range)
+        room = int((end - begin) * per_point / 2 + 1024)
         while True:
             found = _Found.room(room)
             m = _pairs(begin, end, xyz_m, sends, float(range_m), cells, walls, found)
@@ -192,9 +217,10 @@ def _within(
             room = m
 
     in_ranges(find, n)
-    first, *others = (parts[at] for at in sorted(parts))
-    a, b, distance_m, blocked = map(np.concatenate, zip(first, *others, strict=True)) if others else first
-    return a, b, distance_m, blocked
+    chunks = [parts[at] for at in sorted(parts)]
+    if len(chunks) > 1:
+        chunks = [[np.concatenate(column) for column in zip(*chunks, strict=True)]]
+    return _Found(*chunks[0])
 
 
 def from_db(db: ndarray | float) -> ndarray:
@@ -203,9 +229,12 @@ def from_db(db: ndarray | float) -> ndarray:
 
 
 def los_pairs(
-    xyz_m: Float[ndarray, "n 3"], params: PropagationParams, los: LosOfPlaces | None = None, near_m: float = 0.0,
+    xyz_m: Float[ndarray, "n 3"],
+    params: PropagationParams,
+    los: LosOfPlaces | None = None,
+    near_m: float = 0.0,
     sends: Bool[ndarray, "n"] | None = None,
-) -> PairLos:  # fmt: skip
+) -> PairLos:
     """Line of sight of all pairs up to `near_m`, and of all pairs in the interference range of `params`.
 
     Parameters
@@ -225,13 +254,17 @@ def los_pairs(
         If `xyz_m` has another shape or is not finite.
     """
     xyz_m = np.ascontiguousarray(xyz_m, np.float64)
-    if xyz_m.ndim != 2 or xyz_m.shape[1] != 3 or not np.all(np.isfinite(xyz_m)):
+    has_shape = xyz_m.ndim == 2 and xyz_m.shape[1] == 3
+    if not has_shape or not np.all(np.isfinite(xyz_m)):
         raise ValueError("xyz_m: antenna positions must be (n, 3) finite numbers [m].")
     if not params.knows_walls:
         los = None
-    range_m, nlos_range_m = (max(r, near_m) for r in (params.interference_range_m, params.interference_range_nlos_m))
+    range_m = max(params.interference_range_m, near_m)
+    nlos_range_m = max(params.interference_range_nlos_m, near_m)
     a, b, d, nlos = _within(xyz_m, range_m, los, nlos_range_m, sends)
-    return PairLos(a, b, d, nlos if los is None else ~los.has_los(xyz_m, a, b, nlos))
+    if los is not None:
+        nlos = ~los.has_los(xyz_m, a, b, nlos)
+    return PairLos(a, b, d, nlos)
 
 
 def pairs(
@@ -271,8 +304,9 @@ def pairs(
     if not params.knows_walls:
         los = None
     a, b, d, nlos = found.a, found.b, found.distance_m, found.nlos
-    keep = np.flatnonzero((~nlos | (d <= params.interference_range_nlos_m)) & (d <= params.interference_range_m))
-    a, b, d, nlos = a[keep], b[keep], d[keep], nlos[keep]
+    range_m = np.where(nlos, params.interference_range_nlos_m, params.interference_range_m)
+    keep = np.flatnonzero((d <= range_m) & (d <= params.interference_range_m))
+    a, b, d, nlos = (column[keep] for column in (a, b, d, nlos))
     height_m = xyz_m[:, 2] if above_street_m is None else np.asarray(above_street_m, float)
     h_a, h_b = height_m[a], height_m[b]
     by_wall = params.walls == "sommer"
@@ -284,28 +318,28 @@ def pairs(
     xy = xyz_m[:, :2]
 
     def field(rows: ndarray, decorrelation_m: float, purpose: np.uint64) -> ndarray:
-        return link_field(xy, a[rows], b[rows], d[rows], decorrelation_m, rng.keys(rng_key, np.array([purpose]))[0])
+        key = rng.keys(rng_key, np.array([purpose]))[0]
+        return link_field(xy, a[rows], b[rows], d[rows], decorrelation_m, key)
 
     nlosv = np.zeros(len(a), bool)
     far = params.decorrelation_nlos_m
-    if params.blockage == "bodies" and params.model in ("urban", "highway"):
-        if bodies is None:
-            raise ValueError(
-                'radio.propagation.blockage = "bodies" needs the bodies of the traffic, which these stations lack. '
-                "Set stations.bodies, or use probabilistic."
-            )
-        open_ = np.flatnonzero(~nlos)
-        blocker_m = tallest_blocker_m(xyz_m, a[open_], b[open_], bodies)
-        rows, blocker_m = open_[blocker_m > 0], blocker_m[blocker_m > 0]
+    if params.blockage != "none" and params.model in ("urban", "highway"):
+        rows = np.flatnonzero(~nlos)
+        if params.blockage == "bodies":
+            if bodies is None:
+                raise ValueError(
+                    'radio.propagation.blockage = "bodies" needs the bodies of the traffic, which these stations lack. '
+                    "Set stations.bodies, or use probabilistic."
+                )
+            blocker_m = tallest_blocker_m(xyz_m, a[rows], b[rows], bodies)
+        else:
+            is_blocked = blocked_by_vehicle(d[rows], field(rows, far, _BLOCKED), params)
+            blocker_m = np.where(is_blocked, BLOCKER_M, 0.0)
+        rows, blocker_m = rows[blocker_m > 0], blocker_m[blocker_m > 0]
         nlosv[rows] = True
-        loss[rows] += blockage_db(
-            field(rows, far, _BLOCKAGE), np.maximum(d[rows], 1.0), h_a[rows], h_b[rows], blocker_m
-        )
-    elif params.blockage != "none" and params.model in ("urban", "highway"):
-        open_ = np.flatnonzero(~nlos)
-        nlosv[open_] = blocked_by_vehicle(d[open_], field(open_, far, _BLOCKED), params)
-        rows = np.flatnonzero(nlosv)
-        loss[rows] += blockage_db(field(rows, far, _BLOCKAGE), np.maximum(d[rows], 1.0), h_a[rows], h_b[rows])
+        normal = field(rows, far, _BLOCKAGE)
+        length_m = np.maximum(d[rows], 1.0)
+        loss[rows] += blockage_db(normal, length_m, h_a[rows], h_b[rows], blocker_m)
     if params.shadowing:
         near = np.flatnonzero(~nlos & ~nlosv)
         loss[near] += params.sigma_los_db * field(near, params.decorrelation_los_m, _SHADOW_LOS)
@@ -351,9 +385,8 @@ def links_between(
     sends = np.ones(n, bool) if sends is None else sends
     power_dbm = np.full(n, params.tx_power_dbm) if tx_power_dbm is None else np.asarray(tx_power_dbm, float)
     fading = fading_class(losses.distance_m, params.fading)
-    ptr, receiver, power_mw, pair = _directed(
-        losses.a, losses.b, from_db(-losses.loss_db), from_db(power_dbm), from_db(params.cutoff_dbm), sends
-    )
+    gain, tx_power_mw = from_db(-losses.loss_db), from_db(power_dbm)
+    ptr, receiver, power_mw, pair = _directed(losses.a, losses.b, gain, tx_power_mw, from_db(params.cutoff_dbm), sends)
     return Links(key, ptr, receiver, power_mw, fading[pair]), losses, pair
 
 
@@ -365,14 +398,17 @@ def _directed(a, b, gain, power_mw, cutoff_mw, sends):
     n = len(power_mw)
     ptr = np.zeros(n + 1, np.int64)
     for pair in range(len(a)):
-        ptr[a[pair] + 1] += sends[a[pair]] and power_mw[a[pair]] * gain[pair] >= cutoff_mw
-        ptr[b[pair] + 1] += sends[b[pair]] and power_mw[b[pair]] * gain[pair] >= cutoff_mw
+        for sender in (a[pair], b[pair]):
+            ptr[sender + 1] += sends[sender] and power_mw[sender] * gain[pair] >= cutoff_mw
     for i in range(n):
         ptr[i + 1] += ptr[i]
     at, m = ptr.copy(), ptr[n]
-    receiver, received_mw, of_pair = np.empty(m, np.int32), np.empty(m, np.float32), np.empty(m, np.int64)
+    receiver = np.empty(m, np.int32)
+    received_mw = np.empty(m, np.float32)
+    of_pair = np.empty(m, np.int64)
     for pair in range(len(a)):
-        for sender, other in ((a[pair], b[pair]), (b[pair], a[pair])):
+        i, j = a[pair], b[pair]
+        for sender, other in ((i, j), (j, i)):
             mw = power_mw[sender] * gain[pair]
             if sends[sender] and mw >= cutoff_mw:
                 row = at[sender]

@@ -28,9 +28,12 @@ class LinkCache:
 
     @staticmethod
     def of(
-        stations: Stations, params: RadioParams, seed: int, los: LosOfPlaces | None,
+        stations: Stations,
+        params: RadioParams,
+        seed: int,
+        los: LosOfPlaces | None,
         sends: Bool[ndarray, "n"] | None = None,
-    ) -> "LinkCache":  # fmt: skip
+    ) -> "LinkCache":
         """Compute the links and neighbours of these stations, from those that send; None: from all."""
         xyz_m, propagation = stations.xyz_m, params.propagation
         knows_walls = los is not None and propagation.knows_walls
@@ -38,9 +41,16 @@ class LinkCache:
         found = los_pairs(xyz_m, propagation, los, slant_m(xyz_m, params.range_m), sends)
         near = NeighbourList.of(xyz_m, params.range_m, found, knows_walls)
         links, _, _ = links_between(
-            xyz_m, stations.key, propagation, rng.key(seed, rng.Stream.SHADOWING), los, found=found,
-            above_street_m=stations.above_street_m, bodies=stations.bodies, sends=sends,
-        )  # fmt: skip
+            xyz_m,
+            stations.key,
+            propagation,
+            rng.key(seed, rng.Stream.SHADOWING),
+            los,
+            found=found,
+            above_street_m=stations.above_street_m,
+            bodies=stations.bodies,
+            sends=sends,
+        )
         bodies = stations.bodies if propagation.blockage == "bodies" else None
         kept = replace(
             stations, abuse=None, key=stations.key.copy(), xyz_m=xyz_m.copy(),
@@ -66,11 +76,12 @@ class LinkCache:
                 power_mw=both(links.power_mw, other.links.power_mw, at),
                 fading=both(links.fading, other.links.fading, at),
             ),
-            neighbours=NeighbourList(near_ptr, *(
-                both(mine, theirs, near_at) for mine, theirs in zip(near[1:], other.neighbours[1:], strict=True)
-            )),
+            neighbours=NeighbourList(
+                near_ptr,
+                *(both(mine, theirs, near_at) for mine, theirs in zip(near[1:], other.neighbours[1:], strict=True)),
+            ),
             sends=self.sends | other.sends,
-        )  # fmt: skip
+        )
 
     def serves(self, stations: Stations) -> bool:
         """Whether these are the links of these stations."""

@@ -312,7 +312,9 @@ class MessageRound:
     @staticmethod
     def silent(n_stations: int = 0) -> "MessageRound":
         """A round without messages."""
-        row, real, code = np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.uint8)
+        row = np.zeros(0, np.int64)
+        real = np.zeros(0)
+        code = np.zeros(0, np.uint8)
         frames = FrameOutcomes(row, row, row, real, code, row, row, 0, 0, 0.0, None)
         return MessageRound(row, Receptions.none(), frames)
 
@@ -344,21 +346,28 @@ class LinkReceptions(NamedTuple):
 def by_link(happened: MessageRound, n_vehicles: int) -> LinkReceptions:
     """Receptions of a round by kind of link, without those from roadside units by roadside units."""
     found = happened.receptions
-    receives, sends = found.receiver < n_vehicles, happened.station[found.message] < n_vehicles
+    receives = found.receiver < n_vehicles
+    sends = happened.station[found.message] < n_vehicles
     if receives.all() and sends.all():
         return LinkReceptions(found, Receptions.none(), Receptions.none())
     uplink = found.take(~receives & sends)
     return LinkReceptions(
-        found.take(receives & sends), replace(uplink, receiver=uplink.receiver - n_vehicles),
+        found.take(receives & sends),
+        replace(uplink, receiver=uplink.receiver - n_vehicles),
         found.take(receives & ~sends),
-    )  # fmt: skip
+    )
 
 
 def receptions_of(
-    receiver: Int[ndarray, "r"], message: Int[ndarray, "r"], hops: Int[ndarray, "r"],
-    generation_offset_s: Float[ndarray, "r"], access_delay_s: Float[ndarray, "r"], latency_s: Float[ndarray, "r"],
-    station: Int[ndarray, "m"], xy_m: Float[ndarray, "n 2"],
-) -> Receptions:  # fmt: skip
+    receiver: Int[ndarray, "r"],
+    message: Int[ndarray, "r"],
+    hops: Int[ndarray, "r"],
+    generation_offset_s: Float[ndarray, "r"],
+    access_delay_s: Float[ndarray, "r"],
+    latency_s: Float[ndarray, "r"],
+    station: Int[ndarray, "m"],
+    xy_m: Float[ndarray, "n 2"],
+) -> Receptions:
     """Receptions sorted by receiver, then message, with their distances.
 
     Parameters
@@ -379,6 +388,11 @@ def receptions_of(
     receiver, message = receiver[order], message[order]
     distance_m = np.hypot(*(xy_m[receiver] - xy_m[station[message]]).T)
     return Receptions(
-        receiver, message, hops[order].astype(np.int32), generation_offset_s[order], access_delay_s[order],
-        latency_s[order], distance_m,
-    )  # fmt: skip
+        receiver,
+        message,
+        hops[order].astype(np.int32),
+        generation_offset_s[order],
+        access_delay_s[order],
+        latency_s[order],
+        distance_m,
+    )

@@ -40,7 +40,8 @@ FADING: dict[str, tuple[tuple[float, float], ...]] = {
     "cheng": ((4.7, 3.01), (11.7, 1.18), (28.9, 1.94), (71.6, 1.86), (177.3, 0.45), (np.inf, 0.32)),
 }
 """Nakagami shape m up to each distance [m]: ns-3's and Veins' default; m = 1; set 2 of [3]_ as Artery has it."""
-_FIRST_CLASS = dict(zip(FADING, np.cumsum([1] + [len(rows) for rows in FADING.values()]), strict=False))
+_FIRST_CLASSES = np.cumsum([1] + [len(rows) for rows in FADING.values()])
+_FIRST_CLASS = dict(zip(FADING, _FIRST_CLASSES, strict=False))
 
 Model = Literal[
     "free_space", "two_ray_interference", "two_ray_ground", "log_distance", "dual_slope", "urban", "highway"
@@ -125,7 +126,10 @@ def free_space_db(d: Float[ndarray, "m"], f: float = 5.9) -> Float[ndarray, "m"]
 
 
 def two_ray_ground_db(
-    d: Float[ndarray, "m"], h_a_m: Float[ndarray, "m"], h_b_m: Float[ndarray, "m"], f: float = 5.9
+    d: Float[ndarray, "m"],
+    h_a_m: Float[ndarray, "m"],
+    h_b_m: Float[ndarray, "m"],
+    f: float = 5.9,
 ) -> Float[ndarray, "m"]:
     """Loss of free space up to the distance 4 pi h_a h_b / lambda, then 40 log d - 20 log(h_a h_b).
 
@@ -137,7 +141,8 @@ def two_ray_ground_db(
         Heights of the two antennas above the street.
     """
     cross = 4 * np.pi * h_a_m * h_b_m * f * 1e9 / LIGHT_MPS
-    return np.where(d <= cross, free_space_db(d, f), 40 * np.log10(d) - 20 * np.log10(h_a_m * h_b_m))
+    far_db = 40 * np.log10(d) - 20 * np.log10(h_a_m * h_b_m)
+    return np.where(d <= cross, free_space_db(d, f), far_db)
 
 
 def two_ray_interference_db(
@@ -164,12 +169,14 @@ def two_ray_interference_db(
     -------
     Loss [dB]. It is below that of free space where the two rays add up.
     """
-    direct, reflected = np.hypot(d, h_a_m - h_b_m), np.hypot(d, h_a_m + h_b_m)
+    direct = np.hypot(d, h_a_m - h_b_m)
+    reflected = np.hypot(d, h_a_m + h_b_m)
     sine, cosine = (h_a_m + h_b_m) / reflected, d / reflected
     root = np.sqrt(permittivity - cosine**2)
     gamma = (sine - root) / (sine + root)
     phase = 2 * np.pi * (direct - reflected) * f * 1e9 / LIGHT_MPS
-    return free_space_db(d, f) - 20 * np.log10(np.abs(1 + gamma * np.exp(1j * phase)))
+    gain = np.abs(1 + gamma * np.exp(1j * phase))
+    return free_space_db(d, f) - 20 * np.log10(gain)
 
 
 def log_distance_db(d: Float[ndarray, "m"], exponent: float = 2.75, f: float = 5.9) -> Float[ndarray, "m"]:
@@ -204,7 +211,10 @@ def dual_slope_db(
 
 
 def tr37885_db(
-    d: Float[ndarray, "m"], nlos: Bool[ndarray, "m"], scenario: Literal["urban", "highway"], f: float = 5.9
+    d: Float[ndarray, "m"],
+    nlos: Bool[ndarray, "m"],
+    scenario: Literal["urban", "highway"],
+    f: float = 5.9,
 ) -> Float[ndarray, "m"]:
     """Path loss of [1]_, without blockage by vehicles (see `blockage_db`).
 
@@ -216,9 +226,12 @@ def tr37885_db(
         Whether a building blocks the line of sight. The loss is then the same in both scenarios.
     """
     log_d, log_f = np.log10(d), np.log10(f)
-    urban = scenario == "urban"
-    los = 38.77 + 16.7 * log_d + 18.2 * log_f if urban else 32.4 + 20 * log_d + 20 * log_f
-    return np.where(nlos, 36.85 + 30 * log_d + 18.9 * log_f, los)
+    if scenario == "urban":
+        los_db = 38.77 + 16.7 * log_d + 18.2 * log_f
+    else:
+        los_db = 32.4 + 20 * log_d + 20 * log_f
+    nlos_db = 36.85 + 30 * log_d + 18.9 * log_f
+    return np.where(nlos, nlos_db, los_db)
 
 
 HEIGHT_STEP_M = 0.001
@@ -253,9 +266,12 @@ def blockage_mean_db(
     to a millimetre before they are compared.
     """
     blocker, a, b = (np.rint(np.asarray(h) / HEIGHT_STEP_M) for h in (blocker_m, h_a_m, h_b_m))
-    clear, both = np.minimum(a, b) > blocker, np.maximum(a, b) < blocker
-    mean = np.where(both, 9.0, 5.0) + np.maximum(0.0, 15 * np.log10(d) - 41)
-    return np.where(clear, 0.0, mean), np.where(clear, 0.0, np.where(both, 4.5, 4.0))
+    clear = np.minimum(a, b) > blocker
+    both = np.maximum(a, b) < blocker
+    farther = np.maximum(0.0, 15 * np.log10(d) - 41)
+    mean = np.where(both, 9.0, 5.0) + farther
+    deviation = np.where(both, 4.5, 4.0)
+    return np.where(clear, 0.0, mean), np.where(clear, 0.0, deviation)
 
 
 def blockage_db(
@@ -286,7 +302,8 @@ def blockage_db(
     lossy = mean > 0
     mean = np.where(lossy, mean, 1.0)
     spread = np.log1p((deviation / mean) ** 2)  # variance of the logarithm
-    return np.where(lossy, np.exp(np.log(mean) - spread / 2 + np.sqrt(spread) * normal), 0.0)
+    log_loss = np.log(mean) - spread / 2 + np.sqrt(spread) * normal
+    return np.where(lossy, np.exp(log_loss), 0.0)
 
 
 _BOBAN_URBAN = {
@@ -316,11 +333,13 @@ def vehicle_blockage_p(
     if scenario == "urban":
         p0, rate, a, b, c = _BOBAN_URBAN[traffic]
         los = np.minimum(1.0, p0 * np.exp(-rate * d))
-        blocked = np.minimum(1 - los, np.exp(-((np.log(d) - b) ** 2) / c) / (a * d))
+        curve = np.exp(-((np.log(d) - b) ** 2) / c) / (a * d)
+        blocked = np.minimum(1 - los, curve)
         return blocked / (los + blocked)
     a, b = _BOBAN_HIGHWAY[traffic]
     d = np.minimum(d, -b / (2 * a))
-    return 1 - np.clip(a * d**2 + b * d + 1, 0, 1)
+    los = a * d**2 + b * d + 1
+    return 1 - np.clip(los, 0, 1)
 
 
 def mean_loss_db(
@@ -388,7 +407,8 @@ def fading_quantiles() -> Float[ndarray, "classes 4096"]:
     """
     level = (np.arange(4096) + 0.5) / 4096
     shapes = [m for rows in FADING.values() for _, m in rows]
-    table = np.array([np.ones(4096)] + [gammaincinv(m, level) / m for m in shapes], np.float32)
+    gains = [gammaincinv(m, level) / m for m in shapes]
+    table = np.array([np.ones(4096), *gains], np.float32)
     table.flags.writeable = False
     return table
 
@@ -400,11 +420,15 @@ N_WAVES = 32
 def _sine_of_turns(x):
     """sin(2 pi x), to 4e-6."""
     r = x - np.floor(x + 0.5)
-    r = 0.5 - r if r > 0.25 else (-0.5 - r if r < -0.25 else r)
+    if r > 0.25:
+        r = 0.5 - r
+    elif r < -0.25:
+        r = -0.5 - r
     y = np.float32(2 * np.pi * r)
     z = y * y
     s = np.float32(-1 / 5040) + z * np.float32(1 / 362880)
-    s = np.float32(-1 / 6) + z * (np.float32(1 / 120) + z * s)
+    s = np.float32(1 / 120) + z * s
+    s = np.float32(-1 / 6) + z * s
     return y + y * z * s
 
 
@@ -418,10 +442,13 @@ def _waves(xy, decorrelation_m, rng_key):
         # A Cauchy wave vector in four dimensions, whose characteristic function is exp(-|x| / D).
         normal = np.empty(5)
         for i in range(5):
-            radius = np.sqrt(-2 * np.log(1 - unit(mix(h, np.uint64(2 * i)))))
-            normal[i] = radius * np.cos(2 * np.pi * unit(mix(h, np.uint64(2 * i + 1))))
+            u = unit(mix(h, np.uint64(2 * i)))
+            v = unit(mix(h, np.uint64(2 * i + 1)))
+            radius = np.sqrt(-2 * np.log(1 - u))
+            normal[i] = radius * np.cos(2 * np.pi * v)
+        scale = abs(normal[4]) * decorrelation_m * 2 * np.pi
         for i in range(4):
-            turns[i, k] = normal[i] / (abs(normal[4]) * decorrelation_m * 2 * np.pi)
+            turns[i, k] = normal[i] / scale
         turns[4, k] = unit(mix(h, np.uint64(10)))
     out = np.empty((n, 4, N_WAVES), np.float32)
     for j in range(n):
@@ -429,22 +456,26 @@ def _waves(xy, decorrelation_m, rng_key):
         for k in range(N_WAVES):
             a = turns[0, k] * x + turns[1, k] * y + turns[4, k]
             b = turns[2, k] * x + turns[3, k] * y
-            out[j, 0, k], out[j, 1, k] = _sine_of_turns(a + 0.25), _sine_of_turns(a)
-            out[j, 2, k], out[j, 3, k] = _sine_of_turns(b + 0.25), _sine_of_turns(b)
+            out[j, 0, k] = _sine_of_turns(a + 0.25)
+            out[j, 1, k] = _sine_of_turns(a)
+            out[j, 2, k] = _sine_of_turns(b + 0.25)
+            out[j, 3, k] = _sine_of_turns(b)
     return out
 
 
 @kernel
 def _field(waves, d, decorrelation_m, a, b, lanes, out):
+    """Values of links (a, b) of lengths d: sums over the waves at both ends, each end once as the first."""
     for m in range(len(a)):
-        i, j = a[m], b[m]
+        one, other = waves[a[m]], waves[b[m]]
         for k in range(N_WAVES):
-            lanes[k] = waves[i, 0, k] * waves[j, 2, k] - waves[i, 1, k] * waves[j, 3, k]
-            lanes[k] += waves[j, 0, k] * waves[i, 2, k] - waves[j, 1, k] * waves[i, 3, k]
+            lanes[k] = one[0, k] * other[2, k] - one[1, k] * other[3, k]
+            lanes[k] += other[0, k] * one[2, k] - other[1, k] * one[3, k]
         for half in (16, 8, 4, 2, 1):  # a fixed order of summation, wide enough for vector units
             for k in range(half):
                 lanes[k] += lanes[k + half]
-        out[m] = lanes[0] / np.sqrt(N_WAVES * (1 + np.exp(-np.sqrt(2.0) * d[m] / decorrelation_m)))
+        correlation = np.exp(-np.sqrt(2.0) * d[m] / decorrelation_m)
+        out[m] = lanes[0] / np.sqrt(N_WAVES * (1 + correlation))
 
 
 def link_field(

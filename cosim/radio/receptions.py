@@ -28,7 +28,8 @@ for _phy, _outcome in {
     PhyOutcome.QUEUE: Outcome.EXPIRED,
 }.items():
     _OUTCOME_OF[_phy] = _outcome
-_RECEIVED, _PROPAGATION, _EXPIRED = int(Outcome.RECEIVED), int(Outcome.PROPAGATION), int(Outcome.EXPIRED)
+_RECEIVED, _PROPAGATION = int(Outcome.RECEIVED), int(Outcome.PROPAGATION)
+_EXPIRED = int(Outcome.EXPIRED)
 _WAITING = int(Outcome.WAITING)
 
 
@@ -70,9 +71,9 @@ class NeighbourList(NamedTuple):
         knows_walls
             Whether `found` contains lines of sight. If not, `los_state` is UNKNOWN.
         """
-        ptr, station, length_m, is_nlos = _neighbours(
-            xyz_m, range_m, slant_m(xyz_m, range_m), found.a, found.b, found.distance_m, found.nlos
-        )
+        most_m = slant_m(xyz_m, range_m)
+        columns = found.a, found.b, found.distance_m, found.nlos
+        ptr, station, length_m, is_nlos = _neighbours(xyz_m, range_m, most_m, *columns)
         los_state = np.where(is_nlos, LosState.NLOS, LosState.LOS).astype(np.uint8)
         if not knows_walls:
             los_state[:] = LosState.UNKNOWN
@@ -83,38 +84,49 @@ class NeighbourList(NamedTuple):
 def _neighbours(xyz_m, range_m, slant_m, a, b, distance_m, nlos):
     """Where the neighbours of each station begin, the neighbours ascending, and length and blockage of each line."""
     n = len(xyz_m)
-    ptr, square_m2 = np.zeros(n + 1, np.int64), np.empty(len(a))
+    ptr = np.zeros(n + 1, np.int64)
+    square_m2 = np.empty(len(a))
     for pair in range(len(a)):
         i, j = a[pair], b[pair]
-        dx, dy = xyz_m[i, 0] - xyz_m[j, 0], xyz_m[i, 1] - xyz_m[j, 1]
-        square_m2[pair] = dx * dx + dy * dy if distance_m[pair] <= slant_m else np.inf
+        dx = xyz_m[i, 0] - xyz_m[j, 0]
+        dy = xyz_m[i, 1] - xyz_m[j, 1]
+        may_be_near = distance_m[pair] <= slant_m
+        square_m2[pair] = dx * dx + dy * dy if may_be_near else np.inf
         if square_m2[pair] <= range_m * range_m:
             ptr[i + 1] += 1
             ptr[j + 1] += 1
     for i in range(n):
         ptr[i + 1] += ptr[i]
     m = ptr[n]
-    at, other, pair_of = ptr.copy(), np.empty(m, np.int32), np.empty(m, np.int32)
+    at = ptr.copy()
+    other = np.empty(m, np.int32)
+    pair_of = np.empty(m, np.int32)
     for pair in range(len(a)):
         if square_m2[pair] <= range_m * range_m:
-            for i, j in ((a[pair], b[pair]), (b[pair], a[pair])):
+            one, two = a[pair], b[pair]
+            for i, j in ((one, two), (two, one)):
                 other[at[i]], pair_of[at[i]] = j, pair
                 at[i] += 1
     # Each station is noted at its neighbours, in ascending order. As neighbours are mutual, all lists are then sorted.
     at[:] = ptr
-    station, length_m, is_nlos = np.empty(m, np.int32), np.empty(m), np.empty(m, np.bool_)
+    station = np.empty(m, np.int32)
+    length_m = np.empty(m)
+    is_nlos = np.empty(m, np.bool_)
     for i in range(n):
         for k in range(ptr[i], ptr[i + 1]):
-            row = at[other[k]]
+            row, pair = at[other[k]], pair_of[k]
             station[row] = i
-            length_m[row], is_nlos[row] = np.sqrt(square_m2[pair_of[k]]), nlos[pair_of[k]]
+            length_m[row] = np.sqrt(square_m2[pair])
+            is_nlos[row] = nlos[pair]
             at[other[k]] += 1
     return ptr, station, length_m, is_nlos
 
 
 def slant_m(xyz_m: Float[ndarray, "n 3"], range_m: float) -> float:
     """Upper bound of the distance in space of two stations whose horizontal distance is at most `range_m`."""
-    return range_m + (float(np.ptp(xyz_m[:, 2])) if len(xyz_m) else 0.0) + 1e-6
+    if not len(xyz_m):
+        return range_m + 1e-6
+    return range_m + float(np.ptp(xyz_m[:, 2])) + 1e-6
 
 
 class Transmissions(NamedTuple):
@@ -158,10 +170,12 @@ class Transmissions(NamedTuple):
         before = 0
         for out in windows:
             ours = np.flatnonzero((out.tag >= 0) & (out.outcome == PhyOutcome.RECEIVED))
-            frame = out.tag[ours]
+            frame, first = out.tag[ours], out.ptr[ours]
             on_air[frame] = True
-            start_ns[frame], end_ns[frame] = out.start_ns[ours], out.end_ns[ours]
-            begin[frame], count[frame] = before + out.ptr[ours], out.ptr[ours + 1] - out.ptr[ours]
+            start_ns[frame] = out.start_ns[ours]
+            end_ns[frame] = out.end_ns[ours]
+            begin[frame] = before + first
+            count[frame] = out.ptr[ours + 1] - first
             before += len(out.receiver)
         unit = frames["unit"]
         return Transmissions(
@@ -194,9 +208,12 @@ class ReceptionAttempts(NamedTuple):
 
     @staticmethod
     def of(
-        sent: Transmissions, near: NeighbourList, state: UInt8[ndarray, "f"] | None = None,
-        got_ptr: Int[ndarray, "g+1"] | None = None, got_by: Int[ndarray, "r"] | None = None,
-    ) -> "ReceptionAttempts":  # fmt: skip
+        sent: Transmissions,
+        near: NeighbourList,
+        state: UInt8[ndarray, "f"] | None = None,
+        got_ptr: Int[ndarray, "g+1"] | None = None,
+        got_by: Int[ndarray, "r"] | None = None,
+    ) -> "ReceptionAttempts":
         """Of all frames of a round.
 
         Parameters
@@ -209,22 +226,28 @@ class ReceptionAttempts(NamedTuple):
         """
         if state is None:
             state = np.zeros(len(sent.unit), np.uint8)
-        none = np.zeros(0, np.int64)
-        got_ptr, got_by = np.zeros(1, np.int64) if got_ptr is None else got_ptr, none if got_by is None else got_by
+        got_ptr = np.zeros(1, np.int64) if got_ptr is None else got_ptr
+        got_by = np.zeros(0, np.int64) if got_by is None else got_by
         return ReceptionAttempts(*_attempts(sent, near, _OUTCOME_OF, state, got_ptr, got_by))
 
 
 @compiled
 def _attempts(sent, near, outcome_of, state, got_ptr, got_by):
     """Columns of `ReceptionAttempts`."""
-    ptr, transmitter, begin, count, receiver = near.ptr, sent.transmitter, sent.begin, sent.n_receptions, sent.receiver
+    ptr, transmitter = near.ptr, sent.transmitter
+    begin, count = sent.begin, sent.n_receptions
+    receiver = sent.receiver
     room = len(got_by)
     for f in range(len(transmitter)):
         if state[f] != _REPORTED:
             room += ptr[transmitter[f] + 1] - ptr[transmitter[f]]
     first = np.empty(len(transmitter) + 1, np.int64)
-    of, to, hops = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int8)
-    apart_m, los, outcome = np.empty(room), np.empty(room, np.uint8), np.empty(room, np.int8)
+    of = np.empty(room, np.int32)
+    to = np.empty(room, np.int32)
+    hops = np.empty(room, np.int8)
+    apart_m = np.empty(room)
+    los = np.empty(room, np.uint8)
+    outcome = np.empty(room, np.int8)
     here = np.full(len(ptr) - 1, _PROPAGATION, np.int8)  # below the cut-off power of links
     m = 0
     for f in range(len(transmitter)):
@@ -232,29 +255,48 @@ def _attempts(sent, near, outcome_of, state, got_ptr, got_by):
         if state[f] == _REPORTED:
             if f < len(got_ptr) - 1:
                 for k in range(got_ptr[f], got_ptr[f + 1]):
-                    of[m], to[m], hops[m] = sent.message[f], got_by[k], sent.hop[f]
+                    of[m] = sent.message[f]
+                    to[m] = got_by[k]
+                    hops[m] = sent.hop[f]
                     apart_m[m], los[m], outcome[m] = 0.0, 0, _RECEIVED
                     m += 1
             continue
+        not_sent = _WAITING if state[f] == _WAITS else _EXPIRED
         for k in range(begin[f], begin[f] + count[f]):
             here[receiver[k]] = outcome_of[sent.reception[k]]
         for row in range(ptr[transmitter[f]], ptr[transmitter[f] + 1]):
             r = near.station[row]
             if r != sent.source[f]:
-                of[m], to[m], hops[m] = sent.message[f], r, sent.hop[f]
-                apart_m[m], los[m] = near.length_m[row], near.los_state[row]
-                outcome[m] = here[r] if sent.on_air[f] else _WAITING if state[f] == _WAITS else _EXPIRED
+                of[m], to[m] = sent.message[f], r
+                hops[m] = sent.hop[f]
+                apart_m[m] = near.length_m[row]
+                los[m] = near.los_state[row]
+                outcome[m] = here[r] if sent.on_air[f] else not_sent
                 m += 1
         for k in range(begin[f], begin[f] + count[f]):
             here[receiver[k]] = _PROPAGATION
     first[len(transmitter)] = m
-    return first, of[:m], to[:m], hops[:m], apart_m[:m], los[:m], outcome[:m]
+    return (
+        first,
+        of[:m],
+        to[:m],
+        hops[:m],
+        apart_m[:m],
+        los[:m],
+        outcome[:m],
+    )
 
 
 def complete_messages(
-    sent: Transmissions, attempts: ReceptionAttempts, own_ns: Int[ndarray, "u"], n_segments: Int[ndarray, "m"],
-    begin_ns: Int[ndarray, "m"], station: Int[ndarray, "m"], xy_m: Float[ndarray, "n 2"], since_ns: int,
-) -> tuple[Receptions, int]:  # fmt: skip
+    sent: Transmissions,
+    attempts: ReceptionAttempts,
+    own_ns: Int[ndarray, "u"],
+    n_segments: Int[ndarray, "m"],
+    begin_ns: Int[ndarray, "m"],
+    station: Int[ndarray, "m"],
+    xy_m: Float[ndarray, "n 2"],
+    since_ns: int,
+) -> tuple[Receptions, int]:
     """Messages of which all segments are received, and the number of frames that repeated a received segment.
 
     Parameters
@@ -276,25 +318,24 @@ def complete_messages(
     -------
     Receptions sorted by receiver, then message; and the number of repeated segments.
     """
-    by_unit = counting_order(np.ascontiguousarray(sent.unit, np.int64), len(own_ns))
-    own_ns, n_segments, begin_ns = (np.ascontiguousarray(a, np.int64) for a in (own_ns, n_segments, begin_ns))
-    station = np.ascontiguousarray(station, np.int64)
-    n_duplicate, columns = _complete(xy_m, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns, since_ns)
+    unit, station, *of_messages = (
+        np.ascontiguousarray(column, np.int64) for column in (sent.unit, station, own_ns, n_segments, begin_ns)
+    )
+    by_unit = counting_order(unit, len(own_ns))
+    n_duplicate, columns = _complete(xy_m, station, attempts, sent, by_unit, *of_messages, since_ns)
     return Receptions(*columns), n_duplicate
 
 
 @compiled
-def _complete(xy, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns, since_ns):
-    """Repeated segments, and the columns of `Receptions`; `by_unit` are the frames sorted by unit."""
+def _received_frames(n, attempts, by_unit):
+    """Where the frames that each of n stations received begin, and the frames by receiver, then unit."""
     to, outcome, first = attempts.receiver, attempts.outcome, attempts.first
-    message_of, transmitter, unit, end_ns = sent.message, sent.transmitter, sent.unit, sent.end_ns
-    n = len(xy)
     at = np.zeros(n + 1, np.int64)
     for row in range(len(outcome)):
         at[to[row] + 1] += outcome[row] == _RECEIVED
     for r in range(n):
         at[r + 1] += at[r]
-    got = np.empty(at[n], np.int32)  # frames by receiver, unit
+    got = np.empty(at[n], np.int32)
     put = at[:-1].copy()
     for f in by_unit:
         for row in range(first[f], first[f + 1]):
@@ -302,19 +343,34 @@ def _complete(xy, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns
                 r = to[row]
                 got[put[r]] = f
                 put[r] += 1
-    receiver, message, hops = np.empty(len(got), np.int64), np.empty(len(got), np.int64), np.empty(len(got), np.int32)
-    offset_s, access_s, latency_s, apart_m = np.empty((4, len(got)))
+    return at, got
+
+
+@compiled
+def _complete(xy, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns, since_ns):
+    """Repeated segments, and the columns of `Receptions`; `by_unit` are the frames sorted by unit."""
+    message_of, transmitter, unit, end_ns = sent.message, sent.transmitter, sent.unit, sent.end_ns
+    at, got = _received_frames(len(xy), attempts, by_unit)
+    most = len(got)
+    receiver = np.empty(most, np.int64)
+    message = np.empty(most, np.int64)
+    hops = np.empty(most, np.int32)
+    offset_s, access_s, latency_s, apart_m = np.empty((4, most))
     m = n_duplicate = 0
-    for r in range(n):
-        k = at[r]
-        while k < at[r + 1]:
-            s, n_received, hop_of, access_ns, last_ns, is_new = message_of[got[k]], 0, 0, 0, 0, False
-            while k < at[r + 1] and message_of[got[k]] == s:
+    for r in range(len(xy)):
+        k, end = at[r], at[r + 1]
+        while k < end:
+            s = message_of[got[k]]
+            n_received = hop_of = access_ns = last_ns = 0
+            is_new = False
+            while k < end and message_of[got[k]] == s:
                 best = got[k]
                 k += 1
-                while k < at[r + 1] and unit[got[k]] == unit[best]:
+                # The first frame to end counts; of two at once that of the transmitter of lower number.
+                while k < end and unit[got[k]] == unit[best]:
                     f = got[k]
-                    if end_ns[f] < end_ns[best] or (end_ns[f] == end_ns[best] and transmitter[f] < transmitter[best]):
+                    is_tied = end_ns[f] == end_ns[best]
+                    if end_ns[f] < end_ns[best] or (is_tied and transmitter[f] < transmitter[best]):
                         best = f
                     n_duplicate += end_ns[f] >= since_ns
                     k += 1
@@ -325,14 +381,21 @@ def _complete(xy, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns
                 last_ns = max(last_ns, end_ns[best] - own_ns[u])
                 is_new |= end_ns[best] >= since_ns
             if is_new and n_received == n_segments[s]:
-                dx, dy = xy[r, 0] - xy[station[s], 0], xy[r, 1] - xy[station[s], 1]
-                receiver[m], message[m], hops[m], apart_m[m] = r, s, hop_of, np.sqrt(dx * dx + dy * dy)
-                offset_s[m], access_s[m], latency_s[m] = (
-                    1e-9 * (own_ns[u] - begin_ns[s]),
-                    1e-9 * access_ns,
-                    1e-9 * last_ns,
-                )
+                sender = station[s]
+                dx = xy[r, 0] - xy[sender, 0]
+                dy = xy[r, 1] - xy[sender, 1]
+                receiver[m], message[m], hops[m] = r, s, hop_of
+                offset_s[m] = 1e-9 * (own_ns[u] - begin_ns[s])
+                access_s[m] = 1e-9 * access_ns
+                latency_s[m] = 1e-9 * last_ns
+                apart_m[m] = np.sqrt(dx * dx + dy * dy)
                 m += 1
     return n_duplicate, (
-        receiver[:m], message[:m], hops[:m], offset_s[:m], access_s[:m], latency_s[:m], apart_m[:m],
-    )  # fmt: skip
+        receiver[:m],
+        message[:m],
+        hops[:m],
+        offset_s[:m],
+        access_s[:m],
+        latency_s[:m],
+        apart_m[:m],
+    )

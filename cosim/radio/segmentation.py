@@ -11,9 +11,10 @@ ENVELOPE_BYTES = 44 + 96 + 37 + 9
 
 
 def segments(
-    length_bytes: Int[ndarray, "n"], envelope_bytes: Int[ndarray, "n"] | int = ENVELOPE_BYTES,
+    length_bytes: Int[ndarray, "n"],
+    envelope_bytes: Int[ndarray, "n"] | int = ENVELOPE_BYTES,
     frame_bytes: int = FRAME_BYTES,
-) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:  # fmt: skip
+) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
     """Number of frames of each message, and the length of each frame [B]. Every segment is signed on its own.
 
     A message of at most `frame_bytes` is one frame. All frames of a longer one have the same length, rounded up.

@@ -157,21 +157,22 @@ class Carrier:
         """
         s_n, w_db, x_db, y_db, z_db = self.n_subchannels, *self.emission
         rb = np.arange(s_n * self.rbs)
+        centre, is_even = self.n_rbs // 2, self.n_rbs % 2 == 0
+        middle = (rb == centre) | (is_even & (rb == centre - 1))
+        image_power = 10 ** (-(25 + y_db) / 10)
+        carrier_power = 10 ** (-(25 + z_db) / 10)
         out = np.zeros((s_n + 1, s_n, s_n))
         for width in range(1, s_n + 1):
             length = width * self.rbs
             for first in range(s_n - width + 1):
                 begin, end = first * self.rbs, first * self.rbs + length
                 away = np.maximum(begin - rb, rb - end + 1)
-                general_db = np.maximum(
-                    -25 - 10 * np.log10(self.n_rbs / length) - x_db,
-                    20 * np.log10(self.error_vector) - 3 - 5 * (away - 1) / length - w_db,
-                )
-                image = (self.n_rbs - 1 - rb >= begin) & (self.n_rbs - 1 - rb < end)
-                middle = (rb == self.n_rbs // 2) | ((self.n_rbs % 2 == 0) & (rb == self.n_rbs // 2 - 1))
-                leaked = (
-                    10 ** (general_db / 10) + image * 10 ** (-(25 + y_db) / 10) + middle * 10 ** (-(25 + z_db) / 10)
-                )
+                floor_db = -25 - 10 * np.log10(self.n_rbs / length) - x_db
+                slope_db = 20 * np.log10(self.error_vector) - 3 - 5 * (away - 1) / length - w_db
+                general = 10 ** (np.maximum(floor_db, slope_db) / 10)
+                mirrored = self.n_rbs - 1 - rb
+                image = (mirrored >= begin) & (mirrored < end)
+                leaked = general + image * image_power + middle * carrier_power
                 power = np.where(away <= 0, 1.0, leaked) / length
                 out[width, first] = power.reshape(s_n, self.rbs).mean(axis=1)
                 out[width, first, first : first + width] = 1.0 / length
@@ -199,13 +200,16 @@ def nr_block_bits(n_rbs: int, mcs: int, *, dmrs: int, control_symbols: int, cont
     """
     bits, rate = NR_MCS[mcs][0], NR_MCS[mcs][1] / 1024
     elements = (12 * 12 - dmrs) * n_rbs
-    second = min(int(np.ceil((48 + 24) * 1.125 / (bits * rate))), int(np.ceil(0.5 * (elements - dmrs * n_rbs))))
+    needed = int(np.ceil((48 + 24) * 1.125 / (bits * rate)))
+    half = int(np.ceil(0.5 * (elements - dmrs * n_rbs)))
+    second = min(needed, half)
     information = (elements - control_symbols * control_rbs * 12 - second) * bits * rate
     if information < 24:
         return 0
     if information <= 3824:
         step = 2 ** max(3, int(np.floor(np.log2(information))) - 6)
-        return int(NR_TBS[np.searchsorted(NR_TBS, max(24, step * int(information // step)))])
+        least = max(24, step * int(information // step))
+        return int(NR_TBS[np.searchsorted(NR_TBS, least)])
     step = 2 ** (int(np.floor(np.log2(information - 24))) - 5)
     rounded = max(3840, step * round((information - 24) / step))
     if rate <= 0.25:
@@ -221,14 +225,15 @@ def nr_carrier(
 ) -> Carrier:
     """The carrier of NR-V2X with these parameters. Its pool has all whole subchannels that fit."""
     n_rbs = NR_RBS[scs_khz][bandwidth_mhz]
-    blocks = np.array([
+    sizes = [
         nr_block_bits(k * rbs, mcs, dmrs=dmrs, control_symbols=control_symbols, control_rbs=control_rbs)
         for k in range(1, n_rbs // rbs + 1)
-    ], np.int64)  # fmt: skip
+    ]
+    blocks = np.array(sizes, np.int64)
     mean_db, spread_db = NR_CURVES[mcs]
     error_vector = {2: 0.175, 4: 0.125, 6: 0.08}[NR_MCS[mcs][0]]
-    full = np.full(len(blocks), 1.0)
-    return Carrier(scs_khz, n_rbs, rbs, blocks, mean_db * full, spread_db * full, (0.0, 0.0, 0.0, 0.0), error_vector)
+    sinr_db, sinr_spread_db = (np.full(len(blocks), value) for value in (mean_db, spread_db))
+    return Carrier(scs_khz, n_rbs, rbs, blocks, sinr_db, sinr_spread_db, (0.0, 0.0, 0.0, 0.0), error_vector)
 
 
 @cache
@@ -263,12 +268,11 @@ def lte_carrier(bandwidth_mhz: int, rbs: int, mcs: int) -> Carrier:
     n_rbs = LTE_RBS[bandwidth_mhz]
     data = np.array([lte_data_rbs(k * rbs - 2) for k in range(1, n_rbs // rbs + 1)])
     i_tbs, bits = (mcs, 2) if mcs <= 10 else (mcs - 1, 4)
-    blocks = np.where(data > 0, lte_block_sizes()[i_tbs, np.maximum(data, 1) - 1], 0)
+    sizes = lte_block_sizes()[i_tbs, np.maximum(data, 1) - 1]
+    blocks = np.where(data > 0, sizes, 0)
     efficiency = (blocks + CRC_BITS) / np.maximum(data * 9 * 12, 1)
     blocks = np.where(efficiency <= 0.93 * bits, blocks, 0)
     rate, mean_db, spread_db = np.array(LTE_CURVES[bits]).T
     error_vector = 0.175 if bits == 2 else 0.125
-    return Carrier(
-        15, n_rbs, rbs, blocks, np.interp(efficiency / bits, rate, mean_db),
-        np.interp(efficiency / bits, rate, spread_db), (3.0, 6.0, 3.0, 3.0), error_vector,
-    )  # fmt: skip
+    sinr_db, sinr_spread_db = (np.interp(efficiency / bits, rate, column) for column in (mean_db, spread_db))
+    return Carrier(15, n_rbs, rbs, blocks, sinr_db, sinr_spread_db, (3.0, 6.0, 3.0, 3.0), error_vector)

@@ -90,8 +90,10 @@ class Underway:
         of_frame = unit[self.frames["unit"]] != NONE
         frame = _numbers(of_frame)
         units, frames = self.units[unit != NONE], self.frames[of_frame]
-        units["message"], frames["unit"] = message[units["message"]], unit[frames["unit"]]
-        of_copy, of_got = unit[self.copies["unit"]] != NONE, frame[self.got_frame] != NONE
+        units["message"] = message[units["message"]]
+        frames["unit"] = unit[frames["unit"]]
+        of_copy = unit[self.copies["unit"]] != NONE
+        of_got = frame[self.got_frame] != NONE
         copies = self.copies[of_copy]
         copies["unit"] = unit[copies["unit"]]
         of_refused = message[self.refused_message] != NONE

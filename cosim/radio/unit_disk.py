@@ -49,7 +49,10 @@ class UnitDiskMedium:
         """
         p, relay, disk = self.params, self.params.relay, self.params.unit_disk
         rng_key = rng.key(self.seed, (rng.Stream.RADIO_DETECTIONS, rng.Stream.RADIO_EVALUATIONS)[kind], step)
-        n, n_messages, xy_m, key = len(stations), len(messages), stations.xyz_m[:, :2], stations.key
+        n = len(stations)
+        n_messages = len(messages)
+        xy_m = stations.xyz_m[:, :2]
+        key = stations.key
         station, message_key = messages.station, messages.keys(stations)
         delay_s = np.zeros(n_messages) if messages.delay_s is None else messages.delay_s
         sender, neighbour, length_m = neighbours(xy_m, p.range_m)
@@ -76,7 +79,10 @@ class UnitDiskMedium:
             if hop == 1:
                 order = order_by_two(neighbour[link], message[which], max(n, n_messages))
                 link, which = link[order], which[order]
-            message, via, to, apart_m = message[which], transmitter[which], neighbour[link], length_m[link]
+            message = message[which]
+            via = transmitter[which]
+            to = neighbour[link]
+            apart_m = length_m[link]
             draws = rng.uniforms(rng_key, message_key[message], key[via], key[to], n=2)
             arrival_s = age_s[which] + disk.latency_min_s + (disk.latency_max_s - disk.latency_min_s) * draws[:, 1]
             outcome = np.where(arrival_s <= self.round_s, int(Outcome.RECEIVED), int(Outcome.LATE))
@@ -101,16 +107,30 @@ class UnitDiskMedium:
             receptions = receptions_of(receiver, message, hops, offset_s, zero, age_s - offset_s, station, xy_m)
         message, to, hop_of, apart_m, outcome = (np.concatenate(c) for c in zip(*attempts, strict=True))
         frames = FrameOutcomes(
-            message, to, hop_of, apart_m, np.full(len(to), LosState.UNKNOWN, np.uint8), outcome, n_transmissions,
-            n_relayed, n_duplicate, float(n_transmissions @ messages.length_bytes), None,
-        )  # fmt: skip
+            message,
+            to,
+            hop_of,
+            apart_m,
+            np.full(len(to), LosState.UNKNOWN, np.uint8),
+            outcome,
+            n_transmissions,
+            n_relayed,
+            n_duplicate,
+            float(n_transmissions @ messages.length_bytes),
+            None,
+        )
         return None, MessageRound(station, receptions, frames)
 
 
 def _first_copies(
-    message: Int[ndarray, "t"], to: Int[ndarray, "t"], via: Int[ndarray, "t"], arrival_s: Float[ndarray, "t"],
-    outcome: Int[ndarray, "t"], n: int, known: list[Int[ndarray, "k"]],
-) -> tuple[Int[ndarray, "g"], ndarray]:  # fmt: skip
+    message: Int[ndarray, "t"],
+    to: Int[ndarray, "t"],
+    via: Int[ndarray, "t"],
+    arrival_s: Float[ndarray, "t"],
+    outcome: Int[ndarray, "t"],
+    n: int,
+    known: list[Int[ndarray, "k"]],
+) -> tuple[Int[ndarray, "g"], ndarray]:
     """Received frames, sorted by message, receiver, arrival and transmitter, and which of them bring a new message."""
     keep = np.flatnonzero(outcome == Outcome.RECEIVED)
     keep = keep[np.lexsort((via[keep], arrival_s[keep], message[keep] * n + to[keep]))]

@@ -43,9 +43,14 @@ _PLAIN_SIGMA_M, _PLAIN_SIGMA_RAD, _PLAIN_SIZE_SIGMA = 0.3, 0.2, 0.1
 
 
 def stated(
-    listed: Detections, tracks: ObjectStates | None, origin_m: Float[ndarray, "d 3"], own_mps: Float[ndarray, "d"],
-    limit_mps: Float[ndarray, "d"], detector: DetectorAccuracy, c: Config,
-) -> Detections:  # fmt: skip
+    listed: Detections,
+    tracks: ObjectStates | None,
+    origin_m: Float[ndarray, "d 3"],
+    own_mps: Float[ndarray, "d"],
+    limit_mps: Float[ndarray, "d"],
+    detector: DetectorAccuracy,
+    c: Config,
+) -> Detections:
     """The lists with the accuracy that their vehicles state.
 
     Parameters

@@ -162,7 +162,9 @@ def _best(
 def _in_path(world: World, row: Int[ndarray, "k"], boxes: Boxes) -> Bool[ndarray, "k"]:
     """Whether a vehicle would hit each box if it drove straight on for `PATH_M`."""
     away_m = boxes.xyz_m[:, :2] - world.boxes.xyz_m[row, :2]
-    cos, sin = np.cos(world.boxes.yaw_rad[row]), np.sin(world.boxes.yaw_rad[row])
-    ahead_m, left_m = cos * away_m[:, 0] + sin * away_m[:, 1], cos * away_m[:, 1] - sin * away_m[:, 0]
+    cos = np.cos(world.boxes.yaw_rad[row])
+    sin = np.sin(world.boxes.yaw_rad[row])
+    ahead_m = cos * away_m[:, 0] + sin * away_m[:, 1]
+    left_m = cos * away_m[:, 1] - sin * away_m[:, 0]
     reach_m = (world.boxes.lwh_m[row, 1] + boxes.lwh_m[:, 1]) / 2
     return (ahead_m > 0) & (ahead_m <= PATH_M) & (np.abs(left_m) <= reach_m)

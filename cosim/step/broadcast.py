@@ -70,18 +70,26 @@ class Broadcast:
 
 
 def broadcast_detections(
-    exchange: Exchange, listed: Listed, piggybacked: SentEvaluations | None, cloud_bytes: Int[ndarray, "s"] | None,
-    medium: object, parts: Parts,
-) -> tuple[object, Broadcast]:  # fmt: skip
+    exchange: Exchange,
+    listed: Listed,
+    piggybacked: SentEvaluations | None,
+    cloud_bytes: Int[ndarray, "s"] | None,
+    medium: object,
+    parts: Parts,
+) -> tuple[object, Broadcast]:
     """Broadcast detection messages, with piggybacked evaluations of the step before; return the medium's new state.
 
     Behind its detection message, a vehicle sends its point cloud, if `cloud_bytes` has the lengths.
     """
     lengths, envelopes = _cpm_lengths(exchange, listed, piggybacked, parts.config)
     on_air = OnAir.of(
-        exchange.senders, lengths, len(exchange.vehicles), len(parts.rsus), sending=exchange.sending,
+        exchange.senders,
+        lengths,
+        len(exchange.vehicles),
+        len(parts.rsus),
+        sending=exchange.sending,
         envelope_bytes=envelopes,
-    )  # fmt: skip
+    )
     return _broadcast(exchange, RoundKind.CPM, on_air, exchange.now.begin_s, lengths, medium, parts, cloud_bytes)
 
 
@@ -100,9 +108,15 @@ def broadcast_evaluations(
 
 
 def _broadcast(
-    exchange: Exchange, kind: RoundKind, on_air: OnAir, begin_s: float, length_bytes: Int[ndarray, "m"],
-    medium: object, parts: Parts, cloud_bytes: Int[ndarray, "s"] | None = None,
-) -> tuple[object, Broadcast]:  # fmt: skip
+    exchange: Exchange,
+    kind: RoundKind,
+    on_air: OnAir,
+    begin_s: float,
+    length_bytes: Int[ndarray, "m"],
+    medium: object,
+    parts: Parts,
+    cloud_bytes: Int[ndarray, "s"] | None = None,
+) -> tuple[object, Broadcast]:
     messages, clouds = on_air.without(exchange.refused).messages, None
     messages = replace(messages, name=_names(exchange)[on_air.message])
     if cloud_bytes is not None:
@@ -170,7 +184,10 @@ def hear(
     """Note the objects that vehicles received, if they leave out objects that others report."""
     if c.cpm.redundancy == "none":
         return cpm
-    vehicles, senders, objects, begin_s = exchange.vehicles, exchange.senders, listed.objects, exchange.now.begin_s
+    vehicles = exchange.vehicles
+    senders = exchange.senders
+    objects = listed.objects
+    begin_s = exchange.now.begin_s
     rows = np.flatnonzero(objects.transmitted)
     sent = objects.take(rows)
     reports = ReportedObjects(

@@ -132,12 +132,15 @@ def _speed(
     detections confirm the objects already, and one false speed would be lost among many right ones.
     """
     lists, groups, of = compared.lists, compared.groups, compared.lists.of_member()
-    objects, by, p = messages.objects, messages.detections.message[compared.lists.member], parts.config.tracking
+    objects = messages.objects
+    by = messages.detections.message[compared.lists.member]
+    p = parts.config.tracking
     claimed_mps = velocities(objects)
     foreign = messages.vehicle[by] != exchange.vehicles.senses[of]
     claims = groups.ego_detected & foreign & (messages.step[by] == exchange.now.step)
     at = np.flatnonzero(claims & ~np.isnan(claimed_mps[lists.member]).any(axis=1))
-    own, claim = lists.member[groups.seed[at]], lists.member[at]
+    own = lists.member[groups.seed[at]]
+    claim = lists.member[at]
     known_mps, axis, variance = _own_velocities(exchange, messages, tracks, own, of[at])
     label = messages.detections.label[own]
     of_claim = confirmed_variance(p, parts.config.sensing_interval_s)[label]

@@ -73,7 +73,10 @@ def step(
     RuntimeError
         If an earlier step has consumed `state`.
     """
-    s, watch, now, dt_s = state.consume(), parts.watch, Times.of(world.step, parts.config), parts.config.traffic.step_s
+    s = state.consume()
+    watch = parts.watch
+    now = Times.of(world.step, parts.config)
+    dt_s = parts.config.traffic.step_s
 
     own_trust = own_trust_of(world, s.trust, s.pseudonyms, now, parts)
     pseudonyms, vehicles, ended = identify(world, s.pseudonyms, own_trust, now, parts)
@@ -96,9 +99,15 @@ def step(
 
 
 def _cycle(
-    world: World, s: State, vehicles: Vehicles, own_trust: Float[ndarray, "n"] | None,
-    acceleration_mps2: Float[ndarray, "n"], now: Times, parts: Parts, precomputed: Precomputed,
-) -> tuple[State, Sensed, Beliefs | None]:  # fmt: skip
+    world: World,
+    s: State,
+    vehicles: Vehicles,
+    own_trust: Float[ndarray, "n"] | None,
+    acceleration_mps2: Float[ndarray, "n"],
+    now: Times,
+    parts: Parts,
+    precomputed: Precomputed,
+) -> tuple[State, Sensed, Beliefs | None]:
     """The paper's cycle, from sweeps to fused objects. Beliefs are None if the driver does not use them."""
     c, watch = parts.config, parts.watch
     with watch("server"):

@@ -62,22 +62,30 @@ class Clouds:
         """These clouds, then others."""
         n = len(self.step)
         shifted = {"cloud": n + later.cloud, "received": n + later.received}
-        return Clouds(*(
-            np.concatenate([getattr(self, name), shifted.get(name, getattr(later, name))])
-            for name in Clouds.__dataclass_fields__
-        ))  # fmt: skip
+        names = Clouds.__dataclass_fields__
+        added = [shifted.get(name, getattr(later, name)) for name in names]
+        return Clouds(*(np.concatenate([getattr(self, name), more]) for name, more in zip(names, added, strict=True)))
 
     def since(self, step: int) -> "Clouds":
         """The clouds of this step and later ones."""
         keep = self.step >= step
         if keep.all():
             return self
-        number, v, r = np.cumsum(keep) - 1, keep[self.cloud], keep[self.received]
+        number = np.cumsum(keep) - 1
+        v, r = keep[self.cloud], keep[self.received]
         return Clouds(
-            step=self.step[keep], sender=self.sender[keep], xy_m=self.xy_m[keep], cloud=number[self.cloud[v]],
-            actor=self.actor[v], n_returns=self.n_returns[v], n_unoccluded=self.n_unoccluded[v],
-            range_m=self.range_m[v], at_m=self.at_m[v], receiver=self.receiver[r], received=number[self.received[r]],
-        )  # fmt: skip
+            step=self.step[keep],
+            sender=self.sender[keep],
+            xy_m=self.xy_m[keep],
+            cloud=number[self.cloud[v]],
+            actor=self.actor[v],
+            n_returns=self.n_returns[v],
+            n_unoccluded=self.n_unoccluded[v],
+            range_m=self.range_m[v],
+            at_m=self.at_m[v],
+            receiver=self.receiver[r],
+            received=number[self.received[r]],
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +141,8 @@ class EarlyFusion:
         """The component of a config; None if no clouds are shared."""
         if c.early_fusion.share == "none":
             return None
-        detector, s_per_rad = StatisticalDetector(c.detector), lidar.beams(c.lidar).s_per_rad
+        detector = StatisticalDetector(c.detector)
+        s_per_rad = lidar.beams(c.lidar).s_per_rad
         oldest_steps = math.floor(c.early_fusion.max_age_s / c.traffic.step_s + 1e-9)
         return EarlyFusion(c.early_fusion, detector, s_per_rad, c.seed, c.traffic.step_s, oldest_steps)
 
@@ -141,16 +150,22 @@ class EarlyFusion:
         """The clouds that the vehicles broadcast that sense in this step."""
         seen, sweeps = observed.observability, observed.sweeps
         if self.params.share == "objects":
-            n_points = np.bincount(seen.observer, seen.n_returns, len(sweeps.poses.origin_m)).astype(np.int64)
+            of_objects = np.bincount(seen.observer, seen.n_returns, len(sweeps.poses.origin_m))
+            n_points = of_objects.astype(np.int64)
         else:
             n_points = sweeps.n_returns()
         content = np.ceil(n_points * self.params.bytes_per_return).astype(np.int64)
         return Offered(n_points, np.where(n_points > 0, ENVELOPE_BYTES + content, 0))
 
     def fuse(
-        self, kept: Clouds, exchange: Exchange, observed: Observed, error: Error, offered: Offered,
+        self,
+        kept: Clouds,
+        exchange: Exchange,
+        observed: Observed,
+        error: Error,
+        offered: Offered,
         sent: MessageRound | None,
-    ) -> tuple[Clouds, Early]:  # fmt: skip
+    ) -> tuple[Clouds, Early]:
         """Detect in the clouds that each vehicle has.
 
         Parameters
@@ -181,25 +196,38 @@ class EarlyFusion:
         got = np.ones(len(sender), bool)
         if sent is not None:
             found = sent.receptions
-            got = np.isin(sender << 32 | receiver, found.message.astype(np.int64) << 32 | found.receiver)
-        got &= exchange.senders.is_valid[exchange.senders.own[sender]] & (offered.length_bytes[sender] > 0)
+            received = found.message.astype(np.int64) << 32 | found.receiver
+            got = np.isin(sender << 32 | receiver, received)
+        is_valid = exchange.senders.is_valid[exchange.senders.own[sender]]
+        got &= is_valid & (offered.length_bytes[sender] > 0)
         views, at_m = self._own_views(world, sensing.row, observed, of_senses)
-        own_xy_m = world.boxes.xyz_m[sensing.row, :2] + (0.0 if of_senses is None else of_senses[:, :2])
+        own_xy_m = world.boxes.xyz_m[sensing.row, :2]
+        if of_senses is not None:
+            own_xy_m = own_xy_m + of_senses[:, :2]
         now = Clouds(
-            step=np.full(len(sensing), world.step), sender=sensing.actor.astype(np.int64), xy_m=own_xy_m,
-            cloud=views.observer, actor=world.actor[views.actor].astype(np.int64), n_returns=views.n_returns,
-            n_unoccluded=views.n_unoccluded, range_m=views.range_m, at_m=at_m,
-            receiver=vehicles.actor[receiver[got]].astype(np.int64), received=sender[got],
-        )  # fmt: skip
+            step=np.full(len(sensing), world.step),
+            sender=sensing.actor.astype(np.int64),
+            xy_m=own_xy_m,
+            cloud=views.observer,
+            actor=world.actor[views.actor].astype(np.int64),
+            n_returns=views.n_returns,
+            n_unoccluded=views.n_unoccluded,
+            range_m=views.range_m,
+            at_m=at_m,
+            receiver=vehicles.actor[receiver[got]].astype(np.int64),
+            received=sender[got],
+        )
         clouds = kept.since(world.step - self.oldest_steps).and_also(now)
         theirs = self._received_views(clouds, world, sensing.row, own_xy_m, of_senses)
         views = Views.concat([views, theirs])
         n = len(sensing)
         return clouds, Early(
             **self._detected(views, world, sensing.row, observed, of_senses),
-            offered=offered, n_frames=None if sent is None else sent.frames.n_transmissions,
-            n_in_range=np.bincount(sender, minlength=n), n_received=np.bincount(sender[got], minlength=n),
-        )  # fmt: skip
+            offered=offered,
+            n_frames=None if sent is None else sent.frames.n_transmissions,
+            n_in_range=np.bincount(sender, minlength=n),
+            n_received=np.bincount(sender[got], minlength=n),
+        )
 
     def _own_views(
         self, world: World, row: Int[ndarray, "s"], observed: Observed, error: Error
@@ -213,10 +241,9 @@ class EarlyFusion:
         there = Boxes(there.xyz_m + moved_m, there.lwh_m, there.yaw_rad)
         if error is not None:
             there = as_estimated(there, seen.observer, world.boxes.xyz_m[row], error)
-        views = Views(
-            seen.observer.astype(np.int64), seen.actor.astype(np.int64), seen.n_returns.astype(np.int64),
-            seen.n_unoccluded.astype(np.int64), seen.range_m, moved_m[:, :2],
-        )  # fmt: skip
+        whole = (seen.observer, seen.actor, seen.n_returns, seen.n_unoccluded)
+        observer, actor, n_returns, n_unoccluded = (column.astype(np.int64) for column in whole)
+        views = Views(observer, actor, n_returns, n_unoccluded, seen.range_m, moved_m[:, :2])
         return views, there.xyz_m[:, :2]
 
     def _received_views(
@@ -228,18 +255,22 @@ class EarlyFusion:
         order = np.lexsort((-clouds.step[cloud], clouds.sender[cloud], ego))
         ego, cloud = ego[order], cloud[order]
         pair = ego << 32 | clouds.sender[cloud]
-        away_m = np.hypot(*(clouds.xy_m[cloud] - own_xy_m[ego]).T)
-        newest = np.append(True, pair[1:] != pair[:-1])[: len(pair)] & (away_m <= self.params.range_m)
+        dx, dy = (clouds.xy_m[cloud] - own_xy_m[ego]).T
+        away_m = np.hypot(dx, dy)
+        newest = np.append(True, pair[1:] != pair[:-1])[: len(pair)]
+        newest &= away_m <= self.params.range_m
         ego, cloud, away_m = ego[newest], cloud[newest], away_m[newest]
         order = np.lexsort((clouds.sender[cloud], away_m, ego))
         ego, cloud = ego[order], cloud[order]
-        few = np.arange(len(ego)) - np.searchsorted(ego, ego) < self.params.partners
+        rank = np.arange(len(ego)) - np.searchsorted(ego, ego)  # by distance
+        few = rank < self.params.partners
         ego, cloud = ego[few], cloud[few]
         begin = ptr_of(clouds.cloud, len(clouds.step))
         at, of = expand(begin[cloud], begin[cloud + 1])
         actor, there = rows_of(clouds.actor[at], world.actor)
         there &= actor != row[ego[of]]  # returns from the ego itself
-        at, ego, actor = at[there], ego[of[there]], actor[there]
+        at, ego = at[there], ego[of[there]]
+        actor = actor[there]
         xyz_m = np.column_stack([clouds.at_m[at], np.zeros(len(at))])
         if error is not None:
             held = Boxes(xyz_m, np.ones_like(xyz_m), np.zeros(len(at)))
@@ -265,11 +296,16 @@ class EarlyFusion:
         if error is not None:
             boxes = as_estimated(boxes, ego, world.boxes.xyz_m[row], error)
         iou = np.zeros(len(ego))
-        iou[is_real] = iou_3d(boxes.take(np.flatnonzero(is_real)), world.boxes.take(actor_row[is_real]))
+        true_boxes = world.boxes.take(actor_row[is_real])
+        iou[is_real] = iou_3d(boxes.take(np.flatnonzero(is_real)), true_boxes)
         columns = {
-            "ego": ego, "label": np.concatenate([found.reports.label, own.label]), "score": score,
+            "ego": ego,
+            "label": np.concatenate([found.reports.label, own.label]),
+            "score": score,
             "n_points": np.append(found.n_returns, own.n_points),
             "n_sweeps": np.append(found.n_sweeps, np.ones(n_false, np.int64)),
-            "is_real": is_real, "actor_row": actor_row, "iou": iou,
-        }  # fmt: skip
+            "is_real": is_real,
+            "actor_row": actor_row,
+            "iou": iou,
+        }
         return {"boxes": boxes.take(order)} | {name: column[order] for name, column in columns.items()}

@@ -204,9 +204,14 @@ class OnAir:
 
     @staticmethod
     def of(
-        senders: Senders, length_bytes: Int[ndarray, "m"], n_vehicles: int, n_rsus: int, rsu_bytes: int = 0,
-        sending: Sending | None = None, envelope_bytes: Int[ndarray, "m"] | None = None,
-    ) -> "OnAir":  # fmt: skip
+        senders: Senders,
+        length_bytes: Int[ndarray, "m"],
+        n_vehicles: int,
+        n_rsus: int,
+        rsu_bytes: int = 0,
+        sending: Sending | None = None,
+        envelope_bytes: Int[ndarray, "m"] | None = None,
+    ) -> "OnAir":
         """Frames of vehicles and roadside units.
 
         Parameters
@@ -226,7 +231,8 @@ class OnAir:
         """
         n, stations = len(senders), n_vehicles + np.arange(n_rsus)
         length = np.concatenate([length_bytes, np.full(n_rsus, rsu_bytes)])
-        station, message = np.concatenate([senders.vehicle, stations]), np.arange(n + n_rsus)
+        station = np.concatenate([senders.vehicle, stations])
+        message = np.arange(n + n_rsus)
         envelope = None
         if envelope_bytes is not None:
             envelope = np.concatenate([envelope_bytes, np.full(n_rsus, ENVELOPE_BYTES)])

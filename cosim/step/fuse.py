@@ -26,9 +26,12 @@ from trust.tables import Evaluations, ObjectLists
 
 
 def fuse_objects(
-    trust: TrustState, matched: Matched, evaluations: tuple[ObjectLists, Evaluations, Evaluations],
-    looked_up: LookedUp, parts: Parts,
-) -> list[Fused | None]:  # fmt: skip
+    trust: TrustState,
+    matched: Matched,
+    evaluations: tuple[ObjectLists, Evaluations, Evaluations],
+    looked_up: LookedUp,
+    parts: Parts,
+) -> list[Fused | None]:
     """Fused objects of every vehicle that senses, per trust variant; None if they are not requested.
 
     `evaluations` are those that the vehicles can use, as `Inbox.evaluations_used` returns them.
@@ -49,7 +52,8 @@ def boxes_of(fused: Fused, objects: Detections) -> Boxes:
     """Boxes of fused objects; `objects` are the detections that the vehicles know."""
     if fused.box is not None:
         return boxes_of_columns(fused.box)
-    boxes, pose = objects.boxes.take(fused.seed), objects.boxes.take(fused.pose)
+    boxes = objects.boxes.take(fused.seed)
+    pose = objects.boxes.take(fused.pose)
     return replace(boxes, xyz_m=pose.xyz_m, yaw_rad=pose.yaw_rad)
 
 

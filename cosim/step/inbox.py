@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.base.ragged import distinct, offsets, ranges, rows_of
+from cosim.base.ragged import distinct, expand, offsets, ptr_of, ranges, rows_of
 from cosim.messages.content import Detections, velocities
 from cosim.radio.message_round import Receptions, RoundKind
 from cosim.step.accuracy import aged
@@ -34,8 +34,9 @@ def _rows() -> Int[ndarray, "0"]:
 
 def _no_detections() -> Detections:
     nothing, none = np.zeros((0, 3)), _rows()
+    score, code = np.zeros(0), np.zeros(0, np.uint8)
     boxes = Boxes(nothing, nothing, np.zeros(0))
-    return Detections.perceived(none, none, np.zeros(0, np.uint8), boxes, np.zeros(0), none, np.zeros(0, np.uint8))
+    return Detections.perceived(none, none, code, boxes, score, none, code)
 
 
 def _no_truth() -> GroundTruth:
@@ -81,7 +82,8 @@ class Inbox:
             row, is_there = self._rows(messages.step, messages.sender)
             found = messages.links.vehicles
             mine = is_there[found.message]
-            more = Uses(exchange.vehicles.actor[found.receiver[mine]], row[found.message[mine]])
+            receiver, message = found.receiver[mine], found.message[mine]
+            more = Uses(exchange.vehicles.actor[receiver], row[message])
             if messages.kind == RoundKind.CPM:
                 inbox = replace(inbox, cpms=_with_new(inbox.cpms, more))
             if messages.kind == carry_evaluations:
@@ -91,7 +93,8 @@ class Inbox:
     def _rows(self, step: Int[ndarray, "m"], sender: Int[ndarray, "m"]) -> tuple[Int[ndarray, "m"], Bool[ndarray, "m"]]:
         """Rows of messages by their steps and senders, and which of them are there."""
         oldest = int(self.step[0]) if len(self.step) else 0
-        held, asked = (self.step - oldest << 48) + self.sender, (step - oldest << 48) + sender
+        held = (self.step - oldest << 48) + self.sender
+        asked = (step - oldest << 48) + sender
         row, is_there = rows_of(asked, held)
         return row, is_there & (sender >= 0) & (step >= oldest)
 
@@ -102,22 +105,31 @@ class Inbox:
         -------
         The inbox without messages that are too old or whose sender has left, and the messages.
         """
-        vehicles, senders, now, schedule = exchange.vehicles, exchange.senders, exchange.now.step, parts.schedule
+        senders, now = exchange.senders, exchange.now.step
+        schedule = parts.schedule
         inbox = self
         if len(self.step):
-            inbox = self._without(
-                (now - self.step >= schedule.longest_steps) | ~np.isin(self.sender >> 16, vehicles.actor)
-            )
+            is_old = now - self.step >= schedule.longest_steps
+            has_left = ~np.isin(self.sender >> 16, exchange.vehicles.actor)
+            inbox = self._without(is_old | has_left)
         received = cpms.accepted.vehicles
         uses = _of_sensing(exchange, inbox.cpms, received)
         interval, _ = schedule.of_vehicles(exchange.sensing.name_key)
         known = Known(
-            objects=listed.objects, truth=listed.truth, detections=listed.detections, ptr=listed.ptr,
-            withheld=listed.withheld, vehicle=senders.vehicle, pseudonym=senders.pseudonym, received=uses,
-            step=np.full(len(senders), now), since=now - interval + 1, earlier_m=inbox.from_own_m,
+            objects=listed.objects,
+            truth=listed.truth,
+            detections=listed.detections,
+            ptr=listed.ptr,
+            withheld=listed.withheld,
+            vehicle=senders.vehicle,
+            pseudonym=senders.pseudonym,
+            received=uses,
+            step=np.full(len(senders), now),
+            since=now - interval + 1,
+            earlier_m=inbox.from_own_m,
             earlier_pairs=inbox.pairs,
             moved_m=np.zeros((len(listed.objects), 2)) if parts.config.extrapolate else None,
-        )  # fmt: skip
+        )
         if not len(inbox.step):
             return inbox, known
         age_s = (now - inbox.step) * schedule.step_s if parts.config.extrapolate else None
@@ -133,20 +145,24 @@ class Inbox:
         row, _ = rows_of(self.objects.observer, world.actor)
         target, there = rows_of(self.objects.target, world.actor)
         actor_row, exists = rows_of(self.truth.actor_row, world.actor)
-        boxes, moved_m = self.objects.boxes, None
+        old = self.objects.boxes
+        boxes, moved_m = old, None
+        of = np.repeat(np.arange(len(self.step)), np.diff(self.ptr))  # message of each detection
         if age_s is not None:
-            boxes = extrapolated(boxes, velocities(self.objects), np.repeat(age_s, np.diff(self.ptr)))
-            moved_m = np.concatenate([np.zeros((d, 2)), boxes.xyz_m[:, :2] - self.objects.boxes.xyz_m[:, :2]])
+            boxes = extrapolated(old, velocities(self.objects), age_s[of])
+            old_moved_m = boxes.xyz_m[:, :2] - old.xyz_m[:, :2]
+            moved_m = np.concatenate([np.zeros((d, 2)), old_moved_m])
         objects = replace(self.objects, observer=row, target=np.where(there, target, row), boxes=boxes)
         if parts.config.trust.matching == "gates":
             since_s = (now_step - self.step) * parts.schedule.step_s
-            objects = aged(objects, np.repeat(since_s, np.diff(self.ptr)), parts.config.tracking)
+            objects = aged(objects, since_s[of], parts.config.tracking)
         truth = replace(self.truth, actor_row=actor_row, is_real=self.truth.is_real & exists)
-        message = n + np.repeat(np.arange(len(self.step)), np.diff(self.ptr))
-        ours, _ = for_trust(objects, message, n + len(self.step))
-        columns = (np.concatenate([getattr(now.detections, name), getattr(ours, name)])
-                   for name in ("message", "detection_index", "label", "score", "is_self"))  # fmt: skip
-        pseudonym, step = np.concatenate([now.pseudonym, self.pseudonym]), np.concatenate([now.step, self.step])
+        ours, _ = for_trust(objects, n + of, n + len(self.step))
+        names = "message", "detection_index", "label", "score", "is_self"
+        columns = (np.concatenate([getattr(now.detections, name), getattr(ours, name)]) for name in names)
+        pseudonym = np.concatenate([now.pseudonym, self.pseudonym])
+        step = np.concatenate([now.step, self.step])
+        vehicle, _ = rows_of(self.sender >> 16, exchange.vehicles.actor)
         i, j, iou = self.pairs
         return replace(
             now,
@@ -155,12 +171,13 @@ class Inbox:
             detections=type(ours)(*columns),
             ptr=np.concatenate([now.ptr, d + self.ptr[1:]]),
             withheld=np.concatenate([now.withheld, self.withheld]),
-            vehicle=np.concatenate([now.vehicle, rows_of(self.sender >> 16, exchange.vehicles.actor)[0]]),
+            vehicle=np.concatenate([now.vehicle, vehicle]),
             pseudonym=pseudonym,
             received=_newest(now.received, pseudonym, step),
             step=step,
-            earlier_pairs=(d + i, d + j, iou), moved_m=moved_m,
-        )  # fmt: skip
+            earlier_pairs=(d + i, d + j, iou),
+            moved_m=moved_m,
+        )
 
     def evaluations_used(
         self, exchange: Exchange, evaluated: Evaluated, n_now: int
@@ -203,11 +220,16 @@ class Inbox:
         return _of_sensing(exchange, self.reports, received)
 
     def next(
-        self, exchange: Exchange, listed: Listed, matched: Matched, evaluated: Evaluated,
+        self,
+        exchange: Exchange,
+        listed: Listed,
+        matched: Matched,
+        evaluated: Evaluated,
         receptions: tuple[Receptions, Receptions],
-    ) -> "Inbox":  # fmt: skip
+    ) -> "Inbox":
         """Add the messages of this step. `receptions` are those of detection messages and of evaluation messages."""
-        world, senders, n, d = exchange.world, exchange.senders, len(self.step), len(self.objects)
+        world, senders = exchange.world, exchange.senders
+        n, d = len(self.step), len(self.objects)
         n_now = len(listed.objects)
         objects = replace(
             listed.objects, observer=world.actor[listed.objects.observer], target=world.actor[listed.objects.target]
@@ -245,7 +267,7 @@ class Inbox:
             ),
             cpms=cpms,
             reports=reports,
-        )  # fmt: skip
+        )
 
     def _without(self, dropped: Bool[ndarray, "m"]) -> "Inbox":
         """The inbox without some messages, their detections, and what refers to these."""
@@ -258,27 +280,30 @@ class Inbox:
         new_row = np.full(len(self.objects), -1)
         new_row[detections] = np.arange(len(detections))
         of = self.evaluated
-        rows = ranges(of.ptr[kept], np.diff(of.ptr)[kept])
-        by = np.repeat(np.arange(len(kept)), np.diff(of.ptr)[kept])
+        rows, by = expand(of.ptr[kept], of.ptr[kept + 1])
         still = new_row[of.member[rows]] >= 0
         rows, by = rows[still], by[still]
-        cpms, reports = (
-            Uses(held.receiver[at], row[held.message[at]])
-            for held in (self.cpms, self.reports)
-            for at in (np.flatnonzero(~dropped[held.message]),)
-        )
+        members = new_row[of.member[rows]]
+
+        def used(held: Uses) -> Uses:
+            at = np.flatnonzero(~dropped[held.message])
+            return Uses(held.receiver[at], row[held.message[at]])
+
         return Inbox(
-            step=self.step[kept], sender=self.sender[kept], pseudonym=self.pseudonym[kept],
-            ptr=offsets(size[kept]), objects=self.objects.take(detections),
+            step=self.step[kept],
+            sender=self.sender[kept],
+            pseudonym=self.pseudonym[kept],
+            ptr=offsets(size[kept]),
+            objects=self.objects.take(detections),
             truth=self.truth.take(detections),
-            withheld=self.withheld[detections], from_own_m=self.from_own_m[detections],
+            withheld=self.withheld[detections],
+            from_own_m=self.from_own_m[detections],
             pairs=renumbered(self.pairs, new_row),
-            evaluated=ObjectLists(
-                np.searchsorted(by, np.arange(len(kept) + 1)), new_row[of.member[rows]], np.arange(len(kept))
-            ),
+            evaluated=ObjectLists(ptr_of(by, len(kept)), members, np.arange(len(kept))),
             evaluations=Evaluations(self.evaluations.evaluation[rows], self.evaluations.visibility[rows]),
-            cpms=cpms, reports=reports,
-        )  # fmt: skip
+            cpms=used(self.cpms),
+            reports=used(self.reports),
+        )
 
 
 def _with_new(held: Uses, more: Uses) -> Uses:
@@ -289,7 +314,8 @@ def _with_new(held: Uses, more: Uses) -> Uses:
     is_new = np.ones(len(found), bool)
     is_new[row[is_held]] = False
     new = found[is_new]
-    return Uses(np.concatenate([held.receiver, new >> 32]), np.concatenate([held.message, new & 0xFFFFFFFF]))
+    receiver = np.concatenate([held.receiver, new >> 32])
+    return Uses(receiver, np.concatenate([held.message, new & 0xFFFFFFFF]))
 
 
 def _of_sensing(exchange: Exchange, held: Uses, received: Receptions) -> Uses:
@@ -307,8 +333,10 @@ def _of_sensing(exchange: Exchange, held: Uses, received: Receptions) -> Uses:
 
 def _newest(uses: Uses, pseudonym: Int[ndarray, "m"], step: Int[ndarray, "m"]) -> Uses:
     """The newest message of each pseudonym at each receiver."""
-    order = np.lexsort((-step[uses.message], pseudonym[uses.message], uses.receiver))
-    receiver, by = uses.receiver[order], pseudonym[uses.message[order]]
-    first = np.append(True, (receiver[1:] != receiver[:-1]) | (by[1:] != by[:-1]))[: len(order)]
+    by = pseudonym[uses.message]
+    order = np.lexsort((-step[uses.message], by, uses.receiver))
+    receiver, by = uses.receiver[order], by[order]
+    is_other = (receiver[1:] != receiver[:-1]) | (by[1:] != by[:-1])
+    first = np.append(True, is_other)[: len(order)]
     rows = np.sort(order[first])
     return Uses(uses.receiver[rows], uses.message[rows])

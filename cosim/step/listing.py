@@ -76,9 +76,13 @@ class Listed:
 
 
 def list_objects(
-    exchange: Exchange, positioned: Positioned, acceleration_mps2: Float[ndarray, "n"], cpm: CpmState,
-    medium: object, parts: Parts,
-) -> tuple[CpmState, Listed]:  # fmt: skip
+    exchange: Exchange,
+    positioned: Positioned,
+    acceleration_mps2: Float[ndarray, "n"],
+    cpm: CpmState,
+    medium: object,
+    parts: Parts,
+) -> tuple[CpmState, Listed]:
     """Detections as each vehicle lists them, after attacks, generation rules and redundancy mitigation.
 
     Parameters

@@ -32,7 +32,8 @@ class MixedImages:
     @property
     def poses(self) -> lidar.Poses:
         """Poses of the sensors of all observers."""
-        origin_m, yaw_rad = np.empty((len(self.lidar), 3)), np.empty(len(self.lidar))
+        origin_m = np.empty((len(self.lidar), 3))
+        yaw_rad = np.empty(len(self.lidar))
         for number, images in enumerate(self.of_lidar):
             mine = self.lidar == number
             origin_m[mine], yaw_rad[mine] = images.poses.origin_m, images.poses.yaw_rad
@@ -95,7 +96,8 @@ class MixedPerception:
 
     def perceive(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> tuple[MixedImages, list[Seen]]:
         """Images of the observers in these rows of the world, and what those of each LiDAR saw."""
-        of, row = np.zeros(len(observers), np.int64), np.zeros(len(observers), np.int64)
+        of = np.zeros(len(observers), np.int64)
+        row = np.zeros(len(observers), np.int64)
         units = np.flatnonzero(world.is_roadside[observers])
         of[units] = self.lidar_of_unit[np.searchsorted(self.unit_key, world.name_key[observers[units]])]
         images: list[RangeImages] = []
@@ -110,7 +112,8 @@ class MixedPerception:
 
     def answers(self, sweeps: MixedImages, asked: BoxQuestions) -> BoxAnswers:
         """As in `Perceives`."""
-        n_points, plausible = np.zeros(len(asked.counting), np.int32), np.ones(len(asked.testing), bool)
+        n_points = np.zeros(len(asked.counting), np.int32)
+        plausible = np.ones(len(asked.testing), bool)
         for number, perception in enumerate(self.of_lidar):
             p, t, mine = asked.of_group(number, sweeps.lidar, sweeps.row)
             mine = replace(mine, area=self._area(asked.area, number))
@@ -120,13 +123,20 @@ class MixedPerception:
         return n_points, plausible
 
     def in_area(
-        self, sweeps: MixedImages, o: Int[ndarray, "n"], boxes: Boxes, area: AreaParams, b: Int[ndarray, "n"],
-        label: UInt8[ndarray, "boxes"], own: Boxes,
-    ) -> Bool[ndarray, "n"]:  # fmt: skip
+        self,
+        sweeps: MixedImages,
+        o: Int[ndarray, "n"],
+        boxes: Boxes,
+        area: AreaParams,
+        b: Int[ndarray, "n"],
+        label: UInt8[ndarray, "boxes"],
+        own: Boxes,
+    ) -> Bool[ndarray, "n"]:
         """As in `Perceives`."""
         inside = np.zeros(len(o), bool)
         for number, images in enumerate(sweeps.of_lidar):
-            k, bodies = np.flatnonzero(sweeps.lidar[o] == number), own.take(np.flatnonzero(sweeps.lidar == number))
+            k = np.flatnonzero(sweeps.lidar[o] == number)
+            bodies = own.take(np.flatnonzero(sweeps.lidar == number))
             inside[k] = evidence.in_evaluation_area(
                 images, sweeps.row[o[k]], boxes, self._area(area, number), b[k], label, bodies
             )

@@ -75,9 +75,13 @@ def subset(lists: ObjectLists, keep: Bool[ndarray, "m"]) -> ObjectLists:
 
 
 def questions_of(
-    lists: ObjectLists, evaluated: Bool[ndarray, "m"], foreign: Bool[ndarray, "m"], boxes: Boxes,
-    detections: tables.SentDetections, area: AreaParams,
-) -> tuple[BoxQuestions, Int[ndarray, "p"], Int[ndarray, "t"]]:  # fmt: skip
+    lists: ObjectLists,
+    evaluated: Bool[ndarray, "m"],
+    foreign: Bool[ndarray, "m"],
+    boxes: Boxes,
+    detections: tables.SentDetections,
+    area: AreaParams,
+) -> tuple[BoxQuestions, Int[ndarray, "p"], Int[ndarray, "t"]]:
     """The questions of each vehicle to its own sweep about the boxes in its list.
 
     A vehicle counts the returns in every box that it evaluates, and in every foreign box. For foreign boxes it also
@@ -108,9 +112,13 @@ def questions_of(
 
 
 def as_reported(
-    active: Active, evaluated: Evaluations, lists: ObjectLists, listed: Detections, observers: ndarray,
+    active: Active,
+    evaluated: Evaluations,
+    lists: ObjectLists,
+    listed: Detections,
+    observers: ndarray,
     number: Int[ndarray, "m"] | None = None,
-) -> Evaluations:  # fmt: skip
+) -> Evaluations:
     """Evaluations as they will be sent.
 
     Parameters
@@ -140,9 +148,13 @@ def as_reported(
 
 
 def messages_of(
-    step: int, messages: Known, lists: ObjectLists, evaluations: Evaluations, keep: Bool[ndarray, "k"],
+    step: int,
+    messages: Known,
+    lists: ObjectLists,
+    evaluations: Evaluations,
+    keep: Bool[ndarray, "k"],
     number: Int[ndarray, "k"] | None = None,
-) -> EvaluationMessages:  # fmt: skip
+) -> EvaluationMessages:
     """Evaluation messages, one per list.
 
     Parameters
@@ -158,7 +170,8 @@ def messages_of(
     number
         Number of what each evaluation is about, in place of that of the detection; None if all are about detections.
     """
-    kept, sent = Evaluations(evaluations.evaluation[keep], evaluations.visibility[keep]), subset(lists, keep)
+    kept = Evaluations(evaluations.evaluation[keep], evaluations.visibility[keep])
+    sent = subset(lists, keep)
     made = tables.as_messages(
         step, messages.pseudonym, sent, messages.detections, kept, messages.detection_step(sent.member)
     )

@@ -75,9 +75,13 @@ class Parts:
 
     @staticmethod
     def of(
-        experiment: Config, city: Scene, rsus: RsuAntennas = NO_RSUS, watch: Stopwatch | None = None,
-        units: RoadsideUnits = NO_UNITS, limits: SpeedLimits = NO_LIMITS,
-    ) -> "Parts":  # fmt: skip
+        experiment: Config,
+        city: Scene,
+        rsus: RsuAntennas = NO_RSUS,
+        watch: Stopwatch | None = None,
+        units: RoadsideUnits = NO_UNITS,
+        limits: SpeedLimits = NO_LIMITS,
+    ) -> "Parts":
         """Build the components that a config names.
 
         Raises

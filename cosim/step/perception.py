@@ -125,9 +125,15 @@ class Perceives(Protocol):
         ...
 
     def in_area(
-        self, sweeps: Any, o: Int[ndarray, "n"], boxes: Boxes, area: AreaParams, b: Int[ndarray, "n"],
-        label: UInt8[ndarray, "boxes"], own: Boxes,
-    ) -> Bool[ndarray, "n"]:  # fmt: skip
+        self,
+        sweeps: Any,
+        o: Int[ndarray, "n"],
+        boxes: Boxes,
+        area: AreaParams,
+        b: Int[ndarray, "n"],
+        label: UInt8[ndarray, "boxes"],
+        own: Boxes,
+    ) -> Bool[ndarray, "n"]:
         """As `sensors.evidence.in_evaluation_area`."""
         ...
 
@@ -176,7 +182,8 @@ class Perception:
         def sense(first: int, last: int) -> tuple[Seen, Stopwatch]:
             if n_threads > 1:
                 numba.set_num_threads(1)  # a setting of each thread
-            kept, own = self._groups.pop() if self._groups else NO_MEMORY, watch.of_thread() if n_threads > 1 else watch
+            kept = self._groups.pop() if self._groups else NO_MEMORY
+            own = watch.of_thread() if n_threads > 1 else watch
             part = near.part(first, last)
             memory = kept._replace(range_steps=range_steps[first:last], near=part, bodies=bodies)
             sweeps, here = self.sense(world, observers[first:last], own, memory)
@@ -217,9 +224,15 @@ class Perception:
         )
 
     def in_area(
-        self, sweeps: lidar.RangeImages, o: Int[ndarray, "n"], boxes: Boxes, area: AreaParams, b: Int[ndarray, "n"],
-        label: UInt8[ndarray, "boxes"], own: Boxes,
-    ) -> Bool[ndarray, "n"]:  # fmt: skip
+        self,
+        sweeps: lidar.RangeImages,
+        o: Int[ndarray, "n"],
+        boxes: Boxes,
+        area: AreaParams,
+        b: Int[ndarray, "n"],
+        label: UInt8[ndarray, "boxes"],
+        own: Boxes,
+    ) -> Bool[ndarray, "n"]:
         """As in `Perceives`."""
         return evidence.in_evaluation_area(sweeps, o, boxes, area, b, label, own)
 
@@ -284,14 +297,20 @@ def detector_draws(
 
 
 def swept(
-    world: World, observers: Int[ndarray, "e"], city: Scene, params: lidar.LidarParams, weather: WeatherParams,
-    seed: int, memory: SweepMemory = NO_MEMORY,
-) -> lidar.Sweeps:  # fmt: skip
+    world: World,
+    observers: Int[ndarray, "e"],
+    city: Scene,
+    params: lidar.LidarParams,
+    weather: WeatherParams,
+    seed: int,
+    memory: SweepMemory = NO_MEMORY,
+) -> lidar.Sweeps:
     """Sweeps of the vehicles in these rows of the world, in this weather."""
     keys = sweep_keys(seed, world, observers)
     sweeps = lidar.scan(world.boxes, world.shape, observers, city, params, keys, memory, speed_mps=world.speed_mps)
     if not weather.is_clear:
-        reflectivity, dirt = rng.key(seed, rng.Stream.REFLECTIVITY), rng.key(seed, rng.Stream.DIRT)
+        reflectivity = rng.key(seed, rng.Stream.REFLECTIVITY)
+        dirt = rng.key(seed, rng.Stream.DIRT)
         weaken(sweeps, weather, keys, world.name_key, reflectivity, dirt)
     return sweeps
 

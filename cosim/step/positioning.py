@@ -73,9 +73,10 @@ def as_believed(observed: Observed, world: World, rows: Int[ndarray, "e"], error
     detections = observed.detections
     true_m, of = world.boxes.xyz_m[rows], np.searchsorted(rows, detections.observer)
     return replace(
-        observed, sweeps=observed.sweeps.displaced(error),
+        observed,
+        sweeps=observed.sweeps.displaced(error),
         detections=replace(detections, boxes=as_estimated(detections.boxes, of, true_m, error)),
-    )  # fmt: skip
+    )
 
 
 def believed_world(world: World, rows: Int[ndarray, "e"], error: Float[ndarray, "e 3"]) -> World:

@@ -68,14 +68,18 @@ class ReactionTruth:
         why, n = commands.reasons, len(commands)
         if why is None:
             return None
-        fabricated, is_real, truth_actor = np.zeros(n, bool), np.zeros(n, bool), np.zeros(n, np.int64)
+        fabricated = np.zeros(n, bool)
+        is_real = np.zeros(n, bool)
+        truth_actor = np.zeros(n, np.int64)
         wanted = _key(why.source, why.source_index)
         for then in self.steps:
             rows = np.flatnonzero(why.source_step == then.step)
             at = np.minimum(np.searchsorted(then.key, wanted[rows]), len(then.key) - 1)
             found = then.key[at] == wanted[rows]
             rows, at = rows[found], at[found]
-            fabricated[rows], is_real[rows], truth_actor[rows] = then.fabricated[at], then.is_real[at], then.actor[at]
+            fabricated[rows] = then.fabricated[at]
+            is_real[rows] = then.is_real[at]
+            truth_actor[rows] = then.actor[at]
         speed = world.speed_mps[np.searchsorted(world.actor, commands.actor)]
         return Reactions(
             commands=commands,

@@ -44,9 +44,12 @@ class EvaluationCarriers:
 
 
 def carrier_of(
-    exchange: Exchange, evaluated: Evaluated, waiting: SentEvaluations | None, rounds: tuple[Broadcast, Broadcast],
+    exchange: Exchange,
+    evaluated: Evaluated,
+    waiting: SentEvaluations | None,
+    rounds: tuple[Broadcast, Broadcast],
     parts: Parts,
-) -> tuple[SentEvaluations | None, EvaluationCarriers]:  # fmt: skip
+) -> tuple[SentEvaluations | None, EvaluationCarriers]:
     """Evaluations that wait for the next detection message, and the messages that carried evaluations in this step.
 
     Parameters
@@ -82,9 +85,14 @@ def carrier_of(
 
 
 def update_trust(
-    trust: TrustState, exchange: Exchange, listed: Listed, evaluated: Evaluated, carrier: EvaluationCarriers,
-    pseudonyms: PseudonymState, parts: Parts,
-) -> tuple[TrustState, LinkStats]:  # fmt: skip
+    trust: TrustState,
+    exchange: Exchange,
+    listed: Listed,
+    evaluated: Evaluated,
+    carrier: EvaluationCarriers,
+    pseudonyms: PseudonymState,
+    parts: Parts,
+) -> tuple[TrustState, LinkStats]:
     """Give the trust hosts the transmitted detections, the vehicles' own evaluations and those that arrived.
 
     Returns
@@ -167,9 +175,13 @@ def _deliver(
 
 
 def deliver_late(
-    trust: TrustState, exchange: Exchange, carried: Sequence[EvaluationCarriers], late: Sequence[LateMessages],
-    pseudonyms: PseudonymState, parts: Parts,
-) -> tuple[TrustState, LinkStats]:  # fmt: skip
+    trust: TrustState,
+    exchange: Exchange,
+    carried: Sequence[EvaluationCarriers],
+    late: Sequence[LateMessages],
+    pseudonyms: PseudonymState,
+    parts: Parts,
+) -> tuple[TrustState, LinkStats]:
     """Deliver the evaluations of messages that arrived later than the round in which they were sent.
 
     Returns

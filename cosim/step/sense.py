@@ -48,7 +48,9 @@ def identify(
     The new state of the pseudonyms, the vehicles with their pseudonyms, and the pseudonyms that have ended.
     """
     row, sensing = np.flatnonzero(world.equipped), parts.sensing(world)
-    actor, names, ended = world.actor[row], world.name_key[row], PseudonymUse.none()
+    actor = world.actor[row]
+    names = world.name_key[row]
+    ended = PseudonymUse.none()
     if len(sensing):
         wants = None
         if parts.adversary.renews:

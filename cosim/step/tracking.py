@@ -55,9 +55,15 @@ def _track_round(
     frames = found.frames
     message = frames.message.astype(np.int32, copy=False)  # the type for which the kernel is compiled
     pair, got, n_in_range = pairs_within_range(
-        found.station, message, frames.receiver, frames.hop,
-        exchange.senders.vehicle, received.message, received.receiver, actor,
-    )  # fmt: skip
+        found.station,
+        message,
+        frames.receiver,
+        frames.hop,
+        exchange.senders.vehicle,
+        received.message,
+        received.receiver,
+        actor,
+    )
     late = [_codes(actor, messages) for messages in late_of(rounds, kind)]
     if late:  # a message that arrives late counts in the step in which it arrives
         arrived, _ = distinct(np.concatenate(late))
@@ -83,14 +89,19 @@ def late_of(rounds: Rounds, kind: RoundKind) -> list[LateMessages]:
 
 
 def count_in_encounters(
-    encounters: Encounters, exchange: Exchange, rounds: Rounds, looked_up: LookedUp, messages: Known,
+    encounters: Encounters,
+    exchange: Exchange,
+    rounds: Rounds,
+    looked_up: LookedUp,
+    messages: Known,
     compared: Compared,
-) -> Encounters:  # fmt: skip
+) -> Encounters:
     """Add a step's messages, look-ups and evaluations to the open encounters."""
     actor, vehicle = exchange.vehicles.actor, messages.vehicle
     used, lists, row = looked_up.messages, compared.lists, exchange.vehicles.senses
     is_known = np.stack([found.is_known for found in looked_up.lookups], axis=1)
-    by, observer = row[lists.of_member()], vehicle[messages.detections.message[lists.member]]
+    by = row[lists.of_member()]
+    observer = vehicle[messages.detections.message[lists.member]]
     is_new = messages.is_new(lists.of_member(), lists.member)
     by, observer = by[is_new], observer[is_new]
     pairs, n = distinct((by * len(actor) + observer)[by != observer])

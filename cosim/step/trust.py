@@ -49,9 +49,14 @@ def own_trust_of(
 
 
 def follow_encounters(
-    encounters: Encounters, near: NearPairs, trust: TrustState, pseudonyms: PseudonymState, vehicles: Vehicles,
-    now: Times, parts: Parts,
-) -> tuple[Encounters, TrustState, list[Rows]]:  # fmt: skip
+    encounters: Encounters,
+    near: NearPairs,
+    trust: TrustState,
+    pseudonyms: PseudonymState,
+    vehicles: Vehicles,
+    now: Times,
+    parts: Parts,
+) -> tuple[Encounters, TrustState, list[Rows]]:
     """Update encounters with the near pairs, and note the trust of both vehicles when an encounter begins.
 
     Returns
@@ -103,9 +108,13 @@ def _check_names(model: TrustModel, scores: TrustScores, owner: Int[ndarray, "n"
 
 
 def receive_from_rsus(
-    trust: TrustState, exchange: Exchange, sent: TrustBroadcast | None, reports: Broadcast, informed: list[Informed],
+    trust: TrustState,
+    exchange: Exchange,
+    sent: TrustBroadcast | None,
+    reports: Broadcast,
+    informed: list[Informed],
     parts: Parts,
-) -> tuple[TrustState, list[Informed]]:  # fmt: skip
+) -> tuple[TrustState, list[Informed]]:
     """Vehicles receive the trust that roadside units broadcast in the round of evaluations.
 
     Returns
@@ -153,9 +162,15 @@ def control_relays(
 
 
 def _trust_in(
-    trust: TrustState, holder: Int[ndarray, "n"], pseudonym: Int[ndarray, "m"], message: Int[ndarray, "n"],
-    time_s: float, exchange: Exchange, pseudonyms: PseudonymState, parts: Parts,
-) -> list[Lookups]:  # fmt: skip
+    trust: TrustState,
+    holder: Int[ndarray, "n"],
+    pseudonym: Int[ndarray, "m"],
+    message: Int[ndarray, "n"],
+    time_s: float,
+    exchange: Exchange,
+    pseudonyms: PseudonymState,
+    parts: Parts,
+) -> list[Lookups]:
     """For each host, the trust of vehicles (actor numbers) in the senders of messages at `time_s`."""
     subject = parts.linkage.subjects(pseudonyms, pseudonym)[message]
     found = parts.trust.lookup(trust, holder, subject, time_s)
@@ -177,9 +192,16 @@ class LookedUp:
 
 
 def look_up(
-    trust: TrustState, known_senders: KnownSenders, exchange: Exchange, listed: Listed, messages: Known, used: Uses,
-    cpms: Broadcast, pseudonyms: PseudonymState, parts: Parts,
-) -> tuple[TrustState, KnownSenders, LookedUp]:  # fmt: skip
+    trust: TrustState,
+    known_senders: KnownSenders,
+    exchange: Exchange,
+    listed: Listed,
+    messages: Known,
+    used: Uses,
+    cpms: Broadcast,
+    pseudonyms: PseudonymState,
+    parts: Parts,
+) -> tuple[TrustState, KnownSenders, LookedUp]:
     """Every vehicle that senses looks up its trust in the senders of the evaluations that it uses.
 
     Parameters
@@ -197,15 +219,20 @@ def look_up(
     parts
         Components of the run.
     """
-    now, holder, asked = exchange.now, exchange.sensing.actor[used.receiver], messages.pseudonym
+    now = exchange.now
+    holder = exchange.sensing.actor[used.receiver]
+    asked = messages.pseudonym
     trust = parts.trust.receive(trust, exchange.vehicles.actor, now.fused_s)
     found = _trust_in(trust, holder, asked, used.message, now.fused_s, exchange, pseudonyms, parts)
     if parts.config.pseudonyms.linkage == "own":
         received = _received_senders(exchange, listed, cpms.accepted.vehicles)
         known_senders = update_senders(
-            known_senders, received, now.begin_s,
-            lambda pseudonym: parts.pseudonyms.owners(pseudonyms, pseudonym)[0], parts.config.pseudonyms,
-        )  # fmt: skip
+            known_senders,
+            received,
+            now.begin_s,
+            lambda pseudonym: parts.pseudonyms.owners(pseudonyms, pseudonym)[0],
+            parts.config.pseudonyms,
+        )
         known_senders, found = _of_old_pseudonyms(
             trust, known_senders, holder, asked[used.message], now.fused_s, found, parts
         )
@@ -220,7 +247,8 @@ def _received_senders(exchange: Exchange, listed: Listed, received: Receptions) 
     report[listed.detections.message[selves]] = selves
     received = received.take(report[received.message] >= 0)
     row = report[received.message]
-    yaw, speed = objects.boxes.yaw_rad[row], np.nan_to_num(objects.speed_mps[row])
+    yaw = objects.boxes.yaw_rad[row]
+    speed = np.nan_to_num(objects.speed_mps[row])
     return ReceivedSenders(
         receiver=exchange.vehicles.actor[received.receiver],
         pseudonym=senders.pseudonym[received.message],
@@ -230,9 +258,14 @@ def _received_senders(exchange: Exchange, listed: Listed, received: Receptions) 
 
 
 def _of_old_pseudonyms(
-    trust: TrustState, known: KnownSenders, holder: Int[ndarray, "n"], asked: Int[ndarray, "n"], time_s: float,
-    found: list[Lookups], parts: Parts,
-) -> tuple[KnownSenders, list[Lookups]]:  # fmt: skip
+    trust: TrustState,
+    known: KnownSenders,
+    holder: Int[ndarray, "n"],
+    asked: Int[ndarray, "n"],
+    time_s: float,
+    found: list[Lookups],
+    parts: Parts,
+) -> tuple[KnownSenders, list[Lookups]]:
     """Look-ups of receivers that link pseudonyms themselves.
 
     If a receiver has no trust value for the new pseudonym, it uses that of the old one.

@@ -46,9 +46,13 @@ class ActorRegistry:
         return self._n
 
     def register(
-        self, names: list[str], shape: UInt8[ndarray, "n"], lwh_m: Float[ndarray, "n 3"], step: int,
+        self,
+        names: list[str],
+        shape: UInt8[ndarray, "n"],
+        lwh_m: Float[ndarray, "n 3"],
+        step: int,
         equipped: bool | None = None,
-    ) -> Int[ndarray, "n"]:  # fmt: skip
+    ) -> Int[ndarray, "n"]:
         """Give numbers to new actors, and decide their equipment and attacks.
 
         Numbers are assigned in the order of names, vehicles before persons, whatever the order of the input. A person
@@ -72,7 +76,10 @@ class ActorRegistry:
         first, n = self._n, len(names)
         is_person = shape == Shape.PEDESTRIAN
         order = sorted(range(n), key=lambda i: (is_person[i], names[i]))
-        names, shape, lwh_m, is_person = [names[i] for i in order], shape[order], lwh_m[order], is_person[order]
+        names = [names[i] for i in order]
+        shape = shape[order]
+        lwh_m = lwh_m[order]
+        is_person = is_person[order]
         while first + n > len(self._shape):
             for column in _COLUMNS:
                 old = getattr(self, column)
@@ -90,7 +97,9 @@ class ActorRegistry:
             self._assign_attacks(names, keys, first)
 
         self.names.extend(names)
-        self._name_key[rows], self._shape[rows], self._lwh_m[rows] = keys, shape, lwh_m.astype(np.float32)
+        self._name_key[rows] = keys
+        self._shape[rows] = shape
+        self._lwh_m[rows] = lwh_m.astype(np.float32)
         self._first_step[rows] = self._last_step[rows] = step
         self._n += n
         numbers = np.empty(n, np.int32)

@@ -112,10 +112,13 @@ def _parsed(lines: bytes, found: Header, wanted: Collection[str]) -> pa.Table:
         pcsv.ReadOptions(column_names=found.names, use_threads=False, block_size=len(lines) + 1),
         pcsv.ParseOptions(delimiter=found.separator),
         pcsv.ConvertOptions(
-            include_columns=list(wanted), column_types=dict.fromkeys(wanted, pa.string()), strings_can_be_null=True,
-            quoted_strings_can_be_null=False, null_values=[""],
+            include_columns=list(wanted),
+            column_types=dict.fromkeys(wanted, pa.string()),
+            strings_can_be_null=True,
+            quoted_strings_can_be_null=False,
+            null_values=[""],
         ),
-    )  # fmt: skip
+    )
 
 
 def _whole_lines(path: Path, has_header: bool) -> Iterator[tuple[bytes, bool]]:

@@ -282,10 +282,16 @@ def _timestep(rows: pa.Table) -> Timestep:
 
     x, y, angle, speed = (numbers(name, np.nan) for name in _COLUMNS)
     return Timestep(
-        time_s, rows.column("id").to_pylist(), texts("type"), np.column_stack([x, y, numbers("z", 0.0)]), angle, speed,
-        rows.column("is_person").to_numpy(), texts("vClass") if "vClass" in has else None,
+        time_s,
+        rows.column("id").to_pylist(),
+        texts("type"),
+        np.column_stack([x, y, numbers("z", 0.0)]),
+        angle,
+        speed,
+        rows.column("is_person").to_numpy(),
+        texts("vClass") if "vClass" in has else None,
         np.column_stack([numbers(name, np.nan) for name in _SIZES]) if "length" in has else None,
-    )  # fmt: skip
+    )
 
 
 def _seconds(path: Path, text: str) -> float:

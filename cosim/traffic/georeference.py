@@ -40,7 +40,8 @@ class NetLocation:
     def holds(self, xy_m: Float[ndarray, "n 2"]) -> float:
         """Share of positions within the bounds."""
         west, south, east, north = self.bounds_m
-        low, high = np.array([west, south]) - _MARGIN_M, np.array([east, north]) + _MARGIN_M
+        low = np.array([west, south]) - _MARGIN_M
+        high = np.array([east, north]) + _MARGIN_M
         return float(((low <= xy_m) & (xy_m <= high)).all(axis=1).mean())
 
 
@@ -116,9 +117,10 @@ def _moved(own: Projection, to_net: Projection) -> Conversion:
         there_m = to_net.to_world(here.latitude_deg, here.longitude_deg)
         turned_deg = np.degrees(here.turn_rad - to_net.of_world(there_m).turn_rad)
         return replace(
-            timestep, front_m=np.column_stack([there_m, timestep.front_m[:, 2]]),
+            timestep,
+            front_m=np.column_stack([there_m, timestep.front_m[:, 2]]),
             compass_deg=(timestep.compass_deg + turned_deg) % 360.0,
-        )  # fmt: skip
+        )
 
     return moved
 

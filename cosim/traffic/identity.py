@@ -50,9 +50,7 @@ class TypeTable:
             self._known[key] = self._found(*key)
         return self._known[key]
 
-    def shapes(
-        self, names: list[str], is_person: Bool[ndarray, "n"], vclasses: list[str] | None
-    ) -> Int[ndarray, "n"]:  # fmt: skip
+    def shapes(self, names: list[str], is_person: Bool[ndarray, "n"], vclasses: list[str] | None) -> Int[ndarray, "n"]:
         """Shape code of each actor, or `LEFT_OUT` if it is not on the road."""
         keys = list(zip(names, is_person.tolist(), vclasses or repeat(""), strict=False))
         for key in set(keys) - self._shape.keys():
@@ -130,7 +128,9 @@ class Identities:
         self._turn += 1
         for i in np.flatnonzero((self._turn - self._last_turn[who] > 1) & ~is_other).tolist():  # few come back
             is_other[i] = self._type[who[i]] != types[seen[i]].partition("@")[0]
-        self._last_turn[who], self._last_step[who], self._last_m[who] = self._turn, step, xy_m[seen]
+        self._last_turn[who] = self._turn
+        self._last_step[who] = step
+        self._last_m[who] = xy_m[seen]
         number[seen[is_other]] = UNKNOWN
         return number
 
@@ -150,9 +150,13 @@ class Identities:
         return shown
 
     def add(
-        self, keys: list[tuple[str, bool]], types: list[str], xy_m: Float[ndarray, "k 2"], number: Int[ndarray, "k"],
+        self,
+        keys: list[tuple[str, bool]],
+        types: list[str],
+        xy_m: Float[ndarray, "k 2"],
+        number: Int[ndarray, "k"],
         step: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Note the numbers of new actors, which are the next ones."""
         self._number.update(zip(keys, number.tolist(), strict=True))
         n = len(self._type) + len(keys)
@@ -164,7 +168,9 @@ class Identities:
         self._type += [""] * len(keys)
         for row, of in zip(number.tolist(), types, strict=True):
             self._type[row] = of.partition("@")[0]
-        self._last_turn[number], self._last_step[number], self._last_m[number] = self._turn, step, xy_m
+        self._last_turn[number] = self._turn
+        self._last_step[number] = step
+        self._last_m[number] = xy_m
 
     def report(self) -> dict[str, Any]:
         """How many names came back as another actor, and the first of these actors."""

@@ -149,12 +149,16 @@ class _Way:
         headings_deg = self._begin_deg, self._begin_deg + self._turn_deg
         lengths_m = self._begin_mps * self._took_s, self._end_mps * self._took_s
         return Timestep(
-            self._first_s + part * self._took_s, self._names, self._types,
+            self._first_s + part * self._took_s,
+            self._names,
+            self._types,
             curve(self._begin_m, self._end_m, headings_deg, lengths_m, part),
             (self._begin_deg + part * self._turn_deg) % 360.0,
             self._begin_mps + part * (self._end_mps - self._begin_mps),
-            self._is_person, self._vclasses, self._lwh_m,
-        )  # fmt: skip
+            self._is_person,
+            self._vclasses,
+            self._lwh_m,
+        )
 
 
 def curve(

@@ -65,7 +65,8 @@ def with_meshes(scene: Scene, meshes: Sequence[MeshParams], vehicle_meshes: Sequ
             raise ValueError(f"vehicle_meshes.{number}.file = {body.file}: {error}") from None
     for number, mesh in enumerate(meshes):
         vertices, faces = read(f"meshes.{number}.file", Path(mesh.file))
-        cos, sin = np.cos(np.radians(mesh.yaw_deg)), np.sin(np.radians(mesh.yaw_deg))
+        cos = np.cos(np.radians(mesh.yaw_deg))
+        sin = np.sin(np.radians(mesh.yaw_deg))
         placed = mesh.scale * vertices @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + mesh.at_m
         try:
             scene = scene.with_mesh(placed, faces)
@@ -104,7 +105,8 @@ def read(key: str, path: Path) -> tuple[Float[ndarray, "v 3"], Int[ndarray, "t 3
         ) from None
     try:
         mesh: Any = trimesh.load(path, force="mesh")
-        vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
+        vertices = np.asarray(mesh.vertices, float)
+        faces = np.asarray(mesh.faces, np.int64)
     except Exception as error:  # a damaged file can raise any exception in the reader
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise ValueError(f"{key} = {path}: cannot be read as a mesh: {reason}.") from None

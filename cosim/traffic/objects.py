@@ -83,9 +83,12 @@ class Placed:
 
     @staticmethod
     def of(
-        objects: Sequence[ObjectParams], frame: Frame, step_s: float, parked: Mapping[str, ObjectParams] | None = None,
+        objects: Sequence[ObjectParams],
+        frame: Frame,
+        step_s: float,
+        parked: Mapping[str, ObjectParams] | None = None,
         units: RoadsideUnits = NO_UNITS,
-    ) -> "Placed":  # fmt: skip
+    ) -> "Placed":
         """Convert the objects, parked cars by name, and units to arrays.
 
         Raises
@@ -97,7 +100,8 @@ class Placed:
         names = [*(f"{PREFIX}{i}" for i in range(len(objects))), *parked, *units.names]
         objects = [*objects, *parked.values()]
         kinds = [*(Shape[o.vehicle_class.upper()] for o in objects), *[Shape.ROADSIDE_UNIT] * n_units]
-        shape, is_unit = np.array(kinds, np.uint8), np.array([kind == Shape.ROADSIDE_UNIT for kind in kinds], bool)
+        shape = np.array(kinds, np.uint8)
+        is_unit = np.array([kind == Shape.ROADSIDE_UNIT for kind in kinds], bool)
         masts_m = np.column_stack([np.full((n_units, 2), MAST_M), units.height_m])
         lwh_m = np.concatenate([np.array([o.lwh_m for o in objects]).reshape(-1, 3), masts_m])
         lwh_m = lwh_m.astype(np.float32).astype(float)
@@ -134,9 +138,12 @@ class WithObjects:
         if len(new := here[self._number[here] < 0]):
             for kind in (new[~p.is_unit[new]], new[p.is_unit[new]]):
                 self._number[kind] = self._registry.register(
-                    [p.names[i] for i in kind.tolist()], p.shape[kind], p.boxes.lwh_m[kind], world.step,
+                    [p.names[i] for i in kind.tolist()],
+                    p.shape[kind],
+                    p.boxes.lwh_m[kind],
+                    world.step,
                     equipped=bool(p.is_unit[kind].any()),
-                )  # fmt: skip
+                )
         here = here[np.argsort(self._number[here])]
         boxes = p.boxes.take(here)
         objects = world_of(

@@ -46,9 +46,14 @@ class PositionErrors:
     step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def next(
-        self, step: int, actor: Int[ndarray, "e"], name_key: UInt64[ndarray, "e"], params: GnssParams, dt_s: float,
+        self,
+        step: int,
+        actor: Int[ndarray, "e"],
+        name_key: UInt64[ndarray, "e"],
+        params: GnssParams,
+        dt_s: float,
         seed: int,
-    ) -> tuple["PositionErrors", Float[ndarray, "e 3"]]:  # fmt: skip
+    ) -> tuple["PositionErrors", Float[ndarray, "e 3"]]:
         """Advance the processes by one step.
 
         Parameters

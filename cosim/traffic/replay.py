@@ -122,9 +122,14 @@ class TraceReplay(_Replay):
             self._rows_of = timestep.names, *self._on_road(timestep, step)
         _, rows, number = self._rows_of
         world = world_from_bumpers(
-            step, number, timestep.front_m[rows], timestep.compass_deg[rows], timestep.speed_mps[rows],
-            self._registry, self._frame,
-        )  # fmt: skip
+            step,
+            number,
+            timestep.front_m[rows],
+            timestep.compass_deg[rows],
+            timestep.speed_mps[rows],
+            self._registry,
+            self._frame,
+        )
         return self._counts.add(world)
 
     def report(self) -> dict[str, Any]:

@@ -163,7 +163,8 @@ def _chosen(section: RoadsideParams, where: str, streets: Streets, seed: int) ->
     elif section.choose == "random":
         found, why = drawn(streets, seed)[: section.junctions], ""
     else:
-        found, why = [by_name[name] for name in names[: section.junctions]], f" in {where}.listed"
+        found = [by_name[name] for name in names[: section.junctions]]
+        why = f" in {where}.listed"
     if len(found) < section.junctions:
         raise ValueError(
             f"{where}.junctions = {section.junctions}: there are only {len(found)} junctions{why}. Set it lower."

@@ -61,10 +61,14 @@ class Scenario:
     """Options of SUMO that the configuration switches on."""
 
     def traffic(
-        self, params: TrafficParams, registry: ActorRegistry, has_driver: bool = False,
-        objects: Sequence[ObjectParams] = (), parked: Mapping[str, ObjectParams] | None = None,
+        self,
+        params: TrafficParams,
+        registry: ActorRegistry,
+        has_driver: bool = False,
+        objects: Sequence[ObjectParams] = (),
+        parked: Mapping[str, ObjectParams] | None = None,
         units: RoadsideUnits = NO_UNITS,
-    ) -> TrafficSource:  # fmt: skip
+    ) -> TrafficSource:
         """Open the traffic source, and add the objects and the roadside units of the config, and parked cars.
 
         Parameters
@@ -91,9 +95,7 @@ class Scenario:
                 "libsumo==1.28.0. Or replay recorded traffic, which needs no SUMO: set traffic.trace."
             )
 
-    def _moving(
-        self, params: TrafficParams, registry: ActorRegistry, frame: Frame, has_driver: bool
-    ) -> TrafficSource:  # fmt: skip
+    def _moving(self, params: TrafficParams, registry: ActorRegistry, frame: Frame, has_driver: bool) -> TrafficSource:
         self.check_simulator()
         if self.trace is None:
             from cosim.traffic.sumo import SumoTraffic  # imported here, because loading SUMO is slow
@@ -245,10 +247,19 @@ def _in_folder(folder: Path) -> Scenario:
 def _of_net(net: Net) -> Scenario:
     types, config = (net.folder / "vtypes.add.xml",), sumocfg.read(net.sumocfg_path)
     return Scenario(
-        net.name, net.sumocfg_path, net.net_path, (net.buildings_path,), types, net.warm_up_s, net.licence,
-        net.attribution, origin_m=origin_of(net.bounds_m), bounds_m=net.bounds_m,
-        inputs=config.inputs, switches=config.switches,
-    )  # fmt: skip
+        net.name,
+        net.sumocfg_path,
+        net.net_path,
+        (net.buildings_path,),
+        types,
+        net.warm_up_s,
+        net.licence,
+        net.attribution,
+        origin_m=origin_of(net.bounds_m),
+        bounds_m=net.bounds_m,
+        inputs=config.inputs,
+        switches=config.switches,
+    )
 
 
 def _of_sumocfg(path: Path) -> Scenario:
@@ -256,10 +267,16 @@ def _of_sumocfg(path: Path) -> Scenario:
     check_for_cars(config.net)
     bounds_m = catalogue.bounds_m(config.net)
     return Scenario(
-        _name_of(path), path, config.net, config.buildings, (*config.additional, *config.routes, *config.included),
-        origin_m=origin_of(bounds_m), bounds_m=bounds_m, inputs=config.inputs,
+        _name_of(path),
+        path,
+        config.net,
+        config.buildings,
+        (*config.additional, *config.routes, *config.included),
+        origin_m=origin_of(bounds_m),
+        bounds_m=bounds_m,
+        inputs=config.inputs,
         switches=config.switches,
-    )  # fmt: skip
+    )
 
 
 def _name_of(path: Path) -> str:

@@ -122,7 +122,10 @@ def world_from_bumpers(
 def _placed(order, actor, front_m, compass_deg, speed_mps, size_m, east_m, north_m):
     """Actor numbers, box centres, yaw and speed from front bumpers on the road, in the given order, rounded."""
     n = len(order)
-    number, xyz_m, yaw_rad, speed = np.empty(n, np.int32), np.empty((n, 3)), np.empty(n), np.empty(n)
+    number = np.empty(n, np.int32)
+    xyz_m = np.empty((n, 3))
+    yaw_rad = np.empty(n)
+    speed = np.empty(n)
     for i in range(n):
         row = order[i]
         number[i] = actor[row]

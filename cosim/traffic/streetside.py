@@ -142,7 +142,9 @@ class Streetside:
         north = at[:, 1:2] + sin[:, None] * corners[..., 0] + cos[:, None] * corners[..., 1]
         body = shapely.polygons(np.stack([east, north], axis=-1)) if len(at) else np.zeros(0, object)
         trees, first = city.trees, city.trees.ptr[:-1]
-        x, y, half = trees.x_m[first], trees.y_m[first], trees.half_l_m[first]
+        x = trees.x_m[first]
+        y = trees.y_m[first]
+        half = trees.half_l_m[first]
         trunks = shapely.box(x - half, y - half, x + half, y + half)
         free = np.flatnonzero(self._is_free(body, city, trunks))
         one, other = shapely.STRtree(body[free]).query(body[free], predicate="intersects")

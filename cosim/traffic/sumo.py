@@ -103,7 +103,9 @@ class SumoTraffic:
             self._number = np.append(self._number, self._registered(now.new, step))
         number = self._number[now.number]
         kept = number != _LEFT_OUT
-        front_m, angle, speed = now.front_m[kept], now.compass_deg[kept], now.speed_mps[kept]
+        front_m = now.front_m[kept]
+        angle = now.compass_deg[kept]
+        speed = now.speed_mps[kept]
         world = world_from_bumpers(step, number[kept], front_m, angle, speed, self._registry, self._frame)
         self._counts.add(world)
         return replace(world, paths=self._paths(world)) if self._has_driver else world

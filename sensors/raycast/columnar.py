@@ -58,9 +58,11 @@ def cast(sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise, 
         If the scene has meshes, which this caster cannot cast.
     """
     if scene.triangles_m is not None or scene.bodies_m:
-        meshes = [*scene.bodies_m.values(), *([] if scene.triangles_m is None else [scene.triangles_m])]
+        n_triangles = sum(map(len, scene.bodies_m.values()))
+        if scene.triangles_m is not None:
+            n_triangles += len(scene.triangles_m)
         raise ValueError(
-            f'lidar.engine = "columnar" casts upright prisms, and the scene has a mesh of {sum(map(len, meshes))} '
+            f'lidar.engine = "columnar" casts upright prisms, and the scene has a mesh of {n_triangles} '
             'triangles. Set lidar.engine to "embree" or "open3d".'
         )
     origin_m, limit_m = sweeps.poses.origin_m, float(sweeps.max_range_m)
@@ -110,21 +112,28 @@ class _Swept(NamedTuple):
 @compiled
 def _cast(sensors, beams, limit, xyz, radius, bodies, still, noise, out):
     """Sweep by sweep, so that each is finished while it is in the cache of its core."""
-    origin, near, standing, wood = sensors.origin_m, sensors.actors, sensors.buildings, sensors.trees
+    origin, near = sensors.origin_m, sensors.actors
+    standing, wood = sensors.buildings, sensors.trees
     for o in range(len(origin)):
-        hits, view = out.hit[o], (beams, columns_of(beams), slopes_of(beams), limit)
-        pose = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(sensors.yaw_rad[o]), np.sin(sensors.yaw_rad[o])
+        hits = out.hit[o]
+        view = beams, columns_of(beams), slopes_of(beams), limit
+        x, y, z = origin[o]
+        yaw = sensors.yaw_rad[o]
+        pose = x, y, z, np.cos(yaw), np.sin(yaw)
         ranges = np.empty(hits.shape, np.float32)
         nearest = np.full(len(beams.azimuth_rad), 1.0 / limit)
         found = standing.row[standing.ptr[o] : standing.ptr[o + 1]]
         _city(ranges, hits, pose, sensors.ground_m[o], view, nearest, still.buildings, found)
         for a in near.row[near.ptr[o] : near.ptr[o + 1]]:
             if a != sensors.own[o]:
-                _body(ranges, hits, a, Hit.ACTOR + a, (xyz[a, 0], xyz[a, 1]), radius[a], pose, view, nearest, bodies)
+                at = xyz[a, 0], xyz[a, 1]
+                _body(ranges, hits, a, Hit.ACTOR + a, at, radius[a], pose, view, nearest, bodies)
+        trees = still.trees
         for k in wood.row[wood.ptr[o] : wood.ptr[o + 1]]:
-            at = still.trees.x_m[still.trees.ptr[k]], still.trees.y_m[still.trees.ptr[k]]
+            first = trees.ptr[k]
+            at = trees.x_m[first], trees.y_m[first]
             code = np.int64(Hit.BUILDING)
-            _body(ranges, hits, k, code, at, still.tree_radius_m, pose, view, nearest, still.trees)
+            _body(ranges, hits, k, code, at, still.tree_radius_m, pose, view, nearest, trees)
         add_noise(ranges, hits, noise.key[o], noise)
         count_steps(ranges, out.range_steps[o], out.per_metre)
         if o < len(out.unrounded_m):  # in loops: Numba compiles the words of an error, for 3 s, to assign arrays
@@ -147,14 +156,18 @@ def _paint(ranges, hits, c, r, d, limit, code):
 @compiled
 def _city(ranges, hits, pose, ground, view, nearest, city, found):
     """Ground and buildings of one sweep; leaves the nearest closing wall per column in `nearest`."""
-    (x, y, z, cos, sin), (beams, columns, slopes, limit), (n, m) = pose, view, ranges.shape
+    (x, y, z, cos, sin), (beams, columns, slopes, limit) = pose, view
+    n, m = ranges.shape
     n_walls = 0
     for k in found:
         n_walls += city.ptr[k + 1] - city.ptr[k]
-    open_wall, flat = np.empty((n_walls, 9)), np.empty((len(found), 2), np.int64)
+    open_wall = np.empty((n_walls, 9))
+    flat = np.empty((len(found), 2), np.int64)
     n_open, n_flat = close_columns(found, x, y, z, ground, cos, sin, city, beams, columns, nearest, open_wall, flat)
 
-    road, on_road = np.full(m, np.inf, np.float32), np.full(m, Hit.NOTHING, hits.dtype)
+    # The road, and the walls that close a column: below, up to the highest beam.
+    road = np.full(m, np.inf, np.float32)
+    on_road = np.full(m, Hit.NOTHING, hits.dtype)
     for r in range(m):
         if (ground - z) * beams.tan_el[r] > 0.0:
             d = np.float32((ground - z) / beams.sin_el[r])
@@ -167,28 +180,37 @@ def _city(ranges, hits, pose, ground, view, nearest, city, found):
         for r in range(np.uint64(m)):
             hits[c, r] = on_road[r]
         if nearest[c] > 1.0 / limit:
-            foot, t = below(slopes, (ground - z) * nearest[c]), 1.0 / nearest[c]
+            foot = below(slopes, (ground - z) * nearest[c])
+            t = 1.0 / nearest[c]
             for r in range(np.uint64(foot), np.uint64(m)):
                 d = np.float32(t * inv_cos[r])
                 ranges[c, r] = d if d <= limit else np.inf
                 hits[c, r] = Hit.BUILDING if d <= limit else Hit.NOTHING
 
+    # Walls that a beam may pass above or below.
     for i in range(n_open):
-        u, v, bottom, top = open_wall[i, 4], open_wall[i, 5], open_wall[i, 6], open_wall[i, 7]
+        wall = open_wall[i]
+        u, v = wall[4], wall[5]
+        bottom, top = wall[6], wall[7]
         for turn in range(2):
-            for c in range(int(open_wall[i, 2 * turn]), int(open_wall[i, 2 * turn + 1])):
+            for c in range(int(wall[2 * turn]), int(wall[2 * turn + 1])):
                 w = u * beams.cos_az[c] + v * beams.sin_az[c]
-                if nearest[c] < w < open_wall[i, 8]:
+                if nearest[c] < w < wall[8]:
                     t = 1.0 / w
-                    first, last = below(slopes, bottom * w), below(slopes, top * w)
+                    first = below(slopes, bottom * w)
+                    last = below(slopes, top * w)
                     for r in range(np.uint64(first), np.uint64(last)):
                         _paint(ranges, hits, np.uint64(c), r, np.float32(t * inv_cos[r]), limit, Hit.BUILDING)
+    # Roofs and undersides.
     toggled = np.empty((n if n_flat > 0 else 0, m + 1), np.uint8)
     for i in range(n_flat):
         k, inside = flat[i, 0], flat[i, 1]
-        bottom, top = city.base_m[k] - z, city.top_m[k] - z
+        bottom = city.base_m[k] - z
+        top = city.top_m[k] - z
         within = inside == 1 and bottom < 0.0 and top > 0.0
-        for height, is_seen in ((top, top < 0.0 or within), (bottom, bottom > 0.0 or within)):
+        roof = top, top < 0.0 or within
+        underside = bottom, bottom > 0.0 or within
+        for height, is_seen in (roof, underside):
             if is_seen:
                 toggle_levels(toggled, city, k, height, x, y, cos, sin, beams, columns, slopes)
                 _level(ranges, hits, height, inside, beams, limit, toggled)
@@ -230,17 +252,22 @@ def _body(ranges, hits, a, code, at, radius, pose, view, nearest, bodies):
     clear = np.hypot(dx, dy) - radius
     for k in range(bodies.ptr[a], bodies.ptr[a + 1]):
         p, q, u, v = in_prism_frame(bodies, k, x, y, cos, sin)
-        bottom, top = bodies.bottom_m[k] - z, bodies.top_m[k] - z
+        bottom = bodies.bottom_m[k] - z
+        top = bodies.top_m[k] - z
         half_l, half_w = bodies.half_l_m[k], bodies.half_w_m[k]
         reach = half_l + farthest
-        a0, a1, b0, b1 = rectangle_columns(-p * u - q * v, p * v - q * u, u, -v, reach, half_w, columns)
+        ahead = -p * u - q * v
+        left = p * v - q * u
+        a0, a1, b0, b1 = rectangle_columns(ahead, left, u, -v, reach, half_w, columns)
         for turn in range(2):
             for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
                 if clear * nearest[c] >= 1.0:
                     continue
                 ca, sa = beams.cos_az[c], beams.sin_az[c]
                 behind = p - per_rad * beams.azimuth_rad[c]
-                enter, leave = rectangle(behind, q, u * ca - v * sa, v * ca + u * sa, half_l, half_w)
+                along = u * ca - v * sa
+                across = v * ca + u * sa
+                enter, leave = rectangle(behind, q, along, across, half_l, half_w)
                 if leave <= max(enter, 0.0) or enter * nearest[c] >= 1.0:
                     continue
                 first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, slopes)

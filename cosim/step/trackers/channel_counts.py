@@ -83,7 +83,9 @@ def vehicle_channel(
     busy
         Per round, the share of the time in which each receiver senses the channel busy; None if not modelled.
     """
-    n_in_range, n_received, cbr = np.zeros(n, int), np.zeros(n, int), np.zeros(n)
+    n_in_range = np.zeros(n, int)
+    n_received = np.zeros(n, int)
+    cbr = np.zeros(n)
     for counts in in_range:
         n_in_range += counts
     for rows in received:

@@ -79,15 +79,21 @@ class PairSearch:
             distance_m=np.sqrt(east_m * east_m + north_m * north_m),
             los={
                 what: los_between_actors(
-                    self.walls, world.boxes, world.shape, a, b, self.mount_above_roof_m,
-                    bodies=what == "buildings_and_vehicles", city=self.city,
+                    self.walls,
+                    world.boxes,
+                    world.shape,
+                    a,
+                    b,
+                    self.mount_above_roof_m,
+                    bodies=what == "buildings_and_vehicles",
+                    city=self.city,
                 )
                 for what in self.blockers
             },
             equipped=world.equipped[a] & world.equipped[b],
             on_foot=(world.shape[a] == Shape.PEDESTRIAN) | (world.shape[b] == Shape.PEDESTRIAN),
             present=world.actor[rows],
-        )  # fmt: skip
+        )
 
 
 Encounters = tuple[EncounterTracker, ...]

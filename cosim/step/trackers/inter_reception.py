@@ -55,12 +55,15 @@ class InterReceptionTracker:
 @compiled
 def _next(step, before, last, seen, pair, received, silent):
     """Pairs, their last receptions and steps after a round, and how many intervals of each length ended or were cut."""
-    n_received, n_censored = np.zeros(step + 2, np.int64), np.zeros(step + 2, np.int64)
+    n_received = np.zeros(step + 2, np.int64)
+    n_censored = np.zeros(step + 2, np.int64)
     n_more = (
         len(before) if len(silent) else 0
     )  # a pair whose sender is silent stays though it is not among the new ones
     size = len(pair) + n_more
-    new_pair, new_last, new_seen = np.empty(size, np.int64), np.empty(size, np.int32), np.empty(size, np.int32)
+    new_pair = np.empty(size, np.int64)
+    new_last = np.empty(size, np.int32)
+    new_seen = np.empty(size, np.int32)
     m, i, s = 0, 0, 0
     for row in range(len(pair) + 1):
         is_end = row == len(pair)
@@ -69,7 +72,9 @@ def _next(step, before, last, seen, pair, received, silent):
             while s < len(silent) and silent[s] < sender:
                 s += 1
             if s < len(silent) and silent[s] == sender:
-                new_pair[m], new_last[m], new_seen[m] = before[i], last[i], seen[i]
+                new_pair[m] = before[i]
+                new_last[m] = last[i]
+                new_seen[m] = seen[i]
                 m += 1
             elif last[i] >= 0:
                 n_censored[seen[i] - last[i]] += 1
@@ -84,7 +89,9 @@ def _next(step, before, last, seen, pair, received, silent):
             if earlier >= 0:
                 n_received[step - earlier] += 1
             earlier = step
-        new_pair[m], new_last[m], new_seen[m] = pair[row], earlier, step
+        new_pair[m] = pair[row]
+        new_last[m] = earlier
+        new_seen[m] = step
         m += 1
     return new_pair[:m], new_last[:m], new_seen[:m], n_received, n_censored
 
@@ -130,14 +137,17 @@ def pairs_within_range(station, message, receiver, hop, author, heard, heard_by,
         if not is_sorted:
             near[first:m].sort()
     ptr[n] = m
-    pair, got, n_in_range = np.empty(m, np.int64), np.empty(m, np.bool_), np.zeros(n, np.int64)
+    pair = np.empty(m, np.int64)
+    got = np.empty(m, np.bool_)
+    n_in_range = np.zeros(n, np.int64)
     stamp[:] = -1
     for i in range(n):
         for k in range(heard_ptr[i], heard_ptr[i + 1]):
             stamp[listener[k]] = i
         for k in range(ptr[i], ptr[i + 1]):
             j = near[k]
-            pair[k], got[k] = (actor[i] << 32) | actor[j], stamp[j] == i
+            pair[k] = (actor[i] << 32) | actor[j]
+            got[k] = stamp[j] == i
             n_in_range[j] += 1
     return pair, got, n_in_range
 
