@@ -279,7 +279,7 @@ def _encounters(get: Get) -> list[str]:
         elif definition in mean_s:
             said += f": they last {plain(mean_s[definition])} s on average"
         lines.append(said)
-    return lines or ["0: no two came within the radius of each other"]
+    return lines or ["none: the config defines no [[encounters]]"]
 
 
 def _trust(rows: GetRows) -> list[str]:

@@ -196,7 +196,7 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
                 "gap_median_s": float(again.median()) if len(again) else np.nan,
             }
         )
-    table = pd.DataFrame(rows)
+    table = pd.DataFrame(rows, columns=None if rows else [*DEFINITION, "n"])  # a config may define no encounters
     return table.assign(definition=named(table))
 
 

@@ -2,7 +2,12 @@
 
 import pytest
 
+from cosim.cli import console
 from cosim.cli.console import _summary
+from cosim.config.config import load
+from cosim.runs.run import run
+from tests.hostile.scenes import write_trace
+from tests.processes import sets_of_trace
 
 NAN = float("nan")
 
@@ -81,7 +86,7 @@ def test_every_topic_is_a_line_that_begins_with_a_number():
         ({"trust.final.median": {}}, "trust", "no trust was computed"),
         ({"freshness.lookup_state.share": {}}, "freshness", "no vehicle looked up"),
         ({"radio.pdr.all": {}}, "radio", "nothing was sent"),
-        ({"encounters.n": {}}, "encounters", "0: no two came"),
+        ({"encounters.n": {}}, "encounters", "none: the config defines no"),
         ({"traffic.equipped.n": {"honest": (0.0,)}}, "traffic", "no vehicle with LiDAR and radio"),
         ({"radio.lost.expired": {"": (0.2,)}}, "radio", "20% expired before they could be sent"),
     ],
@@ -89,3 +94,10 @@ def test_every_topic_is_a_line_that_begins_with_a_number():
 def test_what_is_missing_is_said(changes, topic, says):
     (line,) = _summary(rows_of(METRICS | changes), "helsinki")[topic][:1]
     assert says in line
+
+
+def test_a_run_without_definitions_of_encounters_has_a_summary(tmp_path, capsys):
+    keys = [*sets_of_trace(write_trace(tmp_path))[1::2], "encounters=[]"]
+    folder = run(load(None, keys), tmp_path / "run", lambda *_: None)
+    console.print_run_summary(folder, as_json=False)
+    assert "none: the config defines no [[encounters]]" in capsys.readouterr().out
