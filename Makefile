@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 TESTS := $(VENV)/.tests
 
-.PHONY: run test types bounds lint verify pages docs bench extra lock clean
+.PHONY: run test types bounds lint verify pages figures docs bench extra lock clean
 
 run: $(READY)  ## Simulate the shipped city and print a summary
 	$(BIN)/cosim run
@@ -33,6 +33,9 @@ verify: $(TESTS) $(VENV)/.readers  ## All checks and tests, including the slow o
 
 pages: $(TESTS)  ## Run the commands of the pages that show output, and record anew what they print
 	$(BIN)/python -m pytest -q -n 2 -m verify tests/cosim/docs/test_commands_run.py -k test_a_page --record-pages
+
+figures: $(TESTS)  ## Make the figures of the pages anew, over night, and list what moved
+	$(BIN)/python -m tests.verification.figures
 
 docs: $(TESTS) $(VENV)/.docs  ## The documentation site, in build/site; warnings are errors
 	$(BIN)/python -m cosim.docs.site build/site
