@@ -159,9 +159,10 @@ class Drive:
                 break
         with self.parts.watch("record"):
             self._wait_for_rows()
+        if self.broken is not None and self.manifest.steps == first:  # no step is new
+            raise self.broken
         if not self.manifest.steps:
-            nothing = f"traffic.scenario = {self.scenario.name}: there is nothing to record: {self.ended}."
-            raise self.broken or TrafficError(nothing)
+            raise TrafficError(f"traffic.scenario = {self.scenario.name}: there is nothing to record: {self.ended}.")
         with self.parts.watch("record"):
             self._end(state)
         if self.broken is not None:

@@ -48,6 +48,7 @@ LABELS: Mapping[str, str] = {
     "freshness_s": "window [s]",
     "share_p": "share of attackers",
     "loss_p": "loss per frame",
+    "std_m": "error of own position [m]",
     "scale": "demand",
     "scenario": "city",
     "pairs": "pairs",

@@ -57,10 +57,8 @@ def _next(step, before, last, seen, pair, received, silent):
     """Pairs, their last receptions and steps after a round, and how many intervals of each length ended or were cut."""
     n_received = np.zeros(step + 2, np.int64)
     n_censored = np.zeros(step + 2, np.int64)
-    n_more = (
-        len(before) if len(silent) else 0
-    )  # a pair whose sender is silent stays though it is not among the new ones
-    size = len(pair) + n_more
+    # a pair whose sender is silent stays though it is not among the new ones
+    size = len(pair) + (len(before) if len(silent) else 0)
     new_pair = np.empty(size, np.int64)
     new_last = np.empty(size, np.int32)
     new_seen = np.empty(size, np.int32)

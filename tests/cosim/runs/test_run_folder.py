@@ -142,19 +142,28 @@ def test_a_model_that_needs_an_own_sweep_is_not_run_on_a_server(section):
 
 
 def test_steps_before_a_sumo_that_breaks_down_are_kept(tmp_path):
-    """SUMO is killed in the middle of a block. The resumed run has the tables of one that was not disturbed."""
+    """SUMO is killed in the middle of a block, and again while the traffic of the recorded steps is repeated. The
+    resumed run has the tables of one that was not disturbed."""
     scenario = mixed_scenario.write(tmp_path / "net")
-    keys = [f"traffic.scenario={scenario}", "traffic.warmup_s=0", "traffic.duration_s=12", "fleet.penetration_p=1"]
-    config = load(None, [*keys, "record.block_steps=8"])
+    keys = [f"traffic.scenario={scenario}", "traffic.warmup_s=0", "traffic.duration_s=16", "fleet.penetration_p=1"]
+    config, out = load(None, [*keys, "record.block_steps=6"]), tmp_path / "killed"
 
-    def kill(phase, done, total, note):
-        if phase == "run" and done == 5:
-            pids = subprocess.check_output(["pgrep", "-P", str(os.getpid()), "-f", "sumo_process"], text=True).split()
-            os.kill(int(pids[-1]), signal.SIGKILL)
+    def killed_at(when, step):
+        def advance(phase, done, total, note):
+            if (phase, done) == (when, step):
+                me = str(os.getpid())
+                pids = subprocess.check_output(["pgrep", "-P", me, "-f", "sumo_process"], text=True).split()
+                os.kill(int(pids[-1]), signal.SIGKILL)
 
-    with pytest.raises(TrafficError, match=r"broke down \(signal 9\)\. The steps before it are kept: cosim resume "):
-        run(config, tmp_path / "killed", kill)
-    found = read_manifest(tmp_path / "killed")
-    assert found["status"] == "failed" and 5 <= found["steps"] <= 8 and "signal 9" in found["error"]
+        return advance
+
+    kept = pytest.raises(TrafficError, match=r"broke down \(signal 9\)\. The steps before it are kept: cosim resume ")
+    with kept:
+        run(config, out, killed_at("run", 8))
+    steps = read_manifest(out)["steps"]
+    assert 8 <= steps <= 11 and read_manifest(out)["status"] == "failed"
+    with kept:
+        resume(out, killed_at("repeat traffic", 1))
+    assert read_manifest(out)["status"] == "failed" and verify(out)[1] == []
     whole = run(config, tmp_path / "whole", lambda *_: None)
-    assert fingerprint(resume(tmp_path / "killed", lambda *_: None)) == fingerprint(whole)
+    assert fingerprint(resume(out, lambda *_: None)) == fingerprint(whole)
