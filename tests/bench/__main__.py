@@ -1,5 +1,6 @@
 """`python -m tests.bench`: measures the speed of the components on this machine."""
 
+import sys
 from typing import Annotated
 
 import typer
@@ -22,10 +23,20 @@ def main(
         str, typer.Option(help="scale: numbers of actors; the city is cropped to each of them.")
     ] = "250,500,1000,2000,5000",
     seconds: Annotated[int, typer.Option(min=1, max=3600, help="scale: simulated seconds to measure.")] = 5,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="scale: change one key of the config. Repeatable.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure the speed of the components on this machine."""
-    rows = run_scale(scenario, trace, vehicles, seconds) if only == ["scale"] else run(only or [])
+    try:
+        if only == ["scale"]:
+            rows = run_scale(scenario, trace, vehicles, seconds, overrides or ())
+        else:
+            rows = run(only or [])
+    except ValueError as wrong:
+        print(f"error: {wrong}", file=sys.stderr)
+        raise typer.Exit(2) from None
     if as_json:
         print_json({"machine": machine(), "figures": rows})
     else:

@@ -37,7 +37,13 @@ def run(names: Sequence[str]) -> list[dict[str, Any]]:
     return [row for name in names or BENCHES for row in _rows(name, import_module(BENCHES[name]).bench())]
 
 
-def run_scale(scenario: str, trace: str | None, vehicles: str, seconds: int) -> list[dict[str, Any]]:
+def run_scale(
+    scenario: str,
+    trace: str | None,
+    vehicles: str,
+    seconds: int,
+    overrides: Sequence[str] = (),
+) -> list[dict[str, Any]]:
     """The figures of `tests.bench.scale`.
 
     Raises
@@ -51,7 +57,7 @@ def run_scale(scenario: str, trace: str | None, vehicles: str, seconds: int) -> 
         sizes = ()
     if not sizes or min(sizes) < 1:
         raise ValueError(f"--vehicles {vehicles}: whole numbers from 1, with commas between them, are wanted.")
-    return _rows("scale", grown(scenario, trace, sizes, seconds))
+    return _rows("scale", grown(scenario, trace, sizes, seconds, tuple(overrides)))
 
 
 def _rows(name: str, figures: Iterable[Row]) -> list[dict[str, Any]]:
