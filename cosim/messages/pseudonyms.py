@@ -386,9 +386,8 @@ class Pseudonyms:
         changes = ~new & (changes if wants is None else changes | wants)
         changes &= ~world.is_roadside[observers]  # their certificates say who they are
         given_up = actor[changes]
-        ended = PseudonymUse.of(
-            state, state.current[given_up], given_up, state.since_step[given_up], state.seen_step[given_up]
-        )
+        last_step = np.full(len(given_up), world.step - 1)  # in use between its last message and the first of the next
+        ended = PseudonymUse.of(state, state.current[given_up], given_up, state.since_step[given_up], last_step)
         fresh = np.flatnonzero(new | changes)
         taking = actor[fresh]
         current = state.current.copy()

@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from cosim.base import rng
-from cosim.messages.pseudonyms import C2c, C2cParams, Pseudonyms, PseudonymState, Scms, ScmsParams
+from cosim.messages.pseudonyms import (
+    C2c,
+    C2cParams,
+    Disposable,
+    DisposableParams,
+    Pseudonyms,
+    PseudonymState,
+    Scms,
+    ScmsParams,
+)
 from cosim.world import World
 from sensors.boxes import Boxes
 from sensors.scene import Shape
@@ -12,17 +21,21 @@ from sensors.scene import Shape
 DT_S = 10.0
 
 
+def at(step, place):
+    """A world with one vehicle at this place."""
+    return World(
+        step=step, actor=np.array([0]), name_key=np.array([rng.name_key("vehicle/a")], np.uint64),
+        shape=np.array([Shape.CAR], np.uint8),
+        boxes=Boxes(np.array([[*place, 0.75]]), np.array([[4.4, 1.8, 1.5]]), np.zeros(1)),
+        speed_mps=np.zeros(1), equipped=np.ones(1, bool), attack=np.zeros(1, np.uint8),
+    )  # fmt: skip
+
+
 def change_times(policy, xy_m, seed=3):
     """Times [s] at which a vehicle with these places, ten seconds apart, takes another pseudonym."""
     pseudonyms, state, found = Pseudonyms(policy, seed, DT_S), PseudonymState(), []
     for step, place in enumerate(xy_m):
-        world = World(
-            step=step, actor=np.array([0]), name_key=np.array([rng.name_key("vehicle/a")], np.uint64),
-            shape=np.array([Shape.CAR], np.uint8),
-            boxes=Boxes(np.array([[*place, 0.75]]), np.array([[4.4, 1.8, 1.5]]), np.zeros(1)),
-            speed_mps=np.zeros(1), equipped=np.ones(1, bool), attack=np.zeros(1, np.uint8),
-        )  # fmt: skip
-        state, _, ended = pseudonyms.issue(state, world, np.array([0]))
+        state, _, ended = pseudonyms.issue(state, at(step, place), np.array([0]))
         if len(ended.pseudonym):
             found.append(step * DT_S)
     return np.array(found)
@@ -55,3 +68,17 @@ def test_scms_counts_from_the_place_of_the_last_change():
     circle = 500.0 * np.column_stack([np.cos(angle), np.sin(angle)])
     assert not len(change_times(Scms(ScmsParams()), circle))
     assert len(change_times(Scms(ScmsParams(distance="driven")), circle)) > 10
+
+
+def test_a_pseudonym_is_in_use_until_the_next_one():
+    """A vehicle that sends in every fifth step, with two messages per pseudonym.
+
+    Trust in a pseudonym may be computed between its last message and the first of the next one.
+    """
+    pseudonyms, state, used = Pseudonyms(Disposable(DisposableParams(n_messages=2)), 3, 0.2), PseudonymState(), []
+    for step in range(1, 30, 5):
+        state, _, ended = pseudonyms.issue(state, at(step, (0.0, 0.0)), np.array([0]))
+        used += list(zip(ended.from_step.tolist(), ended.to_step.tolist(), strict=True))
+    assert used == [(1, 10), (11, 20)]
+    last = pseudonyms.in_use(state)
+    assert (last.from_step.tolist(), last.to_step.tolist()) == ([21], [26])
