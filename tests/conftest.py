@@ -3,10 +3,12 @@
 import pytest
 from hypothesis import settings
 
-from tests import typecheck
+from tests import plain_world, typecheck
 
 settings.register_profile("untimed", deadline=None)  # the first call of a kernel compiles it
 settings.load_profile("untimed")
+
+plain_world.enter()
 
 
 def pytest_addoption(parser):

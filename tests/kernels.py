@@ -41,7 +41,7 @@ def needed(folder, *sets):
         return load(self, signature, target)
 
     caching.Cache.load_overload = noted
-    sets = [word for one in ("preset=modern", "compute.threads=1", *sets) for word in ("--set", one)]
+    sets = [word for one in ("compute.threads=1", *sets) for word in ("--set", one)]
     sys.argv = ["cosim", "run", *sets, "--out", str(folder / "run")]
     try:
         main()

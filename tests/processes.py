@@ -120,8 +120,10 @@ def warm() -> Warm:
 
 def _serve(folder: Path) -> None:
     from cosim.__main__ import main
+    from tests import plain_world
     from tests.hostile.scenes import write_trace
 
+    plain_world.enter()
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     sys.argv = ["cosim", "run", *sets_of_trace(write_trace(folder)), "--out", str(folder / "warm")]

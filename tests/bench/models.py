@@ -25,7 +25,7 @@ from trust.models import MODELS
 RUNS: dict[str, tuple[str, ...]] = {
     "default run": ("traffic.duration_s=100",),
     "study attacks": (
-        "preset=v0.2", "traffic.duration_s=80", "fleet.penetration_p=0.5", "trust.freshness_s=30",
+        "traffic.duration_s=80", "fleet.penetration_p=0.5", "trust.freshness_s=30",
         'attacks=[{attack = "ghost_insertion", share_p = 0.2, start_s = 20}]',
     ),
 }  # fmt: skip

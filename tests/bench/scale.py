@@ -93,7 +93,6 @@ def bench(
         Further keys of the config, as for `cosim run --set`.
     """
     config = load(None, [
-        "preset=modern",
         f"traffic.scenario={scenario}", *([f"traffic.trace={trace}"] if trace else []), "fleet.penetration_p=1",
         'fleet.equipped_kinds=["car","van","truck","bus","motorcycle"]', "trust_variant=[]",
         *overrides,

@@ -18,7 +18,6 @@ from cosim.addons.law.delivery import Delivery, Load, expected_cpm_bytes
 from cosim.addons.law.freshness import predict_study
 from cosim.addons.law.opportunities import Sensing, chances
 from cosim.addons.law.prediction import MODEL_ERROR
-from cosim.config import preset
 from cosim.config.config import Config, load
 from cosim.messages.content import evaluation_bytes
 from cosim.radio.message_round import RoundKind
@@ -125,7 +124,6 @@ def main(words: list[str]) -> None:
     """As the module says."""
     pd.set_option("display.width", 250, "display.max_columns", 40, "display.max_rows", 500)
     if words[:1] == ["intervals"]:
-        preset.DEFAULT = "modern"  # the world of studies, not that of tests
         print(intervals([Path(word) for word in words[1:]]).round(4).to_string())
         return
     path = Path(words[1]) if len(words) > 1 and "=" not in words[1] else None

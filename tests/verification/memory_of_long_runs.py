@@ -18,8 +18,7 @@ import psutil
 
 _TIME = "timestep_time"
 _PARTS, _EVERY_S = 10, 0.5
-_CONFIG = """preset = "v0.2"
-trust_variant = []
+_CONFIG = """trust_variant = []
 [traffic]
 scenario = {scenario!r}
 trace = {trace!r}

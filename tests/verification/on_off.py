@@ -18,9 +18,7 @@ from tests.verification.rings import MODELS, drive
 PERIODS = (0.5, 1.0, 1.5, 2.0)
 """In windows."""
 WINDOW_S, START_S, DURATION_S = 12.0, 16.0, 80.0
-BASE = f"""preset = "v0.2"
-sensing_interval_s = 1.0
-[traffic]
+BASE = f"""[traffic]
 duration_s = {DURATION_S:g}
 [fleet]
 penetration_p = 0.4
@@ -51,7 +49,7 @@ def of_seed(out: Path, number: int) -> pd.DataFrame:
         found = found.assign(group=found.vehicle.map(group))
         for number_of_group, period in enumerate(PERIODS):
             before_s = np.arange(START_S + period * WINDOW_S, DURATION_S, period * WINDOW_S) - 1.0
-            then = found[found.time_s.isin(before_s)]
+            then = found[np.isclose(found.time_s.to_numpy()[:, None], before_s).any(axis=1)]
             mine = (then.role == misbehaviour.HONEST) | (then.group == number_of_group)
             rows.append(then[mine].assign(model=variant, period=period))
     return pd.concat(rows, ignore_index=True)

@@ -21,9 +21,7 @@ MODELS = (
     "beta", "beta_discounted", "subjective_logic", "mate", "minhas", "announcement", "eigentrust", "report_count",
     "majority_ban",
 )  # fmt: skip
-BASE = f"""preset = "v0.2"
-sensing_interval_s = 1.0
-[traffic]
+BASE = f"""[traffic]
 duration_s = {DURATION_S:g}
 [fleet]
 penetration_p = 0.6
