@@ -109,6 +109,7 @@ def test_wrong_use_is_told_in_one_line(folder, words, told):
     assert told in str(error) and "\n" not in str(error)
 
 
+@pytest.mark.verify
 def test_an_altered_set_ends_with_exit_status_2(folder):
     head = json.loads((folder / "set" / MANIFEST).read_text())
     head["rules"]["start_step"] = 5

@@ -101,6 +101,7 @@ def run(tmp_path_factory):
     return folder
 
 
+@pytest.mark.verify
 def test_a_short_run_is_as_predicted(run):
     done = cosim(
         "predict", "freshness", "law.toml", "--against", "run", "--fleets", "1", "--json", "--out", "law.json",

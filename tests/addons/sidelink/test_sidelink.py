@@ -94,6 +94,7 @@ def run_length_p(keep_p, longest):
     return total
 
 
+@pytest.mark.verify
 def test_collision_probability_of_random_choices():
     """N stations that have sensed nothing choose among M resources: one is alone with (1 - 1/M)^(N - 1)."""
     n, m = 40, 100 * 2

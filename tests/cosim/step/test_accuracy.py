@@ -133,6 +133,7 @@ def beside_a_motorway():
     return np.concatenate(found, axis=1)
 
 
+@pytest.mark.verify
 @pytest.mark.parametrize("low_mps, high_mps", [(-1, 10), (10, 20), (20, 60)])
 def test_speeds_of_untracked_objects_have_the_stated_variance(beside_a_motorway, low_mps, high_mps):
     """Slow observers beside a motorway expect fast cars, as fast observers do."""

@@ -50,6 +50,7 @@ def test_a_trace_runs(tmp_path):
     assert manifest["status"] == "finished" and "libsumo" not in manifest["versions"]
 
 
+@pytest.mark.verify
 def test_a_shipped_city_replays_a_run(tmp_path):
     """The city's files are read as SUMO's, and the traffic is that of a run that another machine made."""
     recorded = simulate(tmp_path / "first", "traffic.duration_s=10", "traffic.warmup_s=60", "sensing=false")
@@ -65,9 +66,7 @@ def test_a_shipped_city_replays_a_run(tmp_path):
     ("words", "says"),
     [
         (["run"], "libsumo is not installed. Install it: pip install libsumo==1.28.0"),
-        (["check"], "libsumo is not installed"),
         (["run", "--set", "traffic.scenario=adlershof"], "make extra NAME=build"),
-        (["nets", "build", "--osm", "kotka.osm.pbf", "--out", "kotka"], "make extra NAME=build"),
         (["check", "--set", "lidar.engine=embree", "--set", "traffic.trace=x"], "traffic.trace"),
     ],
 )
