@@ -76,6 +76,9 @@ class WeatherParams:
     probability that a return is lost."""
     dirty_p: Percentage = 1.0
     """Share of the equipped vehicles whose sensors are dirty."""
+    known: bool = True
+    """Whether vehicles know how far they see in fog and rain. If so, they evaluate nothing farther away than the road
+    returns. If not, they take a place without returns for free space, and deny what is there."""
 
     @property
     def is_clear(self) -> bool:
@@ -137,6 +140,12 @@ def reach_m(clear_m: Float[ndarray, "..."] | float, extinction: float) -> Float[
     """
     clear_m = np.asarray(clear_m, float)
     return clear_m if extinction == 0.0 else lambertw(extinction * clear_m).real / extinction
+
+
+def road_range_m(params: WeatherParams, max_range_m: float) -> float:
+    """Range to which the road returns, and everything that is no darker [m]; at most that of the sensor."""
+    clear_m = max_range_m if params.clear_range_m is None else params.clear_range_m
+    return min(max_range_m, float(reach_m(clear_m, extinction_per_m(params))))
 
 
 class Rain(NamedTuple):

@@ -74,7 +74,7 @@ def compare_objects(
         variance_m2=variance_m2,
         accuracy=_accuracy(exchange, messages, positioned, parts),
     )
-    compared, groups = compare(parts.perception, sweeps, known, c.area, c.trust, parts.recall, parts.watch)
+    compared, groups = compare(parts.perception, sweeps, known, parts.area, c.trust, parts.recall, parts.watch)
     if c.trust.matching == "gates":
         from_own_m = np.sqrt(0.5 * objects.variance_m2[:, [0, 2]].sum(axis=1))
     else:

@@ -35,8 +35,11 @@ from cosim.traffic.roadside import NO_UNITS, RoadsideUnits
 from cosim.traffic.schedule import Schedule
 from cosim.world import World
 from sensors.coverage import Coverage
+from sensors.evidence import AreaParams
+from sensors.lidar import LidarParams
 from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.scene import Scene
+from sensors.weather import road_range_m
 from trust.params import TrustParams
 
 
@@ -64,6 +67,8 @@ class Parts:
     """What the detector knows of its own accuracy."""
     recall: Recall | None = None
     """Recall of the detector (`sensors.detector.KnowsRecall`); None unless denials are weighted by it."""
+    area: AreaParams = field(default_factory=AreaParams)
+    """The area in which detections are evaluated: that of the config, as far as the LiDARs see in this weather."""
     coverage: Coverage | None = None
     """What a detector should find from another place; None unless evaluations are about missing objects."""
     units: RoadsideUnits = NO_UNITS
@@ -94,6 +99,7 @@ class Parts:
         walls = WallIndex.of(city.buildings)
         pseudonyms = Pseudonyms(_make(c, "pseudonyms"), c.seed, dt_s)
         linkage, perception = Linkage(c.pseudonyms, pseudonyms), perception_of(c, city)
+        area, seeing = seen_in_weather(c)
         return Parts(
             config=c,
             schedule=c.schedule,
@@ -118,7 +124,8 @@ class Parts:
             early=EarlyFusion.of(c),
             accuracy=DetectorAccuracy.of(_make(c, "detector")),
             recall=recall_of(c) if c.trust.denials == "recall" else None,
-            coverage=Coverage.of(c.lidar, walls, recall_of(c)) if "missing" in c.trust.evidence else None,
+            area=area,
+            coverage=Coverage.of(seeing, walls, recall_of(c)) if "missing" in c.trust.evidence else None,
             units=units,
             limits=limits,
             watch=Stopwatch() if watch is None else watch,
@@ -149,6 +156,18 @@ def perception_of(experiment: Config, city: Scene) -> Perception:
     """The LiDAR and the detector that a config names."""
     c = experiment
     return Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, c.traffic.step_s, c.weather)
+
+
+def seen_in_weather(experiment: Config) -> tuple[AreaParams, LidarParams]:
+    """The area that vehicles evaluate, and the LiDAR as they know it: both end where the road returns nothing.
+
+    They are those of the config in clear air, and if vehicles do not know how far they see (`weather.known`).
+    """
+    area, lidar = experiment.area, experiment.lidar
+    range_m = road_range_m(experiment.weather, lidar.max_range_m)
+    if not experiment.weather.known or range_m >= lidar.max_range_m:
+        return area, lidar
+    return replace(area, range_m=min(area.range_m, range_m)), replace(lidar, max_range_m=range_m)
 
 
 def recall_of(experiment: Config) -> Recall:

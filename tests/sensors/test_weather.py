@@ -21,6 +21,7 @@ from sensors.weather import (
     extinction_per_m,
     rain_of,
     reach_m,
+    road_range_m,
     weaken,
 )
 
@@ -80,6 +81,14 @@ def test_a_sweep_reaches_as_far_as_the_equation_says():
         rings = np.unique(clear.range_m[np.isfinite(clear.range_m)])
         assert np.array_equal(np.unique(sweeps.range_m[np.isfinite(sweeps.range_m)]), rings[rings <= limit])
         assert (sweeps.hit[~np.isfinite(sweeps.range_m)] == Hit.NOTHING).all()
+
+
+def test_the_road_returns_up_to_a_range_that_vehicles_may_know():
+    """Fog of 50 m before a sensor of 80 m: 21.7 m, by hand above. A weaker sensor reaches less far."""
+    fog = WeatherParams(visibility_m=50.0)
+    assert road_range_m(fog, 80.0) == pytest.approx(21.7, abs=0.1)
+    assert road_range_m(fog, 15.0) < 15.0 < road_range_m(replace(fog, clear_range_m=80.0), 80.0)
+    assert road_range_m(WeatherParams(clear_range_m=300.0), 80.0) == 80.0
 
 
 def test_an_object_loses_all_returns_beyond_its_own_reach():

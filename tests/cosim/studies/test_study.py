@@ -170,7 +170,7 @@ def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
         ("busy_channel", 8, 8),
         ("redundancy", 40, 40),
         ("asynchrony", 135, 54),
-        ("weather", 45, 45),
+        ("weather", 48, 48),
         ("access", 48, 48),
         ("presets", 6, 6),
         pytest.param("cities", 8, 8, marks=pytest.mark.verify),  # builds two cities
