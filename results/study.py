@@ -109,7 +109,7 @@ class StudyResults:
         others = [key for key in self.keys if key not in self.baseline]
         on = [*others, "replicate", "metric", "group"]
         pairs = frame[~is_base].merge(frame.loc[is_base, [*on, "value"]], on=on, suffixes=("", "_base"))
-        return self._intervals(pairs.assign(value=pairs.value - pairs.value_base), _bounds_of_difference)
+        return self._intervals(pairs.assign(value=pairs.value - pairs.value_base), bounds_of_difference)
 
     def at(self, where: Mapping[str, str]) -> "StudyResults":
         """The points of the study at which swept keys have these values; ValueError if there are none."""
@@ -184,7 +184,8 @@ def intervals(frame: pd.DataFrame, by: Sequence[str], bounds: Callable[[str], Bo
     return found.assign(low=low, high=high).drop(columns="s")
 
 
-def _bounds_of_difference(metric: str) -> Bounds:
+def bounds_of_difference(metric: str) -> Bounds:
+    """Smallest and largest difference of two values of a metric."""
     low, high = bounds_of(metric)
     return low - high, high - low
 

@@ -35,7 +35,8 @@ class TruPerceptParams:
     """Parameters of the model `trupercept`."""
 
     freshness_s: Annotated[float, Gt(0), Le(1e8)] | Literal["off"] = 50.0
-    """f: age at which evidence expires [s]. With "off" it never expires."""
+    """f: age at which evidence expires in `trupercept` [s]. With "off" it never expires. Other models do not read it:
+    most forget by `decay_per_s`."""
     window: Literal["half_open", "closed"] = "half_open"
     """Evidence of age exactly f. `half_open`: it has expired, so that the window has f steps, as in the published code.
     `closed`: it still counts, so that the window has f + 1 steps."""

@@ -368,7 +368,7 @@ def print_done(done: dict[str, Any], said: str, as_json: bool) -> None:
     if as_json:
         print_json(done)
     else:
-        screen.print(said, highlight=False, markup=False, soft_wrap=True)
+        screen.print(said, soft_wrap=True)
 
 
 def rows_of(table: Any) -> list[dict[str, object]]:

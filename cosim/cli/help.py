@@ -48,6 +48,11 @@ def in_groups(groups: Mapping[str, Sequence[str]], renamed: Mapping[str, str] = 
     """
 
     class InGroups(TyperGroup):
+        def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+            """Read the words of a command line. Without any, the help is printed."""
+            asks = not args and not ctx.resilient_parsing  # resilient: the shell completes words
+            return super().parse_args(ctx, ["--help"] if asks else args)
+
         def resolve_command(self, ctx: Any, args: list[str]) -> Any:
             """The command that words name. One that is gone is refused with what to type now."""
             for name in renamed.keys() & args[:1]:

@@ -67,7 +67,6 @@ RENAMED = {
 
 app = Commands(
     cls=in_groups(GROUPS, RENAMED),
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Co-simulation of cooperative perception under trust at city scale.",
 )
@@ -129,7 +128,7 @@ _debug = _Debug()
 
 def _say_version(wanted: bool) -> None:
     if wanted:
-        screen.print(f"cosim {__version__}", highlight=False)
+        screen.print(f"cosim {__version__}")
         raise typer.Exit
 
 
@@ -408,7 +407,7 @@ def plot(
                 )
         chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
         path = style.save(FIGURES[what](chosen, **given), out or runs[0] / f"{what}.png")
-    screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+    screen.print(f"wrote {path}", soft_wrap=True)
     _say_damage(chosen)
 
 

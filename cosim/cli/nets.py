@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sumo_nets.footprints import Footprint
     from sumo_nets.sumo_package_nets import PackageNet
 
-nets = Commands(no_args_is_help=True, help="List, show and build cities.")
+nets = Commands(help="List, show and build cities.")
 
 PICTURE = "city.png"
 """Name of the map in the folder of a built city."""
@@ -68,7 +68,7 @@ def list_(
             try:
                 rows.append(summary(catalogue.open_folder(recipe.parent)) | {"where": str(recipe.parent)})
             except ValueError as error:
-                notes.print(f"note: left out: {error}", highlight=False, markup=False, soft_wrap=True)
+                notes.print(f"note: left out: {error}", soft_wrap=True)
     if as_json:
         print_json([{"description": row["what"], **row} for row in rows])
         return
@@ -85,7 +85,7 @@ def list_(
             row["licence"],
         )
     screen.print(table)
-    screen.print("`cosim nets show CITY` draws a city, `--set traffic.scenario=CITY` drives it.", highlight=False)
+    screen.print("`cosim nets show CITY` draws a city, `--set traffic.scenario=CITY` drives it.")
 
 
 @nets.command()

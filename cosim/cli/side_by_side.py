@@ -51,7 +51,7 @@ def print_measures(runs: list[Run], tables: list[pd.DataFrame], as_json: bool, c
             durable.write_output(csv, csv_of(whole))
         except OSError as error:
             raise ValueError(f"--csv {csv} cannot be written: {error.strerror or error}. Give another file.") from None
-        screen.print(f"wrote {csv}", highlight=False, soft_wrap=True)
+        screen.print(f"wrote {csv}", soft_wrap=True)
     elif as_json:
         titles = [str(run.path) if run.variant == "base" else f"{run.path}:{run.variant}" for run in runs]
         print_json(dict(zip(titles, map(rows_of, tables), strict=True)))

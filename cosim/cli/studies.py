@@ -1,6 +1,7 @@
 """The commands of studies."""
 
 import os
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -70,6 +71,8 @@ def sweep(
     if dry_run:
         print_done(plan_facts(task, workers), "\n".join(plan_lines(task, workers)), as_json)
         return
+    if task.plan.runs:
+        notes.print(_by_the_clock(plan_facts(task, workers)), soft_wrap=True)
     with progress() as advance:
 
         def report(done: int, total: int, answered: int, note: str) -> None:
@@ -77,7 +80,7 @@ def sweep(
             advance(f"{task.study.head.name}, runs", done, total, note)
 
         def log(line: str) -> None:
-            notes.print(line, highlight=False, markup=False, soft_wrap=True)
+            notes.print(line, soft_wrap=True)
 
         states, failed = sweeping.sweep(task, report, scheduler, workers, log)
     _print_states(task.study.head.name, out, states, failed, as_json)
@@ -101,6 +104,10 @@ def status(
 
     study, _, states, failed = sweeping.status(StudyFolder(folder), trust_code)
     _print_states(study.head.name, folder, states, failed, as_json)
+    if not as_json:
+        is_done = states["finished"] == sum(states.values())
+        words = ["report", folder] if is_done else ["sweep", folder / "study.toml", "--out", folder]
+        screen.print(f"next: cosim {shlex.join(map(str, words))}", soft_wrap=True)
 
 
 def _print_progress(folder: Path, as_json: bool) -> None:
@@ -141,9 +148,7 @@ def cache(
     for row in rows:
         table.add_row(*(str(value) for value in row.values()))
     screen.print(table)
-    screen.print(
-        f"{len(entries)} kept, {sum(e.bytes for e in entries) / 1e6:.1f} MB; {len(gone)} deleted", highlight=False
-    )
+    screen.print(f"{len(entries)} kept, {sum(e.bytes for e in entries) / 1e6:.1f} MB; {len(gone)} deleted")
 
 
 def is_study(folders: list[Path]) -> bool:
@@ -191,10 +196,10 @@ def measure(
                 raise
             continue  # these points are the baseline itself
         _print_pivot(study, title, found, over)
-    screen.print("written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
+    screen.print("written: " + ", ".join(str(path) for path in written), soft_wrap=True)
     if not metrics:
         said = "These are the core metrics; --metric names others, --over the key of the columns."
-        screen.print(f"{said} Next: cosim report {folder}", highlight=False, markup=False, soft_wrap=True)
+        screen.print(f"{said} Next: cosim report {folder}", soft_wrap=True)
 
 
 def _means(study) -> str:
@@ -238,7 +243,7 @@ def _print_first(folder: Path) -> None:
     beside = f" at {at}" if at else ""
     title = f"{study.name}{beside}: {_means(study)}"
     _print_pivot(study, title, pivot(study, study.summary, asked, over, held), over)
-    screen.print(f"next: cosim report {folder}   cosim measure {folder}", highlight=False, soft_wrap=True)
+    screen.print(f"next: cosim report {folder}   cosim measure {folder}", soft_wrap=True)
 
 
 def _held(where: list[str]) -> dict[str, str]:
@@ -266,7 +271,7 @@ def plot(
         drawn = study_curves.draw(study, _CURVES[topic], by, held)
     else:
         drawn = figure.draw(study, topic, metrics, over, by, held)
-    screen.print(f"wrote {style.save(drawn, out or folder / f'{topic}.png')}", highlight=False, soft_wrap=True)
+    screen.print(f"wrote {style.save(drawn, out or folder / f'{topic}.png')}", soft_wrap=True)
 
 
 def report(folder: Path, out: Path | None, where: list[str]) -> None:
@@ -276,7 +281,7 @@ def report(folder: Path, out: Path | None, where: list[str]) -> None:
 
     study = open_study(folder).at(_held(where))
     path = write(study, out or folder / "report.html", ", ".join(where))
-    screen.print(f"wrote {path}", highlight=False, soft_wrap=True)
+    screen.print(f"wrote {path}", soft_wrap=True)
 
 
 def plan_facts(task: "Task", workers: int | None = None) -> dict[str, Any]:
@@ -317,11 +322,17 @@ def plan_lines(task: "Task", workers: int | None = None) -> list[str]:
         f"{saving(cost.traffic_saves_s)}",
         f"about {facts['seconds']} s of processor time instead of {facts['seconds_separately']} s"
         f"{_times_less(cost.separate_s, cost.planned_s)}, {most}{facts['MB']} MB ({facts['estimate']})",
-        f"about {duration(facts['seconds_by_the_clock'])} with {facts['workers']} workers on free cores, and "
-        f"{facts['memory_GB']} GB of memory",
+        _by_the_clock(facts),
         *_cheaper(task, facts),
         *(f"not shared: {remark}" for remark in made.remarks),
     ]
+
+
+def _by_the_clock(facts: dict[str, Any]) -> str:
+    """How long a sweep takes, and its memory."""
+    n, lasts = facts["workers"], duration(facts["seconds_by_the_clock"])
+    workers = "1 worker on a free core" if n == 1 else f"{n} workers on free cores"
+    return f"about {lasts} with {workers}, and {facts['memory_GB']} GB of memory"
 
 
 def _times_less(separate_s: float, planned_s: float) -> str:
@@ -355,11 +366,11 @@ def _print_states(name: str, out: Path, states, failed, as_json: bool) -> None:
         print_json({"study": name, "points": states, "failed": {id: a.error for id, a in failed}})
         return
     said = ", ".join(f"{n} {state}" for state, n in states.items() if n)
-    screen.print(f"{name}: {said or 'no points'} ({out})", highlight=False, markup=False, soft_wrap=True)
+    screen.print(f"{name}: {said or 'no points'} ({out})", soft_wrap=True)
     for id, attempt in failed:
         log = out / "jobs" / id / "log.txt"
         log = log if log.is_file() else out / "traffic" / f"{id}.log"
         screen.print(
             f"failed: {id} ({attempt.outcome}): {attempt.error}; log in {log}",
-            highlight=False, markup=False, soft_wrap=True,
+            soft_wrap=True,
         )  # fmt: skip

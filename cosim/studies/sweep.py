@@ -81,7 +81,8 @@ def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Ta
     cache = Cache(default_folder())
     missing = [point for point in points if point.id not in there]
     made = plan(missing, needs_fused(study), cache.names("traffic")) if merge else separate(missing)
-    done = [a.wall_s for id, _ in set(answers.values()) for a in folder.attempts(id) if a.outcome == "ok"]
+    ended = [a for id, _ in set(answers.values()) for a in folder.attempts(id) if a.outcome == "ok"]
+    done = [a.cpu_s or a.wall_s for a in ended]  # folders of older versions lack the processor time
     typical_s = statistics.median(done) if done else None
     return Task(
         study,

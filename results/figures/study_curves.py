@@ -74,8 +74,10 @@ def draw(
     if what == ENCOUNTERS and frame.group.nunique() > 1:
         matter = [*matter[:1], "group", *matter[1:]]
     if len(matter) > 2:
+        rest = " ".join(f"--where {key}=VALUE" for key in matter[2:])
         raise ValueError(
-            f"{what} depend on {', '.join(matter)}: this figure shows two. Hold others with --where {matter[2]}=VALUE."
+            f"{what} depend on {', '.join(matter)}: this figure shows two. Hold others, such as {rest}, or see all of "
+            "them with `cosim report`."
         )
     frame = at_first(frame, [key for key in apart(frame, study.keys) if key not in matter])
     frame = with_short_names(frame, study.keys)

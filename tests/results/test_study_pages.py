@@ -125,8 +125,11 @@ KEYS = {"fleet.penetration_p": (0.1, 0.6)}
 
 
 def ages(first, last):
+    """Ages of the replicates at two penetrations; an AUC is a hundredth of them."""
+
     def value(metric, keys, replicate):
-        return (first if keys["fleet.penetration_p"] == 0.1 else last)[replicate]
+        age = (first if keys["fleet.penetration_p"] == 0.1 else last)[replicate]
+        return age / 100 if metric.endswith("auc") else age
 
     return value
 

@@ -12,7 +12,7 @@ import pandas as pd
 
 from results.figures.study import label_of
 from results.metrics.registry import METRICS, bounds_of
-from results.study import StudyResults, apart, chosen, intervals, said, short_names, that_matter
+from results.study import StudyResults, apart, bounds_of_difference, chosen, intervals, said, short_names, that_matter
 from results.study_table import core, number
 
 
@@ -57,7 +57,7 @@ _UNDER_ATTACK = _Quantity(
     "Trust in the median honest vehicle ends at",
     "higher",
     "lower",
-    "No trust in honest vehicles: none of the runs has a value of one",
+    "No trust in honest vehicles: no run has such a value",
 )
 """Said too if the study sweeps a key of attacks: what they do to honest vehicles."""
 
@@ -151,13 +151,14 @@ def _contrast(of: _Quantity, frame: pd.DataFrame, key: str, starts_there: bool) 
     first = frame[frame[key] == values[0]]
     last = frame[frame[key] == values[-1]]
     at_first, at_last = _said(frame, key, values[0]), _said(frame, key, values[-1])
+    place = "in" if key == "traffic.scenario" else f"at {_named(key)}"
     if starts_there:
-        text = f"at {_named(key)} {at_last} instead of {at_first} it is {_value(last, of.metric)}"
+        text = f"{place} {at_last} instead of {at_first} it is {_value(last, of.metric)}"
     else:
-        text = f"{_value(first, of.metric)} at {_named(key)} {at_first}"
-        text += f" and {_value(last, of.metric)} at {at_last}"
+        text = f"{_value(first, of.metric)} {place} {at_first}"
+        text += f" and {_value(last, of.metric)} {place[:2]} {at_last}"
     pairs = first.merge(last, on="replicate", suffixes=("_first", "_last"))
-    pairs = pairs.drop_duplicates("replicate").assign(value=pairs.value_last - pairs.value_first, of="")
+    pairs = pairs.drop_duplicates("replicate").assign(value=pairs.value_last - pairs.value_first)
     return f"{text}, {verdict(of, pairs)}"
 
 
@@ -165,7 +166,7 @@ def verdict(of: _Quantity, pairs: pd.DataFrame) -> str:
     """What paired differences say: a direction only if their 95 % interval excludes 0."""
     if not len(pairs):
         return "which no replicate has both of"
-    (row,) = intervals(pairs, ["of"]).to_dict("records")
+    (row,) = intervals(pairs.assign(metric=of.metric), ["metric"], bounds_of_difference).to_dict("records")
     n, mean = int(row["n"]), float(row["mean"])
     low, high = float(row["low"]), float(row["high"])
     if n < 2:

@@ -1,4 +1,4 @@
-"""One look-up over keys, metrics, tables, columns, choices, commands and words."""
+"""One look-up over keys, metrics, tables, columns, figures, choices, commands and words."""
 
 import difflib
 import inspect
@@ -47,7 +47,7 @@ def look_up(asked: str, of_program: Callable[[], Iterator[Explanation]] = lambda
     close = difflib.get_close_matches(wanted, names, MOST_NEAR, 0.7)
     near = list(dict.fromkeys(names[one] for one in close))
     hint = f"Near: {', '.join(near)}." if near else "Try a part of a name, such as freshness."
-    raise ValueError(f"{asked}: no key, metric, table, column, choice, command or term has this name. {hint}")
+    raise ValueError(f"{asked}: no key, metric, table, column, figure, choice, command or term has this name. {hint}")
 
 
 def _plain(name: str) -> str:
@@ -71,6 +71,7 @@ def _entries() -> Iterator[Explanation]:
     yield from _keys()
     yield from _choices()
     yield from _measured()
+    yield from _figures()
     yield from _files()
 
 
@@ -158,6 +159,13 @@ def _measured() -> Iterator[Explanation]:
             unit = f" [{about.unit}]" if about.unit not in ("", "1") else ""
             labels = f" One of {', '.join(about.categories)}." if about.categories else ""
             yield Explanation(f"{name}.{column}", f"column{unit}", about.meaning + labels)
+
+
+def _figures() -> Iterator[Explanation]:
+    from results.figures.catalogue import FIGURES
+
+    for name, draw in FIGURES.items():
+        yield Explanation(name, "figure", _paragraphs(draw, False), f"cosim plot {name} RUN")
 
 
 def _files() -> Iterator[Explanation]:

@@ -14,7 +14,7 @@ from cosim.cli.help import Commands
 if TYPE_CHECKING:
     from cosim.addons.law.prediction import Prediction
 
-predict = Commands(no_args_is_help=True, help="Predict what a study would measure, from traffic alone.")
+predict = Commands(help="Predict what a study would measure, from traffic alone.")
 
 _SHORT = {
     "freshness.newest_evaluation_age.median_s": "median [s]",

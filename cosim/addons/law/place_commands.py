@@ -8,7 +8,7 @@ import typer
 from cosim.cli.console import AsJson, TrustCode, notes, print_json, progress, screen
 from cosim.cli.help import Commands
 
-place = Commands(no_args_is_help=True, help="Choose places for roadside units from traffic alone.")
+place = Commands(help="Choose places for roadside units from traffic alone.")
 
 
 @place.callback()

@@ -20,13 +20,23 @@ def test_a_difference_is_said_only_if_its_interval_excludes_none(tmp_path):
     assert "older" not in said and "fresher" not in said
 
 
+def test_no_difference_leaves_the_range_of_its_metric(tmp_path):
+    """AUCs 0.1 and 0.9, then 0.9 and 0.1: the mean difference is 0, s = 0.8 x sqrt(2), and t(0.975, 1) = 12.706.
+
+    Without bounds, the interval would be -10.2 to 10.2. As a share of the way from -1 to 1 it is 1/2, and its logit
+    reaches 12.706 x 0.8 / (2 x 1/4) = 20.3 to either side.
+    """
+    third = answers.sentences(study_of(tmp_path, KEYS, 2, ages((10.0, 90.0), (90.0, 10.0))))[2]
+    assert "which 2 replicates cannot tell apart (95 % interval of the difference -1 to 1)" in third
+
+
 def test_keys_that_change_nothing_do_not_count_as_replicates(tmp_path):
     """12.00, 12.01, 12.02 in the first city: 4.303 x 0.01 / sqrt(3) = 0.025; pooled over 16 points it were 0.002."""
     study = study_of(tmp_path, value=lambda metric, keys, r: value_of(metric, keys, 100 * r))
     first = answers.sentences(study)[0]
     row = study.summary[study.summary.metric == "encounters.duration.km_median_s"].iloc[0]
     assert row.n == 3 and f"95 % interval {row.low:.3g} to {row.high:.3g} s" in first
-    assert "at city street and 16 s" in first and "at penetration 0.3 instead of 0.1 it is 17 s" in first
+    assert "in street and 16 s" in first and "at penetration 0.3 instead of 0.1 it is 17 s" in first
     assert "window" not in first
 
 
@@ -39,7 +49,7 @@ def test_where_alone_a_metric_has_a_value_is_said(tmp_path):
 
     swept = {**KEYS, "attacks.0.share_p": (0.0, 0.1)}
     first, second, third, fourth = answers.sentences(study_of(tmp_path, swept, value=value))
-    assert fourth.startswith("No trust in honest vehicles: none of the runs")
+    assert fourth.startswith("No trust in honest vehicles: no run has such a value")
     assert first.endswith("; it has a value at penetration 0.1 alone.") and "alone" not in second
     assert third.endswith("; it has a value at share of attackers 0.1 alone.")
     low = study_of(tmp_path / "low", swept, value=lambda *of: value(*of) - 0.3)

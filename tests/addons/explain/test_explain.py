@@ -42,6 +42,7 @@ def refused_in_one_line(done, says):
         ("nets build", "nets build", "command", "--overpass"),
         ("modern", "modern", "preset", ""),
         ("helsinki", "helsinki", "city", "Helsinki"),
+        ("durations", "durations", "figure", "Kaplan-Meier"),
         ("freshness", "freshness", "study that ships", "How old"),
     ],
 )

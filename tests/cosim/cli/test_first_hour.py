@@ -104,7 +104,7 @@ except SystemExit:
 def test_check_of_a_study_says_what_it_takes(tmp_path):
     cosim("init", "--study", "ages.toml", cwd=tmp_path)
     said = cosim("check", "ages.toml", cwd=tmp_path).stdout
-    assert re.search(r"about \d+ (s|min) with \d+ workers? on free cores, and \d\.\d GB of memory", said)
+    assert re.search(r"about \d+ (s|min) with \d+ workers? on (a free core|free cores), and \d\.\d GB of memory", said)
     assert "fleet.penetration_p: 0.1, 0.35" in said
     long = cosim("check", "ages.toml", "--set", "traffic.duration_s=36000", cwd=tmp_path).stdout
     assert "half of it: --set traffic.duration_s=18000" in long

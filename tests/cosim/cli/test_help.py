@@ -5,6 +5,7 @@ import sys
 
 import pytest
 import typer
+from typer.testing import CliRunner
 
 from cosim.cli.help import Commands, in_groups
 from cosim.cli.main import GROUPS, app
@@ -62,3 +63,9 @@ def test_help_loads_no_arrays():
     code = "import sys, cosim.cli.main; print(*sorted({'numpy', 'pandas', 'numba', 'libsumo'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+@pytest.mark.parametrize("words", [[], ["nets"], ["predict"]], ids=" ".join)
+def test_a_group_without_a_command_prints_its_help(words):
+    bare, asked = (CliRunner().invoke(app, typed) for typed in (words, [*words, "--help"]))
+    assert bare.exit_code == 0 and bare.stdout == asked.stdout != ""

@@ -1,6 +1,8 @@
 """Studies that run: what is shared changes no value, and nothing that goes wrong is lost."""
 
 import json
+import shutil
+import statistics
 
 import numpy as np
 import pytest
@@ -69,6 +71,7 @@ def test_a_sweep_says_what_it_does(swept):
     """
     first, *lines = (swept / "stderr.txt").read_text().splitlines()
     assert first.startswith("note: study.replicates = 2: a 95 % interval reaches 9.0 standard deviations")
+    assert lines[0].startswith("about ") and "2 workers on free cores" in lines[0]
     runs = [line for line in lines if line.startswith("run ")]
     assert [line.split(":")[0] for line in runs] == [f"run {n} of 4" for n in range(1, 5)]
     for penetration, replicate in ((0.2, 0), (0.2, 1), (0.3, 0), (0.3, 1)):
@@ -124,6 +127,23 @@ def test_finished_points_are_skipped(swept):
     (swept / "more.toml").write_text(more)
     plan = json.loads(cosim(swept, "sweep", "more.toml", "--out", "out", "--dry-run", "--json").stdout)
     assert (plan["points"], plan["finished"], plan["runs"]) == (12, 8, 4)
+
+
+def test_status_says_what_to_type_next(swept, tmp_path):
+    assert cosim(swept, "status", "out").stdout.splitlines()[-1] == "next: cosim report out"
+    shutil.copytree(swept / "out", tmp_path / "out")
+    next((tmp_path / "out" / "jobs").glob("*/measures.parquet")).unlink()
+    said = cosim(tmp_path, "status", "out").stdout.splitlines()
+    assert said[-1] == "next: cosim sweep out/study.toml --out out"
+
+
+def test_time_left_follows_from_the_processor_time_of_finished_runs(swept):
+    """A run that waits for others takes longer by the clock, and not more of the processor."""
+    attempts = [json.loads(file.read_text())[-1] for file in (swept / "out" / "jobs").glob("*/attempts.json")]
+    typical_s = statistics.median(one["cpu_s"] for one in attempts)
+    (swept / "third.toml").write_text(STUDY.replace("replicates = 2", "replicates = 3"))
+    plan = json.loads(cosim(swept, "sweep", "third.toml", "--out", "out", "--dry-run", "--json").stdout)
+    assert plan["seconds"] == pytest.approx(typical_s * plan["runs"], abs=1)
 
 
 def test_keys_without_effect_are_named(swept):
