@@ -144,11 +144,6 @@ class Selection:
         return found.sort_values(["step", "vehicle"], ignore_index=True)
 
     @property
-    def sensing_s(self) -> float:
-        """Time between two sweeps."""
-        return float(self.run.config["sensing_interval_s"])
-
-    @property
     def above_roof_m(self) -> float:
         """Height of the LiDAR over the roof."""
         return float(self.run.config["lidar"]["mount_above_roof_m"])

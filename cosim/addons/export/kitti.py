@@ -38,6 +38,7 @@ from numpy import ndarray
 
 from cosim.addons.export.frames import FOCAL_PX, IMAGE_PX, InCamera, in_camera, in_sensor
 from results.moments import BOX, NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit
+from results.sensing import interval_steps
 from results.spreadsheet import csv_of
 
 TABLES = ("actors", "vehicles", "observability", "detections", "pseudonyms")
@@ -302,11 +303,11 @@ def _numbers(selection: Selection) -> dict[tuple[int, int], int]:
 
 
 def sequences_of(selection: Selection) -> pd.DataFrame:
-    """Frames by sequence: step, vehicle, number over all, sequence, frame in it."""
+    """Frames by sequence, which is a vehicle in consecutive sweeps: step, vehicle, number over all, sequence, frame."""
     frames = selection.presence.assign(number=np.arange(len(selection.presence)))
     frames = frames.sort_values(["vehicle", "step"], ignore_index=True)
-    every = np.searchsorted(selection.steps, frames.step)
-    starts = (frames.vehicle.diff() != 0) | (np.diff(every, prepend=-9) != 1)
+    every = interval_steps(selection.run, frames.vehicle.to_numpy())
+    starts = (frames.vehicle.diff() != 0) | (frames.step.diff() != every)
     sequence = starts.cumsum() - 1
     return frames.assign(sequence=sequence, frame=frames.groupby(sequence).cumcount())
 

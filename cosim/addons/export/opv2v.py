@@ -11,7 +11,8 @@ the middle of their underside, `center` leads from there to the middle of the bo
 `predicted_ego_pos` is what the vehicle reports of itself, if it does. Time stamps are numbers of sweeps, whatever their
 interval; readers assume 10 Hz. On request, `%06d_pred.npy` holds the corners of the detected vehicles that the vehicle
 transmitted [n, 8, 3], in the frame of its LiDAR, as OpenCOOD saves predictions, and `%06d_score.npy` their scores.
-Vehicles with other phases of sensing (`sensing_phase = "random"`) never share a time stamp.
+Vehicles with other phases of sensing (`sensing_phase = "random"`) never share a time stamp: a scenario has those of one
+phase.
 Deviations: intensity, the red channel, is 0; no cameras; no planned trajectory.
 """
 
@@ -19,8 +20,10 @@ import io
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import cast
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
@@ -28,6 +31,7 @@ from scipy.spatial import cKDTree
 from cosim.addons.export import kitti
 from cosim.addons.export.frames import in_sensor
 from results.moments import BOX, NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit, corners_of
+from results.sensing import interval_steps, phase_steps
 
 TABLES = kitti.TABLES
 
@@ -92,30 +96,50 @@ class Opv2v:
 
 def scenarios_of(selection: Selection) -> list[Opv2vScenario]:
     """Scenarios with constant membership, in the order of their first steps."""
-    if len(selection.vehicles) <= MOST:
-        return _runs(selection.presence, selection.steps)
+    vehicles = np.unique(selection.presence.vehicle)
+    schedule = np.column_stack([of(selection.run, vehicles) for of in (interval_steps, phase_steps)])
     found = []
-    width = max(1, round(WINDOW_S / selection.sensing_s))
-    for at in range(0, len(selection.steps), width):
-        steps = selection.steps[at : at + width]
-        here = selection.presence[selection.presence.step.isin(steps.tolist())]
+    for interval, phase in np.unique(schedule, axis=0).tolist():
+        together = vehicles[(schedule == (interval, phase)).all(axis=1)]
+        steps = selection.steps[selection.steps % interval == phase]
+        presence = selection.presence[selection.presence.vehicle.isin(together)]
+        if len(selection.vehicles) <= MOST:
+            found += _runs(presence, steps, interval)
+        else:
+            found += _windows(selection, presence, steps, interval)
+    return sorted(found, key=lambda scenario: (scenario.steps[0], scenario.vehicles))
+
+
+def _windows(
+    selection: Selection, presence: pd.DataFrame, steps: Int[ndarray, "s"], interval: int
+) -> list[Opv2vScenario]:
+    """Scenarios of `WINDOW_S` of vehicles that sense together, every `interval` steps."""
+    found = []
+    width = max(1, round(WINDOW_S / (interval * selection.run.dt_s)))
+    for at in range(0, len(steps), width):
+        part = steps[at : at + width]
+        here = presence[presence.step.isin(part.tolist())]
         counts = here.vehicle.value_counts()
-        throughout = np.sort(counts.index[counts == len(steps)].to_numpy())
+        throughout = np.sort(counts.index[counts == len(part)].to_numpy())
         if len(throughout) > 1:
-            found += [Opv2vScenario(group, steps) for group in _groups(selection, throughout, steps)]
+            found += [Opv2vScenario(group, part) for group in _groups(selection, throughout, part)]
     return found
 
 
-def _runs(presence, steps: Int[ndarray, "s"]) -> list[Opv2vScenario]:  # type: ignore[no-untyped-def]
-    """Maximal spans of steps in which the same two vehicles or more are on the road."""
+def _runs(presence: pd.DataFrame, steps: Int[ndarray, "s"], interval: int) -> list[Opv2vScenario]:
+    """Maximal spans of sweeps, one every `interval` steps, with the same two vehicles or more on the road."""
     found: list[Opv2vScenario] = []
-    members = {int(step): tuple(sorted(rows)) for step, rows in presence.groupby("step").vehicle}
+    rows = presence.groupby("step").vehicle
+    members = {int(cast(int, step)): tuple(sorted(vehicles)) for step, vehicles in rows}
+    of_sweep = [members.get(step, ()) for step in steps.tolist()]
     begin = 0
     for i in range(1, len(steps) + 1):
-        if i == len(steps) or members.get(int(steps[i]), ()) != members.get(int(steps[begin]), ()):
-            if len(who := members.get(int(steps[begin]), ())) > 1:
-                found.append(Opv2vScenario(tuple(map(int, who)), steps[begin:i]))
-            begin = i
+        who = of_sweep[begin]
+        if i < len(steps) and of_sweep[i] == who and steps[i] == steps[i - 1] + interval:
+            continue
+        if len(who) > 1:
+            found.append(Opv2vScenario(tuple(map(int, who)), steps[begin:i]))
+        begin = i
     return found
 
 

@@ -3,7 +3,8 @@
 Notes
 -----
 `object_tru_percept0/training` is the ego's, the first of the chosen vehicles; `alt_perspective/%07d` are the others'.
-Frames are numbered by the steps in which the ego is on the road. Files, KITTI's columns unless said otherwise, CR LF:
+Frames are numbered by the steps in which the ego senses. Vehicles with another phase of sensing (`sensing_phase =
+"random"`) have no perspective in them. Files, KITTI's columns unless said otherwise, CR LF:
 
 - `velodyne`, `calib`, `label_2` as in `cosim/addons/export/kitti.py`;
 - `label_aug_2` also names what is wholly hidden, `label_aug_filtered_2` what gave a return; both have three more
@@ -57,8 +58,10 @@ def _block(
     selection: Selection, all_steps: Int[ndarray, "s"], steps: Int[ndarray, "b"], clouds: Clouds
 ) -> Iterator[File]:
     ego = selection.vehicles[0]
+    present = selection.presence
     for moment in selection.moments(steps):
-        here = [v for v in selection.vehicles if np.isin(v, moment.actor)]
+        senses = set(present.vehicle[present.step == moment.step])
+        here = [v for v in selection.vehicles if v in senses]
         name = f"{np.searchsorted(all_steps, moment.step):06d}"
         ego_pose = selection.pose(moment, ego)
         for vehicle, cloud in zip(here, clouds(moment.step, here), strict=True):
