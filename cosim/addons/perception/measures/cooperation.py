@@ -37,6 +37,7 @@ from cosim.addons.perception.measures.displaced import (
 from cosim.addons.perception.measures.early_fusion import Disturbance, early_boxes
 from cosim.addons.perception.measures.mixed import frames_at_speed, in_turn
 from results.run import Run
+from results.sensing import is_lock_step
 
 _FRAMES = 1500
 Fusion = Literal["none", "late", "early"]
@@ -145,6 +146,11 @@ def _areas(truth: Truth, found: Found, setting: Setting) -> Float[ndarray, "o"]:
 
 
 def _evaluated(run: Run, setting: Setting, fusion: Fusion) -> CooperationScores:
+    if not is_lock_step(run):
+        raise ValueError(
+            f"{run.path}: vehicles sense at different steps, and this measure joins what they detect in one step. "
+            'Run with sensing_phase = "common" and without sensing_groups.'
+        )
     steps = sampled_steps(run, _FRAMES)
     steps = steps[steps >= setting.delay_steps]
     poses, actors = posed(run, steps)
