@@ -112,7 +112,8 @@ class TrustParams(TruPerceptParams):
     evidence: tuple[Kind, ...] = ("detections",)
     """Kinds of evaluations that are made, sent and counted. `detections`: of received detections. `missing`: of the
     completeness of a message, by the objects that the sender should have detected too. `speed`: of claimed
-    velocities, by the evaluator's own tracks."""
+    velocities, by the evaluator's own tracks. `missing` and `speed` are of messages of the evaluator's own step only:
+    with `sensing_phase = "random"`, of vehicles with the same phase."""
 
     # final aggregation
     method: Method = "trupercept_3"
