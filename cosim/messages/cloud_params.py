@@ -22,7 +22,8 @@ class EarlyFusionParams:
     """Largest number of partners, the nearest ones. OpenCOOD has `max_cav: 5`, the ego among them."""
     max_age_s: Annotated[float, Ge(0), Le(3600)] = 0.1
     """Largest age of a cloud that is merged [s]: one turn of a LiDAR at 10 Hz. Where an object moves, older returns lie
-    behind it; they cannot be extrapolated."""
+    behind it; they cannot be extrapolated. Where it is shorter than a step, as in the default world with
+    `sensing_phase = "random"`, only partners that sense at the same step are merged."""
     bytes_per_return: Annotated[float, Gt(0), Le(1000)] = 16.0
     """Length of one return [B]: x, y, z and intensity in single precision, as data sets store it. An HDL-64E itself
     sends 384 of them in a packet of 1,206 bytes (manual of the S3, appendix E), 3.1 each."""
