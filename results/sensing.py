@@ -1,5 +1,7 @@
 """When the vehicles of a run sensed."""
 
+import math
+
 import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
@@ -16,6 +18,17 @@ def interval_steps(run: Run, vehicle: Int[ndarray, "k"]) -> Int[ndarray, "k"]:
         Numbers of equipped vehicles.
     """
     return _schedule(run)[0][vehicle]
+
+
+def phase_steps(run: Run, vehicle: Int[ndarray, "k"]) -> Int[ndarray, "k"]:
+    """First step of the run in which each vehicle would sense.
+
+    Parameters
+    ----------
+    vehicle
+        Numbers of equipped vehicles.
+    """
+    return _schedule(run)[1][vehicle]
 
 
 def senses(run: Run, step: Int[ndarray, "k"], vehicle: Int[ndarray, "k"]) -> Bool[ndarray, "k"]:
@@ -37,6 +50,23 @@ def sensing_steps(run: Run) -> Int[ndarray, "s"]:
     interval, phase = (np.unique(column) for column in _schedule(run))
     every = int(np.gcd.reduce([*interval, *phase]))
     return np.arange(0, int(run.manifest["steps"]), every)
+
+
+def is_lock_step(run: Run) -> bool:
+    """Whether all vehicles sense at the same steps."""
+    return all(len(np.unique(column)) == 1 for column in _schedule(run))
+
+
+def sampling_stride(run: Run, least: int) -> int:
+    """Smallest stride, at least `least`, by which a sample of steps has vehicles of all phases alike.
+
+    Every n-th step would have those of one phase only if n were a multiple of the sensing interval.
+    """
+    interval, phase = (np.unique(column) for column in _schedule(run))
+    stride, longest = max(1, least), int(interval.max())
+    while len(phase) > 1 and math.gcd(stride, longest) > 1:
+        stride += 1
+    return stride
 
 
 def _schedule(run: Run) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:

@@ -14,6 +14,7 @@ from cosim.base.codes import EvaluationKind
 from results.metrics import intervals
 from results.metrics.trust import HONEST, watched
 from results.run import Run
+from results.sensing import sampling_stride
 
 _EDGES = np.array([-0.95, -0.5, -0.1, 0.0, 0.1, 0.5, 0.95])
 """Evaluation times visibility: edges of its bins; each belongs to the bin below."""
@@ -114,7 +115,7 @@ def bounds(run: Run) -> pd.DataFrame:
 def _counts(run: Run, who: pd.DataFrame, known: bool) -> Int[ndarray, "s c"]:
     """The clues about these subjects while they are watched, by kind."""
     run.require("evaluations")
-    stride = max(1, -(-run.n_rows("evaluations") // _MOST_ROWS))
+    stride = sampling_stride(run, -(-run.n_rows("evaluations") // _MOST_ROWS))
     since, attacks = who.since.to_numpy(), (run.subjects.role != HONEST).to_numpy()
     n_received = len(EvaluationKind) * _N_BINS * 2
     n_kinds = n_received * (1 + _N_OTHERS)

@@ -14,6 +14,7 @@ import pandas as pd
 from results.metrics.intervals import by_group, columns, share
 from results.metrics.trust import HONEST
 from results.run import Run
+from results.sensing import sampling_stride
 
 KINDS = ("self report", "true detection", "false positive", "fabricated")
 """What is evaluated: the sender's report of itself, a box of its detector that belongs to an actor, one that belongs to
@@ -100,7 +101,7 @@ def of_blocks(run: Run, query: str) -> pd.DataFrame:
         that not many more count than suffice.
     """
     run.require("evaluations", "detections")
-    every = max(1, -(-run.n_rows("evaluations") // _MOST_ROWS))
+    every = sampling_stride(run, -(-run.n_rows("evaluations") // _MOST_ROWS))
     parts = run.inventory.of("evaluations")
     return pd.concat(
         [run.sql(query, every=every, first=part.first_step, last=part.last_step) for part in parts], ignore_index=True

@@ -10,7 +10,7 @@ from cosim.addons.perception.kitti import LabelledObjects
 from cosim.addons.perception.overlap import corners, within
 from cosim.base.codes import BASE_VARIANT
 from results.run import Run
-from results.sensing import interval_steps, senses, sensing_steps
+from results.sensing import interval_steps, sampling_stride, senses, sensing_steps
 
 Lists = Literal["local", "fused", "early"]
 """Detections of a vehicle's own sensor, its fused objects, or what it detects in merged point clouds."""
@@ -42,7 +42,7 @@ def sampled_steps(run: Run, max_frames: int) -> np.ndarray:
     spans, steps = spans[spans.equipped], sensing_steps(run)
     every = interval_steps(run, spans.vehicle.to_numpy(np.int64))
     n_frames = int(((spans.last_step - spans.first_step + 1).to_numpy() / every).sum())
-    stride = max(1, -(-n_frames // max_frames))
+    stride = sampling_stride(run, -(-n_frames // max_frames))
     return steps[stride // 2 :: stride]
 
 
