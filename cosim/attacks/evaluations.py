@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
 from cosim.attacks.attack import AttackContext, EvaluationRows, WithParams
+from cosim.attacks.past import of_earlier_messages
 from cosim.messages.content import Detections
 
 Reported = tuple[Float[ndarray, "m"], Float[ndarray, "m"]]
@@ -141,7 +142,8 @@ class MajorityCopying(_WithIdentities[IdentitiesParams]):
 
     Notes
     -----
-    Deviations: the attacker knows all evaluations of the same step, as if it waited for all of them.
+    Deviations: the attacker knows all evaluations of the same step, as if it waited for all of them, and none of other
+    steps. Where vehicles sense at steps of their own, it reports visibility 0 about most detections.
     """
 
     def evaluations(self, rows: EvaluationRows, detections: Detections, context: AttackContext) -> Reported:
@@ -190,10 +192,10 @@ class ReplayedEvaluations(_WithIdentities[ReplayedEvaluationsParams]):
         key = np.column_stack([name(rows.evaluator[at]), name(observer[at]), index.astype(np.uint64)])
         seen = np.flatnonzero(rows.visibility[at] > 0)
         seen = seen[np.lexsort(key[seen].T[::-1])]  # a draw picks the same evaluation whatever the order of the rows
-        past = context.memory.setdefault("past", [])
-        past.append((key[seen], rows.evaluation[at][seen], rows.visibility[at][seen]))
-        del past[: -self.params.n_messages - 1]
-        old_key, old_e, old_phi = past[0]
+        of = at[seen]
+        own = key[seen], rows.evaluation[of], rows.visibility[of]
+        past = of_earlier_messages(context, context.attacker, own, rows.evaluator[of], self.params.n_messages)
+        old_key, old_e, old_phi = _joined(past, own)
         draw = context.uniforms(name(rows.evaluator[at]), name(observer[at]), index)[:, 0]
         source = np.full(len(at), -1)
         for n_columns in (3, 2, 1):  # the number of equal columns of (evaluator, sender, detection)
@@ -204,6 +206,14 @@ class ReplayedEvaluations(_WithIdentities[ReplayedEvaluationsParams]):
         e[at[known]] = old_e[source[known]]
         phi[at[known]] = old_phi[source[known]]
         return e, phi
+
+
+def _joined(past: list, like: tuple[ndarray, ...]) -> list[ndarray]:
+    """Columns of what `of_earlier_messages` returns; empty ones like the given columns if it returns nothing."""
+    parts = [[column[:0] for column in like]]
+    for old, rows, _ in past:
+        parts.append([column[rows] for column in old])
+    return [np.concatenate(column) for column in zip(*parts, strict=True)]
 
 
 def _one_of(old: UInt64[ndarray, "o c"], key: UInt64[ndarray, "k c"], draw: Float[ndarray, "k"]) -> Int[ndarray, "k"]:

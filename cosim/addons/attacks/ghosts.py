@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from cosim.attacks.attack import AttackContext, Vouched, fabricated, placed
 from cosim.attacks.disguise import ghosts
 from cosim.attacks.ghost_insertion import CAR
+from cosim.attacks.past import of_earlier_messages
 from cosim.messages.content import FABRICATED, SELF, Detections
 from sensors.boxes import Boxes
 from sensors.line_of_sight import WallIndex, los_between_actors
@@ -245,21 +246,19 @@ class Stale(Vouched[StaleParams]):
         """The lists, with own detections replaced by old ones, and the self report by the old pose."""
         world = context.world
         rows = np.flatnonzero(context.member[listed.observer] & (listed.identity == 0))
-        past = context.memory.setdefault("past", [])
-        own = listed.take(rows)
-        past.append((own, world.actor[own.observer]))
-        del past[: -self.params.n_messages - 1]
+        own, by = listed.take(rows), listed.observer[rows]
+        sends = np.zeros(len(world), bool)
+        sends[by] = True
+        past = of_earlier_messages(context, sends, own, by, self.params.n_messages)
         mine = context.own_rows(listed)
-        oldest = _oldest(past, world.actor[context.attacker])
         transmitted = listed.transmitted.copy()
         transmitted[mine[listed.origin[mine] != SELF]] = False
         kept = replace(listed, transmitted=transmitted)
-        if oldest is None:
+        if not past:
             return kept
-        old, by = oldest
-        row_of = np.full(int(max(by.max(initial=-1), world.actor.max())) + 1, -1)
-        row_of[world.actor] = np.arange(len(world))
-        observer = row_of[by]
+        old = Detections.concat([of_step.take(which) for of_step, which, _ in past])
+        observer = np.concatenate([row for _, _, row in past])
+        observer[~context.attacker[observer]] = -1
         selves = np.flatnonzero((old.origin == SELF) & (observer >= 0))
         at = np.full(len(world), -1)
         at[observer[selves]] = selves
@@ -279,19 +278,3 @@ class Stale(Vouched[StaleParams]):
             n_points=said.n_points,
             velocity_mps=said.velocity_mps,
         )
-
-
-def _oldest(past: list, actor: ndarray) -> tuple[Detections, ndarray] | None:
-    """The oldest stored list of each of these actors, and the actor of each row."""
-    left, parts, by = actor, [], []
-    for listed, of in past:
-        here = np.isin(of, left)
-        if here.any():
-            parts.append(listed.take(np.flatnonzero(here)))
-            by.append(of[here])
-            left = np.setdiff1d(left, of[here])
-        if not len(left):
-            break
-    if not parts:
-        return None
-    return Detections.concat(parts), np.concatenate(by)

@@ -314,6 +314,30 @@ def test_replayed_evaluations(honest):
     )
 
 
+IN_TURNS = {"traffic": {"step_s": 0.2}, "sensing_phase": "random"}
+"""Every vehicle sends at a step of its own, one in five."""
+
+
+def test_ages_in_messages_where_vehicles_send_in_turns():
+    """Three messages ago is 15 steps ago, and the first messages repeat the oldest."""
+    honest = play(n_steps=30, **IN_TURNS)
+    own = honest["detections"].query("detection_index == 0")[["at", "observer", "x_m"]]
+    found = play([BY | {"attack": "stale", "n_messages": 3}], n_steps=30, **IN_TURNS)["detections"]
+    mine = found[(found.detection_index == 0) & found.observer.isin(WHO)]
+    age = mine.merge(own.rename(columns={"at": "was"}), on=["observer", "x_m"]).eval("at - was")
+    number = mine.groupby("observer").cumcount()
+    assert len(age) == len(mine) and age.tolist() == (5 * np.minimum(number, 3)).tolist()
+
+    said = play([BY | {"attack": "replayed_evaluations", "n_messages": 3}], n_steps=30, **IN_TURNS)["evaluations"]
+    said = said[said.evaluator.isin(WHO) & (said.observer != said.evaluator)]
+    was = honest["evaluations"].assign(at=lambda f: f["at"] + 15)
+    was = was[was.visibility > 0]
+    key = ["at", "evaluator", "observer", "detection_index"]
+    pairs = said.merge(was, on=key, suffixes=("", "_old"))
+    assert len(pairs) > 50 and (pairs.evaluation == pairs.evaluation_old).all()
+    assert (pairs.visibility == pairs.visibility_old).all()
+
+
 def test_evaluations_under_several_identities(honest):
     """Three identities: each of the attackers' evaluations goes out three times, under three pseudonyms."""
     tables = play([BY | {"attack": "bad_mouthing", "n_identities": 3}])
