@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from results.metrics import intervals
 from results.run import Run
+from results.sensing import interval_steps
 
 At = Literal["server", "vehicles"]
 """Whose trust: that of the trust server, or that which vehicles look up."""
@@ -98,22 +99,40 @@ def _in_use(run: Run) -> Values:
 
 
 def _own(run: Run) -> pd.DataFrame:
-    """Means of the values of their own that vehicles look up: step, subject, trust, n_evaluations."""
+    """Means of the values of their own that vehicles look up: step, subject, trust, n_evaluations.
+
+    Vehicles may look up in turns, so that a single step has the lookups of some of them. A mean is over a sensing
+    interval therefore, and has the last step with lookups in it.
+    """
+    every = int(interval_steps(run, run.roles.index.to_numpy(np.int64)).max(initial=1))
     parts = run.variant_parts("trust_lookups", ["step"])
     steps = np.unique(np.concatenate([[0], *(part.step.unique() for part in parts)]))
-    chosen = pc.field("step").isin(steps[:: -(-len(steps) // _INSTANTS)].tolist())
+    last = pd.Series(steps, steps // every).groupby(level=0).max()
+    few = last.index[:: -(-len(last) // _INSTANTS)]
+    looked = steps[np.isin(steps // every, few)]
+    chosen = pc.field("step").isin(looked.tolist())
     chosen &= (pc.field("source") == "own") & (pc.field("n_evaluations") > 0)
-    means = [
-        part.groupby(["step", "subject"], as_index=False)[["trust", "n_evaluations"]].mean()
-        for part in run.variant_parts("trust_lookups", ["step", "subject", "trust", "n_evaluations"], chosen)
-    ]
-    frame = pd.concat(means) if means else pd.DataFrame()
+    names = ["step", "subject", "trust", "n_evaluations"]
+    means, open_rows = [], pd.DataFrame(columns=names)
+    for part in run.variant_parts("trust_lookups", names, chosen):
+        of_interval = part.step // every
+        rows = part.assign(step=last.loc[of_interval].to_numpy())
+        rows = rows if open_rows.empty else pd.concat([open_rows, rows])
+        is_open = rows.step == rows.step.max()  # an interval may go on in the next block
+        means.append(_means(rows[~is_open]))
+        open_rows = rows[is_open]
+    frame = pd.concat([*means, _means(open_rows)])
     if frame.empty:
         raise ValueError(
             f"{run.path} holds no trust values: neither the server nor a vehicle ever computed one. Set trust.host to "
             '"central" or "local", equip vehicles, and run longer than trust.server_period_s.'
         )
     return frame
+
+
+def _means(rows: pd.DataFrame) -> pd.DataFrame:
+    """Mean trust and number of evaluations by step and subject."""
+    return rows.groupby(["step", "subject"], as_index=False)[["trust", "n_evaluations"]].mean()
 
 
 def watched(run: Run) -> pd.DataFrame:

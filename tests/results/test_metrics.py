@@ -129,6 +129,32 @@ def test_trust_without_a_server(tiny):
     assert frame.trust.tolist() == pytest.approx([0.8, 0.3, 0.1])
 
 
+def test_trust_without_a_server_where_vehicles_look_up_in_turns(tiny):
+    """A value is the mean over a sensing interval, four steps, and has its last step with lookups: 3, 7 and 11.
+
+    Of vehicle 2 it is 0.3 (0.2 at step 1 and 0.4 at step 3), then 0.6, then 0.6 (0.5 and 0.7, in two blocks). In every
+    interval it is evaluated, though only one vehicle looks it up in a step.
+    """
+    vehicles = [
+        vehicle | {"sensing_interval_steps": 4, "sensing_phase_steps": phase}
+        for phase, vehicle in zip((1, 3, 2), fleet("honest", "honest", "malicious"), strict=True)
+    ]
+    vehicles[2]["attack_start_step"] = 0
+    lookups = [
+        {"step": step, "receiver": r, "subject": s, "trust": t, "source": "own", "n_evaluations": 1}
+        for step, r, s, t in (
+            (1, 0, 2, 0.2), (3, 1, 2, 0.4), (5, 0, 2, 0.6), (7, 1, 0, 0.9), (9, 0, 2, 0.5), (11, 1, 0, 0.8),
+            (11, 1, 2, 0.7),
+        )
+    ]  # fmt: skip
+    run = tiny(20, vehicles=vehicles, trust_lookups=lookups)
+    frame = trust.values(run)
+    assert frame[["step", "subject"]].to_numpy().tolist() == [[3, 2], [7, 0], [7, 2], [11, 0], [11, 2]]
+    assert frame.trust.tolist() == pytest.approx([0.3, 0.9, 0.6, 0.8, 0.6])
+    shares = misbehaviour.evaluated(run).set_index("role").share
+    assert shares["malicious"] == 1 and shares["honest"] == pytest.approx(2 / 6)  # vehicle 1 is never looked up
+
+
 def test_radio_by_hand(tiny):
     rows = [
         {"step": s, "n_sent": 2, "n_in_range": 4, "n_delivered": d, "n_lost_propagation": 4 - d, "cbr": 0.1}

@@ -148,6 +148,10 @@ def values(of):
     else:
         looked = of.table("trust_lookups")
         own = looked[(looked.source == "own") & (looked.n_evaluations > 0)]
+        interval = of.table("vehicles").sensing_interval_steps.max()
+        interval = int(interval) if interval == interval else 1
+        last = looked.groupby(looked.step // interval).step.max()
+        own = own.assign(step=(own.step // interval).map(last))
         frame = own.groupby(["step", "subject"], as_index=False)[["trust", "n_evaluations"]].mean()
         frame = frame.assign(evaluated=True, enough=frame.n_evaluations >= of.least)
     frame = frame.assign(trust=frame.trust.astype(float))
