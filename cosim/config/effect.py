@@ -13,6 +13,7 @@ from cosim.attacks.params import AttackParams
 from cosim.config.config import Config, chosen, chosen_model, resolve_data
 from cosim.door.load import is_own
 from cosim.traffic.roadside import RoadsideParams
+from sensors.weather import extinction_per_m
 
 _FILE = Path(__file__).with_name("needs.toml")
 _NEEDS: dict[str, list[dict[str, Any]]] = tomllib.loads(_FILE.read_text("utf-8"))
@@ -34,6 +35,7 @@ def _is_read(config: Config, key: str) -> bool:
 
 _RULES: Mapping[str, Callable[[Any, str], bool]] = {
     "different_times": lambda config, _: not config.schedule.is_lock_step,
+    "fog_or_rain": lambda config, _: extinction_per_m(config.weather) > 0,
     "dirt": lambda config, _: bool(config.weather.dirt),
     "central_host": lambda config, _: "central" in _hosts(config),
     "local_host": lambda config, _: "local" in _hosts(config),

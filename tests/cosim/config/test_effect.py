@@ -25,6 +25,8 @@ def test_a_preset_has_no_key_in_vain(name):
     [
         (["parked.vans_p=0.5"], "parked.vans_p has no effect without parked.per_100_m above 0."),
         (["trees.height_m=5"], "trees.height_m has no effect without trees.per_100_m or trees.from_map."),
+        (["weather.known=false"],
+         "weather.known has no effect without weather.visibility_m or weather.rain_mm_h above 0."),
         (["weather.dirty_p=0.5"], "weather.dirty_p has no effect without weather.dirt."),
         (["radio.nr.mcs=5"], 'radio.nr.mcs has no effect without radio.model = "nr_mode2".'),
         (["radio.model=nr_mode2", "radio.dcc.period_s=0.2"],
