@@ -41,11 +41,14 @@ def slots(pair, slot, one, other):
 
 
 @njit(cache=True, nogil=True)
-def count(at, one, other, n, ab, ba):
-    """Add `n` to the counters of each slot; 1 each where `n` is empty."""
+def count(at, one, other, n, in_contact, ab, ba, later_ab, later_ba):
+    """Add `n` to the counters of each slot; 1 each where `n` is empty. Slots that are not in contact have others."""
     for row in range(len(at)):
         if at[row] >= 0:
-            counter = ab if one[row] < other[row] else ba
+            if in_contact[at[row]]:
+                counter = ab if one[row] < other[row] else ba
+            else:
+                counter = later_ab if one[row] < other[row] else later_ba
             counter[at[row]] += n[row] if len(n) else 1
 
 

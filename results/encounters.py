@@ -58,6 +58,7 @@ def check_definitions(definitions: Sequence[EncounterParams]) -> None:
             )
 
 
+_COUNTERS = tuple(f"n_{what}_{way}" for what in ("messages", "evaluations") for way in ("ab", "ba"))
 _LIVE: dict[str, type] = {
     "start": np.int32,  # first step in contact
     "end": np.int32,  # one past the last step in contact
@@ -69,7 +70,8 @@ _LIVE: dict[str, type] = {
     "again": np.bool_,  # the two had an encounter before
     "censored_left": np.bool_,
     "entered": np.bool_,
-    **{f"n_{what}_{way}": np.int32 for what in ("messages", "evaluations") for way in ("ab", "ba")},
+    **dict.fromkeys(_COUNTERS, np.int32),
+    **{f"{name}_later": np.int32 for name in _COUNTERS},  # of them since the last step in contact
 }
 _TRUST: dict[str, type] = {
     **{f"trusted_{way}": np.bool_ for way in ("ab", "ba")},
@@ -193,6 +195,9 @@ class EncounterTracker:
         live["n_los"][now] += visible[under_way]
         live["sum_m"][now] += metres[under_way]
         live["min_m"][now] = np.minimum(live["min_m"][now], metres[under_way])
+        for name in _COUNTERS:  # the break is bridged
+            live[name][now] += live[f"{name}_later"][now]
+            live[f"{name}_later"][now] = 0
 
         new = ~under_way
         gone = self._of_any(left)
@@ -224,8 +229,7 @@ class EncounterTracker:
             Actor numbers, one row per received message; fast if the rows of a receiver follow each other.
         """
         at = self._slots(receiver, sender)  # messages go by receiver
-        counters = self._live["n_messages_ab"], self._live["n_messages_ba"]
-        encounter_counts.count(at, sender, receiver, np.zeros(0, np.int64), *counters)
+        self._count("messages", at, sender, receiver, np.zeros(0, np.int64))
 
     def count_evaluations(
         self, evaluator: Int[ndarray, "n"], observer: Int[ndarray, "n"], n: Int[ndarray, "n"]
@@ -241,8 +245,22 @@ class EncounterTracker:
             Number of evaluations in each row.
         """
         at = self._slots(evaluator, observer)
-        counters = self._live["n_evaluations_ab"], self._live["n_evaluations_ba"]
-        encounter_counts.count(at, evaluator, observer, np.asarray(n, np.int64), *counters)
+        self._count("evaluations", at, evaluator, observer, np.asarray(n, np.int64))
+
+    def _count(
+        self,
+        what: str,
+        at: Int[ndarray, "n"],
+        one: Int[ndarray, "n"],
+        other: Int[ndarray, "n"],
+        n: Int[ndarray, "_"],
+    ) -> None:
+        """Count what one does to the other. What follows the last step in contact counts if contact comes again."""
+        assert self._step is not None
+        live = self._live
+        in_contact = live["end"] == self._step + 1
+        names = [f"n_{what}_{way}{when}" for when in ("", "_later") for way in ("ab", "ba")]
+        encounter_counts.count(at, one, other, n, in_contact, *(live[name] for name in names))
 
     def note_trust(self, holder: Int[ndarray, "n"], other: Int[ndarray, "n"], looked_up: Bool[ndarray, "n v"]) -> None:
         """Note that trust with evidence is looked up in this step. Only the first time in an encounter counts.
@@ -361,6 +379,9 @@ class EncounterTracker:
         """Rows of the table `encounters`."""
         live = {name: values[self._slot[at]] for name, values in self._live.items()}
         n = len(at)
+        # A value that is first looked up after the last contact came too late for the encounter.
+        end = live["end"][:, None]
+        in_time = {way: live[f"trusted_step_{way}"] < end for way in ("ab", "ba")}
         trust: Rows = {}
         for way in ("ab", "ba"):
             known = live[f"known_{way}"]
@@ -374,7 +395,7 @@ class EncounterTracker:
                 f"age_{way}_s": live[f"age_{way}_s"],
                 f"age_{way}_s__valid": known & (live[f"source_{way}"] != TrustSource.DEFAULT),
                 f"trusted_after_{way}_s": (live[f"trusted_step_{way}"] - live["start"][:, None]) * self.dt_s,
-                f"trusted_after_{way}_s__valid": live[f"trusted_{way}"],
+                f"trusted_after_{way}_s__valid": live[f"trusted_{way}"] & in_time[way],
             }
         if self.n_variants == 1:
             trust = {name: values[:, 0] for name, values in trust.items()}
@@ -398,8 +419,7 @@ class EncounterTracker:
             "min_distance_m": live["min_m"],
             "mean_distance_m": live["sum_m"] / np.maximum(live["n"], 1),
             "los_share": live["n_los"] / np.maximum(live["n"], 1),
-            **{f"n_{what}_{way}": live[f"n_{what}_{way}"]
-               for what in ("messages", "evaluations") for way in ("ab", "ba")},
+            **{name: live[name] for name in _COUNTERS},
             **trust,
         }  # fmt: skip
 

@@ -163,6 +163,21 @@ def test_counts_and_first_contact():
     assert (row["trust_ab"], row["source_ab"], row["age_ab_s"]) == (0.5, 2, None)
 
 
+def test_what_follows_the_last_contact_counts_only_if_contact_comes_again():
+    """Near in steps 0 and 2, then apart: what is sent in steps 0 to 2 counts; trust of step 3 comes too late."""
+
+    def talk(tracker, step, opened, pairs):
+        tracker.count_messages(np.array([0]), np.array([1]))
+        tracker.count_evaluations(np.array([1]), np.array([0]), np.array([2]))
+        tracker.note_trust(np.array([0, 1]), np.array([1, 0]), np.array([[step >= 3], [step >= 1]]))
+
+    tracks = on_a_line(5, 50, 5, 50, 50, 50, 50)
+    (row,) = follow(tracks, EncounterParams(radius_m=10, hysteresis_s=3, pairs="all"), before_close=talk)
+    assert (row["start_step"], row["end_step"]) == (0, 3)
+    assert (row["n_messages_ab"], row["n_evaluations_ba"]) == (3, 6)
+    assert row["trusted_after_ab_s"] is None and row["trusted_after_ba_s"] == 1
+
+
 def test_trusted_after():
     """Near from step 1; 0 uses a value for 1 from step 3, 1 knew 0 from the start, and once is enough."""
 

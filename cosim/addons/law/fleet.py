@@ -304,13 +304,10 @@ class Fleet:
             none = np.zeros(0, np.int64)
             return law.Encounters(none, none, none, none, none, none, none, np.zeros(0))
         rows = self.met + [tracker.close(self.last_step + 1) for tracker in self.trackers[:1]]
-        a, b, start, end, departed = (
+        a, b, start, end = (
             np.concatenate([np.zeros(0, np.int64), *(one[name] for one in rows)]).astype(np.int64)
-            for name in ("a", "b", "start_step", "end_step", "departed")
+            for name in ("a", "b", "start_step", "end_step")
         )
-        # Until the break has become too long, lookups count: the encounter may go on.
-        patience = max(1, int(np.ceil(config.encounters[0].hysteresis_s / config.traffic.step_s - 1e-9)))
-        end = np.minimum(np.where(departed, end, end + patience - 1), self.last_step + 1)
         both = np.isin(a, actors) & np.isin(b, actors)
         a, b = a[both], b[both]
         start, end = (np.tile(-(-x[both] // self.schedule.exchange_every_steps), 2) for x in (start, end))
