@@ -299,7 +299,6 @@ class Fleet:
 
     def _meetings(self, actors: ndarray) -> law.Encounters:
         """Encounters by the first definition of the config, those that are still open included."""
-        config = self.config
         if not self.trackers:
             none = np.zeros(0, np.int64)
             return law.Encounters(none, none, none, none, none, none, none, np.zeros(0))
