@@ -152,7 +152,21 @@ def notes_on(config: Config, scenario: Scenario) -> list[str]:
             notes.append("note: [parked] places no car: no place along the streets is free, or tags say so.")
         if config.trees.per_100_m and not len(city.trees.shape):
             notes.append("note: [trees] places no tree: no place along the streets is free.")
-    return notes
+    return notes + _few_clouds(config)
+
+
+def _few_clouds(config: Config) -> list[str]:
+    """A note if clouds are merged with early fusion that are too old after one step, where vehicles sense in turns."""
+    oldest_s, step_s, interval_s = config.early_fusion.max_age_s, config.traffic.step_s, config.sensing_interval_s
+    in_turns = config.sensing_phase == "random" and interval_s > step_s
+    if config.early_fusion.share == "none" or oldest_s >= step_s or not in_turns:
+        return []
+    n_phases = round(interval_s / step_s)
+    return [
+        f"note: early_fusion.max_age_s = {oldest_s:g} is shorter than a step of {step_s:g} s. Only clouds of vehicles "
+        f"that sense in the same step are merged: those of one in {n_phases}. early_fusion.max_age_s = "
+        f"{interval_s - step_s:g} merges those of all."
+    ]
 
 
 def keys_in_vain(config: Config, scenario: Scenario) -> list[str]:

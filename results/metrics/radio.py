@@ -115,11 +115,18 @@ def inter_reception(run: Run, message_type: MessageType = "cpm") -> pd.DataFrame
 
 
 def inter_reception_means(run: Run) -> pd.DataFrame:
-    """One row, of detection messages: mean_s, after_loss (share of intervals with a loss), n_lost (mean of them)."""
+    """One row, of detection messages: mean_s, after_loss (share of intervals with a loss), n_lost (mean of them).
+
+    The last two are NaN where `sensing_groups` give vehicles intervals of their own: a long interval between two
+    receptions is no loss then.
+    """
     pir = inter_reception(run)
-    n, lost = pir.n_received, pir.n_received[pir.n_lost > 0].sum()
+    n, mean_s = pir.n_received, np.average(pir.pir_s, weights=pir.n_received)
+    if run.config.get("sensing_groups"):
+        return pd.DataFrame([{"mean_s": mean_s, "after_loss": np.nan, "n_lost": np.nan}])
+    lost = n[pir.n_lost > 0].sum()
     n_lost = (pir.n_lost * n).sum() / lost if lost else np.nan
-    return pd.DataFrame([{"mean_s": np.average(pir.pir_s, weights=n), "after_loss": lost / n.sum(), "n_lost": n_lost}])
+    return pd.DataFrame([{"mean_s": mean_s, "after_loss": lost / n.sum(), "n_lost": n_lost}])
 
 
 def cpm(run: Run) -> pd.DataFrame:

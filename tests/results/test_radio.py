@@ -1,9 +1,11 @@
 """Metrics of the radio, by hand."""
 
+import numpy as np
 import pytest
 
 from results.figures.catalogue import FIGURES
 from results.metrics import radio
+from tests.results.tiny import make
 
 
 def test_inter_reception_by_kaplan_meier(tiny):
@@ -19,6 +21,20 @@ def test_inter_reception_by_kaplan_meier(tiny):
     assert gaps.n_lost.tolist() == [0, 0, 1, 3]
     with pytest.raises(ValueError, match="no two messages of type evaluation in a row"):
         radio.inter_reception(run, "evaluation")
+
+
+def test_losses_are_counted_where_all_vehicles_sense_at_one_interval(tmp_path):
+    """Of ten intervals, one has a loss. With groups, that one may be of a vehicle that senses every other step."""
+    rows = [{"step": 1, "pir_steps": 1, "n_received": 9}, {"step": 2, "pir_steps": 2, "n_received": 1}]
+    groups = {"sensing_groups": [{"share_p": 0.5, "interval_s": 2.0}]}
+    for name in ("one", "several"):
+        (tmp_path / name).mkdir()
+    one = make(tmp_path / "one", 3, packet_inter_reception=rows)
+    several = make(tmp_path / "several", 3, groups, packet_inter_reception=rows)
+    (found,) = radio.inter_reception_means(one).itertuples()
+    assert (found.mean_s, found.after_loss, found.n_lost) == pytest.approx((1.1, 0.1, 1.0))
+    (found,) = radio.inter_reception_means(several).itertuples()
+    assert found.mean_s == pytest.approx(1.1) and found[2:] == pytest.approx((np.nan, np.nan), nan_ok=True)
 
 
 def test_latency_adds_up(tiny):

@@ -8,6 +8,7 @@ from cosim.config.config import load
 from cosim.config.effect import without_effect
 from cosim.messages.content import SENSED
 from cosim.radio.message_round import MessageRound, Messages, Stations
+from cosim.runs.check import remarks_on
 from cosim.runs.checkpoint import decode, encode
 from cosim.step.cycle import step
 from cosim.step.early_fusion import Clouds
@@ -216,3 +217,17 @@ def test_partners_find_more_and_nothing_else_changes(run, tmp_path):
     mine = fingerprint(run.path)
     assert mine == other
     assert {name for name in mine if mine[name] != alone[name]} == {"early_fused", "clouds"}
+
+
+def test_a_note_where_most_clouds_are_too_old():
+    """In the default world, vehicles sense in five groups one after the other, 0.2 s apart."""
+
+    def noted(*sets):
+        return [line for line in remarks_on(load(None, [*sets]), None) if "early_fusion.max_age_s" in line]
+
+    world = "preset=modern", 'early_fusion.share="objects"'
+    (line,) = noted(*world)
+    assert "one in 5" in line and "early_fusion.max_age_s = 0.8" in line
+    assert not noted(*world, "early_fusion.max_age_s=0.8")
+    assert not noted("preset=modern")
+    assert not noted('early_fusion.share="objects"')  # all sense at once
