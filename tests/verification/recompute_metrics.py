@@ -417,7 +417,7 @@ def repeated(of, made, boxes):
             looks.add((one, step))
             witnesses.setdefault(one, []).append(e < 0)
             pairs_of.setdefault(one[:2], []).append(e < 0)
-            verdicts.setdefault((step, subject, who), []).append(e < 0)
+            verdicts.setdefault((sensed, subject, who), []).append(e < 0)
     for span, distinct in (("step", looks), ("10 s", spans), ("run", witnesses)):
         yield "repeats.distinct.share", span, ratio(len(distinct), n)
     for name, groups in (
@@ -448,7 +448,7 @@ def ideal_observer(of, made):
     kinds = {"detection": 0, "missing": 1, "speed": 2}
     made["kind_number"] = made.kind.map(kinds) if "kind" in made else 0
     step = made.detection_step if "detection_step" in made else made.step
-    of_claim = made.groupby([made.step, step.rename("of"), "observer", "detection_index", "kind_number"]).x
+    of_claim = made.groupby([step.rename("of"), "observer", "detection_index", "kind_number"]).x
     total, n = of_claim.transform("sum") - made.x, of_claim.transform("size") - 1
     made["others"] = np.where(n == 0, 0, np.where(total < 0, 1, 2))
     for role in sorted(set(who.role) - {"honest"}):

@@ -71,7 +71,9 @@ def bound(stream: EvidenceStream, since: np.ndarray) -> tuple[float, float]:
     rows = rows[rows.evaluator != rows.observer]
     said, kind = (rows.evaluation * rows.visibility / 1e4).to_numpy(), (rows.detection_index % len(KINDS)).to_numpy()
     value = kind * _N_BINS + np.searchsorted(_EDGES, said)
-    _, claim = np.unique(rows[["step", "observer", "detection_index"]].to_numpy(), axis=0, return_inverse=True)
+    _, claim = np.unique(
+        rows[["detection_step", "observer", "detection_index"]].to_numpy(), axis=0, return_inverse=True
+    )
     claim = claim.reshape(-1)
     n, total = np.bincount(claim)[claim] - 1, np.bincount(claim, said)[claim] - said
     others = np.where(n == 0, 0, np.where(total < 0, 1, 2))

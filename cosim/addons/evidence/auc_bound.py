@@ -121,26 +121,29 @@ def _counts(run: Run, who: pd.DataFrame, known: bool) -> Int[ndarray, "s c"]:
     n_kinds = n_received * (1 + _N_OTHERS)
     counts = np.zeros(len(who) * n_kinds, np.int64)
     names = ["step", "evaluator", "observer", "detection_index", "detection_step", "kind", "evaluation", "visibility"]
-    for part in run.parts("evaluations", names, pc.field("visibility") > 0):
-        part = part[(part.step % stride == 0) & (part.evaluator != part.observer)]
-        said = part.evaluation.to_numpy(float) * part.visibility.to_numpy(float)
-        kind = part.kind.cat.codes.to_numpy(np.int64)
-        value = kind * _N_BINS + np.searchsorted(_EDGES, said)
-        about = ("step", "detection_step", "observer", "detection_index")
-        same = [*(part[column].to_numpy() for column in about), kind]
-        _, claim = np.unique(np.column_stack(same), axis=0, return_inverse=True)
-        claim = claim.reshape(-1)
-        n, total = np.bincount(claim)[claim] - 1, np.bincount(claim, said)[claim] - said
-        others = np.where(n == 0, 0, np.where(total < 0, 1, 2))
-        by, of = (run.subjects.index.get_indexer(pd.Index(part[name])) for name in ("evaluator", "observer"))
-        cells = (
-            value * 2 + (attacks[by] & known),
-            n_received + (value * _N_OTHERS + others) * 2 + (attacks[of] & known),
-        )
-        step = part.step.to_numpy()
-        for name, cell in zip(("observer", "evaluator"), cells, strict=True):
-            subject = who.index.get_indexer(pd.Index(part[name]))
-            rows = np.flatnonzero((subject >= 0) & (since[subject] <= step))
-            counts += np.bincount(subject[rows] * n_kinds + cell[rows], minlength=len(counts))
+    # Others may evaluate the same detection in another step, and so in another block.
+    parts = run.parts("evaluations", names, pc.field("visibility") > 0)
+    clues = pd.concat([part[(part.detection_step % stride == 0) & (part.evaluator != part.observer)] for part in parts])
+    said = clues.evaluation.to_numpy(float) * clues.visibility.to_numpy(float)
+    kind = clues.kind.cat.codes.to_numpy(np.int64)
+    value = kind * _N_BINS + np.searchsorted(_EDGES, said)
+    claim = clues.assign(kind=kind).groupby(["detection_step", "observer", "detection_index", "kind"], sort=False)
+    others = _of_others(claim.ngroup().to_numpy(), said)
+    by, of = (run.subjects.index.get_indexer(pd.Index(clues[name])) for name in ("evaluator", "observer"))
+    cells = (
+        value * 2 + (attacks[by] & known),
+        n_received + (value * _N_OTHERS + others) * 2 + (attacks[of] & known),
+    )
+    step = clues.step.to_numpy()
+    for name, cell in zip(("observer", "evaluator"), cells, strict=True):
+        subject = who.index.get_indexer(pd.Index(clues[name]))
+        rows = np.flatnonzero((subject >= 0) & (since[subject] <= step))
+        counts += np.bincount(subject[rows] * n_kinds + cell[rows], minlength=len(counts))
     by_subject = counts.reshape(len(who), n_kinds)
     return by_subject[:, by_subject.any(axis=0)]
+
+
+def _of_others(claim: Int[ndarray, "n"], said: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """What the others say on average about the same claim: 0 if there is none, 1 if against it, 2 otherwise."""
+    n, total = np.bincount(claim)[claim] - 1, np.bincount(claim, said)[claim] - said
+    return np.where(n == 0, 0, np.where(total < 0, 1, 2))

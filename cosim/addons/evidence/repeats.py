@@ -35,6 +35,8 @@ class Said(NamedTuple):
     actor: Int[ndarray, "n"]
     """What the evaluated detection really is."""
     denies: Bool[ndarray, "n"]
+    detection_step: Int[ndarray, "n"]
+    """Step of the evaluated detection. Where vehicles sense in turns, others evaluate it in several later steps."""
 
 
 def repeats(run: Run) -> pd.DataFrame:
@@ -53,10 +55,10 @@ def of_evaluations(said: Said, dt_s: float) -> pd.DataFrame:
             ("step", look), (f"{WINDOW_S:g} s", np.unique(_numbers(witness, slot))), ("run", np.unique(witness)),
         )
     ]  # fmt: skip
-    step, evaluator, subject, actor, denies = (column[first] for column in said)
+    _, evaluator, subject, actor, denies, detection_step = (column[first] for column in said)
     for name, group in (
         ("same evaluator, object", witness[first]), ("same evaluator", _numbers(evaluator, subject)),
-        ("same object, step", _numbers(subject, actor, step)),
+        ("same object, step", _numbers(subject, actor, detection_step)),
     ):  # fmt: skip
         _, group = np.unique(group, return_inverse=True)
         n, denied = np.bincount(group), np.bincount(group, denies)
@@ -91,13 +93,14 @@ def agreement(n: Int[ndarray, "g"], denied: Int[ndarray, "g"]) -> float:
 
 def _said(run: Run) -> Said:
     found = of_blocks(run, _QUERY)
-    step, evaluator, subject, actor = found[["step", "evaluator", "subject", "actor"]].to_numpy(np.int64).T
-    return Said(step, evaluator, subject, actor, found.denies.to_numpy(bool))
+    names = ["step", "evaluator", "subject", "actor", "detection_step"]
+    step, evaluator, subject, actor, detection_step = found[names].to_numpy(np.int64).T
+    return Said(step, evaluator, subject, actor, found.denies.to_numpy(bool), detection_step)
 
 
 _QUERY = """
 SELECT e.step, coalesce(s.vehicle, -1 - e.evaluator) AS evaluator, e.observer AS subject, d.truth_actor AS actor,
-    e.evaluation < 0 AS denies
+    e.evaluation < 0 AS denies, e.detection_step
 FROM evaluations e
 JOIN (SELECT * FROM detections WHERE step <= $last AND transmitted AND truth_actor IS NOT NULL) d
     ON d.step = e.detection_step AND d.observer = e.observer AND d.detection_index = e.detection_index

@@ -1,10 +1,12 @@
 """The bound of an ideal observer, against areas that are known in closed form."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from cosim.addons.evidence.auc_bound import area
+from cosim.addons.evidence.auc_bound import _counts, area
+from tests.results.tiny import fleet, make
 
 N = 500
 
@@ -59,3 +61,19 @@ def test_order_of_subjects_and_of_kinds_does_not_matter():
     counts, attacks = rng.poisson(3, (30, 6)), np.arange(30) % 3 == 0
     rows, columns = rng.permutation(30), rng.permutation(6)
     assert area(counts[rows][:, columns], attacks[rows]).value == pytest.approx(area(counts, attacks).value, abs=1e-12)
+
+
+def test_what_others_say_of_a_detection_counts_in_whichever_step(tmp_path):
+    """Vehicles 1 and 2 evaluate a detection of vehicle 0, in one step or ten steps apart: in another block of rows."""
+
+    def clues(name, later):
+        said = {"observer": 0, "detection_step": 1, "visibility": 1.0}
+        first = {**said, "step": 1, "evaluator": 1, "evaluation": 0.7}
+        rows = [first, {**said, "step": later, "evaluator": 2, "evaluation": -1.0}]
+        (tmp_path / name).mkdir()
+        run = make(tmp_path / name, 20, vehicles=fleet("honest", "honest", "malicious"), evaluations=rows)
+        return _counts(run, pd.DataFrame({"since": [0, 0, 0]}), True)
+
+    together = clues("together", 1)
+    assert together.shape[1] == 4  # two received, two made
+    assert np.array_equal(clues("apart", 12), together)

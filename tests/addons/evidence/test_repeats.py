@@ -6,10 +6,10 @@ import pytest
 from cosim.addons.evidence.repeats import Said, agreement, of_evaluations
 
 
-def said(rows):
-    """Rows (step, evaluator, subject, actor, denies)."""
+def said(rows, delay=0):
+    """Rows (step, evaluator, subject, actor, denies), of detections that many steps before."""
     step, evaluator, subject, actor, denies = np.array(rows).reshape(-1, 5).T
-    return Said(step, evaluator, subject, actor, denies > 0)
+    return Said(step, evaluator, subject, actor, denies > 0, step - delay)
 
 
 def found(rows, dt_s=1.0):
@@ -38,6 +38,14 @@ def test_by_hand():
     # Same object and step: steps 0 and 9 have one of each verdict: no pair agrees, half deny.
     assert value["same object, step", "kappa"] == -1
     assert value["same object, step", "effective"] == 1
+
+
+def test_evaluators_that_sense_in_turns_judge_the_same_detection():
+    """Two evaluators of each of two detections, one and three steps later. They agree about both."""
+    rows = [(11, 2, 1, 7, 1), (13, 3, 1, 7, 1), (21, 2, 1, 7, 0), (23, 3, 1, 7, 0)]
+    table = of_evaluations(said(rows, np.array([1, 3, 1, 3])), 0.2).set_index("group")
+    assert table.kappa["same object, step"] == 1
+    assert table.effective["same object, step"] == 0.5
 
 
 def test_one_voice_and_many():
