@@ -5,6 +5,7 @@ received when all its segments are received.
 """
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -429,11 +430,11 @@ def _happened(
     n_older = len(plan.messages) - plan.n_new
     happened = everything.of_messages(None if n_older == 0 else np.arange(plan.n_new), busy, n_duplicate)
     older, earlier = plan.messages[plan.n_new :], []
-    for kind in RoundKind:
-        rows = np.flatnonzero(older["kind"] == kind)
+    for kind, is_background in product(RoundKind, (False, True)):
+        rows = np.flatnonzero((older["kind"] == kind) & (older["is_background"] == is_background))
         if len(rows):
             of_kind = everything.of_messages(plan.n_new + rows, None, 0)
-            earlier.append(EarlierMessages(kind, older["step"][rows], older["name"][rows], of_kind))
+            earlier.append(EarlierMessages(kind, older["step"][rows], older["name"][rows], of_kind, is_background))
     return replace(happened, earlier=tuple(earlier)), attempts
 
 

@@ -121,6 +121,9 @@ class Messages:
 
         length = np.concatenate([self.length_bytes, other.length_bytes])[order]
         is_other = order >= len(self)
+        name = joined(self.name, -1)
+        if name is not None and other.name is not None:
+            name[is_other] = other.name
         refused = self.refused
         if refused is not None:  # the messages keep their order, so the pairs stay sorted
             row = np.flatnonzero(~is_other)[refused >> 32]
@@ -132,7 +135,7 @@ class Messages:
             joined(self.envelope_bytes, ENVELOPE_BYTES),
             refused=refused,
             is_background=is_other,
-            name=joined(self.name, -1),
+            name=name,
         )
         return both, is_other
 
@@ -330,6 +333,8 @@ class EarlierMessages:
     """As `Messages.name`."""
     round: MessageRound
     """What was sent, received and lost in this round. `generation_offset_s` counts from the message's own round."""
+    is_background: bool = False
+    """As `Messages.is_background`, of all of them."""
 
 
 class LinkReceptions(NamedTuple):

@@ -337,12 +337,15 @@ def _channel(recorder: TakesRows, world: World, sensed: Sensed) -> None:
         receptions = [broadcast.links.vehicles, *(messages.links.vehicles for messages in late)]
         receivers += [found.receiver for found in receptions]
         by_distance, total = pdr_by_distance(**_decided_frames(frames), columns=OUTCOMES)
+        of_clouds = late_of(sensed.rounds, kind, clouds=True)
+        sent_bytes = sum(one.sent_bytes for one in frames)
+        sent_bytes += sum(messages.round.frames.sent_bytes for messages in of_clouds)
         cbr = broadcast.round.frames.cbr
         totals = {
             "n_sent": np.array([sum(one.n_transmissions.sum() for one in frames)]),
             "n_relayed": np.array([sum(one.n_relayed for one in frames)]),
             "n_duplicate": np.array([sum(one.n_duplicate for one in frames)]),
-            "sent_bytes": np.array([sum(one.sent_bytes for one in frames)]),
+            "sent_bytes": np.array([sent_bytes]),
             **total,
             "cbr": None if cbr is None else np.array([cbr[:n].mean()]),
         }
@@ -732,6 +735,7 @@ def _early(recorder: TakesRows, world: World, sensed: Sensed) -> None:
         "n_sent": early.n_frames,
         "n_in_range": early.n_in_range,
         "n_received": early.n_received,
+        "n_received_late": early.n_received_late,
     }
     recorder.append("clouds", world.step, clouds)
 

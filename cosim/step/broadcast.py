@@ -67,6 +67,8 @@ class Broadcast:
     """Point clouds that were sent in the same round, one per vehicle that senses; None if none are."""
     late: tuple[LateMessages, ...] = ()
     """Messages of earlier rounds that went on in this one."""
+    late_clouds: tuple[LateMessages, ...] = ()
+    """Clouds of earlier rounds that went on in this one."""
 
 
 def broadcast_detections(
@@ -120,14 +122,19 @@ def _broadcast(
     messages, clouds = on_air.without(exchange.refused).messages, None
     messages = replace(messages, name=_names(exchange)[on_air.message])
     if cloud_bytes is not None:
-        messages, is_cloud = messages.followed_by(Messages(exchange.vehicles.senses, cloud_bytes))
+        names = _names(exchange)[exchange.senders.own]
+        messages, is_cloud = messages.followed_by(Messages(exchange.vehicles.senses, cloud_bytes, name=names))
     medium, found = parts.medium.broadcast(medium, kind, exchange.now.step, begin_s, exchange.stations, messages)
     if cloud_bytes is not None:
         found, clouds = found.only(~is_cloud), found.only(is_cloud)
     n_vehicles = len(exchange.vehicles)
     links = on_air.links(found, n_vehicles)
-    late = tuple(LateMessages.of(earlier, n_vehicles) for earlier in found.earlier)
-    return medium, Broadcast(found, links, _accepted(links, exchange.senders), length_bytes, clouds, late)
+    late, late_clouds = (
+        tuple(LateMessages.of(earlier, n_vehicles) for earlier in found.earlier if earlier.is_background == is_cloud)
+        for is_cloud in (False, True)
+    )
+    accepted = _accepted(links, exchange.senders)
+    return medium, Broadcast(found, links, accepted, length_bytes, clouds, late, late_clouds)
 
 
 def _names(exchange: Exchange) -> Int[ndarray, "m"]:

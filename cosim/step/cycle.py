@@ -165,7 +165,10 @@ def _cycle(
         inbox = inbox.next(exchange, listed, matched, evaluated, received)
         clouds, early = s.clouds, None
         if parts.early is not None and offered is not None:
-            clouds, early = parts.early.fuse(clouds, exchange, observed, positioned.error, offered, cpms.clouds)
+            late_clouds = (*cpms.late_clouds, *reports.late_clouds)
+            clouds, early = parts.early.fuse(
+                clouds, exchange, observed, positioned.error, offered, cpms.clouds, late_clouds
+            )
     beliefs, reaction_truth = None, s.reaction_truth
     if c.driver.model != "none":
         with watch("driver"):

@@ -5,7 +5,8 @@ and its fused objects. Nothing else in the simulation uses it.
 """
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from cosim.radio.link_budget import neighbours
 from cosim.radio.message_round import MessageRound
 from cosim.radio.segmentation import ENVELOPE_BYTES
 from cosim.step.exchange import Exchange
+from cosim.step.late import LateMessages
 from cosim.step.perception import Observed, detector_draws
 from cosim.step.positioning import as_estimated
 from cosim.world import World
@@ -57,6 +59,8 @@ class Clouds:
     receiver: Int[ndarray, "r"] = field(default_factory=_rows)
     received: Int[ndarray, "r"] = field(default_factory=_rows)
     """Cloud that this receiver has."""
+    untold: Int[ndarray, "u"] = field(default_factory=_rows)
+    """Senders of clouds that vehicles received after their rounds, of which no row of results tells yet."""
 
     def and_also(self, later: "Clouds") -> "Clouds":
         """These clouds, then others."""
@@ -85,6 +89,17 @@ class Clouds:
             at_m=self.at_m[v],
             receiver=self.receiver[r],
             received=number[self.received[r]],
+            untold=self.untold,
+        )
+
+    def with_late(self, step: Int[ndarray, "l"], sender: Int[ndarray, "l"], receiver: Int[ndarray, "l"]) -> "Clouds":
+        """The clouds of these steps and senders have been received by more vehicles, in rows of their own."""
+        row, is_kept = rows_of(step << 32 | sender, self.step << 32 | self.sender)
+        return replace(
+            self,
+            receiver=np.concatenate([self.receiver, receiver[is_kept]]),
+            received=np.concatenate([self.received, row[is_kept]]),
+            untold=np.concatenate([self.untold, sender]),
         )
 
 
@@ -120,7 +135,9 @@ class Early:
     n_in_range: Int[ndarray, "s"]
     """Vehicles within `early_fusion.range_m` of the sender."""
     n_received: Int[ndarray, "s"]
-    """How many of these received the whole cloud."""
+    """How many of these received the whole cloud in its round."""
+    n_received_late: Int[ndarray, "s"]
+    """Receptions of earlier clouds of the sender, after their rounds, since the sender last sensed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +182,7 @@ class EarlyFusion:
         error: Error,
         offered: Offered,
         sent: MessageRound | None,
+        late: Sequence[LateMessages],
     ) -> tuple[Clouds, Early]:
         """Detect in the clouds that each vehicle has.
 
@@ -181,6 +199,8 @@ class EarlyFusion:
         offered, sent
             The clouds of this step, and what the radio made of them, in the order of the vehicles that sense; None if
             it does not carry them.
+        late
+            What became of clouds of earlier rounds.
 
         Returns
         -------
@@ -217,7 +237,11 @@ class EarlyFusion:
             receiver=vehicles.actor[receiver[got]].astype(np.int64),
             received=sender[got],
         )
-        clouds = kept.since(world.step - self.oldest_steps).and_also(now)
+        clouds = self._with_late(kept.since(world.step - self.oldest_steps).and_also(now), exchange, late)
+        told, is_told = rows_of(clouds.untold, sensing.actor.astype(np.int64))
+        n_late = np.bincount(told[is_told], minlength=len(sensing))
+        is_waiting = ~is_told & np.isin(clouds.untold, vehicles.actor)
+        clouds = replace(clouds, untold=clouds.untold[is_waiting])
         theirs = self._received_views(clouds, world, sensing.row, own_xy_m, of_senses)
         views = Views.concat([views, theirs])
         n = len(sensing)
@@ -227,7 +251,24 @@ class EarlyFusion:
             n_frames=None if sent is None else sent.frames.n_transmissions,
             n_in_range=np.bincount(sender, minlength=n),
             n_received=np.bincount(sender[got], minlength=n),
+            n_received_late=n_late,
         )
+
+    def _with_late(self, clouds: Clouds, exchange: Exchange, late: Sequence[LateMessages]) -> Clouds:
+        """The clouds, with what vehicles within range have received of them after their rounds."""
+        vehicles = exchange.vehicles
+        xy_m = exchange.world.boxes.xyz_m[vehicles.row, :2]
+        for messages in late:
+            found = messages.links.vehicles
+            accepted = np.flatnonzero(messages.sender[found.message] >= 0)
+            message, receiver = found.message[accepted], found.receiver[accepted]
+            sender = messages.sender[message] >> 16
+            row, is_there = rows_of(sender, vehicles.actor.astype(np.int64))
+            x_m, y_m = (xy_m[row] - xy_m[receiver]).T
+            is_there &= np.hypot(x_m, y_m) <= self.params.range_m
+            step, receiver = messages.step[message[is_there]], vehicles.actor[receiver[is_there]].astype(np.int64)
+            clouds = clouds.with_late(step, sender[is_there], receiver)
+        return clouds
 
     def _own_views(
         self, world: World, row: Int[ndarray, "s"], observed: Observed, error: Error

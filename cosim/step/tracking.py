@@ -83,9 +83,10 @@ def _codes(actor: Int[ndarray, "n"], messages: LateMessages) -> Int[ndarray, "r"
     return sender << 32 | actor[receiver]
 
 
-def late_of(rounds: Rounds, kind: RoundKind) -> list[LateMessages]:
-    """Messages of one kind that went on in a round of this step."""
-    return [messages for broadcast in rounds for messages in broadcast.late if messages.kind == kind]
+def late_of(rounds: Rounds, kind: RoundKind, clouds: bool = False) -> list[LateMessages]:
+    """Messages of one kind that went on in a round of this step, or the clouds that were sent behind them."""
+    late = (one for broadcast in rounds for one in (broadcast.late_clouds if clouds else broadcast.late))
+    return [messages for messages in late if messages.kind == kind]
 
 
 def count_in_encounters(

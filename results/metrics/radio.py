@@ -161,8 +161,8 @@ def clouds(run: Run) -> pd.DataFrame:
     """
     return _asked(run, 'point clouds. Set early_fusion.share to "objects" or "sweep".', f"""
         SELECT 8e-6 * sum(length_bytes) / {_ROAD_S} AS offered_mbps,
-            8e-6 * sum(length_bytes::DOUBLE * n_received) / {_ROAD_S} AS delivered_mbps,
-            sum(n_received) / nullif(sum(n_in_range), 0) AS complete
+            8e-6 * sum(length_bytes::DOUBLE * (n_received + n_received_late)) / {_ROAD_S} AS delivered_mbps,
+            sum(n_received + n_received_late) / nullif(sum(n_in_range), 0) AS complete
         FROM clouds HAVING count(*) > 0
     """)  # fmt: skip
 

@@ -144,6 +144,10 @@ def test_old_clouds_are_forgotten_by_hand():
     late = both.since(5)
     assert (late.sender.tolist(), late.actor.tolist(), late.receiver.tolist()) == ([8], [9], [3, 4])
     assert late.cloud.tolist() == [0] and late.received.tolist() == [0, 0] and both.since(4) is both
+    # Vehicle 5 receives the cloud of step 4 of vehicle 7 after its round, and vehicle 6 one that is forgotten.
+    more = both.with_late(np.array([4, 3]), np.array([7, 7]), np.array([5, 6]))
+    assert more.receiver.tolist() == [3, 3, 4, 5] and more.received.tolist() == [0, 1, 1, 0]
+    assert more.untold.tolist() == [7, 7]
 
 
 @pytest.mark.parametrize(
@@ -217,6 +221,19 @@ def test_partners_find_more_and_nothing_else_changes(run, tmp_path):
     mine = fingerprint(run.path)
     assert mine == other
     assert {name for name in mine if mine[name] != alone[name]} == {"early_fused", "clouds"}
+
+
+@pytest.mark.verify
+def test_clouds_go_on_after_their_rounds_and_are_no_detection_messages(tmp_path):
+    """A cloud of some twenty frames takes longer than a round of 80 ms. It is received in later steps."""
+    world = *SETS, "fleet.penetration_p=0.15", "traffic.duration_s=6"
+    clouds = "early_fusion.share=objects", "early_fusion.max_age_s=1"
+    run = open_run(drive(tmp_path / "with", *world, *clouds))
+    without = open_run(drive(tmp_path / "without", *world))
+    of_cpms = [one.radio[one.radio.message_type == "cpm"] for one in (run, without)]
+    assert of_cpms[0].n_sent.sum() == pytest.approx(of_cpms[1].n_sent.sum(), rel=0.02)
+    assert of_cpms[0].sent_bytes.sum() > 5 * of_cpms[1].sent_bytes.sum()
+    assert run.clouds.n_received_late.sum() > 0
 
 
 def test_a_note_where_most_clouds_are_too_old():
