@@ -55,6 +55,8 @@ LABELS: Mapping[str, str] = {
 }
 """Keys whose last word says too little on an axis."""
 
+_CHANCE = 0.5
+"""AUC of trust that says nothing, drawn as a line."""
 MOST_PANELS = 4
 """Panels beside one another."""
 _MOST_LETTERS = 32
@@ -188,6 +190,8 @@ def _draw(
             style.panel(axes, title, label_of(x) if is_last else "", style.fitted(y, letters))
             axes.tick_params(labelleft=n == 0, labelbottom=is_last or not _are_words(frame[x]))
             _height(axes, of_metric)
+            if first.metric.endswith(".auc"):
+                axes.axhline(_CHANCE, color="grey", linewidth=0.6, zorder=0)
             _ticks(axes, frame[x], 5 if len(columns) < 3 else 3)
     entries = [
         Line2D(

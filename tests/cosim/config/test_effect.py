@@ -36,7 +36,8 @@ def test_a_preset_has_no_key_in_vain(name):
         (["preset=v0.2", "extrapolate=true"],
          "extrapolate has no effect without vehicles that sense at different times."),
         (["trust.model=beta", "trust.freshness_s=20"],
-         'trust.freshness_s has no effect without a trust.model that reads it, such as "trupercept".'),
+         'trust.freshness_s has no effect without a trust.model that reads it, such as "trupercept" '
+         "(freshness.capped_age alone follows it)."),
         (["sensing=false", "trust.tau=0.3"], "trust.tau has no effect without sensing = true."),
         (["trust.matching=iou", "attacks.0.attack=misstated_accuracy"],
          'attacks.0.attack = "misstated_accuracy" has no effect without trust.matching = "gates".'),
