@@ -444,7 +444,7 @@ def main(command: Callable[..., int | None] = app) -> None:
         status = _carry_out(command)
         sys.stdout.flush()
     except typer.TyperException as error:
-        status = _say(error.format_message().replace("Value error, ", ""), 2)  # pydantic's words before those of Typer
+        status = _say(_in_plain_words(error), 2)
     except (typer.Abort, KeyboardInterrupt):
         status = _say("interrupted", 130)
     except Stopped as stopped:
@@ -469,6 +469,16 @@ def main(command: Callable[..., int | None] = app) -> None:
     if kernels is not None:
         kernels.remove()
     sys.exit(status)
+
+
+def _in_plain_words(error: typer.TyperException) -> str:
+    """What is wrong with the words of a command line, and where it is said what they may be."""
+    message = error.format_message().replace("Value error, ", "")  # pydantic's words before those of Typer
+    extra = message.partition("unexpected extra argument(s) (")[2].rstrip(").")
+    if extra:
+        path = getattr(getattr(error, "ctx", None), "command_path", "cosim")
+        return f"{extra}: {path} takes no more without the name of an option. See {path} --help."
+    return message
 
 
 def _of_home(word: str) -> str:
