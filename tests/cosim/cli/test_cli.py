@@ -129,7 +129,7 @@ FOOTPATH = NET + (
         (["run", "--set", "rsu.at=[[1, 1]]"], "rsu.at.0.2: missing"),
         (["measure", "full", "--threshold", "7"], "threshold"),
         (["run", "--frobnicate"], "No such option"),
-        (["nets", "build", "town.osm", "--out", "x"], "town.osm: cosim nets build takes no more without the name of"),
+        (["nets", "build", "town.osm", "--out", "x"], "takes no more without the name of an option"),
         (["frobnicate"], "No such command"),
         (["measure", "nowhere"], "nowhere is not a folder"),
         (["plot", "trust", "full"], "is not a run"),
