@@ -1,7 +1,8 @@
 """Evaluations of what messages claim beyond their boxes: that they withhold nothing, and velocities (`trust.claims`).
 
 An evaluator uses what it knows: its own detections and tracks, the messages that it has received, a map of the
-buildings, and the sensor that all vehicles have. It compares a message with its own sweep of the same step only.
+buildings, and the sensor that all vehicles have. It asks about each message once, in its own next sweep. Objects move
+between the sweeps of sender and evaluator, and both compare them at one time: by velocities, as far as these are known.
 """
 
 from dataclasses import dataclass
@@ -11,12 +12,14 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.base.ragged import expand, ptr_of
+from cosim.config.config import Config
 from cosim.messages.content import SENSED, velocities
 from cosim.step.comparing import Compared
 from cosim.step.evaluate import Claims
 from cosim.step.exchange import Exchange
 from cosim.step.known import Known
 from cosim.step.parts import Parts
+from sensors.boxes import Boxes, extrapolated
 from sensors.coverage import at_place
 from sensors.neighbours import Neighbours
 from sensors.tracking import ObjectStates, confirmed_variance
@@ -24,6 +27,8 @@ from trust.claims import MISSING, N_OBJECTS, SPEED, claim_number, presence_suppo
 
 _LEAST_VARIANCE = 0.01
 """Of a velocity that a vehicle knows of itself [m2/s2]."""
+_PLACED_M = 1.0
+"""Largest standard deviation of where an object was, so that vehicles ask for it: half the width of a car [m]."""
 
 
 def claims_of(
@@ -65,18 +70,52 @@ def _missing(
 
     A message with as many objects as `cpm.max_objects` allows may lack some for that reason, and is left out.
     """
-    assert parts.coverage is not None
     asked = absences_asked(exchange, messages, compared, parts.config.cpm.max_objects)
-    boxes, label = messages.objects.boxes, messages.detections.label
+    step = messages.detection_step(asked.carrier)
+    found = [_missing_at(n, asked.some(step == n), exchange, messages, parts) for n in np.unique(step).tolist()]
+    if not found:
+        none = np.zeros(0, np.int64)
+        return none, none, none, np.zeros(0)
+    list_, member, number, support = (np.concatenate(columns) for columns in zip(*found, strict=True))
+    return list_, member, number, support
+
+
+def _missing_at(step: int, asked: "Asked", exchange: Exchange, messages: Known, parts: Parts) -> _Found:
+    """The same for messages of one step: what their senders saw is what stood around them in that step."""
+    assert parts.coverage is not None
+    age_s = (exchange.now.step - step) * parts.config.traffic.step_s
+    label = messages.detections.label
+    then = _boxes_at(step, exchange, messages, parts)
     near = Neighbours(ptr_of(asked.question, len(asked.carrier)), asked.body)
-    recall = parts.coverage.expected_recall(asked.carrier, near, boxes, label)
+    recall = parts.coverage.expected_recall(asked.carrier, near, then, label)
     is_target = asked.is_target & (messages.detections.detection_index[asked.body] < N_OBJECTS)
-    rows = np.flatnonzero(is_target & (recall > 0))
+    is_placed = _moved_sigma_m(messages, asked.body, age_s, parts.config) <= _PLACED_M
+    rows = np.flatnonzero(is_target & is_placed & (recall > 0))
     question, body = asked.question[rows], asked.body[rows]
-    reported = _reported(messages, messages.detections.message[asked.carrier[question]], body)
+    reported = _reported(messages, then, messages.detections.message[asked.carrier[question]], body)
     support = presence_support(messages.detections.score[body] * recall[rows], reported)
     number = claim_number(messages.detections.detection_index[body], MISSING)
     return asked.list[question], asked.carrier[question], number, support
+
+
+def _boxes_at(step: int, exchange: Exchange, messages: Known, parts: Parts) -> Boxes:
+    """All boxes at the time of a step, by the velocities that messages claim. The others stay where they are."""
+    since = exchange.now.step if parts.config.extrapolate else messages.step[messages.detections.message]
+    age_s = (since - step) * parts.config.traffic.step_s
+    return extrapolated(messages.objects.boxes, velocities(messages.objects), -age_s)
+
+
+def _moved_sigma_m(messages: Known, body: Int[ndarray, "k"], age_s: float, config: Config) -> Float[ndarray, "k"]:
+    """Standard deviation of the place along its way at which each body was that long ago [m].
+
+    An object without a velocity may have any speed of its class, in either direction.
+    """
+    p, label = config.tracking, messages.detections.label[body]
+    is_known = ~np.isnan(velocities(messages.objects)[body]).any(axis=1)
+    known = confirmed_variance(p, config.sensing_interval_s)[:, 0]
+    any_ = np.square(p.along_mean_mps) + np.square(p.along_sigma_mps)
+    velocity_variance = np.where(is_known, known[label], any_[label])
+    return np.sqrt(velocity_variance * age_s**2 + np.asarray(p.acceleration_noise)[label] * age_s**3 / 3.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +133,13 @@ class Asked:
     is_target: Bool[ndarray, "k"]
     """Whether the evaluator itself detected the object, or is the object."""
 
+    def some(self, wanted: Bool[ndarray, "q"]) -> "Asked":
+        """Some of the questions."""
+        number, body = np.cumsum(wanted) - 1, wanted[self.question]
+        return Asked(
+            self.list[wanted], self.carrier[wanted], number[self.question[body]], self.body[body], self.is_target[body]
+        )
+
 
 def absences_asked(exchange: Exchange, messages: Known, compared: Compared, max_objects: int) -> Asked:
     """The questions about missing objects that the lists of a step raise."""
@@ -103,7 +149,8 @@ def absences_asked(exchange: Exchange, messages: Known, compared: Compared, max_
     is_full = np.bincount(message[is_object], minlength=len(messages.step)) >= max_objects
     by = message[lists.member]
     foreign = messages.vehicle[by] != exchange.vehicles.senses[of]
-    at = np.flatnonzero(is_self[lists.member] & foreign & (messages.step[by] == exchange.now.step) & ~is_full[by])
+    is_new = messages.is_new(of, lists.member)
+    at = np.flatnonzero(is_self[lists.member] & foreign & is_new & ~is_full[by])
     seeds = groups.seeds()
     begins = np.searchsorted(seeds, lists.ptr)
     row, question = expand(begins[of[at]], begins[of[at] + 1])
@@ -113,13 +160,13 @@ def absences_asked(exchange: Exchange, messages: Known, compared: Compared, max_
     return Asked(of[at], lists.member[at], question, lists.member[body], groups.ego_detected[body])
 
 
-def _reported(messages: Known, message: Int[ndarray, "k"], body: Int[ndarray, "k"]) -> Bool[ndarray, "k"]:
-    """Whether each message has a detection at the place of the body in the same row."""
+def _reported(messages: Known, boxes: Boxes, message: Int[ndarray, "k"], body: Int[ndarray, "k"]) -> Bool[ndarray, "k"]:
+    """Whether each message has a detection at the place of the body in the same row, with boxes at one time."""
     objects = messages.objects
     row, of = expand(messages.ptr[message], messages.ptr[message + 1])
     some = np.flatnonzero(objects.transmitted[row] & ~messages.detections.is_self[row])
     row, of = row[some], of[some]
-    there = at_place(objects.boxes.xyz_m[row], objects.boxes.take(body[of]))
+    there = at_place(boxes.xyz_m[row], boxes.take(body[of]))
     return np.bincount(of[there], minlength=len(body)) > 0
 
 
@@ -137,7 +184,7 @@ def _speed(
     p = parts.config.tracking
     claimed_mps = velocities(objects)
     foreign = messages.vehicle[by] != exchange.vehicles.senses[of]
-    claims = groups.ego_detected & foreign & (messages.step[by] == exchange.now.step)
+    claims = groups.ego_detected & foreign & messages.is_new(of, lists.member)
     at = np.flatnonzero(claims & ~np.isnan(claimed_mps[lists.member]).any(axis=1))
     own = lists.member[groups.seed[at]]
     claim = lists.member[at]
@@ -145,6 +192,8 @@ def _speed(
     label = messages.detections.label[own]
     of_claim = confirmed_variance(p, parts.config.sensing_interval_s)[label]
     of_claim[messages.detections.is_self[claim]] = 0.0
+    age_s = (exchange.now.step - messages.detection_step(claim)) * parts.config.traffic.step_s
+    of_claim += (np.asarray(p.acceleration_noise)[label] * age_s)[:, None]  # it may have accelerated since
     prior = np.column_stack([np.square(sigma)[label] for sigma in (p.along_sigma_mps, p.across_sigma_mps)])
     x, y = (claimed_mps[claim] - known_mps).T
     apart = np.column_stack([axis[:, 0] * x + axis[:, 1] * y, axis[:, 0] * y - axis[:, 1] * x])
