@@ -47,11 +47,12 @@ def claims_of(
     parts
         Components of the run.
     """
-    evidence = parts.config.trust.evidence
-    parts_of = [
-        find(exchange, messages, compared, tracks, parts)
-        for kind, find in (("missing", _missing), ("speed", _speed)) if kind in evidence
-    ]  # fmt: skip
+    evidence, parts_of = parts.config.trust.evidence, []
+    if "missing" in evidence:
+        steps = np.union1d(messages.step, exchange.now.step).tolist()
+        parts_of = [_missing(step, exchange, messages, compared, parts) for step in steps]
+    if "speed" in evidence:
+        parts_of.append(_speed(exchange, messages, compared, tracks, parts))
     if not parts_of:
         return None
     list_, member, number, support = (np.concatenate(columns) for columns in zip(*parts_of, strict=True))
@@ -63,34 +64,21 @@ _Found = tuple[Int[ndarray, "c"], Int[ndarray, "c"], Int[ndarray, "c"], Float[nd
 """List, member, number and support of each claim."""
 
 
-def _missing(
-    exchange: Exchange, messages: Known, compared: Compared, tracks: ObjectStates | None, parts: Parts
-) -> _Found:
-    """Whether messages have the objects that the evaluator sees and their senders should have detected.
+def _missing(step: int, exchange: Exchange, messages: Known, compared: Compared, parts: Parts) -> _Found:
+    """Whether messages of a step have the objects that the evaluator sees and their senders should have detected.
 
-    A message with as many objects as `cpm.max_objects` allows may lack some for that reason, and is left out.
+    What a sender should have detected is what stood around it in that step. A message with as many objects as
+    `cpm.max_objects` allows may lack some for that reason, and is left out.
     """
-    asked = absences_asked(exchange, messages, compared, parts.config.cpm.max_objects)
-    step = messages.detection_step(asked.carrier)
-    found = [_missing_at(n, asked.some(step == n), exchange, messages, parts) for n in np.unique(step).tolist()]
-    if not found:
-        none = np.zeros(0, np.int64)
-        return none, none, none, np.zeros(0)
-    list_, member, number, support = (np.concatenate(columns) for columns in zip(*found, strict=True))
-    return list_, member, number, support
-
-
-def _missing_at(step: int, asked: "Asked", exchange: Exchange, messages: Known, parts: Parts) -> _Found:
-    """The same for messages of one step: what their senders saw is what stood around them in that step."""
     assert parts.coverage is not None
-    age_s = (exchange.now.step - step) * parts.config.traffic.step_s
-    label = messages.detections.label
-    then = _boxes_at(step, exchange, messages, parts)
+    asked = absences_asked(step, exchange, messages, compared, parts.config.cpm.max_objects)
+    then, label = _boxes_at(step, exchange, messages, parts.config), messages.detections.label
     near = Neighbours(ptr_of(asked.question, len(asked.carrier)), asked.body)
     recall = parts.coverage.expected_recall(asked.carrier, near, then, label)
-    is_target = asked.is_target & (messages.detections.detection_index[asked.body] < N_OBJECTS)
+    age_s = (exchange.now.step - step) * parts.config.traffic.step_s
     is_placed = _moved_sigma_m(messages, asked.body, age_s, parts.config) <= _PLACED_M
-    rows = np.flatnonzero(is_target & is_placed & (recall > 0))
+    is_target = asked.is_target & is_placed & (messages.detections.detection_index[asked.body] < N_OBJECTS)
+    rows = np.flatnonzero(is_target & (recall > 0))
     question, body = asked.question[rows], asked.body[rows]
     reported = _reported(messages, then, messages.detections.message[asked.carrier[question]], body)
     support = presence_support(messages.detections.score[body] * recall[rows], reported)
@@ -98,11 +86,11 @@ def _missing_at(step: int, asked: "Asked", exchange: Exchange, messages: Known, 
     return asked.list[question], asked.carrier[question], number, support
 
 
-def _boxes_at(step: int, exchange: Exchange, messages: Known, parts: Parts) -> Boxes:
+def _boxes_at(step: int, exchange: Exchange, messages: Known, config: Config) -> Boxes:
     """All boxes at the time of a step, by the velocities that messages claim. The others stay where they are."""
-    since = exchange.now.step if parts.config.extrapolate else messages.step[messages.detections.message]
-    age_s = (since - step) * parts.config.traffic.step_s
-    return extrapolated(messages.objects.boxes, velocities(messages.objects), -age_s)
+    since = exchange.now.step if config.extrapolate else messages.step[messages.detections.message]
+    forward_s = (step - since) * config.traffic.step_s
+    return extrapolated(messages.objects.boxes, velocities(messages.objects), forward_s)
 
 
 def _moved_sigma_m(messages: Known, body: Int[ndarray, "k"], age_s: float, config: Config) -> Float[ndarray, "k"]:
@@ -111,10 +99,10 @@ def _moved_sigma_m(messages: Known, body: Int[ndarray, "k"], age_s: float, confi
     An object without a velocity may have any speed of its class, in either direction.
     """
     p, label = config.tracking, messages.detections.label[body]
-    is_known = ~np.isnan(velocities(messages.objects)[body]).any(axis=1)
-    known = confirmed_variance(p, config.sensing_interval_s)[:, 0]
-    any_ = np.square(p.along_mean_mps) + np.square(p.along_sigma_mps)
-    velocity_variance = np.where(is_known, known[label], any_[label])
+    of_track = confirmed_variance(p, config.sensing_interval_s)[label, 0]
+    of_class = (np.square(p.along_mean_mps) + np.square(p.along_sigma_mps))[label]
+    is_unknown = np.isnan(velocities(messages.objects)[body]).any(axis=1)
+    velocity_variance = np.where(is_unknown, of_class, of_track)
     return np.sqrt(velocity_variance * age_s**2 + np.asarray(p.acceleration_noise)[label] * age_s**3 / 3.0)
 
 
@@ -133,24 +121,17 @@ class Asked:
     is_target: Bool[ndarray, "k"]
     """Whether the evaluator itself detected the object, or is the object."""
 
-    def some(self, wanted: Bool[ndarray, "q"]) -> "Asked":
-        """Some of the questions."""
-        number, body = np.cumsum(wanted) - 1, wanted[self.question]
-        return Asked(
-            self.list[wanted], self.carrier[wanted], number[self.question[body]], self.body[body], self.is_target[body]
-        )
 
-
-def absences_asked(exchange: Exchange, messages: Known, compared: Compared, max_objects: int) -> Asked:
-    """The questions about missing objects that the lists of a step raise."""
+def absences_asked(step: int, exchange: Exchange, messages: Known, compared: Compared, max_objects: int) -> Asked:
+    """The questions about missing objects that messages of a step raise, in the lists of those to whom they are new."""
     lists, groups, of = compared.lists, compared.groups, compared.lists.of_member()
     message, is_self = messages.detections.message, messages.detections.is_self
     is_object = messages.objects.transmitted & ~is_self
     is_full = np.bincount(message[is_object], minlength=len(messages.step)) >= max_objects
     by = message[lists.member]
     foreign = messages.vehicle[by] != exchange.vehicles.senses[of]
-    is_new = messages.is_new(of, lists.member)
-    at = np.flatnonzero(is_self[lists.member] & foreign & is_new & ~is_full[by])
+    is_asked = foreign & (messages.step[by] == step) & messages.is_new(of, lists.member)
+    at = np.flatnonzero(is_self[lists.member] & is_asked & ~is_full[by])
     seeds = groups.seeds()
     begins = np.searchsorted(seeds, lists.ptr)
     row, question = expand(begins[of[at]], begins[of[at] + 1])
