@@ -1,7 +1,8 @@
 """Evaluations of what messages claim beyond their boxes: that they withhold nothing, and velocities (`trust.claims`).
 
 An evaluator uses what it knows: its own detections and tracks, the messages that it has received, a map of the
-buildings, and the sensor that all vehicles have. It compares a message with its own sweep of the same step only.
+buildings, and the sensor that all vehicles have. It asks about each message once, in its own next sweep. Objects move
+between the sweeps of sender and evaluator, and both compare them at one time: by velocities, as far as these are known.
 """
 
 from dataclasses import dataclass
@@ -11,12 +12,14 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.base.ragged import expand, ptr_of
+from cosim.config.config import Config
 from cosim.messages.content import SENSED, velocities
 from cosim.step.comparing import Compared
 from cosim.step.evaluate import Claims
 from cosim.step.exchange import Exchange
 from cosim.step.known import Known
 from cosim.step.parts import Parts
+from sensors.boxes import Boxes, extrapolated
 from sensors.coverage import at_place
 from sensors.neighbours import Neighbours
 from sensors.tracking import ObjectStates, confirmed_variance
@@ -24,6 +27,8 @@ from trust.claims import MISSING, N_OBJECTS, SPEED, claim_number, presence_suppo
 
 _LEAST_VARIANCE = 0.01
 """Of a velocity that a vehicle knows of itself [m2/s2]."""
+_PLACED_M = 1.0
+"""Largest standard deviation of where an object was, so that vehicles ask for it: half the width of a car [m]."""
 
 
 def claims_of(
@@ -42,11 +47,12 @@ def claims_of(
     parts
         Components of the run.
     """
-    evidence = parts.config.trust.evidence
-    parts_of = [
-        find(exchange, messages, compared, tracks, parts)
-        for kind, find in (("missing", _missing), ("speed", _speed)) if kind in evidence
-    ]  # fmt: skip
+    evidence, parts_of = parts.config.trust.evidence, []
+    if "missing" in evidence:
+        steps = np.union1d(messages.step, exchange.now.step).tolist()
+        parts_of = [_missing(step, exchange, messages, compared, parts) for step in steps]
+    if "speed" in evidence:
+        parts_of.append(_speed(exchange, messages, compared, tracks, parts))
     if not parts_of:
         return None
     list_, member, number, support = (np.concatenate(columns) for columns in zip(*parts_of, strict=True))
@@ -58,25 +64,46 @@ _Found = tuple[Int[ndarray, "c"], Int[ndarray, "c"], Int[ndarray, "c"], Float[nd
 """List, member, number and support of each claim."""
 
 
-def _missing(
-    exchange: Exchange, messages: Known, compared: Compared, tracks: ObjectStates | None, parts: Parts
-) -> _Found:
-    """Whether messages have the objects that the evaluator sees and their senders should have detected.
+def _missing(step: int, exchange: Exchange, messages: Known, compared: Compared, parts: Parts) -> _Found:
+    """Whether messages of a step have the objects that the evaluator sees and their senders should have detected.
 
-    A message with as many objects as `cpm.max_objects` allows may lack some for that reason, and is left out.
+    What a sender should have detected is what stood around it in that step. A message with as many objects as
+    `cpm.max_objects` allows may lack some for that reason, and is left out.
     """
     assert parts.coverage is not None
-    asked = absences_asked(exchange, messages, compared, parts.config.cpm.max_objects)
-    boxes, label = messages.objects.boxes, messages.detections.label
+    asked = absences_asked(step, exchange, messages, compared, parts.config.cpm.max_objects)
+    then, label = _boxes_at(step, exchange, messages, parts.config), messages.detections.label
     near = Neighbours(ptr_of(asked.question, len(asked.carrier)), asked.body)
-    recall = parts.coverage.expected_recall(asked.carrier, near, boxes, label)
-    is_target = asked.is_target & (messages.detections.detection_index[asked.body] < N_OBJECTS)
+    recall = parts.coverage.expected_recall(asked.carrier, near, then, label)
+    age_s = (exchange.now.step - step) * parts.config.traffic.step_s
+    is_placed = _moved_sigma_m(messages, asked.body, age_s, parts.config) <= _PLACED_M
+    is_target = asked.is_target & is_placed & (messages.detections.detection_index[asked.body] < N_OBJECTS)
     rows = np.flatnonzero(is_target & (recall > 0))
     question, body = asked.question[rows], asked.body[rows]
-    reported = _reported(messages, messages.detections.message[asked.carrier[question]], body)
+    reported = _reported(messages, then, messages.detections.message[asked.carrier[question]], body)
     support = presence_support(messages.detections.score[body] * recall[rows], reported)
     number = claim_number(messages.detections.detection_index[body], MISSING)
     return asked.list[question], asked.carrier[question], number, support
+
+
+def _boxes_at(step: int, exchange: Exchange, messages: Known, config: Config) -> Boxes:
+    """All boxes at the time of a step, by the velocities that messages claim. The others stay where they are."""
+    since = exchange.now.step if config.extrapolate else messages.step[messages.detections.message]
+    forward_s = (step - since) * config.traffic.step_s
+    return extrapolated(messages.objects.boxes, velocities(messages.objects), forward_s)
+
+
+def _moved_sigma_m(messages: Known, body: Int[ndarray, "k"], age_s: float, config: Config) -> Float[ndarray, "k"]:
+    """Standard deviation of the place along its way at which each body was that long ago [m].
+
+    An object without a velocity may have any speed of its class, in either direction.
+    """
+    p, label = config.tracking, messages.detections.label[body]
+    of_track = confirmed_variance(p, config.sensing_interval_s)[label, 0]
+    of_class = (np.square(p.along_mean_mps) + np.square(p.along_sigma_mps))[label]
+    is_unknown = np.isnan(velocities(messages.objects)[body]).any(axis=1)
+    velocity_variance = np.where(is_unknown, of_class, of_track)
+    return np.sqrt(velocity_variance * age_s**2 + np.asarray(p.acceleration_noise)[label] * age_s**3 / 3.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,15 +122,16 @@ class Asked:
     """Whether the evaluator itself detected the object, or is the object."""
 
 
-def absences_asked(exchange: Exchange, messages: Known, compared: Compared, max_objects: int) -> Asked:
-    """The questions about missing objects that the lists of a step raise."""
+def absences_asked(step: int, exchange: Exchange, messages: Known, compared: Compared, max_objects: int) -> Asked:
+    """The questions about missing objects that messages of a step raise, in the lists of those to whom they are new."""
     lists, groups, of = compared.lists, compared.groups, compared.lists.of_member()
     message, is_self = messages.detections.message, messages.detections.is_self
     is_object = messages.objects.transmitted & ~is_self
     is_full = np.bincount(message[is_object], minlength=len(messages.step)) >= max_objects
     by = message[lists.member]
     foreign = messages.vehicle[by] != exchange.vehicles.senses[of]
-    at = np.flatnonzero(is_self[lists.member] & foreign & (messages.step[by] == exchange.now.step) & ~is_full[by])
+    is_asked = foreign & (messages.step[by] == step) & messages.is_new(of, lists.member)
+    at = np.flatnonzero(is_self[lists.member] & is_asked & ~is_full[by])
     seeds = groups.seeds()
     begins = np.searchsorted(seeds, lists.ptr)
     row, question = expand(begins[of[at]], begins[of[at] + 1])
@@ -113,13 +141,13 @@ def absences_asked(exchange: Exchange, messages: Known, compared: Compared, max_
     return Asked(of[at], lists.member[at], question, lists.member[body], groups.ego_detected[body])
 
 
-def _reported(messages: Known, message: Int[ndarray, "k"], body: Int[ndarray, "k"]) -> Bool[ndarray, "k"]:
-    """Whether each message has a detection at the place of the body in the same row."""
+def _reported(messages: Known, boxes: Boxes, message: Int[ndarray, "k"], body: Int[ndarray, "k"]) -> Bool[ndarray, "k"]:
+    """Whether each message has a detection at the place of the body in the same row, with boxes at one time."""
     objects = messages.objects
     row, of = expand(messages.ptr[message], messages.ptr[message + 1])
     some = np.flatnonzero(objects.transmitted[row] & ~messages.detections.is_self[row])
     row, of = row[some], of[some]
-    there = at_place(objects.boxes.xyz_m[row], objects.boxes.take(body[of]))
+    there = at_place(boxes.xyz_m[row], boxes.take(body[of]))
     return np.bincount(of[there], minlength=len(body)) > 0
 
 
@@ -137,7 +165,7 @@ def _speed(
     p = parts.config.tracking
     claimed_mps = velocities(objects)
     foreign = messages.vehicle[by] != exchange.vehicles.senses[of]
-    claims = groups.ego_detected & foreign & (messages.step[by] == exchange.now.step)
+    claims = groups.ego_detected & foreign & messages.is_new(of, lists.member)
     at = np.flatnonzero(claims & ~np.isnan(claimed_mps[lists.member]).any(axis=1))
     own = lists.member[groups.seed[at]]
     claim = lists.member[at]
@@ -145,6 +173,8 @@ def _speed(
     label = messages.detections.label[own]
     of_claim = confirmed_variance(p, parts.config.sensing_interval_s)[label]
     of_claim[messages.detections.is_self[claim]] = 0.0
+    age_s = (exchange.now.step - messages.detection_step(claim)) * parts.config.traffic.step_s
+    of_claim += (np.asarray(p.acceleration_noise)[label] * age_s)[:, None]  # it may have accelerated since
     prior = np.column_stack([np.square(sigma)[label] for sigma in (p.along_sigma_mps, p.across_sigma_mps)])
     x, y = (claimed_mps[claim] - known_mps).T
     apart = np.column_stack([axis[:, 0] * x + axis[:, 1] * y, axis[:, 0] * y - axis[:, 1] * x])

@@ -85,7 +85,7 @@ def play(attacks=(), n_steps=6, penetration_p=1.0, speeds=None, tables=tuple(TAB
         state, result = step(world, state, parts)
         recording.step(tables, result, 1.0)
         results.append(result)
-        x_m += speed
+        x_m += speed * config.traffic.step_s
     recording.pseudonyms(tables, n_steps - 1, parts.pseudonyms.in_use(state.pseudonyms))
     tables.close()
     tables.state, tables.parts, tables.results, tables.registry = state, parts, results, registry

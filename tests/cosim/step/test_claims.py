@@ -20,14 +20,20 @@ EVIDENCE = {"evidence": ["detections", "missing", "speed"]}
 TRACKS = {"model": "constant_velocity"}
 
 
-class Scene:
-    """Messages with random content in random lists, as the stages of a step hand them over."""
+STEP_S = 0.2
 
-    def __init__(self, seed, n_vehicles=4, max_objects=4):
+
+class Scene:
+    """Messages with random content in random lists, as the stages of a step hand them over.
+
+    The last three are of earlier steps. Of those, the first is not new to the first vehicle.
+    """
+
+    def __init__(self, seed, n_vehicles=4, max_objects=4, extrapolate=True):
         rng = np.random.default_rng(seed)
-        self.max_objects, n = max_objects, n_vehicles
-        size = rng.integers(1, 7, n + 1)
-        message = np.repeat(np.arange(n + 1), size)  # the last one is of an earlier step
+        self.max_objects, self.extrapolate, n = max_objects, extrapolate, n_vehicles
+        size = rng.integers(1, 7, n + 3)
+        message = np.repeat(np.arange(n + 3), size)
         index = np.arange(len(message)) - np.searchsorted(message, message)
         is_self, d = index == 0, len(message)
         boxes = Boxes(
@@ -43,11 +49,13 @@ class Scene:
             message=message, detection_index=index, label=rng.integers(0, 4, d).astype(np.uint8),
             score=np.where(is_self, 1.0, rng.random(d)), is_self=is_self,
         )  # fmt: skip
-        vehicle = np.append(np.arange(n), 0)
+        vehicle = np.append(np.arange(n), [1, n, n + 1])
+        step, since = np.append(np.full(n, 7), [3, 4, 6]), np.append(4, np.full(n - 1, 3))
         self.messages = SimpleNamespace(
-            objects=objects, detections=detections, ptr=np.append(0, np.cumsum(size)), vehicle=vehicle,
-            step=np.append(np.full(n, 7), 6),
+            objects=objects, detections=detections, ptr=np.append(0, np.cumsum(size)), vehicle=vehicle, step=step,
+            detection_step=lambda d: step[message[d]], is_new=lambda v, d: step[message[d]] >= since[v],
         )  # fmt: skip
+        self.since = since
         self.exchange = SimpleNamespace(
             now=SimpleNamespace(step=7), vehicles=SimpleNamespace(senses=np.arange(n)),
             sensing=SimpleNamespace(row=np.arange(n)),
@@ -87,6 +95,8 @@ class Scene:
             cpm=SimpleNamespace(max_objects=self.max_objects),
             tracking=TrackingParams(model="constant_velocity"),
             sensing_interval_s=1.0,
+            traffic=SimpleNamespace(step_s=STEP_S),
+            extrapolate=self.extrapolate,
         )
         return SimpleNamespace(coverage=recall, config=config)
 
@@ -97,6 +107,16 @@ class Scene:
         assert keys == sorted(keys)
         return dict(zip(keys, found.support.tolist(), strict=True))
 
+    def velocity_mps(self, k):
+        """Velocity that a detection claims, or NaN. Self reports of the scene face east."""
+        o = self.messages.objects
+        return o.velocity_mps[k] if not self.messages.detections.is_self[k] else o.speed_mps[k] * np.array([1.0, 0.0])
+
+    def xy_m(self, k, step):
+        """Where the object of a detection was in a step, as far as the detection claims a velocity."""
+        of = 7 if self.extrapolate else self.messages.step[self.messages.detections.message[k]]
+        return self.messages.objects.boxes.xyz_m[k, :2] + (step - of) * STEP_S * np.nan_to_num(self.velocity_mps(k))
+
     def in_lists(self):
         """List, position and member of every member of the lists."""
         ptr, member = self.matched.lists.ptr, self.matched.lists.member
@@ -105,21 +125,30 @@ class Scene:
 
 @pytest.mark.parametrize("seed", range(25))
 def test_missing_objects_against_literal_loops(seed):
-    scene = Scene(seed)
+    scene = Scene(seed, extrapolate=seed % 2 == 0)
+    p, confirmed = TrackingParams(), confirmed_variance(TrackingParams(), 1.0)
     m, d, o = scene.messages, scene.messages.detections, scene.messages.objects
     member, seed_of = scene.matched.lists.member, scene.matched.groups.seed
     expected = {}
-    for v, p, own in scene.in_lists():
+    for v, at, own in scene.in_lists():
         sender = d.message[own]
         inside = [k for k in range(m.ptr[sender], m.ptr[sender + 1]) if o.transmitted[k] and not d.is_self[k]]
-        if not d.is_self[own] or m.vehicle[sender] == v or m.step[sender] != 7 or len(inside) >= scene.max_objects:
+        is_asked = m.vehicle[sender] != v and m.step[sender] >= scene.since[v] and len(inside) < scene.max_objects
+        if not d.is_self[own] or not is_asked:
             continue
+        step = m.step[sender]
+        age_s = (7 - step) * STEP_S
         for w, q, body in scene.in_lists():
             is_seed_of_own = w == v and seed_of[q] == q and d.message[body] == v
-            if not is_seed_of_own or seed_of[p] == q or body % 100 == 0:
+            if not is_seed_of_own or seed_of[at] == q or body % 100 == 0:
                 continue  # of another list, not the evaluator's, the sender itself, or not to be expected
+            label, variance = d.label[body], confirmed[d.label[body], 0]
+            if np.isnan(scene.velocity_mps(body)).any():
+                variance = p.along_mean_mps[label] ** 2 + p.along_sigma_mps[label] ** 2
+            if np.sqrt(variance * age_s**2 + p.acceleration_noise[label] * age_s**3 / 3) > 1.0:
+                continue  # where it was is not known
             a = d.score[body] * (body % 100) / 100
-            near = any(np.hypot(*(o.boxes.xyz_m[k] - o.boxes.xyz_m[body])[:2]) <= 4.0 for k in inside)
+            near = any(np.hypot(*(scene.xy_m(k, step) - scene.xy_m(body, step))) <= 4.0 for k in inside)
             number = d.detection_index[body] * len(KINDS) + MISSING
             expected[v, own, number] = 1 / 3 if near else -a / (4 - 3 * a)
     found = scene.claims("missing")
@@ -136,9 +165,9 @@ def test_velocities_against_literal_loops(seed):
     expected = {}
     for v, at, claim in scene.in_lists():
         sender, own = d.message[claim], member[groups.seed[at]]
-        if d.message[own] != v or m.vehicle[sender] == v or m.step[sender] != 7:
+        if d.message[own] != v or m.vehicle[sender] == v or m.step[sender] < scene.since[v]:
             continue
-        said = o.velocity_mps[claim] if not d.is_self[claim] else o.speed_mps[claim] * np.array([1.0, 0.0])
+        said = scene.velocity_mps(claim)
         if d.is_self[own]:  # the evaluator's own speed, along its heading
             yaw = scene.exchange.world.boxes.yaw_rad[v]
             axis, variance = np.array([np.cos(yaw), np.sin(yaw)]), np.full(2, 0.01)
@@ -150,6 +179,7 @@ def test_velocities_against_literal_loops(seed):
             continue
         label, (x, y), (c, s) = d.label[own], said - known, axis
         variance = variance + (0.0 if d.is_self[claim] else confirmed[label])
+        variance = variance + p.acceleration_noise[label] * (7 - m.step[sender]) * STEP_S
         prior = [p.along_sigma_mps[label] ** 2, p.across_sigma_mps[label] ** 2]
         apart = np.array([[c * x + s * y, c * y - s * x]])
         support = velocity_support(apart, variance[None], np.array([prior]))[0]
@@ -184,6 +214,43 @@ def test_false_speeds_are_found_once_there_are_tracks():
     rows = rows[rows.detection_index == 0]
     attacks = rows.observer.isin(np.flatnonzero(tables.registry.attack > 0))
     assert attacks.sum() > 10 and rows.support[attacks].max() < 0 and (rows.support[~attacks] > 0).mean() > 0.95
+
+
+IN_TURNS = {"traffic": {"step_s": STEP_S}, "sensing_phase": "random", "extrapolate": True, "tracking": TRACKS}
+"""One vehicle in five senses in each step."""
+
+
+def messages_of(rows):
+    """Step, evaluator, sender, and step of the message of every evaluation by others, each once."""
+    keys = ["at", "evaluator", "observer", "detection_step"]
+    return set(rows[rows.evaluator != rows.observer][keys].itertuples(index=False, name=None))
+
+
+@pytest.mark.parametrize(("world", "ages"), [(IN_TURNS, {0, 1, 2, 3, 4}), ({"tracking": TRACKS}, {0})])
+def test_each_message_is_asked_about_once(world, ages):
+    """In the step in which its evaluator evaluates the sender's self report, whatever the phases of the two."""
+    rows = play(n_steps=30, trust=EVIDENCE, **world)["evaluations"]
+    assert not rows.duplicated(["evaluator", "observer", "detection_step", "detection_index", "kind"]).any()
+    reports = messages_of(rows[(rows.kind == 0) & (rows.detection_index == 0)])
+    rows = rows[rows["at"] >= 15]  # from here on, vehicles have tracks
+    for kind, least_p in ((MISSING, 0.4), (SPEED, 0.35)):  # of the others, nothing is known
+        asked = messages_of(rows[(rows.kind == kind) & ((rows.detection_index == 0) | (kind == MISSING))])
+        assert asked <= reports
+        for age in ages:
+            n, of = (sum(at - step == age for at, _, _, step in some if at >= 15) for some in (asked, reports))
+            assert n > least_p * of > 20
+    assert {at - step for at, _, _, step in reports} == ages
+
+
+def test_who_senses_at_another_time_is_no_liar():
+    """Vehicles drive 8 m in the longest time between two sweeps: more than the tolerance of 4 m."""
+    rows = play(n_steps=30, trust=EVIDENCE, **IN_TURNS)["evaluations"]
+    rows = rows[(rows.evaluator != rows.observer) & (rows["at"] >= 15)]
+    rows = rows.assign(support=rows.evaluation * rows.visibility, is_late=rows["at"] > rows.detection_step)
+    missing = rows[rows.kind == MISSING].groupby("is_late").support.mean()
+    assert missing[True] > 0.9 * missing[False] > 0.15
+    speeds = rows[(rows.kind == SPEED) & (rows.detection_index == 0)].groupby("is_late").support
+    assert (speeds.mean() > 0.5).all() and speeds.agg(lambda one: (one < 0).mean()).max() < 0.02
 
 
 def test_bad_mouthing_denies_every_kind():
