@@ -450,7 +450,7 @@ def ideal_observer(of, made):
     step = made.detection_step if "detection_step" in made else made.step
     of_claim = made.groupby([step.rename("of"), "observer", "detection_index", "kind_number"]).x
     total, n = of_claim.transform("sum") - made.x, of_claim.transform("size") - 1
-    made["others"] = np.where(n == 0, 0, np.where(total < 0, 1, 2))
+    made["others"] = np.where((n == 0) | (made.kind_number == 1), 0, np.where(total < 0, 1, 2))
     for role in sorted(set(who.role) - {"honest"}):
         some = who[who.role.isin(["honest", role])]
         best = np.nan

@@ -129,6 +129,7 @@ def _counts(run: Run, who: pd.DataFrame, known: bool) -> Int[ndarray, "s c"]:
     value = kind * _N_BINS + np.searchsorted(_EDGES, said)
     claim = clues.assign(kind=kind).groupby(["detection_step", "observer", "detection_index", "kind"], sort=False)
     others = _of_others(claim.ngroup().to_numpy(), said)
+    others[kind == EvaluationKind.MISSING] = 0  # each evaluator counts objects in an order of its own
     by, of = (run.subjects.index.get_indexer(pd.Index(clues[name])) for name in ("evaluator", "observer"))
     cells = (
         value * 2 + (attacks[by] & known),
