@@ -11,6 +11,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 
 from cosim.base import durable
+from cosim.base.file_names import COMMON_STEMS
 from results import study_curves
 from results.archive import OpenRun, open_run
 from results.metrics.intervals import FREE, Bounds, around
@@ -350,9 +351,13 @@ def said(value: Any) -> str:
 
 
 def _stem(path: str) -> str:
-    """The name of a file without its endings, or that of a class."""
-    name = path.rsplit("/", 1)[-1]
-    return name if ":" in name else name.split(".")[0] or name
+    """The name of a file without its endings, or of its folder if that says nothing, or that of a class."""
+    *folders, name = path.split("/")
+    if ":" in name:
+        return name
+    stem = name.split(".")[0] or name
+    says_nothing = stem.lower() in COMMON_STEMS
+    return (folders[-1] if says_nothing else "") or stem
 
 
 def _end(n: int, path: str) -> str:

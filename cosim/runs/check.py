@@ -23,6 +23,7 @@ from results.manifest import read_manifest
 from sensors import lidar
 from sensors.boxes import Boxes
 from sensors.scene import Scene, Shape
+from sumo_nets import sumocfg
 from sumo_nets.network import junctions
 from sumo_nets.streetside import read_trees
 
@@ -153,6 +154,18 @@ def notes_on(config: Config, scenario: Scenario) -> list[str]:
         if config.trees.per_100_m and not len(city.trees.shape):
             notes.append("note: [trees] places no tree: no place along the streets is free.")
     return notes + _few_clouds(config)
+
+
+def empty_streets(config: Config, scenario: Scenario) -> list[str]:
+    """A note before a run that has no warm-up, neither set nor of its city: recording begins on empty streets."""
+    if scenario.trace is not None or scenario.sumocfg is None or config.traffic.warmup_s is not None:
+        return []
+    if scenario.warmup_s > 0 or sumocfg.read(scenario.sumocfg).files.get("load-state"):
+        return []
+    return [
+        f"note: traffic.warmup_s is not set, and {scenario.name} has none of its own. Recording begins on empty "
+        "streets. Set traffic.warmup_s to the time that traffic needs to fill them, such as 600."
+    ]
 
 
 def _few_clouds(config: Config) -> list[str]:

@@ -45,7 +45,16 @@ def note_density(config: Config, run: Path) -> None:
         return
     found = read_manifest(run).get("summary", {}).get("vehicles_on_road_mean")
     if isinstance(found, int | float):
-        remember(traffic.scenario, found / traffic.scale)
+        note_vehicles(scenario_of(traffic.scenario, traffic.trace), found / traffic.scale)
+
+
+def note_vehicles(scenario: Scenario, n_vehicles: float) -> None:
+    """Keep the mean number of vehicles that a scenario has on the road at its own demand, for the next estimate."""
+    remember(_place_of(scenario), n_vehicles)
+
+
+def _place_of(scenario: Scenario) -> str:
+    return str((scenario.sumocfg or Path(scenario.name)).resolve())
 
 
 @cache
@@ -70,7 +79,7 @@ def _demanded(name: str, scenario: Scenario, begin_s: float) -> float:
     lasts_s = _LEG_S_PER_M * float(np.hypot(x1 - x0, y1 - y0))
     if name in COUNTED:
         return COUNTED[name]
-    if (known := remembered(name)) is not None:
+    if (known := remembered(_place_of(scenario))) is not None:
         return known
     if name in catalogue.names():
         return catalogue.find(name).vehicles_per_hour / 3600 * lasts_s

@@ -123,9 +123,18 @@ def keys_in_vain(points: Sequence[Point]) -> list[str]:
 
 def scene_notes(points: Sequence[Point]) -> list[str]:
     """Notes on the streets and buildings of the scenarios of a study, each scenario once."""
-    traffic = (point.config.traffic for point in points)
-    scenarios = [find(*named) for named in dict.fromkeys((one.scenario, one.trace) for one in traffic)]
-    return [note for scenario in scenarios for note in scene_summary(scenario).notes]
+    notes: list[str] = []
+    seen = set()
+    for point in points:
+        config = point.config
+        named = (config.traffic.scenario, config.traffic.trace)
+        if named in seen:
+            continue
+        seen.add(named)
+        scenario = find(*named)
+        notes += scene_summary(scenario).notes
+        notes += checking.empty_streets(config, scenario)
+    return notes
 
 
 FEW_EQUIPPED = 5.0

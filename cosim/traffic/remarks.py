@@ -40,6 +40,10 @@ _APART_M = 8.0
 """Vehicles whose centres are farther apart do not count as overlapping [m]."""
 
 
+_MANY, _FILLING_P = 20, 0.25
+"""Streets were filling if at least so many vehicles were there on the mean, and a smaller share of them at first."""
+
+
 @dataclass(slots=True)
 class FlowCounts:
     """Numbers of vehicles, summed over steps: on the road, standing, and where no two vehicles can be.
@@ -51,6 +55,8 @@ class FlowCounts:
     """Length of a step. Jumps are not counted if it is 0."""
     n_steps: int = 0
     n_vehicles: int = 0
+    n_first: int = 0
+    """Vehicles in the first step."""
     n_standing: int = 0
     n_pedestrians: int = 0
     n_at_one_point: int = 0
@@ -64,8 +70,11 @@ class FlowCounts:
     def add(self, world: World) -> World:
         """Count the vehicles of a step, and return its world."""
         vehicle = world.shape != Shape.PEDESTRIAN
+        n_vehicles = int(np.count_nonzero(vehicle))
+        if not self.n_steps:
+            self.n_first = n_vehicles
         self.n_steps += 1
-        self.n_vehicles += int(np.count_nonzero(vehicle))
+        self.n_vehicles += n_vehicles
         self.n_pedestrians += int(np.count_nonzero(~vehicle))
         self.n_standing += int(np.count_nonzero(vehicle & (world.speed_mps < STANDING_MPS)))
         if self._before is not None and self.dt_s:
@@ -85,6 +94,9 @@ class FlowCounts:
         if not self.n_vehicles:
             return {"pedestrians_only": True} if self.n_pedestrians else {}
         found = {"vehicles_standing_p": round(self.n_standing / self.n_vehicles, 3)}
+        mean = self.n_vehicles / self.n_steps
+        if mean >= _MANY and self.n_first < _FILLING_P * mean:
+            found["vehicles_on_road_first"] = self.n_first
         if self.n_at_one_point >= FEWEST:
             found["vehicles_at_one_point_p"] = round(self.n_at_one_point / self.n_vehicles, 5)
         if self.n_overlapping >= FEWEST:
@@ -139,6 +151,12 @@ def traffic_remarks(summary: dict[str, Any]) -> list[str]:
         )
     if summary.get("pedestrians_only"):
         found.append("note: only pedestrians were on the road, and no vehicle.")
+    if (n_first := summary.get("vehicles_on_road_first")) is not None:
+        found.append(
+            f"note: {n_first} vehicles were on the road when recording began, and "
+            f"{summary['vehicles_on_road_mean']:.0f} on the mean: the streets were still filling. "
+            "Set traffic.warmup_s to the time that this takes, such as 600."
+        )
     found += trace_remarks(summary)
     waiting, on_road = summary.get("vehicles_waiting_to_enter_at_end", 0), summary.get("vehicles_on_road_mean", 0.0)
     standing_p = summary.get("vehicles_standing_p", 0.0)

@@ -9,6 +9,7 @@ import numpy as np
 
 from cosim.base.durable import sha256
 from cosim.base.earth import Projection
+from cosim.base.file_names import name_of
 from cosim.traffic import fcd
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.frame import Bounds, Frame, origin_of
@@ -28,12 +29,6 @@ from sumo_nets.ground import standing_on
 from sumo_nets.map_files import refuse_map
 from sumo_nets.network import check_for_cars, lanes
 from sumo_nets.xml import spelling
-
-COMMON_STEMS = frozenset((
-    "osm", "run", "sim", "simulation", "scenario", "sumo", "config", "configuration", "main", "test", "default", "net",
-    "network", "map", "demo", "dua", "due", "static", "fcd", "trace", "cfg",
-))  # fmt: skip
-"""File names that say nothing about the scenario."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +200,7 @@ def _find(scenario: str) -> Scenario:
         name = path.name
         for suffix in sorted(fcd.SUFFIXES, key=len, reverse=True):
             name = name.removesuffix(suffix)
-        named = _name_of(path.with_name(name + ".xml"))
+        named = name_of(path.resolve().with_name(name + ".xml"))
         return Scenario(named, None, None, (), trace=path)
     refuse_map(path, "traffic.scenario = ")
     raise ValueError(
@@ -267,7 +262,7 @@ def _of_sumocfg(path: Path) -> Scenario:
     check_for_cars(config.net)
     bounds_m = catalogue.bounds_m(config.net)
     return Scenario(
-        _name_of(path),
+        name_of(path.resolve()),
         path,
         config.net,
         config.buildings,
@@ -277,9 +272,3 @@ def _of_sumocfg(path: Path) -> Scenario:
         inputs=config.inputs,
         switches=config.switches,
     )
-
-
-def _name_of(path: Path) -> str:
-    """Name of a scenario for its runs: the file's stem, or its folder's name if the stem is a common word."""
-    folder, stem = path.resolve().parent.name, path.stem.removesuffix(".sumo")
-    return folder if stem.lower() in COMMON_STEMS and folder else stem

@@ -46,6 +46,8 @@ def test_files_have_the_shortest_names_that_tell_them_apart():
         "mine.py:One", "mine.py:Two", "beta",
     ]  # fmt: skip
     assert short_names([5.0, 0.25, True]) == {5.0: "5", 0.25: "0.25", True: "True"}
+    runs = ["/home/me/bologna/run.sumocfg", "/home/me/town", "helsinki"]  # a common word says nothing
+    assert list(short_names(runs).values()) == ["bologna", "town", "helsinki"]
     both = ["/home/me/street.csv", "street"]
     assert list(short_names(both).values()) == ["street.csv", "street"]
 

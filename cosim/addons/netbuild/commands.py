@@ -38,6 +38,7 @@ def build(
     """Build a city from OpenStreetMap: streets, traffic lights, pavements, buildings, demand and a traffic report."""
     from cosim.addons.netbuild import build_from_osm, flow
     from cosim.addons.netbuild.overpass import degrees
+    from cosim.studies.density import note_vehicles
     from cosim.traffic.scenario import find
     from sumo_nets import catalogue
     from sumo_nets.density import Density
@@ -67,6 +68,7 @@ def build(
     if check:
         with notes.status("driving it for half an hour ..."):
             flows = flow.measure(net)
+        note_vehicles(find(str(out)), flows.vehicles_mean)
         facts |= asdict(flows) | {"jammed": len(flows.jammed), "assessment": flows.assessment}
     print_facts(facts, as_json)
 

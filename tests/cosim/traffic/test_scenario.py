@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.config.config import load
+from cosim.runs.check import empty_streets
 from cosim.traffic.remarks import FlowCounts, jumping, overlapping, traffic_remarks
 from cosim.traffic.scenario import find
 from cosim.world import World
@@ -17,6 +19,7 @@ from sensors.scene import Shape
 from tests.cosim.traffic import mixed_scenario
 from tests.cosim.traffic.worlds import live, same
 from tests.drive import cosim
+from tests.hostile.scenes import write_town
 
 BOLOGNA = Path(__file__).parents[4] / "shared" / "nets" / "bologna"
 
@@ -359,3 +362,22 @@ def test_jumping_vehicles_by_hand():
     (note,) = traffic_remarks({"vehicles_jumping_p": 0.007})
     assert "0.70% of the vehicles move farther within a step than their speed allows" in note
     assert traffic_remarks({"vehicles_jumping_p": 0.001}) == []
+
+
+def test_a_scenario_without_a_warm_up_is_noted(tmp_path):
+    """Recording would begin on empty streets; a city has a warm-up of its own, and a set one, of 0 too, is meant."""
+
+    def noted(*sets):
+        config = load(None, [*sets])
+        return bool(empty_streets(config, find(config.traffic.scenario, config.traffic.trace)))
+
+    town = f"traffic.scenario={write_town(tmp_path / 'town')}"
+    assert noted(town)
+    assert not noted(town, "traffic.warmup_s=0") and not noted(town, "traffic.warmup_s=60")
+    assert not noted()
+
+
+def test_a_run_that_began_on_empty_streets_says_so():
+    summary = {"vehicles_on_road_first": 3, "vehicles_on_road_mean": 41.2}
+    (line,) = traffic_remarks(summary)
+    assert line.startswith("note: 3 vehicles were on the road when recording began, and 41 on the mean")
