@@ -37,6 +37,7 @@ FIGURES = {
         f"{PAGES}/models/accuracy.md", "python -m tests.verification.stated_accuracy", ("FOLDER", "10", "150")
     ),
     "pose_errors": Figure(f"{PAGES}/models/accuracy.md", "cosim sweep pose_errors"),
+    "misstated": Figure(f"{PAGES}/models/accuracy.md", "cosim sweep misstated"),
     "presets": Figure(f"{PAGES}/models/presets.md", "cosim sweep presets"),
     "freshness": Figure("results/FRESHNESS.md", "cosim sweep freshness"),
     "question": Figure(f"{PAGES}/tutorial/question.md", "cosim sweep question"),
