@@ -321,6 +321,36 @@ def chosen(frame: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
     return frame[kept]
 
 
+def one_group(frame: pd.DataFrame, name: str) -> str:
+    """A metric with the one group that a line of a figure can show: `identifier:group`.
+
+    Where no group is named, it is the only one, or `all`, which stands for everything.
+
+    Raises
+    ------
+    ValueError
+        In one line, if a metric has several groups and none of them stands for everything, or if a topic is named.
+    """
+    metric, _, group = name.partition(":")
+    if metric in TOPICS:
+        raise ValueError(f"{metric} is a topic: name one of its metrics. {_there(frame, metric)}")
+    groups = list(chosen(frame, [name]).group.unique())
+    if group or groups == [""]:
+        return name
+    if len(groups) > 1 and EVERYTHING not in groups:
+        raise ValueError(several_groups(name, groups))
+    return f"{name}:{groups[0] if len(groups) == 1 else EVERYTHING}"
+
+
+EVERYTHING = "all"
+"""The group of a metric that stands for everything, beside those of single roles."""
+
+
+def several_groups(name: str, groups: Iterable[str]) -> str:
+    """What is said of a metric whose groups would be joined in one line."""
+    return f"{name} has several groups: {'; '.join(groups)}. Choose one as {name}:GROUP."
+
+
 def _there(frame: pd.DataFrame, metric: str) -> str:
     """The groups of a metric that is there, else the metrics of its topic, else all."""
     if metric in set(frame.metric):

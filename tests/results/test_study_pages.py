@@ -36,8 +36,15 @@ def value_of(metric, keys, replicate):
     return 0.6 + 0.01 * keys.get("trust.freshness_s", 0) + 0.05 * (keys.get("trust.model") == "mate") + noise
 
 
-def study_of(folder, swept=SWEPT, replicates=3, value=value_of, baseline=None):
-    """A study with three core metrics of these values. An AUC needs attackers."""
+MEASURED = (
+    ("encounters.duration.km_median_s", "equipped, 100 m"), ("freshness.newest_evaluation_age.mean_s", "all"),
+    ("misbehaviour.at_lookup.auc", "malicious"),
+)  # fmt: skip
+"""Three core metrics, each with one group."""
+
+
+def study_of(folder, swept=SWEPT, replicates=3, value=value_of, baseline=None, measured=MEASURED):
+    """A study with some metrics of these values. An AUC needs attackers."""
     at = [dict(zip(swept, values, strict=True)) for values in itertools.product(*swept.values())]
     points = pd.DataFrame([
         {"point": f"{i}-{r}", "run": "all", "variant": "base", "replicate": r, "state": "finished", **keys}
@@ -45,10 +52,7 @@ def study_of(folder, swept=SWEPT, replicates=3, value=value_of, baseline=None):
     ])  # fmt: skip
     rows = []
     for point in points.to_dict("records"):
-        for metric, group in (
-            ("encounters.duration.km_median_s", "equipped, 100 m"),
-            ("freshness.newest_evaluation_age.mean_s", "all"), ("misbehaviour.at_lookup.auc", "malicious"),
-        ):  # fmt: skip
+        for metric, group in measured:
             if metric.endswith("auc") and point.get("attacks.0.share_p", 1) == 0:
                 continue
             found = value(metric, point, point["replicate"])
@@ -196,3 +200,21 @@ def test_axes_follow_the_means_and_arrows_mark_what_leaves_them(tmp_path):
     assert axes.get_ylim()[1] < 10 < high
     arrows = [line for line in axes.get_lines() if line.get_marker() == "^" and line.get_linestyle() == "None"]
     assert [line.get_ydata()[0] for line in arrows] == [axes.get_ylim()[1]]
+
+
+def test_a_line_shows_one_group_of_a_metric(tmp_path):
+    """Groups were joined in one line, with several marks at each value of the key and without a word."""
+    age, trust, met = "freshness.newest_evaluation_age.mean_s", "trust.final.median", "encounters.per_vehicle_h"
+    groups = {age: ("malicious", "all", "honest"), trust: ("honest", "malicious"), met: ("a, 1 m, 0 s", "a, 1 m, 5 s")}
+    measured = [(metric, group) for metric, some in groups.items() for group in some]
+    study = study_of(tmp_path, KEYS, measured=measured, value=lambda metric, keys, replicate: 0.1)
+    for name, group in ((age, "all [s]"), (f"{trust}:honest", "honest"), (f"{met}:{groups[met][0]}", "0 s [1/h]")):
+        (axes,) = study_figure.draw(study, "", [name]).axes
+        assert axes.get_ylabel().endswith(group)
+        assert axes.get_lines()[0].get_xdata().size == 2
+    for name in (trust, met):
+        said = rf"^{name} has several groups: {'; '.join(groups[name])}\. Choose one as {name}:GROUP\.$"
+        with pytest.raises(ValueError, match=said):
+            study_figure.draw(study, "", [name])
+    with pytest.raises(ValueError, match=r"^trust is a topic: name one of its metrics\."):
+        study_figure.draw(study, "", ["trust"])
