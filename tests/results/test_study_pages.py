@@ -66,10 +66,11 @@ def study_of(folder, swept=SWEPT, replicates=3, value=value_of, baseline=None, m
     return StudyResults(folder, head, points)
 
 
-def with_curves(study, of):
-    """The same study, with the samples `of(keys, replicate)` of encounters."""
+def with_curves(study, of, what="encounters"):
+    """The same study, with the samples `of(keys, replicate)` of encounters, or of ages."""
+    group = "equipped, 100 m" if what == "encounters" else ""
     rows = [
-        {"point": p["point"], "what": "encounters", "group": "equipped, 100 m", "value_s": s, "n": n, "n_open": c}
+        {"point": p["point"], "what": what, "group": group, "value_s": s, "n": n, "n_open": c}
         for p in study.points.to_dict("records") for s, n, c in of(p, p["replicate"])
     ]  # fmt: skip
     pd.DataFrame(rows).to_parquet(study.path / "jobs" / "all" / "curves.parquet")
@@ -190,6 +191,20 @@ def test_curves_of_a_study(tmp_path):
         curve_figure.draw(study, "ages")
     with pytest.raises(ValueError, match="range_m is not swept"):
         curve_figure.draw(study, "encounters", by="radio.range_m")
+
+
+def test_the_axis_of_ages_ends_where_the_curves_are_level(tmp_path):
+    """Of 200 evaluations at 10 %, 197 are at most 2 s old, 2 are 5 s and 1 is 60 s: after 5 s, 0.5 % is left to fall.
+
+    At 30 % it is so after 8 s, which ends the axis. Another 200 lookups find nothing.
+    """
+
+    def of(keys, replicate):
+        late_s = 5.0 if keys["fleet.penetration_p"] == 0.1 else 8.0
+        return [(2.0, 197, 0), (late_s, 2, 0), (60.0, 1, 0), (np.inf, 0, 200)]
+
+    (axes,) = curve_figure.draw(with_curves(study_of(tmp_path, KEYS), of, "ages"), "ages").axes
+    assert axes.get_xlim() == pytest.approx((0, 8 * 1.02))
 
 
 def test_axes_follow_the_means_and_arrows_mark_what_leaves_them(tmp_path):
