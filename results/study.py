@@ -11,7 +11,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 
 from cosim.base import durable
-from results import study_curves
+from results import study_curves, study_notes
 from results.archive import OpenRun, open_run
 from results.metrics.intervals import FREE, Bounds, around
 from results.metrics.registry import TOPICS, bounds_of
@@ -83,7 +83,7 @@ class StudyResults:
     @cached_property
     def summary(self) -> pd.DataFrame:
         """Mean over replicates and its 95 % interval: the swept keys, metric, group, n, mean, low, high, unit, label,
-        and a note where fewer replicates than asked have a value.
+        and a note where fewer replicates than asked have a value, or where most of them rest on few subjects.
 
         Notes
         -----
@@ -108,7 +108,9 @@ class StudyResults:
             is_base &= (frame[key] == _as_column(frame[key], value)).to_numpy()
         others = [key for key in self.keys if key not in self.baseline]
         on = [*others, "replicate", "metric", "group"]
-        pairs = frame[~is_base].merge(frame.loc[is_base, [*on, "value"]], on=on, suffixes=("", "_base"))
+        base = frame.loc[is_base, [*on, "value", "note"]]
+        pairs = frame[~is_base].merge(base, on=on, suffixes=("", "_base"))
+        pairs = pairs.assign(note=pairs.note.where(pairs.note != "", pairs.note_base))
         return self._intervals(pairs.assign(value=pairs.value - pairs.value_base), bounds_of_difference)
 
     def at(self, where: Mapping[str, str]) -> "StudyResults":
@@ -129,12 +131,13 @@ class StudyResults:
                 raise ValueError(f"{name} is not swept in {self.name}. Swept: {', '.join(known)}.")
 
     def _intervals(self, frame: pd.DataFrame, bounds: Callable[[str], Bounds]) -> pd.DataFrame:
-        found = intervals(frame, [*self.keys, "metric", "group", "unit", "label"], bounds)
+        by = [*self.keys, "metric", "group", "unit", "label"]
+        found = intervals(frame, by, bounds)
         asked = self.points.groupby(list(self.keys), sort=False, dropna=False).replicate.nunique().rename("asked")
         asked_of = found[[*self.keys]].merge(asked.reset_index(), on=list(self.keys), how="left").asked
         notes = [
-            f"{n} of {of:.0f} replicates have a value" if n < of else ""
-            for n, of in zip(found.n, asked_of, strict=True)
+            "; ".join(filter(None, (study_notes.missing(n, of), few)))
+            for n, of, few in zip(found.n, asked_of, study_notes.few(frame, by), strict=True)
         ]
         columns = [*self.keys, "metric", "group", "n", "mean", "low", "high", "unit", "label"]
         return found[columns].assign(note=notes)
@@ -226,7 +229,8 @@ def _check(head: Mapping[str, Any], points: pd.DataFrame) -> None:
 
 def _measures(path: Path) -> pd.DataFrame:
     """Metrics of a run's points. Damaged, in one line, if the file holds something else."""
-    return _read(path, {"point": "O", "metric": "O", "group": "O", "value": "fiu", "unit": "O", "label": "O"})
+    found = _read(path, {"point": "O", "metric": "O", "group": "O", "value": "fiu", "unit": "O", "label": "O"})
+    return found if "note" in found else found.assign(note="")
 
 
 def _read(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
