@@ -14,7 +14,7 @@ from cosim.base import durable
 from results import study_curves, study_notes
 from results.archive import OpenRun, open_run
 from results.metrics.intervals import FREE, Bounds, around
-from results.metrics.registry import TOPICS, bounds_of
+from results.metrics.registry import METRICS, TOPICS, bounds_of
 from results.spreadsheet import csv_of
 
 
@@ -53,6 +53,8 @@ class StudyResults:
             raise ValueError(f"{self.path} has no finished run yet. Run `cosim sweep` on.")
         columns = ["point", "replicate", *self.keys]
         found = self.points[columns].merge(pd.concat(frames, ignore_index=True), on="point", how="inner")
+        labels = {name: metric.label for name, metric in METRICS.items()}  # earlier versions had other words
+        found["label"] = found.metric.map(labels).fillna(found.label)
         return found[~found.metric.str.endswith(".not_measured")].reset_index(drop=True)
 
     @cached_property
