@@ -12,10 +12,10 @@ import pyarrow.parquet as pq
 
 from cosim.base import durable
 from cosim.base.file_names import COMMON_STEMS
-from results import study_curves
+from results import study_curves, study_notes
 from results.archive import OpenRun, open_run
 from results.metrics.intervals import FREE, Bounds, around
-from results.metrics.registry import TOPICS, bounds_of
+from results.metrics.registry import METRICS, TOPICS, bounds_of
 from results.spreadsheet import csv_of
 
 
@@ -54,6 +54,8 @@ class StudyResults:
             raise ValueError(f"{self.path} has no finished run yet. Run `cosim sweep` on.")
         columns = ["point", "replicate", *self.keys]
         found = self.points[columns].merge(pd.concat(frames, ignore_index=True), on="point", how="inner")
+        labels = {name: metric.label for name, metric in METRICS.items()}  # earlier versions had other words
+        found["label"] = found.metric.map(labels).fillna(found.label)
         return found[~found.metric.str.endswith(".not_measured")].reset_index(drop=True)
 
     @cached_property
@@ -84,7 +86,7 @@ class StudyResults:
     @cached_property
     def summary(self) -> pd.DataFrame:
         """Mean over replicates and its 95 % interval: the swept keys, metric, group, n, mean, low, high, unit, label,
-        and a note where fewer replicates than asked have a value.
+        and a note where fewer replicates than asked have a value, or where most of them rest on few subjects.
 
         Notes
         -----
@@ -109,7 +111,9 @@ class StudyResults:
             is_base &= (frame[key] == _as_column(frame[key], value)).to_numpy()
         others = [key for key in self.keys if key not in self.baseline]
         on = [*others, "replicate", "metric", "group"]
-        pairs = frame[~is_base].merge(frame.loc[is_base, [*on, "value"]], on=on, suffixes=("", "_base"))
+        base = frame.loc[is_base, [*on, "value", "note"]]
+        pairs = frame[~is_base].merge(base, on=on, suffixes=("", "_base"))
+        pairs = pairs.assign(note=pairs.note.where(pairs.note != "", pairs.note_base))
         return self._intervals(pairs.assign(value=pairs.value - pairs.value_base), bounds_of_difference)
 
     def at(self, where: Mapping[str, str]) -> "StudyResults":
@@ -130,12 +134,13 @@ class StudyResults:
                 raise ValueError(f"{name} is not swept in {self.name}. Swept: {', '.join(known)}.")
 
     def _intervals(self, frame: pd.DataFrame, bounds: Callable[[str], Bounds]) -> pd.DataFrame:
-        found = intervals(frame, [*self.keys, "metric", "group", "unit", "label"], bounds)
+        by = [*self.keys, "metric", "group", "unit", "label"]
+        found = intervals(frame, by, bounds)
         asked = self.points.groupby(list(self.keys), sort=False, dropna=False).replicate.nunique().rename("asked")
         asked_of = found[[*self.keys]].merge(asked.reset_index(), on=list(self.keys), how="left").asked
         notes = [
-            f"{n} of {of:.0f} replicates have a value" if n < of else ""
-            for n, of in zip(found.n, asked_of, strict=True)
+            "; ".join(filter(None, (study_notes.missing(n, of), few)))
+            for n, of, few in zip(found.n, asked_of, study_notes.few(frame, by), strict=True)
         ]
         columns = [*self.keys, "metric", "group", "n", "mean", "low", "high", "unit", "label"]
         return found[columns].assign(note=notes)
@@ -227,7 +232,8 @@ def _check(head: Mapping[str, Any], points: pd.DataFrame) -> None:
 
 def _measures(path: Path) -> pd.DataFrame:
     """Metrics of a run's points. Damaged, in one line, if the file holds something else."""
-    return _read(path, {"point": "O", "metric": "O", "group": "O", "value": "fiu", "unit": "O", "label": "O"})
+    found = _read(path, {"point": "O", "metric": "O", "group": "O", "value": "fiu", "unit": "O", "label": "O"})
+    return found if "note" in found else found.assign(note="")
 
 
 def _read(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
@@ -320,6 +326,36 @@ def chosen(frame: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
             raise ValueError(f"The study measured no {name!r}. {_there(frame, metric)}")
         kept |= rows
     return frame[kept]
+
+
+def one_group(frame: pd.DataFrame, name: str) -> str:
+    """A metric with the one group that a line of a figure can show: `identifier:group`.
+
+    Where no group is named, it is the only one, or `all`, which stands for everything.
+
+    Raises
+    ------
+    ValueError
+        In one line, if a metric has several groups and none of them stands for everything, or if a topic is named.
+    """
+    metric, _, group = name.partition(":")
+    if metric in TOPICS:
+        raise ValueError(f"{metric} is a topic: name one of its metrics. {_there(frame, metric)}")
+    groups = list(chosen(frame, [name]).group.unique())
+    if group or groups == [""]:
+        return name
+    if len(groups) > 1 and EVERYTHING not in groups:
+        raise ValueError(several_groups(name, groups))
+    return f"{name}:{groups[0] if len(groups) == 1 else EVERYTHING}"
+
+
+EVERYTHING = "all"
+"""The group of a metric that stands for everything, beside those of single roles."""
+
+
+def several_groups(name: str, groups: Iterable[str]) -> str:
+    """What is said of a metric whose groups would be joined in one line."""
+    return f"{name} has several groups: {'; '.join(groups)}. Choose one as {name}:GROUP."
 
 
 def _there(frame: pd.DataFrame, metric: str) -> str:

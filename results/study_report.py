@@ -15,7 +15,7 @@ from results.figures import study as figure
 from results.figures import study_curves as curves
 from results.report import STYLE, image_url
 from results.study import StudyResults, apart, chosen, short_names, that_matter, with_short_names
-from results.study_table import core, pivot
+from results.study_table import cautions, core, pivot
 
 _MOST_ROWS = 400
 _MOST_SETS = 36
@@ -212,9 +212,10 @@ def _pivot(study: StudyResults, frame: pd.DataFrame) -> str:
     heads = [labels.get(str(name), str(name)) for name in found]
     head = "".join(f"<th>{escape(text)}</th>" for text in heads)
     rows = "".join(map(_row, found.to_numpy(object)))
+    few = "".join(f"<p class='soft'>{escape(line)}</p>" for line in cautions(study, frame, names))
     return (
         f"<p class='soft'>Columns: {escape(figure.label_of(over))}. Mean and 95 % interval.</p>"
-        f'<div class="wide"><table class="pivot"><tr>{head}</tr>{rows}</table></div>'
+        f'<div class="wide"><table class="pivot"><tr>{head}</tr>{rows}</table></div>{few}'
     )
 
 

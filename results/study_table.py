@@ -5,6 +5,7 @@ from typing import Any
 
 import pandas as pd
 
+from results import study_notes
 from results.metrics.registry import CORE
 from results.study import StudyResults, apart, at_first, chosen, held_at, said, that_matter, with_short_names
 
@@ -90,13 +91,30 @@ def pivot(
     return table.drop(columns=constant)
 
 
+def cautions(
+    study: StudyResults, frame: pd.DataFrame, metrics: Sequence[str], where: Mapping[str, str] | None = None
+) -> list[str]:
+    """Lines to write below `pivot`: which of its means rest on runs with few subjects, such as one attacker."""
+    whole = frame
+    for key, text in (where or {}).items():
+        frame = held_at(frame, key, text)
+    rows = frame.index.intersection(chosen(whole, metrics).index)
+    shown = with_short_names(frame, study.keys).loc[rows]
+    keys = apart(shown, study.keys)
+    for key in keys:
+        name = key.rsplit(".", 1)[-1]
+        shown[key] = f"{name} = " + shown[key].map(said)
+    shown["metric"] += (":" + shown.group).where(shown.group != "", "")
+    return study_notes.lines(shown, keys)
+
+
 def cell(row: Mapping[Any, Any]) -> str:
     """A mean with its interval, and with the number of replicates that have a value if that is not all."""
     mean, low, high = (float(row[name]) for name in ("mean", "low", "high"))
     text = number(mean)
     if low == low:
         text += f" ({number(low)} to {number(high)})"
-    return f"{text}, n = {row['n']}" if row.get("note") else text
+    return f"{text}, n = {row['n']}" if study_notes.MISSING in row.get("note", "") else text
 
 
 def number(value: float) -> str:

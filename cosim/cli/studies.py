@@ -170,7 +170,7 @@ def measure(
 ) -> None:
     """Print means, intervals and paired differences of a study by a swept key, and write them to files."""
     from results.study import chosen, open_study
-    from results.study_table import core, pivot
+    from results.study_table import cautions, core, pivot
 
     study = open_study(folder)
     written = study.write()
@@ -196,6 +196,8 @@ def measure(
                 raise
             continue  # these points are the baseline itself
         _print_pivot(study, title, found, over)
+        for line in cautions(study, frame, there, held):
+            screen.print(line, soft_wrap=True)
     screen.print("written: " + ", ".join(str(path) for path in written), soft_wrap=True)
     if not metrics:
         said = "These are the core metrics; --metric names others, --over the key of the columns."
@@ -229,7 +231,7 @@ def _print_pivot(study, title: str, found, over: str | None) -> None:
 def _print_first(folder: Path) -> None:
     """After a sweep: the core metrics, with keys beside the columns at their first value, and the next command."""
     from results.study import apart, open_study, said
-    from results.study_table import core, pivot
+    from results.study_table import cautions, core, pivot
 
     study = open_study(folder)
     try:
@@ -243,6 +245,8 @@ def _print_first(folder: Path) -> None:
     beside = f" at {at}" if at else ""
     title = f"{study.name}{beside}: {_means(study)}"
     _print_pivot(study, title, pivot(study, study.summary, asked, over, held), over)
+    for line in cautions(study, study.summary, asked, held):
+        screen.print(line, soft_wrap=True)
     screen.print(f"next: cosim report {folder}   cosim measure {folder}", soft_wrap=True)
 
 

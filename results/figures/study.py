@@ -11,7 +11,19 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from results.figures import style
-from results.study import StudyResults, apart, chosen, held_at, said, that_matter, with_short_names, within_run
+from results.study import (
+    EVERYTHING,
+    StudyResults,
+    apart,
+    chosen,
+    held_at,
+    one_group,
+    said,
+    several_groups,
+    that_matter,
+    with_short_names,
+    within_run,
+)
 
 SHOWN: Mapping[str, tuple[str, ...]] = {
     "encounters": ("encounters.duration.km_median_s",),
@@ -80,7 +92,8 @@ def draw(
     Parameters
     ----------
     metrics
-        Identifiers, `identifier:group` for one group; left out, those of the topic in `SHOWN`.
+        Identifiers, `identifier:group` for one group; left out, those of the topic in `SHOWN`. Of a metric without a
+        named group, the group `all` is shown, or its only one. Groups of encounters are keys of the figure instead.
     over, by
         Swept keys on the axis and as colour; left out, the first and the second. Of encounters, `radius_m` and `pairs`
         of their definition can be named too. A third key gives a column of panels for each of its values.
@@ -98,6 +111,8 @@ def draw(
     if all(name.startswith("encounters.") for name in asked):
         frame = within_run(chosen(frame, asked))
         keys += ["radius_m", "pairs"]
+    else:
+        asked = tuple(one_group(frame, name) for name in asked)
     frame = held(study, frame, keys, where or {})
     study.check_swept(*filter(None, (over, by)), more=keys)
     of_metrics = chosen(frame, asked)
@@ -122,6 +137,10 @@ def draw(
         many = len(study.points[list(study.keys)].drop_duplicates()) > 1
         why = "one combination of its keys alone has a value" if many else "it has one combination of keys"
         raise ValueError(f"{study.name} has no two points to draw: {why}. Sweep more values, or run longer.")
+    for name in asked:
+        of_metric = chosen(frame, [name])
+        if of_metric.duplicated(order).any():
+            raise ValueError(several_groups(name, of_metric.group.unique()))
     x, colour, column = order[0], (order[1:2] or [""])[0], (order[2:3] or [""])[0]
     if colour and not column and all(frame[key].dtype.kind not in "fib" for key in (x, colour)):
         return _heat_maps(frame, asked, x, colour)
@@ -153,7 +172,8 @@ def _matter(study: StudyResults, asked: Sequence[str], where: Mapping[str, Any])
 def shown(study: StudyResults, topic: str) -> list[str]:
     """The metrics that a topic shows unless others are asked for, of those that the study has measured.
 
-    A metric with several groups gets one of them. Encounters keep all: their groups are keys of the figure.
+    A metric with several groups gets one of them, `all` if it is there. Encounters keep all: their groups are keys of
+    the figure.
     """
     pairs = set(zip(study.summary.metric, study.summary.group, strict=True))
     found = []
@@ -163,7 +183,8 @@ def shown(study: StudyResults, topic: str) -> list[str]:
             groups = sorted(of for at, of in pairs if at == metric and (not group or of == group))
             if groups:
                 takes_all = group or len(groups) == 1 or metric.startswith("encounters.")
-                found.append(one if takes_all else f"{one}:{groups[0]}")
+                first = EVERYTHING if EVERYTHING in groups else groups[0]
+                found.append(one if takes_all else f"{one}:{first}")
                 break
     return list(dict.fromkeys(found))
 
@@ -214,9 +235,7 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
     has_room = len(columns) <= _MOST_CELLS
     for axes, name in zip(panels, asked, strict=True):
         of_metric = chosen(frame, [name])
-        cells = of_metric.drop_duplicates([y, x]).set_index([y, x])
-        if len(cells) < len(of_metric):
-            raise ValueError(f"{name} has several groups. Choose one as {name}:GROUP.")
+        cells = of_metric.set_index([y, x])
         bound = _bound(frame, name).drop_duplicates(x) if y == "trust.model" else frame[:0]
         shown_rows = ["ideal observer", *rows] if len(bound) else rows
         cells = pd.concat([bound.assign(**{y: "ideal observer"}).set_index([y, x]), cells]) if len(bound) else cells

@@ -25,7 +25,7 @@ _TITLES: Mapping[str, tuple[str, str, str]] = {
     ),
 }
 _LEFT = 0.01
-"""Share at which the axis of durations ends."""
+"""Share of its fall that every curve has left at most where the axis ends."""
 
 
 def keys_of(study: StudyResults, what: str) -> list[str]:
@@ -43,7 +43,9 @@ def draw(
 ) -> Figure:
     """Kaplan-Meier curves of the encounters, or shares of lookups with older evidence, one for each value of a key.
 
-    Replicates are pooled. A band spans the curves of the single replicates; there is none for one replicate.
+    Replicates are pooled. A band spans the curves of the single replicates; there is none for one replicate. The axis
+    stops where every curve ends or has done all but 1 % of its fall: of durations to 0, of ages to the share of lookups
+    without evaluation.
 
     Parameters
     ----------
@@ -100,7 +102,8 @@ def draw(
         part = frame if value is None else frame[frame[column] == value]
         for i, hue in enumerate(hues):
             curve = pooled(part if hue is None else part[part[colour] == hue], until_s)
-            longest_s = max(longest_s, _line(axes, curve, i))
+            level = 0.0 if what == ENCOUNTERS else float(curve.survival.iloc[-1])
+            longest_s = max(longest_s, _line(axes, curve, i, level))
     title, x, y = _TITLES[what]
     for n, (axes, value) in enumerate(zip(panels, columns, strict=True)):
         name = str(value) if column == "group" else f"{label_of(column)} = {said(value)}"
@@ -125,11 +128,12 @@ def _look(i: int) -> dict[str, Any]:
     return {"color": style.ink(i), "marker": style.marker(i), "linestyle": style.dash(i)}
 
 
-def _line(axes: Axes, curve: pd.DataFrame, i: int) -> float:
-    """Curve `i` with its band; where it ends, or where few are left [s]."""
+def _line(axes: Axes, curve: pd.DataFrame, i: int, level: float) -> float:
+    """Curve `i` with its band; the time where it ends, or has done all but `_LEFT` of its fall to a level [s]."""
     known = curve[~np.isnan(curve.survival)]
     axes.plot(known.value_s, known.survival, drawstyle="steps-post", markevery=0.12, **_look(i))
     band: dict[str, Any] = {"step": "post", "color": style.ink(i), "alpha": 0.18, "linewidth": 0}
     axes.fill_between(known.value_s, known.low, known.high, **band)
-    lasting = known.value_s[known.survival.shift(fill_value=1.0) >= _LEFT]
-    return float(lasting.max()) if len(lasting) else 0.0
+    falling = known.survival - level > _LEFT * (1 - level)
+    before = falling.shift(fill_value=True)
+    return float(known.value_s[before].max())

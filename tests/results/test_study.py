@@ -3,6 +3,9 @@
 import pandas as pd
 import pytest
 
+from results import study_notes, study_table
+from results.measure import MeasuredRow, _note
+from results.metrics.registry import METRICS
 from results.study import StudyResults, held_at, short_names, with_short_names
 
 
@@ -27,6 +30,42 @@ def test_intervals_stay_within_bounds_and_missing_replicates_are_said(study):
     assert 0 < auc.low < auc["mean"] < auc.high < 1 and auc.note == ""
     assert 0 < time.low < time["mean"] < time.high
     assert time.note == "2 of 4 replicates have a value"
+
+
+def test_means_of_few_subjects_are_said(study):
+    """An AUC of one or two attackers in three of four runs, and a time of one attacker in both runs that have one."""
+    path = study.path / "jobs" / "all" / "measures.parquet"
+    found = pd.read_parquet(path)
+    n_units = [1, 2, 12, 2, 1, 1]
+    rows = map(MeasuredRow, found.metric, found.group, found.value, found.value, found.value, n_units)
+    notes = list(map(_note, rows))
+    found.assign(note=notes).to_parquet(path)
+    auc, time = study.summary.note
+    assert auc == "few subjects: 1 to 2 in most runs"
+    assert time == "2 of 4 replicates have a value; few subjects: 1 per run"
+    assert [study_table.cell(row).endswith("n = 2") for row in study.summary.to_dict("records")] == [False, True]
+    (line,) = study_table.cautions(study, study.summary, ["misbehaviour.auc"])
+    assert line == "few subjects (1 to 2 in a run), read as examples: misbehaviour.auc:malicious"
+
+
+def test_labels_are_words_and_those_of_today(study):
+    """A run that an earlier version measured is not apart from its replicates, whose metric has another label now."""
+    names = [name for name, metric in METRICS.items() if "_" in metric.label]
+    assert not names
+    path = study.path / "jobs" / "all" / "measures.parquet"
+    found = pd.read_parquet(path)
+    found.assign(label=["earlier words", *found.label[1:]]).to_parquet(path)
+    assert study.summary.n.tolist() == [4, 2]
+
+
+def test_points_with_few_subjects_are_said_in_short():
+    """Town at both penetrations, the city at 10 % alone, whatever the window."""
+    at = [(city, p, w) for city in ("city", "town") for p in ("10 %", "30 %") for w in "ab"]
+    frame = pd.DataFrame(at, columns=["city", "p", "window"]).assign(metric="auc")
+    frame["note"] = ["few subjects: 3 per run"] * 2 + [""] * 2 + ["few subjects: 2 to 4 in most runs"] * 4
+    (line,) = study_notes.lines(frame, ["city", "p", "window"])
+    places = "city, 10 %; town, 10 %; town, 30 %"
+    assert line == f"few subjects (2 to 4 in a run), read as examples: auc, at {places}"
 
 
 CITIES = [

@@ -36,8 +36,15 @@ def value_of(metric, keys, replicate):
     return 0.6 + 0.01 * keys.get("trust.freshness_s", 0) + 0.05 * (keys.get("trust.model") == "mate") + noise
 
 
-def study_of(folder, swept=SWEPT, replicates=3, value=value_of, baseline=None):
-    """A study with three core metrics of these values. An AUC needs attackers."""
+MEASURED = (
+    ("encounters.duration.km_median_s", "equipped, 100 m"), ("freshness.newest_evaluation_age.mean_s", "all"),
+    ("misbehaviour.at_lookup.auc", "malicious"),
+)  # fmt: skip
+"""Three core metrics, each with one group."""
+
+
+def study_of(folder, swept=SWEPT, replicates=3, value=value_of, baseline=None, measured=MEASURED):
+    """A study with some metrics of these values. An AUC needs attackers."""
     at = [dict(zip(swept, values, strict=True)) for values in itertools.product(*swept.values())]
     points = pd.DataFrame([
         {"point": f"{i}-{r}", "run": "all", "variant": "base", "replicate": r, "state": "finished", **keys}
@@ -45,10 +52,7 @@ def study_of(folder, swept=SWEPT, replicates=3, value=value_of, baseline=None):
     ])  # fmt: skip
     rows = []
     for point in points.to_dict("records"):
-        for metric, group in (
-            ("encounters.duration.km_median_s", "equipped, 100 m"),
-            ("freshness.newest_evaluation_age.mean_s", "all"), ("misbehaviour.at_lookup.auc", "malicious"),
-        ):  # fmt: skip
+        for metric, group in measured:
             if metric.endswith("auc") and point.get("attacks.0.share_p", 1) == 0:
                 continue
             found = value(metric, point, point["replicate"])
@@ -62,10 +66,11 @@ def study_of(folder, swept=SWEPT, replicates=3, value=value_of, baseline=None):
     return StudyResults(folder, head, points)
 
 
-def with_curves(study, of):
-    """The same study, with the samples `of(keys, replicate)` of encounters."""
+def with_curves(study, of, what="encounters"):
+    """The same study, with the samples `of(keys, replicate)` of encounters, or of ages."""
+    group = "equipped, 100 m" if what == "encounters" else ""
     rows = [
-        {"point": p["point"], "what": "encounters", "group": "equipped, 100 m", "value_s": s, "n": n, "n_open": c}
+        {"point": p["point"], "what": what, "group": group, "value_s": s, "n": n, "n_open": c}
         for p in study.points.to_dict("records") for s, n, c in of(p, p["replicate"])
     ]  # fmt: skip
     pd.DataFrame(rows).to_parquet(study.path / "jobs" / "all" / "curves.parquet")
@@ -188,6 +193,20 @@ def test_curves_of_a_study(tmp_path):
         curve_figure.draw(study, "encounters", by="radio.range_m")
 
 
+def test_the_axis_of_ages_ends_where_the_curves_are_level(tmp_path):
+    """Of 200 evaluations at 10 %, 197 are at most 2 s old, 2 are 5 s and 1 is 60 s: after 5 s, 0.5 % is left to fall.
+
+    At 30 % it is so after 8 s, which ends the axis. Another 200 lookups find nothing.
+    """
+
+    def of(keys, replicate):
+        late_s = 5.0 if keys["fleet.penetration_p"] == 0.1 else 8.0
+        return [(2.0, 197, 0), (late_s, 2, 0), (60.0, 1, 0), (np.inf, 0, 200)]
+
+    (axes,) = curve_figure.draw(with_curves(study_of(tmp_path, KEYS), of, "ages"), "ages").axes
+    assert axes.get_xlim() == pytest.approx((0, 8 * 1.02))
+
+
 def test_axes_follow_the_means_and_arrows_mark_what_leaves_them(tmp_path):
     """Two replicates at 10 % give an interval of +-12.7 errors: it leaves the panel, and the others stay legible."""
     study = study_of(tmp_path, KEYS, 2, ages((1.0, 9.0), (5.0, 5.1)))
@@ -196,3 +215,21 @@ def test_axes_follow_the_means_and_arrows_mark_what_leaves_them(tmp_path):
     assert axes.get_ylim()[1] < 10 < high
     arrows = [line for line in axes.get_lines() if line.get_marker() == "^" and line.get_linestyle() == "None"]
     assert [line.get_ydata()[0] for line in arrows] == [axes.get_ylim()[1]]
+
+
+def test_a_line_shows_one_group_of_a_metric(tmp_path):
+    """Groups were joined in one line, with several marks at each value of the key and without a word."""
+    age, trust, met = "freshness.newest_evaluation_age.mean_s", "trust.final.median", "encounters.per_vehicle_h"
+    groups = {age: ("malicious", "all", "honest"), trust: ("honest", "malicious"), met: ("a, 1 m, 0 s", "a, 1 m, 5 s")}
+    measured = [(metric, group) for metric, some in groups.items() for group in some]
+    study = study_of(tmp_path, KEYS, measured=measured, value=lambda metric, keys, replicate: 0.1)
+    for name, group in ((age, "all [s]"), (f"{trust}:honest", "honest"), (f"{met}:{groups[met][0]}", "0 s [1/h]")):
+        (axes,) = study_figure.draw(study, "", [name]).axes
+        assert axes.get_ylabel().endswith(group)
+        assert axes.get_lines()[0].get_xdata().size == 2
+    for name in (trust, met):
+        said = rf"^{name} has several groups: {'; '.join(groups[name])}\. Choose one as {name}:GROUP\.$"
+        with pytest.raises(ValueError, match=said):
+            study_figure.draw(study, "", [name])
+    with pytest.raises(ValueError, match=r"^trust is a topic: name one of its metrics\."):
+        study_figure.draw(study, "", ["trust"])

@@ -12,6 +12,7 @@ import pandas as pd
 
 from results.figures.study import label_of
 from results.metrics.registry import METRICS, bounds_of
+from results.metrics.trust import HONEST
 from results.study import StudyResults, apart, bounds_of_difference, chosen, intervals, said, short_names, that_matter
 from results.study_table import core, number
 
@@ -22,10 +23,12 @@ class _Quantity:
 
     metric: str
     subject: str
-    """What has the value; `{group}` is the definition of an encounter."""
+    """What has the value; `{group}` is the group of the metric: a definition of an encounter, or a role."""
     more: str
     less: str
     missing: str
+    group: str = ""
+    """The group of which the sentence speaks; empty: the first that the study has."""
 
 
 _QUANTITIES = (
@@ -45,8 +48,7 @@ _QUANTITIES = (
     ),
     _Quantity(
         "misbehaviour.at_lookup.auc",
-        "When it is looked up, an honest vehicle has more trust than a malicious one in "
-        "a share of comparisons (AUC) of",
+        "When it is looked up, an honest vehicle has more trust than {group} one in a share of comparisons (AUC) of",
         "higher",
         "lower",
         "No comparison of honest with malicious vehicles: none of the runs has looked up trust of both",
@@ -58,6 +60,7 @@ _UNDER_ATTACK = _Quantity(
     "higher",
     "lower",
     "No trust in honest vehicles: no run has such a value",
+    HONEST,
 )
 """Said too if the study sweeps a key of attacks: what they do to honest vehicles."""
 
@@ -68,15 +71,26 @@ _SAME = 1e-9
 def sentences(study: StudyResults) -> list[str]:
     """Three sentences with numbers, intervals and, where they hold, differences; a fourth if attacks are swept."""
     asked = core(study, whole=False)
-    named = {name.partition(":")[0]: name for name in asked if name != f"{_UNDER_ATTACK.metric}:malicious"}
     found = []
     attacks = [_UNDER_ATTACK] if any(key.startswith("attacks.") for key in study.keys) else []
     for of in (*_QUANTITIES, *attacks):
-        if of.metric in named:
-            found.append(_sentence(study, of, named[of.metric]))
+        names = [name for name in asked if _speaks_of(of, name)]
+        if names:
+            found.append(_sentence(study, of, names[0]))
         else:
             found.append(f"{of.missing}{_not_asked(study, of)}.")
     return found
+
+
+def _subject(of: _Quantity, group: str) -> str:
+    if of.metric.startswith("misbehaviour."):  # a role
+        group = f"an {group}" if group[:1] in "aeiou" else f"a {group}"
+    return of.subject.format(group=group)
+
+
+def _speaks_of(of: _Quantity, name: str) -> bool:
+    metric, _, group = name.partition(":")
+    return metric == of.metric and of.group in ("", group)
 
 
 def _not_asked(study: StudyResults, of: _Quantity) -> str:
@@ -101,7 +115,7 @@ def _sentence(study: StudyResults, of: _Quantity, name: str) -> str:
             at_reference = at_reference if other == key else at_reference[at_reference[other] == value]
         if len(at_reference):
             clauses.append(_contrast(of, at_reference, key, starts_there=bool(clauses) and reference == firsts))
-    subject = of.subject.format(group=group)
+    subject = _subject(of, group)
     if not clauses:
         more = _alone(study, frame) + _inverted(study, frame) + _censored(study, of, group)
         return f"{subject} {_value(frame, metric)}{more}."
@@ -124,7 +138,9 @@ def _inverted(study: StudyResults, frame: pd.DataFrame) -> str:
     if not str(frame.metric.iloc[0]).endswith("auc"):
         return ""
     means = frame.groupby(list(study.keys), dropna=False).value.mean()
-    return "; below 0.5, malicious vehicles are trusted more than honest ones" if (means < 0.5).any() else ""
+    if not (means < 0.5).any():
+        return ""
+    return f"; below 0.5, {frame.group.iloc[0]} vehicles are trusted more than honest ones"
 
 
 def _reference(study: StudyResults, frame: pd.DataFrame, key: str) -> Any:

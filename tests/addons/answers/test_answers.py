@@ -56,6 +56,15 @@ def test_where_alone_a_metric_has_a_value_is_said(tmp_path):
     assert answers.sentences(low)[2].endswith("below 0.5, malicious vehicles are trusted more than honest ones.")
 
 
+def test_each_sentence_speaks_of_one_group():
+    """With unreliable vehicles beside malicious ones, too: trust is that of the honest, an AUC has its own role."""
+    names = [f"trust.final.median:{role}" for role in ("honest", "malicious", "unreliable")]
+    assert [name for name in names if answers._speaks_of(answers._UNDER_ATTACK, name)] == names[:1]
+    auc = answers._QUANTITIES[2]
+    assert answers._subject(auc, "malicious").endswith("than a malicious one in a share of comparisons (AUC) of")
+    assert "than an unreliable one" in answers._subject(auc, "unreliable")
+
+
 def test_one_replicate_has_no_interval_and_what_is_missing_is_said(tmp_path):
     one = study_of(tmp_path / "a", KEYS, 1, ages((3.0,), (4.0,)))
     assert "which one replicate cannot compare" in answers.sentences(one)[1]
