@@ -127,7 +127,7 @@ def test_heat_map_of_attacks_and_models(tmp_path):
     axes = study_figure.draw(study, "misbehaviour", ["misbehaviour.auc:malicious"]).axes[0]
     assert [text.get_text() for text in axes.texts] == [".50", ".50", ".50", ".45"]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["beta", "mate"]
-    assert "2 to 3\nseeds, 95 % intervals up to ±.23" in axes.get_title(loc="left")
+    assert "2 to 3 seeds, 95 % intervals up to ±.23" in axes.get_title(loc="left").replace("\n", " ")
 
 
 def test_the_ideal_observer_is_the_first_row_of_a_heat_map_of_models(tmp_path):
