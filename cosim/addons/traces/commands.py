@@ -260,7 +260,7 @@ def found_lines(about: dict[str, Any]) -> list[str]:
 def _encounters(values: dict[tuple[str, str], float]) -> list[str]:
     lines = []
     for (metric, definition), n in values.items():
-        if metric == "encounters.n":
+        if metric == "encounters.n" and n:
             median_s = values.get(("encounters.duration.km_median_s", definition))
             unseen = values[("encounters.censored_left.share", definition)]
             said = f"; median duration by Kaplan-Meier {plain(median_s)} s" if median_s is not None else ""

@@ -220,3 +220,12 @@ def test_misuse_ends_in_one_line_and_nothing_written(tmp_path, what):
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and said in done.stderr, done.stderr
     assert not [p for p in tmp_path.iterdir() if p not in before and p.name != "runs"]
     assert not list(tmp_path.glob("runs/*"))
+
+
+def test_nobody_meets(tmp_path):
+    """Two cars a kilometre apart: no encounter is no mistake."""
+    cars = "".join(f'<vehicle id="{n}" x="{1000 * n}" y="0" angle="90" type="car" speed="0"/>' for n in (0, 1))
+    steps = "".join(f'<timestep time="{t}">{cars}</timestep>' for t in range(3))
+    (tmp_path / "apart.xml").write_text(f"<fcd-export>{steps}</fcd-export>")
+    done = cosim("contacts", "apart.xml", cwd=tmp_path)
+    assert done.returncode == 0 and "none: no two came within the radius of each other" in done.stdout, done.stderr
