@@ -122,9 +122,11 @@ def check_attacks(params: Sequence[AttackParams], freshness_s: float | str, inte
 def _check(p: AttackParams, number: int, freshness_s: float | str, interval_s: float) -> None:
     where = f"attacks.{number}"
     if p.together_with is not None and p.together_with >= number:
+        cure = (
+            f"Set it to a number below {number}." if number else "The first has none before it: put it after another."
+        )
         raise ValueError(
-            f"{where}.together_with = {p.together_with} is no earlier section. Sections are numbered from 0. "
-            f"Set it to a number below {number}."
+            f"{where}.together_with = {p.together_with} is no earlier section. Sections are numbered from 0. {cure}"
         )
     if p.ids and p.ring_size > len(p.ids):
         raise ValueError(
