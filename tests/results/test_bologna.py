@@ -3,14 +3,14 @@
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from results.archive import open_run
 from results.metrics import encounters
+from tests import SHARED
 
-BOLOGNA = Path(__file__).parents[3] / "shared" / "nets" / "bologna"
+BOLOGNA = SHARED / "nets" / "bologna"
 
 
 @pytest.fixture(scope="module")

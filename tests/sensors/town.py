@@ -2,7 +2,6 @@
 
 import gzip
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +10,9 @@ from sensors.boxes import Boxes
 from sensors.lidar import LidarParams, scan
 from sensors.reports import DetectorDraws
 from sensors.scene import Scene
+from tests import SHARED
 
-REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "trupercept"
+REFERENCE = SHARED / "reference" / "trupercept"
 SIZE_M = np.array(
     [
         (4.4, 1.8, 1.5), (5.2, 2.0, 2.2), (9.0, 2.5, 3.5), (12.0, 2.55, 3.2),

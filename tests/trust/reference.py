@@ -3,14 +3,14 @@
 import gzip
 import json
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests import SHARED
 from trust.tables import Groups, ObjectLists, SentDetections
 
-ROOT = Path(__file__).resolve().parents[2].parent / "shared" / "reference" / "trupercept"
+ROOT = SHARED / "reference" / "trupercept"
 LABELS = {"Car": 0, "Pedestrian": 1, "Cyclist": 2, "Truck": 3}
 
 

@@ -13,8 +13,9 @@ from cosim.addons.netbuild.build_from_osm import from_osm
 from sumo_nets import catalogue, density, sumo_package_nets
 from sumo_nets.density import Density
 from sumo_nets.network import lanes
+from tests import SHARED
 
-HERSFELD = Path(__file__).parents[3] / "shared" / "nets" / "bad_hersfeld" / "osm_bbox.osm.xml.gz"
+HERSFELD = SHARED / "nets" / "bad_hersfeld" / "osm_bbox.osm.xml.gz"
 
 
 def grid_town(n: int = 5, step: float = 0.0018) -> str:

@@ -11,9 +11,10 @@ from cosim.addons.compare.facts import load
 from cosim.addons.perception.kitti import STRICT, LabelledObjects, average_precision
 from cosim.addons.perception.measures import ego_metrics
 from results.archive import open_run
+from tests import SHARED
 from tests.drive import simulate
 
-PAPER = Path(__file__).parents[4] / "shared/paper/trupercept.tex"
+PAPER = SHARED / "paper/trupercept.tex"
 DRIVES = Path(__file__).parents[3] / "cosim/addons/compare/scenes/paper-drives.toml"
 METHODS = {
     "local": "AVOD", "trupercept_1": "TruPercept 1", "trupercept_2": "TruPercept 2", "trupercept_3": "TruPercept 3",

@@ -2,14 +2,14 @@
 
 import gzip
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cosim.addons.perception import kitti, overlap
+from tests import SHARED
 
-REFERENCE = Path(__file__).parents[3] / "shared/reference/trupercept"
+REFERENCE = SHARED / "reference/trupercept"
 
 
 def read_labels(files):

@@ -10,8 +10,9 @@ from numpy import ndarray
 from cosim.radio.channel import AccessParams, ChannelRules, ChannelState, Links, Packets, PhyOutcome, run_window
 from cosim.radio.phy import ReceiverParams
 from cosim.radio.propagation import fading_class, free_space_db, log_distance_db, two_ray_ground_db
+from tests import SHARED
 
-HERE = Path(__file__).parents[4] / "shared" / "reference" / "ns3"
+HERE = SHARED / "reference" / "ns3"
 DCF = AccessParams(aifsn=(2, 2, 2, 2), cw=(15, 15, 15, 15))
 PERIOD_NS = 100_000_000
 BIN_M = 25

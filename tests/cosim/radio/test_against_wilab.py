@@ -65,7 +65,7 @@ def reference(name: str) -> Runs:
     """The runs of WiLabV2Xsim: those here and, for three of the names, that of the shared folder."""
     received, total, gaps = [], [], []
     if name in ("nr", "lte", "11p"):
-        prr, delays = (wilab.SHARED / f"{name}-{what}.tsv" for what in ("prr", "update_delay"))
+        prr, delays = (wilab.WILAB / f"{name}-{what}.tsv" for what in ("prr", "update_delay"))
         if not prr.exists():
             pytest.skip(f"no reference data: {prr} is absent")
         rows, found = np.loadtxt(prr), np.loadtxt(delays)

@@ -25,8 +25,9 @@ from cosim.radio.params import RadioParams
 from cosim.radio.phy import ReceiverParams
 from cosim.radio.sidelink_params import LteParams, NrParams, SidelinkParams
 from cosim.radio.sidelink_phy import NR_MCS, Carrier, lte_block_sizes, nr_block_bits
+from tests import SHARED
 
-SHARED = Path(__file__).parents[4] / "shared" / "reference" / "wilab"
+WILAB = SHARED / "reference" / "wilab"
 HERE = Path(__file__).parent / "wilab"
 BIN_M = 10
 PIECE = 100
@@ -59,7 +60,7 @@ def positions(n: int) -> ndarray:
     """Positions every 0.1 s: those of the shared trace for 80 vehicles, otherwise made ones [time, vehicle, 2]."""
     if n != 80:
         return np.array([made_positions(n, k / 10) for k in range(150)])
-    path = SHARED / "trace.txt"
+    path = WILAB / "trace.txt"
     if not path.exists():
         pytest.skip(f"no reference data: {path} is absent")
     rows = np.loadtxt(path)

@@ -3,7 +3,6 @@
 import gzip
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,12 +15,13 @@ from cosim.world import World
 from results.verify import verify
 from sensors.boxes import Boxes
 from sensors.scene import Shape
+from tests import SHARED
 from tests.cosim.traffic import mixed_scenario
 from tests.cosim.traffic.worlds import live, same
 from tests.drive import cosim
 from tests.hostile.scenes import write_town
 
-BOLOGNA = Path(__file__).parents[4] / "shared" / "nets" / "bologna"
+BOLOGNA = SHARED / "nets" / "bologna"
 
 BOMB = '<!DOCTYPE a [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
 SPY = '<!DOCTYPE a [<!ENTITY a SYSTEM "file:///etc/hosts">]>'

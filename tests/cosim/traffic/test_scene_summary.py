@@ -1,7 +1,6 @@
 """What is said of streets and buildings that are loaded, and of those that cannot be meant so."""
 
 import json
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -10,10 +9,11 @@ import shapely
 
 from cosim.traffic.scenario import find
 from cosim.traffic.scene_summary import scene_summary
+from tests import SHARED
 from tests.cosim.traffic import crossing
 from tests.drive import cosim
 
-NETS = Path(__file__).parents[4] / "shared" / "nets"
+NETS = SHARED / "nets"
 
 
 def of(folder, *flags, **given):
