@@ -254,8 +254,13 @@ def _neighbours(world: World, rows: Int[ndarray, "n"]) -> float:
 
 
 def _taken(world: World, rows: Int[ndarray, "n"]) -> World:
-    columns = ("actor", "name_key", "shape", "speed_mps", "equipped", "attack")
-    return replace(world, boxes=world.boxes.take(rows), **{name: getattr(world, name)[rows] for name in columns})
+    """The actors in these rows, ascending, with the lanes ahead of them."""
+    taken, paths = world.take(rows), world.paths
+    if paths is None:
+        return taken
+    kept = np.isin(paths.row, rows)
+    row = np.searchsorted(rows, paths.row[kept])
+    return replace(taken, paths=replace(paths, row=row, line=paths.line[kept], front_m=paths.front_m[kept]))
 
 
 def _peak_bytes() -> float:
