@@ -1,7 +1,9 @@
 """The report of a study as one HTML page: the answer in three sentences, core figures, core table; the rest folded."""
 
 import itertools
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -13,28 +15,58 @@ from cosim.base import durable
 from cosim.base.addons import Choices
 from results.figures import study as figure
 from results.figures import study_curves as curves
+from results.figures import style
 from results.report import STYLE, image_url
 from results.study import StudyResults, apart, chosen, short_names, that_matter, with_short_names
 from results.study_table import cautions, core, pivot
 
 _MOST_ROWS = 400
 _MOST_SETS = 36
-"""Figures behind one select box."""
+"""Figures of one title, one for each combination of values of the keys that its axes do not show."""
 
 _SCRIPT = """
-for (const box of document.querySelectorAll("select")) {
+for (const figure of document.querySelectorAll("figure")) {
+  const boxes = [...figure.querySelectorAll("select")];
   const choose = () => {
-    for (const one of box.closest("figure").querySelectorAll("[data-at]")) one.hidden = one.dataset.at !== box.value;
+    const at = boxes.map(box => box.value).join(" ");
+    for (const one of figure.querySelectorAll("[data-at]")) one.hidden = one.dataset.at !== at;
   };
-  box.addEventListener("change", choose);
-  box.hidden = false;
-  choose();
+  for (const box of boxes) {
+    box.addEventListener("change", choose);
+    box.parentElement.hidden = false;
+  }
+  if (boxes.length) choose();
 }
 """
-"""Shows the figure that a select box names. Without scripts, all are shown."""
+"""Shows the figure that the select boxes name. Without scripts, all are shown."""
 
 Draw = Callable[[Mapping[str, str]], Any]
 """Draws a figure at these values of swept keys."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a study says of one quantity, as a sentence."""
+
+    subject: str
+    """The whole sentence, or the beginning that its parts go on from."""
+    parts: tuple[str, ...] = ()
+    """What is said along each swept key."""
+    note: str = ""
+    city: str = ""
+    """The city of which it speaks, where several are swept."""
+
+    def __str__(self) -> str:
+        said = f"{self.subject} {'; '.join(self.parts)}".strip()
+        note = f" ({self.note})" if self.note else ""
+        place = f"{self.city}: " if self.city else ""
+        return f"{place}{said}{note}.".replace("..", ".")
+
+
+def answers(study: StudyResults) -> list[Answer]:
+    """What add-ons say of the study."""
+    speakers = Choices[Callable[[StudyResults], list[Answer]]]("answer", {}).values()
+    return [answer for speaker in speakers for answer in speaker(study)]
 
 
 def write(study: StudyResults, path: str | Path | None = None, part: str = "") -> Path:
@@ -63,7 +95,7 @@ def page(study: StudyResults, part: str = "") -> str:
         '<p class="soft">A band spans the curves of the single replicates. An arrow marks an interval that leaves the '
         "panel. A key that is not shown changes nothing here.</p>",
         '<div class="figures">',
-        *_core_figures(study),
+        *(_figures(study, one.title, one.others, one.draw) for one in _core_figures(study)),
         "</div>",
         '<h2 id="numbers">Core metrics</h2>',
         _pivot(study, study.summary),
@@ -95,28 +127,78 @@ def page(study: StudyResults, part: str = "") -> str:
 
 
 def _answers(study: StudyResults) -> list[str]:
-    """What add-ons say of the study, as lists of sentences."""
-    said = [answer(study) for answer in Choices[Callable[[StudyResults], list[str]]]("answer", {}).values()]
-    return [f"<ul class='answer'>{''.join(f'<li>{escape(one)}</li>' for one in some)}</ul>" for some in said]
-
-
-def _core_figures(study: StudyResults) -> list[str]:
-    """The two distributions, and a figure for each core metric; roles of one metric share a figure."""
+    """What is said of each city, or of the study, as a list of sentences."""
     parts = []
-    for what, title in ((curves.ENCOUNTERS, "How long encounters last"), (curves.AGES, "How old trust is")):
+    for city, said in itertools.groupby(answers(study), lambda answer: answer.city):
+        head = f"<h3>{escape(city)}</h3>" if city else ""
+        parts.append(f"{head}<ul class='answer'>{''.join(map(_sentence, said))}</ul>")
+    return parts
+
+
+def _sentence(answer: Answer) -> str:
+    note = ""
+    if answer.note:
+        said = answer.note[:1].upper() + answer.note[1:]
+        note = f"<div class='soft'>{escape(said)}.</div>"
+    if not answer.parts:
+        return f"<li>{escape(answer.subject)}{note}</li>"
+    if len(answer.parts) == 1:
+        return f"<li>{escape(f'{answer.subject} {answer.parts[0]}.')}{note}</li>"
+    parts = "".join(f"<li>{escape(part)}</li>" for part in answer.parts)
+    return f"<li>{escape(answer.subject)}<ul>{parts}</ul>{note}</li>"
+
+
+@dataclass(frozen=True, slots=True)
+class _CoreFigure:
+    """A figure of the page, or one for each combination of values of some keys."""
+
+    name: str
+    title: str
+    others: Sequence[str]
+    """Keys that its axes do not show."""
+    draw: Draw
+
+
+def _core_figures(study: StudyResults) -> list[_CoreFigure]:
+    """The two distributions, and a figure for each core metric; roles of one metric share a figure."""
+    found = []
+    for what, name, title in (
+        (curves.ENCOUNTERS, "durations", "How long encounters last"),
+        (curves.AGES, "ages", "How old trust is"),
+    ):
         frame = study.curves[study.curves.what == what]
         if np.isfinite(frame.value_s.astype(float)).any():
             others = curves.keys_of(study, what)[2:]
             if frame.group.nunique() > 1:
                 others = ["group", *others]
-            parts.append(_figures(study, title, others, _drawn_curves(study, what)))
+            found.append(_CoreFigure(name, title, others, _drawn_curves(study, what)))
     by_metric: dict[str, list[str]] = {}
     for name in core(study, whole=False):
         by_metric.setdefault(name.partition(":")[0], []).append(name)
-    for names in by_metric.values():
-        others, draw = _of_metrics(study, names)
-        parts.append(_figures(study, _label(study, names[0]), others, draw))
-    return parts
+    for metric, names in by_metric.items():
+        found.append(_CoreFigure(metric, _label(study, names[0]), *_of_metrics(study, names)))
+    return found
+
+
+def save_figures(study: StudyResults, folder: Path) -> list[Path]:
+    """Write the core figures of the page as PDF files, named by what they show and by the values of keys at which."""
+    written = []
+    for one in _core_figures(study):
+        values = [_values(study, key) for key in one.others]
+        for at in itertools.islice(itertools.product(*values), _MOST_SETS):
+            where = dict(zip(one.others, at, strict=True))
+            words = [f"{_last_word(key)}={value}" for key, value in where.items()]
+            stem = re.sub(r"[^\w.=-]+", "_", "-".join([one.name, *words]))
+            try:
+                drawn = one.draw(where)
+            except ValueError:  # the page says why there is none
+                continue
+            written.append(style.save(drawn, folder / f"{stem}.pdf"))
+    return written
+
+
+def _last_word(key: str) -> str:
+    return key.rsplit(".", 1)[-1]
 
 
 def _drawn_curves(study: StudyResults, what: str) -> Draw:
@@ -159,30 +241,37 @@ def _label(study: StudyResults, name: str) -> str:
 
 
 def _figures(study: StudyResults, title: str, others: Sequence[str], draw: Draw) -> str:
-    """A figure, or one for each combination of values of the other keys with a select box."""
+    """A figure, or one for each combination of values of the other keys, with a select box for each of these."""
     if not others:
         return f"<figure><h3>{escape(title)}</h3>{_image(draw, {}, title)}</figure>"
     values = [_values(study, key) for key in others]
-    all_sets = [dict(zip(others, combination, strict=True)) for combination in itertools.product(*values)]
-    sets = all_sets[:_MOST_SETS]
-    names = [_name(one) for one in sets]
-    options = "".join(map(_option, range(len(names)), names))
-    images = "".join(
-        f"<div data-at='{n}'><p class='soft'>{escape(name)}</p>{_image(draw, one, f'{title}, {name}')}</div>"
-        for n, (one, name) in enumerate(zip(sets, names, strict=True))
-    )
-    rest = len(all_sets) - len(sets)
+    all_sets = list(itertools.product(*map(range, map(len, values))))
+    shown = all_sets[:_MOST_SETS]
+    boxes = "".join(map(_box, others, values))
+    images = ""
+    for at in shown:
+        where = {key: some[number] for key, some, number in zip(others, values, at, strict=True)}
+        images += _at_values(title, " ".join(map(str, at)), where, draw)
+    rest = len(all_sets) - len(shown)
     note = f"<p class='soft'>{rest} more combinations: `cosim plot` with --where draws them.</p>" if rest else ""
-    return f"<figure><h3>{escape(title)}</h3><select hidden>{options}</select>{images}{note}</figure>"
+    return f"<figure><h3>{escape(title)}</h3><p>{boxes}</p>{images}{note}</figure>"
 
 
-def _name(at: Mapping[str, str]) -> str:
-    words = [f"{figure.label_of(key)} = {value}" for key, value in at.items()]
-    return ", ".join(words)
+def _at_values(title: str, numbers: str, where: Mapping[str, str], draw: Draw) -> str:
+    """The figure at one value of each of these keys, with the numbers of the values in their select boxes."""
+    words = [f"{figure.label_of(key)} = {value}" for key, value in where.items()]
+    name = ", ".join(words)
+    image = _image(draw, where, f"{title}, {name}")
+    return f"<div data-at='{numbers}'><p class='soft'>{escape(name)}</p>{image}</div>"
 
 
-def _option(number: int, name: str) -> str:
-    return f"<option value='{number}'>{escape(name)}</option>"
+def _box(key: str, values: Sequence[str]) -> str:
+    options = "".join(map(_option, range(len(values)), values))
+    return f"<label hidden>{escape(figure.label_of(key))} <select>{options}</select> </label>"
+
+
+def _option(number: int, value: str) -> str:
+    return f"<option value='{number}'>{escape(value)}</option>"
 
 
 def _values(study: StudyResults, key: str) -> list[str]:

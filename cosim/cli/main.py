@@ -415,16 +415,21 @@ def plot(
 def report(
     folder: Annotated[Path, typer.Argument(help="Folder of a run or a study.")],
     out: Annotated[Path | None, typer.Option(help="File to write. The default is report.html in the folder.")] = None,
+    figures: Annotated[
+        Path | None, typer.Option(help="study: folder for its figures, as PDF files.", metavar="FOLDER")
+    ] = None,
     where: Annotated[
         list[str] | None, typer.Option(help="study: only points with this value, KEY=VALUE. Repeatable.")
     ] = None,
 ) -> None:
     """Write one self-contained HTML page about a run or a study."""
     if studies.is_study([folder]):
-        studies.report(folder, out, where or [])
+        studies.report(folder, out, figures, where or [])
         return
     if where:
         raise ValueError("--where goes with a study, and this is a run. Leave it out.")
+    if figures:
+        raise ValueError("--figures goes with a study, and this is a run. `cosim plot` draws the figures of a run.")
     from results.report import write
 
     run = _opened(folder)

@@ -278,14 +278,16 @@ def plot(
     screen.print(f"wrote {style.save(drawn, out or folder / f'{topic}.png')}", soft_wrap=True)
 
 
-def report(folder: Path, out: Path | None, where: list[str]) -> None:
-    """Write the HTML page of a study."""
+def report(folder: Path, out: Path | None, figures: Path | None, where: list[str]) -> None:
+    """Write the HTML page of a study, and its figures into a folder of their own."""
     from results.study import open_study
-    from results.study_report import write
+    from results.study_report import save_figures, write
 
     study = open_study(folder).at(_held(where))
     path = write(study, out or folder / "report.html", ", ".join(where))
     screen.print(f"wrote {path}", soft_wrap=True)
+    if figures is not None:
+        screen.print(f"wrote {len(save_figures(study, figures))} figures to {figures}", soft_wrap=True)
 
 
 def plan_facts(task: "Task", workers: int | None = None) -> dict[str, Any]:

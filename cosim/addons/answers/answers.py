@@ -1,11 +1,13 @@
 """The answer of a study in three sentences: how long vehicles meet, how old trust is, and how well it tells apart.
 
-Each sentence compares the first with the last value of every swept key that changes its metric, the other keys held at
-their reference: the value of the baseline, or else the first of the study. Whether a difference is more than chance is
-said by its paired interval, replicate by replicate.
+Each sentence has a part for every swept key that changes its metric: the values along the key, and what the paired
+interval of the difference between the last and the first of them says, replicate by replicate. The other keys are held
+at their reference: the value of the baseline, or else the first of the study. Each city has sentences of its own,
+because replicates of different cities share no traffic.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pandas as pd
@@ -14,6 +16,7 @@ from results.figures.study import label_of
 from results.metrics.registry import METRICS, bounds_of
 from results.metrics.trust import HONEST
 from results.study import StudyResults, apart, bounds_of_difference, chosen, intervals, said, short_names, that_matter
+from results.study_report import Answer
 from results.study_table import core, number
 
 
@@ -68,17 +71,35 @@ _SAME = 1e-9
 """Values that differ by less are the same but for rounding."""
 
 
-def sentences(study: StudyResults) -> list[str]:
-    """Three sentences with numbers, intervals and, where they hold, differences; a fourth if attacks are swept."""
+_CITY = "traffic.scenario"
+_MOST_VALUES = 4
+"""Of a key with more values, the first and the last are said."""
+
+
+def sentences(study: StudyResults) -> list[Answer]:
+    """Three sentences with numbers, intervals and, where they hold, differences; a fourth if attacks are swept.
+
+    If cities are swept, as many for each of them.
+    """
+    if _CITY not in study.keys or study.measures[_CITY].nunique() < 2:
+        return _of_one_city(study)
+    found = []
+    for city in short_names(study.measures[_CITY]).values():
+        there = study.at({_CITY: city})
+        found += [replace(one, city=city) for one in _of_one_city(there)]
+    return found
+
+
+def _of_one_city(study: StudyResults) -> list[Answer]:
     asked = core(study, whole=False)
     found = []
     attacks = [_UNDER_ATTACK] if any(key.startswith("attacks.") for key in study.keys) else []
     for of in (*_QUANTITIES, *attacks):
         names = [name for name in asked if _speaks_of(of, name)]
         if names:
-            found.append(_sentence(study, of, names[0]))
+            found.append(_answer(study, of, names[0]))
         else:
-            found.append(f"{of.missing}{_not_asked(study, of)}.")
+            found.append(Answer(f"{of.missing}{_not_asked(study, of)}."))
     return found
 
 
@@ -99,7 +120,7 @@ def _not_asked(study: StudyResults, of: _Quantity) -> str:
     return "" if is_measured else f", or the study did not measure the topic {topic}"
 
 
-def _sentence(study: StudyResults, of: _Quantity, name: str) -> str:
+def _answer(study: StudyResults, of: _Quantity, name: str) -> Answer:
     metric, _, group = name.partition(":")
     frame = chosen(study.measures, [name])
     matter = that_matter(frame, study.keys)
@@ -107,22 +128,24 @@ def _sentence(study: StudyResults, of: _Quantity, name: str) -> str:
         if key not in matter:  # it changes nothing: one of its values stands for all
             frame = frame[frame[key] == _ordered(frame, key)[0]]
     reference = {key: _reference(study, frame, key) for key in matter}
-    firsts = {key: _ordered(frame, key)[0] for key in matter}
-    clauses: list[str] = []
+    parts: list[str] = []
     for key in matter:
         at_reference = frame
         for other, value in reference.items():
             at_reference = at_reference if other == key else at_reference[at_reference[other] == value]
         if len(at_reference):
-            clauses.append(_contrast(of, at_reference, key, starts_there=bool(clauses) and reference == firsts))
+            parts.append(_along(of, at_reference, key))
     subject = _subject(of, group)
-    if not clauses:
-        more = _alone(study, frame) + _inverted(study, frame) + _censored(study, of, group)
-        return f"{subject} {_value(frame, metric)}{more}."
-    held_at = ", ".join(_at(frame, key, value) for key, value in reference.items())
-    where = f" (keys that a clause does not name are held at {held_at})" if len(matter) > 1 else ""
-    more = _alone(study, frame) + _inverted(study, frame) + _censored(study, of, group)
-    return f"{subject} {'; '.join(clauses)}{where}{more}."
+    held = f"keys that a line does not name are held at {_reference_said(frame, reference)}" if len(parts) > 1 else ""
+    notes = [held, _alone(study, frame), _inverted(study, frame), _censored(study, of, group)]
+    note = "; ".join(filter(None, notes))
+    if not parts:
+        return Answer(f"{subject} {_value(frame, metric)}", note=note)
+    return Answer(subject, tuple(parts), note)
+
+
+def _reference_said(frame: pd.DataFrame, reference: Mapping[str, Any]) -> str:
+    return ", ".join(_at(frame, key, value) for key, value in reference.items())
 
 
 def _alone(study: StudyResults, frame: pd.DataFrame) -> str:
@@ -130,7 +153,7 @@ def _alone(study: StudyResults, frame: pd.DataFrame) -> str:
     frame = chosen(study.measures, [f"{frame.metric.iloc[0]}:{frame.group.iloc[0]}"])
     varied = apart(study.points, study.keys)
     only = [_at(study.points, key, frame[key].iloc[0]) for key in varied if frame[key].nunique() == 1]
-    return f"; it has a value at {' and '.join(only)} alone" if only else ""
+    return f"there is a value at {' and '.join(only)} alone" if only else ""
 
 
 def _inverted(study: StudyResults, frame: pd.DataFrame) -> str:
@@ -140,7 +163,7 @@ def _inverted(study: StudyResults, frame: pd.DataFrame) -> str:
     means = frame.groupby(list(study.keys), dropna=False).value.mean()
     if not (means < 0.5).any():
         return ""
-    return f"; below 0.5, {frame.group.iloc[0]} vehicles are trusted more than honest ones"
+    return f"below 0.5, {frame.group.iloc[0]} vehicles are trusted more than honest ones"
 
 
 def _reference(study: StudyResults, frame: pd.DataFrame, key: str) -> Any:
@@ -156,49 +179,52 @@ def _ordered(frame: pd.DataFrame, key: str) -> list[Any]:
     return sorted(values) if frame[key].dtype.kind in "fiu" else values
 
 
-def _contrast(of: _Quantity, frame: pd.DataFrame, key: str, starts_there: bool) -> str:
-    """The value at the first and at the last value of a key, and what their paired difference says.
-
-    `starts_there`: the value at the first has been said before.
-    """
+def _along(of: _Quantity, frame: pd.DataFrame, key: str) -> str:
+    """The values along a key, and what the paired difference of the last to the first says."""
     values = _ordered(frame, key)
+    shown = values if len(values) <= _MOST_VALUES else [values[0], values[-1]]
+    where = "at" if frame[key].dtype.kind in "fiu" else "with"
+    places = [_said(frame, key, value) for value in shown]
+    places[0] = f"{_named(key)} {places[0]}"
+    means = [_value(frame[frame[key] == value], of.metric) for value in shown]
+    text = _listed([f"{mean} {where} {place}" for mean, place in zip(means, places, strict=True)])
     if len(values) < 2:
-        return f"{_value(frame, of.metric)} at {_at(frame, key, values[0])}, its only value"
+        return f"{text}, its only value"
     first = frame[frame[key] == values[0]]
     last = frame[frame[key] == values[-1]]
-    at_first, at_last = _said(frame, key, values[0]), _said(frame, key, values[-1])
-    place = "in" if key == "traffic.scenario" else f"at {_named(key)}"
-    if starts_there:
-        text = f"{place} {at_last} instead of {at_first} it is {_value(last, of.metric)}"
-    else:
-        text = f"{_value(first, of.metric)} {place} {at_first}"
-        text += f" and {_value(last, of.metric)} {place[:2]} {at_last}"
     pairs = first.merge(last, on="replicate", suffixes=("_first", "_last"))
     pairs = pairs.drop_duplicates("replicate").assign(value=pairs.value_last - pairs.value_first)
-    return f"{text}, {verdict(of, pairs)}"
+    first_said = _said(frame, key, values[0])
+    last_said = _said(frame, key, values[-1])
+    return f"{text}: {verdict(of, pairs, first_said, last_said, where)}"
 
 
-def verdict(of: _Quantity, pairs: pd.DataFrame) -> str:
-    """What paired differences say: a direction only if their 95 % interval excludes 0."""
+def _listed(texts: Sequence[str]) -> str:
+    *others, last = texts
+    return f"{', '.join(others)} and {last}" if others else last
+
+
+def verdict(of: _Quantity, pairs: pd.DataFrame, first: str, last: str, where: str = "at") -> str:
+    """What paired differences of the last to the first say: a direction only if their 95 % interval excludes 0."""
     if not len(pairs):
-        return "which no replicate has both of"
+        return f"no replicate has both {first} and {last}"
     (row,) = intervals(pairs.assign(metric=of.metric), ["metric"], bounds_of_difference).to_dict("records")
     n, mean = int(row["n"]), float(row["mean"])
     low, high = float(row["low"]), float(row["high"])
     if n < 2:
-        return "which one replicate cannot compare"
+        return "one replicate cannot compare them"
     if low != low:
-        return "without an interval of the difference"
+        return "the difference has no interval"
     unit = METRICS[of.metric].unit
     word = of.more if mean > 0 else of.less
     direction = f"{word} by {_one(abs(mean), unit)}"
     if high - low < _SAME * max(1.0, abs(mean)):
         direction = direction if abs(mean) > _SAME else "the same"
         return f"{direction} in each of the {n} replicates, which leaves no spread for an interval"
-    span = f"95 % interval of the difference {_with_unit(low, high, unit)}"
+    span = f"difference {_one(mean, unit)} {_span(low, high)}"
     if low <= 0 <= high:
-        return f"which {n} replicates cannot tell apart ({span})"
-    return f"{direction} ({span})"
+        return f"{n} replicates cannot tell {last} from {first} ({span})"
+    return f"{word} {where} {last} than {where} {first} ({span})"
 
 
 def _value(frame: pd.DataFrame, metric: str) -> str:
@@ -210,8 +236,7 @@ def _value(frame: pd.DataFrame, metric: str) -> str:
         return f"{_one(row['mean'], unit)} (the same in all {n} replicates)"
     if row["low"] != row["low"]:
         return f"{_one(row['mean'], unit)} ({'one replicate' if n == 1 else f'{n} replicates, no interval'})"
-    span = _with_unit(row["low"], row["high"], unit)
-    return f"{_one(row['mean'], unit)} (95 % interval {span})"
+    return f"{_one(row['mean'], unit)} {_span(row['low'], row['high'])}"
 
 
 def _censored(study: StudyResults, of: _Quantity, group: str) -> str:
@@ -224,7 +249,7 @@ def _censored(study: StudyResults, of: _Quantity, group: str) -> str:
     shares = rows["mean"]
     low, high = f"{shares.min():.0%}", f"{shares.max():.0%}"
     span = low if low == high else f"{low} to {high}"
-    return f"; {span.replace('%', ' %')} of the encounters had not ended when recording ended"
+    return f"{span.replace('%', ' %')} of the encounters had not ended when recording ended"
 
 
 def _named(key: str) -> str:
@@ -246,5 +271,5 @@ def _one(value: float, unit: str) -> str:
     return f"{number(value)} {'' if unit in ('', '1') else unit}".strip()
 
 
-def _with_unit(low: float, high: float, unit: str) -> str:
-    return f"{number(low)} to {_one(high, unit)}"
+def _span(low: float, high: float) -> str:
+    return f"[{number(low)}, {number(high)}]"

@@ -9,14 +9,17 @@ from cosim.addons.answers import answers
 from tests.results.test_study_pages import KEYS, ages, study_of, value_of
 
 
+def said_of(*study):
+    """The sentences of a study as text."""
+    return [str(answer) for answer in answers.sentences(study_of(*study))]
+
+
 def test_a_difference_is_said_only_if_its_interval_excludes_none(tmp_path):
     """Differences 1, 1.1, 0.9: 1 +- 4.303 x 0.1 / sqrt(3) = 0.752 to 1.248. And 3, -1, 1: 1 +- 4.97."""
-    sure = study_of(tmp_path / "a", KEYS, value=ages((3.0, 3.0, 3.0), (4.0, 4.1, 3.9)))
-    said = answers.sentences(sure)[1]
-    assert "older by 1 s (95 % interval of the difference 0.752 to 1.25 s)" in said and "cannot" not in said
-    unsure = study_of(tmp_path / "b", KEYS, value=ages((3.0, 3.0, 3.0), (6.0, 2.0, 4.0)))
-    said = answers.sentences(unsure)[1]
-    assert "which 3 replicates cannot tell apart (95 % interval of the difference -3.97 to 5.97 s)" in said
+    said = said_of(tmp_path / "a", KEYS, 3, ages((3.0, 3.0, 3.0), (4.0, 4.1, 3.9)))[1]
+    assert "older at 0.6 than at 0.1 (difference 1 s [0.752, 1.25])" in said and "cannot" not in said
+    said = said_of(tmp_path / "b", KEYS, 3, ages((3.0, 3.0, 3.0), (6.0, 2.0, 4.0)))[1]
+    assert "3 replicates cannot tell 0.6 from 0.1 (difference 1 s [-3.97, 5.97])" in said
     assert "older" not in said and "fresher" not in said
 
 
@@ -26,18 +29,27 @@ def test_no_difference_leaves_the_range_of_its_metric(tmp_path):
     Without bounds, the interval would be -10.2 to 10.2. As a share of the way from -1 to 1 it is 1/2, and its logit
     reaches 12.706 x 0.8 / (2 x 1/4) = 20.3 to either side.
     """
-    third = answers.sentences(study_of(tmp_path, KEYS, 2, ages((10.0, 90.0), (90.0, 10.0))))[2]
-    assert "which 2 replicates cannot tell apart (95 % interval of the difference -1 to 1)" in third
+    third = said_of(tmp_path, KEYS, 2, ages((10.0, 90.0), (90.0, 10.0)))[2]
+    assert "2 replicates cannot tell 0.6 from 0.1 (difference 0 [-1, 1])" in third
 
 
-def test_keys_that_change_nothing_do_not_count_as_replicates(tmp_path):
+def test_each_city_has_sentences_and_keys_that_change_nothing_no_part(tmp_path):
     """12.00, 12.01, 12.02 in the first city: 4.303 x 0.01 / sqrt(3) = 0.025; pooled over 16 points it were 0.002."""
     study = study_of(tmp_path, value=lambda metric, keys, r: value_of(metric, keys, 100 * r))
-    first = answers.sentences(study)[0]
+    found = answers.sentences(study)
+    assert [one.city for one in found] == ["street"] * 4 + ["town"] * 4
     row = study.summary[study.summary.metric == "encounters.duration.km_median_s"].iloc[0]
-    assert row.n == 3 and f"95 % interval {row.low:.3g} to {row.high:.3g} s" in first
-    assert "in street and 16 s" in first and "at penetration 0.3 instead of 0.1 it is 17 s" in first
-    assert "window" not in first
+    assert row.n == 3 and f"{row['mean']:.3g} s [{row.low:.3g}, {row.high:.3g}] at penetration 0.1" in str(found[0])
+    assert len(found[0].parts) == 1 and "17 s" in str(found[0]) and "20 s" in str(found[4])
+
+
+def test_all_values_of_a_key_are_said_if_they_are_few(tmp_path):
+    few, many = (
+        answers.sentences(study_of(tmp_path / str(n), {"fleet.penetration_p": tuple(k / 10 for k in range(n))}))[0]
+        for n in (4, 5)
+    )
+    assert "at penetration 0, " in str(few) and " at 0.1, " in str(few) and " at 0.2 and " in str(few)
+    assert " at 0.1" not in str(many) and "at penetration 0 and " in str(many) and " at 0.4: " in str(many)
 
 
 def test_where_alone_a_metric_has_a_value_is_said(tmp_path):
@@ -49,11 +61,11 @@ def test_where_alone_a_metric_has_a_value_is_said(tmp_path):
 
     swept = {**KEYS, "attacks.0.share_p": (0.0, 0.1)}
     first, second, third, fourth = answers.sentences(study_of(tmp_path, swept, value=value))
-    assert fourth.startswith("No trust in honest vehicles: no run has such a value")
-    assert first.endswith("; it has a value at penetration 0.1 alone.") and "alone" not in second
-    assert third.endswith("; it has a value at share of attackers 0.1 alone.")
+    assert str(fourth).startswith("No trust in honest vehicles: no run has such a value")
+    assert first.note == "there is a value at penetration 0.1 alone" and not second.note
+    assert third.note == "there is a value at share of attackers 0.1 alone"
     low = study_of(tmp_path / "low", swept, value=lambda *of: value(*of) - 0.3)
-    assert answers.sentences(low)[2].endswith("below 0.5, malicious vehicles are trusted more than honest ones.")
+    assert answers.sentences(low)[2].note.endswith("below 0.5, malicious vehicles are trusted more than honest ones")
 
 
 def test_each_sentence_speaks_of_one_group():
@@ -66,16 +78,15 @@ def test_each_sentence_speaks_of_one_group():
 
 
 def test_one_replicate_has_no_interval_and_what_is_missing_is_said(tmp_path):
-    one = study_of(tmp_path / "a", KEYS, 1, ages((3.0,), (4.0,)))
-    assert "which one replicate cannot compare" in answers.sentences(one)[1]
-    none = study_of(tmp_path / "b", KEYS, value=lambda metric, *_: np.nan if metric.startswith("enc") else 0.5)
-    first, second, third = answers.sentences(none)
+    assert "one replicate cannot compare them" in said_of(tmp_path / "a", KEYS, 1, ages((3.0,), (4.0,)))[1]
+    none = said_of(tmp_path / "b", KEYS, 3, lambda metric, *_: np.nan if metric.startswith("enc") else 0.5)
+    first, second, third = none
     assert first.startswith("No median duration of encounters") and "topic encounters" in first
     assert second.endswith("0.5 s (the same in all 3 replicates).") and "0.5" in third
-    equal = study_of(tmp_path / "d", KEYS, value=ages((3.0, 3.0, 3.0), (4.0, 4.0, 4.0)))
-    assert "older by 1 s in each of the 3 replicates, which leaves no spread" in answers.sentences(equal)[1]
-    other = study_of(tmp_path / "c", KEYS, 2, ages((3.0, np.nan), (np.nan, 4.0)))
-    assert "which no replicate has both of" in answers.sentences(other)[1]
+    equal = said_of(tmp_path / "d", KEYS, 3, ages((3.0, 3.0, 3.0), (4.0, 4.0, 4.0)))
+    assert "older by 1 s in each of the 3 replicates, which leaves no spread" in equal[1]
+    other = said_of(tmp_path / "c", KEYS, 2, ages((3.0, np.nan), (np.nan, 4.0)))
+    assert "no replicate has both 0.1 and 0.6" in other[1]
 
 
 @settings(max_examples=15)
@@ -83,20 +94,19 @@ def test_one_replicate_has_no_interval_and_what_is_missing_is_said(tmp_path):
 def test_sentences_are_true_of_the_numbers(tmp_path_factory, pairs):
     """The interval of the paired difference again, with SciPy's t alone, and the word that goes with it."""
     first, last = (tuple(x[i] for x in pairs) for i in (0, 1))
-    study = study_of(tmp_path_factory.mktemp("s"), KEYS, len(pairs), ages(first, last))
-    said = answers.sentences(study)[0]
+    said = said_of(tmp_path_factory.mktemp("s"), KEYS, len(pairs), ages(first, last))[0]
     difference = np.subtract(last, first)
     half = t.ppf(0.975, len(pairs) - 1) * difference.std(ddof=1) / len(pairs) ** 0.5
     low, high = difference.mean() - half, difference.mean() + half
     if abs(low) < 1e-9 or abs(high) < 1e-9 or high - low < 1e-6:
         return  # rounding decides
     if np.ptp(np.stack([first, last]), axis=None) == 0:
-        assert "instead" not in said
+        assert "difference" not in said
     elif (np.array(first) == np.array(last)).all():
-        assert "apart" not in said or "cannot" in said
+        assert "difference" not in said
     elif low > 0:
-        assert "longer by" in said and "cannot" not in said
+        assert "longer at" in said and "cannot" not in said
     elif high < 0:
-        assert "shorter by" in said and "cannot" not in said
+        assert "shorter at" in said and "cannot" not in said
     else:
-        assert "cannot tell apart" in said and "longer" not in said and "shorter" not in said
+        assert "cannot tell" in said and "longer" not in said and "shorter" not in said

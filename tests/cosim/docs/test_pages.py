@@ -1,6 +1,9 @@
 """The documentation: links lead somewhere, every key and command is there, every command shown is accepted."""
 
+import ast
+import importlib
 import importlib.util
+import json
 import re
 import shlex
 import subprocess
@@ -234,6 +237,39 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     for page in (tmp_path / "site").rglob("*.html"):
         loaded = re.findall(r'(?:src="|<link rel="stylesheet" href=")(https?://[^"]*)', page.read_text())
         assert not loaded, f"{page} loads {loaded}"
+
+
+def _python_texts():
+    """Python of the pages, of those blocks that are run, and of the notebooks."""
+    for name, path in SOURCES.items():
+        for block in fences.blocks(path.read_text(encoding="utf-8")):
+            if block.language == "python" and not block.excuse:
+                yield name, block.text
+    for path in fences.PAGES.rglob("*.ipynb"):
+        for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+            if cell["cell_type"] == "code":
+                yield path.name, "".join(cell["source"])
+
+
+def test_what_the_pages_import_is_there():
+    """A notebook imported a module that had moved; running it takes minutes, so that nobody saw it."""
+    ours = {"cosim", "results", "sensors", "sumo_nets", "trust"}
+    gone = [
+        f"{name}: {node.module}.{alias.name}"
+        for name, text in _python_texts()
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.partition(".")[0] in ours
+        for alias in node.names
+        if not _is_there(node.module, alias.name)
+    ]
+    assert not gone
+
+
+def _is_there(module: str, name: str) -> bool:
+    try:
+        return hasattr(importlib.import_module(module), name) or bool(importlib.util.find_spec(f"{module}.{name}"))
+    except ModuleNotFoundError:
+        return False
 
 
 def test_tables_of_files_name_files_that_are_there():
