@@ -39,6 +39,7 @@ FIGURES = {
     "pose_errors": Figure(f"{PAGES}/models/accuracy.md", "cosim sweep pose_errors"),
     "misstated": Figure(f"{PAGES}/models/accuracy.md", "cosim sweep misstated"),
     "presets": Figure(f"{PAGES}/models/presets.md", "cosim sweep presets"),
+    "deviations": Figure(f"{PAGES}/models/validation.md", "cosim sweep deviations"),
     "freshness": Figure("results/FRESHNESS.md", "cosim sweep freshness"),
     "question": Figure(f"{PAGES}/tutorial/question.md", "cosim sweep question"),
     "encounters": Figure("cosim/studies/README.md", "cosim sweep encounters"),

@@ -173,6 +173,7 @@ def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
         ("weather", 48, 48),
         ("access", 48, 48),
         ("presets", 6, 6),
+        ("deviations", 35, 35),
         pytest.param("cities", 8, 8, marks=pytest.mark.verify),  # builds two cities
         ("strangers", 32, 8),
         ("paper_tables", 200, 80),
