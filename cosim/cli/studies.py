@@ -66,6 +66,8 @@ def sweep(
     task = sweeping.prepare_study(asked, study.name, out, not separate)
     of_points = (sweeping.keys_in_vain, sweeping.scene_notes, sweeping.fleet_notes)
     said = [note for notes_on in of_points for note in notes_on(task.points)]
+    if study.parent != out:  # there it is the copy of what is asked for
+        said += sweeping.name_notes(study, asked)
     for note in said + sweeping.interval_notes(task.study):
         notes.print(note, soft_wrap=True)
     if dry_run:

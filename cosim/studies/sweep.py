@@ -21,7 +21,7 @@ from cosim.studies.plan import PlannedRun, StudyPlan, plan
 from cosim.studies.points import Point, points_of
 from cosim.studies.speed import speed_here
 from cosim.studies.stages import Cache, default_folder
-from cosim.studies.study import Study, load
+from cosim.studies.study import SHIPPED, Study, load
 from cosim.traffic.scenario import find
 from cosim.traffic.scene_summary import scene_summary
 
@@ -183,6 +183,17 @@ def interval_notes(study: Study) -> list[str]:
         f"note: study.replicates = {n}: a 95 % interval reaches {half:.1f} standard deviations of a replicate to "
         f"either side ({FEW_REPLICATES} replicates: {of_five:.1f}). A smaller paired difference cannot be told from "
         "chance."
+    ]
+
+
+def name_notes(path: Path, study: Study) -> list[str]:
+    """A note on a changed copy of a shipped study that kept its name: its report would ask the question of another."""
+    shipped = SHIPPED / f"{study.head.name}.toml"
+    if not (path.is_file() and shipped.is_file()) or study.to_toml() == load(shipped).to_toml():
+        return []
+    return [
+        f'note: study.name = "{study.head.name}" is that of a shipped study, which {path} changes. Its report will have '
+        "this name and this question: write your own."
     ]
 
 

@@ -7,8 +7,8 @@ import pytest
 from cosim.config import preset
 from cosim.studies.plan import plan
 from cosim.studies.points import identity, points_of
-from cosim.studies.study import load
-from cosim.studies.sweep import prepare
+from cosim.studies.study import SHIPPED, load
+from cosim.studies.sweep import name_notes, prepare
 
 HEAD = """
 [study]
@@ -185,3 +185,11 @@ def test_shipped_studies(name, n_points, n_runs, tmp_path, monkeypatch):
     Path(name).mkdir()  # such as the folder of an earlier sweep: the name still is that of the study
     found = points_of(load(Path(name)), name)
     assert len(found) == n_points and len(plan(found, fused=False).runs) == n_runs
+
+
+def test_a_changed_copy_of_a_shipped_study_should_have_its_own_name(tmp_path):
+    text = (SHIPPED / "question.toml").read_text()
+    for path, content, n in (("same.toml", text, 0), ("mine.toml", text.replace("0.3, 0.6]", "0.3]"), 1)):
+        (tmp_path / path).write_text(content)
+        assert len(name_notes(tmp_path / path, load(tmp_path / path))) == n
+    assert not name_notes(Path("question"), load(Path("question")))
