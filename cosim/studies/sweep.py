@@ -189,11 +189,13 @@ def interval_notes(study: Study) -> list[str]:
 def name_notes(path: Path, study: Study) -> list[str]:
     """A note on a changed copy of a shipped study that kept its name: its report would ask the question of another."""
     shipped = SHIPPED / f"{study.head.name}.toml"
-    if not (path.is_file() and shipped.is_file()) or study.to_toml() == load(shipped).to_toml():
+    if not (path.is_file() and shipped.is_file()):
+        return []
+    if study.to_toml() == load(shipped).to_toml():
         return []
     return [
-        f'note: study.name = "{study.head.name}" is that of a shipped study, which {path} changes. Its report will have '
-        "this name and this question: write your own."
+        f'note: study.name = "{study.head.name}" is that of a shipped study, which {path} changes. Its report will '
+        "have this name and this question: write your own."
     ]
 
 
