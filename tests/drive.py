@@ -81,10 +81,10 @@ def in_turn(*commands: list[str], cwd: Path, before: str = "", **environment: st
     with tempfile.TemporaryDirectory(prefix="cosim-test-") as streams:
         words = [sys.executable, "-c", before + IN_TURN, json.dumps(commands), streams]
         variables = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])} | environment
-        done = subprocess.run(words, cwd=cwd, env=variables, capture_output=True, text=True, check=True)
+        ended = subprocess.check_output(words, cwd=cwd, env=variables, text=True).split()
         return [
             subprocess.CompletedProcess(
                 command, int(status), *(Path(streams, f"{n}.{name}").read_text() for name in ("out", "err"))
             )
-            for n, (command, status) in enumerate(zip(commands, done.stdout.split(), strict=True))
+            for n, (command, status) in enumerate(zip(commands, ended, strict=True))
         ]
