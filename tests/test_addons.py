@@ -1,14 +1,12 @@
 """The core runs without add-ons, and nothing else misses a hidden one."""
 
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from cosim.base.addons import Choices, addons, hook, loaded
+from tests.drive import in_turn
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("cosim", "sensors", "trust", "results", "sumo_nets")
@@ -28,11 +26,12 @@ def bare(tmp_path_factory):
     return folder
 
 
-def carry_out(packages, *words):
-    """Run a command of the packages in a folder, in that folder."""
-    command = [sys.executable, "-m", "cosim", *map(str, words)]
-    env = os.environ | {"PYTHONPATH": str(packages)}
-    return subprocess.run(command, capture_output=True, text=True, cwd=packages, env=env, timeout=300)
+def carry_out(packages, *commands):
+    """Carry out commands of the packages in a folder, in that folder."""
+    before = "import cosim.runs.run, results.measure, results.report"
+    commands = [[str(word) for word in words] for words in commands]
+    variables = {"PYTHONPATH": str(packages), "NUMBA_THREADING_LAYER": "workqueue"}  # OpenMP forbids to fork
+    return in_turn(*commands, cwd=packages, before=before, **variables)
 
 
 def test_every_address_of_every_addon_leads_to_code():
@@ -65,7 +64,7 @@ def test_without_addons_the_core_runs_measures_draws_and_reports(bare, tmp_path)
         '[study]\nname = "tiny"\n[base]\ntraffic.duration_s = 3\ntraffic.warmup_s = 60\ntrust.server_period_s = 1\n'
         '[grid]\n"trust.freshness_s" = [5.0, 10.0]\n'
     )
-    for words in (
+    commands = (
         ("run", *SETS, "--out", run),
         ("measure", run),
         ("plot", "trust", run),
@@ -74,27 +73,24 @@ def test_without_addons_the_core_runs_measures_draws_and_reports(bare, tmp_path)
         ("nets", "list"),
         ("sweep", study, "--out", tmp_path / "out"),
         ("measure", tmp_path / "out"),
-    ):
-        done = carry_out(bare, *words)
-        assert done.returncode == 0, f"{words}: {done.stderr}"
+    )
+    for done in carry_out(bare, *commands):
+        assert done.returncode == 0, f"{done.args}: {done.stderr}"
     assert (run / "report.html").is_file() and (run / "trust.png").is_file()
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("run", "--set", "trust.model=mate"), "mate"),
-        (("run", "--set", "radio.model=nr_mode2"), "nr_mode2"),
-        (("run", "--set", "driver.model=cautious"), "cautious"),
-        (("run", "--watch"), "needs an add-on"),
-        (("plot", "durations", "nowhere"), "durations"),
-        (("export", "kitti", "nowhere", "--out", "x"), "export"),
-    ],
-)
-def test_what_a_deleted_addon_would_bring_is_refused_in_one_line(bare, words, said):
-    done = carry_out(bare, *words)
-    assert done.returncode == 2, done.stderr
-    assert said in done.stderr and done.stderr.count("\n") == 1, done.stderr
+def test_what_a_deleted_addon_would_bring_is_refused_in_one_line(bare):
+    refused = {
+        ("run", "--set", "trust.model=mate"): "mate",
+        ("run", "--set", "radio.model=nr_mode2"): "nr_mode2",
+        ("run", "--set", "driver.model=cautious"): "cautious",
+        ("run", "--watch"): "needs an add-on",
+        ("plot", "durations", "nowhere"): "durations",
+        ("export", "kitti", "nowhere", "--out", "x"): "export",
+    }
+    for done, said in zip(carry_out(bare, *refused), refused.values(), strict=True):
+        assert done.returncode == 2, (done.args, done.stderr)
+        assert said in done.stderr and done.stderr.count("\n") == 1, (done.args, done.stderr)
 
 
 @pytest.mark.verify
@@ -104,6 +100,5 @@ def test_each_deleted_in_turn(name, tmp_path):
     for package in PACKAGES:
         shutil.copytree(ROOT / package, tmp_path / package)
     shutil.rmtree(tmp_path / "cosim" / "addons" / name)
-    assert carry_out(tmp_path, "--help").returncode == 0
-    done = carry_out(tmp_path, "run", *SETS, "--out", tmp_path / "run")
-    assert done.returncode == 0, done.stderr
+    for done in carry_out(tmp_path, ["--help"], ["run", *SETS, "--out", tmp_path / "run"]):
+        assert done.returncode == 0, done.stderr

@@ -8,7 +8,7 @@ from results.tables import TABLES
 from tests.drive import drive
 from tests.fingerprint import fingerprint
 
-FULL = "record.level=full"
+FULL, SHORT = "record.level=full", "traffic.duration_s=12"
 
 PSEUDONYMS = {
     name: [column for column, about in table.columns.items() if about.meaning.startswith("Pseudonym")]
@@ -19,11 +19,11 @@ PSEUDONYMS = {
 
 @pytest.fixture(scope="module")
 def base(tmp_path_factory):
-    return drive(tmp_path_factory.mktemp("run") / "base", FULL, "compute.threads=1")
+    return drive(tmp_path_factory.mktemp("run") / "base", FULL, SHORT, "compute.threads=1")
 
 
 def test_threads_and_blocks_change_nothing(base, tmp_path):
-    again = drive(tmp_path / "again", FULL, "compute.threads=2", "record.block_steps=7")
+    again = drive(tmp_path / "again", FULL, SHORT, "compute.threads=2", "record.block_steps=7")
     assert fingerprint(again) == fingerprint(base)
     assert set(fingerprint(base)) == set(TABLES)
 
@@ -38,14 +38,14 @@ def test_threads_and_blocks_change_nothing_over_the_sidelink(medium, tmp_path):
 
 
 def test_seed_changes_what_is_seen_but_not_the_traffic(base, tmp_path):
-    other = drive(tmp_path / "seed", FULL, "seed=2")
+    other = drive(tmp_path / "seed", FULL, SHORT, "seed=2")
     was, now = fingerprint(base), fingerprint(other)
     same = {name for name in TABLES if was[name] == now[name] and len(open_run(base).table(name))}
     assert same == {"actors"}
 
 
 def test_without_attackers_every_honest_detection_is_bit_identical(base, tmp_path):
-    quiet = drive(tmp_path / "quiet", FULL, "attacks.0.share_p=0", "attacks.1.share_p=0")
+    quiet = drive(tmp_path / "quiet", FULL, SHORT, "attacks.0.share_p=0", "attacks.1.share_p=0")
     attacked, honest = open_run(base), open_run(quiet)
     found = attacked.detections
     of_attack = ["transmitted", "withheld", "target", "lied"]
@@ -67,7 +67,7 @@ def test_without_attackers_every_honest_detection_is_bit_identical(base, tmp_pat
 
 
 def test_raising_penetration_keeps_all_that_were_equipped(base, tmp_path):
-    more = open_run(drive(tmp_path / "more", "fleet.penetration_p=0.6")).vehicles.set_index("sumo_id")
+    more = open_run(drive(tmp_path / "more", SHORT, "fleet.penetration_p=0.6")).vehicles.set_index("sumo_id")
     fewer = open_run(base).vehicles.set_index("sumo_id")
     assert more.equipped[fewer.index[fewer.equipped]].all()
     assert more.equipped.sum() > 1.4 * fewer.equipped.sum()
@@ -93,7 +93,7 @@ def assert_only_truth_differs(one, other):
 
 def test_no_truth_leaks(base, tmp_path):
     """With the true actors of all detections mixed up, only truth columns change."""
-    mixed = drive(tmp_path / "mixed", FULL, "detector.model=tests.parts:MixedActors")
+    mixed = drive(tmp_path / "mixed", FULL, SHORT, "detector.model=tests.parts:MixedActors")
     assert_only_truth_differs(open_run(base), open_run(mixed))
 
 
@@ -110,7 +110,7 @@ def test_origins_that_an_attack_mixes_up_are_put_right(tmp_path):
 def test_pseudonyms_are_names(base, tmp_path):
     """Numbered otherwise, they change nothing but themselves."""
     one = open_run(base)
-    other = open_run(drive(tmp_path / "other", FULL, "pseudonyms.policy=tests.parts:Renumbered"))
+    other = open_run(drive(tmp_path / "other", FULL, SHORT, "pseudonyms.policy=tests.parts:Renumbered"))
     names = other.pseudonyms.set_index("pseudonym").vehicle
     assert names.is_unique and (names.index != names).any()
     for name, _table in TABLES.items():

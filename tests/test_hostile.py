@@ -8,7 +8,7 @@ from results.archive import open_run
 from tests.drive import drive
 from tests.fingerprint import fingerprint
 
-DISK = ("radio.model=unit_disk", "radio.unit_disk.loss_p=0", "record.level=full")
+DISK = ("traffic.duration_s=12", "radio.model=unit_disk", "radio.unit_disk.loss_p=0", "record.level=full")
 
 
 def third_attack(name):

@@ -75,7 +75,7 @@ CALLS = {
 """How each command is called; {run} is finished, {part} interrupted, {study} a study, {out} an empty folder."""
 
 PATHS = (Path, str | Path, StudyFolder)
-SLOW = ("measure", "plot", "report")
+SLOW = ("measure", "plot", "predict freshness", "report")
 """Commands that take seconds."""
 
 NAMED = ("path", "folder", "run", "study", "job", "file")

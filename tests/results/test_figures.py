@@ -13,6 +13,19 @@ from results.figures.catalogue import FIGURES
 from results.study import StudyResults
 from tests.results.synthetic import write
 
+X_AXES = {"encounters": "Duration [s]", "freshness": "Age [s]", "radio": "Distance [m]"}
+"""Label of the first axis of some figures, with the unit that the dictionary says."""
+
+
+@pytest.fixture(scope="module")
+def quiet(tmp_path_factory):
+    """A run in which nothing happened."""
+    path = write(tmp_path_factory.mktemp("quiet") / "quiet", steps=10, level="standard")
+    for table in ("encounters", "trust", "trust_lookups", "radio", "pdr_by_distance", "actors"):
+        for part in (path / table).iterdir():
+            part.unlink()
+    return path
+
 
 @pytest.mark.parametrize("name", FIGURES)
 def test_every_picture(run, other, name, tmp_path):
@@ -24,6 +37,7 @@ def test_every_picture(run, other, name, tmp_path):
             assert axes.get_title(loc="left"), "every panel has a title"
             assert axes.get_xlabel(), "and a label below"
             assert axes.has_data()
+        assert figure.axes[0].get_xlabel() == X_AXES.get(name, figure.axes[0].get_xlabel())
     assert style.save(figure, tmp_path / f"{name}.png").stat().st_size > 5000
 
 
@@ -57,12 +71,6 @@ def test_single_vehicles(run):
         trust.draw([run], vehicles=[59])
 
 
-def test_units_come_from_the_dictionary(run):
-    assert FIGURES["encounters"]([run]).axes[0].get_xlabel() == "Duration [s]"
-    assert FIGURES["freshness"]([run]).axes[0].get_xlabel() == "Age [s]"
-    assert FIGURES["radio"]([run]).axes[0].get_xlabel() == "Distance [m]"
-
-
 def test_inks_differ_in_grey():
     grey = [np.dot(to_rgb(ink), (0.299, 0.587, 0.114)) for ink in style.INKS[:4]]
     assert min(np.diff(grey)) > 0.08
@@ -84,13 +92,9 @@ def test_bad_requests(run, tmp_path):
 
 
 @pytest.mark.parametrize("name", FIGURES)
-def test_nothing_to_draw_is_one_clear_line(name, tmp_path):
-    path = write(tmp_path / "quiet", steps=10, level="standard")
-    for table in ("encounters", "trust", "trust_lookups", "radio", "pdr_by_distance", "actors"):
-        for part in (path / table).iterdir():
-            part.unlink()
+def test_nothing_to_draw_is_one_clear_line(name, quiet):
     with pytest.raises(ValueError) as caught:
-        FIGURES[name]([open_run(path)])
+        FIGURES[name]([open_run(quiet)])
     assert "\n" not in str(caught.value)
 
 

@@ -77,13 +77,6 @@ def test_a_dense_panel_is_a_bitmap_and_the_rest_stays_vector():
     assert all(line.get_rasterized() for line in dense.lines) and not sparse.lines[0].get_rasterized()
 
 
-def test_below_a_file_no_folder_is_made(tmp_path):
-    run = open_run(write(tmp_path / "run", steps=2, level="summary"))
-    (tmp_path / "file").touch()
-    with pytest.raises(OSError, match=r"Not a directory|File exists"):
-        report.write(run, tmp_path / "file" / "report.html")
-
-
 def test_one_screen_and_the_rest_is_folded(text):
     """Few numbers and two figures are open; every other figure, table and the config are in closed sections."""
     start = text.index("<details")

@@ -79,7 +79,7 @@ def test_noise_is_a_function_of_key_and_ray():
     assert (again.unrounded_m == noisy.unrounded_m[some]).all() and (again.hit == noisy.hit[some]).all()
     # written over an earlier result: the same
     reused = scan(
-        boxes, shape, observers, scene, params, keys, exact(boxes, shape, observers[::-1], scene), unrounded=True
+        boxes, shape, observers, scene, params, keys, exact(boxes, shape, observers[::-1].copy(), scene), unrounded=True
     )
     assert (reused.unrounded_m == noisy.unrounded_m).all()
 

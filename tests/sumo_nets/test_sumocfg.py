@@ -11,6 +11,7 @@ import pytest
 from sumo_nets import sumocfg, sumotools
 from sumo_nets.sumo_options import IGNORED, PASSED, READS, REFUSED, SYNONYMS
 from tests.cosim.traffic import mixed_scenario
+from tests.cosim.traffic.mixed_scenario import edited
 from tests.cosim.traffic.worlds import live, same
 
 
@@ -25,14 +26,6 @@ def template(tmp_path_factory):
     path = tmp_path_factory.mktemp("template") / "template.xml"
     sumotools.run("sumo", {"save-template": path}, path.parent)
     return {option.tag: option.get("type") for section in ElementTree.parse(path).getroot() for option in section}
-
-
-def edited(scenario, tmp_path, name="odd.sumocfg", change=lambda text: text):
-    for path in scenario.parent.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    text = (tmp_path / name).read_text(encoding="utf-8")
-    (tmp_path / name).write_text(change(text), encoding="utf-8")
-    return tmp_path / scenario.name
 
 
 def test_every_option_of_sumo_is_in_exactly_one_list(template):

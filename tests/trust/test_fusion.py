@@ -215,7 +215,7 @@ def random_step(world, seed, params):
 
 @pytest.mark.parametrize("method", get_args(Method))
 @given(world=worlds(), seed=st.integers(0, 2**32 - 1), one_per_vehicle=st.booleans())
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_twin(method, world, seed, one_per_vehicle):
     params = TrustParams(method=method, one_per_vehicle=one_per_vehicle)
     lists = world.lists

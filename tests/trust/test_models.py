@@ -47,7 +47,7 @@ def test_no_evidence_no_row(name):
 
 @every_model
 @given(world=histories, seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=40)
+@settings(max_examples=12)
 def test_order_of_arrival_changes_nothing(name, world, seed):
     """Messages one by one, up to nine steps late, in any order, some twice: bit for bit the same."""
     frames, rows = world
@@ -72,7 +72,7 @@ def test_order_of_arrival_changes_nothing(name, world, seed):
 
 @every_model
 @given(world=histories)
-@settings(max_examples=20)
+@settings(max_examples=6)
 def test_copies_are_independent_and_go_on_alike(name, world):
     frames, rows = world
     model = build(name)
@@ -198,7 +198,7 @@ WINDOWS = [
 
 
 @given(world=histories, seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=80)
+@settings(max_examples=30)
 def test_shared_evidence_changes_nothing(world, seed):
     """Scores and counters of models that share evidence are those of models of their own, late messages included."""
     frames, rows = world
@@ -235,7 +235,7 @@ def test_shared_evidence_changes_nothing(world, seed):
 
 
 @given(world=histories, grace=st.integers(1, 4))
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_without_expiry_prompt_evidence_counts_for_ever(world, grace):
     frames, rows = world
     off = TruPercept(TrustParams(freshness_s="off", grace_s=float(grace)), 1.0)

@@ -53,7 +53,7 @@ def test_every_model_has_a_twin():
 
 @pytest.mark.parametrize(("name", "ours", "theirs"), CASES)
 @given(world=histories, grace=st.integers(1, 9))
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_twin(name, ours, theirs, world, grace):
     frames, rows = world
     for dt_s in (1.0, 0.5):
@@ -69,7 +69,7 @@ def test_twin(name, ours, theirs, world, grace):
 
 @pytest.mark.parametrize("name", MODELS)
 @given(world=histories)
-@settings(max_examples=15)
+@settings(max_examples=6)
 def test_two_half_steps_equal_one(name, world):
     """Steps half as long, every second one empty: a decay that depends on the step is a defect of published code."""
     frames, rows = world

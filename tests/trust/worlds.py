@@ -60,7 +60,7 @@ def make(seed: int, n_vehicles: int, n_objects: int, all_received: bool = False)
         seen = rng.choice(n_objects, rng.integers(0, n_objects + 1))  # one object may be seen twice
         for k, o in enumerate(seen, start=1):
             rows.append((v, k, label_of[o], rng.integers(1, 101) / 100, False, o))
-    columns = np.array(rows, float).reshape(-1, 6).T
+    columns = np.array(rows, float).reshape(-1, 6).T.copy()  # contiguous as in a run: kernels are compiled once
     message, index, label, is_self, actor = columns[[0, 1, 2, 4, 5]].astype(np.int64)
     table = SentDetections(message, index, label.astype(np.uint8), columns[3], is_self == 1)
     d = len(table)

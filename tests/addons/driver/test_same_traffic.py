@@ -7,7 +7,7 @@ from tests.drive import simulate
 from tests.fingerprint import fingerprint
 
 KEYS = (
-    "traffic.step_s=0.5", "sensing_interval_s=0.5", "traffic.duration_s=15", "traffic.warmup_s=100",
+    "traffic.step_s=0.5", "sensing_interval_s=0.5", "traffic.duration_s=8", "traffic.warmup_s=100",
     "attacks.0.start_s=3", "attacks.0.share_p=0.3", "fleet.penetration_p=0.5",
 )  # fmt: skip
 

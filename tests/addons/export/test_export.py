@@ -125,16 +125,8 @@ def test_the_same_bytes_again(folder, vehicles, tmp_path, form):
 
 
 def test_a_mistake_is_one_line(folder, tmp_path):
-    done = cosim("export", "kitti", str(folder), "--out", str(tmp_path), "--vehicles", "x")
-    assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and done.stdout == ""
-
-
-@pytest.mark.parametrize(
-    "words", [("waymo",), ("kitti", "--vehicles", "99999"), ("kitti", "--vehicles", "../<b>x</b>"), ("veremi-nextgen",)]
-)
-def test_mistakes_on_the_command_line(folder, tmp_path, words):
-    """One line, exit status 2, nothing written."""
-    done = cosim("export", words[0], str(folder), "--out", str(tmp_path / "out"), *words[1:])
+    """Exit status 2, and nothing written."""
+    done = cosim("export", "kitti", str(folder), "--out", str(tmp_path / "out"), "--vehicles", "../<b>x</b>")
     assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and done.stdout == ""
     assert not (tmp_path / "out").exists()
 

@@ -147,6 +147,14 @@ def test_sensors_are_described_where_the_message_does_and_in_its_first_segment(t
     assert [m["range"] for m in messages] == [0, None, 0, 0], "the last is not in the table"
 
 
+def read_back(perceived):
+    """Objects of a message where the grid's north is turned by 90 degrees."""
+    n = len(perceived)
+    place = replace(NORTH.of_world(np.zeros((1, 2))), turn_rad=np.array([np.pi / 2]))
+    objects = pcap.objects_of(perceived, np.zeros((n, 3)), place, np.zeros(n, int))
+    return readers.cpm(etsi.cpm(etsi.CpmHead(1, 2, 3, 4, 5, 6.0), n, objects.between(0, n)))["objects"]
+
+
 def test_velocities_and_numbers_of_tracks():
     """North is turned by 90 degrees: 3 m/s to the map's east are 3 m/s to the south. The second object has no track."""
     rows = [truck.box((9, 0, 1), (4, 2, 1.8), 0.0)] * 3
@@ -155,14 +163,10 @@ def test_velocities_and_numbers_of_tracks():
         "velocity_x_mps": [3.0, np.nan, -1.25], "velocity_y_mps": [0.5, np.nan, 400.0],
         "object_id": pd.array([7, None, 2**15 + 9], "Int32"),
     })  # fmt: skip
-    place = replace(NORTH.of_world(np.zeros((1, 2))), turn_rad=np.array([np.pi / 2]))
-    objects = pcap.objects_of(perceived, np.zeros((3, 3)), place, np.zeros(3, int))
-    seen = readers.cpm(etsi.cpm(etsi.CpmHead(1, 2, 3, 4, 5, 6.0), 3, objects.between(0, 3)))["objects"]
+    seen = read_back(perceived)
     assert [o["velocity"] for o in seen] == [(50, -300), None, (16382, 125)], "400 m/s: out of range"
     assert [o["number"] for o in seen] == [7, 2**15 + 2, 9]
-    still = perceived.drop(columns=list(pcap.TRACKED))
-    objects = pcap.objects_of(still, np.zeros((3, 3)), place, np.zeros(3, int))
-    seen = readers.cpm(etsi.cpm(etsi.CpmHead(1, 2, 3, 4, 5, 6.0), 3, objects.between(0, 3)))["objects"]
+    seen = read_back(perceived.drop(columns=list(pcap.TRACKED)))
     assert [(o["velocity"], o["number"]) for o in seen] == [(None, 1), (None, 2), (None, 3)]
 
 
@@ -175,10 +179,7 @@ def test_stated_accuracies_are_confidence_values():
         "relative_xy_correlation": [0.3, np.nan, 0.0], "speed_std_mps": [0.25, np.nan, 9.0],
         "yaw_std_rad": [np.radians(2), np.nan, 1.0], "size_std": [0.05, np.nan, 2.0],
     })  # fmt: skip
-    place = replace(NORTH.of_world(np.zeros((1, 2))), turn_rad=np.array([np.pi / 2]))
-    objects = pcap.objects_of(perceived, np.zeros((3, 3)), place, np.zeros(3, int))
-    seen = readers.cpm(etsi.cpm(etsi.CpmHead(1, 2, 3, 4, 5, 6.0), 3, objects.between(0, 3)))["objects"]
-    found = [o.get("confidence") for o in seen]
+    found = [o.get("confidence") for o in read_back(perceived)]
     assert found[0] == {
         "x": 40, "y": 98, "z": 4096, "velocity": (49, 49), "angle": 40, "height": 2, "width": 2, "length": 4
     }  # fmt: skip

@@ -97,7 +97,9 @@ def test_a_name_names_files_in_the_folder(built, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-@pytest.mark.parametrize("suffix", [".osm.pbf", ".osm.bz2", ".osm"])
+@pytest.mark.parametrize(
+    "suffix", [".osm.pbf", *(pytest.param(s, marks=pytest.mark.verify) for s in (".osm.bz2", ".osm"))]
+)
 def test_the_same_town_from_whatever_it_is_packed_in(built, tmp_path, suffix):
     import osmium
 

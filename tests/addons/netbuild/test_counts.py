@@ -92,9 +92,16 @@ def test_demand_follows_counts_and_what_is_not_motorised_stays(town, tmp_path):
     assert counts.agreement(drawn, counted).good_share > 0.85
     assert new.vehicles_per_hour > 1.1 * town.vehicles_per_hour
     assert new.pedestrians_per_hour == town.pedestrians_per_hour
+
+
+@pytest.mark.verify
+def test_a_fit_is_repeated_and_a_fitted_city_is_fitted_anew(town, tmp_path):
+    own = counts.driven(town, counts._edges(town.net_path))
+    counted = {edge: round(value * 4 / 3) for edge, value in own.items() if value > 60}
+    drawn = counts.fit(town, counted, tmp_path / "new", seed=1)
     assert counts.fit(town, counted, tmp_path / "again", seed=1) == drawn
     assert (tmp_path / "again/SHA256SUMS").read_text() == (tmp_path / "new/SHA256SUMS").read_text()
-    twice = counts.fit(new, counted, tmp_path / "twice", seed=1)  # a fitted city can be fitted anew
+    twice = counts.fit(catalogue.open_folder(tmp_path / "new"), counted, tmp_path / "twice", seed=1)
     assert counts.agreement(twice, counted).good_share > 0.85
 
 

@@ -39,7 +39,7 @@ def test_new_writes_over_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "kind", [k if k in ("policy", "metric", "exporter") else pytest.param(k, marks=pytest.mark.verify) for k in KINDS]
+    "kind", [k if k in ("policy", "metric") else pytest.param(k, marks=pytest.mark.verify) for k in KINDS]
 )
 def test_an_example_keeps_all_laws(tmp_path, kind):
     call("new", kind, tmp_path / "mine.py")

@@ -30,8 +30,8 @@ BROKEN = {
     "Fails": ("it runs", "rows() raised ZeroDivisionError"),
 }
 """By class of `tests.addons.tryout.bad`: the law, and what is told about it."""
-OFTEN = ("LastWins", "DeniesTheTrue", "OwnGenerator", "NoisyRows", "OldestChanges", "HiddenState")
-"""Those that are tried in every run of the tests: one of each kind."""
+OFTEN = ("LastWins", "DeniesTheTrue", "NoisyRows", "HiddenState")
+"""Those that are tried in every run of the tests. `test_commands.py` tries a policy."""
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from cosim.attacks.adversary import with_perceived, without_faults
 from cosim.base.codes import DetectionFault
@@ -94,6 +95,7 @@ class Loud:
 """
 
 
+@pytest.mark.verify
 def test_such_an_attack_does_not_end_the_run(tmp_path):
     """In the default world. In the plain one it is `tests/test_hostile.py`."""
     (tmp_path / "m.py").write_text(LOUD)

@@ -30,6 +30,12 @@ def test_a_file_is_written_under_its_name(tmp_path):
     assert (tmp_path / "a").read_bytes() == b"content" and (tmp_path / "precious").read_text() == "mine"
 
 
+def test_below_a_file_no_folder_is_made(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match=r"Not a directory|File exists"):
+        durable.write_output(tmp_path / "file" / "report.html", b"page")
+
+
 def test_a_lock_is_a_regular_file(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to(tmp_path / "victim")

@@ -42,7 +42,7 @@ BEFORE = {
 }
 """What makes the files that a page's commands take from its reader."""
 
-QUICK = ("cosim nets list", "cosim --version", "cosim measure --explain", "cosim sweep freshness --out fresh --dry-run")
+QUICK = ("cosim nets list", "cosim --version", "cosim measure --explain")
 
 OFFLINE = dict.fromkeys(("http_proxy", "https_proxy", "all_proxy"), "http://127.0.0.1:9") | {"PIP_NO_INDEX": "1"}
 """Nothing can be fetched with these."""
@@ -119,36 +119,39 @@ def test_the_notebook(folder):
     assert "mean speed" in said and (folder / "work/trust.svg").exists()
 
 
-@pytest.mark.verify
-@pytest.mark.filterwarnings("ignore")
-def test_the_notebook_of_the_tutorial(folder, monkeypatch):
-    """From nothing to a figure, a step with its clouds, a model of one's own: every cell runs in an empty folder."""
+@pytest.fixture
+def carried_out(folder, monkeypatch):
+    """What a notebook of the tutorial prints whose cells are carried out in an empty folder, one text replaced."""
     nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
     pytest.importorskip("ipykernel")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    book = nbformat.read(PAGES / "tutorial/start.ipynb", 4)
-    assert not any(cell.get("outputs") for cell in book.cells), "it is kept without outputs"
-    nbformat.validate(book)
-    nbclient.NotebookClient(book, timeout=1200, resources={"metadata": {"path": str(folder / "work")}}).execute()
-    printed = "".join(out.get("text", "") for cell in book.cells for out in cell.get("outputs", []))
+
+    def run(name, *instead):
+        book = nbformat.read(PAGES / f"tutorial/{name}.ipynb", 4)
+        assert not any(cell.get("outputs") for cell in book.cells), "it is kept without outputs"
+        nbformat.validate(book)
+        for cell in book.cells if instead else ():
+            cell.source = cell.source.replace(*instead)
+        nbclient.NotebookClient(book, timeout=1200, resources={"metadata": {"path": str(folder / "work")}}).execute()
+        return "".join(out.get("text", "") for cell in book.cells for out in cell.get("outputs", []))
+
+    return run
+
+
+@pytest.mark.verify
+@pytest.mark.filterwarnings("ignore")
+def test_the_notebook_of_the_tutorial(folder, carried_out):
+    """From nothing to a figure, a step with its clouds, a model of one's own: every cell runs in an empty folder."""
+    printed = carried_out("start")
     assert "fused objects" in printed and "mean trust" in printed and (folder / "work/trust.svg").exists()
 
 
 @pytest.mark.verify
 @pytest.mark.filterwarnings("ignore")
-def test_the_notebook_of_the_question(folder, monkeypatch):
+def test_the_notebook_of_the_question(folder, carried_out):
     """The notebook as it ships, with a shorter study of the same keys: three sentences and two figures."""
-    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
-    pytest.importorskip("ipykernel")
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    book = nbformat.read(PAGES / "tutorial/question.ipynb", 4)
-    assert not any(cell.get("outputs") for cell in book.cells), "it is kept without outputs"
-    nbformat.validate(book)
     (folder / "work" / "short.toml").write_text(short.shortened("question"))
-    for cell in book.cells:
-        cell.source = cell.source.replace('STUDY = "question"', 'STUDY = "short.toml"')
-    nbclient.NotebookClient(book, timeout=1200, resources={"metadata": {"path": str(folder / "work")}}).execute()
-    printed = "".join(out.get("text", "") for cell in book.cells for out in cell.get("outputs", []))
+    printed = carried_out("question", 'STUDY = "question"', 'STUDY = "short.toml"')
     assert printed.count("\n- ") + printed.startswith("- ") == 3 and "encounters per vehicle and hour" in printed
     assert (folder / "work/durations.svg").exists() and (folder / "work/ages.svg").exists()
 

@@ -9,7 +9,7 @@ from results.archive import open_run
 from tests.drive import drive
 
 SETTINGS = (
-    "traffic.step_s=0.2", "sensing_phase=random", "traffic.duration_s=8", "traffic.warmup_s=120", "record.level=full",
+    "traffic.step_s=0.2", "sensing_phase=random", "traffic.duration_s=5", "traffic.warmup_s=120", "record.level=full",
     "fleet.penetration_p=1", "radio.dcc.t_off_s=[0.2,0.21,0.22,0.25,1.0]", "trust.host=local", "record.block_steps=10",
 )  # fmt: skip
 LIFETIME_S = 0.4

@@ -105,7 +105,7 @@ def test_a_detection_is_evaluated_once_by_each(runs):
         assert len(named) == len(run.evaluations), "each names a detection"
 
 
-def test_boxes_of_fused_objects_are_those_of_earlier_messages(runs, tmp_path):
+def test_boxes_of_fused_objects_are_those_of_earlier_messages(runs):
     for run in runs:
         fused = run.fused.merge(
             run.detections, left_on=["source_step", "source", "source_index"],
@@ -113,8 +113,13 @@ def test_boxes_of_fused_objects_are_those_of_earlier_messages(runs, tmp_path):
         )  # fmt: skip
         assert len(fused) == len(run.fused) and (fused.length_m == fused.length_m_there).all()
         assert (fused.source_step < fused.step).any()
+
+
+@pytest.mark.verify
+def test_neither_threads_nor_blocks_change_a_table(runs, tmp_path):
+    """`tests/test_determinism.py` says so where all sense together."""
     short = open_run(drive(tmp_path / "blocks", *RANDOM, "record.block_steps=2"))
-    assert fingerprint(short.path) == fingerprint(runs[0].path), "neither threads nor blocks change a table"
+    assert fingerprint(short.path) == fingerprint(runs[0].path)
     pd.testing.assert_frame_equal(short.fused, runs[0].fused)
 
 

@@ -58,7 +58,7 @@ def test_bad_input(tmp_path, key):
 def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
     common = (
-        "traffic.duration_s=8",
+        "traffic.duration_s=5",
         "traffic.warmup_s=300",
         "attacks.0.share_p=0",
         "attacks.1.share_p=0",

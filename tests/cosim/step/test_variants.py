@@ -20,10 +20,14 @@ VARIANTS = {
     "none": {"host": "none"},
     "averaging": {"method": "averaging"},
 }
-RARE = ("never", "frequent", "skip", "local short", "none", "own", "averaging")
-"""Those that differ from another one by a parameter, or compute nothing."""
+RARE = ("beta", "local", "never", "frequent", "skip", "local short", "none", "own", "averaging")
+"""Those that differ from another one by a parameter or a model, or that compute nothing.
+
+`tests/cosim/studies/test_sweep.py` has local trust beside a plain run.
+"""
 FUSED = ("short", "local", "averaging")
 TABLES = ("trust", "trust_lookups", "fused")
+SHORT = ("record.level=full", "traffic.duration_s=14")
 
 
 def settings(changes, prefix):
@@ -36,7 +40,7 @@ def together(tmp_path_factory):
     overrides = []
     for number, (name, changes) in enumerate(VARIANTS.items()):
         overrides += settings({"name": name, "fused": name in FUSED} | changes, f"trust_variant.{number}")
-    return open_run(drive(tmp_path_factory.mktemp("variants") / "run", "record.level=full", *overrides))
+    return open_run(drive(tmp_path_factory.mktemp("variants") / "run", *SHORT, *overrides))
 
 
 def of(run, table, name):
@@ -48,7 +52,7 @@ def of(run, table, name):
     "name", [pytest.param(name, marks=pytest.mark.verify) if name in RARE else name for name in VARIANTS]
 )
 def test_a_variant_equals_a_run_of_its_own(together, tmp_path, name):
-    alone = open_run(drive(tmp_path / "run", "record.level=full", *settings(VARIANTS[name], "trust")))
+    alone = open_run(drive(tmp_path / "run", *SHORT, *settings(VARIANTS[name], "trust")))
     compared = 0
     for table in TABLES if name in FUSED else TABLES[:2]:
         mine, own = of(together, table, name), of(alone, table, "base")
@@ -60,7 +64,7 @@ def test_a_variant_equals_a_run_of_its_own(together, tmp_path, name):
 
 
 def test_the_acting_one_does_not_notice(together, tmp_path):
-    alone = open_run(drive(tmp_path / "run", "record.level=full"))
+    alone = open_run(drive(tmp_path / "run", *SHORT))
     for table in together.tables:
         mine, own = together.table(table), alone.table(table)
         if "variant" in mine:

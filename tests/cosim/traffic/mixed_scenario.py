@@ -1,6 +1,8 @@
 """A small world of oddities: left-hand traffic on a hill, without projection, with rail, water, containers, riders."""
 
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from sumo_nets import sumotools
 
@@ -65,16 +67,34 @@ POLYGONS = """<additional>
 def write(folder: Path, end: float = 90) -> Path:
     """The .sumocfg of it, with everything that it names."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "odd.nod.xml").write_text(NODES)
-    (folder / "odd.edg.xml").write_text(EDGES)
-    sumotools.run(
-        "netconvert",
-        {"node-files": "odd.nod.xml", "edge-files": "odd.edg.xml", "output-file": "odd net.net.xml", "lefthand": True,
-         "offset.disable-normalization": True, "no-warnings": True, "crossings.guess": True},
-        folder,
-    )  # fmt: skip
+    (folder / "odd net.net.xml").write_bytes(network())
     for name, text in {
         "odd.rou.xml": DEMAND, "odd.add.xml": DETECTOR, "odd.poly.xml": POLYGONS, "odd.sumocfg": CONFIG.format(end=end),
     }.items():  # fmt: skip
         (folder / name).write_text(text, encoding="utf-8")
     return folder / "odd.sumocfg"
+
+
+@cache
+def network() -> bytes:
+    """The network file, which netconvert makes once for all tests."""
+    with TemporaryDirectory() as made:
+        folder = Path(made)
+        (folder / "odd.nod.xml").write_text(NODES)
+        (folder / "odd.edg.xml").write_text(EDGES)
+        sumotools.run(
+            "netconvert",
+            {"node-files": "odd.nod.xml", "edge-files": "odd.edg.xml", "output-file": "odd net.net.xml",
+             "lefthand": True, "offset.disable-normalization": True, "no-warnings": True, "crossings.guess": True},
+            folder,
+        )  # fmt: skip
+        return (folder / "odd net.net.xml").read_bytes()
+
+
+def edited(scenario: Path, folder: Path, name: str = "odd.sumocfg", change=lambda text: text) -> Path:
+    """A copy of a scenario in a folder, with one file changed."""
+    for path in scenario.parent.iterdir():
+        (folder / path.name).write_bytes(path.read_bytes())
+    text = (folder / name).read_text(encoding="utf-8")
+    (folder / name).write_text(change(text), encoding="utf-8")
+    return folder / scenario.name

@@ -17,6 +17,7 @@ from sensors.boxes import Boxes
 from sensors.scene import Shape
 from tests import SHARED
 from tests.cosim.traffic import mixed_scenario
+from tests.cosim.traffic.mixed_scenario import edited
 from tests.cosim.traffic.worlds import live, same
 from tests.drive import cosim
 from tests.hostile.scenes import write_town
@@ -30,15 +31,6 @@ SPY = '<!DOCTYPE a [<!ENTITY a SYSTEM "file:///etc/hosts">]>'
 @pytest.fixture(scope="module")
 def scenario(tmp_path_factory):
     return mixed_scenario.write(tmp_path_factory.mktemp("odd"), end=700)
-
-
-def edited(scenario, tmp_path, name, change):
-    """A copy of the scenario with one file changed."""
-    for path in scenario.parent.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    text = (tmp_path / name).read_text(encoding="utf-8")
-    (tmp_path / name).write_text(change(text), encoding="utf-8")
-    return tmp_path / scenario.name
 
 
 LOST = '<vehicle id="lost" depart="600"><route edges="nowhere"/></vehicle></routes>'

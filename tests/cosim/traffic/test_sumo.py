@@ -65,14 +65,6 @@ def test_clients_seeds_and_threads_that_a_configuration_asks_for_change_no_traff
     same(live(str(config), 0, 40)[0], plain)
 
 
-def test_what_sumo_complains_of_though_it_goes_on_is_told(tmp_path):
-    config = mixed_scenario.write(tmp_path)
-    assert "sumo_errors" not in live(str(config), 0, 5)[1]
-    config.write_text(config.read_text().replace("</processing>", '<collision.action value="zz"/></processing>'))
-    report = live(str(config), 0, 5)[1]
-    assert report["sumo_errors"] == ["Invalid collision.action 'zz'."]
-
-
 def mixed(folder: Path, **keys):
     """The mixed scenario, running."""
     return find(str(mixed_scenario.write(folder))).traffic(TrafficParams(), registry(), **keys)

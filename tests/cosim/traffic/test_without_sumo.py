@@ -1,13 +1,13 @@
-"""Recorded traffic is replayed where neither SUMO nor Embree is installed; here, the modules are hidden."""
+"""Recorded traffic is replayed where neither SUMO nor Embree is installed; here, the modules are hidden.
+
+One process without these modules carries out several commands, each in a child.
+"""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
-from tests.drive import simulate
+from tests.drive import in_turn, simulate
 from tests.hostile.scenes import write_trace
 
 HIDE = """
@@ -29,25 +29,32 @@ def hidden(name):
         raise importlib.metadata.PackageNotFoundError(name)
     return version(name)
 importlib.metadata.version = hidden
-from cosim.cli.main import main
-sys.argv[0] = "cosim"
-main()
 """
 
 
-def hidden(*words: str, cwd: Path) -> subprocess.CompletedProcess:
-    """`cosim` with these words, without SUMO, Embree and the libraries of extras."""
-    return subprocess.run([sys.executable, "-c", HIDE, *words], cwd=cwd, capture_output=True, text=True, check=False)
+REFUSED = {
+    "a city": (["run"], "libsumo is not installed. Install it: pip install libsumo==1.28.0"),
+    "a city of SUMO's": (["run", "--set", "traffic.scenario=adlershof"], "make extra NAME=build"),
+    "no trace": (["check", "--set", "lidar.engine=embree", "--set", "traffic.trace=x"], "traffic.trace"),
+}
 
 
-def test_a_trace_runs(tmp_path):
-    trace = write_trace(tmp_path)
-    done = hidden(
-        "run", "--set", f"traffic.scenario={trace}", "--set", "traffic.duration_s=5", "--out", "run", cwd=tmp_path
-    )
-    assert done.returncode == 0, done.stderr
-    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory):
+    """The folder of some commands, and how each of them ended: those that are refused, a list, and a run."""
+    folder = tmp_path_factory.mktemp("hidden")
+    trace = write_trace(folder)
+    run = ["run", "--set", f"traffic.scenario={trace}", "--set", "traffic.duration_s=5", "--out", "run"]
+    done = in_turn(*(words for words, _ in REFUSED.values()), ["nets", "list"], run, cwd=folder, before=HIDE)
+    return folder, dict(zip((*REFUSED, "list", "run"), done, strict=True))
+
+
+def test_a_trace_runs_and_nothing_else_is_written(ended):
+    folder, done = ended
+    assert done["run"].returncode == 0, done["run"].stderr
+    manifest = json.loads((folder / "run" / "manifest.json").read_text())
     assert manifest["status"] == "finished" and "libsumo" not in manifest["versions"]
+    assert sorted(path.name for path in folder.iterdir()) == ["run", "street.csv"]
 
 
 @pytest.mark.verify
@@ -56,28 +63,17 @@ def test_a_shipped_city_replays_a_run(tmp_path):
     recorded = simulate(tmp_path / "first", "traffic.duration_s=10", "traffic.warmup_s=60", "sensing=false")
     sets = ["preset=v0.2", "traffic.scenario=helsinki", f"traffic.trace={recorded}", "traffic.duration_s=5"]
     words = [word for text in sets for word in ("--set", text)]
-    assert hidden("check", *words, cwd=tmp_path).returncode == 0
-    done = hidden("run", *words, "--out", "again", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert hidden("measure", "again", cwd=tmp_path).returncode == 0
+    commands = ["check", *words], ["run", *words, "--out", "again"], ["measure", "again"]
+    for done in in_turn(*commands, cwd=tmp_path, before=HIDE):
+        assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["run"], "libsumo is not installed. Install it: pip install libsumo==1.28.0"),
-        (["run", "--set", "traffic.scenario=adlershof"], "make extra NAME=build"),
-        (["check", "--set", "lidar.engine=embree", "--set", "traffic.trace=x"], "traffic.trace"),
-    ],
-)
-def test_what_needs_sumo_says_so_in_one_line(tmp_path, words, says):
-    hidden("nets", "example", cwd=tmp_path)
-    before = sorted(tmp_path.iterdir())
-    done = hidden(*words, cwd=tmp_path)
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_needs_sumo_says_so_in_one_line(ended, what):
+    done = ended[1][what]
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
-    assert says in done.stderr
-    assert sorted(tmp_path.iterdir()) == before
+    assert REFUSED[what][1] in done.stderr
 
 
-def test_cities_are_listed(tmp_path):
-    assert "adlershof" in hidden("nets", "list", cwd=tmp_path).stdout
+def test_cities_are_listed(ended):
+    assert "adlershof" in ended[1]["list"].stdout
