@@ -170,7 +170,7 @@ def messages_of(
     number
         Number of what each evaluation is about, in place of that of the detection; None if all are about detections.
     """
-    kept = Evaluations(evaluations.evaluation[keep], evaluations.visibility[keep])
+    kept = evaluations.take(keep)
     sent = subset(lists, keep)
     made = tables.as_messages(
         step, messages.pseudonym, sent, messages.detections, kept, messages.detection_step(sent.member)
