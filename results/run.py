@@ -265,8 +265,7 @@ class Run:
         wanted = list(encounters.columns if columns is None else columns)
         of_trust = [c for c in TABLES["encounter_trust"].columns if c != "variant"]
         key = [c for c in of_trust if c in encounters.key]
-        not_of_trust = [c for c in wanted if c not in of_trust]
-        others = [c for c in encounters.columns if c in key or c in not_of_trust]
+        others = key + [c for c in encounters.columns if c in wanted and c not in of_trust]
         trust = self.table("encounter_trust", of_trust, self._of_variant("encounter_trust", None))
         return self.table("encounters", others, where).merge(trust, on=key, how="left")[wanted]
 

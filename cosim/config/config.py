@@ -493,7 +493,7 @@ def _variant(
     if not isinstance(fused, bool):
         raise ValueError(f"{place}.fused = {fused!r} should be true or false. Set it in {where}.")
     merged = trust | changes
-    known = {f.name for f in fields(TrustParams)} | _own_fields(merged, "trust", folder)
+    known = {f.name for f in fields(TrustParams)} | _fields_of_model(merged.get("model"), folder)
     merged = {key: value for key, value in merged.items() if key in known or key in changes}
     own = _take_own(merged, "trust", TrustParams, where, folder)
     if "model" in changes:
@@ -503,13 +503,11 @@ def _variant(
     return TrustVariant(name=name, fused=fused, changes=changes, trust=params, own=own)
 
 
-def _own_fields(section: Mapping[str, Any], name: str, folder: Path | None) -> set[str]:
-    """Names of the parameters of the class that the section names."""
-    kind = SECTIONS[name]
-    given = section.get(kind.key)
-    if not isinstance(given, str):
+def _fields_of_model(model: Any, folder: Path | None) -> set[str]:
+    """Names of the parameters of a trust model."""
+    if not isinstance(model, str):
         return set()
-    choice = resolve(kind, given, folder)
+    choice = resolve(SECTIONS["trust"], model, folder)
     return set() if choice.params is None else {f.name for f in fields(choice.params)}
 
 
@@ -533,11 +531,11 @@ def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder
     taken = {key: section.pop(key) for key in list(section) if key in of_class}
     if unknown := [key for key in section if key not in of_section]:
         raise unknown_key(unknown[0], sorted(of_section | of_class), f"{name}.", where)
-    check_finite(taken, f"{name}.", where)
+    check_finite(taken, name, where)
     values = asdict(_params(choice, taken, name, where))
     own = {key: value for key, value in values.items() if key in of_class}
     _check_plain(own, choice)
-    check_finite(own, f"{name}.", f"{choice.source.file or where}")
+    check_finite(own, name, choice.source.file or where)
     return own
 
 

@@ -159,9 +159,8 @@ def check_finite(data: Any, name: str, where: str) -> None:
         items = data.items()
     elif isinstance(data, list):
         items = enumerate(data)
-    prefix = name if not name or name.endswith(".") else f"{name}."
     for key, value in items:
-        check_finite(value, f"{prefix}{key}", where)
+        check_finite(value, f"{name}.{key}", where)
 
 
 def is_plain(data: Any) -> bool:
