@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray
 
-from cosim.base.ragged import offsets, ranges
+from cosim.base.ragged import offsets, owner_of_rows, ranges
 from trust.open_steps import AcceptedEvaluations, OpenStep
 from trust.tables import EvaluationMessages, float64, pair_key, unpaired
 
@@ -187,7 +187,7 @@ class StepEvidence:
         phi, phi_e = self.sums.T
         n, n_seeing = self.n_evaluations.T
         n_slots = np.diff(self.block)
-        pair_of_slot = np.repeat(np.arange(self.pairs.size), n_slots)
+        pair_of_slot = owner_of_rows(n_slots)
         first_detection = self.sent.first[self._subjects(self.pairs)]
         score = self.sent.score[ranges(first_detection, n_slots)]
         is_counted = (n > 0) & (score >= counting.least_score)

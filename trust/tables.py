@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numba import njit
 from numpy import ndarray
 
-from cosim.base.ragged import offsets, ptr_of, ranges
+from cosim.base.ragged import offsets, owner_of_rows, ptr_of, ranges
 from cosim.base.rows import Rows
 
 SERVER = 1 << 30
@@ -71,7 +71,7 @@ class ObjectLists:
 
     @cached_property
     def _of_member(self) -> Int[ndarray, "m"]:
-        return np.repeat(np.arange(self.owner.size), np.diff(self.ptr))
+        return owner_of_rows(np.diff(self.ptr))
 
     def of(self, position: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
         """List to which each of some positions belongs.
@@ -85,8 +85,7 @@ class ObjectLists:
         -------
         Row of `owner` for each of them.
         """
-        n_of_list = np.diff(np.searchsorted(position, self.ptr))
-        return np.repeat(np.arange(self.owner.size), n_of_list)
+        return owner_of_rows(np.diff(np.searchsorted(position, self.ptr)))
 
 
 @dataclass(frozen=True)  # as `ObjectLists`
@@ -150,8 +149,7 @@ class SenderTrust:
 
     def canonical(self) -> "SenderTrust":
         """Each ego's messages in ascending order, each message once: of repeated ones, the first row stays."""
-        n_messages = np.diff(self.ptr)
-        ego = np.repeat(np.arange(n_messages.size), n_messages)
+        ego = owner_of_rows(np.diff(self.ptr))
         key = ego << 32 | self.message  # in the order of (ego, message)
         if np.all(key[1:] > key[:-1]):
             return self
@@ -418,7 +416,7 @@ class ReceivedEvaluations:
         pos, neg = pos[order], neg[order]
         begins = np.flatnonzero(np.diff(keys, prepend=-1))  # of each group: one message and one observer
         size = np.diff(np.append(begins, keys.size))
-        group = np.repeat(np.arange(size.size), size)
+        group = owner_of_rows(size)
         message, observer = unpaired(keys[begins])
         at, n = self._received_rows(message)  # groups, once for every holder that received their message
         summed = ObserverRows(
@@ -431,7 +429,7 @@ class ReceivedEvaluations:
         )
         single = ranges(begins[at], size[at])
         return summed, DetectionRows(
-            row=np.repeat(np.arange(at.size), size[at]),
+            row=owner_of_rows(size[at]),
             detection_index=int64(messages.detection_index)[kept[single]],
             pos=pos[single],
             neg=neg[single],

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.base.ragged import distinct, expand, offsets, ptr_of, ranges, rows_of
+from cosim.base.ragged import distinct, expand, offsets, owner_of_rows, ptr_of, ranges, rows_of
 from cosim.messages.content import Detections, velocities
 from cosim.radio.message_round import Receptions, RoundKind
 from cosim.step.accuracy import aged
@@ -148,7 +148,7 @@ class Inbox:
         actor_row, exists = rows_of(self.truth.actor_row, world.actor)
         old = self.objects.boxes
         boxes, moved_m = old, None
-        of = np.repeat(np.arange(len(self.step)), np.diff(self.ptr))  # message of each detection
+        of = owner_of_rows(np.diff(self.ptr))  # message of each detection
         if age_s is not None:
             boxes = extrapolated(old, velocities(self.objects), age_s[of])
             old_moved_m = boxes.xyz_m[:, :2] - old.xyz_m[:, :2]
