@@ -266,8 +266,9 @@ class Adversary:
             return np.zeros(len(world), np.int64)
         rank = state.rank[number]
         new = np.flatnonzero(member & (rank[world.actor] < 0))
-        cell = np.floor(world.boxes.xyz_m[new, :2] / _CELL_M)
-        new = new[np.lexsort((world.actor[new], cell[:, 1], cell[:, 0]))]
+        east, north = np.floor(world.boxes.xyz_m[new, :2] / _CELL_M).T  # cell of each
+        order = np.lexsort((world.actor[new], north, east))
+        new = new[order]
         next_rank = rank.max(initial=-1) + 1
         rank[world.actor[new]] = next_rank + np.arange(len(new))
         return rank[world.actor] // size
@@ -302,7 +303,8 @@ def with_perceived(listed: Detections, perceived: Detections) -> Detections:
     key = _key_of_observer(listed)
     perceived_key = _key_of_observer(perceived)
     is_real = listed.origin != FABRICATED
-    if np.array_equal(key[is_real], perceived_key) and np.array_equal(listed.origin[is_real], perceived.origin):
+    has_all = np.array_equal(key[is_real], perceived_key)
+    if has_all and np.array_equal(listed.origin[is_real], perceived.origin):
         return listed
     at = np.searchsorted(perceived_key, key)
     is_perceived = (listed.identity == 0) & (np.append(perceived_key, -1)[at] == key)
@@ -340,7 +342,8 @@ def without_faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> tuple[De
     if n_dropped.any():
         listed = listed.take(np.flatnonzero(fault < 0))
     # One integer in the order of the key: numbers and identities have 16 bits at most. No key is there twice.
-    key = (listed.observer.astype(np.int64) << 16 | listed.identity) << 16 | listed.detection_index
+    message = listed.observer.astype(np.int64) << 16 | listed.identity
+    key = message << 16 | listed.detection_index
     if (key[1:] < key[:-1]).any():
         listed = listed.take(np.argsort(key))
     return listed, n_dropped

@@ -227,7 +227,14 @@ def _pairs(messages: Known, n_now: int, params: TrustParams) -> Pairs:
     return one, other, overlap
 
 
-_SIGMA_POINTS = np.sqrt(2.0) * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+_SIGMA_POINTS = np.sqrt(2.0) * np.array(
+    [
+        [1.0, 0.0],
+        [-1.0, 0.0],
+        [0.0, 1.0],
+        [0.0, -1.0],
+    ]
+)
 """Places around a box along the axes of its variance, in standard deviations. Their mean and their variance are those
 of the position: the points of third-degree cubature."""
 

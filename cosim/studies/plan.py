@@ -105,9 +105,11 @@ def _merged(group: Sequence[Point], fused: bool) -> PlannedRun:
     data["trust_variant"] = []
     members = [(first.id, BASE_VARIANT)]
     for point in others:
-        trust = point.config.to_dict()["trust"]
-        changes = {key: value for key, value in trust.items() if key not in acting or acting[key] != value}
-        data["trust_variant"].append({"name": point.id, "fused": fused} | changes)
+        variant = {"name": point.id, "fused": fused}
+        for key, value in point.config.to_dict()["trust"].items():
+            if key not in acting or acting[key] != value:
+                variant[key] = value
+        data["trust_variant"].append(variant)
         members.append((point.id, point.id))
     as_in_a_file = json.loads(json.dumps(data, default=str))
     config = resolve_data(as_in_a_file, "the plan", None)

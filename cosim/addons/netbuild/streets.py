@@ -55,6 +55,7 @@ class _Section:
 _Arcs = Sequence[tuple[int, bool]]
 """Directions in which sections may be driven: number of the section, and whether in the order of its nodes."""
 _Runs = Sequence[tuple[Way, tuple[int, ...]]]
+"""Ways, and runs of their nodes inside the extract."""
 
 SMALLEST_M = 300.0
 """A component of the network that is connected with the rest only outside the extract stays if it extends at least
@@ -102,7 +103,8 @@ def left_out(extract: Extract, classes: frozenset[str], kept: Sequence[Way]) -> 
     all_m: dict[str, float] = defaultdict(float)
     for way in extract.ways.values():
         if way.tags.get("highway") in classes and way.tags.get("area") != "yes":
-            all_m[way.tags["highway"]] += sum(length_m(extract, run) for run in pieces(way, extract.place))
+            length = sum(length_m(extract, run) for run in pieces(way, extract.place))
+            all_m[way.tags["highway"]] += length
     kept_m: dict[str, float] = defaultdict(float)
     for way in kept:
         kept_m[way.tags["highway"]] += length_m(extract, way.nodes)
@@ -145,7 +147,8 @@ def _sections(runs: _Runs) -> list[_Section]:
     sections = []
     for number, (way, run) in enumerate(runs):
         cuts = [i for i, node in enumerate(run) if n_uses[node] > 1]
-        sections += [_Section(way, number, run[a : b + 1]) for a, b in pairwise(cuts)]
+        for first, last in pairwise(cuts):
+            sections.append(_Section(way, number, run[first : last + 1]))
     return sections
 
 
@@ -170,8 +173,9 @@ def _gates(
     degree_m = lon_shrinks * EARTH_RADIUS_M * np.pi / 180.0  # length of one degree of longitude and of latitude
     gates = set()
     for way, run in runs:
-        ends = (run[0], way.nodes[0]), (run[-1], way.nodes[-1])
-        for node, end_of_way in ends:
+        begin = run[0], way.nodes[0]
+        end = run[-1], way.nodes[-1]
+        for node, end_of_way in (begin, end):
             here = np.array(extract.place[node])
             from_edge_m = (np.minimum(here - low, high - here) * degree_m).min()
             if n_ends[node] == 1 and (node != end_of_way or from_edge_m < edge_m):
