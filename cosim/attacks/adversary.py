@@ -45,7 +45,7 @@ class AttackState:
 
 
 @dataclass(frozen=True, slots=True)
-class Active:
+class ActiveAttacks:
     """The attacks that are active in one step, in the order of the config."""
 
     attacks: tuple[tuple[Attack, AttackContext], ...]
@@ -213,7 +213,7 @@ class Adversary:
         time_s: float,
         trust: Float[ndarray, "n"] | None = None,
         sends: Bool[ndarray, "n"] | None = None,
-    ) -> Active:
+    ) -> ActiveAttacks:
         """The attacks that at least one vehicle carries out in this step. The function updates `state`.
 
         Parameters
@@ -254,7 +254,7 @@ class Adversary:
                 walls=self.walls,
             )
             found.append((attack, context))
-        return Active(tuple(found), world.boxes.xyz_m, sends)
+        return ActiveAttacks(tuple(found), world.boxes.xyz_m, sends)
 
     def _members(self, world: World, number: int) -> Bool[ndarray, "n"]:
         return world.equipped & (world.attack == self.owner[number] + 1)

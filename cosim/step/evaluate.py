@@ -118,7 +118,8 @@ def evaluate_objects(
     lists, at = lists_of_identities(lists, exchange.senders)
     if at is not None:  # rows of the lists of vehicles, once for each of their identities
         n_points, plausible, ego_detected = n_points[at], plausible[at], ego_detected[at]
-        own, reported, lied, is_sent = own.take(at), reported.take(at), lied[at], is_sent[at]
+        own, reported = own.take(at), reported.take(at)
+        lied, is_sent = lied[at], is_sent[at]
         number = None if number is None else number[at]
         kept_messages = messages_of(step, messages, lists, own, is_sent, number)
     return Evaluated(

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.attacks.adversary import Active
+from cosim.attacks.adversary import ActiveAttacks
 from cosim.attacks.disguise import shuffled
 from cosim.messages.content import (
     SENSED,
@@ -40,7 +40,7 @@ def senders_among(world: World, vehicles: Vehicles) -> Bool[ndarray, "n"] | None
 
 
 def senders_of(
-    world: World, vehicles: Vehicles, attacks: Active, pseudonyms: PseudonymState, parts: Parts
+    world: World, vehicles: Vehicles, attacks: ActiveAttacks, pseudonyms: PseudonymState, parts: Parts
 ) -> tuple[PseudonymState, Senders]:
     """The messages of one round, one per vehicle that senses and identity, with their pseudonyms."""
     senders = Senders.of(vehicles, attacks.identities(len(world))[vehicles.row[vehicles.senses]])

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
-from cosim.attacks.adversary import Active
+from cosim.attacks.adversary import ActiveAttacks
 from cosim.attacks.attack import EvaluationRows
 from cosim.base.ragged import offsets, ptr_of, ranges
 from cosim.messages.content import SELF, Detections
@@ -112,7 +112,7 @@ def questions_of(
 
 
 def as_reported(
-    active: Active,
+    active: ActiveAttacks,
     evaluated: Evaluations,
     lists: ObjectLists,
     listed: Detections,
