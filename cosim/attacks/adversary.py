@@ -84,7 +84,7 @@ class ActiveAttacks:
         perceived = listed
         listed, n_dropped = without_faults(listed, self.xyz_m)
         seen = listed  # what attacks learn of real detections, whatever the attacks before them did
-        n_identities = self.identities(len(self.xyz_m))
+        n_identities = self.identities()
         for attack, context in self._on_messages("detections"):
             listed = attack.detections(listed, replace(context, n_identities=n_identities, seen=seen))
             listed, n_dropped_here = without_faults(listed, self.xyz_m)
@@ -106,27 +106,27 @@ class ActiveAttacks:
             evaluation, visibility = attack.evaluations(now, detections, context)
         return evaluation, visibility
 
-    def identities(self, n: int) -> Int[ndarray, "n"]:
-        """Number of identities under which each of the `n` actors sends in addition to its own, by row of the world.
+    def identities(self) -> Int[ndarray, "n"]:
+        """Number of identities under which each actor sends in addition to its own, by row of the world.
 
         If several attacks give an actor identities, the largest number is used.
         """
-        found = np.zeros(n, np.int64)
+        found = np.zeros(len(self.xyz_m), np.int64)
         for attack, context in self._on_messages("identities"):
             found = np.maximum(found, np.where(context.attacker, attack.identities(context), 0))
         return found
 
-    def sending(self, n: int) -> Sending:
-        """How each of the `n` actors sends its messages, by row of the world."""
-        found = Sending.plain(n)
+    def sending(self) -> Sending:
+        """How each actor sends its messages, by row of the world."""
+        found = Sending.plain(len(self.xyz_m))
         for attack, context in self.attacks:  # a jammer jams whether it sends or not
             if hasattr(attack, "sending"):
                 found = found.and_also(attack.sending(context))
         return found
 
-    def malicious(self, n: int) -> Bool[ndarray, "n"]:
-        """Which of the `n` actors attack in this step and have the role malicious, by row of the world."""
-        found = np.zeros(n, bool)
+    def malicious(self) -> Bool[ndarray, "n"]:
+        """Which actors attack in this step and have the role malicious, by row of the world."""
+        found = np.zeros(len(self.xyz_m), bool)
         for _, context in self.attacks:
             if context.params.role == Role.MALICIOUS.name.lower():
                 found |= context.attacker

@@ -156,7 +156,7 @@ class Exchange:
         world: World, now: Times, vehicles: Vehicles, senders: Senders, stations: Stations, attacks: ActiveAttacks
     ) -> "Exchange":
         """Apply the effects of this step's attacks on the channel and on the sending of messages."""
-        sending = sending_of(attacks.sending(len(world)), vehicles)
+        sending = sending_of(attacks.sending(), vehicles)
         if sending is not None and sending.abuses_channel().any():
             stations = replace(stations, abuse=abuse_of(sending, len(stations) - len(vehicles)))
         return Exchange(world, now, vehicles, vehicles.sensing(), senders, stations, attacks, sending)

@@ -43,7 +43,7 @@ def senders_of(
     world: World, vehicles: Vehicles, attacks: ActiveAttacks, pseudonyms: PseudonymState, parts: Parts
 ) -> tuple[PseudonymState, Senders]:
     """The messages of one round, one per vehicle that senses and identity, with their pseudonyms."""
-    senders = Senders.of(vehicles, attacks.identities(len(world))[vehicles.row[vehicles.senses]])
+    senders = Senders.of(vehicles, attacks.identities()[vehicles.row[vehicles.senses]])
     more = np.flatnonzero(senders.identity)
     if len(more):
         pseudonym = senders.pseudonym.copy()
@@ -109,7 +109,7 @@ def list_objects(
     perceived = with_motion(observed.detections, world.speed_mps, acceleration_mps2)
     objects, n_dropped = attacks.detections(perceived)
     withheld = (objects.origin == SENSED) & ~objects.transmitted
-    lied = lies_in_detections(perceived, objects, attacks.malicious(len(world)))
+    lied = lies_in_detections(perceived, objects, attacks.malicious())
     message = senders.message_of(objects, sensing.row)
     generators = Generators(
         sender=exchange.sender,
