@@ -251,10 +251,10 @@ class Config:
         data["trust_variant"] = [
             {"name": v.name, "fused": v.fused} | copy.deepcopy(v.changes) for v in self.trust_variant
         ]
-        for where, values in data.pop("own").items():
-            section, _, number = where.partition(".")
-            holder = data[section][int(number)] if number else data[section]
-            holder.update(values)
+        for place, values in data.pop("own").items():
+            section, _, number = place.partition(".")
+            keys = data[section][int(number)] if number else data[section]
+            keys.update(values)
         return data
 
 
@@ -301,10 +301,10 @@ def check_early_fusion(config: Config) -> None:
 
 def chosen(config: Config, section: str, number: int | None = None) -> tuple[Choice, Any]:
     """The class that a section names, and an object with its parameters (None if it has no parameters)."""
-    holder = getattr(config, section)
-    where = section if number is None else f"{section}.{number}"
-    holder = holder if number is None else holder[number]
-    return _chosen(section, holder, config.own.get(where, {}))
+    params, place = getattr(config, section), section
+    if number is not None:
+        params, place = params[number], f"{section}.{number}"
+    return _chosen(section, params, config.own.get(place, {}))
 
 
 def chosen_model(variant: TrustVariant) -> tuple[Choice, Any]:
@@ -312,15 +312,15 @@ def chosen_model(variant: TrustVariant) -> tuple[Choice, Any]:
     return _chosen("trust", variant.trust, variant.own)
 
 
-def _chosen(section: str, holder: Any, own: dict[str, Any]) -> tuple[Choice, Any]:
-    """The class that `holder` names, and its parameters: those that the section declares, and its own ones."""
+def _chosen(section: str, params: Any, own: dict[str, Any]) -> tuple[Choice, Any]:
+    """The class that a section names, and its parameters: those that the section declares, and its own ones."""
     kind = SECTIONS[section]
-    choice = resolve(kind, getattr(holder, kind.key))
+    choice = resolve(kind, getattr(params, kind.key))
     if choice.params is None:
         return choice, None
-    if isinstance(holder, choice.params):
-        return choice, holder
-    shared = {f.name: getattr(holder, f.name, None) for f in fields(choice.params)}
+    if isinstance(params, choice.params):
+        return choice, params
+    shared = {f.name: getattr(params, f.name, None) for f in fields(choice.params)}
     shared = {name: value for name, value in shared.items() if value is not None}  # own defaults for unset keys
     return choice, _params(choice, shared | own, section, "the config")
 
@@ -360,12 +360,12 @@ def load(path: Path | None = None, overrides: list[str] | None = None, trust_cod
     data = with_defaults({} if path is None else read_toml(path, "config file"))
     for text in overrides or []:
         override(data, text)
-    if path is None and data.get("server", {}).get("uplink") != "rsu":  # there, every variant loads the channel
+    if path is not None:
+        with loading_code_of(path, trust_code):
+            return resolve_data(data, path.name, path.parent)
+    if data.get("server", {}).get("uplink") != "rsu":  # with it, every variant would load the channel
         data.setdefault("trust_variant", [copy.deepcopy(PAPER_RULE)])
-    if path is None:
-        return resolve_data(data, "the config", None)
-    with loading_code_of(path, trust_code):
-        return resolve_data(data, path.name, path.parent)
+    return resolve_data(data, "the config", None)
 
 
 def with_defaults(data: dict[str, Any]) -> dict[str, Any]:
@@ -374,10 +374,18 @@ def with_defaults(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Config:
-    """Build a config from plain data. Relative paths are relative to `folder`. The function modifies `data`."""
+    """Build a config from plain data. The function modifies `data`.
+
+    Parameters
+    ----------
+    where
+        Name of the file or of the source of `data`, for error messages.
+    folder
+        Folder to which relative paths in `data` are relative; None for the present one.
+    """
     variants = data.pop("trust_variant", [])
     traffic = data.get("traffic")
-    has_step = isinstance(traffic, dict) and bool({"step_s", "trace"} & traffic.keys())  # asked before the preset's
+    has_step = isinstance(traffic, dict) and bool({"step_s", "trace"} & traffic.keys())  # without that of the preset
     preset.under(data, where)
     own = _take_own_of_all(data, where, folder)
     check_keys(data, Config, "", where)
@@ -511,22 +519,22 @@ def _fields_of_model(model: Any, folder: Path | None) -> set[str]:
     return set() if choice.params is None else {f.name for f in fields(choice.params)}
 
 
-def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder: Path | None) -> dict[str, Any]:
+def _take_own(section: dict[str, Any], name: str, declared: Any, where: str, folder: Path | None) -> dict[str, Any]:
     """Remove the chosen class's own parameters from a section, check them and return them.
 
-    The class's name in the section becomes absolute.
+    `declared` is the dataclass of the section. The name of the class in the section becomes absolute.
     """
     kind = SECTIONS[name]
-    default = next(f.default for f in fields(model) if f.name == kind.key)
+    default = next(f.default for f in fields(declared) if f.name == kind.key)
     given = section.get(kind.key, default)
     if not isinstance(given, str):
         return {}  # validation of the section reports the wrong type
     choice = resolve(kind, given, folder)
     if kind.key in section:
         section[kind.key] = choice.source.name
-    if choice.params is None or issubclass(model, choice.params):
+    if choice.params is None or issubclass(declared, choice.params):
         return {}
-    of_section = {f.name for f in fields(model)}
+    of_section = {f.name for f in fields(declared)}
     of_class = {f.name for f in fields(choice.params)} - of_section
     taken = {key: section.pop(key) for key in list(section) if key in of_class}
     if unknown := [key for key in section if key not in of_section]:
