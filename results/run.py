@@ -36,11 +36,17 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 R = TypeVar("R", pa.Table, pa.RecordBatch)
 
-OVER = ("finished", "interrupted")
+ENDED = ("finished", "interrupted")
 """Statuses of a run that ended with everything written."""
 _ATTEMPTS = 20
 """How often the program tries to read a run that is being written."""
 _PAUSE_S = 0.05
+_NULLABLE = {
+    pa.int32(): pd.Int32Dtype(),
+    pa.int16(): pd.Int16Dtype(),
+    pa.bool_(): pd.BooleanDtype(),
+}
+"""Types of pandas for columns that may be null."""
 
 
 class HeldParts:
@@ -99,7 +105,8 @@ class Run:
             except FileNotFoundError:  # two blocks were written meanwhile
                 time.sleep(_PAUSE_S)
                 continue
-            self._held, self.__dict__["inventory"] = held, found
+            self._held = held
+            self.__dict__["inventory"] = found  # in place of what the cached property would read
             return
         raise ValueError(f"{self.path} is being written and changes too fast to be read. Try again in a moment.")
 
@@ -163,8 +170,13 @@ class Run:
 
     def _tables_there(self) -> tuple[str, ...]:
         recorded = self.manifest.get("inventory", {}).get("tables", ())
-        there = (name for name in TABLES if (self.path / name).is_dir() or self.inventory.of(name) or name in recorded)
-        return tuple(name for name in there if name not in self.manifest.get("dropped", ()))
+        dropped = self.manifest.get("dropped", ())
+        found = []
+        for name in TABLES:
+            has_files = (self.path / name).is_dir() or self.inventory.of(name)
+            if (has_files or name in recorded) and name not in dropped:
+                found.append(name)
+        return tuple(found)
 
     def table(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
@@ -187,14 +199,14 @@ class Run:
         Damaged
             If the table does not match the inventory.
         """
-        wanted = self._wanted(name, columns)
-        parts = [self._whole(path, wanted.names, where) for path in self._paths(name)]
+        wanted = self._schema_of(name, columns)
+        parts = [self._with_virtual(path, wanted.names, where) for path in self._paths(name)]
         return self._pandas(pa.concat_tables([wanted.empty_table(), *parts]), name)
 
-    def _whole(self, path: Path, columns: Sequence[str], where: pc.Expression | None) -> pa.Table:
-        """Columns and rows of a part file, virtual columns included.
+    def _with_virtual(self, path: Path, columns: Sequence[str], where: pc.Expression | None) -> pa.Table:
+        """Columns and rows of a part file. Virtual columns, which are not on disk, are added.
 
-        Rows of `fused` name detections. Its virtual columns are not on disk: they are those of the detections named.
+        Rows of `fused` name detections, and its virtual columns are columns of the detections named.
         """
         table = TABLES[path.parent.name]
         virtual = table.virtual(columns, where)
@@ -220,11 +232,12 @@ class Run:
 
         There is one at least, because its columns are needed even if no row is.
         """
-        ends = [end for column in steps for end in pc.min_max(column).as_py().values() if end is not None] or [0]
-        first, last = min(ends), max(ends)
         paths = self._paths("detections")
-        parts = zip(paths, self.inventory.of("detections"), strict=True)
-        found = [path for path, part in parts if part.first_step <= last and part.last_step >= first]
+        ends = [end for column in steps for end in _ends(column)]
+        found = []
+        for path, part in zip(paths, self.inventory.of("detections"), strict=True):
+            if ends and part.first_step <= max(ends) and part.last_step >= min(ends):
+                found.append(path)
         found = found or paths[:1]
         for path in found:
             self._check(path)
@@ -234,9 +247,9 @@ class Run:
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
     ) -> Iterator[pd.DataFrame]:
         """Like `table`, but one block of steps after another, for tables larger than memory."""
-        wanted = self._wanted(name, columns)
+        wanted = self._schema_of(name, columns)
         for path in self._paths(name):
-            yield self._pandas(self._whole(path, wanted.names, where), name)
+            yield self._pandas(self._with_virtual(path, wanted.names, where), name)
 
     def variant_table(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
@@ -252,7 +265,7 @@ class Run:
         wanted = list(encounters.columns if columns is None else columns)
         of_trust = [c for c in TABLES["encounter_trust"].columns if c != "variant"]
         key = [c for c in of_trust if c in encounters.key]
-        others = [c for c in encounters.columns if c in key or (c in wanted and c not in of_trust)]
+        others = key + [c for c in encounters.columns if c in wanted and c not in of_trust]
         trust = self.table("encounter_trust", of_trust, self._of_variant("encounter_trust", None))
         return self.table("encounters", others, where).merge(trust, on=key, how="left")[wanted]
 
@@ -282,13 +295,14 @@ class Run:
         be null become floats.
         """
         assert not TABLES[name].virtual(columns, None), "columns that are on disk"
-        wanted = self._wanted(name, columns).names
+        wanted = self._schema_of(name, columns).names
         labels = {column: TABLES[name].columns[column].labels(self.manifest) for column in wanted}
         for number, path in enumerate(self._paths(name)):
             self._check(path)
             for rows in part_reader.read_pieces(path, columns, n_rows):
                 self._in_bounds(path, rows)
-                yield number, {column: part_reader.plain(rows.column(column), labels[column]) for column in columns}
+                arrays = {column: part_reader.plain(rows.column(column), labels[column]) for column in columns}
+                yield number, arrays
 
     def sql(self, query: str, **values: Any) -> pd.DataFrame:
         """Ask the tables a question in SQL: `run.sql("SELECT role, count(*) AS n FROM vehicles GROUP BY role")`.
@@ -348,15 +362,18 @@ class Run:
             if name not in TABLES:
                 raise ValueError(f"There is no table {name!r}. The tables are {', '.join(TABLES)}.")
             if name not in self.tables:
-                why = f'it is kept at record.level = "{TABLES[name].level}" and above. Set record.level and run again.'
-                record = self.manifest["config"].get("record")
-                level = record.get("level") if isinstance(record, dict) else None
-                is_dropped = name in self.manifest.get("dropped", ())
-                if level in LEVELS and name in kept(level) and not is_dropped:
-                    why = "an earlier cosim wrote the run, which did not have this table. Run again."
-                raise ValueError(f"{self.path} holds no table {name}: {why}")
+                raise ValueError(f"{self.path} holds no table {name}: {self._why_absent(name)}")
 
-    def _wanted(self, name: str, columns: Sequence[str] | None) -> pa.Schema:
+    def _why_absent(self, name: str) -> str:
+        """Why the run does not have a table, and what to do."""
+        record = self.manifest["config"].get("record")
+        level = record.get("level") if isinstance(record, dict) else None
+        is_dropped = name in self.manifest.get("dropped", ())
+        if level in LEVELS and name in kept(level) and not is_dropped:
+            return "an earlier cosim wrote the run, which did not have this table. Run again."
+        return f'it is kept at record.level = "{TABLES[name].level}" and above. Set record.level and run again.'
+
+    def _schema_of(self, name: str, columns: Sequence[str] | None) -> pa.Schema:
         """Names and types of the columns asked for; all if that is None. ValueError if the run does not have them."""
         self.require(name)
         known = list(TABLES[name].columns)
@@ -374,12 +391,16 @@ class Run:
 
     def _checked_paths(self, name: str) -> list[Path]:
         held = self._held
-        found = self.inventory if held is None else self.inventory.closed()  # without the parts that were copied
-        is_over = self.manifest["status"] in OVER
-        if problem := next(problems_of(self.path, name, found, is_over, held is not None), None):
+        in_run = self.inventory if held is None else self.inventory.closed()  # without the parts that were copied
+        has_ended = self.manifest["status"] in ENDED
+        if problem := next(problems_of(self.path, name, in_run, has_ended, held is not None), None):
             self._found_damaged(problem)
-        copies = {} if held is None else dict.fromkeys(self.inventory.parts[len(found.parts) :], held.path)
-        return [copies.get(part, self.path) / part.name for part in self.inventory.of(name)]
+        copied = self.inventory.parts[len(in_run.parts) :]  # open parts come last
+        paths = []
+        for part in self.inventory.of(name):
+            folder = held.path if held is not None and part in copied else self.path
+            paths.append(folder / part.name)
+        return paths
 
     def _part(self, path: Path, names: Sequence[str], where: pc.Expression | None) -> pa.Table:
         """Columns of a part, after its checksum was verified."""
@@ -391,10 +412,10 @@ class Run:
         name = f"{path.parent.name}/{path.name}"
         if name in self._sound:
             return
-        part = next((part for part in self.inventory.of(path.parent.name) if part.name == name), None)
-        if part is None:
+        parts = {part.name: part for part in self.inventory.of(path.parent.name)}
+        if name not in parts:
             self._found_damaged(f"{name} is not in the inventory")
-        elif problem := content_problem(path.parent.parent, part):
+        if problem := content_problem(path.parent.parent, parts[name]):
             self._found_damaged(problem)
         self._sound.add(name)
 
@@ -409,19 +430,21 @@ class Run:
             column, values = TABLES[table].columns[name], rows.column(name)
             if pa.types.is_floating(values.type) and pc.any(pc.is_inf(values)).as_py():
                 self._found_damaged(f"{table}/{path.name} has an infinite {name}", "Run again.")
-            if column.type not in WHOLE or not len(values):
-                continue
-            ends, limit = pc.min_max(values).as_py().values(), self._n_named(column.of)
-            wrong = [end for end in ends if end is not None and not 0 <= end < limit]
-            if not wrong and column.of == "pseudonyms" and len(self._pseudonyms()):
-                named = values.drop_null().to_numpy()
-                wrong = named[~np.isin(named, self._pseudonyms())].tolist()
-            if wrong:
+            if column.type in WHOLE and (wrong := self._numbers_out_of_bounds(values, column.of)):
                 what = f"no number of the table {column.of}" if column.of in TABLES else "out of bounds"
                 self._found_damaged(f"{table}/{path.name} has {name} = {wrong[0]}, which is {what}", "Run again.")
         return rows
 
-    def _n_named(self, of: Of) -> int:
+    def _numbers_out_of_bounds(self, values: pa.ChunkedArray | pa.Array, of: Of) -> list[int]:
+        """Some of the numbers of a column that name nothing that the run has; empty if all do."""
+        ends, limit = _ends(values), self._limit(of)
+        wrong = [end for end in ends if not 0 <= end < limit]
+        if wrong or not ends or of != "pseudonyms" or not len(self._pseudonyms()):
+            return wrong
+        named = values.drop_null().to_numpy()
+        return named[~np.isin(named, self._pseudonyms())].tolist()
+
+    def _limit(self, of: Of) -> int:
         """One more than the largest number that a column of this kind may have."""
         if of == "vehicles" and "vehicles" in self.tables and (n := self.n_rows("vehicles")):
             return n
@@ -444,15 +467,14 @@ class Run:
 
     def _pandas(self, table: pa.Table, name: str) -> pd.DataFrame:
         """pandas with null-aware integers and booleans where a column may be null, and all categories known."""
-        nullable = {pa.int32(): pd.Int32Dtype(), pa.int16(): pd.Int16Dtype(), pa.bool_(): pd.BooleanDtype()}
         frame = table.combine_chunks().to_pandas()
         for field in table.schema:
             categories = TABLES[name].columns[field.name].labels(self.manifest)
             if categories:
                 part_reader.check_labels(frame[field.name].cat.categories, categories)
                 frame[field.name] = frame[field.name].cat.set_categories(list(categories))
-            elif field.nullable and field.type in nullable:
-                frame[field.name] = table.column(field.name).to_pandas(types_mapper=nullable.get)
+            elif field.nullable and field.type in _NULLABLE:
+                frame[field.name] = table.column(field.name).to_pandas(types_mapper=_NULLABLE.get)
         return frame
 
     def __getattr__(self, name: str) -> pd.DataFrame:
@@ -491,10 +513,10 @@ class Run:
         return TABLES["vehicles"].columns["role"].labels(self.manifest)
 
 
-def problems_of(folder: Path, table: str, found: Inventory, is_over: bool, is_live: bool = False) -> Iterator[str]:
+def problems_of(folder: Path, table: str, found: Inventory, has_ended: bool, is_live: bool = False) -> Iterator[str]:
     """Parts of a table that are missing, of another size, or not in the inventory.
 
-    Before the run is over, there may be parts of the block that is being written; they are not read. While a process
+    Before the run has ended, there may be parts of the block that is being written; they are not read. While a process
     writes the run (`is_live`), there may be parts of further blocks.
     """
     known = {part.file: part for part in found.of(table)}
@@ -513,7 +535,7 @@ def problems_of(folder: Path, table: str, found: Inventory, is_over: bool, is_li
         return
     last = found.blocks[-1].number if found.blocks else -1
     opened = {f"open-{n:05d}.parquet" for n in (last - 1, last + 1)}
-    under_way = set() if is_over else {"part-next", "open-next", f"part-{last + 1:05d}.parquet"} | opened
+    under_way = set() if has_ended else {"part-next", "open-next", f"part-{last + 1:05d}.parquet"} | opened
     for file in sorted(on_disk.keys() - known.keys()):
         if file.removesuffix(durable.PARTIAL) not in under_way:
             yield f"{table}/{file} is not in the inventory"
@@ -536,6 +558,12 @@ def content_problem(folder: Path, part: Part) -> str:
         if found not in (None, (part.first_step, part.last_step)):
             return f"{part.name} has other steps than {part.first_step} to {part.last_step}"
     return ""
+
+
+def _ends(values: pa.ChunkedArray | pa.Array) -> list[int]:
+    """Smallest and largest value; empty if there is none."""
+    ends = pc.min_max(values).as_py().values()
+    return [end for end in ends if end is not None]
 
 
 def _steps_of(about: pq.FileMetaData) -> tuple[int, int] | None:

@@ -11,7 +11,7 @@ from results.columns import LEVELS, Level
 from results.inventory import CHECKPOINT, Inventory
 from results.manifest import problems, read_manifest, status_of
 from results.recorder import is_state
-from results.run import OVER, content_problem, problems_of
+from results.run import ENDED, content_problem, problems_of
 from results.tables import SCHEMA_VERSION, TABLES, kept
 
 _OWN = ("manifest.json", "config.toml", inventory.FILE, "report.html", "run.log")
@@ -64,7 +64,7 @@ def _problems(folder: Path, manifest: dict[str, Any], found: Inventory, is_live:
             yield f"{table} is in the inventory, but record.level = {level} does not keep it"
         if found.blocks and not listed and table in recorded and not (folder / table).is_dir():
             yield f"{table} is missing, the folder of a table without rows"
-        wrong = list(problems_of(folder, table, found, manifest["status"] in OVER, is_live))
+        wrong = list(problems_of(folder, table, found, manifest["status"] in ENDED, is_live))
         yield from wrong
         for part in listed:
             if not any(line.startswith(part.name) for line in wrong) and (problem := content_problem(folder, part)):

@@ -50,23 +50,6 @@ class StatedAccuracy(NamedTuple):
     pose_variance: Float[ndarray, "m 2"]
     """Variance of that position along each axis [m2], and of the heading [rad2]."""
 
-    def take(self, detections: Int[ndarray, "k"], messages: Int[ndarray, "l"]) -> "StatedAccuracy":
-        """Of these detections in these messages."""
-        return StatedAccuracy(
-            self.variance_m2[detections],
-            self.heading_variance[detections],
-            self.size_variance[detections],
-            self.origin_m[messages],
-            self.pose_variance[messages],
-        )
-
-    def of_messages(self, rows: Int[ndarray, "m"]) -> "StatedAccuracy":
-        """The same where the messages have these rows."""
-        n = int(rows.max(initial=-1)) + 1
-        origin_m, pose_variance = np.zeros((n, 2)), np.zeros((n, 2))
-        origin_m[rows], pose_variance[rows] = self.origin_m, self.pose_variance
-        return self._replace(origin_m=origin_m, pose_variance=pose_variance)
-
 
 class ObjectViews(NamedTuple):
     """D detections in M messages."""

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.codes import ObjectClass
+from cosim.base.ragged import owner_of_rows
 from sensors.boxes import Boxes
 from sensors.expected_returns import expected_returns
 from sensors.lidar import Beams, LidarParams, beams, mount
@@ -70,7 +71,7 @@ class Coverage:
             poses.origin_m, poses.yaw_rad, carrier, self.beams, bodies, boxes, prisms(_SHAPE[label], boxes), self.walls,
             self.lidar.max_range_m,
         )  # fmt: skip
-        question = np.repeat(np.arange(len(carrier)), np.diff(bodies.ptr))
+        question = owner_of_rows(np.diff(bodies.ptr))
         away_m = np.linalg.norm(boxes.xyz_m[bodies.row] - poses.origin_m[question], axis=1)
         return self.recall(np.floor(found.n).astype(np.int64), label[bodies.row], away_m)
 

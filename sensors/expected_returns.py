@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.base.kernel import compiled, kernel
+from cosim.base.ragged import owner_of_rows
 from sensors.boxes import Boxes
 from sensors.lidar import Beams
 from sensors.line_of_sight import WallIndex
@@ -84,7 +85,7 @@ def expected_returns(
         origin_m, yaw_rad, own, near.ptr, near.row, boxes.xyz_m, boxes.circumradius_m, bodies, beams.tan_el,
         beams.fov_rad, len(beams.azimuth_rad) / beams.fov_rad, range_m, line, ends,
     )  # fmt: skip
-    o = np.repeat(np.arange(len(origin_m)), np.diff(near.ptr))
+    o = owner_of_rows(np.diff(near.ptr))
     pair, number = np.nonzero(line[:, :, 0] > 0)
     points = np.concatenate([origin_m, ends[pair, number]])
     hidden = ~walls.has_los(points, o[pair], len(origin_m) + np.arange(len(pair)))

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
+from cosim.base.ragged import owner_of_rows
 from cosim.base.rows import Rows
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
@@ -65,7 +66,7 @@ def merged(views: Views, yaw_rad: Float[ndarray, "n"]) -> Merged:
     changes = (v.observer[1:] != v.observer[:-1]) | (v.actor[1:] != v.actor[:-1])
     begin = np.flatnonzero(np.append(True, changes)[: len(v.actor)])
     n_sweeps = np.diff(np.append(begin, len(v.actor)))
-    group = np.repeat(np.arange(len(begin)), n_sweeps)
+    group = owner_of_rows(n_sweeps)
     observer, actor, of = v.observer[begin], v.actor[begin], v.n_returns.astype(np.float64)
     n = np.bincount(group, of, len(begin))
 

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.codes import ObjectClass
+from cosim.base.ragged import owner_of_rows
 from sensors.boxes import Boxes
 
 
@@ -142,7 +143,7 @@ def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes, speed_mps: Float[ndarray, "
         body[(shape == s) & (boxes.lwh_m[:, 0] >= least_m)] = k
     parts = np.diff(first)[body]
     ptr = np.concatenate([[0], np.cumsum(parts)])
-    actor = np.repeat(np.arange(len(boxes)), parts)
+    actor = owner_of_rows(parts)
     rear, front, width, bottom, top = table[first[body][actor] + np.arange(ptr[-1]) - ptr[actor]].T
     length, w, h = boxes.lwh_m[actor].T
     x, y, z = boxes.xyz_m[actor].T

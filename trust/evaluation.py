@@ -101,7 +101,7 @@ def evaluate(
     plausible: Bool[ndarray, "m"] | Float[ndarray, "m"],
     params: TrustParams,
     recall: Float[ndarray, "m"] | None = None,
-    certainty: Float[ndarray, "m"] | None = None,
+    compared: Float[ndarray, "m"] | None = None,
 ) -> Evaluations:
     """Evaluation and visibility of every detection in the object lists, by the list's owner.
 
@@ -119,8 +119,7 @@ def evaluate(
     recall
         Probability that the owner's detector reports an object with so many returns, if it is there, in [0, 1]. It is
         given only with `params.denials = "recall"`, and read only where `groups.ego_detected` is false.
-
-    certainty
+    compared
         Share of the region in which each box may be that the owner has compared, in [0, 1]; read only where
         `groups.ego_detected` is false. None: boxes are exact.
 
@@ -132,7 +131,7 @@ def evaluate(
     -----
     e is the score of the owner's detection that matched, else eta. Phi is `visibility`, and 1 for an implausible
     unmatched detection. Where the place of the box is uncertain, Phi is the mean of both over its places. A match with
-    the owner itself (its self report) is certain: e = Phi = 1. A denial counts by `certainty`: the object may be where
+    the owner itself (its self report) is certain: e = Phi = 1. A denial counts by `compared`: the object may be where
     the owner did not look. With `recall`, Phi of an unmatched detection is `denial_weight` instead. The object is then
     reported with the probability that it could be seen (`visibility`) times the recall.
 
@@ -143,13 +142,15 @@ def evaluate(
     seed = member[groups.seed]
     phi = visibility(n_points, detections.label[member], params)
     e = np.where(groups.ego_detected, detections.score[seed], eta_of(params))
-    missed = ~groups.ego_detected
-    permitted = plausible[missed].astype(float) if params.plausibility_in_evaluation else 1.0
-    compared = 1.0 if certainty is None else certainty[missed]
-    if recall is None:
-        phi[missed] = compared * (phi[missed] + (1.0 - permitted) * (1.0 - phi[missed]))
+    unmatched = ~groups.ego_detected
+    seen = phi[unmatched]
+    permitted = plausible[unmatched].astype(float) if params.plausibility_in_evaluation else 1.0
+    share = 1.0 if compared is None else compared[unmatched]
+    if recall is None:  # a place that free space excludes is as good as seen
+        phi[unmatched] = share * (seen + (1.0 - permitted) * (1.0 - seen))
     else:
-        phi[missed] = denial_weight(miss_p(phi[missed] * recall[missed], permitted, compared))
+        q = miss_p(seen * recall[unmatched], permitted, share)
+        phi[unmatched] = denial_weight(q)
     certain = groups.ego_detected & detections.is_self[seed]
     e[certain] = 1.0
     phi[certain] = 1.0

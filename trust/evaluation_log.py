@@ -250,7 +250,7 @@ class EvaluationLog:
         for received in ReceivedEvaluations.joined(waiting):
             accepted = self.steps.accepted(received)
             if accepted is not None and len(accepted):
-                of_step.parts.append(accepted.both())
+                of_step.parts.append(accepted.by_observer_and_detection())
                 of_step.own.append(received.is_own)
                 of_step.rows = None
 

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from numba import njit, prange
 from numpy import ndarray
 
+from cosim.base.ragged import owner_of_rows
 from trust.group_sums import KernelInput
 from trust.tables import FusionInput, SenderTrust, int64
 
@@ -166,6 +167,6 @@ def object_votes(given: FusionInput, received: SenderTrust, n_threads: int) -> O
     out = _Votes.of(int(row_ptr[-1]))
     if out.group.size:
         _reports(*given_arrays, messages, n_threads, row_ptr, out)
-    is_own = out.position < messages.ptr[np.repeat(np.arange(n_egos), n_rows)]
+    is_own = out.position < messages.ptr[owner_of_rows(n_rows)]
     received_row = np.where(is_own, -1, out.position)
     return ObjectVotes(out.group, out.in_favour, out.visibility, received_row, given.groups.seeds().size)

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from annotated_types import Ge, Gt, Interval, Le
 
@@ -183,12 +183,15 @@ EVIDENCE_KEYS: tuple[str, ...] = (
 `eta_of`, so that `method` counts where it decides on it."""
 
 
+def evidence_values(params: TrustParams) -> dict[str, Any]:
+    """Values of `EVIDENCE_KEYS`, in their order. Of `eta`, it is the one in use."""
+    return {key: getattr(params, key) for key in EVIDENCE_KEYS} | {"eta": eta_of(params)}
+
+
 def differing_evidence_key(a: TrustParams, b: TrustParams) -> str | None:
     """First of `EVIDENCE_KEYS` in which two sets of parameters differ, None if they can share evaluations."""
-    for key in EVIDENCE_KEYS:
-        if (eta_of(a) != eta_of(b)) if key == "eta" else (getattr(a, key) != getattr(b, key)):
-            return key
-    return None
+    of_a, of_b = evidence_values(a), evidence_values(b)
+    return next((key for key in EVIDENCE_KEYS if of_a[key] != of_b[key]), None)
 
 
 def window_steps(params: TruPerceptParams, dt_s: float) -> int:

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray
 
-from cosim.base.ragged import offsets, ranges
+from cosim.base.ragged import offsets, owner_of_rows, ranges
 from trust.open_steps import AcceptedEvaluations, OpenStep
 from trust.tables import EvaluationMessages, float64, pair_key, unpaired
 
@@ -29,7 +29,7 @@ ONE = float(1 << 44)
 
 
 @njit(cache=True, nogil=True)
-def _terms(ptr, evaluator, subject, evaluation, visibility):
+def _terms_of_evaluations(ptr, evaluator, subject, evaluation, visibility):
     """What each accepted evaluation adds to `StepEvidence.sums` and `n_evaluations`: one row per evaluation each.
 
     Message i has the evaluations ptr[i]:ptr[i + 1], all by evaluator[i].
@@ -40,14 +40,16 @@ def _terms(ptr, evaluator, subject, evaluation, visibility):
         for k in range(ptr[message], ptr[message + 1]):
             counts[k, 0] = 1
             if subject[k] != evaluator[message]:
-                terms[k, 0] = np.int64(np.rint(visibility[k] * ONE))
-                terms[k, 1] = np.int64(np.rint(visibility[k] * evaluation[k] * ONE))
+                phi = visibility[k]
+                terms[k, 0] = np.int64(np.rint(phi * ONE))
+                phi_e = phi * evaluation[k]
+                terms[k, 1] = np.int64(np.rint(phi_e * ONE))
                 counts[k, 1] = terms[k, 0] > 0
     return terms, counts
 
 
 @njit(cache=True, nogil=True)
-def _add(receptions, pairs, block, ptr, subject, offset, terms, counts, sums, n_evaluations):
+def _add_to_slots(receptions, pairs, block, ptr, subject, offset, terms, counts, sums, n_evaluations):
     """Add the terms of every evaluation to the slot of its detection, for every holder that received it.
 
     `receptions` has the messages that each holder received, `pairs` the subjects that these messages evaluate, and
@@ -69,7 +71,7 @@ def _add(receptions, pairs, block, ptr, subject, offset, terms, counts, sums, n_
 
 
 @njit(cache=True, nogil=True)
-def _distinct(group_ptr, message, ptr, subject, is_chosen, n_subjects):
+def _distinct_subjects(group_ptr, message, ptr, subject, is_chosen, n_subjects):
     """Subjects of the chosen evaluations in the messages of each group, each subject once, as compressed rows.
 
     They are counted first and written then: an upper bound of their number would be gigabytes in a large city.
@@ -121,7 +123,8 @@ class StepEvidence:
         """Per slot, over the evaluations by others than the subject: Phi and Phi e in units of 1 / ONE."""
         self.n_evaluations: Int[ndarray, "s 2"] = np.zeros((0, 2), np.int32)
         """Per slot: all evaluations, and those by others that could see (Phi > 0)."""
-        self._of_pairs: dict[Counting, tuple[Float[ndarray, "p 2"], Int[ndarray, "p"]]] = {}
+        self._of_pairs: dict[Counting, tuple[ndarray, ndarray]] = {}
+        """Results of `of_pairs`, until evaluations are added."""
 
     def add(
         self, messages: EvaluationMessages, accepted: AcceptedEvaluations
@@ -133,8 +136,10 @@ class StepEvidence:
         Pair (`pair_key` of holder and subject) and pseudonym of every evaluator that could see a detection of the
         subject. None is there twice.
         """
-        evaluation, visibility = (float64(a[accepted.kept]) for a in (messages.evaluation, messages.visibility))
-        terms, counts = _terms(accepted.ptr, accepted.evaluator, accepted.observer, evaluation, visibility)
+        evaluation = float64(messages.evaluation[accepted.kept])
+        visibility = float64(messages.visibility[accepted.kept])
+        ptr, evaluator, subject = accepted.ptr, accepted.evaluator, accepted.observer
+        terms, counts = _terms_of_evaluations(ptr, evaluator, subject, evaluation, visibility)
         self._add_terms(accepted, terms, counts)
         return self._pairs_and_evaluators(accepted, counts[:, 1] > 0)
 
@@ -146,16 +151,16 @@ class StepEvidence:
         received_ptr = offsets(np.bincount(holder_row, minlength=holders.size))
         message = accepted.message_row[np.argsort(holder_row, kind="stable")]
         ptr, subject = accepted.ptr, accepted.observer
-        every = np.ones(subject.size, bool)
-        pair_ptr, pair_subject = _distinct(received_ptr, message, ptr, subject, every, self.sent.pseudonyms.size)
-        keys = pair_key(np.repeat(holders, np.diff(pair_ptr)), self.sent.pseudonyms[pair_subject])
+        pseudonyms, every = self.sent.pseudonyms, np.ones(subject.size, bool)
+        pair_ptr, pair_subject = _distinct_subjects(received_ptr, message, ptr, subject, every, pseudonyms.size)
+        keys = pair_key(np.repeat(holders, np.diff(pair_ptr)), pseudonyms[pair_subject])
         if not keys.size:
             return
         self._make_room(keys)
         block = self.block[np.searchsorted(self.pairs, keys)]
         offset = accepted.detection - self.sent.first[subject]
         receptions, pairs = (received_ptr, message), (pair_ptr, pair_subject)
-        _add(receptions, pairs, block, ptr, subject, offset, terms, counts, self.sums, self.n_evaluations)
+        _add_to_slots(receptions, pairs, block, ptr, subject, offset, terms, counts, self.sums, self.n_evaluations)
         self._of_pairs = {}
 
     def _pairs_and_evaluators(
@@ -164,7 +169,7 @@ class StepEvidence:
         """What `add` returns; `could_see` says it of each evaluation."""
         pseudonyms, message = self.sent.pseudonyms, accepted.message_row
         each = np.arange(accepted.evaluator.size + 1)  # every message is a group of its own
-        ptr, subject = _distinct(each, each, accepted.ptr, accepted.observer, could_see, pseudonyms.size)
+        ptr, subject = _distinct_subjects(each, each, accepted.ptr, accepted.observer, could_see, pseudonyms.size)
         n = np.diff(ptr)[message]  # subjects of each received message
         subject = pseudonyms[subject[ranges(ptr[message], n)]]
         evaluator = pseudonyms[accepted.evaluator[message]]
@@ -182,18 +187,22 @@ class StepEvidence:
         phi, phi_e = self.sums.T
         n, n_seeing = self.n_evaluations.T
         n_slots = np.diff(self.block)
-        pair_of_slot = np.repeat(np.arange(self.pairs.size), n_slots)
-        score = self.sent.score[ranges(self.sent.first[self._subjects(self.pairs)], n_slots)]
-        counts = (n > 0) & (score >= counting.least_score)
+        pair_of_slot = owner_of_rows(n_slots)
+        first_detection = self.sent.first[self._subjects(self.pairs)]
+        score = self.sent.score[ranges(first_detection, n_slots)]
+        is_counted = (n > 0) & (score >= counting.least_score)
         if counting.skip_unseen:
-            counts &= phi > 0
-        weight = np.where(counts, score if counting.by_score else 1.0, 0.0)
+            is_counted &= phi > 0
+        weight = np.where(is_counted, score if counting.by_score else 1.0, 0.0)
         trust = np.divide(phi_e, phi, out=np.zeros(phi.size), where=phi > 0)  # T(theta); 0 for an unseen detection
 
-        values = (weight * trust, weight, n_seeing * counts)
-        *sums, evaluations = (np.bincount(pair_of_slot, column, self.pairs.size) for column in values)
-        self._of_pairs[counting] = np.column_stack(sums).astype(float), evaluations.astype(np.int64)
-        return self._of_pairs[counting]
+        def per_pair(column: ndarray) -> ndarray:
+            return np.bincount(pair_of_slot, column, self.pairs.size)
+
+        sums = np.column_stack([per_pair(weight * trust), per_pair(weight)]).astype(float)
+        n_evaluations = per_pair(n_seeing * is_counted).astype(np.int64)
+        self._of_pairs[counting] = sums, n_evaluations
+        return sums, n_evaluations
 
     @property
     def nbytes(self) -> int:

@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numba import njit
 from numpy import ndarray
 
-from cosim.base.ragged import offsets, ptr_of, ranges
+from cosim.base.ragged import offsets, owner_of_rows, ptr_of, ranges
 from cosim.base.rows import Rows
 
 SERVER = 1 << 30
@@ -71,7 +71,7 @@ class ObjectLists:
 
     @cached_property
     def _of_member(self) -> Int[ndarray, "m"]:
-        return np.repeat(np.arange(self.owner.size), np.diff(self.ptr))
+        return owner_of_rows(np.diff(self.ptr))
 
     def of(self, position: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
         """List to which each of some positions belongs.
@@ -85,7 +85,7 @@ class ObjectLists:
         -------
         Row of `owner` for each of them.
         """
-        return np.repeat(np.arange(self.owner.size), np.diff(np.searchsorted(position, self.ptr)))
+        return owner_of_rows(np.diff(np.searchsorted(position, self.ptr)))
 
 
 @dataclass(frozen=True)  # as `ObjectLists`
@@ -121,6 +121,10 @@ class Evaluations:
     evaluation: Float[ndarray, "m"]  # e in [-1, 1]
     visibility: Float[ndarray, "m"]  # Phi in [0, 1]
 
+    def take(self, at: Int[ndarray, "k"] | Bool[ndarray, "m"]) -> "Evaluations":
+        """The evaluations in these rows."""
+        return Evaluations(self.evaluation[at], self.visibility[at])
+
 
 @dataclass(frozen=True, slots=True)
 class FusionInput:
@@ -145,7 +149,7 @@ class SenderTrust:
 
     def canonical(self) -> "SenderTrust":
         """Each ego's messages in ascending order, each message once: of repeated ones, the first row stays."""
-        ego = np.repeat(np.arange(self.ptr.size - 1), np.diff(self.ptr))
+        ego = owner_of_rows(np.diff(self.ptr))
         key = ego << 32 | self.message  # in the order of (ego, message)
         if np.all(key[1:] > key[:-1]):
             return self
@@ -179,15 +183,15 @@ class EvaluationMessages:
     def rows(self, keep: Bool[ndarray, "n"]) -> "EvaluationMessages":
         """All messages, with only these of their evaluations."""
         at = np.flatnonzero(keep)
-        return self._at(at, self.evaluator, np.searchsorted(at, self.ptr))
+        return self._with_rows(at, self.evaluator, np.searchsorted(at, self.ptr))
 
     def taken(self, message: Int[ndarray, "k"]) -> "EvaluationMessages":
         """These messages, in this order."""
         n = np.diff(self.ptr)[message]
         at = ranges(self.ptr[:-1][message], n)
-        return self._at(at, self.evaluator[message], offsets(n))
+        return self._with_rows(at, self.evaluator[message], offsets(n))
 
-    def _at(
+    def _with_rows(
         self, at: Int[ndarray, "m"], evaluator: Int[ndarray, "k"], ptr: Int[ndarray, "k+1"]
     ) -> "EvaluationMessages":
         """Messages of these evaluators, with the evaluations in the rows `at`."""
@@ -300,22 +304,27 @@ QUANTUM = float(1 << 32)
 @njit(cache=True, nogil=True)
 def _evidence(ptr, evaluator, observer, evaluation, visibility, eta):
     """Rows of the evaluations that are evidence, the message of each, and its positive and negative evidence."""
-    kept, sent_by = np.empty(observer.size, np.int64), np.empty(observer.size, np.int64)
-    pos, neg = np.empty(observer.size), np.empty(observer.size)
+    kept = np.empty(observer.size, np.int64)
+    sent_by = np.empty(observer.size, np.int64)
+    pos = np.empty(observer.size)
+    neg = np.empty(observer.size)
     n = 0
     for message in range(evaluator.size):
         for k in range(ptr[message], ptr[message + 1]):
             e, phi = evaluation[k], visibility[k]
-            if abs(e) <= 1.0 and 0.0 < phi <= 1.0 and observer[k] != evaluator[message]:
-                if eta == 0.0:
-                    denies = 1.0 if e <= 0.0 else 0.0
-                else:
-                    denies = min(max(e / eta, 0.0), 1.0)
-                pos[n] = np.rint(phi * max(e, 0.0) * QUANTUM) / QUANTUM
-                neg[n] = np.rint(phi * denies * QUANTUM) / QUANTUM
-                if pos[n] > 0.0 or neg[n] > 0.0:
-                    kept[n], sent_by[n] = k, message
-                    n += 1
+            is_valid = abs(e) <= 1.0 and 0.0 < phi <= 1.0
+            if not is_valid or observer[k] == evaluator[message]:
+                continue
+            if eta == 0.0:
+                denies = 1.0 if e <= 0.0 else 0.0
+            else:
+                denies = min(max(e / eta, 0.0), 1.0)
+            pos[n] = np.rint(phi * max(e, 0.0) * QUANTUM) / QUANTUM
+            neg[n] = np.rint(phi * denies * QUANTUM) / QUANTUM
+            if pos[n] > 0.0 or neg[n] > 0.0:
+                kept[n] = k
+                sent_by[n] = message
+                n += 1
     return kept[:n], sent_by[:n], pos[:n], neg[:n]
 
 
@@ -373,7 +382,8 @@ class ReceivedEvaluations:
         multiples of 2^-32, so that sums of up to two million rows are exact in any order of summation. Rows in which
         both are 0 are left out: an evaluator that answers "neither" has given no evidence.
         """
-        messages, (kept, message, pos, neg) = self.messages, self._evidence()
+        messages = self.messages
+        kept, message, pos, neg = self._evidence()
         at, n = self._received_rows(message)
         row = kept[at]
         return EvidenceRows(
@@ -389,27 +399,24 @@ class ReceivedEvaluations:
 
     def by_observer(self) -> ObserverRows:
         """The evaluations of `rows`, summed per message and observer: an order of magnitude fewer rows."""
-        return self.both()[0]
+        return self.by_observer_and_detection()[0]
 
-    def both(self, detections: bool = True) -> tuple[ObserverRows, DetectionRows]:
+    def by_observer_and_detection(self) -> tuple[ObserverRows, DetectionRows]:
         """The evaluations of `rows`, summed and one by one.
-
-        Parameters
-        ----------
-        detections
-            Whether single evaluations are wanted; without them, the second table has no rows.
 
         Returns
         -------
         The rows of `by_observer`, and single evaluations, each with the row of the first table to which it belongs.
         """
-        messages, (kept, message, pos, neg) = self.messages, self._evidence()
+        messages = self.messages
+        kept, message, pos, neg = self._evidence()
         keys = pair_key(message, int64(messages.observer)[kept])
         order = np.argsort(keys, kind="stable")  # in time proportional to their number where lists are by observer
-        kept, pos, neg, keys = (column[order] for column in (kept, pos, neg, keys))
+        kept, keys = kept[order], keys[order]
+        pos, neg = pos[order], neg[order]
         begins = np.flatnonzero(np.diff(keys, prepend=-1))  # of each group: one message and one observer
         size = np.diff(np.append(begins, keys.size))
-        group = np.repeat(np.arange(size.size), size)
+        group = owner_of_rows(size)
         message, observer = unpaired(keys[begins])
         at, n = self._received_rows(message)  # groups, once for every holder that received their message
         summed = ObserverRows(
@@ -420,11 +427,9 @@ class ReceivedEvaluations:
             neg=np.bincount(group, neg, size.size).astype(float)[at],
             n=size[at],
         )
-        if not detections:
-            at = at[:0]
         single = ranges(begins[at], size[at])
         return summed, DetectionRows(
-            row=np.repeat(np.arange(at.size), size[at]),
+            row=owner_of_rows(size[at]),
             detection_index=int64(messages.detection_index)[kept[single]],
             pos=pos[single],
             neg=neg[single],
@@ -433,12 +438,27 @@ class ReceivedEvaluations:
     def _evidence(self) -> tuple[ndarray, ndarray, ndarray, ndarray]:
         """Row, message, pos and neg of each evaluation that is evidence, by message."""
         messages = self.messages
-        ptr, evaluator, observer = (int64(a) for a in (messages.ptr, messages.evaluator, messages.observer))
-        evaluation, visibility = float64(messages.evaluation), float64(messages.visibility)
-        return _evidence(ptr, evaluator, observer, evaluation, visibility, float(self.eta))
+        return _evidence(
+            int64(messages.ptr),
+            int64(messages.evaluator),
+            int64(messages.observer),
+            float64(messages.evaluation),
+            float64(messages.visibility),
+            float(self.eta),
+        )
 
     def _received_rows(self, message: Int[ndarray, "n"]) -> tuple[Int[ndarray, "k"], Int[ndarray, "m"]]:
-        """Rows of every received message, and their number, given the message of each row (ascending)."""
+        """Rows of a table of messages' contents as holders received them, reception after reception.
+
+        Parameters
+        ----------
+        message
+            Message to which each row of the table belongs, ascending.
+
+        Returns
+        -------
+        The rows, and their number for each reception.
+        """
         ptr = ptr_of(message, self.messages.evaluator.size)
         n = np.diff(ptr)[self.message_row]
         return ranges(ptr[:-1][self.message_row], n), n

@@ -34,8 +34,8 @@ class AttackState:
     memory: list[dict[str, Any]] = field(default_factory=list)
     """What the attack of each section stores."""
 
-    def with_room(self, capacity: int) -> None:
-        """Extend the columns to actor numbers below `capacity`."""
+    def make_room(self, capacity: int) -> None:
+        """Add columns, so that there is one for every actor number below `capacity`."""
         more = capacity - self.rank.shape[1]
         if more > 0:
             more = max(more, 256)
@@ -45,7 +45,7 @@ class AttackState:
 
 
 @dataclass(frozen=True, slots=True)
-class Active:
+class ActiveAttacks:
     """The attacks that are active in one step, in the order of the config."""
 
     attacks: tuple[tuple[Attack, AttackContext], ...]
@@ -54,13 +54,18 @@ class Active:
     sends: Bool[ndarray, "n"] | None = None
     """Actors that send messages in this step, by row of the world; None if all equipped vehicles do."""
 
-    def _with(self, hook: str) -> list[tuple[Any, AttackContext]]:
-        """Attacks with a method that concerns messages, and contexts in which only those who send attack."""
-        found = [(attack, context) for attack, context in self.attacks if hasattr(attack, hook)]
-        if self.sends is None:
-            return found
-        now = [(attack, replace(context, attacker=context.attacker & self.sends)) for attack, context in found]
-        return [(attack, context) for attack, context in now if context.attacker.any()]
+    def _on_messages(self, method: str) -> list[tuple[Any, AttackContext]]:
+        """Attacks that have this method, which changes messages; their attackers are only those that send now."""
+        found = []
+        for attack, context in self.attacks:
+            if not hasattr(attack, method):
+                continue
+            if self.sends is not None:
+                context = replace(context, attacker=context.attacker & self.sends)
+                if not context.attacker.any():
+                    continue
+            found.append((attack, context))
+        return found
 
     def phantoms(self, seen: Detections) -> Detections:
         """What detectors find, with phantoms as `Attack.phantoms` adds them; `seen` itself if there are none."""
@@ -76,14 +81,14 @@ class Active:
         -------
         The lists as they will be sent, and the numbers of detections that cannot be sent, by `DetectionFault`.
         """
-        attacks, perceived = self._with("detections"), listed
+        perceived = listed
         listed, n_dropped = without_faults(listed, self.xyz_m)
-        n_identities = self.identities(len(self.xyz_m)) if attacks else np.zeros(0, np.int64)
-        seen = listed
-        for attack, context in attacks:
+        seen = listed  # what attacks learn of real detections, whatever the attacks before them did
+        n_identities = self.identities()
+        for attack, context in self._on_messages("detections"):
             listed = attack.detections(listed, replace(context, n_identities=n_identities, seen=seen))
-            listed, n = without_faults(listed, self.xyz_m)
-            n_dropped += n
+            listed, n_dropped_here = without_faults(listed, self.xyz_m)
+            n_dropped += n_dropped_here
         return with_perceived(listed, perceived), n_dropped
 
     def evaluations(
@@ -96,32 +101,32 @@ class Active:
         Aligned with `rows`. If no active attack has the method `evaluations`, they are the arrays of `rows` themselves.
         """
         evaluation, visibility = rows.evaluation, rows.visibility
-        for attack, context in self._with("evaluations"):
+        for attack, context in self._on_messages("evaluations"):
             now = replace(rows, evaluation=evaluation, visibility=visibility)
             evaluation, visibility = attack.evaluations(now, detections, context)
         return evaluation, visibility
 
-    def identities(self, n: int) -> Int[ndarray, "n"]:
-        """Number of identities under which each of the `n` actors sends in addition to its own, by row of the world.
+    def identities(self) -> Int[ndarray, "n"]:
+        """Number of identities under which each actor sends in addition to its own, by row of the world.
 
         If several attacks give an actor identities, the largest number is used.
         """
-        found = np.zeros(n, np.int64)
-        for attack, context in self._with("identities"):
+        found = np.zeros(len(self.xyz_m), np.int64)
+        for attack, context in self._on_messages("identities"):
             found = np.maximum(found, np.where(context.attacker, attack.identities(context), 0))
         return found
 
-    def sending(self, n: int) -> Sending:
-        """How each of the `n` actors sends its messages, by row of the world."""
-        found = Sending.plain(n)
+    def sending(self) -> Sending:
+        """How each actor sends its messages, by row of the world."""
+        found = Sending.plain(len(self.xyz_m))
         for attack, context in self.attacks:  # a jammer jams whether it sends or not
             if hasattr(attack, "sending"):
                 found = found.and_also(attack.sending(context))
         return found
 
-    def malicious(self, n: int) -> Bool[ndarray, "n"]:
-        """Which of the `n` actors attack in this step and have the role malicious, by row of the world."""
-        found = np.zeros(n, bool)
+    def malicious(self) -> Bool[ndarray, "n"]:
+        """Which actors attack in this step and have the role malicious, by row of the world."""
+        found = np.zeros(len(self.xyz_m), bool)
         for _, context in self.attacks:
             if context.params.role == Role.MALICIOUS.name.lower():
                 found |= context.attacker
@@ -208,7 +213,7 @@ class Adversary:
         time_s: float,
         trust: Float[ndarray, "n"] | None = None,
         sends: Bool[ndarray, "n"] | None = None,
-    ) -> Active:
+    ) -> ActiveAttacks:
         """The attacks that at least one vehicle carries out in this step. The function updates `state`.
 
         Parameters
@@ -221,51 +226,67 @@ class Adversary:
             Actors that send messages in this step, by row of the world. None if all equipped vehicles do.
         """
         found = []
-        state.with_room(int(world.actor.max(initial=-1)) + 1)
+        state.make_room(int(world.actor.max(initial=-1)) + 1)
         for number, (p, attack) in enumerate(zip(self.params, self.attacks, strict=True)):
             member = self._members(world, number)
             if not member.any():
                 continue
             ring = self._rings(state, world, number, member)
-            now = member & (time_s >= p.start_s)
-            if now.any() and p.when != "persistent":
-                now &= self._on(state, world, number, trust)
-            actor = world.actor
-            n_active = state.n_active[number, actor]
-            state.n_active[number, actor] = np.where(now, n_active + (1 if sends is None else sends), 0)
-            if now.any():
-                found.append((attack, AttackContext(
-                    world, now, time_s, self.seed, number, p, member, ring, n_active, state.memory[number], self.walls
-                )))  # fmt: skip
-        return Active(tuple(found), world.boxes.xyz_m, sends)
+            attacker = member & (time_s >= p.start_s)
+            if attacker.any() and p.when != "persistent":
+                attacker &= self._active_by_when(state, world, number, trust)
+            n_active = state.n_active[number, world.actor]
+            n_sent = 1 if sends is None else sends
+            state.n_active[number, world.actor] = np.where(attacker, n_active + n_sent, 0)
+            if not attacker.any():
+                continue
+            context = AttackContext(
+                world=world,
+                attacker=attacker,
+                time_s=time_s,
+                seed=self.seed,
+                number=number,
+                params=p,
+                member=member,
+                ring=ring,
+                n_active=n_active,
+                memory=state.memory[number],
+                walls=self.walls,
+            )
+            found.append((attack, context))
+        return ActiveAttacks(tuple(found), world.boxes.xyz_m, sends)
 
     def _members(self, world: World, number: int) -> Bool[ndarray, "n"]:
         return world.equipped & (world.attack == self.owner[number] + 1)
 
     def _rings(self, state: AttackState, world: World, number: int, member: Bool[ndarray, "n"]) -> Int[ndarray, "n"]:
-        """Ring of each member."""
+        """Ring of each member. Members that are new get the next ranks: `ring_size` successive ranks are a ring."""
         size = self.params[number].ring_size
         if not size:
             return np.zeros(len(world), np.int64)
         rank = state.rank[number]
         new = np.flatnonzero(member & (rank[world.actor] < 0))
-        x, y = np.floor(world.boxes.xyz_m[new, :2] / _CELL_M).T
-        new = new[np.lexsort((world.actor[new], y, x))]
-        rank[world.actor[new]] = rank.max(initial=-1) + 1 + np.arange(len(new))
+        east, north = np.floor(world.boxes.xyz_m[new, :2] / _CELL_M).T  # cell of each
+        order = np.lexsort((world.actor[new], north, east))
+        new = new[order]
+        next_rank = rank.max(initial=-1) + 1
+        rank[world.actor[new]] = next_rank + np.arange(len(new))
         return rank[world.actor] // size
 
-    def _on(
+    def _active_by_when(
         self, state: AttackState, world: World, number: int, trust: Float[ndarray, "n"] | None
     ) -> Bool[ndarray, "n"]:
         """Actors that attack in this step according to the key `when`."""
         p = self.params[number]
         if p.when == "sporadic":
             key = rng.key(self.seed, rng.Stream.ATTACK_TIME, world.step)
-            return rng.uniforms(key, np.uint64(number), world.name_key)[:, 0] < p.active_p
+            draws = rng.uniforms(key, np.uint64(number), world.name_key)[:, 0]
+            return draws < p.active_p
         if p.when == "on_off":
             period = self.period_steps[number]
-            since = world.step - np.ceil(p.start_s / self.dt_s - 1e-9)
-            return np.full(len(world), np.mod(since + 1e-9, period) < p.duty_p * period)
+            since_start = world.step - np.ceil(p.start_s / self.dt_s - 1e-9)
+            is_on = np.mod(since_start + 1e-9, period) < p.duty_p * period
+            return np.full(len(world), is_on)
         assert trust is not None, "given where an attack reads it"
         if p.when == "camouflage":
             return trust > p.keep_above
@@ -279,19 +300,27 @@ def with_perceived(listed: Detections, perceived: Detections) -> Detections:
     What an attack made impossible to send, or gave another number, its vehicle has still perceived: it is in the list
     and not transmitted. A detection under a number that the vehicle has not perceived is fabricated.
     """
-    key, real = (d.observer.astype(np.int64) << 32 | d.detection_index for d in (listed, perceived))
-    says = listed.origin != FABRICATED
-    if np.array_equal(key[says], real) and np.array_equal(listed.origin[says], perceived.origin):
+    key = _key_of_observer(listed)
+    perceived_key = _key_of_observer(perceived)
+    is_real = listed.origin != FABRICATED
+    has_all = np.array_equal(key[is_real], perceived_key)
+    if has_all and np.array_equal(listed.origin[is_real], perceived.origin):
         return listed
-    at = np.searchsorted(real, key)
-    found = (listed.identity == 0) & (np.append(real, -1)[at] == key)
+    at = np.searchsorted(perceived_key, key)
+    is_perceived = (listed.identity == 0) & (np.append(perceived_key, -1)[at] == key)
+    at = at[is_perceived]
     origin = np.full(len(listed), FABRICATED, np.uint8)
-    origin[found] = perceived.origin[at[found]]
-    left_out = np.ones(len(real), bool)
-    left_out[at[found]] = False
-    rest = perceived.take(np.flatnonzero(left_out))
-    rest = replace(rest, transmitted=np.zeros(len(rest), bool))
-    return Detections.by_key([replace(listed, origin=origin), rest])
+    origin[is_perceived] = perceived.origin[at]
+    is_left_out = np.ones(len(perceived), bool)
+    is_left_out[at] = False
+    left_out = perceived.take(np.flatnonzero(is_left_out))
+    left_out = replace(left_out, transmitted=np.zeros(len(left_out), bool))
+    return Detections.by_key([replace(listed, origin=origin), left_out])
+
+
+def _key_of_observer(listed: Detections) -> Int[ndarray, "d"]:
+    """Observer and number of each detection as one integer, in the order of both."""
+    return listed.observer.astype(np.int64) << 32 | listed.detection_index
 
 
 def without_faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> tuple[Detections, Int[ndarray, "f"]]:
@@ -300,7 +329,7 @@ def without_faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> tuple[De
     Parameters
     ----------
     listed
-        Detections of all vehicles.
+        Detections of all vehicles, in any order.
     xyz_m
         Positions of all actors by row of the world.
 
@@ -310,12 +339,11 @@ def without_faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> tuple[De
     """
     fault = faults(listed, xyz_m)
     n_dropped = np.bincount(fault[fault >= 0], minlength=len(DetectionFault))
-    key = (listed.observer, listed.identity, listed.detection_index)
     if n_dropped.any():
-        rows = np.flatnonzero(fault < 0)
-        return listed.take(rows[np.lexsort([column[rows] for column in key[::-1]])]), n_dropped
-    tied, is_sorted = np.ones(max(len(listed) - 1, 0), bool), True
-    for column in key:
-        is_sorted &= not (tied & (column[1:] < column[:-1])).any()
-        tied &= column[1:] == column[:-1]
-    return listed if is_sorted else listed.take(np.lexsort(key[::-1])), n_dropped
+        listed = listed.take(np.flatnonzero(fault < 0))
+    # One integer in the order of the key: numbers and identities have 16 bits at most. No key is there twice.
+    message = listed.observer.astype(np.int64) << 16 | listed.identity
+    key = message << 16 | listed.detection_index
+    if (key[1:] < key[:-1]).any():
+        listed = listed.take(np.argsort(key))
+    return listed, n_dropped

@@ -28,7 +28,7 @@ def expand(starts: Int[ndarray, "m"], stops: Int[ndarray, "m"]) -> tuple[ndarray
     No stop may be below its start.
     """
     counts = stops - starts
-    which = np.repeat(np.arange(len(starts)), counts)
+    which = owner_of_rows(counts)
     offset = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
     return starts[which] + offset, which
 
@@ -42,6 +42,11 @@ def ranges(start: Int[ndarray, "r"], count: Int[ndarray, "r"]) -> Int[ndarray, "
 def offsets(count: Int[ndarray, "r"]) -> Int[ndarray, "r+1"]:
     """Where each group begins if groups of these counts lie one after another, and where the last one ends."""
     return np.concatenate([[0], np.cumsum(count, dtype=np.int64)])
+
+
+def owner_of_rows(count: Int[ndarray, "r"]) -> Int[ndarray, "m"]:
+    """Owner of each row if owner i has `count[i]` rows, one owner after another."""
+    return np.repeat(np.arange(len(count)), count)
 
 
 def rows_of(number: Int[ndarray, "k"], numbers: Int[ndarray, "n"]) -> tuple[Int[ndarray, "k"], Bool[ndarray, "k"]]:

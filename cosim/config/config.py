@@ -10,7 +10,6 @@ are in `Config.own`.
 """
 
 import copy
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -22,7 +21,7 @@ from annotated_types import Ge, Le
 
 from cosim.attacks.params import PAPER, AttackParams, check_attacks
 from cosim.config import preset
-from cosim.config.data import check_finite, check_keys, is_plain, override, read_toml, validated
+from cosim.config.data import check_finite, check_keys, is_plain, override, read_toml, unknown_key, validated
 from cosim.config.preset import default_of, default_section
 from cosim.door.blame import at_load, definition_line
 from cosim.door.kinds import SECTIONS
@@ -202,9 +201,10 @@ class Config:
                 f'attacks.{jammers[0]}.attack = "jamming" has no effect with radio.model = "unit_disk", which does not '
                 'model interference. Set radio.model = "csma", "nr_mode2" or "lte_mode4".'
             )
-        if self.radio.relay.min_trust and self.radio.relay.max_hops > 1 and self.trust.host == "none":
+        relay = self.radio.relay
+        if relay.min_trust and relay.max_hops > 1 and self.trust.host == "none":
             raise ValueError(
-                f'radio.relay.min_trust = {self.radio.relay.min_trust:g}, but trust.host = "none": nobody has trust in '
+                f'radio.relay.min_trust = {relay.min_trust:g}, but trust.host = "none": nobody has trust in '
                 'anyone. Set trust.host = "central" or "local", or radio.relay.min_trust = 0.'
             )
         check_evidence(self)
@@ -251,10 +251,10 @@ class Config:
         data["trust_variant"] = [
             {"name": v.name, "fused": v.fused} | copy.deepcopy(v.changes) for v in self.trust_variant
         ]
-        for where, values in data.pop("own").items():
-            section, _, number = where.partition(".")
-            holder = data[section][int(number)] if number else data[section]
-            holder.update(values)
+        for place, values in data.pop("own").items():
+            section, _, number = place.partition(".")
+            keys = data[section][int(number)] if number else data[section]
+            keys.update(values)
         return data
 
 
@@ -301,10 +301,10 @@ def check_early_fusion(config: Config) -> None:
 
 def chosen(config: Config, section: str, number: int | None = None) -> tuple[Choice, Any]:
     """The class that a section names, and an object with its parameters (None if it has no parameters)."""
-    holder = getattr(config, section)
-    where = section if number is None else f"{section}.{number}"
-    holder = holder if number is None else holder[number]
-    return _chosen(section, holder, config.own.get(where, {}))
+    params, place = getattr(config, section), section
+    if number is not None:
+        params, place = params[number], f"{section}.{number}"
+    return _chosen(section, params, config.own.get(place, {}))
 
 
 def chosen_model(variant: TrustVariant) -> tuple[Choice, Any]:
@@ -312,15 +312,15 @@ def chosen_model(variant: TrustVariant) -> tuple[Choice, Any]:
     return _chosen("trust", variant.trust, variant.own)
 
 
-def _chosen(section: str, holder: Any, own: dict[str, Any]) -> tuple[Choice, Any]:
-    """The class that `holder` names, and its parameters: those that the section declares, and its own ones."""
+def _chosen(section: str, params: Any, own: dict[str, Any]) -> tuple[Choice, Any]:
+    """The class that a section names, and its parameters: those that the section declares, and its own ones."""
     kind = SECTIONS[section]
-    choice = resolve(kind, getattr(holder, kind.key))
+    choice = resolve(kind, getattr(params, kind.key))
     if choice.params is None:
         return choice, None
-    if isinstance(holder, choice.params):
-        return choice, holder
-    shared = {f.name: getattr(holder, f.name, None) for f in fields(choice.params)}
+    if isinstance(params, choice.params):
+        return choice, params
+    shared = {f.name: getattr(params, f.name, None) for f in fields(choice.params)}
     shared = {name: value for name, value in shared.items() if value is not None}  # own defaults for unset keys
     return choice, _params(choice, shared | own, section, "the config")
 
@@ -329,9 +329,15 @@ def _params(choice: Choice, data: dict[str, Any], prefix: str, where: str) -> An
     """Build the parameters of a chosen class from plain data. A mistake raises a ValueError of one line."""
     if not choice.is_own or choice.params is None:
         return validated(choice.params, data, prefix, where)
-    file, place = choice.source.file, f"{choice.kind.title} {choice.of.__name__}"
-    with at_load(file, place, "Params cannot be read", definition_line(choice.params, "", file), passes=ValueError):
+    file = choice.source.file
+    line = definition_line(choice.params, "", file)
+    with at_load(file, _title(choice), "Params cannot be read", line, passes=ValueError):
         return validated(choice.params, data, prefix, where)
+
+
+def _title(choice: Choice) -> str:
+    """Kind and name of a chosen class, for error messages."""
+    return f"{choice.kind.title} {choice.of.__name__}"
 
 
 def load(path: Path | None = None, overrides: list[str] | None = None, trust_code: bool = False) -> Config:
@@ -354,12 +360,12 @@ def load(path: Path | None = None, overrides: list[str] | None = None, trust_cod
     data = with_defaults({} if path is None else read_toml(path, "config file"))
     for text in overrides or []:
         override(data, text)
-    if path is None and data.get("server", {}).get("uplink") != "rsu":  # there, every variant loads the channel
+    if path is not None:
+        with loading_code_of(path, trust_code):
+            return resolve_data(data, path.name, path.parent)
+    if data.get("server", {}).get("uplink") != "rsu":  # with it, every variant would load the channel
         data.setdefault("trust_variant", [copy.deepcopy(PAPER_RULE)])
-    if path is None:
-        return resolve_data(data, "the config", None)
-    with loading_code_of(path, trust_code):
-        return resolve_data(data, path.name, path.parent)
+    return resolve_data(data, "the config", None)
 
 
 def with_defaults(data: dict[str, Any]) -> dict[str, Any]:
@@ -368,22 +374,28 @@ def with_defaults(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Config:
-    """Build a config from plain data. Relative paths are relative to `folder`. The function modifies `data`."""
+    """Build a config from plain data. The function modifies `data`.
+
+    Parameters
+    ----------
+    where
+        Name of the file or of the source of `data`, for error messages.
+    folder
+        Folder to which relative paths in `data` are relative; None for the present one.
+    """
     variants = data.pop("trust_variant", [])
     traffic = data.get("traffic")
-    states_step = isinstance(traffic, dict) and bool({"step_s", "trace"} & traffic.keys())  # not through its preset
+    has_step = isinstance(traffic, dict) and bool({"step_s", "trace"} & traffic.keys())  # without that of the preset
     preset.under(data, where)
     own = _take_own_of_all(data, where, folder)
     check_keys(data, Config, "", where)
     _make_paths_absolute(data, folder or Path())
-    traffic = data.get("traffic", {})
-    if isinstance(traffic.get("scenario"), str) and not states_step:
-        if (own_s := _own_step_s(traffic["scenario"])) is not None:
-            traffic["step_s"] = min(own_s, traffic.get("step_s", own_s))
+    if not has_step:
+        _take_step_of_sumocfg(data.get("traffic", {}))
     config = validated(Config, data, "", where)
-    stated = data["trust"] | own.get("trust", {})
     config = replace(config, own={section: values for section, values in own.items() if values})
-    return replace(config, trust_variant=_variants(variants, stated, config, where, folder))
+    trust = data["trust"] | own.get("trust", {})
+    return replace(config, trust_variant=_variants(variants, trust, config, where, folder))
 
 
 def _take_own_of_all(data: dict[str, Any], where: str, folder: Path | None) -> dict[str, dict[str, Any]]:
@@ -394,16 +406,17 @@ def _take_own_of_all(data: dict[str, Any], where: str, folder: Path | None) -> d
     own: dict[str, dict[str, Any]] = {}
     types = {f.name: f.type for f in fields(Config)}
     for section in SECTIONS:
-        if section != "attacks":
-            if isinstance(given := data.setdefault(section, {}), dict):
-                own[section] = _take_own(given, section, types[section], where, folder)
+        if section == "attacks":
+            listed = data.get(section)
+            for number, item in enumerate(listed if isinstance(listed, list) else ()):
+                if isinstance(item, dict):
+                    if item.get("attack") == "unreliable":
+                        item.setdefault("role", "unreliable")
+                    own[f"{section}.{number}"] = _take_own(item, section, AttackParams, where, folder)
             continue
-        listed = data.get(section, [])
-        for number, item in enumerate(listed if isinstance(listed, list) else ()):
-            if isinstance(item, dict):
-                if item.get("attack") == "unreliable":
-                    item.setdefault("role", "unreliable")
-                own[f"{section}.{number}"] = _take_own(item, section, AttackParams, where, folder)
+        given = data.setdefault(section, {})
+        if isinstance(given, dict):
+            own[section] = _take_own(given, section, types[section], where, folder)
     return own
 
 
@@ -436,116 +449,129 @@ def of_run_without_code(recorded: Mapping[str, Any], folder: Path) -> Config:
     for section, kind in SECTIONS.items():
         listed = data.get(section)
         if isinstance(listed, list):
-            data[section] = [item for item in listed if not _names_code(item, kind.key)]
-        elif _names_code(listed, kind.key):
+            data[section] = [item for item in listed if not _names_own_class(item, kind.key)]
+        elif _names_own_class(listed, kind.key):
             del data[section]
-    if "trust" not in data or any(_names_code(variant, "model") for variant in data.get("trust_variant") or ()):
+    variants = data.get("trust_variant") or ()
+    if "trust" not in data or any(_names_own_class(variant, "model") for variant in variants):
         data["trust_variant"] = []
     return of_run(data, folder)
 
 
-def _names_code(section: Any, key: str) -> bool:
+def _names_own_class(section: Any, key: str) -> bool:
     """Whether a section names a class of the user's own."""
     return isinstance(section, dict) and isinstance(name := section.get(key), str) and is_own(name)
 
 
 def _variants(
-    listed: Any, stated: dict[str, Any], config: Config, where: str, folder: Path | None
+    sections: Any, trust: dict[str, Any], config: Config, where: str, folder: Path | None
 ) -> tuple[TrustVariant, ...]:
-    """Build the trust variants from their sections. Each variant inherits the keys of [trust], which are `stated`.
-
-    It does not inherit parameters that another model than its own has.
-    """
-    if not isinstance(listed, list) or not all(isinstance(v, dict) for v in listed):
+    """Build the trust variants from their sections. Each variant inherits the keys of [trust], which are `trust`."""
+    if not isinstance(sections, list) or not all(isinstance(section, dict) for section in sections):
         raise ValueError(f"trust_variant should be a list of sections [[trust_variant]] in {where}.")
     made: list[TrustVariant] = []
-    for number, section in enumerate(listed):
-        changes = dict(section)
-        name, fused = changes.pop("name", None), changes.pop("fused", False)
+    for number, section in enumerate(sections):
         place = f"trust_variant.{number}"
-        if not isinstance(name, str) or not name or not name.isprintable():
-            raise ValueError(f"{place}.name = {name!r}: a variant must have a name. Set {place}.name in {where}.")
-        if name == "base" or name in {v.name for v in made}:
+        variant = _variant(section, trust, place, where, folder)
+        if variant.name == "base" or variant.name in {other.name for other in made}:
+            by = " by [trust] itself" if variant.name == "base" else ""
             raise ValueError(
-                f'{place}.name = "{name}" is taken'
-                + (" by [trust] itself" if name == "base" else "")
-                + f". Give every variant a name of its own in {where}."
+                f'{place}.name = "{variant.name}" is taken{by}. Give every variant a name of its own in {where}.'
             )
-        if not isinstance(fused, bool):
-            raise ValueError(f"{place}.fused = {fused!r} should be true or false. Set it in {where}.")
-        merged = stated | changes
-        inherited = {f.name for f in fields(TrustParams)} | _own_fields(merged, "trust", folder)
-        merged = {key: value for key, value in merged.items() if key in inherited or key in changes}
-        own = _take_own(merged, "trust", TrustParams, where, folder)
-        if "model" in changes:
-            changes["model"] = merged["model"]
-        check_keys(merged, TrustParams, f"{place}.", where)
-        trust = validated(TrustParams, merged, place, where)
-        if key := differing_evidence_key(config.trust, trust):
+        if key := differing_evidence_key(config.trust, variant.trust):
             raise ValueError(
-                f'{place} ("{name}"): {key} changes the evaluations, so this variant cannot share the evidence of the '
-                "run. Remove the key here, or make the variant a separate run."
+                f'{place} ("{variant.name}"): {key} changes the evaluations, so this variant cannot share the evidence '
+                "of the run. Remove the key here, or make the variant a separate run."
             )
-        made.append(TrustVariant(name=name, fused=fused, changes=changes, trust=trust, own=own))
+        made.append(variant)
     return tuple(made)
 
 
-def _own_fields(section: Mapping[str, Any], name: str, folder: Path | None) -> set[str]:
-    """Names of the parameters of the class that the section names."""
-    kind = SECTIONS[name]
-    given = section.get(kind.key)
-    if not isinstance(given, str):
+def _variant(
+    section: dict[str, Any], trust: dict[str, Any], place: str, where: str, folder: Path | None
+) -> TrustVariant:
+    """Build a trust variant, `place` in the config.
+
+    It does not inherit parameters that another model than its own has.
+    """
+    changes = dict(section)
+    name, fused = changes.pop("name", None), changes.pop("fused", False)
+    if not isinstance(name, str) or not name or not name.isprintable():
+        raise ValueError(f"{place}.name = {name!r}: a variant must have a name. Set {place}.name in {where}.")
+    if not isinstance(fused, bool):
+        raise ValueError(f"{place}.fused = {fused!r} should be true or false. Set it in {where}.")
+    merged = trust | changes
+    known = {f.name for f in fields(TrustParams)} | _fields_of_model(merged.get("model"), folder)
+    merged = {key: value for key, value in merged.items() if key in known or key in changes}
+    own = _take_own(merged, "trust", TrustParams, where, folder)
+    if "model" in changes:
+        changes["model"] = merged["model"]
+    check_keys(merged, TrustParams, f"{place}.", where)
+    params = validated(TrustParams, merged, place, where)
+    return TrustVariant(name=name, fused=fused, changes=changes, trust=params, own=own)
+
+
+def _fields_of_model(model: Any, folder: Path | None) -> set[str]:
+    """Names of the parameters of a trust model."""
+    if not isinstance(model, str):
         return set()
-    choice = resolve(kind, given, folder)
+    choice = resolve(SECTIONS["trust"], model, folder)
     return set() if choice.params is None else {f.name for f in fields(choice.params)}
 
 
-def _take_own(section: dict[str, Any], name: str, model: Any, where: str, folder: Path | None) -> dict[str, Any]:
+def _take_own(section: dict[str, Any], name: str, declared: Any, where: str, folder: Path | None) -> dict[str, Any]:
     """Remove the chosen class's own parameters from a section, check them and return them.
 
-    The class's name in the section becomes absolute.
+    `declared` is the dataclass of the section. The name of the class in the section becomes absolute.
     """
     kind = SECTIONS[name]
-    default = next(f.default for f in fields(model) if f.name == kind.key)
+    default = next(f.default for f in fields(declared) if f.name == kind.key)
     given = section.get(kind.key, default)
     if not isinstance(given, str):
         return {}  # validation of the section reports the wrong type
     choice = resolve(kind, given, folder)
     if kind.key in section:
         section[kind.key] = choice.source.name
-    if choice.params is None or issubclass(model, choice.params):
+    if choice.params is None or issubclass(declared, choice.params):
         return {}
-    of_section = {f.name for f in fields(model)}
+    of_section = {f.name for f in fields(declared)}
     of_class = {f.name for f in fields(choice.params)} - of_section
     taken = {key: section.pop(key) for key in list(section) if key in of_class}
     if unknown := [key for key in section if key not in of_section]:
-        known = ", ".join(sorted(of_section | of_class))
-        near = difflib.get_close_matches(unknown[0], [*of_section, *of_class], 1)
-        hint = f"Did you mean {name}.{near[0]}?" if near else f"Known: {known}."
-        raise ValueError(f"{name}.{unknown[0]}: unknown key in {where}. {hint}")
-    check_finite(taken, f"{name}.", where)
+        raise unknown_key(unknown[0], sorted(of_section | of_class), f"{name}.", where)
+    check_finite(taken, name, where)
     values = asdict(_params(choice, taken, name, where))
-    made = {key: value for key, value in values.items() if key in of_class}
-    if alien := next((key for key, value in made.items() if not is_plain(value)), None):
-        line = definition_line(choice.params, "", choice.source.file)
-        raise ValueError(
-            f"{choice.source.file}:{line}: {choice.kind.title} {choice.of.__name__}: Params.{alien} is a "
-            f"{type(made[alien]).__name__}, which a config file cannot contain. Use text, a number, true or false, or "
-            "a list of these."
-        )
-    check_finite(made, f"{name}.", f"{choice.source.file or where}")
-    return made
+    own = {key: value for key, value in values.items() if key in of_class}
+    _check_plain(own, choice)
+    check_finite(own, name, choice.source.file or where)
+    return own
 
 
-def _own_step_s(scenario: str) -> float | None:
-    """The step length in the user's own .sumocfg [s], or None if there is no such file."""
+def _check_plain(own: dict[str, Any], choice: Choice) -> None:
+    """Raise ValueError for a parameter of a chosen class whose value a config file cannot contain."""
+    for key, value in own.items():
+        if not is_plain(value):
+            assert choice.params is not None
+            line = definition_line(choice.params, "", choice.source.file)
+            raise ValueError(
+                f"{choice.source.file}:{line}: {_title(choice)}: Params.{key} is a {type(value).__name__}, which a "
+                "config file cannot contain. Use text, a number, true or false, or a list of these."
+            )
+
+
+def _take_step_of_sumocfg(traffic: dict[str, Any]) -> None:
+    """Set traffic.step_s to the step length of the user's own .sumocfg, unless the preset's is shorter."""
+    scenario = traffic.get("scenario")
+    if not isinstance(scenario, str) or scenario in catalogue.names():
+        return
     path = Path(scenario)
     found = [path] if path.name.endswith(".sumocfg") else sorted(path.glob("*.sumocfg"))
-    if len(found) != 1 or not found[0].is_file() or scenario in catalogue.names():
-        return None
-    if (own_s := sumocfg.step_s(found[0])) < 0.02:
+    if len(found) != 1 or not found[0].is_file():
+        return
+    step_s = sumocfg.step_s(found[0])
+    if step_s < 0.02:
         raise ValueError(
-            f"{found[0]}: its step-length of {own_s:g} s is shorter than 0.02 s, the shortest step that is supported. "
+            f"{found[0]}: its step-length of {step_s:g} s is shorter than 0.02 s, the shortest step that is supported. "
             "Set traffic.step_s to 0.02 or more to simulate it with a longer step."
         )
-    return own_s
+    traffic["step_s"] = min(step_s, traffic.get("step_s", step_s))

@@ -4,7 +4,7 @@ import difflib
 import json
 import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from itertools import pairwise
@@ -87,13 +87,14 @@ def validated(model: Any, data: Any, prefix: str, where: str) -> Any:
     except ValidationError as error:
         first, *more = error.errors()
         keys = _keys(first["loc"], data)
-        name = ".".join([*([prefix] if prefix else []), *keys])
+        name = ".".join([prefix, *keys] if prefix else keys)
         if first["type"] == "value_error":
             raise ValueError(first["msg"].removeprefix("Value error, ")) from None
         if first["type"] == "missing":
             raise ValueError(f"{name}: missing. Set {name} in {where}.") from None
-        alternatives = [first, *(one for one in more if _keys(one["loc"], data) == keys)]
-        reason = " or ".join(dict.fromkeys(one["msg"].removeprefix("Input should be ") for one in alternatives))
+        of_same_key = [one for one in more if _keys(one["loc"], data) == keys]  # one of each type that it can have
+        reasons = [one["msg"].removeprefix("Input should be ") for one in (first, *of_same_key)]
+        reason = " or ".join(dict.fromkeys(reasons))
         raise ValueError(f"{name} = {first['input']!r} should be {reason}. Set {name} in {where}.") from None
 
 
@@ -101,10 +102,14 @@ def _keys(loc: Sequence[Any], data: Any) -> list[str]:
     """The keys of a place in the data, without pydantic's names of the alternatives that a value can be."""
     found = []
     for number, part in enumerate(loc, 1):
-        fits = isinstance(data, dict) or (isinstance(data, list) and isinstance(part, int))
-        if fits and (part in data if isinstance(data, dict) else part < len(data)):
+        if isinstance(data, dict):
+            can_be_key, is_there = True, part in data
+        else:
+            can_be_key = isinstance(data, list) and isinstance(part, int)
+            is_there = can_be_key and part < len(data)
+        if is_there:
             data = data[part]
-        elif not (fits and number == len(loc)):  # only the last one can be missing
+        elif not can_be_key or number < len(loc):  # only the last one can be missing
             continue
         found.append(str(part))
     return found
@@ -119,22 +124,28 @@ def check_keys(data: dict[str, Any], model: Any, prefix: str, where: str) -> Non
     """Raise a ValueError of one line for a key that the dataclass lacks, or a value where a section is expected."""
     known = {f.name: f for f in fields(model) if not f.metadata.get("internal")}
     for name, value in data.items():
-        full = prefix + name
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f"Did you mean {prefix}{near[0]}?" if near else f"Known: {', '.join(known)}."
-            raise ValueError(f"{full}: unknown key in {where}. {hint}")
-        if get_origin(known[name].type) is tuple and is_dataclass(model_of := get_args(known[name].type)[0]):
+            raise unknown_key(name, list(known), prefix, where)
+        full, type_ = prefix + name, known[name].type
+        of_items = get_args(type_)[0] if get_origin(type_) is tuple else None
+        if is_dataclass(of_items):
             if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
                 raise ValueError(f"{full} should be a list of sections [[{full}]] in {where}.")
             for item in value:
-                check_keys(item, model_of, full + ".", where)
-        elif is_dataclass(known[name].type):
+                check_keys(item, of_items, full + ".", where)
+        elif is_dataclass(type_):
             if not isinstance(value, dict):
                 raise ValueError(f"{full} = {value!r} should be a section [{full}] in {where}.")
-            check_keys(value, known[name].type, full + ".", where)
+            check_keys(value, type_, full + ".", where)
         else:
             check_finite(value, full, where)
+
+
+def unknown_key(name: str, known: Sequence[str], prefix: str, where: str) -> ValueError:
+    """The error for a key that is not one of the known ones, with the nearest of these."""
+    near = difflib.get_close_matches(name, known, 1)
+    hint = f"Did you mean {prefix}{near[0]}?" if near else f"Known: {', '.join(known)}."
+    return ValueError(f"{prefix}{name}: unknown key in {where}. {hint}")
 
 
 def check_finite(data: Any, name: str, where: str) -> None:
@@ -143,9 +154,13 @@ def check_finite(data: Any, name: str, where: str) -> None:
         raise ValueError(f"{name} is a whole number of more than 63 bits. Set a smaller {name} in {where}.")
     if isinstance(data, float) and not math.isfinite(data):
         raise ValueError(f"{name} = {data}: not a finite number. Set {name} in {where}.")
-    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    items: Iterable[tuple[Any, Any]] = ()
+    if isinstance(data, dict):
+        items = data.items()
+    elif isinstance(data, list):
+        items = enumerate(data)
     for key, value in items:
-        check_finite(value, f"{name}{'' if name.endswith('.') or not name else '.'}{key}", where)
+        check_finite(value, f"{name}.{key}", where)
 
 
 def is_plain(data: Any) -> bool:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from cosim.config.data import check_finite, check_keys, override, validated
+from cosim.config.data import check_keys, override, validated
 from cosim.door.kinds import KINDS
 from cosim.door.load import Choice, resolve
 
@@ -29,5 +29,4 @@ def from_command_line(kind: str, name: str, sets: Sequence[str] = ()) -> tuple[C
             raise ValueError(f"--set {sets[0]}: {kind} {choice.of.__name__} has no parameters. Leave it out.")
         return choice, ()
     check_keys(data, choice.params, "", f"{kind} {choice.of.__name__}")
-    check_finite(data, "", "--set")
     return choice, (validated(choice.params, data, "", "--set"),)

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
+from cosim.base.ragged import owner_of_rows
 from cosim.messages.pseudonyms import PseudonymParams, Pseudonyms, PseudonymState
 from trust.tables import EvaluationMessages, TrustScores
 
@@ -98,7 +99,7 @@ class Linkage:
             return state
         accused = []
         for sent in reports:
-            of = np.repeat(np.arange(len(sent.evaluator)), np.diff(sent.ptr))
+            of = owner_of_rows(np.diff(sent.ptr))
             pair, which = np.unique(of << 32 | sent.observer.astype(np.int64), return_inverse=True)
             with np.errstate(invalid="ignore"):
                 total = np.bincount(which.reshape(-1), np.nan_to_num(sent.evaluation * sent.visibility), len(pair))

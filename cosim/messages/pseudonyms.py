@@ -6,6 +6,7 @@ pseudonym, which is ground truth.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
@@ -170,10 +171,11 @@ class C2c(_WithParams[C2cParams]):
 
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
         """Vehicles that have driven far enough and used the pseudonym long enough."""
-        far = ages.distance_m >= FIRST_STRETCH_M + 700.0 * ages.trip_draws[:, 0]
+        first = ages.distance_m >= FIRST_STRETCH_M + 700.0 * ages.trip_draws[:, 0]
         since_s = ages.beyond_s if self.params.reading == "then" else ages.age_s
-        later = (ages.distance_m >= FIRST_STRETCH_M) & (since_s >= 120.0 + 240.0 * ages.trip_draws[:, 1])
-        return np.where(ages.n_changes == 0, far, later)
+        is_time = since_s >= 120.0 + 240.0 * ages.trip_draws[:, 1]
+        later = is_time & (ages.distance_m >= FIRST_STRETCH_M)
+        return np.where(ages.n_changes == 0, first, later)
 
 
 class Bsp:
@@ -252,28 +254,32 @@ class PseudonymParams:
     """With `list`: time between two revocation lists [s]."""
 
 
+_no_integers = partial(np.zeros, 0, np.int64)
+
+
 @dataclass(frozen=True, slots=True)
 class PseudonymState:
     """Pseudonyms in use, by actor number, and all pseudonyms that were issued."""
 
-    current: Int[ndarray, "capacity"] = field(default_factory=lambda: np.full(0, -1, np.int64))
-    since_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    seen_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    n_changes: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    n_messages: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    distance_m: Float[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0))
-    xy_m: Float[ndarray, "capacity 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    current: Int[ndarray, "capacity"] = field(default_factory=_no_integers)
+    """Pseudonym of each vehicle; -1 for none."""
+    since_step: Int[ndarray, "capacity"] = field(default_factory=_no_integers)
+    seen_step: Int[ndarray, "capacity"] = field(default_factory=_no_integers)
+    n_changes: Int[ndarray, "capacity"] = field(default_factory=_no_integers)
+    n_messages: Int[ndarray, "capacity"] = field(default_factory=_no_integers)
+    distance_m: Float[ndarray, "capacity"] = field(default_factory=partial(np.zeros, 0))
+    xy_m: Float[ndarray, "capacity 2"] = field(default_factory=partial(np.zeros, (0, 2)))
     """Last position."""
-    from_xy_m: Float[ndarray, "capacity 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    from_xy_m: Float[ndarray, "capacity 2"] = field(default_factory=partial(np.zeros, (0, 2)))
     """Position where it took its pseudonym."""
-    beyond_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    beyond_step: Int[ndarray, "capacity"] = field(default_factory=_no_integers)
     """Step in which it had driven `FIRST_STRETCH_M` under its pseudonym. It has no meaning before that."""
-    linked: Int[ndarray, "capacity"] = field(default_factory=lambda: np.full(0, -1, np.int64))
+    linked: Int[ndarray, "capacity"] = field(default_factory=_no_integers)
     """Pseudonym of each vehicle to which its later ones are linked on demand; -1 for none."""
-    issued: Int[ndarray, "n_issued 3"] = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    issued: Int[ndarray, "n_issued 3"] = field(default_factory=partial(np.zeros, (0, 3), np.int64))
     """Vehicle, identity and first step of each pseudonym that is not an actor number, in the order of issue."""
-    extra: Int[ndarray, "x 4"] = field(default_factory=lambda: np.zeros((0, 4), np.int64))
-    """Further identities. Columns: vehicle and identity in one number (ascending), pseudonym, first and last step."""
+    extra: Int[ndarray, "x 4"] = field(default_factory=partial(np.zeros, (0, 4), np.int64))
+    """Further identities. Columns: `_identity_key` (ascending), pseudonym, first and last step."""
     accusations: dict[int, int] = field(default_factory=dict)
     """Number of accusations of pseudonyms that are not linked yet."""
     revoked: dict[int, int] = field(default_factory=dict)
@@ -290,7 +296,8 @@ class PseudonymState:
 
     def further(self, actor: Int[ndarray, "n"]) -> Int[ndarray, "x"]:
         """Pseudonyms of all further identities of these vehicles."""
-        return self.extra[np.isin(self.extra[:, 0] >> 16, actor), 1]
+        vehicle, _ = _of_identity_key(self.extra[:, 0])
+        return self.extra[np.isin(vehicle, actor), 1]
 
     def begun(self, actor: Int[ndarray, "n"], now_step: int) -> Int[ndarray, "n"]:
         """Step in which each vehicle took its current pseudonym; `now_step` if it has none."""
@@ -299,6 +306,14 @@ class PseudonymState:
         known = known[self.current[actor[known]] >= 0]
         found[known] = self.since_step[actor[known]]
         return found
+
+    def with_columns(self, actor: Int[ndarray, "n"], columns: Mapping[str, ndarray | int]) -> "PseudonymState":
+        """The state, with these values of some vehicles in the named columns."""
+        changed: dict[str, Any] = {}
+        for name, values in columns.items():
+            changed[name] = getattr(self, name).copy()
+            changed[name][actor] = values
+        return replace(self, **changed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,64 +376,71 @@ class Pseudonyms:
         The new state, the pseudonyms in the order of `observers`, and the pseudonyms that ended in this step.
         """
         actor = world.actor[observers]
-        xy = world.boxes.xyz_m[observers, :2]
+        xy_m = world.boxes.xyz_m[observers, :2]
         state = _grown(state, int(actor.max(initial=-1)) + 1)
-        new = state.current[actor] < 0
-        distance_m = state.distance_m.copy()
-        distance_m[actor] += np.where(new, 0.0, np.hypot(*(xy - state.xy_m[actor]).T))
-        names = world.name_key[observers]
-        n_changes = state.n_changes[actor]
-        beyond_step = state.beyond_step.copy()
-        arrives = actor[(distance_m[actor] >= FIRST_STRETCH_M) & ~(state.distance_m[actor] >= FIRST_STRETCH_M)]
-        beyond_step[arrives] = world.step
-        beyond_s = (world.step - beyond_step[actor]) * self.dt_s
-        ages = PseudonymAges(
-            n_changes=n_changes,
-            age_s=(world.step - state.since_step[actor]) * self.dt_s,
-            distance_m=distance_m[actor],
-            away_m=np.hypot(*(xy - state.from_xy_m[actor]).T),
-            beyond_s=np.where(distance_m[actor] >= FIRST_STRETCH_M, beyond_s, 0.0),
-            n_messages=state.n_messages[actor],
-            trip_draws=rng.uniforms(rng.key(self.seed, rng.Stream.PSEUDONYM), names, n_changes, n=4),
-            step_draws=rng.uniforms(rng.key(self.seed, rng.Stream.PSEUDONYM, world.step + 1), names)[:, 0],
-        )
+        current = state.current[actor]
+        is_new = current < 0
+        before_m = state.distance_m[actor]
+        moved_m = np.hypot(*(xy_m - state.xy_m[actor]).T)
+        distance_m = before_m + np.where(is_new, 0.0, moved_m)
+        gets_beyond = (before_m < FIRST_STRETCH_M) & (distance_m >= FIRST_STRETCH_M)
+        beyond_step = np.where(gets_beyond, world.step, state.beyond_step[actor])
+        ages = self._ages(state, world, observers, distance_m, beyond_step)
+
         changes = np.asarray(self.policy.changes(ages), bool)
-        changes = ~new & (changes if wants is None else changes | wants)
-        changes &= ~world.is_roadside[observers]  # their certificates say who they are
+        if wants is not None:
+            changes = changes | wants
+        changes = changes & ~is_new & ~world.is_roadside[observers]  # certificates of roadside units say who they are
+        takes = is_new | changes
         given_up = actor[changes]
         last_step = np.full(len(given_up), world.step - 1)  # in use between its last message and the first of the next
-        ended = PseudonymUse.of(state, state.current[given_up], given_up, state.since_step[given_up], last_step)
-        fresh = np.flatnonzero(new | changes)
-        taking = actor[fresh]
-        current = state.current.copy()
-        since = state.since_step.copy()
-        seen = state.seen_step.copy()
-        n_changes_all = state.n_changes.copy()
-        n_messages = state.n_messages.copy()
-        place = state.xy_m.copy()
-        from_xy_m = state.from_xy_m.copy()
-        from_xy_m[taking] = xy[fresh]
-        numbered = taking[changes[fresh]] if self.by_number else taking
+        ended = PseudonymUse.of(state, current[changes], given_up, state.since_step[given_up], last_step)
+
+        is_numbered = takes
         if self.by_number:
-            current[taking] = taking
-        current[numbered], state = self._numbers(state, numbered, np.zeros(len(numbered), np.int64), world.step)
-        since[taking], n_messages[taking], distance_m[taking] = world.step, 0, 0.0
-        n_changes_all[given_up] += 1
-        n_messages[actor] += 1
-        seen[actor], place[actor] = world.step, xy
-        state = replace(
-            state,
-            current=current,
-            since_step=since,
-            seen_step=seen,
-            n_changes=n_changes_all,
-            n_messages=n_messages,
+            current[is_new] = actor[is_new]
+            is_numbered = changes  # only by attackers that change their pseudonyms in addition to the policy
+        numbered = actor[is_numbered]
+        first_identity = np.zeros_like(numbered)
+        state, current[is_numbered] = self._next_numbers(state, numbered, first_identity, world.step)
+        columns = {
+            "current": current,
+            "since_step": np.where(takes, world.step, state.since_step[actor]),
+            "seen_step": world.step,
+            "n_changes": ages.n_changes + changes,
+            "n_messages": np.where(takes, 0, ages.n_messages) + 1,
+            "distance_m": np.where(takes, 0.0, distance_m),
+            "xy_m": xy_m,
+            "from_xy_m": np.where(takes[:, None], xy_m, state.from_xy_m[actor]),
+            "beyond_step": beyond_step,
+        }
+        return state.with_columns(actor, columns), current, ended
+
+    def _ages(
+        self,
+        state: PseudonymState,
+        world: World,
+        observers: Int[ndarray, "e"],
+        distance_m: Float[ndarray, "e"],
+        beyond_step: Int[ndarray, "e"],
+    ) -> PseudonymAges:
+        """Age and use of the pseudonyms of these vehicles, given the last two columns of the state as they are now."""
+        actor, name = world.actor[observers], world.name_key[observers]
+        from_start_m = world.boxes.xyz_m[observers, :2] - state.from_xy_m[actor]
+        beyond_s = (world.step - beyond_step) * self.dt_s
+        n_changes = state.n_changes[actor]
+        trip_key = rng.key(self.seed, rng.Stream.PSEUDONYM)
+        step_key = rng.key(self.seed, rng.Stream.PSEUDONYM, world.step + 1)
+        return PseudonymAges(
+            n_changes=n_changes,
+            age_s=(world.step - state.since_step[actor]) * self.dt_s,
             distance_m=distance_m,
-            xy_m=place,
-            from_xy_m=from_xy_m,
-            beyond_step=beyond_step,
+            away_m=np.hypot(*from_start_m.T),
+            beyond_s=np.where(distance_m >= FIRST_STRETCH_M, beyond_s, 0.0),
+            n_messages=state.n_messages[actor],
+            trip_draws=rng.uniforms(trip_key, name, n_changes, n=4),
+            step_draws=rng.uniforms(step_key, name)[:, 0],
         )
-        return state, current[actor], ended
 
     def issue_extra(
         self, state: PseudonymState, vehicle: Int[ndarray, "x"], identity: Int[ndarray, "x"], step: int
@@ -436,9 +458,9 @@ class Pseudonyms:
         -------
         The new state, and the pseudonyms in the given order.
         """
-        key = vehicle.astype(np.int64) << 16 | identity
+        key = _identity_key(vehicle, identity)
         new = np.setdiff1d(key, state.extra[:, 0])
-        numbers, state = self._numbers(state, new >> 16, new & (1 << 16) - 1, step)
+        state, numbers = self._next_numbers(state, *_of_identity_key(new), step)
         rows = np.column_stack([new, numbers, np.full((len(new), 2), step)])
         extra = np.concatenate([state.extra, rows])
         extra = extra[np.argsort(extra[:, 0], kind="stable")]
@@ -457,37 +479,53 @@ class Pseudonyms:
         return self._issued(state, pseudonym, 2, -1)
 
     def _issued(self, state: PseudonymState, pseudonym: ndarray, column: int, of_number: ndarray | int) -> ndarray:
+        """A column of `state.issued` for each pseudonym; -1 if it was never issued.
+
+        `of_number` is the value for a pseudonym that is an actor number.
+        """
         at = pseudonym - FIRST_EXTRA if self.by_number else pseudonym
         inside = (at >= 0) & (at < len(state.issued))
         found = np.full(len(pseudonym), -1)
         found[inside] = state.issued[at[inside], column]
         if self.by_number:
-            number = (pseudonym >= 0) & (pseudonym < len(state.current))
-            number[number] = state.current[pseudonym[number]] >= 0
-            found[number] = np.broadcast_to(of_number, len(pseudonym))[number]
+            by_number = np.flatnonzero((pseudonym >= 0) & (pseudonym < len(state.current)))
+            by_number = by_number[state.current[pseudonym[by_number]] >= 0]
+            found[by_number] = np.broadcast_to(of_number, len(pseudonym))[by_number]
         return found
 
-    def _numbers(
+    def _next_numbers(
         self, state: PseudonymState, vehicle: Int[ndarray, "k"], identity: Int[ndarray, "k"], step: int
-    ) -> tuple[Int[ndarray, "k"], PseudonymState]:
-        """New pseudonyms with the next numbers."""
+    ) -> tuple[PseudonymState, Int[ndarray, "k"]]:
+        """The state, and new pseudonyms with the next numbers."""
         if not len(vehicle):
-            return np.zeros(0, np.int64), state
-        numbers = len(state.issued) + np.arange(len(vehicle)) + (FIRST_EXTRA if self.by_number else 0)
+            return state, np.zeros(0, np.int64)
+        first = len(state.issued) + (FIRST_EXTRA if self.by_number else 0)
         rows = np.column_stack([vehicle, identity, np.full(len(vehicle), step)])
-        return numbers, replace(state, issued=np.concatenate([state.issued, rows]))
+        state = replace(state, issued=np.concatenate([state.issued, rows]))
+        return state, first + np.arange(len(vehicle))
 
     def in_use(self, state: PseudonymState) -> PseudonymUse:
         """Pseudonyms that are still in use when recording ends."""
         vehicle, extra = np.flatnonzero(state.current >= 0), state.extra
+        extra_vehicle, extra_identity = _of_identity_key(extra[:, 0])
         return PseudonymUse.of(
             state,
             np.concatenate([state.current[vehicle], extra[:, 1]]),
-            np.concatenate([vehicle, extra[:, 0] >> 16]),
+            np.concatenate([vehicle, extra_vehicle]),
             np.concatenate([state.since_step[vehicle], extra[:, 2]]),
             np.concatenate([state.seen_step[vehicle], extra[:, 3]]),
-            np.concatenate([np.zeros(len(vehicle), np.int64), extra[:, 0] & (1 << 16) - 1]),
+            np.concatenate([np.zeros_like(vehicle), extra_identity]),
         )
+
+
+def _identity_key(vehicle: Int[ndarray, "n"], identity: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Vehicle and identity as one integer, in the order of both. Identities have 16 bits."""
+    return vehicle.astype(np.int64) << 16 | identity
+
+
+def _of_identity_key(key: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+    """Vehicle and identity of each `_identity_key`."""
+    return key >> 16, key & (1 << 16) - 1
 
 
 _PER_VEHICLE = (
@@ -515,7 +553,8 @@ def _grown(state: PseudonymState, size: int) -> PseudonymState:
     def longer(name: str) -> ndarray:
         column = getattr(state, name)
         fill = -1 if name in ("current", "linked") else 0
-        return np.concatenate([column, np.full((more, *column.shape[1:]), fill, column.dtype)])
+        added = np.full((more, *column.shape[1:]), fill, column.dtype)
+        return np.concatenate([column, added])
 
     columns: dict[str, Any] = {name: longer(name) for name in _PER_VEHICLE}
     return replace(state, **columns)

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
 from cosim.base import rng
+from cosim.base.ragged import owner_of_rows
 from cosim.messages import cellular
 from cosim.messages.cellular import CellularParams, transfer_delay_s, within_capacity
 from cosim.messages.content import report_bytes, trust_broadcast_bytes
@@ -124,7 +125,7 @@ class Uplink:
             delay_s[~is_valid] = np.inf
         keys, sent, place = rng.keys(key, name_key), length, xy_m
         if n_copies is not None and n_copies.any():
-            of = np.repeat(np.arange(len(n)), np.where(length > 0, n_copies, 0))
+            of = owner_of_rows(np.where(length > 0, n_copies, 0))
             number = np.arange(len(of)) - np.searchsorted(of, of)
             keys = np.concatenate([keys, rng.keys(key, name_key[of], 1 + number)])
             sent = np.concatenate([length, length[of]])

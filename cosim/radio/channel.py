@@ -19,7 +19,7 @@ from annotated_types import Gt, Le
 from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
-from cosim.base.ragged import offsets, ranges
+from cosim.base.ragged import offsets, owner_of_rows, ranges
 from cosim.radio import dtypes
 from cosim.radio.channel_state import ChannelState, next_state, remap_stations
 from cosim.radio.csma_events import PACKETS, SLOTS, Air, Heap, Log, run_until
@@ -408,7 +408,7 @@ def _result(log: Log, done: ndarray, phy: ndarray, span_ns: int) -> WindowResult
         receiver_row, reception = receiver_row[at], reception[at]
     if np.any(receiver_row == dtypes.NONE):
         there = receiver_row != dtypes.NONE
-        packet = np.repeat(np.arange(len(rows)), count)
+        packet = owner_of_rows(count)
         count = np.bincount(packet[there], minlength=len(rows))
         receiver_row, reception = receiver_row[there], reception[there]
     start = np.where(sent, rows["start_ns"], rows["generated_ns"])

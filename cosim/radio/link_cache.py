@@ -7,7 +7,7 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim.base import rng
-from cosim.base.ragged import offsets, ranges
+from cosim.base.ragged import offsets, owner_of_rows, ranges
 from cosim.radio.channel import JammedStations, Links
 from cosim.radio.link_budget import from_db, links_between, los_pairs
 from cosim.radio.message_round import Stations
@@ -111,7 +111,7 @@ def jammed(links: Links, stations: Stations, params: RadioParams) -> Links:
     abuse = stations.abuse
     if abuse is None or not (np.isfinite(abuse.jam_dbm).any() or np.isfinite(abuse.react_dbm).any()):
         return links
-    sender = np.repeat(np.arange(len(stations)), np.diff(links.ptr))
+    sender = owner_of_rows(np.diff(links.ptr))
     noise = [
         np.bincount(links.receiver, links.power_mw * from_db(dbm - params.propagation.tx_power_dbm)[sender],
                     len(stations))

@@ -123,7 +123,7 @@ def _scores_of_removed(
 
 
 def _inserted(exchange: Exchange, messages: Known, compared: Compared) -> Inserted:
-    receiver, detection, seed = compared.traced
+    receiver, detection, seed = compared.fabricated
     foreign = messages.vehicle[messages.detections.message[detection]] != exchange.vehicles.senses[receiver]
     return Inserted(detection[foreign], receiver[foreign], seed[foreign])
 

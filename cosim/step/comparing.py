@@ -1,129 +1,42 @@
-"""What every vehicle finds by itself about the detections that it knows: it groups, evaluates and fuses them.
+"""Vehicles group the detections that they know, ask their own sweeps about them, and evaluate them.
 
-A vehicle uses the messages that it knows and its own sweep. So parts of the vehicles can be computed in any place
-(`KnownObjects.part`), and the result does not depend on it.
+This stage of a step (`cosim.step.cycle`) follows when messages were received. `cosim.step.evaluate` makes evaluation
+messages of its result, and `cosim.step.fuse` fuses the groups. A vehicle uses the messages that it knows and its own
+sweep, so that the result of one vehicle does not depend on what others compute.
 """
 
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.base.ragged import ptr_of, ranges
 from cosim.base.threads import threads_for
-from cosim.step.known import Pairs, Uses, renumbered
+from cosim.messages.content import FABRICATED
+from cosim.step.accuracy import pose_variance
+from cosim.step.exchange import Exchange, Senders
+from cosim.step.known import Known, Pairs, Uses
 from cosim.step.object_lists import questions_of, received_lists, subset
+from cosim.step.parts import Parts
 from cosim.step.perception import BoxQuestions, Perceives
-from cosim.step.stopwatch import Stopwatch
-from sensors.association import bounded, certainty
-from sensors.box_fusion import ObjectViews, StatedAccuracy, ViewLists, fuse_boxes, overlap_p
-from sensors.boxes import Boxes
+from cosim.step.sense import Positioned
+from sensors.association import Gate, bounded, certainty, pairs_across, pairs_within
+from sensors.box_fusion import StatedAccuracy
+from sensors.boxes import Boxes, overlapping_pairs, pairs_between
 from sensors.evidence import AreaParams
-from trust import tables
 from trust.evaluation import evaluate
-from trust.fusion import Fused, SensorEvidence, fuse, votes_of
+from trust.fusion import SensorEvidence
 from trust.matching import match_each
-from trust.object_reports import ObjectReports
 from trust.params import TrustParams
-from trust.tables import Evaluations, FusionInput, Groups, ObjectLists, SenderTrust
+from trust.tables import Evaluations, Groups, ObjectLists, SentDetections
 
-_ROWS_PER_FUSED = 6
-"""To fuse the box of one detection costs as much as this number of rows of a table."""
-ROWS_PER_BOX = 10
+_ROWS_PER_BOX = 10
 """Finding the boxes that overlap one box costs as much as this number of rows of a table."""
 
-Recall = Callable[[ndarray, ndarray, ndarray], ndarray]
-"""Recall of a detector, from number of returns, class and distance."""
 
-
-@dataclass(frozen=True, slots=True)
-class KnownObjects:
-    """D detections in M messages, and the R vehicles that know them."""
-
-    detections: tables.SentDetections
-    boxes: Boxes
-    transmitted: Bool[ndarray, "d"]
-    ptr: Int[ndarray, "m+1"]
-    """Row at which the detections of each message begin."""
-    traced: Bool[ndarray, "d"]
-    """Detections of which `Compared` says what they were grouped with."""
-    pairs: Pairs
-    """Detections that may be of one object."""
-    own: Int[ndarray, "r"]
-    """Message of each vehicle under its own identity, ascending."""
-    received: Uses
-    """Messages that vehicles know besides, from others or under further identities of their own."""
-    bodies: Boxes
-    """Where each vehicle believes itself to be."""
-    variance_m2: Float[ndarray, "d 3"] | None = None
-    """Variance of each detection's position, as stated, and of the position of a vehicle that compares it with its own
-    sweep. None where boxes are taken to be exact."""
-    accuracy: StatedAccuracy | None = None
-    """What vehicles state of the accuracy of the detections. None where boxes are not fused by it."""
-
-    def part(self, vehicles: Int[ndarray, "k"], received: Int[ndarray, "n"]) -> tuple["KnownObjects", "PartRows"]:
-        """The same for some of the vehicles, which are numbered anew.
-
-        Parameters
-        ----------
-        vehicles
-            Their rows, ascending.
-        received
-            Rows of what they received, ascending.
-
-        Returns
-        -------
-        What they know, and the rows of the messages and detections of it in these.
-        """
-        receiver, message = self.received.receiver[received], self.received.message[received]
-        there = np.zeros(len(self.ptr) - 1, bool)
-        there[self.own[vehicles]] = True
-        there[message] = True
-        messages = np.flatnonzero(there)
-        of_message = np.cumsum(there) - 1
-        n = np.diff(self.ptr)[messages]
-        detections = ranges(self.ptr[messages], n)
-        number = numbers(detections, len(self.boxes))
-        all_ = self.detections
-        part = KnownObjects(
-            detections=tables.SentDetections(
-                of_message[all_.message[detections]],
-                *(getattr(all_, name)[detections] for name in ("detection_index", "label", "score", "is_self")),
-            ),
-            boxes=self.boxes.take(detections),
-            transmitted=self.transmitted[detections],
-            ptr=np.concatenate([[0], np.cumsum(n)]),
-            traced=self.traced[detections],
-            pairs=renumbered(self.pairs, number),
-            own=of_message[self.own[vehicles]],
-            received=Uses(numbers(vehicles, len(self.own))[receiver], of_message[message]),
-            bodies=self.bodies.take(vehicles),
-            variance_m2=None if self.variance_m2 is None else self.variance_m2[detections],
-            accuracy=None if self.accuracy is None else self.accuracy.take(detections, messages),
-        )
-        return part, PartRows(messages, detections, number)
-
-
-class PartRows(NamedTuple):
-    """Rows of messages and detections of a part among all, and the row of every detection in the part, or -1."""
-
-    messages: Int[ndarray, "m"]
-    detections: Int[ndarray, "d"]
-    number: Int[ndarray, "all"]
-
-
-def numbers(rows: Int[ndarray, "k"], n: int) -> Int[ndarray, "n"]:
-    """Position of each of n rows among some of them; -1 if it is not there."""
-    number = np.full(n, -1, np.int32)
-    number[rows] = np.arange(len(rows), dtype=np.int32)
-    return number
-
-
-class Traced(NamedTuple):
-    """Traced detections in the lists of what vehicles know."""
+class FabricatedDetections(NamedTuple):
+    """Fabricated detections in the lists of what vehicles know: ground truth."""
 
     list: Int[ndarray, "k"]
     detection: Int[ndarray, "k"]
@@ -132,120 +45,29 @@ class Traced(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class FusionOf:
-    """A trust variant that fuses."""
-
-    trust: Float[ndarray, "h"]
-    """Trust of the vehicle in the sender of each message in use."""
-    params: TrustParams
-    scorer: Callable[[ObjectReports], Float[ndarray, "g"]] | None
-    """Method of a trust model that scores objects."""
-
-
-@dataclass(frozen=True, slots=True)
-class Used:
-    """The evaluations that vehicles use in fusion. Messages have the rows of all `Known`."""
-
-    messages: Uses
-    """Messages whose evaluations the vehicles use, by vehicle."""
-    in_time: bool
-    """Whether these evaluations have arrived."""
-    lists: ObjectLists
-    """What was evaluated, one list per message."""
-    own: Evaluations
-    reported: Evaluations
-    """As transmitted; `own` itself if no attack changed any."""
-    from_own_m: Float[ndarray, "d"]
-    """Distance of each detection from the sensor of its sender."""
-
-
-class Fuses(Protocol):
-    """What fusion needs of the comparison."""
-
-    def fuse(self, used: Used, variants: Sequence[FusionOf]) -> list[Fused]:
-        """Fused objects of every vehicle, per trust variant."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class Grouped:
+class ObjectGroups:
     """All detections that each vehicle knows, in groups, one per object."""
 
     lists: ObjectLists
     groups: Groups
-    detections: tables.SentDetections
-    of_seeds: SensorEvidence
-    """What the sweeps say about the detection whose box represents each group."""
+    detections: SentDetections
     boxes: Boxes
     """Of the detections."""
+    of_seeds: SensorEvidence
+    """What the sweeps say about the detection whose box represents each group."""
+    pairs: Pairs
+    """Detections that may be of one object, as rows of `Known`."""
+    from_own_m: Float[ndarray, "d"]
+    """How inaccurate each detection is [m]: of an object's detections, the one with the least gives its box. It is the
+    distance from the sensor of the vehicle that sends it. With `trust.matching = "gates"`: standard deviation of the
+    position."""
     accuracy: StatedAccuracy | None
-    """As in `KnownObjects`."""
-
-    def renumbered(self, messages: Int[ndarray, "m"]) -> "Grouped":
-        """The same with these rows of the messages."""
-        detections = replace(self.detections, message=messages[self.detections.message])
-        accuracy = None if self.accuracy is None else self.accuracy.of_messages(messages)
-        lists = replace(self.lists, owner=messages[self.lists.owner])
-        return replace(self, lists=lists, detections=detections, accuracy=accuracy)
-
-    def fuse(self, used: Used, variants: Sequence[FusionOf]) -> list[Fused]:
-        """As in `Fuses`."""
-        ptr = ptr_of(used.messages.receiver, len(self.lists.owner))
-        in_time = np.full(len(used.messages.message), used.in_time)
-        given = FusionInput(self.lists, self.groups, self.detections, used.lists, used.own, used.reported)
-        fused, votes, by_mode = [], None, dict[str, list[int]]()
-        for number, variant in enumerate(variants):
-            params, sender_trust = variant.params, SenderTrust(ptr, used.messages.message, variant.trust, in_time)
-            if variant.scorer is not None and votes is None:
-                votes = votes_of(given, sender_trust)
-            is_best = self.accuracy is None or params.fused_boxes == "best"
-            fused.append(fuse(
-                given, sender_trust, self.of_seeds, used.from_own_m if is_best else None, params, variant.scorer, votes,
-                params.min_score,
-            ))  # fmt: skip
-            if not is_best:
-                by_mode.setdefault(params.fused_boxes, []).append(number)
-        for mode, rows in by_mode.items():
-            found, of = [fused[number] for number in rows], [variants[number] for number in rows]
-            for number, one in zip(rows, self._with_boxes(found, used, of, mode), strict=True):
-                fused[number] = one
-        return fused
-
-    def _with_boxes(
-        self, fused: Sequence[Fused], used: Used, variants: Sequence[FusionOf], mode: str
-    ) -> Iterator[Fused]:
-        """The objects with boxes from all their detections, and with scores that say how well the boxes may fit.
-
-        What a vehicle states counts by the receiver's trust in it. From the trust of a stranger on, it counts fully.
-        """
-        assert self.accuracy is not None
-        lists, groups, detections = self.lists, self.groups, self.detections
-        ptr = ptr_of(used.messages.receiver, len(lists.owner))
-        known = ViewLists(
-            lists.ptr, lists.member, lists.owner, groups.numbers(), lists.member[groups.seeds()], ptr,
-            used.messages.message,
-        )  # fmt: skip
-        weights = []
-        for of in variants:
-            enough = max(of.params.default_trust, 1e-9)
-            weights.append(np.minimum(of.trust / enough, 1.0))
-        wanted = np.zeros((len(fused), len(known.seed)), bool)
-        for row, found in zip(wanted, fused, strict=True):
-            row[found.group] = True
-        views = ObjectViews(self.boxes, detections.label, detections.message, self.accuracy)
-        with threads_for(_ROWS_PER_FUSED * len(lists.member) * len(fused)):
-            boxes = fuse_boxes(views, known, weights, list(wanted), mode == "aligned")
-        for found, of, its in zip(fused, variants, boxes, strict=True):
-            score = found.score
-            if of.params.least_overlap > 0:
-                score = score * overlap_p(its, of.params.least_overlap)
-            found = replace(found, box=its.columns(), variance_m2=its.variance_m2, score=score)
-            yield found.take(score >= of.params.min_score)
+    """What vehicles state of the accuracy of the detections. None where boxes are not fused by it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """What R vehicles find about the detections in the area that they evaluate; `v` is their number."""
+    """What vehicles find about the detections in the area that they evaluate; `v` is the number of these."""
 
     lists: ObjectLists
     groups: Groups
@@ -255,106 +77,213 @@ class Compared:
     """Whether an object can stand there by the vehicle's own sweep; tested if it did not detect the object itself."""
     own: Evaluations
     """Evaluations as each vehicle makes them."""
-    traced: Traced
-    """By list."""
+    fabricated: FabricatedDetections
+    """By list; beyond the area, too."""
 
 
-def compare(
-    perception: Perceives, sweeps: Any, known: KnownObjects, area: AreaParams, params: TrustParams,
-    recall: Recall | None, watch: Stopwatch,
-) -> tuple[Compared, Grouped]:  # fmt: skip
-    """Group what each vehicle knows, ask its own sweep about it, and evaluate it.
+def compare_objects(
+    exchange: Exchange, messages: Known, positioned: Positioned, parts: Parts
+) -> tuple[Compared, ObjectGroups]:
+    """Group the detections that each vehicle knows, ask its own sweep about them, and evaluate them.
 
-    Parameters
-    ----------
-    perception
-        Answers questions to the sweeps.
-    sweeps
-        Range images of the vehicles at their estimated positions.
-    known
-        What the vehicles know.
-    area
-        Where vehicles evaluate.
-    params
-        How they match and evaluate.
-    recall
-        Recall of their detector; None unless denials are weighted by it.
-    watch
-        Measures the stages.
+    Sweeps are not read again in this step.
     """
-    boxes, detections = known.boxes, known.detections
-    with watch("match"):
-        lists = received_lists(known.received, known.ptr, known.transmitted, known.own)
-        inside = perception.in_area(
-            sweeps, lists.of_member(), boxes, area, lists.member, detections.label, known.bodies
+    objects, detections, senders = messages.objects, messages.detections, exchange.senders
+    boxes, area, params = objects.boxes, parts.area, parts.config.trust
+    sweeps = positioned.observed.sweeps
+    origin_m = sweeps.poses.origin_m
+    n_now = int(messages.ptr[len(senders)])  # detections of this step; those of earlier messages follow
+    with parts.watch("match"):
+        pairs = _pairs(messages, n_now, params)
+        received = _with_own_identities(messages.received, senders)
+        lists = received_lists(received, messages.ptr, objects.transmitted, senders.own)
+        bodies = positioned.world.boxes.take(exchange.sensing.row)  # where each vehicle believes itself to be
+        inside = parts.perception.in_area(
+            sweeps, lists.of_member(), boxes, area, lists.member, detections.label, bodies
         )
         near = subset(lists, inside)
-        groups, near_groups = match_each((lists, near), detections, known.pairs, params)
-    with watch("evaluate"):
-        seeds, origin_m = groups.seeds(), sweeps.poses.origin_m
+        groups, near_groups = match_each((lists, near), detections, pairs, params)
+    with parts.watch("evaluate"):
+        seeds = groups.seeds()
         away_m = distance_m(boxes.xyz_m, lists.member[seeds], origin_m, lists.of(seeds))
         # Of what stands beyond the range, no return counts and nothing is tested. Ranges are those of bottom centres.
         may_count = away_m < area.range_m + boxes.lwh_m[lists.member[seeds], 2]
-        foreign = np.zeros(len(lists.member), bool)  # members whose plausibility is tested
-        foreign[seeds[may_count]] = True
-        foreign &= ~groups.ego_detected
-        foreign[np.flatnonzero(inside)[~near_groups.ego_detected]] = True
-        asked, counted, tested = questions_of(lists, inside, foreign, boxes, detections, area)
-        n_points, plausible = np.zeros(len(lists.member), np.int32), np.ones(len(lists.member), bool)
-        n_points[counted], plausible[tested] = perception.answers(sweeps, asked)
-        permitted = plausible.astype(float)
-        if known.variance_m2 is not None:
-            permitted = _permitted_share(perception, sweeps, lists, plausible, known, area)
+        is_tested = _is_tested(groups, near_groups, inside, seeds[may_count])
+        questions, counted, tested = questions_of(lists, inside, is_tested, boxes, detections, area)
+        n_points = np.zeros(len(lists.member), np.int32)
+        plausible = np.ones(len(lists.member), bool)
+        n_points[counted], plausible[tested] = parts.perception.answers(sweeps, questions)
+        permitted, compared_share = plausible.astype(float), None
+        if params.matching == "gates":
+            # The evaluator's own position has an error, too.
+            own_variance_m2 = parts.config.gnss.std_m**2 * np.array([1.0, 0.0, 1.0])
+            variance_m2 = objects.variance_m2 + own_variance_m2
+            permitted = _permitted_share(parts.perception, sweeps, lists, plausible, boxes, variance_m2, area)
             plausible = permitted >= 0.5
-        of_seeds = SensorEvidence(n_points[seeds], plausible[seeds], away_m < area.range_m)
-        n_points, plausible, of_near = n_points[inside], plausible[inside], None
-        if recall is not None:
+            compared_share = certainty(variance_m2)[near.member]
+        recall = None
+        if parts.recall is not None:
             range_m = distance_m(boxes.xyz_m, near.member, origin_m, near.of_member())
-            of_near = recall(n_points, detections.label[near.member], range_m)
-        sure = None if known.variance_m2 is None else certainty(known.variance_m2)[near.member]
-        own = evaluate(near, near_groups, detections, n_points, permitted[inside], params, of_near, sure)
-        at = np.flatnonzero(known.traced[lists.member]) if known.traced.any() else np.zeros(0, np.int64)
-        traced = Traced(lists.of(at), lists.member[at], lists.member[groups.seed[at]])
-    compared = Compared(near, near_groups, n_points, plausible, own, traced)
-    return compared, Grouped(lists, groups, detections, of_seeds, boxes, known.accuracy)
+            recall = parts.recall(n_points[inside], detections.label[near.member], range_m)
+        own = evaluate(
+            near, near_groups, detections, n_points[inside], permitted[inside], params, recall, compared_share
+        )
+        at = np.flatnonzero(objects.origin[lists.member] == FABRICATED)
+        seed = lists.member[groups.seed[at]]
+        fabricated = FabricatedDetections(lists.of(at), lists.member[at], seed)
+    found = ObjectGroups(
+        lists=lists,
+        groups=groups,
+        detections=detections,
+        boxes=boxes,
+        of_seeds=SensorEvidence(n_points[seeds], plausible[seeds], away_m < area.range_m),
+        pairs=pairs,
+        from_own_m=_from_own_m(exchange, messages, n_now, origin_m, params),
+        accuracy=_accuracy(exchange, messages, positioned, parts),
+    )
+    return Compared(near, near_groups, n_points[inside], plausible[inside], own, fabricated), found
 
 
-_SIGMA_POINTS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * np.sqrt(2.0)
+def _with_own_identities(received: Uses, senders: Senders) -> Uses:
+    """Messages that vehicles know besides those of their first identities: an attacker knows those of its others."""
+    further = np.flatnonzero(senders.identity)
+    if not len(further):
+        return received
+    receiver = np.concatenate([senders.source[further], received.receiver])
+    return Uses(receiver, np.concatenate([further, received.message]))
+
+
+def _is_tested(
+    groups: Groups, near_groups: Groups, inside: Bool[ndarray, "m"], seeds: Int[ndarray, "k"]
+) -> Bool[ndarray, "m"]:
+    """Members that each vehicle tests for plausibility: these seeds and all `inside`, but none that it detected itself.
+
+    `near_groups` are the groups of the members inside the area.
+    """
+    is_tested = np.zeros(len(inside), bool)
+    is_tested[seeds] = True
+    is_tested &= ~groups.ego_detected
+    is_tested[np.flatnonzero(inside)[~near_groups.ego_detected]] = True
+    return is_tested
+
+
+def _from_own_m(
+    exchange: Exchange, messages: Known, n_now: int, origin_m: Float[ndarray, "s 3"], params: TrustParams
+) -> Float[ndarray, "d"]:
+    """As in `ObjectGroups`. The first `n_now` detections are of this step, by sensors at `origin_m`."""
+    objects = messages.objects
+    if params.matching == "gates":
+        return np.sqrt(0.5 * objects.variance_m2[:, [0, 2]].sum(axis=1))
+    observer = exchange.senders.source[messages.detections.message[:n_now]]
+    now_m = distance_m(objects.boxes.xyz_m, np.arange(n_now), origin_m, observer)
+    return np.concatenate([now_m, messages.earlier_m])
+
+
+def _accuracy(exchange: Exchange, messages: Known, positioned: Positioned, parts: Parts) -> StatedAccuracy | None:
+    """What vehicles state of the accuracy of the detections; None if no variant fuses boxes by it."""
+    c, objects = parts.config, messages.objects
+    wanted = {variant.trust.fused_boxes for variant in parts.trust.variants if variant.fused}
+    if c.trust.matching != "gates" or wanted <= {"best"}:
+        return None
+    sender_row = exchange.vehicles.row[messages.vehicle]
+    origin_m = positioned.world.boxes.xyz_m[sender_row, :2]  # east and north, of each message
+    self_reports = np.flatnonzero(messages.detections.is_self)
+    origin_m[messages.detections.message[self_reports]] = objects.boxes.xyz_m[self_reports, :2]  # where it says to be
+    return StatedAccuracy(
+        variance_m2=objects.relative_m2,
+        heading_variance=objects.heading_variance,
+        size_variance=objects.size_variance,
+        origin_m=origin_m,
+        pose_variance=np.tile(pose_variance(c), (len(origin_m), 1)),
+    )
+
+
+def _pairs(messages: Known, n_now: int, params: TrustParams) -> Pairs:
+    """Detections that may be of one object, as rows of `messages.objects`.
+
+    The first `n_now` rows are of this step. They are paired with each other and with the earlier ones. Pairs of earlier
+    ones are known from the step before.
+    """
+    boxes, label, message = messages.objects.boxes, messages.objects.label, messages.detections.message
+    variance_m2 = bounded(messages.objects.variance_m2)
+    now, earlier = slice(0, n_now), slice(n_now, None)
+    gate = None if params.matching == "iou" else Gate(1.0 - params.gate_p, params.tau)
+    boxes_now, boxes_earlier = boxes.take(now), boxes.take(earlier)
+    with threads_for(_ROWS_PER_BOX * n_now):
+        if gate is None:
+            within = overlapping_pairs(boxes_now, label[now], message[now])
+        else:
+            within = pairs_within(boxes_now, label[now], variance_m2[now], message[now], gate)
+        if n_now == len(boxes):
+            return within
+        if gate is None:
+            i, j, iou = pairs_between(boxes_now, label[now], boxes_earlier, label[earlier])
+        else:
+            of_now = boxes_now, label[now], variance_m2[now]
+            of_earlier = boxes_earlier, label[earlier], variance_m2[earlier]
+            i, j, iou = pairs_across(*of_now, *of_earlier, gate)
+    columns = zip(within, (i, n_now + j, iou), messages.earlier_pairs, strict=True)
+    one, other, overlap = (np.concatenate(column) for column in columns)
+    return one, other, overlap
+
+
+_SIGMA_POINTS = np.sqrt(2.0) * np.array(
+    [
+        [1.0, 0.0],
+        [-1.0, 0.0],
+        [0.0, 1.0],
+        [0.0, -1.0],
+    ]
+)
 """Places around a box along the axes of its variance, in standard deviations. Their mean and their variance are those
 of the position: the points of third-degree cubature."""
 
 
 def _permitted_share(
-    perception: Perceives, sweeps: Any, lists: ObjectLists, plausible: Bool[ndarray, "m"], known: KnownObjects,
+    perception: Perceives,
+    sweeps: Any,
+    lists: ObjectLists,
+    plausible: Bool[ndarray, "m"],
+    boxes: Boxes,
+    variance_m2: Float[ndarray, "d 3"],
     area: AreaParams,
-) -> Float[ndarray, "m"]:  # fmt: skip
+) -> Float[ndarray, "m"]:
     """Share of the places where a box may be that free space in the vehicle's own sweep permits.
 
     A box that is permitted where its message says has the share 1. For the others, the sweep is asked about four places
     around it, too.
+
+    Parameters
+    ----------
+    plausible
+        Whether each member of `lists` is permitted where its message says.
+    boxes, variance_m2
+        All detections, and the variances xx, xy, yy of their positions.
     """
-    assert known.variance_m2 is not None
     share = plausible.astype(float)
     rows = np.flatnonzero(~plausible)
     if not len(rows):
         return share
-    b, o = lists.member[rows], lists.of_member()[rows].astype(np.int32)
-    xx, xy, yy = bounded(known.variance_m2.take(b, axis=0)).T
-    # The lower triangle of the Cholesky factor turns standard deviations into metres.
-    a = np.sqrt(xx)
-    c = xy / a
-    d = np.sqrt(np.maximum(yy - c * c, 0.0))
+    detection = lists.member[rows]
+    sweep = lists.of_member()[rows].astype(np.int32)
+    xx, xy, yy = bounded(variance_m2.take(detection, axis=0)).T
+    # Lower triangle of the Cholesky factor, which turns standard deviations into metres: east = x_of_u * u,
+    # north = y_of_u * u + y_of_v * v.
+    x_of_u = np.sqrt(xx)
+    y_of_u = xy / x_of_u
+    y_of_v = np.sqrt(np.maximum(yy - y_of_u * y_of_u, 0.0))
     n = len(_SIGMA_POINTS)
-    boxes = known.boxes.take(np.tile(b, n))
     u, v = np.repeat(_SIGMA_POINTS, len(rows), axis=0).T
-    xyz_m = boxes.xyz_m.copy()
-    xyz_m[:, 0] += np.tile(a, n) * u
-    xyz_m[:, 1] += np.tile(c, n) * u + np.tile(d, n) * v
-    none = np.zeros(0, np.int32)
-    at = np.arange(n * len(rows)).reshape(n, -1).T.ravel()  # by sweep: each is read once
-    asked = BoxQuestions(replace(boxes, xyz_m=xyz_m), area, none, at[:0], np.repeat(o, n), at)
-    _, around = perception.answers(sweeps, asked)
-    share[rows] = around.reshape(-1, n).sum(axis=1) / (1.0 + n)
+    around = boxes.take(np.tile(detection, n))
+    xyz_m = around.xyz_m.copy()
+    xyz_m[:, 0] += np.tile(x_of_u, n) * u
+    north_m = np.tile(y_of_u, n) * u + np.tile(y_of_v, n) * v
+    xyz_m[:, 1] += north_m
+    around = replace(around, xyz_m=xyz_m)
+    by_sweep = np.arange(n * len(rows)).reshape(n, -1).T.ravel()  # so that each sweep is read once
+    questions = BoxQuestions(around, area, sweep[:0], by_sweep[:0], np.repeat(sweep, n), by_sweep)
+    _, permits = perception.answers(sweeps, questions)
+    share[rows] = permits.reshape(-1, n).sum(axis=1) / (1.0 + n)
     return share
 
 

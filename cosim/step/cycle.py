@@ -29,7 +29,8 @@ from cosim.step import tracking
 from cosim.step.attack_outcomes import attack_outcomes
 from cosim.step.broadcast import broadcast_detections, broadcast_evaluations, hear
 from cosim.step.claims import claims_of
-from cosim.step.evaluate import compare_objects, evaluate_objects
+from cosim.step.comparing import compare_objects
+from cosim.step.evaluate import evaluate_objects
 from cosim.step.exchange import Exchange, Times, Vehicles, stations_of
 from cosim.step.fuse import beliefs_of, fuse_objects
 from cosim.step.late import joined, of_this_step
@@ -108,8 +109,11 @@ def _cycle(
     parts: Parts,
     precomputed: Precomputed,
 ) -> tuple[State, Sensed, Beliefs | None]:
-    """The paper's cycle, from sweeps to fused objects. Beliefs are None if the driver does not use them."""
-    c, watch = parts.config, parts.watch
+    """The paper's cycle, from sweeps to fused objects. Beliefs are None if the driver does not use them.
+
+    `own_trust` is the trust in each actor, as the actor last received it; None if no attack reads it.
+    """
+    config, watch = parts.config, parts.watch
     with watch("server"):
         trust, pseudonyms, published = publish(s.trust, s.pseudonyms, vehicles, now, parts)
     observed = perceive(world, vehicles, precomputed, parts)
@@ -117,67 +121,72 @@ def _cycle(
         sends = senders_among(world, vehicles)
         attacks = parts.adversary.active(s.attacks, world, now.begin_s, own_trust, sends)
         observed = mislead(observed, attacks)
-    position_errors, positioned = position(world, vehicles, observed, s.position_errors, c)
+    position_errors, positioned = position(world, vehicles, observed, s.position_errors, config)
     with watch("track objects"):
         tracks, positioned = track_objects(world, vehicles, positioned, s.tracks, now, parts)
     with watch("attack"):
         pseudonyms, senders = senders_of(world, vehicles, attacks, pseudonyms, parts)
-        stations = stations_of(world, vehicles.row, parts.rsus, c.radio.antenna_above_roof_m)
+        stations = stations_of(world, vehicles.row, parts.rsus, config.radio.antenna_above_roof_m)
         exchange = Exchange.of(world, now, vehicles, senders, stations, attacks)
         cpm, listed = list_objects(exchange, positioned, acceleration_mps2, s.cpm, s.medium, parts)
     with watch("trust"):
         exchange = control_relays(trust, s.known_senders, exchange, pseudonyms, parts)
     with watch("radio"):
         medium = s.medium if precomputed.with_links is None else precomputed.with_links(s.medium)
-        offered = None if parts.early is None else parts.early.offered(observed)
-        on_air = offered.length_bytes if offered is not None and c.early_fusion.medium == "radio" else None
-        medium, cpms = broadcast_detections(exchange, listed, s.piggybacked, on_air, medium, parts)
-        cpm = hear(cpm, exchange, positioned, listed, cpms, c)
-    carries = RoundKind.EVALUATION if c.radio.evaluations == "alone" else RoundKind.CPM
+        sent_clouds = None if parts.early is None else parts.early.offered(observed)
+        cloud_bytes = None
+        if sent_clouds is not None and config.early_fusion.medium == "radio":
+            cloud_bytes = sent_clouds.length_bytes
+        medium, cpms = broadcast_detections(exchange, listed, s.piggybacked, cloud_bytes, medium, parts)
+        cpm = hear(cpm, exchange, positioned, listed, cpms, config)
+    carry_evaluations = RoundKind.EVALUATION if config.radio.evaluations == "alone" else RoundKind.CPM
     with watch("match"):
-        inbox = s.inbox.with_late(exchange, cpms.late, carries)
+        inbox = s.inbox.with_late(exchange, cpms.late, carry_evaluations)
         inbox, known = inbox.known(exchange, listed, cpms, parts)
-    compared, matched = compare_objects(exchange, known, positioned, parts)
+    compared, groups = compare_objects(exchange, known, positioned, parts)
     if precomputed.sweeps_are_read is not None:
         precomputed.sweeps_are_read()
     with watch("evaluate"):
         claims = claims_of(exchange, known, compared, listed.tracks, parts)
-        evaluated = evaluate_objects(exchange, known, compared, claims, c)
+        evaluated = evaluate_objects(exchange, known, compared, claims, config)
     with watch("radio"):
         trust, on_rsus = parts.trust.pending_rsu_broadcast(trust, now.evaluated_s)
         medium, reports = broadcast_evaluations(exchange, evaluated, on_rsus, medium, parts)
+        rounds = cpms, reports
     with watch("trust"):
         trust, informed = receive_from_rsus(trust, exchange, on_rsus, reports, published.informed, parts)
-        piggybacked, carrier = carrier_of(exchange, evaluated, s.piggybacked, (cpms, reports), parts)
-        trust, up = update_trust(trust, exchange, listed, evaluated, carrier, pseudonyms, parts)
-        late = [messages for messages in (*cpms.late, *reports.late) if messages.kind == carries]
-        trust, late_up = deliver_late(trust, exchange, s.carried, late, pseudonyms, parts)
-        inbox = inbox.with_late(exchange, reports.late, carries)
-        used = inbox.reports_used(exchange, carrier.receptions.vehicles)
+        piggybacked, carrier = carrier_of(exchange, evaluated, s.piggybacked, rounds, parts)
+        trust, uplink = update_trust(trust, exchange, listed, evaluated, carrier, pseudonyms, parts)
+        late = [messages for one in rounds for messages in one.late if messages.kind == carry_evaluations]
+        trust, late_uplink = deliver_late(trust, exchange, s.carried, late, pseudonyms, parts)
+        inbox = inbox.with_late(exchange, reports.late, carry_evaluations)
+        reports_used = inbox.reports_used(exchange, carrier.receptions.vehicles)
         trust, known_senders, looked_up = look_up(
-            trust, s.known_senders, exchange, listed, known, used, cpms, pseudonyms, parts
+            trust, s.known_senders, exchange, listed, known, reports_used, cpms, pseudonyms, parts
         )
     with watch("fuse"):
         evaluations = inbox.evaluations_used(exchange, evaluated, len(listed.objects))
-        fused = fuse_objects(trust, matched, evaluations, looked_up, parts)
+        fused = fuse_objects(trust, groups, evaluations, looked_up, parts)
         received_cpms = joined([cpms.accepted.vehicles, *of_this_step(exchange, reports.late, RoundKind.CPM)])
-        received = received_cpms, received_cpms if carries == RoundKind.CPM else carrier.receptions.vehicles
-        inbox = inbox.next(exchange, listed, matched, evaluated, received)
+        received_reports = carrier.receptions.vehicles
+        if carry_evaluations == RoundKind.CPM:
+            received_reports = received_cpms
+        inbox = inbox.next(exchange, listed, groups, evaluated, (received_cpms, received_reports))
         clouds, early = s.clouds, None
-        if parts.early is not None and offered is not None:
+        if parts.early is not None and sent_clouds is not None:
             late_clouds = (*cpms.late_clouds, *reports.late_clouds)
             clouds, early = parts.early.fuse(
-                clouds, exchange, observed, positioned.error, offered, cpms.clouds, late_clouds
+                clouds, exchange, observed, positioned.error, sent_clouds, cpms.clouds, late_clouds
             )
     beliefs, reaction_truth = None, s.reaction_truth
-    if c.driver.model != "none":
+    if config.driver.model != "none":
         with watch("driver"):
             beliefs = beliefs_of(fused[0], exchange, known, world, positioned.error)
-            reaction_truth = reaction_truth.next(exchange, listed, c.traffic.step_s)
+            reaction_truth = reaction_truth.next(exchange, listed, config.traffic.step_s)
     with watch("track"):
         attack_start = tracking.track_attacks(s.attack_start, exchange, positioned.observed, listed, evaluated)
-        inter_reception, reach = tracking.track_receptions(s.inter_reception, exchange, (cpms, reports))
-        encounters = tracking.count_in_encounters(s.encounters, exchange, (cpms, reports), looked_up, known, compared)
+        inter_reception, reach = tracking.track_receptions(s.inter_reception, exchange, rounds)
+        encounters = tracking.count_in_encounters(s.encounters, exchange, rounds, looked_up, known, compared)
         outcomes = attack_outcomes(exchange, positioned.world, known, compared, fused)
     sensed = Sensed(
         vehicles=vehicles,
@@ -186,7 +195,7 @@ def _cycle(
         positioned=positioned,
         listed=listed,
         known=known,
-        rounds=(cpms, reports),
+        rounds=rounds,
         carried=(*s.carried, carrier),
         reach=reach,
         evaluated=evaluated,
@@ -194,7 +203,7 @@ def _cycle(
         fused=fused,
         early=early,
         published=published.scores,
-        servers=parts.trust.traffic(up.plus_late(late_up), informed),
+        servers=parts.trust.traffic(uplink.plus_late(late_uplink), informed),
         attack_outcomes=outcomes,
     )
     s = replace(
@@ -208,7 +217,7 @@ def _cycle(
         inbox=inbox,
         clouds=clouds,
         piggybacked=piggybacked,
-        carried=next_carried(s.carried, carrier, now, c),
+        carried=next_carried(s.carried, carrier, now, config),
         known_senders=known_senders,
         reaction_truth=reaction_truth,
         attack_start=attack_start,

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Int, UInt64
 from numpy import ndarray
 
-from cosim.attacks.adversary import Active
+from cosim.attacks.adversary import ActiveAttacks
 from cosim.attacks.attack import Sending
 from cosim.base import rng
 from cosim.base.ragged import expand
@@ -144,7 +144,7 @@ class Exchange:
     senders: Senders
     stations: Stations
     """Antennas of the vehicles, then of the roadside units."""
-    attacks: Active
+    attacks: ActiveAttacks
     """Attacks that are carried out in this step."""
     sending: Sending | None
     """Which vehicles delay, copy, flood or jam, by row of `vehicles`; None if no vehicle does."""
@@ -153,10 +153,10 @@ class Exchange:
 
     @staticmethod
     def of(
-        world: World, now: Times, vehicles: Vehicles, senders: Senders, stations: Stations, attacks: Active
+        world: World, now: Times, vehicles: Vehicles, senders: Senders, stations: Stations, attacks: ActiveAttacks
     ) -> "Exchange":
         """Apply the effects of this step's attacks on the channel and on the sending of messages."""
-        sending = sending_of(attacks.sending(len(world)), vehicles)
+        sending = sending_of(attacks.sending(), vehicles)
         if sending is not None and sending.abuses_channel().any():
             stations = replace(stations, abuse=abuse_of(sending, len(stations) - len(vehicles)))
         return Exchange(world, now, vehicles, vehicles.sensing(), senders, stations, attacks, sending)

@@ -1,17 +1,18 @@
 """Vehicles fuse the objects that they know, and drivers get what these believe."""
 
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from cosim.messages.content import (
-    Detections,
-)
+from cosim.base.ragged import ptr_of
+from cosim.base.threads import threads_for
+from cosim.messages.content import Detections
 from cosim.messages.trust_hosts import TrustState
-from cosim.step.comparing import FusionOf, Used
-from cosim.step.evaluate import Matched
+from cosim.step.comparing import ObjectGroups
 from cosim.step.exchange import Exchange
 from cosim.step.known import Known
 from cosim.step.parts import Parts
@@ -19,15 +20,19 @@ from cosim.step.positioning import as_estimated
 from cosim.step.trust import LookedUp
 from cosim.traffic.driver import Beliefs
 from cosim.world import World
-from sensors.box_fusion import boxes_of_columns
+from sensors.box_fusion import ObjectViews, ViewLists, boxes_of_columns, fuse_boxes, overlap_p
 from sensors.boxes import Boxes
-from trust.fusion import Fused
-from trust.tables import Evaluations, ObjectLists
+from trust.fusion import Fused, fuse, votes_of
+from trust.params import TrustParams
+from trust.tables import Evaluations, FusionInput, ObjectLists, SenderTrust
+
+_ROWS_PER_FUSED = 6
+"""To fuse the box of one detection costs as much as this number of rows of a table."""
 
 
 def fuse_objects(
     trust: TrustState,
-    matched: Matched,
+    groups: ObjectGroups,
     evaluations: tuple[ObjectLists, Evaluations, Evaluations],
     looked_up: LookedUp,
     parts: Parts,
@@ -36,16 +41,79 @@ def fuse_objects(
 
     `evaluations` are those that the vehicles can use, as `Inbox.evaluations_used` returns them.
     """
-    hosts, in_time = parts.trust, parts.config.radio.evaluations == "alone"
-    variants = {
-        number: FusionOf(found.trust, variant.trust, scorer)
-        for number, (variant, found, scorer) in enumerate(
-            zip(hosts.variants, looked_up.lookups, hosts.scorers(trust), strict=True)
-        ) if variant.fused
-    }  # fmt: skip
-    used = Used(looked_up.messages, in_time, *evaluations, matched.from_own_m)
-    found = dict(zip(variants, matched.objects.fuse(used, list(variants.values())), strict=True))
-    return [found.get(number) for number in range(len(hosts.variants))]
+    hosts, messages = parts.trust, looked_up.messages
+    given = FusionInput(groups.lists, groups.groups, groups.detections, *evaluations)
+    ptr = ptr_of(messages.receiver, len(groups.lists.owner))
+    in_time = np.full(len(messages.message), parts.config.radio.evaluations == "alone")
+    fused: dict[int, Fused] = {}
+    votes = None
+    numbers_by_mode: dict[str, list[int]] = defaultdict(list)  # variants whose boxes are fused from all detections
+    for number, scorer in enumerate(hosts.scorers(trust)):
+        variant = hosts.variants[number]
+        if not variant.fused:
+            continue
+        params = variant.trust
+        sender_trust = SenderTrust(ptr, messages.message, looked_up.lookups[number].trust, in_time)
+        if scorer is not None and votes is None:
+            votes = votes_of(given, sender_trust)
+        distance_m = None
+        if groups.accuracy is None or params.fused_boxes == "best":
+            distance_m = groups.from_own_m
+        else:
+            numbers_by_mode[params.fused_boxes].append(number)
+        fused[number] = fuse(given, sender_trust, groups.of_seeds, distance_m, params, scorer, votes, params.min_score)
+    for mode, numbers in numbers_by_mode.items():
+        of_mode = {number: fused[number] for number in numbers}
+        params_of = [hosts.variants[number].trust for number in numbers]
+        fused |= _with_boxes(of_mode, params_of, groups, looked_up, mode)
+    return [fused.get(number) for number in range(len(hosts.variants))]
+
+
+def _with_boxes(
+    fused: Mapping[int, Fused], params: Sequence[TrustParams], groups: ObjectGroups, looked_up: LookedUp, mode: str
+) -> dict[int, Fused]:
+    """The objects with boxes from all their detections, and with scores that say how well the boxes may fit.
+
+    What a vehicle states counts by the receiver's trust in it. From the trust of a stranger on, it counts fully.
+
+    Parameters
+    ----------
+    fused
+        Objects by number of the trust variant.
+    params
+        Section [trust] of each of these variants.
+    mode
+        Their `fused_boxes`.
+    """
+    assert groups.accuracy is not None
+    lists, detections, messages = groups.lists, groups.detections, looked_up.messages
+    known = ViewLists(
+        ptr=lists.ptr,
+        member=lists.member,
+        owner=lists.owner,
+        group=groups.groups.numbers(),
+        seed=lists.member[groups.groups.seeds()],
+        received_ptr=ptr_of(messages.receiver, len(lists.owner)),
+        received=messages.message,
+    )
+    weights, wanted = [], []
+    for of_variant, (number, objects) in zip(params, fused.items(), strict=True):
+        of_stranger = max(of_variant.default_trust, 1e-9)
+        weights.append(np.minimum(looked_up.lookups[number].trust / of_stranger, 1.0))
+        is_wanted = np.zeros(len(known.seed), bool)
+        is_wanted[objects.group] = True
+        wanted.append(is_wanted)
+    views = ObjectViews(groups.boxes, detections.label, detections.message, groups.accuracy)
+    with threads_for(_ROWS_PER_FUSED * len(lists.member) * len(fused)):
+        boxes = fuse_boxes(views, known, weights, wanted, mode == "aligned")
+    found = {}
+    for of_variant, (number, objects), fused_boxes in zip(params, fused.items(), boxes, strict=True):
+        score = objects.score
+        if of_variant.least_overlap > 0:
+            score = score * overlap_p(fused_boxes, of_variant.least_overlap)
+        objects = replace(objects, box=fused_boxes.columns(), variance_m2=fused_boxes.variance_m2, score=score)
+        found[number] = objects.take(score >= of_variant.min_score)
+    return found
 
 
 def boxes_of(fused: Fused, objects: Detections) -> Boxes:

@@ -11,12 +11,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.base.ragged import distinct, expand, offsets, ptr_of, ranges, rows_of
+from cosim.base.ragged import distinct, expand, offsets, owner_of_rows, ptr_of, ranges, rows_of
 from cosim.messages.content import Detections, velocities
 from cosim.radio.message_round import Receptions, RoundKind
 from cosim.step.accuracy import aged
 from cosim.step.broadcast import Broadcast
-from cosim.step.evaluate import Evaluated, Matched
+from cosim.step.comparing import ObjectGroups
+from cosim.step.evaluate import Evaluated
 from cosim.step.exchange import Exchange
 from cosim.step.ground_truth import GroundTruth
 from cosim.step.known import Known, Pairs, Uses, renumbered
@@ -147,7 +148,7 @@ class Inbox:
         actor_row, exists = rows_of(self.truth.actor_row, world.actor)
         old = self.objects.boxes
         boxes, moved_m = old, None
-        of = np.repeat(np.arange(len(self.step)), np.diff(self.ptr))  # message of each detection
+        of = owner_of_rows(np.diff(self.ptr))  # message of each detection
         if age_s is not None:
             boxes = extrapolated(old, velocities(self.objects), age_s[of])
             old_moved_m = boxes.xyz_m[:, :2] - old.xyz_m[:, :2]
@@ -223,7 +224,7 @@ class Inbox:
         self,
         exchange: Exchange,
         listed: Listed,
-        matched: Matched,
+        groups: ObjectGroups,
         evaluated: Evaluated,
         receptions: tuple[Receptions, Receptions],
     ) -> "Inbox":
@@ -254,8 +255,8 @@ class Inbox:
             objects=Detections.concat([self.objects, objects]),
             truth=GroundTruth.concat([self.truth, truth]),
             withheld=np.concatenate([self.withheld, listed.withheld]),
-            from_own_m=np.concatenate([self.from_own_m, matched.from_own_m[:n_now]]),
-            pairs=renumbered(matched.pairs, moved),
+            from_own_m=np.concatenate([self.from_own_m, groups.from_own_m[:n_now]]),
+            pairs=renumbered(groups.pairs, moved),
             evaluated=ObjectLists(
                 np.concatenate([old.ptr, old.ptr[-1] + lists.ptr[1:]]),
                 np.concatenate([old.member, moved[lists.member]]),

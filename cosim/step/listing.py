@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.attacks.adversary import Active
+from cosim.attacks.adversary import ActiveAttacks
 from cosim.attacks.disguise import shuffled
 from cosim.messages.content import (
     SENSED,
@@ -40,10 +40,10 @@ def senders_among(world: World, vehicles: Vehicles) -> Bool[ndarray, "n"] | None
 
 
 def senders_of(
-    world: World, vehicles: Vehicles, attacks: Active, pseudonyms: PseudonymState, parts: Parts
+    world: World, vehicles: Vehicles, attacks: ActiveAttacks, pseudonyms: PseudonymState, parts: Parts
 ) -> tuple[PseudonymState, Senders]:
     """The messages of one round, one per vehicle that senses and identity, with their pseudonyms."""
-    senders = Senders.of(vehicles, attacks.identities(len(world))[vehicles.row[vehicles.senses]])
+    senders = Senders.of(vehicles, attacks.identities()[vehicles.row[vehicles.senses]])
     more = np.flatnonzero(senders.identity)
     if len(more):
         pseudonym = senders.pseudonym.copy()
@@ -109,7 +109,7 @@ def list_objects(
     perceived = with_motion(observed.detections, world.speed_mps, acceleration_mps2)
     objects, n_dropped = attacks.detections(perceived)
     withheld = (objects.origin == SENSED) & ~objects.transmitted
-    lied = lies_in_detections(perceived, objects, attacks.malicious(len(world)))
+    lied = lies_in_detections(perceived, objects, attacks.malicious())
     message = senders.message_of(objects, sensing.row)
     generators = Generators(
         sender=exchange.sender,

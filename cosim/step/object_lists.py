@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
-from cosim.attacks.adversary import Active
+from cosim.attacks.adversary import ActiveAttacks
 from cosim.attacks.attack import EvaluationRows
 from cosim.base.ragged import offsets, ptr_of, ranges
 from cosim.messages.content import SELF, Detections
@@ -112,7 +112,7 @@ def questions_of(
 
 
 def as_reported(
-    active: Active,
+    active: ActiveAttacks,
     evaluated: Evaluations,
     lists: ObjectLists,
     listed: Detections,
@@ -170,7 +170,7 @@ def messages_of(
     number
         Number of what each evaluation is about, in place of that of the detection; None if all are about detections.
     """
-    kept = Evaluations(evaluations.evaluation[keep], evaluations.visibility[keep])
+    kept = evaluations.take(keep)
     sent = subset(lists, keep)
     made = tables.as_messages(
         step, messages.pseudonym, sent, messages.detections, kept, messages.detection_step(sent.member)

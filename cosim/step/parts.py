@@ -23,7 +23,6 @@ from cosim.radio.medium import Medium
 from cosim.radio.params import RadioParams
 from cosim.radio.rsu import NO_RSUS, RsuAntennas
 from cosim.step.accuracy import DetectorAccuracy
-from cosim.step.comparing import Recall
 from cosim.step.early_fusion import EarlyFusion
 from cosim.step.mixed_perception import MixedPerception
 from cosim.step.perception import Perceives, Perception
@@ -41,6 +40,9 @@ from sensors.line_of_sight import LosOfPlaces, WallIndex
 from sensors.scene import Scene
 from sensors.weather import road_range_m
 from trust.params import TrustParams
+
+Recall = Callable[[ndarray, ndarray, ndarray], ndarray]
+"""Recall of a detector, from number of returns, class and distance."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from cosim.attacks.adversary import Active
+from cosim.attacks.adversary import ActiveAttacks
 from cosim.config.config import Config
 from cosim.messages.content import FABRICATED, SELF, SENSED
 from cosim.messages.pseudonyms import PseudonymState, PseudonymUse
@@ -68,7 +68,7 @@ def perceive(world: World, vehicles: Vehicles, precomputed: Precomputed, parts: 
         return precomputed.observed()
 
 
-def mislead(observed: Observed, attacks: Active) -> Observed:
+def mislead(observed: Observed, attacks: ActiveAttacks) -> Observed:
     """Add the phantoms that real objects of attackers make detectors report: false positives with a cause."""
     seen = attacks.phantoms(observed.detections)
     if len(seen) == len(observed.detections):

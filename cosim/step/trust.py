@@ -157,7 +157,7 @@ def control_relays(
     if parts.config.pseudonyms.linkage == "own":
         _, found = _of_old_pseudonyms(trust, known_senders, holder, asked[message], begin_s, found, parts)
     refuses = found[parts.trust.host_of[0]].trust < relay.min_trust
-    refuses &= ~exchange.attacks.malicious(len(exchange.world))[vehicles.row[station]]
+    refuses &= ~exchange.attacks.malicious()[vehicles.row[station]]
     return replace(exchange, refused=(message[refuses], station[refuses]))
 
 

@@ -14,7 +14,7 @@ from cosim.config.config import Config, resolve_data
 from cosim.messages.trust_hosts import host_key
 from cosim.step.parts import variants
 from cosim.studies.points import Point, identity, scenario_of, shared_identity, traffic_identity
-from trust.params import EVIDENCE_KEYS, eta_of
+from trust.params import evidence_values
 
 TRAFFIC_VERSION = 1
 """Increase it when the same `[traffic]` gives other traffic. `tests/cosim/studies/test_stages.py` checks this."""
@@ -33,6 +33,11 @@ class PlannedRun:
     """Each point and its trust variant in this run."""
     traffic: str
     """Name of the traffic that it replays; empty if it simulates its own."""
+
+    @staticmethod
+    def of(point: Point) -> "PlannedRun":
+        """A run for one point alone."""
+        return PlannedRun(point.id, point.config, ((point.id, BASE_VARIANT),), "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,46 +66,54 @@ def plan(points: Sequence[Point], fused: bool, stored: Collection[str] = ()) -> 
     groups: dict[str, list[Point]] = {}
     remarks: dict[str, None] = {}
     for point in points:
-        key, remark = _mergeable(point.config)
+        key, remark = _sharing(point.config)
         groups.setdefault(key, []).append(point)
         if remark:
             remarks[remark] = None
-    merged = [
-        _merged(group[i : i + MOST_VARIANTS], fused)
-        for group in groups.values() for i in range(0, len(group), MOST_VARIANTS)
-    ]  # fmt: skip
-    return _share_traffic(merged, stored, tuple(remarks))
+    runs = []
+    for group in groups.values():
+        for i in range(0, len(group), MOST_VARIANTS):
+            runs.append(_merged(group[i : i + MOST_VARIANTS], fused))
+    return _share_traffic(runs, stored, tuple(remarks))
 
 
-def _mergeable(config: Config) -> tuple[str, str]:
-    """A key, and a remark if something prevents sharing. Points with the same key can become one run."""
+def _sharing(config: Config) -> tuple[str, str]:
+    """What decides with which points a point can share a run.
+
+    Returns
+    -------
+    A key, which points of one run have in common, and the reason why the point cannot share with all points that
+    differ only in trust; empty if it can.
+    """
     if config.driver.model != "none":
-        return "alone " + identity(
-            config
-        ), "driver: what vehicles believe drives them, so every point has its own traffic"
-    evidence = [eta_of(config.trust) if k == "eta" else getattr(config.trust, k) for k in EVIDENCE_KEYS]
-    key = shared_identity(config, repr(evidence))
+        reason = "driver: what vehicles believe drives them, so every point has its own traffic"
+        return "alone " + identity(config), reason
+    key = shared_identity(config, repr(evidence_values(config.trust)))
     if config.server.uplink == "rsu":
-        key += repr(host_key(variants(config)[0]))
-        return key, 'server.uplink = "rsu": broadcasts of trust load the channel, so other trust is another run'
+        reason = 'server.uplink = "rsu": broadcasts of trust load the channel, so other trust is another run'
+        return key + repr(host_key(variants(config)[0])), reason
     return key, ""
 
 
 def _merged(group: Sequence[Point], fused: bool) -> PlannedRun:
     """One run for points that differ only in trust. The trust of the first point is the acting one."""
-    base = group[0].config
-    if len(group) == 1:
-        return PlannedRun(group[0].id, base, ((group[0].id, BASE_VARIANT),), "")
-    data = base.to_dict()
+    first, *others = group
+    if not others:
+        return PlannedRun.of(first)
+    data = first.config.to_dict()
     acting = data["trust"]
-    data["trust_variant"] = [
-        {"name": point.id, "fused": fused}
-        | {k: v for k, v in point.config.to_dict()["trust"].items() if k not in acting or acting[k] != v}
-        for point in group[1:]
-    ]
-    config = resolve_data(json.loads(json.dumps(data, default=str)), "the plan", None)
-    members = ((group[0].id, BASE_VARIANT), *((point.id, point.id) for point in group[1:]))
-    return PlannedRun(identity(config), config, members, "")
+    data["trust_variant"] = []
+    members = [(first.id, BASE_VARIANT)]
+    for point in others:
+        variant = {"name": point.id, "fused": fused}
+        for key, value in point.config.to_dict()["trust"].items():
+            if key not in acting or acting[key] != value:
+                variant[key] = value
+        data["trust_variant"].append(variant)
+        members.append((point.id, point.id))
+    as_in_a_file = json.loads(json.dumps(data, default=str))
+    config = resolve_data(as_in_a_file, "the plan", None)
+    return PlannedRun(identity(config), config, tuple(members), "")
 
 
 def _share_traffic(runs: Sequence[PlannedRun], stored: Collection[str], remarks: tuple[str, ...]) -> StudyPlan:

@@ -201,7 +201,7 @@ def name_notes(path: Path, study: Study) -> list[str]:
 
 def separate(points: Sequence[Point]) -> StudyPlan:
     """A plan with one run for each point, which share nothing."""
-    return StudyPlan(tuple(PlannedRun(p.id, p.config, ((p.id, "base"),), "") for p in points), {}, ())
+    return StudyPlan(tuple(map(PlannedRun.of, points)), {}, ())
 
 
 def needs_fused(study: Study) -> bool:

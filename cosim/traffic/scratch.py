@@ -8,6 +8,10 @@ from contextlib import suppress
 from pathlib import Path
 
 _PREFIX = "cosim."
+_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+"""How a folder is opened, in order to lock it."""
+_LOCK = fcntl.LOCK_EX | fcntl.LOCK_NB
+"""A lock for one process alone. Where another process has it, flock raises an OSError at once."""
 
 
 class Scratch:
@@ -16,9 +20,9 @@ class Scratch:
     def __init__(self) -> None:
         remove_orphans()
         self.path = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}."))
-        self._handle = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        self._handle = os.open(self.path, _FOLDER)
         with suppress(OSError):  # without locks, only the process id tells whether the folder is in use
-            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(self._handle, _LOCK)
 
     def remove(self) -> None:
         """Remove the folder and its content. A second call does nothing."""
@@ -41,23 +45,30 @@ def can_hold_files(folder: Path) -> bool:
 def remove_orphans() -> None:
     """Remove folders of this user whose process has ended."""
     for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*.*"):
-        pid = path.name.split(".")[1]
-        with suppress(OSError):
-            if not pid.isdecimal() or path.is_symlink() or path.stat().st_uid != os.getuid() or _lives(int(pid)):
+        with suppress(OSError):  # a folder that has vanished meanwhile, or that is locked, is left alone
+            if not _is_orphan(path):
                 continue
-            handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+            handle = os.open(path, _FOLDER)
             try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(handle, _LOCK)
                 shutil.rmtree(path, ignore_errors=True)
             finally:
                 os.close(handle)
 
 
-def _lives(pid: int) -> bool:
+def _is_orphan(path: Path) -> bool:
+    """Whether a folder is this user's, and the process whose id its name contains has ended."""
+    pid = path.name.split(".")[1]
+    if not pid.isdecimal() or path.is_symlink():
+        return False
+    return path.stat().st_uid == os.getuid() and not _is_running(int(pid))
+
+
+def _is_running(pid: int) -> bool:
     try:
-        os.kill(pid, 0)
+        os.kill(pid, 0)  # signal 0 is not sent: it asks whether there is such a process
     except ProcessLookupError:
         return False
-    except PermissionError:
+    except PermissionError:  # there is one, of another user
         return True
     return True

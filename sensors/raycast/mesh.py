@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 from numpy import ndarray
 
+from cosim.base.ragged import owner_of_rows
 from sensors.boxes import Boxes
 from sensors.neighbours import Neighbours
 from sensors.range_noise import RangeNoise, add_noise
@@ -130,7 +131,7 @@ def city_triangles(scene: Scene) -> Float[ndarray, "t 3 3"]:
     Corners in the world frame [m]: walls, undersides and roofs of all buildings, then trees and meshes of the scene.
     """
     city = scene.buildings
-    building = np.repeat(np.arange(len(city.base_m)), np.diff(city.ptr))
+    building = owner_of_rows(np.diff(city.ptr))
     base, top = city.base_m[building], city.top_m[building]
     corner = [
         np.column_stack([x, y, z])
@@ -154,7 +155,7 @@ def city_triangles(scene: Scene) -> Float[ndarray, "t 3 3"]:
 def _bodies(bodies: Prisms, boxes: Boxes, scene: Scene) -> tuple[Float[ndarray, "t 3 3"], Int[ndarray, "t"]]:
     """Triangles of all actors, and the actor of each: meshes of the scene where their shape has one, else prisms."""
     is_mesh = np.isin(bodies.shape, list(scene.bodies_m))
-    owner = np.repeat(np.repeat(np.arange(len(boxes)), np.diff(bodies.ptr)), 12)
+    owner = np.repeat(owner_of_rows(np.diff(bodies.ptr)), 12)
     upright = ~is_mesh[owner]
     parts, actors = [body_triangles(bodies)[upright]], [owner[upright]]
     for shape, unit in scene.bodies_m.items():

@@ -12,6 +12,7 @@ from scipy.special import gammainc
 
 from cosim.base import rng
 from cosim.base.codes import ObjectClass
+from cosim.base.ragged import owner_of_rows
 from cosim.config.config import Config
 from cosim.messages import etsi
 from cosim.messages.cellular import CellularParams
@@ -156,7 +157,7 @@ class Delivery:
         links, _, _ = link_budget.links_between(
             xyz_m, stations.key, p, shadowing, self.los, above_street_m=stations.above_street_m
         )
-        sender = np.repeat(np.arange(len(stations)), np.diff(links.ptr))
+        sender = owner_of_rows(np.diff(links.ptr))
         apart_m = np.hypot(*(xyz_m[sender, :2] - xyz_m[links.receiver, :2]).T)
         power_dbm = 10 * np.log10(links.power_mw)
         strongest_dbm = power_dbm + 10 * np.log10(fading_quantiles()[links.fading, -1])

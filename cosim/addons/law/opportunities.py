@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.base.kernel import compiled
+from cosim.base.ragged import owner_of_rows
 from cosim.config.config import Config
 from cosim.world import World
 from sensors import lidar
@@ -49,7 +50,7 @@ class ViewTimes(NamedTuple):
     @property
     def n_listed(self) -> Float[ndarray, "e"]:
         """Expected number of detections of each observer, false positives included."""
-        observer = np.repeat(np.arange(len(self.own)), np.diff(self.ptr))
+        observer = owner_of_rows(np.diff(self.ptr))
         return self.n_false + np.bincount(observer, self.detected_p, len(self.own))
 
 
@@ -85,7 +86,7 @@ class Sensing:
         near = neighbours(origin_m, boxes, range_m)
         bodies = prisms(world.shape, boxes)
         returns = expected_returns(origin_m, yaw_rad, observers, self.beams, near, boxes, bodies, self.walls, range_m)
-        o = np.repeat(np.arange(len(observers)), np.diff(near.ptr))
+        o = owner_of_rows(np.diff(near.ptr))
         nobody, fov_rad = np.zeros((0, 3)), self.beams.fov_rad
         inside = in_area(
             pairs_of(o, origin_m, yaw_rad, boxes, near.row), np.zeros(0, bool), nobody, nobody,

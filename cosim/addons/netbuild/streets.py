@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 
@@ -38,22 +38,40 @@ class LeftOut:
     @property
     def text(self) -> str:
         """Length and share."""
-        return f"{self.left_m / 1000:,.1f} of {self.all_m / 1000:,.1f} km ({self.left_m / max(self.all_m, 1e-9):.0%})"
+        share = self.left_m / max(self.all_m, 1e-9)
+        return f"{self.left_m / 1000:,.1f} of {self.all_m / 1000:,.1f} km ({share:.0%})"
 
+
+@dataclass(frozen=True, slots=True)
+class _Section:
+    """A street from one junction or end to the next."""
+
+    way: Way
+    run: int
+    """Number of the run of nodes of which it is a part. A way has several runs if it leaves the extract and returns."""
+    nodes: tuple[int, ...]
+
+
+_Arcs = Sequence[tuple[int, bool]]
+"""Directions in which sections may be driven: number of the section, and whether in the order of its nodes."""
+_Runs = Sequence[tuple[Way, tuple[int, ...]]]
+"""Ways, and runs of their nodes inside the extract."""
 
 SMALLEST_M = 300.0
-"""A piece of the network that hangs together only with the outside stays if it extends at least this far [m]."""
+"""A component of the network that is connected with the rest only outside the extract stays if it extends at least
+this far [m]."""
+EARTH_RADIUS_M = 6_371_000.0
 
 
 def drivable(
     extract: Extract, classes: frozenset[str], ignored_tags: frozenset[str], edge_m: float, dead_ends: bool = False
 ) -> DrivableStreets:
-    """Surface streets of the given highway classes, without the ignored tags, and unless `dead_ends` without those.
+    """Surface streets of the given highway classes, without the ignored tags. Dead ends stay only with `dead_ends`.
 
     A street stays if a car can come from every other street that stays, drive through it and go on to every
     other, without turning round on the spot. Streets cut off by the extract, or ending within `edge_m` of its
-    edge, are gates: beyond them the outside joins them all. With `dead_ends`, the largest connected piece stays, and
-    every other one with a gate that extends `SMALLEST_M`, such as a motorway without a ramp in the extract.
+    edge, are gates: beyond them the outside joins them all. With `dead_ends`, the largest connected component stays,
+    and every other one with a gate that extends `SMALLEST_M`, such as a motorway without a ramp in the extract.
 
     Raises
     ------
@@ -61,32 +79,23 @@ def drivable(
         Where no street stays.
     """
     ways = [way for way in extract.ways.values() if _is_street(way, classes)]
-    runs = [(way, run) for way in sorted(ways, key=lambda way: way.id) for run in pieces(way, extract.place)]
-    use: dict[int, int] = defaultdict(int)
-    for _, run in runs:
-        for node in run:
-            use[node] += 1
-        use[run[0]] += 1
-        use[run[-1]] += 1
-    stubs = [(index, a, b) for index, (_, run) in enumerate(runs) for a, b in _split(run, use)]
-    gates = _gates(extract, runs, stubs, edge_m, extract.box if dead_ends else None)
-    arcs = []  # (run, first, last, forward)
-    for index, a, b in stubs:
-        way, run = runs[index]
-        forward, backward = _directions(way)
-        arcs += [(index, a, b, True)] * forward + [(index, a, b, False)] * backward
-    alive = _joined_outside(extract, runs, arcs, gates) if dead_ends else _driven(runs, arcs, gates)
-    kept: dict[int, list[tuple[int, int, bool, bool]]] = defaultdict(list)
-    both: dict[tuple[int, int, int], list[bool]] = defaultdict(list)
-    for (index, a, b, forward), is_alive in zip(arcs, alive, strict=True):
-        if is_alive:
-            both[index, a, b].append(forward)
-    for (index, a, b), ways_round in sorted(both.items()):
-        kept[index].append((a, b, True in ways_round, False in ways_round))
-    if not kept:
+    ways.sort(key=lambda way: way.id)
+    runs = [(way, run) for way in ways for run in pieces(way, extract.place)]
+    sections = _sections(runs)
+    gates = _gates(extract, runs, sections, edge_m, extract.box if dead_ends else None)
+    arcs: list[tuple[int, bool]] = []
+    for number, section in enumerate(sections):
+        forward, backward = _directions(section.way)
+        arcs += [(number, True)] * forward + [(number, False)] * backward
+    stays = _in_large_components(extract, sections, arcs, gates) if dead_ends else _driven(sections, arcs, gates)
+    directions: dict[int, set[bool]] = defaultdict(set)  # of each section that stays
+    for (number, forward), arc_stays in zip(arcs, stays, strict=True):
+        if arc_stays:
+            directions[number].add(forward)
+    if not directions:
         raise ValueError(f"the extract has no connected network of streets of the classes {', '.join(sorted(classes))}")
-    streets = _assemble(extract, runs, kept, gates, ignored_tags)
-    return replace(streets, left_out=left_out(extract, classes, streets.ways))
+    streets = _assemble(sections, directions, ignored_tags)
+    return DrivableStreets(streets, gates, left_out(extract, classes, streets))
 
 
 def left_out(extract: Extract, classes: frozenset[str], kept: Sequence[Way]) -> dict[str, LeftOut]:
@@ -94,19 +103,24 @@ def left_out(extract: Extract, classes: frozenset[str], kept: Sequence[Way]) -> 
     all_m: dict[str, float] = defaultdict(float)
     for way in extract.ways.values():
         if way.tags.get("highway") in classes and way.tags.get("area") != "yes":
-            all_m[way.tags["highway"]] += sum(length_m(extract, run) for run in pieces(way, extract.place))
+            length = sum(length_m(extract, run) for run in pieces(way, extract.place))
+            all_m[way.tags["highway"]] += length
     kept_m: dict[str, float] = defaultdict(float)
     for way in kept:
         kept_m[way.tags["highway"]] += length_m(extract, way.nodes)
-    found = {kind: LeftOut(length - kept_m[kind], length) for kind, length in sorted(all_m.items())}
-    return {kind: of for kind, of in found.items() if of.left_m >= 1.0}
+    found = {}
+    for kind, length in sorted(all_m.items()):
+        left_m = length - kept_m[kind]
+        if left_m >= 1.0:
+            found[kind] = LeftOut(left_m, length)
+    return found
 
 
 def length_m(extract: Extract, nodes: tuple[int, ...]) -> float:
     """Length of a chain of nodes on the sphere, small-angle."""
-    lon, lat = np.radians(np.array([extract.place[node] for node in nodes])).T
-    steps = np.hypot(np.diff(lon) * np.cos(lat.mean()), np.diff(lat))
-    return float(6_371_000.0 * steps.sum())
+    lon, lat = np.radians([extract.place[node] for node in nodes]).T
+    east = np.diff(lon) * np.cos(lat.mean())
+    return float(EARTH_RADIUS_M * np.hypot(east, np.diff(lat)).sum())
 
 
 def _is_street(way: Way, classes: frozenset[str]) -> bool:
@@ -119,111 +133,149 @@ def _is_street(way: Way, classes: frozenset[str]) -> bool:
 
 
 def _directions(way: Way) -> tuple[bool, bool]:
+    """Whether cars may drive a way in the order of its nodes, and against it."""
     oneway = way.tags.get("oneway", "yes" if way.tags.get("junction") == "roundabout" else "no")
     return oneway != "-1", oneway not in ("yes", "true", "1")
 
 
-def _split(run: tuple[int, ...], use: dict[int, int]) -> list[tuple[int, int]]:
-    cuts = [i for i, node in enumerate(run) if use[node] > 1]
-    return list(pairwise(cuts))
+def _sections(runs: _Runs) -> list[_Section]:
+    """Cut the runs at every node that occurs twice in them, and at their ends."""
+    n_uses: Counter[int] = Counter()
+    for _, run in runs:
+        n_uses.update(run)
+        n_uses.update((run[0], run[-1]))  # an end counts twice, so that there is a cut
+    sections = []
+    for number, (way, run) in enumerate(runs):
+        cuts = [i for i, node in enumerate(run) if n_uses[node] > 1]
+        for first, last in pairwise(cuts):
+            sections.append(_Section(way, number, run[first : last + 1]))
+    return sections
 
 
 def _gates(
-    extract: Extract, runs, stubs, edge_m: float, box: tuple[float, float, float, float] | None
+    extract: Extract,
+    runs: _Runs,
+    sections: Sequence[_Section],
+    edge_m: float,
+    box: tuple[float, float, float, float] | None,
 ) -> frozenset[int]:
-    ends: dict[int, int] = defaultdict(int)
-    for index, a, b in stubs:
-        ends[runs[index][1][a]] += 1
-        ends[runs[index][1][b]] += 1
-    everywhere = np.array(list(extract.place.values()))
-    low, high = everywhere.min(axis=0), everywhere.max(axis=0)
-    if box is not None:
-        low, high = np.array(box[:2]), np.array(box[2:])
-    metres = np.array([np.cos(np.radians(low[1])), 1.0]) * 6_371_000.0 * np.pi / 180.0
+    """Ends of a single section where its way goes on outside the extract, or which lie near the edge of the box."""
+    n_ends: Counter[int] = Counter()
+    for section in sections:
+        n_ends.update((section.nodes[0], section.nodes[-1]))
+    if box is None:
+        everywhere = np.array(list(extract.place.values()))
+        low, high = everywhere.min(axis=0), everywhere.max(axis=0)
+    else:
+        low = np.array(box[:2])
+        high = np.array(box[2:])
+    lon_shrinks = np.array([np.cos(np.radians(low[1])), 1.0])
+    degree_m = lon_shrinks * EARTH_RADIUS_M * np.pi / 180.0  # length of one degree of longitude and of latitude
     gates = set()
     for way, run in runs:
-        for node, cut in ((run[0], run[0] != way.nodes[0]), (run[-1], run[-1] != way.nodes[-1])):
+        begin = run[0], way.nodes[0]
+        end = run[-1], way.nodes[-1]
+        for node, end_of_way in (begin, end):
             here = np.array(extract.place[node])
-            near = (np.minimum(here - low, high - here) * metres).min() < edge_m
-            if ends[node] == 1 and (cut or near):
+            from_edge_m = (np.minimum(here - low, high - here) * degree_m).min()
+            if n_ends[node] == 1 and (node != end_of_way or from_edge_m < edge_m):
                 gates.add(node)
     return frozenset(gates)
 
 
-def _driven(runs, arcs, gates: frozenset[int]) -> list[bool]:
-    """Which arcs belong to the strongly connected network; node 0 of the graph is the outside."""
-    tail, head = [], []
-    for index, a, b, forward in arcs:
-        run = runs[index][1]
-        first, last = (run[a], run[b]) if forward else (run[b], run[a])
-        tail.append(first)
-        head.append(last)
-    leaving: dict[int, list[int]] = defaultdict(list)
-    for i, node in enumerate(tail):
-        leaving[node].append(i)
+def _driven(sections: Sequence[_Section], arcs: _Arcs, gates: frozenset[int]) -> list[bool]:
+    """Which arcs belong to the strongly connected network.
+
+    The nodes of the graph are arcs, linked if a car can drive one after the other. Node 0 is the outside.
+    """
+    leaving: dict[int, list[int]] = defaultdict(list)  # arcs by the node where they begin
+    arriving_at = []
+    for i, (number, forward) in enumerate(arcs):
+        nodes = sections[number].nodes
+        if not forward:
+            nodes = nodes[::-1]
+        leaving[nodes[0]].append(i)
+        arriving_at.append(nodes[-1])
     links: list[list[int]] = [[] for _ in range(len(arcs) + 1)]
-    for i, node in enumerate(head):
-        back = (*arcs[i][:3], not arcs[i][3])
-        links[i + 1] += [j + 1 for j in leaving[node] if arcs[j] != back]
+    for i, node in enumerate(arriving_at):
+        number, forward = arcs[i]
+        turned_round = (number, not forward)
+        onward = [j for j in leaving[node] if arcs[j] != turned_round]
+        links[i + 1] += [j + 1 for j in onward]
         if node in gates:
             links[i + 1].append(0)
     links[0] += [j + 1 for node in sorted(gates) for j in leaving[node]]
     return _largest_component(links)[1:].tolist()
 
 
-def _joined_outside(extract: Extract, runs, arcs, gates: frozenset[int]) -> list[bool]:
-    """Which arcs belong to the largest connected piece, or to one with a gate that is not too small."""
+def _in_large_components(
+    extract: Extract, sections: Sequence[_Section], arcs: _Arcs, gates: frozenset[int]
+) -> list[bool]:
+    """Which arcs belong to the largest connected component, or to one with a gate that is not too small."""
     if not arcs:
         return []
-    row: dict[int, int] = {}
-    ends = []
-    for index, a, b, _ in arcs:
-        run = runs[index][1]
-        ends.append([row.setdefault(node, len(row)) for node in (run[a], run[b])])
-    tail, head = np.array(ends).reshape(-1, 2).T
-    graph = coo_array((np.ones(len(tail)), (tail, head)), shape=(len(row), len(row)))
-    piece = connected_components(graph, directed=False)[1]
-    length = np.zeros(len(row))
-    np.add.at(length, piece[tail], [length_m(extract, runs[index][1][a : b + 1]) for index, a, b, _ in arcs])
+    row: dict[int, int] = {}  # of each node in the graph
+    tail, head, length_of_arc_m = [], [], []
+    for number, _ in arcs:
+        nodes = sections[number].nodes
+        tail.append(row.setdefault(nodes[0], len(row)))
+        head.append(row.setdefault(nodes[-1], len(row)))
+        length_of_arc_m.append(length_m(extract, nodes))
+    n = len(row)
+    component = connected_components(_graph(tail, head, n), directed=False)[1]
+    length = np.zeros(n)
+    np.add.at(length, component[tail], length_of_arc_m)
     lon, lat = np.radians([extract.place[node] for node in row]).T
-    xy_m = 6_371_000.0 * np.column_stack([lon * np.cos(lat.mean()), lat])
-    low, high = np.full((len(row), 2), np.inf), np.full((len(row), 2), -np.inf)
-    np.minimum.at(low, piece, xy_m)
-    np.maximum.at(high, piece, xy_m)
-    kept = np.zeros(len(row), bool)
-    kept[[piece[row[node]] for node in gates if node in row]] = True
-    kept &= np.hypot(*(high - low).T) >= SMALLEST_M
-    kept[length.argmax()] = True
-    return kept[piece[tail]].tolist()
+    xy_m = EARTH_RADIUS_M * np.column_stack([lon * np.cos(lat.mean()), lat])
+    low = np.full((n, 2), np.inf)
+    high = -low
+    np.minimum.at(low, component, xy_m)
+    np.maximum.at(high, component, xy_m)
+    stays = np.zeros(n, bool)
+    stays[[component[row[node]] for node in gates if node in row]] = True
+    stays &= np.hypot(*(high - low).T) >= SMALLEST_M
+    stays[length.argmax()] = True
+    return stays[component[tail]].tolist()
 
 
 def _largest_component(links: list[list[int]]) -> ndarray:
     """Whether each node is in the largest set of nodes of which each can reach every other."""
     tail = np.repeat(np.arange(len(links)), [len(ends) for ends in links])
     head = np.fromiter(chain.from_iterable(links), np.int64)
-    graph = coo_array((np.ones(len(tail)), (tail, head)), shape=(len(links), len(links)))
-    label = connected_components(graph, connection="strong")[1]
-    return label == label[np.bincount(label)[label].argmax()]
+    component = connected_components(_graph(tail, head, len(links)), connection="strong")[1]
+    size = np.bincount(component)
+    return component == component[size[component].argmax()]
 
 
-def _assemble(extract: Extract, runs, kept, gates: frozenset[int], ignored_tags: frozenset[str]) -> DrivableStreets:
+def _graph(tail: ndarray | list[int], head: ndarray | list[int], n: int) -> coo_array:
+    """Graph of `n` nodes with a link from each tail to its head."""
+    return coo_array((np.ones(len(tail)), (tail, head)), shape=(n, n))
+
+
+def _assemble(
+    sections: Sequence[_Section], directions: Mapping[int, set[bool]], ignored_tags: frozenset[str]
+) -> list[Way]:
+    """The sections that stay as ways. Successive sections of a run with the same directions become one way."""
+    joined: list[tuple[_Section, set[bool]]] = []
+    newest = -1
+    for number in sorted(directions):
+        section, its = sections[number], directions[number]
+        before = joined[-1] if joined and number == newest + 1 else None
+        if before is not None and before[0].run == section.run and before[1] == its:
+            nodes = before[0].nodes + section.nodes[1:]
+            joined[-1] = replace(before[0], nodes=nodes), its
+        else:
+            joined.append((section, its))
+        newest = number
     ways = []
     taken: set[int] = set()
-    for index, stubs_kept in sorted(kept.items()):
-        way, run = runs[index]
-        joined: list[list] = []  # consecutive stubs with the same directions
-        for a, b, forward, backward in stubs_kept:
-            if joined and joined[-1][1] == a and joined[-1][2:] == [forward, backward]:
-                joined[-1][1] = b
-            else:
-                joined.append([a, b, forward, backward])
-        for a, b, forward, backward in joined:
-            tags = {key: value for key, value in way.tags.items() if key not in ignored_tags}
-            if not (forward and backward):
-                tags["oneway"] = "yes" if forward else "-1"
-            name = way.id
-            while name in taken:
-                name += 10**12
-            taken.add(name)
-            ways.append(Way(name, run[a : b + 1], tags))
-    return DrivableStreets(ways, gates, {})
+    for section, its in joined:
+        tags = {key: value for key, value in section.way.tags.items() if key not in ignored_tags}
+        if len(its) == 1:
+            tags["oneway"] = "yes" if True in its else "-1"
+        name = section.way.id
+        while name in taken:
+            name += 10**12
+        taken.add(name)
+        ways.append(Way(name, section.nodes, tags))
+    return ways

@@ -2,6 +2,10 @@
 
 Transmissions of a slot are summed in the order of their processes' keys, so that the order of rows has no effect.
 
+In the kernels, `u` is the row of a unit in `log.unit`, `a` is the number of one of its transmissions, and `s` is the
+slot. The lists of a slot are linked: `log.head_sent` has the first transmission of each slot, u * MAX_SENT + a, and
+`log.next_sent` the one that follows each, or NONE. `log.head_check` and `log.next_check` link units in the same way.
+
 References
 ----------
 .. [3] 3GPP TS 38.321 V16.12, clause 5.22.1.1; TS 36.321 V14.13, clause 5.14.1.1: counter, probability of keeping.
@@ -15,7 +19,8 @@ import numpy as np
 from cosim.addons.sidelink.admission import admit, check
 from cosim.addons.sidelink.choice import draw, draw_counter
 from cosim.addons.sidelink.records import MAX_SENT, N_HISTORY, N_USED
-from cosim.base.hash_rng import mix, unit
+from cosim.base.hash_rng import mix
+from cosim.base.hash_rng import unit as uniform
 from cosim.base.kernel import kernel
 from cosim.radio.dtypes import COLLISION, FADING, HALF_DUPLEX, NEVER, NONE, RECEIVED
 
@@ -24,36 +29,37 @@ _KEEP, _PAYLOAD = np.uint64(0x51DF), np.uint64(0x51E0)
 
 
 @kernel
-def _succeeds(sinr, me, h):
+def _succeeds(sinr, unit, hashed):
     """Whether a block with this SINR is decoded: a normal distribution in dB, whose far tails need no draw."""
-    if sinr >= me.clear_sinr:
+    if sinr >= unit.clear_sinr:
         return True
-    if sinr <= me.dead_sinr:
+    if sinr <= unit.dead_sinr:
         return False
-    x = (10.0 * np.log10(sinr) - me.sinr_db) / me.spread_db
-    return unit(h) < 0.5 * erfc(-x * 0.7071067811865476)
+    x = (10.0 * np.log10(sinr) - unit.sinr_db) / unit.spread_db
+    return uniform(hashed) < 0.5 * erfc(-x * 0.7071067811865476)
 
 
 @kernel
 def _announce(u, a, memory, log, rules):
     """Write down which resources a transmission reserves; returns the row of the first one."""
-    me, begin = log.unit[u], memory.n_reservations[0]
-    process = memory.process[me.process]
-    count = me.n_sent - a if rules.with_repeats else 1
-    for k in range(count):
-        slot, sub = me.slot[a + k], me.sub[a + k]
-        if k > 0:
-            _reserved(slot, slot, 0, sub, me.width, memory)
-        if me.announces:
-            times = max(1, -(-rules.last // process.period)) if process.period < rules.last else 1
-            _reserved(slot + process.period, slot + times * process.period, process.period, sub, me.width, memory)
+    unit, begin = log.unit[u], memory.n_reservations[0]
+    period = memory.process[unit.process].period
+    count = unit.n_sent - a if rules.with_repeats else 1
+    for k in range(a, a + count):
+        slot, sub = unit.slot[k], unit.sub[k]
+        if k > a:  # a later transmission of the same message
+            _add_reservation(slot, slot, 0, sub, unit.width, memory)
+        if unit.announces:  # the same resource in the periods that begin in a selection window, one at least
+            n_periods = max(1, -(-rules.last // period))
+            _add_reservation(slot + period, slot + n_periods * period, period, sub, unit.width, memory)
     return begin
 
 
 @kernel
-def _reserved(slot, last, period, sub, width, memory):
+def _add_reservation(slot, last, period, sub, width, memory):
     row = memory.reservation[memory.n_reservations[0]]
-    row.slot, row.last, row.period, row.sub, row.width = slot, last, period, sub, width
+    row.slot, row.last, row.period = slot, last, period
+    row.sub, row.width = sub, width
     memory.n_reservations[0] += 1
 
 
@@ -69,59 +75,71 @@ def _remember(receiver, begin, rsrp_mw, memory):
 @kernel
 def _begin_transmission(u, a, s, memory, log, rules):
     """Count the transmission, decide whether its resources are kept, and move the reservation on."""
-    me = log.unit[u]
-    process = memory.process[me.process]
+    unit = log.unit[u]
+    process = memory.process[unit.process]
     k = process.n_past % N_HISTORY
-    process.slots[k], process.subs[k], process.widths[k] = s, me.sub[a], me.width
+    process.slots[k] = s
+    process.subs[k] = unit.sub[a]
+    process.widths[k] = unit.width
     process.n_past += 1
     if a > 0:
         return
-    me.announces = 0
+    unit.announces = 0
     if process.period > 0:
         if process.counter == 1 and draw(process, rules, _KEEP) < rules.keep_p:
             process.counter += draw_counter(process, rules)
-        me.announces = process.counter > 1
+        unit.announces = process.counter > 1
         process.counter -= 1
     process.n_missed = 0
-    process.next_slot = me.slot[0] + process.period if me.announces else NEVER
+    process.next_slot = unit.slot[0] + process.period if unit.announces else NEVER
 
 
 @kernel
-def _powers(u, a, s, n_touched, air, log, rules):
+def _add_powers(u, a, s, n_touched, air, log, rules):
     """Add the power of one transmission to the sums of its receivers; returns the number of receivers so far."""
-    me, leak, s_n = log.unit[u], air.leak, rules.n_subchannels
-    i, width, sub = np.int64(me.station), np.int64(me.width), np.int64(me.sub[a])
-    prefix = mix(mix(mix(rules.rng_key, _PAYLOAD), me.key), np.uint64(s))
+    unit, leak = log.unit[u], air.leak
+    i = np.int64(unit.station)
+    width, sub = np.int64(unit.width), np.int64(unit.sub[a])
+    seed = _seed(unit, s, rules)
     air.sends[i] = s
     for edge in range(air.ptr[i], air.ptr[i + 1]):
         j = air.receiver[edge]
-        h = mix(prefix, air.key[j])
-        power = air.mean_mw[edge] * air.quantiles[air.fading[edge], np.int64(h >> _TO_QUANTILE)]
+        hashed = mix(seed, air.key[j])
+        fading = air.quantiles[air.fading[edge], np.int64(hashed >> _TO_QUANTILE)]
+        power = air.mean_mw[edge] * fading
         air.arrival_mw[edge] = power
         if air.stamp[j] != s:
             air.stamp[j] = s
             air.touched[n_touched] = j
             n_touched += 1
-            for c in range(s_n):
+            for c in range(rules.n_subchannels):
                 air.density_mw[j, c] = 0.0
-        for c in range(s_n):
+        for c in range(rules.n_subchannels):
             air.density_mw[j, c] += power * leak[width, sub, c]
     return n_touched
 
 
 @kernel
+def _seed(unit, s, rules):
+    """Seed of what is drawn at the receivers of a transmission."""
+    return mix(mix(mix(rules.rng_key, _PAYLOAD), unit.key), np.uint64(s))
+
+
+@kernel
 def _receive(u, a, s, air, memory, log, rules):
     """Outcome of one transmission at each receiver, and the announcements that they decode."""
-    me, leak = log.unit[u], air.leak
-    i, width, sub = np.int64(me.station), np.int64(me.width), np.int64(me.sub[a])
-    first, degree = air.ptr[i], air.ptr[i + 1] - air.ptr[i]
-    prefix = mix(mix(mix(rules.rng_key, _PAYLOAD), me.key), np.uint64(s))
+    unit, leak = log.unit[u], air.leak
+    i = np.int64(unit.station)
+    width, sub = np.int64(unit.width), np.int64(unit.sub[a])
+    first = air.ptr[i]
+    degree = air.ptr[i + 1] - first
+    seed = _seed(unit, s, rules)
     per_rb = leak[width, sub, sub]
-    scale = 1.0 / 12.0  # resource elements of a resource block
+    per_element = 1.0 / 12.0  # of the power of a resource block
     announced = _announce(u, a, memory, log, rules)
     for k in range(degree):
         j = air.receiver[first + k]
-        row = me.rows + a * degree + k
+        row = unit.rows + a * degree + k
         if air.sends[j] == s:
             log.reception[row] = HALF_DUPLEX
             continue
@@ -133,20 +151,21 @@ def _receive(u, a, s, air, memory, log, rules):
         if air.is_jammed[i]:
             noise += air.react_mw[j]
         sinr = power / (noise + max(total / width - power, 0.0))
-        at = me.rows // MAX_SENT + k
+        at = unit.rows // MAX_SENT + k
         if a == 0:
             log.sinr[at] = 0.0
         log.sinr[at] += sinr
         if sinr < rules.control_sinr:
             log.reception[row] = COLLISION if power >= rules.control_sinr * noise else FADING
             continue
-        h = mix(mix(prefix, air.key[j]), _PAYLOAD)
-        if _succeeds(log.sinr[at], me, h):
+        hashed = mix(mix(seed, air.key[j]), _PAYLOAD)
+        if _succeeds(log.sinr[at], unit, hashed):
             log.reception[row] = RECEIVED
         else:
-            log.reception[row] = COLLISION if _succeeds(power / noise, me, h) else FADING
-        if power * scale > rules.rsrp_mw:
-            _remember(j, announced, np.float32(power * scale), memory)
+            log.reception[row] = COLLISION if _succeeds(power / noise, unit, hashed) else FADING
+        rsrp_mw = power * per_element
+        if rsrp_mw > rules.rsrp_mw:
+            _remember(j, announced, np.float32(rsrp_mw), memory)
 
 
 @kernel
@@ -190,7 +209,8 @@ def load_entries(old, was, number, entry, ptr, n):
     for j in range(len(was)):
         if was[j] == NONE:
             continue
-        for e in range(before_ptr[was[j]], before_ptr[was[j]] + before_n[was[j]]):
+        first = before_ptr[was[j]]
+        for e in range(first, first + before_n[was[j]]):
             row = number[before[e].reservation]
             if row != NONE:
                 entry[ptr[j] + n[j]].reservation = row
@@ -233,19 +253,17 @@ def run_slots(begin, first, end, arrival, air, memory, log, room, rules):
         if log.head_sent[s - begin] == NONE:
             continue
         n_touched = 0
-        node = log.head_sent[s - begin]
-        while node != NONE:
-            _begin_transmission(node // MAX_SENT, node % MAX_SENT, s, memory, log, rules)
-            n_touched = _powers(node // MAX_SENT, node % MAX_SENT, s, n_touched, air, log, rules)
-            node = log.next_sent[node]
-        node = log.head_sent[s - begin]
-        while node != NONE:
-            _receive(node // MAX_SENT, node % MAX_SENT, s, air, memory, log, rules)
-            node = log.next_sent[node]
-        node = log.head_sent[s - begin]
-        while node != NONE:
-            me = log.unit[node // MAX_SENT]
-            memory.station[me.station].busy += me.width
-            air.busy_round[me.station] += me.width
-            node = log.next_sent[node]
+        sent = log.head_sent[s - begin]
+        while sent != NONE:
+            u, a = sent // MAX_SENT, sent % MAX_SENT
+            _begin_transmission(u, a, s, memory, log, rules)
+            n_touched = _add_powers(u, a, s, n_touched, air, log, rules)
+            sent = log.next_sent[sent]
+        sent = log.head_sent[s - begin]
+        while sent != NONE:  # only now are all powers of the slot known
+            _receive(sent // MAX_SENT, sent % MAX_SENT, s, air, memory, log, rules)
+            unit = log.unit[sent // MAX_SENT]
+            memory.station[unit.station].busy += unit.width
+            air.busy_round[unit.station] += unit.width
+            sent = log.next_sent[sent]
         _count_busy(s, n_touched, air, memory, rules)

@@ -11,15 +11,9 @@ BASE_RATE = 0.5
 """Base rate a: the probability without any evidence."""
 
 
-def projected(opinion: Float[ndarray, "... 3"], base_rate: float = BASE_RATE) -> Float[ndarray, "..."] | np.floating:
-    """Projected probability of each opinion, P = b + a u, in [0, 1].
-
-    Parameters
-    ----------
-    base_rate
-        a: the probability without any evidence.
-    """
-    return opinion[..., 0] + base_rate * opinion[..., 2]
+def projected(opinion: Float[ndarray, "... 3"]) -> Float[ndarray, "..."]:
+    """Projected probability of each opinion, P = b + a u with the base rate a, in [0, 1]."""
+    return opinion[..., 0] + BASE_RATE * opinion[..., 2]
 
 
 def of_check(ok: Float[ndarray, "..."], bad: Float[ndarray, "..."], base: float = 1.3) -> Float[ndarray, "... 3"]:

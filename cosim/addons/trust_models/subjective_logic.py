@@ -1,7 +1,7 @@
 """Subjective logic: opinions on objects, discounted by trust in who holds them, fused to an opinion on their sender."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal, cast
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Gt, Interval
@@ -19,7 +19,9 @@ class SubjectiveLogicParams(StepwiseParams):
     """Parameters of the model `subjective_logic`."""
 
     discounting: Literal["probability", "opposite", "none"] = "probability"
-    """How trust in the evaluator bears on its opinion: b = P b', d = P d'; in favour of the opposite belief; not."""
+    """Effect of the holder's opinion on an evaluator on that evaluator's opinion (b', d', u') on an object.
+    `probability`: it becomes less certain, b = P b' and d = P d'. `opposite`: so far as the evaluator is disbelieved,
+    its belief counts as disbelief and its disbelief as belief. `none`: no effect."""
     check_base: Annotated[float, Gt(1)] = 1.3
     """1 - check_base^-S: belief or disbelief that checks of total weight S give."""
     decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
@@ -54,13 +56,13 @@ class SubjectiveLogic(Stepwise):
         """b / u and d / u of each pair after a step."""
         p = self.params
         new = with_rows(state * self.decay(p.decay_per_s, n_steps), n_pairs)
-        source = opinions.of_evidence(new)
-        opinion = opinions.of_check(rows.object_pos, rows.object_neg, p.check_base)
+        on_evaluator = opinions.of_evidence(new)[rows.by]
+        on_object = opinions.of_check(rows.object_pos, rows.object_neg, p.check_base)
         if p.discounting == "probability":
-            opinion = opinions.discounted(cast(ndarray, opinions.projected(source))[rows.by], opinion)
+            on_object = opinions.discounted(opinions.projected(on_evaluator), on_object)
         elif p.discounting == "opposite":
-            opinion = opinions.discounted_opposite(source[rows.by], opinion)
-        for column, evidence in enumerate(opinions.evidence_of(opinion).T):
+            on_object = opinions.discounted_opposite(on_evaluator, on_object)
+        for column, evidence in enumerate(opinions.evidence_of(on_object).T):
             new[:, column] += exact_sums(rows.about, evidence, len(new))
         return new
 
@@ -68,5 +70,9 @@ class SubjectiveLogic(Stepwise):
         """Projected probability of the opinion on each subject, and its uncertainty u."""
         evidence = state * self.decay(self.params.decay_per_s, n_steps)
         opinion = opinions.of_evidence(evidence)
-        horizon_s = self.horizon_s(self.params.decay_per_s)
-        return Reading(cast(ndarray, opinions.projected(opinion)), evidence.sum(axis=1), opinion[:, 2], horizon_s)
+        return Reading(
+            trust=opinions.projected(opinion),
+            weight=evidence.sum(axis=1),
+            uncertainty=opinion[:, 2],
+            horizon_s=self.horizon_s(self.params.decay_per_s),
+        )

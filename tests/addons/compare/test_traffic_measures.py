@@ -116,4 +116,4 @@ def test_littles_law_by_hand(tmp_path):
         run = make(
             folder, 10, vehicles=[dict(car) for car in cars], actors=actors, encounters=[met | {"duration_s": 4.0 * n}]
         )
-        assert value("little", run, radius_m=100.0) == pytest.approx(n)
+        assert value("littles_law", run, radius_m=100.0) == pytest.approx(n)

@@ -157,6 +157,6 @@ def test_where_free_space_is_asked(factor, share):
     0.51, 1.53 and 2.83 m. From 1 m on they are permitted, so that 4 of 5 parts of the denial count by visibility."""
     ghost = ghosts(factor)
     lists = SimpleNamespace(member=np.zeros(1, int), of_member=lambda: np.zeros(1, int))
-    known = SimpleNamespace(boxes=ghost.boxes, variance_m2=ghost.variance_m2)
-    found = _permitted_share(_FreeSpace(), None, lists, np.zeros(1, bool), known, AreaParams())
+    plausible = np.zeros(1, bool)
+    found = _permitted_share(_FreeSpace(), None, lists, plausible, ghost.boxes, ghost.variance_m2, AreaParams())
     np.testing.assert_allclose(found, [share])
