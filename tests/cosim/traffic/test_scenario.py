@@ -167,7 +167,8 @@ def test_half_an_hour_without_a_warning(tmp_path, city):
             pytest.skip(f"{BOLOGNA} is not there")
         city = str(BOLOGNA / "run.sumocfg")
         before = sorted(BOLOGNA.iterdir())
-    sets = (f"traffic.scenario={city}", "traffic.duration_s=1800", "record.level=summary", "fleet.penetration_p=0.1")
+    sets = (f"traffic.scenario={city}", "traffic.duration_s=1800", "record.level=summary", "fleet.penetration_p=0.1",
+            "traffic.warmup_s=600")  # fmt: skip
     done = cosim("run", *(word for s in sets for word in ("--set", s)), "--out", str(tmp_path / "run"))
     assert done.returncode == 0, done.stderr
     assert all(line.startswith("estimate: ") for line in done.stderr.splitlines()), done.stderr
