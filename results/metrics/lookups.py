@@ -219,22 +219,6 @@ def subjects(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
     return run.once_for_all("roles by pseudonym", lambda: _roles(run))
 
 
-def role_codes(run: Run, pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-    """Role of the vehicle behind each pseudonym.
-
-    Parameters
-    ----------
-    pseudonym
-        Pseudonyms of this run, in any order.
-
-    Returns
-    -------
-    Code of the role, in the order of `Run.role_labels`.
-    """
-    known, code = subjects(run)
-    return code[_places(known, pseudonym, run.path)]
-
-
 def _places(known: Int[ndarray, "p"], pseudonym: Int[ndarray, "n"], path: Path) -> Int[ndarray, "n"]:
     """Place of each pseudonym among the known ones, which are ascending; Damaged if one is not among them."""
     place = np.searchsorted(known, pseudonym)

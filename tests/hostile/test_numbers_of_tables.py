@@ -7,7 +7,6 @@ HOSTILE_N=200 python -m pytest -m verify -s tests/hostile/test_numbers_of_tables
 import random
 import shutil
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -16,7 +15,6 @@ from cosim.base import durable
 from results.archive import open_run
 from results.columns import WHOLE
 from results.measure import measure
-from results.metrics.lookups import role_codes
 from results.tables import TABLES
 from tests.hostile import SEED, N, shared
 
@@ -115,10 +113,3 @@ def test_a_number_that_names_nothing_is_said(run, tmp_path, table, column, value
     shutil.copytree(run, tmp_path / "run")
     assert set_values(tmp_path / "run", table, column, value)
     assert words in said(tmp_path / "run")
-
-
-def test_roles_of_pseudonyms_that_nobody_used(run):
-    known = open_run(run).subjects.index.to_numpy()
-    assert len(role_codes(open_run(run), known)) == len(known)
-    with pytest.raises(durable.Damaged, match="for the pseudonym 4000, which no vehicle with a role used"):
-        role_codes(open_run(run), np.append(known, 4000))

@@ -46,7 +46,6 @@ class SubjectiveLogic(Stepwise):
     """
 
     Params: ClassVar[type] = SubjectiveLogicParams
-    trustworthy_above = 0.5
 
     def start(self) -> Float[ndarray, "p 2"]:
         """b / u and d / u of each pair; no pairs yet."""
