@@ -69,6 +69,9 @@ def draw(
     if not np.isfinite(frame.value_s).any():
         raise ValueError(f"{study.name} has no value that rests on an evaluation: there is no age to draw.")
     frame = held(study, frame, study.keys, where)
+    first = with_short_names(frame, study.keys).iloc[0]
+    at = [f"{label_of(key)} = {said(first[key])}" for key in where]
+    held_at = ", ".join(at)
     matter = that_matter(distinct(frame, study.keys), study.keys)
     study.check_swept(*filter(None, [by]))
     if by is not None:
@@ -114,6 +117,8 @@ def draw(
         axes.set_xlim(0, max(longest_s, 1.0) * 1.02)
     names = [f"{label_of(colour)} = {said(hue)}" for hue in hues] if colour else []
     entries: list[Artist] = list(map(_entry, range(len(names)), names))
+    if held_at:
+        entries.append(Line2D([], [], label=f"at {held_at}", linestyle="none"))
     if (n := frame.replicate.nunique()) > 1:
         entries.append(Patch(label=f"pooled; band: {n} single replicates", color=style.ink(0), alpha=0.18, linewidth=0))
     style.legend(figure, entries)

@@ -137,7 +137,8 @@ def _answer(study: StudyResults, of: _Quantity, name: str) -> Answer:
             parts.append(_along(of, at_reference, key))
     subject = _subject(of, group)
     held = f"keys that a line does not name are held at {_reference_said(frame, reference)}" if len(parts) > 1 else ""
-    notes = [held, _alone(study, frame), _inverted(study, frame), _censored(study, of, group)]
+    about_metric = [_censored(study, of, group), _left_out(study, of)]
+    notes = [held, _alone(study, frame), _inverted(study, frame), *about_metric]
     note = "; ".join(filter(None, notes))
     if not parts:
         return Answer(f"{subject} {_value(frame, metric)}", note=note)
@@ -187,7 +188,8 @@ def _along(of: _Quantity, frame: pd.DataFrame, key: str) -> str:
     places = [_said(frame, key, value) for value in shown]
     places[0] = f"{_named(key)} {places[0]}"
     means = [_value(frame[frame[key] == value], of.metric) for value in shown]
-    text = _listed([f"{mean} {where} {place}" for mean, place in zip(means, places, strict=True)])
+    there = [f"{mean} {where} {place}" for mean, place in zip(means, places, strict=True)]
+    text = _listed(there)
     if len(values) < 2:
         return f"{text}, its only value"
     first = frame[frame[key] == values[0]]
@@ -246,10 +248,25 @@ def _censored(study: StudyResults, of: _Quantity, group: str) -> str:
     rows = study.summary[(study.summary.metric == "encounters.censored_right.share") & (study.summary.group == group)]
     if rows.empty:
         return ""
-    shares = rows["mean"]
+    return f"{_range(rows['mean'])} of all encounters, begun before recording or after, had not ended when it ended"
+
+
+def _left_out(study: StudyResults, of: _Quantity) -> str:
+    """Of a mean age, how many lookups it is of: those without an evaluation have none."""
+    if not of.metric.startswith("freshness."):
+        return ""
+    rows = study.summary[study.summary.metric == "freshness.evaluation_within.share"]
+    if rows.empty:
+        return ""
+    share = _range(rows["mean"])
+    return f"a lookup that finds no evaluation has no age: read it beside the share that finds a fresh one, {share}"
+
+
+def _range(shares: pd.Series) -> str:
+    """From the smallest to the largest share, in per cent."""
     low, high = f"{shares.min():.0%}", f"{shares.max():.0%}"
     span = low if low == high else f"{low} to {high}"
-    return f"{span.replace('%', ' %')} of the encounters had not ended when recording ended"
+    return span.replace("%", " %")
 
 
 def _named(key: str) -> str:
