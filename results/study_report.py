@@ -49,7 +49,7 @@ class Answer:
     """What a study says of one quantity, as a sentence."""
 
     subject: str
-    """The whole sentence, or the beginning that its parts go on from."""
+    """The whole sentence without its full stop, or the beginning that its parts go on from."""
     parts: tuple[str, ...] = ()
     """What is said along each swept key."""
     note: str = ""
@@ -60,7 +60,7 @@ class Answer:
         said = f"{self.subject} {'; '.join(self.parts)}".strip()
         note = f" ({self.note})" if self.note else ""
         place = f"{self.city}: " if self.city else ""
-        return f"{place}{said}{note}.".replace("..", ".")
+        return f"{place}{said}{note}."
 
 
 def answers(study: StudyResults) -> list[Answer]:
@@ -140,12 +140,11 @@ def _sentence(answer: Answer) -> str:
     if answer.note:
         said = answer.note[:1].upper() + answer.note[1:]
         note = f"<div class='soft'>{escape(said)}.</div>"
-    if not answer.parts:
-        return f"<li>{escape(answer.subject)}{note}</li>"
-    if len(answer.parts) == 1:
-        return f"<li>{escape(f'{answer.subject} {answer.parts[0]}.')}{note}</li>"
-    parts = "".join(f"<li>{escape(part)}</li>" for part in answer.parts)
-    return f"<li>{escape(answer.subject)}<ul>{parts}</ul>{note}</li>"
+    if len(answer.parts) > 1:
+        parts = "".join(f"<li>{escape(part)}</li>" for part in answer.parts)
+        return f"<li>{escape(answer.subject)}<ul>{parts}</ul>{note}</li>"
+    said = " ".join([answer.subject, *answer.parts])
+    return f"<li>{escape(said)}.{note}</li>"
 
 
 @dataclass(frozen=True, slots=True)

@@ -285,6 +285,8 @@ def report(folder: Path, out: Path | None, figures: Path | None, where: list[str
     from results.study import open_study
     from results.study_report import save_figures, write
 
+    if figures is not None and figures.exists() and not figures.is_dir():
+        raise ValueError(f"--figures {figures} is a file. Give a folder.")
     study = open_study(folder).at(_held(where))
     path = write(study, out or folder / "report.html", ", ".join(where))
     screen.print(f"wrote {path}", soft_wrap=True)

@@ -55,7 +55,7 @@ def draw(
         Swept key whose values have a colour each; left out, the first that changes the curves. A second one gives a
         panel for each of its values.
     where
-        Values at which other keys are held; `group` is a definition of an encounter.
+        Values at which other keys are held, which the legend says; `group` is a definition of an encounter.
     """
     frame = study.curves[study.curves.what == what]
     if frame.empty:
@@ -71,7 +71,7 @@ def draw(
     frame = held(study, frame, study.keys, where)
     first = with_short_names(frame, study.keys).iloc[0]
     at = [f"{label_of(key)} = {said(first[key])}" for key in where]
-    held_at = ", ".join(at)
+    held_at = ", ".join([group, *at] if group else at)
     matter = that_matter(distinct(frame, study.keys), study.keys)
     study.check_swept(*filter(None, [by]))
     if by is not None:

@@ -99,7 +99,7 @@ def _of_one_city(study: StudyResults) -> list[Answer]:
         if names:
             found.append(_answer(study, of, names[0]))
         else:
-            found.append(Answer(f"{of.missing}{_not_asked(study, of)}."))
+            found.append(Answer(of.missing + _not_asked(study, of)))
     return found
 
 

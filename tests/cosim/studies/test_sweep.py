@@ -179,6 +179,9 @@ def test_answers(swept):
         path.name for path in (swept / "out").iterdir()
     }
     assert cosim(swept, "report", "out").returncode == 0
+    done = cosim(swept, "report", "out", "--out", "other.html", "--figures", "study.toml")
+    assert done.returncode == 2 and "--figures study.toml is a file. Give a folder." in done.stderr
+    assert not (swept / "other.html").exists()
     wrong = cosim(swept, "plot", "freshness", "out", "--over", "lidar.range_m")
     assert wrong.returncode == 2 and "is not swept" in wrong.stderr
 
