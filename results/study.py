@@ -284,6 +284,13 @@ def apart(frame: pd.DataFrame, keys: Sequence[str]) -> list[str]:
     return [key for key in keys if key in found]
 
 
+def is_grid(points: pd.DataFrame, keys: Sequence[str]) -> bool:
+    """Whether each value of a swept key occurs with each value of the others."""
+    varied = apart(points, keys)
+    n_values = points[varied].nunique(dropna=False)
+    return len(points[varied].drop_duplicates()) == n_values.prod()
+
+
 def at_first(frame: pd.DataFrame, keys: Iterable[str]) -> pd.DataFrame:
     """Rows with the first value of keys that change nothing: it stands for all."""
     for key in keys:

@@ -231,8 +231,8 @@ def _print_pivot(study, title: str, found, over: str | None) -> None:
 
 
 def _print_first(folder: Path) -> None:
-    """After a sweep: the core metrics, with keys beside the columns at their first value, and the next command."""
-    from results.study import apart, open_study, said
+    """After a sweep: the core metrics, in a grid with other keys at their first value, and the next command."""
+    from results.study import apart, is_grid, open_study, said
     from results.study_table import cautions, core, pivot
 
     study = open_study(folder)
@@ -242,6 +242,8 @@ def _print_first(folder: Path) -> None:
         return
     over, *others = apart(study.points, study.keys) or study.keys
     first = study.points.iloc[0]
+    # Where each point changes one key, to hold the others would leave most points out.
+    others = others if is_grid(study.points, study.keys) else []
     held = {key: said(study.baseline.get(key, first[key])) for key in others}
     at = ", ".join(f"{key} = {value}" for key, value in held.items())
     beside = f" at {at}" if at else ""

@@ -15,7 +15,7 @@ from results.figures import study as study_figure
 from results.figures import study_curves as curve_figure
 from results.metrics.registry import CORE, METRICS
 from results.metrics.survival import kaplan_meier
-from results.study import StudyResults, apart, that_matter
+from results.study import StudyResults, apart, is_grid, that_matter
 from results.study_curves import COLUMNS, counts, pooled, survival
 from tests.results.tiny import fleet
 
@@ -93,6 +93,12 @@ def test_keys_that_change_a_metric(tmp_path):
     zipped = pd.DataFrame({"a": [1, 1, 2, 2], "b": [5, 5, 6, 6], "c": [1, 2, 1, 2], "d": 0})
     assert apart(zipped, "abcd") == ["a", "c"]
     assert that_matter(zipped.assign(replicate=0, value=[1, 1, 2, 2]), "abcd") == ["a"]
+
+
+def test_changes_one_by_one_are_no_grid():
+    grid = pd.DataFrame({"a": [1, 1, 2, 2], "b": [1, 2, 1, 2], "c": [3, 3, 3, 3]})
+    assert is_grid(grid, "abc")
+    assert not is_grid(grid.iloc[:3], "abc")
 
 
 def test_five_keys_are_reported(tmp_path):
