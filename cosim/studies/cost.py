@@ -1,7 +1,8 @@
 """What a run costs, before it begins: vehicles, sweeps, processor time, time, memory and disk space.
 
-The costs were measured in Helsinki, Adlershof, Braunschweig and Königs Wusterhausen, with all presets and 5 to 100 %
-equipped vehicles, on one machine. `speed.json` in the user's cache says how much faster or slower this machine is.
+The costs were measured in Helsinki, Adlershof, Braunschweig and Königs Wusterhausen, with all presets, 5 to 100 %
+equipped vehicles and up to five sweeps per second, on one machine. `speed.json` in the user's cache says how much
+faster or slower this machine is.
 """
 
 import math
@@ -12,17 +13,19 @@ from cosim.studies.density import HELSINKI, scenario_of, vehicles_on_road
 from cosim.studies.speed import MachineSpeed, speed_here
 from sensors import lidar
 
-START_S = 3.7
+START_S = 3.4
 """Start of a process, including imports and loading of compiled kernels [s]."""
-SUMO_S = 0.0029
-"""SUMO and reading its actors, per step of traffic with 200 vehicles [s]."""
-STEP_S = 0.0214
-"""A step in which vehicles sense, without what grows with their number [s]."""
-IDLE_STEP_S = 0.0011
-"""A step in which none senses: encounters and tables [s]."""
-RAY_S = 8.2e-9
+SUMO_S = 0.0008
+"""A step of SUMO with 200 vehicles [s]."""
+READ_S = 0.0010
+"""Reading the actors of such a step, where it is recorded [s]."""
+STEP_S = 0.0231
+"""A recorded step in which vehicles sense, without what grows with their number [s]."""
+IDLE_STEP_S = 0.0023
+"""A recorded step in which none senses: encounters and tables [s]."""
+RAY_S = 9.0e-9
 """Per ray of a sweep: to cast it, to detect objects, and the messages about them, with radio, matching, evaluation,
-trust and fusion at those who receive them [s]. A sensor with fewer rays reports less. With up to 32 equipped vehicles
+trust and fusion at those who receive them [s]. A sensor with fewer rays reports less. With up to 70 equipped vehicles
 in range, no growth with their number was found."""
 VARIANT_S = 0.0004
 """Trust of one more variant, per step, at the 60 equipped vehicles of central Helsinki [s]."""
@@ -123,7 +126,7 @@ def _warmup_of(config: Config) -> float:
 def traffic_s(config: Config) -> float:
     """Processor time of the traffic of a run, with its warm-up [s]."""
     n_steps = config.traffic.duration_s / config.traffic.step_s
-    return warmup_s(config) + n_steps * SUMO_S * vehicles_on_road(config) / HELSINKI
+    return warmup_s(config) + n_steps * (SUMO_S + READ_S) * vehicles_on_road(config) / HELSINKI
 
 
 def run_s(config: Config) -> float:

@@ -38,31 +38,33 @@ def test_a_dense_city_takes_longer():
 def test_what_a_run_costs():
     """As `cosim.studies.cost` measures it, by hand, for 60 equipped vehicles and 100 s after 600 s of warm-up.
 
-    v0.2: 700 steps of traffic at 2.9 ms; 100 steps at 21.4 ms; 6,000 sweeps of 520 x 64 rays at 8.2 ns. modern: steps
-    of 0.2 s; 1800 x 64 rays.
+    paper: 700 steps of SUMO at 0.8 ms, of which 100 are recorded: 1.0 ms to read and 23.1 ms to sense; 6,000 sweeps of
+    520 x 64 rays at 9.0 ns. modern: steps of 0.2 s; 1800 x 64 rays.
     """
-    start_s = 3.7 + 0.5
-    v02_s = start_s + 700 * 0.0029 + 100 * 0.0214 + 6000 * 520 * 64 * 8.2e-9
-    modern_s = start_s + 3500 * 0.0029 + 500 * 0.0214 + 6000 * 1800 * 64 * 8.2e-9
-    for preset, want_s in (("v0.2", v02_s), ("modern", modern_s)):
+    start_s = 3.4 + 0.5
+    paper_s = start_s + 700 * 0.0008 + 100 * 0.0241 + 6000 * 520 * 64 * 9.0e-9
+    modern_s = start_s + 3500 * 0.0008 + 500 * 0.0241 + 6000 * 1800 * 64 * 9.0e-9
+    for preset, want_s in (("paper", paper_s), ("modern", modern_s)):
         sets = [f"preset={preset}", "traffic.duration_s=100", "traffic.warmup_s=600", "fleet.penetration_p=0.3"]
         assert planned_s(*sets) == pytest.approx(want_s, rel=0.01)
 
 
 MEASURED = {
-    "preset=modern traffic.duration_s=60": (24.1, 500, 5.0),
-    "preset=modern traffic.duration_s=60 fleet.penetration_p=0.1": (21.9, 506, 2.1),
-    "preset=modern traffic.duration_s=30 fleet.penetration_p=1.0": (20.0, 522, 8.0),
-    "preset=modern traffic.duration_s=120 fleet.penetration_p=0.05": (27.8, 486, 3.5),
-    "preset=v0.2 traffic.duration_s=60": (8.6, 498, 1.4),
-    "preset=v0.2 traffic.duration_s=60 fleet.penetration_p=0.6": (8.6, 518, 2.5),
-    "preset=paper traffic.duration_s=60": (12.4, 540, 3.4),
-    "preset=modern sensing=false traffic.duration_s=200": (16.9, 446, 2.8),
-    "preset=modern traffic.scenario=adlershof traffic.duration_s=40": (18.6, 517, 3.3),
-    "preset=modern traffic.scenario=braunschweig traffic.duration_s=40": (10.2, 480, 0.8),
-    "preset=modern traffic.scenario=koenigs-wusterhausen traffic.duration_s=30": (12.2, 483, 1.5),
+    "preset=modern traffic.duration_s=60": (18.0, 479, 5.6),
+    "preset=modern traffic.duration_s=60 fleet.penetration_p=0.1": (14.2, 467, 1.8),
+    "preset=modern traffic.duration_s=30 fleet.penetration_p=1.0": (16.9, 512, 9.9),
+    "preset=modern traffic.duration_s=120 fleet.penetration_p=0.05": (21.4, 471, 2.9),
+    "preset=paper traffic.duration_s=60": (9.0, 491, 3.6),
+    "preset=modern sensing=false traffic.duration_s=200": (10.2, 419, 2.7),
+    "preset=modern traffic.scenario=adlershof traffic.duration_s=60": (22.2, 484, 5.2),
+    "preset=modern traffic.scenario=braunschweig traffic.duration_s=60": (12.1, 464, 0.9),
+    "preset=modern traffic.scenario=koenigs-wusterhausen traffic.duration_s=60": (15.6, 476, 3.0),
+    "preset=modern traffic.duration_s=30 sensing_interval_s=0.2 traffic.step_s=0.1": (27.1, 495, 12.9),
+    "preset=modern traffic.duration_s=60 sensing_interval_s=0.5 traffic.step_s=0.1": (33.4, 489, 12.4),
+    "preset=modern traffic.duration_s=60 sensing_phase=common": (12.5, 476, 5.1),
+    "preset=modern traffic.duration_s=60 radio.model=nr_mode2": (18.1, 480, 5.6),
 }
-"""Processor time [s], memory [MB] and disk [MB] of runs on the machine of the costs, which also did other work."""
+"""Processor time [s], memory [MB] and disk [MB] of runs on the machine of the costs, which did nothing else."""
 
 
 @pytest.mark.parametrize("sets", MEASURED)
