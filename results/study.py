@@ -319,6 +319,11 @@ def that_matter(measures: pd.DataFrame, keys: Sequence[str]) -> list[str]:
     return found
 
 
+def for_axes(frame: pd.DataFrame, keys: Iterable[str]) -> list[str]:
+    """Keys in the order in which a figure shows them: numbers first, because lines join them; then words."""
+    return sorted(keys, key=lambda key: frame[key].dtype.kind not in "fiu")
+
+
 def chosen(frame: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
     """Rows of these metrics: an identifier, `identifier:group`, or a topic."""
     kept = np.zeros(len(frame), bool)

@@ -17,7 +17,7 @@ from results.figures import study as figure
 from results.figures import study_curves as curves
 from results.figures import style
 from results.report import STYLE, image_url
-from results.study import StudyResults, apart, chosen, short_names, that_matter, with_short_names
+from results.study import StudyResults, apart, chosen, for_axes, short_names, that_matter, with_short_names
 from results.study_table import cautions, core, pivot
 
 _MOST_ROWS = 400
@@ -206,7 +206,7 @@ def _drawn_curves(study: StudyResults, what: str) -> Draw:
 
 def _of_metrics(study: StudyResults, names: Sequence[str]) -> tuple[list[str], Draw]:
     """The keys beyond those on the axes of a figure of these metrics, and what draws it at values of them."""
-    matter = that_matter(chosen(study.measures, names), study.keys)
+    matter = for_axes(study.points, that_matter(chosen(study.measures, names), study.keys))
     n_panels = max((study.points[key].nunique() for key in matter[2:3]), default=1)
     shown = 3 if n_panels <= figure.MOST_PANELS else 2
 

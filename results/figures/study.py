@@ -16,6 +16,7 @@ from results.study import (
     StudyResults,
     apart,
     chosen,
+    for_axes,
     held_at,
     one_group,
     said,
@@ -95,8 +96,9 @@ def draw(
         Identifiers, `identifier:group` for one group; left out, those of the topic in `SHOWN`. Of a metric without a
         named group, the group `all` is shown, or its only one. Groups of encounters are keys of the figure instead.
     over, by
-        Swept keys on the axis and as colour; left out, the first and the second. Of encounters, `radius_m` and `pairs`
-        of their definition can be named too. A third key gives a column of panels for each of its values.
+        Swept keys on the axis and as colour; left out, the first and the second, numbers before words. Of encounters,
+        `radius_m` and `pairs` of their definition can be named too. A third key gives a column of panels for each of
+        its values.
     where
         Values that other keys are held at.
     lean
@@ -121,7 +123,7 @@ def draw(
         matter = _matter(study, asked, where or {})
         varied = [key for key in varied if key in matter or key not in study.keys]
     order = [key for key in (over, by) if key]
-    order += [key for key in varied if key not in order]
+    order += [key for key in for_axes(of_metrics, varied) if key not in order]
     for key in apart(of_metrics, study.keys):
         if key not in order:  # it changes nothing: one of its values stands for all
             frame = frame[frame[key] == of_metrics[key].iloc[0]]

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 
 from results.figures import style
 from results.figures.study import MOST_PANELS, held, label_of
-from results.study import StudyResults, apart, at_first, said, that_matter, with_short_names
+from results.study import StudyResults, apart, at_first, for_axes, said, that_matter, with_short_names
 from results.study_curves import AGES, ENCOUNTERS, distinct, pooled
 
 _TITLES: Mapping[str, tuple[str, str, str]] = {
@@ -29,9 +29,13 @@ _LEFT = 0.01
 
 
 def keys_of(study: StudyResults, what: str) -> list[str]:
-    """The swept keys on which a distribution depends; none if the study has not kept it."""
+    """The swept keys on which a distribution depends, numbers first; none if the study has not kept it."""
     frame = study.curves[study.curves.what == what]
-    return that_matter(distinct(frame, study.keys), study.keys) if len(frame) else []
+    return _keys_of(study, frame) if len(frame) else []
+
+
+def _keys_of(study: StudyResults, frame: pd.DataFrame) -> list[str]:
+    return for_axes(study.points, that_matter(distinct(frame, study.keys), study.keys))
 
 
 @style.styled
@@ -52,8 +56,8 @@ def draw(
     what
         `encounters` or `ages`.
     by
-        Swept key whose values have a colour each; left out, the first that changes the curves. A second one gives a
-        panel for each of its values.
+        Swept key whose values have a colour each; left out, the first that changes the curves, numbers before words. A
+        second one gives a panel for each of its values.
     where
         Values at which other keys are held, which the legend says; `group` is a definition of an encounter.
     """
@@ -72,7 +76,7 @@ def draw(
     first = with_short_names(frame, study.keys).iloc[0]
     at = [f"{label_of(key)} = {said(first[key])}" for key in where]
     held_at = ", ".join([group, *at] if group else at)
-    matter = that_matter(distinct(frame, study.keys), study.keys)
+    matter = _keys_of(study, frame)
     study.check_swept(*filter(None, [by]))
     if by is not None:
         matter = [by, *(key for key in matter if key != by)]
