@@ -12,8 +12,9 @@ from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray
 
+from cosim.base.ragged import rows_of
 from trust.open_steps import LARGE, OpenSteps
-from trust.pair_index import PairIndex, find, with_rows
+from trust.pair_index import PairIndex, with_rows
 from trust.tables import QUANTUM, DetectionRows, ObserverRows, ReceivedEvaluations, float64, int64
 
 
@@ -163,7 +164,7 @@ class EvaluationLog:
         self.steps.open(step, pseudonyms, observer_row, detection_index, score)
         pseudonyms = int64(pseudonyms)
         self._note_sent(step, pseudonyms, np.bincount(observer_row, minlength=len(pseudonyms)))
-        at, has_sent = find(pseudonyms, self._sent[:, 0])
+        at, has_sent = rows_of(pseudonyms, self._sent[:, 0])
         n_sent = np.zeros(len(pseudonyms), np.int64)
         n_sent[has_sent] = self._sent[at[has_sent], 2]
         self._open[step] = _Step(pseudonyms, n_sent)
@@ -280,7 +281,7 @@ class EvaluationLog:
             pos=observers.pos,
             neg=observers.neg,
             n=observers.n,
-            n_sent=step.n_sent[find(observers.evaluator, step.pseudonyms)[0]],
+            n_sent=step.n_sent[rows_of(observers.evaluator, step.pseudonyms)[0]],
             is_own=np.repeat(np.array(step.own, bool), np.array([len(part.n) for part, _ in step.parts], int)),
             row=singles.row,
             by=evaluator[singles.row],

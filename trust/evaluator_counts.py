@@ -4,7 +4,8 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
-from trust.pair_index import find, merged
+from cosim.base.ragged import rows_of
+from trust.pair_index import merged
 from trust.tables import pair_key, unpaired
 
 NEVER = -1
@@ -34,7 +35,7 @@ class EvaluatorTable:
             Step of the detections. It may be older than steps noted before.
         """
         keys = np.sort(pair_key(row, evaluator))
-        at, known = find(keys, self.keys)
+        at, known = rows_of(keys, self.keys)
         self.newest[at[known]] = np.maximum(self.newest[at[known]], step)
         new = keys[~known]
         self.newest = np.insert(self.newest, np.searchsorted(self.keys, new), step)

@@ -8,7 +8,8 @@ from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray
 
-from trust.pair_index import find, merged
+from cosim.base.ragged import rows_of
+from trust.pair_index import merged
 from trust.tables import EvaluationMessages, ReceivedEvaluations, float64, int64, pair_key
 
 MAX_DETECTIONS = 1 << 18
@@ -141,9 +142,9 @@ class OpenStep:
         What counts of them, and how many were rejected for which reason.
         """
         messages = received.messages
-        evaluator, is_known = find(int64(messages.evaluator), self.pseudonyms)
+        evaluator, is_known = rows_of(int64(messages.evaluator), self.pseudonyms)
         receptions = self._new_receptions(received, evaluator, is_known)
-        observer, is_present = find(int64(messages.observer), self.pseudonyms)
+        observer, is_present = rows_of(int64(messages.observer), self.pseudonyms)
         e, phi = float64(messages.evaluation), float64(messages.visibility)
         reason, detection = _checked(
             (int64(messages.ptr), is_known), (observer, is_present), int64(messages.detection_index), e, phi,
@@ -181,7 +182,7 @@ class OpenStep:
         rows = np.flatnonzero(known)
         keys = pair_key(int64(received.holder)[rows], evaluator[received.message_row[rows]])
         keys, first = np.unique(keys, return_index=True)
-        new = ~find(keys, self._received)[1]
+        new = ~rows_of(keys, self._received)[1]
         self._received = merged(self._received, keys[new])
         return np.sort(np.concatenate([rows[first[new]], np.flatnonzero(~known)]))
 

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
+from cosim.base.ragged import rows_of
 from trust.tables import int64, pair_key, unpaired
 
 
@@ -32,7 +33,7 @@ class PairIndex:
         Row of each pair. New pairs get rows in the order of (holder, subject), first the rows of dropped pairs.
         """
         keys = pair_key(int64(holder), int64(subject))
-        at, found = find(keys, self._keys)
+        at, found = rows_of(keys, self._keys)
         if not found.all():
             new = np.unique(keys[~found])
             n_again = min(new.size, self._free.size)
@@ -52,7 +53,7 @@ class PairIndex:
         -------
         Row of each pair, and whether it has one. Where it has none, the row is meaningless.
         """
-        at, found = find(pair_key(int64(holder), int64(subject)), self._keys)
+        at, found = rows_of(pair_key(int64(holder), int64(subject)), self._keys)
         return self._rows[at] if self._rows.size else at, found
 
     def sorted(self) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"], Int[ndarray, "p"]]:
@@ -93,19 +94,6 @@ def with_rows(column: ndarray, n: int) -> ndarray:
         return column
     new = np.zeros((max(n, 2 * len(column)) - len(column), *column.shape[1:]), column.dtype)
     return np.concatenate([column, new])
-
-
-def find(values: Int[ndarray, "n"], ascending: Int[ndarray, "m"]) -> tuple[Int[ndarray, "n"], Bool[ndarray, "n"]]:
-    """Find values in an ascending array.
-
-    Returns
-    -------
-    Position of each value, and whether it is there. Where it is not there, the position is meaningless.
-    """
-    if not ascending.size:
-        return np.zeros(values.shape, np.int64), np.zeros(values.shape, bool)
-    at = np.minimum(np.searchsorted(ascending, values), ascending.size - 1)
-    return at, ascending[at] == values
 
 
 def merged(ascending: Int[ndarray, "m"], new: Int[ndarray, "n"]) -> Int[ndarray, "m+n"]:

@@ -87,6 +87,11 @@ class ObjectLists:
         """
         return owner_of_rows(np.diff(np.searchsorted(position, self.ptr)))
 
+    def subset(self, keep: Bool[ndarray, "m"]) -> "ObjectLists":
+        """The lists with only the members where `keep` is true."""
+        rows = np.flatnonzero(keep)
+        return ObjectLists(np.searchsorted(rows, self.ptr), self.member[rows], self.owner)
+
 
 @dataclass(frozen=True)  # as `ObjectLists`
 class Groups:

@@ -17,7 +17,7 @@ from cosim.messages.content import FABRICATED
 from cosim.step.accuracy import pose_variance
 from cosim.step.exchange import Exchange, Senders
 from cosim.step.known import Known, Pairs, Uses
-from cosim.step.object_lists import questions_of, received_lists, subset
+from cosim.step.object_lists import questions_of, received_lists
 from cosim.step.parts import Parts
 from cosim.step.perception import BoxQuestions, Perceives
 from cosim.step.sense import Positioned
@@ -101,7 +101,7 @@ def compare_objects(
         inside = parts.perception.in_area(
             sweeps, lists.of_member(), boxes, area, lists.member, detections.label, bodies
         )
-        near = subset(lists, inside)
+        near = lists.subset(inside)
         groups, near_groups = match_each((lists, near), detections, pairs, params)
     with parts.watch("evaluate"):
         seeds = groups.seeds()

@@ -4,23 +4,24 @@ This stage of a step (`cosim.step.cycle`) comes before evaluations are sent. `co
 detections before it, and `cosim.step.claims` finds what vehicles think of other claims of the messages.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.attacks.adversary import ActiveAttacks
+from cosim.attacks.attack import EvaluationRows
 from cosim.base.ragged import ptr_of
 from cosim.config.config import Config
-from cosim.step import object_lists
+from cosim.messages.content import Detections
 from cosim.step.comparing import Compared
 from cosim.step.exchange import Exchange, lists_of_identities
 from cosim.step.ground_truth import lies_in_evaluations
 from cosim.step.known import Known
-from cosim.step.object_lists import messages_of, subset
 from trust.claims import DETECTION, answers, claim_number
 from trust.params import KINDS
-from trust.tables import EvaluationMessages, Evaluations, ObjectLists
+from trust.tables import EvaluationMessages, Evaluations, ObjectLists, as_messages
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +75,7 @@ class Evaluated:
             return self.lists, self.own, self.reported
         is_detection = self.number % len(KINDS) == DETECTION
         at = np.flatnonzero(is_detection)
-        return subset(self.lists, is_detection), self.own.take(at), self.reported.take(at)
+        return self.lists.subset(is_detection), self.own.take(at), self.reported.take(at)
 
 
 def evaluate_objects(
@@ -108,12 +109,12 @@ def evaluate_objects(
         ego_detected = with_claims(ego_detected, 0)
         ptr = ptr_of(list_of[order], len(lists.owner))
         lists = ObjectLists(ptr, with_claims(lists.member, claims.member), lists.owner)
-    reported = object_lists.as_reported(exchange.attacks, own, lists, messages.objects, exchange.sensing.row, number)
+    reported = _as_reported(exchange.attacks, own, lists, messages.objects, exchange.sensing.row, number)
     lied = lies_in_evaluations(own, reported)
     is_sent = messages.objects.transmitted[lists.member]
     is_sent &= messages.is_new(lists.of_member(), lists.member)
     step = exchange.now.step
-    own_messages = messages_of(step, messages, lists, own, is_sent, number)
+    own_messages = _messages_of(step, messages, lists, own, is_sent, number)
     kept_messages = own_messages
     lists, at = lists_of_identities(lists, exchange.senders)
     if at is not None:  # rows of the lists of vehicles, once for each of their identities
@@ -121,7 +122,7 @@ def evaluate_objects(
         own, reported = own.take(at), reported.take(at)
         lied, is_sent = lied[at], is_sent[at]
         number = None if number is None else number[at]
-        kept_messages = messages_of(step, messages, lists, own, is_sent, number)
+        kept_messages = _messages_of(step, messages, lists, own, is_sent, number)
     return Evaluated(
         lists=lists,
         n_points=n_points,
@@ -131,7 +132,72 @@ def evaluate_objects(
         reported=reported,
         lied=lied,
         own_messages=own_messages,
-        sent=messages_of(step, messages, lists, reported, is_sent, number),
+        sent=_messages_of(step, messages, lists, reported, is_sent, number),
         kept_messages=kept_messages,
         number=number,
     )
+
+
+def _as_reported(
+    active: ActiveAttacks,
+    evaluated: Evaluations,
+    lists: ObjectLists,
+    listed: Detections,
+    observers: ndarray,
+    number: Int[ndarray, "m"] | None = None,
+) -> Evaluations:
+    """Evaluations as they will be sent.
+
+    Parameters
+    ----------
+    active
+        Attacks of this step.
+    evaluated
+        Evaluations as vehicles make them, one per member of `lists`.
+    listed
+        Detections of this step.
+    observers
+        Row of the world of the vehicle of each list.
+    number
+        Number of what each evaluation is about (`trust.claims.claim_number`); None if all are about detections.
+
+    Returns
+    -------
+    `evaluated` itself if no active attack has the method `evaluations`.
+    """
+    rows = EvaluationRows(
+        observers[lists.of_member()], lists.member, evaluated.evaluation, evaluated.visibility, number
+    )
+    evaluation, visibility = active.evaluations(rows, listed)
+    if evaluation is rows.evaluation and visibility is rows.visibility:
+        return evaluated
+    return Evaluations(evaluation, visibility)
+
+
+def _messages_of(
+    step: int,
+    messages: Known,
+    lists: ObjectLists,
+    evaluations: Evaluations,
+    keep: Bool[ndarray, "k"],
+    number: Int[ndarray, "k"] | None = None,
+) -> EvaluationMessages:
+    """Evaluation messages, one per list.
+
+    Parameters
+    ----------
+    messages
+        Messages with the detections that are evaluated.
+    lists
+        What is evaluated; owners are rows of `messages`.
+    evaluations
+        One per member of `lists`.
+    keep
+        Members whose evaluations are in the messages.
+    number
+        Number of what each evaluation is about, in place of that of the detection; None if all are about detections.
+    """
+    kept = evaluations.take(keep)
+    sent = lists.subset(keep)
+    made = as_messages(step, messages.pseudonym, sent, messages.detections, kept, messages.detection_step(sent.member))
+    return made if number is None else replace(made, detection_index=number[keep])

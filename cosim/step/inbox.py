@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.base.kernel import compiled
 from cosim.base.ragged import distinct, expand, offsets, owner_of_rows, ptr_of, ranges, rows_of
 from cosim.messages.content import Detections, velocities
 from cosim.radio.message_round import Receptions, RoundKind
@@ -20,10 +21,9 @@ from cosim.step.comparing import ObjectGroups
 from cosim.step.evaluate import Evaluated
 from cosim.step.exchange import Exchange
 from cosim.step.ground_truth import GroundTruth
-from cosim.step.known import Known, Pairs, Uses, renumbered
+from cosim.step.known import Known, Pairs, Uses, for_trust
 from cosim.step.late import LateMessages
 from cosim.step.listing import Listed
-from cosim.step.object_lists import for_trust
 from cosim.step.parts import Parts
 from sensors.boxes import Boxes, extrapolated
 from trust.tables import Evaluations, ObjectLists
@@ -256,7 +256,7 @@ class Inbox:
             truth=GroundTruth.concat([self.truth, truth]),
             withheld=np.concatenate([self.withheld, listed.withheld]),
             from_own_m=np.concatenate([self.from_own_m, groups.from_own_m[:n_now]]),
-            pairs=renumbered(groups.pairs, moved),
+            pairs=_with_numbers(groups.pairs, moved),
             evaluated=ObjectLists(
                 np.concatenate([old.ptr, old.ptr[-1] + lists.ptr[1:]]),
                 np.concatenate([old.member, moved[lists.member]]),
@@ -299,7 +299,7 @@ class Inbox:
             truth=self.truth.take(detections),
             withheld=self.withheld[detections],
             from_own_m=self.from_own_m[detections],
-            pairs=renumbered(self.pairs, new_row),
+            pairs=_with_numbers(self.pairs, new_row),
             evaluated=ObjectLists(ptr_of(by, len(kept)), members, np.arange(len(kept))),
             evaluations=Evaluations(self.evaluations.evaluation[rows], self.evaluations.visibility[rows]),
             cpms=used(self.cpms),
@@ -341,3 +341,23 @@ def _newest(uses: Uses, pseudonym: Int[ndarray, "m"], step: Int[ndarray, "m"]) -
     first = np.append(True, is_other)[: len(order)]
     rows = np.sort(order[first])
     return Uses(uses.receiver[rows], uses.message[rows])
+
+
+def _with_numbers(pairs: Pairs, number: Int[ndarray, "d"]) -> Pairs:
+    """Pairs of detections by other numbers of these, without the pairs of detections whose number is negative."""
+    i, j, value = pairs
+    rows = (np.ascontiguousarray(column, np.int32) for column in (i, j, number))
+    return _renumbered(*rows, np.ascontiguousarray(value))  # type: ignore[no-any-return]
+
+
+@compiled
+def _renumbered(i, j, number, value):
+    """Numbers of both ends in one pass, and the values of the pairs that stay."""
+    a, b = np.empty_like(i), np.empty_like(j)
+    kept, n = np.empty_like(value), 0
+    for k in range(len(i)):
+        a[n] = number[i[k]]
+        b[n] = number[j[k]]
+        kept[n] = value[k]
+        n += a[n] >= 0 and b[n] >= 0
+    return a[:n], b[:n], kept[:n]

@@ -3,37 +3,16 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.base.kernel import compiled
-from cosim.messages.content import Detections
+from cosim.base.ragged import ptr_of
+from cosim.messages.content import SELF, Detections
 from cosim.step.ground_truth import GroundTruth
 from trust import tables
 
 Pairs = tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]]
 """Two rows of detections that overlap, and their IoU; each pair once."""
-
-
-def renumbered(pairs: Pairs, number: Int[ndarray, "d"]) -> Pairs:
-    """Pairs of detections by other numbers of these, without the pairs of detections whose number is negative."""
-    i, j, value = pairs
-    rows = (np.ascontiguousarray(column, np.int32) for column in (i, j, number))
-    return _renumbered(*rows, np.ascontiguousarray(value))  # type: ignore[no-any-return]
-
-
-@compiled
-def _renumbered(i, j, number, value):
-    """Numbers of both ends in one pass, and the values of the pairs that stay."""
-    a, b = np.empty_like(i), np.empty_like(j)
-    kept, n = np.empty_like(value), 0
-    for k in range(len(i)):
-        a[n] = number[i[k]]
-        b[n] = number[j[k]]
-        kept[n] = value[k]
-        n += a[n] >= 0 and b[n] >= 0
-    return a[:n], b[:n], kept[:n]
 
 
 class Uses(NamedTuple):
@@ -95,3 +74,22 @@ class Known:
     def detection_step(self, detection: Int[ndarray, "k"]) -> Int[ndarray, "k"]:
         """Step of each detection, a row of `objects`."""
         return self.step[self.detections.message[detection]]
+
+
+def for_trust(
+    listed: Detections, message: Int[ndarray, "d"], n_messages: int
+) -> tuple[tables.SentDetections, Int[ndarray, "m+1"]]:
+    """Detections in the form that `trust` uses, and the row at which the detections of each message begin.
+
+    Parameters
+    ----------
+    listed
+        Detections as vehicles list them.
+    message
+        Row of `Senders` of each detection, ascending.
+    n_messages
+        Number of messages.
+    """
+    is_self = (listed.origin == SELF) | ((listed.identity > 0) & (listed.detection_index == 0))  # as messages claim
+    detections = tables.SentDetections(message, listed.detection_index, listed.label, listed.score, is_self)
+    return detections, ptr_of(message, n_messages)

@@ -19,10 +19,10 @@ from cosim.messages.content import (
 from cosim.messages.cpm_generation import CpmContent, CpmState, Generators, generate
 from cosim.messages.pseudonyms import PseudonymState
 from cosim.radio.medium import gap_s
-from cosim.step import object_lists
 from cosim.step.accuracy import sensors_of, stated
 from cosim.step.exchange import Exchange, Senders, Vehicles
 from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections
+from cosim.step.known import for_trust
 from cosim.step.parts import Parts
 from cosim.step.sense import Positioned
 from cosim.world import World
@@ -142,7 +142,7 @@ def list_objects(
         own_mps = world.speed_mps[objects.observer]
         limit_mps = parts.limits.at(objects.boxes.xyz_m[:, :2])
         objects = stated(objects, tracks, origin_m, own_mps, limit_mps, parts.accuracy, parts.config)
-    detections, ptr = object_lists.for_trust(objects, message, len(senders))
+    detections, ptr = for_trust(objects, message, len(senders))
     return cpm, Listed(
         objects=objects,
         truth=truth.take(order),

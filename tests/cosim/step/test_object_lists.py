@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cosim.step.known import Uses
-from cosim.step.object_lists import received_lists, subset
+from cosim.step.object_lists import received_lists
 from trust.tables import ObjectLists
 
 
@@ -32,7 +32,7 @@ def test_received_lists(seed, n):
 
 def test_subset():
     lists = ObjectLists(np.array([0, 0, 3, 5]), np.array([7, 8, 9, 7, 8]), np.array([0, 1, 2]))
-    kept = subset(lists, np.array([False, True, True, False, True]))
+    kept = lists.subset(np.array([False, True, True, False, True]))
     assert kept.ptr.tolist() == [0, 0, 2, 3] and kept.member.tolist() == [8, 9, 8]
-    none = subset(ObjectLists(np.zeros(3, np.int64), np.zeros(0, np.int64), np.arange(2)), np.zeros(0, bool))
+    none = ObjectLists(np.zeros(3, np.int64), np.zeros(0, np.int64), np.arange(2)).subset(np.zeros(0, bool))
     assert none.ptr.tolist() == [0, 0, 0] and not len(none.member)
