@@ -144,12 +144,20 @@ def draw(
         if of_metric.duplicated(order).any():
             raise ValueError(several_groups(name, of_metric.group.unique()))
     x, colour, column = order[0], (order[1:2] or [""])[0], (order[2:3] or [""])[0]
+    at = _held_at(study, asked, where or {})
     if colour and not column and all(frame[key].dtype.kind not in "fib" for key in (x, colour)):
-        return _heat_maps(frame, asked, x, colour)
+        return _heat_maps(frame, asked, x, colour, at)
     columns = sorted(frame[column].unique()) if column else [None]
     if len(columns) > MOST_PANELS:
         raise ValueError(f"{column} has {len(columns)} values: too many panels. Choose with --over, --by and --where.")
-    return _draw(frame, asked, x, colour, column, columns)
+    return _draw(frame, asked, x, colour, column, columns, at)
+
+
+def _held_at(study: StudyResults, asked: Sequence[str], where: Mapping[str, Any]) -> list[Line2D]:
+    """An entry of the legend: the values at which keys are held, of those that change these metrics."""
+    matter = _matter(study, asked, {}) if where else []
+    names = [f"{label_of(key)} = {value}" for key, value in where.items() if key in matter]
+    return [Line2D([], [], label=f"at {', '.join(names)}", linestyle="none")] if names else []
 
 
 def held(
@@ -192,8 +200,15 @@ def shown(study: StudyResults, topic: str) -> list[str]:
 
 
 def _draw(
-    frame: pd.DataFrame, asked: Sequence[str], x: str, colour: str, column: str, columns: Sequence[Any]
+    frame: pd.DataFrame,
+    asked: Sequence[str],
+    x: str,
+    colour: str,
+    column: str,
+    columns: Sequence[Any],
+    at: Sequence[Line2D],
 ) -> Figure:
+    """Panels: a row for each metric, a column for each value of a key. `at` are further entries of the legend."""
     height = (2.4 if len(asked) == 1 else 1.8) - (0.0 if len(columns) == 1 else 0.3)
     figure, panels = style.sheet(len(asked) * len(columns), height, len(columns))
     colours = sorted(frame[colour].unique()) if colour else [None]
@@ -223,11 +238,11 @@ def _draw(
         )
         for i, hue in enumerate(colours) if hue is not None
     ]  # fmt: skip
-    style.legend(figure, entries)
+    style.legend(figure, [*entries, *at])
     return figure
 
 
-def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Figure:
+def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str, at: Sequence[Line2D]) -> Figure:
     """A map per metric, where both keys are words: the mean written into each cell, or a scale where they are many.
 
     The title has the half width of the widest 95 % interval.
@@ -266,6 +281,7 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str) -> Fig
         style.panel(axes, style.fitted(f"{first.label}{group}{unit}{told}", 32), label_of(x), label_of(y))
         if not has_room:
             figure.colorbar(image, ax=axes, fraction=0.03, pad=0.02)
+    style.legend(figure, at)
     return figure
 
 
