@@ -3,6 +3,7 @@
 import ast
 import re
 import sys
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -72,7 +73,10 @@ def imports():
                     yield from ((path, f"{node.module}.{a.name}") for a in node.names)
 
 
-EDGES = [(path.relative_to(ROOT), module) for path, module in imports()]
+@cache
+def edges():
+    """The imports, with files by their paths from the root. Only the worker that needs them reads all files."""
+    return [(path.relative_to(ROOT), module) for path, module in imports()]
 
 
 def room_of(module):
@@ -91,7 +95,7 @@ def module_of(path):
 def test_rooms_import_the_foundation_and_not_each_other():
     """The foundation imports nothing of ours, and nobody imports the tests."""
     wrong = []
-    for path, module in EDGES:
+    for path, module in edges():
         me, other = room_of(module_of(path)), room_of(module)
         if other not in (*ROOMS, "cosim.base", "tests") and not other.startswith("cosim.addons."):
             continue
@@ -106,7 +110,7 @@ def test_rooms_import_the_foundation_and_not_each_other():
 def test_core_imports_no_addon_and_no_addon_another():
     """Add-ons are found by name: `cosim.base.addons`."""
     wrong = [
-        f"{path} imports {module}" for path, module in EDGES
+        f"{path} imports {module}" for path, module in edges()
         if room_of(module).startswith("cosim.addons.") and room_of(module) != room_of(module_of(path))
     ]  # fmt: skip
     assert not wrong
@@ -114,18 +118,18 @@ def test_core_imports_no_addon_and_no_addon_another():
 
 @pytest.mark.parametrize("room", ROOMS)
 def test_foreign_libraries(room):
-    used = {module.split(".")[0] for path, module in EDGES if path.parts[0] == room}
+    used = {module.split(".")[0] for path, module in edges() if path.parts[0] == room}
     assert used - set(sys.stdlib_module_names) - set(ROOMS) <= FOREIGN[room]
 
 
 @pytest.mark.parametrize("library", ONE_FILE)
 def test_one_file(library):
-    files = {path.as_posix() for path, module in EDGES if module.split(".")[0] == library}
+    files = {path.as_posix() for path, module in edges() if module.split(".")[0] == library}
     assert files == ONE_FILE[library]
 
 
 def test_matplotlib_only_among_the_figures():
-    files = {path.as_posix() for path, module in EDGES if module.split(".")[0] == "matplotlib"}
+    files = {path.as_posix() for path, module in edges() if module.split(".")[0] == "matplotlib"}
     assert files and all(f.startswith("results/figures/") or f.endswith("figure.py") for f in files)
 
 
@@ -135,7 +139,7 @@ def test_the_hall_holds_its_foundation_alone():
 
 def test_order_of_the_rooms_of_cosim():
     wrong = []
-    for path, module in EDGES:
+    for path, module in edges():
         parts = module.split(".")
         if path.parts[0] != "cosim" or parts[0] != "cosim" or len(parts) < 2 or module == "cosim.__version__":
             continue
@@ -161,9 +165,9 @@ def cycle(edges):
 
 def test_no_module_imports_itself_through_others():
     """Imports inside functions and those for types alone count too."""
-    assert cycle(EDGES) == []
+    assert cycle(edges()) == []
     back = (Path("results/run.py"), "results.measure")
-    assert set(cycle([*EDGES, back])) >= {"results.run", "results.measure"}, "a ring is seen"
+    assert set(cycle([*edges(), back])) >= {"results.run", "results.measure"}, "a ring is seen"
 
 
 def test_private_names_stay_in_their_file():
@@ -190,7 +194,7 @@ DOORS = {
 @pytest.mark.parametrize("room", DOORS)
 def test_doors_inside_cosim(room):
     used = {
-        module.split(".")[1] for path, module in EDGES
+        module.split(".")[1] for path, module in edges()
         if path.parts[:2] == ("cosim", room) and module.startswith("cosim.")
     }  # fmt: skip
     assert used & set(ORDER) <= DOORS[room] | {room}
@@ -199,7 +203,7 @@ def test_doors_inside_cosim(room):
 def test_the_radio_carries_messages_without_their_content():
     """It knows stations, lengths and times: neither trust nor tables."""
     assert not [
-        f"{path} imports {module}" for path, module in EDGES
+        f"{path} imports {module}" for path, module in edges()
         if path.parts[:2] == ("cosim", "radio") and module.split(".")[0] in ("trust", "results", "sumo_nets")
     ]  # fmt: skip
 
