@@ -1,5 +1,7 @@
 """Options: record anew what commands on pages print; check shapes and types."""
 
+import gc
+
 import pytest
 from hypothesis import settings
 
@@ -42,6 +44,12 @@ def pytest_collection_modifyitems(config, items):
         for item in items:
             if item.get_closest_marker("misuse"):
                 item.add_marker(pytest.mark.skip(reason="passes what annotations forbid"))
+
+
+def pytest_collection_finish():
+    """What has been collected lives to the end, so the garbage collector need not look at it again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture
