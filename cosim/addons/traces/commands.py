@@ -188,6 +188,8 @@ def columns_of(
     if not all(place := degrees if any(degrees) else metres):
         raise ValueError("--x and --y go together, and so do --lat and --lon. Name both columns.")
     x, y = (str(name).strip() for name in place)
+    if any(degrees) and "lon" in x.lower() and "lat" in y.lower():
+        raise ValueError(f"--lat {x} --lon {y}: the names of the columns say the opposite. Exchange the two.")
     actor, time = (actor or "id").strip(), (time or "time").strip()
     return PositionColumns(actor, time, x, y, is_degrees=any(degrees), is_frame=frame_hz is not None)
 

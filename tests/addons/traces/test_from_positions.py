@@ -118,6 +118,7 @@ def named_encounters(folder, columns):
         (("--out", "t.parquet", "--class", "kind"), "goes with --x and --y"),
         (("--out", "t.parquet", "--x", "east", "--y", "north"), "no column"),
         (("--out", "p.csv.parquet", "--lat", "x"), "--lat and --lon"),
+        (("--out", "t.parquet", "--lat", "lon_deg", "--lon", "lat_deg"), "Exchange the two"),
     ],
 )
 def test_wrong_use_is_one_line(words, says, tmp_path):
