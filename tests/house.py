@@ -1,6 +1,7 @@
 """How big the code is: syntax nodes of each room, and counts of what makes code hard to read.
 
-`python -m tests.house` prints today's numbers as the table `[tool.cosim.house]` of `pyproject.toml`.
+`python -m tests.house` prints today's numbers as the table `[tool.cosim.house]` of `pyproject.toml`, and the nodes of
+each add-on.
 
 Notes
 -----
@@ -160,5 +161,19 @@ def rounded_up(n: int) -> int:
     return -(-spare // unit) * unit
 
 
+def addons(root: Path = ROOT) -> Iterator[tuple[str, int, str]]:
+    """Each add-on, the largest first: its name, its nodes, and what users would lose without it."""
+    found = []
+    for folder in sorted((root / "cosim" / "addons").glob("*/")):
+        trees = [ast.parse(file.read_text("utf-8")) for file in folder.rglob("*.py")]
+        if trees:
+            said = ast.get_docstring(ast.parse((folder / "__init__.py").read_text("utf-8"))) or ""
+            found.append((folder.name, sum(len(list(with_lines(tree))) for tree in trees), said.split("\n\n")[0]))
+    yield from sorted(found, key=lambda one: -one[1])
+
+
 if __name__ == "__main__":
     print(table(measured()))
+    print("\n# Without an add-on, users lose:")
+    for name, n, said in addons():
+        print(f"# {name:13} {n:7,}  {' '.join(said.split())}")
