@@ -20,6 +20,7 @@ from results.report import STYLE, image_url
 from results.study import StudyResults, apart, chosen, for_axes, short_names, that_matter, with_short_names
 from results.study_table import cautions, core, pivot
 
+CITY = "traffic.scenario"
 _MOST_ROWS = 400
 _MOST_SETS = 36
 """Figures of one title, one for each combination of values of the keys that its axes do not show."""
@@ -167,7 +168,7 @@ def _core_figures(study: StudyResults) -> list[_CoreFigure]:
     ):
         frame = study.curves[study.curves.what == what]
         if np.isfinite(frame.value_s.astype(float)).any():
-            others = curves.keys_of(study, what)[2:]
+            others = _beside_axes(curves.keys_of(study, what), 2)
             if frame.group.nunique() > 1:
                 others = ["group", *others]
             found.append(_CoreFigure(name, title, others, _drawn_curves(study, what)))
@@ -207,13 +208,24 @@ def _drawn_curves(study: StudyResults, what: str) -> Draw:
 def _of_metrics(study: StudyResults, names: Sequence[str]) -> tuple[list[str], Draw]:
     """The keys beyond those on the axes of a figure of these metrics, and what draws it at values of them."""
     matter = for_axes(study.points, that_matter(chosen(study.measures, names), study.keys))
-    n_panels = max((study.points[key].nunique() for key in matter[2:3]), default=1)
-    shown = 3 if n_panels <= figure.MOST_PANELS else 2
+    n_values = [study.points[key].nunique() for key in _axes(matter)]
+    shown = 3 if max(n_values[2:3], default=1) <= figure.MOST_PANELS else 2
 
     def draw(where: Mapping[str, str]) -> Any:
         return figure.draw(study, "", _there(study, names, where), where=where, lean=True)
 
-    return matter[shown:], draw
+    return _beside_axes(matter, shown), draw
+
+
+def _axes(matter: Sequence[str]) -> list[str]:
+    """Keys for the axes of a figure, of those that change it. Each city has figures of its own, if other keys do."""
+    return [key for key in matter if key != CITY] or list(matter)
+
+
+def _beside_axes(matter: Sequence[str], shown: int) -> list[str]:
+    """Of the keys that change a figure, those that its axes do not show."""
+    on_axes = _axes(matter)[:shown]
+    return [key for key in matter if key not in on_axes]
 
 
 def _there(study: StudyResults, names: Sequence[str], where: Mapping[str, str]) -> list[str]:

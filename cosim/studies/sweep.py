@@ -187,11 +187,12 @@ def interval_notes(study: Study) -> list[str]:
 
 
 def name_notes(path: Path, study: Study) -> list[str]:
-    """A note on a changed copy of a shipped study that kept its name: its report would ask the question of another."""
+    """A note on a changed copy of a shipped study that kept its name and its question."""
     shipped = SHIPPED / f"{study.head.name}.toml"
     if not (path.is_file() and shipped.is_file()):
         return []
-    if study.to_toml() == load(shipped).to_toml():
+    original = load(shipped)
+    if study.head.question != original.head.question or study.to_toml() == original.to_toml():
         return []
     return [
         f'note: study.name = "{study.head.name}" is that of a shipped study, which {path} changes. Its report will '

@@ -157,7 +157,7 @@ def _held_at(study: StudyResults, asked: Sequence[str], where: Mapping[str, Any]
     """An entry of the legend: the values at which keys are held, of those that change these metrics."""
     matter = _matter(study, asked, {}) if where else []
     names = [f"{label_of(key)} = {value}" for key, value in where.items() if key in matter]
-    return [Line2D([], [], label=f"at {', '.join(names)}", linestyle="none")] if names else []
+    return [style.held_entry(", ".join(names))] if names else []
 
 
 def held(

@@ -101,8 +101,10 @@ def draw(
     if len(columns) > MOST_PANELS:
         raise ValueError(f"{column} has {len(columns)} values: too many panels. Choose with --by and --where.")
     across = min(2, len(columns))
-    figure, panels = style.sheet(len(columns), 2.4 if across == 1 else 2.1, across)
     hues = sorted(frame[colour].unique()) if colour else [None]
+    below = max(0, len(hues) + bool(held_at) - 3)  # a row of panels leaves room for few entries of the legend
+    height = (2.4 if across == 1 else 2.1) + 0.25 * below * (len(columns) <= across)
+    figure, panels = style.sheet(len(columns), height, across)
     longest_s = 0.0
     until_s = float(frame.value_s[np.isfinite(frame.value_s)].max())
     for axes, value in zip(panels, columns, strict=True):
@@ -122,7 +124,7 @@ def draw(
     names = [f"{label_of(colour)} = {said(hue)}" for hue in hues] if colour else []
     entries: list[Artist] = list(map(_entry, range(len(names)), names))
     if held_at:
-        entries.append(Line2D([], [], label=f"at {held_at}", linestyle="none"))
+        entries.append(style.held_entry(held_at))
     if (n := frame.replicate.nunique()) > 1:
         entries.append(Patch(label=f"pooled; band: {n} single replicates", color=style.ink(0), alpha=0.18, linewidth=0))
     style.legend(figure, entries)

@@ -160,6 +160,11 @@ def legend(figure: Figure, entries: Sequence[Any], runs: Sequence[Any] = ()) -> 
         made.remove()
 
 
+def held_entry(keys: str) -> Line2D:
+    """Legend entry that says at which values keys are held, in lines that the legend takes."""
+    return Line2D([], [], label=fitted(f"at {keys}", 40), linestyle="none")
+
+
 def run_entries(runs: Sequence[Run]) -> list[Line2D]:
     """Legend entries that name the runs, needed only where there are several."""
     return dash_entries(names(runs))

@@ -122,7 +122,7 @@ def test_five_keys_are_reported(tmp_path):
 
 
 def test_select_boxes_name_what_the_axes_do_not_show(tmp_path, monkeypatch):
-    """A box for each key that is a word, because numbers are on the axes. The AUC exists at one share of attackers."""
+    """Numbers come first on the axes, and each city has its own figures. The AUC exists at one share of attackers."""
     monkeypatch.setattr(study_report, "image_url", lambda figure: "data:,")  # figures are seen in the other tests
 
     def value(metric, keys, replicate):
@@ -131,12 +131,12 @@ def test_select_boxes_name_what_the_axes_do_not_show(tmp_path, monkeypatch):
     study = study_of(tmp_path, value=value)
     text = study_report.page(study)
     boxes = re.findall(r"<label hidden>(\S.*?) <select>(.*?)</select>", text)
-    assert [name for name, _ in boxes] == ["city", "model"] * 2 + ["model"]
+    assert [name for name, _ in boxes] == ["city", "model"] * 2 + ["city"]
     assert all(options.count("<option") == 2 for _, options in boxes)
     assert text.count("data-at='0 1'><p class='soft'>city = street, model = mate") == 2
     files = study_report.save_figures(study, tmp_path / "figures")
     assert len(files) == 4 + 4 + 2 and all(path.read_bytes().startswith(b"%PDF") for path in files)
-    assert "misbehaviour.at_lookup.auc-model=mate.pdf" in {path.name for path in files}
+    assert "misbehaviour.at_lookup.auc-scenario=town.pdf" in {path.name for path in files}
 
 
 KEYS = {"fleet.penetration_p": (0.1, 0.6)}
