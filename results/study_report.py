@@ -93,8 +93,8 @@ def page(study: StudyResults, part: str = "") -> str:
         f"swept: {escape(', '.join(study.keys))}; {replicates}. Intervals are 95 % intervals of the mean over "
         "replicates (Student's t, in the logit or logarithm of quantities with bounds).</p>",
         '<h2 id="figures">Figures</h2>',
-        '<p class="soft">A band spans the curves of the single replicates. An arrow marks an interval that leaves the '
-        "panel. A key that is not shown changes nothing here.</p>",
+        '<p class="soft">A band spans the curves of the single replicates, as far as they reach. An arrow '
+        "marks an interval that leaves the panel. A key that is not shown changes nothing here.</p>",
         '<div class="figures">',
         *(_figures(study, one.title, one.others, one.draw) for one in _core_figures(study)),
         "</div>",

@@ -36,6 +36,7 @@ class SceneSummary:
 
     streets: str
     buildings: str
+    n_buildings: int = 0
     notes: tuple[str, ...] = ()
     """What looks like a mistake, each in one line."""
 
@@ -63,7 +64,8 @@ def _summary(scenario: Scenario, changed_ns: tuple[int, ...]) -> SceneSummary:
     streets, notes = _streets(scenario, found)
     notes += _polygon_notes({path: others for path, (_, others) in polygons.items()}, len(footprints))
     notes += _place_notes(scenario, found, standing)
-    return SceneSummary(streets, _buildings(footprints), tuple(f"note: {note}" for note in notes))
+    said = tuple(f"note: {note}" for note in notes)
+    return SceneSummary(streets, _buildings(footprints), len(footprints), said)
 
 
 def _streets(scenario: Scenario, found: Sequence[Lane]) -> tuple[str, list[str]]:

@@ -6,7 +6,7 @@ at their reference: the value of the baseline, or else the first of the study. E
 because replicates of different cities share no traffic.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from results.metrics.registry import METRICS, bounds_of
 from results.metrics.trust import HONEST
 from results.study import StudyResults, apart, bounds_of_difference, chosen, intervals, said, short_names, that_matter
 from results.study_report import Answer
-from results.study_table import core, number
+from results.study_table import cautions, core, number
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +69,11 @@ _UNDER_ATTACK = _Quantity(
 
 _SAME = 1e-9
 """Values that differ by less are the same but for rounding."""
-
+_ALIKE_P = 0.01
+"""A difference whose interval lies within this share of the first value matters to nobody."""
 
 _CITY = "traffic.scenario"
+_WINDOW = "trust.freshness_s"
 _MOST_VALUES = 4
 """Of a key with more values, the first and the last are said."""
 
@@ -79,25 +81,31 @@ _MOST_VALUES = 4
 def sentences(study: StudyResults) -> list[Answer]:
     """Three sentences with numbers, intervals and, where they hold, differences; a fourth if attacks are swept.
 
-    If cities are swept, as many for each of them.
+    If cities are swept, as many for each of them. The last sentence says where keys are held that others do not name.
     """
+    held: list[str] = []
     if _CITY not in study.keys or study.measures[_CITY].nunique() < 2:
-        return _of_one_city(study)
-    found = []
-    for city in short_names(study.measures[_CITY]).values():
-        there = study.at({_CITY: city})
-        found += [replace(one, city=city) for one in _of_one_city(there)]
+        found = _of_one_city(study, held)
+    else:
+        found = []
+        for city in short_names(study.measures[_CITY]).values():
+            there = study.at({_CITY: city})
+            found += [replace(one, city=city) for one in _of_one_city(there, held)]
+    if held:
+        places = ", ".join(dict.fromkeys(held))
+        found.append(Answer(f"Keys that a line does not name are held at {places}"))
     return found
 
 
-def _of_one_city(study: StudyResults) -> list[Answer]:
+def _of_one_city(study: StudyResults, held: list[str]) -> list[Answer]:
+    """The sentences of one city. What keys are held at is added to `held`."""
     asked = core(study, whole=False)
     found = []
     attacks = [_UNDER_ATTACK] if any(key.startswith("attacks.") for key in study.keys) else []
     for of in (*_QUANTITIES, *attacks):
         names = [name for name in asked if _speaks_of(of, name)]
         if names:
-            found.append(_answer(study, of, names[0]))
+            found.append(_answer(study, of, names[0], held))
         else:
             found.append(Answer(of.missing + _not_asked(study, of)))
     return found
@@ -120,7 +128,7 @@ def _not_asked(study: StudyResults, of: _Quantity) -> str:
     return "" if is_measured else f", or the study did not measure the topic {topic}"
 
 
-def _answer(study: StudyResults, of: _Quantity, name: str) -> Answer:
+def _answer(study: StudyResults, of: _Quantity, name: str, held: list[str]) -> Answer:
     metric, _, group = name.partition(":")
     frame = chosen(study.measures, [name])
     matter = that_matter(frame, study.keys)
@@ -136,17 +144,40 @@ def _answer(study: StudyResults, of: _Quantity, name: str) -> Answer:
         if len(at_reference):
             parts.append(_along(of, at_reference, key))
     subject = _subject(of, group)
-    held = f"keys that a line does not name are held at {_reference_said(frame, reference)}" if len(parts) > 1 else ""
-    about_metric = [_censored(study, of, group), _left_out(study, of)]
-    notes = [held, _alone(study, frame), _inverted(study, frame), *about_metric]
+    if len(parts) > 1:
+        held += [_at(frame, key, value) for key, value in reference.items()]
+    notes = [
+        _alone(study, frame),
+        *_without_effect(frame, matter),
+        _inverted(study, frame),
+        _censored(study, of, group),
+        _left_out(study, of),
+        _beyond(of, frame),
+        _in_the_open(study, of),
+        *cautions(study, chosen(study.summary, [name]), [name]),
+    ]
     note = "; ".join(filter(None, notes))
     if not parts:
         return Answer(f"{subject} {_value(frame, metric)}", note=note)
     return Answer(subject, tuple(parts), note)
 
 
-def _reference_said(frame: pd.DataFrame, reference: Mapping[str, Any]) -> str:
-    return ", ".join(_at(frame, key, value) for key, value in reference.items())
+def _without_effect(frame: pd.DataFrame, matter: Sequence[str]) -> list[str]:
+    """Words, such as trust models, with which another key changes nothing, such as a window that they do not read."""
+    found = []
+    words = [key for key in matter if frame[key].dtype.kind not in "fiu"]
+    for word in words:
+        idle: dict[str, list[str]] = {}
+        values = _ordered(frame, word)
+        for value in values:
+            there = that_matter(frame[frame[word] == value], matter)
+            for key in matter:
+                if key not in (word, *there):
+                    idle.setdefault(key, []).append(_said(frame, word, value))
+        for key, names in idle.items():
+            if len(names) < len(values):
+                found.append(f"the {_named(key)} changes nothing with {_listed(names)}")
+    return found
 
 
 def _alone(study: StudyResults, frame: pd.DataFrame) -> str:
@@ -224,6 +255,9 @@ def verdict(of: _Quantity, pairs: pd.DataFrame, first: str, last: str, where: st
         direction = direction if abs(mean) > _SAME else "the same"
         return f"{direction} in each of the {n} replicates, which leaves no spread for an interval"
     span = f"difference {_one(mean, unit)} {_span(low, high)}"
+    alike = _ALIKE_P * abs(float(pairs.value_first.mean()))
+    if -alike < low and high < alike:
+        return f"the same within {100 * _ALIKE_P:g} % ({span})"
     if low <= 0 <= high:
         return f"{n} replicates cannot tell {last} from {first} ({span})"
     return f"{word} {where} {last} than {where} {first} ({span})"
@@ -242,13 +276,17 @@ def _value(frame: pd.DataFrame, metric: str) -> str:
 
 
 def _censored(study: StudyResults, of: _Quantity, group: str) -> str:
-    """How many encounters had not ended when recording ended."""
+    """How many encounters there are, and how many had not ended when recording ended."""
     if not of.metric.startswith("encounters."):
         return ""
-    rows = study.summary[(study.summary.metric == "encounters.censored_right.share") & (study.summary.group == group)]
-    if rows.empty:
+    rows = study.summary[study.summary.group == group]
+    n = rows["mean"][rows.metric == "encounters.n"]
+    open_p = rows["mean"][rows.metric == "encounters.censored_right.share"]
+    if n.empty or open_p.empty:
         return ""
-    return f"{_range(rows['mean'])} of all encounters, begun before recording or after, had not ended when it ended"
+    low, high = f"{n.min():,.0f}", f"{n.max():,.0f}"
+    count = low if low == high else f"{low} to {high}"
+    return f"a run has {count} encounters, and {_range(open_p)} of them had not ended when recording ended"
 
 
 def _left_out(study: StudyResults, of: _Quantity) -> str:
@@ -260,6 +298,28 @@ def _left_out(study: StudyResults, of: _Quantity) -> str:
         return ""
     share = _range(rows["mean"])
     return f"a lookup that finds no evaluation has no age: read it beside the share that finds a fresh one, {share}"
+
+
+def _beyond(of: _Quantity, frame: pd.DataFrame) -> str:
+    """Why a mean age can exceed the window of trust."""
+    if not of.metric.startswith("freshness.") or _WINDOW not in frame:
+        return ""
+    means = frame.groupby(_WINDOW).value.mean()
+    if not (means > means.index).any():
+        return ""
+    return "ages exceed a short window because a vehicle uses a value until the next one arrives"
+
+
+def _in_the_open(study: StudyResults, of: _Quantity) -> str:
+    """A city without buildings, in which ages are those of open country."""
+    if not of.metric.startswith("freshness."):
+        return ""
+    try:
+        run = study.run(study.points.point.iloc[0])
+    except (ValueError, OSError):  # a study can outlive its runs
+        return ""
+    buildings = str(run.manifest["summary"].get("buildings", ""))
+    return "there are no buildings: everybody sees everybody" if buildings.startswith("none") else ""
 
 
 def _range(shares: pd.Series) -> str:

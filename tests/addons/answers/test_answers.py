@@ -23,6 +23,24 @@ def test_a_difference_is_said_only_if_its_interval_excludes_none(tmp_path):
     assert "older" not in said and "fresher" not in said
 
 
+def test_a_difference_that_matters_to_nobody_has_no_direction(tmp_path):
+    """Differences 0.009, 0.010, 0.011 of 3 s: 0.01 +- 0.0025, all of it below 0.03 s, which is 1 %."""
+    said = said_of(tmp_path, KEYS, 3, ages((3.0, 3.1, 2.9), (3.009, 3.11, 2.911)))[1]
+    assert "the same within 1 % (difference 0.01 s [0.00752, 0.0125])" in said and "older" not in said
+
+
+def test_models_that_read_no_window_are_named(tmp_path):
+    """The window counts with one model alone, and an age above the window gets a reason."""
+
+    def value(metric, keys, replicate):
+        return 7.0 + 0.1 * keys["trust.freshness_s"] * (keys["trust.model"] == "mate") + 0.01 * replicate
+
+    swept = {"trust.freshness_s": (5.0, 20.0), "trust.model": ("beta", "mate")}
+    _, age, _, held = answers.sentences(study_of(tmp_path, swept, value=value))
+    assert age.note.startswith("the window changes nothing with beta; ages exceed a short window because")
+    assert held.subject.endswith("held at window 5 s, model beta")
+
+
 def test_no_difference_leaves_the_range_of_its_metric(tmp_path):
     """AUCs 0.1 and 0.9, then 0.9 and 0.1: the mean difference is 0, s = 0.8 x sqrt(2), and t(0.975, 1) = 12.706.
 
@@ -37,7 +55,9 @@ def test_each_city_has_sentences_and_keys_that_change_nothing_no_part(tmp_path):
     """12.00, 12.01, 12.02 in the first city: 4.303 x 0.01 / sqrt(3) = 0.025; pooled over 16 points it were 0.002."""
     study = study_of(tmp_path, value=lambda metric, keys, r: value_of(metric, keys, 100 * r))
     found = answers.sentences(study)
-    assert [one.city for one in found] == ["street"] * 4 + ["town"] * 4
+    assert [one.city for one in found] == ["street"] * 4 + ["town"] * 4 + [""]
+    assert str(found[-1]).startswith("Keys that a line does not name are held at penetration 0.1, window 5 s")
+    assert "the window changes" not in found[2].note
     row = study.summary[study.summary.metric == "encounters.duration.km_median_s"].iloc[0]
     assert row.n == 3 and f"{row['mean']:.3g} s [{row.low:.3g}, {row.high:.3g}] at penetration 0.1" in str(found[0])
     assert len(found[0].parts) == 1 and "17 s" in str(found[0]) and "20 s" in str(found[4])

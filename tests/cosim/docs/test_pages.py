@@ -175,7 +175,7 @@ def test_shown_output_follows_a_command(source):
         before = block.language
 
 
-N_EXCUSED = 6
+N_EXCUSED = 8
 """Blocks of all pages that say why they are not run."""
 
 

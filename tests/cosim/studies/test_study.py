@@ -8,7 +8,8 @@ from cosim.config import preset
 from cosim.studies.plan import plan
 from cosim.studies.points import identity, points_of
 from cosim.studies.study import SHIPPED, load
-from cosim.studies.sweep import name_notes, prepare
+from cosim.studies.sweep import name_notes, prepare, scene_notes
+from tests.cosim.traffic import crossing
 
 HEAD = """
 [study]
@@ -185,6 +186,14 @@ def test_shipped_studies(name, n_points, n_runs, tmp_path, monkeypatch):
     Path(name).mkdir()  # such as the folder of an earlier sweep: the name still is that of the study
     found = points_of(load(Path(name)), name)
     assert len(found) == n_points and len(plan(found, fused=False).runs) == n_runs
+
+
+def test_cities_without_buildings_are_noted(tmp_path):
+    city = crossing.write(tmp_path)
+    text = f'[study]\nname = "s"\n[base]\ntraffic.warmup_s = 60\n[grid]\ntraffic.scenario = ["helsinki", "{city}"]\n'
+    (tmp_path / "s.toml").write_text(text)
+    (note,) = scene_notes(points_of(load(tmp_path / "s.toml"), "s"))
+    assert note.startswith(f"note: {city} has no buildings: everybody sees everybody")
 
 
 def test_a_changed_copy_of_a_shipped_study_should_have_its_own_name(tmp_path):
