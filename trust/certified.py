@@ -4,12 +4,17 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
+from trust.claims import MISSING
 from trust.open_steps import MAX_DETECTIONS
+from trust.params import KINDS
 from trust.tables import EvaluationMessages
 
 
 def upheld(
-    messages: EvaluationMessages, is_certified: Bool[ndarray, "v"], certified: Int[ndarray, "c"]
+    messages: EvaluationMessages,
+    is_certified: Bool[ndarray, "v"],
+    certified: Int[ndarray, "c"],
+    are_claims: bool = False,
 ) -> EvaluationMessages:
     """The evaluations that count beside those of certified observers.
 
@@ -21,12 +26,16 @@ def upheld(
         Whether each message is of a certified observer.
     certified
         Pseudonyms of all certified observers.
+    are_claims
+        Whether the numbers of what is evaluated are those of claims (`trust.claims.claim_number`).
 
     Returns
     -------
     The messages without two kinds of evaluations: those of detections of certified observers, because their word is
     taken; and those by others of a detection that a certified observer could see (visibility above 0) and evaluates
-    itself. What one certified observer says does not replace what another one says.
+    itself. What one certified observer says does not replace what another one says. That a message withholds nothing is
+    one claim here: each evaluator numbers the objects that it misses by itself, so the numbers of two have nothing to
+    do with each other.
 
     Notes
     -----
@@ -36,7 +45,10 @@ def upheld(
     if not len(certified):
         return messages
     by_certified = np.repeat(is_certified, np.diff(messages.ptr))
-    key = messages.observer.astype(np.int64) * MAX_DETECTIONS + messages.detection_index
+    number = messages.detection_index
+    if are_claims:
+        number = np.where(number % len(KINDS) == MISSING, MISSING, number)
+    key = messages.observer.astype(np.int64) * MAX_DETECTIONS + number
     if messages.detection_step is not None:
         _, step = np.unique(messages.detection_step, return_inverse=True)
         key = np.unique(np.column_stack([step.reshape(-1), key]), axis=0, return_inverse=True)[1].reshape(-1)

@@ -128,7 +128,8 @@ def _upheld(
         return messages
     units = np.isin(exchange.vehicles.name_key, parts.certified)
     is_certified = np.isin(sender >> 16, exchange.vehicles.actor[units])
-    return upheld(messages, is_certified, exchange.vehicles.pseudonym[units])
+    are_claims = len(parts.config.trust.evidence) > 1
+    return upheld(messages, is_certified, exchange.vehicles.pseudonym[units], are_claims)
 
 
 def _open_step(

@@ -5,6 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trust.certified import upheld
+from trust.claims import DETECTION, MISSING, claim_number
 from trust.tables import EvaluationMessages
 
 
@@ -34,6 +35,15 @@ def test_by_hand():
     ]  # fmt: skip
     found = upheld(messages_of(rows, 3), np.array([False, False, True]), np.array([12]))
     assert rows_of(found) == [rows[1], rows[3], rows[4]]
+
+
+def test_what_a_message_lacks_is_one_claim():
+    """Unit 12 finds one object missing in the message of 3, its own object 4. Others number theirs differently."""
+    missing, detected = claim_number(np.array([0, 4]), MISSING), claim_number(np.array([0]), DETECTION)
+    rows = [(0, 3, missing[0], 1.0, 1.0), (0, 3, detected[0], 1.0, 1.0), (2, 3, missing[1], -1.0, 0.5)]
+    given = messages_of(rows, 3), np.array([False, False, True]), np.array([12])
+    assert rows_of(upheld(*given, are_claims=True)) == rows[1:]
+    assert rows_of(upheld(*given)) == rows
 
 
 def test_without_certified_observers_nothing_changes():
