@@ -70,7 +70,8 @@ def lines(frame: pd.DataFrame, keys: Sequence[str]) -> list[str]:
 def _line(units: str, places: str, rows: pd.DataFrame) -> str:
     n = rows[["least", "most"]].astype(float).to_numpy()
     span = _span(np.nanmin(n), np.nanmax(n))
-    said = f"few {units} ({span} in a run), read as examples: {', '.join(rows.metric.unique())}"
+    names = ", ".join(filter(None, rows.metric.unique()))
+    said = f"few {units} ({span} in a run), read as examples{': ' if names else ''}{names}"
     return f"{said}, at {places}" if places else said
 
 

@@ -115,9 +115,13 @@ def page(study: StudyResults, part: str = "") -> str:
             *(_figures(study, topic, *_of_metrics(study, _more(study, topic))) for topic in others),
             "</div></details>",
         ]
-    parts += ["<details><summary>All means</summary>", _table(study, study.summary), "</details>"]
+    parts += ["<details><summary>All means</summary>", _table(study, study.summary, "summary"), "</details>"]
     if study.baseline:
-        parts += ["<details><summary>All paired differences</summary>", _table(study, study.differences), "</details>"]
+        parts += [
+            "<details><summary>All paired differences</summary>",
+            _table(study, study.differences, "differences"),
+            "</details>",
+        ]
     body = "\n".join(parts)
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -324,7 +328,8 @@ def _split(name: str) -> tuple[str, str]:
     return metric, group
 
 
-def _table(study: StudyResults, frame: pd.DataFrame) -> str:
+def _table(study: StudyResults, frame: pd.DataFrame, name: str) -> str:
+    """The first rows of a table of the study, which is the CSV file of this name, too."""
     shown = with_short_names(frame.head(_MOST_ROWS), study.keys)
     keys = apart(frame, study.keys)
     names = [*keys, "mean", "low", "high", "unit", "metric", "group", "n", "note"]
@@ -333,7 +338,7 @@ def _table(study: StudyResults, frame: pd.DataFrame) -> str:
     head = "".join(f"<th>{escape(name)}</th>" for name in names)
     rows = "".join(map(_row, shown[names].to_numpy(object)))
     more = len(frame) - len(shown)
-    note = f'<p class="soft">{more} more rows in summary.csv.</p>' if more > 0 else ""
+    note = f'<p class="soft">{more} more rows: `cosim measure` writes {name}.csv.</p>' if more > 0 else ""
     return f'<div class="wide"><table><tr>{head}</tr>{rows}</table></div>{note}'
 
 

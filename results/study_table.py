@@ -92,9 +92,16 @@ def pivot(
 
 
 def cautions(
-    study: StudyResults, frame: pd.DataFrame, metrics: Sequence[str], where: Mapping[str, str] | None = None
+    study: StudyResults,
+    frame: pd.DataFrame,
+    metrics: Sequence[str],
+    where: Mapping[str, str] | None = None,
+    are_named: bool = True,
 ) -> list[str]:
-    """Lines to write below `pivot`: which of its means rest on runs with few subjects, such as one attacker."""
+    """Lines to write below `pivot`: which of its means rest on runs with few subjects, such as one attacker.
+
+    Without `are_named`, lines do not name the metrics.
+    """
     whole = frame
     for key, text in (where or {}).items():
         frame = held_at(frame, key, text)
@@ -105,6 +112,8 @@ def cautions(
         name = key.rsplit(".", 1)[-1]
         shown[key] = f"{name} = " + shown[key].map(said)
     shown["metric"] += (":" + shown.group).where(shown.group != "", "")
+    if not are_named:
+        shown["metric"] = ""
     return study_notes.lines(shown, keys)
 
 

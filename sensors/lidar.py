@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -122,8 +122,9 @@ class Beams(NamedTuple):
     """This and the two fields before are those of `sensors.raycast.column.Slopes`: they find the row of a slope."""
 
 
+@lru_cache(maxsize=32)
 def beams(params: LidarParams) -> Beams:
-    """The ray grid of a LiDAR.
+    """The ray grid of a LiDAR. Equal parameters give the same arrays: do not write into them.
 
     Raises
     ------

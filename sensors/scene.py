@@ -82,6 +82,10 @@ _STACKS: dict[Shape, dict[float, tuple[tuple[float, float, float, float, float],
     Shape.PEDESTRIAN: {0.0: ((-0.30, 0.30, 0.90, 0.0, 0.82), (-0.22, 0.22, 0.40, 0.82, 0.98))},
     Shape.ROADSIDE_UNIT: {0.0: ()},
 }
+_BODIES = [(shape, least_m, stack) for shape in Shape for least_m, stack in _STACKS[shape].items()]
+_PARTS = np.array([part for *_, stack in _BODIES for part in stack])
+_FIRST_PART = np.cumsum([0] + [len(stack) for *_, stack in _BODIES])
+"""Row of `_PARTS` at which the prisms of each body begin."""
 
 
 class Prisms(NamedTuple):
@@ -135,16 +139,13 @@ def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes, speed_mps: Float[ndarray, "
         row = int(np.argmax(shape))
         known = ", ".join(f"{s.value} {s.name}" for s in Shape)
         raise ValueError(f"shape[{row}] = {shape[row]} is no actor shape: use one of {known}.")
-    bodies = [(s, least_m, stack) for s in Shape for least_m, stack in _STACKS[s].items()]
-    table = np.array([part for *_, stack in bodies for part in stack])
-    first = np.cumsum([0] + [len(stack) for *_, stack in bodies])
     body = np.zeros(len(boxes), int)
-    for k, (s, least_m, _) in enumerate(bodies):
+    for k, (s, least_m, _) in enumerate(_BODIES):
         body[(shape == s) & (boxes.lwh_m[:, 0] >= least_m)] = k
-    parts = np.diff(first)[body]
+    parts = np.diff(_FIRST_PART)[body]
     ptr = np.concatenate([[0], np.cumsum(parts)])
     actor = owner_of_rows(parts)
-    rear, front, width, bottom, top = table[first[body][actor] + np.arange(ptr[-1]) - ptr[actor]].T
+    rear, front, width, bottom, top = _PARTS[_FIRST_PART[body][actor] + np.arange(ptr[-1]) - ptr[actor]].T
     length, w, h = boxes.lwh_m[actor].T
     x, y, z = boxes.xyz_m[actor].T
     cos, sin = np.cos(boxes.yaw_rad)[actor], np.sin(boxes.yaw_rad)[actor]

@@ -109,7 +109,10 @@ def status(
     if not as_json:
         is_done = states["finished"] == sum(states.values())
         words = ["report", folder] if is_done else ["sweep", folder / "study.toml", "--out", folder]
-        screen.print(f"next: cosim {shlex.join(map(str, words))}", soft_wrap=True)
+        said = f"cosim {shlex.join(map(str, words))}"
+        if not is_done and StudyFolder(folder).is_swept():
+            said = "wait, a sweep is running"
+        screen.print(f"next: {said}", soft_wrap=True)
 
 
 def _print_progress(folder: Path, as_json: bool) -> None:
@@ -232,7 +235,7 @@ def _print_pivot(study, title: str, found, over: str | None) -> None:
 
 def _print_first(folder: Path) -> None:
     """After a sweep: the core metrics, in a grid with other keys at their first value, and the next command."""
-    from results.study import apart, is_grid, open_study, said
+    from results.study import apart, chosen, is_grid, open_study, said
     from results.study_table import cautions, core, pivot
 
     study = open_study(folder)
@@ -248,7 +251,12 @@ def _print_first(folder: Path) -> None:
     at = ", ".join(f"{key} = {value}" for key, value in held.items())
     beside = f" at {at}" if at else ""
     title = f"{study.name}{beside}: {_means(study)}"
-    _print_pivot(study, title, pivot(study, study.summary, asked, over, held), over)
+    table = pivot(study, study.summary, asked, over, held)
+    _print_pivot(study, title, table, over)
+    labels = chosen(study.summary, asked).label.unique()
+    missing = [label for label in labels if not table[""].str.startswith(label).any()]
+    if missing:
+        screen.print(f"without a value here: {', '.join(missing)}", soft_wrap=True)
     for line in cautions(study, study.summary, asked, held):
         screen.print(line, soft_wrap=True)
     screen.print(f"next: cosim report {folder}   cosim measure {folder}", soft_wrap=True)

@@ -97,6 +97,14 @@ class StudyFolder:
                 raise ValueError(f"{self.path}: another `cosim sweep` works in this folder. Wait for it.") from None
             yield
 
+    def is_swept(self) -> bool:
+        """Whether a process sweeps it now."""
+        try:
+            with self.locked():
+                return False
+        except ValueError:
+            return True
+
     def tidy(self) -> None:
         """Remove incomplete files that a killed sweep left."""
         for pattern in ("*.partial", "jobs/*/*.partial", "traffic/*.partial"):

@@ -17,7 +17,7 @@ from results.study import StudyResults, apart, at_first, for_axes, said, that_ma
 from results.study_curves import AGES, ENCOUNTERS, distinct, pooled
 
 _TITLES: Mapping[str, tuple[str, str, str]] = {
-    ENCOUNTERS: ("Encounters that last longer", "Duration [s]", "Share that lasts longer"),
+    ENCOUNTERS: ("Encounters that last longer than a duration", "Duration [s]", "Share that lasts longer"),
     AGES: (
         "Trust at lookup that is older, or without evaluation",
         "Age of the newest evaluation [s]",

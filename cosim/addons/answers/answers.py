@@ -1,4 +1,6 @@
-"""The answer of a study in three sentences: how long vehicles meet, how old trust is, and how well it tells apart.
+"""The answer of a study in four sentences.
+
+They say how long vehicles meet, how old trust is, how often it comes too late, and how well it tells apart.
 
 Each sentence has a part for every swept key that changes its metric: the values along the key, and what the paired
 interval of the difference between the last and the first of them says, replicate by replicate. The other keys are held
@@ -15,7 +17,17 @@ import pandas as pd
 from results.figures.study import label_of
 from results.metrics.registry import METRICS, bounds_of
 from results.metrics.trust import HONEST
-from results.study import StudyResults, apart, bounds_of_difference, chosen, intervals, said, short_names, that_matter
+from results.study import (
+    EVERYTHING,
+    StudyResults,
+    apart,
+    bounds_of_difference,
+    chosen,
+    intervals,
+    said,
+    short_names,
+    that_matter,
+)
 from results.study_report import Answer
 from results.study_table import cautions, core, number
 
@@ -50,6 +62,13 @@ _QUANTITIES = (
         "No age of trust: no value that was looked up rests on an evaluation by another vehicle",
     ),
     _Quantity(
+        "freshness.encounters_without_trust.share",
+        "The share of encounters ({group}) that are over before trust is known is",
+        "higher",
+        "lower",
+        "No share of encounters without trust: no two vehicles met that look up trust",
+    ),
+    _Quantity(
         "misbehaviour.at_lookup.auc",
         "When it is looked up, an honest vehicle has more trust than {group} one in a share of comparisons (AUC) of",
         "higher",
@@ -79,7 +98,7 @@ _MOST_VALUES = 4
 
 
 def sentences(study: StudyResults) -> list[Answer]:
-    """Three sentences with numbers, intervals and, where they hold, differences; a fourth if attacks are swept.
+    """Four sentences with numbers, intervals and, where they hold, differences; a fifth if attacks are swept.
 
     If cities are swept, as many for each of them. The last sentence says where keys are held that others do not name.
     """
@@ -148,13 +167,14 @@ def _answer(study: StudyResults, of: _Quantity, name: str, held: list[str]) -> A
         held += [_at(frame, key, value) for key, value in reference.items()]
     notes = [
         _alone(study, frame),
-        *_without_effect(frame, matter),
+        *(_without_effect(frame, matter) if _is_age(of) else ()),
         _inverted(study, frame),
         _censored(study, of, group),
         _left_out(study, of),
+        _of_value(study, of),
         _beyond(of, frame),
         _in_the_open(study, of),
-        *cautions(study, chosen(study.summary, [name]), [name]),
+        *cautions(study, chosen(study.summary, [name]), [name], are_named=False),
     ]
     note = "; ".join(filter(None, notes))
     if not parts:
@@ -276,13 +296,10 @@ def _value(frame: pd.DataFrame, metric: str) -> str:
 
 
 def _censored(study: StudyResults, of: _Quantity, group: str) -> str:
-    """How many encounters there are, and how many had not ended when recording ended."""
-    if not of.metric.startswith("encounters."):
-        return ""
-    rows = study.summary[study.summary.group == group]
-    n = rows["mean"][rows.metric == "encounters.n"]
-    open_p = rows["mean"][rows.metric == "encounters.censored_right.share"]
-    if n.empty or open_p.empty:
+    """How many encounters a run has, and how many had not ended when recording ended."""
+    n = _of_runs(study, "encounters.n", group)
+    open_p = _of_runs(study, "encounters.censored_right.share", group)
+    if n.empty or open_p.empty or not of.metric.startswith("encounters.duration."):
         return ""
     low, high = f"{n.min():,.0f}", f"{n.max():,.0f}"
     count = low if low == high else f"{low} to {high}"
@@ -291,18 +308,38 @@ def _censored(study: StudyResults, of: _Quantity, group: str) -> str:
 
 def _left_out(study: StudyResults, of: _Quantity) -> str:
     """Of a mean age, how many lookups it is of: those without an evaluation have none."""
-    if not of.metric.startswith("freshness."):
-        return ""
     rows = study.summary[study.summary.metric == "freshness.evaluation_within.share"]
-    if rows.empty:
+    if rows.empty or not _is_age(of):
         return ""
-    share = _range(rows["mean"])
-    return f"a lookup that finds no evaluation has no age: read it beside the share that finds a fresh one, {share}"
+    return (
+        "a lookup that finds no evaluation has no age, so what is fresher is told by freshness.capped_age and by the "
+        f"share that finds a fresh one, {_range(rows['mean'])} on average"
+    )
+
+
+def _of_value(study: StudyResults, of: _Quantity) -> str:
+    """How much of an age has passed since the server computed the value."""
+    found = _of_runs(study, "freshness.value_age.mean_s", EVERYTHING)
+    if found.empty or not _is_age(of) or not found.max() > 0:
+        return ""
+    low, high = number(found.min()), number(found.max())
+    span = low if low == high else f"{low} to {high}"
+    return f"{span} s of an age have passed since the server computed the value (trust.server_period_s)"
+
+
+def _is_age(of: _Quantity) -> bool:
+    return of.metric.startswith("freshness.newest_evaluation_age.")
+
+
+def _of_runs(study: StudyResults, metric: str, group: str) -> pd.Series:
+    """Values of a metric in all runs, not their means."""
+    measures = study.measures
+    return measures.value[(measures.metric == metric) & (measures.group == group)]
 
 
 def _beyond(of: _Quantity, frame: pd.DataFrame) -> str:
     """Why a mean age can exceed the window of trust."""
-    if not of.metric.startswith("freshness.") or _WINDOW not in frame:
+    if not _is_age(of) or _WINDOW not in frame:
         return ""
     means = frame.groupby(_WINDOW).value.mean()
     if not (means > means.index).any():
@@ -312,7 +349,7 @@ def _beyond(of: _Quantity, frame: pd.DataFrame) -> str:
 
 def _in_the_open(study: StudyResults, of: _Quantity) -> str:
     """A city without buildings, in which ages are those of open country."""
-    if not of.metric.startswith("freshness."):
+    if not _is_age(of):
         return ""
     try:
         run = study.run(study.points.point.iloc[0])

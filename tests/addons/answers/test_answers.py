@@ -36,7 +36,7 @@ def test_models_that_read_no_window_are_named(tmp_path):
         return 7.0 + 0.1 * keys["trust.freshness_s"] * (keys["trust.model"] == "mate") + 0.01 * replicate
 
     swept = {"trust.freshness_s": (5.0, 20.0), "trust.model": ("beta", "mate")}
-    _, age, _, held = answers.sentences(study_of(tmp_path, swept, value=value))
+    _, age, *_, held = answers.sentences(study_of(tmp_path, swept, value=value))
     assert age.note.startswith("the window changes nothing with beta; ages exceed a short window because")
     assert held.subject.endswith("held at window 5 s, model beta")
 
@@ -47,7 +47,7 @@ def test_no_difference_leaves_the_range_of_its_metric(tmp_path):
     Without bounds, the interval would be -10.2 to 10.2. As a share of the way from -1 to 1 it is 1/2, and its logit
     reaches 12.706 x 0.8 / (2 x 1/4) = 20.3 to either side.
     """
-    third = said_of(tmp_path, KEYS, 2, ages((10.0, 90.0), (90.0, 10.0)))[2]
+    third = said_of(tmp_path, KEYS, 2, ages((10.0, 90.0), (90.0, 10.0)))[3]
     assert "2 replicates cannot tell 0.6 from 0.1 (difference 0 [-1, 1])" in third
 
 
@@ -55,12 +55,12 @@ def test_each_city_has_sentences_and_keys_that_change_nothing_no_part(tmp_path):
     """12.00, 12.01, 12.02 in the first city: 4.303 x 0.01 / sqrt(3) = 0.025; pooled over 16 points it were 0.002."""
     study = study_of(tmp_path, value=lambda metric, keys, r: value_of(metric, keys, 100 * r))
     found = answers.sentences(study)
-    assert [one.city for one in found] == ["street"] * 4 + ["town"] * 4 + [""]
+    assert [one.city for one in found] == ["street"] * 5 + ["town"] * 5 + [""]
     assert str(found[-1]).startswith("Keys that a line does not name are held at penetration 0.1, window 5 s")
     assert "the window changes" not in found[2].note
     row = study.summary[study.summary.metric == "encounters.duration.km_median_s"].iloc[0]
     assert row.n == 3 and f"{row['mean']:.3g} s [{row.low:.3g}, {row.high:.3g}] at penetration 0.1" in str(found[0])
-    assert len(found[0].parts) == 1 and "17 s" in str(found[0]) and "20 s" in str(found[4])
+    assert len(found[0].parts) == 1 and "17 s" in str(found[0]) and "20 s" in str(found[5])
 
 
 def test_all_values_of_a_key_are_said_if_they_are_few(tmp_path):
@@ -80,19 +80,20 @@ def test_where_alone_a_metric_has_a_value_is_said(tmp_path):
         return np.nan if is_missing else 0.5 + keys["fleet.penetration_p"] / 10 + 0.01 * replicate
 
     swept = {**KEYS, "attacks.0.share_p": (0.0, 0.1)}
-    first, second, third, fourth = answers.sentences(study_of(tmp_path, swept, value=value))
-    assert str(fourth).startswith("No trust in honest vehicles: no run has such a value")
+    first, second, too_late, third, last = answers.sentences(study_of(tmp_path, swept, value=value))
+    assert str(too_late).startswith("No share of encounters without trust")
+    assert str(last).startswith("No trust in honest vehicles: no run has such a value")
     assert first.note == "there is a value at penetration 0.1 alone" and not second.note
     assert third.note == "there is a value at share of attackers 0.1 alone"
     low = study_of(tmp_path / "low", swept, value=lambda *of: value(*of) - 0.3)
-    assert answers.sentences(low)[2].note.endswith("below 0.5, malicious vehicles are trusted more than honest ones")
+    assert answers.sentences(low)[3].note.endswith("below 0.5, malicious vehicles are trusted more than honest ones")
 
 
 def test_each_sentence_speaks_of_one_group():
     """With unreliable vehicles beside malicious ones, too: trust is that of the honest, an AUC has its own role."""
     names = [f"trust.final.median:{role}" for role in ("honest", "malicious", "unreliable")]
     assert [name for name in names if answers._speaks_of(answers._UNDER_ATTACK, name)] == names[:1]
-    auc = answers._QUANTITIES[2]
+    auc = answers._QUANTITIES[3]
     assert answers._subject(auc, "malicious").endswith("than a malicious one in a share of comparisons (AUC) of")
     assert "than an unreliable one" in answers._subject(auc, "unreliable")
 
@@ -100,7 +101,7 @@ def test_each_sentence_speaks_of_one_group():
 def test_one_replicate_has_no_interval_and_what_is_missing_is_said(tmp_path):
     assert "one replicate cannot compare them" in said_of(tmp_path / "a", KEYS, 1, ages((3.0,), (4.0,)))[1]
     none = said_of(tmp_path / "b", KEYS, 3, lambda metric, *_: np.nan if metric.startswith("enc") else 0.5)
-    first, second, third = none
+    first, second, _, third = none
     assert first.startswith("No median duration of encounters") and "topic encounters" in first
     assert second.endswith("0.5 s (the same in all 3 replicates).") and "0.5" in third
     equal = said_of(tmp_path / "d", KEYS, 3, ages((3.0, 3.0, 3.0), (4.0, 4.0, 4.0)))

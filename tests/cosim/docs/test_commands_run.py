@@ -152,7 +152,7 @@ def test_the_notebook_of_the_question(folder, carried_out):
     """The notebook as it ships, with a shorter study of the same keys: a sentence of each quantity, and two figures."""
     (folder / "work" / "short.toml").write_text(short.shortened("question"))
     printed = carried_out("question", 'STUDY = "question"', 'STUDY = "short.toml"')
-    assert printed.count("\n- ") + printed.startswith("- ") == 4 and "encounters per vehicle and hour" in printed
+    assert printed.count("\n- ") + printed.startswith("- ") == 6 and "encounters per vehicle and hour" in printed
     assert (folder / "work/durations.svg").exists() and (folder / "work/ages.svg").exists()
 
 

@@ -223,6 +223,9 @@ def test_scheduler_that_is_not_there(swept):
 
 def test_two_sweeps_of_one_folder(swept):
     folder = StudyFolder(swept / "out")
+    assert not folder.is_swept()
     with folder.locked(), pytest.raises(ValueError, match="another `cosim sweep`"), folder.locked():
         pass
+    with folder.locked():
+        assert folder.is_swept()
     assert BASE_VARIANT in set(open_study(swept / "out").points.variant)
