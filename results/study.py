@@ -380,6 +380,17 @@ def _there(frame: pd.DataFrame, metric: str) -> str:
     return f"It has {', '.join(alike or names)}."
 
 
+def are_words(values: pd.Series) -> bool:
+    """Whether a swept key has words as values: they have no order, and nothing lies between them."""
+    return bool(values.dtype.kind not in "fiub")
+
+
+def distinct(values: pd.Series) -> list[Any]:
+    """The values of a swept key: numbers ascending, words in the order of the study."""
+    found = list(dict.fromkeys(values))
+    return found if are_words(values) else sorted(found)
+
+
 def short_names(values: Iterable[Any]) -> dict[Any, str]:
     """Values of a swept key as figures and tables say them: files by the shortest names that tell them apart."""
     texts = {value: said(value) for value in dict.fromkeys(values)}

@@ -108,7 +108,7 @@ def pooled(frame: pd.DataFrame, until_s: float = 0.0) -> pd.DataFrame:
     return pd.DataFrame({"value_s": at_s, "survival": whole, "low": low, "high": high})
 
 
-def distinct(curves: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
+def samples(curves: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     """The same rows with a column `value`: a number that is the same for points with the same sample."""
     of_row = pd.util.hash_pandas_object(curves[["value_s", "n", "n_open"]], index=False)
     of_point = of_row.groupby(curves.point, sort=False).sum()

@@ -17,7 +17,7 @@ from results.figures import study as figure
 from results.figures import study_curves as curves
 from results.figures import style
 from results.report import STYLE, image_url
-from results.study import StudyResults, apart, chosen, for_axes, short_names, that_matter, with_short_names
+from results.study import StudyResults, apart, chosen, distinct, for_axes, short_names, that_matter, with_short_names
 from results.study_table import cautions, core, pivot
 
 CITY = "traffic.scenario"
@@ -294,9 +294,7 @@ def _values(study: StudyResults, key: str) -> list[str]:
     if key == "group":
         return list(dict.fromkeys(study.curves.group[study.curves.what == curves.ENCOUNTERS]))
     short = short_names(study.points[key])
-    values = list(short)
-    ordered = sorted(values) if study.points[key].dtype.kind in "fiu" else values
-    return [short[value] for value in ordered]
+    return [short[value] for value in distinct(study.points[key])]
 
 
 def _image(draw: Draw, where: Mapping[str, str], alt: str) -> str:

@@ -15,7 +15,9 @@ from results.study import (
     EVERYTHING,
     StudyResults,
     apart,
+    are_words,
     chosen,
+    distinct,
     for_axes,
     held_at,
     one_group,
@@ -147,7 +149,7 @@ def draw(
     at = _held_at(study, asked, where or {})
     if colour and not column and all(frame[key].dtype.kind not in "fib" for key in (x, colour)):
         return _heat_maps(frame, asked, x, colour, at)
-    columns = sorted(frame[column].unique()) if column else [None]
+    columns = distinct(frame[column]) if column else [None]
     if len(columns) > MOST_PANELS:
         raise ValueError(f"{column} has {len(columns)} values: too many panels. Choose with --over, --by and --where.")
     return _draw(frame, asked, x, colour, column, columns, at)
@@ -211,7 +213,7 @@ def _draw(
     """Panels: a row for each metric, a column for each value of a key. `at` are further entries of the legend."""
     height = (2.4 if len(asked) == 1 else 1.8) - (0.0 if len(columns) == 1 else 0.3)
     figure, panels = style.sheet(len(asked) * len(columns), height, len(columns))
-    colours = sorted(frame[colour].unique()) if colour else [None]
+    colours = distinct(frame[colour]) if colour else [None]
     for row, name in enumerate(asked):
         of_metric = chosen(frame, [name])
         in_row = panels[row * len(columns) : (row + 1) * len(columns)]
@@ -226,7 +228,7 @@ def _draw(
             y, is_last = f"{first.label}{group}{unit}" if n == 0 else "", row == len(asked) - 1
             letters = max(16, int(15 * (height - 0.65)))
             style.panel(axes, title, label_of(x) if is_last else "", style.fitted(y, letters))
-            axes.tick_params(labelleft=n == 0, labelbottom=is_last or not _are_words(frame[x]))
+            axes.tick_params(labelleft=n == 0, labelbottom=is_last or not are_words(frame[x]))
             _height(axes, of_metric)
             if first.metric.endswith(".auc"):
                 axes.axhline(_CHANCE, color="grey", linewidth=0.6, zorder=0)
@@ -234,7 +236,7 @@ def _draw(
     entries = [
         Line2D(
             [], [], color=style.ink(i), marker=style.marker(i),
-            linestyle="none" if _are_words(frame[x]) else style.dash(i), label=f"{label_of(colour)} = {said(hue)}",
+            linestyle="none" if are_words(frame[x]) else style.dash(i), label=f"{label_of(colour)} = {said(hue)}",
         )
         for i, hue in enumerate(colours) if hue is not None
     ]  # fmt: skip
@@ -300,11 +302,11 @@ def _bound(frame: pd.DataFrame, name: str) -> pd.DataFrame:
 
 def _line(axes: Axes, part: pd.DataFrame, values: pd.Series, i: int, n: int) -> None:
     """Line `i` of `n`, a little aside of the others so that their intervals can be told apart."""
-    found = _distinct(values)
+    found = distinct(values)
     aside = 0.012 * (i - (n - 1) / 2)
     x = part[values.name].to_numpy()
     if values.dtype.kind != "f":
-        at = pd.Index(found).get_indexer(x) + aside * max(1, len(found) - 1) * (3 if _are_words(values) else 1)
+        at = pd.Index(found).get_indexer(x) + aside * max(1, len(found) - 1) * (3 if are_words(values) else 1)
     elif _is_wide(found):
         at = x * (found[-1] / found[0]) ** aside
     else:
@@ -318,7 +320,7 @@ def _line(axes: Axes, part: pd.DataFrame, values: pd.Series, i: int, n: int) -> 
         np.nan_to_num(ends),
         color=style.ink(i),
         marker=style.marker(i),
-        linestyle="none" if _are_words(values) else style.dash(i),
+        linestyle="none" if are_words(values) else style.dash(i),
         capsize=1.5,
         elinewidth=0.8,
     )
@@ -358,25 +360,14 @@ _WIDE = 1.5
 """An interval makes the axis higher up to so many times the largest mean."""
 
 
-def _are_words(values: pd.Series) -> bool:
-    """Whether a key has words as values: nothing lies between them, so no line joins them."""
-    return bool(values.dtype.kind not in "fiub")
-
-
-def _distinct(values: pd.Series) -> np.ndarray:
-    """The swept values: numbers ascending, words in the order of the study."""
-    found: np.ndarray = values.unique()
-    return found if _are_words(values) else np.sort(found)
-
-
-def _is_wide(found: np.ndarray) -> bool:
+def _is_wide(found: Sequence[Any]) -> bool:
     """Whether the values call for a logarithmic axis: they span a factor of ten."""
     return bool(found[0] > 0 and found[-1] / found[0] >= 10)
 
 
 def _ticks(axes: Axes, values: pd.Series, most: int) -> None:
     """The swept values themselves; on a logarithmic axis where they span a factor of ten. Of many, every second."""
-    found = _distinct(values)
+    found = distinct(values)
     if values.dtype.kind != "f":
         words = [said(v) for v in found]
         is_long = sum(map(len, words)) > _MOST_LETTERS

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.artist import Artist
@@ -13,8 +14,8 @@ from matplotlib.patches import Patch
 
 from results.figures import style
 from results.figures.study import MOST_PANELS, held, label_of
-from results.study import StudyResults, apart, at_first, for_axes, said, that_matter, with_short_names
-from results.study_curves import AGES, ENCOUNTERS, distinct, pooled
+from results.study import StudyResults, apart, at_first, distinct, for_axes, said, that_matter, with_short_names
+from results.study_curves import AGES, ENCOUNTERS, pooled, samples
 
 _TITLES: Mapping[str, tuple[str, str, str]] = {
     ENCOUNTERS: ("Encounters that last longer than a duration", "Duration [s]", "Share that lasts longer"),
@@ -35,7 +36,7 @@ def keys_of(study: StudyResults, what: str) -> list[str]:
 
 
 def _keys_of(study: StudyResults, frame: pd.DataFrame) -> list[str]:
-    return for_axes(study.points, that_matter(distinct(frame, study.keys), study.keys))
+    return for_axes(study.points, that_matter(samples(frame, study.keys), study.keys))
 
 
 @style.styled
@@ -91,17 +92,11 @@ def draw(
     frame = at_first(frame, [key for key in apart(frame, study.keys) if key not in matter])
     frame = with_short_names(frame, study.keys)
     colour, column, *_ = (*matter, "", "")
-    columns = (
-        list(dict.fromkeys(frame[column]))
-        if column == "group"
-        else sorted(frame[column].unique())
-        if column
-        else [None]
-    )
+    columns = distinct(frame[column]) if column else [None]
     if len(columns) > MOST_PANELS:
         raise ValueError(f"{column} has {len(columns)} values: too many panels. Choose with --by and --where.")
     across = min(2, len(columns))
-    hues = sorted(frame[colour].unique()) if colour else [None]
+    hues = distinct(frame[colour]) if colour else [None]
     below = max(0, len(hues) + bool(held_at) - 3)  # a row of panels leaves room for few entries of the legend
     height = (2.4 if across == 1 else 2.1) + 0.25 * below * (len(columns) <= across)
     figure, panels = style.sheet(len(columns), height, across)
@@ -116,11 +111,16 @@ def draw(
     title, x, y = _TITLES[what]
     for n, (axes, value) in enumerate(zip(panels, columns, strict=True)):
         name = str(value) if column == "group" else f"{label_of(column)} = {said(value)}"
-        is_left = n % 2 == 0
-        style.panel(axes, title if value is None else name, x, y if is_left else "")
-        axes.tick_params(labelleft=is_left)
+        if value is None:
+            style.panel(axes, title, x, y)
+        else:
+            style.panel(axes, name, "", "")
+            axes.tick_params(labelleft=n % across == 0)
         style.share_axis(axes)
         axes.set_xlim(0, max(longest_s, 1.0) * 1.02)
+    if len(columns) > 1:
+        figure.supxlabel(x, fontsize=mpl.rcParams["axes.labelsize"])
+        figure.supylabel(y, fontsize=mpl.rcParams["axes.labelsize"])
     names = [f"{label_of(colour)} = {said(hue)}" for hue in hues] if colour else []
     entries: list[Artist] = list(map(_entry, range(len(names)), names))
     if held_at:

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -140,8 +141,14 @@ def bar_entries(labels: Sequence[str], fills: Sequence[str]) -> list[Patch]:
 
 
 def legend(figure: Figure, entries: Sequence[Any], runs: Sequence[Any] = ()) -> None:
-    """One legend below all panels, in as few rows as fit; where it takes two, the runs have the second."""
+    """One legend in the free place beside the last panel, else below all of them.
+
+    There it has as few rows as fit. Where it takes two, the runs have the second.
+    """
     if not entries and not runs:
+        return
+    if free := _free_place(figure):
+        _legend_at(figure, free, [*entries, *runs])
         return
     whole, most = [*entries, *runs], max(len(entries), len(runs))
     if entries and runs:
@@ -158,6 +165,26 @@ def legend(figure: Figure, entries: Sequence[Any], runs: Sequence[Any] = ()) -> 
         if made.get_window_extent().width <= figure.bbox.width or columns == 1:
             return
         made.remove()
+
+
+def _free_place(figure: Figure) -> SubplotSpec | None:
+    """The place at the end of the grid, if no panel takes it."""
+    grid = figure.axes[0].get_gridspec() if figure.axes else None
+    if grid is None or len(figure.axes) >= grid.nrows * grid.ncols:
+        return None
+    return grid[-1]
+
+
+def _legend_at(figure: Figure, place: SubplotSpec, entries: Sequence[Any]) -> None:
+    """A legend that is as wide as a panel."""
+    axes = figure.add_subplot(place)
+    axes.axis("off")
+    labels = [fitted(entry.get_label(), _LETTERS_BESIDE) for entry in entries]
+    axes.legend(entries, labels, loc="center", handlelength=1.6)
+
+
+_LETTERS_BESIDE = 18
+"""Letters in a line of a legend that is as wide as one of two panels."""
 
 
 def held_entry(keys: str) -> Line2D:

@@ -139,6 +139,26 @@ def test_select_boxes_name_what_the_axes_do_not_show(tmp_path, monkeypatch):
     assert "misbehaviour.at_lookup.auc-scenario=town.pdf" in {path.name for path in files}
 
 
+def test_words_have_the_order_of_the_study_and_the_legend_a_free_place(tmp_path):
+    models = ("mate", "beta", "announcement")
+
+    def value(metric, keys, replicate):
+        return 0.1 * models.index(keys["trust.model"]) + keys["fleet.penetration_p"] + 0.01 * replicate
+
+    swept = {"fleet.penetration_p": (0.1, 0.3), "trust.model": models}
+    study = study_of(tmp_path, swept, value=value)
+    drawn = study_figure.draw(study, "", ["misbehaviour.at_lookup.auc"])
+    assert [text.get_text() for text in drawn.legends[0].get_texts()][:3] == [f"model = {name}" for name in models]
+
+    def of(keys, replicate):
+        return [(10.0 * (1 + models.index(keys["trust.model"])), 10, 0), (40.0 * keys["fleet.penetration_p"], 5, 0)]
+
+    drawn = curve_figure.draw(with_curves(study, of), "encounters")
+    *panels, last = drawn.axes
+    assert [axes.get_title("left") for axes in panels] == [f"model = {name}" for name in models]
+    assert not drawn.legends and last.get_legend() is not None
+
+
 KEYS = {"fleet.penetration_p": (0.1, 0.6)}
 
 

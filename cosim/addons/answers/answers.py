@@ -23,6 +23,7 @@ from results.study import (
     apart,
     bounds_of_difference,
     chosen,
+    distinct,
     intervals,
     said,
     short_names,
@@ -153,7 +154,7 @@ def _answer(study: StudyResults, of: _Quantity, name: str, held: list[str]) -> A
     matter = that_matter(frame, study.keys)
     for key in apart(frame, study.keys):
         if key not in matter:  # it changes nothing: one of its values stands for all
-            frame = frame[frame[key] == _ordered(frame, key)[0]]
+            frame = frame[frame[key] == distinct(frame[key])[0]]
     reference = {key: _reference(study, frame, key) for key in matter}
     parts: list[str] = []
     for key in matter:
@@ -188,7 +189,7 @@ def _without_effect(frame: pd.DataFrame, matter: Sequence[str]) -> list[str]:
     words = [key for key in matter if frame[key].dtype.kind not in "fiu"]
     for word in words:
         idle: dict[str, list[str]] = {}
-        values = _ordered(frame, word)
+        values = distinct(frame[word])
         for value in values:
             there = that_matter(frame[frame[word] == value], matter)
             for key in matter:
@@ -220,20 +221,14 @@ def _inverted(study: StudyResults, frame: pd.DataFrame) -> str:
 
 def _reference(study: StudyResults, frame: pd.DataFrame, key: str) -> Any:
     """The value of a key at which it is held: that of the baseline where the metric has it, else the first."""
-    values = _ordered(frame, key)
+    values = distinct(frame[key])
     wanted = study.baseline.get(key)
     return next((value for value in values if value == wanted), values[0])
 
 
-def _ordered(frame: pd.DataFrame, key: str) -> list[Any]:
-    """Values of a key: numbers ascending, words in the order of the study."""
-    values = list(dict.fromkeys(frame[key]))
-    return sorted(values) if frame[key].dtype.kind in "fiu" else values
-
-
 def _along(of: _Quantity, frame: pd.DataFrame, key: str) -> str:
     """The values along a key, and what the paired difference of the last to the first says."""
-    values = _ordered(frame, key)
+    values = distinct(frame[key])
     shown = values if len(values) <= _MOST_VALUES else [values[0], values[-1]]
     where = "at" if frame[key].dtype.kind in "fiu" else "with"
     places = [_said(frame, key, value) for value in shown]
