@@ -91,7 +91,7 @@ def page(study: StudyResults, part: str = "") -> str:
         *_answers(study),
         f'<p class="soft">{len(study.points)} points ({states}) of {study.points["run"].nunique()} runs; '
         f"swept: {escape(', '.join(study.keys))}; {replicates}. Intervals are 95 % intervals of the mean over "
-        "replicates (Student's t, in the logit or logarithm of quantities with bounds).</p>",
+        "replicates (Student's t; results/TABLES.md has the formula).</p>",
         '<h2 id="figures">Figures</h2>',
         '<p class="soft">A band spans the curves of the single replicates, as far as they reach. An arrow '
         "marks an interval that leaves the panel. A key that is not shown changes nothing here.</p>",
