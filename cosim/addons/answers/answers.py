@@ -21,6 +21,7 @@ from results.study import (
     EVERYTHING,
     StudyResults,
     apart,
+    are_words,
     bounds_of_difference,
     chosen,
     distinct,
@@ -186,7 +187,7 @@ def _answer(study: StudyResults, of: _Quantity, name: str, held: list[str]) -> A
 def _without_effect(frame: pd.DataFrame, matter: Sequence[str]) -> list[str]:
     """Words, such as trust models, with which another key changes nothing, such as a window that they do not read."""
     found = []
-    words = [key for key in matter if frame[key].dtype.kind not in "fiu"]
+    words = [key for key in matter if are_words(frame[key])]
     for word in words:
         idle: dict[str, list[str]] = {}
         values = distinct(frame[word])
@@ -227,10 +228,10 @@ def _reference(study: StudyResults, frame: pd.DataFrame, key: str) -> Any:
 
 
 def _along(of: _Quantity, frame: pd.DataFrame, key: str) -> str:
-    """The values along a key, and what the paired difference of the last to the first says."""
+    """The values along a key, and what paired differences to the first say: of the last number, or of each word."""
     values = distinct(frame[key])
     shown = values if len(values) <= _MOST_VALUES else [values[0], values[-1]]
-    where = "at" if frame[key].dtype.kind in "fiu" else "with"
+    where = "with" if are_words(frame[key]) else "at"
     places = [_said(frame, key, value) for value in shown]
     places[0] = f"{_named(key)} {places[0]}"
     means = [_value(frame[frame[key] == value], of.metric) for value in shown]
@@ -238,13 +239,19 @@ def _along(of: _Quantity, frame: pd.DataFrame, key: str) -> str:
     text = _listed(there)
     if len(values) < 2:
         return f"{text}, its only value"
-    first = frame[frame[key] == values[0]]
-    last = frame[frame[key] == values[-1]]
-    pairs = first.merge(last, on="replicate", suffixes=("_first", "_last"))
+    compared = shown[1:] if are_words(frame[key]) else shown[-1:]
+    verdicts = [_compared(of, frame, key, values[0], value) for value in compared]
+    return f"{text}: {', '.join(verdicts)}"
+
+
+def _compared(of: _Quantity, frame: pd.DataFrame, key: str, first: Any, last: Any) -> str:
+    """What the paired differences between two values of a key say."""
+    of_first = frame[frame[key] == first]
+    of_last = frame[frame[key] == last]
+    pairs = of_first.merge(of_last, on="replicate", suffixes=("_first", "_last"))
     pairs = pairs.drop_duplicates("replicate").assign(value=pairs.value_last - pairs.value_first)
-    first_said = _said(frame, key, values[0])
-    last_said = _said(frame, key, values[-1])
-    return f"{text}: {verdict(of, pairs, first_said, last_said, where)}"
+    where = "with" if are_words(frame[key]) else "at"
+    return verdict(of, pairs, _said(frame, key, first), _said(frame, key, last), where)
 
 
 def _listed(texts: Sequence[str]) -> str:
@@ -272,7 +279,7 @@ def verdict(of: _Quantity, pairs: pd.DataFrame, first: str, last: str, where: st
     span = f"difference {_one(mean, unit)} {_span(low, high)}"
     alike = _ALIKE_P * abs(float(pairs.value_first.mean()))
     if -alike < low and high < alike:
-        return f"the same within {100 * _ALIKE_P:g} % ({span})"
+        return f"{last} is the same as {first} within {100 * _ALIKE_P:g} % ({span})"
     if low <= 0 <= high:
         return f"{n} replicates cannot tell {last} from {first} ({span})"
     return f"{word} {where} {last} than {where} {first} ({span})"

@@ -26,7 +26,7 @@ def test_a_difference_is_said_only_if_its_interval_excludes_none(tmp_path):
 def test_a_difference_that_matters_to_nobody_has_no_direction(tmp_path):
     """Differences 0.009, 0.010, 0.011 of 3 s: 0.01 +- 0.0025, all of it below 0.03 s, which is 1 %."""
     said = said_of(tmp_path, KEYS, 3, ages((3.0, 3.1, 2.9), (3.009, 3.11, 2.911)))[1]
-    assert "the same within 1 % (difference 0.01 s [0.00752, 0.0125])" in said and "older" not in said
+    assert "0.6 is the same as 0.1 within 1 % (difference 0.01 s [0.00752, 0.0125])" in said and "older" not in said
 
 
 def test_models_that_read_no_window_are_named(tmp_path):
@@ -39,6 +39,18 @@ def test_models_that_read_no_window_are_named(tmp_path):
     _, age, *_, held = answers.sentences(study_of(tmp_path, swept, value=value))
     assert age.note.startswith("the window changes nothing with beta; ages exceed a short window because")
     assert held.subject.endswith("held at window 5 s, model beta")
+
+
+def test_each_word_is_compared_with_the_first(tmp_path):
+    """Numbers have an order, and the last is compared alone; 3, 3.5 and 4 with noise that all points share."""
+
+    def value(metric, keys, replicate):
+        place = ("beta", "mate", "minhas").index(keys["trust.model"])
+        return 3.0 + 0.5 * place + 0.1 * replicate + 0.001 * place * replicate
+
+    age = said_of(tmp_path, {"trust.model": ("beta", "mate", "minhas")}, 3, value)[1]
+    assert "older with mate than with beta (difference 0.501 s [" in age
+    assert "older with minhas than with beta (difference 1 s [" in age
 
 
 def test_no_difference_leaves_the_range_of_its_metric(tmp_path):
