@@ -33,6 +33,8 @@ def few(measures: pd.DataFrame, by: Sequence[str]) -> list[str]:
     -------
     A text for each group of these columns, in the order of their first rows; empty if there is nothing to warn of.
     """
+    if measures.empty:
+        return []
     found = measures.note.astype(str).str.extract(_OF_RUN)
     named = measures.assign(n=found.n.astype(float), units=found.units)
     of_means = named.groupby(list(by), sort=False, dropna=False)

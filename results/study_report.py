@@ -101,7 +101,8 @@ def page(study: StudyResults, part: str = "") -> str:
         '<h2 id="numbers">Core metrics</h2>',
         _pivot(study, study.summary),
     ]
-    if study.baseline:
+    has_differences = bool(study.baseline) and len(study.differences) > 0
+    if has_differences:
         against = ", ".join(f"{key} = {value}" for key, value in study.baseline.items())
         parts += [
             f"<details><summary>Paired differences to {escape(against)}</summary>",
@@ -116,7 +117,7 @@ def page(study: StudyResults, part: str = "") -> str:
             "</div></details>",
         ]
     parts += ["<details><summary>All means</summary>", _table(study, study.summary, "summary"), "</details>"]
-    if study.baseline:
+    if has_differences:
         parts += [
             "<details><summary>All paired differences</summary>",
             _table(study, study.differences, "differences"),

@@ -139,6 +139,11 @@ def test_select_boxes_name_what_the_axes_do_not_show(tmp_path, monkeypatch):
     assert "misbehaviour.at_lookup.auc-scenario=town.pdf" in {path.name for path in files}
 
 
+def test_a_study_of_its_baseline_alone_has_no_differences(tmp_path):
+    study = study_of(tmp_path, {"fleet.penetration_p": (0.1,)}, baseline={"fleet.penetration_p": 0.1})
+    assert study.differences.empty and "Paired differences" not in study_report.page(study)
+
+
 def test_words_have_the_order_of_the_study_and_the_legend_a_free_place(tmp_path):
     models = ("mate", "beta", "announcement")
 

@@ -343,8 +343,8 @@ def _beyond(of: _Quantity, frame: pd.DataFrame) -> str:
     """Why a mean age can exceed the window of trust."""
     if not _is_age(of) or _WINDOW not in frame:
         return ""
-    means = frame.groupby(_WINDOW).value.mean()
-    if not (means > means.index).any():
+    window_s = pd.to_numeric(frame[_WINDOW], errors="coerce")  # of "off" there is none
+    if not (frame.value.groupby(window_s).mean() > window_s.unique().min()).any():
         return ""
     return "ages exceed a short window because a vehicle uses a value until the next one arrives"
 

@@ -39,6 +39,9 @@ def test_models_that_read_no_window_are_named(tmp_path):
     _, age, *_, held = answers.sentences(study_of(tmp_path, swept, value=value))
     assert age.note.startswith("the window changes nothing with beta; ages exceed a short window because")
     assert held.subject.endswith("held at window 5 s, model beta")
+    off = {"trust.freshness_s": ("5", "off")}  # numbers beside a word are stored as words
+    study = study_of(tmp_path / "off", off, value=lambda metric, keys, replicate: 7.0 + replicate)
+    assert "ages exceed a short window" in answers.sentences(study)[1].note
 
 
 def test_each_word_is_compared_with_the_first(tmp_path):
