@@ -179,7 +179,9 @@ def measure(
 
     study = open_study(folder)
     written = study.write()
-    tables = {"summary": study.summary} | ({"differences": study.differences} if study.baseline else {})
+    tables = {"summary": study.summary}
+    if study.baseline and len(study.differences):
+        tables["differences"] = study.differences
     if as_json:
         print_json({
             name: chosen(table, metrics).to_dict("records") if metrics else table.to_dict("records")
