@@ -48,18 +48,29 @@ def bounded(variance_m2: Float[ndarray, "n 3"], most_m2: float = MOST_VARIANCE_M
 
     What is no variance (not finite, not positive) becomes the largest one.
     """
-    xx, xy, yy = variance_m2.T
-    with np.errstate(invalid="ignore"):
+    found = np.empty((len(variance_m2), 3))
+    _bound(np.ascontiguousarray(variance_m2, np.float64), LEAST_VARIANCE_M2, most_m2, found)
+    return found
+
+
+@compiled
+def _bound(variance, least, most, found):
+    """Write the bounded variances."""
+    for d in range(len(variance)):
+        xx, xy, yy = variance[d, 0], variance[d, 1], variance[d, 2]
         mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
         spread = np.hypot(half, xy)
         low, high = mean - spread, mean + spread
-        is_variance = np.isfinite(high) & (low >= -1e-9 * np.abs(high))
-    low, high = (np.clip(np.where(is_variance, x, np.inf), LEAST_VARIANCE_M2, most_m2) for x in (low, high))
-    safe = np.where(is_variance & (spread > 0), spread, 1.0)
-    turn_x = np.where(is_variance & (spread > 0), half / safe, 1.0)
-    turn_y = np.where(is_variance & (spread > 0), xy / safe, 0.0)
-    mean, spread = 0.5 * (high + low), 0.5 * (high - low)
-    return np.column_stack([mean + spread * turn_x, spread * turn_y, mean - spread * turn_x])
+        turn_x, turn_y = 1.0, 0.0
+        if not (np.isfinite(high) and low >= -1e-9 * abs(high)):
+            low = high = most
+        elif spread > 0:
+            turn_x, turn_y = half / spread, xy / spread
+        low, high = min(max(low, least), most), min(max(high, least), most)
+        mean, spread = 0.5 * (high + low), 0.5 * (high - low)
+        found[d, 0] = mean + spread * turn_x
+        found[d, 1] = spread * turn_y
+        found[d, 2] = mean - spread * turn_x
 
 
 def certainty(variance_m2: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
@@ -203,12 +214,21 @@ def _reach_m(
 
 def _largest_of(boxes: Boxes, label: ndarray, variance_m2: ndarray) -> dict[int, tuple[float, float]]:
     """Largest circumradius and largest variance along any axis of each class that is there."""
-    xx, xy, yy = variance_m2.T
-    radius_m, along_m2 = boxes.circumradius_m, 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
-    there = {kind: label == kind for kind in range(_N_CLASSES)}
-    return {
-        kind: (float(radius_m[rows].max()), float(along_m2[rows].max())) for kind, rows in there.items() if rows.any()
-    }
+    found = np.full((_N_CLASSES, 2), -1.0)
+    _largest(boxes.circumradius_m, label, variance_m2, found)
+    return {kind: (radius_m, along_m2) for kind, (radius_m, along_m2) in enumerate(found.tolist()) if radius_m >= 0}
+
+
+@compiled
+def _largest(radius, label, variance, found):
+    """Write the largest circumradius and variance along any axis of each class; -1 stays where there is none."""
+    for d in range(len(label)):
+        kind = label[d]
+        if kind < len(found):
+            xx, xy, yy = variance[d, 0], variance[d, 1], variance[d, 2]
+            along = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
+            found[kind, 0] = max(found[kind, 0], radius[d])
+            found[kind, 1] = max(found[kind, 1], along)
 
 
 def _agreeing(
