@@ -57,7 +57,8 @@ def scored(run: Run) -> Scored:
 
 def _scored(run: Run) -> Scored:
     known, who = trust.in_use(run), watched(run)
-    steps, at = np.unique(known.step, return_inverse=True)
+    steps, first, at = np.unique(known.step, return_index=True, return_inverse=True)
+    since = known.since[first]
     row = who.index.get_indexer(run.subjects.index)[known.who]
     value = np.full((len(steps), len(who)), np.nan, known.trust.dtype)
     rated, enough = np.zeros((2, len(steps), len(who)), bool)
@@ -65,7 +66,7 @@ def _scored(run: Run) -> Scored:
     cell = at[there], row[there]
     value[cell] = known.trust[there]
     rated[cell], enough[cell] = known.rated[there], known.enough[there]
-    at, row = np.nonzero((who.since.to_numpy() <= steps[:, None]) & (steps[:, None] <= who.until.to_numpy()))
+    at, row = np.nonzero((who.since.to_numpy() <= steps[:, None]) & (since[:, None] <= who.until.to_numpy()))
     role = who.role.cat.codes.to_numpy(np.int64)
     return Scored(steps[at], who.index.to_numpy()[row], role[row], value[at, row], rated[at, row], enough[at, row])
 
@@ -103,15 +104,16 @@ def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
         attacking = found.take(mine & found.rated)
         suspected = found.enough[mine] & (found.trust[mine] < limit)
         of_time = intervals.of_units(suspected, found.subject[mine])
+        found_out = intervals.of_units(attacking.trust < limit, attacking.subject)
         if np.isnan(limit):
-            of_time = intervals.UNKNOWN
+            of_time = found_out = intervals.UNKNOWN
         rows.append({
             "role": role, "n": len(np.unique(found.subject[mine])),
             "evaluated": len(attacking.step) / int(mine.sum()), "evaluated_honest": _share(found.rated[is_honest]),
             **intervals.columns(_auc(found, is_honest & found.rated, mine & found.rated), "auc"),
             **intervals.columns(_auc(found, is_honest & has_trust, mine & has_trust), "auc_unevaluated"),
             "threshold": limit,
-            **intervals.columns(intervals.of_units(attacking.trust < limit, attacking.subject), "true_positives"),
+            **intervals.columns(found_out, "true_positives"),
             "false_positives": _share(honest < limit), **intervals.columns(of_time, "suspected"),
         })  # fmt: skip
     if not rows:

@@ -26,6 +26,8 @@ class Values(NamedTuple):
     """Trust in pseudonyms while they are in use, by step."""
 
     step: Int[ndarray, "n"]
+    since: Int[ndarray, "n"]
+    """First step that the value stands for: `step` itself, or where the interval of a mean begins."""
     subject: Int[ndarray, "n"]
     who: Int[ndarray, "n"]
     """Row of the subject in `Run.subjects`."""
@@ -91,19 +93,23 @@ def _in_use(run: Run) -> Values:
     step, subject, trust = (known[name].to_numpy() for name in ("step", "subject", "trust"))
     who = run.subjects
     at = who.index.get_indexer(pd.Index(subject))
-    used = (at >= 0) & (step <= who.to_step.to_numpy()[at])
+    since = known.since.to_numpy() if "since" in known else step
+    used = (at >= 0) & (since <= who.to_step.to_numpy()[at])
     at = at[used]
     role = who.role.cat.codes.to_numpy(np.int64)[at]
     n = n[used]
-    return Values(step[used], subject[used], at, role, trust[used], n > 0, n >= suspect_from(run))
+    return Values(step[used], since[used], subject[used], at, role, trust[used], n > 0, n >= suspect_from(run))
 
 
 def _own(run: Run) -> pd.DataFrame:
-    """Means of the values of their own that vehicles look up: step, subject, trust, n_evaluations.
+    """Means of the values of their own that vehicles look up: step, since, subject, trust, n_evaluations.
 
     Vehicles may look up in turns, so that a single step has the lookups of some of them. A mean is over a sensing
-    interval therefore, and has the last step with lookups in it.
+    interval therefore, as far as the subject is in use in it. `since` is the first step of the interval, and `step` the
+    last one with lookups.
     """
+    who = run.subjects
+    to_step = who.to_step.to_numpy()
     every = int(interval_steps(run, run.roles.index.to_numpy(np.int64)).max(initial=1))
     parts = run.variant_parts("trust_lookups", ["step"])
     steps = np.unique(np.concatenate([[0], *(part.step.unique() for part in parts)]))
@@ -116,12 +122,14 @@ def _own(run: Run) -> pd.DataFrame:
     means, open_rows = [], pd.DataFrame(columns=names)
     for part in run.variant_parts("trust_lookups", names, chosen):
         of_interval = part.step // every
-        rows = part.assign(step=last.loc[of_interval].to_numpy())
+        at = who.index.get_indexer(pd.Index(part.subject))
+        rows = part.assign(step=last.loc[of_interval].to_numpy())[(at >= 0) & (part.step <= to_step[at])]
         rows = rows if open_rows.empty else pd.concat([open_rows, rows])
         is_open = rows.step == rows.step.max()  # an interval may go on in the next block
         means.append(_means(rows[~is_open]))
         open_rows = rows[is_open]
     frame = pd.concat([*means, _means(open_rows)])
+    frame["since"] = frame.step // every * every
     if frame.empty:
         raise ValueError(
             f"{run.path} holds no trust values: neither the server nor a vehicle ever computed one. Set trust.host to "
