@@ -53,7 +53,7 @@ def pivot(
     -------
     A column for each value of `over`, after the metric with its unit, its group, and the other keys on which it
     depends. A key on which a metric does not depend is empty in its rows. Columns that are the same in all rows are
-    left out.
+    left out. The attribute `over` is the key of the columns.
 
     Raises
     ------
@@ -88,7 +88,9 @@ def pivot(
             rows.append(row | {head: cells.get(head, "") for head in heads})
     table = pd.DataFrame(rows, columns=["", "group", *others, *heads])
     constant = [name for name in ("group", *others) if table[name].nunique() < 2]
-    return table.drop(columns=constant)
+    table = table.drop(columns=constant)
+    table.attrs["over"] = over
+    return table
 
 
 def cautions(

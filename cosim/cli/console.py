@@ -287,7 +287,7 @@ def _trust(rows: GetRows) -> list[str]:
     if not final:
         return ["no trust was computed"]
     return [
-        ", ".join(f"{row['value']:.2f} {role}" for role, row in final.items()) + ": medians at the end, from 0 to 1"
+        ", ".join(f"{row['value']:.2f} {role}" for role, row in final.items()) + ": medians of last values, from 0 to 1"
     ]
 
 

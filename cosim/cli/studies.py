@@ -202,7 +202,7 @@ def measure(
             if name == "summary":
                 raise
             continue  # these points are the baseline itself
-        _print_pivot(study, title, found, over)
+        _print_pivot(study, title, found)
         for line in cautions(study, frame, there, held):
             screen.print(line, soft_wrap=True)
     screen.print("written: " + ", ".join(str(path) for path in written), soft_wrap=True)
@@ -222,14 +222,10 @@ def _has(frame, name: str) -> bool:
     return bool(len(rows) and (not group or (rows.group == group).any()))
 
 
-def _print_pivot(study, title: str, found, over: str | None) -> None:
-    from results.study import apart
-
-    keys = apart(study.points, study.keys)
-    over = over or (keys[0] if keys else study.keys[0])
+def _print_pivot(study, title: str, found) -> None:
     short = {key: key.rsplit(".", 1)[-1] for key in study.keys}
     heads = [Column(short.get(name, name), overflow="fold") for name in found]
-    table = Table(*heads, title=f"{title}; columns: {over}", title_justify="left", box=None)
+    table = Table(*heads, title=f"{title}; columns: {found.attrs['over']}", title_justify="left", box=None)
     for row in found.itertuples(index=False):
         table.add_row(*map(str, row))
     print_table(table)
@@ -254,7 +250,7 @@ def _print_first(folder: Path) -> None:
     beside = f" at {at}" if at else ""
     title = f"{study.name}{beside}: {_means(study)}"
     table = pivot(study, study.summary, asked, over, held)
-    _print_pivot(study, title, table, over)
+    _print_pivot(study, title, table)
     labels = chosen(study.summary, asked).label.unique()
     missing = [label for label in labels if not table[""].str.startswith(label).any()]
     if missing:

@@ -78,9 +78,14 @@ class Linkage:
             return scores
         vehicle = scores.subject
         if self.mode == "on_demand":
+            # Identities that were used at once with the accused one have evidence of their own from before the link.
+            is_subject = self.subjects(state, scores.subject) == scores.subject
+            scores = scores.take(np.flatnonzero(is_subject))
             vehicle = self.pseudonyms.owners(state, scores.subject)[0]
+            current = state.current[np.maximum(vehicle, 0)]
             linked = (vehicle >= 0) & (state.linked[np.maximum(vehicle, 0)] == scores.subject)
-            subject = np.where(linked, state.current[np.maximum(vehicle, 0)], scores.subject)
+            linked &= current > scores.subject  # pseudonyms before the accused one stay subjects of their own
+            subject = np.where(linked, current, scores.subject)
         else:
             subject = state.current[vehicle]
         renamed = replace(scores, subject=subject)

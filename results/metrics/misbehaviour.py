@@ -412,9 +412,9 @@ def threshold_at(honest: Float[ndarray, "h"], false_positives: float) -> float:
 
 
 _NONE_RATED = (
-    "holds no evaluations of attackers and honest vehicles to compare: no receiver of their messages could see what "
-    "they reported. "
-    "Raise fleet.penetration_p or traffic.duration_s and run again."
+    "holds no evaluations of both attackers and honest vehicles to compare: there are none of one of them, or no "
+    "receiver of their messages could see what they reported. Raise fleet.penetration_p or traffic.duration_s, or "
+    "lower the share_p of an attack, and run again."
 )
 
 

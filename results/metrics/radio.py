@@ -30,7 +30,7 @@ def _asked(run: Run, why: str, query: str, **values: Any) -> pd.DataFrame:
     return found
 
 
-_NOBODY = "radio traffic: no vehicle had another in range. Raise radio.range_m."
+_NOBODY = "radio traffic: no vehicle had another in range. Raise fleet.penetration_p or radio.range_m."
 
 
 def overall(run: Run, message_type: MessageType | None = None) -> pd.DataFrame:

@@ -123,7 +123,9 @@ def _own(run: Run) -> pd.DataFrame:
     for part in run.variant_parts("trust_lookups", names, chosen):
         of_interval = part.step // every
         at = who.index.get_indexer(pd.Index(part.subject))
-        rows = part.assign(step=last.loc[of_interval].to_numpy())[(at >= 0) & (part.step <= to_step[at])]
+        rows = part.assign(step=last.loc[of_interval].to_numpy())
+        is_used = (at >= 0) & (part.step <= to_step[at])
+        rows = rows[is_used]
         rows = rows if open_rows.empty else pd.concat([open_rows, rows])
         is_open = rows.step == rows.step.max()  # an interval may go on in the next block
         means.append(_means(rows[~is_open]))

@@ -87,7 +87,10 @@ def _counts(run: Run) -> pd.DataFrame:
     run.require("actors")
     whole = of_blocks(run, _QUERY)
     if whole.empty:
-        raise ValueError(f"{run.path} holds no evaluations by honest vehicles. Raise radio.range_m, or equip vehicles.")
+        raise ValueError(
+            f"{run.path} holds no evaluations by honest vehicles. Equip vehicles, lower the share_p of an attack, or "
+            "raise radio.range_m."
+        )
     return whole.groupby(["by", "kind", "value", "vehicle"], as_index=False).sum()
 
 

@@ -17,9 +17,9 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     honest vehicles suspected by mistake.
 
     Every run is drawn once for each of its trust variants, with all its attackers together; central and local trust
-    are measured alike. The dashed line is chance. In the middle the threshold is each variant's own: that of the stated
-    share of false positives among honest values. On the right it is 0.25. Bars are 95 % intervals, clustered by vehicle
-    (pseudonym).
+    are measured alike. The dashed line is chance. In the second panel the threshold is each variant's own: that of the
+    stated share of false positives among honest values. In the third it is `trust.suspect_below`. Bars are 95 %
+    intervals, clustered by vehicle (pseudonym).
     """
     variants, labels = style.variants_of(runs)
     for run in variants:
@@ -33,7 +33,7 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     panels[0].axvline(0.5, color="#777777", linewidth=0.9, linestyle=(0, (2, 2)))
     titles = (
         ("Honest above attacker, at lookup", "Area under the ROC curve"),
-        (f"Suspected at {few} false positives", "Share of lookups of attackers"),
+        (f"Below the threshold at {few} false positives", "Share of evaluated lookups of attackers"),
         ("Honest vehicles suspected", "Share of (receiver, honest sender) pairs"),
     )
     for axes, (title, x) in zip(panels, titles, strict=True):

@@ -68,6 +68,7 @@ def trace(
     from cosim.addons.traces import positions, tracks
     from cosim.addons.traces.from_positions import write_trace
     from cosim.addons.traces.units import LENGTH_M, TIME_S
+    from cosim.config.config import load
 
     if out.suffix != ".parquet":
         raise ValueError(f"--out {out}: the trace is a Parquet file. Give a name that ends in .parquet.")
@@ -91,11 +92,13 @@ def trace(
     if fixes.repaired:
         said = ", ".join(f"{n:,} {reason}" for reason, n in fixes.repaired.items())
         notes.print(f"note: rows left out or sorted: {said}.", soft_wrap=True)
+    # Vehicles cannot sense at moments of their own if a step is as long as their interval.
+    phase = "" if step_s < load(None, []).sensing_interval_s else " --set sensing_phase=common"
     text = (
         f"wrote {out}: {report['actors']:,} vehicles, {report['steps']:,} steps of {step_s:g} s, "
         f"{100 * report['interpolated_share']:.0f} % of the positions interpolated; {report['tracks']:,} tracks after "
         f"{report['gaps']:,} gaps and {report['jumps']:,} jumps; {'; '.join(found_lines(report))}. Run it with: cosim "
-        f"run --set traffic.scenario={out} --set traffic.step_s={step_s:g}"
+        f"run --set traffic.scenario={out} --set traffic.step_s={step_s:g}{phase}"
     )
     print_done({"out": str(out), "step_s": step_s, **report}, text, as_json)
 

@@ -1,10 +1,15 @@
 """Pseudonyms that change, who links them, and what it costs an attacker."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
 
+from cosim.messages.linkage import Linkage
+from cosim.messages.pseudonyms import PseudonymParams
 from tests.cosim.attacks.plain import NAMES, N, play
+from trust.tables import TrustScores
 
 LIARS = ["v00", "v07", "v15", "v23"]
 WHO = [NAMES.index(name) for name in LIARS]
@@ -104,6 +109,28 @@ def test_linkage_on_demand_begins_with_the_accused_pseudonym():
     owners = tables.parts.pseudonyms.owners(state, state.linked[linked])[0]
     assert (owners == linked).all()
     assert set(WHO) & set(linked.tolist()) or not len(linked)
+
+
+def test_an_accused_identity_of_many_has_one_row():
+    """Pseudonyms 3, 5 and 9 of vehicle 0 are in use at once, 9 is the vehicle's own, and 5 is accused.
+
+    From then on, 9 is known as 5, and what was known of 9 itself is superseded. 3 came before the accused one.
+    """
+    owned = SimpleNamespace(
+        owners=lambda state, pseudonym: (np.zeros(len(pseudonym), int), np.zeros(len(pseudonym), int))
+    )
+    linkage = Linkage(PseudonymParams(linkage="on_demand"), owned)
+    state = SimpleNamespace(current=np.array([9]), linked=np.array([5]))
+    n = np.arange(3)
+    columns = dict.fromkeys(("n_evaluations", "newest_step", "oldest_step", "newest_evaluation_step"), n)
+    scores = TrustScores(
+        step=4, holder=0 * n, subject=np.array([3, 5, 9]), trust=0.1 * n, uncertainty=0.0 * n, weight=0.0 * n,
+        oldest_evaluation_step=n, is_evaluated=n >= 0, **columns,
+    )  # fmt: skip
+    found = linkage.scores(state, scores)
+    assert found.subject.tolist() == [3, 9] and found.trust.tolist() == [0.0, 0.1]
+    before = linkage.scores(SimpleNamespace(current=np.array([4]), linked=np.array([5])), scores.take(n[:2]))
+    assert before.subject.tolist() == [3, 5]
 
 
 def test_receivers_link_by_place_and_speed():

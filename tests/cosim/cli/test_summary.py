@@ -50,7 +50,7 @@ def test_every_topic_is_a_line_that_begins_with_a_number():
         "encounters": [
             "1,116 (equipped, 100 m): half of them last longer than 16 s", "7 (all, 50 m): they last 3 s on average"
         ],
-        "trust": ["0.78 honest, 0.56 malicious: medians at the end, from 0 to 1"],
+        "trust": ["0.78 honest, 0.56 malicious: medians of last values, from 0 to 1"],
         "told apart": [
             "55% of the time an honest vehicle has more trust than an unreliable one (95 % interval 38% to 71%: no "
             "better than chance); 93% of the time than a malicious one (88% to 96%), when trust is looked up"
