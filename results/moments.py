@@ -96,6 +96,9 @@ class Moment:
     """By vehicle: its list as transmitted, self report included."""
     visible: Mapping[int, Visible]
     """By vehicle."""
+    pose_error: Mapping[int, Float[ndarray, "3"]] = field(default_factory=dict)
+    """By vehicle: where it takes itself to be, less where it is: east, north [m] and heading [rad]. None for exact
+    poses."""
 
     def row(self, actor: int) -> int:
         """Row of an actor that is on the road."""
@@ -157,6 +160,17 @@ class Selection:
         """
         return sensor_pose(moment.box[moment.row(vehicle)], self.above_roof_m)
 
+    def believed_pose(self, moment: Moment, vehicle: int) -> Float[ndarray, "4"]:
+        """Pose where a vehicle takes its LiDAR to be, as `pose` returns it.
+
+        The boxes that it transmits are relative to this one: seen from here, they are where the LiDAR measured them.
+        """
+        pose = self.pose(moment, vehicle)
+        error = moment.pose_error.get(vehicle)
+        if error is not None:
+            pose[[0, 1, 3]] += error
+        return pose
+
     def blocks(self) -> list[Int[ndarray, "b"]]:
         """The steps with a frame, by unit of work.
 
@@ -190,9 +204,15 @@ class Selection:
         visible = self.run.table("observability", where=where & pc.field("observer").isin(list(self.vehicles)))
         of_step = _by_number(detections, "step")
         visible_of_step = _visible(visible)
+        errors = self._pose_errors(where)
         for moment in self.traffic(steps):
             of_vehicle = _by_number(of_step.get(moment.step, detections[:0]), "vehicle")
-            yield replace(moment, detections=of_vehicle, visible=visible_of_step.get(moment.step, {}))
+            yield replace(
+                moment,
+                detections=of_vehicle,
+                visible=visible_of_step.get(moment.step, {}),
+                pose_error=errors.get(moment.step, {}),
+            )
 
     def traffic(self, steps: Int[ndarray, "b"]) -> Iterator[Moment]:
         """Like `moments`, but the actors alone: nothing is detected or visible."""
@@ -209,6 +229,18 @@ class Selection:
                 detections={},
                 visible={},
             )
+
+    def _pose_errors(self, where: pc.Expression) -> dict[int, dict[int, Float[ndarray, "3"]]]:
+        """Errors of the estimated poses of the chosen vehicles, by step and vehicle; none where poses are exact."""
+        if "position_errors" not in self.run.tables:
+            return {}
+        chosen = pc.field("vehicle").isin(list(self.vehicles))
+        rows = self.run.table("position_errors", where=where & chosen)
+        error = rows[["error_x_m", "error_y_m", "error_yaw_rad"]].to_numpy(np.float64)
+        found: dict[int, dict[int, Float[ndarray, "3"]]] = {}
+        for step, vehicle, of_vehicle in zip(rows.step.tolist(), rows.vehicle.tolist(), error, strict=True):
+            found.setdefault(step, {})[vehicle] = of_vehicle
+        return found
 
     def _detections(self, where: pc.Expression) -> pd.DataFrame:
         """Lists of the chosen vehicles as transmitted, with the vehicle beside the pseudonym."""

@@ -193,7 +193,8 @@ def mean_of_pairs(
     Notes
     -----
     The variance of the mean is the sum of the products of the residuals of any two pairs that share a unit, over n^2.
-    The interval is that of `around`, with one degree of freedom less than there are units.
+    With few units, this can be next to nothing or even negative: it is at least that of independent pairs. The
+    interval is that of `around`, with one degree of freedom less than there are units.
 
     References
     ----------
@@ -208,7 +209,8 @@ def mean_of_pairs(
     one, other = at[: len(a)], at[len(a) :]
     _, pair = np.unique(np.minimum(one, other) * n + np.maximum(one, other), return_inverse=True)
     of_pair = np.bincount(pair, residual)  # the same two may meet again; they share both units
-    variance = max(0.0, float((of_unit**2).sum() - (of_pair**2).sum())) / len(values) ** 2
+    dyadic = float((of_unit**2).sum() - (of_pair**2).sum())
+    variance = max(dyadic, float((residual**2).sum())) / len(values) ** 2
     return around(value, variance**0.5, n - 1, bounds, level)._replace(n_units=n)
 
 

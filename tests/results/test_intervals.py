@@ -44,6 +44,18 @@ def test_mean_of_pairs_that_share_nothing_is_the_usual_one():
     assert found.high - found.value == pytest.approx(stats.t.ppf(0.975, 399) * half)
 
 
+def test_mean_of_few_pairs_is_not_exact():
+    """With twelve units, the sum over pairs that share a unit is often below 0. The interval still covers."""
+    rng, covered = np.random.default_rng(7), 0
+    one, other = np.triu_indices(12, 1)
+    for _ in range(200):
+        kept = rng.random(len(one)) < 0.4
+        found = intervals.mean_of_pairs(rng.exponential(5.0, kept.sum()), one[kept], other[kept], (0.0, np.inf))
+        assert found.high - found.low > 0.5
+        covered += found.low <= 5.0 <= found.high
+    assert 0.9 <= covered / 200 <= 1.0
+
+
 def test_mean_of_pairs_against_a_double_loop():
     rng = np.random.default_rng(2)
     a, b = rng.integers(0, 12, 60), rng.integers(12, 20, 60)

@@ -3,7 +3,8 @@
 Notes
 -----
 `object/training` holds `velodyne/%06d.bin`, `image_2/%06d.png`, `calib/%06d.txt` and `label_2/%06d.txt`.
-`object/results/%06d.txt` are the detections as transmitted, without self reports, in the 16 columns of results. Frames
+`object/results/%06d.txt` are the detections as transmitted, without self reports, in the 16 columns of results. They
+are where the LiDAR measured them: the error of the vehicle's own pose does not displace them. Frames
 are numbered over all vehicles; `object/frames.csv` says which vehicle and step each one is.
 
 `object/ImageSets` splits the frames by time: the first half of the steps is `train`, the next quarter `val`, the last
@@ -105,7 +106,8 @@ def _block(selection: Selection, steps: Int[ndarray, "b"], clouds: Clouds) -> It
             yield File(f"object/training/velodyne/{name}.bin", partial(velodyne, cloud))
             yield File(f"object/training/calib/{name}.txt", lambda: calibration().encode())
             yield File(f"object/training/label_2/{name}.txt", partial(_labels, moment, vehicle, pose))
-            yield File(f"object/results/{name}.txt", partial(_results, moment, vehicle, pose))
+            believed = selection.believed_pose(moment, vehicle)
+            yield File(f"object/results/{name}.txt", partial(_results, moment, vehicle, believed))
 
 
 def image(size_px: tuple[int, int] = IMAGE_PX) -> bytes:
@@ -247,7 +249,7 @@ def results(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> list[str
     moment, vehicle
         A step, and the number of a vehicle on the road in it.
     pose
-        x, y, z and yaw of the vehicle's LiDAR, world frame.
+        x, y, z and yaw of the vehicle's LiDAR as the vehicle believes, world frame.
 
     Returns
     -------

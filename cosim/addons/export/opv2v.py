@@ -10,7 +10,8 @@ yaw counter-clockwise in degrees. `vehicles` holds cars, vans, trucks and buses 
 the middle of their underside, `center` leads from there to the middle of the box, `extent` is half of the size.
 `predicted_ego_pos` is what the vehicle reports of itself, if it does. Time stamps are numbers of sweeps, whatever their
 interval; readers assume 10 Hz. On request, `%06d_pred.npy` holds the corners of the detected vehicles that the vehicle
-transmitted [n, 8, 3], in the frame of its LiDAR, as OpenCOOD saves predictions, and `%06d_score.npy` their scores.
+transmitted [n, 8, 3], in the frame of its LiDAR, as OpenCOOD saves predictions, and `%06d_score.npy` their scores. The
+error of its own pose does not displace them.
 Vehicles with other phases of sensing (`sensing_phase = "random"`) never share a time stamp: a scenario has those of one
 phase.
 Deviations: intensity, the red channel, is 0; no cameras; no planned trajectory.
@@ -171,7 +172,8 @@ def _scenario(selection: Selection, scenario: Opv2vScenario, detections: bool, c
             pose = selection.pose(moment, vehicle)
             yield File(f"{path}.yaml", partial(_yaml, moment, vehicle, pose))
             if detections:
-                yield File(f"{path}_pred.npy", partial(_npy, partial(_corners, moment, vehicle, pose)))
+                believed = selection.believed_pose(moment, vehicle)
+                yield File(f"{path}_pred.npy", partial(_npy, partial(_corners, moment, vehicle, believed)))
                 yield File(f"{path}_score.npy", partial(_npy, partial(_scores, moment, vehicle)))
 
 

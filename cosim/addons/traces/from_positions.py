@@ -21,7 +21,7 @@ from cosim.traffic.frame import TrafficError
 from cosim.traffic.source import class_counts
 
 _TURNS_M = 0.2
-"""A vehicle that moves less within two steps keeps its direction: noise would turn one that stands."""
+"""A vehicle that has moved less keeps its direction: noise would turn one that stands."""
 _ROWS_AT_ONCE = 1 << 16
 
 
@@ -70,7 +70,8 @@ def timesteps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Ti
     """All tracks, step by step, with directions and speeds from the positions of the steps before and after.
 
     A vehicle that stands keeps its direction; one that has not moved yet has that of its first motion, and north if it
-    never moves. Sizes are those of the positions, or those of the class.
+    never moves. A slow one turns whenever it has come far enough from where it had its direction. Sizes are those of
+    the positions, or those of the class.
     """
     names, kinds = np.array(found.names, object), np.array(fixes.kinds, object)[found.actor]
     lwh_m = np.array([kind.lwh_m for kind in fixes.types])[found.actor]
@@ -78,7 +79,7 @@ def timesteps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Ti
     is_person = vclass == "pedestrian"
     direction = _first_direction(fixes, found)
     before_m = np.full((len(kinds), 2), np.nan)
-    after_m = before_m.copy()
+    after_m, turned_m = before_m.copy(), before_m.copy()
     last = np.zeros(0, np.int64)
     empty = Positions(found.n_steps, np.zeros(0, np.int64), np.zeros((0, 2)))
     for here, then in pairwise(chain(steps(fixes, found, step_s), [empty])):
@@ -88,8 +89,15 @@ def timesteps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Ti
         moved_m = np.where(has_after, b_m, here.xy_m) - np.where(has_before, a_m, here.xy_m)
         distance_m = np.hypot(*moved_m.T)
         took_s = step_s * (has_before.sum(axis=1) + has_after.sum(axis=1))
+        is_new = np.isnan(turned_m[here.track, 0])
+        turned_m[here.track[is_new]] = here.xy_m[is_new]
+        since_m = here.xy_m - turned_m[here.track]
         turns = distance_m > _TURNS_M
-        direction[here.track[turns]] = moved_m[turns] / distance_m[turns, None]
+        creeps = ~turns & (np.hypot(*since_m.T) > _TURNS_M)
+        for some, way_m in ((turns, moved_m[turns]), (creeps, since_m[creeps])):
+            of = here.track[some]
+            direction[of] = way_m / np.hypot(*way_m.T)[:, None]
+            turned_m[of] = here.xy_m[some]
         ahead = direction[here.track]
         front_m = here.xy_m + ahead * lwh_m[here.track, :1] / 2
         yield Timestep(
@@ -109,10 +117,14 @@ def timesteps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Ti
 
 
 def _first_direction(fixes: Fixes, found: PositionTracks) -> Float[ndarray, "s 2"]:
-    """Unit vector of the first motion of each track; north where there is none."""
+    """Unit vector from the first position of each track to the first one that is far enough; north where none is."""
     fix = found.link_fix
     after = np.minimum(fix + 1, len(fixes.time_s) - 1)
-    moved_m = np.where((fixes.actor[after] == fixes.actor[fix])[:, None], fixes.xy_m[after] - fixes.xy_m[fix], 0.0)
+    first = np.full(len(found.names), len(fixes.time_s))
+    np.minimum.at(first, found.link_track, fix)
+    same = fixes.actor[after] == fixes.actor[fix]
+    start_m = fixes.xy_m[first[found.link_track]]
+    moved_m = np.where(same[:, None], fixes.xy_m[after] - start_m, 0.0)
     distance_m = np.hypot(*moved_m.T)
     moves = np.flatnonzero(distance_m > _TURNS_M)[::-1]  # the first of each track is written last
     direction = np.tile([0.0, 1.0], (len(found.names), 1))

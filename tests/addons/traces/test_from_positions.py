@@ -56,6 +56,17 @@ def test_who_stands_keeps_its_direction_and_who_has_not_moved_has_its_first(tmp_
     assert {step.compass_deg[0] for step in written(tmp_path, never)[0]} == {0.0}
 
 
+def test_slow_actors_at_25_hz_look_where_they_go(tmp_path):
+    """A pedestrian comes 0.06 m far in a step: from the third step on it is 0.2 m from where it began."""
+    t = np.arange(0, 8, 0.04)
+    x = np.minimum(1.4 * t, 5.6)
+    rows = pd.DataFrame({"id": "a", "time": t, "x": x, "y": np.maximum(1.4 * (t - 4), 0), "class": "pedestrian"})
+    found, _ = written(tmp_path, rows, TrackParams(0.04, 30.0))
+    compass = np.array([step.compass_deg[0] for step in found])
+    assert np.abs(compass[t < 3.9] - 90).max() < 1e-6  # east, from the first step on
+    assert np.abs(compass[t > 4.4]).max() < 1e-6  # then north
+
+
 def test_gaps_make_tracks_of_their_own_and_classes_give_sizes(tmp_path):
     rows = pd.DataFrame({
         "id": ["a"] * 6 + ["w"] * 4, "time": [0, 1, 2, 100, 101, 102, 0, 1, 2, 3],
