@@ -199,12 +199,15 @@ def print_run_summary(folder: Path, as_json: bool) -> "Run":
         assert metric in SUMMARY_METRICS, metric
         return by_metric.get(metric, {})
 
-    speed = plain(manifest["steps"] * run.dt_s / spent_s)
+    resumed_at = manifest.get("resumed_at", [])
+    n_steps = manifest["steps"] - (resumed_at[-1] if resumed_at else 0)
+    speed = plain(n_steps * run.dt_s / spent_s)
+    since = f" since step {resumed_at[-1]:,}, where it was resumed" if resumed_at else ""
     given = shlex.quote(str(folder))
     print_facts(
         _summary(rows, manifest.get("net", {}).get("name", "the network"))
         | {
-            "time": [f"{spent_s:.1f} s of computing, {speed} times real time; wrote {folder}, {picture}"],
+            "time": [f"{spent_s:.1f} s of computing{since}, {speed} times real time; wrote {folder}, {picture}"],
             "next": [f"cosim report {given}   cosim measure {given}" + _pictures(rows, given)],
         }
     )

@@ -426,14 +426,14 @@ def _happened(
         since_ns,
     )
     is_reported = state == FrameState.REPORTED
-    everything = _Outcomes(plan, sent, attempts, receptions, is_reported)
+    everything = _Outcomes(plan, sent, attempts, receptions, n_duplicate, is_reported)
     n_older = len(plan.messages) - plan.n_new
-    happened = everything.of_messages(None if n_older == 0 else np.arange(plan.n_new), busy, n_duplicate)
+    happened = everything.of_messages(None if n_older == 0 else np.arange(plan.n_new), busy)
     older, earlier = plan.messages[plan.n_new :], []
     for kind, is_background in product(RoundKind, (False, True)):
         rows = np.flatnonzero((older["kind"] == kind) & (older["is_background"] == is_background))
         if len(rows):
-            of_kind = everything.of_messages(plan.n_new + rows, None, 0)
+            of_kind = everything.of_messages(plan.n_new + rows, None)
             earlier.append(EarlierMessages(kind, older["step"][rows], older["name"][rows], of_kind, is_background))
     return replace(happened, earlier=tuple(earlier)), attempts
 
@@ -455,16 +455,17 @@ class _Outcomes(NamedTuple):
     sent: Transmissions
     attempts: ReceptionAttempts
     receptions: Receptions
+    n_duplicate: Int[ndarray, "m"]
+    """Repeated segments of each message."""
     is_reported: Bool[ndarray, "f"]
     """Frames whose outcomes belong to an earlier round."""
 
     def of_messages(
-        self, chosen: Int[ndarray, "m"] | None, busy: Float[ndarray, "n"] | None, n_duplicate: int
+        self,
+        chosen: Int[ndarray, "m"] | None,
+        busy: Float[ndarray, "n"] | None,
     ) -> MessageRound:
-        """What happened to these messages, renumbered; None: to all.
-
-        `busy` is the channel busy ratio of the stations, `n_duplicate` the number of repeated segments.
-        """
+        """What happened to these messages, renumbered; None: to all. `busy`: channel busy ratio of the stations."""
         plan, sent, attempts, receptions = self.plan, self.sent, self.attempts, self.receptions
         station = plan.messages["station"].astype(np.int64)
         of_attempt = attempts.message
@@ -488,7 +489,7 @@ class _Outcomes(NamedTuple):
             **columns,
             n_transmissions=np.bincount(of_frame[on_air], minlength=len(station)),
             n_relayed=int((sent.hop[on_air] > 1).sum()),
-            n_duplicate=n_duplicate,
+            n_duplicate=int(self.n_duplicate[slice(None) if chosen is None else chosen].sum()),
             sent_bytes=float(np.sum(plan.units["payload_bytes"][sent.unit[on_air]] + MAC_OVERHEAD_BYTES)),
             cbr=busy,
         )

@@ -296,8 +296,8 @@ def complete_messages(
     station: Int[ndarray, "m"],
     xy_m: Float[ndarray, "n 2"],
     since_ns: int,
-) -> tuple[Receptions, int]:
-    """Messages of which all segments are received, and the number of frames that repeated a received segment.
+) -> tuple[Receptions, Int[ndarray, "m"]]:
+    """Messages of which all segments are received, and the number of frames that repeated a received segment of each.
 
     Parameters
     ----------
@@ -316,7 +316,7 @@ def complete_messages(
 
     Returns
     -------
-    Receptions sorted by receiver, then message; and the number of repeated segments.
+    Receptions sorted by receiver, then message; and the number of repeated segments of each message.
     """
     unit, station, *of_messages = (
         np.ascontiguousarray(column, np.int64) for column in (sent.unit, station, own_ns, n_segments, begin_ns)
@@ -348,7 +348,7 @@ def _received_frames(n, attempts, by_unit):
 
 @compiled
 def _complete(xy, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns, since_ns):
-    """Repeated segments, and the columns of `Receptions`; `by_unit` are the frames sorted by unit."""
+    """Repeated segments of each message, and the columns of `Receptions`; `by_unit` are the frames sorted by unit."""
     message_of, transmitter, unit, end_ns = sent.message, sent.transmitter, sent.unit, sent.end_ns
     at, got = _received_frames(len(xy), attempts, by_unit)
     most = len(got)
@@ -356,7 +356,7 @@ def _complete(xy, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns
     message = np.empty(most, np.int64)
     hops = np.empty(most, np.int32)
     offset_s, access_s, latency_s, apart_m = np.empty((4, most))
-    m = n_duplicate = 0
+    m, n_duplicate = 0, np.zeros(len(n_segments), np.int64)
     for r in range(len(xy)):
         k, end = at[r], at[r + 1]
         while k < end:
@@ -372,7 +372,7 @@ def _complete(xy, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns
                     is_tied = end_ns[f] == end_ns[best]
                     if end_ns[f] < end_ns[best] or (is_tied and transmitter[f] < transmitter[best]):
                         best = f
-                    n_duplicate += end_ns[f] >= since_ns
+                    n_duplicate[s] += end_ns[f] >= since_ns
                     k += 1
                 u = unit[best]
                 n_received += 1

@@ -139,6 +139,10 @@ def overlapping(boxes: Boxes) -> Int[ndarray, "n"]:
     return np.unique(np.concatenate([a[~apart], b[~apart]]))
 
 
+MOST_AT_BEGIN_P = 0.2
+"""A trace does not begin on empty streets if it begins with more than this share of the mean number of actors."""
+
+
 def traffic_remarks(summary: dict[str, Any]) -> list[str]:
     """Notes about the traffic of a finished run, from the summary in its manifest. Each note is one line."""
     found = []
@@ -151,7 +155,14 @@ def traffic_remarks(summary: dict[str, Any]) -> list[str]:
         )
     if summary.get("pedestrians_only"):
         found.append("note: only pedestrians were on the road, and no vehicle.")
-    if (n_first := summary.get("vehicles_on_road_first")) is not None:
+    n_at_begin, mean = summary.get("actors_at_trace_begin", 0), summary.get("vehicles_on_road_mean", 0.0)
+    if n_at_begin > max(1.0, MOST_AT_BEGIN_P * mean):
+        found.append(
+            f"note: {n_at_begin} actors are on the road when the trace begins. Step 0 is the moment before, so that "
+            "they seem to enter the road in step 1, and encounters that have begun already count as whole. Set "
+            f"traffic.begin_s = {summary['trace_begin_s']:g}, and recording begins with them."
+        )
+    elif (n_first := summary.get("vehicles_on_road_first")) is not None:
         found.append(
             f"note: {n_first} vehicles were on the road when recording began, and "
             f"{summary['vehicles_on_road_mean']:.0f} on the mean: the streets were still filling. "

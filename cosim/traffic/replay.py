@@ -109,6 +109,7 @@ class TraceReplay(_Replay):
         self._first_s = ahead[0].time_s
         self._begin_s = self._first_s if params.begin_s is None else params.begin_s
         self._asked_begin = params.begin_s is not None
+        self._n_at_begin = 0  # actors at the first timestep, where step 0 lies before it
 
     def advance(self) -> World:
         """The world of the next step."""
@@ -130,6 +131,8 @@ class TraceReplay(_Replay):
             self._registry,
             self._frame,
         )
+        if step == 1 and time_s <= self._first_s:
+            self._n_at_begin = len(world)
         return self._counts.add(world)
 
     def report(self) -> dict[str, Any]:
@@ -137,6 +140,8 @@ class TraceReplay(_Replay):
         report |= self._counts.report() | self._timeline.report() | self._identities.report()
         if not (self._counts.n_vehicles or self._counts.n_pedestrians) and self._begin_s < self._first_s:
             report |= {"first_departure_s": self._first_s, "warmup_s": self._n_skipped * self._dt_s}
+        if self._n_at_begin:
+            report |= {"actors_at_trace_begin": self._n_at_begin, "trace_begin_s": self._first_s + self._dt_s}
         if self._types.guessed:
             report["types_guessed"] = dict(sorted(self._types.guessed.items()))
         if self._untyped:

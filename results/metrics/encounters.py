@@ -187,7 +187,7 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
                 "median_s": float(frame.duration_s.median()),
                 **_mean(frame, ~frame.start_seen, "censored_left"),
                 **_mean(frame, ~frame.end_seen, "censored_right"),
-                "km_mean_s": restricted_mean(curve),
+                "km_mean_s": restricted_mean(curve) if frame.start_seen.any() else np.nan,
                 **intervals.columns(
                     intervals.ClusteredEstimate(median(curve), *median_band(curve), len(frame)), "km_median_s"
                 ),

@@ -251,7 +251,7 @@ class SidelinkMedium:
             outcome=attempts.outcome,
             n_transmissions=np.bincount(plan.message, n_sent, len(messages)).astype(np.int64),
             n_relayed=0,
-            n_duplicate=n_duplicate,
+            n_duplicate=int(n_duplicate.sum()),
             sent_bytes=float(np.sum((plan.payload_bytes + MAC_OVERHEAD_BYTES) * n_sent)),
             cbr=busy / (len(log.head_sent) * self.carrier.n_subchannels),
         )

@@ -80,6 +80,7 @@ def test_every_oddity_is_replayed_as_it_was_live(tmp_path):
     same(collect(traffic, 0, 200), worlds)
     told = traffic.report()
     assert 0 < told.pop("vehicles_standing_p") < 0.5
+    assert (told.pop("actors_at_trace_begin"), told.pop("trace_begin_s")) == (3, 1.0)  # they depart at 0 s
     assert told == {"actors_left_out": {"container": 1, "rail": 1, "ship": 1}}
     # The network lies 9,000 km west of its origin: the world is counted from a round place in its middle.
     xyz_m = np.concatenate([world["xyz_m"] for world in worlds])

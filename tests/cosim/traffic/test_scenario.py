@@ -357,6 +357,15 @@ def test_jumping_vehicles_by_hand():
     assert traffic_remarks({"vehicles_jumping_p": 0.001}) == []
 
 
+def test_a_trace_that_begins_in_the_middle_of_traffic_is_noted():
+    """Where to begin is said, and not that streets were filling; a trace of empty streets is no such."""
+    summary = {"vehicles_on_road_mean": 40.0, "vehicles_on_road_first": 0, "trace_begin_s": 0.2}
+    (note,) = traffic_remarks(summary | {"actors_at_trace_begin": 38})
+    assert "38 actors are on the road when the trace begins" in note and "Set traffic.begin_s = 0.2" in note
+    (note,) = traffic_remarks(summary | {"actors_at_trace_begin": 3})
+    assert "the streets were still filling" in note
+
+
 def test_a_scenario_without_a_warm_up_is_noted(tmp_path):
     """Recording would begin on empty streets; a city has a warm-up of its own, and a set one, of 0 too, is meant."""
 
