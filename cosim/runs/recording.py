@@ -495,7 +495,10 @@ def _evidence_rows(world: World, sensed: Sensed) -> Columns:
         is_fabricated=known.objects.origin == FABRICATED,
     )
     attacks = world.attack[sensed.vehicles.row[known.vehicle]] > 0
-    n_copies = sum(broadcast.round.frames.n_duplicate for broadcast in sensed.rounds)
+    n_copies = 0
+    for broadcast in sensed.rounds:
+        n_copies += broadcast.round.frames.n_duplicate
+        n_copies += sum(late.round.frames.n_duplicate for late in (*broadcast.late, *broadcast.late_clouds))
     return evidence_audit.audit(evaluations, detections, attacks, n_copies)
 
 
