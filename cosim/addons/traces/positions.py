@@ -76,6 +76,8 @@ LAYOUTS: dict[str, PositionColumns] = {
 }
 """Layouts that are recognised by their columns, in this order. `ind` is also that of rounD, exiD and uniD."""
 
+_DIRECTIONS = ("heading", "yaw", "angle", "psi", "course", "bearing")
+"""Beginnings of the names of columns with directions, which are not read."""
 _KINDS = ("class", "type", "vehicle_class", "vehicle_type", "agent_type", "category")
 """Columns with classes, if a table has one of them and none is named."""
 _NGSIM_CLASS = {"1": "motorcycle", "2": "car", "3": "truck"}
@@ -340,6 +342,8 @@ def _rows(
     actors = delimited.texts(path, columns.actor, table.column(columns.actor)).to_numpy()
     kinds, lw_m = _kinds_and_sizes(path, table, columns, actors, unit_m)
     speed = units.speeds(path, table)
+    if unread := [name for name in names if name.lower().startswith(_DIRECTIONS)]:
+        read_as.append(f"{', '.join(unread)} not read: actors look where they go, and north before they move")
     return _Rows(actors, time_s, xy, columns.is_degrees, columns.is_frame, kinds, lw_m, speed, tuple(read_as))
 
 

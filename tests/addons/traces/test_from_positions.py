@@ -56,6 +56,11 @@ def test_who_stands_keeps_its_direction_and_who_has_not_moved_has_its_first(tmp_
     assert {step.compass_deg[0] for step in written(tmp_path, never)[0]} == {0.0}
 
 
+def test_a_column_of_directions_is_said_to_be_left(tmp_path):
+    rows = pd.DataFrame({"id": "a", "time": [0, 1, 2], "x": [0, 5, 10], "y": 0, "class": "car", "heading": 45})
+    assert [said for said in written(tmp_path, rows)[1]["read_as"] if said.startswith("heading not read")]
+
+
 def test_slow_actors_at_25_hz_look_where_they_go(tmp_path):
     """A pedestrian comes 0.06 m far in a step: from the third step on it is 0.2 m from where it began."""
     t = np.arange(0, 8, 0.04)
