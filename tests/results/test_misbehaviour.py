@@ -144,7 +144,7 @@ def test_none_rated(tiny):
     (row,) = misbehaviour.classification(run).to_dict("records")
     assert row["evaluated"] == row["evaluated_honest"] == 0 and row["auc_unevaluated"] == 0.5
     assert all(np.isnan(row[name]) for name in ("auc", "threshold", "true_positives", "suspected"))
-    with pytest.raises(ValueError, match="no evaluations of attackers and honest vehicles"):
+    with pytest.raises(ValueError, match="no evaluations of both attackers and honest vehicles"):
         misbehaviour.roc(run)
     found = measure(run, topics=("misbehaviour",))
     assert not found.value.isna().any() and len(found)
@@ -153,7 +153,7 @@ def test_none_rated(tiny):
 def test_an_attack_after_the_last_computation(tiny):
     run = tiny(20, vehicles=attacking(["honest", "malicious"], {1: 9}), trust=values({5: [0.5, 0.5]}))
     for ask in (misbehaviour.classification, misbehaviour.roc):
-        with pytest.raises(ValueError, match="no evaluations of attackers"):
+        with pytest.raises(ValueError, match="no evaluations of both attackers"):
             ask(run)
 
 
