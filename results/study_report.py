@@ -1,4 +1,4 @@
-"""The report of a study as one HTML page: the answer in three sentences, core figures, core table; the rest folded."""
+"""The report of a study as one HTML page: the answer in sentences, core figures, core table; the rest folded."""
 
 import itertools
 import re

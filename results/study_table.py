@@ -53,7 +53,8 @@ def pivot(
     -------
     A column for each value of `over`, after the metric with its unit, its group, and the other keys on which it
     depends. A key on which a metric does not depend is empty in its rows. Columns that are the same in all rows are
-    left out. The attribute `over` is the key of the columns.
+    left out. `attrs` holds the key of the columns (`over`), and the labels of metrics that have values elsewhere alone
+    (`missing`).
 
     Raises
     ------
@@ -69,10 +70,14 @@ def pivot(
     heads = list(dict.fromkeys(with_short_names(frame, study.keys)[over].map(said)))
     others = [key for key in varied if key != over]
     rows: list[dict[str, str]] = []
+    elsewhere: dict[str, None] = {}
+    here: dict[str, None] = {}
     for name in metrics:
         of_metric = frame.loc[frame.index.intersection(chosen(whole, [name]).index)]
         if of_metric.empty:  # it is there at other values of the keys alone
+            elsewhere |= dict.fromkeys(chosen(whole, [name]).label)
             continue
+        here |= dict.fromkeys(of_metric.label)
         matter = that_matter(chosen(measures, [name]), study.keys)
         free = [key for key in others if key not in matter]
         of_metric = at_first(of_metric, free)
@@ -89,7 +94,7 @@ def pivot(
     table = pd.DataFrame(rows, columns=["", "group", *others, *heads])
     constant = [name for name in ("group", *others) if table[name].nunique() < 2]
     table = table.drop(columns=constant)
-    table.attrs["over"] = over
+    table.attrs |= {"over": over, "missing": [label for label in elsewhere if label not in here]}
     return table
 
 

@@ -233,7 +233,7 @@ def _print_pivot(study, title: str, found) -> None:
 
 def _print_first(folder: Path) -> None:
     """After a sweep: the core metrics, in a grid with other keys at their first value, and the next command."""
-    from results.study import apart, chosen, is_grid, open_study, said
+    from results.study import apart, is_grid, open_study, said
     from results.study_table import cautions, core, pivot
 
     study = open_study(folder)
@@ -251,9 +251,7 @@ def _print_first(folder: Path) -> None:
     title = f"{study.name}{beside}: {_means(study)}"
     table = pivot(study, study.summary, asked, over, held)
     _print_pivot(study, title, table)
-    labels = chosen(study.summary, asked).label.unique()
-    missing = [label for label in labels if not table[""].str.startswith(label).any()]
-    if missing:
+    if missing := table.attrs["missing"]:
         screen.print(f"without a value here: {', '.join(missing)}", soft_wrap=True)
     for line in cautions(study, study.summary, asked, held):
         screen.print(line, soft_wrap=True)

@@ -73,7 +73,10 @@ class Linkage:
         return replace(sent, evaluator=self.subjects(state, sent.evaluator), observer=observer, detection_index=index)
 
     def scores(self, state: PseudonymState, scores: TrustScores) -> TrustScores:
-        """The scores, with each subject replaced by its current or last pseudonym."""
+        """The scores, with each subject replaced by its current or last pseudonym.
+
+        Without the rows of pseudonyms that are known as another one since they were linked on demand.
+        """
         if not self.renames:
             return scores
         vehicle = scores.subject

@@ -249,6 +249,6 @@ def _make(experiment: Config, section: str, number: int | None = None) -> Any:
 def _make_medium(experiment: Config, los: LosOfPlaces | None) -> Medium:
     choice, own = config.chosen(experiment, "radio")
     params = experiment.radio if own is None else own
-    if isinstance(params, RadioParams) and experiment.sensing:  # else nobody sends
+    if isinstance(params, RadioParams) and experiment.sensing:  # else no station transmits
         params = replace(params, timeout_s=experiment.message_lifetime_s)
     return make(choice, params, experiment.round_s, experiment.seed, los)

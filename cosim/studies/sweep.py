@@ -134,10 +134,10 @@ def scene_notes(points: Sequence[Point]) -> list[str]:
         scenario = find(*named)
         scene = scene_summary(scenario)
         notes += scene.notes
-        if scene.n_buildings == 0 and not scene.notes:
+        if scene.n_buildings == 0:
             notes.append(
-                f"note: {named[1] or named[0]} has no buildings: everybody sees everybody, and ages are those of open "
-                "country. `cosim nets build` makes a city with buildings of a map."
+                f"note: {named[1] or named[0]} has no buildings to block lines of sight. `cosim nets build` makes a "
+                "city with buildings of a map."
             )
         notes += checking.empty_streets(config, scenario)
     return notes

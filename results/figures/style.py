@@ -147,8 +147,8 @@ def legend(figure: Figure, entries: Sequence[Any], runs: Sequence[Any] = ()) -> 
     """
     if not entries and not runs:
         return
-    if free := _free_place(figure):
-        _legend_at(figure, free, [*entries, *runs])
+    free = _free_place(figure)
+    if free is not None and _fits(figure, free, [*entries, *runs]):
         return
     whole, most = [*entries, *runs], max(len(entries), len(runs))
     if entries and runs:
@@ -175,12 +175,16 @@ def _free_place(figure: Figure) -> SubplotSpec | None:
     return grid[-1]
 
 
-def _legend_at(figure: Figure, place: SubplotSpec, entries: Sequence[Any]) -> None:
-    """A legend that is as wide as a panel."""
+def _fits(figure: Figure, place: SubplotSpec, entries: Sequence[Any]) -> bool:
+    """Draw a legend that is as wide as a panel, unless it is higher than the place."""
     axes = figure.add_subplot(place)
     axes.axis("off")
     labels = [fitted(entry.get_label(), _LETTERS_BESIDE) for entry in entries]
-    axes.legend(entries, labels, loc="center", handlelength=1.6)
+    made = axes.legend(entries, labels, loc="center", handlelength=1.6)
+    is_low = made.get_window_extent().height < figure.bbox.height / place.get_gridspec().nrows
+    if not is_low:
+        axes.remove()
+    return bool(is_low)
 
 
 _LETTERS_BESIDE = 18

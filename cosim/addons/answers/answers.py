@@ -3,9 +3,9 @@
 They say how long vehicles meet, how old trust is, how often it comes too late, and how well it tells apart.
 
 Each sentence has a part for every swept key that changes its metric: the values along the key, and what the paired
-interval of the difference between the last and the first of them says, replicate by replicate. The other keys are held
-at their reference: the value of the baseline, or else the first of the study. Each city has sentences of its own,
-because replicates of different cities share no traffic.
+interval of the difference to the first of them says, replicate by replicate: of the last number, or of each word. The
+other keys are held at their reference: the value of the baseline, or else the first of the study. Each city has
+sentences of its own, because replicates of different cities share no traffic.
 """
 
 from collections.abc import Sequence
@@ -91,7 +91,7 @@ _UNDER_ATTACK = _Quantity(
 _SAME = 1e-9
 """Values that differ by less are the same but for rounding."""
 _ALIKE_P = 0.01
-"""A difference whose interval lies within this share of the first value matters to nobody."""
+"""A difference whose interval lies within this share of the first value is negligible."""
 
 _CITY = "traffic.scenario"
 _WINDOW = "trust.freshness_s"
@@ -344,7 +344,8 @@ def _beyond(of: _Quantity, frame: pd.DataFrame) -> str:
     if not _is_age(of) or _WINDOW not in frame:
         return ""
     window_s = pd.to_numeric(frame[_WINDOW], errors="coerce")  # of "off" there is none
-    if not (frame.value.groupby(window_s).mean() > window_s.unique().min()).any():
+    means = frame.value.groupby(window_s).mean()
+    if not (means > means.index).any():
         return ""
     return "ages exceed a short window because a vehicle uses a value until the next one arrives"
 
@@ -358,7 +359,7 @@ def _in_the_open(study: StudyResults, of: _Quantity) -> str:
     except (ValueError, OSError):  # a study can outlive its runs
         return ""
     buildings = str(run.manifest["summary"].get("buildings", ""))
-    return "there are no buildings: everybody sees everybody" if buildings.startswith("none") else ""
+    return "there are no buildings to block lines of sight" if buildings.startswith("none") else ""
 
 
 def _range(shares: pd.Series) -> str:

@@ -56,6 +56,13 @@ def test_each_word_is_compared_with_the_first(tmp_path):
     assert "older with minhas than with beta (difference 1 s [" in age
 
 
+def test_an_age_is_held_against_its_own_window(tmp_path):
+    """8 s at a window of 60 s need no reason, though a window of 5 s is swept, too, with ages of 2.5 s."""
+    swept = {"trust.freshness_s": (5.0, 60.0)}
+    study = study_of(tmp_path, swept, value=lambda metric, keys, r: 2 + 0.1 * keys["trust.freshness_s"] + 0.1 * r)
+    assert "ages exceed" not in answers.sentences(study)[1].note
+
+
 def test_no_difference_leaves_the_range_of_its_metric(tmp_path):
     """AUCs 0.1 and 0.9, then 0.9 and 0.1: the mean difference is 0, s = 0.8 x sqrt(2), and t(0.975, 1) = 12.706.
 

@@ -193,7 +193,7 @@ def test_cities_without_buildings_are_noted(tmp_path):
     text = f'[study]\nname = "s"\n[base]\ntraffic.warmup_s = 60\n[grid]\ntraffic.scenario = ["helsinki", "{city}"]\n'
     (tmp_path / "s.toml").write_text(text)
     (note,) = scene_notes(points_of(load(tmp_path / "s.toml"), "s"))
-    assert note.startswith(f"note: {city} has no buildings: everybody sees everybody")
+    assert note.startswith(f"note: {city} has no buildings to block lines of sight")
 
 
 def test_a_changed_copy_of_a_shipped_study_should_have_its_own_name(tmp_path):
