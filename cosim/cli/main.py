@@ -426,13 +426,13 @@ def report(
     if studies.is_study([folder]):
         studies.report(folder, out, figures, where or [])
         return
+    from results.report import write
+
+    run = _opened(folder)
     if where:
         raise ValueError("--where goes with a study, and this is a run. Leave it out.")
     if figures:
         raise ValueError("--figures goes with a study, and this is a run. `cosim plot` draws the figures of a run.")
-    from results.report import write
-
-    run = _opened(folder)
     path = write(run, out or folder / "report.html")
     screen.print(f"wrote {path}", soft_wrap=True)
     _say_damage([run])
