@@ -16,6 +16,7 @@ from jaxtyping import Float, Float32, Int
 from numpy import ndarray
 
 from cosim.base.earth import Projection
+from cosim.base.plane import turned_by
 from results.run import Run
 from results.sensing import senses
 
@@ -292,7 +293,6 @@ def sensor_pose(box: Float[ndarray, "7"], above_roof_m: float) -> Float[ndarray,
 def corners_of(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 8 3"]:
     """The eight corners of each box, as data sets of OpenCOOD list them: four below, then four above."""
     half = 0.5 * np.array([(x, y, z) for z in (-1, 1) for x, y in ((1, -1), (1, 1), (-1, 1), (-1, -1))])
-    x, y, z = np.moveaxis(half * box[:, None, 3:6], -1, 0)  # in the frame of each box, n x 8
-    cos, sin = np.cos(box[:, 6])[:, None], np.sin(box[:, 6])[:, None]
-    turned = np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
-    return turned + box[:, None, :3]
+    corner = half * box[:, None, 3:6]  # in the frame of each box
+    corner[..., :2] = turned_by(box[:, None, 6], corner)
+    return corner + box[:, None, :3]

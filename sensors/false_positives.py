@@ -18,6 +18,7 @@ from scipy.special import expit, gammaincinv, ndtri
 
 from cosim.base.hash_rng import mix, uniforms, unit
 from cosim.base.kernel import compiled, inlined, kernel
+from cosim.base.plane import wrapped
 from cosim.base.ragged import expand, ptr_of
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
@@ -128,8 +129,7 @@ def _at_returns(
     east = origin[:, 0] + flat * np.cos(ahead)
     north = origin[:, 1] + flat * np.sin(ahead)
     up = sweeps.ground_m[o] + 0.5 * height
-    yaw = np.pi - (np.pi - yaw - heading) % (2.0 * np.pi)  # in the world frame
-    return Boxes(np.column_stack([east, north, up]), lwh, yaw)
+    return Boxes(np.column_stack([east, north, up]), lwh, wrapped(yaw + heading))
 
 
 def _normal(u: Float[ndarray, "n"]) -> Float[ndarray, "n"]:

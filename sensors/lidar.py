@@ -12,6 +12,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt16, UInt64
 from numpy import ndarray
 
+from cosim.base.plane import turned_by, wrapped
 from sensors.boxes import Boxes
 from sensors.neighbours import Neighbours, neighbours
 from sensors.pairs import ViewPairs, pairs_of, turned
@@ -178,7 +179,7 @@ class Poses:
         origin_m, yaw_rad = self.origin_m.copy(), self.yaw_rad
         origin_m[:, :2] += error[:, :2]
         if error[:, 2].any():
-            yaw_rad = np.pi - (np.pi - yaw_rad - error[:, 2]) % (2.0 * np.pi)  # (-pi, pi]
+            yaw_rad = wrapped(yaw_rad + error[:, 2])
         return Poses(origin_m, yaw_rad)
 
     def pairs(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> ViewPairs:
@@ -204,9 +205,7 @@ class Poses:
 
     def to_world(self, o: int, xyz: Float[ndarray, "k 3"]) -> Float[ndarray, "k 3"]:
         """Points [m] in the frame of sensor `o`, in the world frame."""
-        cos, sin = np.cos(self.yaw_rad[o]), np.sin(self.yaw_rad[o])
-        turned = np.column_stack([cos * xyz[:, 0] - sin * xyz[:, 1], sin * xyz[:, 0] + cos * xyz[:, 1], xyz[:, 2]])
-        return turned + self.origin_m[o]
+        return np.column_stack([turned_by(self.yaw_rad[o], xyz), xyz[:, 2]]) + self.origin_m[o]
 
 
 def n_rays(params: LidarParams) -> tuple[int, int]:

@@ -16,6 +16,7 @@ from numpy import ndarray
 from scipy.special import expit, log_ndtr, logit, ndtr
 
 from cosim.base.hash_rng import normals, persistent_normals
+from cosim.base.plane import turned_by, wrapped
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
 from sensors.false_positives import false_positives
@@ -490,23 +491,12 @@ def _as_class(
     right = (true_label == reported)[:, None]
     lwh = np.where(right, true.lwh_m, np.minimum(true.lwh_m, mean_lwh_m[reported]))
     gap_l, gap_w, gap_h = (0.5 * (true.lwh_m - lwh)).T
-    x, y, _ = (origin_m - true.xyz_m).T
-    cos, sin = np.cos(true.yaw_rad), np.sin(true.yaw_rad)
-    along = np.sign(cos * x + sin * y) * gap_l
-    aside = np.sign(cos * y - sin * x) * gap_w
+    towards_m = turned_by(-true.yaw_rad, origin_m - true.xyz_m)
+    along, aside = np.sign(towards_m.T) * (gap_l, gap_w)
     return _moved(true, np.column_stack([along, aside, -gap_h]), lwh, 0.0)
 
 
 def _moved(boxes: Boxes, off_m: Float[ndarray, "r 3"], lwh_m: ndarray, turn_rad: ndarray | float) -> Boxes:
     """Boxes moved along their own axes, of a new size, and turned."""
-    cos, sin = np.cos(boxes.yaw_rad), np.sin(boxes.yaw_rad)
-    along, aside, up = off_m.T
-    x = cos * along - sin * aside
-    y = sin * along + cos * aside
-    xyz_m = boxes.xyz_m + np.column_stack([x, y, up])
-    return Boxes(xyz_m, lwh_m, wrap(boxes.yaw_rad + turn_rad))
-
-
-def wrap(angle: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
-    """The angles turned into (-pi, pi]."""
-    return np.pi - (np.pi - angle) % (2.0 * np.pi)
+    xyz_m = boxes.xyz_m + np.column_stack([turned_by(boxes.yaw_rad, off_m), off_m[:, 2]])
+    return Boxes(xyz_m, lwh_m, wrapped(boxes.yaw_rad + turn_rad))

@@ -15,6 +15,7 @@ from numpy import ndarray
 from cosim.attacks import victims
 from cosim.attacks.params import AttackParams
 from cosim.base import rng
+from cosim.base.plane import turned_by, wrapped
 from cosim.base.rng import Stream
 from cosim.base.rows import Rows
 from cosim.messages.content import FABRICATED, Detections
@@ -338,10 +339,8 @@ def placed(
     Positions at the height of the actor's centre, and headings in (-pi, pi].
     """
     yaw = world.boxes.yaw_rad[row]
-    c, s = np.cos(yaw), np.sin(yaw)
     xyz = world.boxes.xyz_m[row].copy()
-    xyz[:, 0] += c * ahead_m - s * left_m
-    xyz[:, 1] += s * ahead_m + c * left_m
+    xyz[:, :2] += turned_by(yaw, np.column_stack([ahead_m, left_m]))
     return xyz, wrapped(yaw + turned_rad)
 
 
@@ -371,11 +370,6 @@ def per_actor(
     kept[actor[rows]] = of_all[rows]
     context.memory[name] = kept
     return kept[actor]
-
-
-def wrapped(angle_rad: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
-    """The same angles in (-pi, pi]."""
-    return np.pi - np.mod(np.pi - angle_rad, 2 * np.pi)
 
 
 def certified(

@@ -8,7 +8,8 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from cosim.attacks.attack import AttackContext, WithParams, per_actor, wrapped
+from cosim.attacks.attack import AttackContext, WithParams, per_actor
+from cosim.base.plane import wrapped
 from cosim.messages.content import FABRICATED, LEAST_ACCURACY_FACTOR, MOST_ACCURACY_FACTOR, SELF, Detections
 from cosim.world import LABELS
 from sensors.boxes import iou_3d

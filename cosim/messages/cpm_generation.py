@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
+from cosim.base.plane import wrapped
 from cosim.base.ragged import rows_of
 from cosim.messages.content import SELF, Detections, velocities
 from cosim.messages.cpm_params import CpmParams
@@ -286,7 +287,7 @@ class Remembered:
         dx, dy = (self.xy_m[known] - memory.xy_m[at]).T
         moved_m[known] = np.hypot(dx, dy)
         faster_mps[known] = np.abs(self.speed_mps[known] - memory.speed_mps[at])
-        turned_rad[known] = np.abs(_wrapped(self.yaw_rad[known] - memory.yaw_rad[at]))
+        turned_rad[known] = np.abs(wrapped(self.yaw_rad[known] - memory.yaw_rad[at]))
         elapsed_s[known] = self.time_s - memory.time_s[at]
         return moved_m, faster_mps, turned_rad, elapsed_s
 
@@ -438,7 +439,3 @@ def _nearest(
     _, near = tree.query(places, distance_upper_bound=MOVED_M + 1e-9)
     there &= near < len(held)
     return np.where(there, held[np.minimum(near, len(held) - 1)], -1)
-
-
-def _wrapped(angle_rad: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
-    return np.pi - np.mod(np.pi - angle_rad, 2 * np.pi)

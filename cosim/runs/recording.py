@@ -18,6 +18,7 @@ from numpy import ndarray
 
 from cosim.attacks.params import roles_of
 from cosim.base.codes import EvaluationKind, LookupState, MessageType
+from cosim.base.plane import wrapped
 from cosim.base.ragged import ptr_of, stable_order
 from cosim.messages.content import FABRICATED, SELF, SENSED
 from cosim.messages.cpm_generation import Inclusion
@@ -41,7 +42,6 @@ from cosim.world import World
 from results.encounters import Rows, by_variant
 from sensors.boxes import Boxes
 from sensors.scene import Shape
-from sensors.statistical_detector import wrap
 from sensors.tracking import ObjectStates
 from trust.fusion import Fused
 from trust.tables import TrustScores
@@ -754,7 +754,7 @@ def _moved(sensed: Sensed, fused: Fused) -> Rows:
     if fused.box is not None:
         was = known.objects.boxes.take(fused.seed)
         moved += fused.box - np.column_stack([was.xyz_m, was.lwh_m, was.yaw_rad])
-        moved[:, 6] = wrap(moved[:, 6])
+        moved[:, 6] = wrapped(moved[:, 6])
     names = box_columns(known.objects.boxes.take(fused.seed[:0]))
     return {f"moved_{name}": column for name, column in zip(names, moved.T, strict=True)}
 

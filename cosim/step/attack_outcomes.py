@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.base.codes import AttackEffect
+from cosim.base.plane import turned_by
 from cosim.base.ragged import expand, stable_order
 from cosim.messages.content import FABRICATED, Detections
 from cosim.step.comparing import Compared
@@ -162,9 +163,6 @@ def _best(
 def _in_path(world: World, row: Int[ndarray, "k"], boxes: Boxes) -> Bool[ndarray, "k"]:
     """Whether a vehicle would hit each box if it drove straight on for `PATH_M`."""
     away_m = boxes.xyz_m[:, :2] - world.boxes.xyz_m[row, :2]
-    cos = np.cos(world.boxes.yaw_rad[row])
-    sin = np.sin(world.boxes.yaw_rad[row])
-    ahead_m = cos * away_m[:, 0] + sin * away_m[:, 1]
-    left_m = cos * away_m[:, 1] - sin * away_m[:, 0]
+    ahead_m, left_m = turned_by(-world.boxes.yaw_rad[row], away_m).T
     reach_m = (world.boxes.lwh_m[row, 1] + boxes.lwh_m[:, 1]) / 2
     return (ahead_m > 0) & (ahead_m <= PATH_M) & (np.abs(left_m) <= reach_m)

@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.base.plane import turned_by, wrapped
 from cosim.step.perception import Observed
 from cosim.world import World
 from sensors.boxes import Boxes
-from sensors.statistical_detector import wrap
 
 
 def as_estimated(
@@ -44,10 +44,8 @@ def as_estimated(
         xyz_m[:, :2] -= shift_m
     if turn_rad.any():
         turn_rad = -turn_rad if back else turn_rad
-        dx, dy = (xyz_m[:, :2] - true_m[rows, :2]).T
-        cos, sin = np.cos(turn_rad), np.sin(turn_rad)
-        xyz_m[:, :2] = true_m[rows, :2] + np.column_stack([cos * dx - sin * dy, sin * dx + cos * dy])
-        yaw_rad = wrap(yaw_rad + turn_rad)
+        xyz_m[:, :2] = true_m[rows, :2] + turned_by(turn_rad, xyz_m[:, :2] - true_m[rows, :2])
+        yaw_rad = wrapped(yaw_rad + turn_rad)
     if not back:
         xyz_m[:, :2] += shift_m
     return replace(boxes, xyz_m=xyz_m, yaw_rad=yaw_rad)
@@ -95,5 +93,5 @@ def believed_world(world: World, rows: Int[ndarray, "e"], error: Float[ndarray, 
     xyz_m[rows, :2] += error[:, :2]
     if error[:, 2].any():
         yaw_rad = yaw_rad.copy()
-        yaw_rad[rows] = wrap(yaw_rad[rows] + error[:, 2])
+        yaw_rad[rows] = wrapped(yaw_rad[rows] + error[:, 2])
     return replace(world, boxes=replace(world.boxes, xyz_m=xyz_m, yaw_rad=yaw_rad))

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 from numpy import ndarray
 
+from cosim.base.plane import turned_by
 from cosim.base.ragged import owner_of_rows
 from sensors.boxes import Boxes
 from sensors.neighbours import Neighbours
@@ -161,10 +162,8 @@ def _bodies(bodies: Prisms, boxes: Boxes, scene: Scene) -> tuple[Float[ndarray, 
     for shape, unit in scene.bodies_m.items():
         rows = np.flatnonzero(bodies.shape == shape)
         local = unit * boxes.lwh_m[rows, None, None, :]
-        cos, sin = np.cos(boxes.yaw_rad[rows])[:, None, None], np.sin(boxes.yaw_rad[rows])[:, None, None]
-        x, y = cos * local[..., 0] - sin * local[..., 1], sin * local[..., 0] + cos * local[..., 1]
-        turned = np.stack([x, y, local[..., 2]], axis=-1)
-        parts.append((turned + boxes.xyz_m[rows, None, None, :]).reshape(-1, 3, 3))
+        local[..., :2] = turned_by(boxes.yaw_rad[rows, None, None], local)
+        parts.append((local + boxes.xyz_m[rows, None, None, :]).reshape(-1, 3, 3))
         actors.append(np.repeat(rows, len(unit)))
     return np.concatenate(parts), np.concatenate(actors)
 

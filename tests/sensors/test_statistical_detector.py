@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.base.hash_rng import normals, persistent_normals
+from cosim.base.plane import wrapped
 from sensors.boxes import Boxes, iou_3d
 from sensors.detector import detect
 from sensors.evidence import Observability
@@ -18,7 +19,6 @@ from sensors.statistical_detector import (
     reports_of_actors,
     resolved,
     uniform_of,
-    wrap,
 )
 from tests.sensors.town import draws_of
 
@@ -64,7 +64,9 @@ def test_detection_probability_and_scores(street, name):
     real = np.concatenate([run.score[~run.is_false_positive] for run in runs])
     false = np.concatenate([run.score[run.is_false_positive] for run in runs])
     assert real.mean() > 0.5 > 0.35 > false.mean()
-    turn = np.concatenate([wrap(run.boxes.yaw_rad - boxes.yaw_rad[run.actor])[~run.is_false_positive] for run in runs])
+    turn = np.concatenate(
+        [wrapped(run.boxes.yaw_rad - boxes.yaw_rad[run.actor])[~run.is_false_positive] for run in runs]
+    )
     assert abs(turn.mean()) < 0.02 and turn.max() < np.pi
 
 

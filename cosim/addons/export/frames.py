@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from cosim.base.plane import turned_by, wrapped
+
 IMAGE_PX = (1920, 1080)
 """Of the camera that KITTI's labels are meant for."""
 
@@ -20,11 +22,6 @@ NEAREST_M = 0.1
 
 _EDGES = np.array([(i, i ^ bit) for i in range(8) for bit in (1, 2, 4) if i < i ^ bit])
 """Edges of a box whose corner i is at the upper end of the axes in the bits of i."""
-
-
-def wrapped(angle_rad: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
-    """The same angles in (-pi, pi]."""
-    return np.pi - np.mod(np.pi - np.asarray(angle_rad, float), 2 * np.pi)
 
 
 def in_sensor(box: Float[ndarray, "n 7"], pose: Float[ndarray, "4"]) -> Float[ndarray, "n 7"]:
@@ -41,11 +38,11 @@ def in_sensor(box: Float[ndarray, "n 7"], pose: Float[ndarray, "4"]) -> Float[nd
     -------
     Boxes in the sensor frame: x forward, y left, z up; yaw in (-pi, pi].
     """
-    cos, sin = np.cos(pose[3]), np.sin(pose[3])
     away = box[:, :3] - pose[:3]
     out = box.astype(np.float64)
-    out[:, 0], out[:, 1] = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
-    out[:, 2], out[:, 6] = away[:, 2], wrapped(box[:, 6] - pose[3])
+    out[:, :2] = turned_by(-pose[3], away)
+    out[:, 2] = away[:, 2]
+    out[:, 6] = wrapped(box[:, 6] - pose[3])
     return out
 
 
@@ -89,10 +86,8 @@ def _rectangle(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 4"]:
     """Rectangle of each box in an endless image [px]; nan where nothing of it is ahead."""
     signs = (np.arange(8)[:, None] >> np.arange(3) & 1) * 2 - 1
     local = 0.5 * signs * box[:, None, 3:6]
-    cos, sin = np.cos(box[:, 6])[:, None], np.sin(box[:, 6])[:, None]
-    corner = np.stack(
-        [cos * local[..., 0] - sin * local[..., 1], sin * local[..., 0] + cos * local[..., 1], local[..., 2]], axis=-1
-    ) + box[:, None, :3]  # fmt: skip
+    local[..., :2] = turned_by(box[:, None, 6], local)
+    corner = local + box[:, None, :3]
     a, b = corner[:, _EDGES[:, 0]], corner[:, _EDGES[:, 1]]
     span = b[..., 0] - a[..., 0]
     crosses = (a[..., 0] < NEAREST_M) != (b[..., 0] < NEAREST_M)

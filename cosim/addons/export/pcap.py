@@ -37,6 +37,7 @@ from cosim.addons.export import kitti
 from cosim.addons.export.frames import compass_deg
 from cosim.base.codes import ObjectClass
 from cosim.base.earth import OnEarth, Projection
+from cosim.base.plane import turned_by
 from cosim.messages import etsi
 from results.moments import BOX, Clouds, File, Plan, Selection, Unit
 
@@ -323,15 +324,13 @@ def objects_of(
     box = perceived[BOX].to_numpy(float)
     away = box[:, :3] - front_m
     turn, scale = place.turn_rad[sender], place.scale[sender]
-    cos, sin = np.cos(turn) / scale, np.sin(turn) / scale
-    away[:, 0], away[:, 1] = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
+    away[:, :2] = turned_by(-turn, away) / scale[:, None]
     number, velocity = perceived.detection_index.to_numpy(np.int64), None
     if set(TRACKED) <= set(perceived.columns):
         track = perceived.object_id
         number = np.where(track.isna(), TRACKS + number, track.fillna(0).astype(np.int64) % TRACKS)
-        east, north = perceived[["velocity_x_mps", "velocity_y_mps"]].to_numpy(float, na_value=np.nan).T
-        cos, sin = np.cos(turn), np.sin(turn)
-        velocity = np.column_stack([cos * east + sin * north, cos * north - sin * east])
+        velocity = perceived[["velocity_x_mps", "velocity_y_mps"]].to_numpy(float, na_value=np.nan)
+        velocity = turned_by(-turn, velocity)
     return etsi.CpmObjects.of(
         number, _labels(perceived["class"]), away, box[:, 3:6], box[:, 6] - turn, perceived.score.to_numpy(float),
         velocity, confidences_of(perceived, turn) if set(STATED) <= set(perceived.columns) else None,

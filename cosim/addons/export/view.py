@@ -37,6 +37,7 @@ from cosim.addons.export.export import Sweeper
 from cosim.base import durable
 from cosim.base.durable import PARTIAL
 from cosim.base.extras import needed
+from cosim.base.plane import turned_by
 from cosim.config.config import Config
 from cosim.runs.replay_lidar import city_of, config_of
 from cosim.traffic.scenario import Scenario, find
@@ -452,8 +453,7 @@ def _block(  # type: ignore[no-untyped-def]
         for vehicle, cloud in zip(there, sweeper(step, there), strict=True):
             row = now[now.actor == vehicle].iloc[0]
             points = cloud()
-            cos, sin = np.cos(row.yaw_rad), np.sin(row.yaw_rad)
-            turned = np.column_stack([cos * points[:, 0] - sin * points[:, 1], sin * points[:, 0] + cos * points[:, 1]])
+            turned = turned_by(row.yaw_rad, points)
             height = row.z_m + 0.5 * row.height_m + config.lidar.mount_above_roof_m
             world = np.column_stack([turned + [row.x_m, row.y_m], points[:, 2] + height])
             recording.log(f"city/clouds/{vehicle}", rerun.Points3D(world.astype(np.float32), radii=0.04))

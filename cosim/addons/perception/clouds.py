@@ -8,6 +8,7 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from cosim.addons.perception.recorded import read_bytes
+from cosim.base.plane import turned_by
 
 _TYPES = {("F", 4): "<f4", ("F", 8): "<f8", ("U", 1): "<u1", ("U", 2): "<u2", ("U", 4): "<u4", ("I", 1): "<i1",
           ("I", 2): "<i2", ("I", 4): "<i4"}  # fmt: skip
@@ -76,10 +77,6 @@ def points_in(points: Float[ndarray, "n 3"], box: Float[ndarray, "b 7"]) -> Int[
     for k in range(len(box)):  # one after another, because large boxes may share most of the points
         rows = tree.query_ball_point(box[k, :2], reach_m[k])
         away = points[rows] - box[k, :3]
-        cos, sin = np.cos(box[k, 6]), np.sin(box[k, 6])
-        along, aside = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
-        inside = (
-            (np.abs(along) < box[k, 3] / 2) & (np.abs(aside) < box[k, 4] / 2) & (np.abs(away[:, 2]) < box[k, 5] / 2)
-        )
-        found[k] = int(inside.sum())
+        away[:, :2] = turned_by(-box[k, 6], away)
+        found[k] = int((np.abs(away) < box[k, 3:6] / 2).all(axis=1).sum())
     return found

@@ -20,6 +20,7 @@ from cosim.addons.perception.overlap import in_blocks, iou_bev, near_pairs
 from cosim.addons.perception.plausibility import of_boxes, remarks
 from cosim.addons.perception.recorded import Recorded, RecordedBoxes, listed
 from cosim.addons.perception.recorded_trust import Trusted, trusted
+from cosim.base.plane import turned_by
 from sensors import boxes as geometry
 from trust.fusion import SensorEvidence, fuse
 from trust.matching import match
@@ -232,10 +233,9 @@ def _without_agents(data: Recorded) -> tuple[RecordedBoxes, RecordedBoxes]:
     ])  # fmt: skip
     i, j = near_pairs(data.truth.frame, data.truth.box, agents.frame, agents.box)
     box, away = data.truth.box[i], agents.box[j, :2] - data.truth.box[i, :2]
-    cos, sin = np.cos(box[:, 6]), np.sin(box[:, 6])
-    along, across = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
+    is_inside = (np.abs(turned_by(-box[:, 6], away)) < box[:, 3:5] / 2).all(axis=1)
     is_agent = np.zeros(len(data.truth), bool)
-    is_agent[i[(np.abs(along) < box[:, 3] / 2) & (np.abs(across) < box[:, 4] / 2)]] = True
+    is_agent[i[is_inside]] = True
     truth, annotated = _take(data.truth, ~is_agent), _joined(data.aside, _take(data.truth, is_agent))
     is_unknown = _best_overlap(agents, _joined(annotated, truth)) <= NMS_OVERLAP
     return truth, _joined(annotated, _take(agents, is_unknown))

@@ -9,6 +9,7 @@ import pyarrow.compute as pc
 from cosim.addons.perception.kitti import LabelledObjects
 from cosim.addons.perception.overlap import corners, within
 from cosim.base.codes import BASE_VARIANT
+from cosim.base.plane import turned_by, wrapped
 from results.run import Run
 from results.sensing import interval_steps, sampling_stride, senses, sensing_steps
 
@@ -239,15 +240,10 @@ def in_true_frame(boxes: np.ndarray, poses: Poses, i: np.ndarray, errors: np.nda
     The boxes [n, 7].
     """
     placed, true_m, turn = boxes.copy(), poses[["x_m", "y_m"]].to_numpy(np.float64)[i], errors[i, 2]
-    dx, dy = (boxes[:, :2] - errors[i, :2] - true_m).T
-    cos, sin = np.cos(turn), np.sin(turn)
-    turned = turn != 0  # without an error of the heading, boxes keep every bit
-    placed[:, :2] = np.where(
-        turned[:, None],
-        true_m + np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx]),
-        boxes[:, :2] - errors[i, :2],
-    )
-    placed[:, 6] = np.where(turned, np.pi - np.mod(np.pi - (boxes[:, 6] - turn), 2 * np.pi), boxes[:, 6])
+    moved_m = boxes[:, :2] - errors[i, :2]
+    is_turned = turn != 0  # without an error of the heading, boxes keep every bit
+    placed[:, :2] = np.where(is_turned[:, None], true_m + turned_by(-turn, moved_m - true_m), moved_m)
+    placed[:, 6] = np.where(is_turned, wrapped(boxes[:, 6] - turn), boxes[:, 6])
     return placed
 
 
@@ -272,11 +268,11 @@ def ahead_of(poses: Poses, i: np.ndarray, box: np.ndarray, range_m: float) -> tu
     """
     eye = poses[["x_m", "y_m", "z_m", "yaw_rad", "height_m"]].to_numpy(np.float64)[i]
     eye[:, 2] += eye[:, 4] / 2  # on the roof
-    cos, sin = np.cos(eye[:, 3]), np.sin(eye[:, 3])
     away = box[:, :3] - eye[:, :3]
     box = box.copy()
-    box[:, 0], box[:, 1] = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
-    box[:, 2], box[:, 6] = away[:, 2], box[:, 6] - eye[:, 3]
+    box[:, :2] = turned_by(-eye[:, 3], away)
+    box[:, 2] = away[:, 2]
+    box[:, 6] -= eye[:, 3]
     ahead = (box[:, 0] > np.abs(box[:, 1])) & (np.hypot(box[:, 0], box[:, 1]) <= range_m)
     depth = np.maximum(corners(box)[..., 0], 0.5)  # the four upright edges
     top, bottom = (box[:, 2] + box[:, 5] / 2)[:, None], (box[:, 2] - box[:, 5] / 2)[:, None]

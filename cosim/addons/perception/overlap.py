@@ -11,6 +11,8 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
+from cosim.base.plane import turned_by
+
 _BLOCK = 200_000
 """Pairs whose polygons are in memory together: a few hundred bytes each."""
 
@@ -23,10 +25,7 @@ def corners(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 4 2"]:
     x and y of the corners, counter-clockwise: front left, rear left, rear right, front right.
     """
     half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
-    local = half * box[:, None, 3:5]
-    cos, sin = np.cos(box[:, 6])[:, None], np.sin(box[:, 6])[:, None]
-    x, y = local[..., 0], local[..., 1]
-    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + box[:, None, :2]
+    return turned_by(box[:, None, 6], half * box[:, None, 3:5]) + box[:, None, :2]
 
 
 def footprint_overlap(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:

@@ -6,7 +6,8 @@ import io
 import numpy as np
 import pytest
 
-from cosim.addons.export import frames, kitti, opv2v, trupercept
+from cosim.addons.export import kitti, opv2v, trupercept
+from cosim.base.plane import wrapped
 from tests.addons.export import readers, truck
 from tests.addons.export.truck import TRUCK_SENSOR, TRUCK_WORLD
 
@@ -59,7 +60,7 @@ def test_kitti_round_trip(run, tmp_path):
             true = actors.iloc[int(np.argmin(away))]
             columns = ["x_m", "y_m", "z_m", "length_m", "width_m", "height_m"]
             assert back[:6] == pytest.approx(true[columns].to_numpy(float), abs=1e-3)
-            assert frames.wrapped(back[6] - true.yaw_rad) == pytest.approx(0, abs=1e-3)
+            assert wrapped(back[6] - true.yaw_rad) == pytest.approx(0, abs=1e-3)
             n_labels += 1
     assert n_labels == 4 + 3  # the truck before the first car four times, that car before the one behind three times
 

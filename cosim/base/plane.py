@@ -1,0 +1,26 @@
+"""Angles and vectors of the ground plane."""
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+
+def wrapped(angle_rad: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
+    """The same angles in (-pi, pi]."""
+    return np.pi - np.mod(np.pi - angle_rad, 2.0 * np.pi)
+
+
+def turned_by(angle_rad: Float[ndarray, "..."] | float, xy: Float[ndarray, "... 2"]) -> Float[ndarray, "... 2"]:
+    """Vectors of the plane, turned counter-clockwise.
+
+    Parameters
+    ----------
+    angle_rad
+        One angle for each vector. The heading of a body turns from its own frame (x forward, y left) into the frame of
+        the heading; its negative turns the other way, with the same rounding.
+    xy
+        The vectors. Further columns are left out.
+    """
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    x, y = xy[..., 0], xy[..., 1]
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
