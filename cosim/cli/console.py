@@ -254,7 +254,7 @@ def _summary(rows: GetRows, city: str) -> dict[str, list[str]]:
     apart = _told_apart(rows)
     return {
         "traffic": _traffic(get, city),
-        "encounters": _encounters(get),
+        "encounters": _encounters(get, rows),
         "trust": _trust(rows),
         **({"told apart": apart} if apart else {}),
         "freshness": _freshness(get),
@@ -272,15 +272,15 @@ def _traffic(get: Get, city: str) -> list[str]:
     return [f"{line}; {plain(sum(roles.values()))} vehicles with LiDAR and radio ({by_role})"]
 
 
-def _encounters(get: Get) -> list[str]:
-    median_s, mean_s = get("encounters.duration.km_median_s"), get("encounters.duration.km_mean_s")
+def _encounters(get: Get, rows: GetRows) -> list[str]:
+    median_s, mean_s = get("encounters.duration.km_median_s"), rows("encounters.duration.km_mean_s")
     lines = []
     for definition, n in get("encounters.n").items():
         said = f"{plain(n)} ({definition})"
         if definition in median_s:
             said += f": half of them last longer than {plain(median_s[definition])} s"
-        elif definition in mean_s:
-            said += f": they last {plain(mean_s[definition])} s on average"
+        elif definition in mean_s and mean_s[definition]["note"]:
+            said += ": " + mean_s[definition]["note"].removesuffix(", which count as that")
         lines.append(said)
     return lines or ["none: the config defines no [[encounters]]"]
 

@@ -158,9 +158,17 @@ class TrustHosts:
 
     @staticmethod
     def of(
-        variants: Sequence[Variant], server: ServerParams, seed: int, interval_s: float, dt_s: float
+        variants: Sequence[Variant],
+        server: ServerParams,
+        seed: int,
+        interval_s: float,
+        dt_s: float,
+        late_s: float = 0.0,
     ) -> "TrustHosts":
-        """Build the hosts of these variants. Vehicles act on the trust of the first one."""
+        """Build the hosts of these variants. Vehicles act on the trust of the first one.
+
+        A broadcast of roadside units may arrive up to `late_s` after its round began.
+        """
         keys: list[tuple] = []
         host_of: list[int] = []
         for variant in variants:
@@ -182,7 +190,7 @@ class TrustHosts:
             tuple(v.trust for v in first),
             tuple(first),
             Uplink(server, seed, interval_s),
-            Downlink(server, seed),
+            Downlink(server, seed, late_s),
             server,
             dt_s,
             eta_of(first[0].trust),
@@ -261,13 +269,15 @@ class TrustHosts:
             ]
         )
 
-    def pending_rsu_broadcast(self, state: TrustState, time_s: float) -> tuple[TrustState, TrustBroadcast | None]:
-        """The broadcast that roadside units send in a round that begins at `time_s`. Each is returned once."""
+    def pending_rsu_broadcast(
+        self, state: TrustState, step: int, time_s: float
+    ) -> tuple[TrustState, TrustBroadcast | None]:
+        """The broadcast that roadside units send in a round, as `Downlink.pending_rsu_broadcast`."""
         h = self.host_of[0]
         if self.server.uplink != "rsu" or self.params[h].host != "central":
             return state, None
         host = state.hosts[h]
-        downlink, broadcast = self.downlink.pending_rsu_broadcast(host.downlink, time_s)
+        downlink, broadcast = self.downlink.pending_rsu_broadcast(host.downlink, step, time_s)
         hosts = list(state.hosts)
         hosts[h] = replace(host, downlink=downlink)
         return TrustState(hosts, state.uplink), broadcast
@@ -277,14 +287,17 @@ class TrustHosts:
         state: TrustState,
         vehicle: Int[ndarray, "e"],
         receiver: Int[ndarray, "m"],
+        sent_step: Int[ndarray, "m"],
         received_s: Float[ndarray, "m"],
-    ) -> tuple[TrustState, Informed]:
-        """Record which vehicles received the broadcast of roadside units, as `Downlink.receive_from_rsu`."""
+    ) -> tuple[TrustState, int]:
+        """Record which vehicles received broadcasts of roadside units, as `Downlink.receive_from_rsu`."""
         h = self.host_of[0]
-        downlink, n_informed = self.downlink.receive_from_rsu(state.hosts[h].downlink, vehicle, receiver, received_s)
+        downlink, n_informed = self.downlink.receive_from_rsu(
+            state.hosts[h].downlink, vehicle, receiver, sent_step, received_s
+        )
         hosts = list(state.hosts)
         hosts[h] = replace(hosts[h], downlink=downlink)
-        return TrustState(hosts, state.uplink), Informed(len(vehicle), n_informed)
+        return TrustState(hosts, state.uplink), n_informed
 
     def open_step(
         self,

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -211,10 +211,21 @@ class DownlinkState:
     """Number of the newest broadcast that each vehicle has received, by actor number; -1 for none."""
     under_way: tuple[tuple[Float[ndarray, "r"], Int[ndarray, "r"], int], ...] = ()
     """Arrival, vehicle and number."""
-    pending_rsu: tuple[float, int] | None = None
-    """Time at which the roadside units get the newest broadcast, and its number. None once they have sent it."""
-    on_air: int = -1
-    """Number of the broadcast that the roadside units sent last."""
+    pending_rsu: tuple[tuple[float, int], ...] = ()
+    """Broadcasts that the roadside units have not sent: when they get each of them, and its number."""
+    on_air: tuple["AiredBroadcast", ...] = ()
+    """The latest broadcasts that the roadside units sent, newest last. Others do not arrive any more."""
+
+
+class AiredBroadcast(NamedTuple):
+    """A broadcast that roadside units sent."""
+
+    step: int
+    """When they sent it."""
+    begin_s: float
+    """Begin of the round in which they sent it [s]."""
+    number: int
+    """Number of the broadcast."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,6 +234,8 @@ class Downlink:
 
     params: ServerParams
     seed: int
+    late_s: float = 0.0
+    """How long after the begin of its round a broadcast of roadside units may still arrive [s]."""
 
     def publish(
         self,
@@ -250,36 +263,49 @@ class Downlink:
         p = self.params.cellular
         broadcasts = state.broadcasts | {step: broadcast}
         if self.params.uplink == "rsu":
-            pending = broadcast.time_s + self.params.backhaul_s, step
-            return DownlinkState(broadcasts, state.last, state.under_way, pending, state.on_air), 0
+            pending = (*state.pending_rsu, (broadcast.time_s + self.params.backhaul_s, step))
+            return replace(state, broadcasts=broadcasts, pending_rsu=pending), 0
         if trust_broadcast_bytes(len(broadcast.scores.subject)) + cellular.HEADER_BYTES > p.cell_down_bytes_per_s:
             delay_s = np.full(len(vehicle), np.inf)  # one copy per cell exceeds the capacity of a second
         arrival_s = broadcast.time_s + delay_s
         arrives = np.isfinite(arrival_s) & ~self.params.is_out(arrival_s)
         coming = (*state.under_way, (arrival_s[arrives], vehicle[arrives], step))
-        return DownlinkState(broadcasts, state.last, coming, state.pending_rsu, state.on_air), int(arrives.sum())
+        return replace(state, broadcasts=broadcasts, under_way=coming), int(arrives.sum())
 
     def delays_s(self, step: int, name_key: UInt64[ndarray, "r"]) -> Float[ndarray, "r"]:
         """Delay of this step's cellular broadcast to each vehicle [s], by the key of its name; inf if it is lost."""
         p = self.params.cellular
         return transfer_delay_s(rng.key(self.seed, rng.Stream.DOWNLINK, step), name_key, p.downlink_loss_p, 0, p)
 
-    def pending_rsu_broadcast(self, state: DownlinkState, time_s: float) -> tuple[DownlinkState, TrustBroadcast | None]:
-        """The broadcast that roadside units send in a round that begins at `time_s`. Each is returned once."""
-        if state.pending_rsu is None or state.pending_rsu[0] > time_s:
+    def pending_rsu_broadcast(
+        self, state: DownlinkState, step: int, time_s: float
+    ) -> tuple[DownlinkState, TrustBroadcast | None]:
+        """The broadcast that roadside units send in the round of a step that begins at `time_s`: the newest they have.
+
+        Each is returned once. Those that reach the units while the server is unreachable are lost.
+        """
+        due = [one for one in state.pending_rsu if one[0] <= time_s]
+        if not due:
             return state, None
-        arrival, number = state.pending_rsu
-        state = DownlinkState(state.broadcasts, state.last, state.under_way, None, number)
-        return state, None if self.params.is_out(arrival) else state.broadcasts.get(number)
+        later = state.pending_rsu[len(due) :]  # in the order of their times
+        had = [number for arrival_s, number in due if not self.params.is_out(arrival_s)]
+        if not had:
+            return replace(state, pending_rsu=later), None
+        number = max(had)
+        oldest_s = time_s - self.late_s
+        before = [one for one in state.on_air if one.begin_s >= oldest_s]
+        on_air = (*before, AiredBroadcast(step, time_s, number))
+        return replace(state, pending_rsu=later, on_air=on_air), state.broadcasts[number]
 
     def receive_from_rsu(
         self,
         state: DownlinkState,
         vehicle: Int[ndarray, "r"],
         receiver: Int[ndarray, "m"],
+        sent_step: Int[ndarray, "m"],
         received_s: Float[ndarray, "m"],
     ) -> tuple[DownlinkState, int]:
-        """Record which vehicles received the broadcast of roadside units.
+        """Record which vehicles received broadcasts of roadside units.
 
         Parameters
         ----------
@@ -287,18 +313,24 @@ class Downlink:
             Actor numbers of the equipped vehicles.
         receiver
             Row of `vehicle` for each reception.
+        sent_step
+            Step in which the units sent what was received.
         received_s
-            Time of each reception.
+            Time of each reception, from the begin of that round.
 
         Returns
         -------
-        The new state, and the number of vehicles that received it.
+        The new state, and the number of vehicles that received a broadcast that neither it nor a newer one had reached.
         """
-        first = np.full(len(vehicle), np.inf)
-        np.minimum.at(first, receiver, received_s)
-        got = np.isfinite(first)
-        coming = (*state.under_way, (first[got], vehicle[got], state.on_air))
-        return DownlinkState(state.broadcasts, state.last, coming, state.pending_rsu, state.on_air), int(got.sum())
+        coming, n_informed = list(state.under_way), 0
+        for sent in state.on_air:
+            of_this = sent_step == sent.step
+            first_s = np.full(len(vehicle), np.inf)
+            np.minimum.at(first_s, receiver[of_this], sent.begin_s + received_s[of_this])
+            got = np.isfinite(first_s) & ~_informed(state, vehicle, sent.number)
+            n_informed += int(got.sum())
+            coming.append((first_s[got], vehicle[got], sent.number))
+        return replace(state, under_way=tuple(coming)), n_informed
 
     def receive(self, state: DownlinkState, present: Int[ndarray, "m"], time_s: float) -> DownlinkState:
         """Deliver the broadcasts that have arrived by `time_s`, and drop those that no vehicle on the road has.
@@ -322,11 +354,12 @@ class Downlink:
             last[vehicle[here]] = np.maximum(last[vehicle[here]], number)
             if not here.all():
                 waiting.append((arrival[~here], vehicle[~here], number))
-        in_use = {*last[present].tolist(), state.on_air, *(number for _, _, number in waiting)}
-        if state.pending_rsu is not None:
-            in_use.add(state.pending_rsu[1])
+        in_use = set(last[present].tolist())
+        in_use.update(number for _, _, number in waiting)
+        in_use.update(number for _, number in state.pending_rsu)
+        in_use.update(sent.number for sent in state.on_air)
         broadcasts = {n: b for n, b in state.broadcasts.items() if n in in_use}
-        return DownlinkState(broadcasts, last, tuple(waiting), state.pending_rsu, state.on_air)
+        return replace(state, broadcasts=broadcasts, last=last, under_way=tuple(waiting))
 
     def lookup(
         self, state: DownlinkState, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"]
@@ -352,3 +385,14 @@ class Downlink:
             rows = np.flatnonzero(newest == number)
             at, known = broadcast.scores.rows_of(np.full(len(rows), SERVER), subject[rows])
             yield broadcast, rows[known], at[known]
+
+
+def _informed(state: DownlinkState, vehicle: Int[ndarray, "r"], number: int) -> Bool[ndarray, "r"]:
+    """Whether this broadcast or a newer one has reached each vehicle, or is on its way to it."""
+    known = vehicle < len(state.last)
+    found = np.zeros(len(vehicle), bool)
+    found[known] = state.last[vehicle[known]] >= number
+    for _, to, one in state.under_way:
+        if one >= number:
+            found |= np.isin(vehicle, to)
+    return found

@@ -82,9 +82,11 @@ class CsmaMedium:
         forwarding = self._forwarding(plan, stations)
         before = replace(state, channel=channel_now)
         idle: list[WindowResult] = []
+        busy_before_ns = np.zeros(len(stations))
         if channel_now.now_ns < plan.begin_ns:  # what is underway goes on between two rounds
-            before, idle, _ = self._transmit(before, plan, links, stations, forwarding, plan.begin_ns)
-        after, windows, busy = self._transmit(before, plan, links, stations, forwarding, plan.end_ns)
+            before, idle, busy_before_ns = self._transmit(before, plan, links, stations, forwarding, plan.begin_ns)
+        after, windows, busy_ns = self._transmit(before, plan, links, stations, forwarding, plan.end_ns)
+        busy = (busy_before_ns + busy_ns) / (plan.end_ns - plan.begin_ns)
         frames = plan.frames if forwarding is None else forwarding.frames
         sent = Transmissions.of(frames, plan.units, [*idle, *windows], plan.sent)
         ending = _RoundEnd.of(plan, sent, after.channel, forwarding)
@@ -177,8 +179,7 @@ class CsmaMedium:
 
         Returns
         -------
-        The state at that time, the results of all windows, and the share of the time in which each station sensed the
-        medium busy.
+        The state at that time, the results of all windows, and for how long each station sensed the medium busy [ns].
         """
         now = state.channel
         control = state.dcc
@@ -193,7 +194,7 @@ class CsmaMedium:
         airtime_ns = np.zeros(len(stations), np.int64)
         np.maximum.at(airtime_ns, units["source"], units["airtime_ns"])
         windows: list[WindowResult] = []
-        busy, begin_ns = np.zeros(len(stations)), now.now_ns
+        busy_ns = np.zeros(len(stations))
         while now.now_ns < until_ns:
             start_ns = stop_ns = now.now_ns
             if not len(now.packets):  # an idle channel until the next generation or timer
@@ -209,9 +210,9 @@ class CsmaMedium:
             now, out = channel.run_window(now, links, packets, stop_ns, rules, gap_ns, forwarding)
             windows.append(out)
             span = stop_ns - start_ns
-            busy += out.busy * span
+            busy_ns += out.busy * span
             control, measured = measured.after(out.busy_strong, span).updated(control, params)
-        return replace(state, channel=now, dcc=control, measured=measured), windows, busy / (until_ns - begin_ns)
+        return replace(state, channel=now, dcc=control, measured=measured), windows, busy_ns
 
     def links(self, stations: Stations, senders: Int[ndarray, "k"] | None = None) -> LinkCache:
         """Links and neighbours of these stations, from the senders of messages; None: from all.

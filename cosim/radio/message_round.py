@@ -221,7 +221,8 @@ class FrameOutcomes:
     sent_bytes: float
     """Bytes transmitted, with forwarded frames and MAC headers."""
     cbr: Float[ndarray, "n"] | None
-    """Channel busy ratio of the round at each station; None where the medium does not model it."""
+    """For how long each station sensed the channel busy, from the end of the round before to the end of this one, in
+    lengths of a round; None where the medium does not model it."""
 
 
 _OF_FRAMES = ("receiver", "hop", "distance_m", "los_state", "outcome")
@@ -262,7 +263,7 @@ class MessageRound:
         lost_receiver, lost_message
             The same for messages that a station in range does not receive. None: there are no such messages.
         cbr
-            Channel busy ratio at each station. None: the medium does not model it.
+            Channel busy ratio of the round at each station. None: the medium does not model it.
 
         Returns
         -------

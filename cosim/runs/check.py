@@ -153,7 +153,7 @@ def notes_on(config: Config, scenario: Scenario) -> list[str]:
             notes.append("note: [parked] places no car: no place along the streets is free, or tags say so.")
         if config.trees.per_100_m and not len(city.trees.shape):
             notes.append("note: [trees] places no tree: no place along the streets is free.")
-    return notes + _few_clouds(config)
+    return notes + _few_clouds(config) + _out_of_reach(config)
 
 
 def empty_streets(config: Config, scenario: Scenario) -> list[str]:
@@ -180,6 +180,25 @@ def _few_clouds(config: Config) -> list[str]:
         f"that sense in the same step are merged: those of one in {n_phases}. early_fusion.max_age_s = "
         f"{interval_s - step_s:g} merges those of all."
     ]
+
+
+def _out_of_reach(config: Config) -> list[str]:
+    """Notes on messages that no station can receive: from too far away, or because they take longer than a round."""
+    radio, notes = config.radio, []
+    farthest_m = radio.propagation.interference_range_m
+    if radio.model != "unit_disk" and ":" not in radio.model and radio.range_m > farthest_m:
+        notes.append(
+            f"note: radio.range_m = {radio.range_m:g} m, but no frame arrives from farther than "
+            f"radio.propagation.interference_range_m = {farthest_m:g} m. Set it to more than the range."
+        )
+    longest_s = radio.unit_disk.latency_max_s
+    if radio.model == "unit_disk" and longest_s > config.round_s:
+        notes.append(
+            f"note: radio.unit_disk.latency_max_s = {longest_s:g} s is longer than a round of {config.round_s:g} s, "
+            "and unit_disk loses what takes longer than its round, whatever radio.timeout_s is. Set it lower, or "
+            'sensing_phase = "common", whose rounds last two fifths of the sensing interval.'
+        )
+    return notes
 
 
 def keys_in_vain(config: Config, scenario: Scenario) -> list[str]:

@@ -34,7 +34,12 @@ from cosim.step.result import Sensed, StepResult
 from cosim.step.state import State
 from cosim.step.trackers import evidence_audit
 from cosim.step.trackers.attack_start import AttackStartTracker
-from cosim.step.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
+from cosim.step.trackers.channel_counts import (
+    channel_busy_ratio,
+    latency_histogram,
+    pdr_by_distance,
+    vehicle_channel,
+)
 from cosim.step.tracking import late_of
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.schedule import Schedule
@@ -331,6 +336,7 @@ def _channel(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     """Append what became of the frames of each type of message, and what each vehicle received and heard."""
     n, now_step = len(sensed.vehicles), world.step
     receivers = []  # of the receptions of each round
+    cbr = channel_busy_ratio(n, [broadcast.cbr for broadcast in sensed.rounds])
     for message_type, kind, reach in zip(MessageType, RoundKind, sensed.reach, strict=True):
         broadcast, late = sensed.rounds[kind], late_of(sensed.rounds, kind)
         frames = [broadcast.round.frames, *(messages.round.frames for messages in late)]
@@ -340,14 +346,13 @@ def _channel(recorder: TakesRows, world: World, sensed: Sensed) -> None:
         of_clouds = late_of(sensed.rounds, kind, clouds=True)
         sent_bytes = sum(one.sent_bytes for one in frames)
         sent_bytes += sum(messages.round.frames.sent_bytes for messages in of_clouds)
-        cbr = broadcast.round.frames.cbr
         totals = {
             "n_sent": np.array([sum(one.n_transmissions.sum() for one in frames)]),
             "n_relayed": np.array([sum(one.n_relayed for one in frames)]),
             "n_duplicate": np.array([sum(one.n_duplicate for one in frames)]),
             "sent_bytes": np.array([sent_bytes]),
             **total,
-            "cbr": None if cbr is None else np.array([cbr[:n].mean()]),
+            "cbr": None if cbr is None else np.array([cbr.mean()]),
         }
         latency_s = np.concatenate([found.latency_s for found in receptions])
         recorder.append("radio", now_step, _of(message_type, totals))
@@ -355,8 +360,7 @@ def _channel(recorder: TakesRows, world: World, sensed: Sensed) -> None:
         recorder.append("latency_histogram", now_step, _of(message_type, latency_histogram(latency_s)))
         recorder.append("packet_inter_reception", now_step, _of(message_type, reach.inter_reception))
     n_in_range = [reach.n_in_range for reach in sensed.reach]
-    cbr_of_rounds = [broadcast.round.frames.cbr for broadcast in sensed.rounds]
-    rows = {"vehicle": sensed.vehicles.actor} | vehicle_channel(n, n_in_range, receivers, cbr_of_rounds)
+    rows = {"vehicle": sensed.vehicles.actor} | vehicle_channel(n, n_in_range, receivers, cbr)
     recorder.append("vehicle_channel", now_step, _without(world.is_roadside[sensed.vehicles.row], rows))
 
 

@@ -6,7 +6,7 @@ A stage that changes a part of the state takes it as an argument and returns its
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.config.config import Config
@@ -65,6 +65,9 @@ class Broadcast:
     """Length of each vehicle's message; 0 if it is not sent."""
     clouds: MessageRound | None = None
     """Point clouds that were sent in the same round, one per vehicle that senses; None if none are."""
+    cbr: Float[ndarray, "n"] | None = None
+    """Share of half the time between two steps in which vehicles can sense, in which each station sensed the channel
+    busy: the mean of a step's two rounds is the share of the time. None where the medium does not model it."""
     late: tuple[LateMessages, ...] = ()
     """Messages of earlier rounds that went on in this one."""
     late_clouds: tuple[LateMessages, ...] = ()
@@ -134,7 +137,10 @@ def _broadcast(
         for is_cloud in (False, True)
     )
     accepted = _accepted(links, exchange.senders)
-    return medium, Broadcast(found, links, accepted, length_bytes, clouds, late, late_clouds)
+    cbr = found.frames.cbr
+    if cbr is not None:
+        cbr = cbr * (parts.config.round_s / (0.5 * parts.config.schedule.exchange_interval_s))
+    return medium, Broadcast(found, links, accepted, length_bytes, clouds, cbr, late, late_clouds)
 
 
 def _names(exchange: Exchange) -> Int[ndarray, "m"]:

@@ -150,11 +150,11 @@ def _cycle(
         claims = claims_of(exchange, known, compared, listed.tracks, parts)
         evaluated = evaluate_objects(exchange, known, compared, claims, config)
     with watch("radio"):
-        trust, on_rsus = parts.trust.pending_rsu_broadcast(trust, now.evaluated_s)
+        trust, on_rsus = parts.trust.pending_rsu_broadcast(trust, now.step, now.evaluated_s)
         medium, reports = broadcast_evaluations(exchange, evaluated, on_rsus, medium, parts)
         rounds = cpms, reports
     with watch("trust"):
-        trust, informed = receive_from_rsus(trust, exchange, on_rsus, reports, published.informed, parts)
+        trust, informed = receive_from_rsus(trust, exchange, on_rsus, rounds, published.informed, parts)
         piggybacked, carrier = carrier_of(exchange, evaluated, s.piggybacked, rounds, parts)
         trust, uplink = update_trust(trust, exchange, listed, evaluated, carrier, pseudonyms, parts)
         late = [messages for one in rounds for messages in one.late if messages.kind == carry_evaluations]

@@ -121,7 +121,9 @@ class Parts:
             pseudonyms=pseudonyms,
             linkage=linkage,
             revocation=Revocation(c.pseudonyms, linkage),
-            trust=TrustHosts.of(variants(c), c.server, c.seed, c.schedule.exchange_interval_s, dt_s),
+            trust=TrustHosts.of(
+                variants(c), c.server, c.seed, c.schedule.exchange_interval_s, dt_s, 2.0 * c.message_lifetime_s
+            ),
             driver=_make(c, "driver"),
             early=EarlyFusion.of(c),
             accuracy=DetectorAccuracy.of(_make(c, "detector")),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim.base.ragged import rows_of
@@ -41,6 +41,8 @@ class EvaluationCarriers:
     receptions: LinkReceptions
     begin_s: float
     """When the messages were sent [s]."""
+    heard: Bool[ndarray, "v"]
+    """Whether roadside units have received each of the evaluations. It is updated in place."""
 
 
 def carrier_of(
@@ -68,13 +70,15 @@ def carrier_of(
     cpms, reports = rounds
     sent = SentEvaluations(evaluated.sent, exchange.sender)
     alone, now = parts.config.radio.evaluations == "alone", exchange.now
+    carried = sent if alone else waiting
     carrier = EvaluationCarriers(
         step=now.step,
         sender=exchange.sender,
         pseudonym=exchange.senders.pseudonym,
-        evaluations=sent if alone else waiting,
+        evaluations=carried,
         receptions=(reports if alone else cpms).accepted,
         begin_s=now.evaluated_s if alone else now.begin_s,
+        heard=np.zeros(0 if carried is None else len(carried.sender), bool),
     )
     if alone:
         return None, carrier
@@ -171,6 +175,7 @@ def _deliver(
     got = links.vehicles.take(row[links.vehicles.message] >= 0)
     trust = parts.trust.add_local(trust, sent, vehicles.actor[got.receiver], row[got.message])
     up = links.uplink.take(row[links.uplink.message] >= 0)
+    carrier.heard[row[up.message]] = True
     sent = parts.linkage.messages(pseudonyms, _upheld(carried.messages, carried.sender, exchange, parts))
     return parts.trust.report_by_rsu(trust, sent, row[up.message], carrier.begin_s + up.received_s)
 
@@ -202,10 +207,16 @@ def deliver_late(
             named = parts.linkage.messages(pseudonyms, sent.messages)
             trust = parts.trust.add_local(trust, named, exchange.vehicles.actor[got.receiver], row[got.message])
             up = links.uplink.take(is_there[links.uplink.message])
-            if len(up.message):
-                named = parts.linkage.messages(pseudonyms, _upheld(sent.messages, sent.sender, exchange, parts))
-                trust, now = parts.trust.report_by_rsu(trust, named, row[up.message], carrier.begin_s + up.received_s)
-                stats = replace(stats, n_reached=stats.n_reached + now.n_reached)
+            if not len(up.message):
+                continue
+            named = parts.linkage.messages(pseudonyms, _upheld(sent.messages, sent.sender, exchange, parts))
+            of, received_s = row[up.message], carrier.begin_s + up.received_s
+            again = carrier.heard[of]
+            new = ~again
+            trust, now = parts.trust.report_by_rsu(trust, named, of[new], received_s[new])
+            stats = replace(stats, n_reached=stats.n_reached + now.n_reached)
+            trust, _ = parts.trust.report_by_rsu(trust, named, of[again], received_s[again])  # counted before
+            carrier.heard[of] = True
     return trust, stats
 
 

@@ -14,10 +14,10 @@ from cosim.base.ragged import expand, ptr_of
 from cosim.door.guard import refuse
 from cosim.messages.pseudonyms import PseudonymState
 from cosim.messages.relinking import KnownSenders, ReceivedSenders, fallen_back, noted, update_senders
-from cosim.messages.trust_hosts import Informed, Lookups, TrustState
+from cosim.messages.trust_hosts import NOBODY, Informed, Lookups, TrustState
 from cosim.messages.trust_server import TrustBroadcast
 from cosim.radio.link_budget import neighbours
-from cosim.radio.message_round import Receptions
+from cosim.radio.message_round import Receptions, RoundKind
 from cosim.step.broadcast import Broadcast
 from cosim.step.exchange import Exchange, Times, Vehicles
 from cosim.step.known import Known, Uses
@@ -111,28 +111,32 @@ def receive_from_rsus(
     trust: TrustState,
     exchange: Exchange,
     sent: TrustBroadcast | None,
-    reports: Broadcast,
+    rounds: tuple[Broadcast, Broadcast],
     informed: list[Informed],
     parts: Parts,
 ) -> tuple[TrustState, list[Informed]]:
-    """Vehicles receive the trust that roadside units broadcast in the round of evaluations.
+    """Vehicles receive the trust that roadside units broadcast in the round of evaluations of this step or earlier.
 
     Returns
     -------
     The state of trust, and per host the vehicles that it has informed by now.
     """
-    if sent is None:
-        for messages in reports.late:  # the broadcast before this step may still arrive
-            down = messages.links.downlink
-            if len(down.receiver):
-                arrived_s = np.full(len(down.receiver), exchange.now.fused_s)
-                trust, _ = parts.trust.receive_from_rsu(trust, exchange.vehicles.actor, down.receiver, arrived_s)
-        return trust, informed
-    down = reports.links.downlink
-    trust, by_rsus = parts.trust.receive_from_rsu(
-        trust, exchange.vehicles.actor, down.receiver, exchange.now.evaluated_s + down.received_s
-    )
+    late = [messages for one in rounds for messages in one.late if messages.kind == RoundKind.EVALUATION]
+    received = [messages.links.downlink for messages in late]
+    sent_step = [messages.step[messages.links.downlink.message] for messages in late]
+    if sent is not None:
+        received.append(rounds[1].links.downlink)
+        sent_step.append(np.full(len(received[-1].message), exchange.now.step))
+    vehicle, n_informed = exchange.vehicles.actor, 0
+    if any(map(len, sent_step)):
+        all_received = Receptions.concat(received)
+        trust, n_informed = parts.trust.receive_from_rsu(
+            trust, vehicle, all_received.receiver, np.concatenate(sent_step), all_received.received_s
+        )
     acting = parts.trust.host_of[0]
+    by_rsus = Informed(0 if sent is None else len(vehicle), n_informed)
+    if by_rsus == NOBODY:
+        return trust, informed
     return trust, [by_rsus if host == acting else found for host, found in enumerate(informed)]
 
 

@@ -160,9 +160,9 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
     -------
     The columns of `DEFINITION`; n; n_start_unseen, n_end_unseen and their shares censored_left, censored_right; mean_s,
     median_s of the durations as recorded; km_median_s (Kaplan-Meier, null if the survival curve stays above one half)
-    and km_mean_s, restricted to the longest duration observed, `horizon_s`; again_share: share that are not the first
-    of their pair; gap_median_s: time since the encounter before; definition: its name. Without encounters, n is 0 and
-    nothing else is known.
+    and km_mean_s, restricted to the longest duration observed, with km_mean_s_note if the curve stays above one half
+    until then; again_share: share that are not the first of their pair; gap_median_s: time since the encounter before;
+    definition: its name. Without encounters, n is 0 and nothing else is known.
 
     mean_s and the three shares have intervals in which encounters that share an actor depend on each other
     (`intervals.mean_of_pairs`). The interval of km_median_s takes encounters as independent.
@@ -191,13 +191,19 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
                 **intervals.columns(
                     intervals.ClusteredEstimate(median(curve), *median_band(curve), len(frame)), "km_median_s"
                 ),
-                "horizon_s": float(curve.duration_s.iloc[-1]),
+                "km_mean_s_note": _restriction(curve),
                 **_mean(frame, frame.gap_s.notna(), "again_share"),
                 "gap_median_s": float(again.median()) if len(again) else np.nan,
             }
         )
     table = pd.DataFrame(rows, columns=None if rows else [*DEFINITION, "n"])  # a config may define no encounters
     return table.assign(definition=named(table))
+
+
+def _restriction(curve: pd.DataFrame) -> str:
+    """A note on the restricted mean, where more than half of the encounters last longer than what was observed."""
+    longest_s, survival = curve[["duration_s", "survival"]].iloc[-1]
+    return f"{survival:.0%} last longer than {longest_s:g} s, which count as that" if survival > 0.5 else ""
 
 
 def rates(run: Run) -> pd.DataFrame:

@@ -223,25 +223,33 @@ def without_trust(run: Run) -> pd.DataFrame:
     Returns
     -------
     The columns of `encounters.DEFINITION`; n (both directions of every encounter), n_without, share, low, high (by the
-    vehicle that would have the value), n_units; and wait_median_s: time from the start to the first such value, of
-    those that had none at the start; definition: its name.
+    vehicle that would have the value), n_units, share_note if many of n_without are not over; and wait_median_s: time
+    from the start to the first such value, of those that had none at the start; definition: its name.
     """
     frame = run.variant_table("encounters", ["trusted_after_ab_s", "trusted_after_ba_s"])
+    goes_on = run.table("encounters", ["censored_right"]).censored_right.to_numpy()
     after_ab_s, after_ba_s = frame.trusted_after_ab_s.to_numpy(), frame.trusted_after_ba_s.to_numpy()
     rows: list[dict[str, Any]] = []
     for kind, at, who in run.once_for_all("freshness.encounters", lambda: _of_equipped(run)):
         after_s = np.r_[after_ab_s[at], after_ba_s[at]]
         waited_s = after_s[after_s > 0]
         without = np.isnan(after_s)
+        not_over = without & np.r_[goes_on[at], goes_on[at]]
         rows.append({
             **dict(zip(DEFINITION, kind, strict=True)), "n": len(after_s),
             "n_without": int(without.sum()),
             **plain_columns(share(np.bincount(who, without), np.bincount(who)), "share"),
+            "share_note": _not_over(int(not_over.sum()), int(without.sum())),
             "wait_median_s": float(np.median(waited_s)) if len(waited_s) else np.nan,
         })  # fmt: skip
-    columns = [*DEFINITION, "n", "n_without", "share", "low", "high", "n_units"]
+    columns = [*DEFINITION, "n", "n_without", "share", "low", "high", "n_units", "share_note"]
     found = pd.DataFrame(rows, columns=[*columns, "wait_median_s"])
     return found.assign(definition=named(found))
+
+
+def _not_over(n: int, n_without: int) -> str:
+    """A note if more than a tenth of the directions without trust are of encounters that outlast the run."""
+    return f"{n} of {n_without} are not over" if n > 0.1 * n_without else ""
 
 
 def _of_equipped(run: Run) -> list[tuple[tuple, np.ndarray, np.ndarray]]:

@@ -31,7 +31,15 @@ def test_kaplan_meier_by_hand(tiny):
     (row,) = encounters.summary(run).itertuples()
     assert (row.n, row.n_start_unseen, row.n_end_unseen) == (6, 1, 2)
     assert row.km_mean_s == pytest.approx(2.7) and row.km_median_s == 3
-    assert row.mean_s == pytest.approx((1 + 2 + 2 + 3 + 4 + 15) / 6)
+    assert row.mean_s == pytest.approx((1 + 2 + 2 + 3 + 4 + 15) / 6) and not row.km_mean_s_note
+
+
+def test_a_mean_of_durations_that_mostly_outlast_the_run_says_so(tiny):
+    """Of four encounters one ends: the curve stays at 3/4, and the mean counts each of the others as 6 s."""
+    rows = [encounter(0, i + 1, 3, 3 + d, censored_right=d == 6) for i, d in enumerate((2, 6, 6, 6))]
+    (row,) = encounters.summary(tiny(20, encounters=rows)).itertuples()
+    assert row.km_median_s != row.km_median_s and row.km_mean_s == 5
+    assert row.km_mean_s_note == "75% last longer than 6 s, which count as that"
 
 
 def test_departures_as_ends_or_as_censoring(tiny):
@@ -87,10 +95,14 @@ def test_a_value_without_evaluation_is_no_knowledge(tiny):
 
 
 def test_encounters_without_trust(tiny):
-    """Four directions: known at once, after 3 s, never, never."""
-    rows = [encounter(0, 1, 0, 6, trusted_after_ab_s=0.0), encounter(0, 1, 8, 12, trusted_after_ba_s=3.0)]
+    """Four directions: known at once, after 3 s, never, and not by the end of the run."""
+    rows = [
+        encounter(0, 1, 0, 6, trusted_after_ab_s=0.0),
+        encounter(0, 1, 8, 20, trusted_after_ba_s=3.0, censored_right=True),
+    ]
     (row,) = freshness.without_trust(tiny(20, vehicles=fleet("honest", "honest"), encounters=rows)).itertuples()
     assert (row.n, row.n_without, row.share, row.wait_median_s) == (4, 2, 0.5, 3)
+    assert row.share_note == "1 of 2 are not over"
 
 
 def test_evidence(tiny):

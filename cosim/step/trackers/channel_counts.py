@@ -68,7 +68,7 @@ def vehicle_channel(
     n: int,
     in_range: Sequence[Int[ndarray, "n"]],
     received: Sequence[Int[ndarray, "m"]],
-    busy: Sequence[Float[ndarray, "n"] | None],
+    cbr: Float[ndarray, "n"] | None,
 ) -> Rows:
     """Columns cbr, n_in_range and n_received of the table `vehicle_channel`, over all rounds of a step.
 
@@ -80,18 +80,26 @@ def vehicle_channel(
         Per round and receiver, the number of authors of messages within communication range.
     received
         Per round, the receiver (0 to n - 1) of every message that was received.
-    busy
-        Per round, the share of the time in which each receiver senses the channel busy; None if not modelled.
+    cbr
+        As `channel_busy_ratio`.
     """
     n_in_range = np.zeros(n, int)
     n_received = np.zeros(n, int)
-    cbr = np.zeros(n)
     for counts in in_range:
         n_in_range += counts
     for rows in received:
         n_received += np.bincount(rows, minlength=n)
-    for share in busy:
-        if share is not None:
-            cbr += share[:n] / len(busy)
-    modelled = all(share is not None for share in busy)
-    return {"cbr": cbr, "cbr__valid": np.full(n, modelled), "n_in_range": n_in_range, "n_received": n_received}
+    modelled = np.full(n, cbr is not None)
+    cbr = np.zeros(n) if cbr is None else cbr
+    return {"cbr": cbr, "cbr__valid": modelled, "n_in_range": n_in_range, "n_received": n_received}
+
+
+def channel_busy_ratio(n: int, busy: Sequence[ndarray | None]) -> Float[ndarray, "n"] | None:
+    """Share of the time in which each of the first n stations sensed the channel busy, over all rounds of a step.
+
+    None if the medium does not model it. `busy` has that of each round, as `cosim.step.broadcast.Broadcast.cbr`.
+    """
+    shares = [share for share in busy if share is not None]
+    if not shares or len(shares) < len(busy):
+        return None
+    return np.mean([share[:n] for share in shares], axis=0)

@@ -166,18 +166,41 @@ def test_roadside_units_transmit_a_broadcast_once():
     down = Downlink(ServerParams(uplink="rsu"), 3)
     state, n_informed = down.publish(DownlinkState(), broadcast(1.0), 1, ALL, down.delays_s(1, keys(3)))
     assert n_informed == 0
-    state, sent = down.pending_rsu_broadcast(state, 1.005)
+    state, sent = down.pending_rsu_broadcast(state, 1, 1.005)
     assert sent is None  # 10 ms of backhaul
-    state, sent = down.pending_rsu_broadcast(state, 1.4)
+    state, sent = down.pending_rsu_broadcast(state, 1, 1.4)
     assert sent.time_s == 1.0
-    state, sent = down.pending_rsu_broadcast(state, 1.5)
+    state, sent = down.pending_rsu_broadcast(state, 2, 1.5)
     assert sent is None
-    state, n_informed = down.receive_from_rsu(state, ALL, np.array([0, 1, 1]), np.array([1.6, 1.7, 1.5]))
+    by, after_s = np.array([0, 1, 1]), np.array([0.2, 0.3, 0.1])
+    state, n_informed = down.receive_from_rsu(state, ALL, by, np.full(3, 1), after_s)
     assert n_informed == 2
     state = down.receive(state, ALL, 1.55)
     assert np.isfinite(known(down, state, ALL, ALL)[0]).tolist() == [False, True, False]
     state = down.receive(state, ALL, 1.65)
     assert np.isfinite(known(down, state, ALL, ALL)[0]).tolist() == [True, True, False]
+
+
+def test_a_backhaul_longer_than_the_period_delays_broadcasts_and_loses_none():
+    """One a second, each 2.5 s on its way: units send that of second 0 at 3 s, and so on. Late copies count once."""
+    down, state, sent = Downlink(ServerParams(uplink="rsu", backhaul_s=2.5), 3, late_s=2.5), DownlinkState(), []
+    for step in range(6):
+        state, _ = down.publish(state, broadcast(float(step)), step, ALL, np.zeros(3))
+        state, one = down.pending_rsu_broadcast(state, step, step + 0.4)
+        sent.append(None if one is None else one.time_s)
+        state = down.receive(state, ALL, step + 0.9)
+    assert sent == [None, None, None, 0.0, 1.0, 2.0]
+
+    def got(state, receiver, sent_step):
+        n = len(receiver)
+        return down.receive_from_rsu(state, ALL, np.array(receiver), np.array(sent_step), np.full(n, 0.1))
+
+    state, n_informed = got(state, [0, 0, 1], [5, 4, 4])
+    assert n_informed == 3
+    state, n_informed = got(state, [0, 1, 1, 2], [5, 4, 5, 3])
+    assert n_informed == 2  # 1 the newer, 2 the oldest
+    state = down.receive(state, ALL, 6.0)
+    assert known(down, state, ALL, ALL)[1].tolist() == [2.0, 2.0, 0.0]
 
 
 def test_a_newer_broadcast_replaces_an_older_one_that_arrives_late():

@@ -62,3 +62,19 @@ def test_only_receptions_that_are_not_held_are_added():
     nobody = Uses(np.zeros(0, np.int64), np.zeros(0, np.int64))
     assert len(_with_new(nobody, nobody).receiver) == 0
     assert len(_with_new(nobody, more).receiver) == len(pairs[1])
+
+
+def test_what_roadside_units_hear_and_say_more_than_once_counts_once(tmp_path):
+    """Forwarded copies of a report reach several units in several rounds; those of a broadcast, a vehicle."""
+    sets = (
+        *("traffic.step_s=0.2", "sensing_phase=random", "traffic.duration_s=6", "traffic.warmup_s=120"),
+        *("trust.server_period_s=1", "radio.relay.max_hops=3", "server.uplink=rsu", "rsu.n_at_junctions=6"),
+    )
+    run = open_run(drive(tmp_path / "run", "record.level=full", *sets))
+    server = run.server
+    assert server.n_late.sum() > 20
+    assert (server.n_reached + server.n_late).sum() <= server.n_reports.sum()
+    used = run.trust_lookups[run.trust_lookups.source == "server"]
+    computed = (used.step * 0.2 - used.age_s).round(1)
+    n_used = len(set(zip(used.receiver, computed, strict=True)))
+    assert n_used <= server.n_informed.sum() <= server.n_addressed.sum()

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.step.trackers.attack_start import AttackStartTracker
-from cosim.step.trackers.channel_counts import latency_histogram, pdr_by_distance, vehicle_channel
+from cosim.step.trackers.channel_counts import channel_busy_ratio, latency_histogram, pdr_by_distance, vehicle_channel
 
 COLUMNS = {"n_delivered": 0, "n_lost_propagation": 1, "n_lost_collision": 2}
 frames = st.lists(st.tuples(st.floats(0, 400), st.integers(0, 2), st.integers(0, 2)), max_size=80)
@@ -46,7 +46,7 @@ receivers = st.lists(st.integers(0, 4), max_size=30)
 def test_vehicle_channel_twin(in_range, received, modelled):
     busy = [np.linspace(0, 1, 7), np.full(7, 0.5) if modelled else None]  # two roadside units behind five vehicles
     counts = [np.bincount(np.array(rows, np.int64), minlength=5) for rows in in_range]
-    found = vehicle_channel(5, counts, [np.array(rows, np.int64) for rows in received], busy)
+    found = vehicle_channel(5, counts, [np.array(rows, np.int64) for rows in received], channel_busy_ratio(5, busy))
     assert found["n_in_range"].tolist() == [sum(rows.count(v) for rows in in_range) for v in range(5)]
     assert found["n_received"].tolist() == [sum(rows.count(v) for rows in received) for v in range(5)]
     assert found["cbr__valid"].tolist() == [modelled] * 5
