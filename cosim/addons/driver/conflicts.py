@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
+from cosim.base.plane import turned_by
 from results.run import Run
 
 RANGE_M = 50.0
@@ -21,6 +22,8 @@ _CROSSING = np.cos(np.pi / 6)
 """Paths that differ by more than 30 degrees cross; others follow each other."""
 _SEGMENT_M, _PET_S = 12.0, 5.0
 """Longest way of a step that is looked at, and largest post-encroachment time that is looked for."""
+_STRETCH = 600.0
+"""Length of the stretches of time that are searched one after another, in the unit of scaled time."""
 
 
 def tracks(run: Run) -> pd.DataFrame:
@@ -68,15 +71,16 @@ def _leaders(step: int, at: dict[str, ndarray] | pd.DataFrame, range_m: float) -
     else:
         pairs = cKDTree(xy).query_pairs(range_m + length.max(), output_type="ndarray")
     i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
-    apart, c, s = xy[j] - xy[i], np.cos(yaw[i]), np.sin(yaw[i])
-    ahead, left = c * apart[:, 0] + s * apart[:, 1], c * apart[:, 1] - s * apart[:, 0]
+    ahead, left = turned_by(-yaw[i], xy[j] - xy[i]).T
     along = np.cos(yaw[j] - yaw[i])
     gap = ahead - (length[i] + length[j]) / 2
-    ok = (ahead > 0) & (np.abs(left) < (width[i] + width[j]) / 2) & (along > _ALONG) & (gap <= range_m)
-    i, j, gap, along = i[ok], j[ok], np.maximum(gap[ok], 0.0), along[ok]
-    order = np.lexsort((gap, i))
-    order = order[np.diff(i[order], prepend=-1) > 0]
-    i, j, gap, along = i[order], j[order], gap[order], along[order]
+    in_path = np.abs(left) < (width[i] + width[j]) / 2
+    leads = np.flatnonzero((ahead > 0) & in_path & (along > _ALONG) & (gap <= range_m))
+    gap = np.maximum(gap, 0.0)
+    leads = leads[np.lexsort((gap[leads], i[leads]))]
+    nearest = leads[np.diff(i[leads], prepend=-1) > 0]
+    i, j = i[nearest], j[nearest]
+    gap, along = gap[nearest], along[nearest]
     closing = speed[i] - speed[j] * along
     with np.errstate(divide="ignore", invalid="ignore"):
         ttc = np.where(closing > 1e-6, gap / closing, np.nan)
@@ -110,12 +114,17 @@ def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     scale = _SEGMENT_M / _PET_S
     points = np.column_stack([start + way / 2, step[a] * run.dt_s * scale])
     found = [_crossing(pairs, actor[a], start, way, length) for pairs in _near(points)]
-    i, j, u, v = (np.concatenate(c) for c in zip(*found, strict=True)) if found else (np.zeros(0, int),) * 4
-    at_i, at_j = ((step[a[row]] + share) * run.dt_s for row, share in ((i, u), (j, v)))
-    in_i, in_j = (_half(column, a, way, length, *rows) * run.dt_s / length[rows[0]] for rows in ((i, j), (j, i)))
+    nothing = np.zeros(0, int)
+    i, j, u, v = (np.concatenate(c) for c in zip((nothing,) * 4, *found, strict=True))
+    at_i = (step[a[i]] + u) * run.dt_s
+    at_j = (step[a[j]] + v) * run.dt_s
+    in_i = _half(column, a, way, length, i, j) * run.dt_s / length[i]
+    in_j = _half(column, a, way, length, j, i) * run.dt_s / length[j]
     i_first = at_i <= at_j
+    actor_i, actor_j = actor[a[i]], actor[a[j]]
     frame = pd.DataFrame({
-        "first": np.where(i_first, actor[a[i]], actor[a[j]]), "second": np.where(i_first, actor[a[j]], actor[a[i]]),
+        "first": np.where(i_first, actor_i, actor_j),
+        "second": np.where(i_first, actor_j, actor_i),
         "time_s": np.where(i_first, at_j - in_j, at_i - in_i),
         "pet_s": np.abs(at_j - at_i) - in_i - in_j,
     })  # fmt: skip
@@ -125,9 +134,10 @@ def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
 
 def _near(points: Float[ndarray, "n 3"]) -> Iterator[Int[ndarray, "p 2"]]:
     """Pairs of rows that lie close in place and time, a stretch of time after another."""
-    edges = np.arange(points[:, 2].min(initial=0.0), points[:, 2].max(initial=0.0) + 600.0, 600.0)
+    time = points[:, 2]
+    edges = np.arange(time.min(initial=0.0), time.max(initial=0.0) + _STRETCH, _STRETCH)
     for begin in edges.tolist():
-        rows = np.flatnonzero((points[:, 2] >= begin) & (points[:, 2] < begin + 600.0 + _SEGMENT_M))
+        rows = np.flatnonzero((time >= begin) & (time < begin + _STRETCH + _SEGMENT_M))
         if len(rows) > 1:
             yield rows[cKDTree(points[rows]).query_pairs(_SEGMENT_M, output_type="ndarray")]
 
@@ -140,21 +150,27 @@ def _crossing(
     along = np.sum(way[i] * way[j], axis=1) / (length[i] * length[j])
     keep = (actor[i] != actor[j]) & (along < _CROSSING)
     i, j = i[keep], j[keep]
-    det = way[i, 0] * way[j, 1] - way[i, 1] * way[j, 0]
-    d = start[j] - start[i]
+    det = _cross(way[i], way[j])
+    between = start[j] - start[i]
     with np.errstate(divide="ignore", invalid="ignore"):
-        u = (d[:, 0] * way[j, 1] - d[:, 1] * way[j, 0]) / det
-        v = (d[:, 0] * way[i, 1] - d[:, 1] * way[i, 0]) / det
+        u = _cross(between, way[j]) / det
+        v = _cross(between, way[i]) / det
     inside = (u >= 0) & (u < 1) & (v >= 0) & (v < 1)
     return i[inside], j[inside], u[inside], v[inside]
+
+
+def _cross(a: Float[ndarray, "n 2"], b: Float[ndarray, "n 2"]) -> Float[ndarray, "n"]:
+    """Areas that pairs of vectors span, positive where b is to the left of a."""
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 def _half(
     column: dict[str, ndarray], a: ndarray, way: ndarray, length: ndarray, row: ndarray, other: ndarray
 ) -> ndarray:
     """Half the way on which a vehicle's footprint is in the common area: its length and the other's width, slanted."""
-    cross = np.abs(way[row, 0] * way[other, 1] - way[row, 1] * way[other, 0]) / (length[row] * length[other])
-    return (column["length_m"][a[row]] + column["width_m"][a[other]] / np.maximum(cross, 0.5)) / 2
+    sine = np.abs(_cross(way[row], way[other])) / (length[row] * length[other])
+    slanted_m = column["width_m"][a[other]] / np.maximum(sine, 0.5)
+    return (column["length_m"][a[row]] + slanted_m) / 2
 
 
 def overlaps(run: Run, poses: pd.DataFrame | None = None, depth_m: float = 0.3) -> pd.DataFrame:
@@ -175,10 +191,12 @@ def overlaps(run: Run, poses: pd.DataFrame | None = None, depth_m: float = 0.3) 
         i, j = cKDTree(xy).query_pairs(reach.max(), output_type="ndarray").T
         close = np.hypot(*(xy[i] - xy[j]).T) < (reach[i] + reach[j]) / 2
         i, j = i[close], j[close]
-        hit = (_depth(at, xy, i, j) > depth_m) & (np.maximum(at["speed_mps"][i], at["speed_mps"][j]) > 0.5)
+        fastest_mps = np.maximum(at["speed_mps"][i], at["speed_mps"][j])
+        hit = (_depth(at, xy, i, j) > depth_m) & (fastest_mps > 0.5)
         a, b = at["actor"][i[hit]], at["actor"][j[hit]]
-        found.append(pd.DataFrame({"a": np.minimum(a, b), "b": np.maximum(a, b), "step": np.full(len(a), step)}))
-    frame = pd.concat(found, ignore_index=True) if found else pd.DataFrame({"a": [], "b": [], "step": []}, dtype=int)
+        found.append(pd.DataFrame({"a": np.minimum(a, b), "b": np.maximum(a, b), "step": step}))
+    nobody = pd.DataFrame({"a": [], "b": [], "step": []}, dtype=int)
+    frame = pd.concat(found, ignore_index=True) if found else nobody
     return frame.drop_duplicates(["a", "b"]).reset_index(drop=True)
 
 
@@ -192,8 +210,10 @@ def _depth(at: dict[str, ndarray], xy: ndarray, i: ndarray, j: ndarray) -> Float
             reach = np.zeros(len(i))
             for row in (i, j):
                 angle = at["yaw_rad"][row] - axis
-                reach += (np.abs(at["length_m"][row] * np.cos(angle)) + np.abs(at["width_m"][row] * np.sin(angle))) / 2
-            depth = np.minimum(depth, reach - np.abs(apart[:, 0] * np.cos(axis) + apart[:, 1] * np.sin(axis)))
+                by_length = np.abs(at["length_m"][row] * np.cos(angle))
+                by_width = np.abs(at["width_m"][row] * np.sin(angle))
+                reach += (by_length + by_width) / 2
+            depth = np.minimum(depth, reach - np.abs(turned_by(-axis, apart)[:, 0]))
     return depth
 
 
