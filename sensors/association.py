@@ -174,7 +174,9 @@ def _by_bucket(xyz, label, side, n_buckets, cell):
     """Rows by bucket of their cells and classes, and where each bucket begins; the cells are written."""
     start = np.zeros(n_buckets + 1, np.int64)
     for row in range(len(cell)):
-        cell[row, 0], cell[row, 1] = _cell(xyz[row, 0], side[label[row]]), _cell(xyz[row, 1], side[label[row]])
+        side_m = side[label[row]]
+        cell[row, 0] = _cell(xyz[row, 0], side_m)
+        cell[row, 1] = _cell(xyz[row, 1], side_m)
         start[_bucket(cell[row, 0], cell[row, 1], label[row], n_buckets) + 1] += 1
     for bucket in range(n_buckets):
         start[bucket + 1] += start[bucket]
@@ -312,7 +314,9 @@ def _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, out, room):
                         other = b.row[j]
                         if (is_same and other <= one) or (len(a.owner) and a.owner[i] == b.owner[j]):
                             continue
-                        square, iou, both = _square(a, i, b, j, x, y), 0.0, a.radius[i] + b.radius[j]
+                        square = _square(a, i, b, j, x, y)
+                        iou = 0.0
+                        both = a.radius[i] + b.radius[j]
                         if apart < both * both:
                             # Near the edge of the gate, agreement may count as none.
                             agreement = np.exp(-0.5 * square) if square < _WITHIN * most else 0.0
@@ -346,7 +350,8 @@ def _most_iou(a, i, b, j, x, y):
     across = _overlap(cos * y - sin * x, own[1], width)
     upright = _overlap(a.xyz[i, 2] - b.xyz[j, 2], own[2], other[2])
     common = along * across * upright
-    volume, other_volume = own[0] * own[1] * own[2], other[0] * other[1] * other[2]
+    volume = own[0] * own[1] * own[2]
+    other_volume = other[0] * other[1] * other[2]
     return common / (volume + other_volume - common)
 
 
@@ -362,13 +367,21 @@ def _square(a, i, b, j, x, y):
 
     What different sizes of the boxes explain along the axes of the longer box is not counted.
     """
-    cos, sin = (a.cos[i], a.sin[i]) if a.lwh[i, 0] >= b.lwh[j, 0] else (b.cos[j], b.sin[j])
-    along = _beyond(cos * x + sin * y, 0.5 * abs(a.lwh[i, 0] - b.lwh[j, 0]))
-    across = _beyond(cos * y - sin * x, 0.5 * abs(a.lwh[i, 1] - b.lwh[j, 1]))
-    x, y = cos * along - sin * across, sin * along + cos * across
-    xx, xy = a.variance[i, 0] + b.variance[j, 0], a.variance[i, 1] + b.variance[j, 1]
-    yy = a.variance[i, 2] + b.variance[j, 2]
-    return (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+    one, other = a.lwh[i], b.lwh[j]
+    if one[0] >= other[0]:
+        cos, sin = a.cos[i], a.sin[i]
+    else:
+        cos, sin = b.cos[j], b.sin[j]
+    along = _beyond(cos * x + sin * y, 0.5 * abs(one[0] - other[0]))
+    across = _beyond(cos * y - sin * x, 0.5 * abs(one[1] - other[1]))
+    x = cos * along - sin * across
+    y = sin * along + cos * across
+    own, its = a.variance[i], b.variance[j]
+    xx = own[0] + its[0]
+    xy = own[1] + its[1]
+    yy = own[2] + its[2]
+    square = yy * x * x - 2.0 * xy * x * y + xx * y * y
+    return square / (xx * yy - xy * xy)
 
 
 @inlined

@@ -79,7 +79,9 @@ def _bounds(steps, flat, nearest, farthest):
         column = np.uint64(min(TILE * t, n - TILE))
         for b in range(len(flat)):
             least, largest = nearest_and_farthest(steps, column, np.uint64(min(LANES * b, m - LANES)))
-            nearest[b, t], farthest[b, t], most = least * flat[b, 0], largest * flat[b, 1], max(most, largest)
+            nearest[b, t] = least * flat[b, 0]
+            farthest[b, t] = largest * flat[b, 1]
+            most = max(most, largest)
     return most
 
 
@@ -90,10 +92,14 @@ def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, sc
     x, y, z, cos, sin, half_l, half_w, half_h = box
     (nearest, farthest), (middle, half) = bounds, scratch
     error = 2e-5 + 2e-6 * (abs(x) + abs(y) + abs(z) + half_l + half_w + half_h)
-    b0, b1, t0, t1 = r0 // LANES, (r1 + LANES - 1) // LANES, a0 // TILE, (a1 + TILE - 1) // TILE
-    radius, distance = np.sqrt(half_l * half_l + half_w * half_w), np.sqrt(x * x + y * y)
-    least, most = np.float32(distance - radius - 3.0 * error), np.float32(distance + radius + 3.0 * error)
-    p, q = -(cos * x + sin * y), -(cos * y - sin * x)
+    b0, b1 = r0 // LANES, (r1 + LANES - 1) // LANES
+    t0, t1 = a0 // TILE, (a1 + TILE - 1) // TILE
+    radius = np.sqrt(half_l * half_l + half_w * half_w)
+    distance = np.sqrt(x * x + y * y)
+    least = np.float32(distance - radius - 3.0 * error)
+    most = np.float32(distance + radius + 3.0 * error)
+    p = -(cos * x + sin * y)
+    q = -(cos * y - sin * x)
     b1 = min(b1, m // LANES)  # whole blocks
     if distance + radius + abs(z) + half_h + error >= NO_RETURN * step_m:
         b1 = b0  # no return is not told from a range there
@@ -171,7 +177,8 @@ def _add_points(out, begin, end, given):
     n, m = range_steps.shape[1], len(cos_el)
     columns, slopes = columns_of(beams), slopes_of(beams)
     lengths = np.empty((2, len(flat), (n + TILE - 1) // TILE), np.float32)
-    bounds, scratch = (lengths[0], lengths[1]), (np.empty(n, np.float32), np.empty(n, np.float32))
+    bounds = lengths[0], lengths[1]
+    scratch = np.empty(n, np.float32), np.empty(n, np.float32)
     for i in range(begin, end):
         steps = range_steps[pairs.o[run[i]]]
         if run[i + 1] - run[i] > _FEW and n >= TILE and m >= LANES:
@@ -182,7 +189,8 @@ def _add_points(out, begin, end, given):
         for k in range(run[i], run[i + 1]):
             x, y, z, length, width, height, yaw = in_sensor_frame(pairs, k)
             half_l, half_w, half_h = 0.5 * length, 0.5 * width, 0.5 * height
-            radius, distance = np.sqrt(half_l * half_l + half_w * half_w), np.sqrt(x * x + y * y)
+            radius = np.sqrt(half_l * half_l + half_w * half_w)
+            distance = np.sqrt(x * x + y * y)
             close = distance - radius
             if abs(y) * edge[0] - x * edge[1] > radius or close > farthest:
                 continue  # beside the field of view, or behind all returns

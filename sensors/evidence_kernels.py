@@ -117,10 +117,11 @@ def _window(cos, sin, corner, plane):
         along, across = x * cos + y * sin, abs(y * cos - x * sin)
         slope = z / np.sqrt(x * x + y * y)
         sound = sound and across < _WIDEST * along
-        aside, low, high = max(aside, across / along if along > 0.0 else np.inf), min(low, slope), max(high, slope)
+        aside = max(aside, across / along if along > 0.0 else np.inf)
+        low, high = min(low, slope), max(high, slope)
         for p in range(4):
-            lies_on = (p == 0 and c < 2) or (p == 1 and c >= 2) or (p == 2 and c % 2 == 1) or (p == 3 and c % 2 == 0)
-            sound = sound and (lies_on or x * plane[p, 0] + y * plane[p, 1] + z * plane[p, 2] < 0.0)
+            lies_on = p == (0 if c < 2 else 1) or p == (2 if c % 2 == 1 else 3)
+            sound = sound and (lies_on or _is_behind(x, y, z, plane[p]))
     if not sound:
         return np.pi, -np.inf, np.inf
     # The side of a pyramid between two corners is a great circle: its slope is larger by 1 / cos of half its arc.
@@ -133,12 +134,14 @@ def _window(cos, sin, corner, plane):
 @inlined
 def in_frustum(x, y, z, plane):
     """Whether a point lies strictly inside the pyramid."""
-    return (
-        (x * plane[0, 0] + y * plane[0, 1] + z * plane[0, 2] < 0.0)
-        & (x * plane[1, 0] + y * plane[1, 1] + z * plane[1, 2] < 0.0)
-        & (x * plane[2, 0] + y * plane[2, 1] + z * plane[2, 2] < 0.0)
-        & (x * plane[3, 0] + y * plane[3, 1] + z * plane[3, 2] < 0.0)
-    )
+    is_inside = _is_behind(x, y, z, plane[0]) & _is_behind(x, y, z, plane[1])
+    return is_inside & _is_behind(x, y, z, plane[2]) & _is_behind(x, y, z, plane[3])
+
+
+@inlined
+def _is_behind(x, y, z, normal):
+    """Whether a point lies on the inner side of a plane through the origin."""
+    return x * normal[0] + y * normal[1] + z * normal[2] < 0.0
 
 
 def free_space(range_steps, step_m, beams, pairs, run, area, margin_m, least_share):

@@ -181,7 +181,8 @@ def _lines(
                         continue
                     # Bodies away from the line, or behind the body, hide nothing.
                     dx, dy = xyz[b, 0] - x, xyz[b, 1] - y
-                    if abs(cos * dy - sin * dx) > radius[b] or cos * dx + sin * dy - radius[b] > first:
+                    ahead, aside = cos * dx + sin * dy, cos * dy - sin * dx
+                    if abs(aside) > radius[b] or ahead - radius[b] > first:
                         continue
                     for k in range(bodies.ptr[b], bodies.ptr[b + 1]):
                         enter, leave = _crossed(bodies, k, x, y, cos, sin)
@@ -189,5 +190,6 @@ def _lines(
                             near = max(enter, 0.01)
                             hidden = max(hidden, (bodies.top_m[k] - z) / near, (bodies.top_m[k] - z) / leave)
                 line[pair, i, 0] = n_columns * _rows_between(slopes, hidden, top)
-                ends[pair, i, 0], ends[pair, i, 1] = x + first * cos, y + first * sin
+                ends[pair, i, 0] = x + first * cos
+                ends[pair, i, 1] = y + first * sin
                 ends[pair, i, 2] = max(z + 0.5 * (max(hidden, bottom) + top) * first, 0.1)

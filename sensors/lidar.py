@@ -342,8 +342,10 @@ def moved_m(
     """
     if s_per_rad == 0.0:
         return np.zeros((len(a), 3))
-    away_m, yaw = boxes.xyz_m[a] - poses.origin_m[o], boxes.yaw_rad[a]
-    azimuth = np.angle(np.exp(1j * (np.arctan2(away_m[:, 1], away_m[:, 0]) - poses.yaw_rad[o])))
+    away_m = boxes.xyz_m[a] - poses.origin_m[o]
+    yaw = boxes.yaw_rad[a]
+    bearing = np.arctan2(away_m[:, 1], away_m[:, 0])
+    azimuth = np.angle(np.exp(1j * (bearing - poses.yaw_rad[o])))
     along_m = speed_mps[a] * s_per_rad * azimuth
     return along_m[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(a))])
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
+from cosim.base.plane import turned_by
 from cosim.base.ragged import owner_of_rows
 from cosim.base.rows import Rows
 from sensors.boxes import Boxes
@@ -77,8 +78,8 @@ def merged(views: Views, yaw_rad: Float[ndarray, "n"]) -> Merged:
     hidden = np.full(len(begin), np.inf)
     np.minimum.at(hidden, group, 1.0 - v.n_returns / v.n_unoccluded)
     off_m = np.column_stack([mean(v.off_m[:, 0]), mean(v.off_m[:, 1])])
-    (x, y), cos, sin = (v.off_m - off_m[group]).T, np.cos(yaw_rad[v.actor]), np.sin(yaw_rad[v.actor])
-    variance = np.column_stack([mean((cos * x + sin * y) ** 2), mean((cos * y - sin * x) ** 2)])
+    along, across = turned_by(-yaw_rad[v.actor], v.off_m - off_m[group]).T
+    variance = np.column_stack([mean(along**2), mean(across**2)])
     larger_m = 2.0 * np.sqrt(np.maximum(variance, 0.0))
     seen = Observability(observer, actor, n.astype(np.int64), np.rint(n / (1.0 - hidden)), mean(v.range_m))
     return Merged(seen, off_m, larger_m, n_sweeps)

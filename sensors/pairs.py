@@ -59,7 +59,8 @@ def pairs_of(
     b
         Row of `boxes` of each pair; by default all rows in order.
     """
-    o, b = np.asarray(o, np.int64), np.arange(len(boxes)) if b is None else np.asarray(b, np.int64)
+    o = np.asarray(o, np.int64)
+    b = np.arange(len(boxes)) if b is None else np.asarray(b, np.int64)
     return ViewPairs(
         o, b, origin_m, np.cos(heading_rad), np.sin(heading_rad), heading_rad, boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad
     )
@@ -69,10 +70,15 @@ def pairs_of(
 def in_sensor_frame(pairs, k):
     """Centre (x, y, z), length, width, height and heading of the box of pair k in the frame of its sensor."""
     s, w = pairs.o[k], pairs.b[k]
-    dx, dy = pairs.xyz_m[w, 0] - pairs.origin_m[s, 0], pairs.xyz_m[w, 1] - pairs.origin_m[s, 1]
-    x, y = pairs.cos[s] * dx + pairs.sin[s] * dy, pairs.cos[s] * dy - pairs.sin[s] * dx
-    z, yaw = pairs.xyz_m[w, 2] - pairs.origin_m[s, 2], pairs.yaw_rad[w] - pairs.heading_rad[s]
-    return x, y, z, pairs.lwh_m[w, 0], pairs.lwh_m[w, 1], pairs.lwh_m[w, 2], yaw
+    dx = pairs.xyz_m[w, 0] - pairs.origin_m[s, 0]
+    dy = pairs.xyz_m[w, 1] - pairs.origin_m[s, 1]
+    cos, sin = pairs.cos[s], pairs.sin[s]
+    x = cos * dx + sin * dy
+    y = cos * dy - sin * dx
+    z = pairs.xyz_m[w, 2] - pairs.origin_m[s, 2]
+    yaw = pairs.yaw_rad[w] - pairs.heading_rad[s]
+    lwh_m = pairs.lwh_m
+    return x, y, z, lwh_m[w, 0], lwh_m[w, 1], lwh_m[w, 2], yaw
 
 
 def turned(pairs: ViewPairs) -> Boxes:

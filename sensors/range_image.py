@@ -53,10 +53,8 @@ def _of_actor(hits, pose, beams, columns, slopes, limit, a, xyz, radius, height,
     if a1 <= a0 and b1 <= b0:
         return 0, 0, n_columns
     within_limit = np.hypot(np.hypot(dx, dy) + radius, abs(xyz[a, 2] - z) + 0.5 * height) < limit
-    n, code = (
-        _seen_from(frame, window, bodies, a, farthest, x, y, z, cos, sin, columns),
-        Hit.ACTOR + a,
-    )
+    n = _seen_from(frame, window, bodies, a, farthest, x, y, z, cos, sin, columns)
+    code = Hit.ACTOR + a
     for turn in range(2):
         for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
             n_columns += 1
@@ -65,18 +63,13 @@ def _of_actor(hits, pose, beams, columns, slopes, limit, a, xyz, radius, height,
             for k in range(n):
                 if not (window[k, 0] <= c < window[k, 1] or window[k, 2] <= c < window[k, 3]):
                     continue
-                p, q, u, v, half_l, half_w = (
-                    frame[k, 0] - per_rad * beams.azimuth_rad[c],
-                    frame[k, 1],
-                    frame[k, 2],
-                    frame[k, 3],
-                    frame[k, 4],
-                    frame[k, 5],
-                )
-                enter, leave = rectangle(p, q, u * ca - v * sa, v * ca + u * sa, half_l, half_w)
+                row = frame[k]
+                p = row[0] - per_rad * beams.azimuth_rad[c]
+                u, v = row[2], row[3]
+                enter, leave = rectangle(p, row[1], u * ca - v * sa, v * ca + u * sa, row[4], row[5])
                 if leave <= max(enter, 0.0):
                     continue
-                first, s0, s1, last, t, bottom, top = profile(enter, leave, frame[k, 6], frame[k, 7], slopes)
+                first, s0, s1, last, t, bottom, top = profile(enter, leave, row[6], row[7], slopes)
                 one_by_one |= low < high and (last < low or high < first)  # a gap between two prisms
                 if not one_by_one:
                     low, high = (min(low, first), max(high, last)) if low < high else (first, last)
@@ -105,10 +98,16 @@ def _seen_from(frame, window, bodies, a, farthest, x, y, z, cos, sin, columns):
     first, end = bodies.ptr[a], bodies.ptr[a + 1]
     for k in range(first, end):
         p, q, u, v = in_prism_frame(bodies, k, x, y, cos, sin)
-        half_l, half_w, i = bodies.half_l_m[k], bodies.half_w_m[k], k - first
-        frame[i, 0], frame[i, 1], frame[i, 2], frame[i, 3], frame[i, 4], frame[i, 5] = p, q, u, v, half_l, half_w
-        frame[i, 6], frame[i, 7] = bodies.bottom_m[k] - z, bodies.top_m[k] - z
+        half_l, half_w = bodies.half_l_m[k], bodies.half_w_m[k]
+        row = frame[k - first]
+        row[0], row[1] = p, q
+        row[2], row[3] = u, v
+        row[4], row[5] = half_l, half_w
+        row[6] = bodies.bottom_m[k] - z
+        row[7] = bodies.top_m[k] - z
         reach = half_l + farthest
         a0, a1, b0, b1 = rectangle_columns(-p * u - q * v, p * v - q * u, u, -v, reach, half_w, columns)
-        window[i, 0], window[i, 1], window[i, 2], window[i, 3] = a0, a1, b0, b1
+        crossed = window[k - first]
+        crossed[0], crossed[1] = a0, a1
+        crossed[2], crossed[3] = b0, b1
     return end - first

@@ -179,8 +179,10 @@ def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weigh
             first = min(first, lists.group[p])
         for k in range(end - begin):
             at[lists.member[begin + k]] = k
-            room.num[k], room.den[k], room.n[k] = 0.0, 0.0, 0
-            room.group[k], room.last[k], room.n_evaluators[k] = lists.group[begin + k] - first, -1, 0
+            room.num[k] = room.den[k] = 0.0
+            room.n[k] = room.n_evaluators[k] = 0
+            room.last[k] = -1
+            room.group[k] = lists.group[begin + k] - first
         v = evaluated_by[ego]
         if v >= 0:
             _add(own, own.ptr[v], own.ptr[v + 1], 1.0 if unit_trust else known[ego], ego, at, room)
@@ -193,7 +195,9 @@ def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weigh
         for k in range(end - begin):
             d = lists.member[begin + k]
             at[d] = -1
-            g, s, t = first + room.group[k], lists.score[d], known[lists.message[d]]
+            g = first + room.group[k]
+            s = lists.score[d]
+            t = known[lists.message[d]]
             totals.size[g] += 1
             totals.scores[g] += s
             totals.trusted_scores[g] += s * t
@@ -204,8 +208,9 @@ def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weigh
             if room.n_evaluators[k] > 0:
                 totals.n_evaluators[first + k] = room.n_evaluators[k]
             if sums.num.size:
-                sums.num[begin + k], sums.den[begin + k] = room.num[k], room.den[k]
-                sums.n[begin + k], sums.detector[begin + k] = room.n[k], t
+                row = begin + k
+                sums.num[row], sums.den[row] = room.num[k], room.den[k]
+                sums.n[row], sums.detector[row] = room.n[k], t
         for h in range(received_ptr[x], received_ptr[x + 1]):
             known[received[h]] = default_trust
         known[ego] = default_trust

@@ -97,7 +97,8 @@ def _seeds_of_lists(
                 has_offer = offer_list[member[p]] == v
                 seed[p] = offer[member[p]] if has_offer else p
                 if one_per_vehicle:
-                    choice[p], choice_iou[p] = offer[member[p]] if has_offer else -1, offer_iou[member[p]]
+                    choice[p] = offer[member[p]] if has_offer else -1
+                    choice_iou[p] = offer_iou[member[p]]
             if one_per_vehicle:
                 _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, choice, choice_iou, winner, waiting)
             for p in range(s, t):
@@ -156,7 +157,9 @@ def _partners(i, j, value, n):
         ptr[j[k] + 1] += 1
     for d in range(n):
         ptr[d + 1] += ptr[d]
-    at, other, of = ptr[:-1].copy(), np.empty(2 * len(i), np.int32), np.empty(2 * len(i))
+    at = ptr[:-1].copy()
+    other = np.empty(2 * len(i), np.int32)
+    of = np.empty(2 * len(i))
     for k in range(len(i)):
         for a, b in ((i[k], j[k]), (j[k], i[k])):
             other[at[a]], of[at[a]] = b, value[k]

@@ -176,8 +176,9 @@ def _speed(
     age_s = (exchange.now.step - messages.detection_step(claim)) * parts.config.traffic.step_s
     of_claim += (np.asarray(p.acceleration_noise)[label] * age_s)[:, None]  # it may have accelerated since
     prior = np.column_stack([np.square(sigma)[label] for sigma in (p.along_sigma_mps, p.across_sigma_mps)])
-    x, y = (claimed_mps[claim] - known_mps).T
-    apart = np.column_stack([axis[:, 0] * x + axis[:, 1] * y, axis[:, 0] * y - axis[:, 1] * x])
+    east, north = (claimed_mps[claim] - known_mps).T
+    cos, sin = axis.T
+    apart = np.column_stack([cos * east + sin * north, cos * north - sin * east])
     tracked = np.flatnonzero(~np.isnan(apart).any(axis=1))
     support = velocity_support(apart[tracked], (variance + of_claim)[tracked], prior[tracked])
     kept = np.flatnonzero(messages.detections.is_self[claim[tracked]] | (support < 0))

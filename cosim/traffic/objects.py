@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
+from cosim.base.plane import wrapped
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fleet import ActorClass
 from cosim.traffic.frame import Frame
@@ -109,10 +110,9 @@ class Placed:
         xyz_m = np.concatenate([xyz_m, units.ground_m])
         xyz_m[:, 2] += lwh_m[:, 2] / 2
         yaw = np.concatenate([np.radians([o.yaw_deg for o in objects]), units.yaw_rad])
-        boxes = Boxes(
-            np.rint(xyz_m * PER_M) / PER_M, lwh_m, np.rint((np.pi - np.mod(np.pi - yaw, 2 * np.pi)) * PER_RAD) / PER_RAD
-        )
-        times = np.array([(o.from_s, o.to_s) for o in objects] + [(0.0, np.inf)] * n_units).reshape(-1, 2) / step_s
+        boxes = Boxes(np.rint(xyz_m * PER_M) / PER_M, lwh_m, np.rint(wrapped(yaw) * PER_RAD) / PER_RAD)
+        times_s = [(o.from_s, o.to_s) for o in objects] + [(0.0, np.inf)] * n_units
+        times = np.array(times_s).reshape(-1, 2) / step_s
         frame = replace(frame, source="objects.at_m" if objects else "roadside.at")
         frame.check(0, names, np.arange(len(names)), boxes.xyz_m, boxes.yaw_rad, np.zeros(len(names)))
         from_step, to_step = np.ceil(times - 1e-9).T

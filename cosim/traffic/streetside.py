@@ -14,6 +14,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.base.plane import turned_by
 from cosim.base.rng import Stream, key, name_key, uniforms
 from cosim.traffic.fleet import Probability
 from cosim.traffic.objects import TYPICAL_M, ObjectParams
@@ -127,7 +128,8 @@ class Streetside:
         """Feet of the trees, world frame. No trunk stands in a building, on a lane or in a junction."""
         found = self._places("trees", Stream.TREES, params.per_100_m, params.streets_p, tags=False)
         foot = self._beside(found, params.trunk_m / 2)
-        trunk = shapely.box(*(foot[:, :2] - params.trunk_m / 2).T, *(foot[:, :2] + params.trunk_m / 2).T)
+        half_m = params.trunk_m / 2
+        trunk = shapely.box(*(foot[:, :2] - half_m).T, *(foot[:, :2] + half_m).T)
         return foot[self._is_free(trunk, city, np.zeros(0, object))]
 
     def parked(self, city: Scene, params: ParkedParams) -> dict[str, ObjectParams]:
@@ -136,11 +138,9 @@ class Streetside:
         kind = np.where(found.draw < params.vans_p, "van", "car")
         size = np.array([TYPICAL_M[one] for one in kind.tolist()]).reshape(-1, 3)
         at = self._beside(found, size[:, 1] / 2)
-        cos, sin = np.cos(found.yaw_rad), np.sin(found.yaw_rad)
-        corners = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * size[:, None, :2] / 2
-        east = at[:, :1] + cos[:, None] * corners[..., 0] - sin[:, None] * corners[..., 1]
-        north = at[:, 1:2] + sin[:, None] * corners[..., 0] + cos[:, None] * corners[..., 1]
-        body = shapely.polygons(np.stack([east, north], axis=-1)) if len(at) else np.zeros(0, object)
+        signs = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
+        corners = turned_by(found.yaw_rad[:, None], signs * size[:, None, :2] / 2) + at[:, None, :2]
+        body = shapely.polygons(corners) if len(at) else np.zeros(0, object)
         trees, first = city.trees, city.trees.ptr[:-1]
         x = trees.x_m[first]
         y = trees.y_m[first]

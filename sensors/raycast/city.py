@@ -75,7 +75,8 @@ def close_columns(found, x, y, z, ground, cos, sin, city, beams, columns, neares
             n_flat += 1
         closing = max(beams.tan_el[-1], 0.0) / top if bottom <= ground - z and top > 0.0 else np.inf
         for e in range(city.ptr[k], city.ptr[k + 1]):
-            ax, ay, bx, by = city.ax_m[e] - x, city.ay_m[e] - y, city.bx_m[e] - x, city.by_m[e] - y
+            ax, ay = city.ax_m[e] - x, city.ay_m[e] - y
+            bx, by = city.bx_m[e] - x, city.by_m[e] - y
             if not (ax * by < ay * bx or within):
                 continue  # the back of a wall is visible only from inside
             p0, p1, q0, q1, u, v = wall(ax, ay, bx, by, cos, sin, columns)
@@ -95,8 +96,12 @@ def close_columns(found, x, y, z, ground, cos, sin, city, beams, columns, neares
                     is_open |= nearest[c] < w < closing
             if is_open:
                 entry = open_wall[n_open]
-                entry[0], entry[1], entry[2], entry[3], entry[4], entry[5] = p0, p1, q0, q1, u, v
-                entry[6], entry[7], entry[8] = max(bottom, ground - z), top, closing
+                entry[0], entry[1] = p0, p1
+                entry[2], entry[3] = q0, q1
+                entry[4], entry[5] = u, v
+                entry[6] = max(bottom, ground - z)
+                entry[7] = top
+                entry[8] = closing
                 n_open += 1
     return n_open, n_flat
 
@@ -110,7 +115,8 @@ def toggle_levels(toggled, city, k, height, x, y, cos, sin, beams, columns, slop
     """
     toggled[:] = 0
     for e in range(city.ptr[k], city.ptr[k + 1]):
-        ax, ay, bx, by = city.ax_m[e] - x, city.ay_m[e] - y, city.bx_m[e] - x, city.by_m[e] - y
+        ax, ay = city.ax_m[e] - x, city.ay_m[e] - y
+        bx, by = city.bx_m[e] - x, city.by_m[e] - y
         p0, p1, q0, q1, u, v = wall(ax, ay, bx, by, cos, sin, columns)
         for turn in range(2):
             for c in range(p0 if turn == 0 else q0, p1 if turn == 0 else q1):

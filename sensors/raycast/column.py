@@ -93,8 +93,10 @@ def spans(angle, half, columns):
         return 0, n, 0, 0
     low, high = (angle - half - first) / step, (angle + half - first) / step
     turn = 2.0 * np.pi / step if angle < 0.0 else -2.0 * np.pi / step
-    a0, a1 = max(0, int(np.ceil(low))), min(n, int(np.floor(high)) + 1)
-    b0, b1 = max(0, int(np.ceil(low + turn))), min(n, int(np.floor(high + turn)) + 1)
+    a0 = max(0, int(np.ceil(low)))
+    a1 = min(n, int(np.floor(high)) + 1)
+    b0 = max(0, int(np.ceil(low + turn)))
+    b1 = min(n, int(np.floor(high + turn)) + 1)
     return a0, max(a0, a1), b0, max(b0, b1)
 
 
@@ -113,8 +115,10 @@ def rectangle_columns(x, y, cos, sin, half_l, half_w, columns):
     Seen along its centre, no corner lies farther aside, and none nearer, than half the extents of the rectangle in
     these directions.
     """
-    along, across = abs(cos * x + sin * y), abs(cos * y - sin * x)
-    aside, near = half_l * across + half_w * along, x * x + y * y - half_l * along - half_w * across
+    along = abs(cos * x + sin * y)
+    across = abs(cos * y - sin * x)
+    aside = half_l * across + half_w * along
+    near = x * x + y * y - half_l * along - half_w * across
     half = np.arctan(aside / near) + MARGIN_RAD if near > 0.0 else np.pi
     return spans(np.arctan2(y, x), half, columns)
 
@@ -124,7 +128,9 @@ def in_prism_frame(bodies, k, x, y, cos, sin):
     """A point, and a heading (cos, sin), in the frame of prism k."""
     dx, dy = x - bodies.x_m[k], y - bodies.y_m[k]
     u, v = bodies.cos[k], bodies.sin[k]
-    return u * dx + v * dy, u * dy - v * dx, cos * u + sin * v, sin * u - cos * v
+    p = u * dx + v * dy
+    q = u * dy - v * dx
+    return p, q, cos * u + sin * v, sin * u - cos * v
 
 
 @kernel
