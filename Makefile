@@ -44,8 +44,9 @@ docs: $(TESTS) $(VENV)/.docs  ## The documentation site, in build/site; warnings
 bench: $(TESTS)  ## Measure speed, with other implementations in the same run
 	$(BIN)/python -m tests.bench
 
+EXTRAS = $(shell sed -n '/^.project.optional-dependencies/,/^$$/s/^\([a-z0-9]*\) = .*/\1/p' pyproject.toml)
 extra: $(READY)  ## Install one of the extras of pyproject.toml: make extra NAME=open3d
-	@test -n "$(NAME)" || { echo "say which: make extra NAME=open3d (or embree, view, mesh, build)"; exit 2; }
+	@case " $(EXTRAS) " in *" $(NAME) "*) ;; *) echo "no extra \"$(NAME)\". Say which: $(EXTRAS)"; exit 2;; esac
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[$(NAME)]"
 
 LOCK := echo "setuptools>=77" | uv pip compile -q pyproject.toml - --universal --python-version 3.11 --no-emit-index-url --no-header --generate-hashes

@@ -103,7 +103,8 @@ class EncounterTracker:
     `close` is censored on the right (also during a break that may still be bridged), and so lasts at least
     as long as its duration says. An actor that leaves the simulation ends its encounters: that is
     no censoring, because the pair no longer exists; `departed` marks them for another convention.
-    The end of a pair's last encounter is remembered while both are on the road.
+    The end of a pair's last encounter is remembered while both are on the road, or for good if `appearance` is
+    "censors".
 
     With `n_variants` trust variants, columns of trust are arrays (encounter, variant): `by_variant` takes them apart.
 
@@ -370,7 +371,7 @@ class EncounterTracker:
         pair, end = _latest(*self._pending, self._pair[over], self._live["end"][self._slot[over]])
         if len(pair) > _PENDING:
             pair, end = _latest(*self._past, pair, end)
-            here = np.isin(pair >> 32, self._present) & np.isin(pair & 0xFFFFFFFF, self._present)
+            here = np.isin(pair >> 32, self._present) & np.isin(pair & 0xFFFFFFFF, self._present) | self._censors
             self._past = (pair[here], end[here])
             pair, end = pair[:0], end[:0]
         self._pending = (pair, end)

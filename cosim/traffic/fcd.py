@@ -78,15 +78,31 @@ PROJECTION = b"cosim.projection"
 """Key of the metadata of a Parquet file: latitude and longitude of the middle of a map in metres."""
 
 
+OBSERVED = b"cosim.observed"
+"""Key of the metadata of a trace of `cosim trace`: its actors come into view and leave it, and no timestep is lost."""
+
+
 def projection_of(path: Path) -> Projection | None:
     """The projection of positions that `cosim trace` was given in degrees. None for any other trace."""
-    if not path.name.endswith(".parquet"):
-        return None
     try:
-        text = (pq.read_schema(path).metadata or {}).get(PROJECTION)
+        text = _metadata(path).get(PROJECTION)
         return None if text is None else Projection(*map(float, text.decode().split()))
-    except (pa.ArrowException, OSError, ValueError, TypeError):
+    except (ValueError, TypeError):
         return None
+
+
+def is_observed(path: Path) -> bool:
+    """Whether `cosim trace` made the trace."""
+    return OBSERVED in _metadata(path)
+
+
+def _metadata(path: Path) -> dict[bytes, bytes]:
+    if not path.name.endswith(".parquet"):
+        return {}
+    try:
+        return pq.read_schema(path).metadata or {}
+    except (pa.ArrowException, OSError):
+        return {}
 
 
 def _xml(path: Path) -> Iterator[Timestep]:

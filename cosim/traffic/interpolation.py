@@ -44,7 +44,8 @@ class Timeline:
     the actor's headings and speeds at both ends. Heading and speed change linearly.
 
     A time without a timestep was an empty road if the actors before it do not come back after it, because SUMO writes
-    no rows for an empty road. Otherwise the recording has lost the timestep.
+    no rows for an empty road. Otherwise the recording has lost the timestep. In a trace of recorded positions, nobody
+    was seen then.
 
     Parameters
     ----------
@@ -56,12 +57,17 @@ class Timeline:
         Interval of the trace [s].
     step_s
         Interval of the times that are asked for [s].
+    is_complete
+        Whether no timestep is lost.
     """
 
-    def __init__(self, source: str, timesteps: Iterator[Timestep], every_s: float, step_s: float) -> None:
+    def __init__(
+        self, source: str, timesteps: Iterator[Timestep], every_s: float, step_s: float, is_complete: bool = False
+    ) -> None:
         self._source, self._timesteps, self._every_s = source, timesteps, every_s
         self._tolerance_s = _TOLERANCE * min(every_s, step_s)
-        self._longest_s = max(_LONG * every_s, LONGEST_S + self._tolerance_s)
+        self._is_complete = is_complete
+        self._longest_s = max(_LONG * every_s, 0.0 if is_complete else LONGEST_S + self._tolerance_s)
         steps = step_s / every_s
         self.is_between = abs(steps - round(steps)) > 0.01 * max(1.0, steps) or steps < 0.5
         """Whether steps fall between timesteps by themselves."""
@@ -105,7 +111,7 @@ class Timeline:
 
     def _check_gap(self, before: Timestep, after: Timestep, way: "_Way") -> None:
         took_s, n = after.time_s - before.time_s, len(before.names)
-        if took_s > self._longest_s and n and len(way) >= _GOES_ON_P * n:
+        if took_s > self._longest_s and not self._is_complete and n and len(way) >= _GOES_ON_P * n:
             raise TrafficError(
                 f"{self._source}: no timestep between {before.time_s:g} s and {after.time_s:g} s, although {len(way)} "
                 f"of {n} actors are there before and after: the recording has a gap, or its interval of "

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
+SHORTEST_STEP_S = 0.02
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrafficParams:
@@ -34,7 +36,7 @@ class TrafficParams:
     """How vehicles accelerate, follow and brake. `scenario`: as the scenario's vehicle types say. `calibrated`: by the
     Intelligent Driver Model with published parameters of city traffic, which brakes hard about as often as measured
     drivers. Sizes, speeds and routes stay. Traces are not changed."""
-    step_s: Annotated[float, Ge(0.02), Le(60)] = 1.0
+    step_s: Annotated[float, Ge(SHORTEST_STEP_S), Le(60)] = 1.0
     """Length of one traffic step [s]. If it is not set, the step length of the .sumocfg is used; for a trace, 1 s."""
 
 

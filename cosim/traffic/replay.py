@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.traffic.actors import ActorRegistry
-from cosim.traffic.fcd import Timestep, projection_of, timesteps
+from cosim.traffic.fcd import Timestep, is_observed, projection_of, timesteps
 from cosim.traffic.frame import Frame, TrafficError
 from cosim.traffic.georeference import NetLocation, TravelCheck, conversion
 from cosim.traffic.identity import LEFT_OUT, UNKNOWN, Identities, TypeTable
@@ -105,7 +105,8 @@ class TraceReplay(_Replay):
                 "trace with shorter timesteps."
             )
         self._travel = TravelCheck(str(path))
-        self._timeline = Timeline(str(path), self._placed_of(chain(ahead, self._read)), every_s, self._dt_s)
+        read = self._placed_of(chain(ahead, self._read))
+        self._timeline = Timeline(str(path), read, every_s, self._dt_s, is_observed(path))
         self._first_s = ahead[0].time_s
         self._begin_s = self._first_s if params.begin_s is None else params.begin_s
         self._asked_begin = params.begin_s is not None

@@ -116,7 +116,7 @@ def contacts(
         typer.Option(
             rich_help_panel=MORE,
             help="What the first and the last position of a vehicle mean: it enters and leaves the road (ends), or "
-            "observation begins and ends (censors). The default is ends for traces of SUMO's and runs.",
+            "observation begins and ends (censors). The default is ends for traces that SUMO wrote and runs.",
         ),
     ] = None,
     from_s: Annotated[
@@ -129,7 +129,7 @@ def contacts(
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
-    """Count encounters in a trace. `measure`, `plot encounters` and `judge` read the folder."""
+    """Count encounters in a trace. `measure`, `plot encounters` and `compare encounters` read the folder."""
     from cosim.addons.traces.contacts import ContactParams
     from cosim.addons.traces.contacts import contacts as count
     from cosim.addons.traces.units import LENGTH_M, TIME_S

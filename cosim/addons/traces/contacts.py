@@ -24,7 +24,7 @@ from cosim.runs.manifest import versions
 from cosim.runs.source import source
 from cosim.step.trackers.encounters import PairSearch, update_encounters
 from cosim.traffic.actors import ActorRegistry
-from cosim.traffic.fcd import timesteps
+from cosim.traffic.fcd import is_observed, timesteps
 from cosim.traffic.fleet import FleetParams
 from cosim.traffic.interpolation import interval_s
 from cosim.traffic.objects import ObjectParams
@@ -59,7 +59,7 @@ class ContactParams:
     """A faster motion between two positions is a jump, at which observation ends and begins anew [m/s]."""
     appearance: Appearance | None = None
     """What an actor's first and last position mean. None: that it enters and leaves the road in a trace that SUMO
-    wrote and in a run, and that observation begins and ends elsewhere."""
+    wrote and in a run, and that observation begins and ends elsewhere, as in a trace of `cosim trace`."""
     from_s: float | None = None
     """Time of the trace at which counting begins [s]."""
     to_s: float | None = None
@@ -182,6 +182,8 @@ def _of_sumo(paths: Sequence[Path], params: ContactParams, out: Path | None, adv
     step_s = params.step_s or _sumo_step_s(paths[0])
     traffic = TrafficParams(scenario=params.scenario or named, trace=named, step_s=step_s, begin_s=params.from_s)
     registry = ActorRegistry(params.fleet, params.seed)
+    if params.appearance is None and is_observed(paths[0]):
+        params = replace(params, appearance="censors")
     return _of_traffic(scenario, traffic, registry, params, paths, out, advance, step_s)
 
 
@@ -290,8 +292,9 @@ def _of_positions(paths: Sequence[Path], params: ContactParams, out: Path | None
     read = positions.read(
         paths, params.columns, params.frame_hz, params.repair, params.time_unit_s, params.length_unit_m
     )
-    fixes = _cut(read, params, paths[0])
-    step_s = params.step_s or tracks.own_step_s(fixes)
+    fixes, step_s = _cut(read, params, paths[0]), params.step_s
+    if step_s is None:
+        fixes, step_s = tracks.on_own_steps(fixes)
     track_params = TrackParams(step_s, params.max_gap_s, params.max_speed_mps)
     try:
         found = tracks.tracks(fixes, track_params)
@@ -302,16 +305,17 @@ def _of_positions(paths: Sequence[Path], params: ContactParams, out: Path | None
     # city.
     params = replace(params, encounters=tuple(replace(p, los="buildings") for p in params.encounters))
     name = _plain_name(paths[0])
-    rows = _track_rows(fixes, found)
+    number, rows = _vehicles_of(fixes, found)
     on_foot = rows["vehicle_class"] == Shape.PEDESTRIAN
     with _Folder(out, name, params, step_s, appearance, max(_BLOCK_STEPS, found.n_steps // 200)) as counted:
         for here in tracks.steps(fixes, found, step_s):
             closed = []
             for tracker, p in zip(counted.trackers, params.encounters, strict=True):
-                use = slice(None) if p.pedestrians else ~on_foot[here.track]
-                track = here.track[use]
-                a, b, distance_m = _near(track, here.xy_m[use], p.radius_m)
-                closed.append(tracker.update(here.step, a, b, distance_m, np.ones(len(a), bool), track)[0])
+                vehicle = number[here.track]
+                use = np.argsort(vehicle)
+                use = use if p.pedestrians else use[~on_foot[vehicle[use]]]
+                a, b, distance_m = _near(vehicle[use], here.xy_m[use], p.radius_m)
+                closed.append(tracker.update(here.step, a, b, distance_m, np.ones(len(a), bool), vehicle[use])[0])
             counted.add(here.step, closed, len(here.track))
             if here.step % 100 == 99 or here.step + 1 == found.n_steps:
                 advance("contacts", here.step + 1, found.n_steps, f"{len(here.track)} vehicles")
@@ -390,12 +394,18 @@ def _vehicles(registry: ActorRegistry) -> dict[str, ndarray | None]:
     )
 
 
-def _track_rows(fixes: Fixes, found: tracks.PositionTracks) -> dict[str, Any]:
-    """The same for tracks."""
+def _vehicles_of(fixes: Fixes, found: tracks.PositionTracks) -> tuple[Int[ndarray, "s"], dict[str, Any]]:
+    """Number of the vehicle of each track, in the order of first tracks, and the same columns."""
+    number_of = {name: number for number, name in enumerate(dict.fromkeys(found.names))}
+    number = np.array([number_of[name] for name in found.names])
+    first = np.unique(number, return_index=True)[1]
+    last_step = np.zeros(len(number_of), np.int64)
+    np.maximum.at(last_step, number, found.last_step)
+    actor = found.actor[first]
     lwh_m = np.array([kind.lwh_m for kind in fixes.types])
-    return _vehicle_columns(
-        found.names, fixes.shape[found.actor], lwh_m[found.actor], np.zeros(len(found.names), bool), found.first_step,
-        found.last_step,
+    return number, _vehicle_columns(
+        list(number_of), fixes.shape[actor], lwh_m[actor], np.zeros(len(first), bool), found.first_step[first],
+        last_step,
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from cosim.addons.traces.positions import Fixes
 from cosim.addons.traces.tracks import Positions, PositionTracks, TrackParams, steps, tracks
 from cosim.base import durable
 from cosim.base.durable import PARTIAL
-from cosim.traffic.fcd import PROJECTION, Timestep
+from cosim.traffic.fcd import OBSERVED, PROJECTION, Timestep
 from cosim.traffic.frame import TrafficError
 from cosim.traffic.source import class_counts
 
@@ -119,12 +119,10 @@ def timesteps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Ti
 def _first_direction(fixes: Fixes, found: PositionTracks) -> Float[ndarray, "s 2"]:
     """Unit vector from the first position of each track to the first one that is far enough; north where none is."""
     fix = found.link_fix
-    after = np.minimum(fix + 1, len(fixes.time_s) - 1)
+    after = fix + found.is_joined
     first = np.full(len(found.names), len(fixes.time_s))
     np.minimum.at(first, found.link_track, fix)
-    same = fixes.actor[after] == fixes.actor[fix]
-    start_m = fixes.xy_m[first[found.link_track]]
-    moved_m = np.where(same[:, None], fixes.xy_m[after] - start_m, 0.0)
+    moved_m = fixes.xy_m[after] - fixes.xy_m[first[found.link_track]]
     distance_m = np.hypot(*moved_m.T)
     moves = np.flatnonzero(distance_m > _TURNS_M)[::-1]  # the first of each track is written last
     direction = np.tile([0.0, 1.0], (len(found.names), 1))
@@ -135,7 +133,9 @@ def _first_direction(fixes: Fixes, found: PositionTracks) -> Float[ndarray, "s 2
 def _write(of: Iterator[Timestep], path: Path, fixes: Fixes) -> None:
     writer, rows, n_rows = None, list[pa.Table](), 0
     at = fixes.projection
-    about = None if at is None else {PROJECTION: f"{at.latitude_deg!r} {at.longitude_deg!r}".encode()}
+    about = {OBSERVED: b""}
+    if at is not None:
+        about[PROJECTION] = f"{at.latitude_deg!r} {at.longitude_deg!r}".encode()
     try:
         for timestep in chain(of, [None]):
             if timestep is not None and timestep.names:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -25,6 +26,7 @@ from cosim.addons.traces.commands import (
     found_lines,
 )
 from cosim.cli.console import AsJson, notes, print_done
+from cosim.traffic.params import SHORTEST_STEP_S
 
 if TYPE_CHECKING:
     from cosim.base.earth import Projection
@@ -68,7 +70,6 @@ def trace(
     from cosim.addons.traces import positions, tracks
     from cosim.addons.traces.from_positions import write_trace
     from cosim.addons.traces.units import LENGTH_M, TIME_S
-    from cosim.config.config import load
 
     if out.suffix != ".parquet":
         raise ValueError(f"--out {out}: the trace is a Parquet file. Give a name that ends in .parquet.")
@@ -87,20 +88,42 @@ def trace(
         files, columns, frame_hz, repair, TIME_S.get(time_unit or ""), LENGTH_M.get(length_unit or ""),
         _projection(scenario),
     )  # fmt: skip
-    step_s = step_s or tracks.own_step_s(fixes)
+    if step_s is None:
+        fixes, step_s = tracks.on_own_steps(fixes)
     report = write_trace(fixes, tracks.TrackParams(step_s, max_gap_s, max_speed_mps), out)
     if fixes.repaired:
         said = ", ".join(f"{n:,} {reason}" for reason, n in fixes.repaired.items())
         notes.print(f"note: rows left out or sorted: {said}.", soft_wrap=True)
-    # Vehicles cannot sense at moments of their own if a step is as long as their interval.
-    phase = "" if step_s < load(None, []).sensing_interval_s else " --set sensing_phase=common"
     text = (
         f"wrote {out}: {report['actors']:,} vehicles, {report['steps']:,} steps of {step_s:g} s, "
-        f"{100 * report['interpolated_share']:.0f} % of the positions interpolated; {report['tracks']:,} tracks after "
-        f"{report['gaps']:,} gaps and {report['jumps']:,} jumps; {'; '.join(found_lines(report))}. Run it with: cosim "
-        f"run --set traffic.scenario={out} --set traffic.step_s={step_s:g}{phase}"
+        f"{100 * report['interpolated_share']:.0f} % of the positions interpolated{_left_out(report, step_s)}; "
+        f"{report['tracks']:,} tracks after {report['gaps']:,} gaps and {report['jumps']:,} jumps; "
+        f"{'; '.join(found_lines(report))}. A run takes who comes into view for one that enters the road. Run it with: "
+        f"cosim run --set traffic.scenario={out}{_steps(step_s)}"
     )
     print_done({"out": str(out), "step_s": step_s, **report}, text, as_json)
+
+
+def _left_out(report: dict[str, Any], step_s: float) -> str:
+    """What is said if most positions lie between two steps."""
+    median_s = report["interval_median_s"]
+    if not 0 < median_s < step_s / 2:
+        return ""
+    return f", of positions {median_s:g} s apart (median) the others left out: a smaller --step-s keeps them"
+
+
+def _steps(step_s: float) -> str:
+    """Options of a run with steps of the trace, or the least multiple that a run can have."""
+    from cosim.config.config import load
+
+    run_step_s = float(f"{step_s * max(1, math.ceil(SHORTEST_STEP_S / step_s - 1e-9)):.12g}")
+    usual_s = load(None, []).sensing_interval_s
+    n = max(1, round(usual_s / run_step_s))
+    interval_s = n * run_step_s
+    sensing = "" if abs(usual_s / run_step_s - n) < 1e-9 else f" --set sensing_interval_s={interval_s:.12g}"
+    # Vehicles cannot sense at moments of their own if a step is as long as their interval.
+    phase = " --set sensing_phase=common" if n == 1 else ""
+    return f" --set traffic.step_s={run_step_s:.12g}{sensing}{phase}"
 
 
 def _projection(scenario: str | None) -> Projection | None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -35,7 +35,8 @@ class PositionTracks:
     """S tracks, numbered by their first step and name, made of L links between positions that follow each other."""
 
     names: list[str]
-    """Name of each track: that of its actor, and `/2`, `/3` ... after a gap."""
+    """Name of the vehicle of each track: that of the actor, and `/2`, `/3` ... where it cannot have driven there.
+    Tracks of one name are one vehicle, which is not seen in between."""
     actor: Int[ndarray, "s"]
     """Row of `Fixes.names`."""
     first_step: Int[ndarray, "s"]
@@ -47,6 +48,8 @@ class PositionTracks:
     """First step of the link; links are sorted by it."""
     link_end: Int[ndarray, "l"]
     """One past its last step."""
+    is_joined: Bool[ndarray, "l"]
+    """Whether the link reaches the next position of its actor."""
     n_steps: int
     report: dict[str, float]
 
@@ -69,15 +72,31 @@ def check_options(step_s: float | None, max_gap_s: float, max_speed_mps: float, 
             raise ValueError(f"--{name.replace('_', '-')} {value:g}: a finite number above {least:g} is needed.")
 
 
-def own_step_s(fixes: Fixes) -> float:
-    """The interval of a trace, if all its times are multiples of one; otherwise 1 s."""
+def on_own_steps(fixes: Fixes) -> tuple[Fixes, float]:
+    """The positions with times that are multiples of a step, if they are so but for rounding, and that step.
+
+    Otherwise the positions as they are, and 1 s.
+    """
     took_s = np.diff(fixes.time_s)[np.diff(fixes.actor) == 0]
-    if not len(took_s):
-        return COMMON_STEP_S
-    step_s = float(took_s.min())
-    steps = fixes.time_s / step_s
-    is_common = step_s >= 1e-3 and np.abs(steps - np.round(steps)).max() < 1e-3
-    return round(step_s, 6) if is_common and step_s <= COMMON_STEP_S else COMMON_STEP_S
+    least_s = float(took_s.min(initial=math.inf))
+    if not 1e-3 <= least_s <= COMMON_STEP_S:
+        return fixes, COMMON_STEP_S
+    near_s = took_s[took_s < 5 * least_s]
+    number = np.round(fixes.time_s * (np.round(near_s / least_s).sum() / near_s.sum()))
+    about_s = float((fixes.time_s @ number) / (number @ number))
+    for step_s in (round(about_s, 3), 1 / round(1 / about_s), round(about_s, 6), about_s):
+        time_s = np.round(fixes.time_s / step_s) * step_s
+        if np.abs(time_s - fixes.time_s).max() < _spare_s(fixes.time_s, step_s):
+            return replace(fixes, time_s=time_s), step_s
+    return fixes, COMMON_STEP_S
+
+
+def _spare_s(time_s: Float[ndarray, "n"], step_s: float) -> float:
+    """By how much times can miss steps, because a file rounds them [s]."""
+    for unit_s in (0.01, 0.001):
+        if np.abs(time_s - np.round(time_s / unit_s) * unit_s).max() < 1e-6:
+            return max(1e-3 * step_s, min(0.6 * unit_s, 0.2 * step_s))
+    return 1e-3 * step_s
 
 
 def tracks(fixes: Fixes, params: TrackParams) -> PositionTracks:
@@ -123,8 +142,8 @@ def tracks(fixes: Fixes, params: TrackParams) -> PositionTracks:
     np.maximum.at(last_step, of, end[links] - 1)
     start = np.r_[True, np.diff(track) > 0]
     actor = fixes.actor[start][codes]
-    nth = np.arange(len(codes)) - np.searchsorted(actor, actor)  # tracks of an actor follow each other
-    names = [fixes.names[a] + (f"/{k + 1}" if k else "") for a, k in zip(actor.tolist(), nth.tolist(), strict=True)]
+    last_fix = np.r_[np.flatnonzero(start)[1:], n] - 1
+    names = _names(fixes, params, np.flatnonzero(start)[codes], last_fix[codes])
     order = sorted(range(len(codes)), key=lambda i: (int(first_step[i]), names[i]))
     number = np.empty(len(codes), np.int64)
     number[order] = np.arange(len(codes))
@@ -138,9 +157,43 @@ def tracks(fixes: Fixes, params: TrackParams) -> PositionTracks:
         link_fix=links[by_step],
         link_first=first[links][by_step],
         link_end=end[links][by_step],
+        is_joined=linked[links][by_step],
         n_steps=int(last_step.max()) + 1,
         report=_report(fixes, params, linked, (took_s, gone_m), (is_gap, is_jump), (links, first, end)),
     )
+
+
+def _names(fixes: Fixes, params: TrackParams, first_fix: Int[ndarray, "s"], last_fix: Int[ndarray, "s"]) -> list[str]:
+    """Name of the vehicle of each track: one that the actor has already, if that one can have driven there.
+
+    Parameters
+    ----------
+    first_fix, last_fix
+        First and last position of each track. Tracks of an actor follow each other.
+    """
+    taken, names = set(fixes.names), list[str]()
+    last_of = dict[str, int]()
+    actor, n = -1, 1
+    for first, last in zip(first_fix.tolist(), last_fix.tolist(), strict=True):
+        if fixes.actor[first] != actor:
+            actor, n, last_of = int(fixes.actor[first]), 1, {}
+            name = fixes.names[actor]
+        else:
+            reached = (known for known, at in last_of.items() if _can_drive(fixes, params, at, first))
+            name = next(reached, "")
+        while not name:
+            n += 1
+            another = f"{fixes.names[actor]}/{n}"
+            name = "" if another in taken else another
+        names.append(name)
+        last_of[name] = last
+    return names
+
+
+def _can_drive(fixes: Fixes, params: TrackParams, before: int, after: int) -> bool:
+    way_m = math.hypot(*(fixes.xy_m[after] - fixes.xy_m[before]).tolist())
+    took_s = float(fixes.time_s[after] - fixes.time_s[before])
+    return way_m <= params.max_speed_mps * took_s + 1e-9
 
 
 def _check_links(

@@ -117,7 +117,7 @@ def test_gaps_censor(tmp_path):
     rows = [(who, t, x, 0) for t in [*range(10), *range(50, 60)] for who, x in (("a", 0), ("b", 10))]
     one = count([trace(tmp_path, rows)], tmp_path / "o", max_gap_s=30.0).encounters
     assert one[["start_step", "end_step"]].to_numpy().tolist() == [[0, 10], [50, 60]]
-    assert one.censored_left.all() and one.censored_right.all() and one.gap_s.isna().all()
+    assert one.censored_left.all() and one.censored_right.all() and one.gap_s.tolist()[1:] == [40]
     joined = count([trace(tmp_path, rows)], tmp_path / "p", max_gap_s=60.0).encounters
     assert joined[["start_step", "end_step"]].to_numpy().tolist() == [[0, 60]]
     ended = count([trace(tmp_path, rows)], tmp_path / "q", appearance="ends").encounters

@@ -72,7 +72,7 @@ def test_slow_actors_at_25_hz_look_where_they_go(tmp_path):
     assert np.abs(compass[t > 4.4]).max() < 1e-6  # then north
 
 
-def test_gaps_make_tracks_of_their_own_and_classes_give_sizes(tmp_path):
+def test_one_vehicle_goes_on_after_a_gap_and_classes_give_sizes(tmp_path):
     rows = pd.DataFrame({
         "id": ["a"] * 6 + ["w"] * 4, "time": [0, 1, 2, 100, 101, 102, 0, 1, 2, 3],
         "x": [0, 10, 20, 500, 510, 520, 0, 0, 0, 0], "y": [0.0] * 6 + [0, 1, 2, 3],
@@ -80,10 +80,54 @@ def test_gaps_make_tracks_of_their_own_and_classes_give_sizes(tmp_path):
     })  # fmt: skip
     found, report = written(tmp_path, rows, TrackParams(1.0, 30.0))
     assert report["actors"] == 2 and report["tracks"] == 3 and report["gaps"] == 1
-    assert {name for step in found for name in step.names} == {"a", "a/2", "w"}
+    assert {name for step in found for name in step.names} == {"a", "w"}
     first = dict(zip(found[0].names, found[0].front_m[:, :2].tolist(), strict=True))
     assert first["a"] == pytest.approx([7.1 / 2, 0]) and first["w"] == pytest.approx([0, 0.215 / 2])
     assert [step.time_s for step in found] == [0, 1, 2, 3, 100, 101, 102]
+
+
+def test_who_stands_after_a_gap_does_not_look_to_where_it_is_later(tmp_path):
+    rows = pd.DataFrame({"id": "a", "time": [0, 1, 2, 100, 101], "x": [0.0, 0, 0, -500, -500], "y": 0.0})
+    assert {step.compass_deg[0] for step in written(tmp_path, rows, TrackParams(1.0, 30.0))[0]} == {0.0}
+
+
+def test_a_run_takes_a_vehicle_after_a_gap_for_the_same(tmp_path):
+    """Two stand side by side and are not seen for 45 s, in which the road is empty. Equipment goes by name."""
+    at_s = [*range(20), *range(64, 80)]
+    rows = pd.DataFrame({"id": np.repeat(["a", "b"], len(at_s)), "time": at_s * 2, "x": 0, "y": 0})
+    rows.assign(y=np.where(rows.id == "a", 0, 20)).to_csv(tmp_path / "p.csv", index=False)
+    made = cosim("trace", "p.csv", "--out", "t.parquet", cwd=tmp_path)
+    assert made.returncode == 0 and "4 tracks after 2 gaps" in made.stdout, made.stderr
+    keys = ("traffic.scenario=t.parquet", "sensing=false", 'encounters=[{pairs="all"}]')
+    ran = cosim("run", *(w for key in keys for w in ("--set", key)), "--out", "run", cwd=tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    run = open_run(tmp_path / "run")
+    assert run.vehicles.sumo_id.tolist() == ["a", "b"] and run.encounters.gap_s.tolist()[1] == 44
+    for name in ("p.csv", "t.parquet"):
+        met = cosim("contacts", name, "--out", name[0], cwd=tmp_path)
+        assert met.returncode == 0, met.stderr
+        found = open_run(tmp_path / name[0])
+        assert found.encounters[["start_step", "end_step"]].to_numpy().tolist() == [[0, 20], [64, 80]]
+        assert found.encounters.gap_s.tolist()[1] == 44 and len(found.vehicles) == 2
+        assert found.encounters.censored_left.all() and found.encounters.censored_right.all()
+
+
+@pytest.mark.parametrize("hz", [60, 30000 / 1001, 12.5, 10 / 3, 1, 0.4])
+def test_the_command_that_is_printed_can_be_run(tmp_path, hz):
+    t = np.arange(0, 8, 1 / hz)
+    pd.DataFrame({"id": "a", "time": t, "x": 10 * t, "y": 0.0}).to_csv(tmp_path / "p.csv", index=False)
+    made = cosim("trace", "p.csv", "--out", "t.parquet", *(("--step-s", "2.5") if hz < 1 else ()), cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    words = made.stdout.partition("cosim run ")[2].split()
+    few = ("--set", "traffic.duration_s=2.5", "--set", "fleet.penetration_p=0", "--out", "run")
+    ran = cosim("run", *words, *few, cwd=tmp_path)
+    assert ran.returncode == 0, ran.stderr
+
+
+def test_positions_that_are_left_out_are_said(tmp_path):
+    t = np.cumsum(np.random.default_rng(3).uniform(0.05, 0.1, 200))
+    pd.DataFrame({"id": "a", "time": t, "x": 10 * t, "y": 0.0}).to_csv(tmp_path / "p.csv", index=False)
+    assert "s apart (median)" in cosim("trace", "p.csv", "--out", "t.parquet", cwd=tmp_path).stdout
 
 
 def test_nothing_on_a_step_or_no_room_is_one_line_and_writes_nothing(tmp_path):

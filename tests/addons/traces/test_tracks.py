@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cosim.addons.traces.positions import Fixes
-from cosim.addons.traces.tracks import TrackParams, own_step_s, steps, tracks
+from cosim.addons.traces.tracks import TrackParams, on_own_steps, steps, tracks
 
 
 def fixes_of(*rows):
@@ -34,18 +34,26 @@ def test_by_hand():
     assert found.first_step.tolist() == [1, 1] and found.last_step.tolist() == [2, 1] and found.n_steps == 3
 
 
-def test_a_gap_makes_another_track():
+def test_a_gap_makes_another_track_of_the_same_vehicle():
     rows = [(0, 0, 0, 0), (0, 10, 100, 0), (0, 41, 200, 0), (0, 42, 210, 0)]
     places, found = seen(fixes_of(*rows), max_gap_s=30.0)
-    assert found.names == ["v0", "v0/2"] and found.report["gaps"] == 1
+    assert found.names == ["v0", "v0"] and found.report["gaps"] == 1
     assert found.first_step.tolist() == [0, 41] and found.last_step.tolist() == [10, 42]
     assert {step for step, _ in places} == {*range(11), 41, 42}
     assert seen(fixes_of(*rows), max_gap_s=31.0)[1].names == ["v0"]
 
 
-def test_a_jump_makes_another_track():
+def test_a_jump_makes_another_vehicle_until_the_first_can_have_driven_there():
     _, found = seen(fixes_of((0, 0, 0, 0), (0, 1, 71, 0), (0, 2, 90, 0)), max_speed_mps=70.0)
     assert found.names == ["v0", "v0/2"] and found.report["jumps"] == 1
+    _, found = seen(fixes_of((0, 0, 0, 0), (0, 1, 9, 0), (0, 2, 900, 0), (0, 3, 29, 0)), max_speed_mps=70.0)
+    assert found.names == ["v0", "v0/2", "v0"] and found.report["jumps"] == 2
+
+
+def test_another_vehicle_does_not_take_a_name_of_the_trace():
+    fixes = fixes_of((0, 0, 0, 0), (0, 1, 900, 0), (1, 0, 0, 9), (1, 1, 0, 9))
+    _, found = seen(Fixes(["1", "1/2"], ["", ""], fixes.actor, fixes.time_s, fixes.xy_m))
+    assert found.names == ["1", "1/2", "1/3"]
 
 
 def test_the_bound_on_the_error():
@@ -55,12 +63,30 @@ def test_the_bound_on_the_error():
     assert found.report["interpolated_share"] == pytest.approx(9 / 11)
 
 
+def interval_s(*times_s):
+    return on_own_steps(fixes_of(*((0, t, t, 0) for t in times_s)))[1]
+
+
 def test_the_interval_of_a_trace():
-    grid = fixes_of(*((0, 0.04 * k, k, 0) for k in range(50)))
-    assert own_step_s(grid) == pytest.approx(0.04)
-    assert own_step_s(fixes_of((0, 0, 0, 0), (0, 7.3, 1, 0), (0, 15.1, 2, 0))) == 1.0
-    assert own_step_s(fixes_of((0, 0, 0, 0), (0, 5, 1, 0))) == 1.0  # rarer than every second is interpolated
-    assert own_step_s(fixes_of((0, 0, 0, 0))) == 1.0
+    assert interval_s(*(0.04 * k for k in range(50))) == 0.04
+    assert interval_s(0, 7.3, 15.1) == 1.0
+    assert interval_s(0, 5) == 1.0  # rarer than every second is interpolated
+    assert interval_s(0) == 1.0
+    assert interval_s(*np.random.default_rng(1).uniform(0, 60, 300)) == 1.0
+
+
+@pytest.mark.parametrize("hz", [12.5, 15, 24, 25, 30, 30000 / 1001, 50, 60])
+@pytest.mark.parametrize("digits", [2, 3, 9])
+def test_times_of_frames_that_a_file_rounds_are_put_back(hz, digits):
+    """Ten minutes; frames are rounded to 10 ms, 1 ms or not at all, and some are missing."""
+    if digits == 2 and hz > 40:
+        return
+    k = np.delete(np.arange(int(600 * hz)), [3, 4, 77])
+    fixes = fixes_of(*((0, t, 0, 0) for t in np.round(k / hz, digits)))
+    placed, step_s = on_own_steps(fixes)
+    assert step_s == pytest.approx(1 / hz, rel=1e-6)
+    np.testing.assert_allclose(placed.time_s, k / hz, atol=2e-3 / hz)
+    assert tracks(placed, TrackParams(step_s, 1.0)).report["interpolated_share"] == pytest.approx(0, abs=0.001)
 
 
 @pytest.mark.parametrize(
