@@ -192,8 +192,8 @@ def numbers(path: Path, name: str, column: pa.ChunkedArray, first_row: int = 0) 
         Names the first value that is no number, and its row.
     """
     try:
-        if not is_text(column.type):
-            return column.cast(pa.float64()).to_numpy()
+        if not is_text(column.type):  # integers above 2^53, such as nanoseconds since 1970, are rounded
+            return column.cast(pa.float64(), safe=not pa.types.is_integer(column.type)).to_numpy()
         given = pc.if_else(pc.is_in(column, pa.array(_NOTHING)), None, column)
         try:
             return given.cast(pa.float64()).to_numpy()
