@@ -37,7 +37,7 @@ class PositionColumns:
     kind: str = ""
     """Class of the vehicle; empty if the table has none."""
     size: tuple[str, str] = ("", "")
-    """Length and width of the vehicle; empty if the table has none."""
+    """Length and width of the vehicle; empty if the table has none. There is no width without a length."""
     corner: tuple[str, str] | None = None
     """Columns with the extents of a box, if x and y are its corner with the smallest x and y [m]."""
     time_unit_s: float | None = None
@@ -78,6 +78,8 @@ LAYOUTS: dict[str, PositionColumns] = {
 
 _DIRECTIONS = ("heading", "yaw", "angle", "psi", "course", "bearing")
 """Beginnings of the names of columns with directions, which are not read."""
+_HEIGHTS = ("z", "alt", "altitude", "elevation")
+"""First words of the names of columns with heights above sea or ground, which are not read either."""
 _KINDS = ("class", "type", "vehicle_class", "vehicle_type", "agent_type", "category")
 """Columns with classes, if a table has one of them and none is named."""
 _NGSIM_CLASS = {"1": "motorcycle", "2": "car", "3": "truck"}
@@ -89,6 +91,10 @@ _META = re.compile(r"^(\d+)_tracks\.csv(\.gz)?$")
 _MOST_DEGREES = (90.0, 180.0)
 _CRAWL_MPS = 0.05
 """If something moves, and nothing faster than this, coordinates are not metres."""
+_LONG_S, _FASTEST_MPS = 30.0, 70.0
+"""An id that comes back as another class after a longer time, or by a faster way, is another actor."""
+_DAY_S, _ZIGZAG = 86400.0, 1.5
+"""Times of day are at most a day, and rows of two actors, sorted by time, are a way that is longer by this factor."""
 _LEAST_SIZE_M = 0.05
 """Smaller sizes, such as the zeros of pedestrians in inD, say nothing."""
 
@@ -218,9 +224,8 @@ def read(
         In one line: the file, and what is wrong with it.
     """
     names: dict[str, int] = {}
-    kinds: list[str] = []
-    sizes: list[Float[ndarray, "2"]] = []
-    parts: list[tuple[ndarray, ndarray, ndarray, ndarray]] = []
+    kind_codes = {"": 0}
+    parts: list[tuple[ndarray, ...]] = []
     repaired, read_as = {"missing": 0, "repeated": 0, "unordered": 0}, dict[str, None]()
     degrees = False
     for path in paths:
@@ -240,27 +245,23 @@ def read(
         repaired["missing"] += int((~good).sum())
         texts = rows.actors[good]
         values, code = np.unique(texts.astype(str), return_inverse=True)
-        first = np.zeros(len(values), np.int64)
-        first[code[::-1]] = np.arange(len(code))[::-1]
         of = np.empty(len(values), np.int64)
-        lw_m = np.full((len(texts), 2), np.nan) if rows.lw_m is None else rows.lw_m[good]
         for row, name in enumerate(values.tolist()):
-            if name not in names:
-                names[name] = len(names)
-                kinds.append(str(rows.kinds[good][first[row]]) if rows.kinds is not None else "")
-                sizes.append(lw_m[first[row]])
-            of[row] = names[name]
+            of[row] = names.setdefault(name, len(names))
+        lw_m = np.full((len(texts), 2), np.nan) if rows.lw_m is None else rows.lw_m[good]
+        said, kind = pd.factorize(np.full(len(texts), "") if rows.kinds is None else rows.kinds[good].astype(str))
+        kind_of = np.array([kind_codes.setdefault(name, len(kind_codes)) for name in kind.tolist()], np.int64)
         speed = np.full(len(texts), np.nan) if rows.speed is None else rows.speed[good]
-        parts.append((of[code], rows.time_s[good], rows.xy[good], speed))
-    actor, time_s, xy, speed = (np.concatenate([part[i] for part in parts]) for i in range(4))
+        parts.append((of[code], rows.time_s[good], rows.xy[good], speed, kind_of[said], lw_m))
+    actor, time_s, xy, speed, kind, lw_m = (np.concatenate([part[i] for part in parts]) for i in range(6))
     if not len(actor):
         raise TrafficError(f"{paths[0]}: no position in it. Give a trace with at least one row.")
     where = ", ".join(map(str, paths))
-    _check_order(where, list(names), actor, time_s, repaired, repair)
+    _check_order(where, list(names), actor, time_s, xy, repaired, repair)
     order = np.lexsort((time_s, actor))
-    actor, time_s, xy, speed = actor[order], time_s[order], xy[order], speed[order]
+    actor, time_s, xy, speed, kind, lw_m = (of[order] for of in (actor, time_s, xy, speed, kind, lw_m))
     keep = _without_copies(where, list(names), actor, time_s, xy, repaired, repair)
-    actor, time_s, xy, speed = actor[keep], time_s[keep], xy[keep], speed[keep]
+    actor, time_s, xy, speed, kind, lw_m = (of[keep] for of in (actor, time_s, xy, speed, kind, lw_m))
     projection = to_net
     if degrees and projection is None:
         projection = Projection(*np.median(xy, axis=0).tolist())
@@ -268,16 +269,60 @@ def read(
     if not degrees:
         _check_metres(where, actor, time_s, xy_m)
     units.check_speeds(where, actor, time_s, xy_m, speed, time_unit_s is not None and length_unit_m is not None)
+    name_of, actor, n_again = _reused(list(names), actor, time_s, xy_m, kind)
+    if n_again:
+        read_as[f"{n_again} ids come back elsewhere or later as another class: they are other actors"] = None
+        order = np.argsort(actor, kind="stable")
+        actor, time_s, xy_m, kind, lw_m = (of[order] for of in (actor, time_s, xy_m, kind, lw_m))
+    kind, n_several = _classes(actor, kind, len(name_of))
+    if n_several:
+        read_as[f"classes of {n_several} actors change: each has its most frequent one"] = None
+    kinds = [list(kind_codes)[code] for code in kind.tolist()]
     if guessed := sorted({kind for kind in kinds if kind and not vtypes.is_plain(kind)}):
         few = ", ".join(f"{kind} as {vtypes.guess(kind).vclass}" for kind in guessed[:5])
-        read_as[f"classes guessed from their names: {few}"] = None
+        more = f" and {len(guessed) - 5} more" if len(guessed) > 5 else ""
+        read_as[f"classes guessed from their names: {few}{more}"] = None
     begin = float(time_s.min())
-    lw_m = np.array(sizes).reshape(-1, 2)
+    lw_m = pd.DataFrame(lw_m).groupby(actor).median().to_numpy()
     return Fixes(
-        list(names), kinds, actor, time_s - begin, xy_m, f"{begin:.6f}".rstrip("0").rstrip("."),
+        name_of, kinds, actor, time_s - begin, xy_m, f"{begin:.6f}".rstrip("0").rstrip("."),
         {reason: n for reason, n in repaired.items() if n}, None if np.isnan(lw_m).all() else lw_m,
         projection if degrees and to_net is None else None, tuple(read_as), where,
     )  # fmt: skip
+
+
+def _reused(
+    names: list[str],
+    actor: Int[ndarray, "n"],
+    time_s: Float[ndarray, "n"],
+    xy_m: Float[ndarray, "n 2"],
+    kind: Int[ndarray, "n"],
+) -> tuple[list[str], Int[ndarray, "n"], int]:
+    """Names and numbers of actors, where an id that is given again is another actor: its class changes, and it has not
+    been seen for long, or cannot have driven there. And how many there are."""
+    took_s = np.diff(time_s)
+    away = (took_s > _LONG_S) | (np.hypot(*np.diff(xy_m, axis=0).T) > _FASTEST_MPS * took_s)
+    changes = (np.diff(kind) != 0) & (kind[1:] > 0) & (kind[:-1] > 0) & (np.diff(actor) == 0)
+    again = np.flatnonzero(away & changes) + 1
+    taken, names, actor = set(names), list(names), actor.copy()
+    for row in again.tolist():
+        of, n = actor[row], 2
+        while (name := f"{names[of]}/{n}") in taken:
+            n += 1
+        taken.add(name)
+        names.append(name)
+        actor[row:][actor[row:] == of] = len(names) - 1
+    return names, actor, len(again)
+
+
+def _classes(actor: Int[ndarray, "n"], kind: Int[ndarray, "n"], n_actors: int) -> tuple[Int[ndarray, "a"], int]:
+    """The most frequent class of each actor, 0 without any, and the number of actors that have several."""
+    said = pd.DataFrame({"actor": actor, "kind": kind})[kind > 0]
+    counts = said.groupby(["actor", "kind"]).size().sort_values(ascending=False, kind="stable").reset_index()
+    first = counts.drop_duplicates("actor")
+    found = np.zeros(n_actors, np.int64)
+    found[first.actor.to_numpy()] = first.kind.to_numpy()
+    return found, int((counts.actor.value_counts() > 1).sum())
 
 
 def _rows(
@@ -319,7 +364,10 @@ def _rows(
     _check_units(path, columns, time_unit_s, length_unit_m)
     table = _table(path, columns, names)
     read_as = [f"layout {layout}"] if layout not in ("", "table", "degrees") else []
-    unit_m, said = units.length_unit(columns.x, columns.y, columns.length_unit_m)
+    try:
+        unit_m, said = units.length_unit(columns.x, columns.y, columns.length_unit_m)
+    except ValueError as error:
+        raise TrafficError(f"{path}: {error}") from None
     read_as += [said] if said and not columns.is_degrees else []
     x, y = (delimited.numbers(path, name, table.column(name)) for name in (columns.x, columns.y))
     if columns.corner is not None:
@@ -344,16 +392,18 @@ def _rows(
     speed = units.speeds(path, table)
     if unread := [name for name in names if name.lower().startswith(_DIRECTIONS)]:
         read_as.append(f"{', '.join(unread)} not read: actors look where they go, and north before they move")
+    if flat := [name for name in names if name.lower().split("_")[0] in _HEIGHTS]:
+        read_as.append(f"{', '.join(flat)} not read: the road is flat")
     return _Rows(actors, time_s, xy, columns.is_degrees, columns.is_frame, kinds, lw_m, speed, tuple(read_as))
 
 
 def _with_optional(columns: PositionColumns, names: Sequence[str]) -> PositionColumns:
     """The columns with those of classes and sizes that the table has, where none is named."""
     kinds = (columns.kind, *_KINDS)
-    sizes = (columns.size, ("length", "width"))
+    length, width = columns.size if set(columns.size) <= set(names) else ("length", "width")
     return replace(
         columns, kind=next((name for name in kinds if name in names), ""),
-        size=next((size for size in sizes if set(size) <= set(names)), ("", "")),
+        size=(length, width if width in names else "") if length in names else ("", ""),
     )  # fmt: skip
 
 
@@ -384,8 +434,11 @@ def _kinds_and_sizes(
         kinds = pc.fill_null(delimited.texts(path, columns.kind, table.column(columns.kind)), "").to_numpy()
         if columns.kind == "v_Class":
             kinds = np.array([_NGSIM_CLASS.get(kind, kind) for kind in kinds.tolist()], object)
-    if all(columns.size):
-        lw_m = unit_m * np.column_stack([delimited.numbers(path, n, table.column(n)) for n in columns.size])
+    if any(columns.size):
+        lw_m = np.full((len(actors), 2), np.nan)
+        for axis, name in enumerate(columns.size):
+            if name:
+                lw_m[:, axis] = unit_m * delimited.numbers(path, name, table.column(name))
     named = _META.match(path.name)
     meta = path.with_name(f"{named[1]}_tracksMeta.csv") if named else path
     if kinds is None and named and meta.is_file():
@@ -505,20 +558,38 @@ def _good(
 
 
 def _check_order(
-    where: str, names: list[str], actor: ndarray, time_s: ndarray, repaired: dict[str, int], repair: bool
+    where: str, names: list[str], actor: ndarray, time_s: ndarray, xy: ndarray, repaired: dict[str, int], repair: bool
 ) -> None:
-    """Refuse an actor whose rows go back in time."""
+    """Refuse an actor whose rows go back in time; sorting does not help where it is two actors, or at midnight."""
     order = np.argsort(actor, kind="stable")
     back = (np.diff(time_s[order]) < 0) & (np.diff(actor[order]) == 0)
     if not back.any():
         return
-    if not repair:
-        row = order[int(np.flatnonzero(back)[0]) + 1]
+    row = order[int(np.flatnonzero(back)[0]) + 1]
+    said = (
+        f"{where}: the rows of {names[actor[row]]!r} are not in the order of time, as {int(back.sum())} of "
+        f"{len(actor)} rows are not."
+    )
+    mine = np.flatnonzero(actor == actor[row])
+    fall_s = -np.diff(time_s[mine]).min()
+    if time_s.max() <= _DAY_S < 2 * fall_s and not time_s.min() < 0:
         raise TrafficError(
-            f"{where}: the rows of {names[actor[row]]!r} are not in the order of time, as {int(back.sum())} of "
-            f"{len(actor)} rows are not. Sort them, or let --repair do it."
+            f"{said} Its times fall by {fall_s:g} s: are they times of day, and midnight is between? Write dates with "
+            "times, or count hours on from 24. If not, sort the rows."
         )
+    sorted_xy = xy[mine][np.argsort(time_s[mine], kind="stable")]
+    if _way(sorted_xy) > _ZIGZAG * _way(xy[mine]):
+        raise TrafficError(
+            f"{said} Sorted, they jump to and fro: is it the id of several vehicles at once? Give each its own."
+        )
+    if not repair:
+        raise TrafficError(f"{said} Sort them, or let --repair do it.")
     repaired["unordered"] += int(back.sum())
+
+
+def _way(xy: Float[ndarray, "n 2"]) -> float:
+    """Length of a way, in the unit of the positions."""
+    return float(np.hypot(*np.diff(xy, axis=0).T).sum())
 
 
 def _without_copies(

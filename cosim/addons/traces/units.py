@@ -17,7 +17,7 @@ _TIME_WORDS = {
     "ms": "ms", "msec": "ms", "millis": "ms", "milliseconds": "ms", "us": "us", "usec": "us", "micros": "us",
     "microseconds": "us", "ns": "ns", "nanoseconds": "ns", "nanos": "ns", "min": "min", "minutes": "min", "hours": "h",
 }  # fmt: skip
-_LENGTH_WORDS = {"ft": "ft", "feet": "ft", "km": "km", "cm": "cm", "mm": "mm"}
+_LENGTH_WORDS = {"m": "m", "metres": "m", "meters": "m", "ft": "ft", "feet": "ft", "km": "km", "cm": "cm", "mm": "mm"}
 _NGSIM_FEET = {"Local_X", "Local_Y", "Global_X", "Global_Y"}
 _SINCE_1970 = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
 """A time that is larger than this is in this unit since 1970: as seconds, it would be after the year 5000."""
@@ -57,16 +57,16 @@ def time_unit(name: str, times: Float[ndarray, "n"], given_s: float | None) -> t
 
 
 def length_unit(x: str, y: str, given_m: float | None) -> tuple[float, str]:
-    """Metres per unit of positions, and a word about it if nobody said so."""
+    """Metres per unit of positions, and a word about it if nobody said so. Raises ValueError if x and y differ."""
     if given_m is not None:
         return given_m, ""
     if {x, y} <= _NGSIM_FEET:
         return LENGTH_M["ft"], f"positions in ft, as those of NGSIM in {x} and {y}"
     found = {_LENGTH_WORDS[word] for name in (x, y) for word in words(name)[1:] if word in _LENGTH_WORDS}
-    if len(found) == 1:
-        (unit,) = found
-        return LENGTH_M[unit], f"positions in {unit}, as the column {x} says"
-    return 1.0, ""
+    if len(found) > 1:
+        raise ValueError(f"the columns {x} and {y} are named as {' and '.join(sorted(found))}. Set --length-unit.")
+    unit = next(iter(found), "m")
+    return LENGTH_M[unit], "" if unit == "m" else f"positions, lengths and widths in {unit}, as the column {x} says"
 
 
 def degrees_by_name(*names: str) -> str:

@@ -234,6 +234,54 @@ def test_repair_says_what_it_did(tmp_path):
     np.testing.assert_array_equal(fixes.xy_m[:, 0], [10, 20, 30, 5])
 
 
+def test_what_sorting_does_not_mend_is_no_matter_of_repair(tmp_path):
+    """Two drive side by side under one id, 50 m apart; and times of day go over midnight."""
+    two = "".join(f"a,{t + lag},{10 * t},{50 * lag}\n" for lag in (0, 0.5) for t in range(20))
+    clocks = ("23:59:58", "23:59:59", "00:00:00", "00:00:01")
+    night = "".join(f"a,{clock},{10 * n},0\n" for n, clock in enumerate(clocks))
+    for repair in (False, True):
+        with pytest.raises(TrafficError, match="several vehicles at once"):
+            given(tmp_path, "two.csv", HEAD + two, repair=repair)
+        with pytest.raises(TrafficError, match=r"fall by 86399 s: .* midnight"):
+            given(tmp_path, "night.csv", HEAD + night, repair=repair)
+
+
+def test_an_id_that_is_given_again_to_another_class_is_another_actor(tmp_path):
+    """A car until 3 s, a pedestrian 900 m away from 4 s on. Without a break, the most frequent class counts."""
+    car = "".join(f"1,{t},{10 * t},0,car,4\n" for t in range(4))
+    walker = "".join(f"1,{t},900,{t},pedestrian,0.3\n" for t in range(4, 8))
+    columns = PositionColumns("id", "time", "x", "y")
+    fixes = given(tmp_path, "t.csv", "id,time,x,y,class,length\n" + car + walker + "2,0,0,9,bus,9\n", columns=columns)
+    assert fixes.names == ["1", "2", "1/2"] and fixes.kinds == ["car", "bus", "pedestrian"]
+    assert fixes.actor.tolist() == [0] * 4 + [1] + [2] * 4 and "1 ids come back" in fixes.read_as[0]
+    assert [kind.lwh_m[0] for kind in fixes.types] == [4, 9, 0.3]
+    flickers = "".join(f"1,{t},{10 * t},0,{'van' if t == 2 else 'car' if t else ''},4\n" for t in range(6))
+    fixes = given(tmp_path, "f.csv", "id,time,x,y,class,length\n" + flickers)
+    assert fixes.kinds == ["car"] and "classes of 1 actors change" in fixes.read_as[0]
+
+
+def test_what_is_read_otherwise_than_one_may_think_is_said(tmp_path):
+    """Heights; a length without a width; sizes in feet; units of x and y that differ; six classes that are guessed."""
+    columns = PositionColumns("id", "time", "x_ft", "y_ft")
+    text = "id,time,x_ft,y_ft,z,length\na,0,0,0,7,14\na,1,30,0,7,14\n"
+    fixes = given(tmp_path, "t.csv", text, columns=columns)
+    assert fixes.types[0].lwh_m[:2] == pytest.approx((14 * 0.3048, 1.8))
+    assert "z not read: the road is flat" in fixes.read_as
+    assert any("lengths and widths in ft" in said for said in fixes.read_as)
+    with pytest.raises(TrafficError, match=r"x_mm and y_m are named as m and mm\. Set --length-unit"):
+        given(tmp_path, "u.csv", "id,time,x_mm,y_m\na,0,0,0\n", columns=PositionColumns("id", "time", "x_mm", "y_m"))
+    rows = "".join(f"{n},0,{n},0,k{n}\n" for n in range(7))
+    fixes = given(tmp_path, "c.csv", "id,time,x,y,class\n" + rows)
+    assert fixes.read_as[0].endswith("k4 as passenger and 2 more")
+
+
+def test_nanoseconds_since_1970_are_read_from_integers(tmp_path):
+    begin = 1_700_000_000_000_000_001
+    rows = {"id": ["a", "a"], "time": [begin, begin + 500_000_000], "x": [0.0, 5.0], "y": [0.0, 0.0]}
+    pq.write_table(pa.table(rows), tmp_path / "t.parquet")
+    np.testing.assert_allclose(read([tmp_path / "t.parquet"]).time_s, [0, 0.5], atol=1e-6)
+
+
 def test_exact_copies_are_no_error(tmp_path):
     fixes = given(tmp_path, "t.csv", HEAD + "a,0,1,2\na,0,1,2\na,1,3,2\n")
     assert len(fixes.time_s) == 2 and fixes.repaired == {"repeated": 1}
