@@ -371,8 +371,10 @@ class EncounterTracker:
         pair, end = _latest(*self._pending, self._pair[over], self._live["end"][self._slot[over]])
         if len(pair) > _PENDING:
             pair, end = _latest(*self._past, pair, end)
-            here = np.isin(pair >> 32, self._present) & np.isin(pair & 0xFFFFFFFF, self._present) | self._censors
-            self._past = (pair[here], end[here])
+            first, second = pair >> 32, pair & 0xFFFFFFFF
+            both_there = np.isin(first, self._present) & np.isin(second, self._present)
+            kept = both_there | self._censors
+            self._past = (pair[kept], end[kept])
             pair, end = pair[:0], end[:0]
         self._pending = (pair, end)
 

@@ -15,6 +15,7 @@ from numpy import ndarray
 
 from cosim.addons.traces import units
 from cosim.base.earth import Projection
+from cosim.base.rows import Rows
 from cosim.traffic import delimited
 from cosim.traffic.frame import LARGEST_COORDINATE_M, TrafficError
 from cosim.traffic.source import SHAPE_OF_CLASS
@@ -163,6 +164,21 @@ class _Rows:
     read_as: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class _Readings(Rows):
+    """Where actors were, of all files: number of the actor, time, position, and what the row says of it."""
+
+    actor: Int[ndarray, "n"]
+    time_s: Float[ndarray, "n"]
+    xy: Float[ndarray, "n 2"]
+    speed: Float[ndarray, "n"]
+    """NaN if the file has none."""
+    kind: Int[ndarray, "n"]
+    """Number of the class; 0 for none."""
+    lw_m: Float[ndarray, "n 2"]
+    """Length and width; NaN if the file has none."""
+
+
 def layout_of(path: Path) -> str:
     """The layout of a file: `crawdad`, `pneuma`, a name of `LAYOUTS`, or empty if its columns are none of these."""
     if path.name.removesuffix(".gz").endswith(".parquet"):
@@ -225,7 +241,7 @@ def read(
     """
     names: dict[str, int] = {}
     kind_codes = {"": 0}
-    parts: list[tuple[ndarray, ...]] = []
+    parts: list[_Readings] = []
     repaired, read_as = {"missing": 0, "repeated": 0, "unordered": 0}, dict[str, None]()
     degrees = False
     for path in paths:
@@ -248,33 +264,39 @@ def read(
         of = np.empty(len(values), np.int64)
         for row, name in enumerate(values.tolist()):
             of[row] = names.setdefault(name, len(names))
-        lw_m = np.full((len(texts), 2), np.nan) if rows.lw_m is None else rows.lw_m[good]
-        said, kind = pd.factorize(np.full(len(texts), "") if rows.kinds is None else rows.kinds[good].astype(str))
-        kind_of = np.array([kind_codes.setdefault(name, len(kind_codes)) for name in kind.tolist()], np.int64)
-        speed = np.full(len(texts), np.nan) if rows.speed is None else rows.speed[good]
-        parts.append((of[code], rows.time_s[good], rows.xy[good], speed, kind_of[said], lw_m))
-    actor, time_s, xy, speed, kind, lw_m = (np.concatenate([part[i] for part in parts]) for i in range(6))
-    if not len(actor):
+        kinds = np.full(len(texts), "") if rows.kinds is None else rows.kinds[good].astype(str)
+        parts.append(
+            _Readings(
+                actor=of[code],
+                time_s=rows.time_s[good],
+                xy=rows.xy[good],
+                speed=np.full(len(texts), np.nan) if rows.speed is None else rows.speed[good],
+                kind=_numbered(kinds, kind_codes),
+                lw_m=np.full((len(texts), 2), np.nan) if rows.lw_m is None else rows.lw_m[good],
+            )
+        )
+    read = _Readings.concat(parts)
+    if not len(read.actor):
         raise TrafficError(f"{paths[0]}: no position in it. Give a trace with at least one row.")
     where = ", ".join(map(str, paths))
-    _check_order(where, list(names), actor, time_s, xy, repaired, repair)
-    order = np.lexsort((time_s, actor))
-    actor, time_s, xy, speed, kind, lw_m = (of[order] for of in (actor, time_s, xy, speed, kind, lw_m))
-    keep = _without_copies(where, list(names), actor, time_s, xy, repaired, repair)
-    actor, time_s, xy, speed, kind, lw_m = (of[keep] for of in (actor, time_s, xy, speed, kind, lw_m))
+    _check_order(where, list(names), read.actor, read.time_s, read.xy, repaired, repair)
+    read = read.take(np.lexsort((read.time_s, read.actor)))
+    read = read.take(_without_copies(where, list(names), read.actor, read.time_s, read.xy, repaired, repair))
+    time_s, xy = read.time_s, read.xy
     projection = to_net
     if degrees and projection is None:
         projection = Projection(*np.median(xy, axis=0).tolist())
     xy_m = xy if projection is None or not degrees else _projected(where, xy, projection)
     if not degrees:
-        _check_metres(where, actor, time_s, xy_m)
-    units.check_speeds(where, actor, time_s, xy_m, speed, time_unit_s is not None and length_unit_m is not None)
-    name_of, actor, n_again = _reused(list(names), actor, time_s, xy_m, kind)
+        _check_metres(where, read.actor, time_s, xy_m)
+    is_said = time_unit_s is not None and length_unit_m is not None
+    units.check_speeds(where, read.actor, time_s, xy_m, read.speed, is_said)
+    name_of, actor, n_again = _reused(list(names), read.actor, time_s, xy_m, read.kind)
+    read = replace(read, actor=actor, xy=xy_m)
     if n_again:
         read_as[f"{n_again} ids come back elsewhere or later as another class: they are other actors"] = None
-        order = np.argsort(actor, kind="stable")
-        actor, time_s, xy_m, kind, lw_m = (of[order] for of in (actor, time_s, xy_m, kind, lw_m))
-    kind, n_several = _classes(actor, kind, len(name_of))
+        read = read.take(np.argsort(actor, kind="stable"))
+    kind, n_several = _classes(read.actor, read.kind, len(name_of))
     if n_several:
         read_as[f"classes of {n_several} actors change: each has its most frequent one"] = None
     kinds = [list(kind_codes)[code] for code in kind.tolist()]
@@ -282,13 +304,20 @@ def read(
         few = ", ".join(f"{kind} as {vtypes.guess(kind).vclass}" for kind in guessed[:5])
         more = f" and {len(guessed) - 5} more" if len(guessed) > 5 else ""
         read_as[f"classes guessed from their names: {few}{more}"] = None
-    begin = float(time_s.min())
-    lw_m = pd.DataFrame(lw_m).groupby(actor).median().to_numpy()
+    begin = float(read.time_s.min())
+    lw_m = pd.DataFrame(read.lw_m).groupby(read.actor).median().to_numpy()
     return Fixes(
-        name_of, kinds, actor, time_s - begin, xy_m, f"{begin:.6f}".rstrip("0").rstrip("."),
+        name_of, kinds, read.actor, read.time_s - begin, read.xy, f"{begin:.6f}".rstrip("0").rstrip("."),
         {reason: n for reason, n in repaired.items() if n}, None if np.isnan(lw_m).all() else lw_m,
         projection if degrees and to_net is None else None, tuple(read_as), where,
     )  # fmt: skip
+
+
+def _numbered(names: ndarray, codes: dict[str, int]) -> Int[ndarray, "n"]:
+    """The number of each name; names without a number get the next ones in `codes`."""
+    row, found = pd.factorize(names)
+    number = [codes.setdefault(name, len(codes)) for name in found.tolist()]
+    return np.array(number, np.int64)[row]
 
 
 def _reused(
@@ -301,9 +330,11 @@ def _reused(
     """Names and numbers of actors, where an id that is given again is another actor: its class changes, and it has not
     been seen for long, or cannot have driven there. And how many there are."""
     took_s = np.diff(time_s)
-    away = (took_s > _LONG_S) | (np.hypot(*np.diff(xy_m, axis=0).T) > _FASTEST_MPS * took_s)
-    changes = (np.diff(kind) != 0) & (kind[1:] > 0) & (kind[:-1] > 0) & (np.diff(actor) == 0)
-    again = np.flatnonzero(away & changes) + 1
+    way_m = np.hypot(*np.diff(xy_m, axis=0).T)
+    away = (took_s > _LONG_S) | (way_m > _FASTEST_MPS * took_s)
+    is_known = kind > 0
+    changes = (np.diff(kind) != 0) & is_known[1:] & is_known[:-1]
+    again = np.flatnonzero(away & changes & (np.diff(actor) == 0)) + 1
     taken, names, actor = set(names), list(names), actor.copy()
     for row in again.tolist():
         of, n = actor[row], 2

@@ -116,7 +116,8 @@ def _steps(step_s: float) -> str:
     """Options of a run with steps of the trace, or the least multiple that a run can have."""
     from cosim.config.config import load
 
-    run_step_s = float(f"{step_s * max(1, math.ceil(SHORTEST_STEP_S / step_s - 1e-9)):.12g}")
+    n_joined = max(1, math.ceil(SHORTEST_STEP_S / step_s - 1e-9))
+    run_step_s = float(f"{n_joined * step_s:.12g}")
     usual_s = load(None, []).sensing_interval_s
     n = max(1, round(usual_s / run_step_s))
     interval_s = n * run_step_s

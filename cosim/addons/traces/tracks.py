@@ -82,7 +82,8 @@ def on_own_steps(fixes: Fixes) -> tuple[Fixes, float]:
     if not 1e-3 <= least_s <= COMMON_STEP_S:
         return fixes, COMMON_STEP_S
     near_s = took_s[took_s < 5 * least_s]
-    number = np.round(fixes.time_s * (np.round(near_s / least_s).sum() / near_s.sum()))
+    steps_per_s = np.round(near_s / least_s).sum() / near_s.sum()
+    number = np.round(fixes.time_s * steps_per_s)
     about_s = float((fixes.time_s @ number) / (number @ number))
     for step_s in (round(about_s, 3), 1 / round(1 / about_s), round(about_s, 6), about_s):
         time_s = np.round(fixes.time_s / step_s) * step_s
@@ -191,7 +192,7 @@ def _names(fixes: Fixes, params: TrackParams, first_fix: Int[ndarray, "s"], last
 
 
 def _can_drive(fixes: Fixes, params: TrackParams, before: int, after: int) -> bool:
-    way_m = math.hypot(*(fixes.xy_m[after] - fixes.xy_m[before]).tolist())
+    way_m = float(np.hypot(*(fixes.xy_m[after] - fixes.xy_m[before])))
     took_s = float(fixes.time_s[after] - fixes.time_s[before])
     return way_m <= params.max_speed_mps * took_s + 1e-9
 
