@@ -59,7 +59,8 @@ class TraceReplay(_Replay):
     """Replays a trace that SUMO wrote with `--fcd-output`.
 
     Step 0 is the world before the trace's first timestep, as in a run with SUMO. Step s is the timestep at
-    `begin + warm-up + (s - 1) * step_s`, because SUMO labels a step with the time at which it began.
+    `begin + warm-up + (s - 1) * step_s`, because SUMO labels a step with the time at which it began. Recorded
+    positions (`fcd.OBSERVED`) begin in traffic: their first timestep is step 0, unless `begin_s` is set.
 
     Between two timesteps of the trace, actors are interpolated (`interpolation`).
 
@@ -106,9 +107,12 @@ class TraceReplay(_Replay):
             )
         self._travel = TravelCheck(str(path))
         read = self._placed_of(chain(ahead, self._read))
-        self._timeline = Timeline(str(path), read, every_s, self._dt_s, is_observed(path))
+        was_observed = is_observed(path)
+        self._timeline = Timeline(str(path), read, every_s, self._dt_s, was_observed)
         self._first_s = ahead[0].time_s
-        self._begin_s = self._first_s if params.begin_s is None else params.begin_s
+        self._begin_s = self._first_s + self._dt_s if was_observed else self._first_s
+        if params.begin_s is not None:
+            self._begin_s = params.begin_s
         self._asked_begin = params.begin_s is not None
         self._n_at_begin = 0  # actors at the first timestep, where step 0 lies before it
 

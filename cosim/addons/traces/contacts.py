@@ -182,9 +182,11 @@ def _of_sumo(paths: Sequence[Path], params: ContactParams, out: Path | None, adv
     step_s = params.step_s or _sumo_step_s(paths[0])
     traffic = TrafficParams(scenario=params.scenario or named, trace=named, step_s=step_s, begin_s=params.from_s)
     registry = ActorRegistry(params.fleet, params.seed)
-    if params.appearance is None and is_observed(paths[0]):
+    was_observed = is_observed(paths[0])
+    if was_observed and params.appearance is None:
         params = replace(params, appearance="censors")
-    return _of_traffic(scenario, traffic, registry, params, paths, out, advance, step_s)
+    skipped_s = 0.0 if was_observed and params.from_s is None else step_s
+    return _of_traffic(scenario, traffic, registry, params, paths, out, advance, skipped_s)
 
 
 def _sumo_step_s(path: Path) -> float:
