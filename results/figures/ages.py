@@ -44,6 +44,7 @@ def draw(runs: Sequence[Run]) -> Figure:
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlim(span[0] * 0.9, span[1] * 1.2)
+    style.numbered(axes.xaxis)
     axes.set_ylim(max(lowest * 0.7, 1e-6), 1.3)
     entries = [
         Line2D([], [], color=style.ink(k) if len(runs) == 1 else "black", linestyle=style.dash(k),

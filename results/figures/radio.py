@@ -110,16 +110,8 @@ def _late(axes: Axes, run: Run, line: dict[str, Any]) -> None:
     curve = radio.latency(run).groupby("latency_s").n_delivered.sum()
     share = curve.cumsum() / curve.sum()
     axes.plot(1e3 * share.index, share.to_numpy(), **line, markevery=style.sparse(len(share)))
-    _logarithmic(axes)
-
-
-def _logarithmic(axes: Axes) -> None:
-    """A logarithmic axis of times with the ticks 1, 2, 5, 10 and so on."""
     axes.set_xscale("log")
-    low, high = axes.get_xlim()
-    ticks = [d * 10.0**e for e in range(-2, 5) for d in (1, 2, 5) if low <= d * 10.0**e <= high]
-    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    axes.xaxis.minorticks_off()
+    style.numbered(axes.xaxis)
 
 
 def _inter_reception(axes: Axes, run: Run, line: dict[str, Any]) -> None:
@@ -133,7 +125,8 @@ def _inter_reception(axes: Axes, run: Run, line: dict[str, Any]) -> None:
     pir_s, longer = np.append(curve.pir_s.min() / 2, curve.pir_s), np.append(1, curve.longer)
     axes.step(pir_s, longer, where="post", **line, markevery=style.sparse(len(pir_s)))
     axes.set_yscale("log")
-    _logarithmic(axes)
+    axes.set_xscale("log")
+    style.numbered(axes.xaxis)
 
 
 def _maps(figure: Figure, panels: Sequence[Axes], run: Run, cell_m: float) -> None:

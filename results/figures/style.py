@@ -11,11 +11,13 @@ from typing import Any, BinaryIO, ParamSpec
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from cosim.base import durable
 from cosim.base.codes import BASE_VARIANT
@@ -107,6 +109,18 @@ def share_axis(axes: Axes, top: float = 1.0) -> None:
     """A vertical axis from 0 to `top`, or to 1 where that is next to nothing, with room for the line width."""
     top = top if top > 1e-6 else 1.0
     axes.set_ylim(-0.02 * top, 1.03 * top)
+
+
+def numbered(axis: Axis, most: float = 2000.0) -> None:
+    """Plain numbers on a logarithmic axis: 1, 2 and 5 of each power of ten; of a very short one, all digits.
+
+    An axis over more than a factor of `most` stays as it is.
+    """
+    low, high = axis.get_view_interval()
+    if 0 < low and high < most * low:
+        axis.set_major_locator(LogLocator(subs=[1, 2, 5] if high > 4 * low else range(1, 10)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_locator(NullLocator())
 
 
 def shares_bar(axes: Axes, at: float, shares: Sequence[float], fills: Sequence[str]) -> None:

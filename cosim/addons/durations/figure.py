@@ -6,10 +6,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator
 
 from cosim.addons.durations.families import FAMILIES
 from cosim.addons.durations.fit import fits
@@ -47,7 +45,7 @@ def draw(runs: Sequence[Run], radius_m: float | None = None, pairs: str | None =
                 axes.set_yscale("log")
                 axes.minorticks_off()
                 for axis in (axes.xaxis, axes.yaxis)[scale == "linear" :]:
-                    _numbered(axis)
+                    style.numbered(axis, most=100.0)
             else:
                 axes.text(0.5, 0.5, "too few", transform=axes.transAxes, ha="center", color="#666666")
     figure.suptitle(" / ".join(dict.fromkeys(titles)), fontsize=style.SMALL)
@@ -65,14 +63,6 @@ def draw(runs: Sequence[Run], radius_m: float | None = None, pairs: str | None =
             for i, name in enumerate(style.names(runs))
         ])  # fmt: skip
     return figure
-
-
-def _numbered(axis: Axis) -> None:
-    """Number 1, 2 and 5 of each power of ten where the axis is too short for two powers; of a very short one, all."""
-    low, high = axis.get_view_interval()
-    if 0 < low and high < 100 * low:
-        axis.set_major_locator(LogLocator(subs=[1, 2, 5] if high > 4 * low else range(1, 10)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def _chosen(run: Run, radius_m: float | None, pairs: str | None) -> pd.Series:
