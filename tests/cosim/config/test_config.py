@@ -38,7 +38,7 @@ def test_without_sensing_its_keys_refuse_no_run(step_s):
     sets = [f"traffic.step_s={step_s}", "traffic.duration_s=12", "sensing_phase=random"]
     with pytest.raises(ValueError, match="sensing"):
         load(None, sets)
-    config = load(None, [*sets, "sensing=false"])
+    config = load(None, [*sets, "sensing=false", "radio.timeout_s=0.9"])
     assert config.schedule.is_lock_step and config.n_steps == round(12 / step_s)
 
 

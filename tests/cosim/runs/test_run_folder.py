@@ -16,6 +16,7 @@ from cosim.runs.manifest import Manifest
 from cosim.runs.run import resume, run
 from cosim.step.parts import sources
 from cosim.traffic.frame import TrafficError
+from results.archive import open_run
 from results.manifest import read_manifest
 from results.verify import verify
 from tests.cosim.traffic import mixed_scenario
@@ -93,6 +94,8 @@ def test_a_resumed_run_has_the_tables_of_one_never_interrupted(tmp_path, signum,
     assert verify(out)[1] == []
     done = cosim("resume", str(out))
     assert done.returncode == 0, done.stderr
+    at = open_run(out).manifest["resumed_at"][-1]
+    assert f"s of computing since step {at}, where it was resumed, " in done.stdout
     assert fingerprint(out) == fingerprint(tmp_path / "whole")
     assert verify(out)[0]["status"] == "finished" and verify(out)[1] == []
 
