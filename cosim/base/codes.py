@@ -4,6 +4,9 @@ from enum import IntEnum
 
 import numpy as np
 
+PARKED = "parked/"
+"""Prefix of the names of parked cars, which are objects and no traffic."""
+
 
 class VehicleClass(IntEnum):
     """Classes of actors: SUMO's vehicle classes, some of them merged, pedestrians, and units at the roadside."""

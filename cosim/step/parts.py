@@ -27,7 +27,7 @@ from cosim.step.early_fusion import EarlyFusion
 from cosim.step.mixed_perception import MixedPerception
 from cosim.step.perception import Perceives, Perception
 from cosim.step.stopwatch import Stopwatch
-from cosim.step.trackers.encounters import NearPairs, PairSearch
+from cosim.step.trackers.encounters import PairSearch
 from cosim.traffic.driver import Driver
 from cosim.traffic.limits import NO_LIMITS, SpeedLimits
 from cosim.traffic.roadside import NO_UNITS, RoadsideUnits
@@ -52,7 +52,7 @@ class Parts:
     config: Config
     schedule: Schedule
     city: Scene
-    near_pairs: Callable[[World], NearPairs]
+    near_pairs: PairSearch
     """Finds the pairs of actors that can have encounters."""
     rsus: RsuAntennas
     perception: Perceives

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.base.codes import PARKED
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fcd import Timestep, is_observed, projection_of, timesteps
 from cosim.traffic.frame import Frame, TrafficError
@@ -20,7 +21,6 @@ from cosim.traffic.objects import PREFIX
 from cosim.traffic.params import TrafficParams
 from cosim.traffic.remarks import FlowCounts
 from cosim.traffic.source import TrafficEnded, world_from_bumpers, world_of
-from cosim.traffic.streetside import PARKED
 from cosim.world import World
 from sensors.scene import Shape
 from sumo_nets import vtypes

@@ -14,6 +14,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.base.codes import PARKED
 from cosim.base.plane import turned_by
 from cosim.base.rng import Stream, key, name_key, uniforms
 from cosim.traffic.fleet import Probability
@@ -23,9 +24,6 @@ from sensors.trees import tree_prisms
 from sumo_nets.ground import StreetHeights
 from sumo_nets.network import lanes
 from sumo_nets.streetside import Kerb, read_trees, street_space
-
-PARKED = "parked/"
-"""Prefix of the names of parked cars; the edge and the number of the place follow it."""
 
 PLACE_M = {"parked": 6.0, "trees": 5.0}
 """Length of kerb of one place [m]: a car of 4.5 m or a van of 5.3 m with gaps; two trunks are not nearer."""

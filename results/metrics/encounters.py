@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
+from cosim.base.codes import PARKED
 from results.metrics import intervals
 from results.metrics.survival import kaplan_meier, median, median_band, restricted_mean
 from results.run import Run
@@ -215,9 +216,10 @@ def rates(run: Run) -> pd.DataFrame:
     kinds = definitions(run)
     begun = run.table("encounters", [*DEFINITION, "censored_left"])
     n = begun[~begun.censored_left].groupby([*DEFINITION], observed=True).size().to_dict()
-    vehicles = run.table("vehicles", ["first_step", "last_step", "equipped", "vehicle_class"])
+    vehicles = run.table("vehicles", ["sumo_id", "first_step", "last_step", "equipped", "vehicle_class"])
     there_h = (vehicles.last_step - vehicles.first_step + 1) * run.dt_s / 3600
-    walks, stands = vehicles.vehicle_class == "pedestrian", vehicles.vehicle_class == "roadside_unit"
+    walks = vehicles.vehicle_class == "pedestrian"
+    stands = (vehicles.vehicle_class == "roadside_unit") | vehicles.sumo_id.str.startswith(PARKED)
     rates = []
     for kind in kinds.to_dict("records"):
         counted = ~stands & (~walks | bool(kind["pedestrians"]))

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
+from cosim.base.codes import PARKED
 from cosim.base.plane import turned_by
 from results.run import Run
 
@@ -27,15 +28,16 @@ _STRETCH = 600.0
 
 
 def tracks(run: Run) -> pd.DataFrame:
-    """Vehicles' poses with their sizes, pedestrians left out: step, actor, x_m, y_m, yaw_rad, speed_mps, length_m,
-    width_m, acceleration_mps2 (missing in a vehicle's first step); by step, then actor."""
+    """Vehicles' poses with their sizes, without pedestrians and parked cars: step, actor, x_m, y_m, yaw_rad, speed_mps,
+    length_m, width_m, acceleration_mps2 (missing in a vehicle's first step); by step, then actor."""
     return run.sql("""
         SELECT step, actor, x_m, y_m, yaw_rad, speed_mps, length_m, width_m,
             if(lag(step) OVER mine = step - 1, (speed_mps - lag(speed_mps) OVER mine)::DOUBLE / $dt_s, NULL)
                 AS acceleration_mps2
-        FROM actors JOIN vehicles ON vehicle = actor WHERE vehicle_class <> 'pedestrian'
+        FROM actors JOIN vehicles ON vehicle = actor
+        WHERE vehicle_class <> 'pedestrian' AND NOT starts_with(sumo_id, $parked)
         WINDOW mine AS (PARTITION BY actor ORDER BY step) ORDER BY step, actor
-    """)
+    """, parked=PARKED)  # fmt: skip
 
 
 def following(run: Run, poses: pd.DataFrame | None = None, range_m: float = RANGE_M) -> pd.DataFrame:

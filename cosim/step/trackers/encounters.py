@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
@@ -45,6 +45,8 @@ class PairSearch:
     mount_above_roof_m: float
     city: Scene | None = None
     """The scene whose trees block lines of sight."""
+    parked_key: UInt64[ndarray, "p"] | None = None
+    """Keys of the names of parked cars, which have no encounters."""
 
     @staticmethod
     def of(
@@ -67,6 +69,8 @@ class PairSearch:
         searched &= ~world.is_roadside
         if self.equipped_only:
             searched &= world.equipped
+        elif self.parked_key is not None:
+            searched &= ~np.isin(world.name_key, self.parked_key)
         rows = np.flatnonzero(searched)
         xy = world.boxes.xyz_m[rows, :2]
         pairs = cKDTree(xy).query_pairs(self.radius_m, output_type="ndarray") if len(rows) else np.zeros((0, 2), int)

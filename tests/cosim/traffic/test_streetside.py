@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import shapely
 
+from cosim.base.codes import PARKED
 from cosim.config.config import load
 from cosim.runs.check import check, remarks_on
 from cosim.traffic.scenario import find
-from cosim.traffic.streetside import PARKED, ParkedParams, Streetside, TreeParams
+from cosim.traffic.streetside import ParkedParams, Streetside, TreeParams
 from results.archive import open_run
+from results.measure import measure
 from sensors.scene import Scene
 from sumo_nets.streetside import Kerb
 from tests.cosim.traffic import crossing
@@ -129,15 +131,25 @@ def test_nothing_stands_on_lanes_in_junctions_in_buildings_or_in_each_other():
 
 @pytest.mark.verify
 def test_a_run_with_parked_cars(tmp_path):
-    """They are actors that never move and are never equipped, and a replay of the run has its own."""
-    common = ("traffic.duration_s=2", "traffic.warmup_s=0", "attacks=[]", "sensing=false")
+    """They are actors that never move and are never equipped, and a replay of the run has its own.
+
+    They are no traffic: encounters and the safety of driving are as without them.
+    """
+    common = (
+        *("traffic.duration_s=8", "traffic.warmup_s=120", "attacks=[]", "sensing=false"),
+        'encounters=[{pairs="all", pedestrians=true}]',
+    )
     run = open_run(drive(tmp_path / "a", *common, "parked.per_100_m=4", "trees.per_100_m=4"))
     cars = run.vehicles[run.vehicles.sumo_id.str.startswith(PARKED)]
     assert len(cars) > 200 and not cars.equipped.any()
     poses = run.actors[run.actors.actor.isin(cars.vehicle)]
     assert (poses.speed_mps == 0).all() and (poses.groupby("actor").x_m.nunique() == 1).all()
-    again = open_run(drive(tmp_path / "b", *common, f"traffic.trace={run.path}"))
+    again = open_run(drive(tmp_path / "b", *common, "traffic.warmup_s=0", f"traffic.trace={run.path}"))
     assert set(again.vehicles.sumo_id) == set(run.vehicles.sumo_id) - set(cars.sumo_id)
+    assert len(again.encounters) > 20
+    wanted = ("encounters.n", "encounters.per_vehicle_h", "safety.travel_time.s_per_km", "safety.ttc.per_km")
+    found = [measure(one).set_index("metric").value.loc[list(wanted)] for one in (run, again)]
+    assert found[0].tolist() == found[1].tolist()
 
 
 def test_what_cannot_be():

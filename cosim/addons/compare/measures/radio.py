@@ -7,13 +7,13 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
+from cosim.base.codes import PARKED
 from cosim.messages import etsi
 from cosim.radio.bodies import Bodies, tallest_blocker_m
 from cosim.radio.channel import AccessParams, ChannelRules, ChannelState, Links, Packets, PhyOutcome, run_window
 from cosim.radio.phy import ReceiverParams, airtime_ns
 from cosim.radio.propagation import blockage_mean_db, fading_class, log_distance_db, tr37885_db
 from cosim.runs.replay_lidar import city_of, config_of, worlds
-from cosim.traffic.streetside import PARKED
 from results.run import Run
 from sensors.line_of_sight import WallIndex, los_between_actors
 from sensors.scene import Shape

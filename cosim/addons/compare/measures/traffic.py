@@ -5,6 +5,7 @@ from numpy import ndarray
 from scipy import stats
 
 from cosim.addons.compare.runs import DEFAULT_WORLD
+from cosim.base.codes import PARKED
 from cosim.config.config import load
 from results.run import Run
 
@@ -12,10 +13,11 @@ MEASURES = ("actor_size", "walking_speed", "position_error")
 
 
 def actor_size(run: Run, *, vehicle_class: str) -> Float[ndarray, "3"]:
-    """Mean length, width and height of a class [m]; every actor counts once."""
+    """Mean length, width and height of a class [m]; every actor counts once, but no parked car."""
     columns = ["length_m", "width_m", "height_m"]
-    table = run.table("vehicles", ["vehicle_class", *columns])
-    mine = table[table.vehicle_class == vehicle_class]
+    table = run.table("vehicles", ["sumo_id", "vehicle_class", *columns])
+    drives = ~table.sumo_id.str.startswith(PARKED)
+    mine = table[drives & (table.vehicle_class == vehicle_class)]
     if mine.empty:
         raise ValueError(f"{run.path.name}: there is no {vehicle_class} in this run.")
     return mine[columns].astype(float).mean().to_numpy()
