@@ -174,6 +174,12 @@ class Config:
                 f"radio.timeout_s = {self.radio.timeout_s:g} s: the two messages of a sweep do not fit between two "
                 f"sweeps of a vehicle, {schedule.shortest_s:g} s apart. Set it to half of that, or less."
             )
+        turn_hz = self.lidar.rotation_hz
+        if isinstance(turn_hz, float) and turn_hz * schedule.shortest_s < 1.0 - 1e-9:
+            raise ValueError(
+                f"lidar.rotation_hz = {turn_hz:g}: a sweep takes {1.0 / turn_hz:g} s, and the next one begins after "
+                f"{schedule.shortest_s:g} s. Set it to {1.0 / schedule.shortest_s:g} or more, or a longer interval."
+            )
         longest_s = schedule.longest_steps * self.traffic.step_s
         if self.tracking.model != "none" and self.tracking.keep_s < longest_s - 1e-9:
             raise ValueError(

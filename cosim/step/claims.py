@@ -157,7 +157,8 @@ def _speed(
     """Whether the velocities that messages claim are those of the evaluators' own tracks.
 
     Velocities of self reports are confirmed or denied. Those of other objects are denied only: the evaluations of the
-    detections confirm the objects already, and one false speed would be lost among many right ones.
+    detections confirm the objects already, and one false speed would be lost among many right ones. A message without a
+    self report says nothing here, because its sender could only be denied.
     """
     lists, groups, of = compared.lists, compared.groups, compared.lists.of_member()
     objects = messages.objects
@@ -165,7 +166,9 @@ def _speed(
     p = parts.config.tracking
     claimed_mps = velocities(objects)
     foreign = messages.vehicle[by] != exchange.vehicles.senses[of]
-    claims = groups.ego_detected & foreign & messages.is_new(of, lists.member)
+    reports_itself = np.zeros(len(messages.vehicle), bool)
+    reports_itself[messages.detections.message[messages.detections.is_self]] = True
+    claims = groups.ego_detected & foreign & reports_itself[by] & messages.is_new(of, lists.member)
     at = np.flatnonzero(claims & ~np.isnan(claimed_mps[lists.member]).any(axis=1))
     own = lists.member[groups.seed[at]]
     claim = lists.member[at]

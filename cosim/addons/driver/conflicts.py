@@ -27,17 +27,20 @@ _STRETCH = 600.0
 """Length of the stretches of time that are searched one after another, in the unit of scaled time."""
 
 
+_TRACKS = """
+    SELECT step, actor, x_m, y_m, yaw_rad, speed_mps, length_m, width_m,
+        if(lag(step) OVER mine = step - 1, (speed_mps - lag(speed_mps) OVER mine)::DOUBLE / $dt_s, NULL)
+            AS acceleration_mps2
+    FROM actors JOIN vehicles ON vehicle = actor
+    WHERE vehicle_class <> 'pedestrian' AND NOT starts_with(sumo_id, $parked)
+    WINDOW mine AS (PARTITION BY actor ORDER BY step) ORDER BY step, actor
+"""
+
+
 def tracks(run: Run) -> pd.DataFrame:
     """Vehicles' poses with their sizes, without pedestrians and parked cars: step, actor, x_m, y_m, yaw_rad, speed_mps,
     length_m, width_m, acceleration_mps2 (missing in a vehicle's first step); by step, then actor."""
-    return run.sql("""
-        SELECT step, actor, x_m, y_m, yaw_rad, speed_mps, length_m, width_m,
-            if(lag(step) OVER mine = step - 1, (speed_mps - lag(speed_mps) OVER mine)::DOUBLE / $dt_s, NULL)
-                AS acceleration_mps2
-        FROM actors JOIN vehicles ON vehicle = actor
-        WHERE vehicle_class <> 'pedestrian' AND NOT starts_with(sumo_id, $parked)
-        WINDOW mine AS (PARTITION BY actor ORDER BY step) ORDER BY step, actor
-    """, parked=PARKED)  # fmt: skip
+    return run.sql(_TRACKS, parked=PARKED)
 
 
 def following(run: Run, poses: pd.DataFrame | None = None, range_m: float = RANGE_M) -> pd.DataFrame:

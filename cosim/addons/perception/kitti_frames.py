@@ -93,10 +93,11 @@ def posed(run: Run, steps: np.ndarray, observers: np.ndarray | None = None) -> t
 
 
 def observed_by_vehicle(run: Run, which: Lists, columns: list[str], where: pc.Expression) -> pd.DataFrame:
-    """Rows of the table of a list, with the actor number of the observer in place of its pseudonym."""
+    """Rows of vehicles in the table of a list, with the actor number of the observer in place of its pseudonym."""
     frame = run.variant_table(TABLE_OF[which], columns, where)
     if which == "local" and len(frame):
-        frame = frame.assign(observer=frame.observer.map(run.subjects.vehicle))
+        vehicle = frame.observer.map(run.subjects.vehicle)
+        frame = frame.assign(observer=vehicle)[vehicle.notna()]  # roadside units are no subjects
     return frame
 
 

@@ -102,6 +102,7 @@ def test_steps():
         ("radio=3", r"section \[radio\]"),
         ("trust.freshness_s='never'", r"^trust\.freshness_s = 'never' should be a valid number or 'off'\. Set trust\."),
         ("lidar.rotation_hz=-3", r"^lidar\.rotation_hz = -3 should be greater than 0 or 'off'\. Set lidar\."),
+        ("lidar.rotation_hz=0.5", "a sweep takes 2 s, and the next one begins after 1 s. Set it to 1 or more"),
         ("seed.x=1", "unknown key|section|valid"),
         ("fleet.equipped_kinds=['tank']", "fleet.equipped_kinds"),
         ("attacks.0.share_p=0.95", "more than all equipped"),

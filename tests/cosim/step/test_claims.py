@@ -167,6 +167,8 @@ def test_velocities_against_literal_loops(seed):
         sender, own = d.message[claim], member[groups.seed[at]]
         if d.message[own] != v or m.vehicle[sender] == v or m.step[sender] < scene.since[v]:
             continue
+        if not d.is_self[d.message == sender].any():  # it could only be denied
+            continue
         said = scene.velocity_mps(claim)
         if d.is_self[own]:  # the evaluator's own speed, along its heading
             yaw = scene.exchange.world.boxes.yaw_rad[v]
@@ -214,6 +216,11 @@ def test_false_speeds_are_found_once_there_are_tracks():
     rows = rows[rows.detection_index == 0]
     attacks = rows.observer.isin(np.flatnonzero(tables.registry.attack > 0))
     assert attacks.sum() > 10 and rows.support[attacks].max() < 0 and (rows.support[~attacks] > 0).mean() > 0.95
+
+
+def test_who_does_not_report_itself_is_not_denied_for_speeds():
+    tables = play([], n_steps=6, trust={"evidence": ["detections", "speed"], "self_reports": False}, tracking=TRACKS)
+    assert len(tables["evaluations"]) > 100 and not (tables["evaluations"].kind == SPEED).any()
 
 
 IN_TURNS = {"traffic": {"step_s": STEP_S}, "sensing_phase": "random", "extrapolate": True, "tracking": TRACKS}
