@@ -175,8 +175,8 @@ class TraceReplay(_Replay):
             said += f", and traffic.begin_s = {self._begin_s:g} s"
         if skipped_s > self._dt_s:
             said += (
-                f", and the warm-up skips {skipped_s:g} s of it: traffic.warmup_s, which a city sets itself. Set "
-                "traffic.warmup_s = 0 to replay the trace from its begin"
+                f", and the warm-up skips {skipped_s:g} s of it. Set traffic.warmup_s = 0 to replay the trace from its "
+                "begin"
             )
         return said
 

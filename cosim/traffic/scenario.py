@@ -182,7 +182,7 @@ def find(scenario: str, trace: str | None = None) -> Scenario:
             f"traffic.trace = {trace}: neither a run folder nor a trace. Give a folder that `cosim run` wrote, or what "
             f"SUMO wrote with --fcd-output ({', '.join(fcd.SUFFIXES)})."
         )
-    return replace(found, trace=path, warmup_s=0.0 if path.is_dir() else found.warmup_s)
+    return replace(found, trace=path, warmup_s=0.0)
 
 
 def _find(scenario: str) -> Scenario:

@@ -138,9 +138,7 @@ def test_floating_car_data_of_a_run_without_sensing_come_back(tmp_path):
     done = cosim("export", "fcd", "run", "--out", "trace", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     trace = f"traffic.trace={tmp_path / 'trace' / 'fcd.xml.gz'}"
-    simulate(
-        tmp_path / "again", *sets, "traffic.duration_s=4", "traffic.warmup_s=0", "traffic.scenario=helsinki", trace
-    )
+    simulate(tmp_path / "again", *sets, "traffic.duration_s=4", "traffic.scenario=helsinki", trace)
     tables = []
     for name, shift in (("run", 0), ("again", 1)):
         of = open_run(tmp_path / name)

@@ -152,6 +152,12 @@ def test_what_is_no_scenario(tmp_path, name, text, says):
     assert says in str(caught.value) and str(path) in str(caught.value)
 
 
+def test_recorded_traffic_in_a_city_is_replayed_from_its_begin(tmp_path):
+    """The city's own warm-up fills streets, and those of a recording are as full as they were."""
+    (tmp_path / "recorded.xml").write_text("<fcd-export/>")
+    assert find("helsinki").warmup_s == 600 and find("helsinki", str(tmp_path / "recorded.xml")).warmup_s == 0
+
+
 def test_what_is_no_trace(tmp_path):
     with pytest.raises(ValueError, match="no such file or folder"):
         find("helsinki", str(tmp_path / "gone.parquet"))
