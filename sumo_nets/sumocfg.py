@@ -63,6 +63,21 @@ class Sumocfg:
         return frozenset(name for name, value in self.options.items() if value.lower() in _YES)
 
     @property
+    def scale(self) -> float:
+        """The factor on the demand.
+
+        Raises
+        ------
+        ValueError
+            It is no number.
+        """
+        text = self.options.get("scale", "1")
+        try:
+            return float(text)
+        except ValueError:
+            raise ValueError(f"{self.path}: scale = {text} is no number. Correct or remove it.") from None
+
+    @property
     def inputs(self) -> tuple[Path, ...]:
         """Every file that is read, the configuration first."""
         return tuple(dict.fromkeys((self.path, *(p for paths in self.files.values() for p in paths), *self.included)))

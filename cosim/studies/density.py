@@ -85,7 +85,8 @@ def _demanded(name: str, scenario: Scenario, first_s: float, at_s: float) -> flo
         return known
     if name in catalogue.names():
         return catalogue.find(name).vehicles_per_hour / 3600 * lasts_s
-    return departures(sumocfg.read(scenario.sumocfg).routes, max(first_s, at_s - lasts_s), at_s)
+    config = sumocfg.read(scenario.sumocfg)
+    return config.scale * departures(config.routes, max(first_s, at_s - lasts_s), at_s)
 
 
 def departures(routes: tuple[Path, ...], from_s: float, to_s: float) -> float:

@@ -23,7 +23,8 @@ class TrafficParams:
     seed: Annotated[int, Ge(0), Le(2**31 - 1)] = 1
     """Seed of SUMO."""
     scale: Annotated[float, Gt(0), Le(1000)] = 1.0
-    """Factor on the demand. Below 1, SUMO omits some vehicles. Above 1, it repeats some. Traces are not scaled."""
+    """Factor on the demand, beside the scale of the .sumocfg. Below 1, SUMO omits some vehicles. Above 1, it repeats
+    some. Traces are not scaled."""
     begin_s: Annotated[float, Ge(0), Le(1e8)] | None = None
     """Scenario time at which the simulation begins, before the warm-up [s]. If it is not set, the scenario's own begin
     time is used."""

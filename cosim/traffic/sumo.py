@@ -297,7 +297,7 @@ def sumo_options(params: TrafficParams, config: Path, scratch: Path, has_driver:
         **({"collision.action": "warn", "collision.check-junctions": "true"} if has_driver else {}),
         **({"tls.yellow.min-decel": YELLOW_MPS2} if params.car_following == "calibrated" else {}),
         **({} if params.begin_s is None else {"begin": params.begin_s}),
-        **({} if params.scale == 1 else {"scale": params.scale}),
+        **({} if params.scale == 1 else {"scale": params.scale * files.scale}),
     }
     return [word for name, value in options.items() for word in (f"--{name}", str(value))]
 

@@ -65,6 +65,19 @@ def test_clients_seeds_and_threads_that_a_configuration_asks_for_change_no_traff
     same(live(str(config), 0, 40)[0], plain)
 
 
+def test_the_demand_is_scaled_from_the_scale_of_a_configuration(tmp_path):
+    """A configuration's scale of 2 at traffic.scale = 1.5 is a scale of 3."""
+    plain, scaled = mixed_scenario.write(tmp_path / "plain"), mixed_scenario.write(tmp_path / "scaled")
+    text = scaled.read_text()
+    scaled.write_text(text.replace("<report>", '<processing><scale value="2"/></processing><report>'))
+    worlds = live(str(scaled), 0, 40, TrafficParams(scale=1.5))[0]
+    same(worlds, live(str(plain), 0, 40, TrafficParams(scale=3.0))[0])
+    assert len(worlds[-1]["actor"]) > len(live(str(scaled), 0, 40)[0][-1]["actor"])
+    scaled.write_text(text.replace("<report>", '<processing><scale value="two"/></processing><report>'))
+    with pytest.raises(ValueError, match="scale = two is no number"):
+        find(str(scaled)).traffic(TrafficParams(scale=1.5), registry())
+
+
 def mixed(folder: Path, **keys):
     """The mixed scenario, running."""
     return find(str(mixed_scenario.write(folder))).traffic(TrafficParams(), registry(), **keys)
