@@ -150,10 +150,29 @@ def without_commas(config: Sumocfg, folder: Path) -> Sumocfg:
     return replace(config, files={option: tuple(map(linked, paths)) for option, paths in config.files.items()})
 
 
+def in_folder(folder: Path) -> list[Path]:
+    """The configurations in a folder; those of other names only if there is no .sumocfg."""
+    return sorted(folder.glob("*.sumocfg")) or sorted(filter(is_sumocfg, folder.glob("*.cfg")))
+
+
+def seconds(text: str) -> float:
+    """A time as SUMO reads it [s]: seconds, or hours, minutes and seconds, or days before these.
+
+    Raises
+    ------
+    ValueError
+        It is none.
+    """
+    parts = [float(part) for part in text.split(":")]
+    if len(parts) not in (1, 3, 4):
+        raise ValueError(f"{text} is no time.")
+    return sum(part * unit_s for part, unit_s in zip(reversed(parts), (1, 60, 3600, 86400), strict=False))
+
+
 def step_s(path: Path) -> float:
-    """Length of a step [s]; SUMO's default of 1 s where the configuration has none, or none that is a number."""
+    """Length of a step [s]; SUMO's default of 1 s where the configuration has none, or none that is a time."""
     try:
-        return float(_values(path).get("step-length", "1"))
+        return seconds(_values(path).get("step-length", "1"))
     except ValueError:
         return 1.0
 
@@ -165,8 +184,7 @@ def first_departure_s(routes: Iterable[Path]) -> float | None:
     def start(name: str, attributes: Attributes) -> None:
         text = attributes.get("depart", attributes.get("begin", ""))
         if name in ("vehicle", "trip", "flow", "person", "personFlow") and text[:1].isdigit():
-            parts = [float(part) for part in text.split(":")]
-            found.append(sum(part * 60.0**n for n, part in enumerate(reversed(parts[-3:]))))
+            found.append(seconds(text))
             raise Enough
 
     for path in routes:

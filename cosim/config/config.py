@@ -571,8 +571,8 @@ def _take_step_of_sumocfg(traffic: dict[str, Any]) -> None:
     if not isinstance(scenario, str) or scenario in catalogue.names():
         return
     path = Path(scenario)
-    found = [path] if path.name.endswith(".sumocfg") else sorted(path.glob("*.sumocfg"))
-    if len(found) != 1 or not found[0].is_file():
+    found = [path] if sumocfg.is_sumocfg(path) else sumocfg.in_folder(path)
+    if len(found) != 1:
         return
     step_s = sumocfg.step_s(found[0])
     if step_s < 0.02:

@@ -40,9 +40,10 @@ def under(data: dict[str, Any], where: str) -> None:
     _add(data, _preset(name))
 
 
-def default_of(key: str) -> Any:
-    """What the default preset sets a key such as `lidar.profile` to; None if it leaves the key alone."""
-    found: Any = {"preset": DEFAULT} | _preset(DEFAULT)
+def default_of(key: str, name: str = "") -> Any:
+    """What a preset, by default the default one, sets a key such as `lidar.profile` to; None if it leaves it alone."""
+    name = name or DEFAULT
+    found: Any = {"preset": name} | _preset(name)
     for part in key.split("."):
         found = found.get(part) if isinstance(found, Mapping) else None
     return found

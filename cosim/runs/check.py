@@ -8,7 +8,7 @@ import numpy as np
 
 from cosim.config.config import Config, chosen
 from cosim.config.effect import without_effect
-from cosim.config.preset import farewell
+from cosim.config.preset import default_of, farewell
 from cosim.radio.rsu import NO_RSUS, RsuAntennas, place_rsus
 from cosim.runs.inputs import changed_inputs
 from cosim.step import mixed_perception
@@ -202,11 +202,27 @@ def _out_of_reach(config: Config) -> list[str]:
 
 
 def keys_in_vain(config: Config, scenario: Scenario) -> list[str]:
-    """Notes on keys that the config sets and that change nothing."""
+    """Notes on keys that the config sets and that change nothing, and on a step that its scenario states in vain."""
     lines = without_effect(config, scenario.trace is not None)
     if _lacks_trees(config, scenario):
         lines.append(f"trees.from_map has no effect: the polygon files of {scenario.name} contain no trees.")
+    lines += _shorter_step(config, scenario)
     return [f"note: {line}" for line in lines]
+
+
+def _shorter_step(config: Config, scenario: Scenario) -> list[str]:
+    """A line if the user's own .sumocfg states a step, and that of the preset, which is shorter, is used instead."""
+    path, step_s = scenario.sumocfg, config.traffic.step_s
+    is_own = scenario.trace is None and scenario.warmup_s == 0  # a city has a warm-up
+    if path is None or not is_own or step_s != default_of("traffic.step_s", config.preset):
+        return []
+    stated_s = sumocfg.step_s(path)
+    if "step-length" not in sumocfg.read(path).options or stated_s <= step_s:
+        return []
+    return [
+        f"{path.name} has steps of {stated_s:g} s, and those of the preset are used: traffic.step_s = {step_s:g}. "
+        f"Set traffic.step_s = {stated_s:g} to drive it as it is."
+    ]
 
 
 def changed_since(path: Path | None, config: Config) -> list[str]:

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
+from sumo_nets.sumocfg import in_folder
+
 SHORTEST_STEP_S = 0.02
 
 
@@ -38,7 +40,8 @@ class TrafficParams:
     Intelligent Driver Model with published parameters of city traffic, which brakes hard about as often as measured
     drivers. Sizes, speeds and routes stay. Traces are not changed."""
     step_s: Annotated[float, Ge(SHORTEST_STEP_S), Le(60)] = 1.0
-    """Length of one traffic step [s]. If it is not set, the step length of the .sumocfg is used; for a trace, 1 s."""
+    """Length of one traffic step [s]. If it is not set, the step length of the .sumocfg is used, unless the preset's is
+    shorter: that of `modern` is 0.2 s, which traces have too."""
 
 
 def resolved_input(name: str, folder: Path, cities: Collection[str]) -> str:
@@ -56,4 +59,4 @@ def resolved_input(name: str, folder: Path, cities: Collection[str]) -> str:
 
 def _is_input(path: Path) -> bool:
     names = ("manifest.json", "recipe.toml")
-    return path.is_file() or any((path / name).is_file() for name in names) or any(path.glob("*.sumocfg"))
+    return path.is_file() or any((path / name).is_file() for name in names) or bool(in_folder(path))

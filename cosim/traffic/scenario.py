@@ -230,7 +230,7 @@ def _in_folder(folder: Path) -> Scenario:
                 f'Or set traffic.scenario to that city, and traffic.trace = "{folder}".'
             ) from None
         return replace(streets, trace=folder, warmup_s=0.0)
-    found = sorted(folder.glob("*.sumocfg")) or sorted(filter(sumocfg.is_sumocfg, folder.glob("*.cfg")))
+    found = sumocfg.in_folder(folder)
     if len(found) == 1:
         return _of_sumocfg(found[0])
     raise ValueError(

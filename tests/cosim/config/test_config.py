@@ -47,17 +47,23 @@ def test_a_scenario_is_found_beside_the_file_that_names_it(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text('[traffic]\nscenario = "city.sumocfg"\n')
     assert load(path).traffic.scenario == str(tmp_path / "city.sumocfg")
+    (tmp_path / "town").mkdir()
+    (tmp_path / "town" / "city.cfg").write_text("<configuration/>")
+    path.write_text('[traffic]\nscenario = "town"\n')
+    assert load(path).traffic.scenario == str(tmp_path / "town")
 
 
 @pytest.mark.parametrize(
     ("said", "set_", "step_s"),
     [('<time><step-length value="0.1"/></time>', [], 0.1), ("<step-length>0.5</step-length>", [], 0.5), ("", [], 1.0),
      ('<step-length value="0.1"/>', ["traffic.step_s=0.25"], 0.25), ('<step-length value="soon"/>', [], 1.0),
+     ('<step-length value="0:00:00.5"/>', [], 0.5),
      ('<step-length value="0.1"/>', ["traffic.trace='fcd.parquet'"], 1.0)],
 )  # fmt: skip
-def test_a_scenario_keeps_its_own_step(tmp_path, said, set_, step_s):
+@pytest.mark.parametrize("name", ["city.sumocfg", "city.sumo.cfg", "city.cfg"])
+def test_a_scenario_keeps_its_own_step(tmp_path, name, said, set_, step_s):
     """Longer steps drive otherwise: who calibrated a scenario at 0.1 s wants it driven so."""
-    config = tmp_path / "city.sumocfg"
+    config = tmp_path / name
     config.write_text(f"<configuration>{said}</configuration>")
     assert load(None, [f"traffic.scenario={config}", *set_]).traffic.step_s == step_s
     assert load(None, [f"traffic.scenario={tmp_path}", *set_]).traffic.step_s == step_s

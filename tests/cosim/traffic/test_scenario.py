@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cosim.config.config import load
-from cosim.runs.check import empty_streets
+from cosim.runs.check import empty_streets, keys_in_vain
 from cosim.traffic.remarks import FlowCounts, jumping, overlapping, traffic_remarks
 from cosim.traffic.scenario import find
 from cosim.world import World
@@ -383,6 +383,22 @@ def test_a_scenario_without_a_warm_up_is_noted(tmp_path):
     assert noted(town)
     assert not noted(town, "traffic.warmup_s=0") and not noted(town, "traffic.warmup_s=60")
     assert not noted()
+
+
+def test_a_longer_step_of_a_scenario_is_noted(tmp_path):
+    """SUMO drives otherwise in shorter steps. A scenario that states no step has lost none, and a set one is meant."""
+    town = write_town(tmp_path / "town")
+
+    def noted(*sets):
+        config = load(None, [f"traffic.scenario={town}", *sets])
+        return [note for note in keys_in_vain(config, find(str(town))) if "has steps of" in note]
+
+    assert noted("preset=modern") == []
+    town.write_text(town.read_text().replace("<time>", '<time><step-length value="0.5"/>'))
+    (note,) = noted("preset=modern")
+    assert "town.sumocfg has steps of 0.5 s" in note and "Set traffic.step_s = 0.5 to drive it as it is." in note
+    assert noted("preset=modern", "traffic.step_s=0.5") == noted("preset=modern", "traffic.step_s=0.1") == []
+    assert noted("preset=v0.2") == []
 
 
 def test_a_run_that_began_on_empty_streets_says_so():
