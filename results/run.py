@@ -364,6 +364,20 @@ class Run:
             if name not in self.tables:
                 raise ValueError(f"{self.path} holds no table {name}: {self._why_absent(name)}")
 
+    def lacks(self, what: str, why: str) -> ValueError:
+        """The error that there is nothing of a kind to measure or draw, and why. Without sensing, nothing else is why.
+
+        Parameters
+        ----------
+        what
+            What vehicles have because they sense, such as "trust lookups".
+        why
+            Sentences for a run in which vehicles sense.
+        """
+        if not self.config.get("sensing", True):
+            why = "sensing = false, so no vehicle senses or sends. Set sensing = true, and run again."
+        return ValueError(f"{self.path} holds no {what}: {why}")
+
     def _why_absent(self, name: str) -> str:
         """Why the run does not have a table, and what to do."""
         record = self.manifest["config"].get("record")

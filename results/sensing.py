@@ -42,7 +42,7 @@ def senses(run: Run, step: Int[ndarray, "k"], vehicle: Int[ndarray, "k"]) -> Boo
         Numbers of equipped vehicles.
     """
     interval, phase = (column[vehicle] for column in _schedule(run))
-    return step % interval == phase
+    return (step % interval == phase) & bool(run.config.get("sensing", True))
 
 
 def sensing_steps(run: Run) -> Int[ndarray, "s"]:

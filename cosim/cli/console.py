@@ -205,7 +205,7 @@ def print_run_summary(folder: Path, as_json: bool) -> "Run":
     since = f" since step {resumed_at[-1]:,}, where it was resumed" if resumed_at else ""
     given = shlex.quote(str(folder))
     print_facts(
-        _summary(rows, manifest.get("net", {}).get("name", "the network"))
+        _summary(rows, manifest.get("net", {}).get("name", "the network"), run.config["sensing"])
         | {
             "time": [f"{spent_s:.1f} s of computing{since}, {speed} times real time; wrote {folder}, {picture}"],
             "next": [f"cosim report {given}   cosim measure {given}" + _pictures(rows, given)],
@@ -245,16 +245,17 @@ def _pictures(rows: GetRows, given: str) -> str:
     return ""
 
 
-def _summary(rows: GetRows, city: str) -> dict[str, list[str]]:
+def _summary(rows: GetRows, city: str, has_sensing: bool = True) -> dict[str, list[str]]:
     """Sentences of the summary by topic."""
 
     def get(metric: str) -> Mapping[str, float]:
         return {group: row["value"] for group, row in rows(metric).items()}
 
     apart = _told_apart(rows)
-    return {
-        "traffic": _traffic(get, city),
-        "encounters": _encounters(get, rows),
+    moved = {"traffic": _traffic(get, city), "encounters": _encounters(get, rows)}
+    if not has_sensing:
+        return moved | {"sensing": ["false: no vehicle senses or sends, and no trust is computed"]}
+    return moved | {
         "trust": _trust(rows),
         **({"told apart": apart} if apart else {}),
         "freshness": _freshness(get),

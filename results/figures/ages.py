@@ -40,7 +40,7 @@ def draw(runs: Sequence[Run]) -> Figure:
     style.panel(axes, "Ages of trust when it is looked up", axis_label("trust_lookups", "age_s", "Age"),
                 "Share that is older")  # fmt: skip
     if not shown:
-        raise ValueError(f"{runs[0].path} has no trust value that rests on an evaluation: there is no age to draw.")
+        raise runs[0].lacks("trust value that rests on an evaluation", "there is no age to draw.")
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlim(span[0] * 0.9, span[1] * 1.2)

@@ -21,7 +21,7 @@ STATES = ("evaluated", "unevaluated", "stale", "no value")
 KNOWN = ("evaluated", "stale")
 """States in which a value rests on an evaluation."""
 
-_NO_EVALUATION = "holds no lookup of a trust value that rests on an evaluation: trust never reached a vehicle."
+_NO_EVALUATION = "lookup of a trust value that rests on an evaluation", "trust never reached a vehicle."
 
 
 def evidence(run: Run) -> pd.DataFrame:
@@ -89,7 +89,7 @@ def ages(run: Run) -> pd.DataFrame:
                     "median_s": median_s, "p90_s": p90_s,
                 })  # fmt: skip
     if not rows:
-        raise ValueError(f"{run.path} {_NO_EVALUATION}")
+        raise run.lacks(*_NO_EVALUATION)
     return pd.DataFrame(rows)
 
 
@@ -201,7 +201,7 @@ def distribution(run: Run, what: str = "newest evaluation") -> pd.DataFrame:
     counts = lookups.sums(run).age_counts[:, list(AGES).index(what)].sum(axis=0)
     there = counts > 0
     if not there.any():
-        raise ValueError(f"{run.path} {_NO_EVALUATION}")
+        raise run.lacks(*_NO_EVALUATION)
     age_s, share = lookups.ages_s(run)[there], np.cumsum(counts[there]) / counts.sum()
     return pd.DataFrame({"age_s": np.r_[age_s[0], age_s], "share": np.r_[0, share]})
 
@@ -269,7 +269,7 @@ def _totals(run: Run) -> pd.DataFrame:
         FROM lookup_totals WHERE variant = $variant GROUP BY state
     """)
     if found.empty:
-        raise ValueError(f"{run.path} {NO_LOOKUPS}")
+        raise run.lacks(*NO_LOOKUPS)
     return found.set_index("state").reindex(STATES, fill_value=0)
 
 
@@ -284,7 +284,7 @@ def _ages_of_totals(run: Run) -> pd.DataFrame:
         if n[what]
     ]
     if not rows:
-        raise ValueError(f"{run.path} {_NO_EVALUATION}")
+        raise run.lacks(*_NO_EVALUATION)
     return pd.DataFrame(rows)
 
 

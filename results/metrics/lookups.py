@@ -45,9 +45,7 @@ _MOST_SCORES = 1 << 21
 _SCORES = 4096
 """Values are then multiples of this part of 1."""
 
-NO_LOOKUPS = (
-    "holds no trust lookups: no message was received. Raise radio.range_m or fleet.penetration_p, and run again."
-)
+NO_LOOKUPS = "trust lookups", "no message was received. Raise radio.range_m or fleet.penetration_p, and run again."
 
 
 class Sums(NamedTuple):
@@ -153,7 +151,7 @@ def sums(run: Run, fresh_s: float = FRESH_S, threshold: float | None = None) -> 
     """
     mine = Sums(*(table[run.variants.index(run.variant)] for table in _all(run, fresh_s, threshold).sums))
     if not mine.states.any():
-        raise ValueError(f"{run.path} {NO_LOOKUPS}")
+        raise run.lacks(*NO_LOOKUPS)
     return mine
 
 

@@ -117,7 +117,7 @@ def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
             "false_positives": _share(honest < limit), **intervals.columns(of_time, "suspected"),
         })  # fmt: skip
     if not rows:
-        raise ValueError(f"{run.path} {_NONE_RATED}")
+        raise run.lacks(*_NONE_RATED)
     return pd.DataFrame(rows)
 
 
@@ -142,7 +142,7 @@ def roc(run: Run) -> pd.DataFrame:
                 "true_positives": np.searchsorted(attacking, threshold) / len(attacking),
             }))  # fmt: skip
     if not rows:
-        raise ValueError(f"{run.path} {_NONE_RATED}")
+        raise run.lacks(*_NONE_RATED)
     return pd.concat(rows, ignore_index=True)
 
 
@@ -250,7 +250,7 @@ def at_lookup(run: Run, threshold: float | None = None) -> pd.DataFrame:
             )  # fmt: skip
         rows.append(row | intervals.columns(area, "auc") | {"auc_error": _tied(scores, honest, here)})
     if not rows:
-        raise ValueError(f"{run.path} {_NONE_RATED}")
+        raise run.lacks(*_NONE_RATED)
     table = pd.DataFrame(rows)
     off_by = table.auc_error.max()
     return table.assign(auc_note=f"off by {off_by:.2g} at most" if off_by > 0 else "")
@@ -274,7 +274,7 @@ def compared_at_lookup(run: Run, false_positives: float = 0.05) -> dict[str, int
     scores, (_, role_of) = lookups.scores(run), lookups.subjects(run)
     honest = role_of[scores.who] == (run.role_labels.index(HONEST) if HONEST in run.role_labels else -1)
     if honest.all() or not honest.any():
-        raise ValueError(f"{run.path} {_NONE_RATED}")
+        raise run.lacks(*_NONE_RATED)
     order = np.argsort(scores.trust[honest])
     at = np.searchsorted(np.cumsum(scores.n[honest][order]), int(false_positives * scores.n[honest].sum()), "right")
     limit = scores.trust[honest][order][at]
@@ -412,9 +412,9 @@ def threshold_at(honest: Float[ndarray, "h"], false_positives: float) -> float:
 
 
 _NONE_RATED = (
-    "holds no evaluations of both attackers and honest vehicles to compare: there are none of one of them, or no "
-    "receiver of their messages could see what they reported. Raise fleet.penetration_p or traffic.duration_s, or "
-    "lower the share_p of an attack, and run again."
+    "evaluations of both attackers and honest vehicles to compare",
+    "there are none of one of them, or no receiver of their messages could see what they reported. Raise "
+    "fleet.penetration_p or traffic.duration_s, or lower the share_p of an attack, and run again.",
 )
 
 

@@ -22,20 +22,21 @@ _ROAD_S = "(SELECT sum(last_step - first_step + 1) * $dt_s FROM vehicles WHERE e
 """Time that equipped vehicles are on the road."""
 
 
-def _asked(run: Run, why: str, query: str, **values: Any) -> pd.DataFrame:
-    """What SQL answers. ValueError where it answers nothing."""
+def _asked(run: Run, what: str, why: str, query: str, **values: Any) -> pd.DataFrame:
+    """What SQL answers. ValueError where it answers nothing: `what` there is none of, and why."""
     found = run.sql(query, **values)
     if found.empty:
-        raise ValueError(f"{run.path} holds no {why}")
+        raise run.lacks(what, why)
     return found
 
 
-_NOBODY = "radio traffic: no vehicle had another in range. Raise fleet.penetration_p or radio.range_m."
+_TRAFFIC = "radio traffic"
+_NOBODY = "no vehicle had another in range. Raise fleet.penetration_p or radio.range_m."
 
 
 def overall(run: Run, message_type: MessageType | None = None) -> pd.DataFrame:
     """One row, of one message type or of all: n_sent, n_in_range, pdr, shares lost by cause, sent_bytes, mean cbr."""
-    return _asked(run, _NOBODY, f"""
+    return _asked(run, _TRAFFIC, _NOBODY, f"""
         SELECT sum(n_sent)::BIGINT AS n_sent, {_PDR}, {_LOSSES}, sum(sent_bytes::DOUBLE) AS sent_bytes,
             avg(cbr::DOUBLE) AS cbr
         FROM radio WHERE $message_type IS NULL OR message_type = $message_type
@@ -45,7 +46,7 @@ def overall(run: Run, message_type: MessageType | None = None) -> pd.DataFrame:
 
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     """Packet delivery ratio by time: time_s, n_in_range, pdr, cbr."""
-    return _asked(run, _NOBODY, f"""
+    return _asked(run, _TRAFFIC, _NOBODY, f"""
         SELECT floor(step * $dt_s / $every_s) * $every_s AS time_s, {_PDR}, avg(cbr::DOUBLE) AS cbr
         FROM radio GROUP BY time_s HAVING sum(n_in_range) > 0 ORDER BY time_s
     """, every_s=every_s)  # fmt: skip
@@ -57,7 +58,7 @@ def by_distance(run: Run, by_los: bool = False) -> pd.DataFrame:
     With `by_los` also by line of sight between the two ends: los_state is los, nlos, or unknown.
     """
     by = "los_state, distance_bin_m" if by_los else "distance_bin_m"
-    return _asked(run, _NOBODY, f"""
+    return _asked(run, _TRAFFIC, _NOBODY, f"""
         SELECT {by}, distance_bin_m + {DISTANCE_BIN_M / 2}::DOUBLE AS distance_m, {_PDR}, {_LOSSES}
         FROM pdr_by_distance GROUP BY {by} HAVING sum(n_in_range) > 0 ORDER BY {by}
     """)  # fmt: skip
@@ -66,15 +67,15 @@ def by_distance(run: Run, by_los: bool = False) -> pd.DataFrame:
 def by_los(run: Run) -> pd.DataFrame:
     """Packet delivery ratio by line of sight: los_state, n_in_range, pdr."""
     query = f"SELECT los_state, {_PDR} FROM pdr_by_distance GROUP BY los_state HAVING sum(n_in_range) > 0 ORDER BY ALL"
-    return _asked(run, _NOBODY, query)
+    return _asked(run, _TRAFFIC, _NOBODY, query)
 
 
-_NONE_RECEIVED = "radio traffic: no message was received. Raise radio.range_m."
+_NONE_RECEIVED = "no message was received. Raise radio.range_m."
 
 
 def latency(run: Run) -> pd.DataFrame:
     """Latency from generation to reception: message_type, latency_s (upper bin edge), n_delivered, share up to it."""
-    frame = _asked(run, _NONE_RECEIVED, """
+    frame = _asked(run, _TRAFFIC, _NONE_RECEIVED, """
         SELECT message_type, latency_s, sum(n_delivered)::BIGINT AS n_delivered,
             sum(sum(n_delivered)) OVER (PARTITION BY message_type ORDER BY latency_s)
                 / sum(sum(n_delivered)) OVER (PARTITION BY message_type) AS share
@@ -100,8 +101,8 @@ def inter_reception(run: Run, message_type: MessageType = "cpm") -> pd.DataFrame
     pir_s, n_lost (messages in between), n_received and n_censored (intervals so long that a reception ended, or
     that were cut off when the two got out of range), longer: share of intervals that last longer, by Kaplan-Meier.
     """
-    why = f"two messages of type {message_type} in a row of any pair. Run longer."
-    return _asked(run, why, """
+    what = f"two messages of type {message_type} in a row of any pair"
+    return _asked(run, what, "it is too short. Run longer.", """
         WITH counts AS (
             SELECT pir_steps, sum(n_received)::BIGINT AS n_received, sum(n_censored)::BIGINT AS n_censored
             FROM packet_inter_reception WHERE message_type = $message_type GROUP BY pir_steps
@@ -136,7 +137,7 @@ def cpm(run: Run) -> pd.DataFrame:
     of all objects that vehicles would report, in columns named as in the table `cpm_content`.
     """
     left_out = ", ".join(f"sum({name}) / nullif(sum(n_objects), 0) AS {name}" for name in LEFT_OUT)
-    return _asked(run, "detection messages: no vehicle sent one. Raise fleet.penetration_p.", f"""
+    return _asked(run, "detection messages", "no vehicle sent one. Raise fleet.penetration_p.", f"""
         WITH rows AS (SELECT *, length_bytes > 0 AS sent FROM cpm_content)
         SELECT count_if(sent) AS n_sent, count_if(sent) / {_ROAD_S} AS rate_hz,
             avg(n_included) FILTER (sent) AS objects, avg(length_bytes) FILTER (sent) AS length_bytes, {left_out}
@@ -159,7 +160,7 @@ def clouds(run: Run) -> pd.DataFrame:
     offered_mbps and delivered_mbps (sent by, and received in whole sweeps by, one equipped vehicle on the road, mean),
     and complete (share of the sweeps that a vehicle within range receives whole).
     """
-    return _asked(run, 'point clouds. Set early_fusion.share to "objects" or "sweep".', f"""
+    return _asked(run, "point clouds", 'none is sent. Set early_fusion.share to "objects" or "sweep".', f"""
         SELECT 8e-6 * sum(length_bytes) / {_ROAD_S} AS offered_mbps,
             8e-6 * sum(length_bytes::DOUBLE * (n_received + n_received_late)) / {_ROAD_S} AS delivered_mbps,
             sum(n_received + n_received_late) / nullif(sum(n_in_range), 0) AS complete
@@ -169,7 +170,7 @@ def clouds(run: Run) -> pd.DataFrame:
 
 def by_place(run: Run, cell_m: float = 50.0) -> pd.DataFrame:
     """The channel by place of the receiver: x_m, y_m (middle of the cell), n, cbr, pdr."""
-    return _asked(run, "radio traffic: no vehicle was equipped. Raise fleet.penetration_p.", """
+    return _asked(run, _TRAFFIC, "no vehicle was equipped. Raise fleet.penetration_p.", """
         SELECT (floor(a.x_m::DOUBLE / $cell_m) + 0.5::DOUBLE) * $cell_m AS x_m,
             (floor(a.y_m::DOUBLE / $cell_m) + 0.5::DOUBLE) * $cell_m AS y_m,
             count(*) AS n, sum(cbr::DOUBLE) / count(*) AS cbr, sum(n_received) / nullif(sum(n_in_range), 0) AS pdr
@@ -192,5 +193,5 @@ def to_server(run: Run) -> pd.DataFrame:
         FROM server WHERE variant = $variant HAVING count(*) > 0
     """)
     if len(found) and not found.n_reports[0]:
-        raise ValueError(f'{run.path} holds no reports to a trust server. Set trust.host = "central".')
+        raise run.lacks("reports to a trust server", 'nobody sent one. Set trust.host = "central".')
     return found

@@ -133,9 +133,10 @@ def _own(run: Run) -> pd.DataFrame:
     frame = pd.concat([*means, _means(open_rows)])
     frame["since"] = frame.step // every * every
     if frame.empty:
-        raise ValueError(
-            f"{run.path} holds no trust values: neither the server nor a vehicle ever computed one. Set trust.host to "
-            '"central" or "local", equip vehicles, and run longer than trust.server_period_s.'
+        raise run.lacks(
+            "trust values",
+            'neither the server nor a vehicle ever computed one. Set trust.host to "central" or "local", equip '
+            "vehicles, and run longer than trust.server_period_s.",
         )
     return frame
 
@@ -163,7 +164,7 @@ def watched(run: Run) -> pd.DataFrame:
 def _watched_of(run: Run) -> pd.DataFrame:
     who = run.subjects
     if not who.attack_start_step.notna().any():
-        raise ValueError(f"{run.path} holds no attacks. Raise the share_p of an attack, or run past its start_s.")
+        raise run.lacks("attacks", "none has begun. Raise the share_p of an attack, or run past its start_s.")
     honest = who.role == HONEST
     who = who[honest | who.attack_start_step.notna()]
     begin = who.attack_start_step.where(who.role != HONEST, who.attack_start_step.min())

@@ -155,5 +155,5 @@ def _asked(run: Run, query: str, **values: Any) -> pd.DataFrame:
     if found.empty and run.sql(f"{_PAIRS} SELECT * FROM pairs LIMIT 1").empty:
         more = "Raise the share_p of an attack, or run longer than its start_s,"
         fused = "Give the variant fused = true" if run.variant != "base" and run.n_rows("attack_outcomes") else more
-        raise ValueError(f"{run.path} holds no attack that reached another vehicle. {fused} and run again.")
+        raise run.lacks("effect of an attack", f"none reached another vehicle. {fused} and run again.")
     return found

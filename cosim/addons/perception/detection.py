@@ -71,7 +71,7 @@ def precision(
                 for level in LEVELS
             ]  # fmt: skip
     if not rows:
-        raise ValueError(f"{run.path} holds no detections to rank: no equipped vehicle ever had an actor ahead of it.")
+        raise run.lacks("detections to rank", "no equipped vehicle ever had an actor ahead of it.")
     return pd.DataFrame(rows)
 
 
@@ -106,7 +106,7 @@ def awareness(
     })  # fmt: skip
     around = around[around.observer != around.actor]
     if around.empty:
-        raise ValueError(f"{run.path}: no equipped vehicle ever had an actor within {range_m:g} m.")
+        raise run.lacks("objects to know", f"no equipped vehicle ever had an actor within {range_m:g} m.")
     rows = []
     for which in with_boxes(run, tuple(TABLE_OF)):
         good = (pc.field("score") >= min_score) & pc.field("truth_actor").is_valid() & at_steps(steps)

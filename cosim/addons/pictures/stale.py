@@ -20,5 +20,5 @@ def placed(run: Run, fresh_s: float = FRESH_S) -> pd.DataFrame:
         WHERE variant = $variant GROUP BY l.step, receiver, x_m, y_m ORDER BY l.step, receiver
     """, fresh_s=fresh_s)  # fmt: skip
     if found.empty:
-        raise ValueError(f"{run.path} has no lookups of trust: no vehicle received a message.")
+        raise run.lacks("lookups of trust", "no vehicle received a message.")
     return found

@@ -6,6 +6,9 @@ from cosim.cli import console
 from cosim.cli.console import _summary
 from cosim.config.config import load
 from cosim.runs.run import run
+from results.archive import open_run
+from results.figures.catalogue import FIGURES
+from results.measure import measure
 from tests.hostile.scenes import write_trace
 from tests.processes import sets_of_trace
 
@@ -97,6 +100,24 @@ def test_every_topic_is_a_line_that_begins_with_a_number():
 def test_what_is_missing_is_said(changes, topic, says):
     (line,) = _summary(rows_of(METRICS | changes), "helsinki")[topic][:1]
     assert says in line
+
+
+def test_without_sensing_no_other_cause_is_named(tmp_path, capsys):
+    """In the summary, in all that is not measured, and in place of figures."""
+    keys = [*sets_of_trace(write_trace(tmp_path))[1::2], "sensing=false", "fleet.penetration_p=1"]
+    folder = run(load(None, keys), tmp_path / "run", lambda *_: None)
+    console.print_run_summary(folder, as_json=False)
+    lines = capsys.readouterr().out.splitlines()
+    topics = [line.split()[0] for line in lines]
+    assert topics[:3] == ["traffic", "encounters", "sensing"] and not {"trust", "radio", "freshness"} & set(topics)
+    recorded = open_run(folder)
+    table = measure(recorded)
+    reasons = table[table.metric.str.endswith(".not_measured")].set_index("metric").group
+    assert {"trust.not_measured", "freshness.not_measured", "radio.not_measured"} <= set(reasons.index)
+    assert reasons.str.contains("sensing = false, so no vehicle senses or sends").all(), reasons.to_dict()
+    for name in ("trust", "misbehaviour", "freshness", "radio", "detection", "ages", "stale"):
+        with pytest.raises(ValueError, match="sensing = false, so no vehicle senses or sends"):
+            FIGURES[name]([recorded])
 
 
 def test_a_run_without_definitions_of_encounters_has_a_summary(tmp_path, capsys):
