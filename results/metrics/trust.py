@@ -133,12 +133,20 @@ def _own(run: Run) -> pd.DataFrame:
     frame = pd.concat([*means, _means(open_rows)])
     frame["since"] = frame.step // every * every
     if frame.empty:
-        raise run.lacks(
-            "trust values",
-            'neither the server nor a vehicle ever computed one. Set trust.host to "central" or "local", equip '
-            "vehicles, and run longer than trust.server_period_s.",
-        )
+        raise run.lacks("trust values", _why_no_values(run))
     return frame
+
+
+def _why_no_values(run: Run) -> str:
+    if "server" in run.tables and run.variant_table("server", ["n_reports"]).n_reports.any():
+        return (
+            "vehicles reported to the server, and no trust was computed of it. Shorten the delays and outages in "
+            "[server], or run longer than these and trust.server_period_s."
+        )
+    return (
+        'neither the server nor a vehicle ever computed one. Set trust.host to "central" or "local", equip vehicles, '
+        "and run longer than trust.server_period_s."
+    )
 
 
 def _means(rows: pd.DataFrame) -> pd.DataFrame:

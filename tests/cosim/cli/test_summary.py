@@ -120,6 +120,14 @@ def test_without_sensing_no_other_cause_is_named(tmp_path, capsys):
             FIGURES[name]([recorded])
 
 
+def test_a_run_that_is_shorter_than_the_delay_to_the_server_names_the_delay(tmp_path):
+    delays = [f"server.cellular.delay_{name}_s=30" for name in ("min", "mean")]
+    keys = [*sets_of_trace(write_trace(tmp_path))[1::2], *delays]
+    recorded = open_run(run(load(None, keys), tmp_path / "run", lambda *_: None))
+    (row,) = measure(recorded, topics=("trust",)).itertuples()
+    assert row.metric == "trust.not_measured" and "Shorten the delays and outages in [server]" in row.group
+
+
 def test_a_run_without_definitions_of_encounters_has_a_summary(tmp_path, capsys):
     keys = [*sets_of_trace(write_trace(tmp_path))[1::2], "encounters=[]"]
     folder = run(load(None, keys), tmp_path / "run", lambda *_: None)
