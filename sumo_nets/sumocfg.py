@@ -63,6 +63,14 @@ class Sumocfg:
         return frozenset(name for name, value in self.options.items() if value.lower() in _YES)
 
     @property
+    def begin_s(self) -> float:
+        """When the simulation begins [s]; 0 if it does not say so, or says no time, which SUMO refuses."""
+        try:
+            return seconds(self.options.get("begin", "0"))
+        except ValueError:
+            return 0.0
+
+    @property
     def scale(self) -> float:
         """The factor on the demand.
 

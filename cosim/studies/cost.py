@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, replace
 
 from cosim.config.config import Config
-from cosim.studies.density import HELSINKI, scenario_of, vehicles_on_road
+from cosim.studies.density import HELSINKI, equipped_on_road, scenario_of, vehicles_on_road
 from cosim.studies.speed import MachineSpeed, speed_here
 from sensors import lidar
 
@@ -80,7 +80,7 @@ def cost_of(config: Config, speed: MachineSpeed | None = None) -> Cost:
     n_vehicles, n_sweeps = vehicles_on_road(config), n_sweeps_of(config)
     cpu_s = run_s(config) + traffic_s(config)
     steps_s = cpu_s - START_S - METRICS_S - warmup_s(config)
-    equipped = n_vehicles * config.fleet.penetration_p if config.sensing else 0.0
+    equipped = equipped_on_road(config) if config.sensing else 0.0
     found = Cost(
         n_vehicles=n_vehicles,
         n_equipped=equipped,
@@ -148,7 +148,7 @@ def rays_of(config: Config) -> int:
 
 def memory_bytes(config: Config) -> float:
     """Largest resident memory of a run."""
-    equipped = vehicles_on_road(config) * config.fleet.penetration_p if config.sensing else 0.0
+    equipped = equipped_on_road(config) if config.sensing else 0.0
     return MEMORY_BYTES + equipped * VEHICLE_BYTES
 
 
@@ -156,11 +156,8 @@ def disk_bytes(config: Config) -> float:
     """Disk space of a run."""
     n_vehicles = vehicles_on_road(config)
     per_km2 = n_vehicles / area_km2(config)
-    in_range = (
-        n_vehicles
-        * config.fleet.penetration_p
-        * min(1.0, math.pi * (config.radio.range_m / 1000) ** 2 / area_km2(config))
-    )
+    in_range_p = min(1.0, math.pi * (config.radio.range_m / 1000) ** 2 / area_km2(config))
+    in_range = equipped_on_road(config) * in_range_p
     sweep_bytes = around_p(config) * (BYTES + RECEIVED_BYTES * per_km2 * in_range)
     return (
         ACTOR_BYTES * n_vehicles * config.n_steps
@@ -192,5 +189,4 @@ def n_sweeps_of(config: Config) -> float:
     """Sweeps, each of which is followed by two messages."""
     if not config.sensing:
         return 0.0
-    equipped = vehicles_on_road(config) * config.fleet.penetration_p
-    return equipped * config.traffic.duration_s / config.sensing_interval_s
+    return equipped_on_road(config) * config.traffic.duration_s / config.sensing_interval_s

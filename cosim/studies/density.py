@@ -9,6 +9,7 @@ import numpy as np
 from cosim.config.config import Config
 from cosim.studies.speed import remember, remembered
 from cosim.traffic.fcd import timesteps
+from cosim.traffic.fleet import FleetParams
 from cosim.traffic.scenario import Scenario, find
 from results.manifest import read_manifest
 from sumo_nets import catalogue, sumocfg
@@ -18,6 +19,8 @@ HELSINKI = 200
 """Number of vehicles on the road in central Helsinki."""
 COUNTED = {"helsinki": 200, "adlershof": 156, "braunschweig": 32, "koenigs-wusterhausen": 145}
 """Mean number of vehicles on the road in the cities by name, in the minute after their warm-up."""
+OF_CLASS = {"car": 152, "van": 15, "truck": 3, "bus": 7, "motorcycle": 0, "bicycle": 17}
+"""Mean number of vehicles of each class on the road in central Helsinki."""
 SHORTEST_S = 30.0
 """Shortest run of which the number of vehicles is kept [s]."""
 _LEG_S = 4.6
@@ -34,9 +37,18 @@ def vehicles_on_road(config: Config) -> float:
     scenario = scenario_of(traffic.scenario, traffic.trace)
     if scenario.trace is not None:
         return _recorded(scenario.trace)
-    first_s = traffic.begin_s or 0.0
     warmup_s = scenario.warmup_s if traffic.warmup_s is None else traffic.warmup_s
-    return traffic.scale * _demanded(traffic.scenario, scenario, first_s, first_s + warmup_s + traffic.duration_s / 2)
+    return traffic.scale * _demanded(traffic.scenario, scenario, traffic.begin_s, warmup_s + traffic.duration_s / 2)
+
+
+def equipped_on_road(config: Config) -> float:
+    """Mean number of equipped vehicles on the road, if vehicles of each class are as frequent as in central Helsinki.
+
+    All vehicles count as those of the classes that are equipped by default.
+    """
+    usual, fleet = FleetParams().equipped_kinds, config.fleet
+    of_usual = sum(OF_CLASS[kind] for kind in fleet.equipped_kinds) / sum(OF_CLASS[kind] for kind in usual)
+    return vehicles_on_road(config) * min(1.0, of_usual * fleet.penetration_p)
 
 
 def note_density(config: Config, run: Path) -> None:
@@ -73,8 +85,11 @@ def _recorded(trace: Path) -> float:
 
 
 @cache
-def _demanded(name: str, scenario: Scenario, first_s: float, at_s: float) -> float:
-    """Number of departures since `first_s` within the time that one vehicle is on the road, as it is at a time."""
+def _demanded(name: str, scenario: Scenario, begin_s: float | None, after_s: float) -> float:
+    """Number of departures within the time that one vehicle is on the road, some time after the begin.
+
+    The begin is that of the .sumocfg if it is None.
+    """
     if scenario.bounds_m is None or scenario.sumocfg is None:
         return HELSINKI
     x0, y0, x1, y1 = scenario.bounds_m
@@ -86,7 +101,9 @@ def _demanded(name: str, scenario: Scenario, first_s: float, at_s: float) -> flo
     if name in catalogue.names():
         return catalogue.find(name).vehicles_per_hour / 3600 * lasts_s
     config = sumocfg.read(scenario.sumocfg)
-    return config.scale * departures(config.routes, max(first_s, at_s - lasts_s), at_s)
+    begin_s = config.begin_s if begin_s is None else begin_s
+    at_s = begin_s + after_s
+    return config.scale * departures(config.routes, max(begin_s, at_s - lasts_s), at_s)
 
 
 def departures(routes: tuple[Path, ...], from_s: float, to_s: float) -> float:
@@ -96,13 +113,13 @@ def departures(routes: tuple[Path, ...], from_s: float, to_s: float) -> float:
     def start(element: str, attributes: Attributes) -> None:
         nonlocal n
         try:
-            begin_s = float(attributes.get("depart", attributes.get("begin", "0")))
+            begin_s = sumocfg.seconds(attributes.get("depart", attributes.get("begin", "0")))
             if element in ("vehicle", "trip"):
                 n += from_s <= begin_s < to_s
                 if begin_s >= to_s or n > _MOST:  # they are sorted
                     raise Enough
             elif element == "flow":
-                end_s = float(attributes.get("end", to_s))
+                end_s = sumocfg.seconds(attributes.get("end", str(to_s)))
                 within_s = max(0.0, min(end_s, to_s) - max(begin_s, from_s))
                 n += within_s * _rate(attributes, end_s - begin_s)
         except ValueError:  # a departure that is no time, such as "triggered"

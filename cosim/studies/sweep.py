@@ -13,7 +13,7 @@ from scipy.stats import t
 
 from cosim.runs import check as checking
 from cosim.runs.cluster import connected, local
-from cosim.studies.density import vehicles_on_road
+from cosim.studies.density import equipped_on_road
 from cosim.studies.engine import Work, execute
 from cosim.studies.estimate import Estimate, estimate
 from cosim.studies.folder import Attempt, StudyFolder, write_whole
@@ -152,18 +152,18 @@ def fleet_notes(points: Sequence[Point]) -> list[str]:
     found = {}
     for point in points:
         config = point.config
-        named = (config.traffic.scenario, config.fleet.penetration_p)
+        named = (config.traffic.scenario, config.fleet)
         if named not in found and config.sensing:
-            found[named] = vehicles_on_road(config) * config.fleet.penetration_p
+            found[named] = equipped_on_road(config)
     few = {named: n for named, n in found.items() if n < FEW_EQUIPPED}
     if not few:
         return []
-    (city, p), n = min(few.items(), key=lambda of: of[1])
+    (city, fleet), n = min(few.items(), key=lambda of: of[1])
     more = f", and {len(few) - 1} more" if len(few) > 1 else ""
     return [
         f"note: about {n:.1f} equipped vehicles are on the road at a time at traffic.scenario = {city} with "
-        f"fleet.penetration_p = {p:g}{more}. So few hardly meet, and a share of them is one vehicle or none. Raise "
-        "fleet.penetration_p or traffic.scale."
+        f"fleet.penetration_p = {fleet.penetration_p:g}{more}. So few hardly meet, and a share of them is one vehicle "
+        "or none. Raise fleet.penetration_p or traffic.scale."
     ]
 
 
