@@ -216,6 +216,8 @@ class TrustHosts:
     ) -> tuple[TrustState, list[TrustScores | None], list[Informed]]:
         """Deliver reports to the server. If a broadcast is due, the server computes trust and broadcasts it.
 
+        A period thus ends with the first call after it.
+
         Parameters
         ----------
         vehicle

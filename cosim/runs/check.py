@@ -1,5 +1,6 @@
 """Checks of a config before anything is loaded or written, and changes of its inputs since an earlier run."""
 
+import math
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -202,11 +203,11 @@ def _out_of_reach(config: Config) -> list[str]:
 
 
 def keys_in_vain(config: Config, scenario: Scenario) -> list[str]:
-    """Notes on keys that the config sets and that change nothing, and on a step that its scenario states in vain."""
+    """Notes on keys that the config sets and that change nothing, and on times in which nothing can happen."""
     lines = without_effect(config, scenario.trace is not None)
     if _lacks_trees(config, scenario):
         lines.append(f"trees.from_map has no effect: the polygon files of {scenario.name} contain no trees.")
-    lines += _shorter_step(config, scenario)
+    lines += _shorter_step(config, scenario) + _longer_periods(config)
     return [f"note: {line}" for line in lines]
 
 
@@ -223,6 +224,21 @@ def _shorter_step(config: Config, scenario: Scenario) -> list[str]:
         f"{path.name} has steps of {stated_s:g} s, and those of the preset are used: traffic.step_s = {step_s:g}. "
         f"Set traffic.step_s = {stated_s:g} to drive it as it is."
     ]
+
+
+def _longer_periods(config: Config) -> list[str]:
+    """A line for each period of a trust server that is rounded up, because it broadcasts when vehicles exchange."""
+    every_s = config.schedule.exchange_interval_s
+    servers = [one for one in (config.trust, *(v.trust for v in config.trust_variant)) if one.host == "central"]
+    lines = []
+    for period_s in dict.fromkeys(one.server_period_s for one in servers if config.sensing):
+        real_s = every_s * math.ceil(period_s / every_s - 1e-6)
+        if not math.isclose(real_s, period_s, rel_tol=1e-6):
+            lines.append(
+                f"trust.server_period_s = {period_s:g}: the server broadcasts every {real_s:g} s, because messages are "
+                f"exchanged every {every_s:g} s."
+            )
+    return lines
 
 
 def changed_since(path: Path | None, config: Config) -> list[str]:

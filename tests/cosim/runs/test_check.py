@@ -1,9 +1,16 @@
 """Notes before a run on what looks like a mistake."""
 
+import numpy as np
 import pytest
 
 from cosim.config.config import load
-from cosim.runs.check import remarks_on
+from cosim.runs.check import keys_in_vain, remarks_on
+from cosim.runs.run import run
+from cosim.traffic.scenario import find
+from results.archive import open_run
+from tests.hostile.scenes import write_trace
+from tests.processes import sets_of_trace
+
 
 SLOW = "radio.model=unit_disk", "radio.unit_disk.latency_max_s=0.3", "traffic.step_s=0.2", "sensing_phase=random"
 
@@ -23,3 +30,33 @@ SLOW = "radio.model=unit_disk", "radio.unit_disk.latency_max_s=0.3", "traffic.st
 def test_messages_that_no_station_can_receive(sets, said):
     notes = [note for note in remarks_on(load(None, list(sets)), None) if "radio." in note]
     assert [said in note for note in notes] == [True] * bool(said)
+
+
+def periods_noted(*sets):
+    config = load(None, list(sets))
+    found = keys_in_vain(config, find(config.traffic.scenario, config.traffic.trace))
+    return [note for note in found if "broadcasts every" in note]
+
+
+@pytest.mark.parametrize(
+    ("sets", "says"),
+    [
+        ("preset=modern trust.server_period_s=0.3", "0.3: the server broadcasts every 0.4 s"),
+        ("preset=modern sensing_phase=common trust.server_period_s=0.5", "0.5: the server broadcasts every 1 s"),
+        ("preset=modern trust.server_period_s=0.1", "0.1: the server broadcasts every 0.2 s"),
+        ("preset=modern trust.server_period_s=1.4", ""),
+        ("preset=modern", ""),
+        ("preset=modern trust.host=local trust_variant=[] trust.server_period_s=0.3", ""),
+    ],
+)
+def test_a_period_that_is_rounded_up_is_noted(sets, says):
+    notes = periods_noted(*sets.split())
+    assert [says in note for note in notes] == [True] * bool(says)
+
+
+def test_the_noted_period_is_that_of_the_run(tmp_path):
+    sets = [*sets_of_trace(write_trace(tmp_path))[1::2], "trust.server_period_s=1.5"]
+    (note,) = periods_noted(*sets)
+    assert "the server broadcasts every 2 s, because messages are exchanged every 1 s." in note
+    recorded = open_run(run(load(None, sets), tmp_path / "run", lambda *_: None))
+    assert set(np.diff(np.unique(recorded.trust.step))) == {2}
