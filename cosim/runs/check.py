@@ -229,9 +229,10 @@ def _shorter_step(config: Config, scenario: Scenario) -> list[str]:
 def _longer_periods(config: Config) -> list[str]:
     """A line for each period of a trust server that is rounded up, because it broadcasts when vehicles exchange."""
     every_s = config.schedule.exchange_interval_s
-    servers = [one for one in (config.trust, *(v.trust for v in config.trust_variant)) if one.host == "central"]
+    hosts = [config.trust, *(variant.trust for variant in config.trust_variant)]
+    periods_s = [host.server_period_s for host in hosts if host.host == "central" and config.sensing]
     lines = []
-    for period_s in dict.fromkeys(one.server_period_s for one in servers if config.sensing):
+    for period_s in dict.fromkeys(periods_s):
         real_s = every_s * math.ceil(period_s / every_s - 1e-6)
         if not math.isclose(real_s, period_s, rel_tol=1e-6):
             lines.append(

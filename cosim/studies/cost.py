@@ -156,7 +156,8 @@ def disk_bytes(config: Config) -> float:
     """Disk space of a run."""
     n_vehicles = vehicles_on_road(config)
     per_km2 = n_vehicles / area_km2(config)
-    in_range_p = min(1.0, math.pi * (config.radio.range_m / 1000) ** 2 / area_km2(config))
+    in_range_km2 = math.pi * (config.radio.range_m / 1000) ** 2
+    in_range_p = min(1.0, in_range_km2 / area_km2(config))
     in_range = equipped_on_road(config) * in_range_p
     sweep_bytes = around_p(config) * (BYTES + RECEIVED_BYTES * per_km2 * in_range)
     return (

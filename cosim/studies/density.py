@@ -38,7 +38,8 @@ def vehicles_on_road(config: Config) -> float:
     if scenario.trace is not None:
         return _recorded(scenario.trace)
     warmup_s = scenario.warmup_s if traffic.warmup_s is None else traffic.warmup_s
-    return traffic.scale * _demanded(traffic.scenario, scenario, traffic.begin_s, warmup_s + traffic.duration_s / 2)
+    middle_s = warmup_s + traffic.duration_s / 2
+    return traffic.scale * _demanded(traffic.scenario, scenario, traffic.begin_s, middle_s)
 
 
 def equipped_on_road(config: Config) -> float:
@@ -47,8 +48,9 @@ def equipped_on_road(config: Config) -> float:
     All vehicles count as those of the classes that are equipped by default.
     """
     usual, fleet = FleetParams().equipped_kinds, config.fleet
-    of_usual = sum(OF_CLASS[kind] for kind in fleet.equipped_kinds) / sum(OF_CLASS[kind] for kind in usual)
-    return vehicles_on_road(config) * min(1.0, of_usual * fleet.penetration_p)
+    n_usual = sum(OF_CLASS[kind] for kind in usual)
+    n_can_be = sum(OF_CLASS[kind] for kind in fleet.equipped_kinds)
+    return vehicles_on_road(config) * min(1.0, fleet.penetration_p * n_can_be / n_usual)
 
 
 def note_density(config: Config, run: Path) -> None:

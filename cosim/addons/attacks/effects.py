@@ -153,7 +153,11 @@ def _asked(run: Run, query: str, **values: Any) -> pd.DataFrame:
     """What SQL answers about pairs. ValueError if the run has none."""
     found = run.sql(_PAIRS + query, **values)
     if found.empty and run.sql(f"{_PAIRS} SELECT * FROM pairs LIMIT 1").empty:
-        more = "Raise the share_p of an attack, or run longer than its start_s,"
-        fused = "Give the variant fused = true" if run.variant != "base" and run.n_rows("attack_outcomes") else more
-        raise run.lacks("effect of an attack", f"none reached another vehicle. {fused} and run again.")
+        if run.variant != "base" and run.n_rows("attack_outcomes"):
+            raise run.lacks("effect of an attack", "the variant fuses nothing. Give it fused = true and run again.")
+        raise run.lacks(
+            "effect of an attack",
+            "no fabricated or false object reached another vehicle. Raise the share_p of an attack that sends some, or "
+            "run longer than its start_s; attacks on evaluations have no such effect.",
+        )
     return found

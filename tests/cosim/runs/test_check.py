@@ -11,7 +11,6 @@ from results.archive import open_run
 from tests.hostile.scenes import write_trace
 from tests.processes import sets_of_trace
 
-
 SLOW = "radio.model=unit_disk", "radio.unit_disk.latency_max_s=0.3", "traffic.step_s=0.2", "sensing_phase=random"
 
 
