@@ -27,14 +27,18 @@ class Tiny:
         pass
 
     def table(self, name, columns):
-        about = {"vehicle": [1, 2, 3], "vehicle_class": ["car", "car", "pedestrian"], "length_m": 5.0, "width_m": 2.0}
+        about = {
+            "vehicle": [1, 2, 3, 4], "sumo_id": ["a1", "a2", "a3", "parked/e/4"],
+            "vehicle_class": ["car", "car", "pedestrian", "car"], "length_m": 5.0, "width_m": 2.0,
+        }  # fmt: skip
         return pd.DataFrame(self._rows if name == "actors" else about)[columns]
 
-    def sql(self, query):
+    def sql(self, query, **values):
         with duckdb.connect() as database:
             database.register("actors", pd.DataFrame(self._rows))
-            database.register("vehicles", self.table("vehicles", ["vehicle", "vehicle_class", "length_m", "width_m"]))
-            return database.execute(query, {"dt_s": self.dt_s}).df()
+            columns = ["vehicle", "sumo_id", "vehicle_class", "length_m", "width_m"]
+            database.register("vehicles", self.table("vehicles", columns))
+            return database.execute(query, {"dt_s": self.dt_s} | values).df()
 
 
 def value(name, run, **options):
@@ -46,7 +50,7 @@ def test_sudden_slowing_by_hand():
     that reaches 3.576; 6 to 4 is 2; 4 to 4 ends it at 0. 48.5 m/s x 0.5 s are 24.25 m: 1 / 0.02425 km.
     The pedestrian, and a car that is gone for a step, do not count."""
     speeds = [12, 10, 8.5, 6, 4, 4, 4]
-    run = Tiny(a1=[(0.0, v) for v in speeds], a3=[(90.0, v) for v in (9, 9, 1, 1)])
+    run = Tiny(a1=[(0.0, v) for v in speeds], a3=[(90.0, v) for v in (9, 9, 1, 1)], a4=[(50.0, 0.0)] * 7)
     assert value("sudden_slowing", run, drop_mps=3.576) == pytest.approx(1000 / 0.02425)
     run._rows = [row for row in run._rows if row["step"] not in (2, 3)]
     assert value("sudden_slowing", run, drop_mps=3.576) == 0.0
@@ -58,8 +62,8 @@ def test_mild_braking_by_hand():
     assert value("mild_braking", run, begin_mps2=1.0, limit_mps2=3.9) == 0.5
 
 
-def test_mean_speed_counts_standing_cars_and_no_pedestrians():
-    run = Tiny(a1=[(0.0, 10.0)], a2=[(50.0, 0.0)], a3=[(9.0, 1.0)])
+def test_mean_speed_counts_standing_cars_and_neither_pedestrians_nor_parked_cars():
+    run = Tiny(a1=[(0.0, 10.0)], a2=[(50.0, 0.0)], a3=[(9.0, 1.0)], a4=[(60.0, 0.0)])
     assert value("mean_speed", run) == pytest.approx(3.6 * 5)
 
 
