@@ -57,22 +57,21 @@ def freshness(
 ) -> None:
     """Predict the age of trust at lookup, and what lookups find, without sensing, messages or trust."""
     from cosim.addons.law.comparison import as_json as plain
-    from cosim.addons.law.comparison import measured_in, rows_of
+    from cosim.addons.law.comparison import differences, measured_in, rows_of
     from cosim.addons.law.freshness import predict as predicted
     from cosim.addons.law.freshness import predict_study
     from cosim.addons.law.scope import left_out
-    from cosim.cli.studies import is_study
     from cosim.config.config import load
-    from results.archive import open_run
-    from results.study import open_study
 
     study = _study_of(config, trust_code)
     if study is not None and (overrides or grid):
         raise ValueError("--set and --grid go with a config, and this is a study. Change its file.")
     if grid is not None and (out or against or picture or fleets):
         raise ValueError("--grid writes a study file alone. Leave --out, --against, --picture and --fleets out.")
-    if against is not None:
-        open_study(against) if is_study([against]) else open_run(against)  # before minutes of computing
+    asked = study or load(config, overrides, trust_code)
+    if against is not None and (others := differences(against, asked)):  # before minutes of computing
+        said = f"{', '.join(others[:9])}{f', and {len(others) - 9} more' if len(others) > 9 else ''}"
+        notes.print(f"note: {against} was measured with another config: {said}.", soft_wrap=True)
     inputs: dict[str, float] = {}
     found: list[tuple[Any, Prediction]]
     with progress() as advance:
@@ -80,12 +79,11 @@ def freshness(
             found = list(predict_study(study, str(config), advance, fleets))
             neglected: list[str] = []
         else:
-            experiment = load(config, overrides, trust_code)
             if grid is not None:
-                _write_grid(experiment, grid, advance)
+                _write_grid(asked, grid, advance)
                 return
-            of, inputs = predicted(experiment, advance, fleets)
-            found, neglected = [({}, p) for p in of], left_out(experiment)
+            of, inputs = predicted(asked, advance, fleets)
+            found, neglected = [({}, p) for p in of], left_out(asked)
     measured = None if against is None else measured_in(against, found)
     if out is not None:
         _write(out, {"inputs": inputs, "predictions": plain(found)})

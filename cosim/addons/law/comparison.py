@@ -2,6 +2,7 @@
 
 import json
 import math
+import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,12 @@ from typing import Any
 import pandas as pd
 
 from cosim.addons.law.prediction import METRICS, Prediction
+from cosim.config.config import Config
+from cosim.config.data import read_toml
+from cosim.studies.study import Study
 from results.archive import open_run
 from results.measure import measure
+from results.metrics.compare import flat
 from results.study import is_study, open_study
 
 
@@ -27,6 +32,47 @@ def measured_by(frame: pd.DataFrame) -> dict[str, float]:
         if len(rows):
             found[name] = float(rows.value.iloc[0])
     return found
+
+
+def differences(folder: Path, predicted: Config | Study) -> list[str]:
+    """What a run, or the base of a study, has set otherwise than what is predicted: "KEY = VALUE instead of VALUE".
+
+    Raises
+    ------
+    ValueError
+        If the folder is none of a run for a config, or none of a study that varies the same keys for a study.
+    """
+    is_config = isinstance(predicted, Config)
+    if is_config == is_study(folder):
+        raise ValueError(
+            f"--against {folder}: a config is compared with a run, and a study with a study. Give the folder of a "
+            f"{'run' if is_config else 'study'}."
+        )
+    if isinstance(predicted, Config):
+        ours, theirs = _keys_of(predicted.to_dict()), _keys_of(open_run(folder).config)
+    else:
+        varied = open_study(folder).keys
+        if set(varied) != set(predicted.keys):
+            raise ValueError(
+                f"--against {folder}: it varies {', '.join(varied)}, and what is predicted varies "
+                f"{', '.join(predicted.keys)}. Give a study that varies the same keys."
+            )
+        ours = _keys_of(tomllib.loads(predicted.to_toml()).get("base", {}))
+        theirs = _keys_of(read_toml(folder / "study.toml", "study file").get("base", {}))
+    found = []
+    for key in sorted(ours.keys() | theirs.keys()):
+        mine, measured = (of.get(key, "default") for of in (ours, theirs))
+        is_of_both = key in ours and key in theirs
+        if mine != measured and (is_of_both or not key.startswith("trust_variant.")):
+            found.append(f"{key} = {json.dumps(measured)} instead of {json.dumps(mine)}")
+    return found
+
+
+def _keys_of(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys and values that matter to what is predicted. Those of trust variants have their names in them."""
+    variants = {str(one["name"]): one for one in config.get("trust_variant", ())}
+    leaves = flat(json.loads(json.dumps({**config, "trust_variant": variants})))
+    return {key: value for key, value in leaves if not key.startswith(("preset", "record.", "compute."))}
 
 
 def measured_in(folder: Path, predictions: Sequence[tuple[Mapping[str, Any], Prediction]]) -> list[dict[str, float]]:

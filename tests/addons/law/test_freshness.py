@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 from cosim.addons.law import freshness
+from cosim.addons.law.comparison import differences
 from cosim.addons.law.prediction import MODEL_ERROR, Prediction, with_intervals
 from cosim.addons.law.scope import left_out, server_of, servers_of
-from cosim.config.config import resolve_data, with_defaults
+from cosim.config.config import load, resolve_data, with_defaults
 from cosim.studies import study as studies
+from cosim.studies.folder import StudyFolder
+from cosim.studies.points import points_of
 from tests.drive import cosim, drive
 
 SHORT = {"attacks": [], "traffic": {"duration_s": 8, "warmup_s": 30}, "fleet": {"penetration_p": 0.5}}
@@ -133,6 +136,7 @@ def test_a_short_run_is_as_predicted(run):
         (["freshness", "--grid", "x.toml"], "--set and --grid go with a config"),
         (["--grid", "fleet.penetration_p=0.2"], "the name of a study file to write"),
         (["nothing.toml"], "nothing.toml"),
+        (["freshness", "--against", "run"], "a config is compared with a run, and a study with a study"),
         (["law.toml", "--set", "fleet.penetration_p=0"], "no equipped vehicle was on the road"),
     ],
 )
@@ -140,6 +144,34 @@ def test_mistakes_are_one_line(run, words, message):
     done = cosim("predict", "freshness", *words, cwd=run)
     assert done.returncode == 2 and message in done.stderr and len(done.stderr.splitlines()) == 1
     assert "Traceback" not in done.stderr and not (run / "x.toml").exists()
+
+
+def test_a_run_of_another_config_is_told_apart(run):
+    """Keys that change nothing of what is measured, such as those of [record], do not count."""
+
+    def found(*sets):
+        return differences(run / "run", load(run / "law.toml", list(sets)))
+
+    assert found() == found("record.level=full", "compute.threads=1") == []
+    (line,) = found("trust.server_period_s=1.5")
+    assert line.startswith("trust.server_period_s = ") and line.endswith(" instead of 1.5")
+    assert ["trust_variant.7 s.freshness_s = 15 instead of 9"] == found("trust_variant.0.freshness_s=9")
+
+
+def test_a_study_is_compared_with_one_of_the_same_keys(tmp_path):
+    def study(keys):
+        path = tmp_path / "law.toml"
+        path.write_text(f'[study]\nname = "law"\n[base]\nseed = 3\n[grid]\n{keys}\n')
+        return studies.load(path)
+
+    measured = study("fleet.penetration_p = [0.1, 0.5]")
+    folder = StudyFolder(tmp_path / "study")
+    folder.prepare(measured)
+    folder.write_index(measured, points_of(measured, "law.toml"))
+    assert differences(folder.path, measured) == []
+    assert differences(folder.path, replace(measured, base=measured.base | {"seed": 4})) == ["seed = 3 instead of 4"]
+    with pytest.raises(ValueError, match=r"varies fleet\.penetration_p, and what .* varies radio\.range_m"):
+        differences(folder.path, study("radio.range_m = [100, 200]"))
 
 
 @pytest.mark.verify
