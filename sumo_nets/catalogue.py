@@ -91,6 +91,8 @@ def find(name: str) -> Net:
 
 def open_folder(folder: Path) -> Net:
     """A network from the folder that `cosim.addons.netbuild.build` wrote."""
+    if not (folder / "recipe.toml").is_file():
+        raise ValueError(f"{folder}: not a city by name, and no folder that `cosim nets build` made.")
     try:
         recipe = tomllib.loads((folder / "recipe.toml").read_text(encoding="utf-8"))
         return _opened(folder, recipe)

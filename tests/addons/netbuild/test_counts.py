@@ -55,6 +55,8 @@ def test_a_place_is_the_street_that_leads_in_its_direction(town, tmp_path):
     [
         ("edge,cars\na,1\n", "has no column per_hour"),
         ("lon,lat,per_hour\n9,50,1\n", "has no column heading_deg"),
+        ("edge;per_hour\na;1\n", "It has: edge;per_hour. Separate columns with commas."),
+        ("edge\tper_hour\na\t1\n", "Separate columns with commas."),
         ("edge,per_hour\n", "has no rows"),
         ("edge,per_hour\nnowhere,5\n", "row 2: the network has no street nowhere"),
         ("edge,per_hour\nnowhere,-5\n", "row 2: per_hour = -5"),
@@ -81,6 +83,12 @@ def test_places_that_are_kept_back():
     assert len(counts.kept_back(counted, 0.2, 1)) == 2 and counts.kept_back(counted, 0.0, 1) == {}
     assert counts.kept_back(counted, 0.2, 1) == counts.kept_back(counted, 0.2, 1)
     assert counts.kept_back({"e0": 1.0}, 0.9, 1) == {}  # at least one place is fitted
+
+
+def test_a_sumocfg_is_no_city_whose_demand_can_be_fitted(town):
+    """A mistake of one line, without the name of an exception."""
+    with pytest.raises(ValueError, match=r"\.sumocfg: not a city by name, and no folder that .* made\.$"):
+        catalogue.open_folder(town.sumocfg_path)
 
 
 def test_demand_follows_counts_and_what_is_not_motorised_stays(town, tmp_path):
