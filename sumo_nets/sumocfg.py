@@ -174,7 +174,8 @@ def seconds(text: str) -> float:
     parts = [float(part) for part in text.split(":")]
     if len(parts) not in (1, 3, 4):
         raise ValueError(f"{text} is no time.")
-    return sum(part * unit_s for part, unit_s in zip(reversed(parts), (1, 60, 3600, 86400), strict=False))
+    units_s = (86400, 3600, 60, 1)[-len(parts) :]
+    return sum(part * unit_s for part, unit_s in zip(parts, units_s, strict=True))
 
 
 def step_s(path: Path) -> float:

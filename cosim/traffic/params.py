@@ -59,4 +59,5 @@ def resolved_input(name: str, folder: Path, cities: Collection[str]) -> str:
 
 def _is_input(path: Path) -> bool:
     names = ("manifest.json", "recipe.toml")
-    return path.is_file() or any((path / name).is_file() for name in names) or bool(in_folder(path))
+    has_file = any((path / name).is_file() for name in names)
+    return path.is_file() or has_file or bool(in_folder(path))

@@ -70,8 +70,9 @@ def freshness(
         raise ValueError("--grid writes a study file alone. Leave --out, --against, --picture and --fleets out.")
     asked = study or load(config, overrides, trust_code)
     if against is not None and (others := differences(against, asked)):  # before minutes of computing
-        said = f"{', '.join(others[:9])}{f', and {len(others) - 9} more' if len(others) > 9 else ''}"
-        notes.print(f"note: {against} was measured with another config: {said}.", soft_wrap=True)
+        more = f", and {len(others) - 9} more" if len(others) > 9 else ""
+        said = ", ".join(others[:9])
+        notes.print(f"note: {against} was measured with another config: {said}{more}.", soft_wrap=True)
     inputs: dict[str, float] = {}
     found: list[tuple[Any, Prediction]]
     with progress() as advance:

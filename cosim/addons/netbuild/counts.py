@@ -107,8 +107,8 @@ def read(path: Path, net_path: Path) -> Counts:
     place = ["edge"] if "edge" in rows[0] else ["lon", "lat", "heading_deg"]
     if missing := [name for name in ("per_hour", *place) if name not in rows[0]]:
         head = ", ".join(map(str, rows[0]))
-        others = [mark for mark in (";", "\t", "|") if len(rows[0]) == 1 and mark in head]
-        cure = " Separate columns with commas." if others else ""
+        is_other = any(mark in head for mark in (";", "\t", "|"))
+        cure = " Separate columns with commas." if is_other else ""
         raise ValueError(
             f"{path} has no column {missing[0]}. It needs per_hour, and edge or lon, lat, heading_deg. It has: "
             f"{head}.{cure}"
