@@ -32,7 +32,7 @@ def phase_steps(run: Run, vehicle: Int[ndarray, "k"]) -> Int[ndarray, "k"]:
 
 
 def senses(run: Run, step: Int[ndarray, "k"], vehicle: Int[ndarray, "k"]) -> Bool[ndarray, "k"]:
-    """Whether each vehicle, which is on the road and equipped, sensed in the step in the same row.
+    """Whether each vehicle, which is on the road and equipped, senses in the step in the same row, if it senses at all.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def senses(run: Run, step: Int[ndarray, "k"], vehicle: Int[ndarray, "k"]) -> Boo
         Numbers of equipped vehicles.
     """
     interval, phase = (column[vehicle] for column in _schedule(run))
-    return (step % interval == phase) & bool(run.config.get("sensing", True))
+    return step % interval == phase
 
 
 def sensing_steps(run: Run) -> Int[ndarray, "s"]:

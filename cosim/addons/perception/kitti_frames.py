@@ -87,6 +87,7 @@ def posed(run: Run, steps: np.ndarray, observers: np.ndarray | None = None) -> t
     )
     actors = actors.sort_values(["step", "actor"], ignore_index=True)
     chosen = actors.equipped if observers is None else actors.equipped & actors.actor.isin(observers)
+    chosen &= run.config.get("sensing", True)
     chosen &= senses(run, actors.step.to_numpy(np.int64), actors.actor.to_numpy(np.int64))
     poses = actors[chosen].rename(columns={"actor": "observer"}).reset_index(drop=True)
     return poses.assign(frame=np.arange(len(poses))), actors

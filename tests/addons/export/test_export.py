@@ -131,6 +131,14 @@ def test_a_mistake_is_one_line(folder, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_run_without_sensing_has_labels_for_other_readers(tmp_path):
+    simulate(tmp_path / "run", "sensing=false", "traffic.duration_s=2", "traffic.warmup_s=60")
+    done = cosim("export", "kitti", "run", "--out", "kitti", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    labels = [path.read_text() for path in (tmp_path / "kitti").rglob("label_2/*.txt")]
+    assert labels and "Car" in "".join(labels)
+
+
 def test_floating_car_data_of_a_run_without_sensing_come_back(tmp_path):
     """All steps are written, though nobody senses in any, and a replay has the run's boxes, one step later."""
     sets = ("sensing=false", "fleet.penetration_p=0", "traffic.step_s=0.5")
