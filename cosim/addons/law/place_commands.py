@@ -74,4 +74,7 @@ def roadside(
     section = f'[[roadside]]\njunctions = {len(rows)}\nchoose = "listed"\nlisted = [{listed}]\nheight_m = {height:g}\n'
     screen.print(section, soft_wrap=True, markup=False, highlight=False)
     how = "drawn" if random else "chosen greedily"
-    notes.print(f"{len(rows)} of {len(sites)} junctions, {how}. Put the section into the config.", soft_wrap=True)
+    where = "into the config"
+    if experiment.roadside:
+        where = "in place of [[roadside]] in the config: the units that it has do not count here"
+    notes.print(f"{len(rows)} of {len(sites)} junctions, {how}. Put the section {where}.", soft_wrap=True)

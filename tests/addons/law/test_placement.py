@@ -7,6 +7,7 @@ import pytest
 
 from cosim.addons.law.placement import SiteCoverage, _Sights, greedy
 from sensors.line_of_sight import WallIndex
+from tests.drive import cosim
 from tests.sensors.town import Scene
 
 
@@ -86,3 +87,11 @@ def test_weight_counts_those_in_radio_range_that_do_not_see_the_vehicle():
     xy_m = np.array([[0.0, 0.0], [20.0, 20.0], [40.0, 0.0], [20.0, 80.0], [500.0, 0.0]])
     sights.add(0, np.arange(5), np.column_stack([xy_m, np.full(5, 1.5)]))
     assert sights.coverage().weight.tolist() == [2, 1, 2, 3, 0]
+
+
+def test_units_of_the_config_do_not_count_and_that_is_said():
+    words = ("place", "roadside", "--count", "1", "--set", "traffic.duration_s=4", "--set", "traffic.warmup_s=60")
+    plain, beside = cosim(*words), cosim(*words, "--set", "roadside=[{junctions=2}]")
+    assert plain.returncode == beside.returncode == 0, beside.stderr
+    assert plain.stdout == beside.stdout
+    assert "in place of [[roadside]]" in beside.stderr and "in place of" not in plain.stderr
