@@ -281,7 +281,7 @@ def _encounters(get: Get, rows: GetRows) -> list[str]:
         if definition in median_s:
             said += f": half of them last longer than {plain(median_s[definition])} s"
         elif definition in mean_s and mean_s[definition]["note"]:
-            said += ": " + mean_s[definition]["note"].removesuffix(", which count as that")
+            said += f": {mean_s[definition]['note']}"
         lines.append(said)
     return lines or ["none: the config defines no [[encounters]]"]
 

@@ -38,7 +38,7 @@ from cosim.traffic.driver import DriverParams
 from cosim.traffic.fleet import FleetParams
 from cosim.traffic.meshes import MeshParams, VehicleMeshParams, check_vehicle_meshes
 from cosim.traffic.objects import ObjectParams
-from cosim.traffic.params import TrafficParams, resolved_input
+from cosim.traffic.params import SHORTEST_STEP_S, TrafficParams, resolved_input
 from cosim.traffic.position_errors import GnssParams
 from cosim.traffic.roadside import RoadsideParams
 from cosim.traffic.schedule import Schedule, SensingGroup
@@ -575,9 +575,9 @@ def _take_step_of_sumocfg(traffic: dict[str, Any]) -> None:
     if len(found) != 1:
         return
     step_s = sumocfg.step_s(found[0])
-    if step_s < 0.02:
+    if step_s < SHORTEST_STEP_S:
         raise ValueError(
-            f"{found[0]}: its step-length of {step_s:g} s is shorter than 0.02 s, the shortest step that is supported. "
-            "Set traffic.step_s to 0.02 or more to simulate it with a longer step."
+            f"{found[0]}: its step-length of {step_s:g} s is shorter than {SHORTEST_STEP_S:g} s, the shortest that is "
+            f"supported. Set traffic.step_s to {SHORTEST_STEP_S:g} or more to simulate it with a longer step."
         )
     traffic["step_s"] = min(step_s, traffic.get("step_s", step_s))

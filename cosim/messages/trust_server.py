@@ -320,7 +320,7 @@ class Downlink:
 
         Returns
         -------
-        The new state, and the number of vehicles that received a broadcast that neither it nor a newer one had reached.
+        The new state, and the number of vehicles that received a broadcast and had neither it nor a newer one.
         """
         coming, n_informed = list(state.under_way), 0
         for sent in state.on_air:

@@ -211,11 +211,11 @@ def deliver_late(
                 continue
             named = parts.linkage.messages(pseudonyms, _upheld(sent.messages, sent.sender, exchange, parts))
             of, received_s = row[up.message], carrier.begin_s + up.received_s
-            again = carrier.heard[of]
+            again = carrier.heard[of]  # counted before; the first copy may have been lost in an outage
             new = ~again
             trust, now = parts.trust.report_by_rsu(trust, named, of[new], received_s[new])
             stats = replace(stats, n_reached=stats.n_reached + now.n_reached)
-            trust, _ = parts.trust.report_by_rsu(trust, named, of[again], received_s[again])  # counted before
+            trust, _ = parts.trust.report_by_rsu(trust, named, of[again], received_s[again])
             carrier.heard[of] = True
     return trust, stats
 

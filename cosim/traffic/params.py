@@ -10,6 +10,7 @@ from annotated_types import Ge, Gt, Le
 from sumo_nets.sumocfg import in_folder
 
 SHORTEST_STEP_S = 0.02
+"""Shortest step of traffic that a run can have [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -112,15 +112,17 @@ def share_axis(axes: Axes, top: float = 1.0) -> None:
 
 
 def numbered(axis: Axis, most: float = 2000.0) -> None:
-    """Plain numbers on a logarithmic axis: 1, 2 and 5 of each power of ten; of a very short one, all digits.
+    """Plain numbers on a logarithmic axis: 1, 2 and 5 of each power of ten; of a very short axis, all digits.
 
-    An axis over more than a factor of `most` stays as it is.
+    Over more than a factor of `most`, powers of ten are numbered. An axis that reaches below 0.001 stays as it is.
     """
     low, high = axis.get_view_interval()
-    if 0 < low and high < most * low:
-        axis.set_major_locator(LogLocator(subs=[1, 2, 5] if high > 4 * low else range(1, 10)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_locator(NullLocator())
+    if low < 5e-4:
+        return
+    digits = range(1, 10) if high <= 4 * low else (1, 2, 5) if high < most * low else (1,)
+    axis.set_major_locator(LogLocator(subs=digits, numticks=99))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
 
 
 def shares_bar(axes: Axes, at: float, shares: Sequence[float], fills: Sequence[str]) -> None:

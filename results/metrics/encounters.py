@@ -204,7 +204,7 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
 def _restriction(curve: pd.DataFrame) -> str:
     """A note on the restricted mean, where more than half of the encounters last longer than what was observed."""
     longest_s, survival = curve[["duration_s", "survival"]].iloc[-1]
-    return f"{survival:.0%} last longer than {longest_s:g} s, which count as that" if survival > 0.5 else ""
+    return f"{survival:.0%} last longer than {longest_s:g} s" if survival > 0.5 else ""
 
 
 def rates(run: Run) -> pd.DataFrame:

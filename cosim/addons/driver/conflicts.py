@@ -200,8 +200,8 @@ def overlaps(run: Run, poses: pd.DataFrame | None = None, depth_m: float = 0.3) 
         hit = (_depth(at, xy, i, j) > depth_m) & (fastest_mps > 0.5)
         a, b = at["actor"][i[hit]], at["actor"][j[hit]]
         found.append(pd.DataFrame({"a": np.minimum(a, b), "b": np.maximum(a, b), "step": step}))
-    nobody = pd.DataFrame({"a": [], "b": [], "step": []}, dtype=int)
-    frame = pd.concat(found, ignore_index=True) if found else nobody
+    no_pairs = pd.DataFrame({"a": [], "b": [], "step": []}, dtype=int)
+    frame = pd.concat(found, ignore_index=True) if found else no_pairs
     return frame.drop_duplicates(["a", "b"]).reset_index(drop=True)
 
 

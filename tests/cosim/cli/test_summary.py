@@ -34,7 +34,7 @@ METRICS = {
     "encounters.duration.km_median_s": {"equipped, 100 m": (16.0,)},
     "encounters.duration.km_mean_s": {
         "equipped, 100 m": (24.3,),
-        "all, 50 m": (3.0, "57% last longer than 4 s, which count as that"),
+        "all, 50 m": (3.0, "57% last longer than 4 s"),
     },
     "trust.final.median": {"honest": (0.78,), "malicious": (0.56,)},
     "misbehaviour.at_lookup.auc": {"unreliable": (0.55, 0.38, 0.71), "malicious": (0.93, 0.88, 0.96)},
