@@ -32,11 +32,13 @@ def points_of(path: Path) -> Float[ndarray, "n 3"]:
     if not sign or len(line) < 2:
         raise ValueError(f"{path} is no point cloud in the format of PCL.")
     kind, body = line[0].strip().decode("ascii", "replace"), line[1]
-    rows = dict(text.split(" ", 1) for text in head.decode("ascii", "replace").splitlines() if " " in text)
+    lines = head.decode("ascii", "replace").splitlines()
+    rows = dict(text.split(" ", 1) for text in lines if " " in text)
     try:
         names, n = rows["FIELDS"].split(), int(rows["POINTS"])
-        sizes, types = [int(word) for word in rows["SIZE"].split()], rows["TYPE"].split()
-        counts = [int(word) for word in rows.get("COUNT", " ".join("1" * len(names))).split()]
+        sizes = [int(word) for word in rows["SIZE"].split()]
+        types = rows["TYPE"].split()
+        counts = [int(word) for word in rows["COUNT"].split()] if "COUNT" in rows else [1] * len(names)
         layout = np.dtype(
             [(f"{k}{name}", _TYPES[of, size], (count,))
              for k, (name, size, of, count) in enumerate(zip(names, sizes, types, counts, strict=True))]
@@ -55,11 +57,12 @@ def points_of(path: Path) -> Float[ndarray, "n 3"]:
         raise ValueError(f"{path} says that it has {str(n)[:20]} points, and has {there:,}.")
     try:
         if kind == "binary":
-            values = np.frombuffer(body, layout, n)
-            xyz = np.column_stack([values[axis][:, 0] for axis in axes]).astype(float)
+            points = np.frombuffer(body, layout, n)
+            xyz = np.column_stack([points[axis][:, 0] for axis in axes]).astype(float)
         else:
             at = [sum(counts[: names.index(axis)]) for axis in "xyz"]
-            xyz = np.array(b" ".join(rows_of_text).split(), dtype=float).reshape(n, sum(counts))[:, at]
+            values = np.array(b" ".join(rows_of_text).split(), dtype=float)
+            xyz = values.reshape(n, sum(counts))[:, at]
     except (ValueError, IndexError, MemoryError):
         raise ValueError(f"{path} is no point cloud of kind ascii or binary with x, y and z.") from None
     if (np.abs(xyz[np.isfinite(xyz)]) > _FARTHEST_M).any():
@@ -78,5 +81,6 @@ def points_in(points: Float[ndarray, "n 3"], box: Float[ndarray, "b 7"]) -> Int[
         rows = tree.query_ball_point(box[k, :2], reach_m[k])
         away = points[rows] - box[k, :3]
         away[:, :2] = turned_by(-box[k, 6], away)
-        found[k] = int((np.abs(away) < box[k, 3:6] / 2).all(axis=1).sum())
+        is_inside = (np.abs(away) < box[k, 3:6] / 2).all(axis=1)
+        found[k] = int(is_inside.sum())
     return found

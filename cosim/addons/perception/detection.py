@@ -100,16 +100,20 @@ def awareness(
     steps = sampled_steps(run, max_frames)
     poses, actors = posed(run, steps)
     i, j = near(poses, actors, range_m)
+    away_m = poses[["x_m", "y_m"]].to_numpy()[i] - actors[["x_m", "y_m"]].to_numpy()[j]
     around = pd.DataFrame({
-        "step": poses.step.to_numpy()[i], "observer": poses.observer.to_numpy()[i], "actor": actors.actor.to_numpy()[j],
-        "bin": np.hypot(*(poses[["x_m", "y_m"]].to_numpy()[i] - actors[["x_m", "y_m"]].to_numpy()[j]).T) // bin_m,
+        "step": poses.step.to_numpy()[i],
+        "observer": poses.observer.to_numpy()[i],
+        "actor": actors.actor.to_numpy()[j],
+        "bin": np.hypot(*away_m.T) // bin_m,
     })  # fmt: skip
     around = around[around.observer != around.actor]
     if around.empty:
         raise run.lacks("objects to know", f"no equipped vehicle ever had an actor within {range_m:g} m.")
     rows = []
     for which in with_boxes(run, tuple(TABLE_OF)):
-        good = (pc.field("score") >= min_score) & pc.field("truth_actor").is_valid() & at_steps(steps)
+        is_real = pc.field("truth_actor").is_valid()
+        good = (pc.field("score") >= min_score) & is_real & at_steps(steps)
         columns = ["step", "observer", "truth_actor", *(["origin"] if which == "local" else [])]
         known = observed_by_vehicle(run, which, columns, good)
         if which == "local":

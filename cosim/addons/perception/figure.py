@@ -1,7 +1,7 @@
 """Average precision and environmental awareness."""
 
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import pandas as pd
@@ -31,8 +31,9 @@ def draw(runs: Sequence[Run], max_frames: int = 4000, range_m: float = 70.0) -> 
     precisions = [_precision(run, max_frames) for run in runs]
     known = [detection.awareness(run, range_m, max_frames=max_frames) for run in runs]
     met = {row for frame in precisions for row in zip(frame["class"], frame.level, strict=True)}
-    rows = [(label, level) for label in detection.CLASSES for level in LEVELS if (label, level) in met]
-    lists = {which: kind for which, kind in _LISTS.items() if any((aware.boxes == which).any() for aware in known)}
+    rows = [row for row in product(detection.CLASSES, LEVELS) if row in met]
+    there = {which for aware in known for which in aware.boxes.unique()}
+    lists = {which: kind for which, kind in _LISTS.items() if which in there}
     figure, (left, right) = style.sheet(2, max(2.2, 0.8 + 0.15 * len(rows)))
     for i, (precision, aware) in enumerate(zip(precisions, known, strict=True)):
         offset = 0.0 if len(runs) == 1 else 0.5 * (i / (len(runs) - 1) - 0.5)

@@ -89,7 +89,8 @@ def average_precision(
     limit = STRICT[label] if min_overlap is None else min_overlap
     i, j, share = _candidates(truth, found, overlap)
     hit = share > limit
-    return {level: _level(truth, found, label, rank, i[hit], j[hit], share[hit]) for rank, level in enumerate(LEVELS)}
+    i, j, share = i[hit], j[hit], share[hit]
+    return {level: _level(truth, found, label, rank, i, j, share) for rank, level in enumerate(LEVELS)}
 
 
 def _level(
@@ -120,24 +121,32 @@ def _level(
     everything = np.ones((1, len(found)), bool)
     by_score = np.lexsort((j, -found.score[j], i))
     taker, _ = _match(truth.frame, i[by_score], j[by_score], everything)
-    of, by = i[by_score][taker[0]], j[by_score][taker[0]]
-    thresholds = _thresholds(found.score[by[counts[of] & found_counts[by]]], n_truth)
+    taken = by_score[taker[0]]
+    of, by = i[taken], j[taken]
+    is_right = counts[of] & found_counts[by]
+    thresholds = _thresholds(found.score[by[is_right]], n_truth)
 
     above = found.score[None, :] >= thresholds[:, None]
-    by_overlap = np.lexsort((j, np.where(found_small[j], 0, -share), found_small[j], i))
-    taker, used = _match(truth.frame, i[by_overlap], j[by_overlap], above)
-    right = counts[i[by_overlap]] & found_counts[j[by_overlap]]
-    n_right = (taker & right).sum(axis=1)
+    is_small = found_small[j]
+    by_overlap = np.lexsort((j, np.where(is_small, 0, -share), is_small, i))
+    of, by = i[by_overlap], j[by_overlap]
+    taker, used = _match(truth.frame, of, by, above)
+    n_right = (taker & counts[of] & found_counts[by]).sum(axis=1)
     n_wrong = (above & ~used & found_counts).sum(axis=1)
 
     precision = np.zeros(_N_SAMPLES)
     precision[: len(thresholds)] = n_right / np.maximum(n_right + n_wrong, 1)
     precision = np.maximum.accumulate(precision[::-1])[::-1]
-    return Precision(100 * precision[::4].mean(), 100 * precision[1:].mean(), precision, n_truth)
+    ap11 = 100 * precision[::4].mean()
+    ap40 = 100 * precision[1:].mean()
+    return Precision(ap11, ap40, precision, n_truth)
 
 
 def _match(
-    frame: Int[ndarray, "n"], i: Int[ndarray, "p"], j: Int[ndarray, "p"], allowed: Bool[ndarray, "t m"]
+    frame: Int[ndarray, "n"],
+    i: Int[ndarray, "p"],
+    j: Int[ndarray, "p"],
+    allowed: Bool[ndarray, "t m"],
 ) -> tuple[Bool[ndarray, "t p"], Bool[ndarray, "t m"]]:
     """Each ground truth in turn takes its first free candidate; pairs are sorted by (i, preference).
 
@@ -146,19 +155,22 @@ def _match(
     """
     taken = np.zeros((len(allowed), len(i)), bool)
     used = np.zeros_like(allowed)
-    first = np.flatnonzero(np.diff(i, prepend=-1))
-    group = np.cumsum(np.diff(i, prepend=-1) != 0) - 1  # ground truths that have candidates
+    is_first = np.diff(i, prepend=-1) != 0
+    first = np.flatnonzero(is_first)
+    group = np.cumsum(is_first) - 1  # ground truths that have candidates
     frames = frame[i[first]]
     turn = (np.arange(len(first)) - np.searchsorted(frames, frames))[group]
     order = np.argsort(turn, kind="stable")
     for pairs in np.split(order, np.flatnonzero(np.diff(turn[order])) + 1):
-        free = allowed[:, j[pairs]] & ~used[:, j[pairs]]
+        candidate = j[pairs]
+        free = allowed[:, candidate] & ~used[:, candidate]
         begins = np.flatnonzero(np.diff(group[pairs], prepend=-1))
+        begin = begins[np.searchsorted(begins, np.arange(len(pairs)), "right") - 1]  # of the own ground truth
         n_free = np.cumsum(free, axis=1, dtype=np.int32)
-        n_before = (n_free - free)[:, begins][:, np.searchsorted(begins, np.arange(len(pairs)), "right") - 1]
+        n_before = (n_free - free)[:, begin]
         takes = free & (n_free - n_before == 1)  # the first free candidate of each ground truth
         taken[:, pairs] = takes
-        used[:, j[pairs]] |= takes
+        used[:, candidate] |= takes
     return taken, used
 
 
@@ -182,4 +194,5 @@ def _candidates(truth: LabelledObjects, found: LabelledObjects, overlap: Overlap
     real = np.flatnonzero(truth.box[:, 3] > 0)  # DontCare areas have no box
     i, j = near_pairs(truth.frame[real], truth.box[real], found.frame, found.box)
     i = real[i]
-    return i, j, in_blocks(iou_3d if overlap == "3d" else iou_bev, truth.box[i], found.box[j])
+    share_of = iou_3d if overlap == "3d" else iou_bev
+    return i, j, in_blocks(share_of, truth.box[i], found.box[j])

@@ -51,9 +51,8 @@ def read(folder: Path, detections: Path | None = None) -> KittiFolder:
         In one line, if there are no label files or a line is wrong.
     """
     place = labels_in(folder)
-    files = [] if place is None else list(
-        once(path for path in place.glob("*.txt") if path.stem.isascii() and path.stem.isdigit()).values()
-    )  # fmt: skip
+    paths = [] if place is None else list(place.glob("*.txt"))
+    files = list(once(path for path in paths if path.stem.isascii() and path.stem.isdigit()).values())
     if place is None or not files:
         raise ValueError(f"{folder} holds no label files training/label_2/000000.txt.")
     if len(files) > MOST_FRAMES:
@@ -74,30 +73,40 @@ def _file(path: Path, frame: int, scored: bool, classes: Counter[tuple[str, str]
     lines = read_text(path).splitlines()
     if len(lines) > MOST_BOXES:
         raise ValueError(f"{path} has {len(lines):,} lines, more than {MOST_BOXES:,}.")
-    rows = [_line(line.split(), f"{path}, line {n}", scored) for n, line in enumerate(lines, 1) if line.strip()]
-    values = np.array([row[1] for row in rows], float).reshape(-1, 15)
-    classes.update((row[2], row[0]) for row in rows)
-    height, width, length = values[:, 7], values[:, 8], values[:, 9]
-    right, down, forward, turn = values[:, 10], values[:, 11], values[:, 12], values[:, 13]
+    names, rows = [], []
+    for n, line in enumerate(lines, 1):
+        if line.strip():
+            name, values, said = _line(line.split(), f"{path}, line {n}", scored)
+            names.append(name)
+            rows.append(values)
+            classes[said, name] += 1
+    columns = np.array(rows, float).reshape(-1, 15).T
+    truncation, hidden, _, _, top, _, bottom, height, width, length, right, down, forward, turn, score = columns
     yaw = np.pi - (1.5 * np.pi + turn) % (2 * np.pi)  # wraps -turn - pi / 2
-    box = np.column_stack([forward, -right, 0.5 * height - down, length, width, height, yaw])
-    names = np.array([row[0] for row in rows], object)
-    hidden = np.where(values[:, 1] < 0, 3, values[:, 1]).astype(int)
     return LabelledObjects(
-        np.full(len(rows), frame), names, box, values[:, 6] - values[:, 4], hidden, np.maximum(values[:, 0], 0.0),
-        values[:, 14],
-    )  # fmt: skip
+        frame=np.full(len(rows), frame),
+        label=np.array(names, object),
+        box=np.column_stack([forward, -right, 0.5 * height - down, length, width, height, yaw]),
+        height_px=bottom - top,
+        occlusion=np.where(hidden < 0, 3, hidden).astype(int),
+        truncation=np.maximum(truncation, 0.0),
+        score=score,
+    )
 
 
 def _line(words: list[str], where: str, scored: bool) -> tuple[str, list[float], str]:
     """Our class, the numbers, and the class that the line says."""
     if len(words) < _COLUMNS + scored:
         raise ValueError(f"{where} has {len(words)} columns and should have {_COLUMNS + scored}.")
-    values = [number(word, f"column {n}", Path(where)) for n, word in enumerate(words[1 : _COLUMNS + scored], 2)]
+    columns = enumerate(words[1 : _COLUMNS + scored], 2)
+    values = [number(word, f"column {n}", Path(where)) for n, word in columns]
     if values[9] > 0 and abs(values[13]) > 2 * math.pi + 0.1:
         raise ValueError(f"{where}: rotation_y is {values[13]:g}; radians are right, from -3.14 to 3.14.")
-    name = words[0][:40].lower()
-    return name if name == "van" else class_of(name), values + [1.0] * (not scored), words[0][:40]
+    if not scored:
+        values.append(1.0)
+    said = words[0][:40]
+    name = said.lower()
+    return name if name == "van" else class_of(name), values, said
 
 
 def _joined(parts: list[LabelledObjects]) -> LabelledObjects:

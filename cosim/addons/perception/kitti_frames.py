@@ -53,8 +53,9 @@ def with_boxes(run: Run, lists: tuple[Lists, ...]) -> tuple[Lists, ...]:
     Only the base variant and variants that ask for it have fused objects. Only runs with `[early_fusion]` have early
     ones.
     """
-    sections = run.config.get("trust_variant", [])
-    fuses = run.variant == BASE_VARIANT or any(v["name"] == run.variant and v.get("fused") for v in sections)
+    variants = run.config.get("trust_variant", [])
+    fusing = {BASE_VARIANT} | {one["name"] for one in variants if one.get("fused")}
+    fuses = run.variant in fusing
     merges = "early_fused" in run.tables and run.n_rows("early_fused") > 0
     return tuple(which for which in lists if {"fused": fuses, "early": merges}.get(which, True))
 
@@ -116,8 +117,8 @@ def near(poses: Poses, actors: pd.DataFrame, range_m: float) -> tuple[np.ndarray
     """
     if poses.empty:
         return np.zeros(0, int), np.zeros(0, int)
-    points = ((f.step.to_numpy(), f[["x_m", "y_m"]].to_numpy()) for f in (poses, actors))
-    i, j = within(*next(points), *next(points), range_m)
+    pose_m, actor_m = (frame[["x_m", "y_m"]].to_numpy() for frame in (poses, actors))
+    i, j = within(poses.step.to_numpy(), pose_m, actors.step.to_numpy(), actor_m, range_m)
     order = np.lexsort([j, i])
     return i[order], j[order]
 
@@ -144,10 +145,20 @@ def actors_ahead(
         [poses.step.to_numpy()[i], poses.observer.to_numpy()[i], actors.actor.to_numpy()[j]]
     )
     seen = seen.reindex(key)
-    hidden = 1 - seen.n_points.to_numpy(np.float64) / np.maximum(seen.n_unoccluded.to_numpy(np.float64), 1)
-    level = np.where(np.isnan(hidden), 3, (hidden > 0.2).astype(int) + (hidden > 0.5))
-    label = actors.label.to_numpy(object)[j]
-    return LabelledObjects(i, label, box, height_px, level, np.zeros(len(i)), np.ones(len(i))), poses
+    n_points = seen.n_points.to_numpy(np.float64)
+    n_unoccluded = seen.n_unoccluded.to_numpy(np.float64)
+    hidden = 1 - n_points / np.maximum(n_unoccluded, 1)
+    level = (hidden > 0.2).astype(int) + (hidden > 0.5)
+    objects = LabelledObjects(
+        frame=i,
+        label=actors.label.to_numpy(object)[j],
+        box=box,
+        height_px=height_px,
+        occlusion=np.where(np.isnan(hidden), 3, level),
+        truncation=np.zeros(len(i)),
+        score=np.ones(len(i)),
+    )
+    return objects, poses
 
 
 def pairs_ahead(
@@ -167,7 +178,8 @@ def pairs_ahead(
     i, j = near(poses, actors, range_m)
     other = poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]
     i, j = i[other], j[other]
-    box, ahead, height_px = ahead_of(poses, i, actors[[*BOX]].to_numpy(np.float64)[j], range_m)
+    world = actors[[*BOX]].to_numpy(np.float64)[j]
+    box, ahead, height_px = ahead_of(poses, i, world, range_m)
     return i[ahead], j[ahead], box[ahead], height_px[ahead]
 
 
@@ -196,7 +208,8 @@ def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m
     boxes = observed_by_vehicle(run, which, columns, where)
     frames = poses.set_index(["step", "observer"]).frame
     at = frames.reindex(pd.MultiIndex.from_frame(boxes[["step", "observer"]])).to_numpy(np.float64)
-    boxes, at = boxes[~np.isnan(at)], at[~np.isnan(at)].astype(int)
+    is_there = ~np.isnan(at)
+    boxes, at = boxes[is_there], at[is_there].astype(int)
     order = np.lexsort([boxes[index], at])
     boxes, at = boxes.iloc[order], at[order]
     world = boxes[[*BOX]].to_numpy(np.float64, copy=True)
@@ -204,9 +217,14 @@ def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m
     box, ahead, height_px = ahead_of(poses, at, world, range_m)
     n = int(ahead.sum())
     return LabelledObjects(
-        at[ahead], boxes["class"].astype(object).to_numpy()[ahead], box[ahead], height_px[ahead],
-        np.zeros(n, int), np.zeros(n), boxes.score.to_numpy(np.float64)[ahead],
-    )  # fmt: skip
+        frame=at[ahead],
+        label=boxes["class"].astype(object).to_numpy()[ahead],
+        box=box[ahead],
+        height_px=height_px[ahead],
+        occlusion=np.zeros(n, int),
+        truncation=np.zeros(n),
+        score=boxes.score.to_numpy(np.float64)[ahead],
+    )
 
 
 def position_errors(run: Run, poses: Poses) -> np.ndarray:
@@ -241,11 +259,14 @@ def in_true_frame(boxes: np.ndarray, poses: Poses, i: np.ndarray, errors: np.nda
     -------
     The boxes [n, 7].
     """
-    placed, true_m, turn = boxes.copy(), poses[["x_m", "y_m"]].to_numpy(np.float64)[i], errors[i, 2]
+    true_m = poses[["x_m", "y_m"]].to_numpy(np.float64)[i]
     moved_m = boxes[:, :2] - errors[i, :2]
+    yaw, turn = boxes[:, 6], errors[i, 2]
+    turned_m = true_m + turned_by(-turn, moved_m - true_m)
     is_turned = turn != 0  # without an error of the heading, boxes keep every bit
-    placed[:, :2] = np.where(is_turned[:, None], true_m + turned_by(-turn, moved_m - true_m), moved_m)
-    placed[:, 6] = np.where(is_turned, wrapped(boxes[:, 6] - turn), boxes[:, 6])
+    placed = boxes.copy()
+    placed[:, :2] = np.where(is_turned[:, None], turned_m, moved_m)
+    placed[:, 6] = np.where(is_turned, wrapped(yaw - turn), yaw)
     return placed
 
 
@@ -275,8 +296,11 @@ def ahead_of(poses: Poses, i: np.ndarray, box: np.ndarray, range_m: float) -> tu
     box[:, :2] = turned_by(-eye[:, 3], away)
     box[:, 2] = away[:, 2]
     box[:, 6] -= eye[:, 3]
-    ahead = (box[:, 0] > np.abs(box[:, 1])) & (np.hypot(box[:, 0], box[:, 1]) <= range_m)
+    forward, left = box[:, 0], box[:, 1]
+    ahead = (forward > np.abs(left)) & (np.hypot(forward, left) <= range_m)
     depth = np.maximum(corners(box)[..., 0], 0.5)  # the four upright edges
-    top, bottom = (box[:, 2] + box[:, 5] / 2)[:, None], (box[:, 2] - box[:, 5] / 2)[:, None]
-    height_px = FOCAL_PX * ((top / depth).max(axis=1) - (bottom / depth).min(axis=1))
+    half_height = box[:, 5] / 2
+    top = (box[:, 2] + half_height)[:, None] / depth
+    bottom = (box[:, 2] - half_height)[:, None] / depth
+    height_px = FOCAL_PX * (top.max(axis=1) - bottom.min(axis=1))
     return box, ahead, height_px

@@ -14,7 +14,10 @@ NMS_OVERLAP = 0.15
 
 
 def kept(
-    frame: Int[ndarray, "n"], box: Float[ndarray, "n 7"], score: Float[ndarray, "n"], overlap: float = NMS_OVERLAP
+    frame: Int[ndarray, "n"],
+    box: Float[ndarray, "n 7"],
+    score: Float[ndarray, "n"],
+    overlap: float = NMS_OVERLAP,
 ) -> Bool[ndarray, "n"]:
     """Boxes that non-maximum suppression keeps.
 
@@ -36,10 +39,12 @@ def kept(
     """
     i, j = _overlapping(frame, box, overlap)
     rank = np.empty(len(score), np.int64)
-    rank[np.lexsort([np.arange(len(score)), -score])] = np.arange(len(score))
+    row = np.arange(len(score))
+    rank[np.lexsort([row, -score])] = row
     first = rank[i] < rank[j]
     better, worse = np.where(first, i, j), np.where(first, j, i)
-    undecided, chosen = np.ones(len(score), bool), np.zeros(len(score), bool)
+    undecided = np.ones(len(score), bool)
+    chosen = np.zeros(len(score), bool)
     while undecided.any():
         open_pairs = undecided[better] & undecided[worse]
         better, worse = better[open_pairs], worse[open_pairs]
@@ -57,6 +62,7 @@ def _overlapping(
 ) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
     """Pairs of boxes of one frame that overlap by more than a share."""
     i, j = near_pairs(frame, box, frame, box)
-    i, j = i[i < j], j[i < j]
+    once = i < j
+    i, j = i[once], j[once]
     near = in_blocks(iou_bev, box[i], box[j]) > overlap
     return i[near], j[near]

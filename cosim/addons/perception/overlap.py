@@ -25,7 +25,8 @@ def corners(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 4 2"]:
     x and y of the corners, counter-clockwise: front left, rear left, rear right, front right.
     """
     half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
-    return turned_by(box[:, None, 6], half * box[:, None, 3:5]) + box[:, None, :2]
+    corner_m = half * box[:, None, 3:5]
+    return turned_by(box[:, None, 6], corner_m) + box[:, None, :2]
 
 
 def footprint_overlap(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
@@ -38,9 +39,10 @@ def footprint_overlap(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Flo
     shift = np.concatenate([a[:, :2], np.zeros((len(a), 5))], axis=1)  # near the origin, for precision
     polygon, clip = corners(a - shift), corners(b - shift)
     for edge in range(4):
-        start, along = clip[:, edge], clip[:, (edge + 1) % 4] - clip[:, edge]
+        start = clip[:, edge]
+        along = clip[:, (edge + 1) % 4] - start
         following = np.roll(polygon, -1, axis=1)
-        side = _side(polygon, start, along)
+        side = _cross(along[:, None], polygon - start[:, None])
         side_following = np.roll(side, -1, axis=1)
         crosses = (side >= 0) != (side_following >= 0)
         part = np.where(crosses, side / np.where(crosses, side - side_following, 1), 0)
@@ -53,45 +55,57 @@ def footprint_overlap(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Flo
         filled = np.take_along_axis(kept, first, axis=1)  # what is not filled repeats the first vertex
         polygon = np.where(filled[..., None], polygon, polygon[:, :1])
         polygon = np.where(filled[:, :1, None], polygon, 0)
-    x, y = polygon[..., 0], polygon[..., 1]
-    return np.abs((x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y).sum(axis=1)) / 2
+    twice_m2 = _cross(polygon, np.roll(polygon, -1, axis=1)).sum(axis=1)
+    return np.abs(twice_m2) / 2
 
 
-def _side(points: ndarray, start: ndarray, along: ndarray) -> ndarray:
-    """Positive to the left of the directed line."""
-    away = points - start[:, None]
-    return along[:, None, 0] * away[..., 1] - along[:, None, 1] * away[..., 0]
+def _cross(a: Float[ndarray, "n v 2"], b: Float[ndarray, "n v 2"]) -> Float[ndarray, "n v"]:
+    """Areas that pairs of vectors span, positive where b is to the left of a."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def iou_bev(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
     """Intersection over union of the footprints of the two boxes in each row, in [0, 1]."""
     common = footprint_overlap(a, b)
-    return common / (a[:, 3] * a[:, 4] + b[:, 3] * b[:, 4] - common)
+    area_a = a[:, 3] * a[:, 4]
+    area_b = b[:, 3] * b[:, 4]
+    return common / (area_a + area_b - common)
 
 
 def iou_3d(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
     """Intersection over union of the volumes of the two boxes in each row, in [0, 1]."""
-    top = np.minimum(a[:, 2] + a[:, 5] / 2, b[:, 2] + b[:, 5] / 2)
-    bottom = np.maximum(a[:, 2] - a[:, 5] / 2, b[:, 2] - b[:, 5] / 2)
+    half_a, half_b = a[:, 5] / 2, b[:, 5] / 2
+    top = np.minimum(a[:, 2] + half_a, b[:, 2] + half_b)
+    bottom = np.maximum(a[:, 2] - half_a, b[:, 2] - half_b)
     common = footprint_overlap(a, b) * np.maximum(top - bottom, 0)
-    return common / (a[:, 3:6].prod(axis=1) + b[:, 3:6].prod(axis=1) - common)
+    volume_a = a[:, 3:6].prod(axis=1)
+    volume_b = b[:, 3:6].prod(axis=1)
+    return common / (volume_a + volume_b - common)
 
 
 def in_blocks(
     overlap: Callable[[ndarray, ndarray], ndarray], a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]
 ) -> Float[ndarray, "n"]:
     """An overlap of many pairs, in memory that does not grow with them."""
-    cuts = range(0, len(a), _BLOCK)
-    return np.concatenate([np.zeros(0), *(overlap(a[k : k + _BLOCK], b[k : k + _BLOCK]) for k in cuts)])
+    found = [np.zeros(0)]
+    for begin in range(0, len(a), _BLOCK):
+        block = slice(begin, begin + _BLOCK)
+        found.append(overlap(a[block], b[block]))
+    return np.concatenate(found)
 
 
 def near_pairs(
-    a_frame: Int[ndarray, "n"], a: Float[ndarray, "n 7"], b_frame: Int[ndarray, "m"], b: Float[ndarray, "m 7"]
+    a_frame: Int[ndarray, "n"],
+    a: Float[ndarray, "n 7"],
+    b_frame: Int[ndarray, "m"],
+    b: Float[ndarray, "m 7"],
 ) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
     """Rows of two sets of boxes of the same frame whose footprints may overlap."""
     if not len(a) or not len(b):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    reach_m = (np.hypot(a[:, 3], a[:, 4]).max() + np.hypot(b[:, 3], b[:, 4]).max()) / 2
+    longest_a_m = np.hypot(a[:, 3], a[:, 4]).max()
+    longest_b_m = np.hypot(b[:, 3], b[:, 4]).max()
+    reach_m = (longest_a_m + longest_b_m) / 2
     return within(a_frame, a[:, :2], b_frame, b[:, :2], reach_m)
 
 
@@ -104,8 +118,9 @@ def within(
 ) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
     """Rows of two sets of points of the same frame that are at most so far apart, in any order."""
     frames = np.unique(np.concatenate([a_frame, b_frame]))
+    apart_m = 2.0 * reach_m + 1.0
     a, b = (
-        cKDTree(np.column_stack([points_m, np.searchsorted(frames, frame) * (2.0 * reach_m + 1.0)]))
+        cKDTree(np.column_stack([points_m, np.searchsorted(frames, frame) * apart_m]))
         for frame, points_m in ((a_frame, a_m), (b_frame, b_m))
     )
     pairs = a.sparse_distance_matrix(b, reach_m, output_type="ndarray")
