@@ -81,11 +81,10 @@ def _read_lines(about: dict[str, Any]) -> Iterator[str]:
     elif egos:
         some = ", ".join(f"{name} in {n:,} frames" for name, n in list(egos.items())[:_MOST_EGOS])
         yield f"egos: {some}{', ...' if len(egos) > _MOST_EGOS else ''}"
-    if any(said.lower() != ours for ours, of in about["classes"].items() for said in of):
-        yield "classes: " + "; ".join(
-            f"{' and '.join(f'{n:,} {said}' for said, n in of.items())} as {ours}"
-            for ours, of in about["classes"].items()
-        )
+    classes = about["classes"].items()
+    if any(said.lower() != ours for ours, of in classes for said in of):
+        parts = [(" and ".join(f"{n:,} {said}" for said, n in of.items()), ours) for ours, of in classes]
+        yield "classes: " + "; ".join(f"{counts} as {ours}" for counts, ours in parts)
     if about.get("boxes_left_out"):
         yield (
             f"{about['boxes_left_out']:,} boxes are on the agents themselves or on objects of other classes: they are "

@@ -70,7 +70,8 @@ def read(folder: Path, detections: Path | None = None, ego: str | None = None) -
         raise ValueError(f"--ego {ego}: there is no such agent in {folder}. There are: {', '.join(AGENTS)}.")
     order = [1, 0] if ego == AGENTS[1] else [0, 1]
     beside = detections or root / "detections"
-    frames, poses, turns, clouds, truth, found, missing = [], [], [], [], [], [], []
+    frames, poses, turns, clouds = [], [], [], []
+    truth, found, missing = [], [], []
     classes: Counter[tuple[str, str]] = Counter()
     for frame, pair in enumerate(index):
         car, unit, label = (_path(pair, key, root) for key in (
@@ -86,16 +87,18 @@ def read(folder: Path, detections: Path | None = None, ego: str | None = None) -
         frames.append(label.as_posix())
         poses.append(np.array([pose_of(world_from[k]) for k in order]))
         turns.append(np.array([world_from[k] for k in order]))
-        clouds.append(tuple((root / car, root / unit)[k] for k in order))
+        both = root / car, root / unit
+        clouds.append(tuple(both[k] for k in order))
         for name, box in _labels(root / label):
             classes[name, class_of(name)] += 1
             truth.append((frame, -1, class_of(name), box, 1.0))
         paths = beside / f"veh/lidar/{car.stem}.json", beside / f"inf/lidar/{unit.stem}.json"
         for k, agent in enumerate(order):
-            if paths[agent].exists():
-                found += [(frame, k, name, box, score) for name, box, score in _boxes(paths[agent], world_from[agent])]
-            else:
+            if not paths[agent].exists():
                 missing.append(paths[agent])
+                continue
+            for name, box, score in _boxes(paths[agent], world_from[agent]):
+                found.append((frame, k, name, box, score))
     if twice := [name for name, n in Counter(frames).items() if n > 1]:
         raise ValueError(f"{root / INDEX} has the label {twice[0]} in two pairs. Each would count twice.")
     remarks = (
@@ -103,11 +106,19 @@ def read(folder: Path, detections: Path | None = None, ego: str | None = None) -
         f"{missing[0] if missing else ''}: these agents count as if they detected nothing."
     )
     return Recorded(
-        layout="dair-v2x", frames=tuple(Path(name).stem for name in frames),
-        agents=(tuple(AGENTS[k] for k in order),) * len(frames), pose=tuple(poses), truth=RecordedBoxes.of(truth),
-        aside=RecordedBoxes.of([]), found=RecordedBoxes.of(found), has_classes=True, classes=classes,
-        remarks=(remarks,) * (0 < len(missing) < 2 * len(index)), world_from=tuple(turns), clouds=tuple(clouds),
-    )  # fmt: skip
+        layout="dair-v2x",
+        frames=tuple(Path(name).stem for name in frames),
+        agents=(tuple(AGENTS[k] for k in order),) * len(frames),
+        pose=tuple(poses),
+        truth=RecordedBoxes.of(truth),
+        aside=RecordedBoxes.of([]),
+        found=RecordedBoxes.of(found),
+        has_classes=True,
+        classes=classes,
+        remarks=(remarks,) * (0 < len(missing) < 2 * len(index)),
+        world_from=tuple(turns),
+        clouds=tuple(clouds),
+    )
 
 
 def _shift(pair: dict[str, Any], root: Path) -> Float[ndarray, "2"]:
@@ -133,8 +144,9 @@ def _transform(path: Path) -> Float[ndarray, "4 4"]:
     out = np.eye(4)
     out[:3, :3] = matrix(about.get("rotation"), 3, 3, "rotation", path)
     shift = about.get("translation")
-    flat = [v[0] if isinstance(v, list) and len(v) == 1 else v for v in shift] if isinstance(shift, list) else shift
-    out[:3, 3] = numbers(flat, 3, "translation", path)
+    if isinstance(shift, list):  # of numbers, or of lists of one number
+        shift = [one[0] if isinstance(one, list) and len(one) == 1 else one for one in shift]
+    out[:3, 3] = numbers(shift, 3, "translation", path)
     return rigid(out, "rotation", path)
 
 
@@ -147,7 +159,8 @@ def _labels(path: Path) -> list[tuple[str, Float[ndarray, "7"]]]:
         if not isinstance(one, dict):
             raise ValueError(f"{path}: object {n} should hold type and world_8_points.")
         corner = matrix(one.get("world_8_points"), 8, 3, f"world_8_points of object {n}", path)
-        found.append((str(one.get("type"))[:40], upright(box_of_corners(corner[None], path), path)[0]))
+        box = upright(box_of_corners(corner[None], path), path)[0]
+        found.append((str(one.get("type"))[:40], box))
     return found
 
 
@@ -156,7 +169,8 @@ def _boxes(path: Path, world_from_agent: Float[ndarray, "4 4"]) -> list[tuple[st
     listed = about.get("boxes_3d") if isinstance(about, dict) else None
     if not isinstance(listed, list) or len(listed) > MOST_BOXES:
         raise ValueError(f"{path}: boxes_3d should be a list of at most {MOST_BOXES:,} boxes of 8 corners.")
-    corner = np.array([matrix(one, 8, 3, "boxes_3d", path) for one in listed]).reshape(-1, 8, 3)
+    corners = [matrix(one, 8, 3, "boxes_3d", path) for one in listed]
+    corner = np.array(corners).reshape(-1, 8, 3)
     score = scores(numbers(about.get("scores_3d"), len(listed), "scores_3d", path), path)
     names = about.get("labels_3d")
     if not isinstance(names, list) or len(names) != len(listed):

@@ -179,19 +179,17 @@ def _kitti(data: kitti_folder.KittiFolder) -> tuple[dict[str, Any], pd.DataFrame
         return about, pd.DataFrame(columns=list(_KITTI_COLUMNS))
     names = tuple(str(n) for n in range(data.n_frames))
     boxes = [
-        RecordedBoxes(of.frame[keep], of.frame[keep], of.label[keep], of.box[keep], of.score[keep])
-        for of in (truth, found) for keep in [of.box[:, 3] > 0]
-    ]  # fmt: skip
+        _take(RecordedBoxes(of.frame, of.frame, of.label, of.box, of.score), of.box[:, 3] > 0) for of in (truth, found)
+    ]
     _check_density(names, *boxes)
     about["remarks"] += of_boxes(*boxes)
     for label in labels:
         n_boxes = int((found.label == label).sum())
         for overlap in dict.fromkeys((STRICT[label], LOOSE[label])):
             answer = average_precision(truth, found, label, min_overlap=overlap)
-            rows += [
-                (label, level, overlap, answer[level].ap11, answer[level].ap40, answer[level].n_truth, n_boxes)
-                for level in LEVELS
-            ]
+            for level in LEVELS:
+                one = answer[level]
+                rows.append((label, level, overlap, one.ap11, one.ap40, one.n_truth, n_boxes))
     return about, pd.DataFrame(rows, columns=list(_KITTI_COLUMNS))
 
 
@@ -208,14 +206,16 @@ def _check_density(frames: Sequence[str], truth: RecordedBoxes, found: RecordedB
     both = _joined(truth, found)
     if not len(both):
         return
+    xy_m = both.box[:, :2]
     reach = float(np.hypot(both.box[:, 3], both.box[:, 4]).max(initial=0.0))
-    apart = 2.0 * reach + 1.0 + np.ptp(both.box[:, :2], axis=0).max()
-    tree = cKDTree(np.column_stack([both.box[:, :2], both.frame * apart]))
+    apart = 2.0 * reach + 1.0 + np.ptp(xy_m, axis=0).max()
+    tree = cKDTree(np.column_stack([xy_m, both.frame * apart]))
     pairs = (int(tree.count_neighbors(tree, reach)) - len(both)) // 2
     if pairs > _MOST_PAIRS + _PAIRS_PER_BOX * len(both):
-        frame = int(np.bincount(both.frame).argmax())
+        n_boxes = np.bincount(both.frame)
+        frame = int(n_boxes.argmax())
         raise ValueError(
-            f"frame {frames[frame]} has {int((both.frame == frame).sum()):,} boxes that lie on each other: {pairs:,} "
+            f"frame {frames[frame]} has {n_boxes[frame]:,} boxes that lie on each other: {pairs:,} "
             "pairs are near in all frames. Suppress boxes of the same object before (non-maximum suppression)."
         )
 
@@ -226,17 +226,20 @@ def _without_agents(data: Recorded) -> tuple[RecordedBoxes, RecordedBoxes]:
     An object in whose footprint the LiDAR of such a vehicle stands is this vehicle, whatever its number. A vehicle that
     nobody has annotated gets a box around its LiDAR.
     """
-    agents = RecordedBoxes.of([
-        (frame, -1, "agent", np.array([*pose[:3], *_AGENT_M, pose[3]]), 1.0)
-        for frame, (names, poses) in enumerate(zip(data.agents, data.pose, strict=True))
-        for name, pose in zip(names, poses, strict=True) if not opv2v.is_roadside(name) and name != dair.AGENTS[1]
-    ])  # fmt: skip
+    rows = []
+    for frame, (names, poses) in enumerate(zip(data.agents, data.pose, strict=True)):
+        for name, pose in zip(names, poses, strict=True):
+            if not opv2v.is_roadside(name) and name != dair.AGENTS[1]:
+                rows.append((frame, -1, "agent", np.array([*pose[:3], *_AGENT_M, pose[3]]), 1.0))
+    agents = RecordedBoxes.of(rows)
     i, j = near_pairs(data.truth.frame, data.truth.box, agents.frame, agents.box)
-    box, away = data.truth.box[i], agents.box[j, :2] - data.truth.box[i, :2]
-    is_inside = (np.abs(turned_by(-box[:, 6], away)) < box[:, 3:5] / 2).all(axis=1)
+    box = data.truth.box[i]
+    away = turned_by(-box[:, 6], agents.box[j, :2] - box[:, :2])
+    is_inside = (np.abs(away) < box[:, 3:5] / 2).all(axis=1)
     is_agent = np.zeros(len(data.truth), bool)
     is_agent[i[is_inside]] = True
-    truth, annotated = _take(data.truth, ~is_agent), _joined(data.aside, _take(data.truth, is_agent))
+    truth = _take(data.truth, ~is_agent)
+    annotated = _joined(data.aside, _take(data.truth, is_agent))
     is_unknown = _best_overlap(agents, _joined(annotated, truth)) <= NMS_OVERLAP
     return truth, _joined(annotated, _take(agents, is_unknown))
 
@@ -259,7 +262,9 @@ def _best_overlap(boxes: RecordedBoxes, others: RecordedBoxes) -> Float[ndarray,
 def _twice(truth: RecordedBoxes) -> list[str]:
     """A remark on objects that lie on each other."""
     i, j = near_pairs(truth.frame, truth.box, truth.frame, truth.box)
-    n = int((in_blocks(iou_bev, truth.box[i[i < j]], truth.box[j[i < j]]) > 0.5).sum())
+    once = i < j
+    shares = in_blocks(iou_bev, truth.box[i[once]], truth.box[j[once]])
+    n = int((shares > 0.5).sum())
     return [f"{n:,} pairs of objects with different numbers lie on each other: each object counts."] * bool(n)
 
 
@@ -298,22 +303,26 @@ def _cooperative(
                 pair = (mine.frame, mine.box), (theirs.frame, theirs.box, theirs.score)
                 ap, recall = precision_and_recall(*pair, overlap, "bev")
                 ap_3d, _ = precision_and_recall(*pair, overlap, "3d")
-                rows.append((label, method, overlap, 100 * ap, 100 * ap_3d, 100 * recall, len(mine), len(theirs)))
+                percent = 100 * ap, 100 * ap_3d, 100 * recall
+                rows.append((label, method, overlap, *percent, len(mine), len(theirs)))
     table = pd.DataFrame(rows, columns=["class", "method", "overlap", "ap", "ap_3d", "recall", "n_truth", "n_boxes"])
     return table, judged
 
 
 def _helping(data: Recorded, partners_m: float) -> Bool[ndarray, "n"]:
     """Whether each box is of the ego or of an agent near it."""
-    near = [np.hypot(*(pose[:, :2] - pose[0, :2]).T) <= partners_m for pose in data.pose]
-    return np.array(
-        [near[f][a] for f, a in zip(data.found.frame.tolist(), data.found.agent.tolist(), strict=True)], bool
-    )
+    near = []
+    for pose in data.pose:
+        away_m = pose[:, :2] - pose[0, :2]
+        near.append(np.hypot(*away_m.T) <= partners_m)
+    rows = zip(data.found.frame.tolist(), data.found.agent.tolist(), strict=True)
+    return np.array([near[frame][agent] for frame, agent in rows], bool)
 
 
 def _within(data: Recorded, boxes: RecordedBoxes, range_m: float) -> Bool[ndarray, "n"]:
     ego = np.array([pose[0, :2] for pose in data.pose]).reshape(-1, 2)
-    return np.hypot(*(boxes.box[:, :2] - ego[boxes.frame]).T) <= range_m
+    away_m = boxes.box[:, :2] - ego[boxes.frame]
+    return np.hypot(*away_m.T) <= range_m
 
 
 def _joined(*parts: RecordedBoxes) -> RecordedBoxes:
@@ -324,7 +333,7 @@ def _joined(*parts: RecordedBoxes) -> RecordedBoxes:
 
 
 def _take(boxes: RecordedBoxes, keep: ndarray) -> RecordedBoxes:
-    return RecordedBoxes(boxes.frame[keep], boxes.agent[keep], boxes.label[keep], boxes.box[keep], boxes.score[keep])
+    return RecordedBoxes(*(getattr(boxes, name)[keep] for name in RecordedBoxes.__slots__))
 
 
 def _late(boxes: RecordedBoxes) -> RecordedBoxes:
@@ -346,22 +355,25 @@ def _fused(boxes: RecordedBoxes, method: Literal["averaging", "additive"]) -> Re
     _, message = np.unique(key, return_inverse=True)
     first = np.flatnonzero(np.diff(message, prepend=-1))
     index = np.arange(len(boxes)) - first[message] + 1
-    table = SentDetections(message, index, label, np.clip(boxes.score, 0.0, 1.0), np.zeros(len(boxes), bool))
+    score = np.clip(boxes.score, 0.0, 1.0)
+    table = SentDetections(message, index, label, score, np.zeros(len(boxes), bool))
     frames, begin = np.unique(boxes.frame, return_index=True)
     ptr = np.append(begin, len(boxes))
     owner = message[begin]  # the ego's message; of the first partner, where the ego has no boxes
     lists = ObjectLists(ptr, np.arange(len(boxes)), owner)
-    pairs = geometry.overlapping_pairs(_apart(boxes), label, message)
-    same = boxes.frame[pairs[0]] == boxes.frame[pairs[1]]
+    i, j, share = geometry.overlapping_pairs(_apart(boxes), label, message)
+    same = boxes.frame[i] == boxes.frame[j]
     params = TrustParams(method=method)
-    groups = match(lists, table, (pairs[0][same], pairs[1][same], pairs[2][same]), params)
+    groups = match(lists, table, (i[same], j[same], share[same]), params)
     none = Evaluations(np.zeros(0), np.zeros(0))
     evaluated = ObjectLists(np.zeros(1, int), np.zeros(0, int), np.zeros(0, int))
     n = len(groups.seeds())
-    evidence = SensorEvidence(np.zeros(n, int), np.ones(n, bool), np.ones(n, bool))
+    every = np.ones(n, bool)
+    evidence = SensorEvidence(np.zeros(n, int), every, every)
     others = np.flatnonzero(~np.isin(np.arange(len(first)), owner))
     of = np.searchsorted(frames, boxes.frame[first[others]])
-    trusted = SenderTrust(np.searchsorted(of, np.arange(len(frames) + 1)), others, np.ones(len(others)))
+    of_frame = np.searchsorted(of, np.arange(len(frames) + 1))
+    trusted = SenderTrust(of_frame, others, np.ones(len(others)))
     given = FusionInput(lists, groups, table, evaluated, none, none)
     found = fuse(given, trusted, evidence, np.zeros(len(boxes)), params)
     fused = _take(boxes, found.seed)
@@ -370,11 +382,13 @@ def _fused(boxes: RecordedBoxes, method: Literal["averaging", "additive"]) -> Re
 
 def _apart(boxes: RecordedBoxes) -> geometry.Boxes:
     """The boxes with their frames side by side, so that boxes of different frames do not overlap."""
-    centre: Float[ndarray, "n 3"] = boxes.box[:, :3] - boxes.box[:, :3].min(axis=0, initial=0.0)
+    xyz_m, xy_m = boxes.box[:, :3], boxes.box[:, :2]
+    centre: Float[ndarray, "n 3"] = xyz_m - xyz_m.min(axis=0, initial=0.0)
     number: Int[ndarray, "n"] = np.unique(boxes.frame, return_inverse=True)[1]
-    middle = pd.DataFrame(boxes.box[:, :2]).groupby(number).transform("mean").to_numpy()
-    centre[:, :2] = boxes.box[:, :2] - middle
-    room = 2.0 * float(np.abs(centre[:, :2]).max(initial=0.0)) + 100.0
+    middle = pd.DataFrame(xy_m).groupby(number).transform("mean").to_numpy()
+    around_m = xy_m - middle
+    centre[:, :2] = around_m
+    room = 2.0 * float(np.abs(around_m).max(initial=0.0)) + 100.0
     side = int(np.ceil(np.sqrt(number.max(initial=0) + 1)))
     centre[:, 0] += room * (number % side)
     centre[:, 1] += room * (number // side)

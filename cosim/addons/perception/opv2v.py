@@ -179,7 +179,7 @@ def _moments(folder: Path, ego: str | None) -> tuple[list[_Moment], list[str]]:
     """All time stamps of which the ego has a file, and a remark on the others."""
     found, n_without = [], 0
     everybody = stamps(folder)
-    agents_of = {scenario: {name for files in of.values() for name in files} for scenario, of in everybody.items()}
+    agents_of = {scenario: set[str]().union(*of.values()) for scenario, of in everybody.items()}
     if ego is not None and not any(ego in agents for agents in agents_of.values()):
         some = sorted(set().union(*agents_of.values()))
         raise ValueError(f"--ego {ego}: there is no such agent in {folder}. There are: {', '.join(some[:20])}.")
@@ -200,15 +200,21 @@ def _agent(path: Path) -> _Agent:
     """What a file says of its agent and its objects."""
     about = _yaml(path)
     world_from, is_matrix = _pose(about, path)
-    rows, has_objects = [], "vehicles" in about
+    keys, kinds, boxes = [], [], []
     for kind, key, one in _annotations(about, path):
-        has_objects = True
-        rows.append((_number_of(one, key, path), kind, _box(one, key, path)))
-    box = np.array([row[2] for row in rows]).reshape(-1, 7)
+        keys.append(_number_of(one, key, path))
+        kinds.append(kind)
+        boxes.append(_box(one, key, path))
     return _Agent(
-        path.parent.name, path, world_from, is_matrix, tuple(row[0] for row in rows), tuple(row[1] for row in rows),
-        box, has_objects,
-    )  # fmt: skip
+        name=path.parent.name,
+        path=path,
+        world_from=world_from,
+        is_matrix=is_matrix,
+        key=tuple(keys),
+        kind=tuple(kinds),
+        box=np.array(boxes).reshape(-1, 7),
+        has_objects="vehicles" in about or bool(boxes),
+    )
 
 
 def _annotations(about: dict[str, Any], path: Path) -> Iterator[tuple[str, Any, dict[str, Any]]]:
@@ -252,12 +258,14 @@ def _number_of(one: dict[str, Any], key: Any, path: Path) -> str:
 
 
 def _box(one: dict[str, Any], key: Any, path: Path) -> Float[ndarray, "7"]:
+    which = str(key)[:40]
     angle, center, extent, location = (
-        numbers(one.get(name), 3, f"{str(key)[:40]}.{name}", path) for name in ("angle", "center", "extent", "location")
+        numbers(one.get(name), 3, f"{which}.{name}", path) for name in ("angle", "center", "extent", "location")
     )
     if (extent <= 0).any():
-        raise ValueError(f"{path}: {str(key)[:40]}.extent should be above 0.")
-    return upright(np.array([[*(location + center), *(2 * extent), math.radians(angle[1])]]), path)[0]
+        raise ValueError(f"{path}: {which}.extent should be above 0.")
+    box = np.array([*(location + center), *(2 * extent), math.radians(angle[1])])
+    return upright(box[None], path)[0]
 
 
 def _frame(
@@ -296,8 +304,8 @@ def _frame(
         if any(votes.values()):
             frame = max(votes, key=lambda one: votes[one])
             return frame, words.format(votes[frame]) if frame != usual else ""
-    differs = max((np.abs(agent.seen("lidar") - agent.box).max(initial=0.0) for agent in every), default=0.0)
-    if is_matrix and differs > 0.1:
+    differs = [np.abs(agent.seen("lidar") - agent.box).max(initial=0.0) for agent in every]
+    if is_matrix and max(differs, default=0.0) > 0.1:
         raise ValueError(
             f"{every[0].path.parents[1]}: nothing tells whether the objects are in the frame of the world, or in that "
             "of the agent's LiDAR as in V2V4Real. Name it: --objects world or --objects lidar."
@@ -307,6 +315,7 @@ def _frame(
 
 def _agreements(moments: Sequence[_Moment]) -> Votes:
     """By frame, number of objects that two agents have at one place in it, and not in the other."""
+    votes: Votes = {"world": 0, "lidar": 0}
     apart = []
     for moment in moments:
         for one, other in combinations(moment.agents, 2):
@@ -314,15 +323,12 @@ def _agreements(moments: Sequence[_Moment]) -> Votes:
             rows = [(at[key], row) for row, key in enumerate(other.key) if key in at]
             if rows:
                 i, j = np.array(rows).T
-                apart.append([
-                    np.linalg.norm(one.seen(frame)[i, :2] - other.seen(frame)[j, :2], axis=1)
-                    for frame in ("world", "lidar")
-                ])  # fmt: skip
+                between_m = [one.seen(frame)[i, :2] - other.seen(frame)[j, :2] for frame in votes]
+                apart.append(np.linalg.norm(between_m, axis=2))
     world, lidar = np.concatenate(apart, axis=1) if apart else np.zeros((2, 0))
-    return {
-        "world": int(((world < _SAME_M) & (lidar > world + _SAME_M)).sum()),
-        "lidar": int(((lidar < _SAME_M) & (world > lidar + _SAME_M)).sum()),
-    }
+    votes["world"] = int(((world < _SAME_M) & (lidar > world + _SAME_M)).sum())
+    votes["lidar"] = int(((lidar < _SAME_M) & (world > lidar + _SAME_M)).sum())
+    return votes
 
 
 def _on_objects(
@@ -342,7 +348,8 @@ def _on_objects(
             away, _ = cKDTree(agent.seen(frame)[:, :2]).query(boxes[:, :2])
             votes[frame] += int((away < _SAME_M).sum())
     most = max(votes, key=lambda one: votes[one])
-    is_clear = 3 * min(votes.values()) < votes[most] and (most == usual or votes[most] >= fewest)
+    are_enough = most == usual or votes[most] >= fewest
+    is_clear = are_enough and 3 * min(votes.values()) < votes[most]
     return votes if is_clear else {"world": 0, "lidar": 0}
 
 
@@ -350,8 +357,9 @@ def _within_reach(every: Sequence[_Agent]) -> Votes:
     """The frame in which the middle object is within the reach of a LiDAR, if it is in one of them only."""
     votes: Votes = {"world": 0, "lidar": 0}
     for frame in votes:
-        away = [np.linalg.norm(agent.seen(frame)[:, :2] - agent.world_from[:2, 3], axis=1) for agent in every]
-        votes[frame] = int(bool(sum(map(len, away))) and np.median(np.concatenate(away)) <= _FAR_M)
+        places = [agent.seen(frame)[:, :2] - agent.world_from[:2, 3] for agent in every]
+        away_m = np.linalg.norm(np.concatenate([np.zeros((0, 2)), *places]), axis=1)
+        votes[frame] = int(len(away_m) > 0 and np.median(away_m) <= _FAR_M)
     return votes if sum(votes.values()) == 1 else {"world": 0, "lidar": 0}
 
 
@@ -391,7 +399,10 @@ def _detections(agent: _Agent, detections: Path | None, folder: Path) -> tuple[n
 
 
 def _in_world(given: tuple[ndarray, ndarray] | None, agent: _Agent) -> Iterable[tuple[ndarray, float]]:
-    return () if given is None else zip(moved(given[0], agent.world_from), given[1].tolist(), strict=True)
+    if given is None:
+        return ()
+    box, score = given
+    return zip(moved(box, agent.world_from), score.tolist(), strict=True)
 
 
 def _about_keys(every: Sequence[_Agent]) -> list[str]:
@@ -412,9 +423,11 @@ def _about_keys(every: Sequence[_Agent]) -> list[str]:
     remarks = []
     if without:
         remarks.append(f"{len(without):,} of {len(every):,} files have no `vehicles`: the first is {without[0]}.")
-    yaw = np.unique(np.degrees(np.concatenate([agent.box[:, 6] for agent in every])).round(6))
-    if len(yaw) > 3 and 1.6 < np.abs(yaw).max() <= math.pi + 1e-3:
-        remarks.append(f"no angle of an object is above {np.abs(yaw).max():.3g}: degrees are read. Are they radians?")
+    yaw_rad = np.concatenate([agent.box[:, 6] for agent in every])
+    angles = np.unique(np.degrees(yaw_rad).round(6))
+    largest = np.abs(angles).max(initial=0.0)
+    if len(angles) > 3 and 1.6 < largest <= math.pi + 1e-3:
+        remarks.append(f"no angle of an object is above {largest:.3g}: degrees are read. Are they radians?")
     return remarks
 
 
@@ -497,12 +510,14 @@ def _pose(about: dict[str, Any], path: Path) -> tuple[Float[ndarray, "4 4"], boo
     if isinstance(value, list) and value and isinstance(value[0], list):
         return rigid(matrix(value, 4, 4, "lidar_pose", path), "lidar_pose", path), True
     x, y, z, roll, yaw, pitch = numbers(value, 6, "lidar_pose", path)
-    return rigid(_transform(x, y, z, *np.radians([roll, yaw, pitch])), "lidar_pose", path), False
+    motion = _transform(x, y, z, *np.radians([roll, yaw, pitch]))
+    return rigid(motion, "lidar_pose", path), False
 
 
 def _transform(x: float, y: float, z: float, roll: float, yaw: float, pitch: float) -> Float[ndarray, "4 4"]:
     """`x_to_world` of OpenCOOD."""
-    c_y, s_y, c_r, s_r = math.cos(yaw), math.sin(yaw), math.cos(roll), math.sin(roll)
+    c_y, s_y = math.cos(yaw), math.sin(yaw)
+    c_r, s_r = math.cos(roll), math.sin(roll)
     c_p, s_p = math.cos(pitch), math.sin(pitch)
     return np.array(
         [

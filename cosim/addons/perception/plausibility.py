@@ -54,10 +54,11 @@ def _frames(data: Recorded) -> Iterator[str]:
     """Detections that lie on objects in another frame than that of the agent's LiDAR."""
     if len(data.found) < _FEWEST or not len(data.truth):
         return
-    frame, agent = data.found.frame, data.found.agent
+    frame = data.found.frame
     inverse = [np.linalg.inv(motions) for motions in data.world_from]
-    back = np.array([inverse[f][a] for f, a in zip(frame.tolist(), agent.tolist(), strict=True)])
-    forth = np.array([data.world_from[f][a] for f, a in zip(frame.tolist(), agent.tolist(), strict=True)])
+    rows = list(zip(frame.tolist(), data.found.agent.tolist(), strict=True))
+    back = np.array([inverse[f][a] for f, a in rows])
+    forth = np.array([data.world_from[f][a] for f, a in rows])
     centre = np.column_stack([data.found.box[:, :3], np.ones(len(frame))])
     local = np.einsum("nij,nj->ni", back, centre)
     mirrored = np.einsum("nij,nj->ni", forth, local * [1, -1, 1, 1])
@@ -121,12 +122,15 @@ def _differences(truth: RecordedBoxes, found: RecordedBoxes) -> Iterator[str]:
         return
     ratio = np.median(ours[:, 3:6] / theirs[:, 3:6], axis=0)
     crossed = np.median(ours[:, [4, 3]] / theirs[:, 3:5], axis=0)
-    turned_rad = np.abs((ours[:, 6] - theirs[:, 6] + np.pi / 2) % np.pi - np.pi / 2)
-    is_long = np.abs(np.log(theirs[:, 3] / theirs[:, 4])) > _OTHER_SIZE  # nobody knows the heading of a square
+    turn = ours[:, 6] - theirs[:, 6]
+    turned_rad = np.abs((turn + np.pi / 2) % np.pi - np.pi / 2)  # of the axes, whichever end is the front
+    slenderness = theirs[:, 3] / theirs[:, 4]
+    is_long = np.abs(np.log(slenderness)) > _OTHER_SIZE  # nobody knows the heading of a square
     turned_deg = np.degrees(np.median(turned_rad[is_long])) if is_long.sum() >= _FEWEST else 0.0
     lower = np.median((ours[:, 2] - theirs[:, 2]) / theirs[:, 5])
     is_crossed = (np.abs(crossed - 1) < 0.15).all()
-    if np.abs(np.log(ratio)).max() > _OTHER_SIZE and not (is_crossed and turned_deg > 45):
+    is_other_size = np.abs(np.log(ratio)).max() > _OTHER_SIZE
+    if is_other_size and not (is_crossed and turned_deg > 45):
         times = ", ".join(f"{one:.2g}" for one in ratio)
         why = "Are length and width exchanged?" if is_crossed else "Are these half sizes, or in another order?"
         yield f"length, width and height of detections are {times} times those of the objects on which they lie. {why}"

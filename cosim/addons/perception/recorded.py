@@ -56,11 +56,14 @@ class RecordedBoxes:
     def of(rows: Sequence[tuple[int, int, str, Float[ndarray, "7"], float]]) -> "RecordedBoxes":
         """Of rows (frame, agent, label, box, score) in any order; sorted by frame, then agent."""
         rows = sorted(rows, key=lambda row: row[:2])
+        frame, agent, label, box, score = zip(*rows, strict=True) if rows else ((),) * 5
         return RecordedBoxes(
-            np.array([row[0] for row in rows], np.int64), np.array([row[1] for row in rows], np.int64),
-            np.array([row[2] for row in rows], object), np.array([row[3] for row in rows], float).reshape(-1, 7),
-            np.array([row[4] for row in rows], float),
-        )  # fmt: skip
+            frame=np.array(frame, np.int64),
+            agent=np.array(agent, np.int64),
+            label=np.array(label, object),
+            box=np.array(box, float).reshape(-1, 7),
+            score=np.array(score, float),
+        )
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -131,10 +134,11 @@ def read_json(path: Path) -> Any:
 
 
 def _once(path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        twice = next(key for n, (key, _) in enumerate(pairs) if key in dict(pairs[:n]))
-        raise ValueError(f"{path} has the key {twice[:40]!r} twice in one place.")
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"{path} has the key {key[:40]!r} twice in one place.")
+        found[key] = value
     return found
 
 
@@ -185,15 +189,16 @@ def rigid(motion: Float[ndarray, "4 4"], what: str, path: Path) -> Float[ndarray
     turn = motion[:3, :3]
     if np.abs(motion[3] - [0, 0, 0, 1]).max() > 1e-6:
         raise ValueError(f"{path}: the last row of {what} should be 0, 0, 0, 1. Is the matrix transposed?")
-    if np.abs(turn.T @ turn - np.eye(3)).max() > _RIGID or np.linalg.det(turn) < 0:
+    determinant = np.linalg.det(turn)
+    if np.abs(turn.T @ turn - np.eye(3)).max() > _RIGID or determinant < 0:
         raise ValueError(
-            f"{path}: {what} is no rigid motion (determinant {np.linalg.det(turn):.3g}, should be 1): it scales or "
-            "mirrors."
+            f"{path}: {what} is no rigid motion (determinant {determinant:.3g}, should be 1): it scales or mirrors."
         )
     if turn[2, 2] < _STEEPEST:
+        tilt_deg = math.degrees(math.acos(max(turn[2, 2], -1.0)))
         raise ValueError(
-            f"{path}: {what} tilts the LiDAR by {math.degrees(math.acos(max(turn[2, 2], -1.0))):.0f} degrees. Of six "
-            "numbers, the last three are roll, yaw and pitch in degrees."
+            f"{path}: {what} tilts the LiDAR by {tilt_deg:.0f} degrees. Of six numbers, the last three are roll, yaw "
+            "and pitch in degrees."
         )
     return motion
 
@@ -222,9 +227,10 @@ def upright(box: Float[ndarray, "n 7"], path: Path) -> Float[ndarray, "n 7"]:
     ValueError
         In one line, if one has.
     """
-    odd = ~((box[:, 3:6] > 0) & (box[:, 3:6] <= _LARGEST_M)).all(axis=1)
+    size_m = box[:, 3:6]
+    odd = ~((size_m > 0) & (size_m <= _LARGEST_M)).all(axis=1)
     if odd.any():
-        sides = ", ".join(f"{side:g}" for side in box[odd][0, 3:6])
+        sides = ", ".join(f"{side:g}" for side in size_m[odd][0])
         raise ValueError(
             f"{path}: the sides of box {int(np.argmax(odd))} are {sides} m; above 0 and up to {_LARGEST_M:g} m are "
             "right."
@@ -251,9 +257,8 @@ def array_of(path: Path, shape: tuple[int | None, ...]) -> Float[ndarray, "..."]
     except (OSError, ValueError, EOFError, SyntaxError, TypeError, MemoryError, OverflowError, RecursionError):
         raise ValueError(f"{path} is no array of numbers in NumPy's format.") from None
     fits = isinstance(found, np.ndarray) and found.ndim == len(shape) and found.dtype.kind in "fiu"
-    if not fits or any(
-        n > MOST_BOXES if want is None else n != want for n, want in zip(found.shape, shape, strict=True)
-    ):
+    lengths = zip(found.shape, shape, strict=True) if fits else ()
+    if not fits or any(n > MOST_BOXES if want is None else n != want for n, want in lengths):
         wanted = ", ".join("n" if n is None else str(n) for n in shape)
         raise ValueError(f"{path} should be an array of numbers of shape ({wanted}).")
     values = np.array(found, float)
@@ -285,15 +290,16 @@ def box_of_corners(corner: Float[ndarray, "n 8 3"], path: Path) -> Float[ndarray
     ahead = corner[:, [0, 1, 4, 5]].mean(axis=1) - corner[:, [2, 3, 6, 7]].mean(axis=1)
     aside = corner[:, [1, 2, 5, 6]].mean(axis=1) - corner[:, [0, 3, 4, 7]].mean(axis=1)
     up = corner[:, 4:].mean(axis=1) - corner[:, :4].mean(axis=1)
-    size = np.column_stack([np.linalg.norm(ahead, axis=1), np.linalg.norm(aside, axis=1), np.linalg.norm(up, axis=1)])
-    box = np.column_stack([corner.mean(axis=1), size, np.arctan2(ahead[:, 1], ahead[:, 0])])
-    odd = np.flatnonzero((_off(corner, box) > 0.02 * np.linalg.norm(size, axis=1) + 0.02) | (size <= 0).any(axis=1))
+    size_m = np.column_stack([np.linalg.norm(side, axis=1) for side in (ahead, aside, up)])
+    yaw = np.arctan2(ahead[:, 1], ahead[:, 0])
+    box = np.column_stack([corner.mean(axis=1), size_m, yaw])
+    is_off = _off(corner, box) > 0.02 * np.linalg.norm(size_m, axis=1) + 0.02
+    odd = np.flatnonzero(is_off | (size_m <= 0).any(axis=1))
     for row in odd.tolist():
         box[row] = _in_any_order(corner[row])
-        if (
-            not box[row, 3:6].min() > 0
-            or _off(corner[[row]], box[[row]])[0] > 0.05 * np.linalg.norm(box[row, 3:6]) + 0.05
-        ):
+        size = box[row, 3:6]
+        off_m = _off(corner[[row]], box[[row]])[0]
+        if not size.min() > 0 or off_m > 0.05 * np.linalg.norm(size) + 0.05:
             raise ValueError(f"{path}: the corners of box {row} are not those of an upright box.")
     return box
 
@@ -307,20 +313,21 @@ def _off(corner: Float[ndarray, "n 8 3"], box: Float[ndarray, "n 7"]) -> Float[n
 def _in_any_order(corner: Float[ndarray, "8 3"]) -> Float[ndarray, "7"]:
     """The box of eight corners in any order; its length is the longer side."""
     low, high = np.split(corner[np.argsort(corner[:, 2], kind="stable")], 2)
-    middle = low[:, :2].mean(axis=0)
-    round_ = low[np.argsort(np.arctan2(*(low[:, :2] - middle).T[::-1])), :2]
-    one, other = round_[1] - round_[0], round_[2] - round_[1]
-    along, across = (one, other) if np.linalg.norm(one) >= np.linalg.norm(other) else (other, one)
-    return np.array([
-        *corner.mean(axis=0), np.linalg.norm(along), np.linalg.norm(across), high[:, 2].mean() - low[:, 2].mean(),
-        math.atan2(along[1], along[0]),
-    ])  # fmt: skip
+    xy_m = low[:, :2]
+    away = xy_m - xy_m.mean(axis=0)
+    ring = xy_m[np.argsort(np.arctan2(away[:, 1], away[:, 0]))]
+    along, across = ring[1] - ring[0], ring[2] - ring[1]
+    length, width = np.linalg.norm(along), np.linalg.norm(across)
+    if length < width:
+        along, length, width = across, width, length
+    height = high[:, 2].mean() - low[:, 2].mean()
+    return np.array([*corner.mean(axis=0), length, width, height, math.atan2(along[1], along[0])])
 
 
 def moved(box: Float[ndarray, "n 7"], world_from_agent: Float[ndarray, "4 4"]) -> Float[ndarray, "n 7"]:
     """Boxes of an agent's frame in the world; the boxes stay upright."""
-    turn = world_from_agent[:3, :3]
-    heading = np.column_stack([np.cos(box[:, 6]), np.sin(box[:, 6]), np.zeros(len(box))]) @ turn.T
+    turn, yaw = world_from_agent[:3, :3], box[:, 6]
+    heading = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(box))]) @ turn.T
     out = box.copy()
     out[:, :3] = box[:, :3] @ turn.T + world_from_agent[:3, 3]
     out[:, 6] = np.arctan2(heading[:, 1], heading[:, 0])
@@ -329,7 +336,8 @@ def moved(box: Float[ndarray, "n 7"], world_from_agent: Float[ndarray, "4 4"]) -
 
 def pose_of(world_from_agent: Float[ndarray, "4 4"]) -> Float[ndarray, "4"]:
     """x, y, z and yaw of a transformation."""
-    return np.array([*world_from_agent[:3, 3], math.atan2(world_from_agent[1, 0], world_from_agent[0, 0])])
+    yaw = math.atan2(world_from_agent[1, 0], world_from_agent[0, 0])
+    return np.array([*world_from_agent[:3, 3], yaw])
 
 
 def class_of(name: Any) -> str:

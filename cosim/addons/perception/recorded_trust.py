@@ -57,14 +57,16 @@ def trusted(data: Recorded, boxes: RecordedBoxes) -> Trusted:
     whether rays passed through it would need the sweep, not the cloud. Trust is that of one server that receives
     everything, and never expires.
     """
-    numbers = {name: k for k, name in enumerate(sorted({name for names in data.agents for name in names}))}
+    everyone = sorted(set().union(*data.agents))
+    numbers = {name: k for k, name in enumerate(everyone)}
     kinds = sorted(set(boxes.label.tolist()))
     label = np.array([kinds.index(name) for name in boxes.label], np.uint8)
-    model, parts, unread, present = TruPercept(PARAMS, 1.0), [], 0, dict.fromkeys(numbers, 0)
-    why_unread = ""
-    begin, end = (np.searchsorted(boxes.frame, np.arange(len(data.frames)), side) for side in ("left", "right"))
+    model = TruPercept(PARAMS, 1.0)
+    parts, unread, why_unread = [], 0, ""
+    present = dict.fromkeys(numbers, 0)
+    begin = np.searchsorted(boxes.frame, np.arange(len(data.frames) + 1))
     for frame, names in enumerate(data.agents):
-        rows = np.arange(begin[frame], end[frame])
+        rows = np.arange(begin[frame], begin[frame + 1])
         if not len(rows):
             continue
         clouds = _clouds(data.clouds[frame])
@@ -85,15 +87,19 @@ def trusted(data: Recorded, boxes: RecordedBoxes) -> Trusted:
         if known is not None:
             at = dict(zip(known.subject.tolist(), known.trust.tolist(), strict=True))
             trust = np.array([at.get(int(one), PARAMS.default_trust) for one in who[1:]])
-        found = fuse(
-            given, SenderTrust(np.array([0, len(others)]), others, trust), evidence, np.zeros(len(rows)), PARAMS
-        )
+        in_others = SenderTrust(np.array([0, len(others)]), others, trust)
+        found = fuse(given, in_others, evidence, np.zeros(len(rows)), PARAMS)
         parts.append((rows[found.seed], found.score))
         for name in names:
             present[name] += 1
-    chosen = np.concatenate([part for part, _ in parts]) if parts else np.zeros(0, int)
-    score = np.concatenate([part for _, part in parts]) if parts else np.zeros(0)
-    fused = RecordedBoxes(boxes.frame[chosen], boxes.agent[chosen], boxes.label[chosen], boxes.box[chosen], score)
+    chosen = np.concatenate([np.zeros(0, int), *(rows for rows, _ in parts)])
+    fused = RecordedBoxes(
+        frame=boxes.frame[chosen],
+        agent=boxes.agent[chosen],
+        label=boxes.label[chosen],
+        box=boxes.box[chosen],
+        score=np.concatenate([np.zeros(0), *(score for _, score in parts)]),
+    )
     final = model.scores()
     of = {one: row for row, one in enumerate(final.subject.tolist())}
     table = pd.DataFrame(
@@ -131,8 +137,9 @@ class _Frame:
         index = np.arange(len(rows)) - np.searchsorted(message, message) + 1
         score = np.clip(boxes.score[rows], 0.0, 1.0)
         table = SentDetections(message, index, label[rows], score, np.zeros(len(rows), bool))
-        member = [np.concatenate([np.flatnonzero(message == a), np.flatnonzero(message != a)]) for a in range(n_agents)]
-        lists = ObjectLists(len(rows) * np.arange(n_agents + 1), np.concatenate(member), np.arange(n_agents))
+        agent = np.arange(n_agents)
+        member = np.argsort(message != agent[:, None], axis=1, kind="stable")
+        lists = ObjectLists(len(rows) * np.arange(n_agents + 1), member.ravel(), agent)
         return _Frame(boxes.box[rows], table, lists)
 
     def evaluated(
@@ -142,13 +149,16 @@ class _Frame:
         plain = geometry.Boxes(self.box[:, :3], self.box[:, 3:6], self.box[:, 6])
         pairs = geometry.overlapping_pairs(plain, self.table.label, self.table.message)
         groups = match(self.lists, self.table, pairs, PARAMS)
-        agents = zip(clouds, world_from, strict=True)
-        inside = np.array([points_in(cloud, moved(self.box, np.linalg.inv(turn))) for cloud, turn in agents])
+        inside = np.array([
+            points_in(cloud, moved(self.box, np.linalg.inv(motion)))
+            for cloud, motion in zip(clouds, world_from, strict=True)
+        ])  # fmt: skip
         n_points = inside[self.lists.of_member(), self.lists.member]
         made = evaluate(self.lists, groups, self.table, n_points, np.ones(len(n_points), bool), PARAMS)
         n = int(self.lists.ptr[1])
         ego = ObjectLists(self.lists.ptr[:2], self.lists.member[:n], self.lists.owner[:1])
         of_ego = match(ego, self.table, pairs, PARAMS)
         seeds = ego.member[of_ego.seeds()]
-        evidence = SensorEvidence(inside[0, seeds], np.ones(len(seeds), bool), np.ones(len(seeds), bool))
+        every = np.ones(len(seeds), bool)
+        evidence = SensorEvidence(inside[0, seeds], every, every)
         return FusionInput(ego, of_ego, self.table, self.lists, made, made), evidence

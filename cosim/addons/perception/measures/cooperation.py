@@ -112,7 +112,10 @@ def late_gain_at_speed(slow: Run, fast: Run, *, mean_speed_mps: float, **options
 
 
 def _setting(options: Mapping[str, Any]) -> Setting:
-    given: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in options.items()}
+    given: dict[str, Any] = dict(options)
+    for name, one in options.items():
+        if isinstance(one, list):
+            given[name] = tuple(one)
     return Setting(**given)
 
 
@@ -171,8 +174,8 @@ def _partners(poses: Poses, actors: pd.DataFrame, setting: Setting) -> tuple[nda
     i, j = near(poses, equipped, setting.partners_m)
     other = poses.observer.to_numpy()[i] != equipped.actor.to_numpy()[j]
     i, j = i[other], j[other]
-    away = np.hypot(*(poses[["x_m", "y_m"]].to_numpy()[i] - equipped[["x_m", "y_m"]].to_numpy()[j]).T)
-    order = np.lexsort([away, i])
+    away_m = poses[["x_m", "y_m"]].to_numpy()[i] - equipped[["x_m", "y_m"]].to_numpy()[j]
+    order = np.lexsort([np.hypot(*away_m.T), i])
     i, j = i[order], j[order]
     place = np.arange(len(i)) - np.searchsorted(i, i)
     few = place < setting.partners
@@ -184,14 +187,16 @@ def _truth(
 ) -> Truth:
     """Actors of the class around each ego that somebody has a return of."""
     i, j = near(poses, actors, setting.range_m)
-    keep = (poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]) & (actors.label.to_numpy()[j] == setting.label)
+    actor = actors.actor.to_numpy()
+    is_other = poses.observer.to_numpy()[i] != actor[j]
+    keep = is_other & (actors.label.to_numpy()[j] == setting.label)
     i, j = i[keep], j[keep]
     seen = run.table("observability", ["step", "observer", "actor", "n_points"], at_steps(steps))
     seen = seen[seen.n_points > 0]
     own = poses[["frame", "step", "observer"]].merge(seen, on=["step", "observer"])
     theirs = beside.merge(poses[["frame", "step"]], on="frame").merge(seen, on=["step", "observer"])
     pairs = pd.concat([own, theirs])[["frame", "actor"]]
-    known = pd.MultiIndex.from_arrays([i, actors.actor.to_numpy()[j]]).isin(pd.MultiIndex.from_frame(pairs))
+    known = pd.MultiIndex.from_arrays([i, actor[j]]).isin(pd.MultiIndex.from_frame(pairs))
     i, j = i[known], j[known]
     if np.isfinite(setting.slower_mps):
         now = actors[["step", "actor"]].iloc[j]
@@ -199,7 +204,7 @@ def _truth(
         i, j = i[slow], j[slow]
     world = actors[[*BOX]].to_numpy(np.float64)[j]
     if setting.truth == "of senders":
-        world = seen_by_senders(run, world, (i, actors.actor.to_numpy()[j]), own, theirs, setting.delay_steps)
+        world = seen_by_senders(run, world, (i, actor[j]), own, theirs, setting.delay_steps)
     box, _, _ = ahead_of(poses, i, world, setting.range_m)
     inside = _within(box, setting.area_m)
     return i[inside], box[inside]
@@ -214,7 +219,8 @@ def _found(
     where = at_steps(old) & (pc.field("origin") == "sensed")
     columns = ["step", "observer", "class", *BOX, "score", "truth_actor"]
     boxes = observed_by_vehicle(run, "local", columns, where)
-    boxes = _sensed(boxes[(boxes["class"] == setting.label) & (boxes.score >= setting.min_score)], run, setting)
+    boxes = boxes[(boxes["class"] == setting.label) & (boxes.score >= setting.min_score)]
+    boxes = _sensed(boxes, run, setting)
     if np.isfinite(setting.slower_mps):
         of = boxes.truth_actor.astype("Int64").fillna(-1).to_numpy(np.int64)
         boxes = boxes[~(_speed(run, boxes.step.to_numpy(), of) >= setting.slower_mps)]
@@ -235,7 +241,8 @@ def _found(
         every = pd.concat([own[own.truth_actor.isna()], merged], ignore_index=True)
     frame = every.frame.to_numpy(np.int64)
     box, _, _ = ahead_of(poses, frame, every[[*BOX]].to_numpy(np.float64), setting.range_m)
-    rows = np.flatnonzero((np.hypot(box[:, 0], box[:, 1]) <= setting.range_m) & _within(box, setting.area_m))
+    is_near = np.hypot(box[:, 0], box[:, 1]) <= setting.range_m
+    rows = np.flatnonzero(is_near & _within(box, setting.area_m))
     score = every.score.to_numpy(np.float64)
     rows = rows[kept(frame[rows], box[rows], score[rows])]
     return _ranked((frame[rows], box[rows], score[rows]), setting)

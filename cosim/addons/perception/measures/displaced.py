@@ -6,6 +6,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.addons.perception.kitti_frames import BOX, at_steps
+from cosim.base.plane import turned_by
 from results.run import Run
 
 ERROR = ("error_east_m", "error_north_m", "error_rad")
@@ -25,16 +26,20 @@ def with_errors(
         One error of every row instead: east, north [m] and heading [deg].
     """
     if seeded is None:
-        error = np.array([std[0], std[0], std[1]]) * np.random.default_rng(7).normal(size=(len(beside), 3))
+        position_m, heading_deg = std
+        normal = np.random.default_rng(7).normal(size=(len(beside), 3))
+        error = np.array([position_m, position_m, heading_deg]) * normal
     else:
         error = np.tile(seeded, (len(beside), 1))
-    return beside.assign(**dict(zip(ERROR, (error * [1.0, 1.0, np.pi / 180.0]).T, strict=True)))
+    error = error * [1.0, 1.0, np.pi / 180.0]
+    return beside.assign(**dict(zip(ERROR, error.T, strict=True)))
 
 
 def displaced(boxes: pd.DataFrame, run: Run) -> pd.DataFrame:
     """Boxes of partners moved and turned with the errors of their senders' poses (`ERROR`) in their steps."""
     pose = _poses(run, boxes)
-    world = _moved(boxes[[*BOX]].to_numpy(np.float64), pose, pose + boxes[[*ERROR]].to_numpy(np.float64))
+    error = boxes[[*ERROR]].to_numpy(np.float64)
+    world = _moved(boxes[[*BOX]].to_numpy(np.float64), pose, pose + error)
     return boxes.assign(**dict(zip(BOX, world.T, strict=True)))
 
 
@@ -50,8 +55,8 @@ def with_larger_errors(boxes: pd.DataFrame, run: Run, factor: float) -> pd.DataF
     error[:, 6] = np.mod(error[:, 6] + np.pi, 2 * np.pi) - np.pi
     larger = true + factor * error
     larger[:, 3:6] = np.maximum(larger[:, 3:6], 0.1)
-    real = np.isfinite(true[:, 0])
-    return boxes.assign(**dict(zip(BOX, np.where(real[:, None], larger, box).T, strict=True)))
+    real = np.isfinite(true[:, :1])
+    return boxes.assign(**dict(zip(BOX, np.where(real, larger, box).T, strict=True)))
 
 
 def seen_by_senders(
@@ -86,7 +91,8 @@ def seen_by_senders(
     keys = pd.MultiIndex.from_arrays(pairs)
     first = theirs.sort_values(["frame", "actor", "observer"]).drop_duplicates(["frame", "actor"])
     of = pd.MultiIndex.from_frame(first[["frame", "actor"]]).get_indexer(keys)
-    rows = np.flatnonzero((of >= 0) & ~keys.isin(pd.MultiIndex.from_frame(own[["frame", "actor"]])))
+    of_ego = keys.isin(pd.MultiIndex.from_frame(own[["frame", "actor"]]))
+    rows = np.flatnonzero((of >= 0) & ~of_ego)
     sender = first.iloc[of[rows]]
     then = _poses(run, sender.assign(step=sender.step - delay_steps))
     now = _poses(run, sender) + sender[[*ERROR]].to_numpy(np.float64)
@@ -108,6 +114,5 @@ def _moved(
 ) -> Float[ndarray, "n 7"]:
     """Boxes carried along with poses from `start` to `end`."""
     turn = end[:, 2] - start[:, 2]
-    east, north = (box[:, :2] - start[:, :2]).T
-    turned = np.column_stack([np.cos(turn) * east - np.sin(turn) * north, np.sin(turn) * east + np.cos(turn) * north])
-    return np.column_stack([end[:, :2] + turned, box[:, 2:6], box[:, 6] + turn])
+    xy_m = end[:, :2] + turned_by(turn, box[:, :2] - start[:, :2])
+    return np.column_stack([xy_m, box[:, 2:6], box[:, 6] + turn])

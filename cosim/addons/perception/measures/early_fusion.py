@@ -18,6 +18,7 @@ from numpy import ndarray
 
 from cosim.addons.perception.kitti_frames import BOX, Poses, at_steps
 from cosim.base.codes import ObjectClass
+from cosim.base.plane import turned_by
 from cosim.runs.replay_lidar import city_of, config_of, sweep, worlds
 from cosim.step.perception import detector_draws
 from cosim.traffic.actors import actor_key
@@ -111,13 +112,8 @@ def _views(run: Run, poses: Poses, actors: pd.DataFrame, beside: pd.DataFrame, w
     here = now.reindex(pd.MultiIndex.from_frame(views[["step", "actor"]])).to_numpy(np.float64)
     own = then.reindex(pd.MultiIndex.from_frame(views[["at", "observer"]])).to_numpy(np.float64)
     arm = there - own
-    partner = views.partner.to_numpy()
-    error = np.vstack([wrong.error, np.zeros(3)])[partner]  # the last row is the ego's
-    turned = np.column_stack([
-        np.cos(error[:, 2]) * arm[:, 0] - np.sin(error[:, 2]) * arm[:, 1],
-        np.sin(error[:, 2]) * arm[:, 0] + np.cos(error[:, 2]) * arm[:, 1],
-    ])  # fmt: skip
-    off = there - here + turned - arm + error[:, :2]
+    error = np.vstack([wrong.error, np.zeros(3)])[views.partner.to_numpy()]  # the last row is the ego's
+    off = there - here + turned_by(error[:, 2], arm) - arm + error[:, :2]
     views = views.assign(east=off[:, 0], north=off[:, 1], away_m=np.hypot(*arm.T))
     return views[np.isfinite(off).all(axis=1)]
 

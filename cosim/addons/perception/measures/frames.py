@@ -49,10 +49,12 @@ class Frames:
         truth, poses = actors_ahead(run, steps, range_m)
         _, actors = posed(run, steps)
         i, j, _, _ = pairs_ahead(poses, actors, range_m)
-        observer, step, actor = poses.observer.to_numpy()[i], poses.step.to_numpy()[i], actors.actor.to_numpy()[j]
+        key = pd.MultiIndex.from_arrays(
+            [poses.step.to_numpy()[i], poses.observer.to_numpy()[i], actors.actor.to_numpy()[j]]
+        )
         seen = run.table("observability", ["step", "observer", "actor", "n_points"], at_steps(steps))
         points = seen.set_index(["step", "observer", "actor"]).n_points
-        own = points.reindex(pd.MultiIndex.from_arrays([step, observer, actor])).fillna(0).to_numpy(np.int64)
+        own = points.reindex(key).fillna(0).to_numpy(np.int64)
         return Frames(truth, boxes_ahead(run, which, steps, poses, range_m), poses, own)
 
     @property

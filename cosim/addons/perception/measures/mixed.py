@@ -40,10 +40,11 @@ def in_turn(parts: Sequence[tuple[Int[ndarray, "c"], Truth, Found]]) -> tuple[Tr
     parts
         Frames, objects and boxes of each.
     """
-    place = np.concatenate([(np.arange(len(frames)) + 0.5) / len(frames) for frames, _, _ in parts])
+    counts = [len(frames) for frames, _, _ in parts]
+    place = np.concatenate([(np.arange(n) + 0.5) / n for n in counts])
     number = np.empty(len(place), np.int64)
     number[np.argsort(place, kind="stable")] = np.arange(len(place))
-    borders = np.cumsum([0, *(len(frames) for frames, _, _ in parts)])
+    borders = np.cumsum([0, *counts])
     truths: list[tuple[ndarray, ...]] = []
     founds: list[tuple[ndarray, ...]] = []
     for (frames, truth, found), first in zip(parts, borders.tolist(), strict=False):
@@ -56,9 +57,10 @@ def in_turn(parts: Sequence[tuple[Int[ndarray, "c"], Truth, Found]]) -> tuple[Tr
 
 def _numbered(rows: tuple[ndarray, ...], frames: Int[ndarray, "c"], number: Int[ndarray, "m"]) -> tuple[ndarray, ...]:
     """The rows of some frames, with new numbers of frames."""
-    at = np.searchsorted(frames, rows[0])
-    inside = np.append(frames, -1)[at] == rows[0]
-    return number[at[inside]], *(column[inside] for column in rows[1:])
+    frame, *columns = rows
+    at = np.searchsorted(frames, frame)
+    inside = np.append(frames, -1)[at] == frame
+    return number[at[inside]], *(column[inside] for column in columns)
 
 
 def _even(n: int, k: float) -> Int[ndarray, "k"]:

@@ -58,8 +58,10 @@ def recall_by_overlap(
 ) -> list[float]:  # fmt: skip
     """Share of the objects within range with some returns that some box overlaps by more than each of some shares."""
     frames = Frames.of(run)
-    counts = np.isin(frames.truth.label, labels) & (frames.n_points >= min_points) & (frames.range_m <= range_m)
-    best = _best_overlap(rows(frames.truth, counts), rows(frames.found, frames.found.score >= min_score))
+    truth, boxes = frames.truth, frames.found
+    is_seen = (frames.n_points >= min_points) & (frames.range_m <= range_m)
+    counts = np.isin(truth.label, labels) & is_seen
+    best = _best_overlap(rows(truth, counts), rows(boxes, boxes.score >= min_score))
     return [float((best > share).mean()) for share in overlaps]
 
 
@@ -67,21 +69,24 @@ def share_with_returns(run: Run, *, labels: Sequence[str], min_points: int, rang
     """Share of the objects of each class with a return within range that have at least some number of returns."""
     frames = Frames.of(run)
     seen = (frames.n_points > 0) & (frames.range_m <= range_m)
-    return [float((frames.n_points >= min_points)[seen & (frames.truth.label == one)].mean()) for one in labels]
+    has_many = frames.n_points >= min_points
+    return [float(has_many[seen & (frames.truth.label == one)].mean()) for one in labels]
 
 
 def boxes_per_frame(run: Run, *, min_score: float, range_m: float) -> list[float]:
     """Mean number of boxes that a vehicle reports ahead of it per sweep."""
     frames = Frames.of(run)
-    n = int(((frames.found.score >= min_score) & (range_of(frames.found) <= range_m)).sum())
-    return [n / max(len(frames.poses), 1)]
+    boxes = frames.found
+    counts = (boxes.score >= min_score) & (range_of(boxes) <= range_m)
+    return [int(counts.sum()) / max(len(frames.poses), 1)]
 
 
 def position_error_of_boxes(run: Run, *, label: str, range_m: float, match_m: float, min_score: float) -> list[float]:
     """Mean horizontal distance between objects and the boxes nearest to them, if it is at most `match_m` [m]."""
     frames = Frames.of(run)
     truth = rows(frames.truth, (frames.truth.label == label) & (frames.range_m <= range_m))
-    boxes = rows(frames.found, (frames.found.label == label) & (frames.found.score >= min_score))
+    boxes = frames.found
+    boxes = rows(boxes, (boxes.label == label) & (boxes.score >= min_score))
     away = _nearest(truth, boxes, match_m)
     return [float(away[away <= match_m].mean())]
 
@@ -90,8 +95,8 @@ def _pairs(truth: LabelledObjects, found: LabelledObjects, reach_m: float) -> tu
     """Rows of both in the same frame whose centres are within reach, and their distance."""
     if not len(truth) or not len(found):
         return np.zeros(0, int), np.zeros(0, int), np.zeros(0)
-    a, b = (cKDTree(np.column_stack([one.frame * _APART, one.box[:, :2]])) for one in (truth, found))
-    near = a.sparse_distance_matrix(b, reach_m, output_type="ndarray")
+    a, b = (np.column_stack([one.frame * _APART, one.box[:, :2]]) for one in (truth, found))
+    near = cKDTree(a).sparse_distance_matrix(cKDTree(b), reach_m, output_type="ndarray")
     return near["i"], near["j"], near["v"]
 
 
