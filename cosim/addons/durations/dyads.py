@@ -25,8 +25,10 @@ def sum_of_products(scores: Float[ndarray, "n k"], a: Int[ndarray, "n"], b: Int[
     """
     units, at_unit = np.unique(np.r_[a, b], return_inverse=True)
     one, other = at_unit[: len(a)], at_unit[len(a) :]
-    _, pair = np.unique(np.minimum(one, other) * len(units) + np.maximum(one, other), return_inverse=True)
+    low, high = np.minimum(one, other), np.maximum(one, other)
+    _, pair = np.unique(low * len(units) + high, return_inverse=True)
     of_unit = np.column_stack([np.bincount(at_unit, np.tile(column, 2)) for column in scores.T])
     of_pair = np.column_stack([np.bincount(pair, column) for column in scores.T])
-    values, vectors = np.linalg.eigh(of_unit.T @ of_unit - of_pair.T @ of_pair)
+    twice = of_pair.T @ of_pair  # rows that share both actors are counted for each of them
+    values, vectors = np.linalg.eigh(of_unit.T @ of_unit - twice)
     return vectors @ np.diag(np.maximum(values, 0.0)) @ vectors.T

@@ -55,9 +55,13 @@ def _weibull() -> Family:
 
 
 def _log_normal() -> Family:
+    def log_sf(x: Float[ndarray, "n"], free: Free) -> Float[ndarray, "n"]:
+        log_x = np.log(np.maximum(x, 1e-300))
+        return special.log_ndtr((free[0] - log_x) / np.exp(free[1]))
+
     return Family(
         "log-normal", ("median_s", "sigma"),
-        lambda x, free: special.log_ndtr((free[0] - np.log(np.maximum(x, 1e-300))) / np.exp(free[1])),
+        log_sf,
         np.exp,
         lambda median_s, mean_s: [np.array([np.log(median_s), 0.0])],
         lambda free, p: stats.lognorm.isf(p, np.exp(free[1]), scale=np.exp(free[0])),
@@ -91,28 +95,31 @@ def _hyper_exponential() -> Family:
     def log_sf(x: Float[ndarray, "n"], free: Free) -> Float[ndarray, "n"]:
         _, short_s, ratio = natural(free)
         with np.errstate(invalid="ignore"):
-            parts = np.stack(
-                [-x / short_s + special.log_expit(free[0]), -x / (short_s * ratio) + special.log_expit(-free[0])]
-            )
-        return np.where(np.isinf(x), -np.inf, special.logsumexp(parts, axis=0))
+            short = -x / short_s + special.log_expit(free[0])
+            long = -x / (short_s * ratio) + special.log_expit(-free[0])
+        both = special.logsumexp(np.stack([short, long]), axis=0)
+        return np.where(np.isinf(x), -np.inf, both)
 
     def draw(free: Free, p: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
         _, short_s, ratio = natural(free)
-        low, high = np.zeros(len(p)), np.full(len(p), short_s * ratio * 800.0)
+        low = np.zeros(len(p))
+        high = np.full(len(p), short_s * ratio * 800.0)
         for _ in range(80):
             middle = (low + high) / 2
             above = np.exp(log_sf(middle, free)) > p
-            low, high = np.where(above, middle, low), np.where(above, high, middle)
+            low = np.where(above, middle, low)
+            high = np.where(above, high, middle)
         return (low + high) / 2
+
+    def starts(median_s: float, mean_s: float) -> list[Free]:
+        tried = ((0.0, median_s / 2, 4.0), (1.0, mean_s / 2, 5.0), (-1.0, median_s / 4, 8.0))
+        return [np.array([share, np.log(short_s), np.log(ratio)]) for share, short_s, ratio in tried]
 
     return Family(
         "hyper-exponential", ("short_share", "short_mean_s", "ratio_of_means"),
         log_sf,
         natural,
-        lambda median_s, mean_s: [
-            np.array([0.0, np.log(median_s / 2), np.log(4.0)]), np.array([1.0, np.log(mean_s / 2), np.log(5.0)]),
-            np.array([-1.0, np.log(median_s / 4), np.log(8.0)]),
-        ],
+        starts,
         draw,
     )  # fmt: skip
 

@@ -44,9 +44,15 @@ class _Distinct:
         rows, row, n = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
         edges_s, at = np.unique(rows.T, return_inverse=True)
         return _Distinct(
-            low_s=rows[:, 0], high_s=rows[:, 1], entry_s=rows[:, 2], n=n.astype(float), row=row.ravel(),
-            edges_s=edges_s, at=at.reshape(3, -1), step_s=sample.step_s,
-        )  # fmt: skip
+            low_s=rows[:, 0],
+            high_s=rows[:, 1],
+            entry_s=rows[:, 2],
+            n=n.astype(float),
+            row=row.ravel(),
+            edges_s=edges_s,
+            at=at.reshape(3, -1),
+            step_s=sample.step_s,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,19 +108,22 @@ class Fit:
         .. [1] Chandler, Bate, "Inference for clustered data using the independence loglikelihood", Biometrika 94(1),
            2007.
         """
+        values = self.family.natural(self.free).tolist()
         return {
-            name: (float(self.family.natural(self.free)[i]), self._end(i, -1, level), self._end(i, 1, level))
+            name: (values[i], self._end(i, -1, level), self._end(i, 1, level))
             for i, name in enumerate(self.family.parameters)
         }
 
     def _end(self, i: int, sign: int, level: float) -> float:
         """End of the interval of a parameter on one side; NaN if it is not known, infinite if there is none."""
-        variance, pairs, k = self.covariance[i, i], self.n_units / 2, len(self.free)
+        k = len(self.free)
+        variance, pairs = self.covariance[i, i], self.n_units / 2
         if not variance > 0 or pairs <= k:
             return float("nan")
         others = np.delete(np.arange(k), i)
         slope = self.independent[others, i] / self.independent[i, i]  # of the others along the profile
-        half = stats.t.ppf((1 + level) / 2, pairs - k) * math.sqrt(variance * pairs / (pairs - k))
+        freedom = pairs - k
+        half = stats.t.ppf((1 + level) / 2, freedom) * math.sqrt(variance * pairs / freedom)
         fall = half**2 / self.independent[i, i] / 2
 
         def beyond(away: float) -> float:
@@ -145,7 +154,8 @@ class Fit:
 
     def survival(self, x_s: Float[ndarray, "n"], entry_s: float = 0.0) -> Float[ndarray, "n"]:
         """Share that lasts longer than `x_s`, of those that last longer than `entry_s`, as the sample counts them."""
-        given, *logs = log_counted(self.family, self.free, np.r_[entry_s, np.maximum(x_s, entry_s)], self.rows.step_s)
+        edges_s = np.r_[entry_s, np.maximum(x_s, entry_s)]
+        given, *logs = log_counted(self.family, self.free, edges_s, self.rows.step_s)
         return np.exp(np.minimum(np.array(logs) - given, 0.0))
 
 
@@ -168,10 +178,11 @@ def log_counted(family: Family, free: Free, edges_s: Float[ndarray, "e"], step_s
     if step_s == 0.0:
         return family.log_sf(edges_s, free)
     near = edges_s < _NEAR_STEPS * step_s
-    at = [np.maximum(edges_s[rows] + x[:, None] * step_s / 2, 0.0) for rows, (x, _) in ((near, _TEN), (~near, _TWO))]
-    each = np.split(family.log_sf(np.concatenate([points.ravel() for points in at]), free), [at[0].size])
+    rules = ((near, _TEN), (~near, _TWO))
+    at = [np.maximum(edges_s[rows] + x[:, None] * step_s / 2, 0.0) for rows, (x, _) in rules]
+    each = family.log_sf(np.concatenate([points.ravel() for points in at]), free)
     logs = np.empty(len(edges_s))
-    for rows, points, values, (_, weight) in zip((near, ~near), at, each, (_TEN, _TWO), strict=True):
+    for (rows, (_, weight)), points, values in zip(rules, at, np.split(each, [at[0].size]), strict=True):
         values = values.reshape(points.shape)
         most = np.where(np.isfinite(values[0]), values[0], 0.0)  # at the first point, beyond which fewer are left
         logs[rows] = most + np.log(weight / 2 @ np.exp(values - most))
@@ -216,7 +227,8 @@ def fit(sample: Durations, name: str) -> Fit:
         value = float(distinct.n @ _log_likelihoods(family, distinct, free))
         return -value if np.isfinite(value) else 1e12
 
-    middle = np.where(np.isinf(distinct.high_s), distinct.low_s, (distinct.low_s + distinct.high_s) / 2)
+    low_s, high_s = distinct.low_s, distinct.high_s
+    middle = np.where(np.isinf(high_s), low_s, (low_s + high_s) / 2)
     order = np.argsort(middle)
     half = np.searchsorted(np.cumsum(distinct.n[order]), distinct.n.sum() / 2)
     median_s = float(middle[order][half])
@@ -226,9 +238,16 @@ def fit(sample: Durations, name: str) -> Fit:
     best = min((_climb(minus, start) for start in starts), key=minus)
     covariance, independent = _covariances(family, distinct, sample, best)
     return Fit(
-        name=name, free=best, covariance=covariance, independent=independent, rows=distinct,
-        log_likelihood=-minus(best), n=len(sample), n_ended=n_ended, n_units=len(np.unique(np.r_[sample.a, sample.b])),
-    )  # fmt: skip
+        name=name,
+        free=best,
+        covariance=covariance,
+        independent=independent,
+        rows=distinct,
+        log_likelihood=-minus(best),
+        n=len(sample),
+        n_ended=n_ended,
+        n_units=len(np.unique(np.r_[sample.a, sample.b])),
+    )
 
 
 def fits(sample: Durations) -> list[Fit]:
@@ -268,9 +287,8 @@ def _covariances(
     hessian = np.empty((k, k))
     for i in range(k):
         for j in range(i + 1):
-            second = (
-                at(steps[i] + steps[j]) - at(steps[i] - steps[j]) - at(steps[j] - steps[i]) + at(-steps[i] - steps[j])
-            )
+            both, apart = steps[i] + steps[j], steps[i] - steps[j]
+            second = at(both) - at(apart) - at(-apart) + at(-both)
             hessian[i, j] = hessian[j, i] = float(rows.n @ second) / (4 * _STEP**2)
     # Where a parameter says nothing (two equal means), its curvature is the rounding of a sum of logarithms.
     noise = 1e-15 * abs(float(rows.n @ at(np.zeros(k)))) / _STEP**2

@@ -41,21 +41,27 @@ def product_limit(sample: Durations, level: float = 0.95) -> pd.DataFrame:
     ended = sample.ended
     times, n_ended = np.unique(np.round(sample.high_s[ended], 9), return_counts=True)
     # At risk at the end of a step: entered before, and neither ended nor cut off in an earlier step.
-    last = np.where(ended, np.round(np.where(ended, sample.high_s, 0.0), 9), np.round(sample.low_s, 9))
+    last = np.round(np.where(ended, sample.high_s, sample.low_s), 9)
     entered = np.searchsorted(np.sort(sample.entry_s), times - _SEEN)
     gone = np.searchsorted(np.sort(last), times - _SEEN)
     at_risk = entered - gone
-    n_ended, at_risk, times = n_ended[at_risk > 0], at_risk[at_risk > 0], times[at_risk > 0]
+    kept = at_risk > 0
+    n_ended, at_risk, times = n_ended[kept], at_risk[kept], times[kept]
     survival = np.cumprod(1 - n_ended / at_risk)
     with np.errstate(divide="ignore", invalid="ignore"):
         greenwood = np.cumsum(n_ended / (at_risk * np.maximum(at_risk - n_ended, 0.0)))
-        wide = stats.norm.ppf((1 + level) / 2) * np.sqrt(greenwood) / np.log(survival)
-        low, high = survival ** np.exp(-wide), survival ** np.exp(wide)
-    bad = ~np.isfinite(low) | ~np.isfinite(high)
-    low, high = np.where(bad, survival, low), np.where(bad, survival, high)
+        quantile = stats.norm.ppf((1 + level) / 2)
+        wide = quantile * np.sqrt(greenwood) / np.log(survival)
+        low = survival ** np.exp(-wide)
+        high = survival ** np.exp(wide)
+    is_known = np.isfinite(low) & np.isfinite(high)
     return pd.DataFrame({
-        "duration_s": np.r_[first, times], "survival": np.r_[1.0, survival], "low": np.r_[1.0, low],
-        "high": np.r_[1.0, high], "n_at_risk": np.r_[len(sample), at_risk], "n_ended": np.r_[0, n_ended],
+        "duration_s": np.r_[first, times],
+        "survival": np.r_[1.0, survival],
+        "low": np.r_[1.0, np.where(is_known, low, survival)],
+        "high": np.r_[1.0, np.where(is_known, high, survival)],
+        "n_at_risk": np.r_[len(sample), at_risk],
+        "n_ended": np.r_[0, n_ended],
     })  # fmt: skip
 
 
@@ -115,20 +121,23 @@ def _like(sample: Durations, found: Fit, random: np.random.Generator) -> Duratio
     edge = np.full(n, -np.inf)
     while (early := edge < sample.entry_s - _SEEN).any():  # a step may begin too late to see a duration
         entry_s = sample.entry_s[early]
-        first = np.exp(found.family.log_sf(np.maximum(entry_s - sample.step_s / 2, 0.0), found.free))
+        begin_s = np.maximum(entry_s - sample.step_s / 2, 0.0)
+        first = np.exp(found.family.log_sf(begin_s, found.free))
         counted_s = found.family.draw(found.free, first * random.uniform(size=len(entry_s)))
         counted_s = counted_s + sample.step_s * random.uniform(-0.5, 0.5, len(entry_s))
         edge[early] = entry_s + np.floor((counted_s - entry_s) / step_s) * step_s
     # When each would be cut off: where it was, or, if it ended before, by the curve of the times of cutting.
     cutting = Durations(
-        sample.low_s, np.where(ended, np.inf, sample.low_s + step_s), np.minimum(sample.entry_s, sample.low_s),
-        sample.a, sample.b,
-    )  # fmt: skip
+        low_s=sample.low_s,
+        high_s=np.where(ended, np.inf, sample.low_s + step_s),
+        entry_s=np.minimum(sample.entry_s, sample.low_s),
+        a=sample.a,
+        b=sample.b,
+    )
     curve = product_limit(cutting)
     at = np.searchsorted(-curve.survival.to_numpy(), -random.uniform(size=n))
     times = np.r_[curve.duration_s.to_numpy() - step_s, np.inf]
-    cut_s = np.where(at < len(curve), times[np.minimum(at, len(curve))], np.inf)
-    cut_s = np.maximum(cut_s, sample.entry_s)
+    cut_s = np.maximum(times[at], sample.entry_s)
     is_cut = cut_s < edge + step_s / 2
     low = np.where(is_cut, cut_s, edge)
     return replace(sample, low_s=low, high_s=np.where(is_cut, np.inf, edge + step_s))

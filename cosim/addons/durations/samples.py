@@ -120,11 +120,12 @@ def _inter_contacts(frame: pd.DataFrame, run: Run, hysteresis_s: float) -> Durat
     last = frame.sort_values("start_step").groupby(["a", "b"], as_index=False).last()
     last = last[~last.censored_right]
     last_step = run.table("vehicles", ["vehicle", "last_step"]).set_index("vehicle").last_step
-    until = np.minimum(last_step.reindex(last.a).to_numpy(), last_step.reindex(last.b).to_numpy()) + 1
+    leaves_a, leaves_b = (last_step.reindex(who).to_numpy() for who in (last.a, last.b))
+    until = np.minimum(leaves_a, leaves_b) + 1
     open_steps = (until - last.end_step.to_numpy()).astype(float)
     known = open_steps >= fewest
     n = np.r_[seen, open_steps[known]]
-    ended = np.r_[np.ones(len(seen), bool), np.zeros(int(known.sum()), bool)]
+    ended = np.arange(len(n)) < len(seen)
     a, b = (np.r_[again[c].to_numpy(), last[c].to_numpy()[known]] for c in ("a", "b"))
     return _in_steps(n, ended, dt_s, fewest, a, b)
 
@@ -133,5 +134,7 @@ def _in_steps(
     n: Float[ndarray, "n"], ended: Bool[ndarray, "n"], dt_s: float, fewest: int, a: ndarray, b: ndarray
 ) -> Durations:  # fmt: skip
     """Durations of n steps, of which fewer than `fewest` are not seen."""
+    low = (n - 0.5) * dt_s
+    high = np.where(ended, (n + 0.5) * dt_s, np.inf)
     entry = np.full(len(n), (fewest - 0.5) * dt_s)
-    return Durations((n - 0.5) * dt_s, np.where(ended, (n + 0.5) * dt_s, np.inf), entry, a, b, dt_s)
+    return Durations(low, high, entry, a, b, dt_s)
