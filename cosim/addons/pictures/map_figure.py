@@ -30,7 +30,8 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
     figure, panels = style.sheet(len(runs), height)
     figure.set_layout_engine("compressed")
     counts = [_cells(points, street, cell_m) for points, street in zip(begun, streets, strict=True)]
-    rates = [count / (run.manifest["steps"] * run.dt_s / 3600) for (count, _, _), run in zip(counts, runs, strict=True)]
+    hours = [run.manifest["steps"] * run.dt_s / 3600 for run in runs]
+    rates = [count / duration for (count, _, _), duration in zip(counts, hours, strict=True)]
     top = max(rate.max() for rate in rates)
     lowest = min(rate[rate > 0].min() for rate in rates)
     lowest = min(lowest, top / 2)
@@ -54,7 +55,8 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
         )  # fmt: skip
     label = f"Encounters begun per hour in {cell_m:g} m cells"
     bar = figure.colorbar(mesh, ax=panels, label=label, location="bottom", shrink=0.8, aspect=30)
-    ticks = [d * 10.0**e for e in range(-3, 7) for d in (1, 2, 5) if lowest <= d * 10.0**e <= top]
+    round_rates = [digit * 10.0**e for e in range(-3, 7) for digit in (1, 2, 5)]
+    ticks = [rate for rate in round_rates if lowest <= rate <= top]
     bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
     bar.ax.minorticks_off()
     return figure
@@ -69,7 +71,8 @@ def _begun(run: Run, radius_m: float | None, pairs: str | None) -> np.ndarray:
         "actors", ["step", "actor", "x_m", "y_m"], where=pc.field("step").isin(frame.step.unique().tolist())
     )
     poses = poses.set_index(["step", "actor"])
-    one, other = (poses.reindex(pd.MultiIndex.from_frame(frame[["step", who]])).to_numpy() for who in ("a", "b"))
+    keys = [pd.MultiIndex.from_frame(frame[["step", who]]) for who in ("a", "b")]
+    one, other = (poses.reindex(key).to_numpy() for key in keys)
     return (one + other) / 2
 
 
@@ -77,12 +80,15 @@ def _streets(run: Run) -> np.ndarray:
     """Places where someone drove or walked [n 2]."""
     places: np.ndarray = np.zeros(0, np.int64)
     for part in run.parts("actors", ["x_m", "y_m"]):
-        x, y = (np.round(part[name].to_numpy(np.float64) / 2).astype(np.int64) + _OFFSET for name in ("x_m", "y_m"))
+        xy_m = part[["x_m", "y_m"]].to_numpy(np.float64)
+        x, y = np.round(xy_m / 2).astype(np.int64).T + _OFFSET
         places = np.union1d(places, (x << 32) | y)
     return np.column_stack([places >> 32, places & 0xFFFFFFFF]) * 2.0 - 2 * _OFFSET
 
 
 def _cells(points: np.ndarray, street: np.ndarray, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    low, high = np.floor(street.min(axis=0) / cell_m), np.ceil(street.max(axis=0) / cell_m) + 1
+    low = np.floor(street.min(axis=0) / cell_m)
+    high = np.ceil(street.max(axis=0) / cell_m) + 1
     x, y = (np.arange(low[i], high[i] + 1) * cell_m for i in (0, 1))
-    return np.histogram2d(points[:, 0], points[:, 1], (x, y))[0], x, y
+    count, _, _ = np.histogram2d(points[:, 0], points[:, 1], (x, y))
+    return count, x, y

@@ -64,16 +64,19 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
             f"{interval[0]} steps after it."
         )
     sweeps = replayed(config, city_of(config), world, row)
-    rows = np.flatnonzero(np.linalg.norm(world.boxes.xyz_m - sweeps.poses.origin_m, axis=1) < config.lidar.max_range_m)
+    away_m = np.linalg.norm(world.boxes.xyz_m - sweeps.poses.origin_m, axis=1)
+    rows = np.flatnonzero(away_m < config.lidar.max_range_m)
     rows = rows[rows != row]
     own = run.subjects.index[run.subjects.vehicle == vehicle].tolist()
     detected = run.table("detections", where=(pc.field("step") == step) & pc.field("observer").isin(own))
     detected = detected[detected.origin == "sensed"]
     boxes = Boxes(
-        detected[["x_m", "y_m", "z_m"]].to_numpy(float), detected[["length_m", "width_m", "height_m"]].to_numpy(float),
-        detected.yaw_rad.to_numpy(float),
-    )  # fmt: skip
-    actors, reported = (sweeps.poses.to_sensor(np.zeros(len(b), int), b) for b in (world.boxes.take(rows), boxes))
+        xyz_m=detected[["x_m", "y_m", "z_m"]].to_numpy(float),
+        lwh_m=detected[["length_m", "width_m", "height_m"]].to_numpy(float),
+        yaw_rad=detected.yaw_rad.to_numpy(float),
+    )
+    both = (world.boxes.take(rows), boxes)
+    actors, reported = (sweeps.poses.to_sensor(np.zeros(len(of), int), of) for of in both)
     return ReplayedScan(sweeps, actors, reported)
 
 
@@ -133,7 +136,8 @@ def scene(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: P
         chosen = senses[np.argsort(away[middle], kind="stable")[:3]]
     city = city_of(config)
     sweeps = replayed(config, city, world, chosen)
-    seen_m = {int(world.actor[o]): sweeps.poses.to_world(n, sweeps.xyz(n)) for n, o in enumerate(chosen)}
+    observers = world.actor[chosen].tolist()
+    seen_m = {observer: sweeps.poses.to_world(n, sweeps.xyz(n)) for n, observer in enumerate(observers)}
     scenario = find(config.traffic.scenario, config.traffic.trace)
     lanes = [] if scenario.net is None else [lane for lane in network.lanes(scenario.net) if lane.for_cars]
     of = run.subjects.vehicle

@@ -52,10 +52,12 @@ def draw(moment: SceneMoment, title: str) -> Figure:
     figure, (axes,) = style.sheet(height=2.5)
     figure.set_layout_engine("compressed")
     _ground(axes, moment)
-    low, high = moment.centre_m - [HALF_WIDTH_M, HALF_DEPTH_M], moment.centre_m + [HALF_WIDTH_M, HALF_DEPTH_M]
-    near = [b for b in moment.buildings if (b[0].max(axis=0) > low - 60).all() and (b[0].min(axis=0) < high + 60).all()]
+    half_m = [HALF_WIDTH_M, HALF_DEPTH_M]
+    low, high = moment.centre_m - half_m, moment.centre_m + half_m
     walls, fills = [], []
-    for ring, base, top in sorted(near, key=lambda b: -float(b[0][:, 1].mean())):
+    for ring, base, top in sorted(moment.buildings, key=lambda building: -float(building[0][:, 1].mean())):
+        if not ((ring.max(axis=0) > low - 60) & (ring.min(axis=0) < high + 60)).all():
+            continue
         faces, kinds = _prism(ring, base, top)
         walls += faces
         fills += [ROOF if roof else WALL for roof in kinds]
@@ -81,11 +83,16 @@ def draw(moment: SceneMoment, title: str) -> Figure:
 def _in_frame(moment: SceneMoment) -> SceneMoment:
     """Without the vehicles and ghosts outside the part that is shown, so that the legend names only what is drawn."""
     half_m = [HALF_WIDTH_M, HALF_DEPTH_M]
-    here, lies = ((np.abs(b[:, :2] - moment.centre_m) <= half_m).all(axis=1) for b in (moment.boxes, moment.ghosts))
+    both = (moment.boxes, moment.ghosts)
+    here, lies = ((np.abs(box[:, :2] - moment.centre_m) <= half_m).all(axis=1) for box in both)
     return replace(
-        moment, boxes=moment.boxes[here], equipped=moment.equipped[here], trust=moment.trust[here],
-        attacks=moment.attacks[here], ghosts=moment.ghosts[lies],
-    )  # fmt: skip
+        moment,
+        boxes=moment.boxes[here],
+        equipped=moment.equipped[here],
+        trust=moment.trust[here],
+        attacks=moment.attacks[here],
+        ghosts=moment.ghosts[lies],
+    )
 
 
 def _scale(axes, corner: Float[ndarray, "2 2"]) -> None:  # type: ignore[no-untyped-def]
@@ -99,7 +106,8 @@ def _scale(axes, corner: Float[ndarray, "2 2"]) -> None:  # type: ignore[no-unty
 
 def _flat(xyz: Float[ndarray, "... 3"]) -> Float[ndarray, "... 2"]:
     """Where points are on the page [m]."""
-    return np.stack([xyz[..., 0], xyz[..., 1] * np.sin(TILT) + xyz[..., 2] * np.cos(TILT)], axis=-1)
+    x, y, z = np.moveaxis(xyz, -1, 0)
+    return np.stack([x, y * np.sin(TILT) + z * np.cos(TILT)], axis=-1)
 
 
 def _ground(axes, moment: SceneMoment) -> None:  # type: ignore[no-untyped-def]
@@ -109,13 +117,13 @@ def _ground(axes, moment: SceneMoment) -> None:  # type: ignore[no-untyped-def]
 
 def _prism(ring: Float[ndarray, "k 2"], base: float, top: float) -> tuple[list[Float[ndarray, "_ 2"]], list[bool]]:
     """Faces of an upright prism that are seen from the south, far ones first, and which is the roof."""
-    a, b = ring, np.roll(ring, -1, axis=0)
-    seen = np.flatnonzero(a[:, 0] < b[:, 0])  # the outside is on the right of a counter-clockwise ring
-    seen = seen[np.argsort(-(a[seen, 1] + b[seen, 1]))]
-    faces = [
-        _flat(np.array([[*a[i], base], [*b[i], base], [*b[i], top], [*a[i], top]])) for i in seen.tolist()
-    ]  # fmt: skip
-    roof = _flat(np.column_stack([ring, np.full(len(ring), top)]))
+    x, y = ring.T
+    following = np.roll(np.arange(len(ring)), -1)
+    seen = np.flatnonzero(x < x[following])  # the outside is on the right of a counter-clockwise ring
+    seen = seen[np.argsort(-(y[seen] + y[following[seen]]))]
+    floor, roof = (_flat(np.column_stack([ring, np.full(len(ring), z)])) for z in (base, top))
+    ends = zip(seen.tolist(), following[seen].tolist(), strict=True)
+    faces = [np.array([floor[a], floor[b], roof[b], roof[a]]) for a, b in ends]
     return [*faces, roof], [False] * len(faces) + [True]
 
 
@@ -141,10 +149,12 @@ def _vehicles(axes, moment: SceneMoment) -> None:  # type: ignore[no-untyped-def
 
 
 def _outline(box: Float[ndarray, "7"]) -> tuple[Float[ndarray, "4 2"], float, float]:
-    half = 0.5 * box[3:5] * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     cos, sin = np.cos(box[6]), np.sin(box[6])
-    ring = half @ np.array([[cos, sin], [-sin, cos]]) + box[:2]
-    return ring, float(box[2] - 0.5 * box[5]), float(box[2] + 0.5 * box[5])
+    turn = np.array([[cos, sin], [-sin, cos]])
+    ring = 0.5 * box[3:5] * signs @ turn + box[:2]
+    middle, half_height = box[2], 0.5 * box[5]
+    return ring, float(middle - half_height), float(middle + half_height)
 
 
 def _entries(moment: SceneMoment) -> list[Line2D]:

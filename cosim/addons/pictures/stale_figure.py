@@ -30,14 +30,17 @@ def draw(runs: Sequence[Run], cell_m: float = 50.0, fresh_s: float = FRESH_S) ->
         n, n_stale = found.n.to_numpy(), found.n_stale.to_numpy()
         x, y = (found[c].to_numpy(np.float64) for c in ("x_m", "y_m"))
         prefix = f"{name}:" if len(runs) > 1 else "Stale trust"
-        mesh = _heat(panels[2 * i], x, y, _edges(x, cell_m), _edges(y, cell_m), n, n_stale)
-        style.map_panel(panels[2 * i], f"{prefix} over space")
+        over_space, over_time = panels[2 * i : 2 * i + 2]
+        mesh = _heat(over_space, x, y, _edges(x, cell_m), _edges(y, cell_m), n, n_stale)
+        style.map_panel(over_space, f"{prefix} over space")
         along, label = (x, "East [m]") if np.ptp(x) > np.ptp(y) else (y, "North [m]")
         time_s = found.step.to_numpy() * run.dt_s
-        ticks = np.linspace(0, max(time_s.max(), run.dt_s) + run.dt_s, min(_BINS, int(time_s.max() / run.dt_s) + 1) + 1)
-        _heat(panels[2 * i + 1], time_s, along, ticks, _edges(along, cell_m), n, n_stale)
-        style.panel(panels[2 * i + 1], f"{prefix} over time", style.TIME, label)
-        panels[2 * i + 1].grid(visible=False)
+        last_s = time_s.max()
+        n_bins = min(_BINS, int(last_s / run.dt_s) + 1)
+        ticks = np.linspace(0, max(last_s, run.dt_s) + run.dt_s, n_bins + 1)
+        _heat(over_time, time_s, along, ticks, _edges(along, cell_m), n, n_stale)
+        style.panel(over_time, f"{prefix} over time", style.TIME, label)
+        over_time.grid(visible=False)
     label = f"Share of lookups without an evaluation of the last {fresh_s:g} s"
     bar = figure.colorbar(mesh, ax=panels[-1], location="bottom", shrink=0.8, aspect=40)
     bar.set_label(style.fitted(label))
@@ -45,7 +48,8 @@ def draw(runs: Sequence[Run], cell_m: float = 50.0, fresh_s: float = FRESH_S) ->
 
 
 def _edges(values: ndarray, cell_m: float) -> ndarray:
-    return np.arange(np.floor(values.min() / cell_m), np.floor(values.max() / cell_m) + 2) * cell_m
+    first, last = np.floor(values.min() / cell_m), np.floor(values.max() / cell_m)
+    return np.arange(first, last + 2) * cell_m
 
 
 def _heat(axes: Axes, x: ndarray, y: ndarray, x_edges: ndarray, y_edges: ndarray, n: ndarray, n_stale: ndarray):  # type: ignore[no-untyped-def]

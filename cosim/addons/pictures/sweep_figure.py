@@ -50,8 +50,10 @@ def draw(xyz: ndarray, hit: ndarray, boxes: Mapping[str, ndarray], title: str) -
 
 def _outlines(table: ndarray) -> ndarray:
     """Corners of each box, closed, with a line from the centre to the front, as (right, ahead) [n 7 2]."""
-    x, y, length, width, yaw = table[:, :5].T
-    along = np.array([0.5, 0.5, -0.5, -0.5, 0.5, 0.5, 0.0]) * length[:, None]
-    aside = np.array([0.0, 0.5, 0.5, -0.5, -0.5, 0.0, 0.0]) * width[:, None]
-    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
-    return np.stack([-(y[:, None] + sin * along + cos * aside), x[:, None] + cos * along - sin * aside], axis=2)
+    x, y, length, width, yaw = table[:, :5].T[..., None]
+    along = np.array([0.5, 0.5, -0.5, -0.5, 0.5, 0.5, 0.0]) * length
+    aside = np.array([0.0, 0.5, 0.5, -0.5, -0.5, 0.0, 0.0]) * width
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    left = y + sin * along + cos * aside
+    ahead = x + cos * along - sin * aside
+    return np.stack([-left, ahead], axis=2)
