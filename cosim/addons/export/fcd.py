@@ -66,28 +66,31 @@ def _fixed(actor: dict[Hashable, Any]) -> str:
     """Element, name, class and size of an actor."""
     kind = actor["vehicle_class"]
     element = "person" if kind == "pedestrian" else "vehicle"
+    name = quoteattr(actor["sumo_id"])
     size = " ".join(f'{what}="{actor[f"{what}_m"]:.9g}"' for what in ("length", "width", "height"))
-    return f'{element} id={quoteattr(actor["sumo_id"])} type="{kind}" vClass="{SUMO_CLASS.get(kind, kind)}" {size}'
+    return f'{element} id={name} type="{kind}" vClass="{SUMO_CLASS.get(kind, kind)}" {size}'
 
 
 def _timestep(
-    step: int, moment: Moment | None, fixed: dict[int, str], dt_s: float, origin_m: tuple[float, float]
+    step: int,
+    moment: Moment | None,
+    fixed: dict[int, str],
+    dt_s: float,
+    origin_m: tuple[float, float],
 ) -> bytes:
     """A step; without actors it is an empty element, so that no reader takes it for a gap."""
     if moment is None:
         return f'    <timestep time="{step * dt_s:.4f}"/>\n'.encode()
     box = moment.box
-    ahead = 0.5 * box[:, 3:4] * np.column_stack([np.cos(box[:, 6]), np.sin(box[:, 6])])
+    yaw = box[:, 6]
+    ahead = 0.5 * box[:, 3:4] * np.column_stack([np.cos(yaw), np.sin(yaw)])
     front = box[:, :2] + ahead + origin_m
-    angle = np.mod(90.0 - np.degrees(box[:, 6]), 360.0)
-    rows = zip(
-        moment.actor.tolist(), front.tolist(), (box[:, 2] - 0.5 * box[:, 5]).tolist(),
-        angle.tolist(), moment.speed_mps.tolist(), strict=True,
-    )  # fmt: skip
+    underside = box[:, 2] - 0.5 * box[:, 5]
+    angle = np.mod(90.0 - np.degrees(yaw), 360.0)
+    columns = (moment.actor, *front.T, underside, angle, moment.speed_mps)
     lines = [f'    <timestep time="{step * dt_s:.4f}">\n']
-    for actor, (x, y), z, degrees, speed in rows:
-        lines.append(
-            f'        <{fixed[actor]} x="{x:.5f}" y="{y:.5f}" z="{z:.5f}" angle="{degrees:.5f}" speed="{speed:.5f}"/>\n'
-        )
+    for actor, x, y, z, degrees, speed in zip(*(column.tolist() for column in columns), strict=True):
+        place = f'x="{x:.5f}" y="{y:.5f}" z="{z:.5f}"'
+        lines.append(f'        <{fixed[actor]} {place} angle="{degrees:.5f}" speed="{speed:.5f}"/>\n')
     lines.append("    </timestep>\n")
     return "".join(lines).encode()

@@ -70,16 +70,29 @@ def in_camera(box: Float[ndarray, "n 7"]) -> InCamera:
     box
         Boxes in the sensor frame, as `in_sensor` returns them.
     """
-    bottom = np.column_stack([-box[:, 1], -(box[:, 2] - 0.5 * box[:, 5]), box[:, 0]])
+    forward, left = box[:, 0], box[:, 1]
+    underside = box[:, 2] - 0.5 * box[:, 5]
+    bottom = np.column_stack([-left, -underside, forward])
     rotation = wrapped(-box[:, 6] - 0.5 * np.pi)
-    alpha = wrapped(rotation - np.arctan2(bottom[:, 0], bottom[:, 2]))
     whole = _rectangle(box)
     size = np.array([*IMAGE_PX, *IMAGE_PX], float)
     inside = np.clip(whole, 0.0, size - 1)
-    area, full = (np.prod(np.maximum(r[:, 2:] - r[:, :2], 0.0), axis=1) for r in (inside, whole))
+    area, full = _area(inside), _area(whole)
     ahead = np.isfinite(whole).all(axis=1)
-    truncated = np.where(ahead & (full > 0), 1 - area / np.where(full > 0, full, 1.0), 1.0)
-    return InCamera(bottom, rotation, alpha, inside, truncated, ahead & (area > 0))
+    has_area = full > 0
+    outside = 1 - area / np.where(has_area, full, 1.0)
+    return InCamera(
+        bottom_m=bottom,
+        rotation_y=rotation,
+        alpha=wrapped(rotation - np.arctan2(-left, forward)),
+        image_px=inside,
+        truncated=np.where(ahead & has_area, outside, 1.0),
+        is_in_image=ahead & (area > 0),
+    )
+
+
+def _area(rectangle: Float[ndarray, "n 4"]) -> Float[ndarray, "n"]:
+    return np.prod(np.maximum(rectangle[:, 2:] - rectangle[:, :2], 0.0), axis=1)
 
 
 def _rectangle(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 4"]:
@@ -89,9 +102,10 @@ def _rectangle(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 4"]:
     local[..., :2] = turned_by(box[:, None, 6], local)
     corner = local + box[:, None, :3]
     a, b = corner[:, _EDGES[:, 0]], corner[:, _EDGES[:, 1]]
-    span = b[..., 0] - a[..., 0]
-    crosses = (a[..., 0] < NEAREST_M) != (b[..., 0] < NEAREST_M)
-    cut = a + (np.where(crosses, NEAREST_M - a[..., 0], 0.0) / np.where(crosses, span, 1.0))[..., None] * (b - a)
+    depth_a, depth_b = a[..., 0], b[..., 0]
+    crosses = (depth_a < NEAREST_M) != (depth_b < NEAREST_M)
+    part = np.where(crosses, NEAREST_M - depth_a, 0.0) / np.where(crosses, depth_b - depth_a, 1.0)
+    cut = a + part[..., None] * (b - a)
     points = np.concatenate([corner, cut], axis=1)
     seen = np.concatenate([corner[..., 0] >= NEAREST_M, crosses], axis=1)
     depth = np.where(seen, np.maximum(points[..., 0], NEAREST_M), 1.0)

@@ -102,7 +102,8 @@ def _block(selection: Selection, steps: Int[ndarray, "b"], clouds: Clouds) -> It
     for moment in selection.moments(steps):
         here = [v for v in selection.vehicles if (moment.step, v) in number]
         for vehicle, cloud in zip(here, clouds(moment.step, here), strict=True):
-            name, pose = f"{number[moment.step, vehicle]:06d}", selection.pose(moment, vehicle)
+            name = f"{number[moment.step, vehicle]:06d}"
+            pose = selection.pose(moment, vehicle)
             yield File(f"object/training/velodyne/{name}.bin", partial(velodyne, cloud))
             yield File(f"object/training/calib/{name}.txt", lambda: calibration().encode())
             yield File(f"object/training/label_2/{name}.txt", partial(_labels, moment, vehicle, pose))
@@ -116,9 +117,11 @@ def image(size_px: tuple[int, int] = IMAGE_PX) -> bytes:
     rows = bytes(height * (1 + 3 * width))  # each row begins with the number of its filter, 0
     head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
-    )
+    content = b"\x89PNG\r\n\x1a\n"
+    for kind, data in chunks:
+        check = zlib.crc32(kind + data)
+        content += struct.pack(">I", len(data)) + kind + data + struct.pack(">I", check)
+    return content
 
 
 def image_sets(step: Int[ndarray, "n"]) -> dict[str, Int[ndarray, "k"]]:
@@ -134,8 +137,9 @@ def image_sets(step: Int[ndarray, "n"]) -> dict[str, Int[ndarray, "k"]]:
     By name of the set, the numbers of its frames, ascending: `train` is the first half of the steps, `val` the next
     quarter, `test` the last quarter, and `trainval` the first two together.
     """
-    steps = np.unique(step)
-    part = np.searchsorted([-(-len(steps) // 2), -(-3 * len(steps) // 4)], np.searchsorted(steps, step), "right")
+    steps, number = np.unique(step, return_inverse=True)
+    half, three_quarters = -(-len(steps) // 2), -(-3 * len(steps) // 4)
+    part = np.searchsorted([half, three_quarters], number, "right")
     sets = {"train": part == 0, "val": part == 1, "trainval": part < 2, "test": part == 2}
     return {name: np.flatnonzero(inside) for name, inside in sets.items()}
 
@@ -290,18 +294,20 @@ def lines_of(
     """
     out = []
     for i in np.flatnonzero(keep).tolist():
-        numbers = (
-            camera.alpha[i], *camera.image_px[i], box[i, 5], box[i, 4], box[i, 3], *camera.bottom_m[i],
-            camera.rotation_y[i], *(() if score is None else (score[i],)),
-        )  # fmt: skip
+        length, width, height = box[i, 3:6]
+        place = (height, width, length, *camera.bottom_m[i], camera.rotation_y[i])
+        numbers = [camera.alpha[i], *camera.image_px[i], *place]
+        if score is not None:
+            numbers.append(score[i])
         head = "-1 -1" if occluded is None else f"{camera.truncated[i]:.2f} {occluded[i]}"
-        out.append(f"{types[i]} {head} " + " ".join(f"{x:.4f}" for x in numbers))
+        out.append(" ".join([types[i], head, *(f"{x:.4f}" for x in numbers)]))
     return out
 
 
 def _numbers(selection: Selection) -> dict[tuple[int, int], int]:
     frames = selection.presence
-    return dict(zip(zip(frames.step.tolist(), frames.vehicle.tolist(), strict=True), range(len(frames)), strict=True))
+    keys = zip(frames.step.tolist(), frames.vehicle.tolist(), strict=True)
+    return {key: number for number, key in enumerate(keys)}
 
 
 def sequences_of(selection: Selection) -> pd.DataFrame:
@@ -329,11 +335,10 @@ def _sequences(selection: Selection, clouds: Clouds) -> Iterator[File]:
                 sequence, frame = which[moment.step, vehicle]
                 pose = selection.pose(moment, vehicle)
                 found = labels(moment, vehicle, pose)
-                text[sequence] += [f"{frame} {a} {x}\n" for a, x in zip(found.actor, found.lines, strict=True)]
-                text[sequence] += [
-                    f"{frame} -1 {DONT_CARE} {_pixels(one)} -1000 -1000 -1000 -10 -1 -1 -1\n"
-                    for one in unlabelled(moment, vehicle, pose)
-                ]
+                for actor, line in zip(found.actor, found.lines, strict=True):
+                    text[sequence].append(f"{frame} {actor} {line}\n")
+                for one in unlabelled(moment, vehicle, pose):
+                    text[sequence].append(f"{frame} -1 {DONT_CARE} {_pixels(one)} -1000 -1000 -1000 -10 -1 -1 -1\n")
     for sequence, lines in text.items():
         content = "".join(lines) or f"{NO_TRACK}\n"
         yield File(f"tracking/training/label_02/{sequence:04d}.txt", content.encode)

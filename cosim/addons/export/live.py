@@ -111,7 +111,8 @@ class Now:
         n_aged = np.bincount(row, minlength=len(n))
         ages = np.bincount(row, lookups.newest_evaluation_age_s[aged], minlength=len(n))
         mean = np.where(n_aged > 0, ages / np.maximum(n_aged, 1), np.nan)
-        known.note(sensed.vehicles.actor[heard], np.column_stack([total[heard] / n[heard], mean[heard]]))
+        trust = total[heard] / n[heard]
+        known.note(sensed.vehicles.actor[heard], np.column_stack([trust, mean[heard]]))
         if aged.any():
             self.age_s = float(ages.sum() / n_aged.sum())
 

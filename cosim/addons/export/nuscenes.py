@@ -110,7 +110,8 @@ def _points(cloud: Cloud) -> bytes:
 def in_lidar_top(points: Float32[ndarray, "k 3"]) -> Float32[ndarray, "k 5"]:
     """Points of the sensor frame (x forward, y left) in that of LIDAR_TOP (x right, y forward), with two zeros."""
     out = np.zeros((len(points), 5), np.float32)
-    out[:, 0], out[:, 1], out[:, 2] = -points[:, 1], points[:, 0], points[:, 2]
+    forward, left, up = points.T
+    out[:, :3] = np.column_stack([-left, forward, up])
     return out
 
 

@@ -136,7 +136,8 @@ def _runs(presence: pd.DataFrame, steps: Int[ndarray, "s"], interval: int) -> li
     begin = 0
     for i in range(1, len(steps) + 1):
         who = of_sweep[begin]
-        if i < len(steps) and of_sweep[i] == who and steps[i] == steps[i - 1] + interval:
+        follows = i < len(steps) and steps[i] == steps[i - 1] + interval
+        if follows and of_sweep[i] == who:
             continue
         if len(who) > 1:
             found.append(Opv2vScenario(tuple(map(int, who)), steps[begin:i]))
@@ -213,13 +214,13 @@ def _npy(make: Callable[[], ndarray]) -> bytes:
 def _yaml(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> bytes:
     row = moment.row(vehicle)
     box = moment.box[row]
-    under = [*box[:2], box[2] - 0.5 * box[5]]
+    under = _under(box)
     sent = moment.detections.get(vehicle)
     own = None if sent is None else sent[(sent.origin == "self")]
     lines = [f"ego_speed: {3.6 * moment.speed_mps[row]:.4f}", f"lidar_pose: {_pose(pose[:3], pose[3])}"]
     if own is not None and len(own):
         told = own[BOX].to_numpy(np.float64)[0]
-        lines.append(f"predicted_ego_pos: {_pose((told[0], told[1], told[2] - 0.5 * told[5]), told[6])}")
+        lines.append(f"predicted_ego_pos: {_pose(_under(told), told[6])}")
     lines.append(f"true_ego_pos: {_pose(under, box[6])}")
     seen = moment.visible.get(vehicle, NOTHING)
     rows = np.searchsorted(moment.actor, seen.actor[seen.n_points > 0])
@@ -232,10 +233,15 @@ def _yaml(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> bytes:
             f"    angle: {_numbers((0, np.degrees(b[6]), 0))}",
             f"    center: {_numbers((0, 0, 0.5 * b[5]))}",
             f"    extent: {_numbers(0.5 * b[3:6])}",
-            f"    location: {_numbers((b[0], b[1], b[2] - 0.5 * b[5]))}",
+            f"    location: {_numbers(_under(b))}",
             f"    speed: {3.6 * moment.speed_mps[i]:.4f}",
         ]
     return ("\n".join(lines) + "\n").encode()
+
+
+def _under(box: Float[ndarray, "7"]) -> list[float]:
+    """Middle of the underside of a box."""
+    return [*box[:2], box[2] - 0.5 * box[5]]
 
 
 def _pose(xyz, yaw_rad: float) -> str:  # type: ignore[no-untyped-def]

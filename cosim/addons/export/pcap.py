@@ -202,13 +202,13 @@ class PcapPackets:
             stated = self.selection.run.table("stated_accuracies", [*key, *STATED], mine)
             listed = listed.merge(stated, on=key, how="left") if len(stated) else listed
         senders = self._senders(listed, where)
-        of_sender = listed[["step", "observer"]].merge(
-            senders[["step", "observer"]].assign(sender=range(len(senders))), how="left"
-        ).sender.to_numpy()  # fmt: skip
+        numbered = senders[["step", "observer"]].assign(sender=range(len(senders)))
+        of_sender = listed[["step", "observer"]].merge(numbered, how="left").sender.to_numpy()
         is_object = (listed.detection_index != 0).to_numpy()
         perceived, sender = listed[is_object], of_sender[is_object]
         senders["has_sensors"] = self._describe_sensors(senders, where)
-        return self._assembled(senders, perceived, np.searchsorted(sender, np.arange(len(senders) + 1)), sender)
+        ptr = np.searchsorted(sender, np.arange(len(senders) + 1))
+        return self._assembled(senders, perceived, ptr, sender)
 
     def _senders(self, listed: pd.DataFrame, where: pc.Expression) -> pd.DataFrame:
         """One row per message: the self report, or the true state where there is none."""
@@ -243,15 +243,16 @@ class PcapPackets:
         self, senders: pd.DataFrame, perceived: pd.DataFrame, ptr: Int[ndarray, "m"], sender: Int[ndarray, "d"]
     ) -> dict[tuple[int, int], list[bytes]]:
         box = senders[BOX].to_numpy(float)
+        yaw = box[:, 6]
         front = box[:, :3].copy()
-        front[:, :2] += 0.5 * box[:, 3:4] * np.column_stack([np.cos(box[:, 6]), np.sin(box[:, 6])])
+        front[:, :2] += 0.5 * box[:, 3:4] * np.column_stack([np.cos(yaw), np.sin(yaw)])
         front[:, 2] -= 0.5 * box[:, 5]
         place = self.projection.of_world(front[:, :2])
         lat, lon = (np.round(d * 1e7).astype(np.int64) for d in (place.latitude_deg, place.longitude_deg))
-        compass = etsi.heading(compass_deg(box[:, 6]) + np.degrees(place.turn_rad))
+        compass = etsi.heading(compass_deg(yaw) + np.degrees(place.turn_rad))
         station = senders.observer.to_numpy(np.int64)
-        start_ms = etsi.its_ms(START_S)
-        time_ms = start_ms + np.round(senders.step.to_numpy() * self.selection.run.dt_s * 1000).astype(np.int64)
+        since_ms = np.round(senders.step.to_numpy() * self.selection.run.dt_s * 1000)
+        time_ms = etsi.its_ms(START_S) + since_ms.astype(np.int64)
         label = _labels(senders["class"])
         speed, change = senders.speed_mps.to_numpy(float), senders.acceleration_mps2.to_numpy(float)
         cams = etsi.cams(station, time_ms, label, lat, lon, compass, speed, change, box[:, 3:6])
@@ -265,7 +266,7 @@ class PcapPackets:
         for i, (step, number, time, latitude, longitude, angle, is_cam, has_sensors) in enumerate(rows):
             begin, end = int(ptr[i]), int(ptr[i + 1])
             frames = [frame(heads[i], number, "cam", cams[i].tobytes())] if is_cam else []
-            cuts = [begin, *(begin + np.array(cuts_of(bits[begin:end]), int)).tolist(), end]
+            cuts = [begin, *(begin + cut for cut in cuts_of(bits[begin:end])), end]
             for k, (first, last) in enumerate(pairwise(cuts)):
                 segment = (len(cuts) - 1, k + 1) if len(cuts) > 2 else None
                 head = etsi.CpmHead(
@@ -278,13 +279,15 @@ class PcapPackets:
 
 
 def _capture(got: pd.DataFrame, frames: Mapping[tuple[int, int], list[bytes]]) -> bytes:
-    rows = zip(got.time_s.tolist(), got.step.tolist(), got.sender.tolist(), strict=True)
-    return pcap_header() + b"".join(
-        record(START_S + time_s, frame) for time_s, step, sender in rows for frame in frames.get((step, sender), ())
-    )
+    content = [pcap_header()]
+    for time_s, step, sender in zip(got.time_s.tolist(), got.step.tolist(), got.sender.tolist(), strict=True):
+        content += [record(START_S + time_s, one) for one in frames.get((step, sender), ())]
+    return b"".join(content)
 
 
-_ROOM_BITS = 8 * (LONGEST_BYTES - 4 - int(etsi.cpm_bytes(np.zeros((1, 4), int), is_segment=True)[0]) - 1)
+_HEAD_BYTES = int(etsi.cpm_bytes(np.zeros((1, 4), int), is_segment=True)[0])
+"""Length of a segment without objects."""
+_ROOM_BITS = 8 * (LONGEST_BYTES - 4 - _HEAD_BYTES - 1)
 """Bits of objects that fit into one segment, whose length may then take a second byte."""
 
 
@@ -325,16 +328,19 @@ def objects_of(
     away = box[:, :3] - front_m
     turn, scale = place.turn_rad[sender], place.scale[sender]
     away[:, :2] = turned_by(-turn, away) / scale[:, None]
-    number, velocity = perceived.detection_index.to_numpy(np.int64), None
+    number = perceived.detection_index.to_numpy(np.int64)
+    velocity = confidences = None
     if set(TRACKED) <= set(perceived.columns):
         track = perceived.object_id
-        number = np.where(track.isna(), TRACKS + number, track.fillna(0).astype(np.int64) % TRACKS)
+        of_track = track.fillna(0).astype(np.int64) % TRACKS
+        number = np.where(track.isna(), TRACKS + number, of_track)
         velocity = perceived[["velocity_x_mps", "velocity_y_mps"]].to_numpy(float, na_value=np.nan)
         velocity = turned_by(-turn, velocity)
-    return etsi.CpmObjects.of(
-        number, _labels(perceived["class"]), away, box[:, 3:6], box[:, 6] - turn, perceived.score.to_numpy(float),
-        velocity, confidences_of(perceived, turn) if set(STATED) <= set(perceived.columns) else None,
-    )  # fmt: skip
+    if set(STATED) <= set(perceived.columns):
+        confidences = confidences_of(perceived, turn)
+    label = _labels(perceived["class"])
+    score = perceived.score.to_numpy(float)
+    return etsi.CpmObjects.of(number, label, away, box[:, 3:6], box[:, 6] - turn, score, velocity, confidences)
 
 
 def confidences_of(perceived: pd.DataFrame, turn_rad: Float[ndarray, "d"]) -> etsi.Confidences:
@@ -342,23 +348,32 @@ def confidences_of(perceived: pd.DataFrame, turn_rad: Float[ndarray, "d"]) -> et
     x, y, correlation, speed, yaw, size = perceived[list(STATED)].to_numpy(float).T
     cos, sin = np.cos(turn_rad), np.sin(turn_rad)
     shared = 2 * cos * sin * correlation * x * y
-    east, north = (cos * x) ** 2 + shared + (sin * y) ** 2, (sin * x) ** 2 - shared + (cos * y) ** 2
+    east = (cos * x) ** 2 + shared + (sin * y) ** 2
+    north = (sin * x) ** 2 - shared + (cos * y) ** 2
+    std_m = np.sqrt(np.column_stack([east, north]))
     lwh_m = perceived[BOX].to_numpy(float)[:, 3:6]
-    return etsi.Confidences.of(np.sqrt(np.column_stack([east, north])), yaw, lwh_m * size[:, None], speed)
+    return etsi.Confidences.of(std_m, yaw, lwh_m * size[:, None], speed)
 
 
 def geonetworking(
-    station: Int[ndarray, "n"], label: Int[ndarray, "n"], time_ms: Int[ndarray, "n"], latitude: Int[ndarray, "n"],
-    longitude: Int[ndarray, "n"], compass: Int[ndarray, "n"], speed_mps: Float[ndarray, "n"],
-) -> list[bytes]:  # fmt: skip
+    station: Int[ndarray, "n"],
+    label: Int[ndarray, "n"],
+    time_ms: Int[ndarray, "n"],
+    latitude: Int[ndarray, "n"],
+    longitude: Int[ndarray, "n"],
+    compass: Int[ndarray, "n"],
+    speed_mps: Float[ndarray, "n"],
+) -> list[bytes]:
     """Extended headers of single-hop broadcasts: the sender's long position vector, and 4 bytes of the medium.
 
     Arguments are as in `etsi.cams`. An unknown speed is 0, because this header has no value for "unavailable". The
     position is declared inaccurate, because no accuracy is known.
     """
     types = np.array([etsi.STATION_TYPE[kind] for kind in ObjectClass])[label]
-    speed = np.clip(np.round(np.nan_to_num(speed_mps) * 100), -(2**14), 2**14 - 1).astype(np.int64) & 0x7FFF
-    rows = zip(*(c.tolist() for c in (types, station, time_ms, latitude, longitude, speed, compass)), strict=True)
+    speed_cm_s = np.round(np.nan_to_num(speed_mps) * 100)
+    speed = np.clip(speed_cm_s, -(2**14), 2**14 - 1).astype(np.int64) & 0x7FFF
+    columns = (types, station, time_ms, latitude, longitude, speed, compass)
+    rows = zip(*(column.tolist() for column in columns), strict=True)
     return [
         struct.pack(">H6sIiiHH4x", 1 << 15 | kind << 10, mac(number), time & 0xFFFFFFFF, lat, lon, v, angle)
         for kind, number, time, lat, lon, v, angle in rows

@@ -124,8 +124,10 @@ class _Reports:
         for steps in self.selection.spans():
             counts.update(self._denials(steps)[1].tolist())
         n_left_out = counts.total() - counts[len(LEFT_OUT)]
+        if not n_left_out:
+            return ()
         why = "; ".join(f"{counts[k]:,} {reason}" for k, reason in enumerate(LEFT_OUT) if counts[k])
-        return (f"{n_left_out:,} of {counts.total():,} denials are in no report: {why}.",) if n_left_out else ()
+        return (f"{n_left_out:,} of {counts.total():,} denials are in no report: {why}.",)
 
     def files(self, steps: Int[ndarray, "b"], clouds: Clouds) -> Iterator[File]:
         """The reports of each step, by reporter, reported pseudonym and message."""

@@ -139,7 +139,11 @@ def _box_template(name: str) -> tuple[UInt8[ndarray, "s"], dict[str, int], int]:
 
 
 def boxes(
-    nanos: int, name: str, number: Int[ndarray, "n"], box: Float[ndarray, "n 7"], ink: Float32[ndarray, "n 4"]
+    nanos: int,
+    name: str,
+    number: Int[ndarray, "n"],
+    box: Float[ndarray, "n 7"],
+    ink: Float32[ndarray, "n 4"],
 ) -> bytes:
     """A visualization_msgs/MarkerArray: everything of before is deleted, then a cube for each box.
 
@@ -164,16 +168,20 @@ def boxes(
     stamp = np.array([[nanos // 10**9, nanos % 10**9]], "<u4").repeat(len(rows), axis=0)
     fill(0, stamp)
     fill(place["id"], number.astype("<i4")[:, None])
-    fill(place["pose"], np.column_stack([box[:, :3], turn(box[:, 6])]).astype("<f8"))
+    pose = np.column_stack([box[:, :3], turn(box[:, 6])])
+    fill(place["pose"], pose.astype("<f8"))
     fill(place["size"], box[:, 3:6].astype("<f8"))
     fill(place["ink"], ink.astype("<f4"))
-    rows[0, place["id"] + 8 : place["id"] + 12] = np.array([_DELETE_ALL], "<i4").view(np.uint8)
-    return Cdr().put("I", len(rows)).raw(rows.tobytes()[: rows.size - slack]).done()
+    action = place["id"] + 8
+    rows[0, action : action + 4] = np.array([_DELETE_ALL], "<i4").view(np.uint8)
+    markers = rows.tobytes()[: rows.size - slack]
+    return Cdr().put("I", len(rows)).raw(markers).done()
 
 
 def buildings(nanos: int, triangles: Float[ndarray, "t 3 3"]) -> bytes:
     """A visualization_msgs/Marker of triangles, shaded by the direction of their faces."""
-    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    a, b, c = triangles.swapaxes(0, 1)
+    normal = np.cross(b - a, c - a)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     light = 0.65 + 0.35 * np.abs(normal @ (LIGHT / np.linalg.norm(LIGHT)))
     inks = np.ones((len(triangles), 3, 4), "<f4")
@@ -185,7 +193,8 @@ def buildings(nanos: int, triangles: Float[ndarray, "t 3 3"]) -> bytes:
 
 def points(nanos: int, frame: str, rows: ndarray) -> bytes:
     """A sensor_msgs/PointCloud2 of the rows of a structured array."""
-    cdr = Cdr().header(nanos, frame).put("2I", 1, len(rows)).put("I", len(rows.dtype.names or ()))
+    cdr = Cdr().header(nanos, frame).put("2I", 1, len(rows))
+    cdr.put("I", len(rows.dtype.names or ()))
     for name, (kind, offset, *_) in (rows.dtype.fields or {}).items():
         cdr.text(name).put("I", offset).put("B", _DATATYPES[kind.str]).put("I", 1)
     cdr.put("?", False).put("2I", rows.itemsize, rows.nbytes).put("I", rows.nbytes).raw(rows.tobytes())
@@ -196,7 +205,8 @@ def transforms(nanos: int, pose: Mapping[str, Float[ndarray, "4"]]) -> bytes:
     """A tf2_msgs/TFMessage: poses (x, y, z, yaw) of frames in the frame `map`."""
     cdr = Cdr().put("I", len(pose))
     for frame, (x, y, z, yaw) in pose.items():
-        cdr.header(nanos, "map").text(frame).put("7d", x, y, z, *turn(np.array([yaw]))[0].tolist())
+        quaternion = turn(np.array([yaw]))[0].tolist()
+        cdr.header(nanos, "map").text(frame).put("7d", x, y, z, *quaternion)
     return cdr.done()
 
 
@@ -204,15 +214,18 @@ def detections(nanos: int, rows: pd.DataFrame) -> bytes:
     """A vision_msgs/Detection3DArray, frame `map`; `id` is `detection_index`."""
     cdr = Cdr().header(nanos, "map").put("I", len(rows))
     turns = turn(rows.yaw_rad.to_numpy(np.float64)).tolist()
-    found = zip(
-        rows["class"].tolist(), rows.score.tolist(), rows.detection_index.tolist(), rows[BOX].to_numpy(float).tolist(),
-        turns, strict=True,
-    )  # fmt: skip
+    boxes = rows[BOX].to_numpy(float).tolist()
+    found = zip(rows["class"], rows.score.tolist(), rows.detection_index.tolist(), boxes, turns, strict=True)
     for kind, score, index, (x, y, z, *size, _), quaternion in found:
         cdr.header(nanos, "map").put("I", 1).text(kind).put("d", score)
         cdr.put("7d", x, y, z, *quaternion).put("36d", *[0.0] * 36)
         cdr.put("7d", x, y, z, *quaternion).put("3d", *size).text(str(index))
     return cdr.done()
+
+
+def _rgb(ink: str) -> Float[ndarray, "3"]:
+    """Red, green and blue of a colour such as `#0072b2`, in [0, 1]."""
+    return np.array(tuple(bytes.fromhex(ink[1:]))) / 255
 
 
 class Writing:
@@ -304,11 +317,11 @@ class Bag:
         run = self.selection.run
         of_role = {role: style.role_look(role, run.role_labels)["color"] for role in run.role_labels}
         of_actor = run.roles.astype(object).map(of_role)
-        inks = np.ones((int(run.table("vehicles", ["vehicle"]).vehicle.max()) + 1, 4), np.float32)
-        pale = tuple(bytes.fromhex(style.PALE[1:]))
-        inks[:, :3] = np.array(pale) / 255
+        most = int(run.table("vehicles", ["vehicle"]).vehicle.max())
+        inks = np.ones((most + 1, 4), np.float32)
+        inks[:, :3] = _rgb(style.PALE)
         for actor, ink in of_actor.items():
-            inks[int(cast(int, actor)), :3] = np.array(tuple(bytes.fromhex(ink[1:]))) / 255
+            inks[int(cast(int, actor)), :3] = _rgb(ink)
         return inks
 
     def nanos(self, step: int) -> int:

@@ -53,4 +53,5 @@ def definition(kind: str) -> str:
     for name in wanted:  # it grows
         wanted += [n for n in re.findall(r"^(\w+/\w+)", FIELDS[name], flags=re.MULTILINE) if n not in wanted]
     first, *others = wanted
-    return "\n".join([FIELDS[first], *(f"{'=' * 80}\nMSG: {name}\n{FIELDS[name]}" for name in others)]) + "\n"
+    parts = [f"{'=' * 80}\nMSG: {name}\n{FIELDS[name]}\n" for name in others]
+    return f"{FIELDS[first]}\n" + "".join(parts)

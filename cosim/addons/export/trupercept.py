@@ -46,10 +46,11 @@ class TruPerceptData:
             raise ValueError(f"vehicle {selection.vehicles[0]}, the ego, is on the road in none of these steps.")
         frames = frames[frames.step.isin(ego.step)]
         steps = ego.step.to_numpy()
-        blocks = [b[np.isin(b, steps)] for b in selection.blocks()]
-        units = [
-            Unit(f"steps {b[0]} to {b[-1]}", partial(_block, selection, steps, b)) for b in blocks if len(b)
-        ]  # fmt: skip
+        units = []
+        for block in selection.blocks():
+            here = block[np.isin(block, steps)]
+            if len(here):
+                units.append(Unit(f"steps {here[0]} to {here[-1]}", partial(_block, selection, steps, here)))
         units.append(Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))])))
         return Plan(tuple(units), len(frames), 16, len(frames) * TEXT_BYTES)
 
@@ -86,8 +87,8 @@ def _label(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> list[str]
 
 def _label_aug(moment: Moment, vehicle: int, pose: Float[ndarray, "4"], hidden: bool = True) -> list[str]:
     found = kitti.labels(moment, vehicle, pose, hidden)
-    more = zip(found.actor, found.speed_mps, found.n_points, strict=True)
-    return [f"{line} {a} {v:.4f} {n}" for line, (a, v, n) in zip(found.lines, more, strict=True)]
+    rows = zip(found.lines, found.actor, found.speed_mps, found.n_points, strict=True)
+    return [f"{line} {actor} {speed:.4f} {n_points}" for line, actor, speed, n_points in rows]
 
 
 def _filtered(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> list[str]:
@@ -96,10 +97,11 @@ def _filtered(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> list[s
 
 def _ego_object(moment: Moment, vehicle: int, ego_pose: Float[ndarray, "4"]) -> list[str]:
     row = moment.row(vehicle)
-    camera = in_camera(in_sensor(moment.box[[row]], ego_pose))
+    box = moment.box[[row]]
+    camera = in_camera(in_sensor(box, ego_pose))
     kind = kitti.TYPE_OF[moment.vehicle_class[row]]
     flat = camera._replace(image_px=np.nan_to_num(camera.image_px))  # behind the ego it has no rectangle
-    lines = kitti.lines_of([kind], flat, moment.box[[row]], np.ones(1, bool), np.zeros(1, int))
+    lines = kitti.lines_of([kind], flat, box, np.ones(1, bool), np.zeros(1, int))
     return [f"{lines[0]} {vehicle} {moment.speed_mps[row]:.4f} 0"]
 
 

@@ -71,15 +71,16 @@ def _ns(time_s: pd.Series) -> list[str]:
 
 
 def _states(rows: pd.DataFrame) -> list[dict[str, str]]:
-    columns = (
-        rows.x_m,
-        rows.y_m,
-        rows.z_m,
-        rows.speed_mps,
-        rows.acceleration_mps2,
-        compass_deg(rows.yaw_rad.to_numpy()),
-    )
+    places = zip(rows.x_m, rows.y_m, rows.z_m, strict=True)
+    heading_deg = compass_deg(rows.yaw_rad.to_numpy())
+    states = zip(places, rows.speed_mps, rows.acceleration_mps2, heading_deg, strict=True)
     return [
-        {"pos": f"{x:.4f},{y:.4f},{z:.4f}", "spd": f"{v:.4f}", "acl": f"{a:.4f}", "hed": f"{h:.4f}"} | NO_NOISE
-        for x, y, z, v, a, h in zip(*map(np.asarray, columns), strict=True)
+        {
+            "pos": ",".join(f"{metres:.4f}" for metres in place),
+            "spd": f"{speed:.4f}",
+            "acl": f"{acceleration:.4f}",
+            "hed": f"{heading:.4f}",
+            **NO_NOISE,
+        }
+        for place, speed, acceleration, heading in states
     ]

@@ -331,7 +331,8 @@ def surroundings(recording, scenario: Scenario, city: Scene) -> None:  # type: i
     triangles = city_triangles(city)
     if len(triangles):
         corner = triangles.reshape(-1, 3, 3)
-        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        a, b, c = corner.swapaxes(0, 1)
+        normal = np.cross(b - a, c - a)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         mesh = rerun.Mesh3D(
             vertex_positions=corner.reshape(-1, 3), albedo_factor=[205, 203, 196, 255],
@@ -343,7 +344,8 @@ def surroundings(recording, scenario: Scenario, city: Scene) -> None:  # type: i
         recording.log("map/buildings", rerun.LineStrips2D(outlines, colors=[170, 170, 165], radii=0.4), static=True)
     if scenario.net is not None:
         lanes = [lane.line_m[:, :2] for lane in network.lanes(scenario.net)]
-        xy, n_points = np.concatenate([np.zeros((0, 2)), *lanes]) - scenario.origin_m, list(map(len, lanes))
+        xy = np.concatenate([np.zeros((0, 2)), *lanes]) - scenario.origin_m
+        n_points = list(map(len, lanes))
         flat = strips(xy * [1.0, -1.0], n_points)
         recording.log("map/streets", rerun.LineStrips2D(flat, colors=[150, 150, 156], radii=0.6), static=True)
         high = strips(np.column_stack([xy, np.full(len(xy), 0.02)]), n_points)
@@ -418,7 +420,7 @@ def _block(  # type: ignore[no-untyped-def]
         if now is not None:
             number = now.actor.to_numpy(np.int64)
             value = np.array([known.get(n, np.nan) for n in number.tolist()])
-            boxes = Boxes(now[BOX[:3]].to_numpy(float), now[BOX[3:6]].to_numpy(float), now.yaw_rad.to_numpy(float))
+            boxes = _boxes(now)
             roles, rated = role_colours(run, number), colours(value)
             recording.log("city/actors", drawn_boxes(boxes, roles, solid=True))
             edges = Boxes(boxes.xyz_m, boxes.lwh_m * EDGE_SHARE, boxes.yaw_rad)
@@ -436,16 +438,16 @@ def _block(  # type: ignore[no-untyped-def]
         if step % config.schedule.exchange_every_steps:
             continue
         for name in shown if vehicles else ("fabricated",):
-            rows = by_step[name].get(step)
-            xyz = np.zeros((0, 3)) if rows is None else rows[BOX[:3]].to_numpy(float)
+            rows, colour = by_step[name].get(step), COLOURS[name]
             if rows is None:
                 recording.log(f"city/{name}", rerun.Clear(recursive=False))
                 recording.log(f"map/{name}", rerun.Clear(recursive=False))
                 continue
-            boxes = Boxes(xyz, rows[BOX[3:6]].to_numpy(float), rows.yaw_rad.to_numpy(float))
-            recording.log(f"city/{name}", drawn_boxes(boxes, np.array(COLOURS[name], np.uint8)))
+            boxes = _boxes(rows)
+            recording.log(f"city/{name}", drawn_boxes(boxes, np.array(colour, np.uint8)))
             if name == "fabricated":
-                recording.log(f"map/{name}", rerun.Points2D(xyz[:, :2] * [1.0, -1.0], colors=COLOURS[name], radii=4.0))
+                flat = boxes.xyz_m[:, :2] * [1.0, -1.0]
+                recording.log(f"map/{name}", rerun.Points2D(flat, colors=colour, radii=4.0))
         if now is None or sweeper is None:
             continue
         there = now[now.actor.isin(list(vehicles))].actor.to_numpy(np.int64)
@@ -453,10 +455,15 @@ def _block(  # type: ignore[no-untyped-def]
         for vehicle, cloud in zip(there, sweeper(step, there), strict=True):
             row = now[now.actor == vehicle].iloc[0]
             points = cloud()
-            turned = turned_by(row.yaw_rad, points)
+            xy_m = turned_by(row.yaw_rad, points) + [row.x_m, row.y_m]
             height = row.z_m + 0.5 * row.height_m + config.lidar.mount_above_roof_m
-            world = np.column_stack([turned + [row.x_m, row.y_m], points[:, 2] + height])
+            world = np.column_stack([xy_m, points[:, 2] + height])
             recording.log(f"city/clouds/{vehicle}", rerun.Points3D(world.astype(np.float32), radii=0.04))
+
+
+def _boxes(rows: pd.DataFrame) -> Boxes:
+    xyz_m, lwh_m = rows[BOX[:3]], rows[BOX[3:6]]
+    return Boxes(xyz_m.to_numpy(float), lwh_m.to_numpy(float), rows.yaw_rad.to_numpy(float))
 
 
 def _of(run: Run, table: str, where: pc.Expression, vehicles: Sequence[int]) -> pd.DataFrame:
@@ -482,12 +489,15 @@ def drawn_boxes(boxes: Boxes, colour: UInt8[ndarray, "..."], solid: bool = False
     import rerun
 
     half = 0.5 * boxes.yaw_rad
-    turn = np.column_stack([np.zeros((len(boxes), 2)), np.sin(half), np.cos(half)]).astype(np.float32)
+    quaternions = np.column_stack([np.zeros((len(boxes), 2)), np.sin(half), np.cos(half)])
     fill = rerun.components.FillMode.Solid if solid else rerun.components.FillMode.MajorWireframe
     return rerun.Boxes3D(
-        centers=boxes.xyz_m.astype(np.float32), half_sizes=0.5 * boxes.lwh_m.astype(np.float32), quaternions=turn,
-        colors=colour, fill_mode=fill,
-    )  # fmt: skip
+        centers=boxes.xyz_m.astype(np.float32),
+        half_sizes=0.5 * boxes.lwh_m.astype(np.float32),
+        quaternions=quaternions.astype(np.float32),
+        colors=colour,
+        fill_mode=fill,
+    )
 
 
 def _over_time(  # type: ignore[no-untyped-def]
