@@ -68,10 +68,10 @@ def try_part(kind: str, name: str, own: Sequence[str] = ()) -> Report:
     """
     part, section = PARTS[kind], "attacks.0" if kind == "attack" else KINDS[kind].section
     interferes = kind == "attack" and hasattr(resolve(KINDS[kind], name).of, "sending")
-    radio = [
-        "radio.model=csma"
-    ] * interferes  # a unit disk has no interference that an attack on the channel could cause
-    sets = [*BASE, *radio, f"{section}.{KINDS[kind].key}={name}", *(f"{section}.{one}" for one in own)]
+    sets = [*BASE]
+    if interferes:  # a unit disk has no interference that an attack on the channel could cause
+        sets.append("radio.model=csma")
+    sets += [f"{section}.{KINDS[kind].key}={name}", *(f"{section}.{one}" for one in own)]
     config = load(None, sets)
     config = replace(config, trust_variant=(), attacks=config.attacks[:1])
     check_choices(config)
@@ -96,7 +96,8 @@ def try_part(kind: str, name: str, own: Sequence[str] = ()) -> Report:
     if kind == "trust":
         more, seen = trust_laws.findings(stage)
         found += more
-    cost_us = 1e6 * seen.seconds / max(seen.n_calls, 1) / sum(actor.equipped for actor in ACTORS)
+    n_equipped = sum(actor.equipped for actor in ACTORS)
+    cost_us = 1e6 * seen.seconds / max(seen.n_calls, 1) / n_equipped
     return Report(kind, name, found, cost_us)
 
 

@@ -111,25 +111,29 @@ def _beliefs(world: World, known_s: float, dt_s: float) -> Beliefs:
     The false car stands in its lane, 35 m ahead of the vehicle's first position.
     """
     xy, yaw = world.boxes.xyz_m[:, :2], world.boxes.yaw_rad
-    apart_m = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1))
-    ego, other = np.nonzero(world.equipped[:, None] & (apart_m <= 50.0) & ~np.eye(len(world), dtype=bool))
+    between_m = xy[:, None] - xy[None]
+    is_near = np.hypot(between_m[..., 0], between_m[..., 1]) <= 50.0
+    ego, other = np.nonzero(world.equipped[:, None] & is_near & ~np.eye(len(world), dtype=bool))
     alone = np.flatnonzero(world.equipped)
     begun_m = world.speed_mps * world.step * dt_s
-    ghost_xyz_m = world.boxes.xyz_m + np.column_stack([np.cos(yaw), np.sin(yaw), 0 * yaw]) * (35.0 - begun_m)[:, None]
+    direction = np.column_stack([np.cos(yaw), np.sin(yaw), 0 * yaw])
+    ghost_xyz_m = world.boxes.xyz_m + direction * (35.0 - begun_m)[:, None]
     ghosts = replace(world.boxes, xyz_m=ghost_xyz_m).take(alone)
     key = rng.key(0, rng.Stream.DRIVER)
     sees = rng.uniforms(key, world.name_key[ego], world.name_key[other])[:, 0] < 0.5
-    n, by = len(alone), np.concatenate([ego, alone])
+    by = np.concatenate([ego, alone])
     order = np.argsort(by, kind="stable")
+    row = np.concatenate([other, alone])[order]
+    is_false = order >= len(other)
     return Beliefs(
         known_s=known_s,
         ego=by[order],
-        label=np.concatenate([world.label[other], world.label[alone]])[order],
+        label=world.label[row],
         boxes=Boxes.concat([world.boxes.take(other), ghosts]).take(order),
         score=np.full(len(by), 0.9),
-        ego_detected=np.concatenate([sees, np.zeros(n, bool)])[order],
-        source=np.concatenate([world.actor[other], world.actor[alone]])[order].astype(np.int64),
-        source_index=np.concatenate([np.ones(len(other), np.int64), np.full(n, 2)])[order],
+        ego_detected=np.concatenate([sees, np.zeros(len(alone), bool)])[order],
+        source=world.actor[row].astype(np.int64),
+        source_index=1 + is_false.astype(np.int64),
         source_step=np.full(len(by), world.step),
     )
 
@@ -139,8 +143,9 @@ BOX = ("class", "x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad
 
 def _box(listed: Detections, i: int) -> Row:
     boxes = listed.boxes
-    values = listed.label[i], *boxes.xyz_m[i], *boxes.lwh_m[i], boxes.yaw_rad[i], listed.score[i]
-    return dict(zip(BOX, map(float, values), strict=True))
+    box = (*boxes.xyz_m[i], *boxes.lwh_m[i], boxes.yaw_rad[i])
+    values = map(float, (listed.label[i], *box, listed.score[i]))
+    return dict(zip(BOX, values, strict=True))
 
 
 def detections(happened: StepResult, scene: TinyScene) -> Table:
@@ -159,26 +164,29 @@ def messages(happened: StepResult, scene: TinyScene) -> Table:
     sensed, names = happened.sensed, scene.names
     if sensed is None:
         return {}
-    listed, senders, actor, sent = sensed.listed.objects, sensed.senders, sensed.vehicles.actor, sensed.evaluated.sent
+    listed, sent = sensed.listed.objects, sensed.evaluated.sent
+    senders, actor = sensed.senders, sensed.vehicles.actor
     of = {
         int(p): f"{names[actor[v]]}{f' as identity {i}' if i else ''}"
         for p, v, i in zip(senders.pseudonym, senders.vehicle, senders.identity, strict=True)
     }
-    told = {
-        f"detection {listed.detection_index[i]} of {names[listed.observer[i]]} as identity {listed.identity[i]}": (
-            _box(listed, i) | {"speed_mps": float(listed.speed_mps[i]), "transmitted": float(listed.transmitted[i])}
-        )
-        for i in range(len(listed))
-    }  # fmt: skip
-    by = np.repeat(sent.evaluator, np.diff(sent.ptr))
-    told |= {
-        f"evaluation by {of[int(by[i])]} of detection {sent.detection_index[i]} of {of[int(sent.observer[i])]}": {
-            "evaluation": float(sent.evaluation[i]), "visibility": float(sent.visibility[i]),
+    told = {}
+    for i in range(len(listed)):
+        which = f"detection {listed.detection_index[i]} of {names[listed.observer[i]]}"
+        told[f"{which} as identity {listed.identity[i]}"] = {
+            **_box(listed, i),
+            "speed_mps": float(listed.speed_mps[i]),
+            "transmitted": float(listed.transmitted[i]),
         }
-        for i in range(len(by))
-    }  # fmt: skip
+    for i, evaluator in enumerate(np.repeat(sent.evaluator, np.diff(sent.ptr)).tolist()):
+        which = f"detection {sent.detection_index[i]} of {of[int(sent.observer[i])]}"
+        told[f"evaluation by {of[evaluator]} of {which}"] = {
+            "evaluation": float(sent.evaluation[i]),
+            "visibility": float(sent.visibility[i]),
+        }
     station, n = np.unique(sensed.rounds[0].round.station, return_counts=True)
-    told |= {f"{names[actor[s]]}": {"messages": k} for s, k in zip(station.tolist(), n.tolist(), strict=True)}
+    for row, k in zip(station.tolist(), n.tolist(), strict=True):
+        told[names[actor[row]]] = {"messages": k}
     return told
 
 
@@ -193,8 +201,8 @@ def receptions(happened: StepResult, scene: TinyScene) -> Table:
         sender = station[got.message]
         number = got.message - np.searchsorted(station, sender)
         for i in range(len(sender)):
-            which = f"{kind} message {number[i]} from {names[actor[sender[i]]]} at {names[actor[got.receiver[i]]]}"
-            told[which] = {
+            source, receiver = names[actor[sender[i]]], names[actor[got.receiver[i]]]
+            told[f"{kind} message {number[i]} from {source} at {receiver}"] = {
                 name: float(getattr(got, name)[i])
                 for name in ("hops", "generation_offset_s", "access_delay_s", "latency_s")
             }
@@ -209,10 +217,8 @@ def trust(happened: StepResult, scene: TinyScene) -> Table:
     actor, used = sensed.vehicles.actor, sensed.looked_up.messages
     found = sensed.looked_up.lookups[0]
     sender = actor[sensed.senders.vehicle[used.message]]
-    return {
-        f"{names[actor[used.receiver[i]]]} about {names[sender[i]]}": {"trust": float(found.trust[i])}
-        for i in range(len(sender))
-    }
+    rows = zip(actor[used.receiver].tolist(), sender.tolist(), found.trust.tolist(), strict=True)
+    return {f"{names[holder]} about {names[subject]}": {"trust": value} for holder, subject, value in rows}
 
 
 def renewals(happened: StepResult, scene: TinyScene) -> Table:

@@ -24,7 +24,8 @@ def difference(one: Any, other: Any, where: str = "") -> str:
     if isinstance(one, ndarray | np.generic | float | int):
         return _of_arrays(np.asarray(one), np.asarray(other), where)
     if is_dataclass(one):
-        pairs = [(f"{where}.{f.name}", getattr(one, f.name), getattr(other, f.name)) for f in fields(one)]
+        names = [f.name for f in fields(one)]
+        pairs = [(f"{where}.{name}", getattr(one, name), getattr(other, name)) for name in names]
     elif isinstance(one, dict):
         if one.keys() != other.keys():
             return f"{where} has the keys {sorted(map(str, one))} and {sorted(map(str, other))}"
@@ -32,12 +33,16 @@ def difference(one: Any, other: Any, where: str = "") -> str:
     elif isinstance(one, list | tuple):
         if len(one) != len(other):
             return f"{where} has {len(one)} and {len(other)} items"
-        pairs = [(f"{where}[{i}]", a, b) for i, (a, b) in enumerate(zip(one, other, strict=True))]
+        items = zip(one, other, strict=True)
+        pairs = [(f"{where}[{i}]", a, b) for i, (a, b) in enumerate(items)]
     elif hasattr(one, "__dict__"):
         return difference(vars(one), vars(other), where)
     else:
         return "" if one == other else f"{where} is {one!r} and {other!r}"
-    return next((found for name, a, b in pairs if (found := difference(a, b, name.lstrip(".")))), "")
+    for name, a, b in pairs:
+        if found := difference(a, b, name.lstrip(".")):
+            return found
+    return ""
 
 
 def _of_arrays(one: ndarray, other: ndarray, where: str) -> str:
@@ -126,7 +131,8 @@ def _truth_read(name: str, method: Callable[..., Any], arguments: tuple[Any, ...
     """Call an attack again with other ground truth: other origins of detections of others, and other attackers."""
     context = copy.deepcopy(arguments[-1])
     member, attack = context.member, context.world.attack
-    world = replace(context.world, attack=np.where(member, attack, np.where(attack == 0, 255, 0)).astype(attack.dtype))
+    swapped = np.where(attack == 0, 255, 0)
+    world = replace(context.world, attack=np.where(member, attack, swapped).astype(attack.dtype))
     blind = [_other_truth(copy.deepcopy(one), member) for one in arguments[:-1]]
     other = method(*blind, replace(context, world=world))
     found = difference(*(_of_attackers(one, arguments, context) for one in (answer, other)))
@@ -145,7 +151,8 @@ def _other_truth(given: Any, member: ndarray) -> Any:
     others = ~member[given.observer] & (given.origin != SELF)
     swapped = np.where(given.origin == SENSED, FABRICATED, SENSED)
     origin = np.where(others, swapped, given.origin).astype(given.origin.dtype)
-    return replace(given, origin=origin, target=np.where(others, (given.target + 1) % len(member), given.target))
+    following = (given.target + 1) % len(member)
+    return replace(given, origin=origin, target=np.where(others, following, given.target))
 
 
 def _of_attackers(answer: Any, arguments: tuple[Any, ...], context: AttackContext) -> Any:

@@ -44,8 +44,9 @@ class Actor:
         yaw, across = _LANES[self.lane]
         along = self.begin_m + self.speed_mps * time_s
         c, s = np.cos(yaw), np.sin(yaw)
-        centre = np.array([0.0, across]) if abs(c) > 0.5 else np.array([across, 0.0])
-        return centre + along * np.array([c, s]) + self.side_m * np.array([s, -c])
+        ahead, right = np.array([c, s]), np.array([s, -c])
+        centre = np.array([0.0, across] if abs(c) > 0.5 else [across, 0.0])
+        return centre + along * ahead + self.side_m * right
 
 
 ACTORS = (
@@ -80,7 +81,8 @@ class TinyScene:
 
     def with_other_attackers(self) -> "TinyScene":
         """The same actors at the same positions, with other vehicles as attackers."""
-        return TinyScene(tuple(replace(a, attack=int(a.equipped and not a.attack)) for a in self.actors))
+        swapped = [replace(actor, attack=int(actor.equipped and not actor.attack)) for actor in self.actors]
+        return TinyScene(tuple(swapped))
 
     @property
     def names(self) -> list[str]:
@@ -118,7 +120,8 @@ class TinyScene:
         lines = []
         for row in rows:
             yaw = _LANES[self.actors[row].lane][0]
-            lines.append(xy_m[row] + np.outer([-20.0, 80.0, 180.0], [np.cos(yaw), np.sin(yaw)]))
+            heading = [np.cos(yaw), np.sin(yaw)]
+            lines.append(xy_m[row] + np.outer([-20.0, 80.0, 180.0], heading))
         n = len(rows)
         return LanePaths(
             row=np.array(rows, np.int64),

@@ -98,8 +98,8 @@ def _played(
     due: list[list[Reception]] = [[] for _ in steps]
     number_of = {step: number for number, (step, *_) in enumerate(steps)}
     for k, one in enumerate(receptions):
-        late = late_steps * (k % 2)
-        due[min(number_of[one.messages.step] + late, len(steps) - 1)].append(one)
+        arrives = number_of[one.messages.step] + late_steps * (k % 2)
+        due[min(arrives, len(steps) - 1)].append(one)
     for number, now in enumerate(steps):
         model.open_step(*now)
         for received in _batches(due[number], reverse):
@@ -114,10 +114,11 @@ def _batches(receptions: list[Reception], one_by_one: bool) -> list[ReceivedEval
     groups: dict[int, list[Reception]] = {}
     for number, one in enumerate(receptions):
         groups.setdefault(number if one_by_one else one.messages.step, []).append(one)
-    batches = [
-        ReceivedEvaluations(group[0].messages, np.array([r.holder for r in group]), np.array([r.row for r in group]))
-        for group in groups.values()
-    ]
+    batches = []
+    for group in groups.values():
+        holder = np.array([one.holder for one in group])
+        row = np.array([one.row for one in group])
+        batches.append(ReceivedEvaluations(group[0].messages, holder, row))
     return batches[::-1] if one_by_one else batches
 
 
@@ -134,9 +135,10 @@ def _order(receptions: list[Reception], played: Callable[..., TrustScores]) -> s
 
         if differs(receptions):
             few = smallest(receptions, lambda some: bool(differs(some)))
-            which = "; ".join(map(str, few[:3])) + (f" and {len(few) - 3} more" if len(few) > 3 else "")
+            n, which = len(few), "; ".join(map(str, few[:3]))
+            more = f" and {n - 3} more" if n > 3 else ""
             return (
-                f"{len(few)} message{'s' if len(few) > 1 else ''} ({which}) {what}: {differs(few)}. "
+                f"{n} message{'s' if n > 1 else ''} ({which}{more}) {what}: {differs(few)}. "
                 "Sum evidence by the step in `received.messages.step`, and decide nothing by who comes first."
             )
     return ""
@@ -166,4 +168,5 @@ def _first_row(one: TrustScores, other: TrustScores) -> str:
     if not differ.size:
         return ""
     row = differ[0]
-    return f"trust of {one.holder[row]} in {one.subject[row]} is {other.trust[row]:.6g} instead of {one.trust[row]:.6g}"
+    expected, found = one.trust[row], other.trust[row]
+    return f"trust of {one.holder[row]} in {one.subject[row]} is {found:.6g} instead of {expected:.6g}"
