@@ -24,6 +24,7 @@ from cosim.addons.benchmark.evidence import (
     Rows,
     merged,
     packed,
+    taken,
 )
 from cosim.addons.benchmark.play import Candidate, Script, play
 from cosim.addons.benchmark.score import TRUE_DETECTIONS, Advance, Counts, Figures, counts, figures
@@ -77,8 +78,9 @@ _PERIODS_S, _SLEEPS_S = (2.0, 30.0), (0.0, 30.0)
 
 def _policy(x: Float[ndarray, "7"], attacks: Sequence[str]) -> Policy:
     """The policy of a point of the search."""
+    attack, lie_p, period_s, sleep_s, deny_p, praises, disguised = x.tolist()
     return Policy(
-        attacks[round(x[0])], float(x[1]), float(x[2]), float(x[3]), float(x[4]), bool(round(x[5])), bool(round(x[6]))
+        attacks[round(attack)], lie_p, period_s, sleep_s, deny_p, bool(round(praises)), bool(round(disguised))
     )
 
 
@@ -108,12 +110,14 @@ class AdaptedEvidence:
 
             `who` has the columns of pseudonyms that may attack, and of each the column of the step in which it may.
             """
+
+            def attacked(rows: Rows) -> Bool[ndarray, "n"]:
+                """Whether each row is of a pseudonym that attacks in a step in which the policy lies."""
+                lie = [attacks[rows[one]] & policy.lies(rows[when], rules) for one, when in who.items()]
+                return np.any(lie, axis=0)
+
             plain, false = getattr(self.honest, name), getattr(self.attacked, name)
-            of_plain, of_false = (
-                np.any([attacks[rows[one]] & policy.lies(rows[when], rules) for one, when in who.items()], axis=0)
-                for rows in (plain, false)
-            )
-            return [_take(plain, ~of_plain), _take(false, of_false)]
+            return [taken(plain, ~attacked(plain)), taken(false, attacked(false))]
 
         evaluations = _union("evaluations", chosen("evaluations", observer="detection_step", evaluator="step"))
         by, of, step, said = (evaluations[c] for c in ("evaluator", "observer", "step", "detection_step"))
@@ -131,12 +135,12 @@ class AdaptedEvidence:
             self._denied(told["observer"], policy),
         )  # fmt: skip
         keeps = ~(falsified | (praised & ~is_false))
-        false = [_take(told, wanted), _take(evaluations, is_false)]
+        false = [taken(told, wanted), taken(evaluations, is_false)]
         if policy.disguised:
             false = [self._disguised(rows) for rows in false]
-        evaluations = _union("evaluations", [*false, _take(evaluations, keeps & ~is_false)])
+        evaluations = _union("evaluations", [*false, taken(evaluations, keeps & ~is_false)])
         reports = [self.honest.reports, *chosen("reports", evaluator="step")[1:]]
-        reports.append(_take(self.colluding.reports, attacks[self.colluding.reports["evaluator"]]))
+        reports.append(taken(self.colluding.reports, attacks[self.colluding.reports["evaluator"]]))
         return EvidenceStream(
             _union("detections", chosen("detections", observer="step")), _union("reports", reports), evaluations,
             _union("lookups", chosen("lookups", sender="message_step")), self.attacked.pseudonyms,
@@ -145,11 +149,13 @@ class AdaptedEvidence:
     def _disguised(self, rows: Rows) -> Rows:
         """Falsified evaluations with values of honest ones of the same sign about others' objects, drawn per row."""
         plain = self.honest.evaluations
-        drawn = rng.uniforms(rng.key(1, rng.Stream.ATTACK_TIME), packed("evaluations", rows).astype(np.uint64))[:, 0]
+        key = rng.key(1, rng.Stream.ATTACK_TIME)
+        drawn = rng.uniforms(key, packed("evaluations", rows).astype(np.uint64))[:, 0]
         found = {**rows, **{name: rows[name].copy() for name in ("evaluation", "visibility")}}
+        is_other = plain["detection_index"] > 0
         for sign in (1, -1):
             mine = np.flatnonzero(np.sign(rows["evaluation"]) == sign)
-            pool = np.flatnonzero((np.sign(plain["evaluation"]) == sign) & (plain["detection_index"] > 0))
+            pool = np.flatnonzero((np.sign(plain["evaluation"]) == sign) & is_other)
             if len(pool):
                 at = pool[(drawn[mine] * len(pool)).astype(np.int64)]
                 for name in ("evaluation", "visibility"):
@@ -161,16 +167,11 @@ class AdaptedEvidence:
         return rng.uniforms(key, pseudonym.astype(np.uint64))[:, 0] < policy.deny_p
 
 
-def _take(rows: Rows, chosen: Bool[ndarray, "n"]) -> Rows:
-    at = np.flatnonzero(chosen)
-    return {name: values[at] for name, values in rows.items()}
-
-
 def _union(name: str, parts: Sequence[Rows]) -> Rows:
     """Rows of several tables; of rows with the same key, the first."""
     rows = {c: np.concatenate([part[c] for part in parts]) for c in TABLES[name].columns}
     _, first = np.unique(packed(name, rows), return_index=True)
-    return merged(name, {c: values[first] for c, values in rows.items()})
+    return merged(name, taken(rows, first))
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,9 +255,11 @@ class Search:
     def first(self, attacks: Sequence[str]) -> Float[ndarray, "p 7"]:
         """The first policies: each attack on detections, in all messages, alone, with collusion, and with collusion in
         disguise; and true detections with collusion against all vehicles and against some."""
-        begin = [(n, p, hidden) for n in range(1, len(attacks)) for p, hidden in ((0.0, 0), (1.0, 0), (1.0, 1))]
+        collusion = ((0.0, 0), (1.0, 0), (1.0, 1))
+        begin = [(n, deny_p, hidden) for n in range(1, len(attacks)) for deny_p, hidden in collusion]
         begin += [(0, 1.0, 0), (0, 0.6, 1), (0, 0.3, 0)]
-        return np.array([[n, 1.0, _PERIODS_S[1], 0.0, p, p > 0, hidden] for n, p, hidden in begin], float)
+        period_s = _PERIODS_S[1]
+        return np.array([[n, 1.0, period_s, 0.0, p, p > 0, hidden] for n, p, hidden in begin], float)
 
     def _counts(self, world: int, policy: Policy, rules: EvidenceRules) -> Counts:
         def stream(case: str) -> EvidenceStream:

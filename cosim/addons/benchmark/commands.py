@@ -128,10 +128,11 @@ def _of_models(rows: list[dict[str, Any]], mine: dict[str, Any] | None) -> Itera
 
 def _fitted(title: str, names: Sequence[str], rows: Sequence[Sequence[str]], bold: str = "") -> Iterator[Table]:
     """Tables of columns as wide as the screen allows: each begins with the first column, and none is cut."""
-    widths = [max(len(name), *(len(row[i]) for row in rows)) + 3 for i, name in enumerate(names)]
+    widths = [max(map(len, column)) + 3 for column in zip(names, *rows, strict=True)]
     columns: list[list[int]] = [[]]
     for i in range(1, len(names)):
-        if columns[-1] and widths[0] + sum(widths[k] for k in columns[-1]) + widths[i] + 2 > screen.width:
+        width = sum(widths[k] for k in (0, *columns[-1], i)) + 2
+        if columns[-1] and width > screen.width:
             columns.append([])
         columns[-1].append(i)
     for n, chosen in enumerate(columns):

@@ -215,7 +215,7 @@ class EvidenceSet:
         changed = {column: rows[column][change] for column in table.columns}
         stays = ~np.isin(packed(name, columns), packed(name, changed))
         new = rows["gone"][change] == 0
-        return merged(name, {c: np.concatenate([columns[c][stays], changed[c][new]]) for c in columns})
+        return merged(name, joined([taken(columns, stays), taken(changed, new)]))
 
     @property
     def checksum(self) -> str:
@@ -263,10 +263,21 @@ def packed(name: str, rows: Rows) -> Int[ndarray, "n"]:
 def merged(name: str, rows: Rows) -> Rows:
     """The rows of a table, sorted by key, in the dtypes of the table."""
     for c in TABLES[name].keys:
-        most = 1 << _BITS.get(c, _PSEUDONYM_BITS)
-        assert not len(rows[c]) or 0 <= rows[c].min() <= rows[c].max() < most, f"{name}.{c} has more than {most} values"
+        values, most = rows[c], 1 << _BITS.get(c, _PSEUDONYM_BITS)
+        assert not len(values) or 0 <= values.min() <= values.max() < most, f"{name}.{c} has more than {most} values"
     order = np.argsort(packed(name, rows), kind="stable")
-    return {c: rows[c][order].astype(_DTYPES[column.type]) for c, column in TABLES[name].columns.items()}
+    dtypes = {c: _DTYPES[column.type] for c, column in TABLES[name].columns.items()}
+    return {c: rows[c][order].astype(dtype) for c, dtype in dtypes.items()}
+
+
+def taken(rows: Rows, chosen: Int[ndarray, "k"] | Bool[ndarray, "n"]) -> Rows:
+    """Some of the rows."""
+    return {column: values[chosen] for column, values in rows.items()}
+
+
+def joined(parts: Sequence[Rows]) -> Rows:
+    """The rows of all parts, which have the same columns, one part after another."""
+    return {column: np.concatenate([rows[column] for rows in parts]) for column in parts[0]}
 
 
 def difference(name: str, base: Rows, case: Rows) -> Rows:
@@ -276,11 +287,11 @@ def difference(name: str, base: Rows, case: Rows) -> Rows:
     same = np.isin(new, old)
     for column in TABLES[name].columns:
         same[same] = base[column][at[same]] == case[column][same]
-    gone = ~np.isin(old, new)
-    columns = {c: np.concatenate([case[c][~same], base[c][gone]]) for c in TABLES[name].columns}
-    order = np.argsort(packed(name, columns), kind="stable")
-    flag = np.concatenate([np.zeros((~same).sum(), np.int8), np.ones(gone.sum(), np.int8)])
-    return {"gone": flag[order]} | {c: values[order] for c, values in columns.items()}
+    came, gone = ~same, ~np.isin(old, new)
+    rows = {c: np.concatenate([case[c][came], base[c][gone]]) for c in TABLES[name].columns}
+    order = np.argsort(packed(name, rows), kind="stable")
+    flag = np.repeat(np.array([0, 1], np.int8), [came.sum(), gone.sum()])
+    return {"gone": flag[order], **taken(rows, order)}
 
 
 def assembled(
@@ -295,17 +306,13 @@ def assembled(
     for world, case, stream in streams:
         base = stream if case == 0 else base
         for name in TABLES:
-            rows: Rows = getattr(stream, name)
-            n = len(next(iter(rows.values())))
-            changed = {"gone": np.zeros(n, np.int8), **rows} if case == 0 else difference(
-                name, getattr(base, name), rows
-            )  # fmt: skip
-            n = len(changed["gone"])
-            parts[name].append({"world": np.full(n, world, np.int8), "case": np.full(n, case, np.int8), **changed})
-    tables = {
-        name: {column: np.concatenate([rows[column] for rows in of]) for column in of[0]} for name, of in parts.items()
-    }
-    return EvidenceSet(version, rules, worlds, tables)
+            changed: Rows = getattr(stream, name)
+            if case:
+                changed = difference(name, getattr(base, name), changed)
+            n = len(next(iter(changed.values())))
+            place = {"world": np.full(n, world, np.int8), "case": np.full(n, case, np.int8)}
+            parts[name].append({**place, "gone": np.zeros(n, np.int8), **changed})
+    return EvidenceSet(version, rules, worlds, {name: joined(of) for name, of in parts.items()})
 
 
 def load(folder: Path = SHIPPED) -> EvidenceSet:
@@ -319,7 +326,8 @@ def load(folder: Path = SHIPPED) -> EvidenceSet:
     try:
         with open_regular(folder / MANIFEST) as file:
             head = json.loads(file.read(_MOST_BYTES))
-        rules, worlds = _rules(head["rules"]), tuple(_place(number, one) for number, one in enumerate(head["worlds"]))
+        rules = _rules(head["rules"])
+        worlds = tuple(_place(number, one) for number, one in enumerate(head["worlds"]))
         if not isinstance(head["version"], str) or not 1 <= len(worlds) <= _MOST_NUMBERS:
             raise ValueError(f"version should be a text, and worlds 1 to {_MOST_NUMBERS} places")
         tables = {name: _read(folder, name) for name in TABLES}

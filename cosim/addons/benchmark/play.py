@@ -129,10 +129,11 @@ def _opened(stream: EvidenceStream, rules: EvidenceRules) -> list[tuple[int, nda
     rows, evaluations, found = stream.detections, stream.evaluations, []
     begins = np.searchsorted(rows["step"], np.arange(rules.n_steps + 1))
     order = np.argsort(evaluations["detection_step"], kind="stable")
+    evaluators = evaluations["evaluator"][order]
     of = np.searchsorted(evaluations["detection_step"][order], np.arange(rules.n_steps + 1))
     for step in range(rules.n_steps):
         here = slice(begins[step], begins[step + 1])
-        observer, evaluator = rows["observer"][here], evaluations["evaluator"][order[of[step] : of[step + 1]]]
+        observer, evaluator = rows["observer"][here], evaluators[of[step] : of[step + 1]]
         who = np.union1d(observer, evaluator).astype(np.int64)
         index, score = rows["detection_index"][here].astype(np.int64), rows["score"][here] / 100
         found.append((step, who, np.searchsorted(who, observer), index, score))
@@ -147,12 +148,12 @@ def _messages(stream: EvidenceStream, rules: EvidenceRules) -> list[EvaluationMe
         here = slice(begins[step], begins[step + 1])
         evaluator = reports["evaluator"][of[step] : of[step + 1]].astype(np.int64)
         by = rows["evaluator"][here].astype(np.int64)
-        found.append(EvaluationMessages(
-            step, evaluator, np.append(np.searchsorted(by, evaluator), len(by)),
-            rows["observer"][here].astype(np.int64), rows["detection_index"][here].astype(np.int64),
-            rows["evaluation"][here] / 100, rows["visibility"][here] / 100,
-            rows["detection_step"][here].astype(np.int64),
-        ))  # fmt: skip
+        ptr = np.append(np.searchsorted(by, evaluator), len(by))
+        observer, index, of_step = (
+            rows[name][here].astype(np.int64) for name in ("observer", "detection_index", "detection_step")
+        )
+        value, visibility = rows["evaluation"][here] / 100, rows["visibility"][here] / 100
+        found.append(EvaluationMessages(step, evaluator, ptr, observer, index, value, visibility, of_step))
     return found
 
 

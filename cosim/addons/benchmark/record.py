@@ -17,7 +17,9 @@ from cosim.addons.benchmark.evidence import (
     EvidenceStream,
     Rows,
     assembled,
+    joined,
     merged,
+    taken,
 )
 from cosim.config.config import Config, resolve_data
 from cosim.runs import run as running
@@ -153,13 +155,13 @@ class Case:
         tape = self.state.trust.hosts[0].model
         assert isinstance(tape, Tape)
         parts = {**self.rows, "detections": tape.opened}
-        found = {name: {c: np.concatenate([rows[c] for rows in of]) for c in of[0]} for name, of in parts.items()}
+        found = {name: joined(of) for name, of in parts.items()}
         pseudonyms = found["pseudonyms"]
         _, first = np.unique(pseudonyms["pseudonym"], return_index=True)
-        found["pseudonyms"] = {c: values[first] for c, values in pseudonyms.items()}
+        found["pseudonyms"] = taken(pseudonyms, first)
         reports, said = found["reports"], found["evaluations"]
         counts = np.isin(_present(said["detection_step"], said["evaluator"]), np.concatenate(tape.present))
-        found["evaluations"] = {c: values[counts] for c, values in said.items()}
+        found["evaluations"] = taken(said, counts)
         found["reports"] = {**reports, "arrival_step": _arrivals(reports, found["evaluations"], tape)}
         return found
 
@@ -174,11 +176,12 @@ def _arrivals(reports: Rows, evaluations: Rows, tape: Tape) -> Int[ndarray, "m"]
 
     A vehicle evaluates a message of another once, so the message that brought an evaluation is known by its content.
     """
-    arrived = {name: np.concatenate([rows[name] for rows in tape.arrived]) for name in tape.arrived[0]}
-    known = np.unique(np.concatenate([of[name] for of in (arrived, evaluations) for name in ("evaluator", "observer")]))
+    arrived = joined(tape.arrived)
+    names = ("evaluator", "observer")
+    known = np.unique(np.concatenate([rows[name] for rows in (arrived, evaluations) for name in names]))
 
     def about(rows: Rows) -> Int[ndarray, "n"]:
-        by, of = (np.searchsorted(known, rows[name]) for name in ("evaluator", "observer"))
+        by, of = (np.searchsorted(known, rows[name]) for name in names)
         return (rows["detection_step"].astype(np.int64) * len(known) + by) * len(known) + of
 
     code, first = np.unique(about(arrived), return_index=True)
@@ -199,11 +202,11 @@ def _rows(sensed: Sensed, world: World, broadcast: Int[ndarray, "capacity"]) -> 
     says = np.flatnonzero(sent.visibility > 0)
     by = np.repeat(sent.evaluator, np.diff(sent.ptr))[says]
     of = np.full(len(says), world.step) if sent.detection_step is None else sent.detection_step[says]
-    receiver, evaluator, actor = sensed.sensing.actor[used.receiver], np.unique(by), sensed.vehicles.actor
+    receiver, vehicle = sensed.sensing.actor[used.receiver], sensed.vehicles.actor[senders.vehicle]
     attack = np.zeros(int(world.actor.max()) + 1, bool)
     attack[world.actor] = world.attack > 0
     found = {
-        "reports": {"evaluator": evaluator},
+        "reports": {"evaluator": np.unique(by)},
         "evaluations": {
             "evaluator": by, "detection_step": of, "observer": sent.observer[says],
             "detection_index": sent.detection_index[says],
@@ -215,13 +218,11 @@ def _rows(sensed: Sensed, world: World, broadcast: Int[ndarray, "capacity"]) -> 
             "message_step": sensed.known.step[used.message], "broadcast_step": broadcast[receiver],
         },
     }  # fmt: skip
-    stepped = {
-        name: {"step": np.full(len(next(iter(rows.values()))), world.step), **rows} for name, rows in found.items()
-    }
-    vehicle = actor[senders.vehicle]
-    return stepped | {
-        "pseudonyms": {"pseudonym": senders.pseudonym, "vehicle": vehicle, "attacks": attack[vehicle].astype(np.int64)}
-    }
+    for name, rows in found.items():
+        n = len(next(iter(rows.values())))
+        found[name] = {"step": np.full(n, world.step), **rows}
+    attacks = attack[vehicle].astype(np.int64)
+    return found | {"pseudonyms": {"pseudonym": senders.pseudonym, "vehicle": vehicle, "attacks": attacks}}
 
 
 def _percent(values: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
@@ -234,12 +235,11 @@ def numbered(tables: list[dict[str, Rows]]) -> list[EvidenceStream]:
     if len(known) > MOST_PSEUDONYMS:
         raise ValueError(f"{len(known)} pseudonyms in one world: a set holds at most {MOST_PSEUDONYMS}.")
     names = {"observer", "evaluator", "receiver", "sender", "pseudonym", "vehicle"}
-    return [
-        EvidenceStream(**{
-            name: merged(name, {c: np.searchsorted(known, v) if c in names else v for c, v in rows.items()})
-            for name, rows in of.items()
-        }) for of in tables
-    ]  # fmt: skip
+
+    def renamed(rows: Rows) -> Rows:
+        return {c: np.searchsorted(known, values) if c in names else values for c, values in rows.items()}
+
+    return [EvidenceStream(**{name: merged(name, renamed(rows)) for name, rows in of.items()}) for of in tables]
 
 
 def config_of(place: EvidencePlace, rules: EvidenceRules, attack: str) -> Config:

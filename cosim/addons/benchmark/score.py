@@ -81,7 +81,7 @@ def counts(
     """
     asked, attacks = stream.lookups, stream.attackers()
     counted = np.flatnonzero(~attacks[asked["receiver"]] & (asked["step"] >= rules.start_step))
-    step, sender = asked["step"][counted].astype(np.int64), asked["sender"][counted].astype(np.int64)
+    step, sender = (asked[name][counted].astype(np.int64) for name in ("step", "sender"))
     trust, age_s = answers.trust[counted], answers.age_s[counted]
     rated, is_attacker = ~np.isnan(trust), attacks[sender]
     lies = is_attacker & lying[counted]
@@ -96,18 +96,25 @@ def counts(
     share = np.bincount(of, excluded[~is_attacker], len(seconds)) / np.bincount(of, minlength=len(seconds))
     delay_s, found = _delays(step[is_attacker], sender[is_attacker], excluded[is_attacker], rules.dt_s)
     return Counts(
-        above=float(above), pairs=float(len(honest) * len(other)),
-        wrong_s=float(share.sum()), honest_s=float(len(seconds)),
-        believed=float((is_attacker & ~excluded).sum()), lies_believed=float((lies & ~excluded).sum()),
-        messages=float(is_attacker.sum()), age_s=float(age_s[rated].sum()), n_aged=float(rated.sum()),
-        delay_s=delay_s, found=found,
-    )  # fmt: skip
+        above=float(above),
+        pairs=float(len(honest) * len(other)),
+        wrong_s=float(share.sum()),
+        honest_s=float(len(seconds)),
+        believed=float((is_attacker & ~excluded).sum()),
+        lies_believed=float((lies & ~excluded).sum()),
+        messages=float(is_attacker.sum()),
+        age_s=float(age_s[rated].sum()),
+        n_aged=float(rated.sum()),
+        delay_s=delay_s,
+        found=found,
+    )
 
 
 def _delays(step: ndarray, sender: ndarray, excluded: ndarray, dt_s: float) -> tuple[ndarray, ndarray]:
     """Time from each sender's first look-up to its first exclusion, or else to its last look-up; whether it was."""
     who, of = np.unique(sender, return_inverse=True)
-    since, last, first = np.full(len(who), np.inf), np.full(len(who), -np.inf), np.full(len(who), np.inf)
+    since, first = np.full((2, len(who)), np.inf)
+    last = np.full(len(who), -np.inf)
     np.minimum.at(since, of, step)
     np.maximum.at(last, of, step)
     np.minimum.at(first, of[excluded], step[excluded])
@@ -196,8 +203,9 @@ def score(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> Mode
             advance(f"{candidate.name}: attacks", case * n_worlds + world + 1, len(rules.cases) * n_worlds, name)
         found[name] = figures(of_worlds)
     quiet_p = found.pop(HONEST).wrong_p.value
-    ordered = dict(sorted(found.items(), key=lambda one: (np.isfinite(one[1].auc.value), one[1].auc.value)))
-    cost_s, n_evaluations = sum(one.cost_s for one in played), sum(one.n_evaluations for one in played)
-    return ModelScore(
-        candidate.name, candidate.sha256, threshold, quiet_p, ordered, 1e6 * cost_s / max(n_evaluations, 1)
-    )
+    auc = {name: of.auc.value for name, of in found.items()}
+    ordered = {name: found[name] for name in sorted(auc, key=lambda name: (np.isfinite(auc[name]), auc[name]))}
+    cost_s = sum(one.cost_s for one in played)
+    n_evaluations = sum(one.n_evaluations for one in played)
+    cost_us = 1e6 * cost_s / max(n_evaluations, 1)
+    return ModelScore(candidate.name, candidate.sha256, threshold, quiet_p, ordered, cost_us)

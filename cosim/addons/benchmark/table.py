@@ -26,7 +26,8 @@ Row = dict[str, Any]
 def digest() -> str:
     """Hash of the code on which a row depends: trust models, playing and scoring."""
     room = Path(str(trust.__file__)).parent
-    return code_digest((*sorted(room.rglob("*.py")), *(Path(str(module.__file__)) for module in (play, score, adapt))))
+    modules = [Path(str(module.__file__)) for module in (play, score, adapt)]
+    return code_digest([*sorted(room.rglob("*.py")), *modules])
 
 
 def citation(evidence: EvidenceSet) -> str:
@@ -125,7 +126,8 @@ def _checked(row: Row) -> Row:
     worst = row["worst_case"]
     for of in (*row["attacks"].values(), *([] if worst is None else [worst])):
         for name in (f.name for f in fields(score.Figures)):
-            if len(of[name]) != 3 or not all(x is None or isinstance(x, int | float) for x in of[name]):
+            interval = of[name]
+            if len(interval) != 3 or not all(isinstance(x, int | float | None) for x in interval):
                 raise ValueError(name)
     if not row["attacks"] or not isinstance(row["model"], str):
         raise ValueError("model, attacks")
