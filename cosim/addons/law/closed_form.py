@@ -39,12 +39,17 @@ class Company(NamedTuple):
         lookups
             Expected lookups of the subject between this sweep and its next one.
         """
-        state, same = (p < 0.5).astype(np.int64), subject[1:] == subject[:-1]
+        state = (p < 0.5).astype(np.int64)
+        same = subject[1:] == subject[:-1]
         now, next_one = state[:-1][same], state[1:][same]
-        n, changed = np.bincount(now, minlength=2), np.bincount(now, now != next_one, 2)
-        asked, evaluated = np.bincount(state, lookups, 2), np.bincount(state, lookups * p, 2)
-        means, ends = evaluated / np.maximum(asked, 1e-300), changed / np.maximum(n, 1)
-        return Company(tuple(means.tolist()), float(asked[0] / max(asked.sum(), 1e-300)), tuple(ends.tolist()))
+        n = np.bincount(now, minlength=2)
+        changed = np.bincount(now, now != next_one, 2)
+        asked = np.bincount(state, lookups, 2)
+        evaluated = np.bincount(state, lookups * p, 2)
+        evaluated_p = evaluated / np.maximum(asked, 1e-300)
+        ends_p = changed / np.maximum(n, 1)
+        looked_up = float(asked[0] / max(asked.sum(), 1e-300))
+        return Company(tuple(evaluated_p.tolist()), looked_up, tuple(ends_p.tolist()))
 
     @property
     def mean_p(self) -> float:
@@ -98,17 +103,17 @@ def closed_form(
             if shift >= n_ages:
                 break
             there = company.in_company((shift + (sense_every_steps + 1) / 2) / sense_every_steps)
-            age[shift : shift + gaps.shape[1]] += (
-                (1 - loss_p) * loss_p**lost * (there * gaps[0] + (1 - there) * gaps[1])
-            )
+            gap = there * gaps[0] + (1 - there) * gaps[1]
+            age[shift : shift + len(gap)] += (1 - loss_p) * loss_p**lost * gap
     age = age[:n_ages]
     return age / age.sum() if age.sum() > 0 else age
 
 
 def _gaps(company: Company, state: int, window_steps: int, every: int) -> Float[ndarray, "w"]:
     """Probability of W + n G for a subject in this state at its last sweep. What the window cuts is missing."""
-    p, ends = np.array(company.p), company.ends_p
-    moves = np.array([[1 - ends[0], ends[0]], [ends[1], 1 - ends[1]]])
+    p = np.array(company.p)
+    parts, meets = company.ends_p
+    moves = np.array([[1 - parts, parts], [meets, 1 - meets]])
     gap = np.zeros(max(window_steps, every + 1))
     for w in range(1, every + 1):
         missed = (1 - p[state]) ** (w / every)

@@ -131,9 +131,11 @@ def _write_grid(experiment: Any, path: Path, advance: Any) -> None:
     study, found = propose(experiment, path.stem, advance)
     head = ["# Chosen by `cosim predict freshness`. Predicted median and 90th percentile of the age of the newest",
             "# evaluation at lookup [s], and share of lookups without a value:"]  # fmt: skip
+    names = (*list(_SHORT)[:2], "freshness.lookup_state.share:no value")
     for keys, p in found:
-        values = [p.metrics[name] for name in (*list(_SHORT)[:2], "freshness.lookup_state.share:no value")]
-        head.append(f"# {', '.join(f'{k} = {v:g}' for k, v in keys.items())}: " + ", ".join(f"{v:.3g}" for v in values))
+        point = ", ".join(f"{key} = {value:g}" for key, value in keys.items())
+        values = ", ".join(f"{p.metrics[name]:.3g}" for name in names)
+        head.append(f"# {point}: {values}")
     write_output(path, ("\n".join(head) + "\n\n" + study.to_toml()).encode())
     screen.print(f"wrote {path}: {len(found)} points. Next: cosim sweep {path} --out FOLDER", soft_wrap=True)
 
@@ -156,18 +158,23 @@ def _table(found: list[tuple[Any, "Prediction"]], measured: list[dict[str, float
 
 
 def _draw(
-    path: Path, found: list[tuple[Any, "Prediction"]], against: Path | None, measured: list[dict[str, float]] | None
+    path: Path,
+    found: list[tuple[Any, "Prediction"]],
+    against: Path | None,
+    measured: list[dict[str, float]] | None,
 ) -> None:
     """Draw distributions, and those of a run beside; or the points of a study."""
     from cosim.addons.law import figure as law
     from results.figures import style
 
     if against is not None and measured is not None and any(keys for keys, _ in found):
-        figure = law.draw([], [], [law.points_of(against.name, [p.metrics for _, p in found], measured)])
+        predicted = [p.metrics for _, p in found]
+        figure = law.draw([], [], [law.points_of(against.name, predicted, measured)])
     else:
-        curves = [
-            law.Curve(", ".join(f"{k} = {v}" for k, v in keys.items()) or p.variant, p.age_s, p.newest)
-            for keys, p in found
-        ]
-        figure = law.draw(curves, [] if against is None else law.measured(against, [p.variant for _, p in found]))
+        curves = []
+        for keys, p in found:
+            point = ", ".join(f"{key} = {value}" for key, value in keys.items())
+            curves.append(law.Curve(point or p.variant, p.age_s, p.newest))
+        simulation = [] if against is None else law.measured(against, [p.variant for _, p in found])
+        figure = law.draw(curves, simulation)
     notes.print(f"wrote {style.save(figure, path)}", soft_wrap=True)

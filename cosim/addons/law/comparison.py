@@ -85,13 +85,15 @@ def measured_in(folder: Path, predictions: Sequence[tuple[Mapping[str, Any], Pre
     predictions
         Swept keys (none for a run) and prediction.
     """
+    found = []
     if not is_study(folder):
         run = open_run(folder)
         there = set(run.variants)
-        return [measured_by(measure(run.as_variant(p.variant))) if p.variant in there else {} for _, p in predictions]
+        for _, p in predictions:
+            found.append(measured_by(measure(run.as_variant(p.variant))) if p.variant in there else {})
+        return found
     measures = open_study(folder).measures
     measures = measures[measures.replicate == 0]
-    found = []
     for keys, _ in predictions:
         rows = pd.Series(True, index=measures.index)
         for key, value in keys.items():
@@ -105,7 +107,8 @@ def measured_in(folder: Path, predictions: Sequence[tuple[Mapping[str, Any], Pre
 
 
 def rows_of(
-    predictions: Sequence[tuple[Mapping[str, Any], Prediction]], measured: Sequence[Mapping[str, float]] | None = None
+    predictions: Sequence[tuple[Mapping[str, Any], Prediction]],
+    measured: Sequence[Mapping[str, float]] | None = None,
 ) -> list[dict[str, Any]]:
     """One row per prediction and metric: keys, variant, metric, label, value, low, high, and what was measured."""
     rows = []
@@ -129,7 +132,8 @@ def as_json(predictions: Sequence[tuple[Mapping[str, Any], Prediction]]) -> list
     """The predictions as plain data, with the distribution of the age of the newest evaluation."""
     found = []
     for keys, p in predictions:
-        total, there = p.newest.sum(), p.newest > 1e-9 * max(p.newest.max(initial=0.0), 1e-300)
+        total = p.newest.sum()
+        there = p.newest > 1e-9 * max(p.newest.max(initial=0.0), 1e-300)
         found.append({
             "keys": dict(keys), "variant": p.variant, "server_period_s": p.period_s,
             "metrics": without_nan(p.metrics), "low": p.low, "high": p.high, "closed_form": without_nan(p.closed),

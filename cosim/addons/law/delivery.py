@@ -86,7 +86,8 @@ class Load:
         length_bytes
             Expected length of each vehicle's message; 0 for those that send none.
         """
-        p, length = links.delivered_p(length_bytes), np.where(length_bytes > 0, _whole(length_bytes), 0)
+        p = links.delivered_p(length_bytes)
+        length = np.where(length_bytes > 0, _whole(length_bytes), 0)
         many = np.minimum(np.log2(segments(length)[0]), _LENGTHS - 1).astype(np.int64)
         of = links.crowd * _LENGTHS + many[links.sender]
         if number % _SAMPLE_EVERY < _SAMPLE_STEPS:
@@ -106,8 +107,9 @@ class Load:
         key = links.sender * n + links.receiver
         order = np.argsort(key, kind="stable")
         there = got.message * n + got.receiver  # one message per station: message and sender are the same row
-        at = np.minimum(np.searchsorted(key[order], there), max(len(order) - 1, 0))
-        at = order[at[key[order][at] == there]] if len(order) else at[:0]
+        ordered = key[order]
+        at = np.minimum(np.searchsorted(ordered, there), max(len(order) - 1, 0))
+        at = order[at[ordered[at] == there]] if len(order) else at[:0]
         self.received[kind] += np.bincount(of[at], minlength=self.received.shape[1])
         self.expected[kind] += np.bincount(of, p, self.expected.shape[1])
 
@@ -158,12 +160,12 @@ class Delivery:
             xyz_m, stations.key, p, shadowing, self.los, above_street_m=stations.above_street_m
         )
         sender = owner_of_rows(np.diff(links.ptr))
-        apart_m = np.hypot(*(xyz_m[sender, :2] - xyz_m[links.receiver, :2]).T)
+        between_m = xyz_m[sender, :2] - xyz_m[links.receiver, :2]
+        in_range = np.hypot(*between_m.T) <= self.params.range_m
+        detectable_dbm = self.params.receiver.detectable_dbm
         power_dbm = 10 * np.log10(links.power_mw)
         strongest_dbm = power_dbm + 10 * np.log10(fading_quantiles()[links.fading, -1])
-        near = np.flatnonzero(
-            sends[sender] & (apart_m <= self.params.range_m) & (strongest_dbm >= self.params.receiver.detectable_dbm)
-        )
+        near = np.flatnonzero(sends[sender] & in_range & (strongest_dbm >= detectable_dbm))
         sender, receiver = sender[near], links.receiver[near].astype(np.int64)
         power_dbm, fading = power_dbm[near], links.fading[near]
 
@@ -173,9 +175,9 @@ class Delivery:
             return frame ** n[sender]
 
         heard = np.bincount(receiver, minlength=len(stations))[receiver]
-        strength = np.clip((power_dbm - self.params.receiver.detectable_dbm) / _POWER_DB + 2, 0, _POWERS - 1)
+        strength = np.clip((power_dbm - detectable_dbm) / _POWER_DB + 2, 0, _POWERS - 1).astype(np.int64)
         crowd = np.minimum(np.log2(np.maximum(heard, 1)), _CROWDS - 1).astype(np.int64)
-        return LinkPairs(sender, receiver, delivered_p, strength.astype(np.int64) * _CROWDS + crowd, stations)
+        return LinkPairs(sender, receiver, delivered_p, strength * _CROWDS + crowd, stations)
 
 
 def expected_cpm_bytes(params: CpmParams, n_objects: Float[ndarray, "m"]) -> Float[ndarray, "m"]:
@@ -198,7 +200,10 @@ def _whole(length_bytes: Float[ndarray, "e"]) -> Int[ndarray, "e"]:
 
 
 def received_p(
-    power_dbm: Float[ndarray, "p"], fading: Int[ndarray, "p"], length_bytes: Int[ndarray, "p"], params: ReceiverParams
+    power_dbm: Float[ndarray, "p"],
+    fading: Int[ndarray, "p"],
+    length_bytes: Int[ndarray, "p"],
+    params: ReceiverParams,
 ) -> Float[ndarray, "p"]:
     """Probability that a frame is received on an idle channel, over fading.
 
@@ -223,7 +228,8 @@ def received_p(
     size = np.clip(length_bytes / 64, 0, table.shape[1] - 1).astype(np.int64)
     i = level.astype(np.int64)
     t = level - i
-    return (1 - t) * table[fading, size, i] + t * table[fading, size, i + 1]
+    below, above = table[fading, size, i], table[fading, size, i + 1]
+    return (1 - t) * below + t * above
 
 
 @cache
@@ -237,7 +243,8 @@ def _success(params: ReceiverParams) -> tuple[float, Float[ndarray, "classes len
     table = np.empty((len(gains_db), len(lengths), len(mean_dbm)))
     for fading, gain_db in enumerate(gains_db):
         dbm = mean_dbm[:, None] + gain_db[None, ::8]
-        errors = np.exp(np.minimum((x0 - (dbm - params.noise_dbm)) / w, 50.0)) / 336.0
+        snr_db = dbm - params.noise_dbm
+        errors = np.exp(np.minimum((x0 - snr_db) / w, 50.0)) / 336.0
         detected = dbm >= params.detectable_dbm
         for k, length in enumerate(lengths):
             table[fading, k] = np.mean(detected * np.exp(-length * errors), axis=1)

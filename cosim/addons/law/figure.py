@@ -45,7 +45,8 @@ def measured(folder: Path, variants: Sequence[str]) -> list[Curve]:
     for variant in variants:
         if variant in run.variants:
             given = freshness.distribution(run.as_variant(variant))
-            curves.append(Curve(variant, given.age_s.to_numpy()[1:], np.diff(given.share.to_numpy())))
+            weight = np.diff(given.share.to_numpy())
+            curves.append(Curve(variant, given.age_s.to_numpy()[1:], weight))
     return curves
 
 
@@ -66,13 +67,19 @@ def _curves(axes: Axes, law: Sequence[Curve], simulation: Sequence[Curve]) -> No
     for i, curve in enumerate(law[:_MOST]):
         share = np.cumsum(curve.weight) / max(float(curve.weight.sum()), 1e-300)
         axes.step(curve.age_s, share, where="post", color=style.ink(i), label=f"{curve.name}: law")
-        longest_s = max(longest_s, float(curve.age_s[min(int(np.searchsorted(share, 0.99)), len(share) - 1)]))
+        nearly_all = min(int(np.searchsorted(share, 0.99)), len(share) - 1)
+        longest_s = max(longest_s, float(curve.age_s[nearly_all]))
         for one in simulation:
             if one.name == curve.name:
                 axes.plot(
-                    one.age_s, np.cumsum(one.weight) / one.weight.sum(), linestyle="none", marker=style.marker(i),
-                    markerfacecolor="none", color=style.ink(i), label=f"{curve.name}: simulation",
-                )  # fmt: skip
+                    one.age_s,
+                    np.cumsum(one.weight) / one.weight.sum(),
+                    linestyle="none",
+                    marker=style.marker(i),
+                    markerfacecolor="none",
+                    color=style.ink(i),
+                    label=f"{curve.name}: simulation",
+                )
     style.panel(axes, "Age of the newest evaluation at lookup", "Age [s]", "Share of values at most this old")
     style.share_axis(axes)
     axes.set_xlim(0, 1.05 * longest_s)
@@ -80,18 +87,24 @@ def _curves(axes: Axes, law: Sequence[Curve], simulation: Sequence[Curve]) -> No
 
 
 def _points(axes: Axes, points: Sequence[Points]) -> None:
-    every = np.concatenate([np.concatenate([p.law_s, p.measured_s]).ravel() for p in points])
+    every = np.concatenate([ages for p in points for ages in (p.law_s, p.measured_s)])
     every = every[np.isfinite(every) & (every > 0)]
     ends = np.array([0.8 * every.min(initial=1.0), 1.25 * every.max(initial=10.0)])
     for share, dash in ((0.0, "-"), (0.1, style.dash(1)), (0.2, style.dash(2))):
         for sign in (1, -1) if share else (1,):
             axes.plot(ends, ends * (1 + sign * share), color=style.PALE, linestyle=dash, linewidth=0.9)
     for i, p in enumerate(points[:_MOST]):
-        for k, what in enumerate(("median", "90th percentile")):
+        ink = style.ink(i)
+        for k, (what, fill) in enumerate((("median", ink), ("90th percentile", "none"))):
             axes.plot(
-                p.measured_s[:, k], p.law_s[:, k], linestyle="none", marker=style.marker(i), color=style.ink(i),
-                markerfacecolor=style.ink(i) if k == 0 else "none", label=f"{p.name}, {what}",
-            )  # fmt: skip
+                p.measured_s[:, k],
+                p.law_s[:, k],
+                linestyle="none",
+                marker=style.marker(i),
+                color=ink,
+                markerfacecolor=fill,
+                label=f"{p.name}, {what}",
+            )
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlim(*ends)
@@ -105,7 +118,7 @@ def _points(axes: Axes, points: Sequence[Points]) -> None:
     ] + [
         Line2D([], [], linestyle="none", marker="o", color="grey", markerfacecolor=fill, label=what)
         for fill, what in (("grey", "median"), ("none", "90th percentile"))
-    ]  # fmt: skip
+    ]
     axes.legend(handles=entries, loc="upper left", fontsize=style.SMALLEST)
 
 
@@ -113,7 +126,6 @@ def points_of(name: str, law: Sequence[dict[str, Any]], measured: Sequence[dict[
     """Points from the metrics of each, for those that were measured."""
     metrics = [f"freshness.newest_evaluation_age.{what}" for what in ("median_s", "p90_s")]
     both = [(p, m) for p, m in zip(law, measured, strict=True) if metrics[0] in m]
-    return Points(name, *(
-        np.array([[one[metric] for metric in metrics] for one in column], float).reshape(-1, 2)
-        for column in (zip(*both, strict=True) if both else ((), ()))
-    ))  # fmt: skip
+    law_s = np.array([[p[metric] for metric in metrics] for p, _ in both], float)
+    measured_s = np.array([[m[metric] for metric in metrics] for _, m in both], float)
+    return Points(name, law_s.reshape(-1, 2), measured_s.reshape(-1, 2))

@@ -137,15 +137,18 @@ class Fleet:
         config = self.config
         classes = {name.upper() for name in config.fleet.equipped_kinds}
         can = np.array([shape.name in classes for shape in Shape])[world.shape]
-        draw = rng.uniforms(rng.key(config.seed, rng.Stream.EQUIPPED), world.name_key)[:, 0]
+        key = rng.key(config.seed, rng.Stream.EQUIPPED)
+        draw = rng.uniforms(key, world.name_key)[:, 0]
         return replace(world, equipped=can & (draw < config.fleet.penetration_p))
 
     def _sense(self, world: World, row: Int[ndarray, "v"]) -> None:
         """Add a step with equipped vehicles: some of them, or all, sense, send, evaluate and look up."""
-        config, actor, n, step = self.config, world.actor[row], len(row), self.step
+        config, step = self.config, self.step
+        actor, n = world.actor[row], len(row)
         senses = self.schedule.senses(world.step, world.name_key[row])
         mine = np.flatnonzero(senses)
-        views, links = self.sensing.views(world, row[mine]), self.delivery.links(world, row, senses)
+        views = self.sensing.views(world, row[mine])
+        links = self.delivery.links(world, row, senses)
         self.sweeps = self.sweeps.then(views, world.actor, step, actor)
         subjects, subject_step = self.sweeps.views.own, self.sweeps.step
         n_self = int(config.trust.self_reports)
@@ -158,7 +161,8 @@ class Fleet:
         s, v = np.searchsorted(subjects, told.sender), np.searchsorted(subjects, told.receiver)
         found = chances(self.sweeps.views, s, v, config.trust.self_reports)
         evaluated_p = told.p * (1.0 - found.none_p)
-        n_received = np.bincount(np.searchsorted(actor, told.receiver), told.p * found.n_listed, n)[mine]
+        receiver = np.searchsorted(actor, told.receiver)
+        n_received = np.bincount(receiver, told.p * found.n_listed, n)[mine]
         length_bytes[mine] = evaluation_bytes(n_self + views.n_listed + n_received)  # type: ignore[arg-type]  # expected lengths
         begin_s += config.round_s
         heard_p = self.load.delivered_p(RoundKind.EVALUATION, step, begin_s, links, length_bytes)
@@ -179,32 +183,38 @@ class Fleet:
         return NewestReceived(actor[links.sender], actor[links.receiver], p, apart_m)
 
     def _evaluate(
-        self, subjects: Int[ndarray, "e"], subject_step: Int[ndarray, "e"], s: Int[ndarray, "p"],
-        evaluator: Int[ndarray, "p"], evaluated_p: Float[ndarray, "p"],
-    ) -> None:  # fmt: skip
+        self,
+        subjects: Int[ndarray, "e"],
+        subject_step: Int[ndarray, "e"],
+        s: Int[ndarray, "p"],
+        evaluator: Int[ndarray, "p"],
+        evaluated_p: Float[ndarray, "p"],
+    ) -> None:
         """Add the chances that vehicles evaluate subjects `s` in this step."""
         late = self.step - subject_step[s]  # the evaluation is as much later than the detections
         n_late = (self.schedule.longest_steps - 1) // self.schedule.exchange_every_steps
-        in_time_p = np.concatenate([np.zeros(n_late), self.arrived_p, np.full(n_late, self.arrived_p[-1])])
+        at_last = np.full(n_late, self.arrived_p[-1])
+        in_time_p = np.concatenate([np.zeros(n_late), self.arrived_p, at_last])
         log_none = np.zeros((len(self.arrived_p) + n_late, len(subjects)))
         for lag, row in enumerate(log_none):
             known_p = evaluated_p * in_time_p[n_late + lag - late]
-            row += np.bincount(s, np.log1p(-np.minimum(known_p, 1 - 1e-12)), len(subjects))
+            row += np.bincount(s, _log_not(known_p), len(subjects))
         self.evidence.append((subjects, subject_step, log_none))
         kept = np.flatnonzero(evaluated_p > _LEAST_P)
-        self.pairs.append((
-            subjects[s[kept]], evaluator[kept], subject_step[s[kept]], np.full(len(kept), self.step),
-            np.log1p(-np.minimum(evaluated_p[kept] * self.arrived_p[-1], 1 - 1e-12)),
-        ))  # fmt: skip
+        of = s[kept]
+        reported_p = evaluated_p[kept] * self.arrived_p[-1]
+        made = np.full(len(kept), self.step)
+        self.pairs.append((subjects[of], evaluator[kept], subject_step[of], made, _log_not(reported_p)))
 
     def _look_up(self, subjects: Int[ndarray, "e"], subject_step: Int[ndarray, "e"], heard: NewestReceived) -> None:
         """Add the lookups of this step: by the receivers of these messages, about their senders."""
         config, step, n = self.config, self.step, len(subjects)
         subject = np.searchsorted(subjects, heard.sender)
         self.asked.append((subjects, subject_step, np.bincount(subject, heard.p, n)))
-        near = np.flatnonzero(heard.apart_m <= _MEETING * max((p.radius_m for p in config.encounters[:1]), default=0.0))
+        radius_m = config.encounters[0].radius_m if config.encounters else 0.0
+        near = np.flatnonzero(heard.apart_m <= _MEETING * radius_m)
         pair = heard.receiver[near].astype(np.int64) << 32 | heard.sender[near]
-        self.heard.append((pair, np.full(len(near), step), np.log1p(-np.minimum(heard.p[near], 1 - 1e-12))))
+        self.heard.append((pair, np.full(len(near), step), _log_not(heard.p[near])))
         since = np.array([self.since[one] for one in heard.receiver.tolist()], np.int64)
         server, at_s = config.server.cellular, 2 * config.round_s
         for period_s, gate in self.gates.items():
@@ -244,21 +254,23 @@ class Fleet:
             asked[np.searchsorted(actors, actor), step] += n
         since = np.where(sent.any(axis=1), sent.argmax(axis=1), self.step)
         subject, step = np.nonzero(sent)
-        company = Company.measured(-np.expm1(log_none[-1, subject, step]), subject, asked[subject, step])
+        evaluated_p = -np.expm1(log_none[-1, subject, step])
+        company = Company.measured(evaluated_p, subject, asked[subject, step])
         evidence = law.EvidenceChances(log_none)
         pair_steps, pair_subject = self._pair_steps(actors)
         meetings = self._meetings(actors)
         inputs = self._inputs(company, float(asked.sum()))
         looks = {period_s: self._looks_of(rows, actors) for period_s, rows in self.looks.items()}
         found = FleetFindings(evidence, since, pair_steps, pair_subject, meetings, self.first_lag, company)
-        gates, loss_p = self.gates, self.config.server.cellular.downlink_loss_p
-        made = [predicted(of, self.config, found, gates[of.period_s], looks.get(of.period_s)) for of in self.servers]
-        runs: list[list[dict[str, float]]] = [[] for _ in self.servers]
+        loss_p = self.config.server.cellular.downlink_loss_p
+        servers = [(of, self.gates[of.period_s], looks.get(of.period_s)) for of in self.servers]
+        made = [predicted(of, self.config, found, gate, looked) for of, gate, looked in servers]
+        runs: list[list[dict[str, float]]] = [[] for _ in servers]
         random = np.random.default_rng(self.config.seed)
         for _ in range(n_draws):
             run = drawn(found, self.arrived_p, random)
-            for of, p, rows in zip(self.servers, made, runs, strict=True):
-                rows.append(counted(of, run, gates[of.period_s], looks.get(of.period_s), p.age_s, loss_p)[1])
+            for (of, gate, looked), p, rows in zip(servers, made, runs, strict=True):
+                rows.append(counted(of, run, gate, looked, p.age_s, loss_p)[1])
         return made, runs, inputs
 
     @property
@@ -309,12 +321,18 @@ class Fleet:
         )
         both = np.isin(a, actors) & np.isin(b, actors)
         a, b = a[both], b[both]
-        start, end = (np.tile(-(-x[both] // self.schedule.exchange_every_steps), 2) for x in (start, end))
+        every = self.schedule.exchange_every_steps
+        start, end = (np.tile(-(-steps[both] // every), 2) for steps in (start, end))
         holder, other = np.concatenate([a, b]), np.concatenate([b, a])
         since = np.array([self.since[one] for one in holder.tolist()], np.int64)
         keys, steps, log_missed = (np.concatenate(c) for c in zip(*self.heard, strict=True))
         order = np.lexsort((steps, keys))
-        first, stop = (np.searchsorted(keys[order], holder << 32 | other, side) for side in ("left", "right"))
-        return law.Encounters(
-            since, np.searchsorted(actors, other), start, end, first, stop, steps[order], log_missed[order]
-        )
+        pairs = holder << 32 | other
+        first, stop = (np.searchsorted(keys[order], pairs, side) for side in ("left", "right"))
+        subject = np.searchsorted(actors, other)
+        return law.Encounters(since, subject, start, end, first, stop, steps[order], log_missed[order])
+
+
+def _log_not(p: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
+    """Logarithms of the probabilities that something does not happen; finite where it is certain."""
+    return np.log1p(-np.minimum(p, 1 - 1e-12))

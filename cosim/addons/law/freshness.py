@@ -80,7 +80,8 @@ def predict_study(study: Study, where: str, advance: Advance, n_fleets: int = 0)
         config = config_at(study, keys, 0, where)
         servers_of(config)  # says what is not covered
         evidence = TrustParams(self_reports=config.trust.self_reports)
-        server, config = server_of(f"point {number}", config.trust, config), replace(config, trust=evidence)
+        server = server_of(f"point {number}", config.trust, config)
+        config = replace(config, trust=evidence)
         found = next((k for k, of in enumerate(experiments) if of.config == config), len(experiments))
         if found == len(experiments):
             experiments.append(Experiment(config, ()))
@@ -98,8 +99,8 @@ def predict_all(experiments: Sequence[Experiment], advance: Advance, n_fleets: i
         traffic = experiments[left[0]].config.traffic
         group = [k for k in left if experiments[k].config.traffic == traffic]
         left = [k for k in left if k not in group]
-        for k, one in zip(group, _of_traffic([experiments[k] for k in group], advance, n_fleets), strict=True):
-            found[k] = one
+        made = _of_traffic([experiments[k] for k in group], advance, n_fleets)
+        found |= dict(zip(group, made, strict=True))
     return [found[k] for k in range(len(experiments))]
 
 
@@ -127,9 +128,10 @@ def _joined(fleets: Sequence[Fleet]) -> Predicted:
     found = [fleet.predictions(len(range(k, N_DRAWS, len(fleets)))) for k, fleet in enumerate(fleets)]
     made, _, inputs = found[0]
     by_server = zip(*(runs for _, runs, _ in found), strict=True)
-    return Predicted(
-        [with_intervals(p, list(chain.from_iterable(runs))) for p, runs in zip(made, by_server, strict=True)], inputs
-    )
+    predictions = []
+    for p, of_fleets in zip(made, by_server, strict=True):
+        predictions.append(with_intervals(p, list(chain.from_iterable(of_fleets))))
+    return Predicted(predictions, inputs)
 
 
 def _worlds(config: Config, parts: Parts, scenario: Any, traffic: Any, advance: Advance) -> Iterator[World]:

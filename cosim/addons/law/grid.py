@@ -52,7 +52,7 @@ def propose(config: Config, name: str, advance: Advance) -> tuple[Study, list[tu
     full = _study(name, base, values)
     predicted = predict_study(full, name, advance)
     kept = {key: _apart(predicted, key, given) for key, given in values.items()}
-    chosen = [(keys, p) for keys, p in predicted if all(keys[key] in kept[key] for key in kept)]
+    chosen = [(keys, p) for keys, p in predicted if all(keys[key] in some for key, some in kept.items())]
     return _study(name, base, kept), chosen
 
 
@@ -68,13 +68,16 @@ def _apart(predicted: Sequence[tuple[Keys, Prediction]], key: str, values: Seque
     """The values of one axis between which freshness changes, the first one included."""
 
     def at(value: float, names: Sequence[str]) -> np.ndarray:
-        return np.array([[p.metrics[name] for name in names] for keys, p in predicted if keys[key] == value])
+        found = [p.metrics for keys, p in predicted if keys[key] == value]
+        return np.array([[metrics[name] for name in names] for metrics in found])
 
     kept = [values[0]]
     for value in values[1:]:
         ages, before = at(value, _AGES), at(kept[-1], _AGES)
         shares, earlier = at(value, _STATES), at(kept[-1], _STATES)
         known = np.isfinite(ages) & np.isfinite(before)
-        if (np.abs(ages - before)[known] >= _AGE * before[known]).any() or (np.abs(shares - earlier) >= _SHARE).any():
+        is_other_age = np.abs(ages - before)[known] >= _AGE * before[known]
+        is_other_share = np.abs(shares - earlier) >= _SHARE
+        if is_other_age.any() or is_other_share.any():
             kept.append(value)
     return tuple(kept)

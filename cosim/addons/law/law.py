@@ -238,15 +238,19 @@ def behind(
     weights = np.bincount(cell[known], looks.n[known], len(publications) * n_subjects)
     weights = weights.reshape(len(publications), n_subjects)
     log_none = np.zeros(len(pair_subject))
-    in_time = np.flatnonzero(found.made + first_lag < found.step + window_steps)
-    orders = [in_time[np.argsort(step[in_time], kind="stable")] for step in (found.made + first_lag, found.step)]
-    arrives, expires = (found.made + first_lag)[orders[0]], found.step[orders[1]] + window_steps
+    arrives, expires = found.made + first_lag, found.step + window_steps
+    in_time = np.flatnonzero(arrives < expires)
+    changes = []
+    for sign, when in ((1.0, arrives), (-1.0, expires)):
+        order = in_time[np.argsort(when[in_time], kind="stable")]
+        changes.append((sign, order, when[order]))
     done = [0, 0]
     evaluators = 0.0
     for b, weight in zip(publications.tolist(), weights, strict=True):
-        for k, (sign, when) in enumerate(((1.0, arrives), (-1.0, expires))):
+        for k, (sign, order, when) in enumerate(changes):
             until = int(np.searchsorted(when, b, "right"))
-            rows, done[k] = orders[k][done[k] : until], until
+            rows = order[done[k] : until]
+            done[k] = until
             np.add.at(log_none, found.pair[rows], sign * found.log_none[rows])
         each = np.bincount(pair_subject, -np.expm1(np.minimum(log_none, 0.0)), n_subjects)
         evaluators += float(weight @ each)
@@ -300,7 +304,8 @@ def without_trust(
     """
     if not len(meetings.subject):
         return float("nan")
-    summed = np.concatenate([np.zeros((evidence.log_none.shape[1], 1)), np.cumsum(evidence.log_none[-1], 1)], axis=1)
+    at_last = evidence.log_none[-1]
+    summed = np.concatenate([np.zeros((len(at_last), 1)), np.cumsum(at_last, 1)], axis=1)
     total = _without_trust(evidence.log_none, summed, gate.steps, meetings, window_steps, loss_p, n_followed(loss_p))
     return float(total / len(meetings.subject))
 
@@ -342,4 +347,5 @@ def quantile(age_s: Float[ndarray, "n"], weight: Float[ndarray, "n"], share: flo
     total = np.cumsum(weight)
     if not len(total) or total[-1] <= 0:
         return float("nan")
-    return float(age_s[min(int(np.searchsorted(total, share * total[-1] * (1 - 1e-12))), len(age_s) - 1)])
+    reached = int(np.searchsorted(total, share * total[-1] * (1 - 1e-12)))
+    return float(age_s[min(reached, len(age_s) - 1)])

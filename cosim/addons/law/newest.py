@@ -24,7 +24,8 @@ class NewestReceived:
     @staticmethod
     def none() -> "NewestReceived":
         """No messages."""
-        return NewestReceived(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+        nobody, nothing = np.zeros(0, np.int64), np.zeros(0)
+        return NewestReceived(nobody, nobody, nothing, nothing)
 
     def then(self, newer: "NewestReceived", senders: Int[ndarray, "s"], present: Int[ndarray, "v"]) -> "NewestReceived":
         """These messages after some vehicles have sent newer ones, without vehicles that have left the road.
@@ -36,9 +37,8 @@ class NewestReceived:
         senders, present
             Actor numbers of those that have sent, and of all equipped vehicles, ascending.
         """
-        kept = np.flatnonzero(
-            ~np.isin(self.sender, senders) & np.isin(self.sender, present) & np.isin(self.receiver, present)
-        )
+        are_present = np.isin(self.sender, present) & np.isin(self.receiver, present)
+        kept = np.flatnonzero(~np.isin(self.sender, senders) & are_present)
         return NewestReceived(*(
             np.concatenate([getattr(self, name)[kept], getattr(newer, name)])
             for name in ("sender", "receiver", "p", "apart_m")
@@ -66,9 +66,8 @@ class SweepTimes:
     def none() -> "SweepTimes":
         """No sweeps."""
         nobody, nothing = np.zeros(0, np.int64), np.zeros(0)
-        return SweepTimes(
-            ViewTimes(nobody, np.zeros(1, np.int64), nobody, nothing, np.zeros(0, bool), nothing, 0.0), nobody
-        )
+        views = ViewTimes(nobody, np.zeros(1, np.int64), nobody, nothing, np.zeros(0, bool), nothing, 0.0)
+        return SweepTimes(views, nobody)
 
     def then(self, views: ViewTimes, actor: Int[ndarray, "n"], step: int, present: Int[ndarray, "v"]) -> "SweepTimes":
         """These sweeps after some vehicles have sensed, without those of vehicles that have left the road.
@@ -88,15 +87,18 @@ class SweepTimes:
         kept = np.flatnonzero(~np.isin(old.own, new) & np.isin(old.own, present))
         own = np.concatenate([old.own[kept], new])
         order = np.argsort(own)
+        begin_new = len(old.body) + views.ptr[:-1]
         count = np.concatenate([np.diff(old.ptr)[kept], np.diff(views.ptr)])[order]
-        start = np.concatenate([old.ptr[kept], len(old.body) + views.ptr[:-1]])[order]
+        start = np.concatenate([old.ptr[kept], begin_new])[order]
         rows = ranges(start, count)
-        body, seen_p, inside, detected_p = (
-            np.concatenate([of_old, of_new])[rows]
-            for of_old, of_new in (
-                (old.body, actor[views.body]), (old.seen_p, views.seen_p), (old.inside, views.inside),
-                (old.detected_p, views.detected_p),
-            )
-        )  # fmt: skip
-        joined = ViewTimes(own[order], offsets(count), body, seen_p, inside, detected_p, views.n_false)
-        return SweepTimes(joined, np.concatenate([self.step[kept], np.full(len(new), step)])[order])
+        joined = ViewTimes(
+            own=own[order],
+            ptr=offsets(count),
+            body=np.concatenate([old.body, actor[views.body]])[rows],
+            seen_p=np.concatenate([old.seen_p, views.seen_p])[rows],
+            inside=np.concatenate([old.inside, views.inside])[rows],
+            detected_p=np.concatenate([old.detected_p, views.detected_p])[rows],
+            n_false=views.n_false,
+        )
+        steps = np.concatenate([self.step[kept], np.full(len(new), step)])
+        return SweepTimes(joined, steps[order])

@@ -52,8 +52,10 @@ class SiteCoverage:
         """By how much candidate c raises the objective, if `best` is what the units so far reach."""
         rows = slice(self.ptr[c], self.ptr[c + 1])
         element, young = self.element[rows], self.young[rows]
-        more = young > best[element]
-        return float(((young[more] - best[element[more]]) * self.weight[element[more]]).sum())
+        reached = best[element]
+        more = young > reached
+        younger = young[more] - reached[more]
+        return float((younger * self.weight[element[more]]).sum())
 
     def reached(self, chosen: Sequence[int]) -> UInt16[ndarray, "n"]:
         """Cap less the age of each element's newest sight by these candidates."""
@@ -116,7 +118,8 @@ class _Sights:
     def add(self, step: int, actor: Int[ndarray, "v"], roof_m: Float[ndarray, "v 3"]) -> None:
         """Add the vehicles of one sensing step, each with the middle of its roof."""
         while actor.max(initial=-1) >= self.last.shape[1]:
-            self.last = np.concatenate([self.last, np.full_like(self.last, -self.cap - 1)], axis=1)
+            unseen = np.full_like(self.last, -self.cap - 1)
+            self.last = np.concatenate([self.last, unseen], axis=1)
         tree = cKDTree(roof_m[:, :2])
         near = cKDTree(self.site_m[:, :2]).sparse_distance_matrix(tree, self.range_m, output_type="ndarray")
         site, vehicle = near["i"], near["j"]
@@ -127,7 +130,8 @@ class _Sights:
         self.last[site[clear], actor[vehicle[clear]]] = step
         age = step - self.last[:, actor]
         c, v = np.nonzero(age < self.cap)
-        self.rows.append((c.astype(np.int32), self.n + v, (self.cap - age[c, v]).astype(np.uint16)))
+        young = self.cap - age[c, v]
+        self.rows.append((c.astype(np.int32), self.n + v, young.astype(np.uint16)))
         self.weight.append(self._unseen_by(tree, roof_m))
         self.n += len(actor)
 
@@ -136,7 +140,8 @@ class _Sights:
         within = tree.query_ball_point(roof_m[:, :2], self.radio_m, return_length=True) - 1.0
         a, b = tree.query_pairs(min(self.range_m, self.radio_m), output_type="ndarray").T
         clear = self.walls.has_los(roof_m, a, b)
-        return within - np.bincount(np.concatenate([a[clear], b[clear]]), minlength=len(roof_m))
+        seeing = np.concatenate([a[clear], b[clear]])
+        return within - np.bincount(seeing, minlength=len(roof_m))
 
     def coverage(self) -> SiteCoverage:
         """All of it, by site."""

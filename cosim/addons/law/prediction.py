@@ -75,7 +75,8 @@ def with_intervals(own: Prediction, runs: Sequence[Mapping[str, float]]) -> Pred
         values = values[np.isfinite(values)]
         if len(values) and np.isfinite(value):
             error = MODEL_ERROR[name] * (1.0 if "share" in name else value)
-            low[name], high[name] = max(0.0, float(values.min()) - error), float(values.max()) + error
+            low[name] = max(0.0, float(values.min()) - error)
+            high[name] = float(values.max()) + error
     return replace(own, low=low, high=high)
 
 
