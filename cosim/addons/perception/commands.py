@@ -83,8 +83,8 @@ def _read_lines(about: dict[str, Any]) -> Iterator[str]:
         yield f"egos: {some}{', ...' if len(egos) > _MOST_EGOS else ''}"
     classes = about["classes"].items()
     if any(said.lower() != ours for ours, of in classes for said in of):
-        parts = [(" and ".join(f"{n:,} {said}" for said, n in of.items()), ours) for ours, of in classes]
-        yield "classes: " + "; ".join(f"{counts} as {ours}" for counts, ours in parts)
+        said = {ours: " and ".join(f"{n:,} {name}" for name, n in of.items()) for ours, of in classes}
+        yield "classes: " + "; ".join(f"{names} as {ours}" for ours, names in said.items())
     if about.get("boxes_left_out"):
         yield (
             f"{about['boxes_left_out']:,} boxes are on the agents themselves or on objects of other classes: they are "

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
 
-from cosim.addons.perception.kitti import FEWEST, LEVELS, LOOSE, STRICT, Overlap, average_precision
+from cosim.addons.perception.kitti import FEWEST, LOOSE, STRICT, Overlap, average_precision
 from cosim.addons.perception.kitti_frames import (
     TABLE_OF,
     Lists,
@@ -66,9 +66,9 @@ def precision(
                 continue
             answer = average_precision(truth, found, label, overlap, limit)
             rows += [
-                {"boxes": which, "class": label, "level": level, "ap11": answer[level].ap11,
-                 "ap40": answer[level].ap40, "n_truth": answer[level].n_truth, "n_frames": len(poses)}
-                for level in LEVELS
+                {"boxes": which, "class": label, "level": level, "ap11": one.ap11, "ap40": one.ap40,
+                 "n_truth": one.n_truth, "n_frames": len(poses)}
+                for level, one in answer.items()
             ]  # fmt: skip
     if not rows:
         raise run.lacks("detections to rank", "no equipped vehicle ever had an actor ahead of it.")

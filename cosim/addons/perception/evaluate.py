@@ -178,9 +178,10 @@ def _kitti(data: kitti_folder.KittiFolder) -> tuple[dict[str, Any], pd.DataFrame
     if "missing" in about:
         return about, pd.DataFrame(columns=list(_KITTI_COLUMNS))
     names = tuple(str(n) for n in range(data.n_frames))
-    boxes = [
-        _take(RecordedBoxes(of.frame, of.frame, of.label, of.box, of.score), of.box[:, 3] > 0) for of in (truth, found)
-    ]
+    boxes = []
+    for of in (truth, found):
+        listed_boxes = RecordedBoxes(of.frame, of.frame, of.label, of.box, of.score)
+        boxes.append(_take(listed_boxes, of.box[:, 3] > 0))
     _check_density(names, *boxes)
     about["remarks"] += of_boxes(*boxes)
     for label in labels:

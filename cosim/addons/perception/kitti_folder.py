@@ -100,8 +100,9 @@ def _line(words: list[str], where: str, scored: bool) -> tuple[str, list[float],
         raise ValueError(f"{where} has {len(words)} columns and should have {_COLUMNS + scored}.")
     columns = enumerate(words[1 : _COLUMNS + scored], 2)
     values = [number(word, f"column {n}", Path(where)) for n, word in columns]
-    if values[9] > 0 and abs(values[13]) > 2 * math.pi + 0.1:
-        raise ValueError(f"{where}: rotation_y is {values[13]:g}; radians are right, from -3.14 to 3.14.")
+    length, turn = values[9], values[13]
+    if length > 0 and abs(turn) > 2 * math.pi + 0.1:
+        raise ValueError(f"{where}: rotation_y is {turn:g}; radians are right, from -3.14 to 3.14.")
     if not scored:
         values.append(1.0)
     said = words[0][:40]

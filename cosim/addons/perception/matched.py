@@ -40,16 +40,19 @@ def precision_and_recall(truth: Truth, found: Found, overlap: float, kind: Overl
     near = share >= overlap
     i, j, share = i[near], j[near], share[near]
     rank = np.empty(len(score), np.int64)
-    rank[np.lexsort([np.arange(len(score)), -score])] = np.arange(len(score))
+    row = np.arange(len(score))
+    rank[np.lexsort([row, -score])] = row
     order = np.lexsort([i, -share, rank[j]])
-    taken, right = np.zeros(len(frame), bool), np.zeros(len(score), bool)
+    taken = np.zeros(len(frame), bool)
+    right = np.zeros(len(score), bool)
     for k in order.tolist():  # a pair per overlap, not per box
         if not taken[i[k]] and not right[j[k]]:
             taken[i[k]] = right[j[k]] = True
     hit = np.zeros(len(score), bool)
     hit[rank] = right
     n_right = np.cumsum(hit)
-    recall, precision = n_right / len(frame), n_right / np.arange(1, len(score) + 1)
+    recall = n_right / len(frame)
+    precision = n_right / (row + 1)
     precision = np.maximum.accumulate(precision[::-1])[::-1]
     step = np.diff(recall, prepend=0.0)
     return float((step * precision).sum()), float(right.sum() / len(frame))
@@ -60,4 +63,5 @@ def _overlapping(
 ) -> tuple[ndarray, ndarray, Float[ndarray, "p"]]:
     """Pairs of an object and a detection of the same frame that may overlap, and by how much."""
     i, j = near_pairs(frame, box, of, boxes)
-    return i, j, in_blocks(iou_3d if kind == "3d" else iou_bev, box[i], boxes[j])
+    share_of = iou_3d if kind == "3d" else iou_bev
+    return i, j, in_blocks(share_of, box[i], boxes[j])

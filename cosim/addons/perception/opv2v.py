@@ -323,8 +323,8 @@ def _agreements(moments: Sequence[_Moment]) -> Votes:
             rows = [(at[key], row) for row, key in enumerate(other.key) if key in at]
             if rows:
                 i, j = np.array(rows).T
-                between_m = [one.seen(frame)[i, :2] - other.seen(frame)[j, :2] for frame in votes]
-                apart.append(np.linalg.norm(between_m, axis=2))
+                both = [(one.seen(frame)[i], other.seen(frame)[j]) for frame in votes]
+                apart.append([np.linalg.norm(ours[:, :2] - theirs[:, :2], axis=1) for ours, theirs in both])
     world, lidar = np.concatenate(apart, axis=1) if apart else np.zeros((2, 0))
     votes["world"] = int(((world < _SAME_M) & (lidar > world + _SAME_M)).sum())
     votes["lidar"] = int(((lidar < _SAME_M) & (world > lidar + _SAME_M)).sum())

@@ -69,22 +69,25 @@ def early_boxes(run: Run, poses: Poses, actors: pd.DataFrame, beside: pd.DataFra
     for step in np.unique(every.step):
         views = every[every.step == step]
         egos, here = poses[poses.step == step], actors[actors.step == step]
-        names, actor = _keys(run, here.actor.to_numpy()), here.actor.to_numpy()
+        actor = here.actor.to_numpy()
+        names = _keys(run, actor)
+        own = names[np.searchsorted(actor, egos.observer.to_numpy())]
         true = here[[*BOX]].to_numpy(np.float64)
         early = detect(
             detector,
-            Views(
-                np.searchsorted(egos.frame.to_numpy(), views.frame.to_numpy()),
-                np.searchsorted(actor, views.actor.to_numpy()), views.n_points.to_numpy(np.int64),
-                views.n_unoccluded.to_numpy(np.int64), views.away_m.to_numpy(), views[["east", "north"]].to_numpy(),
+            views=Views(
+                observer=np.searchsorted(egos.frame.to_numpy(), views.frame.to_numpy()),
+                actor=np.searchsorted(actor, views.actor.to_numpy()),
+                n_returns=views.n_points.to_numpy(np.int64),
+                n_unoccluded=views.n_unoccluded.to_numpy(np.int64),
+                range_m=views.away_m.to_numpy(),
+                off_m=views[["east", "north"]].to_numpy(),
             ),
-            Boxes(true[:, :3], true[:, 3:6], true[:, 6]),
-            np.array([ObjectClass[name.upper()] for name in here.label], np.uint8),
-            egos[["x_m", "y_m", "z_m"]].to_numpy(np.float64),
-            detector_draws(
-                config.seed, run.dt_s, int(step), names, names[np.searchsorted(actor, egos.observer.to_numpy())]
-            ),
-        ).reports  # fmt: skip
+            boxes=Boxes(true[:, :3], true[:, 3:6], true[:, 6]),
+            label=np.array([ObjectClass[name.upper()] for name in here.label], np.uint8),
+            origin_m=egos[["x_m", "y_m", "z_m"]].to_numpy(np.float64),
+            draws=detector_draws(config.seed, run.dt_s, int(step), names, own),
+        ).reports
         boxes = early.boxes
         found.append(pd.DataFrame({
             "frame": egos.frame.to_numpy()[early.observer],

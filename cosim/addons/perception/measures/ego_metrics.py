@@ -45,7 +45,8 @@ def egos_of(run: Run) -> np.ndarray:
         raise ValueError(f'{run.path} designates no egos. Set attacks.0.victim to "designated".')
     cars = run.vehicles[run.vehicles.equipped]
     keys = np.array([actor_key(name, False) for name in cars.sumo_id], np.uint64)
-    chosen = designated(config.seed, keys, config.attacks[0].victim_p) & (cars.role == "honest").to_numpy(bool)
+    is_honest = (cars.role == "honest").to_numpy(bool)
+    chosen = designated(config.seed, keys, config.attacks[0].victim_p) & is_honest
     return np.sort(cars.vehicle.to_numpy()[chosen])
 
 

@@ -63,9 +63,13 @@ class Frames:
         return range_of(self.truth)
 
     def precision(
-        self, counts: Bool[ndarray, "t"], label: str, overlap: float, edges_m: tuple[float, float] = (0.0, np.inf),
+        self,
+        counts: Bool[ndarray, "t"],
+        label: str,
+        overlap: float,
+        edges_m: tuple[float, float] = (0.0, np.inf),
         kind: Overlap = "3d",
-    ) -> float:  # fmt: skip
+    ) -> float:
         """Average precision over 40 recall points of actors within a range [%], whatever their height in the image.
 
         Parameters
@@ -77,9 +81,8 @@ class Frames:
         level = np.where(counts, _VISIBLE, _IGNORED)
         truth = replace(self.truth, occlusion=level, height_px=tall)
         found = replace(self.found, height_px=np.full(len(self.found), 1e3))
-        truth, found = (
-            rows(one, (range_of(one) >= edges_m[0]) & (range_of(one) < edges_m[1])) for one in (truth, found)
-        )
+        near_m, far_m = edges_m
+        truth, found = (rows(one, (range_of(one) >= near_m) & (range_of(one) < far_m)) for one in (truth, found))
         return average_precision(truth, found, label, kind, overlap)["hard"].ap40
 
 
