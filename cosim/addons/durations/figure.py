@@ -86,22 +86,23 @@ def _curves(panels: Sequence[Axes], sample: Durations, number: int, is_alone: bo
     if not sample.ended.any():
         return []
     curve = product_limit(sample)
-    curve = curve[(curve.n_at_risk >= FEWEST_AT_RISK) & (curve.survival > 0) & (curve.duration_s > 0)]
+    are_many = curve.n_at_risk >= FEWEST_AT_RISK
+    curve = curve[are_many & (curve.survival > 0) & (curve.duration_s > 0)]
     if len(curve) < 2:
         return []
     try:
         found = fits(sample)
     except ValueError:
         found = []
+    names, ink = list(FAMILIES), style.ink(number)
+    look: dict[str, Any] = {"color": ink, "marker": style.marker(number), "markersize": 3}
     for axes in panels:
-        look: dict[str, Any] = {"color": style.ink(number), "marker": style.marker(number), "markersize": 3}
         axes.plot(curve.duration_s, curve.survival, linestyle="", markevery=max(1, len(curve) // 60), **look)
-        axes.fill_between(curve.duration_s, curve.low, curve.high, color=style.ink(number), alpha=0.2, linewidth=0)
+        axes.fill_between(curve.duration_s, curve.low, curve.high, color=ink, alpha=0.2, linewidth=0)
         for one in found if is_alone else found[:1]:
             x_s, survival = tail_curve(sample, one)
-            some = survival > 0.3 * float(curve.survival.min()) if len(curve) else survival > 1e-6
-            names = list(FAMILIES)
-            colour = style.ink(names.index(one.name) + 1) if is_alone else style.ink(number)
-            dash = style.dash(names.index(one.name))
-            axes.plot(x_s[some], survival[some], color=colour, linestyle=dash, linewidth=1.3)
+            some = survival > 0.3 * float(curve.survival.min())
+            family = names.index(one.name)
+            colour = style.ink(family + 1) if is_alone else ink
+            axes.plot(x_s[some], survival[some], color=colour, linestyle=style.dash(family), linewidth=1.3)
     return [one.name for one in found]

@@ -179,10 +179,14 @@ def log_counted(family: Family, free: Free, edges_s: Float[ndarray, "e"], step_s
         return family.log_sf(edges_s, free)
     near = edges_s < _NEAR_STEPS * step_s
     rules = ((near, _TEN), (~near, _TWO))
-    at = [np.maximum(edges_s[rows] + x[:, None] * step_s / 2, 0.0) for rows, (x, _) in rules]
-    each = family.log_sf(np.concatenate([points.ravel() for points in at]), free)
+    at = []
+    for rows, (x, _) in rules:
+        offset_s = x[:, None] * step_s / 2
+        at.append(np.maximum(edges_s[rows] + offset_s, 0.0))
+    log_sf = family.log_sf(np.concatenate([points.ravel() for points in at]), free)
     logs = np.empty(len(edges_s))
-    for (rows, (_, weight)), points, values in zip(rules, at, np.split(each, [at[0].size]), strict=True):
+    each = np.split(log_sf, [at[0].size])
+    for (rows, (_, weight)), points, values in zip(rules, at, each, strict=True):
         values = values.reshape(points.shape)
         most = np.where(np.isfinite(values[0]), values[0], 0.0)  # at the first point, beyond which fewer are left
         logs[rows] = most + np.log(weight / 2 @ np.exp(values - most))

@@ -56,7 +56,7 @@ class Durations:
     @staticmethod
     def independent(
         low_s: ndarray, high_s: ndarray, entry_s: ndarray | float = 0.0, step_s: float = 0.0
-    ) -> "Durations":  # fmt: skip
+    ) -> "Durations":
         """Durations that share no actors."""
         n = len(low_s)
         entry = np.broadcast_to(np.asarray(entry_s, float), n).copy()
@@ -126,13 +126,15 @@ def _inter_contacts(frame: pd.DataFrame, run: Run, hysteresis_s: float) -> Durat
     known = open_steps >= fewest
     n = np.r_[seen, open_steps[known]]
     ended = np.arange(len(n)) < len(seen)
-    a, b = (np.r_[again[c].to_numpy(), last[c].to_numpy()[known]] for c in ("a", "b"))
+    last = last[known]
+    a = np.r_[again.a.to_numpy(), last.a.to_numpy()]
+    b = np.r_[again.b.to_numpy(), last.b.to_numpy()]
     return _in_steps(n, ended, dt_s, fewest, a, b)
 
 
 def _in_steps(
     n: Float[ndarray, "n"], ended: Bool[ndarray, "n"], dt_s: float, fewest: int, a: ndarray, b: ndarray
-) -> Durations:  # fmt: skip
+) -> Durations:
     """Durations of n steps, of which fewer than `fewest` are not seen."""
     low = (n - 0.5) * dt_s
     high = np.where(ended, (n + 0.5) * dt_s, np.inf)
