@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pyarrow.compute as pc
 from jaxtyping import Float
 from matplotlib import colormaps
@@ -57,7 +58,8 @@ def write(
         if vehicle not in spans.index or not spans.equipped[vehicle]:
             raise ValueError(f"--vehicle {vehicle} is none that carries a LiDAR in {run.path}.")
         first, last = int(spans.first_step[vehicle]), int(spans.last_step[vehicle])
-    steps = np.arange(first, last + 1)[:: -(-(last + 1 - first) // MOST_FRAMES)]
+    steps = np.arange(first, last + 1)
+    steps = steps[:: -(-len(steps) // MOST_FRAMES)]
     film = _Film(run, vehicle, steps, streets, buildings)
     partial = out.with_name(f"{out.stem}.partial{out.suffix}")
     writer = (FFMpegWriter if out.suffix == ".mp4" else PillowWriter)(fps=PICTURES_PER_S)
@@ -147,20 +149,27 @@ class _Film:
         """Draw the figure of this step."""
         rows = self._actors.get(step)
         number = np.zeros(0, int) if rows is None else rows.actor.to_numpy()
-        xy = np.zeros((0, 2)) if rows is None else rows[["x_m", "y_m"]].to_numpy(float)
+        xy = _places(rows)
         role = self._roles.reindex(number).to_numpy(object)
         equipped = np.array([isinstance(r, str) for r in role], bool)
-        known = self._trust[self._trust.step <= step].drop_duplicates("vehicle", keep="last").set_index("vehicle").trust
+        until_now = self._trust[self._trust.step <= step]
+        known = until_now.drop_duplicates("vehicle", keep="last").set_index("vehicle").trust
         trust = known.reindex(number[equipped]).to_numpy(float)
         self._others.set_offsets(xy[~equipped])
         self._equipped.set_offsets(xy[equipped])
         self._equipped.set_array(np.ma.masked_invalid(trust))
         self._liars.set_offsets(xy[equipped & (role != "honest")])
-        for marks, table in ((self._ghosts, self._lies), (self._finds, self._seen), (self._beliefs, self._believed)):
-            found = table.get(step)
-            marks.set_offsets(np.zeros((0, 2)) if found is None else found[["x_m", "y_m"]].to_numpy(float))
+        self._ghosts.set_offsets(_places(self._lies.get(step)))
+        self._finds.set_offsets(_places(self._seen.get(step)))
+        self._beliefs.set_offsets(_places(self._believed.get(step)))
         if self.vehicle is not None and len(at := xy[number == self.vehicle]):
             self._me.set_offsets(at)
-            self._axes.set_xlim(at[0, 0] - HALF_WIDTH_M, at[0, 0] + HALF_WIDTH_M)
-            self._axes.set_ylim(at[0, 1] - HALF_WIDTH_M, at[0, 1] + HALF_WIDTH_M)
+            east, north = at[0]
+            self._axes.set_xlim(east - HALF_WIDTH_M, east + HALF_WIDTH_M)
+            self._axes.set_ylim(north - HALF_WIDTH_M, north + HALF_WIDTH_M)
         self._clock.set_text(f"{step * self._dt_s:g} s")
+
+
+def _places(rows: pd.DataFrame | None) -> Float[ndarray, "n 2"]:
+    """East and north of rows; of no rows, none."""
+    return np.zeros((0, 2)) if rows is None else rows[["x_m", "y_m"]].to_numpy(float)

@@ -88,7 +88,8 @@ def sweep(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: P
     scan_of_step = replay_scan(run, vehicle, step)
     points = clouds.cloud_of(scan_of_step.sweeps, 0)
     out = out or run.path / f"sweep-{vehicle}-{step}.png"
-    form = next((end for end in sorted(clouds.FORMATS, key=len, reverse=True) if out.name.endswith(end)), None)
+    longest_first = sorted(clouds.FORMATS, key=len, reverse=True)
+    form = next((end for end in longest_first if out.name.endswith(end)), None)
     if form is not None:
         durable.write_output(out, clouds.FORMATS[form](points))
         return out

@@ -123,7 +123,7 @@ def _prism(ring: Float[ndarray, "k 2"], base: float, top: float) -> tuple[list[F
     seen = seen[np.argsort(-(y[seen] + y[following[seen]]))]
     floor, roof = (_flat(np.column_stack([ring, np.full(len(ring), z)])) for z in (base, top))
     ends = zip(seen.tolist(), following[seen].tolist(), strict=True)
-    faces = [np.array([floor[a], floor[b], roof[b], roof[a]]) for a, b in ends]
+    faces = [np.concatenate([floor[[a, b]], roof[[b, a]]]) for a, b in ends]
     return [*faces, roof], [False] * len(faces) + [True]
 
 
@@ -131,8 +131,9 @@ def _vehicles(axes, moment: SceneMoment) -> None:  # type: ignore[no-untyped-def
     order = np.argsort(-moment.boxes[:, 1])
     faces, fills, edges = [], [], []
     for i in order.tolist():
-        known = moment.equipped[i] and np.isfinite(moment.trust[i])
-        fill = TRUST(float(moment.trust[i])) if known else UNKNOWN if moment.equipped[i] else PLAIN
+        trust = float(moment.trust[i])
+        of_equipped = TRUST(trust) if np.isfinite(trust) else UNKNOWN
+        fill = of_equipped if moment.equipped[i] else PLAIN
         made, kinds = _prism(*_outline(moment.boxes[i]))
         faces += made
         fills += [fill] * len(kinds)
