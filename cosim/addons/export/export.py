@@ -175,8 +175,10 @@ def _estimate(plan: Plan, chosen: Selection, sweeper: Sweeper) -> float:
     """Bytes that a plan will write, from a few of its sweeps."""
     if not plan.n_sweeps:
         return plan.text_bytes
-    first = chosen.presence[chosen.presence.step == chosen.presence.step.iloc[0]].vehicle.tolist()[:SAMPLE]
-    points = np.mean([len(cloud()) for cloud in sweeper(int(chosen.presence.step.iloc[0]), first)])
+    steps, vehicles = chosen.presence.step, chosen.presence.vehicle
+    step = steps.iloc[0]
+    some = vehicles[steps == step].tolist()[:SAMPLE]
+    points = np.mean([len(cloud()) for cloud in sweeper(int(step), some)])
     return plan.n_sweeps * plan.bytes_per_point * float(points) + plan.text_bytes
 
 
@@ -190,7 +192,8 @@ def _vehicles(run: Run, text: str | None) -> tuple[int, ...]:
     known = run.table("vehicles", ["vehicle", "equipped"]).set_index("vehicle").equipped
     if text is None:
         return tuple(known.index[known].tolist())
-    chosen = dict.fromkeys(n for a, b in _ranges(text, "--vehicles", "3,17,20-25") for n in range(a, b + 1))
+    ranges = _ranges(text, "--vehicles", "3,17,20-25")
+    chosen = dict.fromkeys(n for a, b in ranges for n in range(a, b + 1))
     for number in chosen:
         if number not in known.index:
             raise ValueError(
@@ -245,17 +248,18 @@ def _road_edge_m(config: Config) -> Callable[[Float[ndarray, "n 2"]], Float[ndar
     @cache
     def road() -> tuple[shapely.Geometry, shapely.STRtree]:
         lanes = [] if scenario.net is None else [lane for lane in network.lanes(scenario.net) if lane.for_cars]
-        strips = [
-            shapely.buffer(shapely.LineString(lane.line_m[:, :2] - scenario.origin_m), 0.5 * lane.width_m, quad_segs=4)
-            for lane in lanes
-        ]
+        strips = []
+        for lane in lanes:
+            line = shapely.LineString(lane.line_m[:, :2] - scenario.origin_m)
+            strips.append(shapely.buffer(line, 0.5 * lane.width_m, quad_segs=4))
         whole = shapely.union_all(strips)
         if whole.is_empty:
             raise ValueError("the run's traffic has no network: the distance to the edge of the road is not known.")
         shapely.prepare(whole)
         xy, ring = shapely.get_coordinates(shapely.get_rings(shapely.get_parts(whole)), return_index=True)
         inside = np.flatnonzero(ring[1:] == ring[:-1])
-        return whole, shapely.STRtree(shapely.linestrings(np.stack([xy[inside], xy[inside + 1]], axis=1)))
+        sides = np.stack([xy[inside], xy[inside + 1]], axis=1)
+        return whole, shapely.STRtree(shapely.linestrings(sides))
 
     def distance_m(xy_m: Float[ndarray, "n 2"]) -> Float[ndarray, "n"]:
         if not len(xy_m):

@@ -161,7 +161,7 @@ def _image_sets(selection: Selection, images: bool, clouds: Clouds) -> Iterator[
 def _labels(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> bytes:
     lines = labels(moment, vehicle, pose).lines + [
         f"{DONT_CARE} {_pixels(one)} -1 -1 -1 -1000 -1000 -1000 -10" for one in unlabelled(moment, vehicle, pose)
-    ]  # fmt: skip
+    ]
     return "".join(f"{line}\n" for line in lines or [NO_REGION]).encode()
 
 
@@ -214,7 +214,8 @@ def labels(moment: Moment, vehicle: int, pose: Float[ndarray, "4"], hidden: bool
     camera = in_camera(in_sensor(moment.box[rows], pose))
     keep = camera.is_in_image & (hidden | (n_points > 0))
     lost = 1 - n_points / np.maximum(seen.n_unoccluded, 1)
-    level = np.where(n_points > 0, (lost > 0.2).astype(int) + (lost > 0.5), 3)
+    level = (lost > 0.2).astype(int) + (lost > 0.5)
+    level = np.where(n_points > 0, level, 3)
     types = [TYPE_OF[c] for c in moment.vehicle_class[rows]]
     lines = lines_of(types, camera, moment.box[rows], keep, level)
     rows = rows[keep]
@@ -351,6 +352,11 @@ def _sequences(selection: Selection, clouds: Clouds) -> Iterator[File]:
     whole = frames.sort_values("number").rename(columns={"frame": "_", "number": "frame"})
     yield File("object/frames.csv", partial(csv_of, whole[["frame", "step", "vehicle"]]))
     yield File("vehicles.csv", partial(names_csv, selection))
+
+
+def names(selection: Selection) -> Unit:
+    """The unit of work that writes who the numbers of actors are."""
+    return Unit("names", lambda clouds: iter([File("vehicles.csv", partial(names_csv, selection))]))
 
 
 def names_csv(selection: Selection) -> bytes:

@@ -61,7 +61,8 @@ class KnownTrust:
     def _grow(self, actor: Int[ndarray, "n"]) -> None:
         more = int(actor.max(initial=-1)) + 1 - len(self._values)
         if more > 0:
-            self._values = np.concatenate([self._values, np.full((2 * more, 2), np.nan)])
+            unknown = np.full((2 * more, 2), np.nan)
+            self._values = np.concatenate([self._values, unknown])
 
 
 RATED = np.dtype([*ros2.POINT.descr, ("trust", "<f4"), ("newest_evaluation_age_s", "<f4"), ("vehicle", "<i4")])
@@ -291,14 +292,16 @@ class _Mcap:
     def step(self, now: Now) -> None:
         nanos = START_S * 10**9 + round(now.time_s * 1e9)
         boxes = now.world.boxes
-        ink = np.column_stack([now.inks / 255, np.ones(len(now.world))]).astype(np.float32)
+        opaque = np.ones(len(now.world))
+        ink = np.column_stack([now.inks / 255, opaque]).astype(np.float32)
         box = np.column_stack([boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad])
         self._writing.add(nanos, "/actors", ros2.boxes(nanos, "actors", now.world.actor, box, ink))
         rated = np.flatnonzero(~np.isnan(now.trust))
         rows = np.zeros(len(rated), RATED)
         for axis, name in enumerate("xyz"):
             rows[name] = boxes.xyz_m[rated, axis]
-        rows["trust"], rows["vehicle"] = now.trust[rated], now.world.actor[rated]
+        rows["trust"] = now.trust[rated]
+        rows["vehicle"] = now.world.actor[rated]
         rows["newest_evaluation_age_s"] = now.age_of[rated]
         self._writing.add(nanos, "/trust", ros2.points(nanos, "map", rows))
 

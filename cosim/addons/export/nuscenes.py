@@ -192,7 +192,9 @@ def _frames(selection: Selection, scenes: list[NuScenesScene]) -> dict[str, list
                 for annotation, actor in _annotations(moment, vehicle):
                     found["sample_annotation"].append(annotation)
                     instances.setdefault((scene.name, actor), []).append(annotation)
-    found["instance"] = [_instance(name, actor, kinds[actor], chain) for (name, actor), chain in instances.items()]
+    found["instance"] = []
+    for (name, actor), chain in instances.items():
+        found["instance"].append(_instance(name, actor, kinds[actor], chain))
     return found
 
 
@@ -202,24 +204,28 @@ def _sample(found: dict[str, list[Record]], selection: Selection, scene: NuScene
     at = bisect_left(scene.steps, step)
     before = scene.steps[at - 1] if at else None
     after = scene.steps[at + 1] if at + 1 < len(scene.steps) else None
-    kinds = ("sample", "sample_data")
-    ends = {kind: ["" if s is None else token(kind, s, vehicle) for s in (before, after)] for kind in kinds}
+
+    def linked(kind: str) -> dict[str, str]:
+        """The tokens of the records before and after."""
+        ends = {"prev": before, "next": after}
+        return {end: "" if at is None else token(kind, at, vehicle) for end, at in ends.items()}
+
     time_us = round((START_S + step * selection.run.dt_s) * 1e6) + selection.vehicles.index(vehicle)
     sample, box = token("sample", step, vehicle), moment.box[moment.row(vehicle)]
+    underside = [box[0], box[1], box[2] - 0.5 * box[5]]
     found["sample"].append({
-        "token": sample, "timestamp": time_us, "prev": ends["sample"][0], "next": ends["sample"][1],
-        "scene_token": token("scene", scene.name),
+        "token": sample, "timestamp": time_us, **linked("sample"), "scene_token": token("scene", scene.name),
     })  # fmt: skip
     found["ego_pose"].append({
         "token": token("ego_pose", step, vehicle), "timestamp": time_us, "rotation": quaternion(box[6]),
-        "translation": [float(box[0]), float(box[1]), float(box[2] - 0.5 * box[5])],
+        "translation": list(map(float, underside)),
     })  # fmt: skip
     found["sample_data"].append({
         "token": token("sample_data", step, vehicle), "sample_token": sample,
         "ego_pose_token": token("ego_pose", step, vehicle),
         "calibrated_sensor_token": token("calibrated_sensor", vehicle), "timestamp": time_us, "fileformat": "pcd",
         "is_key_frame": True, "height": 0, "width": 0, "filename": _cloud_path(step, vehicle),
-        "prev": ends["sample_data"][0], "next": ends["sample_data"][1],
+        **linked("sample_data"),
     })  # fmt: skip
 
 
@@ -227,7 +233,8 @@ def _annotations(moment: Moment, vehicle: int) -> Iterator[tuple[Record, int]]:
     """Annotations of a sample, and whom they are of. Chains of annotations are tied together later."""
     seen = moment.visible.get(vehicle, NOTHING)
     for i in np.flatnonzero(seen.n_points > 0).tolist():
-        actor, row = int(seen.actor[i]), moment.row(int(seen.actor[i]))
+        actor = int(seen.actor[i])
+        row = moment.row(actor)
         box, kind = moment.box[row], str(moment.vehicle_class[row])
         share = seen.n_points[i] / max(1, seen.n_unoccluded[i])
         yield {

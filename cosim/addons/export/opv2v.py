@@ -90,7 +90,7 @@ class Opv2v:
                 'with sensing_phase = "common".'
             )
         units = [Unit(s.name, partial(_scenario, selection, s, self._params.detections)) for s in found]
-        units.append(Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))])))
+        units.append(kitti.names(selection))
         n = sum(len(s.vehicles) * len(s.steps) for s in found)
         return Plan(tuple(units), n, 16, n * TEXT_BYTES)
 
@@ -154,7 +154,7 @@ def _groups(selection: Selection, vehicles: Int[ndarray, "v"], steps: Int[ndarra
     tree = cKDTree(xy)
     near = [np.array(rows) for rows in tree.query_ball_point(xy, RANGE_M)]
     while True:
-        n_near = np.array([left[rows].sum() if left[i] else 0 for i, rows in enumerate(near)])
+        n_near = np.array([left[rows].sum() for rows in near]) * left
         centre = int(np.argmax(n_near))
         if n_near[centre] < 2:
             return groups
@@ -184,7 +184,8 @@ def pcd(cloud: Cloud) -> bytes:
     n = len(points)
     head = ["VERSION 0.7", "FIELDS x y z rgb", "SIZE 4 4 4 4", "TYPE F F F F", "COUNT 1 1 1 1", f"WIDTH {n}",
             "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0", f"POINTS {n}", "DATA binary", ""]  # fmt: skip
-    return "\n".join(head).encode() + np.column_stack([points, np.zeros(n, np.float32)]).astype("<f4").tobytes()
+    rows = np.column_stack([points, np.zeros(n, np.float32)])
+    return "\n".join(head).encode() + rows.astype("<f4").tobytes()
 
 
 def _detected(moment: Moment, vehicle: int):  # type: ignore[no-untyped-def]

@@ -114,7 +114,7 @@ class Pcap:
             In one line: it is not known where on Earth the run is.
         """
         packets = PcapPackets(selection, projection_of(self._params, selection))
-        names = Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))]))
+        names = kitti.names(selection)
         if not self._params.received:
             sent = Unit("sent", lambda clouds: iter([File("sent.pcap", packets.sent)]))
             return Plan((sent, names), 0, 0, 2.0 * PACKET_BYTES * len(selection.presence))

@@ -80,9 +80,9 @@ class MisbehaviourReports:
         """
         projection = pcap.projection_of(self._params, selection)
         made = _Reports(selection, pcap.PcapPackets(selection, projection), self._params.threshold)
-        names = Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))]))
         units = [Unit(f"steps {b[0]} to {b[-1]}", partial(made.files, b)) for b in selection.spans()]
-        return Plan((*units, names), 0, 0, REPORT_BYTES * len(selection.presence), made.remarks())
+        units.append(kitti.names(selection))
+        return Plan(tuple(units), 0, 0, REPORT_BYTES * len(selection.presence), made.remarks())
 
 
 @dataclass(frozen=True)

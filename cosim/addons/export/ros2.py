@@ -346,7 +346,8 @@ class Bag:
         made = np.zeros(len(rows), RATED)
         names = dict(zip(RATED.names or (), [*BOX[:3], "trust", "newest_evaluation_age_s", "subject"], strict=True))
         for name, column in names.items():
-            made[name] = rows[column].to_numpy(RATED[name], na_value=np.nan) if name != "subject" else rows[column]
+            values = rows[column]
+            made[name] = values if name == "subject" else values.to_numpy(RATED[name], na_value=np.nan)
         steps, first = np.unique(rows.step.to_numpy(), return_index=True)
         return dict(zip(steps.tolist(), np.split(made, first)[1:], strict=True))
 

@@ -51,7 +51,7 @@ class TruPerceptData:
             here = block[np.isin(block, steps)]
             if len(here):
                 units.append(Unit(f"steps {here[0]} to {here[-1]}", partial(_block, selection, steps, here)))
-        units.append(Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))])))
+        units.append(kitti.names(selection))
         return Plan(tuple(units), len(frames), 16, len(frames) * TEXT_BYTES)
 
 

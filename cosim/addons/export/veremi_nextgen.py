@@ -18,7 +18,7 @@ import pandas as pd
 from cosim.addons.export import kitti, messages
 from cosim.addons.export.frames import compass_deg
 from cosim.addons.export.messages import ExportedMessages
-from results.moments import Clouds, File, Plan, Selection, Unit
+from results.moments import Clouds, File, Plan, Selection
 
 TABLES = messages.TABLES
 
@@ -36,7 +36,7 @@ class VeremiNextGen:
     def plan(self, selection: Selection) -> Plan:
         """Receivers in blocks."""
         sent = ExportedMessages(selection)
-        names = Unit("names", lambda clouds: iter([File("vehicles.csv", partial(kitti.names_csv, selection))]))
+        names = kitti.names(selection)
         units = [*sent.units(_receivers), names]
         n = selection.run.n_rows("receptions")
         return Plan(tuple(units), 0, 0, 0.5 * MESSAGE_BYTES * n)
@@ -55,14 +55,19 @@ def _receivers(sent: ExportedMessages, receivers: list[int], clouds: Clouds) -> 
 def _array(sent: ExportedMessages, own: pd.DataFrame, got: pd.DataFrame) -> bytes:
     at = np.searchsorted(own.step.to_numpy(), got.step.to_numpy())
     receiver = _states(own.iloc[at])
-    sender = [s | {"distance_to_road_edge": f"{e:.4f}"} for s, e in zip(_states(got), got.edge_m, strict=True)]
+    sender = _states(got)
+    for state, edge_m in zip(sender, got.edge_m, strict=True):
+        state["distance_to_road_edge"] = f"{edge_m:.4f}"
     number = sent.number(got.step.to_numpy(), got.sender.to_numpy())
     heads = zip(_ns(got.receive_s), _ns(got.send_s), got.vehicle, got.sender, number, got.is_attack, strict=True)
-    array = [
-        {"rcvTime": r, "sendTime": s, "sender_id": f"veh_{v}", "sender_alias": str(p), "messageID": str(n),
-         "attacker": str(int(a)), "receiver": mine, "sender": other}
-        for (r, s, v, p, n, a), mine, other in zip(heads, receiver, sender, strict=True)
-    ]  # fmt: skip
+    array = []
+    for head, mine, other in zip(heads, receiver, sender, strict=True):
+        receive_ns, send_ns, vehicle, pseudonym, message, attacks = head
+        array.append({
+            "rcvTime": receive_ns, "sendTime": send_ns, "sender_id": f"veh_{vehicle}",
+            "sender_alias": str(pseudonym), "messageID": str(message), "attacker": str(int(attacks)),
+            "receiver": mine, "sender": other,
+        })  # fmt: skip
     return json.dumps(array, indent=1).encode()
 
 

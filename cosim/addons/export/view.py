@@ -99,7 +99,8 @@ def view(
     run.require("actors", "vehicles", "detections", "trust", "encounters")
     end_s = int(run.manifest["steps"]) * run.dt_s if to_s is None else to_s
     steps = np.arange(int(run.manifest["steps"]))
-    steps = steps[(steps * run.dt_s >= from_s - 1e-9) & (steps * run.dt_s < end_s - 1e-9)]
+    time_s = steps * run.dt_s
+    steps = steps[(time_s >= from_s - 1e-9) & (time_s < end_s - 1e-9)]
     if not len(steps):
         raise ValueError(f"--from {from_s:g} --to {end_s:g}: {run.path} has no step in between.")
     roles = run.roles
@@ -411,7 +412,8 @@ def _block(  # type: ignore[no-untyped-def]
     }
     by_step = {name: dict(iter(rows.groupby("step"))) for name, rows in shown.items()}
     here = dict(iter(actors.groupby("step")))
-    values = trust[(trust.step >= steps[0]) & (trust.step <= steps[-1])].groupby("step")
+    is_now = (trust.step >= steps[0]) & (trust.step <= steps[-1])
+    values = trust[is_now].groupby("step")
     updates = {step: dict(zip(rows.vehicle, rows.trust, strict=True)) for step, rows in values}
     for step in steps.tolist():
         recording.set_time("time", duration=step * run.dt_s)
