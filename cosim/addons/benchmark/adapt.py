@@ -204,7 +204,7 @@ class Search:
         traced = set(np.unique(rows["case"]).tolist())
         return [HONEST] + [
             name for case, name in enumerate(cases) if case and case in traced and name not in TRUE_DETECTIONS
-        ]  # fmt: skip
+        ]
 
     def worlds(self) -> list[int]:
         """Worlds of the search: of each city, the first of the highest penetration."""

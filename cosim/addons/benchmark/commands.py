@@ -118,11 +118,10 @@ def _of_models(rows: list[dict[str, Any]], mine: dict[str, Any] | None) -> Itera
     cells = []
     for row in ranked([*rows, *([] if mine is None else [mine])]):
         of, worst, under = summary(row), row["worst_case"], worst_attack(row)
-        cells.append([
-            row["model"], _cell(row["attacks"][under]["auc"]), under, *(_number(of[name]) for name in (
-                "auc_mean", "wrong_worst", "believed_mean", "age_mean_s")), _number(row["cost_us"]),
-            _number(of["harm_worst"]), *(("", "") if worst is None else (_cell(worst["harm"]), _cell(worst["auc"]))),
-        ])  # fmt: skip
+        means = (of["auc_mean"], of["wrong_worst"], of["believed_mean"], of["age_mean_s"])
+        numbers = map(_number, (*means, row["cost_us"], of["harm_worst"]))
+        adapted = ("", "") if worst is None else (_cell(worst["harm"]), _cell(worst["auc"]))
+        cells.append([row["model"], _cell(row["attacks"][under]["auc"]), under, *numbers, *adapted])
     return _fitted("all models", names, cells, "" if mine is None else mine["model"])
 
 

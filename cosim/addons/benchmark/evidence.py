@@ -288,7 +288,8 @@ def difference(name: str, base: Rows, case: Rows) -> Rows:
     for column in TABLES[name].columns:
         same[same] = base[column][at[same]] == case[column][same]
     came, gone = ~same, ~np.isin(old, new)
-    rows = {c: np.concatenate([case[c][came], base[c][gone]]) for c in TABLES[name].columns}
+    changed = {c: case[c][came] for c in TABLES[name].columns}
+    rows = joined([changed, taken(base, gone)])
     order = np.argsort(packed(name, rows), kind="stable")
     flag = np.repeat(np.array([0, 1], np.int8), [came.sum(), gone.sum()])
     return {"gone": flag[order], **taken(rows, order)}

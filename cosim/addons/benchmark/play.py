@@ -94,7 +94,8 @@ class Script:
         begins = np.searchsorted(reports["step"], steps)
         for made, messages in enumerate(sent):
             arrival = reports["arrival_step"][begins[made] : begins[made + 1]]
-            for step in np.unique(arrival[(arrival >= 0) & (arrival < rules.n_steps)]).tolist():
+            arrives = (arrival >= 0) & (arrival < rules.n_steps)
+            for step in np.unique(arrival[arrives]).tolist():
                 row = np.flatnonzero(arrival == step)
                 arrived[step] += _received(messages, np.full(len(row), SERVER), row, rules)
         received = []
@@ -109,12 +110,19 @@ class Script:
                 received[step] += _received(sent[earlier], holder[heard], of_sender, rules)
         due, last = [], -np.inf
         for step in range(rules.n_steps):
-            due.append(step * rules.dt_s - last >= rules.server_period_s - 1e-9)
-            last = step * rules.dt_s if due[-1] else last
+            now_s = step * rules.dt_s
+            due.append(now_s - last >= rules.server_period_s - 1e-9)
+            last = now_s if due[-1] else last
         return Script(
-            tuple(_opened(stream, rules)), sent, tuple(map(tuple, arrived)), tuple(map(tuple, received)), asked, first,
-            tuple(due), rules.dt_s,
-        )  # fmt: skip
+            opened=tuple(_opened(stream, rules)),
+            sent=sent,
+            arrived=tuple(map(tuple, arrived)),
+            received=tuple(map(tuple, received)),
+            lookups=asked,
+            first=first,
+            due=tuple(due),
+            dt_s=rules.dt_s,
+        )
 
 
 def _received(

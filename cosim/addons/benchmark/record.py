@@ -147,7 +147,8 @@ class Case:
         """Simulate a step and keep its rows."""
         self.state, result = step(world, self.state, self.parts)
         if result.sensed is not None:
-            for name, rows in _rows(result.sensed, world, self.state.trust.hosts[0].downlink.last).items():
+            broadcast = self.state.trust.hosts[0].downlink.last
+            for name, rows in _rows(result.sensed, world, broadcast).items():
                 self.rows.setdefault(name, []).append(rows)
 
     def tables(self) -> dict[str, Rows]:

@@ -88,12 +88,11 @@ def counts(
     excluded = rated & (trust < threshold)
     honest = np.sort(trust[rated & ~is_attacker])
     other = trust[rated & is_attacker]
-    above = (
-        len(honest) * len(other)
-        - (np.searchsorted(honest, other, "left").sum() + np.searchsorted(honest, other, "right").sum()) / 2
-    )
+    below, not_above = (np.searchsorted(honest, other, side).sum() for side in ("left", "right"))
+    above = len(honest) * len(other) - (below + not_above) / 2
     seconds, of = np.unique((step << 16 | sender)[~is_attacker], return_inverse=True)
-    share = np.bincount(of, excluded[~is_attacker], len(seconds)) / np.bincount(of, minlength=len(seconds))
+    n_excluded = np.bincount(of, excluded[~is_attacker], len(seconds))
+    share = n_excluded / np.bincount(of, minlength=len(seconds))
     delay_s, found = _delays(step[is_attacker], sender[is_attacker], excluded[is_attacker], rules.dt_s)
     return Counts(
         above=float(above),
@@ -127,7 +126,8 @@ def figures(of_worlds: list[Counts]) -> Figures:
     column = {name: np.array([getattr(one, name) for one in of_worlds]) for name in Counts.__slots__[:-2]}
     delays = [np.concatenate([getattr(one, name) for one in of_worlds]) for name in ("delay_s", "found")]
     curve = kaplan_meier(*delays)
-    wait = ClusteredEstimate(median(curve), *median_band(curve), len(delays[0])) if len(delays[0]) else UNKNOWN
+    n = len(delays[0])
+    wait = ClusteredEstimate(median(curve), *median_band(curve), n) if n else UNKNOWN
     attacked = column["messages"] > 0
     harm = (
         column["wrong_s"][attacked] / np.maximum(column["honest_s"][attacked], 1)
@@ -167,12 +167,14 @@ def threshold_of(evidence: EvidenceSet, candidate: Candidate, advance: Advance) 
     ValueError
         In one line, if the model rates no vehicle at all.
     """
-    rules, n_worlds, found, values = evidence.rules, len(evidence.worlds), [], []
+    rules, n_worlds = evidence.rules, len(evidence.worlds)
+    found, values = [], []
     for world in range(n_worlds):
         stream = evidence.stream(world, 0)
-        found.append(play(Script.of(stream, rules), candidate))
-        counted = (stream.lookups["step"] >= rules.start_step) & ~np.isnan(found[-1].trust)
-        values.append(found[-1].trust[counted])
+        answers = play(Script.of(stream, rules), candidate)
+        found.append(answers)
+        counted = (stream.lookups["step"] >= rules.start_step) & ~np.isnan(answers.trust)
+        values.append(answers.trust[counted])
         advance(f"{candidate.name}: threshold", world + 1, n_worlds, "worlds")
     threshold = threshold_at(np.concatenate(values), FALSE_POSITIVES)
     if np.isnan(threshold):
@@ -200,7 +202,8 @@ def score(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> Mode
             lying = np.full(len(answers.trust), name not in TRUE_DETECTIONS)
             of_worlds.append(counts(stream, answers, threshold, rules, lying))
             played += [answers] if case else []
-            advance(f"{candidate.name}: attacks", case * n_worlds + world + 1, len(rules.cases) * n_worlds, name)
+            n_done = case * n_worlds + world + 1
+            advance(f"{candidate.name}: attacks", n_done, len(rules.cases) * n_worlds, name)
         found[name] = figures(of_worlds)
     quiet_p = found.pop(HONEST).wrong_p.value
     auc = {name: of.auc.value for name, of in found.items()}
