@@ -110,10 +110,6 @@ class Probe:
         return call
 
 
-def _at(found: str) -> str:
-    return found if found.startswith("[") else f" {found}" if found.startswith(("is ", "has ")) else f".{found}"
-
-
 def _by_others(method: Callable[..., Any], ages: PseudonymAges, answer: ndarray) -> str:
     """Call a policy for each vehicle alone, and describe the first different result."""
     for row in range(len(ages.age_s)):

@@ -34,7 +34,8 @@ def try_exporter(name: str, sets: Sequence[str] = ()) -> Report:
 
     def files(of: Run, out: Path) -> dict[str, bytes]:
         export(of, choice.source.name, out, sets=sets)
-        found = {str(path.relative_to(out)): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
+        written = [path for path in sorted(out.rglob("*")) if path.is_file()]
+        found = {str(path.relative_to(out)): path.read_bytes() for path in written}
         return {path: content for path, content in found.items() if path != "export.progress"}
 
     return _tried("exporter", name, files, "files")
@@ -86,11 +87,11 @@ def _write_trace(path: Path) -> None:
     lines = ["<fcd-export>"]
     for number in range(N_STEPS + 1):
         lines.append(f'<timestep time="{number * STEP_S:.2f}">')
-        for row, (actor, yaw_rad) in enumerate(zip(scene.actors, scene.world(number).boxes.yaw_rad, strict=True)):
-            front_m = scene.world(number).boxes.xyz_m[row, :2]
+        boxes = scene.world(number).boxes
+        for actor, (x, y, _), yaw_rad in zip(scene.actors, boxes.xyz_m, boxes.yaw_rad, strict=True):
             element = "person" if actor.shape == Shape.PEDESTRIAN else "vehicle"
             lines.append(
-                f'<{element} id="{actor.name}" x="{front_m[0]:.2f}" y="{front_m[1]:.2f}" '
+                f'<{element} id="{actor.name}" x="{x:.2f}" y="{y:.2f}" '
                 f'angle="{(90 - np.degrees(yaw_rad)) % 360:.2f}" type="{types[actor.shape]}" '
                 f'speed="{actor.speed_mps:.2f}"/>'
             )
