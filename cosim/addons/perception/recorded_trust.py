@@ -146,7 +146,8 @@ class _Frame:
         self, clouds: list[Float[ndarray, "n 3"]], world_from: Float[ndarray, "k 4 4"]
     ) -> tuple[FusionInput, SensorEvidence]:
         """What the ego fuses, and the evidence of its own cloud."""
-        plain = geometry.Boxes(self.box[:, :3], self.box[:, 3:6], self.box[:, 6])
+        box = self.box
+        plain = geometry.Boxes(box[:, :3], box[:, 3:6], box[:, 6])
         pairs = geometry.overlapping_pairs(plain, self.table.label, self.table.message)
         groups = match(self.lists, self.table, pairs, PARAMS)
         inside = np.array([
