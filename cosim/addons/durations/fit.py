@@ -293,7 +293,8 @@ def _covariances(
         for j in range(i + 1):
             both, apart = steps[i] + steps[j], steps[i] - steps[j]
             second = at(both) - at(apart) - at(-apart) + at(-both)
-            hessian[i, j] = hessian[j, i] = float(rows.n @ second) / (4 * _STEP**2)
+            curvature = float(rows.n @ second) / (4 * _STEP**2)
+            hessian[i, j] = hessian[j, i] = curvature
     # Where a parameter says nothing (two equal means), its curvature is the rounding of a sum of logarithms.
     noise = 1e-15 * abs(float(rows.n @ at(np.zeros(k)))) / _STEP**2
     if not np.isfinite(hessian).all() or not np.isfinite(scores).all():

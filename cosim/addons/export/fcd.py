@@ -83,8 +83,8 @@ def _timestep(
         return f'    <timestep time="{step * dt_s:.4f}"/>\n'.encode()
     box = moment.box
     yaw = box[:, 6]
-    ahead = 0.5 * box[:, 3:4] * np.column_stack([np.cos(yaw), np.sin(yaw)])
-    front = box[:, :2] + ahead + origin_m
+    heading = np.column_stack([np.cos(yaw), np.sin(yaw)])
+    front = box[:, :2] + 0.5 * box[:, 3:4] * heading + origin_m
     underside = box[:, 2] - 0.5 * box[:, 5]
     angle = np.mod(90.0 - np.degrees(yaw), 360.0)
     columns = (moment.actor, *front.T, underside, angle, moment.speed_mps)

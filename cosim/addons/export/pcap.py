@@ -245,7 +245,8 @@ class PcapPackets:
         box = senders[BOX].to_numpy(float)
         yaw = box[:, 6]
         front = box[:, :3].copy()
-        front[:, :2] += 0.5 * box[:, 3:4] * np.column_stack([np.cos(yaw), np.sin(yaw)])
+        heading = np.column_stack([np.cos(yaw), np.sin(yaw)])
+        front[:, :2] += 0.5 * box[:, 3:4] * heading
         front[:, 2] -= 0.5 * box[:, 5]
         place = self.projection.of_world(front[:, :2])
         lat, lon = (np.round(d * 1e7).astype(np.int64) for d in (place.latitude_deg, place.longitude_deg))

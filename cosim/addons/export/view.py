@@ -270,7 +270,8 @@ def first_look(run: Run, steps: Int[ndarray, "s"], vehicles: Sequence[int]) -> F
     first lie, otherwise the median position of all actors in the first step, otherwise the origin.
     """
     where = pc.field("step").isin(steps.tolist())
-    look = run.table("actors", ["step", *BOX[:3]], where & pc.field("actor").isin(list(vehicles[:1])))
+    is_first = pc.field("actor").isin(list(vehicles[:1]))
+    look = run.table("actors", ["step", *BOX[:3]], where & is_first)
     if look.empty:
         lies = run.table("detections", ["step", *BOX[:3], "lied"], where)
         look = lies[lies.lied]

@@ -83,8 +83,11 @@ def draw(moment: SceneMoment, title: str) -> Figure:
 def _in_frame(moment: SceneMoment) -> SceneMoment:
     """Without the vehicles and ghosts outside the part that is shown, so that the legend names only what is drawn."""
     half_m = [HALF_WIDTH_M, HALF_DEPTH_M]
-    both = (moment.boxes, moment.ghosts)
-    here, lies = ((np.abs(box[:, :2] - moment.centre_m) <= half_m).all(axis=1) for box in both)
+
+    def is_shown(box: Float[ndarray, "n 7"]) -> Bool[ndarray, "n"]:
+        return (np.abs(box[:, :2] - moment.centre_m) <= half_m).all(axis=1)
+
+    here, lies = is_shown(moment.boxes), is_shown(moment.ghosts)
     return replace(
         moment,
         boxes=moment.boxes[here],
