@@ -20,6 +20,13 @@ RECEIVERS = 40
 POSE = ["x_m", "y_m", "z_m", "yaw_rad", "speed_mps", "acceleration_mps2"]
 
 
+def units_of(selection: Selection, files: Callable[[list[int], Clouds], Iterator[File]]) -> list[Unit]:
+    """Units of work that each make the files of some receivers."""
+    vehicles = selection.vehicles
+    blocks = [list(vehicles[i : i + RECEIVERS]) for i in range(0, len(vehicles), RECEIVERS)]
+    return [Unit(f"receivers {block[0]} to {block[-1]}", partial(files, block)) for block in blocks]
+
+
 @dataclass(frozen=True, slots=True)
 class ReceivedMessages:
     """What some vehicles sensed of themselves and received."""
@@ -82,9 +89,7 @@ class ExportedMessages:
 
     def units(self, files: Callable[["ExportedMessages", list[int], Clouds], Iterator[File]]) -> list[Unit]:
         """Units of work that each make the files of some receivers."""
-        vehicles = self.selection.vehicles
-        blocks = [list(vehicles[i : i + RECEIVERS]) for i in range(0, len(vehicles), RECEIVERS)]
-        return [Unit(f"receivers {b[0]} to {b[-1]}", partial(files, self, b)) for b in blocks]
+        return units_of(self.selection, partial(files, self))
 
     def received(self, receivers: list[int]) -> ReceivedMessages:
         """What these vehicles received."""

@@ -35,6 +35,7 @@ from numpy import ndarray
 
 from cosim.addons.export import kitti
 from cosim.addons.export.frames import compass_deg
+from cosim.addons.export.messages import units_of
 from cosim.base.codes import ObjectClass
 from cosim.base.earth import OnEarth, Projection
 from cosim.base.plane import turned_by
@@ -55,9 +56,6 @@ TRAFFIC_CLASS = {"cam": 2, "cpm": 3}
 
 PACKET_BYTES = 500
 """Of one packet, roughly."""
-
-RECEIVERS = 40
-"""Receivers of one unit of work."""
 
 KEY = ("step", "observer", "detection_index")
 
@@ -118,9 +116,7 @@ class Pcap:
         if not self._params.received:
             sent = Unit("sent", lambda clouds: iter([File("sent.pcap", packets.sent)]))
             return Plan((sent, names), 0, 0, 2.0 * PACKET_BYTES * len(selection.presence))
-        vehicles = selection.vehicles
-        blocks = [list(vehicles[i : i + RECEIVERS]) for i in range(0, len(vehicles), RECEIVERS)]
-        units = [Unit(f"receivers {b[0]} to {b[-1]}", partial(packets.received, b)) for b in blocks]
+        units = units_of(selection, packets.received)
         return Plan((*units, names), 0, 0, 2.0 * PACKET_BYTES * selection.run.n_rows("receptions"))
 
 

@@ -82,16 +82,19 @@ def _tiny_runs() -> Iterator[tuple[Path, Path, Path]]:
 
 
 def _write_trace(path: Path) -> None:
-    """Write the traffic of the tiny scene as a trace, like SUMO."""
+    """Write the traffic of the tiny scene as a trace, with fronts of vehicles and centres of persons, like SUMO."""
     scene, types = TinyScene(), {Shape.CAR: "passenger", Shape.TRUCK: "truck", Shape.PEDESTRIAN: "pedestrian"}
     lines = ["<fcd-export>"]
     for number in range(N_STEPS + 1):
         lines.append(f'<timestep time="{number * STEP_S:.2f}">')
         boxes = scene.world(number).boxes
-        for actor, (x, y, _), yaw_rad in zip(scene.actors, boxes.xyz_m, boxes.yaw_rad, strict=True):
-            element = "person" if actor.shape == Shape.PEDESTRIAN else "vehicle"
+        for actor, centre, size, yaw_rad in zip(scene.actors, boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad, strict=True):
+            is_person = actor.shape == Shape.PEDESTRIAN
+            element = "person" if is_person else "vehicle"
+            ahead_m = 0.0 if is_person else size[0] / 2
+            x_m, y_m = centre[:2] + ahead_m * np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
             lines.append(
-                f'<{element} id="{actor.name}" x="{x:.2f}" y="{y:.2f}" '
+                f'<{element} id="{actor.name}" x="{x_m:.2f}" y="{y_m:.2f}" '
                 f'angle="{(90 - np.degrees(yaw_rad)) % 360:.2f}" type="{types[actor.shape]}" '
                 f'speed="{actor.speed_mps:.2f}"/>'
             )
