@@ -97,7 +97,7 @@ SUMMARY_METRICS = (
     "encounters.duration.km_median_s", "encounters.duration.km_mean_s", "trust.final.median",
     "misbehaviour.at_lookup.auc", "misbehaviour.auc", "freshness.lookup_state.share",
     "freshness.newest_evaluation_age.mean_s", "freshness.newest_evaluation_age.p90_s", "radio.pdr.all",
-    "radio.lost.expired", "radio.cbr.mean", "radio.pir.mean_s",
+    "radio.lost.expired", "radio.clouds_complete.share", "radio.cbr.mean", "radio.pir.mean_s",
 )  # fmt: skip
 """Metrics that the summary at the end of a run uses."""
 
@@ -343,6 +343,8 @@ def _radio(get: Get) -> list[str]:
     expired = get("radio.lost.expired").get("", 0.0)
     if expired > 0.01:
         parts.append(f"{expired:.0%} expired before they could be sent")
+    if "" in get("radio.clouds_complete.share"):
+        parts.append(f"{get('radio.clouds_complete.share')['']:.0%} of point clouds arrive whole")
     if "" in get("radio.cbr.mean"):
         parts.append(f"{get('radio.cbr.mean')['']:.1%} of the time the channel is busy")
     if "" in get("radio.pir.mean_s"):

@@ -161,7 +161,8 @@ def clouds(run: Run) -> pd.DataFrame:
     and complete (share of the sweeps that a vehicle within range receives whole).
     """
     return _asked(run, "point clouds", 'none is sent. Set early_fusion.share to "objects" or "sweep".', f"""
-        SELECT 8e-6 * sum(length_bytes) / {_ROAD_S} AS offered_mbps,
+        SELECT 8e-6 * sum(length_bytes) FILTER (sender IN (FROM vehicles SELECT vehicle WHERE equipped)) / {_ROAD_S}
+                AS offered_mbps,
             8e-6 * sum(length_bytes::DOUBLE * (n_received + n_received_late)) / {_ROAD_S} AS delivered_mbps,
             sum(n_received + n_received_late) / nullif(sum(n_in_range), 0) AS complete
         FROM clouds HAVING count(*) > 0

@@ -620,7 +620,7 @@ def radio(of):
     if len(clouds):
         bits, got = 8e-6 * clouds.length_bytes.to_numpy(float), clouds.n_received.to_numpy(float)
         got += clouds.n_received_late if "n_received_late" in clouds else 0
-        yield "clouds_offered.mean_mbps", "", bits.sum() / road_s
+        yield "clouds_offered.mean_mbps", "", bits[clouds.sender.isin(who.index[who.equipped])].sum() / road_s
         yield "clouds_delivered.mean_mbps", "", bits @ got / road_s
         yield "clouds_complete.share", "", ratio(got.sum(), clouds.n_in_range.sum())
     server = of.table("server")

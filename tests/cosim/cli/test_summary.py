@@ -95,6 +95,7 @@ def test_every_topic_is_a_line_that_begins_with_a_number():
         ({"encounters.n": {}}, "encounters", "none: the config defines no"),
         ({"traffic.equipped.n": {"honest": (0.0,)}}, "traffic", "no vehicle with LiDAR and radio"),
         ({"radio.lost.expired": {"": (0.2,)}}, "radio", "20% expired before they could be sent"),
+        ({"radio.clouds_complete.share": {"": (0.02,)}}, "radio", "2% of point clouds arrive whole"),
     ],
 )
 def test_what_is_missing_is_said(changes, topic, says):
