@@ -85,8 +85,8 @@ def measure(
     -------
     Columns metric (an identifier of `results.metrics.registry.METRICS`), group, value, low and high (95 % interval,
     null if the metric has none), n_units (number of units that the interval is clustered by), unit, label, note.
-    A topic for which the run has no data has one row `<topic>.not_measured`, with the reason as group and without a
-    value. A metric that is not defined, such as a median that was not reached, has no row.
+    Where the run has no data for metrics of a topic, a row `<topic>.not_measured` has the reason as group and no
+    value, each reason once. A metric that is not defined, such as a median that was not reached, has no row.
 
     Raises
     ------
@@ -103,29 +103,36 @@ def measure(
     for topic in topics:
         if topic not in registry.TOPICS:
             raise ValueError(f"There is no topic {topic!r}. The topics are {', '.join(registry.TOPICS)}.")
-        try:
-            for row in _measured(run, topic, options):
-                rows.append(row)
-        except ValueError as reason:
-            if isinstance(reason, Damaged) and str(reason) not in run.damage:
-                run.damage.append(str(reason))
-            rows.append(MeasuredRow(f"{topic}.not_measured", str(reason), np.nan))
+        rows += _measured(run, topic, options)
     return pd.DataFrame(
         [(*row[:-1], METRICS[row.name].unit, METRICS[row.name].label, _note(row)) for row in rows],
         columns=COLUMNS,
     )
 
 
-def _measured(run: Run, topic: str, options: Mapping[str, Any]) -> Iterator[MeasuredRow]:
-    """The values of a topic, one function of `results.metrics` after the other."""
+def _measured(run: Run, topic: str, options: Mapping[str, Any]) -> list[MeasuredRow]:
+    """The values of a topic, one function of `results.metrics` after the other, and why some have none.
+
+    What one function cannot answer says nothing about the next: nobody finds trust, so trust has no age, but the share
+    of lookups that find some is 0.
+    """
     mine = [(name, metric) for name, metric in METRICS.items() if metric.source and name.startswith(f"{topic}.")]
+    rows: list[MeasuredRow] = []
+    reasons: dict[str, None] = {}
     for _, same in groupby(mine, lambda of: (of[1].source, of[1].options)):
         of_source = list(same)
         metric = of_source[0][1]
-        if all(table in run.tables and run.n_rows(table) for table in metric.needs):
-            found = _answer(run, metric, options)
-            for name, metric in of_source:
-                yield from _rows(name, metric, found)
+        try:
+            is_recorded = all(table in run.tables and run.n_rows(table) for table in metric.needs)
+            found = _answer(run, metric, options) if is_recorded else ()
+        except ValueError as reason:
+            if isinstance(reason, Damaged) and str(reason) not in run.damage:
+                run.damage.append(str(reason))
+            reasons[str(reason)] = None
+            continue
+        for name, metric in of_source:
+            rows += _rows(name, metric, found)
+    return rows + [MeasuredRow(f"{topic}.not_measured", reason, np.nan) for reason in reasons]
 
 
 def _answer(run: Run, metric: Metric, options: Mapping[str, Any]) -> Sequence[Mapping[Any, Any]]:

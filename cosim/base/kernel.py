@@ -10,13 +10,19 @@ of stations.
 """
 
 import fcntl
+import hashlib
 import os
 import pickle
+from collections.abc import Iterator
 from contextlib import suppress
+from enum import EnumType
+from functools import cache
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 from numba import njit, threading_layer
 from numba.core import caching
+from numpy import dtype, generic, ndarray
 
 
 class _ForgivingIndex(caching.IndexDataCacheFile):
@@ -50,6 +56,84 @@ class _ForgivingIndex(caching.IndexDataCacheFile):
 
 
 setattr(caching, "IndexDataCacheFile", _ForgivingIndex)  # noqa: B010  private API of Numba: it has no other way
+_key_of_own_code = caching.FunctionCache._index_key
+
+
+def _key_of_all_code(self: Any, signature: Any, codegen: Any) -> tuple[Any, ...]:
+    """The key under which compiled code is kept: Numba's, and a digest of what is compiled into it from other files.
+
+    Numba looks at the function's own file alone. Its machine code also contains the functions that it calls, the
+    constants that they read, and the order of the fields of named tuples. After an update of one of these, old code
+    would go on computing.
+    """
+    fields = repr([_fields(kind) for kind in signature])
+    digest = _digest_of(self._py_func) + hashlib.sha256(fields.encode()).hexdigest()
+    return (*_key_of_own_code(self, signature, codegen), digest)
+
+
+setattr(caching.FunctionCache, "_index_key", _key_of_all_code)  # noqa: B010  likewise
+
+
+def _fields(kind: Any) -> Any:
+    """Names of the fields of a type that is a named tuple, and of the types in it."""
+    return getattr(kind, "fields", ()), [_fields(one) for one in getattr(kind, "types", ())]
+
+
+@cache
+def _digest_of(function: FunctionType) -> str:
+    """Digest of a function and of all that it calls."""
+    digest, found, left = hashlib.sha256(), {function}, [function]
+    while left:
+        content, called = _content(left.pop())
+        digest.update(content)
+        new = [one for one in called if one not in found]
+        found.update(new)
+        left += dict.fromkeys(new)
+    return digest.hexdigest()
+
+
+@cache
+def _content(function: FunctionType) -> tuple[bytes, list[FunctionType]]:
+    """Code of a function and the constants that it reads, and the functions that it calls."""
+    said: list[str] = []
+    called: list[FunctionType] = []
+    cells = [cell.cell_contents for cell in function.__closure__ or ()]
+    for code in _codes(function.__code__):
+        constants = [one for one in code.co_consts if not isinstance(one, CodeType) and one != function.__doc__]
+        said.append(repr((code.co_code, code.co_varnames, code.co_names, constants)))
+        values = [function.__globals__[name] for name in code.co_names if name in function.__globals__]
+        # Of a module, what is read is among the names, too.
+        modules = [one for one in values if isinstance(one, ModuleType)]
+        values += [getattr(module, name) for module in modules for name in code.co_names if hasattr(module, name)]
+        for value in (*values, *cells):
+            _say(value, said, called)
+    return "\n".join(said).encode(), called
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    """A code object and those of the functions within."""
+    yield code
+    for one in code.co_consts:
+        if isinstance(one, CodeType):
+            yield from _codes(one)
+
+
+def _say(value: Any, said: list[str], called: list[FunctionType]) -> None:
+    """Add what a name stands for: a function, a tuple of things, or a constant."""
+    function = getattr(value, "py_func", getattr(value, "_defn", value))  # compiled functions, and intrinsics
+    if isinstance(function, FunctionType):
+        called.append(function)
+        said.append(repr(getattr(value, "targetoptions", "")))
+    elif isinstance(value, tuple):
+        for one in value:
+            _say(one, said, called)
+    elif isinstance(value, ndarray):
+        said.append(f"{value.dtype} {value.shape} {value.tobytes()!r}")
+    elif isinstance(value, EnumType):
+        said.append(repr(list(value)))
+    elif isinstance(value, int | float | complex | str | bytes | dtype | generic):
+        said.append(repr(value))
+
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 _COUNTLESS: dict[str, Any] = _OPTIONS | {"_nrt": False}

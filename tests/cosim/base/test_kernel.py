@@ -68,3 +68,56 @@ def test_processes_save_one_after_the_other(tmp_path):
         assert not any(saved.done() for saved in both) and not [*tmp_path.iterdir()]
         os.close(folder)
     assert [one.load("a"), one.load("b")] == ["a", "b"]
+
+
+THEIRS = """
+from cosim.base.kernel import inlined, kernel
+
+SHIFT = 1.0
+
+
+@inlined
+def copied(x):
+    return x + 1.0
+
+
+@kernel
+def linked(x):
+    return x + 1.0
+"""
+CALLING = """
+import theirs
+from theirs import SHIFT, copied
+
+from cosim.base.kernel import kernel
+
+
+@kernel
+def all_of(x, pair):
+    return copied(x), theirs.linked(x), x + SHIFT, pair.a
+"""
+PAIR = """
+from typing import NamedTuple
+
+
+class Pair(NamedTuple):
+    a: int
+    b: int
+"""
+
+
+def test_what_a_cached_function_calls_may_change_in_other_files(tmp_path):
+    """Functions that are copied into it or called by it, constants that it reads, and the order of fields."""
+    hits = "sum(calling.all_of.stats.cache_hits.values())"
+    asked = f"import calling, pairs; print(calling.all_of(1.0, pairs.Pair(7, 8)), {hits})"
+    theirs, pairs = tmp_path / "theirs.py", tmp_path / "pairs.py"
+    (tmp_path / "calling.py").write_text(CALLING)
+    theirs.write_text(THEIRS)
+    pairs.write_text(PAIR)
+    assert run(tmp_path, asked) == "(2.0, 2.0, 2.0, 7) 0\n"
+    assert run(tmp_path, asked) == "(2.0, 2.0, 2.0, 7) 1\n"
+    theirs.write_text(THEIRS.replace("1.0", "10.0"))
+    assert run(tmp_path, asked) == "(11.0, 11.0, 11.0, 7) 0\n"
+    pairs.write_text(PAIR.replace("a: int\n    b", "b: int\n    a"))
+    assert run(tmp_path, asked) == "(11.0, 11.0, 11.0, 8) 0\n"
+    assert run(tmp_path, asked) == "(11.0, 11.0, 11.0, 8) 1\n"
