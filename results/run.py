@@ -376,7 +376,8 @@ class Run:
         """
         if not self.config.get("sensing", True):
             why = "sensing = false, so no vehicle senses or sends. Set sensing = true, and run again."
-        return ValueError(f"{self.path} holds no {what}: {why}")
+        of = "" if self.variant == BASE_VARIANT else f", trust variant {self.variant},"
+        return ValueError(f"{self.path}{of} holds no {what}: {why}")
 
     def _why_absent(self, name: str) -> str:
         """Why the run does not have a table, and what to do."""

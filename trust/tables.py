@@ -474,7 +474,8 @@ class TrustScores(Rows):
     """Trust at one step: a row per (holder, subject) with evidence, sorted.
 
     All steps are steps of detections. The columns `*_evaluation_step` concern only those evaluations behind the value
-    that have visibility above 0 and come from others than the subject. They are valid only where `is_evaluated`.
+    that have visibility above 0 and come from others than the subject. They are valid only where `is_evaluated`. The
+    oldest steps are -1 where the model does not keep them.
     """
 
     step: int
@@ -518,7 +519,7 @@ class TrustScores(Rows):
         newest_step
             Newest step of the detections behind each value: the ages of trust are counted from it.
         oldest_step
-            Oldest one; the newest if not given.
+            Oldest one; not kept if not given.
         n_evaluations
             Behind each value, with visibility above 0, by others than the subject; one number for all rows will do.
         uncertainty
@@ -535,7 +536,7 @@ class TrustScores(Rows):
         order, n = np.lexsort((subject, holder)), len(subject)
         counts = np.broadcast_to(n_evaluations, n)[order].astype(np.int64)
         newest = newest_step[order]
-        oldest = newest if oldest_step is None else oldest_step[order]
+        oldest = np.full(n, -1) if oldest_step is None else oldest_step[order]
         return TrustScores(
             step=now_step,
             holder=holder[order],

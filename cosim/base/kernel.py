@@ -74,6 +74,10 @@ def _key_of_all_code(self: Any, signature: Any, codegen: Any) -> tuple[Any, ...]
 setattr(caching.FunctionCache, "_index_key", _key_of_all_code)  # noqa: B010  likewise
 
 
+_PLAIN = int | float | complex | tuple | dtype | generic
+"""Constants that are told from each other by what they print; not texts, which say nothing to a kernel."""
+
+
 def _fields(kind: Any) -> Any:
     """Names of the fields of a type that is a named tuple, and of the types in it."""
     return getattr(kind, "fields", ()), [_fields(one) for one in getattr(kind, "types", ())]
@@ -99,12 +103,12 @@ def _content(function: FunctionType) -> tuple[bytes, list[FunctionType]]:
     called: list[FunctionType] = []
     cells = [cell.cell_contents for cell in function.__closure__ or ()]
     for code in _codes(function.__code__):
-        constants = [one for one in code.co_consts if not isinstance(one, CodeType) and one != function.__doc__]
+        constants = [one for one in code.co_consts if isinstance(one, _PLAIN)]
         said.append(repr((code.co_code, code.co_varnames, code.co_names, constants)))
         values = [function.__globals__[name] for name in code.co_names if name in function.__globals__]
         # Of a module, what is read is among the names, too.
-        modules = [one for one in values if isinstance(one, ModuleType)]
-        values += [getattr(module, name) for module in modules for name in code.co_names if hasattr(module, name)]
+        for module in [one for one in values if isinstance(one, ModuleType)]:
+            values += [getattr(module, name) for name in code.co_names if hasattr(module, name)]
         for value in (*values, *cells):
             _say(value, said, called)
     return "\n".join(said).encode(), called
@@ -131,7 +135,7 @@ def _say(value: Any, said: list[str], called: list[FunctionType]) -> None:
         said.append(f"{value.dtype} {value.shape} {value.tobytes()!r}")
     elif isinstance(value, EnumType):
         said.append(repr(list(value)))
-    elif isinstance(value, int | float | complex | str | bytes | dtype | generic):
+    elif isinstance(value, _PLAIN):
         said.append(repr(value))
 
 

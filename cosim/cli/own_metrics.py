@@ -55,7 +55,7 @@ def split_metrics(names: list[str]) -> tuple[list[str], list[str]]:
 
 
 def with_metrics(table: "pd.DataFrame", names: list[str]) -> "pd.DataFrame":
-    """The rows of these metrics, each once, in the order of the table."""
+    """The rows of these metrics, each once, in the order of the table; where there are none, what is not measured."""
     from results.metrics.registry import TOPICS
 
     kept = table.metric != table.metric
@@ -64,5 +64,6 @@ def with_metrics(table: "pd.DataFrame", names: list[str]) -> "pd.DataFrame":
         rows = table.metric == metric
         if metric in TOPICS:
             rows = table.metric.str.startswith(metric + ".")
-        kept |= rows & ((table.group == group) if group else True)
+        rows &= (table.group == group) if group else True
+        kept |= rows if rows.any() else table.metric == f"{metric.partition('.')[0]}.not_measured"
     return table[kept]

@@ -221,7 +221,7 @@ def trust_scores(call: Call, returned: Any) -> TrustScores:
         newest, oldest = getattr(s, f"newest_{what}"), getattr(s, f"oldest_{what}")
         _none(f"newest_{what}", newest, counts & (newest > now), f"a step up to {now}, that of the call,", subject)
         _none(f"oldest_{what}", oldest, counts & (oldest > newest), f"not later than newest_{what}", subject)
-        _none(f"oldest_{what}", oldest, counts & (oldest < 0), "0 or more", subject)
+        _none(f"oldest_{what}", oldest, counts & (oldest < -1), "0 or more, or -1 if it is not kept,", subject)
     _ascending("holder, subject", pair_key(s.holder, subject))
     return detached(returned)
 

@@ -468,7 +468,9 @@ class TrustHosts:
         found.source[rows[valued]] = _SERVER if params.host == "central" else _OWN
         newest_age_s = time_s - scores.newest_evaluation_step[at] * self.dt_s
         found.age_s[rows], found.newest_evaluation_age_s[rows] = age_s, newest_age_s
-        found.oldest_evaluation_age_s[rows] = time_s - scores.oldest_evaluation_step[at] * self.dt_s
+        oldest = scores.oldest_evaluation_step[at]
+        oldest_age_s = np.where(oldest < 0, np.nan, time_s - oldest * self.dt_s)
+        found.oldest_evaluation_age_s[rows] = oldest_age_s
         found.state[rows] = np.where(evaluated, np.where(newest_age_s < window_s, _EVALUATED, _STALE), _UNEVALUATED)
         found.n_evaluations[rows] = scores.n_evaluations[at]
         if scores.n_evaluators is None:

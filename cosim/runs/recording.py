@@ -551,7 +551,7 @@ def _published(recorder: TakesRows, now_step: int, dt_s: float, of_variant: Sequ
         return np.concatenate([getattr(scores, name) for _, scores in of_variant])
 
     n = [len(scores.subject) for _, scores in of_variant]
-    uncertainty, is_evaluated = joined("uncertainty"), joined("is_evaluated")
+    uncertainty, is_evaluated, oldest = (joined(x) for x in ("uncertainty", "is_evaluated", "oldest_evaluation_step"))
     n_evaluators = [scores.n_evaluations if (m := scores.n_evaluators) is None else m for _, scores in of_variant]
     rows = {
         "variant": np.repeat([v for v, _ in of_variant], n),
@@ -565,7 +565,7 @@ def _published(recorder: TakesRows, now_step: int, dt_s: float, of_variant: Sequ
             n=joined("n_evaluations"),
             n_evaluators=np.concatenate(n_evaluators),
             newest_s=(now_step - joined("newest_evaluation_step")) * dt_s,
-            oldest_s=(now_step - joined("oldest_evaluation_step")) * dt_s,
+            oldest_s=np.where(oldest < 0, np.nan, (now_step - oldest) * dt_s),
             some=is_evaluated,
             counted=np.repeat([scores.n_evaluators is not None for _, scores in of_variant], n),
         ),
@@ -636,6 +636,7 @@ def _lookup_totals(found: Lookups, n_variants: int) -> Rows:
     def total(of: ndarray, weight: ndarray | None = None) -> ndarray:
         return np.bincount(group[of], None if weight is None else weight[of], n_groups)
 
+    oldest_s = total(is_known, found.oldest_evaluation_age_s)
     rows = {
         "variant": np.repeat(np.arange(n_variants), n_states),
         "state": np.tile(np.arange(n_states), n_variants),
@@ -643,7 +644,8 @@ def _lookup_totals(found: Lookups, n_variants: int) -> Rows:
         "n_valued": total(has_value),
         "age_sum_s": total(has_value, found.age_s),
         "newest_evaluation_age_sum_s": total(is_known, found.newest_evaluation_age_s),
-        "oldest_evaluation_age_sum_s": total(is_known, found.oldest_evaluation_age_s),
+        "oldest_evaluation_age_sum_s": oldest_s,
+        "oldest_evaluation_age_sum_s__valid": ~np.isnan(oldest_s),
     }
     occurs = rows["n"] > 0
     return {name: column[occurs] for name, column in rows.items()}
@@ -659,7 +661,8 @@ def _evaluations_behind(
 ) -> Rows:
     """Columns about the evaluations behind trust values.
 
-    `some` is true for values with at least one evaluation, `counted` where the number of evaluators is known.
+    `some` is true for values with at least one evaluation, `counted` where the number of evaluators is known. An oldest
+    age that the model does not keep is NaN.
     """
     return {
         "n_evaluations": n,
@@ -668,7 +671,7 @@ def _evaluations_behind(
         "newest_evaluation_age_s": newest_s,
         "newest_evaluation_age_s__valid": some,
         "oldest_evaluation_age_s": oldest_s,
-        "oldest_evaluation_age_s__valid": some,
+        "oldest_evaluation_age_s__valid": some & ~np.isnan(oldest_s),
     }
 
 

@@ -17,8 +17,8 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
 
     Of trust values that rest on at least one evaluation; the diagonal is chance. Honest vehicles are watched from the
     first attack of any on; those who leave before they are suspected are censored (Kaplan and Meier). The trust is
-    the server's; without one, on the left the mean of the values that receivers hold, on the right that of the first
-    of them to fall below the threshold.
+    the server's; without one, above the mean of the values that receivers hold, below that of the first of them to
+    fall below the threshold.
     """
     runs = style.arranged(runs, most=4)
     roles = style.roles_of(runs)
@@ -47,7 +47,7 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
         delays.text(0.5, 0.5, f"more than {few} of\nhonest values are 0", ha="center", transform=delays.transAxes)
     style.share_axis(delays)
     delays.set_xlim(left=0)
-    mark = Line2D([], [], color="#444444", marker="o", linestyle="", label=f"on the left: threshold at {few}")
+    mark = Line2D([], [], color="#444444", marker="o", linestyle="", label=f"above: threshold at {few}")
     style.legend(figure, [*style.role_entries(shown, roles), mark], style.run_entries(runs))
     return figure
 

@@ -325,6 +325,23 @@ def variants_of(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
     return variants, [run.variant if len(runs) == 1 else f"{run.path.name}, {run.variant}" for run in variants]
 
 
+def draw_each(runs: Sequence[Run], draw: Callable[[int, Run], None]) -> list[int]:
+    """Draw each run, by its number and itself, and return the numbers of those that cannot be drawn.
+
+    One trust variant without values, such as one whose server computed none, takes away no figure of the others.
+    ValueError of the first one if none can be drawn.
+    """
+    reasons = {}
+    for i, run in enumerate(runs):
+        try:
+            draw(i, run)
+        except ValueError as reason:
+            reasons[i] = reason
+    if len(reasons) == len(runs):
+        raise reasons[0]
+    return list(reasons)
+
+
 FLATTEST = 0.3
 """Least ratio of the sides of a map: with equal scales, a narrower one would have no room for its labels."""
 

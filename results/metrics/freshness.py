@@ -97,7 +97,7 @@ def capped_ages(run: Run) -> pd.DataFrame:
     """Age of the newest evaluation over all lookups, those without one included, and at most the window.
 
     A lookup without an evaluation within the window `trust.freshness_s` counts as the window, as its evidence is at
-    least as old or there is none. If evidence does not expire, the recorded time takes the place of the window. A
+    least as old or there is none. If that is "off", the recorded time takes the place of the window. A
     quantile that equals the window says only that the age is at least that.
 
     Returns
@@ -265,7 +265,8 @@ def _totals(run: Run) -> pd.DataFrame:
     found = run.sql("""
         SELECT replace(state, '_', ' ') AS state, sum(n)::BIGINT AS n, sum(n_valued)::BIGINT AS n_valued,
             sum(age_sum_s::DOUBLE) AS age_s, sum(newest_evaluation_age_sum_s::DOUBLE) AS newest_evaluation_age_s,
-            sum(oldest_evaluation_age_sum_s::DOUBLE) AS oldest_evaluation_age_s
+            if(bool_or(oldest_evaluation_age_sum_s IS NULL), NULL, sum(oldest_evaluation_age_sum_s::DOUBLE))
+                AS oldest_evaluation_age_s
         FROM lookup_totals WHERE variant = $variant GROUP BY state
     """)
     if found.empty:
@@ -279,7 +280,7 @@ def _ages_of_totals(run: Run) -> pd.DataFrame:
     n = dict(zip(AGES, (total.n_valued.sum(), n_known, n_known), strict=True))
     rows = [
         {"what": what, "role": "all", "n": n[what], "median_s": np.nan, "p90_s": np.nan}
-        | plain_columns(without_interval(total[column].sum() / n[what]), "mean_s")
+        | plain_columns(without_interval(total[column].sum(skipna=False) / n[what]), "mean_s")
         for what, column in AGES.items()
         if n[what]
     ]

@@ -46,6 +46,9 @@ def test_trust_model(beside):
     # A holder of n positive and no negative evidence is trusted with (n + 2) / (n + 4) under a prior of 2.
     assert ((trust.trust > 0) & (trust.trust < 1)).all()
     np.testing.assert_allclose(trust.uncertainty, 4 / (trust.weight + 4), rtol=1e-5)
+    # It keeps the newest step of its evidence alone, so how old the oldest is is not known, here or in any mean.
+    assert trust.newest_evaluation_age_s.notna().any() and trust.oldest_evaluation_age_s.isna().all()
+    assert {"newest evaluation"} == set(run.measure.freshness.ages().what) - {"value"}
     assert choices["trust.model"]["file"] == str(folder / "own_trust.py")
     assert len(choices["trust.model"]["sha256"]) == 64
 

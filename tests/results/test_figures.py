@@ -58,6 +58,18 @@ def test_too_few_messages_for_a_curve_are_said(tiny):
     assert not axes.lines and [text.get_text() for text in axes.texts] == ["too few messages"]
 
 
+def test_what_cannot_be_drawn_takes_away_nothing_else(run):
+    """A run, or a trust variant, without values; if none has any, the first reason is given."""
+
+    def draw(i, _):
+        if i != 1:
+            raise ValueError(f"number {i}")
+
+    assert style.draw_each([run, run, run], draw) == [0, 2]
+    with pytest.raises(ValueError, match="number 0"):
+        style.draw_each([run], draw)
+
+
 @pytest.mark.parametrize("suffix", style.FORMATS)
 def test_saved_twice_is_the_same_file(run, suffix, tmp_path):
     one, two = (style.save(trust.draw([run]), tmp_path / f"{n}{suffix}").read_bytes() for n in "ab")

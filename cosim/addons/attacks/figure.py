@@ -28,28 +28,40 @@ def draw(runs: Sequence[Run]) -> Figure:
     names = labels(runs[0])
     if any(labels(run) != names for run in runs[1:]):
         raise ValueError("The runs have different attacks. Draw them one by one.")
-    for i, (axes, run, title) in enumerate(zip(panels, variants, titles, strict=True)):
-        _panel(axes, run)
+    for i in style.draw_each(variants, lambda i, run: _panel(panels[i], run)):
+        panels[i].text(0.5, 0.5, "no trust values", ha="center", va="center", transform=panels[i].transAxes)
+    for i, (axes, title) in enumerate(zip(panels, titles, strict=True)):
         is_last, is_first = i >= len(variants) - columns, i % columns == 0
         style.panel(axes, title, style.TIME if is_last else "", "Trust (median)" if is_first else "")
         axes.tick_params(labelleft=is_first)
     entries = [Line2D([], [], color=style.ROLE_INKS[_HONEST], label=_HONEST)]
-    style.legend(figure, [*entries, *(Line2D([], [], label=name, **_look(i)) for i, name in enumerate(names))])
+    entries += [Line2D([], [], label=name, **_look(i)) for i, name in names.items()]
+    style.legend(figure, entries)
     return figure
 
 
-def labels(run: Run) -> list[str]:
-    """What each section of `attacks` is called: the attack, and the keys in which sections of this name differ."""
+def labels(run: Run) -> dict[int, str]:
+    """What each section of `attacks` with vehicles of its own is called, by its position.
+
+    It is the attack, the keys in which sections of this name differ, and what its vehicles do together with it.
+    """
     sections: list[Mapping[str, Any]] = run.config.get("attacks", [])
     if not sections:
         raise ValueError(f"{run.path} has no [[attacks]]. Add a section, and run again.")
-    found = []
-    for section in sections:
+    found: dict[int, str] = {}
+    for number, section in enumerate(sections):
+        owner = number
+        while (earlier := sections[owner].get("together_with")) is not None:
+            owner = earlier
+        if owner != number:
+            found[owner] += f" with {section['attack']}"
+            continue
         alike = [other for other in sections if other["attack"] == section["attack"]]
         keys = [key for key in section if key != "ids" and any(o.get(key) != section[key] for o in alike)]
         text = ", ".join(f"{key} {_plain(section[key])}" for key in keys)
-        found.append(f"{section['attack']}, {text}" if text else str(section["attack"]))
-    return [f"{i}: {name}" if found.count(name) > 1 else name for i, name in enumerate(found)]
+        found[number] = f"{section['attack']}, {text}" if text else str(section["attack"])
+    names = list(found.values())
+    return {i: f"{i}: {name}" if names.count(name) > 1 else name for i, name in found.items()}
 
 
 def over_time(run: Run) -> pd.DataFrame:

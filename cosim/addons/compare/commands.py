@@ -44,7 +44,7 @@ def compare(
     if own and full:
         raise ValueError("--full makes runs, and --run names them. Choose one.")
     with TemporaryDirectory(prefix="cosim-compare-") as scratch, progress() as advance:
-        runs = GivenRuns.opened(own) if own else PlannedRuns(Path(scratch), plans, full, advance)
+        runs = GivenRuns.opened(own, plans) if own else PlannedRuns(Path(scratch), plans, full, advance)
         if own:
             asked = [fact for fact in asked if len(fact.runs) == 1]
         compared = report.compare(asked, runs, advance)
@@ -59,7 +59,12 @@ def compare(
         screen.print(report.summary(compared), soft_wrap=True)
         screen.print(f"written: {files[0]}", soft_wrap=True)
     if own:
-        notes.print("note: whether these runs have the conditions of the facts is for you to say.", soft_wrap=True)
+        n = sum(bool(one.unlike) for one in compared)
+        notes.print(
+            f"note: {n} facts are stated for runs with keys that these runs set otherwise; the page names them. "
+            "Whether the conditions of the other facts hold is for you to say.",
+            soft_wrap=True,
+        )
         return
     for line in report.gained(compared):
         notes.print(line, soft_wrap=True)

@@ -141,6 +141,8 @@ class ComparedFact:
     ours: Measured | None
     problem: str = ""
     """Why nothing was computed."""
+    unlike: tuple[str, ...] = ()
+    """What the runs that the user gave set otherwise than the fact's own runs."""
 
     @property
     def inside(self) -> Bool[ndarray, "k"]:

@@ -33,7 +33,8 @@ def compare(facts: Sequence[Fact], runs: Runs, advance: Advance = lambda *_: Non
             continue
         try:
             ours = measured(fact.measure, [runs.of(name) for name in fact.runs], fact.options)
-            found.append(ComparedFact(fact, ours))
+            unlike = tuple(line for name in fact.runs for line in runs.unlike(name))
+            found.append(ComparedFact(fact, ours, unlike=unlike))
         except ValueError as error:
             found.append(ComparedFact(fact, None, str(error)))
     advance("facts", len(facts), len(facts), "")
@@ -103,7 +104,7 @@ def _record(one: ComparedFact) -> dict[str, Any]:
     record |= {"at": list(fact.at), "published": list(fact.value), "uncertainty": list(fact.uncertainty)}
     if ours is not None:
         record |= {name: _plain(getattr(ours, name)) for name in ("value", "low", "high")} | {"n": ours.n}
-    return record | {"problem": one.problem, "stated": fact.verdict, "verdict": one.verdict}
+    return record | {"problem": one.problem, "unlike": list(one.unlike), "stated": fact.verdict, "verdict": one.verdict}
 
 
 def _plain(values: Any) -> list[float | None]:
@@ -159,7 +160,8 @@ def _details(one: ComparedFact) -> str:
         "Values": places, "Source": fact.source, "Conditions": fact.conditions, "Band": fact.uncertainty_why,
         "Ours": fact.how, "Replicates": str(one.ours.n) if one.ours is not None and fact.runs else "",
         "Fitted": "a model was fitted to these values" if fact.judges == "fitted" else "",
-        "Stated": fact.verdict, "Reason": fact.reason, "Not computed": one.problem,
+        "But your runs have": "; ".join(one.unlike), "Stated": fact.verdict, "Reason": fact.reason,
+        "Not computed": one.problem,
     }  # fmt: skip
     lines = "".join(f"<li><b>{name}</b>: {escape(text)}</li>" for name, text in said.items() if text)
     return f"<details><summary>{escape(fact.id)}: {one.verdict}</summary><ul>{lines}</ul></details>"

@@ -3,8 +3,10 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from cosim.addons.compare.facts import RunPlan
+from cosim.config.changes import as_toml
 from cosim.config.config import Config, load
 from cosim.runs import run as running
 from results.archive import open_run
@@ -50,17 +52,22 @@ class PlannedRuns:
             self._made[name] = found
         return self._made[name]
 
+    def unlike(self, name: str) -> list[str]:
+        """Nothing: these runs have the keys of their plan."""
+        return []
+
 
 @dataclass(frozen=True, slots=True)
 class GivenRuns:
     """Runs of the user in place of all plans."""
 
     runs: Sequence[Run]
+    plans: Mapping[str, RunPlan]
 
     @staticmethod
-    def opened(folders: Sequence[Path]) -> "GivenRuns":
+    def opened(folders: Sequence[Path], plans: Mapping[str, RunPlan]) -> "GivenRuns":
         """Open run folders."""
-        return GivenRuns([open_run(folder) for folder in folders])
+        return GivenRuns([open_run(folder) for folder in folders], plans)
 
     @property
     def what(self) -> str:
@@ -70,6 +77,30 @@ class GivenRuns:
     def of(self, name: str) -> Sequence[Run]:
         """The runs, whatever the plan."""
         return self.runs
+
+    def unlike(self, name: str) -> list[str]:
+        """Keys of a plan that the runs set otherwise, with both values."""
+        plan = self.plans[name]
+        planned = config_of(plan, 0, is_full=False).to_dict()
+        found: dict[str, None] = {}
+        for key in (text.partition("=")[0] for text in plan.sets):
+            wanted = as_toml(_at(planned, key))
+            for given in {as_toml(_at(run.config, key)) for run in self.runs} - {wanted}:
+                if key not in _THRIFT:
+                    found[f"{key} = {given}, not {wanted}"] = None
+        return list(found)
+
+
+_THRIFT = ("sensing", "attacks", "trust_variant", "encounters", "trust.host")
+"""Keys that plans set to save time, not as a condition."""
+
+
+def _at(config: Mapping[str, Any], key: str) -> Any:
+    """The value of a key such as `traffic.step_s`; None where the config has none."""
+    value: Any = config
+    for name in key.split("."):
+        value = value.get(name) if isinstance(value, Mapping) else None
+    return value
 
 
 def config_of(plan: RunPlan, replicate: int, is_full: bool) -> Config:

@@ -26,10 +26,14 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
         run.require("trust_lookups")
     figure, panels = style.sheet(3, 0.7 + 0.15 * len(variants))
     few = f"{100 * false_positives:g} %"
-    for i, run in enumerate(variants):
+
+    def draw_row(i: int, run: Run) -> None:
         found = misbehaviour.compared_at_lookup(run, false_positives)
         for axes, estimate in zip(panels, found.values(), strict=True):
             _dot(axes, estimate, i)
+
+    for i in style.draw_each(variants, draw_row):
+        labels[i] += " (no values)"
     panels[0].axvline(0.5, color="#777777", linewidth=0.9, linestyle=(0, (2, 2)))
     titles = (
         ("Honest above attacker, at lookup", "Area under the ROC curve"),

@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from cosim.addons.compare import report
 from cosim.addons.compare.facts import ComparedFact, Fact, Measured, chosen, load
 from cosim.addons.compare.measures import MEASURES, measured
 from cosim.addons.compare.runs import GivenRuns, PlannedRuns, config_of
+from cosim.config.config import load as load_config
 from tests.drive import cosim
 from tests.results.tiny import fleet
 
@@ -153,8 +155,15 @@ def test_report_without_runs(tmp_path):
 def test_runs_of_the_user_stand_in_for_plans(tiny):
     """A fact whose conditions our runs cannot have is measured in a run of the user's."""
     run = tiny(60, vehicles=fleet("honest", "honest"), encounters=[])
-    (one,) = report.compare([FACTS["contacts.freeway"]], GivenRuns([run]))
+    (one,) = report.compare([FACTS["contacts.freeway"]], GivenRuns([run], PLANS))
     assert one.verdict == "not computed" and one.problem
+
+
+def test_conditions_that_the_users_runs_lack_are_named():
+    """Car-following is a condition; that attacks are left out, which saves time, is none."""
+    config = load_config(None, ["traffic.step_s=0.5"]).to_dict()
+    given = GivenRuns([SimpleNamespace(config=config)], PLANS)
+    assert given.unlike("calibrated") == ['traffic.car_following = "scenario", not "calibrated"']
 
 
 def test_blockage_by_hand():

@@ -1,5 +1,6 @@
 """The summary of a run: a line per topic, numbers first, and what is chance."""
 
+import numpy as np
 import pytest
 
 from cosim.cli import console
@@ -127,6 +128,11 @@ def test_a_run_that_is_shorter_than_the_delay_to_the_server_names_the_delay(tmp_
     recorded = open_run(run(load(None, keys), tmp_path / "run", lambda *_: None))
     (row,) = measure(recorded, topics=("trust",)).itertuples()
     assert row.metric == "trust.not_measured" and "Shorten the delays and outages in [server]" in row.group
+    # Trust that nobody finds has no age. Of all lookups, none is fresh, and each counts as the window.
+    of = {name: recorded.measure.value(f"freshness.{name}", "all") for name in (
+        "newest_evaluation_age.mean_s", "evaluation_within.share", "capped_age.mean_s"
+    )}  # fmt: skip
+    assert list(of.values()) == [pytest.approx(np.nan, nan_ok=True), 0, recorded.config["trust"]["freshness_s"]]
 
 
 def test_a_run_without_definitions_of_encounters_has_a_summary(tmp_path, capsys):

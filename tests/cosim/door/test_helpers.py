@@ -18,7 +18,7 @@ def test_trust_scores_in_any_order():
     )
     assert scores.step == 7 and scores.subject.tolist() == [3, 5, 1] and scores.holder.tolist() == [0, 0, 2]
     assert scores.trust.tolist() == [0.3, 0.5, 0.1] and scores.newest_step.tolist() == [3, 5, 1]
-    assert scores.oldest_evaluation_step.tolist() == [3, 5, 1] and scores.weight.tolist() == [1, 1, 1]
+    assert scores.oldest_evaluation_step.tolist() == [-1, -1, -1] and scores.weight.tolist() == [1, 1, 1]
     assert np.isnan(scores.uncertainty).all() and scores.is_evaluated.all() and scores.n_evaluators is None
 
 

@@ -346,7 +346,7 @@ PARTICULAR = {
         ("scores", "replace(it, n_evaluators=it.n_evaluations + 1)"): "0 to n_evaluations is expected",
         ("scores", "replace(it, newest_step=it.newest_step + 9)"): "newest_step[0] = 10 of subject 1",
         ("scores", "replace(it, oldest_step=it.newest_step + 1)"): "not later than newest_step is expected",
-        ("scores", "replace(it, oldest_step=it.oldest_step - 5)"): "oldest_step[0] = -4",
+        ("scores", "replace(it, oldest_step=it.oldest_step - 5)"): "oldest_step[0] = -6",
         ("scores", "replace(it, newest_evaluation_step=it.newest_step + 9)"): "newest_evaluation_step[0] = 10",
         ("scores", "replace(it, oldest_evaluation_step=it.newest_step + 1)"): "not later than newest_evaluation_step",
         ("scores", "replace(it, newest_step=it.newest_step * 1.0)"): "newest_step as an array of float64",
