@@ -217,12 +217,6 @@ def moved_metrics(was: Found, now: Found, rel: float = TOLERANCE, absolute: floa
     return lines
 
 
-def advice(moved: Sequence[str]) -> Iterator[str]:
-    """What else is to do if these moved: studies keep traffic by the version of its computation."""
-    if any(line.startswith("table actors: ") for line in moved):
-        yield "Where the same [traffic] now gives other traffic, raise TRAFFIC_VERSION, by which studies keep traffic."
-
-
 def _flat(metrics: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
     return {
         f"{name} | {group}": value for name, values in metrics.items() for group, value in values.items()
@@ -255,7 +249,7 @@ def main(names: Sequence[str]) -> None:
         found[name] = simulated(world)
         idle = found[name].pop("idle")
         moved = [*moved_tables(was[name], found[name]), *moved_metrics(was[name], found[name])] if name in was else []
-        moved += [*advice(moved), *(f"no row of {act}" for act in idle)]
+        moved += [f"no row of {act}" for act in idle]
         print(f"{name}: {'recorded anew' if name in was else 'is new'}", *moved, sep="\n  ", flush=True)
     write(found)
 

@@ -30,7 +30,7 @@ def test_nothing_moved(name):
 
 
 def _message(name: str, moved: list[str]) -> str:
-    lines = "\n  ".join([*moved, *frozen.advice(moved)])
+    lines = "\n  ".join(moved)
     return f"{name}: {len(moved)} moved\n  {lines}\nIf that is meant, renew the file: {frozen.COMMAND} {name}"
 
 

@@ -16,9 +16,6 @@ from cosim.step.parts import variants
 from cosim.studies.points import Point, identity, scenario_of, shared_identity, traffic_identity
 from trust.params import evidence_values
 
-TRAFFIC_VERSION = 1
-"""Increase it when the same `[traffic]` gives other traffic. `tests/cosim/studies/test_stages.py` checks this."""
-
 MOST_VARIANTS = 60
 """Largest number of points in one run."""
 
@@ -121,7 +118,7 @@ def _share_traffic(runs: Sequence[PlannedRun], stored: Collection[str], remarks:
     names: dict[str, str] = {}
     for run in runs:
         if run.config.driver.model == "none" and not _is_replay(run.config):
-            names[run.id] = traffic_identity(run.config, TRAFFIC_VERSION)
+            names[run.id] = traffic_identity(run.config)
     used = list(names.values())
     shared = {name for name in used if used.count(name) > 1 or name in stored}
     traffic: dict[str, Config] = {}

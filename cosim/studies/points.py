@@ -9,10 +9,10 @@ from typing import Any
 
 from cosim.config.config import Config
 from cosim.runs.inputs import mesh_checksums
+from cosim.runs.source import code_digest
 from cosim.step.parts import sources
 from cosim.studies.density import scenario_of as scenario_of
 from cosim.studies.study import Keys, Study, config_at
-from results.tables import SCHEMA_VERSION
 
 HOW = ("compute", "record")
 """Sections of a config that change no result."""
@@ -63,16 +63,13 @@ def identity(config: Config) -> str:
     return digest(content)
 
 
-def traffic_identity(config: Config, version: int) -> str:
-    """Name of a config's traffic: a hash of `[traffic]`, its files, and the versions of SUMO and of the tables."""
+def traffic_identity(config: Config) -> str:
+    """Name of a config's traffic: a hash of `[traffic]`, its files, the version of SUMO, and all code."""
     from cosim.runs.manifest import versions
 
     data = config.to_dict()["traffic"] | {"scenario": "", "trace": ""}
     files = _files(config.traffic.scenario, config.traffic.trace)
-    return digest({
-        "traffic": data, "files": files, "sumo": versions("").get("libsumo"), "stage_version": version,
-        "schema_version": SCHEMA_VERSION,
-    })  # fmt: skip
+    return digest({"traffic": data, "files": files, "sumo": versions("").get("libsumo"), "code": code_digest()})
 
 
 def shared_identity(config: Config, level: str) -> str:

@@ -1,10 +1,12 @@
-"""Stages that are kept: the cache keeps to its limit. tests/test_frozen.py guards their version."""
+"""Stages that are kept: the cache keeps to its limit, and other code has a stage of its own."""
 
 import json
 import os
 
 import pytest
 
+from cosim.config.config import load
+from cosim.studies import points
 from cosim.studies.stages import Cache
 
 
@@ -40,3 +42,11 @@ def test_an_entry_that_is_being_made_is_none(tmp_path):
     (unfinished / "stage.json").write_text("{}")
     assert not Cache(tmp_path).entries()
     assert not Cache(tmp_path).shrink(0.0, set()) and unfinished.is_dir()
+
+
+def test_traffic_that_other_code_recorded_is_not_replayed(monkeypatch):
+    config = load(None, [])
+    before = points.traffic_identity(config)
+    assert points.traffic_identity(config) == before
+    monkeypatch.setattr(points, "code_digest", lambda: "that of an update")
+    assert points.traffic_identity(config) != before
