@@ -25,9 +25,9 @@ from numba.core import types
 
 import cosim.base.kernel  # noqa: F401  whose cache two processes may write
 from cosim.runs import process
+from cosim.runs.source import code_digest
 
 LIST = Path(__file__).with_name("kernels.txt")
-_ROOT = Path(__file__).parents[3]
 
 
 def listed(path: Path = LIST) -> list[tuple[str, str, str]]:
@@ -79,9 +79,7 @@ def _start(path: Path) -> subprocess.Popen[bytes] | None:
     """
     kernels = listed(path)
     first = kernel_of(*kernels[0][:2])
-    digest = hashlib.sha256(path.read_bytes())
-    for module in sorted({module for module, _, _ in kernels}):
-        digest.update((_ROOT / f"{module.replace('.', '/')}.py").read_bytes())
+    digest = hashlib.sha256(path.read_bytes() + code_digest().encode())
     digest.update(repr((numba.__version__, first.targetctx.codegen().magic_tuple())).encode())
     marker = Path(first.stats.cache_path) / f"compiled.{sys.implementation.cache_tag}"
     handle = os.open(marker, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
