@@ -17,6 +17,7 @@ from results.archive import OpenRun, open_run
 from results.metrics.intervals import FREE, Bounds, around
 from results.metrics.registry import METRICS, TOPICS, bounds_of
 from results.spreadsheet import csv_of
+from results.study_measuring import changes, measuring_in
 
 
 class StudyResults:
@@ -46,10 +47,17 @@ class StudyResults:
     def measures(self) -> pd.DataFrame:
         """Every metric of every finished point: the swept keys, replicate, metric, group, value, unit, label."""
         frames = []
+        ways: list[dict[str, Any]] = []
         for run in self.points["run"].unique():
             path = self.path / "jobs" / str(run) / "measures.parquet"
             if path.is_file():
                 frames.append(_measures(path))
+                ways += [measuring_in(path.parent)] if path.with_name("job.json").is_file() else []
+        if others := [keys for way in ways[1:] if (keys := changes(ways[0], way))]:
+            raise ValueError(
+                f"{self.path}: {', '.join(others[0])} changed after some runs were measured, and means over both would "
+                f"say nothing. `cosim sweep {self.path}/study.toml --out {self.path}` measures them again."
+            )
         if not frames:
             raise ValueError(f"{self.path} has no finished run yet. Run `cosim sweep` on.")
         columns = ["point", "replicate", *self.keys]

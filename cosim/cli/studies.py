@@ -68,6 +68,7 @@ def sweep(
     said = [note for notes_on in of_points for note in notes_on(task.points)]
     if study.parent != out:  # there it is the copy of what is asked for
         said += sweeping.name_notes(study, asked)
+    said += sweeping.measuring_notes(task)
     for note in said + sweeping.interval_notes(task.study):
         notes.print(note, soft_wrap=True)
     if dry_run:

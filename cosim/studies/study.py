@@ -76,7 +76,7 @@ class Measuring:
     """False positive rate at which recall is reported."""
     own: str = ""
     """The user's own metrics, as path.py:name or package.module:name: a function of a `results.run.Run` that returns
-    columns metric, group, value, unit and label; empty for none."""
+    columns metric, group, value, unit and label, with one row for each metric and group; empty for none."""
 
 
 @dataclass(frozen=True, slots=True)
