@@ -1,6 +1,7 @@
 """A study on disk: its points, their runs, and every metric by swept key with its interval."""
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
@@ -116,7 +117,7 @@ class StudyResults:
         frame = self.measures
         is_base = np.ones(len(frame), bool)
         for key, value in self.baseline.items():
-            is_base &= (frame[key] == _as_column(frame[key], value)).to_numpy()
+            is_base &= (frame[key] == as_column(frame[key], value)).to_numpy()
         others = [key for key in self.keys if key not in self.baseline]
         on = [*others, "replicate", "metric", "group"]
         base = frame.loc[is_base, [*on, "value", "note"]]
@@ -412,6 +413,13 @@ def short_names(values: Iterable[Any]) -> dict[Any, str]:
     return texts
 
 
+def short_keys(keys: Iterable[str]) -> dict[str, str]:
+    """Swept keys as tables say them: their last word, or the whole key if another one ends in this word."""
+    last = {key: key.rsplit(".", 1)[-1] for key in keys}
+    n = Counter(last.values())
+    return {key: word if n[word] == 1 else key for key, word in last.items()}
+
+
 def said(value: Any) -> str:
     """A value of a swept key as text: numbers without digits that say nothing."""
     return f"{value:g}" if isinstance(value, float | np.floating) and not np.isnan(value) else str(value)
@@ -461,8 +469,8 @@ def _is_said(value: Any, name: str, text: str) -> bool:
         return False
 
 
-def _as_column(column: pd.Series, value: Any) -> Any:
-    """A value of a swept key as its column holds it."""
+def as_column(column: pd.Series, value: Any) -> Any:
+    """A value of a swept key as its column holds it, such as the text of a number beside words."""
     if column.dtype.kind in "fb":
         return value
     return value if isinstance(value, str) else json.dumps(value)

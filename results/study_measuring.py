@@ -34,4 +34,4 @@ def measuring_in(job: Path) -> dict[str, Any]:
 
 def changes(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
     """Keys of the study that differ. A key that one of them lacks is of another version, and makes no difference."""
-    return [key for key, value in one.items() if key in other and other[key] != value]
+    return [key for key, value in one.items() if other.get(key, value) != value]
