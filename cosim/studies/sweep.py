@@ -82,8 +82,9 @@ def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Ta
     folder.check()
     points = points_of(study, where)
     answers = folder.answers()
-    finished = {point.id: answers[point.id][0] for point in points if point.id in answers}
-    finished = {point: run for point, run in finished.items() if folder.is_finished(run)}
+    asked = {point.id for point in points}
+    run_of = {point: run for point, (run, _) in answers.items() if point in asked}
+    finished = {point: run for point, run in run_of.items() if folder.is_finished(run)}
     outdated = _outdated(study, folder, set(finished.values()))
     there = {point for point, run in finished.items() if run not in outdated}
     cache = Cache(default_folder())
