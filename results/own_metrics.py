@@ -6,6 +6,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pandas as pd
 
+from results.metrics.registry import METRICS
 from results.run import Run
 
 
@@ -38,6 +39,28 @@ class OwnMetric(Protocol):
 
 COLUMNS = ["metric", "group", "value", "low", "high", "n_units", "unit", "label", "note"]
 """Of a table of metrics."""
+
+
+def check_own(table: pd.DataFrame, place: str) -> pd.DataFrame:
+    """The same rows of a user's metrics; ValueError if a study cannot average them over replicates.
+
+    Parameters
+    ----------
+    table
+        Columns metric and group, of one run.
+    place
+        What named the metrics, for the message.
+    """
+    if included := [name for name in table.metric if name in METRICS]:
+        raise ValueError(f"{place}: {included[0]} is a metric that cosim has. Give yours another name.")
+    n = table.groupby(["metric", "group"], sort=False, dropna=False).size()
+    if (n > 1).any():
+        metric, group = n.index[n > 1][0]
+        of = f'{metric} and group "{group}"' if group else str(metric)
+        raise ValueError(
+            f"{place}: {n.max()} rows of {of} in one run would count as replicates. Return one row, or name groups."
+        )
+    return table
 
 
 def measure_own(run: Run, metrics: Sequence[OwnMetric]) -> pd.DataFrame:

@@ -1,6 +1,7 @@
 """A study on disk: its points, their runs, and every metric by swept key with its interval."""
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
@@ -17,6 +18,7 @@ from results.archive import OpenRun, open_run
 from results.metrics.intervals import FREE, Bounds, around
 from results.metrics.registry import METRICS, TOPICS, bounds_of
 from results.spreadsheet import csv_of
+from results.study_measuring import changes, measuring_in
 
 
 class StudyResults:
@@ -46,10 +48,17 @@ class StudyResults:
     def measures(self) -> pd.DataFrame:
         """Every metric of every finished point: the swept keys, replicate, metric, group, value, unit, label."""
         frames = []
+        ways: list[dict[str, Any]] = []
         for run in self.points["run"].unique():
             path = self.path / "jobs" / str(run) / "measures.parquet"
             if path.is_file():
                 frames.append(_measures(path))
+                ways += [measuring_in(path.parent)] if path.with_name("job.json").is_file() else []
+        if others := [keys for way in ways[1:] if (keys := changes(ways[0], way))]:
+            raise ValueError(
+                f"{self.path}: {', '.join(others[0])} changed after some runs were measured, and means over both would "
+                f"say nothing. `cosim sweep {self.path}/study.toml --out {self.path}` measures them again."
+            )
         if not frames:
             raise ValueError(f"{self.path} has no finished run yet. Run `cosim sweep` on.")
         columns = ["point", "replicate", *self.keys]
@@ -108,7 +117,7 @@ class StudyResults:
         frame = self.measures
         is_base = np.ones(len(frame), bool)
         for key, value in self.baseline.items():
-            is_base &= (frame[key] == _as_column(frame[key], value)).to_numpy()
+            is_base &= (frame[key] == as_column(frame[key], value)).to_numpy()
         others = [key for key in self.keys if key not in self.baseline]
         on = [*others, "replicate", "metric", "group"]
         base = frame.loc[is_base, [*on, "value", "note"]]
@@ -404,6 +413,13 @@ def short_names(values: Iterable[Any]) -> dict[Any, str]:
     return texts
 
 
+def short_keys(keys: Iterable[str]) -> dict[str, str]:
+    """Swept keys as tables say them: their last word, or the whole key if another one ends in this word."""
+    last = {key: key.rsplit(".", 1)[-1] for key in keys}
+    n = Counter(last.values())
+    return {key: word if n[word] == 1 else key for key, word in last.items()}
+
+
 def said(value: Any) -> str:
     """A value of a swept key as text: numbers without digits that say nothing."""
     return f"{value:g}" if isinstance(value, float | np.floating) and not np.isnan(value) else str(value)
@@ -453,8 +469,8 @@ def _is_said(value: Any, name: str, text: str) -> bool:
         return False
 
 
-def _as_column(column: pd.Series, value: Any) -> Any:
-    """A value of a swept key as its column holds it."""
+def as_column(column: pd.Series, value: Any) -> Any:
+    """A value of a swept key as its column holds it, such as the text of a number beside words."""
     if column.dtype.kind in "fb":
         return value
     return value if isinstance(value, str) else json.dumps(value)

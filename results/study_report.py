@@ -17,8 +17,18 @@ from results.figures import study as figure
 from results.figures import study_curves as curves
 from results.figures import style
 from results.report import STYLE, image_url
-from results.study import StudyResults, apart, chosen, distinct, for_axes, short_names, that_matter, with_short_names
-from results.study_table import cautions, core, pivot
+from results.study import (
+    StudyResults,
+    apart,
+    chosen,
+    distinct,
+    for_axes,
+    short_keys,
+    short_names,
+    that_matter,
+    with_short_names,
+)
+from results.study_table import cautions, core, pivot, together, unpaired
 
 CITY = "traffic.scenario"
 _MOST_ROWS = 400
@@ -100,6 +110,7 @@ def page(study: StudyResults, part: str = "") -> str:
         "</div>",
         '<h2 id="numbers">Core metrics</h2>',
         _pivot(study, study.summary),
+        *(f"<p class='soft'>{escape(line)}</p>" for line in together(study)),
     ]
     has_differences = bool(study.baseline) and len(study.differences) > 0
     if has_differences:
@@ -110,6 +121,7 @@ def page(study: StudyResults, part: str = "") -> str:
             _pivot(study, study.differences),
             "</details>",
         ]
+    parts += [f"<p class='soft'>{escape(line)}</p>" for line in unpaired(study, core(study))]
     if others := [topic for topic in figure.SHOWN if _more(study, topic)]:
         parts += [
             "<details><summary>More figures</summary><div class='figures'>",
@@ -188,11 +200,12 @@ def _core_figures(study: StudyResults) -> list[_CoreFigure]:
 def save_figures(study: StudyResults, folder: Path) -> list[Path]:
     """Write the core figures of the page as PDF files, named by what they show and by the values of keys at which."""
     written = []
+    names = short_keys(["group", *study.keys])
     for one in _core_figures(study):
         values = [_values(study, key) for key in one.others]
         for at in itertools.islice(itertools.product(*values), _MOST_SETS):
             where = dict(zip(one.others, at, strict=True))
-            words = [f"{_last_word(key)}={value}" for key, value in where.items()]
+            words = [f"{names[key]}={value}" for key, value in where.items()]
             stem = re.sub(r"[^\w.=-]+", "_", "-".join([one.name, *words]))
             try:
                 drawn = one.draw(where)
@@ -200,10 +213,6 @@ def save_figures(study: StudyResults, folder: Path) -> list[Path]:
                 continue
             written.append(style.save(drawn, folder / f"{stem}.pdf"))
     return written
-
-
-def _last_word(key: str) -> str:
-    return key.rsplit(".", 1)[-1]
 
 
 def _drawn_curves(study: StudyResults, what: str) -> Draw:
@@ -263,27 +272,28 @@ def _figures(study: StudyResults, title: str, others: Sequence[str], draw: Draw)
     values = [_values(study, key) for key in others]
     all_sets = list(itertools.product(*map(range, map(len, values))))
     shown = all_sets[:_MOST_SETS]
-    boxes = "".join(map(_box, others, values))
+    labels = {key: figure.label_of(key, study.keys) for key in others}
+    boxes = "".join(map(_box, labels.values(), values))
     images = ""
     for at in shown:
         where = {key: some[number] for key, some, number in zip(others, values, at, strict=True)}
-        images += _at_values(title, " ".join(map(str, at)), where, draw)
+        images += _at_values(title, " ".join(map(str, at)), where, labels, draw)
     rest = len(all_sets) - len(shown)
     note = f"<p class='soft'>{rest} more combinations: `cosim plot` with --where draws them.</p>" if rest else ""
     return f"<figure><h3>{escape(title)}</h3><p>{boxes}</p>{images}{note}</figure>"
 
 
-def _at_values(title: str, numbers: str, where: Mapping[str, str], draw: Draw) -> str:
+def _at_values(title: str, numbers: str, where: Mapping[str, str], labels: Mapping[str, str], draw: Draw) -> str:
     """The figure at one value of each of these keys, with the numbers of the values in their select boxes."""
-    words = [f"{figure.label_of(key)} = {value}" for key, value in where.items()]
+    words = [f"{name} = {where[key]}" for key, name in labels.items()]
     name = ", ".join(words)
     image = _image(draw, where, f"{title}, {name}")
     return f"<div data-at='{numbers}'><p class='soft'>{escape(name)}</p>{image}</div>"
 
 
-def _box(key: str, values: Sequence[str]) -> str:
+def _box(name: str, values: Sequence[str]) -> str:
     options = "".join(map(_option, range(len(values)), values))
-    return f"<label hidden>{escape(figure.label_of(key))} <select>{options}</select> </label>"
+    return f"<label hidden>{escape(name)} <select>{options}</select> </label>"
 
 
 def _option(number: int, value: str) -> str:
@@ -311,13 +321,13 @@ def _pivot(study: StudyResults, frame: pd.DataFrame) -> str:
     names = [name for name in core(study) if (*_split(name),) in there]
     found = pivot(study, frame, names)
     over = (apart(frame, study.keys) or [study.keys[0]])[0]
-    labels = {key: figure.label_of(key) for key in study.keys}
+    labels = {key: figure.label_of(key, study.keys) for key in study.keys}
     heads = [labels.get(str(name), str(name)) for name in found]
     head = "".join(f"<th>{escape(text)}</th>" for text in heads)
     rows = "".join(map(_row, found.to_numpy(object)))
     few = "".join(f"<p class='soft'>{escape(line)}</p>" for line in cautions(study, frame, names))
     return (
-        f"<p class='soft'>Columns: {escape(figure.label_of(over))}. Mean and 95 % interval.</p>"
+        f"<p class='soft'>Columns: {escape(labels[over])}. Mean and 95 % interval.</p>"
         f'<div class="wide"><table class="pivot"><tr>{head}</tr>{rows}</table></div>{few}'
     )
 

@@ -7,7 +7,22 @@ import pandas as pd
 
 from results import study_notes
 from results.metrics.registry import CORE
-from results.study import StudyResults, apart, at_first, chosen, held_at, said, that_matter, with_short_names
+from results.study import (
+    StudyResults,
+    apart,
+    as_column,
+    at_first,
+    chosen,
+    distinct,
+    held_at,
+    said,
+    short_keys,
+    that_matter,
+    with_short_names,
+)
+
+_SAME = 1e-9
+"""An interval that is narrower is one of equal values, and says nothing of what other replicates would have."""
 
 
 def core(study: StudyResults, whole: bool = True) -> list[str]:
@@ -115,20 +130,62 @@ def cautions(
     rows = frame.index.intersection(chosen(whole, metrics).index)
     shown = with_short_names(frame, study.keys).loc[rows]
     keys = apart(shown, study.keys)
+    names = short_keys(study.keys)
     for key in keys:
-        name = key.rsplit(".", 1)[-1]
-        shown[key] = f"{name} = " + shown[key].map(said)
+        shown[key] = f"{names[key]} = " + shown[key].map(said)
     shown["metric"] += (":" + shown.group).where(shown.group != "", "")
     if not are_named:
         shown["metric"] = ""
     return study_notes.lines(shown, keys)
 
 
+def together(study: StudyResults) -> list[str]:
+    """Lines on keys that are not named because they change together with another one, with their values."""
+    named = apart(study.points, study.keys)
+    shown = with_short_names(study.points, study.keys)
+    lines = []
+    for key in study.keys:
+        if key in named or shown[key].nunique(dropna=False) < 2:
+            continue
+        for other in named:
+            rows = shown[[other, key]].drop_duplicates()
+            if len(rows) == shown[other].nunique(dropna=False):
+                pairs = zip(rows[key].map(said), rows[other].map(said), strict=True)
+                values = ", ".join(" at ".join(pair) for pair in pairs)
+                lines.append(f"{key} changes with {other}: {values}")
+                break
+    return lines
+
+
+def unpaired(study: StudyResults, metrics: Sequence[str], where: Mapping[str, str] | None = None) -> list[str]:
+    """Lines on values of the baseline's keys at which these metrics have a value, and no difference to the baseline."""
+    if not study.baseline or not metrics:
+        return []
+    rows = chosen(study.summary, metrics)
+    names = set(zip(rows.metric, rows.group, strict=True))
+    for key, text in (where or {}).items():
+        rows = held_at(rows, key, text)
+    pairs = study.differences
+    is_asked = [name in names for name in zip(pairs.metric, pairs.group, strict=True)]
+    lines = []
+    for key, value in study.baseline.items():
+        compared = pairs.loc[is_asked, key] if is_asked else ()
+        known = {*compared, as_column(rows[key], value)}
+        if lacking := [said(one) for one in distinct(rows[key]) if one not in known]:
+            lines.append(
+                f"no difference at {key} = {', '.join(lacking)}: what is measured there has no counterpart at the "
+                "baseline. A group of encounters names its radius, for example."
+            )
+    return lines
+
+
 def cell(row: Mapping[Any, Any]) -> str:
     """A mean with its interval, and with the number of replicates that have a value if that is not all."""
     mean, low, high = (float(row[name]) for name in ("mean", "low", "high"))
     text = number(mean)
-    if low == low:
+    if low == low and high - low < _SAME * max(1.0, abs(mean)):
+        text += " (each the same)"
+    elif low == low:
         text += f" ({number(low)} to {number(high)})"
     return f"{text}, n = {row['n']}" if study_notes.MISSING in row.get("note", "") else text
 

@@ -161,9 +161,18 @@ def time_left(begun: tuple[int, float], done: int, total: int, now_s: float) -> 
     return f"{seconds // 3600}:{seconds // 60 % 60:02}:{seconds % 60:02}"
 
 
+def _as_json(content: object) -> object:
+    """The same content, with None in place of numbers that JSON has no word for: none, and those that are infinite."""
+    if isinstance(content, Mapping):
+        return {key: _as_json(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [*map(_as_json, content)]
+    return None if isinstance(content, float) and not math.isfinite(content) else content
+
+
 def print_json(content: object) -> None:
     """JSON on standard output. What a terminal would obey is escaped, so that a program reads it unchanged."""
-    text = json.dumps(content, indent=1, ensure_ascii=False, default=str)
+    text = json.dumps(_as_json(content), indent=1, ensure_ascii=False, default=str, allow_nan=False)
     sys.stdout.write("".join(c if _is_harmless(c) else json.dumps(c)[1:-1] for c in text) + "\n")
 
 

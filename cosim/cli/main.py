@@ -293,12 +293,15 @@ def measure(
         ),
     ] = None,
     fresh_s: Annotated[
-        float, typer.Option(help="Trust is fresh up to this age, in seconds.", rich_help_panel=MORE)
-    ] = 10.0,
+        float | None,
+        typer.Option(help="Trust is fresh up to this age, in seconds; by default 10.", rich_help_panel=MORE),
+    ] = None,
     false_positives: Annotated[
-        float,
-        typer.Option(min=0, max=1, help="False positive rate at which recall is reported.", rich_help_panel=MORE),
-    ] = 0.05,
+        float | None,
+        typer.Option(
+            min=0, max=1, help="False positive rate at which recall is reported; by default 0.05.", rich_help_panel=MORE
+        ),
+    ] = None,
     over: Annotated[str | None, typer.Option(help="study: swept key whose values are the columns.")] = None,
     where: Annotated[
         list[str] | None, typer.Option(help="study: only points with this value, KEY=VALUE. Repeatable.")
@@ -311,10 +314,15 @@ def measure(
         return
     if not runs:
         raise ValueError("There is no run to measure. Name at least one run folder, or ask with --explain.")
-    if not fresh_s >= 0:
+    if fresh_s is not None and not fresh_s >= 0:
         raise ValueError(f"--fresh-s {fresh_s:g}: an age is 0 or more. Give seconds.")
     if studies.is_study(runs):
-        studies.measure(runs[0], metrics or [], as_json, over, where)
+        studies.refuse_options_of_runs(runs[0], set=sets, variant=variant)
+        stated = ", or set it in the section [measure] of the study and sweep again"
+        studies.refuse_options_of_runs(
+            runs[0], stated, threshold=threshold, fresh_s=fresh_s, false_positives=false_positives
+        )
+        studies.measure(runs[0], metrics or [], as_json, over, where, csv)
         return
     if over or where:
         raise ValueError("--over and --where go with a study, and this is a run. Leave them out.")
@@ -328,12 +336,14 @@ def measure(
     measured = own_metrics(own, sets or [])
     chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
     named = tuple(dict.fromkeys(name.partition(":")[0].partition(".")[0] for name in shipped))
-    options: dict[str, Any] = {"topics": named} if shipped else {}
+    given = {"threshold": threshold, "fresh_s": fresh_s, "false_positives": false_positives}
+    options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    options |= {"topics": named} if shipped else {}
     tables = []
     for run in chosen:
         parts = [] if measured is None else [measured(run)]
         if shipped or measured is None:
-            every = all_metrics(run, threshold=threshold, fresh_s=fresh_s, false_positives=false_positives, **options)
+            every = all_metrics(run, **options)
             parts.append(with_metrics(every, shipped) if shipped else every)
         tables.append(pd.concat(parts, ignore_index=True))
     print_measures(chosen, tables, as_json, csv)
@@ -381,6 +391,9 @@ def plot(
     from results.figures import style
 
     if studies.is_study(runs):
+        studies.refuse_options_of_runs(runs[0], vehicle=vehicles, step=step, variant=variant)
+        held = ", or write --where radius_m=RADIUS, --where pairs=PAIRS or, of durations, --where group=GROUP"
+        studies.refuse_options_of_runs(runs[0], held, radius_m=radius_m, pairs=pairs)
         studies.plot(what, runs[0], out, over, by, metrics or [], where or [])
         return
     if over or by or metrics or where:

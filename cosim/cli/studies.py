@@ -68,6 +68,7 @@ def sweep(
     said = [note for notes_on in of_points for note in notes_on(task.points)]
     if study.parent != out:  # there it is the copy of what is asked for
         said += sweeping.name_notes(study, asked)
+    said += sweeping.measuring_notes(task)
     for note in said + sweeping.interval_notes(task.study):
         notes.print(note, soft_wrap=True)
     if dry_run:
@@ -172,23 +173,36 @@ def measure(
     as_json: bool,
     over: str | None = None,
     where: list[str] | None = None,
+    csv: Path | None = None,
 ) -> None:
-    """Print means, intervals and paired differences of a study by a swept key, and write them to files."""
-    from results.study import chosen, open_study
-    from results.study_table import cautions, core, pivot
+    """Print means, intervals and paired differences of a study by a swept key, and write them to files.
 
+    As JSON, and to the file `csv`, rows are written as they are. `csv` gets the means.
+    """
+    from cosim.base import durable
+    from results.spreadsheet import csv_of
+    from results.study import open_study
+    from results.study_table import cautions, core, pivot, together, unpaired
+
+    if over and (as_json or csv):
+        flag = "--json" if as_json else "--csv"
+        raise ValueError(
+            f"--over names the columns of the printed table, and {flag} has a row for each mean. Leave it out."
+        )
     study = open_study(folder)
     written = study.write()
     tables = {"summary": study.summary}
     if study.baseline and len(study.differences):
         tables["differences"] = study.differences
-    if as_json:
-        print_json({
-            name: chosen(table, metrics).to_dict("records") if metrics else table.to_dict("records")
-            for name, table in tables.items()
-        })  # fmt: skip
-        return
     held = _held(where or [])
+    if as_json or csv:
+        rows = {name: _rows(study, table, metrics, held) for name, table in tables.items()}
+        if csv:
+            durable.write_output(csv, csv_of(rows["summary"]))
+            screen.print(f"wrote {csv}", soft_wrap=True)
+        else:
+            print_json({name: table.to_dict("records") for name, table in rows.items()})
+        return
     asked = metrics or core(study)
     for name, frame in tables.items():
         there = [one for one in asked if metrics or _has(frame, one)]
@@ -205,10 +219,34 @@ def measure(
         _print_pivot(study, title, found)
         for line in cautions(study, frame, there, held):
             screen.print(line, soft_wrap=True)
+    for line in [*together(study), *unpaired(study, asked, held)]:
+        screen.print(line, soft_wrap=True)
     screen.print("written: " + ", ".join(str(path) for path in written), soft_wrap=True)
     if not metrics:
         said = "These are the core metrics; --metric names others, --over the key of the columns."
         screen.print(f"{said} Next: cosim report {folder}", soft_wrap=True)
+
+
+def _rows(study, table, metrics: list[str], held: dict[str, str]):
+    """Rows of these metrics at these values of keys. A baseline has no differences to itself."""
+    from results.study import chosen, held_at
+
+    shown = chosen(study.summary, metrics) if metrics else study.summary
+    names = set(zip(shown.metric, shown.group, strict=True))
+    study.check_swept(*held)
+    kept = table[[name in names for name in zip(table.metric, table.group, strict=True)]]
+    for key, text in held.items():
+        values = held_at(study.points, key, text)[key]
+        kept = kept[kept[key].isin(values)]
+    return kept
+
+
+def refuse_options_of_runs(folder: Path, hint: str = "", **given: Any) -> None:
+    """ValueError if one of these options is given, which a study does not read."""
+    for name, value in given.items():
+        if value not in (None, [], "base"):
+            flag = name.replace("_", "-")
+            raise ValueError(f"--{flag} goes with a run, and {folder} is a study. Leave it out{hint}.")
 
 
 def _means(study) -> str:
@@ -223,7 +261,9 @@ def _has(frame, name: str) -> bool:
 
 
 def _print_pivot(study, title: str, found) -> None:
-    short = {key: key.rsplit(".", 1)[-1] for key in study.keys}
+    from results.study import short_keys
+
+    short = short_keys(study.keys)
     heads = [Column(short.get(name, name), overflow="fold") for name in found]
     table = Table(*heads, title=f"{title}; columns: {found.attrs['over']}", title_justify="left", box=None)
     for row in found.itertuples(index=False):
@@ -234,7 +274,7 @@ def _print_pivot(study, title: str, found) -> None:
 def _print_first(folder: Path) -> None:
     """After a sweep: the core metrics, in a grid with other keys at their first value, and the next command."""
     from results.study import apart, is_grid, open_study, said
-    from results.study_table import cautions, core, pivot
+    from results.study_table import cautions, core, pivot, together
 
     study = open_study(folder)
     try:
@@ -253,7 +293,7 @@ def _print_first(folder: Path) -> None:
     _print_pivot(study, title, table)
     if missing := table.attrs["missing"]:
         screen.print(f"without a value here: {', '.join(missing)}", soft_wrap=True)
-    for line in cautions(study, study.summary, asked, held):
+    for line in [*together(study), *cautions(study, study.summary, asked, held)]:
         screen.print(line, soft_wrap=True)
     screen.print(f"next: cosim report {folder}   cosim measure {folder}", soft_wrap=True)
 

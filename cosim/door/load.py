@@ -122,6 +122,12 @@ def function(key: str, name: str) -> Callable[..., Any]:
     return found
 
 
+def checksum(key: str, name: str) -> str:
+    """Checksum of the file that defines what `path.py:name` or `package.module:name` names."""
+    where, _, of = name.rpartition(":")
+    return _module(f"{key} = {name}", where, of, None)[1].sha256
+
+
 def _module(place: str, where: str, class_name: str, folder: Path | None) -> tuple[ModuleType, Source]:
     """The module of a user's own choice. Messages begin with `place`."""
     check_code(place)

@@ -121,6 +121,11 @@ class StudyFolder:
         """Whether a run is finished and measured."""
         return status_of(self.run(id)) == "finished" and (self.job(id) / "measures.parquet").is_file()
 
+    def forget_measures(self, id: str) -> None:
+        """Delete the metrics of a run, so that it is measured again."""
+        for name in ("measures.parquet", "curves.parquet"):
+            (self.job(id) / name).unlink(missing_ok=True)
+
     def answers(self) -> dict[str, tuple[str, str]]:
         """Run and trust variant by point, for all planned points; finished runs take precedence."""
         found: dict[str, tuple[str, str]] = {}

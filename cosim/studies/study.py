@@ -76,7 +76,7 @@ class Measuring:
     """False positive rate at which recall is reported."""
     own: str = ""
     """The user's own metrics, as path.py:name or package.module:name: a function of a `results.run.Run` that returns
-    columns metric, group, value, unit and label; empty for none."""
+    columns metric, group, value, unit and label, with one row for each metric and group; empty for none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +188,26 @@ def _study(data: dict[str, Any], path: Path, trust_code: bool) -> Study:
             )
         if not any(part.get(key) == value for axis in axes for part in axis):
             raise ValueError(f"study.baseline: {key} = {value!r} is none of its values in {where}. Take one of them.")
-    return study
+    return replace(study, head=replace(head, baseline=_baseline(study, where)))
+
+
+def _baseline(study: Study, where: str) -> dict[str, Any]:
+    """The baseline with values as the swept keys have them, 10 in place of 10.0.
+
+    Of keys that change together, those that it leaves out are added if one row alone is meant.
+    """
+    found: dict[str, Any] = {}
+    for axis in study.axes:
+        wanted = [key for key in study.head.baseline if key in axis[0]]
+        stated = {key: study.head.baseline[key] for key in wanted}
+        rows = [row for row in axis if {key: row[key] for key in wanted} == stated]
+        if not rows:
+            said = " and ".join(f"{key} = {value!r}" for key, value in stated.items())
+            raise ValueError(f"study.baseline: no row of [[zip]] in {where} has {said}. Take the values of one row.")
+        is_one = wanted and len(rows) == 1
+        for key in axis[0] if is_one else wanted:
+            found[key] = rows[0][key]
+    return found
 
 
 def changed(study: Study, overrides: Sequence[str]) -> Study:

@@ -3,14 +3,16 @@
 import json
 import statistics
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numba
 from scipy.stats import t
 
+from cosim.door.load import checksum
 from cosim.runs import check as checking
 from cosim.runs.cluster import connected, local
 from cosim.studies.density import equipped_on_road
@@ -24,6 +26,7 @@ from cosim.studies.stages import Cache, default_folder
 from cosim.studies.study import SHIPPED, Study, load
 from cosim.traffic.scenario import find
 from cosim.traffic.scene_summary import scene_summary
+from results.study_measuring import changes, measuring_in, measuring_of
 
 FUSED_TOPICS = {"detection", "attack", "evidence"}
 """Topics of metrics that need the fused objects of every point."""
@@ -43,6 +46,8 @@ class Task:
     """Number of finished points."""
     cache: Cache
     estimate: Estimate
+    outdated: dict[str, list[str]] = field(default_factory=dict)
+    """By finished run that is measured again, the keys of the study that have changed since it was measured."""
 
 
 Report = Callable[[int, int, int, str], None]
@@ -77,7 +82,11 @@ def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Ta
     folder.check()
     points = points_of(study, where)
     answers = folder.answers()
-    there = {point.id for point in points if point.id in answers and folder.is_finished(answers[point.id][0])}
+    asked = {point.id for point in points}
+    run_of = {point: run for point, (run, _) in answers.items() if point in asked}
+    finished = {point: run for point, run in run_of.items() if folder.is_finished(run)}
+    outdated = _outdated(study, folder, set(finished.values()))
+    there = {point for point, run in finished.items() if run not in outdated}
     cache = Cache(default_folder())
     missing = [point for point in points if point.id not in there]
     made = plan(missing, needs_fused(study), cache.names("traffic")) if merge else separate(missing)
@@ -92,7 +101,33 @@ def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Ta
         len(there),
         cache,
         estimate(missing, made, cache.names("traffic"), typical_s, speed_here()),
+        outdated,
     )
+
+
+def _asked(study: Study) -> dict[str, Any]:
+    """What is measured of every point, as `job.json` says it."""
+    own = study.measuring.own
+    code = checksum("measure.own", own) if own else ""
+    return {"topics": study.keep.topics, "measure": asdict(study.measuring), "own_sha256": code}
+
+
+def _outdated(study: Study, folder: StudyFolder, finished: Collection[str]) -> dict[str, list[str]]:
+    """The finished runs that were measured otherwise than the study asks, and the keys that have changed."""
+    now = measuring_of(_asked(study))
+    found = {run: changes(measuring_in(folder.job(run)), now) for run in sorted(finished)}
+    return {run: keys for run, keys in found.items() if keys}
+
+
+def measuring_notes(task: Task) -> list[str]:
+    """A note on finished runs that are measured again."""
+    if not task.outdated:
+        return []
+    keys = dict.fromkeys(key for changed in task.outdated.values() for key in changed)
+    return [
+        f"note: {len(task.outdated)} finished runs were measured before {', '.join(keys)} changed. They are measured "
+        "again. A run whose tables are gone (keep.tables) is simulated again."
+    ]
 
 
 def unbegun(study: Study, where: str) -> Task:
@@ -234,6 +269,8 @@ def sweep(
     with folder.locked():
         folder.stop.unlink(missing_ok=True)
         folder.tidy()
+        for id in task.outdated:
+            folder.forget_measures(id)
         work = _write(task)
         folder.write_index(study, task.points)
         failed: list[tuple[str, Attempt]] = []
@@ -289,10 +326,7 @@ def _ended(attempt: Attempt) -> str:
 def _write(task: Task) -> Work:
     """Write the jobs for the processes that make the runs."""
     study, folder, cache = task.study, task.folder, task.cache
-    more = {
-        "topics": study.keep.topics, "tables": study.keep.tables, "measure": asdict(study.measuring),
-        "cache": str(cache.path.resolve()),
-    }  # fmt: skip
+    more = _asked(study) | {"tables": study.keep.tables, "cache": str(cache.path.resolve())}
     for run in task.plan.runs:
         folder.write_job(run, more)
     (folder.path / "traffic").mkdir(exist_ok=True)

@@ -27,6 +27,7 @@ from results.archive import open_run
 from results.manifest import drop_tables, read_manifest
 from results.measure import measure
 from results.metrics.registry import TOPICS
+from results.own_metrics import check_own
 from results.tables import TABLES
 
 _log = logging.getLogger(__name__)
@@ -41,6 +42,8 @@ def make(job: Path) -> None:
         if study.is_finished(asked["id"]):
             return
         folder = study.run(asked["id"])
+        if status_of(folder) == "finished" and read_manifest(folder).get("dropped"):
+            shutil.rmtree(folder)  # it has been measured otherwise, and tables that metrics need are gone
         if status_of(folder) != "finished":
             traffic = None if not asked["traffic"] else Cache(Path(asked["cache"])).find("traffic", asked["traffic"])
             _drive(folder, asked["config"], traffic)
@@ -74,7 +77,8 @@ def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
         if {"encounters", "freshness"} & set(topics):
             curves.append(study_curves.counts(one).assign(point=point))
         if own:
-            frames.append(function("measure.own", own)(one).assign(point=point))
+            rows = check_own(function("measure.own", own)(one), f"measure.own = {own}")
+            frames.append(rows.assign(point=point))
     if curves:
         durable.write(job / "curves.parquet", pd.concat(curves, ignore_index=True).to_parquet(index=False))
     durable.write(job / "measures.parquet", pd.concat(frames, ignore_index=True).to_parquet(index=False))

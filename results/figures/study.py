@@ -1,6 +1,6 @@
 """A study's metrics over a swept key: mean over replicates with its 95 % interval."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -61,14 +61,17 @@ INSTEAD: Mapping[str, str] = {
 
 LABELS: Mapping[str, str] = {
     "freshness_s": "window [s]",
-    "share_p": "share of attackers",
+    "attacks.share_p": "share of attackers",
+    "driver.share_p": "share of such drivers",
+    "sensing_groups.share_p": "share of the group",
+    "per_100_m": "per 100 m",
     "loss_p": "loss per frame",
     "std_m": "error of own position [m]",
     "scale": "demand",
     "scenario": "city",
     "pairs": "pairs",
 }
-"""Keys whose last word says too little on an axis."""
+"""Keys whose last word says too little on an axis, by this word, or by section and word."""
 
 _CHANCE = 0.5
 """AUC of trust that says nothing, drawn as a line."""
@@ -147,6 +150,8 @@ def draw(
             raise ValueError(several_groups(name, of_metric.group.unique()))
     x, colour, column = order[0], (order[1:2] or [""])[0], (order[2:3] or [""])[0]
     at = _held_at(study, asked, where or {})
+    if not at and "radius_m" in keys:
+        at = _of_one_definition(study, of_metrics)
     if colour and not column and all(frame[key].dtype.kind not in "fib" for key in (x, colour)):
         return _heat_maps(frame, asked, x, colour, at)
     columns = distinct(frame[column]) if column else [None]
@@ -158,8 +163,18 @@ def draw(
 def _held_at(study: StudyResults, asked: Sequence[str], where: Mapping[str, Any]) -> list[Line2D]:
     """An entry of the legend: the values at which keys are held, of those that change these metrics."""
     matter = _matter(study, asked, {}) if where else []
-    names = [f"{label_of(key)} = {value}" for key, value in where.items() if key in matter]
+    labels = {key: label_of(key, study.keys) for key in matter}
+    names = [f"{labels[key]} = {value}" for key, value in where.items() if key in labels]
     return [style.held_entry(", ".join(names))] if names else []
+
+
+def _of_one_definition(study: StudyResults, of_metrics: pd.DataFrame) -> list[Line2D]:
+    """An entry of the legend: the definition of an encounter that alone has values, where the study has several."""
+    groups = of_metrics.group.unique()
+    is_of_encounters = study.measures.metric.str.startswith("encounters.")
+    if len(groups) != 1 or study.measures.group[is_of_encounters].nunique() < 2:
+        return []
+    return [style.held_entry(str(groups[0]))]
 
 
 def held(
@@ -214,6 +229,7 @@ def _draw(
     height = (2.4 if len(asked) == 1 else 1.8) - (0.0 if len(columns) == 1 else 0.3)
     figure, panels = style.sheet(len(asked) * len(columns), height, len(columns))
     colours = distinct(frame[colour]) if colour else [None]
+    labels = {key: label_of(key, frame) for key in (x, colour, column)}
     for row, name in enumerate(asked):
         of_metric = chosen(frame, [name])
         in_row = panels[row * len(columns) : (row + 1) * len(columns)]
@@ -224,10 +240,10 @@ def _draw(
             first = of_metric.iloc[0]
             unit = "" if first.unit in ("", "1") else f" [{first.unit}]"
             group = f", {first.group}" if ":" in name and first.group else ""
-            title = f"{label_of(column)} = {said(value)}" if value is not None and row == 0 else ""
+            title = f"{labels[column]} = {said(value)}" if value is not None and row == 0 else ""
             y, is_last = f"{first.label}{group}{unit}" if n == 0 else "", row == len(asked) - 1
             letters = max(16, int(15 * (height - 0.65)))
-            style.panel(axes, title, label_of(x) if is_last else "", style.fitted(y, letters))
+            style.panel(axes, title, labels[x] if is_last else "", style.fitted(y, letters))
             axes.tick_params(labelleft=n == 0, labelbottom=is_last or not are_words(frame[x]))
             _height(axes, of_metric)
             if first.metric.endswith(".auc"):
@@ -236,7 +252,8 @@ def _draw(
     entries = [
         Line2D(
             [], [], color=style.ink(i), marker=style.marker(i),
-            linestyle="none" if are_words(frame[x]) else style.dash(i), label=f"{label_of(colour)} = {said(hue)}",
+            linestyle="none" if are_words(frame[x]) else style.dash(i),
+            label=f"{labels[colour]} = {said(hue)}",
         )
         for i, hue in enumerate(colours) if hue is not None
     ]  # fmt: skip
@@ -252,6 +269,7 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str, at: Se
     rows, columns = list(dict.fromkeys(frame[y])), list(dict.fromkeys(frame[x]))
     figure, panels = style.sheet(len(asked), 1.6 + 0.16 * len(rows))
     has_room = len(columns) <= _MOST_CELLS
+    labels = {key: label_of(key, frame) for key in (x, y)}
     for axes, name in zip(panels, asked, strict=True):
         of_metric = chosen(frame, [name])
         cells = of_metric.set_index([y, x])
@@ -280,7 +298,7 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str, at: Se
         told += f", 95 % intervals up to ±{_short(half, top)}" if half == half else ""
         told += "; blank: no value" if np.isnan(mean).any() else ""
         unit = "" if first.unit in ("", "1") else f" [{first.unit}]"
-        style.panel(axes, style.fitted(f"{first.label}{group}{unit}{told}", 32), label_of(x), label_of(y))
+        style.panel(axes, style.fitted(f"{first.label}{group}{unit}{told}", 32), labels[x], labels[y])
         if not has_room:
             figure.colorbar(image, ax=axes, fraction=0.03, pad=0.02)
     style.legend(figure, at)
@@ -381,13 +399,27 @@ def _ticks(axes: Axes, values: pd.Series, most: int) -> None:
     axes.set_xticks(few, [said(v) for v in few])
 
 
-def label_of(key: str) -> str:
-    """A key of the config as an axis says it: its last word, with the unit that its name ends in."""
-    name = key.rsplit(".", 1)[-1]
-    if name in LABELS:
-        return LABELS[name]
+def label_of(key: str, among: Iterable[Any] = ()) -> str:
+    """A key of the config as an axis says it: its last word, with the unit that its name ends in.
+
+    If one of the keys `among` has the same words, its section stands beside, as in "model (trust)".
+    """
+    words, unit = _words(key)
+    others = [other for other in among if "." in other and other != key]
+    if words in [_words(other)[0] for other in others]:
+        words += f" ({key.rpartition('.')[0]})"
+    return f"{words} [{unit}]" if unit else words
+
+
+def _words(key: str) -> tuple[str, str]:
+    """The words of a key, and its unit, which may be empty."""
+    section, _, name = key.rpartition(".")
+    first = section.partition(".")[0]
+    label = LABELS.get(name, LABELS.get(f"{first}.{name}"))
+    if label:
+        words, _, unit = label.removesuffix("]").partition(" [")
+        return words, unit
     for suffix, unit in (("_mps", "m/s"), ("_s", "s"), ("_m", "m"), ("_p", "")):
         if name.endswith(suffix):
-            said = name.removesuffix(suffix).replace("_", " ")
-            return f"{said} [{unit}]" if unit else said
-    return name.replace("_", " ")
+            return name.removesuffix(suffix).replace("_", " "), unit
+    return name.replace("_", " "), ""

@@ -75,7 +75,8 @@ def draw(
         raise ValueError(f"{study.name} has no value that rests on an evaluation: there is no age to draw.")
     frame = held(study, frame, study.keys, where)
     first = with_short_names(frame, study.keys).iloc[0]
-    at = [f"{label_of(key)} = {said(first[key])}" for key in where]
+    labels = {key: label_of(key, study.keys) for key in ("", "group", *study.keys)}
+    at = [f"{labels[key]} = {said(first[key])}" for key in where]
     held_at = ", ".join([group, *at] if group else at)
     matter = _keys_of(study, frame)
     study.check_swept(*filter(None, [by]))
@@ -105,23 +106,25 @@ def draw(
     for axes, value in zip(panels, columns, strict=True):
         part = frame if value is None else frame[frame[column] == value]
         for i, hue in enumerate(hues):
-            curve = pooled(part if hue is None else part[part[colour] == hue], until_s)
+            of_hue = part if hue is None else part[part[colour] == hue]
+            if of_hue.empty:  # keys that change together need not have each value with each
+                continue
+            curve = pooled(of_hue, until_s)
             level = 0.0 if what == ENCOUNTERS else float(curve.survival.iloc[-1])
             longest_s = max(longest_s, _line(axes, curve, i, level))
     title, x, y = _TITLES[what]
     for n, (axes, value) in enumerate(zip(panels, columns, strict=True)):
-        name = str(value) if column == "group" else f"{label_of(column)} = {said(value)}"
+        name = str(value) if column == "group" else f"{labels[column]} = {said(value)}"
         if value is None:
             style.panel(axes, title, x, y)
         else:
-            style.panel(axes, name, "", "")
+            style.panel(axes, name, x if n + across >= len(columns) else "", "")
             axes.tick_params(labelleft=n % across == 0)
         style.share_axis(axes)
         axes.set_xlim(0, max(longest_s, 1.0) * 1.02)
     if len(columns) > 1:
-        figure.supxlabel(x, fontsize=mpl.rcParams["axes.labelsize"])
         figure.supylabel(y, fontsize=mpl.rcParams["axes.labelsize"])
-    names = [f"{label_of(colour)} = {said(hue)}" for hue in hues] if colour else []
+    names = [f"{labels[colour]} = {said(hue)}" for hue in hues] if colour else []
     entries: list[Artist] = list(map(_entry, range(len(names)), names))
     if held_at:
         entries.append(style.held_entry(held_at))

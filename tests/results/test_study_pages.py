@@ -15,7 +15,7 @@ from results.figures import study as study_figure
 from results.figures import study_curves as curve_figure
 from results.metrics.registry import CORE, METRICS
 from results.metrics.survival import kaplan_meier
-from results.study import StudyResults, apart, is_grid, that_matter
+from results.study import StudyResults, apart, is_grid, short_keys, that_matter
 from results.study_curves import COLUMNS, counts, pooled, survival
 from tests.results.tiny import fleet
 
@@ -273,3 +273,78 @@ def test_a_line_shows_one_group_of_a_metric(tmp_path):
             study_figure.draw(study, "", [name])
     with pytest.raises(ValueError, match=r"^trust is a topic: name one of its metrics\."):
         study_figure.draw(study, "", ["trust"])
+
+
+ATTACKS = {"attacks.0.share_p": (0.0, 0.1), "attacks.1.share_p": (0.0, 0.1)}
+
+
+def test_keys_with_the_same_last_word_are_told_apart(tmp_path):
+    keys = ("attacks.0.share_p", "attacks.1.share_p", "trust.model", "radio.model", "radio.period_s", "trust.period_s")
+    said = [study_figure.label_of(key, keys) for key in keys]
+    assert said[:3] == ["share of attackers (attacks.0)", "share of attackers (attacks.1)", "model (trust)"]
+    assert said[4] == "period (radio) [s]" and study_figure.label_of(keys[2]) == "model"
+    assert short_keys(["attacks.0.share_p", "attacks.1.share_p", "trust.tau"]) == {
+        "attacks.0.share_p": "attacks.0.share_p", "attacks.1.share_p": "attacks.1.share_p", "trust.tau": "tau",
+    }  # fmt: skip
+    of_others = ("driver.share_p", "sensing_groups.0.share_p", "parked.per_100_m")
+    assert [*map(study_figure.label_of, of_others)] == ["share of such drivers", "share of the group", "per 100 m"]
+
+    def value(metric, keys, replicate):
+        return 2 + keys["attacks.0.share_p"] + 2 * keys["attacks.1.share_p"] + 0.01 * replicate
+
+    study = study_of(tmp_path, ATTACKS, value=value)
+    figure = study_figure.draw(study, "freshness", ["freshness.newest_evaluation_age.mean_s"])
+    names = [figure.axes[0].get_xlabel(), *(text.get_text() for text in figure.legends[0].get_texts())]
+    assert names == [
+        "share of attackers (attacks.0)", "share of attackers (attacks.1) = 0", "share of attackers (attacks.1) = 0.1",
+    ]  # fmt: skip
+
+
+def test_what_has_no_counterpart_at_the_baseline_is_said(tmp_path):
+    """Encounters within 50 m and within 100 m are groups of their own. Means that are all equal have no interval."""
+
+    def value(metric, keys, replicate):
+        return 5.0 if keys["encounters.0.radius_m"] == 50.0 else float("nan")
+
+    swept = {"encounters.0.radius_m": (50.0, 100.0), "traffic.scale": (0.5, 1.0)}
+    baseline = {"encounters.0.radius_m": 50.0}
+    study = study_of(tmp_path, swept, value=value, baseline=baseline, measured=MEASURED[:1])
+    path = tmp_path / "jobs" / "all" / "measures.parquet"
+    near = pd.read_parquet(path)
+    far = near.assign(point=near.point.replace({"0-": "2-", "1-": "3-"}, regex=True), group="equipped, 200 m")
+    pd.concat([near, far]).to_parquet(path)
+    name = MEASURED[0][0]
+    (line,) = study_table.unpaired(study, [name])
+    assert line.startswith("no difference at encounters.0.radius_m = 100: ") and line in study_report.page(study)
+    assert study_table.unpaired(study, [name], {"encounters.0.radius_m": "50"}) == []
+    assert study_table.cell(study.summary.iloc[0]) == "5 (each the same)"
+    held = study_figure.draw(study, "encounters", where={"encounters.0.radius_m": 50.0})
+    assert "50" in held.legends[0].get_texts()[0].get_text()
+
+
+def test_the_definition_of_encounters_is_named_if_it_alone_has_a_value(tmp_path):
+    """The median of one radius, and the number of another one, too."""
+    measured = (MEASURED[0], ("encounters.n", "equipped, 200 m"))
+    study = study_of(tmp_path, {"traffic.scale": (0.5, 1.0)}, measured=measured, value=lambda _, keys, r: 5.0 + r)
+    figure = study_figure.draw(study, "encounters")
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["at equipped, 100 m"]
+
+
+def test_keys_that_change_together_are_all_named(tmp_path):
+    swept = {"trust.model": ("beta", "mate"), "trust.tau": (1.0, 2.0)}
+    study = study_of(tmp_path, swept, value=lambda metric, keys, r: keys["trust.tau"] + 0.1 * r)
+    study.points = study.points[(study.points["trust.model"] == "beta") == (study.points["trust.tau"] == 1)]
+    assert study_table.together(study) == ["trust.tau changes with trust.model: 1 at beta, 2 at mate"]
+    assert "trust.tau changes with trust.model: 1 at beta, 2 at mate" in study_report.page(study)
+
+
+def test_curves_of_keys_without_each_combination(tmp_path):
+    """As in a [[zip]]: of the second scale there is one penetration. Axis labels of panels leave the legend free."""
+    swept = {"fleet.penetration_p": (0.1, 0.3), "traffic.scale": (0.5, 1.0)}
+    study = study_of(tmp_path, swept)
+    lone = (study.points["fleet.penetration_p"] == 0.3) & (study.points["traffic.scale"] == 1)
+    study.points = study.points[~lone]
+    with_curves(study, lambda keys, r: [(10 * keys["fleet.penetration_p"] + keys["traffic.scale"] + r, 4, 1)])
+    figure = curve_figure.draw(study, "encounters")
+    assert [len(axes.get_lines()) for axes in figure.axes] == [2, 1] and figure.get_supxlabel() == ""
+    assert all(axes.get_xlabel().replace("\n", " ") == "Duration [s]" for axes in figure.axes)

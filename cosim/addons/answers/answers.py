@@ -22,6 +22,7 @@ from results.study import (
     StudyResults,
     apart,
     are_words,
+    as_column,
     bounds_of_difference,
     chosen,
     distinct,
@@ -198,7 +199,7 @@ def _without_effect(frame: pd.DataFrame, matter: Sequence[str]) -> list[str]:
                     idle.setdefault(key, []).append(_said(frame, word, value))
         for key, names in idle.items():
             if len(names) < len(values):
-                found.append(f"the {_named(key)} changes nothing with {_listed(names)}")
+                found.append(f"the {_named(frame, key)} changes nothing with {_listed(names)}")
     return found
 
 
@@ -223,7 +224,7 @@ def _inverted(study: StudyResults, frame: pd.DataFrame) -> str:
 def _reference(study: StudyResults, frame: pd.DataFrame, key: str) -> Any:
     """The value of a key at which it is held: that of the baseline where the metric has it, else the first."""
     values = distinct(frame[key])
-    wanted = study.baseline.get(key)
+    wanted = as_column(frame[key], study.baseline.get(key))
     return next((value for value in values if value == wanted), values[0])
 
 
@@ -233,7 +234,7 @@ def _along(of: _Quantity, frame: pd.DataFrame, key: str) -> str:
     shown = values if len(values) <= _MOST_VALUES else [values[0], values[-1]]
     where = "with" if are_words(frame[key]) else "at"
     places = [_said(frame, key, value) for value in shown]
-    places[0] = f"{_named(key)} {places[0]}"
+    places[0] = f"{_named(frame, key)} {places[0]}"
     means = [_value(frame[frame[key] == value], of.metric) for value in shown]
     there = [f"{mean} {where} {place}" for mean, place in zip(means, places, strict=True)]
     text = _listed(there)
@@ -310,7 +311,8 @@ def _censored(study: StudyResults, of: _Quantity, group: str) -> str:
 
 def _left_out(study: StudyResults, of: _Quantity) -> str:
     """Of a mean age, how many lookups it is of: those without an evaluation have none."""
-    rows = study.summary[study.summary.metric == "freshness.evaluation_within.share"]
+    of_all = (study.summary.metric == "freshness.evaluation_within.share") & (study.summary.group == EVERYTHING)
+    rows = study.summary[of_all]
     if rows.empty or not _is_age(of):
         return ""
     return (
@@ -369,19 +371,27 @@ def _range(shares: pd.Series) -> str:
     return span.replace("%", " %")
 
 
-def _named(key: str) -> str:
-    """A key in the middle of a sentence."""
-    return label_of(key).partition(" [")[0]
+def _named(frame: pd.DataFrame, key: str) -> str:
+    """A key in the middle of a sentence, told apart from the other keys, which are columns."""
+    return label_of(key, frame).partition(" [")[0]
 
 
 def _at(frame: pd.DataFrame, key: str, value: Any) -> str:
-    return f"{_named(key)} {_said(frame, key, value)}"
+    return f"{_named(frame, key)} {_said(frame, key, value)}"
 
 
 def _said(frame: pd.DataFrame, key: str, value: Any) -> str:
     text = short_names(frame[key]).get(value, said(value))
     unit = label_of(key).partition(" [")[2].removesuffix("]")
-    return f"{text} {unit}".strip()
+    return f"{text} {unit}".strip() if _is_number(text) else text
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _one(value: float, unit: str) -> str:

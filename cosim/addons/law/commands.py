@@ -29,6 +29,10 @@ _SHORT = {
 """Metrics of the printed table, and the heads of their columns."""
 
 
+_REPLICATE = ", replicate 0"
+"""Which runs of a study are compared: those with the traffic that is predicted."""
+
+
 @predict.command()
 def freshness(
     config: Annotated[
@@ -47,7 +51,8 @@ def freshness(
         Path | None, typer.Option(help="Study file to write: a grid that the prediction chooses, for `cosim sweep`.")
     ] = None,
     against: Annotated[
-        Path | None, typer.Option(help="Folder of a run, or of a study: what it measured is printed beside.")
+        Path | None,
+        typer.Option(help="Folder of a run, or of a study (replicate 0): what it measured is printed beside."),
     ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="File to draw: .png, .svg or .pdf. With --against, law and simulation.")
@@ -142,7 +147,9 @@ def _write_grid(experiment: Any, path: Path, advance: Any) -> None:
 
 def _table(found: list[tuple[Any, "Prediction"]], measured: list[dict[str, float]] | None) -> Table:
     keys = list(dict.fromkeys(key for swept, _ in found for key in swept))
-    title = "freshness of trust at lookup, predicted" + ("" if measured is None else " / measured")
+    title = "freshness of trust at lookup, predicted"
+    if measured is not None:
+        title += f" / measured{_REPLICATE if keys else ''}"
     table = Table(*keys, *(() if keys else ("variant",)), *_SHORT.values(), title=title, title_justify="left", box=None)
     for number, (swept, p) in enumerate(found):
         cells = [str(swept[key]) for key in keys] if keys else [p.variant]
@@ -169,7 +176,8 @@ def _draw(
 
     if against is not None and measured is not None and any(keys for keys, _ in found):
         predicted = [p.metrics for _, p in found]
-        figure = law.draw([], [], [law.points_of(against.name, predicted, measured)])
+        points = law.points_of(against.name + _REPLICATE, predicted, measured)
+        figure = law.draw([], [], [points])
     else:
         curves = []
         for keys, p in found:

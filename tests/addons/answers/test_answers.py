@@ -1,6 +1,7 @@
 """Sentences that say what a study answers."""
 
 import numpy as np
+import pandas as pd
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import t
@@ -153,3 +154,28 @@ def test_sentences_are_true_of_the_numbers(tmp_path_factory, pairs):
         assert "shorter at" in said and "cannot" not in said
     else:
         assert "cannot tell" in said and "longer" not in said and "shorter" not in said
+
+
+def test_a_baseline_among_words_is_the_reference_and_off_has_no_unit(tmp_path):
+    """The column of "off", 10 and 2 is text."""
+    swept = {"trust.freshness_s": ("off", "10", "2"), "fleet.penetration_p": (0.1, 0.3)}
+
+    def value(metric, keys, replicate):
+        return 3.0 + len(keys["trust.freshness_s"]) + keys["fleet.penetration_p"] + 0.1 * replicate
+
+    study = study_of(tmp_path, swept, value=value, baseline={"trust.freshness_s": 10})
+    *_, held = answers.sentences(study)
+    assert "window 10 s" in str(held)
+    assert " window off, " in str(answers.sentences(study)[1]) and "off s" not in str(answers.sentences(study)[1])
+    assert set(study.differences["trust.freshness_s"]) == {"off", "2"}
+
+
+def test_the_share_of_fresh_evaluations_is_that_of_all_lookups(tmp_path):
+    """Not from the smallest of a role to the largest of another one."""
+    share = "freshness.evaluation_within.share"
+    measured = (("freshness.newest_evaluation_age.mean_s", "all"), (share, "all"), (share, "malicious"))
+    study = study_of(tmp_path, KEYS, measured=measured, value=lambda metric, keys, r: 0.5)
+    path = tmp_path / "jobs" / "all" / "measures.parquet"
+    found = pd.read_parquet(path)
+    found.assign(value=found.value.where(found.group == "all", 0.1)).to_parquet(path)
+    assert "a fresh one, 50 % on average" in answers.sentences(study)[1].note

@@ -3,6 +3,7 @@
 import io
 import json
 
+import numpy as np
 import pytest
 from rich.box import SIMPLE
 from rich.table import Table
@@ -59,6 +60,11 @@ def test_json_is_read_unchanged(capsys):
     console.print_json(content)
     said = capsys.readouterr().out
     assert not obeyed(said) and json.loads(said) == content and "Stra\u00dfe \u6771\u4eac" in said
+
+
+def test_json_has_no_word_for_what_is_no_number(capsys):
+    console.print_json({"rows": [{"low": float("nan"), "high": np.float64("inf"), "mean": 1.5}]})
+    assert json.loads(capsys.readouterr().out) == {"rows": [{"low": None, "high": None, "mean": 1.5}]}
 
 
 def evaluated(tmp_path):

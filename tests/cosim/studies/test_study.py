@@ -123,6 +123,11 @@ def test_merged_run_is_the_same_for_any_order_of_the_file(tmp_path):
             HEAD.replace("[base]", "baseline = {'trust.tau' = 1}\n[base]") + "[grid]\nradio.range_m = [1, 2]\n",
             "not swept",
         ),
+        (
+            HEAD.replace("[base]", "baseline = {'radio.range_m' = 1, 'traffic.scale' = 0.5}\n[base]")
+            + "[[zip]]\nradio.range_m = [1, 2]\ntraffic.scale = [1.0, 0.5]\n",
+            r"no row of \[\[zip\]\] in study.toml has radio.range_m = 1 and traffic.scale = 0.5\. ",
+        ),
     ],
 )
 def test_mistakes_are_one_line(tmp_path, text, said):
@@ -202,3 +207,22 @@ def test_a_changed_copy_of_a_shipped_study_should_have_its_own_name(tmp_path):
         (tmp_path / path).write_text(content)
         assert len(name_notes(tmp_path / path, load(tmp_path / path))) == n
     assert not name_notes(Path("question"), load(Path("question")))
+
+
+def test_a_baseline_has_the_values_of_the_study_and_all_keys_of_its_row(tmp_path):
+    """10 as in the grid, not 10.0: beside words, numbers are stored as text. A key of a row stands for the row."""
+    swept = """
+[grid]
+trust.freshness_s = ["off", 10]
+[[zip]]
+radio.range_m = [100, 200, 200]
+traffic.scale = [0.5, 1.0, 1.5]
+"""
+    for stated, wanted in (
+        ("{ 'trust.freshness_s' = 10.0 }", {"trust.freshness_s": 10}),
+        ("{ 'radio.range_m' = 100 }", {"radio.range_m": 100, "traffic.scale": 0.5}),
+        ("{ 'radio.range_m' = 200 }", {"radio.range_m": 200}),
+    ):
+        text = HEAD.replace("[base]", f"baseline = {stated}\n[base]") + swept
+        baseline = load(write(tmp_path, text)).head.baseline
+        assert baseline == wanted and [*map(type, baseline.values())] == [*map(type, wanted.values())]

@@ -5,6 +5,7 @@ import shutil
 import statistics
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from cosim.base.codes import BASE_VARIANT
@@ -97,6 +98,20 @@ def test_core_metrics_of_a_study(swept):
     assert wrong.returncode == 2 and "no point has trust.freshness_s = 7. There are 6, 20." in wrong.stderr
     wrong = cosim(swept, "measure", f"out/runs/{open_study(swept / 'out').points.run[0]}", "--over", "x")
     assert wrong.returncode == 2 and "go with a study" in wrong.stderr
+    done = cosim(swept, "measure", "out", "--json", "--where", "fleet.penetration_p=0.2", "--metric", "encounters.n")
+    summary, differences = json.loads(done.stdout).values()
+    assert {row["fleet.penetration_p"] for row in summary + differences} == {0.2} and differences
+    done = cosim(swept, "measure", "out", "--csv", "means.csv", "--where", "fleet.penetration_p=0.2")
+    assert done.returncode == 0 and set(pd.read_csv(swept / "means.csv")["fleet.penetration_p"]) == {0.2}
+    for command, option in (
+        ("measure", "--fresh-s 10"), ("measure", "--threshold 0"), ("measure", "--variant x"), ("measure", "--set a=1"),
+        ("plot encounters", "--radius-m 7"), ("plot encounters", "--step 0"), ("plot trust", "--vehicle 3"),
+    ):  # fmt: skip
+        wrong = cosim(swept, *command.split(), "out", *option.split())
+        said = f"error: {option.split()[0]} goes with a run, and out is a study. Leave it out"
+        assert wrong.returncode == 2 and wrong.stderr.startswith(said), wrong.stderr
+    wrong = cosim(swept, "measure", "out", "--json", "--over", "fleet.penetration_p")
+    assert wrong.returncode == 2 and "--json has a row for each mean" in wrong.stderr
     for figure in ("durations", "ages"):
         done = cosim(swept, "plot", figure, "out", "--out", f"{figure}.png")
         assert done.returncode == 0, done.stderr

@@ -1,0 +1,87 @@
+"""Studies whose measuring changes after runs have finished, and metrics of a user's own in them."""
+
+import pandas as pd
+import pytest
+
+from results.own_metrics import check_own
+from results.study import open_study
+from tests import drive
+
+STUDY = """
+[study]
+name = "short"
+[base]
+sensing = false
+traffic.duration_s = 8
+traffic.step_s = 1.0
+compute.threads = 1
+[grid]
+fleet.penetration_p = [0.4, 0.6]
+[keep]
+topics = ["encounters"]
+[measure]
+own = "own.py:metrics"
+"""
+
+OWN = """
+import pandas as pd
+
+
+def metrics(run):
+    return pd.DataFrame({"metric": ["mine.x"], "group": "", "value": 1.0, "unit": "s", "label": "x"})
+"""
+
+
+def sweep(folder, study=STUDY, own=OWN):
+    (folder / "short.toml").write_text(study)
+    (folder / "own.py").write_text(own)
+    done = drive.cosim("sweep", "short.toml", "--out", "out", cwd=folder, COSIM_CACHE=str(folder / "cache"))
+    return done, {file: file.stat().st_mtime_ns for file in folder.glob("out/runs/*/manifest.json")}
+
+
+def means(folder):
+    summary = open_study(folder / "out").summary
+    return summary[summary.metric == "mine.x"]["mean"].tolist()
+
+
+def test_finished_runs_follow_a_changed_measuring(tmp_path):
+    """Code of the user's own, then a topic: the same runs are measured again. Without tables they are made again."""
+    done, first = sweep(tmp_path)
+    assert done.returncode == 0 and means(tmp_path) == [1, 1]
+    assert sweep(tmp_path)[1] == first
+    done, again = sweep(tmp_path, own=OWN.replace("1.0", "60.0"))
+    assert "note: 2 finished runs were measured before the code of measure.own changed." in done.stderr
+    assert again == first and means(tmp_path) == [60, 60]
+    more = STUDY.replace('["encounters"]', '["encounters", "traffic"]\ntables = ["encounters"]')
+    done, again = sweep(tmp_path, more)
+    assert "measured before keep.topics, the code of measure.own changed." in done.stderr
+    measured = set(open_study(tmp_path / "out").measures.metric)
+    assert any(name.startswith("traffic.") for name in measured) and means(tmp_path) == [1, 1]
+    done, last = sweep(tmp_path, more.replace("[measure]", "[measure]\nfresh_s = 3"))
+    assert "measured before measure.fresh_s changed." in done.stderr
+    assert set(open_study(tmp_path / "out").measures.metric) == measured
+    assert last.keys() == again.keys() and all(last[file] > again[file] for file in last)
+
+
+def test_runs_that_were_measured_otherwise_are_not_averaged(tmp_path):
+    """A folder of an earlier version, which measured the second run with other code."""
+    sweep(tmp_path)
+    job = next(tmp_path.glob("out/jobs/*/job.json"))
+    job.write_text(job.read_text().replace('"fresh_s": 10.0', '"fresh_s": 3.0'))
+    with pytest.raises(ValueError, match=r"out: measure.fresh_s changed after some runs were measured"):
+        open_study(tmp_path / "out").measures  # noqa: B018
+
+
+def table(*rows):
+    return pd.DataFrame(rows, columns=["metric", "group"])
+
+
+def test_rows_of_own_metrics_are_not_taken_for_replicates_nor_for_metrics_of_cosim():
+    right = table(("mine.x", "cars"), ("mine.x", "buses"), ("mine.y", ""))
+    assert check_own(right, "measure.own = own.py:metrics") is right
+    with pytest.raises(ValueError, match=r"^own: 2 rows of mine.x in one run would count as replicates\. "):
+        check_own(table(("mine.x", ""), ("mine.x", "")), "own")
+    with pytest.raises(ValueError, match=r'^own: 2 rows of mine.x and group "cars" in one run '):
+        check_own(table(("mine.x", "cars"), ("mine.x", "cars")), "own")
+    with pytest.raises(ValueError, match=r"^own: encounters.n is a metric that cosim has\. Give yours another name\.$"):
+        check_own(table(("encounters.n", "equipped, 100 m")), "own")
