@@ -166,6 +166,10 @@ class Junction:
     """Its id in SUMO."""
 
 
+BESIDE_M = 30.0
+"""A mast stands at most this far beside the outermost streets."""
+
+
 class Streets(NamedTuple):
     """Junctions that vehicles drive into, in any order, and the network's bounds: west, south, east, north [m]."""
 
@@ -173,9 +177,10 @@ class Streets(NamedTuple):
     bounds_m: tuple[float, float, float, float]
 
     def check_inside(self, x: float, y: float, key: str) -> None:
-        """Raise ValueError unless a place is within the network."""
+        """Raise ValueError unless a place is within the network, or beside its outermost streets."""
         west, south, east, north = self.bounds_m
-        if not (west <= x <= east and south <= y <= north):
+        away_m = max(west - x, x - east, south - y, y - north)
+        if away_m > BESIDE_M:
             raise ValueError(
                 f"{key} = [{x:g}, {y:g}] m lies outside the network, which reaches from [{west:g}, {south:g}] "
                 f"to [{east:g}, {north:g}]. Longitude and latitude, not metres? Set {key} within it."

@@ -104,7 +104,8 @@ def guess(name: str) -> VehicleType:
     for which SUMO copied the type.
     """
     name = name.partition("@")[0]
-    vclass = _DEFAULT.get(name) or _NAMED.get(name.lower()) or (name if name in SIZES_M else None)
+    lower = name.lower()
+    vclass = _DEFAULT.get(name) or _NAMED.get(lower) or (lower if lower in SIZES_M else None)
     if vclass is None:
         words = _words(name)
         vclass = next((c for word, c in _WORDS.items() if word in words), "passenger")

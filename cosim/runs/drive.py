@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.attacks.params import rings_too_large
-from cosim.base.codes import DetectionFault, labels
+from cosim.base.codes import PARKED, DetectionFault, labels
 from cosim.base.kernel import threads_may_meet
 from cosim.config.config import Config
 from cosim.runs import checkpoint, recording
@@ -30,6 +30,7 @@ from cosim.step.result import StepResult
 from cosim.step.state import State
 from cosim.step.stopwatch import Stopwatch
 from cosim.traffic.actors import ActorRegistry
+from cosim.traffic.objects import PREFIX
 from cosim.traffic.scenario import Scenario
 from cosim.traffic.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.world import World
@@ -254,7 +255,7 @@ class Drive:
         else:
             self.recorder.close(rows)
         self.manifest.summary |= {
-            "vehicles_on_road_mean": round(self.n_on_road / self.manifest.steps, 2),
+            "vehicles_on_road_mean": round((self.n_on_road - self._n_placed()) / self.manifest.steps, 2),
             **self.traffic.report(),
             "detections_dropped": {
                 name: int(n) for name, n in zip(labels(DetectionFault), state.n_dropped, strict=True) if n
@@ -278,6 +279,16 @@ class Drive:
         known = set(self.registry.names)
         named = ((n, p.victim_id) for n, p in enumerate(self.parts.config.attacks) if p.victim == "one")
         return [f'attacks.{n}.victim_id = "{name}"' for n, name in named if name not in known]
+
+    def _n_placed(self) -> int:
+        """Parked cars and placed vehicles, which are no traffic, summed over the steps like `n_on_road`."""
+        config, actors = self.parts.config, self.registry
+        placed = {PREFIX: len(config.objects), PARKED: config.parked.per_100_m}
+        prefixes = tuple(prefix for prefix, n in placed.items() if n)
+        is_placed = np.array([name.startswith(prefixes) for name in actors.names], bool)
+        is_placed &= actors.shape != Shape.PEDESTRIAN
+        n_steps = actors.last_step - actors.first_step + 1
+        return int(n_steps[is_placed].sum())
 
     def _check_repeated(self, world: World) -> None:
         """Raise ValueError if the repeated traffic differs from the recorded one."""

@@ -2,18 +2,22 @@
 
 import pandas as pd
 
+from cosim.base.codes import PARKED
 from results.run import Run
 
 
 def on_road(run: Run) -> pd.DataFrame:
     """who (all actors, or equipped vehicles), mean: how many of them are on the road, and duration_s of the run."""
-    return run.sql("""
+    return run.sql(
+        """
         SELECT 'all' AS who, coalesce(sum(last_step - first_step + 1), 0) / $steps AS mean, $steps * $dt_s AS duration_s
-        FROM vehicles WHERE vehicle_class <> 'roadside_unit'
+        FROM vehicles WHERE vehicle_class <> 'roadside_unit' AND NOT starts_with(sumo_id, $parked)
         UNION ALL
         SELECT 'equipped', coalesce(sum(last_step - first_step + 1), 0) / $steps, $steps * $dt_s
         FROM vehicles WHERE vehicle_class <> 'roadside_unit' AND equipped
-    """)
+    """,
+        parked=PARKED,
+    )
 
 
 def equipped(run: Run) -> pd.DataFrame:

@@ -18,6 +18,9 @@ from sumo_nets.vtypes import guess
         ("bicycle", "bike DEFAULT_BIKETYPE bicycle_1 eBike cyclist pedestrian/bicycle"),
         ("pedestrian", "DEFAULT_PEDTYPE ped1 pedestrians person_2"),
         ("taxi", "taxi TaxiCab"),
+        ("scooter", "scooter Scooter"),
+        ("wheelchair", "WHEELCHAIR"),
+        ("drone", "Drone"),
     ],
 )  # fmt: skip
 def test_whole_words_say_a_class_and_parts_of_words_say_none(vclass, names):

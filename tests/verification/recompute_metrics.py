@@ -102,7 +102,7 @@ def traffic(of):
     who = vehicles(of)
     time = who.last_step - who.first_step + 1
     yield "duration_s", "", of.steps * of.dt_s
-    yield "actors.mean", "all", time.sum() / of.steps
+    yield "actors.mean", "all", time[~who.sumo_id.str.startswith("parked/")].sum() / of.steps
     yield "actors.mean", "equipped", time[who.equipped].sum() / of.steps
     for role, n in who.role[who.equipped].value_counts().items():
         yield "equipped.n", role, n

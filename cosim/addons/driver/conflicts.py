@@ -2,7 +2,8 @@
 
 Geometry: a vehicle's leader is the nearest vehicle ahead of it whose heading differs by less than 45 degrees and whose
 footprint overlaps the straight extension of its own, at most 50 m away unless asked otherwise. In bends this misses
-leaders that a lane would show. Definitions follow SUMO's SSM device, against which they are verified.
+leaders that a lane would show. Vehicles whose wheels are more than 3 m apart in height are on different roads, such as
+a bridge and the street below. Definitions follow SUMO's SSM device, against which they are verified.
 """
 
 from collections.abc import Iterator
@@ -21,14 +22,19 @@ RANGE_M = 50.0
 _ALONG = np.cos(np.pi / 4)
 _CROSSING = np.cos(np.pi / 6)
 """Paths that differ by more than 30 degrees cross; others follow each other."""
+_LEVEL_M = 3.0
+"""Vehicles with a larger difference in height of their wheels are on different roads."""
 _SEGMENT_M, _PET_S = 12.0, 5.0
-"""Longest way of a step that is looked at, and largest post-encroachment time that is looked for."""
+"""Distance up to which ways of a step are compared, or more if a way is longer, and largest post-encroachment time that
+is looked for."""
+_FASTEST_MPS = 60.0
+"""Ways that are faster, and longer than `_SEGMENT_M`, are jumps."""
 _STRETCH = 600.0
 """Length of the stretches of time that are searched one after another, in the unit of scaled time."""
 
 
 _TRACKS = """
-    SELECT step, actor, x_m, y_m, yaw_rad, speed_mps, length_m, width_m,
+    SELECT step, actor, x_m, y_m, z_m - height_m / 2 AS ground_m, yaw_rad, speed_mps, length_m, width_m,
         if(lag(step) OVER mine = step - 1, (speed_mps - lag(speed_mps) OVER mine)::DOUBLE / $dt_s, NULL)
             AS acceleration_mps2
     FROM actors JOIN vehicles ON vehicle = actor
@@ -38,8 +44,13 @@ _TRACKS = """
 
 
 def tracks(run: Run) -> pd.DataFrame:
-    """Vehicles' poses with their sizes, without pedestrians and parked cars: step, actor, x_m, y_m, yaw_rad, speed_mps,
-    length_m, width_m, acceleration_mps2 (missing in a vehicle's first step); by step, then actor."""
+    """Vehicles' poses with their sizes, without pedestrians and parked cars.
+
+    Returns
+    -------
+    step, actor, x_m, y_m, ground_m (height of the wheels), yaw_rad, speed_mps, length_m, width_m, acceleration_mps2
+    (missing in a vehicle's first step); by step, then actor.
+    """
     return run.sql(_TRACKS, parked=PARKED)
 
 
@@ -68,8 +79,8 @@ def _steps(poses: pd.DataFrame) -> Iterator[tuple[int, dict[str, ndarray]]]:
 
 def _leaders(step: int, at: dict[str, ndarray] | pd.DataFrame, range_m: float) -> pd.DataFrame:
     xy = np.column_stack([np.asarray(at["x_m"], float), np.asarray(at["y_m"], float)])
-    length, width, yaw, speed = (
-        np.asarray(at[name], float) for name in ("length_m", "width_m", "yaw_rad", "speed_mps")
+    length, width, yaw, speed, ground = (
+        np.asarray(at[name], float) for name in ("length_m", "width_m", "yaw_rad", "speed_mps", "ground_m")
     )
     if len(xy) < 2:
         pairs = np.zeros((0, 2), int)
@@ -80,6 +91,7 @@ def _leaders(step: int, at: dict[str, ndarray] | pd.DataFrame, range_m: float) -
     along = np.cos(yaw[j] - yaw[i])
     gap = ahead - (length[i] + length[j]) / 2
     in_path = np.abs(left) < (width[i] + width[j]) / 2
+    in_path &= _on_one_road(ground, i, j)
     leads = np.flatnonzero((ahead > 0) & in_path & (along > _ALONG) & (gap <= range_m))
     gap = np.maximum(gap, 0.0)
     leads = leads[np.lexsort((gap[leads], i[leads]))]
@@ -113,14 +125,18 @@ def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     a = np.flatnonzero((np.diff(actor) == 0) & (np.diff(step) == 1))
     way = np.column_stack([np.diff(column["x_m"])[a], np.diff(column["y_m"])[a]])
     length = np.hypot(*way.T)
-    moves = (length > 0.1) & (length < _SEGMENT_M)
+    moves = (length > 0.1) & (length < max(_SEGMENT_M, _FASTEST_MPS * run.dt_s))
     a, way, length = a[moves], way[moves], length[moves]
     start = np.column_stack([column["x_m"], column["y_m"]])[a]
-    scale = _SEGMENT_M / _PET_S
+    reach_m = max(_SEGMENT_M, length.max(initial=0.0))
+    scale = reach_m / _PET_S
     points = np.column_stack([start + way / 2, step[a] * run.dt_s * scale])
-    found = [_crossing(pairs, actor[a], start, way, length) for pairs in _near(points)]
+    near = _near(points, reach_m)
+    found = [_crossing(pairs, actor[a], start, way, length) for pairs in near]
     nothing = np.zeros(0, int)
     i, j, u, v = (np.concatenate(c) for c in zip((nothing,) * 4, *found, strict=True))
+    one_road = _on_one_road(column["ground_m"], a[i], a[j])
+    i, j, u, v = (values[one_road] for values in (i, j, u, v))
     at_i = (step[a[i]] + u) * run.dt_s
     at_j = (step[a[j]] + v) * run.dt_s
     in_i = _half(column, a, way, length, i, j) * run.dt_s / length[i]
@@ -137,14 +153,19 @@ def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     return frame.drop_duplicates(["first", "second"]).reset_index(drop=True)
 
 
-def _near(points: Float[ndarray, "n 3"]) -> Iterator[Int[ndarray, "p 2"]]:
-    """Pairs of rows that lie close in place and time, a stretch of time after another."""
+def _on_one_road(ground_m: ndarray, i: Int[ndarray, "p"], j: Int[ndarray, "p"]) -> Bool[ndarray, "p"]:
+    """Whether pairs of rows have their wheels at about one height."""
+    return np.abs(ground_m[i] - ground_m[j]) <= _LEVEL_M
+
+
+def _near(points: Float[ndarray, "n 3"], reach_m: float) -> Iterator[Int[ndarray, "p 2"]]:
+    """Pairs of rows that lie within `reach_m` in place and scaled time, a stretch of time after another."""
     time = points[:, 2]
     edges = np.arange(time.min(initial=0.0), time.max(initial=0.0) + _STRETCH, _STRETCH)
     for begin in edges.tolist():
-        rows = np.flatnonzero((time >= begin) & (time < begin + _STRETCH + _SEGMENT_M))
+        rows = np.flatnonzero((time >= begin) & (time < begin + _STRETCH + reach_m))
         if len(rows) > 1:
-            yield rows[cKDTree(points[rows]).query_pairs(_SEGMENT_M, output_type="ndarray")]
+            yield rows[cKDTree(points[rows]).query_pairs(reach_m, output_type="ndarray")]
 
 
 def _crossing(
@@ -195,6 +216,7 @@ def overlaps(run: Run, poses: pd.DataFrame | None = None, depth_m: float = 0.3) 
             continue
         i, j = cKDTree(xy).query_pairs(reach.max(), output_type="ndarray").T
         close = np.hypot(*(xy[i] - xy[j]).T) < (reach[i] + reach[j]) / 2
+        close &= _on_one_road(at["ground_m"], i, j)
         i, j = i[close], j[close]
         fastest_mps = np.maximum(at["speed_mps"][i], at["speed_mps"][j])
         hit = (_depth(at, xy, i, j) > depth_m) & (fastest_mps > 0.5)

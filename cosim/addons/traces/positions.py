@@ -304,6 +304,8 @@ def read(
         few = ", ".join(f"{kind} as {vtypes.guess(kind).vclass}" for kind in guessed[:5])
         more = f" and {len(guessed) - 5} more" if len(guessed) > 5 else ""
         read_as[f"classes guessed from their names: {few}{more}"] = None
+    if off_road := sorted({kind for kind in kinds if vtypes.guess(kind).vclass not in SHAPE_OF_CLASS}):
+        read_as[f"{', '.join(off_road)} as cars here; a run leaves them out, because they are not on the road"] = None
     begin = float(read.time_s.min())
     lw_m = pd.DataFrame(read.lw_m).groupby(read.actor).median().to_numpy()
     return Fixes(

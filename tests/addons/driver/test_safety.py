@@ -18,11 +18,12 @@ class Poses:
     dt_s = 0.5
 
 
-def poses(tracks):
-    """Rows of `conflicts.tracks` of actors with (x, y, yaw, speed) per step; 5 m by 2 m."""
+def poses(tracks, ground_m=()):
+    """Rows of `conflicts.tracks` of actors with (x, y, yaw, speed) per step; 5 m by 2 m, on these heights, or 0."""
+    ground_m = dict(ground_m)
     rows = [
-        {"step": step, "actor": actor, "x_m": x, "y_m": y, "yaw_rad": yaw, "speed_mps": v, "length_m": 5.0,
-         "width_m": 2.0}
+        {"step": step, "actor": actor, "x_m": x, "y_m": y, "ground_m": ground_m.get(actor, 0.0), "yaw_rad": yaw,
+         "speed_mps": v, "length_m": 5.0, "width_m": 2.0}
         for actor, track in tracks.items() for step, (x, y, yaw, v) in enumerate(track)
     ]  # fmt: skip
     frame = pd.DataFrame(rows).sort_values(["actor", "step"])
@@ -46,6 +47,34 @@ def test_post_encroachment_time_by_hand():
     north = [(0.0, 10 * (0.5 * k - 4), np.pi / 2, 10) for k in range(12)]
     found = conflicts.encroachments(Poses, poses({1: east, 2: north}))
     np.testing.assert_allclose(found[["first", "second", "time_s", "pet_s"]].to_numpy(), [[1, 2, 3.65, 1.3]], atol=1e-9)
+
+
+def test_a_bridge_is_another_road():
+    """Eight metres above: no leader, no common area, no overlap. On one height, or one metre apart, each of them."""
+    behind = {1: [(0, 0, 0, 10)], 2: [(20, 0, 0, 4)]}
+    crossing = {1: [(10 * (0.5 * k - 2), 0.0, 0.0, 10) for k in range(12)],
+                2: [(0.0, 10 * (0.5 * k - 4), np.pi / 2, 10) for k in range(12)]}  # fmt: skip
+    inside = {1: [(0, 0, 0, 5)], 2: [(1, 0, 0, 5)]}
+    for height_m, n in ((0.0, 1), (1.0, 1), (8.0, 0), (-8.0, 0)):
+        bridge = {2: height_m}
+        assert len(conflicts.following(Poses, poses(behind, bridge))) == n
+        assert len(conflicts.encroachments(Poses, poses(crossing, bridge))) == n
+        assert len(conflicts.overlaps(Poses, poses(inside, bridge))) == n
+
+
+@pytest.mark.parametrize("dt_s", [0.2, 0.5, 1.0])
+def test_post_encroachment_time_in_long_steps(dt_s):
+    """At 14 m/s, the way of a second is longer than the 12 m that are searched otherwise: 2 - 2 x 3.5 / 14 = 1.5 s."""
+
+    class Run:
+        pass
+
+    Run.dt_s = dt_s
+    times = np.arange(0, 10, dt_s)
+    east = [(14 * (t - 4.1), 0.0, 0.0, 14) for t in times]
+    north = [(0.0, 14 * (t - 6.1), np.pi / 2, 14) for t in times]
+    (found,) = conflicts.encroachments(Run, poses({1: east, 2: north})).itertuples()
+    assert found.pet_s == pytest.approx(1.5)
 
 
 def test_braking_events_and_stops_by_hand():

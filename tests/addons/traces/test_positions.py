@@ -273,6 +273,8 @@ def test_what_is_read_otherwise_than_one_may_think_is_said(tmp_path):
     rows = "".join(f"{n},0,{n},0,k{n}\n" for n in range(7))
     fixes = given(tmp_path, "c.csv", "id,time,x,y,class\n" + rows)
     assert fixes.read_as[0].endswith("k4 as passenger and 2 more")
+    fixes = given(tmp_path, "r.csv", "id,time,x,y,class\na,0,0,0,car\nb,0,9,0,train\n")
+    assert fixes.read_as == ("train as cars here; a run leaves them out, because they are not on the road",)
 
 
 def test_nanoseconds_since_1970_are_read_from_integers(tmp_path):

@@ -94,6 +94,8 @@ def test_objects_are_detected_and_change_no_traffic(runs):
     objects = names.index[names.str.startswith("object/")]
     assert len(objects) == 2 and not found.vehicles.set_index("vehicle").loc[objects].equipped.any()
     assert set(objects) & set(found.detections.truth_actor) and set(objects) <= set(found.actors.actor)
+    n, n_plain = (run.manifest["summary"]["vehicles_on_road_mean"] for run in (found, plain))
+    assert n == n_plain
     moving = found.actors[~found.actors.actor.isin(objects)]
     poses = ["step", "sumo_id", "x_m", "y_m", "yaw_rad", "speed_mps"]
     one = plain.actors.assign(sumo_id=plain.actors.actor.map(plain.vehicles.set_index("vehicle").sumo_id))[poses]

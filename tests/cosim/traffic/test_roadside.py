@@ -28,6 +28,7 @@ def test_places_by_hand():
     assert units.ground_m.tolist() == [[470, 360, 2]] and units.height_m.tolist() == [4.0]
     np.testing.assert_allclose(units.yaw_rad, np.pi / 2)
     assert units.sensor == ("vlp16",) and not units.trusted[0] and units.names == ("roadside/480.00/380.00",)
+    assert place([RoadsideParams(at=(1020.0, 380.0))], TOWN, (0, 0), 4).ground_m[0, 0] == 1020, "beside the last street"
     assert place([RoadsideParams(junction="a")], TOWN, (0, 0), 4).ground_m.tolist() == [[100, 100, 7]]
     assert place([RoadsideParams(junctions=2)], TOWN, (0, 0), 4).ground_m[:, 0].tolist() == [120, 500]
     listed = RoadsideParams(junctions=2, choose="listed", listed=("c", "a", "b"))
