@@ -100,9 +100,10 @@ def inter_reception(run: Run, message_type: MessageType = "cpm") -> pd.DataFrame
     -------
     pir_s, n_lost (messages in between), n_received and n_censored (intervals so long that a reception ended, or
     that were cut off when the two got out of range), longer: share of intervals that last longer, by Kaplan-Meier.
+    n_lost is NaN where vehicles do not all send in every sensing interval: a long interval is no loss then.
     """
     what = f"two messages of type {message_type} in a row of any pair"
-    return _asked(run, what, "it is too short. Run longer.", """
+    found = _asked(run, what, "it is too short. Run longer.", """
         WITH counts AS (
             SELECT pir_steps, sum(n_received)::BIGINT AS n_received, sum(n_censored)::BIGINT AS n_censored
             FROM packet_inter_reception WHERE message_type = $message_type GROUP BY pir_steps
@@ -113,17 +114,23 @@ def inter_reception(run: Run, message_type: MessageType = "cpm") -> pd.DataFrame
             product(1 - n_received / n) OVER (ORDER BY pir_steps) AS longer
         FROM at_risk WHERE (SELECT sum(n_received) FROM counts) > 0 ORDER BY pir_steps
     """, message_type=message_type, every=max(1, run.manifest.get("sense_every_steps", 1)))  # fmt: skip
+    return found if _sends_in_every_interval(run, message_type) else found.assign(n_lost=np.nan)
+
+
+def _sends_in_every_interval(run: Run, message_type: MessageType) -> bool:
+    """Whether every vehicle sends a message of this type in every `sensing_interval_s`."""
+    has_rules = message_type == "cpm" and run.config.get("cpm", {}).get("rules", "all") != "all"
+    return not run.config.get("sensing_groups") and not has_rules
 
 
 def inter_reception_means(run: Run) -> pd.DataFrame:
     """One row, of detection messages: mean_s, after_loss (share of intervals with a loss), n_lost (mean of them).
 
-    The last two are NaN where `sensing_groups` give vehicles intervals of their own: a long interval between two
-    receptions is no loss then.
+    The last two are NaN where `inter_reception` does not know what was lost.
     """
     pir = inter_reception(run)
     n, mean_s = pir.n_received, np.average(pir.pir_s, weights=pir.n_received)
-    if run.config.get("sensing_groups"):
+    if pir.n_lost.isna().any():
         return pd.DataFrame([{"mean_s": mean_s, "after_loss": np.nan, "n_lost": np.nan}])
     lost = n[pir.n_lost > 0].sum()
     n_lost = (pir.n_lost * n).sum() / lost if lost else np.nan

@@ -24,17 +24,19 @@ def test_inter_reception_by_kaplan_meier(tiny):
 
 
 def test_losses_are_counted_where_all_vehicles_sense_at_one_interval(tmp_path):
-    """Of ten intervals, one has a loss. With groups, that one may be of a vehicle that senses every other step."""
+    """Of ten intervals, one has a loss. With groups or generation rules, its vehicle may have had nothing to send."""
     rows = [{"step": 1, "pir_steps": 1, "n_received": 9}, {"step": 2, "pir_steps": 2, "n_received": 1}]
     groups = {"sensing_groups": [{"share_p": 0.5, "interval_s": 2.0}]}
-    for name in ("one", "several"):
+    configs = {"one": {"cpm": {"rules": "all"}}, "several": groups, "etsi": {"cpm": {"rules": "etsi"}}}
+    for name in configs:
         (tmp_path / name).mkdir()
-    one = make(tmp_path / "one", 3, packet_inter_reception=rows)
-    several = make(tmp_path / "several", 3, groups, packet_inter_reception=rows)
+    one, *others = (make(tmp_path / name, 3, config, packet_inter_reception=rows) for name, config in configs.items())
     (found,) = radio.inter_reception_means(one).itertuples()
     assert (found.mean_s, found.after_loss, found.n_lost) == pytest.approx((1.1, 0.1, 1.0))
-    (found,) = radio.inter_reception_means(several).itertuples()
-    assert found.mean_s == pytest.approx(1.1) and found[2:] == pytest.approx((np.nan, np.nan), nan_ok=True)
+    for run in others:
+        (found,) = radio.inter_reception_means(run).itertuples()
+        assert found.mean_s == pytest.approx(1.1) and found[2:] == pytest.approx((np.nan, np.nan), nan_ok=True)
+        assert radio.inter_reception(run).n_lost.isna().all()
 
 
 def test_latency_adds_up(tiny):
