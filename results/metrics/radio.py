@@ -177,14 +177,23 @@ def clouds(run: Run) -> pd.DataFrame:
 
 
 def by_place(run: Run, cell_m: float = 50.0) -> pd.DataFrame:
-    """The channel by place of the receiver: x_m, y_m (middle of the cell), n, cbr, pdr."""
-    return _asked(run, _TRAFFIC, "no vehicle was equipped. Raise fleet.penetration_p.", """
+    """The channel by place of the receiver: x_m, y_m (middle of the cell), n, cbr, pdr (of messages).
+
+    With relays pdr is NaN: vehicles receive messages from beyond range, which are not among those sent within range.
+    """
+    found = _asked(run, _TRAFFIC, "no vehicle was equipped. Raise fleet.penetration_p.", """
         SELECT (floor(a.x_m::DOUBLE / $cell_m) + 0.5::DOUBLE) * $cell_m AS x_m,
             (floor(a.y_m::DOUBLE / $cell_m) + 0.5::DOUBLE) * $cell_m AS y_m,
             count(*) AS n, sum(cbr::DOUBLE) / count(*) AS cbr, sum(n_received) / nullif(sum(n_in_range), 0) AS pdr
         FROM vehicle_channel c JOIN actors a ON a.step = c.step AND a.actor = c.vehicle
         GROUP BY ALL ORDER BY ALL
     """, cell_m=float(cell_m))  # fmt: skip
+    return found.assign(pdr=np.nan) if _has_relays(run) else found
+
+
+def _has_relays(run: Run) -> bool:
+    """Whether vehicles forward messages."""
+    return run.config.get("radio", {}).get("relay", {}).get("max_hops", 1) > 1
 
 
 def to_server(run: Run) -> pd.DataFrame:

@@ -71,10 +71,14 @@ def test_the_map(tiny):
         {"step": s, "vehicle": v, "cbr": b, "n_in_range": 4, "n_received": n}
         for s, v, b, n in ((0, 0, 0.25, 4), (0, 1, 0.5, 2), (1, 0, 0.0, 0), (1, 1, 0.25, 1))
     ]
-    cells = radio.by_place(tiny(2, actors=actors, vehicle_channel=channel), 50.0)
+    run = tiny(2, actors=actors, vehicle_channel=channel)
+    cells = radio.by_place(run, 50.0)
     assert cells[["x_m", "y_m", "n"]].values.tolist() == [[25, 25, 1], [75, 25, 3]]
     assert cells.cbr.tolist() == [0.25, 0.25]
     assert cells.pdr.tolist() == [1, 0.25]
+    run.config["radio"] = {"relay": {"max_hops": 3}}
+    with_relays = radio.by_place(run, 50.0)
+    assert with_relays.pdr.isna().all() and with_relays.cbr.tolist() == [0.25, 0.25]
 
 
 def test_the_way_to_the_server(tiny):
