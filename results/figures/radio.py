@@ -133,7 +133,7 @@ def _maps(figure: Figure, panels: Sequence[Axes], run: Run, cell_m: float) -> No
     """Channel busy ratio and share of messages lost by place of the receiver; dark is more in both."""
     cells = radio.by_place(run, cell_m)
     cells = cells.assign(lost=1 - cells.pdr)
-    for axes, (column, title) in zip(panels, (("cbr", "Busy ratio"), ("lost", "Frames lost")), strict=True):
+    for axes, (column, title) in zip(panels, (("cbr", "Busy ratio"), ("lost", "Messages lost")), strict=True):
         x, y, values = _grid(cells, column, cell_m)
         most = 1 if column == "lost" else None
         mesh = axes.pcolormesh(x, y, values, cmap="viridis_r", rasterized=True, vmin=0, vmax=most)

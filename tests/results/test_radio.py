@@ -94,7 +94,7 @@ def test_two_pictures(run, other):
     titles = [axes.get_title(loc="left") for axes in alone.axes]
     assert {
         "Delivery by distance", "Latency", "Packet inter-reception", "Channel busy ratio",
-        "Frames lost",
+        "Messages lost",
     } <= set(titles)  # fmt: skip
     beside = FIGURES["radio"]([run, other])
-    assert "Frames lost" not in [axes.get_title(loc="left") for axes in beside.axes]
+    assert "Messages lost" not in [axes.get_title(loc="left") for axes in beside.axes]
