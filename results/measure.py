@@ -123,7 +123,7 @@ def _measured(run: Run, topic: str, options: Mapping[str, Any]) -> list[Measured
         of_source = list(same)
         metric = of_source[0][1]
         try:
-            is_recorded = all(table in run.tables and run.n_rows(table) for table in metric.needs)
+            is_recorded = all(table in run.tables and (metric.counts or run.n_rows(table)) for table in metric.needs)
             found = _answer(run, metric, options) if is_recorded else ()
         except ValueError as reason:
             if isinstance(reason, Damaged) and str(reason) not in run.damage:
