@@ -107,7 +107,11 @@ def _los_entry(state: str) -> Line2D:
 
 def _late(axes: Axes, run: Run, line: dict[str, Any]) -> None:
     """Both rounds together."""
-    curve = radio.latency(run).groupby("latency_s").n_delivered.sum()
+    try:
+        found = radio.latency(run)
+    except ValueError:  # no message was received
+        return
+    curve = found.groupby("latency_s").n_delivered.sum()
     share = curve.cumsum() / curve.sum()
     axes.plot(1e3 * share.index, share.to_numpy(), **line, markevery=style.sparse(len(share)))
     axes.set_xscale("log")

@@ -23,10 +23,11 @@ _ROAD_S = "(SELECT sum(last_step - first_step + 1) * $dt_s FROM vehicles WHERE e
 
 
 def _asked(run: Run, what: str, why: str, query: str, **values: Any) -> pd.DataFrame:
-    """What SQL answers. ValueError where it answers nothing: `what` there is none of, and why."""
+    """What SQL answers. ValueError where it answers nothing: `what` there is none of, and why (if empty, it is that no
+    message was received)."""
     found = run.sql(query, **values)
     if found.empty:
-        raise run.lacks(what, why)
+        raise run.lacks(what, why or why_none_received(run))
     return found
 
 
@@ -70,12 +71,21 @@ def by_los(run: Run) -> pd.DataFrame:
     return _asked(run, _TRAFFIC, _NOBODY, query)
 
 
-_NONE_RECEIVED = "no message was received. Raise radio.range_m."
+def why_none_received(run: Run) -> str:
+    """Why no message was received or used: nobody was within range, or all frames were lost, and what to change."""
+    found = run.sql("SELECT coalesce(sum(n_in_range), 0) AS n, sum(n_delivered) AS n_delivered FROM radio").iloc[0]
+    if not found.n:
+        return _NOBODY
+    if found.n_delivered:
+        return "no message arrived in time to be used. Run longer."
+    is_disk = run.config.get("radio", {}).get("model") == "unit_disk"
+    cure = "Lower radio.unit_disk.loss_p." if is_disk else "The metrics radio.lost say why; change the section [radio]."
+    return f"all {found.n:,.0f} frames within range were lost. {cure}"
 
 
 def latency(run: Run) -> pd.DataFrame:
     """Latency from generation to reception: message_type, latency_s (upper bin edge), n_delivered, share up to it."""
-    frame = _asked(run, _TRAFFIC, _NONE_RECEIVED, """
+    frame = _asked(run, _TRAFFIC, "", """
         SELECT message_type, latency_s, sum(n_delivered)::BIGINT AS n_delivered,
             sum(sum(n_delivered)) OVER (PARTITION BY message_type ORDER BY latency_s)
                 / sum(sum(n_delivered)) OVER (PARTITION BY message_type) AS share

@@ -5,6 +5,7 @@ import pytest
 
 from results.figures.catalogue import FIGURES
 from results.metrics import radio
+from results.metrics.lookups import no_lookups
 from tests.results.tiny import make
 
 
@@ -61,6 +62,22 @@ def test_delivery_by_what_stands_between(tiny):
     assert by_los.los_state.tolist() == ["los", "los", "nlos", "nlos"]
     assert by_los.pdr.tolist() == [1, 0.8, 0.5, 0.1]
     assert by_los.distance_m.tolist() == [12.5, 37.5] * 2
+
+
+@pytest.mark.parametrize(
+    ("model", "row", "why"),
+    [
+        ("unit_disk", {"n_in_range": 8, "n_lost_propagation": 8}, "all 8 frames within range were lost. Lower radio.u"),
+        ("csma", {"n_in_range": 8, "n_lost_collision": 8}, "all 8 frames within range were lost. The metrics radio.lo"),
+        ("csma", {}, "no vehicle had another in range"),
+    ],
+)
+def test_nothing_received_names_its_cause(tiny, model, row, why):
+    run = tiny(1, radio=[row], latency_histogram=[])
+    run.config["radio"] = {"model": model}
+    with pytest.raises(ValueError, match=why):
+        radio.latency(run)
+    assert why in str(no_lookups(run))
 
 
 def test_the_map(tiny):
