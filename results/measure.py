@@ -123,8 +123,8 @@ def _measured(run: Run, topic: str, options: Mapping[str, Any]) -> list[Measured
         of_source = list(same)
         metric = of_source[0][1]
         try:
-            n_rows = [run.n_rows(table) if table in run.tables else 0 for table in metric.needs]
-            found = _answer(run, metric, options) if all(n_rows) else ()
+            recorded = [table in run.tables and (metric.counts or run.n_rows(table)) for table in metric.needs]
+            found = _answer(run, metric, options) if all(recorded) else ()
         except ValueError as reason:
             if isinstance(reason, Damaged) and str(reason) not in run.damage:
                 run.damage.append(str(reason))

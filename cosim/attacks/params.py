@@ -18,6 +18,10 @@ Coordinate = Annotated[float, Ge(-1e6), Le(1e6)]
 """A coordinate in the world frame [m]."""
 
 
+NEVER_S = 1e8
+"""The `start_s` of an attack that is not meant to begin."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AttackParams:
     """An `[[attacks]]` section: the attack, its attackers, its times and its victims.
@@ -43,8 +47,9 @@ class AttackParams:
     appearance: Literal["detected", "paper"] = "detected"
     """What ghosts look like. `detected`: their score, size, returns and speed are those of real detections at similar
     distances. `paper`: their score is 1 and their size fixed, as in the paper's experiments; this marks them."""
-    start_s: Annotated[float, Ge(0), Le(1e8)] = 60.0
-    """Recorded time at which the attack begins [s]. Before it, its vehicles are honest and build up trust."""
+    start_s: Annotated[float, Ge(0), Le(NEVER_S)] = 60.0
+    """Recorded time at which the attack begins [s]; 1e8 is never. Before it, its vehicles are honest and build up
+    trust."""
     when: When = "persistent"
     """Steps in which the attack is active. `persistent`: in every step. `sporadic`: with probability `active_p`.
     `on_off`: for the share `duty_p` of every period. `sleeper`: from the time at which the attacker's own trust has
@@ -84,6 +89,11 @@ class AttackParams:
     """With `whitewashing`: a vehicle takes a new pseudonym if its trust is below this value."""
     renew_s: Annotated[float, Gt(0), Le(1e8)] = 10.0
     """With `newcomer`: time after which a vehicle changes its pseudonym [s]."""
+
+    @property
+    def is_meant_to_begin(self) -> bool:
+        """Whether the attack has attackers, and a time at which it begins."""
+        return self.start_s < NEVER_S and (self.share_p > 0 or bool(self.ids) or self.together_with is not None)
 
     @property
     def reads_trust(self) -> bool:

@@ -187,7 +187,9 @@ class Config:
                 f"{longest_s:g} s: every track would end before its object can be detected again. Set "
                 "tracking.keep_s to two intervals or more."
             )
-        if self.server.uplink == "rsu" and not (self.rsu.at or self.rsu.n_at_junctions):
+        hosts = [self.trust.host, *(variant.trust.host for variant in self.trust_variant)]
+        has_units = self.rsu.at or self.rsu.n_at_junctions
+        if self.server.uplink == "rsu" and "central" in hosts and not has_units:
             raise ValueError(
                 'server.uplink = "rsu", but there are no roadside units, so no evaluation could reach the server. '
                 "Set rsu.at or rsu.n_at_junctions."
@@ -215,7 +217,6 @@ class Config:
             )
         check_evidence(self)
         check_early_fusion(self)
-        hosts = [self.trust.host, *(variant.trust.host for variant in self.trust_variant)]
         check_server(self.pseudonyms, self.attacks, hosts)
 
     @property

@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 from functools import cache
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from cosim.attacks.params import AttackParams
 from cosim.config.config import Config, chosen, chosen_model, resolve_data
@@ -59,13 +59,26 @@ def _holds(condition: Mapping[str, Any], section: Any, key: str) -> bool:
     return value in condition["is"] or (isinstance(value, str) and is_own(value))
 
 
-def _needs(name: str, section: Any, prefix: str = "") -> list[tuple[tuple[str, ...], str, bool]]:
-    """Keys, what they need, and whether this config, or this section of a list, has it."""
+class _Need(NamedTuple):
+    """Keys, and what they need."""
+
+    keys: tuple[str, ...]
+    """With * for any end."""
+    need: str
+    is_held: bool
+    """Whether this config, or this section of a list, has it."""
+    deciding: frozenset[str] = frozenset()
+    """The keys that decide on it. They have an effect."""
+
+
+def _needs(name: str, section: Any, prefix: str = "") -> list[_Need]:
+    """What keys of this config, or of this section of a list, need."""
     return [
-        (
+        _Need(
             tuple(prefix + key for key in need["keys"]),
             need["need"],
             any(_holds(condition, section, need["keys"][0]) for condition in need["if"]),
+            frozenset(prefix + condition["key"] for condition in need["if"] if "key" in condition),
         )
         for need in _NEEDS[name]
     ]
@@ -84,7 +97,7 @@ def without_effect(config: Config, is_replayed: bool) -> list[str]:
         for name, value in _leaves(config.to_dict())
         if not name.startswith(lists) and all(value != one.get(name) for one in usual)
     ]
-    simulated = (
+    simulated = _Need(
         ("traffic.seed", "traffic.scale", "traffic.car_following"),
         "SUMO (traffic is replayed)",
         not is_replayed,
@@ -112,13 +125,13 @@ def _usual(preset: str) -> tuple[dict[str, Any], ...]:
     return tuple(dict(_leaves(config.to_dict())) for config in made)
 
 
-def _vain(stated: list[str], needs: list[tuple[tuple[str, ...], str, bool]]) -> list[str]:
+def _vain(stated: list[str], needs: list[_Need]) -> list[str]:
     """One line for each need that is not held and has stated keys; every key is in one line at most."""
     lines = []
-    for keys, need, is_held in needs:
+    for keys, need, is_held, deciding in needs:
         if is_held:
             continue
-        vain = [name for name in stated if any(fnmatchcase(name, key) for key in keys)]
+        vain = [name for name in stated if name not in deciding and any(fnmatchcase(name, key) for key in keys)]
         stated = [name for name in stated if name not in vain]
         if vain:
             lines.append(f"{', '.join(vain)} {'have' if len(vain) > 1 else 'has'} no effect without {need}.")

@@ -27,7 +27,8 @@ class ServerParams:
     backhaul_s: Annotated[float, Ge(0), Le(1e6)] = 0.01
     """Delay between a roadside unit and the server, either way [s]."""
     outages: tuple[tuple[float, float], ...] = ()
-    """Recorded times [start, end) in which the server is unreachable [s]. No messages are sent to or from it."""
+    """Recorded times [start, end) in which the server is unreachable [s]. No messages are sent to or from it.
+    A broadcast that is due follows at the end, and the next one `trust.server_period_s` later."""
     cellular: CellularParams = field(default_factory=CellularParams)
 
     def __post_init__(self) -> None:

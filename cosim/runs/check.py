@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cosim.attacks.params import PAPER, AttackParams
 from cosim.config.config import Config, chosen
 from cosim.config.effect import without_effect
 from cosim.config.preset import default_of, farewell
@@ -207,7 +208,7 @@ def keys_in_vain(config: Config, scenario: Scenario) -> list[str]:
     lines = without_effect(config, scenario.trace is not None)
     if _lacks_trees(config, scenario):
         lines.append(f"trees.from_map has no effect: the polygon files of {scenario.name} contain no trees.")
-    lines += _shorter_step(config, scenario) + _longer_periods(config)
+    lines += _shorter_step(config, scenario) + _longer_periods(config) + _late_attacks(config)
     return [f"note: {line}" for line in lines]
 
 
@@ -223,6 +224,19 @@ def _shorter_step(config: Config, scenario: Scenario) -> list[str]:
     return [
         f"{path.name} has steps of {stated_s:g} s, and those of the preset are used: traffic.step_s = {step_s:g}. "
         f"Set traffic.step_s = {stated_s:g} to drive it as it is."
+    ]
+
+
+def _late_attacks(config: Config) -> list[str]:
+    """A line for each attack of the user's that the run ends before. The two of the default run are not the user's."""
+    last_step_s = (config.n_steps - 1) * config.traffic.step_s
+    if not config.sensing or config.attacks == tuple(AttackParams(**keys) for keys in PAPER):
+        return []
+    return [
+        f"attacks.{number}.start_s = {attack.start_s:g} s: the attack never begins, because traffic.duration_s = "
+        f"{config.traffic.duration_s:g} s. Set start_s lower, or run longer."
+        for number, attack in enumerate(config.attacks)
+        if attack.is_meant_to_begin and attack.start_s > last_step_s + 1e-9
     ]
 
 

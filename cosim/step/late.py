@@ -34,9 +34,17 @@ class LateMessages:
 
     def pairs(self) -> tuple[Int[ndarray, "r"], Int[ndarray, "r"]]:
         """For each reception by a vehicle of an accepted message: actor number of the sender, row of the receiver."""
+        found = self._accepted()
+        return self.sender[found.message] >> 16, found.receiver
+
+    def step_of_pairs(self) -> Int[ndarray, "r"]:
+        """For each of `pairs`, the step in which the message was sent."""
+        return self.step[self._accepted().message]
+
+    def _accepted(self) -> Receptions:
+        """Receptions by vehicles, of accepted messages."""
         found = self.links.vehicles
-        accepted = self.sender[found.message] >= 0
-        return self.sender[found.message[accepted]] >> 16, found.receiver[accepted]
+        return found.take(self.sender[found.message] >= 0)
 
 
 def of_this_step(exchange: Exchange, late: Iterable[LateMessages], kind: RoundKind) -> list[Receptions]:

@@ -64,16 +64,20 @@ def _track_round(
         received.receiver,
         actor,
     )
-    late = [_codes(actor, messages) for messages in late_of(rounds, kind)]
+    step = exchange.now.step
+    late = late_of(rounds, kind)
     if late:  # a message that arrives late counts in the step in which it arrives
-        arrived, _ = distinct(np.concatenate(late))
+        arrived = np.concatenate([_codes(actor, messages) for messages in late])
+        sent_step = np.concatenate([messages.step_of_pairs() for messages in late])
         row, is_there = rows_of(arrived, pair)
         got[row[is_there]] = True
-        new = arrived[~is_there]
+        _, was_in_range = rows_of(arrived, tracker.pair)  # else the message was forwarded beyond range
+        new, _ = distinct(arrived[~is_there & was_in_range & (sent_step < step)])
         at = np.searchsorted(pair, new)
         pair, got = np.insert(pair, at, new), np.insert(got, at, True)
-    silent = np.setdiff1d(actor, exchange.sensing.actor)
-    tracker, rows = tracker.next(exchange.now.step, pair, got, silent)
+    has_message = exchange.senders.vehicle[broadcast.length_bytes > 0]
+    silent = np.setdiff1d(actor, actor[has_message])
+    tracker, rows = tracker.next(step, pair, got, silent)
     return tracker, Reach(n_in_range, rows)
 
 

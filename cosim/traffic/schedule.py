@@ -64,7 +64,7 @@ class Schedule:
             raise ValueError(
                 f'sensing_phase = "random", but traffic.step_s = {step_s:g} s is as long as the sensing interval, so '
                 "all vehicles would sense at the same time. Set traffic.step_s to a fraction of it, such as "
-                f"{max(interval_s / 10, 0.1):g}."
+                f'{step_s / 2:g}, or sensing_phase = "common".'
             )
         return Schedule(tuple(interval_steps), (*until.tolist(), 1.0), phase == "random", step_s, seed)
 

@@ -107,7 +107,11 @@ def _los_entry(state: str) -> Line2D:
 
 def _late(axes: Axes, run: Run, line: dict[str, Any]) -> None:
     """Both rounds together."""
-    curve = radio.latency(run).groupby("latency_s").n_delivered.sum()
+    try:
+        found = radio.latency(run)
+    except ValueError:  # no message was received
+        return
+    curve = found.groupby("latency_s").n_delivered.sum()
     share = curve.cumsum() / curve.sum()
     axes.plot(1e3 * share.index, share.to_numpy(), **line, markevery=style.sparse(len(share)))
     axes.set_xscale("log")
@@ -130,16 +134,17 @@ def _inter_reception(axes: Axes, run: Run, line: dict[str, Any]) -> None:
 
 
 def _maps(figure: Figure, panels: Sequence[Axes], run: Run, cell_m: float) -> None:
-    """Channel busy ratio and share of frames lost by place of the receiver; dark is more in both."""
+    """Channel busy ratio and share of messages lost by place of the receiver; dark is more in both."""
     cells = radio.by_place(run, cell_m)
     cells = cells.assign(lost=1 - cells.pdr)
-    for axes, (column, title) in zip(panels, (("cbr", "Busy ratio"), ("lost", "Frames lost")), strict=True):
+    for axes, (column, title) in zip(panels, (("cbr", "Busy ratio"), ("lost", "Messages lost")), strict=True):
         x, y, values = _grid(cells, column, cell_m)
         most = 1 if column == "lost" else None
         mesh = axes.pcolormesh(x, y, values, cmap="viridis_r", rasterized=True, vmin=0, vmax=most)
         style.map_panel(axes, title)
         if np.isnan(values).all():
-            axes.text(0.5, 0.5, "not modelled", transform=axes.transAxes, ha="center", color="#666666")
+            why = "not modelled" if column == "cbr" else "not known with relays"
+            axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", color="#666666")
         else:
             figure.colorbar(mesh, ax=axes, shrink=0.5)
 

@@ -13,7 +13,7 @@ from cosim.base.codes import LookupState, labels
 from results.metrics import lookups
 from results.metrics.encounters import DEFINITION, named
 from results.metrics.intervals import plain_columns, ratio, share, without_interval
-from results.metrics.lookups import AGES, FRESH_S, NO_LOOKUPS
+from results.metrics.lookups import AGES, FRESH_S, no_lookups
 from results.run import Run
 
 STATES = ("evaluated", "unevaluated", "stale", "no value")
@@ -270,7 +270,7 @@ def _totals(run: Run) -> pd.DataFrame:
         FROM lookup_totals WHERE variant = $variant GROUP BY state
     """)
     if found.empty:
-        raise run.lacks(*NO_LOOKUPS)
+        raise no_lookups(run)
     return found.set_index("state").reindex(STATES, fill_value=0)
 
 

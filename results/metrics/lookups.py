@@ -12,6 +12,7 @@ from numpy import ndarray
 
 from cosim.base.codes import LookupState, TrustSource
 from cosim.base.durable import Damaged
+from results.metrics.radio import why_none_received
 from results.metrics.trust import HONEST, suspect_below, suspect_from, watched
 from results.run import Run
 
@@ -45,7 +46,10 @@ _MOST_SCORES = 1 << 21
 _SCORES = 4096
 """Values are then multiples of this part of 1."""
 
-NO_LOOKUPS = "trust lookups", "no message was received. Raise radio.range_m or fleet.penetration_p, and run again."
+
+def no_lookups(run: Run) -> ValueError:
+    """The error that no vehicle has looked up trust, and why."""
+    return run.lacks("trust lookups", why_none_received(run))
 
 
 class Sums(NamedTuple):
@@ -151,7 +155,7 @@ def sums(run: Run, fresh_s: float = FRESH_S, threshold: float | None = None) -> 
     """
     mine = Sums(*(table[run.variants.index(run.variant)] for table in _all(run, fresh_s, threshold).sums))
     if not mine.states.any():
-        raise run.lacks(*NO_LOOKUPS)
+        raise no_lookups(run)
     return mine
 
 

@@ -23,10 +23,11 @@ _ROAD_S = "(SELECT sum(last_step - first_step + 1) * $dt_s FROM vehicles WHERE e
 
 
 def _asked(run: Run, what: str, why: str, query: str, **values: Any) -> pd.DataFrame:
-    """What SQL answers. ValueError where it answers nothing: `what` there is none of, and why."""
+    """What SQL answers. ValueError where it answers nothing: `what` there is none of, and why (if empty, it is that no
+    message was received)."""
     found = run.sql(query, **values)
     if found.empty:
-        raise run.lacks(what, why)
+        raise run.lacks(what, why or why_none_received(run))
     return found
 
 
@@ -70,12 +71,21 @@ def by_los(run: Run) -> pd.DataFrame:
     return _asked(run, _TRAFFIC, _NOBODY, query)
 
 
-_NONE_RECEIVED = "no message was received. Raise radio.range_m."
+def why_none_received(run: Run) -> str:
+    """Why no message was received or used: nobody was within range, or all frames were lost, and what to change."""
+    found = run.sql("SELECT coalesce(sum(n_in_range), 0) AS n, sum(n_delivered) AS n_delivered FROM radio").iloc[0]
+    if not found.n:
+        return _NOBODY
+    if found.n_delivered:
+        return "no message arrived in time to be used. Run longer."
+    is_disk = run.config.get("radio", {}).get("model") == "unit_disk"
+    cure = "Lower radio.unit_disk.loss_p." if is_disk else "The metrics radio.lost say why; change the section [radio]."
+    return f"all {found.n:,.0f} frames within range were lost. {cure}"
 
 
 def latency(run: Run) -> pd.DataFrame:
     """Latency from generation to reception: message_type, latency_s (upper bin edge), n_delivered, share up to it."""
-    frame = _asked(run, _TRAFFIC, _NONE_RECEIVED, """
+    frame = _asked(run, _TRAFFIC, "", """
         SELECT message_type, latency_s, sum(n_delivered)::BIGINT AS n_delivered,
             sum(sum(n_delivered)) OVER (PARTITION BY message_type ORDER BY latency_s)
                 / sum(sum(n_delivered)) OVER (PARTITION BY message_type) AS share
@@ -100,9 +110,10 @@ def inter_reception(run: Run, message_type: MessageType = "cpm") -> pd.DataFrame
     -------
     pir_s, n_lost (messages in between), n_received and n_censored (intervals so long that a reception ended, or
     that were cut off when the two got out of range), longer: share of intervals that last longer, by Kaplan-Meier.
+    n_lost is NaN where vehicles do not all send in every sensing interval: a long interval is no loss then.
     """
     what = f"two messages of type {message_type} in a row of any pair"
-    return _asked(run, what, "it is too short. Run longer.", """
+    found = _asked(run, what, "it is too short. Run longer.", """
         WITH counts AS (
             SELECT pir_steps, sum(n_received)::BIGINT AS n_received, sum(n_censored)::BIGINT AS n_censored
             FROM packet_inter_reception WHERE message_type = $message_type GROUP BY pir_steps
@@ -113,17 +124,23 @@ def inter_reception(run: Run, message_type: MessageType = "cpm") -> pd.DataFrame
             product(1 - n_received / n) OVER (ORDER BY pir_steps) AS longer
         FROM at_risk WHERE (SELECT sum(n_received) FROM counts) > 0 ORDER BY pir_steps
     """, message_type=message_type, every=max(1, run.manifest.get("sense_every_steps", 1)))  # fmt: skip
+    return found if _sends_in_every_interval(run, message_type) else found.assign(n_lost=np.nan)
+
+
+def _sends_in_every_interval(run: Run, message_type: MessageType) -> bool:
+    """Whether every vehicle sends a message of this type in every `sensing_interval_s`."""
+    has_rules = message_type == "cpm" and run.config.get("cpm", {}).get("rules", "all") != "all"
+    return not run.config.get("sensing_groups") and not has_rules
 
 
 def inter_reception_means(run: Run) -> pd.DataFrame:
     """One row, of detection messages: mean_s, after_loss (share of intervals with a loss), n_lost (mean of them).
 
-    The last two are NaN where `sensing_groups` give vehicles intervals of their own: a long interval between two
-    receptions is no loss then.
+    The last two are NaN where `inter_reception` does not know what was lost.
     """
     pir = inter_reception(run)
     n, mean_s = pir.n_received, np.average(pir.pir_s, weights=pir.n_received)
-    if run.config.get("sensing_groups"):
+    if pir.n_lost.isna().any():
         return pd.DataFrame([{"mean_s": mean_s, "after_loss": np.nan, "n_lost": np.nan}])
     lost = n[pir.n_lost > 0].sum()
     n_lost = (pir.n_lost * n).sum() / lost if lost else np.nan
@@ -170,14 +187,23 @@ def clouds(run: Run) -> pd.DataFrame:
 
 
 def by_place(run: Run, cell_m: float = 50.0) -> pd.DataFrame:
-    """The channel by place of the receiver: x_m, y_m (middle of the cell), n, cbr, pdr."""
-    return _asked(run, _TRAFFIC, "no vehicle was equipped. Raise fleet.penetration_p.", """
+    """The channel by place of the receiver: x_m, y_m (middle of the cell), n, cbr, pdr (of messages).
+
+    With relays pdr is NaN: vehicles receive messages from beyond range, which are not among those sent within range.
+    """
+    found = _asked(run, _TRAFFIC, "no vehicle was equipped. Raise fleet.penetration_p.", """
         SELECT (floor(a.x_m::DOUBLE / $cell_m) + 0.5::DOUBLE) * $cell_m AS x_m,
             (floor(a.y_m::DOUBLE / $cell_m) + 0.5::DOUBLE) * $cell_m AS y_m,
             count(*) AS n, sum(cbr::DOUBLE) / count(*) AS cbr, sum(n_received) / nullif(sum(n_in_range), 0) AS pdr
         FROM vehicle_channel c JOIN actors a ON a.step = c.step AND a.actor = c.vehicle
         GROUP BY ALL ORDER BY ALL
     """, cell_m=float(cell_m))  # fmt: skip
+    return found.assign(pdr=np.nan) if _has_relays(run) else found
+
+
+def _has_relays(run: Run) -> bool:
+    """Whether vehicles forward messages."""
+    return run.config.get("radio", {}).get("relay", {}).get("max_hops", 1) > 1
 
 
 def to_server(run: Run) -> pd.DataFrame:

@@ -36,6 +36,8 @@ class Metric:
     """Further arguments of this function."""
     needs: Sequence[str] = ()
     """Tables without which a run simply has no such value. Without rows in others, its topic is not measured."""
+    counts: bool = False
+    """Whether a table of `needs` that is there without rows is a count of 0. Otherwise the run has no such value."""
     where: Mapping[str, str] = field(default_factory=dict)
     """Values by which rows of the result are chosen."""
     column: str = ""

@@ -169,10 +169,21 @@ def watched(run: Run) -> pd.DataFrame:
     return run.once_for_all("trust.watched", lambda: _watched_of(run))
 
 
+def _why_none_began(run: Run) -> str:
+    """Why no vehicle has attacked: there are no attackers, the run ends too early, or they had no occasion."""
+    if (run.subjects.role == HONEST).all():
+        return "no vehicle is an attacker. Raise the share_p of an attack."
+    start_s = min((attack["start_s"] for attack in run.config.get("attacks", ())), default=0.0)
+    end_s = run.manifest["steps"] * run.dt_s
+    if start_s >= end_s:
+        return f"none has begun: the run ends at {end_s:g} s, and start_s = {start_s:g} s. Lower it, or run longer."
+    return "no attacker has attacked: start_s is after the end, no victim was near, or `when` held it back. Run longer."
+
+
 def _watched_of(run: Run) -> pd.DataFrame:
     who = run.subjects
     if not who.attack_start_step.notna().any():
-        raise run.lacks("attacks", "none has begun. Raise the share_p of an attack, or run past its start_s.")
+        raise run.lacks("attacks", _why_none_began(run))
     honest = who.role == HONEST
     who = who[honest | who.attack_start_step.notna()]
     begin = who.attack_start_step.where(who.role != HONEST, who.attack_start_step.min())

@@ -160,7 +160,18 @@ def test_an_attack_after_the_last_computation(tiny):
 def test_no_attack(tiny):
     run = tiny(20, vehicles=fleet("honest", "honest"), trust=values({5: [0.3, 0.1]}))
     assert misbehaviour.below(run).share.tolist() == [0.5]
-    with pytest.raises(ValueError, match="holds no attacks"):
+    with pytest.raises(ValueError, match="holds no attacks: no vehicle is an attacker"):
+        misbehaviour.classification(run)
+
+
+@pytest.mark.parametrize(
+    ("start_s", "why"),
+    [(60.0, "the run ends at 20 s, and start_s = 60 s. Lower it, or run longer"), (5.0, "no victim was near")],
+)
+def test_attackers_that_never_attacked(tiny, start_s, why):
+    run = tiny(20, vehicles=fleet("honest", "malicious"), trust=values({5: [0.3, 0.1]}))
+    run.config["attacks"] = [{"start_s": start_s}]
+    with pytest.raises(ValueError, match=why):
         misbehaviour.classification(run)
 
 

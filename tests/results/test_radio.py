@@ -5,6 +5,7 @@ import pytest
 
 from results.figures.catalogue import FIGURES
 from results.metrics import radio
+from results.metrics.lookups import no_lookups
 from tests.results.tiny import make
 
 
@@ -24,17 +25,19 @@ def test_inter_reception_by_kaplan_meier(tiny):
 
 
 def test_losses_are_counted_where_all_vehicles_sense_at_one_interval(tmp_path):
-    """Of ten intervals, one has a loss. With groups, that one may be of a vehicle that senses every other step."""
+    """Of ten intervals, one has a loss. With groups or generation rules, its vehicle may have had nothing to send."""
     rows = [{"step": 1, "pir_steps": 1, "n_received": 9}, {"step": 2, "pir_steps": 2, "n_received": 1}]
     groups = {"sensing_groups": [{"share_p": 0.5, "interval_s": 2.0}]}
-    for name in ("one", "several"):
+    configs = {"one": {"cpm": {"rules": "all"}}, "several": groups, "etsi": {"cpm": {"rules": "etsi"}}}
+    for name in configs:
         (tmp_path / name).mkdir()
-    one = make(tmp_path / "one", 3, packet_inter_reception=rows)
-    several = make(tmp_path / "several", 3, groups, packet_inter_reception=rows)
+    one, *others = (make(tmp_path / name, 3, config, packet_inter_reception=rows) for name, config in configs.items())
     (found,) = radio.inter_reception_means(one).itertuples()
     assert (found.mean_s, found.after_loss, found.n_lost) == pytest.approx((1.1, 0.1, 1.0))
-    (found,) = radio.inter_reception_means(several).itertuples()
-    assert found.mean_s == pytest.approx(1.1) and found[2:] == pytest.approx((np.nan, np.nan), nan_ok=True)
+    for run in others:
+        (found,) = radio.inter_reception_means(run).itertuples()
+        assert found.mean_s == pytest.approx(1.1) and found[2:] == pytest.approx((np.nan, np.nan), nan_ok=True)
+        assert radio.inter_reception(run).n_lost.isna().all()
 
 
 def test_latency_adds_up(tiny):
@@ -61,6 +64,22 @@ def test_delivery_by_what_stands_between(tiny):
     assert by_los.distance_m.tolist() == [12.5, 37.5] * 2
 
 
+@pytest.mark.parametrize(
+    ("model", "row", "why"),
+    [
+        ("unit_disk", {"n_in_range": 8, "n_lost_propagation": 8}, "all 8 frames within range were lost. Lower radio.u"),
+        ("csma", {"n_in_range": 8, "n_lost_collision": 8}, "all 8 frames within range were lost. The metrics radio.lo"),
+        ("csma", {}, "no vehicle had another in range"),
+    ],
+)
+def test_nothing_received_names_its_cause(tiny, model, row, why):
+    run = tiny(1, radio=[row], latency_histogram=[])
+    run.config["radio"] = {"model": model}
+    with pytest.raises(ValueError, match=why):
+        radio.latency(run)
+    assert why in str(no_lookups(run))
+
+
 def test_the_map(tiny):
     actors = [
         {"step": s, "actor": a, "x_m": x, "y_m": 10} for s, a, x in ((0, 0, 5), (0, 1, 60), (1, 0, 55), (1, 1, 95))
@@ -69,10 +88,14 @@ def test_the_map(tiny):
         {"step": s, "vehicle": v, "cbr": b, "n_in_range": 4, "n_received": n}
         for s, v, b, n in ((0, 0, 0.25, 4), (0, 1, 0.5, 2), (1, 0, 0.0, 0), (1, 1, 0.25, 1))
     ]
-    cells = radio.by_place(tiny(2, actors=actors, vehicle_channel=channel), 50.0)
+    run = tiny(2, actors=actors, vehicle_channel=channel)
+    cells = radio.by_place(run, 50.0)
     assert cells[["x_m", "y_m", "n"]].values.tolist() == [[25, 25, 1], [75, 25, 3]]
     assert cells.cbr.tolist() == [0.25, 0.25]
     assert cells.pdr.tolist() == [1, 0.25]
+    run.config["radio"] = {"relay": {"max_hops": 3}}
+    with_relays = radio.by_place(run, 50.0)
+    assert with_relays.pdr.isna().all() and with_relays.cbr.tolist() == [0.25, 0.25]
 
 
 def test_the_way_to_the_server(tiny):
@@ -88,7 +111,7 @@ def test_two_pictures(run, other):
     titles = [axes.get_title(loc="left") for axes in alone.axes]
     assert {
         "Delivery by distance", "Latency", "Packet inter-reception", "Channel busy ratio",
-        "Frames lost",
+        "Messages lost",
     } <= set(titles)  # fmt: skip
     beside = FIGURES["radio"]([run, other])
-    assert "Frames lost" not in [axes.get_title(loc="left") for axes in beside.axes]
+    assert "Messages lost" not in [axes.get_title(loc="left") for axes in beside.axes]

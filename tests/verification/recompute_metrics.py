@@ -603,7 +603,7 @@ def radio(of):
     n, every = gaps.n_received, round(of.sensing_s / of.dt_s)
     n_lost = (gaps.pir_steps // every - 1).clip(lower=0)
     yield "pir.mean_s", "", ratio((gaps.pir_steps * n).sum() * of.dt_s, n.sum())
-    if not of.config.get("sensing_groups"):
+    if not of.config.get("sensing_groups") and of.config["cpm"]["rules"] == "all":
         yield "pir.after_loss.share", "", ratio(n[n_lost > 0].sum(), n.sum())
         yield "lost_in_a_row.mean", "", ratio((n_lost * n).sum(), n[n_lost > 0].sum())
     sent, who = of.table("cpm_content"), vehicles(of)
@@ -745,9 +745,9 @@ def safety(of):
             moving = speed[i] > 2.0 or (moving and speed[i] >= 0.1)
     for name, n in counts.items():
         yield f"{name}.per_km", "", n / km
-    rows = of.table("reactions")
-    if not len(rows):
+    if of.config["driver"]["model"] == "none":
         return
+    rows = of.table("reactions")
     rows = rows.sort_values(["vehicle", "step"])
     kinds = np.where(rows.fabricated, "ghost", np.where(rows.truth_actor.notna(), "real", "false positive"))
     for kind in ("ghost", "false positive", "real"):

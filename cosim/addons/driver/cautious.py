@@ -73,7 +73,7 @@ class Believed(Rows):
     xy_m: Float[ndarray, "k 2"]
     """Predicted centre of the object in this step."""
     seen_xy_m: Float[ndarray, "k 2"]
-    """Centre in the last sweep in which it was fused."""
+    """Centre in the sweep in which its message was first fused."""
     lw_m: Float[ndarray, "k 2"]
     yaw_rad: Float[ndarray, "k"]
     velocity_mps: Float[ndarray, "k 2"]
@@ -83,6 +83,8 @@ class Believed(Rows):
     """Time at which it was first fused."""
     seen_s: Float[ndarray, "k"]
     """Time of the last sweep in which it was fused."""
+    placed_s: Float[ndarray, "k"]
+    """Time of the sweep in which its message was first fused."""
     source_step: Int[ndarray, "k"]
     source: Int[ndarray, "k"]
     source_index: Int[ndarray, "k"]
@@ -95,10 +97,11 @@ class Believed(Rows):
         """Objects that are tracked for the first time, from these rows of the beliefs. Their speeds are unknown."""
         boxes, n = beliefs.boxes, len(rows)
         xy = boxes.xyz_m[rows, :2]
+        now_s = np.full(n, world.step * dt_s)
         return Believed(
             world.actor[beliefs.ego[rows]].astype(np.int64), beliefs.label[rows], xy, xy, boxes.lwh_m[rows, :2],
             boxes.yaw_rad[rows], np.zeros((n, 2)), np.zeros(n, bool), np.full(n, beliefs.known_s),
-            np.full(n, world.step * dt_s), beliefs.source_step[rows], beliefs.source[rows].astype(np.int64),
+            now_s, now_s, beliefs.source_step[rows], beliefs.source[rows].astype(np.int64),
             beliefs.source_index[rows].astype(np.int64),
         )  # fmt: skip
 
@@ -261,14 +264,15 @@ def _seen_by_own(watched: Believed, beliefs: Beliefs, own: Int[ndarray, "o"], wo
 def _continued(watched: Believed, found: Believed) -> Believed:
     """Merge new objects with those that were tracked before. Objects that are not found again are kept for a while."""
     new, old = _pairs(found.ego, watched.ego)
-    away_m = np.hypot(*(found.xy_m[new] - watched.xy_m[old]).T)
-    since_s = found.seen_s[new] - watched.seen_s[old]
+    again = _same_message(found, new, watched, old)
+    away_m = np.where(again, 0.0, np.hypot(*(found.xy_m[new] - watched.xy_m[old]).T))
+    since_s = found.seen_s[new] - watched.placed_s[old]
     gate_m = _GATE_M + np.where(watched.has_speed[old], 0.0, _FASTEST_MPS * since_s)
     same = (away_m <= gate_m) & (found.label[new] == watched.label[old])
-    new, old, away_m, since_s = new[same], old[same], away_m[same], since_s[same]
-    order = np.lexsort((old, away_m, new))
+    new, old, away_m, since_s, again = new[same], old[same], away_m[same], since_s[same], again[same]
+    order = np.lexsort((old, ~again, away_m, new))
     order = order[np.diff(new[order], prepend=-1) > 0]  # the nearest of each
-    new, old, since_s = new[order], old[order], since_s[order]
+    new, old, since_s, again = new[order], old[order], since_s[order], again[order]
     shown = (found.seen_xy_m[new] - watched.seen_xy_m[old]) / since_s[:, None]
     heading = np.column_stack([np.cos(found.yaw_rad[new]), np.sin(found.yaw_rad[new])])
     forward = np.clip(np.sum(shown * heading, axis=1), 0, _FASTEST_MPS)[:, None] * heading
@@ -280,6 +284,29 @@ def _continued(watched: Believed, found: Believed) -> Believed:
     velocity, has_speed, known_s = found.velocity_mps.copy(), found.has_speed.copy(), found.known_s.copy()
     velocity[new], has_speed[new], known_s[new] = (before + shown) / 2, True, watched.known_s[old]
     found = replace(found, velocity_mps=velocity, has_speed=has_speed, known_s=known_s)
+    found = _repeated(found, new[again], watched, old[again])
     left = np.setdiff1d(np.arange(len(watched)), old)
     both = Believed.concat([found, watched.take(left)])
     return both.take(np.lexsort((both.source_index, both.source, both.ego)))
+
+
+def _same_message(
+    found: Believed, new: Int[ndarray, "p"], watched: Believed, old: Int[ndarray, "p"]
+) -> Bool[ndarray, "p"]:
+    """Whether pairs of objects come from the same detection: a vehicle may sense more often than the sender."""
+    same = found.source[new] == watched.source[old]
+    same &= found.source_index[new] == watched.source_index[old]
+    return same & (found.source_step[new] == watched.source_step[old])
+
+
+def _repeated(found: Believed, new: Int[ndarray, "r"], watched: Believed, old: Int[ndarray, "r"]) -> Believed:
+    """The objects `found`, of which `new` say once more what is known: their positions show no speed.
+
+    They keep what their message showed first. Where the speed is known, they are at the predicted position.
+    """
+    xy, seen_xy, placed_s = found.xy_m.copy(), found.seen_xy_m.copy(), found.placed_s.copy()
+    velocity, has_speed = found.velocity_mps.copy(), found.has_speed.copy()
+    xy[new] = np.where(watched.has_speed[old][:, None], watched.xy_m[old], found.xy_m[new])
+    seen_xy[new], placed_s[new] = watched.seen_xy_m[old], watched.placed_s[old]
+    velocity[new], has_speed[new] = watched.velocity_mps[old], watched.has_speed[old]
+    return replace(found, xy_m=xy, seen_xy_m=seen_xy, placed_s=placed_s, velocity_mps=velocity, has_speed=has_speed)

@@ -101,6 +101,8 @@ def waves(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     poses = tracks(run) if poses is None else poses
     causes = reactions(run)
     causes = causes[causes.deceleration_mps2 >= WAVE_MPS2]
+    if causes.empty:
+        return causes[["vehicle", "step", "kind"]].assign(n_vehicles=0, length_m=0.0)
     steps = poses[["step", "actor", "x_m", "y_m", "acceleration_mps2"]]
     chain = following(run, poses).merge(steps, on=["step", "actor"])
     chain = chain[chain.acceleration_mps2 <= -WAVE_MPS2].sort_values("step", kind="stable")
@@ -161,8 +163,10 @@ def by_kind(run: Run) -> pd.DataFrame:
     Returns
     -------
     kind, n, per_km, hard_per_km (reactions with 3 m/s2 or more), taken_mean_mps, and wave_mean_n and wave_mean_m (of
-    reactions with 2 m/s2 or more).
+    reactions with 2 m/s2 or more). No rows if the run has no driver that could react.
     """
+    if run.config.get("driver", {}).get("model", "none") == "none":
+        return pd.DataFrame(columns=["kind", "n", "per_km"])
     poses = tracks(run)
     km = float(poses.speed_mps.astype(np.float64).sum()) * run.dt_s / 1000
     episodes, behind = reactions(run), waves(run, poses)

@@ -31,11 +31,13 @@ def world(fronts_m, speeds_mps, step=0):
     )  # fmt: skip
 
 
-def belief(ego, x_m, label=PEDESTRIAN, yaw=0.0, lwh=(0.8, 0.6, 1.75), y_m=0.0, score=1.0, own=False, known_s=0.0):
+def belief(
+    ego, x_m, label=PEDESTRIAN, yaw=0.0, lwh=(0.8, 0.6, 1.75), y_m=0.0, score=1.0, own=False, known_s=0.0, sent=0
+):
     return Beliefs(
         known_s, np.array([ego]), np.array([label], np.uint8),
         Boxes(np.array([[x_m, y_m, lwh[2] / 2]]), np.array([lwh]), np.array([yaw])), np.array([score]),
-        np.array([own]), np.array([7]), np.array([3]), np.array([0]),
+        np.array([own]), np.array([7]), np.array([3]), np.array([sent]),
     )  # fmt: skip
 
 
@@ -82,13 +84,29 @@ def test_a_car_that_drives_along_needs_a_second_sweep_and_one_that_faces_the_dri
     One that faces the driver counts as standing: v = -1.25 + sqrt(51.5625) = 5.93 m/s, given 10 - 4.5 x 0.5 = 7.75."""
     size = (5.0, 2.0, 1.5)
     driver = Cautious(NOW)
-    first, second = belief(0, 15.0, CAR, lwh=size), belief(0, 20.0, CAR, lwh=size)
+    first, second = belief(0, 15.0, CAR, lwh=size), belief(0, 20.0, CAR, lwh=size, sent=1)
     state, commands = driver.commands(None, world([0], [10]), first, 0.5)
     assert len(commands) == 0
     _, commands = driver.commands(state, world([5], [10], 1), second, 0.5)
     np.testing.assert_allclose(commands.speed_mps, [-1.25 + np.sqrt(151.5625)])
     _, commands = driver.commands(None, world([0], [10]), replace(first, boxes=facing(first.boxes)), 0.5)
     np.testing.assert_allclose(commands.speed_mps, [7.75])
+
+
+def test_a_message_that_is_fused_again_shows_no_speed():
+    """A car at 8 m/s reports itself every second, and the vehicle behind it, as fast, senses every 0.2 s.
+
+    From the second message on, the car is one object at 8 m/s, where it is now; it is never taken to stand.
+    """
+    driver, state = Cautious(NOW), None
+    for step in range(16):
+        sent = step // 5 * 5
+        told = belief(0, 20 + 8 * sent * 0.2, CAR, lwh=(5.0, 2.0, 1.5), sent=sent)
+        state, commands = driver.commands(state, world([8 * step * 0.2], [8], step), told, 0.2)
+        assert len(state) == 1 and len(commands) == 0
+        if step >= 5:
+            np.testing.assert_allclose(state.velocity_mps, [[8.0, 0.0]])
+            np.testing.assert_allclose(state.xy_m, [[20 + 8 * step * 0.2, 0.0]])
 
 
 def facing(boxes):
@@ -143,7 +161,7 @@ def test_persons_who_step_out():
     for ahead_s, n in ((2.0, 1), (0.0, 0)):
         driver = Cautious(replace(NOW, persons_ahead_s=ahead_s))
         state, _ = driver.commands(None, world([0], [10]), belief(0, 25.0, y_m=-4.0), 0.5)
-        _, commands = driver.commands(state, world([5], [10], 1), belief(0, 25.0, y_m=-3.3), 0.5)
+        _, commands = driver.commands(state, world([5], [10], 1), belief(0, 25.0, y_m=-3.3, sent=1), 0.5)
         assert len(commands) == n
 
 

@@ -8,8 +8,10 @@ import pytest
 
 from cosim.addons.driver import conflicts, safety
 from results.archive import open_run
+from results.measure import measure
 from sumo_nets import sumotools
 from tests.drive import simulate
+from tests.results.tiny import fleet, make
 
 
 class Poses:
@@ -127,6 +129,24 @@ def test_overlaps_by_hand():
         Poses, poses({1: [(0, 0, 0, 5)], 2: [(1, 0, 0, 5)], 3: [(0, 50, 0, 5)], 4: [(0, 51.9, 0, 5)]})
     )
     assert found[["a", "b"]].to_numpy().tolist() == [[1, 2]]
+
+
+@pytest.mark.parametrize(
+    ("driver", "found"),
+    [
+        ("cautious", {"n": 3 * [0.0], "per_km": 3 * [0.0]}),
+        ("none", {}),
+    ],
+)
+def test_a_driver_without_reactions_has_none_and_no_driver_has_no_value(tmp_path, driver, found):
+    """A car drives 10 m in each of four steps. What a reaction takes on average is not known without one."""
+    actors = [{"step": step, "actor": 0, "x_m": 10.0 * step, "speed_mps": 10.0} for step in range(4)]
+    config = {"driver": {"model": driver}}
+    run = make(tmp_path, 4, config, vehicles=fleet("honest"), actors=actors, reactions=[])
+    rows = measure(run, topics=("safety",)).dropna(subset="value")
+    rows = rows[rows.metric.str.startswith(("safety.reactions.", "safety.speed_taken", "safety.wave"))]
+    values = rows.groupby(rows.metric.str.removeprefix("safety.reactions.")).value.apply(list)
+    assert values.to_dict() == found
 
 
 NODES = """<nodes><node id="w" x="-300" y="0"/><node id="e" x="300" y="0"/><node id="s" x="0" y="-300"/>

@@ -6,7 +6,7 @@ import pytest
 
 from cosim.attacks.params import AttackParams
 from cosim.config.config import Config, load
-from cosim.config.effect import _NEEDS, _RULES, without_effect
+from cosim.config.effect import _NEEDS, _RULES, _needs, _vain, without_effect
 from cosim.config.preset import names
 from cosim.traffic.roadside import RoadsideParams
 
@@ -48,6 +48,13 @@ def test_a_preset_has_no_key_in_vain(name):
 )  # fmt: skip
 def test_keys_in_vain(sets, line):
     assert said(*sets) == [line]
+
+
+def test_a_key_that_turns_off_others_has_an_effect():
+    needs = _needs("config", load(None, ["preset=modern", "tracking.model=none"]))
+    assert _vain(["tracking.model"], needs) == []
+    (line,) = _vain(["tracking.keep_s", "tracking.model"], needs)
+    assert line.startswith("tracking.keep_s has no effect without tracking.model")
 
 
 def test_traffic_that_is_replayed_has_its_own_demand():

@@ -38,6 +38,16 @@ def test_in_an_outage_the_last_broadcast_ages():
     assert np.array_equal(before, after)
 
 
+def test_after_an_outage_the_period_begins_anew():
+    """Broadcasts at 0 s and 3 s; the next would be at 6 s, in the outage."""
+    steps, _ = play(15, "server.outages=[[4, 8]]", "trust.server_period_s=3")
+    assert [step for step, t in enumerate(steps) if t.published[0] is not None] == [0, 3, 8, 11, 14]
+
+
+def test_without_a_server_its_uplink_needs_no_roadside_units():
+    assert load(None, ["server.uplink=rsu", "trust.host=local", "trust_variant=[]"]).server.uplink == "rsu"
+
+
 def test_through_a_roadside_unit():
     steps, _ = play(4, "server.uplink=rsu", "rsu.n_at_junctions=1", rsus=unit(20.0, 20.0))
     assert [t.servers[0].up.n_reached for t in steps] == [3] * 4

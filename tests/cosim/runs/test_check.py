@@ -31,6 +31,27 @@ def test_messages_that_no_station_can_receive(sets, said):
     assert [said in note for note in notes] == [True] * bool(said)
 
 
+GHOSTS = "attacks.0.attack=ghost_insertion"
+
+
+@pytest.mark.parametrize(
+    ("sets", "said"),
+    [
+        (("traffic.duration_s=20", GHOSTS, "attacks.1.start_s=5"), "attacks.0.start_s = 60 s: the attack never begins"),
+        (("traffic.duration_s=60", GHOSTS, "attacks.1.start_s=5"), "because traffic.duration_s = 60 s"),
+        (("traffic.duration_s=61", GHOSTS, "attacks.1.start_s=5"), ""),
+        (("traffic.duration_s=20", "attacks.0.share_p=0", "attacks.1.start_s=5"), ""),
+        (("traffic.duration_s=20", "attacks.0.start_s=1e8", "attacks.1.start_s=5"), ""),
+        (("traffic.duration_s=20", "attacks.1.start_s=5", "sensing=false"), ""),
+        (("traffic.duration_s=20",), ""),
+    ],
+)
+def test_an_attack_that_never_begins_is_noted(sets, said):
+    """Unless it has no attackers, is not meant to begin, or is one of the default run."""
+    notes = [note for note in remarks_on(load(None, list(sets)), None) if "never begins" in note]
+    assert [said in note for note in notes] == [True] * bool(said)
+
+
 def periods_noted(*sets):
     config = load(None, list(sets))
     found = keys_in_vain(config, find(config.traffic.scenario, config.traffic.trace))

@@ -137,7 +137,8 @@ def test_extrapolated_boxes_are_moved_by_the_velocity_of_the_message(tmp_path):
 
 
 @pytest.mark.parametrize("wrong, says", [
-    (["sensing_phase=random"], "as long as the sensing interval"),
+    (["sensing_phase=random"], r"as long as the sensing interval.* a fraction of it, such as 0\.5, or sensing_phase"),
+    (["sensing_phase=random", "traffic.step_s=0.1", "sensing_interval_s=0.1"], r"such as 0\.05"),
     (["sensing_phase=late"], "sensing_phase"),
     (["sensing_groups=[{share_p=0.7,interval_s=1},{share_p=0.6,interval_s=2}]"], "add up to 1.3"),
     (["sensing_groups=[{share_p=0.7,interval_s=1.5}]"], r"sensing_groups.0.interval_s = 1.5 s is not a multiple"),

@@ -1,6 +1,7 @@
 """The trackers' tables of a driven run, derived again from `actors` and `receptions` in plain loops.
 
-The medium is the unit disk, in which every vehicle sends in both rounds and range is a matter of distance alone.
+Range is a matter of distance alone. The medium is the unit disk, in which every vehicle sends in both rounds, unless a
+test says otherwise.
 """
 
 from collections import Counter
@@ -22,6 +23,10 @@ def run(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def distance_m(run):
+    return distances_m(run)
+
+
+def distances_m(run):
     """By step: ordered pairs of equipped vehicles and their distance."""
     equipped = set(run.vehicles.vehicle[run.vehicles.equipped])
     steps = {}
@@ -78,6 +83,45 @@ def test_packet_inter_reception(run, distance_m, message_type):
         for row in rows.itertuples() for name in ("n_received", "n_censored") if getattr(row, name)
     }  # fmt: skip
     assert found == dict(counts) and len(found) > 20
+
+
+def test_vehicles_without_a_message_end_no_interval(tmp_path):
+    """With generation rules vehicles send every five sweeps, and nothing is lost: all intervals last 0.5 s."""
+    rules = ("cpm.rules=etsi", "cpm.interval_s=0.5", "sensing_interval_s=0.1", "sensing_phase=common")
+    unit_disk = ("radio.model=unit_disk", "radio.unit_disk.loss_p=0", "traffic.step_s=0.1", "traffic.duration_s=2.5")
+    run = open_run(drive(tmp_path / "etsi", *unit_disk, *rules, "record.level=full"))
+    got = run.receptions[run.receptions.message_type == "cpm"].sort_values("step")
+    since = got.groupby(["sender", "receiver"]).step.diff().dropna()
+    rows = run.packet_inter_reception[run.packet_inter_reception.message_type == "cpm"]
+    ended = rows.groupby("pir_steps").n_received.sum()
+    assert ended[ended > 0].to_dict() == since.value_counts().to_dict() and len(since) > 20
+
+
+def test_messages_forwarded_beyond_range_do_not_count(tmp_path):
+    """Forwarded messages reach vehicles within range and beyond it, many of them in later steps.
+
+    What counts is whether two vehicles were within range when the message was sent.
+    """
+    phases = ("traffic.step_s=0.2", "sensing_phase=random", "traffic.duration_s=6", "fleet.penetration_p=1")
+    relay = ("radio.relay.max_hops=3", f"radio.range_m={RANGE_M}", "record.level=full")
+    run = open_run(drive(tmp_path / "relay", *phases, *relay))
+    got = run.receptions[run.receptions.message_type == "cpm"]
+    columns = ["sender", "receiver", "message_step"]
+    messages = {step: now[columns].to_numpy().tolist() for step, now in got.groupby("step")}
+    within: dict[int, set] = {}  # by step, the pairs within range whose sender has a message
+    near, last, counts, n_beyond = set(), {}, Counter(), 0
+    for step, pairs in distances_m(run).items():
+        sends = set(run.cpm_content[run.cpm_content.step == step].sender)
+        within[step] = {pair for pair, d in pairs.items() if d <= RANGE_M and pair[0] in sends}
+        arrived = {(a, b) for a, b, sent in messages.get(step, ()) if (a, b) in within[sent]}
+        n_beyond += len(messages.get(step, ())) - len(arrived)
+        near = within[step] | arrived | {pair for pair in near if pair[0] not in sends}
+        counts.update(step - last[pair] for pair in arrived & last.keys())
+        last = {pair: at for pair, at in last.items() if pair in near} | dict.fromkeys(arrived, step)
+    rows = run.packet_inter_reception[run.packet_inter_reception.message_type == "cpm"]
+    ended = rows.groupby("pir_steps").n_received.sum()
+    assert ended[ended > 0].to_dict() == dict(counts) and len(counts) > 2 and n_beyond > 100
+    assert (got.message_step < got.step).sum() > 20
 
 
 def test_encounters(run, distance_m):
