@@ -123,8 +123,7 @@ def _measured(run: Run, topic: str, options: Mapping[str, Any]) -> list[Measured
         of_source = list(same)
         metric = of_source[0][1]
         try:
-            recorded = [table in run.tables and (metric.counts or run.n_rows(table)) for table in metric.needs]
-            found = _answer(run, metric, options) if all(recorded) else ()
+            found = _answer(run, metric, options) if _has_value(run, metric) else ()
         except ValueError as reason:
             if isinstance(reason, Damaged) and str(reason) not in run.damage:
                 run.damage.append(str(reason))
@@ -133,6 +132,13 @@ def _measured(run: Run, topic: str, options: Mapping[str, Any]) -> list[Measured
         for name, metric in of_source:
             rows += _rows(name, metric, found)
     return rows + [MeasuredRow(f"{topic}.not_measured", reason, np.nan) for reason in reasons]
+
+
+def _has_value(run: Run, metric: Metric) -> bool:
+    """Whether the run has the tables that a metric needs, with rows unless none of them counts as 0."""
+    if not all(table in run.tables for table in metric.needs):
+        return False
+    return metric.counts or all(run.n_rows(table) for table in metric.needs)
 
 
 def _answer(run: Run, metric: Metric, options: Mapping[str, Any]) -> Sequence[Mapping[Any, Any]]:

@@ -93,7 +93,8 @@ class AttackParams:
     @property
     def is_meant_to_begin(self) -> bool:
         """Whether the attack has attackers, and a time at which it begins."""
-        return self.start_s < NEVER_S and (self.share_p > 0 or bool(self.ids) or self.together_with is not None)
+        has_attackers = self.share_p > 0 or bool(self.ids) or self.together_with is not None
+        return has_attackers and self.start_s < NEVER_S
 
     @property
     def reads_trust(self) -> bool:

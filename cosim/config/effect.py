@@ -131,7 +131,8 @@ def _vain(stated: list[str], needs: list[_Need]) -> list[str]:
     for keys, need, is_held, deciding in needs:
         if is_held:
             continue
-        vain = [name for name in stated if name not in deciding and any(fnmatchcase(name, key) for key in keys)]
+        named = [name for name in stated if any(fnmatchcase(name, key) for key in keys)]
+        vain = [name for name in named if name not in deciding]
         stated = [name for name in stated if name not in vain]
         if vain:
             lines.append(f"{', '.join(vain)} {'have' if len(vain) > 1 else 'has'} no effect without {need}.")

@@ -265,14 +265,15 @@ def _continued(watched: Believed, found: Believed) -> Believed:
     """Merge new objects with those that were tracked before. Objects that are not found again are kept for a while."""
     new, old = _pairs(found.ego, watched.ego)
     again = _same_message(found, new, watched, old)
-    away_m = np.where(again, 0.0, np.hypot(*(found.xy_m[new] - watched.xy_m[old]).T))
+    moved_m = found.xy_m[new] - watched.xy_m[old]
+    away_m = np.where(again, 0.0, np.hypot(*moved_m.T))
     since_s = found.seen_s[new] - watched.placed_s[old]
     gate_m = _GATE_M + np.where(watched.has_speed[old], 0.0, _FASTEST_MPS * since_s)
     same = (away_m <= gate_m) & (found.label[new] == watched.label[old])
-    new, old, away_m, since_s, again = new[same], old[same], away_m[same], since_s[same], again[same]
+    new, old, away_m, since_s, again = (of[same] for of in (new, old, away_m, since_s, again))
     order = np.lexsort((old, ~again, away_m, new))
     order = order[np.diff(new[order], prepend=-1) > 0]  # the nearest of each
-    new, old, since_s, again = new[order], old[order], since_s[order], again[order]
+    new, old, since_s, again = (of[order] for of in (new, old, since_s, again))
     shown = (found.seen_xy_m[new] - watched.seen_xy_m[old]) / since_s[:, None]
     heading = np.column_stack([np.cos(found.yaw_rad[new]), np.sin(found.yaw_rad[new])])
     forward = np.clip(np.sum(shown * heading, axis=1), 0, _FASTEST_MPS)[:, None] * heading
@@ -304,9 +305,11 @@ def _repeated(found: Believed, new: Int[ndarray, "r"], watched: Believed, old: I
 
     They keep what their message showed first. Where the speed is known, they are at the predicted position.
     """
-    xy, seen_xy, placed_s = found.xy_m.copy(), found.seen_xy_m.copy(), found.placed_s.copy()
-    velocity, has_speed = found.velocity_mps.copy(), found.has_speed.copy()
-    xy[new] = np.where(watched.has_speed[old][:, None], watched.xy_m[old], found.xy_m[new])
-    seen_xy[new], placed_s[new] = watched.seen_xy_m[old], watched.placed_s[old]
-    velocity[new], has_speed[new] = watched.velocity_mps[old], watched.has_speed[old]
-    return replace(found, xy_m=xy, seen_xy_m=seen_xy, placed_s=placed_s, velocity_mps=velocity, has_speed=has_speed)
+    kept = {}
+    for name in ("seen_xy_m", "placed_s", "velocity_mps", "has_speed"):
+        kept[name] = getattr(found, name).copy()
+        kept[name][new] = getattr(watched, name)[old]
+    xy_m = found.xy_m.copy()
+    is_predicted = watched.has_speed[old]
+    xy_m[new[is_predicted]] = watched.xy_m[old[is_predicted]]
+    return replace(found, xy_m=xy_m, **kept)
