@@ -173,7 +173,7 @@ def _why_none_began(run: Run) -> str:
     """Why no vehicle has attacked: there are no attackers, the run ends too early, or they had no occasion."""
     if (run.subjects.role == HONEST).all():
         return "no vehicle is an attacker. Raise the share_p of an attack."
-    start_s = min((attack["start_s"] for attack in run.config.get("attacks", ())), default=0.0)
+    start_s = min((attack.get("start_s", 0.0) for attack in run.config.get("attacks", ())), default=0.0)
     end_s = run.manifest["steps"] * run.dt_s
     if start_s >= end_s:
         return f"none has begun: the run ends at {end_s:g} s, and start_s = {start_s:g} s. Lower it, or run longer."

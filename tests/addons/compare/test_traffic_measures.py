@@ -18,7 +18,7 @@ class Tiny:
 
     def __init__(self, **tracks):
         self._rows = [
-            {"step": step, "actor": int(name[1:]), "x_m": x, "y_m": 0.0, "yaw_rad": 0.0, "speed_mps": v}
+            {"step": step, "actor": int(name[1:]), "x_m": x, "y_m": 0.0, "z_m": 0.75, "yaw_rad": 0.0, "speed_mps": v}
             for name, track in tracks.items() for step, (x, v) in enumerate(track)
         ]  # fmt: skip
         self._rows.sort(key=lambda row: (row["step"], row["actor"]))  # as tables are
@@ -30,13 +30,14 @@ class Tiny:
         about = {
             "vehicle": [1, 2, 3, 4], "sumo_id": ["a1", "a2", "a3", "parked/e/4"],
             "vehicle_class": ["car", "car", "pedestrian", "car"], "length_m": 5.0, "width_m": 2.0,
+            "height_m": 1.5,
         }  # fmt: skip
         return pd.DataFrame(self._rows if name == "actors" else about)[columns]
 
     def sql(self, query, **values):
         with duckdb.connect() as database:
             database.register("actors", pd.DataFrame(self._rows))
-            columns = ["vehicle", "sumo_id", "vehicle_class", "length_m", "width_m"]
+            columns = ["vehicle", "sumo_id", "vehicle_class", "length_m", "width_m", "height_m"]
             database.register("vehicles", self.table("vehicles", columns))
             return database.execute(query, {"dt_s": self.dt_s} | values).df()
 
