@@ -34,15 +34,11 @@ class LateMessages:
 
     def pairs(self) -> tuple[Int[ndarray, "r"], Int[ndarray, "r"]]:
         """For each reception by a vehicle of an accepted message: actor number of the sender, row of the receiver."""
-        found = self._accepted()
+        found = self.accepted()
         return self.sender[found.message] >> 16, found.receiver
 
-    def step_of_pairs(self) -> Int[ndarray, "r"]:
-        """For each of `pairs`, the step in which the message was sent."""
-        return self.step[self._accepted().message]
-
-    def _accepted(self) -> Receptions:
-        """Receptions by vehicles, of accepted messages."""
+    def accepted(self) -> Receptions:
+        """Receptions by vehicles, of accepted messages: in the order of `pairs`."""
         found = self.links.vehicles
         return found.take(self.sender[found.message] >= 0)
 

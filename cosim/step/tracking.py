@@ -68,11 +68,13 @@ def _track_round(
     late = late_of(rounds, kind)
     if late:  # a message that arrives late counts in the step in which it arrives
         arrived = np.concatenate([_codes(actor, messages) for messages in late])
-        sent_step = np.concatenate([messages.step_of_pairs() for messages in late])
+        is_direct = np.concatenate([messages.accepted().hops == 1 for messages in late])
+        is_earlier = np.concatenate([messages.step[messages.accepted().message] < step for messages in late])
         row, is_there = rows_of(arrived, pair)
         got[row[is_there]] = True
-        _, was_in_range = rows_of(arrived, tracker.pair)  # else the message was forwarded beyond range
-        new, _ = distinct(arrived[~is_there & was_in_range & (sent_step < step)])
+        _, was_in_range = rows_of(arrived, tracker.pair)
+        in_range = is_direct | (is_earlier & was_in_range)  # else the message was forwarded beyond range
+        new, _ = distinct(arrived[~is_there & in_range])
         at = np.searchsorted(pair, new)
         pair, got = np.insert(pair, at, new), np.insert(got, at, True)
     has_message = exchange.senders.vehicle[broadcast.length_bytes > 0]

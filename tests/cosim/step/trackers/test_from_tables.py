@@ -100,20 +100,21 @@ def test_vehicles_without_a_message_end_no_interval(tmp_path):
 def test_messages_forwarded_beyond_range_do_not_count(tmp_path):
     """Forwarded messages reach vehicles within range and beyond it, many of them in later steps.
 
-    What counts is whether two vehicles were within range when the message was sent.
+    What counts is whether two vehicles were within range when the message was made, or when it went from one to the
+    other without a hop between.
     """
     phases = ("traffic.step_s=0.2", "sensing_phase=random", "traffic.duration_s=6", "fleet.penetration_p=1")
     relay = ("radio.relay.max_hops=3", f"radio.range_m={RANGE_M}", "record.level=full")
     run = open_run(drive(tmp_path / "relay", *phases, *relay))
     got = run.receptions[run.receptions.message_type == "cpm"]
-    columns = ["sender", "receiver", "message_step"]
+    columns = ["sender", "receiver", "message_step", "hops"]
     messages = {step: now[columns].to_numpy().tolist() for step, now in got.groupby("step")}
     within: dict[int, set] = {}  # by step, the pairs within range whose sender has a message
     near, last, counts, n_beyond = set(), {}, Counter(), 0
     for step, pairs in distances_m(run).items():
         sends = set(run.cpm_content[run.cpm_content.step == step].sender)
         within[step] = {pair for pair, d in pairs.items() if d <= RANGE_M and pair[0] in sends}
-        arrived = {(a, b) for a, b, sent in messages.get(step, ()) if (a, b) in within[sent]}
+        arrived = {(a, b) for a, b, made, hops in messages.get(step, ()) if hops == 1 or (a, b) in within[made]}
         n_beyond += len(messages.get(step, ())) - len(arrived)
         near = within[step] | arrived | {pair for pair in near if pair[0] not in sends}
         counts.update(step - last[pair] for pair in arrived & last.keys())
