@@ -101,6 +101,14 @@ class LidarParams:
     """Ray caster; all give the same sweep up to rays that graze an edge. `open3d` must be installed:
     pip install 'cosim-perception[open3d]'."""
 
+    @property
+    def sweep_s(self) -> float:
+        """Time from the first column to the last [s]: that of the part of a turn in the field of view, or 0."""
+        if not isinstance(self.rotation_hz, float):
+            return 0.0
+        fov_deg = PROFILES[self.profile].fov_deg if self.fov_deg is None else self.fov_deg
+        return fov_deg / 360.0 / self.rotation_hz
+
 
 class Beams(NamedTuple):
     """The grid of rays: azimuth columns x elevation rows, in the sensor frame (x forward, y left, z up)."""

@@ -177,8 +177,13 @@ class OpenStep:
     def _new_receptions(
         self, received: ReceivedEvaluations, evaluator: Int[ndarray, "v"], is_known: Bool[ndarray, "v"]
     ) -> Int[ndarray, "k"]:
-        """Receptions of messages that their holders do not have yet; those of unknown evaluators are not remembered."""
-        known = is_known[received.message_row]
+        """Receptions of messages that their holders do not have yet.
+
+        Those of unknown evaluators are not remembered, nor are those without an evaluation: a message about another
+        step comes along without rows, and what its sender says of this step may follow.
+        """
+        n_evaluations = np.diff(received.messages.ptr)
+        known = (is_known & (n_evaluations > 0))[received.message_row]
         rows = np.flatnonzero(known)
         keys = pair_key(int64(received.holder)[rows], evaluator[received.message_row[rows]])
         keys, first = np.unique(keys, return_index=True)

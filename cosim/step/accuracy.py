@@ -98,8 +98,7 @@ def stated(
     moves = velocities(listed)
     known = np.isfinite(moves).all(axis=1)
     of_class = _speed_variance(listed.label, limit_mps, own_mps, c.tracking)
-    sweep_s = 0.0 if not isinstance(c.lidar.rotation_hz, float) else 1.0 / c.lidar.rotation_hz
-    of_sweep = np.where(is_self, 0.0, sweep_s**2 / 12.0)
+    of_sweep = np.where(is_self, 0.0, c.lidar.sweep_s**2 / 12.0)
     vx, vy = np.where(known[:, None], moves, 0.0).T
     anywhere = np.where(known, 0.0, of_class)
     by_itself = of_sweep * anywhere

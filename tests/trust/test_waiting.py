@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from tests.trust.histories import assert_same, histories, messages_from_rows, open_step
 from trust.models import MODELS, params_of
 from trust.models.trupercept import TruPercept
-from trust.open_steps import LARGE
+from trust.open_steps import LARGE, OpenStep
 from trust.params import TrustParams
 from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations
 
@@ -64,3 +64,26 @@ def test_large_batches_do_not_wait():
         many = EvaluationMessages(0, by, ptr, subject, np.zeros(n, np.int64), ones, ones)
         model.add_evaluations(ReceivedEvaluations(many, np.array([SERVER]), np.array([0])))
         assert model.store.steps[0].pairs.size == 2 * size, "the small one waits for the large one"
+
+
+def test_a_message_about_another_step_is_not_the_one_about_this_step():
+    """What a message says of each step comes as a message of its own, also where it says nothing."""
+    opened = OpenStep(np.array([1, 2]), np.array([0]), np.array([0]), np.array([0.9]))
+    holder, row = np.array([SERVER]), np.array([0])
+
+    def accepted(n):
+        columns = {"observer": [1] * n, "detection_index": [0] * n}
+        values = {"evaluation": [1.0] * n, "visibility": [1.0] * n}
+        messages = EvaluationMessages(
+            step=0,
+            evaluator=np.array([2]),
+            ptr=np.array([0, n]),
+            **{name: np.array(of, int) for name, of in columns.items()},
+            **{name: np.array(of, float) for name, of in values.items()},
+        )
+        found = opened.accept(ReceivedEvaluations(messages, holder, row))
+        return len(found.kept), int(found.n_rejected.sum())
+
+    assert accepted(0) == (0, 0)
+    assert accepted(1) == (1, 0)
+    assert accepted(1)[1] == 1, "now the holder has a message of this evaluator"

@@ -4,7 +4,8 @@ Notes
 -----
 `fcd.xml.gz`: a `<timestep>` per step, `time` in seconds of the run. `x` and `y` are the centre
 of the front bumper in the coordinates of the network [m], `angle` is in degrees clockwise from north, `type` is the
-class of the actor, and names are SUMO's. All actors are written.   Deviations: `z` is the
+class of the actor, and names are SUMO's. All of the traffic is written; parked cars and placed objects are no
+traffic.   Deviations: `z` is the
 underside of the box; lane, position on it and slope are left out, because the tables do not have them. SUMO's class and
 the size of each actor are written as `vClass`, `length`, `width` and `height`, which SUMO's own files leave to its
 types: a run that replays the file has the same boxes.
@@ -19,6 +20,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from cosim.base.codes import PARKED
+from cosim.traffic.objects import PREFIX
 from results.moments import Clouds, File, Moment, Plan, Selection, Unit
 
 TABLES = ("actors", "vehicles")
@@ -50,7 +53,12 @@ def _files(selection: Selection, clouds: Clouds) -> Iterator[File]:
 def _packed(selection: Selection) -> bytes:
     columns = ["vehicle", "sumo_id", "vehicle_class", "length_m", "width_m", "height_m"]
     rows = selection.run.table("vehicles", columns).to_dict("records")
-    fixed = {int(row["vehicle"]): _fixed(row) for row in rows}
+    placed = [f"{PREFIX}{i}" for i in range(len(selection.run.config.get("objects", ())))]
+    fixed = {
+        int(row["vehicle"]): _fixed(row)
+        for row in rows
+        if row["sumo_id"] not in placed and not str(row["sumo_id"]).startswith(PARKED)
+    }
     packed = io.BytesIO()
     with gzip.GzipFile(fileobj=packed, mode="wb", mtime=0) as file:
         file.write(b'<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n')
@@ -90,6 +98,8 @@ def _timestep(
     columns = (moment.actor, *front.T, underside, angle, moment.speed_mps)
     lines = [f'    <timestep time="{step * dt_s:.4f}">\n']
     for actor, x, y, z, degrees, speed in zip(*(column.tolist() for column in columns), strict=True):
+        if actor not in fixed:
+            continue
         place = f'x="{x:.5f}" y="{y:.5f}" z="{z:.5f}"'
         lines.append(f'        <{fixed[actor]} {place} angle="{degrees:.5f}" speed="{speed:.5f}"/>\n')
     lines.append("    </timestep>\n")

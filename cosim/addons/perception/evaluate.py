@@ -12,7 +12,7 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from cosim.addons.perception import dair, kitti_folder, opv2v
-from cosim.addons.perception.kitti import LEVELS, LOOSE, STRICT, average_precision
+from cosim.addons.perception.kitti import FEWEST, LEVELS, LOOSE, STRICT, average_precision
 from cosim.addons.perception.late_fusion import NMS_OVERLAP, kept
 from cosim.addons.perception.matched import precision_and_recall
 from cosim.addons.perception.opv2v import ObjectFrame
@@ -190,7 +190,13 @@ def _kitti(data: kitti_folder.KittiFolder) -> tuple[dict[str, Any], pd.DataFrame
             answer = average_precision(truth, found, label, min_overlap=overlap)
             for level in LEVELS:
                 one = answer[level]
-                rows.append((label, level, overlap, one.ap11, one.ap40, one.n_truth, n_boxes))
+                ap11, ap40 = (one.ap11, one.ap40) if one.n_truth else (np.nan, np.nan)
+                rows.append((label, level, overlap, ap11, ap40, one.n_truth, n_boxes))
+    if any(row[5] < FEWEST for row in rows):
+        about["remarks"].append(
+            f"average precision of fewer than {FEWEST} objects says little: it is the mean over {FEWEST - 1} shares of "
+            "the objects, and with fewer even a detector without a mistake has less than 100."
+        )
     return about, pd.DataFrame(rows, columns=list(_KITTI_COLUMNS))
 
 

@@ -78,7 +78,8 @@ def _agents(data: Recorded) -> Iterator[str]:
     """Agents hardly any of whose detections lie on an object, as if their poses were wrong."""
     if not len(data.truth) or not len(data.found):
         return
-    away, _ = _nearest(data.truth, data.found.frame, data.found.box[:, :2])
+    frame, xy_m = data.found.frame, data.found.box[:, :2]
+    away = np.minimum(*(_nearest(boxes, frame, xy_m)[0] for boxes in (data.truth, data.aside)))
     rows = zip(data.found.frame.tolist(), data.found.agent.tolist(), strict=True)
     names = np.array([data.agents[frame][agent] for frame, agent in rows], object)
     for name in sorted(set(names)):
