@@ -53,7 +53,8 @@ def _files(selection: Selection, clouds: Clouds) -> Iterator[File]:
 def _packed(selection: Selection) -> bytes:
     columns = ["vehicle", "sumo_id", "vehicle_class", "length_m", "width_m", "height_m"]
     rows = selection.run.table("vehicles", columns).to_dict("records")
-    placed = [f"{PREFIX}{i}" for i in range(len(selection.run.config.get("objects", ())))]
+    n_objects = len(selection.run.config.get("objects", ()))
+    placed = [f"{PREFIX}{i}" for i in range(n_objects)]
     fixed = {
         int(row["vehicle"]): _fixed(row)
         for row in rows

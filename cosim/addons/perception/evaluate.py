@@ -190,8 +190,8 @@ def _kitti(data: kitti_folder.KittiFolder) -> tuple[dict[str, Any], pd.DataFrame
             answer = average_precision(truth, found, label, min_overlap=overlap)
             for level in LEVELS:
                 one = answer[level]
-                ap11, ap40 = (one.ap11, one.ap40) if one.n_truth else (np.nan, np.nan)
-                rows.append((label, level, overlap, ap11, ap40, one.n_truth, n_boxes))
+                values = (one.ap11, one.ap40) if one.n_truth else (np.nan, np.nan)
+                rows.append((label, level, overlap, *values, one.n_truth, n_boxes))
     if any(row[5] < FEWEST for row in rows):
         about["remarks"].append(
             f"average precision of fewer than {FEWEST} objects says little: it is the mean over {FEWEST - 1} shares of "

@@ -79,7 +79,9 @@ def _agents(data: Recorded) -> Iterator[str]:
     if not len(data.truth) or not len(data.found):
         return
     frame, xy_m = data.found.frame, data.found.box[:, :2]
-    away = np.minimum(*(_nearest(boxes, frame, xy_m)[0] for boxes in (data.truth, data.aside)))
+    to_object_m, _ = _nearest(data.truth, frame, xy_m)
+    to_agent_m, _ = _nearest(data.aside, frame, xy_m)
+    away = np.minimum(to_object_m, to_agent_m)
     rows = zip(data.found.frame.tolist(), data.found.agent.tolist(), strict=True)
     names = np.array([data.agents[frame][agent] for frame, agent in rows], object)
     for name in sorted(set(names)):
