@@ -15,6 +15,7 @@ from scipy.stats import t
 from cosim.door.load import checksum
 from cosim.runs import check as checking
 from cosim.runs.cluster import connected, local
+from cosim.runs.source import code_digest
 from cosim.studies.density import equipped_on_road
 from cosim.studies.engine import Work, execute
 from cosim.studies.estimate import Estimate, estimate
@@ -26,6 +27,7 @@ from cosim.studies.stages import Cache, default_folder
 from cosim.studies.study import SHIPPED, Study, load
 from cosim.traffic.scenario import find
 from cosim.traffic.scene_summary import scene_summary
+from results.manifest import read_manifest
 from results.study_measuring import changes, measuring_in, measuring_of
 
 FUSED_TOPICS = {"detection", "attack", "evidence"}
@@ -48,6 +50,8 @@ class Task:
     estimate: Estimate
     outdated: dict[str, list[str]] = field(default_factory=dict)
     """By finished run that is measured again, the keys of the study that have changed since it was measured."""
+    n_of_other_code: int = 0
+    """Finished runs that other code has made, where further runs are to join them."""
 
 
 Report = Callable[[int, int, int, str], None]
@@ -102,7 +106,14 @@ def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Ta
         cache,
         estimate(missing, made, cache.names("traffic"), typical_s, speed_here()),
         outdated,
+        _n_of_other_code(folder, {finished[point] for point in there}) if missing else 0,
     )
+
+
+def _n_of_other_code(folder: StudyFolder, runs: Collection[str]) -> int:
+    """How many runs were made by other code than this."""
+    made_by = [read_manifest(folder.run(run)).get("source", {}).get("code") for run in runs]
+    return sum(code not in (None, code_digest()) for code in made_by)
 
 
 def _asked(study: Study) -> dict[str, Any]:
@@ -120,14 +131,20 @@ def _outdated(study: Study, folder: StudyFolder, finished: Collection[str]) -> d
 
 
 def measuring_notes(task: Task) -> list[str]:
-    """A note on finished runs that are measured again."""
-    if not task.outdated:
-        return []
-    keys = dict.fromkeys(key for changed in task.outdated.values() for key in changed)
-    return [
-        f"note: {len(task.outdated)} finished runs were measured before {', '.join(keys)} changed. They are measured "
-        "again. A run whose tables are gone (keep.tables) is simulated again."
-    ]
+    """Notes on finished runs that are measured again, and on those that another version of cosim has made."""
+    found = []
+    if task.outdated:
+        keys = dict.fromkeys(key for changed in task.outdated.values() for key in changed)
+        found.append(
+            f"note: {len(task.outdated)} finished runs were measured before {', '.join(keys)} changed. They are "
+            "measured again. A run whose tables are gone (keep.tables) is simulated again."
+        )
+    if task.n_of_other_code:
+        found.append(
+            f"note: {task.n_of_other_code} finished runs were made by other code of cosim. They are kept, and averaged "
+            "with those to come. Where an update has moved figures, sweep the study in another --out."
+        )
+    return found
 
 
 def unbegun(study: Study, where: str) -> Task:

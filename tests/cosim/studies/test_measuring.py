@@ -3,6 +3,7 @@
 import pandas as pd
 import pytest
 
+from cosim.studies import sweep as sweeping
 from results.own_metrics import check_own
 from results.study import open_study
 from tests import drive
@@ -61,6 +62,17 @@ def test_finished_runs_follow_a_changed_measuring(tmp_path):
     assert "measured before measure.fresh_s changed." in done.stderr
     assert set(open_study(tmp_path / "out").measures.metric) == measured
     assert last.keys() == again.keys() and all(last[file] > again[file] for file in last)
+
+
+def test_runs_of_other_code_are_noted_where_further_ones_join_them(tmp_path, monkeypatch):
+    sweep(tmp_path)
+    study, out = tmp_path / "short.toml", tmp_path / "out"
+    assert not sweeping.measuring_notes(sweeping.prepare(study, out))
+    monkeypatch.setattr(sweeping, "code_digest", lambda: "an update")
+    assert not sweeping.measuring_notes(sweeping.prepare(study, out)), "nothing joins them"
+    study.write_text(STUDY.replace("[0.4, 0.6]", "[0.4, 0.6, 0.8]"))
+    (note,) = sweeping.measuring_notes(sweeping.prepare(study, out))
+    assert note.startswith("note: 2 finished runs were made by other code of cosim.")
 
 
 def test_runs_that_were_measured_otherwise_are_not_averaged(tmp_path):
