@@ -22,6 +22,8 @@ from typing import Any
 
 from numba import njit, threading_layer
 from numba.core import caching
+from numba.core.dispatcher import Dispatcher
+from numba.core.extending import _Intrinsic
 from numpy import dtype, generic, ndarray
 
 
@@ -124,10 +126,13 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
 
 def _say(value: Any, said: list[str], called: list[FunctionType]) -> None:
     """Add what a name stands for: a function, a tuple of things, or a constant."""
-    function = getattr(value, "py_func", getattr(value, "_defn", value))  # compiled functions, and intrinsics
-    if isinstance(function, FunctionType):
-        called.append(function)
-        said.append(repr(getattr(value, "targetoptions", "")))
+    if isinstance(value, Dispatcher):
+        called.append(value.py_func)
+        said.append(repr(value.targetoptions))
+    elif isinstance(value, _Intrinsic):
+        called.append(value._defn)
+    elif isinstance(value, FunctionType):
+        called.append(value)
     elif isinstance(value, tuple):
         for one in value:
             _say(one, said, called)
