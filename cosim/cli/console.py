@@ -427,11 +427,14 @@ def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
         label = metric if is_alone else f"  {group}"
         cells.append((label, "" if value is None else plain(value), unit, _interval(row), str(row.get("note") or "")))
         last = metric
-    widths = [max((len(row[i]) for row in cells if len(row) > 1), default=0) for i in range(4)]
-    lines = [
-        f"{row[0]:<{widths[0]}}  {row[1]:>{widths[1]}} {row[2]:<{widths[2]}}  {row[3]:<{widths[3]}}  {row[4]}".rstrip()
-        if len(row) > 1 else row[0] for row in cells
-    ]  # fmt: skip
+    values = [row for row in cells if len(row) > 1]
+    wide = [max(map(len, column), default=0) for column in zip(*values, strict=True)]
+
+    def line_of(name: str, value: str, unit: str, interval: str, note: str) -> str:
+        said = f"{value.rjust(wide[1])} {unit.ljust(wide[2])}"
+        return "  ".join([name.ljust(wide[0]), said, interval.ljust(wide[3]), note]).rstrip()
+
+    lines = [line_of(*row) if len(row) > 1 else row[0] for row in cells]
     head = [Text(title, style="bold"), Text("value, unit, 95 % interval", style="dim"), Text()]
     for line in (*head, *map(Text, lines)):
         screen.print(line, soft_wrap=True)

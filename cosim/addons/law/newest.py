@@ -24,8 +24,8 @@ class NewestReceived:
     @staticmethod
     def none() -> "NewestReceived":
         """No messages."""
-        nobody, nothing = np.zeros(0, np.int64), np.zeros(0)
-        return NewestReceived(nobody, nobody, nothing, nothing)
+        no_number, no_value = np.zeros(0, np.int64), np.zeros(0)
+        return NewestReceived(no_number, no_number, no_value, no_value)
 
     def then(self, newer: "NewestReceived", senders: Int[ndarray, "s"], present: Int[ndarray, "v"]) -> "NewestReceived":
         """These messages after some vehicles have sent newer ones, without vehicles that have left the road.
@@ -65,9 +65,10 @@ class SweepTimes:
     @staticmethod
     def none() -> "SweepTimes":
         """No sweeps."""
-        nobody, nothing = np.zeros(0, np.int64), np.zeros(0)
-        views = ViewTimes(nobody, np.zeros(1, np.int64), nobody, nothing, np.zeros(0, bool), nothing, 0.0)
-        return SweepTimes(views, nobody)
+        no_number, no_value = np.zeros(0, np.int64), np.zeros(0)
+        ptr, no_sight = np.zeros(1, np.int64), np.zeros(0, bool)
+        views = ViewTimes(no_number, ptr, no_number, no_value, no_sight, no_value, 0.0)
+        return SweepTimes(views, no_number)
 
     def then(self, views: ViewTimes, actor: Int[ndarray, "n"], step: int, present: Int[ndarray, "v"]) -> "SweepTimes":
         """These sweeps after some vehicles have sensed, without those of vehicles that have left the road.

@@ -87,9 +87,9 @@ class Sensing:
         bodies = prisms(world.shape, boxes)
         returns = expected_returns(origin_m, yaw_rad, observers, self.beams, near, boxes, bodies, self.walls, range_m)
         o = owner_of_rows(np.diff(near.ptr))
-        nobody, fov_rad = np.zeros((0, 3)), self.beams.fov_rad
+        no_bodies, fov_rad = np.zeros((0, 3)), self.beams.fov_rad
         inside = in_area(
-            pairs_of(o, origin_m, yaw_rad, boxes, near.row), np.zeros(0, bool), nobody, nobody,
+            pairs_of(o, origin_m, yaw_rad, boxes, near.row), np.zeros(0, bool), no_bodies, no_bodies,
             self.area.range_m + self.area.slack_m, self.area.height_m, fov_rad, edge_slope(fov_rad),
             self.area.slack_m, self.area.own_radius_m,
         )  # fmt: skip
