@@ -143,8 +143,8 @@ def _maps(figure: Figure, panels: Sequence[Axes], run: Run, cell_m: float) -> No
         mesh = axes.pcolormesh(x, y, values, cmap="viridis_r", rasterized=True, vmin=0, vmax=most)
         style.map_panel(axes, title)
         if np.isnan(values).all():
-            why = "not modelled" if column == "cbr" else "not known with relays"
-            axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", color="#666666")
+            why = "not modelled" if column == "cbr" else "not known\nwith relays"
+            axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", color="#666666")
         else:
             figure.colorbar(mesh, ax=axes, shrink=0.5)
 
