@@ -85,7 +85,7 @@ class GivenRuns:
         found: dict[str, None] = {}
         for key in (text.partition("=")[0] for text in plan.sets):
             wanted = as_toml(_at(planned, key))
-            for given in {as_toml(_at(run.config, key)) for run in self.runs} - {wanted}:
+            for given in sorted({as_toml(_at(run.config, key)) for run in self.runs} - {wanted}):
                 if key not in _THRIFT:
                     found[f"{key} = {given}, not {wanted}"] = None
         return list(found)
