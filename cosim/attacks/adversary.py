@@ -196,7 +196,7 @@ class Adversary:
         """
         found = np.zeros(len(world), bool)
         for number, p in enumerate(self.params):
-            if p.renewal == "by_policy" or time_s < p.start_s:
+            if p.renewal == "by_policy" or not _has_begun(p, time_s):
                 continue
             if p.renewal == "whitewashing":
                 assert trust is not None, "given where an attack reads it"
@@ -232,7 +232,7 @@ class Adversary:
             if not member.any():
                 continue
             ring = self._rings(state, world, number, member)
-            attacker = member & (time_s >= p.start_s)
+            attacker = member & _has_begun(p, time_s)
             if attacker.any() and p.when != "persistent":
                 attacker &= self._active_by_when(state, world, number, trust)
             n_active = state.n_active[number, world.actor]
@@ -292,6 +292,11 @@ class Adversary:
             return trust > p.keep_above
         state.awake[number, world.actor] |= trust >= p.wake_trust
         return state.awake[number, world.actor]
+
+
+def _has_begun(params: AttackParams, time_s: float) -> bool:
+    """Whether an attack has begun: a step's time, a product, may be rounded to a little less than `start_s`."""
+    return time_s >= params.start_s - 1e-9
 
 
 def with_perceived(listed: Detections, perceived: Detections) -> Detections:

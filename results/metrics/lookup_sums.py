@@ -42,7 +42,7 @@ def add_successive(
     for i in range(len(variant)):
         v, r, p = variant[i], receiver[i], pair[i]
         passed_s = (step[i] - last_step[v, p]) * dt_s
-        is_first, is_near = last_step[v, p] < 0, passed_s <= reach_s + 1e-9
+        is_first, is_near = last_step[v, p] < 0, passed_s <= reach_s[r] + 1e-9
         last_step[v, p] = step[i]
         for what in range(2):
             before_s, age_s = np.float64(last_s[v, p, what]), np.float64(ages_s[what, i])

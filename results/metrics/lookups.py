@@ -15,6 +15,7 @@ from cosim.base.durable import Damaged
 from results.metrics.radio import why_none_received
 from results.metrics.trust import HONEST, suspect_below, suspect_from, watched
 from results.run import Run
+from results.sensing import interval_steps
 
 AGES: Mapping[str, str] = {
     "value": "age_s",
@@ -29,7 +30,7 @@ BEHIND = ("n_evaluations", "n_evaluators")
 FRESH_S = 10.0
 REACH_S = 3.0
 """Two successive lookups of a subject are one stay within reach if they lie at most this far apart, or at most two
-sensing intervals where these are longer."""
+sensing intervals of the receiver where these are longer."""
 
 _DTYPES = {
     "variant": np.int16, "step": np.int32, "receiver": np.int32, "subject": np.int32, "state": np.int16,
@@ -247,7 +248,7 @@ def _added(run: Run, asked: _Asked) -> _All:
     vehicles = run.table("vehicles", ["vehicle", "last_step"])
     left = np.zeros(int(vehicles.vehicle.max()) + 1, np.int64)
     left[vehicles.vehicle] = vehicles.last_step
-    every_s = float(run.config.get("sensing_interval_s", run.dt_s))
+    intervals_s = interval_steps(run, np.arange(len(left))) * run.dt_s
     adding = _Adding(
         known=known,
         role_of=role_of,
@@ -257,7 +258,7 @@ def _added(run: Run, asked: _Asked) -> _All:
         n=(len(run.variants), len(run.role_labels)),
         n_steps=int(run.manifest["steps"]),
         dt_s=run.dt_s,
-        reach_s=max(REACH_S, 2 * every_s),
+        reach_s=np.maximum(REACH_S, 2 * intervals_s),
         asked=asked,
         path=run.path,
     )
@@ -274,10 +275,11 @@ class _Adding:
     def __init__(
         self, known: Int[ndarray, "p"], role_of: Int[ndarray, "p"], since: Int[ndarray, "p"],
         until: Int[ndarray, "p"], left: Int[ndarray, "r"], n: tuple[int, int], n_steps: int, dt_s: float,
-        reach_s: float, asked: _Asked, path: Path,
+        reach_s: Float[ndarray, "r"], asked: _Asked, path: Path,
     ) -> None:  # fmt: skip
         """Of each pseudonym the role, the step since which it is watched, and the last step in which it is in use; of
-        each vehicle the last step; how many variants and roles there are."""
+        each vehicle the last step; how many variants and roles there are; how far apart two lookups of one receiver
+        lie at most."""
         self.known, self.role_of, self.since, self.until, self.left = known, role_of, since, until, left
         self.dt_s, self.reach_s, self.asked, self.path = dt_s, reach_s, asked, path
         self.n_variants, self.n_roles = n

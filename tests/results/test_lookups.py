@@ -205,6 +205,18 @@ def test_renewals_where_all_ages_are_equal(tiny):
     assert over_time.peak_s["value"] == pytest.approx(1.8, abs=1e-3)
 
 
+def test_a_vehicle_that_senses_seldom_is_within_reach_for_two_of_its_own_intervals(tiny):
+    """Lookups 5 s apart of a value that is 1 s old: the age goes from 1 to 6 s. Who senses each second counts none."""
+    one = {"subject": 2, "source": "server", "n_evaluations": 1, "newest_evaluation_age_s": 1.0, "age_s": 1.0}
+    rows = [one | {"receiver": receiver, "step": step} for step in range(0, 30, 5) for receiver in (0, 1)]
+    vehicles = fleet("honest", "honest", "honest", sensing_interval_steps=1, sensing_phase_steps=0)
+    vehicles[0]["sensing_interval_steps"] = 5
+    run = tiny(30, vehicles=vehicles, trust_lookups=rows)
+    assert lookups.sums(run).observed_s[:, 0].tolist() == [25.0, 0.0]
+    over_time = freshness.age_over_time(run).set_index("what")
+    assert over_time.mean_s["value"] == pytest.approx(3.5, abs=1e-3)
+
+
 def test_first_lows(variant):
     """The first low value of each subject while it is watched, whatever the threshold."""
     run, rows = variant

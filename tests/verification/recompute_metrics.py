@@ -560,10 +560,11 @@ def sawtooth(of, looked, name):
     age_s = looked[AGES[name]].astype(float)
     if name == "value":
         age_s = age_s.where(looked.source == "server")
-    reach_s = max(3.0, 2 * of.sensing_s)
     at_use, area, time, peaks = [], 0.0, 0.0, []
     frame = looked.assign(age=age_s).sort_values("step", kind="stable")
-    for _, one in frame.groupby(["receiver", "subject"]):
+    interval_s = of.table("vehicles").set_index("vehicle").sensing_interval_steps * of.dt_s
+    for (receiver, _), one in frame.groupby(["receiver", "subject"]):
+        reach_s = max(3.0, 2 * interval_s.get(receiver, of.sensing_s))
         step, age = one.step.to_numpy(), one.age.to_numpy()
         made_s = step * of.dt_s - age
         for i in range(len(one) - 1):

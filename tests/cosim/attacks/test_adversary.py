@@ -85,6 +85,20 @@ def test_before_the_start_nothing_changes():
     assert evaluation is rows.evaluation and visibility is rows.visibility
 
 
+def test_an_attack_begins_in_its_step_although_the_step_s_time_is_rounded():
+    """Three steps of 0.3 s are 0.8999999999999999 s."""
+    world, time_s = world_of([[0, 0], [10, 0]], [0, 0], [MALICIOUS, HONEST]), 3 * 0.3
+    assert time_s < 0.9
+    listed = lists_of(world, 20)
+    assert acting(adversary_of(start_s=0.9), world, time_s).detections(listed)[0] is not listed
+    assert acting(adversary_of(start_s=0.9), world, 2 * 0.3).detections(listed)[0] is listed
+    renewed = [
+        adversary_of(start_s=0.9, renewal="newcomer", renew_s=0.3).renewals(world, at_s, None, np.full(2, 9.0))
+        for at_s in (2 * 0.3, time_s)
+    ]
+    assert [one.tolist() for one in renewed] == [[False, False], [True, False]]
+
+
 def test_unreliable_omits_and_adds_about_a_tenth():
     n = 300
     xy = np.random.default_rng(0).uniform(0, 5000, (n, 2))
