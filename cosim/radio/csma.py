@@ -96,8 +96,12 @@ class CsmaMedium:
         return replace(after, channel=channel_after, underway=underway, cache=cache), happened
 
     def gap_s(self, state: ChannelContext, stations: Stations) -> Float[ndarray, "n"]:
-        """Least time between two frames of each station that congestion control allows now [s]."""
-        gap_s = 1e-9 * dcc.gap_ns(state.dcc, stations.key, self.params.dcc)
+        """Least time between two frames of each station that congestion control allows now [s].
+
+        With adaptive control it follows the time on air of the station's last message.
+        """
+        control = state.dcc.of(stations.key)
+        gap_s = 1e-9 * dcc.gap_ns(control, stations.key, self.params.dcc, control.airtime_ns)
         return gap_s if stations.abuse is None else np.where(stations.abuse.ignores_dcc, 0.0, gap_s)
 
     @property
@@ -212,6 +216,7 @@ class CsmaMedium:
             span = stop_ns - start_ns
             busy_ns += out.busy * span
             control, measured = measured.after(out.busy_strong, span).updated(control, params)
+        control = control.of(stations.key).after_messages(airtime_ns)
         return replace(state, channel=now, dcc=control, measured=measured), windows, busy_ns
 
     def links(self, stations: Stations, senders: Int[ndarray, "k"] | None = None) -> LinkCache:

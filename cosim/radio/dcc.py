@@ -8,7 +8,7 @@ References
    control", IEEE TVT 62(9), 2013.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -71,6 +71,8 @@ class DccState:
     """With `adaptive`: share of the time that the station may be on air."""
     before: Float[ndarray, "n"]
     """With `adaptive`: busy ratio of the period before."""
+    airtime_ns: Int[ndarray, "n"]
+    """Time on air of the longest frame of the last message; 0 before the first one."""
     n_periods: int = 0
     """Periods so far; the share changes every second one."""
 
@@ -78,7 +80,7 @@ class DccState:
     def start() -> "DccState":
         """No stations yet."""
         none = np.zeros(0)
-        return DccState(np.zeros(0, np.uint64), none, np.zeros(0, np.int8), none, none)
+        return DccState(np.zeros(0, np.uint64), none, np.zeros(0, np.int8), none, none, np.zeros(0, np.int64))
 
     def of(self, key: UInt64[ndarray, "n"]) -> "DccState":
         """The state of these stations (each once), in this order. New ones start relaxed, on an idle channel."""
@@ -89,13 +91,17 @@ class DccState:
         level = np.zeros(len(key), np.int8)
         share = np.full(len(key), SHARE_MAX)
         before = np.zeros(len(key))
-        cbr[now], level[now], share[now], before[now] = (
-            self.cbr[was],
-            self.level[was],
-            self.share[was],
-            self.before[was],
-        )
-        return DccState(key, cbr, level, share, before, self.n_periods)
+        airtime_ns = np.zeros(len(key), np.int64)
+        cbr[now] = self.cbr[was]
+        level[now] = self.level[was]
+        share[now] = self.share[was]
+        before[now] = self.before[was]
+        airtime_ns[now] = self.airtime_ns[was]
+        return DccState(key, cbr, level, share, before, airtime_ns, self.n_periods)
+
+    def after_messages(self, airtime_ns: Int[ndarray, "n"]) -> "DccState":
+        """The state after messages of these lengths; 0 where a station sends none."""
+        return replace(self, airtime_ns=np.where(airtime_ns > 0, airtime_ns, self.airtime_ns))
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,31 +171,30 @@ def update(state: DccState, key: UInt64[ndarray, "n"], busy: Float[ndarray, "n"]
         cbr = (1 - params.smoothing) * now.cbr + params.smoothing * busy
         wanted = np.searchsorted(params.cbr_bounds, cbr, side="right")
         level = (now.level + np.sign(wanted - now.level)).astype(np.int8)
-        return DccState(key, cbr, level, now.share, busy, n)
+        return DccState(key, cbr, level, now.share, busy, now.airtime_ns, n)
     if n % 2:
-        return DccState(key, now.cbr, now.level, now.share, busy, n)
+        return DccState(key, now.cbr, now.level, now.share, busy, now.airtime_ns, n)
     cbr = 0.5 * now.cbr + 0.25 * (now.before + busy)
     step = np.clip(BETA * (params.target_cbr - cbr), STEP_MIN, STEP_MAX)
     share = np.clip((1 - ALPHA) * now.share + step, SHARE_MIN, SHARE_MAX)
-    return DccState(key, cbr, now.level, share, busy, n)
+    return DccState(key, cbr, now.level, share, busy, now.airtime_ns, n)
 
 
 def gap_ns(
-    state: DccState, key: UInt64[ndarray, "n"], params: DccParams, airtime_ns: Int[ndarray, "n"] | None = None
+    state: DccState, key: UInt64[ndarray, "n"], params: DccParams, airtime_ns: Int[ndarray, "n"]
 ) -> Int[ndarray, "n"]:
     """Least time between two frames of each of these stations (each once) [ns]; 0 if control is off.
 
     Parameters
     ----------
     airtime_ns
-        With `adaptive`: time on air of the frames of each station. The gap is that over the station's share, within
+        Time on air of the frames of each station. With `adaptive`, the gap is that over the station's share, within
         `GAP_MIN_S` and `GAP_MAX_S`.
     """
     if not params.enabled:
         return np.zeros(len(key), np.int64)
     now = state.of(key)
     if params.algorithm == "adaptive":
-        assert airtime_ns is not None
         return np.rint(np.clip(airtime_ns / now.share, GAP_MIN_S * 1e9, GAP_MAX_S * 1e9)).astype(np.int64)
     gaps = np.rint(np.array(params.t_off_s) * 1e9).astype(np.int64)
     return gaps[now.level]

@@ -346,13 +346,13 @@ def detection_summary(run: Run, threshold: float | None = None, at: trust.At = "
 def detection_times(run: Run, threshold: float | None = None, false_positives: float = 0.05) -> pd.DataFrame:
     """The rows of `detection_summary` for what metrics ask: at (threshold, at_fpr, at_vehicle) and its columns.
 
-    `at_fpr` has the threshold of `classification`, and `at_vehicle` the lookups of a run with a server. No rows if
-    there is no such threshold.
+    `at_fpr` has the threshold of `classification`, and no rows without one. `at_vehicle` has the lookups of a run with
+    a server.
     """
     limit, kept = threshold_at(_rated(run, scored(run), HONEST), false_positives), trust.kept_at(run)
-    if np.isnan(limit):
-        return pd.DataFrame()
-    asked: dict[str, tuple[float | None, trust.At]] = {"threshold": (threshold, kept), "at_fpr": (limit, kept)}
+    asked: dict[str, tuple[float | None, trust.At]] = {"threshold": (threshold, kept)}
+    if not np.isnan(limit):
+        asked["at_fpr"] = (limit, kept)
     if kept == "server" and "trust_lookups" in run.tables:
         asked["at_vehicle"] = (threshold, "vehicles")
     return pd.concat([detection_summary(run, *how).assign(at=at) for at, how in asked.items()], ignore_index=True)

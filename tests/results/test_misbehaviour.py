@@ -150,6 +150,15 @@ def test_none_rated(tiny):
     assert not found.value.isna().any() and len(found)
 
 
+def test_where_all_attack_only_what_needs_honest_vehicles_is_missing(tiny):
+    """No honest value, no threshold of 5 % false positives; times until `suspect_below` need none."""
+    vehicles = attacking(["malicious", "malicious"], {0: 3, 1: 3})
+    run = tiny(20, vehicles=vehicles, trust=values({3: [0.9, 0.9], 5: [0.1, 0.9], 7: [0.1, 0.1]}))
+    found = measure(run, topics=("misbehaviour",)).set_index(["metric", "group"]).value
+    assert found["misbehaviour.time_to_detection.share", "malicious"] == 1
+    assert not any("at_fpr" in name for name in found.index.get_level_values(0))
+
+
 def test_an_attack_after_the_last_computation(tiny):
     run = tiny(20, vehicles=attacking(["honest", "malicious"], {1: 9}), trust=values({5: [0.5, 0.5]}))
     for ask in (misbehaviour.classification, misbehaviour.roc):

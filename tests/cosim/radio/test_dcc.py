@@ -4,6 +4,7 @@ import pytest
 from cosim.radio.dcc import STATES, DccParams, DccState, gap_ns, update
 
 KEY = np.array([7, 3, 5], np.uint64)
+ON_AIR_NS = np.full(3, 500_000)
 
 
 def after(busy, periods, params=None, control=None):
@@ -25,7 +26,7 @@ def test_the_table():
     ):
         control = after([busy] * 3, 60)
         assert STATES[control.of(KEY).level[0]] == STATES[level]
-        assert gap_ns(control, KEY, DccParams()).tolist() == [ms * 1_000_000] * 3
+        assert gap_ns(control, KEY, DccParams(), ON_AIR_NS).tolist() == [ms * 1_000_000] * 3
 
 
 def test_one_step_per_period_on_a_running_mean():
@@ -41,7 +42,7 @@ def test_radios_are_known_by_key():
     control = after([0.9, 0.1, 0.45], 60)
     assert sorted(control.key.tolist()) == [3, 5, 7]
     assert control.of(np.array([5, 8, 7], np.uint64)).level.tolist() == [2, 0, 4]  # 8 is new
-    assert not gap_ns(control, KEY, DccParams(enabled=False)).any()
+    assert not gap_ns(control, KEY, DccParams(enabled=False), ON_AIR_NS).any()
 
 
 def test_faults_are_named():
@@ -68,6 +69,15 @@ def test_adaptive_control_by_hand():
     # 0.5 ms on air at a share of 0.03: 16.7 ms, raised to 25 ms; 2 ms: 66.7 ms.
     gaps = gap_ns(after([0.0] * 3, 1, ADAPTIVE), KEY, ADAPTIVE, np.array([500_000, 2_000_000, 0]))
     assert gaps.tolist() == [25_000_000, 66_666_667, 25_000_000]
+
+
+def test_the_time_on_air_of_the_last_message_is_kept_until_the_next_one():
+    """Also while others come and go; who has sent nothing yet has none."""
+    sent = after([0.0] * 3, 1, ADAPTIVE).after_messages(np.array([500_000, 0, 2_000_000]))
+    assert sent.after_messages(np.array([0, 300_000, 0])).airtime_ns.tolist() == [500_000, 300_000, 2_000_000]
+    later = update(sent, KEY[1:], np.zeros(2), ADAPTIVE)
+    assert later.airtime_ns.tolist() == [0, 2_000_000]
+    assert later.of(KEY).airtime_ns.tolist() == [0, 0, 2_000_000]
 
 
 def test_adaptive_control_converges_to_the_fixed_point_of_limeric():

@@ -87,6 +87,13 @@ def test_congestion_control_gates_the_messages():
     )  # fmt: skip
     waiting = [(s.listed.content.inclusion == Inclusion.WAITING).all() for s in steps]
     assert waiting == [number % 4 != 0 for number in range(9)]
+    # Adaptive control asks for 25 ms where a frame lasts less than 0.75 ms and a station may fill 3 % of the time.
+    adaptive, state = play(
+        3, "sensing_interval_s=0.1", "traffic.step_s=0.1", "radio.model=csma", "cpm.rules=etsi",
+        "radio.dcc.algorithm=adaptive",
+    )  # fmt: skip
+    assert not any((s.listed.content.inclusion == Inclusion.WAITING).any() for s in adaptive)
+    assert 0 < state.medium.dcc.airtime_ns.max() < 750_000
     free, _ = play(3, "sensing_interval_s=0.1", "traffic.step_s=0.1", "radio.model=unit_disk", "cpm.rules=etsi")
     assert not any((s.listed.content.inclusion == Inclusion.WAITING).any() for s in free)
 
