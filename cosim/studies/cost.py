@@ -190,4 +190,4 @@ def n_sweeps_of(config: Config) -> float:
     """Sweeps, each of which is followed by two messages."""
     if not config.sensing:
         return 0.0
-    return equipped_on_road(config) * config.traffic.duration_s / config.sensing_interval_s
+    return equipped_on_road(config) * config.traffic.duration_s * config.schedule.sweeps_per_s

@@ -79,6 +79,12 @@ class Schedule:
         return min(self.interval_steps) * self.step_s
 
     @property
+    def sweeps_per_s(self) -> float:
+        """Sweeps of a vehicle per second, mean over all groups."""
+        shares = np.diff(self.until_p, prepend=0.0)
+        return float((shares / (np.array(self.interval_steps) * self.step_s)).sum())
+
+    @property
     def exchange_every_steps(self) -> int:
         """Steps between two steps in which any vehicle can sense."""
         return 1 if self.is_random else math.gcd(*self.interval_steps)

@@ -43,6 +43,14 @@ def test_each_vehicle_senses_at_its_own_steps(runs):
     assert set(runs[1].vehicles.sensing_interval_steps.dropna()) == {1, 2, 5}
 
 
+def test_sweeps_per_second_are_those_of_all_groups():
+    """Half of the vehicles senses ten times a second, a quarter every two seconds, and the others once a second."""
+    groups = SensingGroup(share_p=0.5, interval_s=0.1), SensingGroup(share_p=0.25, interval_s=2.0)
+    of_groups = Schedule.of(1.0, "random", groups, 0.1, 1).sweeps_per_s
+    assert of_groups == pytest.approx(0.5 * 10 + 0.25 * 0.5 + 0.25 * 1)
+    assert Schedule.of(0.5, "common", (), 0.1, 1).sweeps_per_s == pytest.approx(2)
+
+
 def test_age_of_a_message_in_closed_form(runs):
     """With equal intervals of n steps, a message is (phase of the receiver - phase of the sender) mod n steps old.
 
