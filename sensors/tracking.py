@@ -259,7 +259,7 @@ def track(
     now_s[due] = observers.time_s[at[due]]
     if (now_s[due] < old.time_s[due]).any():
         raise ValueError("an observer senses before the time of its own tracks: time goes forward.")
-    kept = now_s - old.last_s <= params.keep_s  # those of observers that have left end here too
+    kept = now_s - old.last_s <= params.keep_s + 1e-9  # those of observers that have left end here too
     waiting = old.take(np.flatnonzero(kept & ~due))
     rows = np.flatnonzero(kept & due)
     tracks = predicted(old.take(rows), now_s[rows], params)

@@ -41,14 +41,16 @@ class EvidenceStore:
     expires
         Whether evaluators are forgotten when their evaluations leave the windows. False if a model keeps evidence for
         good.
+    least_score
+        Evaluators of detections with a lower score do not count: `Counting.least_score` of all models.
     """
 
-    def __init__(self, expires: bool = True) -> None:
+    def __init__(self, expires: bool = True, least_score: float = 0.0) -> None:
         self.steps: dict[int, StepEvidence] = {}
         self.readers: list[StoreReader] = []
         self.pairs = PairIndex()
         self.evaluators = EvaluatorTable()
-        self._expires = expires
+        self._expires, self._least_score = expires, least_score
         self._n_uses = np.zeros(0, np.int64)  # of each row: steps that use it, and models that keep it
         self._opened, self._n_bad_detections = -1, 0  # newest step, and detections of it that were rejected
         self._n_added = 0  # calls of `add` that had an effect
@@ -121,7 +123,7 @@ class EvidenceStore:
     def _add(self, evidence: StepEvidence, received: ReceivedEvaluations) -> Int[ndarray, "reasons"]:
         """Check and add evaluations of a step; returns how many were rejected, by `RejectReason`."""
         accepted = evidence.sent.accept(received)
-        pairs, evaluators = evidence.add(received.messages, accepted)
+        pairs, evaluators = evidence.add(received.messages, accepted, self._least_score)
         if evidence.row.size < evidence.pairs.size:  # there are new pairs
             self._use(evidence.row, -1)
             evidence.row = self.pairs.rows(*unpaired(evidence.pairs))

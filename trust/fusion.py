@@ -220,7 +220,9 @@ def fuse(
         score = _scores_of_method(given, totals, members, evidence, params)
     else:
         votes = votes_of(given, sender_trust) if votes is None else votes
-        score = score_objects(votes.with_trust(sender_trust.trust, params.ego_trust))
+        of_egos = sender_trust.of_egos(params.fixed_ego_trust)
+        of_egos = np.where(np.isnan(of_egos), params.default_trust, of_egos)
+        score = score_objects(votes.with_trust(sender_trust.trust, of_egos[lists.of(seeds)]))
 
     pose = row
     if distance_m is None:

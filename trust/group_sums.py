@@ -86,8 +86,8 @@ class _Weights(NamedTuple):
     message: ndarray
     trust: ndarray
     has_evaluations: ndarray
-    ego_trust: float
-    ego_computed: bool
+    of_egos: ndarray
+    """Trust of each ego in itself; where it is NaN, as among the messages, or the default."""
     default_trust: float
     unit_trust: bool
 
@@ -159,7 +159,7 @@ def _add(of, begin, end, t, message, at, ego):
 @njit(cache=True, nogil=True)
 def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weights, sums, totals):
     """The same for every `n_chunks`-th ego."""
-    received_ptr, received, trust, has_evaluations, ego_trust, ego_computed, default_trust, unit_trust = weights
+    received_ptr, received, trust, has_evaluations, of_egos, default_trust, unit_trust = weights
     at = np.full(lists.message.size, -1, np.int32)
     known = np.full(evaluated_by.size, default_trust)
     room = _OfEgo(
@@ -172,8 +172,8 @@ def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weigh
             continue
         for h in range(received_ptr[x], received_ptr[x + 1]):
             known[received[h]] = trust[h]
-        if not ego_computed:
-            known[ego] = ego_trust
+        if not np.isnan(of_egos[x]):
+            known[ego] = of_egos[x]
         first = lists.group[begin]
         for p in range(begin, end):
             first = min(first, lists.group[p])
@@ -253,8 +253,7 @@ def sums_of_groups(
         message=int64(t.message),
         trust=t.trust,
         has_evaluations=t.arrived(),
-        ego_trust=params.ego_trust,
-        ego_computed=params.code_parity or params.ego_trust_from == "computed",
+        of_egos=t.of_egos(params.fixed_ego_trust),
         default_trust=params.default_trust,
         unit_trust=params.code_parity,
     )

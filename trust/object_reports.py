@@ -38,7 +38,7 @@ class ObjectVotes:
     received: Int[ndarray, "r"]  # row of the messages that the egos received; -1 for the ego's own vote
     n_groups: int
 
-    def with_trust(self, trust: Float[ndarray, "h"], ego_trust: float) -> ObjectReports:
+    def with_trust(self, trust: Float[ndarray, "h"], ego_trust: Float[ndarray, "g"]) -> ObjectReports:
         """The votes as reports.
 
         Parameters
@@ -47,9 +47,11 @@ class ObjectVotes:
             Trust of the ego in the sender of each received message: the rows are those of the table from which
             `object_votes` made the votes.
         ego_trust
-            Trust of each ego in itself.
+            For each group, trust of its ego in itself.
         """
-        of_vote = np.append(trust, ego_trust)[self.received]
+        of_vote = ego_trust[self.group]
+        by_others = self.received >= 0
+        of_vote[by_others] = trust[self.received[by_others]]
         return ObjectReports(self.group, self.in_favour, self.visibility, of_vote, self.n_groups)
 
 

@@ -139,6 +139,11 @@ class TrustParams(TruPerceptParams):
     """With `code_parity`: how evaluations of a detection are combined. `sum`: sum. `mean`: weighted mean. `by_method`:
     mean for the weighted averages, and sum otherwise."""
 
+    @property
+    def fixed_ego_trust(self) -> float | None:
+        """Trust of every vehicle in itself; None if it is what the vehicle knows, as in the published code too."""
+        return None if self.code_parity or self.ego_trust_from == "computed" else self.ego_trust
+
     def __post_init__(self) -> None:
         for label, low, high in zip(_LABELS, self.gamma_lower_points, self.gamma_upper_points, strict=True):
             if not 0 <= low <= high <= 1e6:

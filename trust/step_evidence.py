@@ -127,21 +127,22 @@ class StepEvidence:
         """Results of `of_pairs`, until evaluations are added."""
 
     def add(
-        self, messages: EvaluationMessages, accepted: AcceptedEvaluations
+        self, messages: EvaluationMessages, accepted: AcceptedEvaluations, least_score: float
     ) -> tuple[Int[ndarray, "q"], Int[ndarray, "q"]]:
         """Add the accepted part of some messages to the sums.
 
         Returns
         -------
         Pair (`pair_key` of holder and subject) and pseudonym of every evaluator that could see a detection of the
-        subject. None is there twice.
+        subject with at least this score. None is there twice.
         """
         evaluation = float64(messages.evaluation[accepted.kept])
         visibility = float64(messages.visibility[accepted.kept])
         ptr, evaluator, subject = accepted.ptr, accepted.evaluator, accepted.observer
         terms, counts = _terms_of_evaluations(ptr, evaluator, subject, evaluation, visibility)
         self._add_terms(accepted, terms, counts)
-        return self._pairs_and_evaluators(accepted, counts[:, 1] > 0)
+        is_evidence = (counts[:, 1] > 0) & (self.sent.score[accepted.detection] >= least_score)
+        return self._pairs_and_evaluators(accepted, is_evidence)
 
     def _add_terms(
         self, accepted: AcceptedEvaluations, terms: Int[ndarray, "k 2"], counts: Int[ndarray, "k 2"]
@@ -164,12 +165,12 @@ class StepEvidence:
         self._of_pairs = {}
 
     def _pairs_and_evaluators(
-        self, accepted: AcceptedEvaluations, could_see: Bool[ndarray, "k"]
+        self, accepted: AcceptedEvaluations, is_evidence: Bool[ndarray, "k"]
     ) -> tuple[Int[ndarray, "q"], Int[ndarray, "q"]]:
-        """What `add` returns; `could_see` says it of each evaluation."""
+        """What `add` returns; `is_evidence` says of each evaluation whether its evaluator counts."""
         pseudonyms, message = self.sent.pseudonyms, accepted.message_row
         each = np.arange(accepted.evaluator.size + 1)  # every message is a group of its own
-        ptr, subject = _distinct_subjects(each, each, accepted.ptr, accepted.observer, could_see, pseudonyms.size)
+        ptr, subject = _distinct_subjects(each, each, accepted.ptr, accepted.observer, is_evidence, pseudonyms.size)
         n = np.diff(ptr)[message]  # subjects of each received message
         subject = pseudonyms[subject[ranges(ptr[message], n)]]
         evaluator = pseudonyms[accepted.evaluator[message]]

@@ -145,12 +145,14 @@ class FusionInput:
 
 @dataclass(frozen=True, slots=True)
 class SenderTrust:
-    """Messages that each ego has received in this step, and its trust in their senders; sorted within an ego."""
+    """Messages that each ego has received, and its trust in their senders; sorted within an ego."""
 
     ptr: Int[ndarray, "e+1"]  # ego x received message[ptr[x]:ptr[x + 1]]
     message: Int[ndarray, "h"]  # message row
     trust: Float[ndarray, "h"]  # the value that the ego uses for the sender
     has_evaluations: Bool[ndarray, "h"] | None = None  # whether its evaluations of this step arrived too; None: all did
+    own: Float[ndarray, "e"] | None = None
+    """Trust of each ego in itself, as `ego_trust_from = "computed"` uses it; None if it knows none."""
 
     def canonical(self) -> "SenderTrust":
         """Each ego's messages in ascending order, each message once: of repeated ones, the first row stays."""
@@ -161,7 +163,14 @@ class SenderTrust:
         key, first = np.unique(key, return_index=True)
         ptr = np.searchsorted(key >> 32, np.arange(self.ptr.size))
         arrived = None if self.has_evaluations is None else self.has_evaluations[first]
-        return SenderTrust(ptr, self.message[first], self.trust[first], arrived)
+        return SenderTrust(ptr, self.message[first], self.trust[first], arrived, self.own)
+
+    def of_egos(self, ego_trust: float | None) -> Float[ndarray, "e"]:
+        """Trust of each ego in itself: this value, or for None what it knows; NaN where it knows nothing."""
+        n = self.ptr.size - 1
+        if ego_trust is not None:
+            return np.full(n, ego_trust)
+        return np.full(n, np.nan) if self.own is None else self.own
 
     def arrived(self) -> Bool[ndarray, "h"]:
         """Whether the evaluations of each message arrived too; all true where `has_evaluations` is None."""

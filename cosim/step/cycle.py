@@ -158,7 +158,7 @@ def _cycle(
         piggybacked, carrier = carrier_of(exchange, evaluated, s.piggybacked, rounds, parts)
         trust, uplink = update_trust(trust, exchange, listed, evaluated, carrier, pseudonyms, parts)
         late = [messages for one in rounds for messages in one.late if messages.kind == carry_evaluations]
-        trust, late_uplink = deliver_late(trust, exchange, s.carried, late, pseudonyms, parts)
+        trust, late_uplink = deliver_late(trust, exchange, (*s.carried, carrier), late, pseudonyms, parts)
         inbox = inbox.with_late(exchange, reports.late, carry_evaluations)
         reports_used = inbox.reports_used(exchange, carrier.receptions.vehicles)
         trust, known_senders, looked_up = look_up(

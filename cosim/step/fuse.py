@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from cosim.base.ragged import ptr_of
+from cosim.base.ragged import ptr_of, stable_order
 from cosim.base.threads import threads_for
 from cosim.messages.content import Detections
 from cosim.messages.trust_hosts import TrustState
@@ -41,10 +41,9 @@ def fuse_objects(
 
     `evaluations` are those that the vehicles can use, as `Inbox.evaluations_used` returns them.
     """
-    hosts, messages = parts.trust, looked_up.messages
+    hosts = parts.trust
     given = FusionInput(groups.lists, groups.groups, groups.detections, *evaluations)
-    ptr = ptr_of(messages.receiver, len(groups.lists.owner))
-    in_time = np.full(len(messages.message), parts.config.radio.evaluations == "alone")
+    trust_of = _trust_in_senders(looked_up, parts.config.radio.evaluations == "alone", len(groups.lists.owner))
     fused: dict[int, Fused] = {}
     votes = None
     numbers_by_mode: dict[str, list[int]] = defaultdict(list)  # variants whose boxes are fused from all detections
@@ -53,7 +52,7 @@ def fuse_objects(
         if not variant.fused:
             continue
         params = variant.trust
-        sender_trust = SenderTrust(ptr, messages.message, looked_up.lookups[number].trust, in_time)
+        sender_trust = trust_of[number]
         if scorer is not None and votes is None:
             votes = votes_of(given, sender_trust)
         distance_m = None
@@ -65,12 +64,34 @@ def fuse_objects(
     for mode, numbers in numbers_by_mode.items():
         of_mode = {number: fused[number] for number in numbers}
         params_of = [hosts.variants[number].trust for number in numbers]
-        fused |= _with_boxes(of_mode, params_of, groups, looked_up, mode)
+        fused |= _with_boxes(of_mode, params_of, groups, trust_of, mode)
     return [fused.get(number) for number in range(len(hosts.variants))]
 
 
+def _trust_in_senders(looked_up: LookedUp, in_time: bool, n_egos: int) -> list[SenderTrust]:
+    """Per trust variant, the trust of each vehicle that senses in the senders of all messages that it uses.
+
+    Without `in_time`, evaluations arrive a step after their detections, too late for fusion.
+    """
+    reports, further = looked_up.messages, looked_up.further
+    order = stable_order(np.concatenate([reports.key(), further.key()]))
+    message = np.concatenate([reports.message, further.message])[order]
+    ptr = ptr_of(np.concatenate([reports.receiver, further.receiver])[order], n_egos)
+    has_evaluations = (order < len(reports.message)) & in_time
+    found = []
+    for number, (lookups, of_further) in enumerate(zip(looked_up.lookups, looked_up.of_further, strict=True)):
+        trust = np.concatenate([lookups.trust, of_further])[order]
+        own = None if looked_up.own is None else looked_up.own[number]
+        found.append(SenderTrust(ptr, message, trust, has_evaluations, own))
+    return found
+
+
 def _with_boxes(
-    fused: Mapping[int, Fused], params: Sequence[TrustParams], groups: ObjectGroups, looked_up: LookedUp, mode: str
+    fused: Mapping[int, Fused],
+    params: Sequence[TrustParams],
+    groups: ObjectGroups,
+    trust_of: Sequence[SenderTrust],
+    mode: str,
 ) -> dict[int, Fused]:
     """The objects with boxes from all their detections, and with scores that say how well the boxes may fit.
 
@@ -82,24 +103,26 @@ def _with_boxes(
         Objects by number of the trust variant.
     params
         Section [trust] of each of these variants.
+    trust_of
+        Trust in the senders, per trust variant.
     mode
         Their `fused_boxes`.
     """
     assert groups.accuracy is not None
-    lists, detections, messages = groups.lists, groups.detections, looked_up.messages
+    lists, detections, senders = groups.lists, groups.detections, trust_of[0]
     known = ViewLists(
         ptr=lists.ptr,
         member=lists.member,
         owner=lists.owner,
         group=groups.groups.numbers(),
         seed=lists.member[groups.groups.seeds()],
-        received_ptr=ptr_of(messages.receiver, len(lists.owner)),
-        received=messages.message,
+        received_ptr=senders.ptr,
+        received=senders.message,
     )
     weights, wanted = [], []
     for of_variant, (number, objects) in zip(params, fused.items(), strict=True):
         of_stranger = max(of_variant.default_trust, 1e-9)
-        weights.append(np.minimum(looked_up.lookups[number].trust / of_stranger, 1.0))
+        weights.append(np.minimum(trust_of[number].trust / of_stranger, 1.0))
         is_wanted = np.zeros(len(known.seed), bool)
         is_wanted[objects.group] = True
         wanted.append(is_wanted)

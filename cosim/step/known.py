@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.base.ragged import ptr_of
+from cosim.base.ragged import ptr_of, rows_of
 from cosim.messages.content import SELF, Detections
 from cosim.step.ground_truth import GroundTruth
 from trust import tables
@@ -22,6 +23,17 @@ class Uses(NamedTuple):
     """Row of the vehicles that sense."""
     message: Int[ndarray, "r"]
     """Row of `Known`."""
+
+    def key(self) -> Int[ndarray, "r"]:
+        """A number for each row, in the order of the rows."""
+        return self.receiver.astype(np.int64) << 32 | self.message
+
+
+def without(uses: Uses, others: Uses) -> Uses:
+    """Those of these uses that are not among the others."""
+    _, is_there = rows_of(uses.key(), others.key())
+    rows = np.flatnonzero(~is_there)
+    return Uses(uses.receiver[rows], uses.message[rows])
 
 
 @dataclass(frozen=True, slots=True)

@@ -170,12 +170,13 @@ def _deliver(
     links, vehicles = carrier.receptions, exchange.vehicles
     row = np.full(len(exchange.senders), -1)  # per message of this step, the row of the evaluations that it carries
     _, which, at = np.intersect1d(carried.sender, exchange.sender, assume_unique=True, return_indices=True)
-    row[at] = which
+    row[at] = np.arange(len(which))
+    carried = carried.take(which)  # the others wait for a message of their sender
     sent = parts.linkage.messages(pseudonyms, carried.messages)
     got = links.vehicles.take(row[links.vehicles.message] >= 0)
     trust = parts.trust.add_local(trust, sent, vehicles.actor[got.receiver], row[got.message])
     up = links.uplink.take(row[links.uplink.message] >= 0)
-    carrier.heard[row[up.message]] = True
+    carrier.heard[which[row[up.message]]] = True
     sent = parts.linkage.messages(pseudonyms, _upheld(carried.messages, carried.sender, exchange, parts))
     return parts.trust.report_by_rsu(trust, sent, row[up.message], carrier.begin_s + up.received_s)
 

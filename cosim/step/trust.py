@@ -20,7 +20,7 @@ from cosim.radio.link_budget import neighbours
 from cosim.radio.message_round import Receptions, RoundKind
 from cosim.step.broadcast import Broadcast
 from cosim.step.exchange import Exchange, Times, Vehicles
-from cosim.step.known import Known, Uses
+from cosim.step.known import Known, Uses, without
 from cosim.step.listing import Listed
 from cosim.step.parts import Parts
 from cosim.step.trackers.encounters import Encounters, NearPairs, update_encounters
@@ -187,12 +187,18 @@ def _trust_in(
 
 @dataclass(frozen=True, slots=True)
 class LookedUp:
-    """Trust in the senders of the evaluations that each vehicle uses in fusion."""
+    """Trust in the senders of the messages that each vehicle uses in fusion."""
 
     messages: Uses
-    """The messages whose senders' trust is looked up."""
+    """The messages with evaluations."""
     lookups: list[Lookups]
     """Answers per trust variant, aligned with `messages`."""
+    further: Uses
+    """The messages with detections without their sender's evaluations, which are lost, late or not sent."""
+    of_further: list[Float[ndarray, "f"]]
+    """Trust in their senders per trust variant, aligned with `further`."""
+    own: list[Float[ndarray, "e"]] | None
+    """Trust of each vehicle that senses in itself, per trust variant; None if no variant asks for it."""
 
 
 def look_up(
@@ -206,7 +212,7 @@ def look_up(
     pseudonyms: PseudonymState,
     parts: Parts,
 ) -> tuple[TrustState, KnownSenders, LookedUp]:
-    """Every vehicle that senses looks up its trust in the senders of the evaluations that it uses.
+    """Every vehicle that senses looks up its trust in the senders of the messages that it uses.
 
     Parameters
     ----------
@@ -217,17 +223,20 @@ def look_up(
     messages
         Messages of the step and earlier ones.
     used
-        Those that carried the evaluations, and the vehicles that use them.
+        Those that carried the evaluations, and the vehicles that use them. Only these look-ups are recorded.
     cpms
         The round of detection messages.
     parts
         Components of the run.
     """
-    now = exchange.now
-    holder = exchange.sensing.actor[used.receiver]
+    now, sensing = exchange.now, exchange.sensing
+    holder = sensing.actor[used.receiver]
     asked = messages.pseudonym
     trust = parts.trust.receive(trust, exchange.vehicles.actor, now.fused_s)
     found = _trust_in(trust, holder, asked, used.message, now.fused_s, exchange, pseudonyms, parts)
+    further = without(messages.received, used)
+    others = sensing.actor[further.receiver]
+    of_further = _trust_in(trust, others, asked, further.message, now.fused_s, exchange, pseudonyms, parts)
     if parts.config.pseudonyms.linkage == "own":
         received = _received_senders(exchange, listed, cpms.accepted.vehicles)
         known_senders = update_senders(
@@ -240,7 +249,21 @@ def look_up(
         known_senders, found = _of_old_pseudonyms(
             trust, known_senders, holder, asked[used.message], now.fused_s, found, parts
         )
-    return trust, known_senders, LookedUp(used, parts.trust.per_variant(found))
+        _, of_further = _of_old_pseudonyms(
+            trust, known_senders, others, asked[further.message], now.fused_s, of_further, parts
+        )
+    own = None
+    if any(variant.trust.fixed_ego_trust is None for variant in parts.trust.variants):
+        subject = parts.linkage.subjects(pseudonyms, pseudonyms.of(sensing.actor))
+        own = [of_host.trust for of_host in parts.trust.lookup(trust, sensing.actor, subject, now.fused_s)]
+    looked_up = LookedUp(
+        messages=used,
+        lookups=parts.trust.per_variant(found),
+        further=further,
+        of_further=parts.trust.per_variant([of_host.trust for of_host in of_further]),
+        own=None if own is None else parts.trust.per_variant(own),
+    )
+    return trust, known_senders, looked_up
 
 
 def _received_senders(exchange: Exchange, listed: Listed, received: Receptions) -> ReceivedSenders:

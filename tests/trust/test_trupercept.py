@@ -41,6 +41,12 @@ def test_what_its_own_sender_doubts_is_no_evidence():
         add(model, 0, [(2, 1, 0, 0.8, 1), (2, 1, 1, 0.6, 1), (2, 1, 2, -1, 1)])
         assert trust_of(model, 1) == pytest.approx(expected, abs=1e-12)
         assert model.scores().n_evaluations.tolist() == [n]
+    # who evaluates only what does not count is no evaluator behind the value
+    for least, evaluators in ((0.5, 1), (0.0, 3)):
+        model = TruPercept(TrustParams(least_score=least), 1.0)
+        open_step(model, 0, {1: [1.0, 0.4], 2: [], 3: [], 4: []})
+        add(model, 0, [(2, 1, 0, 0.8, 1), (3, 1, 1, 0.6, 1), (4, 1, 1, -1, 1)])
+        assert model.scores().n_evaluators.tolist() == [evaluators]
 
 
 @pytest.mark.parametrize(

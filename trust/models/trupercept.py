@@ -82,17 +82,17 @@ class TruPercept:
         self._folded = _Sums(0) if params.freshness_s == "off" else None
         """Sums over all steps that are no longer open; None if evidence expires."""
         self._folded_until = -1
-        self.store = store or EvidenceStore(self._folded is None)
+        self.store = store or EvidenceStore(self._folded is None, params.least_score)
         self._counting = Counting(params.weighting == "score", params.unseen == "skip", params.least_score)
         self.store.readers.append(self)
         self._opened, self._n_added = -1, 0
 
     @classmethod
     def build_shared(cls, params: list[TruPerceptParams], dt_s: float) -> list["TruPercept"]:
-        """Models with one store of evidence.
+        """Models with one store of evidence for each `least_score`.
 
-        Models whose evidence never expires have other stores. They share one if they agree in weighting, unseen,
-        least_score, and the age at which they stop to accept evaluations. Each model has the scores and counters of a
+        Models whose evidence never expires have other stores. They share one if they agree in weighting and unseen,
+        too, and in the age at which they stop to accept evaluations. Each model has the scores and counters of a
         model of its own, bit for bit, provided that all of them are given the same `open_step` and the same
         `ReceivedEvaluations` objects before any of them is asked for `scores`.
         """
@@ -100,7 +100,7 @@ class TruPercept:
         models = []
         for p in params:
             expires = p.freshness_s != "off"
-            key = () if expires else (p.weighting, p.unseen, p.least_score, p.grace_s)
+            key = (p.least_score,) if expires else (p.least_score, p.weighting, p.unseen, p.grace_s)
             model = cls(p, dt_s, stores.get(key))
             stores[key] = model.store
             models.append(model)

@@ -5,11 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.addons.compare.scenarios import FOLDER
+from cosim.addons.compare.scenarios import FOLDER, ScriptedScene
 from cosim.base import rng
 from cosim.base.codes import TrustSource
 from cosim.config.config import load
-from cosim.radio.rsu import RsuAntennas
+from cosim.messages.trust_hosts import TrustHosts
+from cosim.radio.message_round import RoundKind
+from cosim.radio.rsu import NO_RSUS, RsuAntennas
+from cosim.step import cycle
+from cosim.step.parts import Parts
+from cosim.step.state import State
 from tests.drive import cosim
 from tests.parts import DuplicatingMedium
 from tests.scene import QUIET, play
@@ -115,6 +120,56 @@ def test_piggybacked_through_a_unit():
     steps, _ = play(4, "server.uplink=rsu", "rsu.n_at_junctions=1", "radio.evaluations=piggybacked", rsus=unit(20, 20))
     assert [t.servers[0].up.n_reached for t in steps] == [0, 3, 3, 3]
     assert [by_server(t) for t in steps] == [0, 0, 6, 6]
+
+
+def in_turns(n, *overrides, rsus=NO_RSUS):
+    """Steps in which vehicles sense, every 4 s at times of their own; their evaluations travel with detections."""
+    scene, turns = ScriptedScene.load(), ("sensing_interval_s=4", "sensing_phase=random")
+    overrides = (*QUIET, *turns, "radio.evaluations=piggybacked", *overrides)
+    parts = Parts.of(load(FOLDER / "scenario-2.toml", overrides), scene.city, rsus)
+    state = State.start(parts)
+    for number in range(n):
+        state, result = cycle.step(scene.world(number), state, parts)
+        if result.sensed is not None:
+            yield result.sensed
+
+
+def test_evaluations_that_wait_for_a_message_are_no_reports_yet():
+    """Vehicles sense, and send, every 4 s at times of their own. What they evaluate in between waits."""
+    through_unit = "server.uplink=rsu", "rsu.n_at_junctions=1", "radio.model=unit_disk"
+    steps = list(in_turns(16, *through_unit, rsus=unit(20, 20)))
+    made = sum(int((np.diff(t.evaluated.sent.ptr) > 0).sum()) for t in steps)
+    up = [t.servers[0].up for t in steps]
+    assert made - 3 == sum(one.n_reports for one in up) == sum(one.n_reached for one in up) > 0
+    assert sum(one.n_lost for one in up) == 0
+
+
+def test_piggybacked_evaluations_of_a_message_that_outlasts_its_round():
+    """Frames of a station are 4.3 s apart, so messages arrive in the second round of their step or later."""
+    given, original = set(), TrustHosts.add_local
+
+    def noted(hosts, state, messages, vehicle, message, of_others=True):
+        if of_others:
+            given.update(zip(vehicle.tolist(), messages.evaluator[message].tolist(), strict=True))
+        return original(hosts, state, messages, vehicle, message, of_others)
+
+    slow = "radio.model=csma", "radio.timeout_s=2", "radio.dcc.t_off_s=[4.3, 4.3, 4.3, 4.3, 4.3]"
+    n_arrived = 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(TrustHosts, "add_local", noted)
+        for t in in_turns(20, "trust.host=local", *slow):
+            carrier = t.carried[-1]
+            for late in (one for one in t.rounds[1].late if one.kind == RoundKind.CPM and carrier.evaluations):
+                got = late.links.vehicles
+                now = late.step[got.message] == carrier.step
+                sender = t.senders.pseudonym[np.searchsorted(carrier.sender, late.sender[got.message[now]])]
+                says = np.diff(carrier.evaluations.messages.ptr) > 0
+                tells = np.isin(sender, carrier.evaluations.messages.evaluator[says])
+                receiver = t.vehicles.actor[got.receiver[now][tells]]
+                assert set(zip(receiver.tolist(), sender[tells].tolist(), strict=True)) <= given
+                n_arrived += len(receiver)
+            given.clear()
+    assert n_arrived > 5
 
 
 def test_causality_in_the_cycle():
