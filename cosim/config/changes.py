@@ -20,10 +20,14 @@ class Change:
     value: Any
     default: Any
     """`NONE` where the default config has no such key or section."""
+    is_left_out: bool = False
+    """Whether it is a section of the default that the config does not have."""
 
     @property
     def line(self) -> str:
         """The key with its value and the default, as in a config."""
+        if self.is_left_out:
+            return f"{self.key} is left out (default {as_toml(self.default)})"
         if self.default is NONE:
             return f"{self.key} = {as_toml(self.value)}"
         return f"{self.key} = {as_toml(self.value)} (default {as_toml(self.default)})"
@@ -57,6 +61,10 @@ def _of(section: str, value: Any, default: Any, config: Config) -> Iterator[Chan
             if number >= len(default) or _plain(item) != _plain(default[number]):
                 own = _own_keys(item, _params(config, section, number))
                 yield Change(f"{section}.{number}", own, NONE)
+        for number in range(len(value), len(default) if value else 0):
+            item = default[number]
+            first = next(iter(item))
+            yield Change(f"{section}.{number}", None, {first: item[first]}, is_left_out=True)
     else:
         yield Change(section, value, default)
 

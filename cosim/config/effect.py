@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.attacks.params import AttackParams
-from cosim.config.config import Config, chosen, chosen_model, resolve_data
+from cosim.config.config import PAPER_RULE, Config, chosen, chosen_model, resolve_data
 from cosim.door.load import is_own
 from cosim.traffic.roadside import RoadsideParams
 from sensors.weather import extinction_per_m
@@ -109,12 +109,32 @@ def without_effect(config: Config, is_replayed: bool) -> list[str]:
             optional = (f for f in fields(default) if f.default is not MISSING)
             of_section = [prefix + f.name for f in optional if getattr(one, f.name) != f.default]
             found += _vain(of_section, _needs(section, one, prefix))
+    found += _unread_by_variants(config)
     if config.trust.matching == "iou":
         found += [
             f'attacks.{number}.attack = "misstated_accuracy" has no effect without trust.matching = "gates".'
             for number, one in enumerate(config.attacks)
             if one.attack == "misstated_accuracy"
         ]
+    return found
+
+
+def _unread_by_variants(config: Config) -> list[str]:
+    """One line for each key of a trust variant that differs from [trust] and that the variant's model does not read."""
+    read_by_models = {
+        need["keys"][0].removeprefix("trust."): need["need"]
+        for need in _NEEDS["config"]
+        if {"rule": "read_by_a_model"} in need["if"]
+    }
+    found = []
+    for number, variant in enumerate(config.trust_variant):
+        if variant.name == PAPER_RULE["name"]:  # that of the default run: nobody has asked for it
+            continue
+        params = chosen_model(variant)[0].params
+        for name, value in variant.changes.items():
+            is_read = params is None or name in {f.name for f in fields(params)}
+            if name in read_by_models and not is_read and value != getattr(config.trust, name):
+                found.append(f"trust_variant.{number}.{name} has no effect without {read_by_models[name]}.")
     return found
 
 

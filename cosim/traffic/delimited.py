@@ -57,6 +57,8 @@ def first_line(path: Path) -> str:
         raise TrafficError(str(error)) from None
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise TrafficError(f"{path}: its text is UTF-16. Save it as UTF-8.")
+    if b"\n" not in head and b"\r" in head.rstrip(b"\r"):
+        raise TrafficError(f"{path}: its lines end with CR alone. Save it with lines that end with LF, or CR and LF.")
     return head.partition(b"\n")[0].decode(errors="replace").strip().lstrip("\ufeff")
 
 

@@ -179,22 +179,25 @@ def _of_sumo(paths: Sequence[Path], params: ContactParams, out: Path | None, adv
         raise ValueError(f"{paths[1]}: one trace of SUMO's at a time. Count contacts of each in its own command.")
     named = str(paths[0])
     scenario = find(named) if params.scenario is None else find(params.scenario, named)
-    step_s = params.step_s or _sumo_step_s(paths[0])
+    first_s, between_s = _first_and_interval_s(paths[0])
+    step_s = params.step_s or between_s
     traffic = TrafficParams(scenario=params.scenario or named, trace=named, step_s=step_s, begin_s=params.from_s)
     registry = ActorRegistry(params.fleet, params.seed)
     was_observed = is_observed(paths[0])
     if was_observed and params.appearance is None:
         params = replace(params, appearance="censors")
     skipped_s = 0.0 if was_observed and params.from_s is None else step_s
+    if params.from_s is None and params.to_s is not None:
+        params = replace(params, from_s=first_s)
     return _of_traffic(scenario, traffic, registry, params, paths, out, advance, skipped_s)
 
 
-def _sumo_step_s(path: Path) -> float:
-    """Interval of the first timesteps of a trace."""
+def _first_and_interval_s(path: Path) -> tuple[float, float]:
+    """Time of the first timestep of a trace, and interval of the first ones."""
     read = timesteps(path)
     times_s = [timestep.time_s for timestep, _ in zip(read, range(10), strict=False)]
     read.close()  # type: ignore[attr-defined]
-    return interval_s(np.array(times_s)) or 1.0
+    return times_s[0] if times_s else 0.0, interval_s(np.array(times_s)) or 1.0
 
 
 def _of_traffic(

@@ -173,6 +173,24 @@ def test_notes_on_a_trace_are_printed(tmp_path):
     assert "types equipped (passenger)" in guess and "at 3 s for the first time: 1 steps" in lost
 
 
+def late_trace(begin_s, end_s):
+    """What SUMO writes of two vehicles that drive in a line, from one time to another."""
+    row = '<vehicle id="{name}" x="{x}" y="0" angle="90" type="passenger" speed="8"/>'
+    steps = (
+        f'<timestep time="{t}">' + "".join(row.format(name=f"v{i}", x=8 * t + 14 * i) for i in range(2)) + "</timestep>"
+        for t in range(begin_s, end_s + 1)
+    )
+    return f"<fcd-export>{''.join(steps)}</fcd-export>"
+
+
+def test_the_end_is_a_time_of_the_trace_also_where_the_trace_begins_late(tmp_path):
+    """From 100 s to 200 s, counted until 150 s: 51 worlds, with and without the begin said."""
+    (tmp_path / "late.xml").write_text(late_trace(100, 200))
+    for more in (["--from", "100"], []):
+        done = cosim("contacts", "late.xml", *more, "--to", "150", cwd=tmp_path)
+        assert "51 s in steps of 1 s" in done.stdout
+
+
 BAD = {
     "no file": (["nothing.csv"], "no such file"),
     "equipped": (["t.csv", "--pairs", "equipped"], "says nothing of equipment"),
@@ -196,6 +214,8 @@ BAD = {
     "a folder": (["."], "not a run"),
     "units of SUMO's": (["a.xml", "--time-unit", "ms"], "--time-unit: a.xml is a trace that SUMO wrote"),
     "no such unit": (["t.csv", "--length-unit", "yards"], "--length-unit"),
+    "lines of another time": (["cr.csv"], "its lines end with CR alone"),
+    "over before it begins": (["late.xml", "--to", "50"], "from a time to a later one"),
 }
 
 
@@ -205,6 +225,8 @@ def test_misuse_ends_in_one_line_and_nothing_written(tmp_path, what):
     trace(tmp_path, [("a", t, t, 0) for t in range(10)])
     (tmp_path / "c.toml").write_text("[[encounters]]\n")
     (tmp_path / "e.csv").write_text("\x1b[31mred\n")
+    (tmp_path / "cr.csv").write_bytes(b"id,time,x,y\ra,0,0,0\ra,1,1,0\r")
+    (tmp_path / "late.xml").write_text(late_trace(100, 110))
     bare = "".join(f'<timestep time="{t}"><vehicle id="a" x="{t}" y="0"/></timestep>' for t in range(3))
     for name in ("a.xml", "b.xml"):
         (tmp_path / name).write_text(f"<fcd-export>{bare}</fcd-export>")

@@ -71,7 +71,8 @@ def test_check_says_what_changes_and_what_follows(tmp_path):
     )
     said = cosim("check", "mine.toml", cwd=tmp_path).stdout
     for line in (
-        "5 keys differ from the default of preset v0.2",
+        "6 keys differ from the default of preset v0.2",
+        'attacks.1 is left out (default { attack = "unreliable" })',
         "traffic.duration_s = 3600 (default 180)",
         'attacks.0 = { attack = "sybil", share_p = 0.3, n_ghosts = 7 }',
         'trust.model = "beta" (default "trupercept")',
