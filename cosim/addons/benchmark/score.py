@@ -37,13 +37,13 @@ class Figures:
     """Median time from an attacker's first message with the attack to its first exclusion by any vehicle (Kaplan-Meier,
     with its own interval); NaN if more than half of the attackers are never excluded."""
     wrong_p: ClusteredEstimate
-    """Share of honest vehicle-seconds that are excluded."""
+    """Share of honest vehicle-steps that are excluded."""
     believed_p: ClusteredEstimate
     """Damage that was believed: share of the received messages of attackers whose sender is not excluded."""
     age_s: ClusteredEstimate
     """Mean age of the newest evaluation behind a value at look-up."""
     harm: ClusteredEstimate
-    """Mean of two shares, averaged over worlds: honest vehicle-seconds that are excluded, and received messages of
+    """Mean of two shares, averaged over worlds: honest vehicle-steps that are excluded, and received messages of
     attackers that have false detections and are believed."""
 
 
@@ -54,8 +54,8 @@ class Counts:
     above: float
     pairs: float
     """Pairs of an honest and an attacking sender's value, and how many of them are in the right order (ties half)."""
-    wrong_s: float
-    honest_s: float
+    n_wrong: float
+    n_honest: float
     believed: float
     lies_believed: float
     messages: float
@@ -90,15 +90,15 @@ def counts(
     other = trust[rated & is_attacker]
     below, not_above = (np.searchsorted(honest, other, side).sum() for side in ("left", "right"))
     above = len(honest) * len(other) - (below + not_above) / 2
-    seconds, of = np.unique((step << 16 | sender)[~is_attacker], return_inverse=True)
-    n_excluded = np.bincount(of, excluded[~is_attacker], len(seconds))
-    share = n_excluded / np.bincount(of, minlength=len(seconds))
+    steps, of = np.unique((step << 16 | sender)[~is_attacker], return_inverse=True)
+    n_excluded = np.bincount(of, excluded[~is_attacker], len(steps))
+    share = n_excluded / np.bincount(of, minlength=len(steps))
     delay_s, found = _delays(step[is_attacker], sender[is_attacker], excluded[is_attacker], rules.dt_s)
     return Counts(
         above=float(above),
         pairs=float(len(honest) * len(other)),
-        wrong_s=float(share.sum()),
-        honest_s=float(len(seconds)),
+        n_wrong=float(share.sum()),
+        n_honest=float(len(steps)),
         believed=float((is_attacker & ~excluded).sum()),
         lies_believed=float((lies & ~excluded).sum()),
         messages=float(is_attacker.sum()),
@@ -130,13 +130,13 @@ def figures(of_worlds: list[Counts]) -> Figures:
     wait = ClusteredEstimate(median(curve), *median_band(curve), n) if n else UNKNOWN
     attacked = column["messages"] > 0
     harm = (
-        column["wrong_s"][attacked] / np.maximum(column["honest_s"][attacked], 1)
+        column["n_wrong"][attacked] / np.maximum(column["n_honest"][attacked], 1)
         + column["lies_believed"][attacked] / column["messages"][attacked]
     ) / 2
     return Figures(
         auc=ratio(column["above"], column["pairs"]),
         exclusion_s=wait,
-        wrong_p=ratio(column["wrong_s"], column["honest_s"]),
+        wrong_p=ratio(column["n_wrong"], column["n_honest"]),
         believed_p=ratio(column["believed"], column["messages"]),
         age_s=ratio(column["age_s"], column["n_aged"]),
         harm=ratio(harm, np.ones(len(harm))),
@@ -152,7 +152,7 @@ class ModelScore:
     """Checksum of a user's own file."""
     threshold: float
     quiet_p: float
-    """Share of vehicle-seconds that are excluded without attack: at most 0.05 of the look-ups."""
+    """Share of vehicle-steps that are excluded without attack: at most 0.05 of the look-ups."""
     attacks: dict[str, Figures]
     """By attack, worst AUC first."""
     cost_us: float

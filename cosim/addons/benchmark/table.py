@@ -1,5 +1,6 @@
 """Rows of the benchmark's table: computed for a user's model, stored with the set for the models that ship."""
 
+import inspect
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -25,9 +26,10 @@ Row = dict[str, Any]
 
 def digest() -> str:
     """Hash of the code on which a row depends: trust models, playing and scoring."""
-    room = Path(str(trust.__file__)).parent
+    rooms = {Path(str(trust.__file__)).parent, *(Path(inspect.getfile(model)).parent for model in MODELS.values())}
+    files = {file for room in rooms for file in room.rglob("*.py")}
     modules = [Path(str(module.__file__)) for module in (play, score, adapt)]
-    return code_digest([*sorted(room.rglob("*.py")), *modules])
+    return code_digest([*sorted(files), *modules])
 
 
 def citation(evidence: EvidenceSet) -> str:

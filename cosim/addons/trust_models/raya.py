@@ -23,6 +23,9 @@ class RayaParams(BetaParams):
     """tau: trustworthiness of every report; the default is ours."""
 
 
+_LARGE = 700.0
+"""The exponential of more is no double."""
+
 Combine = Callable[[ObjectReports, Float[ndarray, "r"]], Float[ndarray, "g"]]
 """Arguments: reports, and the weight F in (0, 1) of each. Result: score in [0, 1] of each group."""
 
@@ -92,8 +95,9 @@ def dempster_shafer(reports: ObjectReports, weight: ndarray) -> ndarray:
     Score of each group. A report gives the mass F to what it says, and 1 - F to "either"; 0 without reports.
     """
     a, b = _two_sums(reports, np.log1p(-weight))
-    p, q = np.exp(a), np.exp(b)  # mass left on "either" by all reports in favour, and by all against
-    return (1 - p) * q / (1 - (1 - p) * (1 - q))
+    # With p = exp(a) and q = exp(b), the masses left on "either" by all reports in favour and by all against, this is
+    # (1 - p) q / (p + q - p q), divided by q, so that nothing cancels where both are small.
+    return -np.expm1(a) / (1 - np.exp(np.minimum(a - b, _LARGE)) * np.expm1(b))
 
 
 class Raya(Beta):

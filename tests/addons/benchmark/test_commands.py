@@ -1,9 +1,11 @@
 """`cosim benchmark`: the model of the page is scored, and wrong use ends in one line with exit status 2."""
 
+import inspect
 import json
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -134,6 +136,15 @@ def test_rows_are_stored_with_the_set_and_kept(folder):
     (folder / "set" / table.TABLE).write_text("{")
     assert table.stored(tiny_set(), folder / "set")[0] == []
     assert call("beta")[1] is None, "a damaged table does not keep a model from being scored"
+
+
+def test_rows_depend_on_the_files_of_all_models(monkeypatch):
+    """Also on those of models in an add-on."""
+    read = []
+    monkeypatch.setattr(table, "code_digest", lambda files: read.extend(files))
+    table.digest()
+    assert {Path(inspect.getfile(model)) for model in MODELS.values()} <= set(read)
+    assert len(read) == len(set(read))
 
 
 def test_the_page_shows_the_stored_table():

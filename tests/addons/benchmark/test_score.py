@@ -27,8 +27,8 @@ def test_counts_by_hand():
     one = counts(of, answers, 0.4, RULES, of.lookups["step"] == 4)
     # honest values .9, .3, .8 against .5, .2, .3: 2 + 3 + 2.5 pairs in order
     assert (one.above, one.pairs) == (7.5, 9)
-    # honest vehicle-seconds: (4, 1), (4, 0), (6, 1), (6, 0); only the third is below .4
-    assert (one.wrong_s, one.honest_s) == (1, 4)
+    # honest vehicle-steps: (4, 1), (4, 0), (6, 1), (6, 0); only the third is below .4
+    assert (one.n_wrong, one.n_honest) == (1, 4)
     # messages of the attacker: .5 believed, .2 excluded, .3 excluded, unknown believed; false ones in step 4 only
     assert (one.messages, one.believed, one.lies_believed) == (4, 2, 1)
     # first look-up at 4 s, excluded in the same second
@@ -45,7 +45,7 @@ def test_counts_by_hand():
 def test_intervals_are_over_worlds():
     of, answers = by_hand()
     one = counts(of, answers, 0.4, RULES, of.lookups["step"] >= 4)
-    other = replace(one, wrong_s=4.0, above=0.0)
+    other = replace(one, n_wrong=4.0, above=0.0)
     found = figures([one, one, other, other])
     assert found.auc.n_units == 4 and found.auc.low < found.auc.value < found.auc.high
     assert found.auc.value == pytest.approx(7.5 / 18)

@@ -47,6 +47,17 @@ def test_rules_by_hand(name, a, b):
     assert scored(name, REPORTS, trust_from="vehicle").tolist() == pytest.approx([a, b], abs=1e-12)
 
 
+@pytest.mark.parametrize("n", [3, 9, 60, 400])
+def test_belief_by_dempster_where_many_contradict_each_other(n):
+    """As many against as in favour, all with F = 0.8: (1 - p) p / (2 p - p^2) = (1 - p) / (2 - p), with p = 0.2^n."""
+    in_favour = np.repeat([True, False], n)
+    reports = ObjectReports(np.zeros(2 * n, int), in_favour, np.ones(2 * n), np.full(2 * n, 0.8), 1)
+    p = 0.2**n
+    assert scored("raya_dempster_shafer", reports).tolist() == pytest.approx([(1 - p) / (2 - p)], rel=1e-12)
+    one_sided = ObjectReports(np.zeros(n, int), np.zeros(n, bool), np.ones(n), np.full(n, 0.8), 1)
+    assert scored("raya_dempster_shafer", one_sided).tolist() == [0.0]
+
+
 def captured(*args):
     """Votes that a fusion asks a model about, by (group, seed detection)."""
     seen = []
