@@ -28,7 +28,7 @@ def identify(
 ) -> tuple[PseudonymState, Vehicles, PseudonymUse]:
     """Issue pseudonyms to the equipped vehicles on the road.
 
-    A vehicle gets a pseudonym, and changes it, only in steps in which it senses.
+    A vehicle gets a pseudonym when it enters, and changes it only in steps in which it senses.
 
     Parameters
     ----------
@@ -51,12 +51,13 @@ def identify(
     actor = world.actor[row]
     names = world.name_key[row]
     ended = PseudonymUse.none()
-    if len(sensing):
+    issued = np.union1d(sensing, row[pseudonyms.of(actor) < 0])
+    if len(issued):
         wants = None
         if parts.adversary.renews:
             age_s = (world.step - pseudonyms.begun(world.actor, world.step)) * parts.config.traffic.step_s
-            wants = parts.adversary.renewals(world, now.begin_s, own_trust, age_s)[sensing]
-        pseudonyms, _, ended = parts.pseudonyms.issue(pseudonyms, world, sensing, wants)
+            wants = parts.adversary.renewals(world, now.begin_s, own_trust, age_s)[issued]
+        pseudonyms, _, ended = parts.pseudonyms.issue(pseudonyms, world, issued, wants)
     return pseudonyms, Vehicles(row, actor, names, pseudonyms.of(actor), np.searchsorted(row, sensing)), ended
 
 

@@ -43,6 +43,17 @@ def test_each_vehicle_senses_at_its_own_steps(runs):
     assert set(runs[1].vehicles.sensing_interval_steps.dropna()) == {1, 2, 5}
 
 
+def test_what_a_vehicle_says_in_its_first_message_is_heard(runs):
+    """It may be of messages that it received before: a vehicle has its pseudonym from when it enters."""
+    for run in runs:
+        assert run.manifest["summary"]["evaluations_rejected"] == {}
+        entered = run.vehicles[run.vehicles.equipped].set_index("vehicle").first_step
+        first = run.pseudonyms.groupby("vehicle").from_step.min()
+        assert (first == entered[first.index]).all()
+        own = run.detections[run.detections.detection_index == 0]
+        assert own.groupby(of_vehicle(run, own.observer)).step.min().gt(first).any()
+
+
 def test_sweeps_per_second_are_those_of_all_groups():
     """Half of the vehicles senses ten times a second, a quarter every two seconds, and the others once a second."""
     groups = SensingGroup(share_p=0.5, interval_s=0.1), SensingGroup(share_p=0.25, interval_s=2.0)
