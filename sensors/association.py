@@ -58,7 +58,8 @@ def _bound(variance, least, most, found):
     """Write the bounded variances."""
     for d in range(len(variance)):
         xx, xy, yy = variance[d, 0], variance[d, 1], variance[d, 2]
-        mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
+        mean = 0.5 * (xx + yy)
+        half = 0.5 * (xx - yy)
         spread = np.hypot(half, xy)
         low, high = mean - spread, mean + spread
         turn_x, turn_y = 1.0, 0.0
@@ -66,8 +67,10 @@ def _bound(variance, least, most, found):
             low = high = most
         elif spread > 0:
             turn_x, turn_y = half / spread, xy / spread
-        low, high = min(max(low, least), most), min(max(high, least), most)
-        mean, spread = 0.5 * (high + low), 0.5 * (high - low)
+        low = min(max(low, least), most)
+        high = min(max(high, least), most)
+        mean = 0.5 * (high + low)
+        spread = 0.5 * (high - low)
         found[d, 0] = mean + spread * turn_x
         found[d, 1] = spread * turn_y
         found[d, 2] = mean - spread * turn_x
@@ -81,7 +84,8 @@ def certainty(variance_m2: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
     xx, xy, yy = variance_m2.T
     b_xx, b_xy, b_yy = bounded(variance_m2).T
     with np.errstate(invalid="ignore", divide="ignore"):
-        share = np.sqrt((b_xx * b_yy - b_xy * b_xy) / (xx * yy - xy * xy))
+        bounded_det = b_xx * b_yy - b_xy * b_xy
+        share = np.sqrt(bounded_det / (xx * yy - xy * xy))
     return np.where(np.isfinite(share), np.minimum(share, 1.0), 1.0)
 
 
@@ -142,11 +146,13 @@ class _Places(NamedTuple):
     def of(boxes: Boxes, label: ndarray, variance_m2: ndarray, owner: ndarray, side_m: ndarray) -> "_Places":
         """In cells of these sides, one for each class."""
         label = np.minimum(label, _N_CLASSES)
+        n_buckets = 1 << max(len(boxes), 1).bit_length()
         cell = np.empty((len(boxes), 2), np.int64)
-        order, start = _by_bucket(boxes.xyz_m, label, side_m, 1 << max(len(boxes), 1).bit_length(), cell)
+        order, start = _by_bucket(boxes.xyz_m, label, side_m, n_buckets, cell)
         at = np.empty(len(boxes), np.int64)
         at[order] = np.arange(len(boxes))
-        boxes, owner = boxes.take(order), np.asarray(owner, np.int64)
+        boxes = boxes.take(order)
+        owner = np.asarray(owner, np.int64)
         return _Places(
             xyz=boxes.xyz_m,
             lwh=boxes.lwh_m,
@@ -177,10 +183,12 @@ def _by_bucket(xyz, label, side, n_buckets, cell):
         side_m = side[label[row]]
         cell[row, 0] = _cell(xyz[row, 0], side_m)
         cell[row, 1] = _cell(xyz[row, 1], side_m)
-        start[_bucket(cell[row, 0], cell[row, 1], label[row], n_buckets) + 1] += 1
+        bucket = _bucket(cell[row, 0], cell[row, 1], label[row], n_buckets)
+        start[bucket + 1] += 1
     for bucket in range(n_buckets):
         start[bucket + 1] += start[bucket]
-    at, order = start.copy(), np.empty(len(cell), np.int64)
+    at = start.copy()
+    order = np.empty(len(cell), np.int64)
     for row in range(len(cell)):
         bucket = _bucket(cell[row, 0], cell[row, 1], label[row], n_buckets)
         order[at[bucket]] = row
@@ -205,20 +213,22 @@ def _reach_m(
 ) -> Float[ndarray, "5 5"]:
     """How far apart the centres of detections of two classes are compared; -1 for classes that do not go together."""
     reach_m = np.full((_N_CLASSES + 1, _N_CLASSES + 1), -1.0)
-    largest_of_a, largest_of_b = _largest_of(a, a_label, a_variance_m2), _largest_of(b, b_label, b_variance_m2)
+    largest_of_a = _largest_of(a, a_label, a_variance_m2)
+    largest_of_b = _largest_of(b, b_label, b_variance_m2)
     for group in _GROUPS:
         for of_a, of_b in product(group, group):
-            if of_a in largest_of_a and of_b in largest_of_b:
-                (a_m, a_m2), (b_m, b_m2) = largest_of_a[of_a], largest_of_b[of_b]
+            a_m, a_m2 = largest_of_a[of_a]
+            b_m, b_m2 = largest_of_b[of_b]
+            if a_m >= 0 and b_m >= 0:
                 reach_m[of_a, of_b] = max(a_m + b_m, gate.reach * float(np.sqrt(a_m2 + b_m2)))
     return reach_m
 
 
-def _largest_of(boxes: Boxes, label: ndarray, variance_m2: ndarray) -> dict[int, tuple[float, float]]:
-    """Largest circumradius and largest variance along any axis of each class that is there."""
+def _largest_of(boxes: Boxes, label: ndarray, variance_m2: ndarray) -> list[list[float]]:
+    """Largest circumradius and largest variance along any axis of each class; -1 for a class that is not there."""
     found = np.full((_N_CLASSES, 2), -1.0)
     _largest(boxes.circumradius_m, label, variance_m2, found)
-    return {kind: (radius_m, along_m2) for kind, (radius_m, along_m2) in enumerate(found.tolist()) if radius_m >= 0}
+    return found.tolist()
 
 
 @compiled
@@ -244,26 +254,34 @@ def _agreeing(
     side_m = np.maximum(np.maximum(least_m, most_m / _MOST_RINGS), 1.0) * (1.0 + 1e-9)
     places = _Places.of(a, a_label, a_variance_m2, a_owner, side_m)
     others = places if is_same else _Places.of(b, b_label, b_variance_m2, b_owner, side_m)
-    n_chunks, room = (len(a) + _CHUNK - 1) // _CHUNK, _ROOM
-    most = -2.0 * np.log(gate.miss_p) * (1.0 + 1e-6) + 1e-9  # those at the edge are decided below
-    while True:
-        found = np.empty((n_chunks, room), _FOUND)
-        n = np.zeros(n_chunks, np.int64)
-        given = places, others, is_same, reach_m, most, gate.least_iou, found, n
-
-        def search(begin: int, end: int, given: Any = given) -> None:
-            _search(begin, end, *given)
-
-        in_ranges(search, n_chunks)
-        if n.max(initial=0) <= room:
-            break
-        room = int(n.max())
-    pairs = np.concatenate([found[:0].reshape(-1), *(found[chunk, : n[chunk]] for chunk in range(n_chunks))])
+    pairs = _candidates(places, others, is_same, reach_m, gate)
     agreement = np.exp(-0.5 * pairs["square"])
     agreement[agreement <= gate.miss_p] = 0.0
     agreement = np.maximum(agreement, pairs["iou"])
     kept = np.flatnonzero(agreement > 0.0)
     return pairs["i"][kept], pairs["j"][kept], agreement[kept]
+
+
+def _candidates(a: _Places, b: _Places, is_same: bool, reach_m: Float[ndarray, "5 5"], gate: Gate) -> ndarray:
+    """Pairs that may pass the gate, sorted by i and j; those at its edge are not decided."""
+    n_chunks = (len(a.row) + _CHUNK - 1) // _CHUNK
+    room = _ROOM
+    most = -2.0 * np.log(gate.miss_p) * (1.0 + 1e-6) + 1e-9
+    while True:
+        found = np.empty((n_chunks, room), _FOUND)
+        count = np.zeros(n_chunks, np.int64)
+        given = a, b, is_same, reach_m, most, gate.least_iou, found, count
+
+        def search(begin: int, end: int, given: Any = given) -> None:
+            _search(begin, end, *given)
+
+        in_ranges(search, n_chunks)
+        largest = int(count.max(initial=0))
+        if largest <= room:
+            break
+        room = largest
+    of_chunks = [found[chunk, :n] for chunk, n in enumerate(count)]
+    return np.concatenate([np.empty(0, _FOUND), *of_chunks])
 
 
 _MOST_RINGS = 8
@@ -299,11 +317,14 @@ def _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, out, room):
             if reach < 0.0:
                 continue
             rings = np.int64(np.ceil(reach / side))
-            middle_x, middle_y = _cell(a.xyz[i, 0], side), _cell(a.xyz[i, 1], side)
+            middle_x = _cell(a.xyz[i, 0], side)
+            middle_y = _cell(a.xyz[i, 1], side)
             for column in range(middle_x - rings, middle_x + rings + 1):
                 for row in range(middle_y - rings, middle_y + rings + 1):
                     bucket = np.uint64(_bucket(column, row, label, n_buckets))
-                    for j in range(np.uint64(b.start[bucket]), np.uint64(b.start[bucket + np.uint64(1)])):
+                    begin_j = np.uint64(b.start[bucket])
+                    end_j = np.uint64(b.start[bucket + np.uint64(1)])
+                    for j in range(begin_j, end_j):
                         x = a.xyz[i, 0] - b.xyz[j, 0]
                         y = a.xyz[i, 1] - b.xyz[j, 1]
                         apart = x * x + y * y

@@ -34,8 +34,10 @@ _REACH_M = 0.01
 @inlined
 def in_box(x, y, z, cx, cy, cz, cos, sin, half_l, half_w, half_h):
     """Whether a point lies strictly inside an upright box."""
-    dx, dy, dz = x - cx, y - cy, z - cz
-    return (abs(cos * dx + sin * dy) < half_l) & (abs(cos * dy - sin * dx) < half_w) & (abs(dz) < half_h)
+    dx, dy = x - cx, y - cy
+    along = cos * dx + sin * dy
+    across = cos * dy - sin * dx
+    return (abs(along) < half_l) & (abs(across) < half_w) & (abs(z - cz) < half_h)
 
 
 @dividing
@@ -53,12 +55,16 @@ def _crossings(cos_az, sin_az, p, q, cos, sin, half_l, half_w, middle, half):
     n = 0
     for i in range(len(cos_az)):
         ca, sa = cos_az[i], sin_az[i]
-        u, v = cos * ca + sin * sa, cos * sa - sin * ca
+        u = cos * ca + sin * sa
+        v = cos * sa - sin * ca
         along, across = 1.0 / u, 1.0 / v
-        s, t = (-half_l - p) * along, (half_l - p) * along
+        s = (-half_l - p) * along
+        t = (half_l - p) * along
         enter, leave = min(s, t), max(s, t)
-        s, t = (-half_w - q) * across, (half_w - q) * across
-        enter, leave = max(enter, min(s, t), -1.0), min(leave, max(s, t))  # long intervals behind would cost precision
+        s = (-half_w - q) * across
+        t = (half_w - q) * across
+        enter = max(enter, min(s, t), -1.0)  # long intervals behind would cost precision
+        leave = min(leave, max(s, t))
         grazing = min(abs(u), abs(v)) < _GRAZING
         n += grazing
         middle[i] = np.nan if grazing else 0.5 * (enter + leave)
@@ -78,7 +84,8 @@ def _bounds(steps, flat, nearest, farthest):
     for t in range(nearest.shape[1]):
         column = np.uint64(min(TILE * t, n - TILE))
         for b in range(len(flat)):
-            least, largest = nearest_and_farthest(steps, column, np.uint64(min(LANES * b, m - LANES)))
+            row = np.uint64(min(LANES * b, m - LANES))
+            least, largest = nearest_and_farthest(steps, column, row)
             nearest[b, t] = least * flat[b, 0]
             farthest[b, t] = largest * flat[b, 1]
             most = max(most, largest)
@@ -90,10 +97,13 @@ def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, sc
     """Returns in columns a0 to a1 and rows r0 to r1 that lie inside a box."""
     m = steps.shape[1]
     x, y, z, cos, sin, half_l, half_w, half_h = box
-    (nearest, farthest), (middle, half) = bounds, scratch
+    nearest, farthest = bounds
+    middle, half = scratch
     error = 2e-5 + 2e-6 * (abs(x) + abs(y) + abs(z) + half_l + half_w + half_h)
-    b0, b1 = r0 // LANES, (r1 + LANES - 1) // LANES
-    t0, t1 = a0 // TILE, (a1 + TILE - 1) // TILE
+    b0 = r0 // LANES
+    b1 = (r1 + LANES - 1) // LANES
+    t0 = a0 // TILE
+    t1 = (a1 + TILE - 1) // TILE
     radius = np.sqrt(half_l * half_l + half_w * half_w)
     distance = np.sqrt(x * x + y * y)
     least = np.float32(distance - radius - 3.0 * error)
@@ -104,7 +114,9 @@ def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, sc
     if distance + radius + abs(z) + half_h + error >= NO_RETURN * step_m:
         b1 = b0  # no return is not told from a range there
     n_grazing = -1  # until a tile needs to know
-    height, half_height, margin, total = np.float32(z), np.float32(half_h), np.float32(error), 0
+    height, half_height = np.float32(z), np.float32(half_h)
+    margin = np.float32(error)
+    total = 0
     for b in range(np.uint64(b0), np.uint64(b1)):
         row = b * np.uint64(LANES)
         for t in range(np.uint64(t0), np.uint64(t1)):
@@ -113,7 +125,8 @@ def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, sc
                     ca, sa = beams.cos_az[a0:a1], beams.sin_az[a0:a1]
                     n_grazing = _crossings(ca, sa, p, q, cos, sin, half_l, half_w, middle, half)
                 first = t * np.uint64(TILE)
-                for c in range(max(first, np.uint64(a0)), min(first + np.uint64(TILE), np.uint64(a1))):
+                end = first + np.uint64(TILE)
+                for c in range(max(first, np.uint64(a0)), min(end, np.uint64(a1))):
                     i = c - np.uint64(a0)
                     count, undecided = near_box(
                         steps, c, row, cos_el, sin_el, middle[i], half[i], height, half_height, margin
@@ -125,7 +138,8 @@ def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, sc
     rest = max(r0, b1 * LANES)
     if n_grazing > 0 or rest < r1:
         for column in range(a0, a1):
-            for r in range(r0 if n_grazing > 0 and np.isnan(half[column - a0]) else rest, r1):
+            is_grazing = n_grazing > 0 and np.isnan(half[column - a0])
+            for r in range(r0 if is_grazing else rest, r1):
                 total += _is_inside(steps, step_m, beams, column, r, box)
     return total
 
@@ -135,9 +149,12 @@ def _is_inside(steps, step_m, beams, c, r, box):
     """Whether this ray returned from within a box."""
     x, y, z, cos, sin, half_l, half_w, half_h = box
     d = steps[c, r] * step_m
-    away, up = d * beams.cos_el[r], d * beams.sin_el[r]
-    inside = in_box(away * beams.cos_az[c], away * beams.sin_az[c], up, x, y, z, cos, sin, half_l, half_w, half_h)
-    return inside & (steps[c, r] != _NO_RETURN)
+    away = d * beams.cos_el[r]
+    ahead = away * beams.cos_az[c]
+    left = away * beams.sin_az[c]
+    up = d * beams.sin_el[r]
+    is_inside = in_box(ahead, left, up, x, y, z, cos, sin, half_l, half_w, half_h)
+    return is_inside & (steps[c, r] != _NO_RETURN)
 
 
 @kernel
@@ -155,14 +172,20 @@ def points_in_boxes(range_steps, step_m, beams, pairs, run):
     `sensors.lidar.RangeImages`. A step is a power of two: single precision holds every range, and lengths per step are
     exactly as precise as lengths per metre.
     """
-    cos_el, sin_el = (step_m * beams.cos_el).astype(np.float32), (step_m * beams.sin_el).astype(np.float32)
-    m, out = len(cos_el), np.zeros(len(pairs.o), np.int32)
-    first = range(0, m, LANES)
-    blocks = [cos_el[max(0, min(row, m - LANES)) : row + LANES] for row in first]
+    cos_el = (step_m * beams.cos_el).astype(np.float32)
+    sin_el = (step_m * beams.sin_el).astype(np.float32)
+    m = len(cos_el)
+    blocks = [cos_el[max(0, min(row, m - LANES)) : row + LANES] for row in range(0, m, LANES)]
     flat = np.array([[block.min(), block.max()] for block in blocks], np.float32)
-    edge = math.cos(0.5 * beams.fov_rad), math.sin(0.5 * beams.fov_rad)
+    half_fov_rad = 0.5 * beams.fov_rad
+    edge = math.cos(half_fov_rad), math.sin(half_fov_rad)
     given = range_steps, step_m, beams, cos_el, sin_el, flat, edge, pairs, run
-    in_ranges(lambda begin, end: _add_points(out, begin, end, given), len(run) - 1)
+    out = np.zeros(len(pairs.o), np.int32)
+
+    def add(begin: int, end: int) -> None:
+        _add_points(out, begin, end, given)
+
+    in_ranges(add, len(run) - 1)
     return out
 
 
@@ -191,7 +214,7 @@ def _add_points(out, begin, end, given):
             half_l, half_w, half_h = 0.5 * length, 0.5 * width, 0.5 * height
             radius = np.sqrt(half_l * half_l + half_w * half_w)
             distance = np.sqrt(x * x + y * y)
-            close = distance - radius
+            close, far = distance - radius, distance + radius
             if abs(y) * edge[0] - x * edge[1] > radius or close > farthest:
                 continue  # beside the field of view, or behind all returns
             cos, sin = np.cos(yaw), np.sin(yaw)
@@ -199,8 +222,10 @@ def _add_points(out, begin, end, given):
             r0, r1 = 0, m
             if close > 1e-6:
                 low, high = z - half_h, z + half_h
-                r0 = max(0, below(slopes, low / (close if low < 0.0 else distance + radius)) - 1)
-                r1 = min(m, below(slopes, high / (close if high > 0.0 else distance + radius)) + 1)
+                lowest = low / (close if low < 0.0 else far)
+                highest = high / (close if high > 0.0 else far)
+                r0 = max(0, below(slopes, lowest) - 1)
+                r1 = min(m, below(slopes, highest) + 1)
             box = x, y, z, cos, sin, half_l, half_w, half_h
             for turn in range(2):
                 c0, c1 = (a0, a1) if turn == 0 else (b0, b1)

@@ -67,13 +67,14 @@ class Coverage:
         (`expected_returns`). Bodies that the evaluator does not know hide nothing; behind them, the recall is too high.
         """
         poses = mount(boxes, carrier, self.lidar)
+        solid = prisms(_SHAPE[label], boxes)
         found = expected_returns(
-            poses.origin_m, poses.yaw_rad, carrier, self.beams, bodies, boxes, prisms(_SHAPE[label], boxes), self.walls,
-            self.lidar.max_range_m,
-        )  # fmt: skip
+            poses.origin_m, poses.yaw_rad, carrier, self.beams, bodies, boxes, solid, self.walls, self.lidar.max_range_m
+        )
+        n_returns = np.floor(found.n).astype(np.int64)
         question = owner_of_rows(np.diff(bodies.ptr))
-        away_m = np.linalg.norm(boxes.xyz_m[bodies.row] - poses.origin_m[question], axis=1)
-        return self.recall(np.floor(found.n).astype(np.int64), label[bodies.row], away_m)
+        apart_m = boxes.xyz_m[bodies.row] - poses.origin_m[question]
+        return self.recall(n_returns, label[bodies.row], np.linalg.norm(apart_m, axis=1))
 
 
 def at_place(found_m: Float[ndarray, "n 3"], place: Boxes) -> Bool[ndarray, "n"]:

@@ -174,9 +174,8 @@ def detect(
             f"{n_observers} observers and {n_actors} actors. Give one key for each."
         )
     reports = detector.detect(sweeps, seen, boxes, label, draws)
-    reports = reports.take(
-        np.lexsort([reports.boxes.xyz_m[:, 1], reports.boxes.xyz_m[:, 0], -reports.score, reports.observer])
-    )
+    x, y, _ = reports.boxes.xyz_m.T
+    reports = reports.take(np.lexsort([y, x, -reports.score, reports.observer]))
     return DetectedBoxes(
         reports.observer.astype(np.int32),
         reports.label.astype(np.uint8),

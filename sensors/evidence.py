@@ -80,12 +80,15 @@ def in_evaluation_area(
     Area filter of TruPercept: |left| <= forward + slack for its 90 degrees.   Deviations: other fields of view keep
     the slack at their edges; 360 degrees have no edge.
     """
-    exempt, near = np.zeros(0, bool), boxes.take(slice(0, 0))
+    exempt = np.zeros(0, bool)
+    near = boxes.take(slice(0, 0))
     if label is not None and own is not None:
-        exempt, near = label == ObjectClass.CAR, sweeps.poses.to_sensor(np.arange(len(own)), own)
+        exempt = label == ObjectClass.CAR
+        near = sweeps.poses.to_sensor(np.arange(len(own)), own)
+    fov_rad = sweeps.beams.fov_rad
     return evidence_kernels.in_area(
         sweeps.poses.pairs(o, boxes, b), exempt, near.xyz_m, near.lwh_m, params.range_m + params.slack_m,
-        params.height_m, sweeps.beams.fov_rad, edge_slope(sweeps.beams.fov_rad), params.slack_m, params.own_radius_m,
+        params.height_m, fov_rad, edge_slope(fov_rad), params.slack_m, params.own_radius_m,
     )  # fmt: skip
 
 
@@ -134,10 +137,10 @@ def plausible(
     place of the camera, and the field of view is the sensor's.
     """
     pairs = sweeps.poses.pairs(o, boxes, b)
+    limits = area.range_m, area.height_m, edge_slope(sweeps.beams.fov_rad)
     return evidence_kernels.free_space(
-        sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(),
-        (area.range_m, area.height_m, edge_slope(sweeps.beams.fov_rad)), params.margin_m, params.min_share,
-    )  # fmt: skip
+        sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(), limits, params.margin_m, params.min_share
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,14 +189,16 @@ def observability(
     """
     ptr, row = neighbours(sweeps.poses.origin_m, boxes, sweeps.max_range_m) if near is None else near
     assert len(ptr) == len(sweeps.observers) + 1, "neighbours of other sweeps"
+    bodies = prisms(shape, boxes, sweeps.speed_mps) if bodies is None else bodies
     n_returns, n_unoccluded = range_image.unoccluded_returns(
         sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m),
-        boxes.xyz_m, boxes.circumradius_m, boxes.lwh_m[:, 2], ptr, row, sweeps.observers,
-        prisms(shape, boxes, sweeps.speed_mps) if bodies is None else bodies,
+        boxes.xyz_m, boxes.circumradius_m, boxes.lwh_m[:, 2], ptr, row, sweeps.observers, bodies,
     )  # fmt: skip
     n_unoccluded = np.maximum(n_unoccluded, n_returns)  # bodies from meshes may reach beyond their prisms
     keep = n_unoccluded > 0
-    o = np.repeat(np.arange(len(ptr) - 1, dtype=np.int32), np.diff(ptr))[keep]
+    sweep = np.arange(len(sweeps.observers), dtype=np.int32)
+    o = np.repeat(sweep, np.diff(ptr))[keep]
     actor = row[keep].astype(np.int32)
     apart = boxes.xyz_m.take(actor, axis=0) - sweeps.poses.origin_m.take(o, axis=0)
-    return Observability(o, actor, n_returns[keep], n_unoccluded[keep], np.sqrt((apart * apart).sum(axis=1)))
+    range_m = np.sqrt((apart * apart).sum(axis=1))
+    return Observability(o, actor, n_returns[keep], n_unoccluded[keep], range_m)

@@ -43,11 +43,14 @@ def in_area(pairs, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, 
     for k in range(len(pairs.o)):
         x, y, z, _, _, height, _ = in_sensor_frame(pairs, k)
         bottom = z - 0.5 * height
-        if np.sqrt(x * x + y * y + bottom * bottom) <= range_m and abs(bottom) <= height_m:
+        distance = np.sqrt(x * x + y * y + bottom * bottom)
+        if distance <= range_m and abs(bottom) <= height_m:
             inside = _in_view(x, y, fov_rad, slope, slack_m)
             if not inside and len(own_xyz) > 0 and exempt[pairs.b[k]]:
                 o = pairs.o[k]
-                x, y, z = x - own_xyz[o, 0], y - own_xyz[o, 1], z - own_xyz[o, 2]
+                x -= own_xyz[o, 0]
+                y -= own_xyz[o, 1]
+                z -= own_xyz[o, 2]
                 z -= 0.5 * (height - own_lwh[o, 2])
                 inside = np.sqrt(x * x + y * y + z * z) <= own_radius_m
             found[k] = inside
@@ -58,7 +61,8 @@ def in_area(pairs, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, 
 def is_testable(x, y, z, height, range_m, height_m, fov_rad, slope):
     """Whether the free-space test applies to a box (sensor frame)."""
     bottom = z - 0.5 * height
-    near_enough = np.sqrt(x * x + y * y + bottom * bottom) < range_m and abs(bottom) <= height_m
+    distance = np.sqrt(x * x + y * y + bottom * bottom)
+    near_enough = distance < range_m and abs(bottom) <= height_m
     ahead = x != 0.0 or y != 0.0  # straight below there is no pyramid
     return near_enough and ahead and z <= 0.0 and _in_view(x, y, fov_rad, slope, 0.0)
 
@@ -90,10 +94,12 @@ def frustum(x, y, middle_z, length, width, height, corner, plane):
     s = min(length, width) / 4.0
     down_x, down_y, down_z = x / size, y / size, steep / size
     sight_x, sight_y, sight_z = x / away, y / away, z / away
-    right_x, right_y = down_y * sight_z - down_z * sight_y, down_z * sight_x - down_x * sight_z
+    right_x = down_y * sight_z - down_z * sight_y
+    right_y = down_z * sight_x - down_x * sight_z
     right_z = down_x * sight_y - down_y * sight_x
     for c in range(4):
-        down, right = -s if c < 2 else s, -s if c % 2 == 0 else s
+        down = -s if c < 2 else s
+        right = -s if c % 2 == 0 else s
         corner[c, 0] = x + down * down_x + right * right_x
         corner[c, 1] = y + down * down_y + right * right_y
         corner[c, 2] = middle_z + down * down_z + right * right_z
@@ -114,13 +120,16 @@ def _window(cos, sin, corner, plane):
     sound = True
     for c in range(4):
         x, y, z = corner[c, 0], corner[c, 1], corner[c, 2]
-        along, across = x * cos + y * sin, abs(y * cos - x * sin)
+        along = x * cos + y * sin
+        across = abs(y * cos - x * sin)
         slope = z / np.sqrt(x * x + y * y)
         sound = sound and across < _WIDEST * along
         aside = max(aside, across / along if along > 0.0 else np.inf)
         low, high = min(low, slope), max(high, slope)
+        upper_or_lower = 0 if c < 2 else 1
+        right_or_left = 2 if c % 2 == 1 else 3
         for p in range(4):
-            lies_on = p == (0 if c < 2 else 1) or p == (2 if c % 2 == 1 else 3)
+            lies_on = p in (upper_or_lower, right_or_left)
             sound = sound and (lies_on or _is_behind(x, y, z, plane[p]))
     if not sound:
         return np.pi, -np.inf, np.inf
@@ -134,8 +143,10 @@ def _window(cos, sin, corner, plane):
 @inlined
 def in_frustum(x, y, z, plane):
     """Whether a point lies strictly inside the pyramid."""
-    is_inside = _is_behind(x, y, z, plane[0]) & _is_behind(x, y, z, plane[1])
-    return is_inside & _is_behind(x, y, z, plane[2]) & _is_behind(x, y, z, plane[3])
+    is_inside = _is_behind(x, y, z, plane[0])
+    is_inside &= _is_behind(x, y, z, plane[1])
+    is_inside &= _is_behind(x, y, z, plane[2])
+    return is_inside & _is_behind(x, y, z, plane[3])
 
 
 @inlined
@@ -153,7 +164,11 @@ def free_space(range_steps, step_m, beams, pairs, run, area, margin_m, least_sha
     """
     allowed = np.ones(len(pairs.o), np.bool_)
     given = range_steps, step_m, beams, pairs, run, area, margin_m, least_share
-    in_ranges(lambda begin, end: _free_space(allowed, begin, end, given), len(run) - 1)
+
+    def test(begin: int, end: int) -> None:
+        _free_space(allowed, begin, end, given)
+
+    in_ranges(test, len(run) - 1)
     return allowed
 
 
@@ -171,15 +186,17 @@ def _free_space(allowed, begin, end, given):
 @kernel
 def _free_space_of(allowed, sweep, step_m, beams, pairs, first, end, area, margin_m, least_share, room):
     """The same for the pairs `first` to `end` of one sweep."""
-    (reach_m, height_m, slope), (corner, plane) = area, room
+    reach_m, height_m, slope = area
+    corner, plane = room
     columns, slopes = columns_of(beams), slopes_of(beams)
     for k in range(first, end):
         x, y, z, length, width, height, _ = in_sensor_frame(pairs, k)
         if is_testable(x, y, z, height, reach_m, height_m, beams.fov_rad, slope):
             away, middle, half, low, high = frustum(x, y, z, length, width, height, corner, plane)
             window = spans(middle, half, columns), _rows(slopes, low, high)
-            if _nearest_in(sweep, window) * step_m < (away + margin_m) * _ROUNDED:
-                allowed[k] = _are_nearer(sweep, step_m, beams, window, plane, away + margin_m, least_share)
+            limit = away + margin_m
+            if _nearest_in(sweep, window) * step_m < limit * _ROUNDED:
+                allowed[k] = _are_nearer(sweep, step_m, beams, window, plane, limit, least_share)
             else:
                 allowed[k] = False
 
@@ -201,7 +218,8 @@ def _nearest_in(sweep, window):
     (a0, a1, b0, b1), (r0, r1) = window
     nearest = np.uint16(NO_RETURN)
     for turn in range(2):
-        for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
+        first, end = (a0, a1) if turn == 0 else (b0, b1)
+        for c in range(first, end):
             steps = sweep[c, r0:r1]
             for r in range(len(steps)):
                 nearest = min(nearest, steps[r])
@@ -216,15 +234,18 @@ def _are_nearer(sweep, step_m, beams, window, plane, limit, least_share):
     n_seen, n_closer = 0, 0
     n_rays = (a1 - a0 + b1 - b0) * (r1 - r0)
     for turn in range(2):
-        for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
-            steps, ca, sa = sweep[c, r0:r1], beams.cos_az[c], beams.sin_az[c]
+        first, end = (a0, a1) if turn == 0 else (b0, b1)
+        for c in range(first, end):
+            steps = sweep[c, r0:r1]
+            ca, sa = beams.cos_az[c], beams.sin_az[c]
             for r in range(len(steps)):
                 d = steps[r] * step_m
                 flat = d * cos_el[r]
                 x, y, z = flat * ca, flat * sa, d * sin_el[r]
-                inside = in_frustum(x, y, z, plane) & (steps[r] != NO_RETURN)
-                n_seen += inside
-                n_closer += inside & (np.sqrt(x * x + y * y + z * z) < limit)
+                is_seen = in_frustum(x, y, z, plane) & (steps[r] != NO_RETURN)
+                n_seen += is_seen
+                distance = np.sqrt(x * x + y * y + z * z)
+                n_closer += is_seen & (distance < limit)
             if n_closer > least_share * n_rays:
                 return True  # also if all others lie in the pyramid and are farther
     return n_closer > least_share * n_seen

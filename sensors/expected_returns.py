@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from cosim.base.kernel import compiled, kernel
+from cosim.base.kernel import compiled, inlined, kernel
 from cosim.base.ragged import owner_of_rows
 from sensors.boxes import Boxes
 from sensors.lidar import Beams
@@ -40,7 +40,8 @@ class ExpectedReturns(NamedTuple):
     @property
     def occlusion(self) -> Float[ndarray, "k"]:
         """Share of the unoccluded returns that are missing, in [0, 1]; 0 where there are none."""
-        return 1.0 - np.divide(self.n, self.n_unoccluded, out=np.ones_like(self.n), where=self.n_unoccluded > 0)
+        share = np.divide(self.n, self.n_unoccluded, out=np.ones_like(self.n), where=self.n_unoccluded > 0)
+        return 1.0 - share
 
 
 def expected_returns(
@@ -99,16 +100,20 @@ def _crossed(bodies, k, x, y, cos, sin):
     where it misses."""
     c, s = bodies.cos[k], bodies.sin[k]
     dx, dy = x - bodies.x_m[k], y - bodies.y_m[k]
-    p, q = c * dx + s * dy, c * dy - s * dx
-    u, v = c * cos + s * sin, c * sin - s * cos
+    p = c * dx + s * dy
+    q = c * dy - s * dx
+    u = c * cos + s * sin
+    v = c * sin - s * cos
     enter, leave = -np.inf, np.inf
     for at, along, half in ((p, u, bodies.half_l_m[k]), (q, v, bodies.half_w_m[k])):
         if abs(along) < 1e-12:
             if abs(at) > half:
                 return 1.0, 0.0
         else:
-            one, other = (-half - at) / along, (half - at) / along
-            enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
+            one = (-half - at) / along
+            other = (half - at) / along
+            enter = max(enter, min(one, other))
+            leave = min(leave, max(one, other))
     return max(enter, 0.0), leave
 
 
@@ -119,13 +124,19 @@ def _width(bodies, j, x, y, middle):
     for k in range(bodies.ptr[j], bodies.ptr[j + 1]):
         for a in (-1.0, 1.0):
             for b in (-1.0, 1.0):
-                along, across = a * bodies.half_l_m[k], b * bodies.half_w_m[k]
+                along = a * bodies.half_l_m[k]
+                across = b * bodies.half_w_m[k]
                 dx = bodies.x_m[k] + bodies.cos[k] * along - bodies.sin[k] * across - x
                 dy = bodies.y_m[k] + bodies.sin[k] * along + bodies.cos[k] * across - y
-                turn = np.arctan2(dy, dx) - middle
-                turn -= 2 * np.pi * np.rint(turn / (2 * np.pi))
+                turn = _wrapped(np.arctan2(dy, dx) - middle)
                 low, high = min(low, turn), max(high, turn)
     return low, high
+
+
+@inlined
+def _wrapped(angle):
+    """An angle in [-pi, pi]."""
+    return angle - 2 * np.pi * np.rint(angle / (2 * np.pi))
 
 
 @kernel
@@ -136,6 +147,34 @@ def _rows_between(slopes, low, high):
         if low <= slope < high:
             n += 1
     return n
+
+
+@kernel
+def _on_line(bodies, j, x, y, z, cos, sin, range_m):
+    """Distance at which a line meets body j, and the slopes of its lower and upper end; not finite where it misses."""
+    first, bottom, top = np.inf, np.inf, -np.inf
+    for k in range(bodies.ptr[j], bodies.ptr[j + 1]):
+        enter, leave = _crossed(bodies, k, x, y, cos, sin)
+        if enter < leave and enter <= range_m:
+            near = max(enter, 0.01)
+            first = min(first, near)
+            low, high = bodies.bottom_m[k] - z, bodies.top_m[k] - z
+            bottom = min(bottom, low / near, low / leave)
+            top = max(top, high / near, high / leave)
+    return first, bottom, top
+
+
+@kernel
+def _hidden_by(bodies, b, x, y, z, cos, sin, first):
+    """Slope below which body b hides what is `first` away on a line; not finite where it hides nothing."""
+    hidden = -np.inf
+    for k in range(bodies.ptr[b], bodies.ptr[b + 1]):
+        enter, leave = _crossed(bodies, k, x, y, cos, sin)
+        if enter < leave and enter < first:
+            near = max(enter, 0.01)
+            high = bodies.top_m[k] - z
+            hidden = max(hidden, high / near, high / leave)
+    return hidden
 
 
 @compiled
@@ -150,27 +189,18 @@ def _lines(
             j = row[pair]
             line[pair] = 0.0
             ends[pair] = 0.0
-            apart = np.hypot(xyz[j, 0] - x, xyz[j, 1] - y)
-            if j == own[o] or apart - radius[j] > range_m:
+            dx, dy = xyz[j, 0] - x, xyz[j, 1] - y
+            if j == own[o] or np.hypot(dx, dy) - radius[j] > range_m:
                 continue
-            middle = np.arctan2(xyz[j, 1] - y, xyz[j, 0] - x)
+            middle = np.arctan2(dy, dx)
             low, high = _width(bodies, j, x, y, middle)
             n_columns = (high - low) * columns_per_rad / n_lines
             for i in range(n_lines):
                 bearing = middle + low + (i + 0.5) * (high - low) / n_lines
-                turn = bearing - yaw[o]
-                turn -= 2 * np.pi * np.rint(turn / (2 * np.pi))
-                if abs(turn) > 0.5 * fov_rad:
+                if abs(_wrapped(bearing - yaw[o])) > 0.5 * fov_rad:
                     continue
                 cos, sin = np.cos(bearing), np.sin(bearing)
-                first, bottom, top = np.inf, np.inf, -np.inf
-                for k in range(bodies.ptr[j], bodies.ptr[j + 1]):
-                    enter, leave = _crossed(bodies, k, x, y, cos, sin)
-                    if enter < leave and enter <= range_m:
-                        near = max(enter, 0.01)
-                        first = min(first, near)
-                        bottom = min(bottom, (bodies.bottom_m[k] - z) / near, (bodies.bottom_m[k] - z) / leave)
-                        top = max(top, (bodies.top_m[k] - z) / near, (bodies.top_m[k] - z) / leave)
+                first, bottom, top = _on_line(bodies, j, x, y, z, cos, sin, range_m)
                 if not first < np.inf:
                     continue
                 line[pair, i, 1] = n_columns * _rows_between(slopes, bottom, top)
@@ -181,15 +211,12 @@ def _lines(
                         continue
                     # Bodies away from the line, or behind the body, hide nothing.
                     dx, dy = xyz[b, 0] - x, xyz[b, 1] - y
-                    ahead, aside = cos * dx + sin * dy, cos * dy - sin * dx
-                    if abs(aside) > radius[b] or ahead - radius[b] > first:
-                        continue
-                    for k in range(bodies.ptr[b], bodies.ptr[b + 1]):
-                        enter, leave = _crossed(bodies, k, x, y, cos, sin)
-                        if enter < leave and enter < first:
-                            near = max(enter, 0.01)
-                            hidden = max(hidden, (bodies.top_m[k] - z) / near, (bodies.top_m[k] - z) / leave)
+                    ahead = cos * dx + sin * dy
+                    aside = cos * dy - sin * dx
+                    if abs(aside) <= radius[b] and ahead - radius[b] <= first:
+                        hidden = max(hidden, _hidden_by(bodies, b, x, y, z, cos, sin, first))
                 line[pair, i, 0] = n_columns * _rows_between(slopes, hidden, top)
                 ends[pair, i, 0] = x + first * cos
                 ends[pair, i, 1] = y + first * sin
-                ends[pair, i, 2] = max(z + 0.5 * (max(hidden, bottom) + top) * first, 0.1)
+                slope = 0.5 * (max(hidden, bottom) + top)
+                ends[pair, i, 2] = max(z + slope * first, 0.1)

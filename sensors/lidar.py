@@ -142,10 +142,12 @@ def beams(params: LidarParams) -> Beams:
         degrees, or if the ray caster cannot cast a sweep that takes time.
     """
     profile = PROFILES[params.profile]
-    elevation = np.array(profile.elevation_deg if params.elevation_deg is None else params.elevation_deg, dtype=float)
+    elevation_deg = profile.elevation_deg if params.elevation_deg is None else params.elevation_deg
+    elevation = np.array(elevation_deg, dtype=float)
     n = profile.n_azimuths if params.n_azimuths is None else params.n_azimuths
     fov = profile.fov_deg if params.fov_deg is None else params.fov_deg
-    if len(elevation) == 0 or not (np.diff(elevation) > 0).all() or not (np.abs(elevation) < 90).all():
+    ascends = (np.diff(elevation) > 0).all()
+    if len(elevation) == 0 or not ascends or not (np.abs(elevation) < 90).all():
         raise ValueError(
             f"lidar.elevation_deg = {tuple(elevation)}: beams must be given in ascending order, each once, strictly "
             "between -90 and 90 degrees. Sort lidar.elevation_deg."
@@ -168,10 +170,20 @@ def beams(params: LidarParams) -> Beams:
         )
     el = np.radians(elevation)
     az = np.radians(fov) * ((np.arange(n) + 0.5) / n - 0.5)
-    tan, turn = np.tan(el), float(np.radians(fov))
-    s_per_rad = 0.0 if rotation_hz is None else 1.0 / (2.0 * np.pi * rotation_hz)
+    slopes = cells_of_slopes(np.tan(el))
     return Beams(
-        az, np.cos(az), np.sin(az), el, tan, np.cos(el), np.sin(el), turn, s_per_rad, *cells_of_slopes(tan)[1:]
+        azimuth_rad=az,
+        cos_az=np.cos(az),
+        sin_az=np.sin(az),
+        elevation_rad=el,
+        tan_el=slopes.tan_el,
+        cos_el=np.cos(el),
+        sin_el=np.sin(el),
+        fov_rad=float(np.radians(fov)),
+        s_per_rad=0.0 if rotation_hz is None else 1.0 / (2.0 * np.pi * rotation_hz),
+        cells_per_slope=slopes.cells_per_slope,
+        first_row=slopes.first_row,
+        most_in_cell=slopes.most_in_cell,
     )
 
 
@@ -213,7 +225,8 @@ class Poses:
 
     def to_world(self, o: int, xyz: Float[ndarray, "k 3"]) -> Float[ndarray, "k 3"]:
         """Points [m] in the frame of sensor `o`, in the world frame."""
-        return np.column_stack([turned_by(self.yaw_rad[o], xyz), xyz[:, 2]]) + self.origin_m[o]
+        turned_m = np.column_stack([turned_by(self.yaw_rad[o], xyz), xyz[:, 2]])
+        return turned_m + self.origin_m[o]
 
 
 def n_rays(params: LidarParams) -> tuple[int, int]:
@@ -310,7 +323,8 @@ class RangeImages:
         r = self.range_steps[o, column, row] * self.step_m
         grid = self.beams
         flat = r * grid.cos_el[row]
-        return np.column_stack([flat * grid.cos_az[column], flat * grid.sin_az[column], r * grid.sin_el[row]])
+        forward, left = flat * grid.cos_az[column], flat * grid.sin_az[column]
+        return np.column_stack([forward, left, r * grid.sin_el[row]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -355,7 +369,8 @@ def moved_m(
     bearing = np.arctan2(away_m[:, 1], away_m[:, 0])
     azimuth = np.angle(np.exp(1j * (bearing - poses.yaw_rad[o])))
     along_m = speed_mps[a] * s_per_rad * azimuth
-    return along_m[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(a))])
+    heading = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(a))])
+    return along_m[:, None] * heading
 
 
 class SweepMemory(NamedTuple):
@@ -455,7 +470,8 @@ def scan(
             "speed_mps."
         )
     bodies = prisms(shape, boxes, speed_mps) if memory.bodies is None else memory.bodies
-    range_steps, hit = buffer(size, np.uint16, memory.range_steps), buffer(size, hit_type(len(boxes)), memory.hit)
+    range_steps = buffer(size, np.uint16, memory.range_steps)
+    hit = buffer(size, hit_type(len(boxes)), memory.hit)
     sweeps = Sweeps(
         poses=poses,
         observers=observers,

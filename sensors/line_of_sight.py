@@ -54,32 +54,11 @@ class WallIndex:
         heights = [np.repeat(z, count) for z in (buildings.base_m, buildings.top_m)]
         segment = np.column_stack([*ends, *heights])
         walls = Walls(segment, buildings.ptr, buildings.base_m, buildings.top_m)
-        corner = segment[:, :4].reshape(-1, 2)
-        low = corner.min(0) - cell_m if len(corner) else np.zeros(2)
-        high = corner.max(0) + cell_m if len(corner) else np.ones(2)
-        nx, ny = np.ceil((high - low) / cell_m).astype(int).tolist()
-        ptr, wall = kernels.by_cell(low, cell_m, (nx, ny), segment[:, :2], segment[:, 2:4])
-        empty = (np.diff(ptr) == 0).reshape(nx, ny)
-        step = np.full((nx, ny), 255)
-        if not empty.all():
-            step = np.minimum(distance_transform_cdt(empty, "chessboard"), 255)
-        wide = kernels.BUILDING_CELLS
-        squares = -(-nx // wide), -(-ny // wide)
-        building_ptr, building = _buildings_by_square(low, wide * cell_m, *squares, walls)
-        grid = Grid(low, float(cell_m), step.astype(np.uint8), ptr, wall, building_ptr, building)
-        # A building fills the cells that no wall touches and whose centre is inside it.
-        has_building = (np.diff(building_ptr) > 0).reshape(squares)
-        near = np.kron(has_building, np.ones((wide, wide), bool))
-        i, j = np.nonzero(empty & near[:nx, :ny])
-        x = low[0] + (i + 0.5) * cell_m
-        y = low[1] + (j + 0.5) * cell_m
-        middle = np.column_stack([x, y, np.full(len(i), np.nan)])
-        owner = kernels.building_at(middle, grid, walls)
-        solid = (i * ny + j)[owner >= 0]
-        owner = owner[owner >= 0]
+        grid = _grid_of(walls, float(cell_m))
+        solid, building = _solid_cells(grid, walls)
         # Rounded inwards: slightly less is filled.
-        base = np.ceil(_level(walls, walls.base_m[owner]) - 1e-9)
-        top = np.floor(_level(walls, walls.top_m[owner]) + 1e-9)
+        base = np.ceil(_level(walls, walls.base_m[building]) - 1e-9)
+        top = np.floor(_level(walls, walls.top_m[building]) + 1e-9)
         return WallIndex(grid, walls, solid.astype(np.int32), base.astype(np.uint8), top.astype(np.uint8))
 
     def filled(self, z_m: Float[ndarray, "n"]) -> FilledCells:
@@ -227,6 +206,38 @@ class WallIndex:
         dx, dy = (xyz_m[a, :2] - xyz_m[b, :2]).T
         length_m = np.hypot(dx, dy)
         return n_walls, np.clip(inside, 0, 1) * length_m
+
+
+def _grid_of(walls: Walls, cell_m: float) -> Grid:
+    """Walls and buildings by cell, for cells of this width."""
+    segment = walls.segment
+    corner = segment[:, :4].reshape(-1, 2)
+    low = corner.min(0) - cell_m if len(corner) else np.zeros(2)
+    high = corner.max(0) + cell_m if len(corner) else np.ones(2)
+    nx, ny = np.ceil((high - low) / cell_m).astype(int).tolist()
+    ptr, wall = kernels.by_cell(low, cell_m, (nx, ny), segment[:, :2], segment[:, 2:4])
+    empty = (np.diff(ptr) == 0).reshape(nx, ny)
+    step = np.full((nx, ny), 255)
+    if not empty.all():
+        step = np.minimum(distance_transform_cdt(empty, "chessboard"), 255)
+    wide = kernels.BUILDING_CELLS
+    building_ptr, building = _buildings_by_square(low, wide * cell_m, -(-nx // wide), -(-ny // wide), walls)
+    return Grid(low, cell_m, step.astype(np.uint8), ptr, wall, building_ptr, building)
+
+
+def _solid_cells(grid: Grid, walls: Walls) -> tuple[Int[ndarray, "s"], Int[ndarray, "s"]]:
+    """Numbers of the cells that no wall touches and whose centre is inside a building, and that building."""
+    nx, ny = grid.step.shape
+    wide = kernels.BUILDING_CELLS
+    has_building = (np.diff(grid.building_ptr) > 0).reshape(-(-nx // wide), -(-ny // wide))
+    near = np.kron(has_building, np.ones((wide, wide), bool))
+    i, j = np.nonzero((grid.step > 0) & near[:nx, :ny])
+    x = grid.low[0] + (i + 0.5) * grid.cell_m
+    y = grid.low[1] + (j + 0.5) * grid.cell_m
+    middle = np.column_stack([x, y, np.full(len(i), np.nan)])
+    building = kernels.building_at(middle, grid, walls)
+    is_inside = building >= 0
+    return (i * ny + j)[is_inside], building[is_inside]
 
 
 def _level(walls: Walls, z_m: ndarray) -> ndarray:

@@ -68,20 +68,27 @@ def merged(views: Views, yaw_rad: Float[ndarray, "n"]) -> Merged:
     begin = np.flatnonzero(np.append(True, changes)[: len(v.actor)])
     n_sweeps = np.diff(np.append(begin, len(v.actor)))
     group = owner_of_rows(n_sweeps)
-    observer, actor, of = v.observer[begin], v.actor[begin], v.n_returns.astype(np.float64)
-    n = np.bincount(group, of, len(begin))
+    weight = v.n_returns.astype(np.float64)
+    n = np.bincount(group, weight, len(begin))
 
     def mean(values: Float[ndarray, "v"]) -> Float[ndarray, "s"]:
         first = values[begin]
-        return first + np.bincount(group, of * (values - first[group]), len(begin)) / n
+        beyond = weight * (values - first[group])
+        return first + np.bincount(group, beyond, len(begin)) / n
 
-    hidden = np.full(len(begin), np.inf)
-    np.minimum.at(hidden, group, 1.0 - v.n_returns / v.n_unoccluded)
+    occlusion = np.full(len(begin), np.inf)
+    np.minimum.at(occlusion, group, 1.0 - v.n_returns / v.n_unoccluded)
     off_m = np.column_stack([mean(v.off_m[:, 0]), mean(v.off_m[:, 1])])
     along, across = turned_by(-yaw_rad[v.actor], v.off_m - off_m[group]).T
     variance = np.column_stack([mean(along**2), mean(across**2)])
     larger_m = 2.0 * np.sqrt(np.maximum(variance, 0.0))
-    seen = Observability(observer, actor, n.astype(np.int64), np.rint(n / (1.0 - hidden)), mean(v.range_m))
+    seen = Observability(
+        observer=v.observer[begin],
+        actor=v.actor[begin],
+        n_returns=n.astype(np.int64),
+        n_unoccluded=np.rint(n / (1.0 - occlusion)),
+        range_m=mean(v.range_m),
+    )
     return Merged(seen, off_m, larger_m, n_sweeps)
 
 
@@ -124,9 +131,12 @@ def detect(
     cloud = merged(views, boxes.yaw_rad)
     reports = detector.of_actors(cloud.seen, boxes, label, origin_m, draws)
     reports = reports.take(np.flatnonzero(reports.score >= detector.model.min_score))
-    pair = cloud.seen.observer.astype(np.int64) * len(boxes) + cloud.seen.actor
-    row = np.searchsorted(pair, reports.observer.astype(np.int64) * len(boxes) + reports.actor)
-    reports = reports.moved(np.column_stack([cloud.off_m[row], np.zeros(len(row))]))
+    n_actors = len(boxes)
+    pair = cloud.seen.observer.astype(np.int64) * n_actors + cloud.seen.actor
+    reported = reports.observer.astype(np.int64) * n_actors + reports.actor
+    row = np.searchsorted(pair, reported)
+    off_m = np.column_stack([cloud.off_m[row], np.zeros(len(row))])
+    reports = reports.moved(off_m)
     lwh_m = reports.boxes.lwh_m.copy()
     lwh_m[:, :2] += cloud.larger_m[row]
     reports = replace(reports, boxes=replace(reports.boxes, lwh_m=lwh_m))

@@ -45,13 +45,32 @@ def neighbours(points_m: Float[ndarray, "m d"], boxes: Boxes, range_m: float) ->
     Rows of the boxes, by point. All boxes within range are there. So are some that are not, because all boxes are taken
     to be as large as the largest.
     """
-    n = len(boxes)
-    if n == 0 or len(points_m) == 0:
+    limit_m = range_m + float(boxes.circumradius_m.max(initial=0.0))
+    return neighbours_in(cKDTree(boxes.xyz_m[:, :2]), points_m, limit_m)
+
+
+def neighbours_in(tree: cKDTree, points_m: Float[ndarray, "m d"], limit_m: float) -> Neighbours:
+    """Points of a tree within a horizontal distance of each point.
+
+    Parameters
+    ----------
+    tree
+        Points to choose from, x and y.
+    points_m
+        Points in the frame of the tree; only x and y count.
+    limit_m
+        Horizontal distance.
+
+    Returns
+    -------
+    Rows of the points of the tree, by point.
+    """
+    if tree.n == 0 or len(points_m) == 0:
         return Neighbours(np.zeros(len(points_m) + 1, np.int64), np.zeros(0, np.int64))
-    limit = range_m + float(boxes.circumradius_m.max())
-    pair = cKDTree(points_m[:, :2]).sparse_distance_matrix(cKDTree(boxes.xyz_m[:, :2]), limit, output_type="ndarray")
-    key = np.sort(pair["i"].astype(np.int64) * n + pair["j"])
-    return Neighbours(np.searchsorted(key, np.arange(len(points_m) + 1) * n), key % n)
+    pair = cKDTree(points_m[:, :2]).sparse_distance_matrix(tree, limit_m, output_type="ndarray")
+    key = np.sort(pair["i"].astype(np.int64) * tree.n + pair["j"])
+    first_key = np.arange(len(points_m) + 1) * tree.n
+    return Neighbours(np.searchsorted(key, first_key), key % tree.n)
 
 
 def buildings_near(points_m: Float[ndarray, "m d"], scene: Scene, range_m: float) -> Neighbours:

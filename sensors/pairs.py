@@ -39,7 +39,8 @@ class ViewPairs(NamedTuple):
         """
         if not len(self.o):
             return np.zeros(1, np.int64)
-        return np.flatnonzero(np.concatenate([[True], self.o[1:] != self.o[:-1], [True]]))
+        changes = self.o[1:] != self.o[:-1]
+        return np.flatnonzero(np.concatenate([[True], changes, [True]]))
 
 
 def pairs_of(
@@ -62,7 +63,15 @@ def pairs_of(
     o = np.asarray(o, np.int64)
     b = np.arange(len(boxes)) if b is None else np.asarray(b, np.int64)
     return ViewPairs(
-        o, b, origin_m, np.cos(heading_rad), np.sin(heading_rad), heading_rad, boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad
+        o=o,
+        b=b,
+        origin_m=origin_m,
+        cos=np.cos(heading_rad),
+        sin=np.sin(heading_rad),
+        heading_rad=heading_rad,
+        xyz_m=boxes.xyz_m,
+        lwh_m=boxes.lwh_m,
+        yaw_rad=boxes.yaw_rad,
     )
 
 

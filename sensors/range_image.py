@@ -21,15 +21,18 @@ from sensors.scene import Hit
 @compiled
 def unoccluded_returns(hit, origin, yaw, beams, limit, xyz, radius, height, ptr, row, own, bodies):
     """Per candidate (observer, actor): returns in the sweep, and returns if nothing else existed."""
-    n_returns, n_unoccluded = np.zeros(len(row), np.int32), np.zeros(len(row), np.int32)
+    n_returns = np.zeros(len(row), np.int32)
+    n_unoccluded = np.zeros(len(row), np.int32)
     most = 0
     for a in range(len(bodies.ptr) - 1):
         most = max(most, bodies.ptr[a + 1] - bodies.ptr[a])
     for o in range(len(own)):
-        pose = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
+        x, y, z = origin[o]
+        pose = x, y, z, np.cos(yaw[o]), np.sin(yaw[o])
         taken = np.zeros(len(beams.tan_el), np.int32)  # the last column (of all) in which a row was counted
         room = taken, np.empty((most, 8)), np.empty((most, 4), np.int64)
-        hits, n_columns, columns, slopes = hit[o], np.int64(0), columns_of(beams), slopes_of(beams)
+        columns, slopes = columns_of(beams), slopes_of(beams)
+        hits, n_columns = hit[o], np.int64(0)
         for i in range(ptr[o], ptr[o + 1]):
             a = row[i]
             if a != own[o]:
@@ -52,11 +55,14 @@ def _of_actor(hits, pose, beams, columns, slopes, limit, a, xyz, radius, height,
     a0, a1, b0, b1 = actor_columns(dx, dy, radius, cos, sin, columns)
     if a1 <= a0 and b1 <= b0:
         return 0, 0, n_columns
-    within_limit = np.hypot(np.hypot(dx, dy) + radius, abs(xyz[a, 2] - z) + 0.5 * height) < limit
+    away = np.hypot(dx, dy) + radius
+    apart_z = abs(xyz[a, 2] - z) + 0.5 * height
+    within_limit = np.hypot(away, apart_z) < limit
     n = _seen_from(frame, window, bodies, a, farthest, x, y, z, cos, sin, columns)
     code = Hit.ACTOR + a
     for turn in range(2):
-        for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
+        begin, end = (a0, a1) if turn == 0 else (b0, b1)
+        for c in range(begin, end):
             n_columns += 1
             ca, sa = beams.cos_az[c], beams.sin_az[c]
             low, high, one_by_one = 0, 0, not within_limit  # rows that are counted at once
@@ -66,7 +72,9 @@ def _of_actor(hits, pose, beams, columns, slopes, limit, a, xyz, radius, height,
                 row = frame[k]
                 p = row[0] - per_rad * beams.azimuth_rad[c]
                 u, v = row[2], row[3]
-                enter, leave = rectangle(p, row[1], u * ca - v * sa, v * ca + u * sa, row[4], row[5])
+                along = u * ca - v * sa
+                across = v * ca + u * sa
+                enter, leave = rectangle(p, row[1], along, across, row[4], row[5])
                 if leave <= max(enter, 0.0):
                     continue
                 first, s0, s1, last, t, bottom, top = profile(enter, leave, row[6], row[7], slopes)
@@ -106,7 +114,9 @@ def _seen_from(frame, window, bodies, a, farthest, x, y, z, cos, sin, columns):
         row[6] = bodies.bottom_m[k] - z
         row[7] = bodies.top_m[k] - z
         reach = half_l + farthest
-        a0, a1, b0, b1 = rectangle_columns(-p * u - q * v, p * v - q * u, u, -v, reach, half_w, columns)
+        ahead = -p * u - q * v
+        left = p * v - q * u
+        a0, a1, b0, b1 = rectangle_columns(ahead, left, u, -v, reach, half_w, columns)
         crossed = window[k - first]
         crossed[0], crossed[1] = a0, a1
         crossed[2], crossed[3] = b0, b1

@@ -63,8 +63,11 @@ def add_noise(ranges, hits, key, noise):
 def _displace(ranges, seed, noise):
     """Range noise: one hash gives four rays of a column 16 bits each, of which the highest 12 number a level."""
     n, m = np.uint64(ranges.shape[0]), np.uint64(ranges.shape[1])
-    zero, level_m, n_words = np.float32(0.0), noise.sigma_m * noise.level, (m + _LANES - _ONE) // _LANES
-    words, off_m = np.empty(n_words, np.uint64), np.empty(m, np.float32)
+    zero = np.float32(0.0)
+    level_m = noise.sigma_m * noise.level
+    off_m = np.empty(m, np.float32)
+    n_words = (m + _LANES - _ONE) // _LANES
+    words = np.empty(n_words, np.uint64)
     drawn = words.view(np.uint16)
     for c in range(n):  # looking up is a loop of its own, because it is not vectorised
         for w in range(n_words):
@@ -83,6 +86,7 @@ def _drop(ranges, hits, seed, noise):
     lost_below = np.uint64(noise.dropout_p * 2.0**53)
     for c in range(n):
         for r in range(m):
-            if splitmix64(seed + (c * m + r) * GOLDEN) >> _S11 < lost_below:
+            drawn = splitmix64(seed + (c * m + r) * GOLDEN)
+            if drawn >> _S11 < lost_below:
                 ranges[c, r] = np.inf
                 hits[c, r] = Hit.NOTHING

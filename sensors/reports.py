@@ -49,7 +49,8 @@ class DetectorDraws:
 
     def object(self, seen: Observability) -> UInt64[ndarray, "s"]:
         """A key for each row of `seen`: one per actor, the same for all observers and in every step."""
-        return mix_rows(mix_rows(np.array([self.site]), np.array([_OBJECT])), self.actor[seen.actor])
+        prefix = mix_rows(np.array([self.site]), np.array([_OBJECT]))
+        return mix_rows(prefix, self.actor[seen.actor])
 
     def uniforms(self, seen: Observability, n: int = 1) -> Float[ndarray, "s n"]:
         """Uniform draws for each (observer, actor), new in every step.

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.codes import ObjectClass
-from cosim.base.ragged import owner_of_rows
+from cosim.base.ragged import offsets, owner_of_rows, ranges
 from sensors.boxes import Boxes
 
 
@@ -143,15 +143,15 @@ def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes, speed_mps: Float[ndarray, "
     for k, (s, least_m, _) in enumerate(_BODIES):
         body[(shape == s) & (boxes.lwh_m[:, 0] >= least_m)] = k
     parts = np.diff(_FIRST_PART)[body]
-    ptr = np.concatenate([[0], np.cumsum(parts)])
     actor = owner_of_rows(parts)
-    rear, front, width, bottom, top = _PARTS[_FIRST_PART[body][actor] + np.arange(ptr[-1]) - ptr[actor]].T
+    rear, front, width, bottom, top = _PARTS[ranges(_FIRST_PART[body], parts)].T
     length, w, h = boxes.lwh_m[actor].T
     x, y, z = boxes.xyz_m[actor].T
-    cos, sin = np.cos(boxes.yaw_rad)[actor], np.sin(boxes.yaw_rad)[actor]
+    cos = np.cos(boxes.yaw_rad)[actor]
+    sin = np.sin(boxes.yaw_rad)[actor]
     ahead = 0.5 * (rear + front) * length
     return Prisms(
-        ptr=ptr,
+        ptr=offsets(parts),
         x_m=x + cos * ahead,
         y_m=y + sin * ahead,
         cos=cos,
@@ -262,7 +262,8 @@ class Scene:
         parts, owner = shapely.get_parts(polygons, return_index=True)
         parts, index = shapely.get_parts(parts, return_index=True)  # a repair may nest what it splits
         owner = owner[index]
-        solid = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & (shapely.area(parts) > SMALLEST_M2)
+        is_polygon = shapely.get_type_id(parts) == shapely.GeometryType.POLYGON
+        solid = is_polygon & (shapely.area(parts) > SMALLEST_M2)
         parts, owner = parts[solid], owner[solid]
         parts = shapely.orient_polygons(parts)
         n_dropped = len(raw) - len(np.unique(owner))
@@ -314,7 +315,8 @@ class Scene:
 def _closed(vertices_m: Float[ndarray, "v 3"], faces: Int[ndarray, "t 3"]) -> Float[ndarray, "t 3 3"]:
     """Triangles of a closed mesh; ValueError for any other."""
     vertices, faces = np.asarray(vertices_m, float), np.asarray(faces, int)
-    if not len(faces) or faces.min() < 0 or faces.max() >= len(vertices) or not np.isfinite(vertices).all():
+    names_vertices = len(faces) and faces.min() >= 0 and faces.max() < len(vertices)
+    if not names_vertices or not np.isfinite(vertices).all():
         raise ValueError(
             f"a mesh of {len(vertices)} vertices and {len(faces)} faces: each face names three of the vertices, "
             "from 0 on, and each vertex has three finite coordinates."
@@ -331,25 +333,27 @@ def _closed(vertices_m: Float[ndarray, "v 3"], faces: Int[ndarray, "t 3"]) -> Fl
 
 def _open_edges(faces: Int[ndarray, "t 3"]) -> int:
     """Directed edges without exactly one partner in the opposite direction."""
-    edge = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    first, second = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     n = int(faces.max()) + 1
-    there, back = edge[:, 0] * n + edge[:, 1], edge[:, 1] * n + edge[:, 0]
+    there = first * n + second
+    back = second * n + first
     key, count = np.unique(there, return_counts=True)
+    is_single = count[np.searchsorted(key, there)] == 1
     at = np.minimum(np.searchsorted(key, back), len(key) - 1)
-    once = count[np.searchsorted(key, there)] == 1
-    return int((~(once & (key[at] == back) & (count[at] == 1))).sum())
+    has_partner = (key[at] == back) & (count[at] == 1)
+    return int((~(is_single & has_partner)).sum())
 
 
 def _walls(polygons: ndarray, base: ndarray, top: ndarray) -> Buildings:
     """Walls of valid, oriented polygons."""
-    loop, owner = shapely.get_rings(polygons, return_index=True) if len(polygons) else (polygons, np.zeros(0, int))
+    loop, owner = shapely.get_rings(polygons, return_index=True)
     xy, ring = shapely.get_coordinates(loop, return_index=True)
-    inside = np.flatnonzero(ring[1:] == ring[:-1]) if len(ring) else np.zeros(0, int)
-    a, b, of = xy[inside], xy[inside + 1], owner[ring[inside]] if len(ring) else np.zeros(0, int)
-    real = (a != b).any(axis=1)
-    a, b, of = a[real], b[real], of[real]
-    ptr = np.searchsorted(of, np.arange(len(polygons) + 1))
-    bounds = shapely.bounds(polygons).reshape(-1, 4) if len(polygons) else np.zeros((0, 4))
+    begin = np.flatnonzero(ring[1:] == ring[:-1])
+    has_length = (xy[begin] != xy[begin + 1]).any(axis=1)
+    begin = begin[has_length]
+    a, b = xy[begin], xy[begin + 1]
+    building = owner[ring[begin]]
+    ptr = np.searchsorted(building, np.arange(len(polygons) + 1))
     return Buildings(
         ptr=ptr.astype(np.int64),
         ax_m=np.ascontiguousarray(a[:, 0]),
@@ -358,7 +362,7 @@ def _walls(polygons: ndarray, base: ndarray, top: ndarray) -> Buildings:
         by_m=np.ascontiguousarray(b[:, 1]),
         base_m=np.ascontiguousarray(base),
         top_m=np.ascontiguousarray(top),
-        bounds_m=np.ascontiguousarray(bounds),
+        bounds_m=np.ascontiguousarray(shapely.bounds(polygons)),
     )
 
 
@@ -371,4 +375,5 @@ def roof_triangles(scene: Scene) -> tuple[Float[ndarray, "t 3 2"], ndarray]:
     x and y of the corners of each triangle, world frame [m], and the row of its building.
     """
     pieces, owner = shapely.get_parts(shapely.constrained_delaunay_triangles(scene.footprints), return_index=True)
-    return shapely.get_coordinates(shapely.get_exterior_ring(pieces)).reshape(-1, 4, 2)[:, :3], owner
+    corner = shapely.get_coordinates(shapely.get_exterior_ring(pieces)).reshape(-1, 4, 2)  # the last is the first
+    return corner[:, :3], owner

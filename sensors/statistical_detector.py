@@ -264,9 +264,8 @@ class StatisticalDetector:
         observer does not know what hides a part of the object: occlusion is taken as 0.
         """
         model = self.model
-        expected = model.score_logit[label] + model.score_gain * np.log(
-            np.maximum(n_points, 1) / model.half_returns[label]
-        )
+        log_n = np.log(np.maximum(n_points, 1) / model.half_returns[label])
+        expected = model.score_logit[label] + model.score_gain * log_n
         slope = np.maximum(model.score_error[label], 1e-3)
         sigma = max(model.score_sigma, 1e-3) / slope
         log_odds = logit(np.clip(score, 1e-6, 1.0 - 1e-6))

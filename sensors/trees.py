@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from sensors.neighbours import Neighbours
+from sensors.neighbours import Neighbours, neighbours_in
 from sensors.scene import Prisms, Scene, Shape
 
 
@@ -69,13 +69,7 @@ def trees_near(points_m: Float[ndarray, "m d"], scene: Scene, range_m: float) ->
     -------
     Numbers of the trees, by point.
     """
-    n = len(scene.trees.ptr) - 1
-    if n == 0 or len(points_m) == 0:
-        return Neighbours(np.zeros(len(points_m) + 1, np.int64), np.zeros(0, np.int64))
-    limit = range_m + radius_m(scene.trees)
-    pair = cKDTree(points_m[:, :2]).sparse_distance_matrix(_index(scene), limit, output_type="ndarray")
-    key = np.sort(pair["i"].astype(np.int64) * n + pair["j"])
-    return Neighbours(np.searchsorted(key, np.arange(len(points_m) + 1) * n), key % n)
+    return neighbours_in(_index(scene), points_m, range_m + radius_m(scene.trees))
 
 
 @lru_cache(maxsize=4)

@@ -116,7 +116,8 @@ def extinction_per_m(params: WeatherParams) -> float:
     efficiencies, which approach 2.
     """
     fog = 0.0 if params.visibility_m is None else np.log(20.0) / params.visibility_m
-    return float(fog + np.pi * DROPS_PER_M3_MM * 1e-6 * drop_scale_mm(params.rain_mm_h) ** 3)
+    rain = np.pi * DROPS_PER_M3_MM * 1e-6 * drop_scale_mm(params.rain_mm_h) ** 3
+    return float(fog + rain)
 
 
 def drop_scale_mm(rain_mm_h: float) -> float:
@@ -175,7 +176,8 @@ def rain_of(rain_mm_h: float, clear_range_m: float) -> Rain:
     floor = DARK / clear_range_m**2
     per_mm = (DROP_REFLECTIVITY * 1e-6 / (DIVERGENCE_RAD**2 * floor)) ** 0.25
     n = DROPS_PER_M3_MM * np.pi * DIVERGENCE_RAD**2 / 12 * per_mm**3 * gamma(2.5) * scale_mm**2.5
-    return Rain(float(n), scale_mm * gammaincinv(2.5, (np.arange(1024) + 0.5) / 1024), float(per_mm))
+    level = (np.arange(1024) + 0.5) / 1024
+    return Rain(float(n), scale_mm * gammaincinv(2.5, level), float(per_mm))
 
 
 def weaken(
@@ -197,13 +199,18 @@ def weaken(
     """
     clear_m = sweeps.max_range_m if params.clear_range_m is None else params.clear_range_m
     alpha = extinction_per_m(params)
-    own = DARK + (BRIGHT - DARK) * uniforms(mix_rows(np.full(len(names), reflectivity_key), names), 1)[:, 0]
+    own = DARK + (BRIGHT - DARK) * _uniform(reflectivity_key, names)
     rho = np.concatenate([[DARK, DARK, WALL], own])  # nothing, ground, building, actors: the order of `Hit`
     limit_m = reach_m(clear_m * np.sqrt(rho / DARK), alpha)
     lost_p = _lost_p(sweeps, params, names, dirt_key)
     rain = rain_of(params.rain_mm_h, clear_m)
-    per_clear = rho / DARK * clear_m**2
-    _weaken(sweeps.range_steps, sweeps.hit, sweeps.step_m, keys, limit_m, (per_clear, 2 * alpha), rain, lost_p)
+    power = rho / DARK * clear_m**2, 2 * alpha
+    _weaken(sweeps.range_steps, sweeps.hit, sweeps.step_m, keys, limit_m, power, rain, lost_p)
+
+
+def _uniform(prefix: np.uint64, names: UInt64[ndarray, "k"]) -> Float[ndarray, "k"]:
+    """A uniform draw of each name."""
+    return uniforms(mix_rows(np.full(len(names), prefix), names), 1)[:, 0]
 
 
 def _lost_p(
@@ -213,14 +220,15 @@ def _lost_p(
     azimuth = np.degrees(sweeps.beams.azimuth_rad)
     kept = np.ones((len(sweeps.observers), len(azimuth)))
     if params.dirt:
-        who = names[sweeps.observers]
-        dirty = uniforms(mix_rows(np.full(len(who), dirt_key), who), 1)[:, :1] < params.dirty_p
+        is_dirty = _uniform(dirt_key, names[sweeps.observers]) < params.dirty_p
         for first, last, lost in params.dirt:
-            kept *= 1.0 - lost * (dirty & ((azimuth - first) % 360 <= last - first))
+            in_sector = (azimuth - first) % 360 <= last - first
+            kept *= 1.0 - lost * (is_dirty[:, None] & in_sector)
     if params.sun is not None:
         east, half, lost = params.sun
         away = azimuth + np.degrees(sweeps.poses.yaw_rad)[:, None] - east
-        kept *= 1.0 - lost * (np.abs((away + 180) % 360 - 180) <= half)
+        is_glare = np.abs((away + 180) % 360 - 180) <= half
+        kept *= 1.0 - lost * is_glare
     return 1.0 - kept
 
 
@@ -231,28 +239,33 @@ def _weaken(range_steps, hits, step_m, keys, limit_m, power, rain, lost_p):
     n, m = np.uint64(range_steps.shape[1]), np.uint64(range_steps.shape[2])
     most = 1.0 - np.exp(-rain.n)
     for o in range(len(range_steps)):
-        of_rain, of_loss = splitmix64(keys[o] + _OF_RAIN), splitmix64(keys[o] + _OF_LOSS)
+        of_rain = splitmix64(keys[o] + _OF_RAIN)
+        of_loss = splitmix64(keys[o] + _OF_LOSS)
         for c in range(n):
             for r in range(m):
-                steps, code = np.int64(range_steps[o, c, r]), np.int64(hits[o, c, r])
+                steps = np.int64(range_steps[o, c, r])
+                code = np.int64(hits[o, c, r])
                 d = steps * step_m
                 if steps != NO_RETURN and d > limit_m[code]:
                     steps = _NO_RETURN
-                drop = splitmix64(of_rain + (c * m + r) * GOLDEN)
+                ray = (c * m + r) * GOLDEN
+                drop = splitmix64(of_rain + ray)
                 u = unit(drop)
                 if u < most:
                     q = 1.0
                     if steps != NO_RETURN and d > 0.0:
-                        q = max(1.0, per_clear[code] * np.exp(-twice_alpha * d) / (d * d))
+                        excess = per_clear[code] * np.exp(-twice_alpha * d) / (d * d)
+                        q = max(1.0, excess)
                     if u < 1.0 - np.exp(-rain.n * q**-0.75):
                         other = splitmix64(drop + GOLDEN)
                         wide = rain.diameter_mm[other >> _S54]
                         share = (other & _LOW) / 4294967296.0
                         near = rain.per_mm * np.sqrt(wide) * q**-0.25 * share ** (1.0 / 3.0)
                         if near >= NEAREST_M and (steps == NO_RETURN or near < d):
-                            steps, code = np.int64(near / step_m + 0.5), _NOTHING
+                            steps = np.int64(near / step_m + 0.5)
+                            code = _NOTHING
                 if lost_p[o, c] > 0.0 and steps != NO_RETURN:
-                    if unit(splitmix64(of_loss + (c * m + r) * GOLDEN)) < lost_p[o, c]:
+                    if unit(splitmix64(of_loss + ray)) < lost_p[o, c]:
                         steps = _NO_RETURN
                 range_steps[o, c, r] = steps
                 hits[o, c, r] = _NOTHING if steps == NO_RETURN else code

@@ -78,7 +78,9 @@ class Choices(Mapping[str, T], Generic[T]):
 
     def __init__(self, kind: str, own: Mapping[str, T]) -> None:
         self._own = dict(own)
-        self._added = {name: at for addon in addons().values() for name, at in addon.choices.get(kind, {}).items()}
+        self._added: dict[str, str] = {}
+        for addon in addons().values():
+            self._added.update(addon.choices.get(kind, {}))
 
     def __getitem__(self, name: str) -> T:
         return self._own[name] if name in self._own else loaded(self._added[name])

@@ -38,7 +38,8 @@ class Growing(io.RawIOBase):
     def __init__(self, partial: Path) -> None:
         """`partial` is the name until then. An existing file of that name is replaced."""
         self._partial = partial
-        self._file, self._sha256 = io.BufferedWriter(io.FileIO(new_file(partial), "w")), hashlib.sha256()
+        self._file = io.BufferedWriter(io.FileIO(new_file(partial), "w"))
+        self._sha256 = hashlib.sha256()
         self.n_bytes = 0
 
     def writable(self) -> bool:
@@ -114,7 +115,8 @@ def write_output(path: Path, content: bytes) -> None:
 
 def append_line(path: Path, line: bytes) -> None:
     """Append a line to a file. It is on disk when the function returns."""
-    with open(os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW, 0o666), "ab") as file:
+    handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    with open(handle, "ab") as file:
         file.write(line + b"\n")
         file.flush()
         os.fsync(file.fileno())
@@ -167,13 +169,18 @@ def sha256(path: Path) -> str:
 
 def seal(content: dict[str, Any]) -> dict[str, Any]:
     """Add a checksum of the data as the last key."""
-    content = {key: value for key, value in content.items() if key != _SEAL}
+    content = _unsealed(content)
     return content | {_SEAL: _digest(content)}
 
 
 def is_sealed(content: dict[str, Any]) -> bool:
     """Whether the checksum in the data is correct."""
-    return content.get(_SEAL) == _digest({key: value for key, value in content.items() if key != _SEAL})
+    return content.get(_SEAL) == _digest(_unsealed(content))
+
+
+def _unsealed(content: dict[str, Any]) -> dict[str, Any]:
+    """The data without their checksum."""
+    return {key: value for key, value in content.items() if key != _SEAL}
 
 
 def _digest(content: dict[str, Any]) -> str:
@@ -192,7 +199,7 @@ class Lock:
             self._handle = open_lock(self._path)
             try:
                 fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if self._path.exists() and self._path.stat().st_ino == os.fstat(self._handle).st_ino:
+                if _is_named(self._handle, self._path):
                     return
             except OSError:
                 os.close(self._handle)
@@ -202,7 +209,7 @@ class Lock:
     def is_held(self) -> bool:
         """Whether the folder is still the one that was locked, and not a later one of the same name."""
         try:
-            return self._handle >= 0 and self._path.stat().st_ino == os.fstat(self._handle).st_ino
+            return self._handle >= 0 and _is_named(self._handle, self._path)
         except OSError:
             return False
 
@@ -212,10 +219,15 @@ class Lock:
             return
         handle, self._handle = self._handle, -1
         try:
-            if self._path.exists() and self._path.stat().st_ino == os.fstat(handle).st_ino:
+            if _is_named(handle, self._path):
                 self._path.unlink(missing_ok=True)
         finally:
             os.close(handle)
+
+
+def _is_named(handle: int, path: Path) -> bool:
+    """Whether an open file still has this name."""
+    return path.exists() and path.stat().st_ino == os.fstat(handle).st_ino
 
 
 def is_locked(folder: Path) -> bool:

@@ -22,17 +22,23 @@ E = math.sqrt(FLATTENING * (2 - FLATTENING))
 """Eccentricity."""
 
 ALPHA = (
-    N / 2 - 2 * N**2 / 3 + 5 * N**3 / 16 + 41 * N**4 / 180, 13 * N**2 / 48 - 3 * N**3 / 5 + 557 * N**4 / 1440,
-    61 * N**3 / 240 - 103 * N**4 / 140, 49561 * N**4 / 161280,
-)  # fmt: skip
+    N / 2 - 2 * N**2 / 3 + 5 * N**3 / 16 + 41 * N**4 / 180,
+    13 * N**2 / 48 - 3 * N**3 / 5 + 557 * N**4 / 1440,
+    61 * N**3 / 240 - 103 * N**4 / 140,
+    49561 * N**4 / 161280,
+)
 BETA = (
-    N / 2 - 2 * N**2 / 3 + 37 * N**3 / 96 - N**4 / 360, N**2 / 48 + N**3 / 15 - 437 * N**4 / 1440,
-    17 * N**3 / 480 - 37 * N**4 / 840, 4397 * N**4 / 161280,
-)  # fmt: skip
+    N / 2 - 2 * N**2 / 3 + 37 * N**3 / 96 - N**4 / 360,
+    N**2 / 48 + N**3 / 15 - 437 * N**4 / 1440,
+    17 * N**3 / 480 - 37 * N**4 / 840,
+    4397 * N**4 / 161280,
+)
 DELTA = (
-    2 * N - 2 * N**2 / 3 - 2 * N**3 + 116 * N**4 / 45, 7 * N**2 / 3 - 8 * N**3 / 5 - 227 * N**4 / 45,
-    56 * N**3 / 15 - 136 * N**4 / 35, 4279 * N**4 / 630,
-)  # fmt: skip
+    2 * N - 2 * N**2 / 3 - 2 * N**3 + 116 * N**4 / 45,
+    7 * N**2 / 3 - 8 * N**3 / 5 - 227 * N**4 / 45,
+    56 * N**3 / 15 - 136 * N**4 / 35,
+    4279 * N**4 / 630,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +81,12 @@ class Projection:
             In one line: it is no transverse Mercator map of WGS84.
         """
         given = dict(part.lstrip("+").partition("=")[::2] for part in text.split())
+        ellipsoid = given.get("ellps", given.get("datum"))
+        shift = given.get("towgs84", "0").split(",")
         try:
-            if given.get("ellps", given.get("datum")) not in ("WGS84", "GRS80") or given.get("units", "m") != "m":
+            if ellipsoid not in ("WGS84", "GRS80") or given.get("units", "m") != "m":
                 raise KeyError
-            if any(float(v) for v in given.get("towgs84", "0").split(",")):
+            if any(float(part) for part in shift):
                 raise KeyError
             if given["proj"] == "utm" and 1 <= (zone := int(given["zone"])) <= 60:
                 south_m = 1e7 if "south" in given else 0.0
@@ -86,7 +94,8 @@ class Projection:
             if given["proj"] != "tmerc":
                 raise KeyError
             lat, lon, x, y = (float(given.get(name, 0)) for name in ("lat_0", "lon_0", "x_0", "y_0"))
-            return Projection(lat, lon, float(given.get("k", given.get("k_0", 1))), east_m - x, north_m - y)
+            scale = float(given.get("k", given.get("k_0", 1)))
+            return Projection(lat, lon, scale, east_m - x, north_m - y)
         except (KeyError, ValueError):
             raise ValueError(f"the projection {text!r} is no transverse Mercator map of WGS84, such as UTM.") from None
 
@@ -102,17 +111,19 @@ class Projection:
         stretch = self.scale * RADIUS_M
         xi = (xy[:, 1] + self.north_m) / stretch + _rectified(math.radians(self.latitude_deg))
         eta = (xy[:, 0] + self.east_m) / stretch
-        j = 2 * np.arange(1, 5)[:, None]
-        beta, delta = (np.array(c)[:, None] for c in (BETA, DELTA))
-        north = xi - (beta * np.sin(j * xi) * np.cosh(j * eta)).sum(axis=0)
-        east = eta - (beta * np.cos(j * xi) * np.sinh(j * eta)).sum(axis=0)
+        of_xi, of_eta = _series(BETA, xi, eta)
+        north, east = xi - of_xi, eta - of_eta
         chi = np.arcsin(np.sin(north) / np.cosh(east))
-        lat = chi + (delta * np.sin(j * chi)).sum(axis=0)
+        of_chi, _ = _series(DELTA, chi, np.zeros(1))
+        lat = chi + of_chi
         away = np.arctan2(np.sinh(east), np.cos(north))
+        longitude_deg = self.longitude_deg + np.degrees(away)
         return OnEarth(
-            np.degrees(lat), np.mod(self.longitude_deg + np.degrees(away) + 180, 360) - 180,
-            np.arctan(np.tan(away) * np.sin(lat)), self.scale * np.cosh(east),
-        )  # fmt: skip
+            latitude_deg=np.degrees(lat),
+            longitude_deg=np.mod(longitude_deg + 180, 360) - 180,
+            turn_rad=np.arctan(np.tan(away) * np.sin(lat)),
+            scale=self.scale * np.cosh(east),
+        )
 
     def to_world(self, latitude_deg: Float[ndarray, "n"], longitude_deg: Float[ndarray, "n"]) -> Float[ndarray, "n 2"]:
         """World coordinates, east and north [m], of places on Earth: the inverse of `of_world`.
@@ -122,19 +133,35 @@ class Projection:
         latitude_deg, longitude_deg
             At most 3,000 km from the central meridian.
         """
-        lat, away = np.radians(latitude_deg), np.radians(np.asarray(longitude_deg, float) - self.longitude_deg)
-        t = np.sinh(np.arctanh(np.sin(lat)) - E * np.arctanh(E * np.sin(lat)))
-        xi, eta = np.arctan2(t, np.cos(away)), np.arcsinh(np.sin(away) / np.hypot(t, np.cos(away)))
-        j, alpha = 2 * np.arange(1, 5)[:, None], np.array(ALPHA)[:, None]
-        north = xi + (alpha * np.sin(j * xi) * np.cosh(j * eta)).sum(axis=0)
-        east = eta + (alpha * np.cos(j * xi) * np.sinh(j * eta)).sum(axis=0)
+        sin_lat = np.sin(np.radians(latitude_deg))
+        away = np.radians(np.asarray(longitude_deg, float) - self.longitude_deg)
+        cos_away = np.cos(away)
+        t = np.sinh(np.arctanh(sin_lat) - E * np.arctanh(E * sin_lat))
+        xi = np.arctan2(t, cos_away)
+        eta = np.arcsinh(np.sin(away) / np.hypot(t, cos_away))
+        of_xi, of_eta = _series(ALPHA, xi, eta)
+        north, east = xi + of_xi, eta + of_eta
         stretch = self.scale * RADIUS_M
         origin = _rectified(math.radians(self.latitude_deg))
-        return np.column_stack([stretch * east - self.east_m, stretch * (north - origin) - self.north_m])
+        east_m = stretch * east - self.east_m
+        north_m = stretch * (north - origin) - self.north_m
+        return np.column_stack([east_m, north_m])
+
+
+def _series(
+    coefficients: tuple[float, ...], xi: Float[ndarray, "n"], eta: Float[ndarray, "m"]
+) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
+    """Sums over k of c_k sin(2k xi) cosh(2k eta), and of c_k cos(2k xi) sinh(2k eta)."""
+    j = 2 * np.arange(1, 5)[:, None]
+    c = np.array(coefficients)[:, None]
+    of_xi = (c * np.sin(j * xi) * np.cosh(j * eta)).sum(axis=0)
+    of_eta = (c * np.cos(j * xi) * np.sinh(j * eta)).sum(axis=0)
+    return of_xi, of_eta
 
 
 def _rectified(lat_rad: float) -> float:
     """Length of the meridian from the equator, as an angle."""
-    t = math.sinh(math.atanh(math.sin(lat_rad)) - E * math.atanh(E * math.sin(lat_rad)))
+    sin = math.sin(lat_rad)
+    t = math.sinh(math.atanh(sin) - E * math.atanh(E * sin))
     xi = math.atan(t)
     return xi + sum(a * math.sin(2 * k * xi) for k, a in enumerate(ALPHA, 1))

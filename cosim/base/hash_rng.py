@@ -94,5 +94,11 @@ def persistent_normals(keys: UInt64[ndarray, "k"], n: int, time_s: float, memory
     phase = uniforms(keys, 1)[:, 0]
     cell, w = np.divmod(time_s / memory_s + phase, 1.0)
     before, after = (normals(mix_rows(keys, (cell + step).astype(np.uint64)), n) for step in (1.0, 2.0))
-    w = w[:, None]
+    return between(before, after, w[:, None])
+
+
+def between(
+    before: Float[ndarray, "k n"], after: Float[ndarray, "k n"], w: Float[ndarray, "k 1"]
+) -> Float[ndarray, "k n"]:
+    """Standard normals that turn from some into others as the weight of the others grows from 0 to 1."""
     return ((1.0 - w) * before + w * after) / np.sqrt((1.0 - w) ** 2 + w**2)

@@ -29,8 +29,7 @@ def expand(starts: Int[ndarray, "m"], stops: Int[ndarray, "m"]) -> tuple[ndarray
     """
     counts = stops - starts
     which = owner_of_rows(counts)
-    offset = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return starts[which] + offset, which
+    return ranges(starts, counts), which
 
 
 def ranges(start: Int[ndarray, "r"], count: Int[ndarray, "r"]) -> Int[ndarray, "m"]:
@@ -51,8 +50,10 @@ def owner_of_rows(count: Int[ndarray, "r"]) -> Int[ndarray, "m"]:
 
 def rows_of(number: Int[ndarray, "k"], numbers: Int[ndarray, "n"]) -> tuple[Int[ndarray, "k"], Bool[ndarray, "k"]]:
     """Row of each number among ascending ones, and whether it is there. Where it is not, the row means nothing."""
-    row = np.minimum(np.searchsorted(numbers, number), max(len(numbers) - 1, 0))
-    return row, numbers[row] == number if len(numbers) else np.zeros(len(number), bool)
+    last = max(len(numbers) - 1, 0)
+    row = np.minimum(np.searchsorted(numbers, number), last)
+    is_there = numbers[row] == number if len(numbers) else np.zeros(len(number), bool)
+    return row, is_there
 
 
 def row_numbers(rows: Int[ndarray, "m"] | Bool[ndarray, "n"]) -> Int[ndarray, "m"]:
@@ -72,7 +73,9 @@ def distinct(value: Int[ndarray, "m"]) -> tuple[Int[ndarray, "k"], Int[ndarray, 
     takes 20 ms, and 250 ms without counts, because it then uses a hash table.
     """
     ordered = np.sort(value, kind="stable")
-    first = np.flatnonzero(np.concatenate([np.ones(min(1, len(ordered)), bool), ordered[1:] != ordered[:-1]]))
+    is_first = np.ones(len(ordered), bool)
+    is_first[1:] = ordered[1:] != ordered[:-1]
+    first = np.flatnonzero(is_first)
     return ordered[first], np.diff(np.append(first, len(ordered)))
 
 
@@ -81,7 +84,9 @@ def stable_order(value: Int[ndarray, "m"]) -> Int[ndarray, "m"]:
 
     The function counts if the range of the numbers is at most eight times as long as the array. Otherwise it sorts.
     """
-    low, high = (int(value.min()), int(value.max())) if len(value) else (0, 0)
+    if not len(value):
+        return np.zeros(0, np.int64)
+    low, high = int(value.min()), int(value.max())
     if high - low > 8 * len(value):
         return np.argsort(value, kind="stable")
     return counting_order(np.asarray(value, np.int64) - low, high - low + 1)
@@ -95,8 +100,9 @@ def order_by_two(first: Int[ndarray, "m"], second: Int[ndarray, "m"], n: int) ->
     first, second
         Numbers from 0 to n - 1.
     """
-    order = counting_order(np.asarray(second, np.int64), n)
-    return order[counting_order(np.asarray(first, np.int64)[order], n)]
+    first, second = (np.asarray(column, np.int64) for column in (first, second))
+    order = counting_order(second, n)
+    return order[counting_order(first[order], n)]
 
 
 @compiled

@@ -141,8 +141,7 @@ def persistent(
     phase = uniforms(prefix, *ids)[:, 0]
     cell, w = np.divmod(time_s / memory_s + phase, 1.0)
     before, after = (normals(prefix, *ids, cell + step, n=n) for step in (1.0, 2.0))
-    w = w[:, None]
-    return ((1.0 - w) * before + w * after) / np.sqrt((1.0 - w) ** 2 + w**2)
+    return hash_rng.between(before, after, w[:, None])
 
 
 def name_key(name: str) -> int:
