@@ -74,6 +74,13 @@ def test_intervals_by_hand():
     assert found.low == pytest.approx({names[0]: 1.39}) and found.high == pytest.approx({names[0]: 3.11})
 
 
+def test_no_interval_of_a_share_is_above_one():
+    none, name = np.zeros(1), "freshness.lookup_state.share:no value"
+    own = Prediction("base", 1.0, 50.0, none, none, none, none, {name: 1.0})
+    found = with_intervals(own, [{name: 1.0}])
+    assert found.low == {name: pytest.approx(1.0 - MODEL_ERROR[name])} and found.high == {name: 1.0}
+
+
 def test_points_that_differ_in_their_server_share_one_replay(tmp_path, monkeypatch):
     path = tmp_path / "study.toml"
     path.write_text(
