@@ -103,6 +103,16 @@ def test_points_that_differ_in_their_server_share_one_replay(tmp_path, monkeypat
         assert answer == "{} {} {}".format(*want)
 
 
+def test_what_is_neglected_at_any_point_of_a_study_is_said_once(tmp_path):
+    (tmp_path / "study.toml").write_text(
+        "[base]\nattacks = []\nfleet.penetration_p = 1\ntrust.least_score = 0\ntraffic = {duration_s = 5, warmup_s = 0}\n"
+        "[grid]\ngnss.std_m = [0, 0.2]\ntrust.server_period_s = [1, 5]\n"
+    )
+    done = cosim("predict", "freshness", "study.toml", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["neglected"] == ["gnss: the law takes positions for exact."]
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("law")
