@@ -58,13 +58,12 @@ def is_lock_step(run: Run) -> bool:
 
 
 def sampling_stride(run: Run, least: int) -> int:
-    """Smallest stride, at least `least`, by which a sample of steps has vehicles of all phases alike.
+    """Smallest stride, at least `least`, by which a sample of steps has vehicles of all intervals and phases alike.
 
-    Every n-th step would have those of one phase only if n were a multiple of the sensing interval.
+    Every n-th step has the same share of each vehicle's sweeps if n has no factor in common with any sensing interval.
     """
-    interval, phase = (np.unique(column) for column in _schedule(run))
-    stride, longest = max(1, least), int(interval.max())
-    while len(phase) > 1 and math.gcd(stride, longest) > 1:
+    stride, common = max(1, least), math.lcm(*np.unique(_schedule(run)[0]).tolist())
+    while not is_lock_step(run) and math.gcd(stride, common) > 1:
         stride += 1
     return stride
 

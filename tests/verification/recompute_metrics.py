@@ -361,6 +361,7 @@ def evidence(of):
     for label, some in own.groupby("class"):
         yield "no_actor.share", label, some.truth_actor.isna().mean()
     made = made[(made.visibility > 0) & ~made.lied & (made.evaluator.map(who.role) == "honest")]
+    made = made[made.observer.map(who.role).notna()]  # not those of roadside units
     made = made.assign(of_step=made.detection_step if "detection_step" in made else made.step)
     of_step = boxes.rename(columns={"step": "of_step"})
     made = made.merge(of_step, on=["of_step", "observer", "detection_index"], suffixes=("", "_box"))

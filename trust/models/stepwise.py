@@ -148,7 +148,7 @@ class Stepwise:
         reading = self.read(state, now - step if step >= 0 else 0, now)
         holder, subject, row = self.log.pairs.sorted()
         n, newest, oldest = with_rows(self.log.counted, len(self.log.pairs))[row].T
-        known = (n > 0) & ((now - newest) * self.dt_s < reading.horizon_s)
+        known = (n > 0) & self.is_younger(now - newest, reading.horizon_s)
         holder, subject, row, n, newest, oldest = (a[known] for a in (holder, subject, row, n, newest, oldest))
         uncertainty = np.full(row.size, np.nan) if reading.uncertainty is None else reading.uncertainty[row]
         return TrustScores(
@@ -164,6 +164,10 @@ class Stepwise:
     def decay(self, per_s: float, n_steps: int) -> float:
         """Share that is left after `n_steps` of decay; `per_s` is the share left after one second."""
         return per_s ** (n_steps * self.dt_s)
+
+    def is_younger(self, n_steps: Any, age_s: float) -> Any:
+        """Whether what is so many steps old is younger than an age, which 90 steps of 0.7 s reach if it is 63 s."""
+        return n_steps * self.dt_s < age_s * (1 - 1e-9)
 
     def horizon_s(self, per_s: float) -> float:
         """Age at which decay leaves less than 2^-40; `per_s` is the share left after one second."""

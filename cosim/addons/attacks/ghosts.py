@@ -53,7 +53,7 @@ class ApproachingGhost(Vouched[ApproachingGhostParams]):
         """The lists, with one ghost for each attacker that has a victim."""
         p, world = self.params, context.world
         attacker, victim = context.victims()
-        n_places = int(np.floor((p.from_m - p.to_m) / p.step_m)) + 1
+        n_places = int(np.floor((p.from_m - p.to_m) / p.step_m + 1e-9)) + 1
         ahead_m = p.from_m - p.step_m * (context.n_active[attacker] % n_places)
         n = len(attacker)
         lwh = np.tile(CAR_LWH_M, (n, 1))

@@ -75,7 +75,7 @@ class TrustFlip(WithParams[TrustFlipParams]):
         rows = rows[np.argsort(context.name_key(attacker[rows]))]  # so that nothing depends on actor numbers
         victim, first = np.unique(victim[rows], return_index=True)
         attacker = attacker[rows[first]]
-        ahead_m = np.arange(p.ahead_m, p.farthest_m + STEP_M / 2, STEP_M)
+        ahead_m = np.arange(p.ahead_m, p.farthest_m + 1e-9, STEP_M)
         row = np.repeat(victim, len(ahead_m))
         ahead_m = np.tile(ahead_m, len(victim))
         left_m = np.full(len(row), p.left_m)

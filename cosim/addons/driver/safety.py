@@ -80,14 +80,15 @@ def reactions(run: Run) -> pd.DataFrame:
     (speed taken by commands, summed).
     """
     run.require("reactions")
-    rows = run.table("reactions").sort_values(["vehicle", "step"])
+    rows = run.table("reactions")
     kind = np.where(rows.fabricated, "ghost", np.where(rows.truth_actor.notna(), "real", "false positive"))
     rows = rows.assign(kind=kind, taken_mps=rows.deceleration_mps2.clip(lower=0) * run.dt_s)
+    rows = rows.sort_values(["vehicle", "kind", "step"])
     fresh = (rows.vehicle.diff() != 0) | (rows.step.diff() * run.dt_s > 1.0) | (rows.kind != rows.kind.shift())
     return rows.groupby(fresh.cumsum()).agg(
         vehicle=("vehicle", "first"), step=("step", "first"), end_step=("step", "last"), kind=("kind", "first"),
         gap_m=("gap_m", "first"), deceleration_mps2=("deceleration_mps2", "max"), taken_mps=("taken_mps", "sum"),
-    ).reset_index(drop=True)  # fmt: skip
+    ).sort_values(["vehicle", "step"], ignore_index=True)  # fmt: skip
 
 
 def waves(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:

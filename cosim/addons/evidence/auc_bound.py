@@ -116,7 +116,7 @@ def _counts(run: Run, who: pd.DataFrame, known: bool) -> Int[ndarray, "s c"]:
     """The clues about these subjects while they are watched, by kind."""
     run.require("evaluations")
     stride = sampling_stride(run, -(-run.n_rows("evaluations") // _MOST_ROWS))
-    since, attacks = who.since.to_numpy(), (run.subjects.role != HONEST).to_numpy()
+    since, attackers = who.since.to_numpy(), run.subjects.index[run.subjects.role != HONEST]
     n_received = len(EvaluationKind) * _N_BINS * 2
     n_kinds = n_received * (1 + _N_OTHERS)
     counts = np.zeros(len(who) * n_kinds, np.int64)
@@ -130,11 +130,8 @@ def _counts(run: Run, who: pd.DataFrame, known: bool) -> Int[ndarray, "s c"]:
     claim = clues.assign(kind=kind).groupby(["detection_step", "observer", "detection_index", "kind"], sort=False)
     others = _of_others(claim.ngroup().to_numpy(), said)
     others[kind == EvaluationKind.MISSING] = 0  # each evaluator counts objects in an order of its own
-    by, of = (run.subjects.index.get_indexer(pd.Index(clues[name])) for name in ("evaluator", "observer"))
-    cells = (
-        value * 2 + (attacks[by] & known),
-        n_received + (value * _N_OTHERS + others) * 2 + (attacks[of] & known),
-    )
+    by, of = (clues[name].isin(attackers).to_numpy() & known for name in ("evaluator", "observer"))
+    cells = value * 2 + by, n_received + (value * _N_OTHERS + others) * 2 + of
     step = clues.step.to_numpy()
     for name, cell in zip(("observer", "evaluator"), cells, strict=True):
         subject = who.index.get_indexer(pd.Index(clues[name]))

@@ -1,9 +1,9 @@
 """How right evaluations are: how often honest vehicles deny what is true, and confirm what is not there.
 
 These rates decide every trust value. Evaluations are those that honest vehicles make, with visibility above 0, of
-detections that were sent; unless said otherwise, those that another vehicle sent. An evaluation denies a detection if
-it is negative: the detection matches none of the evaluator's own. It confirms it if it is positive. An evaluator that
-finds no match but knows nothing about the place (visibility 0, see `trust.denials`) neither denies nor confirms.
+detections that vehicles sent; unless said otherwise, those that another vehicle sent. An evaluation denies a detection
+if it is negative: the detection matches none of the evaluator's own. It confirms it if it is positive. An evaluator
+that finds no match but knows nothing about the place (visibility 0, see `trust.denials`) neither denies nor confirms.
 """
 
 from itertools import pairwise
@@ -138,14 +138,14 @@ WITH said AS (
     SELECT s.vehicle,
         CASE WHEN d.origin = 'self' THEN '{KINDS[0]}' WHEN d.origin = 'fabricated' THEN '{KINDS[3]}'
             WHEN d.truth_actor IS NOT NULL THEN '{KINDS[1]}' ELSE '{KINDS[2]}' END AS kind,
-        if(coalesce(of.vehicle = s.vehicle, false), '{EVALUATORS[0]}', '{EVALUATORS[1]}') AS evaluator,
+        if(of.vehicle = s.vehicle, '{EVALUATORS[0]}', '{EVALUATORS[1]}') AS evaluator,
         d.class, of.role, {_bins("s.visibility", _VISIBILITY, "")} AS visibility,
         {_bins(_AWAY_M, _DISTANCE_M, " m")} AS distance,
         s.evaluation < 0 AS denied, s.evaluation > 0 AS confirmed, s.evaluation < 0 AND own.step IS NULL AS missed
     FROM said s
     JOIN made d ON d.step = s.detection_step AND d.observer = s.observer AND d.detection_index = s.detection_index
     JOIN actors a ON a.step = s.step AND a.actor = s.vehicle
-    LEFT JOIN subjects of ON of.pseudonym = s.observer
+    JOIN subjects of ON of.pseudonym = s.observer
     LEFT JOIN (SELECT DISTINCT step, observer, truth_actor FROM made WHERE origin = 'sensed') own
         ON own.step = s.step AND own.observer = s.evaluator AND own.truth_actor = d.truth_actor
     WHERE d.transmitted AND (NOT d.lied OR d.origin = 'fabricated')

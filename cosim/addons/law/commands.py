@@ -67,6 +67,7 @@ def freshness(
     from cosim.addons.law.freshness import predict_study
     from cosim.addons.law.scope import left_out
     from cosim.config.config import load
+    from cosim.studies.study import config_at
 
     study = _study_of(config, trust_code)
     if study is not None and (overrides or grid):
@@ -83,7 +84,8 @@ def freshness(
     with progress() as advance:
         if study is not None:
             found = list(predict_study(study, str(config), advance, fleets))
-            neglected: list[str] = []
+            points = [config_at(study, keys, 0, str(config)) for keys in study.combinations()]
+            neglected = list(dict.fromkeys(line for point in points for line in left_out(point)))
         else:
             if grid is not None:
                 _write_grid(asked, grid, advance)

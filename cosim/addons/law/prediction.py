@@ -76,7 +76,7 @@ def with_intervals(own: Prediction, runs: Sequence[Mapping[str, float]]) -> Pred
         if len(values) and np.isfinite(value):
             error = MODEL_ERROR[name] * (1.0 if "share" in name else value)
             low[name] = max(0.0, float(values.min()) - error)
-            high[name] = float(values.max()) + error
+            high[name] = min(float(values.max()) + error, 1.0 if "share" in name else np.inf)
     return replace(own, low=low, high=high)
 
 

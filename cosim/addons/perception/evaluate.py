@@ -287,8 +287,10 @@ def _cooperative(
 
     Boxes on what is ignored count neither as right nor as false, in every method.
     """
-    received = _take(data.found, _helping(data, partners_m))
-    judged = trusted(data, received)
+    near = _near_ego(data, partners_m)
+    rows = zip(data.found.frame.tolist(), data.found.agent.tolist(), strict=True)
+    received = _take(data.found, np.array([agent in near[frame] for frame, agent in rows], bool))
+    judged = trusted(data, near, received)
     methods: dict[str, RecordedBoxes] = {
         "ego": _take(data.found, data.found.agent == 0),
         "late": _late(received),
@@ -316,14 +318,13 @@ def _cooperative(
     return table, judged
 
 
-def _helping(data: Recorded, partners_m: float) -> Bool[ndarray, "n"]:
-    """Whether each box is of the ego or of an agent near it."""
+def _near_ego(data: Recorded, partners_m: float) -> list[Int[ndarray, "k"]]:
+    """In each frame, the ego and the agents near it."""
     near = []
     for pose in data.pose:
         away_m = pose[:, :2] - pose[0, :2]
-        near.append(np.hypot(*away_m.T) <= partners_m)
-    rows = zip(data.found.frame.tolist(), data.found.agent.tolist(), strict=True)
-    return np.array([near[frame][agent] for frame, agent in rows], bool)
+        near.append(np.flatnonzero(np.hypot(*away_m.T) <= partners_m))
+    return near
 
 
 def _within(data: Recorded, boxes: RecordedBoxes, range_m: float) -> Bool[ndarray, "n"]:

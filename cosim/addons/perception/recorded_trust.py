@@ -1,5 +1,6 @@
 """Trust in recorded data sets: agents evaluate each other's boxes by their own detections and clouds."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,7 +35,7 @@ class Trusted:
     """Trust in the agents after the last frame, and the ego's objects fused with the trust of each moment."""
 
     agents: pd.DataFrame
-    """agent, n_frames, n_evaluations of its boxes by others, trust."""
+    """agent, n_frames in which it cooperates, n_evaluations of its boxes by others, trust."""
     fused: RecordedBoxes
     n_unread: int
     """Frames left out, because the cloud of an agent is missing or cannot be read."""
@@ -42,18 +43,20 @@ class Trusted:
     """A sentence on the first of them, if its cloud is there and cannot be read."""
 
 
-def trusted(data: Recorded, boxes: RecordedBoxes) -> Trusted:
+def trusted(data: Recorded, cooperating: Sequence[Int[ndarray, "k"]], boxes: RecordedBoxes) -> Trusted:
     """TruPercept over the frames of a data set, in their order.
 
     Parameters
     ----------
+    cooperating
+        In each frame, numbers of the ego and of the agents that cooperate with it, ascending. The others do nothing.
     boxes
-        Detections of the ego and of the agents that cooperate with it, sorted by frame and agent.
+        Detections of these agents, sorted by frame and agent.
 
     Notes
     -----
-    In each frame every agent evaluates the boxes of the others: e is the score of its own detection that matches, else
-    eta; the visibility is that of the points of its own cloud in the box. A box without points is not evaluated:
+    In each frame each of them evaluates the boxes of the others: e is the score of its own detection that matches,
+    else eta; the visibility is that of the points of its own cloud in the box. A box without points is not evaluated:
     whether rays passed through it would need the sweep, not the cloud. Trust is that of one server that receives
     everything, and never expires.
     """
@@ -65,17 +68,18 @@ def trusted(data: Recorded, boxes: RecordedBoxes) -> Trusted:
     parts, unread, why_unread = [], 0, ""
     present = dict.fromkeys(numbers, 0)
     begin = np.searchsorted(boxes.frame, np.arange(len(data.frames) + 1))
-    for frame, names in enumerate(data.agents):
+    for frame, here in enumerate(cooperating):
         rows = np.arange(begin[frame], begin[frame + 1])
         if not len(rows):
             continue
-        clouds = _clouds(data.clouds[frame])
+        names = [data.agents[frame][agent] for agent in here]
+        clouds = _clouds([data.clouds[frame][agent] for agent in here])
         if isinstance(clouds, str):
             unread, why_unread = unread + 1, why_unread or clouds
             continue
         known = model.scores(frame) if frame else None
-        scene = _Frame.of(boxes, rows, label, len(names))
-        given, evidence = scene.evaluated(clouds, data.world_from[frame])
+        scene = _Frame.of(boxes, rows, label, here)
+        given, evidence = scene.evaluated(clouds, data.world_from[frame][here])
         who = np.array([numbers[name] for name in names])
         sent = scene.table
         model.open_step(frame, who, sent.message, sent.detection_index, sent.score)
@@ -113,8 +117,8 @@ def trusted(data: Recorded, boxes: RecordedBoxes) -> Trusted:
     return Trusted(table, fused, unread, why_unread)
 
 
-def _clouds(paths: tuple[Path, ...]) -> list[Float[ndarray, "n 3"]] | str:
-    """The clouds of all agents of a frame; or why one cannot be read, which is empty if it is missing."""
+def _clouds(paths: Sequence[Path]) -> list[Float[ndarray, "n 3"]] | str:
+    """The clouds of some agents of a frame; or why one cannot be read, which is empty if it is missing."""
     if not all(path.is_file() for path in paths):
         return ""
     try:
@@ -132,14 +136,14 @@ class _Frame:
     lists: ObjectLists
 
     @staticmethod
-    def of(boxes: RecordedBoxes, rows: Int[ndarray, "n"], label: ndarray, n_agents: int) -> "_Frame":
-        message = boxes.agent[rows]
+    def of(boxes: RecordedBoxes, rows: Int[ndarray, "n"], label: ndarray, here: Int[ndarray, "k"]) -> "_Frame":
+        message = np.searchsorted(here, boxes.agent[rows])
         index = np.arange(len(rows)) - np.searchsorted(message, message) + 1
         score = np.clip(boxes.score[rows], 0.0, 1.0)
         table = SentDetections(message, index, label[rows], score, np.zeros(len(rows), bool))
-        agent = np.arange(n_agents)
+        agent = np.arange(len(here))
         member = np.argsort(message != agent[:, None], axis=1, kind="stable")
-        lists = ObjectLists(len(rows) * np.arange(n_agents + 1), member.ravel(), agent)
+        lists = ObjectLists(len(rows) * np.arange(len(here) + 1), member.ravel(), agent)
         return _Frame(boxes.box[rows], table, lists)
 
     def evaluated(

@@ -104,7 +104,7 @@ class Announcement(Stepwise):
         new = Ratings(with_rows(state.sums, n_edges).copy(), state.newest)
         n_old = 0
         for step, edge, rating in state.history:
-            if (now - step) * self.dt_s < self.params.validity_s:
+            if self.is_younger(now - step, self.params.validity_s):
                 break
             new.added(-1, step, edge, rating)
             n_old += 1

@@ -182,4 +182,4 @@ class DawidSkene(Stepwise):
         return Reading(trust_from(counts, p.reliable), counts[:, 4:].sum(axis=1), None, p.window_s)
 
     def _recent(self, state: tuple[tuple[int, Answers], ...], now: int) -> tuple[tuple[int, Answers], ...]:
-        return tuple(one for one in state if (now - one[0]) * self.dt_s < self.params.window_s)
+        return tuple(one for one in state if self.is_younger(now - one[0], self.params.window_s))

@@ -63,8 +63,7 @@ class MajorityBan(Stepwise):
         banned = with_rows(state.banned, len(evidence))
         strikes = self._strikes(rows, banned)
         at = np.flatnonzero(strikes)
-        old_s = self.params.strike_window_s
-        kept = tuple(h for h in state.history if (step - h[0]) * self.dt_s < old_s)
+        kept = tuple(h for h in state.history if self.is_younger(step - h[0], self.params.strike_window_s))
         history = (*kept, (step, at, strikes[at]))
         total = np.zeros(len(banned), np.int64)
         for _, row, n in history:

@@ -7,14 +7,24 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from trust.claims import DETECTION
 from trust.evaluation_log import StepRows, exact
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import PairIndex, with_rows
+from trust.params import KINDS, Kind
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PlainRuleParams(StepwiseParams):
-    """Parameters of the rules `denied_share` and `mean_score`: none of their own."""
+class DeniedShareParams(StepwiseParams):
+    """Parameters of the rule `denied_share`: none of its own."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MeanScoreParams(StepwiseParams):
+    """Parameters of the rule `mean_score`."""
+
+    evidence: tuple[Kind, ...] = ("detections",)
+    """Kinds of evaluations that are made; the same as `trust.evidence`."""
 
 
 class DeniedShare(Stepwise):
@@ -28,7 +38,7 @@ class DeniedShare(Stepwise):
     Deviations: none. The rule has no source; it follows from what evaluations mean.
     """
 
-    Params: ClassVar[type] = PlainRuleParams
+    Params: ClassVar[type] = DeniedShareParams
 
     def start(self) -> Float[ndarray, "p 2"]:
         """Detections of each pair that were evaluated, and those that were denied only; no pairs yet."""
@@ -56,12 +66,12 @@ class MeanScore(Stepwise):
     Notes
     -----
     Trust is the mean of the scores of all detections that the vehicle has sent. A vehicle is known once anybody has
-    evaluated it, as in all models. Weight: the number of its detections.
+    evaluated it, as in all models. Weight: the number of its detections. What else a message claims has no score.
 
     Deviations: none. The rule has no source; it shows what lies betray by their scores alone.
     """
 
-    Params: ClassVar[type] = PlainRuleParams
+    Params: ClassVar[type] = MeanScoreParams
 
     def __init__(self, params: Any, dt_s: float) -> None:
         super().__init__(params, dt_s)
@@ -77,6 +87,9 @@ class MeanScore(Stepwise):
     ) -> None:
         """Begin a step; see `TrustModel.open_step`."""
         super().open_step(step, pseudonyms, observer_row, detection_index, score)
+        if len(self.params.evidence) > 1:
+            is_detection = detection_index % len(KINDS) == DETECTION
+            observer_row, score = observer_row[is_detection], score[is_detection]
         sender = pseudonyms[observer_row]
         row = self._senders.rows(np.zeros_like(sender), sender)
         self._sums = with_rows(self._sums, len(self._senders))

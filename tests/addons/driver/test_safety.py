@@ -100,14 +100,28 @@ def test_events_do_not_run_over_from_one_vehicle_to_the_next():
 class Reacted(Poses):
     """Stands for a run with reactions: vehicle 1 brakes for a ghost in steps 1 and 2, vehicle 9 alone in step 1."""
 
+    rows = ((1, 1, True, None, 9.0, 4.0), (2, 1, True, None, 8.0, 4.0), (1, 9, False, 3.0, 9.0, 3.0))
+
     def require(self, *names):
         assert names == ("reactions",)
 
     def table(self, name):
-        rows = [(1, 1, True, None, 9.0, 4.0), (2, 1, True, None, 8.0, 4.0), (1, 9, False, 3.0, 9.0, 3.0)]
-        return pd.DataFrame(
-            rows, columns=["step", "vehicle", "fabricated", "truth_actor", "gap_m", "deceleration_mps2"]
-        )
+        columns = ["step", "vehicle", "fabricated", "truth_actor", "gap_m", "deceleration_mps2"]
+        return pd.DataFrame(self.rows, columns=columns)
+
+
+class TwoInTurn(Reacted):
+    """Vehicle 1 brakes for a ghost in steps 1, 3 and 9, and for actor 3 in steps 2 and 4: 4 m/s2 for 0.5 s each."""
+
+    rows = tuple((step, 1, step != 2 and step != 4, 3.0, 9.0, 4.0) for step in (1, 2, 3, 4, 9))
+
+
+def test_reactions_to_two_objects_in_turn_are_one_episode_of_each():
+    """Steps of one kind are 1 s apart at most, but for the ghost's last, 3 s later. Each step takes 2 m/s."""
+    found = safety.reactions(TwoInTurn())
+    assert found[["step", "end_step", "kind", "taken_mps"]].to_numpy().tolist() == [
+        [1, 3, "ghost", 4.0], [2, 4, "real", 4.0], [9, 9, "ghost", 2.0],
+    ]  # fmt: skip
 
 
 def test_a_braking_wave_by_hand():

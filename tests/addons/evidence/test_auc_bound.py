@@ -77,3 +77,12 @@ def test_what_others_say_of_a_detection_counts_in_whichever_step(tmp_path):
     together = clues("together", 1)
     assert together.shape[1] == 4  # two received, two made
     assert np.array_equal(clues("apart", 12), together)
+
+
+def test_a_roadside_unit_is_no_attacker(tmp_path):
+    """A unit, number 2, and an honest vehicle say the same of two detections of vehicle 0: clues of one kind."""
+    said = {"observer": 0, "step": 1, "detection_step": 1, "visibility": 1.0, "evaluation": 0.7}
+    rows = [{**said, "detection_index": k, "evaluator": by} for k, by in enumerate((1, 2))]
+    run = make(tmp_path, 20, vehicles=fleet("honest", "honest", None, "malicious"), evaluations=rows)
+    who = pd.DataFrame({"since": 0}, [0, 1, 3])
+    assert _counts(run, who, True).tolist() == [[2, 0], [0, 1], [0, 0]]

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+from cosim.addons.evidence.evaluations import SPLITS, rates
 from cosim.step.trackers.evidence_audit import AuditedDetections, AuditedEvaluations, audit, count_looks
 from results.archive import open_run
 from results.measure import measure
 from tests.drive import drive
+from tests.results.tiny import fleet
 
 
 def test_by_hand():
@@ -23,6 +25,21 @@ def test_by_hand():
         "n_copies": 4, "n_evaluations": 5, "n_looks": 4, "n_echoes": 1,
     }  # fmt: skip
     assert count_looks(evaluator[:0], detection[:0], detections) == 0
+
+
+def test_detections_of_roadside_units_are_not_those_of_vehicles(tiny):
+    """Vehicle 0 confirms a detection of vehicle 1 and denies one of unit 2."""
+    sent = {"step": 1, "origin": "sensed", "transmitted": True, "truth_actor": 0}
+    said = {"step": 1, "detection_step": 1, "evaluator": 0, "visibility": 1.0}
+    run = tiny(
+        5,
+        vehicles=fleet("honest", "honest", None),
+        actors=[{"step": 1, "actor": number} for number in range(3)],
+        detections=[sent | {"observer": number} for number in (1, 2)],
+        evaluations=[said | {"observer": 1, "evaluation": 0.7}, said | {"observer": 2, "evaluation": -1.0}],
+    )
+    found = rates(run).set_index("by")
+    assert found.n.to_dict() == dict.fromkeys(("all", *SPLITS), 1) and (found.denied == 0).all()
 
 
 @pytest.fixture(scope="module", params=[1, 3], ids=["one hop", "relays"])

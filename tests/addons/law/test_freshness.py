@@ -74,6 +74,13 @@ def test_intervals_by_hand():
     assert found.low == pytest.approx({names[0]: 1.39}) and found.high == pytest.approx({names[0]: 3.11})
 
 
+def test_no_interval_of_a_share_is_above_one():
+    none, name = np.zeros(1), "freshness.lookup_state.share:no value"
+    own = Prediction("base", 1.0, 50.0, none, none, none, none, {name: 1.0})
+    found = with_intervals(own, [{name: 1.0}])
+    assert found.low == {name: pytest.approx(1.0 - MODEL_ERROR[name])} and found.high == {name: 1.0}
+
+
 def test_points_that_differ_in_their_server_share_one_replay(tmp_path, monkeypatch):
     path = tmp_path / "study.toml"
     path.write_text(
@@ -94,6 +101,16 @@ def test_points_that_differ_in_their_server_share_one_replay(tmp_path, monkeypat
     for keys, answer in found:
         want = keys["fleet.penetration_p"], float(keys["trust.server_period_s"]), keys["trust.freshness_s"]
         assert answer == "{} {} {}".format(*want)
+
+
+def test_what_is_neglected_at_any_point_of_a_study_is_said_once(tmp_path):
+    (tmp_path / "study.toml").write_text(
+        "[base]\nattacks = []\nfleet.penetration_p = 1\ntrust.least_score = 0\ntraffic = {duration_s = 5, warmup_s = 0}\n"
+        "[grid]\ngnss.std_m = [0, 0.2]\ntrust.server_period_s = [1, 5]\n"
+    )
+    done = cosim("predict", "freshness", "study.toml", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["neglected"] == ["gnss: the law takes positions for exact."]
 
 
 @pytest.fixture(scope="module")

@@ -98,6 +98,21 @@ def test_partners_beyond_the_range_of_communication_do_not_help(tmp_path):
     assert by_method(table, 0.5)["late"] == by_method(table, 0.5)["ego"]
 
 
+def test_partners_beyond_the_range_of_communication_evaluate_nothing(tmp_path):
+    """All three find A and have points of it. The third is 90 m from the ego: its boxes are not sent; it denied A."""
+    for agent, x in (("0", 0), ("1", 40), ("2", 90)):
+        folder = tmp_path / f"s/{agent}"
+        opv2v_file(folder / "000000.yaml", [x, 0, 1.7, 0, 0, 0], {11: vehicle(car(50, 6))})
+        local = np.array([car(50 - x, 6)])
+        local[:, 2] -= 1.7
+        np.save(folder / "000000_pred.npy", corners_of(local))
+        np.save(folder / "000000_score.npy", np.array([0.9]))
+        cloud(folder / "000000.pcd", [car(50 - x, 6)])
+    rows = evaluate(tmp_path)[0]["trust"]
+    assert [(row["n_frames"], row["n_evaluations"]) for row in rows] == [(1, 1), (1, 1), (0, 0)]
+    assert [row["trust"] for row in rows] == [pytest.approx(0.9), pytest.approx(0.9), None]
+
+
 def test_dair_and_labels_alone(tmp_path):
     about, table = evaluate(dair_folder(tmp_path / "a"), range_m=1000, partners_m=1000)
     assert about["boxes"] == 2 and set(table["class"]) == {"car", "pedestrian"}

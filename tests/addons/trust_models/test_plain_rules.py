@@ -1,9 +1,11 @@
 """The rules of one line, against sums over dictionaries."""
 
+import numpy as np
 import pytest
 
 from tests.trust.histories import history, open_step, received_by
 from tests.verification.trust_models import evidence
+from trust.claims import claims_of_messages
 from trust.models import MODELS, params_of
 from trust.params import TrustParams
 
@@ -41,3 +43,13 @@ def test_mean_score(seed):
     for sender, value in trust.items():
         sent = [score for frame in frames for score in frame.get(sender, [])]
         assert value == pytest.approx(sum(sent) / len(sent) if sent else 0.5)
+
+
+def test_mean_score_is_that_of_detections_alone():
+    """Vehicle 1 sends scores 0.95, 0.90, 0.92 and 0.97, and claims that it withholds nothing. The mean is 0.935."""
+    params = params_of(MODELS["mean_score"], TrustParams(evidence=("detections", "missing")), {})
+    model = MODELS["mean_score"](params, 1.0)
+    sent = claims_of_messages(np.zeros(4, int), np.arange(4), np.array([0.95, 0.90, 0.92, 0.97]))
+    model.open_step(0, np.array([1, 2]), *sent)
+    model.add_evaluations(received_by(0, [(2, 1, 0, 1.0, 1.0)]))
+    assert model.scores().trust == pytest.approx([0.935])

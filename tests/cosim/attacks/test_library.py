@@ -50,6 +50,14 @@ def test_approaching_ghost(honest):
     assert_others_untouched(tables, honest)
 
 
+def test_approaching_ghost_comes_as_near_as_it_should():
+    """Three times 0.1 m from 60.3 m on are 60 m, in the fourth message; 0.3 / 0.1 is 2.99."""
+    tables = play([BY | {"attack": "approaching_ghost", "from_m": 60.3, "to_m": 60.0, "step_m": 0.1}], 4)
+    world = tables["actors"].merge(lies_of(tables), on="at", suffixes=("", "_ghost"))
+    for number, ahead_m in enumerate((60.3, 60.2, 60.1, 60.0)):
+        assert np.isclose(world.x_m_ghost - world.x_m, ahead_m, atol=1e-5)[world["at"] == number].any()
+
+
 @pytest.mark.parametrize("more", [{}, {"left_m": -2.0, "ahead_m": 9.0}])
 def test_trust_flip(honest, more):
     """The nearest neighbour of each attacker detects a car before it; nobody lies, and nothing else changes."""
@@ -86,7 +94,7 @@ def test_trust_flip_misleads_by_chance_and_once_per_victim():
 def test_trust_flip_takes_the_nearest_free_place():
     """The next car is 17 m ahead: 9 m from a place at 8 m, 3 m from one at 14 m, 7 m from one at 24 m."""
     one = {"attack": "trust_flip", "victim": "one", "victim_id": "v12", "victim_range_m": 60.0}
-    for more, ahead_m in (({}, [8.0]), ({"ahead_m": 14.0}, [24.0]), ({"ahead_m": 14.0, "farthest_m": 20.0}, [])):
+    for more, ahead_m in (({}, [8.0]), ({"ahead_m": 14.0}, [24.0]), ({"ahead_m": 14.0, "farthest_m": 23.5}, [])):
         tables = play([BY | one | more], 1)
         rows = tables["detections"]
         found = rows[(rows.origin == 0) & rows.target.notna()]
