@@ -162,6 +162,27 @@ def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
     assert [p.id for p in points_of(load(kept), "kept")] == [p.id for p in points_of(study, "study.toml")]
 
 
+def test_meshes_and_attacks_are_files_beside_the_config_that_names_them(tmp_path, monkeypatch):
+    configs, elsewhere = tmp_path / "configs", tmp_path / "elsewhere"
+    for folder in (configs, elsewhere):
+        folder.mkdir()
+    (configs / "c.toml").write_text(
+        'lidar.engine = "embree"\n[[meshes]]\nfile = "box.ply"\n[[vehicle_meshes]]\nfile = "car.ply"\n'
+        '[[attacks]]\nattack = "mine.py:Mine"\n'
+    )
+    (configs / "mine.py").write_text("class Mine:\n    def identities(self, context):\n        return ()\n")
+    (tmp_path / "other.ply").touch()
+    swept = '[study]\nconfig = "configs/c.toml"\n[grid]\n'
+    kept = load(write(tmp_path, swept + "radio.range_m = [100]\n"))
+    chosen = load(write(tmp_path, swept + 'meshes.0.file = ["other.ply"]\n'))
+    monkeypatch.chdir(elsewhere)
+    for study, mesh in ((kept, configs / "box.ply"), (chosen, tmp_path / "other.ply")):
+        (point,) = points_of(study, "study.toml")
+        assert point.config.meshes[0].file == str(mesh)
+        assert point.config.vehicle_meshes[0].file == str(configs / "car.ply")
+        assert point.config.attacks[0].attack == f"{configs / 'mine.py'}:Mine"
+
+
 @pytest.mark.parametrize(
     ("name", "n_points", "n_runs"),
     [
