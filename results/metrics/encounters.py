@@ -113,7 +113,9 @@ def begun(run: Run, radius_m: float | None = None, pairs: str | None = None) -> 
         frame = frame[frame[name] == chosen]
     frame = frame[~frame.censored_left]
     if frame.empty:
-        raise ValueError(f"{run.path}: no encounter begins while it is recorded. Raise traffic.duration_s and run again.")
+        raise ValueError(
+            f"{run.path}: no encounter begins while it is recorded. Raise traffic.duration_s and run again."
+        )
     return frame[["a", "b", "start_step"]]
 
 
