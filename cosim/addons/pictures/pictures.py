@@ -145,8 +145,6 @@ def scene(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: P
     known = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
     known = known[(known.step <= step) & (known.n_evaluations > 0)].sort_values("step")
     known = known.assign(vehicle=known.subject.map(of)).drop_duplicates("vehicle", keep="last")
-    malicious = run.table("vehicles", ["vehicle", "role", "attack_start_step"]).set_index("vehicle")
-    started = malicious[malicious.role == "malicious"].attack_start_step
     lies = run.table("detections", where=(pc.field("step") == step))
     lies = lies[(lies.origin == "fabricated") & lies.transmitted]
     columns = ["x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad"]
@@ -162,7 +160,7 @@ def scene(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: P
         boxes=np.column_stack([b.xyz_m, b.lwh_m, b.yaw_rad]),
         equipped=world.equipped,
         trust=known.set_index("vehicle").trust.reindex(world.actor).to_numpy(float),
-        attacks=(started.reindex(world.actor).astype("Float64").fillna(np.inf) <= step).to_numpy(bool),
+        attacks=movie_figure.attack_starts(run).reindex(world.actor).to_numpy() <= step,
         ghosts=lies[columns].to_numpy(float),
     )
     title = f"{step * run.dt_s:g} s: point clouds and trust"
