@@ -8,7 +8,7 @@ from cosim.config import preset
 from cosim.studies.plan import plan
 from cosim.studies.points import identity, points_of
 from cosim.studies.study import SHIPPED, load
-from cosim.studies.sweep import name_notes, prepare, scene_notes
+from cosim.studies.sweep import fleet_notes, name_notes, prepare, scene_notes
 from tests.cosim.traffic import crossing
 
 HEAD = """
@@ -220,6 +220,14 @@ def test_cities_without_buildings_are_noted(tmp_path):
     (tmp_path / "s.toml").write_text(text)
     (note,) = scene_notes(points_of(load(tmp_path / "s.toml"), "s"))
     assert note.startswith(f"note: {city} has no buildings to block lines of sight")
+
+
+@pytest.mark.parametrize("scales", ["1.0, 0.02", "0.02, 1.0"])
+def test_points_with_hardly_any_traffic_are_noted(tmp_path, scales):
+    """Of 200 vehicles 0.02 are 4, of which 0.35 are equipped; the replicates are one case."""
+    (note,) = fleet_notes(points(tmp_path, HEAD + f"[grid]\ntraffic.scale = [{scales}]\n"))
+    assert note.startswith("note: about 1.4 equipped vehicles")
+    assert "traffic.scale = 0.02 and fleet.penetration_p = 0.35. So few" in note
 
 
 def test_a_changed_copy_of_a_shipped_study_should_have_its_own_name(tmp_path):
