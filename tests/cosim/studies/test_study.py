@@ -84,10 +84,26 @@ def test_points_that_change_the_evidence_are_runs_of_their_own(tmp_path):
         assert len(plan(points(tmp_path, HEAD + f"[grid]\n{key} = {values}"), fused=False).runs) == 4
 
 
-def test_broadcasts_by_roadside_units_are_not_merged(tmp_path):
-    text = HEAD + 'server.uplink = "rsu"\nrsu.n_at_junctions = 2\n[grid]\ntrust.server_period_s = [1, 2]\n'
-    made = plan(points(tmp_path, text), fused=False)
-    assert len(made.runs) == 4 and "rsu" in made.remarks[0]
+@pytest.mark.parametrize(
+    ("base", "reason"),
+    [
+        ('server.uplink = "rsu"\nrsu.n_at_junctions = 2', 'server.uplink = "rsu"'),
+        ('pseudonyms.revocation = "immediate"', "pseudonyms.revocation"),
+        ('pseudonyms.linkage = "own"', "pseudonyms.linkage"),
+        ("radio.relay.min_trust = 0.3\nradio.relay.max_hops = 2", "radio.relay.min_trust"),
+        ('attacks = [{ attack = "ghost_insertion", when = "sleeper" }]', "attacks: "),
+        (
+            'attacks = [{ attack = "ghost_insertion", when = "on_off", period_windows = 1.0 }]',
+            "attacks.period_windows",
+        ),
+    ],
+)
+def test_trust_that_changes_messages_or_attacks_is_not_merged(tmp_path, base, reason):
+    """Two windows of evidence and two replicates are four runs."""
+    made = plan(points(tmp_path, f"{HEAD}{base}\n[grid]\ntrust.freshness_s = [5, 10]\n"), fused=False)
+    assert len(made.runs) == 4
+    (remark,) = made.remarks
+    assert remark.startswith(reason)
 
 
 def test_merged_run_is_the_same_for_any_order_of_the_file(tmp_path):
