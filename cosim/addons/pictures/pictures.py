@@ -35,7 +35,7 @@ class ReplayedScan:
     actors: Boxes
     """All other actors within range."""
     reported: Boxes
-    """Detections that its detector reported."""
+    """Detections that its detector reported, where the LiDAR measured them."""
 
 
 def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
@@ -75,8 +75,14 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
         lwh_m=detected[["length_m", "width_m", "height_m"]].to_numpy(float),
         yaw_rad=detected.yaw_rad.to_numpy(float),
     )
-    both = (world.boxes.take(rows), boxes)
-    actors, reported = (sweeps.poses.to_sensor(np.zeros(len(of), int), of) for of in both)
+    errors = run.table("position_errors", where=(pc.field("step") == step) & (pc.field("vehicle") == vehicle))
+    believed = sweeps.poses
+    if len(errors):  # the pose that displaced the boxes
+        believed = believed.displaced(errors[["error_x_m", "error_y_m", "error_yaw_rad"]].to_numpy(float))
+    actors, reported = (
+        poses.to_sensor(np.zeros(len(of), int), of)
+        for poses, of in ((sweeps.poses, world.boxes.take(rows)), (believed, boxes))
+    )
     return ReplayedScan(sweeps, actors, reported)
 
 
