@@ -86,10 +86,28 @@ def _sharing(config: Config) -> tuple[str, str]:
         reason = "driver: what vehicles believe drives them, so every point has its own traffic"
         return "alone " + identity(config), reason
     key = shared_identity(config, repr(evidence_values(config.trust)))
-    if config.server.uplink == "rsu":
-        reason = 'server.uplink = "rsu": broadcasts of trust load the channel, so other trust is another run'
-        return key + repr(host_key(variants(config)[0])), reason
+    if reason := _acting(config):
+        return key + repr(host_key(variants(config)[0])), f"{reason}, so other trust is another run"
+    if any(attack.period_windows for attack in config.attacks):
+        reason = "attacks.period_windows: attacks begin and end by trust.freshness_s, so another one is another run"
+        return f"{key} {config.trust.freshness_s}", reason
     return key, ""
+
+
+def _acting(config: Config) -> str:
+    """What the trust of a run changes besides trust, and how; empty if nothing."""
+    relay = config.radio.relay
+    if config.server.uplink == "rsu":
+        return 'server.uplink = "rsu": broadcasts of trust load the channel'
+    if config.pseudonyms.revocation != "none":
+        return "pseudonyms.revocation: trust decides whose messages are dropped"
+    if config.pseudonyms.linkage == "own":
+        return 'pseudonyms.linkage = "own": receivers link pseudonyms in which they have trust'
+    if relay.min_trust > 0 and relay.max_hops > 1:
+        return "radio.relay.min_trust: trust decides which messages are forwarded"
+    if any(attack.reads_trust for attack in config.attacks):
+        return "attacks: attackers act by the trust in them"
+    return ""
 
 
 def _merged(group: Sequence[Point], fused: bool) -> PlannedRun:

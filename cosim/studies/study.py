@@ -245,12 +245,12 @@ def _absolute(stated: dict[str, Any], where: str, folder: Path) -> dict[str, Any
     """The same data, checked, with absolute paths of the user's own files."""
     stated = configs.with_defaults(stated)
     complete = configs.resolve_data(copy.deepcopy(stated), where, folder.resolve()).to_dict()
-    named = [("traffic", "scenario"), ("traffic", "trace")]
+    named = [("traffic", "scenario"), ("traffic", "trace"), ("meshes", "file"), ("vehicle_meshes", "file")]
     named += [(kind.section, kind.key) for kind in KINDS.values() if kind.section]
     for section, key in named:
         pairs = [(stated.get(section, {}), complete[section])]
-        if isinstance(complete[section], list):
-            pairs = list(zip(stated[section], complete[section], strict=True))
+        if isinstance(complete[section], tuple):
+            pairs = list(zip(stated.get(section, []), complete[section], strict=True))
         for given, found in pairs:
             if key in given:
                 given[key] = found[key]
@@ -260,7 +260,7 @@ def _absolute(stated: dict[str, Any], where: str, folder: Path) -> dict[str, Any
 def _beside(key: str, value: Any, folder: Path) -> Any:
     """The absolute path if a value names a file in the study's folder; otherwise the value itself."""
     file, colon, name = value.rpartition(":") if isinstance(value, str) and ".py:" in value else (value, "", "")
-    is_name = isinstance(file, str) and (colon or key in ("traffic.scenario", "traffic.trace"))
+    is_name = isinstance(file, str) and (colon or key.endswith(("traffic.scenario", "traffic.trace", ".file")))
     return str((folder / file).resolve()) + colon + name if is_name and (folder / file).exists() else value
 
 

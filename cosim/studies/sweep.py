@@ -4,7 +4,7 @@ import json
 import statistics
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -204,18 +204,18 @@ def fleet_notes(points: Sequence[Point]) -> list[str]:
     found = {}
     for point in points:
         config = point.config
-        named = (config.traffic.scenario, config.fleet)
+        named = (replace(config.traffic, seed=0), config.fleet)  # replicates are alike
         if named not in found and config.sensing:
             found[named] = equipped_on_road(config)
     few = {named: n for named, n in found.items() if n < FEW_EQUIPPED}
     if not few:
         return []
-    (city, fleet), n = min(few.items(), key=lambda of: of[1])
+    (traffic, fleet), n = min(few.items(), key=lambda of: of[1])
     more = f", and {len(few) - 1} more" if len(few) > 1 else ""
     return [
-        f"note: about {n:.1f} equipped vehicles are on the road at a time at traffic.scenario = {city} with "
-        f"fleet.penetration_p = {fleet.penetration_p:g}{more}. So few hardly meet, and a share of them is one vehicle "
-        "or none. Raise fleet.penetration_p or traffic.scale."
+        f"note: about {n:.1f} equipped vehicles are on the road at a time at traffic.scenario = {traffic.scenario}, "
+        f"traffic.scale = {traffic.scale:g} and fleet.penetration_p = {fleet.penetration_p:g}{more}. So few hardly "
+        "meet, and a share of them is one vehicle or none. Raise fleet.penetration_p or traffic.scale."
     ]
 
 

@@ -106,14 +106,17 @@ def definition(run: Run, radius_m: float | None = None, pairs: str | None = None
     return found
 
 
-def contacts(run: Run, radius_m: float | None = None, pairs: str | None = None) -> pd.DataFrame:
-    """Intervals of contact by one definition of an encounter, see `definition`: a, b, start_s, end_s."""
-    frame = run.table("encounters", ["a", "b", "start_step", "end_step", *DEFINITION])
+def begun(run: Run, radius_m: float | None = None, pairs: str | None = None) -> pd.DataFrame:
+    """Encounters by one definition, see `definition`, that begin while the run is recorded: a, b, start_step."""
+    frame = run.table("encounters", ["a", "b", "start_step", "censored_left", *DEFINITION])
     for name, chosen in definition(run, radius_m, pairs).items():
         frame = frame[frame[name] == chosen]
-    return frame.assign(start_s=frame.start_step * run.dt_s, end_s=frame.end_step * run.dt_s)[
-        ["a", "b", "start_s", "end_s"]
-    ]
+    frame = frame[~frame.censored_left]
+    if frame.empty:
+        raise ValueError(
+            f"{run.path}: no encounter begins while it is recorded. Raise traffic.duration_s and run again."
+        )
+    return frame[["a", "b", "start_step"]]
 
 
 def durations(run: Run, departure: Departure = "ends") -> pd.DataFrame:

@@ -50,11 +50,16 @@ def parts(manifest: Mapping[str, Any]) -> Iterator[CitedPart]:
 
 def _traffic(manifest: Mapping[str, Any], versions: Mapping[str, str]) -> Iterator[CitedPart]:
     net, traffic = manifest.get("net", {}), manifest["config"]["traffic"]
-    if traffic.get("trace"):
-        yield CitedPart(f"replayed traffic, {Path(traffic['trace']).name}")
+    files = [key for key in net if key.startswith("sha256 ") and not key.endswith(".file")]  # without meshes
+    is_alone = len(files) == 1  # a recording without a city, which has a network too
+    replayed = traffic.get("trace")
+    if is_alone or "sha256 manifest.json" in files:
+        replayed = replayed or traffic["scenario"]
+    if replayed:
+        yield CitedPart(f"replayed traffic, {Path(replayed).name}")
     elif "libsumo" in versions:
         yield CitedPart(f"traffic, Eclipse SUMO {versions['libsumo']}", ("lopez2018",))
-    if net.get("name"):
+    if "licence" in net and not is_alone:
         licence = ", ".join(filter(None, (net.get("attribution"), net.get("licence"))))
         yield CitedPart(f"city {net['name']}", entry={
             "type": "misc", "title": f"Network and demand of {net['name']}", "note": licence or "licence not stated",

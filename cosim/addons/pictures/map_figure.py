@@ -12,8 +12,6 @@ from results.figures import style
 from results.metrics import encounters
 from results.run import Run
 
-_MOST = 200_000
-"""Encounters that suffice for a picture."""
 _OFFSET = 1 << 30
 """Makes grid numbers positive."""
 
@@ -64,9 +62,7 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
 
 def _begun(run: Run, radius_m: float | None, pairs: str | None) -> np.ndarray:
     """Where encounters begin [n 2]."""
-    frame = encounters.contacts(run, radius_m, pairs)
-    frame = frame.iloc[:: -(-len(frame) // _MOST)]
-    frame = frame.assign(step=np.round(frame.start_s / run.dt_s).astype(np.int32))
+    frame = encounters.begun(run, radius_m, pairs).rename(columns={"start_step": "step"})
     poses = run.table(
         "actors", ["step", "actor", "x_m", "y_m"], where=pc.field("step").isin(frame.step.unique().tolist())
     )

@@ -97,6 +97,7 @@ class _Film:
         trust = trust[trust.n_evaluations > 0]
         self._trust = trust.assign(vehicle=trust.subject.map(of)).sort_values("step")
         self._roles = run.roles.astype(object)
+        self._attack_starts = attack_starts(run)
         self._begin(streets, buildings)
 
     @style.styled
@@ -152,13 +153,14 @@ class _Film:
         xy = _places(rows)
         role = self._roles.reindex(number).to_numpy(object)
         equipped = np.array([isinstance(r, str) for r in role], bool)
+        attacks = self._attack_starts.reindex(number).to_numpy() <= step
         until_now = self._trust[self._trust.step <= step]
         known = until_now.drop_duplicates("vehicle", keep="last").set_index("vehicle").trust
         trust = known.reindex(number[equipped]).to_numpy(float)
         self._others.set_offsets(xy[~equipped])
         self._equipped.set_offsets(xy[equipped])
         self._equipped.set_array(np.ma.masked_invalid(trust))
-        self._liars.set_offsets(xy[equipped & (role != "honest")])
+        self._liars.set_offsets(xy[attacks])
         self._ghosts.set_offsets(_places(self._lies.get(step)))
         self._finds.set_offsets(_places(self._seen.get(step)))
         self._beliefs.set_offsets(_places(self._believed.get(step)))
@@ -168,6 +170,12 @@ class _Film:
             self._axes.set_xlim(east - HALF_WIDTH_M, east + HALF_WIDTH_M)
             self._axes.set_ylim(north - HALF_WIDTH_M, north + HALF_WIDTH_M)
         self._clock.set_text(f"{step * self._dt_s:g} s")
+
+
+def attack_starts(run: Run) -> pd.Series:
+    """Step in which each malicious vehicle begins to attack, by its number; not a number if it never does."""
+    vehicles = run.table("vehicles", ["vehicle", "role", "attack_start_step"]).set_index("vehicle")
+    return vehicles[vehicles.role == "malicious"].attack_start_step.astype(float)
 
 
 def _places(rows: pd.DataFrame | None) -> Float[ndarray, "n 2"]:

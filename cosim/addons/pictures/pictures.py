@@ -35,7 +35,7 @@ class ReplayedScan:
     actors: Boxes
     """All other actors within range."""
     reported: Boxes
-    """Detections that its detector reported."""
+    """Detections that its detector reported, where the LiDAR measured them."""
 
 
 def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
@@ -75,8 +75,14 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
         lwh_m=detected[["length_m", "width_m", "height_m"]].to_numpy(float),
         yaw_rad=detected.yaw_rad.to_numpy(float),
     )
-    both = (world.boxes.take(rows), boxes)
-    actors, reported = (sweeps.poses.to_sensor(np.zeros(len(of), int), of) for of in both)
+    errors = run.table("position_errors", where=(pc.field("step") == step) & (pc.field("vehicle") == vehicle))
+    believed = sweeps.poses
+    if len(errors):  # the pose that displaced the boxes
+        believed = believed.displaced(errors[["error_x_m", "error_y_m", "error_yaw_rad"]].to_numpy(float))
+    actors, reported = (
+        poses.to_sensor(np.zeros(len(of), int), of)
+        for poses, of in ((sweeps.poses, world.boxes.take(rows)), (believed, boxes))
+    )
     return ReplayedScan(sweeps, actors, reported)
 
 
@@ -145,8 +151,6 @@ def scene(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: P
     known = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
     known = known[(known.step <= step) & (known.n_evaluations > 0)].sort_values("step")
     known = known.assign(vehicle=known.subject.map(of)).drop_duplicates("vehicle", keep="last")
-    malicious = run.table("vehicles", ["vehicle", "role", "attack_start_step"]).set_index("vehicle")
-    started = malicious[malicious.role == "malicious"].attack_start_step
     lies = run.table("detections", where=(pc.field("step") == step))
     lies = lies[(lies.origin == "fabricated") & lies.transmitted]
     columns = ["x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad"]
@@ -162,7 +166,7 @@ def scene(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: P
         boxes=np.column_stack([b.xyz_m, b.lwh_m, b.yaw_rad]),
         equipped=world.equipped,
         trust=known.set_index("vehicle").trust.reindex(world.actor).to_numpy(float),
-        attacks=(started.reindex(world.actor).astype("Float64").fillna(np.inf) <= step).to_numpy(bool),
+        attacks=movie_figure.attack_starts(run).reindex(world.actor).to_numpy() <= step,
         ghosts=lies[columns].to_numpy(float),
     )
     title = f"{step * run.dt_s:g} s: point clouds and trust"

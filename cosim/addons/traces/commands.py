@@ -160,10 +160,7 @@ def _with_definitions(
         loaded = load(config, trust_code=trust_code)
         if not loaded.encounters:
             raise ValueError(f"{config} has no [[encounters]]: there is nothing to count. Add a section.")
-        return replace(
-            params, encounters=loaded.encounters, fleet=loaded.fleet, seed=loaded.seed,
-            mount_above_roof_m=loaded.lidar.mount_above_roof_m,
-        )  # fmt: skip
+        return replace(params, encounters=loaded.encounters, config=loaded)
     more: dict[str, Any] = {"pairs": pairs or "all"}
     if hysteresis_s is not None:
         more["hysteresis_s"] = hysteresis_s

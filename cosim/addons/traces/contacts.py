@@ -17,7 +17,7 @@ from cosim.addons.traces import positions, tracks
 from cosim.addons.traces.positions import Fixes, PositionColumns
 from cosim.addons.traces.tracks import TrackParams
 from cosim.base.durable import sha256
-from cosim.config.config import of_run_without_code
+from cosim.config.config import Config, of_run_without_code
 from cosim.runs import folder as run_folder
 from cosim.runs.drive import Advance
 from cosim.runs.manifest import versions
@@ -25,7 +25,6 @@ from cosim.runs.source import source
 from cosim.step.trackers.encounters import PairSearch, update_encounters
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fcd import is_observed, timesteps
-from cosim.traffic.fleet import FleetParams
 from cosim.traffic.interpolation import interval_s
 from cosim.traffic.objects import ObjectParams
 from cosim.traffic.params import TrafficParams
@@ -36,7 +35,6 @@ from results.archive import open_run
 from results.encounters import Appearance, EncounterParams, EncounterTracker, Rows, check_definitions
 from results.manifest import finish
 from results.recorder import Recorder
-from sensors.lidar import LidarParams
 from sensors.line_of_sight import WallIndex
 from sensors.scene import Shape
 
@@ -74,12 +72,9 @@ class ContactParams:
     """Metres per unit of positions. None asks the layout and the names of columns."""
     repair: bool = False
     """Whether bad rows are left out and rows are sorted, instead of refused."""
-    fleet: FleetParams = field(default_factory=FleetParams)
-    """Who is equipped, in a trace that SUMO wrote."""
-    seed: int = 4
-    """Seed of the equipment."""
-    mount_above_roof_m: float = LidarParams().mount_above_roof_m
-    """Height of the sensors above the roof, between which there is a line of sight or none [m]."""
+    config: Config | None = None
+    """Config of the equipment: its fleet, its seed, and the height of its LiDARs, between which there is a line of
+    sight or none. None: that of the run, or the default with a trace that SUMO wrote."""
 
     def __post_init__(self) -> None:
         check_definitions(self.encounters)
@@ -170,8 +165,8 @@ def _of_run(paths: Sequence[Path], params: ContactParams, out: Path | None, adva
     traffic = TrafficParams(scenario=str(paths[0]), step_s=params.step_s or run.dt_s)
     if params.from_s is not None or params.to_s is not None:
         raise ValueError("--from and --to go with a trace, and this is a run. Leave them out.")
-    registry = ActorRegistry(recorded.fleet, recorded.seed)
-    return _of_traffic(scenario, traffic, registry, params, paths, out, advance, 0.0, recorded.objects)
+    equipment = params.config or recorded
+    return _of_traffic(scenario, traffic, equipment, params, paths, out, advance, 0.0, recorded.objects)
 
 
 def _of_sumo(paths: Sequence[Path], params: ContactParams, out: Path | None, advance: Advance) -> Path:
@@ -182,14 +177,13 @@ def _of_sumo(paths: Sequence[Path], params: ContactParams, out: Path | None, adv
     first_s, between_s = _first_and_interval_s(paths[0])
     step_s = params.step_s or between_s
     traffic = TrafficParams(scenario=params.scenario or named, trace=named, step_s=step_s, begin_s=params.from_s)
-    registry = ActorRegistry(params.fleet, params.seed)
     was_observed = is_observed(paths[0])
     if was_observed and params.appearance is None:
         params = replace(params, appearance="censors")
     skipped_s = 0.0 if was_observed and params.from_s is None else step_s
     if params.from_s is None and params.to_s is not None:
         params = replace(params, from_s=first_s)
-    return _of_traffic(scenario, traffic, registry, params, paths, out, advance, skipped_s)
+    return _of_traffic(scenario, traffic, params.config or Config(), params, paths, out, advance, skipped_s)
 
 
 def _first_and_interval_s(path: Path) -> tuple[float, float]:
@@ -201,7 +195,7 @@ def _first_and_interval_s(path: Path) -> tuple[float, float]:
 
 
 def _of_traffic(
-    scenario: Scenario, traffic: TrafficParams, registry: ActorRegistry, params: ContactParams,
+    scenario: Scenario, traffic: TrafficParams, equipment: Config, params: ContactParams,
     paths: Sequence[Path], out: Path | None, advance: Advance, skipped_s: float,
     objects: Sequence[ObjectParams] = (),
 ) -> Path:  # fmt: skip
@@ -211,11 +205,13 @@ def _of_traffic(
         raise ValueError(
             'encounters.pairs = "los" needs the buildings of a city, and a trace alone has none. Set --scenario.'
         )
+    registry = ActorRegistry(equipment.fleet, equipment.seed)
     replayed = scenario.traffic(traffic, registry, objects=objects)
     try:
         for _ in replayed.warm_up(skipped_s):
             pass
-        search = PairSearch.of(params.encounters, WallIndex.of(scenario.city().buildings), params.mount_above_roof_m)
+        mount_m = equipment.lidar.mount_above_roof_m
+        search = PairSearch.of(params.encounters, WallIndex.of(scenario.city().buildings), mount_m)
         worlds = _worlds(replayed, _steps_asked(params, traffic.step_s) or math.inf)
         extent = _Extent()
         first = next(worlds, None)

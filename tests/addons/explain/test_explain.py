@@ -12,6 +12,7 @@ from cosim.addons.explain.key_docs import keys
 from cosim.addons.explain.lookup import look_up
 from cosim.config import preset
 from cosim.door.kinds import KINDS
+from cosim.traffic.scenario import find
 from results import tables
 from results.metrics.registry import METRICS
 from results.tables import TABLES
@@ -106,6 +107,23 @@ def test_a_run_is_cited_by_what_it_used(run):
     assert len(set(keys)) == len(keys) and {"josang2002", "lopez2018", "krauss1998", "hurl2020"} <= set(keys)
     (first, *_) = json.loads(cosim("cite", str(run), "--json").stdout)
     assert first["part"] == "cosim"
+
+
+def test_traffic_is_cited_as_what_it_was(run, tmp_path):
+    """SUMO's in a city; a trace without a city; a run in its city, whose demand is that of the city."""
+    trace = tmp_path / "ring.xml"
+    trace.write_text("<fcd-export/>")
+    for scenario, expected in (
+        ("helsinki", ["traffic, Eclipse SUMO 1.28.0", "city helsinki"]),
+        (trace, ["replayed traffic, ring.xml"]),
+        (run, ["replayed traffic, run", "city helsinki"]),
+    ):
+        manifest = {
+            "config": {"sensing": False, "traffic": {"scenario": str(scenario), "trace": None}},
+            "versions": {"libsumo": "1.28.0"},
+            "net": find(str(scenario)).provenance() | {"sha256 meshes.0.file": "0"},
+        }
+        assert [part.what for part in cite.parts(manifest)] == ["cosim", *expected]
 
 
 def test_references_are_those_of_docstrings():

@@ -15,7 +15,9 @@ from tests.drive import cosim, drive
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return drive(tmp_path_factory.mktemp("pictures") / "run", "traffic.duration_s=6", "traffic.warmup_s=120")
+    return drive(
+        tmp_path_factory.mktemp("pictures") / "run", "traffic.duration_s=6", "traffic.warmup_s=120", "gnss.std_m=3"
+    )
 
 
 def test_plot_sweep(folder, tmp_path):
@@ -25,6 +27,14 @@ def test_plot_sweep(folder, tmp_path):
     vehicle = int(sensed.observer.value_counts().index[0])
     seen = pictures.replay_scan(run, vehicle, 4)
     assert len(seen.reported) == (sensed.observer == vehicle).sum() and len(seen.actors) > 0
+    me = run.actors[(run.actors.step == 4) & (run.actors.actor == vehicle)].iloc[0]
+    errors = run.position_errors
+    error = errors[(errors.step == 4) & (errors.vehicle == vehicle)].iloc[0]
+    assert np.hypot(error.error_x_m, error.error_y_m) > 0.05, "boxes are where the LiDAR measured them nevertheless"
+    heading, listed = me.yaw_rad + error.error_yaw_rad, sensed[sensed.observer == vehicle]
+    east_m, north_m = listed.x_m - me.x_m - error.error_x_m, listed.y_m - me.y_m - error.error_y_m
+    ahead_m = np.cos(heading) * east_m + np.sin(heading) * north_m
+    assert seen.reported.xyz_m[:, 0] == pytest.approx(ahead_m, abs=0.02)
     words = ("plot", "sweep", str(folder), "--vehicle", str(vehicle), "--step", "4", "--out")
     for name in ("above.png", "cloud.npy"):
         done = cosim(*words, str(tmp_path / name))

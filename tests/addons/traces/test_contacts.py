@@ -76,6 +76,17 @@ def test_contacts_of_a_run_with_its_own_and_other_definitions(driven):
     assert 0 < (again.encounters.radius_m == 30).sum() < len(expected)
 
 
+def test_a_config_says_who_is_equipped_in_a_run(driven):
+    """All cars and vans, and the equipped share of the run's own config where there is none."""
+    (driven / "all.toml").write_text("[fleet]\npenetration_p = 1\n[[encounters]]\n")
+    done = cosim("contacts", "run", "--config", "all.toml", "--out", "all", cwd=driven)
+    assert done.returncode == 0, done.stderr
+    found = open_run(driven / "all").vehicles
+    assert (found.equipped == found.vehicle_class.isin(["car", "van"])).all()
+    plain = count([driven / "run"], driven / "unchanged").vehicles
+    assert plain.equipped.tolist() == open_run(driven / "run").vehicles.equipped.tolist()
+
+
 def test_a_folder_that_reads_like_a_run(driven):
     for words in ("contacts run --out plain", "measure plain", "plot encounters plain", "plot durations plain",
                   "verify plain"):  # fmt: skip

@@ -8,7 +8,7 @@ from cosim.config import preset
 from cosim.studies.plan import plan
 from cosim.studies.points import identity, points_of
 from cosim.studies.study import SHIPPED, load
-from cosim.studies.sweep import name_notes, prepare, scene_notes
+from cosim.studies.sweep import fleet_notes, name_notes, prepare, scene_notes
 from tests.cosim.traffic import crossing
 
 HEAD = """
@@ -84,10 +84,26 @@ def test_points_that_change_the_evidence_are_runs_of_their_own(tmp_path):
         assert len(plan(points(tmp_path, HEAD + f"[grid]\n{key} = {values}"), fused=False).runs) == 4
 
 
-def test_broadcasts_by_roadside_units_are_not_merged(tmp_path):
-    text = HEAD + 'server.uplink = "rsu"\nrsu.n_at_junctions = 2\n[grid]\ntrust.server_period_s = [1, 2]\n'
-    made = plan(points(tmp_path, text), fused=False)
-    assert len(made.runs) == 4 and "rsu" in made.remarks[0]
+@pytest.mark.parametrize(
+    ("base", "reason"),
+    [
+        ('server.uplink = "rsu"\nrsu.n_at_junctions = 2', 'server.uplink = "rsu"'),
+        ('pseudonyms.revocation = "immediate"', "pseudonyms.revocation"),
+        ('pseudonyms.linkage = "own"', "pseudonyms.linkage"),
+        ("radio.relay.min_trust = 0.3\nradio.relay.max_hops = 2", "radio.relay.min_trust"),
+        ('attacks = [{ attack = "ghost_insertion", when = "sleeper" }]', "attacks: "),
+        (
+            'attacks = [{ attack = "ghost_insertion", when = "on_off", period_windows = 1.0 }]',
+            "attacks.period_windows",
+        ),
+    ],
+)
+def test_trust_that_changes_messages_or_attacks_is_not_merged(tmp_path, base, reason):
+    """Two windows of evidence and two replicates are four runs."""
+    made = plan(points(tmp_path, f"{HEAD}{base}\n[grid]\ntrust.freshness_s = [5, 10]\n"), fused=False)
+    assert len(made.runs) == 4
+    (remark,) = made.remarks
+    assert remark.startswith(reason)
 
 
 def test_merged_run_is_the_same_for_any_order_of_the_file(tmp_path):
@@ -162,6 +178,27 @@ def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
     assert [p.id for p in points_of(load(kept), "kept")] == [p.id for p in points_of(study, "study.toml")]
 
 
+def test_meshes_and_attacks_are_files_beside_the_config_that_names_them(tmp_path, monkeypatch):
+    configs, elsewhere = tmp_path / "configs", tmp_path / "elsewhere"
+    for folder in (configs, elsewhere):
+        folder.mkdir()
+    (configs / "c.toml").write_text(
+        'lidar.engine = "embree"\n[[meshes]]\nfile = "box.ply"\n[[vehicle_meshes]]\nfile = "car.ply"\n'
+        '[[attacks]]\nattack = "mine.py:Mine"\n'
+    )
+    (configs / "mine.py").write_text("class Mine:\n    def identities(self, context):\n        return ()\n")
+    (tmp_path / "other.ply").touch()
+    swept = '[study]\nconfig = "configs/c.toml"\n[grid]\n'
+    kept = load(write(tmp_path, swept + "radio.range_m = [100]\n"))
+    chosen = load(write(tmp_path, swept + 'meshes.0.file = ["other.ply"]\n'))
+    monkeypatch.chdir(elsewhere)
+    for study, mesh in ((kept, configs / "box.ply"), (chosen, tmp_path / "other.ply")):
+        (point,) = points_of(study, "study.toml")
+        assert point.config.meshes[0].file == str(mesh)
+        assert point.config.vehicle_meshes[0].file == str(configs / "car.ply")
+        assert point.config.attacks[0].attack == f"{configs / 'mine.py'}:Mine"
+
+
 @pytest.mark.parametrize(
     ("name", "n_points", "n_runs"),
     [
@@ -199,6 +236,14 @@ def test_cities_without_buildings_are_noted(tmp_path):
     (tmp_path / "s.toml").write_text(text)
     (note,) = scene_notes(points_of(load(tmp_path / "s.toml"), "s"))
     assert note.startswith(f"note: {city} has no buildings to block lines of sight")
+
+
+@pytest.mark.parametrize("scales", ["1.0, 0.02", "0.02, 1.0"])
+def test_points_with_hardly_any_traffic_are_noted(tmp_path, scales):
+    """Of 200 vehicles 0.02 are 4, of which 0.35 are equipped; the replicates are one case."""
+    (note,) = fleet_notes(points(tmp_path, HEAD + f"[grid]\ntraffic.scale = [{scales}]\n"))
+    assert note.startswith("note: about 1.4 equipped vehicles")
+    assert "traffic.scale = 0.02 and fleet.penetration_p = 0.35. So few" in note
 
 
 def test_a_changed_copy_of_a_shipped_study_should_have_its_own_name(tmp_path):
