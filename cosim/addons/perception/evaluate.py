@@ -288,8 +288,8 @@ def _cooperative(
     Boxes on what is ignored count neither as right nor as false, in every method.
     """
     near = _near_ego(data, partners_m)
-    rows = zip(data.found.frame.tolist(), data.found.agent.tolist(), strict=True)
-    received = _take(data.found, np.array([agent in near[frame] for frame, agent in rows], bool))
+    sources = zip(data.found.frame.tolist(), data.found.agent.tolist(), strict=True)
+    received = _take(data.found, np.array([agent in near[frame] for frame, agent in sources], bool))
     judged = trusted(data, near, received)
     methods: dict[str, RecordedBoxes] = {
         "ego": _take(data.found, data.found.agent == 0),

@@ -105,7 +105,8 @@ def test_points_that_differ_in_their_server_share_one_replay(tmp_path, monkeypat
 
 def test_what_is_neglected_at_any_point_of_a_study_is_said_once(tmp_path):
     (tmp_path / "study.toml").write_text(
-        "[base]\nattacks = []\nfleet.penetration_p = 1\ntrust.least_score = 0\ntraffic = {duration_s = 5, warmup_s = 0}\n"
+        "[base]\nattacks = []\nfleet.penetration_p = 1\ntrust.least_score = 0\n"
+        "traffic = {duration_s = 5, warmup_s = 0}\n"
         "[grid]\ngnss.std_m = [0, 0.2]\ntrust.server_period_s = [1, 5]\n"
     )
     done = cosim("predict", "freshness", "study.toml", "--json", cwd=tmp_path)
