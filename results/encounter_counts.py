@@ -21,22 +21,29 @@ def slots(pair, slot, one, other):
     for actor in range(n):
         begin[actor + 1] += begin[actor]
     put = begin[:-1].copy()
-    partner, held = np.empty(2 * len(pair), np.int32), np.empty(2 * len(pair), np.int32)
+    partner = np.empty(2 * len(pair), np.int32)
+    held = np.empty(2 * len(pair), np.int32)
     for k in range(len(pair)):
         a, b = pair[k] >> 32, pair[k] & 0xFFFFFFFF
-        partner[put[a]], held[put[a]] = b, slot[k]
-        partner[put[b]], held[put[b]] = a, slot[k]
+        partner[put[a]] = b
+        partner[put[b]] = a
+        held[put[a]] = slot[k]
+        held[put[b]] = slot[k]
         put[a] += 1
         put[b] += 1
     found = np.empty(len(one), np.int64)
-    now, of, at = -1, np.full(n, -1, np.int32), np.empty(n, np.int32)
+    now = -1
+    of = np.full(n, -1, np.int32)
+    at = np.empty(n, np.int32)
     for row in range(len(one)):
         if one[row] != now:
             now = one[row]
             if now < n:
                 for k in range(begin[now], begin[now + 1]):
-                    of[partner[k]], at[partner[k]] = now, held[k]
-        found[row] = at[other[row]] if other[row] < n and of[other[row]] == now else -1
+                    of[partner[k]] = now
+                    at[partner[k]] = held[k]
+        whom = other[row]
+        found[row] = at[whom] if whom < n and of[whom] == now else -1
     return found
 
 
@@ -44,22 +51,25 @@ def slots(pair, slot, one, other):
 def count(at, one, other, n, in_contact, ab, ba, later_ab, later_ba):
     """Add `n` to the counters of each slot; 1 each where `n` is empty. Slots that are not in contact have others."""
     for row in range(len(at)):
-        if at[row] >= 0:
-            if in_contact[at[row]]:
+        k = at[row]
+        if k >= 0:
+            if in_contact[k]:
                 counter = ab if one[row] < other[row] else ba
             else:
                 counter = later_ab if one[row] < other[row] else later_ba
-            counter[at[row]] += n[row] if len(n) else 1
+            counter[k] += n[row] if len(n) else 1
 
 
 @njit(cache=True, nogil=True)
 def note(at, one, other, seen, step, ab, ba, step_ab, step_ba):
     """Write down the step in which something is seen for the first time; a column per trust variant."""
     for row in range(len(at)):
-        if at[row] < 0:
+        k = at[row]
+        if k < 0:
             continue
-        known, since = (ab, step_ab) if one[row] < other[row] else (ba, step_ba)
+        is_ab = one[row] < other[row]
+        known, since = (ab, step_ab) if is_ab else (ba, step_ba)
         for variant in range(seen.shape[1]):
-            if seen[row, variant] and not known[at[row], variant]:
-                known[at[row], variant] = True
-                since[at[row], variant] = step
+            if seen[row, variant] and not known[k, variant]:
+                known[k, variant] = True
+                since[k, variant] = step

@@ -45,15 +45,14 @@ class EncounterParams:
 
 def check_definitions(definitions: Sequence[EncounterParams]) -> None:
     """ValueError where two definitions would have the same rows: tables keep radii and times as 32-bit numbers."""
-    names = [
-        (np.float32(of.radius_m), np.float32(of.hysteresis_s), of.pairs, of.los, of.pedestrians) for of in definitions
-    ]
-    for number, name in enumerate(names):
-        if name in names[:number]:
-            first = names.index(name)
+    first_of: dict[tuple, int] = {}
+    for number, of in enumerate(definitions):
+        key = (np.float32(of.radius_m), np.float32(of.hysteresis_s), of.pairs, of.los, of.pedestrians)
+        first = first_of.setdefault(key, number)
+        if first < number:
             raise ValueError(
                 f"encounters.{number} is the same definition as encounters.{first}: radius_m = "
-                f"{definitions[number].radius_m!r} and {definitions[first].radius_m!r} are one 32-bit number, and "
+                f"{of.radius_m!r} and {definitions[first].radius_m!r} are one 32-bit number, and "
                 "all else is equal. Leave one of them out."
             )
 
@@ -130,10 +129,8 @@ class EncounterTracker:
         self._slot = np.zeros(0, np.int64)  # where the columns hold each pair
         self._free = np.zeros(0, np.int64)  # slots that hold none
         self._live: Rows = self._columns(0)
-        self._past = (
-            np.zeros(0, np.int64),
-            np.zeros(0, np.int32),
-        )  # pairs, sorted, and ends of their last encounter
+        # Pairs, sorted, and ends of their last encounter.
+        self._past = (np.zeros(0, np.int64), np.zeros(0, np.int32))
         self._pending = (np.zeros(0, np.int64), np.zeros(0, np.int32))
 
     def __len__(self) -> int:
@@ -169,7 +166,7 @@ class EncounterTracker:
         -------
         Rows of the encounters now over, and indices of the given pairs whose encounter begins.
         """
-        assert self._step is None or step == self._step + 1, f"step {step} does not follow {self._step}"
+        self._assert_follows(step)
         first = self._step is None
         contact = distance_m <= self.params.radius_m
         if self.params.pairs in ("equipped", "los") and equipped is not None:
@@ -201,7 +198,7 @@ class EncounterTracker:
             live[f"{name}_later"][now] = 0
 
         new = ~under_way
-        gone = self._of_any(left)
+        gone = _involve(self._pair, left)
         end = live["end"][self._slot]
         over = np.flatnonzero(gone | (step + 1 - end >= self._patience))
         departed = gone[over] & (end[over] == step)
@@ -209,16 +206,17 @@ class EncounterTracker:
         self._remember(over)
         keep = np.ones(len(self._pair), bool)
         keep[over] = False
-        opened = self._opened(step, pair[new], metres[new], visible[new], came, first)
-        self._merge(keep, pair[new], opened)
+        new_pair = pair[new]
+        opened = self._opened(step, new_pair, metres[new], visible[new], came, first)
+        self._merge(keep, new_pair, opened)
         return rows, given[new]
 
     def close(self, step: int) -> Rows:
         """Rows of what is still going on at the end of recording; `step` is one past the last step."""
-        assert self._step is None or step == self._step + 1, f"step {step} does not follow {self._step}"
-        rows = np.arange(len(self._pair))
-        closed = self._rows(rows, np.zeros(len(self), bool), np.ones(len(self), bool))
-        self._merge(np.zeros(len(self), bool), self._pair[:0], {})
+        self._assert_follows(step)
+        none = np.zeros(len(self), bool)
+        closed = self._rows(np.arange(len(self)), departed=none, censored_right=~none)
+        self._merge(none, self._pair[:0], {})
         return closed
 
     def count_messages(self, sender: Int[ndarray, "n"], receiver: Int[ndarray, "n"]) -> None:
@@ -276,8 +274,11 @@ class EncounterTracker:
             Whether the value rests on an evaluation; one column per trust variant.
         """
         assert self._step is not None
-        columns = (self._live[f"{name}_{way}"] for name in ("trusted", "trusted_step") for way in ("ab", "ba"))
-        encounter_counts.note(self._slots(holder, other), holder, other, looked_up, self._step, *columns)
+        live = self._live
+        trusted = live["trusted_ab"], live["trusted_ba"]
+        since = live["trusted_step_ab"], live["trusted_step_ba"]
+        at = self._slots(holder, other)
+        encounter_counts.note(at, holder, other, looked_up, self._step, *trusted, *since)
 
     def first_contact(
         self,
@@ -305,28 +306,27 @@ class EncounterTracker:
         )
         at = self._slots(holder, other)
         begins = at >= 0
-        begins[begins] = self._live["start"][at[begins]] == self._step
+        live = self._live
+        begins[begins] = live["start"][at[begins]] == self._step
         rests_on_evaluation = np.isin(state[begins], (LookupState.EVALUATED, LookupState.STALE))
         self.note_trust(holder[begins], other[begins], rests_on_evaluation)
-        way = holder < other
-        for ab, name in ((True, "ab"), (False, "ba")):
-            rows = begins & (way == ab)
+        of_default = source == TrustSource.DEFAULT
+        is_ab = holder < other
+        for way, of_way in (("ab", is_ab), ("ba", ~is_ab)):
+            rows = begins & of_way
             where = at[rows]
-            self._live[f"known_{name}"][where] = True
-            self._live[f"trust_{name}"][where] = trust[rows]
-            self._live[f"source_{name}"][where] = source[rows]
-            self._live[f"state_{name}"][where] = state[rows]
-            self._live[f"age_{name}_s"][where] = np.where(source[rows] == TrustSource.DEFAULT, 0, age_s[rows])
+            live[f"known_{way}"][where] = True
+            live[f"trust_{way}"][where] = trust[rows]
+            live[f"source_{way}"][where] = source[rows]
+            live[f"state_{way}"][where] = state[rows]
+            live[f"age_{way}_s"][where] = np.where(of_default[rows], 0, age_s[rows])
+
+    def _assert_follows(self, step: int) -> None:
+        assert self._step is None or step == self._step + 1, f"step {step} does not follow {self._step}"
 
     def _slots(self, one: ndarray, other: ndarray) -> Int[ndarray, "n"]:
         """Slot of the encounter of each two, -1 where none is under way."""
         return encounter_counts.slots(self._pair, self._slot, one, other)
-
-    def _of_any(self, actors: Int[ndarray, "m"]) -> Bool[ndarray, "live"]:
-        """Live pairs with one of these actors."""
-        if not len(actors):
-            return np.zeros(len(self._pair), bool)
-        return np.isin(self._pair >> 32, actors) | np.isin(self._pair & 0xFFFFFFFF, actors)
 
     def _opened(
         self, step: int, pair: ndarray, metres: ndarray, visible: ndarray, came: ndarray, first: bool
@@ -337,18 +337,23 @@ class EncounterTracker:
             at, met = _find(past[0], pair)
             opened["previous_end"][met] = past[1][at[met]]
             opened["again"] |= met
-        opened["start"][:], opened["end"][:], opened["n"][:] = step, step + 1, 1
-        opened["n_los"][:], opened["sum_m"][:], opened["min_m"][:] = visible, metres, metres
+        opened["start"][:] = step
+        opened["end"][:] = step + 1
+        opened["n"][:] = 1
+        opened["n_los"][:] = visible
+        opened["sum_m"][:] = metres
+        opened["min_m"][:] = metres
         opened["censored_left"][:] = first
         if not first:
-            opened["entered"][:] = np.isin(pair >> 32, came) | np.isin(pair & 0xFFFFFFFF, came)
+            opened["entered"][:] = _involve(pair, came)
             opened["censored_left"][:] = opened["entered"] & self._censors
         return opened
 
     def _columns(self, n: int) -> Rows:
         """Live columns of `n` encounters, all zero."""
         flat: Rows = {name: np.zeros(n, dtype) for name, dtype in _LIVE.items()}
-        return flat | {name: np.zeros((n, self.n_variants), dtype) for name, dtype in _TRUST.items()}
+        shape = (n, self.n_variants)
+        return flat | {name: np.zeros(shape, dtype) for name, dtype in _TRUST.items()}
 
     def _merge(self, keep: Bool[ndarray, "live"], pair: Int[ndarray, "k"], opened: dict[str, ndarray]) -> None:
         """Drop encounters that are over, let new ones in, stay sorted."""
@@ -359,19 +364,23 @@ class EncounterTracker:
             size = len(self._live["n"])
             more = size + len(pair)  # at least twice as many as are held
             self._free = np.concatenate([self._free, np.arange(size, size + more)])
-            self._live = {name: np.concatenate([self._live[name], v]) for name, v in self._columns(more).items()}
-        slots, self._free = self._free[: len(pair)], self._free[len(pair) :]
+            for name, empty in self._columns(more).items():
+                self._live[name] = np.concatenate([self._live[name], empty])
+        slots = self._free[: len(pair)]
+        self._free = self._free[len(pair) :]
         for name, values in opened.items():
             self._live[name][slots] = values
         held = self._pair[keep]
         at = np.searchsorted(held, pair)
-        self._pair, self._slot = np.insert(held, at, pair), np.insert(self._slot[keep], at, slots)
+        self._pair = np.insert(held, at, pair)
+        self._slot = np.insert(self._slot[keep], at, slots)
 
     def _remember(self, over: Int[ndarray, "k"]) -> None:
-        pair, end = _latest(*self._pending, self._pair[over], self._live["end"][self._slot[over]])
+        end = self._live["end"][self._slot[over]]
+        pair, end = _latest(*self._pending, self._pair[over], end)
         if len(pair) > _PENDING:
             pair, end = _latest(*self._past, pair, end)
-            first, second = pair >> 32, pair & 0xFFFFFFFF
+            first, second = _actors(pair)
             both_there = np.isin(first, self._present) & np.isin(second, self._present)
             kept = both_there | self._censors
             self._past = (pair[kept], end[kept])
@@ -380,14 +389,16 @@ class EncounterTracker:
 
     def _rows(self, at: ndarray, departed: ndarray, censored_right: ndarray) -> Rows:
         """Rows of the table `encounters`."""
-        live = {name: values[self._slot[at]] for name, values in self._live.items()}
+        slot = self._slot[at]
+        live = {name: values[slot] for name, values in self._live.items()}
         n = len(at)
-        # A value that is first looked up after the last contact came too late for the encounter.
-        end = live["end"][:, None]
-        in_time = {way: live[f"trusted_step_{way}"] < end for way in ("ab", "ba")}
+        a, b = _actors(self._pair[at])
+        start, end = live["start"][:, None], live["end"][:, None]
         trust: Rows = {}
         for way in ("ab", "ba"):
             known = live[f"known_{way}"]
+            since = live[f"trusted_step_{way}"]
+            in_time = since < end  # a value first looked up after the last contact came too late for the encounter
             trust |= {
                 f"trust_{way}": live[f"trust_{way}"],
                 f"trust_{way}__valid": known,
@@ -397,14 +408,14 @@ class EncounterTracker:
                 f"state_{way}__valid": known,
                 f"age_{way}_s": live[f"age_{way}_s"],
                 f"age_{way}_s__valid": known & (live[f"source_{way}"] != TrustSource.DEFAULT),
-                f"trusted_after_{way}_s": (live[f"trusted_step_{way}"] - live["start"][:, None]) * self.dt_s,
-                f"trusted_after_{way}_s__valid": live[f"trusted_{way}"] & in_time[way],
+                f"trusted_after_{way}_s": (since - start) * self.dt_s,
+                f"trusted_after_{way}_s__valid": live[f"trusted_{way}"] & in_time,
             }
         if self.n_variants == 1:
             trust = {name: values[:, 0] for name, values in trust.items()}
         return {
-            "a": (self._pair[at] >> 32).astype(np.int32),
-            "b": (self._pair[at] & 0xFFFFFFFF).astype(np.int32),
+            "a": a.astype(np.int32),
+            "b": b.astype(np.int32),
             "start_step": live["start"],
             "radius_m": np.full(n, self.params.radius_m, np.float32),
             "pairs": np.full(n, EncounterPairs[self.params.pairs.upper()], np.int8),
@@ -438,13 +449,30 @@ def by_variant(rows: Rows) -> tuple[Rows, Rows]:
         return rows, {}
     n, n_variants = next(iter(of_variants.values())).shape
     variant = np.repeat(np.arange(1, n_variants), n)
-    others = {"variant": variant} | {name: np.tile(rows[name], n_variants - 1) for name in ENCOUNTER_KEY}
-    others |= {name: values[:, 1:].T.ravel() for name, values in of_variants.items()}
-    return rows | {name: values[:, 0] for name, values in of_variants.items()}, others
+    others = {"variant": variant}
+    for name in ENCOUNTER_KEY:
+        others[name] = np.tile(rows[name], n_variants - 1)
+    acting: Rows = {}
+    for name, values in of_variants.items():
+        acting[name] = values[:, 0]
+        others[name] = values[:, 1:].T.ravel()
+    return rows | acting, others
 
 
 def _pair(a: Int[ndarray, "n"], b: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
     return (np.asarray(a, np.int64) << 32) | np.asarray(b, np.int64)
+
+
+def _actors(pair: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+    return pair >> 32, pair & 0xFFFFFFFF
+
+
+def _involve(pair: Int[ndarray, "n"], actors: Int[ndarray, "m"]) -> Bool[ndarray, "n"]:
+    """Whether one of these actors is in each pair."""
+    if not len(actors):
+        return np.zeros(len(pair), bool)
+    a, b = _actors(pair)
+    return np.isin(a, actors) | np.isin(b, actors)
 
 
 def _find(held: Int[ndarray, "m"], wanted: Int[ndarray, "n"]) -> tuple[ndarray, ndarray]:
@@ -460,4 +488,6 @@ def _latest(pair: ndarray, end: ndarray, new_pair: ndarray, new_end: ndarray) ->
     at, known = _find(pair, new_pair)
     end = end.copy()
     end[at[known]] = new_end[known]
-    return np.insert(pair, at[~known], new_pair[~known]), np.insert(end, at[~known], new_end[~known])
+    new = ~known
+    place = at[new]
+    return np.insert(pair, place, new_pair[new]), np.insert(end, place, new_end[new])

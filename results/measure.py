@@ -104,10 +104,11 @@ def measure(
         if topic not in registry.TOPICS:
             raise ValueError(f"There is no topic {topic!r}. The topics are {', '.join(registry.TOPICS)}.")
         rows += _measured(run, topic, options)
-    return pd.DataFrame(
-        [(*row[:-1], METRICS[row.name].unit, METRICS[row.name].label, _note(row)) for row in rows],
-        columns=COLUMNS,
-    )
+    lines = []
+    for row in rows:
+        metric = METRICS[row.name]
+        lines.append((*row[:-1], metric.unit, metric.label, _note(row)))
+    return pd.DataFrame(lines, columns=COLUMNS)
 
 
 def _measured(run: Run, topic: str, options: Mapping[str, Any]) -> list[MeasuredRow]:
@@ -116,12 +117,12 @@ def _measured(run: Run, topic: str, options: Mapping[str, Any]) -> list[Measured
     What one function cannot answer says nothing about the next: nobody finds trust, so trust has no age, but the share
     of lookups that find some is 0.
     """
-    mine = [(name, metric) for name, metric in METRICS.items() if metric.source and name.startswith(f"{topic}.")]
+    mine = [name for name, metric in METRICS.items() if metric.source and name.startswith(f"{topic}.")]
     rows: list[MeasuredRow] = []
     reasons: dict[str, None] = {}
-    for _, same in groupby(mine, lambda of: (of[1].source, of[1].options)):
+    for _, same in groupby(mine, lambda name: (METRICS[name].source, METRICS[name].options)):
         of_source = list(same)
-        metric = of_source[0][1]
+        metric = METRICS[of_source[0]]
         try:
             found = _answer(run, metric, options) if _has_value(run, metric) else ()
         except ValueError as reason:
@@ -129,8 +130,8 @@ def _measured(run: Run, topic: str, options: Mapping[str, Any]) -> list[Measured
                 run.damage.append(str(reason))
             reasons[str(reason)] = None
             continue
-        for name, metric in of_source:
-            rows += _rows(name, metric, found)
+        for name in of_source:
+            rows += _rows(name, METRICS[name], found)
     return rows + [MeasuredRow(f"{topic}.not_measured", reason, np.nan) for reason in reasons]
 
 
@@ -145,7 +146,8 @@ def _answer(run: Run, metric: Metric, options: Mapping[str, Any]) -> Sequence[Ma
     """The rows among which those of a metric are."""
     ask = loaded(metric.source)
     wanted = signature(ask).parameters
-    found = ask(run, **{key: value for key, value in options.items() if key in wanted} | dict(metric.options))
+    mine = {key: value for key, value in options.items() if key in wanted}
+    found = ask(run, **mine | dict(metric.options))
     if isinstance(found, pd.DataFrame):
         return found.to_dict("records")
     if isinstance(found, pd.Series):
@@ -158,15 +160,18 @@ def _rows(name: str, metric: Metric, found: Iterable[Mapping[Any, Any]]) -> Iter
     of `intervals.plain_columns` if it is clustered by something."""
     groups = set()
     for row in found:
-        value, group = row.get(metric.column, np.nan), metric.named.format_map(row)
+        value = row.get(metric.column, np.nan)
+        group = metric.named.format_map(row)
         is_here = all(row[key] == wanted for key, wanted in metric.where.items())
         if is_here and group not in groups and pd.notna(value):
             groups.add(group)
             own = f"{metric.column}_"
-            names = ["low", "high", "n_units"] if f"{own}low" not in row else [f"{own}low", f"{own}high", f"{own}units"]
-            low, high, n = (row.get(name, np.nan) if metric.unit_of_chance else np.nan for name in names)
-            note = row.get(f"{metric.column}_note", row.get("note", ""))
-            yield MeasuredRow(name, group, float(value), low, high, n, note)
+            interval = [np.nan] * 3
+            if metric.unit_of_chance:
+                keys = [f"{own}low", f"{own}high", f"{own}units"] if f"{own}low" in row else ["low", "high", "n_units"]
+                interval = [row.get(key, np.nan) for key in keys]
+            note = row.get(f"{own}note", row.get("note", ""))
+            yield MeasuredRow(name, group, float(value), *interval, note)
 
 
 def _note(row: MeasuredRow) -> str:
@@ -217,8 +222,13 @@ class Topic:
 
     def __dir__(self) -> list[str]:
         module = TOPICS[self._topic]
-        own = [n for n, f in vars(module).items() if isfunction(f) and f.__module__ == module.__name__ and n[0] != "_"]
-        return [*(n for n in own if next(iter(signature(getattr(module, n)).parameters), "") == "run"), "plot"]
+        names = []
+        for name, function in vars(module).items():
+            if isfunction(function) and function.__module__ == module.__name__ and name[0] != "_":
+                first = next(iter(signature(function).parameters), "")
+                if first == "run":
+                    names.append(name)
+        return [*names, "plot"]
 
     def plot(self, **options: Any) -> "Figure":
         """The figure of the topic."""

@@ -202,7 +202,8 @@ class Selection:
         """
         where = pc.field("step").isin(steps.tolist())
         detections = self._detections(where)
-        visible = self.run.table("observability", where=where & pc.field("observer").isin(list(self.vehicles)))
+        seen_by = pc.field("observer").isin(list(self.vehicles))
+        visible = self.run.table("observability", where=where & seen_by)
         of_step = _by_number(detections, "step")
         visible_of_step = _visible(visible)
         errors = self._pose_errors(where)
@@ -261,7 +262,8 @@ def _by_number(rows: pd.DataFrame, column: str) -> dict[int, pd.DataFrame]:
 def _visible(rows: pd.DataFrame) -> dict[int, dict[int, Visible]]:
     """Rows of the table `observability`, by step and vehicle."""
     rows = rows.sort_values(["step", "observer", "actor"])
-    step, observer = rows.step.to_numpy(np.int64), rows.observer.to_numpy(np.int64)
+    step = rows.step.to_numpy(np.int64)
+    observer = rows.observer.to_numpy(np.int64)
     columns = [rows[name].to_numpy(np.int64) for name in ("actor", "n_points", "n_unoccluded")]
     is_first = (np.diff(step, prepend=-1) != 0) | (np.diff(observer, prepend=-1) != 0)  # of a step and a vehicle
     begins = np.flatnonzero(is_first)
@@ -287,12 +289,14 @@ def sensor_pose(box: Float[ndarray, "7"], above_roof_m: float) -> Float[ndarray,
     -------
     x, y, z [m] and yaw [rad], world frame.
     """
-    return np.array([box[0], box[1], box[2] + 0.5 * box[5] + above_roof_m, box[6]])
+    x, y, z, _, _, height_m, yaw = box
+    return np.array([x, y, z + 0.5 * height_m + above_roof_m, yaw])
 
 
 def corners_of(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 8 3"]:
     """The eight corners of each box, as data sets of OpenCOOD list them: four below, then four above."""
-    half = 0.5 * np.array([(x, y, z) for z in (-1, 1) for x, y in ((1, -1), (1, 1), (-1, 1), (-1, -1))])
+    around = ((1, -1), (1, 1), (-1, 1), (-1, -1))
+    half = 0.5 * np.array([(x, y, z) for z in (-1, 1) for x, y in around])
     corner = half * box[:, None, 3:6]  # in the frame of each box
     corner[..., :2] = turned_by(box[:, None, 6], corner)
     return corner + box[:, None, :3]

@@ -132,7 +132,8 @@ _SECTIONS = ("Figures", "Numbers", "Tables", "Provenance")
 
 
 def _span(run: Run) -> str:
-    net, seed = run.manifest.get("net", {}).get("name", "a network"), run.manifest.get("seed", "unknown")
+    net = run.manifest.get("net", {}).get("name", "a network")
+    seed = run.manifest.get("seed", "unknown")
     steps = run.manifest["steps"]
     return f"Co-simulation of {net}: {steps * run.dt_s:g} s in {steps} steps of {run.dt_s:g} s, seed {seed}."
 
@@ -151,7 +152,8 @@ def _facts(run: Run, numbers: pd.DataFrame) -> str:
     ]
     boxes = []
     for metric, group, text in wanted:
-        rows = numbers[(numbers.metric == metric) & ((numbers.group == group) | (group is None))]
+        is_group = (numbers.group == group) | (group is None)
+        rows = numbers[is_group & (numbers.metric == metric)]
         if len(rows) and rows.value.notna().iloc[0]:
             row = rows.iloc[0]
             where = f" ({row.group})" if group is None and row.group else ""
@@ -201,21 +203,25 @@ def _topic(topic: str, frame: pd.DataFrame) -> str:
     frame = frame[~is_lost]
     if frame.empty:
         return head + gap
-    first = frame.metric != frame.metric.shift()
-    rows = "".join(
-        f"<tr{'' if new else ' class=more'}><td title='{escape(METRICS[metric].definition, quote=True)}'>"
-        f"{escape(METRICS[metric].label) if new else ''}</td><td>{f'<code>{metric}</code>' if new else ''}</td>"
-        f'<td>{escape(group)}</td><td class="number">{_number(value, unit)}</td><td class="number soft">'
-        f'{_interval(low, high)}</td><td class="soft">{escape(note)}</td></tr>'
-        for new, metric, group, value, unit, low, high, note in zip(
-            first, frame.metric, frame.group, frame.value, frame.unit, frame.low, frame.high, frame.note, strict=True
-        )
-    )
+    is_first = frame.metric != frame.metric.shift()
+    rows = "".join(map(_row, frame.itertuples(index=False), is_first))
     names = (
         '<tr><th>metric</th><th>identifier</th><th>group</th><th class="number">value</th>'
         '<th class="number">95 % interval</th><th>note</th></tr>'
     )
     return f"{head}<table class='numbers'>{names}{rows}</table>{gap}"
+
+
+def _row(row: Any, is_first: bool) -> str:
+    """A value of a metric; the first one has the metric's name."""
+    metric = METRICS[row.metric]
+    label = escape(metric.label) if is_first else ""
+    identifier = f"<code>{row.metric}</code>" if is_first else ""
+    return (
+        f"<tr{'' if is_first else ' class=more'}><td title='{escape(metric.definition, quote=True)}'>{label}</td>"
+        f'<td>{identifier}</td><td>{escape(row.group)}</td><td class="number">{_number(row.value, row.unit)}</td>'
+        f'<td class="number soft">{_interval(row.low, row.high)}</td><td class="soft">{escape(row.note)}</td></tr>'
+    )
 
 
 def _dictionary(run: Run) -> str:
@@ -265,7 +271,8 @@ def _number(value: float, unit: str) -> str:
 def _interval(low: float, high: float) -> str:
     if pd.isna(low):
         return ""
-    return f"{_number(low, '1')} to {_number(high, '1')}" if high < math.inf else f"{_number(low, '1')} or more"
+    until = f"to {_number(high, '1')}" if high < math.inf else "or more"
+    return f"{_number(low, '1')} {until}"
 
 
 def _code(text: str) -> str:

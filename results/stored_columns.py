@@ -35,10 +35,12 @@ class StoredColumn:
         categories = column.labels(of_run)
         plain = {"category": "int8", "string": "O"}.get(column.type, column.type)
         dtype = np.dtype(plain)
-        limits = np.iinfo(dtype) if dtype.kind in "iu" else None
-        bottom, top = (0, 0) if limits is None else (int(limits.min), int(limits.max))
+        bottom, top = 0, 0
         if column.type == "category":
-            bottom, top = 0, len(categories) - 1
+            top = len(categories) - 1
+        elif dtype.kind in "iu":
+            limits = np.iinfo(dtype)
+            bottom, top = int(limits.min), int(limits.max)
         scale = None if column.bits is None else 2.0**column.bits
         return StoredColumn(f"{table}.{name}", dtype, column.null, categories, bottom, top, scale, column.usual)
 
@@ -79,14 +81,17 @@ class StoredColumn:
         elif given not in "fiu" or not np.isfinite(values).all():
             raise ValueError(f"{self.name} holds something that is not a finite number.")
         if self.scale is not None:
-            values = np.round(np.asarray(values, np.float64) * self.scale) * (1 / self.scale)
+            scaled = np.asarray(values, np.float64) * self.scale
+            values = np.round(scaled) * (1 / self.scale)
         return values.astype(self.dtype)
 
     def usual_values(self, n: int, step: int) -> ndarray | None:
         """What the rows of a step have if the column is not given; None if they are all null."""
         if self.usual == "null":
             return None
-        return np.zeros(n, self.dtype) if self.usual == "zero" else np.full(n, step, np.int32)
+        if self.usual == "zero":
+            return np.zeros(n, self.dtype)
+        return np.full(n, step, np.int32)
 
     def codes(self, values: ndarray, valid: ndarray | None) -> ndarray:
         """Codes of labels.
@@ -147,8 +152,11 @@ def stored_rows(
     unknown = [name for name in columns if name not in known and name.removesuffix(VALID) not in known]
     missing = [name for name, column in known.items() if name not in columns and name != "step" and not column.usual]
     if unknown or missing:
-        wrong = [f"{word} {', '.join(sorted(names))}" for word, names in (("unknown", unknown), ("missing", missing))
-                 if names]  # fmt: skip
+        wrong = []
+        if unknown:
+            wrong.append(f"unknown {', '.join(sorted(unknown))}")
+        if missing:
+            wrong.append(f"missing {', '.join(sorted(missing))}")
         raise ValueError(f"Table {table}: {'; '.join(wrong)}. The columns are {', '.join(known)}.")
     n = next((len(values) for values in columns.values() if values is not None), 0)
     rows: dict[str, ndarray] = {}
@@ -159,7 +167,8 @@ def stored_rows(
         if values.shape != (n,) or (valid is not None and np.shape(valid) != (n,)):
             raise ValueError(f"{table}.{name} has shape {values.shape}, other columns have {n} rows.")
         if column.null:
-            valid = rows[name + VALID] = np.ones(n, bool) if valid is None else np.array(valid, bool)
+            valid = np.ones(n, bool) if valid is None else np.array(valid, bool)
+            rows[name + VALID] = valid
         elif valid is not None and not np.all(valid):
             raise ValueError(f"{table}.{name} cannot be null.")
         is_label = column.categories and values.dtype.kind in "OUT"

@@ -67,7 +67,8 @@ class Draw:
         def choose() -> Street:
             if not chosen:
                 raise NoTraffic("the network has no street at which this traffic could start or end")
-            return chosen[min(bisect_right(sums, self.uniform() * sums[-1]), len(chosen) - 1)]
+            at = bisect_right(sums, self.uniform() * sums[-1])
+            return chosen[min(at, len(chosen) - 1)]
 
         return choose
 
@@ -80,7 +81,8 @@ def streets_of(net: Any, gates: frozenset[str], is_one_piece: bool = False) -> l
         if not edge.allows("passenger"):
             continue
         start, end = edge.getFromNode(), edge.getToNode()
-        (x0, y0), (x1, y1) = edge.getShape()[0][:2], edge.getShape()[-1][:2]
+        line = edge.getShape()
+        (x0, y0), (x1, y1) = line[0][:2], line[-1][:2]
         streets.append(
             Street(
                 edge.getID(), start.getID(), end.getID(), edge.getType().removeprefix("highway."),
@@ -178,6 +180,11 @@ def walks(streets: list[Street], recipe: dict[str, Any], seed: int, end_s: float
 
 def write_trips(path: Path, trips: list[str]) -> None:
     """Write trips, walks and vehicles in the order of their departures."""
-    rows = sorted(trips, key=lambda row: (float(row.split('depart="', 1)[1].split('"', 1)[0]), row))
-    text = "\n".join(["<routes>", *rows, "</routes>", ""])
+    text = "\n".join(["<routes>", *sorted(trips, key=_departure), "</routes>", ""])
     path.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _departure(trip: str) -> tuple[float, str]:
+    _, _, rest = trip.partition('depart="')
+    time_s, _, _ = rest.partition('"')
+    return float(time_s), trip

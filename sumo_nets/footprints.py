@@ -94,7 +94,8 @@ def read_polygons(
                 found.append((poly, params))
             else:
                 n, n_high = others.get(kind, (0, 0))
-                others[kind] = OtherPolygons(n + 1, n_high + bool(_HEIGHTS & params.keys()))
+                is_high = not _HEIGHTS.isdisjoint(params)
+                others[kind] = OtherPolygons(n + 1, n_high + is_high)
             poly = None
 
     stream(path, start, end)
@@ -102,7 +103,8 @@ def read_polygons(
     outer = [_ring(poly.get("shape", ""), here) for (poly, _), here in zip(found, where, strict=True)]
     geo = [k for k, (poly, _) in enumerate(found) if poly.get("geo") in ("true", "1", "yes", "on", "True")]
     if geo:
-        for k, ring in zip(geo, _projected([outer[k] for k in geo], net_path, where[geo[0]]), strict=True):
+        projected = _projected([outer[k] for k in geo], net_path, where[geo[0]])
+        for k, ring in zip(geo, projected, strict=True):
             outer[k] = ring
     return _footprints(outer, found, where), others
 
@@ -114,11 +116,13 @@ def pieces_of(shape: shapely.Geometry, least_area_m2: float = 1.0) -> list[Polyg
 
 def _pieces(shapes: ndarray, least_area_m2: float = 1.0) -> tuple[ndarray, Int[ndarray, "p"]]:
     """The same of many, and the row of the shape that each belongs to."""
-    shapes, torn = shapes.copy(), ~shapely.is_valid(shapes)
+    shapes = shapes.copy()
+    torn = ~shapely.is_valid(shapes)
     shapes[torn] = shapely.make_valid(shapes[torn])
     parts, of_shape = shapely.get_parts(shapes, return_index=True)
     parts, of_part = shapely.get_parts(parts, return_index=True)
-    kept = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & (shapely.area(parts) >= least_area_m2)
+    is_polygon = shapely.get_type_id(parts) == shapely.GeometryType.POLYGON
+    kept = is_polygon & (shapely.area(parts) >= least_area_m2)
     return shapely.orient_polygons(parts[kept]), of_shape[of_part[kept]]
 
 
@@ -133,8 +137,9 @@ def _rings_of(polygons: ndarray) -> list[list[Float[ndarray, "k 2"]]]:
     rings, of_polygon = shapely.get_rings(polygons, return_index=True)
     points, of_ring = shapely.get_coordinates(rings, return_index=True)
     found: list[list[Float[ndarray, "k 2"]]] = [[] for _ in polygons]
-    ends = np.cumsum(np.bincount(of_ring, minlength=len(rings)))
-    for row, first, end in zip(of_polygon, ends - np.diff(ends, prepend=0), ends, strict=True):
+    n_points = np.bincount(of_ring, minlength=len(rings))
+    ends = np.cumsum(n_points)
+    for row, first, end in zip(of_polygon, ends - n_points, ends, strict=True):
         found[row].append(points[first:end])
     return found
 
@@ -186,15 +191,14 @@ def _footprints(
             kept.append(k)
     if not kept:
         return []
-    lines = shapely.linearrings(np.concatenate(rings), indices=np.repeat(np.arange(len(rings)), list(map(len, rings))))
+    of_ring = np.repeat(np.arange(len(rings)), [len(ring) for ring in rings])
+    lines = shapely.linearrings(np.concatenate(rings), indices=of_ring)
     polygons = shapely.polygons(lines, indices=of_polygon)
-    heights = [
-        _extent(*found[k], area, where[k]) for k, area in zip(kept, shapely.area(polygons).tolist(), strict=True)
-    ]
+    areas_m2 = shapely.area(polygons).tolist()
+    heights = [_extent(*found[k], area, where[k]) for k, area in zip(kept, areas_m2, strict=True)]
     pieces, of_piece = _pieces(polygons)
-    return [
-        Footprint(own[0], own[1:], *heights[k]) for own, k in zip(_rings_of(pieces), of_piece.tolist(), strict=True)
-    ]
+    rings_of = _rings_of(pieces)
+    return [Footprint(ring, holes, *heights[k]) for (ring, *holes), k in zip(rings_of, of_piece.tolist(), strict=True)]
 
 
 def _extent(poly: Attributes, params: Attributes, area_m2: float, where: str) -> tuple[float, float, str]:

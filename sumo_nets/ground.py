@@ -65,9 +65,10 @@ def segments(found: Sequence[Lane]) -> tuple[Float[ndarray, "s 3"], Float[ndarra
     """Begin and end of every segment of every lane, in this order."""
     count = [len(lane.line_m) for lane in found]
     points = np.concatenate([np.zeros((0, 3)), *(lane.line_m for lane in found)])
-    is_last, is_first = np.zeros(len(points), bool), np.zeros(len(points), bool)
     ends = np.cumsum(count, dtype=int)
-    is_last[ends - 1], is_first[ends - count] = True, True
+    is_first, is_last = np.zeros((2, len(points)), bool)
+    is_first[ends - count] = True
+    is_last[ends - 1] = True
     return points[~is_last], points[~is_first]
 
 
@@ -82,17 +83,22 @@ def sampled(
     step_m = max(step_m, float(length_m.sum()) / _MOST_SAMPLES)
     n_parts = np.maximum(np.ceil(length_m / step_m).astype(int), 1)
     row = np.repeat(np.arange(len(begin)), n_parts)
-    part = np.arange(len(row)) - np.repeat(np.cumsum(n_parts) - n_parts, n_parts) + 0.5
+    first = np.cumsum(n_parts) - n_parts
+    part = np.arange(len(row)) - first[row] + 0.5
     share = (part / n_parts[row])[:, None]
-    return begin[row] + share * (end - begin)[row], (length_m / n_parts)[row]
+    points = begin[row] + share * (end - begin)[row]
+    return points, (length_m / n_parts)[row]
 
 
 def covered_m(found: Sequence[Lane], standing: Sequence[Footprint], shapes: ndarray) -> tuple[float, float]:
     """Length of the lanes of motor vehicles inside buildings, whose polygons are `shapes`, and of all of them [m]."""
     xyz_m, each_m = sampled(*segments([lane for lane in found if lane.for_cars]), _SAMPLE_M)
-    at, of = shapely.STRtree(shapes).query(shapely.points(xyz_m[:, :2]), predicate="within")
-    base_m, top_m = np.array([(f.base_z_m, f.top_z_m) for f in standing]).reshape(-1, 2).T
-    inside = at[(base_m[of] < xyz_m[at, 2] + CAR_M) & (top_m[of] > xyz_m[at, 2])]
+    points = shapely.points(xyz_m[:, :2])
+    at, of = shapely.STRtree(shapes).query(points, predicate="within")
+    base_m = np.array([footprint.base_z_m for footprint in standing])
+    top_m = np.array([footprint.top_z_m for footprint in standing])
+    z_m = xyz_m[at, 2]
+    inside = at[(base_m[of] < z_m + CAR_M) & (top_m[of] > z_m)]
     return float(each_m[np.unique(inside)].sum()), float(each_m.sum())
 
 
@@ -106,7 +112,7 @@ class StreetHeights:
         self._begin, self._end = begin, end
         if self.is_flat:
             return
-        self._segments = shapely.linestrings(np.stack([begin[:, :2], end[:, :2]], axis=1))
+        self._segments = shapely.linestrings(np.stack([begin, end], axis=1)[..., :2])
         bridge = np.concatenate(is_bridge(found, crossings(found)))
         self._grounded = np.flatnonzero(~bridge) if not bridge.all() else np.arange(len(bridge))
 
@@ -122,7 +128,8 @@ class StreetHeights:
         _, nearest_m = tree.query_nearest(places, return_distance=True, all_matches=False)
         place, row = tree.query(places, predicate="dwithin", distance=nearest_m + BESIDE_M)
         row = self._grounded[row]
-        height_m, crosses = self._height_m(row, places[place]), shapely.intersects(self._segments[row], places[place])
+        height_m = self._height_m(row, places[place])
+        crosses = shapely.intersects(self._segments[row], places[place])
         beside_m, any_m = np.full((2, len(places)), np.inf)
         np.minimum.at(any_m, place, height_m)
         np.minimum.at(beside_m, place[~crosses], height_m[~crosses])
@@ -130,7 +137,8 @@ class StreetHeights:
 
     def lowest_m(self, places: ndarray) -> Float[ndarray, "n"]:
         """Height of the lowest street within about `AROUND_M` of each place."""
-        extent_m = float(np.ptp(np.concatenate([self._begin, self._end])[:, :2], axis=0).max())
+        ends_m = np.concatenate([self._begin, self._end])[:, :2]
+        extent_m = float(np.ptp(ends_m, axis=0).max())
         cell_m = max(_CELL_M, extent_m / _MOST_CELLS)
         points, _ = sampled(self._begin, self._end, cell_m / 2)
         low = points[:, :2].min(axis=0) - 2 * AROUND_M
@@ -139,8 +147,10 @@ class StreetHeights:
         lowest = np.full(cell.max(axis=0) + 1 + 3 * around, np.inf)
         np.minimum.at(lowest, tuple(cell.T), points[:, 2])
         lowest = minimum_filter(lowest, size=2 * around + 1, mode="constant", cval=np.inf)
-        at = ((shapely.get_coordinates(shapely.centroid(places)) - low) // cell_m).astype(int)
-        return lowest[tuple(np.clip(at, 0, np.array(lowest.shape) - 1).T)]
+        middle = shapely.get_coordinates(shapely.centroid(places))
+        at = ((middle - low) // cell_m).astype(int)
+        at = np.clip(at, 0, np.array(lowest.shape) - 1)
+        return lowest[tuple(at.T)]
 
     def below_m(self, places: ndarray) -> Float[ndarray, "n"]:
         """Height of the lowest street that crosses each place, such as a tunnel below a building; infinite if none."""
@@ -152,9 +162,11 @@ class StreetHeights:
     def _height_m(self, row: Int[ndarray, "p"], places: ndarray) -> Float[ndarray, "p"]:
         """Heights of segments where they are nearest to the middles of places."""
         middle = shapely.get_coordinates(shapely.centroid(places))
-        begin, along = self._begin[row], (self._end - self._begin)[row]
+        begin = self._begin[row]
+        along = self._end[row] - begin
         towards = ((middle - begin[:, :2]) * along[:, :2]).sum(axis=1)
-        t = np.clip(towards / np.maximum((along[:, :2] ** 2).sum(axis=1), 1e-12), 0.0, 1.0)
+        squared_m2 = (along[:, :2] ** 2).sum(axis=1)
+        t = np.clip(towards / np.maximum(squared_m2, 1e-12), 0.0, 1.0)
         return begin[:, 2] + t * along[:, 2]
 
 
@@ -172,7 +184,8 @@ def standing_on(footprints: list[Footprint], found: Sequence[Lane]) -> list[Foot
     tunnel_m = streets.below_m(shapes)
     roof_m = np.where(tunnel_m < ground_m - CLEARANCE_M, tunnel_m + CLEARANCE_M, -np.inf)
     deep_m = np.minimum(ground_m, np.maximum(streets.lowest_m(shapes), roof_m))
-    return [
-        f._replace(base_z_m=f.base_z_m + ground if f.base_z_m else deep, top_z_m=f.top_z_m + ground)
-        for f, ground, deep in zip(footprints, ground_m.tolist(), deep_m.tolist(), strict=True)
-    ]
+    raised = []
+    for footprint, ground, deep in zip(footprints, ground_m.tolist(), deep_m.tolist(), strict=True):
+        base_m = footprint.base_z_m + ground if footprint.base_z_m else deep
+        raised.append(footprint._replace(base_z_m=base_m, top_z_m=footprint.top_z_m + ground))
+    return raised

@@ -46,21 +46,24 @@ def crossings(lanes: Sequence[Lane]) -> Crossings:
         return Crossings(np.zeros((0, 2), int), np.zeros((0, 2)), np.zeros((0, 2)))
     points = [lanes[k].line_m for k in row]
     flat = np.concatenate(points)[:, :2]
-    lines = shapely.linestrings(flat, indices=np.repeat(np.arange(len(row)), list(map(len, points))))
+    of_point = np.repeat(np.arange(len(row)), [len(line_m) for line_m in points])
+    lines = shapely.linestrings(flat, indices=of_point)
     one, other = shapely.STRtree(lines).query(lines, predicate="crosses")
     edge = np.array([lanes[k].edge for k in row])
     kept = (one < other) & (edge[one] != edge[other])
-    one, other = one[kept][:_MOST_PAIRS], other[kept][:_MOST_PAIRS]
+    one = one[kept][:_MOST_PAIRS]
+    other = other[kept][:_MOST_PAIRS]
     place = shapely.point_on_surface(shapely.intersection(lines[one], lines[other]))
-    along = [shapely.line_locate_point(lines[rows], place) for rows in (one, other)]
-    z_m = np.array([
-        [_height_m(points[k], at) for k, at in zip(rows, at_m, strict=True)]
-        for rows, at_m in zip((one, other), along, strict=True)
-    ]).reshape(2, -1).T  # fmt: skip
-    left = [shapely.length(lines[rows]) - at for rows, at in zip((one, other), along, strict=True)]
-    near_end = np.minimum.reduce([*along, *left]) < _SHARED_M
-    shared = [bool({*lanes[row[a]].ends} & {*lanes[row[b]].ends}) for a, b in zip(one, other, strict=True)]
-    real = ~(np.array(shared, bool) & near_end)
+    z_m = np.zeros((len(place), 2))
+    to_end_m = np.full(len(place), np.inf)
+    for column, rows in enumerate((one, other)):
+        at_m = shapely.line_locate_point(lines[rows], place)
+        z_m[:, column] = [_height_m(points[k], at) for k, at in zip(rows, at_m, strict=True)]
+        left_m = shapely.length(lines[rows]) - at_m
+        to_end_m = np.minimum.reduce([to_end_m, at_m, left_m])
+    ends = [set(lanes[k].ends) for k in row]
+    shared = np.array([not ends[a].isdisjoint(ends[b]) for a, b in zip(one, other, strict=True)], bool)
+    real = ~(shared & (to_end_m < _SHARED_M))
     lane = np.column_stack([row[one], row[other]])
     return Crossings(lane[real], shapely.get_coordinates(place)[real], z_m[real])
 
@@ -70,14 +73,21 @@ def is_bridge(lanes: Sequence[Lane], found: Crossings) -> list[Bool[ndarray, "k"
     bridge = [np.zeros(len(lane.line_m) - 1, bool) for lane in lanes]
     for pair, xy_m, z_m in zip(found.lane, found.xy_m, found.z_m, strict=True):
         if abs(z_m[0] - z_m[1]) >= LEVEL_M:
-            line_m = lanes[pair[int(z_m[1] > z_m[0])]].line_m
+            upper = pair[int(z_m[1] > z_m[0])]
+            line_m = lanes[upper].line_m
             middle = (line_m[1:] + line_m[:-1]) / 2
-            half = np.hypot(*np.diff(line_m[:, :2], axis=0).T) / 2
-            near = np.hypot(*(middle[:, :2] - xy_m).T) - half < _BRIDGE_M
-            bridge[pair[int(z_m[1] > z_m[0])]] |= near & (np.abs(middle[:, 2] - z_m.max()) < LEVEL_M)
+            away_m = np.hypot(*(middle[:, :2] - xy_m).T)
+            near = away_m - _lengths_m(line_m) / 2 < _BRIDGE_M
+            as_high = np.abs(middle[:, 2] - z_m.max()) < LEVEL_M
+            bridge[upper] |= near & as_high
     return bridge
 
 
 def _height_m(line_m: Float[ndarray, "k 3"], at_m: float) -> float:
-    length = np.hypot(*np.diff(line_m[:, :2], axis=0).T)
-    return float(np.interp(at_m, np.concatenate([[0.0], np.cumsum(length)]), line_m[:, 2]))
+    along_m = np.concatenate([[0.0], np.cumsum(_lengths_m(line_m))])
+    return float(np.interp(at_m, along_m, line_m[:, 2]))
+
+
+def _lengths_m(line_m: Float[ndarray, "k 3"]) -> Float[ndarray, "s"]:
+    """Length of every segment, seen from above."""
+    return np.hypot(*np.diff(line_m[:, :2], axis=0).T)

@@ -99,7 +99,15 @@ def lanes(net_path: Path | str) -> list[Lane]:
                 raise ValueError(f"lane {attributes.get('id', '?')!r} has no line of finite points, or no width")
             limit_mps = float(attributes.get("speed", "nan"))
             found.append(
-                Lane(line_m, width_m, _admits(attributes, MOTORS), function == "internal", edge, ends, limit_mps)
+                Lane(
+                    line_m=line_m,
+                    width_m=width_m,
+                    for_cars=_admits(attributes, MOTORS),
+                    across=function == "internal",
+                    edge=edge,
+                    ends=ends,
+                    limit_mps=limit_mps,
+                )
             )
         elif name == "connection":  # a third of the elements; SUMO writes them after all lanes
             raise Enough
@@ -114,8 +122,9 @@ def lane_bounds_m(net_path: Path | str) -> tuple[float, float, float, float]:
     if not lines:
         raise ValueError(f"{net_path}: not a SUMO network: it has no lane.")
     points = np.concatenate(lines)
-    (x0, y0), (x1, y1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    return x0, y0, x1, y1
+    west, south = points.min(axis=0).tolist()
+    east, north = points.max(axis=0).tolist()
+    return west, south, east, north
 
 
 def original_names(net_path: Path | str) -> set[str]:
@@ -190,8 +199,12 @@ class Streets(NamedTuple):
         """Height of the nearest junction [m]."""
         if not self.junctions:
             return 0.0
-        near = min(self.junctions, key=lambda j: (j.xyz_m[0] - x) ** 2 + (j.xyz_m[1] - y) ** 2)
-        return near.xyz_m[2]
+
+        def squared_m2(junction: Junction) -> float:
+            east, north, _ = junction.xyz_m
+            return (east - x) ** 2 + (north - y) ** 2
+
+        return min(self.junctions, key=squared_m2).xyz_m[2]
 
     def busiest(self, n: int, apart_m: float) -> list[Junction]:
         """Junctions with the most incoming lanes; fewer than `n` if no more are `apart_m` from each other.
@@ -202,7 +215,8 @@ class Streets(NamedTuple):
         for site in sorted(self.junctions, key=lambda j: (-j.n_lanes, *j.xyz_m)):
             if len(taken) == n:
                 break
-            if all(np.hypot(site.xyz_m[0] - t.xyz_m[0], site.xyz_m[1] - t.xyz_m[1]) >= apart_m for t in taken):
+            x, y, _ = site.xyz_m
+            if all(np.hypot(x - other.xyz_m[0], y - other.xyz_m[1]) >= apart_m for other in taken):
                 taken.append(site)
         return taken
 
@@ -219,7 +233,8 @@ def junctions(net_path: Path | str) -> Streets:
         elif name == "lane" and not _admits(attributes, MOTORS):
             walks.add(attributes["id"])
         elif name == "junction" and attributes.get("type") != "internal":
-            lanes = [lane for lane in attributes.get("incLanes", "").split() if lane[0] != ":" and lane not in walks]
+            incoming = attributes.get("incLanes", "").split()
+            lanes = [lane for lane in incoming if lane[0] != ":" and lane not in walks]
             if lanes:
                 xyz = (float(attributes["x"]), float(attributes["y"]), float(attributes.get("z", 0.0)))
                 found.append(Junction(xyz, len(lanes), attributes.get("id", "")))

@@ -6,6 +6,7 @@ import difflib
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from urllib.parse import quote, unquote
 from xml.sax.saxutils import quoteattr
@@ -88,12 +89,17 @@ class Sumocfg:
     @property
     def inputs(self) -> tuple[Path, ...]:
         """Every file that is read, the configuration first."""
-        return tuple(dict.fromkeys((self.path, *(p for paths in self.files.values() for p in paths), *self.included)))
+        named = chain.from_iterable(self.files.values())
+        return tuple(dict.fromkeys((self.path, *named, *self.included)))
 
     def text(self) -> str:
         """A configuration with these files, by absolute path, and these options, and nothing else."""
-        paths = {name: ",".join(quote(str(p.absolute())) for p in paths) for name, paths in self.files.items() if paths}
-        lines = [f"    <{name} value={quoteattr(value)}/>\n" for name, value in (paths | self.options).items()]
+        values = {}
+        for name, paths in self.files.items():
+            if paths:
+                values[name] = ",".join(quote(str(path.absolute())) for path in paths)
+        values |= self.options
+        lines = [f"    <{name} value={quoteattr(value)}/>\n" for name, value in values.items()]
         return "<configuration>\n" + "".join(lines) + "</configuration>\n"
 
 

@@ -135,7 +135,12 @@ class Projector:
         for i, node in enumerate(nodes):
             lon, lat = self._extract.place[node]
             east, north = -2 * i - 1, -2 * i - 2
-            corners[east], corners[north] = (lon + 1e-4, lat), (lon, lat + 1e-4)
+            corners[east] = (lon + 1e-4, lat)
+            corners[north] = (lon, lat + 1e-4)
             ways.append(Way(i + 1, (node, east, north, node), {"building": "yes"}))
         rings = self.ways(ways, corners)
-        return {node: (float(rings[i + 1][0, 0]), float(rings[i + 1][0, 1])) for i, node in enumerate(nodes)}
+        found: dict[int, tuple[float, float]] = {}
+        for i, node in enumerate(nodes):
+            x, y = rings[i + 1][0, :2].tolist()
+            found[node] = (x, y)
+        return found

@@ -36,7 +36,8 @@ def draw(runs: Sequence[Run]) -> Figure:
                       marker=style.marker(k), markevery=0.15)  # fmt: skip
             shown.add(k)
             lowest = min(lowest, float(older[there].min()))
-            span = [min(span[0], float(curve.age_s[there].min())), max(span[1], float(curve.age_s[there].max()))]
+            age_s = curve.age_s[there]
+            span = [min(span[0], float(age_s.min())), max(span[1], float(age_s.max()))]
     style.panel(axes, "Ages of trust when it is looked up", axis_label("trust_lookups", "age_s", "Age"),
                 "Share that is older")  # fmt: skip
     if not shown:

@@ -27,7 +27,8 @@ def draw(runs: Sequence[Run]) -> Figure:
                 curve = freshness.distribution(run, what)
             except ValueError:
                 continue  # nothing but defaults
-            line = ages.step(curve.age_s, curve.share, where="post", color=style.inks(runs)[i], linestyle=dash)
+            ink = style.inks(runs)[i]
+            line = ages.step(curve.age_s, curve.share, where="post", color=ink, linestyle=dash)
             if len(runs) == 1:
                 line[0].set_label({"value": "the value itself"}.get(what, what))
             longest_s = max(longest_s, float(curve.age_s[curve.share >= 0.99].min()))

@@ -151,11 +151,12 @@ def _maps(figure: Figure, panels: Sequence[Axes], run: Run, cell_m: float) -> No
 
 def _grid(cells: pd.DataFrame, column: str, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Edges of the cells, and their values by (north, east)."""
-    east, north = (((cells[c] - cells[c].min()) / cell_m).round().astype(int) for c in ("x_m", "y_m"))
-    values = np.full((north.max() + 1, east.max() + 1), np.nan)
+    west_m, south_m = cells.x_m.min(), cells.y_m.min()
+    east = ((cells.x_m - west_m) / cell_m).round().astype(int)
+    north = ((cells.y_m - south_m) / cell_m).round().astype(int)
+    n_north, n_east = north.max() + 1, east.max() + 1
+    values = np.full((n_north, n_east), np.nan)
     values[north, east] = cells[column]
-    x, y = (
-        cells[c].min() + (np.arange(n + 1) - 0.5) * cell_m
-        for c, n in (("x_m", values.shape[1]), ("y_m", values.shape[0]))
-    )
+    x = west_m + (np.arange(n_east + 1) - 0.5) * cell_m
+    y = south_m + (np.arange(n_north + 1) - 0.5) * cell_m
     return x, y, values

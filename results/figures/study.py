@@ -148,7 +148,7 @@ def draw(
         of_metric = chosen(frame, [name])
         if of_metric.duplicated(order).any():
             raise ValueError(several_groups(name, of_metric.group.unique()))
-    x, colour, column = order[0], (order[1:2] or [""])[0], (order[2:3] or [""])[0]
+    x, colour, column = [*order, "", ""][:3]
     at = _held_at(study, asked, where or {})
     if not at and "radius_m" in keys:
         at = _of_one_definition(study, of_metrics)
@@ -236,12 +236,14 @@ def _draw(
         for n, (axes, value) in enumerate(zip(in_row, columns, strict=True)):
             part = of_metric if value is None else of_metric[of_metric[column] == value]
             for i, hue in enumerate(colours):
-                _line(axes, part if hue is None else part[part[colour] == hue], frame[x], i, len(colours))
+                of_hue = part if hue is None else part[part[colour] == hue]
+                _line(axes, of_hue, frame[x], i, len(colours))
             first = of_metric.iloc[0]
             unit = "" if first.unit in ("", "1") else f" [{first.unit}]"
             group = f", {first.group}" if ":" in name and first.group else ""
             title = f"{labels[column]} = {said(value)}" if value is not None and row == 0 else ""
-            y, is_last = f"{first.label}{group}{unit}" if n == 0 else "", row == len(asked) - 1
+            y = f"{first.label}{group}{unit}" if n == 0 else ""
+            is_last = row == len(asked) - 1
             letters = max(16, int(15 * (height - 0.65)))
             style.panel(axes, title, labels[x] if is_last else "", style.fitted(y, letters))
             axes.tick_params(labelleft=n == 0, labelbottom=is_last or not are_words(frame[x]))
@@ -266,16 +268,19 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str, at: Se
 
     The title has the half width of the widest 95 % interval.
     """
-    rows, columns = list(dict.fromkeys(frame[y])), list(dict.fromkeys(frame[x]))
+    rows = list(dict.fromkeys(frame[y]))
+    columns = list(dict.fromkeys(frame[x]))
     figure, panels = style.sheet(len(asked), 1.6 + 0.16 * len(rows))
     has_room = len(columns) <= _MOST_CELLS
     labels = {key: label_of(key, frame) for key in (x, y)}
     for axes, name in zip(panels, asked, strict=True):
         of_metric = chosen(frame, [name])
-        cells = of_metric.set_index([y, x])
+        cells, shown_rows = of_metric.set_index([y, x]), rows
         bound = _bound(frame, name).drop_duplicates(x) if y == "trust.model" else frame[:0]
-        shown_rows = ["ideal observer", *rows] if len(bound) else rows
-        cells = pd.concat([bound.assign(**{y: "ideal observer"}).set_index([y, x]), cells]) if len(bound) else cells
+        if len(bound):
+            shown_rows = ["ideal observer", *rows]
+            of_bound = bound.assign(**{y: "ideal observer"}).set_index([y, x])
+            cells = pd.concat([of_bound, cells])
         grid = cells.reindex(pd.MultiIndex.from_product([shown_rows, columns]))
         mean = grid["mean"].to_numpy(float).reshape(len(shown_rows), -1)
         first = of_metric.iloc[0]
@@ -293,12 +298,14 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str, at: Se
         group = f", {first.group}" if ":" in name and first.group else ""
         few, many = int(of_metric.n.min()), int(of_metric.n.max())
         n = f"{many} seeds" if few == many else f"{few} to {many} seeds"
-        half = float(((cells.high - cells.low) / 2)[cells.n > 2].max())  # that of two seeds says nothing
+        halves = (cells.high - cells.low) / 2
+        half = float(halves[cells.n > 2].max())  # that of two seeds says nothing
         told = "" if many < 2 else f": mean of {n}"
         told += f", 95 % intervals up to ±{_short(half, top)}" if half == half else ""
         told += "; blank: no value" if np.isnan(mean).any() else ""
         unit = "" if first.unit in ("", "1") else f" [{first.unit}]"
-        style.panel(axes, style.fitted(f"{first.label}{group}{unit}{told}", 32), labels[x], labels[y])
+        title = style.fitted(f"{first.label}{group}{unit}{told}", 32)
+        style.panel(axes, title, labels[x], labels[y])
         if not has_room:
             figure.colorbar(image, ax=axes, fraction=0.03, pad=0.02)
     style.legend(figure, at)
@@ -315,7 +322,8 @@ def _short(value: float, top: float) -> str:
 def _bound(frame: pd.DataFrame, name: str) -> pd.DataFrame:
     """The rows of the metric that bounds another one, for the same group; none if it was not measured."""
     metric, _, group = name.partition(":")
-    return frame[(frame.metric == BOUNDS.get(metric, "")) & ((frame.group == group) | (group == ""))]
+    bounds = frame.metric == BOUNDS.get(metric, "")
+    return frame[bounds & ((frame.group == group) | (group == ""))]
 
 
 def _line(axes: Axes, part: pd.DataFrame, values: pd.Series, i: int, n: int) -> None:
@@ -324,17 +332,18 @@ def _line(axes: Axes, part: pd.DataFrame, values: pd.Series, i: int, n: int) -> 
     aside = 0.012 * (i - (n - 1) / 2)
     x = part[values.name].to_numpy()
     if values.dtype.kind != "f":
-        at = pd.Index(found).get_indexer(x) + aside * max(1, len(found) - 1) * (3 if are_words(values) else 1)
+        wider = 3 if are_words(values) else 1
+        at = pd.Index(found).get_indexer(x) + aside * max(1, len(found) - 1) * wider
     elif _is_wide(found):
         at = x * (found[-1] / found[0]) ** aside
     else:
         at = x + aside * (found[-1] - found[0])
     order = np.argsort(at)
-    at, mean = at[order], part["mean"].to_numpy()[order]
-    ends = np.array([part["mean"] - part.low, part.high - part["mean"]], float)[:, order]
+    mean = part["mean"]
+    ends = np.array([mean - part.low, part.high - mean], float)[:, order]
     axes.errorbar(
-        at,
-        mean,
+        at[order],
+        mean.to_numpy()[order],
         np.nan_to_num(ends),
         color=style.ink(i),
         marker=style.marker(i),

@@ -5,6 +5,7 @@ import io
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
+from itertools import chain, zip_longest
 from pathlib import Path
 from typing import Any, BinaryIO, ParamSpec
 
@@ -89,7 +90,8 @@ def panel(axes: Axes, title: str, x: str, y: str) -> None:
     wide = int((WIDTH / columns - (0.45 if columns == 1 else 0.3)) * _LETTERS)
     axes.set_title(fitted(title, wide))
     axes.set_xlabel(fitted(x, wide))
-    axes.set_ylabel(fitted(y, int((axes.figure.bbox.height / DPI / rows - 0.3) * _LETTERS)))
+    height_in = axes.figure.bbox.height / DPI / rows
+    axes.set_ylabel(fitted(y, int((height_in - 0.3) * _LETTERS)))
 
 
 _LETTERS = 15
@@ -119,7 +121,11 @@ def numbered(axis: Axis, most: float = 2000.0) -> None:
     low, high = axis.get_view_interval()
     if low < 5e-4:
         return
-    digits = range(1, 10) if high <= 4 * low else (1, 2, 5) if high < most * low else (1,)
+    digits: Sequence[int] = (1,)
+    if high <= 4 * low:
+        digits = range(1, 10)
+    elif high < most * low:
+        digits = (1, 2, 5)
     axis.set_major_locator(LogLocator(subs=digits, numticks=99))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
@@ -163,18 +169,16 @@ def legend(figure: Figure, entries: Sequence[Any], runs: Sequence[Any] = ()) -> 
     """
     if not entries and not runs:
         return
+    whole = [*entries, *runs]
     free = _free_place(figure)
-    if free is not None and _fits(figure, free, [*entries, *runs]):
+    if free is not None and _fits(figure, free, whole):
         return
-    whole, most = [*entries, *runs], max(len(entries), len(runs))
+    tries = [(whole, len(whole))]
     if entries and runs:
-        blank = [Line2D([], [], linestyle="", label=" ")] * most  # a legend is filled column by column
-        two_rows = [
-            entry for pair in zip([*entries, *blank][:most], [*runs, *blank][:most], strict=True) for entry in pair
-        ]
-        tries = [(whole, len(whole)), (two_rows, most)]
-    else:
-        tries = [(whole, len(whole))]
+        blank = Line2D([], [], linestyle="", label=" ")
+        columns_of_two = list(zip_longest(entries, runs, fillvalue=blank))
+        two_rows = list(chain.from_iterable(columns_of_two))  # a legend is filled column by column
+        tries.append((two_rows, len(columns_of_two)))
     tries += [(whole, -(-len(whole) // rows)) for rows in range(2, len(whole) + 1)]
     for handles, columns in tries:
         made = figure.legend(handles=handles, loc="outside lower center", ncols=columns)
@@ -258,8 +262,11 @@ def arranged(runs: Sequence[Run], most: int = 12) -> list[Run]:
             "make them a study and draw it over a key, or compare figures with cosim measure --csv."
         )
     found = compare.differing(runs)
-    order = sorted(range(len(runs)), key=lambda i: [compare.sort_key(values[i]) for values in found.values()])
-    return [runs[i] for i in order]
+
+    def key_of(i: int) -> list[Any]:
+        return [compare.sort_key(values[i]) for values in found.values()]
+
+    return [runs[i] for i in sorted(range(len(runs)), key=key_of)]
 
 
 def inks(runs: Sequence[Run]) -> list[str]:
@@ -298,8 +305,11 @@ def marker(i: int) -> str:
 
 def role_look(role: str, roles: Sequence[str]) -> dict[str, Any]:
     """Colour and marker of a role; `roles` are all of the run, in the order of their codes."""
-    own = [name for name in roles if name not in ROLE_INKS]
-    color = ROLE_INKS[role] if role in ROLE_INKS else _MORE_ROLES[own.index(role) % len(_MORE_ROLES)]
+    if role in ROLE_INKS:
+        color = ROLE_INKS[role]
+    else:
+        own = [name for name in roles if name not in ROLE_INKS]
+        color = _MORE_ROLES[own.index(role) % len(_MORE_ROLES)]
     return {"color": color, "marker": marker(list(roles).index(role))}
 
 
@@ -322,7 +332,9 @@ def variants_of(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
     """Every run as each of its trust variants, and what these are called."""
     need(runs)
     variants = [run.as_variant(name) for run in runs for name in run.variants]
-    return variants, [run.variant if len(runs) == 1 else f"{run.path.name}, {run.variant}" for run in variants]
+    if len(runs) == 1:
+        return variants, [run.variant for run in variants]
+    return variants, [f"{run.path.name}, {run.variant}" for run in variants]
 
 
 def draw_each(runs: Sequence[Run], draw: Callable[[int, Run], None]) -> list[int]:
@@ -350,13 +362,17 @@ def map_panel(axes: Axes, title: str, y: str = "North [m]") -> None:
     """A panel that shows places from above, in metres; of a single street, more than the street."""
     panel(axes, title, "East [m]", y)
     axes.set_aspect("equal")
-    for get, change, length in (
-        (axes.get_xlim, axes.set_xlim, np.ptp(axes.get_ylim())), (axes.get_ylim, axes.set_ylim, np.ptp(axes.get_xlim()))
-    ):  # fmt: skip
-        low, high = get()
-        more = max(0.0, (length * FLATTEST - (high - low)) / 2)
-        change(low - more, high + more)
+    width_m, height_m = np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())
+    axes.set_xlim(_widened(axes.get_xlim(), height_m))
+    axes.set_ylim(_widened(axes.get_ylim(), width_m))
     axes.grid(visible=False)
+
+
+def _widened(side: tuple[float, float], other_m: float) -> tuple[float, float]:
+    """Ends of a side of a map that is not too narrow beside the other side."""
+    low, high = side
+    more = max(0.0, (other_m * FLATTEST - (high - low)) / 2)
+    return low - more, high + more
 
 
 def need(runs: Sequence[Run]) -> None:

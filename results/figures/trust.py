@@ -48,7 +48,8 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
         )  # fmt: skip
     what = "median and quartiles" if len(runs) == 1 else "medians"
     places = {"server": "at the server", "vehicles": "at those who receive their messages"}
-    where = " or ".join(text for at, text in places.items() if any(trust.kept_at(run) == at for run in runs))
+    kept_at = {trust.kept_at(run) for run in runs}
+    where = " or ".join(text for at, text in places.items() if at in kept_at)
     style.panel(axes, f"Trust in vehicles {where}: {what}", style.TIME, axis_label("trust", "trust", "Trust"))
     top = max((float(np.max(line.get_ydata())) for line in axes.lines[:n_medians]), default=1.0)
     if len(runs) == 1:
@@ -64,13 +65,12 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
 def _before(run: Run) -> str:
     """How attackers and honest vehicles compare before any attack, while all behave alike; empty where never."""
     starts, frame = run.vehicles.attack_start_step.dropna(), trust.values(run)
-    frame = frame[frame.rated & (frame.step < (starts.min() if len(starts) else 0))]
-    found = {
-        str(role): intervals.ratio(
-            one.groupby("subject").trust.sum().to_numpy(), one.groupby("subject").size().to_numpy()
-        )
-        for role, one in frame.groupby("role", observed=True)
-    }
+    first = starts.min() if len(starts) else 0
+    frame = frame[frame.rated & (frame.step < first)]
+    found = {}
+    for role, one in frame.groupby("role", observed=True):
+        of_subject = one.groupby("subject").trust
+        found[str(role)] = intervals.ratio(of_subject.sum().to_numpy(), of_subject.size().to_numpy())
     known = {role: x for role, x in found.items() if x.low == x.low}
     if len(known) < 2 or "honest" not in known:
         return ""

@@ -61,7 +61,8 @@ def states(run: Run) -> pd.DataFrame:
     for role, of_role in _with_all(run, counts):
         n_lookups = of_role.sum(axis=1)
         for state, n in zip(STATES, of_role.T, strict=True):
-            rows.append({"role": role, "state": state, "n": int(n.sum())} | plain_columns(share(n, n_lookups), "share"))
+            estimate = plain_columns(share(n, n_lookups), "share")
+            rows.append({"role": role, "state": state, "n": int(n.sum())} | estimate)
     return pd.DataFrame(rows)
 
 
@@ -80,14 +81,20 @@ def ages(run: Run) -> pd.DataFrame:
     for number, what in enumerate(AGES):
         for code, role in enumerate(("all", *run.role_labels)):
             chosen = slice(None) if code == 0 else slice(code - 1, code)
-            n, total_s = (table[:, chosen, number].sum(axis=1) for table in (found.aged, found.age_sum_s))
-            if n.sum():
-                counts = found.age_counts[chosen, number].sum(axis=0)
-                median_s, p90_s = quantiles(lookups.ages_s(run), counts, (0.5, 0.9))
-                rows.append({
-                    "what": what, "role": role, "n": int(n.sum()), **plain_columns(ratio(total_s, n), "mean_s"),
-                    "median_s": median_s, "p90_s": p90_s,
-                })  # fmt: skip
+            n = found.aged[:, chosen, number].sum(axis=1)
+            if not n.any():
+                continue
+            total_s = found.age_sum_s[:, chosen, number].sum(axis=1)
+            counts = found.age_counts[chosen, number].sum(axis=0)
+            median_s, p90_s = quantiles(lookups.ages_s(run), counts, (0.5, 0.9))
+            rows.append({
+                "what": what,
+                "role": role,
+                "n": int(n.sum()),
+                **plain_columns(ratio(total_s, n), "mean_s"),
+                "median_s": median_s,
+                "p90_s": p90_s,
+            })  # fmt: skip
     if not rows:
         raise run.lacks(*_NO_EVALUATION)
     return pd.DataFrame(rows)
@@ -107,8 +114,9 @@ def capped_ages(run: Run) -> pd.DataFrame:
     found, freshness_s = lookups.sums(run), run.config["trust"].get("freshness_s", "off")
     window_s = int(run.manifest["steps"]) * run.dt_s if freshness_s == "off" else float(freshness_s)
     age_s = np.append(np.minimum(lookups.ages_s(run), window_s), window_s)
-    n_known, rows = found.age_counts[:, list(AGES).index("newest evaluation")], []
-    n_known = np.concatenate([n_known.sum(axis=0, keepdims=True), n_known])
+    of_roles = found.age_counts[:, list(AGES).index("newest evaluation")]
+    n_known = np.concatenate([of_roles.sum(axis=0, keepdims=True), of_roles])
+    rows = []
     for known, (role, of_role) in zip(n_known, _with_every(run, found.states), strict=True):
         if n := int(of_role.sum()):
             counts = np.append(known, n - known.sum())
@@ -178,12 +186,11 @@ def within(run: Run, fresh_s: float = FRESH_S) -> pd.DataFrame:
     """
     found = lookups.sums(run, fresh_s)
     counts = np.stack([found.fresh, found.states.sum(axis=2)], axis=2)
-    return pd.DataFrame(
-        [
-            {"role": role, "n": int(n[:, 1].sum())} | plain_columns(share(*n.T), "share")
-            for role, n in _with_all(run, counts)
-        ]
-    )
+    rows = []
+    for role, of_role in _with_all(run, counts):
+        fresh, n = of_role.T
+        rows.append({"role": role, "n": int(n.sum())} | plain_columns(share(fresh, n), "share"))
+    return pd.DataFrame(rows)
 
 
 def behind(run: Run) -> pd.DataFrame:
@@ -198,11 +205,13 @@ def behind(run: Run) -> pd.DataFrame:
 
 def distribution(run: Run, what: str = "newest evaluation") -> pd.DataFrame:
     """Cumulative distribution of an age at lookup (a key of `AGES`): age_s, share at most as old."""
-    counts = lookups.sums(run).age_counts[:, list(AGES).index(what)].sum(axis=0)
+    of_roles = lookups.sums(run).age_counts[:, list(AGES).index(what)]
+    counts = of_roles.sum(axis=0)
     there = counts > 0
     if not there.any():
         raise run.lacks(*_NO_EVALUATION)
-    age_s, share = lookups.ages_s(run)[there], np.cumsum(counts[there]) / counts.sum()
+    age_s = lookups.ages_s(run)[there]
+    share = np.cumsum(counts[there]) / counts.sum()
     return pd.DataFrame({"age_s": np.r_[age_s[0], age_s], "share": np.r_[0, share]})
 
 
@@ -236,7 +245,8 @@ def without_trust(run: Run) -> pd.DataFrame:
         without = np.isnan(after_s)
         not_over = without & np.r_[goes_on[at], goes_on[at]]
         rows.append({
-            **dict(zip(DEFINITION, kind, strict=True)), "n": len(after_s),
+            **dict(zip(DEFINITION, kind, strict=True)),
+            "n": len(after_s),
             "n_without": int(without.sum()),
             **plain_columns(share(np.bincount(who, without), np.bincount(who)), "share"),
             "share_note": _not_over(int(not_over.sum()), int(without.sum())),
@@ -257,7 +267,11 @@ def _of_equipped(run: Run) -> list[tuple[tuple, np.ndarray, np.ndarray]]:
     frame = run.table("encounters", [*DEFINITION, "a", "b"])
     frame = frame[frame.a.isin(run.roles.index) & frame.b.isin(run.roles.index)]
     groups = frame.groupby([*DEFINITION], observed=True)
-    return [(kind, one.index.to_numpy(), np.r_[one.a, one.b].astype(np.int64)) for kind, one in groups]
+    found = []
+    for kind, one in groups:
+        who = np.r_[one.a, one.b].astype(np.int64)
+        found.append((kind, one.index.to_numpy(), who))
+    return found
 
 
 def _totals(run: Run) -> pd.DataFrame:
@@ -323,7 +337,10 @@ def quantiles(values: np.ndarray, counts: np.ndarray, shares: tuple[float, ...])
     found = []
     for one in shares:
         place = one * (n - 1)
-        low, high = (values[np.searchsorted(before, k, "right")] for k in (int(place), min(int(place) + 1, n - 1)))
-        t = place - int(place)
-        found.append(float(high - (high - low) * (1 - t) if t >= 0.5 else low + (high - low) * t))
+        k = int(place)
+        low = values[np.searchsorted(before, k, "right")]
+        high = values[np.searchsorted(before, min(k + 1, n - 1), "right")]
+        t = place - k
+        value = high - (high - low) * (1 - t) if t >= 0.5 else low + (high - low) * t
+        found.append(float(value))
     return found

@@ -66,7 +66,8 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
     .. [1] Field, Welsh, "Bootstrapping clustered data", J. R. Statist. Soc. B 69(3), 2007.
     """
     some = bottom > 0
-    top, bottom = np.asarray(top, float)[some], np.asarray(bottom, float)[some]
+    top = np.asarray(top, float)[some]
+    bottom = np.asarray(bottom, float)[some]
     n = len(bottom)
     if not n:
         return UNKNOWN
@@ -74,7 +75,8 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
     if n < _FEWEST:
         return ClusteredEstimate(value, float("nan"), float("nan"), n)
     drawn = _draws(n)
-    low, high = np.quantile((drawn @ top) / (drawn @ bottom), [(1 - level) / 2, (1 + level) / 2])
+    ratios = (drawn @ top) / (drawn @ bottom)
+    low, high = np.quantile(ratios, [(1 - level) / 2, (1 + level) / 2])
     return ClusteredEstimate(value, float(low), float(high), n)
 
 
@@ -127,12 +129,14 @@ def around(
     if math.isinf(low) and math.isinf(high):
         return ClusteredEstimate(value, value - half, value + half, 0)
     if math.isinf(high):
-        factor = math.exp(half / (value - low))
-        return ClusteredEstimate(value, low + (value - low) / factor, low + (value - low) * factor, 0)
-    place = (value - low) / (high - low)
-    wide = half / (high - low) / (place * (1 - place))
-    ends = special.expit(special.logit(place) + np.array([-wide, wide]))
-    return ClusteredEstimate(value, low + (high - low) * float(ends[0]), low + (high - low) * float(ends[1]), 0)
+        above = value - low
+        factor = math.exp(half / above)
+        return ClusteredEstimate(value, low + above / factor, low + above * factor, 0)
+    width = high - low
+    place = (value - low) / width
+    wide = half / width / (place * (1 - place))
+    lower, upper = special.expit(special.logit(place) + np.array([-wide, wide])).tolist()
+    return ClusteredEstimate(value, low + width * lower, low + width * upper, 0)
 
 
 def share(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = LEVEL) -> ClusteredEstimate:
@@ -160,8 +164,11 @@ def share(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
     """
     top, bottom = np.asarray(top, float), np.asarray(bottom, float)
     some = bottom > 0
-    n, value = int(some.sum()), float(top.sum() / bottom.sum()) if some.any() else float("nan")
-    if n and (value in (0, 1) or (bottom[some] == 1).all()):
+    n = int(some.sum())
+    if not n:
+        return UNKNOWN
+    value = float(top.sum() / bottom.sum())
+    if value in (0, 1) or (bottom[some] == 1).all():
         return ClusteredEstimate(value, *_wilson(round(value * n), n, level), n)
     return ratio(top, bottom, level)
 
@@ -201,13 +208,15 @@ def mean_of_pairs(
     .. [1] Aronow, Samii, Assenova, "Cluster-robust variance estimation for dyadic data", Political Analysis 23, 2015.
     """
     units, at = np.unique(np.concatenate([a, b]), return_inverse=True)
-    n, value = len(units), float(np.mean(values)) if len(values) else float("nan")
+    n = len(units)
+    value = float(np.mean(values)) if len(values) else float("nan")
     if n < _FEWEST:
         return ClusteredEstimate(value, float("nan"), float("nan"), n)
     residual = np.asarray(values, float) - value
     of_unit = np.bincount(at, np.tile(residual, 2))
     one, other = at[: len(a)], at[len(a) :]
-    _, pair = np.unique(np.minimum(one, other) * n + np.maximum(one, other), return_inverse=True)
+    same_two = np.minimum(one, other) * n + np.maximum(one, other)
+    _, pair = np.unique(same_two, return_inverse=True)
     of_pair = np.bincount(pair, residual)  # the same two may meet again; they share both units
     dyadic = float((of_unit**2).sum() - (of_pair**2).sum())
     variance = max(dyadic, float((residual**2).sum())) / len(values) ** 2
@@ -272,29 +281,36 @@ def auc(
     ----------
     .. [1] Obuchowski, "Nonparametric analysis of clustered ROC curve data", Biometrics 53(2), 1997.
     """
-    codes = [_codes(unit) for unit in (high_unit, low_unit)]
-    n_units = min(n for _, n in codes)
+    high_unit, n_high_units = _codes(high_unit)
+    low_unit, n_low_units = _codes(low_unit)
+    n_units = min(n_high_units, n_low_units)
     if not n_units:
         return UNKNOWN
-    n_high, n_low = (np.ones(len(high)), np.ones(len(low))) if times is None else times
-    above, below = _placement(high, low, n_low), 1 - _placement(low, high, n_high)
+    n_high, n_low = times or (np.ones(len(high)), np.ones(len(low)))
+    above = _placement(high, low, n_low)
+    below = 1 - _placement(low, high, n_high)
     value = float(np.average(above, weights=n_high))
     if n_units < _FEWEST:
         return ClusteredEstimate(value, float("nan"), float("nan"), n_units)
-    variance = 0.0
-    for placed, n, (at, _) in zip((above, below), (n_high, n_low), codes, strict=True):
-        total = np.bincount(at, n * (placed - value))
-        variance += len(total) / (len(total) - 1) * float((total**2).sum()) / float(n.sum()) ** 2
+    variance = _variance(above - value, n_high, high_unit) + _variance(below - value, n_low, low_unit)
     return around(value, variance**0.5, math.inf, (0.0, 1.0), level)._replace(n_units=n_units)
+
+
+def _variance(residual: Float[ndarray, "n"], n: ndarray, unit: Int[ndarray, "n"]) -> float:
+    """What one kind of values, each of which occurs so often, adds to the variance of `auc`."""
+    total = np.bincount(unit, n * residual)
+    n_units = len(total)
+    return n_units / (n_units - 1) * float((total**2).sum()) / float(n.sum()) ** 2
 
 
 def _placement(values: Float[ndarray, "n"], others: Float[ndarray, "m"], n: ndarray) -> Float[ndarray, "n"]:
     """Share of the others, each of which occurs so often, that is below each value, ties counting half."""
     order = np.argsort(others)
-    others, up_to = others[order], np.r_[0, np.cumsum(n[order])]
-    return (up_to[np.searchsorted(others, values, "left")] + up_to[np.searchsorted(others, values, "right")]) / (
-        2 * up_to[-1]
-    )
+    others = others[order]
+    up_to = np.r_[0, np.cumsum(n[order])]
+    below = up_to[np.searchsorted(others, values, "left")]
+    at_most = up_to[np.searchsorted(others, values, "right")]
+    return (below + at_most) / (2 * up_to[-1])
 
 
 def of_units(values: Float[ndarray, "n"] | Bool[ndarray, "n"], unit: Int[ndarray, "n"]) -> ClusteredEstimate:
@@ -308,7 +324,8 @@ def of_units(values: Float[ndarray, "n"] | Bool[ndarray, "n"], unit: Int[ndarray
         Number of the unit of each value.
     """
     at, _ = _codes(unit)
-    return (share if values.dtype == bool else ratio)(np.bincount(at, values), np.bincount(at))
+    estimate = share if values.dtype == bool else ratio
+    return estimate(np.bincount(at, values), np.bincount(at))
 
 
 def _codes(unit: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], int]:
@@ -347,10 +364,9 @@ def by_group(
     frame
         A row per unit: the columns `by`, and what the estimate sums up, top and bottom.
     """
-    rows = [
-        dict(zip(by, key, strict=True))
-        | {"n": int(one.bottom.sum())}
-        | plain_columns(estimate(one.top.to_numpy(float), one.bottom.to_numpy(float)), name)
-        for key, one in frame.groupby(list(by), sort=False)
-    ]
+    rows = []
+    for key, one in frame.groupby(list(by), sort=False):
+        found = estimate(one.top.to_numpy(float), one.bottom.to_numpy(float))
+        row = dict(zip(by, key, strict=True)) | {"n": int(one.bottom.sum())}
+        rows.append(row | plain_columns(found, name))
     return pd.DataFrame(rows, columns=[*by, "n", name, "low", "high", "n_units"])

@@ -123,6 +123,9 @@ class _All:
     ages_s: Float[ndarray, "k"]
 
 
+_Rows = Mapping[str, ndarray]
+
+
 class _Numbers:
     """Numbers of keys, from 0 on in the order in which they were first asked for."""
 
@@ -154,7 +157,8 @@ def sums(run: Run, fresh_s: float = FRESH_S, threshold: float | None = None) -> 
     ValueError
         If there are no lookups.
     """
-    mine = Sums(*(table[run.variants.index(run.variant)] for table in _all(run, fresh_s, threshold).sums))
+    number = run.variants.index(run.variant)
+    mine = Sums(*(table[number] for table in _all(run, fresh_s, threshold).sums))
     if not mine.states.any():
         raise no_lookups(run)
     return mine
@@ -255,7 +259,8 @@ def _added(run: Run, asked: _Asked) -> _All:
         since=_watched_since(run, known),
         until=_used_until(run, known),
         left=left,
-        n=(len(run.variants), len(run.role_labels)),
+        n_variants=len(run.variants),
+        n_roles=len(run.role_labels),
         n_steps=int(run.manifest["steps"]),
         dt_s=run.dt_s,
         reach_s=np.maximum(REACH_S, 2 * intervals_s),
@@ -265,6 +270,7 @@ def _added(run: Run, asked: _Asked) -> _All:
     return adding.result(run.pieces("trust_lookups", list(_DTYPES), _PIECE_ROWS))
 
 
+@dataclass(eq=False)
 class _Adding:
     """Lookups of some pseudonyms, added up piece by piece.
 
@@ -272,40 +278,56 @@ class _Adding:
     with the number of lookups.
     """
 
-    def __init__(
-        self, known: Int[ndarray, "p"], role_of: Int[ndarray, "p"], since: Int[ndarray, "p"],
-        until: Int[ndarray, "p"], left: Int[ndarray, "r"], n: tuple[int, int], n_steps: int, dt_s: float,
-        reach_s: Float[ndarray, "r"], asked: _Asked, path: Path,
-    ) -> None:  # fmt: skip
-        """Of each pseudonym the role, the step since which it is watched, and the last step in which it is in use; of
-        each vehicle the last step; how many variants and roles there are; how far apart two lookups of one receiver
-        lie at most."""
-        self.known, self.role_of, self.since, self.until, self.left = known, role_of, since, until, left
-        self.dt_s, self.reach_s, self.asked, self.path = dt_s, reach_s, asked, path
-        self.n_variants, self.n_roles = n
-        pairs = ("behind", "behind_sum", "renewed", "peak_sum_s", "observed_s", "area_s2", "sawtooth_peaks")
+    known: Int[ndarray, "p"]
+    role_of: Int[ndarray, "p"]
+    """Role of each pseudonym."""
+    since: Int[ndarray, "p"]
+    """First step in which it is watched."""
+    until: Int[ndarray, "p"]
+    """Last step in which it is in use."""
+    left: Int[ndarray, "r"]
+    """Last step of each vehicle."""
+    n_variants: int
+    n_roles: int
+    n_steps: int
+    dt_s: float
+    reach_s: Float[ndarray, "r"]
+    """How far apart two lookups of one vehicle may lie."""
+    asked: _Asked
+    path: Path
+
+    def __post_init__(self) -> None:
+        of_two = (
+            "behind", "behind_sum", "renewed", "peak_sum_s", "observed_s", "area_s2", "sawtooth_peaks",
+            "sawtooth_peak_sum_s",
+        )  # fmt: skip
         by_receiver: dict[str, tuple[int, ...]] = {
-            "states": (self.n_roles, len(LookupState)), "fresh": (self.n_roles,), "aged": (self.n_roles, len(AGES)),
-            "age_sum_s": (self.n_roles, len(AGES)), **dict.fromkeys((*pairs, "sawtooth_peak_sum_s"), (2,)),
-        }  # fmt: skip
-        self.of_receivers = {
-            name: np.zeros((self.n_variants, 0, *shape), np.float64 if name.endswith(("_s", "_s2", "_sum")) else int)
-            for name, shape in by_receiver.items()
+            "states": (self.n_roles, len(LookupState)),
+            "fresh": (self.n_roles,),
+            "aged": (self.n_roles, len(AGES)),
+            "age_sum_s": (self.n_roles, len(AGES)),
+            **dict.fromkeys(of_two, (2,)),
         }
+        self.of_receivers: dict[str, ndarray] = {}
+        for name, shape in by_receiver.items():
+            dtype = np.float64 if name.endswith(("_s", "_s2", "_sum")) else int
+            self.of_receivers[name] = np.zeros((self.n_variants, 0, *shape), dtype)
         self.of_subjects = {
-            name: np.zeros((self.n_variants, len(known)), np.int64)
+            name: np.zeros((self.n_variants, len(self.known)), np.int64)
             for name in ("n_watched", "n_evaluated", "n_low", "pairs", "pairs_found")
         }
-        self.waited = np.zeros((self.n_variants, self.n_roles, 2, n_steps + 1), np.int64)
-        self.ages, self.age_counts = _Numbers(), np.zeros((self.n_variants, self.n_roles, len(AGES), 0), np.int64)
-        self.pairs, self.of_pairs = _Numbers(), self._no_pairs()
+        self.waited = np.zeros((self.n_variants, self.n_roles, 2, self.n_steps + 1), np.int64)
+        self.ages = _Numbers()
+        self.age_counts = np.zeros((self.n_variants, self.n_roles, len(AGES), 0), np.int64)
+        self.pairs = _Numbers()
+        self.of_pairs = self._no_pairs()
 
     def _no_pairs(self) -> dict[str, ndarray]:
         n = self.n_variants
         steps = {f"{name}_step": np.zeros((n, 0), np.int32) for name in ("last", "first", "low", "seen")}
         return steps | {"last_s": np.zeros((n, 0, 2), np.float32)}
 
-    def result(self, pieces: Iterable[tuple[int, Mapping[str, ndarray]]]) -> _All:
+    def result(self, pieces: Iterable[tuple[int, _Rows]]) -> _All:
         """The sums of pieces, each with the number of its block."""
         block, last_step = -1, -1
         for number, piece in pieces:
@@ -320,51 +342,72 @@ class _Adding:
             last_step = int(steps[-1])
         self._settle(np.ones(len(self.pairs.keys), bool))
         order = np.argsort(self.ages.keys)
-        return _All(
-            self.asked,
-            Sums(**self.of_receivers, **self.of_subjects, waited=self.waited, age_counts=self.age_counts[..., order]),
-            self.ages.keys[order] / _AGES_PER_S,
-        )
+        age_counts = self.age_counts[..., order]
+        sums = Sums(**self.of_receivers, **self.of_subjects, waited=self.waited, age_counts=age_counts)
+        return _All(self.asked, sums, self.ages.keys[order] / _AGES_PER_S)
 
-    def _add(self, rows: Mapping[str, ndarray]) -> None:
+    def _add(self, rows: _Rows) -> None:
+        who = _places(self.known, rows["subject"], self.path)
+        ages_s = np.stack([rows[column] for column in AGES.values()])
+        self._count(rows, who, ages_s)
+        pair = self.pairs.of((rows["receiver"].astype(np.int64) << 32) | who)
+        self.of_pairs = {
+            name: _widened(table, 1, len(self.pairs.keys), np.nan if name == "last_s" else -1)
+            for name, table in self.of_pairs.items()
+        }
+        self._compare_successive(rows, pair, ages_s)
+        self._count_watched(rows, who, pair)
+
+    def _count(self, rows: _Rows, who: ndarray, ages_s: ndarray) -> None:
+        """Count lookups by receiver and role, with their ages."""
         from results.metrics import lookup_sums
 
-        variant, receiver, who = rows["variant"], rows["receiver"], _places(self.known, rows["subject"], self.path)
-        ages_s = np.stack([rows[column] for column in AGES.values()])
-        keys = np.where(np.isnan(ages_s), -1, np.rint(np.maximum(np.nan_to_num(ages_s), 0) * _AGES_PER_S))
+        receiver = rows["receiver"]
+        parts = np.rint(np.maximum(np.nan_to_num(ages_s), 0) * _AGES_PER_S)
+        keys = np.where(np.isnan(ages_s), -1, parts)
         age_number = self.ages.of(keys.astype(np.int64).ravel()).reshape(keys.shape)
         self.age_counts = _widened(self.age_counts, 3, len(self.ages.keys))
         n_receivers = int(receiver.max(initial=-1)) + 1
         if n_receivers > len(self.left):
             raise Damaged(f"{self.path} is damaged: vehicle {n_receivers - 1} looks up trust, and there is none.")
         self.of_receivers = {name: _widened(table, 1, n_receivers) for name, table in self.of_receivers.items()}
-        of, mine = self.of_receivers, self.of_subjects
+        of = self.of_receivers
+        fresh_s = np.float32(self.asked.fresh_s)
         lookup_sums.add(
-            variant, receiver, who, rows["state"], ages_s, age_number, rows["n_evaluations"], rows["n_evaluators"],
-            self.role_of, np.float32(self.asked.fresh_s), of["states"], of["fresh"], of["aged"], of["age_sum_s"],
+            rows["variant"], receiver, who, rows["state"],
+            ages_s, age_number, rows["n_evaluations"], rows["n_evaluators"], self.role_of, fresh_s,
+            of["states"], of["fresh"], of["aged"], of["age_sum_s"],
             self.age_counts, of["behind"], of["behind_sum"],
         )  # fmt: skip
-        pair = self.pairs.of((receiver.astype(np.int64) << 32) | who)
-        self.of_pairs = {
-            name: _widened(table, 1, len(self.pairs.keys), np.nan if name == "last_s" else -1)
-            for name, table in self.of_pairs.items()
-        }
-        pairs = self.of_pairs
+
+    def _compare_successive(self, rows: _Rows, pair: ndarray, ages_s: ndarray) -> None:
+        """Add up what is renewed from one lookup of a pair to the next."""
+        from results.metrics import lookup_sums
+
+        of, pairs = self.of_receivers, self.of_pairs
         from_server = ages_s[: len(RENEWED)].copy()
         from_server[0, rows["source"] != TrustSource.SERVER] = np.nan
         lookup_sums.add_successive(
-            variant, receiver, rows["step"], pair, from_server, self.dt_s, self.reach_s, pairs["last_step"],
-            pairs["last_s"], of["renewed"], of["peak_sum_s"], of["observed_s"], of["area_s2"], of["sawtooth_peaks"],
-            of["sawtooth_peak_sum_s"],
+            rows["variant"], rows["receiver"], rows["step"], pair,
+            from_server, self.dt_s, self.reach_s, pairs["last_step"], pairs["last_s"],
+            of["renewed"], of["peak_sum_s"], of["observed_s"], of["area_s2"],
+            of["sawtooth_peaks"], of["sawtooth_peak_sum_s"],
         )  # fmt: skip
+
+    def _count_watched(self, rows: _Rows, who: ndarray, pair: ndarray) -> None:
+        """Count lookups of subjects while they are watched."""
+        from results.metrics import lookup_sums
+
         in_use = rows["step"] <= self.until[who]  # a message can still be used after its pseudonym has ended
         if not in_use.all():
             rows = {name: _read_only(column[in_use], _DTYPES[name]) for name, column in rows.items()}
-            variant, who, pair = _read_only(variant[in_use], np.int16), who[in_use], pair[in_use]
+            who, pair = who[in_use], pair[in_use]
+        mine, pairs, asked = self.of_subjects, self.of_pairs, self.asked
         lookup_sums.add_watched(
-            variant, rows["step"], who, pair, rows["trust"], rows["n_evaluations"], self.since, self.asked.threshold,
-            self.asked.least, mine["n_watched"], mine["n_evaluated"], mine["n_low"], pairs["first_step"],
-            pairs["low_step"], pairs["seen_step"],
+            rows["variant"], rows["step"], who, pair, rows["trust"], rows["n_evaluations"],
+            self.since, asked.threshold, asked.least,
+            mine["n_watched"], mine["n_evaluated"], mine["n_low"],
+            pairs["first_step"], pairs["low_step"], pairs["seen_step"],
         )  # fmt: skip
 
     def _forget(self, step: int) -> None:
@@ -380,9 +423,10 @@ class _Adding:
         """Add the pairs that are over: by role, found or not, how many steps they waited; and pairs by subject."""
         variant, pair = np.nonzero(over & (self.of_pairs["first_step"] >= 0))
         who = (self.pairs.keys & 0xFFFFFFFF)[pair]
-        first, low, seen = (self.of_pairs[f"{name}_step"][variant, pair] for name in ("first", "low", "seen"))
+        first, low, seen = (self.of_pairs[name][variant, pair] for name in ("first_step", "low_step", "seen_step"))
         found = low >= 0
-        np.add.at(self.waited, (variant, self.role_of[who], found.astype(int), np.where(found, low, seen) - first), 1)
+        waited = np.where(found, low, seen) - first
+        np.add.at(self.waited, (variant, self.role_of[who], found.astype(int), waited), 1)
         np.add.at(self.of_subjects["pairs"], (variant, who), 1)
         np.add.at(self.of_subjects["pairs_found"], (variant[found], who[found]), 1)
 

@@ -46,8 +46,9 @@ def scored_vehicles(run: Run) -> pd.DataFrame:
     step, subject, role, trust (null where the ledger has none), rated, enough.
     """
     found = scored(run)
-    role = pd.CategoricalDtype(list(run.role_labels))
-    return pd.DataFrame(found._asdict() | {"role": pd.Categorical.from_codes(found.role.tolist(), dtype=role)})
+    labels = pd.CategoricalDtype(list(run.role_labels))
+    role = pd.Categorical.from_codes(found.role.tolist(), dtype=labels)
+    return pd.DataFrame(found._asdict() | {"role": role})
 
 
 def scored(run: Run) -> Scored:
@@ -65,10 +66,20 @@ def _scored(run: Run) -> Scored:
     there = row >= 0
     cell = at[there], row[there]
     value[cell] = known.trust[there]
-    rated[cell], enough[cell] = known.rated[there], known.enough[there]
-    at, row = np.nonzero((who.since.to_numpy() <= steps[:, None]) & (since[:, None] <= who.until.to_numpy()))
+    rated[cell] = known.rated[there]
+    enough[cell] = known.enough[there]
+    has_begun = who.since.to_numpy() <= steps[:, None]
+    goes_on = since[:, None] <= who.until.to_numpy()
+    cell = at, row = np.nonzero(has_begun & goes_on)
     role = who.role.cat.codes.to_numpy(np.int64)
-    return Scored(steps[at], who.index.to_numpy()[row], role[row], value[at, row], rated[at, row], enough[at, row])
+    return Scored(
+        step=steps[at],
+        subject=who.index.to_numpy()[row],
+        role=role[row],
+        trust=value[cell],
+        rated=rated[cell],
+        enough=enough[cell],
+    )
 
 
 def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
@@ -108,13 +119,16 @@ def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
         if np.isnan(limit):
             of_time = found_out = intervals.UNKNOWN
         rows.append({
-            "role": role, "n": len(np.unique(found.subject[mine])),
-            "evaluated": len(attacking.step) / int(mine.sum()), "evaluated_honest": _share(found.rated[is_honest]),
+            "role": role,
+            "n": len(np.unique(found.subject[mine])),
+            "evaluated": len(attacking.step) / int(mine.sum()),
+            "evaluated_honest": _share(found.rated[is_honest]),
             **intervals.columns(_auc(found, is_honest & found.rated, mine & found.rated), "auc"),
             **intervals.columns(_auc(found, is_honest & has_trust, mine & has_trust), "auc_unevaluated"),
             "threshold": limit,
             **intervals.columns(found_out, "true_positives"),
-            "false_positives": _share(honest < limit), **intervals.columns(of_time, "suspected"),
+            "false_positives": _share(honest < limit),
+            **intervals.columns(of_time, "suspected"),
         })  # fmt: skip
     if not rows:
         raise run.lacks(*_NONE_RATED)
@@ -137,7 +151,8 @@ def roc(run: Run) -> pd.DataFrame:
         if role != HONEST and len(attacking) and len(honest):
             threshold = np.append(np.unique(np.concatenate([attacking, honest])), np.inf)
             rows.append(pd.DataFrame({
-                "role": role, "threshold": threshold,
+                "role": role,
+                "threshold": threshold,
                 "false_positives": np.searchsorted(honest, threshold) / len(honest),
                 "true_positives": np.searchsorted(attacking, threshold) / len(attacking),
             }))  # fmt: skip
@@ -167,7 +182,8 @@ def separation(run: Run) -> intervals.ClusteredEstimate:
     """Probability that the last rated value of an honest subject is above that of a malicious one (ties half)."""
     rated = scored(run)
     rated = rated.take(rated.rated)
-    last = rated.take(trust.last_of_each(np.unique(rated.subject, return_inverse=True)[1]))
+    _, subject = np.unique(rated.subject, return_inverse=True)
+    last = rated.take(trust.last_of_each(subject))
     honest, attacking = _rated(run, last, HONEST), _rated(run, last, "malicious")
     return intervals.auc(honest, np.arange(len(honest)), attacking, np.arange(len(attacking)))
 
@@ -191,7 +207,8 @@ def detection_delay(run: Run, threshold: float | None = None, at: trust.At = "se
     """
     who = watched(run)
     step, subject = _low_values(run, threshold, at)
-    row, since, until = who.index.get_indexer(pd.Index(subject)), who.since.to_numpy(), who.until.to_numpy()
+    row = who.index.get_indexer(pd.Index(subject))
+    since, until = who.since.to_numpy(), who.until.to_numpy()
     there = (row >= 0) & (since[row] <= step) & (step <= until[row])
     first = np.full(len(who), np.inf)
     np.minimum.at(first, row[there], step[there])
@@ -232,23 +249,23 @@ def at_lookup(run: Run, threshold: float | None = None) -> pd.DataFrame:
     watched(run)  # says so where there are no attacks
     found, scores = lookups.sums(run, threshold=threshold), lookups.scores(run)
     _, role_of = lookups.subjects(run)
-    honest = role_of[scores.who] == (run.role_labels.index(HONEST) if HONEST in run.role_labels else -1)
+    role_of_score = role_of[scores.who]
+    honest = role_of_score == _code(run, HONEST)
     rows = []
     for code, role in enumerate(run.role_labels):
         mine = (role_of == code) & (found.n_watched > 0)
         if not mine.any():
             continue
-        n, here = found.n_watched[mine], role_of[scores.who] == code
+        n, here = found.n_watched[mine], role_of_score == code
         row: dict[str, object] = {"role": role, "n": int(n.sum())}
         for name, counted in (("evaluated", found.n_evaluated), ("suspected", found.n_low)):
             row |= intervals.columns(intervals.share(counted[mine], n), name)
         area = intervals.UNKNOWN
         if role != HONEST:
-            area = intervals.auc(
-                scores.trust[honest], scores.who[honest], scores.trust[here], scores.who[here],
-                (scores.n[honest], scores.n[here]),
-            )  # fmt: skip
-        rows.append(row | intervals.columns(area, "auc") | {"auc_error": _tied(scores, honest, here)})
+            area = _auc_of_scores(scores, honest, here)
+        row |= intervals.columns(area, "auc")
+        row["auc_error"] = _tied(scores, honest, here)
+        rows.append(row)
     if not rows:
         raise run.lacks(*_NONE_RATED)
     table = pd.DataFrame(rows)
@@ -272,23 +289,32 @@ def compared_at_lookup(run: Run, false_positives: float = 0.05) -> dict[str, int
     """
     watched(run)
     scores, (_, role_of) = lookups.scores(run), lookups.subjects(run)
-    honest = role_of[scores.who] == (run.role_labels.index(HONEST) if HONEST in run.role_labels else -1)
+    honest = role_of[scores.who] == _code(run, HONEST)
     if honest.all() or not honest.any():
         raise run.lacks(*_NONE_RATED)
-    order = np.argsort(scores.trust[honest])
-    at = np.searchsorted(np.cumsum(scores.n[honest][order]), int(false_positives * scores.n[honest].sum()), "right")
-    limit = scores.trust[honest][order][at]
+    value, times = scores.trust[honest], scores.n[honest]
+    order = np.argsort(value)
+    allowed = int(false_positives * times.sum())
+    at = np.searchsorted(np.cumsum(times[order]), allowed, "right")
+    limit = value[order][at]
     who, n = scores.who[~honest], scores.n[~honest]
     low = np.bincount(who, n * (scores.trust[~honest] < limit))
     found = lookups.sums(run)
-    mine = role_of == run.role_labels.index(HONEST)
+    mine = role_of == _code(run, HONEST)
     return {
-        "auc": intervals.auc(
-            scores.trust[honest], scores.who[honest], scores.trust[~honest], who, (scores.n[honest], n)
-        ),
+        "auc": _auc_of_scores(scores, honest, ~honest),
         "recall": intervals.share(low, np.bincount(who, n)),
         "mistaken": intervals.share(found.pairs_found[mine], found.pairs[mine]),
-    }  # fmt: skip
+    }
+
+
+def _auc_of_scores(
+    scores: lookups.Scores, honest: Bool[ndarray, "n"], attacking: Bool[ndarray, "n"]
+) -> intervals.ClusteredEstimate:
+    """Of values that were looked up, each as often as it was."""
+    high, low = scores.trust[honest], scores.trust[attacking]
+    times = scores.n[honest], scores.n[attacking]
+    return intervals.auc(high, scores.who[honest], low, scores.who[attacking], times)
 
 
 def _tied(scores: lookups.Scores, one: Bool[ndarray, "n"], other: Bool[ndarray, "n"]) -> float:
@@ -296,8 +322,11 @@ def _tied(scores: lookups.Scores, one: Bool[ndarray, "n"], other: Bool[ndarray, 
     if not scores.is_rounded or not (scores.n[one].sum() and scores.n[other].sum()):
         return 0.0
     _, value = np.unique(scores.trust, return_inverse=True)
-    counts = [np.bincount(value[which], scores.n[which], value.max() + 1) for which in (one, other)]
-    return float((counts[0] * counts[1]).sum() / counts[0].sum() / counts[1].sum() / 2)
+    n_values = value.max() + 1
+    of_one = np.bincount(value[one], scores.n[one], n_values)
+    of_other = np.bincount(value[other], scores.n[other], n_values)
+    n_ties = (of_one * of_other).sum()
+    return float(n_ties / of_one.sum() / of_other.sum() / 2)
 
 
 def detection_per_receiver(run: Run, threshold: float | None = None) -> pd.DataFrame:
@@ -322,11 +351,9 @@ def detection_per_receiver(run: Run, threshold: float | None = None) -> pd.DataF
         lasted = np.concatenate([np.repeat(steps, counts[seen]) for seen in (0, 1)])
         over = np.repeat([False, True], counts.sum(axis=1))
         mine = role_of == code
-        rows.append(
-            {"role": role, "n": int(counts.sum())}
-            | intervals.columns(intervals.share(found.pairs_found[mine], found.pairs[mine]), "share")
-            | {"median_s": median(kaplan_meier(lasted * run.dt_s, over))}
-        )
+        share = intervals.columns(intervals.share(found.pairs_found[mine], found.pairs[mine]), "share")
+        median_s = median(kaplan_meier(lasted * run.dt_s, over))
+        rows.append({"role": role, "n": int(counts.sum())} | share | {"median_s": median_s})
     return pd.DataFrame(rows, columns=["role", "n", "share", "share_low", "share_high", "share_units", "median_s"])
 
 
@@ -349,13 +376,15 @@ def detection_times(run: Run, threshold: float | None = None, false_positives: f
     `at_fpr` has the threshold of `classification`, and no rows without one. `at_vehicle` has the lookups of a run with
     a server.
     """
-    limit, kept = threshold_at(_rated(run, scored(run), HONEST), false_positives), trust.kept_at(run)
+    limit = threshold_at(_rated(run, scored(run), HONEST), false_positives)
+    kept = trust.kept_at(run)
     asked: dict[str, tuple[float | None, trust.At]] = {"threshold": (threshold, kept)}
     if not np.isnan(limit):
         asked["at_fpr"] = (limit, kept)
     if kept == "server" and "trust_lookups" in run.tables:
         asked["at_vehicle"] = (threshold, "vehicles")
-    return pd.concat([detection_summary(run, *how).assign(at=at) for at, how in asked.items()], ignore_index=True)
+    summaries = [detection_summary(run, *how).assign(at=at) for at, how in asked.items()]
+    return pd.concat(summaries, ignore_index=True)
 
 
 def summary_of(delays: pd.DataFrame) -> pd.DataFrame:
@@ -364,15 +393,15 @@ def summary_of(delays: pd.DataFrame) -> pd.DataFrame:
     delay_s, found = delays.delay_s.to_numpy(np.float64), delays.found.to_numpy(bool)
     rows = []
     for number, role in enumerate(delays.role.cat.categories):
-        if (here := code == number).any():
-            curve = kaplan_meier(delay_s[here], found[here])
-            rows.append(
-                {"role": role, "n": int(here.sum())}
-                | intervals.columns(intervals.of_units(found[here], subject[here]), "share")
-                | intervals.columns(
-                    intervals.ClusteredEstimate(median(curve), *median_band(curve), int(here.sum())), "median_s"
-                )
-            )
+        here = code == number
+        n = int(here.sum())
+        if not n:
+            continue
+        curve = kaplan_meier(delay_s[here], found[here])
+        share = intervals.of_units(found[here], subject[here])
+        median_s = intervals.ClusteredEstimate(median(curve), *median_band(curve), n)
+        estimates = intervals.columns(share, "share") | intervals.columns(median_s, "median_s")
+        rows.append({"role": role, "n": n} | estimates)
     return pd.DataFrame(rows)
 
 
@@ -418,8 +447,13 @@ _NONE_RATED = (
 )
 
 
+def _code(run: Run, role: str) -> int:
+    """Place of a role in `Run.role_labels`; -1 if no vehicle has it."""
+    return run.role_labels.index(role) if role in run.role_labels else -1
+
+
 def _of_role(run: Run, found: Scored, role: str) -> Bool[ndarray, "n"]:
-    return found.role == (run.role_labels.index(role) if role in run.role_labels else -1)
+    return found.role == _code(run, role)
 
 
 def _rated(run: Run, found: Scored, role: str) -> Float[ndarray, "n"]:
@@ -428,10 +462,9 @@ def _rated(run: Run, found: Scored, role: str) -> Float[ndarray, "n"]:
 
 def _auc(found: Scored, honest: Bool[ndarray, "n"], attacking: Bool[ndarray, "n"]) -> intervals.ClusteredEstimate:
     """Of some values above others."""
-    return intervals.auc(
-        found.trust[honest].astype(np.float64), found.subject[honest], found.trust[attacking].astype(np.float64),
-        found.subject[attacking],
-    )  # fmt: skip
+    high = found.trust[honest].astype(np.float64)
+    low = found.trust[attacking].astype(np.float64)
+    return intervals.auc(high, found.subject[honest], low, found.subject[attacking])
 
 
 def _share(which: ndarray) -> float:

@@ -92,7 +92,8 @@ def latency(run: Run) -> pd.DataFrame:
         FROM latency_histogram GROUP BY message_type, latency_s ORDER BY message_type, latency_s
     """)  # fmt: skip
     lower_s = frame.latency_s.to_numpy(np.float64) * (1 + 1e-6)  # stored in single precision
-    frame["latency_s"] = LATENCY_EDGES_S[np.searchsorted(LATENCY_EDGES_S, lower_s).clip(max=len(LATENCY_EDGES_S) - 1)]
+    bin_ = np.searchsorted(LATENCY_EDGES_S, lower_s)
+    frame["latency_s"] = LATENCY_EDGES_S[bin_.clip(max=len(LATENCY_EDGES_S) - 1)]
     return frame
 
 

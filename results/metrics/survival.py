@@ -27,13 +27,20 @@ def kaplan_meier(lasted_s: ndarray, over: ndarray) -> pd.DataFrame:
     with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # the band is undefined where all or none are left
         curve = ecdf(CensoredData(uncensored=lasted_s[over], right=lasted_s[~over])).sf
-        band = curve.confidence_interval(method="log-log") if over.any() else None
-    x, p = np.asarray(curve.quantiles), np.asarray(curve.probabilities)
-    low, high = (p, p) if band is None else (np.asarray(band.low.probabilities), np.asarray(band.high.probabilities))
+        p = np.asarray(curve.probabilities)
+        low = high = p
+        if over.any():
+            band = curve.confidence_interval(method="log-log")
+            low = np.asarray(band.low.probabilities)
+            high = np.asarray(band.high.probabilities)
     return pd.DataFrame(
-        {"duration_s": np.r_[0, x], "survival": np.r_[1, p],
-         "low": np.r_[1, np.where(np.isnan(low), p, low)], "high": np.r_[1, np.where(np.isnan(high), p, high)]}
-    )  # fmt: skip
+        {
+            "duration_s": np.r_[0, np.asarray(curve.quantiles)],
+            "survival": np.r_[1, p],
+            "low": np.r_[1, np.where(np.isnan(low), p, low)],
+            "high": np.r_[1, np.where(np.isnan(high), p, high)],
+        }
+    )
 
 
 def median(curve: pd.DataFrame) -> float:
@@ -55,12 +62,12 @@ def median_band(curve: pd.DataFrame) -> tuple[float, float]:
 
 def _falls_to_half(curve: pd.DataFrame, column: str, never: float) -> float:
     """First duration at which a column is one half or less [s]; `never` where it stays above."""
-    at = np.flatnonzero(
-        curve[column].to_numpy() <= 0.5 + 1e-12
-    )  # a product of ratios that is one half but for rounding
+    half = 0.5 + 1e-12  # a product of ratios that is one half but for rounding
+    at = np.flatnonzero(curve[column].to_numpy() <= half)
     return float(curve.duration_s.to_numpy()[at[0]]) if len(at) else never
 
 
 def restricted_mean(curve: pd.DataFrame) -> float:
     """Mean duration up to the longest one seen: the area under the survival curve [s]."""
-    return float((curve.survival.to_numpy()[:-1] * np.diff(curve.duration_s)).sum())
+    survival = curve.survival.to_numpy()[:-1]
+    return float((survival * np.diff(curve.duration_s)).sum())

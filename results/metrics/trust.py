@@ -72,11 +72,17 @@ def values(run: Run) -> pd.DataFrame:
     their own, at 600 instants at most.
     """
     found, who = in_use(run), run.subjects
-    return pd.DataFrame({
-        "step": found.step, "time_s": found.step * run.dt_s, "subject": found.subject,
-        "vehicle": who.vehicle.to_numpy()[found.who], "role": who.role.array.take(found.who), "trust": found.trust,
-        "rated": found.rated,
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "step": found.step,
+            "time_s": found.step * run.dt_s,
+            "subject": found.subject,
+            "vehicle": who.vehicle.to_numpy()[found.who],
+            "role": who.role.array.take(found.who),
+            "trust": found.trust,
+            "rated": found.rated,
+        }
+    )
 
 
 def in_use(run: Run) -> Values:
@@ -98,7 +104,16 @@ def _in_use(run: Run) -> Values:
     at = at[used]
     role = who.role.cat.codes.to_numpy(np.int64)[at]
     n = n[used]
-    return Values(step[used], since[used], subject[used], at, role, trust[used], n > 0, n >= suspect_from(run))
+    return Values(
+        step=step[used],
+        since=since[used],
+        subject=subject[used],
+        who=at,
+        role=role,
+        trust=trust[used],
+        rated=n > 0,
+        enough=n >= suspect_from(run),
+    )
 
 
 def _own(run: Run) -> pd.DataFrame:
@@ -211,11 +226,12 @@ def by_role(run: Run, role: Int[ndarray, "n"]) -> list[tuple[str, Bool[ndarray, 
 def mean(run: Run) -> pd.DataFrame:
     """Mean of all values: role, n, mean with its interval (clustered by subject; see `intervals.columns`), note."""
     found = in_use(run)
-    return pd.DataFrame([
-        {"role": role, "n": int(here.sum()), "note": _idle(run, role)}
-        | intervals.columns(intervals.of_units(found.trust[here].astype(np.float64), found.subject[here]), "mean")
-        for role, here in by_role(run, found.role)
-    ])  # fmt: skip
+    rows = []
+    for role, here in by_role(run, found.role):
+        mean = intervals.of_units(found.trust[here].astype(np.float64), found.subject[here])
+        row = {"role": role, "n": int(here.sum()), "note": _idle(run, role)}
+        rows.append(row | intervals.columns(mean, "mean"))
+    return pd.DataFrame(rows)
 
 
 def _idle(run: Run, role: str) -> str:
@@ -256,7 +272,8 @@ def final(run: Run) -> pd.DataFrame:
     intervals (see `intervals.columns`); and a note."""
     found, rows = in_use(run), []
     last = last_of_each(found.who)
-    role, trust = found.role[last], found.trust[last].astype(np.float64)
+    role = found.role[last]
+    trust = found.trust[last].astype(np.float64)
     for name, here in by_role(run, role):
         one = trust[here]
         q25, q75 = np.quantile(one, [0.25, 0.75])
