@@ -70,7 +70,8 @@ def _scored(run: Run) -> Scored:
     enough[cell] = known.enough[there]
     has_begun = who.since.to_numpy() <= steps[:, None]
     goes_on = since[:, None] <= who.until.to_numpy()
-    cell = at, row = np.nonzero(has_begun & goes_on)
+    at, row = np.nonzero(has_begun & goes_on)
+    cell = at, row
     role = who.role.cat.codes.to_numpy(np.int64)
     return Scored(
         step=steps[at],
