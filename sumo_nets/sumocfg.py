@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -78,13 +79,16 @@ class Sumocfg:
         Raises
         ------
         ValueError
-            It is no number.
+            It is no number, or not finite.
         """
         text = self.options.get("scale", "1")
         try:
-            return float(text)
+            found = float(text)
         except ValueError:
             raise ValueError(f"{self.path}: scale = {text} is no number. Correct or remove it.") from None
+        if not math.isfinite(found):
+            raise ValueError(f"{self.path}: scale = {text} is no factor of a demand. Correct or remove it.")
+        return found
 
     @property
     def inputs(self) -> tuple[Path, ...]:

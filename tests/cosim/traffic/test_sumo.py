@@ -73,9 +73,10 @@ def test_the_demand_is_scaled_from_the_scale_of_a_configuration(tmp_path):
     worlds = live(str(scaled), 0, 40, TrafficParams(scale=1.5))[0]
     same(worlds, live(str(plain), 0, 40, TrafficParams(scale=3.0))[0])
     assert len(worlds[-1]["actor"]) > len(live(str(scaled), 0, 40)[0][-1]["actor"])
-    scaled.write_text(text.replace("<report>", '<processing><scale value="two"/></processing><report>'))
-    with pytest.raises(ValueError, match="scale = two is no number"):
-        find(str(scaled)).traffic(TrafficParams(scale=1.5), registry())
+    for value, why in (("two", "is no number"), ("inf", "is no factor of a demand")):
+        scaled.write_text(text.replace("<report>", f'<processing><scale value="{value}"/></processing><report>'))
+        with pytest.raises(ValueError, match=f"scale = {value} {why}"):
+            find(str(scaled)).traffic(TrafficParams(scale=1.5), registry())
 
 
 def mixed(folder: Path, **keys):
