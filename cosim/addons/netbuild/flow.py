@@ -75,7 +75,7 @@ def simulate(net: Net, seconds: float, work: Path) -> Path:
     options = {
         "configuration-file": net.sumocfg_path.resolve(),
         "additional-files": ",".join(str(path.resolve()) for path in additional),
-        "end": end, "statistic-output": work / "statistic.xml", "summary-output": work / "summary.xml",
+        "end": end, "summary-output": work / "summary.xml",
         "no-step-log": True, "no-warnings": True, "duration-log.statistics": True, "verbose": False,
     }  # fmt: skip
     sumotools.run("sumo", options, work)
@@ -83,14 +83,14 @@ def simulate(net: Net, seconds: float, work: Path) -> Path:
 
 
 def _flow(work: Path, begin_s: float, seconds: float, free_mps: dict[str, float]) -> Flow:
+    warm_up: list[Attributes] = []
     rows: list[Attributes] = []
-    totals: dict[str, Attributes] = {}
     jammed: list[str] = []
     spent_s = jammed_s = 0.0
 
     def step(name: str, attributes: Attributes) -> None:
-        if name == "step" and float(attributes["time"]) >= begin_s:
-            rows.append(attributes)
+        if name == "step":
+            (rows if float(attributes["time"]) >= begin_s else warm_up).append(attributes)
 
     def edge(name: str, attributes: Attributes) -> None:
         nonlocal spent_s, jammed_s
@@ -103,19 +103,22 @@ def _flow(work: Path, begin_s: float, seconds: float, free_mps: dict[str, float]
             jammed_s += here_s
 
     stream(work / "summary.xml", step)
-    stream(work / "statistic.xml", totals.__setitem__)
     if (work / "edges.xml").is_file():
         stream(work / "edges.xml", edge)
+    n = {}
+    for name in ("ended", "teleports", "collisions"):  # SUMO counts from its begin
+        by_now, before = (int(of[-1][name]) if of else 0 for of in (rows or warm_up, warm_up))
+        n[name] = by_now - before
     running = [float(row["running"]) for row in rows] or [0.0]
     driven = sum(float(row["running"]) * max(0.0, float(row["meanSpeed"])) for row in rows)
     return Flow(
         seconds=seconds,
         vehicles_mean=sum(running) / len(running),
         speed_kmh=3.6 * driven / max(sum(running), 1.0),
-        trips=int(rows[-1]["ended"]) if rows else 0,
-        teleports=int(totals.get("teleports", {}).get("total", 0)),
+        trips=n["ended"],
+        teleports=n["teleports"],
         waiting=int(rows[-1]["waiting"]) if rows else 0,
-        collisions=int(totals.get("safety", {}).get("collisions", 0)),
+        collisions=n["collisions"],
         jammed=tuple(sorted(jammed)),
         jammed_p=jammed_s / max(spent_s, 1.0),
     )
