@@ -105,20 +105,22 @@ def _flow(work: Path, begin_s: float, seconds: float, free_mps: dict[str, float]
     stream(work / "summary.xml", step)
     if (work / "edges.xml").is_file():
         stream(work / "edges.xml", edge)
-    n = {}
-    for name in ("ended", "teleports", "collisions"):  # SUMO counts from its begin
-        by_now, before = (int(of[-1][name]) if of else 0 for of in (rows or warm_up, warm_up))
-        n[name] = by_now - before
+    start = warm_up[-1] if warm_up else {}
+    end = rows[-1] if rows else start
+
+    def counted(name: str) -> int:  # SUMO counts from its begin
+        return int(end.get(name, 0)) - int(start.get(name, 0))
+
     running = [float(row["running"]) for row in rows] or [0.0]
     driven = sum(float(row["running"]) * max(0.0, float(row["meanSpeed"])) for row in rows)
     return Flow(
         seconds=seconds,
         vehicles_mean=sum(running) / len(running),
         speed_kmh=3.6 * driven / max(sum(running), 1.0),
-        trips=n["ended"],
-        teleports=n["teleports"],
+        trips=counted("ended"),
+        teleports=counted("teleports"),
         waiting=int(rows[-1]["waiting"]) if rows else 0,
-        collisions=n["collisions"],
+        collisions=counted("collisions"),
         jammed=tuple(sorted(jammed)),
         jammed_p=jammed_s / max(spent_s, 1.0),
     )

@@ -75,7 +75,8 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
         lwh_m=detected[["length_m", "width_m", "height_m"]].to_numpy(float),
         yaw_rad=detected.yaw_rad.to_numpy(float),
     )
-    errors = run.table("position_errors", where=(pc.field("step") == step) & (pc.field("vehicle") == vehicle))
+    of_vehicle = pc.field("vehicle") == vehicle
+    errors = run.table("position_errors", where=of_vehicle & (pc.field("step") == step))
     believed = sweeps.poses
     if len(errors):  # the pose that displaced the boxes
         believed = believed.displaced(errors[["error_x_m", "error_y_m", "error_yaw_rad"]].to_numpy(float))
