@@ -169,7 +169,7 @@ class SenderTrust:
         """Trust of each ego in itself: this value, or for None what it knows; NaN where it knows nothing."""
         n = self.ptr.size - 1
         if ego_trust is not None:
-            return np.full(n, ego_trust)
+            return np.full(n, float(ego_trust))
         return np.full(n, np.nan) if self.own is None else self.own
 
     def arrived(self) -> Bool[ndarray, "h"]:

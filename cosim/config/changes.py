@@ -27,7 +27,7 @@ class Change:
     def line(self) -> str:
         """The key with its value and the default, as in a config."""
         if self.is_left_out:
-            return f"{self.key} is left out (default {as_toml(self.default)})"
+            return f"{self.key} of the default is left out: {as_toml(self.default)}"
         if self.default is NONE:
             return f"{self.key} = {as_toml(self.value)}"
         return f"{self.key} = {as_toml(self.value)} (default {as_toml(self.default)})"
@@ -61,12 +61,18 @@ def _of(section: str, value: Any, default: Any, config: Config) -> Iterator[Chan
             if number >= len(default) or _plain(item) != _plain(default[number]):
                 own = _own_keys(item, _params(config, section, number))
                 yield Change(f"{section}.{number}", own, NONE)
-        for number in range(len(value), len(default) if value else 0):
-            item = default[number]
-            first = next(iter(item))
-            yield Change(f"{section}.{number}", None, {first: item[first]}, is_left_out=True)
+        kept = {_named(item) for item in value}
+        for number, item in enumerate(default):
+            if 0 < len(value) < len(default) and _named(item) not in kept:
+                first = next(iter(item))
+                yield Change(f"{section}.{number}", None, {first: item[first]}, is_left_out=True)
     else:
         yield Change(section, value, default)
+
+
+def _named(section: Mapping[str, Any]) -> Any:
+    """What says which section of a list it is: the value of its first key."""
+    return next(iter(section.values()), None)
 
 
 def _is_sections(value: Any) -> bool:

@@ -128,8 +128,8 @@ def _unread_by_variants(config: Config) -> list[str]:
     }
     found = []
     for number, variant in enumerate(config.trust_variant):
-        if variant.name == PAPER_RULE["name"]:  # that of the default run: nobody has asked for it
-            continue
+        if {"name": variant.name, "fused": variant.fused, **variant.changes} == PAPER_RULE:
+            continue  # that of the default run: nobody has asked for it
         params = chosen_model(variant)[0].params
         for name, value in variant.changes.items():
             is_read = params is None or name in {f.name for f in fields(params)}

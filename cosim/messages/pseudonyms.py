@@ -51,7 +51,8 @@ class PseudonymPolicy(Protocol):
     def changes(self, ages: PseudonymAges) -> Bool[ndarray, "e"]:
         """Whether each vehicle changes its pseudonym before its next message.
 
-        The method is called in every step with messages. Its result is ignored for vehicles without a pseudonym.
+        The method is called in every step with messages, and where vehicles enter. Its result is ignored for vehicles
+        without a pseudonym.
         """
 
 
@@ -361,6 +362,7 @@ class Pseudonyms:
         world: World,
         observers: Int[ndarray, "e"],
         wants: Bool[ndarray, "e"] | None = None,
+        sends: Bool[ndarray, "e"] | None = None,
     ) -> tuple[PseudonymState, Int[ndarray, "e"], PseudonymUse]:
         """The pseudonym of each equipped vehicle in this step.
 
@@ -370,6 +372,8 @@ class Pseudonyms:
             Equipped vehicles, rows of the world.
         wants
             Vehicles that change whatever the policy says.
+        sends
+            Vehicles that send a message in this step. None if all do; the others get their first pseudonym.
 
         Returns
         -------
@@ -408,7 +412,7 @@ class Pseudonyms:
             "since_step": np.where(takes, world.step, state.since_step[actor]),
             "seen_step": world.step,
             "n_changes": ages.n_changes + changes,
-            "n_messages": np.where(takes, 0, ages.n_messages) + 1,
+            "n_messages": np.where(takes, 0, ages.n_messages) + (1 if sends is None else sends),
             "distance_m": np.where(takes, 0.0, distance_m),
             "xy_m": xy_m,
             "from_xy_m": np.where(takes[:, None], xy_m, state.from_xy_m[actor]),

@@ -55,7 +55,7 @@ class Vehicles:
     actor: Int[ndarray, "e"]
     name_key: UInt64[ndarray, "e"]
     pseudonym: Int[ndarray, "e"]
-    """Pseudonym of each vehicle's own identity; -1 before the vehicle first senses."""
+    """Pseudonym of each vehicle's own identity."""
     senses: Int[ndarray, "s"]
     """Rows of those that sense in this step, ascending."""
 

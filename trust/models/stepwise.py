@@ -166,7 +166,10 @@ class Stepwise:
         return per_s ** (n_steps * self.dt_s)
 
     def is_younger(self, n_steps: Any, age_s: float) -> Any:
-        """Whether what is so many steps old is younger than an age, which 90 steps of 0.7 s reach if it is 63 s."""
+        """Whether what is so many steps old is younger than an age.
+
+        90 steps of 0.7 s are not younger than 63 s, although their product is 62.99... s.
+        """
         return n_steps * self.dt_s < age_s * (1 - 1e-9)
 
     def horizon_s(self, per_s: float) -> float:

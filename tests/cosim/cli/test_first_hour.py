@@ -71,8 +71,9 @@ def test_check_says_what_changes_and_what_follows(tmp_path):
     )
     said = cosim("check", "mine.toml", cwd=tmp_path).stdout
     for line in (
-        "6 keys differ from the default of preset v0.2",
-        'attacks.1 is left out (default { attack = "unreliable" })',
+        "7 keys differ from the default of preset v0.2",
+        'attacks.0 of the default is left out: { attack = "ghost_insertion" }',
+        'attacks.1 of the default is left out: { attack = "unreliable" }',
         "traffic.duration_s = 3600 (default 180)",
         'attacks.0 = { attack = "sybil", share_p = 0.3, n_ghosts = 7 }',
         'trust.model = "beta" (default "trupercept")',

@@ -52,7 +52,7 @@ def test_keys_in_vain(sets, line):
 
 def test_a_variant_s_key_that_its_model_does_not_read():
     """A beta model has no window, whatever the model of [trust] reads; a variant says nothing of keys it leaves."""
-    window = "trust_variant.0.name=w", "trust_variant.0.freshness_s=3"
+    window = "trust_variant.0.name=paper", "trust_variant.0.freshness_s=3"
     line = 'trust_variant.0.freshness_s has no effect without a trust.model that reads it, such as "trupercept" '
     for sets in (["trust.model=beta", *window], [*window, "trust_variant.0.model=beta"]):
         assert said(*sets) == [line + "(freshness.capped_age alone follows it)."]

@@ -41,6 +41,18 @@ def change_times(policy, xy_m, seed=3):
     return np.array(found)
 
 
+@pytest.mark.parametrize("enters_silently", [False, True])
+def test_three_messages_are_three_also_where_a_vehicle_enters_before_its_first_one(enters_silently):
+    """With `disposable` and three messages, sent in steps 1, 2, ..., the fourth has another pseudonym."""
+    pseudonyms = Pseudonyms(Disposable(DisposableParams(n_messages=3)), 3, DT_S)
+    state, used, row = PseudonymState(), [], np.array([0])
+    for step in range(0 if enters_silently else 1, 5):
+        sends = np.array([step > 0])
+        state, pseudonym, _ = pseudonyms.issue(state, at(step, (0.0, 0.0)), row, sends=sends)
+        used += pseudonym[sends].tolist()
+    assert used == [0, 0, 0, 1]
+
+
 def draws(n_changes, seed=3):
     key = np.array([rng.name_key("vehicle/a")], np.uint64)
     return rng.uniforms(rng.key(seed, rng.Stream.PSEUDONYM), key, np.array([n_changes]), n=4)[0]
