@@ -27,8 +27,7 @@ def unoccluded_returns(hit, origin, yaw, beams, limit, xyz, radius, height, ptr,
     for a in range(len(bodies.ptr) - 1):
         most = max(most, bodies.ptr[a + 1] - bodies.ptr[a])
     for o in range(len(own)):
-        x, y, z = origin[o]
-        pose = x, y, z, np.cos(yaw[o]), np.sin(yaw[o])
+        pose = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
         taken = np.zeros(len(beams.tan_el), np.int32)  # the last column (of all) in which a row was counted
         room = taken, np.empty((most, 8)), np.empty((most, 4), np.int64)
         columns, slopes = columns_of(beams), slopes_of(beams)
@@ -61,8 +60,7 @@ def _of_actor(hits, pose, beams, columns, slopes, limit, a, xyz, radius, height,
     n = _seen_from(frame, window, bodies, a, farthest, x, y, z, cos, sin, columns)
     code = Hit.ACTOR + a
     for turn in range(2):
-        begin, end = (a0, a1) if turn == 0 else (b0, b1)
-        for c in range(begin, end):
+        for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
             n_columns += 1
             ca, sa = beams.cos_az[c], beams.sin_az[c]
             low, high, one_by_one = 0, 0, not within_limit  # rows that are counted at once
