@@ -207,7 +207,7 @@ def _child(
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if (threads := sys.modules.get("numba.np.ufunc.parallel")) is not None:
-        threads._backend_init_process_lock = None  # an earlier child that was killed may hold the one of all children
+        threads._set_init_process_lock()  # an earlier child that was killed may hold the one of all children
     sys.argv = ["cosim", *words]
     try:
         if words[0] == "python":

@@ -100,7 +100,7 @@ class DccState:
         return DccState(key, cbr, level, share, before, airtime_ns, self.n_periods)
 
     def after_messages(self, airtime_ns: Int[ndarray, "n"]) -> "DccState":
-        """The state after messages of these lengths; 0 where a station sends none."""
+        """The state after messages with these times on air; 0 where a station sends none."""
         return replace(self, airtime_ns=np.where(airtime_ns > 0, airtime_ns, self.airtime_ns))
 
 

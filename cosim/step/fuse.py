@@ -43,16 +43,15 @@ def fuse_objects(
     """
     hosts = parts.trust
     given = FusionInput(groups.lists, groups.groups, groups.detections, *evaluations)
-    trust_of = _trust_in_senders(looked_up, parts.config.radio.evaluations == "alone", len(groups.lists.owner))
+    wanted = [number for number, variant in enumerate(hosts.variants) if variant.fused]
+    in_time = parts.config.radio.evaluations == "alone"
+    trust_of = trust_in_senders(looked_up, wanted, in_time, len(groups.lists.owner))
     fused: dict[int, Fused] = {}
     votes = None
     numbers_by_mode: dict[str, list[int]] = defaultdict(list)  # variants whose boxes are fused from all detections
-    for number, scorer in enumerate(hosts.scorers(trust)):
-        variant = hosts.variants[number]
-        if not variant.fused:
-            continue
-        params = variant.trust
-        sender_trust = trust_of[number]
+    scorers = hosts.scorers(trust)
+    for number, sender_trust in trust_of.items():
+        params, scorer = hosts.variants[number].trust, scorers[number]
         if scorer is not None and votes is None:
             votes = votes_of(given, sender_trust)
         distance_m = None
@@ -68,8 +67,8 @@ def fuse_objects(
     return [fused.get(number) for number in range(len(hosts.variants))]
 
 
-def _trust_in_senders(looked_up: LookedUp, in_time: bool, n_egos: int) -> list[SenderTrust]:
-    """Per trust variant, the trust of each vehicle that senses in the senders of all messages that it uses.
+def trust_in_senders(looked_up: LookedUp, wanted: Sequence[int], in_time: bool, n_egos: int) -> dict[int, SenderTrust]:
+    """Trust of each vehicle that senses in the senders of all messages that it uses, by number of the trust variant.
 
     Without `in_time`, evaluations arrive a step after their detections, too late for fusion.
     """
@@ -78,11 +77,11 @@ def _trust_in_senders(looked_up: LookedUp, in_time: bool, n_egos: int) -> list[S
     message = np.concatenate([reports.message, further.message])[order]
     ptr = ptr_of(np.concatenate([reports.receiver, further.receiver])[order], n_egos)
     has_evaluations = (order < len(reports.message)) & in_time
-    found = []
-    for number, (lookups, of_further) in enumerate(zip(looked_up.lookups, looked_up.of_further, strict=True)):
-        trust = np.concatenate([lookups.trust, of_further])[order]
+    found = {}
+    for number in wanted:
+        trust = np.concatenate([looked_up.lookups[number].trust, looked_up.of_further[number]])[order]
         own = None if looked_up.own is None else looked_up.own[number]
-        found.append(SenderTrust(ptr, message, trust, has_evaluations, own))
+        found[number] = SenderTrust(ptr, message, trust, has_evaluations, own)
     return found
 
 
@@ -90,7 +89,7 @@ def _with_boxes(
     fused: Mapping[int, Fused],
     params: Sequence[TrustParams],
     groups: ObjectGroups,
-    trust_of: Sequence[SenderTrust],
+    trust_of: Mapping[int, SenderTrust],
     mode: str,
 ) -> dict[int, Fused]:
     """The objects with boxes from all their detections, and with scores that say how well the boxes may fit.
@@ -104,12 +103,13 @@ def _with_boxes(
     params
         Section [trust] of each of these variants.
     trust_of
-        Trust in the senders, per trust variant.
+        Trust in the senders, likewise.
     mode
         Their `fused_boxes`.
     """
     assert groups.accuracy is not None
-    lists, detections, senders = groups.lists, groups.detections, trust_of[0]
+    lists, detections = groups.lists, groups.detections
+    senders = trust_of[next(iter(fused))]  # their messages are those of all variants
     known = ViewLists(
         ptr=lists.ptr,
         member=lists.member,

@@ -25,11 +25,16 @@ Row = dict[str, Any]
 
 
 def digest() -> str:
-    """Hash of the code on which a row depends: trust models, playing and scoring."""
+    """Hash of the code on which a row depends."""
+    return code_digest(code_files())
+
+
+def code_files() -> list[Path]:
+    """Files of that code: trust models, playing and scoring."""
     rooms = {Path(str(trust.__file__)).parent, *(Path(inspect.getfile(model)).parent for model in MODELS.values())}
     files = {file for room in rooms for file in room.rglob("*.py")}
     modules = [Path(str(module.__file__)) for module in (play, score, adapt)]
-    return code_digest([*sorted(files), *modules])
+    return [*sorted(files), *modules]
 
 
 def citation(evidence: EvidenceSet) -> str:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.step import cycle
-from cosim.step.fuse import _trust_in_senders
+from cosim.step.fuse import trust_in_senders
 from cosim.step.known import Uses
 from cosim.step.state import State
 from tests.scene import ScriptedScene, parts_of
@@ -45,7 +45,7 @@ def test_a_sender_whose_evaluations_are_lost_keeps_its_trust():
         np.testing.assert_array_equal(looked_up.of_further[0], trust)
         n_lost += len(trust)
         n_different += (trust != parts.config.trust.default_trust).sum()
-        (of_senders,) = _trust_in_senders(looked_up, True, owners)
+        of_senders = trust_in_senders(looked_up, [0], True, owners)[0]
         assert of_senders.canonical() is of_senders and len(of_senders.ptr) == owners + 1
         senders = Uses(np.repeat(np.arange(owners), np.diff(of_senders.ptr)), of_senders.message)
         assert pairs_of(senders) == pairs_of(looked_up.messages) | pairs_of(looked_up.further)
@@ -88,7 +88,7 @@ def test_a_vehicle_weighs_itself_by_the_trust_that_it_holds_in_itself(overrides)
     vehicle, subject = sensed.sensing.actor, sensed.sensing.pseudonym
     np.testing.assert_array_equal(own, parts.trust.lookup(state.trust, vehicle, subject, 1e6)[0].trust)
     assert (own != parts.config.trust.default_trust).any()
-    (of_senders,) = _trust_in_senders(sensed.looked_up, True, len(own))
+    of_senders = trust_in_senders(sensed.looked_up, [0], True, len(own))[0]
     np.testing.assert_array_equal(of_senders.of_egos(parts.config.trust.fixed_ego_trust), own)
     np.testing.assert_array_equal(of_senders.of_egos(2.0), np.full(len(own), 2.0))
 
