@@ -42,7 +42,7 @@ COLUMNS = ["metric", "group", "value", "low", "high", "n_units", "unit", "label"
 
 
 def check_own(table: pd.DataFrame, place: str) -> pd.DataFrame:
-    """The same rows of a user's metrics; ValueError if a study cannot average them over replicates.
+    """Rows of a user's metrics; ValueError if a study cannot average them over replicates.
 
     Parameters
     ----------

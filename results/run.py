@@ -116,7 +116,7 @@ class Run:
         return tuple(self.manifest.get("variants", (BASE_VARIANT,)))
 
     def as_variant(self, name: str) -> Self:
-        """The same run, whose metrics and figures use one of its trust variants.
+        """This run, with metrics and figures of one of its trust variants.
 
         Raises
         ------

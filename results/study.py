@@ -440,7 +440,7 @@ def _end(n: int, path: str) -> str:
 
 
 def with_short_names(frame: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
-    """The same rows with short names in place of the files that swept keys name."""
+    """Rows with short names in place of the files that swept keys name."""
     words = [key for key in keys if are_words(frame[key])]
     return frame.assign(**{key: frame[key].map(short_names(frame[key])) for key in words})
 

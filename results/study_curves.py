@@ -109,7 +109,7 @@ def pooled(frame: pd.DataFrame, until_s: float = 0.0) -> pd.DataFrame:
 
 
 def samples(curves: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
-    """The same rows with a column `value`: a number that is the same for points with the same sample."""
+    """Rows with a column `value`: a number that is the same for points with the same sample."""
     of_row = pd.util.hash_pandas_object(curves[["value_s", "n", "n_open"]], index=False)
     of_point = of_row.groupby(curves.point, sort=False).sum()
     known = curves.drop_duplicates("point")[["point", "replicate", *keys]]

@@ -234,7 +234,7 @@ class _Ego(NamedTuple):
     left: ndarray
     """Lever arm: position relative to the vehicle, x."""
     up: ndarray
-    """The same, y."""
+    """Lever arm, y."""
     trust: ndarray
     """Weight of what its vehicle states."""
     weight: ndarray
@@ -244,7 +244,7 @@ class _Ego(NamedTuple):
     given: "_Information"
     """Information of the position, times the first weight."""
     info: "_Information"
-    """The same times both weights."""
+    """Information of the position, times both weights."""
     listed: ndarray
     """Room for the slots of the vehicles of a group."""
 

@@ -174,7 +174,7 @@ def free_space(range_steps, step_m, beams, pairs, run, area, margin_m, least_sha
 
 @compiled
 def _free_space(allowed, begin, end, given):
-    """The same for the pairs of the runs `begin` to `end`."""
+    """Write what `free_space` returns, for the pairs of the runs `begin` to `end`."""
     range_steps, step_m, beams, pairs, run, area, margin_m, least_share = given
     room = np.empty((4, 3)), np.empty((4, 3))
     for i in range(begin, end):
@@ -185,7 +185,7 @@ def _free_space(allowed, begin, end, given):
 
 @kernel
 def _free_space_of(allowed, sweep, step_m, beams, pairs, first, end, area, margin_m, least_share, room):
-    """The same for the pairs `first` to `end` of one sweep."""
+    """Write what `free_space` returns, for the pairs `first` to `end` of one sweep."""
     reach_m, height_m, slope = area
     corner, plane = room
     columns, slopes = columns_of(beams), slopes_of(beams)

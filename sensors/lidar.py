@@ -277,7 +277,7 @@ class RangeImages:
     step_m: float
 
     def displaced(self, error: Float[ndarray, "m 3"]) -> RangeImages:
-        """The same images, taken for those of sensors with other poses.
+        """These images, taken for those of sensors with other poses.
 
         Parameters
         ----------
@@ -305,7 +305,7 @@ class RangeImages:
         return self.points(np.full(len(column), o), column, row)
 
     def cloud(self, o: int) -> Float32[ndarray, "k 3"]:
-        """The same points in single precision, as in files of point clouds."""
+        """The returns of observer o in single precision, as in files of point clouds."""
         return self.xyz(o).astype(np.float32)
 
     def points(self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:

@@ -115,7 +115,7 @@ def pieces_of(shape: shapely.Geometry, least_area_m2: float = 1.0) -> list[Polyg
 
 
 def _pieces(shapes: ndarray, least_area_m2: float = 1.0) -> tuple[ndarray, Int[ndarray, "p"]]:
-    """The same of many, and the row of the shape that each belongs to."""
+    """Valid polygons of many geometries, and the row of the shape that each belongs to."""
     shapes = shapes.copy()
     torn = ~shapely.is_valid(shapes)
     shapes[torn] = shapely.make_valid(shapes[torn])

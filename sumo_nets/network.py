@@ -264,7 +264,7 @@ def location(net_path: Path | str) -> tuple[str, tuple[float, float]]:
 
 
 def projection(net_path: Path | str) -> tuple[str, tuple[float, float]]:
-    """The same for a network that must have a projection.
+    """Projection and offset of a network that must have one.
 
     Raises
     ------

@@ -98,7 +98,7 @@ def feed(
     end: Callable[[str], None] = lambda name: None,
     text: Callable[[str], object] | None = None,
 ) -> Iterator[None]:
-    """The same as a generator that yields after every chunk of the file, so that the caller can use its elements.
+    """`stream` as a generator that yields after every chunk of the file, so that the caller can use its elements.
 
     SUMO's files need no document type and no entities of their own; a file that declares any is refused,
     so that entities can neither expand without limit nor read other files.

@@ -158,7 +158,7 @@ def _add(of, begin, end, t, message, at, ego):
 
 @njit(cache=True, nogil=True)
 def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weights, sums, totals):
-    """The same for every `n_chunks`-th ego."""
+    """Add up the groups of every `n_chunks`-th ego."""
     received_ptr, received, trust, has_evaluations, of_egos, default_trust, unit_trust = weights
     at = np.full(lists.message.size, -1, np.int32)
     known = np.full(evaluated_by.size, default_trust)

@@ -73,7 +73,7 @@ def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle
 def _seeds_of_lists(
     chunk, n_chunks, list_ptr, members, owner, message, ptr, other, value, one_per_vehicle, seeds, by_owner
 ):
-    """The same for every `n_chunks`-th list; `seeds` and `by_owner` are written."""
+    """Write `seeds` and `by_owner` of every `n_chunks`-th list."""
     longest = 0
     for v in range(chunk, len(list_ptr) - 1, n_chunks):
         longest = max(longest, list_ptr[v + 1] - list_ptr[v])
@@ -203,7 +203,7 @@ def match_each(
     pairs: tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]],
     params: TrustParams,
 ) -> list[Groups]:
-    """The same for several sets of lists of the same detections."""
+    """Groups as `match` finds them, of several sets of lists of the same detections."""
     least = params.tau if params.matching == "iou" else 0.0  # pairs within gates are no others
     kept = pairs[2] > least  # False for a NaN
     i, j, iou = pairs if kept.all() else (column[kept] for column in pairs)

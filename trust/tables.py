@@ -29,12 +29,12 @@ SERVER = 1 << 30
 
 
 def int64(a: ndarray) -> Int[ndarray, "..."]:
-    """The same integers as contiguous int64, so that each kernel is compiled once."""
+    """Integers as contiguous int64, so that each kernel is compiled once."""
     return np.ascontiguousarray(a, np.int64)
 
 
 def float64(a: ndarray) -> Float[ndarray, "..."]:
-    """The same numbers as contiguous float64."""
+    """Numbers as contiguous float64."""
     return np.ascontiguousarray(a, np.float64)
 
 

@@ -6,7 +6,7 @@ from numpy import ndarray
 
 
 def wrapped(angle_rad: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
-    """The same angles in (-pi, pi]."""
+    """Angles turned into (-pi, pi]."""
     return np.pi - np.mod(np.pi - angle_rad, 2.0 * np.pi)
 
 

@@ -64,7 +64,7 @@ def check(
 
 
 def _words(config: Path | None, preset: str | None, overrides: list[str] | None) -> str:
-    """The same config on another command line."""
+    """Words of a command line that name this config."""
     words = [] if config is None else [str(config)]
     if preset is not None:
         words += ["--preset", preset]

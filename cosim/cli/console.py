@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _PIPED_WIDTH = 160
 """Width of tables, in characters, when standard output is not a terminal."""
 _WHOLE = 10_000
-"""The same of tables that need not fit anything."""
+"""Width of tables that need not fit anything."""
 
 
 def clean(text: str) -> str:
@@ -162,7 +162,7 @@ def time_left(begun: tuple[int, float], done: int, total: int, now_s: float) -> 
 
 
 def _as_json(content: object) -> object:
-    """The same content, with None in place of numbers that JSON has no word for: none, and those that are infinite."""
+    """Content with None in place of numbers that JSON has no word for: none, and those that are infinite."""
     if isinstance(content, Mapping):
         return {key: _as_json(value) for key, value in content.items()}
     if isinstance(content, list | tuple):

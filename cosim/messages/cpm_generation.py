@@ -106,7 +106,7 @@ class LatestTimes:
         return np.where(is_there, time_s - self.time_s[at], np.inf)
 
     def noted(self, sender: Int[ndarray, "m"], time_s: float) -> "LatestTimes":
-        """The same after it happened at these senders, without times that are older than `INTERVAL_S`."""
+        """These times after it happened at these senders, without times that are older than `INTERVAL_S`."""
         is_recent = time_s - self.time_s < INTERVAL_S - _SLACK_S
         kept = ~np.isin(self.sender, sender) & is_recent
         whole = np.append(self.sender[kept], sender)

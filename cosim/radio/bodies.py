@@ -37,7 +37,7 @@ class Bodies:
         )
 
     def copy(self) -> "Bodies":
-        """The same bodies in arrays of their own."""
+        """These bodies in arrays of their own."""
         columns = self.xyz_m, self.lwh_m, self.yaw_rad, self.own
         return Bodies(*(column.copy() for column in columns))
 

@@ -516,7 +516,7 @@ def _with_tags(now: ChannelState, number: Int[ndarray, "f"]) -> ChannelState:
 
 
 def without_cache(state: ChannelContext) -> ChannelContext:
-    """The same state without its cache: the next round computes all links again."""
+    """A state without its cache: the next round computes all links again."""
     return replace(state, cache=None)
 
 

@@ -249,7 +249,7 @@ class OnAir:
         )
 
     def without(self, refused: tuple[Int[ndarray, "p"], Int[ndarray, "p"]] | None) -> "OnAir":
-        """The same frames, without the forwarding that vehicles refuse, as in `Exchange.refused`."""
+        """These frames without the forwarding that vehicles refuse, as in `Exchange.refused`."""
         if refused is None:
             return self
         order = np.argsort(self.message, kind="stable")

@@ -48,7 +48,7 @@ class Known:
     are where their velocities have brought them by this step."""
     truth: GroundTruth
     detections: tables.SentDetections
-    """The same detections in the form that `trust` uses, with the message as a row of these messages."""
+    """These detections in the form that `trust` uses, with the message as a row of these messages."""
     ptr: Int[ndarray, "m+1"]
     """Row at which the detections of each message begin."""
     withheld: Bool[ndarray, "d"]

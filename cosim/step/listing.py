@@ -62,7 +62,7 @@ class Listed:
     objects: Detections
     truth: GroundTruth
     detections: tables.SentDetections
-    """The same detections in the form that `trust` uses, with the message as a row of `Senders`."""
+    """These detections in the form that `trust` uses, with the message as a row of `Senders`."""
     ptr: Int[ndarray, "m+1"]
     """Row at which the detections of each message begin."""
     withheld: Bool[ndarray, "d"]

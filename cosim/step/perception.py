@@ -57,19 +57,19 @@ class Seen:
     reports: detector.DetectedBoxes
 
     def behind(self, n: int) -> "Seen":
-        """The same with observers numbered from `n`."""
+        """What they sensed, with observers numbered from `n`."""
         here, found = self.observability, self.reports
         return Seen(
             replace(here, observer=here.observer + np.int32(n)), replace(found, observer=found.observer + np.int32(n))
         )
 
     def renumbered(self, number: Int32[ndarray, "e"]) -> "Seen":
-        """The same with these numbers of the observers."""
+        """What they sensed, with these numbers of the observers."""
         here, found = self.observability, self.reports
         return Seen(replace(here, observer=number[here.observer]), replace(found, observer=number[found.observer]))
 
     def of_actors(self, row: Int32[ndarray, "n"]) -> "Seen":
-        """The same with these rows of the actors."""
+        """What they sensed, with these rows of the actors."""
         here, found = self.observability, self.reports
         actor = found.actor.copy()
         actor[~found.is_false_positive] = row[found.actor[~found.is_false_positive]]

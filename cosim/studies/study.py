@@ -211,7 +211,7 @@ def _baseline(study: Study, where: str) -> dict[str, Any]:
 
 
 def changed(study: Study, overrides: Sequence[str]) -> Study:
-    """The same study with `key=value` changes of the config that all points start from.
+    """A study with `key=value` changes of the config that all points start from.
 
     Raises
     ------
@@ -242,7 +242,7 @@ def config_at(study: Study, keys: Keys, replicate: int, where: str) -> configs.C
 
 
 def _absolute(stated: dict[str, Any], where: str, folder: Path) -> dict[str, Any]:
-    """The same data, checked, with absolute paths of the user's own files."""
+    """The keys that a study states, checked, with absolute paths of the user's own files."""
     stated = configs.with_defaults(stated)
     complete = configs.resolve_data(copy.deepcopy(stated), where, folder.resolve()).to_dict()
     named = [("traffic", "scenario"), ("traffic", "trace"), ("meshes", "file"), ("vehicle_meshes", "file")]
@@ -339,7 +339,7 @@ def _values(key: str, values: Any, section: str, where: str) -> Sequence[Any]:
 
 
 def _once(name: str, values: Sequence[Any], where: str) -> Sequence[Any]:
-    """The same values; ValueError if one occurs twice."""
+    """These values; ValueError if one occurs twice."""
     said = [json.dumps(value, sort_keys=True, default=str) for value in values]
     if twice := [text for text in said if said.count(text) > 1]:
         raise ValueError(f"{name} has the value {twice[0]} twice in {where}. Leave one out.")

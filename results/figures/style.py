@@ -222,7 +222,7 @@ def run_entries(runs: Sequence[Run]) -> list[Line2D]:
 
 
 def series_entries(runs: Sequence[Run], lines: bool = True) -> list[Line2D]:
-    """The same where each run has a colour and a marker of its own."""
+    """Legend entries of runs, each of which has a colour and a marker of its own."""
     if len(runs) < 2:
         return []
     return [

@@ -311,7 +311,7 @@ def _with_all(run: Run, counts: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _with_every(run: Run, counts: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """The same, with roles that do not occur."""
+    """Counts by receiver and code: of all subjects, then of each role, whether it occurs or not."""
     yield "all", counts.sum(axis=1)
     for code, role in enumerate(run.role_labels):
         yield role, counts[:, code]

@@ -116,7 +116,7 @@ class _Asked:
 
 @dataclass(frozen=True, slots=True)
 class _All:
-    """The same of all trust variants: a first axis, and a column, more."""
+    """Sums of all trust variants, whose tables have a first axis more, for the variant, and all ages."""
 
     asked: _Asked
     sums: Sums
@@ -441,7 +441,7 @@ def _widened(table: ndarray, axis: int, n: int, fill: float = 0) -> ndarray:
 
 
 def _read_only(values: ndarray, dtype: type) -> ndarray:
-    """The same values; arrays that come out of Arrow without a copy are read-only, and kernels tell that apart."""
+    """Values, not to be written: arrays from Arrow without a copy are read-only, and kernels tell that apart."""
     values = np.asarray(values, dtype).view()
     values.flags.writeable = False
     return values

@@ -257,7 +257,7 @@ def config_of(place: EvidencePlace, rules: EvidenceRules, attack: str) -> Config
 
 
 def simulated(configs: Sequence[Config], label: str, advance: Advance) -> list[Case]:
-    """The same world without attack, and with the attacks of each config, beside each other.
+    """A world without attack and with the attacks of each config, beside each other.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ class ScriptedDetector:
     def detect(
         self, sweeps: Sweeps, seen: Observability, boxes: Boxes, label: UInt8[ndarray, "n"], draws: DetectorDraws
     ) -> Reports:
-        """The same reports in every step."""
+        """These reports, in every step."""
         return Reports(
             self.observer, label[self.actor], boxes.take(self.actor), self.score, self.actor,
             np.zeros(len(self.actor), bool),

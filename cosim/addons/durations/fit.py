@@ -65,7 +65,7 @@ class Fit:
     covariance: Float[ndarray, "k k"]
     """Of the free parameters; NaN where the likelihood has no maximum inside."""
     independent: Float[ndarray, "k k"]
-    """The same, if durations were independent."""
+    """Their covariance if durations were independent."""
     rows: _Distinct = field(repr=False)
     """The sample."""
     log_likelihood: float

@@ -45,7 +45,7 @@ def repeats(run: Run) -> pd.DataFrame:
 
 
 def of_evaluations(said: Said, dt_s: float) -> pd.DataFrame:
-    """The same, of these evaluations."""
+    """What `repeats` returns, of these evaluations."""
     witness = _numbers(said.evaluator, said.subject, said.actor)
     slot = np.floor(said.step * dt_s / WINDOW_S + 1e-9).astype(np.int64)
     look, first = np.unique(_numbers(witness, said.step), return_index=True)

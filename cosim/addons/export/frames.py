@@ -54,7 +54,7 @@ class InCamera(NamedTuple):
     rotation_y: Float[ndarray, "n"]
     """About the y axis; 0 where the box points to the right, -pi/2 where it points away."""
     alpha: Float[ndarray, "n"]
-    """The same, seen along the ray to the box."""
+    """`rotation_y` as seen along the ray to the box."""
     image_px: Float[ndarray, "n 4"]
     """Left, top, right and bottom of its rectangle inside the image."""
     truncated: Float[ndarray, "n"]

@@ -124,7 +124,7 @@ def rows_of(
 
 
 def without_nan(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The same values, with None for those that do not exist, as JSON knows no NaN."""
+    """Values with None for those that do not exist, as JSON knows no NaN."""
     return {name: None if isinstance(v, float) and math.isnan(v) else v for name, v in values.items()}
 
 

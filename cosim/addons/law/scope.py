@@ -17,7 +17,7 @@ class Server(NamedTuple):
     window_s: float
     """Evidence of this age or older does not count [s]; inf if it never expires."""
     window_steps: int
-    """The same in steps of the law."""
+    """That age in steps of the law."""
     zero: bool
     """Whether detections that no other vehicle could see are evidence (`trust.unseen = "zero"`)."""
 

@@ -45,7 +45,7 @@ def pcd(cloud: Cloud) -> bytes:
 
 
 def pcd_ascii(cloud: Cloud) -> bytes:
-    """The same as text."""
+    """Point cloud library's format 0.7, as text."""
     file = io.BytesIO()
     np.savetxt(file, np.column_stack(cloud), fmt=["%.4f", "%.4f", "%.4f", "%d"])
     return _pcd_head(cloud, "ascii") + file.getvalue()

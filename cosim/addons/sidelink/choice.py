@@ -50,7 +50,7 @@ def _mark(block_mw, slot, sub, width, value_mw, first, n_slots, n_places, stride
 
 @kernel
 def _mark_periodic(block_mw, slot, sub, width, value_mw, period, first, n_slots, n_places, stride, own_width):
-    """The same for a slot that is reserved, and for each slot from which the own period leads to it."""
+    """Mark a slot that is reserved, and each slot from which the own period leads to it."""
     if period > 0 and slot >= first + n_slots:
         slot -= -((first + n_slots - 1 - slot) // period) * period
     while slot >= first:

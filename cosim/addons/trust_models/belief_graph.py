@@ -43,11 +43,11 @@ class BeliefGraphParams(StepwiseParams):
     """Dirichlet distributions of the shares of four outcomes of a detection: confirmed, denied while others confirm it,
     denied by all of several, denied by a single one. Where both are honest, only the evaluator is, only the sender."""
     missing_shapes: tuple[Shape, Shape, Shape] = ((30.0, 6.0), (0.3, 1.0), (0.3, 0.8))
-    """The same for the shares of objects that a message has and lacks."""
+    """Likewise of the shares of objects that a message has and lacks."""
     speed_shapes: tuple[Shape, Shape, Shape] = ((20.0, 1.0), (2.0, 3.0), (1.3, 2.8))
-    """The same for the shares of right and wrong velocities of the sender itself."""
+    """Likewise of the shares of right and wrong velocities of the sender itself."""
     certain_shapes: tuple[Shape, Shape] = ((60.0, 1.5), (0.5, 0.1))
-    """The same for the shares of a message's further detections of which the evaluator is not certain and is certain:
+    """Likewise of the shares of a message's further detections of which the evaluator is not certain and is certain:
     of an honest evaluator and of a liar."""
     honest_p: Annotated[float, Interval(gt=0, lt=1)] = 0.8
     """Probability that an evaluator that lies is honest about a sender all the same."""
@@ -56,7 +56,7 @@ class BeliefGraphParams(StepwiseParams):
     decided_shape: tuple[float, float] = (8.0, 3.5)
     """Beta distribution of the share of an honest vehicle's evaluations with pos + neg above 1/2."""
     form_shape: tuple[float, float] = (20.0, 0.2)
-    """The same for the share of an honest vehicle's steps in which it does not withhold what it confirms with."""
+    """Likewise of the share of an honest vehicle's steps in which it does not withhold what it confirms with."""
     share_shape: tuple[float, float] = (30.0, 5.0)
     """Prior evidence for and against what a sender says, in the share of it that is confirmed."""
     independent_p: Annotated[float, Interval(gt=0, le=1)] = 0.5

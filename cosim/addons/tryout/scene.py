@@ -71,7 +71,7 @@ class TinyScene:
     """In the order of their actor numbers."""
 
     def renumbered(self) -> "TinyScene":
-        """The same actors with other actor numbers, and therefore in another order of rows."""
+        """The scene with other actor numbers, and therefore in another order of rows."""
         order = np.random.default_rng(7).permutation(len(self.actors))
         return TinyScene(tuple(self.actors[i] for i in order))
 
@@ -80,7 +80,7 @@ class TinyScene:
         return TinyScene((STRANGER, *self.actors))
 
     def with_other_attackers(self) -> "TinyScene":
-        """The same actors at the same positions, with other vehicles as attackers."""
+        """The scene with other vehicles as attackers."""
         swapped = [replace(actor, attack=int(actor.equipped and not actor.attack)) for actor in self.actors]
         return TinyScene(tuple(swapped))
 
