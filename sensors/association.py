@@ -217,23 +217,27 @@ def _reach_m(
     largest_of_b = _largest_of(b, b_label, b_variance_m2)
     for group in _GROUPS:
         for of_a, of_b in product(group, group):
-            a_m, a_m2 = largest_of_a[of_a]
-            b_m, b_m2 = largest_of_b[of_b]
-            if a_m >= 0 and b_m >= 0:
-                reach_m[of_a, of_b] = max(a_m + b_m, gate.reach * float(np.sqrt(a_m2 + b_m2)))
+            one, other = largest_of_a[of_a], largest_of_b[of_b]
+            if one[0] >= 0 and other[0] >= 0:
+                longer, wider = 0.5 * np.maximum(one[2:4] + other[4:], other[2:4] + one[4:])
+                by_accuracy_m = gate.reach * np.sqrt(one[1] + other[1]) + np.hypot(longer, wider)
+                reach_m[of_a, of_b] = max(one[0] + other[0], by_accuracy_m)
     return reach_m
 
 
-def _largest_of(boxes: Boxes, label: ndarray, variance_m2: ndarray) -> list[list[float]]:
-    """Largest circumradius and largest variance along any axis of each class; -1 for a class that is not there."""
-    found = np.full((_N_CLASSES, 2), -1.0)
-    _largest(boxes.circumradius_m, label, variance_m2, found)
-    return found.tolist()
+def _largest_of(boxes: Boxes, label: ndarray, variance_m2: ndarray) -> Float[ndarray, "4 6"]:
+    """Largest circumradius, variance along any axis, length and width of each class, and smallest length and width.
+
+    The smallest ones are negative. -inf: a class that is not there.
+    """
+    found = np.full((_N_CLASSES, 6), -np.inf)
+    _largest(boxes.circumradius_m, boxes.lwh_m, label, variance_m2, found)
+    return found
 
 
 @compiled
-def _largest(radius, label, variance, found):
-    """Write the largest circumradius and variance along any axis of each class; -1 stays where there is none."""
+def _largest(radius, lwh, label, variance, found):
+    """Write the largest of each class, as `_largest_of` returns them."""
     for d in range(len(label)):
         kind = label[d]
         if kind < len(found):
@@ -241,6 +245,9 @@ def _largest(radius, label, variance, found):
             along = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
             found[kind, 0] = max(found[kind, 0], radius[d])
             found[kind, 1] = max(found[kind, 1], along)
+            for axis in range(2):
+                found[kind, 2 + axis] = max(found[kind, 2 + axis], lwh[d, axis])
+                found[kind, 4 + axis] = max(found[kind, 4 + axis], -lwh[d, axis])
 
 
 def _agreeing(

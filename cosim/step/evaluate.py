@@ -66,16 +66,24 @@ class Evaluated:
     """The reported evaluations, one message per row of `Senders`."""
     kept_messages: EvaluationMessages
     """The own evaluations in the rows of `sent`."""
+    is_sent: Bool[ndarray, "v"]
+    """Whether the evaluation is in the message: its vehicle did not know the detection when it last sensed."""
     number: Int[ndarray, "v"] | None = None
     """Number of what each evaluation is about (`trust.claims.claim_number`); None if all are about detections."""
 
     def of_detections(self) -> tuple[ObjectLists, Evaluations, Evaluations]:
-        """`lists`, `own` and `reported` without what is not about detections."""
+        """What is evaluated, own values, and values as sent, without what is not about detections.
+
+        Values that are not sent are invalid: NaN in place of their visibility.
+        """
+        sent = self.reported
+        if not self.is_sent.all():
+            sent = Evaluations(sent.evaluation, np.where(self.is_sent, sent.visibility, np.nan))
         if self.number is None:
-            return self.lists, self.own, self.reported
+            return self.lists, self.own, sent
         is_detection = self.number % len(KINDS) == DETECTION
         at = np.flatnonzero(is_detection)
-        return self.lists.subset(is_detection), self.own.take(at), self.reported.take(at)
+        return self.lists.subset(is_detection), self.own.take(at), sent.take(at)
 
 
 def evaluate_objects(
@@ -134,6 +142,7 @@ def evaluate_objects(
         own_messages=own_messages,
         sent=_messages_of(step, messages, lists, reported, is_sent, number),
         kept_messages=kept_messages,
+        is_sent=is_sent,
         number=number,
     )
 

@@ -66,7 +66,7 @@ class Inbox:
     evaluated: ObjectLists = field(default_factory=lambda: ObjectLists(np.zeros(1, np.int64), _rows(), _rows()))
     """Detections that the sender of each message evaluated, as rows of `objects`."""
     evaluations: Evaluations = field(default_factory=lambda: Evaluations(np.zeros(0), np.zeros(0)))
-    """These evaluations as they were sent."""
+    """These evaluations as they were sent; NaN in place of the visibility of those that were not."""
     cpms: Uses = field(default_factory=lambda: Uses(_rows(), _rows()))
     """Receptions of the detection messages: actor number of the receiver, and row of the message."""
     reports: Uses = field(default_factory=lambda: Uses(_rows(), _rows()))

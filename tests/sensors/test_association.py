@@ -66,6 +66,18 @@ def test_the_rear_of_a_truck():
             assert not len(value)
 
 
+def test_a_pair_does_not_depend_on_who_else_is_there():
+    """The rear of a truck of 12 m is a car of 4.5 m to another vehicle. The centres are 9.5 m apart, of which sizes
+    explain 3.75 m, and sigma is 2 m for both: d^2 = 5.75^2 / 8. A truck far away changes nothing."""
+    lwh = np.array([[12.0, 2.5, 2.0], [4.5, 2.5, 2.0], [18.0, 2.5, 2.0]])
+    boxes = Boxes(np.array([[0.0, 0, 0], [9.5, 0, 0], [500.0, 0, 0]]), lwh, np.zeros(3))
+    label = np.array([TRUCK, CAR, TRUCK], np.uint8)
+    for rows in (np.arange(2), np.arange(3)):
+        i, j, value = pairs_within(boxes.take(rows), label[rows], round_variance(2.0, len(rows)), rows, Gate(0.01, 0.1))
+        assert (i.tolist(), j.tolist()) == ([0], [1])
+        np.testing.assert_allclose(value, np.exp(-0.5 * 5.75**2 / 8))
+
+
 def slowly(a, a_label, a_var, b, b_label, b_var):
     """The definition, pair by pair."""
     found, n = {}, len(b)

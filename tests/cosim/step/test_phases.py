@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from cosim import Simulation
 from cosim.config.config import load
 from cosim.traffic.schedule import Schedule, SensingGroup
 from results.archive import open_run
@@ -122,6 +123,22 @@ def test_a_detection_is_evaluated_once_by_each(runs):
             run.detections, left_on=key[1:], right_on=["step", "observer", "detection_index"], suffixes=("", "_there")
         )
         assert len(named) == len(run.evaluations), "each names a detection"
+
+
+def test_others_fuse_what_the_messages_contain():
+    """A vehicle that senses often looks at a message of one that senses seldom more than once, and sends it once."""
+    config = load(None, [*RANDOM, *MIXED])
+    n_again = 0
+    with Simulation(config) as simulation:
+        for now in simulation:
+            if now.result.sensed is not None:
+                evaluated = now.result.sensed.evaluated
+                lists, own, sent = evaluated.of_detections()
+                is_sent = ~np.isnan(sent.visibility)
+                per_list = np.bincount(lists.of_member()[is_sent], minlength=len(lists.owner))
+                assert (per_list == np.diff(evaluated.sent.ptr)).all()
+                n_again += (~is_sent & (own.visibility > 0)).sum()
+    assert n_again > 100
 
 
 def test_boxes_of_fused_objects_are_those_of_earlier_messages(runs):
