@@ -308,6 +308,7 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
     messages = np.empty(n + 1, np.int64)
     _sort(begin, end, first, table, lists, ego, vehicle, sender)
     errors, covariance = np.empty(0), np.empty((0, 0))
+    own_turn = 0.0 if align else table.pose[owner, 1]
     for v in range(len(weight)):
         is_new = _weigh(e, v, first, lists, weight, known, ego, vehicle, sender)
         is_new |= v == 0
@@ -327,7 +328,7 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
             low, high = ego.begin[g - first], ego.begin[g - first + 1]
             seed, filled = lists.seed[g], box[row]
             _fuse_place(low, high, seed, owner, table, ego, errors, covariance, slope, filled, variance[row])
-            _fuse_shape(low, high, seed, table, ego, errors, covariance, filled)
+            _fuse_shape(low, high, seed, own_turn, table, ego, errors, covariance, filled)
 
 
 @compiled
@@ -746,8 +747,11 @@ def _spread(listed, slope, covariance):
 
 
 @kernel
-def _fuse_shape(begin, end, seed, table, ego, errors, covariance, box):
-    """Write height above the ground, size and heading of a group into its box."""
+def _fuse_shape(begin, end, seed, own_turn, table, ego, errors, covariance, box):
+    """Write height above the ground, size and heading of a group into its box.
+
+    `own_turn` is the variance of the receiver's own heading where its pose error is not estimated.
+    """
     cos = sin = bottom = of_bottom = of_size = 0.0
     length = width = height = 0.0
     for k in range(begin, end):
@@ -755,7 +759,7 @@ def _fuse_shape(begin, end, seed, table, ego, errors, covariance, box):
         w = ego.weight[k] * ego.trust[k]
         if w <= 0.0 or table.label[d] != table.label[seed]:
             continue
-        angle, spread = _heading_of(k, d, table, ego, errors, covariance)
+        angle, spread = _heading_of(k, d, own_turn, table, ego, errors, covariance)
         cos += w / spread * np.cos(2.0 * angle)
         sin += w / spread * np.sin(2.0 * angle)
         w_size = w / table.size[d]
@@ -783,14 +787,14 @@ def _fuse_shape(begin, end, seed, table, ego, errors, covariance, box):
 
 
 @inlined
-def _heading_of(k, d, table, ego, errors, covariance):
+def _heading_of(k, d, own_turn, table, ego, errors, covariance):
     """Heading of a detection as the receiver has it, and its variance."""
     angle, spread = table.yaw[d], table.heading[d]
     own = len(errors) - 1
     its = 3 * ego.slot[k] + 2
     if its != own:
         angle += errors[own]
-        spread += covariance[own, own]
+        spread += covariance[own, own] + own_turn
         if its > 0:
             angle -= errors[its]
             spread += covariance[its, its]

@@ -473,13 +473,21 @@ def _names_own_class(section: Any, key: str) -> bool:
 def _variants(
     sections: Any, trust: dict[str, Any], config: Config, where: str, folder: Path | None
 ) -> tuple[TrustVariant, ...]:
-    """Build the trust variants from their sections. Each variant inherits the keys of [trust], which are `trust`."""
+    """Build the trust variants from their sections.
+
+    Each variant inherits the keys of [trust], which are `trust`. One of another model inherits none of the parameters
+    of the model of [trust], also where its own has one of the same name.
+    """
     if not isinstance(sections, list) or not all(isinstance(section, dict) for section in sections):
         raise ValueError(f"trust_variant should be a list of sections [[trust_variant]] in {where}.")
     made: list[TrustVariant] = []
+    declared = {f.name for f in fields(TrustParams)}
     for number, section in enumerate(sections):
         place = f"trust_variant.{number}"
-        variant = _variant(section, trust, place, where, folder)
+        model, inherited = section.get("model", config.trust.model), trust
+        if isinstance(model, str) and resolve(SECTIONS["trust"], model, folder).source.name != config.trust.model:
+            inherited = {key: trust[key] for key in trust.keys() & declared}
+        variant = _variant(section, inherited, place, where, folder)
         if variant.name == "base" or variant.name in {other.name for other in made}:
             by = " by [trust] itself" if variant.name == "base" else ""
             raise ValueError(
@@ -497,10 +505,7 @@ def _variants(
 def _variant(
     section: dict[str, Any], trust: dict[str, Any], place: str, where: str, folder: Path | None
 ) -> TrustVariant:
-    """Build a trust variant, `place` in the config.
-
-    It does not inherit parameters that another model than its own has.
-    """
+    """Build a trust variant, `place` in the config, which inherits the keys `trust`."""
     changes = dict(section)
     name, fused = changes.pop("name", None), changes.pop("fused", False)
     if not isinstance(name, str) or not name or not name.isprintable():
@@ -508,22 +513,12 @@ def _variant(
     if not isinstance(fused, bool):
         raise ValueError(f"{place}.fused = {fused!r} should be true or false. Set it in {where}.")
     merged = trust | changes
-    known = {f.name for f in fields(TrustParams)} | _fields_of_model(merged.get("model"), folder)
-    merged = {key: value for key, value in merged.items() if key in known or key in changes}
     own = _take_own(merged, "trust", TrustParams, where, folder)
     if "model" in changes:
         changes["model"] = merged["model"]
     check_keys(merged, TrustParams, f"{place}.", where)
     params = validated(TrustParams, merged, place, where)
     return TrustVariant(name=name, fused=fused, changes=changes, trust=params, own=own)
-
-
-def _fields_of_model(model: Any, folder: Path | None) -> set[str]:
-    """Names of the parameters of a trust model."""
-    if not isinstance(model, str):
-        return set()
-    choice = resolve(SECTIONS["trust"], model, folder)
-    return set() if choice.params is None else {f.name for f in fields(choice.params)}
 
 
 def _take_own(section: dict[str, Any], name: str, declared: Any, where: str, folder: Path | None) -> dict[str, Any]:

@@ -80,7 +80,7 @@ class Drive:
     on_step: OnStep | None = None
     n_on_road: int = 0
     n_senders: int = 0
-    """Equipped vehicles, summed over the steps with messages."""
+    """Vehicles that sense, summed over the steps."""
     ended: str = ""
     """Why the traffic ended before the requested time."""
     broken: TrafficError | None = None
@@ -121,7 +121,7 @@ class Drive:
             if (world := self._world()) is None:
                 break
             self.n_on_road += int(((world.shape != Shape.PEDESTRIAN) & ~world.is_roadside).sum())
-            self.n_senders += int(world.equipped.sum()) if self.parts.senses(number) else 0
+            self.n_senders += len(self.parts.sensing(world))
             if number < first:
                 commands = self.commands.get(number, NO_COMMANDS)
                 if recomputes:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.config.config import Config
@@ -34,7 +34,7 @@ class DetectorAccuracy(NamedTuple):
         return DetectorAccuracy(*(getattr(detector, name, None) for name in DetectorAccuracy._fields))
 
 
-_ALONG_BOTH = np.array([1.0, 0.0, 1.0])
+ALONG_BOTH = np.array([1.0, 0.0, 1.0])
 """Variance xx, xy, yy that is the same along both axes."""
 _OWN_SPEED_SIGMA_MPS = 0.1
 """Standard deviation of the speed that a vehicle measures of itself."""
@@ -48,6 +48,7 @@ def stated(
     origin_m: Float[ndarray, "d 3"],
     own_mps: Float[ndarray, "d"],
     limit_mps: Float[ndarray, "d"],
+    pose: Float[ndarray, "d 2"],
     detector: DetectorAccuracy,
     c: Config,
 ) -> Detections:
@@ -65,6 +66,8 @@ def stated(
         Speed of the vehicle of each detection.
     limit_mps
         Speed limit of the road at each detection; NaN where it is not known.
+    pose
+        Variances of the pose of the vehicle of each detection, as `pose_variance` returns them.
     detector
         What the detector knows of its own accuracy.
     c
@@ -93,7 +96,8 @@ def stated(
         for sigma, plain in zip(detector[:3], (_PLAIN_SIGMA_M, _PLAIN_SIGMA_RAD, _PLAIN_SIZE_SIGMA), strict=True)
     )
     of_detector = np.where(is_self, 0.0, sigma_m**2)
-    across = np.where(is_self, 0.0, np.deg2rad(c.gnss.heading_std_deg) ** 2)
+    of_position, of_heading = pose.T
+    across = np.where(is_self, 0.0, of_heading)
     x, y = away_m.T
     moves = velocities(listed)
     known = np.isfinite(moves).all(axis=1)
@@ -103,13 +107,12 @@ def stated(
     anywhere = np.where(known, 0.0, of_class)
     by_itself = of_sweep * anywhere
     squares = np.stack([vx * vx, vx * vy, vy * vy])
-    relative_m2 = (of_sweep * squares).T + by_itself[:, None] * _ALONG_BOTH
-    at_any_score_m2 = relative_m2 + of_detector[:, None] * _ALONG_BOTH
+    relative_m2 = (of_sweep * squares).T + by_itself[:, None] * ALONG_BOTH
+    at_any_score_m2 = relative_m2 + of_detector[:, None] * ALONG_BOTH
     if detector.error_by_score is not None:
         of_detector = of_detector * detector.error_by_score(listed.score, listed.n_points, listed.label)
-    of_position = c.gnss.std_m**2
     squares = np.stack([y * y, -x * y, x * x])
-    of_pose = (across * squares).T + of_position * _ALONG_BOTH
+    of_pose = (across * squares).T + of_position[:, None] * ALONG_BOTH
     speed = np.where(known, _OWN_SPEED_SIGMA_MPS**2, of_class)
     if tracks is not None:
         rows = np.flatnonzero(listed.origin == SENSED)
@@ -121,15 +124,19 @@ def stated(
         listed,
         variance_m2=bounded((at_any_score_m2 + of_pose) * told[:, None]),
         velocity_variance=np.minimum(speed * told, np.maximum(speed, of_class)),
-        relative_m2=(relative_m2 + of_detector[:, None] * _ALONG_BOTH) * told[:, None],
+        relative_m2=(relative_m2 + of_detector[:, None] * ALONG_BOTH) * told[:, None],
         heading_variance=np.where(is_self, 0.0, sigma_rad**2) * told,
         size_variance=np.where(is_self, 0.0, size_sigma**2) * told,
     )
 
 
-def pose_variance(c: Config) -> tuple[float, float]:
-    """What every vehicle states of its own pose: variances of position (each axis) and heading [m2, rad2]."""
-    return c.gnss.std_m**2, float(np.deg2rad(c.gnss.heading_std_deg)) ** 2
+def pose_variance(is_roadside: Bool[ndarray, "n"], c: Config) -> Float[ndarray, "n 2"]:
+    """What vehicles state of their own poses: variances of position (each axis) and heading [m2, rad2].
+
+    Where a roadside unit stands is known.
+    """
+    of_vehicle = c.gnss.std_m**2, np.deg2rad(c.gnss.heading_std_deg) ** 2
+    return np.where(is_roadside[:, None], 0.0, of_vehicle)
 
 
 def aged(listed: Detections, age_s: Float[ndarray, "d"], params: TrackingParams) -> Detections:
@@ -142,7 +149,7 @@ def aged(listed: Detections, age_s: Float[ndarray, "d"], params: TrackingParams)
     """
     acceleration = np.asarray(params.acceleration_noise)[listed.label]
     more = listed.velocity_variance * age_s**2 + acceleration * age_s**3 / 3.0
-    along_both = more[:, None] * _ALONG_BOTH
+    along_both = more[:, None] * ALONG_BOTH
     return replace(listed, variance_m2=listed.variance_m2 + along_both, relative_m2=listed.relative_m2 + along_both)
 
 

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from cosim.base.threads import threads_for
 from cosim.messages.content import FABRICATED
-from cosim.step.accuracy import pose_variance
+from cosim.step.accuracy import ALONG_BOTH, pose_variance
 from cosim.step.exchange import Exchange, Senders
 from cosim.step.known import Known, Pairs, Uses
 from cosim.step.object_lists import questions_of, received_lists
@@ -116,11 +116,11 @@ def compare_objects(
         permitted, compared_share = plausible.astype(float), None
         if params.matching == "gates":
             # The evaluator's own position has an error, too.
-            own_variance_m2 = parts.config.gnss.std_m**2 * np.array([1.0, 0.0, 1.0])
-            variance_m2 = objects.variance_m2 + own_variance_m2
-            permitted = _permitted_share(parts.perception, sweeps, lists, plausible, boxes, variance_m2, area)
+            own_m2, _ = pose_variance(exchange.world.is_roadside[exchange.sensing.row], parts.config).T
+            accuracy = RelativeAccuracy(objects.variance_m2, own_m2)
+            permitted = _permitted_share(parts.perception, sweeps, lists, plausible, boxes, accuracy, area)
             plausible = permitted >= 0.5
-            compared_share = certainty(variance_m2)[near.member]
+            compared_share = certainty(accuracy.variance_m2(near.member, near.of_member()))
         recall = None
         if parts.recall is not None:
             range_m = distance_m(boxes.xyz_m, near.member, origin_m, near.of_member())
@@ -194,7 +194,7 @@ def _accuracy(exchange: Exchange, messages: Known, positioned: Positioned, parts
         heading_variance=objects.heading_variance,
         size_variance=objects.size_variance,
         origin_m=origin_m,
-        pose_variance=np.tile(pose_variance(c), (len(origin_m), 1)),
+        pose_variance=pose_variance(exchange.world.is_roadside[sender_row], c),
     )
 
 
@@ -227,6 +227,19 @@ def _pairs(messages: Known, n_now: int, params: TrustParams) -> Pairs:
     return one, other, overlap
 
 
+class RelativeAccuracy(NamedTuple):
+    """How well the positions of D detections relative to S vehicles are known."""
+
+    detection_m2: Float[ndarray, "d 3"]
+    """Stated variances xx, xy, yy."""
+    vehicle_m2: Float[ndarray, "s"]
+    """Variance of the vehicle's own position along each axis."""
+
+    def variance_m2(self, detection: Int[ndarray, "n"], vehicle: Int[ndarray, "n"]) -> Float[ndarray, "n 3"]:
+        """Variances of these detections relative to these vehicles."""
+        return self.detection_m2.take(detection, axis=0) + self.vehicle_m2.take(vehicle)[:, None] * ALONG_BOTH
+
+
 _SIGMA_POINTS = np.sqrt(2.0) * np.array(
     [
         [1.0, 0.0],
@@ -245,7 +258,7 @@ def _permitted_share(
     lists: ObjectLists,
     plausible: Bool[ndarray, "m"],
     boxes: Boxes,
-    variance_m2: Float[ndarray, "d 3"],
+    accuracy: "RelativeAccuracy",
     area: AreaParams,
 ) -> Float[ndarray, "m"]:
     """Share of the places where a box may be that free space in the vehicle's own sweep permits.
@@ -257,8 +270,8 @@ def _permitted_share(
     ----------
     plausible
         Whether each member of `lists` is permitted where its message says.
-    boxes, variance_m2
-        All detections, and the variances xx, xy, yy of their positions.
+    boxes, accuracy
+        All detections, and how well their positions are known.
     """
     share = plausible.astype(float)
     rows = np.flatnonzero(~plausible)
@@ -266,7 +279,7 @@ def _permitted_share(
         return share
     detection = lists.member[rows]
     sweep = lists.of_member()[rows].astype(np.int32)
-    xx, xy, yy = bounded(variance_m2.take(detection, axis=0)).T
+    xx, xy, yy = bounded(accuracy.variance_m2(detection, sweep)).T
     # Lower triangle of the Cholesky factor, which turns standard deviations into metres: east = x_of_u * u,
     # north = y_of_u * u + y_of_v * v.
     x_of_u = np.sqrt(xx)

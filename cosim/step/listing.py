@@ -19,7 +19,7 @@ from cosim.messages.content import (
 from cosim.messages.cpm_generation import CpmContent, CpmState, Generators, generate
 from cosim.messages.pseudonyms import PseudonymState
 from cosim.radio.medium import gap_s
-from cosim.step.accuracy import sensors_of, stated
+from cosim.step.accuracy import pose_variance, sensors_of, stated
 from cosim.step.exchange import Exchange, Senders, Vehicles
 from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections
 from cosim.step.known import for_trust
@@ -141,7 +141,8 @@ def list_objects(
         origin_m = sensors_of(objects.observer, sensing.row, observed.sweeps.poses.origin_m)
         own_mps = world.speed_mps[objects.observer]
         limit_mps = parts.limits.at(objects.boxes.xyz_m[:, :2])
-        objects = stated(objects, tracks, origin_m, own_mps, limit_mps, parts.accuracy, parts.config)
+        pose = pose_variance(world.is_roadside[objects.observer], parts.config)
+        objects = stated(objects, tracks, origin_m, own_mps, limit_mps, pose, parts.accuracy, parts.config)
     detections, ptr = for_trust(objects, message, len(senders))
     return cpm, Listed(
         objects=objects,

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from cosim.config.config import Config, chosen, load
+from cosim.config.config import Config, chosen, chosen_model, load
 from cosim.runs.manifest import toml_text
 
 
@@ -184,6 +184,19 @@ def test_an_own_default_counts_where_a_key_of_the_same_name_is_not_set(tmp_path)
     (tmp_path / "policy.py").write_text(head.format("own_gap_s: float = 7.0") + body.format(changes))
     (tmp_path / "mine.toml").write_text('[pseudonyms]\npolicy = "policy.py:Mine"\n')
     assert chosen(load(tmp_path / "mine.toml"), "pseudonyms")[1].own_gap_s == 1.5
+
+
+@pytest.mark.parametrize(
+    ("of_trust", "of_variant", "decay_per_s"), [("beta", "belief_graph", 0.95), ("eigentrust", "beta", 0.98)]
+)
+def test_a_variant_of_another_model_has_that_model_s_defaults(of_trust, of_variant, decay_per_s):
+    """Both have a parameter of this name, and each its own value where nobody sets one."""
+    variant = "trust_variant.0.name=other", f"trust_variant.0.model={of_variant}"
+    for sets in ((), ("trust.decay_per_s=0.5",)):
+        config = load(None, [f"trust.model={of_trust}", *variant, *sets])
+        assert chosen_model(config.trust_variant[0])[1].decay_per_s == decay_per_s
+    same = load(None, [f"trust.model={of_trust}", "trust.decay_per_s=0.5", variant[0], "trust_variant.0.freshness_s=5"])
+    assert chosen_model(same.trust_variant[0])[1].decay_per_s == 0.5
 
 
 def test_earlier_names_of_keys_are_unknown_keys(tmp_path):

@@ -74,6 +74,21 @@ def of_fused(sensed, world):
     ])  # fmt: skip
 
 
+def test_where_a_roadside_unit_stands_is_known():
+    """Position errors of 5 m have a variance of 25 m2 along each axis, of which matching counts 4 m2 (`bounded`)."""
+    sets = [*SETTINGS, "traffic.duration_s=2", "gnss.std_m=5", "roadside.0.junctions=3"]
+    stated_m2 = {True: [], False: []}
+    with Simulation(load(None, sets)) as simulation:
+        for result in simulation:
+            if (sensed := result.result.sensed) is not None:
+                objects = sensed.listed.objects
+                for is_roadside, found in stated_m2.items():
+                    rows = result.world.is_roadside[objects.observer] == is_roadside
+                    found.append(objects.variance_m2[rows, 0])
+    of_units, of_vehicles = (np.concatenate(stated_m2[is_roadside]) for is_roadside in (True, False))
+    assert (of_vehicles == 4.0).mean() > 0.99 and len(of_units) > 50 and np.median(of_units) < 0.5
+
+
 @pytest.mark.parametrize("label", [-1, 0, 1], ids=["self", "car", "pedestrian"])
 def test_normalised_errors_have_unit_variance(drive, label):
     """The squared error in units of the variance is 2 on average, in two dimensions. The median is that of an

@@ -8,8 +8,8 @@ import pytest
 from cosim.config.config import resolve_data
 from cosim.messages import etsi
 from cosim.messages.content import FABRICATED, Detections
-from cosim.step.accuracy import DetectorAccuracy, aged, stated
-from cosim.step.comparing import _permitted_share
+from cosim.step.accuracy import DetectorAccuracy, aged, pose_variance, stated
+from cosim.step.comparing import RelativeAccuracy, _permitted_share
 from sensors.association import (
     LEAST_VARIANCE_M2,
     MOST_VARIANCE_M2,
@@ -38,7 +38,8 @@ def ghosts(*factors, x_m=0.0, moves=False):
         transmitted=np.ones(n, bool), velocity_mps=np.full((n, 2), 0.0 if moves else np.nan),
         accuracy_factor=np.array(factors, float),
     )  # fmt: skip
-    return stated(listed, None, np.zeros((n, 3)), np.zeros(n), np.full(n, np.nan), DetectorAccuracy(), CONFIG)
+    pose = pose_variance(np.zeros(n, bool), CONFIG)
+    return stated(listed, None, np.zeros((n, 3)), np.zeros(n), np.full(n, np.nan), pose, DetectorAccuracy(), CONFIG)
 
 
 def test_stated_variances():
@@ -158,5 +159,6 @@ def test_where_free_space_is_asked(factor, share):
     ghost = ghosts(factor)
     lists = SimpleNamespace(member=np.zeros(1, int), of_member=lambda: np.zeros(1, int))
     plausible = np.zeros(1, bool)
-    found = _permitted_share(_FreeSpace(), None, lists, plausible, ghost.boxes, ghost.variance_m2, AreaParams())
+    accuracy = RelativeAccuracy(ghost.variance_m2, np.zeros(1))
+    found = _permitted_share(_FreeSpace(), None, lists, plausible, ghost.boxes, accuracy, AreaParams())
     np.testing.assert_allclose(found, [share])

@@ -151,6 +151,13 @@ def test_boxes_of_fused_objects_are_those_of_earlier_messages(runs):
         assert (fused.source_step < fused.step).any()
 
 
+def test_messages_under_each_pseudonym(tmp_path):
+    """Vehicles send when they sense, not in every step in which one of them does."""
+    run = open_run(drive(tmp_path / "run", *RANDOM, "traffic.duration_s=14", "pseudonyms.policy=disposable"))
+    mean = run.manifest["summary"]["messages_per_pseudonym"]
+    assert mean == pytest.approx(len(run.cpm_content) / len(run.pseudonyms), abs=0.01)
+
+
 @pytest.mark.verify
 def test_neither_threads_nor_blocks_change_a_table(runs, tmp_path):
     """`tests/test_determinism.py` says so where all sense together."""
