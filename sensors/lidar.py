@@ -275,6 +275,8 @@ class RangeImages:
     range_steps: UInt16[ndarray, "m a e"]
     """Range that the sensor reports, in steps of `step_m`; `NO_RETURN` if the ray has no return."""
     step_m: float
+    sweep_s: float
+    """As `LidarParams.sweep_s`."""
 
     def displaced(self, error: Float[ndarray, "m 3"]) -> RangeImages:
         """These images, taken for those of sensors with other poses.
@@ -480,6 +482,7 @@ def scan(
         max_range_m=params.max_range_m,
         range_steps=range_steps,
         step_m=step_of(params),
+        sweep_s=params.sweep_s,
         hit=hit,
         unrounded_m=np.empty(size if unrounded else (0, *size[1:]), np.float32),
         speed_mps=bodies.speed_mps,
@@ -534,6 +537,7 @@ def range_images(
         max_range_m=params.max_range_m,
         range_steps=range_steps,
         step_m=step_of(params),
+        sweep_s=params.sweep_s,
     )
 
 

@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from cosim.config.config import Config
 from cosim.messages.content import SELF, SENSED, Detections, velocities
+from cosim.world import World
 from sensors.association import bounded
 from sensors.tracking import ObjectStates, TrackingParams, expected_speed
 
@@ -42,13 +43,36 @@ _PLAIN_SIGMA_M, _PLAIN_SIGMA_RAD, _PLAIN_SIZE_SIGMA = 0.3, 0.2, 0.1
 """Standard deviations of position, heading and size that are stated where the detector does not know its own."""
 
 
+class Reporters(NamedTuple):
+    """What the accuracy of D detections depends on, of the vehicles that report them."""
+
+    sensor_m: Float[ndarray, "d 3"]
+    """Where each vehicle believes its sensor to be."""
+    speed_mps: Float[ndarray, "d"]
+    pose: Float[ndarray, "d 2"]
+    """As `pose_variance` returns it."""
+    sweep_s: Float[ndarray, "d"]
+    """Time that a sweep takes."""
+
+    @staticmethod
+    def of(
+        world: World, observer: Int[ndarray, "d"], sensing: Int[ndarray, "s"], sweeps: Any, c: Config
+    ) -> "Reporters":
+        """Those in the rows `observer` of the world; `sensing` are the rows whose `sweeps` these are, ascending."""
+        at = np.searchsorted(sensing, observer)
+        return Reporters(
+            sensor_m=sweeps.poses.origin_m[at],
+            speed_mps=world.speed_mps[observer],
+            pose=pose_variance(world.is_roadside[observer], c),
+            sweep_s=np.broadcast_to(sweeps.sweep_s, len(sensing))[at],
+        )
+
+
 def stated(
     listed: Detections,
     tracks: ObjectStates | None,
-    origin_m: Float[ndarray, "d 3"],
-    own_mps: Float[ndarray, "d"],
+    reporters: Reporters,
     limit_mps: Float[ndarray, "d"],
-    pose: Float[ndarray, "d 2"],
     detector: DetectorAccuracy,
     c: Config,
 ) -> Detections:
@@ -60,14 +84,10 @@ def stated(
         Detections as vehicles list them.
     tracks
         What tracking says of the sensed ones, in their order; None without tracking.
-    origin_m
-        Sensor of the vehicle of each detection, where it believes it to be.
-    own_mps
-        Speed of the vehicle of each detection.
+    reporters
+        The vehicle of each detection.
     limit_mps
         Speed limit of the road at each detection; NaN where it is not known.
-    pose
-        Variances of the pose of the vehicle of each detection, as `pose_variance` returns them.
     detector
         What the detector knows of its own accuracy.
     c
@@ -88,7 +108,7 @@ def stated(
     detector's variance, those of a self report none.
     """
     is_self = listed.origin == SELF
-    away_m = listed.boxes.xyz_m[:, :2] - origin_m[:, :2]
+    away_m = listed.boxes.xyz_m[:, :2] - reporters.sensor_m[:, :2]
     range_m = np.hypot(*away_m.T)
     seen = listed.n_points, listed.label, range_m
     sigma_m, sigma_rad, size_sigma = (
@@ -96,13 +116,13 @@ def stated(
         for sigma, plain in zip(detector[:3], (_PLAIN_SIGMA_M, _PLAIN_SIGMA_RAD, _PLAIN_SIZE_SIGMA), strict=True)
     )
     of_detector = np.where(is_self, 0.0, sigma_m**2)
-    of_position, of_heading = pose.T
+    of_position, of_heading = reporters.pose.T
     across = np.where(is_self, 0.0, of_heading)
     x, y = away_m.T
     moves = velocities(listed)
     known = np.isfinite(moves).all(axis=1)
-    of_class = _speed_variance(listed.label, limit_mps, own_mps, c.tracking)
-    of_sweep = np.where(is_self, 0.0, c.lidar.sweep_s**2 / 12.0)
+    of_class = _speed_variance(listed.label, limit_mps, reporters.speed_mps, c.tracking)
+    of_sweep = np.where(is_self, 0.0, reporters.sweep_s**2 / 12.0)
     vx, vy = np.where(known[:, None], moves, 0.0).T
     anywhere = np.where(known, 0.0, of_class)
     by_itself = of_sweep * anywhere
@@ -162,8 +182,3 @@ def _speed_variance(
     """Variance of the velocity along each axis of an object without a track. The heading may be reversed."""
     mean_mps, sigma_mps = expected_speed(label, limit_mps, own_mps, params)
     return 0.5 * (mean_mps**2 + sigma_mps**2 + np.asarray(params.across_sigma_mps)[label] ** 2)
-
-
-def sensors_of(observer: Int[ndarray, "d"], rows: Int[ndarray, "s"], origin_m: Float[ndarray, "s 3"]) -> ndarray:
-    """Sensor of the observer of each detection; `rows` are the observers' rows of the world, ascending."""
-    return origin_m[np.searchsorted(rows, observer)]

@@ -19,7 +19,7 @@ from cosim.messages.content import (
 from cosim.messages.cpm_generation import CpmContent, CpmState, Generators, generate
 from cosim.messages.pseudonyms import PseudonymState
 from cosim.radio.medium import gap_s
-from cosim.step.accuracy import pose_variance, sensors_of, stated
+from cosim.step.accuracy import Reporters, stated
 from cosim.step.exchange import Exchange, Senders, Vehicles
 from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections
 from cosim.step.known import for_trust
@@ -138,11 +138,9 @@ def list_objects(
     if tracks is not None:
         tracks = tracks.take(was_sensed[order[objects.origin == SENSED]])
     if parts.config.trust.matching == "gates":
-        origin_m = sensors_of(objects.observer, sensing.row, observed.sweeps.poses.origin_m)
-        own_mps = world.speed_mps[objects.observer]
+        reporters = Reporters.of(world, objects.observer, sensing.row, observed.sweeps, parts.config)
         limit_mps = parts.limits.at(objects.boxes.xyz_m[:, :2])
-        pose = pose_variance(world.is_roadside[objects.observer], parts.config)
-        objects = stated(objects, tracks, origin_m, own_mps, limit_mps, pose, parts.accuracy, parts.config)
+        objects = stated(objects, tracks, reporters, limit_mps, parts.accuracy, parts.config)
     detections, ptr = for_trust(objects, message, len(senders))
     return cpm, Listed(
         objects=objects,

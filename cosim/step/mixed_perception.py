@@ -39,6 +39,11 @@ class MixedImages:
             origin_m[mine], yaw_rad[mine] = images.poses.origin_m, images.poses.yaw_rad
         return lidar.Poses(origin_m, yaw_rad)
 
+    @property
+    def sweep_s(self) -> Float[ndarray, "m"]:
+        """Time that the sweep of each observer takes."""
+        return np.array([images.sweep_s for images in self.of_lidar])[self.lidar]
+
     def displaced(self, error: Float[ndarray, "m 3"]) -> "MixedImages":
         """As `RangeImages.displaced`."""
         moved = [images.displaced(error[self.lidar == n]) for n, images in enumerate(self.of_lidar)]

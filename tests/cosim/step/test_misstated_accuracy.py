@@ -8,7 +8,7 @@ import pytest
 from cosim.config.config import resolve_data
 from cosim.messages import etsi
 from cosim.messages.content import FABRICATED, Detections
-from cosim.step.accuracy import DetectorAccuracy, aged, pose_variance, stated
+from cosim.step.accuracy import DetectorAccuracy, Reporters, aged, pose_variance, stated
 from cosim.step.comparing import RelativeAccuracy, _permitted_share
 from sensors.association import (
     LEAST_VARIANCE_M2,
@@ -39,7 +39,8 @@ def ghosts(*factors, x_m=0.0, moves=False):
         accuracy_factor=np.array(factors, float),
     )  # fmt: skip
     pose = pose_variance(np.zeros(n, bool), CONFIG)
-    return stated(listed, None, np.zeros((n, 3)), np.zeros(n), np.full(n, np.nan), pose, DetectorAccuracy(), CONFIG)
+    reporters = Reporters(np.zeros((n, 3)), np.zeros(n), pose, np.full(n, CONFIG.lidar.sweep_s))
+    return stated(listed, None, reporters, np.full(n, np.nan), DetectorAccuracy(), CONFIG)
 
 
 def test_stated_variances():

@@ -58,6 +58,14 @@ def observed():
     return found
 
 
+def test_each_sweep_takes_the_time_of_its_own_sensor():
+    """A quarter of a turn at 10 Hz takes 0.025 s. Units look all around."""
+    config = load(None, ["lidar.profile=hdl64e_front", "lidar.rotation_hz=10", "sensing_interval_s=1"])
+    world, perception = world_of(True), MixedPerception.of(perception_of(config, Scene.empty()), UNITS)
+    sweeps = perception(world, np.arange(len(world)), Stopwatch()).sweeps
+    np.testing.assert_allclose(sweeps.sweep_s, np.where(world.is_roadside, 0.1, 0.025))
+
+
 def test_vehicles_perceive_what_they_perceive_without_units(observed):
     """Bit for bit: no ray meets a unit, and draws are keyed by names."""
     (alone, _, before), (world, _, after) = observed
