@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from results.figures import style
+from results.metrics.registry import bounds_of
 from results.study import (
     EVERYTHING,
     StudyResults,
@@ -284,7 +285,7 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str, at: Se
         grid = cells.reindex(pd.MultiIndex.from_product([shown_rows, columns]))
         mean = grid["mean"].to_numpy(float).reshape(len(shown_rows), -1)
         first = of_metric.iloc[0]
-        top = 1.0 if first.unit == "1" else float(np.nanmax(mean)) or 1.0
+        top = 1.0 if bounds_of(first.metric)[1] == 1 else float(np.nanmax(mean)) or 1.0
         image = axes.imshow(mean, cmap="cividis", vmin=0, vmax=top, aspect="auto")
         for i, j in np.argwhere(~np.isnan(mean)) if has_room else ():
             ink = "black" if mean[i, j] > 0.55 * top else "white"
@@ -364,7 +365,7 @@ def _height(axes: Axes, of_metric: pd.DataFrame) -> None:
     top = float(high.max())
     if mean.max() > 0:
         top = min(top, _WIDE * float(mean.max()))
-    if of_metric.unit.iloc[0] == "1" and low.min() >= 0:
+    if bounds_of(of_metric.metric.iloc[0])[1] == 1 and low.min() >= 0:
         style.share_axis(axes, min(1.0, max(0.05, 1.04 * top)))
     else:
         least = max(float(low.min()), _WIDE * float(mean.min()))

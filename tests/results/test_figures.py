@@ -146,6 +146,28 @@ def test_heat_map_of_attacks_and_models(tmp_path):
     assert "2 to 3 seeds, 95 % intervals up to ±.23" in axes.get_title(loc="left").replace("\n", " ")
 
 
+@pytest.mark.parametrize(("metric", "top"), [("evidence.fused.multiplicity", 3.5), ("misbehaviour.auc", 0.8)])
+def test_every_mean_is_within_the_axis_and_the_scale(metric, top, tmp_path):
+    """Multiplicity has the unit 1 and is no share: it may be 3.5."""
+    drawn = []
+    for what, levels in (("map", ("beta", "mate")), ("lines", (10.0, 50.0))):
+        keys = [(attack, level) for attack in ("ghosts", "replay") for level in levels]
+        points = pd.DataFrame([
+            {"point": str(i), "run": "all", "variant": "base", "replicate": 0, "attack": attack, "level": level}
+            for i, (attack, level) in enumerate(keys)
+        ])  # fmt: skip
+        (tmp_path / what / "jobs" / "all").mkdir(parents=True)
+        pd.DataFrame({
+            "point": points.point, "metric": metric, "group": "", "value": np.linspace(top / 2, top, 4), "unit": "1",
+            "label": "x",
+        }).to_parquet(tmp_path / what / "jobs" / "all" / "measures.parquet")  # fmt: skip
+        head = {"name": "s", "question": "", "keys": ["attack", "level"], "baseline": {}}
+        study = StudyResults(tmp_path / what, head, points)
+        drawn.append(study_figure.draw(study, metric.partition(".")[0], [metric]).axes[0])
+    assert drawn[0].images[0].get_clim() == (0, max(top, 1))
+    assert top <= drawn[1].get_ylim()[1] < 1.1 * top
+
+
 def test_the_ideal_observer_is_the_first_row_of_a_heat_map_of_models(tmp_path):
     """One bound per attack, the same for both models; a metric without a bound has no such row."""
     keys = [("ghosts", "beta"), ("ghosts", "mate"), ("replay", "beta"), ("replay", "mate")]

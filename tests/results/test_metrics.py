@@ -7,7 +7,7 @@ import pytest
 
 from cosim.addons.attacks import effects as attack
 from results.measure import measure
-from results.metrics import encounters, freshness, misbehaviour, radio, trust
+from results.metrics import encounters, freshness, misbehaviour, radio, traffic, trust
 from results.metrics.registry import METRICS
 from tests.results.tiny import fleet
 
@@ -213,7 +213,10 @@ def test_frames_are_frames(run):
 
 
 def test_nobody_met_is_no_encounter_and_not_unknown(tiny):
-    """Two vehicles are on the road for 10 s and meet within 50 m, not within 20 m: 0 per hour there, not nothing."""
+    """Two vehicles are on the road for 20 s and meet within 50 m, not within 20 m: 0 per hour there, not nothing.
+
+    If both are away for 10 s of the 20 s, they meet twice as often in the time in which they are there.
+    """
     asked = {"radius_m": 20.0, "hysteresis_s": 3.0, "pairs": "equipped", "los": "buildings", "pedestrians": False}
     here = encounter(0, 1, 2, 8, pairs="equipped")
     run = tiny(20, config={"encounters": [asked]}, encounters=[here], vehicles=fleet("honest", "honest"))
@@ -221,3 +224,6 @@ def test_nobody_met_is_no_encounter_and_not_unknown(tiny):
     assert (nothing.radius_m, nothing.n, one.n) == (20, 0, 1)
     assert math.isnan(nothing.mean_s)
     assert encounters.rates(run).per_vehicle_h.tolist() == pytest.approx([0, 180])
+    away = tiny(20, encounters=[here], vehicles=fleet("honest", "honest", n_steps=10))
+    assert encounters.rates(away).per_vehicle_h.tolist() == pytest.approx([360])
+    assert traffic.on_road(away)["mean"].tolist() == [1, 1]

@@ -126,7 +126,9 @@ def trace(tmp_path, rows) -> Path:
 def test_gaps_censor(tmp_path):
     """Two stand 10 m apart from 0 s to 9 s and from 50 s to 59 s: four ends of observation, no end of an encounter."""
     rows = [(who, t, x, 0) for t in [*range(10), *range(50, 60)] for who, x in (("a", 0), ("b", 10))]
-    one = count([trace(tmp_path, rows)], tmp_path / "o", max_gap_s=30.0).encounters
+    run = count([trace(tmp_path, rows)], tmp_path / "o", max_gap_s=30.0)
+    one = run.encounters
+    assert run.vehicles.n_steps.tolist() == [20, 20]
     assert one[["start_step", "end_step"]].to_numpy().tolist() == [[0, 10], [50, 60]]
     assert one.censored_left.all() and one.censored_right.all() and one.gap_s.tolist()[1:] == [40]
     joined = count([trace(tmp_path, rows)], tmp_path / "p", max_gap_s=60.0).encounters
