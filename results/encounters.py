@@ -102,7 +102,7 @@ class EncounterTracker:
     `close` is censored on the right (also during a break that may still be bridged), and so lasts at least
     as long as its duration says. An actor that leaves the simulation ends its encounters: that is
     no censoring, because the pair no longer exists; `departed` marks them for another convention.
-    The end of a pair's last encounter is known while both stay on the road, or for good if `appearance` is
+    The end of a pair's last encounter is remembered while both are on the road, or for good if `appearance` is
     "censors".
 
     With `n_variants` trust variants, columns of trust are arrays (encounter, variant): `by_variant` takes them apart.
@@ -125,7 +125,6 @@ class EncounterTracker:
         self._patience = max(1, int(np.ceil(params.hysteresis_s / dt_s - 1e-9)))
         self._step: int | None = None
         self._present = np.zeros(0, np.int64)
-        self._since = np.zeros(0, np.int64)  # step in which each of them came
         self._pair = np.zeros(0, np.int64)  # a << 32 | b, sorted
         self._slot = np.zeros(0, np.int64)  # where the columns hold each pair
         self._free = np.zeros(0, np.int64)  # slots that hold none
@@ -182,11 +181,9 @@ class EncounterTracker:
             given, pair = given[order], pair[order]
             assert (pair[1:] > pair[:-1]).all(), "a pair is given twice"
         present = np.sort(np.asarray(present, np.int64))
-        at, stayed = _find(self._present, present)
-        since = np.full(len(present), step)
-        since[stayed] = self._since[at[stayed]]
+        came = np.setdiff1d(present, self._present, assume_unique=True)
         left = np.setdiff1d(self._present, present, assume_unique=True)
-        self._step, self._present, self._since = step, present, since
+        self._step, self._present = step, present
 
         at, under_way = _find(self._pair, pair)
         live, now = self._live, self._slot[at[under_way]]
@@ -210,7 +207,7 @@ class EncounterTracker:
         keep = np.ones(len(self._pair), bool)
         keep[over] = False
         new_pair = pair[new]
-        opened = self._opened(step, new_pair, metres[new], visible[new], present[~stayed], first)
+        opened = self._opened(step, new_pair, metres[new], visible[new], came, first)
         self._merge(keep, new_pair, opened)
         return rows, given[new]
 
@@ -340,8 +337,6 @@ class EncounterTracker:
             at, met = _find(past[0], pair)
             opened["previous_end"][met] = past[1][at[met]]
             opened["again"] |= met
-        of_both = np.searchsorted(self._present, _actors(pair))
-        opened["again"] &= self._censors | (opened["previous_end"] > self._since[of_both]).all(axis=0)
         opened["start"][:] = step
         opened["end"][:] = step + 1
         opened["n"][:] = 1

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from results import encounters
 from results.encounters import EncounterParams, EncounterTracker
 from results.recorder import Recorder
 
@@ -212,14 +211,6 @@ def test_memory_is_bounded_by_the_actors_on_the_road():
         tracker.update(step, a, b, np.ones(len(a)), np.ones(len(a), bool), present)
     assert len(tracker) == 190
     assert len(tracker._past[0]) + len(tracker._pending[0]) < 5000
-
-
-@pytest.mark.parametrize("pending", [0, 4096])
-def test_a_pair_of_which_one_was_away_meets_for_the_first_time(pending, monkeypatch):
-    """In contact at 0 s and 2 s; the second one is away at 3 s and back in contact at 4 s and 6 s."""
-    monkeypatch.setattr(encounters, "_PENDING", pending)
-    found = follow(on_a_line(1, 50, 1, None, 1, 50, 1), EncounterParams(radius_m=10, hysteresis_s=0, pairs="all"))
-    assert [(row["start_step"], row["gap_s"]) for row in found] == [(0, None), (2, 1), (4, None), (6, 1)]
 
 
 def test_first_contact_counts_only_when_an_encounter_begins():

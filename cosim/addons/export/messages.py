@@ -32,20 +32,27 @@ class ReceivedMessages:
     """What some vehicles sensed of themselves and received."""
 
     own: pd.DataFrame
-    """step, vehicle and `POSE`: true states, sorted."""
+    """step, vehicle and `POSE`: true states, by vehicle and step."""
     messages: pd.DataFrame
     """receiver, step, sender (pseudonym), vehicle that sent, send_s, receive_s, `POSE` as reported, is_attack; by
     receiver and time of reception."""
 
 
+def message_steps(selection: Selection) -> Int[ndarray, "s"]:
+    """The chosen steps, and those in which messages were sent that vehicles received in the chosen steps."""
+    chosen = pc.field("step").isin(selection.steps.tolist())
+    got = selection.run.parts("receptions", ["message_step"], chosen)
+    return np.unique(np.concatenate([selection.steps, *(part.message_step.unique() for part in got)]))
+
+
 class ExportedMessages:
-    """All messages with a self report that were sent in the chosen steps."""
+    """All messages with a self report that were sent, or received, in the chosen steps."""
 
     def __init__(self, selection: Selection) -> None:
         self.selection = selection
         self._run = selection.run
-        self._in_steps = pc.field("step").isin(selection.steps.tolist())
-        where = self._in_steps & (pc.field("detection_index") == 0)
+        self._steps = message_steps(selection)
+        where = pc.field("step").isin(self._steps.tolist()) & (pc.field("detection_index") == 0)
         found = self._run.table("detections", ["step", "observer", *POSE, "transmitted"], where)
         found = found[found.transmitted]
         if found.empty and not self._run.config.get("sensing", True):
@@ -78,13 +85,13 @@ class ExportedMessages:
         return np.asarray(step, np.int64) * 10**self._digits + np.asarray(pseudonym, np.int64)
 
     def own(self, vehicles: list[int]) -> pd.DataFrame:
-        """True states of vehicles in the chosen steps; acceleration is the change of speed since the step before."""
+        """True states of vehicles in the steps of `message_steps`; acceleration is the change since the step before."""
         columns = ["step", "actor", "x_m", "y_m", "z_m", "yaw_rad", "speed_mps"]
         found = self._run.table("actors", columns, pc.field("actor").isin(vehicles)).sort_values(["actor", "step"])
         before = found.groupby("actor")[["step", "speed_mps"]].shift()
         change = (found.speed_mps - before.speed_mps) / self._run.dt_s
         found["acceleration_mps2"] = change.where(found.step - before.step == 1, 0.0)
-        found = found[found.step.isin(self.selection.steps)]
+        found = found[found.step.isin(self._steps)]
         return found.rename(columns={"actor": "vehicle"}).sort_values(["vehicle", "step"], ignore_index=True)
 
     def units(self, files: Callable[["ExportedMessages", list[int], Clouds], Iterator[File]]) -> list[Unit]:
@@ -94,7 +101,8 @@ class ExportedMessages:
     def received(self, receivers: list[int]) -> ReceivedMessages:
         """What these vehicles received."""
         columns = ["step", "message_step", "sender", "receiver", "generation_offset_s", "latency_s"]
-        where = self._in_steps & pc.field("receiver").isin(receivers) & (pc.field("message_type") == "cpm")
+        steps = pc.field("step").isin(self.selection.steps.tolist())
+        where = steps & pc.field("receiver").isin(receivers) & (pc.field("message_type") == "cpm")
         got = self._run.table("receptions", columns, where)
         got = got.drop(columns="step").rename(columns={"message_step": "step"})
         sent = self.sent.rename(columns={"observer": "sender"})

@@ -117,8 +117,9 @@ def _windows(
     """Scenarios of `WINDOW_S` of vehicles that sense together, every `interval` steps."""
     found = []
     width = max(1, round(WINDOW_S / (interval * selection.run.dt_s)))
-    for at in range(0, len(steps), width):
-        part = steps[at : at + width]
+    gaps = np.flatnonzero(np.diff(steps) != interval) + 1
+    parts = [span[at : at + width] for span in np.split(steps, gaps) for at in range(0, len(span), width)]
+    for part in parts:
         here = presence[presence.step.isin(part.tolist())]
         counts = here.vehicle.value_counts()
         throughout = np.sort(counts.index[counts == len(part)].to_numpy())

@@ -35,7 +35,7 @@ from numpy import ndarray
 
 from cosim.addons.export import kitti
 from cosim.addons.export.frames import compass_deg
-from cosim.addons.export.messages import units_of
+from cosim.addons.export.messages import message_steps, units_of
 from cosim.base.codes import ObjectClass
 from cosim.base.earth import OnEarth, Projection
 from cosim.base.plane import turned_by
@@ -174,8 +174,8 @@ class PcapPackets:
 
     @cached_property
     def _all(self) -> dict[tuple[int, int], list[bytes]]:
-        """Frames of all senders in all steps."""
-        steps = self.selection.steps
+        """Frames of all senders in the steps in which received messages were sent."""
+        steps = message_steps(self.selection)
         found: dict[tuple[int, int], list[bytes]] = {}
         for at in range(0, len(steps), BLOCK_STEPS):
             found |= self.frames(steps[at : at + BLOCK_STEPS], None)

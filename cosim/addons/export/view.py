@@ -479,13 +479,15 @@ def _of(run: Run, table: str, where: pc.Expression, vehicles: Sequence[int]) -> 
 
 
 def _received(run: Run, where: pc.Expression, vehicles: Sequence[int]) -> pd.DataFrame:
-    """Boxes in the messages that the chosen vehicles received. Empty if the run has no table `receptions`."""
+    """Boxes in the messages that the chosen vehicles received, by step of reception. Empty without `receptions`."""
     if not vehicles or "receptions" not in run.tables:
         return pd.DataFrame(columns=["step", *BOX])
     mine = where & pc.field("receiver").isin(list(vehicles)) & (pc.field("message_type") == "cpm")
-    got = run.table("receptions", ["step", "sender"], mine).drop_duplicates()
-    sent = run.table("detections", ["step", "observer", *BOX, "transmitted"], where)
-    return sent[sent.transmitted].merge(got, left_on=["step", "observer"], right_on=["step", "sender"])
+    got = run.table("receptions", ["step", "message_step", "sender"], mine).drop_duplicates()
+    when = pc.field("step").isin(got.message_step.unique().tolist())
+    sent = run.table("detections", ["step", "observer", *BOX, "transmitted"], when)
+    sent = sent[sent.transmitted].rename(columns={"step": "message_step", "observer": "sender"})
+    return sent.merge(got, on=["message_step", "sender"])
 
 
 def drawn_boxes(boxes: Boxes, colour: UInt8[ndarray, "..."], solid: bool = False):  # type: ignore[no-untyped-def]

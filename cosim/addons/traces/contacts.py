@@ -293,10 +293,10 @@ def _of_positions(paths: Sequence[Path], params: ContactParams, out: Path | None
     read = positions.read(
         paths, params.columns, params.frame_hz, params.repair, params.time_unit_s, params.length_unit_m
     )
-    fixes, step_s = _cut(read, params, paths[0]), params.step_s
+    (fixes, length_s), step_s = _cut(read, params, paths[0]), params.step_s
     if step_s is None:
         fixes, step_s = tracks.on_own_steps(fixes)
-    track_params = TrackParams(step_s, params.max_gap_s, params.max_speed_mps)
+    track_params = TrackParams(step_s, params.max_gap_s, params.max_speed_mps, length_s)
     try:
         found = tracks.tracks(fixes, track_params)
     except ValueError as error:
@@ -331,22 +331,28 @@ def _of_positions(paths: Sequence[Path], params: ContactParams, out: Path | None
     return counted.folder
 
 
-def _cut(fixes: Fixes, params: ContactParams, path: Path) -> Fixes:
-    """Positions in the time that is counted; its begin becomes time 0."""
+def _cut(fixes: Fixes, params: ContactParams, path: Path) -> tuple[Fixes, float]:
+    """Positions in the time that is counted, and the next ones of the same actors before and after it, and how long it
+    is [s]. Its begin becomes time 0."""
     if params.from_s is None and params.to_s is None:
-        return fixes
+        return fixes, math.inf
     begin = float(fixes.begin)
     from_s = 0.0 if params.from_s is None else params.from_s - begin
-    keep = (fixes.time_s >= from_s) & (fixes.time_s <= (math.inf if params.to_s is None else params.to_s - begin))
+    to_s = math.inf if params.to_s is None else params.to_s - begin
+    keep = (fixes.time_s >= from_s) & (fixes.time_s <= to_s)
+    reaches = (np.diff(fixes.actor) == 0) & (fixes.time_s[:-1] < to_s) & (fixes.time_s[1:] > from_s)
+    keep[:-1] |= reaches
+    keep[1:] |= reaches
     if not keep.any():
         raise TrafficError(
             f"{path}: no position in the span of --from and --to; the trace goes from {fixes.begin} to "
             f"{begin + float(fixes.time_s.max()):.10g} s."
         )
-    return replace(
+    cut = replace(
         fixes, actor=fixes.actor[keep], time_s=fixes.time_s[keep] - from_s, xy_m=fixes.xy_m[keep],
         begin=f"{begin + from_s:.10g}",
     )  # fmt: skip
+    return cut, to_s - from_s
 
 
 def _near(

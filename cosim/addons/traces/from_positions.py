@@ -31,7 +31,7 @@ def write_trace(fixes: Fixes, params: TrackParams, out: Path) -> dict[str, Any]:
     Parameters
     ----------
     fixes
-        Positions of the centres of vehicles.
+        Positions of vehicles.
     params
         Steps of the trace, and where a track is cut.
     out
@@ -99,7 +99,7 @@ def timesteps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Ti
             direction[of] = way_m / np.hypot(*way_m.T)[:, None]
             turned_m[of] = here.xy_m[some]
         ahead = direction[here.track]
-        front_m = here.xy_m + ahead * lwh_m[here.track, :1] / 2
+        front_m = here.xy_m if fixes.is_front else here.xy_m + ahead * lwh_m[here.track, :1] / 2
         yield Timestep(
             here.step * step_s,
             names[here.track].tolist(),

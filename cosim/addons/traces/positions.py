@@ -49,6 +49,8 @@ class PositionColumns:
     """Whether the time is the number of a video frame."""
     y_down: bool = False
     """Whether y points down, as in an image."""
+    is_front: bool = False
+    """Whether positions are those of the front bumper. They are centres otherwise."""
 
 
 LAYOUTS: dict[str, PositionColumns] = {
@@ -71,6 +73,7 @@ LAYOUTS: dict[str, PositionColumns] = {
         size=("v_Length", "v_Width"),
         time_unit_s=1e-3,
         length_unit_m=0.3048,
+        is_front=True,
     ),
     "table": PositionColumns("id", "time", "x", "y"),
     "degrees": PositionColumns("id", "time", "lat", "lon", is_degrees=True),
@@ -125,6 +128,8 @@ class Fixes:
     """How the numbers of the trace were understood, where that is not metres and seconds."""
     source: str = ""
     """Its files, for error messages."""
+    is_front: bool = False
+    """Whether positions are those of the front bumper. They are centres otherwise."""
 
     @property
     def types(self) -> list[vtypes.VehicleType]:
@@ -162,6 +167,7 @@ class _Rows:
     speed: Float[ndarray, "n"] | None = None
     """In a unit that is not known."""
     read_as: tuple[str, ...] = ()
+    is_front: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,7 +317,7 @@ def read(
     return Fixes(
         name_of, kinds, read.actor, read.time_s - begin, read.xy, f"{begin:.6f}".rstrip("0").rstrip("."),
         {reason: n for reason, n in repaired.items() if n}, None if np.isnan(lw_m).all() else lw_m,
-        projection if degrees and to_net is None else None, tuple(read_as), where,
+        projection if degrees and to_net is None else None, tuple(read_as), where, rows.is_front,
     )  # fmt: skip
 
 
@@ -427,7 +433,9 @@ def _rows(
         read_as.append(f"{', '.join(unread)} not read: actors look where they go, and north before they move")
     if flat := [name for name in names if name.lower().split("_")[0] in _HEIGHTS]:
         read_as.append(f"{', '.join(flat)} not read: the road is flat")
-    return _Rows(actors, time_s, xy, columns.is_degrees, columns.is_frame, kinds, lw_m, speed, tuple(read_as))
+    return _Rows(
+        actors, time_s, xy, columns.is_degrees, columns.is_frame, kinds, lw_m, speed, tuple(read_as), columns.is_front
+    )
 
 
 def _with_optional(columns: PositionColumns, names: Sequence[str]) -> PositionColumns:

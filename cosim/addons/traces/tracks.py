@@ -28,6 +28,8 @@ class TrackParams:
     """Longest time between two positions of an actor across which it is followed [s]."""
     max_speed_mps: float = 70.0
     """Two positions that ask for a faster motion are a jump: the track is cut there [m/s]."""
+    length_s: float = math.inf
+    """Tracks are placed on the steps from 0 s to this time [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +129,10 @@ def tracks(fixes: Fixes, params: TrackParams) -> PositionTracks:
     track = np.cumsum(~np.r_[False, linked[:-1]]) - 1 if n else np.zeros(0, np.int64)
     # Steps s with time_s[i] <= s * step_s < time_s[i + 1]; the last position of a track has its own step, if on one.
     at = fixes.time_s / params.step_s
-    first = np.ceil(at - _TOLERANCE).astype(np.int64)
-    end = np.where(linked, np.r_[first[1:], 0], np.floor(at + _TOLERANCE).astype(np.int64) + 1)
+    begin = np.ceil(at - _TOLERANCE).astype(np.int64)
+    end = np.where(linked, np.r_[begin[1:], 0], np.floor(at + _TOLERANCE).astype(np.int64) + 1)
+    first = np.maximum(begin, 0)
+    end = np.minimum(end, np.floor(params.length_s / params.step_s + _TOLERANCE) + 1).astype(np.int64)
     some = end > first
     if not some.any():
         raise ValueError(

@@ -1,5 +1,6 @@
 """Packets: the turning truck by hand, everything that is written read back, and tshark where it is installed."""
 
+import json
 import shutil
 import subprocess
 from dataclasses import replace
@@ -9,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.addons.export import pcap
+from cosim.addons.export import pcap, veremi_nextgen
 from cosim.base.codes import ObjectClass
 from cosim.base.earth import Projection
 from cosim.messages import etsi
@@ -81,6 +82,17 @@ def test_what_each_vehicle_received(run, tmp_path):
         steps = [(readers.cpm(f["message"])["time_ms"] - START_MS) / 1000 for f in frames]
         assert sorted(zip(steps, stations, strict=True)) == sorted(zip(got.step, got.sender, strict=True))
         assert [f["time_s"] - 1_735_689_600 for f in frames] == pytest.approx([s + 0.75 for s in steps])
+
+
+def test_messages_that_were_sent_before_the_chosen_steps(tmp_path):
+    """All messages arrive a step late. In step 2 there are those of step 1, when 0, 1 and 3 were there."""
+    run = truck.make(tmp_path / "run", late=1)
+    of = replace(truck.selection(run), steps=np.array([2]), projection=lambda: NORTH)
+    truck.written(pcap.Pcap(pcap.Params(received=True)).plan(of), tmp_path)
+    cpms = [readers.cpm(f["message"]) for f in of_port(readers.pcap(tmp_path / "veh_0.pcap"), 2009)]
+    assert [(m["station"], m["time_ms"] - START_MS) for m in cpms] == [(1, 1000), (3, 1000)]
+    made = truck.written(veremi_nextgen.VeremiNextGen().plan(of), tmp_path)
+    assert [int(m["sender_alias"]) for m in json.loads(made["veh_0.json"])] == [1, 3]
 
 
 def test_true_north(run, tmp_path):

@@ -52,6 +52,13 @@ def test_a_scenario_has_vehicles_of_one_phase(run, monkeypatch):
     ]  # fmt: skip
 
 
+def test_a_scenario_ends_where_steps_are_left_out(run, monkeypatch):
+    monkeypatch.setattr(opv2v, "MOST", 2)
+    found = opv2v.scenarios_of(selection(run, [0, 1, 2, 3, 4, 10, 11, 12, 13, 14]))
+    steps = [(s.vehicles, s.steps.tolist()) for s in found]
+    assert steps == [((0, 2), [0]), ((1, 3), [3]), ((0, 2), [10]), ((1, 3), [13])]
+
+
 def test_a_perspective_has_a_sweep_of_its_own(run, tmp_path):
     made = truck.written(trupercept.TruPerceptData().plan(selection(run)), tmp_path)
     perspectives = {path.split("/")[3] for path in made if "alt_perspective" in path}

@@ -7,13 +7,15 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+import pyarrow.compute as pc
 import pytest
 from PIL import Image
 
-from cosim.addons.export.view import colours, first_look, follow, role_colours, strips, view
+from cosim.addons.export.view import _received, colours, first_look, follow, role_colours, strips, view
 from cosim.addons.pictures.pictures import film
 from results.archive import open_run
 from tests.drive import cosim, drive
+from tests.results.tiny import fleet, make
 
 pytest.importorskip("rerun", reason="Rerun's SDK is not installed: make extra NAME=view")
 
@@ -60,6 +62,15 @@ def test_roles_have_the_colours_of_the_figures(folder):
     assert honest.tolist() == [0x16, 0x32, 0x5C] and malicious.tolist() == [0xC1, 0x27, 0x2D]
     weights = np.array([0.2126, 0.7152, 0.0722])  # luminance: they differ in greyscale too
     assert weights @ (unequipped - honest) > 100
+
+
+def test_boxes_of_a_late_message_are_those_that_were_sent(tmp_path):
+    """Vehicle 0 sends a box at x = 1 m in step 0 and one at x = 2 m in step 1. The first one arrives in step 1."""
+    sent = [{"step": s, "observer": 0, "x_m": 1.0 + s, "transmitted": True} for s in range(2)]
+    late = [{"step": 1, "message_step": 0, "message_type": "cpm", "sender": 0, "receiver": 1}]
+    run = make(tmp_path, 2, vehicles=fleet("honest", "honest"), detections=sent, receptions=late)
+    assert _received(run, pc.field("step") == 1, [1])[["step", "x_m"]].to_numpy().tolist() == [[1, 1]]
+    assert _received(run, pc.field("step") == 0, [1]).empty
 
 
 def test_the_first_view(folder):

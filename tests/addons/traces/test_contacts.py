@@ -137,6 +137,15 @@ def test_gaps_censor(tmp_path):
     assert ended.censored_left.tolist() == [True, False] and ended.censored_right.tolist() == [False, True]
 
 
+def test_a_span_without_a_position_in_it(tmp_path):
+    """A position every 30 s; from 32 s to 45 s both vehicles are between two of theirs: 14 steps."""
+    rows = [("a", t, t, 0) for t in range(0, 91, 30)] + [("b", t, t, 10) for t in range(1, 92, 30)]
+    run = count([trace(tmp_path, rows)], tmp_path / "o", step_s=1.0, max_gap_s=60.0, from_s=32.0, to_s=45.0)
+    assert run.encounters[["start_step", "end_step"]].to_numpy().tolist() == [[0, 14]]
+    assert run.encounters.min_distance_m.tolist() == [10]
+    assert run.vehicles[["first_step", "last_step", "n_steps"]].to_numpy().tolist() == [[0, 13, 14]] * 2
+
+
 def test_an_encounter_that_is_seen_whole(tmp_path):
     """b passes a at 20 m/s: within 100 m from 5 s to 15 s, eleven steps, of which none is censored."""
     rows = [(who, t, x, 0) for t in range(0, 31, 5) for who, x in (("a", 0), ("b", -200 + 20 * t))]

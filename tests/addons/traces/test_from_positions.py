@@ -187,3 +187,12 @@ def test_wrong_use_is_one_line(words, says, tmp_path):
     ended = cosim("trace", "p.csv", *words, cwd=tmp_path)
     assert ended.returncode == 2 and ended.stderr.count("\n") == 1 and says in ended.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["p.csv"]
+
+
+def test_fronts_stay_fronts(tmp_path):
+    """NGSIM: a truck of 60 ft whose front is at 100 ft, 104 ft ..., and so is that of the trace."""
+    rows = "".join(f"1,{1163065600000 + 100 * k},16,{100 + 4 * k},60,8,3\n" for k in range(5))
+    (tmp_path / "n.csv").write_text("Vehicle_ID,Global_Time,Local_X,Local_Y,v_Length,v_Width,v_Class\n" + rows)
+    write_trace(positions.read([tmp_path / "n.csv"]), TrackParams(STEP_S, 30.0), tmp_path / "out.parquet")
+    fronts = [step.front_m[0, :2] for step in fcd.timesteps(tmp_path / "out.parquet")]
+    assert np.array(fronts) / 0.3048 == pytest.approx(np.array([[16, 100 + 4 * k] for k in range(5)]))
