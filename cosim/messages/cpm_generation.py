@@ -212,14 +212,18 @@ def _select(
     params: CpmParams,
     track: Int[ndarray, "d"],
 ) -> tuple[UInt8[ndarray, "d"], InclusionMemory]:
-    """What becomes of the detections that are included so far, and the memory after the step."""
+    """What becomes of the detections that are included so far, and the memory after the step.
+
+    Detections of vehicles that wait are kept in mind, and stay as they are.
+    """
     inclusion = inclusion.copy()
-    rows = np.flatnonzero(inclusion == Inclusion.INCLUDED)
+    rows = np.flatnonzero(np.isin(inclusion, (Inclusion.INCLUDED, Inclusion.WAITING)))
     seen = listed.take(rows)
     sender = generators.sender[message[rows]]
     now = Remembered.beside(state.included, seen, sender, track[rows], time_s)
     if params.rules == "etsi":
-        inclusion[rows[~due(now, seen.label, sender)]] = Inclusion.NOT_DUE
+        is_candidate = inclusion[rows] == Inclusion.INCLUDED
+        inclusion[rows[is_candidate & ~due(now, seen.label, sender)]] = Inclusion.NOT_DUE
     others = np.flatnonzero((inclusion[rows] == Inclusion.INCLUDED) & (seen.origin != SELF))
     mine = message[rows[others]]
     candidates = Candidates(
@@ -294,7 +298,8 @@ class Remembered:
     def memory_after(self, included: Bool[ndarray, "r"]) -> InclusionMemory:
         """The memory after some of the candidates were included."""
         memory, now = self.memory, self.time_s
-        old = now - memory.time_s < INTERVAL_S - _SLACK_S  # older entries have no effect
+        old = now - memory.time_s < INTERVAL_S - _SLACK_S
+        old[self.near[self.near >= 0]] = True  # older entries have an effect only while their object is detected
         old[self.near[(self.near >= 0) & included]] = False
         of = np.concatenate([memory.of[old], self.of[included]])
         xy_m = np.concatenate([memory.xy_m[old], self.xy_m[included]])

@@ -161,7 +161,8 @@ class SidelinkMedium:
         unit["deadline"] = end_ns // self._slot_ns - 1
         unit["station"] = messages.station[message]
         unit["width"] = self.carrier.width(np.repeat(payload_bytes, count))
-        unit["n_sent"] = self.params.sidelink.n_transmissions
+        is_late = unit["generated"] > unit["deadline"]
+        unit["n_sent"] = np.where(is_late, 0, self.params.sidelink.n_transmissions)
         unit["sinr_db"] = self.carrier.sinr_db[unit["width"] - 1]
         unit["spread_db"] = self.carrier.spread_db[unit["width"] - 1]
         unit["clear_sinr"] = from_db(unit["sinr_db"] + TAIL * unit["spread_db"])

@@ -17,7 +17,7 @@ from cosim.radio.message_round import ChannelAbuse, Messages, Outcome, RoundKind
 from cosim.radio.params import RadioParams, RelayParams
 from cosim.radio.propagation import PropagationParams
 from cosim.radio.sidelink_params import LteParams, NrParams, SidelinkParams
-from cosim.radio.sidelink_phy import LTE_CURVES, lte_carrier, nr_block_bits, nr_carrier
+from cosim.radio.sidelink_phy import LTE_CURVES, lte_block_sizes, lte_carrier, nr_block_bits, nr_carrier
 
 SIDELINKS = ("nr_mode2", "lte_mode4")
 HIGHWAY = PropagationParams(model="highway")
@@ -156,6 +156,24 @@ def test_re_evaluation_leaves_a_resource_that_another_station_announced(lead):
             assert unit["slot"][0, 0] == chosen
         assert unit["slot"][0, 0] <= 100
     assert moved == 0 if lead == 0 else moved >= 17
+
+
+def test_re_evaluation_may_take_another_subchannel_of_the_same_slot():
+    """Eight slots of five subchannels. Of all that are left when it looks again, those of the slot are as likely."""
+    moved, expected, same = 0, 0.0, 0
+    for seed in range(200):
+        run, unit, _, memory, _ = parts_of(2, 1, seed=seed, lead=3, window=8)
+        run(0, 1)
+        chosen, sub = unit["slot"][0, 0], unit["sub"][0, 0]
+        if chosen <= 3:
+            continue
+        memory.reservation[1] = (chosen, chosen, 0, sub, 1)
+        memory.entry[0], memory.n_entries[0] = (1, 1.0), 1
+        run(1, 60)
+        expected += 4 / ((8 - (chosen - 3)) * 5 - 1)
+        same += unit["slot"][0, 0] == chosen
+        moved += 1
+    assert moved > 50 and abs(same - expected) < 3 * np.sqrt(expected)
 
 
 def test_stations_that_hear_each_other_do_not_collide():
@@ -305,6 +323,41 @@ def test_repetitions_help_on_an_empty_channel():
     assert share[0] < share[1] < share[2]
 
 
+def test_copies_without_a_decoded_control_part_do_not_add_up():
+    """One sender and 400 receivers in a circle, Rayleigh fading, two transmissions, a mean SNR of 1 dB.
+
+    The control part needs 3 dB. Both copies by the formula: 0.263 receive the message if copies that are not announced
+    are lost, 0.303 if they add up.
+    """
+    fading = PropagationParams(model="free_space", fading="rayleigh", shadowing=False, blockage="none",
+                               interference_range_m=20_000, cutoff_dbm=-140)  # fmt: skip
+    sidelink = SidelinkParams(n_transmissions=2, control_sinr_db=3.0)
+    params = RadioParams(model="nr_mode2", range_m=20_000, propagation=fading, sidelink=sidelink)
+    medium = MEDIA["nr_mode2"](params, 0.2, 1, None)
+    power_db = 1 + 10 * np.log10(medium.rules.noise_mw * medium.rules.rbs)
+    away_m, turn = 10 ** ((23 - power_db - 47.86) / 20), np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    xyz_m = np.zeros((401, 3))
+    xyz_m[1:, :2] = away_m * np.column_stack([np.cos(turn), np.sin(turn)])
+    stations = Stations(rng.keys(np.uint64(1), np.arange(401)), xyz_m, 401)
+    state, share = medium.start(), []
+    for k in range(40):
+        one = Messages(np.array([0]), np.array([80]))
+        state, happened = medium.broadcast(state, RoundKind.CPM, k, 0.4 * k, stations, one)
+        share.append(len(happened.receptions.receiver) / 400)
+    within_three_errors(share, 0.2625)
+
+
+@pytest.mark.parametrize("model", SIDELINKS)
+def test_a_message_that_is_delayed_beyond_its_round_is_not_sent(model):
+    stations = stations_of(3, length_m=50.0)
+    late = Messages(np.array([0, 1]), np.array([300, 300]), delay_s=np.array([0.0, 0.7]))
+    medium = medium_of(model, round_s=0.4)
+    _, happened = medium.broadcast(medium.start(), RoundKind.CPM, 0, 0.0, stations, late)
+    frames = happened.frames
+    assert frames.n_transmissions.tolist() == [1, 0] and set(happened.receptions.message) == {0}
+    assert (frames.outcome[frames.message == 1] == Outcome.EXPIRED).all()
+
+
 def test_busy_ratio_of_one_message():
     """One message of two subchannels in a round of 40 slots with five subchannels: 2 / 200, for the sender too.
 
@@ -364,10 +417,17 @@ def test_transport_blocks():
     761; times 2 x 526/1024 = 781.8; rounded down to a multiple of 8 = 776; the next size is 808.
     """
     assert nr_block_bits(10, 7, dmrs=24, control_symbols=3, control_rbs=10) == 808
+    # MCS 14 (16-QAM, 553/1024): 840 elements less ceil(72 x 1.125 / (2 x 553/1024)) = 75 of the second part, which is
+    # always QPSK: 765 x 4 x 553/1024 = 1652.5; rounded down to a multiple of 16 = 1648; the next size is 1672.
+    assert nr_block_bits(10, 14, dmrs=24, control_symbols=3, control_rbs=10) == 1672
+    # MCS 12 (16-QAM, 434/1024) on 30: 3168 - 96 elements, 5208 bits; 5184 is 40.5 times 128, and ties are rounded up:
+    # 5248 + 24 is a multiple of 8.
+    assert nr_block_bits(30, 12, dmrs=24, control_symbols=3, control_rbs=12) == 5248
     assert nr_carrier(10, 15, 10, 7, 24, 3, 10).n_subchannels == 5  # 52 resource blocks
     lte = lte_carrier(10, 10, 7)
     assert lte.block_bits[0] == 968  # I_TBS 7 on 10 - 2 = 8 resource blocks: table 7.1.7.2.1-1 of TS 36.213
     assert lte.block_bits[1] == 2216  # on 18
+    assert lte_block_sizes()[6, :4].tolist() == [328, 176, 256, 392]  # as in the table
 
 
 def test_block_errors_of_lte():

@@ -106,6 +106,21 @@ def test_a_change_of_speed_by_more_than_half_a_metre_per_second():
     assert [first for first, _ in story(*own)] == [True, False, True], "of the vehicle itself, as stated"
 
 
+def test_what_was_left_out_for_a_second_is_not_new():
+    """A parked car has score + 1 (time). One that has moved 8 m and turned 8 degrees since its last inclusion has
+    score + 2, and there is room for one. The parked one was included at 0 s, and the vehicle waits at 1.1 s.
+    """
+    params, state, found = replace(ETSI, max_objects=1, interval_s=0.2), CpmState(), []
+    at = Generators(np.array([0]), np.array([0]), np.zeros((1, 2)), np.zeros(1))
+    for k, time_s in enumerate((0.0, 0.6, 1.0, 1.1, 1.2)):
+        moving = (0, CAR, 60 + 8 * k, 8 * k)
+        seen = list_of(*[(0, CAR, 0, 0), (0, CAR, 30, 0), moving][: 3 if k else 2])
+        tracks = np.array([-1, 0, 1][: len(seen)])
+        state, content = generate(state, seen, seen.observer, at, time_s, params, tracks)
+        found.append([Inclusion(i).name for i in content.inclusion[1:]])
+    assert found[2:] == [["OVER_LIMIT", "INCLUDED"], ["WAITING", "WAITING"], ["OVER_LIMIT", "INCLUDED"]]
+
+
 def test_the_largest_changes_come_first():
     """Of three known objects, the first moved 3.9 m (0.49 of 8 m), the second turned 6 degrees (0.75 of 8)."""
 
