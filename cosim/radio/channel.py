@@ -286,7 +286,8 @@ def run_window(
     Notes
     -----
     A frame arrives at all receivers at the same instant.   Deviations from the standard: no propagation delay
-    (3.3 µs/km); the signal field is never lost alone; if two queues of one station collide, both draw again from the
+    (3.3 µs/km); the signal field is never lost alone; who requests an idle medium waits a whole AIFS, and draws no
+    back-off if it becomes busy meanwhile; if two queues of one station collide, both draw again from the
     same contention window.
     """
     n = len(links.key)

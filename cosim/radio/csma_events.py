@@ -143,7 +143,7 @@ def _go_idle(phy, mac, air, heap, n, t):
 
 @kernel
 def _request(phy, mac, air, t, a):
-    """A queue that was empty requests the medium: at once if the medium is idle, otherwise after a back-off."""
+    """A queue that was empty requests the medium: after AIFS if the medium is idle, otherwise after a back-off."""
     if phy.busy:
         if mac.slots[a] == 0:
             mac.slots[a] = _draw_slots(mac, phy.key, air, a)

@@ -295,9 +295,9 @@ def compared_at_lookup(run: Run, false_positives: float = 0.05) -> dict[str, int
         raise run.lacks(*_NONE_RATED)
     value, times = scores.trust[honest], scores.n[honest]
     order = np.argsort(value)
-    allowed = int(false_positives * times.sum())
+    allowed = int(false_positives * times.sum() + 1e-9)
     at = np.searchsorted(np.cumsum(times[order]), allowed, "right")
-    limit = value[order][at]
+    limit = np.append(value[order], np.inf)[at]
     who, n = scores.who[~honest], scores.n[~honest]
     low = np.bincount(who, n * (scores.trust[~honest] < limit))
     found = lookups.sums(run)

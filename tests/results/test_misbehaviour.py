@@ -95,6 +95,7 @@ def test_without_a_server(tiny):
     run = tiny(20, vehicles=attacking(["honest", "honest", "malicious"], {2: 1}), trust_lookups=lookups)
     assert misbehaviour.classification(run).auc.item() == 0.5  # 0.8 above 0.3, 0.1 not
     assert misbehaviour.below(run).set_index("role").share.to_dict() == {"honest": 0.5, "malicious": 0}
+    assert misbehaviour.compared_at_lookup(run, false_positives=1.0)["recall"].value == 1, "no threshold is too high"
     found = measure(run, topics=("misbehaviour",)).set_index(["metric", "group"]).value
     assert found["misbehaviour.time_to_detection.median_s", "malicious"] == 1
     assert "misbehaviour.time_to_detection_at_vehicle.median_s" not in found.index.get_level_values(0)

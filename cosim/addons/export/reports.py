@@ -11,8 +11,9 @@ and nothing is signed. A report is about one message, which may be of an earlier
 perceived objects, so target and observations are private ones: target 200 "perceived object" with the observations 1
 "not detected where visible" and 2 "contradicted by free space". The standard has no scores: evaluation and visibility
 stand in `nonV2xPduEvidence`. Evidence is the sender's CPM as an unsecured GeoNetworking packet (PDU type 1), as `cosim
-export pcap` writes it. The reporter is told by the signature in the standard; here `reporter` names its pseudonym,
-beside the report.
+export pcap` writes it. `objectIndex` counts the objects of a message from 1, over all its segments; it is not the CPM's
+`objectId`, which is the number of a track. The reporter is told by the signature in the standard; here `reporter` names
+its pseudonym, beside the report.
 """
 
 import json

@@ -58,9 +58,14 @@ def trusted(data: Recorded, cooperating: Sequence[Int[ndarray, "k"]], boxes: Rec
     In each frame each of them evaluates the boxes of the others: e is the score of its own detection that matches,
     else eta; the visibility is that of the points of its own cloud in the box. A box without points is not evaluated:
     whether rays passed through it would need the sweep, not the cloud. Trust is that of one server that receives
-    everything, and never expires.
+    everything, and never expires. In several scenarios ("scenario/frame"), agents of one name are different ones, and
+    have the name "scenario/agent".
     """
-    everyone = sorted(set().union(*data.agents))
+    scenarios = [frame.rpartition("/")[0] for frame in data.frames]
+    called = data.agents
+    if len(set(scenarios)) > 1:
+        called = tuple(tuple(f"{of}/{name}" for name in here) for of, here in zip(scenarios, called, strict=True))
+    everyone = sorted(set().union(*called))
     numbers = {name: k for k, name in enumerate(everyone)}
     kinds = sorted(set(boxes.label.tolist()))
     label = np.array([kinds.index(name) for name in boxes.label], np.uint8)
@@ -72,7 +77,7 @@ def trusted(data: Recorded, cooperating: Sequence[Int[ndarray, "k"]], boxes: Rec
         rows = np.arange(begin[frame], begin[frame + 1])
         if not len(rows):
             continue
-        names = [data.agents[frame][agent] for agent in here]
+        names = [called[frame][agent] for agent in here]
         clouds = _clouds([data.clouds[frame][agent] for agent in here])
         if isinstance(clouds, str):
             unread, why_unread = unread + 1, why_unread or clouds

@@ -93,6 +93,21 @@ def test_trust_by_hand(tmp_path):
     assert by_method(table, 0.5)["trupercept_1"] == 100
 
 
+def test_agents_of_one_name_in_two_scenarios_are_two(tmp_path):
+    """Both find A; the partner with a score of 0.5 in `s` and of 0.9 in `t`. The ego's trust is the partner's score."""
+    for scenario, score in (("s", 0.5), ("t", 0.9)):
+        for agent, x, own in (("0", 0, 0.8), ("1", 40, score)):
+            opv2v_file(tmp_path / f"{scenario}/{agent}/000000.yaml", [x, 0, 1.7, 0, 0, 0], {11: vehicle(car(10, 0))})
+            local = np.array([car(10 - x, 0)])
+            local[:, 2] -= 1.7
+            np.save(tmp_path / f"{scenario}/{agent}/000000_pred.npy", corners_of(local))
+            np.save(tmp_path / f"{scenario}/{agent}/000000_score.npy", np.array([own]))
+            cloud(tmp_path / f"{scenario}/{agent}/000000.pcd", [car(10 - x, 0)])
+    rows = evaluate(tmp_path)[0]["trust"]
+    assert [row["agent"] for row in rows] == ["s/0", "s/1", "t/0", "t/1"]
+    assert [row["trust"] for row in rows] == pytest.approx([0.5, 0.8, 0.9, 0.8])
+
+
 def test_partners_beyond_the_range_of_communication_do_not_help(tmp_path):
     _, table = evaluate(scene(tmp_path, near=False))
     assert by_method(table, 0.5)["late"] == by_method(table, 0.5)["ego"]
