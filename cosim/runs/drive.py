@@ -287,8 +287,7 @@ class Drive:
         prefixes = tuple(prefix for prefix, n in placed.items() if n)
         is_placed = np.array([name.startswith(prefixes) for name in actors.names], bool)
         is_placed &= actors.shape != Shape.PEDESTRIAN
-        n_steps = actors.last_step - actors.first_step + 1
-        return int(n_steps[is_placed].sum())
+        return int(actors.n_steps[is_placed].sum())
 
     def _check_repeated(self, world: World) -> None:
         """Raise ValueError if the repeated traffic differs from the recorded one."""

@@ -828,6 +828,7 @@ def vehicle_rows(
         "attack__valid": equipped & (registry.attack > 0),
         "first_step": registry.first_step,
         "last_step": registry.last_step,
+        "n_steps": registry.n_steps,
         "attack_start_step": attack_start_step,
         "attack_start_step__valid": attacked,
         **sensing,

@@ -11,7 +11,7 @@ from cosim.base.rng import Stream, key, name_key, uniforms
 from cosim.traffic.fleet import FleetParams
 from sensors.scene import Shape
 
-_COLUMNS = ("_name_key", "_shape", "_lwh_m", "_equipped", "_attack", "_first_step", "_last_step")
+_COLUMNS = ("_name_key", "_shape", "_lwh_m", "_equipped", "_attack", "_first_step", "_last_step", "_n_steps")
 
 
 @dataclass(slots=True)
@@ -33,6 +33,7 @@ class ActorRegistry:
     _attack: UInt8[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.uint8))
     _first_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.int32))
     _last_step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.int32))
+    _n_steps: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(1024, np.int32))
     _can_be_equipped: Bool[ndarray, "shape"] = field(init=False)
     _equipped_key: np.uint64 = field(init=False)
     _attack_key: np.uint64 = field(init=False)
@@ -121,6 +122,7 @@ class ActorRegistry:
     def mark_present(self, actor: Int[ndarray, "n"], step: int) -> None:
         """Record that these actors are on the road in this step."""
         self._last_step[actor] = step
+        self._n_steps[actor] += 1
 
     name_key = property(lambda self: self._name_key[: self._n])
     shape = property(lambda self: self._shape[: self._n])
@@ -129,6 +131,7 @@ class ActorRegistry:
     attack = property(lambda self: self._attack[: self._n])
     first_step = property(lambda self: self._first_step[: self._n])
     last_step = property(lambda self: self._last_step[: self._n])
+    n_steps = property(lambda self: self._n_steps[: self._n])
 
 
 def actor_key(name: str, is_person: bool) -> int:

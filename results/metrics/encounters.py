@@ -219,8 +219,8 @@ def rates(run: Run) -> pd.DataFrame:
     kinds = definitions(run)
     begun = run.table("encounters", [*DEFINITION, "censored_left"])
     n = begun[~begun.censored_left].groupby([*DEFINITION], observed=True).size().to_dict()
-    vehicles = run.table("vehicles", ["sumo_id", "first_step", "last_step", "equipped", "vehicle_class"])
-    there_h = (vehicles.last_step - vehicles.first_step + 1) * run.dt_s / 3600
+    vehicles = run.table("vehicles", ["sumo_id", "n_steps", "equipped", "vehicle_class"])
+    there_h = vehicles.n_steps * run.dt_s / 3600
     walks = vehicles.vehicle_class == "pedestrian"
     stands = (vehicles.vehicle_class == "roadside_unit") | vehicles.sumo_id.str.startswith(PARKED)
     rates = []

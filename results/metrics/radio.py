@@ -18,7 +18,7 @@ LEFT_OUT = ("n_waiting", "n_not_due", "n_redundant", "n_over_limit")
 
 _PDR = "sum(n_in_range)::BIGINT AS n_in_range, sum(n_delivered) / nullif(sum(n_in_range), 0) AS pdr"
 _LOSSES = ", ".join(f"sum({name}) / nullif(sum(n_in_range), 0) AS {name[2:]}" for name in LOST)
-_ROAD_S = "(SELECT sum(last_step - first_step + 1) * $dt_s FROM vehicles WHERE equipped)"
+_ROAD_S = "(SELECT sum(n_steps) * $dt_s FROM vehicles WHERE equipped)"
 """Time that equipped vehicles are on the road."""
 
 

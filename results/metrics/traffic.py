@@ -10,10 +10,10 @@ def on_road(run: Run) -> pd.DataFrame:
     """who (all actors, or equipped vehicles), mean: how many of them are on the road, and duration_s of the run."""
     return run.sql(
         """
-        SELECT 'all' AS who, coalesce(sum(last_step - first_step + 1), 0) / $steps AS mean, $steps * $dt_s AS duration_s
+        SELECT 'all' AS who, coalesce(sum(n_steps), 0) / $steps AS mean, $steps * $dt_s AS duration_s
         FROM vehicles WHERE vehicle_class <> 'roadside_unit' AND NOT starts_with(sumo_id, $parked)
         UNION ALL
-        SELECT 'equipped', coalesce(sum(last_step - first_step + 1), 0) / $steps, $steps * $dt_s
+        SELECT 'equipped', coalesce(sum(n_steps), 0) / $steps, $steps * $dt_s
         FROM vehicles WHERE vehicle_class <> 'roadside_unit' AND equipped
     """,
         parked=PARKED,

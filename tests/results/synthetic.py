@@ -59,6 +59,7 @@ def write(folder, seed=0, steps=240, level="full", block_steps=60, reach_m=200.0
             "vehicle": np.arange(N), "sumo_id": np.array([f"trip_{i}" for i in range(N)]), "vehicle_class": kind,
             "length_m": lwh[:, 0], "width_m": lwh[:, 1], "height_m": lwh[:, 2], "equipped": equipped,
             "role": role, "role__valid": equipped, "first_step": first, "last_step": last,
+            "n_steps": last - first + 1,
             "attack": (role == "unreliable").astype(int), "attack__valid": equipped & (role != "honest"),
             "attack_start_step": lied[1], "attack_start_step__valid": lied[0] & (lied[1] <= last),
         })  # fmt: skip

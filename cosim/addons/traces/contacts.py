@@ -391,7 +391,13 @@ class _Folder:
 def _vehicles(registry: ActorRegistry) -> dict[str, ndarray | None]:
     """Columns of the table `vehicles`."""
     return _vehicle_columns(
-        registry.names, registry.shape, registry.lwh_m, registry.equipped, registry.first_step, registry.last_step
+        registry.names,
+        registry.shape,
+        registry.lwh_m,
+        registry.equipped,
+        registry.first_step,
+        registry.last_step,
+        registry.n_steps,
     )
 
 
@@ -402,24 +408,25 @@ def _vehicles_of(fixes: Fixes, found: tracks.PositionTracks) -> tuple[Int[ndarra
     first = np.unique(number, return_index=True)[1]
     last_step = np.zeros(len(number_of), np.int64)
     np.maximum.at(last_step, number, found.last_step)
+    n_steps = np.bincount(number, found.last_step - found.first_step + 1, len(number_of)).astype(np.int64)
     actor = found.actor[first]
     lwh_m = np.array([kind.lwh_m for kind in fixes.types])
     return number, _vehicle_columns(
         list(number_of), fixes.shape[actor], lwh_m[actor], np.zeros(len(first), bool), found.first_step[first],
-        last_step,
+        last_step, n_steps,
     )  # fmt: skip
 
 
 def _vehicle_columns(
     names: Sequence[str], shape: ndarray, lwh_m: ndarray, equipped: Bool[ndarray, "n"], first_step: ndarray,
-    last_step: ndarray,
+    last_step: ndarray, n_steps: ndarray,
 ) -> dict[str, ndarray | None]:  # fmt: skip
     n = len(names)
     return {
         "vehicle": np.arange(n, dtype=np.int32), "sumo_id": np.array(names, object), "vehicle_class": shape,
         "length_m": lwh_m[:, 0], "width_m": lwh_m[:, 1], "height_m": lwh_m[:, 2], "equipped": equipped,
         "role": np.zeros(n, np.uint8), "role__valid": equipped, "attack": None, "first_step": first_step,
-        "last_step": last_step, "attack_start_step": None,
+        "last_step": last_step, "n_steps": n_steps, "attack_start_step": None,
     }  # fmt: skip
 
 
