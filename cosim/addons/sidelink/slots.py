@@ -151,13 +151,11 @@ def _receive(u, a, s, air, memory, log, rules):
         if air.is_jammed[i]:
             noise += air.react_mw[j]
         sinr = power / (noise + max(total / width - power, 0.0))
-        at = unit.rows // MAX_SENT + k
-        if a == 0:
-            log.sinr[at] = 0.0
-        log.sinr[at] += sinr
         if sinr < rules.control_sinr:
             log.reception[row] = COLLISION if power >= rules.control_sinr * noise else FADING
             continue
+        at = unit.rows // MAX_SENT + k
+        log.sinr[at] += sinr
         hashed = mix(mix(seed, air.key[j]), _PAYLOAD)
         if _succeeds(log.sinr[at], unit, hashed):
             log.reception[row] = RECEIVED

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from cosim.addons.sidelink import records
 from cosim.addons.sidelink.memory import SidelinkState, log_of, memory_of, room_of
@@ -15,7 +16,7 @@ from cosim.radio.dtypes import HALF_DUPLEX, NEVER, NONE, RECEIVED
 from cosim.radio.medium import MEDIA
 from cosim.radio.message_round import ChannelAbuse, Messages, Outcome, RoundKind, Stations
 from cosim.radio.params import RadioParams, RelayParams
-from cosim.radio.propagation import PropagationParams
+from cosim.radio.propagation import PropagationParams, fading_class, fading_quantiles
 from cosim.radio.sidelink_params import LteParams, NrParams, SidelinkParams
 from cosim.radio.sidelink_phy import LTE_CURVES, lte_carrier, nr_block_bits, nr_carrier
 
@@ -305,6 +306,40 @@ def test_repetitions_help_on_an_empty_channel():
     assert share[0] < share[1] < share[2]
 
 
+@pytest.mark.parametrize("control_sinr_db", [0.0, 3.0])
+def test_a_copy_counts_if_its_control_part_is_decoded(control_sinr_db):
+    """One sender, receivers around it with a mean SNR of 1 dB and Rayleigh fading: the share by drawing two SNRs."""
+    propagation = PropagationParams(
+        model="free_space", fading="rayleigh", shadowing=False, blockage="none", interference_range_m=20_000,
+        cutoff_dbm=-140,
+    )  # fmt: skip
+    sidelink = SidelinkParams(n_transmissions=2, control_sinr_db=control_sinr_db)
+    params = RadioParams(model="nr_mode2", range_m=20_000, propagation=propagation, sidelink=sidelink)
+    medium = MEDIA["nr_mode2"](params, 0.2, 7, None)
+    rules, carrier = medium.rules, medium.carrier
+    snr = 10**0.1
+    distance_m = 10 ** ((23 - 10 * np.log10(snr * rules.noise_mw * rules.rbs) - 47.86) / 20)  # 47.86 dB at 1 m
+    angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    around = distance_m * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    xyz = np.vstack([np.zeros((1, 3)), around]) + [0, 0, 1.6]
+    stations = Stations(rng.keys(np.uint64(1), np.arange(401)), xyz, 401)
+    state, n_received = medium.start(), 0
+    for k in range(40):
+        message = Messages(np.array([0]), np.array([80]))
+        state, happened = medium.broadcast(state, RoundKind.CPM, k, k * 0.4, stations, message)
+        n_received += len(happened.receptions.receiver)
+    quantiles = fading_quantiles()[fading_class(np.array([distance_m]), "rayleigh")[0]]
+    sinr = snr * np.random.default_rng(1).choice(quantiles, (500_000, 2))
+    is_decoded = sinr >= 10 ** (control_sinr_db / 10)
+
+    def payload_p(of):
+        return ndtr((10 * np.log10(np.maximum(of, 1e-12)) - carrier.sinr_db[0]) / carrier.spread_db[0])
+
+    first, second = is_decoded.T
+    lost_p = (1 - first * payload_p(sinr[:, 0])) * (1 - second * payload_p((sinr * is_decoded).sum(axis=1)))
+    assert n_received / 16_000 == pytest.approx(1 - lost_p.mean(), abs=4 * np.sqrt(0.25 / 16_000))
+
+
 def test_busy_ratio_of_one_message():
     """One message of two subchannels in a round of 40 slots with five subchannels: 2 / 200, for the sender too.
 
@@ -364,6 +399,9 @@ def test_transport_blocks():
     761; times 2 x 526/1024 = 781.8; rounded down to a multiple of 8 = 776; the next size is 808.
     """
     assert nr_block_bits(10, 7, dmrs=24, control_symbols=3, control_rbs=10) == 808
+    # MCS 17 (64QAM, 438/1024): the second control part stays QPSK, ceil(81 / (2 x 438/1024)) = 95 elements; 745 times
+    # 6 x 438/1024 = 1911.9, rounded down to a multiple of 16 = 1904; the next size is 1928.
+    assert nr_block_bits(10, 17, dmrs=24, control_symbols=3, control_rbs=10) == 1928
     assert nr_carrier(10, 15, 10, 7, 24, 3, 10).n_subchannels == 5  # 52 resource blocks
     lte = lte_carrier(10, 10, 7)
     assert lte.block_bits[0] == 968  # I_TBS 7 on 10 - 2 = 8 resource blocks: table 7.1.7.2.1-1 of TS 36.213

@@ -40,8 +40,11 @@ class Vehicle:
             fate[i] = "over limit"
         replaced = [before[i] for i in candidates if fate[i] == "included"]
         self.included = [o for o in self.included if not any(o is r for r in replaced)]
+        for o in filter(None, before.values()):
+            o["seen_s"] = time_s
         self.forget(time_s)
-        self.included += [objects[i] | {"time_s": time_s} for i in candidates if fate[i] == "included"]
+        now = {"time_s": time_s, "seen_s": time_s}
+        self.included += [objects[i] | now for i in candidates if fate[i] == "included"]
         sends = params.rules == "all" or "included" in fate
         describes = sends and time_s - self.sensors_s >= 1 - 1e-9
         if describes:
@@ -49,8 +52,8 @@ class Vehicle:
         return fate, describes
 
     def forget(self, time_s):
-        """Drop what was included a second ago or longer."""
-        self.included = [o for o in self.included if time_s - o["time_s"] < 1 - 1e-9]
+        """Drop what was a candidate a second ago or longer."""
+        self.included = [o for o in self.included if time_s - o["seen_s"] < 1 - 1e-9]
 
     def last(self, one, time_s):
         """The object of this class that is expected nearest to this one, within 4 m; None if there is none."""
