@@ -315,7 +315,7 @@ def _end(air, log, heap, n, s, t, forwarding):
 
 @kernel
 def _dequeue(mac, packets, a, t):
-    """Remove the first packet of a queue that can be transmitted in its lifetime, and return it. Drop those before it."""
+    """Remove the first packet that can be transmitted in its lifetime, and return it. Drop those before it."""
     while mac.count[a] > 0:
         p = mac.head[a]
         mac.head[a] = packets[p].next

@@ -159,6 +159,39 @@ def test_re_evaluation_leaves_a_resource_that_another_station_announced(lead):
     assert moved == 0 if lead == 0 else moved >= 17
 
 
+def test_re_evaluation_may_choose_another_subchannel_of_the_same_slot():
+    """All free resources are alike: 4 of the 5 w - 1 in the w slots that are left lie in the slot of the first choice.
+
+    The check comes 3 slots before it, and the window ends 8 slots after generation, so w = 8 - (slot - 3)."""
+    same, expected = [], []
+    for seed in range(300):
+        run, unit, _, memory, _ = parts_of(2, 1, seed=seed, lead=3, window=8)
+        run(0, 1)
+        chosen, sub = unit["slot"][0, 0], unit["sub"][0, 0]
+        if chosen > 3:
+            memory.reservation[1] = (chosen, chosen, 0, sub, 1)
+            memory.entry[0] = (1, 1.0)
+            memory.n_entries[0] = 1
+            run(1, 60)
+            same.append(unit["slot"][0, 0] == chosen)
+            expected.append(4 / (5 * (8 - (chosen - 3)) - 1))
+    within_three_errors(np.array(same) - np.array(expected), 0.0)
+
+
+@pytest.mark.parametrize("model", SIDELINKS)
+def test_a_message_delayed_beyond_its_round_is_never_sent(model):
+    """By attack `delay`. It is lost at every station in range, also in the round that begins at 0."""
+    medium = medium_of(model)
+    xyz = np.column_stack([20.0 * np.arange(5), np.zeros(5), np.full(5, 1.6)])
+    stations, state = Stations(rng.keys(np.uint64(1), np.arange(5)), xyz, 5), medium.start()
+    messages = Messages(np.array([0, 1]), np.array([300, 300]), delay_s=np.array([0.0, 0.07]))
+    for k in range(3):
+        state, happened = medium.broadcast(state, RoundKind.CPM, k, 0.1 * k, stations, messages)
+        frames, is_late = happened.frames, happened.frames.message == 1
+        assert (frames.outcome[is_late] == Outcome.EXPIRED).all() and is_late.sum() == 4
+        assert frames.n_transmissions.tolist() == [1, 0] and (happened.receptions.message == 0).all()
+
+
 def test_stations_that_hear_each_other_do_not_collide():
     """With more resources than stations, each selection after the first avoids all that is reserved."""
     resource, _, log = alone(30, 60, seed=2, power_mw=1e-5, keep_p=0.0, n_subchannels=1)
