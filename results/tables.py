@@ -10,7 +10,7 @@ import pyarrow as pa
 from cosim.base import codes
 from results.columns import LEVELS, Column, Level, Table
 
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 10
 """Raised whenever a table or column changes its name, type, unit or meaning."""
 
 _FILE = Path(__file__).with_name("schema.toml")

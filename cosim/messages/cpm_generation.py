@@ -75,6 +75,8 @@ class InclusionMemory:
     """NaN where it was unknown."""
     track: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
     """Number of the sender's track of the object; -1 where it tracks none."""
+    seen_s: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
+    """When it was last a candidate. It is forgotten a second later."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,18 +214,14 @@ def _select(
     params: CpmParams,
     track: Int[ndarray, "d"],
 ) -> tuple[UInt8[ndarray, "d"], InclusionMemory]:
-    """What becomes of the detections that are included so far, and the memory after the step.
-
-    Detections of vehicles that wait are kept in mind, and stay as they are.
-    """
+    """What becomes of the detections that are included so far, and the memory after the step."""
     inclusion = inclusion.copy()
-    rows = np.flatnonzero(np.isin(inclusion, (Inclusion.INCLUDED, Inclusion.WAITING)))
+    rows = np.flatnonzero(inclusion == Inclusion.INCLUDED)
     seen = listed.take(rows)
     sender = generators.sender[message[rows]]
     now = Remembered.beside(state.included, seen, sender, track[rows], time_s)
     if params.rules == "etsi":
-        is_candidate = inclusion[rows] == Inclusion.INCLUDED
-        inclusion[rows[is_candidate & ~due(now, seen.label, sender)]] = Inclusion.NOT_DUE
+        inclusion[rows[~due(now, seen.label, sender)]] = Inclusion.NOT_DUE
     others = np.flatnonzero((inclusion[rows] == Inclusion.INCLUDED) & (seen.origin != SELF))
     mine = message[rows[others]]
     candidates = Candidates(
@@ -298,8 +296,9 @@ class Remembered:
     def memory_after(self, included: Bool[ndarray, "r"]) -> InclusionMemory:
         """The memory after some of the candidates were included."""
         memory, now = self.memory, self.time_s
-        old = now - memory.time_s < INTERVAL_S - _SLACK_S
-        old[self.near[self.near >= 0]] = True  # older entries have an effect only while their object is detected
+        seen_s = memory.seen_s.copy()
+        seen_s[self.near[self.near >= 0]] = now
+        old = now - seen_s < INTERVAL_S - _SLACK_S
         old[self.near[(self.near >= 0) & included]] = False
         of = np.concatenate([memory.of[old], self.of[included]])
         xy_m = np.concatenate([memory.xy_m[old], self.xy_m[included]])
@@ -312,6 +311,7 @@ class Remembered:
             np.concatenate([memory.speed_mps[old], self.speed_mps[included]]),
             np.concatenate([memory.velocity_mps[old], self.velocity_mps[included]]),
             np.concatenate([memory.track[old], self.track[included]]),
+            np.concatenate([seen_s[old], time_s[old.sum() :]]),
         )
         order = np.lexsort((time_s, xy_m[:, 1], xy_m[:, 0], of))
         return InclusionMemory(*(part[order] for part in parts))

@@ -49,7 +49,7 @@ class PhyOutcome(IntEnum):
     HALF_DUPLEX = dtypes.HALF_DUPLEX
     """The receiver was sending."""
     EXPIRED = dtypes.EXPIRED
-    """Never sent: it waited in the sender's queue for longer than its lifetime."""
+    """Never sent: it waited in the sender's queue until it could not be transmitted within its lifetime."""
     QUEUE = dtypes.QUEUE
     """Never sent: the sender's queue was full."""
 
@@ -74,7 +74,7 @@ class AccessParams:
     queue_max: Annotated[int, Gt(0), Le(100_000)] = 100
     """Capacity of the queue of one access category of one station [packets]."""
     lifetime_s: Annotated[float, Gt(0), Le(3600)] = 1.0
-    """Age at which a waiting packet is dropped [s], unless the packet has its own."""
+    """Age at which a packet must have been transmitted [s], unless it has its own; it is dropped if it cannot be."""
 
     def __post_init__(self) -> None:
         for name in ("aifsn", "cw"):
@@ -286,9 +286,9 @@ def run_window(
     Notes
     -----
     A frame arrives at all receivers at the same instant.   Deviations from the standard: no propagation delay
-    (3.3 µs/km); the signal field is never lost alone; who requests an idle medium waits a whole AIFS, and draws no
-    back-off if it becomes busy meanwhile; if two queues of one station collide, both draw again from the
-    same contention window.
+    (3.3 µs/km); the signal field is never lost alone; if two queues of one station collide, both draw again from the
+    same contention window. A station that requests an idle medium waits a whole AIFS, as in ns-3, also if it was idle
+    before, and draws no back-off if the medium becomes busy meanwhile.
     """
     n = len(links.key)
     if until_ns <= state.now_ns:

@@ -143,7 +143,7 @@ def _go_idle(phy, mac, air, heap, n, t):
 
 @kernel
 def _request(phy, mac, air, t, a):
-    """A queue that was empty requests the medium: after AIFS if the medium is idle, otherwise after a back-off."""
+    """A queue that was empty requests the medium: for its AIFS from now if it is idle, otherwise after a back-off."""
     if phy.busy:
         if mac.slots[a] == 0:
             mac.slots[a] = _draw_slots(mac, phy.key, air, a)
@@ -315,13 +315,13 @@ def _end(air, log, heap, n, s, t, forwarding):
 
 @kernel
 def _dequeue(mac, packets, a, t):
-    """Remove the first packet of a queue that has not expired, and return it. Drop the expired ones before it."""
+    """Remove the first packet that can be transmitted in its lifetime, and return it. Drop those before it."""
     while mac.count[a] > 0:
         p = mac.head[a]
         mac.head[a] = packets[p].next
         mac.count[a] -= 1
         mac.n_queued -= 1
-        if packets[p].expires_ns >= t:
+        if t + packets[p].airtime_ns <= packets[p].expires_ns:
             return p
         packets[p].outcome = EXPIRED
     return NONE

@@ -196,13 +196,14 @@ def nr_block_bits(n_rbs: int, mcs: int, *, dmrs: int, control_symbols: int, cont
     Notes
     -----
     Twelve of the slot's 14 symbols carry the shared channel; there is no feedback channel. The second control part has
-    48 bits and its CRC 24, with QPSK, the code rate of the data, and an offset of 1.125. Deviations: none.
+    48 bits and its CRC 24, in QPSK with the code rate of the data and an offset of 1.125.   Deviations: none.
     """
     bits, rate = NR_MCS[mcs][0], NR_MCS[mcs][1] / 1024
-    elements = 12 * 12 * n_rbs - control_symbols * control_rbs * 12
+    elements = (12 * 12 - dmrs) * n_rbs
+    of_control = control_symbols * control_rbs * 12
     needed = int(np.ceil((48 + 24) * 1.125 / (2 * rate)))
-    second = min(needed, int(np.ceil(0.5 * elements)))
-    information = (elements - dmrs * n_rbs - second) * bits * rate
+    second = min(needed, int(np.ceil(0.5 * (12 * 12 * n_rbs - of_control))))
+    information = (elements - of_control - second) * bits * rate
     if information < 24:
         return 0
     if information <= 3824:
@@ -210,7 +211,7 @@ def nr_block_bits(n_rbs: int, mcs: int, *, dmrs: int, control_symbols: int, cont
         least = max(24, step * int(information // step))
         return int(NR_TBS[np.searchsorted(NR_TBS, least)])
     step = 2 ** (int(np.floor(np.log2(information - 24))) - 5)
-    rounded = max(3840, step * int((information - 24) / step + 0.5))
+    rounded = max(3840, step * int((information - 24) / step + 0.5))  # ties upwards
     if rate <= 0.25:
         n = int(np.ceil((rounded + 24) / 3816))
     else:

@@ -120,7 +120,7 @@ class ActorRegistry:
                 self._attack[first + row] = 1 + self.attack_of[names[row]]
 
     def mark_present(self, actor: Int[ndarray, "n"], step: int) -> None:
-        """Record that these actors are on the road in this step. Called once for each actor and step."""
+        """Record that these actors are on the road in this step."""
         self._last_step[actor] = step
         self._n_steps[actor] += 1
 

@@ -17,10 +17,8 @@ def make(folder, steps, config=None, **tables):
     for name, key in last.items():
         if name in tables:
             tables[name] = [{**row, key: min(row[key], steps - 1)} if key in row else row for row in tables[name]]
-    if "vehicles" in tables:
-        tables["vehicles"] = [
-            {"n_steps": row.get("last_step", 0) - row.get("first_step", 0) + 1, **row} for row in tables["vehicles"]
-        ]
+    for row in tables.get("vehicles", []):
+        row.setdefault("n_steps", row.get("last_step", 0) - row.get("first_step", 0) + 1)
     tables.setdefault("pseudonyms", [
         {"pseudonym": v["vehicle"], "vehicle": v["vehicle"], "from_step": v.get("first_step", 0),
          "to_step": v.get("last_step", 0)}

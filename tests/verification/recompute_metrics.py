@@ -63,6 +63,14 @@ def vehicles(of):
     return of.table("vehicles").set_index("vehicle")
 
 
+def on_road_steps(of):
+    """Steps that each vehicle is on the road, by the poses of all steps where the run keeps them."""
+    rows, who = of.table("actors"), vehicles(of)
+    if not len(rows):
+        return who.n_steps
+    return rows.groupby("actor").size().reindex(who.index, fill_value=0)
+
+
 def subjects(of):
     """Pseudonyms: vehicle, role, from_step, to_step, and the first attack of the vehicle."""
     return of.table("pseudonyms").set_index("pseudonym").join(vehicles(of)[["role", "attack_start_step"]], on="vehicle")
@@ -100,7 +108,7 @@ def auc(high, low):
 
 def traffic(of):
     who = vehicles(of)
-    time = who.n_steps
+    time = on_road_steps(of)
     yield "duration_s", "", of.steps * of.dt_s
     yield "actors.mean", "all", time[~who.sumo_id.str.startswith("parked/")].sum() / of.steps
     yield "actors.mean", "equipped", time[who.equipped].sum() / of.steps
@@ -116,7 +124,7 @@ def definitions(frame):
 
 def encounters(of):
     who = vehicles(of)
-    on_road_h = who.n_steps * of.dt_s / 3600
+    on_road_h = on_road_steps(of) * of.dt_s / 3600
     for name, some in definitions(of.table("encounters")):
         seen = some[~some.censored_left.astype(bool)]
         over = ~seen.censored_right.astype(bool)
@@ -611,7 +619,7 @@ def radio(of):
     sent, who = of.table("cpm_content"), vehicles(of)
     if len(sent):
         on_air = sent[sent.length_bytes > 0].astype(float)
-        road_s = who.n_steps[who.equipped].sum() * of.dt_s
+        road_s = on_road_steps(of)[who.equipped].sum() * of.dt_s
         yield "cpm_rate.mean_hz", "", len(on_air) / road_s
         yield "cpm_objects.mean", "", on_air.n_included.mean()
         yield "cpm_length.mean_bytes", "", on_air.length_bytes.mean()

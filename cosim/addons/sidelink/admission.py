@@ -152,8 +152,9 @@ def check(u, s, begin, air, memory, log, room, rules):
     if not _is_taken(u, memory, log):
         return
     me = log.unit[u]
-    process, wanted = memory.process[me.process], me.n_sent
-    held, process.next_slot = process.next_slot, NEVER  # it may take another subchannel of the same slot
+    wanted, process = me.n_sent, memory.process[me.process]
+    held = process.next_slot
+    process.next_slot = NEVER  # the reservation to be replaced takes no resource from this choice
     _unschedule(u, begin, log)
     if choose(u, s, air, memory, log, room, rules):
         memory.station[me.station].used_now -= (wanted - me.n_sent) * me.width

@@ -143,11 +143,13 @@ def _count_up_to(block_mw, n, limit_mw):
 
 
 @kernel
-def _mean_power(power_mw, s, i, air, memory, rules, first, n_slots, n_places, stride, width):
+def _mean_power(power_mw, s, i, period, air, memory, rules, first, n_slots, n_places, stride, width):
     """Power of a resource block of each candidate, summed over its earlier slots, in steps of 1/256 of the noise.
 
-    Whole numbers have the same sum in every order.
+    Whole numbers have the same sum in every order. Slots a period apart are averaged, or 100 ms apart where the period
+    is longer or there is none.
     """
+    step = period if 0 < period < rules.long_slots else rules.long_slots
     for k in range(n_slots * n_places):
         power_mw[k] = 0.0
     for edge in range(air.ptr[i], air.ptr[i + 1]):
@@ -159,7 +161,7 @@ def _mean_power(power_mw, s, i, air, memory, rules, first, n_slots, n_places, st
                 back = s - other.slots[k]
                 if 0 < back <= rules.power_slots:
                     y = other.slots[k] - first
-                    y -= (y // rules.power_step) * rules.power_step
+                    y -= (y // step) * step
                     while y < n_slots:
                         for x in range(n_places):
                             total = 0.0
@@ -168,7 +170,7 @@ def _mean_power(power_mw, s, i, air, memory, rules, first, n_slots, n_places, st
                             power = mean_mw * total / width
                             if power >= rules.noise_mw:  # weaker ones are not told from noise
                                 power_mw[y * n_places + x] += np.floor(power / rules.noise_mw * 256.0)
-                        y += rules.power_step
+                        y += step
             q = memory.next_own[q]
 
 
@@ -254,7 +256,7 @@ def choose(u, s, air, memory, log, room, rules):
         limit_mw *= RAISE
         n_left = _count_up_to(block_mw, n, limit_mw)
     if rules.ranked:
-        _mean_power(room.power_mw, s, i, air, memory, rules, first, n_slots, n_places, stride, width)
+        _mean_power(room.power_mw, s, i, period, air, memory, rules, first, n_slots, n_places, stride, width)
         _keep_quietest(room, process, rules, n, limit_mw, wanted)
         n_left = _count_up_to(block_mw, n, limit_mw)
     log.unit[u].threshold_mw = limit_mw

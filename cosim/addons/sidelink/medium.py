@@ -102,7 +102,6 @@ class SidelinkMedium:
         noise_mw = 1.380649e-23 * 290.0 * 180e3 * per_ms * 1e3 * float(from_db(self.params.receiver.noise_figure_db))
         window = round(p.window_s * 1000 * per_ms)
         forced = 0 if p.reservation_s is None else round(p.reservation_s * 1000 * per_ms)
-        step = 100 if forced == 0 else min(forced, 100)
         return SlotRules(
             rng_key=rng.key(self.seed, rng.Stream.CHANNEL),
             n_subchannels=carrier.n_subchannels,
@@ -117,7 +116,6 @@ class SidelinkMedium:
             max_gap=31 if self.is_nr else 15,
             aligned=p.aligned,
             ranked=not self.is_nr,
-            power_step=step,
             power_slots=1000,
             forced_period=forced,
             keep_p=p.keep_p,
@@ -129,7 +127,7 @@ class SidelinkMedium:
             busy_mw=float(from_db(p.cbr_threshold_dbm)),
             busy_slots=100 * per_ms,
             limited=p.limits_occupancy,
-            with_repeats=self.is_nr and p.n_transmissions > 1,
+            with_repeats=p.n_transmissions > 1,
         )
 
     @cached_property
@@ -161,8 +159,8 @@ class SidelinkMedium:
         unit["deadline"] = end_ns // self._slot_ns - 1
         unit["station"] = messages.station[message]
         unit["width"] = self.carrier.width(np.repeat(payload_bytes, count))
-        is_late = unit["generated"] > unit["deadline"]
-        unit["n_sent"] = np.where(is_late, 0, self.params.sidelink.n_transmissions)
+        in_time = unit["generated"] <= unit["deadline"]  # an attacker may delay a message beyond its round
+        unit["n_sent"] = np.where(in_time, self.params.sidelink.n_transmissions, 0)
         unit["sinr_db"] = self.carrier.sinr_db[unit["width"] - 1]
         unit["spread_db"] = self.carrier.spread_db[unit["width"] - 1]
         unit["clear_sinr"] = from_db(unit["sinr_db"] + TAIL * unit["spread_db"])

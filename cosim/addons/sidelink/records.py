@@ -67,7 +67,6 @@ class SlotRules(NamedTuple):
     max_gap: int  # between transmissions of one message
     aligned: bool  # whether candidates begin at multiples of their width only
     ranked: bool  # whether the candidates of least received power are chosen [2]_
-    power_step: int  # period of the slots whose power is averaged
     power_slots: int
     forced_period: int  # 0: the interval of the messages
     keep_p: float

@@ -414,12 +414,12 @@ def _vehicles_of(fixes: Fixes, found: tracks.PositionTracks) -> tuple[Int[ndarra
     first = np.unique(number, return_index=True)[1]
     last_step = np.zeros(len(number_of), np.int64)
     np.maximum.at(last_step, number, found.last_step)
-    n_steps = np.bincount(number, found.last_step - found.first_step + 1)
+    n_steps = np.bincount(number, found.last_step - found.first_step + 1, len(number_of)).astype(np.int64)
     actor = found.actor[first]
     lwh_m = np.array([kind.lwh_m for kind in fixes.types])
     return number, _vehicle_columns(
         list(number_of), fixes.shape[actor], lwh_m[actor], np.zeros(len(first), bool), found.first_step[first],
-        last_step, n_steps.astype(np.int64),
+        last_step, n_steps,
     )  # fmt: skip
 
 

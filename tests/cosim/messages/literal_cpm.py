@@ -22,8 +22,7 @@ class Vehicle:
         elif params.rules == "etsi":
             self.event_s = time_s
         candidates = [i for i, f in enumerate(fate) if f == "included"]
-        detected = [i for i, f in enumerate(fate) if f in ("included", "waiting")]
-        before = {i: self.last(objects[i], time_s) for i in detected}
+        before = {i: self.last(objects[i], time_s) for i in candidates}
         if params.rules == "etsi":
             all_people = any(
                 objects[i]["label"] in PEOPLE and before[i] and time_s - before[i]["time_s"] >= 0.5 - 1e-9
@@ -41,19 +40,20 @@ class Vehicle:
             fate[i] = "over limit"
         replaced = [before[i] for i in candidates if fate[i] == "included"]
         self.included = [o for o in self.included if not any(o is r for r in replaced)]
-        self.forget(time_s, list(before.values()))
-        self.included += [objects[i] | {"time_s": time_s} for i in candidates if fate[i] == "included"]
+        for o in filter(None, before.values()):
+            o["seen_s"] = time_s
+        self.forget(time_s)
+        now = {"time_s": time_s, "seen_s": time_s}
+        self.included += [objects[i] | now for i in candidates if fate[i] == "included"]
         sends = params.rules == "all" or "included" in fate
         describes = sends and time_s - self.sensors_s >= 1 - 1e-9
         if describes:
             self.sensors_s = time_s
         return fate, describes
 
-    def forget(self, time_s, detected):
-        """Drop what was included a second ago or longer, and is not detected any more."""
-        self.included = [
-            o for o in self.included if time_s - o["time_s"] < 1 - 1e-9 or any(o is here for here in detected)
-        ]
+    def forget(self, time_s):
+        """Drop what was a candidate a second ago or longer."""
+        self.included = [o for o in self.included if time_s - o["seen_s"] < 1 - 1e-9]
 
     def last(self, one, time_s):
         """The object of this class that is expected nearest to this one, within 4 m; None if there is none."""

@@ -81,7 +81,7 @@ class Story:
             wanted += [WORDS[f] for f in fate]
             sensors.append(describes or self.params.length == "linear")
         for absent in set(range(self.n)) - set(present.tolist()):
-            self.twins[absent].forget(self.time_s, [])
+            self.twins[absent].forget(self.time_s)
         return wanted, sensors
 
     @staticmethod

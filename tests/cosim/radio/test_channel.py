@@ -123,8 +123,8 @@ def test_who_sends_does_not_hear():
 
 
 def test_old_and_surplus_packets_are_dropped():
-    long = say([0] * 4, [0, 1, 2, 3], payload=2000, lifetime_ns=[100 * MS, 3 * MS, 3 * MS, 100 * MS])
-    out = hear(net(PAIR), long)  # each lasts 2.77 ms, so the third is out of date when the second is over
+    long = say([0] * 4, [0, 1, 2, 3], payload=2000, lifetime_ns=[100 * MS, 6 * MS, 6 * MS, 100 * MS])
+    out = hear(net(PAIR), long)  # each lasts 2.77 ms, so the third cannot end by 8 ms when the second is over
     assert [PhyOutcome(f) for f in out.outcome] == [
         PhyOutcome.RECEIVED,
         PhyOutcome.RECEIVED,

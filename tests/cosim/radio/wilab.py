@@ -255,7 +255,7 @@ def figures(unit, log, apart, range_m, raw_m, n):
 
 
 def replace_rules(rules, carrier: Carrier, s: Setting):
-    return rules._replace(n_subchannels=carrier.n_subchannels, rbs=carrier.rbs, power_step=s.period, lead=0)
+    return rules._replace(n_subchannels=carrier.n_subchannels, rbs=carrier.rbs, lead=0)
 
 
 def replace_leak(air, carrier: Carrier):

@@ -198,6 +198,7 @@ def test_a_short_absence_and_a_copied_type_are_the_same_vehicle(tmp_path, form):
     rows += [(t, "6", 8 * t + 30, 5, 90, "car", 8) for t in range(14)]
     _, report, who = replay(write(tmp_path, sorted(rows, key=lambda row: row[0]), form))
     assert sorted(who.names) == ["5", "6"] and "names_again" not in report
+    assert dict(zip(who.names, who.n_steps.tolist(), strict=True)) == {"5": 11, "6": 14}
 
 
 def test_a_vehicle_that_sumo_teleports_is_the_same(tmp_path):

@@ -275,21 +275,3 @@ def test_actors_that_appear_leave_or_are_put_elsewhere_are_not_interpolated(tmp_
     assert [len(world["actor"]) for world in worlds] == [0, 3, 1, 1, 1, 3]
     np.testing.assert_allclose([world["xyz_m"][0, 0] for world in worlds[1:]], [-2.5, 0.0, 2.5, 5.0, 7.5], atol=0.01)
     assert traffic.report()["trace_interpolated_s"] == 1.0
-
-
-def test_steps_on_the_road_are_those_in_which_an_actor_is_there(tmp_path):
-    """`away` is in the trace at 0 s, 1 s, 5 s and 6 s, `here` always: 4 and 7 steps, of the same 7."""
-    rows = [
-        "".join(
-            f'<vehicle id="{name}" x="{10 * t}" y="{y}" angle="90" type="t" speed="10"/>'
-            for name, y in (("away", 0), ("here", 50)) if name == "here" or t not in (2, 3, 4)
-        )
-        for t in range(7)
-    ]  # fmt: skip
-    steps = "".join(f'<timestep time="{t}">{row}</timestep>' for t, row in enumerate(rows))
-    (tmp_path / "a.xml").write_text(f"<fcd-export>{steps}</fcd-export>")
-    actors = registry()
-    worlds = collect(find(str(tmp_path / "a.xml")).traffic(TrafficParams(), actors), 0, 99)
-    assert [len(world["actor"]) for world in worlds] == [0, 2, 2, 1, 1, 1, 2, 2]
-    assert dict(zip(actors.names, actors.n_steps.tolist(), strict=True)) == {"away": 4, "here": 7}
-    assert len(set(actors.first_step)) == len(set(actors.last_step)) == 1
