@@ -285,7 +285,8 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str, at: Se
         grid = cells.reindex(pd.MultiIndex.from_product([shown_rows, columns]))
         mean = grid["mean"].to_numpy(float).reshape(len(shown_rows), -1)
         first = of_metric.iloc[0]
-        top = 1.0 if bounds_of(first.metric)[1] == 1 else float(np.nanmax(mean)) or 1.0
+        is_share = bounds_of(first.metric)[1] == 1
+        top = 1.0 if is_share else float(np.nanmax(mean)) or 1.0
         image = axes.imshow(mean, cmap="cividis", vmin=0, vmax=top, aspect="auto")
         for i, j in np.argwhere(~np.isnan(mean)) if has_room else ():
             ink = "black" if mean[i, j] > 0.55 * top else "white"

@@ -163,7 +163,8 @@ def test_every_mean_is_within_the_axis_and_the_scale(metric, top, tmp_path):
         }).to_parquet(tmp_path / what / "jobs" / "all" / "measures.parquet")  # fmt: skip
         head = {"name": "s", "question": "", "keys": ["attack", "level"], "baseline": {}}
         study = StudyResults(tmp_path / what, head, points)
-        drawn.append(study_figure.draw(study, metric.partition(".")[0], [metric]).axes[0])
+        figure = study_figure.draw(study, metric.partition(".")[0], [metric])
+        drawn.append(figure.axes[0])
     assert drawn[0].images[0].get_clim() == (0, max(top, 1))
     assert top <= drawn[1].get_ylim()[1] < 1.1 * top
 

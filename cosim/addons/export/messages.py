@@ -42,7 +42,8 @@ def message_steps(selection: Selection) -> Int[ndarray, "s"]:
     """The chosen steps, and those in which messages were sent that vehicles received in the chosen steps."""
     chosen = pc.field("step").isin(selection.steps.tolist())
     got = selection.run.parts("receptions", ["message_step"], chosen)
-    return np.unique(np.concatenate([selection.steps, *(part.message_step.unique() for part in got)]))
+    sent = [part.message_step.unique() for part in got]
+    return np.unique(np.concatenate([selection.steps, *sent]))
 
 
 class ExportedMessages:

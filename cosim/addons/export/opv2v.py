@@ -115,10 +115,11 @@ def _windows(
     selection: Selection, presence: pd.DataFrame, steps: Int[ndarray, "s"], interval: int
 ) -> list[Opv2vScenario]:
     """Scenarios of `WINDOW_S` of vehicles that sense together, every `interval` steps."""
-    found = []
+    found, parts = [], []
     width = max(1, round(WINDOW_S / (interval * selection.run.dt_s)))
     gaps = np.flatnonzero(np.diff(steps) != interval) + 1
-    parts = [span[at : at + width] for span in np.split(steps, gaps) for at in range(0, len(span), width)]
+    for span in np.split(steps, gaps):
+        parts += [span[at : at + width] for at in range(0, len(span), width)]
     for part in parts:
         here = presence[presence.step.isin(part.tolist())]
         counts = here.vehicle.value_counts()

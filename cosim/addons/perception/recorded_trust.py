@@ -64,7 +64,8 @@ def trusted(data: Recorded, cooperating: Sequence[Int[ndarray, "k"]], boxes: Rec
     scenarios = [frame.rpartition("/")[0] for frame in data.frames]
     called = data.agents
     if len(set(scenarios)) > 1:
-        called = tuple(tuple(f"{of}/{name}" for name in here) for of, here in zip(scenarios, called, strict=True))
+        both = zip(scenarios, data.agents, strict=True)
+        called = tuple(tuple(f"{scenario}/{name}" for name in here) for scenario, here in both)
     everyone = sorted(set().union(*called))
     numbers = {name: k for k, name in enumerate(everyone)}
     kinds = sorted(set(boxes.label.tolist()))

@@ -340,7 +340,8 @@ def _cut(fixes: Fixes, params: ContactParams, path: Path) -> tuple[Fixes, float]
     from_s = 0.0 if params.from_s is None else params.from_s - begin
     to_s = math.inf if params.to_s is None else params.to_s - begin
     keep = (fixes.time_s >= from_s) & (fixes.time_s <= to_s)
-    reaches = (np.diff(fixes.actor) == 0) & (fixes.time_s[:-1] < to_s) & (fixes.time_s[1:] > from_s)
+    is_same = np.diff(fixes.actor) == 0
+    reaches = is_same & (fixes.time_s[:-1] < to_s) & (fixes.time_s[1:] > from_s)
     keep[:-1] |= reaches
     keep[1:] |= reaches
     if not keep.any():

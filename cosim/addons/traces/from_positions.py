@@ -99,7 +99,8 @@ def timesteps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Ti
             direction[of] = way_m / np.hypot(*way_m.T)[:, None]
             turned_m[of] = here.xy_m[some]
         ahead = direction[here.track]
-        front_m = here.xy_m if fixes.is_front else here.xy_m + ahead * lwh_m[here.track, :1] / 2
+        half_m = 0.0 if fixes.is_front else lwh_m[here.track, :1] / 2
+        front_m = here.xy_m + ahead * half_m
         yield Timestep(
             here.step * step_s,
             names[here.track].tolist(),

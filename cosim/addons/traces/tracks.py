@@ -132,7 +132,8 @@ def tracks(fixes: Fixes, params: TrackParams) -> PositionTracks:
     begin = np.ceil(at - _TOLERANCE).astype(np.int64)
     end = np.where(linked, np.r_[begin[1:], 0], np.floor(at + _TOLERANCE).astype(np.int64) + 1)
     first = np.maximum(begin, 0)
-    end = np.minimum(end, np.floor(params.length_s / params.step_s + _TOLERANCE) + 1).astype(np.int64)
+    last = np.floor(params.length_s / params.step_s + _TOLERANCE)
+    end = np.minimum(end, last + 1).astype(np.int64)
     some = end > first
     if not some.any():
         raise ValueError(

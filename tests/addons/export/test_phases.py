@@ -55,8 +55,7 @@ def test_a_scenario_has_vehicles_of_one_phase(run, monkeypatch):
 def test_a_scenario_ends_where_steps_are_left_out(run, monkeypatch):
     monkeypatch.setattr(opv2v, "MOST", 2)
     found = opv2v.scenarios_of(selection(run, [0, 1, 2, 3, 4, 10, 11, 12, 13, 14]))
-    steps = [(s.vehicles, s.steps.tolist()) for s in found]
-    assert steps == [((0, 2), [0]), ((1, 3), [3]), ((0, 2), [10]), ((1, 3), [13])]
+    assert [scenario.steps.tolist() for scenario in found] == [[0], [3], [10], [13]]
 
 
 def test_a_perspective_has_a_sweep_of_its_own(run, tmp_path):

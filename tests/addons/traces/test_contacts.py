@@ -139,7 +139,8 @@ def test_gaps_censor(tmp_path):
 
 def test_a_span_without_a_position_in_it(tmp_path):
     """A position every 30 s; from 32 s to 45 s both vehicles are between two of theirs: 14 steps."""
-    rows = [("a", t, t, 0) for t in range(0, 91, 30)] + [("b", t, t, 10) for t in range(1, 92, 30)]
+    rows = [("a", t, t, 0) for t in range(0, 91, 30)]
+    rows += [("b", t, t, 10) for t in range(1, 92, 30)]
     run = count([trace(tmp_path, rows)], tmp_path / "o", step_s=1.0, max_gap_s=60.0, from_s=32.0, to_s=45.0)
     assert run.encounters[["start_step", "end_step"]].to_numpy().tolist() == [[0, 14]]
     assert run.encounters.min_distance_m.tolist() == [10]

@@ -113,8 +113,8 @@ def test_what_was_left_out_for_a_second_is_not_new():
     params, state, found = replace(ETSI, max_objects=1, interval_s=0.2), CpmState(), []
     at = Generators(np.array([0]), np.array([0]), np.zeros((1, 2)), np.zeros(1))
     for k, time_s in enumerate((0.0, 0.6, 1.0, 1.1, 1.2)):
-        moving = (0, CAR, 60 + 8 * k, 8 * k)
-        seen = list_of(*[(0, CAR, 0, 0), (0, CAR, 30, 0), moving][: 3 if k else 2])
+        own, parked, moving = (0, CAR, 0, 0), (0, CAR, 30, 0), (0, CAR, 60 + 8 * k, 8 * k)
+        seen = list_of(own, parked, moving) if k else list_of(own, parked)
         tracks = np.array([-1, 0, 1][: len(seen)])
         state, content = generate(state, seen, seen.observer, at, time_s, params, tracks)
         found.append([Inclusion(i).name for i in content.inclusion[1:]])
