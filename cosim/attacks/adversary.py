@@ -55,14 +55,17 @@ class ActiveAttacks:
     """Actors that send messages in this step, by row of the world; None if all equipped vehicles do."""
 
     def _on_messages(self, method: str) -> list[tuple[Any, AttackContext]]:
-        """Attacks that have this method, which changes messages; their attackers are only those that send now."""
+        """Attacks that have this method, which changes messages; their attackers are only those that send now.
+
+        An attack whose class says `remembers` is asked where none does, too: it notes what others send.
+        """
         found = []
         for attack, context in self.attacks:
             if not hasattr(attack, method):
                 continue
             if self.sends is not None:
                 context = replace(context, attacker=context.attacker & self.sends)
-                if not context.attacker.any():
+                if not context.attacker.any() and not getattr(attack, "remembers", False):
                     continue
             found.append((attack, context))
         return found

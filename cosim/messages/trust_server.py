@@ -44,7 +44,7 @@ class ServerParams:
         time_s = np.asarray(time_s)
         out = np.zeros(time_s.shape, bool)
         for start, end in self.outages:
-            out |= (time_s >= start) & (time_s < end)
+            out |= (time_s >= start - 1e-9) & (time_s < end - 1e-9)  # 3 * 0.3 is below 0.9
         return out
 
 

@@ -203,7 +203,11 @@ def nr_block_bits(n_rbs: int, mcs: int, *, dmrs: int, control_symbols: int, cont
     of_control = control_symbols * control_rbs * 12
     needed = int(np.ceil((48 + 24) * 1.125 / (2 * rate)))
     second = min(needed, int(np.ceil(0.5 * (12 * 12 * n_rbs - of_control))))
-    information = (elements - of_control - second) * bits * rate
+    return block_of((elements - of_control - second) * bits * rate, rate)
+
+
+def block_of(information: float, rate: float) -> int:
+    """Transport block size for this many information bits and code rate [bits]: TS 38.214 5.1.3.2 [1]_."""
     if information < 24:
         return 0
     if information <= 3824:

@@ -42,7 +42,7 @@ from cosim.step.result import Sensed, StepResult
 from cosim.step.sense import identify, mislead, perceive, position, track_objects
 from cosim.step.state import State
 from cosim.step.trust import control_relays, follow_encounters, look_up, own_trust_of, publish, receive_from_rsus
-from cosim.traffic.driver import Beliefs
+from cosim.traffic.driver import Beliefs, memory_s
 from cosim.world import World
 
 
@@ -182,7 +182,8 @@ def _cycle(
     if config.driver.model != "none":
         with watch("driver"):
             beliefs = beliefs_of(fused[0], exchange, known, world, positioned.error)
-            reaction_truth = reaction_truth.next(exchange, listed, config.traffic.step_s)
+            kept_s = memory_s(parts.driver) + parts.schedule.longest_steps * config.traffic.step_s
+            reaction_truth = reaction_truth.next(exchange, listed, kept_s, config.traffic.step_s)
     with watch("track"):
         attack_start = tracking.track_attacks(s.attack_start, exchange, positioned.observed, listed, evaluated)
         inter_reception, reach = tracking.track_receptions(s.inter_reception, exchange, rounds)

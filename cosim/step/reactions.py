@@ -12,9 +12,6 @@ from cosim.step.listing import Listed
 from cosim.traffic.driver import SpeedCommands
 from cosim.world import World
 
-_KEPT_S = 10.0
-"""How long ground truth about detections is kept for later reactions."""
-
 
 @dataclass(frozen=True, slots=True)
 class Reactions:
@@ -45,12 +42,12 @@ class DetectionTruth:
 
 @dataclass(frozen=True, slots=True)
 class ReactionTruth:
-    """Ground truth of the detections of the last seconds."""
+    """Ground truth of the detections to which drivers may still react."""
 
     steps: tuple[DetectionTruth, ...] = ()
 
-    def next(self, exchange: Exchange, listed: Listed, dt_s: float) -> "ReactionTruth":
-        """Add the detections of one step and drop those that are too old."""
+    def next(self, exchange: Exchange, listed: Listed, kept_s: float, dt_s: float) -> "ReactionTruth":
+        """Add the detections of one step and drop those that are older than `kept_s`."""
         world, truth = exchange.world, listed.truth
         key = _key(exchange.senders.pseudonym[listed.detections.message], listed.objects.detection_index)
         order = np.argsort(key)
@@ -61,7 +58,7 @@ class ReactionTruth:
             is_real=truth.is_real[order],
             actor=world.actor[truth.actor_row][order].astype(np.int64),
         )
-        return ReactionTruth((*(one for one in self.steps if (world.step - one.step) * dt_s <= _KEPT_S), now))
+        return ReactionTruth((*(one for one in self.steps if (world.step - one.step) * dt_s <= kept_s + 1e-9), now))
 
     def of(self, commands: SpeedCommands, world: World, dt_s: float) -> Reactions | None:
         """The commands with ground truth about the objects; None if the driver gives no reasons."""

@@ -73,7 +73,8 @@ class Driver(Protocol):
     """Turns fused objects into speed commands. `state` is what the driver stores between steps, None at first.
 
     The class attribute `LARGEST_STEP_S` is the longest traffic step that the driver can command [s]. If a class has it,
-    longer steps and replayed traffic are refused before the run begins.
+    longer steps and replayed traffic are refused before the run begins. The attribute `memory_s` says how long after it
+    was last known an object may be the reason of a command [s]; without it, 10 s.
     """
 
     def commands(
@@ -119,6 +120,11 @@ class DriverParams:
 def largest_step_s(driver: type) -> float | None:
     """Longest traffic step that a class of drivers can command [s]. None if the class does not define it."""
     return getattr(driver, "LARGEST_STEP_S", None)
+
+
+def memory_s(driver: object) -> float:
+    """How long after it was last known an object may be the reason of a driver's command [s]."""
+    return getattr(driver, "memory_s", 10.0)
 
 
 DRIVERS: Mapping[str, type] = Choices("driver", {"none": Unaffected})

@@ -1,5 +1,6 @@
 """Further attacks with false objects: an approaching vehicle, a hidden one, and old or copied detections."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -169,12 +170,13 @@ class Replay(Vouched[ReplayParams]):
 
     Notes
     -----
-    Deviations: NextGen replays whole messages, while this attack replays single detections. They come from senders that
-    were within range in the oldest step within `age_s`. Sender and detection are drawn at random. The attacker need not
-    have received them.
+    Deviations: NextGen replays whole messages, while this attack replays single detections. They are of the oldest
+    message within `age_s` of each sender that was within range then. Sender and detection are drawn at random. The
+    attacker need not have received them.
     """
 
     Params = ReplayParams
+    remembers = True
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with detections of an earlier step added to those of attackers."""
@@ -185,15 +187,18 @@ class Replay(Vouched[ReplayParams]):
         received = np.flatnonzero(listed.transmitted & ~own_fabrications)
         while past and past[0][0] < context.time_s - p.age_s - 1e-9:
             past.pop(0)
-        old = past[0] if past else None
         now = listed.take(received)
+        earlier = [of for of in past if len(of[1])]
         past.append((context.time_s, now, world.actor[now.observer], world.name_key[now.observer], xy[now.observer]))
-        if old is None or not len(old[1]):
-            return listed
-        _, said, by, name_key, from_xy = old
         attackers = np.flatnonzero(context.attacker)
-        first = np.flatnonzero(np.append(True, by[1:] != by[:-1]))  # of each sender's detections
-        count = np.diff(np.append(first, len(by)))
+        if not len(attackers) or not earlier:
+            return listed
+        by, name_key, from_xy = (np.concatenate(column) for column in zip(*(of[2:] for of in earlier), strict=True))
+        begins = np.append(True, by[1:] != by[:-1])
+        begins[np.cumsum([0, *(len(said) for _, said, *_ in earlier[:-1])])] = True
+        begin = np.flatnonzero(begins)  # of each message, the oldest ones first
+        _, oldest = np.unique(by[begin], return_index=True)  # of each sender
+        first, count = begin[oldest], np.diff(np.append(begin, len(by)))[oldest]
         tree = cKDTree(from_xy[first])
         near = cKDTree(xy[attackers]).sparse_distance_matrix(tree, p.range_m, output_type="ndarray")
         a, sender = near["i"], near["j"]
@@ -209,7 +214,7 @@ class Replay(Vouched[ReplayParams]):
         source = first[chosen] + _scaled(other, count[chosen])
         _, once = np.unique(has * np.int64(len(by)) + source, return_index=True)
         once = np.sort(once)  # as drawn, not by actor numbers
-        again = said.take(source[once])
+        again = _rows_of([said for _, said, *_ in earlier], source[once])
         return fabricated(
             listed,
             attackers[has[once]],
@@ -219,6 +224,15 @@ class Replay(Vouched[ReplayParams]):
             n_points=again.n_points,
             velocity_mps=again.velocity_mps,
         )
+
+
+def _rows_of(parts: Sequence[Detections], rows: Int[ndarray, "k"]) -> Detections:
+    """These rows of all parts, which are numbered part after part."""
+    ends = np.cumsum([len(part) for part in parts])
+    of = np.searchsorted(ends, rows, "right")
+    found = [part.take(rows[of == k] - (ends[k] - len(part))) for k, part in enumerate(parts)]
+    order = np.argsort(of, kind="stable")
+    return Detections.concat(found).take(np.argsort(order, kind="stable"))
 
 
 def _scaled(draw: Float[ndarray, "n"], below: Int[ndarray, "n"]) -> Int[ndarray, "n"]:

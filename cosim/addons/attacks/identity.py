@@ -27,7 +27,8 @@ class SybilParams:
     aside_m: Annotated[float, Ge(0), Le(1000)] = 2.0
     """Distance of the ghosts to the left and to the right of the attacker, in turn [m]. The default is F2MD's."""
     agree: bool = True
-    """Whether ghosts confirm each other and the attacker, with evaluation 1 and visibility 1."""
+    """Whether ghosts confirm each other, with evaluation 1 and visibility 1. What the attacker detects they evaluate as
+    the attacker does."""
 
 
 class Sybil(WithParams[SybilParams]):

@@ -132,6 +132,11 @@ class Cautious:
     def __init__(self, params: CautiousParams) -> None:
         self.params = params
 
+    @property
+    def memory_s(self) -> float:
+        """As in `Driver`."""
+        return self.params.release_s
+
     def commands(
         self, state: object, world: World, beliefs: Beliefs | None, dt_s: float
     ) -> tuple[Believed | None, SpeedCommands]:

@@ -181,6 +181,18 @@ def test_replay(honest):
     assert age.between(1, 3).all() and (found.observer != found.observer_made).all()
 
 
+def test_replay_of_vehicles_that_send_at_other_times():
+    """Random phases in steps of 0.2 s: of each sender the oldest message within 1.5 s, so that all have a message."""
+    honest = play(n_steps=30, **IN_TURNS)["detections"]
+    keys = {"attack": "replay", "n_objects": 200, "age_s": 1.5}
+    lies = lies_of(play([BY | keys], n_steps=30, **IN_TURNS))
+    true = honest[["at", "observer", "x_m", "y_m", "score"]]
+    found = lies[lies["at"] > 15].merge(true, on=["x_m", "y_m", "score"], suffixes=("", "_made"))
+    found = found[(found["at"] - found.at_made).between(3, 7)]  # the next message of each is five steps younger
+    assert found.groupby(KEY).ngroups == (lies["at"] > 15).sum() > 100
+    assert set(found.observer_made) == set(honest[honest["at"] > 8].observer)
+
+
 def test_stale(honest):
     """The content of two messages ago, the vehicle itself included."""
     tables = play([BY | {"attack": "stale", "n_messages": 2}])

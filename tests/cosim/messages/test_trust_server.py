@@ -108,6 +108,12 @@ def test_the_first_reception_by_a_roadside_unit_counts_once():
     assert here == [[0]] and arrived(up, state, 5.22)[1] == [[2]]
 
 
+def test_outages_begin_and_end_in_their_steps():
+    """Three steps of 0.3 s are 0.8999999999999999 s."""
+    is_out = ServerParams(outages=((0.9, 1.8),)).is_out(np.arange(8) * 0.3)
+    assert np.flatnonzero(is_out).tolist() == [3, 4, 5]
+
+
 def test_no_uplink_during_an_outage():
     for way in ("cellular", "rsu"):
         p = ServerParams(uplink=way, outages=((10.0, 20.0),), cellular=CellularParams(uplink_loss_p=0.0))

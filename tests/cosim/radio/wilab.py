@@ -24,7 +24,7 @@ from cosim.radio.message_round import Stations
 from cosim.radio.params import RadioParams
 from cosim.radio.phy import ReceiverParams
 from cosim.radio.sidelink_params import LteParams, NrParams, SidelinkParams
-from cosim.radio.sidelink_phy import NR_MCS, Carrier, lte_block_sizes, nr_block_bits
+from cosim.radio.sidelink_phy import NR_MCS, Carrier, block_of, lte_block_sizes
 from tests import SHARED
 
 WILAB = SHARED / "reference" / "wilab"
@@ -97,7 +97,10 @@ def budget(s: Setting) -> tuple[Carrier, float, float, float]:
 
 
 def _nr_bits(n_rbs: int, mcs: int) -> int:
-    return nr_block_bits(n_rbs, mcs, dmrs=24, control_symbols=3, control_rbs=10)
+    """WiLabV2Xsim counts the second control part in the modulation of the data; the standard has QPSK."""
+    bits, rate = NR_MCS[mcs][0], NR_MCS[mcs][1] / 1024
+    second = np.ceil(72 * 1.125 / (bits * rate))
+    return block_of(((12 * 12 - 24) * n_rbs - 3 * 10 * 12 - second) * bits * rate, rate)
 
 
 def _lte_subchannels(needed: int) -> tuple[int, float]:
