@@ -241,7 +241,7 @@ class Adversary:
             n_active = state.n_active[number, world.actor]
             n_sent = 1 if sends is None else sends
             state.n_active[number, world.actor] = np.where(attacker, n_active + n_sent, 0)
-            if not attacker.any():
+            if not attacker.any() and not (getattr(attack, "remembers", False) and _has_begun(p, time_s)):
                 continue
             context = AttackContext(
                 world=world,

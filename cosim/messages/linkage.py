@@ -16,12 +16,14 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
-from cosim.base.ragged import owner_of_rows
+from cosim.base.ragged import owner_of_rows, stable_order
 from cosim.messages.pseudonyms import PseudonymParams, Pseudonyms, PseudonymState
+from trust.params import KINDS
 from trust.tables import EvaluationMessages, TrustScores
 
-PER_IDENTITY = 1024
-"""Detection indices of the n-th further identity of a linked vehicle begin at n times this."""
+PER_IDENTITY = 1024 * len(KINDS)
+"""Detection indices of the n-th further identity of a linked vehicle begin at n times this. They keep the kinds of
+claims apart (`trust.claims.claim_number`)."""
 _UNKNOWN = (1 << 31) - 1
 """Subject number of pseudonyms that were never issued."""
 
@@ -112,19 +114,22 @@ class Linkage:
             with np.errstate(invalid="ignore"):
                 total = np.bincount(which.reshape(-1), np.nan_to_num(sent.evaluation * sent.visibility), len(pair))
             subject = pair[total < 0] & (1 << 32) - 1
-            accused.append(subject[subject != sent.evaluator[pair[total < 0] >> 32]])
-        subject, n = np.unique(np.concatenate(accused), return_counts=True)
+            evaluator = sent.evaluator[pair[total < 0] >> 32].astype(np.int64)
+            others = subject != evaluator
+            accused.append(np.column_stack([subject[others], evaluator[others] << 32 | sent.step]))
+        subject, report = np.concatenate(accused).T
+        order = stable_order(subject)
+        subject, begin = np.unique(subject[order], return_index=True)
+        by = np.split(report[order], begin[1:])
         vehicle = self.pseudonyms.owners(state, subject)[0]
-        known = vehicle >= 0
-        subject, n, vehicle = subject[known], n[known], vehicle[known]
-        counts, linked = dict(state.accusations), state.linked.copy()
-        for s, more, v in zip(subject.tolist(), n.tolist(), vehicle.tolist(), strict=True):
-            if linked[v] < 0:
-                counts[s] = counts.get(s, 0) + more
-                if counts[s] >= self.n_accusations:
+        known, linked = dict(state.accusations), state.linked.copy()
+        for s, reports_of, v in zip(subject.tolist(), by, vehicle.tolist(), strict=True):
+            if v >= 0 and linked[v] < 0:
+                known[s] = known.get(s, set()).union(reports_of.tolist())  # units may relay a report more than once
+                if len(known[s]) >= self.n_accusations:
                     linked[v] = s
-                    del counts[s]
-        return replace(state, accusations=counts, linked=linked)
+                    del known[s]
+        return replace(state, accusations=known, linked=linked)
 
     def _resolved(
         self, state: PseudonymState, pseudonym: Int[ndarray, "n"]

@@ -281,8 +281,8 @@ class PseudonymState:
     """Vehicle, identity and first step of each pseudonym that is not an actor number, in the order of issue."""
     extra: Int[ndarray, "x 4"] = field(default_factory=partial(np.zeros, (0, 4), np.int64))
     """Further identities. Columns: `_identity_key` (ascending), pseudonym, first and last step."""
-    accusations: dict[int, int] = field(default_factory=dict)
-    """Number of accusations of pseudonyms that are not linked yet."""
+    accusations: dict[int, set[int]] = field(default_factory=dict)
+    """Accusations of pseudonyms that are not linked yet: evaluator and step in one number."""
     revoked: dict[int, int] = field(default_factory=dict)
     """Subjects that are revoked, and the first step of the revocation."""
     refused: dict[int, int] = field(default_factory=dict)
@@ -362,7 +362,6 @@ class Pseudonyms:
         world: World,
         observers: Int[ndarray, "e"],
         wants: Bool[ndarray, "e"] | None = None,
-        sends: Bool[ndarray, "e"] | None = None,
     ) -> tuple[PseudonymState, Int[ndarray, "e"], PseudonymUse]:
         """The pseudonym of each equipped vehicle in this step.
 
@@ -372,8 +371,6 @@ class Pseudonyms:
             Equipped vehicles, rows of the world.
         wants
             Vehicles that change whatever the policy says.
-        sends
-            Vehicles that send a message in this step. None if all do; the others get their first pseudonym.
 
         Returns
         -------
@@ -412,13 +409,17 @@ class Pseudonyms:
             "since_step": np.where(takes, world.step, state.since_step[actor]),
             "seen_step": world.step,
             "n_changes": ages.n_changes + changes,
-            "n_messages": np.where(takes, 0, ages.n_messages) + (1 if sends is None else sends),
+            "n_messages": np.where(takes, 0, ages.n_messages),
             "distance_m": np.where(takes, 0.0, distance_m),
             "xy_m": xy_m,
             "from_xy_m": np.where(takes[:, None], xy_m, state.from_xy_m[actor]),
             "beyond_step": beyond_step,
         }
         return state.with_columns(actor, columns), current, ended
+
+    def counted(self, state: PseudonymState, actor: Int[ndarray, "k"]) -> PseudonymState:
+        """The state after these vehicles have each made a detection message."""
+        return state.with_columns(actor, {"n_messages": state.n_messages[actor] + 1})
 
     def _ages(
         self,

@@ -1,6 +1,7 @@
 """Receivers that link a new pseudonym to one that they no longer receive, by position and speed.
 
-A receiver predicts the position of every sender that it no longer receives. If a new sender is at that position, the
+A receiver predicts the position of every sender that it no longer receives: those that were silent for a sensing
+interval. If a new sender is at that position, the
 receiver links the two pseudonyms. It then uses what it knows about the old pseudonym until it knows something about the
 new one.
 """
@@ -63,6 +64,7 @@ def update_senders(
     before: KnownSenders,
     received: ReceivedSenders,
     time_s: float,
+    interval_s: float,
     owner_of: Callable[[Int[ndarray, "k"]], Int[ndarray, "k"]],
     params: PseudonymParams,
 ) -> KnownSenders:
@@ -74,6 +76,8 @@ def update_senders(
         Senders of earlier rounds.
     received
         Senders of this round.
+    interval_s
+        Longest time between two messages of a sender that goes on sending.
     owner_of
         Vehicles of pseudonyms. This is ground truth and is used for counting only.
     """
@@ -96,8 +100,9 @@ def update_senders(
     was = np.searchsorted(before.key, now.key[there])
     now.linked[there] = before.linked[was]
     now.rated[there] = before.rated[was]
-    silent = ~np.isin(before.key, now.key) & (time_s - before.time_s <= params.own_gap_s + 1e-9)
-    lost, new = np.flatnonzero(silent), np.flatnonzero(~there)
+    silent_s = time_s - before.time_s
+    unheard = ~np.isin(before.key, now.key) & (silent_s <= params.own_gap_s + 1e-9)
+    lost, new = np.flatnonzero(unheard & (silent_s >= interval_s - 1e-9)), np.flatnonzero(~there)
     begin, end = (np.searchsorted(before.receiver[lost], now.receiver[new], side) for side in ("left", "right"))
     at, which = expand(begin, end)
     a, b = new[which], lost[at]
@@ -118,7 +123,8 @@ def update_senders(
     now = replace(
         now, n_changes=now.n_changes + n_changes, n_linked=now.n_linked + len(a), n_right=now.n_right + n_right
     )
-    return _joined(now, before.take(lost[~np.isin(lost, b)]))
+    unheard[b] = False
+    return _joined(now, before.take(unheard))
 
 
 def _joined(one: KnownSenders, other: KnownSenders) -> KnownSenders:

@@ -155,7 +155,7 @@ def notes_on(config: Config, scenario: Scenario) -> list[str]:
             notes.append("note: [parked] places no car: no place along the streets is free, or tags say so.")
         if config.trees.per_100_m and not len(city.trees.shape):
             notes.append("note: [trees] places no tree: no place along the streets is free.")
-    return notes + _few_clouds(config) + _out_of_reach(config)
+    return notes + _few_clouds(config) + _no_links(config) + _out_of_reach(config)
 
 
 def empty_streets(config: Config, scenario: Scenario) -> list[str]:
@@ -181,6 +181,17 @@ def _few_clouds(config: Config) -> list[str]:
         f"note: early_fusion.max_age_s = {oldest_s:g} is shorter than a step of {step_s:g} s. Only clouds of vehicles "
         f"that sense in the same step are merged: those of one in {n_phases}. early_fusion.max_age_s = "
         f"{interval_s - step_s:g} merges those of all."
+    ]
+
+
+def _no_links(config: Config) -> list[str]:
+    """A note if receivers forget a sender before they can tell that it is silent, and so link no pseudonyms."""
+    gap_s, longest_s = config.pseudonyms.own_gap_s, config.schedule.longest_steps * config.traffic.step_s
+    if config.pseudonyms.linkage != "own" or not config.sensing or gap_s >= longest_s - 1e-9:
+        return []
+    return [
+        f"note: pseudonyms.own_gap_s = {gap_s:g} is shorter than the longest sensing interval of {longest_s:g} s, and "
+        "a sender is silent after that time only. Receivers link no pseudonyms. Set it higher."
     ]
 
 

@@ -138,6 +138,8 @@ def _cycle(
         if sent_clouds is not None and config.early_fusion.medium == "radio":
             cloud_bytes = sent_clouds.length_bytes
         medium, cpms = broadcast_detections(exchange, listed, s.piggybacked, cloud_bytes, medium, parts)
+        has_message = cpms.length_bytes[exchange.senders.own] > 0
+        pseudonyms = parts.pseudonyms.counted(pseudonyms, exchange.sensing.actor[has_message])
         cpm = hear(cpm, exchange, positioned, listed, cpms, config)
     carry_evaluations = RoundKind.EVALUATION if config.radio.evaluations == "alone" else RoundKind.CPM
     with watch("match"):

@@ -57,7 +57,7 @@ def identify(
         if parts.adversary.renews:
             age_s = (world.step - pseudonyms.begun(world.actor, world.step)) * parts.config.traffic.step_s
             wants = parts.adversary.renewals(world, now.begin_s, own_trust, age_s)[issued]
-        pseudonyms, _, ended = parts.pseudonyms.issue(pseudonyms, world, issued, wants, np.isin(issued, sensing))
+        pseudonyms, _, ended = parts.pseudonyms.issue(pseudonyms, world, issued, wants)
     return pseudonyms, Vehicles(row, actor, names, pseudonyms.of(actor), np.searchsorted(row, sensing)), ended
 
 

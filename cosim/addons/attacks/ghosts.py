@@ -255,6 +255,7 @@ class Stale(Vouched[StaleParams]):
     """
 
     Params = StaleParams
+    remembers = True
 
     def detections(self, listed: Detections, context: AttackContext) -> Detections:
         """The lists, with own detections replaced by old ones, and the self report by the old pose."""

@@ -206,6 +206,17 @@ def test_stale(honest):
     assert len(reports) == 4 * len(LIARS) and reports.lied.all()
 
 
+def test_stale_after_a_pause(honest):
+    """On in the first half of eight steps: after a pause, content is of two messages ago, too."""
+    times = {"when": "on_off", "period_s": 8.0, "duty_p": 0.5, "start_s": 0.0}
+    found = play([BY | times | {"attack": "stale", "n_messages": 2}], n_steps=12)["detections"]
+    honest = play(n_steps=12)["detections"]
+    selves = found[found.observer.isin(WHO) & (found.detection_index == 0) & (found["at"] >= 8)]
+    was = honest.query("detection_index == 0").assign(at=lambda f: f["at"] + 2)
+    both = selves.merge(was, on=["at", "observer"], suffixes=("", "_was"))
+    assert len(both) == 4 * len(WHO) and (both.x_m == both.x_m_was).all()
+
+
 @pytest.mark.verify
 def test_speed(honest):
     tables = play([BY | {"attack": "speed"}], n_steps=40)

@@ -6,9 +6,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from cosim.config.config import load
 from cosim.messages.linkage import Linkage
-from cosim.messages.pseudonyms import PseudonymParams
+from cosim.messages.pseudonyms import PseudonymParams, PseudonymState
+from cosim.messages.relinking import KnownSenders, ReceivedSenders, update_senders
+from cosim.runs.check import remarks_on
 from tests.cosim.attacks.plain import NAMES, N, play
+from tests.trust.histories import messages_from_rows
+from trust.claims import claim_number
+from trust.params import KINDS
 from trust.tables import TrustScores
 
 LIARS = ["v00", "v07", "v15", "v23"]
@@ -109,6 +115,52 @@ def test_linkage_on_demand_begins_with_the_accused_pseudonym():
     owners = tables.parts.pseudonyms.owners(state, state.linked[linked])[0]
     assert (owners == linked).all()
     assert set(WHO) & set(linked.tolist()) or not len(linked)
+
+
+@pytest.mark.parametrize("kind", range(len(KINDS)))
+def test_claims_of_further_identities_keep_their_kind(kind):
+    """Detection 4 of the third further identity of vehicle 0, and of its own; no number of one is one of the other."""
+    owned = SimpleNamespace(owners=lambda state, pseudonym: (np.zeros(2, int), np.array([0, 3])))
+    numbers = claim_number(np.array([4, 4]), kind)
+    _, index = Linkage(PseudonymParams(linkage="server"), owned).keys(None, np.array([7, 8]), numbers)
+    assert (index % len(KINDS) == kind).all() and index[1] - index[0] > claim_number(np.array([255]), len(KINDS))[0]
+
+
+def test_a_report_that_is_relayed_accuses_once():
+    """Two accusations are wanted. One report arrives twice, in two steps; then there is one of the next step."""
+    owned = SimpleNamespace(owners=lambda state, pseudonym: (np.zeros(len(pseudonym), int), None))
+    linkage = Linkage(PseudonymParams(linkage="on_demand", n_accusations=2), owned)
+    state = PseudonymState(linked=np.array([-1]))
+    reports = [messages_from_rows(step, [7], [3], [1], [-1.0], [1.0]) for step in (4, 4, 5)]
+    for report, is_linked in zip(reports, (False, False, True), strict=True):
+        state = linkage.accused(state, [report])
+        assert (state.linked[0] == 3) == is_linked
+    assert not state.accusations
+
+
+def test_a_sender_is_silent_after_an_interval_only():
+    """Receiver 0 hears 1 and 2 once a second, at other times, and then 3 where 1 would be. 2 is not silent yet."""
+    params = PseudonymParams(linkage="own", own_gap_s=1.5, own_gate_m=3.0)
+
+    def heard(known, time_s, pseudonym, x_m):
+        received = ReceivedSenders(
+            np.array([0]), np.array([pseudonym]), np.array([[x_m, 0.0]]), np.array([[10.0, 0.0]])
+        )
+        return update_senders(known, received, time_s, 1.0, lambda of: of, params)
+
+    known = heard(heard(KnownSenders(), 0.0, 1, 0.0), 0.6, 2, 6.0)
+    known = heard(known, 1.0, 3, 10.0)
+    assert known.n_linked == 1 and sorted(known.pseudonym.tolist()) == [2, 3], "both would be at 10 m"
+    known = heard(KnownSenders(), 0.0, 1, 0.0)
+    known = heard(known, 0.8, 3, 8.0)
+    assert known.n_linked == 0 and sorted(known.pseudonym.tolist()) == [1, 3]
+
+
+def test_a_gap_that_nobody_fits_is_noted():
+    sets = ["pseudonyms.linkage=own", "sensing_groups.0.share_p=0.5", "sensing_groups.0.interval_s=5"]
+    (line,) = [line for line in remarks_on(load(None, sets), None) if "own_gap_s" in line]
+    assert "shorter than the longest sensing interval of 5 s" in line
+    assert not [line for line in remarks_on(load(None, sets[:1]), None) if "own_gap_s" in line]
 
 
 def test_an_accused_identity_of_many_has_one_row():
