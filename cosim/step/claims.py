@@ -8,7 +8,7 @@ between the sweeps of sender and evaluator, and both compare them at one time: b
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.ragged import expand, ptr_of
@@ -19,6 +19,7 @@ from cosim.step.evaluate import Claims
 from cosim.step.exchange import Exchange
 from cosim.step.known import Known
 from cosim.step.parts import Parts
+from cosim.world import LABELS
 from sensors.boxes import Boxes, extrapolated
 from sensors.coverage import at_place
 from sensors.neighbours import Neighbours
@@ -76,7 +77,7 @@ def _missing(step: int, exchange: Exchange, messages: Known, compared: Compared,
     near = Neighbours(ptr_of(asked.question, len(asked.carrier)), asked.body)
     recall = parts.coverage.expected_recall(asked.carrier, near, then, label)
     age_s = (exchange.now.step - step) * parts.config.traffic.step_s
-    is_placed = _moved_sigma_m(messages, asked.body, age_s, parts.config) <= _PLACED_M
+    is_placed = _moved_sigma_m(exchange, messages, asked.body, age_s, parts) <= _PLACED_M
     is_target = asked.is_target & is_placed & (messages.detections.detection_index[asked.body] < N_OBJECTS)
     rows = np.flatnonzero(is_target & (recall > 0))
     question, body = asked.question[rows], asked.body[rows]
@@ -93,17 +94,31 @@ def _boxes_at(step: int, exchange: Exchange, messages: Known, config: Config) ->
     return extrapolated(messages.objects.boxes, velocities(messages.objects), forward_s)
 
 
-def _moved_sigma_m(messages: Known, body: Int[ndarray, "k"], age_s: float, config: Config) -> Float[ndarray, "k"]:
+def _moved_sigma_m(
+    exchange: Exchange, messages: Known, body: Int[ndarray, "k"], age_s: float, parts: Parts
+) -> Float[ndarray, "k"]:
     """Standard deviation of the place along its way at which each body was that long ago [m].
 
     An object without a velocity may have any speed of its class, in either direction.
     """
-    p, label = config.tracking, messages.detections.label[body]
-    of_track = confirmed_variance(p, config.sensing_interval_s)[label, 0]
+    p, label = parts.config.tracking, messages.detections.label[body]
+    of_track = _of_tracks(exchange, messages, body, label, parts)[:, 0]
     of_class = (np.square(p.along_mean_mps) + np.square(p.along_sigma_mps))[label]
     is_unknown = np.isnan(velocities(messages.objects)[body]).any(axis=1)
     velocity_variance = np.where(is_unknown, of_class, of_track)
     return np.sqrt(velocity_variance * age_s**2 + np.asarray(p.acceleration_noise)[label] * age_s**3 / 3.0)
+
+
+def _of_tracks(
+    exchange: Exchange, messages: Known, detection: Int[ndarray, "k"], label: UInt8[ndarray, "k"], parts: Parts
+) -> Float[ndarray, "k 2"]:
+    """Variance of the velocity of an object, along and across, when a track of the detection's sender first has it."""
+    sender = messages.vehicle[messages.detections.message[detection]]
+    steps, _ = parts.schedule.of_vehicles(exchange.vehicles.name_key[sender])
+    intervals, which = np.unique(steps, return_inverse=True)
+    interval_s = intervals * parts.config.traffic.step_s
+    tables = [confirmed_variance(parts.config.tracking, one) for one in interval_s.tolist()]
+    return np.reshape(tables, (len(tables), len(LABELS), 2))[which, label]
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +189,7 @@ def _speed(
     claim = lists.member[at]
     known_mps, axis, variance = _own_velocities(exchange, messages, tracks, own, of[at])
     label = messages.detections.label[own]
-    of_claim = confirmed_variance(p, parts.config.sensing_interval_s)[label]
+    of_claim = _of_tracks(exchange, messages, claim, label, parts)
     of_claim[messages.detections.is_self[claim]] = 0.0
     age_s = (exchange.now.step - messages.detection_step(claim)) * parts.config.traffic.step_s
     of_claim += (np.asarray(p.acceleration_noise)[label] * age_s)[:, None]  # it may have accelerated since

@@ -21,6 +21,8 @@ TRACKS = {"model": "constant_velocity"}
 
 
 STEP_S = 0.2
+INTERVALS = 5, 10
+"""Steps between two sweeps of vehicles with even and with odd numbers."""
 
 
 class Scene:
@@ -57,7 +59,8 @@ class Scene:
         )  # fmt: skip
         self.since = since
         self.exchange = SimpleNamespace(
-            now=SimpleNamespace(step=7), vehicles=SimpleNamespace(senses=np.arange(n)),
+            now=SimpleNamespace(step=7),
+            vehicles=SimpleNamespace(senses=np.arange(n), name_key=np.arange(n + 2)),
             sensing=SimpleNamespace(row=np.arange(n)),
             world=SimpleNamespace(boxes=Boxes(np.zeros((n, 3)), np.ones((n, 3)), rng.uniform(-3, 3, n)),
                                   speed_mps=rng.uniform(0, 20, n)),
@@ -94,11 +97,11 @@ class Scene:
             trust=SimpleNamespace(evidence=("detections", *evidence)),
             cpm=SimpleNamespace(max_objects=self.max_objects),
             tracking=TrackingParams(model="constant_velocity"),
-            sensing_interval_s=1.0,
             traffic=SimpleNamespace(step_s=STEP_S),
             extrapolate=self.extrapolate,
         )
-        return SimpleNamespace(coverage=recall, config=config)
+        schedule = SimpleNamespace(of_vehicles=lambda key: (np.array(INTERVALS)[key % 2], None))
+        return SimpleNamespace(coverage=recall, config=config, schedule=schedule)
 
     def claims(self, *evidence):
         """(list, member, number) of every claim, with its support."""
@@ -123,10 +126,15 @@ class Scene:
         return [(v, p, member[p]) for v in range(len(ptr) - 1) for p in range(ptr[v], ptr[v + 1])]
 
 
+def confirmed_after():
+    """Variances of velocities by the interval of the vehicle that tracks: even, odd."""
+    return [confirmed_variance(TrackingParams(), n * STEP_S) for n in INTERVALS]
+
+
 @pytest.mark.parametrize("seed", range(25))
 def test_missing_objects_against_literal_loops(seed):
     scene = Scene(seed, extrapolate=seed % 2 == 0)
-    p, confirmed = TrackingParams(), confirmed_variance(TrackingParams(), 1.0)
+    p, confirmed = TrackingParams(), confirmed_after()
     m, d, o = scene.messages, scene.messages.detections, scene.messages.objects
     member, seed_of = scene.matched.lists.member, scene.matched.groups.seed
     expected = {}
@@ -142,7 +150,8 @@ def test_missing_objects_against_literal_loops(seed):
             is_seed_of_own = w == v and seed_of[q] == q and d.message[body] == v
             if not is_seed_of_own or seed_of[at] == q or body % 100 == 0:
                 continue  # of another list, not the evaluator's, the sender itself, or not to be expected
-            label, variance = d.label[body], confirmed[d.label[body], 0]
+            label, interval = d.label[body], m.vehicle[d.message[body]] % 2
+            variance = confirmed[interval][label, 0]
             if np.isnan(scene.velocity_mps(body)).any():
                 variance = p.along_mean_mps[label] ** 2 + p.along_sigma_mps[label] ** 2
             if np.sqrt(variance * age_s**2 + p.acceleration_noise[label] * age_s**3 / 3) > 1.0:
@@ -161,7 +170,7 @@ def test_velocities_against_literal_loops(seed):
     scene = Scene(seed)
     m, d, o, states = scene.messages, scene.messages.detections, scene.messages.objects, scene.states
     member, groups = scene.matched.lists.member, scene.matched.groups
-    p, confirmed = TrackingParams(), confirmed_variance(TrackingParams(), 1.0)
+    p, confirmed = TrackingParams(), confirmed_after()
     expected = {}
     for v, at, claim in scene.in_lists():
         sender, own = d.message[claim], member[groups.seed[at]]
@@ -180,7 +189,7 @@ def test_velocities_against_literal_loops(seed):
         if np.isnan(said).any() or np.isnan(known).any():
             continue
         label, (x, y), (c, s) = d.label[own], said - known, axis
-        variance = variance + (0.0 if d.is_self[claim] else confirmed[label])
+        variance = variance + (0.0 if d.is_self[claim] else confirmed[m.vehicle[sender] % 2][label])
         variance = variance + p.acceleration_noise[label] * (7 - m.step[sender]) * STEP_S
         prior = [p.along_sigma_mps[label] ** 2, p.across_sigma_mps[label] ** 2]
         apart = np.array([[c * x + s * y, c * y - s * x]])
