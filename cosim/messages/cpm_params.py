@@ -1,5 +1,6 @@
 """Parameters of detection messages, which are sent as collective perception messages."""
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -48,3 +49,12 @@ class CpmParams:
     def selects(self) -> bool:
         """Whether some detections may not be included."""
         return self.rules != "all" or self.redundancy != "none" or self.max_objects < MOST_OBJECTS
+
+    def longest_gap_s(self, interval_s: float) -> float:
+        """Longest time between two messages of a vehicle that senses in such intervals and reports itself.
+
+        By the rules, a self report is due a second after the last one.
+        """
+        if self.rules == "all":
+            return interval_s
+        return interval_s * math.ceil(1.0 / interval_s - 1e-9)

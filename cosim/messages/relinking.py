@@ -1,9 +1,8 @@
 """Receivers that link a new pseudonym to one that they no longer receive, by position and speed.
 
-A receiver predicts the position of every sender that it no longer receives: those that were silent for a sensing
-interval. If a new sender is at that position, the
-receiver links the two pseudonyms. It then uses what it knows about the old pseudonym until it knows something about the
-new one.
+A receiver predicts the position of every sender that it no longer receives: that was silent for longer than a sender is
+that goes on sending. If a new sender is at that position, the receiver links the two pseudonyms. It then uses what it
+knows about the old pseudonym until it knows something about the new one.
 """
 
 from collections.abc import Callable

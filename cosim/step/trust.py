@@ -243,7 +243,7 @@ def look_up(
             known_senders,
             received,
             now.begin_s,
-            parts.schedule.longest_steps * parts.config.traffic.step_s,
+            parts.config.cpm.longest_gap_s(parts.schedule.longest_steps * parts.config.traffic.step_s),
             lambda pseudonym: parts.pseudonyms.owners(pseudonyms, pseudonym)[0],
             parts.config.pseudonyms,
         )

@@ -159,7 +159,7 @@ def test_a_sender_is_silent_after_an_interval_only():
 def test_a_gap_that_nobody_fits_is_noted():
     sets = ["pseudonyms.linkage=own", "sensing_groups.0.share_p=0.5", "sensing_groups.0.interval_s=5"]
     (line,) = [line for line in remarks_on(load(None, sets), None) if "own_gap_s" in line]
-    assert "shorter than the longest sensing interval of 5 s" in line
+    assert "shorter than the 5 s that may lie between two messages" in line
     assert not [line for line in remarks_on(load(None, sets[:1]), None) if "own_gap_s" in line]
 
 
