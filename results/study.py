@@ -383,6 +383,8 @@ def _there(frame: pd.DataFrame, metric: str) -> str:
     """The groups of a metric that is there, else the metrics of its topic, else all."""
     if metric in set(frame.metric):
         groups = frame.group[frame.metric == metric].unique()
+        if groups.tolist() == [""]:
+            return f"It has no groups: write {metric}."
         return f"Its groups are {'; '.join(groups)}: write {metric}:{groups[0]}."
     names = sorted(frame.metric.unique())
     alike = [name for name in names if name.startswith(metric.partition(".")[0] + ".")]

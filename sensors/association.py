@@ -219,8 +219,8 @@ def _reach_m(
         for of_a, of_b in product(group, group):
             one, other = largest_of_a[of_a], largest_of_b[of_b]
             if one[0] >= 0 and other[0] >= 0:
-                longer, wider = 0.5 * np.maximum(one[2:4] + other[4:], other[2:4] + one[4:])
-                by_accuracy_m = gate.reach * np.sqrt(one[1] + other[1]) + np.hypot(longer, wider)
+                by_accuracy_m = gate.reach * np.sqrt(one[1] + other[1])
+                by_accuracy_m += _largest_difference_m(one, other)
                 reach_m[of_a, of_b] = max(one[0] + other[0], by_accuracy_m)
     return reach_m
 
@@ -235,6 +235,13 @@ def _largest_of(boxes: Boxes, label: ndarray, variance_m2: ndarray) -> Float[nda
     return found
 
 
+def _largest_difference_m(one: Float[ndarray, "6"], other: Float[ndarray, "6"]) -> float:
+    """Half the largest difference of the sizes of two classes, which does not count as distance."""
+    larger = one[2:4] + other[4:]
+    smaller = other[2:4] + one[4:]
+    return 0.5 * float(np.hypot(*np.maximum(larger, smaller)))
+
+
 @compiled
 def _largest(radius, lwh, label, variance, found):
     """Write the largest of each class, as `_largest_of` returns them."""
@@ -245,9 +252,11 @@ def _largest(radius, lwh, label, variance, found):
             along = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
             found[kind, 0] = max(found[kind, 0], radius[d])
             found[kind, 1] = max(found[kind, 1], along)
-            for axis in range(2):
-                found[kind, 2 + axis] = max(found[kind, 2 + axis], lwh[d, axis])
-                found[kind, 4 + axis] = max(found[kind, 4 + axis], -lwh[d, axis])
+            length, width = lwh[d, 0], lwh[d, 1]
+            found[kind, 2] = max(found[kind, 2], length)
+            found[kind, 3] = max(found[kind, 3], width)
+            found[kind, 4] = max(found[kind, 4], -length)
+            found[kind, 5] = max(found[kind, 5], -width)
 
 
 def _agreeing(

@@ -485,8 +485,10 @@ def _variants(
     for number, section in enumerate(sections):
         place = f"trust_variant.{number}"
         model, inherited = section.get("model", config.trust.model), trust
-        if isinstance(model, str) and resolve(SECTIONS["trust"], model, folder).source.name != config.trust.model:
-            inherited = {key: trust[key] for key in trust.keys() & declared}
+        if isinstance(model, str):
+            named = resolve(SECTIONS["trust"], model, folder).source.name
+            if named != config.trust.model:
+                inherited = {key: trust[key] for key in trust.keys() & declared}
         variant = _variant(section, inherited, place, where, folder)
         if variant.name == "base" or variant.name in {other.name for other in made}:
             by = " by [trust] itself" if variant.name == "base" else ""

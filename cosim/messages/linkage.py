@@ -116,7 +116,8 @@ class Linkage:
             subject = pair[total < 0] & (1 << 32) - 1
             evaluator = sent.evaluator[pair[total < 0] >> 32].astype(np.int64)
             others = subject != evaluator
-            accused.append(np.column_stack([subject[others], evaluator[others] << 32 | sent.step]))
+            report = evaluator << 32 | sent.step
+            accused.append(np.column_stack([subject[others], report[others]]))
         subject, report = np.concatenate(accused).T
         order = stable_order(subject)
         subject, begin = np.unique(subject[order], return_index=True)

@@ -100,8 +100,10 @@ def update_senders(
     now.linked[there] = before.linked[was]
     now.rated[there] = before.rated[was]
     silent_s = time_s - before.time_s
-    unheard = ~np.isin(before.key, now.key) & (silent_s <= params.own_gap_s + 1e-9)
-    lost, new = np.flatnonzero(unheard & (silent_s >= interval_s - 1e-9)), np.flatnonzero(~there)
+    unheard = ~np.isin(before.key, now.key)
+    unheard &= silent_s <= params.own_gap_s + 1e-9
+    lost = np.flatnonzero(unheard & (silent_s >= interval_s - 1e-9))
+    new = np.flatnonzero(~there)
     begin, end = (np.searchsorted(before.receiver[lost], now.receiver[new], side) for side in ("left", "right"))
     at, which = expand(begin, end)
     a, b = new[which], lost[at]

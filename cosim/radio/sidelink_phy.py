@@ -202,7 +202,8 @@ def nr_block_bits(n_rbs: int, mcs: int, *, dmrs: int, control_symbols: int, cont
     elements = (12 * 12 - dmrs) * n_rbs
     of_control = control_symbols * control_rbs * 12
     needed = int(np.ceil((48 + 24) * 1.125 / (2 * rate)))
-    second = min(needed, int(np.ceil(0.5 * (12 * 12 * n_rbs - of_control))))
+    most = int(np.ceil(0.5 * (12 * 12 * n_rbs - of_control)))
+    second = min(needed, most)
     return block_of((elements - of_control - second) * bits * rate, rate)
 
 

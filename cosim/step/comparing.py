@@ -237,7 +237,8 @@ class RelativeAccuracy(NamedTuple):
 
     def variance_m2(self, detection: Int[ndarray, "n"], vehicle: Int[ndarray, "n"]) -> Float[ndarray, "n 3"]:
         """Variances of these detections relative to these vehicles."""
-        return self.detection_m2.take(detection, axis=0) + self.vehicle_m2.take(vehicle)[:, None] * ALONG_BOTH
+        own = self.vehicle_m2.take(vehicle)[:, None] * ALONG_BOTH
+        return self.detection_m2.take(detection, axis=0) + own
 
 
 _SIGMA_POINTS = np.sqrt(2.0) * np.array(

@@ -58,7 +58,9 @@ class ReactionTruth:
             is_real=truth.is_real[order],
             actor=world.actor[truth.actor_row][order].astype(np.int64),
         )
-        return ReactionTruth((*(one for one in self.steps if (world.step - one.step) * dt_s <= kept_s + 1e-9), now))
+        oldest = world.step - kept_s / dt_s - 1e-9
+        kept = [one for one in self.steps if one.step >= oldest]
+        return ReactionTruth((*kept, now))
 
     def of(self, commands: SpeedCommands, world: World, dt_s: float) -> Reactions | None:
         """The commands with ground truth about the objects; None if the driver gives no reasons."""

@@ -3,7 +3,7 @@
 import json
 import statistics
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -52,6 +52,8 @@ class Task:
     """By finished run that is measured again, the keys of the study that have changed since it was measured."""
     n_of_other_code: int = 0
     """Finished runs that other code has made, where further runs are to join them."""
+    levels: tuple[str, ...] = ()
+    """Other levels of `record.level` than the study's at which finished runs were recorded."""
 
 
 Report = Callable[[int, int, int, str], None]
@@ -107,6 +109,7 @@ def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Ta
         estimate(missing, made, cache.names("traffic"), typical_s, speed_here()),
         outdated,
         _n_of_other_code(folder, {finished[point] for point in there}) if missing else 0,
+        _other_levels(folder, points, finished),
     )
 
 
@@ -114,6 +117,18 @@ def _n_of_other_code(folder: StudyFolder, runs: Collection[str]) -> int:
     """How many runs were made by other code than this."""
     made_by = [read_manifest(folder.run(run)).get("source", {}).get("code") for run in runs]
     return sum(code not in (None, code_digest()) for code in made_by)
+
+
+def _other_levels(folder: StudyFolder, points: Sequence[Point], finished: Mapping[str, str]) -> tuple[str, ...]:
+    """Levels at which finished runs were recorded that are not those of their points."""
+    found = set()
+    for point in points:
+        if (run := finished.get(point.id)) is None:
+            continue
+        recorded = read_manifest(folder.run(run))["config"]["record"]
+        if recorded["level"] != point.config.record.level:
+            found.add(recorded["level"])
+    return tuple(sorted(found))
 
 
 def _asked(study: Study) -> dict[str, Any]:
@@ -143,6 +158,11 @@ def measuring_notes(task: Task) -> list[str]:
         found.append(
             f"note: {task.n_of_other_code} finished runs were made by other code of cosim. They are kept, and averaged "
             "with those to come. Where an update has moved figures, sweep the study in another --out."
+        )
+    if task.levels:
+        found.append(
+            f'note: finished runs were recorded with record.level = "{task.levels[0]}", and the study asks for another '
+            "level. They stay as they are, with the tables of that level. Sweep the study in another --out."
         )
     return found
 

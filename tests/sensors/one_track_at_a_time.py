@@ -47,7 +47,8 @@ class Twin:
     def sense(self, observer, time_s, own_mps, found):
         """`found` is a list of (label, xy, yaw, score, limit); returns (object_id, age, velocity, existence)."""
         p = self.p
-        tracks = [t for t in self.tracks.get(observer, []) if time_s - t["last"] <= p.keep_s + 1e-9]
+        keep_s = p.keep_s + 1e-9
+        tracks = [t for t in self.tracks.get(observer, []) if time_s - t["last"] <= keep_s]
         for t in tracks:
             f, q = motion(time_s - t["time"], p.acceleration_noise[t["label"]])
             t["x"], t["P"], t["time"] = f @ t["x"], f @ t["P"] @ f.T + q, time_s
@@ -134,7 +135,8 @@ class StoneSoup:
         from stonesoup.types.update import Update
 
         p, now = self.p, datetime(2026, 1, 1) + timedelta(seconds=time_s)
-        self.tracks = [t for t in self.tracks if time_s - t.metadata["last"] <= p.keep_s + 1e-9]
+        keep_s = p.keep_s + 1e-9
+        self.tracks = [t for t in self.tracks if time_s - t.metadata["last"] <= keep_s]
         seen = [
             Detection(xy, timestamp=now, measurement_model=self.models[label], metadata={"label": label})
             for label, xy, _, _, _ in found

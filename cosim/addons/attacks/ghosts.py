@@ -14,6 +14,7 @@ from cosim.attacks.attack import AttackContext, Vouched, fabricated, placed
 from cosim.attacks.disguise import ghosts
 from cosim.attacks.ghost_insertion import CAR
 from cosim.attacks.past import of_earlier_messages
+from cosim.base.ragged import offsets
 from cosim.messages.content import FABRICATED, SELF, Detections
 from sensors.boxes import Boxes
 from sensors.line_of_sight import WallIndex, los_between_actors
@@ -193,12 +194,15 @@ class Replay(Vouched[ReplayParams]):
         attackers = np.flatnonzero(context.attacker)
         if not len(attackers) or not earlier:
             return listed
-        by, name_key, from_xy = (np.concatenate(column) for column in zip(*(of[2:] for of in earlier), strict=True))
+        lists = [of[1] for of in earlier]
+        _, _, *columns = zip(*earlier, strict=True)
+        by, name_key, from_xy = map(np.concatenate, columns)
         begins = np.append(True, by[1:] != by[:-1])
-        begins[np.cumsum([0, *(len(said) for _, said, *_ in earlier[:-1])])] = True
+        begins[offsets(np.array([len(said) for said in lists]))[:-1]] = True  # also where the next step begins
         begin = np.flatnonzero(begins)  # of each message, the oldest ones first
+        size = np.diff(np.append(begin, len(by)))
         _, oldest = np.unique(by[begin], return_index=True)  # of each sender
-        first, count = begin[oldest], np.diff(np.append(begin, len(by)))[oldest]
+        first, count = begin[oldest], size[oldest]
         tree = cKDTree(from_xy[first])
         near = cKDTree(xy[attackers]).sparse_distance_matrix(tree, p.range_m, output_type="ndarray")
         a, sender = near["i"], near["j"]
@@ -214,7 +218,7 @@ class Replay(Vouched[ReplayParams]):
         source = first[chosen] + _scaled(other, count[chosen])
         _, once = np.unique(has * np.int64(len(by)) + source, return_index=True)
         once = np.sort(once)  # as drawn, not by actor numbers
-        again = _rows_of([said for _, said, *_ in earlier], source[once])
+        again = _rows_of(lists, source[once])
         return fabricated(
             listed,
             attackers[has[once]],
@@ -228,9 +232,12 @@ class Replay(Vouched[ReplayParams]):
 
 def _rows_of(parts: Sequence[Detections], rows: Int[ndarray, "k"]) -> Detections:
     """These rows of all parts, which are numbered part after part."""
-    ends = np.cumsum([len(part) for part in parts])
-    of = np.searchsorted(ends, rows, "right")
-    found = [part.take(rows[of == k] - (ends[k] - len(part))) for k, part in enumerate(parts)]
+    begin = offsets(np.array([len(part) for part in parts]))
+    of = np.searchsorted(begin, rows, "right") - 1
+    found = []
+    for k, part in enumerate(parts):
+        mine = rows[of == k]
+        found.append(part.take(mine - begin[k]))
     order = np.argsort(of, kind="stable")
     return Detections.concat(found).take(np.argsort(order, kind="stable"))
 

@@ -119,7 +119,8 @@ def _windows(
     width = max(1, round(WINDOW_S / (interval * selection.run.dt_s)))
     gaps = np.flatnonzero(np.diff(steps) != interval) + 1
     for span in np.split(steps, gaps):
-        parts += [span[at : at + width] for at in range(0, len(span), width)]
+        begins = range(0, len(span), width)
+        parts += [span[at : at + width] for at in begins]
     for part in parts:
         here = presence[presence.step.isin(part.tolist())]
         counts = here.vehicle.value_counts()

@@ -6,6 +6,7 @@ import numpy as np
 
 from cosim.base.codes import BASE_VARIANT
 from cosim.config.config import Config
+from cosim.messages.cpm_params import MOST_OBJECTS
 from trust.params import TrustParams, open_window_steps, window_of
 
 
@@ -39,6 +40,7 @@ def servers_of(config: Config) -> list[Server]:
         ("sensing_groups", config.sensing_groups, ((),)),
         ("cpm.rules", config.cpm.rules, ("all",)),
         ("cpm.redundancy", config.cpm.redundancy, ("none",)),
+        ("cpm.max_objects", config.cpm.max_objects, (MOST_OBJECTS,)),
         ("radio.relay.max_hops", config.radio.relay.max_hops, (1,)),
         ("server.uplink", config.server.uplink, ("cellular",)),
         ("server.outages", config.server.outages, ((),)),
@@ -84,6 +86,8 @@ def left_out(config: Config) -> list[str]:
         found.append("attacks: the law takes all vehicles for honest; ghosts and lies add evaluations.")
     if config.trust.least_score > 0:
         found.append("trust.least_score: the law takes all detections for evidence, whatever their score.")
+    if any(config.trust.gamma_lower_points):
+        found.append("trust.gamma_lower_points: the law takes one return of an object for enough to see it.")
     if config.gnss.std_m > 0:
         found.append("gnss: the law takes positions for exact.")
     if config.trees.per_100_m or config.trees.from_map:

@@ -43,6 +43,11 @@ class Trusted:
     """A sentence on the first of them, if its cloud is there and cannot be read."""
 
 
+def _named(scenario: str, agents: Sequence[str]) -> tuple[str, ...]:
+    """Names of the agents of a scenario beside those of others."""
+    return tuple(f"{scenario}/{name}" for name in agents)
+
+
 def trusted(data: Recorded, cooperating: Sequence[Int[ndarray, "k"]], boxes: RecordedBoxes) -> Trusted:
     """TruPercept over the frames of a data set, in their order.
 
@@ -65,7 +70,7 @@ def trusted(data: Recorded, cooperating: Sequence[Int[ndarray, "k"]], boxes: Rec
     called = data.agents
     if len(set(scenarios)) > 1:
         both = zip(scenarios, data.agents, strict=True)
-        called = tuple(tuple(f"{scenario}/{name}" for name in here) for scenario, here in both)
+        called = tuple(_named(scenario, here) for scenario, here in both)
     everyone = sorted(set().union(*called))
     numbers = {name: k for k, name in enumerate(everyone)}
     kinds = sorted(set(boxes.label.tolist()))

@@ -341,7 +341,8 @@ def _cut(fixes: Fixes, params: ContactParams, path: Path) -> tuple[Fixes, float]
     to_s = math.inf if params.to_s is None else params.to_s - begin
     keep = (fixes.time_s >= from_s) & (fixes.time_s <= to_s)
     is_same = np.diff(fixes.actor) == 0
-    reaches = is_same & (fixes.time_s[:-1] < to_s) & (fixes.time_s[1:] > from_s)
+    begin_s, end_s = fixes.time_s[:-1], fixes.time_s[1:]
+    reaches = is_same & (begin_s < to_s) & (end_s > from_s)
     keep[:-1] |= reaches
     keep[1:] |= reaches
     if not keep.any():
@@ -415,7 +416,8 @@ def _vehicles_of(fixes: Fixes, found: tracks.PositionTracks) -> tuple[Int[ndarra
     first = np.unique(number, return_index=True)[1]
     last_step = np.zeros(len(number_of), np.int64)
     np.maximum.at(last_step, number, found.last_step)
-    n_steps = np.bincount(number, found.last_step - found.first_step + 1, len(number_of)).astype(np.int64)
+    lasts = found.last_step - found.first_step + 1
+    n_steps = np.bincount(number, lasts, len(number_of)).astype(np.int64)
     actor = found.actor[first]
     lwh_m = np.array([kind.lwh_m for kind in fixes.types])
     return number, _vehicle_columns(

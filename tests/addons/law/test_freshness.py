@@ -44,6 +44,7 @@ def config_of(**changes):
         {"trust": {"model": "beta"}},
         {"radio": {"evaluations": "piggybacked"}},
         {"cpm": {"rules": "etsi"}},
+        {"cpm": {"max_objects": 2}},
         {"server": {"outages": [[1, 2]]}},
         {"sensing": False},
     ],

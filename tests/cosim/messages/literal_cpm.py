@@ -44,7 +44,8 @@ class Vehicle:
             o["seen_s"] = time_s
         self.forget(time_s)
         now = {"time_s": time_s, "seen_s": time_s}
-        self.included += [objects[i] | now for i in candidates if fate[i] == "included"]
+        taken = [i for i in candidates if fate[i] == "included"]
+        self.included += [objects[i] | now for i in taken]
         sends = params.rules == "all" or "included" in fate
         describes = sends and time_s - self.sensors_s >= 1 - 1e-9
         if describes:

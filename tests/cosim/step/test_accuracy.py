@@ -86,7 +86,8 @@ def test_where_a_roadside_unit_stands_is_known():
                     rows = result.world.is_roadside[objects.observer] == is_roadside
                     found.append(objects.variance_m2[rows, 0])
     of_units, of_vehicles = (np.concatenate(stated_m2[is_roadside]) for is_roadside in (True, False))
-    assert (of_vehicles == 4.0).mean() > 0.99 and len(of_units) > 50 and np.median(of_units) < 0.5
+    assert (of_vehicles == 4.0).mean() > 0.99
+    assert len(of_units) > 50 and np.median(of_units) < 0.5
 
 
 @pytest.mark.parametrize("label", [-1, 0, 1], ids=["self", "car", "pedestrian"])

@@ -73,6 +73,10 @@ def test_runs_of_other_code_are_noted_where_further_ones_join_them(tmp_path, mon
     study.write_text(STUDY.replace("[0.4, 0.6]", "[0.4, 0.6, 0.8]"))
     (note,) = sweeping.measuring_notes(sweeping.prepare(study, out))
     assert note.startswith("note: 2 finished runs were made by other code of cosim.")
+    monkeypatch.undo()
+    study.write_text(STUDY.replace("sensing = false", 'sensing = false\nrecord.level = "full"'))
+    (note,) = sweeping.measuring_notes(sweeping.prepare(study, out))
+    assert note.startswith('note: finished runs were recorded with record.level = "')
 
 
 def test_runs_that_were_measured_otherwise_are_not_averaged(tmp_path):

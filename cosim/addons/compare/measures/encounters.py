@@ -8,6 +8,7 @@ from numpy import ndarray
 from scipy import stats
 from scipy.spatial import cKDTree
 
+from cosim.base.codes import PARKED
 from results.measure import measure as run_metrics
 from results.run import Run
 
@@ -22,6 +23,8 @@ def relative_speed_law(run: Run, *, radius_m: float, every_s: float, at_least_mp
     Mean log likelihood per pair of the fitted logistic distribution, minus that of the fitted normal distribution.
     """
     speeds_mps = _relative_speeds_mps(run, radius_m, every_s, at_least_mps)
+    if len(speeds_mps) < 2:
+        raise ValueError(f"no two pairs of vehicles of {at_least_mps:g} m/s or more were within {radius_m:g} m.")
     logistic = stats.logistic.logpdf(speeds_mps, *stats.logistic.fit(speeds_mps)).mean()
     normal = stats.norm.logpdf(speeds_mps, *stats.norm.fit(speeds_mps)).mean()
     return [float(logistic) - float(normal)]
@@ -42,13 +45,16 @@ def metric(run: Run, *, names: Sequence[str], group: str, minus: Sequence[str] =
 def littles_law(run: Run, *, radius_m: float) -> list[float]:
     """Rate of contacts of a vehicle times their mean duration, over its mean number of neighbours.
 
-    By Little's law it is 1. Rate and duration come from the table `encounters`, neighbours from poses.
+    By Little's law it is 1. Rate and duration come from the table `encounters`, neighbours from poses. Parked cars and
+    roadside units meet nobody.
     """
     group = f"all, {radius_m:g} m"
     rate_per_h, mean_s = metric(run, names=["encounters.per_vehicle_h", "encounters.duration.km_mean_s"], group=group)
-    poses = run.sql("""
-        SELECT step, x_m, y_m FROM actors JOIN vehicles ON vehicle = actor WHERE vehicle_class <> 'pedestrian'
-    """)
+    query = """
+        SELECT step, x_m, y_m FROM actors JOIN vehicles ON vehicle = actor
+        WHERE vehicle_class NOT IN ('pedestrian', 'roadside_unit') AND NOT starts_with(sumo_id, $parked)
+    """
+    poses = run.sql(query, parked=PARKED)
     n_neighbours = 0  # over all poses; each pair within the radius is two neighbours
     for _, now in poses.groupby("step"):
         xy_m = now[["x_m", "y_m"]].to_numpy(np.float64)
@@ -81,4 +87,4 @@ def _relative_speeds_mps(run: Run, radius_m: float, every_s: float, at_least_mps
         distance_m = np.maximum(np.hypot(*from_i_to_j_m.T), 1e-6)
         relative_mps = velocity_mps[j] - velocity_mps[i]
         found.append((relative_mps * from_i_to_j_m).sum(axis=1) / distance_m)
-    return np.concatenate(found)
+    return np.concatenate([np.zeros(0), *found])
