@@ -121,8 +121,9 @@ def _merged(group: Sequence[Point], fused: bool) -> PlannedRun:
     members = [(first.id, BASE_VARIANT)]
     for point in others:
         variant = {"name": point.id, "fused": fused}
+        of_model = point.config.own.get("trust", {})  # a variant inherits none of these where models differ
         for key, value in point.config.to_dict()["trust"].items():
-            if key not in acting or acting[key] != value:
+            if key in of_model or key not in acting or acting[key] != value:
                 variant[key] = value
         data["trust_variant"].append(variant)
         members.append((point.id, point.id))

@@ -79,6 +79,18 @@ fleet.penetration_p = [0.2, 0.4]
             assert trust == by_id[point].config.trust
 
 
+def test_merged_points_of_other_models_keep_their_parameters(tmp_path):
+    """Both models have this parameter, with other defaults; the study sets it for both."""
+    base = f'{HEAD}trust.model = "beta"\ntrust.decay_per_s = 0.9\n[grid]\ntrust.model = ["beta", "belief_graph"]\n'
+    asked = points(tmp_path, base)
+    found = {point.id: point.config for point in asked}
+    for run in plan(asked, fused=False).runs:
+        variants = {v.name: v.own for v in run.config.trust_variant}
+        for point, variant in run.members:
+            own = run.config.own["trust"] if variant == "base" else variants[variant]
+            assert own == found[point].own["trust"] and own["decay_per_s"] == 0.9
+
+
 def test_points_that_change_the_evidence_are_runs_of_their_own(tmp_path):
     for key, values in (("trust.tau", [0.1, 0.2]), ("trust.method", ["trupercept_3", "trupercept_1"])):
         assert len(plan(points(tmp_path, HEAD + f"[grid]\n{key} = {values}"), fused=False).runs) == 4
