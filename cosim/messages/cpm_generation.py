@@ -76,7 +76,7 @@ class InclusionMemory:
     track: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
     """Number of the sender's track of the object; -1 where it tracks none."""
     seen_s: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
-    """When it was last a candidate. It is forgotten a second later."""
+    """When it was last a candidate. It is forgotten a second later, or a sensing interval where that is longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +90,8 @@ class Generators:
     """Position of the vehicle, as it knows it."""
     gap_s: Float[ndarray, "m"]
     """Least time between two messages that congestion control allows; 0 without it."""
+    interval_s: float = INTERVAL_S
+    """Longest time between two sweeps of a vehicle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +240,8 @@ def _select(
     use = utility(now, seen.score)[others]
     over = beyond_limit(message[rows[others]], use, number, params.max_objects)
     inclusion[rows[others[over]]] = Inclusion.OVER_LIMIT
-    return inclusion, now.memory_after(inclusion[rows] == Inclusion.INCLUDED)
+    kept_s = max(INTERVAL_S, generators.interval_s)
+    return inclusion, now.memory_after(inclusion[rows] == Inclusion.INCLUDED, kept_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,12 +296,12 @@ class Remembered:
         elapsed_s[known] = self.time_s - memory.time_s[at]
         return moved_m, faster_mps, turned_rad, elapsed_s
 
-    def memory_after(self, included: Bool[ndarray, "r"]) -> InclusionMemory:
-        """The memory after some of the candidates were included."""
+    def memory_after(self, included: Bool[ndarray, "r"], kept_s: float) -> InclusionMemory:
+        """The memory after some of the candidates were included. It keeps what was a candidate in the last `kept_s`."""
         memory, now = self.memory, self.time_s
         seen_s = memory.seen_s.copy()
         seen_s[self.near[self.near >= 0]] = now
-        old = now - seen_s < INTERVAL_S - _SLACK_S
+        old = now - seen_s < kept_s - _SLACK_S
         old[self.near[(self.near >= 0) & included]] = False
         of = np.concatenate([memory.of[old], self.of[included]])
         xy_m = np.concatenate([memory.xy_m[old], self.xy_m[included]])

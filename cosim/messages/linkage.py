@@ -121,7 +121,7 @@ class Linkage:
         subject, report = np.concatenate(accused).T
         order = stable_order(subject)
         subject, begin = np.unique(subject[order], return_index=True)
-        by = np.split(report[order], begin[1:])
+        by = np.split(report[order], begin)[1:]  # nothing for nothing
         vehicle = self.pseudonyms.owners(state, subject)[0]
         known, linked = dict(state.accusations), state.linked.copy()
         for s, reports_of, v in zip(subject.tolist(), by, vehicle.tolist(), strict=True):

@@ -1,8 +1,9 @@
 """Receivers that link a new pseudonym to one that they no longer receive, by position and speed.
 
-A receiver predicts the position of every sender that it no longer receives: that was silent for longer than a sender is
-that goes on sending. If a new sender is at that position, the receiver links the two pseudonyms. It then uses what it
-knows about the old pseudonym until it knows something about the new one.
+A receiver predicts the position of every sender that it no longer receives: that has been silent for the shortest time
+that lay between two of its messages, or for the longest of any sender where it heard one message only. If a new sender
+is at that position, the receiver links the two pseudonyms. It then uses what it knows about the old pseudonym until it
+knows something about the new one.
 """
 
 from collections.abc import Callable
@@ -28,6 +29,8 @@ class KnownSenders(Rows):
     xy_m: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
     velocity_mps: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
     time_s: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
+    gap_s: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
+    """Shortest time between two of its messages that the receiver heard; infinite after the first one."""
     linked: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
     """Earlier pseudonym whose trust value the receiver knew; -1 if there is none."""
     rated: Bool[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, bool))
@@ -88,6 +91,7 @@ def update_senders(
         xy_m=received.xy_m[order],
         velocity_mps=received.velocity_mps[order],
         time_s=np.full(n, time_s),
+        gap_s=np.full(n, np.inf),
         linked=np.full(n, -1),
         rated=np.zeros(n, bool),
         n_changes=before.n_changes,
@@ -99,10 +103,12 @@ def update_senders(
     was = np.searchsorted(before.key, now.key[there])
     now.linked[there] = before.linked[was]
     now.rated[there] = before.rated[was]
+    now.gap_s[there] = np.minimum(before.gap_s[was], time_s - before.time_s[was])
     silent_s = time_s - before.time_s
     unheard = ~np.isin(before.key, now.key)
     unheard &= silent_s <= params.own_gap_s + 1e-9
-    lost = np.flatnonzero(unheard & (silent_s >= interval_s - 1e-9))
+    is_late = silent_s >= np.minimum(before.gap_s, interval_s) - 1e-9
+    lost = np.flatnonzero(unheard & is_late)
     new = np.flatnonzero(~there)
     begin, end = (np.searchsorted(before.receiver[lost], now.receiver[new], side) for side in ("left", "right"))
     at, which = expand(begin, end)
@@ -119,6 +125,7 @@ def update_senders(
     mutual = np.zeros(len(a), bool)
     mutual[np.unique(b, return_index=True)[1]] = True
     a, b = a[best & mutual], b[best & mutual]
+    now.gap_s[a] = before.gap_s[b]
     now.linked[a] = np.where(before.rated[b], before.pseudonym[b], before.linked[b])
     n_right = int((owner[a] == owner_before[b]).sum())
     now = replace(

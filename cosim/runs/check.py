@@ -185,14 +185,14 @@ def _few_clouds(config: Config) -> list[str]:
 
 
 def _no_links(config: Config) -> list[str]:
-    """A note if receivers forget a sender before they can tell that it is silent, and so link no pseudonyms."""
+    """A note if receivers forget some senders before they could link their next pseudonyms."""
     gap_s = config.pseudonyms.own_gap_s
     longest_s = config.cpm.longest_gap_s(config.schedule.longest_steps * config.traffic.step_s)
     if config.pseudonyms.linkage != "own" or not config.sensing or gap_s >= longest_s - 1e-9:
         return []
     return [
         f"note: pseudonyms.own_gap_s = {gap_s:g} is shorter than the {longest_s:g} s that may lie between two messages "
-        "of a vehicle. Receivers cannot tell that a sender is silent, and link no pseudonyms. Set it higher."
+        "of a vehicle. Receivers forget such a vehicle before they could link its next pseudonym. Set it higher."
     ]
 
 

@@ -116,6 +116,7 @@ def list_objects(
         actor=vehicles.actor[senders.vehicle],
         xy_m=positioned.world.boxes.xyz_m[vehicles.row[senders.vehicle], :2],
         gap_s=_gaps_s(parts, medium, exchange)[senders.vehicle],
+        interval_s=parts.schedule.longest_steps * parts.config.traffic.step_s,
     )
     track = np.full(len(objects), -1)
     if positioned.objects is not None:

@@ -157,6 +157,27 @@ def test_a_sender_is_silent_after_an_interval_only():
     assert known.n_linked == 0 and sorted(known.pseudonym.tolist()) == [1, 3]
 
 
+@pytest.mark.parametrize("gap_s", [0.2, 0.5, 1.0])
+def test_a_sender_that_sends_often_is_silent_soon(gap_s):
+    """One sender at 10 m/s changes its pseudonym once, in a fleet in which others send once a second."""
+    params = PseudonymParams(linkage="own", own_gap_s=1.5, own_gate_m=3.0)
+    known = KnownSenders()
+    for k, pseudonym in enumerate([1, 1, 1, 2, 2]):
+        place = np.array([[10.0 * gap_s * k, 0.0]])
+        received = ReceivedSenders(np.array([0]), np.array([pseudonym]), place, np.array([[10.0, 0.0]]))
+        known = update_senders(known, received, gap_s * k, 1.0, lambda of: 0 * of, params)
+    assert (known.n_changes, known.n_linked, known.n_right) == (1, 1, 1)
+    assert known.gap_s.tolist() == pytest.approx([gap_s])
+
+
+def test_reports_that_accuse_nobody_change_nothing():
+    owned = SimpleNamespace(owners=lambda state, pseudonym: (np.zeros(len(pseudonym), int), None))
+    state = PseudonymState(linked=np.array([-1]))
+    kind = messages_from_rows(4, [7], [3], [1], [1.0], [1.0])
+    after = Linkage(PseudonymParams(linkage="on_demand"), owned).accused(state, [kind])
+    assert after.linked.tolist() == [-1] and not after.accusations
+
+
 def test_a_gap_that_nobody_fits_is_noted():
     sets = ["pseudonyms.linkage=own", "sensing_groups.0.share_p=0.5", "sensing_groups.0.interval_s=5"]
     (line,) = [line for line in remarks_on(load(None, sets), None) if "own_gap_s" in line]

@@ -66,6 +66,21 @@ def test_tracks_tell_people_apart_that_stand_together():
     assert found == [[False, False, False], [False, False, True]]
 
 
+@pytest.mark.parametrize("others_send_between", [False, True])
+def test_who_sends_seldom_remembers_what_was_left_out(others_send_between):
+    """A sweep every 2 s, room for one object: the parked car comes first once, then the one that moves 3 m."""
+    at = Generators(np.array([0]), np.array([0]), np.zeros((1, 2)), np.zeros(1), interval_s=2.0)
+    params, state, found = CpmParams(rules="etsi", max_objects=1), CpmState(), []
+    nothing = list_of((0, CAR, 0, 0)).take(np.zeros(0, int))
+    for k in range(4):
+        seen = list_of((0, CAR, 0, 0), (0, CAR, 30, 0), (0, CAR, 60 + 3 * k, 0))
+        state, content = generate(state, seen, seen.observer, at, 2.0 * k, params)
+        found.append(content.included[1:].tolist())
+        if others_send_between:
+            state, _ = generate(state, nothing, nothing.observer, at, 2.0 * k + 1.0, params)
+    assert found == [[True, False], [False, True], [False, True], [False, True]]
+
+
 def test_moved_turned_and_new():
     def at(x, yaw=0.0):
         return list_of((0, CAR, 0, 0), (0, CAR, x, yaw))
