@@ -281,6 +281,8 @@ class PseudonymState:
     """Vehicle, identity and first step of each pseudonym that is not an actor number, in the order of issue."""
     extra: Int[ndarray, "x 4"] = field(default_factory=partial(np.zeros, (0, 4), np.int64))
     """Further identities. Columns: `_identity_key` (ascending), pseudonym, first and last step."""
+    n_sent: int = 0
+    """Number of detection messages that vehicles have made so far."""
     accusations: dict[int, set[int]] = field(default_factory=dict)
     """Accusations of pseudonyms that are not linked yet: evaluator and step in one number."""
     revoked: dict[int, int] = field(default_factory=dict)
@@ -419,7 +421,8 @@ class Pseudonyms:
 
     def counted(self, state: PseudonymState, actor: Int[ndarray, "k"]) -> PseudonymState:
         """The state after these vehicles have each made a detection message."""
-        return state.with_columns(actor, {"n_messages": state.n_messages[actor] + 1})
+        counted = state.with_columns(actor, {"n_messages": state.n_messages[actor] + 1})
+        return replace(counted, n_sent=state.n_sent + len(actor))
 
     def _ages(
         self,

@@ -50,7 +50,7 @@ Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
 NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
 _MOST_AT_ONCE = 10
 """A signal within the first steps without sensing stops the run at once, and nothing of it is kept."""
-STATE_VERSION = 19
+STATE_VERSION = 20
 """Increase this number when the code can no longer read the states of earlier versions."""
 _CORES = numba.get_num_threads()
 _EQUIPPED_PER_THREAD = 100
@@ -79,8 +79,6 @@ class Drive:
     """In a resumed run: the drivers' commands in the recorded steps, by step."""
     on_step: OnStep | None = None
     n_on_road: int = 0
-    n_senders: int = 0
-    """Vehicles that sense, summed over the steps."""
     ended: str = ""
     """Why the traffic ended before the requested time."""
     broken: TrafficError | None = None
@@ -121,7 +119,6 @@ class Drive:
             if (world := self._world()) is None:
                 break
             self.n_on_road += int(((world.shape != Shape.PEDESTRIAN) & ~world.is_roadside).sum())
-            self.n_senders += len(self.parts.sensing(world))
             if number < first:
                 commands = self.commands.get(number, NO_COMMANDS)
                 if recomputes:
@@ -261,7 +258,7 @@ class Drive:
                 name: int(n) for name, n in zip(labels(DetectionFault), state.n_dropped, strict=True) if n
             },
             "evaluations_rejected": self.parts.trust.rejected(state.trust),
-            **_pseudonym_summary(self.parts.config, state, self.n_senders),
+            **_pseudonym_summary(self.parts.config, state),
             **self._incomplete_rings(),
             **({"ended_early": self.ended} if self.ended else {}),
             **({"victims_absent": absent} if (absent := self._absent_victims()) else {}),
@@ -329,12 +326,12 @@ def own_modules(config: Config) -> tuple[str, ...]:
     return tuple(sorted({choice.of.__module__ for choice in chosen(config).values()}))
 
 
-def _pseudonym_summary(config: Config, state: State, n_messages: int) -> dict[str, Any]:
-    """Counts about pseudonyms for the manifest; `n_messages` is the number of detection messages."""
+def _pseudonym_summary(config: Config, state: State) -> dict[str, Any]:
+    """Counts about pseudonyms for the manifest."""
     found: dict[str, Any] = {}
     if (n_changes := int(state.pseudonyms.n_changes.sum())) and config.pseudonyms.linkage == "none":
         n_vehicles = int((state.pseudonyms.current >= 0).sum())
-        found["messages_per_pseudonym"] = round(n_messages / (n_changes + n_vehicles), 2)
+        found["messages_per_pseudonym"] = round(state.pseudonyms.n_sent / (n_changes + n_vehicles), 2)
     if config.pseudonyms.revocation != "none":
         found["revoked"] = len(state.pseudonyms.revoked)
     if config.pseudonyms.linkage == "on_demand":
