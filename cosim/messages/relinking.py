@@ -103,12 +103,13 @@ def update_senders(
     was = np.searchsorted(before.key, now.key[there])
     now.linked[there] = before.linked[was]
     now.rated[there] = before.rated[was]
-    now.gap_s[there] = np.minimum(before.gap_s[was], time_s - before.time_s[was])
+    since_s = time_s - before.time_s[was]
+    now.gap_s[there] = np.minimum(before.gap_s[was], since_s)
     silent_s = time_s - before.time_s
     unheard = ~np.isin(before.key, now.key)
     unheard &= silent_s <= params.own_gap_s + 1e-9
-    is_late = silent_s >= np.minimum(before.gap_s, interval_s) - 1e-9
-    lost = np.flatnonzero(unheard & is_late)
+    usual_s = np.minimum(before.gap_s, interval_s)
+    lost = np.flatnonzero(unheard & (silent_s >= usual_s - 1e-9))
     new = np.flatnonzero(~there)
     begin, end = (np.searchsorted(before.receiver[lost], now.receiver[new], side) for side in ("left", "right"))
     at, which = expand(begin, end)
