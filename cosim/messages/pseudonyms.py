@@ -133,11 +133,11 @@ class RandomParams:
     """Parameters of `random`."""
 
     change_p: Annotated[float, Interval(ge=0, le=1)] = 0.1
-    """Probability of a change before each message. The default is F2MD's."""
+    """Probability of a change at each sweep, after which a vehicle sends. The default is F2MD's."""
 
 
 class Random(_WithParams[RandomParams]):
-    """A change with a fixed probability before every message."""
+    """A change with a fixed probability at every sweep."""
 
     Params = RandomParams
 

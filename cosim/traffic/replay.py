@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
+from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +44,7 @@ class _Replay:
 
     def warm_up(self, seconds: float) -> Iterator[float]:
         """Skip the first `seconds`; yields the seconds done."""
-        self._n_skipped = round(seconds / self._dt_s)
+        self._n_skipped = ceil(seconds / self._dt_s - 1e-6)  # as SUMO warms up
         yield seconds
 
     def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:

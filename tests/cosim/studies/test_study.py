@@ -1,12 +1,14 @@
 """Study files and plans: what is asked, what is shared, and what a mistake is answered with. Nothing is driven."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from cosim.config import preset
+from cosim.studies import points as study_points
 from cosim.studies.plan import plan
-from cosim.studies.points import identity, points_of
+from cosim.studies.points import identity, points_of, traffic_identity
 from cosim.studies.study import SHIPPED, load
 from cosim.studies.sweep import fleet_notes, name_notes, prepare, scene_notes
 from tests.cosim.traffic import crossing
@@ -89,6 +91,22 @@ def test_merged_points_of_other_models_keep_their_parameters(tmp_path):
         for point, variant in run.members:
             own = run.config.own["trust"] if variant == "base" else variants[variant]
             assert own == found[point].own["trust"] and own["decay_per_s"] == 0.9
+
+
+def test_another_warm_up_of_a_city_is_other_traffic(tmp_path, monkeypatch):
+    """A city's recipe states it; no other file of the city changes with it."""
+
+    def names():
+        study_points._files.cache_clear()
+        found = points(tmp_path, HEAD + "[grid]\nfleet.penetration_p = [0.2]\n")
+        return [(point.id, traffic_identity(point.config)) for point in found]
+
+    plain = names()
+    assert names() == plain
+    real = study_points.scenario_of
+    monkeypatch.setattr(study_points, "scenario_of", lambda *where: replace(real(*where), warmup_s=61.0))
+    assert not {name for both in plain for name in both} & {name for both in names() for name in both}
+    study_points._files.cache_clear()
 
 
 def test_points_that_change_the_evidence_are_runs_of_their_own(tmp_path):

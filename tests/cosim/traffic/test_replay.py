@@ -13,6 +13,7 @@ import pytest
 
 from cosim.traffic.interpolation import curve
 from cosim.traffic.params import TrafficParams
+from cosim.traffic.replay import TraceReplay
 from cosim.traffic.scenario import find
 from cosim.traffic.source import TrafficError
 from sumo_nets import catalogue, sumotools
@@ -53,6 +54,14 @@ def test_a_trace_shows_the_world_that_was_live(helsinki, name):
     record(catalogue.find("helsinki").sumocfg_path, folder / name, 200)
     traffic = find("helsinki", str(folder / name)).traffic(TrafficParams(), registry())
     same(collect(traffic, 120, 40), worlds)
+
+
+def test_a_replay_warms_up_as_long_as_sumo():
+    """A warm-up of 30.5 steps ends with the step in which it is over: the first one recorded is step 31."""
+    replay = object.__new__(TraceReplay)
+    replay._dt_s = 1.0
+    list(replay.warm_up(30.5))
+    assert replay._n_skipped == 31
 
 
 def test_a_finer_step_and_a_later_begin(tmp_path):
