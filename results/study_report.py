@@ -94,12 +94,13 @@ def page(study: StudyResults, part: str = "") -> str:
     """The page as HTML."""
     states = ", ".join(f"{n} {state}" for state, n in study.points.state.value_counts().items())
     n = study.points.replicate.nunique()
+    n_runs = len(set(study.points["run"]) - {""})
     replicates = f"{n} replicates" if n > 1 else "1 replicate"
     parts = [
         f"<h1>{escape(f'{study.name}, {part}' if part else study.name)}</h1>",
         f"<p>{escape(study.question)}</p>",
         *_answers(study),
-        f'<p class="soft">{len(study.points)} points ({states}) of {study.points["run"].nunique()} runs; '
+        f'<p class="soft">{len(study.points)} points ({states}) of {n_runs} runs; '
         f"swept: {escape(', '.join(study.keys))}; {replicates}. Intervals are 95 % intervals of the mean over "
         "replicates (Student's t; results/TABLES.md has the formula).</p>",
         '<h2 id="figures">Figures</h2>',

@@ -29,7 +29,7 @@ from cosim.step.parts import Parts, sources
 from cosim.step.state import State
 from cosim.step.stopwatch import Stopwatch
 from cosim.step.trackers.attack_start import AttackStartTracker
-from cosim.traffic.actors import ActorRegistry, actor_key
+from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.limits import NO_LIMITS
 from cosim.traffic.meshes import with_meshes
 from cosim.traffic.remarks import traffic_remarks
@@ -251,9 +251,7 @@ def load_parts(
         limits = scenario.limits() if config.tracking.model != "none" else NO_LIMITS
     units = roadside_units(config, scenario)
     parts = Parts.of(config, city, rsu_antennas(config, scenario), watch, units, limits)
-    if parked:
-        keys = np.array([actor_key(name, is_person=False) for name in parked])
-        parts = replace(parts, near_pairs=replace(parts.near_pairs, parked_key=keys))
+    parts = replace(parts, near_pairs=parts.near_pairs.without(parked))
     registry = ActorRegistry(config.fleet, config.seed, shares(config.attacks), named(config.attacks))
     recorded = scenario if traffic_from is None else replace(scenario, trace=traffic_from, warmup_s=0.0)
     params = config.traffic if traffic_from is None else replace(config.traffic, begin_s=None, warmup_s=0.0)

@@ -9,15 +9,18 @@ from cosim import __version__
 
 _ROOT = Path(__file__).parents[2]
 _PACKAGES = ("cosim", "sensors", "trust", "results", "sumo_nets")
+_COMPUTES = (".py", ".toml", ".csv")
+"""Suffixes of code, and of the data that it computes with, such as profiles of detectors."""
 
 
 @cache
 def code_digest() -> str:
-    """Hash of the source of all packages, twelve digits. Installations of the same code have the same hash."""
+    """Hash of the code of all packages and of its data, twelve digits. Equal installations have the same hash."""
     found = hashlib.sha256()
     for package in _PACKAGES:
-        for path in sorted((_ROOT / package).rglob("*.py")):
-            found.update(path.relative_to(_ROOT).as_posix().encode() + path.read_bytes())
+        for path in sorted((_ROOT / package).rglob("*.*")):
+            if path.suffix in _COMPUTES:
+                found.update(path.relative_to(_ROOT).as_posix().encode() + path.read_bytes())
     return found.hexdigest()[:12]
 
 

@@ -26,6 +26,7 @@ SHORTEST_S = 30.0
 _LEG_S = 4.6
 """Time that a vehicle is on the road, for the square root of each metre of a city's diagonal [s]. 200 vehicles at 2,820
 departures per hour are on the road for 255 s in central Helsinki (2.0 km); it is 234 s in Bologna (2.9 km)."""
+_HALF_HOUR_S = 1800.0
 _PROBED = 300
 """Number of timesteps of a trace that are counted."""
 _MOST = 1_000_000
@@ -37,9 +38,7 @@ def vehicles_on_road(config: Config) -> float:
     scenario = scenario_of(traffic.scenario, traffic.trace)
     if scenario.trace is not None:
         return _recorded(scenario.trace)
-    warmup_s = scenario.warmup_s if traffic.warmup_s is None else traffic.warmup_s
-    middle_s = warmup_s + traffic.duration_s / 2
-    return traffic.scale * _demanded(traffic.scenario, scenario, traffic.begin_s, middle_s)
+    return traffic.scale * _demanded(traffic.scenario, scenario, traffic.begin_s, _middle_s(config, scenario))
 
 
 def equipped_on_road(config: Config) -> float:
@@ -56,21 +55,34 @@ def equipped_on_road(config: Config) -> float:
 def note_density(config: Config, run: Path) -> None:
     """Keep the mean number of vehicles of a finished run for the next estimate, unless it is known or replayed."""
     traffic = config.traffic
-    is_known = traffic.scenario in COUNTED or scenario_of(traffic.scenario, traffic.trace).trace is not None
-    if is_known or traffic.duration_s < SHORTEST_S or traffic.scale <= 0:
+    scenario = scenario_of(traffic.scenario, traffic.trace)
+    if traffic.scenario in COUNTED or scenario.trace is not None:
         return
-    found = read_manifest(run).get("summary", {}).get("vehicles_on_road_mean")
-    if isinstance(found, int | float):
-        note_vehicles(scenario_of(traffic.scenario, traffic.trace), found / traffic.scale)
+    if traffic.duration_s < SHORTEST_S or traffic.scale <= 0:
+        return
+    summary = read_manifest(run).get("summary", {})
+    found = summary.get("vehicles_on_road_mean")
+    if isinstance(found, int | float) and "vehicles_on_road_first" not in summary:  # where streets were filling
+        note_vehicles(scenario, found / traffic.scale, traffic.begin_s, _middle_s(config, scenario))
 
 
-def note_vehicles(scenario: Scenario, n_vehicles: float) -> None:
-    """Keep the mean number of vehicles that a scenario has on the road at its own demand, for the next estimate."""
-    remember(_place_of(scenario), n_vehicles)
+def note_vehicles(scenario: Scenario, n_vehicles: float, begin_s: float | None, after_s: float) -> None:
+    """Keep the mean number of vehicles on the road at a scenario's own demand, some time after the begin.
+
+    It serves the estimates of runs of that half hour.
+    """
+    remember(_place_of(scenario, begin_s, after_s), n_vehicles)
 
 
-def _place_of(scenario: Scenario) -> str:
-    return str((scenario.sumocfg or Path(scenario.name)).resolve())
+def _middle_s(config: Config, scenario: Scenario) -> float:
+    """Time from the begin of the traffic to the middle of what is recorded [s]."""
+    warmup_s = scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
+    return warmup_s + config.traffic.duration_s / 2
+
+
+def _place_of(scenario: Scenario, begin_s: float | None, after_s: float) -> str:
+    place = (scenario.sumocfg or Path(scenario.name)).resolve()
+    return f"{place}, begin {begin_s}, half hour {int(after_s // _HALF_HOUR_S)}"
 
 
 @cache
@@ -98,7 +110,7 @@ def _demanded(name: str, scenario: Scenario, begin_s: float | None, after_s: flo
     lasts_s = _LEG_S * float(np.sqrt(np.hypot(x1 - x0, y1 - y0)))
     if name in COUNTED:
         return COUNTED[name]
-    if (known := remembered(_place_of(scenario))) is not None:
+    if (known := remembered(_place_of(scenario, begin_s, after_s))) is not None:
         return known
     if name in catalogue.names():
         return catalogue.find(name).vehicles_per_hour / 3600 * lasts_s

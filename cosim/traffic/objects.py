@@ -12,7 +12,7 @@ from numpy import ndarray
 from cosim.base.plane import wrapped
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fleet import ActorClass
-from cosim.traffic.frame import Frame
+from cosim.traffic.frame import Frame, TrafficError
 from cosim.traffic.roadside import MAST_M, NO_UNITS, RoadsideUnits
 from cosim.traffic.source import PER_M, PER_RAD, TrafficSource, world_of
 from cosim.world import World
@@ -40,7 +40,7 @@ class ObjectParams:
     vehicle_class: ActorClass = "car"
     """Class of the object in the tables, which also sets its default size. A dummy of a person is a `pedestrian`."""
     at_m: tuple[float, float] | None = None
-    """Centre of its box in the world frame: east, north [m]. Required."""
+    """Centre of its box in the world frame, which is that of the tables: east, north [m]. Required."""
     ground_m: Annotated[float, Ge(-1000), Le(10_000)] = 0.0
     """Height of the ground under it [m]."""
     yaw_deg: Annotated[float, Ge(-360), Le(360)] = 0.0
@@ -125,6 +125,7 @@ class WithObjects:
     def __init__(self, traffic: TrafficSource, placed: Placed, registry: ActorRegistry, frame: Frame) -> None:
         self._traffic, self._placed, self._registry, self._frame = traffic, placed, registry, frame
         self._number = np.full(len(placed.names), -1, np.int32)
+        self._is_checked = False
 
     def warm_up(self, seconds: float) -> Iterator[float]:
         return self._traffic.warm_up(seconds)
@@ -132,6 +133,9 @@ class WithObjects:
     def advance(self) -> World:
         """The world of the next step, with the objects that are present in it."""
         world, p = self._traffic.advance(), self._placed
+        if len(world) and not self._is_checked:
+            _check_frame(p, self._traffic.report().get("origin_m", (0.0, 0.0)))
+            self._is_checked = True
         here = np.flatnonzero((p.from_step <= world.step) & (world.step < p.to_step))
         if not len(here):
             return world
@@ -164,6 +168,18 @@ class WithObjects:
 
     def close(self) -> None:
         self._traffic.close()
+
+
+def _check_frame(placed: Placed, origin_m: Sequence[float]) -> None:
+    """Raise TrafficError if an object is at the coordinates of a trace whose world has an origin of its own."""
+    at_m = placed.boxes.xyz_m[:, :2]
+    here_m = at_m - origin_m  # the first actors are within a kilometre of the world's origin
+    for row in np.flatnonzero(np.hypot(*here_m.T) < np.hypot(*at_m.T)).tolist():
+        given, origin, here = ("[{:.10g}, {:.10g}]".format(*xy) for xy in (at_m[row], origin_m, here_m[row]))
+        raise TrafficError(
+            f"{placed.names[row]}: at_m = {given} is in the trace's coordinates, of which the world's origin is at "
+            f"{origin}. Set at_m = {here}."
+        )
 
 
 def _joined(world: World, objects: World) -> World:

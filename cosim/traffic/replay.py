@@ -316,7 +316,9 @@ class RunReplay(_Replay):
     def report(self) -> dict[str, Any]:
         """Counts of the run that is replayed."""
         summary = self._run.manifest.get("summary", {})
-        report: dict[str, Any] = {n: summary[n] for n in ("teleports", "actors_left_out") if n in summary}
+        report: dict[str, Any] = {
+            name: summary[name] for name in ("teleports", "actors_left_out", "origin_m") if name in summary
+        }
         report |= self._counts.report()
         return report | ({"inputs_changed": self._inputs_changed} if self._inputs_changed else {})
 

@@ -139,10 +139,12 @@ class Scenario:
         return NO_LIMITS if self.net is None else SpeedLimits.of(lanes(self.net), self.origin_m)
 
     def provenance(self) -> dict[str, str]:
-        """Name, licence and attribution of the data, and the SHA-256 of every file that is read."""
+        """Name, licence and attribution of the data, its warm-up, and the SHA-256 of every file that is read."""
         about = {"name": self.name, "licence": self.licence, "attribution": self.attribution}
         if any(self.origin_m):
             about["origin"] = "{:.0f} m east, {:.0f} m north of the network's own".format(*self.origin_m)
+        if self.warmup_s:
+            about["warm-up"] = f"{self.warmup_s:g} s, unless traffic.warmup_s is set"
         return about | {f"sha256 {name}": sha256(path) for name, path in self._named_inputs().items()}
 
     def changed_inputs(self, provenance: dict[str, str]) -> list[str]:

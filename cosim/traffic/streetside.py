@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import shapely
 from annotated_types import Ge, Gt, Le
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.base.codes import PARKED
@@ -102,6 +102,8 @@ class _Places(NamedTuple):
     """Driving direction."""
     side: Float[ndarray, "p"]
     """1 to the right of the driving direction, -1 to its left."""
+    rank: Float[ndarray, "p"]
+    """The uniform draw that took the place: at a lower rate, places of smaller ranks are taken."""
     draw: Float[ndarray, "p"]
     """A uniform draw of each place, for its kind of vehicle."""
 
@@ -145,8 +147,8 @@ class Streetside:
         half = trees.half_l_m[first]
         trunks = shapely.box(x - half, y - half, x + half, y + half)
         free = np.flatnonzero(self._is_free(body, city, trunks))
-        one, other = shapely.STRtree(body[free]).query(body[free], predicate="intersects")
-        free = np.delete(free, np.unique(np.maximum(one, other)[one != other]))
+        free = free[np.argsort(found.rank[free], kind="stable")]
+        free = np.sort(free[_first_of_overlapping(body[free])])
         return {
             PARKED + found.name[i]: ObjectParams(
                 vehicle_class=str(kind[i]),  # type: ignore[arg-type]
@@ -161,7 +163,7 @@ class Streetside:
         """The places that are taken, of all places along the kerbs."""
         share = per_100_m * PLACE_M[section] / 100
         names: list[str] = []
-        where, draws = [np.zeros((0, 5))], [np.zeros(0)]
+        where, draws = [np.zeros((0, 5))], [np.zeros((0, 2))]
         for kerb in self.kerbs if share > 0 else ():
             prefix = key(self.seed, stream)
             edge = np.array([name_key(kerb.edge)], np.uint64)
@@ -173,9 +175,10 @@ class Streetside:
             taken = draw[:, 0] < share
             names += [f"{kerb.edge}/{n}" for n in number[taken].tolist()]
             where.append(place[taken])
-            draws.append(draw[taken, 1])
+            draws.append(draw[taken])
         at = np.concatenate(where)
-        return _Places(names, at[:, :3], at[:, 3], at[:, 4], np.concatenate(draws))
+        rank, draw = np.concatenate(draws).T
+        return _Places(names, at[:, :3], at[:, 3], at[:, 4], rank, draw)
 
     def _beside(self, places: _Places, half_m: Float[ndarray, "p"] | float) -> Float[ndarray, "p 3"]:
         """Middles of what stands at places, half as wide as given; world frame."""
@@ -193,6 +196,16 @@ class Streetside:
             if len(taken) and len(body):
                 free[shapely.STRtree(taken).query(body, predicate="intersects")[0]] = False
         return free
+
+
+def _first_of_overlapping(body: ndarray) -> Bool[ndarray, "n"]:
+    """Which polygons meet none before them that stays."""
+    stays = np.ones(len(body), bool)
+    one, other = shapely.STRtree(body).query(body, predicate="intersects")
+    after = one > other
+    for later, earlier in sorted(zip(one[after].tolist(), other[after].tolist(), strict=True)):
+        stays[later] &= not stays[earlier]
+    return stays
 
 
 def _along(kerb: Kerb, place_m: float) -> tuple[Int[ndarray, "p"], Float[ndarray, "p 5"]]:

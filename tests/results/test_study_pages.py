@@ -139,6 +139,14 @@ def test_select_boxes_name_what_the_axes_do_not_show(tmp_path, monkeypatch):
     assert "misbehaviour.at_lookup.auc-scenario=town.pdf" in {path.name for path in files}
 
 
+def test_a_point_that_waits_has_no_run(tmp_path):
+    study = study_of(tmp_path, {"fleet.penetration_p": (0.1, 0.2)})
+    n, n_runs = len(study.points), study.points["run"].nunique()
+    more = study.points.iloc[:1].assign(point="next", run="", state="waiting")
+    study.points = pd.concat([study.points, more], ignore_index=True)
+    assert f"{n + 1} points ({n} finished, 1 waiting) of {n_runs} runs;" in study_report.page(study)
+
+
 def test_a_study_of_its_baseline_alone_has_no_differences(tmp_path):
     study = study_of(tmp_path, {"fleet.penetration_p": (0.1,)}, baseline={"fleet.penetration_p": 0.1})
     assert study.differences.empty and "Paired differences" not in study_report.page(study)

@@ -127,7 +127,7 @@ def _exported(
     config, of_traffic = config_of(run), getattr(fmt, "ALL_STEPS", False)
     chosen = Selection(
         run, _vehicles(run, vehicles), _steps(run, steps, of_traffic), _road_edge_m(config),
-        partial(_projection, config), _place(config), vehicles is not None,
+        partial(_projection, config), _place(run, config), vehicles is not None,
     )  # fmt: skip
     if chosen.presence.empty and not of_traffic:
         raise ValueError("none of these vehicles is on the road in any of these steps. Choose others.")
@@ -272,11 +272,11 @@ def _road_edge_m(config: Config) -> Callable[[Float[ndarray, "n 2"]], Float[ndar
     return distance_m
 
 
-def _place(config: Config) -> Place:
+def _place(run: Run, config: Config) -> Place:
     """The surroundings of the run's traffic."""
     scenario = find(config.traffic.scenario, config.traffic.trace)
-
-    return Place(scenario.origin_m, lambda: city_triangles(city_of(config)))
+    east_m, north_m = run.manifest["summary"].get("origin_m", scenario.origin_m)
+    return Place((east_m, north_m), lambda: city_triangles(city_of(config)))
 
 
 def _projection(config: Config) -> Projection:

@@ -68,7 +68,7 @@ def build(
     if check:
         with notes.status("driving it for half an hour ..."):
             flows = flow.measure(net)
-        note_vehicles(find(str(out)), flows.vehicles_mean)
+        note_vehicles(find(str(out)), flows.vehicles_mean, None, net.warm_up_s)
         facts |= asdict(flows) | {"jammed": len(flows.jammed), "assessment": flows.assessment}
     print_facts(facts, as_json)
 

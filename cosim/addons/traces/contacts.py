@@ -26,7 +26,6 @@ from cosim.step.trackers.encounters import PairSearch, update_encounters
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fcd import is_observed, timesteps
 from cosim.traffic.interpolation import interval_s
-from cosim.traffic.objects import ObjectParams
 from cosim.traffic.params import TrafficParams
 from cosim.traffic.scenario import Scenario, find
 from cosim.traffic.source import TrafficEnded, TrafficError, class_counts
@@ -166,7 +165,7 @@ def _of_run(paths: Sequence[Path], params: ContactParams, out: Path | None, adva
     if params.from_s is not None or params.to_s is not None:
         raise ValueError("--from and --to go with a trace, and this is a run. Leave them out.")
     equipment = params.config or recorded
-    return _of_traffic(scenario, traffic, equipment, params, paths, out, advance, 0.0, recorded.objects)
+    return _of_traffic(scenario, traffic, equipment, recorded, params, paths, out, advance, 0.0)
 
 
 def _of_sumo(paths: Sequence[Path], params: ContactParams, out: Path | None, advance: Advance) -> Path:
@@ -183,7 +182,7 @@ def _of_sumo(paths: Sequence[Path], params: ContactParams, out: Path | None, adv
     skipped_s = 0.0 if was_observed and params.from_s is None else step_s
     if params.from_s is None and params.to_s is not None:
         params = replace(params, from_s=first_s)
-    return _of_traffic(scenario, traffic, params.config or Config(), params, paths, out, advance, skipped_s)
+    return _of_traffic(scenario, traffic, params.config or Config(), Config(), params, paths, out, advance, skipped_s)
 
 
 def _first_and_interval_s(path: Path) -> tuple[float, float]:
@@ -195,23 +194,27 @@ def _first_and_interval_s(path: Path) -> tuple[float, float]:
 
 
 def _of_traffic(
-    scenario: Scenario, traffic: TrafficParams, equipment: Config, params: ContactParams,
+    scenario: Scenario, traffic: TrafficParams, equipment: Config, beside: Config, params: ContactParams,
     paths: Sequence[Path], out: Path | None, advance: Advance, skipped_s: float,
-    objects: Sequence[ObjectParams] = (),
 ) -> Path:  # fmt: skip
-    """Count encounters of worlds, as a run does; `skipped_s` skips the empty world before a trace."""
+    """Count encounters of worlds, as a run does; `skipped_s` skips the empty world before a trace.
+
+    Trees, parked cars and objects are those of the config `beside`, placed by its seed.
+    """
     wants_los = any(p.pairs in ("los", "all_los") for p in params.encounters)
     if wants_los and scenario.net is None:
         raise ValueError(
             'encounters.pairs = "los" needs the buildings of a city, and a trace alone has none. Set --scenario.'
         )
     registry = ActorRegistry(equipment.fleet, equipment.seed)
-    replayed = scenario.traffic(traffic, registry, objects=objects)
+    city = scenario.city(beside.trees, beside.seed)
+    parked = scenario.parked(beside.parked, city, beside.seed)
+    replayed = scenario.traffic(traffic, registry, objects=beside.objects, parked=parked)
     try:
         for _ in replayed.warm_up(skipped_s):
             pass
         mount_m = equipment.lidar.mount_above_roof_m
-        search = PairSearch.of(params.encounters, WallIndex.of(scenario.city().buildings), mount_m)
+        search = PairSearch.of(params.encounters, WallIndex.of(city.buildings), mount_m, city).without(parked)
         worlds = _worlds(replayed, _steps_asked(params, traffic.step_s) or math.inf)
         extent = _Extent()
         first = next(worlds, None)

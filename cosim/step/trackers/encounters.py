@@ -1,13 +1,14 @@
 """Encounters by all definitions in the config, from pairs near each other and their lines of sight."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
+from cosim.traffic.actors import actor_key
 from cosim.world import World
 from results.encounters import EncounterParams, EncounterTracker, Rows
 from sensors.line_of_sight import WallIndex, los_between_actors
@@ -62,6 +63,11 @@ class PairSearch:
             mount_above_roof_m,
             city,
         )
+
+    def without(self, parked: Collection[str]) -> "PairSearch":
+        """The search among all but the parked cars of these names."""
+        keys = [actor_key(name, is_person=False) for name in parked]
+        return replace(self, parked_key=np.array(keys, np.uint64)) if keys else self
 
     def __call__(self, world: World) -> NearPairs:
         """Pairs of actors within the radius; pedestrians only if a definition includes them."""

@@ -1,5 +1,8 @@
 """`cosim export`: clouds of the run itself, mistakes in one line, interrupted and taken up again."""
 
+import gzip
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -161,3 +164,18 @@ def test_floating_car_data_of_a_run_without_sensing_come_back(tmp_path):
         tables.append(rows[rows.step < 7].sort_values(["step", "sumo_id"])[["step", *columns]].reset_index(drop=True))
     assert len(tables[0]) > 100 and tables[0].step.nunique() == 7
     pd.testing.assert_frame_equal(*tables, check_exact=True)
+
+
+def test_floating_car_data_are_where_a_far_trace_was(tmp_path):
+    """The world of a trace without a network has an origin nearby; a replay of that run keeps it."""
+    rows = [("a", t, 385_000.0 + 10 * t, 6_671_000.0, 90.0, 10.0) for t in range(6)]
+    pd.DataFrame(rows, columns=["id", "time", "x", "y", "angle", "speed"]).to_csv(tmp_path / "far.csv", index=False)
+    sets = ("sensing=false", "traffic.step_s=1", "traffic.duration_s=4")
+    simulate(tmp_path / "run", *sets, f"traffic.scenario={tmp_path / 'far.csv'}")
+    simulate(tmp_path / "again", *sets, f"traffic.trace={tmp_path / 'run'}", f"traffic.scenario={tmp_path / 'far.csv'}")
+    for name in ("run", "again"):
+        done = cosim("export", "fcd", name, "--out", f"of_{name}", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        text = gzip.decompress((tmp_path / f"of_{name}" / "fcd.xml.gz").read_bytes()).decode()
+        east_m = [float(x) for x in re.findall(r' x="([^"]*)"', text)]
+        assert len(east_m) >= 3 and all(384_900 < x < 385_100 for x in east_m), (name, east_m)

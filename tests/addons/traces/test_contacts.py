@@ -29,6 +29,18 @@ radius_m = 60
 hysteresis_s = 0
 [[encounters]]
 """
+BESIDE = """\
+sensing = false
+traffic.warmup_s = 120
+traffic.duration_s = 8
+parked.per_100_m = 14
+trees.per_100_m = 18
+[[encounters]]
+pairs = "all"
+[[encounters]]
+pairs = "all_los"
+los = "buildings"
+"""
 
 
 def count(paths, out, **params):
@@ -74,6 +86,16 @@ def test_contacts_of_a_run_with_its_own_and_other_definitions(driven):
     expected = run[run.pairs == "all"].reset_index(drop=True)
     pd.testing.assert_frame_equal(mine[expected.columns], expected, check_exact=True)
     assert 0 < (again.encounters.radius_m == 30).sum() < len(expected)
+
+
+def test_trees_and_parked_cars_of_a_run_are_in_the_way_in_its_contacts(tmp_path):
+    (tmp_path / "c.toml").write_text(BESIDE)
+    simulate(tmp_path / "run", config=tmp_path / "c.toml")
+    done = cosim("contacts", "run", "--config", "c.toml", "--out", "again", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    run = table(tmp_path / "run")
+    assert run.los_share.between(0.01, 0.99).sum() > 50
+    pd.testing.assert_frame_equal(table(tmp_path / "again"), run, check_exact=True)
 
 
 def test_a_config_says_who_is_equipped_in_a_run(driven):

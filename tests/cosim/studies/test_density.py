@@ -4,12 +4,14 @@ import json
 
 import pytest
 
+from cosim.base.durable import seal
 from cosim.config.config import load
 from cosim.studies.cost import cost_of
-from cosim.studies.density import OF_CLASS, departures, equipped_on_road, vehicles_on_road
+from cosim.studies.density import OF_CLASS, departures, equipped_on_road, note_density, vehicles_on_road
 from cosim.studies.estimate import estimate
 from cosim.studies.plan import PlannedRun, StudyPlan
 from cosim.studies.speed import MachineSpeed, Pace, remember, remembered, speed_here
+from results.tables import SCHEMA_VERSION
 from tests.hostile.scenes import write_town, write_trace
 
 
@@ -26,6 +28,23 @@ def test_of_a_trace_and_of_flows(tmp_path):
     town = write_town(tmp_path / "town")
     assert departures((town.parent / "town.rou.xml",), 10.0, 22.0) == pytest.approx(13)
     assert 5 < vehicles_on_road(load(None, [f"traffic.scenario={town}", "traffic.warmup_s=30"])) < 60
+
+
+def test_a_finished_run_answers_for_its_own_half_hour(tmp_path, monkeypatch):
+    """41 vehicles on the mean in a run of 60 s. One whose streets were filling says nothing of the next."""
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "cache"))
+    sets = [f"traffic.scenario={write_town(tmp_path / 'town')}", "traffic.duration_s=60"]
+    filling, full = {"vehicles_on_road_mean": 9.0, "vehicles_on_road_first": 0}, {"vehicles_on_road_mean": 41.0}
+    for name, summary, more in (("a", filling, []), ("b", full, ["traffic.warmup_s=600", "traffic.scale=2"])):
+        (tmp_path / name).mkdir()
+        about = {"schema_version": SCHEMA_VERSION, "dt_s": 1.0, "steps": 60, "config": {}, "status": "finished"}
+        text = json.dumps(seal(about | {"summary": summary}))
+        (tmp_path / name / "manifest.json").write_text(text)
+        note_density(load(None, [*sets, *more]), tmp_path / name)
+    known = [*sets, "traffic.warmup_s=1200"]
+    assert vehicles_on_road(load(None, known)) == pytest.approx(20.5)
+    for other in (["traffic.begin_s=600"], ["traffic.warmup_s=1800"]):
+        assert vehicles_on_road(load(None, [*known, *other])) != pytest.approx(20.5)
 
 
 def test_demand_begins_with_the_configuration(tmp_path):

@@ -1,5 +1,7 @@
 """Objects that stand still: seen like other actors, never equipped, and no change to the traffic beside them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,6 +22,9 @@ class Parade:
 
     def __init__(self, registry):
         self.registry, self.step, self.number = registry, 0, []
+
+    def report(self):
+        return {}
 
     def advance(self):
         step, self.step = self.step, self.step + 1
@@ -60,6 +65,19 @@ def test_an_object_far_away_is_refused():
         ObjectParams(at_m=(0.0, 0.0), from_s=2.0, to_s=1.0)
     with pytest.raises(ValueError, match="at_m is not given"):
         ObjectParams()
+
+
+def test_an_object_in_the_coordinates_of_a_far_trace_is_refused():
+    """The world of such a trace has an origin near the first actors."""
+    registry = ActorRegistry(FleetParams(), 1)
+    parade = Parade(registry)
+    parade.report = lambda: {"origin_m": [50_000.0, 4_000_000.0]}
+    traffic = WithObjects(parade, Placed.of([ObjectParams(at_m=(600.0, 20.0))], FRAME, 1.0), registry, FRAME)
+    assert len(traffic.advance()) == 2
+    far = replace(FRAME, bounds_m=(0.0, 0.0, 5e6, 5e6))
+    traffic = WithObjects(parade, Placed.of([ObjectParams(at_m=(50_150.0, 4_000_020.0))], far, 1.0), registry, FRAME)
+    with pytest.raises(TrafficError, match=r"object/0: at_m = \[50150, 4000020\] .* Set at_m = \[150, 20\]."):
+        traffic.advance()
 
 
 @pytest.fixture(scope="module")

@@ -45,6 +45,21 @@ def test_a_higher_rate_adds_cars_and_moves_none():
     assert len(few) < len(many) and all(many[name] == few[name] for name in few)
 
 
+def test_a_higher_rate_takes_no_car_away_where_kerbs_meet():
+    """Twenty kerbs that lie upon one another: of two cars that overlap, the one stays that came at a lower rate. All
+    that stay overlap none, and each that goes overlaps one that came before it."""
+    line = np.array([[0.0, 0.0, 0.0], [616.0, 0.0, 0.0]])
+    near = Streetside([Kerb(f"e{k}", line + [0.7 * k, 0, 0], 1.6, None) for k in range(20)], street(1).areas, (0, 0), 3)
+    before: dict = {}
+    for rate in (0.3, 1, 2, 4, 8, 16):
+        found = near.parked(Scene.empty(), ParkedParams(per_100_m=rate, vans_p=0.0))
+        assert before.items() <= found.items()
+        x_m = np.sort([one.at_m[0] for one in found.values()])
+        assert np.diff(x_m).min() > 4.5
+        before = found
+    assert len(before) > 616 / (4.5 * 2 + 1) and np.diff(x_m).max() < 2 * 4.5 + 0.7
+
+
 def test_cars_stand_beside_the_lane_by_hand():
     """South of a street that leads east: lane 1.6 m, gap 0.3 m, half of the car 0.925 m. The first place is from 8 m
     to 14 m."""
