@@ -1,7 +1,7 @@
 """Demand that agrees with traffic counts: a city's own vehicles are added to and taken away until they do.
 
 SUMO's `routeSampler` draws the routes. Pedestrians, bicycles and buses stay as they are. The city stands for one hour
-of a day, so a place has one count: vehicles per hour in that hour.
+of a day, so a place has one count: motor vehicles, with buses, in that hour.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from numpy import ndarray
 
 from cosim.addons.netbuild import flow
 from cosim.addons.netbuild.build import write_checksums
-from sumo_nets import catalogue, demand, network, sumotools
+from sumo_nets import catalogue, demand, network, sumotools, vtypes
 from sumo_nets.catalogue import Net
 from sumo_nets.xml import Attributes, chunks, stream
 
 Counts = dict[str, float]
-"""Vehicles per hour by edge id."""
+"""Motor vehicles per hour by edge id."""
 
 NEAR_M = 30.0
 """Distance from a street up to which a position belongs to it."""
@@ -140,35 +140,38 @@ def fit(net: Net, counted: Counts, out: Path, seed: int) -> Counts:
 
     Returns
     -------
-    Vehicles per hour that the new routes bring to each counted street.
+    Vehicles per hour that the new routes and the buses bring to each counted street.
     """
-    text = b"".join(chunks(net.folder / "demand.rou.xml.gz")).decode()
-    elements = [match.group(0) for match in _ELEMENT.finditer(text)]
+    elements = _elements(net.folder / "demand.rou.xml.gz")
     kept = [text for text in elements if _KEPT.match(text)]
     candidates = [text for text in elements if not _KEPT.match(text)]
     if not any(set(_route(text)) & counted.keys() for text in candidates):
         raise ValueError(f"no vehicle of {net.name} passes a street that was counted. Count other streets.")
     hours = net.end_s / 3600.0
+    buses = _passed(_elements(net.folder / "buses.rou.xml.gz"))
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as name:
         work = Path(name)
         demand.write_trips(work / "candidates.rou.xml", candidates)
-        rows = "".join(f'<edge id={quoteattr(edge)} entered="{round(v * hours)}"/>' for edge, v in counted.items())
+        left = {edge: max(0, round(value * hours) - buses[edge]) for edge, value in counted.items()}
+        rows = "".join(f'<edge id={quoteattr(edge)} entered="{n}"/>' for edge, n in left.items())
         interval = f'<interval id="counts" begin="0" end="{net.end_s:g}">{rows}</interval>'
         (work / "counts.xml").write_text(f"<data>{interval}</data>", encoding="utf-8")
         _sample(work, net.end_s, seed)
-        sampled = [m.group(0) for m in _ELEMENT.finditer((work / "sampled.rou.xml").read_text(encoding="utf-8"))]
+        sampled = _elements(work / "sampled.rou.xml")
         shutil.copytree(net.folder, out, dirs_exist_ok=True)
         demand.write_trips(work / "all.rou.xml", [*kept, *sampled])
         packed = gzip.compress((work / "all.rou.xml").read_bytes(), 9, mtime=0)
     (out / "demand.rou.xml.gz").write_bytes(packed)
     _describe(net, out, (len(sampled) + sum('type="bicycle"' in text for text in kept)) / hours)
-    passed = Counter(edge for text in sampled for edge in set(_route(text)))
+    passed = _passed(sampled) + buses
     return {edge: passed[edge] / hours for edge in counted}
 
 
 def driven(net: Net, edges: Iterable[str], seconds: float = 1200.0) -> Counts:
-    """Vehicles per hour that enter each of these streets when the demand is simulated, after the warm-up."""
+    """Motor vehicles per hour that enter each of these streets when the demand is simulated, after the warm-up."""
     found = dict.fromkeys(edges, 0.0)
+    types = vtypes.read([net.folder / "vtypes.add.xml"])
+    motorised = sorted(name for name, of in types.items() if of.vclass not in ("bicycle", "pedestrian"))
 
     def start(name: str, attributes: Attributes) -> None:
         if name == "edge" and attributes["id"] in found:
@@ -176,7 +179,7 @@ def driven(net: Net, edges: Iterable[str], seconds: float = 1200.0) -> Counts:
             found[attributes["id"]] = entered * 3600.0 / seconds
 
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as name:
-        if (streets := flow.simulate(net, seconds, Path(name))).is_file():  # SUMO writes none without traffic
+        if (streets := flow.simulate(net, seconds, Path(name), motorised)).is_file():  # there is none without traffic
             stream(streets, start)
     return found
 
@@ -201,6 +204,16 @@ def _describe(net: Net, out: Path, per_hour: float) -> None:
     config.write_text(text, encoding="utf-8", newline="\n")  # rerouted vehicles would leave the streets they count on
     write_checksums(out)
     catalogue.open_folder(out)
+
+
+def _elements(path: Path) -> list[str]:
+    """The persons and vehicles of a route file, each as text."""
+    return [match.group(0) for match in _ELEMENT.finditer(b"".join(chunks(path)).decode())]
+
+
+def _passed(elements: Iterable[str]) -> Counter[str]:
+    """How many of these vehicles each street is on the route of."""
+    return Counter(edge for text in elements for edge in set(_route(text)))
 
 
 def _route(text: str) -> list[str]:

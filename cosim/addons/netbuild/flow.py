@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Collection
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
@@ -61,15 +62,21 @@ def measure(net: Net, seconds: float = 1200.0) -> Flow:
         return _flow(work, net.warm_up_s, seconds, _free_mps(net.net_path))
 
 
-def simulate(net: Net, seconds: float, work: Path) -> Path:
+def simulate(net: Net, seconds: float, work: Path, types: Collection[str] = ()) -> Path:
     """Simulate a network's demand for its warm-up and `seconds` more, with SUMO's outputs in the folder `work`.
+
+    Parameters
+    ----------
+    types
+        Vehicle types that are counted on streets; all if there are none.
 
     Returns
     -------
     The file with what happened on each street after the warm-up.
     """
     begin, end = net.warm_up_s, net.warm_up_s + seconds
-    wanted = f'<edgeData id="e" file="edges.xml" begin="{begin}" end="{end}" excludeEmpty="true"/>'
+    of = f'vTypes="{" ".join(types)}" ' if types else ""
+    wanted = f'<edgeData id="e" file="edges.xml" begin="{begin}" end="{end}" {of}excludeEmpty="true"/>'
     (work / "edges.add.xml").write_text(f"<additional>{wanted}</additional>", encoding="utf-8")
     additional = [net.folder / "vtypes.add.xml", net.folder / "stops.add.xml", work / "edges.add.xml"]
     options = {

@@ -1,5 +1,8 @@
 """Traffic counts: the statistic by hand, places by the map's own nodes, and demand that follows them."""
 
+import gzip
+import xml.etree.ElementTree as ET
+
 import numpy as np
 import pytest
 
@@ -100,6 +103,22 @@ def test_demand_follows_counts_and_what_is_not_motorised_stays(town, tmp_path):
     assert counts.agreement(drawn, counted).good_share > 0.85
     assert new.vehicles_per_hour > 1.1 * town.vehicles_per_hour
     assert new.pedestrians_per_hour == town.pedestrians_per_hour
+
+
+def test_buses_are_among_the_vehicles_that_were_counted(tmp_path):
+    """On three streets of Helsinki, a fifth of what passes are buses, and bicycles pass that no detector counts."""
+    counted = {"17000556": 120.0, "4247501#0": 240.0, "34144204#2": 230.0}
+    drawn = counts.fit(catalogue.find("helsinki"), counted, tmp_path / "new", seed=1)
+    new = catalogue.open_folder(tmp_path / "new")
+    passed = dict.fromkeys(counted, 0)
+    for name in ("demand.rou.xml.gz", "buses.rou.xml.gz"):
+        for vehicle in ET.fromstring(gzip.decompress((new.folder / name).read_bytes())).iter("vehicle"):
+            if vehicle.get("type") != "bicycle":
+                for edge in counted.keys() & set(vehicle.find("route").get("edges").split()):
+                    passed[edge] += 1
+    per_hour = {edge: n * 3600 / new.end_s for edge, n in passed.items()}
+    assert per_hour == pytest.approx(drawn)
+    assert per_hour == pytest.approx(counted, rel=0.03)
 
 
 @pytest.mark.verify
