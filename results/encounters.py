@@ -1,5 +1,6 @@
 """Encounters of pairs of actors, tracked step by step."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -83,6 +84,8 @@ _TRUST: dict[str, type] = {
 }  # fmt: skip
 """Columns of which there is one per trust variant."""
 
+AWAY_S = 3600.0
+"""An actor that is off the road for longer has no earlier encounters when it comes back [s]."""
 _PENDING = 4096
 """Ended encounters gathered before they join the sorted memory of past ones."""
 
@@ -102,8 +105,8 @@ class EncounterTracker:
     `close` is censored on the right (also during a break that may still be bridged), and so lasts at least
     as long as its duration says. An actor that leaves the simulation ends its encounters: that is
     no censoring, because the pair no longer exists; `departed` marks them for another convention.
-    The end of a pair's last encounter is remembered while both are on the road, or for good if `appearance` is
-    "censors".
+    The end of a pair's last encounter is remembered until one of the two is away for longer than `AWAY_S`, or for
+    good if `appearance` is "censors".
 
     With `n_variants` trust variants, columns of trust are arrays (encounter, variant): `by_variant` takes them apart.
 
@@ -125,6 +128,8 @@ class EncounterTracker:
         self._patience = max(1, int(np.ceil(params.hysteresis_s / dt_s - 1e-9)))
         self._step: int | None = None
         self._present = np.zeros(0, np.int64)
+        self._last_seen = np.zeros(0, np.int32)  # step, by actor number
+        self._longest_away = math.inf if self._censors else AWAY_S / dt_s  # steps
         self._pair = np.zeros(0, np.int64)  # a << 32 | b, sorted
         self._slot = np.zeros(0, np.int64)  # where the columns hold each pair
         self._free = np.zeros(0, np.int64)  # slots that hold none
@@ -183,7 +188,9 @@ class EncounterTracker:
         present = np.sort(np.asarray(present, np.int64))
         came = np.setdiff1d(present, self._present, assume_unique=True)
         left = np.setdiff1d(self._present, present, assume_unique=True)
+        self._forget(came, step)
         self._step, self._present = step, present
+        self._last_seen[present] = step
 
         at, under_way = _find(self._pair, pair)
         live, now = self._live, self._slot[at[under_way]]
@@ -375,14 +382,29 @@ class EncounterTracker:
         self._pair = np.insert(held, at, pair)
         self._slot = np.insert(self._slot[keep], at, slots)
 
+    def _forget(self, came: Int[ndarray, "c"], step: int) -> None:
+        """Forget past encounters of actors that come back after a long time; make room for those that are new."""
+        known = len(self._last_seen)
+        if len(came) and came[-1] >= known:
+            self._last_seen = np.concatenate([self._last_seen, np.full(came[-1] + 1, step, np.int32)])
+        back = came[came < known]
+        back = back[step - self._last_seen[back] > self._longest_away]
+        if len(back):
+            self._past, self._pending = (
+                (pair[stays], end[stays])
+                for pair, end in (self._past, self._pending)
+                for stays in (~_involve(pair, back),)
+            )
+
     def _remember(self, over: Int[ndarray, "k"]) -> None:
         end = self._live["end"][self._slot[over]]
         pair, end = _latest(*self._pending, self._pair[over], end)
         if len(pair) > _PENDING:
             pair, end = _latest(*self._past, pair, end)
+            assert self._step is not None
+            away = self._step - self._last_seen > self._longest_away
             first, second = _actors(pair)
-            both_there = np.isin(first, self._present) & np.isin(second, self._present)
-            kept = both_there | self._censors
+            kept = ~(away[first] | away[second])
             self._past = (pair[kept], end[kept])
             pair, end = pair[:0], end[:0]
         self._pending = (pair, end)

@@ -83,8 +83,7 @@ def brute_force(tracks, radius_m, hysteresis_s, dt_s):
                     "a": a, "b": b, "start_step": start, "end_step": end,
                     "censored_left": start == 0, "censored_right": not over,
                     "entered": bool(away_before), "departed": gone == end,
-                    "gap_s": None if i == 0 or not there[stretches[i - 1][-1] : start].all()
-                    else (start - stretches[i - 1][-1] - 1) * dt_s,
+                    "gap_s": None if i == 0 else (start - stretches[i - 1][-1] - 1) * dt_s,
                     "min_distance_m": distance[steps].min(), "mean_distance_m": distance[steps].mean(),
                     "los_share": (distance[steps] < radius_m / 2).mean(),
                 })  # fmt: skip
@@ -202,15 +201,30 @@ def test_which_pairs_count():
     assert len(tracker) == 0
 
 
+@pytest.mark.parametrize("n_others", [0, 20])
+@pytest.mark.parametrize("n_away", [35, 36, 37])
+def test_a_gap_is_known_after_an_absence_of_an_hour_and_not_after_more(n_away, n_others):
+    """Of two actors that meet, one is away for 35 to 37 steps of 100 s, and in each 190 other pairs meet or none."""
+    tracker = EncounterTracker(EncounterParams(radius_m=10, hysteresis_s=0, pairs="all"), 100.0)
+    for step in range(n_away + 1):
+        others = 2 + np.arange(step * n_others, step * n_others + n_others)
+        present = np.concatenate([[0], [1] if step in (0, n_away) else [], others]).astype(int)
+        a, b = (present[index] for index in np.triu_indices(len(present), 1))
+        metres = np.where((a == 0) & (b > 1), 50.0, 1.0)
+        tracker.update(step, a, b, metres, np.ones(len(a), bool), present)
+    (gap_s,) = [row["gap_s"] for row in rows_of(tracker.close(n_away + 1)) if (row["a"], row["b"]) == (0, 1)]
+    assert gap_s == (n_away - 1) * 100.0 if n_away < 37 else gap_s is None
+
+
 def test_memory_is_bounded_by_the_actors_on_the_road():
     """Actors that come and go for long leave nothing behind."""
-    tracker = EncounterTracker(EncounterParams(radius_m=10, hysteresis_s=0, pairs="all"), 1.0)
+    tracker = EncounterTracker(EncounterParams(radius_m=10, hysteresis_s=0, pairs="all"), 600.0)
     for step in range(300):
         present = np.arange(step * 20, step * 20 + 20)
         a, b = (present[index] for index in np.triu_indices(20, 1))
         tracker.update(step, a, b, np.ones(len(a)), np.ones(len(a), bool), present)
     assert len(tracker) == 190
-    assert len(tracker._past[0]) + len(tracker._pending[0]) < 5000
+    assert len(tracker._past[0]) + len(tracker._pending[0]) < 6000
 
 
 def test_first_contact_counts_only_when_an_encounter_begins():
