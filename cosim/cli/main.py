@@ -328,7 +328,7 @@ def measure(
         raise ValueError("--over and --where go with a study, and this is a run. Leave them out.")
     import pandas as pd
 
-    from cosim.cli.own_metrics import own_metrics, split_metrics, with_metrics
+    from cosim.cli.own_metrics import own_metrics, refuse_other_groups, split_metrics, with_metrics
     from cosim.cli.side_by_side import engines_remark, of_variants, print_measures
     from results.measure import measure as all_metrics
 
@@ -339,12 +339,13 @@ def measure(
     given = {"threshold": threshold, "fresh_s": fresh_s, "false_positives": false_positives}
     options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     options |= {"topics": named} if shipped else {}
+    wants_shipped = shipped or measured is None
+    every = [all_metrics(run, **options) for run in chosen] if wants_shipped else [pd.DataFrame()] * len(chosen)
+    refuse_other_groups(every, shipped)
     tables = []
-    for run in chosen:
+    for run, table in zip(chosen, every, strict=True):
         parts = [] if measured is None else [measured(run)]
-        if shipped or measured is None:
-            every = all_metrics(run, **options)
-            parts.append(with_metrics(every, shipped) if shipped else every)
+        parts.append(with_metrics(table, shipped) if shipped else table)
         tables.append(pd.concat(parts, ignore_index=True))
     print_measures(chosen, tables, as_json, csv)
     if remark := engines_remark(chosen):

@@ -1,6 +1,6 @@
 """Metrics of a user's own, named on the command line."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -52,6 +52,16 @@ def split_metrics(names: list[str]) -> tuple[list[str], list[str]]:
                 "own: mine.py:Name."
             )
     return own, shipped
+
+
+def refuse_other_groups(tables: "Sequence[pd.DataFrame]", names: list[str]) -> None:
+    """Raise ValueError for a METRIC:GROUP whose metric was measured, but in none of the tables for this group."""
+    for name in names:
+        metric, _, group = name.partition(":")
+        groups = dict.fromkeys(one for table in tables for one in table.group[table.metric == metric])
+        if group and groups and group not in groups:
+            named = f"There are: {'; '.join(groups)}." if any(groups) else f"{metric} has none."
+            raise ValueError(f"--metric {name}: there is no such group. {named}")
 
 
 def with_metrics(table: "pd.DataFrame", names: list[str]) -> "pd.DataFrame":

@@ -91,4 +91,7 @@ def test_an_own_metric_is_measured(tmp_path, run):
     assert rows == []
     assert "least_mps" in str(call("measure", run, "--metric", name, "--set", "last_mps=3.0")[2])
     assert "there is no such metric. Near: " in str(call("measure", run, "--metric", "trust.final.medan")[2])
+    assert str(call("measure", run, "--metric", "traffic.equipped.n:all")[2]) == (
+        "--metric traffic.equipped.n:all: there is no such group. There are: honest; unreliable; malicious."
+    )
     assert "goes with a metric of your own" in str(call("measure", run, "--set", "a=1")[2])
