@@ -386,7 +386,8 @@ class EncounterTracker:
         """Forget past encounters of actors that come back after a long time; make room for those that are new."""
         known = len(self._last_seen)
         if len(came) and came[-1] >= known:
-            self._last_seen = np.concatenate([self._last_seen, np.full(came[-1] + 1, step, np.int32)])
+            more = np.full(came[-1] + 1, step, np.int32)
+            self._last_seen = np.concatenate([self._last_seen, more])
         back = came[came < known]
         back = back[step - self._last_seen[back] > self._longest_away]
         if len(back):

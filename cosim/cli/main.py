@@ -339,14 +339,14 @@ def measure(
     given = {"threshold": threshold, "fresh_s": fresh_s, "false_positives": false_positives}
     options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     options |= {"topics": named} if shipped else {}
-    wants_shipped = shipped or measured is None
-    every = [all_metrics(run, **options) for run in chosen] if wants_shipped else [pd.DataFrame()] * len(chosen)
-    refuse_other_groups(every, shipped)
-    tables = []
-    for run, table in zip(chosen, every, strict=True):
+    tables, every = [], []
+    for run in chosen:
         parts = [] if measured is None else [measured(run)]
-        parts.append(with_metrics(table, shipped) if shipped else table)
+        if shipped or measured is None:
+            every.append(all_metrics(run, **options))
+            parts.append(with_metrics(every[-1], shipped) if shipped else every[-1])
         tables.append(pd.concat(parts, ignore_index=True))
+    refuse_other_groups(every, shipped)
     print_measures(chosen, tables, as_json, csv)
     if remark := engines_remark(chosen):
         notes.print(remark, soft_wrap=True)

@@ -58,7 +58,9 @@ def refuse_other_groups(tables: "Sequence[pd.DataFrame]", names: list[str]) -> N
     """Raise ValueError for a METRIC:GROUP whose metric was measured, but in none of the tables for this group."""
     for name in names:
         metric, _, group = name.partition(":")
-        groups = dict.fromkeys(one for table in tables for one in table.group[table.metric == metric])
+        groups: dict[str, None] = {}
+        for table in tables:
+            groups |= dict.fromkeys(table.group[table.metric == metric])
         if group and groups and group not in groups:
             named = f"There are: {'; '.join(groups)}." if any(groups) else f"{metric} has none."
             raise ValueError(f"--metric {name}: there is no such group. {named}")

@@ -174,8 +174,10 @@ def _check_frame(placed: Placed, origin_m: Sequence[float]) -> None:
     """Raise TrafficError if an object is at the coordinates of a trace whose world has an origin of its own."""
     at_m = placed.boxes.xyz_m[:, :2]
     here_m = at_m - origin_m  # the first actors are within a kilometre of the world's origin
-    for row in np.flatnonzero(np.hypot(*here_m.T) < np.hypot(*at_m.T)).tolist():
-        given, origin, here = ("[{:.10g}, {:.10g}]".format(*xy) for xy in (at_m[row], origin_m, here_m[row]))
+    is_nearer = np.hypot(*here_m.T) < np.hypot(*at_m.T)
+    for row in np.flatnonzero(is_nearer).tolist():
+        places = at_m[row], origin_m, here_m[row]
+        given, origin, here = ("[{:.10g}, {:.10g}]".format(*xy) for xy in places)
         raise TrafficError(
             f"{placed.names[row]}: at_m = {given} is in the trace's coordinates, of which the world's origin is at "
             f"{origin}. Set at_m = {here}."

@@ -163,7 +163,8 @@ class Streetside:
         """The places that are taken, of all places along the kerbs."""
         share = per_100_m * PLACE_M[section] / 100
         names: list[str] = []
-        where, draws = [np.zeros((0, 5))], [np.zeros((0, 2))]
+        where = [np.zeros((0, 5))]
+        draws = [np.zeros((0, 2))]
         for kerb in self.kerbs if share > 0 else ():
             prefix = key(self.seed, stream)
             edge = np.array([name_key(kerb.edge)], np.uint64)
@@ -177,8 +178,8 @@ class Streetside:
             where.append(place[taken])
             draws.append(draw[taken])
         at = np.concatenate(where)
-        rank, draw = np.concatenate(draws).T
-        return _Places(names, at[:, :3], at[:, 3], at[:, 4], rank, draw)
+        yaw_rad, side = at[:, 3:].T
+        return _Places(names, at[:, :3], yaw_rad, side, *np.concatenate(draws).T)
 
     def _beside(self, places: _Places, half_m: Float[ndarray, "p"] | float) -> Float[ndarray, "p 3"]:
         """Middles of what stands at places, half as wide as given; world frame."""
@@ -202,8 +203,8 @@ def _first_of_overlapping(body: ndarray) -> Bool[ndarray, "n"]:
     """Which polygons meet none before them that stays."""
     stays = np.ones(len(body), bool)
     one, other = shapely.STRtree(body).query(body, predicate="intersects")
-    after = one > other
-    for later, earlier in sorted(zip(one[after].tolist(), other[after].tolist(), strict=True)):
+    pairs = np.column_stack([one, other])[one > other]
+    for later, earlier in sorted(pairs.tolist()):
         stays[later] &= not stays[earlier]
     return stays
 

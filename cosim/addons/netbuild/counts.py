@@ -40,6 +40,7 @@ ALONG_DEG = 45.0
 GOOD_GEH = 5.0
 """GEH below which a modelled flow of one hour agrees with a count. 85 % of the counts should
 (UK Department for Transport, TAG unit M3.1, Highway Assignment Modelling)."""
+_NO_MOTOR = ("bicycle", "pedestrian")
 _BOUNDS = {"per_hour": (0.0, 20_000.0), "lon": (-180.0, 180.0), "lat": (-90.0, 90.0), "heading_deg": (-360.0, 360.0)}
 """Of the columns of a file. Ten lanes of a motorway carry 20,000 vehicles per hour."""
 _ELEMENT = re.compile(r"<(person|vehicle) .*?</\1>", re.DOTALL)
@@ -152,8 +153,10 @@ def fit(net: Net, counted: Counts, out: Path, seed: int) -> Counts:
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as name:
         work = Path(name)
         demand.write_trips(work / "candidates.rou.xml", candidates)
-        left = {edge: max(0, round(value * hours) - buses[edge]) for edge, value in counted.items()}
-        rows = "".join(f'<edge id={quoteattr(edge)} entered="{n}"/>' for edge, n in left.items())
+        rows = ""
+        for edge, per_hour in counted.items():
+            left = max(0, round(per_hour * hours) - buses[edge])
+            rows += f'<edge id={quoteattr(edge)} entered="{left}"/>'
         interval = f'<interval id="counts" begin="0" end="{net.end_s:g}">{rows}</interval>'
         (work / "counts.xml").write_text(f"<data>{interval}</data>", encoding="utf-8")
         _sample(work, net.end_s, seed)
@@ -171,7 +174,7 @@ def driven(net: Net, edges: Iterable[str], seconds: float = 1200.0) -> Counts:
     """Motor vehicles per hour that enter each of these streets when the demand is simulated, after the warm-up."""
     found = dict.fromkeys(edges, 0.0)
     types = vtypes.read([net.folder / "vtypes.add.xml"])
-    motorised = sorted(name for name, of in types.items() if of.vclass not in ("bicycle", "pedestrian"))
+    motorised = sorted(name for name, of in types.items() if of.vclass not in _NO_MOTOR)
 
     def start(name: str, attributes: Attributes) -> None:
         if name == "edge" and attributes["id"] in found:
