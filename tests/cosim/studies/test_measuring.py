@@ -1,5 +1,7 @@
 """Studies whose measuring changes after runs have finished, and metrics of a user's own in them."""
 
+import shutil
+
 import pandas as pd
 import pytest
 
@@ -13,6 +15,7 @@ STUDY = """
 name = "short"
 [base]
 sensing = false
+traffic.warmup_s = 60
 traffic.duration_s = 8
 traffic.step_s = 1.0
 compute.threads = 1
@@ -40,33 +43,45 @@ def sweep(folder, study=STUDY, own=OWN):
     return done, {file: file.stat().st_mtime_ns for file in folder.glob("out/runs/*/manifest.json")}
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A folder with the study and its two finished runs, for copies."""
+    folder = tmp_path_factory.mktemp("finished")
+    done, _ = sweep(folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture
+def folder(finished, tmp_path):
+    return shutil.copytree(finished, tmp_path / "study")
+
+
 def means(folder):
     summary = open_study(folder / "out").summary
     return summary[summary.metric == "mine.x"]["mean"].tolist()
 
 
-def test_finished_runs_follow_a_changed_measuring(tmp_path):
+def test_finished_runs_follow_a_changed_measuring(folder):
     """Code of the user's own, then a topic: the same runs are measured again. Without tables they are made again."""
-    done, first = sweep(tmp_path)
-    assert done.returncode == 0 and means(tmp_path) == [1, 1]
-    assert sweep(tmp_path)[1] == first
-    done, again = sweep(tmp_path, own=OWN.replace("1.0", "60.0"))
+    _, first = sweep(folder)
+    assert means(folder) == [1, 1]
+    done, again = sweep(folder, own=OWN.replace("1.0", "60.0"))
     assert "note: 2 finished runs were measured before the code of measure.own changed." in done.stderr
-    assert again == first and means(tmp_path) == [60, 60]
+    assert again == first and means(folder) == [60, 60]
     more = STUDY.replace('["encounters"]', '["encounters", "traffic"]\ntables = ["encounters"]')
-    done, again = sweep(tmp_path, more)
+    done, again = sweep(folder, more)
     assert "measured before keep.topics, the code of measure.own changed." in done.stderr
-    measured = set(open_study(tmp_path / "out").measures.metric)
-    assert any(name.startswith("traffic.") for name in measured) and means(tmp_path) == [1, 1]
-    done, last = sweep(tmp_path, more.replace("[measure]", "[measure]\nfresh_s = 3"))
+    measured = set(open_study(folder / "out").measures.metric)
+    assert any(name.startswith("traffic.") for name in measured) and means(folder) == [1, 1]
+    done, last = sweep(folder, more.replace("[measure]", "[measure]\nfresh_s = 3"))
     assert "measured before measure.fresh_s changed." in done.stderr
-    assert set(open_study(tmp_path / "out").measures.metric) == measured
+    assert set(open_study(folder / "out").measures.metric) == measured
     assert last.keys() == again.keys() and all(last[file] > again[file] for file in last)
 
 
-def test_runs_of_other_code_are_noted_where_further_ones_join_them(tmp_path, monkeypatch):
-    sweep(tmp_path)
-    study, out = tmp_path / "short.toml", tmp_path / "out"
+def test_runs_of_other_code_are_noted_where_further_ones_join_them(folder, monkeypatch):
+    study, out = folder / "short.toml", folder / "out"
     assert not sweeping.measuring_notes(sweeping.prepare(study, out))
     monkeypatch.setattr(sweeping, "code_digest", lambda: "an update")
     assert not sweeping.measuring_notes(sweeping.prepare(study, out)), "nothing joins them"
@@ -79,13 +94,12 @@ def test_runs_of_other_code_are_noted_where_further_ones_join_them(tmp_path, mon
     assert note.startswith('note: finished runs were recorded with record.level = "')
 
 
-def test_runs_that_were_measured_otherwise_are_not_averaged(tmp_path):
+def test_runs_that_were_measured_otherwise_are_not_averaged(folder):
     """A folder of an earlier version, which measured the second run with other code."""
-    sweep(tmp_path)
-    job = next(tmp_path.glob("out/jobs/*/job.json"))
+    job = next(folder.glob("out/jobs/*/job.json"))
     job.write_text(job.read_text().replace('"fresh_s": 10.0', '"fresh_s": 3.0'))
     with pytest.raises(ValueError, match=r"out: measure.fresh_s changed after some runs were measured"):
-        open_study(tmp_path / "out").measures  # noqa: B018
+        open_study(folder / "out").measures  # noqa: B018
 
 
 def table(*rows):
