@@ -58,6 +58,7 @@ def test_a_missing_hook_is_said_in_one_line():
         hook("fly", "cosim fly")
 
 
+@pytest.mark.verify
 def test_without_addons_the_core_runs_measures_draws_and_reports(bare, tmp_path):
     run, study = tmp_path / "run", tmp_path / "study.toml"
     study.write_text(

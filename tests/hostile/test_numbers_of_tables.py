@@ -86,11 +86,6 @@ def carry_out(run, tmp_path, chosen):
         shutil.rmtree(folder)
 
 
-def test_some_numbers(run, tmp_path):
-    every = [one for one in mutations() if (run / one[0]).is_dir()]
-    carry_out(run, tmp_path, random.Random(SEED).sample(every, 10))
-
-
 @pytest.mark.verify
 def test_numbers(run, tmp_path):
     every = [one for one in mutations() if (run / one[0]).is_dir()]

@@ -121,6 +121,7 @@ def test_five_keys_are_reported(tmp_path):
         study_table.pivot(study, study.summary, study_table.core(study), over="radio.range_m")
 
 
+@pytest.mark.verify
 def test_select_boxes_name_what_the_axes_do_not_show(tmp_path, monkeypatch):
     """Numbers come first on the axes, and each city has its own figures. The AUC exists at one share of attackers."""
     monkeypatch.setattr(study_report, "image_url", lambda figure: "data:,")  # figures are seen in the other tests

@@ -116,7 +116,8 @@ def _counts(run: Run, who: pd.DataFrame, known: bool) -> Int[ndarray, "s c"]:
     """The clues about these subjects while they are watched, by kind."""
     run.require("evaluations")
     stride = sampling_stride(run, -(-run.n_rows("evaluations") // _MOST_ROWS))
-    since, attackers = who.since.to_numpy(), run.subjects.index[run.subjects.role != HONEST]
+    since, until = who.since.to_numpy(), who.until.to_numpy()
+    attackers = run.subjects.index[run.subjects.role != HONEST]
     n_received = len(EvaluationKind) * _N_BINS * 2
     n_kinds = n_received * (1 + _N_OTHERS)
     counts = np.zeros(len(who) * n_kinds, np.int64)
@@ -135,7 +136,7 @@ def _counts(run: Run, who: pd.DataFrame, known: bool) -> Int[ndarray, "s c"]:
     step = clues.step.to_numpy()
     for name, cell in zip(("observer", "evaluator"), cells, strict=True):
         subject = who.index.get_indexer(pd.Index(clues[name]))
-        rows = np.flatnonzero((subject >= 0) & (since[subject] <= step))
+        rows = np.flatnonzero((subject >= 0) & (since[subject] <= step) & (step <= until[subject]))
         counts += np.bincount(subject[rows] * n_kinds + cell[rows], minlength=len(counts))
     by_subject = counts.reshape(len(who), n_kinds)
     return by_subject[:, by_subject.any(axis=0)]

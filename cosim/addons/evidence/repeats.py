@@ -105,13 +105,13 @@ FROM evaluations e
 JOIN (SELECT * FROM detections WHERE step <= $last AND transmitted AND truth_actor IS NOT NULL) d
     ON d.step = e.detection_step AND d.observer = e.observer AND d.detection_index = e.detection_index
 LEFT JOIN subjects s ON s.pseudonym = e.evaluator
-LEFT JOIN subjects o ON o.pseudonym = e.observer
+JOIN subjects o ON o.pseudonym = e.observer
 WHERE e.step BETWEEN $first AND $last AND e.visibility > 0 AND e.kind = 'detection' AND e.observer % $every = 0
     AND coalesce(s.vehicle, -1 - e.evaluator) IS DISTINCT FROM o.vehicle
 ORDER BY e.step, e.evaluator, e.observer, e.detection_index, e.detection_step
 """
-"""Evaluations of others' detections that belong to an actor; a roadside unit, which is no vehicle, has its own number.
-"""
+"""Evaluations of other vehicles' detections that belong to an actor. A roadside unit, which is no vehicle, evaluates
+under a number of its own."""
 
 
 def _numbers(*columns: Int[ndarray, "n"]) -> Int[ndarray, "n"]:

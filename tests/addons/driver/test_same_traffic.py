@@ -22,6 +22,7 @@ def drive(tmp_path_factory):
     return run
 
 
+@pytest.mark.verify
 def test_without_a_believed_object_every_table_is_that_of_the_open_loop(drive):
     """Under `local` a vehicle believes its own detector alone, and what that reports is SUMO's business."""
     open_loop = fingerprint(drive("open", "trust.method=local"))

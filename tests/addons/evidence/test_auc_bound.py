@@ -72,7 +72,7 @@ def test_what_others_say_of_a_detection_counts_in_whichever_step(tmp_path):
         rows = [first, {**said, "step": later, "evaluator": 2, "evaluation": -1.0}]
         (tmp_path / name).mkdir()
         run = make(tmp_path / name, 20, vehicles=fleet("honest", "honest", "malicious"), evaluations=rows)
-        return _counts(run, pd.DataFrame({"since": [0, 0, 0]}), True)
+        return _counts(run, pd.DataFrame({"since": [0, 0, 0], "until": 19}), True)
 
     together = clues("together", 1)
     assert together.shape[1] == 4  # two received, two made
@@ -84,5 +84,13 @@ def test_a_roadside_unit_is_no_attacker(tmp_path):
     said = {"observer": 0, "step": 1, "detection_step": 1, "visibility": 1.0, "evaluation": 0.7}
     rows = [{**said, "detection_index": k, "evaluator": by} for k, by in enumerate((1, 2))]
     run = make(tmp_path, 20, vehicles=fleet("honest", "honest", None, "malicious"), evaluations=rows)
-    who = pd.DataFrame({"since": 0}, [0, 1, 3])
+    who = pd.DataFrame({"since": 0, "until": 19}, [0, 1, 3])
     assert _counts(run, who, True).tolist() == [[2, 0], [0, 1], [0, 0]]
+
+
+def test_clues_after_the_last_step_of_a_subject_do_not_count(tmp_path):
+    """Vehicle 1 evaluates in step 6 what vehicle 0 sent in step 4, the last before it changed its pseudonym."""
+    said = {"observer": 0, "evaluator": 1, "detection_step": 4, "visibility": 1.0, "evaluation": 0.7}
+    run = make(tmp_path, 20, vehicles=fleet("honest", "honest"), evaluations=[{**said, "step": s} for s in (4, 6)])
+    who = pd.DataFrame({"since": 0, "until": [4, 19]})
+    assert _counts(run, who, True).tolist() == [[1, 0], [0, 2]]

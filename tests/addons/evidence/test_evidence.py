@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.addons.evidence.evaluations import SPLITS, rates
+from cosim.addons.evidence.repeats import repeats
 from cosim.step.trackers.evidence_audit import AuditedDetections, AuditedEvaluations, audit, count_looks
 from results.archive import open_run
 from results.measure import measure
@@ -40,6 +41,21 @@ def test_detections_of_roadside_units_are_not_those_of_vehicles(tiny):
     )
     found = rates(run).set_index("by")
     assert found.n.to_dict() == dict.fromkeys(("all", *SPLITS), 1) and (found.denied == 0).all()
+
+
+def test_what_a_roadside_unit_says_of_its_own_detections_is_repeated_by_nobody(tiny):
+    """Unit 2 and vehicle 0 evaluate a detection of vehicle 1, and unit 2 its own twice."""
+    sent = {"step": 1, "origin": "sensed", "transmitted": True, "truth_actor": 0}
+    said = {"step": 1, "detection_step": 1, "visibility": 1.0, "evaluation": 0.7}
+    by_and_of = ((0, 1, 1), (2, 1, 1), (2, 2, 1), (2, 2, 2))
+    run = tiny(
+        5,
+        vehicles=fleet("honest", "honest", None),
+        actors=[{"step": 1, "actor": number} for number in range(3)],
+        detections=[sent | {"observer": number} for number in (1, 2)],
+        evaluations=[said | {"evaluator": by, "observer": of, "step": at} for by, of, at in by_and_of],
+    )
+    assert (repeats(run).set_index("group").distinct.dropna() == 1).all()
 
 
 @pytest.fixture(scope="module", params=[1, 3], ids=["one hop", "relays"])

@@ -141,6 +141,7 @@ def test_movie(folder, tmp_path):
             film(run, number, tmp_path / name)
 
 
+@pytest.mark.verify
 def test_a_run_is_followed_while_it_is_computed(tmp_path):
     """Blocks of two steps appear meanwhile; the recording has every step, and the run is as it would have been."""
     target, out = tmp_path / "run", tmp_path / "live.rrd"

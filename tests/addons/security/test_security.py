@@ -66,7 +66,8 @@ def test_messages_by_hand(tiny):
     """Attacker 1 from step 2; below 0.25 from step 5 on. A message is a lie if any detection in it is.
 
     Watched messages with a lie: steps 2, 4, 6 of vehicle 1 (6 after it is excluded); without: 3 and 7 of vehicle 1 (7
-    excluded) and 2 and 6 of vehicle 0, which is excluded from step 5 on too. Step 1 is before any attack.
+    excluded) and 2 and 6 of vehicle 0, which is excluded from step 5 on too. Step 1 is before any attack. In step 8 it
+    sends nothing of what it has. The lie of step 2 is that it withholds something.
     """
     lists = [
         (1, 1, [1]),
@@ -79,9 +80,11 @@ def test_messages_by_hand(tiny):
         (6, 0, [0]),
     ]
     rows = [
-        {"step": s, "observer": v, "detection_index": k, "lied": bool(x)} for s, v, all_of in lists
-        for k, x in enumerate(all_of)
-    ]  # fmt: skip
+        {"step": step, "observer": vehicle, "detection_index": k, "lied": bool(lied), "transmitted": k == 0}
+        for step, vehicle, all_of in lists
+        for k, lied in enumerate(all_of)
+    ]
+    rows += [{"step": 8, "observer": 1, "detection_index": k, "lied": True, "transmitted": False} for k in range(3)]
     table = {2: [0.9, 0.9], 5: [0.2, 0.1]}
     run = tiny(20, vehicles=attacking(["honest", "malicious"], {1: 2}), trust=values(table), detections=rows)
     row = security.confusion(run, 0.25).set_index("unit").loc["message"]

@@ -8,6 +8,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 
+import pytest
 from numba.core import caching
 
 import cosim.base.kernel  # noqa: F401  which gives Numba its index
@@ -106,6 +107,7 @@ class Pair(NamedTuple):
 """
 
 
+@pytest.mark.verify
 def test_what_a_cached_function_calls_may_change_in_other_files(tmp_path):
     """Functions that are copied into it or called by it, constants that it reads, and the order of fields."""
     hits = "sum(calling.all_of.stats.cache_hits.values())"

@@ -86,6 +86,7 @@ def test_show(built, tmp_path):
     assert "lanes" in cosim("nets", "show", str(folder / "town"), cwd=tmp_path).stdout
 
 
+@pytest.mark.verify
 def test_the_demand_of_a_built_city_is_fitted_to_counts(built):
     folder, _ = built
     edge = next(iter(read_edges(folder / "town" / "net.net.xml.gz")))

@@ -62,6 +62,7 @@ def means(folder):
     return summary[summary.metric == "mine.x"]["mean"].tolist()
 
 
+@pytest.mark.verify
 def test_finished_runs_follow_a_changed_measuring(folder):
     """Code of the user's own, then a topic: the same runs are measured again. Without tables they are made again."""
     _, first = sweep(folder)
@@ -80,6 +81,7 @@ def test_finished_runs_follow_a_changed_measuring(folder):
     assert last.keys() == again.keys() and all(last[file] > again[file] for file in last)
 
 
+@pytest.mark.verify
 def test_runs_of_other_code_are_noted_where_further_ones_join_them(folder, monkeypatch):
     study, out = folder / "short.toml", folder / "out"
     assert not sweeping.measuring_notes(sweeping.prepare(study, out))
@@ -94,6 +96,7 @@ def test_runs_of_other_code_are_noted_where_further_ones_join_them(folder, monke
     assert note.startswith('note: finished runs were recorded with record.level = "')
 
 
+@pytest.mark.verify
 def test_runs_that_were_measured_otherwise_are_not_averaged(folder):
     """A folder of an earlier version, which measured the second run with other code."""
     job = next(folder.glob("out/jobs/*/job.json"))
