@@ -68,8 +68,9 @@ def messages(run: Run, frame: pd.DataFrame) -> pd.DataFrame:
         Of `excluded`: a message is excluded if its sender was when trust was last computed before it was sent.
     """
     listed = run.table("detections", ["step", "observer", "lied", "transmitted"])
-    listed = listed.astype({"step": np.int64, "observer": np.int64}).groupby(["step", "observer"])
-    lied = listed.lied.any()[listed.transmitted.any()]  # what is withheld from a message is no less a lie
+    listed = listed.astype({"step": np.int64, "observer": np.int64})
+    message = listed.groupby(["step", "observer"])[["lied", "transmitted"]].any()
+    lied = message.lied[message.transmitted]  # what is withheld from a message is no less a lie
     sent = lied.rename("attacker").rename_axis(["step", "subject"]).reset_index()
     sent = sent.merge(watched(run)[["since", "until"]].reset_index(), on="subject")
     sent = sent[(sent.since <= sent.step) & (sent.step <= sent.until)].sort_values("step")

@@ -61,8 +61,8 @@ def audit(
 ) -> dict[str, ndarray]:
     """Columns of the table `evidence`, one row.
 
-    Evaluations with visibility above 0 by vehicles other than the observer count. An echo is one of these by which an
-    attacker confirms a fabricated detection.
+    Evaluations with visibility above 0 by others than the observer count. Each identity of a vehicle with several is
+    one of its own. An echo is one of these evaluations by which an attacker confirms a fabricated detection.
 
     Parameters
     ----------
