@@ -56,7 +56,8 @@ class RoadsideParams:
     trusted: bool = True
     """Whether others know by the class of its certificate that it belongs to a road authority. If so, whoever looks up
     trust in it finds 1, and the trust server drops evaluations of it. Where it could see a detection (visibility above
-    0), the server drops what all others say about this detection. If not, it is a sender like any other."""
+    0), the server drops what all others say about this detection in the same step. If not, it is a sender like any
+    other."""
 
     def __post_init__(self) -> None:
         given = [name for name in ("at", "junction", "junctions") if getattr(self, name) is not None]

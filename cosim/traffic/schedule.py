@@ -13,7 +13,10 @@ from numpy import ndarray
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SensingGroup:
-    """A `[[sensing_groups]]` section: a share of the equipped vehicles that senses at another interval."""
+    """A `[[sensing_groups]]` section: a share of the equipped vehicles that senses at another interval.
+
+    Roadside units belong to groups as vehicles do.
+    """
 
     share_p: Annotated[float, Gt(0), Le(1)]
     """Share of the equipped vehicles. The shares of all groups add up to 1 at most."""
