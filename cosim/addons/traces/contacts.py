@@ -223,11 +223,12 @@ def _of_traffic(
         with _Folder(out, scenario.name, params, traffic.step_s, params.appearance or "ends") as counted:
             for step, world in enumerate(chain([first], worlds)):
                 near = search(world)
-                extent.add(world)
+                extent.add(world, search.parked_key)
                 closed, _, _ = update_encounters(counted.trackers, step, near)
                 counted.add(step, closed, len(near.present))
                 advance("contacts", step + 1, max(step + 1, _steps_asked(params, traffic.step_s)), f"{len(world)}")
-            counted.report |= replayed.report() | extent.report(registry)
+            is_parked = np.isin(registry.name_key, search.parked_key)
+            counted.report |= replayed.report() | extent.report(registry.shape[~is_parked])
             counted.close(_vehicles(registry))
             about = {"layout": "run" if paths[0].is_dir() else "sumo", "appearance": params.appearance or "ends"}
             _finish(counted, scenario.name, paths, params, traffic.step_s, about, scenario.provenance())
@@ -257,22 +258,24 @@ class _Extent:
     n_of_speed: ndarray = field(default_factory=lambda: np.zeros(1001, np.int64))
     """Vehicles in steps by speed, in tenths of m/s."""
 
-    def add(self, world: World) -> None:
-        if len(world):
-            xy_m = world.boxes.xyz_m[:, :2]
+    def add(self, world: World, parked_key: ndarray) -> None:
+        """Add a world without the parked cars of these names."""
+        moving = ~np.isin(world.name_key, parked_key)
+        if moving.any():
+            xy_m = world.boxes.xyz_m[moving, :2]
             self.low_m = np.minimum(self.low_m, xy_m.min(axis=0))
             self.high_m = np.maximum(self.high_m, xy_m.max(axis=0))
-            tenths = np.clip(np.rint(world.speed_mps * 10), 0, 1000).astype(np.int64)
+            tenths = np.clip(np.rint(world.speed_mps[moving] * 10), 0, 1000).astype(np.int64)
             self.n_of_speed += np.bincount(tenths, minlength=1001)
 
-    def report(self, registry: ActorRegistry) -> dict[str, Any]:
+    def report(self, shape: ndarray) -> dict[str, Any]:
         """For the summary of the trace, with the number of actors of each class."""
         share = np.cumsum(self.n_of_speed) / max(1, self.n_of_speed.sum())
         median, p95 = (float(np.searchsorted(share, at)) / 10 for at in (0.5, 0.95))
         east_m, north_m = (self.high_m - self.low_m).tolist() if self.n_of_speed.any() else (0.0, 0.0)
         return {
             "speed_median_mps": median, "speed_p95_mps": p95, "extent_east_m": east_m, "extent_north_m": north_m,
-            "classes": class_counts(registry.shape),
+            "classes": class_counts(shape),
         }  # fmt: skip
 
 

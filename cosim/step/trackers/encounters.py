@@ -1,7 +1,7 @@
 """Encounters by all definitions in the config, from pairs near each other and their lines of sight."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -46,7 +46,7 @@ class PairSearch:
     mount_above_roof_m: float
     city: Scene | None = None
     """The scene whose trees block lines of sight."""
-    parked_key: UInt64[ndarray, "p"] | None = None
+    parked_key: UInt64[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.uint64))
     """Keys of the names of parked cars, which have no encounters."""
 
     @staticmethod
@@ -67,7 +67,7 @@ class PairSearch:
     def without(self, parked: Collection[str]) -> "PairSearch":
         """The search among all but the parked cars of these names."""
         keys = [actor_key(name, is_person=False) for name in parked]
-        return replace(self, parked_key=np.array(keys, np.uint64)) if keys else self
+        return replace(self, parked_key=np.array(keys, np.uint64))
 
     def __call__(self, world: World) -> NearPairs:
         """Pairs of actors within the radius; pedestrians only if a definition includes them."""
@@ -75,7 +75,7 @@ class PairSearch:
         searched &= ~world.is_roadside
         if self.equipped_only:
             searched &= world.equipped
-        elif self.parked_key is not None:
+        elif len(self.parked_key):
             searched &= ~np.isin(world.name_key, self.parked_key)
         rows = np.flatnonzero(searched)
         xy = world.boxes.xyz_m[rows, :2]

@@ -96,6 +96,9 @@ def test_trees_and_parked_cars_of_a_run_are_in_the_way_in_its_contacts(tmp_path)
     run = table(tmp_path / "run")
     assert run.los_share.between(0.01, 0.99).sum() > 50
     pd.testing.assert_frame_equal(table(tmp_path / "again"), run, check_exact=True)
+    moving = open_run(tmp_path / "again").vehicles.sumo_id.str.startswith("parked/").eq(False)
+    summary = open_run(tmp_path / "again").manifest["summary"]
+    assert sum(summary["classes"].values()) == moving.sum() < len(moving) and summary["speed_median_mps"] > 1
 
 
 def test_a_config_says_who_is_equipped_in_a_run(driven):
