@@ -181,6 +181,8 @@ def _of_sumo(paths: Sequence[Path], params: ContactParams, out: Path | None, adv
         params = replace(params, appearance="censors")
     skipped_s = 0.0 if was_observed and params.from_s is None else step_s
     if params.from_s is None and params.to_s is not None:
+        if params.to_s < first_s:
+            raise TrafficError(f"{named} begins at {first_s:g} s, after --to {params.to_s:g}. Set --to later.")
         params = replace(params, from_s=first_s)
     return _of_traffic(scenario, traffic, params.config or Config(), Config(), params, paths, out, advance, skipped_s)
 

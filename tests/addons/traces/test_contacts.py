@@ -263,7 +263,7 @@ BAD = {
     "units of SUMO's": (["a.xml", "--time-unit", "ms"], "--time-unit: a.xml is a trace that SUMO wrote"),
     "no such unit": (["t.csv", "--length-unit", "yards"], "--length-unit"),
     "lines of another time": (["cr.csv"], "its lines end with CR alone"),
-    "over before it begins": (["late.xml", "--to", "50"], "from a time to a later one"),
+    "over before it begins": (["late.xml", "--to", "50"], "late.xml begins at 100 s, after --to 50"),
 }
 
 

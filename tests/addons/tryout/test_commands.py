@@ -89,6 +89,8 @@ def test_an_own_metric_is_measured(tmp_path, run):
     ]
     (rows,) = json.loads(call("measure", run, "--metric", name, "--set", "least_mps=3.0", "--json")[0]).values()
     assert rows == []
+    nothing = CliRunner().invoke(app, ["measure", str(run), "--metric", "encounters.n"])
+    assert nothing.stderr == f"note: {run} has no value of encounters.n.\n"
     assert "least_mps" in str(call("measure", run, "--metric", name, "--set", "last_mps=3.0")[2])
     assert "there is no such metric. Near: " in str(call("measure", run, "--metric", "trust.final.medan")[2])
     assert str(call("measure", run, "--metric", "traffic.equipped.n:all")[2]) == (
