@@ -54,7 +54,7 @@ def list_(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """List the shipped cities, the cities of SUMO's package, and the cities in a folder and its subfolders."""
+    """List the shipped cities, the cities of SUMO's package, and the cities in a folder and in the folders in it."""
     from sumo_nets import catalogue, sumo_package_nets
 
     rows = [summary(catalogue.find(name)) | {"where": "cosim"} for name in catalogue.shipped()]

@@ -121,7 +121,7 @@ def _buildings(footprints: Sequence[Footprint]) -> str:
     if not footprints:
         return "none: everybody sees everybody"
     said = {
-        "given": "given", "measured": "from the tag height", "storeys": "from storeys",
+        "given": "in the file, measured or guessed", "measured": "from the tag height", "storeys": "from storeys",
         "default": "by kind and size",
     }  # fmt: skip
     count = Counter(footprint.height_from for footprint in footprints)

@@ -22,8 +22,8 @@ def draw(
     Parameters
     ----------
     streets, widths_m
-        Lanes as lines, one row (x, y) per point [m]; further columns are ignored. The width of a line is the true width
-        of the lane [m].
+        Lanes as lines, one row (x, y) per point [m]; further columns are ignored. A line is about as wide as the
+        lane [m].
     buildings
         Outer rings of the buildings, one row (x, y) per corner [m].
     title, attribution

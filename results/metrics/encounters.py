@@ -91,7 +91,7 @@ def definition(run: Run, radius_m: float | None = None, pairs: str | None = None
         raise ValueError(f"{run.path} holds no encounters: no two came within the radius of each other.")
     found: dict[str, float | str] = {}
     for name, wanted in (
-        ("radius_m", radius_m),
+        ("radius_m", None if radius_m is None else float(np.float32(radius_m))),  # as the table keeps it
         ("pairs", pairs),
         ("hysteresis_s", None),
         ("los", None),
@@ -100,7 +100,8 @@ def definition(run: Run, radius_m: float | None = None, pairs: str | None = None
         there = sorted(frame[name].unique().tolist())
         chosen = there[0] if wanted is None else wanted
         if chosen not in there:
-            raise ValueError(f"{run.path} recorded no encounters with {name} = {wanted}; it has {there}.")
+            said, *has = (f"{value:g}" if isinstance(value, float) else value for value in (wanted, *there))
+            raise ValueError(f"{run.path} recorded no encounters with {name} = {said}; it has {', '.join(has)}.")
         frame = frame[frame[name] == chosen]
         found[name] = chosen
     return found

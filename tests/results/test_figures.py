@@ -88,6 +88,12 @@ def test_inks_differ_in_grey():
     assert min(np.diff(grey)) > 0.08
 
 
+def test_36_lines_and_36_markers_differ():
+    """The colours of the first six, each with six line styles or markers."""
+    for look in (style.dash, style.marker):
+        assert len({(style.ink(i), look(i)) for i in range(36)}) == 36
+
+
 def test_leaves_no_trace(run):
     before = dict(matplotlib.rcParams)
     trust.draw([run])

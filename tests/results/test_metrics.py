@@ -48,6 +48,14 @@ def test_departures_as_ends_or_as_censoring(tiny):
     assert encounters.survival(run, "censors").survival.iloc[-1] == 0.5
 
 
+def test_a_radius_is_found_as_it_was_written(tiny):
+    """33.3 is 33.29999923706055 in the table."""
+    run = tiny(20, encounters=[encounter(0, 1, 2, 4, radius_m=33.3), encounter(0, 1, 2, 4, radius_m=60.0)])
+    assert len(encounters.begun(run, 33.3)) == 1
+    with pytest.raises(ValueError, match=r"no encounters with radius_m = 33.4; it has 33.3, 60\."):
+        encounters.begun(run, 33.4)
+
+
 def test_freshness_on_a_timeline(tiny):
     """The server computes at 5, 10, 15, 20 s; a value takes 1 s to arrive; that of 15 s is lost.
 

@@ -22,10 +22,10 @@ def scenario(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def template(tmp_path_factory):
-    """Type of every option of the installed SUMO, by name."""
+    """Type and other names of every option of the installed SUMO, by name."""
     path = tmp_path_factory.mktemp("template") / "template.xml"
     sumotools.run("sumo", {"save-template": path}, path.parent)
-    return {option.tag: option.get("type") for section in ElementTree.parse(path).getroot() for option in section}
+    return {option.tag: option.attrib for section in ElementTree.parse(path).getroot() for option in section}
 
 
 def test_every_option_of_sumo_is_in_exactly_one_list(template):
@@ -34,8 +34,10 @@ def test_every_option_of_sumo_is_in_exactly_one_list(template):
     assert known - {"osg-view"} == set(template) and sum(map(len, lists)) == len(known)  # of a sumo-gui with OSG
     reviewed = "18985df267251e4a"
     assert hashlib.sha256(" ".join(sorted(PASSED)).encode()).hexdigest()[:16] == reviewed, "read what SUMO has added"
-    assert {name for name in PASSED if template[name] == "FILE"} == set()
-    assert set(SYNONYMS.values()) <= set(template) and not set(SYNONYMS) & set(template)
+    assert {name for name in PASSED if template[name]["type"] == "FILE"} == set()
+    synonyms = {other: name for name, about in template.items() for other in about.get("synonymes", "").split()}
+    del synonyms["?"]  # of help, and no name of an XML element
+    assert synonyms == SYNONYMS
 
 
 def test_whatever_a_configuration_asks_to_write_nothing_is_written(scenario, template, tmp_path):
@@ -44,7 +46,7 @@ def test_whatever_a_configuration_asks_to_write_nothing_is_written(scenario, tem
     leak.mkdir()
     values = {"FILE": "{}", "BOOL": "true", "INT": "1", "FLOAT": "1", "TIME": "1", "STR": "{}", "STR[]": "1"}
     ignored = sorted(IGNORED & set(template))
-    texts = {name: values[template[name]].format(leak / name) for name in ignored} | {"remote-port": "8813"}
+    texts = {name: values[template[name]["type"]].format(leak / name) for name in ignored} | {"remote-port": "8813"}
     options = "".join(f'<{name} value="{value}"/>' for name, value in texts.items())
     config = edited(scenario, tmp_path, change=lambda t: t.replace("</configuration>", options + "</configuration>"))
     before = {p: p.read_bytes() for p in config.parent.iterdir() if p.is_file()}

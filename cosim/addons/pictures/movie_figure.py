@@ -1,4 +1,7 @@
-"""A short film of the map: who is trusted, who lies, and what one vehicle sees and believes."""
+"""A short film of the map: who is trusted, who lies, and what one vehicle sees and believes.
+
+Each picture shows what vehicles fabricated, detected and believed when they last sensed, less than an interval ago.
+"""
 
 import os
 from collections.abc import Callable, Sequence
@@ -19,6 +22,7 @@ from numpy import ndarray
 from cosim.base import durable
 from results.figures import style
 from results.run import Run
+from results.sensing import interval_steps
 
 FORMATS = (".gif", ".mp4")
 MOST_FRAMES = 120
@@ -84,15 +88,19 @@ class _Film:
         self.vehicle, self._dt_s = vehicle, run.dt_s
         where = pc.field("step").isin(steps.tolist())
         self._actors = dict(iter(run.table("actors", ["step", "actor", "x_m", "y_m"], where).groupby("step")))
-        found = run.table("detections", ["step", "observer", "x_m", "y_m", "origin"], where)
         of = run.subjects.vehicle
-        self._lies = dict(iter(found[found.origin == "fabricated"].groupby("step")))
-        mine = found[(found.origin == "sensed") & (found.observer.map(of) == vehicle)]
-        self._seen = dict(iter(mine.groupby("step")))
-        fused = None
+        own = pc.field("observer").isin(of.index[of == vehicle].tolist())
+        found = run.table(
+            "detections", ["step", "observer", "x_m", "y_m", "origin"], own | (pc.field("origin") == "fabricated")
+        )
+        maker = found.observer.map(of)
+        found["end_step"] = found.step + interval_steps(run, maker.to_numpy(int))
+        self._lies = found[found.origin == "fabricated"]
+        self._seen = found[(found.origin == "sensed") & (maker == vehicle)]
+        self._believed = self._seen[:0]
         if vehicle is not None and "fused" in run.tables:
-            fused = run.variant_table("fused", ["step", "x_m", "y_m"], where & (pc.field("observer") == vehicle))
-        self._believed = {} if fused is None else dict(iter(fused.groupby("step")))
+            fused = run.variant_table("fused", ["step", "x_m", "y_m"], pc.field("observer") == vehicle)
+            self._believed = fused.assign(end_step=fused.step + interval_steps(run, np.array([vehicle]))[0])
         trust = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
         trust = trust[trust.n_evaluations > 0]
         self._trust = trust.assign(vehicle=trust.subject.map(of)).sort_values("step")
@@ -161,9 +169,10 @@ class _Film:
         self._equipped.set_offsets(xy[equipped])
         self._equipped.set_array(np.ma.masked_invalid(trust))
         self._liars.set_offsets(xy[attacks])
-        self._ghosts.set_offsets(_places(self._lies.get(step)))
-        self._finds.set_offsets(_places(self._seen.get(step)))
-        self._beliefs.set_offsets(_places(self._believed.get(step)))
+        for marks, rows in (
+            (self._ghosts, self._lies), (self._finds, self._seen), (self._beliefs, self._believed)
+        ):  # fmt: skip
+            marks.set_offsets(_places(rows[(rows.step <= step) & (step < rows.end_step)]))
         if self.vehicle is not None and len(at := xy[number == self.vehicle]):
             self._me.set_offsets(at)
             east, north = at[0]

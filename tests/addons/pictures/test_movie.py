@@ -16,3 +16,26 @@ def test_rings_are_around_malicious_vehicles_from_their_first_attack_on(tmp_path
     for step, rings in ((1, []), (2, [[10.0, 5.0]])):
         film.show(step)
         assert film._liars.get_offsets().tolist() == rings
+
+
+def test_what_vehicles_last_detected_fabricated_and_believed_is_shown_until_they_sense_again(tmp_path):
+    """Both sense every 5 steps: vehicle 0 in 3 and 8, vehicle 1 in 4 and 9. The pictures are of other steps.
+
+    Vehicle 0 detects two objects in step 3 and believes in one, and none in step 8. Vehicle 1 fabricates one in step 4.
+    """
+    vehicles = fleet("honest", "malicious", sensing_interval_steps=5)
+    vehicles[0]["sensing_phase_steps"], vehicles[1]["sensing_phase_steps"] = 3, 4
+    detections = [
+        {"step": 3, "observer": 0, "origin": "sensed", "x_m": 1.0},
+        {"step": 3, "observer": 0, "detection_index": 1, "origin": "sensed", "x_m": 3.0},
+        {"step": 4, "observer": 1, "origin": "fabricated", "x_m": 2.0},
+        {"step": 4, "observer": 1, "detection_index": 1, "origin": "sensed", "x_m": 4.0},
+    ]
+    fused = [{"step": 3, "observer": 0, "source_index": 1}]
+    run = make(tmp_path, 10, vehicles=vehicles, actors=[], detections=detections, fused=fused, trust=[])
+    film = _Film(run, 0, np.array([2, 7, 8]), [], [])
+    expected = ((2, [], [], []), (7, [1.0, 3.0], [2.0], [3.0]), (8, [], [2.0], []), (9, [], [], []))
+    for step, finds, ghosts, beliefs in expected:
+        film.show(step)
+        drawn = [marks.get_offsets()[:, 0].tolist() for marks in (film._finds, film._ghosts, film._beliefs)]
+        assert drawn == [finds, ghosts, beliefs], step

@@ -29,6 +29,11 @@ def test_the_lines_by_hand(tmp_path):
     assert found.buildings == "4; heights: 4 from the tag height" and found.notes == ()
 
 
+def test_heights_in_a_file_may_be_guessed():
+    """Helsinki's file has 653 heights, of which OpenStreetMap has 39."""
+    assert scene_summary(find("helsinki")).buildings == "653; heights: 653 in the file, measured or guessed"
+
+
 def test_no_buildings_are_said_in_the_line(tmp_path):
     found = of(tmp_path, "lefthand")
     assert found.buildings == "none: everybody sees everybody" and found.notes == ()
