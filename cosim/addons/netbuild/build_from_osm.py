@@ -174,8 +174,8 @@ def _recipe(template: str, about: dict[str, str], density: Density, net_path: Pa
     net = sumolib.net.readNet(str(net_path))
     streets = demand.streets_of(net, gates)
     figures: dict[str, float] = trips_per_hour(streets, density)
-    sample = figures | {kind: _SAMPLE * share for kind, share in SHARES.items()} | {"pedestrian": 1.0}
-    wanted = tomllib.loads(_filled(template, about, density, sample))["demand"]
+    sample = {kind: _SAMPLE * share for kind, share in SHARES.items()}
+    wanted = tomllib.loads(_filled(template, about, density, figures | sample | {"pedestrian": 1.0}))["demand"]
     build.route(streets, [], wanted | {"end_s": 3600}, net_path.parent)
     if free_s := _free_times_s(net, net_path.with_name("demand.rou.xml")):
         figures = trips_per_hour(streets, density, SLOWER * sum(free_s) / len(free_s))
@@ -199,8 +199,11 @@ def _free_times_s(net: Any, path: Path) -> list[float]:
             most_mps = BICYCLE_MPS if vehicle["type"] == "bicycle" else inf
             edges = [net.getEdge(edge) for edge in attributes["edges"].split()]
             times_s = [edge.getLength() / min(edge.getSpeed(), most_mps) for edge in edges]
-            at_kerb_s = times_s[0] * ("random" in vehicle["departPos"]) + times_s[-1] * ("arrivalPos" in vehicle)
-            found.append(sum(times_s) - at_kerb_s / 2)
+            if "random" in vehicle["departPos"]:
+                times_s[0] /= 2
+            if "arrivalPos" in vehicle:
+                times_s[-1] /= 2
+            found.append(sum(times_s))
 
     stream(path, start)
     return found
