@@ -20,9 +20,9 @@ SHARES = {"car": 0.80, "van": 0.08, "truck": 0.03, "bicycle": 0.09}
 WALKS = 0.4
 """Departing pedestrians per departing vehicle."""
 DETOUR = 1.35
-"""Length of a trip over the straight-line distance."""
+"""Length of a trip over the straight-line distance, as a guess."""
 DRIVE_MPS = 9.0
-"""Mean speed of an urban trip, stops included."""
+"""Mean speed of an urban trip, stops included, as a guess."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,22 +37,31 @@ class Density:
     """Seed of the trips."""
 
 
-def trips_per_hour(streets: list[Street], density: Density) -> dict[str, float]:
-    """Trips per hour of each vehicle class, and their least length, for a density of vehicles (Little's law)."""
+def trips_per_hour(streets: list[Street], density: Density, trip_s: float | None = None) -> dict[str, float]:
+    """Trips per hour of each vehicle class, and their least length, for a density of vehicles (Little's law).
+
+    `trip_s` is the mean duration of a trip [s]; left out, it is guessed from the distances of streets.
+    """
     if not streets:
         raise NoTraffic("no street that a car can enter and leave remains")
     km = sum(street.length_m for street in streets) / 1000.0
     xs, ys = zip(*(street.middle_m for street in streets), strict=True)
     across_m = hypot(max(xs) - min(xs), max(ys) - min(ys))
     at_least_m = round(min(600.0, 0.2 * across_m), -1)
-    draw = Draw(density.seed, "lengths")
+    if trip_s is None:
+        trip_s = _guessed_trip_s(streets, at_least_m, density.seed)
+    per_hour = BY_HOUR[density.hour] * density.per_km * km * 3600.0 / trip_s
+    trips = {kind: float(max(1, round(per_hour * share))) for kind, share in SHARES.items()}
+    return {"at_least": at_least_m, **trips, "pedestrian": float(max(1, round(WALKS * per_hour)))}
+
+
+def _guessed_trip_s(streets: list[Street], at_least_m: float, seed: int) -> float:
+    """Mean duration of trips between streets drawn by their length."""
+    draw = Draw(seed, "lengths")
     where = draw.chooser(streets, lambda street: street.length_m)
     drawn = [(where(), where()) for _ in range(2000)]
     away_m = [dist(origin.middle_m, target.middle_m) for origin, target in drawn if origin.piece == target.piece]
     far_m = [metres for metres in away_m if metres >= at_least_m]
     if not sum(far_m):
         raise NoTraffic(f"no two streets are {at_least_m:g} m apart, the least for a trip")
-    seconds = DETOUR * sum(far_m) / len(far_m) / DRIVE_MPS
-    per_hour = BY_HOUR[density.hour] * density.per_km * km * 3600.0 / seconds
-    trips = {kind: float(max(1, round(per_hour * share))) for kind, share in SHARES.items()}
-    return {"at_least": at_least_m, **trips, "pedestrian": float(max(1, round(WALKS * per_hour)))}
+    return DETOUR * sum(far_m) / len(far_m) / DRIVE_MPS

@@ -27,7 +27,9 @@ def build(
     overpass: Annotated[
         str | None, typer.Option(help="Use another Overpass service, such as http://host/api/interpreter.")
     ] = None,
-    density: Annotated[float, typer.Option(help="Vehicles on the road per km of street and direction.")] = 2.0,
+    density: Annotated[
+        float, typer.Option(help="Vehicles on the road per km of street and direction, through traffic aside.")
+    ] = 2.0,
     hour: Annotated[int, typer.Option(help="Hour of a working day, 0 to 23. Hour 16 is the busiest.")] = 16,
     seed: Annotated[int, typer.Option(min=0, help="Random seed of the demand.")] = 1,
     left_hand: Annotated[bool, typer.Option("--left-hand", help="Vehicles drive on the left.")] = False,

@@ -64,6 +64,13 @@ def test_a_town_is_built_and_flows(built):
     assert flows.teleports == 0 and flows.assessment == "it flows"
 
 
+def test_as_many_vehicles_are_on_the_road_as_asked_for(tmp_path):
+    """Half a vehicle on each of 37.3 km in Kotka, whose routes are 2.3 times the straight line; there were 31."""
+    from_osm(catalogue.EXAMPLE_OSM, tmp_path / "kotka", Density(per_km=0.5))
+    flows = flow.measure(catalogue.open_folder(tmp_path / "kotka"))
+    assert flows.vehicles_mean == pytest.approx(0.5 * 37.3, rel=0.2)
+
+
 def test_the_same_file_gives_the_same_town(built, tmp_path):
     from_osm(built.parent / "my town.osm.gz", tmp_path / built.name, Density(per_km=4.0))
     assert (tmp_path / built.name / "SHA256SUMS").read_text() == (built / "SHA256SUMS").read_text()
