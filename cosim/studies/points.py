@@ -95,5 +95,6 @@ def _own(config: Config) -> Mapping[str, str]:
 @cache
 def _files(scenario: str, trace: str | None) -> Mapping[str, str]:
     """Checksums of the files of a scenario, and its own warm-up."""
-    about = scenario_of(scenario, trace).provenance()
+    found = scenario_of(scenario, trace)
+    about = found.provenance() | {"warm-up": f"{found.warmup_s:g} s"}
     return {name: text for name, text in about.items() if name.startswith("sha256") or name in ("origin", "warm-up")}
