@@ -110,7 +110,7 @@ def _leaders(step: int, at: dict[str, ndarray] | pd.DataFrame, range_m: float) -
 
 
 def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
-    """Vehicles whose ways cross within 5 s of each other.
+    """Vehicles whose ways cross within 5 s of each other. Of several crossings of two, the closest in time counts.
 
     Returns
     -------
@@ -149,8 +149,10 @@ def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
         "time_s": np.where(i_first, at_j - in_j, at_i - in_i),
         "pet_s": np.abs(at_j - at_i) - in_i - in_j,
     })  # fmt: skip
-    frame = frame[frame.pet_s <= _PET_S].sort_values(["first", "second", "pet_s"], kind="stable")
-    return frame.drop_duplicates(["first", "second"]).reset_index(drop=True)
+    frame = frame[frame.pet_s <= _PET_S].sort_values(["pet_s", "first", "second"], kind="stable")
+    two = pd.DataFrame(np.sort(frame[["first", "second"]].to_numpy(), axis=1))
+    frame = frame[~two.duplicated().to_numpy()]
+    return frame.sort_values(["first", "second"], ignore_index=True)
 
 
 def _on_one_road(ground_m: ndarray, i: Int[ndarray, "p"], j: Int[ndarray, "p"]) -> Bool[ndarray, "p"]:

@@ -136,7 +136,8 @@ def _counts(run: Run, who: pd.DataFrame, known: bool) -> Int[ndarray, "s c"]:
     step = clues.step.to_numpy()
     for name, cell in zip(("observer", "evaluator"), cells, strict=True):
         subject = who.index.get_indexer(pd.Index(clues[name]))
-        rows = np.flatnonzero((subject >= 0) & (since[subject] <= step) & (step <= until[subject]))
+        is_watched = (since[subject] <= step) & (step <= until[subject])
+        rows = np.flatnonzero((subject >= 0) & is_watched)
         counts += np.bincount(subject[rows] * n_kinds + cell[rows], minlength=len(counts))
     by_subject = counts.reshape(len(who), n_kinds)
     return by_subject[:, by_subject.any(axis=0)]

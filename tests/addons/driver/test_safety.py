@@ -51,6 +51,16 @@ def test_post_encroachment_time_by_hand():
     np.testing.assert_allclose(found[["first", "second", "time_s", "pet_s"]].to_numpy(), [[1, 2, 3.65, 1.3]], atol=1e-9)
 
 
+def test_two_vehicles_that_cross_twice_count_once():
+    """A kilometre further they cross in the other order, at 10 s and 11.8 s: the second is 1.8 - 0.7 = 1.1 s later."""
+    east = [(10 * (0.5 * k - 2), 0.0, 0.0, 10) for k in range(12)]
+    north = [(0.0, 10 * (0.5 * k - 4), np.pi / 2, 10) for k in range(12)]
+    east += [(1000 + 10 * (0.5 * k - 11.8), 0.0, 0.0, 10) for k in range(12, 30)]
+    north += [(1000.0, 10 * (0.5 * k - 10), np.pi / 2, 10) for k in range(12, 30)]
+    found = conflicts.encroachments(Poses, poses({1: east, 2: north}))
+    np.testing.assert_allclose(found[["first", "second", "pet_s"]].to_numpy(), [[2, 1, 1.1]], atol=1e-9)
+
+
 def test_a_bridge_is_another_road():
     """Eight metres above: no leader, no common area, no overlap. On one height, or one metre apart, each of them."""
     behind = {1: [(0, 0, 0, 10)], 2: [(20, 0, 0, 4)]}
