@@ -60,7 +60,8 @@ def refuse_other_groups(tables: "Sequence[pd.DataFrame]", names: list[str]) -> N
         metric, _, group = name.partition(":")
         groups: dict[str, None] = {}
         for table in tables:
-            groups |= dict.fromkeys(table.group[table.metric == metric])
+            is_measured = ~table.metric.str.endswith(".not_measured")
+            groups |= dict.fromkeys(table.group[_is_of(table, metric) & is_measured])
         if group and groups and group not in groups:
             named = f"There are: {'; '.join(groups)}." if any(groups) else f"{metric} has none."
             raise ValueError(f"--metric {name}: there is no such group. {named}")
@@ -68,14 +69,17 @@ def refuse_other_groups(tables: "Sequence[pd.DataFrame]", names: list[str]) -> N
 
 def with_metrics(table: "pd.DataFrame", names: list[str]) -> "pd.DataFrame":
     """The rows of these metrics, each once, in the order of the table; where there are none, what is not measured."""
-    from results.metrics.registry import TOPICS
-
     kept = table.metric != table.metric
     for name in names:
         metric, _, group = name.partition(":")
-        rows = table.metric == metric
-        if metric in TOPICS:
-            rows = table.metric.str.startswith(metric + ".")
+        rows = _is_of(table, metric)
         rows &= (table.group == group) if group else True
         kept |= rows if rows.any() else table.metric == f"{metric.partition('.')[0]}.not_measured"
     return table[kept]
+
+
+def _is_of(table: "pd.DataFrame", name: str) -> "pd.Series[bool]":
+    """Which rows are of a metric, or of a topic."""
+    from results.metrics.registry import TOPICS
+
+    return table.metric.str.startswith(name + ".") if name in TOPICS else table.metric == name

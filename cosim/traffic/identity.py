@@ -157,15 +157,15 @@ class Identities:
         number: Int[ndarray, "k"],
         step: int,
     ) -> None:
-        """Note the numbers of new actors, which are the next ones."""
+        """Note the numbers of new actors, which are larger than those before. Objects have numbers in between."""
         self._number.update(zip(keys, number.tolist(), strict=True))
-        n = len(self._type) + len(keys)
+        n = int(number.max(initial=-1)) + 1
         if n > len(self._last_step):
             self._last_turn, self._last_step = (
                 np.concatenate([old, np.zeros(n, np.int64)]) for old in (self._last_turn, self._last_step)
             )
             self._last_m = np.concatenate([self._last_m, np.zeros((n, 2))])
-        self._type += [""] * len(keys)
+        self._type += [""] * (n - len(self._type))
         for row, of in zip(number.tolist(), types, strict=True):
             self._type[row] = of.partition("@")[0]
         self._last_turn[number] = self._turn

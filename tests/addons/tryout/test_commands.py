@@ -96,4 +96,5 @@ def test_an_own_metric_is_measured(tmp_path, run):
     assert str(call("measure", run, "--metric", "traffic.equipped.n:all")[2]) == (
         "--metric traffic.equipped.n:all: there is no such group. There are: honest; unreliable; malicious."
     )
+    assert "There are: " in str(call("measure", run, "--metric", "traffic:nobody")[2])
     assert "goes with a metric of your own" in str(call("measure", run, "--set", "a=1")[2])

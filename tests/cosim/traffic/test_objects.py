@@ -9,6 +9,8 @@ from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fleet import FleetParams
 from cosim.traffic.frame import Frame, TrafficError
 from cosim.traffic.objects import ObjectParams, Placed, WithObjects
+from cosim.traffic.params import TrafficParams
+from cosim.traffic.scenario import find
 from cosim.traffic.source import world_of
 from results.archive import open_run
 from sensors.scene import Shape
@@ -78,6 +80,18 @@ def test_an_object_in_the_coordinates_of_a_far_trace_is_refused():
     traffic = WithObjects(parade, Placed.of([ObjectParams(at_m=(50_150.0, 4_000_020.0))], far, 1.0), registry, FRAME)
     with pytest.raises(TrafficError, match=r"object/0: at_m = \[50150, 4000020\] .* Set at_m = \[150, 20\]."):
         traffic.advance()
+
+
+def test_vehicles_of_a_trace_come_after_an_object(tmp_path):
+    """One car from 0 s on, the object from step 0 on, five more cars from 3 s on."""
+    rows = ["id,time,x,y,angle,speed"]
+    rows += [f"a{k},{t},{10 * t},{9 * k},90,10" for t in range(6) for k in range(6) if t > 2 or not k]
+    (tmp_path / "t.csv").write_text("\n".join(rows))
+    registry, params = ActorRegistry(FleetParams(), 1), TrafficParams(step_s=1.0)
+    objects = [ObjectParams(at_m=(70.0, 30.0))]
+    traffic = find(str(tmp_path / "t.csv")).traffic(params, registry, objects=objects)
+    assert [len(traffic.advance()) for _ in range(6)] == [1, 2, 2, 2, 7, 7]
+    assert registry.names[:3] == ["object/0", "a0", "a1"]
 
 
 @pytest.fixture(scope="module")
