@@ -91,9 +91,10 @@ _PENDING = 4096
 
 
 class EncounterTracker:
-    """Encounters by one definition, updated at every step; memory grows with pairs on the road, not with time.
+    """Encounters by one definition, updated at every step; memory grows with the pairs of an hour, not with time.
 
-    It takes plain arrays of actor numbers and can be copied deeply and pickled at any time.
+    It takes plain arrays of actor numbers and can be copied deeply and pickled at any time. Of each actor, one number
+    stays.
 
     Notes
     -----

@@ -12,7 +12,7 @@ from numpy import ndarray
 from cosim.base.plane import wrapped
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fleet import ActorClass
-from cosim.traffic.frame import Frame, TrafficError
+from cosim.traffic.frame import NETWORK_MARGIN_M, Frame, TrafficError
 from cosim.traffic.roadside import MAST_M, NO_UNITS, RoadsideUnits
 from cosim.traffic.source import PER_M, PER_RAD, TrafficSource, world_of
 from cosim.world import World
@@ -113,10 +113,17 @@ class Placed:
         boxes = Boxes(np.rint(xyz_m * PER_M) / PER_M, lwh_m, np.rint(wrapped(yaw) * PER_RAD) / PER_RAD)
         times_s = [(o.from_s, o.to_s) for o in objects] + [(0.0, np.inf)] * n_units
         times = np.array(times_s).reshape(-1, 2) / step_s
-        frame = replace(frame, source="objects.at_m" if objects else "roadside.at")
-        frame.check(0, names, np.arange(len(names)), boxes.xyz_m, boxes.yaw_rad, np.zeros(len(names)))
         from_step, to_step = np.ceil(times - 1e-9).T
-        return Placed(names, shape, boxes, from_step, to_step, is_unit)
+        placed = Placed(names, shape, boxes, from_step, to_step, is_unit)
+        if frame.bounds_m is not None:  # that of a trace without a network is known once the trace is read
+            placed.check(frame)
+        return placed
+
+    def check(self, frame: Frame) -> None:
+        """Raise TrafficError if one of them is far outside the network."""
+        numbers, zero = np.arange(len(self.names)), np.zeros(len(self.names))
+        frame = replace(frame, source="roadside.at" if self.is_unit.all() else "objects.at_m")
+        frame.check(0, self.names, numbers, self.boxes.xyz_m, self.boxes.yaw_rad, zero)
 
 
 class WithObjects:
@@ -133,8 +140,9 @@ class WithObjects:
     def advance(self) -> World:
         """The world of the next step, with the objects that are present in it."""
         world, p = self._traffic.advance(), self._placed
-        if len(world) and not self._is_checked:
-            _check_frame(p, self._traffic.report().get("origin_m", (0.0, 0.0)))
+        if not self._is_checked:
+            _check_place(p, self._traffic.report().get("origin_m", (0.0, 0.0)))
+            p.check(self._frame)
             self._is_checked = True
         here = np.flatnonzero((p.from_step <= world.step) & (world.step < p.to_step))
         if not len(here):
@@ -170,12 +178,12 @@ class WithObjects:
         self._traffic.close()
 
 
-def _check_frame(placed: Placed, origin_m: Sequence[float]) -> None:
+def _check_place(placed: Placed, origin_m: Sequence[float]) -> None:
     """Raise TrafficError if an object is at the coordinates of a trace whose world has an origin of its own."""
     at_m = placed.boxes.xyz_m[:, :2]
     here_m = at_m - origin_m  # the first actors are within a kilometre of the world's origin
-    is_nearer = np.hypot(*here_m.T) < np.hypot(*at_m.T)
-    for row in np.flatnonzero(is_nearer).tolist():
+    is_there = np.hypot(*here_m.T) < NETWORK_MARGIN_M
+    for row in np.flatnonzero(is_there).tolist() if any(origin_m) else ():
         places = at_m[row], origin_m, here_m[row]
         given, origin, here = ("[{:.10g}, {:.10g}]".format(*xy) for xy in places)
         raise TrafficError(

@@ -1,7 +1,5 @@
 """Objects that stand still: seen like other actors, never equipped, and no change to the traffic beside them."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -69,15 +67,19 @@ def test_an_object_far_away_is_refused():
         ObjectParams()
 
 
-def test_an_object_in_the_coordinates_of_a_far_trace_is_refused():
+def test_an_object_in_the_coordinates_of_a_far_trace_is_refused(tmp_path):
     """The world of such a trace has an origin near the first actors."""
     registry = ActorRegistry(FleetParams(), 1)
     parade = Parade(registry)
     parade.report = lambda: {"origin_m": [50_000.0, 4_000_000.0]}
     traffic = WithObjects(parade, Placed.of([ObjectParams(at_m=(600.0, 20.0))], FRAME, 1.0), registry, FRAME)
     assert len(traffic.advance()) == 2
-    far = replace(FRAME, bounds_m=(0.0, 0.0, 5e6, 5e6))
-    traffic = WithObjects(parade, Placed.of([ObjectParams(at_m=(50_150.0, 4_000_020.0))], far, 1.0), registry, FRAME)
+    rows = "".join(f"a,{t},{50_000 + 10 * t},4000000,90,10\n" for t in range(12))
+    (tmp_path / "far.csv").write_text("id,time,x,y,angle,speed\n" + rows)
+    scenario, params = find(str(tmp_path / "far.csv")), TrafficParams(step_s=1.0)
+    in_the_world = ObjectParams(at_m=(30_000.0, 0.0))
+    assert len(scenario.traffic(params, registry, objects=[in_the_world]).advance()) == 1
+    traffic = scenario.traffic(params, registry, objects=[ObjectParams(at_m=(50_150.0, 4_000_020.0))])
     with pytest.raises(TrafficError, match=r"object/0: at_m = \[50150, 4000020\] .* Set at_m = \[150, 20\]."):
         traffic.advance()
 
