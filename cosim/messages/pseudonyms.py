@@ -233,9 +233,10 @@ class PseudonymParams:
     `bsp`, `scms`, or a class of your own as path.py:Name."""
     linkage: Literal["none", "server", "on_demand", "own"] = "none"
     """Effect of a pseudonym change on trust. `none`: a new pseudonym is unknown. `server`: trust stays with the vehicle
-    and is broadcast under its current pseudonym. `on_demand`: once a pseudonym has been accused `n_accusations` times,
-    it and all later pseudonyms of the vehicle are linked. `own`: each receiver links pseudonyms itself, by position and
-    speed."""
+    and is broadcast under its current pseudonym; all its identities are one evaluator then, of which the server uses
+    one evaluation of a detection, so that attacks.n_identities adds none. `on_demand`: once a pseudonym has been
+    accused `n_accusations` times, it and all later pseudonyms of the vehicle are linked. `own`: each receiver links
+    pseudonyms itself, by position and speed."""
     n_accusations: Annotated[int, Gt(0), Le(2**31 - 1)] = 10
     """With `on_demand`: number of reports against a pseudonym after which the vehicle's later pseudonyms are linked to
     it."""
