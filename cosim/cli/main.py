@@ -346,9 +346,10 @@ def measure(
             every.append(all_metrics(run, **options))
             parts.append(with_metrics(every[-1], shipped) if shipped else every[-1])
         tables.append(pd.concat(parts, ignore_index=True))
-        if tables[-1].empty:
-            notes.print(f"note: {run.path} has no value of {', '.join(metrics or ())}.", soft_wrap=True)
     refuse_other_groups(every, shipped)
+    for run, table in zip(chosen, tables, strict=True):
+        if table.empty:
+            notes.print(f"note: {run.path} has no value of {', '.join(metrics or ())}.", soft_wrap=True)
     print_measures(chosen, tables, as_json, csv)
     if remark := engines_remark(chosen):
         notes.print(remark, soft_wrap=True)

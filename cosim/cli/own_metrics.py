@@ -63,7 +63,8 @@ def refuse_other_groups(tables: "Sequence[pd.DataFrame]", names: list[str]) -> N
             is_measured = ~table.metric.str.endswith(".not_measured")
             groups |= dict.fromkeys(table.group[_is_of(table, metric) & is_measured])
         if group and groups and group not in groups:
-            named = f"There are: {'; '.join(groups)}." if any(groups) else f"{metric} has none."
+            others = "; ".join(filter(None, groups))
+            named = f"There are: {others}." if others else f"{metric} has none."
             raise ValueError(f"--metric {name}: there is no such group. {named}")
 
 

@@ -60,14 +60,14 @@ def speed_here() -> MachineSpeed:
 
 
 def remembered(scenario: str) -> float | None:
-    """Vehicles on the road in the last run of a scenario, at traffic.scale = 1; None if none is known."""
+    """Vehicles on the road in the last run of a scenario and half hour, at traffic.scale = 1; None if none is known."""
     found = _content().get("vehicles", {})
     value = found.get(scenario) if isinstance(found, dict) else None
     return float(value) if isinstance(value, int | float) and 0 <= value < 1e7 else None
 
 
 def remember(scenario: str, n_vehicles: float) -> None:
-    """Keep the mean number of vehicles on the road in a run of a scenario, at traffic.scale = 1."""
+    """Keep the mean number of vehicles on the road in a run of a scenario and half hour, at traffic.scale = 1."""
     known = _content().get("vehicles", {})
     last = list(known.items())[1 - MOST_SCENARIOS :] if isinstance(known, dict) else []
     _write({"vehicles": dict(last) | {scenario: round(n_vehicles, 1)}})

@@ -97,4 +97,6 @@ def test_an_own_metric_is_measured(tmp_path, run):
         "--metric traffic.equipped.n:all: there is no such group. There are: honest; unreliable; malicious."
     )
     assert "There are: " in str(call("measure", run, "--metric", "traffic:nobody")[2])
+    refused = CliRunner().invoke(app, ["measure", str(run), "--metric", "traffic:nobody"])
+    assert not refused.stdout + refused.stderr
     assert "goes with a metric of your own" in str(call("measure", run, "--set", "a=1")[2])
