@@ -16,6 +16,7 @@ from sensors import box_points, evidence_kernels, range_image
 from sensors.boxes import Boxes
 from sensors.lidar import RangeImages, Sweeps
 from sensors.neighbours import Neighbours, neighbours
+from sensors.pairs import ViewPairs
 from sensors.scene import Prisms, prisms
 
 
@@ -101,18 +102,23 @@ def edge_slope(fov_rad: float) -> float:
 
 
 def points_in_boxes(
-    sweeps: RangeImages, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None
+    sweeps: RangeImages,
+    o: Int[ndarray, "n"],
+    boxes: Boxes,
+    b: Int[ndarray, "n"] | None = None,
+    velocity_mps: Float[ndarray, "boxes 2"] | None = None,
 ) -> Int32[ndarray, "n"]:
     """Number of returns of observer o[k] strictly inside box b[k].
 
-    The arguments are those of `in_evaluation_area`.
+    The arguments are those of `in_evaluation_area`. Boxes with a velocity are where they are when the sensor looks
+    there.
 
     Notes
     -----
     This is p(θ) of TruPercept, from which visibility is computed.   Deviations: none. Only the window of the range
     image that the box can fill is searched.
     """
-    pairs = sweeps.poses.pairs(o, boxes, b)
+    pairs = _moving_pairs(sweeps, o, boxes, b, velocity_mps)
     return box_points.points_in_boxes(sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs())
 
 
@@ -123,10 +129,11 @@ def plausible(
     b: Int[ndarray, "n"] | None = None,
     area: AreaParams = AreaParams(),
     params: PlausibilityParams = PlausibilityParams(),
+    velocity_mps: Float[ndarray, "boxes 2"] | None = None,
 ) -> Bool[ndarray, "n"]:
     """Whether the sweep of observer o[k] allows that an object stands in box b[k].
 
-    The arguments are those of `in_evaluation_area`; `params` are the limits of the test.
+    The arguments are those of `points_in_boxes`; `params` are the limits of the test.
 
     Notes
     -----
@@ -136,11 +143,23 @@ def plausible(
     where the paper gives no rule (early exits, bottom centre as distance, margin, empty pyramid). The sensor takes the
     place of the camera, and the field of view is the sensor's.
     """
-    pairs = sweeps.poses.pairs(o, boxes, b)
+    pairs = _moving_pairs(sweeps, o, boxes, b, velocity_mps)
     limits = area.range_m, area.height_m, edge_slope(sweeps.beams.fov_rad)
     return evidence_kernels.free_space(
         sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(), limits, params.margin_m, params.min_share
     )
+
+
+def _moving_pairs(
+    sweeps: RangeImages,
+    o: Int[ndarray, "n"],
+    boxes: Boxes,
+    b: Int[ndarray, "n"] | None,
+    velocity_mps: Float[ndarray, "boxes 2"] | None,
+) -> ViewPairs:
+    """Pairs of sensors and boxes, which move if they have velocities."""
+    motion = None if velocity_mps is None else (velocity_mps, sweeps.beams.s_per_rad)
+    return sweeps.poses.pairs(o, boxes, b, motion)
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,14 +101,6 @@ class LidarParams:
     """Ray caster; all give the same sweep up to rays that graze an edge. `open3d` must be installed:
     pip install 'cosim-perception[open3d]'."""
 
-    @property
-    def sweep_s(self) -> float:
-        """Time from the first column to the last [s]: that of the part of a turn in the field of view, or 0."""
-        if not isinstance(self.rotation_hz, float):
-            return 0.0
-        fov_deg = PROFILES[self.profile].fov_deg if self.fov_deg is None else self.fov_deg
-        return fov_deg / 360.0 / self.rotation_hz
-
 
 class Beams(NamedTuple):
     """The grid of rays: azimuth columns x elevation rows, in the sensor frame (x forward, y left, z up)."""
@@ -202,19 +194,15 @@ class Poses:
             yaw_rad = wrapped(yaw_rad + error[:, 2])
         return Poses(origin_m, yaw_rad)
 
-    def pairs(self, o: Int[ndarray, "n"], boxes: Boxes, b: Int[ndarray, "n"] | None = None) -> ViewPairs:
-        """Pairs of a sensor and a box.
-
-        Parameters
-        ----------
-        o
-            Sensor of each pair.
-        boxes
-            Boxes in the world frame.
-        b
-            Row of `boxes` of each pair; by default all rows in order.
-        """
-        return pairs_of(o, self.origin_m, self.yaw_rad, boxes, b)
+    def pairs(
+        self,
+        o: Int[ndarray, "n"],
+        boxes: Boxes,
+        b: Int[ndarray, "n"] | None = None,
+        motion: tuple[Float[ndarray, "boxes 2"], float] | None = None,
+    ) -> ViewPairs:
+        """Pairs of a sensor and a box; arguments as in `sensors.pairs.pairs_of`."""
+        return pairs_of(o, self.origin_m, self.yaw_rad, boxes, b, motion)
 
     def to_sensor(self, o: Int[ndarray, "n"], boxes: Boxes) -> Boxes:
         """Box k of the world frame in the frame of sensor o[k]: x forward, y left, z up.
@@ -275,8 +263,6 @@ class RangeImages:
     range_steps: UInt16[ndarray, "m a e"]
     """Range that the sensor reports, in steps of `step_m`; `NO_RETURN` if the ray has no return."""
     step_m: float
-    sweep_s: float
-    """As `LidarParams.sweep_s`."""
 
     def displaced(self, error: Float[ndarray, "m 3"]) -> RangeImages:
         """These images, taken for those of sensors with other poses.
@@ -287,6 +273,10 @@ class RangeImages:
             How far the other poses are east [m] and north [m], and by how much they are turned [rad].
         """
         return replace(self, poses=self.poses.displaced(error))
+
+    def seen_after_s(self, o: Int[ndarray, "k"], xyz_m: Float[ndarray, "k 3"]) -> Float[ndarray, "k"]:
+        """When sensors look at places, as the function `seen_after_s`."""
+        return seen_after_s(self.poses, self.beams.s_per_rad, o, xyz_m)
 
     @property
     def range_m(self) -> Float32[ndarray, "m a e"]:
@@ -345,6 +335,32 @@ class Sweeps(RangeImages):
         return moved_m(self.poses, self.beams.s_per_rad, o, boxes, a, self.speed_mps)
 
 
+def seen_after_s(
+    poses: Poses,
+    s_per_rad: float,
+    o: Int[ndarray, "k"],
+    xyz_m: Float[ndarray, "k 3"],
+) -> Float[ndarray, "k"]:
+    """When sensors look at places, after the time of the sweep.
+
+    Parameters
+    ----------
+    poses, s_per_rad
+        Poses of the sensors, and the time in which they turn by one radian, as in `Beams`.
+    o, xyz_m
+        Sensor and place, for each pair.
+
+    Returns
+    -------
+    Seconds; negative to the right of the sensor, and 0 if the sweep takes no time.
+    """
+    if s_per_rad == 0.0:
+        return np.zeros(len(o))
+    away_m = xyz_m - poses.origin_m[o]
+    bearing = np.arctan2(away_m[:, 1], away_m[:, 0])
+    return s_per_rad * wrapped(bearing - poses.yaw_rad[o])
+
+
 def moved_m(
     poses: Poses, s_per_rad: float, o: Int[ndarray, "k"], boxes: Boxes, a: Int[ndarray, "k"],
     speed_mps: Float[ndarray, "n"],
@@ -364,13 +380,8 @@ def moved_m(
     -------
     Displacement in the world frame [m]; 0 if the sweep takes no time.
     """
-    if s_per_rad == 0.0:
-        return np.zeros((len(a), 3))
-    away_m = boxes.xyz_m[a] - poses.origin_m[o]
     yaw = boxes.yaw_rad[a]
-    bearing = np.arctan2(away_m[:, 1], away_m[:, 0])
-    azimuth = np.angle(np.exp(1j * (bearing - poses.yaw_rad[o])))
-    along_m = speed_mps[a] * s_per_rad * azimuth
+    along_m = speed_mps[a] * seen_after_s(poses, s_per_rad, o, boxes.xyz_m[a])
     heading = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(a))])
     return along_m[:, None] * heading
 
@@ -482,7 +493,6 @@ def scan(
         max_range_m=params.max_range_m,
         range_steps=range_steps,
         step_m=step_of(params),
-        sweep_s=params.sweep_s,
         hit=hit,
         unrounded_m=np.empty(size if unrounded else (0, *size[1:]), np.float32),
         speed_mps=bodies.speed_mps,
@@ -537,7 +547,6 @@ def range_images(
         max_range_m=params.max_range_m,
         range_steps=range_steps,
         step_m=step_of(params),
-        sweep_s=params.sweep_s,
     )
 
 

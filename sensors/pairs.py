@@ -29,6 +29,10 @@ class ViewPairs(NamedTuple):
     """float64 [boxes, 3]."""
     lwh_m: ndarray
     yaw_rad: ndarray
+    velocity_mps: ndarray
+    """float64 [boxes, 2]: east and north. A sensor that turns sees each box where it is when the sensor looks there."""
+    s_per_rad: float
+    """Time in which the sensors turn by one radian; 0 if a sweep takes no time or the velocities do not count."""
 
     def runs(self) -> Int[ndarray, "r+1"]:
         """Where the pairs of each sensor begin, if the pairs of a sensor follow each other.
@@ -44,9 +48,13 @@ class ViewPairs(NamedTuple):
 
 
 def pairs_of(
-    o: Int[ndarray, "n"], origin_m: Float[ndarray, "m 3"], heading_rad: Float[ndarray, "m"], boxes: Boxes,
+    o: Int[ndarray, "n"],
+    origin_m: Float[ndarray, "m 3"],
+    heading_rad: Float[ndarray, "m"],
+    boxes: Boxes,
     b: Int[ndarray, "n"] | None = None,
-) -> ViewPairs:  # fmt: skip
+    motion: tuple[Float[ndarray, "boxes 2"], float] | None = None,
+) -> ViewPairs:
     """Pairs of a sensor and a box.
 
     Parameters
@@ -59,7 +67,11 @@ def pairs_of(
         Boxes in the world frame.
     b
         Row of `boxes` of each pair; by default all rows in order.
+    motion
+        Velocity of each box, east and north, and the time in which the sensors turn by one radian. By default, boxes
+        are where they are.
     """
+    velocity_mps, s_per_rad = (np.zeros((0, 2)), 0.0) if motion is None else motion
     o = np.asarray(o, np.int64)
     b = np.arange(len(boxes)) if b is None else np.asarray(b, np.int64)
     return ViewPairs(
@@ -72,18 +84,27 @@ def pairs_of(
         xyz_m=boxes.xyz_m,
         lwh_m=boxes.lwh_m,
         yaw_rad=boxes.yaw_rad,
+        velocity_mps=velocity_mps,
+        s_per_rad=s_per_rad,
     )
 
 
 @inlined
 def in_sensor_frame(pairs, k):
-    """Centre (x, y, z), length, width, height and heading of the box of pair k in the frame of its sensor."""
+    """Centre (x, y, z), length, width, height and heading of the box of pair k in the frame of its sensor,
+    when the sensor looks there."""
     s, w = pairs.o[k], pairs.b[k]
     dx = pairs.xyz_m[w, 0] - pairs.origin_m[s, 0]
     dy = pairs.xyz_m[w, 1] - pairs.origin_m[s, 1]
     cos, sin = pairs.cos[s], pairs.sin[s]
     x = cos * dx + sin * dy
     y = cos * dy - sin * dx
+    if pairs.s_per_rad != 0.0:
+        after_s = pairs.s_per_rad * np.arctan2(y, x)
+        east = pairs.velocity_mps[w, 0] * after_s
+        north = pairs.velocity_mps[w, 1] * after_s
+        x += cos * east + sin * north
+        y += cos * north - sin * east
     z = pairs.xyz_m[w, 2] - pairs.origin_m[s, 2]
     yaw = pairs.yaw_rad[w] - pairs.heading_rad[s]
     lwh_m = pairs.lwh_m

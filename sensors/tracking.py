@@ -187,6 +187,8 @@ class Found(Rows):
     score: Float[ndarray, "d"]
     limit_mps: Float[ndarray, "d"]
     """Speed limit of the road there; NaN where it is not known."""
+    after_s: Float[ndarray, "d"]
+    """When the object was there, after the time at which its observer senses: a sweep takes time."""
 
     def __len__(self) -> int:
         return len(self.observer)
@@ -342,14 +344,16 @@ def updated(tracks: Tracks, found: Found, params: TrackingParams) -> Tracks:
 
     Notes
     -----
-    With r the variance of a detection, y the innovation and s = P_xx + r, along and across the axis: x += P_xx y / s,
-    v += P_xv y / s, P_xx = r P_xx / s, P_xv = r P_xv / s, P_vv -= P_xv² / s.
+    A detection t seconds later measures x + t v, whose covariances with x and v are a = P_xx + t P_xv and
+    b = P_xv + t P_vv. With r the variance of a detection, y the innovation and s = a + t b + r, along and across the
+    axis: x += a y / s, v += b y / s, P_xx -= a² / s, P_xv -= a b / s, P_vv -= b² / s. The random acceleration within
+    the sweep is left out.
     """
-    r = _position_variance(found.label, params)
     xx, xv, vv = np.moveaxis(tracks.covariance, 2, 0)
-    gain_x, gain_v = xx / (xx + r), xv / (xx + r)
-    covariance = np.stack([gain_x * r, gain_v * r, vv - gain_v * xv], axis=2)
-    innovation_m = _along_and_across(found.xy_m - tracks.xy_m, tracks.axis)
+    a, b, s = _measured(tracks, found, params)
+    gain_x, gain_v = a / s, b / s
+    covariance = np.stack([xx - gain_x * a, xv - gain_v * a, vv - gain_v * b], axis=2)
+    innovation_m = _along_and_across(_innovation_m(tracks, found), tracks.axis)
     return replace(
         tracks,
         label=found.label,
@@ -360,6 +364,19 @@ def updated(tracks: Tracks, found: Found, params: TrackingParams) -> Tracks:
         covariance=covariance,
         existence=tracks.existence + existence_gain(found.score, tracks.time_s - tracks.last_s, params),
     )
+
+
+def _measured(tracks: Tracks, found: Found, params: TrackingParams) -> tuple[ndarray, ndarray, ndarray]:
+    """Along and across the axis: covariances of a detection with position and velocity, and its variance."""
+    xx, xv, vv = np.moveaxis(tracks.covariance, 2, 0)
+    t = found.after_s[:, None]
+    a, b = xx + t * xv, xv + t * vv
+    return a, b, a + t * b + _position_variance(found.label, params)
+
+
+def _innovation_m(tracks: Tracks, found: Found) -> Float[ndarray, "n 2"]:
+    """How far each detection is from where its track expects it, east and north."""
+    return found.xy_m - tracks.xy_m - found.after_s[:, None] * tracks.velocity_mps
 
 
 def begun(
@@ -385,10 +402,10 @@ def begun(
     label, time_s = found.label, observers.time_s[row]
     mean_mps, sigma_mps = expected_speed(label, found.limit_mps, observers.speed_mps[row], params)
     axis = np.column_stack([np.cos(found.yaw_rad), np.sin(found.yaw_rad)])
-    covariance = np.zeros((len(found), 2, 3))
-    covariance[:, :, 0] = _position_variance(label, params)
-    covariance[:, 0, 2] = sigma_mps**2
-    covariance[:, 1, 2] = np.asarray(params.across_sigma_mps)[label] ** 2
+    velocity_mps = mean_mps[:, None] * axis
+    t = found.after_s[:, None]
+    vv = np.column_stack([sigma_mps, np.asarray(params.across_sigma_mps)[label]]) ** 2
+    xx = _position_variance(label, params) + t * t * vv
     return Tracks(
         observer=found.observer,
         object_id=object_id,
@@ -397,10 +414,10 @@ def begun(
         time_s=time_s,
         first_s=time_s,
         last_s=time_s,
-        xy_m=found.xy_m,
-        velocity_mps=mean_mps[:, None] * axis,
+        xy_m=found.xy_m - t * velocity_mps,
+        velocity_mps=velocity_mps,
         axis=axis,
-        covariance=covariance,
+        covariance=np.stack([xx, -t * vv, vv], axis=2),
         existence=params.existence_new + _of_score(found.score, params),
     )
 
@@ -451,7 +468,7 @@ def confirmed_variance(params: TrackingParams, interval_s: float) -> Float[ndarr
     label = np.arange(n, dtype=np.uint8)
     number, zero = np.arange(n), np.zeros(n)
     half, unknown = np.full(n, 0.5), np.full(n, np.nan)
-    found = Found(number, label, np.zeros((n, 2)), zero, half, unknown)
+    found = Found(number, label, np.zeros((n, 2)), zero, half, unknown, zero)
     tracks = begun(found, number, Observers(number, zero, zero), number, params)
     for hit in range(1, params.confirm_hits):
         tracks = updated(predicted(tracks, np.full(n, hit * interval_s), params), found, params)
@@ -529,15 +546,18 @@ def assigned(tracks: Tracks, found: Found, params: TrackingParams) -> tuple[Int[
     """
     gate = -2 * np.log1p(-params.gate_p)
     # No detection farther away than the longer half axis of the gate is inside: most pairs need no more than this.
-    track_m2 = tracks.covariance[:, :, 0].max(axis=1, initial=0.0)
-    most_m2 = track_m2 + max(params.position_sigma_m) ** 2
+    xx, xv, vv = np.moveaxis(tracks.covariance, 2, 0)
+    after_s = np.abs(found.after_s).max(initial=0.0)
+    track_m2 = (xx + after_s * (2.0 * np.abs(xv) + after_s * vv)).max(axis=1, initial=0.0)
+    gate_m = np.sqrt(gate * (track_m2 + max(params.position_sigma_m) ** 2))
+    reach_m = (gate_m + after_s * np.hypot(*tracks.velocity_mps.T)) * (1 + 1e-9)
     first, end = (np.searchsorted(found.observer, tracks.observer, side) for side in ("left", "right"))
     xy_m = np.ascontiguousarray(tracks.xy_m), np.ascontiguousarray(found.xy_m)
     groups = _CLASS_GROUP[tracks.label], _CLASS_GROUP[found.label]
-    t, d = _near(first, end, *xy_m, gate * most_m2 * (1 + 1e-9), *groups)
-    s = tracks.covariance[t, :, 0] + _position_variance(found.label[d], params)
-    apart_m = found.xy_m[d] - tracks.xy_m[t]
-    innovation_m = _along_and_across(apart_m, tracks.axis[t])
+    t, d = _near(first, end, *xy_m, reach_m * reach_m, *groups)
+    of_pair, detection = tracks.take(t), found.take(d)
+    _, _, s = _measured(of_pair, detection, params)
+    innovation_m = _along_and_across(_innovation_m(of_pair, detection), of_pair.axis)
     squared = (innovation_m * innovation_m / s).sum(axis=1)
     log_det_s = np.log(s[:, 0] * s[:, 1])
     constant = 2 * np.log(2 * np.pi * params.other_per_m2)

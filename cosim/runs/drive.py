@@ -50,7 +50,7 @@ Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
 NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
 _MOST_AT_ONCE = 10
 """A signal within the first steps without sensing stops the run at once, and nothing of it is kept."""
-STATE_VERSION = 21
+STATE_VERSION = 22
 """Increase this number when the code can no longer read the states of earlier versions."""
 _CORES = numba.get_num_threads()
 _EQUIPPED_PER_THREAD = 100

@@ -51,20 +51,19 @@ class Reporters(NamedTuple):
     speed_mps: Float[ndarray, "d"]
     pose: Float[ndarray, "d 2"]
     """As `pose_variance` returns it."""
-    sweep_s: Float[ndarray, "d"]
-    """Time that a sweep takes."""
+    after_s: Float[ndarray, "d"]
+    """When the sensor looks there, after the time of the sweep."""
 
     @staticmethod
-    def of(
-        world: World, observer: Int[ndarray, "d"], sensing: Int[ndarray, "s"], sweeps: Any, c: Config
-    ) -> "Reporters":
-        """Those in the rows `observer` of the world; `sensing` are the rows whose `sweeps` these are, ascending."""
+    def of(world: World, listed: Detections, sensing: Int[ndarray, "s"], sweeps: Any, c: Config) -> "Reporters":
+        """Those of these detections; `sensing` are the rows of the world whose `sweeps` these are, ascending."""
+        observer = listed.observer
         at = np.searchsorted(sensing, observer)
         return Reporters(
             sensor_m=sweeps.poses.origin_m[at],
             speed_mps=world.speed_mps[observer],
             pose=pose_variance(world.is_roadside[observer], c),
-            sweep_s=np.broadcast_to(sweeps.sweep_s, len(sensing))[at],
+            after_s=sweeps.seen_after_s(at, listed.boxes.xyz_m),
         )
 
 
@@ -96,16 +95,17 @@ def stated(
     Notes
     -----
     The variance of a position is a sum of four parts: the detector's, by class, number of returns and range; that of
-    the vehicle's own position; that of its heading, across the line of sight, times the square of the range; and, if a
-    sweep takes the time T, that of a motion of speed v in it, (v T)^2 / 12 along the velocity. A self report has the
-    second part alone. A detection without a track has the variance of the speeds of its class on the road there, as a
-    new track has it (`sensors.tracking.expected_speed`). Vehicles that attack state the same of what they fabricate,
-    times the `accuracy_factor` of their attack. A velocity that is said to be less well known than that of an object
-    without a track counts as one that is not stated.
+    the vehicle's own position; that of its heading, across the line of sight, times the square of the range; and that
+    of the velocity, times the square of the time between the moment at which the sensor looked there and that of the
+    sweep: objects are reported where they were at the time of the sweep. A self report has the second part alone. A
+    detection without a track has the variance of the speeds of its class on the road there, as a new track has it
+    (`sensors.tracking.expected_speed`). Vehicles that attack state the same of what they fabricate, times the
+    `accuracy_factor` of their attack. A velocity that is said to be less well known than that of an object without a
+    track counts as one that is not stated.
 
     Relative to the vehicle, there is the first and the last part. There, what the score says about the error counts,
-    too; matching does not use it. The heading and the size of a detection have the
-    detector's variance, those of a self report none.
+    too; matching does not use it. The heading and the size of a detection have the detector's variance, those of a
+    self report none.
     """
     is_self = listed.origin == SELF
     away_m = listed.boxes.xyz_m[:, :2] - reporters.sensor_m[:, :2]
@@ -122,23 +122,19 @@ def stated(
     moves = velocities(listed)
     known = np.isfinite(moves).all(axis=1)
     of_class = _speed_variance(listed.label, limit_mps, reporters.speed_mps, c.tracking)
-    of_sweep = np.where(is_self, 0.0, reporters.sweep_s**2 / 12.0)
-    vx, vy = np.where(known[:, None], moves, 0.0).T
-    anywhere = np.where(known, 0.0, of_class)
-    by_itself = of_sweep * anywhere
-    squares = np.stack([vx * vx, vx * vy, vy * vy])
-    relative_m2 = (of_sweep * squares).T + by_itself[:, None] * ALONG_BOTH
+    speed = np.where(known, _OWN_SPEED_SIGMA_MPS**2, of_class)
+    if tracks is not None:
+        rows = np.flatnonzero(listed.origin == SENSED)
+        speed[rows] = np.where(known[rows], tracks.variance.mean(axis=1), speed[rows])
+    of_sweep = np.where(is_self, 0.0, reporters.after_s**2) * speed
+    relative_m2 = of_sweep[:, None] * ALONG_BOTH
     at_any_score_m2 = relative_m2 + of_detector[:, None] * ALONG_BOTH
     if detector.error_by_score is not None:
         of_detector = of_detector * detector.error_by_score(listed.score, listed.n_points, listed.label)
     squares = np.stack([y * y, -x * y, x * x])
     of_pose = (across * squares).T + of_position[:, None] * ALONG_BOTH
-    speed = np.where(known, _OWN_SPEED_SIGMA_MPS**2, of_class)
-    if tracks is not None:
-        rows = np.flatnonzero(listed.origin == SENSED)
-        speed[rows] = np.where(known[rows], tracks.variance.mean(axis=1), speed[rows])
     if not c.extrapolate:  # the box stays where it was said to be
-        speed += 0.5 * (vx * vx + vy * vy)
+        speed += 0.5 * np.where(known, (moves * moves).sum(axis=1), 0.0)
     told = listed.accuracy_factor**2  # 1 is exact, so that honest statements stay as they are
     return replace(
         listed,

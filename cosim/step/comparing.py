@@ -24,7 +24,6 @@ from cosim.step.sense import Positioned
 from sensors.association import Gate, bounded, certainty, pairs_across, pairs_within
 from sensors.box_fusion import StatedAccuracy
 from sensors.boxes import Boxes, overlapping_pairs, pairs_between
-from sensors.evidence import AreaParams
 from trust.evaluation import evaluate
 from trust.fusion import SensorEvidence
 from trust.matching import match_each
@@ -109,7 +108,7 @@ def compare_objects(
         # Of what stands beyond the range, no return counts and nothing is tested. Ranges are those of bottom centres.
         may_count = away_m < area.range_m + boxes.lwh_m[lists.member[seeds], 2]
         is_tested = _is_tested(groups, near_groups, inside, seeds[may_count])
-        questions, counted, tested = questions_of(lists, inside, is_tested, boxes, detections, area)
+        questions, counted, tested = questions_of(lists, inside, is_tested, objects, detections, area)
         n_points = np.zeros(len(lists.member), np.int32)
         plausible = np.ones(len(lists.member), bool)
         n_points[counted], plausible[tested] = parts.perception.answers(sweeps, questions)
@@ -118,7 +117,7 @@ def compare_objects(
             # The evaluator's own position has an error, too.
             own_m2, _ = pose_variance(exchange.world.is_roadside[exchange.sensing.row], parts.config).T
             accuracy = RelativeAccuracy(objects.variance_m2, own_m2)
-            permitted = _permitted_share(parts.perception, sweeps, lists, plausible, boxes, accuracy, area)
+            permitted = _permitted_share(parts.perception, sweeps, lists, plausible, questions, accuracy)
             plausible = permitted >= 0.5
             compared_share = certainty(accuracy.variance_m2(near.member, near.of_member()))
         recall = None
@@ -258,9 +257,8 @@ def _permitted_share(
     sweeps: Any,
     lists: ObjectLists,
     plausible: Bool[ndarray, "m"],
-    boxes: Boxes,
+    asked: BoxQuestions,
     accuracy: "RelativeAccuracy",
-    area: AreaParams,
 ) -> Float[ndarray, "m"]:
     """Share of the places where a box may be that free space in the vehicle's own sweep permits.
 
@@ -271,8 +269,8 @@ def _permitted_share(
     ----------
     plausible
         Whether each member of `lists` is permitted where its message says.
-    boxes, accuracy
-        All detections, and how well their positions are known.
+    asked, accuracy
+        Questions about all detections, and how well their positions are known.
     """
     share = plausible.astype(float)
     rows = np.flatnonzero(~plausible)
@@ -288,15 +286,24 @@ def _permitted_share(
     y_of_v = np.sqrt(np.maximum(yy - y_of_u * y_of_u, 0.0))
     n = len(_SIGMA_POINTS)
     u, v = np.repeat(_SIGMA_POINTS, len(rows), axis=0).T
-    around = boxes.take(np.tile(detection, n))
+    of = np.tile(detection, n)
+    around = asked.boxes.take(of)
     xyz_m = around.xyz_m.copy()
     xyz_m[:, 0] += np.tile(x_of_u, n) * u
     north_m = np.tile(y_of_u, n) * u + np.tile(y_of_v, n) * v
     xyz_m[:, 1] += north_m
     around = replace(around, xyz_m=xyz_m)
     by_sweep = np.arange(n * len(rows)).reshape(n, -1).T.ravel()  # so that each sweep is read once
-    questions = BoxQuestions(around, area, sweep[:0], by_sweep[:0], np.repeat(sweep, n), by_sweep)
-    _, permits = perception.answers(sweeps, questions)
+    around_each = replace(
+        asked,
+        boxes=around,
+        velocity_mps=asked.velocity_mps.take(of, axis=0),
+        counting=sweep[:0],
+        counted=by_sweep[:0],
+        testing=np.repeat(sweep, n),
+        tested=by_sweep,
+    )
+    _, permits = perception.answers(sweeps, around_each)
     share[rows] = permits.reshape(-1, n).sum(axis=1) / (1.0 + n)
     return share
 

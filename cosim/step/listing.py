@@ -139,7 +139,7 @@ def list_objects(
     if tracks is not None:
         tracks = tracks.take(was_sensed[order[objects.origin == SENSED]])
     if parts.config.trust.matching == "gates":
-        reporters = Reporters.of(world, objects.observer, sensing.row, observed.sweeps, parts.config)
+        reporters = Reporters.of(world, objects, sensing.row, observed.sweeps, parts.config)
         limit_mps = parts.limits.at(objects.boxes.xyz_m[:, :2])
         objects = stated(objects, tracks, reporters, limit_mps, parts.accuracy, parts.config)
     detections, ptr = for_trust(objects, message, len(senders))

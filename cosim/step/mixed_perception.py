@@ -39,10 +39,9 @@ class MixedImages:
             origin_m[mine], yaw_rad[mine] = images.poses.origin_m, images.poses.yaw_rad
         return lidar.Poses(origin_m, yaw_rad)
 
-    @property
-    def sweep_s(self) -> Float[ndarray, "m"]:
-        """Time that the sweep of each observer takes."""
-        return np.array([images.sweep_s for images in self.of_lidar])[self.lidar]
+    def seen_after_s(self, o: Int[ndarray, "k"], xyz_m: Float[ndarray, "k 3"]) -> Float[ndarray, "k"]:
+        """As `RangeImages.seen_after_s`. All LiDARs turn equally fast."""
+        return lidar.seen_after_s(self.poses, self.of_lidar[0].beams.s_per_rad, o, xyz_m)
 
     def displaced(self, error: Float[ndarray, "m 3"]) -> "MixedImages":
         """As `RangeImages.displaced`."""

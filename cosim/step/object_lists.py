@@ -5,9 +5,9 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim.base.ragged import offsets, ptr_of, ranges
+from cosim.messages.content import Detections, velocities
 from cosim.step.known import Uses
 from cosim.step.perception import BoxQuestions
-from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
 from trust import tables
 from trust.tables import ObjectLists
@@ -48,7 +48,7 @@ def questions_of(
     lists: ObjectLists,
     evaluated: Bool[ndarray, "m"],
     foreign: Bool[ndarray, "m"],
-    boxes: Boxes,
+    objects: Detections,
     detections: tables.SentDetections,
     area: AreaParams,
 ) -> tuple[BoxQuestions, Int[ndarray, "p"], Int[ndarray, "t"]]:
@@ -65,8 +65,8 @@ def questions_of(
         Members that the vehicle evaluates.
     foreign
         Members that the vehicle did not detect itself.
-    boxes, detections
-        Of all detections in the step.
+    objects, detections
+        All detections in the step.
     area
         Where vehicles evaluate.
 
@@ -78,4 +78,13 @@ def questions_of(
     is_self = detections.is_self[b] & (detections.message[b] == lists.owner[o])
     is_counted = (evaluated | foreign) & ~is_self
     counted, tested = np.flatnonzero(is_counted), np.flatnonzero(foreign)
-    return BoxQuestions(boxes, area, o[counted], b[counted], o[tested], b[tested]), counted, tested
+    asked = BoxQuestions(
+        boxes=objects.boxes,
+        velocity_mps=np.nan_to_num(velocities(objects)),
+        area=area,
+        counting=o[counted],
+        counted=b[counted],
+        testing=o[tested],
+        tested=b[tested],
+    )
+    return asked, counted, tested

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Int, Int32, UInt8, UInt16, UInt64
+from jaxtyping import Bool, Float, Int, Int32, UInt8, UInt16, UInt64
 from numpy import ndarray
 
 from cosim.base import rng
@@ -87,6 +87,8 @@ class BoxQuestions:
     """Questions of vehicles to their own sweeps: rows of the sweeps, ascending, and rows of the boxes."""
 
     boxes: Boxes
+    velocity_mps: Float[ndarray, "boxes 2"]
+    """Of the boxes: a sensor that turns sees them where they are when it looks there."""
     area: AreaParams
     counting: Int[ndarray, "p"]
     counted: Int[ndarray, "p"]
@@ -106,7 +108,8 @@ class BoxQuestions:
         """
         p, t = (np.flatnonzero(group[by] == number) for by in (self.counting, self.testing))
         counting, testing = (row[by].astype(np.int32) for by in (self.counting[p], self.testing[t]))
-        return p, t, BoxQuestions(self.boxes, self.area, counting, self.counted[p], testing, self.tested[t])
+        mine = replace(self, counting=counting, counted=self.counted[p], testing=testing, tested=self.tested[t])
+        return p, t, mine
 
 
 BoxAnswers = tuple[Int32[ndarray, "p"], Bool[ndarray, "t"]]
@@ -219,8 +222,10 @@ class Perception:
     def answers(self, sweeps: lidar.RangeImages, asked: BoxQuestions) -> BoxAnswers:
         """As in `Perceives`."""
         return (
-            evidence.points_in_boxes(sweeps, asked.counting, asked.boxes, asked.counted),
-            evidence.plausible(sweeps, asked.testing, asked.boxes, asked.tested, asked.area),
+            evidence.points_in_boxes(sweeps, asked.counting, asked.boxes, asked.counted, asked.velocity_mps),
+            evidence.plausible(
+                sweeps, asked.testing, asked.boxes, asked.tested, asked.area, velocity_mps=asked.velocity_mps
+            ),
         )
 
     def in_area(

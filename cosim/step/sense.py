@@ -138,14 +138,16 @@ def track_objects(
 
     Returns
     -------
-    The tracks after the step, and what vehicles perceive with the velocities of objects. Boxes and scores stay those of
-    the detector.
+    The tracks after the step, and what vehicles perceive with the velocities of objects. Where the velocity is known,
+    boxes are moved by it from the moment at which the sensor looked there to the time of the sweep. Sizes, headings and
+    scores stay those of the detector.
     """
     if parts.config.tracking.model == "none":
         return memory, positioned
     detections, rows = positioned.observed.detections, vehicles.row[vehicles.senses]
     sensed = np.flatnonzero(detections.origin == SENSED)
-    boxes = detections.boxes.take(sensed)
+    boxes, sweeps = detections.boxes.take(sensed), positioned.observed.sweeps
+    after_s = sweeps.seen_after_s(np.searchsorted(rows, detections.observer[sensed]), boxes.xyz_m)
     memory, objects = track(
         memory,
         Observers(world.actor[rows].astype(np.int64), np.full(len(rows), now.begin_s), world.speed_mps[rows]),
@@ -156,10 +158,14 @@ def track_objects(
             yaw_rad=boxes.yaw_rad,
             score=detections.score[sensed],
             limit_mps=parts.limits.at(boxes.xyz_m[:, :2]),
+            after_s=after_s,
         ),
         parts.config.tracking,
     )
     velocity_mps = detections.velocity_mps.copy()
     velocity_mps[sensed] = objects.velocity_mps
-    observed = replace(positioned.observed, detections=replace(detections, velocity_mps=velocity_mps))
+    xyz_m = detections.boxes.xyz_m.copy()
+    xyz_m[sensed, :2] -= after_s[:, None] * np.nan_to_num(objects.velocity_mps)
+    at_sweep = replace(detections, velocity_mps=velocity_mps, boxes=replace(detections.boxes, xyz_m=xyz_m))
+    observed = replace(positioned.observed, detections=at_sweep)
     return memory, replace(positioned, observed=observed, objects=objects)

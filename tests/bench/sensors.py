@@ -122,7 +122,8 @@ def street_of_tracks(n_vehicles: int, n_seen: int = 15) -> tuple[TrackMemory, Ob
         at_m = xy_m[seen] + np.column_stack([second * speed_mps[seen], np.zeros(len(seen))])
         noisy_m = at_m + rng.normal(0, 0.1, at_m.shape)
         limit = np.full(len(seen), 14.0)
-        found = Found(owner[seen], label[seen], noisy_m, yaw_rad[seen], rng.uniform(0.2, 1.0, len(seen)), limit)
+        score = rng.uniform(0.2, 1.0, len(seen))
+        found = Found(owner[seen], label[seen], noisy_m, yaw_rad[seen], score, limit, np.zeros(len(seen)))
         observers = Observers(np.arange(n_vehicles), np.full(n_vehicles, float(second)), np.full(n_vehicles, 8.0))
         if second < 5:
             memory, _ = track(memory, observers, found, params)

@@ -89,7 +89,7 @@ def moments(data: Recorded, rows: pd.DataFrame):
         found = Found(
             g.observer.to_numpy(np.int64), g.label.to_numpy(), g[["x_m", "y_m"]].to_numpy(float),
             g.yaw_rad.to_numpy(float), g.score.to_numpy(float),
-            np.full(len(g), np.nan),
+            np.full(len(g), np.nan), np.zeros(len(g)),
         )  # fmt: skip
         yield step, found, Observers(number, np.full(len(number), step * data.dt_s), speed_mps)
 

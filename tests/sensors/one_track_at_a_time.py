@@ -19,8 +19,13 @@ def first_speed(label, limit_mps, own_mps, p):
     return max(p.along_mean_mps[label], shares[0] * of_mps), max(p.along_sigma_mps[label], shares[1] * of_mps)
 
 
-def first_state(xy_m, yaw_rad, label, limit_mps, own_mps, p):
-    """State (x, vx, y, vy) and covariance of a new track."""
+def measured(after_s):
+    """The matrix that gives a place so many seconds later from a state (x, vx, y, vy)."""
+    return np.array([[1.0, after_s, 0.0, 0.0], [0.0, 0.0, 1.0, after_s]])
+
+
+def first_state(xy_m, yaw_rad, label, limit_mps, own_mps, p, after_s=0.0):
+    """State (x, vx, y, vy) and covariance of a new track that was seen there so many seconds later."""
     mean, along = first_speed(label, limit_mps, own_mps, p)
     turn = np.array([[np.cos(yaw_rad), -np.sin(yaw_rad)], [np.sin(yaw_rad), np.cos(yaw_rad)]])
     v = turn @ [mean, 0.0]
@@ -28,7 +33,8 @@ def first_state(xy_m, yaw_rad, label, limit_mps, own_mps, p):
     cov = np.zeros((4, 4))
     cov[np.ix_([1, 3], [1, 3])] = spread
     cov[0, 0] = cov[2, 2] = p.position_sigma_m[label] ** 2
-    return np.array([xy_m[0], v[0], xy_m[1], v[1]]), cov
+    back, _ = motion(-after_s, 0.0)
+    return back @ [xy_m[0], v[0], xy_m[1], v[1]], back @ cov @ back.T
 
 
 def motion(dt, q):
@@ -45,7 +51,7 @@ class Twin:
         self.p, self.tracks, self.count = params, {}, {}
 
     def sense(self, observer, time_s, own_mps, found):
-        """`found` is a list of (label, xy, yaw, score, limit); returns (object_id, age, velocity, existence)."""
+        """`found` is a list of (label, xy, yaw, score, limit, after); returns (object_id, age, velocity, existence)."""
         p = self.p
         keep_s = p.keep_s + 1e-9
         tracks = [t for t in self.tracks.get(observer, []) if time_s - t["last"] <= keep_s]
@@ -56,27 +62,28 @@ class Twin:
         cost = np.full((len(tracks), len(found) + len(tracks)), 1e9)
         for i, t in enumerate(tracks):
             cost[i, len(found) + i] = none
-            for j, (label, xy, _, _, _) in enumerate(found):
-                s = H @ t["P"] @ H.T + p.position_sigma_m[label] ** 2 * np.eye(2)
-                y = xy - H @ t["x"]
+            for j, (label, xy, _, _, _, after_s) in enumerate(found):
+                h = measured(after_s)
+                s = h @ t["P"] @ h.T + p.position_sigma_m[label] ** 2 * np.eye(2)
+                y = xy - h @ t["x"]
                 d2 = y @ np.linalg.inv(s) @ y
                 if any({label, t["label"]} <= g for g in GROUPS) and d2 < -2 * np.log(1 - p.gate_p):
                     cost[i, j] = d2 + np.log(np.linalg.det(s))
         of = {j: tracks[i] for i, j in zip(*linear_sum_assignment(cost), strict=True) if j < len(found)}
         out = []
-        for j, (label, xy, yaw, score, limit_mps) in enumerate(found):
+        for j, (label, xy, yaw, score, limit_mps, after_s) in enumerate(found):
             kept = min(max(score, p.existence_scores[0]), p.existence_scores[1])
             odds = p.existence_score * np.log(kept / (1 - kept))
             if j in of:
-                t = of[j]
+                t, h = of[j], measured(after_s)
                 r = p.position_sigma_m[label] ** 2 * np.eye(2)
-                gain = t["P"] @ H.T @ np.linalg.inv(H @ t["P"] @ H.T + r)
-                t["x"], t["P"] = t["x"] + gain @ (xy - H @ t["x"]), (np.eye(4) - gain @ H) @ t["P"]
+                gain = t["P"] @ h.T @ np.linalg.inv(h @ t["P"] @ h.T + r)
+                t["x"], t["P"] = t["x"] + gain @ (xy - h @ t["x"]), (np.eye(4) - gain @ h) @ t["P"]
                 weight = 1 - np.exp(-(time_s - t["last"]) / p.existence_memory_s)
                 t["odds"] += weight * (p.existence_again + odds)
                 t["hits"], t["last"], t["label"] = t["hits"] + 1, time_s, label
             else:
-                x, cov = first_state(xy, yaw, label, limit_mps, own_mps, p)
+                x, cov = first_state(xy, yaw, label, limit_mps, own_mps, p, after_s)
                 number = self.count.get(observer, 0)
                 self.count[observer] = number + 1
                 t = {"x": x, "P": cov, "time": time_s, "first": time_s, "last": time_s, "label": label, "hits": 1,

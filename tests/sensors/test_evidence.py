@@ -37,7 +37,7 @@ def blind(n=1, fov_deg=90.0) -> RangeImages:
     grid = beams(LidarParams(fov_deg=fov_deg))
     empty = np.full((n, len(grid.azimuth_rad), len(grid.elevation_rad)), NO_RETURN, np.uint16)
     poses = Poses(np.zeros((n, 3)), np.zeros(n))
-    return RangeImages(poses, np.arange(n), np.zeros(n), grid, 80.0, empty, FINEST_M, 0.0)
+    return RangeImages(poses, np.arange(n), np.zeros(n), grid, 80.0, empty, FINEST_M)
 
 
 def applies_to(sensed: Boxes, fov_rad: float):
@@ -133,7 +133,7 @@ def test_a_full_turn_of_few_columns(n):
     rng, grid = np.random.default_rng(n), beams(LidarParams(profile="vlp16", n_azimuths=n))
     steps = rng.integers(0, 5000, (1, n, len(grid.elevation_rad))).astype(np.uint16)
     poses = Poses(np.zeros((1, 3)), np.zeros(1))
-    sweeps = RangeImages(poses, np.arange(1), np.zeros(1), grid, 80.0, steps, FINEST_M, 0.0)
+    sweeps = RangeImages(poses, np.arange(1), np.zeros(1), grid, 80.0, steps, FINEST_M)
     asked = Boxes(rng.uniform(-6, 6, (300, 3)), rng.uniform(1, 12, (300, 3)), rng.uniform(-np.pi, np.pi, 300))
     whole = whole_cloud.points_in_boxes_xyz(sweeps.xyz(0), asked.xyz_m, asked.lwh_m, asked.yaw_rad)
     assert whole.sum() > 100

@@ -197,16 +197,3 @@ def test_invalid_calls_are_refused():
         exact(car(0, 0), [CAR], [1])
     with pytest.raises(ValueError, match="keys"):
         scan(car(0, 0), np.zeros(1, np.uint8), np.array([0]), Scene.empty(), LidarParams(), np.zeros(2, np.uint64))
-
-
-@pytest.mark.parametrize(
-    ("keys", "sweep_s"),
-    [
-        ({"profile": "hdl64e", "rotation_hz": 10.0}, 0.1),
-        ({"profile": "hdl64e_front", "rotation_hz": 10.0}, 0.025),
-        ({"profile": "hdl64e", "fov_deg": 180.0, "rotation_hz": 5.0}, 0.1),
-        ({"profile": "hdl64e", "rotation_hz": "off"}, 0.0),
-    ],
-)
-def test_a_sweep_takes_the_part_of_a_turn_that_it_looks_at(keys, sweep_s):
-    assert LidarParams(**keys).sweep_s == pytest.approx(sweep_s)

@@ -7,7 +7,7 @@ import pytest
 
 from sensors import lidar
 from sensors.boxes import Boxes
-from sensors.evidence import observability
+from sensors.evidence import observability, points_in_boxes
 from sensors.lidar import LidarParams, Sweeps, scan
 from sensors.scene import Hit, Scene, Shape
 from tests.sensors.town import blocks, random_boxes, traffic
@@ -114,6 +114,21 @@ def test_a_vehicle_that_passes_at_20_m_s_by_hand():
     assert 0.45 < np.mean(ends[1]) - np.mean(ends[0]) < 0.55
     assert (ends[1][1] - ends[1][0]) < (ends[0][1] - ends[0][0])
     assert np.allclose(moving.moved_m(np.array([0]), boxes, np.array([1])), [[20.0 * 0.025, 0.0, 0.0]])
+
+
+def test_a_box_with_a_velocity_is_asked_about_where_the_sensor_sees_it():
+    """The car of above, at 40 m/s: a quarter of a turn, 0.025 s, after the sweep begins it is 1 m ahead. With its
+    velocity, all returns of its side lie in its box. Without, a quarter of the side is outside, and the free space
+    through which it came is in it. A box that follows 2 m behind the car is empty either way."""
+    seen, boxes = passing(40.0, rotation_hz=10.0)
+    n_hits = int((seen.hit[0] == seen.hit[0].max()).sum())
+    longer = replace(boxes, lwh_m=boxes.lwh_m + [0.1, 0.1, 0.0]).take(np.array([1, 1]))
+    behind = replace(longer, xyz_m=longer.xyz_m - [[0.0, 0.0, -0.05], [6.2, 0.0, -0.05]])  # above the road
+    o, velocity = np.zeros(2, int), np.array([[40.0, 0.0], [40.0, 0.0]])
+    with_velocity = points_in_boxes(seen, o, behind, velocity_mps=velocity)
+    without = points_in_boxes(seen, o, behind)
+    assert with_velocity[0] == pytest.approx(n_hits, rel=0.06) and with_velocity[1] == 0
+    assert 0.6 * n_hits < without[0] < 0.85 * n_hits
 
 
 def test_without_motion_or_time_it_is_a_sweep_of_one_instant():

@@ -36,12 +36,12 @@ def one_track(**changed):
     return replace(made, **changed)
 
 
-def found(observer, label, xy_m, yaw_rad, score=0.5):
+def found(observer, label, xy_m, yaw_rad, score=0.5, after_s=0.0):
     n = len(observer)
     return Found(
         np.asarray(observer, np.int64), np.broadcast_to(np.asarray(label, np.uint8), n), np.asarray(xy_m, float),
         np.broadcast_to(np.asarray(yaw_rad, float), n), np.broadcast_to(np.asarray(score, float), n),
-        np.full(n, np.nan),
+        np.full(n, np.nan), np.full(n, after_s),
     )  # fmt: skip
 
 
@@ -75,6 +75,33 @@ def test_update_by_hand():
     assert after.n_hits[0] == 2 and after.existence[0] == pytest.approx(p.existence_again)  # a score of 0.5 adds 0
 
 
+def test_a_detection_of_another_moment_by_hand():
+    # Seen 0.5 s after the moment, along the axis: it measures x + 0.5 v, whose covariances with x and v are
+    # a = 1 + 0.5 * 0.5 = 1.25 and b = 0.5 + 0.5 * 2 = 1.5; s = 1.25 + 0.5 * 1.5 + 0.09 = 2.09. The track expects
+    # 1 + 0.5 * 3 = 2.5 there and finds 4.59, so y = 2.09: x = 1 + 1.25, v = 3 + 1.5.
+    p = TrackingParams(position_sigma_m=(0.3, 1.0, 1.0, 1.0))
+    after = updated(one_track(), found([7], 0, [[4.59, 2.0]], 0.0, after_s=0.5), p)
+    assert after.xy_m[0] == pytest.approx([2.25, 2.0]) and after.velocity_mps[0] == pytest.approx([4.5, 0.0])
+    expected = [1 - 1.25**2 / 2.09, 0.5 - 1.25 * 1.5 / 2.09, 2 - 1.5**2 / 2.09]
+    assert after.covariance[0, 0] == pytest.approx(expected)
+    # A new track expects 6 m/s with a deviation of 4.5 m/s. So it was 3 m back: P_xx = 0.09 + 0.25 * 20.25.
+    memory, _ = track(TrackMemory(), sensing([1], 0), found([1], 0, [[4.0, 0.0]], 0.0, after_s=0.5), p)
+    assert memory.tracks.xy_m[0] == pytest.approx([1.0, 0.0])
+    assert memory.tracks.covariance[0, 0] == pytest.approx([5.1525, -10.125, 20.25])
+
+
+def test_a_car_that_passes_behind_a_turning_sensor():
+    """At 30 m/s, seen without noise 0.05 s late and then 0.05 s early, as its azimuth goes from half a turn to less
+    than minus half a turn: no jump of 3 m in its place and no false speed."""
+    memory, p = TrackMemory(), replace(P, keep_s=3.0)
+    for second in range(8):
+        after_s = 0.05 if second < 4 else -0.05
+        seen = found([1], 0, [[30.0 * (second + after_s), 0.0]], 0.0, 0.9, after_s)
+        memory, state = track(memory, sensing([1], second, 30.0), seen, p)
+    assert state.object_id.tolist() == [0] and state.velocity_mps[0] == pytest.approx([30.0, 0.0], abs=0.05)
+    assert memory.tracks.xy_m[0] == pytest.approx([210.0, 0.0], abs=0.01)
+
+
 def test_existence_by_hand():
     # Log-odds of 1.95 for a new track of score 0.5; a second detection ln 2 memories later counts by half of
     # 1.38 + 1.9 logit(0.75) = 1.38 + 1.9 ln 3; a score of 0.99 counts as 0.88.
@@ -88,8 +115,9 @@ def test_existence_by_hand():
     )
 
 
-def scene(seed, n_observers=6, n_objects=12, n_moments=9, together=False):
-    """Moments of a crowded random scene: (observers, detections). Some observers do not sense in some moments."""
+def scene(seed, n_observers=6, n_objects=12, n_moments=9, together=False, most_s=0.05):
+    """Moments of a crowded random scene: (observers, detections). Some observers do not sense in some moments. Objects
+    are seen up to `most_s` before or after the moment."""
     rng = np.random.default_rng(seed)
     label = rng.choice([0, 0, 1, 2, 3], n_objects).astype(np.uint8)
     yaw = rng.uniform(-np.pi, np.pi, n_objects)
@@ -98,24 +126,26 @@ def scene(seed, n_observers=6, n_objects=12, n_moments=9, together=False):
     moments, time_s = [], 0.0
     for _ in range(n_moments):
         time_s += 0.3 if together else rng.choice([0.1, 0.5, 1.0])
-        at = xy + time_s * speed[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)])
+        heading = np.column_stack([np.cos(yaw), np.sin(yaw)])
         who = np.flatnonzero(rng.random(n_observers) < (1.0 if together else 0.7)) * 3 + 5
         rows = [(o, np.flatnonzero(rng.random(n_objects) < 0.8)) for o in who]
         o = np.concatenate([[k] * len(r) for k, r in rows] or [[]]).astype(np.int64)
         r = np.concatenate([r for _, r in rows] or [[]]).astype(np.int64)
+        after_s = rng.uniform(-most_s, most_s, len(r))
+        at = xy[r] + ((time_s + after_s) * speed[r])[:, None] * heading[r]
         seen = label[r].copy()
         seen[rng.random(len(r)) < 0.05] = 3  # confused
         moments.append((
             Observers(who, np.full(len(who), time_s), rng.uniform(0, 30, len(who))),
-            Found(o, seen, at[r] + rng.normal(0, 0.2, (len(r), 2)), yaw[r] + rng.normal(0, 0.1, len(r)),
-                  rng.uniform(0, 1, len(r)), rng.choice([np.nan, 13.9, 27.8], len(r))),
+            Found(o, seen, at + rng.normal(0, 0.2, (len(r), 2)), yaw[r] + rng.normal(0, 0.1, len(r)),
+                  rng.uniform(0, 1, len(r)), rng.choice([np.nan, 13.9, 27.8], len(r)), after_s),
         ))  # fmt: skip
     return moments
 
 
 def as_rows(found, rows):
-    """Class, place, heading, score and limit of each of these detections."""
-    columns = found.label.astype(int), found.xy_m, found.yaw_rad, found.score, found.limit_mps
+    """Class, place, heading, score, limit and time of each of these detections."""
+    columns = found.label.astype(int), found.xy_m, found.yaw_rad, found.score, found.limit_mps, found.after_s
     return list(zip(*(column[rows] for column in columns), strict=True))
 
 
@@ -151,14 +181,14 @@ def test_like_the_slow_twin(seed):
 
 def test_like_stone_soup():
     """Three observers in a crowd: the same numbers, and states within 1e-9."""
-    moments = scene(3, n_observers=3, n_objects=9, n_moments=7)
+    moments = scene(3, n_observers=3, n_objects=9, n_moments=7, most_s=0.0)
     library, memory, n_moved = {}, TrackMemory(), 0
     for observers, seen in moments:
         memory, state = track(memory, observers, seen, P)
         own = memory.tracks
         for o, t, v in zip(observers.number, observers.time_s, observers.speed_mps, strict=True):
             rows = np.flatnonzero(seen.observer == o)
-            said = library.setdefault(o, StoneSoup(P)).sense(t, v, as_rows(seen, rows))
+            said = library.setdefault(o, StoneSoup(P)).sense(t, v, [row[:5] for row in as_rows(seen, rows)])
             for k, (number, xy, velocity, _) in zip(rows, said, strict=True):
                 row = np.flatnonzero((own.observer == o) & (own.object_id == number))
                 assert state.object_id[k] == number

@@ -17,7 +17,8 @@ SETTINGS = ("preset=modern", "traffic.duration_s=6", "traffic.warmup_s=200", "tr
 @pytest.fixture(scope="module")
 def drive():
     """Per detection of an actor: class (-1 for self reports), range, squared normalised errors of position (over 2),
-    heading (modulo pi) and length. Per fused object of an actor: class, range, number of sources, squared normalised
+    heading (modulo pi) and length; how far it drove until the sensor looked there, if its velocity is stated, and the
+    error along its heading. Per fused object of an actor: class, range, number of sources, squared normalised
     error over 2."""
     found, fused = [], []
     with Simulation(load(None, SETTINGS)) as simulation:
@@ -47,9 +48,15 @@ def of_detections(sensed, world):
     longer = np.log(boxes.lwh_m[:, 0] / world.boxes.lwh_m[actor, 0])
     label = np.where(objects.origin[rows] == SELF, -1, objects.label[rows].astype(int))
     label[objects.label[rows] != world.label[actor]] = -2  # confused
+    after_s = sensed.positioned.observed.sweeps.seen_after_s(
+        np.searchsorted(sensed.sensing.row, objects.observer[rows]), boxes.xyz_m
+    )
+    drove_m = np.abs(after_s * world.speed_mps[actor] * np.isfinite(objects.velocity_mps[rows, 0]))
+    along_m = np.cos(world.boxes.yaw_rad[actor]) * x + np.sin(world.boxes.yaw_rad[actor]) * y
     with np.errstate(divide="ignore", invalid="ignore"):
         heading, length = turn**2 / objects.heading_variance[rows], longer**2 / objects.size_variance[rows]
-    return np.stack([label, range_m, over_two(x, y, objects.variance_m2[rows]), heading, length])
+    square = over_two(x, y, objects.variance_m2[rows])
+    return np.stack([label, range_m, square, heading, length, drove_m, along_m])
 
 
 def of_fused(sensed, world):
@@ -102,6 +109,15 @@ def test_normalised_errors_have_unit_variance(drive, label):
     assert 0.8 < core.mean() / 0.89 < 1.25
     for factor in (0.5, 2.0):  # a variance that is twice or half as large is noticed
         assert not 0.8 < np.median(square / factor) / np.log(2) < 1.25
+
+
+def test_cars_are_reported_where_they_were_at_the_time_of_the_sweep(drive):
+    """A sensor looks up to half a turn after that time. Cars with a known velocity that drove 0.3 m and more until
+    then are no farther off along their heading than those that stood: the position error of the vehicle is 0.2 m."""
+    label, _, _, _, _, drove_m, along_m = drive[0]
+    far, near = (np.median(np.abs(along_m[(label == 0) & some])) for some in (drove_m > 0.3, drove_m < 0.03))
+    assert (drove_m[label == 0] > 0.3).sum() > 50
+    assert far < min(1.25 * near, 0.3)
 
 
 @pytest.mark.parametrize("label", [0, 1], ids=["car", "pedestrian"])

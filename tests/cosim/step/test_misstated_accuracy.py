@@ -10,6 +10,7 @@ from cosim.messages import etsi
 from cosim.messages.content import FABRICATED, Detections
 from cosim.step.accuracy import DetectorAccuracy, Reporters, aged, pose_variance, stated
 from cosim.step.comparing import RelativeAccuracy, _permitted_share
+from cosim.step.perception import BoxQuestions
 from sensors.association import (
     LEAST_VARIANCE_M2,
     MOST_VARIANCE_M2,
@@ -39,7 +40,7 @@ def ghosts(*factors, x_m=0.0, moves=False):
         accuracy_factor=np.array(factors, float),
     )  # fmt: skip
     pose = pose_variance(np.zeros(n, bool), CONFIG)
-    reporters = Reporters(np.zeros((n, 3)), np.zeros(n), pose, np.full(n, CONFIG.lidar.sweep_s))
+    reporters = Reporters(np.zeros((n, 3)), np.zeros(n), pose, np.zeros(n))
     return stated(listed, None, reporters, np.full(n, np.nan), DetectorAccuracy(), CONFIG)
 
 
@@ -159,7 +160,8 @@ def test_where_free_space_is_asked(factor, share):
     0.51, 1.53 and 2.83 m. From 1 m on they are permitted, so that 4 of 5 parts of the denial count by visibility."""
     ghost = ghosts(factor)
     lists = SimpleNamespace(member=np.zeros(1, int), of_member=lambda: np.zeros(1, int))
-    plausible = np.zeros(1, bool)
+    plausible, none = np.zeros(1, bool), np.zeros(0, int)
+    asked = BoxQuestions(ghost.boxes, np.zeros((1, 2)), AreaParams(), none, none, none, none)
     accuracy = RelativeAccuracy(ghost.variance_m2, np.zeros(1))
-    found = _permitted_share(_FreeSpace(), None, lists, plausible, ghost.boxes, accuracy, AreaParams())
+    found = _permitted_share(_FreeSpace(), None, lists, plausible, asked, accuracy)
     np.testing.assert_allclose(found, [share])

@@ -58,12 +58,15 @@ def observed():
     return found
 
 
-def test_each_sweep_takes_the_time_of_its_own_sensor():
-    """A quarter of a turn at 10 Hz takes 0.025 s. Units look all around."""
-    config = load(None, ["lidar.profile=hdl64e_front", "lidar.rotation_hz=10", "sensing_interval_s=1"])
+def test_all_sensors_look_to_their_left_a_quarter_of_a_turn_later():
+    """At 10 Hz, 0.025 s after they look ahead, and as long before to their right."""
+    config = load(None, ["lidar.rotation_hz=10", "sensing_interval_s=1"])
     world, perception = world_of(True), MixedPerception.of(perception_of(config, Scene.empty()), UNITS)
     sweeps = perception(world, np.arange(len(world)), Stopwatch()).sweeps
-    np.testing.assert_allclose(sweeps.sweep_s, np.where(world.is_roadside, 0.1, 0.025))
+    o, yaw = np.arange(len(world)), sweeps.poses.yaw_rad
+    for side in (1.0, -1.0):
+        beside_m = sweeps.poses.origin_m + side * np.column_stack([-np.sin(yaw), np.cos(yaw), np.zeros(len(o))])
+        np.testing.assert_allclose(sweeps.seen_after_s(o, beside_m), side * 0.025)
 
 
 def test_vehicles_perceive_what_they_perceive_without_units(observed):
@@ -101,7 +104,7 @@ def test_units_evaluate_what_stands_on_the_street_below_them(observed):
         after.sweeps, o, world.boxes, AreaParams(), cars, world.label, world.boxes
     )  # fmt: skip
     assert inside.all()
-    asked = BoxQuestions(world.boxes, AreaParams(), o, cars, o, cars)
+    asked = BoxQuestions(world.boxes, np.zeros((len(world), 2)), AreaParams(), o, cars, o, cars)
     n_points, _ = perception.answers(after.sweeps, asked)
     seen = after.observability
     returns = np.zeros(n, int)
@@ -115,7 +118,9 @@ def test_what_is_below_the_beams_is_not_denied(observed):
     world, perception, after = observed[1]
     boxes = Boxes(np.array([[0.0, -5.0, 1.75], [0.0, -35.0, 1.75]]), np.tile([4.5, 1.8, 1.5], (2, 1)), np.zeros(2))
     o, none = np.full(2, int(np.flatnonzero(world.is_roadside)[0])), np.zeros(0, int)
-    _, plausible = perception.answers(after.sweeps, BoxQuestions(boxes, AreaParams(), none, none, o, np.arange(2)))
+    _, plausible = perception.answers(
+        after.sweeps, BoxQuestions(boxes, np.zeros((2, 2)), AreaParams(), none, none, o, np.arange(2))
+    )
     assert plausible.tolist() == [True, False]
 
 

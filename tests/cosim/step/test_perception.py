@@ -25,7 +25,8 @@ def test_groups_and_threads_change_nothing(monkeypatch, group):
     observers, threads, found = np.flatnonzero(world.equipped), numba.get_num_threads(), []
     assert len(observers) > 2 * perception.FEW
     asked = perception.BoxQuestions(
-        boxes, AreaParams(), np.repeat(np.arange(len(observers)), n), np.tile(np.arange(n), len(observers)),
+        boxes, np.zeros((n, 2)), AreaParams(),
+        np.repeat(np.arange(len(observers)), n), np.tile(np.arange(n), len(observers)),
         np.arange(len(observers)), np.arange(len(observers)),
     )  # fmt: skip
     for n_threads in (1, threads):
