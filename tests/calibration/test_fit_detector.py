@@ -17,7 +17,8 @@ from tests.drive import drive
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("calibrate") / "run"
-    return open_run(drive(folder, "traffic.duration_s=6", "traffic.warmup_s=200", "fleet.penetration_p=0.5"))
+    settings = ("traffic.duration_s=6", "traffic.warmup_s=200", "fleet.penetration_p=0.5", "attacks=[]")
+    return open_run(drive(folder, *settings))
 
 
 def test_the_same_figures_as_the_metrics(run):

@@ -3,6 +3,8 @@
 import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
+from jaxtyping import Int
+from numpy import ndarray
 
 from cosim.addons.perception.kitti import FEWEST, LOOSE, STRICT, Overlap, average_precision
 from cosim.addons.perception.kitti_frames import (
@@ -18,6 +20,7 @@ from cosim.addons.perception.kitti_frames import (
     with_boxes,
 )
 from cosim.base.codes import ObjectClass, labels
+from results.metrics.trust import HONEST
 from results.run import Run
 
 CLASSES = labels(ObjectClass)
@@ -33,8 +36,8 @@ def precision(
 ) -> pd.DataFrame:
     """Average precision by KITTI's rules, ranked over all frames together.
 
-    A frame holds what is ahead of one equipped vehicle in one step: actors, and boxes, in its forward
-    90 degrees up to `range_m`, itself left out.
+    A frame holds what is ahead of one honest vehicle in one step: actors, and boxes, in its forward
+    90 degrees up to `range_m`, itself left out. The lists of others contain what they fabricate.
 
     Parameters
     ----------
@@ -55,8 +58,9 @@ def precision(
     """
     lists = with_boxes(run, lists)
     run.require("actors", "observability", *(TABLE_OF[which] for which in lists))
-    steps = sampled_steps(run, max_frames)
-    truth, poses = actors_ahead(run, steps, range_m)
+    honest = _honest(run)
+    steps = sampled_steps(run, max_frames, honest)
+    truth, poses = actors_ahead(run, steps, range_m, honest)
     rows = []
     for which in lists:
         found = boxes_ahead(run, which, steps, poses, range_m)
@@ -71,8 +75,14 @@ def precision(
                 for level, one in answer.items()
             ]  # fmt: skip
     if not rows:
-        raise run.lacks("detections to rank", "no equipped vehicle ever had an actor ahead of it.")
+        raise run.lacks("detections to rank", "no honest vehicle ever had an actor ahead of it.")
     return pd.DataFrame(rows)
+
+
+def _honest(run: Run) -> Int[ndarray, "k"]:
+    """Actor numbers of the honest vehicles."""
+    subjects = run.subjects
+    return subjects.vehicle[subjects.role == HONEST].unique()
 
 
 def ranked(run: Run, max_frames: int = 4000) -> pd.DataFrame:
@@ -90,15 +100,16 @@ def awareness_total(run: Run, max_frames: int = 4000) -> pd.DataFrame:
 def awareness(
     run: Run, range_m: float = 70.0, bin_m: float = 10.0, min_score: float = 0.5, max_frames: int = 4000
 ) -> pd.DataFrame:
-    """Environmental awareness: share of the actors around an equipped vehicle that are in its list, by distance.
+    """Environmental awareness: share of the actors around an honest vehicle that are in its list, by distance.
 
     Returns
     -------
     boxes, distance_m (middle of the bin), n_present, n_known, share. An actor is known where a box of at
     least `min_score` is really its.
     """
-    steps = sampled_steps(run, max_frames)
-    poses, actors = posed(run, steps)
+    honest = _honest(run)
+    steps = sampled_steps(run, max_frames, honest)
+    poses, actors = posed(run, steps, honest)
     i, j = near(poses, actors, range_m)
     away_m = poses[["x_m", "y_m"]].to_numpy()[i] - actors[["x_m", "y_m"]].to_numpy()[j]
     around = pd.DataFrame({
@@ -109,7 +120,7 @@ def awareness(
     })  # fmt: skip
     around = around[around.observer != around.actor]
     if around.empty:
-        raise run.lacks("objects to know", f"no equipped vehicle ever had an actor within {range_m:g} m.")
+        raise run.lacks("objects to know", f"no honest vehicle ever had an actor within {range_m:g} m.")
     rows = []
     for which in with_boxes(run, tuple(TABLE_OF)):
         is_real = pc.field("truth_actor").is_valid()

@@ -32,15 +32,21 @@ Poses = pd.DataFrame
 """Observers, the vehicles that sense in some steps: step, observer, its pose and size, frame (0, 1, ...)."""
 
 
-def sampled_steps(run: Run, max_frames: int) -> np.ndarray:
+def sampled_steps(run: Run, max_frames: int, observers: np.ndarray | None = None) -> np.ndarray:
     """Steps at equal distances over the run, with about `max_frames` frames (sweeps of equipped vehicles) in all.
+
+    Parameters
+    ----------
+    observers
+        As for `posed`.
 
     Returns
     -------
     Steps, ascending.
     """
     spans = run.table("vehicles", ["vehicle", "equipped", "first_step", "last_step"])
-    spans, steps = spans[spans.equipped], sensing_steps(run)
+    counts = spans.equipped if observers is None else spans.equipped & spans.vehicle.isin(observers)
+    spans, steps = spans[counts], sensing_steps(run)
     every = interval_steps(run, spans.vehicle.to_numpy(np.int64))
     n_frames = int(((spans.last_step - spans.first_step + 1).to_numpy() / every).sum())
     stride = sampling_stride(run, -(-n_frames // max_frames))

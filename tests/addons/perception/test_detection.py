@@ -10,11 +10,12 @@ from tests.results.tiny import fleet
 def scene(tiny):
     """Vehicle 0 stands facing east; 1 is 20 m ahead of it, 2 is 20 m behind; 50 steps; all well visible.
 
-    It detects 1 exactly in every step, and, in every second step, a ghost 40 m ahead with a higher score.
+    It detects 1 exactly in every step, and, in every second step, a ghost 40 m ahead with a higher score. Vehicle 1
+    attacks: its lists do not count.
     """
     size = {"length_m": 4, "width_m": 2, "height_m": 1.5}
-    vehicles = fleet("malicious", last_step=49)
-    vehicles += [{"vehicle": v, "vehicle_class": "car", "last_step": 49, **size} for v in (1, 2)]
+    vehicles = fleet("honest", "malicious", last_step=49)
+    vehicles.append({"vehicle": 2, "vehicle_class": "car", "last_step": 49, **size})
     vehicles.append({**fleet("honest")[0], "vehicle": 3, "first_step": 1, "last_step": 0})
     x = {0: 0.0, 1: 20.0, 2: -20.0}
     actors, observability, detections, fused = [], [], [], []
@@ -24,6 +25,7 @@ def scene(tiny):
             {"step": step, "observer": 0, "actor": v, "n_points": 90, "n_unoccluded": 100} for v in (1, 2)
         ]
         seen = {"step": step, "observer": 0, "z_m": 0.75, "transmitted": True, **size}
+        detections.append(seen | {"observer": 1, "detection_index": 1, "x_m": 60, "score": 1})
         detections.append(seen | {"detection_index": 1, "x_m": 20, "score": 0.6, "truth_actor": 1, "truth_iou": 1})
         fused.append(
             {"step": step, "observer": 0, "fused_index": 1, "score": 0.6, "ego_detected": True, "source_index": 1}
