@@ -58,8 +58,8 @@ class Detections(Rows):
     """Velocity east and north of an object that the observer tracks."""
     variance_m2: Float[ndarray, "d 3"] = field(default=None)  # type: ignore[arg-type]  # left out: exact
     """Stated variance of the position: east, east and north, north."""
-    velocity_variance: Float[ndarray, "d"] = field(default=None)  # type: ignore[arg-type]  # left out: exact
-    """Stated variance of the velocity along each axis [m2/s2], by which the position becomes less certain."""
+    velocity_variance: Float[ndarray, "d 3"] = field(default=None)  # type: ignore[arg-type]  # left out: exact
+    """Stated variance of the velocity [m2/s2], in the same order, by which the position becomes less certain."""
     relative_m2: Float[ndarray, "d 3"] = field(default=None)  # type: ignore[arg-type]  # left out: exact
     """Stated variance of the position relative to the observer: `variance_m2` without the error of its own pose, and
     with what the score says about the error."""
@@ -81,10 +81,10 @@ class Detections(Rows):
                 object.__setattr__(self, name, np.full(n, np.nan))
         if self.velocity_mps is None:
             object.__setattr__(self, "velocity_mps", np.full((n, 2), np.nan))
-        for name in ("variance_m2", "relative_m2"):
+        for name in ("variance_m2", "velocity_variance", "relative_m2"):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.zeros((n, 3)))
-        for name in ("velocity_variance", "heading_variance", "size_variance"):
+        for name in ("heading_variance", "size_variance"):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.zeros(n))
         if self.accuracy_factor is None:

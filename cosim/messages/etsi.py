@@ -374,24 +374,28 @@ class Confidences(NamedTuple):
     length: Int[ndarray, "n"]
     width: Int[ndarray, "n"]
     height: Int[ndarray, "n"]
-    speed: Int[ndarray, "n"]
+    velocity_x: Int[ndarray, "n"]
+    velocity_y: Int[ndarray, "n"]
 
     @staticmethod
     def of(
-        position_std_m: Float[ndarray, "n 2"], angle_std_rad: Float[ndarray, "n"], lwh_std_m: Float[ndarray, "n 3"],
-        speed_std_mps: Float[ndarray, "n"],
-    ) -> "Confidences":  # fmt: skip
-        """The confidence values of normal errors with these standard deviations; those of position east and north."""
+        position_std_m: Float[ndarray, "n 2"],
+        angle_std_rad: Float[ndarray, "n"],
+        lwh_std_m: Float[ndarray, "n 3"],
+        velocity_std_mps: Float[ndarray, "n 2"],
+    ) -> "Confidences":
+        """The confidence values of normal errors with these standard deviations; of place and velocity, east and north."""
         x, y = up(_HALF_WIDTH * position_std_m.ravel(), 0.01, 1, 4095, 4096).reshape(-1, 2).T
         length, width, height = up(_HALF_WIDTH * lwh_std_m.ravel(), 0.1, 1, 31, 32).reshape(-1, 3).T
         angle = up(_HALF_WIDTH * np.degrees(angle_std_rad), 0.1, 1, 126, 127)
-        return Confidences(x, y, angle, length, width, height, up(_HALF_WIDTH * speed_std_mps, 0.01, 1, 126, 127))
+        velocity = up(_HALF_WIDTH * velocity_std_mps.ravel(), 0.01, 1, 126, 127).reshape(-1, 2)
+        return Confidences(x, y, angle, length, width, height, *velocity.T)
 
     @staticmethod
     def unavailable(n: int) -> "Confidences":
         """Those of objects whose accuracy is not known."""
         nan = np.full((n, 3), np.nan)
-        return Confidences.of(nan[:, :2], nan[:, 0], nan, nan[:, 0])
+        return Confidences.of(nan[:, :2], nan[:, 0], nan, nan[:, :2])
 
 
 _HALF_WIDTH = 1.96
@@ -458,7 +462,7 @@ class CpmObjects:
                     stated = Confidences(*(column[mine] for column in confidences))
                     value = _object(kind, stated, *(column[mine] for column in columns))
                     if has_velocity:
-                        value |= _velocity(velocity[mine, 0], velocity[mine, 1], stated.speed)
+                        value |= _velocity(velocity[mine], stated)
                     bits[mine, : widths[has_velocity, kind]] = rows(OBJECT, value, len(mine))
         return CpmObjects(bits, np.arange(longest) < widths[moves, label][:, None])
 
@@ -486,9 +490,9 @@ def _object(kind: ObjectClass, of: Confidences, number: Any, x: Any, y: Any, z: 
     }  # fmt: skip
 
 
-def _velocity(east: Any, north: Any, confidence: Any) -> dict[str, Any]:
-    axes = {"xVelocity": {"value": east, "confidence": confidence}}
-    axes |= {"yVelocity": {"value": north, "confidence": confidence}}
+def _velocity(east_north: Any, stated: Any) -> dict[str, Any]:
+    axes = {"xVelocity": {"value": east_north[:, 0], "confidence": stated.velocity_x}}
+    axes |= {"yVelocity": {"value": east_north[:, 1], "confidence": stated.velocity_y}}
     return {"velocity": ("cartesianVelocity", axes)}
 
 

@@ -297,21 +297,21 @@ def _stated_accuracy_rows(sensed: Sensed) -> Columns:
     return {
         "observer": _observer(sensed),
         "detection_index": stated.detection_index,
-        **_position_std("", stated.variance_m2),
-        **_position_std("relative_", stated.relative_m2),
-        "speed_std_mps": np.sqrt(stated.velocity_variance),
+        **_std("", "m", stated.variance_m2),
+        **_std("relative_", "m", stated.relative_m2),
+        **_std("velocity_", "mps", stated.velocity_variance),
         "yaw_std_rad": np.sqrt(stated.heading_variance),
         "size_std": np.sqrt(stated.size_variance),
     }
 
 
-def _position_std(name: str, variance_m2: Float[ndarray, "d 3"]) -> Rows:
-    """Columns of the standard deviations and the correlation of positions, from variances xx, xy, yy."""
-    xx, xy, yy = variance_m2.T
-    x_std_m, y_std_m = np.sqrt(xx), np.sqrt(yy)
-    both = x_std_m * y_std_m
+def _std(name: str, unit: str, variance: Float[ndarray, "d 3"]) -> Rows:
+    """Columns of the standard deviations east and north, and of their correlation, from variances xx, xy, yy."""
+    xx, xy, yy = variance.T
+    x_std, y_std = np.sqrt(xx), np.sqrt(yy)
+    both = x_std * y_std
     correlation = np.divide(xy, both, out=np.zeros(len(both)), where=both > 0)
-    return {f"{name}x_std_m": x_std_m, f"{name}y_std_m": y_std_m, f"{name}xy_correlation": correlation}
+    return {f"{name}x_std_{unit}": x_std, f"{name}y_std_{unit}": y_std, f"{name}xy_correlation": correlation}
 
 
 def _cpm_content_rows(world: World, sensed: Sensed) -> Columns:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.config.config import Config
@@ -121,25 +121,26 @@ def stated(
     x, y = away_m.T
     moves = velocities(listed)
     known = np.isfinite(moves).all(axis=1)
-    of_class = _speed_variance(listed.label, limit_mps, reporters.speed_mps, c.tracking)
-    speed = np.where(known, _OWN_SPEED_SIGMA_MPS**2, of_class)
+    of_class = _velocity_variance(listed, limit_mps, reporters.speed_mps, c.tracking)
+    velocity = np.where(known[:, None], _OWN_SPEED_SIGMA_MPS**2 * ALONG_BOTH, of_class)
     if tracks is not None:
         rows = np.flatnonzero(listed.origin == SENSED)
-        speed[rows] = np.where(known[rows], tracks.variance.mean(axis=1), speed[rows])
-    of_sweep = np.where(is_self, 0.0, reporters.after_s**2) * speed
-    relative_m2 = of_sweep[:, None] * ALONG_BOTH
+        of_track = along_axes(tracks.variance, tracks.axis)
+        velocity[rows] = np.where(known[rows, None], of_track, velocity[rows])
+    relative_m2 = np.where(is_self, 0.0, reporters.after_s**2)[:, None] * velocity
     at_any_score_m2 = relative_m2 + of_detector[:, None] * ALONG_BOTH
     if detector.error_by_score is not None:
         of_detector = of_detector * detector.error_by_score(listed.score, listed.n_points, listed.label)
     squares = np.stack([y * y, -x * y, x * x])
     of_pose = (across * squares).T + of_position[:, None] * ALONG_BOTH
     if not c.extrapolate:  # the box stays where it was said to be
-        speed += 0.5 * np.where(known, (moves * moves).sum(axis=1), 0.0)
+        east, north = np.where(known[:, None], moves, 0.0).T
+        velocity = velocity + np.column_stack([east * east, east * north, north * north])
     told = listed.accuracy_factor**2  # 1 is exact, so that honest statements stay as they are
     return replace(
         listed,
         variance_m2=bounded((at_any_score_m2 + of_pose) * told[:, None]),
-        velocity_variance=np.minimum(speed * told, np.maximum(speed, of_class)),
+        velocity_variance=velocity * np.minimum(told, np.maximum(1.0, _mean(of_class) / _mean(velocity)))[:, None],
         relative_m2=(relative_m2 + of_detector[:, None] * ALONG_BOTH) * told[:, None],
         heading_variance=np.where(is_self, 0.0, sigma_rad**2) * told,
         size_variance=np.where(is_self, 0.0, size_sigma**2) * told,
@@ -164,17 +165,31 @@ def aged(listed: Detections, age_s: Float[ndarray, "d"], params: TrackingParams)
     with the spectral density q: q age^3 / 3.
     """
     acceleration = np.asarray(params.acceleration_noise)[listed.label]
-    more = listed.velocity_variance * age_s**2 + acceleration * age_s**3 / 3.0
-    along_both = more[:, None] * ALONG_BOTH
-    return replace(listed, variance_m2=listed.variance_m2 + along_both, relative_m2=listed.relative_m2 + along_both)
+    at_random = (acceleration * age_s**3 / 3.0)[:, None] * ALONG_BOTH
+    more = listed.velocity_variance * (age_s**2)[:, None] + at_random
+    return replace(listed, variance_m2=listed.variance_m2 + more, relative_m2=listed.relative_m2 + more)
 
 
-def _speed_variance(
-    label: UInt8[ndarray, "d"],
-    limit_mps: Float[ndarray, "d"],
-    own_mps: Float[ndarray, "d"],
-    params: TrackingParams,
-) -> Float[ndarray, "d"]:
-    """Variance of the velocity along each axis of an object without a track. The heading may be reversed."""
-    mean_mps, sigma_mps = expected_speed(label, limit_mps, own_mps, params)
-    return 0.5 * (mean_mps**2 + sigma_mps**2 + np.asarray(params.across_sigma_mps)[label] ** 2)
+def along_axes(variance: Float[ndarray, "d 2"], axis: Float[ndarray, "d 2"]) -> Float[ndarray, "d 3"]:
+    """Variances xx, xy, yy from those along and across unit vectors."""
+    along, across = variance.T
+    cos, sin = axis.T
+    xx = along * cos * cos + across * sin * sin
+    yy = along * sin * sin + across * cos * cos
+    return np.column_stack([xx, (along - across) * cos * sin, yy])
+
+
+def _mean(variance: Float[ndarray, "d 3"]) -> Float[ndarray, "d"]:
+    """Mean of the variances along both axes."""
+    return 0.5 * (variance[:, 0] + variance[:, 2])
+
+
+def _velocity_variance(
+    listed: Detections, limit_mps: Float[ndarray, "d"], own_mps: Float[ndarray, "d"], params: TrackingParams
+) -> Float[ndarray, "d 3"]:
+    """Mean squares of the velocity of objects without a track. The heading may be reversed."""
+    mean_mps, sigma_mps = expected_speed(listed.label, limit_mps, own_mps, params)
+    along = mean_mps**2 + sigma_mps**2
+    across = np.asarray(params.across_sigma_mps)[listed.label] ** 2
+    yaw = listed.boxes.yaw_rad
+    return along_axes(np.column_stack([along, across]), np.column_stack([np.cos(yaw), np.sin(yaw)]))

@@ -62,7 +62,9 @@ KEY = ("step", "observer", "detection_index")
 TRACKED = ("velocity_x_mps", "velocity_y_mps", "object_id")
 """Columns of the table `tracks`; a run without tracking has no rows there."""
 
-STATED = ("relative_x_std_m", "relative_y_std_m", "relative_xy_correlation", "speed_std_mps", "yaw_std_rad", "size_std")
+POSITION = ["relative_x_std_m", "relative_y_std_m", "relative_xy_correlation"]
+VELOCITY = ["velocity_x_std_mps", "velocity_y_std_mps", "velocity_xy_correlation"]
+STATED = (*POSITION, *VELOCITY, "yaw_std_rad", "size_std")
 """Columns of the table `stated_accuracies`, which runs at level full have."""
 
 TRACKS = 2**15
@@ -342,14 +344,20 @@ def objects_of(
 
 def confidences_of(perceived: pd.DataFrame, turn_rad: Float[ndarray, "d"]) -> etsi.Confidences:
     """What the senders state of the accuracy of objects, with axes turned to true north."""
-    x, y, correlation, speed, yaw, size = perceived[list(STATED)].to_numpy(float).T
+    position_m, velocity_mps = (_turned_std(perceived[columns], turn_rad) for columns in (POSITION, VELOCITY))
+    yaw, size = perceived[["yaw_std_rad", "size_std"]].to_numpy(float).T
+    lwh_m = perceived[BOX].to_numpy(float)[:, 3:6]
+    return etsi.Confidences.of(position_m, yaw, lwh_m * size[:, None], velocity_mps)
+
+
+def _turned_std(stated: pd.DataFrame, turn_rad: Float[ndarray, "d"]) -> Float[ndarray, "d 2"]:
+    """Standard deviations along turned axes, from two standard deviations and their correlation."""
+    x, y, correlation = stated.to_numpy(float).T
     cos, sin = np.cos(turn_rad), np.sin(turn_rad)
     shared = 2 * cos * sin * correlation * x * y
     east = (cos * x) ** 2 + shared + (sin * y) ** 2
     north = (sin * x) ** 2 - shared + (cos * y) ** 2
-    std_m = np.sqrt(np.column_stack([east, north]))
-    lwh_m = perceived[BOX].to_numpy(float)[:, 3:6]
-    return etsi.Confidences.of(std_m, yaw, lwh_m * size[:, None], speed)
+    return np.sqrt(np.column_stack([east, north]))
 
 
 def geonetworking(

@@ -190,12 +190,13 @@ def test_stated_accuracies_are_confidence_values():
         "detection_index": [1, 2, 3], "class": "car", "score": 0.5, "object_id": pd.array([1, 2, 3], "Int32"),
         "velocity_x_mps": 3.0, "velocity_y_mps": 0.0,
         "relative_x_std_m": [0.5, np.nan, 50.0], "relative_y_std_m": [0.2, np.nan, 50.0],
-        "relative_xy_correlation": [0.3, np.nan, 0.0], "speed_std_mps": [0.25, np.nan, 9.0],
+        "relative_xy_correlation": [0.3, np.nan, 0.0], "velocity_x_std_mps": [0.25, np.nan, 9.0],
+        "velocity_y_std_mps": [0.1, np.nan, 9.0], "velocity_xy_correlation": [0.0, np.nan, 0.0],
         "yaw_std_rad": [np.radians(2), np.nan, 1.0], "size_std": [0.05, np.nan, 2.0],
     })  # fmt: skip
     found = [o.get("confidence") for o in read_back(perceived)]
     assert found[0] == {
-        "x": 40, "y": 98, "z": 4096, "velocity": (49, 49), "angle": 40, "height": 2, "width": 2, "length": 4
+        "x": 40, "y": 98, "z": 4096, "velocity": (20, 49), "angle": 40, "height": 2, "width": 2, "length": 4
     }  # fmt: skip
     assert found[1] is None, "nothing stated: unavailable"
     assert found[2] == {

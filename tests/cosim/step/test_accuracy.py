@@ -150,7 +150,7 @@ def test_fused_objects_have_the_stated_variance(drive, label):
 @pytest.fixture(scope="module")
 def beside_a_motorway():
     """Of cars and trucks without a track in Königs Wusterhausen: own speed, squared error of the velocity along each
-    axis (a receiver takes 0), and the stated variance."""
+    axis (a receiver takes 0), and the stated variance, both as means of the axes."""
     city = [*SETTINGS, "traffic.scenario=koenigs-wusterhausen", "fleet.penetration_p=0.5", "traffic.duration_s=20"]
     found = []
     with Simulation(load(None, city)) as simulation:
@@ -161,7 +161,8 @@ def beside_a_motorway():
                 is_new = truth.is_real & (objects.origin == SENSED) & np.isnan(objects.velocity_mps).any(axis=1)
                 rows = np.flatnonzero(is_new & np.isin(objects.label, (0, 3)))
                 own_mps, mps = world.speed_mps[objects.observer[rows]], world.speed_mps[truth.actor_row[rows]]
-                found.append(np.stack([own_mps, mps**2 / 2, objects.velocity_variance[rows]]))
+                xx, _, yy = objects.velocity_variance[rows].T
+                found.append(np.stack([own_mps, mps**2 / 2, (xx + yy) / 2]))
     return np.concatenate(found, axis=1)
 
 
@@ -177,16 +178,16 @@ def test_speeds_of_untracked_objects_have_the_stated_variance(beside_a_motorway,
 
 
 def test_age_adds_the_variance_of_the_motion():
-    """A car whose velocity is known to 0.5 m/s, after 0.4 s: 0.25 x 0.16 = 0.04, and 1.5 x 0.064 / 3 = 0.032 by the
-    random acceleration of cars (1.5 m2/s3)."""
+    """A car whose velocity east is known to 0.5 m/s, and north to 1 m/s, after 0.4 s: 0.25 x 0.16 = 0.04 and 0.16, and
+    1.5 x 0.064 / 3 = 0.032 by the random acceleration of cars (1.5 m2/s3)."""
     boxes = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
     one = Detections(
         observer=np.zeros(1, int), detection_index=np.ones(1, int), label=np.zeros(1, np.uint8), boxes=boxes,
         score=np.ones(1), n_points=np.ones(1, int), origin=np.zeros(1, np.uint8), transmitted=np.ones(1, bool),
-        variance_m2=np.array([[0.1, 0.02, 0.2]]), velocity_variance=np.array([0.25]),
+        variance_m2=np.array([[0.1, 0.02, 0.2]]), velocity_variance=np.array([[0.25, 0.0, 1.0]]),
     )  # fmt: skip
     found = aged(one, np.array([0.4]), TrackingParams())
-    np.testing.assert_allclose(found.variance_m2, [[0.172, 0.02, 0.272]])
+    np.testing.assert_allclose(found.variance_m2, [[0.172, 0.02, 0.392]])
 
 
 def test_the_table_is_what_lists_state():
