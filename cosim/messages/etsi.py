@@ -384,7 +384,7 @@ class Confidences(NamedTuple):
         lwh_std_m: Float[ndarray, "n 3"],
         velocity_std_mps: Float[ndarray, "n 2"],
     ) -> "Confidences":
-        """The confidence values of normal errors with these standard deviations; of place and velocity, east and north."""
+        """The confidence values of normal errors with these standard deviations; place and velocity have two each."""
         x, y = up(_HALF_WIDTH * position_std_m.ravel(), 0.01, 1, 4095, 4096).reshape(-1, 2).T
         length, width, height = up(_HALF_WIDTH * lwh_std_m.ravel(), 0.1, 1, 31, 32).reshape(-1, 3).T
         angle = up(_HALF_WIDTH * np.degrees(angle_std_rad), 0.1, 1, 126, 127)

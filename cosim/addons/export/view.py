@@ -3,7 +3,7 @@
 The faces of a vehicle have the colour of its role, as in all figures. Vehicles that are not equipped are pale grey.
 The edges of a vehicle and its ring on the map have the colour of the trust in it: red is 0, yellow 0.5, blue 1, and
 dark grey is not rated. Fabricated objects are red. For chosen vehicles there are the clouds, and what they detected,
-received and believe.
+received and believe, until they sense again.
 
 The first view shows the first chosen vehicle. If there is none, it shows the first lie that was listed, or else the
 middle of the traffic.
@@ -45,7 +45,7 @@ from results.archive import open_run
 from results.figures import style
 from results.moments import BOX
 from results.run import Run
-from results.sensing import senses
+from results.sensing import interval_steps, senses
 from sensors.boxes import Boxes
 from sensors.raycast.mesh import city_triangles
 from sensors.scene import Scene
@@ -404,14 +404,7 @@ def _block(  # type: ignore[no-untyped-def]
     columns = ["vehicle", "length_m", "width_m", "height_m"]
     bodies = run.table("vehicles", columns).set_index("vehicle")
     actors = run.table("actors", where=where).sort_values(["step", "actor"]).join(bodies, on="actor")
-    own = run.subjects.vehicle[run.subjects.vehicle.isin(vehicles)]
-    shown = {
-        "fabricated": run.table("detections", ["step", *BOX], where & (pc.field("origin") == "fabricated")),
-        "detected": _of(run, "detections", where & pc.field("observer").isin(own.index.tolist()), vehicles),
-        "received": _received(run, where, vehicles),
-        "believed": _of(run, "fused", where & pc.field("observer").isin(list(vehicles)), vehicles),
-    }
-    by_step = {name: dict(iter(rows.groupby("step"))) for name, rows in shown.items()}
+    shown = last_sensed(run, steps, vehicles)
     here = dict(iter(actors.groupby("step")))
     is_now = (trust.step >= steps[0]) & (trust.step <= steps[-1])
     values = trust[is_now].groupby("step")
@@ -438,11 +431,11 @@ def _block(  # type: ignore[no-untyped-def]
             recording.log("map/encounters", rerun.LineStrips2D(lines, colors=[120, 60, 160], radii=0.3))
             high = np.stack([boxes.xyz_m[e] for e in ends], axis=1)
             recording.log("city/encounters", rerun.LineStrips3D(high, colors=[120, 60, 160], radii=0.08))
-        if step % config.schedule.exchange_every_steps:
-            continue
-        for name in shown if vehicles else ("fabricated",):
-            rows, colour = by_step[name].get(step), COLOURS[name]
-            if rows is None:
+        for name, every in shown.items():
+            if not ((every.step == step) | (every.end_step == step)).any():
+                continue
+            rows, colour = every[(every.step <= step) & (step < every.end_step)], COLOURS[name]
+            if rows.empty:
                 recording.log(f"city/{name}", rerun.Clear(recursive=False))
                 recording.log(f"map/{name}", rerun.Clear(recursive=False))
                 continue
@@ -469,19 +462,49 @@ def _boxes(rows: pd.DataFrame) -> Boxes:
     return Boxes(xyz_m.to_numpy(float), lwh_m.to_numpy(float), rows.yaw_rad.to_numpy(float))
 
 
-def _of(run: Run, table: str, where: pc.Expression, vehicles: Sequence[int]) -> pd.DataFrame:
-    """Boxes of a table. Empty if no vehicle is chosen or the run does not have the table."""
-    if not vehicles or table not in run.tables:
-        return pd.DataFrame(columns=["step", *BOX])
-    if table == "fused":
-        return run.variant_table(table, ["step", *BOX], where)
-    return run.table(table, ["step", *BOX], where & (pc.field("origin") == "sensed"))
+def last_sensed(run: Run, steps: Int[ndarray, "b"], vehicles: Sequence[int]) -> dict[str, pd.DataFrame]:
+    """Boxes that are shown in some of these steps.
+
+    Parameters
+    ----------
+    steps
+        Steps, ascending.
+    vehicles
+        Vehicles of which is shown what they detected, received and believe. What any vehicle fabricated is shown, too.
+
+    Returns
+    -------
+    By name: boxes with `step`, in which a vehicle sensed (or received, if a message outlasts its step), and
+    `end_step`, in which it or the sender senses again. They are shown from `step` until before `end_step`.
+    """
+    equipped = np.flatnonzero(run.vehicles.equipped)
+    longest = int(interval_steps(run, run.vehicles.vehicle.to_numpy(np.int64)[equipped]).max(initial=1))
+    where = (pc.field("step") > int(steps[0]) - longest) & (pc.field("step") <= int(steps[-1]))
+    of = run.subjects.vehicle
+    own, columns = of.index[of.isin(vehicles)].tolist(), ["step", "observer", *BOX]
+    fabricated = run.table("detections", columns, where & (pc.field("origin") == "fabricated"))
+    found = {"fabricated": fabricated.assign(by=fabricated.observer.map(of))}
+    if vehicles:
+        sensed = where & pc.field("observer").isin(own) & (pc.field("origin") == "sensed")
+        detected, received = run.table("detections", columns, sensed), _received(run, where, vehicles)
+        found["detected"] = detected.assign(by=detected.observer.map(of))
+        found["received"] = received.assign(by=received.sender.map(of))
+        if "fused" in run.tables:
+            believed = run.variant_table("fused", columns, where & pc.field("observer").isin(list(vehicles)))
+            found["believed"] = believed.assign(by=believed.observer)
+    return {name: _until_next(run, rows) for name, rows in found.items()}
+
+
+def _until_next(run: Run, rows: pd.DataFrame) -> pd.DataFrame:
+    """Boxes with the step in which the vehicle `by` senses again; without those of roadside units."""
+    rows = rows[rows.by.notna()]
+    return rows.assign(end_step=rows.step + interval_steps(run, rows.by.to_numpy(np.int64)))
 
 
 def _received(run: Run, where: pc.Expression, vehicles: Sequence[int]) -> pd.DataFrame:
     """Boxes in the messages that the chosen vehicles received, by step of reception. Empty without `receptions`."""
     if not vehicles or "receptions" not in run.tables:
-        return pd.DataFrame(columns=["step", *BOX])
+        return pd.DataFrame(columns=["step", "sender", *BOX])
     mine = where & pc.field("receiver").isin(list(vehicles)) & (pc.field("message_type") == "cpm")
     got = run.table("receptions", ["step", "message_step", "sender"], mine).drop_duplicates()
     when = pc.field("step").isin(got.message_step.unique().tolist())

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 import pytest
 from PIL import Image
 
-from cosim.addons.export.view import _received, colours, first_look, follow, role_colours, strips, view
+from cosim.addons.export.view import _received, colours, first_look, follow, last_sensed, role_colours, strips, view
 from cosim.addons.pictures.pictures import film
 from results.archive import open_run
 from tests.drive import cosim, drive
@@ -71,6 +71,27 @@ def test_boxes_of_a_late_message_are_those_that_were_sent(tmp_path):
     run = make(tmp_path, 2, vehicles=fleet("honest", "honest"), detections=sent, receptions=late)
     (box,) = _received(run, pc.field("step") < 2, [1]).itertuples()
     assert (box.step, box.x_m) == (1, 1.0)
+
+
+def test_boxes_are_shown_until_their_vehicle_senses_again(tmp_path):
+    """Both sense every 5 steps: vehicle 0 in 3 and 8, vehicle 1 in 4 and 9. What it did in a step before the block of
+    steps is shown in it. A roadside unit would have no interval."""
+    vehicles = fleet("honest", "malicious", sensing_interval_steps=5)
+    vehicles[0]["sensing_phase_steps"], vehicles[1]["sensing_phase_steps"] = 3, 4
+    detections = [
+        {"step": 3, "observer": 0, "origin": "sensed", "x_m": 1.0, "transmitted": True},
+        {"step": 4, "observer": 1, "origin": "fabricated", "x_m": 2.0, "transmitted": True},
+        {"step": 4, "observer": 1, "detection_index": 1, "origin": "sensed", "x_m": 4.0},
+    ]
+    heard = [{"step": 4, "message_step": 4, "message_type": "cpm", "sender": 1, "receiver": 0}]
+    fused = [{"step": 3, "observer": 0, "source_index": 0}]
+    run = make(tmp_path, 10, vehicles=vehicles, detections=detections, receptions=heard, fused=fused)
+    shown = last_sensed(run, np.arange(6, 10), [0])
+    found = {name: rows[["x_m", "step", "end_step"]].to_numpy().tolist() for name, rows in shown.items()}
+    assert found == {
+        "fabricated": [[2.0, 4, 9]], "detected": [[1.0, 3, 8]], "received": [[2.0, 4, 9]], "believed": [[1.0, 3, 8]]
+    }  # fmt: skip
+    assert list(last_sensed(run, np.arange(6, 10), [])) == ["fabricated"]
 
 
 def test_the_first_view(folder):
