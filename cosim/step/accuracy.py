@@ -121,7 +121,7 @@ def stated(
     x, y = away_m.T
     moves = velocities(listed)
     known = np.isfinite(moves).all(axis=1)
-    of_class = _velocity_variance(listed, limit_mps, reporters.speed_mps, c.tracking)
+    of_class = _velocity_variance(listed, limit_mps, reporters.speed_mps, sigma_rad, c.tracking)
     velocity = np.where(known[:, None], _OWN_SPEED_SIGMA_MPS**2 * ALONG_BOTH, of_class)
     if tracks is not None:
         rows = np.flatnonzero(listed.origin == SENSED)
@@ -185,11 +185,18 @@ def _mean(variance: Float[ndarray, "d 3"]) -> Float[ndarray, "d"]:
 
 
 def _velocity_variance(
-    listed: Detections, limit_mps: Float[ndarray, "d"], own_mps: Float[ndarray, "d"], params: TrackingParams
+    listed: Detections,
+    limit_mps: Float[ndarray, "d"],
+    own_mps: Float[ndarray, "d"],
+    sigma_rad: Float[ndarray, "d"],
+    params: TrackingParams,
 ) -> Float[ndarray, "d 3"]:
-    """Mean squares of the velocity of objects without a track. The heading may be reversed."""
+    """Mean squares of the velocity of objects without a track, whose headings have these errors or are reversed."""
     mean_mps, sigma_mps = expected_speed(listed.label, limit_mps, own_mps, params)
     along = mean_mps**2 + sigma_mps**2
     across = np.asarray(params.across_sigma_mps)[listed.label] ** 2
+    # The mean of sin^2 of a normal error is (1 - exp(-2 sigma^2)) / 2.
+    aside = 0.5 * (along - across) * -np.expm1(-2.0 * sigma_rad**2)
     yaw = listed.boxes.yaw_rad
-    return along_axes(np.column_stack([along, across]), np.column_stack([np.cos(yaw), np.sin(yaw)]))
+    axis = np.column_stack([np.cos(yaw), np.sin(yaw)])
+    return along_axes(np.column_stack([along - aside, across + aside]), axis)
