@@ -300,11 +300,15 @@ def is_grid(points: pd.DataFrame, keys: Sequence[str]) -> bool:
     return len(points[varied].drop_duplicates()) == n_values.prod()
 
 
-def at_first(frame: pd.DataFrame, keys: Iterable[str]) -> pd.DataFrame:
-    """Rows with the first value of keys that change nothing: it stands for all."""
-    for key in keys:
-        frame = frame[frame[key] == frame[key].iloc[0]]
-    return frame
+def at_first(frame: pd.DataFrame, keys: Sequence[str], beside: Sequence[str]) -> pd.DataFrame:
+    """Rows with the first values of keys that change nothing: they stand for all.
+
+    First for each combination of the columns `beside`, of replicate, metric and group: some runs of a study may fail.
+    """
+    if not keys:
+        return frame
+    same = [name for name in dict.fromkeys([*beside, "replicate", "metric", "group"]) if name in frame]
+    return frame.merge(frame.drop_duplicates(same)[[*same, *keys]])
 
 
 def that_matter(measures: pd.DataFrame, keys: Sequence[str]) -> list[str]:

@@ -95,9 +95,9 @@ def pivot(
         here |= dict.fromkeys(of_metric.label)
         matter = that_matter(chosen(measures, [name]), study.keys)
         free = [key for key in others if key not in matter]
-        of_metric = at_first(of_metric, free)
-        short = with_short_names(of_metric, study.keys)
         beside = [key for key in others if key not in free]
+        of_metric = at_first(of_metric, free, [over, *beside])
+        short = with_short_names(of_metric, study.keys)
         for at, one in short.groupby(["metric", "group", *beside], sort=False, dropna=False):
             first = one.iloc[0]
             unit = "" if first.unit in ("", "1") else f" [{first.unit}]"

@@ -17,6 +17,7 @@ from results.study import (
     StudyResults,
     apart,
     are_words,
+    at_first,
     chosen,
     distinct,
     for_axes,
@@ -130,9 +131,7 @@ def draw(
         varied = [key for key in varied if key in matter or key not in study.keys]
     order = [key for key in (over, by) if key]
     order += [key for key in for_axes(of_metrics, varied) if key not in order]
-    for key in apart(of_metrics, study.keys):
-        if key not in order:  # it changes nothing: one of its values stands for all
-            frame = frame[frame[key] == of_metrics[key].iloc[0]]
+    frame = at_first(frame, [key for key in apart(of_metrics, study.keys) if key not in order], order)
     frame = with_short_names(frame, keys)
     if len(order) > 3:
         raise ValueError(

@@ -194,7 +194,8 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
                 **_mean(frame, ~frame.end_seen, "censored_right"),
                 "km_mean_s": restricted_mean(curve) if frame.start_seen.any() else np.nan,
                 **intervals.columns(
-                    intervals.ClusteredEstimate(median(curve), *median_band(curve), len(frame)), "km_median_s"
+                    intervals.ClusteredEstimate(median(curve), *median_band(curve), int(frame.start_seen.sum())),
+                    "km_median_s",
                 ),
                 "km_mean_s_note": _restriction(curve),
                 **_mean(frame, frame.gap_s.notna(), "again_share"),

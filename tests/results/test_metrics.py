@@ -29,7 +29,7 @@ def test_kaplan_meier_by_hand(tiny):
     assert curve.survival.tolist() == pytest.approx([1, 0.8, 0.6, 0.3, 0.3])
     assert (curve.low <= curve.survival).all() and (curve.survival <= curve.high).all()
     (row,) = encounters.summary(run).itertuples()
-    assert (row.n, row.n_start_unseen, row.n_end_unseen) == (6, 1, 2)
+    assert (row.n, row.n_start_unseen, row.n_end_unseen, row.km_median_s_units) == (6, 1, 2, 5)
     assert row.km_mean_s == pytest.approx(2.7) and row.km_median_s == 3
     assert row.mean_s == pytest.approx((1 + 2 + 2 + 3 + 4 + 15) / 6) and not row.km_mean_s_note
 

@@ -121,6 +121,25 @@ def test_five_keys_are_reported(tmp_path):
         study_table.pivot(study, study.summary, study_table.core(study), over="radio.range_m")
 
 
+def test_a_key_that_changes_nothing_stands_for_runs_that_are_missing(tmp_path):
+    """Without attackers the runs at 0.3 failed. Those with attackers have the same encounters: 16.01, not nothing."""
+
+    def value(metric, keys, replicate):
+        has_failed = keys["fleet.penetration_p"] == 0.3 and keys["attacks.0.share_p"] == 0
+        return np.nan if has_failed else value_of(metric, keys, replicate)
+
+    swept = {key: SWEPT[key] for key in ("fleet.penetration_p", "attacks.0.share_p")}
+    study = study_of(tmp_path, swept, value=value)
+    name = "encounters.duration.km_median_s:equipped, 100 m"
+    (row,) = study_table.pivot(study, study.summary, [name]).to_dict("records")
+    assert (row["0.1"], row["0.3"]) == ("12 (12 to 12)", "16 (16 to 16)")
+    (axes,) = study_figure.draw(study, "", [name], over="fleet.penetration_p", lean=True).axes
+    assert axes.containers[0].lines[0].get_ydata().tolist() == pytest.approx([12.01, 16.01])
+    lasted_s = {(0.1, 0.0): [12.0], (0.1, 0.1): [12.0], (0.3, 0.0): [], (0.3, 0.1): [16.0]}
+    with_curves(study, lambda keys, replicate: [(one_s, 9, 0) for one_s in lasted_s[tuple(keys[key] for key in swept)]])
+    assert len(curve_figure.draw(study, "encounters").axes[0].lines) == 2
+
+
 @pytest.mark.verify
 def test_select_boxes_name_what_the_axes_do_not_show(tmp_path, monkeypatch):
     """Numbers come first on the axes, and each city has its own figures. The AUC exists at one share of attackers."""

@@ -23,6 +23,7 @@ from results.study import (
     apart,
     are_words,
     as_column,
+    at_first,
     bounds_of_difference,
     chosen,
     distinct,
@@ -154,9 +155,7 @@ def _answer(study: StudyResults, of: _Quantity, name: str, held: list[str]) -> A
     metric, _, group = name.partition(":")
     frame = chosen(study.measures, [name])
     matter = that_matter(frame, study.keys)
-    for key in apart(frame, study.keys):
-        if key not in matter:  # it changes nothing: one of its values stands for all
-            frame = frame[frame[key] == distinct(frame[key])[0]]
+    frame = at_first(frame, [key for key in apart(frame, study.keys) if key not in matter], matter)
     reference = {key: _reference(study, frame, key) for key in matter}
     parts: list[str] = []
     for key in matter:
@@ -173,6 +172,7 @@ def _answer(study: StudyResults, of: _Quantity, name: str, held: list[str]) -> A
         *(_without_effect(frame, matter) if _is_age(of) else ()),
         _inverted(study, frame),
         _censored(study, of, group),
+        _of_fewer(study, of, frame),
         _left_out(study, of),
         _of_value(study, of),
         _beyond(of, frame),
@@ -307,6 +307,16 @@ def _censored(study: StudyResults, of: _Quantity, group: str) -> str:
     low, high = f"{n.min():,.0f}", f"{n.max():,.0f}"
     count = low if low == high else f"{low} to {high}"
     return f"a run has {count} encounters, and {_range(open_p)} of them had not ended when recording ended"
+
+
+def _of_fewer(study: StudyResults, of: _Quantity, frame: pd.DataFrame) -> str:
+    """That some means leave out replicates, and which way they err if those have no median."""
+    n, asked = frame.groupby(list(study.keys), dropna=False).value.count().min(), study.points.replicate.nunique()
+    if n == asked:
+        return ""
+    has_median = of.metric.startswith("encounters.duration.")
+    why = ", and too short if in the others most encounters outlast the run" if has_median else ""
+    return f"some means are of {n} of {asked} replicates{why}"
 
 
 def _left_out(study: StudyResults, of: _Quantity) -> str:

@@ -115,7 +115,7 @@ class Fit:
         }
 
     def _end(self, i: int, sign: int, level: float) -> float:
-        """End of the interval of a parameter on one side; NaN if it is not known, infinite if there is none."""
+        """End of the interval of a parameter on one side: NaN if not known, the parameter's bound if there is none."""
         k = len(self.free)
         variance, pairs = self.covariance[i, i], self.n_units / 2
         if not variance > 0 or pairs <= k:
@@ -143,12 +143,12 @@ class Fit:
                 least = float(found.fun)
             return least + self.log_likelihood - fall
 
-        far = half
+        free, far = self.free.copy(), half
         while beyond(far) < 0:
             far *= 1.5
             if far > 20 * half:
-                return sign * math.inf
-        free = self.free.copy()
+                free[i] = sign * math.inf
+                return float(self.family.natural(free)[i])
         free[i] += sign * optimize.brentq(beyond, 0.0, far, xtol=1e-3 * half)
         return float(self.family.natural(free)[i])
 

@@ -58,13 +58,13 @@ def boxes_of_no_actor(run: Run) -> pd.DataFrame:
 
     Returns
     -------
-    class (or "all"), n, share, with its interval clustered by sender.
+    class (or "all"), n, share, with its interval clustered by the vehicle that sent them.
     """
     found = run.sql(f"""
-        SELECT coalesce(class, 'all') AS class, observer, count_if(truth_actor IS NULL) AS top, count(*) AS bottom
+        SELECT coalesce(class, 'all') AS class, vehicle, count_if(truth_actor IS NULL) AS top, count(*) AS bottom
         FROM detections JOIN subjects ON pseudonym = observer AND role = '{HONEST}'
         WHERE origin = 'sensed' AND transmitted AND NOT lied
-        GROUP BY GROUPING SETS ((observer), (class, observer)) ORDER BY ALL
+        GROUP BY GROUPING SETS ((vehicle), (class, vehicle)) ORDER BY ALL
     """)
     if found.empty:
         raise ValueError(f"{run.path} holds no detections of honest vehicles. Equip vehicles, or set sensing = true.")

@@ -112,6 +112,19 @@ def test_where_alone_a_metric_has_a_value_is_said(tmp_path):
     assert answers.sentences(low)[3].note.endswith("below 0.5, malicious vehicles are trusted more than honest ones")
 
 
+def test_means_of_fewer_replicates_are_told(tmp_path):
+    """At 0.6 the longest of three medians, 30 s, was not reached: 11 s is the mean of 10 and 12."""
+
+    def value(metric, keys, replicate):
+        if not metric.startswith("encounters") or keys["fleet.penetration_p"] == 0.1:
+            return 8.0 + replicate
+        return (10.0, 12.0, np.nan)[replicate]
+
+    encounter, age, *_ = said_of(tmp_path, KEYS, 3, value)
+    assert "11 s" in encounter and "(some means are of 2 of 3 replicates, and too short if" in encounter
+    assert "replicates, and" not in age and "some means" not in age
+
+
 def test_each_sentence_speaks_of_one_group():
     """With unreliable vehicles beside malicious ones, too: trust is that of the honest, an AUC has its own role."""
     names = [f"trust.final.median:{role}" for role in ("honest", "malicious", "unreliable")]

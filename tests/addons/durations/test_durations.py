@@ -130,6 +130,15 @@ def test_two_equal_means_have_no_interval():
     assert np.isnan(found.covariance).all() and np.isnan(found.parameters()["short_share"][1])
 
 
+def test_an_interval_without_an_end_reaches_the_bound_of_its_parameter():
+    """45 durations of a Weibull distribution say next to nothing of two means."""
+    random = np.random.default_rng(3)
+    n, ended = np.ceil(random.weibull(0.7, 45) * 15), random.random(45) < 0.7
+    sample = Durations.independent(n - 0.5, np.where(ended, n + 0.5, np.inf), 0.5, 1.0)
+    found = fit(sample, "hyper_exponential").parameters()
+    assert found["short_share"][1:] == (0.0, 1.0) and found["short_mean_s"][1] == 0 and found["ratio_of_means"][1] == 1
+
+
 @pytest.mark.parametrize("n", [0, 19])
 def test_too_few_are_told(n):
     sample = Durations.independent(np.arange(n) + 1.0, np.arange(n) + 2.0)

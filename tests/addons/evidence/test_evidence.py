@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.addons.evidence.evaluations import SPLITS, rates
+from cosim.addons.evidence.evaluations import SPLITS, boxes_of_no_actor, rates
 from cosim.addons.evidence.repeats import repeats
 from cosim.step.trackers.evidence_audit import AuditedDetections, AuditedEvaluations, audit, count_looks
 from results.archive import open_run
@@ -56,6 +56,19 @@ def test_what_a_roadside_unit_says_of_its_own_detections_is_repeated_by_nobody(t
         evaluations=[said | {"evaluator": by, "observer": of, "step": at} for by, of, at in by_and_of],
     )
     assert (repeats(run).set_index("group").distinct.dropna() == 1).all()
+
+
+def test_boxes_under_several_pseudonyms_are_of_one_vehicle(tiny):
+    """Three vehicles with two pseudonyms each, and a box of no actor under the first one of each."""
+    sent = {"step": 1, "origin": "sensed", "transmitted": True}
+    run = tiny(
+        5,
+        vehicles=fleet("honest", "honest", "honest"),
+        pseudonyms=[{"pseudonym": n, "vehicle": n % 3, "from_step": 0, "to_step": 4} for n in range(6)],
+        detections=[sent | {"observer": n, "truth_actor": None if n < 3 else 0} for n in range(6)],
+    )
+    found = boxes_of_no_actor(run).set_index("class").loc["all"]
+    assert (found.n, found.share, found.n_units) == (6, 0.5, 3) and found.low == found.high == 0.5
 
 
 @pytest.fixture(scope="module", params=[1, 3], ids=["one hop", "relays"])
