@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import os
 import re
+from functools import lru_cache
 from pathlib import Path
 
 from sumo_nets.vtypes import SMALLEST_M, check_size
@@ -41,12 +42,19 @@ def check_input(path: Path) -> list[Path]:
     left = [path]
     while left:
         file = left.pop()
-        check_prolog(file)
-        if _is_suspicious(file):
-            new = [p for p in _checked(file) if p != path and p not in included]
-            included += new
-            left += new
+        now = file.stat()
+        version = now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns
+        new = [p for p in _included(file, version) if p != path and p not in included]
+        included += new
+        left += new
     return included
+
+
+@lru_cache(maxsize=64)
+def _included(path: Path, version: tuple[int, ...]) -> list[Path]:
+    """The files that this version of a file includes itself. A run and its SUMO read the same files, one by one."""
+    check_prolog(path)
+    return _checked(path) if _is_suspicious(path) else []
 
 
 def _is_suspicious(path: Path) -> bool:

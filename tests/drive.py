@@ -62,6 +62,7 @@ def carried_out(*words: str, cwd: Path | None = None, **environment: str) -> End
 
 IN_TURN = """
 import json, os, sys
+import cosim.runs.run, results.measure, results.report
 from cosim.cli.main import main
 for number, words in enumerate(json.loads(sys.argv[1])):
     if not os.fork():
@@ -76,11 +77,12 @@ for number, words in enumerate(json.loads(sys.argv[1])):
 def in_turn(*commands: list[str], cwd: Path, before: str = "", **environment: str) -> list[subprocess.CompletedProcess]:
     """`cosim` with the words of each command, in children of one new process, which first carries out some code.
 
-    A process of its own for each command would import the program anew.
+    A process of its own for each command would import the program anew. OpenMP forbids to fork.
     """
     with tempfile.TemporaryDirectory(prefix="cosim-test-") as streams:
         words = [sys.executable, "-c", before + IN_TURN, json.dumps(commands), streams]
         variables = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])} | environment
+        variables["NUMBA_THREADING_LAYER"] = "workqueue"
         ended = subprocess.check_output(words, cwd=cwd, env=variables, text=True).split()
         return [
             subprocess.CompletedProcess(

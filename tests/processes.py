@@ -120,10 +120,14 @@ def warm() -> Warm:
 
 def _serve(folder: Path) -> None:
     from cosim.__main__ import main
+    from cosim.traffic import sumo, sumo_process  # noqa: F401  the second loads SUMO
+    from cosim.traffic.scenario import find
+    from cosim.traffic.scene_summary import scene_summary
     from tests import plain_world
     from tests.hostile.scenes import write_trace
 
     plain_world.enter()
+    sumo.STARTED = _forked_sumo
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     sys.argv = ["cosim", "run", *sets_of_trace(write_trace(folder)), "--out", str(folder / "warm")]
@@ -131,6 +135,7 @@ def _serve(folder: Path) -> None:
         main()
     except SystemExit as ended:
         assert not ended.code, "the first run failed"
+    scene_summary(find("helsinki"))  # most runs are in this city: its files are read once
     with answers:
         gc.collect()
         gc.freeze()  # so that children need not copy what they only read
@@ -139,6 +144,24 @@ def _serve(folder: Path) -> None:
         for line in sys.stdin:
             answers.write(json.dumps(asdict(_carried_out(main, **json.loads(line)))) + "\n")
             answers.flush()
+
+
+def _forked_sumo(log: Path) -> subprocess.Popen[bytes]:
+    """SUMO's process as a fork of this one, which has loaded its library."""
+    from cosim.traffic import sumo_process
+
+    def serve() -> None:
+        os.closerange(3, os.sysconf("SC_OPEN_MAX"))  # of `Popen`, which waits until its child has closed it
+        try:
+            sumo_process.main()
+        except BaseException:
+            traceback.print_exc()
+            os._exit(1)
+        os._exit(0)
+
+    pipe = subprocess.PIPE
+    with log.open("ab") as errors:
+        return subprocess.Popen(["sumo"], stdin=pipe, stdout=pipe, stderr=errors, preexec_fn=serve)
 
 
 def sets_of_trace(path: Path) -> list[str]:

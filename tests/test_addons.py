@@ -28,10 +28,8 @@ def bare(tmp_path_factory):
 
 def carry_out(packages, *commands):
     """Carry out commands of the packages in a folder, in that folder."""
-    before = "import cosim.runs.run, results.measure, results.report"
     commands = [[str(word) for word in words] for words in commands]
-    variables = {"PYTHONPATH": str(packages), "NUMBA_THREADING_LAYER": "workqueue"}  # OpenMP forbids to fork
-    return in_turn(*commands, cwd=packages, before=before, **variables)
+    return in_turn(*commands, cwd=packages, PYTHONPATH=str(packages))
 
 
 def test_every_address_of_every_addon_leads_to_code():

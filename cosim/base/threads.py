@@ -3,10 +3,12 @@
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from time import perf_counter
 
 import numba
 
 _RANGES_PER_THREAD = 4  # some have more work than others
+_WORTH_S = 1e-3  # threads that begin and end cost a third of it, and more where processors are busy
 _ROWS_PER_THREAD = 50_000  # about a millisecond; below it threads wait for each other longer than they work
 
 
@@ -26,14 +28,20 @@ def in_ranges(work: Callable[[int, int], object], n: int) -> None:
     """Call `work(begin, end)` for ranges that cover n items, in as many threads as Numba may use here.
 
     Its items must be independent, and a compiled function without Python's lock must do the work. This takes a quarter
-    of the time to compile that `prange` takes.
+    of the time to compile that `prange` takes. After a first range that took next to no time, this
+    thread does the others too.
     """
     n_threads = min(numba.get_num_threads(), n)
     if n_threads < 2:
         work(0, n)
         return
-    n_ranges = _RANGES_PER_THREAD * n_threads
+    n_ranges = min(n, _RANGES_PER_THREAD * n_threads)
     bounds = [n * k // n_ranges for k in range(n_ranges + 1)]
+    begin = perf_counter()
+    work(0, bounds[1])
+    if (perf_counter() - begin) * (n_ranges - 1) < _WORTH_S:
+        work(bounds[1], n)
+        return
     with ThreadPoolExecutor(n_threads) as threads:
-        for _ in threads.map(work, bounds[:-1], bounds[1:]):
+        for _ in threads.map(work, bounds[1:-1], bounds[2:]):
             pass

@@ -228,3 +228,14 @@ def test_sumo_itself_was_asked(template):
     """The lists are for this version; another one may have options that nobody has looked at."""
     done = subprocess.run([str(sumotools.home() / "bin" / "sumo"), "--version"], capture_output=True, text=True)
     assert "1.28" in done.stdout and len(template) > 400
+
+
+def test_files_that_are_known_are_checked_again_once_they_change(scenario, tmp_path):
+    config = edited(scenario, tmp_path)
+    routes = sumocfg.read(config).routes[0]
+    good = routes.read_text()
+    routes.write_text(good.replace("<routes", '<routes><include href="none.xml"/></routes><routes', 1))
+    with pytest.raises(ValueError, match=r"includes .*none\.xml, which is no file"):
+        sumocfg.read(config)
+    routes.write_text(good)
+    assert sumocfg.read(config).routes[0] == routes

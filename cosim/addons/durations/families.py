@@ -97,8 +97,7 @@ def _hyper_exponential() -> Family:
         with np.errstate(invalid="ignore"):
             short = -x / short_s + special.log_expit(free[0])
             long = -x / (short_s * ratio) + special.log_expit(-free[0])
-        both = special.logsumexp(np.stack([short, long]), axis=0)
-        return np.where(np.isinf(x), -np.inf, both)
+            return np.where(np.isinf(x), -np.inf, np.logaddexp(short, long))
 
     def draw(free: Free, p: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
         _, short_s, ratio = natural(free)

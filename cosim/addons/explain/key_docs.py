@@ -2,10 +2,11 @@
 
 import ast
 import inspect
-import textwrap
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from functools import cache
+from itertools import pairwise
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -214,10 +215,25 @@ def meanings(model: type) -> Mapping[str, str]:
     for base in reversed(model.__mro__):
         if not is_dataclass(base):
             continue
-        (body,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
-        assert isinstance(body, ast.ClassDef)
-        for one, after in zip(body.body, body.body[1:], strict=False):
+        body = _source_of(base).body
+        for one, after in pairwise(body):
             if isinstance(one, ast.AnnAssign) and isinstance(one.target, ast.Name):
                 if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
                     found[one.target.id] = " ".join(str(after.value.value).split())
     return found
+
+
+def _source_of(model: type) -> ast.ClassDef:
+    """A class as it is written in its module."""
+    found: ast.AST = _parsed(model.__module__)
+    for name in model.__qualname__.replace("<locals>.", "").split("."):
+        inside = (one for one in ast.walk(found) if isinstance(one, ast.ClassDef | ast.FunctionDef))
+        found = next(one for one in inside if one.name == name)
+    assert isinstance(found, ast.ClassDef)
+    return found
+
+
+@cache
+def _parsed(module: str) -> ast.Module:
+    """A module, parsed once for all of its classes; `inspect.getsource` would parse it for each."""
+    return ast.parse(inspect.getsource(sys.modules[module]))

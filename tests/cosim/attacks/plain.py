@@ -1,6 +1,7 @@
 """Forty vehicles on an open plane, driven without SUMO: what happens to them stands in tables, as in a run."""
 
 from collections import defaultdict
+from itertools import groupby
 
 import numpy as np
 import pandas as pd
@@ -31,22 +32,28 @@ class Tables(dict):
 
     def append(self, table, at, columns):
         """Rows of one step."""
-        if table not in self.tables:
-            return
-        given = {k: v for k, v in columns.items() if v is not None and not k.endswith("__valid")}
-        frame = pd.DataFrame({"at": at} | given)
-        for name in given:
-            if f"{name}__valid" in columns:
-                frame[name] = frame[name].where(np.broadcast_to(columns[f"{name}__valid"], len(frame)))
-        self._rows[table].append(frame)
+        if table in self.tables:
+            columns = {name: values for name, values in columns.items() if values is not None}
+            n = next(len(values) for values in columns.values() if np.ndim(values))
+            self._rows[table].append({name: np.broadcast_to(v, n) for name, v in ({"at": at} | columns).items()})
 
     def close(self):
         """All tables whole."""
         for table, rows in self._rows.items():
-            self[table] = pd.concat(rows, ignore_index=True)
+            self[table] = pd.concat([_frame(list(alike)) for _, alike in groupby(rows, tuple)], ignore_index=True)
         if "pseudonyms" in self:
             self["pseudonyms"] = self["pseudonyms"].drop(columns="at")
         return self
+
+
+def _frame(rows):
+    """One frame of rows that have the same columns."""
+    columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+    frame = pd.DataFrame({name: values for name, values in columns.items() if not name.endswith("__valid")})
+    for name in frame:
+        if f"{name}__valid" in columns:
+            frame[name] = frame[name].where(columns[f"{name}__valid"])
+    return frame
 
 
 def play(attacks=(), n_steps=6, penetration_p=1.0, speeds=None, tables=tuple(TABLES), **sections):
