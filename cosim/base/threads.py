@@ -8,6 +8,7 @@ from time import perf_counter
 import numba
 
 _RANGES_PER_THREAD = 4  # some have more work than others
+_TRIED_OF = 256  # so few items are tried that doing them in one thread costs nothing
 _WORTH_S = 1e-3  # threads that begin and end cost a third of it, and more where processors are busy
 _ROWS_PER_THREAD = 50_000  # about a millisecond; below it threads wait for each other longer than they work
 
@@ -28,20 +29,21 @@ def in_ranges(work: Callable[[int, int], object], n: int) -> None:
     """Call `work(begin, end)` for ranges that cover n items, in as many threads as Numba may use here.
 
     Its items must be independent, and a compiled function without Python's lock must do the work. This takes a quarter
-    of the time to compile that `prange` takes. After a first range that took next to no time, this
-    thread does the others too.
+    of the time to compile that `prange` takes. This thread tries a few items first. If they took next to no time, it
+    does the others, too.
     """
     n_threads = min(numba.get_num_threads(), n)
     if n_threads < 2:
         work(0, n)
         return
-    n_ranges = min(n, _RANGES_PER_THREAD * n_threads)
-    bounds = [n * k // n_ranges for k in range(n_ranges + 1)]
+    n_tried = max(1, n // _TRIED_OF)
     begin = perf_counter()
-    work(0, bounds[1])
-    if (perf_counter() - begin) * (n_ranges - 1) < _WORTH_S:
-        work(bounds[1], n)
+    work(0, n_tried)
+    if (perf_counter() - begin) * (n / n_tried - 1) < _WORTH_S:
+        work(n_tried, n)
         return
+    n_ranges = _RANGES_PER_THREAD * n_threads
+    bounds = [n_tried + (n - n_tried) * k // n_ranges for k in range(n_ranges + 1)]
     with ThreadPoolExecutor(n_threads) as threads:
-        for _ in threads.map(work, bounds[1:-1], bounds[2:]):
+        for _ in threads.map(work, bounds[:-1], bounds[1:]):
             pass
