@@ -155,7 +155,7 @@ def notes_on(config: Config, scenario: Scenario) -> list[str]:
             notes.append("note: [parked] places no car: no place along the streets is free, or tags say so.")
         if config.trees.per_100_m and not len(city.trees.shape):
             notes.append("note: [trees] places no tree: no place along the streets is free.")
-    return notes + _few_clouds(config) + _no_links(config) + _out_of_reach(config)
+    return notes + _few_clouds(config) + _no_links(config) + _one_evaluator(config) + _out_of_reach(config)
 
 
 def empty_streets(config: Config, scenario: Scenario) -> list[str]:
@@ -193,6 +193,19 @@ def _no_links(config: Config) -> list[str]:
     return [
         f"note: pseudonyms.own_gap_s = {gap_s:g} is shorter than the {longest_s:g} s that may lie between two messages "
         "of a vehicle. Receivers forget such a vehicle before they could link its next pseudonym. Set it higher."
+    ]
+
+
+def _one_evaluator(config: Config) -> list[str]:
+    """A note for each attack with identities that a linking server takes for one evaluator."""
+    if config.pseudonyms.linkage != "server" or not config.sensing:
+        return []
+    wanted = [getattr(chosen(config, "attacks", k)[1], "n_identities", 1) for k in range(len(config.attacks))]
+    return [
+        f'note: attacks.{k}.n_identities = {n}: with pseudonyms.linkage = "server" the identities of a vehicle are one '
+        'evaluator, whose evaluation of a detection counts once. Set pseudonyms.linkage = "none" for votes of each.'
+        for k, n in enumerate(wanted)
+        if n > 1
     ]
 
 

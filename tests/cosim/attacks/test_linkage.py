@@ -185,6 +185,14 @@ def test_a_gap_that_nobody_fits_is_noted():
     assert not [line for line in remarks_on(load(None, sets[:1]), None) if "own_gap_s" in line]
 
 
+@pytest.mark.parametrize(("linkage", "n"), [("server", 10), ("server", 1), ("none", 10)])
+def test_identities_that_a_server_links_are_noted(linkage, n):
+    sets = ["attacks.0.attack=bad_mouthing", f"attacks.0.n_identities={n}", f"pseudonyms.linkage={linkage}"]
+    lines = [line for line in remarks_on(load(None, sets), None) if "n_identities" in line]
+    assert len(lines) == (linkage == "server" and n > 1)
+    assert all(line.startswith("note: attacks.0.n_identities = 10") and "one evaluator" in line for line in lines)
+
+
 def test_an_accused_identity_of_many_has_one_row():
     """Pseudonyms 3, 5 and 9 of vehicle 0 are in use at once, 9 is the vehicle's own, and 5 is accused.
 

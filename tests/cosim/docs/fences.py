@@ -5,6 +5,8 @@ config or compared with what the block before printed. Blocks of the languages i
 """
 
 import re
+from difflib import SequenceMatcher
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -82,14 +84,24 @@ def _line(shown: str) -> str:
 def recorded(shown: str, printed: str) -> str:
     """What a block `output` shows after its command has printed something else.
 
-    A line with `...` stays if it still fits a printed line. One `...` alone on its line keeps as many lines before and
-    after it as it had.
+    A line with `...` stays if it still fits a printed line. Lines between two `...` that stand alone are printed lines
+    from the one that is most like the first of them to the one that is most like the last.
     """
     old, new = shown.strip("\n").splitlines(), [line.rstrip() for line in printed.strip("\n").splitlines()]
     holes = [line for line in old if "..." in line and line.strip() != "..."]
     kept = [next((hole for hole in holes if re.fullmatch(_line(hole), line)), line) for line in new]
     alone = [n for n, line in enumerate(old) if line.strip() == "..."]
-    if alone and len(kept) > len(old) - 1:
-        after = len(old) - 1 - alone[0]
-        kept = [*kept[: alone[0]], old[alone[0]], *kept[len(kept) - after :]]
-    return "\n".join(kept) + "\n"
+    found, at = [], 0
+    for begin, end in pairwise([-1, *alone, len(old)]):
+        part = old[begin + 1 : end]
+        if part:
+            first = 0 if begin < 0 else at + _most_like(part[0], kept[at:])
+            at = len(kept) if end == len(old) else first + _most_like(part[-1], kept[first:]) + 1
+            found += kept[first:at]
+        found += old[end : end + 1]
+    return "\n".join(found) + "\n"
+
+
+def _most_like(line: str, lines: list[str]) -> int:
+    """Number of the line that is most like another one, the first of several."""
+    return max(range(len(lines)), key=lambda n: SequenceMatcher(None, line, lines[n]).ratio(), default=0)

@@ -203,6 +203,10 @@ def test_a_reason_is_read_and_a_block_is_recorded():
     assert new == "old 2 in 7 s\n" and fences.with_texts(page, {1: new}) == page.replace("1 in ...", "2 in 7")
     assert fences.recorded("n 1\n... s\n", "n 2\n9 s\n") == "n 2\n... s\n"
     assert fences.recorded("n 1\n...\nend\n", "n 2\na\nb\nend\n") == "n 2\n...\nend\n"
+    shown = "...\nbuildings  746\n...\nspeed  39 km/h\nteleports  0\n...\nit flows\n"
+    printed = "streets  9\nbuildings  747\nheights  3\nspeed  40 km/h\nstops  8\nteleports  1\nfile  town\nit flows\n"
+    new = "...\nbuildings  747\n...\nspeed  40 km/h\nstops  8\nteleports  1\n...\nit flows\n"
+    assert fences.recorded(shown, printed) == new and fences.is_printed(new, printed)
 
 
 @pytest.mark.parametrize("source", SOURCES)
