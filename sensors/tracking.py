@@ -352,7 +352,9 @@ def updated(tracks: Tracks, found: Found, params: TrackingParams) -> Tracks:
     xx, xv, vv = np.moveaxis(tracks.covariance, 2, 0)
     a, b, s = _measured(tracks, found, params)
     gain_x, gain_v = a / s, b / s
-    covariance = np.stack([xx - gain_x * a, xv - gain_v * a, vv - gain_v * b], axis=2)
+    xx = xx - gain_x * a
+    xv = xv - gain_v * a
+    vv = vv - gain_v * b
     innovation_m = _along_and_across(_innovation_m(tracks, found), tracks.axis)
     return replace(
         tracks,
@@ -361,7 +363,7 @@ def updated(tracks: Tracks, found: Found, params: TrackingParams) -> Tracks:
         last_s=tracks.time_s,
         xy_m=tracks.xy_m + _east_and_north(gain_x * innovation_m, tracks.axis),
         velocity_mps=tracks.velocity_mps + _east_and_north(gain_v * innovation_m, tracks.axis),
-        covariance=covariance,
+        covariance=np.stack([xx, xv, vv], axis=2),
         existence=tracks.existence + existence_gain(found.score, tracks.time_s - tracks.last_s, params),
     )
 
@@ -548,7 +550,8 @@ def assigned(tracks: Tracks, found: Found, params: TrackingParams) -> tuple[Int[
     # No detection farther away than the longer half axis of the gate is inside: most pairs need no more than this.
     xx, xv, vv = np.moveaxis(tracks.covariance, 2, 0)
     after_s = np.abs(found.after_s).max(initial=0.0)
-    track_m2 = (xx + after_s * (2.0 * np.abs(xv) + after_s * vv)).max(axis=1, initial=0.0)
+    more_m2 = after_s * (2.0 * np.abs(xv) + after_s * vv)
+    track_m2 = (xx + more_m2).max(axis=1, initial=0.0)
     gate_m = np.sqrt(gate * (track_m2 + max(params.position_sigma_m) ** 2))
     reach_m = (gate_m + after_s * np.hypot(*tracks.velocity_mps.T)) * (1 + 1e-9)
     first, end = (np.searchsorted(found.observer, tracks.observer, side) for side in ("left", "right"))

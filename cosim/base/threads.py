@@ -43,7 +43,8 @@ def in_ranges(work: Callable[[int, int], object], n: int) -> None:
         work(n_tried, n)
         return
     n_ranges = _RANGES_PER_THREAD * n_threads
-    bounds = [n_tried + (n - n_tried) * k // n_ranges for k in range(n_ranges + 1)]
+    n_left = n - n_tried
+    bounds = [n_tried + n_left * k // n_ranges for k in range(n_ranges + 1)]
     with ThreadPoolExecutor(n_threads) as threads:
         for _ in threads.map(work, bounds[:-1], bounds[1:]):
             pass

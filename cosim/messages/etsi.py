@@ -394,8 +394,8 @@ class Confidences(NamedTuple):
     @staticmethod
     def unavailable(n: int) -> "Confidences":
         """Those of objects whose accuracy is not known."""
-        nan = np.full((n, 3), np.nan)
-        return Confidences.of(nan[:, :2], nan[:, 0], nan, nan[:, :2])
+        one, two, three = (np.full((n, k), np.nan) for k in (1, 2, 3))
+        return Confidences.of(two, one[:, 0], three, two)
 
 
 _HALF_WIDTH = 1.96

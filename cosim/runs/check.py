@@ -155,7 +155,8 @@ def notes_on(config: Config, scenario: Scenario) -> list[str]:
             notes.append("note: [parked] places no car: no place along the streets is free, or tags say so.")
         if config.trees.per_100_m and not len(city.trees.shape):
             notes.append("note: [trees] places no tree: no place along the streets is free.")
-    return notes + _few_clouds(config) + _no_links(config) + _one_evaluator(config) + _out_of_reach(config)
+    notes += _few_clouds(config) + _no_links(config) + _one_evaluator(config)
+    return notes + _out_of_reach(config)
 
 
 def empty_streets(config: Config, scenario: Scenario) -> list[str]:
@@ -200,7 +201,8 @@ def _one_evaluator(config: Config) -> list[str]:
     """A note for each attack with identities that a linking server takes for one evaluator."""
     if config.pseudonyms.linkage != "server" or not config.sensing:
         return []
-    wanted = [getattr(chosen(config, "attacks", k)[1], "n_identities", 1) for k in range(len(config.attacks))]
+    params = [chosen(config, "attacks", k)[1] for k in range(len(config.attacks))]
+    wanted = [getattr(one, "n_identities", 1) for one in params]
     return [
         f'note: attacks.{k}.n_identities = {n}: with pseudonyms.linkage = "server" the identities of a vehicle are one '
         'evaluator, whose evaluation of a detection counts once. Set pseudonyms.linkage = "none" for votes of each.'

@@ -135,12 +135,14 @@ def stated(
     of_pose = (across * squares).T + of_position[:, None] * ALONG_BOTH
     if not c.extrapolate:  # the box stays where it was said to be
         east, north = np.where(known[:, None], moves, 0.0).T
-        velocity = velocity + np.column_stack([east * east, east * north, north * north])
+        of_motion = east * east, east * north, north * north
+        velocity = velocity + np.column_stack(of_motion)
+    most = np.maximum(1.0, _mean(of_class) / _mean(velocity))
     told = listed.accuracy_factor**2  # 1 is exact, so that honest statements stay as they are
     return replace(
         listed,
         variance_m2=bounded((at_any_score_m2 + of_pose) * told[:, None]),
-        velocity_variance=velocity * np.minimum(told, np.maximum(1.0, _mean(of_class) / _mean(velocity)))[:, None],
+        velocity_variance=velocity * np.minimum(told, most)[:, None],
         relative_m2=(relative_m2 + of_detector[:, None] * ALONG_BOTH) * told[:, None],
         heading_variance=np.where(is_self, 0.0, sigma_rad**2) * told,
         size_variance=np.where(is_self, 0.0, size_sigma**2) * told,
@@ -195,8 +197,9 @@ def _velocity_variance(
     mean_mps, sigma_mps = expected_speed(listed.label, limit_mps, own_mps, params)
     along = mean_mps**2 + sigma_mps**2
     across = np.asarray(params.across_sigma_mps)[listed.label] ** 2
-    # The mean of sin^2 of a normal error is (1 - exp(-2 sigma^2)) / 2.
-    aside = 0.5 * (along - across) * -np.expm1(-2.0 * sigma_rad**2)
+    # That of the sine of a normal error is (1 - exp(-2 sigma^2)) / 2.
+    mean_square = -0.5 * np.expm1(-2.0 * sigma_rad**2)
+    aside = mean_square * (along - across)
     yaw = listed.boxes.yaw_rad
     axis = np.column_stack([np.cos(yaw), np.sin(yaw)])
     return along_axes(np.column_stack([along - aside, across + aside]), axis)

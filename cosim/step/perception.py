@@ -108,8 +108,8 @@ class BoxQuestions:
         """
         p, t = (np.flatnonzero(group[by] == number) for by in (self.counting, self.testing))
         counting, testing = (row[by].astype(np.int32) for by in (self.counting[p], self.testing[t]))
-        mine = replace(self, counting=counting, counted=self.counted[p], testing=testing, tested=self.tested[t])
-        return p, t, mine
+        counts = replace(self, counting=counting, counted=self.counted[p])
+        return p, t, replace(counts, testing=testing, tested=self.tested[t])
 
 
 BoxAnswers = tuple[Int32[ndarray, "p"], Bool[ndarray, "t"]]

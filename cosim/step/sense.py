@@ -165,7 +165,8 @@ def track_objects(
     velocity_mps = detections.velocity_mps.copy()
     velocity_mps[sensed] = objects.velocity_mps
     xyz_m = detections.boxes.xyz_m.copy()
-    xyz_m[sensed, :2] -= after_s[:, None] * np.nan_to_num(objects.velocity_mps)
+    moved_m = after_s[:, None] * np.nan_to_num(objects.velocity_mps)
+    xyz_m[sensed, :2] -= moved_m
     at_sweep = replace(detections, velocity_mps=velocity_mps, boxes=replace(detections.boxes, xyz_m=xyz_m))
     observed = replace(positioned.observed, detections=at_sweep)
     return memory, replace(positioned, observed=observed, objects=objects)

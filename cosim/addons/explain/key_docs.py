@@ -227,7 +227,7 @@ def _source_of(model: type) -> ast.ClassDef:
     """A class as it is written in its module."""
     found: ast.AST = _parsed(model.__module__)
     for name in model.__qualname__.replace("<locals>.", "").split("."):
-        inside = (one for one in ast.walk(found) if isinstance(one, ast.ClassDef | ast.FunctionDef))
+        inside = [one for one in ast.walk(found) if isinstance(one, ast.ClassDef | ast.FunctionDef)]
         found = next(one for one in inside if one.name == name)
     assert isinstance(found, ast.ClassDef)
     return found

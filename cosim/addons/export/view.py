@@ -434,7 +434,8 @@ def _block(  # type: ignore[no-untyped-def]
         for name, every in shown.items():
             if not ((every.step == step) | (every.end_step == step)).any():
                 continue
-            rows, colour = every[(every.step <= step) & (step < every.end_step)], COLOURS[name]
+            is_shown = (every.step <= step) & (step < every.end_step)
+            rows, colour = every[is_shown], COLOURS[name]
             if rows.empty:
                 recording.log(f"city/{name}", rerun.Clear(recursive=False))
                 recording.log(f"map/{name}", rerun.Clear(recursive=False))
@@ -477,11 +478,13 @@ def last_sensed(run: Run, steps: Int[ndarray, "b"], vehicles: Sequence[int]) -> 
     By name: boxes with `step`, in which a vehicle sensed (or received, if a message outlasts its step), and
     `end_step`, in which it or the sender senses again. They are shown from `step` until before `end_step`.
     """
-    equipped = np.flatnonzero(run.vehicles.equipped)
-    longest = int(interval_steps(run, run.vehicles.vehicle.to_numpy(np.int64)[equipped]).max(initial=1))
-    where = (pc.field("step") > int(steps[0]) - longest) & (pc.field("step") <= int(steps[-1]))
+    equipped = run.vehicles.vehicle[run.vehicles.equipped]
+    longest = int(interval_steps(run, equipped.to_numpy(np.int64)).max(initial=1))
+    step = pc.field("step")
+    where = (step > int(steps[0]) - longest) & (step <= int(steps[-1]))
     of = run.subjects.vehicle
-    own, columns = of.index[of.isin(vehicles)].tolist(), ["step", "observer", *BOX]
+    own = of.index[of.isin(vehicles)].tolist()
+    columns = ["step", "observer", *BOX]
     fabricated = run.table("detections", columns, where & (pc.field("origin") == "fabricated"))
     found = {"fabricated": fabricated.assign(by=fabricated.observer.map(of))}
     if vehicles:
