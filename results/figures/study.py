@@ -131,7 +131,8 @@ def draw(
         varied = [key for key in varied if key in matter or key not in study.keys]
     order = [key for key in (over, by) if key]
     order += [key for key in for_axes(of_metrics, varied) if key not in order]
-    frame = at_first(frame, [key for key in apart(of_metrics, study.keys) if key not in order], order)
+    idle = [key for key in apart(of_metrics, study.keys) if key not in order]
+    frame = at_first(frame, idle, order)
     frame = with_short_names(frame, keys)
     if len(order) > 3:
         raise ValueError(

@@ -90,7 +90,8 @@ def draw(
             f"{what} depend on {', '.join(matter)}: this figure shows two. Hold others, such as {rest}, or see all of "
             "them with `cosim report`."
         )
-    frame = at_first(frame, [key for key in apart(frame, study.keys) if key not in matter], matter)
+    idle = [key for key in apart(frame, study.keys) if key not in matter]
+    frame = at_first(frame, idle, matter)
     frame = with_short_names(frame, study.keys)
     colour, column, *_ = (*matter, "", "")
     columns = distinct(frame[column]) if column else [None]

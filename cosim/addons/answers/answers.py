@@ -155,7 +155,8 @@ def _answer(study: StudyResults, of: _Quantity, name: str, held: list[str]) -> A
     metric, _, group = name.partition(":")
     frame = chosen(study.measures, [name])
     matter = that_matter(frame, study.keys)
-    frame = at_first(frame, [key for key in apart(frame, study.keys) if key not in matter], matter)
+    idle = [key for key in apart(frame, study.keys) if key not in matter]
+    frame = at_first(frame, idle, matter)
     reference = {key: _reference(study, frame, key) for key in matter}
     parts: list[str] = []
     for key in matter:
@@ -311,7 +312,8 @@ def _censored(study: StudyResults, of: _Quantity, group: str) -> str:
 
 def _of_fewer(study: StudyResults, of: _Quantity, frame: pd.DataFrame) -> str:
     """That some means leave out replicates, and which way they err if those have no median."""
-    n, asked = frame.groupby(list(study.keys), dropna=False).value.count().min(), study.points.replicate.nunique()
+    n = frame.groupby(list(study.keys), dropna=False).value.count().min()
+    asked = study.points.replicate.nunique()
     if n == asked:
         return ""
     has_median = of.metric.startswith("encounters.duration.")
