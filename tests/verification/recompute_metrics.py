@@ -644,13 +644,15 @@ def radio(of):
 
 
 def detection(of):
-    """Environmental awareness on the steps that `cosim measure` samples: sweeps, evenly, about 4,000 frames."""
+    """Environmental awareness of honest vehicles on the steps that `cosim measure` samples: sweeps, evenly, about 4,000
+    frames."""
     who, boxes = vehicles(of), of.table("detections")
     if not len(boxes):
         return
     equipped = who[who.equipped]
+    honest = equipped[equipped.role == "honest"]
     every = round(of.sensing_s / of.dt_s)
-    stride = max(1, -(-int(((equipped.last_step - equipped.first_step + 1) / every).sum()) // 4000))
+    stride = max(1, -(-int(((honest.last_step - honest.first_step + 1) / every).sum()) // 4000))
     first = (equipped.sensing_phase_steps if "sensing_phase_steps" in equipped else 0 * equipped.first_step).to_dict()
     steps = sorted({step for phase in set(first.values()) for step in range(int(phase), of.steps, every)})
     steps = steps[stride // 2 :: stride]
@@ -675,7 +677,7 @@ def detection(of):
         n, n_known = 0, 0
         for step, at in poses.groupby("step"):
             xy = at[["x_m", "y_m"]].to_numpy(float)
-            for i in np.flatnonzero(at.actor.isin(equipped.index)):
+            for i in np.flatnonzero(at.actor.isin(honest.index)):
                 me = at.actor.iloc[i]
                 if (step - first[me]) % every:
                     continue

@@ -404,7 +404,7 @@ def _block(  # type: ignore[no-untyped-def]
     columns = ["vehicle", "length_m", "width_m", "height_m"]
     bodies = run.table("vehicles", columns).set_index("vehicle")
     actors = run.table("actors", where=where).sort_values(["step", "actor"]).join(bodies, on="actor")
-    shown = last_sensed(run, steps, vehicles)
+    shown = _last_sensed(run, steps, vehicles)
     here = dict(iter(actors.groupby("step")))
     is_now = (trust.step >= steps[0]) & (trust.step <= steps[-1])
     values = trust[is_now].groupby("step")
@@ -463,7 +463,7 @@ def _boxes(rows: pd.DataFrame) -> Boxes:
     return Boxes(xyz_m.to_numpy(float), lwh_m.to_numpy(float), rows.yaw_rad.to_numpy(float))
 
 
-def last_sensed(run: Run, steps: Int[ndarray, "b"], vehicles: Sequence[int]) -> dict[str, pd.DataFrame]:
+def _last_sensed(run: Run, steps: Int[ndarray, "b"], vehicles: Sequence[int]) -> dict[str, pd.DataFrame]:
     """Boxes that are shown in some of these steps.
 
     Parameters

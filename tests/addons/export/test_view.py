@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 import pytest
 from PIL import Image
 
-from cosim.addons.export.view import _received, colours, first_look, follow, last_sensed, role_colours, strips, view
+from cosim.addons.export.view import _last_sensed, _received, colours, first_look, follow, role_colours, strips, view
 from cosim.addons.pictures.pictures import film
 from results.archive import open_run
 from tests.drive import cosim, drive
@@ -86,12 +86,12 @@ def test_boxes_are_shown_until_their_vehicle_senses_again(tmp_path):
     heard = [{"step": 4, "message_step": 4, "message_type": "cpm", "sender": 1, "receiver": 0}]
     fused = [{"step": 3, "observer": 0, "source_index": 0}]
     run = make(tmp_path, 10, vehicles=vehicles, detections=detections, receptions=heard, fused=fused)
-    shown = last_sensed(run, np.arange(6, 10), [0])
+    shown = _last_sensed(run, np.arange(6, 10), [0])
     found = {name: rows[["x_m", "step", "end_step"]].to_numpy().tolist() for name, rows in shown.items()}
     assert found == {
         "fabricated": [[2.0, 4, 9]], "detected": [[1.0, 3, 8]], "received": [[2.0, 4, 9]], "believed": [[1.0, 3, 8]]
     }  # fmt: skip
-    assert list(last_sensed(run, np.arange(6, 10), [])) == ["fabricated"]
+    assert list(_last_sensed(run, np.arange(6, 10), [])) == ["fabricated"]
 
 
 def test_the_first_view(folder):
