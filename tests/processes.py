@@ -127,7 +127,7 @@ def _serve(folder: Path) -> None:
     from tests.hostile.scenes import write_trace
 
     plain_world.enter()
-    sumo.STARTED = _forked_sumo
+    sumo.started = _forked_sumo
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     sys.argv = ["cosim", "run", *sets_of_trace(write_trace(folder)), "--out", str(folder / "warm")]
