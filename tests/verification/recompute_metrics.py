@@ -310,7 +310,7 @@ def security(of):
         flags = one.excluded.to_numpy()
         watched_s += (one.step.max() - one.step.min()) * of.dt_s
         if one.step.max() > one.step.min():
-            times += int((flags & ~np.append(False, flags[:-1])).sum())
+            times += int((flags[1:] & ~flags[:-1]).sum())
     yield "false_exclusions_per_h", "", times / (watched_s / 3600) if watched_s else np.nan
     rated = every[every.evaluated].sort_values("trust", kind="stable")
     attacks, n_attacks = rated.role != "honest", (every.role != "honest").sum()

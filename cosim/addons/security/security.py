@@ -139,10 +139,13 @@ def average_precision(run: Run) -> float:
 
 
 def false_exclusions(run: Run, threshold: float | None = None) -> intervals.ClusteredEstimate:
-    """Times that an honest vehicle becomes excluded, per hour that honest vehicles are watched for."""
+    """Times that an honest vehicle becomes excluded, per hour that honest vehicles are watched for.
+
+    Who is excluded at the first moment may have become so earlier, in time that is not watched.
+    """
     frame = excluded(run, threshold)
     honest = frame[~frame.attacker].sort_values(["subject", "step"])
-    before = honest.excluded.groupby(honest.subject).shift(fill_value=False)
+    before = honest.excluded.groupby(honest.subject).shift(fill_value=True)
     times = (honest.excluded & ~before).groupby(honest.subject).sum()
     watched = honest.groupby("subject").step.agg(["min", "max"])
     hours = (watched["max"] - watched["min"]) * run.dt_s / 3600
