@@ -125,7 +125,7 @@ def stated(
     velocity = np.where(known[:, None], _OWN_SPEED_SIGMA_MPS**2 * ALONG_BOTH, of_class)
     if tracks is not None:
         rows = np.flatnonzero(listed.origin == SENSED)
-        of_track = along_axes(tracks.variance, tracks.axis)
+        of_track = _along_axes(tracks.variance, tracks.axis)
         velocity[rows] = np.where(known[rows, None], of_track, velocity[rows])
     relative_m2 = np.where(is_self, 0.0, reporters.after_s**2)[:, None] * velocity
     at_any_score_m2 = relative_m2 + of_detector[:, None] * ALONG_BOTH
@@ -172,7 +172,7 @@ def aged(listed: Detections, age_s: Float[ndarray, "d"], params: TrackingParams)
     return replace(listed, variance_m2=listed.variance_m2 + more, relative_m2=listed.relative_m2 + more)
 
 
-def along_axes(variance: Float[ndarray, "d 2"], axis: Float[ndarray, "d 2"]) -> Float[ndarray, "d 3"]:
+def _along_axes(variance: Float[ndarray, "d 2"], axis: Float[ndarray, "d 2"]) -> Float[ndarray, "d 3"]:
     """Variances xx, xy, yy from those along and across unit vectors."""
     along, across = variance.T
     cos, sin = axis.T
@@ -197,9 +197,8 @@ def _velocity_variance(
     mean_mps, sigma_mps = expected_speed(listed.label, limit_mps, own_mps, params)
     along = mean_mps**2 + sigma_mps**2
     across = np.asarray(params.across_sigma_mps)[listed.label] ** 2
-    # That of the sine of a normal error is (1 - exp(-2 sigma^2)) / 2.
-    mean_square = -0.5 * np.expm1(-2.0 * sigma_rad**2)
-    aside = mean_square * (along - across)
+    sine_square = -0.5 * np.expm1(-2.0 * sigma_rad**2)  # its mean, for a normal error
+    aside = sine_square * (along - across)
     yaw = listed.boxes.yaw_rad
     axis = np.column_stack([np.cos(yaw), np.sin(yaw)])
-    return along_axes(np.column_stack([along - aside, across + aside]), axis)
+    return _along_axes(np.column_stack([along - aside, across + aside]), axis)

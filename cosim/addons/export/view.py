@@ -475,8 +475,8 @@ def _last_sensed(run: Run, steps: Int[ndarray, "b"], vehicles: Sequence[int]) ->
 
     Returns
     -------
-    By name: boxes with `step`, in which a vehicle sensed (or received, if a message outlasts its step), and
-    `end_step`, in which it or the sender senses again. They are shown from `step` until before `end_step`.
+    By name: boxes with `step`, in which a vehicle sensed or received them, and `end_step`, an interval of its sensing
+    later. They are shown from `step` until before `end_step`.
     """
     equipped = run.vehicles.vehicle[run.vehicles.equipped]
     longest = int(interval_steps(run, equipped.to_numpy(np.int64)).max(initial=1))
@@ -491,25 +491,22 @@ def _last_sensed(run: Run, steps: Int[ndarray, "b"], vehicles: Sequence[int]) ->
         sensed = where & pc.field("observer").isin(own) & (pc.field("origin") == "sensed")
         detected, received = run.table("detections", columns, sensed), _received(run, where, vehicles)
         found["detected"] = detected.assign(by=detected.observer.map(of))
-        found["received"] = received.assign(by=received.sender.map(of))
+        found["received"] = received.assign(by=received.receiver)
         if "fused" in run.tables:
             believed = run.variant_table("fused", columns, where & pc.field("observer").isin(list(vehicles)))
             found["believed"] = believed.assign(by=believed.observer)
-    return {name: _until_next(run, rows) for name, rows in found.items()}
-
-
-def _until_next(run: Run, rows: pd.DataFrame) -> pd.DataFrame:
-    """Boxes with the step in which the vehicle `by` senses again; without those of roadside units."""
-    rows = rows[rows.by.notna()]
-    return rows.assign(end_step=rows.step + interval_steps(run, rows.by.to_numpy(np.int64)))
+    return {
+        name: rows.assign(end_step=rows.step + interval_steps(run, rows.by.to_numpy(np.int64)))
+        for name, rows in found.items()
+    }
 
 
 def _received(run: Run, where: pc.Expression, vehicles: Sequence[int]) -> pd.DataFrame:
     """Boxes in the messages that the chosen vehicles received, by step of reception. Empty without `receptions`."""
     if not vehicles or "receptions" not in run.tables:
-        return pd.DataFrame(columns=["step", "sender", *BOX])
+        return pd.DataFrame(columns=["step", "receiver", *BOX])
     mine = where & pc.field("receiver").isin(list(vehicles)) & (pc.field("message_type") == "cpm")
-    got = run.table("receptions", ["step", "message_step", "sender"], mine).drop_duplicates()
+    got = run.table("receptions", ["step", "message_step", "sender", "receiver"], mine).drop_duplicates()
     when = pc.field("step").isin(got.message_step.unique().tolist())
     sent = run.table("detections", ["step", "observer", *BOX, "transmitted"], when)
     sent = sent[sent.transmitted].rename(columns={"step": "message_step", "observer": "sender"})

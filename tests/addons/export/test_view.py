@@ -75,21 +75,26 @@ def test_boxes_of_a_late_message_are_those_that_were_sent(tmp_path):
 
 def test_boxes_are_shown_until_their_vehicle_senses_again(tmp_path):
     """Both sense every 5 steps: vehicle 0 in 3 and 8, vehicle 1 in 4 and 9. What it did in a step before the block of
-    steps is shown in it. A roadside unit would have no interval."""
-    vehicles = fleet("honest", "malicious", sensing_interval_steps=5)
+    steps is shown in it. So is what a roadside unit sends, whose pseudonym is of no vehicle."""
+    vehicles = fleet("honest", "malicious", None, sensing_interval_steps=5)
     vehicles[0]["sensing_phase_steps"], vehicles[1]["sensing_phase_steps"] = 3, 4
     detections = [
         {"step": 3, "observer": 0, "origin": "sensed", "x_m": 1.0, "transmitted": True},
         {"step": 4, "observer": 1, "origin": "fabricated", "x_m": 2.0, "transmitted": True},
         {"step": 4, "observer": 1, "detection_index": 1, "origin": "sensed", "x_m": 4.0},
+        {"step": 6, "observer": 2, "origin": "sensed", "x_m": 5.0, "transmitted": True},
     ]
-    heard = [{"step": 4, "message_step": 4, "message_type": "cpm", "sender": 1, "receiver": 0}]
+    heard = [
+        {"step": step, "message_step": step, "message_type": "cpm", "sender": sender, "receiver": 0}
+        for step, sender in ((4, 1), (6, 2))
+    ]
     fused = [{"step": 3, "observer": 0, "source_index": 0}]
     run = make(tmp_path, 10, vehicles=vehicles, detections=detections, receptions=heard, fused=fused)
     shown = _last_sensed(run, np.arange(6, 10), [0])
     found = {name: rows[["x_m", "step", "end_step"]].to_numpy().tolist() for name, rows in shown.items()}
     assert found == {
-        "fabricated": [[2.0, 4, 9]], "detected": [[1.0, 3, 8]], "received": [[2.0, 4, 9]], "believed": [[1.0, 3, 8]]
+        "fabricated": [[2.0, 4, 9]], "detected": [[1.0, 3, 8]], "received": [[2.0, 4, 9], [5.0, 6, 11]],
+        "believed": [[1.0, 3, 8]],
     }  # fmt: skip
     assert list(_last_sensed(run, np.arange(6, 10), [])) == ["fabricated"]
 
