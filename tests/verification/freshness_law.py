@@ -1,7 +1,8 @@
 """The law of freshness against simulation: `python -m tests.verification.freshness_law`.
 
 assumptions [CONFIG] [KEY=VALUE ...]: simulates a config in memory and prints each assumption of the page
-`models/freshness-law` beside what happened.
+`models/freshness-law` beside what happened. Counts are by sweep of all vehicles, so these sense at the same time: a
+config without a preset plays in the plain world of the tests.
 intervals STUDY...: predicts the points of studies that have run, and prints by metric how many of their runs lie in the
 intervals, how far the law is off, and the model error with which 95 % would lie inside.
 """
@@ -23,6 +24,7 @@ from cosim.messages.content import evaluation_bytes
 from cosim.radio.message_round import RoundKind
 from cosim.studies import study as studies
 from sensors.line_of_sight import LosOfPlaces
+from tests import plain_world
 
 
 def assumptions(config: Config) -> pd.DataFrame:
@@ -126,8 +128,12 @@ def main(words: list[str]) -> None:
     if words[:1] == ["intervals"]:
         print(intervals([Path(word) for word in words[1:]]).round(4).to_string())
         return
+    plain_world.enter()
     path = Path(words[1]) if len(words) > 1 and "=" not in words[1] else None
-    print(assumptions(load(path, [word for word in words[1:] if "=" in word])).to_string(index=False))
+    config = load(path, [word for word in words[1:] if "=" in word])
+    if config.sensing_phase != "common":
+        sys.exit('error: sensing_phase = "random": the counts need vehicles that sense at the same time ("common").')
+    print(assumptions(config).to_string(index=False))
 
 
 if __name__ == "__main__":
