@@ -1,0 +1,84 @@
+"""Ghosts that receivers believe, where both rules of matching believe as many real objects.
+
+`python -m tests.verification.ghosts_and_recall OUT [SEEDS]`. A rule by which vehicles believe more of everything
+believes more ghosts, too. So ghosts are counted where gates and overlap believe as many real objects that the own
+sensor misses. A pair of a ghost and an honest receiver counts once per step, and so does a real object of an honest
+vehicle. What is there of an earlier call is not driven again.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy import ndarray
+
+from results.archive import open_run
+from tests.verification.rings import drive
+
+ATTACKS = ("ghost_insertion", "approaching_ghost")
+RULES = ("gates", "iou")
+START_S = 20.0
+CONFIG = f"""seed = {{seed}}
+trust_variant = []
+[traffic]
+seed = {{seed}}
+duration_s = 80
+[fleet]
+penetration_p = 0.5
+[trust]
+freshness_s = 30
+matching = "{{rule}}"
+[record]
+level = "full"
+[[attacks]]
+attack = "{{attack}}"
+share_p = 0.2
+start_s = {START_S:g}
+"""
+HIGHER = 0.75
+"""A second threshold, about midway between the trust of liars and of honest vehicles."""
+
+
+def scores(out: Path, attack: str, rule: str, number: int) -> tuple[ndarray, ndarray, int]:
+    """Scores of ghosts at honest receivers (-1: dropped), of real objects by others alone, and the number of sweeps."""
+    folder = out / f"{attack}-{rule}-{number}"
+    if not folder.exists():
+        out.mkdir(parents=True, exist_ok=True)
+        config = folder.with_suffix(".toml")
+        config.write_text(CONFIG.format(seed=6200 + number, rule=rule, attack=attack))
+        drive(config, folder)
+    run = open_run(folder)
+    honest = run.vehicles.vehicle[run.vehicles.role == "honest"]
+    lies = run.attack_outcomes[run.attack_outcomes.receiver.isin(honest)]
+    fused = run.fused[run.fused.observer.isin(honest) & (run.fused.step * run.dt_s >= START_S)]
+    others = fused[~fused.ego_detected & fused.truth_actor.notna() & (fused.truth_actor != fused.observer)]
+    real = others.groupby(["step", "observer", "truth_actor"]).score.max()
+    return lies.score.fillna(-1.0).to_numpy(), real.to_numpy(), len(fused[["step", "observer"]].drop_duplicates())
+
+
+def row(out: Path, attack: str, number: int) -> dict[str, float | str]:
+    """One drive: shares of ghosts that are believed [%], and real objects per sweep."""
+    (ghosts, real, n_sweeps), (by_iou, real_by_iou, _) = (scores(out, attack, rule, number) for rule in RULES)
+    n_real = int((real_by_iou >= 0.5).sum())
+    equal = np.sort(real)[-n_real]
+    return {
+        "attack": attack,
+        "iou at 0.5": 100 * (by_iou >= 0.5).mean(),
+        "real per sweep": n_real / n_sweeps,
+        "gates at 0.5": 100 * (ghosts >= 0.5).mean(),
+        "their real": (real >= 0.5).sum() / n_sweeps,
+        "gates, as many real": 100 * (ghosts >= equal).mean(),
+        f"gates at {HIGHER:g}": 100 * (ghosts >= HIGHER).mean(),
+        f"real at {HIGHER:g}": (real >= HIGHER).sum() / n_sweeps,
+    }
+
+
+def main(out: Path, n_seeds: int = 3) -> None:
+    """The runs and their table: means over drives."""
+    rows = pd.DataFrame([row(out, attack, number) for attack in ATTACKS for number in range(1, n_seeds + 1)])
+    sys.stdout.write(rows.groupby("attack", sort=False).mean().round(2).T.to_string() + "\n")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), *(int(n) for n in sys.argv[2:3]))
