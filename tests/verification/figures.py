@@ -2,7 +2,7 @@
 
 `make figures`, or `python -m tests.verification.figures [NAME...]`. Each command is a process of its own. What it
 prints goes to `build/figures/NAME.txt`, and lines that differ from those of the last time are printed. Without names,
-all are made, which takes some three hours on two cores. Pages are changed by hand, because their sentences may have
+all are made, which takes some five hours on two cores. Pages are changed by hand, because their sentences may have
 to change with the figures. `make pages` records the outputs that pages show as they are, and `make bench` measures
 speed, which differs each time.
 """
@@ -38,6 +38,9 @@ FIGURES = {
     ),
     "pose_errors": Figure(f"{PAGES}/models/accuracy.md", "cosim sweep pose_errors"),
     "misstated": Figure(f"{PAGES}/models/accuracy.md", "cosim sweep misstated"),
+    "attacks": Figure(f"{PAGES}/models/accuracy.md", "cosim sweep attacks"),
+    "attacks_by_overlap": Figure(f"{PAGES}/models/accuracy.md", "cosim sweep attacks", ("--set", "trust.matching=iou")),
+    "ghosts": Figure(f"{PAGES}/models/accuracy.md", "python -m tests.verification.ghosts_and_recall", ("FOLDER",)),
     "presets": Figure(f"{PAGES}/models/presets.md", "cosim sweep presets"),
     "deviations": Figure(f"{PAGES}/models/validation.md", "cosim sweep deviations"),
     "freshness": Figure("results/FRESHNESS.md", "cosim sweep freshness"),
@@ -59,7 +62,7 @@ def words(name: str, folder: Path) -> list[list[str]]:
     started = [sys.executable] if program == "python" else [sys.executable, "-m", "cosim"]
     more = [str(folder) if word == "FOLDER" else word for word in figure.more]
     if given[0] == "sweep":
-        return [[*started, *given, "--out", str(folder)], [*started, "measure", str(folder)]]
+        return [[*started, *given, *more, "--out", str(folder)], [*started, "measure", str(folder)]]
     if given[0] == "run":
         return [[*started, *given, *more], [*started, "measure", str(folder)]]
     return [[*started, *given, *more]]
