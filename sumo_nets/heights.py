@@ -30,7 +30,8 @@ _BY_KIND_M: dict[str, float] = {
     "commercial": 17.5, "retail": 14.0, "hotel": 24.5, "university": 17.5, "school": 14.0, "public": 17.5,
     "civic": 17.5, "block": 21.0,
 }  # fmt: skip
-_OPEN_BELOW = frozenset(("roof", "canopy", "carport", "bridge"))
+OPEN_BELOW = frozenset(("roof", "canopy", "carport", "bridge"))
+"""Kinds that stand on posts."""
 
 
 class Height(NamedTuple):
@@ -53,24 +54,30 @@ def height_of(tags: Mapping[str, str], area_m2: float) -> Height:
     source: Literal["measured", "storeys", "default"]
     if (metres := number(tags.get("height") or tags.get("building:height"))) is not None and 0.0 < metres <= TALLEST_M:
         top, source = metres, "measured"
-    elif (storeys := number(tags.get("building:levels"))) is not None and (0.0 < storeys <= TALLEST_M / STOREY_M):
-        top, source = STOREY_M * (storeys + (number(tags.get("roof:levels")) or 0.0)), "storeys"
+    elif 0.0 < (storeys := _storeys(tags)) <= TALLEST_M / STOREY_M:
+        top, source = STOREY_M * storeys, "storeys"
     else:
         by_area = 3.0 if area_m2 < 40.0 else 7.0 if area_m2 < 150.0 else 5 * STOREY_M
         top, source = _BY_KIND_M.get(kind, by_area), "default"
     base = number(tags.get("min_height"))
     if base is None:
         base = STOREY_M * (number(tags.get("building:min_level")) or 0.0)
-    if base == 0.0 and kind in _OPEN_BELOW:
+    if base == 0.0 and kind in OPEN_BELOW:
         base = min(CLEARANCE_M, top - 1.0)
     base = max(base, 0.0)
     return Height(base, max(top, base + 1.0), source)
 
 
+def _storeys(tags: Mapping[str, str]) -> float:
+    """Storeys with those of the roof; 0 where the tags do not say how many there are below it."""
+    levels = number(tags.get("building:levels"))
+    return 0.0 if levels is None else levels + (number(tags.get("roof:levels")) or 0.0)
+
+
 def number(text: str | None) -> float | None:
     """The number that a tag starts with, feet turned into metres; None where there is none."""
-    match = re.match(r"\s*(\d+(?:[.,]\d+)?)\s*(m|ft|')?", text or "")
+    match = re.match(r"\s*(\d+(?:[.,]\d+)?)\s*(m|ft|feet|')?", text or "")
     if match is None:
         return None
     value = float(match[1].replace(",", "."))
-    return value * 0.3048 if match[2] in ("ft", "'") else value
+    return value * 0.3048 if match[2] in ("ft", "feet", "'") else value

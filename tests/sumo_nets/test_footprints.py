@@ -89,7 +89,16 @@ def test_slivers_and_lines_are_left_out(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "value"), [("12", 12.0), ("12,5 m", 12.5), ("40 ft", 12.192), ("high", None), (None, None), ("-3", None)]
+    ("text", "value"),
+    [
+        ("12", 12.0),
+        ("12,5 m", 12.5),
+        ("40 ft", 12.192),
+        ("40 feet", 12.192),
+        ("high", None),
+        (None, None),
+        ("-3", None),
+    ],
 )
 def test_numbers_of_tags(text, value):
     assert number(text) == (None if value is None else pytest.approx(value))
@@ -100,6 +109,7 @@ def test_numbers_of_tags(text, value):
     [
         ({"building": "yes", "height": "22"}, 500, (0.0, 22.0, "measured")),
         ({"building": "yes", "building:levels": "5", "roof:levels": "1"}, 500, (0.0, 21.0, "storeys")),
+        ({"building": "yes", "building:levels": "0", "roof:levels": "1"}, 500, (0.0, 3.5, "storeys")),
         ({"building:part": "yes", "building:levels": "6", "building:min_level": "2"}, 500, (7.0, 21.0, "storeys")),
         ({"building": "roof"}, 500, (4.5, 5.5, "default")),
         ({"building": "carport"}, 30, (2.0, 3.0, "default")),

@@ -13,7 +13,7 @@ from shapely import Polygon
 
 from sumo_nets.footprints import Footprint, footprint_of, pieces_of
 from sumo_nets.ground import Ground
-from sumo_nets.heights import CLEARANCE_M, Height, height_of
+from sumo_nets.heights import CLEARANCE_M, OPEN_BELOW, Height, height_of
 from sumo_nets.osm import Extract, Tags, Way
 
 SIMPLIFY_M = 0.15
@@ -91,7 +91,8 @@ def build(rings: Rings, project: Callable[[list[Way]], dict[int, Ring]], ground:
 def _is_building(tags: Tags) -> bool:
     if tags.get("location") == "underground" or tags.get("layer", "0").startswith("-"):
         return False
-    if tags.get("building:levels") == "0" and not {"height", "building:height"} & set(tags):
+    is_above = not {"height", "building:height", "roof:levels"}.isdisjoint(tags) or tags.get("building") in OPEN_BELOW
+    if tags.get("building:levels") == "0" and not is_above:
         return False  # entirely below ground
     return not {tags.get("building", "no"), tags.get("building:part", "no")} <= _NO_MORE
 

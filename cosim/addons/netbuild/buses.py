@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -17,6 +18,8 @@ STOP_M = 22.0
 """Length of a stop, and of the lane that a line begins on: an articulated bus and room to pull out [m]."""
 NEAR_M = 16.0
 """Farthest from its lane that a stop's sign may stand [m]."""
+APART_M = 100.0
+"""Signs that are nearer to each other along a lane are one stop [m]."""
 FARTHEST_M = 1500.0
 """Longest drive over streets that the relation does not name: termini and joined junctions [m]."""
 DETOUR = 1.6
@@ -83,14 +86,13 @@ def lines_of(
     lines = []
     for edges, members in sorted(alike.items()):
         refs = tuple(sorted({ref for ref, _ in members}))
-        found: dict[str, tuple[int, BusStop]] = {}
+        called: set[BusStop] = set()
         for sign in sorted({sign for _, calls in members for sign in calls}):
             name = extract.node_tags.get(sign, {}).get("name", "")
             if (stop := _beside(net, edges, sign, name, place[sign])) is not None:
-                found.setdefault(stop.lane, (edges.index(stop.lane.rsplit("_", 1)[0]), stop))
-        called = [stop for _, stop in sorted(found.values(), key=lambda item: item[0])]
-        called = [stops.setdefault(stop.lane, stop) for stop in called]
-        lines.append(Line(refs, edges, tuple(stop.id for stop in called)))
+                called.add(_kept(stops, stop))
+        in_order = sorted(called, key=lambda stop: (edges.index(stop.lane.rsplit("_", 1)[0]), stop.end_m))
+        lines.append(Line(refs, edges, tuple(stop.id for stop in in_order)))
     return lines, sorted(stops.values(), key=lambda stop: stop.id)
 
 
@@ -127,8 +129,9 @@ def departures(lines: list[Line], recipe: dict[str, Any], seed: int, end_s: floa
 
 
 def _is_daytime_bus(relation: Relation) -> bool:
+    """Whether a relation is a bus line with a number that is not that of a night line, such as 7N or N7."""
     ref = relation.tags.get("ref", "")
-    return relation.tags.get("route") == "bus" and ref != "" and not ref.endswith("N")
+    return relation.tags.get("route") == "bus" and ref != "" and not re.fullmatch(r"N ?\d.*|.*N", ref)
 
 
 def _ways(relation: Relation, edges_of_way: dict[int, list[Any]]) -> list[int]:
@@ -168,6 +171,17 @@ def _matched(net: Any, candidates: list[list[Any]]) -> list[str]:
     end = min(cost, key=lambda edge: (cost[edge], edge.getID()))
     steps = drive[end]
     return steps if len(set(steps)) == len(steps) else []
+
+
+def _kept(stops: dict[str, BusStop], stop: BusStop) -> BusStop:
+    """The stop that is there already; otherwise this one, which joins the others under an id of its own."""
+    for known in stops.values():
+        if known.lane == stop.lane and abs(known.end_m - stop.end_m) < APART_M:
+            return known
+    if stop.id in stops:  # one sign, for both directions
+        stop = replace(stop, id=f"{stop.id}.{len(stops)}")
+    stops[stop.id] = stop
+    return stop
 
 
 def _beside(net: Any, edges: tuple[str, ...], sign: int, name: str, at: Point) -> BusStop | None:

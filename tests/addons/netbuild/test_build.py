@@ -88,6 +88,16 @@ def test_parts_stand_for_the_outline_they_refine():
     assert solid[0.0, 7.0].equals(box(10, 0, 20, 10))
 
 
+@pytest.mark.parametrize(
+    ("tags", "stands"),
+    [({}, False), ({"building": "roof"}, True), ({"roof:levels": "1"}, True), ({"height": "4"}, True)],
+)
+def test_a_building_without_storeys_stands_if_it_is_a_roof(tags, stands):
+    house = osm.Way(1, (1, 2, 3, 1), {"building": "yes", "building:levels": "0", **tags})
+    town = extract({1: (0, 0), 2: (10, 0), 3: (10, 10)}, [house])
+    assert bool(buildings.rings_of(town)) == stands
+
+
 def test_courtyards_stay_open_and_a_house_bridges_a_wide_street_but_yields_to_a_narrow_strip():
     corners = {1: (0, 0), 2: (40, 0), 3: (40, 40), 4: (0, 40), 5: (15, 15), 6: (25, 15), 7: (25, 25), 8: (15, 25)}
     town = extract(

@@ -49,6 +49,14 @@ def test_the_handbook_keeps_its_words():
     assert sum(n_words.values()) <= MAX_WORDS, sorted(n_words.items(), key=lambda item: -item[1])
 
 
+def test_python_on_pages_reads_one_trust_variant():
+    """The default run has two. Tables with a column `variant` hold the rows of both."""
+    of_variants = "|".join(name for name, table in TABLES.items() if "variant" in table.columns)
+    of_all = re.compile(rf"\brun\.({of_variants})(\[|\.(?!subject))|FROM ({of_variants})\b(?!.*variant)")
+    for path in {*SOURCES.values(), *fences.PAGES.rglob("*.py")}:
+        assert not of_all.search(path.read_text(encoding="utf-8")), path
+
+
 @pytest.mark.parametrize("source", SOURCES)
 def test_links_lead_to_files(source):
     """Links and pictures can be followed in a checkout too."""

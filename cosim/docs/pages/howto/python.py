@@ -16,7 +16,7 @@ print(run)
 # %% [markdown]
 # ## Tables are DataFrames
 #
-# A table is read when you ask for it. `run.table` reads only some columns of a large table.
+# A table is read when you ask for it. `run.table` reads only some columns.
 
 # %%
 vehicles = run.vehicles
@@ -46,10 +46,12 @@ print(survival.head())
 # %% [markdown]
 # ## Does trust tell attackers apart?
 #
-# `subjects` joins pseudonyms with vehicles. This is ground truth, which no vehicle knows.
+# `subjects` joins pseudonyms with vehicles. This is ground truth, which no vehicle knows. `variant_table`
+# reads one trust variant.
 
 # %%
-trust = run.trust[run.trust.n_evaluations > 0].merge(run.subjects, left_on="subject", right_index=True)
+trust = run.variant_table("trust")
+trust = trust[trust.n_evaluations > 0].merge(run.subjects, left_on="subject", right_index=True)
 last = trust.sort_values("step").groupby("subject").tail(1)
 print(last.groupby("role", observed=True).trust.describe()[["count", "25%", "50%", "75%"]])
 
@@ -62,7 +64,7 @@ if len(honest) and len(malicious):
 # ## How old is the trust that is used?
 
 # %%
-lookups = run.trust_lookups
+lookups = run.variant_table("trust_lookups")
 print(lookups.groupby("state", observed=True).newest_evaluation_age_s.describe()[["count", "50%", "max"]])
 print(lookups.state.value_counts(normalize=True).round(3).to_dict())
 
