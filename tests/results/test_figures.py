@@ -12,6 +12,7 @@ from results.figures import style, trust
 from results.figures.catalogue import FIGURES
 from results.study import StudyResults
 from tests.results.synthetic import write
+from tests.slow import slow
 
 X_AXES = {"encounters": "Duration [s]", "freshness": "Age [s]", "radio": "Distance [m]"}
 """Label of the first axis of some figures, with the unit that the dictionary says."""
@@ -28,7 +29,7 @@ def quiet(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", FIGURES)
-@pytest.mark.parametrize("n_runs", [pytest.param(1, marks=pytest.mark.verify), 2])  # `test_report.py` draws one
+@pytest.mark.parametrize("n_runs", [slow(1), 2])  # `test_report.py` draws one
 def test_every_picture(run, other, name, n_runs, tmp_path):
     figure = FIGURES[name]([run, other][:n_runs])
     for axes in figure.axes:

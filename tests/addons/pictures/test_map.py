@@ -7,9 +7,10 @@ import pytest
 
 from cosim.addons.pictures import map_figure
 from tests.results import tiny
+from tests.slow import slow
 
 
-@pytest.mark.parametrize("n", [70, pytest.param(700, marks=pytest.mark.verify)])
+@pytest.mark.parametrize("n", [70, slow(700)])
 def test_every_encounter_that_is_seen_to_begin_counts(tmp_path, n):
     """n vehicles all meet in step 1 of 36 s, a hundredth of an hour. One more encounter was under way in step 0."""
     actors = [{"step": step, "actor": a, "x_m": a % 90.0, "y_m": a % 70.0} for step in (0, 1) for a in range(n)]

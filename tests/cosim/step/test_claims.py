@@ -13,6 +13,7 @@ from cosim.step.parts import check_choices
 from sensors.boxes import Boxes
 from sensors.tracking import ObjectStates, TrackingParams, confirmed_variance
 from tests.cosim.attacks.plain import play
+from tests.slow import slow
 from trust.claims import MISSING, SPEED, velocity_support
 from trust.params import KINDS
 from trust.tables import Groups, ObjectLists
@@ -250,9 +251,7 @@ def evaluations(in_turns):
     return play(n_steps=30, trust=EVIDENCE, tracking=TRACKS, **world)["evaluations"]
 
 
-@pytest.mark.parametrize(
-    ("in_turns", "ages"), [(True, {0, 1, 2, 3, 4}), pytest.param(False, {0}, marks=pytest.mark.verify)]
-)
+@pytest.mark.parametrize(("in_turns", "ages"), [(True, {0, 1, 2, 3, 4}), slow(False, {0})])
 def test_each_message_is_asked_about_once(in_turns, ages):
     """In the step in which its evaluator evaluates the sender's self report, whatever the phases of the two."""
     rows = evaluations(in_turns)
