@@ -60,23 +60,33 @@ HALL = {"__init__", "__main__", "extend", "world"}
 """The files that stand in `cosim` itself."""
 
 
-def imports():
-    """(file, imported module) of every import in the rooms, those inside functions too."""
-    for room in ROOMS:
-        for path in sorted((ROOT / room).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text())):
-                if isinstance(node, ast.Import):
-                    yield from ((path, alias.name) for alias in node.names)
-                elif isinstance(node, ast.ImportFrom):
-                    assert node.level == 0, f"{path}: relative import"
-                    yield path, node.module
-                    yield from ((path, f"{node.module}.{a.name}") for a in node.names)
+@cache
+def files():
+    """Path from the root, imports (those inside functions too), and `name.attribute` of every file of the rooms.
+
+    Only the worker that needs them reads all files.
+    """
+    found = []
+    for path in sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py")):
+        nodes = list(ast.walk(ast.parse(path.read_text())))
+        imports = [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
+        used = {(n.value.id, n.attr) for n in nodes if isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name)}
+        found.append((path.relative_to(ROOT), imports, used))
+    return found
 
 
 @cache
 def edges():
-    """The imports, with files by their paths from the root. Only the worker that needs them reads all files."""
-    return [(path.relative_to(ROOT), module) for path, module in imports()]
+    """(file, imported module) of every import in the rooms."""
+    found = []
+    for path, imports, _ in files():
+        for node in imports:
+            if isinstance(node, ast.Import):
+                found += [(path, alias.name) for alias in node.names]
+            else:
+                assert node.level == 0, f"{path}: relative import"
+                found += [(path, node.module), *((path, f"{node.module}.{a.name}") for a in node.names)]
+    return found
 
 
 def room_of(module):
@@ -172,11 +182,9 @@ def test_no_module_imports_itself_through_others():
 
 def test_private_names_stay_in_their_file():
     wrong = []
-    for path in sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py")):
-        nodes = list(ast.walk(ast.parse(path.read_text())))
-        froms = [n for n in nodes if isinstance(n, ast.ImportFrom) and n.module.split(".")[0] in ROOMS]
+    for path, imports, used in files():
+        froms = [n for n in imports if isinstance(n, ast.ImportFrom) and n.module.split(".")[0] in ROOMS]
         ours = {name.asname or name.name for n in froms for name in n.names}
-        used = {(n.value.id, n.attr) for n in nodes if isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name)}
         wrong += [f"{path} imports {name}" for name in ours if re.match("_[^_]", name)]
         wrong += [f"{path} uses {of}.{name}" for of, name in used if of in ours and re.match("_[^_]", name)]
     assert not wrong

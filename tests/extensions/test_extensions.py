@@ -85,6 +85,7 @@ east_m = 30
     assert len(shifted) > 100 and shifted.truth_iou.max() < 0.5 < honest.truth_iou.mean()
 
 
+@pytest.mark.verify
 def test_attack_on_evaluations(beside):
     folder = beside("own_bad_mouthing.py")
     run, _ = drive(folder, BASE + """
@@ -100,6 +101,7 @@ start_s = 5
     assert (evaluated[evaluated.evaluator.map(roles) == "honest"].evaluation > 0).any()
 
 
+@pytest.mark.verify
 def test_detector(beside):
     folder = beside("own_detector.py")
     run, _ = drive(folder, BASE + '[detector]\nmodel = "own_detector.py:Threshold"\nenough_returns = 30\n')
@@ -109,6 +111,7 @@ def test_detector(beside):
     assert len(sensed) == (seen.n_points >= 30).sum()
 
 
+@pytest.mark.verify
 def test_medium(beside):
     folder = beside("own_medium.py")
     run, _ = drive(folder, BASE + '[radio]\nmodel = "own_medium.py:Ideal"\nideal_range_m = 150\n')
@@ -116,6 +119,7 @@ def test_medium(beside):
     assert (run.radio.n_delivered == run.radio.n_in_range).all()
 
 
+@pytest.mark.verify
 def test_pseudonym_policy(beside):
     folder = beside("own_pseudonyms.py")
     run, _ = drive(folder, BASE + '[pseudonyms]\npolicy = "own_pseudonyms.py:Every"\nevery_messages = 6\n')

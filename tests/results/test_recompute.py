@@ -33,6 +33,7 @@ def _changes(level):
     return changes
 
 
+@pytest.mark.verify
 def test_totals_of_lookups_say_the_same_as_single_ones(run, tmp_path):
     """A run at level `summary`, which keeps no single lookups, has the same shares of states and mean ages."""
     brief = open_run(drive(tmp_path / "brief", *_changes("summary")))

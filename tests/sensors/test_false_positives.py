@@ -12,6 +12,7 @@ from sensors.false_positives import CELL_M, COLUMN_STEP, ROW_STEP, false_positiv
 from sensors.scene import Hit, Scene
 from sensors.statistical_detector import DetectorParams, resolved
 from tests.sensors.town import blocks, car, draws_of, exact, traffic
+from tests.slow import slow
 
 FRONT = Scene.from_footprints([[np.array([(-60.0, 8.5), (60, 8.5), (60, 20), (-60, 20)])]], [-0.1], [12.0])
 """A wall along x, 8.5 m to the left of an observer at the origin that faces +x, inside its cells."""
@@ -83,7 +84,7 @@ def test_score_and_class_distributions(street):
     assert np.bincount(label, minlength=4) / len(label) == pytest.approx(stated.false_positive_mix, abs=0.05)
 
 
-@pytest.mark.parametrize(("share", "shared"), [(0.6, 0.5), (1.0, 0.0), (0.9, 1.0)])
+@pytest.mark.parametrize(("share", "shared"), [(0.6, 0.5), slow(1.0, 0.0), slow(0.9, 1.0)])
 def test_temporal_and_common_covariance_follow_the_closed_form(queue, share, shared):
     sweeps, seen, _ = queue
     rate, memory_s, n = 3.0, 4.0, len(sweeps.observers)

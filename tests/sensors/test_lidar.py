@@ -8,6 +8,7 @@ from sensors.lidar import PROFILES, LidarParams, beams, mount, scan
 from sensors.range_noise import RangeNoise, add_noise
 from sensors.scene import Hit, Scene
 from tests.sensors.town import blocks, car, exact, traffic
+from tests.slow import slow
 
 CAR, BUS = 0, 3
 LEVEL = {"elevation_deg": (-10.0, 0.0, 10.0), "n_azimuths": 1, "fov_deg": 1.0}
@@ -126,8 +127,9 @@ def test_noise_never_makes_a_range_negative():
     ("max_range_m", "step_m"),
     [
         (80.0, 1 / 512),
-        (1000.0, 1 / 64),
-        *(pytest.param(*values, marks=pytest.mark.verify) for values in [(127.0, 1 / 512), (200.0, 1 / 256)]),
+        slow(1000.0, 1 / 64),
+        slow(127.0, 1 / 512),
+        slow(200.0, 1 / 256),
     ],
 )
 def test_reported_ranges_are_the_nearest_whole_steps(max_range_m, step_m):

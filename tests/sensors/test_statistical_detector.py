@@ -21,6 +21,7 @@ from sensors.statistical_detector import (
     uniform_of,
 )
 from tests.sensors.town import draws_of
+from tests.slow import slow
 
 PUBLISHED = ("avod", "pointpillars", "pv_rcnn")
 SOUND = {
@@ -52,7 +53,7 @@ def test_uniform_of_a_normal_is_uniform_and_continuous():
     assert np.abs(np.diff(uniform_of(np.linspace(-4, 4, 10_001)))).max() < 1e-3
 
 
-@pytest.mark.parametrize("name", PUBLISHED)
+@pytest.mark.parametrize("name", [slow("avod"), slow("pointpillars"), "pv_rcnn"])
 def test_detection_probability_and_scores(street, name):
     _, seen, boxes, label = street
     rng, params = np.random.default_rng(0), DetectorParams(model=name, min_score=0.0, **SOUND)

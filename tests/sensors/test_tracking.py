@@ -164,7 +164,7 @@ def agree(one, other, tolerance=1e-9):
         assert a == pytest.approx(b, abs=tolerance, nan_ok=True), f.name
 
 
-@settings(max_examples=25)
+@settings(max_examples=15)
 @given(seed=seeds)
 def test_like_the_slow_twin(seed):
     moments, twin = scene(seed), Twin(P)

@@ -11,6 +11,7 @@ from cosim.messages.content import FABRICATED
 from cosim.world import LABELS
 from sensors import evidence
 from tests.drive import cosim
+from tests.slow import slow
 from tests.trust.reference import load as reference
 
 CAR, PEDESTRIAN = LABELS.index("car"), LABELS.index("pedestrian")
@@ -115,7 +116,7 @@ def trust(ghosts):
     return published[1:]
 
 
-@pytest.fixture(scope="module", params=["car", "three_cars"])
+@pytest.fixture(scope="module", params=["car", slow("three_cars")])
 def course(request):
     """Ghosts per frame, trust after each frame, and weight of the attacker's trust per frame at the end of frame 49."""
     published = trust(request.param)

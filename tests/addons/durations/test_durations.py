@@ -233,14 +233,19 @@ def test_figures_beside_published_ones(tiny):
         measures.tail_shape(run, what="duration", has_los=True)
 
 
-def test_a_picture_of_tails(run, tiny):
+def test_few_encounters_have_no_picture_of_tails(run, tiny):
     few = tiny(60, vehicles=fleet("honest", "honest"), encounters=[encounter(0, 1, 3, 9)])
     assert [text.get_text() for axes in figure.draw([few]).axes for text in axes.texts] == ["too few"] * 4
+    with pytest.raises(ValueError, match="has no encounters with these options"):
+        figure.draw([run], radius_m=7.0)
+
+
+@pytest.mark.verify
+def test_a_picture_of_tails(run):
+    """`tests/results/test_figures.py` draws it, too."""
     drawn = figure.draw([run], radius_m=100.0)
     labels = {text.get_text() for text in drawn.legends[0].get_texts()}
     assert len(drawn.axes) == 4 and "Kaplan-Meier, 95 %" in labels and len(labels) == 6
-    with pytest.raises(ValueError, match="has no encounters with these options"):
-        figure.draw([run], radius_m=7.0)
 
 
 def test_a_search_that_tries_a_ratio_beyond_all_numbers_goes_on():

@@ -10,6 +10,7 @@ from results.archive import open_run
 from results.measure import measure
 from tests.drive import drive
 from tests.results.tiny import fleet
+from tests.slow import slow
 
 
 def test_by_hand():
@@ -71,10 +72,10 @@ def test_boxes_under_several_pseudonyms_are_of_one_vehicle(tiny):
     assert (found.n, found.share, found.n_units) == (6, 0.5, 3) and found.low == found.high == 0.5
 
 
-@pytest.fixture(scope="module", params=[1, 3], ids=["one hop", "relays"])
+@pytest.fixture(scope="module", params=[slow(1), 3], ids=["one hop", "relays"])
 def run(request, tmp_path_factory):
     folder, hops = tmp_path_factory.mktemp("evidence") / "run", f"radio.relay.max_hops={request.param}"
-    return open_run(drive(folder, "record.level=full", "traffic.duration_s=15", hops))
+    return open_run(drive(folder, "record.level=full", "traffic.duration_s=10", hops))
 
 
 def test_against_the_tables(run):

@@ -86,8 +86,9 @@ def test_explain_prints_json():
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     return drive(
-        tmp_path_factory.mktemp("cite") / "run", "trust.model=beta", "driver.model=cautious", "traffic.step_s=0.5"
-    )
+        tmp_path_factory.mktemp("cite") / "run", "trust.model=beta", "driver.model=cautious", "traffic.step_s=0.5",
+        "traffic.duration_s=2", "traffic.warmup_s=10",
+    )  # fmt: skip
 
 
 def test_a_run_is_cited_by_what_it_used(run):

@@ -134,6 +134,7 @@ def test_a_mistake_is_one_line(folder, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.verify
 def test_a_run_without_sensing_has_labels_for_other_readers(tmp_path):
     simulate(tmp_path / "run", "sensing=false", "traffic.duration_s=2", "traffic.warmup_s=60")
     done = cosim("export", "kitti", "run", "--out", "kitti", cwd=tmp_path)

@@ -14,6 +14,7 @@ from sumo_nets import catalogue, density, sumo_package_nets
 from sumo_nets.density import Density
 from sumo_nets.network import lanes
 from tests import SHARED
+from tests.slow import slow
 
 HERSFELD = SHARED / "nets" / "bad_hersfeld" / "osm_bbox.osm.xml.gz"
 
@@ -104,9 +105,7 @@ def test_a_name_names_files_in_the_folder(built, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-@pytest.mark.parametrize(
-    "suffix", [".osm.pbf", *(pytest.param(s, marks=pytest.mark.verify) for s in (".osm.bz2", ".osm"))]
-)
+@pytest.mark.parametrize("suffix", [".osm.pbf", *(slow(s) for s in (".osm.bz2", ".osm"))])
 def test_the_same_town_from_whatever_it_is_packed_in(built, tmp_path, suffix):
     import osmium
 
@@ -172,7 +171,7 @@ def test_a_city_of_the_wheel_is_made_once_and_always_alike(tmp_path, monkeypatch
 
 @pytest.mark.parametrize(
     "name",
-    [name if name == "koenigs-wusterhausen" else pytest.param(name, marks=pytest.mark.verify)
+    [name if name == "koenigs-wusterhausen" else slow(name)
      for name in sorted(sumo_package_nets.NETS)],
 )  # fmt: skip
 def test_what_is_said_of_a_city_before_it_is_made_is_what_it_then_is(name, tmp_path, monkeypatch):
@@ -270,6 +269,7 @@ def across_town(gap: float) -> str:
     return text.replace("</osm>", nodes + road + "</osm>")
 
 
+@pytest.mark.verify
 def test_a_motorway_without_a_ramp_stays_and_what_is_left_out_is_said(tmp_path):
     """Only the outside connects it with the town. The road with a gap of 100 m is two pieces with a gate each."""
     for name, gap in (("whole", 0.0), ("gap", 0.0007)):

@@ -7,16 +7,18 @@ import pytest
 
 from cosim.addons.pictures import map_figure
 from tests.results import tiny
+from tests.slow import slow
 
 
-def test_every_encounter_that_is_seen_to_begin_counts(tmp_path):
-    """700 vehicles all meet in step 1 of 36 s, a hundredth of an hour. One more encounter was under way in step 0."""
-    actors = [{"step": step, "actor": a, "x_m": a % 90.0, "y_m": a % 70.0} for step in (0, 1) for a in range(700)]
+@pytest.mark.parametrize("n", [70, slow(700)])
+def test_every_encounter_that_is_seen_to_begin_counts(tmp_path, n):
+    """n vehicles all meet in step 1 of 36 s, a hundredth of an hour. One more encounter was under way in step 0."""
+    actors = [{"step": step, "actor": a, "x_m": a % 90.0, "y_m": a % 70.0} for step in (0, 1) for a in range(n)]
     under_way = [{"a": 0, "b": 1, "radius_m": 50.0, "end_step": 9, "censored_left": True}]
-    begun = [{"a": a, "b": b, "radius_m": 50.0, "start_step": 1, "end_step": 9} for a, b in combinations(range(700), 2)]
+    begun = [{"a": a, "b": b, "radius_m": 50.0, "start_step": 1, "end_step": 9} for a, b in combinations(range(n), 2)]
     run = tiny.make(tmp_path, 36, actors=actors, encounters=under_way + begun)
     cells = map_figure.draw([run]).axes[0].collections[1]
-    assert np.ma.sum(cells.get_array()) == pytest.approx(100 * 700 * 699 / 2)
+    assert np.ma.sum(cells.get_array()) == pytest.approx(100 * n * (n - 1) / 2)
 
     (tmp_path / "under_way").mkdir()
     run = tiny.make(tmp_path / "under_way", 36, actors=actors, encounters=under_way)

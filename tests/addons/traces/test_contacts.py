@@ -88,6 +88,7 @@ def test_contacts_of_a_run_with_its_own_and_other_definitions(driven):
     assert 0 < (again.encounters.radius_m == 30).sum() < len(expected)
 
 
+@pytest.mark.verify
 def test_trees_and_parked_cars_of_a_run_are_in_the_way_in_its_contacts(tmp_path):
     (tmp_path / "c.toml").write_text(BESIDE)
     simulate(tmp_path / "run", config=tmp_path / "c.toml")

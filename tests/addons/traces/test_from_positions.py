@@ -11,6 +11,7 @@ from cosim.traffic import fcd
 from cosim.traffic.frame import TrafficError
 from results.archive import open_run
 from tests.drive import cosim
+from tests.slow import slow
 
 STEP_S, LENGTH_M = 0.1, 5.0
 
@@ -112,7 +113,7 @@ def test_a_run_takes_a_vehicle_after_a_gap_for_the_same(tmp_path):
         assert found.encounters.censored_left.all() and found.encounters.censored_right.all()
 
 
-@pytest.mark.parametrize("hz", [60, 30000 / 1001, 12.5, 10 / 3, 1, 0.4])
+@pytest.mark.parametrize("hz", [30000 / 1001, 0.4, slow(60), slow(12.5), slow(10 / 3), slow(1)])
 def test_the_command_that_is_printed_can_be_run(tmp_path, hz):
     t = np.arange(0, 8, 1 / hz)
     pd.DataFrame({"id": "a", "time": t, "x": 10 * t, "y": 0.0}).to_csv(tmp_path / "p.csv", index=False)

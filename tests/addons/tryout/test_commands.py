@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 from cosim.addons.tryout import templates
 from cosim.cli.main import app
 from tests.results import tiny
+from tests.slow import slow
 
 KINDS = ("trust", "attack", "policy", "medium", "detector", "driver", "exporter", "metric")
 FOLDER = Path(templates.__file__).parent
@@ -38,9 +39,7 @@ def test_new_writes_over_nothing(tmp_path):
     assert "would hide the package trust" in str(call("new", "trust", tmp_path / "trust.py")[2])
 
 
-@pytest.mark.parametrize(
-    "kind", [k if k in ("policy", "metric") else pytest.param(k, marks=pytest.mark.verify) for k in KINDS]
-)
+@pytest.mark.parametrize("kind", [k if k == "policy" else slow(k) for k in KINDS])
 def test_an_example_keeps_all_laws(tmp_path, kind):
     call("new", kind, tmp_path / "mine.py")
     said, status, error = call("try", tmp_path / f"mine.py:My{kind.capitalize()}")

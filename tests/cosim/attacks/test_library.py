@@ -20,6 +20,11 @@ def honest():
     return play()
 
 
+@pytest.fixture(scope="module")
+def honest_in_turns():
+    return play(n_steps=30, **IN_TURNS)
+
+
 def beside(tables, honest, name="detections", key=None):
     """Rows that are in both, the honest columns with the suffix _was."""
     return tables[name].merge(honest[name], on=key or KEY, suffixes=("", "_was"))
@@ -181,9 +186,9 @@ def test_replay(honest):
     assert age.between(1, 3).all() and (found.observer != found.observer_made).all()
 
 
-def test_replay_of_vehicles_that_send_at_other_times():
+def test_replay_of_vehicles_that_send_at_other_times(honest_in_turns):
     """Random phases in steps of 0.2 s: of each sender the oldest message within 1.5 s, so that all have a message."""
-    honest = play(n_steps=30, **IN_TURNS)["detections"]
+    honest = honest_in_turns["detections"]
     keys = {"attack": "replay", "n_objects": 200, "age_s": 1.5}
     lies = lies_of(play([BY | keys], n_steps=30, **IN_TURNS))
     true = honest[["at", "observer", "x_m", "y_m", "score"]]
@@ -349,10 +354,9 @@ IN_TURNS = {"traffic": {"step_s": 0.2}, "sensing_phase": "random"}
 """Every vehicle sends at a step of its own, one in five."""
 
 
-def test_ages_in_messages_where_vehicles_send_in_turns():
+def test_ages_in_messages_where_vehicles_send_in_turns(honest_in_turns):
     """Three messages ago is 15 steps ago, and the first messages repeat the oldest."""
-    honest = play(n_steps=30, **IN_TURNS)
-    own = honest["detections"].query("detection_index == 0")[["at", "observer", "x_m"]]
+    own = honest_in_turns["detections"].query("detection_index == 0")[["at", "observer", "x_m"]]
     found = play([BY | {"attack": "stale", "n_messages": 3}], n_steps=30, **IN_TURNS)["detections"]
     mine = found[(found.detection_index == 0) & found.observer.isin(WHO)]
     age = mine.merge(own.rename(columns={"at": "was"}), on=["observer", "x_m"]).eval("at - was")
@@ -361,7 +365,7 @@ def test_ages_in_messages_where_vehicles_send_in_turns():
 
     said = play([BY | {"attack": "replayed_evaluations", "n_messages": 3}], n_steps=30, **IN_TURNS)["evaluations"]
     said = said[said.evaluator.isin(WHO) & (said.observer != said.evaluator)]
-    was = honest["evaluations"].assign(at=lambda f: f["at"] + 15)
+    was = honest_in_turns["evaluations"].assign(at=lambda f: f["at"] + 15)
     was = was[was.visibility > 0]
     key = ["at", "evaluator", "observer", "detection_index"]
     pairs = said.merge(was, on=key, suffixes=("", "_old"))

@@ -12,6 +12,7 @@ from cosim.messages.pseudonyms import PseudonymParams, PseudonymState
 from cosim.messages.relinking import KnownSenders, ReceivedSenders, update_senders
 from cosim.runs.check import remarks_on
 from tests.cosim.attacks.plain import NAMES, N, play
+from tests.slow import slow
 from tests.trust.histories import messages_from_rows
 from trust.claims import claim_number
 from trust.params import KINDS
@@ -77,9 +78,7 @@ FAST, SLOW_STEPS = [500.0] * 8, {"traffic": {"step_s": 50.0}, "sensing_interval_
 """Everybody drives half a kilometre per step; steps of 50 s, so that rules in minutes and kilometres change names."""
 
 
-@pytest.mark.parametrize(
-    "policy", ["c2c", pytest.param("bsp", marks=pytest.mark.verify), pytest.param("scms", marks=pytest.mark.verify)]
-)
+@pytest.mark.parametrize("policy", ["c2c", slow("bsp"), slow("scms")])
 def test_the_same_of_policies_in_minutes_and_kilometres(policy):
     given = {"n_steps": 8, "speeds": FAST, "trust": {"freshness_s": 1000.0}} | (SLOW_STEPS if policy != "bsp" else {})
     tables = play([GHOST], pseudonyms={"policy": policy, "linkage": "server"}, **given)

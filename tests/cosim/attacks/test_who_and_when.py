@@ -66,7 +66,7 @@ def test_camouflage_lies_while_it_is_trusted_above_the_threshold():
     {"victim": "random", "victim_range_m": 40.0}, {"victim": "nearest"}, {"victim": "designated", "victim_p": 0.2},
 ])  # fmt: skip
 def test_victims(keys):
-    tables = play([GHOST | keys], n_steps=8)
+    tables = play([GHOST | keys], n_steps=8, tables=("detections", "actors"))
     found, world = tables["detections"], tables["actors"]
     ghosts = found[found.lied]
     assert len(ghosts) > 8

@@ -8,6 +8,7 @@ import pytest
 from cosim import __version__
 from cosim.cli.console import SUMMARY_METRICS
 from tests.drive import SHORT, cosim
+from tests.slow import slow
 
 SETS = [word for override in (*SHORT, "traffic.duration_s=10") for word in ("--set", override)]
 
@@ -86,7 +87,7 @@ def test_metrics_are_explained():
     assert set(SUMMARY_METRICS) <= set(json.loads(cosim("measure", "--explain", "--json").stdout))
 
 
-@pytest.mark.parametrize("what", ["encounters", "radio"])
+@pytest.mark.parametrize("what", [slow("encounters"), "radio"])
 def test_plot(run, what):
     folder, _ = run
     done = cosim("plot", what, "runs/helsinki-1", "--out", f"{what}.svg", cwd=folder)

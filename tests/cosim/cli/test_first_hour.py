@@ -17,6 +17,15 @@ def refused_in_one_line(done, says):
     assert says in done.stderr
 
 
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory):
+    """A folder with the config and the study that `cosim init` writes."""
+    folder = tmp_path_factory.mktemp("begun")
+    cosim("init", cwd=folder)
+    cosim("init", "--study", "ages.toml", cwd=folder)
+    return folder
+
+
 def test_init_writes_a_config_that_runs_and_a_study(tmp_path):
     done = cosim("init", cwd=tmp_path)
     text = (tmp_path / "mine.toml").read_text()
@@ -45,23 +54,20 @@ def test_init_writes_a_config_that_runs_and_a_study(tmp_path):
         (["check", "ages.toml", "--preset", "moder"], "there is no such preset"),
     ],
 )
-def test_the_wrong_command_names_the_right_one(tmp_path, words, says):
-    cosim("init", cwd=tmp_path)
-    cosim("init", "--study", "ages.toml", cwd=tmp_path)
-    (tmp_path / "my.osm.pbf").write_bytes(b"")
-    done = cosim(*words, cwd=tmp_path)
+def test_the_wrong_command_names_the_right_one(begun, words, says):
+    (begun / "my.osm.pbf").write_bytes(b"")
+    done = cosim(*words, cwd=begun)
     refused_in_one_line(done, says)
 
 
-def test_a_study_takes_changes_of_its_base(tmp_path):
-    cosim("init", "--study", "ages.toml", cwd=tmp_path)
+def test_a_study_takes_changes_of_its_base(begun):
     words = ["sweep", "ages.toml", "--out", "x", "--dry-run", "--json"]
     long, short = (
-        json.loads(cosim(*words, *more, cwd=tmp_path).stdout) for more in ([], ["--set", "traffic.duration_s=12"])
+        json.loads(cosim(*words, *more, cwd=begun).stdout) for more in ([], ["--set", "traffic.duration_s=12"])
     )
     assert long["points"] == short["points"] == 12
     assert long["MB"] > 4 * short["MB"]
-    assert cosim("check", "ages.toml", "--preset", "v0.2", "--all", cwd=tmp_path).stdout.count('preset = "v0.2"') == 1
+    assert cosim("check", "ages.toml", "--preset", "v0.2", "--all", cwd=begun).stdout.count('preset = "v0.2"') == 1
 
 
 def test_check_says_what_changes_and_what_follows(tmp_path):
@@ -103,12 +109,11 @@ except SystemExit:
     assert done.stdout.splitlines()[-1] == "loaded"
 
 
-def test_check_of_a_study_says_what_it_takes(tmp_path):
-    cosim("init", "--study", "ages.toml", cwd=tmp_path)
-    said = cosim("check", "ages.toml", cwd=tmp_path).stdout
+def test_check_of_a_study_says_what_it_takes(begun):
+    said = cosim("check", "ages.toml", cwd=begun).stdout
     assert re.search(r"about \d+ (s|min) with \d+ workers? on (a free core|free cores), and \d\.\d GB of memory", said)
     assert "fleet.penetration_p: 0.1, 0.35" in said
-    long = cosim("check", "ages.toml", "--set", "traffic.duration_s=36000", cwd=tmp_path).stdout
+    long = cosim("check", "ages.toml", "--set", "traffic.duration_s=36000", cwd=begun).stdout
     assert "half of it: --set traffic.duration_s=18000" in long
 
 
@@ -116,11 +121,10 @@ def test_check_of_the_default_changes_nothing():
     assert "no key differs" in cosim("check").stdout
 
 
-def test_a_study_has_a_folder_named_after_its_file(tmp_path):
-    cosim("init", "--study", "ages.toml", cwd=tmp_path)
-    done = cosim("sweep", "ages.toml", "--dry-run", cwd=tmp_path)
+def test_a_study_has_a_folder_named_after_its_file(begun):
+    done = cosim("sweep", "ages.toml", "--dry-run", cwd=begun)
     assert done.returncode == 0 and "processor time" in done.stdout
-    assert not (tmp_path / "runs").exists()
+    assert not (begun / "runs").exists()
 
 
 def test_a_path_is_no_name_of_a_study(tmp_path):

@@ -14,6 +14,7 @@ from cosim.door.load import load_own
 from tests.cosim.door import tiny
 from tests.cosim.door.test_mistakes import GOOD, source
 from tests.drive import cosim
+from tests.slow import slow
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +75,7 @@ class Mine(MODELS["beta"]):
     ("line", "said"),
     [
         ("found = replace(found, subject=found.subject + 10**6)", "returned a score of subject 1000"),
-        ("found = replace(found, holder=0 * found.holder + 7)", "returned a score for holder 7, but SERVER"),
+        slow("found = replace(found, holder=0 * found.holder + 7)", "returned a score for holder 7, but SERVER"),
         ("sys.stdout.close()", "standard output is cosim's and stays open"),
     ],
 )

@@ -11,6 +11,7 @@ import pytest
 from cosim.runs import process
 from cosim.runs.speed.kernels import kernel_of, listed, types_of
 from tests.kernels import text_of
+from tests.slow import slow
 
 SAY = "from cosim.runs.speed.kernels import compiling\nwith compiling({}) as child:\n    print(child and child.pid)\n"
 WAIT = "    import time; time.sleep(60)\n"
@@ -61,13 +62,19 @@ def test_the_process_ends_with_a_killed_run(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("n_threads", "more"), [(1, {}), (0, {"NUMBA_NUM_THREADS": "1"}), (0, {"NUMBA_DISABLE_JIT": "1"})]
+    ("n_threads", "more"),
+    [
+        (0, {"NUMBA_DISABLE_JIT": "1"}),
+        slow(1, {}),
+        slow(0, {"NUMBA_NUM_THREADS": "1"}),
+    ],
 )
 def test_no_process_where_there_is_nothing_to_gain(tmp_path, n_threads, more):
     out, err = started(tmp_path, SAY.format(n_threads), **more).communicate()
     assert (out, err) == ("None\n", "")
 
 
+@pytest.mark.verify
 def test_an_old_list_does_no_harm_and_is_gone_through_once(tmp_path):
     """The second kernel and the types of the third are gone."""
     first = " ".join(listed()[0])

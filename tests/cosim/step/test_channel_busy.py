@@ -4,6 +4,7 @@ import pytest
 
 from results.archive import open_run
 from tests.drive import simulate
+from tests.slow import slow
 
 FREE = (
     "radio.range_m=3000", "radio.propagation.interference_range_m=4000", "radio.propagation.model=free_space",
@@ -12,7 +13,7 @@ FREE = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("phase", ["random", "common"])
+@pytest.mark.parametrize("phase", [slow("random"), "common"])
 def test_as_the_time_on_the_air(tmp_path, phase):
     """At 6 Mbit/s, a frame of n bytes takes 40 us and 8 us for each 48 bits; half of the last 48 are empty, mostly."""
     run = open_run(simulate(tmp_path / "run", *FREE, f"sensing_phase={phase}"))

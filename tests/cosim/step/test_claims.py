@@ -1,5 +1,6 @@
 """Which messages raise which questions, against literal loops; and what the answers do to liars and others."""
 
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +13,7 @@ from cosim.step.parts import check_choices
 from sensors.boxes import Boxes
 from sensors.tracking import ObjectStates, TrackingParams, confirmed_variance
 from tests.cosim.attacks.plain import play
+from tests.slow import slow
 from trust.claims import MISSING, SPEED, velocity_support
 from trust.params import KINDS
 from trust.tables import Groups, ObjectLists
@@ -232,7 +234,7 @@ def test_who_does_not_report_itself_is_not_denied_for_speeds():
     assert len(tables["evaluations"]) > 100 and not (tables["evaluations"].kind == SPEED).any()
 
 
-IN_TURNS = {"traffic": {"step_s": STEP_S}, "sensing_phase": "random", "extrapolate": True, "tracking": TRACKS}
+IN_TURNS = {"traffic": {"step_s": STEP_S}, "sensing_phase": "random", "extrapolate": True}
 """One vehicle in five senses in each step."""
 
 
@@ -242,10 +244,17 @@ def messages_of(rows):
     return set(rows[rows.evaluator != rows.observer][keys].itertuples(index=False, name=None))
 
 
-@pytest.mark.parametrize(("world", "ages"), [(IN_TURNS, {0, 1, 2, 3, 4}), ({"tracking": TRACKS}, {0})])
-def test_each_message_is_asked_about_once(world, ages):
+@cache
+def evaluations(in_turns):
+    """Of thirty steps in which vehicles sense in turns, or all in each."""
+    world = IN_TURNS if in_turns else {}
+    return play(n_steps=30, trust=EVIDENCE, tracking=TRACKS, **world)["evaluations"]
+
+
+@pytest.mark.parametrize(("in_turns", "ages"), [(True, {0, 1, 2, 3, 4}), slow(False, {0})])
+def test_each_message_is_asked_about_once(in_turns, ages):
     """In the step in which its evaluator evaluates the sender's self report, whatever the phases of the two."""
-    rows = play(n_steps=30, trust=EVIDENCE, **world)["evaluations"]
+    rows = evaluations(in_turns)
     assert not rows.duplicated(["evaluator", "observer", "detection_step", "detection_index", "kind"]).any()
     reports = messages_of(rows[(rows.kind == 0) & (rows.detection_index == 0)])
     rows = rows[rows["at"] >= 15]  # from here on, vehicles have tracks
@@ -260,7 +269,7 @@ def test_each_message_is_asked_about_once(world, ages):
 
 def test_who_senses_at_another_time_is_no_liar():
     """Vehicles drive 8 m in the longest time between two sweeps: more than the tolerance of 4 m."""
-    rows = play(n_steps=30, trust=EVIDENCE, **IN_TURNS)["evaluations"]
+    rows = evaluations(in_turns=True)
     rows = rows[(rows.evaluator != rows.observer) & (rows["at"] >= 15)]
     rows = rows.assign(support=rows.evaluation * rows.visibility, is_late=rows["at"] > rows.detection_step)
     missing = rows[rows.kind == MISSING].groupby("is_late").support.mean()

@@ -67,7 +67,7 @@ def test_only_receptions_that_are_not_held_are_added():
 def test_what_roadside_units_hear_and_say_more_than_once_counts_once(tmp_path):
     """Forwarded copies of a report reach several units in several rounds; those of a broadcast, a vehicle."""
     sets = (
-        *("traffic.step_s=0.2", "sensing_phase=random", "traffic.duration_s=6", "traffic.warmup_s=120"),
+        *("traffic.step_s=0.2", "sensing_phase=random", "traffic.duration_s=4", "traffic.warmup_s=120"),
         *("trust.server_period_s=1", "radio.relay.max_hops=3", "server.uplink=rsu", "rsu.n_at_junctions=6"),
     )
     run = open_run(drive(tmp_path / "run", "record.level=full", *sets))

@@ -167,7 +167,7 @@ def test_neither_threads_nor_blocks_change_a_table(runs, tmp_path):
 
 
 def test_extrapolated_boxes_are_moved_by_the_velocity_of_the_message(tmp_path):
-    run = open_run(drive(tmp_path / "run", *RANDOM, "extrapolate=true"))
+    run = open_run(drive(tmp_path / "run", *RANDOM, "traffic.duration_s=3", "extrapolate=true"))
     selves = run.fused[(run.fused.source_index == 0) & (run.fused.source_step < run.fused.step)]
     told = run.detections.set_index(["step", "observer", "detection_index"])
     told = told.loc[pd.MultiIndex.from_frame(selves[["source_step", "source", "source_index"]])]

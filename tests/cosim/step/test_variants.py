@@ -7,6 +7,7 @@ import pytest
 
 from results.archive import open_run
 from tests.drive import cosim, drive
+from tests.slow import slow
 
 VARIANTS = {
     "short": {"freshness_s": 5.0},
@@ -48,9 +49,7 @@ def of(run, table, name):
     return frame[frame.variant == name].drop(columns="variant").reset_index(drop=True)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.verify) if name in RARE else name for name in VARIANTS]
-)
+@pytest.mark.parametrize("name", [slow(name) if name in RARE else name for name in VARIANTS])
 def test_a_variant_equals_a_run_of_its_own(together, tmp_path, name):
     alone = open_run(drive(tmp_path / "run", *SHORT, *settings(VARIANTS[name], "trust")))
     compared = 0
@@ -63,7 +62,9 @@ def test_a_variant_equals_a_run_of_its_own(together, tmp_path, name):
         assert not len(of(together, "fused", name))
 
 
+@pytest.mark.verify
 def test_the_acting_one_does_not_notice(together, tmp_path):
+    """`tests/cosim/studies/test_sweep.py` says so of other settings."""
     alone = open_run(drive(tmp_path / "run", *SHORT))
     for table in together.tables:
         mine, own = together.table(table), alone.table(table)

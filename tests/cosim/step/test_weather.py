@@ -7,6 +7,7 @@ from cosim.config.config import load
 from cosim.step.parts import seen_in_weather
 from results.archive import open_run
 from tests.drive import drive
+from tests.slow import slow
 
 DENSE = "fleet.penetration_p=0.6"
 FOG = ("preset=modern", "weather.visibility_m=50")
@@ -29,7 +30,7 @@ def test_the_area_that_is_evaluated_ends_where_the_road_returns_nothing(sets, ar
     assert lidar.max_range_m == pytest.approx(lidar_m, abs=0.05)
 
 
-@pytest.mark.parametrize("is_known", [True, False])
+@pytest.mark.parametrize("is_known", [slow(True), False])
 def test_true_detections_beyond_the_reach_are_denied_by_those_who_do_not_know_it(tmp_path, is_known):
     sets = (*FOG, DENSE, f"weather.known={str(is_known).lower()}", "traffic.duration_s=3", "record.level=full")
     run = open_run(drive(tmp_path / "run", *sets, "attacks=[]"))

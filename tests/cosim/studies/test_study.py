@@ -12,6 +12,7 @@ from cosim.studies.points import identity, points_of, traffic_identity
 from cosim.studies.study import SHIPPED, load
 from cosim.studies.sweep import fleet_notes, name_notes, prepare, scene_notes
 from tests.cosim.traffic import crossing
+from tests.slow import slow
 
 HEAD = """
 [study]
@@ -236,7 +237,7 @@ def test_meshes_and_attacks_are_files_beside_the_config_that_names_them(tmp_path
         ("exposure", 27, 27),
         ("encounters", 9, 9),
         ("safety", 48, 48),
-        pytest.param("attacks", 780, 39, marks=pytest.mark.verify),
+        slow("attacks", 780, 39),
         ("safety_half_hour", 24, 24),
         ("whitewashing", 20, 20),
         ("revocation", 16, 16),
@@ -247,7 +248,7 @@ def test_meshes_and_attacks_are_files_beside_the_config_that_names_them(tmp_path
         ("access", 48, 48),
         ("presets", 6, 6),
         ("deviations", 35, 35),
-        pytest.param("cities", 8, 8, marks=pytest.mark.verify),  # builds two cities
+        slow("cities", 8, 8),  # builds two cities
         ("strangers", 32, 8),
         ("paper_tables", 200, 80),
     ],

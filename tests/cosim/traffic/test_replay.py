@@ -21,12 +21,14 @@ from tests.cosim.traffic import mixed_scenario
 from tests.cosim.traffic.worlds import collect, live, registry, same
 from tests.drive import SHORT, cosim, drive
 from tests.fingerprint import fingerprint
+from tests.slow import slow
 
 FORMATS = (
     "fcd.parquet",
     "fcd.xml",
-    "fcd.csv",
-    *(pytest.param(f"fcd.{x}.gz", marks=pytest.mark.verify) for x in ("xml", "csv")),
+    slow("fcd.csv"),
+    slow("fcd.xml.gz"),
+    slow("fcd.csv.gz"),
 )
 
 

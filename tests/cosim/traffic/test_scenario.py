@@ -21,6 +21,7 @@ from tests.cosim.traffic.mixed_scenario import edited
 from tests.cosim.traffic.worlds import live, same
 from tests.drive import cosim
 from tests.hostile.scenes import write_town
+from tests.slow import slow
 
 BOLOGNA = SHARED / "nets" / "bologna"
 
@@ -207,7 +208,7 @@ def test_traffic_that_begins_later_is_named_with_its_time(scenario, tmp_path):
     assert "the first of the scenario departs at 10800 s. Set traffic.begin_s = 10770." in done.stderr
 
 
-@pytest.mark.parametrize("name", ["odd.cfg", "a,b/odd.sumo.cfg"])
+@pytest.mark.parametrize("name", [slow("odd.cfg"), "a,b/odd.sumo.cfg"])
 @pytest.mark.parametrize("by_folder", [False, True])
 def test_what_sumo_opens_is_opened(scenario, tmp_path, name, by_folder):
     """A configuration by its content, and in a folder whose name has a comma, at which SUMO splits lists of files."""
@@ -232,7 +233,7 @@ def test_a_network_that_does_not_say_how_far_it_reaches(scenario, tmp_path, loca
     assert len(worlds[-1]) > 0
 
 
-@pytest.mark.parametrize("file", ["stdout", "-", "STDERR"])
+@pytest.mark.parametrize("file", ["-", slow("stdout"), slow("STDERR")])
 def test_standard_output_belongs_to_the_command(scenario, tmp_path, file):
     """Additional files may name it as the place of their outputs."""
     edge_data = f'<additional><edgeData id="e" file="{file}" period="1"/></additional>'

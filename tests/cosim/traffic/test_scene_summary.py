@@ -12,6 +12,7 @@ from cosim.traffic.scene_summary import scene_summary
 from tests import SHARED
 from tests.cosim.traffic import crossing
 from tests.drive import cosim
+from tests.slow import slow
 
 NETS = SHARED / "nets"
 
@@ -138,7 +139,7 @@ def test_the_command_line_says_it(tmp_path):
 
 
 @pytest.mark.parametrize("city", ["helsinki", "koenigs-wusterhausen", "bologna/run.sumocfg",
-                                  pytest.param("luxembourg/luxembourg.sumocfg", marks=pytest.mark.verify)])  # fmt: skip
+                                  slow("luxembourg/luxembourg.sumocfg")])  # fmt: skip
 def test_cities_that_are_fine_get_no_note(city):
     if "/" in city and not (NETS / city).is_file():
         pytest.skip(f"{NETS / city} is not there")

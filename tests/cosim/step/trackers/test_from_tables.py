@@ -103,7 +103,7 @@ def test_messages_forwarded_beyond_range_do_not_count(tmp_path):
     What counts is whether two vehicles were within range when the message was made, or when it went from one to the
     other without a hop between.
     """
-    phases = ("traffic.step_s=0.2", "sensing_phase=random", "traffic.duration_s=6", "fleet.penetration_p=1")
+    phases = ("traffic.step_s=0.2", "sensing_phase=random", "traffic.duration_s=4", "fleet.penetration_p=1")
     relay = ("radio.relay.max_hops=3", f"radio.range_m={RANGE_M}", "record.level=full")
     run = open_run(drive(tmp_path / "relay", *phases, *relay))
     got = run.receptions[run.receptions.message_type == "cpm"]
