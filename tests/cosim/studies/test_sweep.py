@@ -11,16 +11,13 @@ import pytest
 from cosim.base.codes import BASE_VARIANT
 from cosim.studies.folder import StudyFolder
 from cosim.studies.stages import Cache
+from results.archive import open_run
 from results.study import open_study
 from tests import drive
 from tests.cosim.studies.runs import SHORT, assert_same
 from tests.cosim.studies.runs import drive as drive_city
 
-STUDY = """
-[study]
-name = "short"
-replicates = 2
-baseline = { "trust.freshness_s" = 20, "trust.host" = "local" }
+BASE = """
 [base]
 traffic.duration_s = 14
 traffic.warmup_s = 60
@@ -29,13 +26,27 @@ attacks = [
   { attack = "ghost_insertion", role = "malicious", start_s = 5, share_p = 0.3 },
   { attack = "unreliable", role = "unreliable", start_s = 5 },
 ]
+[limits]
+retries = 0
+"""
+STUDY = f"""
+[study]
+name = "short"
+replicates = 2
+baseline = {{ "trust.freshness_s" = 20, "trust.host" = "local" }}
+{BASE}
 [[zip]]
 trust.freshness_s = [6, 20]
 trust.host = ["central", "local"]
 [grid]
-fleet.penetration_p = [0.2, 0.3]
-[limits]
-retries = 0
+fleet.penetration_p = [0.2]
+"""
+HALF = f"""
+[study]
+name = "short"
+{BASE}
+[grid]
+attacks.0.attack = ["ghost_insertion", "crash.py:Crash"]
 """
 
 CRASH = '''
@@ -54,8 +65,17 @@ def cosim(folder, *words):
 
 
 @pytest.fixture(scope="module")
+def half(tmp_path_factory):
+    """A folder with a study of two runs on one recorded traffic, of which the second fails, and how the sweep ended."""
+    folder = tmp_path_factory.mktemp("half")
+    (folder / "crash.py").write_text(CRASH)
+    (folder / "study.toml").write_text(HALF)
+    return folder, cosim(folder, "sweep", "study.toml", "--out", "out", "--workers", "1", "--json")
+
+
+@pytest.fixture(scope="module")
 def swept(tmp_path_factory):
-    """A folder with a finished study; `test_recovery.py` kills some."""
+    """A folder with a finished study of two runs, each of two points; `test_recovery.py` kills some."""
     folder = tmp_path_factory.mktemp("study")
     (folder / "study.toml").write_text(STUDY)
     done = cosim(folder, "sweep", "study.toml", "--out", "out", "--workers", "2")
@@ -74,13 +94,13 @@ def test_a_sweep_says_what_it_does(swept):
     assert first.startswith("note: study.replicates = 2: a 95 % interval reaches 9.0 standard deviations")
     assert lines[0].startswith("about ") and "2 workers on free cores" in lines[0]
     runs = [line for line in lines if line.startswith("run ")]
-    assert [line.split(":")[0] for line in runs] == [f"run {n} of 4" for n in range(1, 5)]
-    for penetration, replicate in ((0.2, 0), (0.2, 1), (0.3, 0), (0.3, 1)):
-        (line,) = (x for x in runs if f"fleet.penetration_p = {penetration}, replicate {replicate}, 2 points: " in x)
+    assert [line.split(":")[0] for line in runs] == [f"run {n} of 2" for n in (1, 2)]
+    for replicate in (0, 1):
+        (line,) = (x for x in runs if f"fleet.penetration_p = 0.2, replicate {replicate}, 2 points: " in x)
         assert line.endswith("of processor time)")
     said = (swept / "stdout.txt").read_text()
     assert (
-        "8 finished" in said and "packet delivery ratio" in said and "newest evaluation at lookup, mean age [s]" in said
+        "4 finished" in said and "packet delivery ratio" in said and "newest evaluation at lookup, mean age [s]" in said
     )
     assert said.splitlines()[-1] == "next: cosim report out   cosim measure out"
 
@@ -93,7 +113,7 @@ def test_core_metrics_of_a_study(swept):
     mine = open_study(swept / "out").summary.query(
         "metric == 'misbehaviour.at_lookup.auc' and group == 'malicious' and `trust.freshness_s` == 20"
     )
-    assert len(mine) == 2 and all(f" {mean:.3g}" in line for mean in mine["mean"])
+    assert len(mine) == 1 and all(f" {mean:.3g}" in line for mean in mine["mean"])
     wrong = cosim(swept, "measure", "out", "--where", "trust.freshness_s=7")
     assert wrong.returncode == 2 and "no point has trust.freshness_s = 7. There are 6, 20." in wrong.stderr
     wrong = cosim(swept, "measure", f"out/runs/{open_study(swept / 'out').points.run[0]}", "--over", "x")
@@ -118,12 +138,12 @@ def test_core_metrics_of_a_study(swept):
     assert all((swept / "out/jobs" / run / "curves.parquet").is_file() for run in open_study(swept / "out").points.run)
 
 
-def test_merged_and_replayed_points_equal_plain_runs(swept, tmp_path):
+def test_merged_points_equal_plain_runs(swept, tmp_path):
     study = open_study(swept / "out")
-    assert (study.points.state == "finished").all() and len(study.points) == 8
-    assert study.points["run"].nunique() == 4 and len(Cache(swept / "cache").names("traffic")) == 2
+    assert (study.points.state == "finished").all() and len(study.points) == 4
+    assert study.points["run"].nunique() == 2 and not Cache(swept / "cache").names("traffic"), "no run shares it"
     assert not list(swept.rglob("*.partial"))
-    points = study.points.query("replicate == 1 and `fleet.penetration_p` == 0.2")
+    points = study.points.query("replicate == 1")
     assert len(points) == 2
     for row in points.to_dict("records"):  # the acting variant, and one with another window and host
         plain = drive_city(
@@ -134,14 +154,23 @@ def test_merged_and_replayed_points_equal_plain_runs(swept, tmp_path):
         assert_same(plain, study.run(row["point"]))
 
 
+def test_a_replayed_point_equals_a_plain_run(half, tmp_path):
+    folder, _ = half
+    study = open_study(folder / "out")
+    assert len(Cache(folder / "cache").names("traffic")) == 1 and not list(folder.rglob("*.partial"))
+    (point,) = study.points.query("state == 'finished'").point
+    drive.simulate(tmp_path / "plain", config=study.run(point).path / "config.toml")
+    assert_same(open_run(tmp_path / "plain"), study.run(point))
+
+
 def test_finished_points_are_skipped(swept):
     again = cosim(swept, "sweep", "study.toml", "--out", "out", "--dry-run", "--json")
     plan = json.loads(again.stdout)
-    assert (plan["points"], plan["finished"], plan["runs"]) == (8, 8, 0)
+    assert (plan["points"], plan["finished"], plan["runs"]) == (4, 4, 0)
     more = STUDY.replace("[6, 20]", "[6, 20, 40]").replace('["central", "local"]', '["central", "local", "local"]')
     (swept / "more.toml").write_text(more)
     plan = json.loads(cosim(swept, "sweep", "more.toml", "--out", "out", "--dry-run", "--json").stdout)
-    assert (plan["points"], plan["finished"], plan["runs"]) == (12, 8, 4)
+    assert (plan["points"], plan["finished"], plan["runs"]) == (6, 4, 2)
 
 
 def test_status_says_what_to_type_next(swept, tmp_path):
@@ -168,7 +197,7 @@ def test_keys_without_effect_are_named(swept):
     done = cosim(swept, "sweep", "vain.toml", "--out", "vain", "--dry-run", "--json")
     assert done.stderr.splitlines() == [
         "note: parked.vans_p has no effect without parked.per_100_m above 0.",
-        'note: trust.server_period_s has no effect without trust.host = "central", in 4 of 8 points.',
+        'note: trust.server_period_s has no effect without trust.host = "central", in 2 of 4 points.',
         "note: study.replicates = 2: a 95 % interval reaches 9.0 standard deviations of a replicate to either side (5 "
         "replicates: 1.2). A smaller paired difference cannot be told from chance.",
     ]
@@ -177,7 +206,7 @@ def test_keys_without_effect_are_named(swept):
 def test_answers(swept):
     study = open_study(swept / "out")
     summary = study.summary.query("metric == 'freshness.newest_evaluation_age.mean_s' and group == 'all'")
-    assert len(summary) == 4 and (summary.n == 2).all() and (summary.low <= summary["mean"]).all()
+    assert len(summary) == 2 and (summary.n == 2).all() and (summary.low <= summary["mean"]).all()
     one = summary.iloc[0]
     keys = {key: one[key] for key in study.keys}
     mine = study.measures.query("metric == 'freshness.newest_evaluation_age.mean_s' and group == 'all'")
@@ -201,28 +230,20 @@ def test_answers(swept):
     assert wrong.returncode == 2 and "is not swept" in wrong.stderr
 
 
-def test_a_run_that_fails_does_not_stop_the_others(swept, tmp_path):
-    (tmp_path / "crash.py").write_text(CRASH)
-    text = STUDY.replace("replicates = 2", "replicates = 1").replace(
-        'baseline = { "trust.freshness_s" = 20, "trust.host" = "local" }', ""
-    )
-    grid = '[grid]\nattacks.0.attack = ["ghost_insertion", "crash.py:Crash"]\n'
-    text = text[: text.index("[[zip]]")] + grid + text[text.index("[limits]") :]
-    (tmp_path / "study.toml").write_text(text)
-    (tmp_path / "cache").symlink_to(swept / "cache")
-    done = cosim(tmp_path, "sweep", "study.toml", "--out", "out", "--workers", "1", "--json")
+def test_a_run_that_fails_does_not_stop_the_others(half):
+    folder, done = half
     assert done.returncode == 1
     answer = json.loads(done.stdout)
     assert answer["points"]["finished"] == 1 and answer["points"]["failed"] == 1
     assert "crash.py:7: attack Crash: detections() raised RuntimeError" in next(iter(answer["failed"].values()))
-    logs = [path.read_text() for path in (tmp_path / "out" / "jobs").glob("*/log.txt")]
+    logs = [path.read_text() for path in (folder / "out" / "jobs").glob("*/log.txt")]
     assert any("as intended" in log for log in logs)
-    assert json.loads(cosim(tmp_path, "status", "out", "--json", "--trust-code").stdout)["points"] == answer["points"]
+    assert json.loads(cosim(folder, "status", "out", "--json", "--trust-code").stdout)["points"] == answer["points"]
 
 
-def test_a_cache_that_was_changed_is_not_used(swept, tmp_path):
-    cache = Cache(swept / "cache")
-    name = sorted(cache.names("traffic"))[0]
+def test_a_cache_that_was_changed_is_not_used(half):
+    cache = Cache(half[0] / "cache")
+    (name,) = cache.names("traffic")
     entry = cache.find("traffic", name)
     part = next((entry / "actors").glob("*.parquet"))
     part.write_bytes(part.read_bytes()[:-8] + b"tampered")
