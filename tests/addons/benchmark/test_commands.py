@@ -145,7 +145,6 @@ def test_rows_depend_on_the_files_of_all_models():
     assert len(read) == len(set(read))
 
 
-@pytest.mark.verify
 def test_the_page_shows_the_stored_table():
     text = (fences.PAGES / "howto" / "benchmark.md").read_text(encoding="utf-8")
     assert tables() in text, "python -m tests.verification.benchmark_page"

@@ -23,9 +23,7 @@ def edge(name, *shape_m):
         getID=lambda: f"{name}_0", getShape=lambda: shape_m, allows=lambda kind: True,
         getParam=lambda key, other: name.lstrip("-"),
     )  # fmt: skip
-    return Part(
-        getID=lambda: name, getLength=lambda: 1000.0, getLanes=lambda: [lane], allows=lane.allows
-    )  # fmt: skip
+    return Part(getID=lambda: name, getLength=lambda: 1000.0, getLanes=lambda: [lane], allows=lane.allows)
 
 
 EDGES = {
