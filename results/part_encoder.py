@@ -11,11 +11,11 @@ from numpy import ndarray
 
 from cosim.base import durable
 from results.inventory import Part
-from results.stored_columns import VALID, StoredColumn
+from results.stored_columns import VALID, StoredColumn, stored_rows
 from results.tables import TABLES, schema
 
 Rows = dict[str, ndarray]
-"""Columns of a table in the types in which they are stored, masks included."""
+"""Columns of a table, masks included."""
 
 _STEPS = ("step", "first_step", "last_step", "from_step", "to_step", "start_step", "end_step")
 """Columns that count steps."""
@@ -63,7 +63,7 @@ class PartEncoder:
         return self._n
 
     def append(self, rows: Rows) -> None:
-        """Add rows as `stored_rows` returns them."""
+        """Add rows as `given_rows` returns them."""
         n = len(next(iter(rows.values())))
         self._rows.append(rows)
         self._n_new += n
@@ -88,7 +88,7 @@ class PartEncoder:
         Raises
         ------
         ValueError
-            If two rows have the same key.
+            If two rows have the same key, or values cannot be stored.
         """
         for group in self._waiting:
             group.result()
@@ -109,7 +109,8 @@ class PartEncoder:
     def _encode(self, rows: list[Rows], before: Future[None] | None) -> None:
         """Write one row group, sorted by key, after the one before."""
         table, stored = self._table, TABLES[self._table].stored
-        columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+        # Many steps at once, because each conversion of a column costs the same for ten rows and for a thousand.
+        columns = stored_rows({name: np.concatenate([row[name] for row in rows]) for name in rows[0]}, self._columns)
         key = TABLES[table].key
         order, tied = _order(columns, key)
         if order is not None:

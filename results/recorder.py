@@ -15,7 +15,7 @@ from results import inventory
 from results.columns import Level
 from results.inventory import CHECKPOINT, Block, Inventory
 from results.part_encoder import PartEncoder
-from results.stored_columns import stored_columns, stored_rows
+from results.stored_columns import given_rows, stored_columns
 from results.tables import TABLES, kept
 
 Columns = Mapping[str, ndarray | None]
@@ -109,7 +109,8 @@ class Recorder:
         Raises
         ------
         ValueError
-            If there is no such table, or `stored_columns.stored_rows` refuses the columns.
+            If there is no such table, or `stored_columns.given_rows` refuses the columns. Values that cannot be
+            stored are refused later, before their block is committed.
         """
         if table not in TABLES:
             raise ValueError(f"There is no table {table!r}. The tables are {', '.join(TABLES)}.")
@@ -118,7 +119,7 @@ class Recorder:
         self.reach(step)
         if table not in self.tables:
             return
-        rows = stored_rows(table, step, columns, self._columns[table])
+        rows = given_rows(table, step, columns, self._columns[table])
         if len(next(iter(rows.values()))):
             self._parts[table].append(rows)
 
@@ -210,7 +211,7 @@ class Recorder:
     def _made(self, rows: Mapping[str, Sequence[Columns]], step: int) -> Iterator[tuple[str, list[dict[str, ndarray]]]]:
         for name, several in rows.items():
             if name in self.tables:
-                made = [stored_rows(name, step, columns, self._columns[name]) for columns in several]
+                made = [given_rows(name, step, columns, self._columns[name]) for columns in several]
                 if made := [columns for columns in made if len(next(iter(columns.values())))]:
                     yield name, made
 

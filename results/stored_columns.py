@@ -126,10 +126,10 @@ def stored_columns(table: str, of_run: Mapping[str, tuple[str, ...]]) -> dict[st
     return {name: StoredColumn.of(table, name, column, of_run) for name, column in TABLES[table].stored.items()}
 
 
-def stored_rows(
+def given_rows(
     table: str, step: int, columns: Mapping[str, ndarray | None], known: Mapping[str, StoredColumn]
 ) -> dict[str, ndarray]:
-    """The columns of a table in the types in which they are stored.
+    """Copies of a caller's columns, complete, not yet in the types in which they are stored.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def stored_rows(
     Raises
     ------
     ValueError
-        For unknown or missing columns, other lengths, and values that cannot be stored.
+        For unknown or missing columns, other lengths, nulls where none may be, and labels that a column does not have.
     """
     unknown = [name for name in columns if name not in known and name.removesuffix(VALID) not in known]
     missing = [name for name, column in known.items() if name not in columns and name != "step" and not column.usual]
@@ -162,7 +162,7 @@ def stored_rows(
     rows: dict[str, ndarray] = {}
     for name, column in known.items():
         given = columns[name] if name in columns else column.usual_values(n, step)
-        values = np.zeros(n, column.dtype) if given is None else np.asarray(given)
+        values = np.zeros(n, column.dtype) if given is None else np.array(given)
         valid = np.zeros(n, bool) if given is None else columns.get(name + VALID)
         if values.shape != (n,) or (valid is not None and np.shape(valid) != (n,)):
             raise ValueError(f"{table}.{name} has shape {values.shape}, other columns have {n} rows.")
@@ -172,6 +172,17 @@ def stored_rows(
         elif valid is not None and not np.all(valid):
             raise ValueError(f"{table}.{name} cannot be null.")
         is_label = column.categories and values.dtype.kind in "OUT"
-        values = column.codes(values, valid) if is_label else values
-        rows[name] = column.store(values, valid) if n else np.zeros(0, column.dtype)
+        rows[name] = column.codes(values, valid) if is_label else values
     return rows
+
+
+def stored_rows(rows: Mapping[str, ndarray], known: Mapping[str, StoredColumn]) -> dict[str, ndarray]:
+    """Rows of `given_rows` in the types in which they are stored.
+
+    Raises
+    ------
+    ValueError
+        For values that cannot be stored.
+    """
+    columns = {name: column.store(rows[name], rows.get(name + VALID)) for name, column in known.items()}
+    return {**rows, **columns}
