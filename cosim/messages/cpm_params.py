@@ -27,6 +27,9 @@ class CpmParams:
     length: Literal["linear", "uper"] = "linear"
     """Length of a detection message. `linear`: 186 + 29 n bytes for n objects. `uper`: the length of its encoding
     (TS 103 324 v2.1.1, unaligned PER), with headers of the network and the signature."""
+    accuracy: Literal["exact", "etsi"] = "exact"
+    """What a detection message can say of accuracy. `exact`: any number. `etsi`: confidence values of TS 103 324, which
+    are rounded up and end at 1.25 m/s and 12.5 degrees. What is beyond counts as not known."""
     redundancy: Redundancy = "none"
     """Rule by which a vehicle leaves out objects that others report. `frequency`: an object of which it received more
     than `redundancy_reports` reports within `redundancy_window_s`. `dynamics`: an object that has moved and changed its

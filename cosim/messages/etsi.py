@@ -387,9 +387,21 @@ class Confidences(NamedTuple):
         """The confidence values of normal errors with these standard deviations; place and velocity have two each."""
         x, y = up(_HALF_WIDTH * position_std_m.ravel(), 0.01, 1, 4095, 4096).reshape(-1, 2).T
         length, width, height = up(_HALF_WIDTH * lwh_std_m.ravel(), 0.1, 1, 31, 32).reshape(-1, 3).T
-        angle = up(_HALF_WIDTH * np.degrees(angle_std_rad), 0.1, 1, 126, 127)
-        velocity = up(_HALF_WIDTH * velocity_std_mps.ravel(), 0.01, 1, 126, 127).reshape(-1, 2)
+        angle = up(_HALF_WIDTH * np.degrees(angle_std_rad), 0.1, 1, _ANGLE_BEYOND, 127)
+        velocity = up(_HALF_WIDTH * velocity_std_mps.ravel(), 0.01, 1, _SPEED_BEYOND, 127).reshape(-1, 2)
         return Confidences(x, y, angle, length, width, height, *velocity.T)
+
+    def standard_deviations(self) -> "StatedDeviations":
+        """What a receiver reads from confidence values that are available."""
+        return StatedDeviations(
+            np.column_stack([self.x, self.y]) * 0.01 / _HALF_WIDTH,
+            np.radians(np.where(self.angle == _ANGLE_BEYOND, np.nan, self.angle * 0.1 / _HALF_WIDTH)),
+            np.column_stack([self.length, self.width, self.height]) * 0.1 / _HALF_WIDTH,
+            np.column_stack([
+                np.where(value == _SPEED_BEYOND, np.nan, value * 0.01 / _HALF_WIDTH)
+                for value in (self.velocity_x, self.velocity_y)
+            ]),
+        )  # fmt: skip
 
     @staticmethod
     def unavailable(n: int) -> "Confidences":
@@ -400,6 +412,20 @@ class Confidences(NamedTuple):
 
 _HALF_WIDTH = 1.96
 """Half the width of the interval that holds 95 % of a normal distribution, in standard deviations."""
+_ANGLE_BEYOND, _SPEED_BEYOND = 126, 126
+"""The values of AngleConfidence and SpeedConfidence for more than 12.5 degrees and 1.25 m/s."""
+
+
+class StatedDeviations(NamedTuple):
+    """Standard deviations of normal errors with given confidence values; NaN where a value is "out of range".
+
+    Positions and sizes that are out of range have the next value, 40.95 and 3.1 m.
+    """
+
+    position_m: Float[ndarray, "n 2"]
+    angle_rad: Float[ndarray, "n"]
+    lwh_m: Float[ndarray, "n 3"]
+    velocity_mps: Float[ndarray, "n 2"]
 
 
 @dataclass(frozen=True, slots=True)

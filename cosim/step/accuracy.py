@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from cosim.config.config import Config
 from cosim.messages.content import SELF, SENSED, Detections, velocities
+from cosim.messages.etsi import Confidences
 from cosim.world import World
 from sensors.association import bounded
 from sensors.tracking import ObjectStates, TrackingParams, expected_speed
@@ -41,6 +42,8 @@ _OWN_SPEED_SIGMA_MPS = 0.1
 """Standard deviation of the speed that a vehicle measures of itself."""
 _PLAIN_SIGMA_M, _PLAIN_SIGMA_RAD, _PLAIN_SIZE_SIGMA = 0.3, 0.2, 0.1
 """Standard deviations of position, heading and size that are stated where the detector does not know its own."""
+_LEAST_SIGMA_M = 1e-6
+"""Positions are not stated more exactly, so that nothing is divided by zero."""
 
 
 class Reporters(NamedTuple):
@@ -139,7 +142,7 @@ def stated(
         velocity = velocity + np.column_stack(of_motion)
     most = np.maximum(1.0, _mean(of_class) / _mean(velocity))
     told = listed.accuracy_factor**2  # 1 is exact, so that honest statements stay as they are
-    return replace(
+    said = replace(
         listed,
         variance_m2=bounded((at_any_score_m2 + of_pose) * told[:, None]),
         velocity_variance=velocity * np.minimum(told, most)[:, None],
@@ -147,6 +150,58 @@ def stated(
         heading_variance=np.where(is_self, 0.0, sigma_rad**2) * told,
         size_variance=np.where(is_self, 0.0, size_sigma**2) * told,
     )
+    if c.cpm.accuracy == "exact":
+        return said
+    read = as_encoded(replace(said, variance_m2=at_any_score_m2 * told[:, None]), of_class)
+    return replace(read, variance_m2=bounded(read.variance_m2 + of_pose * told[:, None]))
+
+
+def as_encoded(said: Detections, velocity_of_class: Float[ndarray, "d 3"]) -> Detections:
+    """Detections with the accuracy that a receiver reads from the confidence values of a message.
+
+    Parameters
+    ----------
+    said
+        Detections with what their vehicles would state, relative to the vehicle.
+    velocity_of_class
+        Variance of the velocity of an object without a track.
+
+    Notes
+    -----
+    Confidence values are of single axes: correlations are not sent. A velocity whose value is out of range counts as
+    that of an object without a track, a heading as any between -90 and 90 degrees. Self reports stay as they are: the
+    values of the own vehicle are small, and far from the ends of their ranges. Deviations: what a vehicle states of its
+    own position and heading is not rounded, and it reads its own detections with the rounded values.
+    """
+    position_std, relative_std, velocity_std = (
+        np.sqrt(variance[:, [0, 2]]) for variance in (said.variance_m2, said.relative_m2, said.velocity_variance)
+    )
+    size_std = np.sqrt(said.size_variance)[:, None] * said.boxes.lwh_m
+    values = Confidences.of(position_std, np.sqrt(said.heading_variance), size_std, velocity_std)
+    read = values.standard_deviations()
+    has_velocity = np.isfinite(velocities(said)).all(axis=1)
+    beyond = has_velocity & np.isnan(read.velocity_mps).any(axis=1)
+    velocity = np.where(beyond[:, None], velocity_of_class, _of_axes(np.nan_to_num(read.velocity_mps)))
+    # What the score says of the error is known to the receiver, as the sender knows it.
+    relative_m = read.position_m * relative_std / np.maximum(position_std, _LEAST_SIGMA_M)
+    encoded = {
+        "variance_m2": _of_axes(read.position_m),
+        "relative_m2": _of_axes(relative_m),
+        "velocity_variance": np.where(has_velocity[:, None], velocity, said.velocity_variance),
+        "heading_variance": np.where(np.isnan(read.angle_rad), np.pi**2 / 12.0, read.angle_rad**2),
+        "size_variance": ((read.lwh_m / said.boxes.lwh_m) ** 2).mean(axis=1),
+    }
+    is_self = said.origin == SELF
+    for name, of_message in encoded.items():
+        of_self = is_self[:, None] if of_message.ndim == 2 else is_self
+        encoded[name] = np.where(of_self, getattr(said, name), of_message)
+    return replace(said, **encoded)
+
+
+def _of_axes(std: Float[ndarray, "d 2"]) -> Float[ndarray, "d 3"]:
+    """Variances xx, xy, yy of errors that are independent along the axes."""
+    x, y = std.T
+    return np.column_stack([x * x, np.zeros(len(x)), y * y])
 
 
 def pose_variance(is_roadside: Bool[ndarray, "n"], c: Config) -> Float[ndarray, "n 2"]:

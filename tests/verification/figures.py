@@ -38,6 +38,7 @@ FIGURES = {
     ),
     "pose_errors": Figure(f"{PAGES}/models/accuracy.md", "cosim sweep pose_errors"),
     "misstated": Figure(f"{PAGES}/models/accuracy.md", "cosim sweep misstated"),
+    "stated": Figure(f"{PAGES}/models/accuracy.md", "cosim sweep stated"),
     "attacks": Figure(f"{PAGES}/models/accuracy.md", "cosim sweep attacks"),
     "attacks_by_overlap": Figure(f"{PAGES}/models/accuracy.md", "cosim sweep attacks", ("--set", "trust.matching=iou")),
     "ghosts": Figure(f"{PAGES}/models/accuracy.md", "python -m tests.verification.ghosts_and_recall", ("FOLDER",)),
