@@ -5,10 +5,11 @@ to another counts as `ab` if it has the smaller number, else as `ba`.
 """
 
 import numpy as np
-from numba import njit
+
+from cosim.base.kernel import compiled
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def slots(pair, slot, one, other):
     """Slot of the encounter of each two actors, -1 where none is under way; fast where `one` stays for many rows."""
     n = 0
@@ -47,7 +48,7 @@ def slots(pair, slot, one, other):
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def count(at, one, other, n, in_contact, ab, ba, later_ab, later_ba):
     """Add `n` to the counters of each slot; 1 each where `n` is empty. Slots that are not in contact have others."""
     for row in range(len(at)):
@@ -60,7 +61,7 @@ def count(at, one, other, n, in_contact, ab, ba, later_ab, later_ba):
             counter[k] += n[row] if len(n) else 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def note(at, one, other, seen, step, ab, ba, step_ab, step_ba):
     """Write down the step in which something is seen for the first time; a column per trust variant."""
     for row in range(len(at)):

@@ -266,6 +266,7 @@ class EncounterTracker:
         assert self._step is not None
         live = self._live
         in_contact = live["end"] == self._step + 1
+        one, other = (np.asarray(actors, np.int32) for actors in (one, other))  # the type of the compiled kernel
         names = [f"n_{what}_{way}{when}" for when in ("", "_later") for way in ("ab", "ba")]
         encounter_counts.count(at, one, other, n, in_contact, *(live[name] for name in names))
 
@@ -334,6 +335,7 @@ class EncounterTracker:
 
     def _slots(self, one: ndarray, other: ndarray) -> Int[ndarray, "n"]:
         """Slot of the encounter of each two, -1 where none is under way."""
+        one, other = (np.asarray(actors, np.int32) for actors in (one, other))  # the type of the compiled kernel
         return encounter_counts.slots(self._pair, self._slot, one, other)
 
     def _opened(

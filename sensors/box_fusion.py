@@ -323,7 +323,10 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
                 continue
             same = -1 if is_new else out[v - 1, g]
             if same >= 0:
-                box[row], variance[row] = box[same], variance[same]
+                for c in range(7):
+                    box[row, c] = box[same, c]
+                for c in range(3):
+                    variance[row, c] = variance[same, c]
                 continue
             low, high = ego.begin[g - first], ego.begin[g - first + 1]
             seed, filled = lists.seed[g], box[row]
@@ -400,7 +403,9 @@ def _number(owner, ego, vehicle, sender, messages, align):
 
     It shares objects with most of the others, so that few entries become nonzero when the matrix is factorised.
     """
-    slots = np.full(len(ego.row) + 1, -1)
+    slots = np.empty(len(ego.row) + 1, np.int64)
+    for v in range(len(slots)):
+        slots[v] = -1
     messages[0] = owner
     n_slots = 1
     for g in range(len(ego.begin) - 1):
@@ -419,7 +424,8 @@ def _number(owner, ego, vehicle, sender, messages, align):
     for k in range(len(ego.row)):
         slot = slots[vehicle[k]]
         ego.slot[k] = n_slots - 1 - slot if slot >= 0 else -1
-    messages[:n_slots] = messages[:n_slots][::-1].copy()
+    for i in range(n_slots // 2):
+        messages[i], messages[n_slots - 1 - i] = messages[n_slots - 1 - i], messages[i]
     return n_slots
 
 
@@ -559,7 +565,9 @@ def _without_error(k, ego, errors):
 @kernel
 def _assemble(table, ego, messages, n_slots, align, room, system, right):
     """Normal equations of the pose errors, after the objects are eliminated; the upper triangle is filled."""
-    system[:] = 0.0
+    for i in range(len(system)):
+        for j in range(system.shape[1]):
+            system[i, j] = 0.0
     given, info = ego.given, ego.info
     for k in range(len(ego.row)):
         weight = ego.weight[k]

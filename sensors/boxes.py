@@ -228,7 +228,7 @@ _CHUNK = 4096
 def _iou(begin, end, a_xyz, a_lwh, a_yaw, b_xyz, b_lwh, b_yaw, out):
     """Write the IoU of the boxes of the two sets in the rows from `begin` to `end`. The last ones may be missing."""
     room = np.empty((4, 16))
-    for k in range(begin, min(end, len(out))):
+    for k in range(np.uint64(begin), np.uint64(min(end, len(out)))):
         out[k] = iou_of(a_xyz, a_lwh, a_yaw, k, b_xyz, b_lwh, b_yaw, k, room)
 
 

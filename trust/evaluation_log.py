@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numba import njit
 from numpy import ndarray
 
+from cosim.base.kernel import compiled, inlined
 from cosim.base.ragged import rows_of
 from trust.open_steps import LARGE, OpenSteps
 from trust.pair_index import PairIndex, with_rows
@@ -28,13 +28,13 @@ def exact(values: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
     return np.rint(values * QUANTUM) / QUANTUM
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def rounded(value):
     """One value as `exact` rounds it, for kernels."""
     return np.rint(value * QUANTUM) / QUANTUM
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _sums(group, values, n_groups):
     """`exact_sums`, compiled."""
     sums = np.zeros(n_groups)

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numba import njit
 from numpy import ndarray
 
+from cosim.base.kernel import compiled
 from cosim.base.rows import Rows
 from cosim.base.threads import threads_for
 from trust.group_sums import GroupTotals, MemberSums, sums_of_groups
@@ -281,7 +281,7 @@ def _closest(given: FusionInput, distance_m: Float[ndarray, "d"], self_reports: 
     return member[first_least(group, far, int(group.max(initial=-1)) + 1)]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def first_least(group, value, n_groups):
     """Position of the least value of each group, the first of equal ones. A NaN is larger than all other values."""
     best = np.full(n_groups, -1, np.int64)

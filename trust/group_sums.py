@@ -4,9 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit, prange
+from numba import prange
 from numpy import ndarray
 
+from cosim.base.kernel import compiled, inlined, parallel
 from cosim.base.threads import threads_for
 from trust.params import TrustParams
 from trust.tables import Evaluations, FusionInput, ObjectLists, SenderTrust, int64
@@ -137,7 +138,7 @@ class _OfEgo(NamedTuple):
     n_evaluators: ndarray
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _add(of, begin, end, t, message, at, ego):
     """Add the evaluations of one message, with the ego's trust in its sender.
 
@@ -156,7 +157,7 @@ def _add(of, begin, end, t, message, at, ego):
             ego.last[g] = message
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weights, sums, totals):
     """Add up the groups of every `n_chunks`-th ego."""
     received_ptr, received, trust, has_evaluations, of_egos, default_trust, unit_trust = weights
@@ -216,7 +217,7 @@ def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weigh
         known[ego] = default_trust
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel
 def _accumulate(longest, lists, evaluated_by, own, reported, weights, n_chunks, sums, totals):
     """Fill the sums of all groups, and those of all members where there is room for them.
 

@@ -4,15 +4,16 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit, prange
+from numba import prange
 from numpy import ndarray
 
+from cosim.base.kernel import compiled, parallel
 from cosim.base.threads import threads_for
 from trust.params import TrustParams
 from trust.tables import Groups, ObjectLists, SentDetections, float64, int64
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _candidate(d, after, at, block, ptr, other, value):
     """First message after block `after` with a seed for detection d; of its seeds the one of first maximum IoU.
 
@@ -32,7 +33,7 @@ def _candidate(d, after, at, block, ptr, other, value):
     return best, best_iou
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _offer(s, t, member, seed, first, ptr, other, value, v, offer, offer_iou, offer_list):
     """Note the seeds of one message, s to t, at the detections for which they are the first candidates.
 
@@ -47,7 +48,7 @@ def _offer(s, t, member, seed, first, ptr, other, value, v, offer, offer_iou, of
                 offer[d], offer_iou[d], offer_list[d] = p, value[x], v
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel
 def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle, n_chunks):
     """Seed of each position, and whether it is the owner's detection."""
     seeds, by_owner = np.empty(members.size, np.int64), np.empty(members.size, np.bool_)
@@ -69,7 +70,7 @@ def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle
     return seeds, by_owner
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _seeds_of_lists(
     chunk, n_chunks, list_ptr, members, owner, message, ptr, other, value, one_per_vehicle, seeds, by_owner
 ):
@@ -112,7 +113,7 @@ def _seeds_of_lists(
             by_owner[list_ptr[v] + p] = message[member[seed[p]]] == owner[v]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, choice, choice_iou, winner, waiting):
     """Fill `seed` for the detections of one message, s to t.
 
@@ -148,7 +149,7 @@ def _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, choice, c
         n_waiting = n_left
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _partners(i, j, value, n):
     """The partners of each of n detections and their values, compressed rows; i and j are the pairs."""
     ptr = np.zeros(n + 1, np.int64)

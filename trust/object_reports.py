@@ -5,9 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numba import njit, prange
+from numba import prange
 from numpy import ndarray
 
+from cosim.base.kernel import parallel
 from cosim.base.ragged import owner_of_rows
 from trust.group_sums import KernelInput
 from trust.tables import FusionInput, SenderTrust, int64
@@ -77,7 +78,7 @@ class _Votes(NamedTuple):
         return _Votes(np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, bool), np.empty(n))
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel
 def _reports(lists, evaluated_by, own, reported, messages, n_chunks, row_ptr, out):
     """Counts rows per ego if `out` is empty, else fills them; returns the counts."""
     list_ptr, member, owner, group, message, _ = lists

@@ -5,9 +5,9 @@ from enum import IntEnum
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numba import njit
 from numpy import ndarray
 
+from cosim.base.kernel import compiled
 from cosim.base.ragged import rows_of
 from trust.pair_index import merged
 from trust.tables import EvaluationMessages, ReceivedEvaluations, float64, int64, pair_key
@@ -53,7 +53,7 @@ _ACCEPTED, _BAD_VALUE, _UNKNOWN_EVALUATOR, _UNKNOWN_OBSERVER, _UNKNOWN_DETECTION
 )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _checked(messages, observer, index, evaluation, visibility, first, score):
     """`RejectReason` and detection row of each evaluation; no row where it is rejected.
 
@@ -83,7 +83,7 @@ def _checked(messages, observer, index, evaluation, visibility, first, score):
     return reason, detection
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _opened(n, row, index, score):
     """`OpenStep.first` and `score` of n pseudonyms, and how many detections are left out."""
     valid = (score >= 0.0) & (score <= 1.0) & (index >= 0) & (index < MAX_DETECTIONS)

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numba import njit
 from numpy import ndarray
 
+from cosim.base.kernel import compiled
 from cosim.base.ragged import offsets, owner_of_rows, ranges
 from trust.open_steps import AcceptedEvaluations, OpenStep
 from trust.tables import EvaluationMessages, float64, pair_key, unpaired
@@ -28,7 +28,7 @@ ONE = float(1 << 44)
 """Fixed point of the sums: the error is 3e-14 per evaluation, and there is room for half a million of them."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _terms_of_evaluations(ptr, evaluator, subject, evaluation, visibility):
     """What each accepted evaluation adds to `StepEvidence.sums` and `n_evaluations`: one row per evaluation each.
 
@@ -48,7 +48,7 @@ def _terms_of_evaluations(ptr, evaluator, subject, evaluation, visibility):
     return terms, counts
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_to_slots(receptions, pairs, block, ptr, subject, offset, terms, counts, sums, n_evaluations):
     """Add the terms of every evaluation to the slot of its detection, for every holder that received it.
 
@@ -70,7 +70,7 @@ def _add_to_slots(receptions, pairs, block, ptr, subject, offset, terms, counts,
                     n_evaluations[slot, column] += counts[k, column]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _distinct_subjects(group_ptr, message, ptr, subject, is_chosen, n_subjects):
     """Subjects of the chosen evaluations in the messages of each group, each subject once, as compressed rows.
 

@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from numba import njit
 from numpy import ndarray
 
+from cosim.base.kernel import compiled
 from cosim.base.ragged import offsets, owner_of_rows, ptr_of, ranges
 from cosim.base.rows import Rows
 
@@ -315,7 +315,7 @@ QUANTUM = float(1 << 32)
 """Evidence is rounded to multiples of 1 / QUANTUM, so that sums are exact in any order of summation."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _evidence(ptr, evaluator, observer, evaluation, visibility, eta):
     """Rows of the evaluations that are evidence, the message of each, and its positive and negative evidence."""
     kept = np.empty(observer.size, np.int64)

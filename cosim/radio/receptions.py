@@ -108,7 +108,7 @@ def _neighbours(xyz_m, range_m, slant_m, a, b, distance_m, nlos):
                 other[at[i]], pair_of[at[i]] = j, pair
                 at[i] += 1
     # Each station is noted at its neighbours, in ascending order. As neighbours are mutual, all lists are then sorted.
-    at[:] = ptr
+    at = ptr.copy()
     station = np.empty(m, np.int32)
     length_m = np.empty(m)
     is_nlos = np.empty(m, np.bool_)

@@ -53,16 +53,12 @@ def _track_round(
     broadcast = rounds[kind]
     actor, received, found = exchange.vehicles.actor, broadcast.links.vehicles, broadcast.round
     frames = found.frames
-    message = frames.message.astype(np.int32, copy=False)  # the type for which the kernel is compiled
+    # The type for which the kernel is compiled.
+    message, receiver, heard, heard_by = (
+        np.asarray(rows, np.int32) for rows in (frames.message, frames.receiver, received.message, received.receiver)
+    )
     pair, got, n_in_range = pairs_within_range(
-        found.station,
-        message,
-        frames.receiver,
-        frames.hop,
-        exchange.senders.vehicle,
-        received.message,
-        received.receiver,
-        actor,
+        found.station, message, receiver, frames.hop, exchange.senders.vehicle, heard, heard_by, actor
     )
     step = exchange.now.step
     late = late_of(rounds, kind)

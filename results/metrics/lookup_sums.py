@@ -1,10 +1,11 @@
 """Lookups of trust added up row by row, trust variants side by side: kernels of `results.metrics.lookups`."""
 
 import numpy as np
-from numba import njit
+
+from cosim.base.kernel import compiled
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def add(
     variant, receiver, who, state, ages_s, age_number, n_evaluations, n_evaluators, role_of, fresh_s, states, fresh,
     aged, age_sum_s, age_counts, behind, behind_sum,
@@ -29,7 +30,7 @@ def add(
                 behind_sum[v, r, 1] += n_evaluators[i]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def add_successive(
     variant, receiver, step, pair, ages_s, dt_s, reach_s, last_step, last_s, renewed, peak_sum_s, observed_s,
     area_s2, sawtooth_peaks, sawtooth_peak_sum_s,
@@ -61,7 +62,7 @@ def add_successive(
                     sawtooth_peak_sum_s[v, r, what] += before_s + passed_s
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def add_watched(
     variant, step, who, pair, trust, n_evaluations, since, threshold, least, n_watched, n_evaluated, n_low, first_step,
     low_step, seen_step,

@@ -4,9 +4,9 @@ from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit
 from numpy import ndarray
 
+from cosim.base.kernel import compiled
 from trust.evaluator_counts import NEVER
 from trust.evidence_store import EvidenceStore
 from trust.open_steps import RejectReason
@@ -15,7 +15,7 @@ from trust.step_evidence import Counting
 from trust.tables import ReceivedEvaluations, TrustScores
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _accumulate(step, row_of_pair, evidence, n_evaluations, total, count, span):
     """Add a step to `_Sums`, given what `EvidenceStore.of_pairs` returns; steps come in the order of time."""
     for pair in range(row_of_pair.size):

@@ -6,10 +6,10 @@ from typing import Annotated, ClassVar
 import numpy as np
 from annotated_types import Gt, Interval
 from jaxtyping import Float, Int
-from numba import njit
 from numpy import ndarray
 from scipy.special import expit
 
+from cosim.base.kernel import compiled
 from trust.evaluation_log import StepRows, rounded
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 
@@ -61,7 +61,7 @@ class Answers:
         )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _log_odds(by, to, pos, neg, confirms, denies, prior):
     """Log-odds that each detection is true; `confirms` and `denies` are the weights of each evaluator's answers."""
     odds = np.zeros(prior.size)
@@ -70,7 +70,7 @@ def _log_odds(by, to, pos, neg, confirms, denies, prior):
     return prior + odds
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _counts(by, to, pos, neg, sender, true, n):
     """The result of `expected_counts`, if the detections are true with these probabilities."""
     counts = np.zeros((n, 6))

@@ -122,18 +122,18 @@ def pairs_within_range(station, message, receiver, hop, author, heard, heard_by,
     m = 0
     stamp = np.full(n, -1, np.int64)
     for i in range(n):  # the receivers of each sender once, in place, ascending
-        first, before, is_sorted = m, -1, True
+        first = m
         for k in range(ptr[i], ptr[i + 1]):
             j = near[k]
             if stamp[j] != i:
                 stamp[j] = i
-                is_sorted &= j > before
-                before = j
-                near[m] = j
+                place = m
+                while place > first and near[place - 1] > j:  # they mostly come in order
+                    near[place] = near[place - 1]
+                    place -= 1
+                near[place] = j
                 m += 1
         ptr[i] = first
-        if not is_sorted:
-            near[first:m].sort()
     ptr[n] = m
     pair = np.empty(m, np.int64)
     got = np.empty(m, np.bool_)
