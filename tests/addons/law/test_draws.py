@@ -15,7 +15,7 @@ def test_drawn_runs_have_the_chances_as_means():
     n_steps, p = 2000, np.array([0.3, 0.5])
     step, pair = (x.ravel() for x in np.meshgrid(np.arange(n_steps), np.arange(2)))
     pairs = law.PairSteps(step, step + pair, np.zeros(2 * n_steps, int), pair, np.log1p(-p[pair]))
-    nothing = law.Encounters(*(np.zeros(0, np.int64),) * 7, np.zeros(0))
+    nothing = law.Encounters(*(np.zeros(0, np.int64),) * 7, np.zeros(0), np.zeros((0, 0), bool))
     found = FleetFindings(
         law.EvidenceChances(np.zeros((3, 1, n_steps))),
         np.zeros(1, int),
