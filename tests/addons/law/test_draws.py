@@ -6,7 +6,8 @@ import pytest
 from cosim.addons.law import law
 from cosim.addons.law.closed_form import Company
 from cosim.addons.law.draws import drawn
-from cosim.addons.law.prediction import FleetFindings
+from cosim.addons.law.prediction import FleetFindings, counted
+from cosim.addons.law.scope import Server
 
 
 def test_drawn_runs_have_the_chances_as_means():
@@ -30,3 +31,24 @@ def test_drawn_runs_have_the_chances_as_means():
     # After one step: the first evaluator's half. After two: all of it, and half of the second's. After three: all.
     assert share == pytest.approx([0.15, 1 - 0.7 * 0.75, 1 - 0.7 * 0.5], abs=0.03)
     assert np.bincount(run.pair_steps.pair) / n_steps == pytest.approx(p, abs=0.03)
+
+
+def test_no_lookup_is_stale_where_all_ages_are_below_the_window():
+    # Sums of the same ages in another order differ in the last digit, so a difference of sums is not 0 (-2e-16).
+    random, n_steps = np.random.default_rng(1), 60
+    step = np.arange(1, n_steps)
+    nothing = law.Encounters(*(np.zeros(0, np.int64),) * 7, np.zeros(0), np.zeros((0, 0), bool))
+    no_pairs = law.PairSteps(*(np.zeros(0, np.int64),) * 4, np.zeros(0))
+    for _ in range(20):
+        evidence = law.EvidenceChances(-0.1 * random.random((1, 1, n_steps)))
+        found = FleetFindings(
+            evidence, np.zeros(1, int), no_pairs, np.zeros(0, int), nothing, 1, Company.constant(0.5)
+        )  # fmt: skip
+        looks = law.ExpectedLookups(
+            np.zeros(len(step), int), step, step[:, None], random.random((len(step), 1)), np.zeros(len(step))
+        )
+        server = Server("base", 1.0, 50.0, 50, False)
+        gate = law.PublishingSteps(1, step.tolist())
+        _, metrics = counted(server, found, gate, looks, np.arange(n_steps + 1.0), 0.0)
+        assert metrics["freshness.lookup_state.share:stale"] == 0
+        assert metrics["freshness.lookup_state.share:no value"] >= 0
