@@ -32,6 +32,16 @@ server_period_s = 7
 freshness_s = 15
 """
 
+RETURNS = """
+sensing_phase = "common"
+attacks = []
+traffic = { scenario = "trace.csv", duration_s = 20 }
+fleet.penetration_p = 1.0
+detector.model = "ideal"
+radio = { model = "unit_disk", unit_disk.loss_p = 0.0 }
+server.cellular = { uplink_loss_p = 0.0, downlink_loss_p = 0.0, delay_min_s = 0.01, delay_mean_s = 0.01 }
+"""
+
 
 def config_of(**changes):
     return resolve_data(with_defaults(json.loads(json.dumps(SHORT | changes))), "the test", None)
@@ -119,21 +129,17 @@ def test_a_vehicle_that_returns_has_no_publication_from_its_absence(tmp_path):
     # Two cars 15 m apart; b is away from second 10 to 17. Step 0 is the moment before the trace, so sweeps are in the
     # seconds 1 to 19, and the server publishes in 1, 6, 11, 16. Nothing is lost, and each sees the other.
     rows = [
-        f"{k / 5},{name},{2 * k + ahead},0,90,10,car"
+        f"{k / 5},{name},{2 * k + ahead},0,90,10,car\n"
         for k in range(101) for name, ahead in (("a", 0), ("b", 15)) if name == "a" or not 50 <= k < 85
     ]  # fmt: skip
-    trace = tmp_path / "trace.csv"
-    trace.write_text("\n".join(["time,id,x,y,angle,speed,type", *rows]))
-    config = config_of(
-        sensing_phase="common", traffic={"scenario": str(trace), "duration_s": 20}, fleet={"penetration_p": 1.0},
-        detector={"model": "ideal"}, radio={"model": "unit_disk", "unit_disk": {"loss_p": 0.0}},
-        server={"cellular": {"uplink_loss_p": 0, "downlink_loss_p": 0, "delay_min_s": 0.01, "delay_mean_s": 0.01}},
-    )  # fmt: skip
-    found = freshness.predict(config, lambda *_: None).predictions[0].metrics
+    (tmp_path / "trace.csv").write_text("time,id,x,y,angle,speed,type\n" + "".join(rows))
+    path = tmp_path / "law.toml"
+    path.write_text(RETURNS)
+    found = freshness.predict(load(path), print).predictions[0].metrics
     # Lookups in both directions in the seconds 1 to 10, and 18 and 19. None has a value before the publication of
     # second 6, and b has none in 18 and 19: it was away in 16. It never has one in the second of two encounters.
-    assert found["freshness.lookup_state.share:no value"] == pytest.approx((2 * 5 + 2) / (2 * 12))
-    assert found["freshness.encounters_without_trust.share"] == pytest.approx(1 / 4)
+    assert found["freshness.lookup_state.share:no value"] == pytest.approx(12 / 24)
+    assert found["freshness.encounters_without_trust.share"] == pytest.approx(0.25)
 
 
 @pytest.fixture(scope="module")
