@@ -112,8 +112,8 @@ def traffic(of):
     yield "duration_s", "", of.steps * of.dt_s
     yield "actors.mean", "all", time[~who.sumo_id.str.startswith("parked/")].sum() / of.steps
     yield "actors.mean", "equipped", time[who.equipped].sum() / of.steps
-    for role, n in who.role[who.equipped].value_counts().items():
-        yield "equipped.n", role, n
+    for role in of.manifest["roles"]:
+        yield "equipped.n", role, (who.role[who.equipped] == role).sum()
 
 
 def definitions(frame):
@@ -137,9 +137,8 @@ def encounters(of):
         yield "duration.km_mean_s", name, km_mean(duration_s, over)
         yield "duration.km_median_s", name, km_median(duration_s, over)
         yield "again.share", name, some.gap_s.notna().mean()
-        of_all = ~who.vehicle_class.isin(
-            ["pedestrian", "roadside_unit"]
-        )  # the runs that are compared count no pedestrians
+        stands = (who.vehicle_class == "roadside_unit") | who.sumo_id.str.startswith("parked/")
+        of_all = ~stands & ((who.vehicle_class != "pedestrian") | some.pedestrians.any())
         counts = who.equipped if name.startswith(("equipped", "los")) else of_all
         yield "per_vehicle_h", name, 2 * len(seen) / on_road_h[counts.astype(bool)].sum()
 
@@ -467,9 +466,9 @@ def ideal_observer(of, made):
             clues = {subject: [] for subject in some.index}
             for row in made.itertuples():
                 value = row.kind_number * 8 + row.bin
-                if row.observer in clues and row.step >= some.since[row.observer]:
+                if row.observer in clues and some.since[row.observer] <= row.step <= some.until[row.observer]:
                     clues[row.observer].append(value * 2 + (known and roles[row.evaluator] != "honest"))
-                if row.evaluator in clues and row.step >= some.since[row.evaluator]:
+                if row.evaluator in clues and some.since[row.evaluator] <= row.step <= some.until[row.evaluator]:
                     cell = 48 + (value * 3 + row.others) * 2 + (known and roles[row.observer] != "honest")
                     clues[row.evaluator].append(cell)
             best = np.fmax(best, separated(clues, {subject: some.role[subject] == role for subject in clues}))
@@ -797,7 +796,7 @@ def differences(path, variant="base"):
     found = []
     for key in sorted(measured.keys() | again.keys()):
         one, two = measured.get(key, np.nan), float(again.get(key, np.nan))
-        if not abs(one - two) <= 1e-9 * max(1.0, abs(two)):
+        if not abs(one - two) <= 1e-7 * max(1.0, abs(two)):  # durations and ages are 32-bit numbers
             found.append((*key, one, two))
     return len(measured), found
 

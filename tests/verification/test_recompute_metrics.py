@@ -17,7 +17,9 @@ RUNS = {
         "traffic.step_s=0.5", "cpm.rules=etsi", "cpm.length=uper", "cpm.redundancy=dynamics", "cpm.max_objects=3",
     ),
     "helsinki, vehicles that sense at different times": ("preset=modern", "record.level=full", "traffic.step_s=0.2"),
-    "adlershof": ("traffic.scenario=adlershof", "seed=3"),
+    "adlershof, encounters with pedestrians": (
+        "traffic.scenario=adlershof", "seed=3", "encounters.0.pairs=all", "encounters.0.pedestrians=true",
+    ),
 }  # fmt: skip
 
 

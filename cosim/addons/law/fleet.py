@@ -58,8 +58,8 @@ class Fleet:
     cpms: NewestReceived = field(default_factory=NewestReceived.none)
     reports: NewestReceived = field(default_factory=NewestReceived.none)
     """The newest detection message and the newest evaluation message of each vehicle."""
-    since: dict[int, int] = field(default_factory=dict)
-    """Step in which each equipped vehicle came on the road, by actor."""
+    on_road: list[Int[ndarray, "v"]] = field(default_factory=list)
+    """Per step: equipped vehicles."""
     evidence: list[tuple[ndarray, ...]] = field(default_factory=list)
     """Per step: subjects, step of their detections, and by lag the logarithm of the probability that they are not
     evaluated."""
@@ -126,8 +126,7 @@ class Fleet:
         if world.step % self.schedule.exchange_every_steps:
             return
         row = np.flatnonzero(world.equipped)
-        for one in world.actor[row].tolist():
-            self.since.setdefault(one, self.step)
+        self.on_road.append(world.actor[row].astype(np.int64))
         if len(row):
             self._sense(world, row)
         self.step += 1
@@ -215,14 +214,14 @@ class Fleet:
         near = np.flatnonzero(heard.apart_m <= _MEETING * radius_m)
         pair = heard.receiver[near].astype(np.int64) << 32 | heard.sender[near]
         self.heard.append((pair, np.full(len(near), step), _log_not(heard.p[near])))
-        since = np.array([self.since[one] for one in heard.receiver.tolist()], np.int64)
         server, at_s = config.server.cellular, 2 * config.round_s
         for period_s, gate in self.gates.items():
             gate.open(step)
             publications = gate.before(step, self.n_followed)
             ages_s = (step - publications) * self.schedule.exchange_interval_s + at_s
             received_p = arrival_p(ages_s, server.downlink_loss_p, 0, server)
-            looks, none = law.expected_lookups(subject, since, heard.p, n, publications, received_p)
+            on_road = np.column_stack([np.isin(heard.receiver, self.on_road[k]) for k in publications.tolist()])
+            looks, none = law.expected_lookups(subject, on_road, heard.p, n, publications, received_p)
             self.looks.setdefault(period_s, []).append((np.full(n, step), subjects, publications, looks, none))
 
     def predictions(self, n_draws: int) -> tuple[list[Prediction], list[list[dict[str, float]]], dict[str, float]]:
@@ -243,7 +242,7 @@ class Fleet:
                 f"fleet.penetration_p = {self.config.fleet.penetration_p:g}: no equipped vehicle was on the road, so "
                 "there is nothing to predict. Raise it, or traffic.duration_s."
             )
-        actors = np.array(sorted(self.since), np.int64)
+        actors = np.unique(np.concatenate(self.on_road))
         log_none = np.zeros((len(self.evidence[0][2]), len(actors), self.step))
         sent, asked = np.zeros((2, len(actors), self.step))
         for actor, step, values in self.evidence:
@@ -313,7 +312,7 @@ class Fleet:
         """Encounters by the first definition of the config, those that are still open included."""
         if not self.trackers:
             none = np.zeros(0, np.int64)
-            return law.Encounters(none, none, none, none, none, none, none, np.zeros(0))
+            return law.Encounters(none, none, none, none, none, none, none, np.zeros(0), np.zeros((0, 0), bool))
         rows = self.met + [tracker.close(self.last_step + 1) for tracker in self.trackers[:1]]
         a, b, start, end = (
             np.concatenate([np.zeros(0, np.int64), *(one[name] for one in rows)]).astype(np.int64)
@@ -324,13 +323,15 @@ class Fleet:
         every = self.schedule.exchange_every_steps
         start, end = (np.tile(-(-steps[both] // every), 2) for steps in (start, end))
         holder, other = np.concatenate([a, b]), np.concatenate([b, a])
-        since = np.array([self.since[one] for one in holder.tolist()], np.int64)
+        on_road = np.zeros((len(actors), self.step), bool)
+        for k, there in enumerate(self.on_road):
+            on_road[np.searchsorted(actors, there), k] = True
         keys, steps, log_missed = (np.concatenate(c) for c in zip(*self.heard, strict=True))
         order = np.lexsort((steps, keys))
         pairs = holder << 32 | other
         first, stop = (np.searchsorted(keys[order], pairs, side) for side in ("left", "right"))
-        subject = np.searchsorted(actors, other)
-        return law.Encounters(since, subject, start, end, first, stop, steps[order], log_missed[order])
+        by, subject = np.searchsorted(actors, holder), np.searchsorted(actors, other)
+        return law.Encounters(by, subject, start, end, first, stop, steps[order], log_missed[order], on_road)
 
 
 def _log_not(p: Float[ndarray, "n"]) -> Float[ndarray, "n"]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.base.kernel import compiled
@@ -79,7 +79,7 @@ class ExpectedLookups(NamedTuple):
 
 
 def expected_lookups(
-    subject: Int[ndarray, "p"], holder_since: Int[ndarray, "p"], looked_up_p: Float[ndarray, "p"], n_subjects: int,
+    subject: Int[ndarray, "p"], on_road: Bool[ndarray, "p i"], looked_up_p: Float[ndarray, "p"], n_subjects: int,
     publications: Int[ndarray, "i"], received_p: Float[ndarray, "i"],
 ) -> tuple[Float[ndarray, "s i"], Float[ndarray, "s"]]:  # fmt: skip
     """Expected lookups of one step by the publication that they find, equation (3).
@@ -88,8 +88,8 @@ def expected_lookups(
     ----------
     subject
         Subject of each pair.
-    holder_since
-        Step in which the holder of each pair came on the road. A publication does not reach vehicles that come later.
+    on_road
+        Whether the holder of each pair was on the road at each publication. It does not reach others.
     looked_up_p
         Probability that the holder looks the subject up.
     n_subjects
@@ -107,7 +107,7 @@ def expected_lookups(
     for i, (step, p) in enumerate(zip(publications, received_p, strict=True)):
         if step < 0:
             break
-        here = left * p * (holder_since <= step)
+        here = left * p * on_road[:, i]
         found[:, i] = np.bincount(subject, here, n_subjects)
         left -= here
     return found, np.bincount(subject, left, n_subjects)
@@ -260,7 +260,8 @@ def behind(
 class Encounters(NamedTuple):
     """Encounters of equipped vehicles in one direction: the holder would know trust in the subject."""
 
-    holder_since: Int[ndarray, "n"]
+    holder: Int[ndarray, "n"]
+    """Row of `on_road`."""
     subject: Int[ndarray, "n"]
     start: Int[ndarray, "n"]
     """First step."""
@@ -273,6 +274,8 @@ class Encounters(NamedTuple):
     """Steps in which the holder may look the subject up, ascending for each two."""
     log_missed: Float[ndarray, "q"]
     """Logarithm of the probability that it does not."""
+    on_road: Bool[ndarray, "s t"]
+    """Whether each vehicle is on the road in each step: a publication does not reach others."""
 
 
 def without_trust(
@@ -315,20 +318,26 @@ def _without_trust(log_none, summed, gate, meetings, window_steps, loss_p, n_fol
     total = 0.0
     for row in range(len(meetings.subject)):
         s, start, end = meetings.subject[row], meetings.start[row], meetings.end[row]
+        on_road = meetings.on_road[meetings.holder[row]]
         last = np.searchsorted(gate, end - 1, "right") - 1
         last_before = np.searchsorted(gate, start, "left") - 1
         first = max(last_before - n_followed + 1, 0)
-        while first <= last and gate[first] < meetings.holder_since[row]:
-            first += 1
-        low = max(gate[min(max(first, last_before), len(gate) - 1)] - window_steps + 1, 0)
+        held = last_before  # the newest publication that the holder may have at the start
+        while held >= first and not on_road[gate[held]]:
+            held -= 1
+        if held < first:
+            held = last_before + 1
+        low = max(gate[min(held, len(gate) - 1)] - window_steps + 1, 0)
         never, before = 0.0, 1.0  # nothing known; no evidence in any publication so far
         for k in range(first, last + 1):
+            if k <= last_before and not on_road[gate[k]]:
+                continue
             high = max(gate[k] - len(log_none) + 1, low)  # what was sent before has arrived, or never will
             log_now = summed[s, high] - summed[s, low]
             for step in range(high, gate[k]):
                 log_now += log_none[gate[k] - step - 1, s, step]
             now = min(np.exp(log_now), before)
-            missed = 1.0 if k > last_before else loss_p ** (last_before - k + 1)
+            missed = loss_p ** on_road[gate[k : last_before + 1]].sum()
             since = max(k, last_before + 1)  # lookups from this publication on tell
             if since <= last:
                 log_missed = 0.0

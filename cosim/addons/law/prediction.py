@@ -156,7 +156,8 @@ def counted(
     else:
         counts, total = law.ages(evidence, looks, server.window_steps, found.since), looks.total
         evaluators = law.behind(found.pair_steps, found.pair_subject, looks, server.window_steps, found.first_lag)
-    known, fresh = counts.newest.sum(), counts.newest[age_s < server.window_s].sum()
+    is_fresh = age_s < server.window_s
+    known, fresh, stale = counts.newest.sum(), counts.newest[is_fresh].sum(), counts.newest[~is_fresh].sum()
     unevaluated = counts.n_unseen if server.zero else 0.0
 
     def share(n: float) -> float:
@@ -169,9 +170,9 @@ def counted(
         "freshness.oldest_evaluation_age.median_s": law.quantile(age_s, counts.oldest, 0.5),
         "freshness.value_age.median_s": law.quantile(age_s, counts.value, 0.5),
         "freshness.lookup_state.share:evaluated": share(fresh),
-        "freshness.lookup_state.share:stale": share(known - fresh),
+        "freshness.lookup_state.share:stale": share(stale),
         "freshness.lookup_state.share:unevaluated": share(unevaluated),
-        "freshness.lookup_state.share:no value": share(total - known - unevaluated),
+        "freshness.lookup_state.share:no value": share(max(0.0, total - known - unevaluated)),
         "freshness.evaluators.mean": evaluators / known if known > 0 else float("nan"),
         "freshness.encounters_without_trust.share": law.without_trust(
             evidence, found.meetings, gate, server.window_steps, loss_p

@@ -42,7 +42,7 @@ def precision(
     Parameters
     ----------
     loose
-        KITTI's smaller limits of overlap (0.5 for cars, 0.25 for others) instead of 0.7 and 0.5.
+        KITTI's smaller limits of overlap (0.5 for cars and trucks, 0.25 for others) instead of 0.7 and 0.5.
     max_frames
         Steps are sampled evenly so that there are about this many frames.
 

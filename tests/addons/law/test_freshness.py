@@ -32,6 +32,16 @@ server_period_s = 7
 freshness_s = 15
 """
 
+RETURNS = """
+sensing_phase = "common"
+attacks = []
+traffic = { scenario = "trace.csv", duration_s = 20 }
+fleet.penetration_p = 1.0
+detector.model = "ideal"
+radio = { model = "unit_disk", unit_disk.loss_p = 0.0 }
+server.cellular = { uplink_loss_p = 0.0, downlink_loss_p = 0.0, delay_min_s = 0.01, delay_mean_s = 0.01 }
+"""
+
 
 def config_of(**changes):
     return resolve_data(with_defaults(json.loads(json.dumps(SHORT | changes))), "the test", None)
@@ -113,6 +123,23 @@ def test_what_is_neglected_at_any_point_of_a_study_is_said_once(tmp_path):
     done = cosim("predict", "freshness", "study.toml", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["neglected"] == ["gnss: the law takes positions for exact."]
+
+
+def test_a_vehicle_that_returns_has_no_publication_from_its_absence(tmp_path):
+    # Two cars 15 m apart; b is away from second 10 to 17. Step 0 is the moment before the trace, so sweeps are in the
+    # seconds 1 to 19, and the server publishes in 1, 6, 11, 16. Nothing is lost, and each sees the other.
+    rows = [
+        f"{k / 5},{name},{2 * k + ahead},0,90,10,car\n"
+        for k in range(101) for name, ahead in (("a", 0), ("b", 15)) if name == "a" or not 50 <= k < 85
+    ]  # fmt: skip
+    (tmp_path / "trace.csv").write_text("time,id,x,y,angle,speed,type\n" + "".join(rows))
+    path = tmp_path / "law.toml"
+    path.write_text(RETURNS)
+    found = freshness.predict(load(path), print).predictions[0].metrics
+    # Lookups in both directions in the seconds 1 to 10, and 18 and 19. None has a value before the publication of
+    # second 6, and b has none in 18 and 19: it was away in 16. It never has one in the second of two encounters.
+    assert found["freshness.lookup_state.share:no value"] == pytest.approx(12 / 24)
+    assert found["freshness.encounters_without_trust.share"] == pytest.approx(0.25)
 
 
 @pytest.fixture(scope="module")
