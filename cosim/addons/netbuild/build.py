@@ -200,9 +200,7 @@ def _demand(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str],
     seed, end_s = wanted["seed"], float(wanted["end_s"])
     net = sumolib.net.readNet(str(work / "net.net.xml"))
     roads = demand.streets_of(net, gates)
-    lines, stops = buses.lines_of(
-        extract, net, sumotools.Projector(extract, work / "net.net.xml").nodes, wanted["bus"]["at_least_m"]
-    )
+    lines, stops = buses.lines_of(extract, net, sumotools.Projector(extract, work / "net.net.xml").nodes, wanted["bus"])
     _LOG.info("%d bus lines, %d stops", len(lines), len(stops))
     (work / "stops.add.xml").write_text(buses.stops_xml(stops), encoding="utf-8", newline="\n")
     demand.write_trips(work / "buses.rou.xml", buses.departures(lines, wanted["bus"], seed, end_s))

@@ -6,11 +6,11 @@ import re
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import inf
+from math import dist, inf
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
-from cosim.addons.netbuild.streets import length_m
+from cosim.addons.netbuild.streets import PIECE, length_m
 from sumo_nets.demand import Draw
 from sumo_nets.osm import Extract, Relation, pieces
 
@@ -24,6 +24,8 @@ FARTHEST_M = 1500.0
 """Longest drive over streets that the relation does not name: termini and joined junctions [m]."""
 DETOUR = 1.6
 """A matched line may be at most this much longer than the streets that the relation names."""
+LEFT_OUT = 1.5
+"""Metres that a bus drives rather than leave out one of a way: no shortcuts, but no dead end either, there and back."""
 
 Point = tuple[float, float]
 
@@ -49,38 +51,45 @@ class BusStop:
 
 
 def lines_of(
-    extract: Extract, net: Any, project: Callable[[list[int]], dict[int, Point]], least_m: float
+    extract: Extract, net: Any, project: Callable[[list[int]], dict[int, Point]], recipe: dict[str, Any]
 ) -> tuple[list[Line], list[BusStop]]:
-    """Daytime bus lines that run at least `least_m` through the network, and the stops they call at.
+    """Daytime bus lines that run at least `at_least_m` through the network, and the stops they call at.
 
-    `net` is a sumolib network with original ids; `project` gives nodes their place in it.
+    `net` is a sumolib network with original ids; `project` gives nodes their place in it. `recipe` is that of buses:
+    without `whole_ways`, a line is the shortest drive that touches one edge of every way.
     """
     edges_of_way = defaultdict(list)
     for edge in sorted(net.getEdges(), key=lambda edge: edge.getID()):
         if edge.allows("bus"):
             named = {int(i.lstrip("-")) for lane in edge.getLanes() for i in lane.getParam("origId", "").split()}
             for way in sorted(named):
-                edges_of_way[way].append(edge)
-    signs = {
-        member[1]
-        for relation in extract.relations.values()
-        if _is_daytime_bus(relation)
-        for member in relation.members
-        if member[0] == "n" and member[1] in extract.place
-    }
-    place = project(sorted(signs))
+                edges_of_way[way % PIECE].append(edge)
+    relations = [relation for _, relation in sorted(extract.relations.items()) if _is_daytime_bus(relation)]
+    named_members = {member[:2] for relation in relations for member in relation.members}
+    signs = {ref for kind, ref in named_members if kind == "n" and ref in extract.place}
+    runs = {
+        way: [node for node in extract.ways[way].nodes if node in extract.place]
+        for kind, way in named_members if kind == "w" and way in edges_of_way
+    }  # fmt: skip
+    place = project(sorted(signs.union(*((run[0], run[-1]) for run in runs.values()))))
+
+    def chains_of(way: int, role: str) -> list[list[Any]]:
+        if not recipe.get("whole_ways"):
+            return [[edge] for edge in edges_of_way[way]]
+        first, last = (place[runs[way][end]] for end in (0, -1))
+        return _towards(role, _chains(edges_of_way[way]), first, last)
+
     alike: dict[tuple[str, ...], list[tuple[str, set[int]]]] = defaultdict(list)
-    for relation in sorted(extract.relations.values(), key=lambda relation: relation.id):
-        if not _is_daytime_bus(relation):
-            continue
+    for relation in relations:
         ways = _ways(relation, edges_of_way)
-        matched = _matched(net, [edges_of_way[way] for way in ways]) if ways else []
+        default = "forward" if len(ways) == 1 else ""  # the order of several says where the line leads
+        matched = _matched(net, [chains_of(way, role or default) for way, role in ways]) if ways else []
         while matched and net.getEdge(matched[0]).getLength() < STOP_M:
             matched.pop(0)  # a bus comes into being on a lane that it fits on
         driven_m = sum(net.getEdge(edge).getLength() for edge in matched)
-        named_m = sum(length_m(extract, run) for way in ways for run in pieces(extract.ways[way], extract.place))
-        if least_m <= driven_m <= DETOUR * named_m:
-            calls = {ref for kind, ref, _ in relation.members if kind == "n" and ref in place}
+        named_m = sum(length_m(extract, run) for way, _ in ways for run in pieces(extract.ways[way], extract.place))
+        if recipe["at_least_m"] <= driven_m <= DETOUR * named_m:
+            calls = {ref for kind, ref, _ in relation.members if kind == "n" and ref in signs}
             alike[tuple(matched)].append((relation.tags["ref"], calls))
     stops: dict[str, BusStop] = {}
     lines = []
@@ -134,43 +143,81 @@ def _is_daytime_bus(relation: Relation) -> bool:
     return relation.tags.get("route") == "bus" and ref != "" and not re.fullmatch(r"N ?\d.*|.*N", ref)
 
 
-def _ways(relation: Relation, edges_of_way: dict[int, list[Any]]) -> list[int]:
-    """The relation's ways inside the network, in order; gaps (termini, joined junctions) are bridged later."""
+def _ways(relation: Relation, edges_of_way: dict[int, list[Any]]) -> list[tuple[int, str]]:
+    """The relation's ways inside the network and their roles; gaps (termini, joined junctions) are bridged later."""
     return [
-        ref
+        (ref, role)
         for kind, ref, role in relation.members
         if kind == "w" and ref in edges_of_way and "platform" not in role and "stop" not in role
     ]
 
 
-def _matched(net: Any, candidates: list[list[Any]]) -> list[str]:
-    """The shortest drive that touches one edge of every way, in their order."""
-    cost = {edge: edge.getLength() for edge in candidates[0]}
-    drive = {edge: [edge.getID()] for edge in candidates[0]}
-    for options in candidates[1:]:
+def _chains(edges: list[Any]) -> list[list[Any]]:
+    """The edges of a way from end to end, in each direction; those of a ring one by one."""
+    after = {
+        edge: onward for edge in edges for onward in edge.getAllowedOutgoing("bus")
+        if onward in edges and onward.getToNode() is not edge.getFromNode()
+    }  # fmt: skip
+    chains = []
+    for edge in edges:
+        if edge not in after.values():
+            chains.append([edge])
+            while (onward := after.get(edge)) and onward not in chains[-1]:
+                chains[-1].append(onward)
+                edge = onward
+    driven = {edge for chain in chains for edge in chain}
+    return chains + [[edge] for edge in edges if edge not in driven]
+
+
+def _towards(role: str, chains: list[list[Any]], first: Point, last: Point) -> list[list[Any]]:
+    """The chains in the direction of a role, for a way from `first` to `last`; all where there is none, or no role."""
+
+    def gain_m(chain: list[Any]) -> float:
+        begin, end = chain[0].getShape()[0][:2], chain[-1].getShape()[-1][:2]
+        return dist(begin, last) + dist(end, first) - dist(begin, first) - dist(end, last)
+
+    sign = {"forward": 1, "backward": -1}.get(role, 0)
+    return [chain for chain in chains if sign * gain_m(chain) > 0] or chains
+
+
+def _matched(net: Any, ways: list[list[list[Any]]]) -> list[str]:
+    """The shortest drive along one chain of every way, in their order, where metres left out count `LEFT_OUT` times."""
+    cost: dict[Any, float] = {}  # by the edge where a way is left
+    drive: dict[Any, list[str]] = {}
+    for n, chains in enumerate(ways):
         next_cost: dict[Any, float] = {}
         next_drive: dict[Any, list[str]] = {}
-        for edge in options:
-            best, best_drive = inf, None
-            for before, so_far in cost.items():
-                path: tuple[Any, ...] | None = (edge,)
-                metres = edge.getLength()
-                if before is not edge:
-                    path, metres = net.getShortestPath(before, edge, vClass="bus", maxCost=FARTHEST_M)
-                if path is None:
-                    continue
-                total = so_far + metres - before.getLength()
-                if total < best:
-                    best, best_drive = total, drive[before] + [leg.getID() for leg in path[1:]]
-            if best_drive is not None:
-                next_cost[edge] = best
-                next_drive[edge] = best_drive
+        for chain in chains:
+            whole_m = sum(edge.getLength() for edge in chain)
+            for first, edge in enumerate(chain):
+                total, steps = (edge.getLength(), [edge.getID()]) if n == 0 else _entered(net, edge, cost, drive)
+                total += LEFT_OUT * (whole_m - edge.getLength())
+                for last, at in enumerate(chain[first:]):
+                    if last:
+                        total += (1 - LEFT_OUT) * at.getLength()
+                        steps = [*steps, at.getID()]
+                    if total < next_cost.get(at, inf):
+                        next_cost[at], next_drive[at] = total, steps
         if not next_cost:
             return []
         cost, drive = next_cost, next_drive
     end = min(cost, key=lambda edge: (cost[edge], edge.getID()))
     steps = drive[end]
     return steps if len(set(steps)) == len(steps) else []
+
+
+def _entered(net: Any, edge: Any, cost: dict[Any, float], drive: dict[Any, list[str]]) -> tuple[float, list[str]]:
+    """Cost and drive up to the end of an edge, from where it is cheapest to come."""
+    best, best_drive = inf, list[str]()
+    for before, so_far in cost.items():
+        path: tuple[Any, ...] | None = (edge,)
+        metres = edge.getLength()
+        if before is not edge:
+            path, metres = net.getShortestPath(before, edge, vClass="bus", maxCost=FARTHEST_M)
+        if path is not None and so_far + metres - before.getLength() < best:
+            best = so_far + metres - before.getLength()
+            best_drive = drive[before] + [leg.getID() for leg in path[1:]]
+    return best, best_drive
 
 
 def _kept(stops: dict[str, BusStop], stop: BusStop) -> BusStop:

@@ -122,6 +122,10 @@ def test_night_is_quieter_than_the_afternoon(built, tmp_path):
     from_osm(built.parent / "my town.osm.gz", tmp_path / "night", Density(per_km=4.0, hour=3))
     night, day = catalogue.open_folder(tmp_path / "night"), catalogue.open_folder(built)
     assert night.vehicles_per_hour == pytest.approx(day.vehicles_per_hour * density.BY_HOUR[3], rel=0.03)
+    buses = [
+        re.findall("per_hour_and_line = ([0-9.]+)", (net.folder / "recipe.toml").read_text()) for net in (day, night)
+    ]
+    assert buses == [["2"], ["0.12"]]  # 6 % of the traffic of hour 16
 
 
 ROADLESS = grid_town().replace('k="highway"', 'k="waterway"')
