@@ -26,6 +26,7 @@ DETOUR = 1.6
 """A matched line may be at most this much longer than the streets that the relation names."""
 LEFT_OUT = 1.5
 """Metres that a bus drives rather than leave out one of a way: no shortcuts, but no dead end either, there and back."""
+_ROLES = ("backward", "forward")
 
 Point = tuple[float, float]
 
@@ -82,8 +83,9 @@ def lines_of(
     alike: dict[tuple[str, ...], list[tuple[str, set[int]]]] = defaultdict(list)
     for relation in relations:
         ways = _ways(relation, edges_of_way)
-        default = "forward" if len(ways) == 1 else ""  # the order of several says where the line leads
-        matched = _matched(net, [chains_of(way, role or default) for way, role in ways]) if ways else []
+        if ways and ways[0][1] not in _ROLES:
+            ways[0] = ways[0][0], _away(*(runs[way] for way, _ in ways[:2]))
+        matched = _matched(net, [chains_of(*way) for way in ways]) if ways else []
         while matched and net.getEdge(matched[0]).getLength() < STOP_M:
             matched.pop(0)  # a bus comes into being on a lane that it fits on
         driven_m = sum(net.getEdge(edge).getLength() for edge in matched)
@@ -152,6 +154,14 @@ def _ways(relation: Relation, edges_of_way: dict[int, list[Any]]) -> list[tuple[
     ]
 
 
+def _away(nodes: list[int], onward: list[int] | None = None) -> str:
+    """Role of the first way of a line: to the node that it shares with the next; as it is drawn, if there is none."""
+    if onward is None:
+        return "forward"
+    shared = nodes[0] in onward, nodes[-1] in onward
+    return "" if shared[0] == shared[1] else _ROLES[shared[1]]
+
+
 def _chains(edges: list[Any]) -> list[list[Any]]:
     """The edges of a way from end to end, in each direction; those of a ring one by one."""
     after = {
@@ -176,8 +186,7 @@ def _towards(role: str, chains: list[list[Any]], first: Point, last: Point) -> l
         begin, end = chain[0].getShape()[0][:2], chain[-1].getShape()[-1][:2]
         return dist(begin, last) + dist(end, first) - dist(begin, first) - dist(end, last)
 
-    sign = {"forward": 1, "backward": -1}.get(role, 0)
-    return [chain for chain in chains if sign * gain_m(chain) > 0] or chains
+    return [chain for chain in chains if role in _ROLES and role == _ROLES[gain_m(chain) > 0]] or chains
 
 
 def _matched(net: Any, ways: list[list[list[Any]]]) -> list[str]:

@@ -9,7 +9,7 @@ from cosim.addons.netbuild.buses import lines_of, stops_xml
 from sumo_nets import osm
 
 PLACE = {1: (0, 0), 2: (1000, 0), 3: (2000, 0), 21: (250, -5), 22: (760, -5), 23: (790, -5), 24: (1500, 0)}
-PLACE |= {4: (1000, 1000)}
+PLACE |= {4: (1000, 1000), 5: (3000, 0)}
 """Ends of the ways, signs beside the southern lane, which leads east, and one in the middle of the street."""
 
 
@@ -19,11 +19,11 @@ class Part(SimpleNamespace):
     __hash__ = object.__hash__
 
 
-def edge(name, *shape_m, nodes=None):
-    """An edge with one lane of its own way, between its ends on the axis of the street or between nodes."""
+def edge(name, *shape_m, nodes=None, ways=None):
+    """An edge with one lane of its own way, or of `ways`, between its ends on the axis of the street or nodes."""
     lane = Part(
         getID=lambda: f"{name}_0", getShape=lambda: shape_m, allows=lambda kind: True,
-        getParam=lambda key, other: name.lstrip("-").partition("#")[0],
+        getParam=lambda key, other: ways or name.lstrip("-").partition("#")[0],
     )  # fmt: skip
     begin, end = nodes or (shape_m[0][0], shape_m[-1][0])
     return Part(
@@ -113,6 +113,21 @@ CORNER = (7, 1, 2), (8, 2, 4)
 def test_a_bus_drives_the_whole_ways_of_its_line(ways, edges):
     (one,), _ = found(line(1, "5", ways), net=BLOCKS, ways=CORNER)
     assert one.edges == tuple(edges.split())
+
+
+def test_a_gap_in_a_line_is_bridged():
+    # Way 7 is drawn to the west, the line leads east; the 1,000 m of way 8 in its middle are not in the relation.
+    three = net(*(edge(f"{sign}{n}", *((x, 0), (x + 1000, 0))[::step]) for n, x in ((7, 0), (8, 1000), (9, 2000))
+                  for sign, step in (("", -1), ("-", 1))))  # fmt: skip
+    (one,), _ = found(line(1, "5", (7, 9)), net=three, ways=((7, 2, 1), (8, 2, 3), (9, 5, 3)))
+    assert one.edges == ("-7", "-8", "-9")
+
+
+@pytest.mark.parametrize(("ways", "edges"), [((7, 8), ("7",)), ((8, 7), ("-7",))])
+def test_the_order_of_ways_tells_the_direction_also_within_an_edge(ways, edges):
+    both = [edge(name, *ends, ways="7 8") for name, *ends in (("7", (0, 0), (2000, 0)), ("-7", (2000, 0), (0, 0)))]
+    (one,), _ = found(line(1, "5", ways), net=net(*both))
+    assert one.edges == edges
 
 
 def test_a_bus_drives_a_roundabout_only_as_far_as_it_must():
