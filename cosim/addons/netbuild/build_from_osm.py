@@ -92,7 +92,7 @@ def from_osm(
     """
     if not path.is_file():
         raise ValueError(f"--osm {path}: no such file. Give an extract: .osm, .osm.gz, .osm.xml.gz or .osm.pbf.")
-    if not path.name.endswith(".pbf"):
+    if not osm_files.is_pbf(path):
         check_form(path)
         check_prolog(path)
     if name is None:

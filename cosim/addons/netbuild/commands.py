@@ -127,7 +127,7 @@ def tile(
     from cosim.traffic.scenario import find
 
     words = tiles.lower().split("x")
-    if len(words) != 2 or not all(word.isdecimal() and len(word) < 4 for word in words):
+    if len(words) != 2 or not all(word.isdecimal() and len(word) < 9 for word in words):
         raise ValueError(f"--tiles {tiles}: give two numbers, for example 2x2.")
     with notes.status("copying streets, buildings and traffic ..."):
         n_most = tiled(find(city, str(trace)), int(words[0]), int(words[1]), out)

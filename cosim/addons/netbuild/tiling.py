@@ -149,9 +149,9 @@ def _network(net: Path, shifts_m: Float[ndarray, "k 2"], bounds_m: tuple[float, 
     copies = []
     for copy, (east_m, north_m) in enumerate(shifts_m.tolist()):
         copies.append(f"{copy}.net.xml")
-        options = {"sumo-net-file": net.resolve(), "prefix": f"{copy}.", "output-file": copies[-1]}
+        options = {"sumo-net-file": net.name, "prefix": f"{copy}.", "output-file": (out / copies[-1]).resolve()}
         moved = {"offset.x": east_m, "offset.y": north_m, "offset.disable-normalization": True}
-        sumotools.run("netconvert", options | moved, out)
+        sumotools.run("netconvert", options | moved, net.parent)
         text = sumotools.without_header(out / copies[-1])
         text = re.sub(r"<location [^>]*>", "", text, count=1)  # netconvert would move the copy back by its offset
         (out / copies[-1]).write_text(text, encoding="utf-8")

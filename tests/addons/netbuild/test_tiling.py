@@ -55,7 +55,13 @@ def test_every_copy_has_all_streets_buildings_and_actors(city, tmp_path):
 
 @pytest.mark.parametrize(
     ("tiles", "says"),
-    [("1x1", "give 2 copies or more"), ("0x3", "give 2 copies"), ("x", "two numbers"), ("99x9", "65 km")],
+    [
+        ("1x1", "give 2 copies or more"),
+        ("0x3", "give 2 copies"),
+        ("x", "two numbers"),
+        ("99x9", "65 km"),
+        ("1000x1", "65 km"),
+    ],
 )
 def test_what_cannot_be_tiled_is_said_in_one_line(tiles, says, city, tmp_path):
     words = ("nets", "tile", "helsinki", "--trace", str(city.trace), "--tiles", tiles, "--out", str(tmp_path / "out"))
