@@ -4,7 +4,7 @@ import gzip
 import re
 import tempfile
 from dataclasses import replace
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -15,8 +15,9 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 from numpy import ndarray
 
-from cosim.traffic.fcd import Timestep, timesteps
+from cosim.traffic.fcd import Timestep
 from cosim.traffic.identity import TypeTable
+from cosim.traffic.replay import opened
 from cosim.traffic.scenario import Scenario
 from sumo_nets import sumotools
 from sumo_nets.footprints import read_footprints, write_footprints
@@ -86,10 +87,13 @@ def tile(scenario: Scenario, n_east: int, n_north: int, out: Path) -> int:
 def _trace(scenario: Scenario, shifts_m: Float[ndarray, "k 2"], out: Path) -> int:
     """Write the trace of all copies, and the vehicle types that occur in it; return the most actors at one time."""
     assert scenario.trace is not None
+    ahead, read, convert, _ = opened(scenario.trace, scenario.location())
     types: set[str] = set()
     n_most, writer = 0, None
     try:
-        for timestep in map(_typed, timesteps(scenario.trace)):
+        for timestep in map(_typed, chain(ahead, read)):
+            if convert is not None and timestep.names:
+                timestep = convert(timestep)
             types.update(timestep.types)
             n_most = max(n_most, len(timestep.names) * len(shifts_m))
             table = pa.table(_columns(timestep, shifts_m))

@@ -76,6 +76,25 @@ def test_what_cannot_be_tiled_is_said_in_one_line(tiles, says, city, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_trace_in_degrees_is_placed_by_the_projection(city, tmp_path):
+    """A point of the city in degrees, by the inverse projection: it lies there in both copies, not at 25 and 60 m."""
+    net = city.location()
+    here = net.projection.of_world(np.array([[500.0, 800.0]]))
+    row = f"1;{here.longitude_deg[0]:.8f};{here.latitude_deg[0]:.8f};90;car;10\n"
+    (tmp_path / "geo.csv").write_text(TRACE.splitlines(keepends=True)[0] + "0.00;" + row + "1.00;" + row)
+    tile(replace(city, trace=tmp_path / "geo.csv"), 2, 1, tmp_path / "two")
+    west, _, east, _ = city.bounds_m
+    for timestep in timesteps(tmp_path / "two" / "fcd.parquet"):
+        wanted = [[500, 800], [500 + np.ceil(east - west), 800]]
+        assert np.allclose(timestep.front_m[:, :2], wanted, atol=0.02)
+
+
+def test_an_empty_trace_is_not_tiled(city, tmp_path):
+    (tmp_path / "fcd.csv").write_text(TRACE.splitlines(keepends=True)[0])
+    with pytest.raises(ValueError, match="no actor is ever on the road"):
+        tile(replace(city, trace=tmp_path / "fcd.csv"), 2, 1, tmp_path / "two")
+
+
 def test_a_run_is_no_trace_to_tile(city, tmp_path):
     with pytest.raises(ValueError, match="a trace of SUMO's"):
         tile(find("helsinki"), 2, 2, tmp_path / "out")
