@@ -131,7 +131,7 @@ def departures(lines: list[Line], recipe: dict[str, Any], seed: int, end_s: floa
                 for stop in line.stops
             )
             trips.append(
-                f'<vehicle id="bus{n}.{n_buses}" type="bus" line="{line.refs[0]}" depart="{now:.1f}"'
+                f'<vehicle id="bus{n}.{n_buses}" type="bus" line={quoteattr(line.refs[0])} depart="{now:.1f}"'
                 f' departLane="best" departSpeed="max"><route edges="{" ".join(line.edges)}"/>{dwell}</vehicle>'
             )
             n_buses += 1

@@ -1,11 +1,12 @@
 """Bus lines on a straight street of two ways of 1,000 m, 7 and 8, which is driven in both directions."""
 
+import xml.etree.ElementTree as ET
 from math import hypot
 from types import SimpleNamespace
 
 import pytest
 
-from cosim.addons.netbuild.buses import lines_of, stops_xml
+from cosim.addons.netbuild.buses import departures, lines_of, stops_xml
 from sumo_nets import osm
 
 PLACE = {1: (0, 0), 2: (1000, 0), 3: (2000, 0), 21: (250, -5), 22: (760, -5), 23: (790, -5), 24: (1500, 0)}
@@ -84,6 +85,13 @@ def test_one_sign_for_both_directions_is_two_stops():
     assert {one.edges: one.stops for one in lines} == {("-8", "-7"): ("stop24",), ("7", "8"): ("stop24.1",)}
     assert [stop.lane for stop in stops] == ["-8_0", "8_0"]
     assert stops_xml(stops).count('id="stop24"') == 1
+
+
+def test_a_line_may_have_any_name():
+    (one,), _ = found(line(1, 'A&B "<3>"', (7, 8)))
+    recipe = {"per_hour_and_line": 2, "most_lines_alike": 3, "dwell_s": 18}
+    (bus, *_) = departures([one], recipe, seed=1, end_s=7200)
+    assert ET.fromstring(bus).get("line") == 'A&B "<3>"'
 
 
 @pytest.mark.parametrize(("ref", "n"), [("9", 1), ("N", 0), ("9N", 0), ("N9", 0), ("N 19", 0), ("NW1", 1)])
