@@ -6,6 +6,7 @@ import argparse
 import gzip
 import hashlib
 import logging
+import os
 import shutil
 import subprocess
 import sys
@@ -92,6 +93,15 @@ def furnish(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str],
     """Write buildings and demand for the network in `work`."""
     _buildings(extract, work)
     _demand(recipe, extract, gates, work)
+
+
+def check_out(out: Path) -> None:
+    """Raise ValueError, in one line, if a folder is not empty, or cannot be made."""
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
+    above = next(path for path in (out.absolute(), *out.absolute().parents) if path.exists())
+    if not above.is_dir() or not os.access(above, os.W_OK):
+        raise ValueError(f"--out {out} cannot be made: {above} is no folder to write in. Give another one.")
 
 
 def pack(recipe: dict[str, Any], text: str, work: Path, out: Path) -> None:

@@ -174,11 +174,12 @@ def fit(net: Net, counted: Counts, out: Path, seed: int) -> Counts:
         (work / "counts.xml").write_text(f"<data>{interval}</data>", encoding="utf-8")
         _sample(work, net.end_s, seed)
         sampled = _departing(_elements(work / "sampled.rou.xml"), candidates, net.end_s, seed)
-        shutil.copytree(net.folder, out, dirs_exist_ok=True)
         demand.write_trips(work / "all.rou.xml", [*kept, *sampled])
-        packed = gzip.compress((work / "all.rou.xml").read_bytes(), 9, mtime=0)
-    (out / "demand.rou.xml.gz").write_bytes(packed)
-    _describe(net, out, (len(sampled) + sum('type="bicycle"' in text for text in kept)) / hours)
+        city = work / "city"
+        shutil.copytree(net.folder, city)
+        (city / "demand.rou.xml.gz").write_bytes(gzip.compress((work / "all.rou.xml").read_bytes(), 9, mtime=0))
+        _describe(net, city, (len(sampled) + sum('type="bicycle"' in text for text in kept)) / hours)
+        shutil.copytree(city, out, dirs_exist_ok=True)
     passed = _passed(sampled) + buses
     return {edge: passed[edge] / hours for edge in counted}
 

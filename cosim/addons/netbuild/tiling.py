@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 from numpy import ndarray
 
+from cosim.addons.netbuild.build import check_out
 from cosim.traffic.fcd import Timestep
 from cosim.traffic.identity import TypeTable
 from cosim.traffic.replay import opened
@@ -54,8 +55,7 @@ def tile(scenario: Scenario, n_east: int, n_north: int, out: Path) -> int:
         raise ValueError(f"{scenario.name}: give a city with a network, and a trace of SUMO's (--trace fcd.parquet).")
     if min(n_east, n_north) < 1 or n_east * n_north < 2:
         raise ValueError(f"--tiles {n_east}x{n_north}: give 2 copies or more, for example 2x2.")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
+    check_out(out)
     west, south, east, north = scenario.bounds_m
     size_m = np.ceil([east - west, north - south])
     if (size_m * (n_east, n_north)).max() > LARGEST_M:

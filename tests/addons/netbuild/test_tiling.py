@@ -95,6 +95,12 @@ def test_an_empty_trace_is_not_tiled(city, tmp_path):
         tile(replace(city, trace=tmp_path / "fcd.csv"), 2, 1, tmp_path / "two")
 
 
+def test_a_folder_that_cannot_be_made_is_said_before_the_work(city, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match=r"cannot be made: .*file is no folder to write in"):
+        tile(city, 2, 1, tmp_path / "file" / "new" / "two")
+
+
 def test_a_run_is_no_trace_to_tile(city, tmp_path):
     with pytest.raises(ValueError, match="a trace of SUMO's"):
         tile(find("helsinki"), 2, 2, tmp_path / "out")
