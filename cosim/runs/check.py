@@ -235,7 +235,8 @@ def keys_in_vain(config: Config, scenario: Scenario) -> list[str]:
     lines = without_effect(config, scenario.trace is not None)
     if _lacks_trees(config, scenario):
         lines.append(f"trees.from_map has no effect: the polygon files of {scenario.name} contain no trees.")
-    lines += _without_city(scenario) + _shorter_step(config, scenario) + _longer_periods(config) + _late_attacks(config)
+    lines += _without_city(scenario) + _shorter_step(config, scenario)
+    lines += _longer_periods(config) + _late_attacks(config)
     return [f"note: {line}" for line in lines]
 
 

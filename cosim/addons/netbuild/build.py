@@ -99,7 +99,9 @@ def check_out(out: Path) -> None:
     """Raise ValueError, in one line, if a folder is not empty, or cannot be made."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
-    above = next(path for path in (out.absolute(), *out.absolute().parents) if path.exists())
+    above = out.absolute()
+    while not above.exists():
+        above = above.parent
     if not above.is_dir() or not os.access(above, os.W_OK):
         raise ValueError(f"--out {out} cannot be made: {above} is no folder to write in. Give another one.")
 
@@ -210,7 +212,8 @@ def _demand(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str],
     seed, end_s = wanted["seed"], float(wanted["end_s"])
     net = sumolib.net.readNet(str(work / "net.net.xml"))
     roads = demand.streets_of(net, gates)
-    lines, stops = buses.lines_of(extract, net, sumotools.Projector(extract, work / "net.net.xml").nodes, wanted["bus"])
+    projector = sumotools.Projector(extract, work / "net.net.xml")
+    lines, stops = buses.lines_of(extract, net, projector.nodes, wanted["bus"])
     _LOG.info("%d bus lines, %d stops", len(lines), len(stops))
     (work / "stops.add.xml").write_text(buses.stops_xml(stops), encoding="utf-8", newline="\n")
     demand.write_trips(work / "buses.rou.xml", buses.departures(lines, wanted["bus"], seed, end_s))

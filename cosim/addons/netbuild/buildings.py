@@ -67,7 +67,9 @@ def rings_of(extract: Extract) -> Rings:
         outer, inner = _joined(chains[True]), _joined(chains[False])
         if outer:
             found[f"r{relation.id}"] = (outer, inner, relation.tags)
-        found.update({part: (found[part][0], inner, found[part][2]) for part in parts})
+        for part in parts:
+            rings, _, tags = found[part]
+            found[part] = rings, inner, tags
     return dict(sorted(found.items()))
 
 

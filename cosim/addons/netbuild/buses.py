@@ -29,6 +29,11 @@ LEFT_OUT = 1.5
 _ROLES = ("backward", "forward")
 
 Point = tuple[float, float]
+Chain = list[Any]
+"""Edges of a way that follow each other."""
+Drives = dict[Any, tuple[float, list[str]]]
+"""Cost and edges of the best drive to each edge at which a way may be left."""
+NO_DRIVE: tuple[float, list[str]] = (inf, [])
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,19 +77,21 @@ def lines_of(
         way: [node for node in extract.ways[way].nodes if node in extract.place]
         for kind, way in named_members if kind == "w" and way in edges_of_way
     }  # fmt: skip
-    place = project(sorted(signs.union(*((run[0], run[-1]) for run in runs.values()))))
+    ends = {run[end] for run in runs.values() for end in (0, -1)}
+    place = project(sorted(signs | ends))
 
-    def chains_of(way: int, role: str) -> list[list[Any]]:
+    def chains_of(way: int, role: str) -> list[Chain]:
         if not recipe.get("whole_ways"):
             return [[edge] for edge in edges_of_way[way]]
-        first, last = (place[runs[way][end]] for end in (0, -1))
-        return _towards(role, _chains(edges_of_way[way]), first, last)
+        run = runs[way]
+        return _towards(role, _chains(edges_of_way[way]), place[run[0]], place[run[-1]])
 
     alike: dict[tuple[str, ...], list[tuple[str, set[int]]]] = defaultdict(list)
     for relation in relations:
         ways = _ways(relation, edges_of_way)
         if ways and ways[0][1] not in _ROLES:
-            ways[0] = ways[0][0], _away(*(runs[way] for way, _ in ways[:2]))
+            first_two = [runs[way] for way, _ in ways[:2]]
+            ways[0] = ways[0][0], _away(*first_two)
         matched = _matched(net, [chains_of(*way) for way in ways]) if ways else []
         while matched and net.getEdge(matched[0]).getLength() < STOP_M:
             matched.pop(0)  # a bus comes into being on a lane that it fits on
@@ -162,7 +169,7 @@ def _away(nodes: list[int], onward: list[int] | None = None) -> str:
     return "" if shared[0] == shared[1] else _ROLES[shared[1]]
 
 
-def _chains(edges: list[Any]) -> list[list[Any]]:
+def _chains(edges: list[Any]) -> list[Chain]:
     """The edges of a way from end to end, in each direction; those of a ring one by one."""
     after = {
         edge: onward for edge in edges for onward in edge.getAllowedOutgoing("bus")
@@ -179,54 +186,53 @@ def _chains(edges: list[Any]) -> list[list[Any]]:
     return chains + [[edge] for edge in edges if edge not in driven]
 
 
-def _towards(role: str, chains: list[list[Any]], first: Point, last: Point) -> list[list[Any]]:
+def _towards(role: str, chains: list[Chain], first: Point, last: Point) -> list[Chain]:
     """The chains in the direction of a role, for a way from `first` to `last`; all where there is none, or no role."""
 
-    def gain_m(chain: list[Any]) -> float:
-        begin, end = chain[0].getShape()[0][:2], chain[-1].getShape()[-1][:2]
-        return dist(begin, last) + dist(end, first) - dist(begin, first) - dist(end, last)
+    def role_of(chain: Chain) -> str:
+        begin, end = chain[0].getShape()[0], chain[-1].getShape()[-1]
+        against_m = dist(begin[:2], last) + dist(end[:2], first)
+        return _ROLES[dist(begin[:2], first) + dist(end[:2], last) < against_m]
 
-    return [chain for chain in chains if role in _ROLES and role == _ROLES[gain_m(chain) > 0]] or chains
+    return [chain for chain in chains if role_of(chain) == role] or chains
 
 
-def _matched(net: Any, ways: list[list[list[Any]]]) -> list[str]:
+def _matched(net: Any, ways: list[list[Chain]]) -> list[str]:
     """The shortest drive along one chain of every way, in their order, where metres left out count `LEFT_OUT` times."""
-    cost: dict[Any, float] = {}  # by the edge where a way is left
-    drive: dict[Any, list[str]] = {}
+    drives: Drives = {}
     for n, chains in enumerate(ways):
-        next_cost: dict[Any, float] = {}
-        next_drive: dict[Any, list[str]] = {}
+        onward: Drives = {}
         for chain in chains:
             whole_m = sum(edge.getLength() for edge in chain)
             for first, edge in enumerate(chain):
-                total, steps = (edge.getLength(), [edge.getID()]) if n == 0 else _entered(net, edge, cost, drive)
-                total += LEFT_OUT * (whole_m - edge.getLength())
-                for last, at in enumerate(chain[first:]):
-                    if last:
-                        total += (1 - LEFT_OUT) * at.getLength()
-                        steps = [*steps, at.getID()]
-                    if total < next_cost.get(at, inf):
-                        next_cost[at], next_drive[at] = total, steps
-        if not next_cost:
+                metres, steps = _entered(net, edge, drives) if n else (edge.getLength(), [edge.getID()])
+                cost = metres + LEFT_OUT * (whole_m - edge.getLength())
+                for last in chain[first:]:
+                    if last is not edge:
+                        cost += (1 - LEFT_OUT) * last.getLength()
+                        steps = [*steps, last.getID()]
+                    if cost < onward.get(last, NO_DRIVE)[0]:
+                        onward[last] = cost, steps
+        if not onward:
             return []
-        cost, drive = next_cost, next_drive
-    end = min(cost, key=lambda edge: (cost[edge], edge.getID()))
-    steps = drive[end]
+        drives = onward
+    end = min(drives, key=lambda edge: (drives[edge][0], edge.getID()))
+    _, steps = drives[end]
     return steps if len(set(steps)) == len(steps) else []
 
 
-def _entered(net: Any, edge: Any, cost: dict[Any, float], drive: dict[Any, list[str]]) -> tuple[float, list[str]]:
+def _entered(net: Any, edge: Any, drives: Drives) -> tuple[float, list[str]]:
     """Cost and drive up to the end of an edge, from where it is cheapest to come."""
-    best, best_drive = inf, list[str]()
-    for before, so_far in cost.items():
+    best = NO_DRIVE
+    for before, (cost, steps) in drives.items():
         path: tuple[Any, ...] | None = (edge,)
         metres = edge.getLength()
         if before is not edge:
             path, metres = net.getShortestPath(before, edge, vClass="bus", maxCost=FARTHEST_M)
-        if path is not None and so_far + metres - before.getLength() < best:
-            best = so_far + metres - before.getLength()
-            best_drive = drive[before] + [leg.getID() for leg in path[1:]]
-    return best, best_drive
+        total = cost + metres - before.getLength()
+        if path is not None and total < best[0]:
+            best = total, steps + [leg.getID() for leg in path[1:]]
+    return best
 
 
 def _kept(stops: dict[str, BusStop], stop: BusStop) -> BusStop:
