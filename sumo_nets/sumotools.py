@@ -89,10 +89,11 @@ def projected(rings: list[Ring], net_path: Path) -> list[Ring]:
 
     stream(net_path, location)
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as folder:
-        (Path(folder) / "geo.xml").write_text(f"<additional>{shapes}</additional>", encoding="utf-8")
-        options = {"net-file": net_path.resolve(), "xml-files": "geo.xml", "output-file": "flat.xml", "precision": 4}
-        run("polyconvert", options, Path(folder))
-        stream(Path(folder) / "flat.xml", start)
+        given, flat = Path(folder) / "geo.xml", Path(folder) / "flat.xml"
+        given.write_text(f"<additional>{shapes}</additional>", encoding="utf-8")
+        options = {"net-file": net_path.name, "xml-files": given, "output-file": flat, "precision": 4}
+        run("polyconvert", options, net_path.parent)
+        stream(flat, start)
     return [found[k] for k in range(len(rings))]
 
 

@@ -101,7 +101,9 @@ def show(
 
     found = find(city)
     if found.net is None:
-        raise ValueError(f"{city} is a trace: there is no network to show. Give a city or a .sumocfg.")
+        raise ValueError(
+            f"{city}: neither a city nor a .sumocfg, so that there is no network to show. Give one of them."
+        )
     facts: dict[str, Any] = {"name": found.name}
     if city in catalogue.names():
         facts |= summary(catalogue.find(city))

@@ -235,8 +235,19 @@ def keys_in_vain(config: Config, scenario: Scenario) -> list[str]:
     lines = without_effect(config, scenario.trace is not None)
     if _lacks_trees(config, scenario):
         lines.append(f"trees.from_map has no effect: the polygon files of {scenario.name} contain no trees.")
-    lines += _shorter_step(config, scenario) + _longer_periods(config) + _late_attacks(config)
+    lines += _without_city(scenario) + _shorter_step(config, scenario)
+    lines += _longer_periods(config) + _late_attacks(config)
     return [f"note: {line}" for line in lines]
+
+
+def _without_city(scenario: Scenario) -> list[str]:
+    """A line if a .sumocfg is that of a city that `nets build` made: the city's buildings are not among its files."""
+    folder = None if scenario.sumocfg is None or scenario.buildings else scenario.sumocfg.parent
+    if folder is None or not (folder / "recipe.toml").is_file():
+        return []
+    return [
+        f"{scenario.name} is driven without the buildings and the warm-up of its city. Set traffic.scenario = {folder}."
+    ]
 
 
 def _shorter_step(config: Config, scenario: Scenario) -> list[str]:

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain
+from itertools import chain, islice
 from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ from cosim.base.codes import PARKED
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fcd import Timestep, is_observed, projection_of, timesteps
 from cosim.traffic.frame import Frame, TrafficError
-from cosim.traffic.georeference import NetLocation, TravelCheck, conversion
+from cosim.traffic.georeference import Conversion, NetLocation, TravelCheck, conversion
 from cosim.traffic.identity import LEFT_OUT, UNKNOWN, Identities, TypeTable
 from cosim.traffic.interpolation import LONGEST_S, Timeline, interval_s
 from cosim.traffic.objects import PREFIX
@@ -32,6 +32,18 @@ if TYPE_CHECKING:
 
 _N_PROBED = 10
 """Timesteps from which the interval of a trace is measured."""
+
+
+def opened(path: Path, net: NetLocation | None) -> tuple[list[Timestep], Iterator[Timestep], Conversion | None, str]:
+    """The first timesteps of a trace, those behind them, and how its positions become those of the network, in words.
+
+    A TrafficError is raised if nobody is ever on the road, or if the positions are known to be elsewhere.
+    """
+    read = timesteps(path)
+    ahead = list(islice(read, _N_PROBED))
+    if not any(timestep.names for timestep in ahead) and len(ahead) < _N_PROBED:
+        raise TrafficError(f"{path}: an empty trace: no actor is ever on the road.")
+    return ahead, read, *conversion(str(path), ahead, net, projection_of(path))
 
 
 class _Replay:
@@ -91,11 +103,7 @@ class TraceReplay(_Replay):
             None,
             None,
         )
-        self._read = timesteps(path)
-        ahead = [timestep for _, timestep in zip(range(_N_PROBED), self._read, strict=False)]
-        if not any(timestep.names for timestep in ahead) and len(ahead) < _N_PROBED:
-            raise TrafficError(f"{path}: an empty trace: no actor is ever on the road.")
-        self._convert, self._placed = conversion(str(path), ahead, net, projection_of(path))
+        ahead, self._read, self._convert, self._placed = opened(path, net)
         self._travel = TravelCheck(str(path))  # before the interval is judged, whose unit may be wrong
         placed = list(self._placed_of(ahead))
         self._frame = self._frame.around(np.concatenate([timestep.front_m for timestep in placed]))

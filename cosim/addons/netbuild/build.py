@@ -6,6 +6,7 @@ import argparse
 import gzip
 import hashlib
 import logging
+import os
 import shutil
 import subprocess
 import sys
@@ -92,6 +93,17 @@ def furnish(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str],
     """Write buildings and demand for the network in `work`."""
     _buildings(extract, work)
     _demand(recipe, extract, gates, work)
+
+
+def check_out(out: Path) -> None:
+    """Raise ValueError, in one line, if a folder is not empty, or cannot be made."""
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
+    above = out.absolute()
+    while not above.exists():
+        above = above.parent
+    if not above.is_dir() or not os.access(above, os.W_OK):
+        raise ValueError(f"--out {out} cannot be made: {above} is no folder to write in. Give another one.")
 
 
 def pack(recipe: dict[str, Any], text: str, work: Path, out: Path) -> None:
@@ -200,9 +212,8 @@ def _demand(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str],
     seed, end_s = wanted["seed"], float(wanted["end_s"])
     net = sumolib.net.readNet(str(work / "net.net.xml"))
     roads = demand.streets_of(net, gates)
-    lines, stops = buses.lines_of(
-        extract, net, sumotools.Projector(extract, work / "net.net.xml").nodes, wanted["bus"]["at_least_m"]
-    )
+    projector = sumotools.Projector(extract, work / "net.net.xml")
+    lines, stops = buses.lines_of(extract, net, projector.nodes, wanted["bus"])
     _LOG.info("%d bus lines, %d stops", len(lines), len(stops))
     (work / "stops.add.xml").write_text(buses.stops_xml(stops), encoding="utf-8", newline="\n")
     demand.write_trips(work / "buses.rou.xml", buses.departures(lines, wanted["bus"], seed, end_s))

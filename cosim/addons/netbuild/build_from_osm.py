@@ -19,7 +19,7 @@ from cosim.addons.netbuild.gate_flows import gate_flows, rates_at
 from cosim.addons.netbuild.osm_xml import check_form
 from cosim.addons.netbuild.streets import LeftOut
 from sumo_nets import demand
-from sumo_nets.density import SHARES, Density, trips_per_hour
+from sumo_nets.density import BY_HOUR, SHARES, Density, trips_per_hour
 from sumo_nets.xml import Attributes, check_prolog, stream
 
 _HERE = Path(str(sumo_nets.__file__)).parent
@@ -35,6 +35,8 @@ SUMO drives 1.34 in Braunschweig, 1.45 in Kotka, 1.70 in Bad Hersfeld, and 1.99 
 """
 BICYCLE_MPS = 5.5
 """Speed of bicycles, where the speed limit is not below."""
+BUSES_PER_HOUR = 2.0
+"""Buses of a line and direction at the busiest hour, as a guess; those of other hours are fewer, like the trips."""
 _SAMPLE = 2000.0
 """Trips from which the mean duration of trips is computed."""
 
@@ -90,7 +92,7 @@ def from_osm(
     """
     if not path.is_file():
         raise ValueError(f"--osm {path}: no such file. Give an extract: .osm, .osm.gz, .osm.xml.gz or .osm.pbf.")
-    if not path.name.endswith(".pbf"):
+    if not osm_files.is_pbf(path):
         check_form(path)
         check_prolog(path)
     if name is None:
@@ -156,6 +158,7 @@ def _filled(template: str, about: dict[str, str], density: Density, figures: dic
     """The recipe of a city: its template with the values filled in."""
     values: dict[str, Any] = {
         **about, "density": f"{density.per_km:g}", "hour": density.hour, "at_least": 300.0,
+        "bus": f"{BUSES_PER_HOUR * BY_HOUR[density.hour]:g}",
         **dict.fromkeys((*demand.KINDS, "pedestrian", "through"), 0), **rates_at(density.hour), **figures,
     }  # fmt: skip
     text = re.sub(r"@(\w+)@", lambda match: escaped(values[match[1]]) if match[1] != "box" else values["box"], template)

@@ -52,16 +52,24 @@ def rings_of(extract: Extract) -> Rings:
         if relation.tags.get("type") != "multipolygon" or not _is_building(relation.tags):
             continue
         chains: dict[bool, list[list[int]]] = {True: [], False: []}
+        parts = []  # outer ways that are parts of this building, not another copy of it
         for kind, ref, role in relation.members:
             if kind == "w" and ref in extract.ways:
                 nodes = [node for node in extract.ways[ref].nodes if node in extract.place]
                 if len(nodes) > 1:
                     chains[role != "inner"].append(nodes)
-                if role != "inner":
-                    found.pop(f"w{ref}", None)
+                if role != "inner" and f"w{ref}" in found:
+                    way_is_part, relation_is_part = _is_part(extract.ways[ref].tags), _is_part(relation.tags)
+                    if way_is_part == relation_is_part:
+                        del found[f"w{ref}"]
+                    elif way_is_part:
+                        parts.append(f"w{ref}")
         outer, inner = _joined(chains[True]), _joined(chains[False])
         if outer:
             found[f"r{relation.id}"] = (outer, inner, relation.tags)
+        for part in parts:
+            rings, _, tags = found[part]
+            found[part] = rings, inner, tags
     return dict(sorted(found.items()))
 
 
@@ -97,6 +105,11 @@ def _is_building(tags: Tags) -> bool:
     return not {tags.get("building", "no"), tags.get("building:part", "no")} <= _NO_MORE
 
 
+def _is_part(tags: Tags) -> bool:
+    """Whether a building part has no outline of a building among its tags."""
+    return tags.get("building", "no") == "no"
+
+
 def _joined(chains: list[list[int]]) -> list[list[int]]:
     """Chains of nodes joined end to end into rings; an open chain is closed by a straight wall."""
     chains = [list(chain) for chain in chains]
@@ -120,7 +133,7 @@ def _joined(chains: list[list[int]]) -> list[list[int]]:
 
 def _refined(shape: dict[str, shapely.Geometry], tags: dict[str, Tags]) -> list[Solid]:
     """Parts are kept as they are; an outline keeps the area that no part covers, and the volume below raised parts."""
-    parts = [name for name in shape if tags[name].get("building", "no") == "no"]
+    parts = [name for name in shape if _is_part(tags[name])]
     solids = [(name, shape[name], height_of(tags[name], shape[name].area)) for name in parts]
     tree = shapely.STRtree([solid for _, solid, _ in solids])
     done = list(solids)

@@ -6,11 +6,11 @@ import re
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import inf
+from math import dist, inf
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
-from cosim.addons.netbuild.streets import length_m
+from cosim.addons.netbuild.streets import PIECE, length_m
 from sumo_nets.demand import Draw
 from sumo_nets.osm import Extract, Relation, pieces
 
@@ -24,8 +24,16 @@ FARTHEST_M = 1500.0
 """Longest drive over streets that the relation does not name: termini and joined junctions [m]."""
 DETOUR = 1.6
 """A matched line may be at most this much longer than the streets that the relation names."""
+LEFT_OUT = 1.5
+"""Metres that a bus drives rather than leave out one of a way: no shortcuts, but no dead end either, there and back."""
+_ROLES = ("backward", "forward")
 
 Point = tuple[float, float]
+Chain = list[Any]
+"""Edges of a way that follow each other."""
+Drives = dict[Any, tuple[float, list[str]]]
+"""Cost and edges of the best drive to each edge at which a way may be left."""
+NO_DRIVE: tuple[float, list[str]] = (inf, [])
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,38 +57,48 @@ class BusStop:
 
 
 def lines_of(
-    extract: Extract, net: Any, project: Callable[[list[int]], dict[int, Point]], least_m: float
+    extract: Extract, net: Any, project: Callable[[list[int]], dict[int, Point]], recipe: dict[str, Any]
 ) -> tuple[list[Line], list[BusStop]]:
-    """Daytime bus lines that run at least `least_m` through the network, and the stops they call at.
+    """Daytime bus lines that run at least `at_least_m` through the network, and the stops they call at.
 
-    `net` is a sumolib network with original ids; `project` gives nodes their place in it.
+    `net` is a sumolib network with original ids; `project` gives nodes their place in it. `recipe` is that of buses:
+    without `whole_ways`, a line is the shortest drive that touches one edge of every way.
     """
     edges_of_way = defaultdict(list)
     for edge in sorted(net.getEdges(), key=lambda edge: edge.getID()):
         if edge.allows("bus"):
             named = {int(i.lstrip("-")) for lane in edge.getLanes() for i in lane.getParam("origId", "").split()}
             for way in sorted(named):
-                edges_of_way[way].append(edge)
-    signs = {
-        member[1]
-        for relation in extract.relations.values()
-        if _is_daytime_bus(relation)
-        for member in relation.members
-        if member[0] == "n" and member[1] in extract.place
-    }
-    place = project(sorted(signs))
+                edges_of_way[way % PIECE].append(edge)
+    relations = [relation for _, relation in sorted(extract.relations.items()) if _is_daytime_bus(relation)]
+    named_members = {member[:2] for relation in relations for member in relation.members}
+    signs = {ref for kind, ref in named_members if kind == "n" and ref in extract.place}
+    runs = {
+        way: [node for node in extract.ways[way].nodes if node in extract.place]
+        for kind, way in named_members if kind == "w" and way in edges_of_way
+    }  # fmt: skip
+    ends = {run[end] for run in runs.values() for end in (0, -1)}
+    place = project(sorted(signs | ends))
+
+    def chains_of(way: int, role: str) -> list[Chain]:
+        if not recipe.get("whole_ways"):
+            return [[edge] for edge in edges_of_way[way]]
+        run = runs[way]
+        return _towards(role, _chains(edges_of_way[way]), place[run[0]], place[run[-1]])
+
     alike: dict[tuple[str, ...], list[tuple[str, set[int]]]] = defaultdict(list)
-    for relation in sorted(extract.relations.values(), key=lambda relation: relation.id):
-        if not _is_daytime_bus(relation):
-            continue
+    for relation in relations:
         ways = _ways(relation, edges_of_way)
-        matched = _matched(net, [edges_of_way[way] for way in ways]) if ways else []
+        if ways and ways[0][1] not in _ROLES:
+            first_two = [runs[way] for way, _ in ways[:2]]
+            ways[0] = ways[0][0], _away(*first_two)
+        matched = _matched(net, [chains_of(*way) for way in ways]) if ways else []
         while matched and net.getEdge(matched[0]).getLength() < STOP_M:
             matched.pop(0)  # a bus comes into being on a lane that it fits on
         driven_m = sum(net.getEdge(edge).getLength() for edge in matched)
-        named_m = sum(length_m(extract, run) for way in ways for run in pieces(extract.ways[way], extract.place))
-        if least_m <= driven_m <= DETOUR * named_m:
-            calls = {ref for kind, ref, _ in relation.members if kind == "n" and ref in place}
+        named_m = sum(length_m(extract, run) for way, _ in ways for run in pieces(extract.ways[way], extract.place))
+        if recipe["at_least_m"] <= driven_m <= DETOUR * named_m:
+            calls = {ref for kind, ref, _ in relation.members if kind == "n" and ref in signs}
             alike[tuple(matched)].append((relation.tags["ref"], calls))
     stops: dict[str, BusStop] = {}
     lines = []
@@ -120,7 +138,7 @@ def departures(lines: list[Line], recipe: dict[str, Any], seed: int, end_s: floa
                 for stop in line.stops
             )
             trips.append(
-                f'<vehicle id="bus{n}.{n_buses}" type="bus" line="{line.refs[0]}" depart="{now:.1f}"'
+                f'<vehicle id="bus{n}.{n_buses}" type="bus" line={quoteattr(line.refs[0])} depart="{now:.1f}"'
                 f' departLane="best" departSpeed="max"><route edges="{" ".join(line.edges)}"/>{dwell}</vehicle>'
             )
             n_buses += 1
@@ -134,43 +152,87 @@ def _is_daytime_bus(relation: Relation) -> bool:
     return relation.tags.get("route") == "bus" and ref != "" and not re.fullmatch(r"N ?\d.*|.*N", ref)
 
 
-def _ways(relation: Relation, edges_of_way: dict[int, list[Any]]) -> list[int]:
-    """The relation's ways inside the network, in order; gaps (termini, joined junctions) are bridged later."""
+def _ways(relation: Relation, edges_of_way: dict[int, list[Any]]) -> list[tuple[int, str]]:
+    """The relation's ways inside the network and their roles; gaps (termini, joined junctions) are bridged later."""
     return [
-        ref
+        (ref, role)
         for kind, ref, role in relation.members
         if kind == "w" and ref in edges_of_way and "platform" not in role and "stop" not in role
     ]
 
 
-def _matched(net: Any, candidates: list[list[Any]]) -> list[str]:
-    """The shortest drive that touches one edge of every way, in their order."""
-    cost = {edge: edge.getLength() for edge in candidates[0]}
-    drive = {edge: [edge.getID()] for edge in candidates[0]}
-    for options in candidates[1:]:
-        next_cost: dict[Any, float] = {}
-        next_drive: dict[Any, list[str]] = {}
-        for edge in options:
-            best, best_drive = inf, None
-            for before, so_far in cost.items():
-                path: tuple[Any, ...] | None = (edge,)
-                metres = edge.getLength()
-                if before is not edge:
-                    path, metres = net.getShortestPath(before, edge, vClass="bus", maxCost=FARTHEST_M)
-                if path is None:
-                    continue
-                total = so_far + metres - before.getLength()
-                if total < best:
-                    best, best_drive = total, drive[before] + [leg.getID() for leg in path[1:]]
-            if best_drive is not None:
-                next_cost[edge] = best
-                next_drive[edge] = best_drive
-        if not next_cost:
+def _away(nodes: list[int], onward: list[int] | None = None) -> str:
+    """Role of the first way of a line: to the node that it shares with the next; as it is drawn, if there is none."""
+    if onward is None:
+        return "forward"
+    shared = nodes[0] in onward, nodes[-1] in onward
+    return "" if shared[0] == shared[1] else _ROLES[shared[1]]
+
+
+def _chains(edges: list[Any]) -> list[Chain]:
+    """The edges of a way from end to end, in each direction; those of a ring one by one."""
+    after = {
+        edge: onward for edge in edges for onward in edge.getAllowedOutgoing("bus")
+        if onward in edges and onward.getToNode() is not edge.getFromNode()
+    }  # fmt: skip
+    chains = []
+    for edge in edges:
+        if edge not in after.values():
+            chains.append([edge])
+            while (onward := after.get(edge)) and onward not in chains[-1]:
+                chains[-1].append(onward)
+                edge = onward
+    driven = {edge for chain in chains for edge in chain}
+    return chains + [[edge] for edge in edges if edge not in driven]
+
+
+def _towards(role: str, chains: list[Chain], first: Point, last: Point) -> list[Chain]:
+    """The chains in the direction of a role, for a way from `first` to `last`; all where there is none, or no role."""
+
+    def role_of(chain: Chain) -> str:
+        begin, end = chain[0].getShape()[0], chain[-1].getShape()[-1]
+        against_m = dist(begin[:2], last) + dist(end[:2], first)
+        return _ROLES[dist(begin[:2], first) + dist(end[:2], last) < against_m]
+
+    return [chain for chain in chains if role_of(chain) == role] or chains
+
+
+def _matched(net: Any, ways: list[list[Chain]]) -> list[str]:
+    """The shortest drive along one chain of every way, in their order, where metres left out count `LEFT_OUT` times."""
+    drives: Drives = {}
+    for n, chains in enumerate(ways):
+        onward: Drives = {}
+        for chain in chains:
+            whole_m = sum(edge.getLength() for edge in chain)
+            for first, edge in enumerate(chain):
+                metres, steps = _entered(net, edge, drives) if n else (edge.getLength(), [edge.getID()])
+                cost = metres + LEFT_OUT * (whole_m - edge.getLength())
+                for last in chain[first:]:
+                    if last is not edge:
+                        cost += (1 - LEFT_OUT) * last.getLength()
+                        steps = [*steps, last.getID()]
+                    if cost < onward.get(last, NO_DRIVE)[0]:
+                        onward[last] = cost, steps
+        if not onward:
             return []
-        cost, drive = next_cost, next_drive
-    end = min(cost, key=lambda edge: (cost[edge], edge.getID()))
-    steps = drive[end]
+        drives = onward
+    end = min(drives, key=lambda edge: (drives[edge][0], edge.getID()))
+    _, steps = drives[end]
     return steps if len(set(steps)) == len(steps) else []
+
+
+def _entered(net: Any, edge: Any, drives: Drives) -> tuple[float, list[str]]:
+    """Cost and drive up to the end of an edge, from where it is cheapest to come."""
+    best = NO_DRIVE
+    for before, (cost, steps) in drives.items():
+        path: tuple[Any, ...] | None = (edge,)
+        metres = edge.getLength()
+        if before is not edge:
+            path, metres = net.getShortestPath(before, edge, vClass="bus", maxCost=FARTHEST_M)
+        total = cost + metres - before.getLength()
+        if path is not None and total < best[0]:
+            best = total, steps + [leg.getID() for leg in path[1:]]
+    return best
 
 
 def _kept(stops: dict[str, BusStop], stop: BusStop) -> BusStop:

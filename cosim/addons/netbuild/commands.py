@@ -39,6 +39,7 @@ def build(
 ) -> None:
     """Build a city from OpenStreetMap: streets, traffic lights, pavements, buildings, demand and a traffic report."""
     from cosim.addons.netbuild import build_from_osm, flow
+    from cosim.addons.netbuild.build import check_out
     from cosim.addons.netbuild.overpass import degrees
     from cosim.studies.density import note_vehicles
     from cosim.traffic.scenario import find
@@ -49,8 +50,7 @@ def build(
         raise ValueError("cosim nets build needs --osm FILE, --bbox west,south,east,north, or both.")
     if overpass is not None and (bbox is None or osm is not None):
         raise ValueError("--overpass goes with --bbox west,south,east,north and without --osm. Leave it out.")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
+    check_out(out)
     if not density > 0 or density > 100:
         raise ValueError(f"--density {density:g}: vehicles per km of street, more than 0 and at most 100.")
     if not 0 <= hour <= 23:
@@ -92,10 +92,10 @@ def counts(
 ) -> None:
     """Fit the demand of a city to traffic counts, and say how well it agrees, also where it was not fitted."""
     from cosim.addons.netbuild import counts
+    from cosim.addons.netbuild.build import check_out
     from sumo_nets import catalogue
 
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
+    check_out(out)
     net = catalogue.find(city) if city in catalogue.names() else catalogue.open_folder(Path(city))
     counted = counts.read(file, net.net_path)
     back = counts.kept_back(counted, hold_out, seed)
@@ -127,7 +127,7 @@ def tile(
     from cosim.traffic.scenario import find
 
     words = tiles.lower().split("x")
-    if len(words) != 2 or not all(word.isdecimal() and len(word) < 4 for word in words):
+    if len(words) != 2 or not all(word.isdecimal() and len(word) < 9 for word in words):
         raise ValueError(f"--tiles {tiles}: give two numbers, for example 2x2.")
     with notes.status("copying streets, buildings and traffic ..."):
         n_most = tiled(find(city, str(trace)), int(words[0]), int(words[1]), out)

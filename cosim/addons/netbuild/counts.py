@@ -43,6 +43,8 @@ GOOD_GEH = 5.0
 _NO_MOTOR = ("bicycle", "pedestrian")
 _BOUNDS = {"per_hour": (0.0, 20_000.0), "lon": (-180.0, 180.0), "lat": (-90.0, 90.0), "heading_deg": (-360.0, 360.0)}
 """Of the columns of a file. Ten lanes of a motorway carry 20,000 vehicles per hour."""
+_TIMES = ("hour", "begin", "end", "time", "date", "day", "interval")
+"""Columns that say when a row was counted."""
 _ELEMENT = re.compile(r"<(person|vehicle) .*?</\1>", re.DOTALL)
 _KEPT = re.compile(r'<(person|vehicle) id="[^"]*" type="(pedestrian|bicycle)"')
 
@@ -100,29 +102,40 @@ def read(path: Path, net_path: Path) -> Counts:
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.DictReader(file, strict=True))
+            reader = csv.DictReader(file, strict=True, skipinitialspace=True)
+            rows = {f"{path}, line {reader.line_num}": row for row in reader}
+            columns = list(reader.fieldnames or [])
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{path}: not a CSV file that can be read ({error}).") from None
     if not rows:
         raise ValueError(f"{path} has no rows below its header.")
-    place = ["edge"] if "edge" in rows[0] else ["lon", "lat", "heading_deg"]
-    if missing := [name for name in ("per_hour", *place) if name not in rows[0]]:
-        head = ", ".join(map(str, rows[0]))
+    place = ["edge"] if "edge" in columns else ["lon", "lat", "heading_deg"]
+    if missing := [name for name in ("per_hour", *place) if name not in columns]:
+        head = ", ".join(columns)
         is_other = any(mark in head for mark in (";", "\t", "|"))
         cure = " Separate columns with commas." if is_other else ""
         raise ValueError(
             f"{path} has no column {missing[0]}. It needs per_hour, and edge or lon, lat, heading_deg. It has: "
             f"{head}.{cure}"
         )
-    per_hour = _column(path, rows, "per_hour")
+    if twice := [name for name in ("per_hour", *place) if columns.count(name) > 1]:
+        raise ValueError(f"{path} has two columns {twice[0]}. Keep that of the hour that the city stands for.")
+    for where, row in rows.items():
+        if any(row.get(None, ())):  # type: ignore[call-overload]
+            raise ValueError(f"{where}: more values than the header has columns. Decimals follow a point, not a comma.")
+    for name in columns:
+        if name.lower() in _TIMES and len({row[name] for row in rows.values()}) > 1:
+            raise ValueError(f"{path}: {name} differs between rows, which would be added. Keep the rows of one hour.")
+    per_hour = _column(rows, "per_hour")
     edges = _edges(net_path)
     if place == ["edge"]:
-        found = [row["edge"] or "" for row in rows]
-        for number, edge in enumerate(found):
+        found = [row["edge"] or "" for row in rows.values()]
+        for where, edge in zip(rows, found, strict=True):
             if edge not in edges:
-                raise ValueError(f"{path}, row {number + 2}: the network has no street {edge}.")
+                raise ValueError(f"{where}: the network has no street {edge!r} for motor vehicles.")
     else:
-        found = _matched(path, np.column_stack([_column(path, rows, name) for name in place]), edges, net_path)
+        places = np.column_stack([_column(rows, name) for name in place])
+        found = _matched(dict(zip(rows, places, strict=True)), edges, net_path)
     total: dict[str, float] = dict.fromkeys(sorted(set(found)), 0.0)
     for edge, value in zip(found, per_hour.tolist(), strict=True):
         total[edge] += value
@@ -160,12 +173,13 @@ def fit(net: Net, counted: Counts, out: Path, seed: int) -> Counts:
         interval = f'<interval id="counts" begin="0" end="{net.end_s:g}">{rows}</interval>'
         (work / "counts.xml").write_text(f"<data>{interval}</data>", encoding="utf-8")
         _sample(work, net.end_s, seed)
-        sampled = _elements(work / "sampled.rou.xml")
-        shutil.copytree(net.folder, out, dirs_exist_ok=True)
+        sampled = _departing(_elements(work / "sampled.rou.xml"), candidates, net.end_s, seed)
         demand.write_trips(work / "all.rou.xml", [*kept, *sampled])
-        packed = gzip.compress((work / "all.rou.xml").read_bytes(), 9, mtime=0)
-    (out / "demand.rou.xml.gz").write_bytes(packed)
-    _describe(net, out, (len(sampled) + sum('type="bicycle"' in text for text in kept)) / hours)
+        city = work / "city"
+        shutil.copytree(net.folder, city)
+        (city / "demand.rou.xml.gz").write_bytes(gzip.compress((work / "all.rou.xml").read_bytes(), 9, mtime=0))
+        _describe(net, city, (len(sampled) + sum('type="bicycle"' in text for text in kept)) / hours)
+        shutil.copytree(city, out, dirs_exist_ok=True)
     passed = _passed(sampled) + buses
     return {edge: passed[edge] / hours for edge in counted}
 
@@ -195,6 +209,24 @@ def _sample(work: Path, end_s: float, seed: int) -> None:
     done = subprocess.run(words, cwd=work, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise ValueError(f"SUMO's routeSampler failed: {done.stderr.strip()[-500:]}")
+
+
+def _departing(sampled: list[str], candidates: list[str], end_s: float, seed: int) -> list[str]:
+    """The sampled vehicles, where those that were added depart at any time: `routeSampler` makes them depart late."""
+    own = {_departure(text) for text in candidates}
+    draw = demand.Draw(seed, "counts")
+
+    def anew(text: str) -> str:
+        return re.sub('depart="[^"]*"', f'depart="{draw.uniform() * end_s:.1f}"', text, count=1)
+
+    return [text if _departure(text) in own else anew(text) for text in sampled]
+
+
+def _departure(text: str) -> tuple[str, float]:
+    """Name and time [s]."""
+    found = re.search(r'id="([^"]*)"[^>]* depart="([^"]*)"', text)
+    assert found is not None
+    return found[1], float(found[2])
 
 
 def _describe(net: Net, out: Path, per_hour: float) -> None:
@@ -231,38 +263,37 @@ def _edges(net_path: Path) -> dict[str, Float[ndarray, "k 2"]]:
     }  # fmt: skip
 
 
-def _column(path: Path, rows: list[dict[str, str]], name: str) -> Float[ndarray, "r"]:
+def _column(rows: dict[str, dict[str, str]], name: str) -> Float[ndarray, "r"]:
     found, (low, high) = np.empty(len(rows)), _BOUNDS[name]
-    for number, row in enumerate(rows):
+    for number, (where, row) in enumerate(rows.items()):
         try:
             found[number] = float(row[name])
         except (TypeError, ValueError):
             found[number] = nan
         if not low <= found[number] <= high:  # also where it is no number
-            raise ValueError(f"{path}, row {number + 2}: {name} = {row[name]} is no number from {low:g} to {high:g}.")
+            raise ValueError(f"{where}: {name} = {row[name]} is no number from {low:g} to {high:g}.")
     return found
 
 
 def _matched(
-    path: Path, places: Float[ndarray, "r 3"], edges: dict[str, Float[ndarray, "k 2"]], net_path: Path
+    places: dict[str, Float[ndarray, "3"]], edges: dict[str, Float[ndarray, "k 2"]], net_path: Path
 ) -> list[str]:
     """The street of each longitude, latitude and heading: the nearest that leads in that direction."""
     corners = np.array([[0.0, 0.0], [1e-4, 0.0], [0.0, 1e-4]])
-    where = [ring[0] for ring in sumotools.projected([place[:2] + corners for place in places], net_path)]
+    points = [ring[0] for ring in sumotools.projected([place[:2] + corners for place in places.values()], net_path)]
     names = np.repeat(np.array([*edges], object), [len(line) - 1 for line in edges.values()])
     first = np.concatenate([line[:-1] for line in edges.values()])
     step = np.concatenate([np.diff(line, axis=0) for line in edges.values()])
     length = np.maximum(np.hypot(*step.T), 1e-9)
     found = []
-    for number, (point, (lon, lat, heading_deg)) in enumerate(zip(where, places.tolist(), strict=True)):
+    for point, (where, (lon, lat, heading_deg)) in zip(points, places.items(), strict=True):
         share = np.clip(((point - first) * step).sum(axis=1) / length**2, 0.0, 1.0)
         away = np.hypot(*(point - first - share[:, None] * step).T)
         along = (step @ np.array([sin(radians(heading_deg)), cos(radians(heading_deg))])) / length
         fits = (along >= cos(radians(ALONG_DEG))) & (away <= NEAR_M)
         if not fits.any():
             raise ValueError(
-                f"{path}, row {number + 2}: no street that leads to {heading_deg:g} degrees within {NEAR_M:g} m "
-                f"of {lon}, {lat}."
+                f"{where}: no street that leads to {heading_deg:g} degrees within {NEAR_M:g} m of {lon}, {lat}."
             )
         found.append(str(names[np.argmin(np.where(fits, away, np.inf))]))
     return found

@@ -78,14 +78,13 @@ def simulate(net: Net, seconds: float, work: Path, types: Collection[str] = ()) 
     of = f'vTypes="{" ".join(types)}" ' if types else ""
     wanted = f'<edgeData id="e" file="edges.xml" begin="{begin}" end="{end}" {of}excludeEmpty="true"/>'
     (work / "edges.add.xml").write_text(f"<additional>{wanted}</additional>", encoding="utf-8")
-    additional = [net.folder / "vtypes.add.xml", net.folder / "stops.add.xml", work / "edges.add.xml"]
-    options = {
-        "configuration-file": net.sumocfg_path.resolve(),
-        "additional-files": ",".join(str(path.resolve()) for path in additional),
+    options = {  # names in the city's folder, whose path may have commas, at which SUMO cuts
+        "configuration-file": net.sumocfg_path.name,
+        "additional-files": f"vtypes.add.xml,stops.add.xml,{work / 'edges.add.xml'}",
         "end": end, "summary-output": work / "summary.xml",
         "no-step-log": True, "no-warnings": True, "duration-log.statistics": True, "verbose": False,
     }  # fmt: skip
-    sumotools.run("sumo", options, work)
+    sumotools.run("sumo", options, net.folder)
     return work / "edges.xml"
 
 

@@ -12,6 +12,10 @@ MOST_INCOMPLETE_P = 0.2
 """A file with a larger share of ways without places is refused."""
 
 
+def is_pbf(path: Path) -> bool:
+    return path.suffix.lower() == ".pbf"
+
+
 def read(path: Path, box: tuple[float, float, float, float] | None = None) -> Extract:
     """Read a .osm.pbf, .osm, .osm.gz, .osm.xml.gz or .osm.bz2 file.
 
@@ -26,7 +30,7 @@ def read(path: Path, box: tuple[float, float, float, float] | None = None) -> Ex
     ValueError
         Where osmium is needed and not installed, the file is not OpenStreetMap data, or the box holds no street.
     """
-    whole, extract = (osm_pbf if path.name.endswith(".pbf") else osm_xml).read(path, box)
+    whole, extract = (osm_pbf if is_pbf(path) else osm_xml).read(path, box)
     extract = replace(extract, box=box or whole)
     if not extract.ways:
         where = "" if box is None else " in the box {:g},{:g},{:g},{:g}".format(*box)

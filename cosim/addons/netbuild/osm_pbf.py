@@ -24,12 +24,14 @@ def read(path: Path, box: Box | None) -> tuple[Box | None, Extract]:
             "Install it: make extra NAME=build in a checkout, else pip install 'cosim-perception[build]'."
         ) from error
 
+    file = osmium.io.File(str(path), "pbf")
+
     def items(kind: Any) -> Iterator[Any]:
-        read: Any = osmium.FileProcessor(str(path), kind)
+        read: Any = osmium.FileProcessor(file, kind)
         return (item for item in read if item.visible)
 
     try:
-        header = osmium.io.Reader(str(path)).header().box()
+        header = osmium.io.Reader(file).header().box()
         low, high = header.bottom_left, header.top_right
         whole = (low.lon, low.lat, high.lon, high.lat) if header.valid() else None
         extract = Extract()

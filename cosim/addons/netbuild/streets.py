@@ -60,6 +60,8 @@ _Runs = Sequence[tuple[Way, tuple[int, ...]]]
 SMALLEST_M = 300.0
 """A component of the network that is connected with the rest only outside the extract stays if it extends at least
 this far [m]."""
+PIECE = 10**12
+"""Between the numbers of the pieces that a way is cut into; OpenStreetMap's own are smaller."""
 EARTH_RADIUS_M = 6_371_000.0
 
 
@@ -275,7 +277,7 @@ def _assemble(
             tags["oneway"] = "yes" if True in its else "-1"
         name = section.way.id
         while name in taken:
-            name += 10**12
+            name += PIECE
         taken.add(name)
         ways.append(Way(name, section.nodes, tags))
     return ways

@@ -4,7 +4,7 @@ import gzip
 import re
 import tempfile
 from dataclasses import replace
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -15,8 +15,10 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 from numpy import ndarray
 
-from cosim.traffic.fcd import Timestep, timesteps
+from cosim.addons.netbuild.build import check_out
+from cosim.traffic.fcd import Timestep
 from cosim.traffic.identity import TypeTable
+from cosim.traffic.replay import opened
 from cosim.traffic.scenario import Scenario
 from sumo_nets import sumotools
 from sumo_nets.footprints import read_footprints, write_footprints
@@ -53,8 +55,7 @@ def tile(scenario: Scenario, n_east: int, n_north: int, out: Path) -> int:
         raise ValueError(f"{scenario.name}: give a city with a network, and a trace of SUMO's (--trace fcd.parquet).")
     if min(n_east, n_north) < 1 or n_east * n_north < 2:
         raise ValueError(f"--tiles {n_east}x{n_north}: give 2 copies or more, for example 2x2.")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")
+    check_out(out)
     west, south, east, north = scenario.bounds_m
     size_m = np.ceil([east - west, north - south])
     if (size_m * (n_east, n_north)).max() > LARGEST_M:
@@ -86,10 +87,13 @@ def tile(scenario: Scenario, n_east: int, n_north: int, out: Path) -> int:
 def _trace(scenario: Scenario, shifts_m: Float[ndarray, "k 2"], out: Path) -> int:
     """Write the trace of all copies, and the vehicle types that occur in it; return the most actors at one time."""
     assert scenario.trace is not None
+    ahead, read, convert, _ = opened(scenario.trace, scenario.location())
     types: set[str] = set()
     n_most, writer = 0, None
     try:
-        for timestep in map(_typed, timesteps(scenario.trace)):
+        for timestep in map(_typed, chain(ahead, read)):
+            if convert is not None and timestep.names:
+                timestep = convert(timestep)
             types.update(timestep.types)
             n_most = max(n_most, len(timestep.names) * len(shifts_m))
             table = pa.table(_columns(timestep, shifts_m))
@@ -149,9 +153,9 @@ def _network(net: Path, shifts_m: Float[ndarray, "k 2"], bounds_m: tuple[float, 
     copies = []
     for copy, (east_m, north_m) in enumerate(shifts_m.tolist()):
         copies.append(f"{copy}.net.xml")
-        options = {"sumo-net-file": net.resolve(), "prefix": f"{copy}.", "output-file": copies[-1]}
+        options = {"sumo-net-file": net.name, "prefix": f"{copy}.", "output-file": (out / copies[-1]).resolve()}
         moved = {"offset.x": east_m, "offset.y": north_m, "offset.disable-normalization": True}
-        sumotools.run("netconvert", options | moved, out)
+        sumotools.run("netconvert", options | moved, net.parent)
         text = sumotools.without_header(out / copies[-1])
         text = re.sub(r"<location [^>]*>", "", text, count=1)  # netconvert would move the copy back by its offset
         (out / copies[-1]).write_text(text, encoding="utf-8")

@@ -89,6 +89,24 @@ def test_parts_stand_for_the_outline_they_refine():
 
 
 @pytest.mark.parametrize(
+    ("of_way", "of_relation", "solids"),
+    [  # 20 x 20 m with a courtyard of 10 x 10 m: 300 m², and 400 m² with the courtyard
+        ({"building": "yes", "height": "30"}, {"building": "yes", "height": "12"}, {12: 300}),
+        ({"building:part": "yes", "height": "30"}, {"building": "yes", "height": "12"}, {30: 300}),
+        ({"building:part": "yes", "height": "30"}, {"building:part": "yes", "height": "12"}, {12: 300}),
+        ({"building": "yes", "height": "5"}, {"building:part": "yes", "height": "12"}, {5: 100, 12: 300}),
+    ],
+)
+def test_an_outer_way_is_a_copy_of_its_relation_or_a_part_with_a_height_of_its_own(of_way, of_relation, solids):
+    corners = {1: (0, 0), 2: (20, 0), 3: (20, 20), 4: (0, 20), 5: (5, 5), 6: (15, 5), 7: (15, 15), 8: (5, 15)}
+    ways = [osm.Way(1, (1, 2, 3, 4, 1), of_way), osm.Way(2, (5, 6, 7, 8, 5), {})]
+    house = osm.Relation(3, (("w", 1, "outer"), ("w", 2, "inner")), {"type": "multipolygon", **of_relation})
+    rings = buildings.rings_of(extract(corners, ways, [house]))
+    found = buildings.build(rings, flat(corners), Ground(shapely.Polygon(), shapely.Polygon()))
+    assert {f.top_z_m: f.polygon.area for _, f in found.footprints} == pytest.approx(solids)
+
+
+@pytest.mark.parametrize(
     ("tags", "stands"),
     [({}, False), ({"building": "roof"}, True), ({"roof:levels": "1"}, True), ({"height": "4"}, True)],
 )

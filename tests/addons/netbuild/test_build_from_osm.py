@@ -2,17 +2,19 @@
 
 import gzip
 import re
+import shutil
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 import pytest
 
-from cosim.addons.netbuild import build, build_from_osm, flow
+from cosim.addons.netbuild import build, build_from_osm, flow, osm_files
 from cosim.addons.netbuild.build_from_osm import from_osm
 from sumo_nets import catalogue, density, sumo_package_nets
 from sumo_nets.density import Density
 from sumo_nets.network import lanes
+from sumo_nets.sumotools import projected
 from tests import SHARED
 from tests.slow import slow
 
@@ -118,10 +120,26 @@ def test_the_same_town_from_whatever_it_is_packed_in(built, tmp_path, suffix):
         assert (tmp_path / built.name / name).read_bytes() == (built / name).read_bytes(), name
 
 
+def test_a_name_in_capitals_is_read_too(tmp_path):
+    (tmp_path / "KOTKA.PBF").write_bytes(catalogue.EXAMPLE_OSM.read_bytes())
+    assert osm_files.read(tmp_path / "KOTKA.PBF") == osm_files.read(catalogue.EXAMPLE_OSM)
+
+
+def test_a_folder_may_have_commas_at_which_sumo_cuts_lists(built, tmp_path):
+    city = catalogue.open_folder(Path(shutil.copytree(built, tmp_path / "here, there")))
+    assert flow.measure(city, 60).trips >= 0
+    ring = np.array([[9.0, 50.0], [9.001, 50.0], [9.0, 50.001]])
+    assert np.allclose(projected([ring], city.net_path), projected([ring], built / city.net_path.name))
+
+
 def test_night_is_quieter_than_the_afternoon(built, tmp_path):
     from_osm(built.parent / "my town.osm.gz", tmp_path / "night", Density(per_km=4.0, hour=3))
     night, day = catalogue.open_folder(tmp_path / "night"), catalogue.open_folder(built)
     assert night.vehicles_per_hour == pytest.approx(day.vehicles_per_hour * density.BY_HOUR[3], rel=0.03)
+    buses = [
+        re.findall("per_hour_and_line = ([0-9.]+)", (net.folder / "recipe.toml").read_text()) for net in (day, night)
+    ]
+    assert buses == [["2"], ["0.12"]]  # 6 % of the traffic of hour 16
 
 
 ROADLESS = grid_town().replace('k="highway"', 'k="waterway"')

@@ -61,17 +61,22 @@ def test_a_place_is_the_street_that_leads_in_its_direction(town, tmp_path):
         ("edge;per_hour\na;1\n", "It has: edge;per_hour. Separate columns with commas."),
         ("edge\tper_hour\na\t1\n", "Separate columns with commas."),
         ("edge,per_hour\n", "has no rows"),
-        ("edge,per_hour\nnowhere,5\n", "row 2: the network has no street nowhere"),
-        ("edge,per_hour\nnowhere,-5\n", "row 2: per_hour = -5"),
-        ("edge,per_hour\nnowhere,many\n", "row 2: per_hour = many"),
-        ("lon,lat,heading_deg,per_hour\n9.002,50.002,45,inf\n", "row 2: per_hour = inf"),
-        ("edge,per_hour\nnowhere,1e300\n", "row 2: per_hour = 1e300 is no number from 0 to 20000"),
-        ("lon,lat,heading_deg,per_hour\n500,50,0,5\n", "row 2: lon = 500 is no number from -180 to 180"),
-        ("lon,lat,heading_deg,per_hour\n9,95,0,5\n", "row 2: lat = 95 is no number from -90 to 90"),
-        ("lon,lat,heading_deg,per_hour\n8,50,90,5\n", "row 2: no street that leads to 90 degrees within 30 m"),
+        ("edge,per_hour\nnowhere,5\n", "line 2: the network has no street 'nowhere'"),
+        ("edge,per_hour\nnowhere,-5\n", "line 2: per_hour = -5"),
+        ("edge,per_hour\nnowhere,many\n", "line 2: per_hour = many"),
+        ("lon,lat,heading_deg,per_hour\n9.002,50.002,45,inf\n", "line 2: per_hour = inf"),
+        ("edge,per_hour\nnowhere,1e300\n", "line 2: per_hour = 1e300 is no number from 0 to 20000"),
+        ("lon,lat,heading_deg,per_hour\n500,50,0,5\n", "line 2: lon = 500 is no number from -180 to 180"),
+        ("lon,lat,heading_deg,per_hour\n9,95,0,5\n", "line 2: lat = 95 is no number from -90 to 90"),
+        ("lon,lat,heading_deg,per_hour\n8,50,90,5\n", "line 2: no street that leads to 90 degrees within 30 m"),
         ("", "no rows"),
         ('edge,per_hour\n"a,5\n', "not a CSV file"),
-        ("edge,per_hour\nnowhere\n", "row 2: per_hour = None"),
+        ("edge,per_hour\n\nnowhere,5\n", "line 3: the network has no street"),
+        ("edge,per_hour,per_hour\na,1,2\n", "has two columns per_hour"),
+        ("edge,per_hour\na,1,5\n", "line 2: more values than the header has columns"),
+        ("edge,hour,per_hour\na,7,10\na,8,20\n", "hour differs between rows"),
+        ("edge, per_hour\nnowhere, 5\n", "line 2: the network has no street 'nowhere'"),
+        ("edge,per_hour\nnowhere\n", "line 2: per_hour = None"),
     ],
 )
 def test_a_file_that_cannot_be_used_gets_one_line(town, tmp_path, text, says):
@@ -136,3 +141,16 @@ def test_counts_where_no_vehicle_passes(town, tmp_path):
     with pytest.raises(ValueError, match="no vehicle of town passes"):
         counts.fit(town, {"elsewhere": 5.0}, tmp_path / "new", 1)
     assert not (tmp_path / "new").exists()
+
+
+def test_added_vehicles_depart_at_any_time(town, tmp_path):
+    """Three times the vehicles: half of them in each half of the time (0.5 with a standard deviation of 0.02 or so).
+
+    `routeSampler` gives vehicles that it adds the late ones of its sorted times: 0.39 of all were in the first half.
+    """
+    own = counts.driven(town, counts._edges(town.net_path))
+    counts.fit(town, {edge: 3 * value for edge, value in own.items() if value > 60}, tmp_path / "new", seed=1)
+    rows = ET.fromstring(gzip.decompress((tmp_path / "new/demand.rou.xml.gz").read_bytes())).iter("vehicle")
+    times_s = [float(row.get("depart")) for row in rows if row.get("type") != "bicycle"]
+    assert len(times_s) > 2 * town.vehicles_per_hour
+    assert np.mean(np.array(times_s) < town.end_s / 2) == pytest.approx(0.5, abs=0.05)

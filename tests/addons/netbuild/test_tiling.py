@@ -1,5 +1,9 @@
 """A tiled city has what the city has, once per copy."""
 
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -19,9 +23,11 @@ TRACE = """timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_ty
 
 @pytest.fixture(scope="module")
 def city(tmp_path_factory):
-    trace = tmp_path_factory.mktemp("tiling") / "fcd.csv"
-    trace.write_text(TRACE)
-    return find("helsinki", str(trace))
+    """Its network is in a folder with a comma, at which SUMO cuts lists."""
+    folder = tmp_path_factory.mktemp("here, there")
+    (folder / "fcd.csv").write_text(TRACE)
+    found = find("helsinki", str(folder / "fcd.csv"))
+    return replace(found, net=Path(shutil.copy(found.net, folder)))
 
 
 def test_every_copy_has_all_streets_buildings_and_actors(city, tmp_path):
@@ -55,13 +61,44 @@ def test_every_copy_has_all_streets_buildings_and_actors(city, tmp_path):
 
 @pytest.mark.parametrize(
     ("tiles", "says"),
-    [("1x1", "give 2 copies or more"), ("0x3", "give 2 copies"), ("x", "two numbers"), ("99x9", "65 km")],
+    [
+        ("1x1", "give 2 copies or more"),
+        ("0x3", "give 2 copies"),
+        ("x", "two numbers"),
+        ("99x9", "65 km"),
+        ("1000x1", "65 km"),
+    ],
 )
 def test_what_cannot_be_tiled_is_said_in_one_line(tiles, says, city, tmp_path):
     words = ("nets", "tile", "helsinki", "--trace", str(city.trace), "--tiles", tiles, "--out", str(tmp_path / "out"))
     ended = cosim(*words)
     assert ended.returncode == 2 and ended.stderr.count("\n") == 1 and says in ended.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_a_trace_in_degrees_is_placed_by_the_projection(city, tmp_path):
+    """A point of the city in degrees, by the inverse projection: it lies there in both copies, not at 25 and 60 m."""
+    net = city.location()
+    here = net.projection.of_world(np.array([[500.0, 800.0]]))
+    row = f"1;{here.longitude_deg[0]:.8f};{here.latitude_deg[0]:.8f};90;car;10\n"
+    (tmp_path / "geo.csv").write_text(TRACE.splitlines(keepends=True)[0] + "0.00;" + row + "1.00;" + row)
+    tile(replace(city, trace=tmp_path / "geo.csv"), 2, 1, tmp_path / "two")
+    west, _, east, _ = city.bounds_m
+    for timestep in timesteps(tmp_path / "two" / "fcd.parquet"):
+        wanted = [[500, 800], [500 + np.ceil(east - west), 800]]
+        assert np.allclose(timestep.front_m[:, :2], wanted, atol=0.02)
+
+
+def test_an_empty_trace_is_not_tiled(city, tmp_path):
+    (tmp_path / "fcd.csv").write_text(TRACE.splitlines(keepends=True)[0])
+    with pytest.raises(ValueError, match="no actor is ever on the road"):
+        tile(replace(city, trace=tmp_path / "fcd.csv"), 2, 1, tmp_path / "two")
+
+
+def test_a_folder_that_cannot_be_made_is_said_before_the_work(city, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match=r"cannot be made: .*file is no folder to write in"):
+        tile(city, 2, 1, tmp_path / "file" / "new" / "two")
 
 
 def test_a_run_is_no_trace_to_tile(city, tmp_path):

@@ -402,6 +402,15 @@ def test_a_longer_step_of_a_scenario_is_noted(tmp_path):
     assert noted("preset=v0.2") == []
 
 
+def test_the_sumocfg_of_a_city_is_not_the_city():
+    """Without the 653 buildings and the warm-up of 600 s that belong to the folder."""
+    config = load(None, [])
+    city = find("helsinki")
+    (note,) = [note for note in keys_in_vain(config, find(str(city.sumocfg))) if "buildings" in note]
+    assert f"Set traffic.scenario = {city.sumocfg.parent}" in note
+    assert not [note for note in keys_in_vain(config, city) if "buildings" in note]
+
+
 def test_a_run_that_began_on_empty_streets_says_so():
     summary = {"vehicles_on_road_first": 3, "vehicles_on_road_mean": 41.2}
     (line,) = traffic_remarks(summary)
