@@ -110,7 +110,8 @@ class PartEncoder:
         """Write one row group, sorted by key, after the one before."""
         table, stored = self._table, TABLES[self._table].stored
         # Many steps at once, because each conversion of a column costs the same for ten rows and for a thousand.
-        columns = stored_rows({name: np.concatenate([row[name] for row in rows]) for name in rows[0]}, self._columns)
+        given = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+        columns = stored_rows(given, self._columns)
         key = TABLES[table].key
         order, tied = _order(columns, key)
         if order is not None:

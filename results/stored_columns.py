@@ -184,5 +184,7 @@ def stored_rows(rows: Mapping[str, ndarray], known: Mapping[str, StoredColumn]) 
     ValueError
         For values that cannot be stored.
     """
-    columns = {name: column.store(rows[name], rows.get(name + VALID)) for name, column in known.items()}
-    return {**rows, **columns}
+    stored = dict(rows)
+    for name, column in known.items():
+        stored[name] = column.store(rows[name], rows.get(name + VALID))
+    return stored

@@ -425,7 +425,8 @@ def _number(owner, ego, vehicle, sender, messages, align):
         slot = slots[vehicle[k]]
         ego.slot[k] = n_slots - 1 - slot if slot >= 0 else -1
     for i in range(n_slots // 2):
-        messages[i], messages[n_slots - 1 - i] = messages[n_slots - 1 - i], messages[i]
+        other = n_slots - 1 - i
+        messages[i], messages[other] = messages[other], messages[i]
     return n_slots
 
 

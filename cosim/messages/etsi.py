@@ -393,15 +393,17 @@ class Confidences(NamedTuple):
 
     def standard_deviations(self) -> "StatedDeviations":
         """What a receiver reads from confidence values that are available."""
+        place = np.column_stack([self.x, self.y])
+        angle_deg = np.where(self.angle == _ANGLE_BEYOND, np.nan, 0.1 * self.angle)
+        size = np.column_stack([self.length, self.width, self.height])
+        velocity = np.column_stack([self.velocity_x, self.velocity_y])
+        velocity_mps = np.where(velocity == _SPEED_BEYOND, np.nan, 0.01 * velocity)
         return StatedDeviations(
-            np.column_stack([self.x, self.y]) * 0.01 / _HALF_WIDTH,
-            np.radians(np.where(self.angle == _ANGLE_BEYOND, np.nan, self.angle * 0.1 / _HALF_WIDTH)),
-            np.column_stack([self.length, self.width, self.height]) * 0.1 / _HALF_WIDTH,
-            np.column_stack([
-                np.where(value == _SPEED_BEYOND, np.nan, value * 0.01 / _HALF_WIDTH)
-                for value in (self.velocity_x, self.velocity_y)
-            ]),
-        )  # fmt: skip
+            position_m=0.01 * place / _HALF_WIDTH,
+            angle_rad=np.radians(angle_deg / _HALF_WIDTH),
+            lwh_m=0.1 * size / _HALF_WIDTH,
+            velocity_mps=velocity_mps / _HALF_WIDTH,
+        )
 
     @staticmethod
     def unavailable(n: int) -> "Confidences":

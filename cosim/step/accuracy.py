@@ -173,9 +173,8 @@ def as_encoded(said: Detections, velocity_of_class: Float[ndarray, "d 3"]) -> De
     values of the own vehicle are small, and far from the ends of their ranges. Deviations: what a vehicle states of its
     own position and heading is not rounded, and it reads its own detections with the rounded values.
     """
-    position_std, relative_std, velocity_std = (
-        np.sqrt(variance[:, [0, 2]]) for variance in (said.variance_m2, said.relative_m2, said.velocity_variance)
-    )
+    variances = said.variance_m2, said.relative_m2, said.velocity_variance
+    position_std, relative_std, velocity_std = (np.sqrt(variance[:, [0, 2]]) for variance in variances)
     size_std = np.sqrt(said.size_variance)[:, None] * said.boxes.lwh_m
     values = Confidences.of(position_std, np.sqrt(said.heading_variance), size_std, velocity_std)
     read = values.standard_deviations()
@@ -188,7 +187,7 @@ def as_encoded(said: Detections, velocity_of_class: Float[ndarray, "d 3"]) -> De
         "variance_m2": _of_axes(read.position_m),
         "relative_m2": _of_axes(relative_m),
         "velocity_variance": np.where(has_velocity[:, None], velocity, said.velocity_variance),
-        "heading_variance": np.where(np.isnan(read.angle_rad), np.pi**2 / 12.0, read.angle_rad**2),
+        "heading_variance": np.nan_to_num(read.angle_rad**2, nan=np.pi**2 / 12.0),
         "size_variance": ((read.lwh_m / said.boxes.lwh_m) ** 2).mean(axis=1),
     }
     is_self = said.origin == SELF

@@ -54,9 +54,8 @@ def _track_round(
     actor, received, found = exchange.vehicles.actor, broadcast.links.vehicles, broadcast.round
     frames = found.frames
     # The type for which the kernel is compiled.
-    message, receiver, heard, heard_by = (
-        np.asarray(rows, np.int32) for rows in (frames.message, frames.receiver, received.message, received.receiver)
-    )
+    given = frames.message, frames.receiver, received.message, received.receiver
+    message, receiver, heard, heard_by = (np.asarray(rows, np.int32) for rows in given)
     pair, got, n_in_range = pairs_within_range(
         found.station, message, receiver, frames.hop, exchange.senders.vehicle, heard, heard_by, actor
     )

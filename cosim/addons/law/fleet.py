@@ -220,7 +220,8 @@ class Fleet:
             publications = gate.before(step, self.n_followed)
             ages_s = (step - publications) * self.schedule.exchange_interval_s + at_s
             received_p = arrival_p(ages_s, server.downlink_loss_p, 0, server)
-            on_road = np.column_stack([np.isin(heard.receiver, self.on_road[k]) for k in publications.tolist()])
+            were_there = [self.on_road[publication] for publication in publications.tolist()]
+            on_road = np.column_stack([np.isin(heard.receiver, actors) for actors in were_there])
             looks, none = law.expected_lookups(subject, on_road, heard.p, n, publications, received_p)
             self.looks.setdefault(period_s, []).append((np.full(n, step), subjects, publications, looks, none))
 

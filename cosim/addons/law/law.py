@@ -327,7 +327,8 @@ def _without_trust(log_none, summed, gate, meetings, window_steps, loss_p, n_fol
             held -= 1
         if held < first:
             held = last_before + 1
-        low = max(gate[min(held, len(gate) - 1)] - window_steps + 1, 0)
+        latest = gate[min(held, len(gate) - 1)]
+        low = max(latest - window_steps + 1, 0)
         never, before = 0.0, 1.0  # nothing known; no evidence in any publication so far
         for k in range(first, last + 1):
             if k <= last_before and not on_road[gate[k]]:

@@ -157,7 +157,8 @@ def counted(
         counts, total = law.ages(evidence, looks, server.window_steps, found.since), looks.total
         evaluators = law.behind(found.pair_steps, found.pair_subject, looks, server.window_steps, found.first_lag)
     is_fresh = age_s < server.window_s
-    known, fresh, stale = counts.newest.sum(), counts.newest[is_fresh].sum(), counts.newest[~is_fresh].sum()
+    known = counts.newest.sum()
+    fresh, stale = counts.newest[is_fresh].sum(), counts.newest[~is_fresh].sum()
     unevaluated = counts.n_unseen if server.zero else 0.0
 
     def share(n: float) -> float:

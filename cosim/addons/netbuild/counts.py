@@ -178,7 +178,8 @@ def fit(net: Net, counted: Counts, out: Path, seed: int) -> Counts:
         city = work / "city"
         shutil.copytree(net.folder, city)
         (city / "demand.rou.xml.gz").write_bytes(gzip.compress((work / "all.rou.xml").read_bytes(), 9, mtime=0))
-        _describe(net, city, (len(sampled) + sum('type="bicycle"' in text for text in kept)) / hours)
+        n_bicycles = sum('type="bicycle"' in text for text in kept)
+        _describe(net, city, (len(sampled) + n_bicycles) / hours)
         shutil.copytree(city, out, dirs_exist_ok=True)
     passed = _passed(sampled) + buses
     return {edge: passed[edge] / hours for edge in counted}
@@ -280,7 +281,8 @@ def _matched(
 ) -> list[str]:
     """The street of each longitude, latitude and heading: the nearest that leads in that direction."""
     corners = np.array([[0.0, 0.0], [1e-4, 0.0], [0.0, 1e-4]])
-    points = [ring[0] for ring in sumotools.projected([place[:2] + corners for place in places.values()], net_path)]
+    rings = [place[:2] + corners for place in places.values()]
+    points = [ring[0] for ring in sumotools.projected(rings, net_path)]
     names = np.repeat(np.array([*edges], object), [len(line) - 1 for line in edges.values()])
     first = np.concatenate([line[:-1] for line in edges.values()])
     step = np.concatenate([np.diff(line, axis=0) for line in edges.values()])
