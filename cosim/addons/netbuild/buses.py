@@ -96,8 +96,8 @@ def lines_of(
         while matched and net.getEdge(matched[0]).getLength() < STOP_M:
             matched.pop(0)  # a bus comes into being on a lane that it fits on
         driven_m = sum(net.getEdge(edge).getLength() for edge in matched)
-        named = [run for way, _ in ways for run in pieces(extract.ways[way], extract.place)]
-        named_m = sum(length_m(extract, run) for run in named)
+        drawn = [run for way, _ in ways for run in pieces(extract.ways[way], extract.place)]
+        named_m = sum(length_m(extract, run) for run in drawn)
         if recipe["at_least_m"] <= driven_m <= DETOUR * named_m:
             calls = {ref for kind, ref, _ in relation.members if kind == "n" and ref in signs}
             alike[tuple(matched)].append((relation.tags["ref"], calls))
