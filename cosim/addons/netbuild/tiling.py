@@ -78,6 +78,9 @@ def tile(scenario: Scenario, n_east: int, n_north: int, out: Path) -> int:
             '<configuration>\n    <net-file value="net.net.xml.gz"/>\n'
             '    <additional-files value="vtypes.add.xml,buildings.poly.xml"/>\n</configuration>\n', encoding="utf-8",
         )  # fmt: skip
+        if scenario.attribution:
+            about = f"{scenario.attribution}\nLicence: {scenario.licence}\n"
+            (work / "ATTRIBUTION.txt").write_text(about, encoding="utf-8")
         out.mkdir(exist_ok=True)
         for file in work.iterdir():
             file.rename(out / file.name)

@@ -57,6 +57,7 @@ def test_every_copy_has_all_streets_buildings_and_actors(city, tmp_path):
     assert np.allclose(both[-1].outer, one[-1].outer + [0, by_m], atol=0.006) and both[-1].top_z_m == one[-1].top_z_m
     types = (tmp_path / "two" / "vtypes.add.xml").read_text()
     assert types.count("<vType") == 2
+    assert "OpenStreetMap" in (tmp_path / "two" / "ATTRIBUTION.txt").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
