@@ -323,7 +323,7 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
                 continue
             same = -1 if is_new else out[v - 1, g]
             if same >= 0:
-                for c in range(7):
+                for c in range(7):  # Numba takes two seconds to compile an assignment of one row to another
                     box[row, c] = box[same, c]
                 for c in range(3):
                     variance[row, c] = variance[same, c]
@@ -403,9 +403,7 @@ def _number(owner, ego, vehicle, sender, messages, align):
 
     It shares objects with most of the others, so that few entries become nonzero when the matrix is factorised.
     """
-    slots = np.empty(len(ego.row) + 1, np.int64)
-    for v in range(len(slots)):
-        slots[v] = -1
+    slots = np.full(len(ego.row) + 1, -1)
     messages[0] = owner
     n_slots = 1
     for g in range(len(ego.begin) - 1):
@@ -566,9 +564,7 @@ def _without_error(k, ego, errors):
 @kernel
 def _assemble(table, ego, messages, n_slots, align, room, system, right):
     """Normal equations of the pose errors, after the objects are eliminated; the upper triangle is filled."""
-    for i in range(len(system)):
-        for j in range(system.shape[1]):
-            system[i, j] = 0.0
+    system[:] = 0.0
     given, info = ego.given, ego.info
     for k in range(len(ego.row)):
         weight = ego.weight[k]
