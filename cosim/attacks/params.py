@@ -47,9 +47,9 @@ class AttackParams:
     appearance: Literal["detected", "paper"] = "detected"
     """What ghosts look like. `detected`: their score, size, returns and speed are those of real detections at similar
     distances. `paper`: their score is 1 and their size fixed, as in the paper's experiments; this marks them."""
-    start_s: Annotated[float, Ge(0), Le(NEVER_S)] = 60.0
+    start_s: Annotated[float, Ge(0), Le(NEVER_S)] = 30.0
     """Recorded time at which the attack begins [s]; 1e8 is never. Before it, its vehicles are honest and build up
-    trust."""
+    trust. With `together_with`, it begins with that section unless this is set."""
     when: When = "persistent"
     """Steps in which the attack is active. `persistent`: in every step. `sporadic`: with probability `active_p`.
     `on_off`: for the share `duty_p` of every period. `sleeper`: from the time at which the attacker's own trust has

@@ -393,6 +393,7 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
     variants = data.pop("trust_variant", [])
     traffic = data.get("traffic")
     has_step = isinstance(traffic, dict) and bool({"step_s", "trace"} & traffic.keys())  # without that of the preset
+    _begin_together(data.get("attacks"))
     preset.under(data, where)
     own = _take_own_of_all(data, where, folder)
     check_keys(data, Config, "", where)
@@ -403,6 +404,16 @@ def resolve_data(data: dict[str, Any], where: str, folder: Path | None) -> Confi
     config = replace(config, own={section: values for section, values in own.items() if values})
     trust = data["trust"] | own.get("trust", {})
     return replace(config, trust_variant=_variants(variants, trust, config, where, folder))
+
+
+def _begin_together(attacks: Any) -> None:
+    """Let sections of attackers of an earlier section begin with it, unless they say when. Wrong values stay."""
+    listed = attacks if isinstance(attacks, list) else []
+    for number, section in enumerate(listed):
+        earlier = section.get("together_with") if isinstance(section, dict) else None
+        if type(earlier) is int and 0 <= earlier < number and isinstance(listed[earlier], dict):
+            if "start_s" in listed[earlier]:
+                section.setdefault("start_s", listed[earlier]["start_s"])
 
 
 def _take_own_of_all(data: dict[str, Any], where: str, folder: Path | None) -> dict[str, dict[str, Any]]:

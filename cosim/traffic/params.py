@@ -34,7 +34,7 @@ class TrafficParams:
     warmup_s: Annotated[float, Ge(0), Le(1e7)] | None = None
     """Duration that is simulated before sensing and recording begin [s]. If it is not set, a city's own value is
     used; for recorded traffic, 0."""
-    duration_s: Annotated[float, Gt(0), Le(1e8)] = 180.0
+    duration_s: Annotated[float, Gt(0), Le(1e8)] = 120.0
     """Recorded duration after the warm-up [s]. The run is shorter if the traffic ends earlier."""
     car_following: Literal["scenario", "calibrated"] = "scenario"
     """How vehicles accelerate, follow and brake. `scenario`: as the scenario's vehicle types say. `calibrated`: by the

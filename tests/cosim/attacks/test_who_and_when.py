@@ -101,6 +101,13 @@ def test_two_attacks_by_the_same_vehicles():
     assert set(lies.evaluator) == set(WHO) and (lies.evaluation[lies.evaluator != lies.observer] == -1).all()
 
 
+def test_the_same_vehicles_attack_at_the_same_time_unless_a_section_says_when():
+    """The third section goes with the second, and so with the first."""
+    sections = [{"start_s": 15.0}, {"together_with": 0}, {"together_with": 1}, {"together_with": 0, "start_s": 40.0}]
+    config = resolve_data({"encounters": [{}], "attacks": sections}, "a test", None)
+    assert [attack.start_s for attack in config.attacks] == [15.0, 15.0, 15.0, 40.0]
+
+
 def test_whitewashing_takes_a_new_pseudonym_when_trust_has_fallen():
     attack = GHOST | {"renewal": "whitewashing", "renew_below": 0.5}
     tables = play([attack], n_steps=10)

@@ -80,7 +80,7 @@ def test_check_says_what_changes_and_what_follows(tmp_path):
         "7 keys differ from the default of preset v0.2",
         'attacks.0 of the default is left out: { attack = "ghost_insertion" }',
         'attacks.1 of the default is left out: { attack = "unreliable" }',
-        "traffic.duration_s = 3600 (default 180)",
+        "traffic.duration_s = 3600 (default 120)",
         'attacks.0 = { attack = "sybil", share_p = 0.3, n_ghosts = 7 }',
         'trust.model = "beta" (default "trupercept")',
         "about 200 on the road, 200 of them with LiDAR and radio",

@@ -37,9 +37,9 @@ GHOSTS = "attacks.0.attack=ghost_insertion"
 @pytest.mark.parametrize(
     ("sets", "said"),
     [
-        (("traffic.duration_s=20", GHOSTS, "attacks.1.start_s=5"), "attacks.0.start_s = 60 s: the attack never begins"),
-        (("traffic.duration_s=60", GHOSTS, "attacks.1.start_s=5"), "because traffic.duration_s = 60 s"),
-        (("traffic.duration_s=61", GHOSTS, "attacks.1.start_s=5"), ""),
+        (("traffic.duration_s=20", GHOSTS, "attacks.1.start_s=5"), "attacks.0.start_s = 30 s: the attack never begins"),
+        (("traffic.duration_s=30", GHOSTS, "attacks.1.start_s=5"), "because traffic.duration_s = 30 s"),
+        (("traffic.duration_s=31", GHOSTS, "attacks.1.start_s=5"), ""),
         (("traffic.duration_s=20", "attacks.0.share_p=0", "attacks.1.start_s=5"), ""),
         (("traffic.duration_s=20", "attacks.0.start_s=1e8", "attacks.1.start_s=5"), ""),
         (("traffic.duration_s=20", "attacks.1.start_s=5", "sensing=false"), ""),
