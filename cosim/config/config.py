@@ -411,9 +411,10 @@ def _begin_together(attacks: Any) -> None:
     listed = attacks if isinstance(attacks, list) else []
     for number, section in enumerate(listed):
         earlier = section.get("together_with") if isinstance(section, dict) else None
-        if type(earlier) is int and 0 <= earlier < number and isinstance(listed[earlier], dict):
-            if "start_s" in listed[earlier]:
-                section.setdefault("start_s", listed[earlier]["start_s"])
+        if type(earlier) is not int or not 0 <= earlier < number:
+            continue
+        if isinstance(first := listed[earlier], dict) and "start_s" in first:
+            section.setdefault("start_s", first["start_s"])
 
 
 def _take_own_of_all(data: dict[str, Any], where: str, folder: Path | None) -> dict[str, dict[str, Any]]:
