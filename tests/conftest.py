@@ -23,7 +23,8 @@ def pytest_configure(config):
         typecheck.check(packages.split(","))
 
 
-_KERNELS = ("tests/trust/", "tests/cosim/radio/", "tests/sensors/")
+_FIRST, _LAST = ("tests/trust/", "tests/cosim/radio/"), ("tests/sensors/",)
+"""Rooms with which the second worker begins and ends."""
 
 
 @pytest.hookimpl(
@@ -33,13 +34,15 @@ def pytest_collection_modifyitems(config, items):
     """Order the tests for two workers, each of which begins with half of the list.
 
     On a new machine the first worker compiles the kernels of a whole run, in the order of a step. The second worker
-    begins with the tests of those that come last, so that the two share the work.
+    begins with the tests of those that come last, so that the two share the work. It ends with tests that share no
+    run: whoever has finished takes half of what is left, and would make the runs that tests share once more.
     """
-    of_kernels = [item for item in items if item.nodeid.startswith(_KERNELS)]
-    of_kernels.sort(key=lambda item: next(n for n, start in enumerate(_KERNELS) if item.nodeid.startswith(start)))
-    others = [item for item in items if not item.nodeid.startswith(_KERNELS)]
+    first, last = (
+        [item for room in rooms for item in items if item.nodeid.startswith(room)] for rooms in (_FIRST, _LAST)
+    )
+    others = [item for item in items if not item.nodeid.startswith((*_FIRST, *_LAST))]
     half = len(items) // 2
-    items[:] = [*others[:half], *of_kernels, *others[half:]]
+    items[:] = [*others[:half], *first, *others[half:], *last]
     if config.getoption("--typecheck"):
         for item in items:
             if item.get_closest_marker("misuse"):
