@@ -376,8 +376,8 @@ def plan_lines(task: "Task", workers: int | None = None) -> list[str]:
         f"{merged} points are trust variants of runs that differ in trust alone: {saving(cost.merged_saves_s)}",
         f"{facts['runs_that_replay_traffic']} runs replay {len(made.traffic)} recorded traffics: "
         f"{saving(cost.traffic_saves_s)}",
-        f"about {facts['seconds']} s of processor time instead of {facts['seconds_separately']} s"
-        f"{_times_less(cost.separate_s, cost.planned_s)}, {most}{facts['MB']} MB ({facts['estimate']})",
+        f"about {facts['seconds']} s of processor time"
+        f"{_instead_of(cost.separate_s, cost.planned_s)}, {most}{facts['MB']} MB ({facts['estimate']})",
         _by_the_clock(facts),
         *_cheaper(task, facts),
         *(f"not shared: {remark}" for remark in made.remarks),
@@ -391,8 +391,11 @@ def _by_the_clock(facts: dict[str, Any]) -> str:
     return f"about {lasts} with {workers}, and {facts['memory_GB']} GB of memory"
 
 
-def _times_less(separate_s: float, planned_s: float) -> str:
-    return f" ({separate_s / planned_s:.1f} times less)" if 0 < planned_s < separate_s else ""
+def _instead_of(separate_s: float, planned_s: float) -> str:
+    """What runs of their own would take, if that is more."""
+    if not 0.95 * separate_s > planned_s > 0:
+        return ""
+    return f" instead of {separate_s:.0f} s ({separate_s / planned_s:.1f} times less)"
 
 
 def _cheaper(task: "Task", facts: dict[str, Any]) -> list[str]:
