@@ -16,6 +16,9 @@ from cosim.messages.cellular import CellularParams, transfer_delay_s, within_cap
 from cosim.messages.content import report_bytes, trust_broadcast_bytes
 from trust.tables import SERVER, EvaluationMessages, TrustScores
 
+KEPT_S = 60.0
+"""A vehicle that is off the road for longer has forgotten the trust values that it had received [s]."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ServerParams:
@@ -210,6 +213,8 @@ class DownlinkState:
     kept."""
     last: Int[ndarray, "capacity"] = field(default_factory=lambda: np.full(0, -1))
     """Number of the newest broadcast that each vehicle has received, by actor number; -1 for none."""
+    seen_s: Float[ndarray, "capacity"] = field(default_factory=lambda: np.full(0, -np.inf))
+    """When each vehicle was last on the road [s], by actor number."""
     under_way: tuple[tuple[Float[ndarray, "r"], Int[ndarray, "r"], int], ...] = ()
     """Arrival, vehicle and number."""
     pending_rsu: tuple[tuple[float, int], ...] = ()
@@ -334,33 +339,33 @@ class Downlink:
         return replace(state, under_way=tuple(coming)), n_informed
 
     def receive(self, state: DownlinkState, present: Int[ndarray, "m"], time_s: float) -> DownlinkState:
-        """Deliver the broadcasts that have arrived by `time_s`, and drop those that no vehicle on the road has.
+        """Deliver the broadcasts that have arrived by `time_s`, and drop those that no vehicle keeps.
 
         Parameters
         ----------
         present
             Actor numbers of the equipped vehicles on the road, ascending.
+
+        Notes
+        -----
+        A vehicle that leaves the road and returns keeps what it had received, for up to `KEPT_S`.
         """
-        last = state.last
         size = int(present[-1]) + 1 if len(present) else 0
-        if not state.under_way and size <= len(last):
-            return state
-        if size > len(last):
-            last = np.concatenate([last, np.full(max(size, 2 * len(last), 64) - len(last), -1)])
-        else:
-            last = last.copy()
+        last, seen_s = _grown(state.last, size, -1), _grown(state.seen_s, size, -np.inf)
+        last[time_s - seen_s > KEPT_S] = -1
+        seen_s[present] = time_s
         waiting = []
         for arrival, vehicle, number in state.under_way:
             here = arrival <= time_s
             last[vehicle[here]] = np.maximum(last[vehicle[here]], number)
             if not here.all():
                 waiting.append((arrival[~here], vehicle[~here], number))
-        in_use = set(last[present].tolist())
+        in_use = set(last.tolist())
         in_use.update(number for _, _, number in waiting)
         in_use.update(number for _, number in state.pending_rsu)
         in_use.update(sent.number for sent in state.on_air)
         broadcasts = {n: b for n, b in state.broadcasts.items() if n in in_use}
-        return replace(state, broadcasts=broadcasts, last=last, under_way=tuple(waiting))
+        return replace(state, broadcasts=broadcasts, last=last, seen_s=seen_s, under_way=tuple(waiting))
 
     def lookup(
         self, state: DownlinkState, vehicle: Int[ndarray, "n"], subject: Int[ndarray, "n"]
@@ -386,6 +391,12 @@ class Downlink:
             rows = np.flatnonzero(newest == number)
             at, known = broadcast.scores.rows_of(np.full(len(rows), SERVER), subject[rows])
             yield broadcast, rows[known], at[known]
+
+
+def _grown(values: ndarray, size: int, empty: float) -> ndarray:
+    """A copy of an array by actor number, with room for `size` of them."""
+    more = max(size, 2 * len(values), 64) - len(values) if size > len(values) else 0
+    return np.concatenate([values, np.full(more, empty, values.dtype)])
 
 
 def _informed(state: DownlinkState, vehicle: Int[ndarray, "r"], number: int) -> Bool[ndarray, "r"]:

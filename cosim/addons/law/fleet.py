@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.addons.law import law
@@ -17,6 +17,7 @@ from cosim.addons.law.scope import Server
 from cosim.base import rng
 from cosim.config.config import Config
 from cosim.messages.content import evaluation_bytes
+from cosim.messages.trust_server import KEPT_S
 from cosim.radio.message_round import RoundKind
 from cosim.step.parts import Parts
 from cosim.step.trackers.encounters import update_encounters
@@ -34,6 +35,34 @@ _LEAST_P = 1e-6
 """Chances below this are left out."""
 _MEETING = 1.5
 """Lookups between two vehicles count for their encounter up to this part of its radius: a break ends none at once."""
+
+
+@dataclass(slots=True)
+class Visits:
+    """Visits of vehicles to the road. The visit of a vehicle goes on while it is away for up to `KEPT_S`."""
+
+    seen_s: dict[int, float] = field(default_factory=dict)
+    """When each vehicle was last on the road."""
+    began: dict[int, int] = field(default_factory=dict)
+    """First step of its visit."""
+
+    def now(self, actors: list[int], step: int, begin_s: float, end_s: float) -> Int[ndarray, "v"]:
+        """The visits of these vehicles, ascending: the actor number and, in the lower 32 bits, the first step.
+
+        Parameters
+        ----------
+        actors
+            Vehicles on the road, ascending.
+        step
+            The first step of a visit that begins now.
+        begin_s, end_s
+            When they come on the road, if they were away, and when they may leave it.
+        """
+        for actor in actors:
+            if begin_s - self.seen_s.get(actor, -np.inf) > KEPT_S:
+                self.began[actor] = step
+            self.seen_s[actor] = end_s
+        return np.array([actor << 32 | self.began[actor] for actor in actors], np.int64)
 
 
 @dataclass(slots=True)
@@ -58,8 +87,9 @@ class Fleet:
     cpms: NewestReceived = field(default_factory=NewestReceived.none)
     reports: NewestReceived = field(default_factory=NewestReceived.none)
     """The newest detection message and the newest evaluation message of each vehicle."""
+    visits: Visits = field(default_factory=Visits)
     on_road: list[Int[ndarray, "v"]] = field(default_factory=list)
-    """Per step: equipped vehicles."""
+    """Per step: visits of the equipped vehicles."""
     evidence: list[tuple[ndarray, ...]] = field(default_factory=list)
     """Per step: subjects, step of their detections, and by lag the logarithm of the probability that they are not
     evaluated."""
@@ -123,10 +153,14 @@ class Fleet:
         closed, _, _ = update_encounters(self.trackers, world.step, parts.near_pairs(world))
         self.met += closed[:1]
         self.last_step = world.step
-        if world.step % self.schedule.exchange_every_steps:
-            return
         row = np.flatnonzero(world.equipped)
-        self.on_road.append(world.actor[row].astype(np.int64))
+        exchanges = world.step % self.schedule.exchange_every_steps == 0
+        begin_s = world.step * self.config.traffic.step_s
+        end_s = begin_s + 2 * self.config.round_s * exchanges
+        visits = self.visits.now(world.actor[row].tolist(), self.step, begin_s, end_s)
+        if not exchanges:
+            return
+        self.on_road.append(visits)
         if len(row):
             self._sense(world, row)
         self.step += 1
@@ -217,13 +251,32 @@ class Fleet:
         server, at_s = config.server.cellular, 2 * config.round_s
         for period_s, gate in self.gates.items():
             gate.open(step)
-            publications = gate.before(step, self.n_followed)
+            publications, held = self._held(heard.receiver, gate)
             ages_s = (step - publications) * self.schedule.exchange_interval_s + at_s
             received_p = arrival_p(ages_s, server.downlink_loss_p, 0, server)
-            were_there = [self.on_road[publication] for publication in publications.tolist()]
-            on_road = np.column_stack([np.isin(heard.receiver, actors) for actors in were_there])
-            looks, none = law.expected_lookups(subject, on_road, heard.p, n, publications, received_p)
-            self.looks.setdefault(period_s, []).append((np.full(n, step), subjects, publications, looks, none))
+            looks, none = law.expected_lookups(subject, held, heard.p, n, publications, received_p)
+            rows = self.looks.setdefault(period_s, [])
+            for i in range(0, len(publications), self.n_followed):
+                some = slice(i, i + self.n_followed)
+                rows.append((np.full(n, step), subjects, publications[some], looks[:, some], none * (i == 0)))
+
+    def _held(
+        self, holder: Int[ndarray, "p"], gate: law.PublishingSteps
+    ) -> tuple[Int[ndarray, "i"], Bool[ndarray, "p i"]]:
+        """Publications as of `PublishingSteps.before`, and which of them each holder was sent and has not forgotten.
+
+        So many are followed that each holder has `n_followed` of them, or all of its visit.
+        """
+        here = self.on_road[-1]
+        visit = here[np.searchsorted(here >> 32, holder)]
+        n = self.n_followed
+        while True:
+            publications = gate.before(self.step, n)
+            held = np.column_stack([np.isin(visit, self.on_road[step]) for step in publications.tolist()])
+            enough = (held.sum(axis=1) >= self.n_followed) | (publications[-1] <= visit & 0xFFFFFFFF)
+            if enough.all():
+                return publications, held & (np.cumsum(held, axis=1) <= self.n_followed)
+            n += self.n_followed
 
     def predictions(self, n_draws: int) -> tuple[list[Prediction], list[list[dict[str, float]]], dict[str, float]]:
         """The predictions for all servers, the metrics of runs drawn from them, and measured inputs by name.
@@ -243,7 +296,7 @@ class Fleet:
                 f"fleet.penetration_p = {self.config.fleet.penetration_p:g}: no equipped vehicle was on the road, so "
                 "there is nothing to predict. Raise it, or traffic.duration_s."
             )
-        actors = np.unique(np.concatenate(self.on_road))
+        actors = np.unique(np.concatenate(self.on_road) >> 32)
         log_none = np.zeros((len(self.evidence[0][2]), len(actors), self.step))
         sent, asked = np.zeros((2, len(actors), self.step))
         for actor, step, values in self.evidence:
@@ -313,7 +366,7 @@ class Fleet:
         """Encounters by the first definition of the config, those that are still open included."""
         if not self.trackers:
             none = np.zeros(0, np.int64)
-            return law.Encounters(none, none, none, none, none, none, none, np.zeros(0), np.zeros((0, 0), bool))
+            return law.Encounters(none, none, none, none, none, none, none, np.zeros(0), none, np.zeros((0, 0), bool))
         rows = self.met + [tracker.close(self.last_step + 1) for tracker in self.trackers[:1]]
         a, b, start, end = (
             np.concatenate([np.zeros(0, np.int64), *(one[name] for one in rows)]).astype(np.int64)
@@ -324,15 +377,16 @@ class Fleet:
         every = self.schedule.exchange_every_steps
         start, end = (np.tile(-(-steps[both] // every), 2) for steps in (start, end))
         holder, other = np.concatenate([a, b]), np.concatenate([b, a])
-        on_road = np.zeros((len(actors), self.step), bool)
+        visits = np.full((len(actors), self.step), -1)
         for k, there in enumerate(self.on_road):
-            on_road[np.searchsorted(actors, there), k] = True
+            visits[np.searchsorted(actors, there >> 32), k] = there & 0xFFFFFFFF
         keys, steps, log_missed = (np.concatenate(c) for c in zip(*self.heard, strict=True))
         order = np.lexsort((steps, keys))
         pairs = holder << 32 | other
         first, stop = (np.searchsorted(keys[order], pairs, side) for side in ("left", "right"))
         by, subject = np.searchsorted(actors, holder), np.searchsorted(actors, other)
-        return law.Encounters(by, subject, start, end, first, stop, steps[order], log_missed[order], on_road)
+        began = np.maximum.accumulate(visits, axis=1)[by, np.minimum(start, self.step - 1)]
+        return law.Encounters(by, subject, start, end, first, stop, steps[order], log_missed[order], began, visits >= 0)
 
 
 def _log_not(p: Float[ndarray, "n"]) -> Float[ndarray, "n"]:

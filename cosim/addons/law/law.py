@@ -79,7 +79,7 @@ class ExpectedLookups(NamedTuple):
 
 
 def expected_lookups(
-    subject: Int[ndarray, "p"], on_road: Bool[ndarray, "p i"], looked_up_p: Float[ndarray, "p"], n_subjects: int,
+    subject: Int[ndarray, "p"], held: Bool[ndarray, "p i"], looked_up_p: Float[ndarray, "p"], n_subjects: int,
     publications: Int[ndarray, "i"], received_p: Float[ndarray, "i"],
 ) -> tuple[Float[ndarray, "s i"], Float[ndarray, "s"]]:  # fmt: skip
     """Expected lookups of one step by the publication that they find, equation (3).
@@ -88,8 +88,8 @@ def expected_lookups(
     ----------
     subject
         Subject of each pair.
-    on_road
-        Whether the holder of each pair was on the road at each publication. It does not reach others.
+    held
+        Whether the holder of each pair was on the road at each publication, and has not forgotten it since.
     looked_up_p
         Probability that the holder looks the subject up.
     n_subjects
@@ -107,7 +107,7 @@ def expected_lookups(
     for i, (step, p) in enumerate(zip(publications, received_p, strict=True)):
         if step < 0:
             break
-        here = left * p * on_road[:, i]
+        here = left * p * held[:, i]
         found[:, i] = np.bincount(subject, here, n_subjects)
         left -= here
     return found, np.bincount(subject, left, n_subjects)
@@ -274,6 +274,8 @@ class Encounters(NamedTuple):
     """Steps in which the holder may look the subject up, ascending for each two."""
     log_missed: Float[ndarray, "q"]
     """Logarithm of the probability that it does not."""
+    began: Int[ndarray, "n"]
+    """Step from which on the holder keeps what it received, at the start of the encounter."""
     on_road: Bool[ndarray, "s t"]
     """Whether each vehicle is on the road in each step: a publication does not reach others."""
 
@@ -321,12 +323,14 @@ def _without_trust(log_none, summed, gate, meetings, window_steps, loss_p, n_fol
         on_road = meetings.on_road[meetings.holder[row]]
         last = np.searchsorted(gate, end - 1, "right") - 1
         last_before = np.searchsorted(gate, start, "left") - 1
-        first = max(last_before - n_followed + 1, 0)
-        held = last_before  # the newest publication that the holder may have at the start
-        while held >= first and not on_road[gate[held]]:
-            held -= 1
-        if held < first:
-            held = last_before + 1
+        first = held = last_before + 1  # the oldest and the newest publication that the holder may have at the start
+        n, k = 0, last_before
+        while k >= 0 and gate[k] >= meetings.began[row] and n < n_followed:
+            if on_road[gate[k]]:
+                first, n = k, n + 1
+                if n == 1:
+                    held = k
+            k -= 1
         latest = gate[min(held, len(gate) - 1)]
         low = max(latest - window_steps + 1, 0)
         never, before = 0.0, 1.0  # nothing known; no evidence in any publication so far

@@ -12,6 +12,9 @@ from cosim.addons.law.closed_form import Company, closed_form
 from cosim.addons.law.scope import Server
 from cosim.config.config import Config
 
+_LEAST = 1e-9
+"""A value below this is 0: chances that are certain differ from 1 by as much (`fleet`)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
@@ -164,7 +167,7 @@ def counted(
     def share(n: float) -> float:
         return n / total if total > 0 else float("nan")
 
-    return counts, {
+    metrics = {
         "freshness.newest_evaluation_age.median_s": law.quantile(age_s, counts.newest, 0.5),
         "freshness.newest_evaluation_age.p90_s": law.quantile(age_s, counts.newest, 0.9),
         "freshness.newest_evaluation_age.mean_s": float(counts.newest @ age_s / known) if known > 0 else float("nan"),
@@ -179,3 +182,4 @@ def counted(
             evidence, found.meetings, gate, server.window_steps, loss_p
         ),
     }
+    return counts, {name: 0.0 if value < _LEAST else float(value) for name, value in metrics.items()}

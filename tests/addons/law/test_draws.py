@@ -9,7 +9,7 @@ from cosim.addons.law.draws import drawn
 from cosim.addons.law.prediction import FleetFindings, counted
 from cosim.addons.law.scope import Server
 
-NOTHING = law.Encounters(*(np.zeros(0, np.int64),) * 7, np.zeros(0), np.zeros((0, 0), bool))
+NOTHING = law.Encounters(*(np.zeros(0, np.int64),) * 7, np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 0), bool))
 
 
 def test_drawn_runs_have_the_chances_as_means():

@@ -125,21 +125,25 @@ def test_what_is_neglected_at_any_point_of_a_study_is_said_once(tmp_path):
     assert json.loads(done.stdout)["neglected"] == ["gnss: the law takes positions for exact."]
 
 
-def test_a_vehicle_that_returns_has_no_publication_from_its_absence(tmp_path):
-    # Two cars 15 m apart; b is away from second 10 to 17. Step 0 is the moment before the trace, so sweeps are in the
-    # seconds 1 to 19, and the server publishes in 1, 6, 11, 16. Nothing is lost, and each sees the other.
+@pytest.mark.parametrize(("back_s", "no_value", "without_trust"), [(17, 10 / 24, 0.0), (72, 14 / 24, 0.5)])
+def test_a_vehicle_that_returns_has_what_it_received_before(tmp_path, back_s, no_value, without_trust):
+    # Two cars 15 m apart; b is away from second 10 to 17 or 72. Step 0 is the moment before the trace, so sweeps are in
+    # the seconds 1, 2, ..., and the server publishes in 1, 6, 11, ... Nothing is lost, and each sees the other. Lookups
+    # in both directions in the seconds 1 to 10, and in the two after the return. None has a value before the
+    # publication of second 6. After 7 s, b still has that one. After 62 s it has forgotten it, and what a received in
+    # second 71 rests on no evidence in the window of 50 s: the second of two encounters is without trust.
     rows = [
         f"{k / 5},{name},{2 * k + ahead},0,90,10,car\n"
-        for k in range(101) for name, ahead in (("a", 0), ("b", 15)) if name == "a" or not 50 <= k < 85
+        for k in range(5 * back_s + 16) for name, ahead in (("a", 0), ("b", 15))
+        if name == "a" or not 50 <= k < 5 * back_s
     ]  # fmt: skip
     (tmp_path / "trace.csv").write_text("time,id,x,y,angle,speed,type\n" + "".join(rows))
     path = tmp_path / "law.toml"
-    path.write_text(RETURNS)
+    path.write_text(RETURNS.replace("duration_s = 20", f"duration_s = {back_s + 3}"))
     found = freshness.predict(load(path), print).predictions[0].metrics
-    # Lookups in both directions in the seconds 1 to 10, and 18 and 19. None has a value before the publication of
-    # second 6, and b has none in 18 and 19: it was away in 16. It never has one in the second of two encounters.
-    assert found["freshness.lookup_state.share:no value"] == pytest.approx(12 / 24)
-    assert found["freshness.encounters_without_trust.share"] == pytest.approx(0.25)
+    assert found["freshness.lookup_state.share:no value"] == pytest.approx(no_value)
+    assert found["freshness.encounters_without_trust.share"] == pytest.approx(without_trust)
+    assert not any(0 < value < 1e-9 for value in found.values())
 
 
 @pytest.fixture(scope="module")

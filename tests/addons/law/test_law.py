@@ -82,10 +82,8 @@ def test_lookups_by_hand():
     # Three holders; the second came in step 4, the third was away in step 5. Publications of steps 5 and 3; who is on
     # the road has received them with probabilities 0.5 and 0.8. Of the first, 0.5 find 5, 0.4 find 3, 0.1 find none; of
     # the second, half find none; of the third, 0.8 find 3, 0.2 find none.
-    on_road = np.array([[True, True], [True, False], [False, True]])
-    found, none = law.expected_lookups(
-        np.array([0, 0, 0]), on_road, np.ones(3), 1, np.array([5, 3]), np.array([0.5, 0.8])
-    )
+    held = np.array([[True, True], [True, False], [False, True]])
+    found, none = law.expected_lookups(np.array([0, 0, 0]), held, np.ones(3), 1, np.array([5, 3]), np.array([0.5, 0.8]))
     assert found == pytest.approx(np.array([[1.0, 1.2]])) and none == pytest.approx([0.8])
 
 
@@ -97,10 +95,11 @@ def test_evaluations_that_arrive_late_are_behind_later_publications():
     assert found.newest[:4] == pytest.approx([0, 0.5, 1, 0])
 
 
-def meetings(start, end, steps, missed, away=()):
+def meetings(start, end, steps, missed, away=(), began=0):
     return law.Encounters(
         np.array([0]), np.array([0]), np.array([start]), np.array([end]), np.array([0]), np.array([len(steps)]),
-        np.array(steps, np.int64), np.log(np.array(missed, float)), ~np.isin(np.arange(11), away)[None],
+        np.array(steps, np.int64), np.log(np.array(missed, float)), np.array([began]),
+        ~np.isin(np.arange(11), away)[None],
     )  # fmt: skip
 
 
@@ -115,16 +114,20 @@ def test_encounters_without_trust_by_hand():
     # brings the first evidence with 1/8 (1 - 1/16); then the lookups of steps 8 and 9 are missed with 1/4.
     want = 1 / 8 * (1 - 1 / 16) / 4 + 1 / 8 / 16
     assert law.without_trust(evidence, meetings(5, 10, steps, [0.5] * 5), gate, 4, 0.0) == pytest.approx(want)
-    # A holder that came in step 5, or was away in step 4, has the publication of step 8 alone, with steps 5 to 7.
+    # A holder that came in step 5, or was away in step 4 and has forgotten, has the publication of step 8 alone, with
+    # steps 5 to 7.
     want = (1 - 1 / 8) / 4 + 1 / 8
-    for away in ([0, 1, 2, 3, 4], [4]):
-        assert law.without_trust(evidence, meetings(5, 10, steps, [0.5] * 5, away), gate, 4, 0.0) == pytest.approx(want)
+    for away, began in (([0, 1, 2, 3, 4], -1), ([4], 5)):
+        met = meetings(5, 10, steps, [0.5] * 5, away, began)
+        assert law.without_trust(evidence, met, gate, 4, 0.0) == pytest.approx(want)
     # Half of the publications are lost. In an encounter of one step, between publications, the evidence of steps 1 to 3
     # is known if that of step 4 arrived; that of step 0 had none.
     want = 1 / 8 + 7 / 8 / 2
     assert law.without_trust(evidence, meetings(5, 6, steps[:1], [0.5]), gate, 4, 0.5) == pytest.approx(want)
-    # So it is later for a holder that was away in step 8.
+    # So it is later for a holder that was away in step 8: it keeps that of step 4.
     assert law.without_trust(evidence, meetings(9, 10, [9], [0.5], [8]), gate, 4, 0.5) == pytest.approx(want)
+    assert law.without_trust(evidence, meetings(9, 10, [9], [0.5], [8]), gate, 4, 0.0) == pytest.approx(1 / 8)
+    assert law.without_trust(evidence, meetings(9, 10, [9], [0.5], [8], 9), gate, 4, 0.0) == 1
     # No publication in the encounter of a holder that came with it.
     assert law.without_trust(evidence, meetings(5, 8, steps[:3], [0.5] * 3, range(5)), gate, 4, 0.0) == 1
 

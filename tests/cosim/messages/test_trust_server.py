@@ -244,3 +244,18 @@ def test_a_lookup_changes_nothing_and_unused_broadcasts_expire():
     assert pickle.dumps(state) == before and sorted(state.broadcasts) == [0, 1, 2]
     state = down.receive(state, own, 9.0)
     assert known(down, state, own, np.array([1]))[0] == 0.2 and list(state.broadcasts) == [2]
+
+
+@pytest.mark.parametrize("stranger_loses_it", [False, True])
+def test_a_vehicle_that_returns_keeps_what_it_received_for_a_minute(stranger_loses_it):
+    """Vehicle 1 has the broadcast of second 0, and is away from second 1 on. The other one decides nothing."""
+    down, both, one = Downlink(ServerParams(), 3), np.array([0, 1]), np.array([0])
+    state, _ = down.publish(DownlinkState(), broadcast(0.0), 0, both, np.zeros(2))
+    state = down.receive(state, both, 0.8)
+    state, _ = down.publish(state, broadcast(5.0), 5, one, np.full(1, np.inf if stranger_loses_it else 0.0))
+    for time_s, computed_s in ((5.8, 0.0), (60.8, 0.0), (60.81, np.nan)):
+        away = down.receive(state, one, time_s - 0.1)
+        back = down.receive(away, both, time_s)
+        assert known(down, back, both, both)[1][1] == pytest.approx(computed_s, nan_ok=True)
+    away = down.receive(down.receive(state, one, 60.0), one, 61.0)
+    assert list(away.broadcasts) == ([0] if stranger_loses_it else [5])
