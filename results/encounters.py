@@ -158,7 +158,7 @@ class EncounterTracker:
         Parameters
         ----------
         step
-            One more than at the last call.
+            One more than at the last call; after a call without actors, any later one.
         a, b
             Actor numbers, a < b, no pair twice; at least all pairs within the radius.
         los
@@ -331,7 +331,8 @@ class EncounterTracker:
             live[f"age_{way}_s"][where] = np.where(of_default[rows], 0, age_s[rows])
 
     def _assert_follows(self, step: int) -> None:
-        assert self._step is None or step == self._step + 1, f"step {step} does not follow {self._step}"
+        follows = self._step is None or step == self._step + 1 or (step > self._step and not len(self._present))
+        assert follows, f"step {step} does not follow {self._step}"
 
     def _slots(self, one: ndarray, other: ndarray) -> Int[ndarray, "n"]:
         """Slot of the encounter of each two, -1 where none is under way."""

@@ -1,6 +1,7 @@
 """The timesteps of a trace at any times: its own, and between them if steps are shorter or a timestep is missing."""
 
 from collections.abc import Iterator
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -96,6 +97,12 @@ class Timeline:
             self._first_lost_s = self._first_lost_s if self._n_lost else time_s
             self._n_lost += 1
         return self._way.at((time_s - self._before.time_s) / took_s)
+
+    def n_empty(self, time_s: float, step_s: float) -> int:
+        """Number of steps of an empty road after this time, the last one asked for, up to the next timestep."""
+        if self._before is None or self._after is None or self._after.time_s - self._before.time_s <= self._longest_s:
+            return 0
+        return ceil((self._after.time_s - self._tolerance_s - time_s) / step_s) - 1
 
     @property
     def last_s(self) -> float:

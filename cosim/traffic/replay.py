@@ -149,6 +149,14 @@ class TraceReplay(_Replay):
             self._n_at_begin = len(world)
         return self._counts.add(world)
 
+    def skip_gap(self, most: float) -> int:
+        """Pass the steps of an empty road between two timesteps, at most so many. Returns their number."""
+        time_s = self._begin_s + (self._n_skipped + self._step - 2) * self._dt_s
+        n = int(max(0, min(most, self._timeline.n_empty(time_s, self._dt_s))))
+        self._step += n
+        self._counts.n_steps += n
+        return n
+
     def report(self) -> dict[str, Any]:
         report: dict[str, Any] = {"actors_left_out": dict(sorted(Counter(self._left_out.values()).items()))}
         report |= self._counts.report() | self._timeline.report() | self._identities.report()

@@ -27,6 +27,7 @@ from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fcd import is_observed, timesteps
 from cosim.traffic.interpolation import interval_s
 from cosim.traffic.params import TrafficParams
+from cosim.traffic.replay import TraceReplay
 from cosim.traffic.scenario import Scenario, find
 from cosim.traffic.source import TrafficEnded, TrafficError, class_counts
 from cosim.world import World
@@ -101,6 +102,7 @@ class _Counted:
         self.n_steps, self.n_present = step + 1, self.n_present + n_present
 
     def close(self, vehicles: Mapping[str, ndarray | None]) -> None:
+        self.recorder.reach(self.n_steps - 1)
         rows = [tracker.close(self.n_steps) for tracker in self.trackers]
         self.recorder.close({"encounters": rows, "vehicles": [vehicles]})
 
@@ -223,7 +225,7 @@ def _of_traffic(
         if first is None:
             raise TrafficError(f"{paths[0]}: there is nothing to count: no actor is on the road in the time given.")
         with _Folder(out, scenario.name, params, traffic.step_s, params.appearance or "ends") as counted:
-            for step, world in enumerate(chain([first], worlds)):
+            for step, world in chain([first], worlds):
                 near = search(world)
                 extent.add(world, search.parked_key)
                 closed, _, _ = update_encounters(counted.trackers, step, near)
@@ -239,16 +241,18 @@ def _of_traffic(
     return counted.folder
 
 
-def _worlds(replayed: Any, most: float) -> Iterator[World]:
-    """The worlds to count."""
-    n = 0
-    while n < most:
+def _worlds(replayed: Any, most: float) -> Iterator[tuple[int, World]]:
+    """The worlds to count, with their steps; in a gap of a trace, the first one without actors."""
+    step = 0
+    while step < most:
         try:
             world = replayed.advance()
         except TrafficEnded:
             return
-        n += 1
-        yield world
+        yield step, world
+        step += 1
+        if not len(world) and isinstance(replayed, TraceReplay):
+            step += replayed.skip_gap(most - step - 1)
 
 
 @dataclass(slots=True)

@@ -268,10 +268,11 @@ def _weighted_quantiles(values: ndarray, weights: ndarray, at: ndarray) -> ndarr
 
 
 def steps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Positions]:
-    """Positions of all tracks, step by step, from step 0 on; steps without actors too."""
+    """Positions of all tracks, step by step, from step 0 on. Of steps without actors, the first is there."""
     longest = int((found.link_end - found.link_first).max())
     total = int((found.link_end - found.link_first).sum())
     block = max(1, min(found.n_steps, int(_ROWS_AT_ONCE / max(1.0, total / found.n_steps))))
+    last_step = -1
     for begin in range(0, found.n_steps, block):
         end = min(begin + block, found.n_steps)
         low, high = np.searchsorted(found.link_first, [begin - longest, end])
@@ -283,9 +284,13 @@ def steps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Positi
         track, xy_m = found.link_track[link], _interpolated(fixes, found.link_fix[link], step * step_s)
         order = np.lexsort((track, step))
         step, track, xy_m = step[order], track[order], xy_m[order]
-        cuts = np.searchsorted(step, np.arange(begin, end + 1))
-        for i, (a, b) in enumerate(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True)):
-            yield Positions(begin + i, track[a:b], xy_m[a:b])
+        taken, first = np.unique(step, return_index=True)
+        cuts = [*first.tolist(), len(step)]
+        for number, a, b in zip(taken.tolist(), cuts[:-1], cuts[1:], strict=True):
+            if number > last_step + 1:
+                yield Positions(last_step + 1, track[:0], xy_m[:0])
+            yield Positions(number, track[a:b], xy_m[a:b])
+            last_step = number
 
 
 def _interpolated(fixes: Fixes, fix: Int[ndarray, "k"], time_s: Float[ndarray, "k"]) -> Float[ndarray, "k 2"]:

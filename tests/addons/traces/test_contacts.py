@@ -8,7 +8,7 @@ import pytest
 
 from cosim.addons.traces.contacts import ContactParams, contacts
 from results.archive import open_run
-from results.encounters import EncounterParams
+from results.encounters import EncounterParams, EncounterTracker
 from sumo_nets import catalogue
 from tests.cosim.traffic.test_replay import record
 from tests.drive import cosim, simulate
@@ -163,6 +163,30 @@ def test_gaps_censor(tmp_path):
     assert ended.censored_left.tolist() == [True, False] and ended.censored_right.tolist() == [False, True]
 
 
+@pytest.mark.parametrize("layout", ["positions", "SUMO's"])
+def test_work_grows_with_rows_and_not_with_the_length_of_a_gap(tmp_path, monkeypatch, layout):
+    """Two drive 14 m apart for 10 s, two others for 10 s a year later. --to in the gap ends the counting there."""
+    year_s, path, updates = 31_536_000, tmp_path / "t.xml", []
+    update = EncounterTracker.update
+    monkeypatch.setattr(EncounterTracker, "update", lambda *given: updates.append(given[1]) or update(*given))
+    if layout == "positions":
+        rows = [(f"{begin}_{i}", t, 8 * (t % 1000) + 14 * i, 0) for begin in (0, year_s) for i in (0, 1)
+                for t in range(begin, begin + 10)]  # fmt: skip
+        path = trace(tmp_path, rows)
+    else:
+        both = late_trace(0, 9) + late_trace(year_s, year_s + 9).replace('id="v', 'id="w')
+        path.write_text(both.replace("</fcd-export><fcd-export>", ""))
+    own = EncounterParams(pairs="all", hysteresis_s=5)
+    found = count([path], tmp_path / "o", encounters=(own,))
+    steps = found.encounters[["start_step", "end_step"]].to_numpy().tolist()
+    assert found.manifest["steps"] == steps[1][1] and steps[1][0] - steps[0][0] == year_s and len(updates) <= 22
+    assert [end - start for start, end in steps] == [10, 10]
+    assert found.encounters.departed.tolist() == [True, False]
+    cut = count([path], tmp_path / "cut", encounters=(own,), to_s=20_000_000.0)
+    assert len(cut.encounters) == 1 and len(updates) <= 22 + 12
+    assert layout == "positions" or cut.manifest["steps"] == 20_000_001
+
+
 def test_a_span_without_a_position_in_it(tmp_path):
     """A position every 30 s; from 32 s to 45 s both vehicles are between two of theirs: 14 steps."""
     rows = [("a", t, t, 0) for t in range(0, 91, 30)]
@@ -226,7 +250,9 @@ def late_trace(begin_s, end_s):
     """What SUMO writes of two vehicles that drive in a line, from one time to another."""
     row = '<vehicle id="{name}" x="{x}" y="0" angle="90" type="passenger" speed="8"/>'
     steps = (
-        f'<timestep time="{t}">' + "".join(row.format(name=f"v{i}", x=8 * t + 14 * i) for i in range(2)) + "</timestep>"
+        f'<timestep time="{t}">'
+        + "".join(row.format(name=f"v{i}", x=8 * (t % 1000) + 14 * i) for i in range(2))
+        + "</timestep>"
         for t in range(begin_s, end_s + 1)
     )
     return f"<fcd-export>{''.join(steps)}</fcd-export>"
