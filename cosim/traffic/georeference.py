@@ -2,14 +2,17 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+import shapely
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from cosim.base.earth import Projection
 from cosim.traffic.fcd import Timestep
 from cosim.traffic.frame import Bounds, TrafficError
+from sumo_nets.network import lanes
 
 Conversion = Callable[[Timestep], Timestep]
 
@@ -22,6 +25,9 @@ _FEWEST, _ENOUGH = 3, 200
 """Moves of actors that are compared with their speeds."""
 _DEGREES_RATIO = 1e-4
 """If all moves are shorter than this part of what the speeds say, coordinates are degrees."""
+FAR_M, _FAR_P = 10.0, 1 / 3
+"""Vehicles of a trace are elsewhere if more than this share is farther than this from all lanes. In their own network,
+none of those of four cities is, and 3 % with errors of 5 m; in that of another city, 76 % and more are."""
 _POSSIBLE, _ODD = (0.02, 50.0), (0.4, 2.5)
 """Ways over what the speeds say: outside the first they are refused, and outside the second they are noted."""
 
@@ -36,6 +42,8 @@ class NetLocation:
     """From degrees to its own coordinates. None without a projection, or one that is not read."""
     offset_m: tuple[float, float] = (0.0, 0.0)
     """What was added to projected coordinates."""
+    path: Path | None = None
+    """File of the network."""
 
     def holds(self, xy_m: Float[ndarray, "n 2"]) -> float:
         """Share of positions within the bounds."""
@@ -123,6 +131,31 @@ def _moved(own: Projection, to_net: Projection) -> Conversion:
         )
 
     return moved
+
+
+class LaneCheck:
+    """Counts the vehicles that come on the road far from all lanes for cars, as those of another place do."""
+
+    def __init__(self, net: NetLocation | None) -> None:
+        self._path = None if net is None else net.path
+        self._tree: shapely.STRtree | None = None
+        self._n = self._n_far = 0
+
+    def add(self, xy_m: Float[ndarray, "n 2"]) -> None:
+        """Look at cars and trucks that are new, in coordinates of the network."""
+        if self._path is None:
+            return
+        if self._tree is None:
+            lines = [lane.line_m[:, :2] for lane in lanes(self._path) if lane.for_cars]
+            self._tree = shapely.STRtree([shapely.LineString(line) for line in lines])
+        near, _ = self._tree.query(shapely.points(xy_m), predicate="dwithin", distance=FAR_M)
+        self._n += len(xy_m)
+        self._n_far += len(xy_m) - len(np.unique(near))
+
+    @property
+    def far_p(self) -> float | None:
+        """Share of these vehicles, if it is large."""
+        return self._n_far / self._n if self._n_far >= max(_FEWEST, _FAR_P * self._n) else None
 
 
 class TravelCheck:

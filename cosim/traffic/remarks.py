@@ -8,6 +8,7 @@ from jaxtyping import Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
+from cosim.traffic.georeference import FAR_M
 from cosim.world import World
 from sensors.boxes import Boxes
 from sensors.scene import Shape
@@ -240,5 +241,10 @@ def trace_remarks(summary: dict[str, Any]) -> list[str]:
         found.append(
             f"note: vehicles of the trace move {ratio:.2g} times as far as their speeds say. Are positions in metres, "
             "times in seconds and speeds in m/s?"
+        )
+    if share := summary.get("trace_far_from_lanes_p"):
+        found.append(
+            f"note: {share:.0%} of the vehicles of the trace appear more than {FAR_M:g} m from all lanes of the "
+            "network. Is it a trace of another city, or of a larger area?"
         )
     return found

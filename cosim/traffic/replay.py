@@ -15,7 +15,7 @@ from cosim.base.codes import PARKED
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fcd import Timestep, is_observed, projection_of, timesteps
 from cosim.traffic.frame import Frame, TrafficError
-from cosim.traffic.georeference import Conversion, NetLocation, TravelCheck, conversion
+from cosim.traffic.georeference import Conversion, LaneCheck, NetLocation, TravelCheck, conversion
 from cosim.traffic.identity import LEFT_OUT, UNKNOWN, Identities, TypeTable
 from cosim.traffic.interpolation import LONGEST_S, Timeline, interval_s
 from cosim.traffic.objects import PREFIX
@@ -104,6 +104,7 @@ class TraceReplay(_Replay):
             None,
         )
         ahead, self._read, self._convert, self._placed = opened(path, net)
+        self._lanes = LaneCheck(net)
         self._travel = TravelCheck(str(path))  # before the interval is judged, whose unit may be wrong
         placed = list(self._placed_of(ahead))
         self._frame = self._frame.around(np.concatenate([timestep.front_m for timestep in placed]))
@@ -172,6 +173,8 @@ class TraceReplay(_Replay):
             report["trace_placed"] = self._placed
         if (ratio := self._travel.odd_ratio) is not None:
             report["trace_travel_ratio"] = round(ratio, 4)
+        if (far_p := self._lanes.far_p) is not None:
+            report["trace_far_from_lanes_p"] = round(far_p, 3)
         return report | ({"origin_m": list(self._frame.origin_m)} if self._frame.is_around else {})
 
     def close(self) -> None:
@@ -241,6 +244,7 @@ class TraceReplay(_Replay):
                     f"{LARGEST_M[what]:g} m are possible. Correct the trace."
                 )
             lwh_m = np.where(own_m >= SMALLEST_M, own_m, lwh_m)
+        self._lanes.add(timestep.front_m[rows[np.isin(shape, (Shape.CAR, Shape.TRUCK))], :2])
         if timestep.vclasses is None:
             untyped = (name for (name, is_person), of in zip(keys, types, strict=True) if not of and not is_person)
             self._untyped.update(untyped)

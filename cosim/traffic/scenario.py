@@ -113,7 +113,7 @@ class Scenario:
             projection = Projection.of(text, -offset_m[0], -offset_m[1])
         except ValueError:
             projection = None
-        return NetLocation(self.bounds_m, projection, offset_m)
+        return NetLocation(self.bounds_m, projection, offset_m, self.net)
 
     def parked(self, params: ParkedParams, city: Scene, seed: int) -> dict[str, ObjectParams]:
         """Parked cars by name. A ValueError of one line is raised if there are no streets."""

@@ -14,6 +14,7 @@ from cosim.traffic.frame import TrafficError
 from cosim.traffic.georeference import NetLocation, conversion
 from cosim.traffic.interpolation import interval_s
 from cosim.traffic.params import TrafficParams
+from cosim.traffic.remarks import trace_remarks
 from cosim.traffic.replay import TraceReplay
 from tests.cosim.traffic.worlds import collect, registry
 
@@ -139,6 +140,26 @@ def test_degrees_and_map_coordinates_become_the_networks(tmp_path):
     few = [row for row in geo if row[1] == "c0"][:4]  # three moves of one car are enough
     with pytest.raises(TrafficError, match="look like degrees"):
         replay(write(tmp_path, few))
+
+
+def test_vehicles_far_from_all_lanes_are_noted(tmp_path):
+    """One street along y = 0, 600 m long. Of nine cars, some drive on a footpath, 10.1 m off the street. Two are
+    not noted, and three, a third, are. Pedestrians do not count."""
+    lane = '<edge id="{0}"><lane id="{0}_0" index="0" {1} speed="9" length="600" shape="0.00,{2} 600.00,{2}"/></edge>'
+    path = tmp_path / "net.net.xml"
+    footpath = lane.format("b", 'allow="pedestrian"', 10.1)
+    path.write_text(f"<net>{lane.format('a', '', 0)}{footpath}</net>")
+    net = NetLocation((0.0, 0.0, 600.0, 10.1), path=path)
+    for n_far, far_p in ((2, None), (3, 0.333), (4, 0.444), (9, 1.0)):
+        rows = [
+            (t, f"c{i}", 50 * i + t, 10.1 if i < n_far else -9.9 * (i % 2), 90, "car", 1)
+            for t in range(4) for i in range(9)
+        ]  # fmt: skip
+        rows += [(t, f"p{i}", 50 * i + t, 40, 90, "walker", 1) for t in range(4) for i in range(9)]
+        assert replay(write(tmp_path, rows), net=net)[1].get("trace_far_from_lanes_p") == far_p
+    assert "trace_far_from_lanes_p" not in replay(write(tmp_path, rows), net=NET)[1]
+    (said,) = trace_remarks({"trace_far_from_lanes_p": 0.444})
+    assert said.startswith("note: 44% of the vehicles of the trace appear more than 10 m from all lanes")
 
 
 def test_a_map_around_its_own_middle_needs_a_projection():
