@@ -87,8 +87,11 @@ def lines_of(
         return _towards(role, _chains(edges_of_way[way]), place[run[0]], place[run[-1]])
 
     alike: dict[tuple[str, ...], list[tuple[str, set[int]]]] = defaultdict(list)
-    for relation in relations:
-        ways = _ways(relation, edges_of_way)
+    drives = [
+        (relation, ways) for relation in relations
+        for ways in _drives(relation, relations, _ways(relation, edges_of_way), runs, recipe)
+    ]  # fmt: skip
+    for relation, ways in drives:
         if ways and ways[0][1] not in _ROLES:
             first_two = [runs[way] for way, _ in ways[:2]]
             ways[0] = ways[0][0], _away(*first_two)
@@ -160,6 +163,27 @@ def _ways(relation: Relation, edges_of_way: dict[int, list[Any]]) -> list[tuple[
         for kind, ref, role in relation.members
         if kind == "w" and ref in edges_of_way and "platform" not in role and "stop" not in role
     ]
+
+
+def _drives(
+    relation: Relation,
+    relations: list[Relation],
+    ways: list[tuple[int, str]],
+    runs: dict[int, list[int]],
+    recipe: dict[str, Any],
+) -> list[list[tuple[int, str]]]:
+    """The ways of a relation, and those of the way back if it stands for both directions of a line.
+
+    It does if it is the only one of its number, says nothing else, and does not lead in a circle. The way back leaves
+    out ways with a direction.
+    """
+    n_alike = sum(other.tags["ref"] == relation.tags["ref"] for other in relations)
+    version, circle = (relation.tags.get(key) for key in ("public_transport:version", "roundtrip"))
+    if not recipe.get("whole_ways") or n_alike > 1 or version == "2" or circle == "yes" or not ways:
+        return [ways]
+    if len(ways) > 2 and set(runs[ways[0][0]]) & set(runs[ways[-1][0]]):
+        return [ways]
+    return [ways, [way for way in reversed(ways) if way[1] not in _ROLES]]
 
 
 def _away(nodes: list[int], onward: list[int] | None = None) -> str:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cosim.addons.netbuild import osm_pbf, osm_xml
+from cosim.addons.netbuild.streets import PIECE
 from sumo_nets.osm import Extract
 
 MOST_INCOMPLETE_P = 0.2
@@ -36,6 +37,7 @@ def read(path: Path, box: tuple[float, float, float, float] | None = None) -> Ex
         where = "" if box is None else " in the box {:g},{:g},{:g},{:g}".format(*box)
         reach = "" if whole is None else " The file reaches over {:g},{:g},{:g},{:g}.".format(*whole)
         raise ValueError(f"{path} has no ways{where}: there is no street to build.{reach if box else ''}")
+    extract = _on_one_side(_numbered(extract), path)
     placed = {way.id: way for way in extract.ways.values() if not extract.place.keys().isdisjoint(way.nodes)}
     n = len(extract.ways) - len(placed)
     if n > MOST_INCOMPLETE_P * len(extract.ways):
@@ -44,3 +46,33 @@ def read(path: Path, box: tuple[float, float, float, float] | None = None) -> Ex
             "nodes too: out body; >; out skel qt;"
         )
     return replace(extract, ways=placed, n_incomplete=n)
+
+
+def _on_one_side(extract: Extract, path: Path) -> Extract:
+    """Without places beyond the meridian of 180 degrees from the box. A ValueError is raised if there is no box."""
+    lons = [lon for lon, _ in extract.place.values()]
+    if max(lons, default=0.0) - min(lons, default=0.0) < 180:
+        return extract
+    if extract.box is None or not 0 < extract.box[2] - extract.box[0] < 180:
+        raise ValueError(
+            f"{path} reaches over 180 degrees of longitude, where numbers jump to -180. Cut out what is on one side "
+            "with --bbox west,south,east,north."
+        )
+    middle = (extract.box[0] + extract.box[2]) / 2
+    place = {node: (lon, lat) for node, (lon, lat) in extract.place.items() if abs(lon - middle) < 180}
+    return replace(extract, place=place)
+
+
+def _numbered(extract: Extract) -> Extract:
+    """With numbers of ways above 0: editors number new ways below it, and netconvert a street's other direction."""
+    if all(way >= 0 for way in extract.ways):
+        return extract
+    ways = {number % PIECE: replace(way, id=number % PIECE) for number, way in extract.ways.items()}
+    relations = {
+        number: replace(
+            relation,
+            members=tuple((kind, ref % PIECE if kind == "w" else ref, role) for kind, ref, role in relation.members),
+        )
+        for number, relation in extract.relations.items()
+    }
+    return replace(extract, ways=ways, relations=relations)

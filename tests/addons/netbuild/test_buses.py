@@ -1,6 +1,7 @@
 """Bus lines on a straight street of two ways of 1,000 m, 7 and 8, which is driven in both directions."""
 
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from math import hypot
 from types import SimpleNamespace
 
@@ -61,7 +62,7 @@ NET = net(
 def line(number, ref, ways, *signs):
     ways = (way if isinstance(way, tuple) else (way, "") for way in ways)
     members = (*(("w", *way) for way in ways), *(("n", sign, "stop") for sign in signs))
-    return osm.Relation(number, members, {"route": "bus", "ref": ref})
+    return osm.Relation(number, members, {"route": "bus", "ref": ref, "public_transport:version": "2"})
 
 
 def found(*lines, net=NET, ways=((7, 1, 2), (8, 2, 3))):
@@ -85,6 +86,29 @@ def test_one_sign_for_both_directions_is_two_stops():
     assert {one.edges: one.stops for one in lines} == {("-8", "-7"): ("stop24",), ("7", "8"): ("stop24.1",)}
     assert [stop.lane for stop in stops] == ["-8_0", "8_0"]
     assert stops_xml(stops).count('id="stop24"') == 1
+
+
+@pytest.mark.parametrize(
+    ("tags", "n_others", "edges"),
+    [
+        ({}, 0, {("7", "8"), ("-8", "-7")}), ({}, 1, {("7", "8")}), ({"roundtrip": "yes"}, 0, {("7", "8")}),
+        ({"public_transport:version": "2"}, 0, {("7", "8")}),
+    ],
+)  # fmt: skip
+def test_one_relation_for_both_directions_is_driven_in_both(tags, n_others, edges):
+    """It is the only one of its number; others may be variants of a line. Stops of both sides are called at."""
+    one = replace(line(1, "5", (7, 8), 24), tags={"route": "bus", "ref": "5", **tags})
+    others = [replace(one, id=2)] * n_others
+    lines, _ = found(one, *others)
+    assert {each.edges for each in lines} == edges and all(each.stops for each in lines)
+
+
+def test_a_line_in_a_circle_is_driven_once():
+    sides = net(edge("7", (0, 0), (1000, 0), nodes=("a", "b")), edge("8", (1000, 0), (1000, 1000), nodes=("b", "c")),
+                edge("9", (1000, 1000), (0, 0), nodes=("c", "a")))  # fmt: skip
+    one = replace(line(1, "5", (7, 8, 9)), tags={"route": "bus", "ref": "5"})
+    lines, _ = found(one, net=sides, ways=((7, 1, 2), (8, 2, 4), (9, 4, 1)))
+    assert [each.edges for each in lines] == [("7", "8", "9")]
 
 
 def test_a_line_may_have_any_name():

@@ -64,6 +64,29 @@ def test_what_an_editor_has_deleted_is_left_out(usual, tmp_path):
     assert ways_of(read(tmp_path, modified)) == ways_of(usual[None])
 
 
+def test_new_ways_of_an_editor_are_members_of_relations(tmp_path):
+    """JOSM numbers them below 0, and netconvert names a street's other direction with a minus."""
+    line = '<relation id="-7"><member type="way" ref="-1" role=""/><member type="node" ref="-1" role=""/></relation>'
+    new = re.sub(r'<way id="(\d+)"', r'<way id="-\1"', TOWN).replace("</osm>", line + "</osm>")
+    found, usual = read(tmp_path, new), read(tmp_path, TOWN)
+    assert {10**12 - number: way.nodes for number, way in found.ways.items()} == {
+        number: way.nodes for number, way in usual.ways.items()
+    }
+    assert all(number == way.id for number, way in found.ways.items())
+    assert found.relations[-7].members == (("w", 10**12 - 1, ""), ("n", -1, ""))
+
+
+def test_a_map_over_180_degrees_is_cut_at_them_or_refused(tmp_path):
+    """A street from 179.999 to -179.999 degrees."""
+    nodes = "".join(f'<node id="{i}" lat="50" lon="{lon}"/>' for i, lon in enumerate((179.998, 179.999, -179.999)))
+    street = '<way id="1"><nd ref="0"/><nd ref="1"/><nd ref="2"/><tag k="highway" v="primary"/></way>'
+    for bounds in ("", '<bounds minlat="49" minlon="179" maxlat="51" maxlon="-179"/>'):
+        with pytest.raises(ValueError, match=r"reaches over 180 degrees of longitude.*on one side with --bbox"):
+            read(tmp_path, f"<osm>{bounds}{nodes}{street}</osm>")
+    found = read(tmp_path, f"<osm>{nodes}{street}</osm>", box=(179.9, 49, 180, 51))
+    assert found.place.keys() == {0, 1} and found.ways[1].nodes == (0, 1, 2)
+
+
 def test_boxes_of_several_downloads_are_joined(tmp_path):
     west = '<bounds minlat="50" minlon="8.99" maxlat="50.001" maxlon="9"/>'
     assert read(tmp_path, TOWN.replace("<bounds", west + "<bounds", 1)).box == (8.99, 50.0, 9.0072, 50.004608)
