@@ -153,6 +153,8 @@ def _own(run: Run) -> pd.DataFrame:
 
 
 def _why_no_values(run: Run) -> str:
+    if len(run.subjects) == 1:
+        return "there is one vehicle, which no other one evaluates. Raise fleet.penetration_p, or traffic.duration_s."
     if "server" in run.tables and run.variant_table("server", ["n_reports"]).n_reports.any():
         return (
             "vehicles reported to the server, and no trust was computed of it. Shorten the delays and outages in "
@@ -187,7 +189,8 @@ def watched(run: Run) -> pd.DataFrame:
 def _why_none_began(run: Run) -> str:
     """Why no vehicle has attacked: there are no attackers, the run ends too early, or they had no occasion."""
     if (run.subjects.role == HONEST).all():
-        return "no vehicle is an attacker. Raise the share_p of an attack."
+        cure = "Raise the share_p of an attack." if run.config.get("attacks") else "Add a section [[attacks]]."
+        return f"no vehicle is an attacker. {cure}"
     start_s = min((attack.get("start_s", 0.0) for attack in run.config.get("attacks", ())), default=0.0)
     end_s = run.manifest["steps"] * run.dt_s
     if start_s >= end_s:

@@ -9,7 +9,7 @@ from scipy.stats import mannwhitneyu
 
 from cosim.addons.attacks import effects as attack
 from results.measure import measure
-from results.metrics import intervals, misbehaviour
+from results.metrics import intervals, misbehaviour, trust
 from tests.results.tiny import fleet
 
 trusts = st.lists(st.sampled_from([0.0, 0.1, 0.25, 0.5, 0.9]), min_size=1, max_size=30).map(np.array)
@@ -170,8 +170,14 @@ def test_an_attack_after_the_last_computation(tiny):
 def test_no_attack(tiny):
     run = tiny(20, vehicles=fleet("honest", "honest"), trust=values({5: [0.3, 0.1]}))
     assert misbehaviour.below(run).share.tolist() == [0.5]
-    with pytest.raises(ValueError, match="holds no attacks: no vehicle is an attacker"):
+    with pytest.raises(ValueError, match=r"holds no attacks: no vehicle is an attacker. Add a section \[\[attacks"):
         misbehaviour.classification(run)
+
+
+def test_a_vehicle_alone_has_no_trust(tiny):
+    run = tiny(20, vehicles=fleet("honest"), server=[{"step": 3, "n_reports": 1, "n_reached": 1}])
+    with pytest.raises(ValueError, match="there is one vehicle, which no other one evaluates"):
+        trust.over_time(run)
 
 
 @pytest.mark.parametrize(

@@ -75,10 +75,12 @@ def over_time(run: Run) -> pd.DataFrame:
 
 def _panel(axes: Axes, run: Run) -> None:
     found = over_time(run)
+    if found.empty:
+        raise run.lacks("trust values", "none rests on an evaluation by another vehicle. Run longer.")
     for attack in sorted(set(found.attack)):
         one = found[found.attack == attack]
         look = _look(attack) if attack >= 0 else {"color": style.ROLE_INKS[_HONEST]}
-        axes.plot(one.time_s, one["median"], **look)
+        axes.plot(one.time_s, one["median"], marker="o" if len(one) == 1 else "", **look)
     starts = run.vehicles.attack_start_step.dropna()
     if len(starts):
         axes.axvline(float(starts.min()) * run.dt_s, color="#444444", linewidth=0.8, linestyle=(0, (2, 2)))

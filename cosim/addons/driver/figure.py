@@ -42,6 +42,7 @@ def draw(runs: Sequence[Run]) -> Figure:
         events.barh(at, values, width, color=style.ink(i), hatch=hatch, edgecolor="#333333", linewidth=0.5)
         _over_time(over_time, run, i)
     over_time.set_ylim(bottom=0)
+    events.set_xlim(left=0)
     events.set_yticks(range(len(_COUNTS)), list(_COUNTS.values()))
     events.invert_yaxis()
     style.panel(events, "Safety events", "Per vehicle-kilometre [1/km]", "")

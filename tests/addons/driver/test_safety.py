@@ -240,4 +240,5 @@ def test_topic_and_figure(crossing):
     run, _ = crossing
     measured = run.measure(topics=("safety",)).set_index("metric").value
     assert measured["safety.collisions.n"] == 0 and measured["safety.driven_km"] > 1
-    assert len(run.measure.safety.plot().axes) == 2  # nobody reacts to what it believes
+    figure = run.measure.safety.plot()
+    assert len(figure.axes) == 2 and figure.axes[0].get_xlim()[0] == 0  # nobody reacts to what it believes
