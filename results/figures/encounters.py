@@ -34,6 +34,8 @@ def draw(runs: Sequence[Run], departure: encounters.Departure = "ends") -> Figur
                 one.duration_s, one.low, one.high, step="post", color=style.ink(code), alpha=0.15, linewidth=0
             )
             longest_s = max(longest_s, float(one.duration_s[one.survival.shift(fill_value=1.0) >= 0.01].max()))
+    if not longest_s:
+        axes.text(0.5, 0.5, "too few encounters", transform=axes.transAxes, ha="center", color="#666666")
     style.panel(
         axes, "Encounters that last longer", axis_label("encounters", "duration_s", "Duration"), "Share of encounters"
     )

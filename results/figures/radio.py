@@ -62,8 +62,9 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
     style.panel(gaps, "Packet inter-reception", "Packet inter-reception time [s]", "Share longer")
     style.panel(timed, "Delivery over time", style.TIME, "Packet delivery ratio")
     style.panel(busy, "Channel busy ratio", style.TIME, axis_label("radio", "cbr", "Channel busy ratio"))
-    if not distance.lines:
-        distance.text(0.5, 0.5, "too few messages", transform=distance.transAxes, ha="center", color="#666666")
+    for axes in (distance, gaps):
+        if not axes.lines:
+            axes.text(0.5, 0.5, "too few messages", transform=axes.transAxes, ha="center", color="#666666")
     for axes in (distance, late, timed):
         style.share_axis(axes)
     for axes in (distance, timed, busy):

@@ -55,8 +55,12 @@ def test_too_few_messages_for_a_curve_are_said(tiny):
         pdr_by_distance=[sent],
         latency_histogram=[{"latency_s": 0.001, "n_delivered": 4}],
     )
-    axes = FIGURES["radio"]([run, run]).axes[0]  # of one run, maps want vehicles
-    assert not axes.lines and [text.get_text() for text in axes.texts] == ["too few messages"]
+    panels = FIGURES["radio"]([run, run]).axes  # of one run, maps want vehicles
+    for axes in (panels[0], panels[3]):
+        assert not axes.lines and [text.get_text() for text in axes.texts] == ["too few messages"]
+    under_way = {"a": 0, "b": 1, "start_step": 0, "end_step": 1, "censored_left": True, "radius_m": 50}
+    (axes,) = FIGURES["encounters"]([tiny(1, encounters=[under_way])]).axes
+    assert [text.get_text() for text in axes.texts] == ["too few encounters"]
 
 
 def test_what_cannot_be_drawn_takes_away_nothing_else(run):

@@ -3,6 +3,7 @@
 import pandas as pd
 
 from results.metrics.freshness import FRESH_S
+from results.metrics.lookups import no_lookups
 from results.run import Run
 
 
@@ -20,5 +21,5 @@ def placed(run: Run, fresh_s: float = FRESH_S) -> pd.DataFrame:
         WHERE variant = $variant GROUP BY l.step, receiver, x_m, y_m ORDER BY l.step, receiver
     """, fresh_s=fresh_s)  # fmt: skip
     if found.empty:
-        raise run.lacks("lookups of trust", "no vehicle received a message.")
+        raise no_lookups(run)
     return found
