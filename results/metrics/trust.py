@@ -188,6 +188,8 @@ def watched(run: Run) -> pd.DataFrame:
 
 def _why_none_began(run: Run) -> str:
     """Why no vehicle has attacked: there are no attackers, the run ends too early, or they had no occasion."""
+    if run.subjects.empty:
+        return "no vehicle is equipped. Raise fleet.penetration_p."
     if (run.subjects.role == HONEST).all():
         cure = "Raise the share_p of an attack." if run.config.get("attacks") else "Add a section [[attacks]]."
         return f"no vehicle is an attacker. {cure}"

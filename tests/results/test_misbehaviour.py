@@ -174,6 +174,11 @@ def test_no_attack(tiny):
         misbehaviour.classification(run)
 
 
+def test_no_attack_where_nobody_is_equipped(tiny):
+    with pytest.raises(ValueError, match=r"holds no attacks: no vehicle is equipped. Raise fleet.penetration_p"):
+        trust.watched(tiny(20, vehicles=fleet("honest", equipped=False)))
+
+
 def test_a_vehicle_alone_has_no_trust(tiny):
     run = tiny(20, vehicles=fleet("honest"), server=[{"step": 3, "n_reports": 1, "n_reached": 1}])
     with pytest.raises(ValueError, match="there is one vehicle, which no other one evaluates"):

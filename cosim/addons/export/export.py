@@ -130,6 +130,8 @@ def _exported(
         partial(_projection, config), _place(run, config), vehicles is not None,
     )  # fmt: skip
     if chosen.presence.empty and not of_traffic:
+        if not chosen.vehicles:
+            raise ValueError(f"{run.path}: no vehicle carries a LiDAR. Raise fleet.penetration_p, and run again.")
         raise ValueError("none of these vehicles is on the road in any of these steps. Choose others.")
     about = {
         "format": choice.source.name, "run": str(run.path.resolve()), "vehicles": list(chosen.vehicles),
