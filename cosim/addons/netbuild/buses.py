@@ -88,9 +88,10 @@ def lines_of(
 
     alike: dict[tuple[str, ...], list[tuple[str, set[int]]]] = defaultdict(list)
     drives = [
-        (relation, ways) for relation in relations
+        (relation, ways)
+        for relation in relations
         for ways in _drives(relation, relations, _ways(relation, edges_of_way), runs, recipe)
-    ]  # fmt: skip
+    ]
     for relation, ways in drives:
         if ways and ways[0][1] not in _ROLES:
             first_two = [runs[way] for way, _ in ways[:2]]

@@ -91,10 +91,12 @@ def test_one_sign_for_both_directions_is_two_stops():
 @pytest.mark.parametrize(
     ("tags", "n_others", "edges"),
     [
-        ({}, 0, {("7", "8"), ("-8", "-7")}), ({}, 1, {("7", "8")}), ({"roundtrip": "yes"}, 0, {("7", "8")}),
+        ({}, 0, {("7", "8"), ("-8", "-7")}),
+        ({}, 1, {("7", "8")}),
+        ({"roundtrip": "yes"}, 0, {("7", "8")}),
         ({"public_transport:version": "2"}, 0, {("7", "8")}),
     ],
-)  # fmt: skip
+)
 def test_one_relation_for_both_directions_is_driven_in_both(tags, n_others, edges):
     """It is the only one of its number; others may be variants of a line. Stops of both sides are called at."""
     one = replace(line(1, "5", (7, 8), 24), tags={"route": "bus", "ref": "5", **tags})
@@ -104,8 +106,11 @@ def test_one_relation_for_both_directions_is_driven_in_both(tags, n_others, edge
 
 
 def test_a_line_in_a_circle_is_driven_once():
-    sides = net(edge("7", (0, 0), (1000, 0), nodes=("a", "b")), edge("8", (1000, 0), (1000, 1000), nodes=("b", "c")),
-                edge("9", (1000, 1000), (0, 0), nodes=("c", "a")))  # fmt: skip
+    sides = net(
+        edge("7", (0, 0), (1000, 0), nodes=("a", "b")),
+        edge("8", (1000, 0), (1000, 1000), nodes=("b", "c")),
+        edge("9", (1000, 1000), (0, 0), nodes=("c", "a")),
+    )
     one = replace(line(1, "5", (7, 8, 9)), tags={"route": "bus", "ref": "5"})
     lines, _ = found(one, net=sides, ways=((7, 1, 2), (8, 2, 4), (9, 4, 1)))
     assert [each.edges for each in lines] == [("7", "8", "9")]
