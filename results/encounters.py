@@ -331,8 +331,11 @@ class EncounterTracker:
             live[f"age_{way}_s"][where] = np.where(of_default[rows], 0, age_s[rows])
 
     def _assert_follows(self, step: int) -> None:
-        follows = self._step is None or step == self._step + 1 or (step > self._step and not len(self._present))
-        assert follows, f"step {step} does not follow {self._step}"
+        if self._step is None:
+            return
+        is_next = step == self._step + 1
+        nobody = step > self._step and not len(self._present)
+        assert is_next or nobody, f"step {step} does not follow {self._step}"
 
     def _slots(self, one: ndarray, other: ndarray) -> Int[ndarray, "n"]:
         """Slot of the encounter of each two, -1 where none is under way."""

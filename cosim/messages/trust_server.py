@@ -351,7 +351,8 @@ class Downlink:
         A vehicle that leaves the road and returns keeps what it had received, for up to `KEPT_S`.
         """
         size = int(present[-1]) + 1 if len(present) else 0
-        last, seen_s = _grown(state.last, size, -1), _grown(state.seen_s, size, -np.inf)
+        last = _grown(state.last, size, -1)
+        seen_s = _grown(state.seen_s, size, -np.inf)
         last[time_s - seen_s > KEPT_S] = -1
         seen_s[present] = time_s
         waiting = []
@@ -395,7 +396,9 @@ class Downlink:
 
 def _grown(values: ndarray, size: int, empty: float) -> ndarray:
     """A copy of an array by actor number, with room for `size` of them."""
-    more = max(size, 2 * len(values), 64) - len(values) if size > len(values) else 0
+    if size <= len(values):
+        return values.copy()
+    more = max(size, 2 * len(values), 64) - len(values)
     return np.concatenate([values, np.full(more, empty, values.dtype)])
 
 

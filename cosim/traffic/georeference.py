@@ -155,7 +155,9 @@ class LaneCheck:
     @property
     def far_p(self) -> float | None:
         """Share of these vehicles, if it is large."""
-        return self._n_far / self._n if self._n_far >= max(_FEWEST, _FAR_P * self._n) else None
+        if self._n_far < max(_FEWEST, _FAR_P * self._n):
+            return None
+        return self._n_far / self._n
 
 
 class TravelCheck:

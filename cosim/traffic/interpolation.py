@@ -100,7 +100,9 @@ class Timeline:
 
     def n_empty(self, time_s: float, step_s: float) -> int:
         """Number of steps of an empty road after this time, the last one asked for, up to the next timestep."""
-        if self._before is None or self._after is None or self._after.time_s - self._before.time_s <= self._longest_s:
+        if self._before is None or self._after is None:
+            return 0
+        if self._after.time_s - self._before.time_s <= self._longest_s:
             return 0
         return ceil((self._after.time_s - self._tolerance_s - time_s) / step_s) - 1
 

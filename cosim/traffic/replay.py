@@ -244,7 +244,8 @@ class TraceReplay(_Replay):
                     f"{LARGEST_M[what]:g} m are possible. Correct the trace."
                 )
             lwh_m = np.where(own_m >= SMALLEST_M, own_m, lwh_m)
-        self._lanes.add(timestep.front_m[rows[np.isin(shape, (Shape.CAR, Shape.TRUCK))], :2])
+        is_motorised = np.isin(shape, (Shape.CAR, Shape.TRUCK))
+        self._lanes.add(timestep.front_m[rows[is_motorised], :2])
         if timestep.vclasses is None:
             untyped = (name for (name, is_person), of in zip(keys, types, strict=True) if not of and not is_person)
             self._untyped.update(untyped)

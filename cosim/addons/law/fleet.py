@@ -62,7 +62,8 @@ class Visits:
             if begin_s - self.seen_s.get(actor, -np.inf) > KEPT_S:
                 self.began[actor] = step
             self.seen_s[actor] = end_s
-        return np.array([actor << 32 | self.began[actor] for actor in actors], np.int64)
+        began = [self.began[actor] for actor in actors]
+        return np.array(actors, np.int64) << 32 | np.array(began, np.int64)
 
 
 @dataclass(slots=True)
@@ -258,7 +259,8 @@ class Fleet:
             rows = self.looks.setdefault(period_s, [])
             for i in range(0, len(publications), self.n_followed):
                 some = slice(i, i + self.n_followed)
-                rows.append((np.full(n, step), subjects, publications[some], looks[:, some], none * (i == 0)))
+                found_none = none if i == 0 else np.zeros_like(none)
+                rows.append((np.full(n, step), subjects, publications[some], looks[:, some], found_none))
 
     def _held(
         self, holder: Int[ndarray, "p"], gate: law.PublishingSteps
@@ -272,9 +274,10 @@ class Fleet:
         n = self.n_followed
         while True:
             publications = gate.before(self.step, n)
-            held = np.column_stack([np.isin(visit, self.on_road[step]) for step in publications.tolist()])
-            enough = (held.sum(axis=1) >= self.n_followed) | (publications[-1] <= visit & 0xFFFFFFFF)
-            if enough.all():
+            were_there = [self.on_road[publication] for publication in publications.tolist()]
+            held = np.column_stack([np.isin(visit, visits) for visits in were_there])
+            is_all = publications[-1] <= visit & 0xFFFFFFFF
+            if (is_all | (held.sum(axis=1) >= self.n_followed)).all():
                 return publications, held & (np.cumsum(held, axis=1) <= self.n_followed)
             n += self.n_followed
 
@@ -366,7 +369,8 @@ class Fleet:
         """Encounters by the first definition of the config, those that are still open included."""
         if not self.trackers:
             none = np.zeros(0, np.int64)
-            return law.Encounters(none, none, none, none, none, none, none, np.zeros(0), none, np.zeros((0, 0), bool))
+            chances, on_road = np.zeros(0), np.zeros((0, 0), bool)
+            return law.Encounters(*(none,) * 7, chances, none, on_road)
         rows = self.met + [tracker.close(self.last_step + 1) for tracker in self.trackers[:1]]
         a, b, start, end = (
             np.concatenate([np.zeros(0, np.int64), *(one[name] for one in rows)]).astype(np.int64)
@@ -385,8 +389,10 @@ class Fleet:
         pairs = holder << 32 | other
         first, stop = (np.searchsorted(keys[order], pairs, side) for side in ("left", "right"))
         by, subject = np.searchsorted(actors, holder), np.searchsorted(actors, other)
-        began = np.maximum.accumulate(visits, axis=1)[by, np.minimum(start, self.step - 1)]
-        return law.Encounters(by, subject, start, end, first, stop, steps[order], log_missed[order], began, visits >= 0)
+        latest = np.maximum.accumulate(visits, axis=1)
+        began = latest[by, np.minimum(start, self.step - 1)]
+        steps, log_missed = steps[order], log_missed[order]
+        return law.Encounters(by, subject, start, end, first, stop, steps, log_missed, began, visits >= 0)
 
 
 def _log_not(p: Float[ndarray, "n"]) -> Float[ndarray, "n"]:

@@ -182,4 +182,5 @@ def counted(
             evidence, found.meetings, gate, server.window_steps, loss_p
         ),
     }
-    return counts, {name: 0.0 if value < _LEAST else float(value) for name, value in metrics.items()}
+    rounded = {name: 0.0 if value < _LEAST else float(value) for name, value in metrics.items()}
+    return counts, rounded

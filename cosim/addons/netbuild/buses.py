@@ -182,7 +182,8 @@ def _drives(
     version, circle = (relation.tags.get(key) for key in ("public_transport:version", "roundtrip"))
     if not recipe.get("whole_ways") or n_alike > 1 or version == "2" or circle == "yes" or not ways:
         return [ways]
-    if len(ways) > 2 and set(runs[ways[0][0]]) & set(runs[ways[-1][0]]):
+    (first, _), (last, _) = ways[0], ways[-1]
+    if len(ways) > 2 and not set(runs[first]).isdisjoint(runs[last]):
         return [ways]
     return [ways, [way for way in reversed(ways) if way[1] not in _ROLES]]
 

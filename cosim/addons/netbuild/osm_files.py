@@ -53,13 +53,15 @@ def _on_one_side(extract: Extract, path: Path) -> Extract:
     lons = [lon for lon, _ in extract.place.values()]
     if max(lons, default=0.0) - min(lons, default=0.0) < 180:
         return extract
-    if extract.box is None or not 0 < extract.box[2] - extract.box[0] < 180:
+    west, _, east, _ = extract.box or (0.0,) * 4
+    if not 0 < east - west < 180:
         raise ValueError(
             f"{path} reaches over 180 degrees of longitude, where numbers jump to -180. Cut out what is on one side "
             "with --bbox west,south,east,north."
         )
-    middle = (extract.box[0] + extract.box[2]) / 2
-    place = {node: (lon, lat) for node, (lon, lat) in extract.place.items() if abs(lon - middle) < 180}
+    middle = (west + east) / 2
+    beyond = {node for node, (lon, _) in extract.place.items() if abs(lon - middle) >= 180}
+    place = {node: at for node, at in extract.place.items() if node not in beyond}
     return replace(extract, place=place)
 
 
@@ -67,12 +69,10 @@ def _numbered(extract: Extract) -> Extract:
     """With numbers of ways above 0: editors number new ways below it, and netconvert a street's other direction."""
     if all(way >= 0 for way in extract.ways):
         return extract
-    ways = {number % PIECE: replace(way, id=number % PIECE) for number, way in extract.ways.items()}
-    relations = {
-        number: replace(
-            relation,
-            members=tuple((kind, ref % PIECE if kind == "w" else ref, role) for kind, ref, role in relation.members),
-        )
-        for number, relation in extract.relations.items()
-    }
-    return replace(extract, ways=ways, relations=relations)
+    renumbered = [replace(way, id=way.id % PIECE) for way in extract.ways.values()]
+    relations = {}
+    for number, relation in extract.relations.items():
+        refs = [ref % PIECE if kind == "w" else ref for kind, ref, _ in relation.members]
+        members = tuple((kind, ref, role) for (kind, _, role), ref in zip(relation.members, refs, strict=True))
+        relations[number] = replace(relation, members=members)
+    return replace(extract, ways={way.id: way for way in renumbered}, relations=relations)

@@ -285,8 +285,8 @@ def steps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Positi
         order = np.lexsort((track, step))
         step, track, xy_m = step[order], track[order], xy_m[order]
         taken, first = np.unique(step, return_index=True)
-        cuts = [*first.tolist(), len(step)]
-        for number, a, b in zip(taken.tolist(), cuts[:-1], cuts[1:], strict=True):
+        ends = [*first.tolist(), len(step)][1:]
+        for number, a, b in zip(taken.tolist(), first.tolist(), ends, strict=True):
             if number > last_step + 1:
                 yield Positions(last_step + 1, track[:0], xy_m[:0])
             yield Positions(number, track[a:b], xy_m[a:b])
