@@ -76,9 +76,9 @@ class CsmaMedium:
         """One round of messages, each generated at a random time in the first half of the round."""
         if len(stations) == 0:
             return state, MessageRound.silent()
-        cache = self._cache(state, stations, messages)
-        links = jammed(cache.links, stations, self.params)
         plan, channel_now = self._plan(kind, step, begin_s, stations, messages, state)
+        cache = self._cache(state, stations, messages, plan.end_ns)
+        links = jammed(cache.links, stations, self.params)
         forwarding = self._forwarding(plan, stations)
         before = replace(state, channel=channel_now)
         idle: list[WindowResult] = []
@@ -230,12 +230,11 @@ class CsmaMedium:
         sends[senders] = True
         return LinkCache.of(stations, self.params, self.seed, self.los, sends)
 
-    def _cache(self, state: ChannelContext, stations: Stations, messages: Messages) -> LinkCache:
-        """Links of all stations that may send in a round: senders of new and of earlier messages, and jammers."""
+    def _cache(self, state: ChannelContext, stations: Stations, messages: Messages, until_ns: int) -> LinkCache:
+        """Links of the stations that may send or give up a frame by `until_ns`, and of jammers."""
         sends = np.zeros(len(stations), bool)
         sends[messages.station] = True
-        waiting = np.concatenate([state.underway.messages["sender_key"], state.channel.packets["key"]])
-        earlier = rows_of_keys(stations.key, waiting)
+        earlier = rows_of_keys(stations.key, _active_keys(state, until_ns))
         sends[earlier[earlier != NONE]] = True
         if stations.abuse is not None:
             sends |= np.isfinite(stations.abuse.jam_dbm) | np.isfinite(stations.abuse.react_dbm)
@@ -504,6 +503,21 @@ class _Outcomes(NamedTuple):
 
 _OF_ATTEMPTS = ("receiver", "hop", "distance_m", "los_state", "outcome")
 """Columns of `ReceptionAttempts` with a row for each frame and station, besides `message`."""
+
+
+def _active_keys(state: ChannelContext, until_ns: int) -> UInt64[ndarray, "k"]:
+    """Keys of stations that may send or give up a frame of an earlier message by `until_ns`.
+
+    Congestion control holds the frames of the other stations back for longer. The wait after a frame is fixed when the
+    frame ends.
+    """
+    now, underway = state.channel, state.underway
+    waiting = np.unique(now.packets["sender"])
+    mac, is_silent = now.mac[waiting], now.phy["packet"][waiting] == NONE
+    is_held_back = is_silent & (mac["gated"] > 0) & (mac["gate_ns"] >= until_ns)
+    may_change = underway.messages["end_ns"] <= until_ns
+    may_change[underway.units["message"][underway.units["generated_ns"] >= now.now_ns]] = True  # not in a queue yet
+    return np.concatenate([underway.messages["sender_key"][may_change], now.phy["key"][waiting[~is_held_back]]])
 
 
 def _with_tags(now: ChannelState, number: Int[ndarray, "f"]) -> ChannelState:
