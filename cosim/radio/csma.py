@@ -138,7 +138,6 @@ class CsmaMedium:
         units["generated_ns"] = begin_ns + offset_ns[units["message"]]
         units["end_ns"] = round((begin_s + self._lasts_s(kind)) * 1e9)
         new = np.zeros(len(messages), MESSAGE)
-        new["sender_key"] = stations.key[messages.station]
         new["name"] = -1 if messages.name is None else messages.name
         new["step"], new["kind"], new["begin_ns"] = step, kind, begin_ns
         new["end_ns"] = round((begin_s + self._lasts_s(kind)) * 1e9)
@@ -290,7 +289,6 @@ class _RoundPlan:
         sent["unit"] = own["unit"]
         sent["transmitter"] = own["transmitter"]
         sent["hop"] = own["hop"]
-        sent["transmitter_key"] = stations.key[own["transmitter"]]
         got_ptr = np.zeros(n_units + 1, np.int64)
         got_by = np.zeros(0, np.int64)
         copies = np.zeros(0, COPY)
@@ -305,10 +303,9 @@ class _RoundPlan:
             units = np.concatenate([units, older_units])
             sent = np.concatenate([sent, older])
             got_ptr = ptr_of(n_units + earlier.got_frame, len(sent))
-            got_by = rows_of_keys(stations.key, earlier.got_key)
+            got_by = earlier.got_by
             if len(earlier.refused_message):
-                by = rows_of_keys(stations.key, earlier.refused_key)
-                more = n_new + earlier.refused_message << 32 | by
+                more = n_new + earlier.refused_message << 32 | earlier.refused_by
                 refused = np.sort(np.concatenate([more[:0] if refused is None else refused, more]))
         frames = np.empty(len(sent), FRAME)
         for name in ("unit", "transmitter", "hop"):
@@ -390,20 +387,19 @@ class _RoundEnd:
         for name in ("unit", "transmitter", "hop", "on_air", "start_ns", "end_ns"):
             frames[name] = getattr(sent, name)
         frames["is_decided"] = ~self.waits
-        frames["transmitter_key"] = np.where(sent.transmitter == NONE, 0, stations.key[sent.transmitter])
         received = np.flatnonzero((attempts.outcome == Outcome.RECEIVED) & self.goes_on[attempts.message])
         refused = np.zeros(0, np.int64) if plan.refused is None else plan.refused
         copies = plan.copies if forwarding is None else forwarding.copies
         everything = Underway(
+            key=stations.key,
             messages=plan.messages,
             units=plan.units,
             frames=frames,
             copies=copies,
-            copy_key=stations.key[copies["station"]],
             got_frame=np.searchsorted(attempts.first, received, side="right") - 1,
-            got_key=stations.key[attempts.receiver[received]],
+            got_by=attempts.receiver[received],
             refused_message=refused >> 32,
-            refused_key=stations.key[refused & 0xFFFFFFFF],
+            refused_by=refused & 0xFFFFFFFF,
         )
         return everything.only(self.goes_on)
 
@@ -517,7 +513,8 @@ def _active_keys(state: ChannelContext, until_ns: int) -> UInt64[ndarray, "k"]:
     is_held_back = is_silent & (mac["gated"] > 0) & (mac["gate_ns"] >= until_ns)
     may_change = underway.messages["end_ns"] <= until_ns
     may_change[underway.units["message"][underway.units["generated_ns"] >= now.now_ns]] = True  # not in a queue yet
-    return np.concatenate([underway.messages["sender_key"][may_change], now.phy["key"][waiting[~is_held_back]]])
+    senders = underway.key[underway.messages["station"][may_change]]
+    return np.concatenate([senders, now.phy["key"][waiting[~is_held_back]]])
 
 
 def _with_tags(now: ChannelState, number: Int[ndarray, "f"]) -> ChannelState:

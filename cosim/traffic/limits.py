@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.base.ragged import rows_of
 from sumo_nets.network import Lane
 
 _CELL_M = 5.0
@@ -47,10 +48,10 @@ class SpeedLimits:
 
     def at(self, xy_m: Float[ndarray, "n 2"]) -> Float[ndarray, "n"]:
         """Limit at each place of the world [m/s]; NaN without a lane within 14 m, a number with one within 4.8 m."""
-        number = _number(_cells(xy_m))
-        row = np.searchsorted(self.cell, number)
-        is_road = np.append(self.cell, -1)[row] == number
-        return np.where(is_road, np.append(self.limit_mps, np.nan)[row], np.nan)
+        row, is_road = rows_of(_number(_cells(xy_m)), self.cell)
+        limit_mps = np.full(len(xy_m), np.nan)
+        limit_mps[is_road] = self.limit_mps[row[is_road]]
+        return limit_mps
 
 
 NO_LIMITS = SpeedLimits(np.zeros(0, np.int64), np.zeros(0))
