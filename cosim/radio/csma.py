@@ -77,7 +77,9 @@ class CsmaMedium:
         if len(stations) == 0:
             return state, MessageRound.silent()
         plan, channel_now = self._plan(kind, step, begin_s, stations, messages, state)
-        cache = self._cache(state, stations, messages, plan.end_ns)
+        n_later = len(RoundKind) - 1 - kind  # rounds of this step, which use the same links
+        until_ns = plan.end_ns + n_later * (plan.end_ns - plan.begin_ns)
+        cache = self._cache(state, stations, messages, until_ns)
         links = jammed(cache.links, stations, self.params)
         forwarding = self._forwarding(plan, stations)
         before = replace(state, channel=channel_now)

@@ -1,5 +1,6 @@
 """Messages that outlast the round in which they were sent, over the medium `csma`."""
 
+import pickle
 from collections import Counter
 from dataclasses import replace
 
@@ -148,3 +149,23 @@ def test_evaluation_messages_last_until_two_timeouts_after_their_step():
         state, _ = medium.broadcast(medium.start(), RoundKind.EVALUATION, 0, begin_s, town(), messages)
         if round_s < 0.4:
             assert state.underway.messages["end_ns"].tolist() == [800_000_000]
+
+
+def test_stations_held_back_need_no_links():
+    """The same rounds with the links of all stations, and with those of the stations that may send in the step."""
+    medium = medium_of(timeout_s=0.3)
+    plain = full = medium.start()
+    n_spared = 0
+    for step in range(8):
+        stations = replace(town(), xyz_m=town().xyz_m + 0.1 * step)  # so that links are computed anew
+        station = np.arange(step % 3, N, 3)
+        delay_s = np.where(station % 2, 0.0, 0.1)
+        messages = Messages(station, np.full(len(station), 3000), delay_s=delay_s, name=station)
+        for kind in RoundKind:
+            begin_s = 0.2 * step + 0.08 * kind
+            every = replace(full, cache=medium.links(stations))
+            full, expected = medium.broadcast(every, kind, step, begin_s, stations, messages)
+            plain, found = medium.broadcast(plain, kind, step, begin_s, stations, messages)
+            n_spared += len(full.underway) and int((~plain.cache.sends).sum())
+            assert pickle.dumps(found) == pickle.dumps(expected)
+    assert n_spared > 0
