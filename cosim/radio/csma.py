@@ -511,7 +511,8 @@ def _active_keys(state: ChannelContext, until_ns: int) -> UInt64[ndarray, "k"]:
     """
     now, underway = state.channel, state.underway
     waiting = np.unique(now.packets["sender"])
-    mac, is_silent = now.mac[waiting], now.phy["packet"][waiting] == NONE
+    mac = now.mac[waiting]
+    is_silent = now.phy["packet"][waiting] == NONE
     is_held_back = is_silent & (mac["gated"] > 0) & (mac["gate_ns"] >= until_ns)
     may_change = underway.messages["end_ns"] <= until_ns
     may_change[underway.units["message"][underway.units["generated_ns"] >= now.now_ns]] = True  # not in a queue yet
