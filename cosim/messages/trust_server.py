@@ -361,7 +361,7 @@ class Downlink:
             last[vehicle[here]] = np.maximum(last[vehicle[here]], number)
             if not here.all():
                 waiting.append((arrival[~here], vehicle[~here], number))
-        in_use = set(last.tolist())
+        in_use = set(last[last >= 0].tolist())
         in_use.update(number for _, _, number in waiting)
         in_use.update(number for _, number in state.pending_rsu)
         in_use.update(sent.number for sent in state.on_air)
