@@ -14,9 +14,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
-from scipy.special import erf, erfinv
 
 from cosim.base.kernel import compiled, inlined, kernel
 from cosim.base.ragged import offsets
@@ -191,11 +191,11 @@ def overlap_p(fused: FusedBoxes, least_iou: float) -> Float[ndarray, "g"]:
     length = length_m / np.sqrt(twice + spread)
     width = width_m / np.sqrt(twice - spread)
     least = 2.0 * least_iou / (1.0 + least_iou)
-    first = erf(length * (1.0 - least))
+    first = scipy.special.erf(length * (1.0 - least))
     second = np.zeros(len(first))
     for place, weight in zip(*_RULE, strict=True):
-        a = np.minimum(erfinv(place * first) / length, 1.0 - least)
-        second += weight * erf(width * (1.0 - least / (1.0 - a)))
+        a = np.minimum(scipy.special.erfinv(place * first) / length, 1.0 - least)
+        second += weight * scipy.special.erf(width * (1.0 - least / (1.0 - a)))
     return first * second
 
 

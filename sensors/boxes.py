@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
-from scipy.spatial import cKDTree
 
 from cosim.base.kernel import compiled, kernel
 from cosim.base.ragged import row_numbers
@@ -169,7 +169,7 @@ def overlapping_pairs(
     found = [np.zeros((0, 2), np.int64)]
     for of_class in (np.flatnonzero(label == kind) for kind in np.unique(label)):
         reach_m = 2.0 * float(radius_m[of_class].max()) + _SLACK_M
-        found.append(of_class[cKDTree(xy_m[of_class]).query_pairs(reach_m, output_type="ndarray")])
+        found.append(of_class[scipy.spatial.cKDTree(xy_m[of_class]).query_pairs(reach_m, output_type="ndarray")])
     i, j = np.concatenate(found).T  # i < j, since `of_class` ascends
     apart_m = xy_m[j] - xy_m[i]
     reach_m = radius_m[i] + radius_m[j] + _SLACK_M
@@ -209,8 +209,8 @@ def pairs_between(
         one = np.flatnonzero(a_label == kind)
         other = np.flatnonzero(b_label == kind)
         radius_m = a.circumradius_m[one].max() + b.circumradius_m[other].max()
-        one_tree = cKDTree(a.xyz_m[one, :2])
-        other_tree = cKDTree(b.xyz_m[other, :2])
+        one_tree = scipy.spatial.cKDTree(a.xyz_m[one, :2])
+        other_tree = scipy.spatial.cKDTree(b.xyz_m[other, :2])
         reach_m = float(radius_m) + _SLACK_M
         near = one_tree.sparse_distance_matrix(other_tree, reach_m, output_type="ndarray")
         found.append(np.column_stack([one[near["i"]], other[near["j"]]]))

@@ -12,9 +12,9 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int, UInt64
 from numpy import ndarray
-from scipy.special import expit, gammaincinv, ndtri
 
 from cosim.base.hash_rng import mix, uniforms, unit
 from cosim.base.kernel import compiled, inlined, kernel
@@ -94,7 +94,7 @@ def false_positives(sweeps: Sweeps, seen: Observability, draws: DetectorDraws, m
     boxes = _at_returns(sweeps, o, found.ray, lwh, u_heading)
     constant = np.sqrt(persistent) * _normal(found.rank)
     z = np.sqrt(1.0 - persistent) * _normal(found.noise) - constant
-    score = expit(model.false_positive_logit + model.false_positive_sigma * z)
+    score = scipy.special.expit(model.false_positive_logit + model.false_positive_sigma * z)
     return Reports.of_false_positives(o, label, boxes, score)
 
 
@@ -133,7 +133,7 @@ def _at_returns(
 
 
 def _normal(u: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
-    return ndtri(np.clip(u, 1e-12, 1.0 - 1e-12))
+    return scipy.special.ndtri(np.clip(u, 1e-12, 1.0 - 1e-12))
 
 
 def _tangent(sweeps: Sweeps, o: ndarray, column: ndarray, row: ndarray) -> Float[ndarray, "n"]:
@@ -202,7 +202,7 @@ def _at_sites(
 @lru_cache(maxsize=4)
 def _paces(memory_s: float) -> Float[ndarray, "k"]:
     """Draws per second of persistent uniforms, in equiprobable levels; see `_persistent`."""
-    return 1.0 / (memory_s * gammaincinv(2.0, (np.arange(_N_PACES) + 0.5) / _N_PACES))
+    return 1.0 / (memory_s * scipy.special.gammaincinv(2.0, (np.arange(_N_PACES) + 0.5) / _N_PACES))
 
 
 @inlined

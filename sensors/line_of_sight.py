@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int, Int32, UInt8, UInt64
 from numpy import ndarray
-from scipy.ndimage import distance_transform_cdt
 
 from cosim.base.ragged import expand, offsets
 from cosim.base.threads import in_ranges
@@ -219,7 +219,7 @@ def _grid_of(walls: Walls, cell_m: float) -> Grid:
     empty = (np.diff(ptr) == 0).reshape(nx, ny)
     step = np.full((nx, ny), 255)
     if not empty.all():
-        step = np.minimum(distance_transform_cdt(empty, "chessboard"), 255)
+        step = np.minimum(scipy.ndimage.distance_transform_cdt(empty, "chessboard"), 255)
     wide = kernels.BUILDING_CELLS
     building_ptr, building = _buildings_by_square(low, wide * cell_m, -(-nx // wide), -(-ny // wide), walls)
     return Grid(low, cell_m, step.astype(np.uint8), ptr, wall, building_ptr, building)

@@ -6,10 +6,10 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 import shapely
 from jaxtyping import Float, Int
 from numpy import ndarray
-from scipy.spatial import cKDTree
 
 from sensors.boxes import Boxes
 from sensors.scene import Scene
@@ -46,10 +46,10 @@ def neighbours(points_m: Float[ndarray, "m d"], boxes: Boxes, range_m: float) ->
     to be as large as the largest.
     """
     limit_m = range_m + float(boxes.circumradius_m.max(initial=0.0))
-    return neighbours_in(cKDTree(boxes.xyz_m[:, :2]), points_m, limit_m)
+    return neighbours_in(scipy.spatial.cKDTree(boxes.xyz_m[:, :2]), points_m, limit_m)
 
 
-def neighbours_in(tree: cKDTree, points_m: Float[ndarray, "m d"], limit_m: float) -> Neighbours:
+def neighbours_in(tree: scipy.spatial.cKDTree, points_m: Float[ndarray, "m d"], limit_m: float) -> Neighbours:
     """Points of a tree within a horizontal distance of each point.
 
     Parameters
@@ -67,7 +67,7 @@ def neighbours_in(tree: cKDTree, points_m: Float[ndarray, "m d"], limit_m: float
     """
     if tree.n == 0 or len(points_m) == 0:
         return Neighbours(np.zeros(len(points_m) + 1, np.int64), np.zeros(0, np.int64))
-    pair = cKDTree(points_m[:, :2]).sparse_distance_matrix(tree, limit_m, output_type="ndarray")
+    pair = scipy.spatial.cKDTree(points_m[:, :2]).sparse_distance_matrix(tree, limit_m, output_type="ndarray")
     key = np.sort(pair["i"].astype(np.int64) * tree.n + pair["j"])
     first_key = np.arange(len(points_m) + 1) * tree.n
     return Neighbours(np.searchsorted(key, first_key), key % tree.n)

@@ -6,9 +6,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float32, UInt64
 from numpy import ndarray
-from scipy.special import ndtri
 
 from cosim.base.hash_rng import GOLDEN, splitmix64
 from cosim.base.kernel import compiled
@@ -46,7 +46,7 @@ class RangeNoise(NamedTuple):
 
 @lru_cache(maxsize=1)
 def _levels() -> Float32[ndarray, "k"]:
-    z = ndtri((np.arange(4096) + 0.5) / 4096)
+    z = scipy.special.ndtri((np.arange(4096) + 0.5) / 4096)
     return (z / z.std()).astype(np.float32)
 
 

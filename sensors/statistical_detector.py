@@ -10,10 +10,10 @@ from types import SimpleNamespace
 from typing import Annotated
 
 import numpy as np
+import scipy
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
-from scipy.special import expit, log_ndtr, logit, ndtr
 
 from cosim.base.hash_rng import normals, persistent_normals
 from cosim.base.plane import turned_by, wrapped
@@ -268,11 +268,11 @@ class StatisticalDetector:
         expected = model.score_logit[label] + model.score_gain * log_n
         slope = np.maximum(model.score_error[label], 1e-3)
         sigma = max(model.score_sigma, 1e-3) / slope
-        log_odds = logit(np.clip(score, 1e-6, 1.0 - 1e-6))
+        log_odds = scipy.special.logit(np.clip(score, 1e-6, 1.0 - 1e-6))
         mean = (expected - log_odds) / slope - sigma**2
         z = mean / sigma
         # the density of z at 0, over the share that is above
-        density = np.exp(-0.5 * z * z - log_ndtr(z)) * _NORMAL_PEAK
+        density = np.exp(-0.5 * z * z - scipy.special.log_ndtr(z)) * _NORMAL_PEAK
         return np.clip(mean + sigma * density, _LEAST_ERROR_SHARE, _MOST_ERROR_SHARE)
 
 
@@ -373,7 +373,7 @@ def uniform_of(z: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
     -------
     Probability of a smaller |z|, in [0, 1): 0 for z = 0, and growing with |z|.
     """
-    return np.minimum(2.0 * ndtr(np.abs(z)) - 1.0, 1.0 - 1e-16)
+    return np.minimum(2.0 * scipy.special.ndtr(np.abs(z)) - 1.0, 1.0 - 1e-16)
 
 
 def detection_p(
@@ -403,7 +403,7 @@ def detection_p(
     """
     with np.errstate(divide="ignore"):  # no returns are infinitely fewer than half
         log_n = np.log(np.asarray(n_returns, float))
-    share = expit(model.steepness * (log_n - np.log(model.half_returns[label])))
+    share = scipy.special.expit(model.steepness * (log_n - np.log(model.half_returns[label])))
     return model.found_max_p[label] * share * (1.0 - model.occlusion_loss[label] * occlusion)
 
 
@@ -463,7 +463,7 @@ def reports_of_actors(
         np.concatenate([rows, rows[again]]),
         np.concatenate([reported, reported[again]]),
         Boxes.concat([first, second]),
-        expit(np.concatenate([logit, logit[again] - lower])),
+        scipy.special.expit(np.concatenate([logit, logit[again] - lower])),
     )
 
 

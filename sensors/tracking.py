@@ -11,12 +11,10 @@ from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
+import scipy
 from annotated_types import Ge, Gt, Le, Lt
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import min_weight_full_bipartite_matching
-from scipy.special import expit, logit
 
 from cosim.base.kernel import compiled
 from cosim.base.ragged import ranges, stable_order
@@ -282,7 +280,7 @@ def track(
         object_id=joined.object_id[of_detection],
         age_s=age_s,
         velocity_mps=velocity_mps,
-        existence_p=expit(joined.existence[of_detection]),
+        existence_p=scipy.special.expit(joined.existence[of_detection]),
         axis=joined.axis[of_detection],
         variance=joined.covariance[of_detection, :, 2],
     )
@@ -515,7 +513,7 @@ def existence_gain(
 
 def _of_score(score: Float[ndarray, "n"], params: TrackingParams) -> Float[ndarray, "n"]:
     """Log-odds of existence by the score alone; 0 at 0.5."""
-    return params.existence_score * logit(np.clip(score, *params.existence_scores))
+    return params.existence_score * scipy.special.logit(np.clip(score, *params.existence_scores))
 
 
 def assigned(tracks: Tracks, found: Found, params: TrackingParams) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"]]:
@@ -596,7 +594,9 @@ def _largest_sum(t: Int[ndarray, "p"], d: Int[ndarray, "p"], gain: Float[ndarray
     cost = np.concatenate([most - gain, np.full(n, most)])
     own = np.arange(n)
     of = np.append(i, own), np.append(j, m + own)
-    _, column = min_weight_full_bipartite_matching(csr_array((cost, of), shape=(n, m + n)))
+    _, column = scipy.sparse.csgraph.min_weight_full_bipartite_matching(
+        scipy.sparse.csr_array((cost, of), shape=(n, m + n))
+    )
     return column[i] == j
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 from numpy import ndarray
-from scipy.spatial import cKDTree
 
 from sensors.neighbours import Neighbours, neighbours_in
 from sensors.scene import Prisms, Scene, Shape
@@ -73,6 +73,6 @@ def trees_near(points_m: Float[ndarray, "m d"], scene: Scene, range_m: float) ->
 
 
 @lru_cache(maxsize=4)
-def _index(scene: Scene) -> cKDTree:
+def _index(scene: Scene) -> scipy.spatial.cKDTree:
     first = scene.trees.ptr[:-1]
-    return cKDTree(np.column_stack([scene.trees.x_m[first], scene.trees.y_m[first]]))
+    return scipy.spatial.cKDTree(np.column_stack([scene.trees.x_m[first], scene.trees.y_m[first]]))

@@ -21,10 +21,10 @@ from functools import lru_cache
 from typing import Annotated, NamedTuple
 
 import numpy as np
+import scipy
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, UInt64
 from numpy import ndarray
-from scipy.special import gamma, gammaincinv, lambertw
 
 from cosim.base.hash_rng import GOLDEN, mix_rows, splitmix64, uniforms, unit
 from cosim.base.kernel import compiled
@@ -140,7 +140,7 @@ def reach_m(clear_m: Float[ndarray, "..."] | float, extinction: float) -> Float[
     Of exp(-2 alpha R) / R^2 = 1 / clear^2 the solution is R = W(alpha clear) / alpha, with Lambert's W.
     """
     clear_m = np.asarray(clear_m, float)
-    return clear_m if extinction == 0.0 else lambertw(extinction * clear_m).real / extinction
+    return clear_m if extinction == 0.0 else scipy.special.lambertw(extinction * clear_m).real / extinction
 
 
 def road_range_m(params: WeatherParams, max_range_m: float) -> float:
@@ -175,9 +175,9 @@ def rain_of(rain_mm_h: float, clear_range_m: float) -> Rain:
     scale_mm = drop_scale_mm(rain_mm_h)
     floor = DARK / clear_range_m**2
     per_mm = (DROP_REFLECTIVITY * 1e-6 / (DIVERGENCE_RAD**2 * floor)) ** 0.25
-    n = DROPS_PER_M3_MM * np.pi * DIVERGENCE_RAD**2 / 12 * per_mm**3 * gamma(2.5) * scale_mm**2.5
+    n = DROPS_PER_M3_MM * np.pi * DIVERGENCE_RAD**2 / 12 * per_mm**3 * scipy.special.gamma(2.5) * scale_mm**2.5
     level = (np.arange(1024) + 0.5) / 1024
-    return Rain(float(n), scale_mm * gammaincinv(2.5, level), float(per_mm))
+    return Rain(float(n), scale_mm * scipy.special.gammaincinv(2.5, level), float(per_mm))
 
 
 def weaken(

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 import shapely
 from jaxtyping import Float, Int
 from numpy import ndarray
-from scipy.ndimage import minimum_filter
 
 from sumo_nets.footprints import Footprint
 from sumo_nets.heights import CLEARANCE_M
@@ -146,7 +146,7 @@ class StreetHeights:
         around = int(np.ceil(AROUND_M / cell_m))
         lowest = np.full(cell.max(axis=0) + 1 + 3 * around, np.inf)
         np.minimum.at(lowest, tuple(cell.T), points[:, 2])
-        lowest = minimum_filter(lowest, size=2 * around + 1, mode="constant", cval=np.inf)
+        lowest = scipy.ndimage.minimum_filter(lowest, size=2 * around + 1, mode="constant", cval=np.inf)
         middle = shapely.get_coordinates(shapely.centroid(places))
         at = ((middle - low) // cell_m).astype(int)
         at = np.clip(at, 0, np.array(lowest.shape) - 1)

@@ -10,6 +10,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+from cosim.config.config import load
+from cosim.runs.check import check, notes_on
 from tests.processes import Ended, warm
 
 SHORT = (
@@ -50,6 +52,12 @@ def simulate(folder: Path, *overrides: str, config: Path | None = None) -> Path:
     ended = carried_out("simulate", *([str(config)] if config else []), *sets, "--out", str(folder))
     assert ended.status == 0, ended.err
     return folder
+
+
+def noted(*overrides: str) -> list[str]:
+    """Notes on the default config with these overrides, as before a run."""
+    config = load(None, list(overrides))
+    return notes_on(config, check(config))
 
 
 def carried_out(*words: str, cwd: Path | None = None, **environment: str) -> Ended:

@@ -1,9 +1,9 @@
 """The victim of each attacker."""
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
-from scipy.spatial import cKDTree
 
 from cosim.attacks.params import AttackParams
 from cosim.base import rng
@@ -33,7 +33,7 @@ def victims(
     if params.victim == "random":
         return _random(xy, attackers, aims, params.victim_range_m, draw)
     k = min(2, len(aims))
-    distance, near = cKDTree(xy[aims]).query(xy[attackers], k=k)
+    distance, near = scipy.spatial.cKDTree(xy[aims]).query(xy[attackers], k=k)
     nearest = aims[near].reshape(-1, k)
     distance = distance.reshape(-1, k)
     other = np.where(nearest[:, 0] == attackers, 1, 0)  # the attacker itself is at distance 0 and usually first
@@ -81,7 +81,9 @@ def _random(
     draw: Float[ndarray, "a"],
 ) -> Pairs:
     """A random victim within range of each attacker. All are equally likely."""
-    near = cKDTree(xy[attackers]).sparse_distance_matrix(cKDTree(xy[aims]), range_m, output_type="ndarray")
+    near = scipy.spatial.cKDTree(xy[attackers]).sparse_distance_matrix(
+        scipy.spatial.cKDTree(xy[aims]), range_m, output_type="ndarray"
+    )
     a, v = near["i"], near["j"]
     order = np.lexsort((v, a))
     a, v = a[order], aims[v[order]]

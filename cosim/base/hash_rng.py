@@ -10,9 +10,9 @@ References
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from jaxtyping import Float, UInt64
 from numpy import ndarray
-from scipy.special import ndtri
 
 from cosim.base.kernel import compiled, inlined
 
@@ -64,7 +64,7 @@ def normals(keys: UInt64[ndarray, "k"], n: int) -> Float[ndarray, "k n"]:
     -------
     Row i depends on key i alone, and the first columns do not depend on `n`.
     """
-    return ndtri(np.maximum(uniforms(keys, n), _TO_UNIT))
+    return scipy.special.ndtri(np.maximum(uniforms(keys, n), _TO_UNIT))
 
 
 def persistent_normals(keys: UInt64[ndarray, "k"], n: int, time_s: float, memory_s: float) -> Float[ndarray, "k n"]:

@@ -51,7 +51,7 @@ def check(
 
     experiment = load(config, with_preset(preset, overrides), trust_code)
     scenario = checking.check(experiment)
-    for remark in checking.remarks_on(experiment, config) + checking.empty_streets(experiment, scenario):
+    for remark in checking.remarks_on(experiment, scenario, config) + checking.empty_streets(experiment, scenario):
         notes.print(remark, soft_wrap=True)
     loaded = scene_summary(scenario).lines
     if as_json:

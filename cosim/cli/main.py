@@ -175,13 +175,12 @@ def run(
 
     refuse_other_than_config(config)
     experiment = load(config, with_preset(preset, overrides), trust_code)
-    for remark in remarks_on(experiment, config):
+    for remark in remarks_on(experiment, checked(experiment), config):
         notes.print(remark, soft_wrap=True)
     if watch and watch_file is not None:
         raise ValueError("--watch shows the run in the viewer, and --watch-file writes a file. Choose one.")
     target = "viewer" if watch else watch_file
     live_view = None if target is None else hook("live", "cosim run --watch")
-    checked(experiment)
     cost = cost_of(experiment)
     if cost.wall_s >= LONG_RUN_S or notes.is_terminal:
         for line in costs(cost).values():

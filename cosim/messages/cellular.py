@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+import scipy
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
-from scipy.special import gammaincinv
 
 from cosim.base import rng
 
@@ -47,7 +47,7 @@ class CellularParams:
 
 def delay_s(u: Float[ndarray, "..."], params: CellularParams) -> Float[ndarray, "..."]:
     """Delays from uniforms in [0, 1): delay_min plus a Gamma(shape 2) variable of mean delay_mean - delay_min [s]."""
-    return params.delay_min_s + gammaincinv(2.0, u) * (params.delay_mean_s - params.delay_min_s) / 2
+    return params.delay_min_s + scipy.special.gammaincinv(2.0, u) * (params.delay_mean_s - params.delay_min_s) / 2
 
 
 def transfer_delay_s(

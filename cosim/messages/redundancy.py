@@ -14,9 +14,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
-from scipy.spatial import cKDTree
 
 from cosim.base.ragged import rows_of
 from cosim.messages.cpm_params import CpmParams
@@ -198,8 +198,8 @@ def _known(heard: Heard, mine: Candidates, time_s: float, window_s: float, of_se
     ahead_m = np.nan_to_num(reports.velocity_mps[there]) * elapsed_s[:, None]
     # Objects of different classes lie on different floors, far from each other.
     place = np.column_stack([reports.xy_m[there] + ahead_m, _FAR_M * reports.label[there]])
-    of_candidates = cKDTree(np.column_stack([mine.xy_m, _FAR_M * mine.label]))
-    near = of_candidates.sparse_distance_matrix(cKDTree(place), SAME_M, output_type="ndarray")
+    of_candidates = scipy.spatial.cKDTree(np.column_stack([mine.xy_m, _FAR_M * mine.label]))
+    near = of_candidates.sparse_distance_matrix(scipy.spatial.cKDTree(place), SAME_M, output_type="ndarray")
     candidate, found, apart_m = near["i"], there[near["j"]], near["v"]
     message = reports.message[found]
     reception = _rows_of(heard, mine.receiver[candidate], message)

@@ -20,10 +20,10 @@ from functools import cache
 from typing import Annotated, Literal
 
 import numpy as np
+import scipy
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
-from scipy.special import gammaincinv, ndtr
 
 from cosim.base.hash_rng import mix, unit
 from cosim.base.kernel import compiled, inlined, kernel
@@ -407,7 +407,7 @@ def fading_quantiles() -> Float[ndarray, "classes 4096"]:
     """
     level = (np.arange(4096) + 0.5) / 4096
     shapes = [m for rows in FADING.values() for _, m in rows]
-    gains = [gammaincinv(m, level) / m for m in shapes]
+    gains = [scipy.special.gammaincinv(m, level) / m for m in shapes]
     table = np.array([np.ones(4096), *gains], np.float32)
     table.flags.writeable = False
     return table
@@ -539,4 +539,4 @@ def blocked_by_vehicle(
     """
     if params.blockage != "probabilistic" or params.model not in ("urban", "highway"):
         return np.zeros(len(d), bool)
-    return ndtr(normal) < vehicle_blockage_p(np.maximum(d, 1.0), params.model, params.traffic)
+    return scipy.special.ndtr(normal) < vehicle_blockage_p(np.maximum(d, 1.0), params.model, params.traffic)

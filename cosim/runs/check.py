@@ -140,9 +140,8 @@ def roadside_units(config: Config, scenario: Scenario) -> RoadsideUnits:
     return place(config.roadside, junctions(scenario.net), scenario.origin_m, config.seed)
 
 
-def remarks_on(config: Config, path: Path | None) -> list[str]:
+def remarks_on(config: Config, scenario: Scenario, path: Path | None) -> list[str]:
     """Notes on a config that was read from `path`: keys without effect, and inputs that have changed."""
-    scenario = find(config.traffic.scenario, config.traffic.trace)
     return notes_on(config, scenario) + changed_since(path, config)
 
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from jaxtyping import Int
 from numpy import ndarray
-from scipy.spatial import cKDTree
 
 from cosim.traffic.georeference import FAR_M
 from cosim.world import World
@@ -119,7 +119,7 @@ def overlapping(boxes: Boxes) -> Int[ndarray, "n"]:
     """Rows of the boxes that reach farther than `INSIDE_M` into another one."""
     if len(boxes) < 2:
         return np.zeros(0, np.int64)
-    a, b = cKDTree(boxes.xyz_m[:, :2]).query_pairs(_APART_M, output_type="ndarray").T
+    a, b = scipy.spatial.cKDTree(boxes.xyz_m[:, :2]).query_pairs(_APART_M, output_type="ndarray").T
     between = boxes.xyz_m[b, :2] - boxes.xyz_m[a, :2]
     radius_m = boxes.circumradius_m
     near = np.hypot(*between.T) <= radius_m[a] + radius_m[b]

@@ -4,9 +4,9 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
-from scipy.spatial import cKDTree
 
 from cosim.traffic.actors import actor_key
 from cosim.world import World
@@ -79,7 +79,11 @@ class PairSearch:
             searched &= ~np.isin(world.name_key, self.parked_key)
         rows = np.flatnonzero(searched)
         xy = world.boxes.xyz_m[rows, :2]
-        pairs = cKDTree(xy).query_pairs(self.radius_m, output_type="ndarray") if len(rows) else np.zeros((0, 2), int)
+        pairs = (
+            scipy.spatial.cKDTree(xy).query_pairs(self.radius_m, output_type="ndarray")
+            if len(rows)
+            else np.zeros((0, 2), int)
+        )
         pair = np.sort((pairs[:, 0] << 32) | pairs[:, 1])
         a, b = rows[pair >> 32], rows[pair & 0xFFFFFFFF]
         east_m, north_m = (world.boxes.xyz_m[a, axis] - world.boxes.xyz_m[b, axis] for axis in (0, 1))

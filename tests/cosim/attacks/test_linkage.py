@@ -6,12 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.config.config import load
 from cosim.messages.linkage import Linkage
 from cosim.messages.pseudonyms import PseudonymParams, PseudonymState
 from cosim.messages.relinking import KnownSenders, ReceivedSenders, update_senders
-from cosim.runs.check import remarks_on
 from tests.cosim.attacks.plain import NAMES, N, play
+from tests.drive import noted
 from tests.slow import slow
 from tests.trust.histories import messages_from_rows
 from trust.claims import claim_number
@@ -179,15 +178,15 @@ def test_reports_that_accuse_nobody_change_nothing():
 
 def test_a_gap_that_nobody_fits_is_noted():
     sets = ["pseudonyms.linkage=own", "sensing_groups.0.share_p=0.5", "sensing_groups.0.interval_s=5"]
-    (line,) = [line for line in remarks_on(load(None, sets), None) if "own_gap_s" in line]
+    (line,) = [line for line in noted(*sets) if "own_gap_s" in line]
     assert "shorter than the 5 s that may lie between two messages" in line
-    assert not [line for line in remarks_on(load(None, sets[:1]), None) if "own_gap_s" in line]
+    assert not [line for line in noted(*sets[:1]) if "own_gap_s" in line]
 
 
 @pytest.mark.parametrize(("linkage", "n"), [("server", 10), ("server", 1), ("none", 10)])
 def test_identities_that_a_server_links_are_noted(linkage, n):
     sets = ["attacks.0.attack=bad_mouthing", f"attacks.0.n_identities={n}", f"pseudonyms.linkage={linkage}"]
-    lines = [line for line in remarks_on(load(None, sets), None) if "n_identities" in line]
+    lines = [line for line in noted(*sets) if "n_identities" in line]
     assert len(lines) == (linkage == "server" and n > 1)
     assert all(line.startswith("note: attacks.0.n_identities = 10") and "one evaluator" in line for line in lines)
 

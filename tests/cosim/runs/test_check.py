@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from cosim.config.config import load
-from cosim.runs.check import keys_in_vain, remarks_on
+from cosim.runs.check import keys_in_vain
 from cosim.runs.run import run
 from cosim.traffic.scenario import find
 from results.archive import open_run
+from tests.drive import noted
 from tests.hostile.scenes import write_trace
 from tests.processes import sets_of_trace
 
@@ -27,7 +28,7 @@ SLOW = "radio.model=unit_disk", "radio.unit_disk.latency_max_s=0.3", "traffic.st
     ],
 )
 def test_messages_that_no_station_can_receive(sets, said):
-    notes = [note for note in remarks_on(load(None, list(sets)), None) if "radio." in note]
+    notes = [note for note in noted(*sets) if "radio." in note]
     assert [said in note for note in notes] == [True] * bool(said)
 
 
@@ -48,7 +49,7 @@ GHOSTS = "attacks.0.attack=ghost_insertion"
 )
 def test_an_attack_that_never_begins_is_noted(sets, said):
     """Unless it has no attackers, is not meant to begin, or is one of the default run."""
-    notes = [note for note in remarks_on(load(None, list(sets)), None) if "never begins" in note]
+    notes = [note for note in noted(*sets) if "never begins" in note]
     assert [said in note for note in notes] == [True] * bool(said)
 
 

@@ -8,14 +8,13 @@ from cosim.config.config import load
 from cosim.config.effect import without_effect
 from cosim.messages.content import SENSED
 from cosim.radio.message_round import MessageRound, Messages, Stations
-from cosim.runs.check import remarks_on
 from cosim.runs.checkpoint import decode, encode
 from cosim.step.cycle import step
 from cosim.step.early_fusion import Clouds
 from cosim.step.parts import Parts
 from cosim.step.state import State
 from results.archive import open_run
-from tests.drive import drive
+from tests.drive import drive, noted
 from tests.fingerprint import fingerprint
 from tests.scene import QUIET, assert_same
 
@@ -239,12 +238,12 @@ def test_clouds_go_on_after_their_rounds_and_are_no_detection_messages(tmp_path)
 def test_a_note_where_most_clouds_are_too_old():
     """In the default world, vehicles sense in five groups one after the other, 0.2 s apart."""
 
-    def noted(*sets):
-        return [line for line in remarks_on(load(None, [*sets]), None) if "early_fusion.max_age_s" in line]
+    def of_clouds(*sets):
+        return [line for line in noted(*sets) if "early_fusion.max_age_s" in line]
 
     world = "preset=modern", 'early_fusion.share="objects"'
-    (line,) = noted(*world)
+    (line,) = of_clouds(*world)
     assert "one in 5" in line and "early_fusion.max_age_s = 0.8" in line
-    assert not noted(*world, "early_fusion.max_age_s=0.8")
-    assert not noted("preset=modern")
-    assert not noted('early_fusion.share="objects"')  # all sense at once
+    assert not of_clouds(*world, "early_fusion.max_age_s=0.8")
+    assert not of_clouds("preset=modern")
+    assert not of_clouds('early_fusion.share="objects"')  # all sense at once

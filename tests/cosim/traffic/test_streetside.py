@@ -8,7 +8,7 @@ import shapely
 
 from cosim.base.codes import PARKED
 from cosim.config.config import load
-from cosim.runs.check import check, remarks_on
+from cosim.runs.check import check
 from cosim.traffic.scenario import find
 from cosim.traffic.streetside import ParkedParams, Streetside, TreeParams
 from results.archive import open_run
@@ -16,7 +16,7 @@ from results.measure import measure
 from sensors.scene import Scene
 from sumo_nets.streetside import Kerb
 from tests.cosim.traffic import crossing
-from tests.drive import drive
+from tests.drive import drive, noted
 from tests.hostile.scenes import write_trace
 
 
@@ -109,7 +109,7 @@ def test_a_section_that_places_nothing_is_noted(tmp_path):
     shape = "-400,-400 800,-400 800,800 -400,800"
     (tmp_path / "all.add.xml").write_text(f'<additional><poly id="b" type="building" shape="{shape}"/></additional>')
     config = crossing.write(tmp_path, files="all.add.xml")
-    notes = remarks_on(load(None, [f"traffic.scenario={config}", "parked.per_100_m=5", "trees.per_100_m=5"]), None)
+    notes = noted(f"traffic.scenario={config}", "parked.per_100_m=5", "trees.per_100_m=5")
     assert any("[parked] places no car" in note for note in notes)
     assert any("[trees] places no tree" in note for note in notes)
 
@@ -184,5 +184,5 @@ def test_the_check_of_a_config_refuses_what_has_no_place(tmp_path, sets):
 def test_a_map_without_trees_is_refused_or_said():
     with pytest.raises(ValueError, match=r"trees.from_map = true: the polygon files of helsinki contain no trees"):
         check(load(None, ["trees.from_map=true"]))
-    (note,) = remarks_on(load(None, ["trees.from_map=true", "trees.per_100_m=3"]), None)
+    (note,) = noted("trees.from_map=true", "trees.per_100_m=3")
     assert note == "note: trees.from_map has no effect: the polygon files of helsinki contain no trees."
