@@ -195,7 +195,8 @@ def overlap_p(fused: FusedBoxes, least_iou: float) -> Float[ndarray, "g"]:
     second = np.zeros(len(first))
     for place, weight in zip(*_RULE, strict=True):
         a = np.minimum(scipy.special.erfinv(place * first) / length, 1.0 - least)
-        second += weight * scipy.special.erf(width * (1.0 - least / (1.0 - a)))
+        within = width * (1.0 - least / (1.0 - a))
+        second += weight * scipy.special.erf(within)
     return first * second
 
 

@@ -272,7 +272,8 @@ class StatisticalDetector:
         mean = (expected - log_odds) / slope - sigma**2
         z = mean / sigma
         # the density of z at 0, over the share that is above
-        density = np.exp(-0.5 * z * z - scipy.special.log_ndtr(z)) * _NORMAL_PEAK
+        hidden = scipy.special.log_ndtr(z)
+        density = np.exp(-0.5 * z * z - hidden) * _NORMAL_PEAK
         return np.clip(mean + sigma * density, _LEAST_ERROR_SHARE, _MOST_ERROR_SHARE)
 
 
@@ -403,7 +404,8 @@ def detection_p(
     """
     with np.errstate(divide="ignore"):  # no returns are infinitely fewer than half
         log_n = np.log(np.asarray(n_returns, float))
-    share = scipy.special.expit(model.steepness * (log_n - np.log(model.half_returns[label])))
+    log_odds = model.steepness * (log_n - np.log(model.half_returns[label]))
+    share = scipy.special.expit(log_odds)
     return model.found_max_p[label] * share * (1.0 - model.occlusion_loss[label] * occlusion)
 
 

@@ -75,4 +75,5 @@ def trees_near(points_m: Float[ndarray, "m d"], scene: Scene, range_m: float) ->
 @lru_cache(maxsize=4)
 def _index(scene: Scene) -> scipy.spatial.cKDTree:
     first = scene.trees.ptr[:-1]
-    return scipy.spatial.cKDTree(np.column_stack([scene.trees.x_m[first], scene.trees.y_m[first]]))
+    xy_m = np.column_stack([scene.trees.x_m[first], scene.trees.y_m[first]])
+    return scipy.spatial.cKDTree(xy_m)

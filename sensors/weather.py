@@ -175,7 +175,8 @@ def rain_of(rain_mm_h: float, clear_range_m: float) -> Rain:
     scale_mm = drop_scale_mm(rain_mm_h)
     floor = DARK / clear_range_m**2
     per_mm = (DROP_REFLECTIVITY * 1e-6 / (DIVERGENCE_RAD**2 * floor)) ** 0.25
-    n = DROPS_PER_M3_MM * np.pi * DIVERGENCE_RAD**2 / 12 * per_mm**3 * scipy.special.gamma(2.5) * scale_mm**2.5
+    n = DROPS_PER_M3_MM * np.pi * DIVERGENCE_RAD**2 / 12 * per_mm**3
+    n = n * scipy.special.gamma(2.5) * scale_mm**2.5
     level = (np.arange(1024) + 0.5) / 1024
     return Rain(float(n), scale_mm * scipy.special.gammaincinv(2.5, level), float(per_mm))
 

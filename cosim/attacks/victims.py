@@ -33,7 +33,8 @@ def victims(
     if params.victim == "random":
         return _random(xy, attackers, aims, params.victim_range_m, draw)
     k = min(2, len(aims))
-    distance, near = scipy.spatial.cKDTree(xy[aims]).query(xy[attackers], k=k)
+    tree = scipy.spatial.cKDTree(xy[aims])
+    distance, near = tree.query(xy[attackers], k=k)
     nearest = aims[near].reshape(-1, k)
     distance = distance.reshape(-1, k)
     other = np.where(nearest[:, 0] == attackers, 1, 0)  # the attacker itself is at distance 0 and usually first

@@ -19,16 +19,16 @@ class Rows:
     __slots__ = ()
     __dataclass_fields__: dict[str, Any]
 
-    def take(self, rows: ndarray) -> Self:
-        """The chosen rows, in this order; `rows` is a mask or row numbers."""
-        rows = row_numbers(rows)
+    def take(self, rows: ndarray | slice) -> Self:
+        """The chosen rows, in this order; `rows` is a mask, row numbers, or a slice, of which nothing is copied."""
+        chosen = rows if isinstance(rows, slice) else row_numbers(rows)
         taken = object.__new__(type(self))
         for name in self.__dataclass_fields__:
             column = getattr(self, name)
             if isinstance(column, ndarray):
-                column = column.take(rows, axis=0)
+                column = column[chosen] if isinstance(chosen, slice) else column.take(chosen, axis=0)
             elif isinstance(column, Rows):
-                column = column.take(rows)
+                column = column.take(chosen)
             object.__setattr__(taken, name, column)
         return taken
 

@@ -47,7 +47,8 @@ class CellularParams:
 
 def delay_s(u: Float[ndarray, "..."], params: CellularParams) -> Float[ndarray, "..."]:
     """Delays from uniforms in [0, 1): delay_min plus a Gamma(shape 2) variable of mean delay_mean - delay_min [s]."""
-    return params.delay_min_s + scipy.special.gammaincinv(2.0, u) * (params.delay_mean_s - params.delay_min_s) / 2
+    scale_s = (params.delay_mean_s - params.delay_min_s) / 2
+    return params.delay_min_s + scipy.special.gammaincinv(2.0, u) * scale_s
 
 
 def transfer_delay_s(

@@ -442,7 +442,8 @@ def _nearest(
     moved_m = np.nan_to_num(memory.velocity_mps[held]) * elapsed_s[:, None]
     # Objects of different `of` lie on different floors, far from each other.
     floor_m, held_floor_m = (_FAR_M * np.searchsorted(kinds, of_some) for of_some in (of, of_held))
-    tree = scipy.spatial.cKDTree(np.column_stack([memory.xy_m[held] + moved_m, held_floor_m]))
+    known = np.column_stack([memory.xy_m[held] + moved_m, held_floor_m])
+    tree = scipy.spatial.cKDTree(known)
     places = np.column_stack([xy_m, floor_m])
     _, near = tree.query(places, distance_upper_bound=MOVED_M + 1e-9)
     there &= near < len(held)

@@ -539,4 +539,5 @@ def blocked_by_vehicle(
     """
     if params.blockage != "probabilistic" or params.model not in ("urban", "highway"):
         return np.zeros(len(d), bool)
-    return scipy.special.ndtr(normal) < vehicle_blockage_p(np.maximum(d, 1.0), params.model, params.traffic)
+    blocked_p = vehicle_blockage_p(np.maximum(d, 1.0), params.model, params.traffic)
+    return scipy.special.ndtr(normal) < blocked_p

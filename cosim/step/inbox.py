@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.base.kernel import compiled
-from cosim.base.ragged import distinct, expand, offsets, owner_of_rows, ptr_of, ranges, rows_of
+from cosim.base.ragged import as_slice, distinct, expand, offsets, owner_of_rows, ptr_of, ranges, rows_of
 from cosim.messages.content import Detections, velocities
 from cosim.radio.message_round import Receptions, RoundKind
 from cosim.step.accuracy import aged
@@ -280,6 +280,7 @@ class Inbox:
         detections = ranges(self.ptr[kept], size[kept])
         new_row = np.full(len(self.objects), -1)
         new_row[detections] = np.arange(len(detections))
+        held = as_slice(detections)  # mostly the oldest messages go, which are the first
         of = self.evaluated
         rows, by = expand(of.ptr[kept], of.ptr[kept + 1])
         still = new_row[of.member[rows]] >= 0
@@ -295,10 +296,10 @@ class Inbox:
             sender=self.sender[kept],
             pseudonym=self.pseudonym[kept],
             ptr=offsets(size[kept]),
-            objects=self.objects.take(detections),
-            truth=self.truth.take(detections),
-            withheld=self.withheld[detections],
-            from_own_m=self.from_own_m[detections],
+            objects=self.objects.take(held),
+            truth=self.truth.take(held),
+            withheld=self.withheld[held],
+            from_own_m=self.from_own_m[held],
             pairs=_with_numbers(self.pairs, new_row),
             evaluated=ObjectLists(ptr_of(by, len(kept)), members, np.arange(len(kept))),
             evaluations=Evaluations(self.evaluations.evaluation[rows], self.evaluations.visibility[rows]),

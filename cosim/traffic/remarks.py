@@ -119,7 +119,8 @@ def overlapping(boxes: Boxes) -> Int[ndarray, "n"]:
     """Rows of the boxes that reach farther than `INSIDE_M` into another one."""
     if len(boxes) < 2:
         return np.zeros(0, np.int64)
-    a, b = scipy.spatial.cKDTree(boxes.xyz_m[:, :2]).query_pairs(_APART_M, output_type="ndarray").T
+    tree = scipy.spatial.cKDTree(boxes.xyz_m[:, :2])
+    a, b = tree.query_pairs(_APART_M, output_type="ndarray").T
     between = boxes.xyz_m[b, :2] - boxes.xyz_m[a, :2]
     radius_m = boxes.circumradius_m
     near = np.hypot(*between.T) <= radius_m[a] + radius_m[b]
