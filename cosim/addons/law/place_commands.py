@@ -66,8 +66,9 @@ def roadside(
         return
     for row in rows:
         screen.print(
-            f"# {row['n']} units: newest sight {row['median_s']:.3g} s old in the median, {row['p90_s']:.3g} s in the "
-            f"90th percentile, at most {interval_s * coverage.cap:g} s; objective {row['objective']:.3f}",
+            f"# with the first {row['n']}: newest sight {row['median_s']:.3g} s old in the median, "
+            f"{row['p90_s']:.3g} s in the 90th percentile, at most {interval_s * coverage.cap:g} s; "
+            f"objective {row['objective']:.3f}",
             soft_wrap=True, markup=False, highlight=False,
         )  # fmt: skip
     listed = ", ".join(f'"{row["junction"]}"' for row in rows)
