@@ -86,9 +86,9 @@ class Inbox:
             receiver, message = found.receiver[mine], found.message[mine]
             more = Uses(exchange.vehicles.actor[receiver], row[message])
             if messages.kind == RoundKind.CPM:
-                inbox = replace(inbox, cpms=_with_new(inbox.cpms, more))
+                inbox = replace(inbox, cpms=_with_new(inbox.cpms, more, len(self.step)))
             if messages.kind == carry_evaluations:
-                inbox = replace(inbox, reports=_with_new(inbox.reports, more))
+                inbox = replace(inbox, reports=_with_new(inbox.reports, more, len(self.step)))
         return inbox
 
     def _rows(self, step: Int[ndarray, "m"], sender: Int[ndarray, "m"]) -> tuple[Int[ndarray, "m"], Bool[ndarray, "m"]]:
@@ -308,11 +308,14 @@ class Inbox:
         )
 
 
-def _with_new(held: Uses, more: Uses) -> Uses:
-    """Held receptions and those of the others that are not held yet, each once."""
-    have, found = (uses.receiver.astype(np.int64) << 32 | uses.message for uses in (held, more))
-    found, _ = distinct(found)  # few, so that these are searched for those that are held
-    row, is_held = rows_of(have, found)
+def _with_new(held: Uses, more: Uses, n_messages: int) -> Uses:
+    """Held receptions of these messages and those of the others that are not held yet, each once."""
+    is_late = np.zeros(n_messages, bool)
+    is_late[more.message] = True
+    same = np.flatnonzero(is_late[held.message])  # few of those that are held
+    found, _ = distinct(more.key())
+    known = Uses(held.receiver[same], held.message[same])
+    row, is_held = rows_of(known.key(), found)
     is_new = np.ones(len(found), bool)
     is_new[row[is_held]] = False
     new = found[is_new]

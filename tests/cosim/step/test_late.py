@@ -55,13 +55,13 @@ def test_only_receptions_that_are_not_held_are_added():
     """Against NumPy's set difference; receptions that arrive twice are added once."""
     rng = np.random.default_rng(2)
     held, more = (Uses(*rng.integers(0, 30, (2, n))) for n in (300, 200))
-    both = _with_new(held, more)
+    both = _with_new(held, more, 30)
     pairs = [set(zip(uses.receiver.tolist(), uses.message.tolist(), strict=True)) for uses in (held, more)]
     added = list(zip(both.receiver[300:].tolist(), both.message[300:].tolist(), strict=True))
     assert added == sorted(pairs[1] - pairs[0]) and len(added) > 50
     nobody = Uses(np.zeros(0, np.int64), np.zeros(0, np.int64))
-    assert len(_with_new(nobody, nobody).receiver) == 0
-    assert len(_with_new(nobody, more).receiver) == len(pairs[1])
+    assert len(_with_new(nobody, nobody, 0).receiver) == 0
+    assert len(_with_new(nobody, more, 30).receiver) == len(pairs[1])
 
 
 def test_what_roadside_units_hear_and_say_more_than_once_counts_once(tmp_path):
