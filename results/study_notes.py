@@ -14,6 +14,11 @@ _OF_MEAN = r"few (?P<units>[^;:]+): (?P<least>\d+)(?: to (?P<most>\d+))?"
 """The warning of `few` on a mean."""
 
 
+def counted(n: int, noun: str) -> str:
+    """A number of things, such as "1 run" or "2 runs"."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
 def missing(n: int, asked: float) -> str:
     """What is said if fewer replicates than asked have a value."""
     return f"{n} of {asked:.0f} {MISSING}" if n < asked else ""

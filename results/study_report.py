@@ -28,6 +28,7 @@ from results.study import (
     that_matter,
     with_short_names,
 )
+from results.study_notes import counted
 from results.study_table import cautions, core, pivot, together, unpaired
 
 CITY = "traffic.scenario"
@@ -93,16 +94,15 @@ def write(study: StudyResults, path: str | Path | None = None, part: str = "") -
 def page(study: StudyResults, part: str = "") -> str:
     """The page as HTML."""
     states = ", ".join(f"{n} {state}" for state, n in study.points.state.value_counts().items())
-    n = study.points.replicate.nunique()
-    n_runs = len(set(study.points["run"]) - {""})
-    replicates = f"{n} replicates" if n > 1 else "1 replicate"
+    replicates = counted(study.points.replicate.nunique(), "replicate")
+    points, runs = counted(len(study.points), "point"), counted(len(set(study.points["run"]) - {""}), "run")
+    swept = f" swept: {escape(', '.join(study.keys))};" if study.keys else ""
     parts = [
         f"<h1>{escape(f'{study.name}, {part}' if part else study.name)}</h1>",
         f"<p>{escape(study.question)}</p>",
         *_answers(study),
-        f'<p class="soft">{len(study.points)} points ({states}) of {n_runs} runs; '
-        f"swept: {escape(', '.join(study.keys))}; {replicates}. Intervals are 95 % intervals of the mean over "
-        "replicates (Student's t; results/TABLES.md has the formula).</p>",
+        f'<p class="soft">{points} ({states}) of {runs};{swept} {replicates}. '
+        "Intervals are 95 % intervals of the mean over replicates (Student's t; results/TABLES.md has the formula).</p>",
         '<h2 id="figures">Figures</h2>',
         '<p class="soft">A band spans the curves of the single replicates, as far as they reach. An arrow '
         "marks an interval that leaves the panel. A key that is not shown changes nothing here.</p>",

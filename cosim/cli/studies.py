@@ -368,14 +368,21 @@ def plan_facts(task: "Task", workers: int | None = None) -> dict[str, Any]:
 
 def plan_lines(task: "Task", workers: int | None = None) -> list[str]:
     """What a sweep would make, in sentences."""
+    from results.study_notes import counted
+
     made, cost, facts = task.plan, task.estimate, plan_facts(task, workers)
-    merged = facts["points_as_trust_variants"]
+    shared = []
+    if merged := facts["points_as_trust_variants"]:
+        what = f"{merged} points are trust variants of runs that differ in trust alone"
+        shared.append(f"{what}: {saving(cost.merged_saves_s)}")
+    if n := facts["runs_that_replay_traffic"]:
+        what = f"{counted(n, 'run')} replay{'s' * (n == 1)} {counted(len(made.traffic), 'recorded traffic')}"
+        shared.append(f"{what}: {saving(cost.traffic_saves_s)}")
+    points, runs = counted(facts["points"], "point"), counted(facts["runs"], "run")
     most = "at most " if task.study.keep.tables else ""  # tables that are not kept are deleted after the metrics
     return [
-        f"{facts['study']}: {facts['points']} points, {facts['finished']} finished, {facts['runs']} runs to make",
-        f"{merged} points are trust variants of runs that differ in trust alone: {saving(cost.merged_saves_s)}",
-        f"{facts['runs_that_replay_traffic']} runs replay {len(made.traffic)} recorded traffics: "
-        f"{saving(cost.traffic_saves_s)}",
+        f"{facts['study']}: {points}, {facts['finished']} finished, {runs} to make",
+        *shared,
         f"about {facts['seconds']} s of processor time"
         f"{_instead_of(cost.separate_s, cost.planned_s)}, {most}{facts['MB']} MB ({facts['estimate']})",
         _by_the_clock(facts),

@@ -33,12 +33,14 @@ def look_up(asked: str, of_program: Callable[[], Iterator[Explanation]] = lambda
     Raises
     ------
     ValueError
-        In one line, with the closest names, if nothing has such a name.
+        In one line: no word is given, or nothing has such a name, with the closest names.
     """
     wanted = _plain(asked.removeprefix("--set ").partition("=")[0].removeprefix("cosim "))
+    if not wanted:
+        raise ValueError("no word is given. Give a key, metric, column, model, command or term, such as freshness.")
     entries = [*of_program(), *_entries()]
     for is_it in (_is_named, _ends_in, _contains):
-        if found := [entry for entry in entries if wanted and is_it(_plain(entry.name), wanted)]:
+        if found := [entry for entry in entries if is_it(_plain(entry.name), wanted)]:
             return found
     names: dict[str, str] = {}
     for entry in entries:

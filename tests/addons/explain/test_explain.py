@@ -70,8 +70,15 @@ def test_everything_that_has_a_name_is_found():
     assert [entry.name for entry in entries if len(entry.meaning) < 4] == []
 
 
+def test_a_metric_is_defined_without_the_one_before():
+    leans = re.compile(r".*?\b([Tt]he same|these|those|that threshold|such a|the other) (?!subjects)")
+    first = {name: re.split(r"(?<=[.:;]) ", metric.definition)[0] for name, metric in METRICS.items()}
+    assert [name for name, sentence in first.items() if leans.match(sentence)] == []
+
+
 @pytest.mark.parametrize(
-    ("word", "near"), [("penetraton_p", "fleet.penetration_p"), ("sybill", "sybil"), ("trsut", "trust")]
+    ("word", "near"),
+    [("penetraton_p", "fleet.penetration_p"), ("sybill", "sybil"), ("trsut", "trust"), (" ", "error: no word is ")],
 )
 def test_close_words_are_named_where_none_fits(word, near):
     done = cosim("explain", word)

@@ -124,6 +124,10 @@ def test_check_of_the_default_changes_nothing():
 def test_a_study_has_a_folder_named_after_its_file(begun):
     done = cosim("sweep", "ages.toml", "--dry-run", cwd=begun)
     assert done.returncode == 0 and "processor time" in done.stdout
+    one = '[study]\nname = "one"\n[grid]\ntrust.freshness_s = [10]\n'
+    (begun / "one.toml").write_text(one)
+    said = cosim("sweep", "one.toml", "--dry-run", cwd=begun).stdout.splitlines()
+    assert said[0] == "one: 1 point, 0 finished, 1 run to make" and "replay" not in said[1]
     assert not (begun / "runs").exists()
 
 
