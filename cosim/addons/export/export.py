@@ -106,8 +106,8 @@ def export(
     Raises
     ------
     ValueError
-        In one line: there is no such exporter, the run lacks a table, a vehicle was never on the road, the folder has
-        other content, or the disk is full.
+        In one line: there is no such exporter, the run lacks a table or did not sense, a vehicle was never on the road,
+        the folder has other content, or the disk is full.
     ExtensionError
         In one line, if the user's own exporter fails.
     """
@@ -125,6 +125,8 @@ def _exported(
     if vehicles is not None and getattr(fmt, "ALL_VEHICLES", False):
         raise ValueError(f"--vehicles {vehicles}: {choice.source.name} always has all vehicles. Leave it out.")
     config, of_traffic = config_of(run), getattr(fmt, "ALL_STEPS", False)
+    if "pseudonyms" in fmt.TABLES and not config.sensing:
+        raise run.lacks("sweeps, detections or messages", "")
     chosen = Selection(
         run, _vehicles(run, vehicles), _steps(run, steps, of_traffic), _road_edge_m(config),
         partial(_projection, config), _place(run, config), vehicles is not None,

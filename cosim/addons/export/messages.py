@@ -56,8 +56,6 @@ class ExportedMessages:
         where = pc.field("step").isin(self._steps.tolist()) & (pc.field("detection_index") == 0)
         found = self._run.table("detections", ["step", "observer", *POSE, "transmitted"], where)
         found = found[found.transmitted]
-        if found.empty and not self._run.config.get("sensing", True):
-            raise ValueError(f"{self._run.path} has sensing = false: nobody sent a message. Set it to true, run again.")
         if found.empty:
             raise ValueError(
                 f"{self._run.path} holds no self report in these steps. Set trust.self_reports = true and run again."

@@ -134,15 +134,6 @@ def test_a_mistake_is_one_line(folder, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.verify
-def test_a_run_without_sensing_has_labels_for_other_readers(tmp_path):
-    simulate(tmp_path / "run", "sensing=false", "traffic.duration_s=2", "traffic.warmup_s=60")
-    done = cosim("export", "kitti", "run", "--out", "kitti", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    labels = [path.read_text() for path in (tmp_path / "kitti").rglob("label_2/*.txt")]
-    assert labels and "Car" in "".join(labels)
-
-
 def test_floating_car_data_of_a_run_without_sensing_come_back(tmp_path):
     """All steps are written, though nobody senses in any, and a replay has the run's boxes, one step later.
 
@@ -152,6 +143,9 @@ def test_floating_car_data_of_a_run_without_sensing_come_back(tmp_path):
     simulate(tmp_path / "run", *sets, "traffic.duration_s=4", "traffic.warmup_s=60", "parked.per_100_m=3")
     done = cosim("export", "fcd", "run", "--out", "trace", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
+    refused = cosim("export", "kitti", "run", "--out", "kitti", cwd=tmp_path)
+    assert refused.returncode == 2 and "sensing = false, so no vehicle senses or sends" in refused.stderr
+    assert not (tmp_path / "kitti").exists()
     trace = f"traffic.trace={tmp_path / 'trace' / 'fcd.xml.gz'}"
     simulate(tmp_path / "again", *sets, "traffic.duration_s=4", "traffic.scenario=helsinki", trace)
     tables = []
