@@ -173,8 +173,7 @@ class TraceReplay(_Replay):
             report["trace_placed"] = self._placed
         if (ratio := self._travel.odd_ratio) is not None:
             report["trace_travel_ratio"] = round(ratio, 4)
-        if (far_p := self._lanes.far_p) is not None:
-            report["trace_far_from_lanes_p"] = round(far_p, 3)
+        report |= _far_from_lanes(self._lanes)
         return report | ({"origin_m": list(self._frame.origin_m)} if self._frame.is_around else {})
 
     def close(self) -> None:
@@ -258,6 +257,11 @@ class TraceReplay(_Replay):
         return self._types(timestep.types[row], bool(timestep.is_person[row]), vclass)
 
 
+def _far_from_lanes(check: LaneCheck) -> dict[str, float]:
+    """For the summary: the share of vehicles that are far from all lanes, if it is large."""
+    return {} if check.far_p is None else {"trace_far_from_lanes_p": round(check.far_p, 3)}
+
+
 def _inside_vehicle(timestep: Timestep, shape: Int[ndarray, "n"]) -> Bool[ndarray, "n"]:
     """Persons at the exact position of a vehicle. They ride in it, and a run with SUMO does not contain them."""
     is_person = shape == Shape.PEDESTRIAN
@@ -277,6 +281,7 @@ class RunReplay(_Replay):
         registry: ActorRegistry,
         frame: Frame | None = None,
         inputs_changed: Sequence[str] = (),
+        net: NetLocation | None = None,
     ) -> None:
         """Open the run. `inputs_changed` are files of the scenario that have changed since it was recorded."""
         from results.archive import open_run  # imported here because pandas takes its time
@@ -284,6 +289,7 @@ class RunReplay(_Replay):
         run = open_run(folder)
         super().__init__(run.path, registry, params.step_s, frame or Frame(f"traffic.trace = {folder}"))
         self._inputs_changed = list(inputs_changed)
+        self._lanes = LaneCheck(net)
         run.require("actors", "vehicles")
         every = params.step_s / run.dt_s
         if abs(every - round(every)) > 1e-9 or every < 1 - 1e-9:
@@ -328,6 +334,8 @@ class RunReplay(_Replay):
         if len(new):
             names = [self._names[i] for i in new.tolist()]
             self._number[new] = self._registry.register(names, self._shape[new], self._lwh_m[new], step)
+            is_new_car = np.isin(actor, new) & np.isin(self._shape[actor], (Shape.CAR, Shape.TRUCK))
+            self._lanes.add(rows["xyz_m"][is_new_car, :2] + self._frame.origin_m)
         number = self._number[actor]
         order = np.argsort(number)
         number = number[order]
@@ -340,7 +348,7 @@ class RunReplay(_Replay):
         report: dict[str, Any] = {
             name: summary[name] for name in ("teleports", "actors_left_out", "origin_m") if name in summary
         }
-        report |= self._counts.report()
+        report |= self._counts.report() | _far_from_lanes(self._lanes)
         return report | ({"inputs_changed": self._inputs_changed} if self._inputs_changed else {})
 
     def close(self) -> None:

@@ -101,7 +101,7 @@ class Scenario:
             from results.archive import open_run
 
             changed = self.changed_inputs(open_run(self.trace).manifest.get("net", {}))
-            return RunReplay(params, self.trace, registry, frame, changed)
+            return RunReplay(params, self.trace, registry, frame, changed, self.location())
         return TraceReplay(params, self.trace, registry, self.types, frame, self.location())
 
     def location(self) -> NetLocation | None:

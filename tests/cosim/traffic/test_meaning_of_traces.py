@@ -15,8 +15,9 @@ from cosim.traffic.georeference import NetLocation, conversion
 from cosim.traffic.interpolation import interval_s
 from cosim.traffic.params import TrafficParams
 from cosim.traffic.remarks import trace_remarks
-from cosim.traffic.replay import TraceReplay
+from cosim.traffic.replay import RunReplay, TraceReplay
 from tests.cosim.traffic.worlds import collect, registry
+from tests.results import tiny
 
 COLUMNS = ("x", "y", "angle", "type", "speed")
 FORMATS = ("xml", "csv", "parquet", "xml.gz", "csv.gz")
@@ -158,6 +159,11 @@ def test_vehicles_far_from_all_lanes_are_noted(tmp_path):
         rows += [(t, f"p{i}", 50 * i + t, 40, 90, "walker", 1) for t in range(4) for i in range(9)]
         assert replay(write(tmp_path, rows), net=net)[1].get("trace_far_from_lanes_p") == far_p
     assert "trace_far_from_lanes_p" not in replay(write(tmp_path, rows), net=NET)[1]
+    places = [{"step": 0, "actor": i, "x_m": 50 * i, "y_m": 40 * (i < 4)} for i in range(9)]
+    run = tiny.make(tmp_path / "run", 1, vehicles=tiny.fleet(*["honest"] * 9, vehicle_class="car"), actors=places)
+    again = RunReplay(TrafficParams(step_s=1.0), run.path, registry(), net=net)
+    again.advance()
+    assert again.report()["trace_far_from_lanes_p"] == 0.444
     (said,) = trace_remarks({"trace_far_from_lanes_p": 0.444})
     assert said.startswith("note: 44% of the vehicles of the trace appear more than 10 m from all lanes")
 
