@@ -95,7 +95,8 @@ def page(study: StudyResults, part: str = "") -> str:
     """The page as HTML."""
     states = ", ".join(f"{n} {state}" for state, n in study.points.state.value_counts().items())
     replicates = counted(study.points.replicate.nunique(), "replicate")
-    points, runs = counted(len(study.points), "point"), counted(len(set(study.points["run"]) - {""}), "run")
+    points = counted(len(study.points), "point")
+    runs = counted(len(set(study.points["run"]) - {""}), "run")
     swept = f" swept: {escape(', '.join(study.keys))};" if study.keys else ""
     parts = [
         f"<h1>{escape(f'{study.name}, {part}' if part else study.name)}</h1>",

@@ -376,9 +376,11 @@ def plan_lines(task: "Task", workers: int | None = None) -> list[str]:
         what = f"{merged} points are trust variants of runs that differ in trust alone"
         shared.append(f"{what}: {saving(cost.merged_saves_s)}")
     if n := facts["runs_that_replay_traffic"]:
-        what = f"{counted(n, 'run')} replay{'s' * (n == 1)} {counted(len(made.traffic), 'recorded traffic')}"
-        shared.append(f"{what}: {saving(cost.traffic_saves_s)}")
-    points, runs = counted(facts["points"], "point"), counted(facts["runs"], "run")
+        replaying = "1 run replays" if n == 1 else f"{n} runs replay"
+        traffic = counted(len(made.traffic), "recorded traffic")
+        shared.append(f"{replaying} {traffic}: {saving(cost.traffic_saves_s)}")
+    points = counted(facts["points"], "point")
+    runs = counted(facts["runs"], "run")
     most = "at most " if task.study.keep.tables else ""  # tables that are not kept are deleted after the metrics
     return [
         f"{facts['study']}: {points}, {facts['finished']} finished, {runs} to make",

@@ -160,7 +160,7 @@ def test_vehicles_far_from_all_lanes_are_noted(tmp_path):
         assert replay(write(tmp_path, rows), net=net)[1].get("trace_far_from_lanes_p") == far_p
     assert "trace_far_from_lanes_p" not in replay(write(tmp_path, rows), net=NET)[1]
     places = [{"step": 0, "actor": i, "x_m": 50 * i, "y_m": 40 * (i < 4)} for i in range(9)]
-    run = tiny.make(tmp_path / "run", 1, vehicles=tiny.fleet(*["honest"] * 9, vehicle_class="car"), actors=places)
+    run = tiny.make(tmp_path, 1, vehicles=tiny.fleet(*["honest"] * 9, vehicle_class="car"), actors=places)
     again = RunReplay(TrafficParams(step_s=1.0), run.path, registry(), net=net)
     again.advance()
     assert again.report()["trace_far_from_lanes_p"] == 0.444
