@@ -181,7 +181,7 @@ def watched(run: Run) -> pd.DataFrame:
     Raises
     ------
     ValueError
-        If the run has no attacks.
+        If the run has no attacks, or nobody is in use any more at the first one.
     """
     return run.once_for_all("trust.watched", lambda: _watched_of(run))
 
@@ -210,7 +210,10 @@ def _watched_of(run: Run) -> pd.DataFrame:
     since = np.maximum(who.from_step, begin.astype(int))
     until = who.to_step.clip(upper=run.manifest["steps"] - 1)
     who = pd.DataFrame({"role": who.role, "since": since, "until": until}).rename_axis("subject")
-    return who[who.since <= who.until]
+    who = who[who.since <= who.until]
+    if who.empty:
+        raise run.lacks("pseudonyms in use since the first attack", "it ends too soon after it. Run longer.")
+    return who
 
 
 def by_role(run: Run, role: Int[ndarray, "n"]) -> list[tuple[str, Bool[ndarray, "n"]]]:

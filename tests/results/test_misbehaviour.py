@@ -167,6 +167,14 @@ def test_an_attack_after_the_last_computation(tiny):
             ask(run)
 
 
+def test_an_attack_after_the_last_message_of_all(tiny):
+    vehicles = attacking(["honest", "malicious"], {1: 9})
+    out_of_use = [{"pseudonym": v, "vehicle": v, "to_step": 8} for v in (0, 1)]
+    run = tiny(20, vehicles=vehicles, pseudonyms=out_of_use, trust=values({5: [0.5, 0.5]}))
+    found = measure(run, topics=("misbehaviour",)).set_index("metric").group
+    assert "it ends too soon after it. Run longer." in found["misbehaviour.not_measured"]
+
+
 def test_no_attack(tiny):
     run = tiny(20, vehicles=fleet("honest", "honest"), trust=values({5: [0.3, 0.1]}))
     assert misbehaviour.below(run).share.tolist() == [0.5]

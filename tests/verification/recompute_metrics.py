@@ -733,7 +733,9 @@ def safety(of):
     poses = of.table("actors")
     if not len(poses):
         return
-    poses = poses[poses.actor.map(vehicles(of).vehicle_class) != "pedestrian"].sort_values(["actor", "step"])
+    who = vehicles(of)
+    drives = (who.vehicle_class != "pedestrian") & ~who.sumo_id.str.startswith("parked/")
+    poses = poses[poses.actor.map(drives)].sort_values(["actor", "step"])
     km = poses.speed_mps.astype(float).sum() * of.dt_s / 1000
     yield "driven_km", "", km
     yield "travel_time.s_per_km", "", len(poses) * of.dt_s / km

@@ -66,8 +66,17 @@ class GivenRuns:
 
     @staticmethod
     def opened(folders: Sequence[Path], plans: Mapping[str, RunPlan]) -> "GivenRuns":
-        """Open run folders."""
-        return GivenRuns([open_run(folder) for folder in folders], plans)
+        """Open run folders. ValueError, in one line, if two of them have the same traffic: they are no replicates."""
+        runs = [open_run(folder) for folder in folders]
+        first: dict[tuple[Any, ...], Run] = {}
+        for run in runs:
+            same = first.setdefault(tuple(_at(run.config, key) for key in _TRAFFIC), run)
+            if same is not run:
+                raise ValueError(
+                    f"--run {run.path} has the traffic and the seeds of {same.path}: it is no replicate of it, and an "
+                    "interval over both would say nothing. Leave it out."
+                )
+        return GivenRuns(runs, plans)
 
     @property
     def what(self) -> str:
@@ -91,6 +100,8 @@ class GivenRuns:
         return list(found)
 
 
+_TRAFFIC = ("traffic.scenario", "traffic.trace", "traffic.seed", "traffic.begin_s", "seed")
+"""Keys of which replicates differ in one at least."""
 _THRIFT = ("sensing", "attacks", "trust_variant", "encounters", "trust.host")
 """Keys that plans set to save time, not as a condition."""
 
