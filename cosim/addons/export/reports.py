@@ -11,8 +11,9 @@ and nothing is signed. A report is about one message, which may be of an earlier
 perceived objects, so target and observations are private ones: target 200 "perceived object" with the observations 1
 "not detected where visible" and 2 "contradicted by free space". The standard has no scores: evaluation and visibility
 stand in `nonV2xPduEvidence`. Evidence is the sender's CPM as an unsecured GeoNetworking packet (PDU type 1), as `cosim
-export pcap` writes it. `objectIndex` counts the objects of a message from 1, over all its segments; it is not the CPM's
-`objectId`, which is the number of a track. The reporter is told by the signature in the standard; here `reporter` names
+export pcap` writes it. `objectIndex` counts the objects of a message from 1, over all its segments, and 0 is the self
+report; it is neither `detection_index`, which also counts what is not sent, nor the CPM's `objectId`, which is the
+number of a track. The reporter is told by the signature in the standard; here `reporter` names
 its pseudonym, beside the report.
 """
 
@@ -134,7 +135,7 @@ class _Reports:
         """The reports of each step, by reporter, reported pseudonym and message."""
         run = self.selection.run
         low, reason = self._denials(steps)
-        low = low[reason == len(LEFT_OUT)].astype({"vehicle": np.int64})
+        low = self._numbered(low[reason == len(LEFT_OUT)].astype({"vehicle": np.int64}))
         frames = self.packets.frames(np.unique(low.detection_step), sorted(set(low.observer.tolist())))
         poses = run.table("actors", ["step", "actor", "x_m", "y_m", "z_m"], pc.field("step").isin(steps.tolist()))
         places = poses.set_index(["step", "actor"])[["x_m", "y_m", "z_m"]]
@@ -148,12 +149,23 @@ class _Reports:
                 reports.append({"reporter": reporter, "subject": subject, "data": report})
             yield File(f"reports/step-{step:06d}.json", partial(_content, reports))
 
+    def _numbered(self, denials: pd.DataFrame) -> pd.DataFrame:
+        """Denials with the column object_index: the place of the object in its message, from 1; 0 is the self report."""
+        steps = pc.field("step").isin(np.unique(denials.detection_step))
+        key = ["step", "observer", "detection_index"]
+        objects = self.selection.run.table("detections", [*key, "transmitted"], steps & (pc.field("detection_index") > 0))
+        objects = objects[objects.transmitted].sort_values(key)
+        objects["object_index"] = objects.groupby(key[:2]).cumcount() + 1
+        objects = objects.drop(columns="transmitted").rename(columns={"step": "detection_step"})
+        found = denials.merge(objects, how="left", on=["detection_step", *key[1:]])
+        return found.assign(object_index=found.object_index.fillna(0).astype(np.int64))
+
     def _report(self, step: int, rows: pd.DataFrame, at_m: Float[ndarray, "3"], packets: list[bytes]) -> dict[str, Any]:
         """One report, of one reporter about one sender, from its evaluations of detections of this sender."""
         place = self.packets.projection.of_world(at_m[None, :2])
         time_us = 1000 * (etsi.its_ms(pcap.START_S) + round(1000 * step * self.selection.run.dt_s))
         denied = rows.plausible.eq(False).fillna(False).to_numpy(bool)
-        numbers = rows.detection_index.tolist()
+        numbers = rows.object_index.tolist()
         observed = [
             {"obsId": FREE_SPACE if free else NOT_DETECTED, "obs": {"objectIndex": number}}
             for number, free in zip(numbers, denied.tolist(), strict=True)

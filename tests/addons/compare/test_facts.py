@@ -157,7 +157,7 @@ def test_runs_of_the_user_stand_in_for_plans(tiny):
     run = tiny(60, vehicles=fleet("honest", "honest"), encounters=[])
     (one,) = report.compare([FACTS["contacts.freeway"]], GivenRuns([run], PLANS))
     assert one.verdict == "not computed" and one.problem
-    with pytest.raises(ValueError, match="has the traffic and the seeds of .* no replicate"):
+    with pytest.raises(ValueError, match=r"has the traffic and the seeds of .* no replicate"):
         GivenRuns.opened([run.path, run.path], PLANS)
 
 

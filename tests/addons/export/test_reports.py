@@ -74,6 +74,17 @@ def test_the_evidence_is_the_message_that_was_sent(run, tmp_path):
     assert seen["class"] == "truck" and seen["number"] == 1
 
 
+def test_objects_are_counted_in_the_message(tmp_path):
+    """Detection 1 is not sent in step 3, so that detection 2 is the first object of the message."""
+    boxes = {"length_m": 4.0, "width_m": 2.0, "height_m": 1.5, "class": "car", "score": 0.9, "origin": "sensed"}
+    more = {"step": 3, "observer": 0, "detection_index": 2, "transmitted": True, **boxes}
+    rows = [evaluation(3, 1, -1.0, 1.0, True, detection_index=k, detection_step=3) for k in (0, 2)]
+    run = truck.make(tmp_path / "run", evaluations=rows, detected=[more])
+    (found,) = written(run, tmp_path / "out").values()
+    evidence = found[0]["data"]["content"]["plaintext"]["report"]["content"]["nonV2xPduEvidence"]
+    assert [one["objectIndex"] for one in evidence] == [0, 1]
+
+
 def test_threshold(run, tmp_path):
     assert not written(run, tmp_path / "none", threshold=-1.0)
     assert sorted(written(run, tmp_path / "more", threshold=-0.3)) == [

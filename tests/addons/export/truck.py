@@ -29,11 +29,11 @@ def box(xyz, lwh, yaw):
     )
 
 
-def make(folder, keep=lambda table, row: True, units=(), late=0, **more):
+def make(folder, keep=lambda table, row: True, units=(), late=0, detected=(), **more):
     """Four steps: the car 0 and the truck 1 in all of them, the pedestrian 2 in the last two; 3 is a car behind.
 
     `keep` says of which rows of `observability`, `detections` and `receptions` the run has; `units` are numbers of
-    roadside units; messages arrive `late` steps after theirs; `more` are rows of further tables.
+    roadside units; messages arrive `late` steps after theirs; `detected` are further detections, and `more` are rows of further tables.
     """
     car, truck, walker = (4.5, 1.8, 1.5), (10, 2.5, 3.5), (0.5, 0.5, 1.75)
     vehicles = [
@@ -64,7 +64,7 @@ def make(folder, keep=lambda table, row: True, units=(), late=0, **more):
     ] + [
         {"step": s, "observer": 0, "detection_index": 1, "class": "truck", "score": 0.75, "origin": "sensed",
          "transmitted": s != 3, "n_points": 90, **box((97, 70, 1.75), truck, 3 * np.pi / 4)} for s in range(4)
-    ]  # fmt: skip
+    ] + list(detected)  # fmt: skip
     receptions = [
         {"step": s + late, "message_step": s, "message_type": "cpm", "sender": a, "receiver": b, "hops": 1,
          "generation_offset_s": 0.25, "latency_s": 0.5, "distance_m": 20.0}
