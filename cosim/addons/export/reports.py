@@ -150,10 +150,10 @@ class _Reports:
             yield File(f"reports/step-{step:06d}.json", partial(_content, reports))
 
     def _numbered(self, denials: pd.DataFrame) -> pd.DataFrame:
-        """Denials with the column object_index: the place of the object in its message, from 1; 0 is the self report."""
-        steps = pc.field("step").isin(np.unique(denials.detection_step))
+        """Denials with the column object_index: place of the object in its message, from 1; 0 is the self report."""
+        where = pc.field("step").isin(np.unique(denials.detection_step)) & (pc.field("detection_index") > 0)
         key = ["step", "observer", "detection_index"]
-        objects = self.selection.run.table("detections", [*key, "transmitted"], steps & (pc.field("detection_index") > 0))
+        objects = self.selection.run.table("detections", [*key, "transmitted"], where)
         objects = objects[objects.transmitted].sort_values(key)
         objects["object_index"] = objects.groupby(key[:2]).cumcount() + 1
         objects = objects.drop(columns="transmitted").rename(columns={"step": "detection_step"})

@@ -9,9 +9,10 @@ Frames are numbered by the steps in which the ego senses. Vehicles with another 
 - `velodyne`, `calib`, `label_2` as in `cosim/addons/export/kitti.py`;
 - `label_aug_2` also names what is wholly hidden, `label_aug_filtered_2` what gave a return; both have three more
   columns: number of the actor, speed [m/s], returns. Their reader was not published: their order is a guess.
-- `predictions`: what the vehicle transmitted, its self report left out, in the 16 columns of results;
+- `predictions`: what the vehicle transmitted, its self report left out, in the 16 columns of results. The frame is the
+  true one, so the error of the vehicle's own pose displaces them, as it does in messages (not so in `export kitti`);
 - `ego_object`: the vehicle itself, in the camera frame *of the ego*, with the same three columns;
-- `position_world`: position (underside), camera, forward, right and up, a row each; x east, y north, z up.
+- `position_world`: the true pose: position (underside), camera, forward, right and up, a row each; x east, y north.
 """
 
 from collections.abc import Iterator
