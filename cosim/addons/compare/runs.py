@@ -1,5 +1,6 @@
 """The runs in which facts are measured: made when a fact first needs them, or given by the user."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -68,9 +69,10 @@ class GivenRuns:
     def opened(folders: Sequence[Path], plans: Mapping[str, RunPlan]) -> "GivenRuns":
         """Open run folders. ValueError, in one line, if two of them have the same traffic: they are no replicates."""
         runs = [open_run(folder) for folder in folders]
-        first: dict[tuple[Any, ...], Run] = {}
+        first: dict[str, Run] = {}
         for run in runs:
-            same = first.setdefault(tuple(_at(run.config, key) for key in _TRAFFIC), run)
+            traffic = [run.manifest.get("net"), *(_at(run.config, key) for key in _TRAFFIC)]
+            same = first.setdefault(json.dumps(traffic), run)
             if same is not run:
                 raise ValueError(
                     f"--run {run.path} has the traffic and the seeds of {same.path}: it is no replicate of it, and an "
@@ -100,8 +102,8 @@ class GivenRuns:
         return list(found)
 
 
-_TRAFFIC = ("traffic.scenario", "traffic.trace", "traffic.seed", "traffic.begin_s", "seed")
-"""Keys of which replicates differ in one at least."""
+_TRAFFIC = ("traffic.seed", "traffic.begin_s", "seed")
+"""Keys of which replicates differ in one at least, or in the files of their traffic."""
 _THRIFT = ("sensing", "attacks", "trust_variant", "encounters", "trust.host")
 """Keys that plans set to save time, not as a condition."""
 

@@ -33,8 +33,8 @@ def make(folder, keep=lambda table, row: True, units=(), late=0, detected=(), **
     """Four steps: the car 0 and the truck 1 in all of them, the pedestrian 2 in the last two; 3 is a car behind.
 
     `keep` says of which rows of `observability`, `detections` and `receptions` the run has; `units` are numbers of
-    roadside units; messages arrive `late` steps after theirs; `detected` are further detections; `more` are rows of further
-    tables.
+    roadside units; messages arrive `late` steps after theirs; `detected` are further detections; `more` are rows of
+    further tables.
     """
     car, truck, walker = (4.5, 1.8, 1.5), (10, 2.5, 3.5), (0.5, 0.5, 1.75)
     vehicles = [
