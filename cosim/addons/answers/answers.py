@@ -241,9 +241,11 @@ def _along(of: _Quantity, frame: pd.DataFrame, key: str) -> str:
     text = _listed(there)
     if len(values) < 2:
         return f"{text}, its only value"
+    if are_words(frame[key]) and len(shown) < len(values):
+        text += f", {len(values) - len(shown)} others in the table below"
     compared = shown[1:] if are_words(frame[key]) else shown[-1:]
     verdicts = [_compared(of, frame, key, values[0], value) for value in compared]
-    return f"{text}: {', '.join(verdicts)}"
+    return f"{text}: {', '.join(dict.fromkeys(verdicts))}"
 
 
 def _compared(of: _Quantity, frame: pd.DataFrame, key: str, first: Any, last: Any) -> str:

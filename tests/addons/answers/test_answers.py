@@ -57,6 +57,18 @@ def test_each_word_is_compared_with_the_first(tmp_path):
     assert "older with minhas than with beta (difference 1 s [" in age
 
 
+def test_words_that_are_not_said_are_counted(tmp_path):
+    """Of five words, the first and the last are said; of three in one replicate, that it compares none, once."""
+
+    def value(metric, keys, replicate):
+        return 3.0 + len(keys["trust.model"])
+
+    many = said_of(tmp_path / "many", {"trust.model": ("a", "bb", "ccc", "dddd", "eeeee")}, 1, value)[1]
+    assert "with model a and 8 s (one replicate) with eeeee, 3 others in the table below: one replicate" in many
+    few = said_of(tmp_path / "few", {"trust.model": ("a", "bb", "ccc")}, 1, value)[1]
+    assert few.count("one replicate cannot compare them") == 1 and "others" not in few
+
+
 def test_an_age_is_held_against_its_own_window(tmp_path):
     """8 s at a window of 60 s need no reason, though a window of 5 s is swept, too, with ages of 2.5 s."""
     swept = {"trust.freshness_s": (5.0, 60.0)}
