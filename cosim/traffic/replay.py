@@ -334,8 +334,9 @@ class RunReplay(_Replay):
         if len(new):
             names = [self._names[i] for i in new.tolist()]
             self._number[new] = self._registry.register(names, self._shape[new], self._lwh_m[new], step)
-            is_new_car = np.isin(actor, new) & np.isin(self._shape[actor], (Shape.CAR, Shape.TRUCK))
-            self._lanes.add(rows["xyz_m"][is_new_car, :2] + self._frame.origin_m)
+            is_car = np.isin(self._shape[actor], (Shape.CAR, Shape.TRUCK))
+            xy_m = rows["xyz_m"][is_car & np.isin(actor, new), :2]
+            self._lanes.add(xy_m + self._frame.origin_m)
         number = self._number[actor]
         order = np.argsort(number)
         number = number[order]

@@ -151,7 +151,8 @@ class _Reports:
 
     def _numbered(self, denials: pd.DataFrame) -> pd.DataFrame:
         """Denials with the column object_index: place of the object in its message, from 1; 0 is the self report."""
-        where = pc.field("step").isin(np.unique(denials.detection_step)) & (pc.field("detection_index") > 0)
+        of_steps = pc.field("step").isin(np.unique(denials.detection_step))
+        where = of_steps & (pc.field("detection_index") > 0)
         key = ["step", "observer", "detection_index"]
         objects = self.selection.run.table("detections", [*key, "transmitted"], where)
         objects = objects[objects.transmitted].sort_values(key)
