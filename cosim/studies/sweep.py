@@ -1,6 +1,7 @@
 """Prepares and runs a study, and reports its state."""
 
 import json
+import re
 import statistics
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -15,6 +16,7 @@ from scipy.stats import t
 from cosim.door.load import checksum
 from cosim.runs import check as checking
 from cosim.runs.cluster import connected, local
+from cosim.runs.run import remarks
 from cosim.runs.source import code_digest
 from cosim.studies.density import equipped_on_road
 from cosim.studies.engine import Work, execute
@@ -299,7 +301,7 @@ def sweep(
 ) -> tuple[dict[str, int], list[tuple[str, Attempt]]]:
     """Make the missing runs; return the number of points by state, and the runs that failed.
 
-    `log` gets a line about each run that has ended.
+    `log` gets a line about each run that has ended, and the notes on it that no run before had.
     """
     study, folder = task.study, task.folder
     folder.prepare(study)
@@ -311,6 +313,7 @@ def sweep(
         work = _write(task)
         folder.write_index(study, task.points)
         failed: list[tuple[str, Attempt]] = []
+        said: set[str] = set()
         n_points = {run.id: len(run.members) for run in task.plan.runs}
         done = answered = 0
         report(0, len(n_points), task.n_finished, "")
@@ -326,6 +329,8 @@ def sweep(
                                 answered += n_points[id] * (attempt.outcome == "ok")
                                 number = f"run {done} of {len(n_points)}"
                                 log(f"{number}: {_said(task, id)}: {_ended(attempt)}")
+                                for note in _new_notes(folder.run(id), said) if attempt.outcome == "ok" else ():
+                                    log(note)
                             if attempt.outcome != "ok":
                                 failed.append((id, attempt))
                             report(
@@ -353,6 +358,17 @@ def _said(task: Task, id: str) -> str:
             words.append(f"{key} = {value}")
     words.append(f"replicate {points[0].replicate}")
     return ", ".join(words) + (f", {len(points)} points" if len(points) > 1 else "")
+
+
+def _new_notes(run: Path, said: set[str]) -> list[str]:
+    """Notes on the figures of a finished run of which none is in `said`, and which are there then.
+
+    Those that differ in their numbers alone are the same.
+    """
+    found = {re.sub(r"[\d.,]+", "", note): note for note in remarks(run)}
+    new = [note for kind, note in found.items() if kind not in said]
+    said.update(found)
+    return new
 
 
 def _ended(attempt: Attempt) -> str:

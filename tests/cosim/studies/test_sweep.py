@@ -105,6 +105,31 @@ def test_a_sweep_says_what_it_does(swept):
     assert said.splitlines()[-1] == "next: cosim report out   cosim measure out"
 
 
+def test_notes_on_runs_are_said_once(tmp_path):
+    """Two runs of a trace that ends after 9 s of the 20 s that are asked for."""
+    rows = [f"{t};a;{5 * t};0;90;car;5" for t in range(10)]
+    head = "timestep_time;vehicle_id;" + ";".join(f"vehicle_{c}" for c in ("x", "y", "angle", "type", "speed"))
+    (tmp_path / "trace.csv").write_text("\n".join([head, *rows]))
+    (tmp_path / "short.toml").write_text(
+        f"""
+        [study]
+        name = "short"
+        [base]
+        sensing = false
+        traffic.scenario = "{tmp_path}/trace.csv"
+        traffic.duration_s = 20
+        traffic.step_s = 1
+        [[base.encounters]]
+        pairs = "all"
+        [grid]
+        encounters.0.radius_m = [50, 100]
+        """
+    )
+    done = cosim(tmp_path, "sweep", "short.toml", "--out", "out", "--workers", "1")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("run 2 of 2: ") == done.stderr.count("note: the traffic ended before the 20 s asked") == 1
+
+
 def test_core_metrics_of_a_study(swept):
     """Pivoted, short, never cut; values that there are."""
     done = cosim(swept, "measure", "out", "--over", "fleet.penetration_p", "--where", "trust.freshness_s=20.0")
