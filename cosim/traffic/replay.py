@@ -271,6 +271,10 @@ def _inside_vehicle(timestep: Timestep, shape: Int[ndarray, "n"]) -> Bool[ndarra
     return is_person & np.isin(position, position[~is_person])
 
 
+_OF_RECORDED = ("vehicles_waiting_to_enter_at_end", "teleports", "actors_left_out", "origin_m", "sumo_errors")
+"""What a replay's summary has of the run that is replayed."""
+
+
 class RunReplay(_Replay):
     """Replays the tables `actors` and `vehicles` of an earlier run. The worlds are the same, bit for bit."""
 
@@ -346,9 +350,7 @@ class RunReplay(_Replay):
     def report(self) -> dict[str, Any]:
         """Counts of the run that is replayed."""
         summary = self._run.manifest.get("summary", {})
-        report: dict[str, Any] = {
-            name: summary[name] for name in ("teleports", "actors_left_out", "origin_m") if name in summary
-        }
+        report: dict[str, Any] = {name: summary[name] for name in _OF_RECORDED if name in summary}
         report |= self._counts.report() | _far_from_lanes(self._lanes)
         return report | ({"inputs_changed": self._inputs_changed} if self._inputs_changed else {})
 

@@ -12,6 +12,7 @@ from cosim.runs.check import empty_streets, keys_in_vain
 from cosim.traffic.remarks import FlowCounts, jumping, overlapping, traffic_remarks
 from cosim.traffic.scenario import find
 from cosim.world import World
+from results.manifest import read_manifest
 from results.verify import verify
 from sensors.boxes import Boxes
 from sensors.scene import Shape
@@ -271,6 +272,9 @@ def test_a_run_is_replayed_from_elsewhere_and_a_changed_input_is_told(scenario, 
                  "--set", "fleet.penetration_p=0", "--out", "three", cwd=elsewhere)  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "note: changed since the replayed run was recorded: odd.poly.xml." in done.stderr
+    one, three = (read_manifest(folder / name)["summary"] for folder, name in ((tmp_path, "one"), (elsewhere, "three")))
+    for what in ("vehicles_waiting_to_enter_at_end", "teleports"):
+        assert three[what] == one[what]
 
 
 def test_remarks_on_standing_and_waiting_vehicles():
