@@ -1,6 +1,7 @@
 """Runs a config into a folder, and resumes such a run."""
 
 import hashlib
+import re
 import shutil
 from collections.abc import Collection
 from contextlib import closing, suppress
@@ -402,6 +403,12 @@ def remarks(folder: Path) -> list[str]:
     summary = read_manifest(folder)["summary"]
     absent = [f"note: {key}: no vehicle of that id was on the road." for key in summary.get("victims_absent", ())]
     return traffic_remarks(summary) + absent + pseudonym_remarks(summary)
+
+
+def new_remarks(folder: Path, said: dict[str, str]) -> list[str]:
+    """Of the `remarks` on a run, those that are not in `said`, where they are then. Numbers make no difference."""
+    kinds = ((re.sub(r"[\d.,]+", "", remark), remark) for remark in remarks(folder))
+    return [remark for kind, remark in kinds if said.setdefault(kind, remark) is remark]
 
 
 def pseudonym_remarks(summary: dict[str, Any]) -> list[str]:

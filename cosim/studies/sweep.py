@@ -1,7 +1,6 @@
 """Prepares and runs a study, and reports its state."""
 
 import json
-import re
 import statistics
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -16,7 +15,7 @@ from scipy.stats import t
 from cosim.door.load import checksum
 from cosim.runs import check as checking
 from cosim.runs.cluster import connected, local
-from cosim.runs.run import remarks
+from cosim.runs.run import new_remarks
 from cosim.runs.source import code_digest
 from cosim.studies.density import equipped_on_road
 from cosim.studies.engine import Work, execute
@@ -313,7 +312,7 @@ def sweep(
         work = _write(task)
         folder.write_index(study, task.points)
         failed: list[tuple[str, Attempt]] = []
-        said: set[str] = set()
+        said: dict[str, str] = {}
         n_points = {run.id: len(run.members) for run in task.plan.runs}
         done = answered = 0
         report(0, len(n_points), task.n_finished, "")
@@ -324,14 +323,15 @@ def sweep(
                 with local(n_workers) if scheduler is None else connected(scheduler, seen_by_all) as client:
                     try:
                         for id, attempt in execute(client, StudyFolder(folder.path.resolve()), work, study.limits):
+                            is_ok = attempt.outcome == "ok"
                             if id in work.runs:
                                 done += 1
-                                answered += n_points[id] * (attempt.outcome == "ok")
+                                answered += n_points[id] * is_ok
                                 number = f"run {done} of {len(n_points)}"
                                 log(f"{number}: {_said(task, id)}: {_ended(attempt)}")
-                                for note in _new_notes(folder.run(id), said) if attempt.outcome == "ok" else ():
+                                for note in new_remarks(folder.run(id), said) if is_ok else ():
                                     log(note)
-                            if attempt.outcome != "ok":
+                            if not is_ok:
                                 failed.append((id, attempt))
                             report(
                                 done,
@@ -358,17 +358,6 @@ def _said(task: Task, id: str) -> str:
             words.append(f"{key} = {value}")
     words.append(f"replicate {points[0].replicate}")
     return ", ".join(words) + (f", {len(points)} points" if len(points) > 1 else "")
-
-
-def _new_notes(run: Path, said: set[str]) -> list[str]:
-    """Notes on the figures of a finished run of which none is in `said`, and which are there then.
-
-    Those that differ in their numbers alone are the same.
-    """
-    found = {re.sub(r"[\d.,]+", "", note): note for note in remarks(run)}
-    new = [note for kind, note in found.items() if kind not in said]
-    said.update(found)
-    return new
 
 
 def _ended(attempt: Attempt) -> str:

@@ -350,7 +350,8 @@ class RunReplay(_Replay):
     def report(self) -> dict[str, Any]:
         """Counts of the run that is replayed."""
         summary = self._run.manifest.get("summary", {})
-        report: dict[str, Any] = {name: summary[name] for name in _OF_RECORDED if name in summary}
+        known = [name for name in _OF_RECORDED if name in summary]
+        report: dict[str, Any] = {name: summary[name] for name in known}
         report |= self._counts.report() | _far_from_lanes(self._lanes)
         return report | ({"inputs_changed": self._inputs_changed} if self._inputs_changed else {})
 
