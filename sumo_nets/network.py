@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from sumo_nets.xml import Attributes, Enough, stream
+from sumo_nets.xml import Attributes, Enough, stream, version_of
 
 LANE_M = 3.2
 """Default width of a lane [m]; SUMO's own."""
@@ -67,7 +68,7 @@ class Lane(NamedTuple):
     """A lane of a street, or across a junction."""
 
     line_m: Float[ndarray, "k 3"]
-    """Middle line, network coordinates; z = 0 where the network has no heights."""
+    """Middle line, network coordinates, read-only; z = 0 where the network has no heights."""
     width_m: float
     for_cars: bool
     across: bool
@@ -80,8 +81,17 @@ class Lane(NamedTuple):
     """Speed limit."""
 
 
-def lanes(net_path: Path | str) -> list[Lane]:
-    """Every lane but those of railways and waterways, and the pedestrians' within junctions."""
+def lanes(net_path: Path | str) -> tuple[Lane, ...]:
+    """Every lane but those of railways and waterways, and the pedestrians' within junctions.
+
+    Only the first call reads the file, until it changes or another network is asked for.
+    """
+    return _lanes(Path(net_path), version_of(net_path))
+
+
+@lru_cache(maxsize=1)  # a city of 930 km takes 1.3 s and 15 MB
+def _lanes(net_path: Path, version: tuple[int, ...]) -> tuple[Lane, ...]:
+    """The lanes of this version of a file."""
     found: list[Lane] = []
     function = edge = ""
     ends = ("", "")
@@ -97,6 +107,7 @@ def lanes(net_path: Path | str) -> list[Lane]:
             line_m = np.array(points, float) if {len(point) for point in points} == {3} else np.zeros((0, 3))
             if len(line_m) < 2 or not np.isfinite(line_m).all() or not 0 < width_m < LARGEST_WIDTH_M:
                 raise ValueError(f"lane {attributes.get('id', '?')!r} has no line of finite points, or no width")
+            line_m.flags.writeable = False
             limit_mps = float(attributes.get("speed", "nan"))
             found.append(
                 Lane(
@@ -113,7 +124,7 @@ def lanes(net_path: Path | str) -> list[Lane]:
             raise Enough
 
     stream(net_path, start)
-    return found
+    return tuple(found)
 
 
 def lane_bounds_m(net_path: Path | str) -> tuple[float, float, float, float]:

@@ -14,7 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from sumo_nets.vtypes import SMALLEST_M, check_size
-from sumo_nets.xml import Attributes, check_prolog, chunks, exists, spelling, stream
+from sumo_nets.xml import Attributes, check_prolog, chunks, exists, spelling, stream, version_of
 
 _WRITES = re.compile(rb"file|dest|output")
 _FILE = re.compile(rb"(?:file|dest|output)\s*=\s*[\"']([^\"'\0]+)")
@@ -42,9 +42,7 @@ def check_input(path: Path) -> list[Path]:
     left = [path]
     while left:
         file = left.pop()
-        now = file.stat()
-        version = now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns
-        new = [p for p in _included(file, version) if p != path and p not in included]
+        new = [p for p in _included(file, version_of(file)) if p != path and p not in included]
         included += new
         left += new
     return included

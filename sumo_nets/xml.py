@@ -157,6 +157,13 @@ def check_regular(path: Path | str) -> None:
         raise ValueError(f"{path}: not a regular file, but a folder, device or pipe. Give a file.")
 
 
+def version_of(path: Path | str) -> tuple[int, ...]:
+    """Numbers that tell the versions of a regular file apart. ValueError in one line if there is no such file."""
+    check_regular(path)
+    now = Path(path).stat()
+    return now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns
+
+
 def exists(path: Path) -> bool:
     """Whether a path exists; False for a name that no file can have."""
     try:

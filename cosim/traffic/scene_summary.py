@@ -14,6 +14,7 @@ from sumo_nets.footprints import Footprint, OtherPolygons, read_polygons
 from sumo_nets.ground import covered_m, segments, standing_on
 from sumo_nets.levels import crossings
 from sumo_nets.network import Lane, is_left_hand, lanes, n_jumps
+from sumo_nets.xml import version_of
 
 MOST_COVERED_P = 0.01
 """If buildings cover more of the length of the lanes, the scenario gets a note. A tunnel may lie below a building."""
@@ -49,12 +50,12 @@ class SceneSummary:
 def scene_summary(scenario: Scenario) -> SceneSummary:
     """Read the network and the polygons of a scenario, and tell what is in them. A large city takes seconds."""
     files = (scenario.net, scenario.sumocfg, *scenario.buildings)
-    return _summary(scenario, tuple(path.stat().st_mtime_ns for path in files if path is not None))
+    return _summary(scenario, tuple(version_of(path) for path in files if path is not None))
 
 
 @lru_cache(maxsize=1)
-def _summary(scenario: Scenario, changed_ns: tuple[int, ...]) -> SceneSummary:
-    """As `scene_summary`; `changed_ns` tells versions of the files apart."""
+def _summary(scenario: Scenario, versions: tuple[tuple[int, ...], ...]) -> SceneSummary:
+    """As `scene_summary`, of these versions of the files."""
     if scenario.net is None:
         return SceneSummary("none: a trace without a network", "none: everybody sees everybody")
     found = lanes(scenario.net)

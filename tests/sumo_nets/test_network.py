@@ -68,3 +68,14 @@ def test_lanes_are_those_of_the_road_also_across_junctions(tmp_path):
         ([[0, 2, 0], [9, 2, 0]], 3.2, False, False),
         ([[9, 0, 0], [12, 0, 0]], 3.2, True, True),
     ]
+
+
+def test_a_version_of_a_network_is_read_once(tmp_path):
+    path = tmp_path / "d.net.xml"
+    path.write_text('<net><edge><lane shape="0,0 9,0"/></edge></net>')
+    found = lanes(path)
+    assert lanes(str(path)) is found
+    with pytest.raises(ValueError, match="read-only"):
+        found[0].line_m[0, 0] = 1.0
+    path.write_text('<net><edge><lane shape="0,0 10,0"/></edge></net>')
+    assert lanes(path)[0].line_m.tolist() == [[0, 0, 0], [10, 0, 0]]
