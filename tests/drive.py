@@ -70,7 +70,7 @@ def carried_out(*words: str, cwd: Path | None = None, **environment: str) -> End
 
 IN_TURN = """
 import json, os, sys
-import cosim.runs.run, results.measure, results.report
+import cosim.runs.run
 from cosim.cli.main import main
 for number, words in enumerate(json.loads(sys.argv[1])):
     if not os.fork():

@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from results.archive import open_run
 from tests.drive import cosim, drive
 from tests.results.tiny import fleet, make
 
-pytest.importorskip("rerun", reason="Rerun's SDK is not installed: make extra NAME=view")
+pytestmark = pytest.mark.skipif(find_spec("rerun") is None, reason="Rerun's SDK is not installed: make extra NAME=view")
 
 
 def rerun(*words):

@@ -4,6 +4,7 @@ import ast
 import importlib
 import importlib.util
 import json
+import posixpath
 import re
 import shlex
 import subprocess
@@ -27,25 +28,30 @@ from tests.cosim.docs import fences
 from tests.cosim.docs.fences import ROOT
 
 SOURCES = fences.SOURCES
-PAGES = site.pages()
 COMMAND = typer.main.get_command(app)
 OTHERS = ("source", "pip", "dask", "rerun", "python", "python3", "netedit", "timeout", "docker", "apptainer")
 """Programs of others that pages call."""
 
 
-def test_every_page_is_in_the_navigation():
+@pytest.fixture(scope="module")
+def pages():
+    """Texts of all pages by name."""
+    return site.pages()
+
+
+def test_every_page_is_in_the_navigation(pages):
     nav = (ROOT / "cosim/docs/mkdocs.yml").read_text().split("\nnav:")[1]
-    assert sorted(re.findall(r": ([\w/-]+\.md)$", nav, flags=re.MULTILINE)) == sorted(PAGES)
+    assert sorted(re.findall(r": ([\w/-]+\.md)$", nav, flags=re.MULTILINE)) == sorted(pages)
 
 
 MAX_WORDS = 25_000
 """Words of the handbook outside of its blocks. It only falls: who adds a page cuts another one."""
 
 
-def test_the_handbook_keeps_its_words():
+def test_the_handbook_keeps_its_words(pages):
     """All pages but those that are generated and the READMEs of the packages."""
     own = {path.relative_to(fences.PAGES).with_suffix(".md").as_posix() for path in fences.PAGES.rglob("*.[mp][dy]")}
-    n_words = {page: len(re.sub(r"^```.*?^```$", "", PAGES[page], flags=re.S | re.M).split()) for page in own}
+    n_words = {page: len(re.sub(r"^```.*?^```$", "", pages[page], flags=re.S | re.M).split()) for page in own}
     assert sum(n_words.values()) <= MAX_WORDS, sorted(n_words.items(), key=lambda item: -item[1])
 
 
@@ -66,23 +72,16 @@ def test_links_lead_to_files(source):
         assert "://" in target or (path.parent / target).exists(), target
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_links_lead_to_pages(page):
-    for label, target in re.findall(
-        r"(?<!!)\[([^\]]*)\]\(([^)\s]+)\)", re.sub(r"```.*?```", "", PAGES[page], flags=re.S)
-    ):
-        if "://" in target or target.startswith("#"):
-            continue
-        path = (Path("/") / page).parent.joinpath(target.partition("#")[0])
-        where = Path(*[p for p in Path(*path.parts[1:]).parts])
-        parts: list[str] = []
-        for part in where.parts:
-            parts = parts[:-1] if part == ".." else [*parts, part]
-        assert "/".join(parts) in PAGES, f"{page}: [{label}]({target})"
+def test_links_lead_to_pages(pages):
+    for page, text in pages.items():
+        prose = re.sub(r"```.*?```", "", text, flags=re.S)
+        for target in re.findall(r"(?<!!)\[[^\]]*\]\(([^)\s]+)\)", prose):
+            where = posixpath.normpath(posixpath.join(posixpath.dirname(page), target.partition("#")[0]))
+            assert "://" in target or target.startswith("#") or where in pages, f"{page}: {target}"
 
 
-def test_every_key_has_a_row_with_a_meaning():
-    text = PAGES["reference/config.md"]
+def test_every_key_has_a_row_with_a_meaning(pages):
+    text = pages["reference/config.md"]
     for key in key_docs.keys():  # noqa: SIM118
         (row,) = [line for line in text.splitlines() if line.startswith(f"| `{key}` |")]
         assert len(row.split(" | ")[3]) > 5, f"{key} has no meaning"
@@ -106,8 +105,8 @@ def every_command(words, command):
         yield from every_command(f"{words} {name}", inner)
 
 
-def test_every_command_and_option_is_there():
-    text = PAGES["reference/cli.md"]
+def test_every_command_and_option_is_there(pages):
+    text = pages["reference/cli.md"]
     found = dict(every_command("cosim", COMMAND))
     assert {"cosim run", "cosim nets build", "cosim export", "cosim sweep"} <= found.keys()
     for words, command in found.items():
@@ -124,8 +123,8 @@ def test_help_swallows_nothing():
             assert Text.from_markup(text).plain == text, words
 
 
-def test_every_table_and_metric_is_there():
-    text = PAGES["reference/tables.md"]
+def test_every_table_and_metric_is_there(pages):
+    text = pages["reference/tables.md"]
     assert all(f"\n## {name}\n" in text for name in TABLES) and all(f"`{name}`" in text for name in METRICS)
 
 

@@ -44,7 +44,7 @@ fleet.penetration_p = [0.2]
 HALF = f"""
 [study]
 name = "short"
-{BASE}
+{BASE.replace("duration_s = 14", "duration_s = 8")}
 [grid]
 attacks.0.attack = ["ghost_insertion", "crash.py:Crash"]
 """
