@@ -12,7 +12,7 @@ from pathlib import Path
 
 from cosim.config.config import load
 from cosim.runs.check import check, notes_on
-from tests.processes import Ended, warm
+from tests.processes import Ended, set_words, warm
 
 SHORT = (
     "traffic.duration_s=20",
@@ -29,6 +29,12 @@ def cosim(*words: str, cwd: Path | None = None, **environment: str) -> subproces
     """`cosim` with these words on its command line, and these variables beside those of the tests."""
     ended = carried_out(*words, cwd=cwd, **environment)
     return subprocess.CompletedProcess(words, ended.status, ended.out, ended.err)
+
+
+def assert_refused(done: subprocess.CompletedProcess, says: str = "") -> None:
+    """Status 2, and one line that says this."""
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done
+    assert says in done.stderr, done.stderr
 
 
 def python(code: str, *words: str, cwd: Path | None = None) -> str:
@@ -48,7 +54,7 @@ def drive(folder: Path, *overrides: str, config: Path | None = None) -> Path:
 
 def simulate(folder: Path, *overrides: str, config: Path | None = None) -> Path:
     """A run with these overrides alone."""
-    sets = [word for override in overrides for word in ("--set", override)]
+    sets = set_words(overrides)
     ended = carried_out("simulate", *([str(config)] if config else []), *sets, "--out", str(folder))
     assert ended.status == 0, ended.err
     return folder

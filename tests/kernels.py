@@ -11,6 +11,7 @@ from numba.core import caching, types
 from numba.np.numpy_support import as_dtype
 
 from cosim.runs.speed.kernels import LIST
+from tests.processes import set_words
 
 
 def text_of(of):
@@ -41,7 +42,7 @@ def needed(folder, *sets):
         return load(self, signature, target)
 
     caching.Cache.load_overload = noted
-    sets = [word for one in ("compute.threads=1", *sets) for word in ("--set", one)]
+    sets = set_words(("compute.threads=1", *sets))
     sys.argv = ["cosim", "run", *sets, "--out", str(folder / "run")]
     try:
         main()

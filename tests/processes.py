@@ -17,6 +17,7 @@ import tempfile
 import time
 import traceback
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
@@ -164,6 +165,11 @@ def _forked_sumo(log: Path) -> subprocess.Popen[bytes]:
         return subprocess.Popen(["sumo"], stdin=pipe, stdout=pipe, stderr=errors, preexec_fn=serve)
 
 
+def set_words(keys: Iterable[str]) -> list[str]:
+    """Words of a command line that set keys: `key=value` each."""
+    return [word for key in keys for word in ("--set", key)]
+
+
 def sets_of_trace(path: Path) -> list[str]:
     """Words of a short run of a trace with everything on."""
     keys = (
@@ -171,7 +177,7 @@ def sets_of_trace(path: Path) -> list[str]:
         "attacks.0.start_s=0", "attacks.0.share_p=0.3", "attacks.1.start_s=0", "attacks.1.share_p=0.2",
         "lidar.n_azimuths=300", "trust.server_period_s=2", "traffic.duration_s=6",
     )  # fmt: skip
-    return [word for key in keys for word in ("--set", key)]
+    return set_words(keys)
 
 
 def conclude(what: str, counts: Counter[str], wrongs: list[str], cpu_s: float) -> None:

@@ -6,13 +6,14 @@ from pathlib import Path
 import pytest
 
 from cosim.base.addons import Choices, addons, hook, loaded
-from tests.drive import in_turn
+from tests.drive import assert_refused, in_turn
+from tests.processes import set_words
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("cosim", "sensors", "trust", "results", "sumo_nets")
 ADDONS = sorted(addons())
 SHORT = ("traffic.duration_s=3", "traffic.warmup_s=60", "trust.server_period_s=1")
-SETS = [word for key in SHORT for word in ("--set", key)]
+SETS = set_words(SHORT)
 
 
 @pytest.fixture(scope="module")
@@ -88,8 +89,7 @@ def test_what_a_deleted_addon_would_bring_is_refused_in_one_line(bare):
         ("export", "kitti", "nowhere", "--out", "x"): "export",
     }
     for done, said in zip(carry_out(bare, *refused), refused.values(), strict=True):
-        assert done.returncode == 2, (done.args, done.stderr)
-        assert said in done.stderr and done.stderr.count("\n") == 1, (done.args, done.stderr)
+        assert_refused(done, said)
 
 
 @pytest.mark.verify

@@ -9,6 +9,7 @@ import pytest
 from cosim.runs.run import pseudonym_remarks
 from results.archive import open_run
 from tests.drive import cosim, simulate
+from tests.processes import set_words
 
 HERE = Path(__file__).parent
 BASE = """
@@ -60,7 +61,7 @@ def test_a_class_that_fails_in_a_run(tmp_path):
         "            sys.exit(0)\n        return ages.age_s < 0\n"
     )
     sets = ("pseudonyms.policy=bad.py:Bad", "traffic.duration_s=6", "traffic.warmup_s=120", "record.block_steps=2")
-    words = [word for one in sets for word in ("--set", one)]
+    words = set_words(sets)
     done = cosim("run", *words, "--out", "run", cwd=tmp_path)
     told = f"error: {tmp_path}/bad.py:5: pseudonym policy Bad: changes() raised SystemExit: 0, which ends the program."
     assert done.returncode == 1 and done.stderr.count("\n") == 1 and done.stderr.startswith(told)

@@ -14,7 +14,7 @@ from results.archive import open_run
 from results.verify import verify
 from tests.hostile.scenes import write_town, write_trace
 from tests.hostile.test_runs import judged
-from tests.processes import sets_of_trace
+from tests.processes import set_words, sets_of_trace
 
 pytestmark = pytest.mark.verify
 ROOT = Path(__file__).parents[2]
@@ -229,7 +229,7 @@ def test_a_changed_input_is_said(cosim, run, tmp_path):
 
 def test_a_victim_that_never_appears_is_said(cosim, tmp_path, words):
     keys = ("attacks.0.victim=one", "attacks.0.victim_id=nobody")
-    ended = cosim("run", *words, *(w for key in keys for w in ("--set", key)), "--out", "run", cwd=tmp_path)
+    ended = cosim("run", *words, *set_words(keys), "--out", "run", cwd=tmp_path)
     assert ended.status == 0 and 'attacks.0.victim_id = "nobody": no vehicle of that id' in ended.err, ended.err
 
 

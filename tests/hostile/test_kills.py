@@ -9,7 +9,7 @@ from results.verify import verify
 from tests.fingerprint import fingerprint
 from tests.hostile import SEED, N
 from tests.hostile.scenes import write_town
-from tests.processes import sets_of_trace
+from tests.processes import set_words, sets_of_trace
 
 ATTACKS = ("replay", "stale", "sybil")
 KEYS = (
@@ -22,7 +22,7 @@ KEYS = (
 
 @pytest.mark.verify
 def test_ten_of_a_run(cosim, tmp_path):
-    sets = [*sets_of_trace(write_town(tmp_path)), *(word for key in KEYS for word in ("--set", key))]
+    sets = [*sets_of_trace(write_town(tmp_path)), *set_words(KEYS)]
     ended = cosim("run", *sets, "--out", "whole", cwd=tmp_path, cpu_s=30)
     assert ended.status == 0, ended.err
     want = fingerprint(tmp_path / "whole")

@@ -8,7 +8,7 @@ from results.archive import open_run
 from tests.hostile import SEED, N
 from tests.hostile.scenes import write_trace
 from tests.hostile.test_runs import attempt
-from tests.processes import conclude, sets_of_trace
+from tests.processes import conclude, set_words, sets_of_trace
 
 KINDS = ("content", "content", "content", "rows", "hooks", "many")
 
@@ -37,7 +37,7 @@ def test_what_is_dropped_is_counted(cosim, tmp_path):
     """5,000 boxes of each of two attackers in each of six steps: at most 255 objects of each are sent."""
     base = sets_of_trace(write_trace(tmp_path))
     sets = ["attacks.0.attack=tests.hostile.messages:Nonsense", "attacks.0.case=3", "attacks.0.kind=many"]
-    words = [word for key in sets for word in ("--set", key)]
+    words = set_words(sets)
     ended = cosim("run", *base, *words, "--out", "run", cwd=tmp_path)
     assert ended.status == 0, ended.err
     run = open_run(tmp_path / "run")

@@ -11,7 +11,7 @@ from results.verify import verify
 from tests.hostile import SEED, N
 from tests.hostile.configs import cases
 from tests.hostile.scenes import write_town, write_trace
-from tests.processes import Ended, conclude, sets_of_trace
+from tests.processes import Ended, conclude, set_words, sets_of_trace
 
 KEPT = tomllib.loads((Path(__file__).parent / "kept.toml").read_text(encoding="utf-8"))
 
@@ -22,7 +22,7 @@ def bases(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scenes")
     town = sets_of_trace(write_town(folder / "town"))
     keys = ("traffic.warmup_s=5", "driver.model=cautious", "traffic.step_s=0.5", "record.block_steps=6")
-    town += [word for key in keys for word in ("--set", key)]
+    town += set_words(keys)
     return {"trace": sets_of_trace(write_trace(folder)), "town": town}
 
 
@@ -43,7 +43,7 @@ def judged(ended: Ended, out: Path) -> str:
 def attempt(cosim, base, sets, folder, with_metrics=True):
     """One run, with or without all its metrics and its picture: how it ended, and what is wrong."""
     folder.mkdir()
-    words = [*base, *(word for key in sets for word in ("--set", key)), "--out", "run"]
+    words = [*base, *set_words(sets), "--out", "run"]
     ended = cosim("run", *words, "--json", cwd=folder) if with_metrics else cosim("simulate", *words, cwd=folder)
     wrong = judged(ended, folder / "run")
     shutil.rmtree(folder)

@@ -9,6 +9,7 @@ import pytest
 from results.archive import open_run
 from results.metrics import encounters
 from tests import SHARED
+from tests.processes import set_words
 
 BOLOGNA = SHARED / "nets" / "bologna"
 
@@ -26,7 +27,7 @@ def hour(tmp_path_factory):
         "fleet.penetration_p=0", 'encounters=[{radius_m=100, pairs="all", hysteresis_s=0.0}]', "record.level=summary",
     ]  # fmt: skip
     command = [sys.executable, "-m", "cosim", "run", "--json", "--out", str(folder / "run")]
-    subprocess.run([*command, *(word for change in changes for word in ("--set", change))], check=True)
+    subprocess.run([*command, *set_words(changes)], check=True)
     return open_run(folder / "run")
 
 

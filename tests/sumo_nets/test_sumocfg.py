@@ -3,6 +3,7 @@
 import gzip
 import hashlib
 import os
+import re
 import subprocess
 from xml.etree import ElementTree
 
@@ -56,14 +57,20 @@ def test_whatever_a_configuration_asks_to_write_nothing_is_written(scenario, tem
     same(worlds, live(str(scenario), 0, 20)[0])
 
 
+def refusal(config, says):
+    """The one line by which a configuration is refused."""
+    with pytest.raises(ValueError, match=re.escape(says)) as caught:
+        sumocfg.read(config)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
 @pytest.mark.parametrize("name", sorted(REFUSED))
 def test_options_that_end_sumo_are_refused(scenario, tmp_path, name):
     target = tmp_path / "target"
     option = f'<{name} value="{target}"/>'
     config = edited(scenario, tmp_path, change=lambda t: t.replace("<input>", option + "<input>"))
-    with pytest.raises(ValueError, match=f"the option {name} is refused") as caught:
-        sumocfg.read(config)
-    assert str(config) in str(caught.value) and "\n" not in str(caught.value) and not target.exists()
+    assert str(config) in refusal(config, f"the option {name} is refused") and not target.exists()
 
 
 @pytest.mark.parametrize(
@@ -82,9 +89,7 @@ def test_options_that_end_sumo_are_refused(scenario, tmp_path, name):
 def test_other_options_get_one_line(scenario, tmp_path, option, says):
     config = edited(scenario, tmp_path, change=lambda t: t.replace("</input>", option + "</input>"))
     os.mkfifo(tmp_path / "fifo")
-    with pytest.raises(ValueError, match=r".") as caught:
-        sumocfg.read(config)
-    assert says in str(caught.value) and "\n" not in str(caught.value)
+    refusal(config, says)
 
 
 LOOP = '<additional><inductionLoop id="e" lane="ab_1" pos="50" period="10" file="{}"/></additional>'
@@ -119,9 +124,7 @@ def test_harmful_files_are_refused(scenario, tmp_path, what):
     config = edited(scenario, tmp_path)
     (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode())
     (tmp_path / "more.xml").write_text(LOOP.format("host:80"))
-    with pytest.raises(ValueError, match=r".") as caught:
-        sumocfg.read(config)
-    assert says in str(caught.value) and "\n" not in str(caught.value) and ".xml" in str(caught.value)
+    assert ".xml" in refusal(config, says)
 
 
 EVIL = LOOP.format("127.0.0.1:9")
@@ -144,8 +147,7 @@ def test_files_are_checked_by_their_content_whatever_their_name(scenario, tmp_pa
     kept = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     config = edited(scenario, tmp_path, change=lambda t: t.replace("</input>", listed + "</input>"))
     assert all((tmp_path / other).read_bytes() == content for other, content in kept.items())
-    with pytest.raises(ValueError, match="which SUMO takes for an address to connect to"):
-        sumocfg.read(config)
+    refusal(config, "which SUMO takes for an address to connect to")
 
 
 def test_tables_of_travel_times_are_no_xml(scenario, tmp_path):
@@ -179,8 +181,7 @@ def test_a_name_that_is_spelt_otherwise(scenario, tmp_path, given, says):
 def test_a_long_tag_hides_no_address(scenario, tmp_path):
     config = edited(scenario, tmp_path)
     (tmp_path / "odd.add.xml").write_text(LOOP.format("x" * 200_000 + ":80"))
-    with pytest.raises(ValueError, match="an address to connect to"):
-        sumocfg.read(config)
+    refusal(config, "an address to connect to")
 
 
 def test_a_decompression_bomb_is_not_read_to_its_end(scenario, tmp_path):
@@ -188,8 +189,7 @@ def test_a_decompression_bomb_is_not_read_to_its_end(scenario, tmp_path):
     config = edited(scenario, tmp_path, change=lambda t: t.replace("odd.rou.xml", "bomb.rou.xml.gz"))
     head, blanks, foot = (gzip.compress(text) for text in (b"<routes>", b" " * (1 << 20), b"</routes>"))
     (tmp_path / "bomb.rou.xml.gz").write_bytes(head + 400 * blanks + foot)
-    with pytest.raises(ValueError, match=r"bomb\.rou\.xml\.gz: expands to more than 200 times its size"):
-        sumocfg.read(config)
+    refusal(config, "bomb.rou.xml.gz: expands to more than 200 times its size")
 
 
 def test_a_typing_error_in_a_network_names_the_file_and_the_line(scenario, tmp_path):

@@ -3,13 +3,20 @@
 import numpy as np
 from hypothesis import strategies as st
 
+from trust.models import MODELS, params_of
 from trust.open_steps import RejectReason
+from trust.params import TrustParams
 from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations
 
 COLUMNS = (
     "trust", "weight", "n_evaluations", "newest_step", "oldest_step",
     "newest_evaluation_step", "oldest_evaluation_step", "is_evaluated",
 )  # fmt: skip
+
+
+def build(name, dt_s=1.0, **own):
+    """A model with parameters of its own."""
+    return MODELS[name](params_of(MODELS[name], TrustParams(), own), dt_s)
 
 
 def messages_from_rows(step: int, evaluator, observer, detection_index, evaluation, visibility) -> EvaluationMessages:

@@ -131,23 +131,27 @@ def test_bad_evaluations_have_no_effect(bad):
     one = ObjectLists(np.array([0, 1]), np.array([0]), np.array([0]))
     more = ObjectLists(np.array([0, 1, 2]), np.array([0, 0]), np.array([0, 1]))
     evidence = SensorEvidence(np.zeros(2, int), np.ones(2, bool), np.ones(2, bool))
-    a = fuse(
-        FusionInput(LISTS, GROUPS, TABLE, one, good, good),
-        SENDER_TRUST,
-        evidence,
-        DISTANCE,
-        TrustParams(method="trupercept_1"),
-    )
     both = Evaluations(np.array([0.8, e]), np.array([1.0, phi]))
-    b = fuse(
-        FusionInput(LISTS, GROUPS, TABLE, more, both, both),
-        SENDER_TRUST,
-        evidence,
-        DISTANCE,
-        TrustParams(method="trupercept_1"),
+    a, b = (
+        fuse(
+            FusionInput(LISTS, GROUPS, TABLE, lists, said, said),
+            SENDER_TRUST,
+            evidence,
+            DISTANCE,
+            TrustParams(method="trupercept_1"),
+        )
+        for lists, said in ((one, good), (more, both))
     )
     np.testing.assert_array_equal(a.score, b.score)
     np.testing.assert_array_equal(a.n_evaluations, b.n_evaluations)
+
+
+def with_self_report(is_self, **options):
+    """Fused objects where some detections are self reports, and no evaluation says anything."""
+    table, said = replace(TABLE, is_self=np.array(is_self)), Evaluations(np.zeros(6), np.ones(6))
+    evidence = SensorEvidence(np.zeros(2, int), np.ones(2, bool), np.ones(2, bool))
+    of = FusionInput(LISTS, GROUPS, table, EVALUATED, said, said)
+    return fuse(of, SENDER_TRUST, evidence, DISTANCE, TrustParams(**options))
 
 
 def test_closest_pose():
@@ -155,33 +159,13 @@ def test_closest_pose():
     assert by_hand("local").pose.tolist() == [0, 2]
     assert by_hand("corrected", code_parity=True).pose.tolist() == [0, 2]
     # a self report at 0 m is taken unless excluded
-    table = replace(TABLE, is_self=np.array([False, True, False]))
-    evaluations = Evaluations(np.zeros(6), np.ones(6))
-    evidence = SensorEvidence(np.zeros(2, int), np.ones(2, bool), np.ones(2, bool))
     for allowed, pose in ((True, 1), (False, 0)):
-        params = TrustParams(method="corrected", self_report_poses=allowed)
-        fused = fuse(
-            FusionInput(LISTS, GROUPS, table, EVALUATED, evaluations, evaluations),
-            SENDER_TRUST,
-            evidence,
-            DISTANCE,
-            params,
-        )
+        fused = with_self_report([False, True, False], method="corrected", self_report_poses=allowed)
         assert fused.pose[0] == pose
 
 
 def test_the_ego_itself_is_no_output():
-    table = replace(TABLE, is_self=np.array([True, False, False]))
-    evaluations = Evaluations(np.zeros(6), np.ones(6))
-    evidence = SensorEvidence(np.zeros(2, int), np.ones(2, bool), np.ones(2, bool))
-    fused = fuse(
-        FusionInput(LISTS, GROUPS, table, EVALUATED, evaluations, evaluations),
-        SENDER_TRUST,
-        evidence,
-        DISTANCE,
-        TrustParams(),
-    )
-    assert fused.seed.tolist() == [2]
+    assert with_self_report([True, False, False]).seed.tolist() == [2]
 
 
 def test_the_ego_uses_its_own_evaluations_and_the_others_as_reported():

@@ -7,10 +7,10 @@ import pytest
 
 from cosim.addons.trust_models.false_discovery import critical, tail
 from cosim.addons.trust_models.prbi import dealt
-from tests.trust.histories import add, history, open_step, received_by, trust_of
+from tests.trust.histories import add, build, history, open_step, received_by, trust_of
 from tests.verification import judged_evaluators as literal
-from trust.models import MODELS, params_of
-from trust.params import KINDS, TrustParams
+from trust.models import MODELS
+from trust.params import KINDS
 from trust.tables import SERVER, ReceivedEvaluations
 
 CASES = [
@@ -39,10 +39,6 @@ CASES = [
 ]
 """Parameters by model: ours, and those of the transcription."""
 JUDGING = sorted({name for name, *_ in CASES})
-
-
-def build(name, dt_s=1.0, **own):
-    return MODELS[name](params_of(MODELS[name], TrustParams(), own), dt_s)
 
 
 def given(model, step, rows, own):

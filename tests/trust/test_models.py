@@ -13,6 +13,7 @@ from tests.trust.histories import (
     COLUMNS,
     add,
     assert_same,
+    build,
     histories,
     messages_from_rows,
     open_step,
@@ -29,10 +30,6 @@ from trust.params import TrustParams, differing_evidence_key, eta_of
 from trust.tables import SERVER, ReceivedEvaluations
 
 every_model = pytest.mark.parametrize("name", MODELS)
-
-
-def build(name, dt_s=1.0, **own):
-    return MODELS[name](params_of(MODELS[name], TrustParams(), own), dt_s)
 
 
 @every_model

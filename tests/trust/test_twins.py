@@ -10,11 +10,10 @@ from cosim.addons.trust_models.eigentrust import eigentrust
 from cosim.addons.trust_models.majority_ban import MajorityBan, MajorityBanParams
 from cosim.addons.trust_models.mate import PRIOR, Mate, MateParams, gained
 from cosim.addons.trust_models.minhas import MinhasParams, experienced
-from tests.trust.histories import add, histories, open_step, play, trust_of
+from tests.trust.histories import add, build, histories, open_step, play, trust_of
 from tests.trust.test_judged_evaluators import JUDGING
 from tests.verification import trust_models as literal
-from trust.models import MODELS, params_of
-from trust.params import TrustParams
+from trust.models import MODELS
 
 SETTINGS = {
     "beta": [({}, {}), ({"decay_per_s": 0.5}, {"decay": 0.5}), ({"decay_per_s": 1.0}, {"decay": 1.0})],
@@ -40,10 +39,6 @@ SETTINGS = {
 CASES = [(name, *case) for name, cases in SETTINGS.items() for case in cases]
 PLAIN = {"denied_share", "mean_score"}
 """Rules of `tests/addons/trust_models/test_plain_rules.py`."""
-
-
-def build(name, dt_s=1.0, **own):
-    return MODELS[name](params_of(MODELS[name], TrustParams(), own), dt_s)
 
 
 def test_every_model_has_a_twin():

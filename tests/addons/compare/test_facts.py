@@ -15,7 +15,7 @@ from cosim.addons.compare.facts import ComparedFact, Fact, Measured, chosen, loa
 from cosim.addons.compare.measures import MEASURES, measured
 from cosim.addons.compare.runs import GivenRuns, PlannedRuns, config_of
 from cosim.config.config import load as load_config
-from tests.drive import cosim
+from tests.drive import assert_refused, cosim
 from tests.results.tiny import fleet
 
 ROOT = Path(__file__).parents[3]
@@ -188,7 +188,7 @@ def test_command_line(tmp_path):
         (("judge", "contacts", "runs/mine"), "cosim compare encounters --run RUN"),
     ):
         ended = cosim(*words)
-        assert ended.returncode == 2 and ended.stderr.count("\n") == 1 and said in ended.stderr
+        assert_refused(ended, said)
 
 
 def test_a_picture_has_room_for_intervals():

@@ -11,6 +11,7 @@ from results.archive import open_run
 from results.verify import verify
 from tests.drive import cosim
 from tests.fingerprint import fingerprint
+from tests.processes import set_words
 
 KEYS = (
     "preset=v0.2", "traffic.step_s=0.5", "sensing_interval_s=0.5", "traffic.duration_s=20", "traffic.warmup_s=100",
@@ -23,7 +24,7 @@ N_BLOCKS = 3
 
 @pytest.mark.verify
 def test_a_closed_loop_killed_in_the_middle_has_the_tables_of_one_never_interrupted(tmp_path):
-    sets = [word for key in KEYS for word in ("--set", key)]
+    sets = set_words(KEYS)
     assert cosim("run", *sets, "--out", "whole", cwd=tmp_path).returncode == 0
     out = tmp_path / "broken"
     run = subprocess.Popen(

@@ -16,12 +16,7 @@ from cosim.traffic.scenario import find
 from results import tables
 from results.metrics.registry import METRICS
 from results.tables import TABLES
-from tests.drive import cosim, drive
-
-
-def refused_in_one_line(done, says):
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    assert says in done.stderr
+from tests.drive import assert_refused, cosim, drive
 
 
 @pytest.mark.parametrize(
@@ -82,7 +77,7 @@ def test_a_metric_is_defined_without_the_one_before():
 )
 def test_close_words_are_named_where_none_fits(word, near):
     done = cosim("explain", word)
-    refused_in_one_line(done, near)
+    assert_refused(done, near)
 
 
 def test_explain_prints_json():

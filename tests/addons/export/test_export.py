@@ -11,7 +11,7 @@ from cosim.addons.export.export import export
 from cosim.runs import replay_lidar
 from results.archive import open_run
 from tests.addons.export import readers
-from tests.drive import cosim, drive, simulate
+from tests.drive import assert_refused, cosim, drive, simulate
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +130,7 @@ def test_the_same_bytes_again(folder, vehicles, tmp_path, form):
 def test_a_mistake_is_one_line(folder, tmp_path):
     """Exit status 2, and nothing written."""
     done = cosim("export", "kitti", str(folder), "--out", str(tmp_path / "out"), "--vehicles", "../<b>x</b>")
-    assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and done.stdout == ""
+    assert_refused(done)
     assert not (tmp_path / "out").exists()
 
 

@@ -12,8 +12,9 @@ import pytest
 
 from cosim.addons.export import view
 from results.archive import open_run
-from tests.drive import SHORT, cosim, drive
+from tests.drive import SHORT, assert_refused, cosim, drive
 from tests.fingerprint import fingerprint
+from tests.processes import set_words
 
 SETS = ("traffic.duration_s=8", "traffic.warmup_s=120", "attacks.0.start_s=2")
 
@@ -24,7 +25,7 @@ def plain(tmp_path_factory):
 
 
 def watched(folder, name):
-    words = [word for text in (*SHORT, *SETS) for word in ("--set", text)]
+    words = set_words((*SHORT, *SETS))
     done = cosim("run", *words, "--out", str(folder / "run"), "--watch-file", str(folder / name))
     assert done.returncode == 0, done.stderr
     return folder / "run"
@@ -85,7 +86,7 @@ def test_mcap(plain, tmp_path):
 )
 def test_mistakes(tmp_path, words, says):
     done = cosim("run", "--out", str(tmp_path / "run"), *words)
-    assert done.returncode == 2 and says in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    assert_refused(done, says)
     assert not (tmp_path / "run").exists()
 
 

@@ -142,11 +142,15 @@ def test_long_messages_are_segments(tmp_path, kind, number):
     assert seen[9]["class"] == "cyclist" and seen[9]["x"] == pytest.approx(800, abs=1) and seen[9]["z"] == 100
 
 
-def test_sensors_are_described_where_the_message_does_and_in_its_first_segment(tmp_path):
-    run = many(tmp_path, 255)
+def sent_by(run, out):
+    """The detection messages that vehicle 0 of a run sends, read from a capture in the folder `out`."""
     of = replace(truck.selection(run, (0,)), projection=lambda: NORTH)
-    truck.written(pcap.Pcap().plan(of), tmp_path / "out")
-    messages = [readers.cpm(f["message"]) for f in readers.pcap(tmp_path / "out" / "sent.pcap")]
+    truck.written(pcap.Pcap().plan(of), out)
+    return [readers.cpm(f["message"]) for f in readers.pcap(out / "sent.pcap")]
+
+
+def test_sensors_are_described_where_the_message_does_and_in_its_first_segment(tmp_path):
+    messages = sent_by(many(tmp_path, 255), tmp_path / "out")
     assert [m["range"] for m in messages] == [0] + [None] * (len(messages) - 1)
     (tmp_path / "second").mkdir()
     seen = [{"step": s, "observer": 0, "detection_index": 1, "class": "car", "score": 0.5, "origin": "sensed",
@@ -155,9 +159,7 @@ def test_sensors_are_described_where_the_message_does_and_in_its_first_segment(t
     content = [{"step": s, "sender": 0, "length_bytes": 200, "sensors": s in (0, 2)} for s in range(3)]
     run = tiny.make(tmp_path / "second", 4, truck.CONFIG, vehicles=[car()], actors=actors, detections=seen,
                     cpm_content=content)  # fmt: skip
-    of = replace(truck.selection(run, (0,)), projection=lambda: NORTH)
-    truck.written(pcap.Pcap().plan(of), tmp_path / "out")
-    messages = [readers.cpm(f["message"]) for f in readers.pcap(tmp_path / "out" / "sent.pcap")]
+    messages = sent_by(run, tmp_path / "out")
     assert [m["range"] for m in messages] == [0, None, 0, 0], "the last is not in the table"
 
 

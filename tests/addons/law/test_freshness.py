@@ -14,7 +14,8 @@ from cosim.config.config import load, resolve_data, with_defaults
 from cosim.studies import study as studies
 from cosim.studies.folder import StudyFolder
 from cosim.studies.points import points_of
-from tests.drive import cosim, drive
+from tests.drive import assert_refused, cosim, drive
+from tests.processes import set_words
 
 SHORT = {"attacks": [], "traffic": {"duration_s": 8, "warmup_s": 30}, "fleet": {"penetration_p": 0.5}}
 CONFIG = """
@@ -192,7 +193,7 @@ def test_a_short_run_is_as_predicted(run):
 )
 def test_mistakes_are_one_line(run, words, message):
     done = cosim("predict", "freshness", *words, cwd=run)
-    assert done.returncode == 2 and message in done.stderr and len(done.stderr.splitlines()) == 1
+    assert_refused(done, message)
     assert "Traceback" not in done.stderr and not (run / "x.toml").exists()
 
 
@@ -243,7 +244,7 @@ def test_a_grid_is_a_study_that_can_be_swept(run):
 )
 def test_other_sensors_delays_and_losses(tmp_path, sets):
     (tmp_path / "law.toml").write_text(CONFIG.replace("30", "90"))
-    words = [word for one in sets for word in ("--set", one)]
+    words = set_words(sets)
     drive(tmp_path / "run", *sets, config=tmp_path / "law.toml")
     done = cosim(
         "predict", "freshness", "law.toml", *words, "--against", "run", "--fleets", "0", "--json", cwd=tmp_path

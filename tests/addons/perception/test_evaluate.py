@@ -14,7 +14,7 @@ from cosim.addons.perception.kitti import average_precision
 from results.archive import open_run
 from results.moments import corners_of
 from tests.addons.perception.test_readers import dair_folder, opv2v_file, vehicle
-from tests.drive import cosim, drive
+from tests.drive import assert_refused, cosim, drive
 
 
 def car(x: float, y: float) -> list[float]:
@@ -263,7 +263,7 @@ def test_what_is_no_data_set(tmp_path):
         with pytest.raises(ValueError, match=said):
             layout_of(folder)
     ended = cosim("evaluate", str(tmp_path))
-    assert ended.returncode == 2 and ended.stderr.count("\n") == 1
+    assert_refused(ended)
     ended = cosim("evaluate", str(scene(tmp_path)))
     assert ended.returncode == 0 and "averaging" in ended.stdout and "66.7" in ended.stdout
     ended = cosim("evaluate", str(tmp_path), "--json", "--overlap", "0.5")

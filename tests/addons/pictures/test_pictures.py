@@ -10,7 +10,7 @@ from cosim.addons.pictures import pictures
 from cosim.runs import replay_lidar
 from results.archive import open_run
 from sensors.range_steps import NO_RETURN
-from tests.drive import cosim, drive
+from tests.drive import assert_refused, cosim, drive
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_mistakes(folder, vehicle, step, out, says):
 
 def test_a_mistake_is_one_line(folder):
     done = cosim("plot", "sweep", str(folder), "--step", "2")
-    assert done.returncode == 2 and "plot sweep RUN" in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    assert_refused(done, "plot sweep RUN")
 
 
 def test_plot_scene(folder, tmp_path):
@@ -81,6 +81,6 @@ def test_plot_scene(folder, tmp_path):
             np.linalg.norm(away[:, :2], axis=1) < 0.5 * np.linalg.norm(world.boxes.lwh_m[of, :2], axis=1) + 0.2
         ).all()
     done = cosim("plot", "scene", str(folder), "--step", "4", "--vehicle", "999999", "--out", str(tmp_path / "no.png"))
-    assert done.returncode == 2 and "--vehicle 999999 has no sensor on the road in step 4" in done.stderr
+    assert_refused(done, "--vehicle 999999 has no sensor on the road in step 4")
     done = cosim("plot", "scene", str(folder))
-    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
+    assert_refused(done)

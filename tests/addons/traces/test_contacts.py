@@ -11,7 +11,7 @@ from results.archive import open_run
 from results.encounters import EncounterParams, EncounterTracker
 from sumo_nets import catalogue
 from tests.cosim.traffic.test_replay import record
-from tests.drive import cosim, simulate
+from tests.drive import assert_refused, cosim, simulate
 
 KEY = ["a", "b", "start_step", "radius_m", "pairs"]
 CONFIG = """\
@@ -314,7 +314,7 @@ def test_misuse_ends_in_one_line_and_nothing_written(tmp_path, what):
     (tmp_path / "g.xml").write_text(f"<fcd-export>{moving}</fcd-export>")
     before = sorted(tmp_path.iterdir())
     done = cosim("contacts", *words, cwd=tmp_path)
-    assert done.returncode == 2 and done.stderr.count("\n") == 1 and said in done.stderr, done.stderr
+    assert_refused(done, said)
     assert not [p for p in tmp_path.iterdir() if p not in before and p.name != "runs"]
     assert not list(tmp_path.glob("runs/*"))
 

@@ -9,12 +9,7 @@ import tomllib
 import pytest
 
 from cosim.config.config import load
-from tests.drive import cosim
-
-
-def refused_in_one_line(done, says):
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    assert says in done.stderr
+from tests.drive import assert_refused, cosim
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +52,7 @@ def test_init_writes_a_config_that_runs_and_a_study(tmp_path):
 def test_the_wrong_command_names_the_right_one(begun, words, says):
     (begun / "my.osm.pbf").write_bytes(b"")
     done = cosim(*words, cwd=begun)
-    refused_in_one_line(done, says)
+    assert_refused(done, says)
 
 
 def test_a_study_takes_changes_of_its_base(begun):
@@ -135,5 +130,5 @@ def test_a_path_is_no_name_of_a_study(tmp_path):
     """`folder` beside `folder.toml` is the folder, and `./freshness` is no study that ships."""
     cosim("init", "--study", "ages.toml", cwd=tmp_path)
     (tmp_path / "ages").mkdir()
-    refused_in_one_line(cosim("sweep", str(tmp_path / "ages"), "--dry-run", cwd=tmp_path), "is no regular file")
-    refused_in_one_line(cosim("sweep", str(tmp_path / "freshness"), "--dry-run", cwd=tmp_path), "no such study")
+    assert_refused(cosim("sweep", str(tmp_path / "ages"), "--dry-run", cwd=tmp_path), "is no regular file")
+    assert_refused(cosim("sweep", str(tmp_path / "freshness"), "--dry-run", cwd=tmp_path), "no such study")

@@ -12,7 +12,7 @@ from cosim.config import preset
 from cosim.config.config import Config, load, of_run, resolve_data
 from cosim.config.data import read_toml
 from cosim.studies import study
-from tests.drive import cosim
+from tests.drive import assert_refused, cosim
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 
@@ -103,5 +103,5 @@ def test_a_study_can_sweep_presets(tmp_path):
 )
 def test_a_name_that_is_none(words):
     done = cosim(*words)
-    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "preset" in done.stderr
+    assert_refused(done, "preset")
     assert "modern" in done.stderr

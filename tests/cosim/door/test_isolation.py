@@ -14,6 +14,7 @@ from cosim.door.load import load_own
 from tests.cosim.door import tiny
 from tests.cosim.door.test_mistakes import GOOD, source
 from tests.drive import cosim
+from tests.processes import set_words
 from tests.slow import slow
 
 
@@ -87,7 +88,7 @@ def test_mistakes_that_were_silent(tmp_path, line, said):
     assert "mine.py:" in ended.stderr
 
 
-SETS = [word for key in ("traffic.duration_s=8", "traffic.warmup_s=60") for word in ("--set", key)]
+SETS = set_words(("traffic.duration_s=8", "traffic.warmup_s=60"))
 
 
 def test_what_a_class_prints_is_not_in_the_json(tmp_path):

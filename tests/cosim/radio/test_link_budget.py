@@ -16,6 +16,11 @@ def los_of(*rings):
     return LosOfPlaces(WallIndex.of(city.buildings))
 
 
+def four_houses():
+    square = np.array([[0.0, 0.0], [40.0, 0.0], [40.0, 40.0], [0.0, 40.0]])
+    return los_of(*(square + np.array([x, y]) for x in (100, 300) for y in (50, 350)))
+
+
 def scatter(n, side_m, seed=0):
     g = np.random.default_rng(seed)
     return np.column_stack([g.uniform(0, side_m, (n, 2)), np.full(n, 1.5)])
@@ -85,8 +90,7 @@ def test_a_link_is_a_function_of_the_positions():
 
 def test_a_wall_never_brings_more_power():
     xyz, params = scatter(200, 600.0), PropagationParams(**PLAIN, interference_range_nlos_m=1000.0)
-    square = np.array([[0.0, 0.0], [40.0, 0.0], [40.0, 40.0], [0.0, 40.0]])
-    los = los_of(*(square + np.array([x, y]) for x in (100, 300) for y in (50, 350)))
+    los = four_houses()
     free, built = pairs(xyz, params, ONE), pairs(xyz, params, ONE, los)
     loss = dict(zip(zip(free.a.tolist(), free.b.tolist(), strict=True), free.loss_db, strict=True))
     assert built.nlos.any()
@@ -100,8 +104,7 @@ def test_without_los_the_interference_range_is_shorter():
         scatter(200, 600.0),
         PropagationParams(**PLAIN, interference_range_m=500.0, interference_range_nlos_m=100.0),
     )
-    square = np.array([[0.0, 0.0], [40.0, 0.0], [40.0, 40.0], [0.0, 40.0]])
-    los = los_of(*(square + np.array([x, y]) for x in (100, 300) for y in (50, 350)))
+    los = four_houses()
     found = pairs(xyz, params, ONE, los)
     a, b, d = pairs_within(xyz, 500.0)
     clear = los.has_los(xyz, a, b)

@@ -43,13 +43,16 @@ def test_without_loss_exactly_the_stations_in_range_receive():
     assert (found.hops == 1).all() and (found.latency_s > 0).all()
 
 
+def send_on_line(sends=None, max_hops=4, forward_range_m=1e4, messages=None):
+    """One round of ten vehicles on a line, 100 m apart, with a range of 150 m."""
+    xy, keys = np.stack([np.arange(10) * 100.0, np.zeros(10)], axis=1), np.arange(10, dtype=np.uint64)
+    relay = {"max_hops": max_hops, "forward_range_m": forward_range_m}
+    return send(xy, keys, sends, range_m=150.0, loss_p=0.0, messages=messages, **relay)
+
+
 def test_hops_are_the_shortest_path_in_the_contact_graph():
-    """Ten vehicles on a line, 100 m apart, 150 m range: k positions away is k hops."""
-    xy = np.stack([np.arange(10) * 100.0, np.zeros(10)], axis=1)
-    found, frames = send(
-        xy, np.arange(10, dtype=np.uint64), np.arange(10) == 0,
-        range_m=150.0, loss_p=0.0, max_hops=4, forward_range_m=1e4,
-    )  # fmt: skip
+    """k positions away is k hops."""
+    found, frames = send_on_line(np.arange(10) == 0)
     assert found.receiver.tolist() == [1, 2, 3, 4]
     assert found.hops.tolist() == [1, 2, 3, 4]
     assert (np.diff(found.latency_s) > 0).all()
@@ -59,22 +62,14 @@ def test_hops_are_the_shortest_path_in_the_contact_graph():
 
 
 def test_forwarding_stops_beyond_its_range():
-    xy = np.stack([np.arange(10) * 100.0, np.zeros(10)], axis=1)
-    found, _ = send(
-        xy, np.arange(10, dtype=np.uint64), np.arange(10) == 0,
-        range_m=150.0, loss_p=0.0, max_hops=10, forward_range_m=250.0,
-    )  # fmt: skip
+    found, _ = send_on_line(np.arange(10) == 0, max_hops=10, forward_range_m=250.0)
     assert found.receiver.tolist() == [1, 2, 3]  # the one 300 m away receives, and does not forward
 
 
 def test_who_refuses_a_message_receives_it_and_does_not_forward_it():
     """On the line, 3 refuses the message of 0 and forwards that of 1."""
-    xy = np.stack([np.arange(10) * 100.0, np.zeros(10)], axis=1)
     messages = Messages(np.array([0, 1]), np.array([300, 300]), refused=np.array([(0 << 32) + 3, (1 << 32) + 9]))
-    found, _ = send(
-        xy, np.arange(10, dtype=np.uint64), messages=messages,
-        range_m=150.0, loss_p=0.0, max_hops=4, forward_range_m=1e4,
-    )  # fmt: skip
+    found, _ = send_on_line(messages=messages)
     assert found.receiver[found.message == 0].tolist() == [1, 2, 3]
     assert found.receiver[found.message == 1].tolist() == [0, 2, 3, 4, 5]
 

@@ -4,15 +4,19 @@ import numpy as np
 import pytest
 
 from cosim.config.config import load
-from cosim.runs.check import keys_in_vain
 from cosim.runs.run import run
-from cosim.traffic.scenario import find
 from results.archive import open_run
 from tests.drive import noted
 from tests.hostile.scenes import write_trace
 from tests.processes import sets_of_trace
 
 SLOW = "radio.model=unit_disk", "radio.unit_disk.latency_max_s=0.3", "traffic.step_s=0.2", "sensing_phase=random"
+
+
+def assert_noted(sets, about, said):
+    """One note on this says so; there is none where `said` is empty."""
+    notes = [note for note in noted(*sets) if about in note]
+    assert [said in note for note in notes] == [True] * bool(said)
 
 
 @pytest.mark.parametrize(
@@ -28,8 +32,7 @@ SLOW = "radio.model=unit_disk", "radio.unit_disk.latency_max_s=0.3", "traffic.st
     ],
 )
 def test_messages_that_no_station_can_receive(sets, said):
-    notes = [note for note in noted(*sets) if "radio." in note]
-    assert [said in note for note in notes] == [True] * bool(said)
+    assert_noted(sets, "radio.", said)
 
 
 GHOSTS = "attacks.0.attack=ghost_insertion"
@@ -49,14 +52,7 @@ GHOSTS = "attacks.0.attack=ghost_insertion"
 )
 def test_an_attack_that_never_begins_is_noted(sets, said):
     """Unless it has no attackers, is not meant to begin, or is one of the default run."""
-    notes = [note for note in noted(*sets) if "never begins" in note]
-    assert [said in note for note in notes] == [True] * bool(said)
-
-
-def periods_noted(*sets):
-    config = load(None, list(sets))
-    found = keys_in_vain(config, find(config.traffic.scenario, config.traffic.trace))
-    return [note for note in found if "broadcasts every" in note]
+    assert_noted(sets, "never begins", said)
 
 
 @pytest.mark.parametrize(
@@ -71,13 +67,11 @@ def periods_noted(*sets):
     ],
 )
 def test_a_period_that_is_rounded_up_is_noted(sets, says):
-    notes = periods_noted(*sets.split())
-    assert [says in note for note in notes] == [True] * bool(says)
+    assert_noted(sets.split(), "broadcasts every", says)
 
 
 def test_the_noted_period_is_that_of_the_run(tmp_path):
     sets = [*sets_of_trace(write_trace(tmp_path))[1::2], "trust.server_period_s=1.5"]
-    (note,) = periods_noted(*sets)
-    assert "the server broadcasts every 2 s, because messages are exchanged every 1 s." in note
+    assert_noted(sets, "broadcasts every", "the server broadcasts every 2 s, because messages are exchanged every 1 s.")
     recorded = open_run(run(load(None, sets), tmp_path / "run", lambda *_: None))
     assert set(np.diff(np.unique(recorded.trust.step))) == {2}

@@ -23,7 +23,7 @@ from tests.cosim.traffic import mixed_scenario
 from tests.drive import cosim, python
 from tests.fingerprint import fingerprint
 from tests.hostile.scenes import write_trace
-from tests.processes import sets_of_trace
+from tests.processes import set_words, sets_of_trace
 
 CLAIM = """
 import json, os, sys, time
@@ -65,10 +65,8 @@ def test_twelve_into_one_folder_are_one_run_and_refusals(tmp_path):
     assert len(refused) == 11 and "mine" in said and not any("\n" in one for one in refused), said
 
 
-SHORT = [
-    word for key in ("preset=v0.2", "traffic.duration_s=12", "traffic.warmup_s=60", "record.block_steps=4",
-                     "tracking.model=constant_velocity") for word in ("--set", key)
-]  # fmt: skip
+SHORT = set_words(("preset=v0.2", "traffic.duration_s=12", "traffic.warmup_s=60", "record.block_steps=4",
+                     "tracking.model=constant_velocity"))  # fmt: skip
 
 
 @pytest.mark.verify

@@ -30,16 +30,24 @@ ENGINES = pytest.mark.parametrize("engine", ["embree", pytest.param("open3d", ma
 ))])  # fmt: skip
 
 
-@pytest.fixture(scope="module", params=["obj", "ply", "stl", "glb"])
+each_form = pytest.fixture(scope="module", params=["obj", "ply", "stl", "glb"])
+
+
+def exported(mesh, request, tmp_path_factory):
+    """A mesh as a file of the form that is asked for."""
+    if request.param == "glb":  # y is up there
+        mesh.apply_transform([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    path = tmp_path_factory.mktemp("mesh") / f"mesh.{request.param}"
+    mesh.export(path)
+    return path
+
+
+@each_form
 def house(request, tmp_path_factory):
     """A box on the ground around its origin, 12 m long, 6 m wide and 9 m high, as a file of each form."""
     box = trimesh.creation.box(SIZE)
     box.apply_translation((0, 0, SIZE[2] / 2))
-    if request.param == "glb":  # y is up there
-        box.apply_transform([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-    path = tmp_path_factory.mktemp("mesh") / f"house.{request.param}"
-    box.export(path)
-    return path
+    return exported(box, request, tmp_path_factory)
 
 
 def sweep(scene, engine):
@@ -97,17 +105,13 @@ def test_in_the_config(house, tmp_path):
         load(config)
 
 
-@pytest.fixture(scope="module", params=["obj", "ply", "stl", "glb"])
+@each_form
 def car(request, tmp_path_factory):
     """The prisms of a car of 10 x 4 x 3 units as a file of each form."""
     unit = Boxes(np.zeros((1, 3)), np.array([[10.0, 4.0, 3.0]]), np.zeros(1))
     triangles = body_triangles(prisms(np.array([Shape.CAR], np.uint8), unit))
     mesh = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), process=False)
-    if request.param == "glb":
-        mesh.apply_transform([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-    path = tmp_path_factory.mktemp("mesh") / f"car.{request.param}"
-    mesh.export(path)
-    return path
+    return exported(mesh, request, tmp_path_factory)
 
 
 @ENGINES

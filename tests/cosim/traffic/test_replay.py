@@ -21,6 +21,7 @@ from tests.cosim.traffic import mixed_scenario
 from tests.cosim.traffic.worlds import collect, live, registry, same
 from tests.drive import SHORT, cosim, drive
 from tests.fingerprint import fingerprint
+from tests.processes import set_words
 from tests.slow import slow
 
 FORMATS = (
@@ -122,7 +123,7 @@ def test_identical_tables(tmp_path):
 def test_a_run_that_outlives_its_trace_ends_and_says_so(tmp_path):
     drive(tmp_path / "live", "traffic.duration_s=5", "traffic.warmup_s=60")
     sets = (*SHORT, "traffic.duration_s=9", "traffic.warmup_s=0", f"traffic.scenario={tmp_path / 'live'}")
-    done = cosim("run", *(word for s in sets for word in ("--set", s)), "--out", str(tmp_path / "longer"))
+    done = cosim("run", *set_words(sets), "--out", str(tmp_path / "longer"))
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("\n") == 1 and "ended before the 9 s asked for" in done.stderr
     manifest = json.loads((tmp_path / "longer" / "manifest.json").read_text())

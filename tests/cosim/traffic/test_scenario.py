@@ -22,6 +22,7 @@ from tests.cosim.traffic.mixed_scenario import edited
 from tests.cosim.traffic.worlds import live, same
 from tests.drive import cosim
 from tests.hostile.scenes import write_town
+from tests.processes import set_words
 from tests.slow import slow
 
 BOLOGNA = SHARED / "nets" / "bologna"
@@ -84,7 +85,7 @@ def test_demand_that_turns_out_wrong_later(scenario, tmp_path, demand, is_kept):
     config.write_text(config.read_text().replace("</processing>", COMPLAINT))
     sets = (f"traffic.scenario={config}", "traffic.warmup_s=100", "traffic.duration_s=550", "fleet.penetration_p=0")
     out = tmp_path / "run"
-    done = cosim("run", *(word for s in sets for word in ("--set", s)), "--out", str(out))
+    done = cosim("run", *set_words(sets), "--out", str(out))
     assert done.returncode == 2
     assert re.fullmatch(r"error: .*odd\.sumocfg: SUMO gives up: The edge 'nowhere'.*\n", done.stderr)
     assert out.exists() == is_kept
@@ -97,14 +98,14 @@ def test_demand_that_turns_out_wrong_later(scenario, tmp_path, demand, is_kept):
 def test_what_sumo_complains_of_though_it_goes_on_is_told(scenario, tmp_path):
     config = edited(scenario, tmp_path, "odd.sumocfg", lambda t: t.replace("</processing>", COMPLAINT))
     sets = (f"traffic.scenario={config}", "traffic.duration_s=5", "fleet.penetration_p=0")
-    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"))
+    done = cosim("run", *set_words(sets), "--out", str(tmp_path / "run"))
     assert done.returncode == 0
     assert "note: SUMO continued after this error: Invalid collision.action 'zz'" in done.stderr
 
 
 def test_a_run_that_outlives_the_demand_says_so_and_counts_who_was_left_out(scenario, tmp_path):
     sets = ("traffic.scenario=.", "traffic.duration_s=2000", "fleet.penetration_p=0")
-    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"), cwd=scenario.parent)
+    done = cosim("run", *set_words(sets), "--out", str(tmp_path / "run"), cwd=scenario.parent)
     assert done.returncode == 0, done.stderr
     first, second = [line for line in done.stderr.splitlines() if not line.startswith("estimate: ")]
     assert "the traffic ended before the 2000 s asked for" in first
@@ -177,7 +178,7 @@ def test_half_an_hour_without_a_warning(tmp_path, city):
         before = sorted(BOLOGNA.iterdir())
     sets = (f"traffic.scenario={city}", "traffic.duration_s=1800", "record.level=summary", "fleet.penetration_p=0.1",
             "traffic.warmup_s=600")  # fmt: skip
-    done = cosim("run", *(word for s in sets for word in ("--set", s)), "--out", str(tmp_path / "run"))
+    done = cosim("run", *set_words(sets), "--out", str(tmp_path / "run"))
     assert done.returncode == 0, done.stderr
     assert all(line.startswith("estimate: ") for line in done.stderr.splitlines()), done.stderr
     manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
@@ -204,7 +205,7 @@ def test_traffic_that_begins_later_is_named_with_its_time(scenario, tmp_path):
     config = edited(scenario, tmp_path, "odd.rou.xml", later)
     config.write_text(config.read_text().replace('<end value="700"/>', ""))
     sets = (f"traffic.scenario={config}", "traffic.duration_s=20", "traffic.warmup_s=30", "fleet.penetration_p=1")
-    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"))
+    done = cosim("run", *set_words(sets), "--out", str(tmp_path / "run"))
     assert done.returncode == 0, done.stderr
     assert "the first of the scenario departs at 10800 s. Set traffic.begin_s = 10770." in done.stderr
 
@@ -240,7 +241,7 @@ def test_standard_output_belongs_to_the_command(scenario, tmp_path, file):
     edge_data = f'<additional><edgeData id="e" file="{file}" period="1"/></additional>'
     config = edited(scenario, tmp_path, "odd.add.xml", lambda _: edge_data)
     sets = (f"traffic.scenario={config}", "traffic.duration_s=5", "fleet.penetration_p=0", "sensing=false")
-    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"), "--json")
+    done = cosim("run", *set_words(sets), "--out", str(tmp_path / "run"), "--json")
     assert done.returncode == 0 and json.loads(done.stdout)["summary"]["streets"], done.stdout[:200]
     assert "interval" not in done.stderr
 
@@ -292,7 +293,7 @@ def test_only_pedestrians_is_said_and_no_departure_is_advised(scenario, tmp_path
 
     config = edited(scenario, tmp_path, "odd.rou.xml", walks)
     sets = (f"traffic.scenario={config}", "traffic.duration_s=9", "sensing=false")
-    done = cosim("run", *(w for s in sets for w in ("--set", s)), "--out", str(tmp_path / "run"))
+    done = cosim("run", *set_words(sets), "--out", str(tmp_path / "run"))
     assert done.returncode == 0 and "only pedestrians were on the road" in done.stderr, done.stderr
     assert "begin_s" not in done.stderr
 

@@ -3,7 +3,6 @@
 import json
 from xml.etree import ElementTree
 
-import numpy as np
 import pytest
 import shapely
 
@@ -12,6 +11,7 @@ from cosim.traffic.scene_summary import scene_summary
 from tests import SHARED
 from tests.cosim.traffic import crossing
 from tests.drive import cosim
+from tests.processes import set_words
 from tests.slow import slow
 
 NETS = SHARED / "nets"
@@ -129,7 +129,7 @@ def test_the_command_line_says_it(tmp_path):
     (tmp_path / "houses.add.xml").write_text(crossing.houses(("house",) * 4))
     config = crossing.write(tmp_path, files="houses.add.xml")
     sets = (f"traffic.scenario={config}", "traffic.duration_s=3", "sensing=false")
-    words = [word for s in sets for word in ("--set", s)]
+    words = set_words(sets)
     checked, ran = cosim("check", *words), cosim("run", *words, "--out", str(tmp_path / "run"))
     for done in (checked, ran):
         assert done.returncode == 0 and "none of the 4 polygons" in done.stderr, done.stderr
@@ -159,13 +159,19 @@ SLOPE = """<nodes><node id="a" x="-150" y="0" z="0"/><node id="b" x="150" y="0" 
 TERRACES = '<edges><edge id="ab" from="a" to="b"/><edge id="cd" from="c" to="d"/></edges>'
 
 
+def with_house(folder, nodes, shape):
+    """The scenario of two streets and a house of 10 m, and where its walls begin and end."""
+    wall = f'<poly id="h" type="building" shape="{shape}"><param key="height" value="10"/></poly>'
+    (folder / "house.add.xml").write_text(f"<additional>{wall}</additional>")
+    scenario = find(str(crossing.write(folder, nodes=nodes, edges=TERRACES, files="house.add.xml")))
+    walls = scenario.city().buildings
+    return scenario, [walls.base_m[0], walls.top_m[0]]
+
+
 def test_a_house_on_a_slope_reaches_down_to_the_lower_street(tmp_path):
     """It stands beside the upper street, at 6 m: its top is 10 m above that, its walls begin at the lower one."""
-    wall = '<poly id="h" type="building" shape="-5,25 5,25 5,35 -5,35"><param key="height" value="10"/></poly>'
-    (tmp_path / "house.add.xml").write_text(f"<additional>{wall}</additional>")
-    config = crossing.write(tmp_path, nodes=SLOPE, edges=TERRACES, files="house.add.xml")
-    walls = find(str(config)).city().buildings
-    np.testing.assert_allclose([walls.base_m[0], walls.top_m[0]], [0, 16], atol=0.01)
+    _, heights_m = with_house(tmp_path, SLOPE, "-5,25 5,25 5,35 -5,35")
+    assert heights_m == pytest.approx([0, 16], abs=0.01)
 
 
 VIADUCT = """<nodes><node id="a" x="-150" y="0" z="0"/><node id="b" x="150" y="0" z="0"/>
@@ -177,19 +183,13 @@ def test_a_house_beside_a_viaduct_stands_on_the_ground(tmp_path, at):
     """The viaduct crosses the street at the origin, and passes the house at 12 m, nearer than the street."""
     x, y = at
     shape = f"{x},{y} {x + 15},{y} {x + 15},{y + 15} {x},{y + 15}"
-    wall = f'<poly id="h" type="building" shape="{shape}"><param key="height" value="10"/></poly>'
-    (tmp_path / "house.add.xml").write_text(f"<additional>{wall}</additional>")
-    config = crossing.write(tmp_path, nodes=VIADUCT, edges=TERRACES, files="house.add.xml")
-    walls = find(str(config)).city().buildings
-    np.testing.assert_allclose([walls.base_m[0], walls.top_m[0]], [0, 10], atol=0.01)
+    _, heights_m = with_house(tmp_path, VIADUCT, shape)
+    assert heights_m == pytest.approx([0, 10], abs=0.01)
 
 
 def test_a_tunnel_below_a_building_stays_free(tmp_path):
     """The lower street, 12 m below the upper one, passes under the house, whose walls end 4.5 m above it."""
     nodes = SLOPE.replace('z="0"', 'z="-12"').replace('z="6"', 'z="0"').replace('y="40"', 'y="20"')
-    wall = '<poly id="h" type="building" shape="-5,-5 5,-5 5,15 -5,15"><param key="height" value="10"/></poly>'
-    (tmp_path / "house.add.xml").write_text(f"<additional>{wall}</additional>")
-    config = crossing.write(tmp_path, nodes=nodes, edges=TERRACES, files="house.add.xml")
-    walls = find(str(config)).city().buildings
-    np.testing.assert_allclose([walls.base_m[0], walls.top_m[0]], [-7.5, 10], atol=0.01)
-    assert scene_summary(find(str(config))).notes == ()
+    scenario, heights_m = with_house(tmp_path, nodes, "-5,-5 5,-5 5,15 -5,15")
+    assert heights_m == pytest.approx([-7.5, 10], abs=0.01)
+    assert scene_summary(scenario).notes == ()
