@@ -10,6 +10,7 @@ import pytest
 from cosim.addons.benchmark import record
 from cosim.addons.benchmark.evidence import MANIFEST, SHIPPED, TABLES, EvidencePlace, load
 from tests.addons.benchmark.worlds import RULES, stream, tiny_set
+from tests.refusals import refused_in_one_line
 from tests.verification.benchmark_page import shipped
 
 
@@ -47,9 +48,8 @@ def test_an_altered_set_is_refused_in_one_line(tmp_path, name):
     values[len(values) // 2] ^= 1
     altered = table.set_column(table.schema.get_field_index(column), column, [values])
     pq.write_table(altered, tmp_path / f"{name}.parquet")
-    with pytest.raises(ValueError, match="was altered") as error:
+    with refused_in_one_line("was altered"):
         load(tmp_path)
-    assert "\n" not in str(error.value)
 
 
 def test_what_is_no_set_is_refused_in_one_line(tmp_path):
@@ -129,9 +129,8 @@ def test_reports_arrive_after_they_are_sent(tmp_path):
     ],
 )  # fmt: skip
 def test_rules_that_cannot_be_are_refused_in_one_line(tmp_path, rules):
-    with pytest.raises(ValueError, match=next(iter(rules)) if "start_step" not in rules else "start") as error:
+    with refused_in_one_line(next(iter(rules)) if "start_step" not in rules else "start"):
         load(altered(tmp_path, rules=rules))
-    assert "\n" not in str(error.value)
 
 
 def test_places_that_cannot_be_are_refused_in_one_line(tmp_path):

@@ -14,6 +14,7 @@ import pytest
 
 from cosim.base.codes import ObjectClass
 from cosim.messages import etsi, uper
+from tests.refusals import refused_in_one_line
 
 VECTORS = json.loads((Path(__file__).parent / "uper_vectors.json").read_text())
 TYPES = {"cpm": etsi.CPM, "cam": etsi.CAM}
@@ -89,9 +90,8 @@ def test_open_types_have_their_length_in_one_or_two_bytes():
     ],
 )
 def test_what_does_not_fit_is_one_line(value, says):
-    with pytest.raises(ValueError, match=says) as caught:
+    with refused_in_one_line(says):
         uper.encode(etsi.OBJECT, uper.least(etsi.OBJECT) | value)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("seed", range(3))

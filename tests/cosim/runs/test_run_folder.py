@@ -24,6 +24,7 @@ from tests.drive import cosim, python
 from tests.fingerprint import fingerprint
 from tests.hostile.scenes import write_trace
 from tests.processes import set_words, sets_of_trace
+from tests.refusals import refused_in_one_line
 
 CLAIM = """
 import json, os, sys, time
@@ -136,9 +137,8 @@ def test_a_config_that_is_another_by_now_is_not_gone_on_with(tmp_path):
 
 @pytest.mark.parametrize("section", [["trust.model=self_first"], ["trust_variant=[{name='own', model='self_first'}]"]])
 def test_a_model_that_needs_an_own_sweep_is_not_run_on_a_server(section):
-    with pytest.raises(ValueError, match=r'"self_first" .* host = "central" .* which has none') as error:
+    with refused_in_one_line(r'"self_first" .* host = "central" .* which has none'):
         check(load(None, section))
-    assert "\n" not in str(error.value)
     check(load(None, [*section, "trust.host=local"]))
 
 

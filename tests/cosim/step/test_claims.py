@@ -13,6 +13,7 @@ from cosim.step.parts import check_choices
 from sensors.boxes import Boxes
 from sensors.tracking import ObjectStates, TrackingParams, confirmed_variance
 from tests.cosim.attacks.plain import play
+from tests.refusals import refused_in_one_line
 from tests.slow import slow
 from trust.claims import MISSING, SPEED, velocity_support
 from trust.params import KINDS
@@ -308,6 +309,5 @@ def test_other_evaluations_are_the_same_without_claims():
     ],
 )
 def test_what_is_refused_at_the_door(sections, reason):
-    with pytest.raises(ValueError, match=reason) as error:
+    with refused_in_one_line(reason):
         check_choices(resolve_data({"trust": EVIDENCE} | sections, "a test", None))
-    assert "\n" not in str(error.value)
