@@ -30,6 +30,12 @@ def street():
     return sweeps, observability(sweeps, boxes, shape), len(boxes)
 
 
+def drawn(street, seed):
+    """Sweeps, observability and draws of the street."""
+    sweeps, seen, n_actors = street
+    return sweeps, seen, draws_of(np.random.default_rng(seed), len(sweeps.observers), n_actors)
+
+
 @pytest.fixture(scope="module")
 def queue():
     """Twenty sensors at one point, beside a wall."""
@@ -124,8 +130,7 @@ def test_temporal_and_common_covariance_follow_the_closed_form(queue, share, sha
 
 
 def test_persistent_false_positives_do_not_move(street):
-    sweeps, seen, n_actors = street
-    draws = draws_of(np.random.default_rng(4), len(sweeps.observers), n_actors)
+    sweeps, seen, draws = drawn(street, 4)
     stated = model(false_positive_per_sweep=2.0, false_positive_memory_share=1.0, false_positive_memory_s=1e6)
     one, other = (false_positives(sweeps, seen, replace(draws, time_s=t), stated) for t in (7.0, 17.0))
     assert len(one.boxes) > 100
@@ -160,8 +165,7 @@ def test_shared_false_positives_of_two_passing_observers(shared, low, high):
 
 
 def test_invariance_to_order_other_observers_and_threads(street):
-    sweeps, seen, n_actors = street
-    draws = draws_of(np.random.default_rng(6), len(sweeps.observers), n_actors)
+    sweeps, seen, draws = drawn(street, 6)
     whole = false_positives(sweeps, seen, draws, model(false_positive_per_sweep=3.0))
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
@@ -187,15 +191,13 @@ def test_invariance_to_order_other_observers_and_threads(street):
 
 
 def test_more_than_the_initial_capacity(street):
-    sweeps, seen, n_actors = street
-    draws = draws_of(np.random.default_rng(7), len(sweeps.observers), n_actors)
+    sweeps, seen, draws = drawn(street, 7)
     n = np.bincount(false_positives(sweeps, seen, draws, model(false_positive_per_sweep=40.0)).observer)
     assert n.max() > 25
 
 
 def test_sites_are_walls_road_and_hidden_actors(street):
-    sweeps, seen, n_actors = street
-    draws = draws_of(np.random.default_rng(1), len(sweeps.observers), n_actors)
+    sweeps, seen, draws = drawn(street, 1)
     found = false_positives(sweeps, seen, draws, model(false_positive_per_sweep=8.0))
     o_of, boxes = found.observer, found.boxes
     assert len(o_of) > 5 * len(sweeps.observers)

@@ -10,7 +10,7 @@ from sensors.boxes import Boxes
 from sensors.line_of_sight import LosOfPlaces, WallIndex, los_between_actors
 from sensors.scene import Scene
 from tests.sensors.test_boxes import footprint
-from tests.sensors.town import SIZE_M, blocks, car, to_scene, traffic
+from tests.sensors.town import SIZE_M, blocks, car, lines_between, to_scene, traffic
 
 SQUARE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
 YARD = [SQUARE * 0.4 + 3.0]
@@ -71,7 +71,7 @@ def test_walls_and_metres_agree_with_shapely():
     a, b = np.arange(1000), np.arange(1000, 2000)
     n_walls, inside_m = index_of(buildings).walls_crossed(xyz, a, b)
     city = shapely.union_all([shapely.Polygon(o, h) for o, h, *_ in buildings])
-    lines = shapely.linestrings(np.stack([xyz[a, :2], xyz[b, :2]], axis=1))
+    lines = lines_between(xyz, a, b)
     assert inside_m == pytest.approx(shapely.length(shapely.intersection(lines, city)), abs=1e-6)
     cuts = shapely.intersection(lines, city.boundary)
     assert n_walls.tolist() == np.where(shapely.is_empty(cuts), 0, shapely.get_num_geometries(cuts)).tolist()
@@ -108,7 +108,7 @@ def town(n, seed=1):
 
 def by_shapely(buildings, xyz, a, b, z):
     tree = shapely.STRtree([shapely.Polygon(o, h) for o, h, base, top, *_ in buildings if base <= z <= top])
-    lines = shapely.linestrings(np.stack([xyz[a, :2], xyz[b, :2]], axis=1))
+    lines = lines_between(xyz, a, b)
     clear = np.ones(len(a), bool)
     clear[tree.query(lines, predicate="intersects")[0]] = False
     return clear
@@ -154,7 +154,7 @@ def test_los_between_actors_equals_shapely(seed):
     a, b = np.meshgrid(np.arange(40), np.arange(40))
     a, b = a[a != b], b[a != b]
     roof = np.column_stack([boxes.xyz_m[:, :2], boxes.xyz_m[:, 2] + boxes.lwh_m[:, 2] / 2 + 0.23])
-    lines = shapely.linestrings(np.stack([roof[a, :2], roof[b, :2]], axis=1))
+    lines = lines_between(roof, a, b)
     walls = shapely.union_all(tall.footprints).boundary
     blocked = shapely.intersects(lines, walls)
     index = WallIndex.of(tall.buildings)

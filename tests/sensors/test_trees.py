@@ -11,7 +11,7 @@ from sensors.neighbours import neighbours
 from sensors.scene import Hit, Scene, Shape
 from sensors.trees import radius_m, tree_prisms, trees_near
 from tests.sensors.test_raycast import compare
-from tests.sensors.town import car, exact, random_scene, traffic
+from tests.sensors.town import car, exact, lines_between, random_scene, traffic
 
 ONE = tree_prisms(np.array([[20.0, 0.0, 0.0]]), 0.4, 3.0, 5.0, 10.0)
 
@@ -56,7 +56,7 @@ def test_lines_of_sight_against_shapely():
         WallIndex.of(city.buildings), boxes, np.zeros(60, np.uint8), a, b, bodies=False, city=city
     )
     trunks = shapely.union_all(shapely.box(*(feet[:, :2] - 0.5).T, *(feet[:, :2] + 0.5).T))
-    lines = shapely.linestrings(np.stack([at[a, :2], at[b, :2]], axis=1))
+    lines = lines_between(at, a, b)
     assert np.array_equal(found, ~shapely.intersects(trunks, lines)) and 0.2 < found.mean() < 0.9
 
 

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+import shapely
 
 from sensors.boxes import Boxes
 from sensors.lidar import LidarParams, scan
@@ -19,6 +20,11 @@ SIZE_M = np.array(
         (2.2, 0.8, 1.6), (1.8, 0.6, 1.7), (0.6, 0.6, 1.75),
     ]
 )  # fmt: skip
+
+
+def lines_between(xyz, a, b):
+    """Straight lines on the map from places `a` to places `b`, as Shapely geometries."""
+    return shapely.linestrings(np.stack([xyz[a, :2], xyz[b, :2]], axis=1))
 
 
 def cases(name: str) -> list[dict]:

@@ -58,6 +58,11 @@ def test_whatever_a_configuration_asks_to_write_nothing_is_written(scenario, tem
     same(worlds, live(str(scenario), 0, 20)[0])
 
 
+def with_option(scenario, folder, option):
+    """A copy of the scenario that has one more option among its inputs."""
+    return edited(scenario, folder, change=lambda t: t.replace("</input>", option + "</input>"))
+
+
 def refusal(config, says):
     """The one line by which a configuration is refused."""
     with pytest.raises(ValueError, match=re.escape(says)) as caught:
@@ -88,7 +93,7 @@ def test_options_that_end_sumo_are_refused(scenario, tmp_path, name):
     ],
 )
 def test_other_options_get_one_line(scenario, tmp_path, option, says):
-    config = edited(scenario, tmp_path, change=lambda t: t.replace("</input>", option + "</input>"))
+    config = with_option(scenario, tmp_path, option)
     os.mkfifo(tmp_path / "fifo")
     refusal(config, says)
 
@@ -146,7 +151,7 @@ def test_files_are_checked_by_their_content_whatever_their_name(scenario, tmp_pa
         (tmp_path / "more.add.xml").write_text(more[way])
         listed = '<additional-files value="more.add.xml"/>'
     kept = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
-    config = edited(scenario, tmp_path, change=lambda t: t.replace("</input>", listed + "</input>"))
+    config = with_option(scenario, tmp_path, listed)
     assert all((tmp_path / other).read_bytes() == content for other, content in kept.items())
     refusal(config, "which SUMO takes for an address to connect to")
 
@@ -154,7 +159,7 @@ def test_files_are_checked_by_their_content_whatever_their_name(scenario, tmp_pa
 def test_tables_of_travel_times_are_no_xml(scenario, tmp_path):
     (tmp_path / "all.csv").write_text("1;2;3\n")
     option = '<astar.all-distances value="all.csv"/>'
-    config = edited(scenario, tmp_path, change=lambda t: t.replace("</input>", option + "</input>"))
+    config = with_option(scenario, tmp_path, option)
     assert tmp_path / "all.csv" in sumocfg.read(config).inputs
 
 

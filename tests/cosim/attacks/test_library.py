@@ -30,6 +30,12 @@ def beside(tables, honest, name="detections", key=None):
     return tables[name].merge(honest[name], on=key or KEY, suffixes=("", "_was"))
 
 
+def of_liars(tables, honest):
+    """What the attackers sensed, with the honest columns beside."""
+    rows = beside(tables, honest)
+    return rows[rows.observer.isin(WHO) & (rows.origin == 0)]
+
+
 def lies_of(tables, only=WHO):
     found = tables["detections"]
     assert set(found.observer[found.lied]) <= set(only)
@@ -127,8 +133,7 @@ def test_removal_of_the_victim_alone(honest):
 @pytest.mark.parametrize("offset", ["constant", "random"])
 def test_offset(honest, offset):
     tables = play([BY | {"attack": "offset", "offset": offset}])
-    rows = beside(tables, honest)
-    own = rows[rows.observer.isin(WHO) & (rows.origin == 0)]
+    own = of_liars(tables, honest)
     east, north = own.x_m - own.x_m_was, own.y_m - own.y_m_was
     for shift in (east.abs(), north.abs()):
         assert shift.between(20 - 1e-6, 70 + 1e-6).all()
@@ -141,8 +146,7 @@ def test_offset(honest, offset):
 def test_drift(honest):
     """2 m/s for steps 0, 1, 2, ...: 0, 2, 4, then 5 m at most."""
     tables = play([BY | {"attack": "drift", "speed_mps": 2.0, "max_m": 5.0}])
-    rows = beside(tables, honest)
-    own = rows[rows.observer.isin(WHO) & (rows.origin == 0)]
+    own = of_liars(tables, honest)
     away = np.hypot(own.x_m - own.x_m_was, own.y_m - own.y_m_was)
     np.testing.assert_allclose(away, np.minimum(2.0 * own["at"], 5.0), atol=1e-9)
     assert (own.lied == (own["at"] > 0)).all()
@@ -150,8 +154,7 @@ def test_drift(honest):
 
 def test_mirror(honest):
     tables = play([BY | {"attack": "mirror"}])
-    rows = beside(tables, honest)
-    own = rows[rows.observer.isin(WHO) & (rows.origin == 0)]
+    own = of_liars(tables, honest)
     lane = 4.0 * (own.observer // 10)  # all head east
     np.testing.assert_allclose(own.y_m - lane, -(own.y_m_was - lane), atol=1e-9)
     np.testing.assert_allclose(own.x_m, own.x_m_was, atol=1e-9)
@@ -166,8 +169,7 @@ def test_mirror(honest):
 ])  # fmt: skip
 def test_one_falsified_column(honest, attack, keys, column, made):
     tables = play([BY | {"attack": attack} | keys])
-    rows = beside(tables, honest)
-    own = rows[rows.observer.isin(WHO) & (rows.origin == 0)]
+    own = of_liars(tables, honest)
     np.testing.assert_allclose(own[column], made(own), atol=1e-9)
     changed = (own.score - own.score_was).abs() > 0.1 if attack == "score" else np.full(len(own), True)
     assert (own.lied == changed).all() and len(lies_of(tables)) == changed.sum() > 50
