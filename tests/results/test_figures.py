@@ -1,8 +1,9 @@
 """Pictures: drawn, labelled with units, saved, the same twice, and never empty."""
 
+from itertools import cycle
+
 import matplotlib
 import numpy as np
-import pandas as pd
 import pytest
 from matplotlib.colors import to_rgb
 
@@ -10,8 +11,8 @@ from results.archive import open_run
 from results.figures import study as study_figure
 from results.figures import style, trust
 from results.figures.catalogue import FIGURES
-from results.study import StudyResults
 from tests.results.synthetic import write
+from tests.results.test_study_pages import study_of
 from tests.slow import slow
 
 X_AXES = {"encounters": "Duration [s]", "freshness": "Age [s]", "radio": "Distance [m]"}
@@ -140,17 +141,13 @@ def test_heat_map_of_attacks_and_models(tmp_path):
 
     The last cell has two seeds, 0.4 and 0.5, and no interval.
     """
-    keys = [("ghosts", "beta"), ("ghosts", "mate"), ("replay", "beta"), ("replay", "mate")]
-    points = pd.DataFrame(
-        [{"point": f"{i}-{r}", "run": "all", "variant": "base", "replicate": r, "attack": a, "model": m}
-         for i, (a, m) in enumerate(keys) for r in (0, 1, 2) if (i, r) != (3, 2)]
-    )  # fmt: skip
-    (tmp_path / "jobs" / "all").mkdir(parents=True)
-    pd.DataFrame({
-        "point": points.point, "metric": "misbehaviour.auc", "group": "malicious",
-        "value": 0.4 + 0.1 * points.replicate, "unit": "1", "label": "AUC",
-    }).to_parquet(tmp_path / "jobs" / "all" / "measures.parquet")  # fmt: skip
-    study = StudyResults(tmp_path, {"name": "s", "question": "", "keys": ["attack", "model"], "baseline": {}}, points)
+
+    def value(metric, keys, replicate):
+        is_missing = (keys["attack"], keys["model"], replicate) == ("replay", "mate", 2)
+        return np.nan if is_missing else 0.4 + 0.1 * replicate
+
+    swept = {"attack": ("ghosts", "replay"), "model": ("beta", "mate")}
+    study = study_of(tmp_path, swept, value=value, measured=[("misbehaviour.auc", "malicious")])
     axes = study_figure.draw(study, "misbehaviour", ["misbehaviour.auc:malicious"]).axes[0]
     assert [text.get_text() for text in axes.texts] == [".50", ".50", ".50", ".45"]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["beta", "mate"]
@@ -162,18 +159,8 @@ def test_every_mean_is_within_the_axis_and_the_scale(metric, top, tmp_path):
     """Multiplicity has the unit 1 and is no share: it may be 3.5."""
     drawn = []
     for what, levels in (("map", ("beta", "mate")), ("lines", (10.0, 50.0))):
-        keys = [(attack, level) for attack in ("ghosts", "replay") for level in levels]
-        points = pd.DataFrame([
-            {"point": str(i), "run": "all", "variant": "base", "replicate": 0, "attack": attack, "level": level}
-            for i, (attack, level) in enumerate(keys)
-        ])  # fmt: skip
-        (tmp_path / what / "jobs" / "all").mkdir(parents=True)
-        pd.DataFrame({
-            "point": points.point, "metric": metric, "group": "", "value": np.linspace(top / 2, top, 4), "unit": "1",
-            "label": "x",
-        }).to_parquet(tmp_path / what / "jobs" / "all" / "measures.parquet")  # fmt: skip
-        head = {"name": "s", "question": "", "keys": ["attack", "level"], "baseline": {}}
-        study = StudyResults(tmp_path / what, head, points)
+        swept, values = {"attack": ("ghosts", "replay"), "level": levels}, iter(np.linspace(top / 2, top, 4))
+        study = study_of(tmp_path / what, swept, 1, lambda *_, values=values: next(values), measured=[(metric, "")])
         figure = study_figure.draw(study, metric.partition(".")[0], [metric])
         drawn.append(figure.axes[0])
     assert drawn[0].images[0].get_clim() == (0, max(top, 1))
@@ -182,22 +169,11 @@ def test_every_mean_is_within_the_axis_and_the_scale(metric, top, tmp_path):
 
 def test_the_ideal_observer_is_the_first_row_of_a_heat_map_of_models(tmp_path):
     """One bound per attack, the same for both models; a metric without a bound has no such row."""
-    keys = [("ghosts", "beta"), ("ghosts", "mate"), ("replay", "beta"), ("replay", "mate")]
-    points = pd.DataFrame([
-        {"point": str(i), "run": "all", "variant": "base", "replicate": 0, "attack": a, "trust.model": m}
-        for i, (a, m) in enumerate(keys)
-    ])  # fmt: skip
-    (tmp_path / "jobs" / "all").mkdir(parents=True)
-    values = {"misbehaviour.auc": [0.2, 0.3, 0.4, 0.5], "evidence.auc_bound": [0.9, 0.9, 0.8, 0.8],
-              "misbehaviour.recall_at_fpr": [0.1, 0.1, 0.1, 0.1]}  # fmt: skip
-    pd.concat([
-        pd.DataFrame(
-            {"point": points.point, "metric": name, "group": "malicious", "value": v, "unit": "1", "label": name}
-        ) for name, v in values.items()
-    ]).to_parquet(tmp_path / "jobs" / "all" / "measures.parquet")  # fmt: skip
-    study = StudyResults(
-        tmp_path, {"name": "s", "question": "", "keys": ["attack", "trust.model"], "baseline": {}}, points
-    )
+    swept = {"attack": ("ghosts", "replay"), "trust.model": ("beta", "mate")}
+    values = iter([0.2, 0.9, 0.1, 0.3, 0.9, 0.1, 0.4, 0.8, 0.1, 0.5, 0.8, 0.1])
+    names = ("misbehaviour.auc", "evidence.auc_bound", "misbehaviour.recall_at_fpr")
+    measured = [(name, "malicious") for name in names]
+    study = study_of(tmp_path, swept, 1, lambda *_: next(values), measured=measured)
     asked = ["misbehaviour.auc:malicious", "misbehaviour.recall_at_fpr:malicious"]
     first, second, *_ = study_figure.draw(study, "misbehaviour", asked).axes
     assert [text.get_text() for text in first.texts] == [".90", ".80", ".20", ".40", ".30", ".50"]
@@ -208,17 +184,8 @@ def test_the_ideal_observer_is_the_first_row_of_a_heat_map_of_models(tmp_path):
 def test_encounters_of_a_study_over_radius_and_kind_of_pairs(tmp_path):
     """The groups of encounter metrics are keys: two radii on the axis, two kinds of pairs as lines."""
     groups = [f"{pairs}, {radius} m" for pairs in ("equipped", "los") for radius in (50, 100)]
-    points = pd.DataFrame(
-        [{"point": f"{scale}", "run": f"{scale}", "variant": "base", "replicate": 0, "traffic.scale": scale}
-         for scale in (0.5, 1.0)]
-    )  # fmt: skip
-    for scale in (0.5, 1.0):
-        (tmp_path / "jobs" / str(scale)).mkdir(parents=True)
-        pd.DataFrame({
-            "point": str(scale), "metric": "encounters.duration.km_median_s", "group": groups,
-            "value": [8.0, 16.0, 7.0, 12.0], "unit": "s", "label": "duration",
-        }).to_parquet(tmp_path / "jobs" / str(scale) / "measures.parquet")  # fmt: skip
-    study = StudyResults(tmp_path, {"name": "s", "question": "", "keys": ["traffic.scale"], "baseline": {}}, points)
+    measured, values = [("encounters.duration.km_median_s", group) for group in groups], cycle([8.0, 16.0, 7.0, 12.0])
+    study = study_of(tmp_path, {"traffic.scale": (0.5, 1.0)}, 1, lambda *_: next(values), measured=measured)
     panels = study_figure.draw(study, "encounters", over="radius_m", by="pairs").axes
     assert len(panels) == 2
     for axes in panels:

@@ -4,7 +4,6 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from matplotlib import rc_context
 from matplotlib.colors import to_rgb
@@ -17,7 +16,7 @@ from cosim.addons.pictures import scene_figure, sweep_figure
 from cosim.addons.pictures.movie_figure import DPI
 from results.figures import city, study, style
 from results.figures.catalogue import FIGURES
-from results.study import StudyResults
+from tests.results.test_study_pages import study_of
 
 WIDTH_CM = 8.0
 """Width at which a picture is printed."""
@@ -55,23 +54,12 @@ def _law():
 
 
 def _study(folder, keys):
-    """A study of two replicates over these swept keys and their values."""
-    at = [dict(zip(keys, map(str, c), strict=True)) for c in np.ndindex(*map(len, keys.values()))]
-    at = [{key: keys[key][int(i)] for key, i in one.items()} for one in at]
-    points = pd.DataFrame([
-        {"point": f"{i}-{r}", "run": "all", "variant": "base", "replicate": r, **one}
-        for i, one in enumerate(at) for r in range(3)
-    ])  # fmt: skip
-    (folder / "jobs" / "all").mkdir(parents=True)
-    value = np.random.default_rng(0).uniform(0.2, 0.9, len(points))
-    names = (("misbehaviour.auc", "AUC against malicious vehicles", "1"),
-             ("misbehaviour.time_to_detection.median_s", "Time from first lie to suspicion, median", "s"))  # fmt: skip
-    pd.concat([
-        pd.DataFrame({"point": points.point, "metric": metric, "group": "malicious", "value": value, "unit": unit,
-                      "label": label}) for metric, label, unit in names
-    ]).to_parquet(folder / "jobs" / "all" / "measures.parquet")  # fmt: skip
-    told = StudyResults(folder, {"name": "s", "question": "", "keys": list(keys), "baseline": {}}, points)
-    return study.draw(told, "misbehaviour", [f"{metric}:malicious" for metric, _, _ in names])
+    """A study of three replicates over these swept keys and their values."""
+    rng = np.random.default_rng(0)
+    names = ("misbehaviour.auc", "misbehaviour.time_to_detection.median_s")
+    measured = [(name, "malicious") for name in names]
+    told = study_of(folder, keys, value=lambda *_: rng.uniform(0.2, 0.9), measured=measured)
+    return study.draw(told, "misbehaviour", [f"{name}:malicious" for name in names])
 
 
 def _study_lines(folder):

@@ -1,26 +1,28 @@
 """Summaries of studies: bounds, missing replicates."""
 
+import math
+
 import pandas as pd
 import pytest
 
 from results import study_notes, study_table
 from results.measure import MeasuredRow, _note
 from results.metrics.registry import METRICS
-from results.study import StudyResults, held_at, short_names, with_short_names
+from results.study import held_at, short_names, with_short_names
+from tests.results.test_study_pages import study_of
 
 
 @pytest.fixture
 def study(tmp_path):
     """One point of four replicates: an AUC near 1, and a median that two reached."""
-    points = pd.DataFrame([
-        {"point": str(r), "run": "all", "variant": "base", "replicate": r, "trust.host": "central"} for r in range(4)
-    ])  # fmt: skip
-    rows = [(str(r), "misbehaviour.auc", "malicious", x, "1") for r, x in enumerate((0.99, 0.98, 0.7, 1.0))]
-    rows += [(str(r), "misbehaviour.time_to_detection.median_s", "malicious", x, "s") for r, x in ((0, 2.0), (1, 13.0))]
-    (tmp_path / "jobs" / "all").mkdir(parents=True)
-    table = pd.DataFrame(rows, columns=["point", "metric", "group", "value", "unit"]).assign(label="")
-    table.to_parquet(tmp_path / "jobs" / "all" / "measures.parquet")
-    return StudyResults(tmp_path, {"name": "s", "question": "", "keys": ["trust.host"], "baseline": {}}, points)
+    values = {
+        "misbehaviour.auc": (0.99, 0.98, 0.7, 1.0),
+        "misbehaviour.time_to_detection.median_s": (2.0, 13.0, math.nan, math.nan),
+    }
+    measured = [(metric, "malicious") for metric in values]
+    return study_of(
+        tmp_path, {"trust.host": ("central",)}, 4, lambda metric, keys, r: values[metric][r], measured=measured
+    )
 
 
 def test_intervals_stay_within_bounds_and_missing_replicates_are_said(study):
@@ -36,7 +38,7 @@ def test_means_of_few_subjects_are_said(study):
     """An AUC of one or two attackers in three of four runs, and a time of one attacker in both runs that have one."""
     path = study.path / "jobs" / "all" / "measures.parquet"
     found = pd.read_parquet(path)
-    n_units = [1, 2, 12, 2, 1, 1]
+    n_units = [1, 1, 2, 1, 12, 2]
     rows = map(MeasuredRow, found.metric, found.group, found.value, found.value, found.value, n_units)
     notes = list(map(_note, rows))
     found.assign(note=notes).to_parquet(path)
