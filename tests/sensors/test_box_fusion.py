@@ -9,6 +9,7 @@ import pytest
 
 from sensors.box_fusion import FusedBoxes, ObjectViews, StatedAccuracy, ViewLists, fuse_boxes, overlap_p
 from sensors.boxes import Boxes, iou_3d
+from tests.sensors.town import boxes_at
 
 POSE_M2, TURN_RAD2 = 0.2**2, math.radians(0.2) ** 2
 
@@ -222,7 +223,7 @@ def test_two_detections_by_hand():
     knows its place to 0.3 m and stands beside the object, says 10.07 with a variance of 0.01. The second one counts
     with 0.01 + 0.09 = 0.1. Mean: (10 / 0.04 + 10.07 / 0.1) / (25 + 10) = 350.7 / 35 = 10.02; variance 1 / 35. The
     residuals, 0.02^2 / 0.04 and 0.05^2 / 0.1, reduce the weights by less than a hundredth."""
-    boxes = Boxes(np.array([[10.0, 0, 1], [10.07, 0, 1]]), np.tile([4.0, 2, 2], (2, 1)), np.zeros(2))
+    boxes = boxes_at([[10.0, 0, 1], [10.07, 0, 1]], (4.0, 2, 2))
     accuracy = StatedAccuracy(
         np.array([[0.04, 0, 0.04], [0.01, 0, 0.01]]), np.full(2, 0.01), np.full(2, 0.01),
         np.array([[0.0, 0], [10.07, 0]]), np.array([[0.0, 0], [0.09, 0]]),
@@ -239,7 +240,7 @@ def test_two_detections_by_hand():
 def test_a_pose_error_counts_once():
     """Vehicle 1 reports one object three times, each with the variance 0.03. Their mean has 0.01. On top of it there
     are the vehicle's pose error of 0.04 and the receiver's of 0.04."""
-    boxes = Boxes(np.tile([10.0, 0, 1], (3, 1)), np.tile([4.0, 2, 2], (3, 1)), np.zeros(3))
+    boxes = boxes_at(np.tile([10.0, 0, 1], (3, 1)), (4.0, 2, 2))
     accuracy = StatedAccuracy(
         np.tile([0.03, 0, 0.03], (3, 1)), np.full(3, 0.01), np.full(3, 0.01), np.zeros((2, 2)),
         np.tile([0.04, 0.0], (2, 1)),
@@ -254,7 +255,7 @@ def test_shared_objects_reveal_the_offset_of_a_vehicle():
     rng = np.random.default_rng(1)
     true = np.column_stack([rng.uniform(5, 40, 10), rng.uniform(-20, 20, 10), np.ones(10)])
     offset = np.array([0.3, -0.2, 0.0])
-    boxes = Boxes(np.concatenate([true[:9], true + offset]), np.tile([4.0, 2, 2], (19, 1)), np.zeros(19))
+    boxes = boxes_at(np.concatenate([true[:9], true + offset]), (4.0, 2, 2))
     accuracy = StatedAccuracy(
         np.tile([0.01, 0, 0.01], (19, 1)), np.full(19, 0.01), np.full(19, 0.01), np.array([[0.0, 0], [20, 0]]),
         np.tile([POSE_M2, TURN_RAD2], (2, 1)),
@@ -292,7 +293,7 @@ def test_headings_of_opposite_directions_and_at_the_branch_cut():
             np.tile([0.01, 0, 0.01], (n, 1)), np.full(n, 0.01), np.full(n, 0.01), np.zeros((n, 2)),
             np.tile([POSE_M2, 0.0], (n, 1)),
         )  # fmt: skip
-        boxes = Boxes(np.tile([9.0, 0, 1], (n, 1)), np.ones((n, 3)), np.array(yaw))
+        boxes = boxes_at(np.tile([9.0, 0, 1], (n, 1)), yaw_rad=np.array(yaw))
         views = ObjectViews(boxes, np.zeros(n, np.uint8), np.arange(n), accuracy)
         one = np.array([0])
         s = Scene(views, np.array([0, n]), np.arange(n), one, np.zeros(n, int), one, np.ones(n))
@@ -349,8 +350,8 @@ def test_overlap_against_drawn_displacements(least, sigma):
     rng = np.random.default_rng(0)
     n, size = 4000, np.array([4.5, 1.8, 1.6])
     off = rng.standard_normal((n, 2)) * sigma
-    boxes = Boxes(np.column_stack([off, np.zeros(n)]), np.tile(size, (n, 1)), np.zeros(n))
-    there = Boxes(np.zeros((n, 3)), np.tile(size, (n, 1)), np.zeros(n))
+    boxes = boxes_at(np.column_stack([off, np.zeros(n)]), size)
+    there = boxes_at(np.zeros((n, 3)), size)
     drawn = (iou_3d(boxes, there) > least).mean()
     one = FusedBoxes(Boxes(np.zeros((1, 3)), size[None], np.zeros(1)), np.array([[sigma[0] ** 2, 0, sigma[1] ** 2]]))
     assert overlap_p(one, least)[0] == pytest.approx(drawn, abs=0.03)

@@ -21,6 +21,7 @@ from sensors.scene import Hit, Scene
 from tests.sensors import whole_cloud
 from tests.sensors.town import (
     SIZE_M,
+    boxes_at,
     car,
     cases,
     cloud,
@@ -111,7 +112,7 @@ def test_transform_vectors():
 @pytest.mark.parametrize("fov_deg", [60.0, 90.0, 180.0, 270.0, 360.0])
 def test_area_follows_the_field_of_view(fov_deg):
     angle = np.radians(np.arange(-179, 180, 2.0))
-    ring = Boxes(np.column_stack([60 * np.cos(angle), 60 * np.sin(angle), 0 * angle]), np.ones((180, 3)), angle)
+    ring = boxes_at(np.column_stack([60 * np.cos(angle), 60 * np.sin(angle), 0 * angle]), yaw_rad=angle)
     kept = in_evaluation_area(blind(fov_deg=fov_deg), np.zeros(180, int), ring, AreaParams(slack_m=0.0))
     assert kept.tolist() == (np.abs(angle) <= np.radians(fov_deg) / 2).tolist()
     assert in_evaluation_area(blind(fov_deg=360.0), np.zeros(180, int), ring, AreaParams()).all()

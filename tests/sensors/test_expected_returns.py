@@ -10,7 +10,7 @@ from sensors.lidar import LidarParams, beams, scan
 from sensors.line_of_sight import WallIndex
 from sensors.neighbours import neighbours
 from sensors.scene import Scene, Shape, prisms
-from tests.sensors.town import blocks, car, traffic
+from tests.sensors.town import blocks, boxes_at, car, traffic
 
 PARAMS = LidarParams(range_sigma_m=0.0)
 
@@ -33,7 +33,7 @@ def test_a_wall_of_steel_by_hand():
     # 90 / 520 degrees apart: 34.36 columns. All lines end on the rear face. Slopes are from -1.73 / 24.06 = -0.0719 to
     # (0.99 * 3.2 - 1.73) / 24.06 = 0.0598: -4.11 to 3.42 degrees. The 32 upper beams of the HDL-64E are 1/3 degree
     # apart from -8.33 to 2 degrees: 2 - k / 3 >= -4.11 holds for k <= 18. That makes 19 rows and 652.8 returns.
-    boxes = Boxes.concat([car(0, 0), Boxes(np.array([[30, 0, 1.6]]), np.array([[12, 2.55, 3.2]]), np.zeros(1))])
+    boxes = Boxes.concat([car(0, 0), boxes_at((30, 0, 1.6), (12, 2.55, 3.2))])
     _, row, found = returns_of(boxes, np.array([Shape.CAR, Shape.BUS], np.uint8), np.array([0]), Scene.empty())
     assert found.n[row == 1] == pytest.approx(652.8, rel=2e-3)
     assert (found.n == found.n_unoccluded).all() and found.n[row == 0] == 0

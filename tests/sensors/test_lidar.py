@@ -7,7 +7,7 @@ from sensors.boxes import Boxes
 from sensors.lidar import PROFILES, LidarParams, beams, mount, scan
 from sensors.range_noise import RangeNoise, add_noise
 from sensors.scene import Hit, Scene
-from tests.sensors.town import blocks, car, exact, traffic
+from tests.sensors.town import blocks, boxes_at, car, exact, traffic
 from tests.slow import slow
 
 CAR, BUS = 0, 3
@@ -34,7 +34,7 @@ def test_road_wall_and_roof_by_hand():
 
 def test_actor_by_hand():
     # A bus (12 m long, body 0.495 of it to the rear) 30 m ahead: its rear face stands at 30 - 5.94 = 24.06 m.
-    boxes = Boxes.concat([car(0, 0), Boxes(np.array([[30, 0, 1.6]]), np.array([[12, 2.55, 3.2]]), np.zeros(1))])
+    boxes = Boxes.concat([car(0, 0), boxes_at((30, 0, 1.6), (12, 2.55, 3.2))])
     sweep = exact(boxes, [CAR, BUS], [0], **LEVEL)
     assert sweep.hit[0, 0].tolist() == [Hit.GROUND, Hit.ACTOR + 1, Hit.NOTHING]
     assert sweep.unrounded_m[0, 0, 1] == pytest.approx(24.06, rel=1e-6)

@@ -13,7 +13,7 @@ from sensors.lidar import PROFILES, LidarParams, Poses, Sweeps, beams
 from sensors.raycast.column import below, slopes_of
 from sensors.raycast.mesh import STEP_M, directions
 from sensors.scene import Hit, Scene, prisms
-from tests.sensors.town import blocks, car, exact, random_boxes, random_scene, sizes, traffic
+from tests.sensors.town import blocks, boxes_at, car, exact, random_boxes, random_scene, sizes, traffic
 from tests.slow import slow
 
 NUDGE_RAD = 3e-5
@@ -124,7 +124,7 @@ def test_awkward_places_agree(place, mount, reference):
 
 def test_inside_a_closed_body():
     # The sensor stands at 1.73 m in a bus whose floor is 5 cm over the road: it sees its inner faces, nothing else.
-    boxes = Boxes.concat([car(0, 0), Boxes(np.array([[0, 0, 1.65]]), np.array([[12, 2.55, 3.2]]), np.array([0.3]))])
+    boxes = Boxes.concat([car(0, 0), boxes_at((0, 0, 1.65), (12, 2.55, 3.2), 0.3)])
     sweep = exact(boxes, [0, 3], [0], profile="os1_128")
     assert (sweep.hit == Hit.ACTOR + 1).all()
     compare("embree", boxes, np.array([0, 3], np.uint8), np.array([0]), Scene.empty(), profile="os1_128")

@@ -6,7 +6,7 @@ import shapely
 
 from sensors.boxes import Boxes
 from sensors.scene import LABEL_OF_SHAPE, Hit, Scene, Shape, prisms, roof_triangles
-from tests.sensors.town import SIZE_M, blocks, car, exact
+from tests.sensors.town import SIZE_M, blocks, boxes_at, car, exact
 
 SQUARE = [(0, 0), (10, 0), (10, 10), (0, 10)]
 
@@ -27,9 +27,9 @@ def test_every_body_keeps_just_inside_its_box():
 
 def test_unknown_shapes_are_refused():
     with pytest.raises(ValueError, match="no actor shape"):
-        prisms(np.array([9], np.uint8), Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1)))
+        prisms(np.array([9], np.uint8), boxes_at((0.0, 0.0, 0.0)))
     with pytest.raises(ValueError, match="one shape and one box per actor"):
-        prisms(np.zeros(2, np.uint8), Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1)))
+        prisms(np.zeros(2, np.uint8), boxes_at((0.0, 0.0, 0.0)))
 
 
 def test_footprints_are_repaired_and_counted():

@@ -7,7 +7,7 @@ import pytest
 
 from cosim.base.hash_rng import normals, persistent_normals
 from cosim.base.plane import wrapped
-from sensors.boxes import Boxes, iou_3d
+from sensors.boxes import iou_3d
 from sensors.detector import detect
 from sensors.evidence import Observability
 from sensors.statistical_detector import (
@@ -20,7 +20,7 @@ from sensors.statistical_detector import (
     resolved,
     uniform_of,
 )
-from tests.sensors.town import draws_of
+from tests.sensors.town import boxes_at, draws_of
 from tests.slow import slow
 
 PUBLISHED = ("avod", "pointpillars", "pv_rcnn")
@@ -133,7 +133,7 @@ def alone(n, n_returns, range_m, length_m=4.4, label=0):
     """n actors of one size, each unoccluded before an observer of its own at the origin."""
     row, returns = np.arange(n, dtype=np.int32), np.full(n, n_returns, np.int32)
     seen = Observability(row, row, returns, returns, np.full(n, range_m))
-    boxes = Boxes(np.tile([range_m, 0.0, 0.75], (n, 1)), np.tile([length_m, 1.8, 1.5], (n, 1)), np.zeros(n))
+    boxes = boxes_at(np.tile([range_m, 0.0, 0.75], (n, 1)), (length_m, 1.8, 1.5))
     return seen, boxes, np.full(n, label, np.uint8)
 
 

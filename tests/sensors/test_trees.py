@@ -11,7 +11,7 @@ from sensors.neighbours import neighbours
 from sensors.scene import Hit, Scene, Shape
 from sensors.trees import radius_m, tree_prisms, trees_near
 from tests.sensors.test_raycast import compare
-from tests.sensors.town import car, exact, lines_between, random_scene, traffic
+from tests.sensors.town import boxes_at, car, exact, lines_between, random_scene, traffic
 
 ONE = tree_prisms(np.array([[20.0, 0.0, 0.0]]), 0.4, 3.0, 5.0, 10.0)
 
@@ -50,7 +50,7 @@ def test_lines_of_sight_against_shapely():
     feet = np.column_stack([rng.uniform(-60, 60, (80, 2)), np.zeros(80)])
     city = replace(Scene.empty(), trees=tree_prisms(feet, 1.0, 3.0, 5.0, 10.0))
     at = np.column_stack([rng.uniform(-80, 80, (60, 2)), np.full(60, 0.75)])
-    boxes = Boxes(at, np.tile([4.5, 1.8, 1.5], (60, 1)), np.zeros(60))
+    boxes = boxes_at(at, (4.5, 1.8, 1.5))
     a, b = np.triu_indices(60, 1)
     found = los_between_actors(
         WallIndex.of(city.buildings), boxes, np.zeros(60, np.uint8), a, b, bodies=False, city=city
@@ -65,7 +65,7 @@ def test_near_trees_are_those_of_a_search_among_boxes():
     feet = np.column_stack([rng.uniform(-90, 90, (50, 2)), np.zeros(50)])
     trees = tree_prisms(feet, 0.4, 3.0, 5.0, 10.0)
     points = rng.uniform(-60, 60, (7, 2))
-    boxes = Boxes(feet, np.tile([5.0, 5.0, 10.0], (50, 1)), np.zeros(50))
+    boxes = boxes_at(feet, (5.0, 5.0, 10.0))
     expected = neighbours(points, boxes, 30.0 + radius_m(trees) - boxes.circumradius_m.max())
     found = trees_near(points, replace(Scene.empty(), trees=trees), 30.0)
     assert np.array_equal(found.ptr, expected.ptr) and np.array_equal(found.row, expected.row)

@@ -24,13 +24,14 @@ from sensors.weather import (
     road_range_m,
     weaken,
 )
+from tests.sensors.town import boxes_at
 
 LIDAR = LidarParams(profile="vlp16", range_sigma_m=0.0)
 
 
 def seen(weather: WeatherParams, boxes: Boxes, yaw: float = 0.0, scene: Scene | None = None, lidar=LIDAR):
     """A sweep of a car at the origin among boxes, after weather."""
-    own = Boxes(np.array([[0.0, 0.0, 0.75]]), np.array([[4.5, 1.8, 1.5]]), np.array([yaw]))
+    own = boxes_at((0.0, 0.0, 0.75), (4.5, 1.8, 1.5), yaw)
     every = Boxes.concat([own, boxes])
     shape, keys = np.full(len(every), Shape.BUS, np.uint8), np.array([7], np.uint64)
     sweeps = scan(every, shape, np.zeros(1, int), scene or Scene.empty(), lidar, keys)
@@ -95,7 +96,7 @@ def test_an_object_loses_all_returns_beyond_its_own_reach():
     """Reflectivity is drawn between 0.1 and 0.8, so the reach lies between those of both."""
     far = np.linspace(8, 60, 27)
     at = np.column_stack([far * np.cos(far), far * np.sin(far), np.full(27, 1.6)])
-    boxes = Boxes(at, np.tile([1.0, 1.0, 3.2], (27, 1)), np.zeros(27))
+    boxes = boxes_at(at, (1.0, 1.0, 3.2))
     _, found = seen(WeatherParams(visibility_m=60.0), boxes)
     returned = set(found.actor[found.n_returns > 0].tolist())
     alpha = np.log(20) / 60

@@ -110,6 +110,12 @@ def traffic(rng, n, size=360.0, pitch=60.0) -> tuple[Boxes, np.ndarray]:
     return Boxes(np.column_stack([x, y, lwh[:, 2] / 2]), lwh, yaw), shape
 
 
+def boxes_at(xyz_m, lwh_m=(1.0, 1.0, 1.0), yaw_rad=0.0) -> Boxes:
+    """Boxes at one or more places, of one size and heading unless each has its own."""
+    xyz_m = np.array(xyz_m, float).reshape(-1, 3)
+    return Boxes(xyz_m, np.broadcast_to(lwh_m, xyz_m.shape).astype(float), np.full(len(xyz_m), yaw_rad, float))
+
+
 def car(x, y, yaw=0.0, z=0.75) -> Boxes:
     """One car of 4.4 x 1.8 x 1.5 m standing at (x, y)."""
     return Boxes(np.array([[x, y, z]]), SIZE_M[:1], np.array([yaw]))

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cosim.world import World
-from sensors.boxes import Boxes
 from tests.bench.scale import piece
 from tests.bench.suite import run_scale
+from tests.sensors.town import boxes_at
 
 
 def test_a_piece_is_as_dense_as_the_whole():
@@ -16,7 +16,7 @@ def test_a_piece_is_as_dense_as_the_whole():
     xyz = np.column_stack([x, rng.uniform(0, 1000, 3000), np.zeros(3000)])
     n, none = 3000, np.zeros(3000)
     world = World(
-        0, np.arange(n) + 7, np.arange(n, dtype=np.uint64), np.zeros(n, np.uint8), Boxes(xyz, np.ones((n, 3)), none),
+        0, np.arange(n) + 7, np.arange(n, dtype=np.uint64), np.zeros(n, np.uint8), boxes_at(xyz),
         none, np.ones(n, bool), np.zeros(n, np.uint8),
     )  # fmt: skip
     apart = np.hypot(x[:, None] - x, xyz[:, 1, None] - xyz[:, 1])

@@ -11,6 +11,7 @@ from cosim.traffic.driver import Beliefs
 from cosim.world import LABELS, LanePaths, World
 from sensors.boxes import Boxes
 from sensors.scene import Shape
+from tests.sensors.town import boxes_at
 
 CAR, PEDESTRIAN = LABELS.index("car"), LABELS.index("pedestrian")
 NOW = CautiousParams(reaction_s=0.0)
@@ -20,7 +21,7 @@ def world(fronts_m, speeds_mps, step=0):
     """Cars of 5 m x 2 m x 1.5 m on one lane along +x; all equipped."""
     n = len(fronts_m)
     xyz = np.column_stack([np.array(fronts_m, float) - 2.5, np.zeros(n), np.full(n, 0.75)])
-    boxes = Boxes(xyz, np.tile([5.0, 2.0, 1.5], (n, 1)), np.zeros(n))
+    boxes = boxes_at(xyz, (5.0, 2.0, 1.5))
     line = np.array([[0.0, 0.0], [1000.0, 0.0]])
     paths = LanePaths(
         np.arange(n), np.zeros(n, int), np.array(fronts_m, float), np.array([0, 2]), line, np.array([0.0, 1000.0])
@@ -36,7 +37,7 @@ def belief(
 ):
     return Beliefs(
         known_s, np.array([ego]), np.array([label], np.uint8),
-        Boxes(np.array([[x_m, y_m, lwh[2] / 2]]), np.array([lwh]), np.array([yaw])), np.array([score]),
+        boxes_at((x_m, y_m, lwh[2] / 2), lwh, yaw), np.array([score]),
         np.array([own]), np.array([7]), np.array([3]), np.array([sent]),
     )  # fmt: skip
 
@@ -121,7 +122,7 @@ def facing(boxes):
         belief(0, 20.0, y_m=1.9),  # 1.9 - 0.3 = 1.6 m beside the path
         belief(0, -3.0),  # behind
         belief(0, 60.0),  # beyond 4 s at 10 m/s
-        replace(belief(0, 20.0), boxes=Boxes(np.array([[20.0, 0, 8.0]]), np.array([[0.8, 0.6, 1.75]]), np.zeros(1))),
+        replace(belief(0, 20.0), boxes=boxes_at((20.0, 0, 8.0), (0.8, 0.6, 1.75))),
     ],
 )
 def test_what_is_not_in_the_way_commands_nothing(spared):

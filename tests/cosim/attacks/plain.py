@@ -15,8 +15,8 @@ from cosim.step.state import State
 from cosim.traffic.actors import ActorRegistry
 from cosim.world import World
 from results.tables import TABLES
-from sensors.boxes import Boxes
 from sensors.scene import Scene, Shape
+from tests.sensors.town import boxes_at
 
 N, SPACING_M, SPEED_MPS = 40, 17.0, 10.0
 NAMES = [f"v{i:02}" for i in range(N)]
@@ -86,7 +86,7 @@ def play(attacks=(), n_steps=6, penetration_p=1.0, speeds=None, tables=tuple(TAB
         xy = np.column_stack([SPACING_M * (np.arange(N) % 10) + x_m, 4.0 * (np.arange(N) // 10)])
         world = World(
             step=number, actor=numbers, name_key=registry.name_key, shape=registry.shape,
-            boxes=Boxes(np.column_stack([xy, np.full(N, 0.75)]), np.tile([4.4, 1.8, 1.5], (N, 1)), np.zeros(N)),
+            boxes=boxes_at(np.column_stack([xy, np.full(N, 0.75)]), (4.4, 1.8, 1.5)),
             speed_mps=np.full(N, speed), equipped=registry.equipped, attack=registry.attack,
         )  # fmt: skip
         state, result = step(world, state, parts)

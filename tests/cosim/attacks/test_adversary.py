@@ -13,8 +13,8 @@ from cosim.attacks.unreliable import Unreliable, UnreliableParams
 from cosim.base.rng import name_key
 from cosim.messages.content import FABRICATED, SENSED, Detections, self_reports
 from cosim.world import World
-from sensors.boxes import Boxes
 from sensors.scene import Shape
+from tests.sensors.town import boxes_at
 
 HONEST, MALICIOUS, UNRELIABLE = range(3)
 """Numbers of `World.attack` for the attacks of `adversary_of`."""
@@ -35,7 +35,7 @@ def world_of(xy, yaw, attack, step=0):
     return World(
         step=step, actor=np.arange(n, dtype=np.int32), name_key=np.arange(n, dtype=np.uint64) * 31 + 7,
         shape=np.full(n, Shape.CAR, np.uint8),
-        boxes=Boxes(np.column_stack([xy, np.full(n, 0.75)]), np.tile([4.4, 1.8, 1.5], (n, 1)), np.asarray(yaw, float)),
+        boxes=boxes_at(np.column_stack([xy, np.full(n, 0.75)]), (4.4, 1.8, 1.5), np.asarray(yaw, float)),
         speed_mps=np.zeros(n), equipped=np.ones(n, bool), attack=np.asarray(attack, np.uint8),
     )  # fmt: skip
 

@@ -9,6 +9,7 @@ from scipy.stats import rankdata
 from cosim.attacks.disguise import ghosts, shuffled
 from cosim.messages.content import FABRICATED, SELF, SENSED, Detections
 from sensors.boxes import Boxes
+from tests.sensors.town import boxes_at
 
 CAR, PEDESTRIAN = 0, 1
 N_VEHICLES, N_SEEN = 60, 25
@@ -43,7 +44,7 @@ def a_step(seed=3):
 
 
 def context_of(place_m, memory=None):
-    boxes = Boxes(place_m, np.ones((N_VEHICLES, 3)), np.zeros(N_VEHICLES))
+    boxes = boxes_at(place_m)
     rng = np.random.default_rng(11)
     return SimpleNamespace(
         seen=None, world=SimpleNamespace(boxes=boxes), params=SimpleNamespace(appearance="detected"),
@@ -60,7 +61,7 @@ def with_ghosts():
     label = np.tile([CAR, PEDESTRIAN], N_VEHICLES).astype(np.uint8)
     away_m = rng.uniform(5, 80, len(by))
     xyz = place_m[by] + np.column_stack([away_m, np.zeros((len(by), 2))])
-    boxes = Boxes(xyz, np.tile([4.5, 2.0, 1.6], (len(by), 1)), np.zeros(len(by)))
+    boxes = boxes_at(xyz, (4.5, 2.0, 1.6))
     return ghosts(listed, by, label, boxes, context_of(place_m)), listed
 
 
@@ -98,7 +99,7 @@ def test_ghosts_keep_their_ground_and_their_place():
 def test_a_class_that_is_not_in_the_step_comes_from_earlier_ones():
     listed, place_m, _ = a_step()
     memory = {}
-    box = Boxes(place_m[:1] + 10.0, np.array([[0.8, 0.6, 1.75]]), np.zeros(1))
+    box = boxes_at(place_m[:1] + 10.0, (0.8, 0.6, 1.75))
     who, label = np.array([0]), np.array([PEDESTRIAN], np.uint8)
     ghosts(listed, who, label, box, context_of(place_m, memory))
     cars = listed.take(np.flatnonzero(listed.label == CAR))

@@ -13,10 +13,10 @@ from cosim.messages.pseudonyms import PseudonymAges
 from cosim.radio.message_round import Messages, RoundKind, Stations
 from cosim.traffic.driver import Beliefs
 from cosim.world import World
-from sensors.boxes import Boxes
 from sensors.evidence import Observability
 from sensors.reports import DetectorDraws
 from sensors.scene import Shape
+from tests.sensors.town import boxes_at
 from trust.object_reports import ObjectReports
 from trust.tables import EvaluationMessages, ReceivedEvaluations
 
@@ -31,7 +31,7 @@ from cosim.extend import *
 def world():
     """Six actors in a row; the last one is a pedestrian. Numbers are not rows."""
     x_m = 20.0 * np.arange(N)
-    boxes = Boxes(np.column_stack([x_m, 0 * x_m, 0 * x_m + 0.75]), np.tile([4.4, 1.8, 1.5], (N, 1)), 0 * x_m)
+    boxes = boxes_at(np.column_stack([x_m, 0 * x_m, 0 * x_m + 0.75]), (4.4, 1.8, 1.5), 0 * x_m)
     shape = np.full(N, Shape.CAR, np.uint8)
     shape[-1] = Shape.PEDESTRIAN
     return World(

@@ -11,7 +11,7 @@ from cosim.messages import etsi
 from cosim.messages.content import SELF, SENSED, Detections, encoded_cpm_bytes
 from cosim.messages.cpm_generation import CpmState, Generators, Inclusion, beyond_limit, generate
 from cosim.messages.cpm_params import CpmParams
-from sensors.boxes import Boxes
+from tests.sensors.town import boxes_at
 
 CAR, PEDESTRIAN = 0, 1
 
@@ -21,9 +21,9 @@ def list_of(*rows):
     observer, label, x, yaw = (np.array(column) for column in zip(*rows, strict=True))
     n = len(rows)
     k = np.arange(n) - np.searchsorted(observer, observer)
+    boxes = boxes_at(np.column_stack([x, np.zeros((n, 2))]), yaw_rad=np.radians(yaw.astype(float)))
     return Detections.perceived(
-        observer, k, label.astype(np.uint8), Boxes(np.column_stack([x, np.zeros(n), np.zeros(n)]).astype(float),
-        np.ones((n, 3)), np.radians(yaw.astype(float))), np.ones(n), np.zeros(n, np.int32),
+        observer, k, label.astype(np.uint8), boxes, np.ones(n), np.zeros(n, np.int32),
         np.where(k == 0, SELF, SENSED).astype(np.uint8),
     )  # fmt: skip
 

@@ -7,8 +7,8 @@ from cosim.messages.content import SELF, SENSED, Detections
 from cosim.messages.cpm_generation import CpmState, Generators, Inclusion, generate
 from cosim.messages.cpm_params import CpmParams
 from cosim.messages.redundancy import ReportedObjects
-from sensors.boxes import Boxes
 from tests.cosim.messages import literal_cpm
+from tests.sensors.town import boxes_at
 
 WORDS = {
     "included": Inclusion.INCLUDED, "withheld": Inclusion.WITHHELD, "waiting": Inclusion.WAITING,
@@ -61,7 +61,7 @@ class Story:
         heading = np.column_stack([np.cos(self.yaw[o]), np.sin(self.yaw[o])])
         listed = Detections(
             observer=v, detection_index=np.arange(n) - np.searchsorted(m, m), label=self.label[o].astype(np.uint8),
-            boxes=Boxes(xyz, np.ones((n, 3)), self.yaw[o] + g.normal(0, 0.02, n)), score=g.random(n),
+            boxes=boxes_at(xyz, yaw_rad=self.yaw[o] + g.normal(0, 0.02, n)), score=g.random(n),
             n_points=np.zeros(n, np.int32), origin=np.where(is_self, SELF, SENSED).astype(np.uint8),
             transmitted=g.random(n) < 0.97, speed_mps=np.where(is_self, self.speed[o], np.nan),
             velocity_mps=np.where(unknown[:, None], np.nan, (self.speed[o] + g.normal(0, 0.2, n))[:, None] * heading),

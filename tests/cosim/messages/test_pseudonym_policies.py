@@ -15,8 +15,8 @@ from cosim.messages.pseudonyms import (
     ScmsParams,
 )
 from cosim.world import World
-from sensors.boxes import Boxes
 from sensors.scene import Shape
+from tests.sensors.town import boxes_at
 
 DT_S = 10.0
 
@@ -26,7 +26,7 @@ def at(step, place):
     return World(
         step=step, actor=np.array([0]), name_key=np.array([rng.name_key("vehicle/a")], np.uint64),
         shape=np.array([Shape.CAR], np.uint8),
-        boxes=Boxes(np.array([[*place, 0.75]]), np.array([[4.4, 1.8, 1.5]]), np.zeros(1)),
+        boxes=boxes_at((*place, 0.75), (4.4, 1.8, 1.5)),
         speed_mps=np.zeros(1), equipped=np.ones(1, bool), attack=np.zeros(1, np.uint8),
     )  # fmt: skip
 

@@ -7,8 +7,8 @@ from cosim.config.config import load
 from cosim.messages.content import SELF, SENSED, Detections
 from cosim.runs.simulation import Simulation
 from cosim.step.accuracy import aged
-from sensors.boxes import Boxes
 from sensors.tracking import TrackingParams
+from tests.sensors.town import boxes_at
 
 SETTINGS = ("preset=modern", "traffic.duration_s=6", "traffic.warmup_s=200", "trust.matching=gates", "attacks=[]",
             "fleet.penetration_p=1")  # fmt: skip
@@ -180,7 +180,7 @@ def test_speeds_of_untracked_objects_have_the_stated_variance(beside_a_motorway,
 def test_age_adds_the_variance_of_the_motion():
     """A car whose velocity east is known to 0.5 m/s, and north to 1 m/s, after 0.4 s: 0.25 x 0.16 = 0.04 and 0.16, and
     1.5 x 0.064 / 3 = 0.032 by the random acceleration of cars (1.5 m2/s3)."""
-    boxes = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
+    boxes = boxes_at((0.0, 0.0, 0.0))
     one = Detections(
         observer=np.zeros(1, int), detection_index=np.ones(1, int), label=np.zeros(1, np.uint8), boxes=boxes,
         score=np.ones(1), n_points=np.ones(1, int), origin=np.zeros(1, np.uint8), transmitted=np.ones(1, bool),

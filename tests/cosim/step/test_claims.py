@@ -10,10 +10,10 @@ from cosim.config.config import resolve_data
 from cosim.messages.content import SELF, SENSED
 from cosim.step.claims import claims_of
 from cosim.step.parts import check_choices
-from sensors.boxes import Boxes
 from sensors.tracking import ObjectStates, TrackingParams, confirmed_variance
 from tests.cosim.attacks.plain import play
 from tests.refusals import refused_in_one_line
+from tests.sensors.town import boxes_at
 from tests.slow import slow
 from trust.claims import MISSING, SPEED, velocity_support
 from trust.params import KINDS
@@ -41,9 +41,7 @@ class Scene:
         message = np.repeat(np.arange(n + 3), size)
         index = np.arange(len(message)) - np.searchsorted(message, message)
         is_self, d = index == 0, len(message)
-        boxes = Boxes(
-            np.column_stack([rng.uniform(0, 25, (d, 2)), np.zeros(d)]), np.tile([4.0, 2, 2], (d, 1)), np.zeros(d)
-        )
+        boxes = boxes_at(np.column_stack([rng.uniform(0, 25, (d, 2)), np.zeros(d)]), (4.0, 2, 2))
         speed = np.where(is_self, rng.uniform(0, 20, d), np.nan)
         velocity = np.where((~is_self & (rng.random(d) < 0.7))[:, None], rng.normal(0, 5, (d, 2)), np.nan)
         objects = SimpleNamespace(
@@ -65,7 +63,7 @@ class Scene:
             now=SimpleNamespace(step=7),
             vehicles=SimpleNamespace(senses=np.arange(n), name_key=np.arange(n + 2)),
             sensing=SimpleNamespace(row=np.arange(n)),
-            world=SimpleNamespace(boxes=Boxes(np.zeros((n, 3)), np.ones((n, 3)), rng.uniform(-3, 3, n)),
+            world=SimpleNamespace(boxes=boxes_at(np.zeros((n, 3)), yaw_rad=rng.uniform(-3, 3, n)),
                                   speed_mps=rng.uniform(0, 20, n)),
         )  # fmt: skip
         lists, seeds, mine = [], [], []

@@ -7,7 +7,7 @@ from cosim.config.config import resolve_data
 from cosim.messages.content import SELF, SENSED, Detections
 from cosim.messages.etsi import Confidences
 from cosim.step.accuracy import DetectorAccuracy, Reporters, as_encoded, pose_variance, stated
-from sensors.boxes import Boxes
+from tests.sensors.town import boxes_at
 
 
 def test_standard_deviations_of_confidence_values():
@@ -29,7 +29,7 @@ def four() -> Detections:
     """Cars of 4 x 2 x 1.5 m: a self report, one with a track that is well known, one with a fast one, one without."""
     listed = Detections(
         observer=np.zeros(4, int), detection_index=np.arange(4), label=np.zeros(4, np.uint8),
-        boxes=Boxes(np.zeros((4, 3)), np.tile([4.0, 2.0, 1.5], (4, 1)), np.zeros(4)), score=np.ones(4),
+        boxes=boxes_at(np.zeros((4, 3)), (4.0, 2.0, 1.5)), score=np.ones(4),
         n_points=np.ones(4, int), origin=np.array([SELF, SENSED, SENSED, SENSED], np.uint8),
         transmitted=np.ones(4, bool), velocity_mps=np.array([[5.0, 0], [5, 0], [5, 0], [np.nan, np.nan]]),
     )  # fmt: skip

@@ -19,11 +19,11 @@ from sensors.association import (
     certainty,
     pairs_across,
 )
-from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
 from sensors.tracking import TrackingParams
 from tests.cosim.attacks.plain import NAMES, play
 from tests.cosim.door.test_mistakes import returns, told
+from tests.sensors.town import boxes_at
 
 CONFIG = resolve_data({"gnss": {"std_m": 0.2, "heading_std_deg": 0.0}}, "a test", None)
 """Nothing but a detector's error of 0.3 m, the default, and a position error of 0.2 m: (0.36 m)^2 = 0.13 m2."""
@@ -32,7 +32,7 @@ CONFIG = resolve_data({"gnss": {"std_m": 0.2, "heading_std_deg": 0.0}}, "a test"
 def ghosts(*factors, x_m=0.0, moves=False):
     """Persons who do not exist, in a box of 0.5 m, standing or without a track, as they are stated."""
     n = len(factors)
-    boxes = Boxes(np.tile([x_m, 0.0, 0.9], (n, 1)), np.tile([0.5, 0.5, 1.8], (n, 1)), np.zeros(n))
+    boxes = boxes_at(np.tile([x_m, 0.0, 0.9], (n, 1)), (0.5, 0.5, 1.8))
     listed = Detections(
         observer=np.zeros(n, int), detection_index=np.arange(1, n + 1), label=np.ones(n, np.uint8), boxes=boxes,
         score=np.ones(n), n_points=np.ones(n, int), origin=np.full(n, FABRICATED, np.uint8),

@@ -15,6 +15,7 @@ from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
 from sensors.scene import Scene, Shape
 from tests.scene import assert_same
+from tests.sensors.town import boxes_at
 
 UNITS = RoadsideUnits(
     ("roadside/0/0", "roadside/30/0"), np.array([[0.0, 0.0, 1.0], [30.0, 0.0, 1.0]]), np.array([6.0, 4.0]),
@@ -26,7 +27,7 @@ def world_of(with_units):
     """Eight cars on a street at 1 m, one of them below a mast; the units are the third and the seventh actor."""
     n = 8
     xyz = np.column_stack([np.linspace(-40.0, 40.0, n), np.where(np.arange(n) == 3, 0.2, 8.0), np.full(n, 1.75)])
-    boxes = Boxes(xyz, np.tile([4.5, 1.8, 1.5], (n, 1)), np.zeros(n))
+    boxes = boxes_at(xyz, (4.5, 1.8, 1.5))
     columns = {"actor": np.arange(n) * 10, "name_key": np.arange(100, 100 + n).astype(np.uint64)}
     shape = np.full(n, Shape.CAR, np.uint8)
     if with_units:
@@ -116,7 +117,7 @@ def test_what_is_below_the_beams_is_not_denied(observed):
     """The lowest beam of the first unit, at -16.6 degrees, is 20.1 m away on the street. An empty box 5 m away is in
     its blind cone; one on the open street 35 m away is implausible: rays pass over its place to the ground behind."""
     world, perception, after = observed[1]
-    boxes = Boxes(np.array([[0.0, -5.0, 1.75], [0.0, -35.0, 1.75]]), np.tile([4.5, 1.8, 1.5], (2, 1)), np.zeros(2))
+    boxes = boxes_at([[0.0, -5.0, 1.75], [0.0, -35.0, 1.75]], (4.5, 1.8, 1.5))
     o, none = np.full(2, int(np.flatnonzero(world.is_roadside)[0])), np.zeros(0, int)
     _, plausible = perception.answers(
         after.sweeps, BoxQuestions(boxes, np.zeros((2, 2)), AreaParams(), none, none, o, np.arange(2))

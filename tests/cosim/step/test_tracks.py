@@ -8,11 +8,11 @@ import pytest
 from cosim.messages.content import SELF, SENSED, Detections
 from cosim.step.ground_truth import lies_in_detections
 from results.archive import open_run
-from sensors.boxes import Boxes
 from tests.drive import assert_refused, cosim, drive
 from tests.fingerprint import fingerprint
 from tests.processes import set_words
 from tests.scene import assert_same, play
+from tests.sensors.town import boxes_at
 
 ON = "tracking.model=constant_velocity"
 
@@ -35,7 +35,7 @@ def test_in_the_cycle_only_velocities_are_added():
 def test_a_falsified_velocity_is_a_lie():
     # by hand: 0.3 and 0.4 m/s off is 0.5, which is noise; 0.6 off is not; made up where none was is; left out is not
     n = 5
-    boxes = Boxes(np.zeros((n, 3)), np.ones((n, 3)), np.zeros(n))
+    boxes = boxes_at(np.zeros((n, 3)))
     perceived = replace(
         Detections.perceived(
             np.zeros(n, int), np.arange(n), np.zeros(n, np.uint8), boxes, np.ones(n), np.zeros(n, int),

@@ -21,6 +21,7 @@ from sensors.raycast.mesh import body_triangles
 from sensors.scene import Hit, Scene, Shape, prisms
 from tests.drive import cosim, drive
 from tests.refusals import refused_in_one_line
+from tests.sensors.town import boxes_at
 
 trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed: make extra NAME=mesh")
 
@@ -55,7 +56,7 @@ def sweep(scene, engine):
     n = 6
     angle = np.arange(n)
     xyz = np.column_stack([40 + 25 * np.cos(angle), -20 + 25 * np.sin(angle), np.full(n, 0.75)])
-    cars = Boxes(xyz, np.tile([4.5, 1.8, 1.5], (n, 1)), angle + np.pi)
+    cars = boxes_at(xyz, (4.5, 1.8, 1.5), angle + np.pi)
     params = LidarParams(profile="vlp16", range_sigma_m=0.0, engine=engine)
     return scan(cars, np.zeros(n, np.uint8), np.arange(n), scene, params, np.arange(n, dtype=np.uint64), unrounded=True)
 
@@ -108,7 +109,7 @@ def test_in_the_config(house, tmp_path):
 @each_form
 def car(request, tmp_path_factory):
     """The prisms of a car of 10 x 4 x 3 units as a file of each form."""
-    unit = Boxes(np.zeros((1, 3)), np.array([[10.0, 4.0, 3.0]]), np.zeros(1))
+    unit = boxes_at((0.0, 0.0, 0.0), (10.0, 4.0, 3.0))
     triangles = body_triangles(prisms(np.array([Shape.CAR], np.uint8), unit))
     mesh = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), process=False)
     return exported(mesh, request, tmp_path_factory)
@@ -126,9 +127,7 @@ def test_cars_of_triangles_are_seen_as_those_of_prisms(car, engine):
     lwh = rng.uniform([3.5, 1.6, 1.4], [5.5, 2.1, 1.9], (n, 3))
     xyz = np.column_stack([rng.uniform(-45, 45, (n, 2)), 0.5 * lwh[:, 2]])
     boxes = Boxes(xyz, lwh, rng.uniform(-np.pi, np.pi, n))
-    unit = body_triangles(
-        prisms(np.array([Shape.CAR], np.uint8), Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1)))
-    )
+    unit = body_triangles(prisms(np.array([Shape.CAR], np.uint8), boxes_at((0.0, 0.0, 0.0))))
     low, high = unit.min(axis=(0, 1)), unit.max(axis=(0, 1))
     ahead = np.column_stack([np.cos(boxes.yaw_rad), np.sin(boxes.yaw_rad)])
     middle = 0.5 * (low + high) * lwh

@@ -14,7 +14,6 @@ from cosim.traffic.scenario import find
 from cosim.world import World
 from results.manifest import read_manifest
 from results.verify import verify
-from sensors.boxes import Boxes
 from sensors.scene import Shape
 from tests import SHARED
 from tests.cosim.traffic import mixed_scenario
@@ -23,6 +22,7 @@ from tests.cosim.traffic.worlds import live, same
 from tests.drive import cosim
 from tests.hostile.scenes import write_town
 from tests.processes import set_words
+from tests.sensors.town import boxes_at
 from tests.slow import slow
 
 BOLOGNA = SHARED / "nets" / "bologna"
@@ -298,6 +298,14 @@ def test_only_pedestrians_is_said_and_no_departure_is_advised(scenario, tmp_path
     assert "begin_s" not in done.stderr
 
 
+def world_of(boxes, speed_mps, actor, shape=Shape.CAR):
+    """These actors at step 0; nobody is equipped."""
+    n = len(actor)
+    nobody, key = np.zeros(n, bool), np.array(actor).astype(np.uint64)
+    shape, speed_mps = np.broadcast_to(shape, n).astype(np.uint8), np.broadcast_to(speed_mps, n).astype(float)
+    return World(0, np.array(actor), key, shape, boxes, speed_mps, nobody, nobody.astype(np.uint8))
+
+
 def test_standing_vehicles_are_counted_by_hand():
     """Two cars and a pedestrian over two steps: 0.05, 5 and 0 m/s, then 0, 0 and 0: three of four stand.
 
@@ -305,17 +313,15 @@ def test_standing_vehicles_are_counted_by_hand():
     """
     counts = FlowCounts()
     for speeds in ([0.05, 5.0, 0.0], [0.0, 0.0, 0.0]):
-        boxes = Boxes(np.zeros((3, 3)), np.ones((3, 3)), np.zeros(3))
-        shape = np.array([Shape.CAR, Shape.CAR, Shape.PEDESTRIAN], np.uint8)
-        nobody, n = np.zeros(3, bool), np.arange(3)
-        counts.add(World(0, n, n.astype(np.uint64), shape, boxes, np.array(speeds), nobody, nobody.astype(np.uint8)))
+        shape = [Shape.CAR, Shape.CAR, Shape.PEDESTRIAN]
+        counts.add(world_of(boxes_at(np.zeros((3, 3))), speeds, np.arange(3), shape))
     assert counts.report() == {"vehicles_standing_p": 0.75}
 
 
 def cars_at(*poses, length_m=4.0):
     """Cars of 2 m width at x, y, height of the road, heading in degrees."""
     x, y, z, yaw = np.array(poses, float).T
-    return Boxes(np.column_stack([x, y, z + 0.75]), np.tile([length_m, 2.0, 1.5], (len(x), 1)), np.radians(yaw))
+    return boxes_at(np.column_stack([x, y, z + 0.75]), (length_m, 2.0, 1.5), np.radians(yaw))
 
 
 @pytest.mark.parametrize(
@@ -338,10 +344,9 @@ def test_traffic_that_no_vehicle_can_drive_is_noted():
     """Ten cars in each of two steps: four at two points, two that overlap, four apart."""
     apart = [(100.0 * k, 0, 0, 0) for k in range(1, 5)]
     boxes = cars_at((0, 0, 0, 0), (0, 0, 0, 90), (0, 50, 0, 0), (0, 50, 0, 0), (0, 80, 0, 0), (0.5, 80, 0, 90), *apart)
-    counts, n, nobody = FlowCounts(), np.arange(10), np.zeros(10, bool)
-    shape = np.full(10, Shape.CAR, np.uint8)
+    counts = FlowCounts()
     for _ in range(3):
-        counts.add(World(0, n, n.astype(np.uint64), shape, boxes, np.full(10, 9.0), nobody, nobody.astype(np.uint8)))
+        counts.add(world_of(boxes, 9.0, np.arange(10)))
     told = counts.report()
     assert told == {"vehicles_standing_p": 0.0, "vehicles_at_one_point_p": 0.4, "vehicles_overlapping_p": 0.2}
     one, other = traffic_remarks(told)
@@ -356,10 +361,8 @@ def test_jumping_vehicles_by_hand():
     """
 
     def world(actors, x_m, speeds):
-        n, nobody = np.array(actors), np.zeros(len(actors), bool)
-        shape = np.where(n == 9, Shape.PEDESTRIAN, Shape.CAR).astype(np.uint8)
-        boxes = cars_at(*((x, 0, 0, 0) for x in x_m))
-        return World(0, n, n.astype(np.uint64), shape, boxes, np.array(speeds), nobody, nobody.astype(np.uint8))
+        shape = np.where(np.array(actors) == 9, Shape.PEDESTRIAN, Shape.CAR)
+        return world_of(cars_at(*((x, 0, 0, 0) for x in x_m)), speeds, actors, shape)
 
     before = world([1, 3, 4, 9], [0.0, 50.0, 0.0, 0.0], [10.0, 20.0, 10.0, 1.0])
     now = world([1, 2, 3, 9], [14.0, 300.0, 66.0, 90.0], [20.0, 0.0, 10.0, 1.0])
