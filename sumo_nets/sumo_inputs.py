@@ -42,7 +42,8 @@ def check_input(path: Path) -> list[Path]:
     left = [path]
     while left:
         file = left.pop()
-        new = [p for p in _included(file, version_of(file)) if p != path and p not in included]
+        version = version_of(file)
+        new = [p for p in _included(file, version) if p != path and p not in included]
         included += new
         left += new
     return included

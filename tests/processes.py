@@ -16,14 +16,11 @@ import sys
 import tempfile
 import time
 import traceback
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
-
-from tests.hostile import SEED
 
 MEMORY_BYTES = 6 << 30
 """Address space that a child may take beyond that of the warm process."""
@@ -178,13 +175,6 @@ def sets_of_trace(path: Path) -> list[str]:
         "lidar.n_azimuths=300", "trust.server_period_s=2", "traffic.duration_s=6",
     )  # fmt: skip
     return set_words(keys)
-
-
-def conclude(what: str, counts: Counter[str], wrongs: list[str], cpu_s: float) -> None:
-    """Print how many of which cases there were, and fail where any was wrong."""
-    n = sum(counts.values())
-    print(f"\n{what}, seed {SEED}: {dict(sorted(counts.items()))}, {len(wrongs)} wrong of {n} in {cpu_s:.0f} s")
-    assert not wrongs, "\n".join(wrongs)
 
 
 def _carried_out(

@@ -7,10 +7,10 @@ from collections import Counter
 import pytest
 
 from tests.fingerprint import fingerprint
-from tests.hostile import SEED, N
+from tests.hostile import SEED, N, conclude
 from tests.hostile.folders import HARMS
 from tests.hostile.scenes import write_trace
-from tests.processes import conclude, sets_of_trace
+from tests.processes import sets_of_trace
 
 COMMANDS = (
     ("verify", "run"), ("measure", "run", "--json"), ("measure", "run", "--json"), ("report", "run"),

@@ -7,10 +7,10 @@ from collections import Counter
 import pytest
 
 from sumo_nets.sumo_options import IGNORED, PASSED, READS, REFUSED
-from tests.hostile import SEED, N
+from tests.hostile import SEED, N, conclude
 from tests.hostile.scenes import HEAD, trace_rows, write_town
 from tests.hostile.test_runs import judged
-from tests.processes import conclude, sets_of_trace
+from tests.processes import sets_of_trace
 
 OPTIONS = sorted({*IGNORED, *PASSED, *READS, *REFUSED})
 VALUES = (

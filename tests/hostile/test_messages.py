@@ -5,10 +5,10 @@ from collections import Counter
 import pytest
 
 from results.archive import open_run
-from tests.hostile import SEED, N
+from tests.hostile import SEED, N, conclude
 from tests.hostile.scenes import write_trace
 from tests.hostile.test_runs import attempt
-from tests.processes import conclude, set_words, sets_of_trace
+from tests.processes import set_words, sets_of_trace
 
 KINDS = ("content", "content", "content", "rows", "hooks", "many")
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from results.verify import verify
-from tests.hostile import SEED, N
+from tests.hostile import SEED, N, conclude
 from tests.hostile.configs import cases
 from tests.hostile.scenes import write_town, write_trace
-from tests.processes import Ended, conclude, set_words, sets_of_trace
+from tests.processes import Ended, set_words, sets_of_trace
 
 KEPT = tomllib.loads((Path(__file__).parent / "kept.toml").read_text(encoding="utf-8"))
 
