@@ -87,6 +87,7 @@ FUNCTIONS = {
     "cosim.studies.folder.write_whole": None,
     "cosim.studies.worker.make": None,  # the process of a sweep, with a job that the sweep has just written
     "cosim.runs.run.remarks": lambda f, at: f(at["run"]),
+    "cosim.runs.run.new_remarks": lambda f, at: f(at["run"], {}),
     "cosim.runs.run.resumable": lambda f, at: f(at["part"]),
     "cosim.runs.run.resume": lambda f, at: f(at["part"], print),
     "cosim.addons.perception.evaluate.evaluate": lambda f, at: f(at["run"]),
