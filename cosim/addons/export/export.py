@@ -125,7 +125,7 @@ def _exported(
     if vehicles is not None and getattr(fmt, "ALL_VEHICLES", False):
         raise ValueError(f"--vehicles {vehicles}: {choice.source.name} always has all vehicles. Leave it out.")
     config, of_traffic = config_of(run), getattr(fmt, "ALL_STEPS", False)
-    if "pseudonyms" in fmt.TABLES and not config.sensing:
+    if "detections" in fmt.TABLES and not config.sensing:  # the table would be empty
         raise run.lacks("sweeps, detections or messages", "")
     chosen = Selection(
         run, _vehicles(run, vehicles), _steps(run, steps, of_traffic), _road_edge_m(config),
