@@ -272,8 +272,8 @@ class StatisticalDetector:
         mean = (expected - log_odds) / slope - sigma**2
         z = mean / sigma
         # the density of z at 0, over the share that is above
-        hidden = scipy.special.log_ndtr(z)
-        density = np.exp(-0.5 * z * z - hidden) * _NORMAL_PEAK
+        log_above = scipy.special.log_ndtr(z)
+        density = np.exp(-0.5 * z * z - log_above) * _NORMAL_PEAK
         return np.clip(mean + sigma * density, _LEAST_ERROR_SHARE, _MOST_ERROR_SHARE)
 
 

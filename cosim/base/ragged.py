@@ -53,7 +53,7 @@ def rows_of(number: Int[ndarray, "k"], numbers: Int[ndarray, "n"]) -> tuple[Int[
 
     Of equal numbers it is the first row. The function looks in a table of all numbers from the first to the last if
     these are at most eight times as many as those to look up. Otherwise it searches. For 100,000 in 5,000 the table
-    takes 0.4 ms, a search 14 ms.
+    takes an eighth of the time.
     """
     if not len(numbers):
         return np.zeros(len(number), np.int64), np.zeros(len(number), bool)
@@ -67,7 +67,8 @@ def rows_of(number: Int[ndarray, "k"], numbers: Int[ndarray, "n"]) -> tuple[Int[
     place, asked = (np.subtract(one, first - 1, dtype=np.int64) for one in (numbers, number))
     table[place[::-1]] = np.arange(len(numbers))[::-1]  # of equal ones the first is written last
     row = table.take(asked, mode="clip")
-    return np.maximum(row, 0), row >= 0
+    is_there = row >= 0
+    return np.maximum(row, 0, out=row), is_there
 
 
 def as_slice(rows: Int[ndarray, "m"]) -> Int[ndarray, "m"] | slice:

@@ -309,7 +309,7 @@ class Inbox:
 
 
 def _with_new(held: Uses, more: Uses, n_messages: int) -> Uses:
-    """Held receptions of these messages and those of the others that are not held yet, each once."""
+    """Held receptions, then those of the others that are not held yet, each once; `n_messages` are in the inbox."""
     is_late = np.zeros(n_messages, bool)
     is_late[more.message] = True
     same = np.flatnonzero(is_late[held.message])  # few of those that are held

@@ -329,10 +329,11 @@ def sweep(
                                 answered += n_points[id] * is_ok
                                 number = f"run {done} of {len(n_points)}"
                                 log(f"{number}: {_said(task, id)}: {_ended(attempt)}")
-                                for note in new_remarks(folder.run(id), said) if is_ok else ():
-                                    log(note)
                             if not is_ok:
                                 failed.append((id, attempt))
+                            elif id in work.runs:
+                                for note in new_remarks(folder.run(id), said):
+                                    log(note)
                             report(
                                 done,
                                 len(n_points),

@@ -12,7 +12,8 @@ Frames are numbered by the steps in which the ego senses. Vehicles with another 
 - `predictions`: what the vehicle transmitted, its self report left out, in the 16 columns of results. The frame is the
   true one, so the error of the vehicle's own pose displaces them, as it does in messages (not so in `export kitti`);
 - `ego_object`: the vehicle itself, in the camera frame *of the ego*, with the same three columns;
-- `position_world`: the true pose: position (underside), camera, forward, right and up, a row each; x east, y north.
+- `position_world`: the true pose: position (underside), camera, forward, right and up, a row each; x east, y north, z
+  up.
 """
 
 from collections.abc import Iterator
