@@ -62,9 +62,9 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
     style.panel(gaps, "Packet inter-reception", "Packet inter-reception time [s]", "Share longer")
     style.panel(timed, "Delivery over time", style.TIME, "Packet delivery ratio")
     style.panel(busy, "Channel busy ratio", style.TIME, axis_label("radio", "cbr", "Channel busy ratio"))
-    for axes in (distance, gaps):
+    for axes, why in ((distance, "too few messages"), (gaps, "too few messages, or none is lost")):
         if not axes.lines:
-            axes.text(0.5, 0.5, "too few messages", transform=axes.transAxes, ha="center", color="#666666")
+            axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", color="#666666")
     for axes in (distance, late, timed):
         style.share_axis(axes)
     for axes in (distance, timed, busy):
@@ -125,7 +125,7 @@ def _inter_reception(axes: Axes, run: Run, line: dict[str, Any]) -> None:
     except ValueError:  # no pair with two receptions
         return
     curve = curve[curve.longer > 0]
-    if curve.empty:
+    if not curve.pir_s.any():  # no message is missing
         return
     pir_s, longer = np.append(curve.pir_s.min() / 2, curve.pir_s), np.append(1, curve.longer)
     axes.step(pir_s, longer, where="post", **line, markevery=style.sparse(len(pir_s)))

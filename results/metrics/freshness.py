@@ -21,7 +21,11 @@ STATES = ("evaluated", "unevaluated", "stale", "no value")
 KNOWN = ("evaluated", "stale")
 """States in which a value rests on an evaluation."""
 
-_NO_EVALUATION = "lookup of a trust value that rests on an evaluation", "trust never reached a vehicle."
+_NO_EVALUATION = (
+    "lookup of a trust value that rests on an evaluation",
+    "nobody could judge what another vehicle reports, or no value of it came back. Raise fleet.penetration_p, or run "
+    "longer.",
+)
 
 
 def evidence(run: Run) -> pd.DataFrame:

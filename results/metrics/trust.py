@@ -157,8 +157,9 @@ def _why_no_values(run: Run) -> str:
         return "there is one vehicle, which no other one evaluates. Raise fleet.penetration_p, or traffic.duration_s."
     if "server" in run.tables and run.variant_table("server", ["n_reports"]).n_reports.any():
         return (
-            "vehicles reported to the server, and no trust was computed of it. Shorten the delays and outages in "
-            "[server], or run longer than these and trust.server_period_s."
+            "vehicles reported to the server, and no trust was computed of it: nobody could judge what another vehicle "
+            "reports, or the run is too short. Raise fleet.penetration_p, or run longer than trust.server_period_s and "
+            "the delays and outages in [server]."
         )
     return (
         'neither the server nor a vehicle ever computed one. Set trust.host to "central" or "local", equip vehicles, '
