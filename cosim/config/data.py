@@ -25,7 +25,7 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
             text = file.read(_MOST_BYTES + 1)
         if len(text) > _MOST_BYTES:
             raise ValueError(f"{path}: larger than {_MOST_BYTES:,} bytes, too large for a {what}.")
-        return tomllib.loads(text.decode("utf-8"))
+        return tomllib.loads(text.decode("utf-8-sig"))  # editors of Windows begin files with a mark
     except FileNotFoundError:
         raise ValueError(f"{path}: no such {what}. Give the path of a TOML file.") from None
     except (OSError, UnicodeDecodeError) as error:

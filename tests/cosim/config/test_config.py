@@ -144,6 +144,13 @@ def test_bad_files(tmp_path, content, words):
         load(path)
 
 
+def test_a_mark_of_utf_8_at_the_beginning_is_left_out(tmp_path):
+    path = tmp_path / "from-windows.toml"
+    path.write_bytes(b"\xef\xbb\xbfseed = 7\r\n[traffic]\r\nduration_s = 5\r\n")
+    config = load(path)
+    assert (config.seed, config.traffic.duration_s) == (7, 5)
+
+
 def test_missing_file(tmp_path):
     with pytest.raises(ValueError, match="no such config file"):
         load(tmp_path / "none.toml")
