@@ -6,6 +6,8 @@ import numpy as np
 
 PARKED = "parked/"
 """Prefix of the names of parked cars, which are objects and no traffic."""
+OBJECT = "object/"
+"""Prefix of the names of `[[objects]]`, which are no traffic either. Their number in the config follows it."""
 
 
 class VehicleClass(IntEnum):

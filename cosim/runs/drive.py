@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.attacks.params import rings_too_large
-from cosim.base.codes import PARKED, DetectionFault, labels
+from cosim.base.codes import OBJECT, PARKED, DetectionFault, labels
 from cosim.base.kernel import threads_may_meet
 from cosim.config.config import Config
 from cosim.runs import checkpoint, recording
@@ -30,7 +30,6 @@ from cosim.step.result import StepResult
 from cosim.step.state import State
 from cosim.step.stopwatch import Stopwatch
 from cosim.traffic.actors import ActorRegistry
-from cosim.traffic.objects import PREFIX
 from cosim.traffic.scenario import Scenario
 from cosim.traffic.source import TrafficEnded, TrafficError, TrafficSource
 from cosim.world import World
@@ -280,7 +279,7 @@ class Drive:
     def _n_placed(self) -> int:
         """Parked cars and placed vehicles, which are no traffic, summed over the steps like `n_on_road`."""
         config, actors = self.parts.config, self.registry
-        placed = {PREFIX: len(config.objects), PARKED: config.parked.per_100_m}
+        placed = {OBJECT: len(config.objects), PARKED: config.parked.per_100_m}
         prefixes = tuple(prefix for prefix, n in placed.items() if n)
         is_placed = np.array([name.startswith(prefixes) for name in actors.names], bool)
         is_placed &= actors.shape != Shape.PEDESTRIAN

@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
+from cosim.base.codes import OBJECT
 from cosim.base.plane import wrapped
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fleet import ActorClass
@@ -18,9 +19,6 @@ from cosim.traffic.source import PER_M, PER_RAD, TrafficSource, world_of
 from cosim.world import World
 from sensors.boxes import Boxes
 from sensors.scene import Shape
-
-PREFIX = "object/"
-"""Prefix of their names. Their number in the config follows it."""
 
 TYPICAL_M = {
     "car": (4.5, 1.85, 1.5), "van": (5.3, 1.95, 2.0), "truck": (8.0, 2.4, 3.3), "bus": (12.0, 2.55, 3.2),
@@ -98,7 +96,7 @@ class Placed:
             One of them is far outside the network.
         """
         n_units, parked = len(units), parked or {}
-        names = [*(f"{PREFIX}{i}" for i in range(len(objects))), *parked, *units.names]
+        names = [*(f"{OBJECT}{i}" for i in range(len(objects))), *parked, *units.names]
         objects = [*objects, *parked.values()]
         kinds = [*(Shape[o.vehicle_class.upper()] for o in objects), *[Shape.ROADSIDE_UNIT] * n_units]
         shape = np.array(kinds, np.uint8)

@@ -11,14 +11,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.base.codes import PARKED
+from cosim.base.codes import OBJECT, PARKED
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fcd import Timestep, is_observed, projection_of, timesteps
 from cosim.traffic.frame import Frame, TrafficError
 from cosim.traffic.georeference import Conversion, LaneCheck, NetLocation, TravelCheck, conversion
 from cosim.traffic.identity import LEFT_OUT, UNKNOWN, Identities, TypeTable
 from cosim.traffic.interpolation import LONGEST_S, Timeline, interval_s
-from cosim.traffic.objects import PREFIX
 from cosim.traffic.params import TrafficParams
 from cosim.traffic.remarks import FlowCounts
 from cosim.traffic.source import TrafficEnded, world_from_bumpers, world_of
@@ -308,7 +307,7 @@ class RunReplay(_Replay):
             )
         vehicles = run.table("vehicles").sort_values("vehicle")
         self._names = vehicles.sumo_id.tolist()
-        placed = [f"{PREFIX}{i}" for i in range(len(run.manifest["config"].get("objects", ())))]
+        placed = [f"{OBJECT}{i}" for i in range(len(run.manifest["config"].get("objects", ())))]
         self._is_traffic = ~vehicles.sumo_id.isin(placed).to_numpy(bool)  # the new config has its own objects
         if run.manifest["config"].get("parked", {}).get("per_100_m"):
             self._is_traffic &= ~vehicles.sumo_id.str.startswith(PARKED).to_numpy(bool)

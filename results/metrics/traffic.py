@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from cosim.base.codes import PARKED
+from cosim.base.codes import OBJECT, PARKED
 from results.run import Run
 
 
@@ -12,11 +12,13 @@ def on_road(run: Run) -> pd.DataFrame:
         """
         SELECT 'all' AS who, coalesce(sum(n_steps), 0) / $steps AS mean, $steps * $dt_s AS duration_s
         FROM vehicles WHERE vehicle_class <> 'roadside_unit' AND NOT starts_with(sumo_id, $parked)
+            AND NOT starts_with(sumo_id, $object)
         UNION ALL
         SELECT 'equipped', coalesce(sum(n_steps), 0) / $steps, $steps * $dt_s
         FROM vehicles WHERE vehicle_class <> 'roadside_unit' AND equipped
     """,
         parked=PARKED,
+        object=OBJECT,
     )
 
 

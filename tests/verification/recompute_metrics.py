@@ -110,7 +110,7 @@ def traffic(of):
     who = vehicles(of)
     time = on_road_steps(of)
     yield "duration_s", "", of.steps * of.dt_s
-    yield "actors.mean", "all", time[~who.sumo_id.str.startswith("parked/")].sum() / of.steps
+    yield "actors.mean", "all", time[~who.sumo_id.str.startswith(("parked/", "object/"))].sum() / of.steps
     yield "actors.mean", "equipped", time[who.equipped].sum() / of.steps
     for role in of.manifest["roles"]:
         yield "equipped.n", role, (who.role[who.equipped] == role).sum()
@@ -738,7 +738,8 @@ def safety(of):
     poses = poses[poses.actor.map(drives)].sort_values(["actor", "step"])
     km = poses.speed_mps.astype(float).sum() * of.dt_s / 1000
     yield "driven_km", "", km
-    yield "travel_time.s_per_km", "", len(poses) * of.dt_s / km
+    placed = poses.actor.map(who.sumo_id.str.startswith("object/"))
+    yield "travel_time.s_per_km", "", (~placed).sum() * of.dt_s / km
     counts = {"hard_braking": 0, "emergency_braking": 0, "stops": 0}
     for _, one in poses.groupby("actor"):
         speed, step = one.speed_mps.to_numpy(float), one.step.to_numpy()

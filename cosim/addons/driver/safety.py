@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 
 from cosim.addons.driver.conflicts import begins, encroachments, following, overlaps, tracks
+from cosim.base.codes import OBJECT, PARKED
 from results.run import Run
 
 HARD_MPS2, EMERGENCY_MPS2, RESET_MPS2 = 3.0, 4.5, 1.0
@@ -153,9 +154,19 @@ def summary(run: Run) -> pd.Series:
     }  # fmt: skip
     found = {"driven_km": km, "collisions.n": float(len(overlaps(run, poses)))}
     if km > 0:
-        found["travel_time.s_per_km"] = len(poses) * run.dt_s / km
+        found["travel_time.s_per_km"] = _driving_s(run) / km
         found |= {f"{name}.per_km": n / km for name, n in counts.items()}
     return pd.Series(found)
+
+
+def _driving_s(run: Run) -> float:
+    """Vehicle-seconds on the road, without what stands there by the config: parked cars, `[[objects]]`, units."""
+    query = """
+        SELECT coalesce(sum(n_steps), 0) AS n FROM vehicles
+        WHERE vehicle_class NOT IN ('pedestrian', 'roadside_unit')
+            AND NOT starts_with(sumo_id, $parked) AND NOT starts_with(sumo_id, $object)
+    """
+    return float(run.sql(query, parked=PARKED, object=OBJECT).n.item()) * run.dt_s
 
 
 def by_kind(run: Run) -> pd.DataFrame:

@@ -20,8 +20,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from cosim.base.codes import PARKED
-from cosim.traffic.objects import PREFIX
+from cosim.base.codes import OBJECT, PARKED
 from results.moments import Clouds, File, Moment, Plan, Selection, Unit
 
 TABLES = ("actors", "vehicles")
@@ -54,7 +53,7 @@ def _packed(selection: Selection) -> bytes:
     columns = ["vehicle", "sumo_id", "vehicle_class", "length_m", "width_m", "height_m"]
     rows = selection.run.table("vehicles", columns).to_dict("records")
     n_objects = len(selection.run.config.get("objects", ()))
-    placed = [f"{PREFIX}{i}" for i in range(n_objects)]
+    placed = [f"{OBJECT}{i}" for i in range(n_objects)]
     fixed = {
         int(row["vehicle"]): _fixed(row)
         for row in rows

@@ -9,6 +9,7 @@ import pytest
 from cosim.addons.driver import conflicts, safety
 from results.archive import open_run
 from results.measure import measure
+from results.metrics import traffic
 from sumo_nets import sumotools
 from tests.drive import simulate
 from tests.results.tiny import fleet, make
@@ -242,3 +243,16 @@ def test_topic_and_figure(crossing):
     assert measured["safety.collisions.n"] == 0 and measured["safety.driven_km"] > 1
     figure = run.measure.safety.plot()
     assert len(figure.axes) == 2 and figure.axes[0].get_xlim()[0] == 0  # nobody reacts to what it believes
+
+
+def test_what_stands_there_by_the_config_is_no_traffic(tmp_path):
+    """Of four actors in 20 s two stand there. The car that drives 200 m in 20 s takes 100 s per kilometre."""
+    there = fleet("honest", "honest", "honest", "honest", n_steps=20)
+    there[1] |= {"sumo_id": "object/0", "equipped": False}
+    there[2] |= {"sumo_id": "parked/12", "equipped": False}
+    there[3] |= {"vehicle_class": "pedestrian", "equipped": False}
+    drives = [{"step": step, "actor": 0, "x_m": 10.0 * step, "speed_mps": 10.0} for step in range(20)]
+    stands = [{"step": step, "actor": actor} for actor in (1, 2, 3) for step in range(20)]
+    run = make(tmp_path, 20, vehicles=there, actors=drives + stands)
+    assert traffic.on_road(run)["mean"].tolist() == [2, 1]
+    assert safety.summary(run)["travel_time.s_per_km"] == 100

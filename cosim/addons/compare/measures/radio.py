@@ -7,7 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from cosim.base.codes import PARKED
+from cosim.base.codes import OBJECT, PARKED
 from cosim.messages import etsi
 from cosim.radio.bodies import Bodies, tallest_blocker_m
 from cosim.radio.channel import AccessParams, ChannelRules, ChannelState, Links, Packets, PhyOutcome, run_window
@@ -191,7 +191,7 @@ def sight_past_everything(
     steps = np.arange(0, int(run.manifest["steps"]), max(1, round(every_s / run.dt_s)))
     clear, n = np.zeros(len(far)), np.zeros(len(far))
     for world in worlds(run, config, steps):
-        moving = ~name.reindex(world.actor).str.startswith(PARKED).to_numpy(bool)
+        moving = ~name.reindex(world.actor).str.startswith((PARKED, OBJECT)).to_numpy(bool)
         row = np.flatnonzero(moving & (world.shape <= Shape.BUS))
         xy = world.boxes.xyz_m[row, :2]
         a, b = row[cKDTree(xy).query_pairs(float(far.max()) + 12.5, output_type="ndarray")].reshape(-1, 2).T

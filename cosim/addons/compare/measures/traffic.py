@@ -5,7 +5,7 @@ from numpy import ndarray
 from scipy import stats
 
 from cosim.addons.compare.runs import DEFAULT_WORLD
-from cosim.base.codes import PARKED
+from cosim.base.codes import OBJECT, PARKED
 from cosim.config.config import load
 from results.run import Run
 
@@ -13,10 +13,10 @@ MEASURES = ("actor_size", "walking_speed", "position_error")
 
 
 def actor_size(run: Run, *, vehicle_class: str) -> Float[ndarray, "3"]:
-    """Mean length, width and height of a class [m]; every actor counts once, but no parked car."""
+    """Mean length, width and height of a class [m]; every actor counts once, but nothing that stands there by the config."""
     columns = ["length_m", "width_m", "height_m"]
     table = run.table("vehicles", ["sumo_id", "vehicle_class", *columns])
-    drives = ~table.sumo_id.str.startswith(PARKED)
+    drives = ~table.sumo_id.str.startswith((PARKED, OBJECT))
     mine = table[drives & (table.vehicle_class == vehicle_class)]
     if mine.empty:
         raise ValueError(f"{run.path.name}: there is no {vehicle_class} in this run.")
