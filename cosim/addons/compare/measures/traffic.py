@@ -13,7 +13,7 @@ MEASURES = ("actor_size", "walking_speed", "position_error")
 
 
 def actor_size(run: Run, *, vehicle_class: str) -> Float[ndarray, "3"]:
-    """Mean length, width and height of a class [m]; every actor counts once, but nothing that stands there by the config."""
+    """Mean length, width and height of a class [m]; what stands there by the config does not count."""
     columns = ["length_m", "width_m", "height_m"]
     table = run.table("vehicles", ["sumo_id", "vehicle_class", *columns])
     drives = ~table.sumo_id.str.startswith((PARKED, OBJECT))
