@@ -1,11 +1,12 @@
 """The metrics of a run in one tidy table."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from inspect import isfunction, signature
 from itertools import groupby
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args, get_origin
 
 import numpy as np
 import pandas as pd
@@ -39,6 +40,16 @@ TOPICS: Mapping[str, ModuleType] = Choices(
     },
 )
 """Modules of metrics by topic, as `run.measure.<topic>`."""
+
+_BOUNDS: Mapping[str, tuple[float, float]] = {
+    "threshold": (0.0, 1.0),
+    "false_positives": (0.0, 1.0),
+    "fresh_s": (0.0, math.inf),
+    "max_frames": (1.0, math.inf),
+    "every_s": (1e-3, math.inf),
+    "cell_m": (1e-3, math.inf),
+}
+"""Smallest and largest value of options that are numbers."""
 
 
 class MeasuredRow(NamedTuple):
@@ -91,7 +102,7 @@ def measure(
     Raises
     ------
     ValueError
-        If a topic does not exist.
+        If a topic does not exist, or if an option is out of bounds.
     """
     options = {
         "threshold": threshold,
@@ -99,6 +110,8 @@ def measure(
         "false_positives": false_positives,
         "max_frames": max_frames,
     }
+    for name, value in options.items():
+        _check_bounds(name, value)
     rows: list[MeasuredRow] = []
     for topic in topics:
         if topic not in registry.TOPICS:
@@ -193,12 +206,24 @@ class Measures:
         return measure(self._run, **options)
 
     def value(self, metric: str, group: str = "", **options: Any) -> float:
-        """One metric: `run.measure.value("trust.final.median", "malicious")`; NaN if it is not defined."""
+        """One metric: `run.measure.value("trust.final.median", "malicious")`; NaN if it is not defined.
+
+        Raises
+        ------
+        ValueError
+            If there is no such metric, or if it has other groups. A role without a vehicle is a group without a value.
+        """
         if metric not in METRICS:
             raise ValueError(f"There is no metric {metric!r}. `cosim measure --explain` lists them.")
         found = measure(self._run, topics=(metric.split(".")[0],), **options)
-        values = found.value[(found.metric == metric) & (found.group == group)]
-        return float(values.iloc[0]) if len(values) else float("nan")
+        values = found[found.metric == metric].set_index("group").value
+        if group in values.index:
+            return float(values[group])
+        is_of_role = not set(group.split(", ")).isdisjoint(self._run.role_labels)
+        if (bool(group) != bool(METRICS[metric].group)) or (len(values) and not is_of_role):
+            there = "; ".join(values.index) or METRICS[metric].group or "none"
+            raise ValueError(f"{metric} has no group {group!r}. Its groups are {there}.")
+        return math.nan
 
     def __getattr__(self, topic: str) -> "Topic":
         if topic not in TOPICS:
@@ -218,7 +243,7 @@ class Topic:
     def __getattr__(self, name: str) -> Callable[..., Any]:
         if name not in dir(self):
             raise AttributeError(f"{self._topic} has no {name!r}. It has {', '.join(dir(self))}.")
-        return partial(getattr(TOPICS[self._topic], name), self._run)
+        return partial(_asked, getattr(TOPICS[self._topic], name), self._run)
 
     def __dir__(self) -> list[str]:
         module = TOPICS[self._topic]
@@ -235,3 +260,28 @@ class Topic:
         from results.figures.catalogue import FIGURES  # here, because measuring needs no Matplotlib
 
         return FIGURES[self._topic]([self._run], **options)
+
+
+def _asked(function: Callable[..., Any], run: Run, *args: Any, **options: Any) -> Any:
+    """What a function of a topic returns. A misspelt choice would count as any other one, so it is refused here."""
+    asked = signature(function).bind(run, *args, **options).arguments
+    for name, value in asked.items():
+        known = _choices(signature(function).parameters[name].annotation)
+        if known and isinstance(value, str) and value not in known:
+            raise ValueError(f"{name} = {value!r}: there is no such choice. There are {', '.join(known)}.")
+        _check_bounds(name, value)
+    return function(run, *args, **options)
+
+
+def _choices(annotation: Any) -> tuple[str, ...]:
+    """The words that an argument may be; none if it may be any."""
+    if get_origin(annotation) is Literal:
+        return get_args(annotation)
+    return tuple(word for one in get_args(annotation) for word in _choices(one))
+
+
+def _check_bounds(name: str, value: Any) -> None:
+    """Raise ValueError for an option that is a number out of bounds."""
+    low, high = _BOUNDS.get(name, (-math.inf, math.inf))
+    if isinstance(value, int | float) and not low <= value <= high:
+        raise ValueError(f"{name} = {value:g} is not between {low:g} and {high:g}.")

@@ -216,7 +216,8 @@ def _detections(recorder: TakesRows, world: World, sensed: Sensed) -> None:
         errors: Rows = {"vehicle": sensed.vehicles.actor, "error_x_m": x, "error_y_m": y}
         if heading.any():  # a draw is never exactly 0, so all are 0 if headings have no errors
             errors["error_yaw_rad"] = heading
-        recorder.append("position_errors", now_step, errors)
+        units = world.is_roadside[sensed.vehicles.row]  # they know where they stand
+        recorder.append("position_errors", now_step, _without(units, errors))
     n_dropped = sensed.listed.n_dropped
     causes = np.flatnonzero(n_dropped)
     recorder.append("dropped_detections", now_step, {"cause": causes, "n": n_dropped[causes]})

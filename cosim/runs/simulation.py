@@ -222,10 +222,12 @@ class SimulatedStep:
         Raises
         ------
         ValueError
-            If there is no such table.
+            If there is no such table, or if it is written at the end of a run.
         """
         if name not in TABLES:
             raise ValueError(f"there is no table {name!r}. The tables are {', '.join(TABLES)}.")
+        if "step" not in TABLES[name].columns:
+            raise ValueError(f"a step has no table {name!r}: it is of a whole run. Write one with cosim.run(...).")
         parts = [self._frame(name, columns) for columns in self._columns.of_table.get(name, [])]
         if not parts:
             return pd.DataFrame(columns=list(TABLES[name].stored))

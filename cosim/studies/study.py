@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le
 
 from cosim.config import config as configs
 from cosim.config import data as config_data
@@ -68,11 +68,11 @@ class Keep:
 class Measuring:
     """Options of the metrics: the section `[measure]`."""
 
-    threshold: float | None = None
+    threshold: Annotated[float, Ge(0), Le(1)] | None = None
     """A subject with less trust than this is suspected; by default `trust.suspect_below`."""
-    fresh_s: float = 10.0
+    fresh_s: Annotated[float, Ge(0)] = 10.0
     """Trust is fresh up to this age [s]."""
-    false_positives: float = 0.05
+    false_positives: Annotated[float, Ge(0), Le(1)] = 0.05
     """False positive rate at which recall is reported."""
     own: str = ""
     """The user's own metrics, as path.py:name or package.module:name: a function of a `results.run.Run` that returns

@@ -1,6 +1,7 @@
 """Figures of merit, derived by hand on runs of a few rows."""
 
 import math
+import re
 
 import pandas as pd
 import pytest
@@ -203,6 +204,21 @@ def test_measure_is_tidy(run):
     assert final[0] < 0.1 < 0.6 < final[1]
     with pytest.raises(ValueError, match=r"no metric 'trust\.last'"):
         run.measure.value("trust.last")
+
+
+@pytest.mark.parametrize(("ask", "says"), [
+    (lambda run: run.measure.value("trust.final.median"), "has no group ''. Its groups are honest; unreliable; malicious."),
+    (lambda run: run.measure.value("trust.final.median", "Honest"), "has no group 'Honest'. Its groups are honest"),
+    (lambda run: run.measure.value("radio.pdr.all", "honest"), "has no group 'honest'. Its groups are none."),
+    (lambda run: run.measure(false_positives=5), "false_positives = 5 is not between 0 and 1."),
+    (lambda run: run.measure.misbehaviour.classification(false_positives=5), "is not between 0 and 1."),
+    (lambda run: run.measure.radio.over_time(every_s=0), "every_s = 0 is not between 0.001 and inf."),
+    (lambda run: run.measure.radio.overall("CPM"), "There are cpm, evaluation."),
+    (lambda run: run.measure.encounters.survival(departure="censor"), "There are ends, censors."),
+])  # fmt: skip
+def test_a_misspelt_question_is_refused(run, ask, says):
+    with pytest.raises(ValueError, match=re.escape(says)):
+        ask(run)
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,7 @@ def test_metrics_are_of_one_variant(run):
         final = run.as_variant(name).measure.trust.final().set_index("role")["mean"]
         assert final.to_dict() == pytest.approx({"honest": 0.6 * factor, "ghost": 0.45 * factor})
     assert run.measure.value("trust.final.mean", "ghost") == pytest.approx(0.45)
+    assert np.isnan(run.measure.value("trust.final.mean", "malicious"))  # a role of the run, without a vehicle
     with pytest.raises(ValueError, match=r"no trust variant 'long'\. It has base, short_window"):
         run.as_variant("long")
 

@@ -63,7 +63,8 @@ def test_clouds(steps):
 
 def test_with_random_phases_each_vehicle_senses_once_per_interval():
     """Five steps are an interval. Whoever senses has a cloud; whoever does not is told so."""
-    with Simulation({"preset": "modern", "traffic": {"duration_s": 1, "warmup_s": 120}}) as simulation:
+    data = {"preset": "modern", "traffic": {"duration_s": 1, "warmup_s": 120}, "roadside": [{"junctions": 1}]}
+    with Simulation(data) as simulation:
         sensed = []
         for step in simulation:
             sensed += step.sensing.tolist()
@@ -73,6 +74,10 @@ def test_with_random_phases_each_vehicle_senses_once_per_interval():
                 step.cloud(silent)
     assert len(sensed) == len(set(sensed))
     assert 0.8 < len(sensed) / len(step.vehicles) < 1.2
+    of_vehicles = step.world.actor[step.world.equipped & ~step.world.is_roadside]
+    assert step.table("position_errors").vehicle.tolist() == of_vehicles.tolist() and len(step.vehicles) > len(of_vehicles)
+    with pytest.raises(ValueError, match="a step has no table 'encounters'"):
+        step.table("encounters")
 
 
 def test_a_class_in_place_of_a_part_and_clouds_of_the_past():

@@ -154,6 +154,7 @@ def test_merged_run_is_the_same_for_any_order_of_the_file(tmp_path):
         (HEAD + "[grid]\ntrust.freshness_s = 5\n", "list of at least one value"),
         (HEAD + "[grid]\ntrust.freshness_s = [5, 5]\n", "twice"),
         (HEAD + "[[zip]]\nradio.range_m = [1, 1]\ntrust.freshness_s = [5, 5]\n", "twice"),
+        (HEAD + "[measure]\nfalse_positives = 5\n[grid]\nradio.range_m = [1, 2]\n", "less than or equal to 1"),
         (HEAD + "[measure]\nown = 'mine'\n[grid]\nradio.range_m = [1, 2]\n", "path.py:name"),
         (HEAD + "[measure]\nown = 'json:lies'\n[grid]\nradio.range_m = [1, 2]\n", "defines no function lies"),
         (HEAD + "[measure]\nown = 'mine.py:lies'\n[grid]\nradio.range_m = [1, 2]\n", "no such file"),
