@@ -207,9 +207,9 @@ def test_measure_is_tidy(run):
 
 
 @pytest.mark.parametrize(("ask", "says"), [
-    (lambda run: run.measure.value("trust.final.median"), "has no group ''. Its groups are honest; unreliable; malicious."),
-    (lambda run: run.measure.value("trust.final.median", "Honest"), "has no group 'Honest'. Its groups are honest"),
-    (lambda run: run.measure.value("radio.pdr.all", "honest"), "has no group 'honest'. Its groups are none."),
+    (lambda run: run.measure.value("trust.final.median"), "no group ''. Its groups are honest; unreliable; malicious."),
+    (lambda run: run.measure.value("trust.final.median", "Honest"), "no group 'Honest'. Its groups are honest"),
+    (lambda run: run.measure.value("radio.pdr.all", "honest"), "no group 'honest'. Its groups are none."),
     (lambda run: run.measure(false_positives=5), "false_positives = 5 is not between 0 and 1."),
     (lambda run: run.measure.misbehaviour.classification(false_positives=5), "is not between 0 and 1."),
     (lambda run: run.measure.radio.over_time(every_s=0), "every_s = 0 is not between 0.001 and inf."),

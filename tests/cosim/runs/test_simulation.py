@@ -75,7 +75,8 @@ def test_with_random_phases_each_vehicle_senses_once_per_interval():
     assert len(sensed) == len(set(sensed))
     assert 0.8 < len(sensed) / len(step.vehicles) < 1.2
     of_vehicles = step.world.actor[step.world.equipped & ~step.world.is_roadside]
-    assert step.table("position_errors").vehicle.tolist() == of_vehicles.tolist() and len(step.vehicles) > len(of_vehicles)
+    assert step.table("position_errors").vehicle.tolist() == of_vehicles.tolist()
+    assert len(step.vehicles) > len(of_vehicles)
     with pytest.raises(ValueError, match="a step has no table 'encounters'"):
         step.table("encounters")
 
