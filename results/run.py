@@ -310,8 +310,9 @@ class Run:
         Parameters
         ----------
         query
-            One SELECT, as DuckDB understands it. Only whole blocks of the run are seen. Beside the tables there is
-            `subjects`: `pseudonyms` with the role and the first attack of the vehicle.
+            One SELECT, as DuckDB understands it. Only whole blocks of the run are seen. Tables have the rows of all
+            trust variants, and `encounters` the trust of `base`. Beside the tables there is `subjects`: `pseudonyms`
+            with the role and the first attack of the vehicle.
         values
             Values of `$name` in the query. `$dt_s`, `$steps` and `$variant`, the run's own, need not be given.
 

@@ -237,8 +237,11 @@ def without_trust(run: Run) -> pd.DataFrame:
     -------
     The columns of `encounters.DEFINITION`; n (both directions of every encounter), n_without, share, low, high (by the
     vehicle that would have the value), n_units, share_note if many of n_without are not over; and wait_median_s: time
-    from the start to the first such value, of those that had none at the start; definition: its name.
+    from the start to the first such value, of those that had none at the start; definition: its name. ValueError if no
+    vehicle senses: nobody looks for trust then.
     """
+    if not run.config.get("sensing", True):
+        raise run.lacks("encounters in which trust is looked up", "")
     frame = run.variant_table("encounters", ["trusted_after_ab_s", "trusted_after_ba_s"])
     goes_on = run.table("encounters", ["censored_right"]).censored_right.to_numpy()
     after_ab_s, after_ba_s = frame.trusted_after_ab_s.to_numpy(), frame.trusted_after_ba_s.to_numpy()

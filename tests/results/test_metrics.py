@@ -231,6 +231,14 @@ def test_nothing_to_measure_is_one_clear_line(tiny, ask):
     assert "\n" not in str(caught.value) and str(caught.value).endswith(".")
 
 
+def test_where_no_vehicle_senses_no_encounter_ends_without_trust(tiny):
+    met = {"vehicles": fleet("honest", "honest"), "encounters": [encounter(0, 1, 1, 3, pairs="equipped")]}
+    run = tiny(5, {"sensing": False}, **met)
+    assert math.isnan(run.measure.value("freshness.encounters_without_trust.share", "equipped, 50 m"))
+    with pytest.raises(ValueError, match="sensing = false, so no vehicle senses"):
+        freshness.without_trust(run)
+
+
 def test_frames_are_frames(run):
     for frame in (radio.by_distance(run), freshness.distribution(run), misbehaviour.detection_delay(run)):
         assert isinstance(frame, pd.DataFrame) and len(frame)
