@@ -30,10 +30,10 @@ ReceptionTrackers = tuple[InterReceptionTracker, InterReceptionTracker]
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """Vehicles within range in one round, and the inter-reception times that ended."""
+    """Messages within range in one round, and the inter-reception times that ended."""
 
     n_in_range: Int[ndarray, "n"]
-    """For each of `Vehicles`, the vehicles within whose range it is, of those that sent."""
+    """For each of `Vehicles`, the messages of vehicles within whose range it is."""
     inter_reception: Rows
     """Columns of the table `packet_inter_reception`."""
 

@@ -77,7 +77,7 @@ def vehicle_channel(
     n
         Number of receivers.
     in_range
-        Per round and receiver, the number of authors of messages within communication range.
+        Per round and receiver, the number of messages of vehicles within communication range.
     received
         Per round, the receiver (0 to n - 1) of every message that was received.
     cbr

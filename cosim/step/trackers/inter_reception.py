@@ -113,10 +113,16 @@ def pairs_within_range(station, message, receiver, hop, author, heard, heard_by,
 
     Returns
     -------
-    The pairs as `InterReceptionTracker.pair`, whether the receiver got a message of the sender, and the number of pairs
-    in which each vehicle is the receiver.
+    The pairs as `InterReceptionTracker.pair`, whether the receiver got a message of the sender, and the number of
+    messages within whose range each vehicle is: all that a sender has, under any of its identities.
     """
     n = len(actor)
+    is_counted, n_messages = np.zeros(len(station), np.bool_), np.zeros(n, np.int64)
+    for row in range(len(message)):
+        sender = station[message[row]]
+        if hop[row] == 1 and sender < n and not is_counted[message[row]]:
+            is_counted[message[row]] = True
+            n_messages[sender] += 1
     ptr, near = _by_sender(station, message, receiver, hop, n)
     heard_ptr, listener = _by_sender(author, heard, heard_by, hop[:0], n)
     m = 0
@@ -146,7 +152,7 @@ def pairs_within_range(station, message, receiver, hop, author, heard, heard_by,
             j = near[k]
             pair[k] = (actor[i] << 32) | actor[j]
             got[k] = stamp[j] == i
-            n_in_range[j] += 1
+            n_in_range[j] += n_messages[i]
     return pair, got, n_in_range
 
 
