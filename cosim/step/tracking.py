@@ -56,8 +56,10 @@ def _track_round(
     # The type for which the kernel is compiled.
     given = frames.message, frames.receiver, received.message, received.receiver
     message, receiver, heard, heard_by = (np.asarray(rows, np.int32) for rows in given)
+    sent = exchange.senders.vehicle[broadcast.length_bytes > 0]
+    n_sent = np.bincount(sent, minlength=len(actor))
     pair, got, n_in_range = pairs_within_range(
-        found.station, message, receiver, frames.hop, exchange.senders.vehicle, heard, heard_by, actor
+        found.station, message, receiver, frames.hop, exchange.senders.vehicle, heard, heard_by, actor, n_sent
     )
     step = exchange.now.step
     late = late_of(rounds, kind)
@@ -72,8 +74,7 @@ def _track_round(
         new, _ = distinct(arrived[~is_there & in_range])
         at = np.searchsorted(pair, new)
         pair, got = np.insert(pair, at, new), np.insert(got, at, True)
-    has_message = exchange.senders.vehicle[broadcast.length_bytes > 0]
-    silent = np.setdiff1d(actor, actor[has_message])
+    silent = actor[n_sent == 0]
     tracker, rows = tracker.next(step, pair, got, silent)
     return tracker, Reach(n_in_range, rows)
 

@@ -95,7 +95,7 @@ def _next(step, before, last, seen, pair, received, silent):
 
 
 @compiled
-def pairs_within_range(station, message, receiver, hop, author, heard, heard_by, actor):
+def pairs_within_range(station, message, receiver, hop, author, heard, heard_by, actor, n_messages):
     """Pairs of vehicles within range in one round, each once, sorted.
 
     Parameters
@@ -110,19 +110,15 @@ def pairs_within_range(station, message, receiver, hop, author, heard, heard_by,
         Message and vehicle of every reception, over any number of hops.
     actor
         Actor number of each vehicle, ascending.
+    n_messages
+        Messages of each vehicle, one per identity; a copy is no other message.
 
     Returns
     -------
     The pairs as `InterReceptionTracker.pair`, whether the receiver got a message of the sender, and the number of
-    messages within whose range each vehicle is: all that a sender has, under any of its identities.
+    messages within whose range each vehicle is.
     """
     n = len(actor)
-    is_counted, n_messages = np.zeros(len(station), np.bool_), np.zeros(n, np.int64)
-    for row in range(len(message)):
-        sender = station[message[row]]
-        if hop[row] == 1 and sender < n and not is_counted[message[row]]:
-            is_counted[message[row]] = True
-            n_messages[sender] += 1
     ptr, near = _by_sender(station, message, receiver, hop, n)
     heard_ptr, listener = _by_sender(author, heard, heard_by, hop[:0], n)
     m = 0
