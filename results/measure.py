@@ -220,7 +220,8 @@ class Measures:
         if group in values.index:
             return float(values[group])
         is_of_role = not set(group.split(", ")).isdisjoint(self._run.role_labels)
-        if (bool(group) != bool(METRICS[metric].group)) or (len(values) and not is_of_role):
+        is_misspelt = len(values) > 0 and not is_of_role
+        if is_misspelt or bool(group) != bool(METRICS[metric].group):
             there = "; ".join(values.index) or METRICS[metric].group or "none"
             raise ValueError(f"{metric} has no group {group!r}. Its groups are {there}.")
         return math.nan

@@ -1,6 +1,6 @@
 """Tracks inter-reception times, encounters and starts of attacks from step to step. The cycle does not read them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Int
@@ -89,6 +89,55 @@ def late_of(rounds: Rounds, kind: RoundKind, clouds: bool = False) -> list[LateM
     """Messages of one kind that went on in a round of this step, or the clouds that were sent behind them."""
     late = (one for broadcast in rounds for one in (broadcast.late_clouds if clouds else broadcast.late))
     return [messages for messages in late if messages.kind == kind]
+
+
+def without_late_copies(rounds: Rounds, exchange: Exchange) -> Rounds:
+    """The rounds, in which no vehicle receives a late copy of a message that it has received in this step.
+
+    Late copies of a message are messages of their own (`LateMessages`), and an attacker may send many.
+    """
+    if exchange.sending is None:
+        return rounds
+    seen = {kind: _of_this_step(rounds[kind], exchange) for kind in RoundKind}
+    found = []
+    for broadcast in rounds:
+        late = []
+        for messages in broadcast.late:
+            first, codes = _first_receptions(messages, exchange.now.step, seen[messages.kind])
+            seen[messages.kind] = np.append(seen[messages.kind], codes)
+            links = messages.links._replace(vehicles=messages.links.vehicles.take(first))
+            late.append(replace(messages, links=links))
+        found.append(replace(broadcast, late=tuple(late)))
+    return found[0], found[1]
+
+
+def _of_this_step(broadcast: Broadcast, exchange: Exchange) -> Int[ndarray, "r"]:
+    """A number for each message of this step and vehicle that received it."""
+    received = broadcast.links.vehicles
+    return exchange.sender[received.message] << _ROW_BITS | received.receiver
+
+
+def _first_receptions(
+    messages: LateMessages, step: int, seen: Int[ndarray, "r"]
+) -> tuple[Int[ndarray, "k"], Int[ndarray, "c"]]:
+    """Rows of receptions that are no copies, and the numbers of those of this step, as in `_of_this_step`.
+
+    Messages of earlier steps, and those that are not accepted, are kept as they are.
+    """
+    received = messages.links.vehicles
+    sender = messages.sender[received.message]
+    is_asked = (messages.step[received.message] == step) & (sender >= 0)
+    by_time = np.argsort(received.received_s, kind="stable")
+    by_time = by_time[is_asked[by_time]]
+    codes = sender << _ROW_BITS | received.receiver
+    found, first = np.unique(codes[by_time], return_index=True)
+    is_new = ~np.isin(found, seen)
+    is_kept = ~is_asked
+    is_kept[by_time[first[is_new]]] = True
+    return np.flatnonzero(is_kept), found[is_new]
+
+
+_ROW_BITS = 20
 
 
 def count_in_encounters(

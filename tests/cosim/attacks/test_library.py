@@ -6,7 +6,9 @@ import pytest
 
 from cosim.attacks.catalogue import ATTACKS
 from cosim.base.codes import Origin
+from results.archive import open_run
 from tests.cosim.attacks.plain import NAMES, N, play
+from tests.drive import drive
 
 LIARS = ["v00", "v07", "v15", "v23"]
 WHO = np.array([NAMES.index(name) for name in LIARS])
@@ -422,6 +424,16 @@ def test_denial_of_service():
     assert (m.sent_bytes > 1.2 * n.sent_bytes).all() and m.cbr.mean() > 1.04 * n.cbr.mean()
     heard = flooded["receptions"]
     assert not heard.duplicated(["at", "message_type", "sender", "receiver"]).any()
+
+
+def test_late_copies_count_once(tmp_path):
+    """With random phases, rounds are short, and a hundred copies go on in the next one."""
+    flood = ("attacks.0.attack=denial_of_service", "attacks.0.start_s=0", "traffic.duration_s=2")
+    run = open_run(drive(tmp_path / "run", "preset=modern", "record.level=full", *flood))
+    n = len(run.receptions)
+    assert run.radio.n_delivered.sum() > 2 * n > 0
+    assert run.vehicle_channel.n_received.sum() == n
+    assert run.latency_histogram.n_delivered.sum() == n
 
 
 @pytest.mark.verify

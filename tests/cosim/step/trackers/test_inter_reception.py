@@ -23,13 +23,13 @@ def test_pairs_within_range_against_sets(station, frames, heard):
     actor, author = np.array([2, 3, 7, 2**20]), np.array([0, 3, 1, 0, 2, 2])
     message, receiver, hop = (np.array([frame[k] for frame in frames], np.int64) for k in range(3))
     columns = (np.array([one[k] for one in heard], np.int64) for k in range(2))
-    given, n_sent = (np.array(station), message, receiver, hop, author, *columns, actor), np.array([1, 6, 0, 2])
-    pair, got, n_in_range = pairs_within_range(*given, n_sent)
+    given, n_sent = (message, receiver, hop, author, *columns, actor), np.array([1, 6, 0, 2])
+    pair, got, n_in_range = pairs_within_range(np.array(station), *given, n_sent)
     near = sorted({(station[m], r) for m, r, h in frames if h == 1 and station[m] < 4 and r < 4})
     received = {(author[m], r) for m, r in heard}
     assert pair.tolist() == [actor[i] * 2**32 + actor[j] for i, j in near]
     assert got.tolist() == [one in received for one in near]
-    assert n_in_range.tolist() == [sum(n_sent[i] for i, j in near if j == v) for v in range(4)]
+    assert n_in_range.tolist() == [sum(n_sent[i] for i, j in near if j == k) for k in range(len(actor))]
 
 
 def follow(rounds, every, swap=lambda tracker: tracker, silent=None):
