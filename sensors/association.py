@@ -57,7 +57,7 @@ def bounded(variance_m2: Float[ndarray, "n 3"], most_m2: float = MOST_VARIANCE_M
 def _bound(variance, least, most, found):
     """Write the bounded variances."""
     for d in range(len(variance)):
-        xx, xy, yy = variance[d, 0], variance[d, 1], variance[d, 2]
+        xx, xy, yy = variance[d]
         mean = 0.5 * (xx + yy)
         half = 0.5 * (xx - yy)
         spread = np.hypot(half, xy)
@@ -248,7 +248,7 @@ def _largest(radius, lwh, label, variance, found):
     for d in range(len(label)):
         kind = label[d]
         if kind < len(found):
-            xx, xy, yy = variance[d, 0], variance[d, 1], variance[d, 2]
+            xx, xy, yy = variance[d]
             along = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
             found[kind, 0] = max(found[kind, 0], radius[d])
             found[kind, 1] = max(found[kind, 1], along)
@@ -329,7 +329,8 @@ def _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, out, room):
     for one in range(begin, min(begin + _CHUNK, len(a.yaw))):
         first, i = n, np.uint64(a.at[one])  # signed numbers of rows are tested for being negative at each access
         for label in range(len(reach_m)):
-            reach, side = reach_m[a.label[i], label], b.side[label]
+            reach = reach_m[a.label[i], label]
+            side = b.side[label]
             if reach < 0.0:
                 continue
             rings = np.int64(np.ceil(reach / side))
@@ -346,10 +347,14 @@ def _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, out, room):
                         apart = x * x + y * y
                         if apart > reach * reach:
                             continue
-                        if b.label[j] != label or b.cell[j, 0] != column or b.cell[j, 1] != row:
+                        if b.label[j] != label:
+                            continue
+                        if b.cell[j, 0] != column or b.cell[j, 1] != row:
                             continue
                         other = b.row[j]
-                        if (is_same and other <= one) or (len(a.owner) and a.owner[i] == b.owner[j]):
+                        if is_same and other <= one:
+                            continue
+                        if len(a.owner) and a.owner[i] == b.owner[j]:
                             continue
                         square = _square(a, i, b, j, x, y)
                         iou = 0.0
@@ -385,7 +390,8 @@ def _most_iou(a, i, b, j, x, y):
     width = turn_sin * other[0] + turn_cos * other[1]
     along = _overlap(cos * x + sin * y, own[0], length)
     across = _overlap(cos * y - sin * x, own[1], width)
-    upright = _overlap(a.xyz[i, 2] - b.xyz[j, 2], own[2], other[2])
+    z = a.xyz[i, 2] - b.xyz[j, 2]
+    upright = _overlap(z, own[2], other[2])
     common = along * across * upright
     volume = own[0] * own[1] * own[2]
     other_volume = other[0] * other[1] * other[2]
@@ -409,8 +415,10 @@ def _square(a, i, b, j, x, y):
         cos, sin = a.cos[i], a.sin[i]
     else:
         cos, sin = b.cos[j], b.sin[j]
-    along = _beyond(cos * x + sin * y, 0.5 * abs(one[0] - other[0]))
-    across = _beyond(cos * y - sin * x, 0.5 * abs(one[1] - other[1]))
+    half_length = 0.5 * abs(one[0] - other[0])
+    half_width = 0.5 * abs(one[1] - other[1])
+    along = _beyond(cos * x + sin * y, half_length)
+    across = _beyond(cos * y - sin * x, half_width)
     x = cos * along - sin * across
     y = sin * along + cos * across
     own, its = a.variance[i], b.variance[j]

@@ -37,7 +37,8 @@ def in_box(x, y, z, cx, cy, cz, cos, sin, half_l, half_w, half_h):
     dx, dy = x - cx, y - cy
     along = cos * dx + sin * dy
     across = cos * dy - sin * dx
-    return (abs(along) < half_l) & (abs(across) < half_w) & (abs(z - cz) < half_h)
+    is_within = (abs(along) < half_l) & (abs(across) < half_w)
+    return is_within & (abs(z - cz) < half_h)
 
 
 @dividing
@@ -99,7 +100,8 @@ def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, sc
     x, y, z, cos, sin, half_l, half_w, half_h = box
     nearest, farthest = bounds
     middle, half = scratch
-    error = 2e-5 + 2e-6 * (abs(x) + abs(y) + abs(z) + half_l + half_w + half_h)
+    lengths = abs(x) + abs(y) + abs(z) + half_l + half_w + half_h
+    error = 2e-5 + 2e-6 * lengths
     b0 = r0 // LANES
     b1 = (r1 + LANES - 1) // LANES
     t0 = a0 // TILE
@@ -122,7 +124,8 @@ def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, sc
         for t in range(np.uint64(t0), np.uint64(t1)):
             if farthest[b, t] >= least and nearest[b, t] <= most:
                 if n_grazing < 0:
-                    ca, sa = beams.cos_az[a0:a1], beams.sin_az[a0:a1]
+                    ca = beams.cos_az[a0:a1]
+                    sa = beams.sin_az[a0:a1]
                     n_grazing = _crossings(ca, sa, p, q, cos, sin, half_l, half_w, middle, half)
                 first = t * np.uint64(TILE)
                 end = first + np.uint64(TILE)
@@ -175,11 +178,14 @@ def points_in_boxes(range_steps, step_m, beams, pairs, run):
     cos_el = (step_m * beams.cos_el).astype(np.float32)
     sin_el = (step_m * beams.sin_el).astype(np.float32)
     m = len(cos_el)
-    blocks = [cos_el[max(0, min(row, m - LANES)) : row + LANES] for row in range(0, m, LANES)]
-    flat = np.array([[block.min(), block.max()] for block in blocks], np.float32)
+    flat = []
+    for end in range(LANES, m + LANES, LANES):
+        begin = max(0, min(end, m) - LANES)
+        block = cos_el[begin:end]
+        flat.append((block.min(), block.max()))
     half_fov_rad = 0.5 * beams.fov_rad
     edge = math.cos(half_fov_rad), math.sin(half_fov_rad)
-    given = range_steps, step_m, beams, cos_el, sin_el, flat, edge, pairs, run
+    given = range_steps, step_m, beams, cos_el, sin_el, np.array(flat, np.float32), edge, pairs, run
     out = np.zeros(len(pairs.o), np.int32)
 
     def add(begin: int, end: int) -> None:
@@ -199,12 +205,14 @@ def _add_points(out, begin, end, given):
     range_steps, step_m, beams, cos_el, sin_el, flat, edge, pairs, run = given
     n, m = range_steps.shape[1], len(cos_el)
     columns, slopes = columns_of(beams), slopes_of(beams)
-    lengths = np.empty((2, len(flat), (n + TILE - 1) // TILE), np.float32)
+    n_tiles = (n + TILE - 1) // TILE
+    lengths = np.empty((2, len(flat), n_tiles), np.float32)
     bounds = lengths[0], lengths[1]
     scratch = np.empty(n, np.float32), np.empty(n, np.float32)
     for i in range(begin, end):
         steps = range_steps[pairs.o[run[i]]]
-        if run[i + 1] - run[i] > _FEW and n >= TILE and m >= LANES:
+        n_boxes = run[i + 1] - run[i]
+        if n_boxes > _FEW and n >= TILE and m >= LANES:
             farthest = _bounds(steps, flat, bounds[0], bounds[1]) * step_m + _REACH_M
         else:
             _unbounded(bounds[0], bounds[1])
@@ -215,7 +223,8 @@ def _add_points(out, begin, end, given):
             radius = np.sqrt(half_l * half_l + half_w * half_w)
             distance = np.sqrt(x * x + y * y)
             close, far = distance - radius, distance + radius
-            if abs(y) * edge[0] - x * edge[1] > radius or close > farthest:
+            aside = abs(y) * edge[0] - x * edge[1]
+            if aside > radius or close > farthest:
                 continue  # beside the field of view, or behind all returns
             cos, sin = np.cos(yaw), np.sin(yaw)
             a0, a1, b0, b1 = rectangle_columns(x, y, cos, sin, half_l, half_w, columns)
@@ -230,4 +239,5 @@ def _add_points(out, begin, end, given):
             for turn in range(2):
                 c0, c1 = (a0, a1) if turn == 0 else (b0, b1)
                 if c1 > c0:
-                    out[k] += _count(steps, step_m, beams, cos_el, sin_el, c0, c1, r0, r1, box, bounds, scratch)
+                    n = _count(steps, step_m, beams, cos_el, sin_el, c0, c1, r0, r1, box, bounds, scratch)
+                    out[k] += n

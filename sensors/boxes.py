@@ -167,9 +167,12 @@ def overlapping_pairs(
     """
     radius_m, xy_m = boxes.circumradius_m, boxes.xyz_m[:, :2]
     found = [np.zeros((0, 2), np.int64)]
-    for of_class in (np.flatnonzero(label == kind) for kind in np.unique(label)):
+    for kind in np.unique(label):
+        of_class = np.flatnonzero(label == kind)
         reach_m = 2.0 * float(radius_m[of_class].max()) + _SLACK_M
-        found.append(of_class[scipy.spatial.cKDTree(xy_m[of_class]).query_pairs(reach_m, output_type="ndarray")])
+        tree = scipy.spatial.cKDTree(xy_m[of_class])
+        near = tree.query_pairs(reach_m, output_type="ndarray")
+        found.append(of_class[near])
     i, j = np.concatenate(found).T  # i < j, since `of_class` ascends
     apart_m = xy_m[j] - xy_m[i]
     reach_m = radius_m[i] + radius_m[j] + _SLACK_M
@@ -213,7 +216,8 @@ def pairs_between(
         other_tree = scipy.spatial.cKDTree(b.xyz_m[other, :2])
         reach_m = float(radius_m) + _SLACK_M
         near = one_tree.sparse_distance_matrix(other_tree, reach_m, output_type="ndarray")
-        found.append(np.column_stack([one[near["i"]], other[near["j"]]]))
+        pairs = one[near["i"]], other[near["j"]]
+        found.append(np.column_stack(pairs))
     i, j = np.concatenate(found).T
     order = np.lexsort((j, i))
     return _overlapping(a, i[order], b, j[order])

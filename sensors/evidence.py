@@ -87,8 +87,10 @@ def in_evaluation_area(
         exempt = label == ObjectClass.CAR
         near = sweeps.poses.to_sensor(np.arange(len(own)), own)
     fov_rad = sweeps.beams.fov_rad
+    pairs = sweeps.poses.pairs(o, boxes, b)
+    reach_m = params.range_m + params.slack_m
     return evidence_kernels.in_area(
-        sweeps.poses.pairs(o, boxes, b), exempt, near.xyz_m, near.lwh_m, params.range_m + params.slack_m,
+        pairs, exempt, near.xyz_m, near.lwh_m, reach_m,
         params.height_m, fov_rad, edge_slope(fov_rad), params.slack_m, params.own_radius_m,
     )  # fmt: skip
 
@@ -98,7 +100,9 @@ def edge_slope(fov_rad: float) -> float:
 
     It is measured from straight ahead, and from straight behind if the field of view is wider than half a turn.
     """
-    return float(np.tan(0.5 * fov_rad if fov_rad <= np.pi else np.pi - 0.5 * fov_rad))
+    half_rad = 0.5 * fov_rad
+    edge_rad = half_rad if fov_rad <= np.pi else np.pi - half_rad
+    return float(np.tan(edge_rad))
 
 
 def points_in_boxes(

@@ -52,7 +52,8 @@ def in_area(pairs, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, 
                 y -= own_xyz[o, 1]
                 z -= own_xyz[o, 2]
                 z -= 0.5 * (height - own_lwh[o, 2])
-                inside = np.sqrt(x * x + y * y + z * z) <= own_radius_m
+                apart = np.sqrt(x * x + y * y + z * z)
+                inside = apart <= own_radius_m
             found[k] = inside
     return found
 
@@ -119,7 +120,7 @@ def _window(cos, sin, corner, plane):
     # Beside a large box the planes may bound no pyramid through the corners: then every ray is tested.
     sound = True
     for c in range(4):
-        x, y, z = corner[c, 0], corner[c, 1], corner[c, 2]
+        x, y, z = corner[c]
         along = x * cos + y * sin
         across = abs(y * cos - x * sin)
         slope = z / np.sqrt(x * x + y * y)
@@ -192,7 +193,8 @@ def _free_space_of(allowed, sweep, step_m, beams, pairs, first, end, area, margi
     for k in range(first, end):
         x, y, z, length, width, height, _ = in_sensor_frame(pairs, k)
         if is_testable(x, y, z, height, reach_m, height_m, beams.fov_rad, slope):
-            away, middle, half, low, high = frustum(x, y, z, length, width, height, corner, plane)
+            pyramid = frustum(x, y, z, length, width, height, corner, plane)
+            away, middle, half, low, high = pyramid
             window = spans(middle, half, columns), _rows(slopes, low, high)
             limit = away + margin_m
             if _nearest_in(sweep, window) * step_m < limit * _ROUNDED:
@@ -230,7 +232,8 @@ def _nearest_in(sweep, window):
 def _are_nearer(sweep, step_m, beams, window, plane, limit, least_share):
     """Whether more than a share of the returns in a pyramid, which lies in a window, are nearer than a limit."""
     (a0, a1, b0, b1), (r0, r1) = window
-    cos_el, sin_el = beams.cos_el[r0:r1], beams.sin_el[r0:r1]
+    cos_el = beams.cos_el[r0:r1]
+    sin_el = beams.sin_el[r0:r1]
     n_seen, n_closer = 0, 0
     n_rays = (a1 - a0 + b1 - b0) * (r1 - r0)
     for turn in range(2):
@@ -241,7 +244,8 @@ def _are_nearer(sweep, step_m, beams, window, plane, limit, least_share):
             for r in range(len(steps)):
                 d = steps[r] * step_m
                 flat = d * cos_el[r]
-                x, y, z = flat * ca, flat * sa, d * sin_el[r]
+                x, y = flat * ca, flat * sa
+                z = d * sin_el[r]
                 is_seen = in_frustum(x, y, z, plane) & (steps[r] != NO_RETURN)
                 n_seen += is_seen
                 distance = np.sqrt(x * x + y * y + z * z)

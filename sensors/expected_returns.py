@@ -40,7 +40,8 @@ class ExpectedReturns(NamedTuple):
     @property
     def occlusion(self) -> Float[ndarray, "k"]:
         """Share of the unoccluded returns that are missing, in [0, 1]; 0 where there are none."""
-        share = np.divide(self.n, self.n_unoccluded, out=np.ones_like(self.n), where=self.n_unoccluded > 0)
+        share = np.ones_like(self.n)
+        np.divide(self.n, self.n_unoccluded, out=share, where=self.n_unoccluded > 0)
         return 1.0 - share
 
 
@@ -89,9 +90,12 @@ def expected_returns(
     o = owner_of_rows(np.diff(near.ptr))
     pair, number = np.nonzero(line[:, :, 0] > 0)
     points = np.concatenate([origin_m, ends[pair, number]])
-    hidden = ~walls.has_los(points, o[pair], len(origin_m) + np.arange(len(pair)))
+    end = len(origin_m) + np.arange(len(pair))
+    hidden = ~walls.has_los(points, o[pair], end)
     line[pair[hidden], number[hidden], 0] = 0.0
-    return ExpectedReturns(line[:, :, 0].sum(axis=1), line[:, :, 1].sum(axis=1))
+    n = line[:, :, 0].sum(axis=1)
+    n_unoccluded = line[:, :, 1].sum(axis=1)
+    return ExpectedReturns(n, n_unoccluded)
 
 
 @kernel
@@ -99,13 +103,15 @@ def _crossed(bodies, k, x, y, cos, sin):
     """Distances at which a horizontal line from (x, y) enters and leaves prism k; the second is not above the first
     where it misses."""
     c, s = bodies.cos[k], bodies.sin[k]
-    dx, dy = x - bodies.x_m[k], y - bodies.y_m[k]
+    dx = x - bodies.x_m[k]
+    dy = y - bodies.y_m[k]
     p = c * dx + s * dy
     q = c * dy - s * dx
     u = c * cos + s * sin
     v = c * sin - s * cos
     enter, leave = -np.inf, np.inf
-    for at, along, half in ((p, u, bodies.half_l_m[k]), (q, v, bodies.half_w_m[k])):
+    half_l, half_w = bodies.half_l_m[k], bodies.half_w_m[k]
+    for at, along, half in ((p, u, half_l), (q, v, half_w)):
         if abs(along) < 1e-12:
             if abs(at) > half:
                 return 1.0, 0.0
@@ -158,7 +164,8 @@ def _on_line(bodies, j, x, y, z, cos, sin, range_m):
         if enter < leave and enter <= range_m:
             near = max(enter, 0.01)
             first = min(first, near)
-            low, high = bodies.bottom_m[k] - z, bodies.top_m[k] - z
+            low = bodies.bottom_m[k] - z
+            high = bodies.top_m[k] - z
             bottom = min(bottom, low / near, low / leave)
             top = max(top, high / near, high / leave)
     return first, bottom, top
@@ -184,13 +191,15 @@ def _lines(
     """Write the expected returns of each line, and where it meets the body."""
     n_lines = line.shape[1]
     for o in range(len(origin)):
-        x, y, z = origin[o, 0], origin[o, 1], origin[o, 2]
+        x, y, z = origin[o]
         for pair in range(ptr[o], ptr[o + 1]):
             j = row[pair]
             line[pair] = 0.0
             ends[pair] = 0.0
-            dx, dy = xyz[j, 0] - x, xyz[j, 1] - y
-            if j == own[o] or np.hypot(dx, dy) - radius[j] > range_m:
+            dx = xyz[j, 0] - x
+            dy = xyz[j, 1] - y
+            nearest = np.hypot(dx, dy) - radius[j]
+            if j == own[o] or nearest > range_m:
                 continue
             middle = np.arctan2(dy, dx)
             low, high = _width(bodies, j, x, y, middle)
@@ -210,7 +219,8 @@ def _lines(
                     if b == j or b == own[o]:
                         continue
                     # Bodies away from the line, or behind the body, hide nothing.
-                    dx, dy = xyz[b, 0] - x, xyz[b, 1] - y
+                    dx = xyz[b, 0] - x
+                    dy = xyz[b, 1] - y
                     ahead = cos * dx + sin * dy
                     aside = cos * dy - sin * dx
                     if abs(aside) <= radius[b] and ahead - radius[b] <= first:

@@ -38,7 +38,9 @@ def _even(low: float, high: float, n: int) -> tuple[float, ...]:
     return tuple(np.linspace(low, high, n))
 
 
-_HDL64E = _even(-8.83 - 31 * 0.5, -8.83, 32) + _even(2.0 - 31 / 3, 2.0, 32)
+_HDL64E_LOWER = _even(-8.83 - 31 * 0.5, -8.83, 32)
+_HDL64E_UPPER = _even(2.0 - 31 / 3, 2.0, 32)
+_HDL64E = _HDL64E_LOWER + _HDL64E_UPPER
 
 PROFILES: dict[str, Profile] = {
     "hdl64e_front": Profile(
@@ -213,8 +215,8 @@ class Poses:
 
     def to_world(self, o: int, xyz: Float[ndarray, "k 3"]) -> Float[ndarray, "k 3"]:
         """Points [m] in the frame of sensor `o`, in the world frame."""
-        turned_m = np.column_stack([turned_by(self.yaw_rad[o], xyz), xyz[:, 2]])
-        return turned_m + self.origin_m[o]
+        turned_xy = turned_by(self.yaw_rad[o], xyz)
+        return np.column_stack([turned_xy, xyz[:, 2]]) + self.origin_m[o]
 
 
 def n_rays(params: LidarParams) -> tuple[int, int]:
@@ -315,8 +317,10 @@ class RangeImages:
         r = self.range_steps[o, column, row] * self.step_m
         grid = self.beams
         flat = r * grid.cos_el[row]
-        forward, left = flat * grid.cos_az[column], flat * grid.sin_az[column]
-        return np.column_stack([forward, left, r * grid.sin_el[row]])
+        forward = flat * grid.cos_az[column]
+        left = flat * grid.sin_az[column]
+        up = r * grid.sin_el[row]
+        return np.column_stack([forward, left, up])
 
 
 @dataclass(frozen=True, slots=True)
@@ -382,7 +386,8 @@ def moved_m(
     """
     yaw = boxes.yaw_rad[a]
     along_m = speed_mps[a] * seen_after_s(poses, s_per_rad, o, boxes.xyz_m[a])
-    heading = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(a))])
+    level = np.zeros(len(a))
+    heading = np.column_stack([np.cos(yaw), np.sin(yaw), level])
     return along_m[:, None] * heading
 
 
@@ -471,9 +476,11 @@ def scan(
     observers = np.asarray(observers, dtype=np.int64)
     if len(keys) != len(observers):
         raise ValueError(f"{len(keys)} keys were given for {len(observers)} observers. Give one key per observer.")
-    if len(observers) and not (0 <= observers.min() and observers.max() < len(boxes)):
+    is_row = (observers >= 0) & (observers < len(boxes))
+    if not is_row.all():
         raise ValueError(f"observers {observers.min()} .. {observers.max()} are no rows of {len(boxes)} actors.")
-    poses, grid = mount(boxes, observers, params), beams(params)
+    poses = mount(boxes, observers, params)
+    grid = beams(params)
     ground_m = height_of_road_m(boxes, observers)
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
     memory = out if isinstance(out, SweepMemory) else SweepMemory(out.range_steps, out.hit)
@@ -505,7 +512,8 @@ def scan(
 
 def hit_type(n_actors: int) -> type:
     """Narrowest integer type for the `Hit` codes of this number of actors; it saves memory traffic in every sweep."""
-    return np.int16 if n_actors + Hit.ACTOR <= np.iinfo(np.int16).max else np.int32
+    largest = n_actors + Hit.ACTOR
+    return np.int16 if largest <= np.iinfo(np.int16).max else np.int32
 
 
 def height_of_road_m(boxes: Boxes, observers: Int[ndarray, "m"]) -> Float[ndarray, "m"]:
@@ -565,9 +573,10 @@ def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarr
     An array with any content. It shares the memory of `old` if that suffices; new memory has room for an eighth more
     rows, because fleets grow.
     """
+    n, of_each = size[0], size[1:]
     if old is not None and old.dtype == kind and old.shape == size:
         return old
     whole = old if old is None or old.base is None else old.base
-    if whole is None or whole.dtype != kind or whole.shape[1:] != size[1:] or len(whole) < size[0]:
-        whole = np.empty((size[0] + size[0] // 8, *size[1:]), kind)
-    return whole[: size[0]]
+    if whole is None or whole.dtype != kind or whole.shape[1:] != of_each or len(whole) < n:
+        whole = np.empty((n + n // 8, *of_each), kind)
+    return whole[:n]

@@ -37,6 +37,7 @@ class WallIndex:
     top: UInt8[ndarray, "s"]
     """Base and top of that building, as `_level` gives them; the base is above the top if the building is too flat."""
     _filled: dict[tuple[int, int], FilledCells] = field(default_factory=dict, repr=False, compare=False)
+    """What `filled` has found, by lowest and highest level."""
 
     @staticmethod
     def of(buildings: Buildings, cell_m: float = 4.0) -> WallIndex:
@@ -59,7 +60,13 @@ class WallIndex:
         # Rounded inwards: slightly less is filled.
         base = np.ceil(_level(walls, walls.base_m[building]) - 1e-9)
         top = np.floor(_level(walls, walls.top_m[building]) + 1e-9)
-        return WallIndex(grid, walls, solid.astype(np.int32), base.astype(np.uint8), top.astype(np.uint8))
+        return WallIndex(
+            grid=grid,
+            walls=walls,
+            solid=solid.astype(np.int32),
+            base=base.astype(np.uint8),
+            top=top.astype(np.uint8),
+        )
 
     def filled(self, z_m: Float[ndarray, "n"]) -> FilledCells:
         """Grid cells that block every line between points of these heights.
@@ -197,13 +204,15 @@ class WallIndex:
         xyz_m = np.ascontiguousarray(xyz_m, float)
         x, y = xyz_m[:, 0], xyz_m[:, 1]
         is_upright = x[a] == x[b]
-        back = (x[a] > x[b]) | (is_upright & (y[a] > y[b]))
-        a, b = np.where(back, b, a), np.where(back, a, b)
+        is_southward = is_upright & (y[a] > y[b])
+        back = (x[a] > x[b]) | is_southward
+        west = np.where(back, b, a)
+        east = np.where(back, a, b)
         n_walls = np.zeros(len(a), np.int64)
         inside = np.zeros(len(a))
-        kernels.walls_crossed(xyz_m, a, b, self.grid, self.walls.segment, n_walls, inside)
-        inside += self.indoors(xyz_m)[b]
-        dx, dy = (xyz_m[a, :2] - xyz_m[b, :2]).T
+        kernels.walls_crossed(xyz_m, west, east, self.grid, self.walls.segment, n_walls, inside)
+        inside += self.indoors(xyz_m)[east]
+        dx, dy, _ = (xyz_m[west] - xyz_m[east]).T
         length_m = np.hypot(dx, dy)
         return n_walls, np.clip(inside, 0, 1) * length_m
 
@@ -215,23 +224,31 @@ def _grid_of(walls: Walls, cell_m: float) -> Grid:
     low = corner.min(0) - cell_m if len(corner) else np.zeros(2)
     high = corner.max(0) + cell_m if len(corner) else np.ones(2)
     nx, ny = np.ceil((high - low) / cell_m).astype(int).tolist()
-    ptr, wall = kernels.by_cell(low, cell_m, (nx, ny), segment[:, :2], segment[:, 2:4])
+    begin, end = segment[:, :2], segment[:, 2:4]
+    ptr, wall = kernels.by_cell(low, cell_m, (nx, ny), begin, end)
     empty = (np.diff(ptr) == 0).reshape(nx, ny)
     step = np.full((nx, ny), 255)
     if not empty.all():
         step = np.minimum(scipy.ndimage.distance_transform_cdt(empty, "chessboard"), 255)
-    wide = kernels.BUILDING_CELLS
-    building_ptr, building = _buildings_by_square(low, wide * cell_m, -(-nx // wide), -(-ny // wide), walls)
+    side_m = kernels.BUILDING_CELLS * cell_m
+    building_ptr, building = _buildings_by_square(low, side_m, _n_squares(nx, ny), walls)
     return Grid(low, cell_m, step.astype(np.uint8), ptr, wall, building_ptr, building)
+
+
+def _n_squares(nx: int, ny: int) -> tuple[int, int]:
+    """Columns and rows of the squares that cover this many columns and rows of cells."""
+    wide = kernels.BUILDING_CELLS
+    return -(-nx // wide), -(-ny // wide)
 
 
 def _solid_cells(grid: Grid, walls: Walls) -> tuple[Int[ndarray, "s"], Int[ndarray, "s"]]:
     """Numbers of the cells that no wall touches and whose centre is inside a building, and that building."""
     nx, ny = grid.step.shape
     wide = kernels.BUILDING_CELLS
-    has_building = (np.diff(grid.building_ptr) > 0).reshape(-(-nx // wide), -(-ny // wide))
-    near = np.kron(has_building, np.ones((wide, wide), bool))
-    i, j = np.nonzero((grid.step > 0) & near[:nx, :ny])
+    n_buildings = np.diff(grid.building_ptr).reshape(_n_squares(nx, ny))
+    near = np.kron(n_buildings > 0, np.ones((wide, wide), bool))
+    has_wall = grid.step == 0
+    i, j = np.nonzero(near[:nx, :ny] & ~has_wall)
     x = grid.low[0] + (i + 0.5) * grid.cell_m
     y = grid.low[1] + (j + 0.5) * grid.cell_m
     middle = np.column_stack([x, y, np.full(len(i), np.nan)])
@@ -247,11 +264,13 @@ def _level(walls: Walls, z_m: ndarray) -> ndarray:
     return (z_m - zero_m) * 254 / max(highest_m - zero_m, 1.0)
 
 
-def _buildings_by_square(low: ndarray, side_m: float, nx: int, ny: int, walls: Walls) -> tuple[ndarray, ndarray]:
+def _buildings_by_square(low: ndarray, side_m: float, shape: tuple[int, int], walls: Walls) -> tuple[ndarray, ndarray]:
     """Buildings by the squares that their bounding box touches, compressed rows; ascending in each."""
+    nx, ny = shape
     building = np.flatnonzero(np.diff(walls.ptr))
     if not len(building):
-        return np.zeros(nx * ny + 1, np.int32), np.zeros(0, np.int32)
+        no_rows = np.zeros(nx * ny + 1, np.int32)
+        return no_rows, np.zeros(0, np.int32)
     corner, first = walls.segment[:, :2], walls.ptr[building]  # rings are closed: each corner begins a wall
     lowest = np.minimum.reduceat(corner, first)
     highest = np.maximum.reduceat(corner, first)
@@ -332,7 +351,9 @@ class LosOfPlaces:
 
 def _place(cell: Int[ndarray, "n 3"]) -> ndarray:
     """63-bit key of a place: 25 bits each of x and y, 13 of height."""
-    last_bits = np.array([(1 << 25) - 1, (1 << 25) - 1, (1 << 13) - 1], np.uint64)
+    of_25_bits = (1 << 25) - 1
+    of_13_bits = (1 << 13) - 1
+    last_bits = np.array([of_25_bits, of_25_bits, of_13_bits], np.uint64)
     x, y, z = (cell.astype(np.uint64) & last_bits).T
     return (x << np.uint64(38)) | (y << np.uint64(13)) | z
 
@@ -387,7 +408,8 @@ def los_between_actors(
     places, place = np.unique(a, return_inverse=True)
     ptr, row = neighbours(top[places], boxes.take(tall), _longest_m(start, end))
     bodies_of = prisms(shape, boxes)
-    clear[line] = ~kernels.cut_by_body(start, end, a, b, place, ptr, tall[row], bodies_of)
+    is_cut = kernels.cut_by_body(start, end, a, b, place, ptr, tall[row], bodies_of)
+    clear[line] = ~is_cut
     return clear
 
 
@@ -410,4 +432,5 @@ def _block_by_trees(
     places, place = np.unique(a[line], return_inverse=True)
     ptr, row = trees_near(xyz_m[places], city, _longest_m(start, end))
     nobody = np.full(len(line), -1)
-    clear[line] = ~kernels.cut_by_body(start, end, nobody, nobody, place, ptr, row, city.trees)
+    is_cut = kernels.cut_by_body(start, end, nobody, nobody, place, ptr, row, city.trees)
+    clear[line] = ~is_cut

@@ -127,9 +127,10 @@ def building_at(xyz, grid, walls):
                 wall = walls.segment[w]
                 x0, y0 = wall[0], wall[1]
                 x1, y1 = wall[2], wall[3]
-                is_level = (y0 > y) != (y1 > y)
-                if is_level and x < x0 + (y - y0) / (y1 - y0) * (x1 - x0):
-                    odd = not odd
+                if (y0 > y) != (y1 > y):
+                    x_of_wall = x0 + (y - y0) / (y1 - y0) * (x1 - x0)
+                    if x < x_of_wall:
+                        odd = not odd
             if odd:
                 out[p] = building
                 break
@@ -161,7 +162,9 @@ def _crossing(x, y, dx, dy, wall):
     ey = wall[3] - wall[1]
     fx, fy = wall[0] - x, wall[1] - y
     det = dx * ey - dy * ex
-    return det, fx * ey - fy * ex, fx * dy - fy * dx
+    of_line = fx * ey - fy * ex
+    of_wall = fx * dy - fy * dx
+    return det, of_line, of_wall
 
 
 @kernel
@@ -202,7 +205,8 @@ def walls_crossed(xyz, a, b, grid, walls, n_walls, inside):
                 s, r = s / det, r / det
                 # A wall may be listed under several cells: it counts in the one where it is crossed.
                 is_here = t <= s < min(leave, stop) and 0.0 <= r < 1.0
-                if is_here and wall[_BASE] <= xyz[p, 2] + s * dz <= wall[_TOP]:
+                height = xyz[p, 2] + s * dz
+                if is_here and wall[_BASE] <= height <= wall[_TOP]:
                     n_walls[m] += 1
                     inside[m] += s if det > 0.0 else -s
             t = leave
@@ -227,8 +231,9 @@ def crosses_filled_cell(cells, p, q, filled):
         for k in range(first, first + _AT_ONCE):  # without a branch in between: mispredicting costs more than testing
             i = int(u + _PROBES[k] * du)
             j = int(v + _PROBES[k] * dv)
-            on_grid = (i >= 0) & (i < filled.nx) & (j >= 0) & (j < filled.ny)
-            cell = i * filled.ny + j if on_grid else 0
+            is_column = (i >= 0) & (i < filled.nx)
+            is_row = (j >= 0) & (j < filled.ny)
+            cell = i * filled.ny + j if is_column & is_row else 0
             found |= (filled.bits[cell >> 3] >> (cell & 7)) & 1 != 0
         first += _AT_ONCE
     return found
@@ -252,7 +257,8 @@ def _cut(xyz, p, q, listed, walls):
         if det < 0.0:
             det, s, r = -det, -s, -r
         if det > 0.0 and 0.0 <= s <= det and 0.0 <= r <= det:
-            if wall[_BASE] <= xyz[p, 2] + s / det * dz <= wall[_TOP]:
+            height = xyz[p, 2] + s / det * dz
+            if wall[_BASE] <= height <= wall[_TOP]:
                 return True
     return False
 
@@ -307,8 +313,10 @@ def _follow(begin, end, xyz, indoors, rank, a, b, blocked, grid, walls, line, ac
             r = np.uint64(active[k])  # signed numbers of rows would be tested for being negative
             row = course[r]
             t, u, v = row[_T], row[_U], row[_V]
-            i = min(max(int(u + t * row[_DU]), 0), nx - 1)
-            j = min(max(int(v + t * row[_DV]), 0), ny - 1)
+            u_now = u + t * row[_DU]
+            v_now = v + t * row[_DV]
+            i = min(max(int(u_now), 0), nx - 1)
+            j = min(max(int(v_now), 0), ny - 1)
             step = grid.step[np.uint64(i), np.uint64(j)]
             cut = False
             if step == 0:
@@ -371,14 +379,16 @@ def cut_by_body(start, end, a, b, place, ptr, row, bodies):
 def _meets_body(start, end, a, b, listed, bodies):
     """Whether the line crosses the body of one of the listed actors, other than a and b."""
     x, y, z = start
-    dx, dy = end[0] - x, end[1] - y
+    dx = end[0] - x
+    dy = end[1] - y
     dz = end[2] - z
     for actor in listed:
         if actor in (a, b):
             continue
         for k in range(bodies.ptr[actor], bodies.ptr[actor + 1]):
             p, q, u, v = in_prism_frame(bodies, k, x, y, dx, dy)
-            enter, leave = rectangle(p, q, u, v, bodies.half_l_m[k], bodies.half_w_m[k])
+            half_l, half_w = bodies.half_l_m[k], bodies.half_w_m[k]
+            enter, leave = rectangle(p, q, u, v, half_l, half_w)
             enter, leave = max(enter, 0.0), min(leave, 1.0)
             if enter < leave:
                 z0, z1 = z + enter * dz, z + leave * dz

@@ -64,8 +64,10 @@ def merged(views: Views, yaw_rad: Float[ndarray, "n"]) -> Merged:
         Heading of each actor.
     """
     v = views.take(np.lexsort([views.actor, views.observer]))
-    changes = (v.observer[1:] != v.observer[:-1]) | (v.actor[1:] != v.actor[:-1])
-    begin = np.flatnonzero(np.append(True, changes)[: len(v.actor)])
+    is_other_observer = np.diff(v.observer) != 0
+    is_other_actor = np.diff(v.actor) != 0
+    begins = np.append(True, is_other_observer | is_other_actor)
+    begin = np.flatnonzero(begins[: len(v.actor)])
     n_sweeps = np.diff(np.append(begin, len(v.actor)))
     group = owner_of_rows(n_sweeps)
     weight = v.n_returns.astype(np.float64)
@@ -78,8 +80,10 @@ def merged(views: Views, yaw_rad: Float[ndarray, "n"]) -> Merged:
 
     occlusion = np.full(len(begin), np.inf)
     np.minimum.at(occlusion, group, 1.0 - v.n_returns / v.n_unoccluded)
-    off_m = np.column_stack([mean(v.off_m[:, 0]), mean(v.off_m[:, 1])])
-    along, across = turned_by(-yaw_rad[v.actor], v.off_m - off_m[group]).T
+    east_m, north_m = v.off_m.T
+    off_m = np.column_stack([mean(east_m), mean(north_m)])
+    from_mean_m = v.off_m - off_m[group]
+    along, across = turned_by(-yaw_rad[v.actor], from_mean_m).T
     variance = np.column_stack([mean(along**2), mean(across**2)])
     larger_m = 2.0 * np.sqrt(np.maximum(variance, 0.0))
     seen = Observability(

@@ -25,7 +25,8 @@ class Neighbours(NamedTuple):
     def part(self, first: int, end: int) -> Neighbours:
         """Those of the points from `first` to before `end`."""
         ptr = self.ptr[first : end + 1]
-        return Neighbours(ptr - ptr[0], self.row[ptr[0] : ptr[-1]])
+        row = self.row[ptr[0] : ptr[-1]]
+        return Neighbours(ptr - ptr[0], row)
 
 
 def neighbours(points_m: Float[ndarray, "m d"], boxes: Boxes, range_m: float) -> Neighbours:
@@ -66,9 +67,12 @@ def neighbours_in(tree: scipy.spatial.cKDTree, points_m: Float[ndarray, "m d"], 
     Rows of the points of the tree, by point.
     """
     if tree.n == 0 or len(points_m) == 0:
-        return Neighbours(np.zeros(len(points_m) + 1, np.int64), np.zeros(0, np.int64))
-    pair = scipy.spatial.cKDTree(points_m[:, :2]).sparse_distance_matrix(tree, limit_m, output_type="ndarray")
-    key = np.sort(pair["i"].astype(np.int64) * tree.n + pair["j"])
+        ptr = np.zeros(len(points_m) + 1, np.int64)
+        return Neighbours(ptr, np.zeros(0, np.int64))
+    points = scipy.spatial.cKDTree(points_m[:, :2])
+    pair = points.sparse_distance_matrix(tree, limit_m, output_type="ndarray")
+    key = pair["i"].astype(np.int64) * tree.n + pair["j"]
+    key.sort()
     first_key = np.arange(len(points_m) + 1) * tree.n
     return Neighbours(np.searchsorted(key, first_key), key % tree.n)
 

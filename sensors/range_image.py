@@ -27,9 +27,14 @@ def unoccluded_returns(hit, origin, yaw, beams, limit, xyz, radius, height, ptr,
     for a in range(len(bodies.ptr) - 1):
         most = max(most, bodies.ptr[a + 1] - bodies.ptr[a])
     for o in range(len(own)):
-        pose = origin[o, 0], origin[o, 1], origin[o, 2], np.cos(yaw[o]), np.sin(yaw[o])
+        place = origin[o]
+        cos = np.cos(yaw[o])
+        sin = np.sin(yaw[o])
+        pose = place[0], place[1], place[2], cos, sin
         taken = np.zeros(len(beams.tan_el), np.int32)  # the last column (of all) in which a row was counted
-        room = taken, np.empty((most, 8)), np.empty((most, 4), np.int64)
+        frame = np.empty((most, 8))
+        window = np.empty((most, 4), np.int64)
+        room = taken, frame, window
         columns, slopes = columns_of(beams), slopes_of(beams)
         hits, n_columns = hit[o], np.int64(0)
         for i in range(ptr[o], ptr[o + 1]):
@@ -47,7 +52,8 @@ def _of_actor(hits, pose, beams, columns, slopes, limit, a, xyz, radius, height,
     x, y, z, cos, sin = pose
     taken, frame, window = room
     n_returned = n_rays = 0
-    dx, dy = xyz[a, 0] - x, xyz[a, 1] - y
+    dx = xyz[a, 0] - x
+    dy = xyz[a, 1] - y
     per_rad = bodies.speed_mps[a] * beams.s_per_rad  # how far the actor moves while the sensor turns by one radian
     farthest = 0.5 * beams.fov_rad * abs(per_rad)
     radius += farthest
@@ -60,12 +66,15 @@ def _of_actor(hits, pose, beams, columns, slopes, limit, a, xyz, radius, height,
     n = _seen_from(frame, window, bodies, a, farthest, x, y, z, cos, sin, columns)
     code = Hit.ACTOR + a
     for turn in range(2):
-        for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
+        c0, c1 = (a0, a1) if turn == 0 else (b0, b1)
+        for c in range(c0, c1):
             n_columns += 1
             ca, sa = beams.cos_az[c], beams.sin_az[c]
             low, high, one_by_one = 0, 0, not within_limit  # rows that are counted at once
             for k in range(n):
-                if not (window[k, 0] <= c < window[k, 1] or window[k, 2] <= c < window[k, 3]):
+                in_one = window[k, 0] <= c < window[k, 1]
+                in_other = window[k, 2] <= c < window[k, 3]
+                if not (in_one or in_other):
                     continue
                 row = frame[k]
                 p = row[0] - per_rad * beams.azimuth_rad[c]
@@ -78,7 +87,9 @@ def _of_actor(hits, pose, beams, columns, slopes, limit, a, xyz, radius, height,
                 first, s0, s1, last, t, bottom, top = profile(enter, leave, row[6], row[7], slopes)
                 one_by_one |= low < high and (last < low or high < first)  # a gap between two prisms
                 if not one_by_one:
-                    low, high = (min(low, first), max(high, last)) if low < high else (first, last)
+                    is_first = low >= high
+                    low = first if is_first else min(low, first)
+                    high = last if is_first else max(high, last)
                     continue
                 for r in range(np.uint64(first), np.uint64(last)):
                     if (

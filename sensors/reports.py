@@ -106,7 +106,8 @@ class Reports(Rows):
         label, boxes, score
             Reported `ObjectClass`, box (world frame) and confidence in [0, 1], in the order of `rows`.
         """
-        return Reports(seen.observer[rows], label, boxes, score, seen.actor[rows], np.zeros(len(rows), bool))
+        is_false_positive = np.zeros(len(rows), bool)
+        return Reports(seen.observer[rows], label, boxes, score, seen.actor[rows], is_false_positive)
 
     @staticmethod
     def of_false_positives(
@@ -121,7 +122,9 @@ class Reports(Rows):
         label, boxes, score
             Reported `ObjectClass`, box (world frame) and confidence in [0, 1].
         """
-        return Reports(observer, label, boxes, score, np.zeros(len(observer), int), np.ones(len(observer), bool))
+        no_actor = np.zeros(len(observer), int)
+        is_false_positive = np.ones(len(observer), bool)
+        return Reports(observer, label, boxes, score, no_actor, is_false_positive)
 
     def moved(self, by_m: Float[ndarray, "r 3"]) -> Reports:
         """The reports with each box displaced by this vector, world frame [m]."""

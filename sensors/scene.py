@@ -59,7 +59,8 @@ LABEL_OF_SHAPE: UInt8[ndarray, "shape"] = np.array([_CLASS_OF[shape] for shape i
 # Bodies keep a few centimetres inside the labelled box, as real ones do, and stand on the road: wheels and
 # skirts fill the clearance. Proportions: typical European vehicles, read off manufacturers' side views.
 # A shape may have several bodies, each from a length on.
-_STACKS: dict[Shape, dict[float, tuple[tuple[float, float, float, float, float], ...]]] = {
+_Part = tuple[float, float, float, float, float]
+_STACKS: dict[Shape, dict[float, tuple[_Part, ...]]] = {
     Shape.CAR: {0.0: ((-0.49, 0.49, 0.95, 0.0, 0.56), (-0.40, 0.18, 0.84, 0.56, 0.98))},
     Shape.VAN: {0.0: ((-0.49, 0.49, 0.95, 0.0, 0.50), (-0.49, 0.30, 0.92, 0.50, 0.99))},
     Shape.TRUCK: {
@@ -82,7 +83,7 @@ _STACKS: dict[Shape, dict[float, tuple[tuple[float, float, float, float, float],
     Shape.PEDESTRIAN: {0.0: ((-0.30, 0.30, 0.90, 0.0, 0.82), (-0.22, 0.22, 0.40, 0.82, 0.98))},
     Shape.ROADSIDE_UNIT: {0.0: ()},
 }
-_BODIES = [(shape, least_m, stack) for shape in Shape for least_m, stack in _STACKS[shape].items()]
+_BODIES = [(shape, *body) for shape in Shape for body in _STACKS[shape].items()]
 _PARTS = np.array([part for *_, stack in _BODIES for part in stack])
 _FIRST_PART = np.cumsum([0] + [len(stack) for *_, stack in _BODIES])
 """Row of `_PARTS` at which the prisms of each body begin."""
@@ -166,7 +167,9 @@ def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes, speed_mps: Float[ndarray, "
 
 
 def _no_prisms() -> Prisms:
-    return prisms(np.zeros(0, np.uint8), Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)))
+    nowhere = np.zeros((0, 3))
+    boxes = Boxes(nowhere, nowhere, np.zeros(0))
+    return prisms(np.zeros(0, np.uint8), boxes)
 
 
 class Buildings(NamedTuple):
@@ -250,7 +253,8 @@ class Scene:
         for k, building in enumerate(rings):
             loops = [np.asarray(ring, float) for ring in building]
             for loop in loops:
-                if loop.ndim != 2 or loop.shape[1] != 2 or len(loop) < 3 or not np.isfinite(loop).all():
+                is_ring = loop.ndim == 2 and loop.shape[1] == 2 and len(loop) >= 3
+                if not is_ring or not np.isfinite(loop).all():
                     raise ValueError(
                         f"building {k}: a ring of shape {loop.shape} is no footprint. "
                         "A ring is three or more finite (x, y) corners; a building is a sequence of rings, outer first."

@@ -437,7 +437,8 @@ def reports_of_actors(
     logit = model.score_logit[true_label] + model.score_gain * log_n
     error = 0.5 * (z[:, 2] ** 2 + z[:, 3] ** 2)
     lost = model.score_error[true_label] * error
-    logit += model.score_sigma * z[:, 1] - model.score_occlusion * occlusion - lost
+    noise = model.score_sigma * z[:, 1]
+    logit += noise - model.score_occlusion * occlusion - lost
 
     # Standard deviations of position, size and heading, and the box with errors drawn from them.
     xy = model.xy_sigma_m[true_label] + model.xy_sigma_per_m * seen.range_m[rows]
@@ -446,8 +447,10 @@ def reports_of_actors(
     yaw = model.yaw_sigma_rad[true_label] + model.yaw_sigma_sparse_rad * sparse
     is_flipped = uniform_of(z[:, 9]) > 1.0 - model.flip_p
     turn = yaw * z[:, 8] + np.where(is_flipped, np.pi, 0.0)
-    offset = z[:, 2:5] * np.column_stack([xy, xy, model.z_share * xy])
-    lwh = sized.lwh_m * np.exp(size[:, None] * z[:, 5:8])
+    sigma_m = np.column_stack([xy, xy, model.z_share * xy])
+    offset = z[:, 2:5] * sigma_m
+    log_ratio = size[:, None] * z[:, 5:8]
+    lwh = sized.lwh_m * np.exp(log_ratio)
     higher = lwh[:, 2] - sized.lwh_m[:, 2]
     offset[:, 2] += 0.5 * higher  # the bottom of the box stays on the road
     first = _moved(sized, offset, lwh, turn)
@@ -455,7 +458,8 @@ def reports_of_actors(
     # Duplicates.
     again = np.flatnonzero(uniform_of(z[:, 11]) > 1.0 - model.duplicate_p)
     base = first.take(again)
-    offset_xy = model.duplicate_sigma * z[again, 13:15] * base.lwh_m[:, :2]
+    share_of_size = model.duplicate_sigma * z[again, 13:15]
+    offset_xy = share_of_size * base.lwh_m[:, :2]
     offset = np.column_stack([offset_xy, np.zeros(len(again))])
     turn = 0.5 * model.yaw_sigma_rad[true_label[again]] * z[again, 15]
     second = _moved(base, offset, base.lwh_m, turn)
@@ -499,5 +503,6 @@ def _as_class(
 
 def _moved(boxes: Boxes, off_m: Float[ndarray, "r 3"], lwh_m: ndarray, turn_rad: ndarray | float) -> Boxes:
     """Boxes moved along their own axes, of a new size, and turned."""
-    xyz_m = boxes.xyz_m + np.column_stack([turned_by(boxes.yaw_rad, off_m), off_m[:, 2]])
+    east_north_m = turned_by(boxes.yaw_rad, off_m)
+    xyz_m = boxes.xyz_m + np.column_stack([east_north_m, off_m[:, 2]])
     return Boxes(xyz_m, lwh_m, wrapped(boxes.yaw_rad + turn_rad))

@@ -13,9 +13,11 @@ def contains(city, k, x, y):
     """Whether a point lies in a footprint: the parity of walls crossed to the east."""
     odd = 0
     for e in range(city.ptr[k], city.ptr[k + 1]):
-        ay, by = city.ay_m[e] - y, city.by_m[e] - y
+        ay = city.ay_m[e] - y
+        by = city.by_m[e] - y
         if (ay > 0.0) != (by > 0.0):
-            ax, bx = city.ax_m[e] - x, city.bx_m[e] - x
+            ax = city.ax_m[e] - x
+            bx = city.bx_m[e] - x
             if (ax * by - bx * ay) / (by - ay) > 0.0:
                 odd ^= 1
     return odd
@@ -27,7 +29,9 @@ def column_bound(x, y, columns):
     n = columns.n
     if x <= 0.0 and columns.fov_rad < np.pi:
         return 0 if y < 0.0 else n  # behind the sensor: the angle is not needed
-    return min(n, max(0, int(np.ceil((np.arctan2(y, x) - columns.first_rad) * (n / columns.fov_rad)))))
+    columns_per_rad = n / columns.fov_rad
+    place = (np.arctan2(y, x) - columns.first_rad) * columns_per_rad
+    return min(n, max(0, int(np.ceil(place))))
 
 
 @kernel
@@ -37,16 +41,21 @@ def wall(ax, ay, bx, by, cos, sin, columns):
     It fills columns [p0, p1) and [q0, q1); there 1 / distance = u cos(azimuth) + v sin(azimuth). Neighbouring walls
     share the column bound of their common corner, so that there is no gap between them.
     """
-    ax, ay = cos * ax + sin * ay, cos * ay - sin * ax
-    bx, by = cos * bx + sin * by, cos * by - sin * bx
-    cross = ax * by - ay * bx
+    a_ahead = cos * ax + sin * ay
+    a_left = cos * ay - sin * ax
+    b_ahead = cos * bx + sin * by
+    b_left = cos * by - sin * bx
+    cross = a_ahead * b_left - a_left * b_ahead
     if cross == 0.0:
         return 0, 0, 0, 0, 0.0, 0.0
-    u, v = (by - ay) / cross, (ax - bx) / cross
-    ka, kb = column_bound(ax, ay, columns), column_bound(bx, by, columns)
+    u = (b_left - a_left) / cross
+    v = (a_ahead - b_ahead) / cross
+    ka = column_bound(a_ahead, a_left, columns)
+    kb = column_bound(b_ahead, b_left, columns)
     if cross < 0.0:
-        ka, kb, ay, by = kb, ka, by, ay
-    if ay >= 0.0 and by < 0.0:  # counter-clockwise across the rear
+        ka, kb = kb, ka
+        a_left, b_left = b_left, a_left
+    if a_left >= 0.0 and b_left < 0.0:  # counter-clockwise across the rear
         return ka, columns.n, 0, kb, u, v
     return ka, max(ka, kb), 0, 0, u, v
 
@@ -63,20 +72,28 @@ def close_columns(found, x, y, z, ground, cos, sin, city, beams, columns, neares
     how many buildings to `flat` (building, whether the sensor is over or under it).
     """
     n_open = n_flat = 0
+    road = ground - z
     for k in found:
-        bottom, top = city.base_m[k] - z, city.top_m[k] - z
-        if top <= ground - z:
+        bottom = city.base_m[k] - z
+        top = city.top_m[k] - z
+        if top <= road:
             continue
-        bounds = city.bounds_m[k]
-        inside = bounds[0] <= x <= bounds[2] and bounds[1] <= y <= bounds[3] and contains(city, k, x, y) == 1
+        west, south, east, north = city.bounds_m[k]
+        in_bounds = west <= x <= east and south <= y <= north
+        inside = in_bounds and contains(city, k, x, y) == 1
         within = inside and bottom < 0.0 and top > 0.0
         if top < 0.0 or bottom > 0.0 or within:
-            flat[n_flat, 0], flat[n_flat, 1] = k, inside
+            flat[n_flat, 0] = k
+            flat[n_flat, 1] = inside
             n_flat += 1
-        closing = max(beams.tan_el[-1], 0.0) / top if bottom <= ground - z and top > 0.0 else np.inf
+        closing = np.inf
+        if bottom <= road and top > 0.0:
+            closing = max(beams.tan_el[-1], 0.0) / top
         for e in range(city.ptr[k], city.ptr[k + 1]):
-            ax, ay = city.ax_m[e] - x, city.ay_m[e] - y
-            bx, by = city.bx_m[e] - x, city.by_m[e] - y
+            ax = city.ax_m[e] - x
+            ay = city.ay_m[e] - y
+            bx = city.bx_m[e] - x
+            by = city.by_m[e] - y
             if not (ax * by < ay * bx or within):
                 continue  # the back of a wall is visible only from inside
             p0, p1, q0, q1, u, v = wall(ax, ay, bx, by, cos, sin, columns)
@@ -85,10 +102,12 @@ def close_columns(found, x, y, z, ground, cos, sin, city, beams, columns, neares
                 c0, c1 = (p0, p1) if turn == 0 else (q0, q1)
                 if c1 <= c0:
                     continue
-                w = u * beams.cos_az[c0] + v * beams.sin_az[c0]
-                if min(w, u * beams.cos_az[c1 - 1] + v * beams.sin_az[c1 - 1]) >= closing:
+                of_first = u * beams.cos_az[c0] + v * beams.sin_az[c0]
+                of_last = u * beams.cos_az[c1 - 1] + v * beams.sin_az[c1 - 1]
+                if min(of_first, of_last) >= closing:
                     for c in range(c0, c1):
-                        nearest[c] = max(nearest[c], u * beams.cos_az[c] + v * beams.sin_az[c])
+                        w = u * beams.cos_az[c] + v * beams.sin_az[c]
+                        nearest[c] = max(nearest[c], w)
                     continue
                 for c in range(c0, c1):
                     w = u * beams.cos_az[c] + v * beams.sin_az[c]
@@ -99,7 +118,7 @@ def close_columns(found, x, y, z, ground, cos, sin, city, beams, columns, neares
                 entry[0], entry[1] = p0, p1
                 entry[2], entry[3] = q0, q1
                 entry[4], entry[5] = u, v
-                entry[6] = max(bottom, ground - z)
+                entry[6] = max(bottom, road)
                 entry[7] = top
                 entry[8] = closing
                 n_open += 1
@@ -115,10 +134,13 @@ def toggle_levels(toggled, city, k, height, x, y, cos, sin, beams, columns, slop
     """
     toggled[:] = 0
     for e in range(city.ptr[k], city.ptr[k + 1]):
-        ax, ay = city.ax_m[e] - x, city.ay_m[e] - y
-        bx, by = city.bx_m[e] - x, city.by_m[e] - y
+        ax = city.ax_m[e] - x
+        ay = city.ay_m[e] - y
+        bx = city.bx_m[e] - x
+        by = city.by_m[e] - y
         p0, p1, q0, q1, u, v = wall(ax, ay, bx, by, cos, sin, columns)
         for turn in range(2):
-            for c in range(p0 if turn == 0 else q0, p1 if turn == 0 else q1):
+            c0, c1 = (p0, p1) if turn == 0 else (q0, q1)
+            for c in range(c0, c1):
                 w = u * beams.cos_az[c] + v * beams.sin_az[c]
                 toggled[c, below(slopes, height * w)] ^= 1

@@ -50,10 +50,13 @@ def cells_of_slopes(tan_el: Float[ndarray, "e"]) -> Slopes:
     tan_el
         Tangent of the elevation of each beam, ascending.
     """
-    per_slope = float(CELLS_PER_BEAM * len(tan_el) / max(tan_el[-1] - tan_el[0], 1e-9))
+    extent = max(tan_el[-1] - tan_el[0], 1e-9)
+    per_slope = float(CELLS_PER_BEAM * len(tan_el) / extent)
     cell = ((tan_el - tan_el[0]) * per_slope).astype(np.int64)
-    first_row = np.searchsorted(cell, np.arange(cell[-1] + 1)).astype(np.int64)
-    return Slopes(tan_el, per_slope, first_row, int(np.bincount(cell).max()))
+    cells = np.arange(cell[-1] + 1)
+    first_row = np.searchsorted(cell, cells).astype(np.int64)
+    most_in_cell = int(np.bincount(cell).max())
+    return Slopes(tan_el, per_slope, first_row, most_in_cell)
 
 
 @kernel
@@ -91,8 +94,11 @@ def spans(angle, half, columns):
     n, first, step = columns.n, columns.first_rad, columns.step_rad
     if half >= np.pi:
         return 0, n, 0, 0
-    low, high = (angle - half - first) / step, (angle + half - first) / step
-    turn = 2.0 * np.pi / step if angle < 0.0 else -2.0 * np.pi / step
+    low = (angle - half - first) / step
+    high = (angle + half - first) / step
+    turn = -2.0 * np.pi / step
+    if angle < 0.0:
+        turn = 2.0 * np.pi / step
     a0 = max(0, int(np.ceil(low)))
     a1 = min(n, int(np.floor(high)) + 1)
     b0 = max(0, int(np.ceil(low + turn)))
@@ -105,7 +111,9 @@ def actor_columns(dx, dy, radius, cos, sin, columns):
     """Columns that may cross a circle of radius `radius` at (dx, dy), for a sensor looking along (cos, sin)."""
     distance = np.hypot(dx, dy)
     half = np.arcsin(radius / distance) if distance > radius else np.pi
-    return spans(np.arctan2(cos * dy - sin * dx, cos * dx + sin * dy), half, columns)
+    ahead = cos * dx + sin * dy
+    left = cos * dy - sin * dx
+    return spans(np.arctan2(left, ahead), half, columns)
 
 
 @kernel
@@ -126,11 +134,14 @@ def rectangle_columns(x, y, cos, sin, half_l, half_w, columns):
 @kernel
 def in_prism_frame(bodies, k, x, y, cos, sin):
     """A point, and a heading (cos, sin), in the frame of prism k."""
-    dx, dy = x - bodies.x_m[k], y - bodies.y_m[k]
+    dx = x - bodies.x_m[k]
+    dy = y - bodies.y_m[k]
     u, v = bodies.cos[k], bodies.sin[k]
     p = u * dx + v * dy
     q = u * dy - v * dx
-    return p, q, cos * u + sin * v, sin * u - cos * v
+    along = cos * u + sin * v
+    across = sin * u - cos * v
+    return p, q, along, across
 
 
 @kernel
@@ -138,13 +149,16 @@ def rectangle(p, q, u, v, half_l, half_w):
     """Where a ray from (p, q) along (u, v) enters and leaves a centred rectangle; enter > leave if it misses."""
     enter, leave = -np.inf, np.inf
     if u != 0.0:
-        s, t = (-half_l - p) / u, (half_l - p) / u
+        s = (-half_l - p) / u
+        t = (half_l - p) / u
         enter, leave = min(s, t), max(s, t)
     elif abs(p) > half_l:
         enter = np.inf
     if v != 0.0:
-        s, t = (-half_w - q) / v, (half_w - q) / v
-        enter, leave = max(enter, min(s, t)), min(leave, max(s, t))
+        s = (-half_w - q) / v
+        t = (half_w - q) / v
+        enter = max(enter, min(s, t))
+        leave = min(leave, max(s, t))
     elif abs(q) > half_w:
         enter = np.inf
     return enter, leave
@@ -158,7 +172,8 @@ def profile(enter, leave, bottom, top, slopes):
     Heights are relative to the sensor. From within, these are the inner faces.
     """
     if enter > 0.0:
-        s0, s1 = below(slopes, bottom / enter), below(slopes, top / enter)
+        s0 = below(slopes, bottom / enter)
+        s1 = below(slopes, top / enter)
         a = below(slopes, bottom / leave) if bottom > 0.0 else s0
         b = below(slopes, top / leave) if top < 0.0 else s1
         return a, s0, s1, b, enter, bottom, top
@@ -168,7 +183,9 @@ def profile(enter, leave, bottom, top, slopes):
     if bottom >= 0.0:
         s = below(slopes, bottom / leave)
         return s, s, s, len(slopes.tan_el), leave, bottom, bottom
-    return 0, below(slopes, bottom / leave), below(slopes, top / leave), len(slopes.tan_el), leave, bottom, top
+    s0 = below(slopes, bottom / leave)
+    s1 = below(slopes, top / leave)
+    return 0, s0, s1, len(slopes.tan_el), leave, bottom, top
 
 
 @kernel

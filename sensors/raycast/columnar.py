@@ -148,15 +148,18 @@ def _paint(ranges, hits, c, r, d, limit, code):
 
     Column and row are unsigned: an index that might be negative costs a comparison.
     """
-    if d <= limit and (d < ranges[c, r] or (d == ranges[c, r] and code < hits[c, r])):
-        ranges[c, r] = d
-        hits[c, r] = code
+    if d <= limit:
+        before = ranges[c, r]
+        if d < before or (d == before and code < hits[c, r]):
+            ranges[c, r] = d
+            hits[c, r] = code
 
 
 @compiled
 def _city(ranges, hits, pose, ground, view, nearest, city, found):
     """Ground and buildings of one sweep; leaves the nearest closing wall per column in `nearest`."""
-    (x, y, z, cos, sin), (beams, columns, slopes, limit) = pose, view
+    x, y, z, cos, sin = pose
+    beams, columns, slopes, limit = view
     n, m = ranges.shape
     n_walls = 0
     for k in found:
@@ -193,14 +196,17 @@ def _city(ranges, hits, pose, ground, view, nearest, city, found):
         u, v = wall[4], wall[5]
         bottom, top = wall[6], wall[7]
         for turn in range(2):
-            for c in range(int(wall[2 * turn]), int(wall[2 * turn + 1])):
+            c0 = int(wall[2 * turn])
+            c1 = int(wall[2 * turn + 1])
+            for c in range(c0, c1):
                 w = u * beams.cos_az[c] + v * beams.sin_az[c]
                 if nearest[c] < w < wall[8]:
                     t = 1.0 / w
                     first = below(slopes, bottom * w)
                     last = below(slopes, top * w)
                     for r in range(np.uint64(first), np.uint64(last)):
-                        _paint(ranges, hits, np.uint64(c), r, np.float32(t * inv_cos[r]), limit, Hit.BUILDING)
+                        d = np.float32(t * inv_cos[r])
+                        _paint(ranges, hits, np.uint64(c), r, d, limit, Hit.BUILDING)
     # Roofs and undersides.
     toggled = np.empty((n if n_flat > 0 else 0, m + 1), np.uint8)
     for i in range(n_flat):
@@ -228,21 +234,25 @@ def _level(ranges, hits, height, inside, beams, limit, toggled):
                 if beams.tan_el[r] >= 0.0:
                     break
                 if odd:
-                    _paint(ranges, hits, c, r, np.float32(height / beams.sin_el[r]), limit, Hit.BUILDING)
+                    d = np.float32(height / beams.sin_el[r])
+                    _paint(ranges, hits, c, r, d, limit, Hit.BUILDING)
         else:
             for r in range(m - 1, -1, -1):
                 odd ^= toggled[c, r + 1]
                 if beams.tan_el[r] <= 0.0:
                     break
                 if odd:
-                    _paint(ranges, hits, c, r, np.float32(height / beams.sin_el[r]), limit, Hit.BUILDING)
+                    d = np.float32(height / beams.sin_el[r])
+                    _paint(ranges, hits, c, r, d, limit, Hit.BUILDING)
 
 
 @kernel
 def _body(ranges, hits, a, code, at, radius, pose, view, nearest, bodies):
     """Paint the prisms of body a over the city; an actor is at `at` when the sensor looks straight ahead."""
-    (x, y, z, cos, sin), (beams, columns, slopes, limit) = pose, view
-    dx, dy = at[0] - x, at[1] - y
+    x, y, z, cos, sin = pose
+    beams, columns, slopes, limit = view
+    dx = at[0] - x
+    dy = at[1] - y
     per_rad = bodies.speed_mps[a] * beams.s_per_rad  # how far the actor moves while the sensor turns by one radian
     farthest = 0.5 * beams.fov_rad * abs(per_rad)
     radius += farthest
@@ -260,7 +270,8 @@ def _body(ranges, hits, a, code, at, radius, pose, view, nearest, bodies):
         left = p * v - q * u
         a0, a1, b0, b1 = rectangle_columns(ahead, left, u, -v, reach, half_w, columns)
         for turn in range(2):
-            for c in range(a0 if turn == 0 else b0, a1 if turn == 0 else b1):
+            c0, c1 = (a0, a1) if turn == 0 else (b0, b1)
+            for c in range(c0, c1):
                 if clear * nearest[c] >= 1.0:
                     continue
                 ca, sa = beams.cos_az[c], beams.sin_az[c]
@@ -273,8 +284,11 @@ def _body(ranges, hits, a, code, at, radius, pose, view, nearest, bodies):
                 first, s0, s1, last, t, low, high = profile(enter, leave, bottom, top, slopes)
                 column = np.uint64(c)
                 for r in range(np.uint64(first), np.uint64(s0)):
-                    _paint(ranges, hits, column, r, np.float32(low / beams.sin_el[r]), limit, code)
+                    d = np.float32(low / beams.sin_el[r])
+                    _paint(ranges, hits, column, r, d, limit, code)
                 for r in range(np.uint64(s0), np.uint64(s1)):
-                    _paint(ranges, hits, column, r, np.float32(t / beams.cos_el[r]), limit, code)
+                    d = np.float32(t / beams.cos_el[r])
+                    _paint(ranges, hits, column, r, d, limit, code)
                 for r in range(np.uint64(s1), np.uint64(last)):
-                    _paint(ranges, hits, column, r, np.float32(high / beams.sin_el[r]), limit, code)
+                    d = np.float32(high / beams.sin_el[r])
+                    _paint(ranges, hits, column, r, d, limit, code)

@@ -23,7 +23,9 @@ from sensors.scene import Hit, Prisms, Scene, roof_triangles
 TILE_M = 256.0
 STEP_M = 1e-4  # how far behind a face of one's own body a ray starts again
 
-Tracer = Callable[[Float[ndarray, "r 3"], Float[ndarray, "r 3"]], tuple[Float[ndarray, "r"], Int[ndarray, "r"]]]
+_Vectors = Float[ndarray, "r 3"]
+_Met = tuple[Float[ndarray, "r"], Int[ndarray, "r"]]
+Tracer = Callable[[_Vectors, _Vectors], _Met]
 """Origins and unit directions to distance and number of the first triangle; -1 is none."""
 
 
@@ -52,17 +54,23 @@ def cast(
     """
     origin_m, hit, max_range_m = sweeps.poses.origin_m, sweeps.hit, sweeps.max_range_m
     ranges = sweeps.unrounded_m if len(sweeps.unrounded_m) else np.empty(hit.shape, np.float32)
-    city, (body, actor) = city_triangles(scene), _bodies(bodies, boxes, scene)
+    city = city_triangles(scene)
+    body, actor = _bodies(bodies, boxes, scene)
     mesh = np.concatenate([city, body])
-    code = np.concatenate([np.full(len(city), Hit.BUILDING), Hit.ACTOR + actor]).astype(np.int32)
-    low, high = mesh[:, :, :2].min(axis=1), mesh[:, :, :2].max(axis=1)
+    of_city = np.full(len(city), Hit.BUILDING)
+    code = np.concatenate([of_city, Hit.ACTOR + actor]).astype(np.int32)
+    low = mesh[:, :, :2].min(axis=1)
+    high = mesh[:, :, :2].max(axis=1)
 
     corners = np.floor(origin_m[:, :2] / TILE_M).astype(np.int64)
     for corner in np.unique(corners, axis=0):
         here = np.flatnonzero((corners == corner).all(axis=1))
-        centre = np.append((corner + 0.5) * TILE_M, np.mean(origin_m[here, 2]))
+        height_m = np.mean(origin_m[here, 2])
+        centre = np.append((corner + 0.5) * TILE_M, height_m)
         limit_m = 0.5 * TILE_M + max_range_m
-        close = ((high > centre[:2] - limit_m) & (low < centre[:2] + limit_m)).all(axis=1)
+        is_above_low = high > centre[:2] - limit_m
+        is_below_high = low < centre[:2] + limit_m
+        close = (is_above_low & is_below_high).all(axis=1)
         trace = tracer_of((mesh[close] - centre).astype(np.float32)) if close.any() else None
         tile = _Tile(centre, trace, code[close])
         for o in here.tolist():
@@ -75,30 +83,37 @@ def cast(
 
 def _sweep(sweeps, o: int, tile: _Tile, range_m: Float32[ndarray, "a e"]) -> None:
     """Fill the ranges and hits of observer `o`, without noise."""
-    trace, code, hit, beams, max_range_m = tile.trace, tile.code, sweeps.hit[o], sweeps.beams, sweeps.max_range_m
-    origin, ground = sweeps.poses.origin_m[o] - tile.centre_m, sweeps.ground_m[o] - tile.centre_m[2]
-    own, direction = Hit.ACTOR + sweeps.observers[o], directions(sweeps.poses.yaw_rad[o], beams)
-    distance, what = np.full(len(direction), np.inf), np.full(len(direction), Hit.NOTHING, np.int32)
-    behind = np.zeros(len(direction))  # distance already covered, behind faces of the observer's own body
-    left = np.arange(len(direction)) if trace is not None else np.zeros(0, int)
-    while trace is not None and len(left):
+    beams = sweeps.beams
+    origin = sweeps.poses.origin_m[o] - tile.centre_m
+    ground = sweeps.ground_m[o] - tile.centre_m[2]
+    own = Hit.ACTOR + sweeps.observers[o]
+    direction = directions(sweeps.poses.yaw_rad[o], beams)
+    n_rays = len(direction)
+    distance = np.full(n_rays, np.inf)
+    what = np.full(n_rays, Hit.NOTHING, np.int32)
+    behind = np.zeros(n_rays)  # distance already covered, behind faces of the observer's own body
+    left = np.arange(n_rays)
+    while tile.trace is not None and len(left):
         start = origin + behind[left, None] * direction[left]
-        ahead, triangle = trace(start.astype(np.float32), direction[left].astype(np.float32))
+        onward = direction[left].astype(np.float32)
+        ahead, triangle = tile.trace(start.astype(np.float32), onward)
         met = triangle >= 0
         far = behind[left] + ahead
-        who = np.where(met, code[np.maximum(triangle, 0)], Hit.NOTHING)
+        who = np.where(met, tile.code[np.maximum(triangle, 0)], Hit.NOTHING)
         mine = met & (who == own)
         distance[left] = np.where(met & ~mine, far, np.inf)
         what[left] = np.where(mine, Hit.NOTHING, who)
         behind[left[mine]] = far[mine] + STEP_M
         left = left[mine]
-    down = np.broadcast_to(beams.sin_el, range_m.shape).ravel()
+    rise = ground - origin[2]
+    upward = np.broadcast_to(beams.sin_el, range_m.shape).ravel()
     with np.errstate(divide="ignore"):
-        road = np.where((ground - origin[2]) * down > 0.0, (ground - origin[2]) / down, np.inf)
+        road = np.where(rise * upward > 0.0, rise / upward, np.inf)
     what = np.where(road < distance, Hit.GROUND, what)
     distance = np.minimum(road, distance)
-    beyond = distance > max_range_m
+    beyond = distance > sweeps.max_range_m
     range_m[:] = np.where(beyond, np.inf, distance).reshape(range_m.shape)
+    hit = sweeps.hit[o]
     hit[:] = np.where(beyond, Hit.NOTHING, what).reshape(hit.shape)
 
 
@@ -134,23 +149,21 @@ def city_triangles(scene: Scene) -> Float[ndarray, "t 3 3"]:
     city = scene.buildings
     building = owner_of_rows(np.diff(city.ptr))
     base, top = city.base_m[building], city.top_m[building]
-    corner = [
-        np.column_stack([x, y, z])
-        for x, y, z in (
-            (city.ax_m, city.ay_m, base),
-            (city.bx_m, city.by_m, base),
-            (city.bx_m, city.by_m, top),
-            (city.ax_m, city.ay_m, top),
-        )
-    ]
-    walls = np.concatenate([np.stack([corner[i] for i in face], axis=1) for face in ((0, 1, 2), (0, 2, 3))])
+    a_base = np.column_stack([city.ax_m, city.ay_m, base])
+    b_base = np.column_stack([city.bx_m, city.by_m, base])
+    b_top = np.column_stack([city.bx_m, city.by_m, top])
+    a_top = np.column_stack([city.ax_m, city.ay_m, top])
+    lower = np.stack([a_base, b_base, b_top], axis=1)
+    upper = np.stack([a_base, b_top, a_top], axis=1)
+    parts = [lower, upper]
     flat, owner = roof_triangles(scene)
-    levels = [
-        np.concatenate([flat, np.broadcast_to(z[owner, None, None], (len(flat), 3, 1))], axis=2)
-        for z in (city.base_m, city.top_m)
-    ]
-    trees = body_triangles(scene.trees)
-    return np.concatenate([walls, *levels, trees, *([] if scene.triangles_m is None else [scene.triangles_m])])
+    for height_m in (city.base_m, city.top_m):
+        z = np.broadcast_to(height_m[owner, None, None], (len(flat), 3, 1))
+        parts.append(np.concatenate([flat, z], axis=2))
+    parts.append(body_triangles(scene.trees))
+    if scene.triangles_m is not None:
+        parts.append(scene.triangles_m)
+    return np.concatenate(parts)
 
 
 def _bodies(bodies: Prisms, boxes: Boxes, scene: Scene) -> tuple[Float[ndarray, "t 3 3"], Int[ndarray, "t"]]:
@@ -158,20 +171,35 @@ def _bodies(bodies: Prisms, boxes: Boxes, scene: Scene) -> tuple[Float[ndarray, 
     is_mesh = np.isin(bodies.shape, list(scene.bodies_m))
     owner = np.repeat(owner_of_rows(np.diff(bodies.ptr)), 12)
     upright = ~is_mesh[owner]
-    parts, actors = [body_triangles(bodies)[upright]], [owner[upright]]
+    parts = [body_triangles(bodies)[upright]]
+    actors = [owner[upright]]
     for shape, unit in scene.bodies_m.items():
         rows = np.flatnonzero(bodies.shape == shape)
         local = unit * boxes.lwh_m[rows, None, None, :]
         local[..., :2] = turned_by(boxes.yaw_rad[rows, None, None], local)
-        parts.append((local + boxes.xyz_m[rows, None, None, :]).reshape(-1, 3, 3))
+        placed = local + boxes.xyz_m[rows, None, None, :]
+        parts.append(placed.reshape(-1, 3, 3))
         actors.append(np.repeat(rows, len(unit)))
     return np.concatenate(parts), np.concatenate(actors)
 
 
 _FACES = np.array(
-    [(0, 1, 5), (0, 5, 4), (1, 2, 6), (1, 6, 5), (2, 3, 7), (2, 7, 6), (3, 0, 4), (3, 4, 7),
-     (0, 2, 1), (0, 3, 2), (4, 5, 6), (4, 6, 7)]
-)  # fmt: skip
+    [
+        (0, 1, 5),
+        (0, 5, 4),
+        (1, 2, 6),
+        (1, 6, 5),
+        (2, 3, 7),
+        (2, 7, 6),
+        (3, 0, 4),
+        (3, 4, 7),
+        (0, 2, 1),
+        (0, 3, 2),
+        (4, 5, 6),
+        (4, 6, 7),
+    ]
+)
+"""Corners of the triangles of a prism, two for each side; corners 0 to 3 are below 4 to 7."""
 
 
 def body_triangles(bodies: Prisms) -> Float[ndarray, "t 3 3"]:
@@ -181,11 +209,13 @@ def body_triangles(bodies: Prisms) -> Float[ndarray, "t 3 3"]:
     -------
     Corners in the world frame [m], twelve triangles per prism, in the order of the prisms.
     """
-    along = np.array([-1, 1, 1, -1, -1, 1, 1, -1]) * bodies.half_l_m[:, None]
-    aside = np.array([-1, -1, 1, 1, -1, -1, 1, 1]) * bodies.half_w_m[:, None]
     corner = np.empty((len(bodies.x_m), 8, 3))
-    corner[:, :, 0] = bodies.x_m[:, None] + bodies.cos[:, None] * along - bodies.sin[:, None] * aside
-    corner[:, :, 1] = bodies.y_m[:, None] + bodies.sin[:, None] * along + bodies.cos[:, None] * aside
-    corner[:, :4, 2] = bodies.bottom_m[:, None]
-    corner[:, 4:, 2] = bodies.top_m[:, None]
+    sides = ((-1, -1), (1, -1), (1, 1), (-1, 1))  # of half the length and half the width
+    for c, (l_side, w_side) in enumerate(sides):
+        along = l_side * bodies.half_l_m
+        aside = w_side * bodies.half_w_m
+        x = bodies.x_m + bodies.cos * along - bodies.sin * aside
+        y = bodies.y_m + bodies.sin * along + bodies.cos * aside
+        corner[:, c] = np.column_stack([x, y, bodies.bottom_m])
+        corner[:, c + 4] = np.column_stack([x, y, bodies.top_m])
     return corner[:, _FACES].reshape(-1, 3, 3)
