@@ -329,7 +329,8 @@ def _of_ego(e, table, lists, weight, known, align, out, box, variance):
                 for c in range(3):
                     variance[row, c] = variance[same, c]
                 continue
-            low, high = ego.begin[g - first], ego.begin[g - first + 1]
+            low = ego.begin[g - first]
+            high = ego.begin[g - first + 1]
             seed, filled = lists.seed[g], box[row]
             _fuse_place(low, high, seed, owner, table, ego, errors, covariance, slope, filled, variance[row])
             _fuse_shape(low, high, seed, own_turn, table, ego, errors, covariance, filled)
@@ -361,7 +362,8 @@ def _sort(begin, end, first, table, lists, ego, vehicle, sender):
         ego.begin[g + 1] += ego.begin[g]
     n_messages, message = -1, np.int64(-1)
     for p in range(begin, end):
-        d, g = np.uint64(lists.member[p]), lists.group[p] - first
+        d = np.uint64(lists.member[p])
+        g = lists.group[p] - first
         if table.message[d] != message:
             n_messages += 1
             message = table.message[d]

@@ -239,5 +239,4 @@ def _add_points(out, begin, end, given):
             for turn in range(2):
                 c0, c1 = (a0, a1) if turn == 0 else (b0, b1)
                 if c1 > c0:
-                    n = _count(steps, step_m, beams, cos_el, sin_el, c0, c1, r0, r1, box, bounds, scratch)
-                    out[k] += n
+                    out[k] += _count(steps, step_m, beams, cos_el, sin_el, c0, c1, r0, r1, box, bounds, scratch)

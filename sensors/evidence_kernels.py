@@ -193,8 +193,7 @@ def _free_space_of(allowed, sweep, step_m, beams, pairs, first, end, area, margi
     for k in range(first, end):
         x, y, z, length, width, height, _ = in_sensor_frame(pairs, k)
         if is_testable(x, y, z, height, reach_m, height_m, beams.fov_rad, slope):
-            pyramid = frustum(x, y, z, length, width, height, corner, plane)
-            away, middle, half, low, high = pyramid
+            away, middle, half, low, high = frustum(x, y, z, length, width, height, corner, plane)
             window = spans(middle, half, columns), _rows(slopes, low, high)
             limit = away + margin_m
             if _nearest_in(sweep, window) * step_m < limit * _ROUNDED:

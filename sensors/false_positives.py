@@ -188,9 +188,10 @@ def _at_sites(
     rates = _Rates(shares, float(model.false_positive_per_sweep), float(model.false_positive_road_p))
     ranges, poses = (sweeps.range_steps, sweeps.step_m), sweeps.poses
     seen_by = ranges, sweeps.hit, poses.origin_m, poses.yaw_rad, sweeps.beams
+    max_range_m = float(sweeps.max_range_m)
     capacity = INITIAL_CAPACITY
     while True:
-        n, site, ray, uniform = _all_sweeps(*seen_by, float(sweeps.max_range_m), actors, keys, rates, capacity)
+        n, site, ray, uniform = _all_sweeps(*seen_by, max_range_m, actors, keys, rates, capacity)
         if n.max(initial=0) <= capacity:
             break
         capacity = int(n.max())
@@ -326,7 +327,9 @@ class _Sweep(NamedTuple):
 def _heading(sweep, column):
     """Direction of the rays of a column in the world: its cosine and sine."""
     cos, sin = sweep.beams.cos_az[column], sweep.beams.sin_az[column]
-    return sweep.cos * cos - sweep.sin * sin, sweep.sin * cos + sweep.cos * sin
+    cos_of_ray = sweep.cos * cos - sweep.sin * sin
+    sin_of_ray = sweep.sin * cos + sweep.cos * sin
+    return cos_of_ray, sin_of_ray
 
 
 @compiled
@@ -408,7 +411,8 @@ def _nearest_of(sweep, first, end, code, to_x, to_y, enough):
             continue
         for r in range(hits.shape[1]):
             if hits[c, r] == code:
-                flat = sweep.steps[c, r] * sweep.step_m * sweep.beams.cos_el[r]
+                range_m = sweep.steps[c, r] * sweep.step_m
+                flat = range_m * sweep.beams.cos_el[r]
                 gap_x = x + flat * along_x - to_x
                 gap_y = y + flat * along_y - to_y
                 gap = gap_x * gap_x + gap_y * gap_y
@@ -526,7 +530,8 @@ def _all_sweeps(ranges, hit, origin_m, yaw_rad, beams, max_range_m, hidden, keys
         x = origin_m[o, 0]
         y = origin_m[o, 1]
         yaw = yaw_rad[o]
-        sweep = _Sweep(steps[o], step_m, hit[o], beams, x, y, np.cos(yaw), np.sin(yaw))
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        sweep = _Sweep(steps[o], step_m, hit[o], beams, x, y, cos, sin)
         first, last = hidden.ptr[o], hidden.ptr[o + 1]
         actors = hidden.actor[first:last], hidden.n_returns[first:last]
         observer, step = keys.observer[o], keys.step[o]

@@ -24,7 +24,8 @@ COLUMNS = 8
 """Columns of a matrix."""
 
 _NUMBERS = ir.VectorType(ir.DoubleType(), COLUMNS)
-_FLOATS, _STEPS = ir.VectorType(ir.FloatType(), LANES), ir.VectorType(ir.IntType(16), LANES)
+_FLOATS = ir.VectorType(ir.FloatType(), LANES)
+_STEPS = ir.VectorType(ir.IntType(16), LANES)
 _ONE, _MASK = ir.IntType(32), ir.IntType(LANES)
 
 _instructions: Any = intrinsic
@@ -52,10 +53,10 @@ def near_box(
             return builder.load(whole, align=element.get_abi_size(context.target_data))
 
         def spread(value: Any) -> Any:
-            one = builder.insert_element(ir.Constant(_FLOATS, ir.Undefined), value, ir.Constant(_ONE, 0))
-            return builder.shuffle_vector(
-                one, ir.Constant(_FLOATS, ir.Undefined), ir.Constant(ir.VectorType(_ONE, LANES), [0] * LANES)
-            )
+            nothing = ir.Constant(_FLOATS, ir.Undefined)
+            one = builder.insert_element(nothing, value, ir.Constant(_ONE, 0))
+            of_first = ir.Constant(ir.VectorType(_ONE, LANES), [0] * LANES)
+            return builder.shuffle_vector(one, nothing, of_first)
 
         column, row = given[1], given[2]
         middle, half, height, half_h, error = (spread(value) for value in given[5:])

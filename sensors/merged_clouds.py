@@ -13,7 +13,7 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.plane import turned_by
-from cosim.base.ragged import owner_of_rows
+from cosim.base.ragged import differs_from_last, owner_of_rows
 from cosim.base.rows import Rows
 from sensors.boxes import Boxes
 from sensors.evidence import Observability
@@ -64,10 +64,8 @@ def merged(views: Views, yaw_rad: Float[ndarray, "n"]) -> Merged:
         Heading of each actor.
     """
     v = views.take(np.lexsort([views.actor, views.observer]))
-    is_other_observer = np.diff(v.observer) != 0
-    is_other_actor = np.diff(v.actor) != 0
-    begins = np.append(True, is_other_observer | is_other_actor)
-    begin = np.flatnonzero(begins[: len(v.actor)])
+    is_first = differs_from_last(v.observer) | differs_from_last(v.actor)
+    begin = np.flatnonzero(is_first)
     n_sweeps = np.diff(np.append(begin, len(v.actor)))
     group = owner_of_rows(n_sweeps)
     weight = v.n_returns.astype(np.float64)

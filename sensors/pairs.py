@@ -114,4 +114,6 @@ def in_sensor_frame(pairs, k):
 def turned(pairs: ViewPairs) -> Boxes:
     """The boxes of all pairs, each in the frame of its sensor. Headings are not wrapped to one turn."""
     x, y, z, length, width, height, yaw = in_sensor_frame.py_func(pairs, slice(None))
-    return Boxes(np.column_stack([x, y, z]), np.column_stack([length, width, height]), yaw)
+    xyz_m = np.column_stack([x, y, z])
+    lwh_m = np.column_stack([length, width, height])
+    return Boxes(xyz_m, lwh_m, yaw)

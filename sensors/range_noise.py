@@ -15,7 +15,8 @@ from cosim.base.kernel import compiled
 from sensors.scene import Hit
 
 _SECOND = np.uint64(2 * int(GOLDEN) % 2**64)
-_LANES, _ONE, _S4, _S11 = np.uint64(4), np.uint64(1), np.uint16(4), np.uint64(11)
+_LANES, _ONE = np.uint64(4), np.uint64(1)
+_S4, _S11 = np.uint16(4), np.uint64(11)
 
 
 class RangeNoise(NamedTuple):
@@ -62,7 +63,8 @@ def add_noise(ranges, hits, key, noise):
 @compiled
 def _displace(ranges, seed, noise):
     """Range noise: one hash gives four rays of a column 16 bits each, of which the highest 12 number a level."""
-    n, m = np.uint64(ranges.shape[0]), np.uint64(ranges.shape[1])
+    n = np.uint64(ranges.shape[0])
+    m = np.uint64(ranges.shape[1])
     zero = np.float32(0.0)
     level_m = noise.sigma_m * noise.level
     off_m = np.empty(m, np.float32)
@@ -82,7 +84,8 @@ def _displace(ranges, seed, noise):
 @compiled
 def _drop(ranges, hits, seed, noise):
     """Dropouts of one sweep: a hash per ray, independent of those of the noise."""
-    n, m = np.uint64(ranges.shape[0]), np.uint64(ranges.shape[1])
+    n = np.uint64(ranges.shape[0])
+    m = np.uint64(ranges.shape[1])
     lost_below = np.uint64(noise.dropout_p * 2.0**53)
     for c in range(n):
         for r in range(m):

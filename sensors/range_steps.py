@@ -30,10 +30,12 @@ def step_m(max_range_m: float, range_sigma_m: float) -> float:
 @kernel
 def count_steps(ranges, steps, per_metre):
     """The ranges of one sweep in steps, to the nearest; `per_metre` of them make a metre."""
-    n, m = np.uint64(ranges.shape[0]), np.uint64(ranges.shape[1])
+    n = np.uint64(ranges.shape[0])
+    m = np.uint64(ranges.shape[1])
     for c in range(n):
         for r in range(m):
-            steps[c, r] = np.int32(min(ranges[c, r] * per_metre + _HALF, _MOST))
+            rounded = ranges[c, r] * per_metre + _HALF
+            steps[c, r] = np.int32(min(rounded, _MOST))
 
 
 def metres(range_steps: UInt16[ndarray, "*n"], step: float) -> Float32[ndarray, "*n"]:
@@ -50,4 +52,5 @@ def metres(range_steps: UInt16[ndarray, "*n"], step: float) -> Float32[ndarray, 
     -------
     Ranges [m]; inf for rays without a return.
     """
-    return np.where(range_steps == NO_RETURN, np.float32(np.inf), range_steps * np.float32(step))
+    range_m = range_steps * np.float32(step)
+    return np.where(range_steps == NO_RETURN, np.float32(np.inf), range_m)

@@ -49,7 +49,8 @@ DIVERGENCE_RAD = 3e-3
 NEAREST_M = 1.5
 """A drop that is nearer returns nothing: transmitter and receiver look past each other there [1]_."""
 
-_OF_RAIN, _OF_LOSS = np.uint64(3 * int(GOLDEN) % 2**64), np.uint64(4 * int(GOLDEN) % 2**64)
+_OF_RAIN = np.uint64(3 * int(GOLDEN) % 2**64)
+_OF_LOSS = np.uint64(4 * int(GOLDEN) % 2**64)
 _NOTHING, _NO_RETURN = np.int64(Hit.NOTHING), np.int64(NO_RETURN)
 _S54, _LOW = np.uint64(54), np.uint64(0xFFFFFFFF)
 
@@ -237,7 +238,8 @@ def _lost_p(
 def _weaken(range_steps, hits, step_m, keys, limit_m, power, rain, lost_p):
     """One hash per ray for drops, one for losses by direction."""
     per_clear, twice_alpha = power
-    n, m = np.uint64(range_steps.shape[1]), np.uint64(range_steps.shape[2])
+    n = np.uint64(range_steps.shape[1])
+    m = np.uint64(range_steps.shape[2])
     most = 1.0 - np.exp(-rain.n)
     for o in range(len(range_steps)):
         of_rain = splitmix64(keys[o] + _OF_RAIN)
@@ -255,13 +257,15 @@ def _weaken(range_steps, hits, step_m, keys, limit_m, power, rain, lost_p):
                 if u < most:
                     q = 1.0
                     if steps != NO_RETURN and d > 0.0:
-                        excess = per_clear[code] * np.exp(-twice_alpha * d) / (d * d)
+                        passed = np.exp(-twice_alpha * d)
+                        excess = per_clear[code] * passed / (d * d)
                         q = max(1.0, excess)
                     if u < 1.0 - np.exp(-rain.n * q**-0.75):
                         other = splitmix64(drop + GOLDEN)
                         wide = rain.diameter_mm[other >> _S54]
                         share = (other & _LOW) / 4294967296.0
-                        near = rain.per_mm * np.sqrt(wide) * q**-0.25 * share ** (1.0 / 3.0)
+                        cube_root = share ** (1.0 / 3.0)
+                        near = rain.per_mm * np.sqrt(wide) * q**-0.25 * cube_root
                         if near >= NEAREST_M and (steps == NO_RETURN or near < d):
                             steps = np.int64(near / step_m + 0.5)
                             code = _NOTHING

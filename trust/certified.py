@@ -51,7 +51,10 @@ def upheld(
     key = messages.observer.astype(np.int64) * MAX_DETECTIONS + number
     if messages.detection_step is not None:
         _, step = np.unique(messages.detection_step, return_inverse=True)
-        key = np.unique(np.column_stack([step.reshape(-1), key]), axis=0, return_inverse=True)[1].reshape(-1)
+        step_and_key = np.column_stack([step.reshape(-1), key])
+        _, number_of_both = np.unique(step_and_key, axis=0, return_inverse=True)
+        key = number_of_both.reshape(-1)
     decided = np.unique(key[by_certified & (messages.visibility > 0)])
-    keep = (by_certified | ~np.isin(key, decided)) & ~np.isin(messages.observer, certified)
+    is_undecided = by_certified | ~np.isin(key, decided)
+    keep = is_undecided & ~np.isin(messages.observer, certified)
     return messages if keep.all() else messages.rows(keep)

@@ -40,14 +40,15 @@ def claims_of_messages(
     mean of detections: all objects together weigh as much as the detections of a message.
     """
     senders = np.unique(message)
-    return (
-        np.concatenate([message, message, np.repeat(senders, N_OBJECTS)]),
-        np.concatenate([
-            claim_number(detection_index, DETECTION), claim_number(detection_index, SPEED),
-            claim_number(np.tile(np.arange(N_OBJECTS), len(senders)), MISSING),
-        ]),
-        np.concatenate([score, score, np.full(len(senders) * N_OBJECTS, 0.5)]),
-    )  # fmt: skip
+    withheld = np.tile(np.arange(N_OBJECTS), len(senders))
+    numbers = [
+        claim_number(detection_index, DETECTION),
+        claim_number(detection_index, SPEED),
+        claim_number(withheld, MISSING),
+    ]
+    messages = [message, message, np.repeat(senders, N_OBJECTS)]
+    scores = [score, score, np.full(len(withheld), 0.5)]
+    return np.concatenate(messages), np.concatenate(numbers), np.concatenate(scores)
 
 
 def presence_support(expected_p: Float[ndarray, "n"], reported: Bool[ndarray, "n"]) -> Float[ndarray, "n"]:
@@ -76,7 +77,9 @@ def presence_support(expected_p: Float[ndarray, "n"], reported: Bool[ndarray, "n
     Deviations: ours. [1]_ has no evidence about objects that a message lacks.
     """
     a = expected_p
-    return np.where(a > 0, np.where(reported, 1.0 / 3.0, -a / (4.0 - 3.0 * a)), 0.0)
+    of_missing = -a / (4.0 - 3.0 * a)
+    support = np.where(reported, 1.0 / 3.0, of_missing)
+    return np.where(a > 0, support, 0.0)
 
 
 def velocity_support(
@@ -110,9 +113,17 @@ def velocity_support(
     Deviations: ours; [1]_ has no velocities. The contaminated normal distribution is Tukey's (1960).
     """
     wide = variance + prior_variance
-    log_f, log_g = (-0.5 * (difference_mps**2 / v + np.log(v)).sum(axis=1) for v in (variance, wide))
+    log_f = _log_density(difference_mps, variance)
+    log_g = _log_density(difference_mps, wide)
     ratio = np.exp(log_f - log_g)  # f / g, which is bounded by sqrt(|wide| / |variance|)
-    return (1.0 - wrong_p) * (ratio - 1.0) / ((1.0 - wrong_p) * ratio + 1.0 + wrong_p)
+    honest_less_lying = (1.0 - wrong_p) * (ratio - 1.0)
+    both = (1.0 - wrong_p) * ratio + 1.0 + wrong_p
+    return honest_less_lying / both
+
+
+def _log_density(x: Float[ndarray, "n 2"], variance: Float[ndarray, "n 2"]) -> Float[ndarray, "n"]:
+    """Logarithm of the normal density of two independent components around 0, without its constant."""
+    return -0.5 * (x**2 / variance + np.log(variance)).sum(axis=1)
 
 
 def answers(support: Float[ndarray, "n"], params: TrustParams) -> Evaluations:

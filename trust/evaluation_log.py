@@ -174,12 +174,12 @@ class EvaluationLog:
 
         Vehicles may sense and send in turns, so that an evaluator need not send in the step that it evaluates.
         """
-        sends = n_sent > 0
-        kept = self._sent[
-            (self._sent[:, 1] > step - self.steps.n_steps) & ~np.isin(self._sent[:, 0], pseudonyms[sends])
-        ]
-        new = np.column_stack([pseudonyms[sends], np.full(sends.sum(), step), n_sent[sends]])
-        sent = np.concatenate([kept, new])
+        rows = np.flatnonzero(n_sent > 0)
+        senders = pseudonyms[rows]
+        is_open = self._sent[:, 1] > step - self.steps.n_steps
+        is_newest = ~np.isin(self._sent[:, 0], senders)
+        new = np.column_stack([senders, np.full(len(rows), step), n_sent[rows]])
+        sent = np.concatenate([self._sent[is_open & is_newest], new])
         self._sent = sent[np.argsort(sent[:, 0], kind="stable")]
 
     def advance(self, now_step: int) -> None:
@@ -260,7 +260,8 @@ class EvaluationLog:
         self.counted = with_rows(self.counted, len(self.pairs))
         before, newest, oldest = self.counted[pair].T
         self.counted[pair, 1] = np.maximum(newest, step)
-        self.counted[pair, 2] = np.where(before > 0, np.minimum(oldest, step), step)
+        older = np.minimum(oldest, step)
+        self.counted[pair, 2] = np.where(before > 0, older, step)
         np.add.at(self.counted[:, 0], pair, n)
 
     def _merged(self, step: _Step) -> StepRows:
@@ -274,6 +275,7 @@ class EvaluationLog:
         detection, n_detections = _ranks(pair * width + index, n_pairs * width)
         sender = np.zeros(n_detections, np.int64)
         sender[detection] = about
+        n_rows = [len(of_observers.n) for of_observers, _ in step.parts]
         return StepRows(
             evaluator=evaluator,
             observer=observer,
@@ -282,7 +284,7 @@ class EvaluationLog:
             neg=observers.neg,
             n=observers.n,
             n_sent=step.n_sent[rows_of(observers.evaluator, step.pseudonyms)[0]],
-            is_own=np.repeat(np.array(step.own, bool), np.array([len(part.n) for part, _ in step.parts], int)),
+            is_own=np.repeat(np.array(step.own, bool), np.array(n_rows, int)),
             row=singles.row,
             by=evaluator[singles.row],
             about=about,
@@ -298,11 +300,18 @@ class EvaluationLog:
 def _concatenated(parts: list[tuple[ObserverRows, DetectionRows]]) -> tuple[ObserverRows, DetectionRows]:
     """The rows of all parts, one part after another."""
     whole, real = np.zeros(0, np.int64), np.zeros(0)
-    parts = parts or [(ObserverRows(whole, whole, whole, real, real, whole), DetectionRows(whole, whole, real, real))]
-    begins = np.cumsum([0, *(observers.n.size for observers, _ in parts)])
-    observers = ObserverRows(*map(np.concatenate, zip(*(part for part, _ in parts), strict=True)))
-    singles = (one._replace(row=one.row + begin) for (_, one), begin in zip(parts, begins, strict=False))
-    return observers, DetectionRows(*map(np.concatenate, zip(*singles, strict=True)))
+    if not parts:
+        return ObserverRows(whole, whole, whole, real, real, whole), DetectionRows(whole, whole, real, real)
+    by_observer, by_detection = [], []
+    n_rows = 0
+    for observers, detections in parts:
+        by_observer.append(observers)
+        by_detection.append(detections._replace(row=detections.row + n_rows))
+        n_rows += observers.n.size
+    return (
+        ObserverRows(*map(np.concatenate, zip(*by_observer, strict=True))),
+        DetectionRows(*map(np.concatenate, zip(*by_detection, strict=True))),
+    )
 
 
 def _ranks(values: Int[ndarray, "k"], limit: int) -> tuple[Int[ndarray, "k"], int]:

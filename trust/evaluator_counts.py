@@ -36,7 +36,8 @@ class EvaluatorTable:
         """
         keys = np.sort(pair_key(row, evaluator))
         at, known = rows_of(keys, self.keys)
-        self.newest[at[known]] = np.maximum(self.newest[at[known]], step)
+        again = at[known]
+        self.newest[again] = np.maximum(self.newest[again], step)
         new = keys[~known]
         self.newest = np.insert(self.newest, np.searchsorted(self.keys, new), step)
         self.keys = merged(self.keys, new)

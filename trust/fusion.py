@@ -91,7 +91,8 @@ def _trupercept_1(g: GroupSums, p: TrustParams) -> ndarray:
 
 def _local_bias(g: GroupSums, p: TrustParams) -> ndarray:
     value = _average(g, p)
-    return np.where(_implausible(g, p), 0.0, np.where(g.ego_detected, (value + g.own) / 2, value))
+    biased = np.where(g.ego_detected, (value + g.own) / 2, value)
+    return np.where(_implausible(g, p), 0.0, biased)
 
 
 def _unchecked_2(g: GroupSums, p: TrustParams) -> ndarray:
@@ -103,9 +104,13 @@ def _trupercept_2(g: GroupSums, p: TrustParams) -> ndarray:
 
 
 def _trupercept_3(g: GroupSums, p: TrustParams) -> ndarray:
-    near, far = (g.own, g.parity.of_seed) if g.parity else 2 * (_unchecked_2(g, p),)
+    if g.parity:
+        near, far = g.own, g.parity.of_seed
+    else:
+        near = far = _unchecked_2(g, p)
     unseen = (g.evidence.n_points < p.blind_points) & ~_implausible(g, p)
-    foreign = np.where(g.evidence.in_range, np.where(unseen, near, 0.0), far)
+    in_range = np.where(unseen, near, 0.0)
+    foreign = np.where(g.evidence.in_range, in_range, far)
     return np.where(g.ego_detected, g.own, foreign)
 
 
@@ -268,7 +273,8 @@ def _scores_of_method(
 def votes_of(given: FusionInput, sender_trust: SenderTrust) -> ObjectVotes:
     """Votes on the groups of each ego. They do not depend on trust, so several fusions can share them."""
     t, evaluated = sender_trust.canonical(), given.evaluated
-    with threads_for(t.message.size * evaluated.member.size / max(1, evaluated.owner.size)) as n_threads:
+    n_evaluators = max(1, evaluated.owner.size)
+    with threads_for(t.message.size * evaluated.member.size / n_evaluators) as n_threads:
         return object_votes(given, t, n_threads)
 
 
@@ -287,7 +293,8 @@ def first_least(group, value, n_groups):
     best = np.full(n_groups, -1, np.int64)
     for p in range(len(group)):
         q = best[group[p]]
-        if q < 0 or value[p] < value[q] or (np.isnan(value[q]) and not np.isnan(value[p])):
+        is_less = q < 0 or value[p] < value[q]
+        if is_less or (np.isnan(value[q]) and not np.isnan(value[p])):
             best[group[p]] = p
     return best
 
@@ -305,9 +312,11 @@ def _parity(given: FusionInput, members: MemberSums, params: TrustParams) -> Par
     num, den, n, detector = members
     mean = params.method in AVERAGES if params.code_aggregate == "by_method" else params.code_aggregate == "mean"
     aggregate = _ratio(num, den) if mean else num
-    certain, size = np.where(is_self, 1.0, -1.0) * detector, total(np.ones(len(num)))
+    certain = np.where(is_self, 1.0, -1.0) * detector
+    size = total(np.ones(len(num)))
+    own_score = np.where(by_ego, score, 0.0)
     return Parity(
-        mean_or_own=total(np.where(n > 0, aggregate, np.where(by_ego, score, 0.0))) / size,
+        mean_or_own=total(np.where(n > 0, aggregate, own_score)) / size,
         mean_or_score=total(np.where(n > 0, aggregate, score)) / size,
         of_seed=aggregate[seeds],
         certain=total(certain),

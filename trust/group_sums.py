@@ -35,11 +35,15 @@ class ListedEvaluations(NamedTuple):
     @staticmethod
     def of(lists: ObjectLists, given: Evaluations) -> "ListedEvaluations":
         """The evaluations with e in [-1, 1] and Phi in [0, 1], in the types of the kernel."""
-        ptr, member, e, phi = int64(lists.ptr), lists.member.astype(np.int32), given.evaluation, given.visibility
+        ptr = int64(lists.ptr)
+        member = lists.member.astype(np.int32)
+        e, phi = given.evaluation, given.visibility
         valid = (np.abs(e) <= 1.0) & (phi >= 0.0) & (phi <= 1.0)
         if not valid.all():
             rows = np.flatnonzero(valid)
-            ptr, member, e, phi = np.searchsorted(rows, ptr), member[rows], e[rows], phi[rows]
+            ptr = np.searchsorted(rows, ptr)
+            member = member[rows]
+            e, phi = e[rows], phi[rows]
         return ListedEvaluations(ptr, member, e, phi)
 
 
@@ -65,7 +69,8 @@ class KernelInput(NamedTuple):
         """
         lists, detections, evaluated = given.lists, given.detections, given.evaluated
         rows = (lists.owner, evaluated.owner, received, detections.message)
-        evaluated_by = np.full(1 + int(max(a.max(initial=-1) for a in rows)), -1, np.int64)
+        last = max(int(of_messages.max(initial=-1)) for of_messages in rows)
+        evaluated_by = np.full(1 + last, -1, np.int64)
         evaluated_by[evaluated.owner] = np.arange(evaluated.owner.size)
         of_lists = EgoLists(
             ptr=int64(lists.ptr),
@@ -104,7 +109,12 @@ class MemberSums(NamedTuple):
     @staticmethod
     def of(m: int) -> "MemberSums":
         """Room for m positions."""
-        return MemberSums(np.empty(m), np.empty(m), np.empty(m, np.int32), np.empty(m))
+        return MemberSums(
+            num=np.empty(m),
+            den=np.empty(m),
+            n=np.empty(m, np.int32),
+            detector=np.empty(m),
+        )
 
 
 class GroupTotals(NamedTuple):
@@ -122,8 +132,9 @@ class GroupTotals(NamedTuple):
     @staticmethod
     def zeros(n: int) -> "GroupTotals":
         """Of n groups."""
-        counts = {name: np.zeros(n, np.int64) for name in ("size", "n_evaluations", "n_evaluators")}
-        return GroupTotals(**counts, **{name: np.zeros(n) for name in GroupTotals._fields if name not in counts})
+        counts = ("size", "n_evaluations", "n_evaluators")
+        kinds = [np.int64 if name in counts else np.float64 for name in GroupTotals._fields]
+        return GroupTotals(*(np.zeros(n, kind) for kind in kinds))
 
 
 class _OfEgo(NamedTuple):
@@ -164,11 +175,16 @@ def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weigh
     at = np.full(lists.message.size, -1, np.int32)
     known = np.full(evaluated_by.size, default_trust)
     room = _OfEgo(
-        np.empty(longest), np.empty(longest), np.empty(longest, np.int32), np.empty(longest, np.int32),
-        np.empty(longest, np.int32), np.empty(longest, np.int32),
-    )  # fmt: skip
+        np.empty(longest),
+        np.empty(longest),
+        np.empty(longest, np.int32),
+        np.empty(longest, np.int32),
+        np.empty(longest, np.int32),
+        np.empty(longest, np.int32),
+    )
     for x in range(chunk, lists.owner.size, n_chunks):
-        ego, begin, end = lists.owner[x], lists.ptr[x], lists.ptr[x + 1]
+        ego = lists.owner[x]
+        begin, end = lists.ptr[x], lists.ptr[x + 1]
         if begin == end:
             continue
         for h in range(received_ptr[x], received_ptr[x + 1]):
@@ -186,7 +202,8 @@ def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weigh
             room.group[k] = lists.group[begin + k] - first
         v = evaluated_by[ego]
         if v >= 0:
-            _add(own, own.ptr[v], own.ptr[v + 1], 1.0 if unit_trust else known[ego], ego, at, room)
+            t = 1.0 if unit_trust else known[ego]
+            _add(own, own.ptr[v], own.ptr[v + 1], t, ego, at, room)
         for h in range(received_ptr[x], received_ptr[x + 1]):
             message = received[h]
             v = evaluated_by[message]
@@ -210,8 +227,10 @@ def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weigh
                 totals.n_evaluators[first + k] = room.n_evaluators[k]
             if sums.num.size:
                 row = begin + k
-                sums.num[row], sums.den[row] = room.num[k], room.den[k]
-                sums.n[row], sums.detector[row] = room.n[k], t
+                sums.num[row] = room.num[k]
+                sums.den[row] = room.den[k]
+                sums.n[row] = room.n[k]
+                sums.detector[row] = t
         for h in range(received_ptr[x], received_ptr[x + 1]):
             known[received[h]] = default_trust
         known[ego] = default_trust
@@ -260,7 +279,8 @@ def sums_of_groups(
     )
     members = MemberSums.of(lists.member.size * params.code_parity)
     totals = GroupTotals.zeros(given.groups.seeds().size)
-    n_sums = lists.member.size + t.message.size * evaluated.member.size / max(1, evaluated.owner.size)
+    n_evaluators = max(1, evaluated.owner.size)
+    n_sums = lists.member.size + t.message.size * evaluated.member.size / n_evaluators
     longest = int(np.diff(lists.ptr).max(initial=0))
     with threads_for(n_sums) as n_threads:
         _accumulate(longest, *KernelInput.of(given, t.message), weights, n_threads, members, totals)

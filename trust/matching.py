@@ -20,15 +20,16 @@ def _candidate(d, after, at, block, ptr, other, value):
     Unsigned numbers of rows, because signed ones are tested for being negative at each access.
     """
     best, best_iou = -1, 0.0
-    for x in range(np.uint64(ptr[d]), np.uint64(ptr[d + 1])):
+    begin = np.uint64(ptr[d])
+    end = np.uint64(ptr[d + 1])
+    for x in range(begin, end):
         q = at[np.uint32(other[x])]
         if q < 0 or block[q] <= after:
             continue
-        if (
-            best < 0
-            or block[q] < block[best]
-            or (block[q] == block[best] and (value[x] > best_iou or (value[x] == best_iou and q < best)))
-        ):
+        is_better = best < 0 or block[q] < block[best]
+        if not is_better and block[q] == block[best]:
+            is_better = value[x] > best_iou or (value[x] == best_iou and q < best)
+        if is_better:
             best, best_iou = q, value[x]
     return best, best_iou
 
@@ -42,16 +43,24 @@ def _offer(s, t, member, seed, first, ptr, other, value, v, offer, offer_iou, of
     for p in range(s, t):
         if seed[p] != p:
             continue
-        for x in range(np.uint64(ptr[member[p]]), np.uint64(ptr[member[p] + 1])):
+        begin = np.uint64(ptr[member[p]])
+        end = np.uint64(ptr[member[p] + 1])
+        for x in range(begin, end):
             d = np.uint32(other[x])
-            if offer_list[d] != v or (first[offer[d]] == s and value[x] > offer_iou[d]):
-                offer[d], offer_iou[d], offer_list[d] = p, value[x], v
+            if offer_list[d] == v:
+                is_of_this_message = first[offer[d]] == s
+                if not (is_of_this_message and value[x] > offer_iou[d]):
+                    continue
+            offer[d] = p
+            offer_iou[d] = value[x]
+            offer_list[d] = v
 
 
 @parallel
 def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle, n_chunks):
     """Seed of each position, and whether it is the owner's detection."""
-    seeds, by_owner = np.empty(members.size, np.int64), np.empty(members.size, np.bool_)
+    seeds = np.empty(members.size, np.int64)
+    by_owner = np.empty(members.size, np.bool_)
     for chunk in prange(n_chunks):  # in parallel an unsigned number, for which a kernel would be compiled once more
         _seeds_of_lists(
             np.int64(chunk),
@@ -79,10 +88,13 @@ def _seeds_of_lists(
     for v in range(chunk, len(list_ptr) - 1, n_chunks):
         longest = max(longest, list_ptr[v + 1] - list_ptr[v])
     # of the list under way, by position in it: where the detections of the same message start, and the seed
-    block, seed = np.empty(longest, np.int32), np.empty(longest, np.int32)
+    block = np.empty(longest, np.int32)
+    seed = np.empty(longest, np.int32)
     # of each detection: its position if it is a seed of an earlier message; its first candidate, in which list
-    at, offer = np.full(message.size, -1, np.int32), np.empty(message.size, np.int32)
-    offer_iou, offer_list = np.zeros(message.size), np.full(message.size, -1, np.int32)
+    at = np.full(message.size, -1, np.int32)
+    offer = np.empty(message.size, np.int32)
+    offer_iou = np.zeros(message.size)
+    offer_list = np.full(message.size, -1, np.int32)
     n_choices = longest if one_per_vehicle else 0
     choice, winner, waiting = np.empty((3, n_choices), np.int32)
     choice_iou = np.empty(n_choices)
@@ -91,7 +103,8 @@ def _seeds_of_lists(
         s = np.int64(0)  # a literal would be a type of its own, for which kernels are compiled once more
         while s < len(member):
             t = s
-            while t < len(member) and message[member[t]] == message[member[s]]:
+            of_message = message[member[s]]
+            while t < len(member) and message[member[t]] == of_message:
                 block[t] = s
                 t += 1
             for p in range(s, t):
@@ -109,8 +122,9 @@ def _seeds_of_lists(
             s = t
         for p in range(len(member)):
             at[member[p]] = -1
-            seeds[list_ptr[v] + p] = list_ptr[v] + seed[p]
-            by_owner[list_ptr[v] + p] = message[member[seed[p]]] == owner[v]
+            row = list_ptr[v] + p
+            seeds[row] = list_ptr[v] + seed[p]
+            by_owner[row] = message[member[seed[p]]] == owner[v]
 
 
 @compiled
@@ -133,16 +147,18 @@ def _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, choice, c
             winner[choice[p]] = -1
         for p in waiting[:n_waiting]:
             q = choice[p]
-            if block[q] == turn and (winner[q] < 0 or choice_iou[p] > choice_iou[winner[q]]):
-                winner[q] = p
+            if block[q] == turn:
+                if winner[q] < 0 or choice_iou[p] > choice_iou[winner[q]]:
+                    winner[q] = p
         n_left = 0
         for p in waiting[:n_waiting]:
             if block[choice[p]] == turn:
                 if winner[choice[p]] == p:
                     seed[p] = choice[p]
                     continue
-                choice[p], choice_iou[p] = _candidate(member[p], turn, at, block, ptr, other, value)
-                if choice[p] < 0:
+                following, iou = _candidate(member[p], turn, at, block, ptr, other, value)
+                choice[p], choice_iou[p] = following, iou
+                if following < 0:
                     continue
             waiting[n_left] = p
             n_left += 1
@@ -162,16 +178,23 @@ def _partners(i, j, value, n):
     other = np.empty(2 * len(i), np.int32)
     of = np.empty(2 * len(i))
     for k in range(len(i)):
-        for a, b in ((i[k], j[k]), (j[k], i[k])):
-            other[at[a]], of[at[a]] = b, value[k]
+        one, its_partner = i[k], j[k]
+        for a, b in ((one, its_partner), (its_partner, one)):
+            row = at[a]
+            other[row] = b
+            of[row] = value[k]
             at[a] += 1
     return ptr, other, of
+
+
+Pairs = tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]]
+"""Rows of two detections, and how well they agree."""
 
 
 def match(
     lists: ObjectLists,
     detections: SentDetections,
-    pairs: tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]],
+    pairs: Pairs,
     params: TrustParams,
 ) -> Groups:
     """Groups of detections that each object list attributes to one object.
@@ -201,7 +224,7 @@ def match(
 def match_each(
     lists: Sequence[ObjectLists],
     detections: SentDetections,
-    pairs: tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]],
+    pairs: Pairs,
     params: TrustParams,
 ) -> list[Groups]:
     """Groups as `match` finds them, of several sets of lists of the same detections."""
@@ -209,12 +232,12 @@ def match_each(
     kept = pairs[2] > least  # False for a NaN
     i, j, iou = pairs if kept.all() else (column[kept] for column in pairs)
     i, j = (np.ascontiguousarray(rows, np.int32) for rows in (i, j))
-    ptr, other, value = _partners(i, j, float64(iou), len(detections))
+    partners = _partners(i, j, float64(iou), len(detections))
+    message = int64(detections.message)
     found = []
     for each in lists:
+        of_list = int64(each.ptr), int64(each.member), int64(each.owner)
         with threads_for(each.member.size) as n:
-            found.append(Groups(*_seeds(
-                int64(each.ptr), int64(each.member), int64(each.owner), int64(detections.message), ptr, other, value,
-                params.one_per_vehicle, n,
-            )))  # fmt: skip
+            seeds, by_owner = _seeds(*of_list, message, *partners, params.one_per_vehicle, n)
+        found.append(Groups(seeds, by_owner))
     return found

@@ -75,7 +75,12 @@ class _Votes(NamedTuple):
     @staticmethod
     def of(n: int) -> "_Votes":
         """Room for n votes."""
-        return _Votes(np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, bool), np.empty(n))
+        return _Votes(
+            group=np.empty(n, np.int64),
+            position=np.empty(n, np.int64),
+            in_favour=np.empty(n, bool),
+            visibility=np.empty(n),
+        )
 
 
 @parallel
@@ -97,7 +102,8 @@ def _reports(lists, evaluated_by, own, reported, messages, n_chunks, row_ptr, ou
             first, last = group[a], group[a]
             for p in range(a, b):
                 at[member[p]] = p
-                first, last = min(first, group[p]), max(last, group[p])
+                first = min(first, group[p])
+                last = max(last, group[p])
                 m = message[member[p]]
                 if end[m] == 0:
                     begin[m] = p
@@ -118,14 +124,16 @@ def _reports(lists, evaluated_by, own, reported, messages, n_chunks, row_ptr, ou
                         touched[n_touched] = g
                         n_touched += 1
                     side[g], phi_of[g] = 2, -1.0
-                if evaluated_by[v] >= 0 and (is_own or has_evaluations[h]):
+                row = evaluated_by[v]
+                if row >= 0 and (is_own or has_evaluations[h]):
                     of = own if is_own else reported
                     e, phi = of.evaluation, of.visibility
-                    for s in range(of.ptr[evaluated_by[v]], of.ptr[evaluated_by[v] + 1]):
+                    for s in range(of.ptr[row], of.ptr[row + 1]):
                         p = at[of.member[s]]
                         if p < 0 or phi[s] == 0.0:
                             continue
-                        g, now = group[p] - first, 2 if e[s] > 0.0 else 1
+                        g = group[p] - first
+                        now = 2 if e[s] > 0.0 else 1
                         if side[g] == 0:
                             touched[n_touched] = g
                             n_touched += 1
@@ -164,8 +172,9 @@ def object_votes(given: FusionInput, received: SenderTrust, n_threads: int) -> O
     Votes by ego; those of one ego are in the order of the received messages, after its own.
     """
     messages = _Received(int64(received.ptr), int64(received.message), received.arrived())
-    given_arrays, n_egos = KernelInput.of(given, received.message), given.lists.owner.size
-    n_rows = _reports(*given_arrays, messages, n_threads, np.zeros(n_egos + 1, np.int64), _Votes.of(0))
+    given_arrays = KernelInput.of(given, received.message)
+    no_rows = np.zeros(given.lists.owner.size + 1, np.int64)
+    n_rows = _reports(*given_arrays, messages, n_threads, no_rows, _Votes.of(0))
     row_ptr = np.concatenate([[0], np.cumsum(n_rows)])
     out = _Votes.of(int(row_ptr[-1]))
     if out.group.size:

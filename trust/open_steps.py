@@ -46,11 +46,12 @@ class AcceptedEvaluations:
     n_rejected: Int[ndarray, "reasons"]  # received evaluations without effect, by `RejectReason`
 
 
-_ACCEPTED, _BAD_VALUE, _UNKNOWN_EVALUATOR, _UNKNOWN_OBSERVER, _UNKNOWN_DETECTION, _DUPLICATE = (
-    int(RejectReason[name]) for name in (
-        "ACCEPTED", "BAD_VALUE", "UNKNOWN_EVALUATOR", "UNKNOWN_OBSERVER", "UNKNOWN_DETECTION", "DUPLICATE"
-    )
-)  # fmt: skip
+_ACCEPTED = int(RejectReason.ACCEPTED)
+_BAD_VALUE = int(RejectReason.BAD_VALUE)
+_UNKNOWN_EVALUATOR = int(RejectReason.UNKNOWN_EVALUATOR)
+_UNKNOWN_OBSERVER = int(RejectReason.UNKNOWN_OBSERVER)
+_UNKNOWN_DETECTION = int(RejectReason.UNKNOWN_DETECTION)
+_DUPLICATE = int(RejectReason.DUPLICATE)
 
 
 @compiled
@@ -62,7 +63,8 @@ def _checked(messages, observer, index, evaluation, visibility, first, score):
     """
     ptr, is_known = messages
     row, is_present = observer
-    reason, detection = np.zeros(row.size, np.uint8), np.zeros(row.size, np.int64)
+    reason = np.zeros(row.size, np.uint8)
+    detection = np.zeros(row.size, np.int64)
     mark = np.full(score.size, -1, np.int64)  # of each detection: the last message that evaluates it
     for message in range(is_known.size):
         for k in range(ptr[message], ptr[message + 1]):
@@ -89,7 +91,8 @@ def _opened(n, row, index, score):
     valid = (score >= 0.0) & (score <= 1.0) & (index >= 0) & (index < MAX_DETECTIONS)
     first = np.zeros(n + 1, np.int64)
     for d in np.flatnonzero(valid):
-        first[row[d] + 1] = max(first[row[d] + 1], index[d] + 1)
+        after = row[d] + 1
+        first[after] = max(first[after], index[d] + 1)
     first = np.cumsum(first)
     of_detection, n_bad = np.full(first[-1], np.nan), score.size
     for d in np.flatnonzero(valid):
@@ -150,9 +153,11 @@ class OpenStep:
             (int64(messages.ptr), is_known), (observer, is_present), int64(messages.detection_index), e, phi,
             self.first, self.score,
         )  # fmt: skip
-        holder, message_row = int64(received.holder)[receptions], int64(received.message_row)[receptions]
+        holder = int64(received.holder)[receptions]
+        message_row = int64(received.message_row)[receptions]
 
-        n_receptions = np.repeat(np.bincount(message_row, minlength=evaluator.size), np.diff(messages.ptr))
+        n_of_message = np.bincount(message_row, minlength=evaluator.size)
+        n_receptions = np.repeat(n_of_message, np.diff(messages.ptr))
         n_rejected = np.bincount(reason, n_receptions, len(RejectReason)).astype(np.int64)
         n_rejected[RejectReason.ACCEPTED] = 0
         n_rejected[RejectReason.DUPLICATE] += len(received) - int(n_receptions.sum())
@@ -172,7 +177,8 @@ class OpenStep:
     @property
     def nbytes(self) -> int:
         """Memory [B]."""
-        return self.pseudonyms.nbytes + self.first.nbytes + self.score.nbytes + self._received.nbytes
+        columns = self.pseudonyms, self.first, self.score, self._received
+        return sum(column.nbytes for column in columns)
 
     def _new_receptions(
         self, received: ReceivedEvaluations, evaluator: Int[ndarray, "v"], is_known: Bool[ndarray, "v"]
@@ -189,7 +195,9 @@ class OpenStep:
         keys, first = np.unique(keys, return_index=True)
         new = ~rows_of(keys, self._received)[1]
         self._received = merged(self._received, keys[new])
-        return np.sort(np.concatenate([rows[first[new]], np.flatnonzero(~known)]))
+        of_known = rows[first[new]]
+        of_unknown = np.flatnonzero(~known)
+        return np.sort(np.concatenate([of_known, of_unknown]))
 
 
 class OpenSteps:

@@ -37,7 +37,9 @@ class PairIndex:
         if not found.all():
             new = np.unique(keys[~found])
             n_again = min(new.size, self._free.size)
-            rows = np.concatenate([self._free[:n_again], np.arange(len(self), len(self) + new.size - n_again)])
+            n_more = new.size - n_again
+            more = np.arange(len(self), len(self) + n_more)
+            rows = np.concatenate([self._free[:n_again], more])
             self._free = self._free[n_again:]
             self._rows = np.insert(self._rows, np.searchsorted(self._keys, new), rows)
             self._keys = merged(self._keys, new)
@@ -92,7 +94,8 @@ def with_rows(column: ndarray, n: int) -> ndarray:
     """
     if len(column) >= n:
         return column
-    new = np.zeros((max(n, 2 * len(column)) - len(column), *column.shape[1:]), column.dtype)
+    n_new = max(n, 2 * len(column)) - len(column)
+    new = np.zeros((n_new, *column.shape[1:]), column.dtype)
     return np.concatenate([column, new])
 
 

@@ -151,7 +151,8 @@ class TrustParams(TruPerceptParams):
                     f"trust.gamma_lower_points = {low:g} and trust.gamma_upper_points = {high:g} returns of a {label}: "
                     "visibility needs 0 <= lower <= upper <= 1e6."
                 )
-        if self.evidence[:1] != ("detections",) or len(set(self.evidence)) < len(self.evidence):
+        is_repeated = len(set(self.evidence)) < len(self.evidence)
+        if self.evidence[:1] != ("detections",) or is_repeated:
             raise ValueError(
                 f'trust.evidence = {list(self.evidence)}: the list begins with "detections", and names each kind '
                 'once. Further kinds are "missing" and "speed".'

@@ -141,7 +141,8 @@ class StepEvidence:
         ptr, evaluator, subject = accepted.ptr, accepted.evaluator, accepted.observer
         terms, counts = _terms_of_evaluations(ptr, evaluator, subject, evaluation, visibility)
         self._add_terms(accepted, terms, counts)
-        is_evidence = (counts[:, 1] > 0) & (self.sent.score[accepted.detection] >= least_score)
+        is_scored = self.sent.score[accepted.detection] >= least_score
+        is_evidence = (counts[:, 1] > 0) & is_scored
         return self._pairs_and_evaluators(accepted, is_evidence)
 
     def _add_terms(

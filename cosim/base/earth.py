@@ -109,7 +109,8 @@ class Projection:
         """
         xy = np.asarray(xy_m, float)
         stretch = self.scale * RADIUS_M
-        xi = (xy[:, 1] + self.north_m) / stretch + _rectified(math.radians(self.latitude_deg))
+        origin = _rectified(math.radians(self.latitude_deg))
+        xi = (xy[:, 1] + self.north_m) / stretch + origin
         eta = (xy[:, 0] + self.east_m) / stretch
         of_xi, of_eta = _series(BETA, xi, eta)
         north, east = xi - of_xi, eta - of_eta
@@ -136,7 +137,8 @@ class Projection:
         sin_lat = np.sin(np.radians(latitude_deg))
         away = np.radians(np.asarray(longitude_deg, float) - self.longitude_deg)
         cos_away = np.cos(away)
-        t = np.sinh(np.arctanh(sin_lat) - E * np.arctanh(E * sin_lat))
+        isometric = np.arctanh(sin_lat) - E * np.arctanh(E * sin_lat)
+        t = np.sinh(isometric)
         xi = np.arctan2(t, cos_away)
         eta = np.arcsinh(np.sin(away) / np.hypot(t, cos_away))
         of_xi, of_eta = _series(ALPHA, xi, eta)
@@ -154,14 +156,14 @@ def _series(
     """Sums over k of c_k sin(2k xi) cosh(2k eta), and of c_k cos(2k xi) sinh(2k eta)."""
     j = 2 * np.arange(1, 5)[:, None]
     c = np.array(coefficients)[:, None]
-    of_xi = (c * np.sin(j * xi) * np.cosh(j * eta)).sum(axis=0)
-    of_eta = (c * np.cos(j * xi) * np.sinh(j * eta)).sum(axis=0)
-    return of_xi, of_eta
+    of_xi = c * np.sin(j * xi) * np.cosh(j * eta)
+    of_eta = c * np.cos(j * xi) * np.sinh(j * eta)
+    return of_xi.sum(axis=0), of_eta.sum(axis=0)
 
 
 def _rectified(lat_rad: float) -> float:
     """Length of the meridian from the equator, as an angle."""
     sin = math.sin(lat_rad)
-    t = math.sinh(math.atanh(sin) - E * math.atanh(E * sin))
-    xi = math.atan(t)
+    isometric = math.atanh(sin) - E * math.atanh(E * sin)
+    xi = math.atan(math.sinh(isometric))
     return xi + sum(a * math.sin(2 * k * xi) for k, a in enumerate(ALPHA, 1))

@@ -96,10 +96,15 @@ def distinct(value: Int[ndarray, "m"]) -> tuple[Int[ndarray, "k"], Int[ndarray, 
     takes 20 ms, and 250 ms without counts, because it then uses a hash table.
     """
     ordered = np.sort(value, kind="stable")
-    is_first = np.ones(len(ordered), bool)
-    is_first[1:] = ordered[1:] != ordered[:-1]
-    first = np.flatnonzero(is_first)
+    first = np.flatnonzero(differs_from_last(ordered))
     return ordered[first], np.diff(np.append(first, len(ordered)))
+
+
+def differs_from_last(value: Int[ndarray, "m"]) -> Bool[ndarray, "m"]:
+    """Whether each number differs from the one before it. The first one counts as different."""
+    differs = np.ones(len(value), bool)
+    differs[1:] = value[1:] != value[:-1]
+    return differs
 
 
 def stable_order(value: Int[ndarray, "m"]) -> Int[ndarray, "m"]:

@@ -37,7 +37,8 @@ class StateReplay(Generic[S]):
             if changed or known is None or known[0] != n_additions:
                 rows = log.rows(g)
                 n_steps = g - step if step >= 0 else 0
-                self._after[g] = n_additions, advance(state, n_steps, g, rows, len(log.pairs))
+                after = advance(state, n_steps, g, rows, len(log.pairs))
+                self._after[g] = n_additions, after
                 changed = True
             step, state = g, self._after[g][1]
         if changed:  # later states rest on others
@@ -147,10 +148,14 @@ class Stepwise:
         step, state = self._replay.state(self.log, self.advance)
         reading = self.read(state, now - step if step >= 0 else 0, now)
         holder, subject, row = self.log.pairs.sorted()
-        n, newest, oldest = with_rows(self.log.counted, len(self.log.pairs))[row].T
+        counted = with_rows(self.log.counted, len(self.log.pairs))
+        n, newest, oldest = counted[row].T
         known = (n > 0) & self.is_younger(now - newest, reading.horizon_s)
-        holder, subject, row, n, newest, oldest = (a[known] for a in (holder, subject, row, n, newest, oldest))
-        uncertainty = np.full(row.size, np.nan) if reading.uncertainty is None else reading.uncertainty[row]
+        holder, subject, row = (column[known] for column in (holder, subject, row))
+        n, newest, oldest = (column[known] for column in (n, newest, oldest))
+        uncertainty = np.full(row.size, np.nan)
+        if reading.uncertainty is not None:
+            uncertainty = reading.uncertainty[row]
         return TrustScores(
             now, holder, subject, reading.trust[row], uncertainty, reading.weight[row], n,
             newest, oldest, newest.copy(), oldest.copy(), n > 0,

@@ -162,7 +162,8 @@ class TruPercept:
         holder, subject, row = store.pairs.sorted()
         has_evidence = sums.count[row, 0] > 0
         holder, subject, row = (column[has_evidence] for column in (holder, subject, row))
-        weight, n_evaluations = sums.total[row, 1], sums.count[row, 1]
+        weight = sums.total[row, 1]
+        n_evaluations = sums.count[row, 1]
         span = sums.span[row]
         before_window = self.now - self.window if self._folded is None else NEVER
         n_evaluators = store.evaluators.count(n, before_window)
@@ -192,7 +193,8 @@ class TruPercept:
     def nbytes(self) -> int:
         """Memory, the shared store included [B]."""
         folded = self._folded or _Sums(0)
-        return self.store.nbytes + folded.total.nbytes + folded.count.nbytes + folded.span.nbytes
+        columns = folded.total, folded.count, folded.span
+        return self.store.nbytes + sum(column.nbytes for column in columns)
 
     def _fold(self, folded: _Sums) -> None:
         """Add the steps that are no longer open to the running sums, in the order of time."""
