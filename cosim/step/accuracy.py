@@ -173,8 +173,10 @@ def as_encoded(said: Detections, velocity_of_class: Float[ndarray, "d 3"]) -> De
     values of the own vehicle are small, and far from the ends of their ranges. Deviations: what a vehicle states of its
     own position and heading is not rounded, and it reads its own detections with the rounded values.
     """
-    variances = said.variance_m2, said.relative_m2, said.velocity_variance
-    position_std, relative_std, velocity_std = (np.sqrt(variance[:, [0, 2]]) for variance in variances)
+    of_axes = [0, 2]
+    position_std = np.sqrt(said.variance_m2[:, of_axes])
+    relative_std = np.sqrt(said.relative_m2[:, of_axes])
+    velocity_std = np.sqrt(said.velocity_variance[:, of_axes])
     size_std = np.sqrt(said.size_variance)[:, None] * said.boxes.lwh_m
     values = Confidences.of(position_std, np.sqrt(said.heading_variance), size_std, velocity_std)
     read = values.standard_deviations()

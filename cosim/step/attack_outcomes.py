@@ -80,7 +80,8 @@ def attack_outcomes(
     is_removal = np.arange(len(detection)) >= len(inserted.detection)
     message, senders = messages.detections.message, exchange.senders
     own = np.flatnonzero(truth.is_sensed[: messages.ptr[len(senders)]])
-    detected = np.unique(senders.source[message[own]] * n + truth.actor_row[own])
+    observer = senders.source[message[own]]
+    detected = np.unique(observer * n + truth.actor_row[own])
     common = {
         "effect": np.where(is_removal, AttackEffect.REMOVED, AttackEffect.INSERTED),
         "observer": messages.pseudonym[message[detection]],
@@ -97,10 +98,14 @@ def attack_outcomes(
             continue
         scores = _scores_of_inserted(found, inserted, objects), _scores_of_removed(found, removed, truth, n)
         score, there = (np.concatenate(columns) for columns in zip(*scores, strict=True))
-        rows.append({
-            "variant": np.full(len(detection), variant), **common, "score": np.where(there, score, 0.0),
-            "score__valid": there,
-        })  # fmt: skip
+        rows.append(
+            {
+                "variant": np.full(len(detection), variant),
+                **common,
+                "score": np.where(there, score, 0.0),
+                "score__valid": there,
+            }
+        )
     return rows
 
 
@@ -108,9 +113,9 @@ def _scores_of_inserted(
     fused: Fused, inserted: Inserted, objects: Detections
 ) -> tuple[Float[ndarray, "k"], Bool[ndarray, "k"]]:
     """Score of the fused object that each fabricated detection became, and whether there is one."""
-    score, there = _best(
-        fused.ego * len(objects) + fused.seed, fused.score, inserted.receiver * len(objects) + inserted.seed
-    )
+    key = fused.ego * len(objects) + fused.seed
+    wanted = inserted.receiver * len(objects) + inserted.seed
+    score, there = _best(key, fused.score, wanted)
     return score, there & (objects.origin[inserted.seed] == FABRICATED)
 
 
@@ -119,13 +124,16 @@ def _scores_of_removed(
 ) -> tuple[Float[ndarray, "k"], Bool[ndarray, "k"]]:
     """Score of the receiver's fused object for each withheld actor, and whether there is one."""
     real = truth.is_real[fused.seed]
-    key = fused.ego[real] * n + truth.actor_row[fused.seed[real]]
-    return _best(key, fused.score[real], removed.receiver * n + truth.actor_row[removed.detection])
+    fused_actor = truth.actor_row[fused.seed[real]]
+    key = fused.ego[real] * n + fused_actor
+    wanted = removed.receiver * n + truth.actor_row[removed.detection]
+    return _best(key, fused.score[real], wanted)
 
 
 def _inserted(exchange: Exchange, messages: Known, compared: Compared) -> Inserted:
     receiver, detection, seed = compared.fabricated
-    foreign = messages.vehicle[messages.detections.message[detection]] != exchange.vehicles.senses[receiver]
+    sender = messages.vehicle[messages.detections.message[detection]]
+    foreign = sender != exchange.vehicles.senses[receiver]
     return Inserted(detection[foreign], receiver[foreign], seed[foreign])
 
 
@@ -137,7 +145,9 @@ def _removed(exchange: Exchange, messages: Known) -> Removed:
     concerned[message] = True
     found = np.flatnonzero(concerned[received.message])
     found = found[stable_order(received.message[found])]
-    first, last = (np.searchsorted(received.message[found], message, side) for side in ("left", "right"))
+    of_found = received.message[found]
+    first = np.searchsorted(of_found, message, "left")
+    last = np.searchsorted(of_found, message, "right")
     at, which = expand(first, last)
     receiver, detection = received.receiver[found[at]], row[which]
     is_other = exchange.sensing.row[receiver] != messages.truth.actor_row[detection]  # not of itself
@@ -164,5 +174,6 @@ def _in_path(world: World, row: Int[ndarray, "k"], boxes: Boxes) -> Bool[ndarray
     """Whether a vehicle would hit each box if it drove straight on for `PATH_M`."""
     away_m = boxes.xyz_m[:, :2] - world.boxes.xyz_m[row, :2]
     ahead_m, left_m = turned_by(-world.boxes.yaw_rad[row], away_m).T
-    reach_m = (world.boxes.lwh_m[row, 1] + boxes.lwh_m[:, 1]) / 2
+    own_width_m = world.boxes.lwh_m[row, 1]
+    reach_m = (own_width_m + boxes.lwh_m[:, 1]) / 2
     return (ahead_m > 0) & (ahead_m <= PATH_M) & (np.abs(left_m) <= reach_m)

@@ -56,7 +56,8 @@ def claims_of(
         parts_of.append(_speed(exchange, messages, compared, tracks, parts))
     if not parts_of:
         return None
-    list_, member, number, support = (np.concatenate(columns) for columns in zip(*parts_of, strict=True))
+    columns = [np.concatenate(column) for column in zip(*parts_of, strict=True)]
+    list_, member, number, support = columns
     order = np.lexsort((number, member, list_))
     return Claims(list_[order], member[order], number[order], support[order])
 
@@ -106,7 +107,8 @@ def _moved_sigma_m(
     of_class = (np.square(p.along_mean_mps) + np.square(p.along_sigma_mps))[label]
     is_unknown = np.isnan(velocities(messages.objects)[body]).any(axis=1)
     velocity_variance = np.where(is_unknown, of_class, of_track)
-    return np.sqrt(velocity_variance * age_s**2 + np.asarray(p.acceleration_noise)[label] * age_s**3 / 3.0)
+    acceleration_noise = np.asarray(p.acceleration_noise)[label]
+    return np.sqrt(velocity_variance * age_s**2 + acceleration_noise * age_s**3 / 3.0)
 
 
 def _of_tracks(
@@ -145,15 +147,23 @@ def absences_asked(step: int, exchange: Exchange, messages: Known, compared: Com
     is_full = np.bincount(message[is_object], minlength=len(messages.step)) >= max_objects
     by = message[lists.member]
     foreign = messages.vehicle[by] != exchange.vehicles.senses[of]
-    is_asked = foreign & (messages.step[by] == step) & messages.is_new(of, lists.member)
+    is_asked = foreign & (messages.step[by] == step)
+    is_asked &= messages.is_new(of, lists.member)
     at = np.flatnonzero(is_self[lists.member] & is_asked & ~is_full[by])
+    list_ = of[at]
     seeds = groups.seeds()
     begins = np.searchsorted(seeds, lists.ptr)
-    row, question = expand(begins[of[at]], begins[of[at] + 1])
+    row, question = expand(begins[list_], begins[list_ + 1])
     body = seeds[row]
     others = np.flatnonzero(body != groups.seed[at[question]])
     question, body = question[others], body[others]
-    return Asked(of[at], lists.member[at], question, lists.member[body], groups.ego_detected[body])
+    return Asked(
+        list=list_,
+        carrier=lists.member[at],
+        question=question,
+        body=lists.member[body],
+        is_target=groups.ego_detected[body],
+    )
 
 
 def _reported(messages: Known, boxes: Boxes, message: Int[ndarray, "k"], body: Int[ndarray, "k"]) -> Bool[ndarray, "k"]:
@@ -183,8 +193,10 @@ def _speed(
     foreign = messages.vehicle[by] != exchange.vehicles.senses[of]
     reports_itself = np.zeros(len(messages.vehicle), bool)
     reports_itself[messages.detections.message[messages.detections.is_self]] = True
-    claims = groups.ego_detected & foreign & reports_itself[by] & messages.is_new(of, lists.member)
-    at = np.flatnonzero(claims & ~np.isnan(claimed_mps[lists.member]).any(axis=1))
+    is_asked = groups.ego_detected & foreign & reports_itself[by]
+    is_asked &= messages.is_new(of, lists.member)
+    has_velocity = ~np.isnan(claimed_mps[lists.member]).any(axis=1)
+    at = np.flatnonzero(is_asked & has_velocity)
     own = lists.member[groups.seed[at]]
     claim = lists.member[at]
     known_mps, axis, variance = _own_velocities(exchange, messages, tracks, own, of[at])
@@ -193,10 +205,13 @@ def _speed(
     of_claim[messages.detections.is_self[claim]] = 0.0
     age_s = (exchange.now.step - messages.detection_step(claim)) * parts.config.traffic.step_s
     of_claim += (np.asarray(p.acceleration_noise)[label] * age_s)[:, None]  # it may have accelerated since
-    prior = np.column_stack([np.square(sigma)[label] for sigma in (p.along_sigma_mps, p.across_sigma_mps)])
+    sigma_of_class = np.column_stack([p.along_sigma_mps, p.across_sigma_mps])
+    prior = np.square(sigma_of_class)[label]
     east, north = (claimed_mps[claim] - known_mps).T
     cos, sin = axis.T
-    apart = np.column_stack([cos * east + sin * north, cos * north - sin * east])
+    along = cos * east + sin * north
+    across = cos * north - sin * east
+    apart = np.column_stack([along, across])
     tracked = np.flatnonzero(~np.isnan(apart).any(axis=1))
     support = velocity_support(apart[tracked], (variance + of_claim)[tracked], prior[tracked])
     kept = np.flatnonzero(messages.detections.is_self[claim[tracked]] | (support < 0))
@@ -222,6 +237,8 @@ def _own_velocities(
     known_mps = exchange.world.speed_mps[exchange.sensing.row[list_], None] * axis
     known_mps[~(is_sensed | messages.detections.is_self)[own]] = np.nan
     variance = np.full((len(own), 2), _LEAST_VARIANCE)
-    for column, of_state in ((known_mps, tracks.velocity_mps), (axis, tracks.axis), (variance, tracks.variance)):
-        column[tracked] = of_state[state[tracked]]
+    rows = state[tracked]
+    known_mps[tracked] = tracks.velocity_mps[rows]
+    axis[tracked] = tracks.axis[rows]
+    variance[tracked] = tracks.variance[rows]
     return known_mps, axis, np.maximum(variance, _LEAST_VARIANCE)

@@ -290,8 +290,9 @@ def _permitted_share(
     around = asked.boxes.take(of)
     xyz_m = around.xyz_m.copy()
     xyz_m[:, 0] += np.tile(x_of_u, n) * u
-    north_m = np.tile(y_of_u, n) * u + np.tile(y_of_v, n) * v
-    xyz_m[:, 1] += north_m
+    north_of_u = np.tile(y_of_u, n) * u
+    north_of_v = np.tile(y_of_v, n) * v
+    xyz_m[:, 1] += north_of_u + north_of_v
     around = replace(around, xyz_m=xyz_m)
     by_sweep = np.arange(n * len(rows)).reshape(n, -1).T.ravel()  # so that each sweep is read once
     around_each = replace(

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
-from cosim.base.ragged import expand, ptr_of, rows_of
+from cosim.base.ragged import differs_from_last, expand, ptr_of, rows_of
 from cosim.config.config import Config
 from cosim.messages.cloud_params import EarlyFusionParams
 from cosim.messages.content import SENSED
@@ -66,9 +66,11 @@ class Clouds:
         """These clouds, then others."""
         n = len(self.step)
         shifted = {"cloud": n + later.cloud, "received": n + later.received}
-        names = Clouds.__dataclass_fields__
-        added = [shifted.get(name, getattr(later, name)) for name in names]
-        return Clouds(*(np.concatenate([getattr(self, name), more]) for name, more in zip(names, added, strict=True)))
+        joined = {}
+        for name in Clouds.__dataclass_fields__:
+            more = shifted.get(name, getattr(later, name))
+            joined[name] = np.concatenate([getattr(self, name), more])
+        return Clouds(**joined)
 
     def since(self, step: int) -> "Clouds":
         """The clouds of this step and later ones."""
@@ -94,7 +96,8 @@ class Clouds:
 
     def with_late(self, step: Int[ndarray, "l"], sender: Int[ndarray, "l"], receiver: Int[ndarray, "l"]) -> "Clouds":
         """The clouds of these steps and senders have been received by more vehicles, in rows of their own."""
-        row, is_kept = rows_of(step << 32 | sender, self.step << 32 | self.sender)
+        kept = self.step << 32 | self.sender
+        row, is_kept = rows_of(step << 32 | sender, kept)
         return replace(
             self,
             receiver=np.concatenate([self.receiver, receiver[is_kept]]),
@@ -208,7 +211,8 @@ class EarlyFusion:
         """
         world, vehicles, sensing = exchange.world, exchange.vehicles, exchange.sensing
         of_senses = None if error is None else error[vehicles.senses]
-        sender, receiver, _ = neighbours(world.boxes.xyz_m[vehicles.row, :2], self.params.range_m)
+        xy_m = world.boxes.xyz_m[vehicles.row, :2]
+        sender, receiver, _ = neighbours(xy_m, self.params.range_m)
         row = np.full(len(vehicles), -1)
         row[vehicles.senses] = np.arange(len(sensing))
         near = row[sender] >= 0
@@ -237,7 +241,8 @@ class EarlyFusion:
             receiver=vehicles.actor[receiver[got]].astype(np.int64),
             received=sender[got],
         )
-        clouds = self._with_late(kept.since(world.step - self.oldest_steps).and_also(now), exchange, late)
+        kept = kept.since(world.step - self.oldest_steps)
+        clouds = self._with_late(kept.and_also(now), exchange, late)
         told, is_told = rows_of(clouds.untold, sensing.actor.astype(np.int64))
         n_late = np.bincount(told[is_told], minlength=len(sensing))
         is_waiting = ~is_told & np.isin(clouds.untold, vehicles.actor)
@@ -266,8 +271,9 @@ class EarlyFusion:
             row, is_there = rows_of(sender, vehicles.actor.astype(np.int64))
             x_m, y_m = (xy_m[row] - xy_m[receiver]).T
             is_there &= np.hypot(x_m, y_m) <= self.params.range_m
-            step, receiver = messages.step[message[is_there]], vehicles.actor[receiver[is_there]].astype(np.int64)
-            clouds = clouds.with_late(step, sender[is_there], receiver)
+            step = messages.step[message[is_there]]
+            actor = vehicles.actor[receiver[is_there]].astype(np.int64)
+            clouds = clouds.with_late(step, sender[is_there], actor)
         return clouds
 
     def _own_views(
@@ -298,7 +304,7 @@ class EarlyFusion:
         pair = ego << 32 | clouds.sender[cloud]
         dx, dy = (clouds.xy_m[cloud] - own_xy_m[ego]).T
         away_m = np.hypot(dx, dy)
-        newest = np.append(True, pair[1:] != pair[:-1])[: len(pair)]
+        newest = differs_from_last(pair)
         newest &= away_m <= self.params.range_m
         ego, cloud, away_m = ego[newest], cloud[newest], away_m[newest]
         order = np.lexsort((clouds.sender[cloud], away_m, ego))
@@ -317,7 +323,14 @@ class EarlyFusion:
             held = Boxes(xyz_m, np.ones_like(xyz_m), np.zeros(len(at)))
             xyz_m = as_estimated(held, ego, world.boxes.xyz_m[row], error, back=True).xyz_m
         off_m = xyz_m[:, :2] - world.boxes.xyz_m[actor, :2]
-        return Views(ego, actor, clouds.n_returns[at], clouds.n_unoccluded[at], clouds.range_m[at], off_m)
+        return Views(
+            observer=ego,
+            actor=actor,
+            n_returns=clouds.n_returns[at],
+            n_unoccluded=clouds.n_unoccluded[at],
+            range_m=clouds.range_m[at],
+            off_m=off_m,
+        )
 
     def _detected(
         self, views: Views, world: World, row: Int[ndarray, "s"], observed: Observed, error: Error
@@ -333,7 +346,8 @@ class EarlyFusion:
         is_real = np.repeat([True, False], [len(ego) - n_false, n_false])
         actor_row = np.append(found.reports.actor, np.zeros(n_false, np.int64))
         score = np.concatenate([found.reports.score, own.score])
-        order = np.lexsort([boxes.xyz_m[:, 1], boxes.xyz_m[:, 0], -score, ego])
+        x_m, y_m, _ = boxes.xyz_m.T
+        order = np.lexsort([y_m, x_m, -score, ego])
         if error is not None:
             boxes = as_estimated(boxes, ego, world.boxes.xyz_m[row], error)
         iou = np.zeros(len(ego))
@@ -349,4 +363,5 @@ class EarlyFusion:
             "actor_row": actor_row,
             "iou": iou,
         }
-        return {"boxes": boxes.take(order)} | {name: column[order] for name, column in columns.items()}
+        ordered = {name: column[order] for name, column in columns.items()}
+        return {"boxes": boxes.take(order), **ordered}

@@ -9,7 +9,7 @@ from numpy import ndarray
 from cosim.attacks.adversary import ActiveAttacks
 from cosim.attacks.attack import Sending
 from cosim.base import rng
-from cosim.base.ragged import expand
+from cosim.base.ragged import differs_from_last, expand
 from cosim.config.config import Config
 from cosim.messages.content import Detections
 from cosim.radio.bodies import Bodies
@@ -67,7 +67,13 @@ class Vehicles:
         if len(self.senses) == len(self):
             return self
         at = self.senses
-        return Vehicles(self.row[at], self.actor[at], self.name_key[at], self.pseudonym[at], np.arange(len(at)))
+        return Vehicles(
+            row=self.row[at],
+            actor=self.actor[at],
+            name_key=self.name_key[at],
+            pseudonym=self.pseudonym[at],
+            senses=np.arange(len(at)),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +112,8 @@ class Senders:
         key = vehicles.name_key[vehicle]
         more = np.flatnonzero(identity)
         if len(more):
-            key[more] = rng.keys(rng.key(0, rng.Stream.SENDER), key[more], identity[more])
+            of_identities = rng.key(0, rng.Stream.SENDER)
+            key[more] = rng.keys(of_identities, key[more], identity[more])
         pseudonym = vehicles.pseudonym[vehicle]
         return Senders(
             vehicle=vehicle,
@@ -131,6 +138,10 @@ class Senders:
         return self.own[np.searchsorted(observers, listed.observer)] + listed.identity
 
 
+Refused = tuple[Int[ndarray, "p"], Int[ndarray, "p"]]
+"""Rows of `Senders` and of `Vehicles`: messages that a vehicle does not forward."""
+
+
 @dataclass(frozen=True, slots=True)
 class Exchange:
     """The participants, positions and times of the two rounds of messages of a step."""
@@ -148,8 +159,8 @@ class Exchange:
     """Attacks that are carried out in this step."""
     sending: Sending | None
     """Which vehicles delay, copy, flood or jam, by row of `vehicles`; None if no vehicle does."""
-    refused: tuple[Int[ndarray, "p"], Int[ndarray, "p"]] | None = None
-    """Rows of `senders` and of `vehicles`: messages that a vehicle does not forward. None without relay control."""
+    refused: Refused | None = None
+    """None without relay control."""
 
     @staticmethod
     def of(
@@ -164,7 +175,8 @@ class Exchange:
     @property
     def sender(self) -> Int[ndarray, "m"]:
         """The sender's actor number and identity in one number, per message; the same in every step."""
-        return self.vehicles.actor[self.senders.vehicle].astype(np.int64) << 16 | self.senders.identity
+        actor = self.vehicles.actor[self.senders.vehicle]
+        return actor.astype(np.int64) << 16 | self.senders.identity
 
 
 def stations_of(world: World, row: Int[ndarray, "v"], rsus: RsuAntennas, above_roof_m: float) -> Stations:
@@ -173,9 +185,10 @@ def stations_of(world: World, row: Int[ndarray, "v"], rsus: RsuAntennas, above_r
     `above_roof_m` is the height of the vehicles' antennas above their roofs.
     """
     key = np.concatenate([world.name_key[row], rsus.key])
+    height_m = world.boxes.lwh_m[row, 2]
     xyz_m = np.concatenate([world.boxes.xyz_m[row], rsus.xyz_m])
-    xyz_m[: len(row), 2] += world.boxes.lwh_m[row, 2] / 2 + above_roof_m
-    above_street_m = np.concatenate([world.boxes.lwh_m[row, 2] + above_roof_m, rsus.above_street_m])
+    xyz_m[: len(row), 2] += height_m / 2 + above_roof_m
+    above_street_m = np.concatenate([height_m + above_roof_m, rsus.above_street_m])
     own = np.concatenate([row, np.full(len(rsus.key), -1)])
     lwh_m = world.boxes.lwh_m
     if world.is_roadside.any():  # a mast obstructs no link
@@ -239,23 +252,27 @@ class OnAir:
         if sending is None:
             return OnAir(Messages(station, length, envelope_bytes=envelope), message)
         delay_s = np.concatenate([sending.delay_s[senders.vehicle], np.zeros(n_rsus)])
-        times = np.concatenate([1 + sending.n_copies[senders.vehicle], np.ones(n_rsus, np.int64)])
+        of_vehicles = 1 + sending.n_copies[senders.vehicle]
+        times = np.concatenate([of_vehicles, np.ones(n_rsus, np.int64)])
         row = np.repeat(message, times)
         number = np.arange(len(row)) - np.searchsorted(row, row)
         order = np.lexsort((row, number, station[row]))  # copies come after all original messages of the station
         row = row[order]
-        return OnAir(
-            Messages(station[row], length[row], delay_s[row], envelope if envelope is None else envelope[row]), row
-        )
+        if envelope is not None:
+            envelope = envelope[row]
+        return OnAir(Messages(station[row], length[row], delay_s[row], envelope), row)
 
-    def without(self, refused: tuple[Int[ndarray, "p"], Int[ndarray, "p"]] | None) -> "OnAir":
+    def without(self, refused: Refused | None) -> "OnAir":
         """These frames without the forwarding that vehicles refuse, as in `Exchange.refused`."""
         if refused is None:
             return self
         order = np.argsort(self.message, kind="stable")
-        begin, end = (np.searchsorted(self.message[order], refused[0], side) for side in ("left", "right"))
+        ordered = self.message[order]
+        message, vehicle = refused
+        begin = np.searchsorted(ordered, message, "left")
+        end = np.searchsorted(ordered, message, "right")
         at, which = expand(begin, end)
-        pairs = np.sort(order[at] << 32 | refused[1][which])
+        pairs = np.sort(order[at] << 32 | vehicle[which])
         return replace(self, messages=replace(self.messages, refused=pairs))
 
     def links(self, found: MessageRound, n_vehicles: int) -> LinkReceptions:
@@ -270,7 +287,7 @@ class OnAir:
         found = replace(found, message=self.message[found.message])
         found = found.take(np.lexsort((found.received_s, found.message, found.receiver)))
         pair = found.receiver.astype(np.int64) << 32 | found.message
-        return found.take(np.append(True, pair[1:] != pair[:-1])[: len(pair)])
+        return found.take(differs_from_last(pair))
 
 
 def lists_of_identities(lists: ObjectLists, senders: Senders) -> tuple[ObjectLists, Int[ndarray, "m"] | None]:
@@ -290,7 +307,8 @@ def lists_of_identities(lists: ObjectLists, senders: Senders) -> tuple[ObjectLis
     """
     if len(senders) == len(senders.own):
         return lists, None
-    at, of = expand(lists.ptr[senders.source], lists.ptr[senders.source + 1])
+    list_ = senders.source
+    at, of = expand(lists.ptr[list_], lists.ptr[list_ + 1])
     ptr = np.searchsorted(of, np.arange(len(senders) + 1))
     return ObjectLists(ptr, lists.member[at], np.arange(len(senders))), at
 

@@ -79,7 +79,8 @@ def trust_in_senders(looked_up: LookedUp, wanted: Sequence[int], in_time: bool, 
     has_evaluations = (order < len(reports.message)) & in_time
     found = {}
     for number in wanted:
-        trust = np.concatenate([looked_up.lookups[number].trust, looked_up.of_further[number]])[order]
+        in_reports, in_further = looked_up.lookups[number].trust, looked_up.of_further[number]
+        trust = np.concatenate([in_reports, in_further])[order]
         own = None if looked_up.own is None else looked_up.own[number]
         found[number] = SenderTrust(ptr, message, trust, has_evaluations, own)
     return found
@@ -172,7 +173,8 @@ def beliefs_of(
     boxes = boxes_of(fused, objects)
     if error is not None:
         of = exchange.vehicles.senses
-        boxes = as_estimated(boxes, fused.ego, world.boxes.xyz_m[exchange.vehicles.row[of]], error[of], back=True)
+        true_m = world.boxes.xyz_m[exchange.vehicles.row[of]]
+        boxes = as_estimated(boxes, fused.ego, true_m, error[of], back=True)
     return Beliefs(
         known_s=exchange.now.fused_s,
         ego=exchange.sensing.row[fused.ego],

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.base.ragged import rows_of
 from cosim.base.rows import Rows
 from cosim.messages.content import FABRICATED, SELF, SENSED, Detections
 from cosim.world import World
@@ -63,11 +64,14 @@ def ground_truth_of(
     assert not is_real[said.origin == FABRICATED].any()
     rows = np.flatnonzero(is_real)
     iou = np.zeros(len(said))
-    iou[rows] = iou_3d(said.boxes.take(rows), world.boxes.take(actor_row[rows]))
+    true_boxes = world.boxes.take(actor_row[rows])
+    iou[rows] = iou_3d(said.boxes.take(rows), true_boxes)
     occlusion = np.zeros(len(said))
     rows = np.flatnonzero(sensed & is_real)
     n = len(world)
-    at = np.searchsorted(observers[sights.observer] * n + sights.actor, said.observer[rows] * n + actor_row[rows])
+    seen = observers[sights.observer] * n + sights.actor
+    wanted = said.observer[rows] * n + actor_row[rows]
+    at = np.searchsorted(seen, wanted)
     occlusion[rows] = sights.occlusion[at]
     is_phantom = np.zeros(len(said), bool)
     if sensed_caused_by is not None:
@@ -102,24 +106,34 @@ def lies_in_detections(perceived: Detections, sent: Detections, on_purpose: Bool
     Aligned with `sent`.
     """
     lied = np.ones(len(sent), bool)
-    key, kept = (d.observer.astype(np.int64) << 32 | d.detection_index for d in (perceived, sent))
-    at = np.minimum(np.searchsorted(key, kept), max(len(key) - 1, 0))
-    same = (sent.origin != FABRICATED) & (sent.identity == 0) & (key[at] == kept if len(key) else False)
+    at, is_there = rows_of(_key(sent), _key(perceived))
+    same = (sent.origin != FABRICATED) & (sent.identity == 0) & is_there
     rows = np.flatnonzero(same)
     now, perceived = sent.take(rows), perceived.take(at[rows])
     a, b = now.boxes, perceived.boxes
-    turned = np.abs(np.pi - np.mod(np.pi - (a.yaw_rad - b.yaw_rad), 2 * np.pi))
-    changed = (np.linalg.norm(a.xyz_m - b.xyz_m, axis=1) > NOISE_M) | (turned > NOISE_RAD)
-    changed |= (np.abs(a.lwh_m / b.lwh_m - 1) > NOISE_SIZE).any(axis=1) | (now.label != perceived.label)
+    moved_m = np.linalg.norm(a.xyz_m - b.xyz_m, axis=1)
+    turn = np.mod(np.pi - (a.yaw_rad - b.yaw_rad), 2 * np.pi)
+    turned = np.abs(np.pi - turn)
+    resized = np.abs(a.lwh_m / b.lwh_m - 1)
+    changed = (moved_m > NOISE_M) | (turned > NOISE_RAD)
+    changed |= (resized > NOISE_SIZE).any(axis=1)
+    changed |= now.label != perceived.label
     changed |= np.abs(now.score - perceived.score) > NOISE_SCORE
     for x, y in ((now.speed_mps, perceived.speed_mps), (now.acceleration_mps2, perceived.acceleration_mps2)):
         changed |= np.abs(x - y) > NOISE_MPS  # false if there is no speed
     changed |= np.linalg.norm(now.velocity_mps - perceived.velocity_mps, axis=1) > NOISE_MPS
-    changed |= np.isnan(perceived.velocity_mps).any(axis=1) & ~np.isnan(now.velocity_mps).any(axis=1)  # made up
+    was_known = ~np.isnan(perceived.velocity_mps).any(axis=1)
+    is_known = ~np.isnan(now.velocity_mps).any(axis=1)
+    changed |= is_known & ~was_known  # made up
     changed |= np.abs(np.log(now.accuracy_factor)) > np.log1p(NOISE_SIZE)
     withheld = perceived.transmitted & ~now.transmitted & on_purpose[now.observer]
     lied[rows] = changed | withheld
     return lied
+
+
+def _key(detections: Detections) -> Int[ndarray, "d"]:
+    """Observer and index of each detection in one number."""
+    return detections.observer.astype(np.int64) << 32 | detections.detection_index
 
 
 def lies_in_evaluations(own: Evaluations, reported: Evaluations) -> Bool[ndarray, "m"]:

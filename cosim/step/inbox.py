@@ -12,7 +12,17 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.base.kernel import compiled
-from cosim.base.ragged import as_slice, distinct, expand, offsets, owner_of_rows, ptr_of, ranges, rows_of
+from cosim.base.ragged import (
+    as_slice,
+    differs_from_last,
+    distinct,
+    expand,
+    offsets,
+    owner_of_rows,
+    ptr_of,
+    ranges,
+    rows_of,
+)
 from cosim.messages.content import Detections, velocities
 from cosim.radio.message_round import Receptions, RoundKind
 from cosim.step.accuracy import aged
@@ -159,8 +169,10 @@ class Inbox:
             objects = aged(objects, since_s[of], parts.config.tracking)
         truth = replace(self.truth, actor_row=actor_row, is_real=self.truth.is_real & exists)
         ours, _ = for_trust(objects, n + of, n + len(self.step))
-        names = "message", "detection_index", "label", "score", "is_self"
-        columns = (np.concatenate([getattr(now.detections, name), getattr(ours, name)]) for name in names)
+        columns = []
+        for name in ("message", "detection_index", "label", "score", "is_self"):
+            both = getattr(now.detections, name), getattr(ours, name)
+            columns.append(np.concatenate(both))
         pseudonym = np.concatenate([now.pseudonym, self.pseudonym])
         step = np.concatenate([now.step, self.step])
         vehicle, _ = rows_of(self.sender >> 16, exchange.vehicles.actor)
@@ -202,8 +214,9 @@ class Inbox:
         lists, own, sent = evaluated.of_detections()
         if not len(self.step):
             return lists, own, sent
+        end = lists.ptr[-1]
         joined = ObjectLists(
-            np.concatenate([lists.ptr, lists.ptr[-1] + self.evaluated.ptr[1:]]),
+            np.concatenate([lists.ptr, end + self.evaluated.ptr[1:]]),
             np.concatenate([lists.member, n_now + self.evaluated.member]),
             np.arange(len(exchange.senders) + len(self.step)),
         )
@@ -341,8 +354,7 @@ def _newest(uses: Uses, pseudonym: Int[ndarray, "m"], step: Int[ndarray, "m"]) -
     by = pseudonym[uses.message]
     order = np.lexsort((-step[uses.message], by, uses.receiver))
     receiver, by = uses.receiver[order], by[order]
-    is_other = (receiver[1:] != receiver[:-1]) | (by[1:] != by[:-1])
-    first = np.append(True, is_other)[: len(order)]
+    first = differs_from_last(receiver) | differs_from_last(by)
     rows = np.sort(order[first])
     return Uses(uses.receiver[rows], uses.message[rows])
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
-from cosim.base.ragged import rows_of
+from cosim.base.ragged import differs_from_last, rows_of
 from cosim.radio.message_round import EarlierMessages, LinkReceptions, MessageRound, Receptions, RoundKind, by_link
 from cosim.step.exchange import Exchange
 
@@ -66,4 +66,4 @@ def joined(parts: list[Receptions]) -> Receptions:
     order = np.lexsort((everything.received_s, everything.message, everything.receiver))
     everything = everything.take(order)
     pair = everything.receiver << 32 | everything.message
-    return everything.take(np.append(True, pair[1:] != pair[:-1])[: len(pair)])
+    return everything.take(differs_from_last(pair))

@@ -45,7 +45,10 @@ class MixedImages:
 
     def displaced(self, error: Float[ndarray, "m 3"]) -> "MixedImages":
         """As `RangeImages.displaced`."""
-        moved = [images.displaced(error[self.lidar == n]) for n, images in enumerate(self.of_lidar)]
+        moved = []
+        for number, images in enumerate(self.of_lidar):
+            mine = self.lidar == number
+            moved.append(images.displaced(error[mine]))
         return replace(self, of_lidar=tuple(moved))
 
     def n_returns(self) -> Int[ndarray, "m"]:
@@ -57,7 +60,8 @@ class MixedImages:
 
     def image(self, o: int) -> tuple[RangeImages, int]:
         """The images in which that of observer o is, and its row among them."""
-        return self.of_lidar[int(self.lidar[o])], int(self.row[o])
+        number = int(self.lidar[o])
+        return self.of_lidar[number], int(self.row[o])
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,16 +79,28 @@ class MixedPerception:
     @staticmethod
     def of(vehicles: Perception, units: RoadsideUnits) -> "MixedPerception":
         """The perception of vehicles and units."""
-        kinds = sorted(set(zip(units.sensor, units.height_m.tolist(), strict=True)))
-        order, keys = np.argsort(units.name_key), units.name_key
-        number = [1 + kinds.index(kind) for kind in zip(units.sensor, units.height_m.tolist(), strict=True)]
-        v = vehicles
-        made = [
-            Perception(v.city, lidar_of(v.lidar, sensor), v.detector, v.self_reports, v.seed, v.dt_s, v.weather)
-            for sensor, _ in kinds
-        ]
+        kind_of_unit = list(zip(units.sensor, units.height_m.tolist(), strict=True))
+        kinds = sorted(set(kind_of_unit))
+        number = np.array([1 + kinds.index(kind) for kind in kind_of_unit])
+        order = np.argsort(units.name_key)
+        of_lidar, height_m = [vehicles], [0.0]
+        for sensor, height in kinds:
+            of_units = Perception(
+                city=vehicles.city,
+                lidar=lidar_of(vehicles.lidar, sensor),
+                detector=vehicles.detector,
+                self_reports=vehicles.self_reports,
+                seed=vehicles.seed,
+                dt_s=vehicles.dt_s,
+                weather=vehicles.weather,
+            )
+            of_lidar.append(of_units)
+            height_m.append(height)
         return MixedPerception(
-            (vehicles, *made), keys[order], np.array(number)[order], (0.0, *(height for _, height in kinds))
+            of_lidar=tuple(of_lidar),
+            unit_key=units.name_key[order],
+            lidar_of_unit=number[order],
+            height_m=tuple(height_m),
         )
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
@@ -103,7 +119,8 @@ class MixedPerception:
         of = np.zeros(len(observers), np.int64)
         row = np.zeros(len(observers), np.int64)
         units = np.flatnonzero(world.is_roadside[observers])
-        of[units] = self.lidar_of_unit[np.searchsorted(self.unit_key, world.name_key[observers[units]])]
+        name_key = world.name_key[observers[units]]
+        of[units] = self.lidar_of_unit[np.searchsorted(self.unit_key, name_key)]
         images: list[RangeImages] = []
         seen: list[Seen] = []
         for number, perception in enumerate(self.of_lidar):
@@ -121,9 +138,10 @@ class MixedPerception:
         for number, perception in enumerate(self.of_lidar):
             p, t, mine = asked.of_group(number, sweeps.lidar, sweeps.row)
             mine = replace(mine, area=self._area(asked.area, number))
-            n_points[p], plausible[t] = perception.answers(sweeps.of_lidar[number], mine)
+            images = sweeps.of_lidar[number]
+            n_points[p], plausible[t] = perception.answers(images, mine)
             if number:
-                plausible[t] |= _below_the_beams(sweeps.of_lidar[number], mine.testing, mine.boxes, mine.tested)
+                plausible[t] |= _below_the_beams(images, mine.testing, mine.boxes, mine.tested)
         return n_points, plausible
 
     def in_area(
@@ -141,9 +159,9 @@ class MixedPerception:
         for number, images in enumerate(sweeps.of_lidar):
             k = np.flatnonzero(sweeps.lidar[o] == number)
             bodies = own.take(np.flatnonzero(sweeps.lidar == number))
-            inside[k] = evidence.in_evaluation_area(
-                images, sweeps.row[o[k]], boxes, self._area(area, number), b[k], label, bodies
-            )
+            area_of_lidar = self._area(area, number)
+            row = sweeps.row[o[k]]
+            inside[k] = evidence.in_evaluation_area(images, row, boxes, area_of_lidar, b[k], label, bodies)
         return inside
 
     def _area(self, area: AreaParams, number: int) -> AreaParams:
@@ -159,8 +177,8 @@ def _below_the_beams(
     The free-space test takes a box without returns before it or in it for implausible. On a mast, the blind cone below
     the beams is many metres wide, and nothing in it is tested.
     """
-    away_m = boxes.xyz_m[b] - images.poses.origin_m[o]
-    return away_m[:, 2] < np.hypot(away_m[:, 0], away_m[:, 1]) * images.beams.tan_el[0]
+    x_m, y_m, z_m = (boxes.xyz_m[b] - images.poses.origin_m[o]).T
+    return z_m < np.hypot(x_m, y_m) * images.beams.tan_el[0]
 
 
 def lidar_of(vehicles: LidarParams, sensor: ProfileName) -> LidarParams:

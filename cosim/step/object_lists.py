@@ -32,14 +32,16 @@ def received_lists(
     of = np.concatenate([np.arange(len(own)), received.receiver])
     message = np.concatenate([own, received.message])
     is_own = np.arange(len(of)) < len(own)
-    order = np.argsort(of * len(ptr) + np.where(is_own, 0, message + 1), kind="stable")
+    number = np.where(is_own, 0, message + 1)
+    order = np.argsort(of * len(ptr) + number, kind="stable")
     of, message, is_own = of[order], message[order], is_own[order]
     # The detections of a message: all of them for its sender, those that are transmitted for others.
     sent = np.flatnonzero(transmitted)
     known = np.concatenate([sent, np.arange(len(transmitted))])
-    start, stop = (
-        np.where(is_own, len(sent) + ptr[message + k], np.searchsorted(sent, ptr)[message + k]) for k in (0, 1)
-    )
+    ptr_of_sent = np.searchsorted(sent, ptr)
+    ptr_of_all = len(sent) + ptr
+    start = np.where(is_own, ptr_of_all[message], ptr_of_sent[message])
+    stop = np.where(is_own, ptr_of_all[message + 1], ptr_of_sent[message + 1])
     begins = offsets(stop - start)[ptr_of(of, len(own))]
     return ObjectLists(begins, known[ranges(start, stop - start)], own)
 
@@ -75,7 +77,8 @@ def questions_of(
     The questions, the members whose returns are counted, and the members that are tested.
     """
     b, o = lists.member, lists.of_member().astype(np.int32)
-    is_self = detections.is_self[b] & (detections.message[b] == lists.owner[o])
+    is_own = detections.message[b] == lists.owner[o]
+    is_self = detections.is_self[b] & is_own
     is_counted = (evaluated | foreign) & ~is_self
     counted, tested = np.flatnonzero(is_counted), np.flatnonzero(foreign)
     asked = BoxQuestions(

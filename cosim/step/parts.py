@@ -159,7 +159,15 @@ class Parts:
 def perception_of(experiment: Config, city: Scene) -> Perception:
     """The LiDAR and the detector that a config names."""
     c = experiment
-    return Perception(city, c.lidar, _make(c, "detector"), c.trust.self_reports, c.seed, c.traffic.step_s, c.weather)
+    return Perception(
+        city=city,
+        lidar=c.lidar,
+        detector=_make(c, "detector"),
+        self_reports=c.trust.self_reports,
+        seed=c.seed,
+        dt_s=c.traffic.step_s,
+        weather=c.weather,
+    )
 
 
 def seen_in_weather(experiment: Config) -> tuple[AreaParams, LidarParams]:
@@ -208,20 +216,24 @@ def check_choices(experiment: Config) -> None:
         _make(experiment, "attacks", number)
     _make_medium(experiment, None)
     c = experiment
-    TrustHosts.of(variants(c), c.server, c.seed, c.schedule.exchange_interval_s, c.traffic.step_s).start()
+    hosts = TrustHosts.of(variants(c), c.server, c.seed, c.schedule.exchange_interval_s, c.traffic.step_s)
+    hosts.start()
 
 
 def variants(experiment: Config) -> list[Variant]:
     """The acting trust of the config, then its trust variants."""
-    base = _variant(BASE_VARIANT, experiment.trust, *config.chosen(experiment, "trust"), fused=True)
-    return [base, *(_variant(v.name, v.trust, *config.chosen_model(v), v.fused) for v in experiment.trust_variant)]
+    found = [_variant(BASE_VARIANT, experiment.trust, *config.chosen(experiment, "trust"), fused=True)]
+    for v in experiment.trust_variant:
+        found.append(_variant(v.name, v.trust, *config.chosen_model(v), v.fused))
+    return found
 
 
 def _variant(name: str, trust: TrustParams, choice: Choice, own: Any, fused: bool) -> Variant:
     """A trust variant. A user's own model keeps its evidence in the state, and every call of it is checked."""
     if not choice.is_own:
         return Variant(name, trust, choice.of, own, fused)
-    return Variant(name, trust, choice.of, own, fused, make=partial(construct, choice), guard=partial(Guarded, choice))
+    make_model, guard = partial(construct, choice), partial(Guarded, choice)
+    return Variant(name, trust, choice.of, own, fused, make=make_model, guard=guard)
 
 
 def chosen(experiment: Config) -> dict[str, Choice]:

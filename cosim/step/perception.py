@@ -58,15 +58,16 @@ class Seen:
 
     def behind(self, n: int) -> "Seen":
         """What they sensed, with observers numbered from `n`."""
+        first = np.int32(n)
         here, found = self.observability, self.reports
-        return Seen(
-            replace(here, observer=here.observer + np.int32(n)), replace(found, observer=found.observer + np.int32(n))
-        )
+        here = replace(here, observer=here.observer + first)
+        return Seen(here, replace(found, observer=found.observer + first))
 
     def renumbered(self, number: Int32[ndarray, "e"]) -> "Seen":
         """What they sensed, with these numbers of the observers."""
         here, found = self.observability, self.reports
-        return Seen(replace(here, observer=number[here.observer]), replace(found, observer=number[found.observer]))
+        here = replace(here, observer=number[here.observer])
+        return Seen(here, replace(found, observer=number[found.observer]))
 
     def of_actors(self, row: Int32[ndarray, "n"]) -> "Seen":
         """What they sensed, with these rows of the actors."""
@@ -106,8 +107,10 @@ class BoxQuestions:
         -------
         Which of the counting and of the testing questions they are, and the questions.
         """
-        p, t = (np.flatnonzero(group[by] == number) for by in (self.counting, self.testing))
-        counting, testing = (row[by].astype(np.int32) for by in (self.counting[p], self.testing[t]))
+        p = np.flatnonzero(group[self.counting] == number)
+        t = np.flatnonzero(group[self.testing] == number)
+        counting = row[self.counting[p]].astype(np.int32)
+        testing = row[self.testing[t]].astype(np.int32)
         counts = replace(self, counting=counting, counted=self.counted[p])
         return p, t, replace(counts, testing=testing, tested=self.tested[t])
 
@@ -172,8 +175,9 @@ class Perception:
         self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch
     ) -> tuple[lidar.RangeImages, list[Seen]]:
         """Range images of the vehicles in these rows of the world, and what groups of them saw."""
-        rays = lidar.n_rays(self.lidar)
-        range_steps = self._range_steps = lidar.buffer((len(observers), *rays), np.uint16, self._range_steps)
+        shape = (len(observers), *lidar.n_rays(self.lidar))
+        range_steps = lidar.buffer(shape, np.uint16, self._range_steps)
+        self._range_steps = range_steps
         with watch("sweep"):
             origin_m = lidar.mount(world.boxes, observers, self.lidar).origin_m
             near = neighbours(origin_m, world.boxes, self.lidar.max_range_m)
@@ -322,4 +326,5 @@ def swept(
 
 def sweep_keys(seed: int, world: World, observers: Int[ndarray, "e"]) -> UInt64[ndarray, "e"]:
     """Random keys of the LiDARs of the vehicles in these rows of the world."""
-    return rng.keys(rng.key(seed, rng.Stream.SWEEP, world.step), world.name_key[observers])
+    of_step = rng.key(seed, rng.Stream.SWEEP, world.step)
+    return rng.keys(of_step, world.name_key[observers])

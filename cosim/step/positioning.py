@@ -44,7 +44,8 @@ def as_estimated(
         xyz_m[:, :2] -= shift_m
     if turn_rad.any():
         turn_rad = -turn_rad if back else turn_rad
-        xyz_m[:, :2] = true_m[rows, :2] + turned_by(turn_rad, xyz_m[:, :2] - true_m[rows, :2])
+        centre_m = true_m[rows, :2]
+        xyz_m[:, :2] = centre_m + turned_by(turn_rad, xyz_m[:, :2] - centre_m)
         yaw_rad = wrapped(yaw_rad + turn_rad)
     if not back:
         xyz_m[:, :2] += shift_m

@@ -73,7 +73,8 @@ class ReactionTruth:
         wanted = _key(why.source, why.source_index)
         for then in self.steps:
             rows = np.flatnonzero(why.source_step == then.step)
-            at = np.minimum(np.searchsorted(then.key, wanted[rows]), len(then.key) - 1)
+            at = np.searchsorted(then.key, wanted[rows])
+            at = np.minimum(at, len(then.key) - 1)
             found = then.key[at] == wanted[rows]
             rows, at = rows[found], at[found]
             fabricated[rows] = then.fabricated[at]

@@ -85,7 +85,9 @@ def carrier_of(
     if waiting is None:
         return sent, carrier
     is_there = np.isin(waiting.sender >> 16, exchange.vehicles.actor)
-    return sent.and_also(waiting.take(np.flatnonzero(is_there & ~np.isin(waiting.sender, sent.sender)))), carrier
+    is_replaced = np.isin(waiting.sender, sent.sender)
+    still_waiting = waiting.take(np.flatnonzero(is_there & ~is_replaced))
+    return sent.and_also(still_waiting), carrier
 
 
 def update_trust(
@@ -174,7 +176,8 @@ def _deliver(
     carried = carried.take(which)  # the others wait for a message of their sender
     sent = parts.linkage.messages(pseudonyms, carried.messages)
     got = links.vehicles.take(row[links.vehicles.message] >= 0)
-    trust = parts.trust.add_local(trust, sent, vehicles.actor[got.receiver], row[got.message])
+    holder = vehicles.actor[got.receiver]
+    trust = parts.trust.add_local(trust, sent, holder, row[got.message])
     up = links.uplink.take(row[links.uplink.message] >= 0)
     carrier.heard[which[row[up.message]]] = True
     sent = parts.linkage.messages(pseudonyms, _upheld(carried.messages, carried.sender, exchange, parts))
@@ -206,7 +209,8 @@ def deliver_late(
             links = messages.links
             got = links.vehicles.take(is_there[links.vehicles.message])
             named = parts.linkage.messages(pseudonyms, sent.messages)
-            trust = parts.trust.add_local(trust, named, exchange.vehicles.actor[got.receiver], row[got.message])
+            holder = exchange.vehicles.actor[got.receiver]
+            trust = parts.trust.add_local(trust, named, holder, row[got.message])
             up = links.uplink.take(is_there[links.uplink.message])
             if not len(up.message):
                 continue

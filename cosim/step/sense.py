@@ -55,10 +55,18 @@ def identify(
     if len(issued):
         wants = None
         if parts.adversary.renews:
-            age_s = (world.step - pseudonyms.begun(world.actor, world.step)) * parts.config.traffic.step_s
+            age_steps = world.step - pseudonyms.begun(world.actor, world.step)
+            age_s = age_steps * parts.config.traffic.step_s
             wants = parts.adversary.renewals(world, now.begin_s, own_trust, age_s)[issued]
         pseudonyms, _, ended = parts.pseudonyms.issue(pseudonyms, world, issued, wants)
-    return pseudonyms, Vehicles(row, actor, names, pseudonyms.of(actor), np.searchsorted(row, sensing)), ended
+    vehicles = Vehicles(
+        row=row,
+        actor=actor,
+        name_key=names,
+        pseudonym=pseudonyms.of(actor),
+        senses=np.searchsorted(row, sensing),
+    )
+    return pseudonyms, vehicles, ended
 
 
 def perceive(world: World, vehicles: Vehicles, precomputed: Precomputed, parts: Parts) -> Observed:
@@ -148,9 +156,11 @@ def track_objects(
     sensed = np.flatnonzero(detections.origin == SENSED)
     boxes, sweeps = detections.boxes.take(sensed), positioned.observed.sweeps
     after_s = sweeps.seen_after_s(np.searchsorted(rows, detections.observer[sensed]), boxes.xyz_m)
+    actor = world.actor[rows].astype(np.int64)
+    time_s = np.full(len(rows), now.begin_s)
     memory, objects = track(
         memory,
-        Observers(world.actor[rows].astype(np.int64), np.full(len(rows), now.begin_s), world.speed_mps[rows]),
+        Observers(actor, time_s, world.speed_mps[rows]),
         Found(
             observer=world.actor[detections.observer[sensed]].astype(np.int64),
             label=detections.label[sensed],

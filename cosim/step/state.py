@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -65,7 +66,7 @@ class State:
     position_errors: PositionErrors = field(default_factory=PositionErrors)
     tracks: TrackMemory = field(default_factory=TrackMemory)
     """Observers are known by their actor numbers."""
-    n_dropped: Int[ndarray, "f"] = field(default_factory=lambda: np.zeros(len(DetectionFault), np.int64))
+    n_dropped: Int[ndarray, "f"] = field(default_factory=partial(np.zeros, len(DetectionFault), np.int64))
     """Detections dropped so far because they cannot be sent, by `DetectionFault`."""
     is_consumed: bool = False
     """Whether a step has consumed this state."""
@@ -74,10 +75,11 @@ class State:
     def start(parts: Parts) -> "State":
         """The state before the first step."""
         c = parts.config
+        n_variants = len(parts.trust.variants)
         return State(
             medium=parts.medium.start(),
             trust=parts.trust.start(),
-            encounters=tuple(EncounterTracker(p, c.traffic.step_s, len(parts.trust.variants)) for p in c.encounters),
+            encounters=tuple(EncounterTracker(p, c.traffic.step_s, n_variants) for p in c.encounters),
             attacks=parts.adversary.start(),
         )
 

@@ -26,4 +26,5 @@ class Stopwatch:
     def __enter__(self) -> None: ...
 
     def __exit__(self, *_: object) -> None:
-        self.seconds[self._stage] = self.seconds.get(self._stage, 0.0) + perf_counter() - self._since
+        before = self.seconds.get(self._stage, 0.0)
+        self.seconds[self._stage] = before + perf_counter() - self._since

@@ -64,9 +64,11 @@ def _track_round(
     step = exchange.now.step
     late = late_of(rounds, kind)
     if late:  # a message that arrives late counts in the step in which it arrives
+        accepted = [messages.accepted() for messages in late]
+        sent_in = [messages.step[found.message] for messages, found in zip(late, accepted, strict=True)]
         arrived = np.concatenate([_codes(actor, messages) for messages in late])
-        is_direct = np.concatenate([messages.accepted().hops == 1 for messages in late])
-        is_earlier = np.concatenate([messages.step[messages.accepted().message] < step for messages in late])
+        is_direct = np.concatenate([found.hops == 1 for found in accepted])
+        is_earlier = np.concatenate(sent_in) < step
         row, is_there = rows_of(arrived, pair)
         got[row[is_there]] = True
         _, was_in_range = rows_of(arrived, tracker.pair)
@@ -156,7 +158,8 @@ def count_in_encounters(
     observer = vehicle[messages.detections.message[lists.member]]
     is_new = messages.is_new(lists.of_member(), lists.member)
     by, observer = by[is_new], observer[is_new]
-    pairs, n = distinct((by * len(actor) + observer)[by != observer])
+    pair = by * len(actor) + observer
+    pairs, n = distinct(pair[by != observer])
     evaluator, observer = np.divmod(pairs, max(len(actor), 1))
     for tracker in encounters:
         for broadcast in rounds:
@@ -165,7 +168,8 @@ def count_in_encounters(
             for late in broadcast.late:
                 sender, receiver = late.pairs()
                 tracker.count_messages(sender, actor[receiver])
-        tracker.note_trust(actor[row[used.receiver]], actor[vehicle[used.message]], is_known)
+        user, sender = row[used.receiver], vehicle[used.message]
+        tracker.note_trust(actor[user], actor[sender], is_known)
         tracker.count_evaluations(actor[evaluator], actor[observer], n)
     return encounters
 

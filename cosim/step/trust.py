@@ -42,9 +42,10 @@ def own_trust_of(
     row = np.flatnonzero(world.equipped)
     actor = world.actor[row]
     subject = parts.linkage.subjects(pseudonyms, pseudonyms.of(actor))
-    found = parts.trust.lookup(trust, actor, subject, now.begin_s)[parts.trust.host_of[0]]
+    found = parts.trust.lookup(trust, actor, subject, now.begin_s)
+    acting = parts.trust.host_of[0]
     own_trust = np.full(len(world), parts.config.trust.default_trust)
-    own_trust[row] = found.trust
+    own_trust[row] = found[acting].trust
     return own_trust
 
 
@@ -92,9 +93,11 @@ def publish(
     trust, scores, informed = hosts.publish(trust, now.step, now.begin_s, vehicles.actor, vehicles.name_key)
     for h, of_host in enumerate(scores):
         if of_host is not None and hosts.models[h].guard is not None:
-            _check_names(hosts.model_of(trust, h), of_host, parts.pseudonyms.owners(pseudonyms, of_host.subject)[0])
+            owner, _ = parts.pseudonyms.owners(pseudonyms, of_host.subject)
+            _check_names(hosts.model_of(trust, h), of_host, owner)
     pseudonyms = parts.linkage.accused(pseudonyms, trust.arrived)
-    pseudonyms = parts.revocation.decided(pseudonyms, scores[hosts.host_of[0]], now.step, c.traffic.step_s)
+    of_acting = scores[hosts.host_of[0]]
+    pseudonyms = parts.revocation.decided(pseudonyms, of_acting, now.step, c.traffic.step_s)
     named = [None if of_host is None else parts.linkage.scores(pseudonyms, of_host) for of_host in scores]
     return trust, pseudonyms, Published(hosts.per_variant(named), informed)
 
@@ -152,7 +155,8 @@ def control_relays(
     if relay.min_trust == 0 or relay.max_hops == 1:
         return exchange
     reach_m = min(relay.forward_range_m, (relay.max_hops - 1) * parts.config.radio.range_m) + 1.0  # a little too far
-    source, near, _ = neighbours(exchange.stations.xyz_m[: len(vehicles), :2], reach_m)
+    xy_m = exchange.stations.xyz_m[: len(vehicles), :2]
+    source, near, _ = neighbours(xy_m, reach_m)
     ptr = ptr_of(source, len(vehicles))
     at, message = expand(ptr[senders.vehicle], ptr[senders.vehicle + 1])
     station, begin_s = near[at], exchange.now.begin_s
@@ -277,11 +281,12 @@ def _received_senders(exchange: Exchange, listed: Listed, received: Receptions) 
     row = report[received.message]
     yaw = objects.boxes.yaw_rad[row]
     speed = np.nan_to_num(objects.speed_mps[row])
+    heading = np.column_stack([np.cos(yaw), np.sin(yaw)])
     return ReceivedSenders(
         receiver=exchange.vehicles.actor[received.receiver],
         pseudonym=senders.pseudonym[received.message],
         xy_m=objects.boxes.xyz_m[row, :2],
-        velocity_mps=speed[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)]),
+        velocity_mps=speed[:, None] * heading,
     )
 
 

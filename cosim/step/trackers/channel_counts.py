@@ -39,7 +39,10 @@ def pdr_by_distance(
     cell = (bins * len(LosState) + los_state) * n_outcomes + outcome
     n_cells = (int(bins.max(initial=-1)) + 1) * len(LosState)
     counts = np.bincount(cell, minlength=n_cells * n_outcomes).reshape(n_cells, n_outcomes)
-    cells, total = np.flatnonzero(counts.any(axis=1)), counts.sum(axis=0)
+    cells = np.flatnonzero(counts.any(axis=1))
+    total = counts.sum(axis=0)
+    totals = {"n_in_range": np.array([len(outcome)])}
+    totals |= {name: total[[code]] for name, code in columns.items()}
     return (
         {
             "distance_bin_m": cells // len(LosState) * DISTANCE_BIN_M,
@@ -47,7 +50,7 @@ def pdr_by_distance(
             "n_in_range": counts[cells].sum(axis=1),
             **{name: counts[cells, code] for name, code in columns.items()},
         },
-        {"n_in_range": np.array([len(outcome)]), **{name: total[[code]] for name, code in columns.items()}},
+        totals,
     )
 
 

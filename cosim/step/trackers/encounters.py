@@ -86,7 +86,8 @@ class PairSearch:
         )
         pair = np.sort((pairs[:, 0] << 32) | pairs[:, 1])
         a, b = rows[pair >> 32], rows[pair & 0xFFFFFFFF]
-        east_m, north_m = (world.boxes.xyz_m[a, axis] - world.boxes.xyz_m[b, axis] for axis in (0, 1))
+        east_m, north_m, _ = (world.boxes.xyz_m[a] - world.boxes.xyz_m[b]).T
+        is_on_foot = world.shape == Shape.PEDESTRIAN
         return NearPairs(
             a=world.actor[a],
             b=world.actor[b],
@@ -105,7 +106,7 @@ class PairSearch:
                 for what in self.blockers
             },
             equipped=world.equipped[a] & world.equipped[b],
-            on_foot=(world.shape[a] == Shape.PEDESTRIAN) | (world.shape[b] == Shape.PEDESTRIAN),
+            on_foot=is_on_foot[a] | is_on_foot[b],
             present=world.actor[rows],
         )
 

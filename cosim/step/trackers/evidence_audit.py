@@ -52,7 +52,8 @@ def count_looks(evaluator: Int[ndarray, "m"], detection: Int[ndarray, "m"], of: 
     repeated = np.zeros(len(message), bool)
     repeated[real] = np.repeat(n > 1, n)
     some = np.flatnonzero(repeated[detection])
-    pairs = evaluator[some].astype(np.int64) * len(message) + first[detection[some]]
+    actor = first[detection[some]]
+    pairs = evaluator[some].astype(np.int64) * len(message) + actor
     return len(detection) - len(some) + len(np.unique(pairs))
 
 
@@ -75,7 +76,8 @@ def audit(
     """
     counts = (evaluations.visibility > 0) & (evaluations.evaluator != detections.message[evaluations.detection])
     by, of = evaluations.evaluator[counts], evaluations.detection[counts]
-    echoes = attacks[by] & detections.is_fabricated[of] & (evaluations.evaluation[counts] > 0)
+    confirms = evaluations.evaluation[counts] > 0
+    echoes = attacks[by] & detections.is_fabricated[of] & confirms
     row = {
         "n_copies": n_copies,
         "n_evaluations": len(by),

@@ -158,14 +158,16 @@ def _by_sender(station, message, receiver, hop, n):
     ptr = np.zeros(n + 1, np.int64)
     for row in range(len(message)):
         sender = station[message[row]]
-        if sender < n and receiver[row] < n and (len(hop) == 0 or hop[row] == 1):
+        is_direct = len(hop) == 0 or hop[row] == 1
+        if sender < n and receiver[row] < n and is_direct:
             ptr[sender + 1] += 1
     for i in range(n):
         ptr[i + 1] += ptr[i]
     of_sender, at = np.empty(ptr[n], np.int32), ptr.copy()
     for row in range(len(message)):
         sender = station[message[row]]
-        if sender < n and receiver[row] < n and (len(hop) == 0 or hop[row] == 1):
+        is_direct = len(hop) == 0 or hop[row] == 1
+        if sender < n and receiver[row] < n and is_direct:
             of_sender[at[sender]] = receiver[row]
             at[sender] += 1
     return ptr, of_sender

@@ -33,7 +33,8 @@ class LastSpeeds:
         The new speeds, and each actor's acceleration since the last step [m/s2]. The acceleration of an actor that was
         not on the road in the last step is 0.
         """
-        more = max(0, int(actor.max(initial=-1)) + 1 - len(self.speed_mps))
+        n_actors = int(actor.max(initial=-1)) + 1
+        more = max(0, n_actors - len(self.speed_mps))
         more = max(more, len(self.speed_mps)) if more else 0
         speeds = np.concatenate([self.speed_mps, np.zeros(more)])
         steps = np.concatenate([self.step, np.full(more, -2)])
