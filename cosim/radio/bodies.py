@@ -76,8 +76,9 @@ def tallest_blocker_m(
     # Each body is listed under all cells that the square around its circle touches.
     length_m, width_m, _ = bodies.lwh_m.T
     radius_m = (np.hypot(length_m, width_m) / 2)[:, None]
-    first = ((centre_m - low - radius_m) / side_m).astype(np.int64).clip(0, shape - 1)
-    last = ((centre_m - low + radius_m) / side_m).astype(np.int64).clip(0, shape - 1)
+    first = ((centre_m - low - radius_m) / side_m).astype(np.int64)
+    last = ((centre_m - low + radius_m) / side_m).astype(np.int64)
+    first, last = first.clip(0, shape - 1), last.clip(0, shape - 1)
     count = last - first + 1
     n_cells = count.prod(axis=1)
     k, body = expand(np.zeros_like(n_cells), n_cells)
@@ -132,7 +133,8 @@ def _tallest(xyz, a, b, own, centre, lwh, cosine, sine, ptr, body, low, side_m, 
                     break
                 cy += step_y
                 next_y += per_y
-            if cx < 0 or cy < 0 or cx >= shape[0] or cy >= shape[1]:
+            is_column = 0 <= cx < shape[0]
+            if not is_column or cy < 0 or cy >= shape[1]:
                 break
         out[m] = tallest
 
@@ -152,7 +154,8 @@ def _crosses(xyz, i, j, centre, lwh, cosine, sine, e):
     v1 = cos * by - sin * bx
     near, far = 0.0, 1.0
     for axis in range(2):
-        p, d = (u0, u1 - u0) if axis == 0 else (v0, v1 - v0)
+        p, q = (u0, u1) if axis == 0 else (v0, v1)
+        d = q - p
         half = lwh[e, axis] / 2
         if abs(d) < 1e-12:
             if abs(p) > half:

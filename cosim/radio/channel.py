@@ -77,12 +77,11 @@ class AccessParams:
     """Age at which a packet must have been transmitted [s], unless it has its own; it is dropped if it cannot be."""
 
     def __post_init__(self) -> None:
-        for name in ("aifsn", "cw"):
+        for name, least in (("aifsn", 2), ("cw", 0)):
             value = getattr(self, name)
-            if len(value) != dtypes.N_ACCESS or min(value) < (2 if name == "aifsn" else 0) or max(value) > 65_535:
+            if len(value) != dtypes.N_ACCESS or min(value) < least or max(value) > 65_535:
                 raise ValueError(
-                    f"radio.access.{name} = {value} needs four whole numbers (VO, VI, BE, BK) of at least "
-                    f"{2 if name == 'aifsn' else 0}."
+                    f"radio.access.{name} = {value} needs four whole numbers (VO, VI, BE, BK) of at least {least}."
                 )
 
 
@@ -125,11 +124,14 @@ class Links:
 
     def __post_init__(self) -> None:
         n, m = len(self.key), len(self.receiver)
-        if len(self.ptr) != n + 1 or self.ptr[0] != 0 or self.ptr[-1] != m or np.any(np.diff(self.ptr) < 0):
+        is_whole = len(self.ptr) == n + 1 and self.ptr[0] == 0 and self.ptr[-1] == m
+        if not is_whole or np.any(np.diff(self.ptr) < 0):
             raise ValueError(f"links.ptr must rise from 0 to the number of links ({m}) in {n + 1} steps.")
         if len(self.power_mw) != m or len(self.fading) != m:
             raise ValueError("links.receiver, power_mw and fading must be of one length.")
-        if m and (self.receiver.min() < 0 or self.receiver.max() >= n or self.fading.max() >= len(fading_quantiles())):
+        first, last = self.receiver.min(initial=0), self.receiver.max(initial=-1)
+        n_classes = len(fading_quantiles())
+        if first < 0 or last >= n or self.fading.max(initial=0) >= n_classes:
             raise ValueError(f"links: a receiver is none of the {n} stations, or a class of fading is unknown.")
         for name, dtype in (("receiver", np.int32), ("power_mw", np.float32), ("fading", np.uint8)):
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype))
@@ -213,10 +215,11 @@ def _records(packets: Packets, n: int, state: ChannelState, until_ns: int, recei
     new = np.zeros(len(packets), dtypes.PACKET)
     if len(packets) == 0:
         return new
-    for name, low, high in (("sender", 0, n - 1), ("access", 0, dtypes.N_ACCESS - 1)):
+    for name, n_values in (("sender", n), ("access", dtypes.N_ACCESS)):
         column = getattr(packets, name)
-        if column.min() < low or column.max() > high:
-            raise ValueError(f"packets.{name} = {column.min()} ... {column.max()} must lie in {low} ... {high}.")
+        low, high = column.min(), column.max()
+        if low < 0 or high >= n_values:
+            raise ValueError(f"packets.{name} = {low} ... {high} must lie in 0 ... {n_values - 1}.")
     air_ns = airtime_ns(packets.payload_bytes, receiver.rate_mbps)
     short = np.flatnonzero(packets.lifetime_ns < air_ns)
     if len(short):
@@ -230,7 +233,8 @@ def _records(packets: Packets, n: int, state: ChannelState, until_ns: int, recei
             f"packets.generated_ns = {packets.generated_ns.min()} ... {packets.generated_ns.max()} lies outside "
             f"the window {state.now_ns} ... {until_ns}. Hand each packet to the window in which it is generated."
         )
-    names = np.sort((packets.sender.astype(np.uint64) << np.uint64(40)) | packets.seq)
+    of_sender = packets.sender.astype(np.uint64) << np.uint64(40)
+    names = np.sort(of_sender | packets.seq)
     twice = np.flatnonzero(names[1:] == names[:-1])
     if len(twice):
         raise ValueError(

@@ -70,7 +70,8 @@ def remap_stations(state: ChannelState, key: ndarray) -> ChannelState:
     kept = np.flatnonzero(row[:-1] >= 0)
     phy[row[kept]] = state.phy[kept]
     mac[row[kept]] = state.mac[kept]
-    phy["frame_from"] = np.where(phy["phase"] == dtypes.FREE, 0, row[phy["frame_from"]])
+    frame_from = row[phy["frame_from"]]
+    phy["frame_from"] = np.where(phy["phase"] == dtypes.FREE, 0, frame_from)
     mac["rank"][np.argsort(phy["key"])] = np.arange(len(phy))
 
     packets = state.packets.copy()
@@ -106,13 +107,16 @@ def next_state(air: Air, log: Log, alive: ndarray, on_air: ndarray, now_ns: int)
     phy, mac, table = air.phys, air.macs, log.packets
     if not alive.any():
         phy["packet"] = mac["head"] = mac["tail"] = dtypes.NONE
-        nothing = (np.zeros(0, column.dtype) for column in (table, air.receiver, air.arrival_mw, log.outcome))
+        columns = table, air.receiver, air.arrival_mw, log.outcome
+        nothing = (np.zeros(0, column.dtype) for column in columns)
         return ChannelState(now_ns, phy, mac, *nothing)
     number = np.full(len(table) + 1, dtypes.NONE, np.int32)  # one more: NONE maps to NONE
     number[:-1][alive] = np.arange(np.count_nonzero(alive))
     phy["packet"] = number[phy["packet"]]
+    is_empty = mac["count"] == 0
     for name in ("head", "tail"):
-        mac[name] = number[np.where(mac["count"] > 0, mac[name], dtypes.NONE)]
+        packet = np.where(is_empty, dtypes.NONE, mac[name])
+        mac[name] = number[packet]
     frames = table[on_air]
     edge = ranges(frames["edge"], frames["degree"])
     slot = ranges(frames["slot"], frames["degree"])

@@ -108,7 +108,8 @@ class CsmaMedium:
 
     @property
     def _rules(self) -> ChannelRules:
-        return ChannelRules(rng.key(self.seed, rng.Stream.CHANNEL), self.params.receiver, self.params.access)
+        of_channel = rng.key(self.seed, rng.Stream.CHANNEL)
+        return ChannelRules(of_channel, self.params.receiver, self.params.access)
 
     def _lasts_s(self, kind: RoundKind) -> float:
         """How long a message may take, from the beginning of its round [s].
@@ -133,7 +134,8 @@ class CsmaMedium:
         end_ns = round((begin_s + self.round_s) * 1e9)
         keys = messages.keys(stations)
         units, n_segments = _units(messages, keys, number, self.params.receiver.rate_mbps)
-        phase = rng.uniforms(rng.key(self.seed, rng.Stream.GENERATION, number), keys)[:, 0]
+        of_round = rng.key(self.seed, rng.Stream.GENERATION, number)
+        phase = rng.uniforms(of_round, keys)[:, 0]
         offset_ns = np.floor(phase * (end_ns - begin_ns) / 2).astype(np.int64)
         if messages.delay_s is not None:
             offset_ns += np.rint(1e9 * messages.delay_s).astype(np.int64)
@@ -308,7 +310,7 @@ class _RoundPlan:
             got_by = earlier.got_by
             if len(earlier.refused_message):
                 more = n_new + earlier.refused_message << 32 | earlier.refused_by
-                refused = np.sort(np.concatenate([more[:0] if refused is None else refused, more]))
+                refused = np.sort(more if refused is None else np.concatenate([refused, more]))
         frames = np.empty(len(sent), FRAME)
         for name in ("unit", "transmitter", "hop"):
             frames[name] = sent[name]
@@ -437,7 +439,8 @@ def _happened(
         rows = np.flatnonzero((older["kind"] == kind) & (older["is_background"] == is_background))
         if len(rows):
             of_kind = everything.of_messages(plan.n_new + rows, None)
-            earlier.append(EarlierMessages(kind, older["step"][rows], older["name"][rows], of_kind, is_background))
+            step, name = older["step"][rows], older["name"][rows]
+            earlier.append(EarlierMessages(kind, step, name, of_kind, is_background))
     return replace(happened, earlier=tuple(earlier)), attempts
 
 
@@ -446,7 +449,8 @@ def _frame_states(plan: _RoundPlan, sent: Transmissions, ending: _RoundEnd) -> U
     state = np.where(ending.waits, FrameState.WAITS, FrameState.DECIDED).astype(np.uint8)
     n_new_frames = int(np.searchsorted(plan.units["message"], plan.n_new))
     older = slice(n_new_frames, len(plan.sent))
-    is_told = plan.sent["is_decided"] | ending.waits[: len(plan.sent)] | (plan.sent["transmitter"] == NONE)
+    is_told = plan.sent["is_decided"] | (plan.sent["transmitter"] == NONE)
+    is_told |= ending.waits[: len(plan.sent)]
     state[older][is_told[older]] = FrameState.REPORTED
     return state
 
@@ -546,7 +550,8 @@ def _units(
     units["message"] = np.repeat(sent, count)
     units["source"] = messages.station[units["message"]]
     units["key"] = keys[units["message"]]
-    units["number"] = np.arange(len(units)) - np.repeat(np.cumsum(count) - count, count)
+    first = np.cumsum(count) - count
+    units["number"] = np.arange(len(units)) - np.repeat(first, count)
     units["payload_bytes"] = np.repeat(payload_bytes, count)
     units["airtime_ns"] = airtime_ns(units["payload_bytes"], rate_mbps)
     named = rng.keys(np.uint64(round_number), units["key"], units["number"])

@@ -32,7 +32,7 @@ from cosim.radio.dtypes import (
     RECEIVED,
     Constants,
 )
-from cosim.radio.event_heap import pop, push
+from cosim.radio.event_heap import comes_before, pop, push
 from cosim.radio.forwarding import TIMER, enqueue_forward, is_full, on_receive, schedule_timers
 from cosim.radio.phy import HEADER_NS, PREAMBLE_NS
 
@@ -113,7 +113,15 @@ def _go_busy(phy, mac, air, t):
 @kernel
 def _access_ns(phy, mac, aifs_ns, slot_ns, a):
     """Earliest access of a queue while the medium stays idle."""
-    return max(max(phy.idle_ns, phy.eifs_ns) + aifs_ns[a], mac.since_ns[a]) + mac.slots[a] * slot_ns
+    free_ns = max(phy.idle_ns, phy.eifs_ns)
+    begin_ns = max(free_ns + aifs_ns[a], mac.since_ns[a])
+    return begin_ns + mac.slots[a] * slot_ns
+
+
+@inlined
+def _schedule(heap, n, t, kind, mac):
+    """Put an event of a station into the heap of `n` events; returns the new size."""
+    return push(heap.times, heap.codes, n, t, (kind << 32) | mac.rank)
 
 
 @kernel
@@ -127,7 +135,7 @@ def _arm(phy, mac, aifs_ns, slot_ns, heap, n):
             soonest = min(soonest, _access_ns(phy, mac, aifs_ns, slot_ns, a))
     if soonest < mac.armed_ns:  # an earlier event would check again
         mac.armed_ns = soonest
-        n = push(heap.times, heap.codes, n, soonest, (_ACCESS << 32) | mac.rank)
+        n = _schedule(heap, n, soonest, _ACCESS, mac)
     return n
 
 
@@ -164,7 +172,8 @@ def _close(phy, phys, packets, c, t):
         if phy.frame_mw < c.sinr_clean * unwanted_mw:
             p = packets[phys[phy.frame_from].packet]
             share = (t - phy.chunk_ns) / (p.airtime_ns - HEADER_NS)
-            error = np.exp(c.curve_a - c.curve_b * np.log(phy.frame_mw / unwanted_mw))
+            sinr = phy.frame_mw / unwanted_mw
+            error = np.exp(c.curve_a - c.curve_b * np.log(sinr))
             phy.log_psr -= share * (p.payload_bytes + c.overhead_bytes) / 336.0 * error
         phy.chunk_ns = t
 
@@ -181,7 +190,8 @@ def _settle(phy, mac, air, log, t):
         if air.jam_mw.size > 0:
             j = air.row_of_rank[mac.rank]
             phy.jam_mw = air.jam_mw[j]
-        if phy.frame_mw >= c.sinr_min * (c.noise_mw + phy.jam_mw + max(phy.energy_mw - phy.frame_mw, 0.0)):
+        unwanted_mw = c.noise_mw + phy.jam_mw + max(phy.energy_mw - phy.frame_mw, 0.0)
+        if phy.frame_mw >= c.sinr_min * unwanted_mw:
             phy.phase = LOCKED
             phy.chunk_ns = phy.frame_ns + HEADER_NS
             phy.log_psr = 0.0
@@ -221,7 +231,8 @@ def _start(air, log, s, packet, t):
         phy = phys[j]
         h = mix(prefix, phy.key)
         mean_mw = air.mean_mw[e]
-        power = np.float64(mean_mw * air.quantiles[air.fading[e], np.int64(h >> _TO_QUANTILE)])
+        quantile = np.int64(h >> _TO_QUANTILE)
+        power = np.float64(mean_mw * air.quantiles[air.fading[e], quantile])
         log.receiver[slot + k] = j
         detectable = power >= c.detectable_mw
         result = BUSY if detectable else FADING if mean_mw >= c.detectable_mw else RANGE
@@ -234,7 +245,8 @@ def _start(air, log, s, packet, t):
             _settle(phy, macs[j], air, log, t)
         if phy.phase == LOCKED:
             _close(phy, phys, log.packets, c, t)
-            if detectable and t - phy.frame_ns <= c.capture_ns and power > c.capture_ratio * phy.frame_mw:
+            in_time = t - phy.frame_ns <= c.capture_ns
+            if detectable and in_time and power > c.capture_ratio * phy.frame_mw:
                 outcome[_slot(phy, phys, log.packets)] = COLLISION
                 phy.phase = FREE
         phy.energy_mw += power
@@ -243,13 +255,14 @@ def _start(air, log, s, packet, t):
             if phy.n_strong == 0:
                 phy.strong_since_ns = t
             phy.n_strong += 1
+        is_free = phy.phase == FREE
+        is_stronger = phy.phase == DETECTING and power > phy.frame_mw
+        # A weak frame matters only where it tips carrier sense.
+        matters = detectable or (is_free and phy.busy == 0 and phy.energy_mw >= c.cca_mw)
         if phy.packet != NONE:
             if detectable:
                 result = HALF_DUPLEX
-        elif (phy.phase == FREE or (phy.phase == DETECTING and power > phy.frame_mw)) and (
-            # A weak frame matters only where it tips carrier sense.
-            detectable or (phy.phase == FREE and phy.busy == 0 and phy.energy_mw >= c.cca_mw)
-        ):
+        elif (is_free or is_stronger) and matters:
             if phy.phase == DETECTING and phy.frame_mw >= c.detectable_mw:
                 outcome[_slot(phy, phys, log.packets)] = BUSY
             phy.phase = DETECTING
@@ -296,7 +309,8 @@ def _end(air, log, heap, n, s, t, forwarding):
             phy.n_strong -= 1
             if phy.n_strong == 0:
                 phy.strong_ns += t - phy.strong_since_ns
-        if phy.busy and phy.phase != LOCKED and phy.packet == NONE and phy.energy_mw < c.cca_mw:
+        is_occupied = phy.phase == LOCKED or phy.packet != NONE
+        if phy.busy and not is_occupied and phy.energy_mw < c.cca_mw:
             n = _go_idle(phy, macs[j], air, heap, n, t)
     sender.packet = NONE
     a = np.int64(frame.access)
@@ -307,7 +321,7 @@ def _end(air, log, heap, n, s, t, forwarding):
         sender_mac.gate_ns = t + sender_mac.gap_ns
         if sender_mac.n_queued > 0:
             sender_mac.gated = 1
-            n = push(heap.times, heap.codes, n, sender_mac.gate_ns, (_GATE << 32) | sender_mac.rank)
+            n = _schedule(heap, n, sender_mac.gate_ns, _GATE, sender_mac)
     if sender.energy_mw < c.cca_mw:
         n = _go_idle(sender, sender_mac, air, heap, n, t)
     return n
@@ -344,7 +358,7 @@ def _enqueue(phy, mac, packets, p, air, heap, n, t):
     if mac.gap_ns > 0 and t < mac.gate_ns:
         if mac.gated == 0:
             mac.gated = 1
-            n = push(heap.times, heap.codes, n, mac.gate_ns, (_GATE << 32) | mac.rank)
+            n = _schedule(heap, n, mac.gate_ns, _GATE, mac)
     elif mac.count[a] == 1:
         _request(phy, mac, air, t, a)
         n = _arm(phy, mac, air.aifs_ns, air.c.slot_ns, heap, n)
@@ -359,11 +373,11 @@ def _pending(air, packets, forwarding, heap):
         mac = air.macs[j]
         if air.phys[j].packet != NONE:
             p = packets[air.phys[j].packet]
-            n = push(heap.times, heap.codes, n, p.start_ns + p.airtime_ns, (_END << 32) | mac.rank)
+            n = _schedule(heap, n, p.start_ns + p.airtime_ns, _END, mac)
         if mac.armed_ns != NEVER:
-            n = push(heap.times, heap.codes, n, mac.armed_ns, (_ACCESS << 32) | mac.rank)
+            n = _schedule(heap, n, mac.armed_ns, _ACCESS, mac)
         if mac.gated:
-            n = push(heap.times, heap.codes, n, mac.gate_ns, (_GATE << 32) | mac.rank)
+            n = _schedule(heap, n, mac.gate_ns, _GATE, mac)
     return n
 
 
@@ -372,12 +386,15 @@ def _choose(phy, mac, air, packets, t):
     """The packet that accesses the medium now; NONE if every queue has to wait longer."""
     winner = NONE
     for a in range(N_ACCESS):
-        if mac.count[a] > 0 and _access_ns(phy, mac, air.aifs_ns, air.c.slot_ns, a) <= t:
-            if winner == NONE:
-                winner = _dequeue(mac, packets, a, t)
-            else:  # internal collision: the queue of lower priority backs off
-                mac.slots[a] = _draw_slots(mac, phy.key, air, a)
-                mac.since_ns[a] = t
+        if mac.count[a] == 0:
+            continue
+        if _access_ns(phy, mac, air.aifs_ns, air.c.slot_ns, a) > t:
+            continue
+        if winner == NONE:
+            winner = _dequeue(mac, packets, a, t)
+        else:  # internal collision: the queue of lower priority backs off
+            mac.slots[a] = _draw_slots(mac, phy.key, air, a)
+            mac.since_ns[a] = t
     return winner
 
 
@@ -400,16 +417,18 @@ def run_until(until_ns, air, log, heap, at, n_given, max_degree, forwarding):
         n = _pending(air, packets, forwarding, heap)
     new = at[NEW]
     while True:
-        if forwarding.rules.max_hops > 1 and (
-            is_full(forwarding, max_degree) or at[PACKETS] == len(packets) or at[SLOTS] + max_degree > len(log.outcome)
-        ):
-            at[HEAP], at[NEW] = n, new
-            return False
-        t, code = (heap.times[0], heap.codes[0]) if n > 0 else (NEVER, 0)
+        if forwarding.rules.max_hops > 1:
+            log_is_full = at[PACKETS] == len(packets) or at[SLOTS] + max_degree > len(log.outcome)
+            if log_is_full or is_full(forwarding, max_degree):
+                at[HEAP], at[NEW] = n, new
+                return False
+        t, code = NEVER, 0
+        if n > 0:
+            t, code = heap.times[0], heap.codes[0]
         if new < n_given:
             frame = packets[new]
             generate = (_GENERATE << 32) | macs[frame.sender].rank
-            if frame.generated_ns < t or (frame.generated_ns == t and generate < code):
+            if comes_before(frame.generated_ns, generate, t, code):
                 t, code = frame.generated_ns, generate
         if t >= until_ns:
             break
@@ -447,7 +466,7 @@ def run_until(until_ns, air, log, heap, at, n_given, max_degree, forwarding):
                 n = _arm(phy, mac, air.aifs_ns, air.c.slot_ns, heap, n)
             else:
                 _start(air, log, j, winner, t)
-                n = push(heap.times, heap.codes, n, t + packets[winner].airtime_ns, (_END << 32) | mac.rank)
+                n = _schedule(heap, n, t + packets[winner].airtime_ns, _END, mac)
     for j in range(len(phys)):
         phy, mac = phys[j], macs[j]
         if phy.phase == DETECTING:

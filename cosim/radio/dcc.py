@@ -42,9 +42,10 @@ class DccParams:
 
     def __post_init__(self) -> None:
         bounds, gaps = self.cbr_bounds, self.t_off_s
-        if len(bounds) != 4 or list(bounds) != sorted(set(bounds)) or not 0 < bounds[0] <= bounds[-1] <= 1:
+        increases = list(bounds) == sorted(set(bounds))
+        if len(bounds) != 4 or not increases or not 0 < bounds[0] <= bounds[-1] <= 1:
             raise ValueError(f"radio.dcc.cbr_bounds = {bounds} must be four increasing busy ratios in (0, 1].")
-        if len(gaps) != 5 or list(gaps) != sorted(gaps) or gaps[0] < 0 or gaps[-1] > 60:
+        if len(gaps) != 5 or list(gaps) != sorted(gaps) or not 0 <= gaps[0] <= gaps[-1] <= 60:
             raise ValueError(f"radio.dcc.t_off_s = {gaps} must be five times [s] from 0 to 60 that do not decrease.")
 
 
@@ -80,7 +81,14 @@ class DccState:
     def start() -> "DccState":
         """No stations yet."""
         none = np.zeros(0)
-        return DccState(np.zeros(0, np.uint64), none, np.zeros(0, np.int8), none, none, np.zeros(0, np.int64))
+        return DccState(
+            key=np.zeros(0, np.uint64),
+            cbr=none,
+            level=np.zeros(0, np.int8),
+            share=none,
+            before=none,
+            airtime_ns=np.zeros(0, np.int64),
+        )
 
     def of(self, key: UInt64[ndarray, "n"]) -> "DccState":
         """The state of these stations (each once), in this order. New ones start relaxed, on an idle channel."""
@@ -195,6 +203,7 @@ def gap_ns(
         return np.zeros(len(key), np.int64)
     now = state.of(key)
     if params.algorithm == "adaptive":
-        return np.rint(np.clip(airtime_ns / now.share, GAP_MIN_S * 1e9, GAP_MAX_S * 1e9)).astype(np.int64)
+        gap_ns = np.clip(airtime_ns / now.share, GAP_MIN_S * 1e9, GAP_MAX_S * 1e9)
+        return np.rint(gap_ns).astype(np.int64)
     gaps = np.rint(np.array(params.t_off_s) * 1e9).astype(np.int64)
     return gaps[now.level]

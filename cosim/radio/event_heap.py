@@ -1,6 +1,12 @@
 """A binary heap of events, ordered by time and then by code, in two preallocated arrays."""
 
-from cosim.base.kernel import kernel
+from cosim.base.kernel import inlined, kernel
+
+
+@inlined
+def comes_before(t, code, other_t, other_code):
+    """Whether an event comes before another one: it is earlier, or of a lower code at the same time."""
+    return t < other_t or (t == other_t and code < other_code)
 
 
 @kernel
@@ -9,7 +15,7 @@ def push(times, codes, n, t, code):
     i = n
     while i > 0:
         up = (i - 1) >> 1
-        if times[up] < t or (times[up] == t and codes[up] < code):
+        if comes_before(times[up], codes[up], t, code):
             break
         times[i], codes[i] = times[up], codes[up]
         i = up
@@ -27,11 +33,10 @@ def pop(times, codes, n):
         down = 2 * i + 1
         if down >= n:
             break
-        if down + 1 < n and (
-            times[down + 1] < times[down] or (times[down + 1] == times[down] and codes[down + 1] < codes[down])
-        ):
-            down += 1
-        if t < times[down] or (t == times[down] and code < codes[down]):
+        other = down + 1
+        if other < n and comes_before(times[other], codes[other], times[down], codes[down]):
+            down = other
+        if comes_before(t, code, times[down], codes[down]):
             break
         times[i], codes[i] = times[down], codes[down]
         i = down

@@ -168,7 +168,10 @@ def _find(slot, copies, number, station):
     mask = len(slot) - 1
     hashed = mix(np.uint64(number), np.uint64(station))
     at = np.int64(hashed >> np.uint64(32)) & mask
-    while slot[at] != NONE and (copies[slot[at]].unit != number or copies[slot[at]].station != station):
+    while slot[at] != NONE:
+        copy = copies[slot[at]]
+        if copy.unit == number and copy.station == station:
+            break
         at = (at + 1) & mask
     return at
 
@@ -182,15 +185,17 @@ def _fill_slots(copies, n, slot):
 @kernel
 def is_full(p, n_receivers):
     """Whether one more event might need more room: for a frame, or for a copy at each receiver of a frame."""
-    return p.used[_FRAMES] == len(p.frames) or p.used[_COPIES] + n_receivers > len(p.copies)
+    lacks_copies = p.used[_COPIES] + n_receivers > len(p.copies)
+    return p.used[_FRAMES] == len(p.frames) or lacks_copies
 
 
 @kernel
 def schedule_timers(p, times, codes, n):
     """Put all running timers into the heap."""
     for row in range(p.used[_COPIES]):
-        if p.copies[row].waits:
-            n = push(times, codes, n, p.copies[row].due_ns, (TIMER << 32) | row)
+        copy = p.copies[row]
+        if copy.waits:
+            n = push(times, codes, n, copy.due_ns, (TIMER << 32) | row)
     return n
 
 
@@ -233,7 +238,9 @@ def on_receive(p, frame, to, t, times, codes, n):
     copy.unit, copy.station = frame.unit, to
     copy.hop, copy.waits = frame.hop, 0
     is_far = _square_m2(p.xy_m, u.source, to) > rules.forward_range_m * rules.forward_range_m
-    if frame.hop >= rules.max_hops or is_far or _is_refused(p.refused, np.int64(u.message) << 32 | to):
+    if frame.hop >= rules.max_hops or is_far:
+        return n
+    if _is_refused(p.refused, np.int64(u.message) << 32 | to):
         return n
     share = min(np.sqrt(square) / rules.timer_distance_m, 1.0)
     if not rules.contends:
@@ -272,5 +279,6 @@ def enqueue_forward(p, row, packet, key, ptr, slot, t):
 
 
 _NEVER = ForwardingRules(1, False, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0, 0, np.uint64(0))
-NO_FORWARDING = Forwarding.of(_NEVER, np.zeros(0, UNIT), np.zeros(0, np.uint64), np.zeros((0, 2))).state
+_NOTHING = np.zeros(0, UNIT), np.zeros(0, np.uint64), np.zeros((0, 2))
+NO_FORWARDING = Forwarding.of(_NEVER, *_NOTHING).state
 """A round in which nothing is forwarded."""

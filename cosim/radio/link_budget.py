@@ -89,7 +89,12 @@ class _Found(NamedTuple):
     @staticmethod
     def room(n: int) -> "_Found":
         """For n pairs."""
-        return _Found(*(np.empty(n, kind) for kind in (np.int32, np.int32, np.float64, np.bool_)))
+        return _Found(
+            a=np.empty(n, np.int32),
+            b=np.empty(n, np.int32),
+            distance_m=np.empty(n),
+            blocked=np.empty(n, np.bool_),
+        )
 
 
 @kernel
@@ -306,7 +311,8 @@ def pairs(
     a, b, d, nlos = found.a, found.b, found.distance_m, found.nlos
     range_m = np.where(nlos, params.interference_range_nlos_m, params.interference_range_m)
     keep = np.flatnonzero((d <= range_m) & (d <= params.interference_range_m))
-    a, b, d, nlos = (column[keep] for column in (a, b, d, nlos))
+    a, b = a[keep], b[keep]
+    d, nlos = d[keep], nlos[keep]
     height_m = xyz_m[:, 2] if above_street_m is None else np.asarray(above_street_m, float)
     h_a, h_b = height_m[a], height_m[b]
     by_wall = params.walls == "sommer"
@@ -386,7 +392,8 @@ def links_between(
     power_dbm = np.full(n, params.tx_power_dbm) if tx_power_dbm is None else np.asarray(tx_power_dbm, float)
     fading = fading_class(losses.distance_m, params.fading)
     gain, tx_power_mw = from_db(-losses.loss_db), from_db(power_dbm)
-    ptr, receiver, power_mw, pair = _directed(losses.a, losses.b, gain, tx_power_mw, from_db(params.cutoff_dbm), sends)
+    cutoff_mw = from_db(params.cutoff_dbm)
+    ptr, receiver, power_mw, pair = _directed(losses.a, losses.b, gain, tx_power_mw, cutoff_mw, sends)
     return Links(key, ptr, receiver, power_mw, fading[pair]), losses, pair
 
 
@@ -399,7 +406,8 @@ def _directed(a, b, gain, power_mw, cutoff_mw, sends):
     ptr = np.zeros(n + 1, np.int64)
     for pair in range(len(a)):
         for sender in (a[pair], b[pair]):
-            ptr[sender + 1] += sends[sender] and power_mw[sender] * gain[pair] >= cutoff_mw
+            arrives = power_mw[sender] * gain[pair] >= cutoff_mw
+            ptr[sender + 1] += sends[sender] and arrives
     for i in range(n):
         ptr[i + 1] += ptr[i]
     at, m = ptr.copy(), ptr[n]

@@ -67,6 +67,8 @@ class LinkCache:
         def both(mine: ndarray, theirs: ndarray, at: Int[ndarray, "k"]) -> ndarray:
             return np.concatenate([mine, theirs])[at]
 
+        of_both = zip(near[1:], other.neighbours[1:], strict=True)
+        columns = (both(mine, theirs, near_at) for mine, theirs in of_both)
         return replace(
             self,
             links=Links(
@@ -76,10 +78,7 @@ class LinkCache:
                 power_mw=both(links.power_mw, other.links.power_mw, at),
                 fading=both(links.fading, other.links.fading, at),
             ),
-            neighbours=NeighbourList(
-                near_ptr,
-                *(both(mine, theirs, near_at) for mine, theirs in zip(near[1:], other.neighbours[1:], strict=True)),
-            ),
+            neighbours=NeighbourList(near_ptr, *columns),
             sends=self.sends | other.sends,
         )
 
@@ -94,7 +93,8 @@ def _joined(
 ) -> tuple[Int[ndarray, "n+1"], Int[ndarray, "k"]]:
     """Compressed rows of which some are those of another list: where they begin, and places in both lists together."""
     size = np.where(of_other, np.diff(other), np.diff(ptr))
-    return offsets(size), ranges(np.where(of_other, ptr[-1] + other[:-1], ptr[:-1]), size)
+    begin = np.where(of_other, ptr[-1] + other[:-1], ptr[:-1])
+    return offsets(size), ranges(begin, size)
 
 
 def jammed(links: Links, stations: Stations, params: RadioParams) -> Links:
@@ -109,14 +109,16 @@ def jammed(links: Links, stations: Stations, params: RadioParams) -> Links:
     suffers the noise of all of them.
     """
     abuse = stations.abuse
-    if abuse is None or not (np.isfinite(abuse.jam_dbm).any() or np.isfinite(abuse.react_dbm).any()):
+    if abuse is None:
+        return links
+    if not np.isfinite(abuse.jam_dbm).any() and not np.isfinite(abuse.react_dbm).any():
         return links
     sender = owner_of_rows(np.diff(links.ptr))
-    noise = [
-        np.bincount(links.receiver, links.power_mw * from_db(dbm - params.propagation.tx_power_dbm)[sender],
-                    len(stations))
-        for dbm in (abuse.jam_dbm, abuse.react_dbm)
-    ]  # fmt: skip
+    noise = []
+    for dbm in (abuse.jam_dbm, abuse.react_dbm):
+        times_frame = from_db(dbm - params.propagation.tx_power_dbm)
+        noise_mw = links.power_mw * times_frame[sender]
+        noise.append(np.bincount(links.receiver, noise_mw, len(stations)))
     detects = np.isfinite(abuse.react_dbm)[links.receiver]
     detects &= links.power_mw >= from_db(params.receiver.detectable_dbm)
     detected = np.bincount(sender, detects, len(stations)) > 0

@@ -64,7 +64,6 @@ def gap_s(medium: Medium, state: Any, stations: Stations) -> Float[ndarray, "n"]
     return medium.gap_s(state, stations) if isinstance(medium, CsmaMedium) else np.zeros(len(stations))
 
 
-MEDIA: Mapping[str, Callable[[RadioParams, float, int, LosOfPlaces | None], Medium]] = Choices(
-    "medium", {"csma": CsmaMedium, "unit_disk": UnitDiskMedium}
-)
+_MakeMedium = Callable[[RadioParams, float, int, LosOfPlaces | None], Medium]
+MEDIA: Mapping[str, _MakeMedium] = Choices("medium", {"csma": CsmaMedium, "unit_disk": UnitDiskMedium})
 """Media by the value of `radio.model`."""

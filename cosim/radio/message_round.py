@@ -117,7 +117,10 @@ class Messages:
         order = np.argsort(station, kind="stable")
 
         def joined(mine: ndarray | None, usual: float) -> ndarray | None:
-            return None if mine is None else np.append(mine, np.full(len(other), usual, mine.dtype))[order]
+            if mine is None:
+                return None
+            of_other = np.full(len(other), usual, mine.dtype)
+            return np.append(mine, of_other)[order]
 
         length = np.concatenate([self.length_bytes, other.length_bytes])[order]
         is_other = order >= len(self)
@@ -273,12 +276,10 @@ class MessageRound:
         none = np.zeros(0, np.int64)
         to = np.concatenate([receiver, none if lost_receiver is None else lost_receiver])
         of = np.concatenate([message, none if lost_message is None else lost_message])
-        for name, rows, n_rows in (("receiver", to, len(stations)), ("message", of, len(messages))):
-            if rows.dtype.kind not in "iu" or len(rows) != len(to) or ((rows < 0) | (rows >= n_rows)).any():
-                raise ValueError(
-                    f"{name} is not one row of the {n_rows} {'stations' if rows is to else 'messages'} for each frame."
-                )
+        _check_rows("receiver", to, len(to), len(stations), "stations")
+        _check_rows("message", of, len(to), len(messages), "messages")
         xy_m, n = stations.xyz_m[:, :2], len(receiver)
+        is_received = np.arange(len(to)) < n
         zero, ones = np.zeros(n), np.ones(n, np.int64)
         latency_s = np.broadcast_to(np.asarray(latency_s, float), n)
         offset_s = zero if messages.delay_s is None else messages.delay_s[message]
@@ -289,7 +290,7 @@ class MessageRound:
             hop=np.ones(len(to), np.int64),
             distance_m=np.hypot(*(xy_m[to] - xy_m[messages.station[of]]).T),
             los_state=np.full(len(to), LosState.UNKNOWN, np.uint8),
-            outcome=np.where(np.arange(len(to)) < n, int(Outcome.RECEIVED), int(Outcome.PROPAGATION)),
+            outcome=np.where(is_received, int(Outcome.RECEIVED), int(Outcome.PROPAGATION)),
             n_transmissions=(messages.length_bytes > 0).astype(np.int64),
             n_relayed=0,
             n_duplicate=0,
@@ -347,6 +348,13 @@ class LinkReceptions(NamedTuple):
     """From vehicles by roadside units; receivers are rows of the units."""
     downlink: Receptions
     """From roadside units by vehicles."""
+
+
+def _check_rows(name: str, rows: Int[ndarray, "f"], n_frames: int, n_rows: int, what: str) -> None:
+    """Raise ValueError if these are not numbers of rows of a table, one for each frame."""
+    is_number = rows.dtype.kind in "iu" and len(rows) == n_frames
+    if not is_number or ((rows < 0) | (rows >= n_rows)).any():
+        raise ValueError(f"{name} is not one row of the {n_rows} {what} for each frame.")
 
 
 def by_link(happened: MessageRound, n_vehicles: int) -> LinkReceptions:

@@ -265,7 +265,9 @@ def blockage_mean_db(
     Otherwise, equal heights included: mean 5 + max(0, 15 log d - 41), deviation 4.   Deviations: heights are rounded
     to a millimetre before they are compared.
     """
-    blocker, a, b = (np.rint(np.asarray(h) / HEIGHT_STEP_M) for h in (blocker_m, h_a_m, h_b_m))
+    blocker = np.rint(np.asarray(blocker_m) / HEIGHT_STEP_M)
+    a = np.rint(np.asarray(h_a_m) / HEIGHT_STEP_M)
+    b = np.rint(np.asarray(h_b_m) / HEIGHT_STEP_M)
     clear = np.minimum(a, b) > blocker
     both = np.maximum(a, b) < blocker
     farther = np.maximum(0.0, 15 * np.log10(d) - 41)
@@ -333,7 +335,8 @@ def vehicle_blockage_p(
     if scenario == "urban":
         p0, rate, a, b, c = _BOBAN_URBAN[traffic]
         los = np.minimum(1.0, p0 * np.exp(-rate * d))
-        curve = np.exp(-((np.log(d) - b) ** 2) / c) / (a * d)
+        exponent = -((np.log(d) - b) ** 2) / c
+        curve = np.exp(exponent) / (a * d)
         blocked = np.minimum(1 - los, curve)
         return blocked / (los + blocked)
     a, b = _BOBAN_HIGHWAY[traffic]

@@ -14,6 +14,7 @@ from cosim.base.codes import LosState
 from cosim.base.kernel import compiled
 from cosim.base.ragged import counting_order
 from cosim.radio.channel import PhyOutcome, WindowResult
+from cosim.radio.event_heap import comes_before
 from cosim.radio.link_budget import PairLos
 from cosim.radio.message_round import Outcome, Receptions
 
@@ -369,8 +370,7 @@ def _complete(xy, station, attempts, sent, by_unit, own_ns, n_segments, begin_ns
                 # The first frame to end counts; of two at once that of the transmitter of lower number.
                 while k < end and unit[got[k]] == unit[best]:
                     f = got[k]
-                    is_tied = end_ns[f] == end_ns[best]
-                    if end_ns[f] < end_ns[best] or (is_tied and transmitter[f] < transmitter[best]):
+                    if comes_before(end_ns[f], transmitter[f], end_ns[best], transmitter[best]):
                         best = f
                     n_duplicate[s] += end_ns[f] >= since_ns
                     k += 1

@@ -50,7 +50,11 @@ class RsuAntennas:
         return len(self.key)
 
 
-NO_RSUS = RsuAntennas(np.zeros((0, 3)), np.zeros(0, np.uint64), np.zeros(0))
+NO_RSUS = RsuAntennas(
+    xyz_m=np.zeros((0, 3)),
+    key=np.zeros(0, np.uint64),
+    above_street_m=np.zeros(0),
+)
 """No roadside units."""
 
 
@@ -91,11 +95,18 @@ def place_rsus(params: RsuParams, streets: StreetPlaces) -> RsuAntennas:
             f"rsu.n_at_junctions = {params.n_at_junctions}: the network has no more than {len(taken)} junctions that "
             f"are rsu.apart_m = {params.apart_m:g} m from each other. Set one of the two lower."
         )
-    xyz = [(x, y, streets.street_m(x, y) + height) for x, y, height in params.at]
-    xyz += [(j.xyz_m[0], j.xyz_m[1], j.xyz_m[2] + params.height_m) for j in taken]
-    names = [f"rsu/{x:.2f}/{y:.2f}" for x, y, _ in xyz]  # a unit has the same key wherever it is listed
-    if len(set(names)) < len(names):
-        x, y, _ = next(xyz[i] for i, name in enumerate(names) if name in names[:i])
-        raise ValueError(f"two roadside units stand at [{x:.2f}, {y:.2f}] m. Leave one of them out of rsu.at.")
-    above_street_m = np.array([height for _, _, height in params.at] + [params.height_m] * len(taken))
-    return RsuAntennas(np.array(xyz), np.array([rng.name_key(name) for name in names], np.uint64), above_street_m)
+    sites = [(x, y, streets.street_m(x, y), height) for x, y, height in params.at]
+    sites += [(*junction.xyz_m, params.height_m) for junction in taken]
+    names: list[str] = []
+    for x, y, _, _ in sites:
+        name = f"rsu/{x:.2f}/{y:.2f}"  # a unit has the same key wherever it is listed
+        if name in names:
+            raise ValueError(f"two roadside units stand at [{x:.2f}, {y:.2f}] m. Leave one of them out of rsu.at.")
+        names.append(name)
+    x_m, y_m, street_m, above_street_m = np.array(sites).T
+    keys = [rng.name_key(name) for name in names]
+    return RsuAntennas(
+        xyz_m=np.column_stack([x_m, y_m, street_m + above_street_m]),
+        key=np.array(keys, np.uint64),
+        above_street_m=above_street_m.copy(),
+    )

@@ -15,7 +15,6 @@ from cosim.radio.segmentation import ENVELOPE_BYTES
 from cosim.radio.sidelink_phy import (
     LTE_RBS,
     LTE_SUBCHANNELS,
-    NR_MCS,
     NR_RBS,
     NR_SUBCHANNELS,
     Carrier,
@@ -113,7 +112,6 @@ class NrParams:
                 "radio.nr.control_rbs", self.control_rbs,
                 f"is more than a subchannel (radio.nr.subchannel_rbs = {self.subchannel_rbs}). Set it lower.",
             )  # fmt: skip
-        assert self.mcs < len(NR_MCS)
 
     def carrier(self) -> Carrier:
         """The carrier. Raises ValueError if no subchannel fits, or if the largest transport block is too small."""

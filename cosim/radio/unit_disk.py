@@ -8,7 +8,7 @@ from numpy import ndarray
 
 from cosim.base import rng
 from cosim.base.codes import LosState
-from cosim.base.ragged import expand, order_by_two, ptr_of
+from cosim.base.ragged import differs_from_last, expand, order_by_two, ptr_of
 from cosim.radio.link_budget import neighbours
 from cosim.radio.message_round import (
     FrameOutcomes,
@@ -48,7 +48,8 @@ class UnitDiskMedium:
         message's sender is within the forwarding range, and if it does not refuse it.
         """
         p, relay, disk = self.params, self.params.relay, self.params.unit_disk
-        rng_key = rng.key(self.seed, (rng.Stream.RADIO_DETECTIONS, rng.Stream.RADIO_EVALUATIONS)[kind], step)
+        streams = rng.Stream.RADIO_DETECTIONS, rng.Stream.RADIO_EVALUATIONS
+        rng_key = rng.key(self.seed, streams[kind], step)
         n = len(stations)
         n_messages = len(messages)
         xy_m = stations.xyz_m[:, :2]
@@ -64,10 +65,12 @@ class UnitDiskMedium:
         n_transmissions, n_duplicate, n_relayed = np.zeros(n_messages, np.int64), 0, 0
         for hop in range(1, relay.max_hops + 1):
             if hop > 1:
-                forwards = np.linalg.norm(xy_m[transmitter] - xy_m[station[message]], axis=1) <= relay.forward_range_m
+                away_m = np.linalg.norm(xy_m[transmitter] - xy_m[station[message]], axis=1)
+                forwards = away_m <= relay.forward_range_m
                 if relay.rule == "probability":
                     draw_key = rng.keys(rng_key, np.array([rng.Stream.RELAY]))[0]
-                    forwards &= rng.uniforms(draw_key, message_key[message], key[transmitter])[:, 0] < relay.forward_p
+                    draw = rng.uniforms(draw_key, message_key[message], key[transmitter])[:, 0]
+                    forwards &= draw < relay.forward_p
                 if messages.refused is not None:
                     forwards &= ~np.isin(message << 32 | transmitter, messages.refused)
                 message, transmitter, age_s = message[forwards], transmitter[forwards], age_s[forwards]
@@ -84,7 +87,8 @@ class UnitDiskMedium:
             to = neighbour[link]
             apart_m = length_m[link]
             draws = rng.uniforms(rng_key, message_key[message], key[via], key[to], n=2)
-            arrival_s = age_s[which] + disk.latency_min_s + (disk.latency_max_s - disk.latency_min_s) * draws[:, 1]
+            spread_s = disk.latency_max_s - disk.latency_min_s
+            arrival_s = age_s[which] + disk.latency_min_s + spread_s * draws[:, 1]
             outcome = np.where(arrival_s <= self.round_s, int(Outcome.RECEIVED), int(Outcome.LATE))
             outcome[draws[:, 0] < disk.loss_p] = Outcome.PROPAGATION
             attempts.append((message, to, np.full(len(to), hop), apart_m, outcome))
@@ -98,14 +102,15 @@ class UnitDiskMedium:
             received.append((transmitter, message, np.full(len(keep), hop), age_s))
             if not len(message):
                 break
-        receiver, message, hops, age_s = (np.concatenate(c) for c in zip(*received, strict=True))
+        receiver, message, hops, age_s = map(np.concatenate, zip(*received, strict=True))
         offset_s, zero = delay_s[message], np.zeros(len(message))
+        latency_s = age_s - offset_s
         if len(received) == 1:  # in order already
-            away_m = apart_m[keep]
-            receptions = Receptions(receiver, message, hops.astype(np.int32), offset_s, zero, age_s - offset_s, away_m)
+            hops = hops.astype(np.int32)
+            receptions = Receptions(receiver, message, hops, offset_s, zero, latency_s, apart_m[keep])
         else:
-            receptions = receptions_of(receiver, message, hops, offset_s, zero, age_s - offset_s, station, xy_m)
-        message, to, hop_of, apart_m, outcome = (np.concatenate(c) for c in zip(*attempts, strict=True))
+            receptions = receptions_of(receiver, message, hops, offset_s, zero, latency_s, station, xy_m)
+        message, to, hop_of, apart_m, outcome = map(np.concatenate, zip(*attempts, strict=True))
         frames = FrameOutcomes(
             message,
             to,
@@ -133,8 +138,8 @@ def _first_copies(
 ) -> tuple[Int[ndarray, "g"], ndarray]:
     """Received frames, sorted by message, receiver, arrival and transmitter, and which of them bring a new message."""
     keep = np.flatnonzero(outcome == Outcome.RECEIVED)
-    keep = keep[np.lexsort((via[keep], arrival_s[keep], message[keep] * n + to[keep]))]
     pair = message[keep] * n + to[keep]
-    new = np.ones(len(keep), bool)
-    new[1:] = pair[1:] != pair[:-1]
-    return keep, new & ~np.isin(pair, np.concatenate(known))
+    order = np.lexsort((via[keep], arrival_s[keep], pair))
+    keep, pair = keep[order], pair[order]
+    is_known = np.isin(pair, np.concatenate(known))
+    return keep, differs_from_last(pair) & ~is_known

@@ -24,7 +24,7 @@ from cosim.radio.message_round import Stations
 from cosim.radio.params import RadioParams
 from cosim.radio.phy import ReceiverParams
 from cosim.radio.sidelink_params import LteParams, NrParams, SidelinkParams
-from cosim.radio.sidelink_phy import NR_MCS, Carrier, block_of, lte_block_sizes
+from cosim.radio.sidelink_phy import Carrier, block_of, lte_block_sizes, nr_mcs
 from tests import SHARED
 
 WILAB = SHARED / "reference" / "wilab"
@@ -74,8 +74,8 @@ def budget(s: Setting) -> tuple[Carrier, float, float, float]:
         n_rbs = next(k for k in range(1, 53) if _nr_bits(k, s.mcs) >= 8 * s.length_bytes)
         n_sub = -(-n_rbs // 10)
         rbs, carrier_rbs, share = 10 * n_sub, 52, n_sub / 5
-        bits, rate = NR_MCS[s.mcs]
-        second = np.ceil(72 * 1.125 / (bits * rate / 1024))
+        bits, rate, _, _ = nr_mcs(s.mcs)
+        second = np.ceil(72 * 1.125 / (bits * rate))
         elements = (12 * 12 - 24) * n_rbs - 3 * 10 * 12 - second
         per_symbol = _nr_bits(n_rbs, s.mcs) / elements
     else:
@@ -98,7 +98,7 @@ def budget(s: Setting) -> tuple[Carrier, float, float, float]:
 
 def _nr_bits(n_rbs: int, mcs: int) -> int:
     """WiLabV2Xsim counts the second control part in the modulation of the data; the standard has QPSK."""
-    bits, rate = NR_MCS[mcs][0], NR_MCS[mcs][1] / 1024
+    bits, rate, _, _ = nr_mcs(mcs)
     second = np.ceil(72 * 1.125 / (bits * rate))
     return block_of(((12 * 12 - 24) * n_rbs - 3 * 10 * 12 - second) * bits * rate, rate)
 
