@@ -41,7 +41,8 @@ class ActorRegistry:
     def __post_init__(self) -> None:
         classes = {name.upper() for name in self.params.equipped_kinds}
         self._can_be_equipped = np.array([shape.name in classes for shape in Shape])
-        self._equipped_key, self._attack_key = key(self.seed, Stream.EQUIPPED), key(self.seed, Stream.ROLE)
+        self._equipped_key = key(self.seed, Stream.EQUIPPED)
+        self._attack_key = key(self.seed, Stream.ROLE)
 
     def __len__(self) -> int:
         return self._n
@@ -114,7 +115,8 @@ class ActorRegistry:
         if equipped.any() and self.attack_shares:
             draw = uniforms(self._attack_key, keys)[:, 0]
             number = 1 + np.searchsorted(np.cumsum(self.attack_shares), draw, "right")
-            self._attack[rows] = np.where(equipped & (number <= len(self.attack_shares)), number, 0)
+            attacks = equipped & (number <= len(self.attack_shares))
+            self._attack[rows] = np.where(attacks, number, 0)
         for row in np.flatnonzero(equipped).tolist() if self.attack_of else ():
             if names[row] in self.attack_of:
                 self._attack[first + row] = 1 + self.attack_of[names[row]]

@@ -4,8 +4,10 @@ import csv
 import re
 import zlib
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -41,20 +43,28 @@ class Header:
     @property
     def is_data(self) -> bool:
         """Whether a name is a number, a date or a time: the file has no header, and this is its first row."""
-        return any(re.match(form, name) for name in self.names for form in (_NUMBER, _DATE, _CLOCK))
+        is_value = re.compile(f"{_NUMBER}|{_DATE}|{_CLOCK}")
+        return any(is_value.match(name) for name in self.names)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[BinaryIO]:
+    """Read a file, gzip'ed or not. What is wrong with it is told as a TrafficError."""
+    try:
+        with open_input(path) as source:
+            yield source
+    except EOFError:
+        raise TrafficError(f"{path}: the gzip file ends early. {ENDS_EARLY}.") from None
+    except (OSError, zlib.error) as error:
+        raise TrafficError(f"{path}: cannot be read ({str(error).splitlines()[0]}).") from None
+    except ValueError as error:
+        raise TrafficError(str(error)) from None
 
 
 def first_line(path: Path) -> str:
     """The first line of a text file, gzip'ed or not, without blanks around it. Raises TrafficError."""
-    try:
-        with open_input(path) as source:
-            head = source.read(_HEAD_BYTES)
-    except EOFError:
-        raise TrafficError(f"{path}: the gzip file ends early. {ENDS_EARLY}.") from None
-    except (OSError, zlib.error) as error:
-        raise TrafficError(f"{path}: cannot be read ({error}).") from None
-    except ValueError as error:
-        raise TrafficError(str(error)) from None
+    with _opened(path) as source:
+        head = source.read(_HEAD_BYTES)
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise TrafficError(f"{path}: its text is UTF-16. Save it as UTF-8.")
     if b"\n" not in head and b"\r" in head.rstrip(b"\r"):
@@ -66,11 +76,14 @@ def header(path: Path) -> Header:
     """Names and separator of a text table. Raises TrafficError."""
     line = first_line(path)
     separator = next((s for s in _SEPARATORS if s in line), " " if " " in line else ",")
-    names = (
-        line.split() if separator == " " else next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
-    )
+    if separator == " ":
+        names = line.split()
+    else:
+        names = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
     names = [name.strip().strip('"') for name in names]
-    return Header(names[:-1] if len(names) > 1 and not names[-1] else names, separator)
+    if len(names) > 1 and not names[-1]:
+        names = names[:-1]
+    return Header(names, separator)
 
 
 def check_header(path: Path, found: Header, wanted: Collection[str]) -> None:
@@ -125,24 +138,19 @@ def _parsed(lines: bytes, found: Header, wanted: Collection[str]) -> pa.Table:
 
 def _whole_lines(path: Path, has_header: bool) -> Iterator[tuple[bytes, bool]]:
     """The lines after the header, in blocks that end at the end of a line, and whether a line lacks its end."""
-    try:
-        with open_input(path) as source:
-            if has_header:
-                source.readline(_HEAD_BYTES)
-            left = b""
-            while chunk := source.read(_BLOCK_BYTES):
-                whole, end, rest = (left + chunk).rpartition(b"\n")
-                if whole.strip():
-                    yield whole + end, False
-                left = rest if end else left + chunk
-                if len(left) > 4 * _BLOCK_BYTES:
-                    raise TrafficError(f"{path}: a line of more than {len(left) >> 20} MB: no table of text.")
-            if left.strip():
-                yield left, True
-    except EOFError:
-        raise TrafficError(f"{path}: the gzip file ends early. {ENDS_EARLY}.") from None
-    except (OSError, zlib.error) as error:
-        raise TrafficError(f"{path}: cannot be read ({str(error).splitlines()[0]}).") from None
+    with _opened(path) as source:
+        if has_header:
+            source.readline(_HEAD_BYTES)
+        left = b""
+        while chunk := source.read(_BLOCK_BYTES):
+            whole, end, rest = (left + chunk).rpartition(b"\n")
+            if whole.strip():
+                yield whole + end, False
+            left = rest if end else left + chunk
+            if len(left) > 4 * _BLOCK_BYTES:
+                raise TrafficError(f"{path}: a line of more than {len(left) >> 20} MB: no table of text.")
+        if left.strip():
+            yield left, True
 
 
 def _unreadable(said: str, is_torn: bool) -> str:
@@ -216,13 +224,16 @@ def _first_bad(column: pa.ChunkedArray, first_row: int) -> str:
     if not is_text(column.type):
         return ", but dates, times or lists"
     for row, text in enumerate(column.to_pylist()):
-        if text is not None and text not in _NOTHING and (not re.match(_NUMBER, text) or "," in text):
-            hint = ""
-            if re.match(r"^[-+]?\d{1,3}([.,']\d{3})+([.,]\d+)?$", text):
-                hint = ". Are commas or points between thousands? Remove them"
-            elif "," in text:
-                hint = ". Is it a decimal comma? Write decimal points in all rows"
-            return f": {text[:40]!r} in row {first_row + row + 1}{hint}"
+        if text is None or text in _NOTHING:
+            continue
+        if re.match(_NUMBER, text) and "," not in text:
+            continue
+        hint = ""
+        if re.match(r"^[-+]?\d{1,3}([.,']\d{3})+([.,]\d+)?$", text):
+            hint = ". Are commas or points between thousands? Remove them"
+        elif "," in text:
+            hint = ". Is it a decimal comma? Write decimal points in all rows"
+        return f": {text[:40]!r} in row {first_row + row + 1}{hint}"
     return ""
 
 
@@ -244,10 +255,10 @@ def seconds(
         Names the first value that is none of these.
     """
     kind = column.type
-    if pa.types.is_time(kind):
-        return column.cast(pa.time64("us")).cast(pa.int64()).cast(pa.float64(), safe=False).to_numpy() / 1e6
-    if pa.types.is_duration(kind):
-        return column.cast(pa.duration("us")).cast(pa.int64()).cast(pa.float64(), safe=False).to_numpy() / 1e6
+    if pa.types.is_time(kind) or pa.types.is_duration(kind):
+        in_microseconds = pa.time64("us") if pa.types.is_time(kind) else pa.duration("us")
+        microseconds = column.cast(in_microseconds).cast(pa.int64())
+        return microseconds.cast(pa.float64(), safe=False).to_numpy() / 1e6
     if pa.types.is_timestamp(kind) or pa.types.is_date(kind):
         return _since_1970(path, name, column)
     if not is_text(kind):
@@ -273,27 +284,35 @@ def clock_seconds(text: str) -> float | None:
 
 
 def _of_day(path: Path, name: str, column: pa.ChunkedArray) -> Float[ndarray, "n"]:
-    if not pc.all(pc.fill_null(pc.match_substring_regex(column, _CLOCK), True)).as_py():
-        raise _no_time(path, name, next(t for t in column.to_pylist() if t is not None and not re.match(_CLOCK, t)))
+    _check_form(path, name, column, _CLOCK)
     parts = pa.chunked_array(pc.extract_regex(column, _CLOCK)).combine_chunks()
     total = np.zeros(len(column))
     for part, unit_s in zip("dhms", (86400.0, 3600.0, 60.0, 1.0), strict=True):
         text = pc.replace_substring(pc.utf8_rtrim(parts.field(part), ":"), ",", ".")
-        total += unit_s * pc.if_else(pc.equal(text, ""), "0", text).cast(pa.float64()).to_numpy(zero_copy_only=False)
+        number = pc.if_else(pc.equal(text, ""), "0", text).cast(pa.float64())
+        total += unit_s * number.to_numpy(zero_copy_only=False)
     return np.where(np.asarray(column.is_null()), np.nan, total)
 
 
 def _since_1970(path: Path, name: str, column: pa.ChunkedArray) -> Float[ndarray, "n"]:
-    if is_text(column.type) and not pc.all(pc.fill_null(pc.match_substring_regex(column, _DATE), True)).as_py():
-        raise _no_time(path, name, next(t for t in column.to_pylist() if t is not None and not re.match(_DATE, t)))
+    if is_text(column.type):
+        _check_form(path, name, column, _DATE)
     import pandas as pd  # imported here because most traces have seconds
 
     try:
         parsed = pd.to_datetime(column.to_pandas(), utc=True, format="ISO8601", errors="raise")
     except (ValueError, TypeError) as error:
-        raise TrafficError(f"{path}: column {name}: {' '.join(str(error).split())[:120]}.") from None
+        cause = " ".join(str(error).split())[:120]
+        raise TrafficError(f"{path}: column {name}: {cause}.") from None
     microseconds = parsed.dt.tz_localize(None).dt.as_unit("us").to_numpy()
     return np.where(np.isnat(microseconds), np.nan, microseconds.astype(np.int64) / 1e6)
+
+
+def _check_form(path: Path, name: str, column: pa.ChunkedArray, form: str) -> None:
+    """Raise TrafficError if a text of a column has not this form."""
+    is_right = pc.fill_null(pc.match_substring_regex(column, form), True)
+    if not pc.all(is_right).as_py():
+        raise _no_time(path, name, column.filter(pc.invert(is_right))[0].as_py())
 
 
 def _no_time(path: Path, name: str, text: str) -> TrafficError:

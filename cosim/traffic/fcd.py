@@ -23,6 +23,8 @@ SUFFIXES = (".xml", ".xml.gz", ".csv", ".csv.gz", ".parquet")
 _COLUMNS = ("x", "y", "angle", "speed")
 _SIZES = ("length", "width", "height")
 _TEXTS = ("id", "type", "vClass", "lane", "edge")
+_READ = ("time", "z", *_TEXTS, *_COLUMNS, *_SIZES)
+"""All columns that are read."""
 _ON_FOOT_MPS = 5.0
 """Pedestrians are not faster."""
 _BLOCK_ROWS = 1 << 16
@@ -56,7 +58,8 @@ def timesteps(path: Path) -> Iterator[Timestep]:
     TrafficError
         The file is damaged, lacks a column, has a number that is not finite, or is not sorted by time.
     """
-    read = next(reader for suffix, reader in _READERS.items() if path.name.removesuffix(".gz").endswith(suffix))
+    _, _, form = path.name.removesuffix(".gz").rpartition(".")
+    read = _READERS[form]
     last_s = -np.inf
     for timestep in read(path):
         if not np.isfinite(timestep.time_s):
@@ -68,8 +71,9 @@ def timesteps(path: Path) -> Iterator[Timestep]:
             )
         last_s = timestep.time_s
         numbers = np.column_stack([timestep.front_m, timestep.compass_deg, timestep.speed_mps])
-        if not np.isfinite(numbers).all():
-            bad = timestep.names[int(np.flatnonzero(~np.isfinite(numbers).all(axis=1))[0])]
+        is_finite = np.isfinite(numbers).all(axis=1)
+        if not is_finite.all():
+            bad = timestep.names[int(np.argmin(is_finite))]
             raise TrafficError(f"{path}: {bad!r} at {timestep.time_s:g} s has a number missing or not finite.")
         yield timestep
 
@@ -129,7 +133,8 @@ def _xml(path: Path) -> Iterator[Timestep]:
             except KeyError as error:
                 raise _missing(path, error.args[0]) from None
             except ValueError as error:
-                raise TrafficError(f"{path}: {name} {attributes.get('id')!r} at {time_s:g} s: {error}.") from None
+                who = attributes.get("id")
+                raise TrafficError(f"{path}: {name} {who!r} at {time_s:g} s: {error}.") from None
             types.append(attributes.get("type", ""))
             persons.append(name == "person")
             vclasses.append(attributes.get("vClass", ""))
@@ -141,10 +146,18 @@ def _xml(path: Path) -> Iterator[Timestep]:
         if name == "timestep":
             table = np.array(poses, float).reshape(-1, 8)
             lwh_m = table[:, 5:]
-            done.append(Timestep(
-                time_s, names[:], types[:], table[:, [0, 1, 4]], table[:, 2], table[:, 3], np.array(persons, bool),
-                vclasses[:] if any(vclasses) else None, None if np.isnan(lwh_m).all() else lwh_m,
-            ))  # fmt: skip
+            found = Timestep(
+                time_s=time_s,
+                names=names[:],
+                types=types[:],
+                front_m=table[:, [0, 1, 4]],
+                compass_deg=table[:, 2],
+                speed_mps=table[:, 3],
+                is_person=np.array(persons, bool),
+                vclasses=vclasses[:] if any(vclasses) else None,
+                lwh_m=None if np.isnan(lwh_m).all() else lwh_m,
+            )
+            done.append(found)
             in_timestep = False
             for rows in (names, types, persons, vclasses, poses):
                 rows.clear()
@@ -181,7 +194,7 @@ def _csv(path: Path) -> Iterator[Timestep]:
 
 def _spelled() -> set[str]:
     """All names of columns that are read."""
-    return {spelling for name in ("time", "z", *_TEXTS, *_COLUMNS, *_SIZES) for spelling in _spellings(name)}
+    return {spelling for name in _READ for spelling in _spellings(name)}
 
 
 def _spellings(name: str) -> tuple[str, ...]:
@@ -204,7 +217,7 @@ def _parquet(path: Path) -> Iterator[Timestep]:
     return _arrow(path, batches)
 
 
-_READERS: dict[str, Callable[[Path], Iterator[Timestep]]] = {".xml": _xml, ".csv": _csv, ".parquet": _parquet}
+_READERS = {"xml": _xml, "csv": _csv, "parquet": _parquet}
 
 
 def _arrow(path: Path, blocks: Callable[[], Iterator[pa.Table]]) -> Iterator[Timestep]:
@@ -228,7 +241,8 @@ def _arrow(path: Path, blocks: Callable[[], Iterator[pa.Table]]) -> Iterator[Tim
     except TrafficError:
         raise
     except (pa.ArrowException, OSError, ValueError) as error:
-        cause = (str(error) or type(error).__name__).splitlines()[0].removeprefix(f"{path}: ")
+        said = str(error) or type(error).__name__
+        cause = said.splitlines()[0].removeprefix(f"{path}: ")
         if "magic bytes" in cause or "too small" in cause or "end of file" in cause.lower():
             raise TrafficError(
                 f"{path}: damaged, or not a trace: it lacks the end of a Parquet file. {delimited.ENDS_EARLY}."
@@ -239,7 +253,7 @@ def _arrow(path: Path, blocks: Callable[[], Iterator[pa.Table]]) -> Iterator[Tim
 def _needed(path: Path, block: pa.Table, first_row: int) -> pa.Table:
     """The columns of a block under plain names: text and numbers. Columns that it lacks are left out."""
     found: dict[str, pa.Array | pa.ChunkedArray] = {}
-    for name in ("time", "z", *_TEXTS, *_COLUMNS, *_SIZES):
+    for name in _READ:
         spellings = [s for s in _spellings(name) if s in block.column_names]
         if not spellings:
             if name in ("time", "id", *_COLUMNS):
@@ -267,10 +281,11 @@ def _persons(path: Path, block: pa.Table, found: dict[str, pa.ChunkedArray]) -> 
     """
     n = block.num_rows
     if "vehicle_id" in block.column_names and "person_id" in block.column_names:
-        vehicle, person = (block.column(f"{kind}_id").is_null().to_numpy() for kind in ("vehicle", "person"))
-        return vehicle & ~person
+        is_no_vehicle = block.column("vehicle_id").is_null().to_numpy()
+        is_no_person = block.column("person_id").is_null().to_numpy()
+        return is_no_vehicle & ~is_no_person
     if "lane" in found and "edge" in found:
-        no_lane, no_edge = (np.asarray(pc.fill_null(pc.equal(found[k], ""), True)) for k in ("lane", "edge"))
+        no_lane, no_edge = _is_empty(found["lane"]), _is_empty(found["edge"])
         if not no_lane.all():  # vehicles of mesoscopic traffic have no lane either
             return no_lane & ~no_edge
     if "type" in found or "person_id" not in block.column_names:
@@ -285,28 +300,39 @@ def _persons(path: Path, block: pa.Table, found: dict[str, pa.ChunkedArray]) -> 
     return np.ones(n, bool)
 
 
+def _is_empty(texts: pa.ChunkedArray) -> Bool[ndarray, "n"]:
+    return np.asarray(pc.fill_null(pc.equal(texts, ""), True))
+
+
 def _timestep(rows: pa.Table) -> Timestep:
     time_s = rows.column("time")[0].as_py()
     rows = rows.filter(rows.column("id").is_valid())
     has = rows.column_names
 
     def numbers(name: str, default: float) -> ndarray:
-        return pc.fill_null(rows.column(name), default).to_numpy() if name in has else np.full(len(rows), default)
+        if name not in has:
+            return np.full(len(rows), default)
+        return pc.fill_null(rows.column(name), default).to_numpy()
 
     def texts(name: str) -> list[str]:
-        return pc.fill_null(rows.column(name), "").to_pylist() if name in has else [""] * len(rows)
+        if name not in has:
+            return [""] * len(rows)
+        return pc.fill_null(rows.column(name), "").to_pylist()
 
     x, y, angle, speed = (numbers(name, np.nan) for name in _COLUMNS)
+    lwh_m = None
+    if "length" in has:
+        lwh_m = np.column_stack([numbers(name, np.nan) for name in _SIZES])
     return Timestep(
-        time_s,
-        rows.column("id").to_pylist(),
-        texts("type"),
-        np.column_stack([x, y, numbers("z", 0.0)]),
-        angle,
-        speed,
-        rows.column("is_person").to_numpy(),
-        texts("vClass") if "vClass" in has else None,
-        np.column_stack([numbers(name, np.nan) for name in _SIZES]) if "length" in has else None,
+        time_s=time_s,
+        names=rows.column("id").to_pylist(),
+        types=texts("type"),
+        front_m=np.column_stack([x, y, numbers("z", 0.0)]),
+        compass_deg=angle,
+        speed_mps=speed,
+        is_person=rows.column("is_person").to_numpy(),
+        vclasses=texts("vClass") if "vClass" in has else None,
+        lwh_m=lwh_m,
     )
 
 
@@ -314,7 +340,8 @@ def _seconds(path: Path, text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        if (found := delimited.clock_seconds(text)) is not None:
+        found = delimited.clock_seconds(text)
+        if found is not None:
             return found
         raise TrafficError(f"{path}: time {text!r} is neither a number of seconds nor a time of day.") from None
 

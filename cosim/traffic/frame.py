@@ -88,17 +88,20 @@ class Frame:
             Position in the world frame, heading and speed of each row.
         """
         w, s, e, n = self.bounds_m or (0.0, 0.0, 0.0, 0.0)
-        (x0, y0), margin_m = self.origin_m, self.margin_m if self.bounds_m else LARGEST_COORDINATE_M / 100
-        low = np.array([w - x0 - margin_m, s - y0 - margin_m, -LARGEST_Z_M])
-        high = np.array([e - x0 + margin_m, n - y0 + margin_m, LARGEST_Z_M])
+        x0, y0 = self.origin_m
+        margin_m = self.margin_m if self.bounds_m else LARGEST_COORDINATE_M / 100
+        lowest_xy = np.array([w, s]) - self.origin_m - margin_m
+        highest_xy = np.array([e, n]) - self.origin_m + margin_m
+        low = np.append(lowest_xy, -LARGEST_Z_M)
+        high = np.append(highest_xy, LARGEST_Z_M)
         inside = ((low <= xyz_m) & (xyz_m <= high)).all(axis=1)  # a number that is not finite is outside
         inside &= np.isfinite(yaw_rad) & (np.abs(speed_mps) <= LARGEST_SPEED_MPS)
         if inside.all():
             return
         row = int(np.argmin(inside))
-        shift = np.array([x0, y0, 0.0])
-        given = zip("xyz", (xyz_m[row] + shift).tolist(), low + shift, high + shift, strict=True)
-        bad = [f"{axis} = {value:g} m" for axis, value, least, most in given if not least <= value <= most]
+        is_bad = ~((low <= xyz_m[row]) & (xyz_m[row] <= high))
+        shown_m = xyz_m[row] + np.array([x0, y0, 0.0])
+        bad = [f"{'xyz'[axis]} = {shown_m[axis]:g} m" for axis in np.flatnonzero(is_bad).tolist()]
         if not np.isfinite(yaw_rad[row]):
             bad.append("an angle that is not finite")
         if not abs(speed_mps[row]) <= LARGEST_SPEED_MPS:
@@ -116,4 +119,5 @@ def origin_of(bounds_m: Bounds) -> tuple[float, float]:
     if max(map(abs, bounds_m)) < FARTHEST_M:
         return 0.0, 0.0
     x0, y0, x1, y1 = bounds_m
-    return round((x0 + x1) / 2, -3), round((y0 + y1) / 2, -3)
+    x_m, y_m = (x0 + x1) / 2, (y0 + y1) / 2
+    return round(x_m, -3), round(y_m, -3)

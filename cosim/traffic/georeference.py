@@ -12,6 +12,7 @@ from numpy import ndarray
 from cosim.base.earth import Projection
 from cosim.traffic.fcd import Timestep
 from cosim.traffic.frame import Bounds, TrafficError
+from cosim.traffic.interpolation import rows_in_both
 from sumo_nets.network import lanes
 
 Conversion = Callable[[Timestep], Timestep]
@@ -86,12 +87,9 @@ def conversion(
                 "metres. Give the trace in metres of the network."
             )
         return _moved(own, net.projection), "longitudes and latitudes, placed by the projection of the network"
-    if (
-        net.projection is not None
-        and _in_degrees(xy)
-        and net.holds(net.projection.to_world(xy[:, 1], xy[:, 0])) > _MOST_P
-    ):
-        to_net = net.projection
+    to_net = net.projection
+    x, y = xy.T
+    if to_net is not None and _in_degrees(xy) and net.holds(to_net.to_world(y, x)) > _MOST_P:
 
         def placed(timestep: Timestep) -> Timestep:
             if not _in_degrees(timestep.front_m[:, :2]):
@@ -103,7 +101,8 @@ def conversion(
 
         return placed, "longitudes and latitudes, placed by the projection of the network"
     offset_m = np.array([*net.offset_m, 0.0])
-    if offset_m.any() and net.holds(xy) < _HALF_P and net.holds(xy + offset_m[:2]) > _MOST_P:
+    is_elsewhere = offset_m.any() and net.holds(xy) < _HALF_P
+    if is_elsewhere and net.holds(xy + offset_m[:2]) > _MOST_P:
 
         def shifted(timestep: Timestep) -> Timestep:
             return replace(timestep, front_m=timestep.front_m + offset_m)
@@ -176,15 +175,14 @@ class TravelCheck:
         before, self._before = self._before, timestep
         if before is None:
             return
-        row_of = {name: row for row, name in enumerate(timestep.names)}
-        after = np.fromiter((row_of.get(name, -1) for name in before.names), np.int64, len(before.names))
-        rows = np.flatnonzero(after >= 0)
-        after = after[rows]
-        fast: Bool[ndarray, "n"] = (before.speed_mps[rows] > _MOVING_MPS) & (timestep.speed_mps[after] > _MOVING_MPS)
+        rows, after = rows_in_both(before.names, timestep.names)
+        was_fast = before.speed_mps[rows] > _MOVING_MPS
+        fast: Bool[ndarray, "n"] = was_fast & (timestep.speed_mps[after] > _MOVING_MPS)
         rows, after = rows[fast], after[fast]
         took_s = timestep.time_s - before.time_s
         asked_m = (before.speed_mps[rows] + timestep.speed_mps[after]) / 2 * took_s
-        gone_m = np.hypot(*(timestep.front_m[after] - before.front_m[rows])[:, :2].T)
+        dx_m, dy_m, _ = (timestep.front_m[after] - before.front_m[rows]).T
+        gone_m = np.hypot(dx_m, dy_m)
         self._ratios += (gone_m / asked_m).tolist()
         if self._ratios:
             self._judge(timestep)
@@ -198,8 +196,11 @@ class TravelCheck:
         """
         if len(self._ratios) < _FEWEST:
             return None
-        low, high = sorted((float(np.median(self._ratios)), float(np.mean(self._ratios))))
-        return high if high < _ODD[0] else low if low > _ODD[1] else None
+        both = np.median(self._ratios), np.mean(self._ratios)
+        low, high = float(min(both)), float(max(both))
+        if high < _ODD[0]:
+            return high
+        return low if low > _ODD[1] else None
 
     def _judge(self, timestep: Timestep) -> None:
         moves = [ratio for ratio in self._ratios if ratio > 0]

@@ -119,15 +119,18 @@ class Identities:
         types
             Names of types; what follows `@` does not count.
         """
-        number = np.fromiter(map(self._number.get, keys, repeat(UNKNOWN)), np.int32, len(keys))
+        known = map(self._number.get, keys, repeat(UNKNOWN))
+        number = np.fromiter(known, np.int32, len(keys))
         seen = np.flatnonzero(number != UNKNOWN)
         who = number[seen]
         steps_gone = step - self._last_step[who]
         way_m = np.hypot(*(xy_m[seen] - self._last_m[who]).T)
         is_other = way_m > _FASTEST_MPS * steps_gone * self._step_s + _TELEPORT_M
         self._turn += 1
-        for i in np.flatnonzero((self._turn - self._last_turn[who] > 1) & ~is_other).tolist():  # few come back
-            is_other[i] = self._type[who[i]] != types[seen[i]].partition("@")[0]
+        was_absent = self._turn - self._last_turn[who] > 1
+        for i in np.flatnonzero(was_absent & ~is_other).tolist():  # few come back
+            type_now, _, _ = types[seen[i]].partition("@")
+            is_other[i] = self._type[who[i]] != type_now
         self._last_turn[who] = self._turn
         self._last_step[who] = step
         self._last_m[who] = xy_m[seen]
@@ -161,9 +164,9 @@ class Identities:
         self._number.update(zip(keys, number.tolist(), strict=True))
         n = int(number.max(initial=-1)) + 1
         if n > len(self._last_step):
-            self._last_turn, self._last_step = (
-                np.concatenate([old, np.zeros(n, np.int64)]) for old in (self._last_turn, self._last_step)
-            )
+            room = np.zeros(n, np.int64)
+            self._last_turn = np.concatenate([self._last_turn, room])
+            self._last_step = np.concatenate([self._last_step, room])
             self._last_m = np.concatenate([self._last_m, np.zeros((n, 2))])
         self._type += [""] * (n - len(self._type))
         for row, of in zip(number.tolist(), types, strict=True):

@@ -1,11 +1,11 @@
 """The timesteps of a trace at any times: its own, and between them if steps are shorter or a timestep is missing."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import ceil
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.traffic.fcd import Timestep
@@ -34,7 +34,8 @@ def interval_s(times_s: Float[ndarray, "n"]) -> float | None:
     median_s = float(np.median(took_s))
     near_s = took_s[np.abs(took_s - median_s) < 0.5 * median_s]
     mean_s = float(near_s.mean())
-    return round(mean_s, 6) if np.ptp(near_s) < 1e-6 * median_s + 1e-9 else float(f"{mean_s:.2g}")
+    is_regular = np.ptp(near_s) < 1e-6 * median_s + 1e-9
+    return round(mean_s, 6) if is_regular else float(f"{mean_s:.2g}")
 
 
 class Timeline:
@@ -70,7 +71,8 @@ class Timeline:
         self._is_complete = is_complete
         self._longest_s = max(_LONG * every_s, 0.0 if is_complete else LONGEST_S + self._tolerance_s)
         steps = step_s / every_s
-        self.is_between = abs(steps - round(steps)) > 0.01 * max(1.0, steps) or steps < 0.5
+        off = abs(steps - round(steps))
+        self.is_between = off > 0.01 * max(1.0, steps) or steps < 0.5
         """Whether steps fall between timesteps by themselves."""
         self._before: Timestep | None = None
         self._after = next(timesteps, None)
@@ -119,8 +121,10 @@ class Timeline:
         return report
 
     def _check_gap(self, before: Timestep, after: Timestep, way: "_Way") -> None:
-        took_s, n = after.time_s - before.time_s, len(before.names)
-        if took_s > self._longest_s and not self._is_complete and n and len(way) >= _GOES_ON_P * n:
+        n = len(before.names)
+        is_long = after.time_s - before.time_s > self._longest_s
+        goes_on = n > 0 and len(way) >= _GOES_ON_P * n
+        if is_long and goes_on and not self._is_complete:
             raise TrafficError(
                 f"{self._source}: no timestep between {before.time_s:g} s and {after.time_s:g} s, although {len(way)} "
                 f"of {n} actors are there before and after: the recording has a gap, or its interval of "
@@ -137,18 +141,15 @@ class _Way:
     """The actors that drive from one timestep to the next one. All times between share their lists of names."""
 
     def __init__(self, first: Timestep, second: Timestep) -> None:
-        row_of = {key: row for row, key in enumerate(zip(second.names, second.is_person.tolist(), strict=True))}
-        keys = list(zip(first.names, first.is_person.tolist(), strict=True))
-        after = np.fromiter((row_of.get(key, -1) for key in keys), np.int64, len(keys))
-        before = np.flatnonzero(after >= 0)
-        after = after[before]
+        before, after = rows_in_both(_keys(first), _keys(second))
         self._first_s, self._took_s = first.time_s, second.time_s - first.time_s
         stays = _can_drive(first, second, before, after, self._took_s)
         before, after = before[stays], after[stays]
-        self._names = [first.names[row] for row in before.tolist()]
-        self._types = [first.types[row] for row in before.tolist()]
+        rows = before.tolist()
+        self._names = [first.names[row] for row in rows]
+        self._types = [first.types[row] for row in rows]
         self._is_person = first.is_person[before]
-        self._vclasses = None if first.vclasses is None else [first.vclasses[row] for row in before.tolist()]
+        self._vclasses = None if first.vclasses is None else [first.vclasses[row] for row in rows]
         self._lwh_m = None if first.lwh_m is None else first.lwh_m[before]
         self._begin_m, self._end_m = first.front_m[before], second.front_m[after]
         begin_deg = first.compass_deg[before]
@@ -208,13 +209,29 @@ def curve(
     most_m = 3.0 * np.hypot(chord_m[:, 0], chord_m[:, 1])
     curved = np.zeros((len(points), 2))
     forward = np.ones(len(points), bool)
-    weights = part * (1 - part) ** 2, -(part**2) * (1 - part)
-    for weight, heading_deg, length_m in zip(weights, headings_deg, lengths_m, strict=True):
-        heading = np.column_stack([np.sin(np.deg2rad(heading_deg)), np.cos(np.deg2rad(heading_deg))])
+    of_begin = part * (1 - part) ** 2
+    of_end = -(part**2) * (1 - part)
+    for weight, heading_deg, length_m in zip((of_begin, of_end), headings_deg, lengths_m, strict=True):
+        heading_rad = np.deg2rad(heading_deg)
+        heading = np.column_stack([np.sin(heading_rad), np.cos(heading_rad)])
         forward &= (heading * chord_m[:, :2]).sum(axis=1) > 0
-        curved += weight * (heading * np.clip(length_m, 0.0, most_m)[:, None] - chord_m[:, :2])
+        tangent_m = heading * np.clip(length_m, 0.0, most_m)[:, None]
+        curved += weight * (tangent_m - chord_m[:, :2])
     points[:, :2] += np.where(forward[:, None], curved, 0.0)
     return points
+
+
+def _keys(timestep: Timestep) -> list[tuple[str, bool]]:
+    """Name of each actor, and whether it is a person."""
+    return list(zip(timestep.names, timestep.is_person.tolist(), strict=True))
+
+
+def rows_in_both(first: Sequence[object], second: Sequence[object]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+    """Rows of the keys that both have, in the order of the first. Of equal keys in the second, the last one counts."""
+    row_of = {key: row for row, key in enumerate(second)}
+    after = np.array([row_of.get(key, -1) for key in first], np.int64)
+    before = np.flatnonzero(after >= 0)
+    return before, after[before]
 
 
 def _as_carrier(
@@ -237,6 +254,9 @@ def _can_drive(
     first: Timestep, second: Timestep, before: ndarray, after: ndarray, seconds: float
 ) -> Bool[ndarray, "n"]:
     """Whether each actor's distance between two timesteps agrees with its speeds."""
-    way_m = np.hypot(*(second.front_m[after] - first.front_m[before])[:, :2].T)
-    fastest_mps = np.maximum(np.abs(first.speed_mps[before]), np.abs(second.speed_mps[after]))
+    dx_m, dy_m, _ = (second.front_m[after] - first.front_m[before]).T
+    way_m = np.hypot(dx_m, dy_m)
+    before_mps = np.abs(first.speed_mps[before])
+    after_mps = np.abs(second.speed_mps[after])
+    fastest_mps = np.maximum(before_mps, after_mps)
     return way_m <= _SPARE_FACTOR * fastest_mps * seconds + _SPARE_M

@@ -41,7 +41,8 @@ class LaneLines:
         if keep.sum() < 2:
             keep[-1] = True
         xy = xy[keep]
-        along = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))
+        dx, dy = np.diff(xy, axis=0).T
+        along = np.append(0.0, np.cumsum(np.hypot(dx, dy)))
         n_first = keep[: len(shapes[0])].sum()
         self.number[lanes] = len(self.scale)
         self.scale.append(float(along[n_first - 1]) / max(first_length_m, 1e-6))
@@ -53,7 +54,8 @@ class LaneLines:
     def arrays(self) -> tuple[ndarray, ndarray, ndarray]:
         """The arrays `ptr`, `xy_m` and `along_m` of `LanePaths`."""
         if len(self._xy_m) > 1:
-            self._xy_m, self._along_m = [np.concatenate(self._xy_m)], [np.concatenate(self._along_m)]
+            self._xy_m = [np.concatenate(self._xy_m)]
+            self._along_m = [np.concatenate(self._along_m)]
         if not self._xy_m:
             return np.zeros(1, np.int64), np.zeros((0, 2)), np.zeros(0)
         return np.array(self._ptr, np.int64), self._xy_m[0], self._along_m[0]

@@ -67,7 +67,8 @@ def with_meshes(scene: Scene, meshes: Sequence[MeshParams], vehicle_meshes: Sequ
         vertices, faces = read(f"meshes.{number}.file", Path(mesh.file))
         cos = np.cos(np.radians(mesh.yaw_deg))
         sin = np.sin(np.radians(mesh.yaw_deg))
-        placed = mesh.scale * vertices @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + mesh.at_m
+        turn = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
+        placed = mesh.scale * vertices @ turn + mesh.at_m
         try:
             scene = scene.with_mesh(placed, faces)
         except ValueError as error:
@@ -110,7 +111,8 @@ def read(key: str, path: Path) -> tuple[Float[ndarray, "v 3"], Int[ndarray, "t 3
     except Exception as error:  # a damaged file can raise any exception in the reader
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise ValueError(f"{key} = {path}: cannot be read as a mesh: {reason}.") from None
-    if not len(faces) or not np.isfinite(vertices).all() or np.abs(vertices).max() > LARGEST_M:
+    is_placed = np.isfinite(vertices).all() and np.abs(vertices).max(initial=0.0) <= LARGEST_M
+    if not len(faces) or not is_placed:
         raise ValueError(f"{key} = {path}: has no triangles, or coordinates that are not finite or beyond 100 km.")
     if path.suffix.lower() == ".glb":
         vertices = vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0]

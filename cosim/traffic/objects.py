@@ -96,20 +96,26 @@ class Placed:
             One of them is far outside the network.
         """
         n_units, parked = len(units), parked or {}
-        names = [*(f"{OBJECT}{i}" for i in range(len(objects))), *parked, *units.names]
+        names = [f"{OBJECT}{i}" for i in range(len(objects))]
+        names += [*parked, *units.names]
         objects = [*objects, *parked.values()]
-        kinds = [*(Shape[o.vehicle_class.upper()] for o in objects), *[Shape.ROADSIDE_UNIT] * n_units]
+        kinds = [Shape[o.vehicle_class.upper()] for o in objects]
+        kinds += [Shape.ROADSIDE_UNIT] * n_units
         shape = np.array(kinds, np.uint8)
         is_unit = np.array([kind == Shape.ROADSIDE_UNIT for kind in kinds], bool)
         masts_m = np.column_stack([np.full((n_units, 2), MAST_M), units.height_m])
-        lwh_m = np.concatenate([np.array([o.lwh_m for o in objects]).reshape(-1, 3), masts_m])
+        objects_m = np.array([o.lwh_m for o in objects]).reshape(-1, 3)
+        lwh_m = np.concatenate([objects_m, masts_m])
         lwh_m = lwh_m.astype(np.float32).astype(float)
-        xyz_m = np.array([(*(o.at_m or ()), o.ground_m) for o in objects]).reshape(-1, 3)
-        xyz_m = np.concatenate([xyz_m, units.ground_m])
+        ground_m = [(*(o.at_m or ()), o.ground_m) for o in objects]
+        xyz_m = np.concatenate([np.array(ground_m).reshape(-1, 3), units.ground_m])
         xyz_m[:, 2] += lwh_m[:, 2] / 2
         yaw = np.concatenate([np.radians([o.yaw_deg for o in objects]), units.yaw_rad])
-        boxes = Boxes(np.rint(xyz_m * PER_M) / PER_M, lwh_m, np.rint(wrapped(yaw) * PER_RAD) / PER_RAD)
-        times_s = [(o.from_s, o.to_s) for o in objects] + [(0.0, np.inf)] * n_units
+        xyz_m = np.rint(xyz_m * PER_M) / PER_M
+        yaw_rad = np.rint(wrapped(yaw) * PER_RAD) / PER_RAD
+        boxes = Boxes(xyz_m, lwh_m, yaw_rad)
+        times_s = [(o.from_s, o.to_s) for o in objects]
+        times_s += [(0.0, np.inf)] * n_units
         times = np.array(times_s).reshape(-1, 2) / step_s
         from_step, to_step = np.ceil(times - 1e-9).T
         placed = Placed(names, shape, boxes, from_step, to_step, is_unit)
@@ -119,7 +125,8 @@ class Placed:
 
     def check(self, frame: Frame) -> None:
         """Raise TrafficError if one of them is far outside the network."""
-        numbers, zero = np.arange(len(self.names)), np.zeros(len(self.names))
+        n = len(self.names)
+        numbers, zero = np.arange(n), np.zeros(n)
         frame = replace(frame, source="roadside.at" if self.is_unit.all() else "objects.at_m")
         frame.check(0, self.names, numbers, self.boxes.xyz_m, self.boxes.yaw_rad, zero)
 
@@ -145,21 +152,23 @@ class WithObjects:
         here = np.flatnonzero((p.from_step <= world.step) & (world.step < p.to_step))
         if not len(here):
             return world
-        if len(new := here[self._number[here] < 0]):
-            for kind in (new[~p.is_unit[new]], new[p.is_unit[new]]):
-                self._number[kind] = self._registry.register(
-                    [p.names[i] for i in kind.tolist()],
-                    p.shape[kind],
-                    p.boxes.lwh_m[kind],
-                    world.step,
-                    equipped=bool(p.is_unit[kind].any()),
-                )
+        new = here[self._number[here] < 0]
+        if len(new):
+            self._register(new[~p.is_unit[new]], world.step, equipped=False)
+            self._register(new[p.is_unit[new]], world.step, equipped=True)
         here = here[np.argsort(self._number[here])]
         boxes = p.boxes.take(here)
+        speed = np.zeros(len(here))
         objects = world_of(
-            world.step, self._number[here], boxes.xyz_m, boxes.yaw_rad, np.zeros(len(here)), self._registry, self._frame
+            world.step, self._number[here], boxes.xyz_m, boxes.yaw_rad, speed, self._registry, self._frame
         )
         return _joined(world, objects)
+
+    def _register(self, rows: Int[ndarray, "k"], step: int, equipped: bool) -> None:
+        """Give numbers to objects that appear."""
+        names = [self._placed.names[i] for i in rows.tolist()]
+        shape, lwh_m = self._placed.shape[rows], self._placed.boxes.lwh_m[rows]
+        self._number[rows] = self._registry.register(names, shape, lwh_m, step, equipped=equipped)
 
     def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:
         """As in `TrafficSource`."""

@@ -69,15 +69,19 @@ class PositionErrors:
         -------
         The processes after this step, and the errors of these vehicles: east and north [m], heading [rad].
         """
-        more = max(0, int(actor.max(initial=-1)) + 1 - len(self.step))
+        n_actors = int(actor.max(initial=-1)) + 1
+        more = max(0, n_actors - len(self.step))
         more = max(more, len(self.step)) if more else 0
         errors = np.concatenate([self.error, np.zeros((more, 3))])
         steps = np.concatenate([self.step, np.full(more, -1)])
         since = steps[actor]
-        kept = np.where(since >= 0, np.exp(-(step - since) * dt_s / params.correlation_s), 0.0)[:, None]
-        noise = rng.normals(rng.key(seed, rng.Stream.POSITIONING, step), name_key, n=2)
-        noise = np.column_stack([noise, rng.normals(rng.key(seed, rng.Stream.HEADING, step), name_key, n=1)])
+        decay = np.exp(-(step - since) * dt_s / params.correlation_s)
+        kept = np.where(since >= 0, decay, 0.0)[:, None]
+        of_position = rng.normals(rng.key(seed, rng.Stream.POSITIONING, step), name_key, n=2)
+        of_heading = rng.normals(rng.key(seed, rng.Stream.HEADING, step), name_key, n=1)
+        noise = np.column_stack([of_position, of_heading])
         std = np.array([params.std_m, params.std_m, np.deg2rad(params.heading_std_deg)])
-        error = kept * errors[actor] + std * np.sqrt(1.0 - kept**2) * noise
+        std_of_new = std * np.sqrt(1.0 - kept**2)
+        error = kept * errors[actor] + std_of_new * noise
         errors[actor], steps[actor] = error, step
         return PositionErrors(errors, steps), error

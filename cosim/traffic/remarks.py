@@ -98,20 +98,24 @@ class FlowCounts:
         mean = self.n_vehicles / self.n_steps
         if mean >= _MANY and self.n_first < _FILLING_P * mean:
             found["vehicles_on_road_first"] = self.n_first
-        if self.n_at_one_point >= FEWEST:
-            found["vehicles_at_one_point_p"] = round(self.n_at_one_point / self.n_vehicles, 5)
-        if self.n_overlapping >= FEWEST:
-            found["vehicles_overlapping_p"] = round(self.n_overlapping / self.n_vehicles, 5)
-        if self.n_jumping >= FEWEST:
-            found["vehicles_jumping_p"] = round(self.n_jumping / self.n_vehicles, 5)
+        odd = {
+            "vehicles_at_one_point_p": self.n_at_one_point,
+            "vehicles_overlapping_p": self.n_overlapping,
+            "vehicles_jumping_p": self.n_jumping,
+        }
+        for name, n in odd.items():
+            if n >= FEWEST:
+                found[name] = round(n / self.n_vehicles, 5)
         return found
 
 
 def jumping(before: World, now: World, dt_s: float) -> Int[ndarray, "n"]:
     """Rows of `now` of the vehicles that have moved farther than they can at the larger of their two speeds."""
     _, was, row = np.intersect1d(before.actor, now.actor, assume_unique=True, return_indices=True)
-    moved_m = np.hypot(*(now.boxes.xyz_m[row, :2] - before.boxes.xyz_m[was, :2]).T)
-    most_m = np.maximum(np.abs(before.speed_mps[was]), np.abs(now.speed_mps[row])) * dt_s + JUMP_M
+    dx_m, dy_m, _ = (now.boxes.xyz_m[row] - before.boxes.xyz_m[was]).T
+    moved_m = np.hypot(dx_m, dy_m)
+    before_mps, now_mps = np.abs(before.speed_mps[was]), np.abs(now.speed_mps[row])
+    most_m = np.maximum(before_mps, now_mps) * dt_s + JUMP_M
     return row[(moved_m > most_m) & (now.shape[row] != Shape.PEDESTRIAN)]
 
 
@@ -128,15 +132,16 @@ def overlapping(boxes: Boxes) -> Int[ndarray, "n"]:
         return np.zeros(0, np.int64)
     a, b, between = a[near], b[near], between[near]
     height_m = boxes.lwh_m[:, 2]
-    apart = np.abs(boxes.xyz_m[a, 2] - boxes.xyz_m[b, 2]) > (height_m[a] + height_m[b]) / 2 - INSIDE_M / 2
-    half = boxes.lwh_m[:, :2] / 2
-    for axis_rad in (yaw + turn for yaw in (boxes.yaw_rad[a], boxes.yaw_rad[b]) for turn in (0.0, np.pi / 2)):
+    above_m = np.abs(boxes.xyz_m[a, 2] - boxes.xyz_m[b, 2])
+    apart = above_m > (height_m[a] + height_m[b]) / 2 - INSIDE_M / 2
+    yaw_rad = boxes.yaw_rad
+    half_l, half_w, _ = boxes.lwh_m.T / 2
+    for axis_rad in (yaw_rad[a], yaw_rad[a] + np.pi / 2, yaw_rad[b], yaw_rad[b] + np.pi / 2):
         axis = np.column_stack([np.cos(axis_rad), np.sin(axis_rad)])
-        reach = sum(
-            half[row, 0] * np.abs(np.cos(boxes.yaw_rad[row] - axis_rad))
-            + half[row, 1] * np.abs(np.sin(boxes.yaw_rad[row] - axis_rad))
-            for row in (a, b)
-        )
+        reach = np.zeros(len(a))
+        for row in (a, b):
+            turn = yaw_rad[row] - axis_rad
+            reach += half_l[row] * np.abs(np.cos(turn)) + half_w[row] * np.abs(np.sin(turn))
         apart |= np.abs((between * axis).sum(axis=1)) > reach - INSIDE_M
     return np.unique(np.concatenate([a[~apart], b[~apart]]))
 
@@ -157,8 +162,9 @@ def traffic_remarks(summary: dict[str, Any]) -> list[str]:
         )
     if summary.get("pedestrians_only"):
         found.append("note: only pedestrians were on the road, and no vehicle.")
-    n_at_begin, mean = summary.get("actors_at_trace_begin", 0), summary.get("vehicles_on_road_mean", 0.0)
-    if n_at_begin > max(1.0, MOST_AT_BEGIN_P * mean):
+    n_at_begin = summary.get("actors_at_trace_begin", 0)
+    on_road = summary.get("vehicles_on_road_mean", 0.0)
+    if n_at_begin > max(1.0, MOST_AT_BEGIN_P * on_road):
         found.append(
             f"note: {n_at_begin} actors are on the road when the trace begins. Step 0 is the moment before, so that "
             "they seem to enter the road in step 1, and encounters that have begun already count as whole. Set "
@@ -167,11 +173,11 @@ def traffic_remarks(summary: dict[str, Any]) -> list[str]:
     elif (n_first := summary.get("vehicles_on_road_first")) is not None:
         found.append(
             f"note: {n_first} vehicles were on the road when recording began, and "
-            f"{summary['vehicles_on_road_mean']:.0f} on the mean: the streets were still filling. "
+            f"{on_road:.0f} on the mean: the streets were still filling. "
             "Set traffic.warmup_s to the time that this takes, such as 600."
         )
     found += trace_remarks(summary)
-    waiting, on_road = summary.get("vehicles_waiting_to_enter_at_end", 0), summary.get("vehicles_on_road_mean", 0.0)
+    waiting = summary.get("vehicles_waiting_to_enter_at_end", 0)
     standing_p = summary.get("vehicles_standing_p", 0.0)
     if standing_p >= MOST_STANDING_P and standing_p * on_road >= MOST_STANDING:
         found.append(

@@ -97,11 +97,9 @@ class TraceReplay(_Replay):
         self._identities = Identities(params.step_s)
         self._left_out: dict[str, str] = {}
         self._untyped: set[str] = set()
-        self._rows_of: tuple[list[str], Int[ndarray, "m"], Int[ndarray, "m"]] | tuple[None, None, None] = (
-            None,
-            None,
-            None,
-        )
+        self._listed: list[str] | None = None
+        """List of names of the timestep of which the rows and the numbers are."""
+        self._rows = self._number = np.zeros(0, np.int64)
         ahead, self._read, self._convert, self._placed = opened(path, net)
         self._lanes = LaneCheck(net)
         self._travel = TravelCheck(str(path))  # before the interval is judged, whose unit may be wrong
@@ -133,12 +131,13 @@ class TraceReplay(_Replay):
         if timestep is None:
             raise TrafficEnded(self._end())
         self._frame = self._frame.around(timestep.front_m)
-        if timestep.names is not self._rows_of[0]:  # between two timesteps of the trace, the actors are the same
-            self._rows_of = timestep.names, *self._on_road(timestep, step)
-        _, rows, number = self._rows_of
+        if timestep.names is not self._listed:  # between two timesteps of the trace, the actors are the same
+            self._rows, self._number = self._on_road(timestep, step)
+            self._listed = timestep.names
+        rows = self._rows
         world = world_from_bumpers(
             step,
-            number,
+            self._number,
             timestep.front_m[rows],
             timestep.compass_deg[rows],
             timestep.speed_mps[rows],
@@ -158,7 +157,8 @@ class TraceReplay(_Replay):
         return n
 
     def report(self) -> dict[str, Any]:
-        report: dict[str, Any] = {"actors_left_out": dict(sorted(Counter(self._left_out.values()).items()))}
+        n_left_out = Counter(self._left_out.values())
+        report: dict[str, Any] = {"actors_left_out": dict(sorted(n_left_out.items()))}
         report |= self._counts.report() | self._timeline.report() | self._identities.report()
         if not (self._counts.n_vehicles or self._counts.n_pedestrians) and self._begin_s < self._first_s:
             report |= {"first_departure_s": self._first_s, "warmup_s": self._n_skipped * self._dt_s}
@@ -170,7 +170,8 @@ class TraceReplay(_Replay):
             report["vehicles_without_type"] = len(self._untyped)
         if self._placed:
             report["trace_placed"] = self._placed
-        if (ratio := self._travel.odd_ratio) is not None:
+        ratio = self._travel.odd_ratio
+        if ratio is not None:
             report["trace_travel_ratio"] = round(ratio, 4)
         report |= _far_from_lanes(self._lanes)
         return report | ({"origin_m": list(self._frame.origin_m)} if self._frame.is_around else {})
@@ -204,7 +205,8 @@ class TraceReplay(_Replay):
         for row in np.flatnonzero(shape == LEFT_OUT).tolist():
             self._left_out.setdefault(timestep.names[row], self._type_of(timestep, row).vclass)
         rows = np.flatnonzero((shape != LEFT_OUT) & ~_inside_vehicle(timestep, shape))
-        names, types = ([of[row] for row in rows.tolist()] for of in (timestep.names, timestep.types))
+        names = [timestep.names[row] for row in rows.tolist()]
+        types = [timestep.types[row] for row in rows.tolist()]
         keys = list(zip(names, (shape == Shape.PEDESTRIAN)[rows].tolist(), strict=True))
         if len(set(keys)) < len(keys):
             name = Counter(keys).most_common(1)[0][0][0]
@@ -216,8 +218,10 @@ class TraceReplay(_Replay):
         self._check_frame(step, names, front_m)
         xy_m = front_m[:, :2]
         number = self._identities.numbers(keys, types, xy_m, step)
-        if (new := np.flatnonzero(number == UNKNOWN)).size:
-            number[new] = self._register(timestep, rows[new], shape[rows[new]], step)
+        new = np.flatnonzero(number == UNKNOWN)
+        if new.size:
+            new_rows = rows[new]
+            number[new] = self._register(timestep, new_rows, shape[new_rows], step)
         return rows, number
 
     def _check_frame(self, step: int, names: list[str], front_m: Float[ndarray, "n 3"]) -> None:
@@ -229,25 +233,30 @@ class TraceReplay(_Replay):
     def _register(
         self, timestep: Timestep, rows: Int[ndarray, "k"], shape: Int[ndarray, "k"], step: int
     ) -> Int[ndarray, "k"]:
-        keys = [(timestep.names[row], bool(code == Shape.PEDESTRIAN)) for row, code in zip(rows, shape, strict=True)]
+        names = [timestep.names[row] for row in rows.tolist()]
         types = [timestep.types[row] for row in rows.tolist()]
-        lwh_m = np.array([self._type_of(timestep, row).lwh_m for row in rows.tolist()], float).reshape(-1, 3)
+        of_types_m = [self._type_of(timestep, row).lwh_m for row in rows.tolist()]
+        keys = list(zip(names, (shape == Shape.PEDESTRIAN).tolist(), strict=True))
+        lwh_m = np.array(of_types_m, float).reshape(-1, 3)
         if timestep.lwh_m is not None:
             own_m = timestep.lwh_m[rows]
-            if (large := np.argwhere(own_m > tuple(LARGEST_M.values()))).size:
+            large = np.argwhere(own_m > tuple(LARGEST_M.values()))
+            if large.size:
                 row, axis = large[0].tolist()
                 what = tuple(LARGEST_M)[axis]
                 raise TrafficError(
-                    f"{self._source}: {keys[row][0]!r} has {what} = {own_m[row, axis]:g} m; at most "
+                    f"{self._source}: {names[row]!r} has {what} = {own_m[row, axis]:g} m; at most "
                     f"{LARGEST_M[what]:g} m are possible. Correct the trace."
                 )
             lwh_m = np.where(own_m >= SMALLEST_M, own_m, lwh_m)
         is_motorised = np.isin(shape, (Shape.CAR, Shape.TRUCK))
         self._lanes.add(timestep.front_m[rows[is_motorised], :2])
         if timestep.vclasses is None:
-            untyped = (name for (name, is_person), of in zip(keys, types, strict=True) if not of and not is_person)
-            self._untyped.update(untyped)
-        number = self._registry.register(self._identities.names(keys), shape.astype(np.uint8), lwh_m, step)
+            for (name, is_person), of in zip(keys, types, strict=True):
+                if not of and not is_person:
+                    self._untyped.add(name)
+        shown = self._identities.names(keys)
+        number = self._registry.register(shown, shape.astype(np.uint8), lwh_m, step)
         self._identities.add(keys, types, timestep.front_m[rows, :2], number, step)
         return number
 
@@ -307,11 +316,13 @@ class RunReplay(_Replay):
             )
         vehicles = run.table("vehicles").sort_values("vehicle")
         self._names = vehicles.sumo_id.tolist()
-        placed = [f"{OBJECT}{i}" for i in range(len(run.manifest["config"].get("objects", ())))]
+        n_objects = len(run.manifest["config"].get("objects", ()))
+        placed = [f"{OBJECT}{i}" for i in range(n_objects)]
         self._is_traffic = ~vehicles.sumo_id.isin(placed).to_numpy(bool)  # the new config has its own objects
         if run.manifest["config"].get("parked", {}).get("per_100_m"):
             self._is_traffic &= ~vehicles.sumo_id.str.startswith(PARKED).to_numpy(bool)
-        self._shape = np.array([Shape[k.upper()] for k in vehicles.vehicle_class], np.uint8)
+        shapes = [Shape[name.upper()] for name in vehicles.vehicle_class]
+        self._shape = np.array(shapes, np.uint8)
         self._lwh_m = vehicles[["length_m", "width_m", "height_m"]].to_numpy(float)
         for name, sizes in zip(self._names, self._lwh_m.tolist(), strict=True):
             for what, size in zip(("length", "width", "height"), sizes, strict=True):
@@ -326,17 +337,18 @@ class RunReplay(_Replay):
         """The world of the next step."""
         step, self._step = self._step, self._step + 1
         wanted = (self._n_skipped + step) * self._every
-        if wanted >= self._run.manifest["steps"]:
-            raise TrafficEnded(f"{self._source} ends after {self._run.manifest['steps'] * self._run.dt_s:g} s")
+        n_steps = self._run.manifest["steps"]
+        if wanted >= n_steps:
+            raise TrafficEnded(f"{self._source} ends after {n_steps * self._run.dt_s:g} s")
         rows = self._at(wanted)
+        is_traffic = self._is_traffic[rows["actor"]]
+        rows = {name: column[is_traffic] for name, column in rows.items()}
         actor = rows["actor"]
-        if not self._is_traffic.all():
-            rows = {name: column[self._is_traffic[actor]] for name, column in rows.items()}
-            actor = rows["actor"]
         new = actor[self._number[actor] == UNKNOWN]
         if len(new):
             names = [self._names[i] for i in new.tolist()]
-            self._number[new] = self._registry.register(names, self._shape[new], self._lwh_m[new], step)
+            numbers = self._registry.register(names, self._shape[new], self._lwh_m[new], step)
+            self._number[new] = numbers
             is_car = np.isin(self._shape[actor], (Shape.CAR, Shape.TRUCK))
             xy_m = rows["xyz_m"][is_car & np.isin(actor, new), :2]
             self._lanes.add(xy_m + self._frame.origin_m)
@@ -381,4 +393,5 @@ def _steps_of(run: "Run") -> Iterator[tuple[int, dict[str, ndarray]]]:
         cuts = np.flatnonzero(np.diff(step)) + 1
         begins, ends = np.append(0, cuts), np.append(cuts, len(step))
         for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
-            yield int(step[begin]), {name: column[begin:end] for name, column in columns.items()}
+            of_step = {name: column[begin:end] for name, column in columns.items()}
+            yield int(step[begin]), of_step

@@ -94,7 +94,14 @@ class RoadsideUnits:
         return np.array([actor_key(name, False) for name in self.names], np.uint64)
 
 
-NO_UNITS = RoadsideUnits((), np.zeros((0, 3)), np.zeros(0), np.zeros(0), (), np.zeros(0, bool))
+NO_UNITS = RoadsideUnits(
+    names=(),
+    ground_m=np.zeros((0, 3)),
+    height_m=np.zeros(0),
+    yaw_rad=np.zeros(0),
+    sensor=(),
+    trusted=np.zeros(0, bool),
+)
 
 
 def place(
@@ -125,14 +132,17 @@ def place(
             sites.append((section, (*section.at, streets.street_m(*section.at))))
         else:
             sites += [(section, junction.xyz_m) for junction in _chosen(section, f"roadside.{i}", streets, seed)]
-    names = tuple(f"{PREFIX}{x:.2f}/{y:.2f}" for _, (x, y, _) in sites)
-    if len(set(names)) < len(names):
-        twice = next(name for i, name in enumerate(names) if name in names[:i])
-        raise ValueError(f"two [[roadside]] units stand at {twice.removeprefix(PREFIX)} m. Leave one of them out.")
+    names: list[str] = []
+    for _, (x, y, _) in sites:
+        place = f"{x:.2f}/{y:.2f}"
+        if PREFIX + place in names:
+            raise ValueError(f"two [[roadside]] units stand at {place} m. Leave one of them out.")
+        names.append(PREFIX + place)
     yaw = np.radians([section.heading_deg for section, _ in sites])
+    ground_m = np.array([site for _, site in sites]).reshape(-1, 3)
     return RoadsideUnits(
-        names,
-        np.array([site for _, site in sites]).reshape(-1, 3) - [*origin_m, 0.0],
+        tuple(names),
+        ground_m - [*origin_m, 0.0],
         np.array([section.height_m for section, _ in sites], float),
         np.pi - np.mod(np.pi - yaw, 2 * np.pi),
         tuple(section.sensor for section, _ in sites),

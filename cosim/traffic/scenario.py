@@ -127,7 +127,9 @@ class Scenario:
         if self.net is not None:
             footprints = standing_on(footprints, lanes(self.net))
         origin = np.array(self.origin_m)
-        rings = [[ring - origin for ring in (f.outer, *f.holes)] for f in footprints]
+        rings = []
+        for footprint in footprints:
+            rings.append([ring - origin for ring in (footprint.outer, *footprint.holes)])
         city = Scene.from_footprints(rings, [f.base_z_m for f in footprints], [f.top_z_m for f in footprints])
         if not (trees.per_100_m or trees.from_map):
             return city
@@ -149,8 +151,12 @@ class Scenario:
 
     def changed_inputs(self, provenance: dict[str, str]) -> list[str]:
         """Names of the files whose content has changed since an earlier run of this scenario, by its provenance."""
-        named = ((name, path, provenance.get(f"sha256 {name}")) for name, path in self._named_inputs().items())
-        return [name for name, path, before in named if path != self._recorded and before not in (None, sha256(path))]
+        changed = []
+        for name, path in self._named_inputs().items():
+            before = provenance.get(f"sha256 {name}")
+            if before is not None and path != self._recorded and before != sha256(path):
+                changed.append(name)
+        return changed
 
     @property
     def _recorded(self) -> Path | None:

@@ -63,7 +63,8 @@ def _summary(scenario: Scenario, versions: tuple[tuple[int, ...], ...]) -> Scene
     footprints = [footprint for of_file, _ in polygons.values() for footprint in of_file]
     standing = standing_on(footprints, found)
     streets, notes = _streets(scenario, found)
-    notes += _polygon_notes({path: others for path, (_, others) in polygons.items()}, len(footprints))
+    others_of = {path: others for path, (_, others) in polygons.items()}
+    notes += _polygon_notes(others_of, len(footprints))
     notes += _place_notes(scenario, found, standing)
     said = tuple(f"note: {note}" for note in notes)
     return SceneSummary(streets, _buildings(footprints), len(footprints), said)
@@ -73,7 +74,8 @@ def _streets(scenario: Scenario, found: Sequence[Lane]) -> tuple[str, list[str]]
     assert scenario.net is not None
     driven = [lane for lane in found if lane.for_cars and not lane.across]
     begin_m, end_m = segments(driven)
-    length_km = float(np.hypot(*(end_m - begin_m)[:, :2].T).sum()) / 1000
+    dx_m, dy_m, _ = (end_m - begin_m).T
+    length_km = float(np.hypot(dx_m, dy_m).sum()) / 1000
     z_m = np.concatenate([begin_m[:, 2], end_m[:, 2]])
     over = crossings(found)
     level = over.lane[over.on_one_level]
@@ -122,12 +124,14 @@ def _buildings(footprints: Sequence[Footprint]) -> str:
     if not footprints:
         return "none: everybody sees everybody"
     said = {
-        "given": "in the file, measured or guessed", "measured": "from the tag height", "storeys": "from storeys",
+        "given": "in the file, measured or guessed",
+        "measured": "from the tag height",
+        "storeys": "from storeys",
         "default": "by kind and size",
-    }  # fmt: skip
+    }
     count = Counter(footprint.height_from for footprint in footprints)
-    heights = ", ".join(f"{count[source]:,} {how}" for source, how in said.items() if count[source])
-    return f"{len(footprints):,}; heights: {heights}"
+    heights = [f"{count[source]:,} {how}" for source, how in said.items() if count[source]]
+    return f"{len(footprints):,}; heights: {', '.join(heights)}"
 
 
 def _polygon_notes(files: dict[Path, dict[str, OtherPolygons]], n_buildings: int) -> list[str]:
@@ -149,9 +153,12 @@ def _polygon_notes(files: dict[Path, dict[str, OtherPolygons]], n_buildings: int
 
 def _types(others: dict[str, OtherPolygons]) -> str:
     """The most frequent types of polygons, with numbers."""
-    most = sorted(others.items(), key=lambda item: (-item[1].n, item[0]))
-    named = ", ".join(f"{kind or 'without a type'} {of.n:,}" for kind, of in most[:4])
-    return f"types: {named}" + (", ..." if len(most) > 4 else "")
+    by_name = sorted(others.items())
+    most = sorted(by_name, key=lambda item: item[1].n, reverse=True)
+    named = [f"{kind or 'without a type'} {of.n:,}" for kind, of in most[:4]]
+    if len(most) > 4:
+        named.append("...")
+    return f"types: {', '.join(named)}"
 
 
 def _first_word(kind: str) -> str:
@@ -165,11 +172,15 @@ def _place_notes(scenario: Scenario, found: Sequence[Lane], standing: Sequence[F
     shapes = np.array([footprint.polygon for footprint in standing])
     x0, y0, x1, y1 = shapely.bounds(shapes).T
     line = segments(found)[0][:, :2]
-    (w, s), (e, n) = line.min(axis=0) - NEAR_M, line.max(axis=0) + NEAR_M
-    is_near = (x1 >= w) & (x0 <= e) & (y1 >= s) & (y0 <= n)
+    w, s = line.min(axis=0) - NEAR_M
+    e, n = line.max(axis=0) + NEAR_M
+    in_width = (x1 >= w) & (x0 <= e)
+    is_near = in_width & (y1 >= s) & (y0 <= n)
     files = ", ".join(map(str, scenario.buildings))
     if not is_near.any():
-        off_km = np.hypot(*(np.array([x0 + x1, y0 + y1]).mean(axis=1) / 2 - line.mean(axis=0))) / 1000
+        middle_m = np.array([x0 + x1, y0 + y1]).mean(axis=1) / 2
+        dx_m, dy_m = middle_m - line.mean(axis=0)
+        off_km = np.hypot(dx_m, dy_m) / 1000
         return [
             f"none of the {len(shapes):,} buildings of {files} is within {NEAR_M / 1000:g} km of the network: they are "
             f"{off_km:,.0f} km away. Make them with the network's own offset: polyconvert --net-file {scenario.net}."

@@ -124,6 +124,8 @@ class Schedule:
         n = len(name_key)
         interval = np.full(n, self.interval_steps[-1])
         phase = np.zeros(n, np.int64)
-        group, within = rng.uniforms(rng.key(self.seed, rng.Stream.SENSING), name_key, n=2).T
-        interval = np.asarray(self.interval_steps)[np.searchsorted(self.until_p[:-1], group, "right")]
+        of_sensing = rng.key(self.seed, rng.Stream.SENSING)
+        group, within = rng.uniforms(of_sensing, name_key, n=2).T
+        number = np.searchsorted(self.until_p[:-1], group, "right")
+        interval = np.asarray(self.interval_steps)[number]
         return interval, (within * interval).astype(np.int64) if self.is_random else phase

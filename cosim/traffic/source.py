@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from cosim.base.kernel import compiled
+from cosim.base.kernel import compiled, inlined
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.frame import Frame
 from cosim.traffic.frame import TrafficError as TrafficError
@@ -20,24 +20,24 @@ from results.tables import TABLES
 from sensors.boxes import Boxes
 from sensors.scene import Shape
 
-SHAPE_OF_CLASS = {
-    "passenger": Shape.CAR, "private": Shape.CAR, "taxi": Shape.CAR, "evehicle": Shape.CAR,
-    "hov": Shape.CAR, "vip": Shape.CAR, "authority": Shape.CAR, "army": Shape.CAR, "custom1": Shape.CAR,
-    "custom2": Shape.CAR, "ignoring": Shape.CAR,
-    "delivery": Shape.VAN, "emergency": Shape.VAN,
-    "truck": Shape.TRUCK, "trailer": Shape.TRUCK,
-    "bus": Shape.BUS, "coach": Shape.BUS, "tram": Shape.BUS,
-    "motorcycle": Shape.MOTORCYCLE, "moped": Shape.MOTORCYCLE,
-    "bicycle": Shape.BICYCLE, "scooter": Shape.BICYCLE,
-    "pedestrian": Shape.PEDESTRIAN, "wheelchair": Shape.PEDESTRIAN,
-}  # fmt: skip
+_CLASSES_OF_SHAPE = {
+    Shape.CAR: "passenger private taxi evehicle hov vip authority army custom1 custom2 ignoring",
+    Shape.VAN: "delivery emergency",
+    Shape.TRUCK: "truck trailer",
+    Shape.BUS: "bus coach tram",
+    Shape.MOTORCYCLE: "motorcycle moped",
+    Shape.BICYCLE: "bicycle scooter",
+    Shape.PEDESTRIAN: "pedestrian wheelchair",
+}
+SHAPE_OF_CLASS = {name: shape for shape, names in _CLASSES_OF_SHAPE.items() for name in names.split()}
 """Shape of each SUMO vehicle class. Trains, ships, aircraft and containers are not on the road and have no shape."""
 
 
 def class_counts(shape: Int[ndarray, "n"]) -> dict[str, int]:
     """Number of actors of each class."""
     codes, n = np.unique(shape, return_counts=True)
-    return {Shape(code).name.lower(): count for code, count in zip(codes.tolist(), n.tolist(), strict=True)}
+    names = [Shape(code).name.lower() for code in codes.tolist()]
+    return dict(zip(names, n.tolist(), strict=True))
 
 
 PER_M, PER_RAD, PER_MPS = (
@@ -118,6 +118,12 @@ def world_from_bumpers(
     return world_of(step, number, xyz_m, yaw_rad, speed, registry, frame)
 
 
+@inlined
+def _in_steps(value, per_unit):
+    """A value rounded to whole steps, of which there are so many per unit."""
+    return np.rint(value * per_unit) / per_unit
+
+
 @compiled
 def _placed(order, actor, front_m, compass_deg, speed_mps, size_m, east_m, north_m):
     """Actor numbers, box centres, yaw and speed from front bumpers on the road, in the given order, rounded."""
@@ -132,11 +138,15 @@ def _placed(order, actor, front_m, compass_deg, speed_mps, size_m, east_m, north
         yaw = np.deg2rad(90.0 - np.float64(np.float32(compass_deg[row])))
         yaw = np.pi - np.mod(np.pi - yaw, 2 * np.pi)  # (-pi, pi]
         back = size_m[number[i], 0] / 2
-        xyz_m[i, 0] = np.rint((front_m[row, 0] - east_m - np.cos(yaw) * back) * PER_M) / PER_M
-        xyz_m[i, 1] = np.rint((front_m[row, 1] - north_m - np.sin(yaw) * back) * PER_M) / PER_M
-        xyz_m[i, 2] = np.rint((np.float64(np.float32(front_m[row, 2])) + size_m[number[i], 2] / 2) * PER_M) / PER_M
-        yaw_rad[i] = np.rint(yaw * PER_RAD) / PER_RAD
-        speed[i] = np.rint(np.float64(np.float32(speed_mps[row])) * PER_MPS) / PER_MPS
+        x = front_m[row, 0] - east_m - np.cos(yaw) * back
+        y = front_m[row, 1] - north_m - np.sin(yaw) * back
+        road = np.float64(np.float32(front_m[row, 2]))
+        z = road + size_m[number[i], 2] / 2
+        xyz_m[i, 0] = _in_steps(x, PER_M)
+        xyz_m[i, 1] = _in_steps(y, PER_M)
+        xyz_m[i, 2] = _in_steps(z, PER_M)
+        yaw_rad[i] = _in_steps(yaw, PER_RAD)
+        speed[i] = _in_steps(np.float64(np.float32(speed_mps[row])), PER_MPS)
     return number, xyz_m, yaw_rad, speed
 
 

@@ -128,8 +128,7 @@ class Streetside:
         """Feet of the trees, world frame. No trunk stands in a building, on a lane or in a junction."""
         found = self._places("trees", Stream.TREES, params.per_100_m, params.streets_p, tags=False)
         foot = self._beside(found, params.trunk_m / 2)
-        half_m = params.trunk_m / 2
-        trunk = shapely.box(*(foot[:, :2] - half_m).T, *(foot[:, :2] + half_m).T)
+        trunk = _squares(foot[:, 0], foot[:, 1], params.trunk_m / 2)
         return foot[self._is_free(trunk, city, np.zeros(0, object))]
 
     def parked(self, city: Scene, params: ParkedParams) -> dict[str, ObjectParams]:
@@ -138,26 +137,22 @@ class Streetside:
         kind = np.where(found.draw < params.vans_p, "van", "car")
         size = np.array([TYPICAL_M[one] for one in kind.tolist()]).reshape(-1, 3)
         at = self._beside(found, size[:, 1] / 2)
-        signs = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
-        corners = turned_by(found.yaw_rad[:, None], signs * size[:, None, :2] / 2) + at[:, None, :2]
-        body = shapely.polygons(corners) if len(at) else np.zeros(0, object)
+        body = _footprints(at, size, found.yaw_rad)
         trees, first = city.trees, city.trees.ptr[:-1]
-        x = trees.x_m[first]
-        y = trees.y_m[first]
-        half = trees.half_l_m[first]
-        trunks = shapely.box(x - half, y - half, x + half, y + half)
+        trunks = _squares(trees.x_m[first], trees.y_m[first], trees.half_l_m[first])
         free = np.flatnonzero(self._is_free(body, city, trunks))
         free = free[np.argsort(found.rank[free], kind="stable")]
         free = np.sort(free[_first_of_overlapping(body[free])])
-        return {
-            PARKED + found.name[i]: ObjectParams(
+        parked = {}
+        for i in free.tolist():
+            x, y, ground_m = at[i].tolist()
+            parked[PARKED + found.name[i]] = ObjectParams(
                 vehicle_class=str(kind[i]),  # type: ignore[arg-type]
-                at_m=(float(at[i, 0]), float(at[i, 1])),
-                ground_m=float(at[i, 2]),
+                at_m=(x, y),
+                ground_m=ground_m,
                 yaw_deg=float(np.degrees(found.yaw_rad[i])),
             )
-            for i in free.tolist()
-        }
+        return parked
 
     def _places(self, section: str, stream: Stream, per_100_m: float, streets_p: float, tags: bool) -> _Places:
         """The places that are taken, of all places along the kerbs."""
@@ -168,7 +163,9 @@ class Streetside:
         for kerb in self.kerbs if share > 0 else ():
             prefix = key(self.seed, stream)
             edge = np.array([name_key(kerb.edge)], np.uint64)
-            has_it = kerb.parking if tags and kerb.parking is not None else uniforms(prefix, edge)[0, 0] < streets_p
+            has_it = uniforms(prefix, edge)[0, 0] < streets_p
+            if tags and kerb.parking is not None:
+                has_it = kerb.parking
             if not has_it:
                 continue
             number, place = _along(kerb, PLACE_M[section])
@@ -194,9 +191,25 @@ class Streetside:
         moved = shapely.transform(self.areas, lambda xy: xy - np.array(self.origin_m))
         free = np.ones(len(body), bool)
         for taken in (moved, city.footprints, others):
-            if len(taken) and len(body):
-                free[shapely.STRtree(taken).query(body, predicate="intersects")[0]] = False
+            meets, _ = shapely.STRtree(taken).query(body, predicate="intersects")
+            free[meets] = False
         return free
+
+
+def _squares(x: Float[ndarray, "n"], y: Float[ndarray, "n"], half: Float[ndarray, "n"] | float) -> ndarray:
+    """Shapely polygons of upright squares, from their middles and half their widths."""
+    return shapely.box(x - half, y - half, x + half, y + half)
+
+
+_CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
+"""Of a rectangle, counter-clockwise, in halves of its length and width."""
+
+
+def _footprints(at_m: Float[ndarray, "n 3"], lwh_m: Float[ndarray, "n 3"], yaw_rad: Float[ndarray, "n"]) -> ndarray:
+    """Shapely polygons of boxes seen from above."""
+    from_centre = _CORNERS * lwh_m[:, None, :2] / 2
+    corners = turned_by(yaw_rad[:, None], from_centre) + at_m[:, None, :2]
+    return shapely.polygons(corners)
 
 
 def _first_of_overlapping(body: ndarray) -> Bool[ndarray, "n"]:
@@ -214,21 +227,29 @@ def _along(kerb: Kerb, place_m: float) -> tuple[Int[ndarray, "p"], Float[ndarray
     step = np.diff(kerb.line_m[:, :2], axis=0)
     length = np.hypot(*step.T)
     end = np.concatenate([[0.0], np.cumsum(length)])
-    number = np.arange(max(0, int((end[-1] - 2 * ENDS_M) / place_m)))
+    n = int((end[-1] - 2 * ENDS_M) / place_m)
+    number = np.arange(max(0, n))
     at = ENDS_M + (number + 0.5) * place_m
     part = np.clip(np.searchsorted(end, at, "right") - 1, 0, len(step) - 1)
-    x, y, z = (np.interp(at, end, kerb.line_m[:, k]) for k in range(3))
+    x, y, z = (np.interp(at, end, coordinate) for coordinate in kerb.line_m.T)
     yaw = np.arctan2(step[part, 1], step[part, 0])
     side = np.full(len(number), -1.0 if kerb.is_left else 1.0)
     away = side * kerb.half_width_m
-    return number, np.column_stack([x + away * np.sin(yaw), y - away * np.cos(yaw), z, yaw, side])
+    edge_x = x + away * np.sin(yaw)
+    edge_y = y - away * np.cos(yaw)
+    return number, np.column_stack([edge_x, edge_y, z, yaw, side])
 
 
 def with_trees(city: Scene, beside: Streetside, net: Path, files: Sequence[Path], params: TreeParams) -> Scene:
     """A city with the trees of a config; those of a map (`from_map`) are in the polygon files."""
     feet = beside.planted(city, params)
     if params.from_map:
-        known = np.concatenate([np.zeros((0, 2)), *(read_trees(path) for path in files)])
-        ground_m = StreetHeights(lanes(net)).ground_m(shapely.points(known)) if len(known) else np.zeros(0)
-        feet = np.concatenate([feet, np.column_stack([known - np.array(beside.origin_m), ground_m])])
-    return replace(city, trees=tree_prisms(feet, params.trunk_m, params.crown_base_m, params.crown_m, params.height_m))
+        of_files = [read_trees(path) for path in files]
+        known = np.concatenate([np.zeros((0, 2)), *of_files])
+        ground_m = np.zeros(0)
+        if len(known):
+            ground_m = StreetHeights(lanes(net)).ground_m(shapely.points(known))
+        xy_m = known - np.array(beside.origin_m)
+        feet = np.concatenate([feet, np.column_stack([xy_m, ground_m])])
+    trees = tree_prisms(feet, params.trunk_m, params.crown_base_m, params.crown_m, params.height_m)
+    return replace(city, trees=trees)

@@ -85,6 +85,7 @@ BAD = {
     "twice": (HEAD + "a,0,1,2\na,0,3,2\n", "'a' has two positions at the time 0 s"),
     "words": (HEAD + "a,0,here,2\n", "column x holds something that is not a number"),
     "time in words": (HEAD + "a,now,1,2\n", "holds 'now', which is neither a number of seconds nor a date"),
+    "time in Arabic digits": (HEAD + "a,\u0661:00:00,1,2\n", "which is neither a number of seconds"),
     "degrees as metres": (HEAD + "a,0,12.4877,41.8836\na,10,12.4879,41.8838\n", "so x and y look like degrees"),
     "kilometres": (HEAD + "a,0,612.1,5700\na,1,612.11,5700\n", "so x and y look like kilometres"),
     "no header": ("a,0,1,2\na,1,2,2\n", "no header line: it begins with a, 0, 1, 2. Put a line with the names"),
