@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
 from cosim.base import rng
+from cosim.base.ragged import differs_from_last
 
 HEADER_BYTES = 18 + 20 + 8
 """Cellular, IP and UDP headers of a message [B]."""
@@ -75,7 +76,9 @@ def transfer_delay_s(
     draws = rng.uniforms(rng_key, key, n=2 * n)  # loss, delay, loss, delay, ...
     arrives = draws[:, 0::2] >= loss_p
     total = np.cumsum(delay_s(draws[:, 1::2], params), axis=1)
-    return np.where(arrives.any(axis=1), total[np.arange(len(draws)), np.argmax(arrives, axis=1)], np.inf)
+    first = np.argmax(arrives, axis=1)
+    until_first = total[np.arange(len(draws)), first]
+    return np.where(arrives.any(axis=1), until_first, np.inf)
 
 
 def within_capacity(
@@ -107,10 +110,13 @@ def within_capacity(
     """
     cell = np.floor(xy_m / cell_m).astype(np.int64)
     order = np.lexsort((key, cell[:, 1], cell[:, 0]))
-    new = np.ones(len(order), bool)
-    new[1:] = (np.diff(cell[order], axis=0) != 0).any(axis=1)
-    total = np.cumsum(length_bytes[order])
-    before = np.repeat((total - length_bytes[order])[new], np.diff(np.append(np.flatnonzero(new), len(order))))
+    column, row = cell[order].T
+    first = np.flatnonzero(differs_from_last(column) | differs_from_last(row))
+    n_messages = np.diff(np.append(first, len(order)))
+    length = length_bytes[order]
+    total = np.cumsum(length)
+    before_cell = total[first] - length[first]
+    before = np.repeat(before_cell, n_messages)
     taken = np.empty(len(order), bool)
     taken[order] = total - before <= budget_bytes
     return taken

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.codes import DetectionFault, ObjectClass, Origin
+from cosim.base.ragged import differs_from_last
 from cosim.base.rows import Rows
 from cosim.messages import etsi
 from cosim.messages.cpm_params import MOST_OBJECTS
@@ -119,8 +120,10 @@ def velocities(listed: Detections) -> Float[ndarray, "d 2"]:
 
     A self report claims a speed along its heading, a tracked object a velocity.
     """
-    along = np.column_stack([np.cos(listed.boxes.yaw_rad), np.sin(listed.boxes.yaw_rad)])
-    return np.where(np.isnan(listed.velocity_mps), listed.speed_mps[:, None] * along, listed.velocity_mps)
+    yaw_rad = listed.boxes.yaw_rad
+    heading = np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
+    along_mps = listed.speed_mps[:, None] * heading
+    return np.where(np.isnan(listed.velocity_mps), along_mps, listed.velocity_mps)
 
 
 NETWORK_BYTES, SIGNATURE_BYTES = 44, 96
@@ -207,34 +210,34 @@ def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"
     with np.errstate(invalid="ignore", over="ignore"):
         away_m = np.abs(boxes.xyz_m - xyz_m[listed.observer]).max(axis=1, initial=0.0)
         number = np.asarray(listed.detection_index)
+        box = np.column_stack([boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad, listed.score])
+        motion = np.abs(np.column_stack([listed.speed_mps, listed.acceleration_mps2, listed.velocity_mps]))
+        is_finite = np.isfinite(box).all(axis=1) & ~np.isinf(motion).any(axis=1)
+        is_turned = np.abs(boxes.yaw_rad) <= 2 * np.pi
+        is_size = (boxes.lwh_m > 0) & (boxes.lwh_m <= LARGEST_M)
+        is_number = (number >= 0) & (number <= LARGEST_NUMBER)
+        is_count = (listed.n_points >= 0) & (listed.n_points <= MOST_RETURNS)
         wrong = {
-            DetectionFault.NOT_FINITE: ~(
-                np.isfinite(boxes.xyz_m).all(axis=1) & np.isfinite(boxes.lwh_m).all(axis=1)
-                & np.isfinite(boxes.yaw_rad) & np.isfinite(listed.score)
-                & ~np.isinf(listed.speed_mps) & ~np.isinf(listed.acceleration_mps2)
-                & ~np.isinf(listed.velocity_mps).any(axis=1)
-            ),
-            DetectionFault.TOO_FAR: ~((away_m <= FARTHEST_M) & (np.abs(boxes.yaw_rad) <= 2 * np.pi)),
-            DetectionFault.BAD_SIZE: ~((boxes.lwh_m > 0) & (boxes.lwh_m <= LARGEST_M)).all(axis=1),
+            DetectionFault.NOT_FINITE: ~is_finite,
+            DetectionFault.TOO_FAR: ~((away_m <= FARTHEST_M) & is_turned),
+            DetectionFault.BAD_SIZE: ~is_size.all(axis=1),
             DetectionFault.BAD_SCORE: ~((listed.score >= 0) & (listed.score <= 1)),
             DetectionFault.UNKNOWN_CLASS: np.asarray(listed.label).astype(np.int64) >= len(ObjectClass),
-            DetectionFault.BAD_MOTION: (np.abs(listed.speed_mps) > FASTEST)
-            | (np.abs(listed.acceleration_mps2) > FASTEST) | (np.abs(listed.velocity_mps) > FASTEST).any(axis=1),
-            DetectionFault.BAD_NUMBER: (number < 0) | (number > LARGEST_NUMBER)
-            | (listed.n_points < 0) | (listed.n_points > MOST_RETURNS),
-        }  # fmt: skip
+            DetectionFault.BAD_MOTION: (motion > FASTEST).any(axis=1),
+            DetectionFault.BAD_NUMBER: ~(is_number & is_count),
+        }
     found = np.full(n, -1)
     message = listed.observer.astype(np.int64) << 16 | listed.identity
     for fault in reversed(wrong):
         found[wrong[fault]] = fault
-    left = np.flatnonzero(found < 0)
-    order = left[np.lexsort((listed.origin[left], number[left], message[left]))]
-    again = np.zeros(len(order), bool)
-    again[1:] = (np.diff(message[order]) == 0) & (np.diff(number[order]) == 0)
-    found[order[again]] = DetectionFault.REPEATED_NUMBER
-    order = order[~again]
-    _, first, count = np.unique(message[order], return_index=True, return_counts=True)
-    found[order[np.arange(len(order)) - np.repeat(first, count) >= MOST_OBJECTS]] = DetectionFault.TOO_MANY
+    order = np.lexsort((listed.origin, number, message))
+    order = order[found[order] < 0]
+    is_new = differs_from_last(message[order]) | differs_from_last(number[order])
+    found[order[~is_new]] = DetectionFault.REPEATED_NUMBER
+    order = order[is_new]
+    of = message[order]
+    rank = np.arange(len(order)) - np.searchsorted(of, of)  # in its message
+    found[order[rank >= MOST_OBJECTS]] = DetectionFault.TOO_MANY
     return found
 
 

@@ -279,7 +279,17 @@ class Remembered:
         untracked = np.flatnonzero(track < 0)
         held = np.flatnonzero(memory.track < 0)
         near[untracked] = _nearest(memory, held, of[untracked], xy_m[untracked], time_s)
-        return Remembered(memory, time_s, of, xy_m, seen.boxes.yaw_rad, speeds(seen), velocities(seen), track, near)
+        return Remembered(
+            memory=memory,
+            time_s=time_s,
+            of=of,
+            xy_m=xy_m,
+            yaw_rad=seen.boxes.yaw_rad,
+            speed_mps=speeds(seen),
+            velocity_mps=velocities(seen),
+            track=track,
+            near=near,
+        )
 
     def changes(self) -> tuple[ndarray, ndarray, ndarray, ndarray]:
         """Distance [m], change of speed [m/s], angle [rad] and time [s] since then.
@@ -292,7 +302,8 @@ class Remembered:
         dx, dy = (self.xy_m[known] - memory.xy_m[at]).T
         moved_m[known] = np.hypot(dx, dy)
         faster_mps[known] = np.abs(self.speed_mps[known] - memory.speed_mps[at])
-        turned_rad[known] = np.abs(wrapped(self.yaw_rad[known] - memory.yaw_rad[at]))
+        turn_rad = self.yaw_rad[known] - memory.yaw_rad[at]
+        turned_rad[known] = np.abs(wrapped(turn_rad))
         elapsed_s[known] = self.time_s - memory.time_s[at]
         return moved_m, faster_mps, turned_rad, elapsed_s
 
@@ -303,21 +314,16 @@ class Remembered:
         seen_s[self.near[self.near >= 0]] = now
         old = now - seen_s < kept_s - _SLACK_S
         old[self.near[(self.near >= 0) & included]] = False
-        of = np.concatenate([memory.of[old], self.of[included]])
-        xy_m = np.concatenate([memory.xy_m[old], self.xy_m[included]])
-        time_s = np.concatenate([memory.time_s[old], np.full(int(included.sum()), now)])
-        parts = (
-            of,
-            xy_m,
-            np.concatenate([memory.yaw_rad[old], self.yaw_rad[included]]),
-            time_s,
-            np.concatenate([memory.speed_mps[old], self.speed_mps[included]]),
-            np.concatenate([memory.velocity_mps[old], self.velocity_mps[included]]),
-            np.concatenate([memory.track[old], self.track[included]]),
-            np.concatenate([seen_s[old], time_s[old.sum() :]]),
-        )
-        order = np.lexsort((time_s, xy_m[:, 1], xy_m[:, 0], of))
-        return InclusionMemory(*(part[order] for part in parts))
+        columns = {}
+        for name in ("of", "xy_m", "yaw_rad", "speed_mps", "velocity_mps", "track"):
+            both = getattr(memory, name)[old], getattr(self, name)[included]
+            columns[name] = np.concatenate(both)
+        now_s = np.full(int(included.sum()), now)
+        columns["time_s"] = np.append(memory.time_s[old], now_s)
+        columns["seen_s"] = np.append(seen_s[old], now_s)
+        x_m, y_m = columns["xy_m"].T
+        order = np.lexsort((columns["time_s"], y_m, x_m, columns["of"]))
+        return InclusionMemory(**{name: column[order] for name, column in columns.items()})
 
 
 def speeds(seen: Detections) -> Float[ndarray, "d"]:

@@ -315,12 +315,21 @@ def cpm_bytes(
     """
     n_objects = np.asarray(n_objects, np.int64)
     n_moving = np.broadcast_to(np.asarray(n_moving, np.int64), n_objects.shape)
-    if (n_objects < 0).any() or (n_moving < 0).any() or ((n_objects + n_moving).sum(axis=1) > 255).any():
+    is_negative = np.minimum(n_objects, n_moving) < 0
+    n_all = (n_objects + n_moving).sum(axis=1)
+    if is_negative.any() or (n_all > 255).any():
         raise ValueError("n_objects: a message has 0 to 255 objects. Split what is longer into segments.")
     still, moving = _object_bits(frozenset(FILLED)), _object_bits(frozenset(FILLED) | {"velocity"})
     n_empty, without, with_sensors = _frame_bits(is_segment)
-    content = -(-(n_empty + n_objects @ still + n_moving @ moving) // 8)
-    return -(-(np.where(has_sensors, with_sensors, without) + 8 * (1 + (content > 127) + content)) // 8)
+    content = _whole_bytes(n_empty + n_objects @ still + n_moving @ moving)
+    length = 1 + (content > 127)
+    frame_bits = np.where(has_sensors, with_sensors, without)
+    return _whole_bytes(frame_bits + 8 * (length + content))
+
+
+def _whole_bytes(bits: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Bytes that hold so many bits."""
+    return -(-bits // 8)
 
 
 @cache
@@ -337,7 +346,10 @@ def _frame_bits(is_segment: bool) -> tuple[int, int, int]:
     empty = least(_OBJECTS) | {"perceivedObjects": []}
     less = 8 * (1 + len(encode(_OBJECTS, empty)))
     segment = (8, 1) if is_segment else None
-    whole = [n_bits(CPM, _cpm(CpmHead(0, 0, 0, 0, 0, 0.0, segment, has), empty)) - less for has in (False, True)]
+    whole = []
+    for has_sensors in (False, True):
+        head = CpmHead(0, 0, 0, 0, 0, 0.0, segment, has_sensors)
+        whole.append(n_bits(CPM, _cpm(head, empty)) - less)
     return n_bits(_OBJECTS, empty), whole[0], whole[1]
 
 
@@ -353,7 +365,8 @@ def up(value: Float[ndarray, "n"], unit: float, low: int, high: int, unknown: in
     """
     value = np.asarray(value, float)
     known = np.isfinite(value) if unknown is not None else np.ones(len(value), bool)
-    whole = np.clip(np.ceil(np.where(known, value, 0.0) / unit - 1e-3), low, high).astype(np.int64)
+    in_units = np.where(known, value, 0.0) / unit
+    whole = np.clip(np.ceil(in_units - 1e-3), low, high).astype(np.int64)
     return np.where(known, whole, 0 if unknown is None else unknown)
 
 
@@ -385,8 +398,10 @@ class Confidences(NamedTuple):
         velocity_std_mps: Float[ndarray, "n 2"],
     ) -> "Confidences":
         """The confidence values of normal errors with these standard deviations; place and velocity have two each."""
-        x, y = up(_HALF_WIDTH * position_std_m.ravel(), 0.01, 1, 4095, 4096).reshape(-1, 2).T
-        length, width, height = up(_HALF_WIDTH * lwh_std_m.ravel(), 0.1, 1, 31, 32).reshape(-1, 3).T
+        position = up(_HALF_WIDTH * position_std_m.ravel(), 0.01, 1, 4095, 4096)
+        x, y = position.reshape(-1, 2).T
+        size = up(_HALF_WIDTH * lwh_std_m.ravel(), 0.1, 1, 31, 32)
+        length, width, height = size.reshape(-1, 3).T
         angle = up(_HALF_WIDTH * np.degrees(angle_std_rad), 0.1, 1, _ANGLE_BEYOND, 127)
         velocity = up(_HALF_WIDTH * velocity_std_mps.ravel(), 0.01, 1, _SPEED_BEYOND, 127).reshape(-1, 2)
         return Confidences(x, y, angle, length, width, height, *velocity.T)
@@ -408,8 +423,8 @@ class Confidences(NamedTuple):
     @staticmethod
     def unavailable(n: int) -> "Confidences":
         """Those of objects whose accuracy is not known."""
-        one, two, three = (np.full((n, k), np.nan) for k in (1, 2, 3))
-        return Confidences.of(two, one[:, 0], three, two)
+        unknown = np.full((n, 3), np.nan)
+        return Confidences.of(unknown[:, :2], unknown[:, 0], unknown, unknown[:, :2])
 
 
 _HALF_WIDTH = 1.96
@@ -471,7 +486,8 @@ class CpmObjects:
         """
         x, y, z = up(xyz_m.ravel(), 0.01, -131072, 131071).reshape(-1, 3).T
         length, width, height = up(lwh_m.ravel(), 0.1, 1, 255).reshape(-1, 3).T
-        angle = up(np.degrees(np.mod(angle_rad, 2 * np.pi)), 0.1, 0, 3600) % 3600
+        angle_deg = np.degrees(np.mod(angle_rad, 2 * np.pi))
+        angle = up(angle_deg, 0.1, 0, 3600) % 3600
         sure = np.clip(np.round(100 * score), 1, 100).astype(np.int64)
         confidences = confidences or Confidences.unavailable(len(label))
         columns = (np.asarray(number, np.int64), x, y, z, angle, length, width, height, sure)
@@ -481,6 +497,7 @@ class CpmObjects:
             moves = np.isfinite(velocity_mps).all(axis=1).astype(np.int64)
             velocity = up(velocity_mps.ravel(), 0.01, -16383, 16382, 16383).reshape(-1, 2)
         widths = np.stack([object_bits(), object_bits((*FILLED, "velocity"))])
+        n_used = widths[moves, label]
         longest = widths.max()
         bits = np.zeros((len(label), longest), np.uint8)
         for kind in ObjectClass:
@@ -491,13 +508,15 @@ class CpmObjects:
                     value = _object(kind, stated, *(column[mine] for column in columns))
                     if has_velocity:
                         value |= _velocity(velocity[mine], stated)
-                    bits[mine, : widths[has_velocity, kind]] = rows(OBJECT, value, len(mine))
-        return CpmObjects(bits, np.arange(longest) < widths[moves, label][:, None])
+                    width = widths[has_velocity, kind]
+                    bits[mine, :width] = rows(OBJECT, value, len(mine))
+        return CpmObjects(bits, np.arange(longest) < n_used[:, None])
 
     def between(self, begin: int, end: int) -> Encoded:
         """These objects, one after another."""
         bits = self.bits[begin:end][self.is_used[begin:end]]
-        return Encoded(end - begin, int.from_bytes(np.packbits(bits).tobytes()) >> -len(bits) % 8, len(bits))
+        whole = int.from_bytes(np.packbits(bits).tobytes())
+        return Encoded(end - begin, whole >> -len(bits) % 8, len(bits))
 
 
 def _object(kind: ObjectClass, of: Confidences, number: Any, x: Any, y: Any, z: Any, *rest: Any) -> dict[str, Any]:

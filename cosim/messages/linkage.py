@@ -110,9 +110,11 @@ class Linkage:
         accused = []
         for sent in reports:
             of = owner_of_rows(np.diff(sent.ptr))
-            pair, which = np.unique(of << 32 | sent.observer.astype(np.int64), return_inverse=True)
+            of_evaluation = of << 32 | sent.observer.astype(np.int64)
+            pair, which = np.unique(of_evaluation, return_inverse=True)
             with np.errstate(invalid="ignore"):
-                total = np.bincount(which.reshape(-1), np.nan_to_num(sent.evaluation * sent.visibility), len(pair))
+                evidence = np.nan_to_num(sent.evaluation * sent.visibility)
+            total = np.bincount(which.reshape(-1), evidence, len(pair))
             subject = pair[total < 0] & (1 << 32) - 1
             evaluator = sent.evaluator[pair[total < 0] >> 32].astype(np.int64)
             others = subject != evaluator
@@ -140,7 +142,9 @@ class Linkage:
         known = vehicle >= 0
         if self.mode == "server":
             return np.where(known, vehicle, _UNKNOWN), np.where(known, identity, 0)
-        linked_to = state.linked[np.maximum(vehicle, 0)] if len(state.linked) else np.full(len(vehicle), -1)
+        linked_to = np.full(len(vehicle), -1)
+        if len(state.linked):
+            linked_to = state.linked[np.maximum(vehicle, 0)]
         linked = known & (linked_to >= 0) & (pseudonym > linked_to)
         return np.where(linked, linked_to, pseudonym), np.where(linked, identity, 0)
 
@@ -186,15 +190,19 @@ class Revocation:
             return np.ones(len(pseudonym), bool), state
         subject = self.linkage.subjects(state, pseudonym)
         decided = np.array(list(state.revoked))
+        decided_step = np.array(list(state.revoked.values()))
         if self.how == "not_renewed":  # the authority that issues certificates knows their owners
             owners = self.linkage.pseudonyms.owners
             barred = decided if self.linkage.mode == "server" else owners(state, decided)[0]
             vehicle, _ = owners(state, pseudonym)
-            last = np.full(int(max(vehicle.max(initial=0), barred.max(initial=0))) + 1, np.iinfo(np.int64).max)
-            np.minimum.at(last, barred[barred >= 0], np.array(list(state.revoked.values()))[barred >= 0])
-            bad = (vehicle >= 0) & (self.linkage.pseudonyms.since(state, pseudonym) > last[vehicle])
+            n = int(max(vehicle.max(initial=0), barred.max(initial=0))) + 1
+            last = np.full(n, np.iinfo(np.int64).max)
+            is_known = barred >= 0
+            np.minimum.at(last, barred[is_known], decided_step[is_known])
+            since = self.linkage.pseudonyms.since(state, pseudonym)
+            bad = (vehicle >= 0) & (since > last[vehicle])
         else:
-            begun = decided[np.array(list(state.revoked.values())) <= step]
+            begun = decided[decided_step <= step]
             bad = np.isin(subject, begun)
         if not bad.any():
             return ~bad, state

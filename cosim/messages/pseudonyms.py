@@ -342,7 +342,8 @@ class PseudonymUse:
     def of(state: PseudonymState, pseudonym, vehicle, from_step, to_step, identity=None) -> "PseudonymUse":
         """Rows for these pseudonyms."""
         identity = np.zeros(len(pseudonym), np.int64) if identity is None else identity
-        refused = np.array([state.refused.get(p, -1) for p in pseudonym.tolist()], np.int64)
+        refused_step = [state.refused.get(p, -1) for p in pseudonym.tolist()]
+        refused = np.array(refused_step, np.int64)
         return PseudonymUse(pseudonym, vehicle, from_step, to_step, identity, refused)
 
 

@@ -18,7 +18,7 @@ import scipy
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.base.ragged import rows_of
+from cosim.base.ragged import differs_from_last, rows_of
 from cosim.messages.cpm_params import CpmParams
 
 SAME_M = 4.0
@@ -105,7 +105,8 @@ class Heard:
         of, row, at_s = of[fresh], row[fresh], at_s[fresh]
         kept, row = np.unique(row, return_inverse=True)
         order = np.lexsort((row, of))
-        return Heard(_joined(old, reports, kept), of[order], row[order], at_s[order])
+        known = _joined(old, reports, kept)
+        return Heard(known, of[order], row[order], at_s[order])
 
 
 def _joined(old: ReportedObjects, new: ReportedObjects, kept: Int[ndarray, "k"]) -> ReportedObjects:
@@ -196,30 +197,34 @@ def _known(heard: Heard, mine: Candidates, time_s: float, window_s: float, of_se
     there = np.flatnonzero(reports.is_self == of_self)
     elapsed_s = time_s - reports.time_s[reports.message[there]]
     ahead_m = np.nan_to_num(reports.velocity_mps[there]) * elapsed_s[:, None]
-    # Objects of different classes lie on different floors, far from each other.
-    place = np.column_stack([reports.xy_m[there] + ahead_m, _FAR_M * reports.label[there]])
-    of_candidates = scipy.spatial.cKDTree(np.column_stack([mine.xy_m, _FAR_M * mine.label]))
-    near = of_candidates.sparse_distance_matrix(scipy.spatial.cKDTree(place), SAME_M, output_type="ndarray")
+    of_reports = _by_class(reports.xy_m[there] + ahead_m, reports.label[there])
+    of_candidates = _by_class(mine.xy_m, mine.label)
+    near = of_candidates.sparse_distance_matrix(of_reports, SAME_M, output_type="ndarray")
     candidate, found, apart_m = near["i"], there[near["j"]], near["v"]
     message = reports.message[found]
     reception = _rows_of(heard, mine.receiver[candidate], message)
-    fresh = reception >= 0
-    fresh[fresh] = heard.received_s[reception[fresh]] >= time_s - window_s - _SLACK_S
-    candidate, found, apart_m, message = (column[fresh] for column in (candidate, found, apart_m, message))
-    received_s, sender = heard.received_s[reception[fresh]], reports.sender[message]
-    order = np.lexsort((found, apart_m, message, sender, received_s, candidate))
-    is_other = np.diff(candidate[order]) != 0
-    is_other |= np.diff(message[order]) != 0
-    first = np.ones(len(order), bool)
-    first[1:] = is_other
+    received_s = np.full(len(message), -np.inf)
+    is_there = reception >= 0
+    received_s[is_there] = heard.received_s[reception[is_there]]
+    fresh = np.flatnonzero(received_s >= time_s - window_s - _SLACK_S)
+    candidate, message = candidate[fresh], message[fresh]
+    found, apart_m, received_s = found[fresh], apart_m[fresh], received_s[fresh]
+    order = np.lexsort((found, apart_m, message, reports.sender[message], received_s, candidate))
+    first = differs_from_last(candidate[order]) | differs_from_last(message[order])
     order = order[first]
     return _Known(candidate[order], message[order], found[order])
+
+
+def _by_class(xy_m: Float[ndarray, "n 2"], label: Int[ndarray, "n"]) -> scipy.spatial.cKDTree:
+    """Tree of objects. Those of different classes lie on different floors, far from each other."""
+    return scipy.spatial.cKDTree(np.column_stack([xy_m, _FAR_M * label]))
 
 
 def _rows_of(heard: Heard, receiver: Int[ndarray, "p"], message: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
     """Row of the reception of each message by each receiver; -1 if it was not received."""
     n = len(heard.reports.time_s)
-    at, is_there = rows_of(receiver * n + message, heard.receiver * n + heard.message)
+    known = heard.receiver * n + heard.message
+    at, is_there = rows_of(receiver * n + message, known)
     return np.where(is_there, at, -1)
 
 
@@ -243,7 +248,8 @@ def _unchanged(reports: ReportedObjects, mine: Candidates, known: _Known, params
 
 def _from_nearby(reports: ReportedObjects, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
     """Reports of senders nearby."""
-    dx, dy = (reports.sender_xy_m[known.message] - mine.own_xy_m[known.candidate]).T
+    sender_xy_m = reports.sender_xy_m[known.message]
+    dx, dy = (sender_xy_m - mine.own_xy_m[known.candidate]).T
     apart_m = np.hypot(dx, dy)
     return apart_m <= params.redundancy_sender_m
 
@@ -253,7 +259,8 @@ def _any(reports: ReportedObjects, mine: Candidates, known: _Known, params: CpmP
     return np.ones(len(known.candidate), bool)
 
 
-_RULES: dict[str, Callable[[ReportedObjects, Candidates, _Known, CpmParams], Bool[ndarray, "p"]]] = {
+_Rule = Callable[[ReportedObjects, Candidates, _Known, CpmParams], Bool[ndarray, "p"]]
+_RULES: dict[str, _Rule] = {
     "frequency": _often,
     "dynamics": _unchanged,
     "distance": _from_nearby,

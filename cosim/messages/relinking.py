@@ -111,10 +111,13 @@ def update_senders(
     usual_s = np.minimum(before.gap_s, interval_s)
     lost = np.flatnonzero(unheard & (silent_s >= usual_s - 1e-9))
     new = np.flatnonzero(~there)
-    begin, end = (np.searchsorted(before.receiver[lost], now.receiver[new], side) for side in ("left", "right"))
+    has_lost, is_new = before.receiver[lost], now.receiver[new]
+    begin = np.searchsorted(has_lost, is_new, "left")
+    end = np.searchsorted(has_lost, is_new, "right")
     at, which = expand(begin, end)
     a, b = new[which], lost[at]
-    expected = before.xy_m[b] + before.velocity_mps[b] * (time_s - before.time_s[b])[:, None]
+    moved_m = before.velocity_mps[b] * silent_s[b, None]
+    expected = before.xy_m[b] + moved_m
     off_m = np.hypot(*(now.xy_m[a] - expected).T)
     fits = off_m <= params.own_gate_m
     n_changes = int((owner[a] == owner_before[b]).sum())
@@ -127,10 +130,14 @@ def update_senders(
     mutual[np.unique(b, return_index=True)[1]] = True
     a, b = a[best & mutual], b[best & mutual]
     now.gap_s[a] = before.gap_s[b]
-    now.linked[a] = np.where(before.rated[b], before.pseudonym[b], before.linked[b])
+    rated = before.rated[b]
+    now.linked[a] = np.where(rated, before.pseudonym[b], before.linked[b])
     n_right = int((owner[a] == owner_before[b]).sum())
     now = replace(
-        now, n_changes=now.n_changes + n_changes, n_linked=now.n_linked + len(a), n_right=now.n_right + n_right
+        now,
+        n_changes=now.n_changes + n_changes,
+        n_linked=now.n_linked + len(a),
+        n_right=now.n_right + n_right,
     )
     unheard[b] = False
     return _joined(now, before.take(unheard))

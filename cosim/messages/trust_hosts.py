@@ -40,10 +40,10 @@ FUSION_KEYS = frozenset({
 """Keys of [trust] about the use of trust. Variants that differ only in these keys share one host."""
 
 
-_EVALUATED, _UNEVALUATED, _STALE, _NO_VALUE = (
-    int(s) for s in (LookupState.EVALUATED, LookupState.UNEVALUATED, LookupState.STALE, LookupState.NO_VALUE)
-)
-_DEFAULT, _SERVER, _OWN = (int(s) for s in (TrustSource.DEFAULT, TrustSource.SERVER, TrustSource.OWN))
+_EVALUATED, _UNEVALUATED = int(LookupState.EVALUATED), int(LookupState.UNEVALUATED)
+_STALE, _NO_VALUE = int(LookupState.STALE), int(LookupState.NO_VALUE)
+_DEFAULT, _SERVER = int(TrustSource.DEFAULT), int(TrustSource.SERVER)
+_OWN = int(TrustSource.OWN)
 """Plain integers, because NumPy is ten times slower with members of enums."""
 
 ObjectScorer = Callable[[ObjectReports], Float[ndarray, "g"]]
@@ -201,14 +201,18 @@ class TrustHosts:
         models: list[TrustModel | None] = [None] * len(self.params)
         for group in _shared(self.params, self.models):
             variant = self.models[group[0]]
-            own = [self.params[h] if self.models[h].own is None else self.models[h].own for h in group]
+            own = []
+            for h in group:
+                of_user = self.models[h].own
+                own.append(self.params[h] if of_user is None else of_user)
             make: Callable[[Any, float], TrustModel] = variant.make or variant.model
             build = getattr(variant.model, "build_shared", None) if variant.make is None else None
             built = build(own, self.dt_s) if build else [make(p, self.dt_s) for p in own]
             for h, made in zip(group, built, strict=True):
                 models[h] = made
-        for kind in {_kind(p) for p in self.params}:
-            share_logs([m for m, p in zip(models, self.params, strict=True) if m is not None and _kind(p) == kind])
+        kinds = [_kind(params) for params in self.params]
+        for kind in set(kinds):
+            share_logs([model for model, its in zip(models, kinds, strict=True) if its == kind])
         return TrustState([HostState(m) for m in models])
 
     def publish(
@@ -352,7 +356,9 @@ class TrustHosts:
         The state with the new evidence.
         """
         received = ReceivedEvaluations(messages, vehicle, message, self.eta, is_own=not of_others)
-        hosts = [h for h in self._hosts("local") if not of_others or self.params[h].local_evidence == "received"]
+        hosts = self._hosts("local")
+        if of_others:
+            hosts = [h for h in hosts if self.params[h].local_evidence == "received"]
         self._add(state, hosts, received)
         return state
 
@@ -437,11 +443,13 @@ class TrustHosts:
             return found
         if params.host == "central":
             for broadcast, rows, at in self.downlink.lookup(state.hosts[h].downlink, vehicle, subject):
-                counted &= self._fill(found, broadcast.scores, rows, at, h, time_s, time_s - broadcast.time_s)
+                age_s = time_s - broadcast.time_s
+                counted &= self._fill(found, broadcast.scores, rows, at, h, time_s, age_s)
         elif params.host == "local":
             scores = self.model_of(state, h, int(time_s / self.dt_s + 1e-6)).scores(None)
             at, known = scores.rows_of(vehicle, subject)
-            counted &= self._fill(found, scores, np.flatnonzero(known), at[known], h, time_s, 0.0)
+            rows = np.flatnonzero(known)
+            counted &= self._fill(found, scores, rows, at[rows], h, time_s, 0.0)
         return found if counted else replace(found, n_evaluators=None)
 
     def _fill(
@@ -471,7 +479,8 @@ class TrustHosts:
         oldest = scores.oldest_evaluation_step[at]
         oldest_age_s = np.where(oldest < 0, np.nan, time_s - oldest * self.dt_s)
         found.oldest_evaluation_age_s[rows] = oldest_age_s
-        found.state[rows] = np.where(evaluated, np.where(newest_age_s < window_s, _EVALUATED, _STALE), _UNEVALUATED)
+        of_evaluated = np.where(newest_age_s < window_s, _EVALUATED, _STALE)
+        found.state[rows] = np.where(evaluated, of_evaluated, _UNEVALUATED)
         found.n_evaluations[rows] = scores.n_evaluations[at]
         if scores.n_evaluators is None:
             return False
@@ -522,8 +531,10 @@ def _has_window(model: type) -> bool:
 
 def host_key(variant: Variant) -> tuple:
     """Everything that a host depends on. Variants with the same key share a host."""
-    kept = {f.name for f in fields(TrustParams)} - FUSION_KEYS - set(EVIDENCE_KEYS) - {"model"}
-    return variant.model, repr(variant.own), *(getattr(variant.trust, name) for name in sorted(kept))
+    shared = {"model", *FUSION_KEYS, *EVIDENCE_KEYS}
+    kept = [of.name for of in fields(TrustParams) if of.name not in shared]
+    values = [getattr(variant.trust, name) for name in sorted(kept)]
+    return variant.model, repr(variant.own), *values
 
 
 def _kind(params: TrustParams) -> tuple[str, str]:

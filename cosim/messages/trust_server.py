@@ -134,9 +134,11 @@ class Uplink:
             keys = np.concatenate([keys, rng.keys(key, name_key[of], 1 + number)])
             sent = np.concatenate([length, length[of]])
             place = np.concatenate([xy_m, xy_m[of]])
-        taken = within_capacity(place, sent, keys, p.cell_up_bytes_per_s * self.interval_s, p.cell_m)[: len(n)]
+        budget_bytes = p.cell_up_bytes_per_s * self.interval_s
+        taken = within_capacity(place, sent, keys, budget_bytes, p.cell_m)[: len(n)]
         out = np.full(len(n), bool(self.params.is_out(time_s)))
-        return self._send(state, messages, time_s + delay_s, ~taken & ~out, out, int(sent.sum()))
+        refused = ~taken & ~out
+        return self._send(state, messages, time_s + delay_s, refused, out, int(sent.sum()))
 
     def by_rsu(
         self,
@@ -171,11 +173,15 @@ class Uplink:
         says = np.diff(messages.ptr) > 0
         out = out | self.params.is_out(arrival_s)
         arrives = says & ~refused & ~out & np.isfinite(arrival_s)
-        n = [int(np.sum(x)) for x in (says, arrives, says & refused, says & ~refused & out)]
-        stats = LinkStats(n[0], n[1], n[0] - n[1] - n[2] - n[3], 0, n[2], n[3], uplink_bytes)
+        n_says, n_arrives = int(says.sum()), int(arrives.sum())
+        n_refused = int((says & refused).sum())
+        n_out = int((says & ~refused & out).sum())
+        n_lost = n_says - n_arrives - n_refused - n_out
+        stats = LinkStats(n_says, n_arrives, n_lost, 0, n_refused, n_out, uplink_bytes)
         if not arrives.any():
             return state, stats
-        return UplinkState((*state.under_way, (arrival_s[arrives], chosen_messages(messages, arrives)))), stats
+        sent = arrival_s[arrives], chosen_messages(messages, arrives)
+        return UplinkState((*state.under_way, sent)), stats
 
     def arrived(self, state: UplinkState, time_s: float) -> tuple[UplinkState, list[EvaluationMessages]]:
         """The new state, and the reports that have reached the server by `time_s`, older steps first."""
@@ -390,7 +396,8 @@ class Downlink:
         newest[listens] = state.last[vehicle[listens]]
         for number, broadcast in state.broadcasts.items():
             rows = np.flatnonzero(newest == number)
-            at, known = broadcast.scores.rows_of(np.full(len(rows), SERVER), subject[rows])
+            holder = np.full(len(rows), SERVER)
+            at, known = broadcast.scores.rows_of(holder, subject[rows])
             yield broadcast, rows[known], at[known]
 
 

@@ -166,7 +166,10 @@ def fields(of: Type, value: Any) -> Iterator[Field]:
             content = encode(of.contents[identifier], inside)
             if len(content) > LONGEST_OPEN:
                 raise ValueError(f"{of.name}: {len(content)} bytes do not fit into one open type. Send fewer objects.")
-            yield (len(content), 8) if len(content) < 128 else (1 << 15 | len(content), 16)
+            if len(content) < 128:
+                yield len(content), 8
+            else:
+                yield 1 << 15 | len(content), 16
             yield int.from_bytes(content), 8 * len(content)
 
 
@@ -184,29 +187,33 @@ def _record(of: Record, value: Mapping[str, Any]) -> Iterator[Field]:
 
 
 def _list(of: ListOf, value: Sequence[Any] | Encoded) -> Iterator[Field]:
-    is_encoded = isinstance(value, Encoded)
     n = value.n if isinstance(value, Encoded) else len(value)
     _check(of, n, of.low, of.high)
     if of.is_extensible:
         yield 0, 1
     yield n - of.low, of.bits
-    if is_encoded:
-        yield value.value, value.bits  # type: ignore[union-attr]
+    if isinstance(value, Encoded):
+        yield value.value, value.bits
         return
     for one in value:
         yield from fields(of.element, one)
 
 
 def _check(of: Type, value: Any, low: int, high: int) -> None:
-    inside = ((low <= value) & (value <= high)).all() if isinstance(value, ndarray) else low <= value <= high
-    if not inside:
-        wrong = value[(value < low) | (value > high)][0] if isinstance(value, ndarray) else value
-        raise ValueError(f"{of.name} is {wrong}, but {of.module} allows {low} to {high}.")
+    if isinstance(value, ndarray):
+        outside = (value < low) | (value > high)
+        if not outside.any():
+            return
+        value = value[outside][0]
+    elif low <= value <= high:
+        return
+    raise ValueError(f"{of.name} is {value}, but {of.module} allows {low} to {high}.")
 
 
 def _index(of: Enumerated, value: int) -> int:
     if value not in of.values:
-        raise ValueError(f"{of.name} is {value}, but {of.module} has {', '.join(map(str, of.values))}.")
+        known = ", ".join(map(str, of.values))
+        raise ValueError(f"{of.name} is {value}, but {of.module} has {known}.")
     return of.values.index(value)
 
 
@@ -233,10 +240,12 @@ def encode(of: Type, value: Any) -> bytes:
 
 def rows(of: Type, value: Any, n: int) -> UInt8[ndarray, "n b"]:
     """The bits of `n` records that have the same members; numbers in `value` are arrays [n] or hold for all."""
-    columns = [
-        (np.broadcast_to(np.asarray(number, np.int64), n)[:, None] >> np.arange(bits)[::-1] & 1).astype(np.uint8)
-        for number, bits in fields(of, value)
-    ]
+    columns = []
+    for number, bits in fields(of, value):
+        numbers = np.broadcast_to(np.asarray(number, np.int64), n)
+        places = np.arange(bits)[::-1]
+        column = numbers[:, None] >> places & 1
+        columns.append(column.astype(np.uint8))
     return np.concatenate(columns, axis=1)
 
 
@@ -248,11 +257,14 @@ def least(of: Type) -> Any:
         case Enumerated():
             return of.values[0]
         case Record():
-            return {m.name: least(m.of) for m in of.members if m.of is not None and not m.is_optional}
+            needed = {m.name: m.of for m in of.members if m.of is not None and not m.is_optional}
+            return {name: least(kind) for name, kind in needed.items()}
         case ListOf():
             return [least(of.element)] * max(1, of.low)
         case UperChoice():
-            return next((name, least(kind)) for name, kind in of.alternatives.items() if kind is not None)
+            here = ((name, kind) for name, kind in of.alternatives.items() if kind is not None)
+            name, kind = next(here)
+            return name, least(kind)
         case Wrapped():
             identifier, kind = next(iter(of.contents.items()))
             return identifier, least(kind)
@@ -277,7 +289,8 @@ def table(of: Type, field: str = "") -> Iterator[UperRow]:
     """Width of every number, and of the bits that say what follows, of all that is ever written of a type."""
     match of:
         case Integer():
-            yield UperRow(field, of.name, of.module, f"{of.low} to {of.high}", of.bits)
+            span = f"{of.low} to {of.high}"
+            yield UperRow(field, of.name, of.module, span, of.bits)
         case Enumerated():
             span = f"one of {len(of.values)}"
             yield UperRow(field, of.name, of.module, span, of.bits + of.is_extensible)
