@@ -96,14 +96,25 @@ class Believed(Rows):
     def of(beliefs: Beliefs, rows: Int[ndarray, "k"], world: World, dt_s: float) -> "Believed":
         """Objects that are tracked for the first time, from these rows of the beliefs. Their speeds are unknown."""
         boxes, n = beliefs.boxes, len(rows)
-        xy = boxes.xyz_m[rows, :2]
+        ego = world.actor[beliefs.ego[rows]]
+        xy_m = boxes.xyz_m[rows, :2]
         now_s = np.full(n, world.step * dt_s)
         return Believed(
-            world.actor[beliefs.ego[rows]].astype(np.int64), beliefs.label[rows], xy, xy, boxes.lwh_m[rows, :2],
-            boxes.yaw_rad[rows], np.zeros((n, 2)), np.zeros(n, bool), np.full(n, beliefs.known_s),
-            now_s, now_s, beliefs.source_step[rows], beliefs.source[rows].astype(np.int64),
-            beliefs.source_index[rows].astype(np.int64),
-        )  # fmt: skip
+            ego=ego.astype(np.int64),
+            label=beliefs.label[rows],
+            xy_m=xy_m,
+            seen_xy_m=xy_m,
+            lw_m=boxes.lwh_m[rows, :2],
+            yaw_rad=boxes.yaw_rad[rows],
+            velocity_mps=np.zeros((n, 2)),
+            has_speed=np.zeros(n, bool),
+            known_s=np.full(n, beliefs.known_s),
+            seen_s=now_s,
+            placed_s=now_s,
+            source_step=beliefs.source_step[rows],
+            source=beliefs.source[rows].astype(np.int64),
+            source_index=beliefs.source_index[rows].astype(np.int64),
+        )
 
 
 class Cautious:
@@ -145,8 +156,9 @@ class Cautious:
         assert paths is not None, "the traffic offers lane paths to drivers"
         watched = state if isinstance(state, Believed) else None
         if watched is not None:
-            going = np.isin(watched.ego, world.actor[paths.row]) & (now_s - watched.seen_s <= p.release_s + _EPS_S)
-            watched = _moved(watched.take(np.flatnonzero(going)), dt_s)
+            drives = np.isin(watched.ego, world.actor[paths.row])
+            recent = now_s - watched.seen_s <= p.release_s + _EPS_S
+            watched = _moved(watched.take(drives & recent), dt_s)
         if beliefs is not None:
             watched = self._believe(watched, world, paths, beliefs, dt_s)
         if watched is None or not len(watched):
@@ -162,19 +174,18 @@ class Cautious:
         own_person = p.own_persons & (beliefs.label == _PEDESTRIAN)
         own = np.flatnonzero(beliefs.ego_detected & ~own_person)
         can = (path >= 0) & self._reacts(world)
-        rows = np.flatnonzero((beliefs.score >= p.min_score) & (~beliefs.ego_detected | own_person) & can[beliefs.ego])
+        counts = ~beliefs.ego_detected | own_person
+        rows = np.flatnonzero((beliefs.score >= p.min_score) & counts & can[beliefs.ego])
         look_m = self._look_m(world)
         rows = rows[self._within_reach(world, beliefs, rows, look_m)]
         if watched is not None and len(watched):
-            watched = watched.take(np.flatnonzero(~_seen_by_own(watched, beliefs, own, world)))
+            watched = watched.take(~_seen_by_own(watched, beliefs, own, world))
         ego = beliefs.ego[rows]
-        gap_m, _ = ahead_on_path(
-            paths, path[ego], boxes.xyz_m[rows, :2], boxes.lwh_m[rows, :2], boxes.yaw_rad[rows], look_m[ego],
-            p.half_width_m,
-        )  # fmt: skip
+        xy_m, lw_m = boxes.xyz_m[rows, :2], boxes.lwh_m[rows, :2]
+        gap_m, _ = ahead_on_path(paths, path[ego], xy_m, lw_m, boxes.yaw_rad[rows], look_m[ego], p.half_width_m)
         steps_out = (beliefs.label[rows] == _PEDESTRIAN) & (p.persons_ahead_s > 0)
-        rows = rows[np.isfinite(gap_m) | steps_out]
-        found = Believed.of(beliefs, rows[~_overlaps_own(beliefs, rows, own)], world, dt_s)
+        found = Believed.of(beliefs, rows[np.isfinite(gap_m) | steps_out], world, dt_s)
+        found = found.take(~_seen_by_own(found, beliefs, own, world))
         return found if watched is None or not len(watched) else _continued(watched, found)
 
     def _within_reach(
@@ -183,46 +194,50 @@ class Cautious:
         """Whether objects are on the vehicle's level and may be within the distance that it looks ahead."""
         ego, vehicle = beliefs.ego[rows], world.boxes
         xyz_m, lwh_m = beliefs.boxes.xyz_m[rows], beliefs.boxes.lwh_m[rows]
-        reach_m = (look_m + vehicle.lwh_m[:, 0])[ego] + np.hypot(lwh_m[:, 0], lwh_m[:, 1]) / 2
-        near = np.hypot(*(xyz_m[:, :2] - vehicle.xyz_m[ego, :2]).T) <= reach_m
-        footing_m = (vehicle.xyz_m[:, 2] - vehicle.lwh_m[:, 2] / 2)[ego]
-        return near & (np.abs(xyz_m[:, 2] - lwh_m[:, 2] / 2 - footing_m) <= _LEVEL_M)
+        own_reach_m = (look_m + vehicle.lwh_m[:, 0])[ego]
+        diagonal_m = np.hypot(lwh_m[:, 0], lwh_m[:, 1])
+        between_m = xyz_m[:, :2] - vehicle.xyz_m[ego, :2]
+        near = np.hypot(*between_m.T) <= own_reach_m + diagonal_m / 2
+        footing_m = vehicle.xyz_m[:, 2] - vehicle.lwh_m[:, 2] / 2
+        higher_m = xyz_m[:, 2] - lwh_m[:, 2] / 2 - footing_m[ego]
+        return near & (np.abs(higher_m) <= _LEVEL_M)
 
     def _follow(self, watched: Believed, world: World, paths: LanePaths, now_s: float, dt_s: float) -> SpeedCommands:
         """The lowest speed that any tracked object requires, per vehicle."""
         p = self.params
         row = np.searchsorted(world.actor, watched.ego)
-        gap_m, heading = ahead_on_path(
-            paths, _path_of(world, paths)[row], watched.xy_m, watched.lw_m, watched.yaw_rad, self._look_m(world)[row],
-            p.half_width_m,
-        )  # fmt: skip
+        path, look_m = _path_of(world, paths)[row], self._look_m(world)[row]
+        lw_m, yaw_rad = watched.lw_m, watched.yaw_rad
+        gap_m, heading = ahead_on_path(paths, path, watched.xy_m, lw_m, yaw_rad, look_m, p.half_width_m)
         is_person = watched.label == _PEDESTRIAN
         for share in _PERSON_SHARES if p.persons_ahead_s else ():
             then_m = watched.xy_m + share * p.persons_ahead_s * watched.velocity_mps
-            later_m, _ = ahead_on_path(
-                paths, _path_of(world, paths)[row], then_m, watched.lw_m, watched.yaw_rad, self._look_m(world)[row],
-                p.half_width_m,
-            )  # fmt: skip
+            later_m, _ = ahead_on_path(paths, path, then_m, lw_m, yaw_rad, look_m, p.half_width_m)
             gap_m = np.where(is_person & watched.has_speed, np.minimum(gap_m, later_m), gap_m)
         along = np.cos(watched.yaw_rad - heading)
         drives = (along > _ALONG) & ~is_person
         due = np.isfinite(gap_m) & (now_s >= watched.known_s + p.reaction_s - _EPS_S)
         due &= ~drives | watched.has_speed
-        leader_mps = np.where(drives, np.hypot(*watched.velocity_mps.T) * np.maximum(along, 0.0), 0.0)
+        pace_mps = np.hypot(*watched.velocity_mps.T)
+        leader_mps = np.where(drives, pace_mps * np.maximum(along, 0.0), 0.0)
         speed = world.speed_mps[row]
         bt = p.comfort_mps2 * dt_s
         free_m = np.maximum(np.where(due, gap_m, 0.0) - p.standstill_m, 0.0)
-        safe = -bt + np.sqrt(bt**2 + leader_mps**2 + 2 * p.comfort_mps2 * free_m)
+        braking = 2 * p.comfort_mps2 * free_m
+        safe = -bt + np.sqrt(bt**2 + leader_mps**2 + braking)
         wanted = np.maximum(np.maximum(safe, speed - p.emergency_mps2 * dt_s), 0.0)
-        rows = np.flatnonzero(due & (wanted < speed + _ACCELERATION_MPS2 * dt_s))
-        rows = rows[np.lexsort((watched.source_index[rows], watched.source[rows], wanted[rows], watched.ego[rows]))]
-        rows = rows[np.diff(watched.ego[rows], prepend=-1) > 0]
-        reasons = Reasons(watched.source_step[rows], watched.source[rows], watched.source_index[rows], gap_m[rows])
-        return SpeedCommands(watched.ego[rows], wanted[rows], reasons)
+        must = np.flatnonzero(due & (wanted < speed + _ACCELERATION_MPS2 * dt_s))
+        watched, wanted, gap_m = watched.take(must), wanted[must], gap_m[must]
+        order = np.lexsort((watched.source_index, watched.source, wanted, watched.ego))
+        lowest = order[np.diff(watched.ego[order], prepend=-1) > 0]  # of each vehicle
+        cause = watched.take(lowest)
+        reasons = Reasons(cause.source_step, cause.source, cause.source_index, gap_m[lowest])
+        return SpeedCommands(cause.ego, wanted[lowest], reasons)
 
     def _reacts(self, world: World) -> Bool[ndarray, "n"]:
         """Actors whose drivers react."""
-        return rng.uniforms(rng.key(0, rng.Stream.DRIVER), world.name_key)[:, 0] < self.params.share_p
+        drawn = rng.uniforms(rng.key(0, rng.Stream.DRIVER), world.name_key)
+        return drawn[:, 0] < self.params.share_p
 
     def _look_m(self, world: World) -> Float[ndarray, "n"]:
         """Distance that each actor looks ahead: the horizon, and at least twice the standstill gap."""
@@ -244,26 +259,19 @@ def _moved(watched: Believed, dt_s: float) -> Believed:
 def _pairs(a: Int[ndarray, "a"], b: Int[ndarray, "b"]) -> tuple[ndarray, ndarray]:
     """Rows of all pairs of equal numbers in `a` and `b`, sorted by row of `a`."""
     order = np.argsort(b, kind="stable")
-    at, which = expand(np.searchsorted(b[order], a, "left"), np.searchsorted(b[order], a, "right"))
+    first, stop = (np.searchsorted(b[order], a, side) for side in ("left", "right"))
+    at, which = expand(first, stop)
     return which, order[at]
 
 
-def _overlaps_own(beliefs: Beliefs, rows: Int[ndarray, "k"], own: Int[ndarray, "o"]) -> Bool[ndarray, "k"]:
-    """Whether the own detector reports something at each object: the centres are at most half a length apart."""
-    one, other = _pairs(beliefs.ego[rows], beliefs.ego[own])
-    i, j, boxes = rows[one], own[other], beliefs.boxes
-    apart_m = np.hypot(*(boxes.xyz_m[i, :2] - boxes.xyz_m[j, :2]).T)
-    near = apart_m <= (boxes.lwh_m[i, 0] + boxes.lwh_m[j, 0]) / 4
-    return np.bincount(one[near], minlength=len(rows)) > 0
-
-
 def _seen_by_own(watched: Believed, beliefs: Beliefs, own: Int[ndarray, "o"], world: World) -> Bool[ndarray, "k"]:
-    """Whether the own detector reports something at each object that was tracked before."""
-    one, other = _pairs(watched.ego, world.actor[beliefs.ego[own]])
-    j, boxes = own[other], beliefs.boxes
-    apart_m = np.hypot(*(watched.xy_m[one] - boxes.xyz_m[j, :2]).T)
-    near = apart_m <= (watched.lw_m[one, 0] + boxes.lwh_m[j, 0]) / 4
-    return np.bincount(one[near], minlength=len(watched)) > 0
+    """Whether the own detector reports something at each object: the centres are at most half a length apart."""
+    row, other = _pairs(watched.ego, world.actor[beliefs.ego[own]])
+    seen = beliefs.boxes.take(own[other])
+    between_m = watched.xy_m[row] - seen.xyz_m[:, :2]
+    lengths_m = watched.lw_m[row, 0] + seen.lwh_m[:, 0]
+    near = np.hypot(*between_m.T) <= lengths_m / 4
+    return np.bincount(row[near], minlength=len(watched)) > 0
 
 
 def _continued(watched: Believed, found: Believed) -> Believed:
@@ -275,25 +283,34 @@ def _continued(watched: Believed, found: Believed) -> Believed:
     since_s = found.seen_s[new] - watched.placed_s[old]
     gate_m = _GATE_M + np.where(watched.has_speed[old], 0.0, _FASTEST_MPS * since_s)
     same = (away_m <= gate_m) & (found.label[new] == watched.label[old])
-    new, old, away_m, since_s, again = (of[same] for of in (new, old, away_m, since_s, again))
-    order = np.lexsort((old, ~again, away_m, new))
-    order = order[np.diff(new[order], prepend=-1) > 0]  # the nearest of each
-    new, old, since_s, again = (of[order] for of in (new, old, since_s, again))
-    shown = (found.seen_xy_m[new] - watched.seen_xy_m[old]) / since_s[:, None]
-    heading = np.column_stack([np.cos(found.yaw_rad[new]), np.sin(found.yaw_rad[new])])
-    forward = np.clip(np.sum(shown * heading, axis=1), 0, _FASTEST_MPS)[:, None] * heading
-    pace = np.maximum(np.hypot(*shown.T), 1e-9)[:, None]
-    shown = np.where(
-        (found.label[new] == _PEDESTRIAN)[:, None], shown * np.minimum(1, _FASTEST_PERSON_MPS / pace), forward
-    )
-    before = np.where(watched.has_speed[old][:, None], watched.velocity_mps[old], shown)
+    pairs = np.flatnonzero(same)
+    order = pairs[np.lexsort((old[pairs], ~again[pairs], away_m[pairs], new[pairs]))]
+    nearest = order[np.diff(new[order], prepend=-1) > 0]
+    new, old, again = new[nearest], old[nearest], again[nearest]
+    moved_m = found.seen_xy_m[new] - watched.seen_xy_m[old]
+    shown = _possible(moved_m / since_s[nearest, None], found.yaw_rad[new], found.label[new] == _PEDESTRIAN)
+    before = np.where(watched.has_speed[old, None], watched.velocity_mps[old], shown)
     velocity, has_speed, known_s = found.velocity_mps.copy(), found.has_speed.copy(), found.known_s.copy()
-    velocity[new], has_speed[new], known_s[new] = (before + shown) / 2, True, watched.known_s[old]
+    velocity[new] = (before + shown) / 2
+    has_speed[new] = True
+    known_s[new] = watched.known_s[old]
     found = replace(found, velocity_mps=velocity, has_speed=has_speed, known_s=known_s)
     found = _repeated(found, new[again], watched, old[again])
     left = np.setdiff1d(np.arange(len(watched)), old)
     both = Believed.concat([found, watched.take(left)])
     return both.take(np.lexsort((both.source_index, both.source, both.ego)))
+
+
+def _possible(
+    velocity_mps: Float[ndarray, "n 2"], yaw_rad: Float[ndarray, "n"], is_person: Bool[ndarray, "n"]
+) -> Float[ndarray, "n 2"]:
+    """Velocities without their impossible part: vehicles drive forward, and persons are not faster than they run."""
+    heading = np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
+    along_mps = np.sum(velocity_mps * heading, axis=1)
+    forward_mps = np.clip(along_mps, 0, _FASTEST_MPS)
+    pace_mps = np.maximum(np.hypot(*velocity_mps.T), 1e-9)
+    share = np.minimum(1, _FASTEST_PERSON_MPS / pace_mps)
+    return np.where(is_person[:, None], velocity_mps * share[:, None], forward_mps[:, None] * heading)
 
 
 def _same_message(

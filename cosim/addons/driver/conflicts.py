@@ -7,6 +7,7 @@ a bridge and the street below. Definitions follow SUMO's SSM device, against whi
 """
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -72,13 +73,14 @@ def _steps(poses: pd.DataFrame) -> Iterator[tuple[int, dict[str, ndarray]]]:
     columns = {name: poses[name].to_numpy() for name in poses.columns}
     step = columns["step"]
     cuts = np.flatnonzero(np.diff(step)) + 1
-    for begin, end in zip(np.append(0, cuts).tolist(), np.append(cuts, len(step)).tolist(), strict=True):
-        if end > begin:
-            yield int(step[begin]), {name: column[begin:end] for name, column in columns.items()}
+    edges = [0, *cuts.tolist(), len(step)] if len(step) else []
+    for begin, end in pairwise(edges):
+        at = {name: column[begin:end] for name, column in columns.items()}
+        yield int(step[begin]), at
 
 
 def _leaders(step: int, at: dict[str, ndarray] | pd.DataFrame, range_m: float) -> pd.DataFrame:
-    xy = np.column_stack([np.asarray(at["x_m"], float), np.asarray(at["y_m"], float)])
+    xy = np.column_stack([at["x_m"], at["y_m"]]).astype(float)
     length, width, yaw, speed, ground = (
         np.asarray(at[name], float) for name in ("length_m", "width_m", "yaw_rad", "speed_mps", "ground_m")
     )
@@ -92,7 +94,8 @@ def _leaders(step: int, at: dict[str, ndarray] | pd.DataFrame, range_m: float) -
     gap = ahead - (length[i] + length[j]) / 2
     in_path = np.abs(left) < (width[i] + width[j]) / 2
     in_path &= _on_one_road(ground, i, j)
-    leads = np.flatnonzero((ahead > 0) & in_path & (along > _ALONG) & (gap <= range_m))
+    is_leader = (ahead > 0) & in_path & (along > _ALONG)
+    leads = np.flatnonzero(is_leader & (gap <= range_m))
     gap = np.maximum(gap, 0.0)
     leads = leads[np.lexsort((gap[leads], i[leads]))]
     nearest = leads[np.diff(i[leads], prepend=-1) > 0]
@@ -103,10 +106,8 @@ def _leaders(step: int, at: dict[str, ndarray] | pd.DataFrame, range_m: float) -
         ttc = np.where(closing > 1e-6, gap / closing, np.nan)
         drac = np.where(closing > 1e-6, closing**2 / (2 * gap), 0.0)
     actor = np.asarray(at["actor"])
-    return pd.DataFrame({
-        "step": np.full(len(i), step), "actor": actor[i], "leader": actor[j], "gap_m": gap, "closing_mps": closing,
-        "ttc_s": ttc, "drac_mps2": drac,
-    })  # fmt: skip
+    columns = {"actor": actor[i], "leader": actor[j], "gap_m": gap, "closing_mps": closing}
+    return pd.DataFrame({"step": np.full(len(i), step), **columns, "ttc_s": ttc, "drac_mps2": drac})
 
 
 def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
@@ -123,24 +124,27 @@ def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     column = {name: poses[name].to_numpy(float) for name in poses.columns}
     actor, step = poses.actor.to_numpy(), poses.step.to_numpy()
     a = np.flatnonzero((np.diff(actor) == 0) & (np.diff(step) == 1))
-    way = np.column_stack([np.diff(column["x_m"])[a], np.diff(column["y_m"])[a]])
+    xy = np.column_stack([column["x_m"], column["y_m"]])
+    way = np.diff(xy, axis=0)[a]
     length = np.hypot(*way.T)
     moves = (length > 0.1) & (length < max(_SEGMENT_M, _FASTEST_MPS * run.dt_s))
     a, way, length = a[moves], way[moves], length[moves]
-    start = np.column_stack([column["x_m"], column["y_m"]])[a]
+    start = xy[a]
     reach_m = max(_SEGMENT_M, length.max(initial=0.0))
     scale = reach_m / _PET_S
-    points = np.column_stack([start + way / 2, step[a] * run.dt_s * scale])
-    near = _near(points, reach_m)
+    scaled_time = step[a] * run.dt_s * scale
+    near = _near(np.column_stack([start + way / 2, scaled_time]), reach_m)
     found = [_crossing(pairs, actor[a], start, way, length) for pairs in near]
     nothing = np.zeros(0, int)
-    i, j, u, v = (np.concatenate(c) for c in zip((nothing,) * 4, *found, strict=True))
-    one_road = _on_one_road(column["ground_m"], a[i], a[j])
-    i, j, u, v = (values[one_road] for values in (i, j, u, v))
+    i, j, u, v = (np.concatenate(parts) for parts in zip((nothing,) * 4, *found, strict=True))
+    one_road = np.flatnonzero(_on_one_road(column["ground_m"], a[i], a[j]))
+    i, j, u, v = i[one_road], j[one_road], u[one_road], v[one_road]
     at_i = (step[a[i]] + u) * run.dt_s
     at_j = (step[a[j]] + v) * run.dt_s
-    in_i = _half(column, a, way, length, i, j) * run.dt_s / length[i]
-    in_j = _half(column, a, way, length, j, i) * run.dt_s / length[j]
+    half_i_m = _half(column, a, way, length, i, j)
+    half_j_m = _half(column, a, way, length, j, i)
+    in_i = half_i_m * run.dt_s / length[i]
+    in_j = half_j_m * run.dt_s / length[j]
     i_first = at_i <= at_j
     actor_i, actor_j = actor[a[i]], actor[a[j]]
     frame = pd.DataFrame({
@@ -175,8 +179,9 @@ def _crossing(
 ) -> tuple[ndarray, ndarray, ndarray, ndarray]:
     """Pairs of ways of different vehicles that intersect, and where on each, as a share of it."""
     i, j = pairs.T
-    along = np.sum(way[i] * way[j], axis=1) / (length[i] * length[j])
-    keep = (actor[i] != actor[j]) & (along < _CROSSING)
+    dot = np.sum(way[i] * way[j], axis=1)
+    cosine = dot / (length[i] * length[j])
+    keep = (actor[i] != actor[j]) & (cosine < _CROSSING)
     i, j = i[keep], j[keep]
     det = _cross(way[i], way[j])
     between = start[j] - start[i]
@@ -189,14 +194,16 @@ def _crossing(
 
 def _cross(a: Float[ndarray, "n 2"], b: Float[ndarray, "n 2"]) -> Float[ndarray, "n"]:
     """Areas that pairs of vectors span, positive where b is to the left of a."""
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    (ax, ay), (bx, by) = a.T, b.T
+    return ax * by - ay * bx
 
 
 def _half(
     column: dict[str, ndarray], a: ndarray, way: ndarray, length: ndarray, row: ndarray, other: ndarray
 ) -> ndarray:
     """Half the way on which a vehicle's footprint is in the common area: its length and the other's width, slanted."""
-    sine = np.abs(_cross(way[row], way[other])) / (length[row] * length[other])
+    area = np.abs(_cross(way[row], way[other]))
+    sine = area / (length[row] * length[other])
     slanted_m = column["width_m"][a[other]] / np.maximum(sine, 0.5)
     return (column["length_m"][a[row]] + slanted_m) / 2
 
@@ -217,13 +224,15 @@ def overlaps(run: Run, poses: pd.DataFrame | None = None, depth_m: float = 0.3) 
         if len(xy) < 2:
             continue
         i, j = cKDTree(xy).query_pairs(reach.max(), output_type="ndarray").T
-        close = np.hypot(*(xy[i] - xy[j]).T) < (reach[i] + reach[j]) / 2
+        apart = xy[i] - xy[j]
+        close = np.hypot(*apart.T) < (reach[i] + reach[j]) / 2
         close &= _on_one_road(at["ground_m"], i, j)
         i, j = i[close], j[close]
         fastest_mps = np.maximum(at["speed_mps"][i], at["speed_mps"][j])
         hit = (_depth(at, xy, i, j) > depth_m) & (fastest_mps > 0.5)
-        a, b = at["actor"][i[hit]], at["actor"][j[hit]]
-        found.append(pd.DataFrame({"a": np.minimum(a, b), "b": np.maximum(a, b), "step": step}))
+        one, other = at["actor"][i[hit]], at["actor"][j[hit]]
+        lower, higher = np.minimum(one, other), np.maximum(one, other)
+        found.append(pd.DataFrame({"a": lower, "b": higher, "step": step}))
     no_pairs = pd.DataFrame({"a": [], "b": [], "step": []}, dtype=int)
     frame = pd.concat(found, ignore_index=True) if found else no_pairs
     return frame.drop_duplicates(["a", "b"]).reset_index(drop=True)
@@ -242,7 +251,8 @@ def _depth(at: dict[str, ndarray], xy: ndarray, i: ndarray, j: ndarray) -> Float
                 by_length = np.abs(at["length_m"][row] * np.cos(angle))
                 by_width = np.abs(at["width_m"][row] * np.sin(angle))
                 reach += (by_length + by_width) / 2
-            depth = np.minimum(depth, reach - np.abs(turned_by(-axis, apart)[:, 0]))
+            along_axis = turned_by(-axis, apart)[:, 0]
+            depth = np.minimum(depth, reach - np.abs(along_axis))
     return depth
 
 
@@ -262,9 +272,19 @@ def begins(on: Bool[ndarray, "n"], off: Bool[ndarray, "n"], track: ndarray) -> B
     -------
     True in the first row of each event.
     """
-    new_track = np.append(True, track[1:] != track[:-1])[: len(track)]
-    state = np.where(on, 1, np.where(off | new_track, -1, 0))
-    last = np.maximum.accumulate(np.where(state != 0, np.arange(len(state)), 0))
-    now = state[last]
-    before = np.where(new_track, -1, np.append(-1, now[:-1]))
+    is_first = first_rows(track)
+    now = held(np.where(on, 1, np.where(off | is_first, -1, 0)))
+    before = np.where(is_first, -1, np.append(-1, now[:-1]))
     return (now == 1) & (before == -1)
+
+
+def first_rows(track: ndarray) -> Bool[ndarray, "n"]:
+    """Whether each row is the first one of its track."""
+    changes = track[1:] != track[:-1]
+    return np.append(True, changes)[: len(track)]
+
+
+def held(state: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """States in which 0 means: as in the row before. The first one is not 0."""
+    last_change = np.where(state != 0, np.arange(len(state)), 0)
+    return state[np.maximum.accumulate(last_change)]

@@ -7,7 +7,8 @@ from numpy import ndarray
 from cosim.base.kernel import compiled
 from cosim.world import LanePaths
 
-_SAMPLES = np.array([[0, 0], [1, 1], [1, 0], [1, -1], [0, 1], [0, -1], [-1, 1], [-1, 0], [-1, -1]], float)
+_CENTRE, _FRONT, _SIDES, _REAR = [[0, 0]], [[1, 1], [1, 0], [1, -1]], [[0, 1], [0, -1]], [[-1, 1], [-1, 0], [-1, -1]]
+_SAMPLES = np.array(_CENTRE + _FRONT + _SIDES + _REAR, float)
 """Points of a footprint that are tested: the centre, the corners and the middles of the sides, in half extents."""
 
 
@@ -38,10 +39,9 @@ def ahead_on_path(
     Gap from the front bumper to the nearest such point along the path [m], and heading of the path there [rad]. The gap
     is 0 if the object is beside the vehicle, and infinite if it is not on the path or its centre is not ahead.
     """
-    return _ahead(
-        paths.ptr, paths.xy_m, paths.along_m, paths.line[path], paths.front_m[path], xy_m, lw_m, yaw_rad, look_m,
-        half_width_m, _SAMPLES,
-    )  # fmt: skip
+    line, front_m = paths.line[path], paths.front_m[path]
+    lines = paths.ptr, paths.xy_m, paths.along_m
+    return _ahead(*lines, line, front_m, xy_m, lw_m, yaw_rad, look_m, half_width_m, _SAMPLES)
 
 
 @compiled
@@ -49,13 +49,17 @@ def _ahead(ptr, line_xy, along, line, front, xy, lw, yaw, look, half_width, samp
     n = xy.shape[0]
     gap, heading = np.full(n, np.inf), np.zeros(n)
     for i in range(n):
-        first, last = ptr[line[i]], ptr[line[i] + 1]
+        first = ptr[line[i]]
+        last = ptr[line[i] + 1]
         begin, end = front[i], front[i] + look[i]
-        c, s = np.cos(yaw[i]), np.sin(yaw[i])
+        cos = np.cos(yaw[i])
+        sin = np.sin(yaw[i])
         centre_ahead = False
         for k in range(samples.shape[0]):
-            dx, dy = samples[k, 0] * lw[i, 0] / 2, samples[k, 1] * lw[i, 1] / 2
-            x, y = xy[i, 0] + c * dx - s * dy, xy[i, 1] + s * dx + c * dy
+            forward = samples[k, 0] * lw[i, 0] / 2
+            left = samples[k, 1] * lw[i, 1] / 2
+            x = xy[i, 0] + cos * forward - sin * left
+            y = xy[i, 1] + sin * forward + cos * left
             best, at, direction = np.inf, 0.0, 0.0
             for v in range(first, last - 1):
                 length = along[v + 1] - along[v]
@@ -63,15 +67,22 @@ def _ahead(ptr, line_xy, along, line, front, xy, lw, yaw, look, half_width, samp
                     break
                 if length <= 0.0 or along[v + 1] < begin:
                     continue
-                ux, uy = (line_xy[v + 1, 0] - line_xy[v, 0]) / length, (line_xy[v + 1, 1] - line_xy[v, 1]) / length
-                t = (x - line_xy[v, 0]) * ux + (y - line_xy[v, 1]) * uy
-                t = min(max(t, max(0.0, begin - along[v])), min(length, end - along[v]))
-                away = np.hypot(x - line_xy[v, 0] - t * ux, y - line_xy[v, 1] - t * uy)
+                vx, vy = line_xy[v]
+                ux = (line_xy[v + 1, 0] - vx) / length
+                uy = (line_xy[v + 1, 1] - vy) / length
+                t = (x - vx) * ux + (y - vy) * uy
+                lowest = max(0.0, begin - along[v])
+                highest = min(length, end - along[v])
+                t = min(max(t, lowest), highest)
+                away = np.hypot(x - vx - t * ux, y - vy - t * uy)
                 if away < best:
-                    best, at, direction = away, along[v] + t, np.arctan2(uy, ux)
+                    best = away
+                    at = along[v] + t
+                    direction = np.arctan2(uy, ux)
             if k == 0:
                 centre_ahead = at > begin + 1e-9
-                if not centre_ahead or best > half_width + np.hypot(lw[i, 0], lw[i, 1]) / 2 + 1e-6:
+                half_diagonal = np.hypot(lw[i, 0], lw[i, 1]) / 2
+                if not centre_ahead or best > half_width + half_diagonal + 1e-6:
                     break  # no point of the footprint is on the path
             if best <= half_width and at - begin < gap[i]:
                 gap[i], heading[i] = at - begin, direction

@@ -34,8 +34,10 @@ def sudden_slowing(run: Run, *, drop_mps: float) -> list[float]:
     lag = round(1.0 / run.dt_s)
     speed, actor = poses.speed_mps.to_numpy(float), poses.actor.to_numpy()
     drop = np.zeros(len(poses))
-    same = (actor[lag:] == actor[:-lag]) & (poses.step.diff(lag).to_numpy()[lag:] == lag)
-    drop[lag:] = np.where(same, speed[:-lag] - speed[lag:], 0.0)
+    steps_ago = poses.step.diff(lag).to_numpy()[lag:]
+    is_same = (actor[lag:] == actor[:-lag]) & (steps_ago == lag)
+    slower_mps = speed[:-lag] - speed[lag:]
+    drop[lag:] = np.where(is_same, slower_mps, 0.0)
     n = begins(drop >= drop_mps, drop < drop_mps / 2, actor).sum()
     return [1000 * n / _km(poses, run)]
 
@@ -69,7 +71,8 @@ def steady_headway(
     )
     length_m = run.table("vehicles", ["vehicle", "length_m"]).set_index("vehicle").length_m
     steady = (pairs.closing_mps.abs() <= closing_mps) & (pairs.acceleration_mps2.abs() <= acceleration_mps2)
-    pairs = pairs[steady & (pairs.speed_mps >= slowest_mps) & pairs.actor.isin(_cars_of(run))]
+    are_cars = pairs.actor.isin(_cars_of(run))
+    pairs = pairs[steady & (pairs.speed_mps >= slowest_mps) & are_cars]
     if pairs.empty:
         raise ValueError(f"{run.path.name}: no car followed another steadily. Run longer.")
     headway_s = ((pairs.gap_m + pairs.leader.map(length_m)) / pairs.speed_mps).astype(float)
@@ -129,17 +132,20 @@ def _cam_intervals_s(run: Run) -> Float[ndarray, "n"]:
     poses_of_step = np.stack([one.to_numpy(float) for one in wide], axis=1)  # steps, quantities, cars
     longest = round(INTERVAL_S / run.dt_s)
     n = poses_of_step.shape[2]
-    sent, since, by_time = np.full((4, n), np.nan), np.zeros(n, int), np.zeros(n, int)
+    sent = np.full((4, n), np.nan)
+    since, by_time = np.zeros(n, int), np.zeros(n, int)
     wait, found = np.full(n, longest), [np.zeros(0, int)]
     for now in poses_of_step:
         since += 1
         x, y, turn, faster = now - sent
-        turn = np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
-        changed = (np.hypot(x, y) > MOVED_M) | (turn > TURNED_RAD) | (np.abs(faster) > FASTER_MPS)
+        turned = np.abs((turn + np.pi) % (2 * np.pi) - np.pi) > TURNED_RAD
+        changed = (np.hypot(x, y) > MOVED_M) | turned | (np.abs(faster) > FASTER_MPS)
         due = np.isfinite(x) & (changed | (since >= wait))
         found.append(since[due])
-        by_time = np.where(due, np.where(changed, 0, by_time + 1), by_time)
-        wait = np.where(due & changed, since, np.where(by_time >= _MOST_BY_TIME, longest, wait))
+        by_time[due] = np.where(changed, 0, by_time + 1)[due]
+        wait[by_time >= _MOST_BY_TIME] = longest
+        wait = np.where(due & changed, since, wait)
         new = due | (np.isfinite(now[0]) & np.isnan(sent[0]))
-        sent[:, new], since[new] = now[:, new], 0
+        sent[:, new] = now[:, new]
+        since[new] = 0
     return np.concatenate(found) * run.dt_s

@@ -3,8 +3,9 @@
 import numpy as np
 import pandas as pd
 
-from cosim.addons.driver.conflicts import begins, encroachments, following, overlaps, tracks
+from cosim.addons.driver.conflicts import begins, encroachments, first_rows, following, held, overlaps, tracks
 from cosim.base.codes import OBJECT, PARKED
+from cosim.base.ragged import expand, rows_of
 from results.run import Run
 
 HARD_MPS2, EMERGENCY_MPS2, RESET_MPS2 = 3.0, 4.5, 1.0
@@ -44,10 +45,11 @@ def stops(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     """Stops: actor, step."""
     poses = _by_actor(tracks(run) if poses is None else poses)
     speed, actor = poses.speed_mps.to_numpy(), poses.actor.to_numpy()
-    first = np.append(True, actor[1:] != actor[:-1])[: len(actor)]
-    state = np.where(speed > MOVING_MPS, 1, np.where((speed < SLOW_MPS) | first, -1, 0))
-    now = state[np.maximum.accumulate(np.where(state != 0, np.arange(len(state)), 0))]
-    stopped = (now == -1) & (np.append(-1, now[:-1]) == 1) & ~first
+    is_first = first_rows(actor)
+    stands = (speed < SLOW_MPS) | is_first
+    now = held(np.where(speed > MOVING_MPS, 1, np.where(stands, -1, 0)))
+    before = np.append(-1, now[:-1])
+    stopped = (now == -1) & (before == 1) & ~is_first
     return poses.loc[stopped, ["actor", "step"]].reset_index(drop=True)
 
 
@@ -61,13 +63,13 @@ def conflicts(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     actor, leader, step (first of the episode), ttc_s (least), drac_mps2 (largest).
     """
     pairs = following(run, poses)
-    pairs = pairs[(pairs.ttc_s < TTC_S) | (pairs.drac_mps2 > DRAC_MPS2)].sort_values(["actor", "leader", "step"])
-    fresh = (pairs[["actor", "leader"]].diff() != 0).any(axis=1) | (pairs.step.diff() * run.dt_s > 1.0)
-    grouped = pairs.groupby(fresh.cumsum())
-    return grouped.agg(
-        actor=("actor", "first"), leader=("leader", "first"), step=("step", "first"), ttc_s=("ttc_s", "min"),
-        drac_mps2=("drac_mps2", "max"),
-    ).reset_index(drop=True)  # fmt: skip
+    pairs = pairs[(pairs.ttc_s < TTC_S) | (pairs.drac_mps2 > DRAC_MPS2)]
+    pairs = pairs.sort_values(["actor", "leader", "step"])
+    is_other_pair = (pairs[["actor", "leader"]].diff() != 0).any(axis=1)
+    is_later = pairs.step.diff() * run.dt_s > 1.0
+    episodes = pairs.groupby((is_other_pair | is_later).cumsum())
+    how = {"actor": "first", "leader": "first", "step": "first", "ttc_s": "min", "drac_mps2": "max"}
+    return episodes.agg(how).reset_index(drop=True)
 
 
 def reactions(run: Run) -> pd.DataFrame:
@@ -85,8 +87,9 @@ def reactions(run: Run) -> pd.DataFrame:
     kind = np.where(rows.fabricated, "ghost", np.where(rows.truth_actor.notna(), "real", "false positive"))
     rows = rows.assign(kind=kind, taken_mps=rows.deceleration_mps2.clip(lower=0) * run.dt_s)
     rows = rows.sort_values(["vehicle", "kind", "step"])
-    fresh = (rows.vehicle.diff() != 0) | (rows.step.diff() * run.dt_s > 1.0) | (rows.kind != rows.kind.shift())
-    return rows.groupby(fresh.cumsum()).agg(
+    is_other = (rows.vehicle.diff() != 0) | (rows.kind != rows.kind.shift())
+    is_later = rows.step.diff() * run.dt_s > 1.0
+    return rows.groupby((is_other | is_later).cumsum()).agg(
         vehicle=("vehicle", "first"), step=("step", "first"), end_step=("step", "last"), kind=("kind", "first"),
         gap_m=("gap_m", "first"), deceleration_mps2=("deceleration_mps2", "max"), taken_mps=("taken_mps", "sum"),
     ).sort_values(["vehicle", "step"], ignore_index=True)  # fmt: skip
@@ -111,32 +114,34 @@ def waves(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     causes = causes.sort_values("step", kind="stable")
     at = {name: chain[name].to_numpy(np.int64) for name in ("step", "actor", "leader")}
     place_m = chain[["x_m", "y_m"]].to_numpy()
-    steps = steps.assign(key=steps.step.astype(np.int64) * _ACTORS + steps.actor).sort_values("key")
+    keys = steps.step.astype(np.int64) * _ACTORS + steps.actor
+    steps = steps.assign(key=keys).sort_values("key")
     key, xy_m = steps.key.to_numpy(), steps[["x_m", "y_m"]].to_numpy()
     vehicle, first = causes.vehicle.to_numpy(np.int64), causes.step.to_numpy()
-    n, length_m = np.zeros(len(causes), int), np.zeros(len(causes))
+    n, length_m = np.zeros(len(first), int), np.zeros(len(first))
     wave, member = np.zeros(0, int), np.zeros(0, np.int64)  # who takes part in which wave, by member
     lasts = int(WAVE_S / run.dt_s)
     for step in np.unique(at["step"]).tolist():
         begun, over = np.searchsorted(first, [step, step - lasts], "right")
         fresh = np.setdiff1d(np.arange(over, begun), wave)
-        wave, member = np.append(wave, fresh), np.append(member, vehicle[fresh])
+        wave = np.append(wave, fresh)
+        member = np.append(member, vehicle[fresh])
         order = np.argsort(member, kind="stable")
         order = order[wave[order] >= over]
         wave, member = wave[order], member[order]
         rows = slice(*np.searchsorted(at["step"], [step, step + 1]))
-        low, high = (np.searchsorted(member, at["leader"][rows], side) for side in ("left", "right"))
-        row = np.repeat(np.arange(len(low)), high - low)
-        behind = wave[np.arange(len(row)) + np.repeat(high - np.cumsum(high - low), high - low)]
+        leader = at["leader"][rows]
+        place, row = expand(np.searchsorted(member, leader), np.searchsorted(member, leader, "right"))
+        behind = wave[place]
         actor = at["actor"][rows][row]
         new = ~np.isin(behind * _ACTORS + actor, wave * _ACTORS + member)
         row, behind, actor = row[new], behind[new], actor[new]
         wave, member = np.append(wave, behind), np.append(member, actor)
         np.add.at(n, behind, 1)
-        head = np.minimum(np.searchsorted(key, step * _ACTORS + vehicle[behind]), len(key) - 1)
-        there = key[head] == step * _ACTORS + vehicle[behind]
-        away_m = np.hypot(*(xy_m[head] - place_m[rows][row]).T)
-        np.maximum.at(length_m, behind[there], away_m[there])
+        head, is_there = rows_of(step * _ACTORS + vehicle[behind], key)
+        apart_m = xy_m[head] - place_m[rows][row]
+        away_m = np.hypot(*apart_m.T)
+        np.maximum.at(length_m, behind[is_there], away_m[is_there])
     return causes[["vehicle", "step", "kind"]].assign(n_vehicles=n, length_m=length_m).sort_index()
 
 
@@ -184,7 +189,8 @@ def by_kind(run: Run) -> pd.DataFrame:
     episodes, behind = reactions(run), waves(run, poses)
     rows = []
     for kind in KINDS:
-        own, wave = episodes[episodes.kind == kind], behind[behind.kind == kind]
+        own = episodes[episodes.kind == kind]
+        wave = behind[behind.kind == kind]
         hard = (own.deceleration_mps2 >= HARD_MPS2).sum()
         rows.append({
             "kind": kind, "n": len(own), "per_km": len(own) / km if km else np.nan,
