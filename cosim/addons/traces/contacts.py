@@ -162,8 +162,9 @@ def _of_run(paths: Sequence[Path], params: ContactParams, out: Path | None, adva
         raise ValueError(f"{paths[1]}: contacts of one run at a time, and {paths[0]} is a run.")
     run.require("actors", "vehicles")
     recorded = of_run_without_code(run.manifest["config"], paths[0])
-    scenario = find(str(paths[0])) if params.scenario is None else find(params.scenario, str(paths[0]))
-    traffic = TrafficParams(scenario=str(paths[0]), step_s=params.step_s or run.dt_s)
+    named = str(paths[0])
+    scenario = find(named) if params.scenario is None else find(params.scenario, named)
+    traffic = TrafficParams(scenario=named, step_s=params.step_s or run.dt_s)
     if params.from_s is not None or params.to_s is not None:
         raise ValueError("--from and --to go with a trace, and this is a run. Leave them out.")
     equipment = params.config or recorded
@@ -230,7 +231,8 @@ def _of_traffic(
                 extent.add(world, search.parked_key)
                 closed, _, _ = update_encounters(counted.trackers, step, near)
                 counted.add(step, closed, len(near.present))
-                advance("contacts", step + 1, max(step + 1, _steps_asked(params, traffic.step_s)), f"{len(world)}")
+                n_steps = max(step + 1, _steps_asked(params, traffic.step_s))
+                advance("contacts", step + 1, n_steps, f"{len(world)}")
             is_parked = np.isin(registry.name_key, search.parked_key)
             counted.report |= replayed.report() | extent.report(registry.shape[~is_parked])
             counted.close(_vehicles(registry))
@@ -271,14 +273,16 @@ class _Extent:
             xy_m = world.boxes.xyz_m[moving, :2]
             self.low_m = np.minimum(self.low_m, xy_m.min(axis=0))
             self.high_m = np.maximum(self.high_m, xy_m.max(axis=0))
-            tenths = np.clip(np.rint(world.speed_mps[moving] * 10), 0, 1000).astype(np.int64)
-            self.n_of_speed += np.bincount(tenths, minlength=1001)
+            tenths = np.rint(world.speed_mps[moving] * 10)
+            code = np.clip(tenths, 0, 1000).astype(np.int64)
+            self.n_of_speed += np.bincount(code, minlength=1001)
 
     def report(self, shape: ndarray) -> dict[str, Any]:
         """For the summary of the trace, with the number of actors of each class."""
         share = np.cumsum(self.n_of_speed) / max(1, self.n_of_speed.sum())
         median, p95 = (float(np.searchsorted(share, at)) / 10 for at in (0.5, 0.95))
-        east_m, north_m = (self.high_m - self.low_m).tolist() if self.n_of_speed.any() else (0.0, 0.0)
+        extent_m = self.high_m - self.low_m if self.n_of_speed.any() else np.zeros(2)
+        east_m, north_m = extent_m.tolist()
         return {
             "speed_median_mps": median, "speed_p95_mps": p95, "extent_east_m": east_m, "extent_north_m": north_m,
             "classes": class_counts(shape),
@@ -328,7 +332,9 @@ def _of_positions(paths: Sequence[Path], params: ContactParams, out: Path | None
                 use = np.argsort(vehicle)
                 use = use if p.pedestrians else use[~on_foot[vehicle[use]]]
                 a, b, distance_m = _near(vehicle[use], here.xy_m[use], p.radius_m)
-                closed.append(tracker.update(here.step, a, b, distance_m, np.ones(len(a), bool), vehicle[use])[0])
+                is_los = np.ones(len(a), bool)
+                ended, *_ = tracker.update(here.step, a, b, distance_m, is_los, vehicle[use])
+                closed.append(ended)
             counted.add(here.step, closed, len(here.track))
             if here.step % 100 == 99 or here.step + 1 == found.n_steps:
                 advance("contacts", here.step + 1, found.n_steps, f"{len(here.track)} vehicles")
@@ -363,9 +369,12 @@ def _cut(fixes: Fixes, params: ContactParams, path: Path) -> tuple[Fixes, float]
             f"{begin + float(fixes.time_s.max()):.10g} s."
         )
     cut = replace(
-        fixes, actor=fixes.actor[keep], time_s=fixes.time_s[keep] - from_s, xy_m=fixes.xy_m[keep],
+        fixes,
+        actor=fixes.actor[keep],
+        time_s=fixes.time_s[keep] - from_s,
+        xy_m=fixes.xy_m[keep],
         begin=f"{begin + from_s:.10g}",
-    )  # fmt: skip
+    )
     return cut, to_s - from_s
 
 
@@ -380,7 +389,8 @@ def _near(
     pair = np.sort((pairs[:, 0] << 32) | pairs[:, 1])
     a, b = pair >> 32, pair & 0xFFFFFFFF
     east_m, north_m = (xy_m[a] - xy_m[b]).T
-    return number[a], number[b], np.sqrt(east_m * east_m + north_m * north_m)
+    distance_m = np.sqrt(east_m * east_m + north_m * north_m)
+    return number[a], number[b], distance_m
 
 
 class _Folder:
@@ -432,10 +442,10 @@ def _vehicles_of(fixes: Fixes, found: tracks.PositionTracks) -> tuple[Int[ndarra
     n_steps = np.bincount(number, lasts, len(number_of)).astype(np.int64)
     actor = found.actor[first]
     lwh_m = np.array([kind.lwh_m for kind in fixes.types])
+    equipped = np.zeros(len(first), bool)
     return number, _vehicle_columns(
-        list(number_of), fixes.shape[actor], lwh_m[actor], np.zeros(len(first), bool), found.first_step[first],
-        last_step, n_steps,
-    )  # fmt: skip
+        list(number_of), fixes.shape[actor], lwh_m[actor], equipped, found.first_step[first], last_step, n_steps
+    )
 
 
 def _vehicle_columns(

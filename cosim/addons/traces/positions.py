@@ -137,24 +137,23 @@ class Fixes:
         found = [vtypes.guess(kind) for kind in self.kinds]
         if self.own_lw_m is None:
             return found
-        return [
-            vtypes.VehicleType(t.vclass, (
-                length if length > _LEAST_SIZE_M else t.lwh_m[0], width if width > _LEAST_SIZE_M else t.lwh_m[1],
-                t.lwh_m[2],
-            ))
-            for t, (length, width) in zip(found, self.own_lw_m.tolist(), strict=True)
-        ]  # fmt: skip
+        own = []
+        for guessed, (length_m, width_m) in zip(found, self.own_lw_m.tolist(), strict=True):
+            usual_length_m, usual_width_m, height_m = guessed.lwh_m
+            length_m = length_m if length_m > _LEAST_SIZE_M else usual_length_m
+            width_m = width_m if width_m > _LEAST_SIZE_M else usual_width_m
+            own.append(vtypes.VehicleType(guessed.vclass, (length_m, width_m, height_m)))
+        return own
 
     @property
     def shape(self) -> UInt8[ndarray, "a"]:
         """Shape code of each actor; a car where its class is not on the road."""
-        return np.array(
-            [int(SHAPE_OF_CLASS.get(vtypes.guess(kind).vclass, Shape.CAR)) for kind in self.kinds], np.uint8
-        )
+        classes = [vtypes.guess(kind).vclass for kind in self.kinds]
+        return np.array([SHAPE_OF_CLASS.get(vclass, Shape.CAR) for vclass in classes], np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
-class _Rows:
+class _Rows(Rows):
     """Rows of one file, in its order: names, classes and sizes of actors, times [s], and metres or degrees."""
 
     actors: ndarray
@@ -195,7 +194,10 @@ def layout_of(path: Path) -> str:
         names = delimited.header(path).names
         if names[: len(_PNEUMA)] == _PNEUMA:
             return "pneuma"
-    return next((name for name, columns in LAYOUTS.items() if set(_needed(columns)) <= set(names)), "")
+    for name, columns in LAYOUTS.items():
+        if set(_needed(columns)) <= set(names):
+            return name
+    return ""
 
 
 def is_sumo(path: Path) -> bool:
@@ -251,11 +253,6 @@ def read(
     repaired, read_as = {"missing": 0, "repeated": 0, "unordered": 0}, dict[str, None]()
     degrees = False
     for path in paths:
-        if columns is not None:
-            columns = replace(
-                columns, time_unit_s=time_unit_s or columns.time_unit_s,
-                length_unit_m=length_unit_m or columns.length_unit_m,
-            )  # fmt: skip
         rows = _rows(path, columns, frame_hz, time_unit_s, length_unit_m)
         if parts and rows.is_degrees != degrees:
             raise TrafficError(f"{path}: not in the units of {paths[0]}. Count contacts of each in its own command.")
@@ -263,31 +260,30 @@ def read(
         read_as |= dict.fromkeys(rows.read_as)
         if frame_hz is not None and not rows.is_frame:
             raise TrafficError(f"{path}: its times are no frame numbers, so --frame-hz has no effect. Leave it out.")
-        good = _good(path, rows.actors, rows.time_s, rows.xy, repair)
+        good = _good(path, rows, repair)
         repaired["missing"] += int((~good).sum())
-        texts = rows.actors[good]
-        values, code = np.unique(texts.astype(str), return_inverse=True)
-        of = np.empty(len(values), np.int64)
-        for row, name in enumerate(values.tolist()):
-            of[row] = names.setdefault(name, len(names))
-        kinds = np.full(len(texts), "") if rows.kinds is None else rows.kinds[good].astype(str)
+        rows = rows.take(good)
+        values, code = np.unique(rows.actors.astype(str), return_inverse=True)
+        numbers = [names.setdefault(name, len(names)) for name in values.tolist()]
+        n = len(code)
+        kind_names = np.full(n, "") if rows.kinds is None else rows.kinds.astype(str)
         parts.append(
             _Readings(
-                actor=of[code],
-                time_s=rows.time_s[good],
-                xy=rows.xy[good],
-                speed=np.full(len(texts), np.nan) if rows.speed is None else rows.speed[good],
-                kind=_numbered(kinds, kind_codes),
-                lw_m=np.full((len(texts), 2), np.nan) if rows.lw_m is None else rows.lw_m[good],
+                actor=np.array(numbers, np.int64)[code],
+                time_s=rows.time_s,
+                xy=rows.xy,
+                speed=np.full(n, np.nan) if rows.speed is None else rows.speed,
+                kind=_numbered(kind_names, kind_codes),
+                lw_m=np.full((n, 2), np.nan) if rows.lw_m is None else rows.lw_m,
             )
         )
     read = _Readings.concat(parts)
     if not len(read.actor):
         raise TrafficError(f"{paths[0]}: no position in it. Give a trace with at least one row.")
     where = ", ".join(map(str, paths))
-    _check_order(where, list(names), read.actor, read.time_s, read.xy, repaired, repair)
+    _check_order(where, list(names), read, repaired, repair)
     read = read.take(np.lexsort((read.time_s, read.actor)))
-    read = read.take(_without_copies(where, list(names), read.actor, read.time_s, read.xy, repaired, repair))
+    read = read.take(_without_copies(where, list(names), read, repaired, repair))
     time_s, xy = read.time_s, read.xy
     projection = to_net
     if degrees and projection is None:
@@ -315,10 +311,19 @@ def read(
     begin = float(read.time_s.min())
     lw_m = pd.DataFrame(read.lw_m).groupby(read.actor).median().to_numpy()
     return Fixes(
-        name_of, kinds, read.actor, read.time_s - begin, read.xy, f"{begin:.6f}".rstrip("0").rstrip("."),
-        {reason: n for reason, n in repaired.items() if n}, None if np.isnan(lw_m).all() else lw_m,
-        projection if degrees and to_net is None else None, tuple(read_as), where, rows.is_front,
-    )  # fmt: skip
+        names=name_of,
+        kinds=kinds,
+        actor=read.actor,
+        time_s=read.time_s - begin,
+        xy_m=read.xy,
+        begin=f"{begin:.6f}".rstrip("0").rstrip("."),
+        repaired={reason: n for reason, n in repaired.items() if n},
+        own_lw_m=None if np.isnan(lw_m).all() else lw_m,
+        projection=projection if degrees and to_net is None else None,
+        read_as=tuple(read_as),
+        source=where,
+        is_front=rows.is_front,
+    )
 
 
 def _numbered(names: ndarray, codes: dict[str, int]) -> Int[ndarray, "n"]:
@@ -340,8 +345,8 @@ def _reused(
     took_s = np.diff(time_s)
     way_m = np.hypot(*np.diff(xy_m, axis=0).T)
     away = (took_s > _LONG_S) | (way_m > _FASTEST_MPS * took_s)
-    is_known = kind > 0
-    changes = (np.diff(kind) != 0) & is_known[1:] & is_known[:-1]
+    is_known = (kind[1:] > 0) & (kind[:-1] > 0)
+    changes = is_known & (np.diff(kind) != 0)
     again = np.flatnonzero(away & changes & (np.diff(actor) == 0)) + 1
     taken, names, actor = set(names), list(names), actor.copy()
     for row in again.tolist():
@@ -378,12 +383,16 @@ def _rows(
         return _crawdad(path)
     if layout == "pneuma":
         return _pneuma(path)
-    if not is_parquet and (found := delimited.header(path)).names[: len(_PNEUMA)] == _PNEUMA:
-        raise TrafficError(
-            f"{path}: pNEUMA, with rows of any length, is read by itself. Leave out --id, --time, --lat and --lon."
-        )
-    if not is_parquet:
-        delimited.check_header(path, found, ())
+    if is_parquet:
+        names = _parquet_names(path)
+    else:
+        header = delimited.header(path)
+        names = header.names
+        if names[: len(_PNEUMA)] == _PNEUMA:
+            raise TrafficError(
+                f"{path}: pNEUMA, with rows of any length, is read by itself. Leave out --id, --time, --lat and --lon."
+            )
+        delimited.check_header(path, header, ())
     if columns is None:
         if not layout:
             raise TrafficError(
@@ -391,12 +400,11 @@ def _rows(
                 "--time and --x and --y in metres, or --lat and --lon in degrees."
             )
         columns = LAYOUTS[layout]
-        columns = replace(
-            columns,
-            time_unit_s=time_unit_s or columns.time_unit_s,
-            length_unit_m=length_unit_m or columns.length_unit_m,
-        )
-    names = _parquet_names(path) if is_parquet else found.names
+    columns = replace(
+        columns,
+        time_unit_s=time_unit_s or columns.time_unit_s,
+        length_unit_m=length_unit_m or columns.length_unit_m,
+    )
     if not layout and columns.kind and columns.kind not in names:
         raise TrafficError(f"{path}: no column {columns.kind}, which --class names. It has {', '.join(names[:20])}.")
     columns = _with_optional(columns, names)
@@ -408,19 +416,23 @@ def _rows(
     except ValueError as error:
         raise TrafficError(f"{path}: {error}") from None
     read_as += [said] if said and not columns.is_degrees else []
-    x, y = (delimited.numbers(path, name, table.column(name)) for name in (columns.x, columns.y))
+
+    def numbers(name: str) -> Float[ndarray, "n"]:
+        return delimited.numbers(path, name, table.column(name))
+
+    x, y = numbers(columns.x), numbers(columns.y)
     if columns.corner is not None:
-        extents = (delimited.numbers(path, name, table.column(name)) for name in columns.corner)
-        x, y = (v + extent / 2 for v, extent in zip((x, y), extents, strict=True))
+        length, width = columns.corner
+        x, y = x + numbers(length) / 2, y + numbers(width) / 2
     if columns.y_down:
         y = -y
         read_as.append("y of the image, which points down, is turned")
     xy = np.column_stack([x, y]) * (1.0 if columns.is_degrees else unit_m)
     time = table.column(columns.time)
     if columns.is_frame:
-        time_s = delimited.numbers(path, columns.time, time) / (frame_hz or _frame_hz(path))
+        time_s = numbers(columns.time) / (frame_hz or _frame_hz(path))
     elif units.is_number(time):
-        raw = delimited.numbers(path, columns.time, time)
+        raw = numbers(columns.time)
         unit_s, said = units.time_unit(columns.time, raw, columns.time_unit_s)
         read_as += [said] if said else []
         time_s = raw * unit_s
@@ -434,18 +446,28 @@ def _rows(
     if flat := [name for name in names if name.lower().split("_")[0] in _HEIGHTS]:
         read_as.append(f"{', '.join(flat)} not read: the road is flat")
     return _Rows(
-        actors, time_s, xy, columns.is_degrees, columns.is_frame, kinds, lw_m, speed, tuple(read_as), columns.is_front
+        actors=actors,
+        time_s=time_s,
+        xy=xy,
+        is_degrees=columns.is_degrees,
+        is_frame=columns.is_frame,
+        kinds=kinds,
+        lw_m=lw_m,
+        speed=speed,
+        read_as=tuple(read_as),
+        is_front=columns.is_front,
     )
 
 
 def _with_optional(columns: PositionColumns, names: Sequence[str]) -> PositionColumns:
     """The columns with those of classes and sizes that the table has, where none is named."""
-    kinds = (columns.kind, *_KINDS)
+    kinds = [name for name in (columns.kind, *_KINDS) if name in names]
     length, width = columns.size if set(columns.size) <= set(names) else ("length", "width")
-    return replace(
-        columns, kind=next((name for name in kinds if name in names), ""),
-        size=(length, width if width in names else "") if length in names else ("", ""),
-    )  # fmt: skip
+    if length not in names:
+        length = width = ""
+    elif width not in names:
+        width = ""
+    return replace(columns, kind=kinds[0] if kinds else "", size=(length, width))
 
 
 def _check_units(path: Path, columns: PositionColumns, time_unit_s: float | None, length_unit_m: float | None) -> None:
@@ -472,7 +494,8 @@ def _kinds_and_sizes(
     """Class, length and width of each row, from the table or from the `tracksMeta` file beside."""
     kinds = lw_m = None
     if columns.kind:
-        kinds = pc.fill_null(delimited.texts(path, columns.kind, table.column(columns.kind)), "").to_numpy()
+        texts = delimited.texts(path, columns.kind, table.column(columns.kind))
+        kinds = pc.fill_null(texts, "").to_numpy()
         if columns.kind == "v_Class":
             kinds = np.array([_NGSIM_CLASS.get(kind, kind) for kind in kinds.tolist()], object)
     if any(columns.size):
@@ -489,12 +512,11 @@ def _kinds_and_sizes(
             rows = pa.concat_tables(delimited.blocks(meta, found, (actor, "class")))
             of = dict(zip(rows.column(actor).to_pylist(), rows.column("class").to_pylist(), strict=True))
             kinds = np.array([of.get(name) or "" for name in actors.tolist()], object)
-    if lw_m is not None and (large := np.argwhere(lw_m > (vtypes.LARGEST_M["length"], vtypes.LARGEST_M["width"]))).size:
-        row, axis = large[0].tolist()
-        raise TrafficError(
-            f"{path}: {actors[row]!r} has {columns.size[axis]} = {lw_m[row, axis]:g} m, which no vehicle has. Correct "
-            "it."
-        )
+    if lw_m is not None:
+        largest_m = vtypes.LARGEST_M["length"], vtypes.LARGEST_M["width"]
+        for row, axis in np.argwhere(lw_m > largest_m).tolist():
+            name, size_m = columns.size[axis], lw_m[row, axis]
+            raise TrafficError(f"{path}: {actors[row]!r} has {name} = {size_m:g} m, which no vehicle has. Correct it.")
     return kinds, lw_m
 
 
@@ -508,8 +530,9 @@ def _table(path: Path, columns: PositionColumns, names: Sequence[str]) -> pa.Tab
         )
     if twice := sorted({name for name in wanted if names.count(name) > 1}):
         raise TrafficError(f"{path}: its header has the column {twice[0]} twice. Remove one of them.")
-    more = [name for name in (columns.kind, *columns.size, *units.SPEEDS) if name and name in names]
-    wanted = list(dict.fromkeys([*wanted, *more]))
+    optional = columns.kind, *columns.size, *units.SPEEDS
+    wanted += [name for name in optional if name and name in names]
+    wanted = list(dict.fromkeys(wanted))
     if path.name.removesuffix(".gz").endswith(".parquet"):
         check_regular(path)
         try:
@@ -528,14 +551,17 @@ def _crawdad(path: Path) -> _Rows:
     if places.null_count:
         line = 1 + int(np.flatnonzero(np.asarray(places.is_null()))[0])
         raise TrafficError(f"{path}: line {line} has no POINT(latitude longitude). Remove or correct it.")
-    xy = np.column_stack([places.field(name).cast(pa.float64()).to_numpy() for name in ("lat", "lon")])
+    degrees = [places.field(name).cast(pa.float64()) for name in ("lat", "lon")]
+    xy = np.column_stack([column.to_numpy() for column in degrees])
     time_s = delimited.seconds(path, "time", table.column("time"))
     return _Rows(table.column("id").to_numpy(), time_s, xy, is_degrees=True, read_as=("layout crawdad",))
 
 
 def _pneuma(path: Path) -> _Rows:
     """A row per vehicle: four values of the vehicle, then latitude, longitude, speed, two accelerations, and time."""
-    names, kinds, tables = list[str](), list[str](), list[ndarray]()
+    names: list[str] = []
+    kinds: list[str] = []
+    tables: list[ndarray] = []
     for n, line in enumerate(_lines(path), 2):
         values = line.rstrip("; \t\r").split(";")
         try:
@@ -554,9 +580,14 @@ def _pneuma(path: Path) -> _Rows:
     lengths = [len(table) for table in tables]
     rows = np.concatenate(tables)
     return _Rows(
-        np.repeat(np.array(names, object), lengths), rows[:, 5], rows[:, :2], is_degrees=True,
-        kinds=np.repeat(np.array(kinds, object), lengths), speed=rows[:, 2], read_as=("layout pneuma",),
-    )  # fmt: skip
+        actors=np.repeat(np.array(names, object), lengths),
+        time_s=rows[:, 5],
+        xy=rows[:, :2],
+        is_degrees=True,
+        kinds=np.repeat(np.array(kinds, object), lengths),
+        speed=rows[:, 2],
+        read_as=("layout pneuma",),
+    )
 
 
 def _lines(path: Path) -> Iterator[str]:
@@ -564,7 +595,10 @@ def _lines(path: Path) -> Iterator[str]:
     try:
         with open_input(path) as source:
             source.readline()
-            yield from (text for line in source if (text := line.decode(errors="replace").strip()))
+            for line in source:
+                text = line.decode(errors="replace").strip()
+                if text:
+                    yield text
     except (OSError, EOFError) as error:
         raise TrafficError(f"{path}: cannot be read ({error}).") from None
 
@@ -584,26 +618,26 @@ def _frame_hz(path: Path) -> float:
     )
 
 
-def _good(
-    path: Path, actors: ndarray, time_s: Float[ndarray, "n"], xy: Float[ndarray, "n 2"], repair: bool
-) -> Bool[ndarray, "n"]:
+def _good(path: Path, rows: _Rows, repair: bool) -> Bool[ndarray, "n"]:
     """Rows with an actor, a time and a position that are there and finite."""
-    good = np.isfinite(time_s) & np.isfinite(xy).all(axis=1) & ~pd.isna(actors)
-    if not repair and not good.all():
-        row = int(np.flatnonzero(~good)[0])
+    good = np.isfinite(rows.time_s) & np.isfinite(rows.xy).all(axis=1)
+    good &= ~pd.isna(rows.actors)
+    bad = np.flatnonzero(~good)
+    if len(bad) and not repair:
+        row = int(bad[0])
         raise TrafficError(
-            f"{path}: row {row + 1} ({actors[row]!r}) has a value missing or not finite, and {int((~good).sum())} of "
+            f"{path}: row {row + 1} ({rows.actors[row]!r}) has a value missing or not finite, and {len(bad)} of "
             f"{len(good)} rows do. Correct them, or leave them out with --repair."
         )
     return good
 
 
-def _check_order(
-    where: str, names: list[str], actor: ndarray, time_s: ndarray, xy: ndarray, repaired: dict[str, int], repair: bool
-) -> None:
+def _check_order(where: str, names: list[str], read: _Readings, repaired: dict[str, int], repair: bool) -> None:
     """Refuse an actor whose rows go back in time; sorting does not help where it is two actors, or at midnight."""
+    actor, time_s = read.actor, read.time_s
     order = np.argsort(actor, kind="stable")
-    back = (np.diff(time_s[order]) < 0) & (np.diff(actor[order]) == 0)
+    is_same = np.diff(actor[order]) == 0
+    back = is_same & (np.diff(time_s[order]) < 0)
     if not back.any():
         return
     row = order[int(np.flatnonzero(back)[0]) + 1]
@@ -618,8 +652,9 @@ def _check_order(
             f"{said} Its times fall by {fall_s:g} s: are they times of day, and midnight is between? Write dates with "
             "times, or count hours on from 24. If not, sort the rows."
         )
-    sorted_xy = xy[mine][np.argsort(time_s[mine], kind="stable")]
-    if _way(sorted_xy) > _ZIGZAG * _way(xy[mine]):
+    xy = read.xy[mine]
+    sorted_xy = xy[np.argsort(time_s[mine], kind="stable")]
+    if _way(sorted_xy) > _ZIGZAG * _way(xy):
         raise TrafficError(
             f"{said} Sorted, they jump to and fro: is it the id of several vehicles at once? Give each its own."
         )
@@ -634,20 +669,21 @@ def _way(xy: Float[ndarray, "n 2"]) -> float:
 
 
 def _without_copies(
-    where: str, names: list[str], actor: ndarray, time_s: ndarray, xy: ndarray, repaired: dict[str, int], repair: bool
+    where: str, names: list[str], read: _Readings, repaired: dict[str, int], repair: bool
 ) -> Bool[ndarray, "n"]:
     """Rows of an actor that are the first of their time."""
-    again = np.r_[False, (np.diff(actor) == 0) & (np.diff(time_s) == 0)]
-    other = again & np.r_[False, (np.diff(xy, axis=0) != 0).any(axis=1)]
-    if other.any() and not repair:
-        row = int(np.flatnonzero(other)[0])
+    again = (np.diff(read.actor) == 0) & (np.diff(read.time_s) == 0)
+    moves = (np.diff(read.xy, axis=0) != 0).any(axis=1)
+    other = np.flatnonzero(again & moves) + 1
+    if len(other) and not repair:
+        row = int(other[0])
         raise TrafficError(
-            f"{where}: {names[actor[row]]!r} has two positions at the time {time_s[row]:.10g} s, and there are "
-            f"{int(other.sum())} such rows. Are these recordings of their own? Then count each in its own command; or "
+            f"{where}: {names[read.actor[row]]!r} has two positions at the time {read.time_s[row]:.10g} s, and there "
+            f"are {len(other)} such rows. Are these recordings of their own? Then count each in its own command; or "
             "keep the first of such rows with --repair."
         )
     repaired["repeated"] += int(again.sum())
-    return ~again
+    return np.append(True, ~again)
 
 
 def _projected(where: str, degrees: Float[ndarray, "n 2"], to_world: Projection) -> Float[ndarray, "n 2"]:
@@ -672,10 +708,11 @@ def _check_metres(where: str, actor: ndarray, time_s: ndarray, xy_m: Float[ndarr
     """Refuse degrees that are given as metres, and coordinates that are nowhere on Earth."""
     if np.abs(xy_m).max() > LARGEST_COORDINATE_M:
         raise TrafficError(f"{where}: coordinates reach {np.abs(xy_m).max():g} m, which is no place on Earth.")
-    same = np.diff(actor) == 0
-    gone_m, took_s = np.hypot(*np.diff(xy_m, axis=0)[same].T), np.diff(time_s)[same]
-    moved = gone_m > 0
-    if moved.any() and (fastest := (gone_m[moved] / took_s[moved]).max()) < _CRAWL_MPS:
+    gone_m = np.hypot(*np.diff(xy_m, axis=0).T)
+    moved = (np.diff(actor) == 0) & (gone_m > 0)
+    speeds_mps = gone_m[moved] / np.diff(time_s)[moved]
+    fastest = speeds_mps.max(initial=0.0)
+    if len(speeds_mps) and fastest < _CRAWL_MPS:
         is_small = np.abs(xy_m).max() <= _MOST_DEGREES[1]
         said = "x and y look like degrees or kilometres" if is_small else "x and y look like kilometres"
         raise TrafficError(

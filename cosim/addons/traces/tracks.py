@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.addons.traces.positions import Fixes
+from cosim.base.ragged import expand
 
 _ROWS_AT_ONCE = 1_000_000
 _TOLERANCE = 1e-6
@@ -97,7 +98,8 @@ def on_own_steps(fixes: Fixes) -> tuple[Fixes, float]:
 def _spare_s(time_s: Float[ndarray, "n"], step_s: float) -> float:
     """By how much times can miss steps, because a file rounds them [s]."""
     for unit_s in (0.01, 0.001):
-        if np.abs(time_s - np.round(time_s / unit_s) * unit_s).max() < 1e-6:
+        rounded_s = np.round(time_s / unit_s) * unit_s
+        if np.abs(time_s - rounded_s).max() < 1e-6:
             return max(1e-3 * step_s, min(0.6 * unit_s, 0.2 * step_s))
     return 1e-3 * step_s
 
@@ -125,12 +127,14 @@ def tracks(fixes: Fixes, params: TrackParams) -> PositionTracks:
         is_jump = follows & (took_s > 0) & (gone_m > params.max_speed_mps * took_s + 1e-9)
     is_gap = follows & (took_s > params.max_gap_s * (1 + 1e-9))
     _check_links(params, took_s[follows], gone_m[follows], is_gap[follows], is_jump[follows])
-    linked = np.r_[follows & ~is_gap & ~is_jump, False] if n else np.zeros(0, bool)
-    track = np.cumsum(~np.r_[False, linked[:-1]]) - 1 if n else np.zeros(0, np.int64)
+    linked = np.append(follows & ~is_gap & ~is_jump, False)[:n]
+    begins = np.append(True, ~linked[:-1])[:n]
+    track = np.cumsum(begins) - 1
     # Steps s with time_s[i] <= s * step_s < time_s[i + 1]; the last position of a track has its own step, if on one.
     at = fixes.time_s / params.step_s
     begin = np.ceil(at - _TOLERANCE).astype(np.int64)
-    end = np.where(linked, np.r_[begin[1:], 0], np.floor(at + _TOLERANCE).astype(np.int64) + 1)
+    own_end = np.floor(at + _TOLERANCE).astype(np.int64) + 1
+    end = np.where(linked, np.append(begin[1:], 0), own_end)
     first = np.maximum(begin, 0)
     last = np.floor(params.length_s / params.step_s + _TOLERANCE)
     end = np.minimum(end, last + 1).astype(np.int64)
@@ -146,10 +150,10 @@ def tracks(fixes: Fixes, params: TrackParams) -> PositionTracks:
     last_step = np.full(len(codes), -1)
     np.minimum.at(first_step, of, first[links])
     np.maximum.at(last_step, of, end[links] - 1)
-    start = np.r_[True, np.diff(track) > 0]
-    actor = fixes.actor[start][codes]
-    last_fix = np.r_[np.flatnonzero(start)[1:], n] - 1
-    names = _names(fixes, params, np.flatnonzero(start)[codes], last_fix[codes])
+    first_fix = np.flatnonzero(begins)
+    last_fix = np.append(first_fix[1:], n) - 1
+    actor = fixes.actor[first_fix[codes]]
+    names = _names(fixes, params, first_fix[codes], last_fix[codes])
     order = sorted(range(len(codes)), key=lambda i: (int(first_step[i]), names[i]))
     number = np.empty(len(codes), np.int64)
     number[order] = np.arange(len(codes))
@@ -197,7 +201,8 @@ def _names(fixes: Fixes, params: TrackParams, first_fix: Int[ndarray, "s"], last
 
 
 def _can_drive(fixes: Fixes, params: TrackParams, before: int, after: int) -> bool:
-    way_m = float(np.hypot(*(fixes.xy_m[after] - fixes.xy_m[before])))
+    east_m, north_m = fixes.xy_m[after] - fixes.xy_m[before]
+    way_m = float(np.hypot(east_m, north_m))
     took_s = float(fixes.time_s[after] - fixes.time_s[before])
     return way_m <= params.max_speed_mps * took_s + 1e-9
 
@@ -236,14 +241,17 @@ def _report(
     is_gap, is_jump = cuts
     links, first, end = steps
     inner = links[linked[links]]
-    begin = np.where(np.abs(fixes.time_s[inner] / params.step_s - first[inner]) <= _TOLERANCE, 1, 0)
-    n_between = (end[inner] - first[inner] - begin).astype(np.int64)
+    before_first = np.abs(fixes.time_s[inner] / params.step_s - first[inner])
+    begins_on_step = before_first <= _TOLERANCE
+    n_between = (end[inner] - first[inner] - begins_on_step).astype(np.int64)
     n_all = int((end[links] - first[links]).sum())
     speed = np.maximum(20.0, gone_m[inner] / took_s[inner])
-    bound_m = np.sqrt(np.maximum((speed * took_s[inner]) ** 2 - gone_m[inner] ** 2, 0)) / 2
+    farthest_m = speed * took_s[inner]
+    squared_m2 = farthest_m**2 - gone_m[inner] ** 2
+    bound_m = np.sqrt(np.maximum(squared_m2, 0)) / 2
     ends = np.array([0.5, 0.95])
     bounds = _weighted_quantiles(bound_m, n_between, ends) if n_between.sum() else np.zeros(2)
-    between = took_s[linked[:-1]] if len(linked) > 1 else np.zeros(0)
+    between = took_s[linked[:-1]]
     speeds = gone_m[linked[:-1]] / between if len(between) else np.zeros(1)
     width_m, height_m = np.ptp(fixes.xy_m, axis=0).tolist()
     return {
@@ -264,24 +272,26 @@ def _report(
 def _weighted_quantiles(values: ndarray, weights: ndarray, at: ndarray) -> ndarray:
     order = np.argsort(values)
     shares = np.cumsum(weights[order]) / weights.sum()
-    return values[order][np.minimum(np.searchsorted(shares, at), len(values) - 1)]
+    rows = np.minimum(np.searchsorted(shares, at), len(values) - 1)
+    return values[order[rows]]
 
 
 def steps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Positions]:
     """Positions of all tracks, step by step, from step 0 on. Of steps without actors, the first is there."""
-    longest = int((found.link_end - found.link_first).max())
-    total = int((found.link_end - found.link_first).sum())
-    block = max(1, min(found.n_steps, int(_ROWS_AT_ONCE / max(1.0, total / found.n_steps))))
+    lengths = found.link_end - found.link_first
+    longest = int(lengths.max())
+    per_step = max(1.0, int(lengths.sum()) / found.n_steps)
+    block = max(1, min(found.n_steps, int(_ROWS_AT_ONCE / per_step)))
     last_step = -1
     for begin in range(0, found.n_steps, block):
         end = min(begin + block, found.n_steps)
         low, high = np.searchsorted(found.link_first, [begin - longest, end])
         rows = np.arange(low, high)[found.link_end[low:high] > begin]
-        first, last = np.maximum(found.link_first[rows], begin), np.minimum(found.link_end[rows], end)
-        n = last - first
-        link = np.repeat(rows, n)
-        step = np.arange(len(link)) - np.repeat(np.cumsum(n) - n, n) + np.repeat(first, n)
-        track, xy_m = found.link_track[link], _interpolated(fixes, found.link_fix[link], step * step_s)
+        first = np.maximum(found.link_first[rows], begin)
+        step, which = expand(first, np.minimum(found.link_end[rows], end))
+        link = rows[which]
+        track = found.link_track[link]
+        xy_m = _interpolated(fixes, found.link_fix[link], step * step_s)
         order = np.lexsort((track, step))
         step, track, xy_m = step[order], track[order], xy_m[order]
         taken, first = np.unique(step, return_index=True)
@@ -296,8 +306,11 @@ def steps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Positi
 def _interpolated(fixes: Fixes, fix: Int[ndarray, "k"], time_s: Float[ndarray, "k"]) -> Float[ndarray, "k 2"]:
     """Positions at times between a position of an actor and its next one."""
     after = np.minimum(fix + 1, len(fixes.time_s) - 1)
-    took_s = fixes.time_s[after] - fixes.time_s[fix]
+    begin_s, begin_m = fixes.time_s[fix], fixes.xy_m[fix]
+    took_s = fixes.time_s[after] - begin_s
     is_link = (fixes.actor[after] == fixes.actor[fix]) & (took_s > 0)
-    share = np.where(is_link, (time_s - fixes.time_s[fix]) / np.where(is_link, took_s, 1.0), 0.0)
+    divisor_s = np.where(is_link, took_s, 1.0)
+    share = np.where(is_link, (time_s - begin_s) / divisor_s, 0.0)
     share = np.clip(np.where(np.abs(share) < _TOLERANCE, 0.0, share), 0.0, 1.0)  # a time on a step is that position
-    return fixes.xy_m[fix] + share[:, None] * (fixes.xy_m[after] - fixes.xy_m[fix])
+    way_m = fixes.xy_m[after] - begin_m
+    return begin_m + share[:, None] * way_m

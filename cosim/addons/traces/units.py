@@ -40,7 +40,9 @@ def is_number(column: pa.ChunkedArray) -> bool:
     """Whether a column of times holds numbers, and not dates or times of day."""
     if not delimited.is_text(column.type):
         return pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
-    first = next((text for chunk in column.chunks for text in chunk[:1000].to_pylist() if text is not None), "")
+    heads = [chunk[:1000] for chunk in column.chunks]
+    texts = pa.chunked_array(heads, column.type).drop_null()
+    first = texts[0].as_py() if len(texts) else ""
     return bool(re.match(r"^[-+.,\d]+([eE][-+]?\d+)?$", first))
 
 
@@ -48,11 +50,14 @@ def time_unit(name: str, times: Float[ndarray, "n"], given_s: float | None) -> t
     """Seconds per unit of a column of times, and a word about it if nobody said so."""
     if given_s is not None:
         return given_s, ""
-    if unit := next((_TIME_WORDS[word] for word in words(name)[1:] if word in _TIME_WORDS), None):
-        return TIME_S[unit], f"times in {unit}, as the column {name} says"
+    for word in words(name)[1:]:
+        if word in _TIME_WORDS:
+            unit = _TIME_WORDS[word]
+            return TIME_S[unit], f"times in {unit}, as the column {name} says"
     most = float(np.nanmax(np.abs(times), initial=0.0))
-    if unit := next((unit for unit, least in _SINCE_1970 if most >= least), None):
-        return TIME_S[unit], f"times in {unit} since 1970"
+    for unit, least in _SINCE_1970:
+        if most >= least:
+            return TIME_S[unit], f"times in {unit} since 1970"
     return 1.0, ""
 
 
@@ -62,7 +67,8 @@ def length_unit(x: str, y: str, given_m: float | None) -> tuple[float, str]:
         return given_m, ""
     if {x, y} <= _NGSIM_FEET:
         return LENGTH_M["ft"], f"positions in ft, as those of NGSIM in {x} and {y}"
-    found = {_LENGTH_WORDS[word] for name in (x, y) for word in words(name)[1:] if word in _LENGTH_WORDS}
+    later_words = words(x)[1:] + words(y)[1:]
+    found = {_LENGTH_WORDS[word] for word in later_words if word in _LENGTH_WORDS}
     if len(found) > 1:
         raise ValueError(f"the columns {x} and {y} are named as {' and '.join(sorted(found))}. Set --length-unit.")
     unit = next(iter(found), "m")
@@ -114,15 +120,16 @@ def check_speeds(
     use = (np.diff(actor) == 0) & (took_s > 0) & (said > 0.5)
     if is_given or np.count_nonzero(use) < 2:
         return
-    ratio = float(np.median(np.hypot(*np.diff(xy_m, axis=0)[use].T) / took_s[use] / said[use]))
+    gone_m = np.hypot(*np.diff(xy_m, axis=0).T)
+    ratio = float(np.median(gone_m[use] / took_s[use] / said[use]))
     if _ODD[0] < ratio < _ODD[1] or ratio == 0:
         return
-    fits = [
-        f"--time-unit {time} --length-unit {length}"
-        for time, unit_s in TIME_S.items()
-        for length, unit_m in LENGTH_M.items()
-        if any(1 / _NEAR < ratio * unit_m / unit_s / per < _NEAR for per in _SPEED_UNITS[:2])
-    ]
+    fits = []
+    for time, unit_s in TIME_S.items():
+        for length, unit_m in LENGTH_M.items():
+            scaled = ratio * unit_m / unit_s
+            if any(1 / _NEAR < scaled / per < _NEAR for per in _SPEED_UNITS[:2]):
+                fits.append(f"--time-unit {time} --length-unit {length}")
     hint = f" These units would fit: {', or '.join(fits[:3])}." if fits else ""
     raise TrafficError(
         f"{where}: positions and times ask for {ratio:.3g} times the speeds that the table says, so they are not in "
