@@ -86,9 +86,11 @@ def token(*words: object) -> str:
 def scenes_of(selection: Selection) -> list[NuScenesScene]:
     """Scenes, by vehicle and first step."""
     frames = kitti.sequences_of(selection)
-    return [
-        NuScenesScene(int(rows.vehicle.iloc[0]), tuple(rows.step.tolist())) for _, rows in frames.groupby("sequence")
-    ]
+    found = []
+    for _, rows in frames.groupby("sequence"):
+        vehicle = int(rows.vehicle.iloc[0])
+        found.append(NuScenesScene(vehicle, tuple(rows.step.tolist())))
+    return found
 
 
 def _cloud_path(step: int, vehicle: int) -> str:
@@ -117,7 +119,8 @@ def in_lidar_top(points: Float32[ndarray, "k 3"]) -> Float32[ndarray, "k 5"]:
 
 def quaternion(yaw_rad: float) -> list[float]:
     """A turn about the vertical axis: w, x, y, z."""
-    return [float(np.cos(0.5 * yaw_rad)), 0.0, 0.0, float(np.sin(0.5 * yaw_rad))]
+    half_rad = 0.5 * yaw_rad
+    return [float(np.cos(half_rad)), 0.0, 0.0, float(np.sin(half_rad))]
 
 
 def _tables(selection: Selection, clouds: Clouds) -> Iterator[File]:
@@ -157,11 +160,18 @@ def _of_vehicles(selection: Selection) -> dict[str, list[Record]]:
         {"token": token("log", v), "logfile": selection.run.name, "vehicle": str(v), "date_captured": "2025-01-01",
          "location": "cosim"} for v in vehicles
     ]  # fmt: skip
-    calibrations = [
-        {"token": token("calibrated_sensor", v), "sensor_token": token("sensor"),
-         "translation": [0.0, 0.0, float(heights[v]) + selection.above_roof_m], "rotation": quaternion(-0.5 * np.pi),
-         "camera_intrinsic": []} for v in vehicles
-    ]  # fmt: skip
+    calibrations = []
+    for vehicle in vehicles:
+        height_m = float(heights[vehicle]) + selection.above_roof_m
+        calibrations.append(
+            {
+                "token": token("calibrated_sensor", vehicle),
+                "sensor_token": token("sensor"),
+                "translation": [0.0, 0.0, height_m],
+                "rotation": quaternion(-0.5 * np.pi),
+                "camera_intrinsic": [],
+            }
+        )
     maps = [{"token": token("map"), "log_tokens": [log["token"] for log in logs], "category": "semantic_prior",
              "filename": "maps/empty.png"}]  # fmt: skip
     return {"log": logs, "calibrated_sensor": calibrations, "map": maps}
@@ -210,7 +220,8 @@ def _sample(found: dict[str, list[Record]], selection: Selection, scene: NuScene
         ends = {"prev": before, "next": after}
         return {end: "" if at is None else token(kind, at, vehicle) for end, at in ends.items()}
 
-    time_us = round((START_S + step * selection.run.dt_s) * 1e6) + selection.vehicles.index(vehicle)
+    since_1970_s = START_S + step * selection.run.dt_s
+    time_us = round(since_1970_s * 1e6) + selection.vehicles.index(vehicle)
     sample, box = token("sample", step, vehicle), moment.box[moment.row(vehicle)]
     underside = [box[0], box[1], box[2] - 0.5 * box[5]]
     found["sample"].append({
@@ -236,13 +247,14 @@ def _annotations(moment: Moment, vehicle: int) -> Iterator[tuple[Record, int]]:
         actor = int(seen.actor[i])
         row = moment.row(actor)
         box, kind = moment.box[row], str(moment.vehicle_class[row])
+        length_m, width_m, height_m = box[3:6].tolist()
         share = seen.n_points[i] / max(1, seen.n_unoccluded[i])
         yield {
             "token": token("sample_annotation", moment.step, vehicle, actor),
             "sample_token": token("sample", moment.step, vehicle), "instance_token": "",
             "visibility_token": str(1 + int(np.searchsorted([0.4, 0.6, 0.8], share, side="right"))),
             "attribute_tokens": [token("attribute", _attribute(kind, float(moment.speed_mps[row])))],
-            "translation": box[:3].tolist(), "size": [float(box[4]), float(box[3]), float(box[5])],
+            "translation": box[:3].tolist(), "size": [width_m, length_m, height_m],
             "rotation": quaternion(box[6]), "prev": "", "next": "",
             "num_lidar_pts": int(seen.n_points[i]), "num_radar_pts": 0,
         }, actor  # fmt: skip

@@ -20,11 +20,11 @@ LiDAR where the message did so in the simulation, in its first segment.
 """
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -56,6 +56,9 @@ TRAFFIC_CLASS = {"cam": 2, "cpm": 3}
 
 PACKET_BYTES = 500
 """Of one packet, roughly."""
+
+Frames = dict[tuple[int, int], list[bytes]]
+"""Frames of the messages by step and pseudonym."""
 
 KEY = ("step", "observer", "detection_index")
 
@@ -158,7 +161,8 @@ class PcapPackets:
         mine = of[of.isin(list(self.selection.vehicles))].index.tolist()
         records = [pcap_header()]
         for at in range(0, len(self.selection.steps), BLOCK_STEPS):
-            for (step, _), frames in self.frames(self.selection.steps[at : at + BLOCK_STEPS], mine).items():
+            block = self.selection.steps[at : at + BLOCK_STEPS]
+            for (step, _), frames in self.frames(block, mine).items():
                 time_s = START_S + step * self.selection.run.dt_s
                 records += [record(time_s, frame) for frame in frames]
         return b"".join(records)
@@ -170,20 +174,21 @@ class PcapPackets:
         where = steps & pc.field("receiver").isin(receivers) & (pc.field("message_type") == "cpm")
         got = self.selection.run.table("receptions", columns, where)
         got = got.drop(columns="step").rename(columns={"message_step": "step"})
-        got["time_s"] = got.step * self.selection.run.dt_s + got.generation_offset_s + got.latency_s
+        step_s = got.step * self.selection.run.dt_s
+        got["time_s"] = step_s + got.generation_offset_s + got.latency_s
         for receiver, mine in got.sort_values(["receiver", "time_s", "sender"]).groupby("receiver"):
             yield File(f"veh_{receiver}.pcap", partial(_capture, mine, self._all))
 
     @cached_property
-    def _all(self) -> dict[tuple[int, int], list[bytes]]:
+    def _all(self) -> Frames:
         """Frames of all senders in the steps in which received messages were sent."""
         steps = message_steps(self.selection)
-        found: dict[tuple[int, int], list[bytes]] = {}
+        found: Frames = {}
         for at in range(0, len(steps), BLOCK_STEPS):
             found |= self.frames(steps[at : at + BLOCK_STEPS], None)
         return found
 
-    def frames(self, steps: Int[ndarray, "b"], observers: list[int] | None) -> dict[tuple[int, int], list[bytes]]:
+    def frames(self, steps: Int[ndarray, "b"], observers: list[int] | None) -> Frames:
         """Frames of the messages of these pseudonyms (None: all) in these steps, by step and pseudonym."""
         where = pc.field("step").isin(steps.tolist())
         mine = where if observers is None else where & pc.field("observer").isin(observers)
@@ -218,10 +223,9 @@ class PcapPackets:
             actors = self.selection.run.table("actors", ["step", "actor", "x_m", "y_m", "z_m", "yaw_rad"], where)
             bodies = self.selection.bodies
             true = actors.join(bodies[["vehicle_class", "length_m", "width_m", "height_m"]], on="actor")
+            true = true.astype({"step": np.int64, "actor": np.int64})
             vehicle = senders.observer.map(self.selection.run.subjects.vehicle).astype(np.int64)
-            at = senders[["step"]].assign(actor=vehicle).merge(
-                true.assign(step=true.step.astype(np.int64), actor=true.actor.astype(np.int64)), how="left"
-            )  # fmt: skip
+            at = senders[["step"]].assign(actor=vehicle).merge(true, how="left")
             for name in BOX:
                 senders[name] = senders[name].where(senders.is_cam, at[name])
             kind = np.where(at.vehicle_class.isin(["truck", "bus"]), "truck", "car")
@@ -239,22 +243,23 @@ class PcapPackets:
 
     def _assembled(
         self, senders: pd.DataFrame, perceived: pd.DataFrame, ptr: Int[ndarray, "m"], sender: Int[ndarray, "d"]
-    ) -> dict[tuple[int, int], list[bytes]]:
+    ) -> Frames:
         box = senders[BOX].to_numpy(float)
-        yaw = box[:, 6]
+        size, yaw = box[:, 3:6], box[:, 6]
         front = box[:, :3].copy()
         heading = np.column_stack([np.cos(yaw), np.sin(yaw)])
         front[:, :2] += 0.5 * box[:, 3:4] * heading
         front[:, 2] -= 0.5 * box[:, 5]
         place = self.projection.of_world(front[:, :2])
-        lat, lon = (np.round(d * 1e7).astype(np.int64) for d in (place.latitude_deg, place.longitude_deg))
+        lat = np.round(place.latitude_deg * 1e7).astype(np.int64)
+        lon = np.round(place.longitude_deg * 1e7).astype(np.int64)
         compass = etsi.heading(compass_deg(yaw) + np.degrees(place.turn_rad))
         station = senders.observer.to_numpy(np.int64)
         since_ms = np.round(senders.step.to_numpy() * self.selection.run.dt_s * 1000)
         time_ms = etsi.its_ms(START_S) + since_ms.astype(np.int64)
         label = _labels(senders["class"])
         speed, change = senders.speed_mps.to_numpy(float), senders.acceleration_mps2.to_numpy(float)
-        cams = etsi.cams(station, time_ms, label, lat, lon, compass, speed, change, box[:, 3:6])
+        cams = etsi.cams(station, time_ms, label, lat, lon, compass, speed, change, size)
         objects = objects_of(perceived, front[sender], place, sender)
         bits = objects.is_used.sum(axis=1)
         range_m = float(self.selection.run.config["lidar"].get("max_range_m", 0.0))
@@ -264,23 +269,27 @@ class PcapPackets:
         found = {}
         for i, (step, number, time, latitude, longitude, angle, is_cam, has_sensors) in enumerate(rows):
             begin, end = int(ptr[i]), int(ptr[i + 1])
-            frames = [frame(heads[i], number, "cam", cams[i].tobytes())] if is_cam else []
-            cuts = [begin, *(begin + cut for cut in cuts_of(bits[begin:end])), end]
+            frames = []
+            if is_cam:
+                frames.append(frame(heads[i], number, "cam", cams[i].tobytes()))
+            inner = [begin + cut for cut in cuts_of(bits[begin:end])]
+            cuts = [begin, *inner, end]
             for k, (first, last) in enumerate(pairwise(cuts)):
                 segment = (len(cuts) - 1, k + 1) if len(cuts) > 2 else None
-                head = etsi.CpmHead(
-                    number, time, latitude, longitude, angle, range_m, segment, has_sensors and k == 0
-                )  # fmt: skip
-                part = objects.between(first, last)
-                frames.append(frame(heads[i], number, "cpm", etsi.cpm(head, end - begin, part)))
+                describes = has_sensors and k == 0
+                head = etsi.CpmHead(number, time, latitude, longitude, angle, range_m, segment, describes)
+                message = etsi.cpm(head, end - begin, objects.between(first, last))
+                frames.append(frame(heads[i], number, "cpm", message))
             found[step, number] = frames
         return found
 
 
-def _capture(got: pd.DataFrame, frames: Mapping[tuple[int, int], list[bytes]]) -> bytes:
+def _capture(got: pd.DataFrame, frames: Frames) -> bytes:
     content = [pcap_header()]
-    for time_s, step, sender in zip(got.time_s.tolist(), got.step.tolist(), got.sender.tolist(), strict=True):
-        content += [record(START_S + time_s, one) for one in frames.get((step, sender), ())]
+    row: Any
+    for row in got.itertuples():
+        sent = frames.get((row.step, row.sender), ())
+        content += [record(START_S + row.time_s, one) for one in sent]
     return b"".join(content)
 
 
@@ -304,7 +313,8 @@ def cuts_of(bits: Int[ndarray, "n"]) -> list[int]:
 
 
 def _labels(classes: pd.Series) -> Int[ndarray, "n"]:
-    return classes.astype(object).map({kind.name.lower(): int(kind) for kind in ObjectClass}).to_numpy(np.int64)
+    code_of = {kind.name.lower(): int(kind) for kind in ObjectClass}
+    return classes.astype(object).map(code_of).to_numpy(np.int64)
 
 
 def objects_of(
@@ -339,7 +349,8 @@ def objects_of(
         confidences = confidences_of(perceived, turn)
     label = _labels(perceived["class"])
     score = perceived.score.to_numpy(float)
-    return etsi.CpmObjects.of(number, label, away, box[:, 3:6], box[:, 6] - turn, score, velocity, confidences)
+    size, yaw = box[:, 3:6], box[:, 6] - turn
+    return etsi.CpmObjects.of(number, label, away, size, yaw, score, velocity, confidences)
 
 
 def confidences_of(perceived: pd.DataFrame, turn_rad: Float[ndarray, "d"]) -> etsi.Confidences:
@@ -376,7 +387,8 @@ def geonetworking(
     """
     types = np.array([etsi.STATION_TYPE[kind] for kind in ObjectClass])[label]
     speed_cm_s = np.round(np.nan_to_num(speed_mps) * 100)
-    speed = np.clip(speed_cm_s, -(2**14), 2**14 - 1).astype(np.int64) & 0x7FFF
+    in_range = np.clip(speed_cm_s, -(2**14), 2**14 - 1)
+    speed = in_range.astype(np.int64) & 0x7FFF
     columns = (types, station, time_ms, latitude, longitude, speed, compass)
     rows = zip(*(column.tolist() for column in columns), strict=True)
     return [
@@ -395,7 +407,8 @@ def frame(position: bytes, station: int, kind: str, message: bytes) -> bytes:
     basic = struct.pack(">BBBB", 1 << 4 | 1, 0, 1 << 2 | 1, 1)  # version 1, common header next, 1 s, one hop
     common = struct.pack(">BBBBHBB", 2 << 4, 5 << 4, TRAFFIC_CLASS[kind], 0x80, 4 + len(message), 1, 0)
     btp = struct.pack(">HH", PORTS[kind], 0)
-    return b"\xff" * 6 + mac(station) + b"\x89\x47" + basic + common + position + btp + message
+    ethernet = b"\xff" * 6 + mac(station) + b"\x89\x47"
+    return ethernet + basic + common + position + btp + message
 
 
 def pcap_header() -> bytes:

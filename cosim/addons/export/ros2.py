@@ -88,7 +88,8 @@ class Cdr:
 
     def header(self, nanos: int, frame: str) -> "Cdr":
         """A std_msgs/Header."""
-        return self.put("i", nanos // 10**9).put("I", nanos % 10**9).text(frame)
+        seconds, rest = divmod(nanos, 10**9)
+        return self.put("i", seconds).put("I", rest).text(frame)
 
     def done(self) -> bytes:
         return bytes(self._bytes)
@@ -96,8 +97,8 @@ class Cdr:
 
 def turn(yaw_rad: Float[ndarray, "n"]) -> Float[ndarray, "n 4"]:
     """Turns about the vertical axis as quaternions: x, y, z, w."""
-    zero = np.zeros(len(yaw_rad))
-    return np.column_stack([zero, zero, np.sin(0.5 * yaw_rad), np.cos(0.5 * yaw_rad)])
+    zero, half = np.zeros(len(yaw_rad)), 0.5 * yaw_rad
+    return np.column_stack([zero, zero, np.sin(half), np.cos(half)])
 
 
 def _marker(cdr: Cdr, nanos: int, name: str, kind: int, triangles: bytes = b"", inks: bytes = b"") -> dict[str, int]:
@@ -134,7 +135,8 @@ def _box_template(name: str) -> tuple[UInt8[ndarray, "s"], dict[str, int], int]:
         end, after = cdr.place, cdr.put("i", 0).place - 4
         if (after - begin) % 8 == 0:
             template = np.frombuffer(cdr.done()[begin:after], np.uint8)
-            return template, {field: at - begin for field, at in place.items()}, after - end
+            place_of = {field: at - begin for field, at in place.items()}
+            return template, place_of, after - end
     raise AssertionError("one of eight lengths is a multiple of eight")
 
 
@@ -162,18 +164,21 @@ def boxes(
     def fill(at: int, values: ndarray) -> None:
         if not len(values):
             return
-        raw = np.ascontiguousarray(values).view(np.uint8).reshape(len(values), -1)
-        rows[len(rows) - len(values) :, at : at + raw.shape[1]] = raw
+        n = len(values)
+        raw = np.ascontiguousarray(values).view(np.uint8).reshape(n, -1)
+        end = at + raw.shape[1]
+        rows[-n:, at:end] = raw
 
-    stamp = np.array([[nanos // 10**9, nanos % 10**9]], "<u4").repeat(len(rows), axis=0)
-    fill(0, stamp)
+    stamp = np.array([divmod(nanos, 10**9)], "<u4")
+    fill(0, stamp.repeat(len(rows), axis=0))
     fill(place["id"], number.astype("<i4")[:, None])
     pose = np.column_stack([box[:, :3], turn(box[:, 6])])
     fill(place["pose"], pose.astype("<f8"))
     fill(place["size"], box[:, 3:6].astype("<f8"))
     fill(place["ink"], ink.astype("<f4"))
     action = place["id"] + 8
-    rows[0, action : action + 4] = np.array([_DELETE_ALL], "<i4").view(np.uint8)
+    delete_all = np.array([_DELETE_ALL], "<i4")
+    rows[0, action : action + 4] = delete_all.view(np.uint8)
     markers = rows.tobytes()[: rows.size - slack]
     return Cdr().put("I", len(rows)).raw(markers).done()
 
@@ -183,7 +188,8 @@ def buildings(nanos: int, triangles: Float[ndarray, "t 3 3"]) -> bytes:
     a, b, c = triangles.swapaxes(0, 1)
     normal = np.cross(b - a, c - a)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    light = 0.65 + 0.35 * np.abs(normal @ (LIGHT / np.linalg.norm(LIGHT)))
+    to_light = LIGHT / np.linalg.norm(LIGHT)
+    light = 0.65 + 0.35 * np.abs(normal @ to_light)
     inks = np.ones((len(triangles), 3, 4), "<f4")
     inks[:, :, :3] = (light[:, None] * BUILDING)[:, None, :]
     cdr = Cdr()
@@ -196,8 +202,10 @@ def points(nanos: int, frame: str, rows: ndarray) -> bytes:
     cdr = Cdr().header(nanos, frame).put("2I", 1, len(rows))
     cdr.put("I", len(rows.dtype.names or ()))
     for name, (kind, offset, *_) in (rows.dtype.fields or {}).items():
-        cdr.text(name).put("I", offset).put("B", _DATATYPES[kind.str]).put("I", 1)
-    cdr.put("?", False).put("2I", rows.itemsize, rows.nbytes).put("I", rows.nbytes).raw(rows.tobytes())
+        cdr.text(name).put("I", offset)
+        cdr.put("B", _DATATYPES[kind.str]).put("I", 1)
+    cdr.put("?", False).put("2I", rows.itemsize, rows.nbytes)
+    cdr.put("I", rows.nbytes).raw(rows.tobytes())
     return cdr.put("?", True).done()
 
 
@@ -215,11 +223,13 @@ def detections(nanos: int, rows: pd.DataFrame) -> bytes:
     cdr = Cdr().header(nanos, "map").put("I", len(rows))
     turns = turn(rows.yaw_rad.to_numpy(np.float64)).tolist()
     boxes = rows[BOX].to_numpy(float).tolist()
-    found = zip(rows["class"], rows.score.tolist(), rows.detection_index.tolist(), boxes, turns, strict=True)
+    scores, indices = rows.score.tolist(), rows.detection_index.tolist()
+    found = zip(rows["class"], scores, indices, boxes, turns, strict=True)
     for kind, score, index, (x, y, z, *size, _), quaternion in found:
+        pose = x, y, z, *quaternion
         cdr.header(nanos, "map").put("I", 1).text(kind).put("d", score)
-        cdr.put("7d", x, y, z, *quaternion).put("36d", *[0.0] * 36)
-        cdr.put("7d", x, y, z, *quaternion).put("3d", *size).text(str(index))
+        cdr.put("7d", *pose).put("36d", *[0.0] * 36)
+        cdr.put("7d", *pose).put("3d", *size).text(str(index))
     return cdr.done()
 
 
@@ -284,11 +294,14 @@ class Ros2Bag:
             import mcap.writer  # noqa: F401  (a missing library is told before anything is written)
         bag = Bag(selection, self._params.clouds)
         spans = selection.spans()
-        units = [Unit(f"bag_{k}", partial(_file, bag, k, s)) for k, s in enumerate(spans)]
+        units = []
+        for k, steps in enumerate(spans):
+            units.append(Unit(f"bag_{k}", partial(_file, bag, k, steps)))
         units.append(Unit("metadata", partial(_metadata, bag, len(spans))))
-        n_actors = selection.run.n_rows("actors")
-        n_clouds = len(bag.mine) if bag.clouds else 0
-        return Plan(tuple(units), n_clouds, 12, float(ACTOR_BYTES * n_actors + DETECTION_BYTES * 20 * len(bag.mine)))
+        n_actors, n_lists = selection.run.n_rows("actors"), len(bag.mine)
+        n_clouds = n_lists if bag.clouds else 0
+        n_bytes = ACTOR_BYTES * n_actors + DETECTION_BYTES * 20 * n_lists
+        return Plan(tuple(units), n_clouds, 12, float(n_bytes))
 
 
 def _file(bag: "Bag", k: int, steps: Int[ndarray, "b"], clouds: Clouds) -> Iterator[File]:
@@ -337,17 +350,18 @@ class Bag:
     @cached_property
     def rated(self) -> dict[int, ndarray]:
         """By step: points with trust."""
-        run, where = self.selection.run, pc.field("step").isin(self.selection.steps.tolist())
+        run = self.selection.run
+        where = pc.field("step").isin(self.selection.steps.tolist())
         columns = ["step", "subject", "trust", "newest_evaluation_age_s"]
         rows = run.variant_table("trust", columns, where)
         rows = rows.assign(vehicle=rows.subject.map(run.subjects.vehicle))
         at = run.table("actors", ["step", "actor", *BOX[:3]], where).rename(columns={"actor": "vehicle"})
         rows = rows.merge(at, on=["step", "vehicle"]).sort_values(["step", "subject"])
         made = np.zeros(len(rows), RATED)
-        names = dict(zip(RATED.names or (), [*BOX[:3], "trust", "newest_evaluation_age_s", "subject"], strict=True))
-        for name, column in names.items():
-            values = rows[column]
-            made[name] = values if name == "subject" else values.to_numpy(RATED[name], na_value=np.nan)
+        made["subject"] = rows.subject
+        columns = [*BOX[:3], "trust", "newest_evaluation_age_s"]
+        for name, column in zip(RATED.names or (), columns, strict=False):
+            made[name] = rows[column].to_numpy(RATED[name], na_value=np.nan)
         steps, first = np.unique(rows.step.to_numpy(), return_index=True)
         return dict(zip(steps.tolist(), np.split(made, first)[1:], strict=True))
 
@@ -357,7 +371,8 @@ class Bag:
         found = {"/buildings": ("visualization_msgs/msg/Marker", 1)}
         n = len(self.there)
         found |= {name: ("visualization_msgs/msg/MarkerArray", n) for name in ("/actors", "/fabricated")}
-        found["/trust"] = ("sensor_msgs/msg/PointCloud2", len(self.rated.keys() & set(self.there.tolist())))
+        rated_steps = self.rated.keys() & set(self.there.tolist())
+        found["/trust"] = ("sensor_msgs/msg/PointCloud2", len(rated_steps))
         found["/tf"] = ("tf2_msgs/msg/TFMessage", self.mine.step.nunique())
         for vehicle, rows in self.mine.groupby("vehicle"):
             if self.clouds:
@@ -387,7 +402,8 @@ class Bag:
         vehicles = {int(cast(int, s)): rows.tolist() for s, rows in self.mine.groupby("step").vehicle}
         for moment in self.selection.moments(steps) if vehicles else self.selection.traffic(steps):
             nanos = self.nanos(moment.step)
-            yield nanos, "/actors", boxes(nanos, "actors", moment.actor, moment.box, self.inks[moment.actor])
+            inks = self.inks[moment.actor]
+            yield nanos, "/actors", boxes(nanos, "actors", moment.actor, moment.box, inks)
             false = lies.loc[lies.step == moment.step, BOX].to_numpy(np.float64)
             ink = np.full((len(false), 4), FABRICATED, np.float32)
             yield nanos, "/fabricated", boxes(nanos, "fabricated", np.arange(len(false)), false, ink)
@@ -401,9 +417,10 @@ class Bag:
     ) -> Iterator[tuple[int, str, bytes]]:
         pose = {f"vehicle_{v}/lidar": self.selection.pose(moment, v) for v in vehicles}
         yield nanos, "/tf", transforms(nanos, pose)
+        nothing = Cdr().header(nanos, "map").put("I", 0).done()
         for v in vehicles:
             rows = moment.detections.get(v)
-            listed = detections(nanos, rows) if rows is not None else Cdr().header(nanos, "map").put("I", 0).done()
+            listed = nothing if rows is None else detections(nanos, rows)
             yield nanos, f"/vehicle_{v}/detections", listed
         if self.clouds:
             for v, cloud in zip(vehicles, clouds(moment.step, vehicles), strict=True):
@@ -412,7 +429,8 @@ class Bag:
 
     def metadata(self, n_files: int) -> bytes:
         """`metadata.yaml` of the bag, version 5."""
-        first, last = (self.nanos(int(s)) for s in self.selection.steps[[0, -1]])
+        ends = self.selection.steps[[0, -1]].tolist()
+        first, last = (self.nanos(step) for step in ends)
         topics = self.topics
         lines = [
             "rosbag2_bagfile_information:", "  version: 5", "  storage_identifier: mcap",

@@ -34,6 +34,7 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.addons.export.export import Sweeper
+from cosim.addons.export.ros2 import turn
 from cosim.base import durable
 from cosim.base.durable import PARTIAL
 from cosim.base.extras import needed
@@ -165,7 +166,8 @@ def follow(
                 surroundings(recording, find(config.traffic.scenario, config.traffic.trace), city_of(config))
             encounters, trust = _encounters(run), _trust(run)
             for at in range(0, len(steps), BLOCK_STEPS):
-                _block(recording, run, config, steps[at : at + BLOCK_STEPS], trust, known, encounters, vehicles, None)
+                block = steps[at : at + BLOCK_STEPS]
+                _block(recording, run, config, block, trust, known, encounters, vehicles, None)
             _over_time(recording, run, trust, steps, vehicles)
             shown = n_steps
             progress("view", shown, int(run.config["traffic"]["duration_s"] / run.dt_s))
@@ -311,7 +313,8 @@ def send_layout(recording, look_m: Float[ndarray, "3"], ages: bool = False) -> N
     from rerun import blueprint as b
 
     x, y = look_m[0], -look_m[1]
-    bounds = b.VisualBounds2D(x_range=[x - MAP_M, x + MAP_M], y_range=[y - MAP_M, y + MAP_M])
+    x_range, y_range = ([middle - MAP_M, middle + MAP_M] for middle in (x, y))
+    bounds = b.VisualBounds2D(x_range=x_range, y_range=y_range)
     eye = b.EyeControls3D(position=look_m + EYE_M, look_target=look_m, eye_up=[0, 0, 1])
     series = [b.TimeSeriesView(origin="trust", name="Trust")]
     series += [b.TimeSeriesView(origin="ages", name="Age of evaluations [s]")] if ages else []
@@ -363,7 +366,8 @@ def strips(points_m: Float[ndarray, "p d"], n_points: Sequence[int] | Int[ndarra
     item = pa.field("item", pa.float32(), nullable=False)
     vector = pa.FixedSizeListArray.from_arrays(points, type=pa.list_(item, points_m.shape[1]))
     kind = pa.list_(pa.field("item", vector.type, nullable=False))
-    return pa.ListArray.from_arrays(pa.array(np.cumsum([0, *n_points]), pa.int32()), vector, type=kind)
+    begins = pa.array(np.cumsum([0, *n_points]), pa.int32())
+    return pa.ListArray.from_arrays(begins, vector, type=kind)
 
 
 def _trust(run: Run) -> pd.DataFrame:
@@ -378,7 +382,8 @@ def colours(trust: Float[ndarray, "n"]) -> UInt8[ndarray, "n 3"]:
     """Colours (red, green, blue) of trust values in [0, 1]; grey for NaN, which means that there is no value."""
     low = np.clip(np.nan_to_num(trust) * 2, 0, 1)[:, None]
     high = np.clip(np.nan_to_num(trust) * 2 - 1, 0, 1)[:, None]
-    mixed = (1 - low) * ZERO + low * ((1 - high) * HALF + high * ONE)
+    upper = (1 - high) * HALF + high * ONE
+    mixed = (1 - low) * ZERO + low * upper
     return np.where(np.isnan(trust)[:, None], GREY, mixed).astype(np.uint8)
 
 
@@ -390,7 +395,8 @@ def role_colours(run: Run, actor: Int[ndarray, "n"]) -> UInt8[ndarray, "n 3"]:
     of_role = {role: style.role_look(role, run.role_labels)["color"] for role in run.role_labels}
     of_actor = run.roles.astype(object).map(of_role)
     inks = [of_actor.get(number, style.PALE) for number in actor.tolist()]
-    return np.array([tuple(bytes.fromhex(ink[1:])) for ink in inks], np.uint8).reshape(-1, 3)
+    rgb = [tuple(bytes.fromhex(ink[1:])) for ink in inks]
+    return np.array(rgb, np.uint8).reshape(-1, 3)
 
 
 def _block(  # type: ignore[no-untyped-def]
@@ -481,7 +487,8 @@ def _last_sensed(run: Run, steps: Int[ndarray, "b"], vehicles: Sequence[int]) ->
     equipped = run.vehicles.vehicle[run.vehicles.equipped]
     longest = int(interval_steps(run, equipped.to_numpy(np.int64)).max(initial=1))
     step = pc.field("step")
-    where = (step > int(steps[0]) - longest) & (step <= int(steps[-1]))
+    earliest, latest = int(steps[0]) - longest, int(steps[-1])
+    where = (step > earliest) & (step <= latest)
     of = run.subjects.vehicle
     own = of.index[of.isin(vehicles)].tolist()
     columns = ["step", "observer", *BOX]
@@ -505,7 +512,8 @@ def _received(run: Run, where: pc.Expression, vehicles: Sequence[int]) -> pd.Dat
     """Boxes in the messages that the chosen vehicles received, by step of reception. Empty without `receptions`."""
     if not vehicles or "receptions" not in run.tables:
         return pd.DataFrame(columns=["step", "receiver", *BOX])
-    mine = where & pc.field("receiver").isin(list(vehicles)) & (pc.field("message_type") == "cpm")
+    is_cpm = pc.field("message_type") == "cpm"
+    mine = where & is_cpm & pc.field("receiver").isin(list(vehicles))
     got = run.table("receptions", ["step", "message_step", "sender", "receiver"], mine).drop_duplicates()
     when = pc.field("step").isin(got.message_step.unique().tolist())
     sent = run.table("detections", ["step", "observer", *BOX, "transmitted"], when)
@@ -516,13 +524,11 @@ def _received(run: Run, where: pc.Expression, vehicles: Sequence[int]) -> pd.Dat
 def drawn_boxes(boxes: Boxes, colour: UInt8[ndarray, "..."], solid: bool = False):  # type: ignore[no-untyped-def]
     import rerun
 
-    half = 0.5 * boxes.yaw_rad
-    quaternions = np.column_stack([np.zeros((len(boxes), 2)), np.sin(half), np.cos(half)])
     fill = rerun.components.FillMode.Solid if solid else rerun.components.FillMode.MajorWireframe
     return rerun.Boxes3D(
         centers=boxes.xyz_m.astype(np.float32),
         half_sizes=0.5 * boxes.lwh_m.astype(np.float32),
-        quaternions=quaternions.astype(np.float32),
+        quaternions=turn(boxes.yaw_rad).astype(np.float32),
         colors=colour,
         fill_mode=fill,
     )
@@ -536,8 +542,11 @@ def _over_time(  # type: ignore[no-untyped-def]
 
     part = trust[trust.step.isin(steps.tolist())]
     role = part.vehicle.map(run.roles).astype(object)
-    series = {str(name): rows.groupby("step").trust.median() for name, rows in part.groupby(role)}
-    series |= {f"vehicle_{v}": part[part.vehicle == v].set_index("step").trust for v in vehicles}
+    series = {}
+    for name, rows in part.groupby(role):
+        series[str(name)] = rows.groupby("step").trust.median()
+    for vehicle in vehicles:
+        series[f"vehicle_{vehicle}"] = part[part.vehicle == vehicle].set_index("step").trust
     for name, values in series.items():
         for step, value in values.items():
             recording.set_time("time", duration=float(cast(int, step)) * run.dt_s)
