@@ -122,7 +122,8 @@ def reports(call: Call, returned: Any) -> Reports:
         "observer": ("iu", 0, len(sweeps.observers) - 1), "label": ("iu", 0, len(ObjectClass) - 1),
         "score": ("f", 0, 1), "actor": ("iu",), "is_false_positive": ("b",),
     })  # fmt: skip
-    _within("actor", np.where(returned.is_false_positive, 0, returned.actor), 0, max(0, len(boxes) - 1))
+    actor = np.where(returned.is_false_positive, 0, returned.actor)
+    _within("actor", actor, 0, max(0, len(boxes) - 1))
     return detached(returned)
 
 
@@ -133,7 +134,8 @@ def speed_commands(call: Call, returned: Any) -> tuple[Any, SpeedCommands]:
     n = _length("actor", commands.actor)
     _columns("", commands, n, "one for each actor", {"actor": ("iu",), "speed_mps": ("f", 0, FASTEST_MPS)})
     _ascending("actor", commands.actor.astype(np.int64))
-    lost = ~np.isin(commands.actor, world.actor[(world.shape != Shape.PEDESTRIAN) & ~world.is_roadside])
+    is_vehicle = (world.shape != Shape.PEDESTRIAN) & ~world.is_roadside
+    lost = ~np.isin(commands.actor, world.actor[is_vehicle])
     _none("actor", commands.actor, lost, "a vehicle of this step by its number in world.actor, not its row,")
     if commands.reasons is not None:
         _typed("reasons", commands.reasons, Reasons, "or None")
@@ -161,12 +163,13 @@ def message_round(call: Call, returned: Any) -> tuple[Any, MessageRound]:
         "generation_offset_s": ("f", 0, last_s), "access_delay_s": ("f", 0, last_s), "latency_s": ("f", 0, last_s),
     })  # fmt: skip
     _check_links(at, got, len(stations), messages)
-    _ascending(f"{at}receiver, message", pair_key(got.receiver, got.message))
+    pairs = pair_key(got.receiver, got.message)
+    _ascending(f"{at}receiver, message", pairs)
     _none(f"{at}latency_s", got.latency_s, got.latency_s < got.access_delay_s, "access_delay_s or more")
     _none(f"{at}received_s", got.received_s, got.received_s > last_s, f"at most {round_s:g} s, the length of a round,")
     _check_frames(frames, len(stations), messages)
-    received = frames.outcome == Outcome.RECEIVED
-    known = np.isin(pair_key(got.receiver, got.message), pair_key(frames.receiver[received], frames.message[received]))
+    of_frames = pair_key(frames.receiver, frames.message)
+    known = np.isin(pairs, of_frames[frames.outcome == Outcome.RECEIVED])
     _none(f"{at}message", got.message, ~known, "a message whose frame has the outcome RECEIVED at the receiver")
     return state, detached(happened)
 
@@ -200,8 +203,10 @@ def trust_scores(call: Call, returned: Any) -> TrustScores:
     """The scores of a trust model."""
     _typed("", returned, TrustScores, "build it by TrustScores.of")
     s, subject = returned, returned.subject
-    now = call.given[0] if call.given and call.given[0] is not None else call.latest_step
-    if isinstance(s.step, bool) or not isinstance(s.step, int | np.integer) or (now is not None and s.step > now):
+    given = call.given[0] if call.given else None
+    now = call.latest_step if given is None else given
+    is_step = isinstance(s.step, int | np.integer) and not isinstance(s.step, bool)
+    if not is_step or (now is not None and s.step > now):
         raise Wrong(f"returned step = {s.step!r}", f"the step of the call{'' if now is None else f', {now},'}")
     now = int(s.step) if now is None else now
     large = np.finfo(float).max
@@ -276,8 +281,12 @@ def attacked_detections(call: Call, returned: Any) -> Detections:
             f"left out detections of observer {np.argmax(after < before)}",
             "every detection (with transmitted = False if it is not sent)",
         )
-    honest = [one.take(np.flatnonzero(~context.attacker[one.observer])) for one in (listed, returned)]
-    was, now = (one.take(np.lexsort((one.detection_index, one.identity, one.observer))) for one in honest)
+
+    def honest(lists: Detections) -> Detections:
+        kept = lists.take(~context.attacker[lists.observer])
+        return kept.take(np.lexsort((kept.detection_index, kept.identity, kept.observer)))
+
+    was, now = honest(listed), honest(returned)
     if len(was) != len(now) or not _same(was, now):
         raise Wrong("changed detections of other vehicles, but only rows of context.own_rows(listed) may differ")
     return detached(returned)
@@ -335,7 +344,7 @@ def plan(call: Call, returned: Any) -> "Plan":
     from results.moments import Plan, Unit
 
     _typed("", returned, Plan, "build it by Plan.of_files([File(path, content), ...])")
-    if not isinstance(returned.units, tuple) or not all(isinstance(unit, Unit) for unit in returned.units):
+    if not _is_tuple_of(returned.units, Unit):
         raise Wrong(f"returned units as {described(returned.units)}", "a tuple of Unit")
     names = [unit.name for unit in returned.units]
     for unit in returned.units:
@@ -345,11 +354,16 @@ def plan(call: Call, returned: Any) -> "Plan":
             raise Wrong(f"returned files of unit {unit.name!r} as {described(unit.files)}", "a function")
     for name in ("n_sweeps", "bytes_per_point", "text_bytes"):
         _positive(name, getattr(returned, name))
-    if not isinstance(returned.remarks, tuple) or not all(isinstance(one, str) for one in returned.remarks):
+    if not _is_tuple_of(returned.remarks, str):
         raise Wrong(f"returned remarks as {described(returned.remarks)}", "a tuple of texts")
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise Wrong(f"returned several units called {twice[0]!r}", "a name of its own for each")
     return returned
+
+
+def _is_tuple_of(value: Any, of: type) -> bool:
+    """Whether a value is a tuple whose items have this type."""
+    return isinstance(value, tuple) and all(isinstance(item, of) for item in value)
 
 
 def metric_rows(call: Call, returned: Any) -> "list[MetricRow]":
@@ -363,7 +377,8 @@ def metric_rows(call: Call, returned: Any) -> "list[MetricRow]":
             raise Wrong(f"returned row {number} as {described(row)}", "a MetricRow(metric=..., value=...)")
         if not _is_number(row.value):
             raise Wrong(f"returned value = {row.value!r} in row {number}", "a number (NaN if there is none)")
-        if not all(isinstance(text, str) for text in (row.metric, row.group, row.unit, row.label)) or not row.metric:
+        texts = row.metric, row.group, row.unit, row.label
+        if not row.metric or not _is_tuple_of(texts, str):
             raise Wrong(f"returned row {number} with a wrong text", "a text as metric, group, unit and label")
     keys = [(row.metric, row.group) for row in returned]
     if len(set(keys)) < len(keys):
@@ -399,8 +414,8 @@ def _typed(name: str, value: Any, of: type, cure: str) -> None:
 
 def _with_state(returned: Any, of: type) -> tuple[Any, Any]:
     """The returned pair of a state and a result. For anything else, `Wrong` is raised."""
-    if not isinstance(returned, tuple) or len(returned) != 2 or not isinstance(returned[1], of):
-        is_pair = isinstance(returned, tuple) and len(returned) == 2
+    is_pair = isinstance(returned, tuple) and len(returned) == 2
+    if not is_pair or not isinstance(returned[1], of):
         shown = f"({', '.join(map(described, returned))})" if is_pair else described(returned)
         raise Wrong(f"returned {shown}", f"a tuple (state, {of.__name__})")
     return returned
@@ -426,10 +441,11 @@ def _length(name: str, value: Any) -> int:
 def _columns(prefix: str, value: Any, n: int, what: str, expected: Mapping[str, tuple[Any, ...]]) -> None:
     """Check the columns of a dataclass, each with n rows. `expected` has the kinds of dtype and the bounds of each."""
     for name, (kinds, *bounds) in expected.items():
-        _column(f"{prefix}{name}", getattr(value, name), (n,), kinds, what=what)
+        column, full_name = getattr(value, name), f"{prefix}{name}"
+        _column(full_name, column, (n,), kinds, what=what)
         if bounds:
             low, high = bounds
-            _within(f"{prefix}{name}", getattr(value, name), low, high, getattr(value, "subject", None))
+            _within(full_name, column, low, high, getattr(value, "subject", None))
 
 
 def _column(
@@ -450,7 +466,8 @@ def _within(name: str, column: ndarray, low: float, high: float, subject: ndarra
     """Raise `Wrong` if a number is out of bounds or not a number."""
     with np.errstate(invalid="ignore"):
         wrong = ~((column >= low) & (column <= high))
-    _none(name, column, wrong, f"{low:g} to {high:g}" if high < 1e15 else f"{low:g} or more", subject)
+    right = f"{low:g} to {high:g}" if high < 1e15 else f"{low:g} or more"
+    _none(name, column, wrong, right, subject)
 
 
 def _none(
@@ -459,7 +476,8 @@ def _none(
     """Raise `Wrong` if any row of a column is wrong, with the first such row."""
     if not wrong.any():
         return
-    row, n = int(np.argmax(wrong.reshape(len(wrong), -1).any(axis=1))), int(wrong.sum())
+    n = int(wrong.sum())
+    row = int(np.argmax(wrong.reshape(len(wrong), -1).any(axis=1)))
     of = "" if subject is None else f" of subject {subject[row]}"
     more = f" and {n - 1} more like it" if n > 1 else ""
     raise Wrong(f"returned {name}[{row}] = {column[row]}{of}{more}", expected)
