@@ -151,13 +151,17 @@ class MajorityCopying(_WithIdentities[IdentitiesParams]):
         chosen, _ = _of_others(rows, detections, context)
         at = rows.about
         n = int(at.max(initial=-1)) + 1
-        honest = ~context.attacker[rows.evaluator] & (rows.evaluator != detections.observer[rows.detection])
+        of_own = rows.evaluator == detections.observer[rows.detection]
+        honest = ~context.attacker[rows.evaluator] & ~of_own
         weight = np.where(honest, rows.visibility, 0.0)
         total = np.bincount(at, weight, n)
         voters = np.bincount(at, weight > 0, n)
-        mean = np.divide(np.bincount(at, weight * rows.evaluation, n), total, out=np.zeros(n), where=total > 0)
+        said = np.bincount(at, weight * rows.evaluation, n)
+        mean = np.divide(said, total, out=np.zeros(n), where=total > 0)
         loud = np.divide(total, voters, out=np.zeros(n), where=voters > 0)
-        return np.where(chosen, mean[at], rows.evaluation), np.where(chosen, loud[at], rows.visibility)
+        evaluation = np.where(chosen, mean[at], rows.evaluation)
+        visibility = np.where(chosen, loud[at], rows.visibility)
+        return evaluation, visibility
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -189,18 +193,20 @@ class ReplayedEvaluations(_WithIdentities[ReplayedEvaluationsParams]):
         detection = rows.detection[at]
         number = detections.detection_index[detection] if rows.number is None else rows.number[at]
         index = detections.identity[detection] << 20 | number
-        key = np.column_stack([name(rows.evaluator[at]), name(observer[at]), index.astype(np.uint64)])
+        by, of_sender = name(rows.evaluator[at]), name(observer[at])
+        key = np.column_stack([by, of_sender, index.astype(np.uint64)])
         seen = np.flatnonzero(rows.visibility[at] > 0)
         seen = seen[np.lexsort(key[seen].T[::-1])]  # a draw picks the same evaluation whatever the order of the rows
         of = at[seen]
         own = key[seen], rows.evaluation[of], rows.visibility[of]
         past = of_earlier_messages(context, context.attacker, own, rows.evaluator[of], self.params.n_messages)
         old_key, old_e, old_phi = _joined(past, own)
-        draw = context.uniforms(name(rows.evaluator[at]), name(observer[at]), index)[:, 0]
+        draw = context.uniforms(by, of_sender, index)[:, 0]
         source = np.full(len(at), -1)
         for n_columns in (3, 2, 1):  # the number of equal columns of (evaluator, sender, detection)
             left = np.flatnonzero(source < 0)
-            source[left] = _one_of(old_key[:, :n_columns], key[left, :n_columns], draw[left])
+            old, wanted = old_key[:, :n_columns], key[left, :n_columns]
+            source[left] = _one_of(old, wanted, draw[left])
         e, phi = rows.evaluation.copy(), rows.visibility.copy()
         known = source >= 0
         e[at[known]] = old_e[source[known]]
@@ -222,6 +228,9 @@ def _one_of(old: UInt64[ndarray, "o c"], key: UInt64[ndarray, "k c"], draw: Floa
     group, wanted = np.split(which.reshape(-1), [len(old)])
     order = np.argsort(group, kind="stable")
     first, last = (np.searchsorted(group[order], wanted, side) for side in ("left", "right"))
+    if not len(order):
+        return np.full(len(key), -1)
     n = last - first
-    pick = first + np.minimum((draw * n).astype(np.int64), np.maximum(n - 1, 0))
-    return np.where(n > 0, order[np.minimum(pick, max(len(order) - 1, 0))] if len(order) else -1, -1)
+    drawn = np.minimum((draw * n).astype(np.int64), n - 1)
+    row = order[np.clip(first + drawn, 0, len(order) - 1)]
+    return np.where(n > 0, row, -1)

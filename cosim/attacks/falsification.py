@@ -36,12 +36,15 @@ class Removal(WithParams[RemovalParams]):
         """The lists, with the chosen rows not transmitted."""
         p, world = self.params, context.world
         rows = context.own_rows(listed)
-        rows = rows[(listed.origin[rows] != SELF) & (listed.origin[rows] != FABRICATED)]
+        origin = listed.origin[rows]
+        rows = rows[(origin != SELF) & (origin != FABRICATED)]
         if p.only_victim:
             victim = context.victim_of()[listed.observer[rows]]
             rows, victim = rows[victim >= 0], victim[victim >= 0]
-            rows = rows[iou_3d(listed.boxes.take(rows), world.boxes.take(victim)) > p.min_iou]
-        chance = context.uniforms(context.name_key(listed.observer[rows]), listed.detection_index[rows])[:, 0]
+            overlap = iou_3d(listed.boxes.take(rows), world.boxes.take(victim))
+            rows = rows[overlap > p.min_iou]
+        names = context.name_key(listed.observer[rows])
+        chance = context.uniforms(names, listed.detection_index[rows])[:, 0]
         transmitted = listed.transmitted.copy()
         transmitted[rows[chance < p.remove_p]] = False
         return replace(listed, transmitted=transmitted)
@@ -106,8 +109,9 @@ class Offset(WithParams[OffsetParams]):
             u = context.lasting(names, n=4)
         else:
             u = context.uniforms(names, listed.detection_index[rows], n=4)
-        by_m = (p.min_m + (p.max_m - p.min_m) * u[:, :2]) * np.where(u[:, 2:] < 0.5, -1.0, 1.0)
-        return _moved(listed, rows, by_m)
+        far_m = p.min_m + (p.max_m - p.min_m) * u[:, :2]
+        sign = np.where(u[:, 2:] < 0.5, -1.0, 1.0)
+        return _moved(listed, rows, far_m * sign)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -134,7 +138,8 @@ class Drift(WithParams[DriftParams]):
         since = context.time_s - began_s
         angle = 2 * np.pi * context.lasting(context.name_key(observer))[:, 0]
         far_m = np.minimum(p.speed_mps * since[observer], p.max_m)
-        return _moved(listed, rows, far_m[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+        direction = np.column_stack([np.cos(angle), np.sin(angle)])
+        return _moved(listed, rows, far_m[:, None] * direction)
 
 
 class Mirror:
@@ -147,7 +152,8 @@ class Mirror:
         own = listed.observer[rows]
         yaw = poses.yaw_rad[own]
         left = np.column_stack([-np.sin(yaw), np.cos(yaw)])
-        away_m = ((listed.boxes.xyz_m[rows, :2] - poses.xyz_m[own, :2]) * left).sum(axis=1)
+        between_m = listed.boxes.xyz_m[rows, :2] - poses.xyz_m[own, :2]
+        away_m = (between_m * left).sum(axis=1)
         moved = _moved(listed, rows, -2 * away_m[:, None] * left)
         turned = moved.boxes.yaw_rad.copy()
         turned[rows] = wrapped(2 * yaw - turned[rows])
@@ -192,7 +198,8 @@ class Size(WithParams[SizeParams]):
         """The lists, with falsified sizes."""
         rows = _rows(listed, context, self.params.content)
         lwh, xyz = listed.boxes.lwh_m.copy(), listed.boxes.xyz_m.copy()
-        xyz[rows, 2] += lwh[rows, 2] * (self.params.factor - 1) / 2
+        higher_m = lwh[rows, 2] * (self.params.factor - 1)
+        xyz[rows, 2] += higher_m / 2
         lwh[rows] *= self.params.factor
         return replace(listed, boxes=replace(listed.boxes, xyz_m=xyz, lwh_m=lwh))
 

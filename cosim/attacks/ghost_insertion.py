@@ -63,7 +63,8 @@ class GhostInsertion(Vouched[GhostInsertionParams]):
         attacker = np.repeat(attacker, len(objects))
         victim = np.repeat(victim, len(objects))
         xyz, yaw = placed(world, victim, ahead_m, left_m, np.full(len(victim), np.pi))
-        lwh = np.where((label == CAR)[:, None], world.boxes.lwh_m[attacker], PEDESTRIAN_LWH_M)
+        is_car = label == CAR
+        lwh = np.where(is_car[:, None], world.boxes.lwh_m[attacker], PEDESTRIAN_LWH_M)
         ground = world.boxes.xyz_m[victim, 2] - world.boxes.lwh_m[victim, 2] / 2
         xyz[:, 2] = ground + lwh[:, 2] / 2
         return ghosts(listed, attacker, label, Boxes(xyz, lwh, yaw), context, victim)

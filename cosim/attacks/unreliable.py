@@ -50,7 +50,9 @@ class Unreliable(Vouched[UnreliableParams]):
         copied = np.flatnonzero((own.origin != FABRICATED) & (draws[:, 0] < p.add_p))
         source, u = own.take(copied), draws[copied, 1:]
         ahead_m = p.add_range_m * u[:, 0]
-        xyz, yaw = placed(world, source.observer, ahead_m, ahead_m * (u[:, 1] - 0.5), np.pi * (u[:, 2] - 0.5))
+        left_m = ahead_m * (u[:, 1] - 0.5)
+        turned_rad = np.pi * (u[:, 2] - 0.5)
+        xyz, yaw = placed(world, source.observer, ahead_m, left_m, turned_rad)
         xyz[:, 2] = source.boxes.xyz_m[:, 2]
         transmitted = listed.transmitted.copy()
         transmitted[faulty[omitted]] = False

@@ -69,8 +69,8 @@ def _eligible(world: World, params: AttackParams, seed: int) -> Int[ndarray, "v"
         return equipped[chosen & (world.attack[equipped] == 0)]
     if params.victim == "region":
         x, y, radius = params.region_m
-        inside: Bool[ndarray, "e"] = np.hypot(*(world.boxes.xyz_m[equipped, :2] - [x, y]).T) <= radius
-        return equipped[inside]
+        from_centre_m = world.boxes.xyz_m[equipped, :2] - [x, y]
+        return equipped[np.hypot(*from_centre_m.T) <= radius]
     return equipped
 
 

@@ -16,6 +16,7 @@ from cosim.attacks.ghost_insertion import CAR
 from cosim.attacks.past import of_earlier_messages
 from cosim.base.ragged import offsets
 from cosim.messages.content import FABRICATED, SELF, Detections
+from cosim.world import World
 from sensors.boxes import Boxes
 from sensors.line_of_sight import WallIndex, los_between_actors
 from sensors.scene import Scene, Shape
@@ -55,13 +56,20 @@ class ApproachingGhost(Vouched[ApproachingGhostParams]):
         """The lists, with one ghost for each attacker that has a victim."""
         p, world = self.params, context.world
         attacker, victim = context.victims()
-        n_places = int(np.floor((p.from_m - p.to_m) / p.step_m + 1e-9)) + 1
+        n_messages = np.floor((p.from_m - p.to_m) / p.step_m + 1e-9)
+        n_places = int(n_messages) + 1
         ahead_m = p.from_m - p.step_m * (context.n_active[attacker] % n_places)
         n = len(attacker)
-        lwh = np.tile(CAR_LWH_M, (n, 1))
-        xyz, yaw = placed(world, victim, ahead_m, np.zeros(n), np.full(n, np.pi))
-        xyz[:, 2] = world.boxes.xyz_m[victim, 2] - world.boxes.lwh_m[victim, 2] / 2 + lwh[:, 2] / 2
-        return ghosts(listed, attacker, np.full(n, CAR, np.uint8), Boxes(xyz, lwh, yaw), context, victim)
+        left_m, turn = np.zeros(n), np.full(n, np.pi)
+        xyz, yaw = placed(world, victim, ahead_m, left_m, turn)
+        xyz[:, 2] = ground_m(world, victim) + CAR_LWH_M[2] / 2
+        boxes = Boxes(xyz, np.tile(CAR_LWH_M, (n, 1)), yaw)
+        return ghosts(listed, attacker, np.full(n, CAR, np.uint8), boxes, context, victim)
+
+
+def ground_m(world: World, row: Int[ndarray, "k"]) -> Float[ndarray, "k"]:
+    """Height of the road below actors."""
+    return world.boxes.xyz_m[row, 2] - world.boxes.lwh_m[row, 2] / 2
 
 
 CAR_LWH_M = (4.5, 2.0, 1.6)
@@ -114,43 +122,52 @@ class GhostInShadow(Vouched[GhostInShadowParams]):
         world, n_angles = context.world, self.params.n_angles
         attackers = np.flatnonzero(context.attacker)
         n_places = n_angles * len(self.params.distances_m)
-        turn = np.tile(2 * np.pi * np.arange(n_angles) / n_angles, len(self.params.distances_m))
+        turns = 2 * np.pi * np.arange(n_angles) / n_angles
+        turn = np.tile(turns, len(self.params.distances_m))
         distance_m = np.repeat(self.params.distances_m, n_angles)
         row = np.repeat(attackers, n_places)
-        ahead_m, left_m = (np.tile(distance_m * f(turn), len(attackers)) for f in (np.cos, np.sin))
+        ahead_m = np.tile(distance_m * np.cos(turn), len(attackers))
+        left_m = np.tile(distance_m * np.sin(turn), len(attackers))
         xyz, yaw = placed(world, row, ahead_m, left_m, np.zeros(len(row)))
-        xyz[:, 2] = world.boxes.xyz_m[row, 2] - world.boxes.lwh_m[row, 2] / 2 + CAR_LWH_M[2] / 2
+        xyz[:, 2] = ground_m(world, row) + CAR_LWH_M[2] / 2
         hidden = self._hidden(context, row, xyz).reshape(len(attackers), n_places)
         finds = np.flatnonzero(hidden.any(axis=1))
         at = finds * n_places + hidden[finds].argmax(axis=1)
-        boxes = Boxes(xyz[at], np.tile(CAR_LWH_M, (len(at), 1)), yaw[at])
-        return ghosts(listed, row[at], np.full(len(at), CAR, np.uint8), boxes, context)
+        lwh = np.tile(CAR_LWH_M, (len(at), 1))
+        label = np.full(len(at), CAR, np.uint8)
+        return ghosts(listed, row[at], label, Boxes(xyz[at], lwh, yaw[at]), context)
 
     def _hidden(
         self, context: AttackContext, row: Int[ndarray, "c"], xyz_m: Float[ndarray, "c 3"]
     ) -> Bool[ndarray, "c"]:
         """Whether each place is free, and no equipped vehicle but the attacker can see it. `row` is the attacker."""
-        world, n = context.world, len(context.world)
-        actors, places = cKDTree(world.boxes.xyz_m[:, :2]), cKDTree(xyz_m[:, :2])
-        hidden = np.ones(len(xyz_m), bool)
-        if not len(xyz_m):
+        world, n_places = context.world, len(xyz_m)
+        hidden = np.ones(n_places, bool)
+        if not n_places:
             return hidden
-        hidden &= actors.query(xyz_m[:, :2])[0] >= self.params.clear_m
+        actors = cKDTree(world.boxes.xyz_m[:, :2])
+        places = cKDTree(xyz_m[:, :2])
+        nearest_m, _ = actors.query(xyz_m[:, :2])
+        hidden &= nearest_m >= self.params.clear_m
         walls = WallIndex.of(Scene.empty().buildings) if context.walls is None else context.walls
         hidden &= ~walls.indoors(xyz_m)
         near = places.sparse_distance_matrix(actors, self.params.seen_within_m, output_type="ndarray")
-        place, viewer = near["i"].astype(np.int64), near["j"].astype(np.int64)
-        looks = hidden[place] & world.equipped[viewer] & (viewer != row[place])
+        place = near["i"].astype(np.int64)
+        viewer = near["j"].astype(np.int64)
+        is_other = world.equipped[viewer] & (viewer != row[place])
+        looks = hidden[place] & is_other
         place, viewer = place[looks], viewer[looks]
         # Places are flat bodies below the centres of the ghosts. Lines end above their tops, so that they hide nothing.
         thin_m = CAR_LWH_M[2] / 2 - SENSOR_ABOVE_ROOF_M
-        flat = Boxes(
-            xyz_m - [0.0, 0.0, CAR_LWH_M[2] / 2 - thin_m / 2], np.tile([0.1, 0.1, thin_m], (len(xyz_m), 1)),
-            np.zeros(len(xyz_m)),
-        )  # fmt: skip
+        lower_m = CAR_LWH_M[2] / 2 - thin_m / 2
+        lwh_m = np.tile([0.1, 0.1, thin_m], (n_places, 1))
+        flat = Boxes(xyz_m - [0.0, 0.0, lower_m], lwh_m, np.zeros(n_places))
         boxes = Boxes.concat([world.boxes, flat])
-        shape = np.concatenate([world.shape, np.full(len(xyz_m), Shape.CAR, world.shape.dtype)])
-        hidden[place[los_between_actors(walls, boxes, shape, viewer, n + place, SENSOR_ABOVE_ROOF_M)]] = False
+        flat_shape = np.full(n_places, Shape.CAR, world.shape.dtype)
+        shape = np.concatenate([world.shape, flat_shape])
+        body = len(world) + place
+        in_sight = los_between_actors(walls, boxes, shape, viewer, body, SENSOR_ABOVE_ROOF_M)
+        hidden[place[in_sight]] = False
         return hidden
 
 
@@ -190,7 +207,8 @@ class Replay(Vouched[ReplayParams]):
             past.pop(0)
         now = listed.take(received)
         earlier = [of for of in past if len(of[1])]
-        past.append((context.time_s, now, world.actor[now.observer], world.name_key[now.observer], xy[now.observer]))
+        sender = now.observer
+        past.append((context.time_s, now, world.actor[sender], world.name_key[sender], xy[sender]))
         attackers = np.flatnonzero(context.attacker)
         if not len(attackers) or not earlier:
             return listed
@@ -198,7 +216,8 @@ class Replay(Vouched[ReplayParams]):
         _, _, *columns = zip(*earlier, strict=True)
         by, name_key, from_xy = map(np.concatenate, columns)
         begins = np.append(True, by[1:] != by[:-1])
-        begins[offsets(np.array([len(said) for said in lists]))[:-1]] = True  # also where the next step begins
+        n_of_step = np.array([len(said) for said in lists])
+        begins[offsets(n_of_step)[:-1]] = True  # also where the next step begins
         begin = np.flatnonzero(begins)  # of each message, the oldest ones first
         size = np.diff(np.append(begin, len(by)))
         _, oldest = np.unique(by[begin], return_index=True)  # of each sender
@@ -212,11 +231,12 @@ class Replay(Vouched[ReplayParams]):
         a, sender = a[others], sender[others]
         n_near = np.bincount(a, minlength=len(attackers))
         has = np.repeat(np.flatnonzero(n_near), p.n_objects)
-        draws = context.uniforms(context.name_key(attackers), n=2 * p.n_objects).reshape(len(attackers), 2, -1)
-        one, other = draws[n_near > 0, 0].ravel(), draws[n_near > 0, 1].ravel()
-        chosen = sender[np.searchsorted(a, has) + _scaled(one, n_near[has])]
-        source = first[chosen] + _scaled(other, count[chosen])
-        _, once = np.unique(has * np.int64(len(by)) + source, return_index=True)
+        draws = context.uniforms(context.name_key(attackers), n=2 * p.n_objects)
+        of_sender, of_object = np.hsplit(draws[n_near > 0], 2)
+        chosen = sender[np.searchsorted(a, has) + _scaled(of_sender.ravel(), n_near[has])]
+        source = first[chosen] + _scaled(of_object.ravel(), count[chosen])
+        pair = has * np.int64(len(by)) + source
+        _, once = np.unique(pair, return_index=True)
         once = np.sort(once)  # as drawn, not by actor numbers
         again = _rows_of(lists, source[once])
         return fabricated(
@@ -284,11 +304,15 @@ class Stale(Vouched[StaleParams]):
         selves = np.flatnonzero((old.origin == SELF) & (observer >= 0))
         at = np.full(len(world), -1)
         at[observer[selves]] = selves
-        now = mine[(listed.origin[mine] == SELF) & (at[listed.observer[mine]] >= 0)]
-        was = at[listed.observer[now]]
-        xyz, yaw, speed = kept.boxes.xyz_m.copy(), kept.boxes.yaw_rad.copy(), kept.speed_mps.copy()
-        xyz[now], yaw[now], speed[now] = old.boxes.xyz_m[was], old.boxes.yaw_rad[was], old.speed_mps[was]
-        kept = replace(kept, boxes=replace(kept.boxes, xyz_m=xyz, yaw_rad=yaw), speed_mps=speed)
+        of_now = at[listed.observer[mine]]
+        has_old = (listed.origin[mine] == SELF) & (of_now >= 0)
+        now, was = mine[has_old], of_now[has_old]
+        boxes, speed = kept.boxes, kept.speed_mps.copy()
+        xyz, yaw = boxes.xyz_m.copy(), boxes.yaw_rad.copy()
+        xyz[now] = old.boxes.xyz_m[was]
+        yaw[now] = old.boxes.yaw_rad[was]
+        speed[now] = old.speed_mps[was]
+        kept = replace(kept, boxes=replace(boxes, xyz_m=xyz, yaw_rad=yaw), speed_mps=speed)
         again = np.flatnonzero((old.origin != SELF) & (observer >= 0))
         said = old.take(again)
         return fabricated(

@@ -8,7 +8,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Int
 from numpy import ndarray
 
-from cosim.addons.attacks.ghosts import CAR_LWH_M
+from cosim.addons.attacks.ghosts import CAR_LWH_M, ground_m
 from cosim.attacks.attack import AttackContext, EvaluationRows, WithParams, fabricated, placed
 from cosim.attacks.ghost_insertion import CAR
 from cosim.messages.content import FABRICATED, Detections
@@ -59,7 +59,7 @@ class Sybil(WithParams[SybilParams]):
         left = np.where(number % 2 == 0, p.aside_m, -p.aside_m)
         xyz, yaw = placed(world, row, -p.spacing_m * (number // 2), left, np.zeros(len(row)))
         lwh = np.tile(CAR_LWH_M, (len(row), 1))
-        xyz[:, 2] = world.boxes.xyz_m[row, 2] - world.boxes.lwh_m[row, 2] / 2 + lwh[:, 2] / 2
+        xyz[:, 2] = ground_m(world, row) + lwh[:, 2] / 2
         return fabricated(
             listed, row, np.full(len(row), CAR), Boxes(xyz, lwh, yaw), np.ones(len(row)),
             identity=number + 1, speed_mps=world.speed_mps[row],

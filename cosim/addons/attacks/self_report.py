@@ -51,8 +51,9 @@ class Speed(WithParams[SpeedParams]):
         """The lists, with falsified speeds in self reports."""
         p, rows = self.params, _selves(listed, context.attacker)
         u = context.uniforms(context.name_key(listed.observer[rows]), n=2)
-        error = (p.min_mps + (p.max_mps - p.min_mps) * u[:, 0]) * np.where(u[:, 1] < 0.5, -1.0, 1.0)
-        speed = np.maximum(listed.speed_mps[rows] + error, 0.0)
+        error = p.min_mps + (p.max_mps - p.min_mps) * u[:, 0]
+        sign = np.where(u[:, 1] < 0.5, -1.0, 1.0)
+        speed = np.maximum(listed.speed_mps[rows] + error * sign, 0.0)
         return _told(listed, rows, speed, listed.acceleration_mps2[rows])
 
 
