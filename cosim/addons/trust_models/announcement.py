@@ -45,8 +45,8 @@ class Ratings:
         rating
             Ratings in units of 2^-20.
         """
-        terms = np.ones(edge.size, np.int64), np.full(edge.size, step), rating, rating * step
-        for column, term in enumerate(terms):
+        one, steps = np.ones(edge.size, np.int64), np.full(edge.size, step)
+        for column, term in enumerate((one, steps, rating, rating * step)):
             np.add.at(self.sums[:, column], edge, sign * term)
 
 
@@ -77,7 +77,8 @@ class Announcement(Stepwise):
         new = self._valid(state, step, len(self.log.edges))
         total = rows.pos + rows.neg
         rated = np.flatnonzero(total > 0)
-        rating = np.rint(rows.pos[rated] / total[rated] * _UNIT).astype(np.int64)
+        share = rows.pos[rated] / total[rated]
+        rating = np.rint(share * _UNIT).astype(np.int64)
         edge = rows.edge[rated]
         new.added(1, step, edge, rating)
         newest = with_rows(state.newest, n_pairs).copy()
@@ -87,17 +88,20 @@ class Announcement(Stepwise):
     def read(self, state: Ratings, n_steps: int, now: int) -> Reading:
         """Mean over the raters of each one's mean rating, reduced by the age of the newest rating."""
         validity = self.params.validity_s / self.dt_s
-        n, steps, ratings, rated_steps = self._valid(state, now, len(self.log.edges)).sums.T
+        valid = self._valid(state, now, len(self.log.edges))
+        n, steps, ratings, rated_steps = valid.sums.T
         weight = n - (now * n - steps) / validity
         value = (ratings - (now * ratings - rated_steps) / validity) / _UNIT
         _, subject, row = self.log.edges.sorted()
-        weight, value, steps, n = weight[row], value[row], steps[row], n[row]
-        has = n > 0
+        weight, value = weight[row], value[row]
+        has = n[row] > 0
         size = len(self.log.pairs)
         raters = np.bincount(subject[has], minlength=size)
-        mean = exact_sums(subject[has], value[has] / weight[has], size) / np.maximum(raters, 1)
-        age = np.clip(1 - (now - with_rows(state.newest, size)[:size]) / validity, 0, 1)
-        return Reading(np.clip(mean, 0, 1) * age, raters.astype(float), None, self.params.validity_s)
+        total = exact_sums(subject[has], value[has] / weight[has], size)
+        mean = np.clip(total / np.maximum(raters, 1), 0, 1)
+        newest = with_rows(state.newest, size)[:size]
+        age = np.clip(1 - (now - newest) / validity, 0, 1)
+        return Reading(mean * age, raters.astype(float), None, self.params.validity_s)
 
     def _valid(self, state: Ratings, now: int, n_edges: int) -> Ratings:
         """A copy without what has expired."""

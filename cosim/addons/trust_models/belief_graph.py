@@ -70,7 +70,8 @@ class BeliefGraphParams(StepwiseParams):
         shapes = [(name, shape) for name in _SHAPES for shape in getattr(self, name)]
         shapes += [(name, getattr(self, name)) for name in ("decided_shape", "form_shape", "share_shape")]
         for name, shape in shapes:
-            if len(shape) != (4 if name == "detections_shapes" else 2) or not all(0 < x <= 1e6 for x in shape):
+            n_outcomes = 4 if name == "detections_shapes" else 2
+            if len(shape) != n_outcomes or not all(0 < x <= 1e6 for x in shape):
                 raise ValueError(
                     f"trust.{name} = {list(shape)}: the shapes of a Dirichlet distribution are above 0, at most 1e6, "
                     "one for each outcome."
@@ -93,7 +94,8 @@ LARGEST = 20.0
 _IMPOSSIBLE = 10.0
 """Logarithm of the factor by which an impossible evaluation speaks against its evaluator: rounding, or a lie."""
 _MOST_IMPOSSIBLE = 200.0
-_DETECTIONS, _MISSING, _SPEED, _CERTAIN = slice(0, 4), slice(4, 6), slice(6, 8), slice(8, 10)
+_DETECTIONS, _MISSING = slice(0, 4), slice(4, 6)
+_SPEED, _CERTAIN = slice(6, 8), slice(8, 10)
 
 
 def log_likelihood(counts: Float[ndarray, "n c"], shape: Shape) -> Float[ndarray, "n"]:
@@ -123,8 +125,10 @@ def ratios(
         Probability that an evaluator that lies is honest about a sender.
     """
     both, sender, evaluator = (log_likelihood(counts, shape) for shape in shapes)
-    liar = np.logaddexp(np.log(honest_p) + both, np.log1p(-honest_p) + evaluator)
-    return np.clip(both - liar, -LARGEST, LARGEST), np.clip(sender - liar, -LARGEST, LARGEST)
+    liar_is_honest = np.log(honest_p) + both
+    liar = np.logaddexp(liar_is_honest, np.log1p(-honest_p) + evaluator)
+    to_both, to_sender = both - liar, sender - liar
+    return np.clip(to_both, -LARGEST, LARGEST), np.clip(to_sender, -LARGEST, LARGEST)
 
 
 def log_ratio(pos: Float[ndarray, "n"], neg: Float[ndarray, "n"], shape: tuple[float, float]) -> Float[ndarray, "n"]:
@@ -174,7 +178,8 @@ def propagated(
     to = np.concatenate([evaluator, sender])
     message = np.zeros(to.size)
     for _ in range(n_sweeps):
-        of_evaluator, of_sender = np.split((alone + exact_sums(to, message, alone.size))[to] - message, 2)
+        odds = alone + exact_sums(to, message, alone.size)
+        of_evaluator, of_sender = np.split(odds[to] - message, 2)
         new = np.concatenate([
             np.logaddexp(first, of_sender + both) - np.logaddexp(0.0, of_sender),
             np.logaddexp(0.0, of_evaluator + both) - np.logaddexp(0.0, of_evaluator + first),
@@ -226,7 +231,8 @@ class BeliefGraph(Stepwise):
 
     def advance(self, state: Graph, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> Graph:
         """Evidence of edges and vehicles after a step."""
-        kept, has_claims = self.decay(self.params.decay_per_s, n_steps), len(self.params.evidence) > 1
+        kept = self.decay(self.params.decay_per_s, n_steps)
+        has_claims = len(self.params.evidence) > 1
         edges = with_rows(state.edges * kept, len(self.log.edges))
         vehicles = with_rows(state.vehicles * kept, n_pairs)
         row, by, n_rows = rows.row, rows.by, rows.n.size
@@ -251,7 +257,8 @@ class BeliefGraph(Stepwise):
         vehicles[:, 1] += detects & silent
         vehicles[:, 2] += counted(by, is_detection & (pos + neg > 0.5))
         vehicles[:, 3] += counted(by, is_detection & (pos + neg <= 0.5))
-        vehicles[:, 4] += counted(by, ~is_detection & ((pos + neg >= 0.99) | (kind == MISSING) & (pos > 0.34)))
+        is_impossible = (pos + neg >= 0.99) | (kind == MISSING) & (pos > 0.34)
+        vehicles[:, 4] += counted(by, ~is_detection & is_impossible)
         return Graph(edges, vehicles)
 
     def read(self, state: Graph, n_steps: int, now: int) -> Reading:
@@ -261,29 +268,35 @@ class BeliefGraph(Stepwise):
         source, target, edge = self.log.edges.sorted()
         known = edge < len(state.edges)
         source, target = source[known], target[known]
-        about, n = state.edges[edge[known]] * kept, len(state.vehicles)
+        about = state.edges[edge[known]] * kept
+        n = len(state.vehicles)
         counts = p.independent_p * about
         found = [self._ratios(counts, about)]
-        claims = [
-            (counts[:, columns], shapes)
-            for kind, columns, shapes in (("missing", _MISSING, p.missing_shapes), ("speed", _SPEED, p.speed_shapes))
-            if kind in p.evidence
-        ]  # fmt: skip
+        claims = []
+        if "missing" in p.evidence:
+            claims.append((counts[:, _MISSING], p.missing_shapes))
+        if "speed" in p.evidence:
+            claims.append((counts[:, _SPEED], p.speed_shapes))
         found += [np.column_stack(ratios(of, shapes, p.honest_p)) for of, shapes in claims]
         ends, ratio = [], []
         for role, of_role in enumerate(found, 1):  # nodes of a vehicle: evaluator, then one role per kind
-            ends += [np.column_stack([source, role * n + target]), np.arange(n)[:, None] + [0, role * n]]
+            of_edges = np.column_stack([source, role * n + target])
+            of_vehicles = np.arange(n)[:, None] + [0, role * n]
+            ends += [of_edges, of_vehicles]
             ratio += [of_role, np.full((n, 2), [p.same_role, 0.0])]
-        alone = np.full((1 + len(found), n), np.log(p.prior_honest) - np.log1p(-p.prior_honest))
+        prior = np.log(p.prior_honest) - np.log1p(-p.prior_honest)
+        alone = np.full((1 + len(found), n), prior)
         alone[0] += self._form(state.vehicles * kept)
         odds = propagated(np.concatenate(ends), np.concatenate(ratio), alone.ravel(), p.n_sweeps)
         belief = expit(odds[:n])
+        believed = belief[source]
 
         def said(of: Float[ndarray, "e c"]) -> Float[ndarray, "n c"]:
-            return np.column_stack([exact_sums(target, belief[source] * x, n) for x in of.T])
+            return np.column_stack([exact_sums(target, believed * x, n) for x in of.T])
 
         confirmed, _, jointly, alone_denied = said(counts[:, _DETECTIONS]).T
-        pos, neg = p.share_shape[0] + confirmed, p.share_shape[1] + jointly + alone_denied
+        prior_pos, prior_neg = p.share_shape
+        pos, neg = prior_pos + confirmed, prior_neg + jointly + alone_denied
         trust = belief * (pos / (pos + neg)) ** 2
         for of, shapes in claims:
             total = said(of)
@@ -297,7 +310,8 @@ class BeliefGraph(Stepwise):
         p = self.params
         both, first = ratios(counts[:, _DETECTIONS], p.detections_shapes, p.honest_p)
         honest, liar = (log_likelihood(about[:, _CERTAIN], shape) for shape in p.certain_shapes)
-        certain = np.clip(honest - np.logaddexp(honest, liar) + np.log(2.0), -LARGEST, 0.0)
+        to_either = honest - np.logaddexp(honest, liar)
+        certain = np.clip(to_either + np.log(2.0), -LARGEST, 0.0)
         return np.column_stack([both + certain, first + certain])
 
     def _form(self, vehicles: Float[ndarray, "n 5"]) -> Float[ndarray, "n"]:
@@ -311,8 +325,9 @@ class BeliefGraph(Stepwise):
 def _outcomes(rows: StepRows, kind: Int[ndarray, "k"]) -> Iterator[Float[ndarray, "k"]]:
     """Evidence of every single evaluation for each of the first eight columns of `Graph.edges`."""
     pos, neg = rows.object_pos, rows.object_neg
-    others_confirm = rows.per_object((pos > 0).astype(float))[rows.object] > (pos > 0)
-    others_deny = rows.per_object((neg > 0).astype(float))[rows.object] > (neg > 0)
+    confirms, denies = pos > 0, neg > 0
+    others_confirm = rows.per_object(confirms.astype(float))[rows.object] > confirms
+    others_deny = rows.per_object(denies.astype(float))[rows.object] > denies
     is_detection = kind == DETECTION
     denied = np.where(is_detection, neg, 0.0)
     yield np.where(is_detection, pos, 0.0)

@@ -61,12 +61,18 @@ class Answers:
         )
 
 
+Window = tuple[tuple[int, Answers], ...]
+"""Answers by step."""
+
+
 @compiled
 def _log_odds(by, to, pos, neg, confirms, denies, prior):
     """Log-odds that each detection is true; `confirms` and `denies` are the weights of each evaluator's answers."""
     odds = np.zeros(prior.size)
     for k in range(by.size):
-        odds[to[k]] += rounded(pos[k] * confirms[by[k]] + neg[k] * denies[by[k]])
+        evaluator = by[k]
+        said = pos[k] * confirms[evaluator] + neg[k] * denies[evaluator]
+        odds[to[k]] += rounded(said)
     return prior + odds
 
 
@@ -108,12 +114,17 @@ def expected_counts(
     Confirmations and denials of true detections, denials and confirmations of false ones, by evaluator; then true and
     false detections, by sender.
     """
-    given, sender = (answers.by, answers.object, answers.pos, answers.neg), answers.sender
-    counts, prior_counts = np.zeros((len(before), 6)), np.tile([reliable, 1.0], 3)
+    given = answers.by, answers.object, answers.pos, answers.neg
+    sender = answers.sender
+    counts = np.zeros((len(before), 6))
+    prior_counts = np.tile([reliable, 1.0], 3)
     for _ in range(n_iterations):
         known = before + counts + prior_counts
-        log = np.log(known) - np.log((known[:, 0::2] + known[:, 1::2]).repeat(2, axis=1))
-        confirms, denies, prior = log[:, 0] - log[:, 3], log[:, 1] - log[:, 2], log[:, 4] - log[:, 5]
+        total = known[:, 0::2] + known[:, 1::2]
+        log_share = np.log(known) - np.log(total.repeat(2, axis=1))
+        confirm_true, deny_true, deny_false, confirm_false, true, false = log_share.T
+        confirms, denies = confirm_true - confirm_false, deny_true - deny_false
+        prior = true - false
         true = expit(_log_odds(*given, confirms, denies, prior[sender]))
         counts = _counts(*given, sender, true, len(before))
     return counts
@@ -134,8 +145,9 @@ def trust_from(counts: Float[ndarray, "p 6"], reliable: float) -> Float[ndarray,
     pi times max(0, alpha + beta - 1) (Youden's index) of each pair, in [0, 1].
     """
     known = counts + np.tile([reliable, 1.0], 3)
-    share = known[:, 0::2] / (known[:, 0::2] + known[:, 1::2])
-    return share[:, 2] * np.maximum(share[:, 0] + share[:, 1] - 1.0, 0.0)
+    right, wrong = known[:, 0::2], known[:, 1::2]
+    alpha, beta, pi = (right / (right + wrong)).T
+    return pi * np.maximum(alpha + beta - 1.0, 0.0)
 
 
 class DawidSkene(Stepwise):
@@ -163,23 +175,22 @@ class DawidSkene(Stepwise):
 
     Params: ClassVar[type] = DawidSkeneParams
 
-    def start(self) -> tuple[tuple[int, Answers], ...]:
-        """Answers by step; none yet."""
+    def start(self) -> Window:
+        """No answers yet."""
         return ()
 
-    def advance(
-        self, state: tuple[tuple[int, Answers], ...], n_steps: int, step: int, rows: StepRows, n_pairs: int
-    ) -> tuple[tuple[int, Answers], ...]:
+    def advance(self, state: Window, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> Window:
         """The answers of the window after a step."""
         return (*self._recent(state, step), (step, Answers.of(rows)))
 
-    def read(self, state: tuple[tuple[int, Answers], ...], n_steps: int, now: int) -> Reading:
+    def read(self, state: Window, n_steps: int, now: int) -> Reading:
         """Trust from the counts of the window."""
         p, n = self.params, len(self.log.pairs)
         counts = np.zeros((n, 6))
         if recent := tuple(answers for _, answers in self._recent(state, now)):
             counts = expected_counts(Answers.joined(recent), counts, p.reliable, p.n_iterations)
-        return Reading(trust_from(counts, p.reliable), counts[:, 4:].sum(axis=1), None, p.window_s)
+        weight = counts[:, 4:].sum(axis=1)
+        return Reading(trust_from(counts, p.reliable), weight, None, p.window_s)
 
-    def _recent(self, state: tuple[tuple[int, Answers], ...], now: int) -> tuple[tuple[int, Answers], ...]:
+    def _recent(self, state: Window, now: int) -> Window:
         return tuple(one for one in state if self.is_younger(now - one[0], self.params.window_s))

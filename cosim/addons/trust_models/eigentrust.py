@@ -57,12 +57,14 @@ def eigentrust(
     positive = np.maximum(local, 0.0)
     row = np.bincount(source, positive, n)
     used = positive > 0
-    source, target, c = source[used], target[used], positive[used] / row[source[used]]
+    source, target = source[used], target[used]
+    c = positive[used] / row[source]
     empty = row == 0
     t = pretrust.copy()
     moving = np.ones(n, bool)
     while moving.any():
-        passed = exact_sums(target, c * t[source], n) + exact_sums(block, t * empty, n_blocks)[block] * pretrust
+        given_back = exact_sums(block, t * empty, n_blocks)
+        passed = exact_sums(target, c * t[source], n) + given_back[block] * pretrust
         new = (1 - restart_p) * passed + restart_p * pretrust
         moving &= (exact_sums(block, np.abs(new - t), n_blocks) >= tolerance)[block]
         t = np.where(moving, new, t)

@@ -53,7 +53,8 @@ def mean(alpha_beta: Float[ndarray, "... 2"]) -> Float[ndarray, "..."]:
 def confidence(alpha_beta: Float[ndarray, "... 2"]) -> Float[ndarray, "..."]:
     """Confidence in Beta distributions, clip(1 - 2 std, 1e-4, 0.9999); the last axis is (alpha, beta)."""
     total = alpha_beta.sum(axis=-1)
-    return np.clip(1 - 2 * np.sqrt(alpha_beta.prod(axis=-1) / (total**2 * (total + 1))), 1e-4, 0.9999)
+    variance = alpha_beta.prod(axis=-1) / (total**2 * (total + 1))
+    return np.clip(1 - 2 * np.sqrt(variance), 1e-4, 0.9999)
 
 
 class Mate(Stepwise):

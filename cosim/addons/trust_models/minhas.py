@@ -54,7 +54,9 @@ def experienced(trust: Float[ndarray, "n"], good: Bool[ndarray, "n"], kept: Floa
     """
     step = np.where(good, p.gain, p.loss)
     with np.errstate(over="ignore", divide="ignore"):
-        new = np.where(trust >= 0, kept * (1 - step) * trust + step, (1 + step) * trust / kept + step)
+        from_trust = kept * (1 - step) * trust + step
+        from_distrust = (1 + step) * trust / kept + step
+        new = np.where(trust >= 0, from_trust, from_distrust)
     return np.clip(new, -1.0, 1.0)
 
 
@@ -92,9 +94,11 @@ class Minhas(Stepwise):
         total = in_favour + against
         agreed = (total > 0) & (np.maximum(in_favour, against) >= (1 - self.params.consensus_margin) * total)
         at = np.flatnonzero(agreed)
-        since = np.where(new[at, 1] > 0, step + 1 - new[at, 1], 0)
+        last = new[at, 1]
+        since = np.where(last > 0, step + 1 - last, 0)
         kept = self.params.forgetting_per_s ** (since * self.dt_s)
-        new[at, 0] = experienced(new[at, 0], in_favour[at] > against[at], kept, self.params)
+        good = in_favour[at] > against[at]
+        new[at, 0] = experienced(new[at, 0], good, kept, self.params)
         new[at, 1] = step + 1
         return new
 

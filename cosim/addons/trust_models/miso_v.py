@@ -57,17 +57,20 @@ class MisoV(Stepwise):
         """Experiences after a step."""
         new = with_rows(state * self.decay(self.params.decay_per_s, n_steps), n_pairs)
         confirms, denies = rows.object_pos > rows.object_neg, rows.object_neg > rows.object_pos
-        n_for, n_against = 1 + rows.per_object(confirms.astype(float)), rows.per_object(denies.astype(float))
+        n_for = 1 + rows.per_object(confirms.astype(float))
+        n_against = rows.per_object(denies.astype(float))
         true = (n_for >= self.params.n_sources) & (n_for > n_against)
         false = (n_against >= self.params.n_sources) & (n_against > n_for)
         good = (confirms & true[rows.object]) | (denies & false[rows.object])
         bad = (confirms & false[rows.object]) | (denies & true[rows.object])
         counts = [(rows.sender, true), (rows.sender, false), (rows.by, good), (rows.by, bad)]
-        return new + np.stack([exact_sums(who, which.astype(float), len(new)) for who, which in counts], axis=1)
+        columns = [exact_sums(who, which.astype(float), len(new)) for who, which in counts]
+        return new + np.stack(columns, axis=1)
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
         """Product of the reputations as sender and as evaluator."""
         per_s = self.params.decay_per_s
         left = state * self.decay(per_s, n_steps)
-        trust = expectation(left[:, :2]) * (left[:, 2] + 1) / (left[:, 2] + left[:, 3] + 1)
+        good, bad = left[:, 2:].T
+        trust = expectation(left[:, :2]) * (good + 1) / (good + bad + 1)
         return Reading(trust, left[:, :2].sum(axis=1), None, self.horizon_s(per_s))

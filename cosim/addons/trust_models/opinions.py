@@ -70,7 +70,10 @@ def discounted_opposite(source: Float[ndarray, "... 3"], opinion: Float[ndarray,
     """
     b, d, u = np.moveaxis(source, -1, 0)
     ours, theirs, unknown = np.moveaxis(opinion, -1, 0)
-    return np.stack([b * ours + d * theirs, b * theirs + d * ours, u + (b + d) * unknown], axis=-1)
+    belief = b * ours + d * theirs
+    disbelief = b * theirs + d * ours
+    uncertainty = u + (b + d) * unknown
+    return np.stack([belief, disbelief, uncertainty], axis=-1)
 
 
 def of_evidence(evidence: Float[ndarray, "... 2"]) -> Float[ndarray, "... 3"]:

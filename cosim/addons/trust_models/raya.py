@@ -97,7 +97,8 @@ def dempster_shafer(reports: ObjectReports, weight: ndarray) -> ndarray:
     a, b = _two_sums(reports, np.log1p(-weight))
     # With p = exp(a) and q = exp(b), the masses left on "either" by all reports in favour and by all against, this is
     # (1 - p) q / (p + q - p q), divided by q, so that nothing cancels where both are small.
-    return np.abs(np.expm1(a)) / (1 - np.exp(np.minimum(a - b, _LARGE)) * np.expm1(b))
+    p_over_q = np.exp(np.minimum(a - b, _LARGE))
+    return np.abs(np.expm1(a)) / (1 - p_over_q * np.expm1(b))
 
 
 class Raya(Beta):
