@@ -113,7 +113,9 @@ class AdaptedEvidence:
 
             def attacked(rows: Rows) -> Bool[ndarray, "n"]:
                 """Whether each row is of a pseudonym that attacks in a step in which the policy lies."""
-                lie = [attacks[rows[one]] & policy.lies(rows[when], rules) for one, when in who.items()]
+                lie = []
+                for one, when in who.items():
+                    lie.append(attacks[rows[one]] & policy.lies(rows[when], rules))
                 return np.any(lie, axis=0)
 
             plain, false = getattr(self.honest, name), getattr(self.attacked, name)

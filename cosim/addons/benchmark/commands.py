@@ -56,7 +56,8 @@ def benchmark(
         if every:
             table.make(found, folder, advance)
         if model is not None:
-            mine = table.row_of(found, model, sets or [], advance, (budget or 34) if adapt else 0, seed or 0)
+            n_policies = (budget or 34) if adapt else 0
+            mine = table.row_of(found, model, sets or [], advance, n_policies, seed or 0)
     rows, remark = table.stored(found, folder)
     if as_json:
         print_json({**table.head(found), "citation": table.citation(found), "row": mine, "rows": rows})
@@ -121,7 +122,8 @@ def _of_models(rows: list[dict[str, Any]], mine: dict[str, Any] | None) -> Itera
         means = (of["auc_mean"], of["wrong_worst"], of["believed_mean"], of["age_mean_s"])
         numbers = map(_number, (*means, row["cost_us"], of["harm_worst"]))
         adapted = ("", "") if worst is None else (_cell(worst["harm"]), _cell(worst["auc"]))
-        cells.append([row["model"], _cell(row["attacks"][under]["auc"]), under, *numbers, *adapted])
+        auc = _cell(row["attacks"][under]["auc"])
+        cells.append([row["model"], auc, under, *numbers, *adapted])
     return _fitted("all models", names, cells, "" if mine is None else mine["model"])
 
 
@@ -140,7 +142,8 @@ def _fitted(title: str, names: Sequence[str], rows: Sequence[Sequence[str]], bol
             Column(names[0], no_wrap=True), *head, box=SIMPLE, title=None if n else title, title_justify="left"
         )
         for row in rows:
-            table.add_row(row[0], *(row[i] for i in chosen), style="bold" if row[0] == bold else None)
+            shown = [row[i] for i in (0, *chosen)]
+            table.add_row(*shown, style="bold" if row[0] == bold else None)
         yield table
 
 

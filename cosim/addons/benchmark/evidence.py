@@ -53,6 +53,11 @@ class EvidenceTable:
         """Names of these columns."""
         return tuple(self.columns)[: self.n_keys]
 
+    @property
+    def dtypes(self) -> dict[str, type]:
+        """Type of each column in memory."""
+        return {name: _DTYPES[column.type] for name, column in self.columns.items()}
+
 
 def _key(meaning: str) -> EvidenceColumn:
     return EvidenceColumn("int16", "", meaning)
@@ -143,23 +148,32 @@ class EvidenceRules:
     """Names of the attacks; the first is `HONEST`."""
 
 
-_RULES: Mapping[str, tuple[type | tuple[type, ...], float, float]] = {
-    "dt_s": ((int, float), 1e-3, 3600), "n_steps": (int, 1, 1 << _BITS["step"]), "start_step": (int, 0, np.inf),
-    "server_period_s": ((int, float), 1e-3, 1e6), "eta": ((int, float), -1, 1),
-    "freshness_s": ((int, float), 1e-3, 1e9),
-}  # fmt: skip
+_RULES: Mapping[str, tuple[Any, float, float]] = {
+    "dt_s": (int | float, 1e-3, 3600),
+    "n_steps": (int, 1, 1 << _BITS["step"]),
+    "start_step": (int, 0, np.inf),
+    "server_period_s": (int | float, 1e-3, 1e6),
+    "eta": (int | float, -1, 1),
+    "freshness_s": (int | float, 1e-3, 1e9),
+}
 """Type, smallest and largest value of each rule that is a number."""
 
 
 def _limits(rules: EvidenceRules, n_worlds: int) -> Mapping[str, tuple[int, int]]:
     """Smallest and largest value of each column that is no pseudonym; a column means the same in every table."""
     return {
-        "world": (0, n_worlds - 1), "case": (0, len(rules.cases) - 1), "gone": (0, 1), "attacks": (0, 1),
+        "world": (0, n_worlds - 1),
+        "case": (0, len(rules.cases) - 1),
+        "gone": (0, 1),
+        "attacks": (0, 1),
         **dict.fromkeys(("step", "detection_step", "message_step"), (0, rules.n_steps - 1)),
-        "broadcast_step": (-1, rules.n_steps - 1), "arrival_step": (-1, (1 << 15) - 1),
-        "detection_index": (0, (1 << _BITS["detection_index"]) - 1), "score": (0, 100), "evaluation": (-100, 100),
+        "broadcast_step": (-1, rules.n_steps - 1),
+        "arrival_step": (-1, (1 << 15) - 1),
+        "detection_index": (0, (1 << _BITS["detection_index"]) - 1),
+        "score": (0, 100),
+        "evaluation": (-100, 100),
         "visibility": (0, 100),
-    }  # fmt: skip
+    }
 
 
 _REFERENCES: Sequence[tuple[str, tuple[str, ...], str]] = (
@@ -264,10 +278,10 @@ def merged(name: str, rows: Rows) -> Rows:
     """The rows of a table, sorted by key, in the dtypes of the table."""
     for c in TABLES[name].keys:
         values, most = rows[c], 1 << _BITS.get(c, _PSEUDONYM_BITS)
-        assert not len(values) or 0 <= values.min() <= values.max() < most, f"{name}.{c} has more than {most} values"
+        fits = (values >= 0) & (values < most)
+        assert fits.all(), f"{name}.{c} has more than {most} values"
     order = np.argsort(packed(name, rows), kind="stable")
-    dtypes = {c: _DTYPES[column.type] for c, column in TABLES[name].columns.items()}
-    return {c: rows[c][order].astype(dtype) for c, dtype in dtypes.items()}
+    return {c: rows[c][order].astype(dtype) for c, dtype in TABLES[name].dtypes.items()}
 
 
 def taken(rows: Rows, chosen: Int[ndarray, "k"] | Bool[ndarray, "n"]) -> Rows:
@@ -286,12 +300,13 @@ def difference(name: str, base: Rows, case: Rows) -> Rows:
     at = np.minimum(np.searchsorted(old, new), max(len(old) - 1, 0))
     same = np.isin(new, old)
     for column in TABLES[name].columns:
-        same[same] = base[column][at[same]] == case[column][same]
+        was, now = base[column][at[same]], case[column][same]
+        same[same] = was == now
     came, gone = ~same, ~np.isin(old, new)
     changed = {c: case[c][came] for c in TABLES[name].columns}
     rows = joined([changed, taken(base, gone)])
     order = np.argsort(packed(name, rows), kind="stable")
-    flag = np.repeat(np.array([0, 1], np.int8), [came.sum(), gone.sum()])
+    flag = np.array([0, 1], np.int8).repeat([came.sum(), gone.sum()])
     return {"gone": flag[order], **taken(rows, order)}
 
 
@@ -311,8 +326,12 @@ def assembled(
             if case:
                 changed = difference(name, getattr(base, name), changed)
             n = len(next(iter(changed.values())))
-            place = {"world": np.full(n, world, np.int8), "case": np.full(n, case, np.int8)}
-            parts[name].append({**place, "gone": np.zeros(n, np.int8), **changed})
+            place = {
+                "world": np.full(n, world, np.int8),
+                "case": np.full(n, case, np.int8),
+                "gone": np.zeros(n, np.int8),
+            }
+            parts[name].append({**place, **changed})
     return EvidenceSet(version, rules, worlds, {name: joined(of) for name, of in parts.items()})
 
 
@@ -359,7 +378,8 @@ def _rules(about: Any) -> EvidenceRules:
     cases = about["cases"]
     if not isinstance(cases, list) or not all(isinstance(name, str) and name for name in cases):
         raise ValueError("cases should be names of attacks")
-    if cases[:1] != [HONEST] or len(set(cases)) < len(cases) or len(cases) > _MOST_NUMBERS:
+    are_different = len(set(cases)) == len(cases)
+    if cases[:1] != [HONEST] or not are_different or len(cases) > _MOST_NUMBERS:
         raise ValueError(f"cases should be {HONEST!r} and up to {_MOST_NUMBERS - 1} attacks, each once")
     for name, (kind, least, most) in _RULES.items():
         value = about[name]
@@ -381,7 +401,7 @@ def _place(number: int, about: Any) -> EvidencePlace:
 def _read(folder: Path, name: str) -> Rows:
     """The columns of a table, and no others. What a file says of its size is checked before it is read."""
     wanted: dict[str, type] = {"world": np.int8, "case": np.int8, "gone": np.int8}
-    wanted |= {c: _DTYPES[column.type] for c, column in TABLES[name].columns.items()}
+    wanted |= TABLES[name].dtypes
     with open_regular(folder / f"{name}.parquet") as opened:
         content = opened.read(_MOST_FILE_BYTES + 1)
     if len(content) > _MOST_FILE_BYTES:
@@ -393,10 +413,11 @@ def _read(folder: Path, name: str) -> Rows:
         for column, dtype in wanted.items():
             if schema.field(column).type != pa.from_numpy_dtype(dtype):
                 raise ValueError(f"{name}.{column} has the type {schema.field(column).type}")
-        chunks = (
-            about.row_group(g).column(c) for g in range(about.num_row_groups) for c in range(about.num_columns)
-        )  # fmt: skip
-        n_bytes = sum(chunk.total_uncompressed_size for chunk in chunks if chunk.path_in_schema in wanted)
+        n_bytes = 0
+        for number in range(about.num_row_groups):
+            group = about.row_group(number)
+            chunks = [group.column(place) for place in range(about.num_columns)]
+            n_bytes += sum(chunk.total_uncompressed_size for chunk in chunks if chunk.path_in_schema in wanted)
         if n_bytes > len(wanted) * (about.num_rows + 1000) * _MOST_BYTES_OF_ROW:
             raise ValueError(f"{name} has {n_bytes:,} bytes for {about.num_rows:,} rows")
         table = file.read(columns=list(wanted), use_threads=False)
@@ -421,7 +442,8 @@ def _check(found: EvidenceSet) -> None:
     for name, rows in found.tables.items():
         for column, values in rows.items():
             least, most = limits.get(column, (0, MOST_PSEUDONYMS - 1))
-            _refuse(name, rows, (values < least) | (values > most), f"{column} should be {least} to {most}")
+            odd = (values < least) | (values > most)
+            _refuse(name, rows, odd, f"{column} should be {least} to {most}")
         of = rows["world"].astype(np.int64) << 8 | rows["case"]
         key, same = packed(name, rows), np.diff(of) == 0
         unsorted = (np.diff(of) < 0) | (same & (np.diff(key) <= 0))

@@ -30,7 +30,8 @@ class Candidate:
     def new(self, dt_s: float) -> Any:
         """A new model. Every call of a user's own is checked."""
         v = self.variant
-        made = (v.make or v.model)(v.trust if v.own is None else v.own, dt_s)
+        make = v.make or v.model
+        made = make(v.trust if v.own is None else v.own, dt_s)
         return made if v.guard is None else v.guard(made)
 
 
@@ -56,7 +57,8 @@ def candidate(name: str, sets: Sequence[str], rules: EvidenceRules) -> Candidate
     config = resolve_data({"trust": given | data, "attacks": [], "encounters": [{}]}, "--set", None)
     check_choices(config)
     variant = variants(config)[0]
-    known = {f.name for f in fields(getattr(variant.model, "Params", None) or type(config.trust))} | {"host"}
+    params = getattr(variant.model, "Params", None) or type(config.trust)
+    known = {f.name for f in fields(params)} | {"host"}
     if strange := sorted(data.keys() - known):
         raise ValueError(f"--set {strange[0]}: this key has no effect on recorded evidence. Leave it out.")
     if variant.trust.host == "none":
@@ -103,7 +105,9 @@ class Script:
             own = np.arange(len(messages.evaluator))
             received.append(_received(messages, messages.evaluator, own, rules))
             here = slice(first[step], first[step + 1])
-            holder, sender, of_step = (asked[c][here].astype(np.int64) for c in ("receiver", "sender", "message_step"))
+            holder = asked["receiver"][here].astype(np.int64)
+            sender = asked["sender"][here].astype(np.int64)
+            of_step = asked["message_step"][here].astype(np.int64)
             for earlier in np.unique(of_step).tolist():
                 heard = np.flatnonzero(of_step == earlier)
                 of_sender = np.searchsorted(sent[earlier].evaluator, sender[heard])
@@ -141,9 +145,11 @@ def _opened(stream: EvidenceStream, rules: EvidenceRules) -> list[tuple[int, nda
     of = np.searchsorted(evaluations["detection_step"][order], np.arange(rules.n_steps + 1))
     for step in range(rules.n_steps):
         here = slice(begins[step], begins[step + 1])
-        observer, evaluator = rows["observer"][here], evaluators[of[step] : of[step + 1]]
+        observer = rows["observer"][here]
+        evaluator = evaluators[of[step] : of[step + 1]]
         who = np.union1d(observer, evaluator).astype(np.int64)
-        index, score = rows["detection_index"][here].astype(np.int64), rows["score"][here] / 100
+        index = rows["detection_index"][here].astype(np.int64)
+        score = rows["score"][here] / 100
         found.append((step, who, np.searchsorted(who, observer), index, score))
     return found
 
@@ -151,16 +157,19 @@ def _opened(stream: EvidenceStream, rules: EvidenceRules) -> list[tuple[int, nda
 def _messages(stream: EvidenceStream, rules: EvidenceRules) -> list[EvaluationMessages]:
     rows, reports, found = stream.evaluations, stream.reports, []
     steps = np.arange(rules.n_steps + 1)
-    begins, of = np.searchsorted(rows["step"], steps), np.searchsorted(reports["step"], steps)
+    begins = np.searchsorted(rows["step"], steps)
+    of = np.searchsorted(reports["step"], steps)
     for step in range(rules.n_steps):
         here = slice(begins[step], begins[step + 1])
-        evaluator = reports["evaluator"][of[step] : of[step + 1]].astype(np.int64)
+        senders = slice(of[step], of[step + 1])
+        evaluator = reports["evaluator"][senders].astype(np.int64)
         by = rows["evaluator"][here].astype(np.int64)
         ptr = np.append(np.searchsorted(by, evaluator), len(by))
         observer, index, of_step = (
             rows[name][here].astype(np.int64) for name in ("observer", "detection_index", "detection_step")
         )
-        value, visibility = rows["evaluation"][here] / 100, rows["visibility"][here] / 100
+        value = rows["evaluation"][here] / 100
+        visibility = rows["visibility"][here] / 100
         found.append(EvaluationMessages(step, evaluator, ptr, observer, index, value, visibility, of_step))
     return found
 
@@ -202,7 +211,8 @@ def play(script: Script, candidate: Candidate) -> ModelAnswers:
                 model.add_evaluations(received)
                 n += len(received)
             rows = np.arange(script.first[step], script.first[step + 1])
-            _fill(trust, age_s, asked, rows, model.scores(step), asked["receiver"][rows], script.dt_s)
+            scores, holder = model.scores(step), asked["receiver"][rows]
+            _fill(trust, age_s, asked, rows, scores, holder, script.dt_s)
     cost_s = process_time() - begin_s
     for step, scores in published.items():
         rows = np.flatnonzero(asked["broadcast_step"] == step)
@@ -215,8 +225,10 @@ def _fill(
     dt_s: float,
 ) -> None:  # fmt: skip
     """Write the values of these look-ups that rest on an evaluation."""
-    at, known = scores.rows_of(holder.astype(np.int64), asked["sender"][rows].astype(np.int64))
+    sender = asked["sender"][rows].astype(np.int64)
+    at, known = scores.rows_of(holder.astype(np.int64), sender)
     at, rows = at[known], rows[known]
-    at, rows = at[(evaluated := scores.is_evaluated[at])], rows[evaluated]
+    is_evaluated = scores.is_evaluated[at]
+    at, rows = at[is_evaluated], rows[is_evaluated]
     trust[rows] = scores.trust[at]
     age_s[rows] = (asked["step"][rows] - scores.newest_evaluation_step[at]) * dt_s

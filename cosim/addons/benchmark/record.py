@@ -179,17 +179,23 @@ def _arrivals(reports: Rows, evaluations: Rows, tape: Tape) -> Int[ndarray, "m"]
     """
     arrived = joined(tape.arrived)
     names = ("evaluator", "observer")
-    known = np.unique(np.concatenate([rows[name] for rows in (arrived, evaluations) for name in names]))
+    pseudonyms = [rows[name] for rows in (arrived, evaluations) for name in names]
+    known = np.unique(np.concatenate(pseudonyms))
+    n = len(known)
 
     def about(rows: Rows) -> Int[ndarray, "n"]:
         by, of = (np.searchsorted(known, rows[name]) for name in names)
-        return (rows["detection_step"].astype(np.int64) * len(known) + by) * len(known) + of
+        step = rows["detection_step"].astype(np.int64)
+        return (step * n + by) * n + of
+
+    def message_of(rows: Rows) -> Int[ndarray, "n"]:
+        return rows["step"].astype(np.int64) << 32 | rows["evaluator"]
 
     code, first = np.unique(about(arrived), return_index=True)
     asked = about(evaluations)
     at = np.minimum(np.searchsorted(code, asked), len(code) - 1)
     there = np.flatnonzero(code[at] == asked)
-    message, of_row = (t["step"].astype(np.int64) << 32 | t["evaluator"] for t in (reports, evaluations))
+    message, of_row = message_of(reports), message_of(evaluations)
     by_message = np.argsort(message)
     found = np.full(len(message), -1)
     row = by_message[np.searchsorted(message[by_message], of_row[there])]
@@ -203,7 +209,8 @@ def _rows(sensed: Sensed, world: World, broadcast: Int[ndarray, "capacity"]) -> 
     says = np.flatnonzero(sent.visibility > 0)
     by = np.repeat(sent.evaluator, np.diff(sent.ptr))[says]
     of = np.full(len(says), world.step) if sent.detection_step is None else sent.detection_step[says]
-    receiver, vehicle = sensed.sensing.actor[used.receiver], sensed.vehicles.actor[senders.vehicle]
+    receiver = sensed.sensing.actor[used.receiver]
+    vehicle = sensed.vehicles.actor[senders.vehicle]
     attack = np.zeros(int(world.actor.max()) + 1, bool)
     attack[world.actor] = world.attack > 0
     found = {
@@ -240,7 +247,10 @@ def numbered(tables: list[dict[str, Rows]]) -> list[EvidenceStream]:
     def renamed(rows: Rows) -> Rows:
         return {c: np.searchsorted(known, values) if c in names else values for c, values in rows.items()}
 
-    return [EvidenceStream(**{name: merged(name, renamed(rows)) for name, rows in of.items()}) for of in tables]
+    streams = []
+    for of in tables:
+        streams.append(EvidenceStream(**{name: merged(name, renamed(rows)) for name, rows in of.items()}))
+    return streams
 
 
 def config_of(place: EvidencePlace, rules: EvidenceRules, attack: str) -> Config:
@@ -269,14 +279,18 @@ def simulated(configs: Sequence[Config], label: str, advance: Advance) -> list[C
         Called with progress.
     """
     config = configs[0]
-    scenario, n_steps = check(config), round(config.traffic.duration_s / config.traffic.step_s)
+    scenario = check(config)
+    n_steps = round(config.traffic.duration_s / config.traffic.step_s)
     base, _, traffic = running.load_parts(config, scenario)
     assert isinstance(base.perception, Perception)
     shared = _Shared(base.perception)
     harmless: Any = (_Harmless(),)  # an attack may leave any hook out
     parts = [replace(base, adversary=replace(base.adversary, attacks=harmless))]
     parts += [base.under(one) for one in configs]
-    cases = [Case(of, State.start(of)) for of in (replace(one, perception=shared) for one in parts)]
+    cases = []
+    for one in parts:
+        of_case = replace(one, perception=shared)
+        cases.append(Case(of_case, State.start(of_case)))
     try:
         warm_up(running.warmup_of(config, scenario), traffic, base.watch, lambda *_: None)
         for number in range(n_steps):

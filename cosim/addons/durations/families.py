@@ -11,6 +11,9 @@ from scipy import special, stats
 Free = Float[ndarray, "k"]
 """Parameters without bounds, in which the likelihood is maximised and intervals are symmetric."""
 
+Values = Float[ndarray, "n"]
+"""Durations [s], or probabilities."""
+
 _LARGEST_LOG = 300.0
 """Largest logarithm of a ratio of means. Beyond it, products of means and of durations overflow."""
 
@@ -25,12 +28,12 @@ class Family:
     label: str
     parameters: tuple[str, ...]
     """Names, with units as suffix; in the order of the free parameters, one to one and increasing in each."""
-    log_sf: Callable[[Float[ndarray, "n"], Free], Float[ndarray, "n"]]
+    log_sf: Callable[[Values, Free], Values]
     natural: Callable[[Free], Float[ndarray, "k"]]
     """Parameters in their own units from the free ones, each from the one in its place."""
     starts: Callable[[float, float], list[Free]]
     """Where to begin, from the median and the mean of durations."""
-    draw: Callable[[Free, Float[ndarray, "n"]], Float[ndarray, "n"]]
+    draw: Callable[[Free, Values], Values]
     """Durations at these survival probabilities (inverse of the survival function)."""
 
 
@@ -74,7 +77,8 @@ def _generalised_pareto() -> Family:
         if abs(free[0]) < 1e-9:
             return -ratio
         with np.errstate(divide="ignore"):
-            return -np.log1p(np.maximum(free[0] * ratio, -1.0)) / free[0]
+            scaled = np.maximum(free[0] * ratio, -1.0)
+            return -np.log1p(scaled) / free[0]
 
     return Family(
         "generalised Pareto", ("shape", "scale_s"),
@@ -90,7 +94,8 @@ def _hyper_exponential() -> Family:
 
     def natural(free: Free) -> Float[ndarray, "3"]:
         ratio = np.exp(np.minimum(free[2], _LARGEST_LOG))  # a search may try means that no number can hold
-        return np.array([special.expit(free[0]), np.exp(free[1]), 1 + ratio])
+        short_share, short_s = special.expit(free[0]), np.exp(free[1])
+        return np.array([short_share, short_s, 1 + ratio])
 
     def log_sf(x: Float[ndarray, "n"], free: Free) -> Float[ndarray, "n"]:
         _, short_s, ratio = natural(free)
@@ -112,7 +117,10 @@ def _hyper_exponential() -> Family:
 
     def starts(median_s: float, mean_s: float) -> list[Free]:
         tried = ((0.0, median_s / 2, 4.0), (1.0, mean_s / 2, 5.0), (-1.0, median_s / 4, 8.0))
-        return [np.array([share, np.log(short_s), np.log(ratio)]) for share, short_s, ratio in tried]
+        found = []
+        for share, short_s, ratio in tried:
+            found.append(np.array([share, np.log(short_s), np.log(ratio)]))
+        return found
 
     return Family(
         "hyper-exponential", ("short_share", "short_mean_s", "ratio_of_means"),

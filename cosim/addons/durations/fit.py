@@ -123,7 +123,8 @@ class Fit:
         others = np.delete(np.arange(k), i)
         slope = self.independent[others, i] / self.independent[i, i]  # of the others along the profile
         freedom = pairs - k
-        half = stats.t.ppf((1 + level) / 2, freedom) * math.sqrt(variance * pairs / freedom)
+        quantile = stats.t.ppf((1 + level) / 2, freedom)
+        half = quantile * math.sqrt(variance * pairs / freedom)
         fall = half**2 / self.independent[i, i] / 2
 
         def beyond(away: float) -> float:
@@ -189,7 +190,8 @@ def log_counted(family: Family, free: Free, edges_s: Float[ndarray, "e"], step_s
     for (rows, (_, weight)), points, values in zip(rules, at, each, strict=True):
         values = values.reshape(points.shape)
         most = np.where(np.isfinite(values[0]), values[0], 0.0)  # at the first point, beyond which fewer are left
-        logs[rows] = most + np.log(weight / 2 @ np.exp(values - most))
+        mean = weight / 2 @ np.exp(values - most)
+        logs[rows] = most + np.log(mean)
     return logs
 
 
@@ -234,7 +236,8 @@ def fit(sample: Durations, name: str) -> Fit:
     low_s, high_s = distinct.low_s, distinct.high_s
     middle = np.where(np.isinf(high_s), low_s, (low_s + high_s) / 2)
     order = np.argsort(middle)
-    half = np.searchsorted(np.cumsum(distinct.n[order]), distinct.n.sum() / 2)
+    n_up_to = np.cumsum(distinct.n[order])
+    half = np.searchsorted(n_up_to, distinct.n.sum() / 2)
     median_s = float(middle[order][half])
     # Total time over observed ends: the estimate of the mean if the distribution is exponential.
     mean_s = float(distinct.n @ (middle - distinct.entry_s)) / n_ended
@@ -291,12 +294,14 @@ def _covariances(
     hessian = np.empty((k, k))
     for i in range(k):
         for j in range(i + 1):
-            both, apart = steps[i] + steps[j], steps[i] - steps[j]
+            both = steps[i] + steps[j]
+            apart = steps[i] - steps[j]
             second = at(both) - at(apart) - at(-apart) + at(-both)
             curvature = float(rows.n @ second) / (4 * _STEP**2)
             hessian[i, j] = hessian[j, i] = curvature
     # Where a parameter says nothing (two equal means), its curvature is the rounding of a sum of logarithms.
-    noise = 1e-15 * abs(float(rows.n @ at(np.zeros(k)))) / _STEP**2
+    log_likelihood = float(rows.n @ at(np.zeros(k)))
+    noise = 1e-15 * abs(log_likelihood) / _STEP**2
     if not np.isfinite(hessian).all() or not np.isfinite(scores).all():
         return unknown, unknown
     if np.linalg.eigvalsh(-hessian).min() <= max(1e-3, noise):

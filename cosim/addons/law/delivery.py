@@ -12,7 +12,7 @@ from scipy.special import gammainc
 
 from cosim.base import rng
 from cosim.base.codes import ObjectClass
-from cosim.base.ragged import owner_of_rows
+from cosim.base.ragged import owner_of_rows, rows_of
 from cosim.config.config import Config
 from cosim.messages import etsi
 from cosim.messages.cellular import CellularParams
@@ -88,7 +88,8 @@ class Load:
         """
         p = links.delivered_p(length_bytes)
         length = np.where(length_bytes > 0, _whole(length_bytes), 0)
-        many = np.minimum(np.log2(segments(length)[0]), _LENGTHS - 1).astype(np.int64)
+        n_frames, _ = segments(length)
+        many = np.minimum(np.log2(n_frames), _LENGTHS - 1).astype(np.int64)
         of = links.crowd * _LENGTHS + many[links.sender]
         if number % _SAMPLE_EVERY < _SAMPLE_STEPS:
             self.state, happened = self.medium.broadcast(
@@ -107,11 +108,10 @@ class Load:
         key = links.sender * n + links.receiver
         order = np.argsort(key, kind="stable")
         there = got.message * n + got.receiver  # one message per station: message and sender are the same row
-        ordered = key[order]
-        at = np.minimum(np.searchsorted(ordered, there), max(len(order) - 1, 0))
-        at = order[at[ordered[at] == there]] if len(order) else at[:0]
-        self.received[kind] += np.bincount(of[at], minlength=self.received.shape[1])
-        self.expected[kind] += np.bincount(of, p, self.expected.shape[1])
+        at, is_link = rows_of(there, key[order])
+        link = order[at[is_link]]
+        self.received[kind] += np.bincount(of[link], minlength=_CLASSES)
+        self.expected[kind] += np.bincount(of, p, _CLASSES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +143,8 @@ class Delivery:
         stations = stations_of(world, row, NO_RSUS, self.params.antenna_above_roof_m)
         sends = np.ones(len(row), bool) if sends is None else sends
         if self.params.model == "unit_disk":
-            sender, receiver, _ = link_budget.neighbours(stations.xyz_m[:, :2], self.params.range_m)
+            xy_m = stations.xyz_m[:, :2]
+            sender, receiver, _ = link_budget.neighbours(xy_m, self.params.range_m)
             sender, receiver = sender[sends[sender]], receiver[sends[sender]]
             p = np.full(len(sender), 1.0 - self.params.unit_disk.loss_p)
             return LinkPairs(sender, receiver, lambda length: p, np.zeros(len(sender), np.int64), stations)
@@ -175,8 +176,10 @@ class Delivery:
             return frame ** n[sender]
 
         heard = np.bincount(receiver, minlength=len(stations))[receiver]
-        strength = np.clip((power_dbm - detectable_dbm) / _POWER_DB + 2, 0, _POWERS - 1).astype(np.int64)
-        crowd = np.minimum(np.log2(np.maximum(heard, 1)), _CROWDS - 1).astype(np.int64)
+        level = (power_dbm - detectable_dbm) / _POWER_DB + 2
+        strength = np.clip(level, 0, _POWERS - 1).astype(np.int64)
+        doublings = np.log2(np.maximum(heard, 1))
+        crowd = np.minimum(doublings, _CROWDS - 1).astype(np.int64)
         return LinkPairs(sender, receiver, delivered_p, strength * _CROWDS + crowd, stations)
 
 
@@ -228,7 +231,8 @@ def received_p(
     size = np.clip(length_bytes / 64, 0, table.shape[1] - 1).astype(np.int64)
     i = level.astype(np.int64)
     t = level - i
-    below, above = table[fading, size, i], table[fading, size, i + 1]
+    below = table[fading, size, i]
+    above = table[fading, size, i + 1]
     return (1 - t) * below + t * above
 
 
@@ -247,7 +251,8 @@ def _success(params: ReceiverParams) -> tuple[float, Float[ndarray, "classes len
         errors = np.exp(np.minimum((x0 - snr_db) / w, 50.0)) / 336.0
         detected = dbm >= params.detectable_dbm
         for k, length in enumerate(lengths):
-            table[fading, k] = np.mean(detected * np.exp(-length * errors), axis=1)
+            received = detected * np.exp(-length * errors)
+            table[fading, k] = np.mean(received, axis=1)
     return low, table
 
 

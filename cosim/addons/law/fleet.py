@@ -27,6 +27,9 @@ from results.encounters import EncounterTracker
 from sensors.line_of_sight import LosOfPlaces
 from sensors.scene import Shape
 
+Values = dict[str, float]
+"""Numbers by name."""
+
 _ARRIVED = 1e-4
 """Evidence counts as arrived when its chance to arrive later is below this."""
 _MOST_LAGS = 20
@@ -181,6 +184,7 @@ class Fleet:
         actor, n = world.actor[row], len(row)
         senses = self.schedule.senses(world.step, world.name_key[row])
         mine = np.flatnonzero(senses)
+        sender = actor[mine]
         views = self.sensing.views(world, row[mine])
         links = self.delivery.links(world, row, senses)
         self.sweeps = self.sweeps.then(views, world.actor, step, actor)
@@ -190,9 +194,11 @@ class Fleet:
         length_bytes = np.zeros(n)
         length_bytes[mine] = expected_cpm_bytes(config.cpm, n_self + views.n_listed)
         told_p = self.load.delivered_p(RoundKind.CPM, step, begin_s, links, length_bytes)
-        self.cpms = self.cpms.then(self._received(world, row, links, told_p), actor[mine], actor)
-        told = self.cpms.by(actor[mine])
-        s, v = np.searchsorted(subjects, told.sender), np.searchsorted(subjects, told.receiver)
+        newest = self._received(world, row, links, told_p)
+        self.cpms = self.cpms.then(newest, sender, actor)
+        told = self.cpms.by(sender)
+        s = np.searchsorted(subjects, told.sender)
+        v = np.searchsorted(subjects, told.receiver)
         found = chances(self.sweeps.views, s, v, config.trust.self_reports)
         evaluated_p = told.p * (1.0 - found.none_p)
         receiver = np.searchsorted(actor, told.receiver)
@@ -200,9 +206,10 @@ class Fleet:
         length_bytes[mine] = evaluation_bytes(n_self + views.n_listed + n_received)  # type: ignore[arg-type]  # expected lengths
         begin_s += config.round_s
         heard_p = self.load.delivered_p(RoundKind.EVALUATION, step, begin_s, links, length_bytes)
-        self.reports = self.reports.then(self._received(world, row, links, heard_p), actor[mine], actor)
+        newest = self._received(world, row, links, heard_p)
+        self.reports = self.reports.then(newest, sender, actor)
         self._evaluate(subjects, subject_step, s, told.receiver, evaluated_p)
-        self._look_up(subjects, subject_step, self.reports.by(actor[mine]))
+        self._look_up(subjects, subject_step, self.reports.by(sender))
         for name, value in (
             ("equipped", n), ("sweeps", len(mine)), ("links", len(told_p)), ("delivered", told_p.sum()),
             ("evaluators", evaluated_p.sum()),
@@ -212,9 +219,10 @@ class Fleet:
     def _received(
         self, world: World, row: Int[ndarray, "v"], links: LinkPairs, p: Float[ndarray, "p"]
     ) -> NewestReceived:
-        actor, xy_m = world.actor[row], world.boxes.xyz_m[row, :2]
-        apart_m = np.hypot(*(xy_m[links.sender] - xy_m[links.receiver]).T)
-        return NewestReceived(actor[links.sender], actor[links.receiver], p, apart_m)
+        sender, receiver = row[links.sender], row[links.receiver]
+        xy_m = world.boxes.xyz_m[:, :2]
+        between_m = xy_m[sender] - xy_m[receiver]
+        return NewestReceived(world.actor[sender], world.actor[receiver], p, np.hypot(*between_m.T))
 
     def _evaluate(
         self,
@@ -238,7 +246,8 @@ class Fleet:
         of = s[kept]
         reported_p = evaluated_p[kept] * self.arrived_p[-1]
         made = np.full(len(kept), self.step)
-        self.pairs.append((subjects[of], evaluator[kept], subject_step[of], made, _log_not(reported_p)))
+        log_none_of_pair = _log_not(reported_p)
+        self.pairs.append((subjects[of], evaluator[kept], subject_step[of], made, log_none_of_pair))
 
     def _look_up(self, subjects: Int[ndarray, "e"], subject_step: Int[ndarray, "e"], heard: NewestReceived) -> None:
         """Add the lookups of this step: by the receivers of these messages, about their senders."""
@@ -247,8 +256,10 @@ class Fleet:
         self.asked.append((subjects, subject_step, np.bincount(subject, heard.p, n)))
         radius_m = config.encounters[0].radius_m if config.encounters else 0.0
         near = np.flatnonzero(heard.apart_m <= _MEETING * radius_m)
-        pair = heard.receiver[near].astype(np.int64) << 32 | heard.sender[near]
-        self.heard.append((pair, np.full(len(near), step), _log_not(heard.p[near])))
+        holder = heard.receiver[near].astype(np.int64)
+        pair = holder << 32 | heard.sender[near]
+        log_missed = _log_not(heard.p[near])
+        self.heard.append((pair, np.full(len(near), step), log_missed))
         server, at_s = config.server.cellular, 2 * config.round_s
         for period_s, gate in self.gates.items():
             gate.open(step)
@@ -257,10 +268,11 @@ class Fleet:
             received_p = arrival_p(ages_s, server.downlink_loss_p, 0, server)
             looks, none = law.expected_lookups(subject, held, heard.p, n, publications, received_p)
             rows = self.looks.setdefault(period_s, [])
+            now = np.full(n, step)
             for i in range(0, len(publications), self.n_followed):
                 some = slice(i, i + self.n_followed)
                 found_none = none if i == 0 else np.zeros_like(none)
-                rows.append((np.full(n, step), subjects, publications[some], looks[:, some], found_none))
+                rows.append((now, subjects, publications[some], looks[:, some], found_none))
 
     def _held(
         self, holder: Int[ndarray, "p"], gate: law.PublishingSteps
@@ -281,7 +293,7 @@ class Fleet:
                 return publications, held & (np.cumsum(held, axis=1) <= self.n_followed)
             n += self.n_followed
 
-    def predictions(self, n_draws: int) -> tuple[list[Prediction], list[list[dict[str, float]]], dict[str, float]]:
+    def predictions(self, n_draws: int) -> tuple[list[Prediction], list[list[Values]], Values]:
         """The predictions for all servers, the metrics of runs drawn from them, and measured inputs by name.
 
         Raises
@@ -300,7 +312,8 @@ class Fleet:
                 "there is nothing to predict. Raise it, or traffic.duration_s."
             )
         actors = np.unique(np.concatenate(self.on_road) >> 32)
-        log_none = np.zeros((len(self.evidence[0][2]), len(actors), self.step))
+        n_lags = len(self.evidence[0][2])
+        log_none = np.zeros((n_lags, len(actors), self.step))
         sent, asked = np.zeros((2, len(actors), self.step))
         for actor, step, values in self.evidence:
             row = np.searchsorted(actors, actor)
@@ -321,7 +334,7 @@ class Fleet:
         loss_p = self.config.server.cellular.downlink_loss_p
         servers = [(of, self.gates[of.period_s], looks.get(of.period_s)) for of in self.servers]
         made = [predicted(of, self.config, found, gate, looked) for of, gate, looked in servers]
-        runs: list[list[dict[str, float]]] = [[] for _ in servers]
+        runs: list[list[Values]] = [[] for _ in servers]
         random = np.random.default_rng(self.config.seed)
         for _ in range(n_draws):
             run = drawn(found, self.arrived_p, random)
@@ -334,7 +347,7 @@ class Fleet:
         """Steps from an evaluation's sweep after which most reports are at the server."""
         return 1 + int(np.argmax(self.arrived_p >= 0.5 * self.arrived_p[-1]))
 
-    def _inputs(self, company: Company, lookups: float) -> dict[str, float]:
+    def _inputs(self, company: Company, lookups: float) -> Values:
         got = self.inputs
         sweeps, links = max(got["sweeps"], 1e-12), max(got["links"], 1e-12)
         return {
@@ -353,38 +366,43 @@ class Fleet:
 
     def _looks_of(self, rows: list[tuple[ndarray, ...]], actors: ndarray) -> law.ExpectedLookups:
         step, actor, publications, n, none = zip(*rows, strict=True)
-        repeated = [np.tile(p, (len(a), 1)) for p, a in zip(publications, actor, strict=True)]
+        repeated = []
+        for published, subjects in zip(publications, actor, strict=True):
+            repeated.append(np.tile(published, (len(subjects), 1)))
         subject = np.searchsorted(actors, np.concatenate(actor))
         return law.ExpectedLookups(
             subject, np.concatenate(step), np.concatenate(repeated), np.concatenate(n), np.concatenate(none)
         )
 
     def _pair_steps(self, actors: ndarray) -> tuple[law.PairSteps, Int[ndarray, "k"]]:
-        subject, evaluator, step, made, log_none = (np.concatenate(c) for c in zip(*self.pairs, strict=True))
+        subject, evaluator, step, made, log_none = map(np.concatenate, zip(*self.pairs, strict=True))
         keys, pair = np.unique(subject.astype(np.int64) << 32 | evaluator, return_inverse=True)
         subjects = np.searchsorted(actors, keys >> 32)
         return law.PairSteps(step, made, subjects[pair], pair.reshape(-1), log_none), subjects
 
     def _meetings(self, actors: ndarray) -> law.Encounters:
         """Encounters by the first definition of the config, those that are still open included."""
+        none = np.zeros(0, np.int64)
         if not self.trackers:
-            none = np.zeros(0, np.int64)
             chances, on_road = np.zeros(0), np.zeros((0, 0), bool)
             return law.Encounters(*(none,) * 7, chances, none, on_road)
-        rows = self.met + [tracker.close(self.last_step + 1) for tracker in self.trackers[:1]]
-        a, b, start, end = (
-            np.concatenate([np.zeros(0, np.int64), *(one[name] for one in rows)]).astype(np.int64)
-            for name in ("a", "b", "start_step", "end_step")
-        )
+        still_open = self.trackers[0].close(self.last_step + 1)
+
+        def column(name: str) -> Int[ndarray, "e"]:
+            parts = [rows[name] for rows in (*self.met, still_open)]
+            return np.concatenate([none, *parts]).astype(np.int64)
+
+        a, b, start, end = map(column, ("a", "b", "start_step", "end_step"))
         both = np.isin(a, actors) & np.isin(b, actors)
         a, b = a[both], b[both]
         every = self.schedule.exchange_every_steps
-        start, end = (np.tile(-(-steps[both] // every), 2) for steps in (start, end))
-        holder, other = np.concatenate([a, b]), np.concatenate([b, a])
+        start = np.tile(-(-start[both] // every), 2)
+        end = np.tile(-(-end[both] // every), 2)
+        holder, other = np.append(a, b), np.append(b, a)
         visits = np.full((len(actors), self.step), -1)
         for k, there in enumerate(self.on_road):
             visits[np.searchsorted(actors, there >> 32), k] = there & 0xFFFFFFFF
-        keys, steps, log_missed = (np.concatenate(c) for c in zip(*self.heard, strict=True))
+        keys, steps, log_missed = map(np.concatenate, zip(*self.heard, strict=True))
         order = np.lexsort((steps, keys))
         pairs = holder << 32 | other
         first, stop = (np.searchsorted(keys[order], pairs, side) for side in ("left", "right"))

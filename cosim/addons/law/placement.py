@@ -145,7 +145,7 @@ class _Sights:
 
     def coverage(self) -> SiteCoverage:
         """All of it, by site."""
-        c, element, young = (np.concatenate(column) for column in zip(*self.rows, strict=True))
+        c, element, young = map(np.concatenate, zip(*self.rows, strict=True))
         order = np.argsort(c, kind="stable")
         ptr = np.searchsorted(c[order], np.arange(len(self.site_m) + 1))
         return SiteCoverage(ptr, element[order], young[order], np.concatenate(self.weight), self.cap)
@@ -175,7 +175,8 @@ def observe(config: Config, height_m: float, advance: Advance) -> tuple[list[Jun
     if scenario.net is None:
         raise ValueError("cosim place needs the junctions of a network: name a city or a network in traffic.scenario.")
     found, every = list(junctions(scenario.net).junctions), config.sense_every_steps
-    site_m = np.array([j.xyz_m for j in found]).reshape(-1, 3) - [*scenario.origin_m, -height_m]
+    junctions_m = np.array([junction.xyz_m for junction in found]).reshape(-1, 3)
+    site_m = junctions_m - [*scenario.origin_m, -height_m]
     steps = -(-config.n_steps // every)
     window_s = config.trust.freshness_s
     cap = steps if window_s == "off" else min(steps, max(1, round(window_s / config.sensing_interval_s)))
