@@ -111,7 +111,10 @@ def evaluate(
         raise ValueError(f"--objects {objects} goes with the layout opv2v. Leave it out.")
     if found == "kitti":
         return _kitti(kitti_folder.read(folder, detections))
-    data = opv2v.read(folder, detections, ego, objects) if found == "opv2v" else dair.read(folder, detections, ego)
+    if found == "opv2v":
+        data = opv2v.read(folder, detections, ego, objects)
+    else:
+        data = dair.read(folder, detections, ego)
     return _evaluated(data, range_m, partners_m, overlaps)
 
 
@@ -121,10 +124,15 @@ def _evaluated(
     _check_density(data.frames, data.truth, data.found)
     truth, agents = _without_agents(data)
     about: dict[str, Any] = {
-        "layout": data.layout, "frames": len(data.frames), "agents": sum(map(len, data.agents)),
-        "objects": len(truth), "boxes": len(data.found), "egos": Counter(names[0] for names in data.agents),
-        "classes": _by_class(data.classes), "remarks": list(data.remarks),
-    }  # fmt: skip
+        "layout": data.layout,
+        "frames": len(data.frames),
+        "agents": sum(map(len, data.agents)),
+        "objects": len(truth),
+        "boxes": len(data.found),
+        "egos": Counter(names[0] for names in data.agents),
+        "classes": _by_class(data.classes),
+        "remarks": list(data.remarks),
+    }
     n_objects = len(truth)
     truth = _take(truth, _within(data, truth, range_m))
     counts = truth.label == "car" if not data.has_classes else np.ones(len(truth), bool)
@@ -214,7 +222,8 @@ def _check_density(frames: Sequence[str], truth: RecordedBoxes, found: RecordedB
     if not len(both):
         return
     xy_m = both.box[:, :2]
-    reach = float(np.hypot(both.box[:, 3], both.box[:, 4]).max(initial=0.0))
+    diagonal = np.hypot(both.box[:, 3], both.box[:, 4])
+    reach = float(diagonal.max(initial=0.0))
     apart = 2.0 * reach + 1.0 + np.ptp(xy_m, axis=0).max()
     tree = cKDTree(np.column_stack([xy_m, both.frame * apart]))
     pairs = (int(tree.count_neighbors(tree, reach)) - len(both)) // 2
@@ -237,12 +246,14 @@ def _without_agents(data: Recorded) -> tuple[RecordedBoxes, RecordedBoxes]:
     for frame, (names, poses) in enumerate(zip(data.agents, data.pose, strict=True)):
         for name, pose in zip(names, poses, strict=True):
             if not opv2v.is_roadside(name) and name != dair.AGENTS[1]:
-                rows.append((frame, -1, "agent", np.array([*pose[:3], *_AGENT_M, pose[3]]), 1.0))
+                box = np.array([*pose[:3], *_AGENT_M, pose[3]])
+                rows.append((frame, -1, "agent", box, 1.0))
     agents = RecordedBoxes.of(rows)
     i, j = near_pairs(data.truth.frame, data.truth.box, agents.frame, agents.box)
-    box = data.truth.box[i]
-    away = turned_by(-box[:, 6], agents.box[j, :2] - box[:, :2])
-    is_inside = (np.abs(away) < box[:, 3:5] / 2).all(axis=1)
+    boxes = data.truth.box[i]
+    between = agents.box[j, :2] - boxes[:, :2]
+    away = turned_by(-boxes[:, 6], between)
+    is_inside = (np.abs(away) < boxes[:, 3:5] / 2).all(axis=1)
     is_agent = np.zeros(len(data.truth), bool)
     is_agent[i[is_inside]] = True
     truth = _take(data.truth, ~is_agent)
@@ -262,7 +273,8 @@ def _best_overlap(boxes: RecordedBoxes, others: RecordedBoxes) -> Float[ndarray,
     best = np.zeros(len(boxes))
     if len(boxes) and len(others):
         i, j = near_pairs(boxes.frame, boxes.box, others.frame, others.box)
-        np.maximum.at(best, i, in_blocks(iou_bev, boxes.box[i], others.box[j]))
+        overlap = in_blocks(iou_bev, boxes.box[i], others.box[j])
+        np.maximum.at(best, i, overlap)
     return best
 
 
@@ -270,7 +282,8 @@ def _twice(truth: RecordedBoxes) -> list[str]:
     """A remark on objects that lie on each other."""
     i, j = near_pairs(truth.frame, truth.box, truth.frame, truth.box)
     once = i < j
-    shares = in_blocks(iou_bev, truth.box[i[once]], truth.box[j[once]])
+    i, j = i[once], j[once]
+    shares = in_blocks(iou_bev, truth.box[i], truth.box[j])
     n = int((shares > 0.5).sum())
     return [f"{n:,} pairs of objects with different numbers lie on each other: each object counts."] * bool(n)
 
@@ -289,7 +302,8 @@ def _cooperative(
     """
     near = _near_ego(data, partners_m)
     sources = zip(data.found.frame.tolist(), data.found.agent.tolist(), strict=True)
-    received = _take(data.found, np.array([agent in near[frame] for frame, agent in sources], bool))
+    is_near = [agent in near[frame] for frame, agent in sources]
+    received = _take(data.found, np.array(is_near, bool))
     judged = trusted(data, near, received)
     methods: dict[str, RecordedBoxes] = {
         "ego": _take(data.found, data.found.agent == 0),
@@ -299,10 +313,10 @@ def _cooperative(
     }
     if not judged.n_unread:  # in all frames, as the others
         methods["trupercept_1"] = judged.fused
-    left = {
-        method: _take(boxes, _within(data, boxes, range_m) & ~_on(boxes, ignored, truth))
-        for method, boxes in methods.items()
-    }
+    left = {}
+    for method, boxes in methods.items():
+        counts = _within(data, boxes, range_m) & ~_on(boxes, ignored, truth)
+        left[method] = _take(boxes, counts)
     rows = []
     for label in dict.fromkeys(truth.label.tolist()):
         mine = _take(truth, truth.label == label)
@@ -372,7 +386,8 @@ def _fused(boxes: RecordedBoxes, method: Literal["averaging", "additive"]) -> Re
     i, j, share = geometry.overlapping_pairs(_apart(boxes), label, message)
     same = boxes.frame[i] == boxes.frame[j]
     params = TrustParams(method=method)
-    groups = match(lists, table, (i[same], j[same], share[same]), params)
+    overlapping = i[same], j[same], share[same]
+    groups = match(lists, table, overlapping, params)
     none = Evaluations(np.zeros(0), np.zeros(0))
     evaluated = ObjectLists(np.zeros(1, int), np.zeros(0, int), np.zeros(0, int))
     n = len(groups.seeds())
@@ -390,7 +405,8 @@ def _fused(boxes: RecordedBoxes, method: Literal["averaging", "additive"]) -> Re
 
 def _apart(boxes: RecordedBoxes) -> geometry.Boxes:
     """The boxes with their frames side by side, so that boxes of different frames do not overlap."""
-    xyz_m, xy_m = boxes.box[:, :3], boxes.box[:, :2]
+    xyz_m = boxes.box[:, :3]
+    xy_m = xyz_m[:, :2]
     centre: Float[ndarray, "n 3"] = xyz_m - xyz_m.min(axis=0, initial=0.0)
     number: Int[ndarray, "n"] = np.unique(boxes.frame, return_inverse=True)[1]
     middle = pd.DataFrame(xy_m).groupby(number).transform("mean").to_numpy()

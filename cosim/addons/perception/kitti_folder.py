@@ -52,7 +52,8 @@ def read(folder: Path, detections: Path | None = None) -> KittiFolder:
     """
     place = labels_in(folder)
     paths = [] if place is None else list(place.glob("*.txt"))
-    files = list(once(path for path in paths if path.stem.isascii() and path.stem.isdigit()).values())
+    numbered = [path for path in paths if path.stem.isascii() and path.stem.isdigit()]
+    files = list(once(numbered).values())
     if place is None or not files:
         raise ValueError(f"{folder} holds no label files training/label_2/000000.txt.")
     if len(files) > MOST_FRAMES:

@@ -58,6 +58,10 @@ ObjectFrame = Literal["world", "lidar"]
 """In which frame annotated objects are."""
 Votes = dict[ObjectFrame, int]
 """By frame, how much speaks for it."""
+Stamps = dict[Path, dict[int, dict[str, Path]]]
+"""Annotation files by scenario, time stamp and agent."""
+Listed = tuple[ndarray, ndarray] | None
+"""Detected boxes in the frame of the LiDAR, and their scores; None if there is no file."""
 
 _SAME_M, _APART_M = 2.0, 4.0
 """Annotations of one object by two agents are nearer than the first, and those of different ones farther apart than the
@@ -102,7 +106,7 @@ class _Moment:
     agents: tuple[_Agent, ...]
 
 
-def stamps(folder: Path) -> dict[Path, dict[int, dict[str, Path]]]:
+def stamps(folder: Path) -> Stamps:
     """Annotation files by scenario, time stamp and agent.
 
     Raises
@@ -114,7 +118,7 @@ def stamps(folder: Path) -> dict[Path, dict[int, dict[str, Path]]]:
     for path in folder.rglob("*.yaml"):
         if re.fullmatch("[0-9]{1,18}", path.stem) and len(path.relative_to(folder).parts) >= 2:
             by_agent[path.parent].append(path)
-    found: dict[Path, dict[int, dict[str, Path]]] = defaultdict(lambda: defaultdict(dict))
+    found: Stamps = defaultdict(lambda: defaultdict(dict))
     for agent, paths in sorted(by_agent.items()):
         for number, path in once(paths).items():
             found[agent.parent][number][agent.name] = path
@@ -150,11 +154,11 @@ def read(
     remarks += [f"the objects are taken as in the frame of the {_SAID[frame]}: {why}."] * bool(why)
     truth, aside, more = _objects_of(moments, frame)
     remarks += more + _about_missing(local, every)
-    found = [
-        (number, k, "car", box, score)
-        for number, moment in enumerate(moments) for k, agent in enumerate(moment.agents)
-        for box, score in _in_world(local[agent.path], agent)
-    ]  # fmt: skip
+    found = []
+    for number, moment in enumerate(moments):
+        for k, agent in enumerate(moment.agents):
+            mine = _in_world(local[agent.path], agent)
+            found += [(number, k, "car", box, score) for box, score in mine]
     classes = Counter((kind, class_of(kind)) for agent in every for kind in agent.kind)
     return Recorded(
         layout="opv2v",
@@ -240,10 +244,9 @@ def _annotations(about: dict[str, Any], path: Path) -> Iterator[tuple[str, Any, 
 
 def _holds_objects(value: Any) -> bool:
     """Whether a value at the top of a file holds objects by number."""
-    return (
-        isinstance(value, dict) and bool(value)
-        and all(isinstance(one, dict) and {"location", "extent"} <= one.keys() for one in value.values())
-    )  # fmt: skip
+    if not isinstance(value, dict) or not value:
+        return False
+    return all(isinstance(one, dict) and {"location", "extent"} <= one.keys() for one in value.values())
 
 
 def _number_of(one: dict[str, Any], key: Any, path: Path) -> str:
@@ -264,13 +267,12 @@ def _box(one: dict[str, Any], key: Any, path: Path) -> Float[ndarray, "7"]:
     )
     if (extent <= 0).any():
         raise ValueError(f"{path}: {which}.extent should be above 0.")
-    box = np.array([*(location + center), *(2 * extent), math.radians(angle[1])])
+    middle, yaw_rad = location + center, math.radians(angle[1])
+    box = np.array([*middle, *(2 * extent), yaw_rad])
     return upright(box[None], path)[0]
 
 
-def _frame(
-    moments: Sequence[_Moment], local: dict[Path, tuple[ndarray, ndarray] | None]
-) -> tuple[ObjectFrame, str]:  # fmt: skip
+def _frame(moments: Sequence[_Moment], local: dict[Path, Listed]) -> tuple[ObjectFrame, str]:
     """In which frame the objects are, and the evidence if it is not what the form of the poses suggests.
 
     The first of these that decides: where two agents put the same object; on which reading detections lie on objects;
@@ -316,24 +318,23 @@ def _frame(
 def _agreements(moments: Sequence[_Moment]) -> Votes:
     """By frame, number of objects that two agents have at one place in it, and not in the other."""
     votes: Votes = {"world": 0, "lidar": 0}
-    apart = []
+    apart_m: dict[ObjectFrame, list[ndarray]] = {frame: [np.zeros(0)] for frame in votes}
     for moment in moments:
         for one, other in combinations(moment.agents, 2):
             at = {key: row for row, key in enumerate(one.key)}
-            rows = [(at[key], row) for row, key in enumerate(other.key) if key in at]
-            if rows:
-                i, j = np.array(rows).T
-                both = [(one.seen(frame)[i], other.seen(frame)[j]) for frame in votes]
-                apart.append([np.linalg.norm(ours[:, :2] - theirs[:, :2], axis=1) for ours, theirs in both])
-    world, lidar = np.concatenate(apart, axis=1) if apart else np.zeros((2, 0))
+            theirs = [row for row, key in enumerate(other.key) if key in at]
+            ours = [at[other.key[row]] for row in theirs]
+            if theirs:
+                for frame in votes:
+                    between_m = one.seen(frame)[ours, :2] - other.seen(frame)[theirs, :2]
+                    apart_m[frame].append(np.linalg.norm(between_m, axis=1))
+    world, lidar = (np.concatenate(apart_m[frame]) for frame in votes)
     votes["world"] = int(((world < _SAME_M) & (lidar > world + _SAME_M)).sum())
     votes["lidar"] = int(((lidar < _SAME_M) & (world > lidar + _SAME_M)).sum())
     return votes
 
 
-def _on_objects(
-    every: Sequence[_Agent], local: dict[Path, tuple[ndarray, ndarray] | None], usual: ObjectFrame, fewest: int
-) -> Votes:
+def _on_objects(every: Sequence[_Agent], local: dict[Path, Listed], usual: ObjectFrame, fewest: int) -> Votes:
     """By frame, number of detections that lie on an object in it; nothing if the difference is small.
 
     At least `fewest` speak for another frame than the usual one.
@@ -345,8 +346,9 @@ def _on_objects(
             continue
         boxes = moved(given[0], agent.world_from)
         for frame in votes:
-            away, _ = cKDTree(agent.seen(frame)[:, :2]).query(boxes[:, :2])
-            votes[frame] += int((away < _SAME_M).sum())
+            objects = cKDTree(agent.seen(frame)[:, :2])
+            away_m, _ = objects.query(boxes[:, :2])
+            votes[frame] += int((away_m < _SAME_M).sum())
     most = max(votes, key=lambda one: votes[one])
     are_enough = most == usual or votes[most] >= fewest
     is_clear = are_enough and 3 * min(votes.values()) < votes[most]
@@ -357,9 +359,12 @@ def _within_reach(every: Sequence[_Agent]) -> Votes:
     """The frame in which the middle object is within the reach of a LiDAR, if it is in one of them only."""
     votes: Votes = {"world": 0, "lidar": 0}
     for frame in votes:
-        places = [agent.seen(frame)[:, :2] - agent.world_from[:2, 3] for agent in every]
-        away_m = np.linalg.norm(np.concatenate([np.zeros((0, 2)), *places]), axis=1)
-        votes[frame] = int(len(away_m) > 0 and np.median(away_m) <= _FAR_M)
+        places = [np.zeros((0, 2))]
+        for agent in every:
+            places.append(agent.seen(frame)[:, :2] - agent.world_from[:2, 3])
+        away_m = np.linalg.norm(np.concatenate(places), axis=1)
+        is_near = len(away_m) > 0 and np.median(away_m) <= _FAR_M
+        votes[frame] = int(is_near)
     return votes if sum(votes.values()) == 1 else {"world": 0, "lidar": 0}
 
 
@@ -371,7 +376,8 @@ def _objects_of(moments: Sequence[_Moment], frame: ObjectFrame) -> tuple[Recorde
         at = {agent.name: agent.world_from[:2, 3] for agent in moment.agents}
         for agent in moment.agents:
             for key, kind, box in zip(agent.key, agent.kind, agent.seen(frame), strict=True):
-                if key in at and np.linalg.norm(box[:2] - at[key]) < _ON_AGENT_M:
+                is_agent = key in at and np.linalg.norm(box[:2] - at[key]) < _ON_AGENT_M
+                if is_agent:
                     aside.append((number, -1, "agent", box, 1.0))
                     continue
                 if key in known:
@@ -387,8 +393,7 @@ def _objects_of(moments: Sequence[_Moment], frame: ObjectFrame) -> tuple[Recorde
     return RecordedBoxes.of(truth), RecordedBoxes.of(aside), [remark] * bool(n_elsewhere)
 
 
-def _detections(agent: _Agent, detections: Path | None, folder: Path) -> tuple[ndarray, ndarray] | None:
-    """Boxes in the frame of the LiDAR, and their scores; None if there is no file."""
+def _detections(agent: _Agent, detections: Path | None, folder: Path) -> Listed:
     place = (detections or folder) / agent.path.relative_to(folder)
     beside = place.with_name(f"{place.stem}_pred.npy")
     if not beside.exists():
@@ -398,7 +403,7 @@ def _detections(agent: _Agent, detections: Path | None, folder: Path) -> tuple[n
     return box, scores(array_of(path, (len(box),)), path)
 
 
-def _in_world(given: tuple[ndarray, ndarray] | None, agent: _Agent) -> Iterable[tuple[ndarray, float]]:
+def _in_world(given: Listed, agent: _Agent) -> Iterable[tuple[ndarray, float]]:
     if given is None:
         return ()
     box, score = given
@@ -415,7 +420,8 @@ def _about_keys(every: Sequence[_Agent]) -> list[str]:
     """
     without = [agent.path for agent in every if not agent.has_objects]
     if len(without) == len(every):
-        keys = ", ".join(str(key)[:40] for key in list(_yaml(without[0]))[:8])
+        first_keys = list(_yaml(without[0]))[:8]
+        keys = ", ".join(str(key)[:40] for key in first_keys)
         raise ValueError(
             f"{without[0]}: no annotation was found. It has no key `vehicles`, and no class with objects that have "
             f"location and extent; it has {keys}."
@@ -519,11 +525,17 @@ def _transform(x: float, y: float, z: float, roll: float, yaw: float, pitch: flo
     c_y, s_y = math.cos(yaw), math.sin(yaw)
     c_r, s_r = math.cos(roll), math.sin(roll)
     c_p, s_p = math.cos(pitch), math.sin(pitch)
-    return np.array(
-        [
-            [c_p * c_y, c_y * s_p * s_r - s_y * c_r, -c_y * s_p * c_r - s_y * s_r, x],
-            [s_y * c_p, s_y * s_p * s_r + c_y * c_r, -s_y * s_p * c_r + c_y * s_r, y],
-            [s_p, -c_p * s_r, c_p * c_r, z],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
+    forward = c_p * c_y, s_y * c_p, s_p
+    aside = (
+        c_y * s_p * s_r - s_y * c_r,
+        s_y * s_p * s_r + c_y * c_r,
+        -c_p * s_r,
     )
+    up = (
+        -c_y * s_p * c_r - s_y * s_r,
+        -s_y * s_p * c_r + c_y * s_r,
+        c_p * c_r,
+    )
+    motion = np.eye(4)
+    motion[:3] = np.column_stack([forward, aside, up, (x, y, z)])
+    return motion

@@ -36,7 +36,8 @@ def footprint_overlap(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Flo
     -------
     Area [m2]; one polygon is clipped by the edges of the other, one after another.
     """
-    shift = np.concatenate([a[:, :2], np.zeros((len(a), 5))], axis=1)  # near the origin, for precision
+    shift = np.zeros((len(a), 7))
+    shift[:, :2] = a[:, :2]  # near the origin, for precision
     polygon, clip = corners(a - shift), corners(b - shift)
     for edge in range(4):
         start = clip[:, edge]
@@ -61,7 +62,8 @@ def footprint_overlap(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Flo
 
 def _cross(a: Float[ndarray, "n v 2"], b: Float[ndarray, "n v 2"]) -> Float[ndarray, "n v"]:
     """Areas that pairs of vectors span, positive where b is to the left of a."""
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    (ax, ay), (bx, by) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    return ax * by - ay * bx
 
 
 def iou_bev(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
@@ -74,9 +76,11 @@ def iou_bev(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray
 
 def iou_3d(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
     """Intersection over union of the volumes of the two boxes in each row, in [0, 1]."""
-    half_a, half_b = a[:, 5] / 2, b[:, 5] / 2
-    top = np.minimum(a[:, 2] + half_a, b[:, 2] + half_b)
-    bottom = np.maximum(a[:, 2] - half_a, b[:, 2] - half_b)
+    z_a, z_b = a[:, 2], b[:, 2]
+    half_a = a[:, 5] / 2
+    half_b = b[:, 5] / 2
+    top = np.minimum(z_a + half_a, z_b + half_b)
+    bottom = np.maximum(z_a - half_a, z_b - half_b)
     common = footprint_overlap(a, b) * np.maximum(top - bottom, 0)
     volume_a = a[:, 3:6].prod(axis=1)
     volume_b = b[:, 3:6].prod(axis=1)

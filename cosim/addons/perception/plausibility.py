@@ -59,7 +59,8 @@ def _frames(data: Recorded) -> Iterator[str]:
     rows = list(zip(frame.tolist(), data.found.agent.tolist(), strict=True))
     back = np.array([inverse[f][a] for f, a in rows])
     forth = np.array([data.world_from[f][a] for f, a in rows])
-    centre = np.column_stack([data.found.box[:, :3], np.ones(len(frame))])
+    one = np.ones(len(frame))
+    centre = np.column_stack([data.found.box[:, :3], one])
     local = np.einsum("nij,nj->ni", back, centre)
     mirrored = np.einsum("nij,nj->ni", forth, local * [1, -1, 1, 1])
     n_right = _n_near(data.truth, frame, centre[:, :2])
@@ -110,8 +111,9 @@ def _nearest(
     truth: RecordedBoxes, frame: Int[ndarray, "n"], xy_m: Float[ndarray, "n 2"]
 ) -> tuple[Float[ndarray, "n"], Int[ndarray, "n"]]:
     """Distance to the nearest object of the same frame, and its row; infinite if it is not near."""
-    tree = cKDTree(np.column_stack([truth.box[:, :2], 10 * _NEAR_M * truth.frame]))
-    return tree.query(np.column_stack([xy_m, 10 * _NEAR_M * frame]), distance_upper_bound=_NEAR_M)  # type: ignore[no-any-return]
+    apart_m = 10 * _NEAR_M  # of frames: objects of another frame are not near
+    tree = cKDTree(np.column_stack([truth.box[:, :2], apart_m * truth.frame]))
+    return tree.query(np.column_stack([xy_m, apart_m * frame]), distance_upper_bound=_NEAR_M)  # type: ignore[no-any-return]
 
 
 def _differences(truth: RecordedBoxes, found: RecordedBoxes) -> Iterator[str]:
@@ -123,14 +125,17 @@ def _differences(truth: RecordedBoxes, found: RecordedBoxes) -> Iterator[str]:
     ours, theirs = found.box[is_near], truth.box[row[is_near]]
     if len(ours) < _FEWEST:
         return
-    ratio = np.median(ours[:, 3:6] / theirs[:, 3:6], axis=0)
-    crossed = np.median(ours[:, [4, 3]] / theirs[:, 3:5], axis=0)
+    ratios = ours[:, 3:6] / theirs[:, 3:6]
+    crossed_ratios = ours[:, [4, 3]] / theirs[:, 3:5]
+    ratio, crossed = np.median(ratios, axis=0), np.median(crossed_ratios, axis=0)
     turn = ours[:, 6] - theirs[:, 6]
-    turned_rad = np.abs((turn + np.pi / 2) % np.pi - np.pi / 2)  # of the axes, whichever end is the front
+    right_angle = np.pi / 2
+    turned_rad = np.abs((turn + right_angle) % np.pi - right_angle)  # of the axes, whichever end is the front
     slenderness = theirs[:, 3] / theirs[:, 4]
     is_long = np.abs(np.log(slenderness)) > _OTHER_SIZE  # nobody knows the heading of a square
     turned_deg = np.degrees(np.median(turned_rad[is_long])) if is_long.sum() >= _FEWEST else 0.0
-    lower = np.median((ours[:, 2] - theirs[:, 2]) / theirs[:, 5])
+    above_m = ours[:, 2] - theirs[:, 2]
+    lower = np.median(above_m / theirs[:, 5])
     is_crossed = (np.abs(crossed - 1) < 0.15).all()
     is_other_size = np.abs(np.log(ratio)).max() > _OTHER_SIZE
     if is_other_size and not (is_crossed and turned_deg > 45):

@@ -155,7 +155,8 @@ def numbers(value: Any, n: int, what: str, path: Path) -> Float[ndarray, "n"]:
     ValueError
         In one line: `what` in the file is something else.
     """
-    if not isinstance(value, list | tuple) or len(value) != n or not all(map(_is_number, value)):
+    is_list = isinstance(value, list | tuple) and len(value) == n
+    if not is_list or not all(map(_is_number, value)):
         raise ValueError(f"{path}: {what} should be a list of {n} numbers.")
     return np.array(value, float)
 
@@ -190,7 +191,8 @@ def rigid(motion: Float[ndarray, "4 4"], what: str, path: Path) -> Float[ndarray
     if np.abs(motion[3] - [0, 0, 0, 1]).max() > 1e-6:
         raise ValueError(f"{path}: the last row of {what} should be 0, 0, 0, 1. Is the matrix transposed?")
     determinant = np.linalg.det(turn)
-    if np.abs(turn.T @ turn - np.eye(3)).max() > _RIGID or determinant < 0:
+    from_identity = np.abs(turn.T @ turn - np.eye(3))
+    if from_identity.max() > _RIGID or determinant < 0:
         raise ValueError(
             f"{path}: {what} is no rigid motion (determinant {determinant:.3g}, should be 1): it scales or mirrors."
         )
@@ -239,7 +241,8 @@ def upright(box: Float[ndarray, "n 7"], path: Path) -> Float[ndarray, "n 7"]:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _FARTHEST_M
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and abs(value) <= _FARTHEST_M
 
 
 def array_of(path: Path, shape: tuple[int | None, ...]) -> Float[ndarray, "..."]:
@@ -256,15 +259,23 @@ def array_of(path: Path, shape: tuple[int | None, ...]) -> Float[ndarray, "..."]
         found = np.load(path, allow_pickle=False, mmap_mode="r")
     except (OSError, ValueError, EOFError, SyntaxError, TypeError, MemoryError, OverflowError, RecursionError):
         raise ValueError(f"{path} is no array of numbers in NumPy's format.") from None
-    fits = isinstance(found, np.ndarray) and found.ndim == len(shape) and found.dtype.kind in "fiu"
-    lengths = zip(found.shape, shape, strict=True) if fits else ()
-    if not fits or any(n > MOST_BOXES if want is None else n != want for n, want in lengths):
+    if not _has_shape(found, shape):
         wanted = ", ".join("n" if n is None else str(n) for n in shape)
         raise ValueError(f"{path} should be an array of numbers of shape ({wanted}).")
     values = np.array(found, float)
     if not (np.abs(values) <= _FARTHEST_M).all():
         raise ValueError(f"{path} has a number that is not finite or too large.")
     return values
+
+
+def _has_shape(found: Any, shape: tuple[int | None, ...]) -> bool:
+    """Whether something is an array of numbers of this shape."""
+    if not isinstance(found, np.ndarray) or found.dtype.kind not in "fiu" or found.ndim != len(shape):
+        return False
+    for n, wanted in zip(found.shape, shape, strict=True):
+        if n > MOST_BOXES if wanted is None else n != wanted:
+            return False
+    return True
 
 
 def box_of_corners(corner: Float[ndarray, "n 8 3"], path: Path) -> Float[ndarray, "n 7"]:
@@ -287,9 +298,13 @@ def box_of_corners(corner: Float[ndarray, "n 8 3"], path: Path) -> Float[ndarray
     ValueError
         In one line, if eight corners are none of an upright box.
     """
-    ahead = corner[:, [0, 1, 4, 5]].mean(axis=1) - corner[:, [2, 3, 6, 7]].mean(axis=1)
-    aside = corner[:, [1, 2, 5, 6]].mean(axis=1) - corner[:, [0, 3, 4, 7]].mean(axis=1)
-    up = corner[:, 4:].mean(axis=1) - corner[:, :4].mean(axis=1)
+
+    def middle(*corners: int) -> Float[ndarray, "n 3"]:
+        return corner[:, corners].mean(axis=1)
+
+    ahead = middle(0, 1, 4, 5) - middle(2, 3, 6, 7)
+    aside = middle(1, 2, 5, 6) - middle(0, 3, 4, 7)
+    up = middle(4, 5, 6, 7) - middle(0, 1, 2, 3)
     size_m = np.column_stack([np.linalg.norm(side, axis=1) for side in (ahead, aside, up)])
     yaw = np.arctan2(ahead[:, 1], ahead[:, 0])
     box = np.column_stack([corner.mean(axis=1), size_m, yaw])
@@ -299,37 +314,43 @@ def box_of_corners(corner: Float[ndarray, "n 8 3"], path: Path) -> Float[ndarray
         box[row] = _in_any_order(corner[row])
         size = box[row, 3:6]
         off_m = _off(corner[[row]], box[[row]])[0]
-        if not size.min() > 0 or off_m > 0.05 * np.linalg.norm(size) + 0.05:
+        allowed_m = 0.05 * np.linalg.norm(size) + 0.05
+        if not size.min() > 0 or off_m > allowed_m:
             raise ValueError(f"{path}: the corners of box {row} are not those of an upright box.")
     return box
 
 
 def _off(corner: Float[ndarray, "n 8 3"], box: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
     """Largest distance from a corner of a box to the nearest of the given ones [m]."""
-    apart = np.linalg.norm(corners_of(box)[:, :, None] - corner[:, None], axis=3)
-    return apart.min(axis=2).max(axis=1) if len(box) else np.zeros(0)
+    between = corners_of(box)[:, :, None] - corner[:, None]
+    apart_m = np.linalg.norm(between, axis=3)
+    return apart_m.min(axis=2).max(axis=1) if len(box) else np.zeros(0)
 
 
 def _in_any_order(corner: Float[ndarray, "8 3"]) -> Float[ndarray, "7"]:
     """The box of eight corners in any order; its length is the longer side."""
-    low, high = np.split(corner[np.argsort(corner[:, 2], kind="stable")], 2)
+    by_height = np.argsort(corner[:, 2], kind="stable")
+    low, high = np.split(corner[by_height], 2)
     xy_m = low[:, :2]
-    away = xy_m - xy_m.mean(axis=0)
-    ring = xy_m[np.argsort(np.arctan2(away[:, 1], away[:, 0]))]
-    along, across = ring[1] - ring[0], ring[2] - ring[1]
+    east_m, north_m = (xy_m - xy_m.mean(axis=0)).T
+    ring = xy_m[np.argsort(np.arctan2(north_m, east_m))]
+    along, across, *_ = np.diff(ring, axis=0)
     length, width = np.linalg.norm(along), np.linalg.norm(across)
     if length < width:
         along, length, width = across, width, length
     height = high[:, 2].mean() - low[:, 2].mean()
-    return np.array([*corner.mean(axis=0), length, width, height, math.atan2(along[1], along[0])])
+    yaw_rad = math.atan2(along[1], along[0])
+    return np.array([*corner.mean(axis=0), length, width, height, yaw_rad])
 
 
 def moved(box: Float[ndarray, "n 7"], world_from_agent: Float[ndarray, "4 4"]) -> Float[ndarray, "n 7"]:
     """Boxes of an agent's frame in the world; the boxes stay upright."""
     turn, yaw = world_from_agent[:3, :3], box[:, 6]
-    heading = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(box))]) @ turn.T
+    forward = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(box))])
+    heading = forward @ turn.T
     out = box.copy()
-    out[:, :3] = box[:, :3] @ turn.T + world_from_agent[:3, 3]
+    turned = box[:, :3] @ turn.T
+    out[:, :3] = turned + world_from_agent[:3, 3]
     out[:, 6] = np.arctan2(heading[:, 1], heading[:, 0])
     return out
 
@@ -342,9 +363,10 @@ def pose_of(world_from_agent: Float[ndarray, "4 4"]) -> Float[ndarray, "4"]:
 
 def class_of(name: Any) -> str:
     """Our class for a data set's name of one, such as `Bus`, `LongVehicle` or `vehicle.car`."""
-    parts = [re.sub(r"[^a-z0-9]", "", part) for part in str(name)[:40].lower().split(".")]
-    known = [CLASS_OF[part] for part in (*parts[1:], parts[0]) if part in CLASS_OF]
-    return known[0] if known else str(name)[:40].lower()
+    own_name = str(name)[:40].lower()
+    first, *finer = (re.sub(r"[^a-z0-9]", "", part) for part in own_name.split("."))
+    known = [CLASS_OF[part] for part in (*finer, first) if part in CLASS_OF]
+    return known[0] if known else own_name
 
 
 def listed(counts: Mapping[Any, int]) -> str:

@@ -117,14 +117,13 @@ def trusted(data: Recorded, cooperating: Sequence[Int[ndarray, "k"]], boxes: Rec
     )
     final = model.scores()
     of = {one: row for row, one in enumerate(final.subject.tolist())}
-    table = pd.DataFrame(
-        [
-            (name, present[name], int(final.n_evaluations[of[k]]) if k in of else 0,
-             float(final.trust[of[k]]) if k in of else np.nan)
-            for name, k in numbers.items()
-        ],
-        columns=["agent", "n_frames", "n_evaluations", "trust"],
-    )  # fmt: skip
+    lines = []
+    for name, number in numbers.items():
+        n, trust_in = 0, np.nan
+        if number in of:
+            n, trust_in = int(final.n_evaluations[of[number]]), float(final.trust[of[number]])
+        lines.append((name, present[name], n, trust_in))
+    table = pd.DataFrame(lines, columns=["agent", "n_frames", "n_evaluations", "trust"])
     return Trusted(table, fused, unread, why_unread)
 
 

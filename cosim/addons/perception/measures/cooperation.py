@@ -106,7 +106,8 @@ def late_gain_at_speed(slow: Run, fast: Run, *, mean_speed_mps: float, **options
         As `precision_gain`.
     """
     setting = _setting(options)
-    late, alone = ([_evaluated(run, setting, fusion) for run in (slow, fast)] for fusion in ("late", "none"))
+    late = [_evaluated(run, setting, "late") for run in (slow, fast)]
+    alone = [_evaluated(run, setting, "none") for run in (slow, fast)]
     chosen = frames_at_speed(alone[0].ego_mps, alone[1].ego_mps, mean_speed_mps)
     return _precision_of(late, chosen, setting) - _precision_of(alone, chosen, setting)
 
@@ -174,12 +175,14 @@ def _partners(poses: Poses, actors: pd.DataFrame, setting: Setting) -> tuple[nda
     i, j = near(poses, equipped, setting.partners_m)
     other = poses.observer.to_numpy()[i] != equipped.actor.to_numpy()[j]
     i, j = i[other], j[other]
-    away_m = poses[["x_m", "y_m"]].to_numpy()[i] - equipped[["x_m", "y_m"]].to_numpy()[j]
+    own_m = poses[["x_m", "y_m"]].to_numpy()[i]
+    away_m = own_m - equipped[["x_m", "y_m"]].to_numpy()[j]
     order = np.lexsort([np.hypot(*away_m.T), i])
     i, j = i[order], j[order]
     place = np.arange(len(i)) - np.searchsorted(i, i)
     few = place < setting.partners
-    return poses.frame.to_numpy()[i[few]], equipped.actor.to_numpy()[j[few]]
+    i, j = i[few], j[few]
+    return poses.frame.to_numpy()[i], equipped.actor.to_numpy()[j]
 
 
 def _truth(
@@ -196,7 +199,8 @@ def _truth(
     own = poses[["frame", "step", "observer"]].merge(seen, on=["step", "observer"])
     theirs = beside.merge(poses[["frame", "step"]], on="frame").merge(seen, on=["step", "observer"])
     pairs = pd.concat([own, theirs])[["frame", "actor"]]
-    known = pd.MultiIndex.from_arrays([i, actor[j]]).isin(pd.MultiIndex.from_frame(pairs))
+    around = pd.MultiIndex.from_arrays([i, actor[j]])
+    known = around.isin(pd.MultiIndex.from_frame(pairs))
     i, j = i[known], j[known]
     if np.isfinite(setting.slower_mps):
         now = actors[["step", "actor"]].iloc[j]

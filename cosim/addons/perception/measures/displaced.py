@@ -49,7 +49,8 @@ def with_larger_errors(boxes: pd.DataFrame, run: Run, factor: float) -> pd.DataF
     table = run.table("actors", ["step", "actor", "x_m", "y_m", "z_m", "yaw_rad"], at_steps(np.unique(boxes.step)))
     sizes = run.table("vehicles", ["vehicle", "length_m", "width_m", "height_m"])
     table = table.merge(sizes, left_on="actor", right_on="vehicle").set_index(["step", "actor"])
-    true = table[[*BOX]].reindex(pd.MultiIndex.from_arrays([boxes.step, of])).to_numpy(np.float64)
+    rows = pd.MultiIndex.from_arrays([boxes.step, of])
+    true = table[[*BOX]].reindex(rows).to_numpy(np.float64)
     box = boxes[[*BOX]].to_numpy(np.float64)
     error = box - true
     error[:, 6] = np.mod(error[:, 6] + np.pi, 2 * np.pi) - np.pi
@@ -98,7 +99,8 @@ def seen_by_senders(
     now = _poses(run, sender) + sender[[*ERROR]].to_numpy(np.float64)
     known = np.isfinite(then[:, 0])  # a partner that has just appeared has sent nothing
     placed = world.copy()
-    placed[rows[known]] = _moved(world[rows[known]], then[known], now[known])
+    rows = rows[known]
+    placed[rows] = _moved(world[rows], then[known], now[known])
     return placed
 
 
@@ -114,5 +116,6 @@ def _moved(
 ) -> Float[ndarray, "n 7"]:
     """Boxes carried along with poses from `start` to `end`."""
     turn = end[:, 2] - start[:, 2]
-    xy_m = end[:, :2] + turned_by(turn, box[:, :2] - start[:, :2])
+    from_start_m = box[:, :2] - start[:, :2]
+    xy_m = end[:, :2] + turned_by(turn, from_start_m)
     return np.column_stack([xy_m, box[:, 2:6], box[:, 6] + turn])
