@@ -22,6 +22,9 @@ from sumo_nets import sumotools
 from sumo_nets.heights import height_of
 from sumo_nets.xml import Attributes, stream
 
+Ring = Float[ndarray, "k 2"]
+"""Corners of a polygon [m]; the last one is the first."""
+
 _HEIGHTS = frozenset(("height", "building:height", "building:levels", "top_z_m", "levels", "min_height"))
 """Parameters of a polygon that only something of a height has."""
 
@@ -165,7 +168,7 @@ def _shape(ring: Float[ndarray, "k 2"]) -> str:
     return " ".join(f"{x:.2f},{y:.2f}" for x, y in ring)
 
 
-def _projected(rings: list[Float[ndarray, "k 2"]], net_path: Path | None, where: str) -> list[Float[ndarray, "k 2"]]:
+def _projected(rings: list[Ring], net_path: Path | None, where: str) -> list[Ring]:
     """Rings of longitudes and latitudes in the coordinates of a network."""
     try:
         if net_path is None:
@@ -175,11 +178,9 @@ def _projected(rings: list[Float[ndarray, "k 2"]], net_path: Path | None, where:
         raise ValueError(f'{where}: geo="true", but {error}') from None
 
 
-def _footprints(
-    outer: list[Float[ndarray, "k 2"]], found: list[tuple[Attributes, Attributes]], where: list[str]
-) -> list[Footprint]:
+def _footprints(outer: list[Ring], found: list[tuple[Attributes, Attributes]], where: list[str]) -> list[Footprint]:
     """Those of all polygons of a file."""
-    rings: list[Float[ndarray, "k 2"]] = []
+    rings: list[Ring] = []
     of_polygon: list[int] = []
     kept: list[int] = []
     for k, (ring, (_, params), here) in enumerate(zip(outer, found, where, strict=True)):
@@ -198,7 +199,10 @@ def _footprints(
     heights = [_extent(*found[k], area, where[k]) for k, area in zip(kept, areas_m2, strict=True)]
     pieces, of_piece = _pieces(polygons)
     rings_of = _rings_of(pieces)
-    return [Footprint(ring, holes, *heights[k]) for (ring, *holes), k in zip(rings_of, of_piece.tolist(), strict=True)]
+    made = []
+    for (ring, *holes), k in zip(rings_of, of_piece.tolist(), strict=True):
+        made.append(Footprint(ring, holes, *heights[k]))
+    return made
 
 
 def _extent(poly: Attributes, params: Attributes, area_m2: float, where: str) -> tuple[float, float, str]:
@@ -213,9 +217,10 @@ def _extent(poly: Attributes, params: Attributes, area_m2: float, where: str) ->
     return base, top, "given" if "top_z_m" in params else height.source
 
 
-def _ring(text: str, where: str) -> Float[ndarray, "k 2"]:
+def _ring(text: str, where: str) -> Ring:
+    pairs = [point.split(",")[:2] for point in text.split()]
     try:
-        points = np.array([[float(value) for value in point.split(",")[:2]] for point in text.split()])
+        points = np.array([list(map(float, pair)) for pair in pairs])
     except ValueError:
         raise ValueError(f"{where}: shape {text[:40]!r}... is not a list of x,y pairs") from None
     if points.ndim != 2 or points.shape[1:] != (2,) or not np.isfinite(points).all():

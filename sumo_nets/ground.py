@@ -98,7 +98,8 @@ def covered_m(found: Sequence[Lane], standing: Sequence[Footprint], shapes: ndar
     base_m = np.array([footprint.base_z_m for footprint in standing])
     top_m = np.array([footprint.top_z_m for footprint in standing])
     z_m = xyz_m[at, 2]
-    inside = at[(base_m[of] < z_m + CAR_M) & (top_m[of] > z_m)]
+    is_inside = (base_m[of] < z_m + CAR_M) & (top_m[of] > z_m)
+    inside = at[is_inside]
     return float(each_m[np.unique(inside)].sum()), float(each_m.sum())
 
 
@@ -164,8 +165,9 @@ class StreetHeights:
         middle = shapely.get_coordinates(shapely.centroid(places))
         begin = self._begin[row]
         along = self._end[row] - begin
-        towards = ((middle - begin[:, :2]) * along[:, :2]).sum(axis=1)
-        squared_m2 = (along[:, :2] ** 2).sum(axis=1)
+        on_map = along[:, :2]
+        towards = ((middle - begin[:, :2]) * on_map).sum(axis=1)
+        squared_m2 = (on_map**2).sum(axis=1)
         t = np.clip(towards / np.maximum(squared_m2, 1e-12), 0.0, 1.0)
         return begin[:, 2] + t * along[:, 2]
 

@@ -36,12 +36,14 @@ class Crossings(NamedTuple):
     @property
     def on_one_level(self) -> Bool[ndarray, "k"]:
         """Where vehicles would drive through one another."""
-        return np.abs(self.z_m[:, 0] - self.z_m[:, 1]) < LEVEL_M
+        z_m, other_z_m = self.z_m.T
+        return np.abs(z_m - other_z_m) < LEVEL_M
 
 
 def crossings(lanes: Sequence[Lane]) -> Crossings:
     """The places where lanes of motor vehicles cross, but for those within junctions."""
-    row = np.array([k for k, lane in enumerate(lanes) if lane.for_cars and not lane.across], int)
+    of_motors = [k for k, lane in enumerate(lanes) if lane.for_cars and not lane.across]
+    row = np.array(of_motors, int)
     if not len(row):
         return Crossings(np.zeros((0, 2), int), np.zeros((0, 2)), np.zeros((0, 2)))
     points = [lanes[k].line_m for k in row]
@@ -62,8 +64,8 @@ def crossings(lanes: Sequence[Lane]) -> Crossings:
         left_m = shapely.length(lines[rows]) - at_m
         to_end_m = np.minimum.reduce([to_end_m, at_m, left_m])
     ends = [set(lanes[k].ends) for k in row]
-    shared = np.array([not ends[a].isdisjoint(ends[b]) for a, b in zip(one, other, strict=True)], bool)
-    real = ~(shared & (to_end_m < _SHARED_M))
+    shared = [not ends[a].isdisjoint(ends[b]) for a, b in zip(one, other, strict=True)]
+    real = ~(np.array(shared, bool) & (to_end_m < _SHARED_M))
     lane = np.column_stack([row[one], row[other]])
     return Crossings(lane[real], shapely.get_coordinates(place)[real], z_m[real])
 

@@ -104,7 +104,8 @@ def _lanes(net_path: Path, version: tuple[int, ...]) -> tuple[Lane, ...]:
         elif name == "lane" and function not in ("crossing", "walkingarea") and _admits(attributes, MOTORS | OTHERS):
             points = [(*point.split(","), "0")[:3] for point in attributes["shape"].split()]
             width_m = float(attributes.get("width", LANE_M))
-            line_m = np.array(points, float) if {len(point) for point in points} == {3} else np.zeros((0, 3))
+            are_points = {len(point) for point in points} == {3}
+            line_m = np.array(points, float) if are_points else np.zeros((0, 3))
             if len(line_m) < 2 or not np.isfinite(line_m).all() or not 0 < width_m < LARGEST_WIDTH_M:
                 raise ValueError(f"lane {attributes.get('id', '?')!r} has no line of finite points, or no width")
             line_m.flags.writeable = False

@@ -69,7 +69,8 @@ def street_space(net_path: Path | str) -> tuple[list[Kerb], ndarray]:
     def end(name: str) -> None:
         nonlocal edge
         if name == "edge" and edge and lanes:
-            areas.extend(shapely.LineString(line[:, :2]).buffer(w / 2, cap_style="flat") for _, line, w in lanes)
+            for _, line_m, width_m in lanes:
+                areas.append(shapely.LineString(line_m[:, :2]).buffer(width_m / 2, cap_style="flat"))
             if any(admits_motors(lane) for lane, _, _ in lanes):
                 _, line_m, width_m = lanes[0]  # SUMO numbers lanes from the outer side
                 kerbs.append(Kerb(edge, line_m, width_m / 2, _parking(edge, tags, is_left), is_left))
@@ -87,7 +88,8 @@ def _parking(edge: str, tags: Attributes, is_left: bool) -> bool | None:
     """
     is_against = edge.rpartition(".")[2].startswith("-")  # `cosim nets tile` puts a number and a point before names
     side = "left" if is_left != is_against else "right"
-    said = [tags[key] not in _NO_PARKING for name in _PARKING if (key := name.format(side)) in tags]
+    keys = [name.format(side) for name in _PARKING]
+    said = [tags[key] not in _NO_PARKING for key in keys if key in tags]
     return any(said) if said else None
 
 
@@ -135,8 +137,9 @@ def _line(lane: Attributes) -> Float[ndarray, "k 3"]:
 
 def _points(shape: str) -> Float[ndarray, "k 3"]:
     """Points of a SUMO shape, with z = 0 where it has none; empty if one is not finite."""
+    triples = [(*point.split(","), "0")[:3] for point in shape.split()]
     try:
-        rows = [[float(value) for value in (*point.split(","), "0")[:3]] for point in shape.split()]
+        rows = [list(map(float, triple)) for triple in triples]
     except ValueError:
         return np.zeros((0, 3))
     good = all(len(row) == 3 and all(map(isfinite, row)) for row in rows)

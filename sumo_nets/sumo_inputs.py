@@ -67,7 +67,8 @@ def _is_suspicious(path: Path) -> bool:
         if b"<include" in text or b"&#" in text:
             return True
         for match in _WRITES.finditer(text):
-            begin, end = max(text.rfind(b"<", 0, match.start()), 0), text.find(b"<", match.end())
+            begin = max(text.rfind(b"<", 0, match.start()), 0)
+            end = text.find(b"<", match.end())
             end = len(text) if end < 0 else end
             tag = text[begin:end]
             is_read = len(tag) > _LONGEST_TAG or bool(_READING.match(tag))

@@ -44,7 +44,8 @@ def rings_of(extract: Extract) -> Rings:
     """Outer and inner rings (node ids) and tags of every building and building part, by name."""
     found: Rings = {}
     for way in extract.ways.values():
-        if _is_building(way.tags) and way.nodes and way.nodes[0] == way.nodes[-1]:
+        is_closed = way.nodes and way.nodes[0] == way.nodes[-1]
+        if is_closed and _is_building(way.tags):
             ring = [node for node in way.nodes[:-1] if node in extract.place]
             if len(ring) > 2:
                 found[f"w{way.id}"] = ([ring], [], way.tags)
@@ -81,19 +82,21 @@ def build(rings: Rings, project: Callable[[list[Way]], dict[int, Ring]], ground:
     ways: list[Way] = []
     owner: list[tuple[str, bool]] = []
     for name, (outer, inner, _) in rings.items():
-        for ring, is_outer in [(ring, True) for ring in outer] + [(ring, False) for ring in inner]:
-            ways.append(Way(len(ways) + 1, (*ring, ring[0]), {"building": "yes"}))
-            owner.append((name, is_outer))
+        for ring in (*outer, *inner):
+            closed = *ring, ring[0]
+            ways.append(Way(len(ways) + 1, closed, {"building": "yes"}))
+        owner += [(name, True)] * len(outer) + [(name, False)] * len(inner)
     projected = project(ways)
     shells: dict[str, dict[bool, list[Polygon]]] = defaultdict(lambda: {True: [], False: []})
     for way, (name, is_outer) in zip(ways, owner, strict=True):
         if way.id in projected and len(projected[way.id]) > 3:
             shells[name][is_outer] += pieces_of(Polygon(projected[way.id]))
-    shape = {
-        name: shapely.union_all(solid[True]).difference(shapely.union_all(solid[False]))
-        for name, solid in sorted(shells.items())
-    }
-    return _standing(_refined(shape, {name: rings[name][2] for name in shape}), ground)
+    shape = {}
+    for name, solid in sorted(shells.items()):
+        whole, holes = shapely.union_all(solid[True]), shapely.union_all(solid[False])
+        shape[name] = whole.difference(holes)
+    tags = {name: rings[name][2] for name in shape}
+    return _standing(_refined(shape, tags), ground)
 
 
 def _is_building(tags: Tags) -> bool:
@@ -119,7 +122,8 @@ def _joined(chains: list[list[int]]) -> list[list[int]]:
         while ring[0] != ring[-1]:
             for i, chain in enumerate(chains):
                 if ring[-1] in (chain[0], chain[-1]):
-                    ring += (chain if chain[0] == ring[-1] else chain[::-1])[1:]
+                    onward = chain if chain[0] == ring[-1] else chain[::-1]
+                    ring += onward[1:]
                     del chains[i]
                     break
             else:
@@ -134,7 +138,10 @@ def _joined(chains: list[list[int]]) -> list[list[int]]:
 def _refined(shape: dict[str, shapely.Geometry], tags: dict[str, Tags]) -> list[Solid]:
     """Parts are kept as they are; an outline keeps the area that no part covers, and the volume below raised parts."""
     parts = [name for name in shape if _is_part(tags[name])]
-    solids = [(name, shape[name], height_of(tags[name], shape[name].area)) for name in parts]
+    solids = []
+    for name in parts:
+        height = height_of(tags[name], shape[name].area)
+        solids.append((name, shape[name], height))
     tree = shapely.STRtree([solid for _, solid, _ in solids])
     done = list(solids)
     for name, outline in shape.items():
@@ -170,7 +177,8 @@ def _standing(solids: list[Solid], ground: Ground) -> MappedBuildings:
             cut += 1
         for shape, base in layers:
             for piece in pieces_of(shapely.set_precision(shape, 0.01)):
-                footprints.append((f"{name}.{used[name]}", footprint_of(piece, base, height.top_z_m)))
+                footprint = footprint_of(piece, base, height.top_z_m)
+                footprints.append((f"{name}.{used[name]}", footprint))
                 heights[height.source] += 1
                 used[name] += 1
     return MappedBuildings(footprints, heights, cut, bridging)

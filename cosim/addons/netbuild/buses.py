@@ -25,10 +25,13 @@ FARTHEST_M = 1500.0
 DETOUR = 1.6
 """A matched line may be at most this much longer than the streets that the relation names."""
 LEFT_OUT = 1.5
-"""Metres that a bus drives rather than leave out one of a way: no shortcuts, but no dead end either, there and back."""
+"""A metre of a way that is left out costs as much as driving this many metres. So a bus takes no shortcut, but does not
+drive into a dead end and back either."""
 _ROLES = ("backward", "forward")
 
 Point = tuple[float, float]
+Project = Callable[[list[int]], dict[int, Point]]
+"""Gives nodes their place in the network."""
 Chain = list[Any]
 """Edges of a way that follow each other."""
 Drives = dict[Any, tuple[float, list[str]]]
@@ -56,9 +59,7 @@ class BusStop:
     end_m: float
 
 
-def lines_of(
-    extract: Extract, net: Any, project: Callable[[list[int]], dict[int, Point]], recipe: dict[str, Any]
-) -> tuple[list[Line], list[BusStop]]:
+def lines_of(extract: Extract, net: Any, project: Project, recipe: dict[str, Any]) -> tuple[list[Line], list[BusStop]]:
     """Daytime bus lines that run at least `at_least_m` through the network, and the stops they call at.
 
     `net` is a sumolib network with original ids; `project` gives nodes their place in it. `recipe` is that of buses:
@@ -67,16 +68,16 @@ def lines_of(
     edges_of_way = defaultdict(list)
     for edge in sorted(net.getEdges(), key=lambda edge: edge.getID()):
         if edge.allows("bus"):
-            named = {int(i.lstrip("-")) for lane in edge.getLanes() for i in lane.getParam("origId", "").split()}
-            for way in sorted(named):
+            ids = " ".join(lane.getParam("origId", "") for lane in edge.getLanes()).split()
+            for way in sorted({int(way_id.lstrip("-")) for way_id in ids}):
                 edges_of_way[way % PIECE].append(edge)
     relations = [relation for _, relation in sorted(extract.relations.items()) if _is_daytime_bus(relation)]
     named_members = {member[:2] for relation in relations for member in relation.members}
     signs = {ref for kind, ref in named_members if kind == "n" and ref in extract.place}
-    runs = {
-        way: [node for node in extract.ways[way].nodes if node in extract.place]
-        for kind, way in named_members if kind == "w" and way in edges_of_way
-    }  # fmt: skip
+    runs = {}
+    for kind, way in named_members:
+        if kind == "w" and way in edges_of_way:
+            runs[way] = [node for node in extract.ways[way].nodes if node in extract.place]
     ends = {run[end] for run in runs.values() for end in (0, -1)}
     place = project(sorted(signs | ends))
 
@@ -84,21 +85,21 @@ def lines_of(
         if not recipe.get("whole_ways"):
             return [[edge] for edge in edges_of_way[way]]
         run = runs[way]
-        return _towards(role, _chains(edges_of_way[way]), place[run[0]], place[run[-1]])
+        first, last = place[run[0]], place[run[-1]]
+        return _towards(role, _chains(edges_of_way[way]), first, last)
 
     alike: dict[tuple[str, ...], list[tuple[str, set[int]]]] = defaultdict(list)
-    drives = [
-        (relation, ways)
-        for relation in relations
-        for ways in _drives(relation, relations, _ways(relation, edges_of_way), runs, recipe)
-    ]
+    drives = []
+    for relation in relations:
+        named = _ways(relation, edges_of_way)
+        drives += [(relation, ways) for ways in _drives(relation, relations, named, runs, recipe)]
     for relation, ways in drives:
         if ways and ways[0][1] not in _ROLES:
             first_two = [runs[way] for way, _ in ways[:2]]
             ways[0] = ways[0][0], _away(*first_two)
         matched = _matched(net, [chains_of(*way) for way in ways]) if ways else []
         while matched and net.getEdge(matched[0]).getLength() < STOP_M:
-            matched.pop(0)  # a bus comes into being on a lane that it fits on
+            matched.pop(0)  # a bus begins on a lane that is long enough for it
         driven_m = sum(net.getEdge(edge).getLength() for edge in matched)
         drawn = [run for way, _ in ways for run in pieces(extract.ways[way], extract.place)]
         named_m = sum(length_m(extract, run) for run in drawn)
@@ -217,9 +218,11 @@ def _towards(role: str, chains: list[Chain], first: Point, last: Point) -> list[
     """The chains in the direction of a role, for a way from `first` to `last`; all where there is none, or no role."""
 
     def role_of(chain: Chain) -> str:
-        begin, end = chain[0].getShape()[0], chain[-1].getShape()[-1]
-        against_m = dist(begin[:2], last) + dist(end[:2], first)
-        return _ROLES[dist(begin[:2], first) + dist(end[:2], last) < against_m]
+        begin = chain[0].getShape()[0][:2]
+        end = chain[-1].getShape()[-1][:2]
+        along_m = dist(begin, first) + dist(end, last)
+        against_m = dist(begin, last) + dist(end, first)
+        return _ROLES[along_m < against_m]
 
     return [chain for chain in chains if role_of(chain) == role] or chains
 
@@ -232,7 +235,9 @@ def _matched(net: Any, ways: list[list[Chain]]) -> list[str]:
         for chain in chains:
             whole_m = sum(edge.getLength() for edge in chain)
             for first, edge in enumerate(chain):
-                metres, steps = _entered(net, edge, drives) if n else (edge.getLength(), [edge.getID()])
+                metres, steps = edge.getLength(), [edge.getID()]
+                if n > 0:
+                    metres, steps = _entered(net, edge, drives)
                 cost = metres + LEFT_OUT * (whole_m - edge.getLength())
                 for last in chain[first:]:
                     if last is not edge:

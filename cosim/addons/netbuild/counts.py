@@ -32,6 +32,8 @@ from sumo_nets.xml import Attributes, chunks, stream
 
 Counts = dict[str, float]
 """Motor vehicles per hour by edge id."""
+Lines = dict[str, Float[ndarray, "k 2"]]
+"""Centre line of a street by edge id [m]."""
 
 NEAR_M = 30.0
 """Distance from a street up to which a position belongs to it."""
@@ -73,17 +75,20 @@ class Agreement:
 def geh(model: Float[ndarray, "k"], counted: Float[ndarray, "k"]) -> Float[ndarray, "k"]:
     """GEH statistic of flows in vehicles per hour: sqrt(2 (m - c)² / (m + c)), 0 where both are 0."""
     total = model + counted
-    return np.sqrt(2.0 * (model - counted) ** 2 / np.where(total > 0, total, 1.0))
+    divisor = np.where(total > 0, total, 1.0)
+    return np.sqrt(2.0 * (model - counted) ** 2 / divisor)
 
 
 def agreement(model: Counts, counted: Counts) -> Agreement:
     """Summary over the places of `counted`."""
     if not counted:
         return Agreement(0)
-    m, c = np.array([model[edge] for edge in counted]), np.array([*counted.values()])
+    m = np.array([model[edge] for edge in counted])
+    c = np.array([*counted.values()])
     found = geh(m, c)
+    good_share = float((found < GOOD_GEH).mean())
     ratio = float(m.sum() / c.sum()) if c.sum() > 0 else None
-    return Agreement(len(c), float((found < GOOD_GEH).mean()), float(np.median(found)), ratio)
+    return Agreement(len(c), good_share, float(np.median(found)), ratio)
 
 
 def read(path: Path, net_path: Path) -> Counts:
@@ -124,7 +129,8 @@ def read(path: Path, net_path: Path) -> Counts:
         if any(row.get(None, ())):  # type: ignore[call-overload]
             raise ValueError(f"{where}: more values than the header has columns. Decimals follow a point, not a comma.")
     for name in columns:
-        if name.lower() in _TIMES and len({row[name] for row in rows.values()}) > 1:
+        times = {row[name] for row in rows.values()}
+        if name.lower() in _TIMES and len(times) > 1:
             raise ValueError(f"{path}: {name} differs between rows, which would be added. Keep the rows of one hour.")
     per_hour = _column(rows, "per_hour")
     edges = _edges(net_path)
@@ -257,11 +263,13 @@ def _route(text: str) -> list[str]:
     return found.group(1).split() if found else []
 
 
-def _edges(net_path: Path) -> dict[str, Float[ndarray, "k 2"]]:
+def _edges(net_path: Path) -> Lines:
     """The line of each street on which motor vehicles may drive: that of its last such lane."""
-    return {
-        lane.edge: lane.line_m[:, :2] for lane in network.lanes(net_path) if lane.for_cars and not lane.across
-    }  # fmt: skip
+    found: Lines = {}
+    for lane in network.lanes(net_path):
+        if lane.for_cars and not lane.across:
+            found[lane.edge] = lane.line_m[:, :2]
+    return found
 
 
 def _column(rows: dict[str, dict[str, str]], name: str) -> Float[ndarray, "r"]:
@@ -276,26 +284,29 @@ def _column(rows: dict[str, dict[str, str]], name: str) -> Float[ndarray, "r"]:
     return found
 
 
-def _matched(
-    places: dict[str, Float[ndarray, "3"]], edges: dict[str, Float[ndarray, "k 2"]], net_path: Path
-) -> list[str]:
+def _matched(places: dict[str, Float[ndarray, "3"]], edges: Lines, net_path: Path) -> list[str]:
     """The street of each longitude, latitude and heading: the nearest that leads in that direction."""
     corners = np.array([[0.0, 0.0], [1e-4, 0.0], [0.0, 1e-4]])
     rings = [place[:2] + corners for place in places.values()]
     points = [ring[0] for ring in sumotools.projected(rings, net_path)]
-    names = np.repeat(np.array([*edges], object), [len(line) - 1 for line in edges.values()])
+    n_steps = [len(line) - 1 for line in edges.values()]
+    names = np.array([*edges], object).repeat(n_steps)
     first = np.concatenate([line[:-1] for line in edges.values()])
     step = np.concatenate([np.diff(line, axis=0) for line in edges.values()])
     length = np.maximum(np.hypot(*step.T), 1e-9)
     found = []
     for point, (where, (lon, lat, heading_deg)) in zip(points, places.items(), strict=True):
-        share = np.clip(((point - first) * step).sum(axis=1) / length**2, 0.0, 1.0)
-        away = np.hypot(*(point - first - share[:, None] * step).T)
-        along = (step @ np.array([sin(radians(heading_deg)), cos(radians(heading_deg))])) / length
+        from_first = point - first
+        share = np.clip((from_first * step).sum(axis=1) / length**2, 0.0, 1.0)
+        aside = from_first - share[:, None] * step
+        away = np.hypot(*aside.T)
+        heading_rad = radians(heading_deg)
+        along = (step @ np.array([sin(heading_rad), cos(heading_rad)])) / length
         fits = (along >= cos(radians(ALONG_DEG))) & (away <= NEAR_M)
         if not fits.any():
             raise ValueError(
                 f"{where}: no street that leads to {heading_deg:g} degrees within {NEAR_M:g} m of {lon}, {lat}."
             )
-        found.append(str(names[np.argmin(np.where(fits, away, np.inf))]))
+        nearest = np.argmin(np.where(fits, away, np.inf))
+        found.append(str(names[nearest]))
     return found
