@@ -128,8 +128,10 @@ class Measured:
             return Measured(rows, rows, rows, 1)
         n, mean = len(rows), rows.mean(axis=0)
         if n < 2:
-            return Measured(mean, np.full(mean.shape, -np.inf), np.full(mean.shape, np.inf), n)
-        half = stats.t.ppf(0.5 + LEVEL / 2, n - 1) * rows.std(axis=0, ddof=1) / np.sqrt(n)
+            unbounded = np.full(mean.shape, np.inf)
+            return Measured(mean, -unbounded, unbounded, n)
+        quantile = stats.t.ppf(0.5 + LEVEL / 2, n - 1)
+        half = quantile * rows.std(axis=0, ddof=1) / np.sqrt(n)
         return Measured(mean, mean - half, mean + half, n)
 
 
@@ -159,7 +161,8 @@ class ComparedFact:
             return "not computed"
         if self.inside.all():
             return "agrees"
-        apart = (self.ours.high < self.fact.low) | (self.ours.low > self.fact.high)
+        is_below = self.ours.high < self.fact.low
+        apart = is_below | (self.ours.low > self.fact.high)
         return "differs" if apart.any() else "undecided"
 
     @property

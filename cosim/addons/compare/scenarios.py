@@ -77,12 +77,15 @@ class ScriptedScene:
         lwh_m = np.array([a["lwh_m"] for a in actors])
         xyz_m = np.column_stack([[a["xy_m"] for a in actors], lwh_m[:, 2] / 2])
         equipped = np.array(["scores" in a for a in actors])
-        scores = [
-            (observer, names.index(other), score)
-            for observer, row in enumerate(np.flatnonzero(equipped)) for other, score in actors[row]["scores"].items()
-        ]  # fmt: skip
+        scores = []
+        for observer, row in enumerate(np.flatnonzero(equipped)):
+            for other, score in actors[row]["scores"].items():
+                scores.append((observer, names.index(other), score))
         walls = data["walls"]
-        rings = [[np.column_stack([np.repeat(w["x_m"], 2), w["y_m"] + w["y_m"][::-1]])] for w in walls]
+        rings = []
+        for wall in walls:
+            up_and_down_m = wall["y_m"] + wall["y_m"][::-1]
+            rings.append([np.column_stack([np.repeat(wall["x_m"], 2), up_and_down_m])])
         return ScriptedScene(
             names=names,
             shape=np.array([Shape[a["shape"].upper()] for a in actors], np.uint8),

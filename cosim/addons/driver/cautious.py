@@ -284,11 +284,13 @@ def _continued(watched: Believed, found: Believed) -> Believed:
     gate_m = _GATE_M + np.where(watched.has_speed[old], 0.0, _FASTEST_MPS * since_s)
     same = (away_m <= gate_m) & (found.label[new] == watched.label[old])
     pairs = np.flatnonzero(same)
-    order = pairs[np.lexsort((old[pairs], ~again[pairs], away_m[pairs], new[pairs]))]
+    keys = old, ~again, away_m, new
+    order = pairs[np.lexsort([key[pairs] for key in keys])]
     nearest = order[np.diff(new[order], prepend=-1) > 0]
     new, old, again = new[nearest], old[nearest], again[nearest]
     moved_m = found.seen_xy_m[new] - watched.seen_xy_m[old]
-    shown = _possible(moved_m / since_s[nearest, None], found.yaw_rad[new], found.label[new] == _PEDESTRIAN)
+    is_person = found.label[new] == _PEDESTRIAN
+    shown = _possible(moved_m / since_s[nearest, None], found.yaw_rad[new], is_person)
     before = np.where(watched.has_speed[old, None], watched.velocity_mps[old], shown)
     velocity, has_speed, known_s = found.velocity_mps.copy(), found.has_speed.copy(), found.known_s.copy()
     velocity[new] = (before + shown) / 2
@@ -310,7 +312,8 @@ def _possible(
     forward_mps = np.clip(along_mps, 0, _FASTEST_MPS)
     pace_mps = np.maximum(np.hypot(*velocity_mps.T), 1e-9)
     share = np.minimum(1, _FASTEST_PERSON_MPS / pace_mps)
-    return np.where(is_person[:, None], velocity_mps * share[:, None], forward_mps[:, None] * heading)
+    of_person = velocity_mps * share[:, None]
+    return np.where(is_person[:, None], of_person, forward_mps[:, None] * heading)
 
 
 def _same_message(

@@ -136,7 +136,7 @@ def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     near = _near(np.column_stack([start + way / 2, scaled_time]), reach_m)
     found = [_crossing(pairs, actor[a], start, way, length) for pairs in near]
     nothing = np.zeros(0, int)
-    i, j, u, v = (np.concatenate(parts) for parts in zip((nothing,) * 4, *found, strict=True))
+    i, j, u, v = map(np.concatenate, zip((nothing,) * 4, *found, strict=True))
     one_road = np.flatnonzero(_on_one_road(column["ground_m"], a[i], a[j]))
     i, j, u, v = i[one_road], j[one_road], u[one_road], v[one_road]
     at_i = (step[a[i]] + u) * run.dt_s

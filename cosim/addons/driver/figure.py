@@ -36,7 +36,8 @@ def draw(runs: Sequence[Run]) -> Figure:
         found = safety.summary(run)
         if not found["driven_km"]:
             raise ValueError(f"{run.path}: no vehicle was ever on the road. Let it run longer, or scale the demand up.")
-        at = np.arange(len(_COUNTS)) + (i - (len(runs) - 1) / 2) * width
+        aside = (i - (len(runs) - 1) / 2) * width
+        at = np.arange(len(_COUNTS)) + aside
         values = [found.get(name, 0.0) for name in _COUNTS]
         hatch = style.HATCHES[i % len(style.HATCHES)]
         events.barh(at, values, width, color=style.ink(i), hatch=hatch, edgecolor="#333333", linewidth=0.5)
@@ -60,11 +61,12 @@ def _over_time(axes: Axes, run: Run, i: int) -> None:
     """Hard braking per kilometre in twenty parts of the run."""
     poses = tracks(run)
     edges = np.linspace(0, run.manifest["steps"], 21)
-    way_km, _ = np.histogram(poses.step, edges, weights=poses.speed_mps * run.dt_s / 1000)
+    driven_km = poses.speed_mps * run.dt_s / 1000
+    way_km, _ = np.histogram(poses.step, edges, weights=driven_km)
     events = safety.braking(run, poses)
     n, _ = np.histogram(events.step[events.severity == "hard"], edges)
     rate = np.divide(n, way_km, out=np.zeros(len(n)), where=way_km > 0)
-    axes.plot(edges[1:] * run.dt_s, rate, color=style.ink(i), marker=style.marker(i), linestyle=style.dash(i))
+    axes.plot(edges[1:] * run.dt_s, rate, **style.look(i))
 
 
 def _causes(axes: Axes, runs: Sequence[Run]) -> set[str]:

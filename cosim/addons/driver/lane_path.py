@@ -7,8 +7,20 @@ from numpy import ndarray
 from cosim.base.kernel import compiled
 from cosim.world import LanePaths
 
-_CENTRE, _FRONT, _SIDES, _REAR = [[0, 0]], [[1, 1], [1, 0], [1, -1]], [[0, 1], [0, -1]], [[-1, 1], [-1, 0], [-1, -1]]
-_SAMPLES = np.array(_CENTRE + _FRONT + _SIDES + _REAR, float)
+_SAMPLES = np.array(
+    [
+        [0, 0],
+        [1, 1],
+        [1, 0],
+        [1, -1],
+        [0, 1],
+        [0, -1],
+        [-1, 1],
+        [-1, 0],
+        [-1, -1],
+    ],
+    float,
+)
 """Points of a footprint that are tested: the centre, the corners and the middles of the sides, in half extents."""
 
 

@@ -146,7 +146,7 @@ def waves(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
 
 
 def summary(run: Run) -> pd.Series:
-    """Counts per vehicle-kilometre and their kin, by the names of the metrics `safety.*` without a group."""
+    """Values of the metrics `safety.*` that have no group, by name: counts per vehicle-kilometre, distance and time."""
     poses = tracks(run)
     km = float(poses.speed_mps.astype(np.float64).sum()) * run.dt_s / 1000
     events = braking(run, poses).severity.value_counts()

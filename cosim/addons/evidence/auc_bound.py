@@ -57,27 +57,36 @@ def area(counts: Int[ndarray, "s c"], attacks: Bool[ndarray, "s"]) -> intervals.
     .. [1] Airola et al., "An experimental comparison of cross-validation techniques for estimating the area under the
        ROC curve", Computational Statistics and Data Analysis 55(4), 2011.
     """
-    logs = [_log_shares(counts, attacks == role)[attacks == role] for role in (True, False)]
-    attacker, honest = counts[attacks].astype(float), counts[~attacks].astype(float)
+    log_attacker = _log_shares(counts, attacks)[attacks]
+    log_honest = _log_shares(counts, ~attacks)[~attacks]
+    attacker = counts[attacks].astype(float)
+    honest = counts[~attacks].astype(float)
     if min(len(attacker), len(honest)) < 2:
         return intervals.UNKNOWN
-    of_attacker = (attacker * logs[0]).sum(axis=1)[:, None] - attacker @ logs[1].T
-    of_honest = logs[0] @ honest.T - (honest * logs[1]).sum(axis=1)
+    own = (attacker * log_attacker).sum(axis=1)
+    of_attacker = own[:, None] - attacker @ log_honest.T
+    of_honest = log_attacker @ honest.T - (honest * log_honest).sum(axis=1)
     n, m = (np.maximum(one.sum(axis=1), 1.0) for one in (attacker, honest))
+    sums = of_attacker - of_honest
+    means = of_attacker / n[:, None] - of_honest / m
+    n_units = min(sums.shape)
     found = []
-    for above in (of_attacker - of_honest, of_attacker / n[:, None] - of_honest / m):
+    for above in (sums, means):
         wins = 0.5 * (1.0 + np.sign(np.round(above, 9)))
-        means = wins.mean(axis=1), wins.mean(axis=0)
-        error = np.sqrt(sum(one.var(ddof=1) / len(one) for one in means))
-        about = intervals.around(float(wins.mean()), float(error), min(wins.shape) - 1, (0.0, 1.0))
-        found.append(about._replace(n_units=min(wins.shape)))
+        shares = wins.mean(axis=1), wins.mean(axis=0)
+        variances = [share.var(ddof=1) / len(share) for share in shares]
+        error = float(np.sqrt(sum(variances)))
+        about = intervals.around(float(wins.mean()), error, n_units - 1, (0.0, 1.0))
+        found.append(about._replace(n_units=n_units))
     return max(found, key=lambda one: one.value)
 
 
 def _log_shares(counts: Int[ndarray, "s c"], of_role: Bool[ndarray, "s"]) -> Float[ndarray, "s c"]:
     """Logarithm of each kind's share of the clues about a role's subjects, for each subject without its own clues."""
-    mean = (counts.sum(axis=0) - counts + _PRIOR) / max(len(counts) - 1, 1)
-    others = counts[of_role].sum(axis=0) - counts * of_role[:, None] + mean
+    of_all_others = counts.sum(axis=0) - counts + _PRIOR
+    mean = of_all_others / max(len(counts) - 1, 1)
+    own = counts * of_role[:, None]
+    others = counts[of_role].sum(axis=0) - own + mean
     return np.log(others / others.sum(axis=1, keepdims=True))
 
 
@@ -105,7 +114,9 @@ def bounds(run: Run) -> pd.DataFrame:
         mine = np.flatnonzero((role == HONEST) | (role == one))
         if one == HONEST or not (role == one).any():
             continue
-        known, alone = (area(_counts(run, who.iloc[mine], roles), role[mine] == one) for roles in (True, False))
+        subjects, attacks = who.iloc[mine], role[mine] == one
+        known = area(_counts(run, subjects, known=True), attacks)
+        alone = area(_counts(run, subjects, known=False), attacks)
         known = max(known, alone, key=lambda one: one.value)  # one can leave out what one knows
         row: dict[str, object] = {"role": one}
         rows.append(row | intervals.columns(known, "known") | intervals.columns(alone, "alone"))
@@ -124,26 +135,34 @@ def _counts(run: Run, who: pd.DataFrame, known: bool) -> Int[ndarray, "s c"]:
     names = ["step", "evaluator", "observer", "detection_index", "detection_step", "kind", "evaluation", "visibility"]
     # Others may evaluate the same detection in another step, and so in another block.
     parts = run.parts("evaluations", names, pc.field("visibility") > 0)
-    clues = pd.concat([part[(part.detection_step % stride == 0) & (part.evaluator != part.observer)] for part in parts])
+    kept = []
+    for part in parts:
+        is_sampled = part.detection_step % stride == 0
+        kept.append(part[is_sampled & (part.evaluator != part.observer)])
+    clues = pd.concat(kept)
     said = clues.evaluation.to_numpy(float) * clues.visibility.to_numpy(float)
     kind = clues.kind.cat.codes.to_numpy(np.int64)
     value = kind * _N_BINS + np.searchsorted(_EDGES, said)
     claim = clues.assign(kind=kind).groupby(["detection_step", "observer", "detection_index", "kind"], sort=False)
     others = _of_others(claim.ngroup().to_numpy(), said)
     others[kind == EvaluationKind.MISSING] = 0  # each evaluator counts objects in an order of its own
-    by, of = (clues[name].isin(attackers).to_numpy() & known for name in ("evaluator", "observer"))
-    cells = value * 2 + by, n_received + (value * _N_OTHERS + others) * 2 + of
+    by_attacker = clues.evaluator.isin(attackers).to_numpy() & known
+    of_attacker = clues.observer.isin(attackers).to_numpy() & known
+    received = value * 2 + by_attacker
+    made = n_received + (value * _N_OTHERS + others) * 2 + of_attacker
     step = clues.step.to_numpy()
-    for name, cell in zip(("observer", "evaluator"), cells, strict=True):
+    for name, cell in (("observer", received), ("evaluator", made)):
         subject = who.index.get_indexer(pd.Index(clues[name]))
         is_watched = (since[subject] <= step) & (step <= until[subject])
         rows = np.flatnonzero((subject >= 0) & is_watched)
-        counts += np.bincount(subject[rows] * n_kinds + cell[rows], minlength=len(counts))
+        kinds = subject[rows] * n_kinds + cell[rows]
+        counts += np.bincount(kinds, minlength=len(counts))
     by_subject = counts.reshape(len(who), n_kinds)
     return by_subject[:, by_subject.any(axis=0)]
 
 
 def _of_others(claim: Int[ndarray, "n"], said: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
     """What the others say on average about the same claim: 0 if there is none, 1 if against it, 2 otherwise."""
-    n, total = np.bincount(claim)[claim] - 1, np.bincount(claim, said)[claim] - said
+    n = np.bincount(claim)[claim] - 1
+    total = np.bincount(claim, said)[claim] - said
     return np.where(n == 0, 0, np.where(total < 0, 1, 2))

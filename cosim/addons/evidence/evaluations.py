@@ -49,7 +49,9 @@ def rates(run: Run) -> pd.DataFrame:
             row |= columns(share(top, bottom), name)
         rows.append(row)
     found = pd.DataFrame(rows)
-    order = [["all", *SPLITS].index(by) * 10 + KINDS.index(kind) for by, kind in zip(found.by, found.kind, strict=True)]
+    order = []
+    for by, kind in zip(found.by, found.kind, strict=True):
+        order.append(["all", *SPLITS].index(by) * 10 + KINDS.index(kind))
     return found.iloc[np.argsort(order, kind="stable")].reset_index(drop=True)
 
 
@@ -74,11 +76,13 @@ def boxes_of_no_actor(run: Run) -> pd.DataFrame:
 def named_rates(run: Run) -> pd.DataFrame:
     """The rows of `rates` that are metrics, with a name of each as `group`."""
     found = rates(run)
-    usual, fabricated = found.by.isin(["all", "evaluator"]), found.kind == KINDS[-1]
+    usual = found.by.isin(["all", "evaluator"])
+    fabricated = found.kind == KINDS[-1]
     split = ", " + found.by + " " + found.value
     found["group"] = found.kind + split.where(found.by != "all", "")
     found.loc[~usual, "confirmed"] = np.nan
-    found.loc[fabricated | (found.kind == KINDS[2]) | (found.by != "all"), "missed"] = np.nan
+    has_no_missed = fabricated | (found.kind == KINDS[2]) | (found.by != "all")
+    found.loc[has_no_missed, "missed"] = np.nan
     return found[usual | ~fabricated]
 
 

@@ -80,7 +80,8 @@ class Sweeper:
             block = self.steps[at : at + self.config.record.block_steps]
             self._block = {world.step: world for world in worlds(self.run, self.config, block)}
         world = self._block[step]
-        sweeps = sweep(self.config, self.city, world, np.searchsorted(world.actor, np.asarray(vehicles)))
+        row = np.searchsorted(world.actor, np.asarray(vehicles))
+        sweeps = sweep(self.config, self.city, world, row)
         return [partial(sweeps.cloud, i) for i in range(len(vehicles))]
 
 
@@ -154,8 +155,9 @@ def _write(plan: Plan, chosen: Selection, folder: Folder, sweeper: Sweeper, prog
     n_files = written = 0
     note = f"about {_size(n_bytes)}"
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-        for unit in left:
-            progress(note, len(plan.units) - len(left) + left.index(unit), len(plan.units))
+        n_units = len(plan.units)
+        for n_done, unit in enumerate(left, n_units - len(left)):
+            progress(note, n_done, n_units)
             ahead: deque[Future[int]] = deque()
             for file in unit.files(sweeper):
                 if file.same_as:
@@ -289,4 +291,5 @@ def _projection(config: Config) -> Projection:
     if scenario.net is None:
         raise ValueError("the run's traffic has no network: it is not known where on Earth it is.")
     text, offset_m = network.projection(scenario.net)
-    return Projection.of(text, scenario.origin_m[0] - offset_m[0], scenario.origin_m[1] - offset_m[1])
+    (x_m, y_m), (offset_x_m, offset_y_m) = scenario.origin_m, offset_m
+    return Projection.of(text, x_m - offset_x_m, y_m - offset_y_m)

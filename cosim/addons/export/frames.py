@@ -92,19 +92,23 @@ def in_camera(box: Float[ndarray, "n 7"]) -> InCamera:
 
 
 def _area(rectangle: Float[ndarray, "n 4"]) -> Float[ndarray, "n"]:
-    return np.prod(np.maximum(rectangle[:, 2:] - rectangle[:, :2], 0.0), axis=1)
+    sides = rectangle[:, 2:] - rectangle[:, :2]
+    return np.prod(np.maximum(sides, 0.0), axis=1)
 
 
 def _rectangle(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 4"]:
     """Rectangle of each box in an endless image [px]; nan where nothing of it is ahead."""
-    signs = (np.arange(8)[:, None] >> np.arange(3) & 1) * 2 - 1
+    bits = np.arange(8)[:, None] >> np.arange(3) & 1
+    signs = bits * 2 - 1
     local = 0.5 * signs * box[:, None, 3:6]
     local[..., :2] = turned_by(box[:, None, 6], local)
     corner = local + box[:, None, :3]
-    a, b = corner[:, _EDGES[:, 0]], corner[:, _EDGES[:, 1]]
+    begin, end = _EDGES.T
+    a, b = corner[:, begin], corner[:, end]
     depth_a, depth_b = a[..., 0], b[..., 0]
     crosses = (depth_a < NEAREST_M) != (depth_b < NEAREST_M)
-    part = np.where(crosses, NEAREST_M - depth_a, 0.0) / np.where(crosses, depth_b - depth_a, 1.0)
+    to_plane_m = np.where(crosses, NEAREST_M - depth_a, 0.0)
+    part = to_plane_m / np.where(crosses, depth_b - depth_a, 1.0)
     cut = a + part[..., None] * (b - a)
     points = np.concatenate([corner, cut], axis=1)
     seen = np.concatenate([corner[..., 0] >= NEAREST_M, crosses], axis=1)

@@ -87,11 +87,11 @@ class Kitti:
     def plan(self, selection: Selection) -> Plan:
         """The image, frames in blocks of steps, then what links to them, then the sequences."""
         frames, images = selection.presence, self._params.images
-        units = [
-            Unit(f"steps {b[0]} to {b[-1]}", partial(_block, selection, b)) for b in selection.blocks()
-        ]  # fmt: skip
+        units = []
         if images:
-            units.insert(0, Unit("image", lambda clouds: iter([File(FIRST_IMAGE, image)])))
+            units.append(Unit("image", lambda clouds: iter([File(FIRST_IMAGE, image)])))
+        for steps in selection.blocks():
+            units.append(Unit(f"steps {steps[0]} to {steps[-1]}", partial(_block, selection, steps)))
         units.append(Unit("image sets", partial(_image_sets, selection, images)))
         units.append(Unit("sequences", partial(_sequences, selection)))
         return Plan(tuple(units), len(frames), 16, len(frames) * TEXT_BYTES)
@@ -119,8 +119,8 @@ def image(size_px: tuple[int, int] = IMAGE_PX) -> bytes:
     chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
     content = b"\x89PNG\r\n\x1a\n"
     for kind, data in chunks:
-        check = zlib.crc32(kind + data)
-        content += struct.pack(">I", len(data)) + kind + data + struct.pack(">I", check)
+        length, check = (struct.pack(">I", number) for number in (len(data), zlib.crc32(kind + data)))
+        content += length + kind + data + check
     return content
 
 
@@ -138,7 +138,8 @@ def image_sets(step: Int[ndarray, "n"]) -> dict[str, Int[ndarray, "k"]]:
     quarter, `test` the last quarter, and `trainval` the first two together.
     """
     steps, number = np.unique(step, return_inverse=True)
-    half, three_quarters = -(-len(steps) // 2), -(-3 * len(steps) // 4)
+    half = -(-len(steps) // 2)
+    three_quarters = -(-3 * len(steps) // 4)
     part = np.searchsorted([half, three_quarters], number, "right")
     sets = {"train": part == 0, "val": part == 1, "trainval": part < 2, "test": part == 2}
     return {name: np.flatnonzero(inside) for name, inside in sets.items()}
@@ -172,7 +173,8 @@ def _results(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> bytes:
 def velodyne(cloud: Cloud) -> bytes:
     """float32 x, y, z, reflectance; sensor frame: x forward, y left, z up."""
     points = cloud()
-    return np.column_stack([points, np.zeros(len(points), np.float32)]).astype("<f4").tobytes()
+    reflectance = np.zeros(len(points), np.float32)
+    return np.column_stack([points, reflectance]).astype("<f4").tobytes()
 
 
 def calibration(end: str = "\n") -> str:
@@ -301,7 +303,8 @@ def lines_of(
         if score is not None:
             numbers.append(score[i])
         head = "-1 -1" if occluded is None else f"{camera.truncated[i]:.2f} {occluded[i]}"
-        out.append(" ".join([types[i], head, *(f"{x:.4f}" for x in numbers)]))
+        columns = [f"{number:.4f}" for number in numbers]
+        out.append(" ".join([types[i], head, *columns]))
     return out
 
 

@@ -139,7 +139,8 @@ def _runs(presence: pd.DataFrame, steps: Int[ndarray, "s"], interval: int) -> li
     begin = 0
     for i in range(1, len(steps) + 1):
         who = of_sweep[begin]
-        follows = i < len(steps) and steps[i] == steps[i - 1] + interval
+        next_step = steps[i - 1] + interval
+        follows = i < len(steps) and steps[i] == next_step
         if follows and of_sweep[i] == who:
             continue
         if len(who) > 1:
@@ -221,7 +222,8 @@ def _yaml(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> bytes:
     under = _under(box)
     sent = moment.detections.get(vehicle)
     own = None if sent is None else sent[(sent.origin == "self")]
-    lines = [f"ego_speed: {3.6 * moment.speed_mps[row]:.4f}", f"lidar_pose: {_pose(pose[:3], pose[3])}"]
+    lines = [f"ego_speed: {3.6 * moment.speed_mps[row]:.4f}"]
+    lines.append(f"lidar_pose: {_pose(pose[:3], pose[3])}")
     if own is not None and len(own):
         told = own[BOX].to_numpy(np.float64)[0]
         lines.append(f"predicted_ego_pos: {_pose(_under(told), told[6])}")

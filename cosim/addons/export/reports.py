@@ -82,7 +82,9 @@ class MisbehaviourReports:
         """
         projection = pcap.projection_of(self._params, selection)
         made = _Reports(selection, pcap.PcapPackets(selection, projection), self._params.threshold)
-        units = [Unit(f"steps {b[0]} to {b[-1]}", partial(made.files, b)) for b in selection.spans()]
+        units = []
+        for steps in selection.spans():
+            units.append(Unit(f"steps {steps[0]} to {steps[-1]}", partial(made.files, steps)))
         units.append(kitti.names(selection))
         return Plan(tuple(units), 0, 0, REPORT_BYTES * len(selection.presence), made.remarks())
 
@@ -136,7 +138,8 @@ class _Reports:
         run = self.selection.run
         low, reason = self._denials(steps)
         low = self._numbered(low[reason == len(LEFT_OUT)].astype({"vehicle": np.int64}))
-        frames = self.packets.frames(np.unique(low.detection_step), sorted(set(low.observer.tolist())))
+        senders = sorted(set(low.observer.tolist()))
+        frames = self.packets.frames(np.unique(low.detection_step), senders)
         poses = run.table("actors", ["step", "actor", "x_m", "y_m", "z_m"], pc.field("step").isin(steps.tolist()))
         places = poses.set_index(["step", "actor"])[["x_m", "y_m", "z_m"]]
         for step in np.unique(low.step).tolist():
@@ -164,7 +167,8 @@ class _Reports:
     def _report(self, step: int, rows: pd.DataFrame, at_m: Float[ndarray, "3"], packets: list[bytes]) -> dict[str, Any]:
         """One report, of one reporter about one sender, from its evaluations of detections of this sender."""
         place = self.packets.projection.of_world(at_m[None, :2])
-        time_us = 1000 * (etsi.its_ms(pcap.START_S) + round(1000 * step * self.selection.run.dt_s))
+        step_ms = round(1000 * step * self.selection.run.dt_s)
+        time_us = 1000 * (etsi.its_ms(pcap.START_S) + step_ms)
         denied = rows.plausible.eq(False).fillna(False).to_numpy(bool)
         numbers = rows.object_index.tolist()
         observed = [

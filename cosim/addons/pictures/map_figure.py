@@ -23,7 +23,8 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
     begun = [_begun(run, radius_m, pairs) for run in runs]
     streets = [_streets(run) for run in runs]
     spans = [np.ptp(street, axis=0) for street in streets]
-    tallest = max(style.FLATTEST, *(span[1] / max(span[0], 1) for span in spans))
+    ratios = [north_m / max(east_m, 1) for east_m, north_m in spans]
+    tallest = max(style.FLATTEST, *ratios)
     height = min((style.WIDTH - 1) * tallest + 1.5, 5.0 if len(runs) == 1 else 3.2)
     figure, panels = style.sheet(len(runs), height)
     figure.set_layout_engine("compressed")
@@ -41,7 +42,7 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
 
     each = zip(panels, runs, style.names(runs), streets, rates, counts, strict=True)
     for axes, run, run_name, street, rate, (_, x, y) in each:
-        axes.scatter(street[:, 0], street[:, 1], s=1.2, color=style.PALE, linewidths=0, rasterized=True)
+        axes.scatter(*street.T, s=1.2, color=style.PALE, linewidths=0, rasterized=True)
         mesh = axes.pcolormesh(x, y, np.ma.masked_equal(rate, 0).T, norm=norm, cmap="viridis_r", rasterized=True)
         title = run_name if len(runs) > 1 else "Where encounters begin"
         style.map_panel(axes, f"{title}\n{_definition(run)}")
@@ -85,6 +86,7 @@ def _streets(run: Run) -> np.ndarray:
 def _cells(points: np.ndarray, street: np.ndarray, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     low = np.floor(street.min(axis=0) / cell_m)
     high = np.ceil(street.max(axis=0) / cell_m) + 1
-    x, y = (np.arange(low[i], high[i] + 1) * cell_m for i in (0, 1))
-    count, _, _ = np.histogram2d(points[:, 0], points[:, 1], (x, y))
+    x, y = (np.arange(first, last + 1) * cell_m for first, last in zip(low, high, strict=True))
+    east, north = points.T
+    count, _, _ = np.histogram2d(east, north, (x, y))
     return count, x, y

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -55,8 +56,10 @@ def draw(moment: SceneMoment, title: str) -> Figure:
     half_m = [HALF_WIDTH_M, HALF_DEPTH_M]
     low, high = moment.centre_m - half_m, moment.centre_m + half_m
     walls, fills = [], []
-    for ring, base, top in sorted(moment.buildings, key=lambda building: -float(building[0][:, 1].mean())):
-        if not ((ring.max(axis=0) > low - 60) & (ring.min(axis=0) < high + 60)).all():
+    from_north = sorted(moment.buildings, key=lambda building: -float(building[0][:, 1].mean()))
+    for ring, base, top in from_north:
+        is_near = (ring.max(axis=0) > low - 60) & (ring.min(axis=0) < high + 60)
+        if not is_near.all():
             continue
         faces, kinds = _prism(ring, base, top)
         walls += faces
@@ -66,7 +69,8 @@ def draw(moment: SceneMoment, title: str) -> Figure:
     )
     for i, cloud in enumerate(moment.clouds.values()):
         thin = cloud[:: max(1, len(cloud) * len(moment.clouds) // MOST_POINTS)]
-        axes.plot(*_flat(thin).T, ",", color=CLOUDS[i % len(CLOUDS)], alpha=0.5, zorder=3, rasterized=True)
+        x, y = _flat(thin).T
+        axes.plot(x, y, ",", color=_cloud_ink(i), alpha=0.5, zorder=3, rasterized=True)
     _vehicles(axes, moment)
     corner = _flat(np.array([[*low, 0.0], [*high, 0.0]]))
     axes.set_xlim(corner[0, 0], corner[1, 0])
@@ -110,11 +114,22 @@ def _scale(axes, corner: Float[ndarray, "2 2"]) -> None:  # type: ignore[no-unty
 def _flat(xyz: Float[ndarray, "... 3"]) -> Float[ndarray, "... 2"]:
     """Where points are on the page [m]."""
     x, y, z = np.moveaxis(xyz, -1, 0)
-    return np.stack([x, y * np.sin(TILT) + z * np.cos(TILT)], axis=-1)
+    up = y * np.sin(TILT) + z * np.cos(TILT)
+    return np.stack([x, up], axis=-1)
+
+
+def _at_height(line: Float[ndarray, "k 2"], z: float) -> Float[ndarray, "k 2"]:
+    """Where a line at one height is on the page [m]."""
+    return _flat(np.column_stack([line, np.full(len(line), z)]))
+
+
+def _cloud_ink(number: int) -> str:
+    """Colour of a point cloud."""
+    return CLOUDS[number % len(CLOUDS)]
 
 
 def _ground(axes, moment: SceneMoment) -> None:  # type: ignore[no-untyped-def]
-    streets = [_flat(np.column_stack([line, np.zeros(len(line))])) for line in moment.streets]
+    streets = [_at_height(line, 0.0) for line in moment.streets]
     axes.add_collection(LineCollection(streets, colors=ROAD, linewidths=5.0, zorder=0))
 
 
@@ -123,10 +138,12 @@ def _prism(ring: Float[ndarray, "k 2"], base: float, top: float) -> tuple[list[F
     x, y = ring.T
     following = np.roll(np.arange(len(ring)), -1)
     seen = np.flatnonzero(x < x[following])  # the outside is on the right of a counter-clockwise ring
-    seen = seen[np.argsort(-(y[seen] + y[following[seen]]))]
-    floor, roof = (_flat(np.column_stack([ring, np.full(len(ring), z)])) for z in (base, top))
-    ends = zip(seen.tolist(), following[seen].tolist(), strict=True)
-    faces = [np.concatenate([floor[[a, b]], roof[[b, a]]]) for a, b in ends]
+    northing = y[seen] + y[following[seen]]
+    seen = seen[np.argsort(-northing)]
+    floor, roof = _at_height(ring, base), _at_height(ring, top)
+    faces = []
+    for a, b in zip(seen.tolist(), following[seen].tolist(), strict=True):
+        faces.append(np.concatenate([floor[[a, b]], roof[[b, a]]]))
     return [*faces, roof], [False] * len(faces) + [True]
 
 
@@ -170,11 +187,16 @@ def _entries(moment: SceneMoment) -> list[Line2D]:
         ("o", "none", LIE, 7.0, "ringed: attacker", moment.attacks.any()),
         ("s", "#efc9cb", LIE, 4.5, "fabricated", len(moment.ghosts) > 0),
     ]
-    clouds = [
-        Line2D([], [], linestyle="", marker=".", color=CLOUDS[i % len(CLOUDS)], label=f"cloud of {vehicle}")
-        for i, vehicle in enumerate(moment.clouds)
-    ]
-    return [
-        Line2D([], [], linestyle="", marker=m, markersize=size, markerfacecolor=face, markeredgecolor=edge, label=text)
-        for m, face, edge, size, text, there in marks if there
-    ] + clouds  # fmt: skip
+    entries = []
+    for marker, face, edge, size, text, is_there in marks:
+        if is_there:
+            look: dict[str, Any] = {
+                "marker": marker,
+                "markersize": size,
+                "markerfacecolor": face,
+                "markeredgecolor": edge,
+            }
+            entries.append(Line2D([], [], linestyle="", label=text, **look))
+    for i, vehicle in enumerate(moment.clouds):
+        entries.append(Line2D([], [], linestyle="", marker=".", color=_cloud_ink(i), label=f"cloud of {vehicle}"))
+    return entries

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 import pandas as pd
+from numpy import ndarray
 
 from cosim.base.codes import BASE_VARIANT
 from results.metrics import intervals, misbehaviour
@@ -49,7 +50,8 @@ def confusion(run: Run, threshold: float | None = None) -> pd.DataFrame:
             index=[False, True], columns=[False, True], fill_value=0
         )
         (tn, fp), (fn, tp) = counts.to_numpy().tolist()
-        rows.append({"unit": unit, "tp": tp, "fp": fp, "fn": fn, "tn": tn} | rates(tp, fp, fn, tn))
+        counted = {"unit": unit, "tp": tp, "fp": fp, "fn": fn, "tn": tn}
+        rows.append(counted | rates(tp, fp, fn, tn))
         for name, value, among in (
             ("precision", some.attacker, some.excluded), ("recall", some.excluded, some.attacker),
             ("fpr", some.excluded, ~some.attacker),
@@ -73,7 +75,8 @@ def messages(run: Run, frame: pd.DataFrame) -> pd.DataFrame:
     lied = message.lied[message.transmitted]  # what is withheld from a message is no less a lie
     sent = lied.rename("attacker").rename_axis(["step", "subject"]).reset_index()
     sent = sent.merge(watched(run)[["since", "until"]].reset_index(), on="subject")
-    sent = sent[(sent.since <= sent.step) & (sent.step <= sent.until)].sort_values("step")
+    is_watched = (sent.since <= sent.step) & (sent.step <= sent.until)
+    sent = sent[is_watched].sort_values("step")
     known = frame[["step", "subject", "excluded"]].astype({"step": np.int64, "subject": np.int64}).sort_values("step")
     found = pd.merge_asof(sent, known, on="step", by="subject")
     return found.assign(excluded=found.excluded.eq(True))[["step", "subject", "attacker", "excluded"]]
@@ -95,7 +98,8 @@ def exclusion_delay(run: Run) -> pd.DataFrame:
         role=("role", "first"), since=("since", "min"), until=("until", "max"), refused=("refused_step", "min")
     )
     found = who.refused.notna()
-    delay_s = (who.refused.where(found, who.until).astype(float) - who.since).clip(lower=0) * run.dt_s
+    end_step = who.refused.where(found, who.until).astype(float)
+    delay_s = (end_step - who.since).clip(lower=0) * run.dt_s
     return pd.DataFrame({"role": who.role, "delay_s": delay_s, "found": found}).rename_axis("subject").reset_index()
 
 
@@ -112,12 +116,17 @@ def rates(tp: float, fp: float, fn: float, tn: float) -> dict[str, float]:
     def over(a: float, b: float) -> float:
         return a / b if b else math.nan
 
-    recall, fpr = over(tp, tp + fn), over(fp, fp + tn)
+    recall = over(tp, tp + fn)
+    fpr = over(fp, fp + tn)
+    product = (tp + fp) * (tp + fn) * (tn + fp) * (tn + fn)
     return {
-        "precision": over(tp, tp + fp), "recall": recall, "fpr": fpr, "f1": over(2 * tp, 2 * tp + fp + fn),
-        "mcc": over(tp * tn - fp * fn, math.sqrt((tp + fp) * (tp + fn) * (tn + fp) * (tn + fn))),
+        "precision": over(tp, tp + fp),
+        "recall": recall,
+        "fpr": fpr,
+        "f1": over(2 * tp, 2 * tp + fp + fn),
+        "mcc": over(tp * tn - fp * fn, math.sqrt(product)),
         "informedness": recall - fpr,
-    }  # fmt: skip
+    }
 
 
 def average_precision(run: Run) -> float:
@@ -134,8 +143,13 @@ def average_precision(run: Run) -> float:
     if not attacks.any():
         return math.nan
     threshold = np.unique(found.trust[rated])
-    n_attackers, n = (np.searchsorted(np.sort(found.trust[of]), threshold, "right") for of in (rated & attacks, rated))
-    return float((n_attackers / n * np.diff(n_attackers, prepend=0)).sum() / attacks.sum())
+
+    def excluded_at(of: ndarray) -> ndarray:
+        return np.searchsorted(np.sort(found.trust[of]), threshold, "right")
+
+    n_attackers, n = excluded_at(rated & attacks), excluded_at(rated)
+    gained = np.diff(n_attackers, prepend=0)
+    return float((n_attackers / n * gained).sum() / attacks.sum())
 
 
 def false_exclusions(run: Run, threshold: float | None = None) -> intervals.ClusteredEstimate:

@@ -17,7 +17,7 @@ from cosim.addons.sidelink.records import MAX_SENT, N_USED, UNIT, SlotAir, SlotL
 from cosim.addons.sidelink.slots import next_period, run_slots
 from cosim.base import rng
 from cosim.base.kernel import compiled
-from cosim.base.ragged import offsets, ranges
+from cosim.base.ragged import offsets, owner_of_rows, ranges
 from cosim.radio.channel import Links
 from cosim.radio.dtypes import NEVER, NONE, RECEIVED
 from cosim.radio.link_budget import from_db
@@ -75,8 +75,10 @@ class SidelinkMedium:
         if cache is None or not cache.serves(stations):
             cache = self.links(stations)
         links = jammed(cache.links, stations, self.params)
-        begin_ns, end_ns = round(begin_s * 1e9), round((begin_s + self.round_s) * 1e9)
-        plan = self._plan(kind, len(RoundKind) * step + kind, begin_ns, end_ns, stations, messages)
+        begin_ns = round(begin_s * 1e9)
+        end_ns = round((begin_s + self.round_s) * 1e9)
+        number = len(RoundKind) * step + kind
+        plan = self._plan(kind, number, begin_ns, end_ns, stations, messages)
         after, log, busy = self._run(state, plan, links, stations, begin_ns, end_ns)
         happened = self._happened(plan, log, links, cache, stations, messages, begin_ns, busy)
         return replace(after, cache=cache), happened
@@ -99,7 +101,8 @@ class SidelinkMedium:
         """The parameters of the slots."""
         p, carrier = self.params.sidelink, self.carrier
         per_ms = carrier.slots_per_ms
-        noise_mw = 1.380649e-23 * 290.0 * 180e3 * per_ms * 1e3 * float(from_db(self.params.receiver.noise_figure_db))
+        thermal_mw = 1.380649e-23 * 290.0 * 180e3 * per_ms * 1e3
+        noise_mw = thermal_mw * float(from_db(self.params.receiver.noise_figure_db))
         window = round(p.window_s * 1000 * per_ms)
         forced = 0 if p.reservation_s is None else round(p.reservation_s * 1000 * per_ms)
         return SlotRules(
@@ -147,8 +150,9 @@ class SidelinkMedium:
         n_segments[sent] = count
         message = np.repeat(sent, count)
         keys = messages.keys(stations)
-        segment = np.arange(len(message)) - np.repeat(np.cumsum(count) - count, count)
-        phase = rng.uniforms(rng.key(self.seed, rng.Stream.GENERATION, kind), keys)[:, 0]
+        segment = ranges(np.zeros_like(count), count)
+        generation = rng.key(self.seed, rng.Stream.GENERATION, kind)
+        phase = rng.uniforms(generation, keys)[:, 0]
         offset_ns = np.floor(phase * (end_ns - begin_ns) / 2).astype(np.int64)
         if messages.delay_s is not None:
             offset_ns += np.rint(1e9 * messages.delay_s).astype(np.int64)
@@ -166,17 +170,20 @@ class SidelinkMedium:
         unit["clear_sinr"] = from_db(unit["sinr_db"] + TAIL * unit["spread_db"])
         unit["dead_sinr"] = from_db(unit["sinr_db"] - TAIL * unit["spread_db"])
         unit["slot"] = NEVER
-        process = rng.keys(rng.key(self.seed, rng.Stream.CHANNEL, 1 + kind), keys[message], segment)
+        own_key = rng.key(self.seed, rng.Stream.CHANNEL, 1 + kind)
+        process = rng.keys(own_key, keys[message], segment)
         return _RoundPlan(unit, message, generated_ns, n_segments, np.repeat(payload_bytes, count), process)
 
     def _run(
         self, state: SidelinkState, plan: "_RoundPlan", links: Links, stations: Stations, begin_ns: int, end_ns: int
     ) -> tuple[SidelinkState, SlotLog, Int[ndarray, "n"]]:
         """Carry out the slots of a round; returns the next state, the log and the busy subchannels of each station."""
-        rules, begin, end = self.rules, begin_ns // self._slot_ns, end_ns // self._slot_ns
+        rules = self.rules
+        begin, end = begin_ns // self._slot_ns, end_ns // self._slot_ns
         station, was = stations_of(state, stations)
         process = processes_of(state.process, plan.unit, plan.process, stations)
-        silent = min(begin // rules.busy_slots - (state.until - 1) // rules.busy_slots, N_USED + 1)
+        n_periods = begin // rules.busy_slots - (state.until - 1) // rules.busy_slots
+        silent = min(n_periods, N_USED + 1)
         if begin % rules.busy_slots == 0:
             silent -= 1
         for _ in range(silent if state.until > 0 else 0):
@@ -234,12 +241,10 @@ class SidelinkMedium:
         n_sent = unit["n_sent"].astype(np.int64)
         if self.params.sidelink.n_transmissions > 1:
             _merge(log.reception, unit, np.diff(links.ptr))
-            first = Transmissions(*(
-                column if column is attempts_of.receiver or column is attempts_of.reception else column[: len(unit)]
-                for column in attempts_of
-            ))  # fmt: skip
-            first = first._replace(reception=_receptions_of(unit, links, log.reception, np.arange(len(unit)), 0))
-            first = first._replace(receiver=attempts_of.receiver[: len(first.reception)])
+            first = Transmissions(*(column[: len(unit)] for column in attempts_of))
+            reception = _receptions_of(unit, links, log.reception, np.arange(len(unit)), 0)
+            receiver = attempts_of.receiver[: len(reception)]
+            first = first._replace(receiver=receiver, reception=reception)
             attempts = ReceptionAttempts.of(first, cache.neighbours)
         outcomes = FrameOutcomes(
             message=attempts.message,
@@ -291,10 +296,10 @@ def _receptions_of(
 def _transmissions(plan: _RoundPlan, log: SlotLog, links: Links, messages: Messages, slot_ns: int) -> Transmissions:
     """All transmissions: the first of each unit, then further ones."""
     unit = log.unit
-    first = np.arange(len(unit))
-    more = [np.flatnonzero(unit["n_sent"] > a) for a in range(1, MAX_SENT)]
-    rows = np.concatenate([first, *more])
-    attempt = np.concatenate([np.zeros(len(unit), np.int64)] + [np.full(len(r), a + 1) for a, r in enumerate(more)])
+    rows_of = [np.arange(len(unit))]
+    rows_of += [np.flatnonzero(unit["n_sent"] > a) for a in range(1, MAX_SENT)]
+    rows = np.concatenate(rows_of)
+    attempt = owner_of_rows(np.array([len(of) for of in rows_of]))
     station = unit["station"][rows].astype(np.int64)
     degree = np.diff(links.ptr)[station]
     on_air = unit["n_sent"][rows] > attempt

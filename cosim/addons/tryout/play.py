@@ -113,14 +113,16 @@ def _beliefs(world: World, known_s: float, dt_s: float) -> Beliefs:
     xy, yaw = world.boxes.xyz_m[:, :2], world.boxes.yaw_rad
     between_m = xy[:, None] - xy[None]
     is_near = np.hypot(between_m[..., 0], between_m[..., 1]) <= 50.0
-    ego, other = np.nonzero(world.equipped[:, None] & is_near & ~np.eye(len(world), dtype=bool))
+    is_other = ~np.eye(len(world), dtype=bool)
+    ego, other = np.nonzero(world.equipped[:, None] & is_near & is_other)
     alone = np.flatnonzero(world.equipped)
     begun_m = world.speed_mps * world.step * dt_s
     direction = np.column_stack([np.cos(yaw), np.sin(yaw), 0 * yaw])
     ghost_xyz_m = world.boxes.xyz_m + direction * (35.0 - begun_m)[:, None]
     ghosts = replace(world.boxes, xyz_m=ghost_xyz_m).take(alone)
     key = rng.key(0, rng.Stream.DRIVER)
-    sees = rng.uniforms(key, world.name_key[ego], world.name_key[other])[:, 0] < 0.5
+    drawn = rng.uniforms(key, world.name_key[ego], world.name_key[other])
+    sees = drawn[:, 0] < 0.5
     by = np.concatenate([ego, alone])
     order = np.argsort(by, kind="stable")
     row = np.concatenate([other, alone])[order]
@@ -153,10 +155,10 @@ def detections(happened: StepResult, scene: TinyScene) -> Table:
     if happened.sensed is None:
         return {}
     found, names = happened.sensed.positioned.observed.detections, scene.names
-    return {
-        f"detection {found.detection_index[i]} of {names[found.observer[i]]}": _box(found, i)
-        for i in np.flatnonzero(found.origin == SENSED).tolist()
-    }
+    told = {}
+    for i in np.flatnonzero(found.origin == SENSED).tolist():
+        told[f"detection {found.detection_index[i]} of {names[found.observer[i]]}"] = _box(found, i)
+    return told
 
 
 def messages(happened: StepResult, scene: TinyScene) -> Table:
@@ -201,7 +203,8 @@ def receptions(happened: StepResult, scene: TinyScene) -> Table:
         sender = station[got.message]
         number = got.message - np.searchsorted(station, sender)
         for i in range(len(sender)):
-            source, receiver = names[actor[sender[i]]], names[actor[got.receiver[i]]]
+            source = names[actor[sender[i]]]
+            receiver = names[actor[got.receiver[i]]]
             told[f"{kind} message {number[i]} from {source} at {receiver}"] = {
                 name: float(getattr(got, name)[i])
                 for name in ("hops", "generation_offset_s", "access_delay_s", "latency_s")
@@ -218,7 +221,10 @@ def trust(happened: StepResult, scene: TinyScene) -> Table:
     found = sensed.looked_up.lookups[0]
     sender = actor[sensed.senders.vehicle[used.message]]
     rows = zip(actor[used.receiver].tolist(), sender.tolist(), found.trust.tolist(), strict=True)
-    return {f"{names[holder]} about {names[subject]}": {"trust": value} for holder, subject, value in rows}
+    told = {}
+    for holder, subject, value in rows:
+        told[f"{names[holder]} about {names[subject]}"] = {"trust": value}
+    return told
 
 
 def renewals(happened: StepResult, scene: TinyScene) -> Table:

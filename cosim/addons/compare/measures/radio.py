@@ -52,7 +52,8 @@ def delivery_of_one_sender(*, distance_m: Sequence[float], p_min_dbm: float) -> 
 
     Each value is the mean over five receivers 5 m apart around the distance.
     """
-    away = np.array(distance_m, float)[:, None] + 5.0 * np.arange(-2, 3)
+    beside_m = 5.0 * np.arange(-2, 3)
+    away = np.array(distance_m, float)[:, None] + beside_m
     loss_db = log_distance_db(away.ravel(), 2.75)
     received = _received(loss_db, away.ravel(), 300, ReceiverParams(p_min_dbm=p_min_dbm), 23.0)
     return received.reshape(len(away), -1).T
@@ -104,8 +105,10 @@ def range_around_corner(
         share = _behind_corners(away, 4 * corners, payload_bytes, ReceiverParams(), 23.0, 0.0)
         mean = share.reshape(len(away), 4, corners).mean(axis=2)
         below = np.argmax(mean < least, axis=0)  # the first distance that is too far
-        near, far = mean[below - 1, np.arange(4)], mean[below, np.arange(4)]
-        rows.append(receiver_m[below] - 5.0 * (least - far) / (near - far))
+        replicate = np.arange(4)
+        near, far = mean[below - 1, replicate], mean[below, replicate]
+        too_far_m = 5.0 * (least - far) / (near - far)
+        rows.append(receiver_m[below] - too_far_m)
     return np.array(rows).T
 
 
@@ -115,7 +118,9 @@ def _behind_corners(
 ) -> Float[ndarray, "k c"]:  # fmt: skip
     """Share of frames received without line of sight at each distance, behind each of many corners."""
     draws = np.random.default_rng(1).normal(size=(len(away_m), corners))
-    loss = (tr37885_db(away_m, np.ones(len(away_m), bool), "urban") + loss_db)[:, None] + 4.0 * draws  # dB, TR 37.885
+    is_nlos = np.ones(len(away_m), bool)
+    mean_db = tr37885_db(away_m, is_nlos, "urban") + loss_db
+    loss = mean_db[:, None] + 4.0 * draws  # dB, TR 37.885
     received = _received(loss.ravel(), np.repeat(away_m, corners), payload_bytes, receiver, power_dbm, 200)
     return received.reshape(len(away_m), corners)
 
@@ -130,17 +135,25 @@ def _received(
 ) -> Float[ndarray, "r"]:
     """Share of the packets of one sender that each of many silent stations receives."""
     power = (10 ** ((power_dbm - loss_db) / 10)).astype(np.float32)
-    n, packets, ones = len(power), np.arange(n_packets), np.ones(n_packets, np.int64)
+    n, packets = len(power), np.arange(n_packets)
+    ones = np.ones(n_packets, np.int64)
     ptr = np.concatenate([[0], np.full(n + 1, n)])
-    names, fading = np.arange(1, n + 2, dtype=np.uint64), fading_class(away_m, "nakagami")
+    names = np.arange(1, n + 2, dtype=np.uint64)
+    fading = fading_class(away_m, "nakagami")
     links = Links(names, ptr, np.arange(1, n + 1), power, fading)
     sent = Packets(
-        0 * ones, packets.astype(np.uint64), packets * _PERIOD_NS, payload_bytes * ones,
-        np.full(n_packets, 2, np.uint8), 10 * _PERIOD_NS * ones, packets,
-    )  # fmt: skip
+        sender=0 * ones,
+        seq=packets.astype(np.uint64),
+        generated_ns=packets * _PERIOD_NS,
+        payload_bytes=payload_bytes * ones,
+        access=np.full(n_packets, 2, np.uint8),
+        lifetime_ns=10 * _PERIOD_NS * ones,
+        tag=packets,
+    )
     rules = ChannelRules(np.uint64(1), receiver, _DCF)
     _, out = run_window(ChannelState.start(), links, sent, n_packets * _PERIOD_NS, rules)
-    return np.bincount(out.receiver[out.reception == PhyOutcome.RECEIVED], minlength=n + 1)[1:] / n_packets
+    by = out.receiver[out.reception == PhyOutcome.RECEIVED]
+    return np.bincount(by, minlength=n + 1)[1:] / n_packets
 
 
 def range_in_the_open(*, least: float, payload_bytes: int, rate_mbps: float) -> list[float]:
@@ -188,21 +201,25 @@ def sight_past_everything(
     city = city_of(config)
     walls = WallIndex.of(city.buildings)
     name = run.table("vehicles", ["vehicle", "sumo_id"]).set_index("vehicle").sumo_id
-    steps = np.arange(0, int(run.manifest["steps"]), max(1, round(every_s / run.dt_s)))
-    clear, n = np.zeros(len(far)), np.zeros(len(far))
+    every = max(1, round(every_s / run.dt_s))
+    steps = np.arange(0, int(run.manifest["steps"]), every)
+    clear, n = np.zeros((2, len(far)))
     for world in worlds(run, config, steps):
         moving = ~name.reindex(world.actor).str.startswith((PARKED, OBJECT)).to_numpy(bool)
         row = np.flatnonzero(moving & (world.shape <= Shape.BUS))
-        xy = world.boxes.xyz_m[row, :2]
-        a, b = row[cKDTree(xy).query_pairs(float(far.max()) + 12.5, output_type="ndarray")].reshape(-1, 2).T
-        away = np.hypot(*(world.boxes.xyz_m[a, :2] - world.boxes.xyz_m[b, :2]).T)
-        seen = los_between_actors(
-            walls, world.boxes, world.shape, a, b, 0.1, bodies=False, city=city if trees else None
-        )
+        boxes = world.boxes
+        tree = cKDTree(boxes.xyz_m[row, :2])
+        pairs = tree.query_pairs(float(far.max()) + 12.5, output_type="ndarray")
+        a, b = row[pairs].T
+        between = boxes.xyz_m[a, :2] - boxes.xyz_m[b, :2]
+        away = np.hypot(*between.T)
+        seen = los_between_actors(walls, boxes, world.shape, a, b, 0.1, bodies=False, city=city if trees else None)
         if bodies:
-            top = world.boxes.xyz_m + np.array([0, 0, 0.1]) + 0.5 * world.boxes.lwh_m * [0, 0, 1]
-            other = Bodies(world.boxes.xyz_m, world.boxes.lwh_m, world.boxes.yaw_rad, np.arange(len(world)))
+            half_height = 0.5 * boxes.lwh_m * [0, 0, 1]
+            top = boxes.xyz_m + [0, 0, 0.1] + half_height
+            other = Bodies(boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad, np.arange(len(world)))
             seen &= tallest_blocker_m(top, a, b, other) == 0
         here = np.abs(away - far[:, None]) <= 12.5
-        clear, n = clear + (here & seen).sum(axis=1), n + here.sum(axis=1)
+        clear += (here & seen).sum(axis=1)
+        n += here.sum(axis=1)
     return clear / n
