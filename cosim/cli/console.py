@@ -173,7 +173,8 @@ def _as_json(content: object) -> object:
 def print_json(content: object) -> None:
     """JSON on standard output. What a terminal would obey is escaped, so that a program reads it unchanged."""
     text = json.dumps(_as_json(content), indent=1, ensure_ascii=False, default=str, allow_nan=False)
-    sys.stdout.write("".join(c if _is_harmless(c) else json.dumps(c)[1:-1] for c in text) + "\n")
+    harmless = (c if _is_harmless(c) else json.dumps(c)[1:-1] for c in text)
+    sys.stdout.write("".join(harmless) + "\n")
 
 
 def print_run_summary(folder: Path, as_json: bool) -> "Run":
@@ -200,9 +201,9 @@ def print_run_summary(folder: Path, as_json: bool) -> "Run":
         return run
     topics = tuple(dict.fromkeys(name.split(".")[0] for name in SUMMARY_METRICS))
     frame = measure(run, topics=topics)
-    by_metric: dict[str, dict[str, dict[str, Any]]] = {}
+    by_metric: dict[str, dict[str, Any]] = {}
     for row in frame.to_dict("records"):
-        by_metric.setdefault(row["metric"], {})[row["group"]] = {str(name): value for name, value in row.items()}
+        by_metric.setdefault(row["metric"], {})[row["group"]] = row
 
     def rows(metric: str) -> Mapping[str, Mapping[str, Any]]:
         assert metric in SUMMARY_METRICS, metric
@@ -308,7 +309,9 @@ def _told_apart(rows: GetRows) -> list[str]:
     """How often an honest vehicle has more trust than one of another role, in one line."""
     at_lookup = rows("misbehaviour.at_lookup.auc")
     found = at_lookup or rows("misbehaviour.auc")
-    parts = [_comparison(role, row, is_first=i == 0) for i, (role, row) in enumerate(found.items())]
+    parts: list[str] = []
+    for role, row in found.items():
+        parts.append(_comparison(role, row, is_first=not parts))
     if parts:
         parts[-1] += ", when trust is looked up" if at_lookup else ", over the run"
     idle = [role for role, row in rows("trust.final.median").items() if row["note"].startswith("has not attacked")]
@@ -388,10 +391,12 @@ def print_done(done: dict[str, Any], said: str, as_json: bool) -> None:
 
 def rows_of(table: Any) -> list[dict[str, object]]:
     """Metrics as dictionaries. Values that are not finite become None, such as an unknown upper bound."""
-    return [
-        {name: None if isinstance(x, float) and not math.isfinite(x) else x for name, x in row.items()}
-        for row in table.to_dict("records")
-    ]
+    rows = table.to_dict("records")
+    for row in rows:
+        for name, value in row.items():
+            if isinstance(value, float) and not math.isfinite(value):
+                row[name] = None
+    return rows  # type: ignore[no-any-return]
 
 
 def plain(value: float) -> str:
@@ -423,9 +428,11 @@ def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
             cells.append(("",))
         if metric != last and not is_alone:
             cells.append((metric,))
-        value, unit = row["value"], "" if row["unit"] == "1" else str(row["unit"])
         label = metric if is_alone else f"  {group}"
-        cells.append((label, "" if value is None else plain(value), unit, _interval(row), str(row.get("note") or "")))
+        value = "" if row["value"] is None else plain(row["value"])
+        unit = "" if row["unit"] == "1" else str(row["unit"])
+        note = str(row.get("note") or "")
+        cells.append((label, value, unit, _interval(row), note))
         last = metric
     values = [row for row in cells if len(row) > 1]
     wide = [max(map(len, column), default=0) for column in zip(*values, strict=True)]

@@ -408,7 +408,8 @@ def plot(
 
     chosen: list[Run] = []
     if what not in FIGURES:
-        path = hook(f"plot {what}", f"cosim plot {what}")([*map(_opened, runs)], vehicles or [], step, out)
+        draw_of_addon = hook(f"plot {what}", f"cosim plot {what}")
+        path = draw_of_addon([*map(_opened, runs)], vehicles or [], step, out)
     else:
         if step is not None:
             raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
@@ -536,7 +537,8 @@ def _carry_out(command: Callable[..., int | None]) -> int | None:
 def _place_for_kernels() -> Scratch | None:
     """A temporary folder for compiled kernels if neither the installation nor the user's cache is writable."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "numba"
-    if "NUMBA_CACHE_DIR" in os.environ or any(map(can_hold_files, (Path(__file__).parents[1] / "__pycache__", cache))):
+    usual = Path(__file__).parents[1] / "__pycache__", cache
+    if "NUMBA_CACHE_DIR" in os.environ or any(map(can_hold_files, usual)):
         return None
     folder = Scratch()
     os.environ["NUMBA_CACHE_DIR"] = str(folder.path)

@@ -29,8 +29,10 @@ def _is_read(config: Config, key: str) -> bool:
     """Whether any trust model of a config reads a key of [trust]. Attacks may count their periods in windows."""
     name = key.removeprefix("trust.")
     choices = [chosen(config, "trust")[0], *(chosen_model(variant)[0] for variant in config.trust_variant)]
-    reads = any(one.params is None or name in {f.name for f in fields(one.params)} for one in choices)
-    return reads or (name == "freshness_s" and any(a.period_windows is not None for a in config.attacks))
+    for choice in choices:
+        if choice.params is None or name in {f.name for f in fields(choice.params)}:
+            return True
+    return name == "freshness_s" and any(attack.period_windows is not None for attack in config.attacks)
 
 
 _RULES: Mapping[str, Callable[[Any, str], bool]] = {

@@ -378,7 +378,7 @@ def metric_rows(call: Call, returned: Any) -> "list[MetricRow]":
         if not _is_number(row.value):
             raise Wrong(f"returned value = {row.value!r} in row {number}", "a number (NaN if there is none)")
         texts = row.metric, row.group, row.unit, row.label
-        if not row.metric or not _is_tuple_of(texts, str):
+        if not _is_tuple_of(texts, str) or not row.metric:
             raise Wrong(f"returned row {number} with a wrong text", "a text as metric, group, unit and label")
     keys = [(row.metric, row.group) for row in returned]
     if len(set(keys)) < len(keys):

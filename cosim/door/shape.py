@@ -27,7 +27,8 @@ def kind_of(of: type, file: str, kinds: Mapping[str, Kind]) -> Kind:
         titles = ", ".join(kind.title for kind in found)
         raise Refused(f"{where} has the methods of several kinds: {titles}. Say which one is meant.")
     hooks = {hook for kind in kinds.values() for hook in kind.hooks}
-    hint = next((h for name in _own_methods(of) if (h := did_you_mean(name, hooks, f"{name}(): "))), "")
+    hints = [did_you_mean(name, hooks, f"{name}(): ") for name in _own_methods(of)]
+    hint = next(filter(None, hints), "")
     due = "; ".join(f"{kind.title}: {', '.join(kind.required or kind.hooks)}" for kind in kinds.values())
     raise Refused(f"{where} has the methods of no kind of extension. {hint}Methods of each: {due}.")
 
@@ -98,11 +99,13 @@ def _own_methods(of: type) -> list[str]:
     """Public methods that the user's own classes define, without those of included base classes."""
     ours = {name for base in of.__mro__ if base.__module__.split(".")[0] in _OURS for name in vars(base)}
     own = [base for base in of.__mro__ if base.__module__.split(".")[0] not in _OURS]
-    return [
-        name for base in own for name, value in vars(base).items()
-        if not name.startswith("_") and name not in ours and not isinstance(value, type)
-        and (callable(value) or isinstance(value, staticmethod | classmethod | property))
-    ]  # fmt: skip
+    found = []
+    for base in own:
+        for name, value in vars(base).items():
+            is_method = callable(value) or isinstance(value, staticmethod | classmethod | property)
+            if is_method and not isinstance(value, type) and not name.startswith("_") and name not in ours:
+                found.append(name)
+    return found
 
 
 def _parameters(called: Any) -> list[inspect.Parameter] | None:
@@ -153,7 +156,8 @@ def _misfit(parameters: list[inspect.Parameter], due: tuple[str, ...], exactly: 
 
     With `exactly`, all arguments are given. Otherwise only as many of the first as there are parameters.
     """
-    own, takes_any = _positional(parameters), any(p.kind is p.VAR_POSITIONAL for p in parameters)
+    own = _positional(parameters)
+    takes_any = any(p.kind is p.VAR_POSITIONAL for p in parameters)
     needed = [p.name for p in own if p.default is p.empty]
     if len(needed) > len(due):
         return f"needs {', '.join(needed[len(due) :])} too"

@@ -51,7 +51,8 @@ def check(config: Config) -> Scenario:
     with_meshes(Scene.empty(), config.meshes, config.vehicle_meshes)
     if config.lidar.engine != "columnar":  # the other engines are libraries that may not be installed
         one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
-        car, first = np.array([Shape.CAR], np.uint8), np.zeros(1, np.int64)
+        car = np.array([Shape.CAR], np.uint8)
+        first = np.zeros(1, np.int64)
         lidar.scan(one, car, first, Scene.empty(), config.lidar, np.zeros(1, np.uint64))
     return scenario
 
@@ -76,7 +77,8 @@ def _lacks_trees(config: Config, scenario: Scenario) -> bool:
 
 def _check_hosts(config: Config) -> None:
     """Raise ValueError if a trust model needs what its host does not have."""
-    named = [("trust", config.trust), *((f'trust_variant "{v.name}"', v.trust) for v in config.trust_variant)]
+    named = [("trust", config.trust)]
+    named += [(f'trust_variant "{variant.name}"', variant.trust) for variant in config.trust_variant]
     for where, trust in named:
         if trust.model == "self_first" and trust.host == "central":
             raise ValueError(

@@ -9,7 +9,7 @@ import enum
 import json
 import sys
 import types
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import numpy as np
@@ -55,7 +55,8 @@ def decode(content: bytes, own_modules: Collection[str] = ()) -> Any:
         begin = len(_MAGIC) + 8
         end = begin + int.from_bytes(content[len(_MAGIC) : begin], "little")
         head = json.loads(content[begin:end])
-        return _Reader(head["arrays"], memoryview(content)[end:], frozenset(own_modules)).value(head["tree"])
+        reader = _Reader(head["arrays"], memoryview(content)[end:], frozenset(own_modules))
+        return reader.value(head["tree"])
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError, OverflowError) as error:
         raise ValueError(f"not a state of this program: {' '.join(str(error).split())}") from None
 
@@ -94,7 +95,7 @@ class _Writer:
         self._seen: dict[int, tuple[int, Any]] = {}
 
     def node(self, value: Any, where: str) -> Any:
-        if value is None or (isinstance(value, bool | str) and type(value) in (bool, str)):
+        if value is None or type(value) in (bool, str):
             return value
         if type(value) is int:
             return ["i", str(value)]
@@ -114,14 +115,15 @@ class _Writer:
             return ["a", number, self._array(value, where)]
         if type(value) in (list, tuple, set, frozenset):
             items = sorted(value, key=repr) if isinstance(value, set | frozenset) else value
-            return [type(value).__name__, number, [self.node(v, f"{where}[{i}]") for i, v in enumerate(items)]]
+            return [type(value).__name__, number, self._items(items, where)]
         if type(value) is dict:
-            return ["dict", number, [
-                [self.node(k, f"{where} key"), self.node(v, f"{where}[{k!r}]")] for k, v in value.items()
-            ]]  # fmt: skip
+            pairs = []
+            for key, content in value.items():
+                pairs.append([self.node(key, f"{where} key"), self.node(content, f"{where}[{key!r}]")])
+            return ["dict", number, pairs]
         name = self._class(type(value), where)
         if isinstance(value, tuple):
-            return ["t", number, name, [self.node(v, f"{where}[{i}]") for i, v in enumerate(value)]]
+            return ["t", number, name, self._items(value, where)]
         slots, fields = _slots(type(value)), {}
         for field, member in slots.items():
             if hasattr(value, field):
@@ -129,6 +131,9 @@ class _Writer:
         for field, content in getattr(value, "__dict__", {}).items():
             fields[field] = self.node(content, f"{where}.{field}")
         return ["o", number, name, fields]
+
+    def _items(self, values: Iterable[Any], where: str) -> list[Any]:
+        return [self.node(value, f"{where}[{i}]") for i, value in enumerate(values)]
 
     def _array(self, array: np.ndarray, where: str) -> int:
         try:
@@ -164,13 +169,14 @@ class _Reader:
             n = 1
             for length in shape:
                 n *= length
-            if at + n * dtype.itemsize > len(raw):
+            end = at + n * dtype.itemsize
+            if end > len(raw):
                 raise ValueError("it is cut off")
             if n and not dtype.itemsize:
                 raise ValueError(f"an array of {n} items without a size")  # NumPy would allocate memory for them
-            flat = np.frombuffer(raw[at : at + n * dtype.itemsize], dtype) if n else np.empty(0, dtype)
+            flat = np.frombuffer(raw[at:end], dtype) if n else np.empty(0, dtype)
             self._arrays.append(flat.reshape(shape).copy())
-            at += n * dtype.itemsize
+            at = end
         if at != len(raw):
             raise ValueError("it has more bytes than arrays")
 
@@ -212,7 +218,8 @@ class _Reader:
             of = _class_of(rest[1], self.own)
             if not issubclass(of, tuple):
                 raise ValueError(f"{rest[1]} is no tuple")
-            self._made[number] = tuple.__new__(of, [self.value(item) for item in rest[2]])
+            items = [self.value(item) for item in rest[2]]
+            self._made[number] = tuple.__new__(of, items)
         elif kind == "o":
             self._made[number] = self._object(number, *rest[1:])
         else:

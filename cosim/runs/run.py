@@ -135,8 +135,9 @@ def resume(path: Path, advance: Advance, traffic_from: Path | None = None, trust
     manifest = read_manifest(path)
     config = resumable(path, trust_code)
     scenario = check(config)
-    if (now := provenance(config, scenario)) != manifest["net"]:
-        changed = sorted(key for key in now.keys() | manifest["net"].keys() if now.get(key) != manifest["net"].get(key))
+    before, now = manifest["net"], provenance(config, scenario)
+    if now != before:
+        changed = [key for key in sorted(now.keys() | before.keys()) if now.get(key) != before.get(key)]
         raise ValueError(f"{path}: its inputs have changed since: {', '.join(changed)}. Run again.")
     with StopRequest() as stop:
         folder = run_folder.reopen(path)
@@ -229,9 +230,12 @@ def resumable(path: Path, trust_code: bool = False) -> Config:
         raise Damaged(f"{path} cannot go on: {problem}. Run again.")
     config = of_run(manifest["config"], path, trust_code)
     found = {key: asdict(source) for key, source in sources(config).items()}
-    if found != (before := manifest.get("choices")):
-        changed = [key for key in found if not isinstance(before, dict) or before.get(key) != found[key]]
-        names = ", ".join(f"{key} names {found[key]['file'] or found[key]['name']}" for key in changed) or "choices"
+    before = manifest.get("choices")
+    if found != before:
+        known = before if isinstance(before, dict) else {}
+        changed = {key: source for key, source in found.items() if known.get(key) != source}
+        named = [f"{key} names {source['file'] or source['name']}" for key, source in changed.items()]
+        names = ", ".join(named) or "choices"
         raise ValueError(f"{path}: {names}, which was changed since. Run again.")
     return config
 
@@ -290,11 +294,13 @@ def _decoded(path: Path, name: str, digest: str, own: Collection[str]) -> Any:
 
 def _kept_state(path: Path, found: Inventory, config: Config, config_sha256: str) -> State | None:
     """The state at the end of the last complete block; None if no state was kept and all steps are computed again."""
-    names = [name for name in (found.blocks[-1].checkpoint if found.blocks else ()) if is_state(name)]
+    checkpoint = found.blocks[-1].checkpoint if found.blocks else {}
+    names = [name for name in checkpoint if is_state(name)]
     if not names:
         return None
-    kept = _decoded(path, names[0], found.blocks[-1].checkpoint[names[0]], own_modules(config))
-    if not (isinstance(kept, tuple) and len(kept) == 3 and kept[0] == STATE_VERSION and isinstance(kept[2], State)):
+    kept = _decoded(path, names[0], checkpoint[names[0]], own_modules(config))
+    is_known = isinstance(kept, tuple) and len(kept) == 3 and kept[0] == STATE_VERSION
+    if not is_known or not isinstance(kept[2], State):
         raise ValueError(f"{path} was begun with another cosim. Run again.")
     if kept[1] != config_sha256:
         raise Damaged(f"{path}: {names[0]} is of a run with another config. Run again.")
@@ -308,7 +314,8 @@ def _last_poses(path: Path, found: Inventory) -> dict[str, np.ndarray] | None:
     if not parts:
         return None
     columns = ["actor", "x_m", "y_m", "z_m", "yaw_rad", "speed_mps"]
-    table = pq.read_table(path / parts[0].name, columns=columns, filters=pc.field("step") == last, partitioning=None)
+    is_last = pc.field("step") == last
+    table = pq.read_table(path / parts[0].name, columns=columns, filters=is_last, partitioning=None)
     return {name: table.column(name).to_numpy() for name in columns}
 
 

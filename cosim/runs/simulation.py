@@ -178,7 +178,8 @@ class SimulatedStep:
     @property
     def sensing(self) -> Int[ndarray, "s"]:
         """Actor numbers of the vehicles that sense in this step, ascending. They have a point cloud."""
-        return self.result.sensed.sensing.actor if self.result.sensed is not None else np.zeros(0, np.int64)
+        sensed = self.result.sensed
+        return np.zeros(0, np.int64) if sensed is None else sensed.sensing.actor
 
     def cloud(self, vehicle: int, frame: Literal["world", "sensor"] = "world") -> Float[ndarray, "n 3"]:
         """Point cloud of one vehicle's sweep.
@@ -206,7 +207,7 @@ class SimulatedStep:
         if self._simulation.n_steps != self._number:
             raise RuntimeError(f"the clouds of step {self.step} are gone: ask for them before the next step begins")
         sensed = self.result.sensed
-        row = np.flatnonzero(sensed.sensing.actor == vehicle) if sensed is not None else np.zeros(0, np.int64)
+        row = np.flatnonzero(self.sensing == vehicle)
         if sensed is None or not len(row):
             raise ValueError(f"vehicle {vehicle} has no sweep in step {self.step}: name one of step.sensing, "
                              "where there are any.")  # fmt: skip
@@ -327,10 +328,9 @@ class _Columns:
 def _resolved(config: AnyConfig, parts: Mapping[str, type | str]) -> Config:
     """The config, with these classes instead of those that it names."""
     named = {section: _name_of(section, part) for section, part in parts.items()}
-    if isinstance(config, str | Path):
-        return load(Path(config), [f"{section}.{SECTIONS[section].key}={name}" for section, name in named.items()])
-    if config is None:
-        return load(None, [f"{section}.{SECTIONS[section].key}={name}" for section, name in named.items()])
+    if config is None or isinstance(config, str | Path):
+        changes = [f"{section}.{SECTIONS[section].key}={name}" for section, name in named.items()]
+        return load(None if config is None else Path(config), changes)
     if isinstance(config, Config) and not named:
         return config
     data = config.to_dict() if isinstance(config, Config) else with_defaults(copy.deepcopy(dict(config)))

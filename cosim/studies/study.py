@@ -4,7 +4,7 @@ import copy
 import itertools
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -101,21 +101,35 @@ class Study:
 
     def combinations(self) -> list[dict[str, Any]]:
         """All combinations of the swept keys, without replicates, in the order of the file."""
-        return [{k: v for part in parts for k, v in part.items()} for parts in itertools.product(*self.axes)]
+        found = []
+        for parts in itertools.product(*self.axes):
+            keys: dict[str, Any] = {}
+            for part in parts:
+                keys |= part
+            found.append(keys)
+        return found
 
     def to_toml(self) -> str:
         """The study as TOML. Its base is complete and needs no other file."""
+        head = asdict(self.head)
+        del head["config"]
+        grid: dict[str, Any] = {}
+        zips = []
+        for axis in self.axes:
+            columns = {key: [row[key] for row in axis] for key in axis[0]}
+            if len(columns) == 1:
+                grid |= columns
+            else:
+                zips.append(columns)
         data = {
-            "study": {f.name: getattr(self.head, f.name) for f in fields(Head) if f.name != "config"},
-            "limits": {f.name: getattr(self.limits, f.name) for f in fields(Limits)},
-            "keep": {f.name: getattr(self.keep, f.name) for f in fields(Keep)},
-            "measure": {f.name: getattr(self.measuring, f.name) for f in fields(Measuring)},
+            "study": head,
+            "limits": asdict(self.limits),
+            "keep": asdict(self.keep),
+            "measure": asdict(self.measuring),
             "base": self.base,
-            "grid": {
-                next(iter(axis[0])): [next(iter(p.values())) for p in axis] for axis in self.axes if len(axis[0]) == 1
-            },
-            "zip": [{k: [p[k] for p in axis] for k in axis[0]} for axis in self.axes if len(axis[0]) > 1],
-        }  # fmt: skip
+            "grid": grid,
+            "zip": zips,
+        }
         return toml_text(data)
 
 
@@ -173,14 +187,13 @@ def _study(data: dict[str, Any], path: Path, trust_code: bool) -> Study:
         raise ValueError(
             f"trust_variant in {where}: a study makes its trust variants itself. Sweep keys of [trust] in [grid]."
         )
-    axes = tuple(
-        tuple({key: _beside(key, value, path.parent) for key, value in part.items()} for part in axis)
-        for axis in _axes(data, where)
-    )
-    study = Study(
-        head, _section(Limits, data.get("limits", {}), "limits", where), keep, measuring, base, axes,
-        untrusted(path, trust_code),
-    )  # fmt: skip
+
+    def with_paths(row: Keys) -> Keys:
+        return {key: _beside(key, value, path.parent) for key, value in row.items()}
+
+    axes = tuple(tuple(map(with_paths, axis)) for axis in _axes(data, where))
+    limits = _section(Limits, data.get("limits", {}), "limits", where)
+    study = Study(head, limits, keep, measuring, base, axes, untrusted(path, trust_code))
     for key, value in head.baseline.items():
         if key not in study.keys:
             raise ValueError(
@@ -233,7 +246,8 @@ def config_at(study: Study, keys: Keys, replicate: int, where: str) -> configs.C
     data = copy.deepcopy(study.base)
     for key, value in keys.items():
         config_data.assign(data, key, copy.deepcopy(value), f"{key} in {where}")
-    for section, seed in ((data, configs.Config().seed), (data.setdefault("traffic", {}), TrafficParams().seed)):
+    traffic = data.setdefault("traffic", {})
+    for section, seed in ((data, configs.Config().seed), (traffic, TrafficParams().seed)):
         stated = section.get("seed", seed)
         section["seed"] = stated + replicate if isinstance(stated, int) else stated
     said = ", ".join(f"{k} = {v}" for k, v in keys.items())
@@ -259,9 +273,13 @@ def _absolute(stated: dict[str, Any], where: str, folder: Path) -> dict[str, Any
 
 def _beside(key: str, value: Any, folder: Path) -> Any:
     """The absolute path if a value names a file in the study's folder; otherwise the value itself."""
-    file, colon, name = value.rpartition(":") if isinstance(value, str) and ".py:" in value else (value, "", "")
-    is_name = isinstance(file, str) and (colon or key.endswith(("traffic.scenario", "traffic.trace", ".file")))
-    return str((folder / file).resolve()) + colon + name if is_name and (folder / file).exists() else value
+    if not isinstance(value, str):
+        return value
+    file, colon, name = value.rpartition(":") if ".py:" in value else (value, "", "")
+    is_name = colon or key.endswith(("traffic.scenario", "traffic.trace", ".file"))
+    if is_name and (folder / file).exists():
+        return str((folder / file).resolve()) + colon + name
+    return value
 
 
 def merge(data: dict[str, Any], changes: Mapping[str, Any]) -> None:
@@ -296,7 +314,8 @@ def _axes(data: Mapping[str, Any], where: str) -> tuple[tuple[Keys, ...], ...]:
         raise ValueError(f"zip should be a list of sections [[zip]] in {where}.")
     axes: list[tuple[Keys, ...]] = []
     for key, values in _flat(grid):
-        axes.append(tuple({key: value} for value in _once(f"grid: {key}", _values(key, values, "grid", where), where)))
+        stated = _once(f"grid: {key}", _values(key, values, "grid", where), where)
+        axes.append(tuple({key: value} for value in stated))
     for section in zips:
         columns = {key: _values(key, values, "zip", where) for key, values in _flat(section)}
         lengths = {key: len(values) for key, values in columns.items()}

@@ -97,8 +97,10 @@ def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Ta
     cache = Cache(default_folder())
     missing = [point for point in points if point.id not in there]
     made = plan(missing, needs_fused(study), cache.names("traffic")) if merge else separate(missing)
-    ended = [a for id, _ in set(answers.values()) for a in folder.attempts(id) if a.outcome == "ok"]
-    done = [a.cpu_s or a.wall_s for a in ended]  # folders of older versions lack the processor time
+    done = []
+    for run, _ in set(answers.values()):
+        ended = [attempt for attempt in folder.attempts(run) if attempt.outcome == "ok"]
+        done += [attempt.cpu_s or attempt.wall_s for attempt in ended]  # older versions did not write the former
     typical_s = statistics.median(done) if done else None
     return Task(
         study,
@@ -397,6 +399,7 @@ def status(
     study = load(file, trust_code)
     points = points_of(study, str(file))
     states = folder.write_index(study, points)
-    ids = {id for point, (id, _) in folder.answers().items() if point in {p.id for p in points}}
-    failed = [(id, folder.attempts(id)[-1]) for id in sorted(ids) if folder.state(id) == "failed"]
+    asked = {point.id for point in points}
+    runs = {run for point, (run, _) in folder.answers().items() if point in asked}
+    failed = [(run, folder.attempts(run)[-1]) for run in sorted(runs) if folder.state(run) == "failed"]
     return study, points, states, failed
