@@ -73,15 +73,16 @@ _LIVE: dict[str, type] = {
     **dict.fromkeys(_COUNTERS, np.int32),
     **{f"{name}_later": np.int32 for name in _COUNTERS},  # of them since the last step in contact
 }
-_TRUST: dict[str, type] = {
-    **{f"trusted_{way}": np.bool_ for way in ("ab", "ba")},
-    **{f"trusted_step_{way}": np.int32 for way in ("ab", "ba")},
-    **{f"trust_{way}": np.float32 for way in ("ab", "ba")},
-    **{f"known_{way}": np.bool_ for way in ("ab", "ba")},
-    **{f"source_{way}": np.int8 for way in ("ab", "ba")},
-    **{f"state_{way}": np.int8 for way in ("ab", "ba")},
-    **{f"age_{way}_s": np.float32 for way in ("ab", "ba")},
-}  # fmt: skip
+_TRUST_OF_WAY: dict[str, type] = {
+    "trusted_{way}": np.bool_,
+    "trusted_step_{way}": np.int32,
+    "trust_{way}": np.float32,
+    "known_{way}": np.bool_,
+    "source_{way}": np.int8,
+    "state_{way}": np.int8,
+    "age_{way}_s": np.float32,
+}
+_TRUST = {name.format(way=way): dtype for name, dtype in _TRUST_OF_WAY.items() for way in ("ab", "ba")}
 """Columns of which there is one per trust variant."""
 
 AWAY_S = 3600.0
@@ -319,7 +320,7 @@ class EncounterTracker:
         begins[begins] = live["start"][at[begins]] == self._step
         rests_on_evaluation = np.isin(state[begins], (LookupState.EVALUATED, LookupState.STALE))
         self.note_trust(holder[begins], other[begins], rests_on_evaluation)
-        of_default = source == TrustSource.DEFAULT
+        age_s = np.where(source == TrustSource.DEFAULT, 0, age_s)
         is_ab = holder < other
         for way, of_way in (("ab", is_ab), ("ba", ~is_ab)):
             rows = begins & of_way
@@ -328,7 +329,7 @@ class EncounterTracker:
             live[f"trust_{way}"][where] = trust[rows]
             live[f"source_{way}"][where] = source[rows]
             live[f"state_{way}"][where] = state[rows]
-            live[f"age_{way}_s"][where] = np.where(of_default[rows], 0, age_s[rows])
+            live[f"age_{way}_s"][where] = age_s[rows]
 
     def _assert_follows(self, step: int) -> None:
         if self._step is None:
@@ -398,11 +399,8 @@ class EncounterTracker:
         back = came[came < known]
         back = back[step - self._last_seen[back] > self._longest_away]
         if len(back):
-            self._past, self._pending = (
-                (pair[stays], end[stays])
-                for pair, end in (self._past, self._pending)
-                for stays in (~_involve(pair, back),)
-            )
+            self._past = _without(back, *self._past)
+            self._pending = _without(back, *self._pending)
 
     def _remember(self, over: Int[ndarray, "k"]) -> None:
         end = self._live["end"][self._slot[over]]
@@ -423,7 +421,8 @@ class EncounterTracker:
         live = {name: values[slot] for name, values in self._live.items()}
         n = len(at)
         a, b = _actors(self._pair[at])
-        start, end = live["start"][:, None], live["end"][:, None]
+        start = live["start"][:, None]
+        end = live["end"][:, None]
         trust: Rows = {}
         for way in ("ab", "ba"):
             known = live[f"known_{way}"]
@@ -505,6 +504,12 @@ def _involve(pair: Int[ndarray, "n"], actors: Int[ndarray, "m"]) -> Bool[ndarray
     return np.isin(a, actors) | np.isin(b, actors)
 
 
+def _without(actors: ndarray, pair: ndarray, end: ndarray) -> tuple[ndarray, ndarray]:
+    """Pairs and their ends, without those of these actors."""
+    stays = ~_involve(pair, actors)
+    return pair[stays], end[stays]
+
+
 def _find(held: Int[ndarray, "m"], wanted: Int[ndarray, "n"]) -> tuple[ndarray, ndarray]:
     """Positions of `wanted` in sorted `held`, and whether they are there."""
     at = np.searchsorted(held, wanted)
@@ -520,4 +525,5 @@ def _latest(pair: ndarray, end: ndarray, new_pair: ndarray, new_end: ndarray) ->
     end[at[known]] = new_end[known]
     new = ~known
     place = at[new]
-    return np.insert(pair, place, new_pair[new]), np.insert(end, place, new_end[new])
+    ends = np.insert(end, place, new_end[new])
+    return np.insert(pair, place, new_pair[new]), ends

@@ -142,7 +142,7 @@ def read(folder: Path) -> Inventory:
 
 
 def _block(line: dict[str, Any]) -> Block:
-    parts, open_ = (tuple(_part(part) for part in line[name]) for name in ("parts", "open"))
+    parts, open_ = (tuple(map(_part, line[name])) for name in ("parts", "open"))
     files = dict(line["checkpoint"])
     if any(name != f"{CHECKPOINT}/{Path(name).name}" or not isinstance(sha, str) for name, sha in files.items()):
         raise ValueError(f"{CHECKPOINT} outside of its folder")

@@ -87,7 +87,7 @@ def _check_kinds(manifest: Mapping[str, Any]) -> None:
     if not isinstance(manifest.get("inventory", {}).get("tables", {}), dict):
         raise ValueError("inventory.tables is no section")
     text = json.dumps(manifest, ensure_ascii=False)
-    if not all(isinstance(s, int | float) for key in ("timings_s",) for s in manifest.get(key, {}).values()):
+    if not all(isinstance(spent_s, int | float) for spent_s in manifest.get("timings_s", {}).values()):
         raise ValueError("timings_s holds something else than seconds")
     if any(sign in text for sign in _CONTROL):
         raise ValueError("control characters, which a terminal would obey")
@@ -153,7 +153,9 @@ def _stated(data: Any) -> Any:
 def steps_asked_for(config: Mapping[str, Any]) -> int | None:
     """Number of steps that a config asks for; None if it does not say."""
     traffic = config.get("traffic")
-    duration_s, step_s = (traffic.get(k) if isinstance(traffic, dict) else None for k in ("duration_s", "step_s"))
+    if not isinstance(traffic, dict):
+        return None
+    duration_s, step_s = traffic.get("duration_s"), traffic.get("step_s")
     if not (isinstance(duration_s, int | float) and isinstance(step_s, int | float) and 0 < duration_s < 1e12):
         return None
     return max(1, math.floor(duration_s / step_s + 1e-9)) if step_s > 0 else None
@@ -162,7 +164,9 @@ def steps_asked_for(config: Mapping[str, Any]) -> int | None:
 def _repeated(config: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Entries of the manifest that follow from its config."""
     traffic, interval_s = config.get("traffic"), config.get("sensing_interval_s")
-    if isinstance(traffic, dict) and isinstance(step_s := traffic.get("step_s"), int | float) and step_s > 0:
+    traffic = traffic if isinstance(traffic, dict) else {}
+    step_s = traffic.get("step_s")
+    if isinstance(step_s, int | float) and step_s > 0:
         yield "dt_s", step_s
         yield "traffic_seed", traffic.get("seed")
         yield "roles", list(labels(Role))

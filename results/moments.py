@@ -265,8 +265,8 @@ def _visible(rows: pd.DataFrame) -> dict[int, dict[int, Visible]]:
     step = rows.step.to_numpy(np.int64)
     observer = rows.observer.to_numpy(np.int64)
     columns = [rows[name].to_numpy(np.int64) for name in ("actor", "n_points", "n_unoccluded")]
-    is_first = (np.diff(step, prepend=-1) != 0) | (np.diff(observer, prepend=-1) != 0)  # of a step and a vehicle
-    begins = np.flatnonzero(is_first)
+    is_other_step = np.diff(step, prepend=-1) != 0
+    begins = np.flatnonzero(is_other_step | (np.diff(observer, prepend=-1) != 0))
     ends = np.append(begins, len(step))[1:]  # none of an empty table, which has no `begins`
     found: dict[int, dict[int, Visible]] = {}
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):

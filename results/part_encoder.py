@@ -165,7 +165,8 @@ def _order(columns: Rows, key: tuple[str, ...]) -> tuple[ndarray | None, ndarray
     if number is None:
         order = np.lexsort([columns[name] for name in key[::-1]])
         ordered = (columns[name][order] for name in key)
-        return order, np.flatnonzero(np.all([values[1:] == values[:-1] for values in ordered], axis=0))
+        is_same = [values[1:] == values[:-1] for values in ordered]
+        return order, np.flatnonzero(np.all(is_same, axis=0))
     if (number[1:] >= number[:-1]).all():
         return None, np.flatnonzero(number[1:] == number[:-1])
     order = np.argsort(number, kind="stable")
@@ -177,7 +178,8 @@ def _key_numbers(columns: Rows, key: tuple[str, ...]) -> ndarray | None:
 
     Sorting by one number saves 70 ms of 2.7 s of processor time per step of 4,600 vehicles.
     """
-    number, room = np.zeros(len(columns[key[0]]), np.int64), 1
+    number = np.zeros(len(columns[key[0]]), np.int64)
+    room = 1
     for name in key:
         values = columns[name]
         if values.dtype.kind not in "iu":

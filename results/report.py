@@ -176,7 +176,8 @@ def _figure(name: str, run: Run) -> str:
 def image_url(figure: Any) -> str:
     """A figure as an SVG image inside the page. Dense panels hold a bitmap, so that the page stays small."""
     for axes in figure.axes:
-        drawn = [a for a in (*axes.lines, *axes.collections, *axes.patches) if not a.get_rasterized()]
+        artists = *axes.lines, *axes.collections, *axes.patches
+        drawn = [artist for artist in artists if not artist.get_rasterized()]
         if sum(map(_n_points, drawn)) > DENSE:
             for artist in drawn:
                 artist.set_rasterized(True)

@@ -150,7 +150,8 @@ def given_rows(
         For unknown or missing columns, other lengths, nulls where none may be, and labels that a column does not have.
     """
     unknown = [name for name in columns if name not in known and name.removesuffix(VALID) not in known]
-    missing = [name for name, column in known.items() if name not in columns and name != "step" and not column.usual]
+    wanted = [name for name, column in known.items() if name != "step" and not column.usual]
+    missing = [name for name in wanted if name not in columns]
     if unknown or missing:
         wrong = []
         if unknown:

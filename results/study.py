@@ -42,7 +42,8 @@ class StudyResults:
         if not len(found):
             raise ValueError(f"{self.path} has no point {point!r}. `study.points` lists them.")
         row = found.iloc[0]
-        return open_run(self.path / "runs" / str(row["run"])).as_variant(str(row.variant))
+        folder = self.path / "runs" / str(row["run"])
+        return open_run(folder).as_variant(str(row.variant))
 
     @cached_property
     def measures(self) -> pd.DataFrame:
@@ -145,12 +146,12 @@ class StudyResults:
     def _intervals(self, frame: pd.DataFrame, bounds: Callable[[str], Bounds]) -> pd.DataFrame:
         by = [*self.keys, "metric", "group", "unit", "label"]
         found = intervals(frame, by, bounds)
-        asked = self.points.groupby(list(self.keys), sort=False, dropna=False).replicate.nunique().rename("asked")
-        asked_of = found[[*self.keys]].merge(asked.reset_index(), on=list(self.keys), how="left").asked
-        notes = [
-            "; ".join(filter(None, (study_notes.missing(n, of), few)))
-            for n, of, few in zip(found.n, asked_of, study_notes.few(frame, by), strict=True)
-        ]
+        keys = list(self.keys)
+        asked = self.points.groupby(keys, sort=False, dropna=False).replicate.nunique().rename("asked")
+        asked_of = found[keys].merge(asked.reset_index(), on=keys, how="left").asked
+        notes = []
+        for n, of, few in zip(found.n, asked_of, study_notes.few(frame, by), strict=True):
+            notes.append("; ".join(filter(None, (study_notes.missing(n, of), few))))
         columns = [*self.keys, "metric", "group", "n", "mean", "low", "high", "unit", "label"]
         return found[columns].assign(note=notes)
 
@@ -169,7 +170,8 @@ class StudyResults:
 
     def __repr__(self) -> str:
         states = self.points.state.value_counts().to_dict()
-        return f"Study({str(self.path)!r}: {len(self.points)} points, {states}, swept {', '.join(self.keys)})"
+        swept = ", ".join(self.keys)
+        return f"Study({str(self.path)!r}: {len(self.points)} points, {states}, swept {swept})"
 
 
 def intervals(frame: pd.DataFrame, by: Sequence[str], bounds: Callable[[str], Bounds] = lambda _: FREE) -> pd.DataFrame:
@@ -191,10 +193,10 @@ def intervals(frame: pd.DataFrame, by: Sequence[str], bounds: Callable[[str], Bo
     values = frame.groupby(list(by), sort=False, dropna=False).value
     found = values.agg(n="count", mean="mean", s="std").reset_index()
     metric = found.metric if "metric" in by else [""] * len(found)
-    ends = [
-        around(mean, s / n**0.5 if n > 1 else float("nan"), max(n - 1, 1), bounds(name))[1:3]
-        for mean, s, n, name in zip(found["mean"], found.s, found.n, metric, strict=True)
-    ]
+    ends = []
+    for mean, s, n, name in zip(found["mean"], found.s, found.n, metric, strict=True):
+        error = s / n**0.5 if n > 1 else float("nan")
+        ends.append(around(mean, error, max(n - 1, 1), bounds(name))[1:3])
     low, high = np.array(ends, float).reshape(-1, 2).T
     return found.assign(low=low, high=high).drop(columns="s")
 
@@ -228,12 +230,13 @@ def _check(head: Mapping[str, Any], points: pd.DataFrame) -> None:
     kinds = {"name": str, "question": str, "keys": list, "baseline": dict}
     if wrong := [name for name, kind in kinds.items() if not isinstance(head[name], kind)]:
         raise ValueError(f"{wrong[0]} is of another kind")
-    if lacking := [str(name) for name in (*_POINTS, *head["keys"], *head["baseline"]) if name not in points.columns]:
+    wanted = *_POINTS, *head["keys"], *head["baseline"]
+    if lacking := [str(name) for name in wanted if name not in points.columns]:
         raise ValueError(f"it has no column {lacking[0]}")
     if len(points.columns) != len(set(points.columns)):
         raise ValueError("it has a column twice")
     for name in ("point", "run", "variant", "state"):
-        if not points[name].map(lambda text: isinstance(text, str) and Path(text).name == text).all():
+        if not all(isinstance(text, str) and Path(text).name == text for text in points[name]):
             raise ValueError(f"{name} holds something else than names")
     if points.replicate.dtype.kind not in "iu" or not points.point.is_unique:
         raise ValueError("replicate holds something else than numbers, or a point is there twice")
@@ -250,10 +253,10 @@ def _read(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
     try:
         found = pq.read_table(path, partitioning=None).to_pandas()
         for name, kinds in columns.items():
-            texts = kinds == "O"
-            if not (
-                found[name].map(lambda text: isinstance(text, str)).all() if texts else found[name].dtype.kind in kinds
-            ):
+            is_right = found[name].dtype.kind in kinds
+            if kinds == "O":
+                is_right = all(isinstance(text, str) for text in found[name])
+            if not is_right:
                 raise ValueError(f"{name} is of another kind")
         return found
     except (OSError, ValueError, KeyError) as error:
@@ -342,14 +345,12 @@ def chosen(frame: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
     kept = np.zeros(len(frame), bool)
     for name in metrics:
         metric, _, group = name.partition(":")
-        rows = (frame.metric.str.startswith(metric + ".") if metric in TOPICS else frame.metric == metric).to_numpy(
-            copy=True
-        )
+        rows = frame.metric.str.startswith(metric + ".") if metric in TOPICS else frame.metric == metric
         if group:
-            rows &= (frame.group == group).to_numpy()
+            rows = rows & (frame.group == group)
         if not rows.any():
             raise ValueError(f"The study measured no {name!r}. {_there(frame, metric)}")
-        kept |= rows
+        kept |= rows.to_numpy()
     return frame[kept]
 
 
@@ -411,7 +412,8 @@ def short_names(values: Iterable[Any]) -> dict[Any, str]:
     texts = {value: said(value) for value in dict.fromkeys(values)}
     files = [value for value, text in texts.items() if isinstance(value, str) and text.startswith("/")]
     longest = max((text.count("/") for text in texts.values()), default=0)
-    ways: list[Callable[[str], str]] = [_stem, *(partial(_end, n) for n in range(1, longest + 1))]
+    ways: list[Callable[[str], str]] = [_stem]
+    ways += [partial(_end, n) for n in range(1, longest + 1)]
     for name in ways:
         short = texts | {value: name(value) for value in files}
         if len(set(short.values())) == len(short):
@@ -428,7 +430,8 @@ def short_keys(keys: Iterable[str]) -> dict[str, str]:
 
 def said(value: Any) -> str:
     """A value of a swept key as text: numbers without digits that say nothing."""
-    return f"{value:g}" if isinstance(value, float | np.floating) and not np.isnan(value) else str(value)
+    is_number = isinstance(value, float | np.floating) and not np.isnan(value)
+    return f"{value:g}" if is_number else str(value)
 
 
 def _stem(path: str) -> str:
@@ -448,7 +451,8 @@ def _end(n: int, path: str) -> str:
 def with_short_names(frame: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     """Rows with short names in place of the files that swept keys name."""
     words = [key for key in keys if are_words(frame[key])]
-    return frame.assign(**{key: frame[key].map(short_names(frame[key])) for key in words})
+    short = {key: frame[key].map(short_names(frame[key])) for key in words}
+    return frame.assign(**short)
 
 
 def held_at(frame: pd.DataFrame, key: str, text: str) -> pd.DataFrame:

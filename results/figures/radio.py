@@ -42,7 +42,8 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
     for i, (run, line) in enumerate(zip(runs, lines, strict=True)):
         _by_distance(distance, run, line)
         total = radio.overall(run).iloc[0]
-        parts = dict(zip(_PARTS, [total.pdr, *(total[f"lost{name}"] for name in _CAUSES)], strict=True))
+        shares = [total.pdr, *(total[f"lost{name}"] for name in _CAUSES)]
+        parts = dict(zip(_PARTS, shares, strict=True))
         occurs |= {name for name, share in parts.items() if share > 0}
         style.shares_bar(losses, i, list(parts.values()), _FILLS)
         _late(late, run, line)
@@ -127,7 +128,8 @@ def _inter_reception(axes: Axes, run: Run, line: dict[str, Any]) -> None:
     curve = curve[curve.longer > 0]
     if not curve.pir_s.any():  # no message is missing
         return
-    pir_s, longer = np.append(curve.pir_s.min() / 2, curve.pir_s), np.append(1, curve.longer)
+    pir_s = np.append(curve.pir_s.min() / 2, curve.pir_s)
+    longer = np.append(1, curve.longer)
     axes.step(pir_s, longer, where="post", **line, markevery=style.sparse(len(pir_s)))
     axes.set_yscale("log")
     axes.set_xscale("log")

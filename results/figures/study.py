@@ -208,7 +208,7 @@ def shown(study: StudyResults, topic: str) -> list[str]:
     for name in SHOWN.get(topic, ()):
         for one in (name, INSTEAD.get(name, name)):
             metric, _, group = one.partition(":")
-            groups = sorted(of for at, of in pairs if at == metric and (not group or of == group))
+            groups = sorted(of for at, of in pairs if at == metric and group in ("", of))
             if groups:
                 takes_all = group or len(groups) == 1 or metric.startswith("encounters.")
                 first = EVERYTHING if EVERYTHING in groups else groups[0]
@@ -252,14 +252,11 @@ def _draw(
             if first.metric.endswith(".auc"):
                 axes.axhline(_CHANCE, color="grey", linewidth=0.6, zorder=0)
             _ticks(axes, frame[x], 5 if len(columns) < 3 else 3)
-    entries = [
-        Line2D(
-            [], [], color=style.ink(i), marker=style.marker(i),
-            linestyle="none" if are_words(frame[x]) else style.dash(i),
-            label=f"{labels[colour]} = {said(hue)}",
-        )
-        for i, hue in enumerate(colours) if hue is not None
-    ]  # fmt: skip
+    entries = []
+    for i, hue in enumerate(colours):
+        if hue is not None:
+            look = style.look(i, are_joined=not are_words(frame[x]))
+            entries.append(Line2D([], [], label=f"{labels[colour]} = {said(hue)}", **look))
     style.legend(figure, [*entries, *at])
     return figure
 
@@ -335,23 +332,22 @@ def _line(axes: Axes, part: pd.DataFrame, values: pd.Series, i: int, n: int) -> 
     x = part[values.name].to_numpy()
     if values.dtype.kind != "f":
         wider = 3 if are_words(values) else 1
-        at = pd.Index(found).get_indexer(x) + aside * max(1, len(found) - 1) * wider
+        shift = aside * max(1, len(found) - 1) * wider
+        at = pd.Index(found).get_indexer(x) + shift
     elif _is_wide(found):
         at = x * (found[-1] / found[0]) ** aside
     else:
         at = x + aside * (found[-1] - found[0])
     order = np.argsort(at)
     mean = part["mean"]
-    ends = np.array([mean - part.low, part.high - mean], float)[:, order]
+    ends = np.array([mean - part.low, part.high - mean], float)
     axes.errorbar(
         at[order],
         mean.to_numpy()[order],
-        np.nan_to_num(ends),
-        color=style.ink(i),
-        marker=style.marker(i),
-        linestyle="none" if are_words(values) else style.dash(i),
+        np.nan_to_num(ends[:, order]),
         capsize=1.5,
         elinewidth=0.8,
+        **style.look(i, are_joined=not are_words(values)),
     )
 
 

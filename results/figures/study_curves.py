@@ -136,17 +136,13 @@ def draw(
 
 
 def _entry(i: int, name: str) -> Line2D:
-    return Line2D([], [], label=name, **_look(i))
-
-
-def _look(i: int) -> dict[str, Any]:
-    return {"color": style.ink(i), "marker": style.marker(i), "linestyle": style.dash(i)}
+    return Line2D([], [], label=name, **style.look(i))
 
 
 def _line(axes: Axes, curve: pd.DataFrame, i: int, level: float) -> float:
     """Curve `i` with its band; the time where it ends, or has done all but `_LEFT` of its fall to a level [s]."""
     known = curve[~np.isnan(curve.survival)]
-    axes.plot(known.value_s, known.survival, drawstyle="steps-post", markevery=0.12, **_look(i))
+    axes.plot(known.value_s, known.survival, drawstyle="steps-post", markevery=0.12, **style.look(i))
     band: dict[str, Any] = {"step": "post", "color": style.ink(i), "alpha": 0.18, "linewidth": 0}
     axes.fill_between(known.value_s, known.low, known.high, **band)
     falling = known.survival - level > _LEFT * (1 - level)

@@ -300,6 +300,11 @@ def ink(i: int) -> str:
     return INKS[i % len(INKS)]
 
 
+def look(i: int, are_joined: bool = True) -> dict[str, Any]:
+    """Colour, marker and line of series `i`; no line if its values are not joined."""
+    return {"color": ink(i), "marker": marker(i), "linestyle": dash(i) if are_joined else "none"}
+
+
 def marker(i: int) -> str:
     """A marker; with the colour of `ink`, 36 differ."""
     return MARKERS[(i + i // len(INKS)) % len(MARKERS)]

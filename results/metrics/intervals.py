@@ -76,7 +76,8 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
         return ClusteredEstimate(value, float("nan"), float("nan"), n)
     drawn = _draws(n)
     ratios = (drawn @ top) / (drawn @ bottom)
-    low, high = np.quantile(ratios, [(1 - level) / 2, (1 + level) / 2])
+    tails = (1 - level) / 2, (1 + level) / 2
+    low, high = np.quantile(ratios, tails)
     return ClusteredEstimate(value, float(low), float(high), n)
 
 
@@ -135,7 +136,8 @@ def around(
     width = high - low
     place = (value - low) / width
     wide = half / width / (place * (1 - place))
-    lower, upper = special.expit(special.logit(place) + np.array([-wide, wide])).tolist()
+    logits = special.logit(place) + np.array([-wide, wide])
+    lower, upper = special.expit(logits).tolist()
     return ClusteredEstimate(value, low + width * lower, low + width * upper, 0)
 
 
