@@ -91,7 +91,7 @@ def page(run: Run) -> str:
         f"<h1>{escape(run.name)}</h1>",
         f'<p class="soft">{escape(_span(run))}</p>',
         "<nav>" + "".join(f'<a href="#{name.lower()}">{name}</a>' for name in _SECTIONS) + "</nav>",
-        _facts(run, numbers),
+        _facts(numbers),
         f'<div class="first">{"".join(_figure(name, run) for name in first)}</div>',
         _folded(
             "Figures", f"{len(rest)} more", f'<div class="figures">{"".join(_figure(name, run) for name in rest)}</div>'
@@ -138,7 +138,7 @@ def _span(run: Run) -> str:
     return f"Co-simulation of {net}: {steps * run.dt_s:g} s in {steps} steps of {run.dt_s:g} s, seed {seed}."
 
 
-def _facts(run: Run, numbers: pd.DataFrame) -> str:
+def _facts(numbers: pd.DataFrame) -> str:
     """The few numbers to read first."""
     wanted = [
         ("traffic.actors.mean", "all", "actors on the road, mean"),

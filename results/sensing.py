@@ -62,7 +62,8 @@ def sampling_stride(run: Run, least: int) -> int:
 
     Every n-th step has the same share of each vehicle's sweeps if n has no factor in common with any sensing interval.
     """
-    stride, common = max(1, least), math.lcm(*np.unique(_schedule(run)[0]).tolist())
+    interval, _ = _schedule(run)
+    stride, common = max(1, least), math.lcm(*np.unique(interval).tolist())
     while not is_lock_step(run) and math.gcd(stride, common) > 1:
         stride += 1
     return stride

@@ -20,7 +20,7 @@ def draw(runs: Sequence[Run]) -> Figure:
     runs = style.arranged(runs, most=6)
     figure, (axes,) = style.sheet()
     kinds, shown = list(freshness.AGES), set()
-    lowest, span = 1.0, [float("inf"), 0.0]
+    lowest, shortest_s, longest_s = 1.0, float("inf"), 0.0
     for i, run in enumerate(runs):
         for k, what in enumerate(kinds):
             try:
@@ -31,26 +31,30 @@ def draw(runs: Sequence[Run]) -> Figure:
             there = (older > 1e-12) & (curve.age_s.to_numpy() > 0)
             if not there.any():
                 continue
-            color = style.ink(k) if len(runs) == 1 else style.inks(runs)[i]
-            axes.plot(curve.age_s[there], older[there], drawstyle="steps-post", color=color, linestyle=style.dash(k),
-                      marker=style.marker(k), markevery=0.15)  # fmt: skip
+            age_s, older = curve.age_s[there], older[there]
+            look = style.look(k)
+            if len(runs) > 1:
+                look["color"] = style.inks(runs)[i]
+            axes.plot(age_s, older, drawstyle="steps-post", markevery=0.15, **look)
             shown.add(k)
-            lowest = min(lowest, float(older[there].min()))
-            age_s = curve.age_s[there]
-            span = [min(span[0], float(age_s.min())), max(span[1], float(age_s.max()))]
+            lowest = min(lowest, float(older.min()))
+            shortest_s = min(shortest_s, float(age_s.min()))
+            longest_s = max(longest_s, float(age_s.max()))
     style.panel(axes, "Ages of trust when it is looked up", axis_label("trust_lookups", "age_s", "Age"),
                 "Share that is older")  # fmt: skip
     if not shown:
         raise runs[0].lacks("trust value that rests on an evaluation", "there is no age to draw.")
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.set_xlim(span[0] * 0.9, span[1] * 1.2)
+    axes.set_xlim(shortest_s * 0.9, longest_s * 1.2)
     style.numbered(axes.xaxis)
     axes.set_ylim(max(lowest * 0.7, 1e-6), 1.3)
-    entries = [
-        Line2D([], [], color=style.ink(k) if len(runs) == 1 else "black", linestyle=style.dash(k),
-               marker=style.marker(k), label="the value itself" if kinds[k] == "value" else kinds[k])
-        for k in sorted(shown)
-    ]  # fmt: skip
+    entries = []
+    for k in sorted(shown):
+        look = style.look(k)
+        if len(runs) > 1:
+            look["color"] = "black"
+        name = "the value itself" if kinds[k] == "value" else kinds[k]
+        entries.append(Line2D([], [], label=name, **look))
     style.legend(figure, entries, style.colour_entries(runs))
     return figure

@@ -47,7 +47,7 @@ def draw(runs: Sequence[Run]) -> Figure:
     style.panel(shares, "What stands behind lookups" + (", by role" if len(runs) == 1 else ""), "Share of lookups", "")
     style.bars_axis(shares, labels)
     entries = style.bar_entries(freshness.STATES, _FILLS)
-    there = [entry for entry, *found in zip(entries, *bars, strict=True) if any(share > 0 for share in found)]
+    there = [entry for entry, *found in zip(entries, *bars, strict=True) if any(found)]
     style.legend(figure, there, style.colour_entries(runs))
     return figure
 

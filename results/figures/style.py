@@ -44,7 +44,6 @@ WIDTH = 3.45
 """Width of every picture [inches]: that of a column of a two-column page, 8.8 cm."""
 SMALL, SMALLEST = 7.0, 6.6
 """Sizes of text beside the data, and of text that fits into a cell [points]. The second is 6 pt at a width of 8 cm."""
-_TEXT = 7.5
 DPI = 200
 SOFTWARE = "cosim"
 """What a PNG of this style says of itself."""

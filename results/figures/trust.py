@@ -71,12 +71,13 @@ def _before(run: Run) -> str:
     for role, one in frame.groupby("role", observed=True):
         of_subject = one.groupby("subject").trust
         found[str(role)] = intervals.ratio(of_subject.sum().to_numpy(), of_subject.size().to_numpy())
-    known = {role: x for role, x in found.items() if x.low == x.low}
+    known = {role: mean for role, mean in found.items() if mean.low == mean.low}
     if len(known) < 2 or "honest" not in known:
         return ""
-    text = "; ".join(f"{role} {x.value:.2f} [{x.low:.2f}, {x.high:.2f}]" for role, x in known.items())
+    texts = [f"{role} {mean.value:.2f} [{mean.low:.2f}, {mean.high:.2f}]" for role, mean in known.items()]
+    text = "; ".join(texts)
     honest = known["honest"]
-    apart = [role for role, x in known.items() if role != "honest" and (x.low > honest.high or x.high < honest.low)]
+    apart = [role for role, mean in known.items() if mean.low > honest.high or mean.high < honest.low]
     reason = (
         f"{' and '.join(apart)} differ from honest: by where they drive, not what they do"
         if apart

@@ -139,7 +139,9 @@ def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
 def evaluated(run: Run) -> pd.DataFrame:
     """role, and share of the watched time of its subjects in which an evaluation is behind their trust."""
     found = scored(run)
-    rows = [{"role": role, "share": _share(found.rated[mine])} for role, mine in trust.by_role(run, found.role)]
+    rows = []
+    for role, mine in trust.by_role(run, found.role):
+        rows.append({"role": role, "share": _share(found.rated[mine])})
     return pd.DataFrame(rows)
 
 

@@ -100,8 +100,10 @@ def latency(run: Run) -> pd.DataFrame:
 def latency_quantiles(run: Run) -> pd.DataFrame:
     """One row, of all messages together: median_s and p95_s of the latency, upper edges of bins."""
     late = latency(run).groupby("latency_s").n_delivered.sum().cumsum()
-    shares = {"median_s": 0.5, "p95_s": 0.95}
-    return pd.DataFrame([{name: late.index[late >= share * late.iloc[-1]][0] for name, share in shares.items()}])
+    row = {}
+    for name, share in (("median_s", 0.5), ("p95_s", 0.95)):
+        row[name] = late.index[late >= share * late.iloc[-1]][0]
+    return pd.DataFrame([row])
 
 
 def inter_reception(run: Run, message_type: MessageType = "cpm") -> pd.DataFrame:
