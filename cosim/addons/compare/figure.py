@@ -49,20 +49,19 @@ def draw(panels: Sequence[Panel]) -> Figure:
 
 def _draw(ax: Axes, one: Panel) -> None:
     place = np.arange(len(one.at))
-    published, ours = np.array(one.published, float), np.array(one.ours, float)
-    ends = np.concatenate(
-        [published, *(np.array(v, float) for v in (one.band_low, one.band_high, one.ours, one.low, one.high))]
-    )
+    columns = one.published, one.band_low, one.band_high, one.ours, one.low, one.high
+    published, band_low, band_high, ours, low, high = (np.array(column, float) for column in columns)
+    ends = np.concatenate([published, band_low, band_high, ours, low, high])
     ends = ends[np.isfinite(ends)]
     room = 0.15 * max(np.ptp(ends), 0.1 * np.abs(ends).max(), 1e-9)
     bottom, top = ends.min() - room, ends.max() + room
-    low, high = np.maximum(one.band_low, bottom), np.minimum(one.band_high, top)
-    ax.bar(place, high - low, 0.7, low, color=style.PALE, alpha=0.6, linewidth=0)
+    band_low, band_high = np.maximum(band_low, bottom), np.minimum(band_high, top)
+    ax.bar(place, band_high - band_low, 0.7, band_low, color=style.PALE, alpha=0.6, linewidth=0)
     ax.hlines(published, place - 0.35, place + 0.35, color="#444444", linewidth=1.2)
     there = np.isfinite(ours)
-    whiskers = np.array([
-        np.where(np.isfinite(one.low), ours - one.low, 0.0), np.where(np.isfinite(one.high), one.high - ours, 0.0),
-    ])  # fmt: skip
+    below = np.where(np.isfinite(low), ours - low, 0.0)
+    above = np.where(np.isfinite(high), high - ours, 0.0)
+    whiskers = np.array([below, above])
     colour = _OUR_INK.get(one.verdict, _OFF)
     ax.errorbar(place[there], ours[there], whiskers[:, there], fmt="o", color=colour, capsize=3, linewidth=1.2)
     style.panel(ax, one.title, "", one.unit)

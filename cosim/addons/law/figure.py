@@ -113,8 +113,7 @@ def _points(axes: Axes, points: Sequence[Points]) -> None:
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(FormatStrFormatter("%g"))
     entries = [
-        Line2D([], [], linestyle="none", marker=style.marker(i), color=style.ink(i), label=p.name)
-        for i, p in enumerate(points[:_MOST])
+        Line2D([], [], label=p.name, **style.look(i, are_joined=False)) for i, p in enumerate(points[:_MOST])
     ] + [
         Line2D([], [], linestyle="none", marker="o", color="grey", markerfacecolor=fill, label=what)
         for fill, what in (("grey", "median"), ("none", "90th percentile"))
@@ -125,7 +124,9 @@ def _points(axes: Axes, points: Sequence[Points]) -> None:
 def points_of(name: str, law: Sequence[dict[str, Any]], measured: Sequence[dict[str, Any]]) -> Points:
     """Points from the metrics of each, for those that were measured."""
     metrics = [f"freshness.newest_evaluation_age.{what}" for what in ("median_s", "p90_s")]
-    both = [(p, m) for p, m in zip(law, measured, strict=True) if metrics[0] in m]
-    law_s = np.array([[p[metric] for metric in metrics] for p, _ in both], float)
-    measured_s = np.array([[m[metric] for metric in metrics] for _, m in both], float)
-    return Points(name, law_s.reshape(-1, 2), measured_s.reshape(-1, 2))
+    law_s, measured_s = [], []
+    for predicted, found in zip(law, measured, strict=True):
+        if metrics[0] in found:
+            law_s.append([predicted[metric] for metric in metrics])
+            measured_s.append([found[metric] for metric in metrics])
+    return Points(name, np.array(law_s, float).reshape(-1, 2), np.array(measured_s, float).reshape(-1, 2))

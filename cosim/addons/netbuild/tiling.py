@@ -3,6 +3,7 @@
 import gzip
 import re
 import tempfile
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain, product
 from pathlib import Path
@@ -21,7 +22,7 @@ from cosim.traffic.identity import TypeTable
 from cosim.traffic.replay import opened
 from cosim.traffic.scenario import Scenario
 from sumo_nets import sumotools
-from sumo_nets.footprints import read_footprints, write_footprints
+from sumo_nets.footprints import Footprint, read_footprints, write_footprints
 
 LARGEST_M = 65_536.0
 """Positions are multiples of 1/256 m in single precision, which holds them exactly up to here."""
@@ -68,12 +69,16 @@ def tile(scenario: Scenario, n_east: int, n_north: int, out: Path) -> int:
         work.mkdir()
         n_most = _trace(scenario, shifts_m, work)
         buildings = [f for path in scenario.buildings for f in read_footprints(path, scenario.net)]
-        moved = (
-            (f"{copy}.{n}", f._replace(outer=f.outer + by, holes=[hole + by for hole in f.holes]))
-            for copy, by in enumerate(shifts_m) for n, f in enumerate(buildings)
-        )  # fmt: skip
-        write_footprints(work / "buildings.poly.xml", moved)
-        _network(scenario.net, shifts_m, (west, south, *(np.array([west, south]) + size_m * (n_east, n_north))), work)
+
+        def moved() -> Iterator[tuple[str, Footprint]]:
+            for copy, by_m in enumerate(shifts_m):
+                for n, one in enumerate(buildings):
+                    holes = [hole + by_m for hole in one.holes]
+                    yield f"{copy}.{n}", one._replace(outer=one.outer + by_m, holes=holes)
+
+        write_footprints(work / "buildings.poly.xml", moved())
+        east, north = [west, south] + size_m * (n_east, n_north)
+        _network(scenario.net, shifts_m, (west, south, east, north), work)
         (work / f"{out.name}.sumocfg").write_text(
             '<configuration>\n    <net-file value="net.net.xml.gz"/>\n'
             '    <additional-files value="vtypes.add.xml,buildings.poly.xml"/>\n</configuration>\n', encoding="utf-8",

@@ -39,10 +39,10 @@ def points_of(path: Path) -> Float[ndarray, "n 3"]:
         sizes = [int(word) for word in rows["SIZE"].split()]
         types = rows["TYPE"].split()
         counts = [int(word) for word in rows["COUNT"].split()] if "COUNT" in rows else [1] * len(names)
-        layout = np.dtype(
-            [(f"{k}{name}", _TYPES[of, size], (count,))
-             for k, (name, size, of, count) in enumerate(zip(names, sizes, types, counts, strict=True))]
-        )  # fmt: skip
+        fields = []
+        for k, (name, size, of, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
+            fields.append((f"{k}{name}", _TYPES[of, size], (count,)))
+        layout = np.dtype(fields)
         axes = [f"{names.index(axis)}{axis}" for axis in "xyz"]
         if kind == "binary":
             there = len(body) // layout.itemsize

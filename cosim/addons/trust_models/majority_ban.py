@@ -80,12 +80,13 @@ class MajorityBan(Stepwise):
         """Strikes of one step."""
         by, of = rows.by, rows.sender
         may = ~banned[by]
-        agrees, denies = (rows.object_pos > 0) & may, (rows.object_neg > 0) & may
+        agrees = (rows.object_pos > 0) & may
+        denies = (rows.object_neg > 0) & may
         in_favour = ~banned[of] + rows.per_object(agrees.astype(float))
         against = rows.per_object(denies.astype(float))
         true, false = in_favour > against, against > in_favour
-        contradicted = against > 0
-        n = exact_sums(of[contradicted & false], np.ones(int((contradicted & false).sum())), banned.size)
+        loses = false & (against > 0)
+        n = exact_sums(of[loses], np.ones(int(loses.sum())), banned.size)
         for side, lost in ((agrees, false), (denies, true)):
             loses = side & lost[rows.object]
             n += exact_sums(by[loses], np.ones(int(loses.sum())), banned.size)
