@@ -40,7 +40,8 @@ def points_of(path: Path) -> Float[ndarray, "n 3"]:
         types = rows["TYPE"].split()
         counts = [int(word) for word in rows["COUNT"].split()] if "COUNT" in rows else [1] * len(names)
         fields = []
-        for k, (name, size, of, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
+        columns = zip(names, sizes, types, counts, strict=True)
+        for k, (name, size, of, count) in enumerate(columns):
             fields.append((f"{k}{name}", _TYPES[of, size], (count,)))
         layout = np.dtype(fields)
         axes = [f"{names.index(axis)}{axis}" for axis in "xyz"]
