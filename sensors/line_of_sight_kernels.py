@@ -231,9 +231,8 @@ def crosses_filled_cell(cells, p, q, filled):
         for k in range(first, first + _AT_ONCE):  # without a branch in between: mispredicting costs more than testing
             i = int(u + _PROBES[k] * du)
             j = int(v + _PROBES[k] * dv)
-            is_column = (i >= 0) & (i < filled.nx)
-            is_row = (j >= 0) & (j < filled.ny)
-            cell = i * filled.ny + j if is_column & is_row else 0
+            on_grid = (i >= 0) & (i < filled.nx) & (j >= 0) & (j < filled.ny)
+            cell = i * filled.ny + j if on_grid else 0
             found |= (filled.bits[cell >> 3] >> (cell & 7)) & 1 != 0
         first += _AT_ONCE
     return found

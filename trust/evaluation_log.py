@@ -177,9 +177,9 @@ class EvaluationLog:
         rows = np.flatnonzero(n_sent > 0)
         senders = pseudonyms[rows]
         is_open = self._sent[:, 1] > step - self.steps.n_steps
-        is_newest = ~np.isin(self._sent[:, 0], senders)
+        is_latest = ~np.isin(self._sent[:, 0], senders)
         new = np.column_stack([senders, np.full(len(rows), step), n_sent[rows]])
-        sent = np.concatenate([self._sent[is_open & is_newest], new])
+        sent = np.concatenate([self._sent[is_open & is_latest], new])
         self._sent = sent[np.argsort(sent[:, 0], kind="stable")]
 
     def advance(self, now_step: int) -> None:

@@ -111,9 +111,9 @@ def update_senders(
     usual_s = np.minimum(before.gap_s, interval_s)
     lost = np.flatnonzero(unheard & (silent_s >= usual_s - 1e-9))
     new = np.flatnonzero(~there)
-    has_lost, is_new = before.receiver[lost], now.receiver[new]
-    begin = np.searchsorted(has_lost, is_new, "left")
-    end = np.searchsorted(has_lost, is_new, "right")
+    of_lost, of_new = before.receiver[lost], now.receiver[new]
+    begin = np.searchsorted(of_lost, of_new, "left")
+    end = np.searchsorted(of_lost, of_new, "right")
     at, which = expand(begin, end)
     a, b = new[which], lost[at]
     moved_m = before.velocity_mps[b] * silent_s[b, None]
