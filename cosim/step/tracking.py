@@ -24,6 +24,9 @@ from results.encounters import Rows
 
 Rounds = tuple[Broadcast, Broadcast]
 """The rounds of detection messages and of evaluation messages."""
+_ROW_BITS = 20
+"""There are fewer than 2^20 vehicles in a step."""
+
 ReceptionTrackers = tuple[InterReceptionTracker, InterReceptionTracker]
 """The trackers of the same two rounds."""
 
@@ -98,14 +101,16 @@ def without_late_copies(rounds: Rounds, exchange: Exchange) -> Rounds:
 
     Late copies of a message are messages of their own (`LateMessages`), and an attacker may send many.
     """
-    if exchange.sending is None:
+    step = exchange.now.step
+    has_copies = any((messages.step == step).any() for broadcast in rounds for messages in broadcast.late)
+    if exchange.sending is None or not has_copies:
         return rounds
     seen = {kind: _of_this_step(rounds[kind], exchange) for kind in RoundKind}
     found = []
     for broadcast in rounds:
         late = []
         for messages in broadcast.late:
-            first, codes = _first_receptions(messages, exchange.now.step, seen[messages.kind])
+            first, codes = _first_receptions(messages, step, seen[messages.kind])
             seen[messages.kind] = np.append(seen[messages.kind], codes)
             links = messages.links._replace(vehicles=messages.links.vehicles.take(first))
             late.append(replace(messages, links=links))
@@ -137,9 +142,6 @@ def _first_receptions(
     is_kept = ~is_asked
     is_kept[by_time[first[is_new]]] = True
     return np.flatnonzero(is_kept), found[is_new]
-
-
-_ROW_BITS = 20
 
 
 def count_in_encounters(
