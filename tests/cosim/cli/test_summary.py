@@ -127,7 +127,7 @@ def test_a_run_that_is_shorter_than_the_delay_to_the_server_names_the_delay(tmp_
     keys = [*sets_of_trace(write_trace(tmp_path))[1::2], *delays]
     recorded = open_run(run(load(None, keys), tmp_path / "run", lambda *_: None))
     (row,) = measure(recorded, topics=("trust",)).itertuples()
-    assert row.metric == "trust.not_measured" and "Shorten the delays and outages in [server]" in row.group
+    assert row.metric == "trust.not_measured" and "the delays and outages in [server]" in row.group
     # Trust that nobody finds has no age. Of all lookups, none is fresh, and each counts as the window.
     of = {name: recorded.measure.value(f"freshness.{name}", "all") for name in (
         "newest_evaluation_age.mean_s", "evaluation_within.share", "capped_age.mean_s"
